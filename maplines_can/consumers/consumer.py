@@ -31,7 +31,7 @@ class Consumer(Protocol[Result]):
         """Take what is known now, and return the result.
 
         Args:
-            now_ns: time, not before that of the last step [ns].
+            now_ns: time, later than that of the last step; ``LaneFusion`` takes the same, too [ns].
             view: newest scene of a ``Receiver``, ``LineListener`` or ``Decoder``, or of
                 ``scene_view``; one that is not usable is not used. None: there is no receiver.
             motion: of the car since the last step.
@@ -39,7 +39,7 @@ class Consumer(Protocol[Result]):
                 ``now_ns`` less their age, or, if they have a time ``t_ns``, that less their age.
 
         Raises:
-            ValueError: the time is before that of the last step.
+            ValueError: the time is not later than that of the last step.
         """
 
 

@@ -102,9 +102,9 @@ class PlausibilityCheck:
     the image. See ``ConsistencyTest`` for the test and ``ResidualFilter`` for the model.
 
     The line-specific error of a map line is taken to last for any time from 1 s to 30 s, and the
-    bias of the camera for 30 s. The pose error may last for longer than its sender states, and the noise of
-    the camera for more than an image, with outliers. All of this delays a detection: who knows more
-    states less.
+    bias of the camera for 30 s. The pose error may last for longer than its sender states, and the
+    noise of the camera for more than an image, with outliers. All of this delays a detection: who
+    knows more states less.
 
     Args:
         false_alarms: expected number [1/h].

@@ -4,7 +4,10 @@ from enum import Enum
 
 
 class Reason(Enum):
-    """Reason why a received frame does not complete a line. Counted, never raised."""
+    """Reason why a received frame does not complete a line.
+
+    All but PENDING are counted; none is raised.
+    """
 
     PENDING = "held until the other pages of its transfer arrive"
     FOREIGN = "its CAN ID carries no map line"

@@ -71,12 +71,12 @@ def read(stream: BinaryIO, name: str, projection: str | None = None) -> Map:
     Args:
         stream: of the XML document.
         name: of the file, for messages.
-        projection: PROJ string of the frame, as of ``maps.projection``; by default, see the head of
-            this module.
+        projection: PROJ string of the frame, as of ``maps.formats.projection``; by default, see the
+            head of this module.
 
     Raises:
         MapFileError: it is not XML, is not OSM, or has no usable lanelet.
-        ValueError: the projection is not one of ``maps.projection``.
+        ValueError: the projection is not one of ``maps.formats.projection``.
     """
     file = _OsmFile(name)
     document = Document(stream, name, text_in=())

@@ -72,11 +72,11 @@ def read(stream: BinaryIO, name: str, projection: str | None = None) -> Map:
     Args:
         stream: of the text in UTF-8.
         name: of the file, for messages.
-        projection: PROJ string of the frame of a GeoJSON map, as of ``maps.projection``.
+        projection: PROJ string of the frame of a GeoJSON map, as of ``maps.formats.projection``.
 
     Raises:
         MapFileError: it is neither, or has no usable line.
-        ValueError: the projection is not one of ``maps.projection``.
+        ValueError: the projection is not one of ``maps.formats.projection``.
     """
     try:
         data = stream.read(MAX_BYTES + 1)

@@ -2,8 +2,8 @@
 
 The line-specific part of the error of a line, which is not due to the pose, has a known structure.
 A common offset of the map moves the line sideways, what the cubic misses makes its shape uncertain
-(see ``propagation.misfit``), and independent errors of the map points bend it. In the coefficients
-of the Chebyshev polynomials T_0 .. T_3 its covariance is modelled as one of
+(see ``propagation.cubic_fit``), and independent errors of the map points bend it. In the
+coefficients of the Chebyshev polynomials T_0 .. T_3 its covariance is modelled as one of
 
     a^2 e e^T + b^2 SHAPE                                  without errors of points
     a^2 e e^T + p^2 (N(spacing, phase) + r^2 spacing SHAPE)

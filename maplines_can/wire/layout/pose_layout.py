@@ -38,7 +38,7 @@ class PoseLayout(RecordLayout):
         secured: layout of the authenticated message; None if there is none.
 
     Raises:
-        LayoutError: a signal is missing or does not meet its ``requirements``.
+        LayoutError: a signal is missing or is not within its ``Bounds``.
     """
 
     needed_by: ClassVar[str] = "each message of the pose error (MapLinePose)"

@@ -45,9 +45,9 @@ class Decoder:
 
     Each record is checked by its counter according to AUTOSAR E2E, and ``checks`` gives the state
     of each owner. Of good records, only duplicates and late ones are dropped. What to do with a
-    line whose slot is not VALID is the consumer's decision; `latest` tells it. ``E2EConfig``
-    decides on states only: a step of more than ``max_delta_counter`` is a sequence break, but the
-    record is new. How far a new one may be ahead is in the table of ``SequenceCheck``.
+    line whose slot is not VALID is the consumer's decision; `latest` tells it. A step
+    of more than ``max_delta_counter`` is a sequence break, but the record is new: how far a new one
+    may be ahead follows from the time that has passed, see the table of ``SequenceCheck``.
 
     With a verifier the MAC is checked first, and a frame that is not authentic changes nothing:
     no line, no transfer, no check.
