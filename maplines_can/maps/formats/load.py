@@ -65,12 +65,12 @@ def load(path: str | os.PathLike[str], projection: str | None = None) -> Map:
         path: of a map in one of the formats ``FORMATS``, or the name of one of this package, see
             ``map_path``.
         projection: PROJ string of the frame for positions in WGS84, as ``maps.formats.projection``
-            returns it. By default it is the UTM zone of a Lanelet2 map, or its ``local_x`` and ``local_y``,
-            and a transverse Mercator projection around the middle of a GeoJSON map.
+            returns it. By default it is the UTM zone of a Lanelet2 map, or its ``local_x`` and
+            ``local_y``, and a transverse Mercator projection around the middle of a GeoJSON map.
 
     Raises:
-        ValueError: the projection is not one of ``maps.formats.projection``, or the positions of the
-            format are in metres.
+        ValueError: the projection is not one of ``maps.formats.projection``, or the positions of
+            the format are in metres.
         FileNotFoundError: there is no such file.
         MapFileError: the file cannot be read, or contains nothing that can be used. What cannot be
             used of a map that can is listed in ``Map.skipped``.
