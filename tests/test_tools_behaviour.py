@@ -53,7 +53,7 @@ def test_a_journey_is_there_and_back() -> None:
     assert files[0] == files[-1]
     assert all(one != other for one, other in pairwise(files))
     assert len(set(files)) < len(files)
-    assert {Path(file).name for file in files} == {"gaussian.py", "arrays.py"}
+    assert {Path(file).name for file in files} >= {"gaussian.py", "arrays.py"}
 
 
 def test_sizes_are_those_of_a_reader(tmp_path: Path) -> None:

@@ -440,7 +440,7 @@ def measured(pair: Pair, sizes: Sizes) -> dict[str, Any]:
     return result | dict(zip(("ours_bytes", "peer_bytes"), map(allocated, calls), strict=True))
 
 
-COLUMNS = "   {:<23} {:<29} {:>9} {:>8} {:>6} {:>16} {:>7} {:>4}  {:>17}"
+COLUMNS = "   {:<25} {:<29} {:>9} {:>8} {:>6} {:>16} {:>7} {:>4}  {:>17}"
 HEADING = "", "against", "ours", "peer", "ratio", "[min .. max]", "target", "met", "memory"
 
 

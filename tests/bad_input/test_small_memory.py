@@ -19,7 +19,7 @@ from maplines_can.bus import key_from_file
 from maplines_can.bus.signals import read_table
 from maplines_can.cli.consume_camera import _WANTED, MAX_LINES
 from maplines_can.cli.consume_input import table_rows
-from maplines_can.study.drives.truth import read_truth
+from maplines_can.simulation.truth import read_truth
 from maplines_can.study.files import GaussianFile
 
 READERS = {

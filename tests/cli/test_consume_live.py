@@ -249,10 +249,11 @@ def test_fusion_with_the_motion_of_signals_on_the_bus(
     """A car in a bend sees a straight lane turn, also without scenes."""
     bend = esp(10.0, 0.2)
     other = f"{channel}-car" if separate else channel
+    send_scene = scenes_of(codec, scene)
 
     def send(cycle: int, put: Any) -> None:
         if cycle < 20:
-            scenes_of(codec, scene)(cycle, put)
+            send_scene(cycle, put)
         if cycle < 30:
             put([bend[0]._replace(data=b"\x01")] if cycle == 5 else bend, other)
 

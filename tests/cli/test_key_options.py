@@ -151,7 +151,7 @@ def test_a_recorded_log_is_decoded_with_its_key(
 ) -> None:
     """However old it is: only the order matters."""
     path, codec = tmp_path / "drive.log", codec_of(clock=clock)
-    frames = sent(codec, clock, lines[0], 4)
+    frames = sent(codec.encoder(), clock, lines[0], 4)
     with can.Logger(path) as writer:
         for i, frame in enumerate([*frames, frames[1]]):
             writer(

@@ -177,7 +177,8 @@ def test_a_rounded_factor_is_a_bias() -> None:
 def test_the_default_is_the_dbc() -> None:
     """Widths, factors and the bits of the covariance come from the layout, also an edited one."""
     layout = Layout.from_dbc()
-    coarse = dict(layout.signals) | {"C1": replace(layout["C1"], length=16, factor=2**-20)}
+    c1 = replace(layout["C1"], length=16, factor=2**-20, raw_min=-(2**15), raw_max=2**15 - 1)
+    coarse = dict(layout.signals) | {"C1": c1}
 
     message = default_message(layout)
     changed = default_message(replace(layout, signals=coarse))

@@ -242,7 +242,7 @@ def with_freshness(n: int) -> Layout:
 @pytest.mark.parametrize("n", [1, 2])
 def test_a_freshness_value_that_is_too_short_is_refused(n: int) -> None:
     """Item 8: 2 bytes of microseconds last 65 ms, so no line would be accepted."""
-    with pytest.raises(LayoutError, match=r"Freshness is .*needs 3 bytes or more; widen it"):
+    with pytest.raises(LayoutError, match=r"Freshness is .*needs 24 to 56 bits"):
         with_freshness(n)
 
 
