@@ -1,0 +1,359 @@
+/* maplines: the lines of a digital map on a CAN bus, with their uncertainty.
+ *
+ * This is the interface of a sender and a receiver in an ECU: CAN frames to lines with their
+ * covariances, and back. All bits, factors and CAN IDs are in constant tables that
+ * `maplines generate c` writes from a DBC; the code is the same for every DBC.
+ *
+ * To build it in, compile maplines.c and the tables (maplines_dbc.c) with a C99 compiler, and link
+ * the mathematical library. Give gcc and clang -ffp-contract=off: a fused multiplication gives
+ * other bits than the Python package, which is the model of this code.
+ *
+ *     #include "maplines_dbc.h"
+ *     static maplines_decoder_t decoder;  // all memory of a receiver; 20 to 60 kB
+ *
+ *     maplines_decoder_init(&decoder, &maplines_dbc, NULL);
+ *     ...
+ *     maplines_feed(&decoder, &frame, t_ns);                      // each frame that is received
+ *     maplines_view_t view;
+ *     maplines_latest(&decoder, MAPLINES_EGO_LEFT, now_ns, &view);  // at any time
+ *     if (view.is_usable) { steer(maplines_y(view.line, 40), maplines_y_sigma(view.line, 40)); }
+ *
+ * Memory   The caller owns all of it. There is no allocation and no static state. A decoder and an
+ *          encoder are structures of constant size; an assignment copies them.
+ * Threads  Functions share nothing but the constant tables. One thread at a time may use a
+ *          decoder or an encoder.
+ * Time     is an argument [ns], of any clock that runs steadily.
+ * Loops    are bounded by the constants below. There is no recursion.
+ * Errors   What the bus sends is counted, and never asserted. A caller's mistake is an assertion
+ *          unless NDEBUG is defined; what happens then is said with the function.
+ * Needs    <math.h>: sqrt, fabs, floor, ceil, rint, ldexp, frexp, which are exact. <string.h>:
+ *          memcpy, memset, memcmp. <assert.h> unless NDEBUG is defined.
+ *
+ * Lengths are in metres, angles in radians, x points ahead and y to the left (ISO 8855).
+ */
+#ifndef MAPLINES_H
+#define MAPLINES_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define MAPLINES_VERSION "0.1.0"
+
+/* ---- limits ------------------------------------------------------------------------------------
+ * They set the sizes of the structures. `maplines generate c` writes those of the DBC here; all
+ * files of a program need the same ones, and tables that exceed them do not compile.
+ */
+/* limits: begin */
+#ifndef MAPLINES_MAX_PAGES
+#define MAPLINES_MAX_PAGES 8 ///< pages of 8 bytes of a record
+#endif
+#ifndef MAPLINES_MAX_TRANSFER_IDS
+#define MAPLINES_MAX_TRANSFER_IDS 16
+#endif
+#ifndef MAPLINES_MAX_COMPONENTS
+#define MAPLINES_MAX_COMPONENTS 8 ///< components of a mixture
+#endif
+/* limits: end */
+
+#define MAPLINES_SLOTS 8                      ///< lines around the car
+#define MAPLINES_OWNERS (MAPLINES_SLOTS + 1)  ///< owners of records: the slots and the pose error
+#define MAPLINES_MAX_RECORD (8 * MAPLINES_MAX_PAGES) ///< [byte]
+#define MAPLINES_MAX_FRAMES (MAPLINES_MAX_PAGES * MAPLINES_MAX_COMPONENTS) ///< of a line
+#define MAPLINES_WINDOW 255  ///< longest window of an E2E state machine [checks]
+#define MAPLINES_HISTORY 256 ///< records of a slot that are remembered
+#define MAPLINES_EPOCHS 8    ///< pose errors that are remembered
+
+/* ---- values ---------------------------------------------------------------------------------- */
+
+/// Number of the build: float with MAPLINES_FLOAT, for CPUs without double precision, else double.
+/// Only what a receiver computes with lines is in this type; a sender is exact in either build.
+#ifdef MAPLINES_FLOAT
+typedef float maplines_real_t;
+#else
+typedef double maplines_real_t;
+#endif
+
+/// Identity of a line around the car, and owner of records.
+typedef enum {
+    MAPLINES_EGO_LEFT = 0,
+    MAPLINES_EGO_RIGHT = 1,
+    MAPLINES_NEXT_LEFT = 2,
+    MAPLINES_NEXT_RIGHT = 3,
+    MAPLINES_CENTRE = 4,
+    MAPLINES_EDGE_LEFT = 5,
+    MAPLINES_EDGE_RIGHT = 6,
+    MAPLINES_ROUTE = 7,
+    MAPLINES_POSE = 8, ///< the pose error, which is no slot
+} maplines_owner_t;
+
+/// Kind of marking or boundary.
+typedef enum {
+    MAPLINES_KIND_UNKNOWN = 0,
+    MAPLINES_SOLID = 1,
+    MAPLINES_DASHED = 2,
+    MAPLINES_DOUBLE = 3,
+    MAPLINES_ROAD_EDGE = 4,
+    MAPLINES_KERB = 5,
+    MAPLINES_BARRIER = 6,
+    MAPLINES_VIRTUAL = 7,
+} maplines_kind_t;
+
+/// Quality of the covariance of a line.
+typedef enum {
+    MAPLINES_UNKNOWN = 0,      ///< only the mean was sent; the standard deviations are vague
+    MAPLINES_FULL = 1,         ///< the covariance covers the sender's, including correlations
+    MAPLINES_DIAGONAL = 2,     ///< the variances cover the sender's; correlations were not sent
+    MAPLINES_REPAIRED = 3,     ///< as FULL; an indefinite matrix was replaced by one that covers it
+    MAPLINES_SATURATED = 4,    ///< as FULL, but wider than necessary
+    MAPLINES_OUT_OF_RANGE = 5, ///< use neither mean nor covariance
+} maplines_status_t;
+
+/// Reason why a received frame does not complete a line, in the order of the Python package.
+typedef enum {
+    MAPLINES_COMPLETE = -1,       ///< none: it completes one line or more
+    MAPLINES_PENDING = 0,         ///< held until the other pages of its transfer arrive
+    MAPLINES_FOREIGN = 1,         ///< its CAN ID carries no map line
+    MAPLINES_LENGTH = 2,          ///< its payload has the wrong length
+    MAPLINES_PAGE = 3,            ///< its page number is not in the DBC
+    MAPLINES_DUPLICATE = 4,       ///< its page or its line was already received
+    MAPLINES_REPLACED = 5,        ///< another frame with its transfer ID was kept in its place
+    MAPLINES_STALE = 6,           ///< a line of its slot that is as new or newer was delivered
+    MAPLINES_INCOMPLETE = 7,      ///< a frame of another record came before its own was complete
+    MAPLINES_TIMEOUT = 8,         ///< the rest of its transfer or line was not received in time
+    MAPLINES_MIXED = 9,           ///< the pages of its record belong to different transfers
+    MAPLINES_CRC = 10,            ///< the checksum of its record is wrong
+    MAPLINES_CONTENT = 11,        ///< its record holds a value that no sender may send
+    MAPLINES_NO_POSE = 12,        ///< the pose error of its record was not received in time
+    MAPLINES_UNAUTHENTICATED = 13, ///< its message has no MAC, and this receiver requires one
+    MAPLINES_KEY = 14,            ///< its MAC is of a key that this receiver does not have
+    MAPLINES_MAC = 15,            ///< its MAC is wrong
+    MAPLINES_REPLAY = 16,         ///< its freshness value is not newer than the last accepted one
+    MAPLINES_AGE = 17,            ///< its freshness value is outside the window about now
+    MAPLINES_REASONS = 18,        ///< number of reasons
+} maplines_reason_t;
+
+/// Result of the E2E check of one record, numbered as in AUTOSAR E2E profile 5.
+typedef enum {
+    MAPLINES_E2E_OK = 0x00,
+    MAPLINES_E2E_NONEWDATA = 0x01,
+    MAPLINES_E2E_ERROR = 0x07,
+    MAPLINES_E2E_REPEATED = 0x08,
+    MAPLINES_E2E_OKSOMELOST = 0x20,
+    MAPLINES_E2E_WRONGSEQUENCE = 0x40,
+    MAPLINES_E2E_NONE = 0xFF, ///< no check yet
+} maplines_e2e_status_t;
+
+/// State of the records of an owner, numbered as in AUTOSAR.
+typedef enum {
+    MAPLINES_E2E_VALID = 0,
+    MAPLINES_E2E_NODATA = 2,
+    MAPLINES_E2E_INIT = 3,
+    MAPLINES_E2E_INVALID = 4,
+} maplines_e2e_state_t;
+
+/// CAN frame.
+typedef struct {
+    uint32_t can_id;
+    bool is_extended; ///< the CAN ID has 29 bits
+    bool is_fd;       ///< of a frame to be sent; a receiver goes by the CAN ID
+    uint8_t length;   ///< [byte]
+    uint8_t data[64];
+} maplines_frame_t;
+
+/// Gaussian over (y_off [m], beta [rad], c0 [1/m], c1 [1/m^2]).
+typedef struct {
+    maplines_real_t mean[4];
+    /// Square root F of the covariance: F F^T. Row i belongs to parameter i. F is lower triangular
+    /// with its rows in the order of the DBC (see maplines_cholesky_t).
+    maplines_real_t factor[4][4];
+} maplines_gaussian_t;
+
+/// Line l(x) = y_off + tan(beta) x + c0/2 x^2 + c1/6 x^3, valid from x_min to x_max.
+typedef struct {
+    maplines_gaussian_t gaussian; ///< of a mixture: its mean and covariance
+    maplines_real_t x_min;        ///< start of the valid range [m]
+    maplines_real_t x_max;        ///< end of the valid range [m]
+    maplines_real_t age;          ///< from the pose to the sending [s]; infinite if too old
+    int64_t t_ns;                 ///< reception of the first frame [ns]
+    maplines_owner_t slot;
+    maplines_kind_t kind;
+    maplines_status_t status;
+    uint8_t components; ///< 1, or the number of components of a mixture: see maplines_component
+} maplines_line_t;
+
+/* ---- tables of a DBC ---------------------------------------------------------------------------
+ * `maplines generate c` writes them. Nothing else needs to read them.
+ */
+
+/// One signal of a record.
+typedef struct {
+    double factor; ///< physical = raw * factor + offset
+    double offset;
+    int64_t raw_min; ///< of any bits
+    int64_t raw_max;
+    uint16_t first; ///< Intel: lowest bit from that of byte 0; Motorola: highest from that of byte 0
+    uint8_t length; ///< [bit]; 0: the DBC has no such signal
+    bool is_motorola;
+    bool is_signed;
+} maplines_signal_t;
+
+/// Cholesky code of a covariance of up to 4 states.
+typedef struct {
+    uint8_t rows;
+    uint8_t order[4];            ///< state of each row
+    maplines_signal_t pivot[4];  ///< log2 of L_ii, by row
+    maplines_signal_t ratio[6];  ///< L_ij / L_ii: (1, 0), (2, 0), (2, 1), (3, 0), ...
+    maplines_signal_t inflation; ///< log2 of a factor on the covariance
+    double reachable[4];         ///< variance of each state beyond which nothing covers
+} maplines_cholesky_t;
+
+/// What all records of a layout share.
+typedef struct {
+    uint8_t pages;
+    uint8_t short_pages;  ///< of a record without a covariance; fewer only if it is conditional
+    uint16_t crc_byte;    ///< first byte of the checksum
+    uint8_t fd_authentic; ///< authentic bytes of the authenticated message; 0: there is none
+    uint8_t fd_freshness; ///< bytes of the truncated freshness value
+    uint8_t fd_mac;       ///< bytes of the truncated MAC
+    maplines_signal_t page;           ///< in each page of 8 bytes
+    maplines_signal_t transfer_id[2]; ///< in page 0, and in each other page of 8 bytes
+    maplines_signal_t counter;        ///< in the record
+} maplines_record_t;
+
+/// Levels of a line-specific covariance.
+typedef struct {
+    maplines_signal_t lateral;
+    maplines_signal_t points;
+    maplines_signal_t shape;
+    maplines_signal_t quartic;
+    maplines_signal_t fit_behind; ///< only beside complete records
+    maplines_signal_t fit_ahead;
+    bool shape_is_octave;         ///< the shape is an exponent of 2 of the spacing
+} maplines_levels_t;
+
+/// Messages of an owner.
+typedef struct {
+    bool is_present;
+    bool has_classic, has_fd, has_secured;
+    bool is_extended, fd_is_extended, secured_is_extended;
+    uint8_t fd_length; ///< [byte]
+    uint16_t data_id;         ///< E2E data ID
+    uint16_t secured_data_id; ///< SecOC data ID
+    uint32_t can_id, fd_can_id, secured_can_id;
+    uint32_t cycle_ms; ///< 0: the DBC has none
+} maplines_messages_t;
+
+/// Tables of a DBC.
+typedef struct {
+    const char *name; ///< of the DBC
+    uint8_t max_components;
+    bool is_conditional; ///< records of lines are conditional on the pose error
+    bool has_pose;
+    maplines_messages_t messages[MAPLINES_OWNERS];
+    maplines_record_t line;
+    maplines_record_t pose;
+    /* records of lines */
+    maplines_signal_t mean[4];
+    maplines_signal_t kind, x_min, x_max;
+    maplines_cholesky_t covariance;
+    maplines_signal_t status, age;                                       // complete
+    maplines_signal_t component_index, component_count, component_weight; // complete
+    maplines_signal_t has_covariance, fine[4];                           // conditional
+    maplines_levels_t levels;                                            // conditional
+    /* records of the pose error */
+    maplines_signal_t pose_age, correlation_time, map_offset, map_heading;
+    maplines_cholesky_t pose_covariance;
+    maplines_signal_t slot_counter[MAPLINES_SLOTS];
+    maplines_levels_t slot_levels[MAPLINES_SLOTS]; // beside complete records
+} maplines_dbc_t;
+
+/* ---- receive ---------------------------------------------------------------------------------
+ * Every record passes the same stations; each may drop it, with a counted reason:
+ *
+ *     frame          MAC and freshness, with a verifier
+ *       |            all pages of one transfer, or none; time-outs
+ *     record         length, page numbers, transfer IDs, CRC; values that no sender sends
+ *       |            counter: duplicate, late or new; E2E status and state
+ *     new record     mixtures: a line of all its components, or none
+ *       |            scenes: lines of one pose error; records that wait for theirs
+ *     lines, scene   may they be used: E2E state, age, second sender
+ */
+
+/// Windows and bounds of an E2E state machine, with AUTOSAR's names.
+typedef struct {
+    uint8_t max_delta_counter; ///< greatest step of the counter that counts as lost records
+    uint8_t window_size_init, window_size_valid, window_size_invalid;
+    uint8_t min_ok_state_init, min_ok_state_valid, min_ok_state_invalid;
+    uint8_t max_error_state_init, max_error_state_valid, max_error_state_invalid;
+    bool clear_to_invalid;
+} maplines_e2e_config_t;
+
+/// Verifier of authenticated frames: an HSM computes the MAC.
+typedef struct {
+    /// Write the 16 bytes of AES-CMAC(key of key_id, data) to mac; return false without such a key.
+    bool (*mac)(void *context, uint8_t key_id, const uint8_t *data, size_t length, uint8_t mac[16]);
+    void *context;
+    bool has_clock;      ///< there is a clock of freshness values
+    int64_t window_us;   ///< greatest difference from that clock, 1 or more
+    int64_t not_before_us; ///< freshness values up to this one are not accepted
+} maplines_authenticator_t;
+
+/// Settings of a decoder. Start from maplines_default_settings().
+typedef struct {
+    int64_t timeout_ns[MAPLINES_OWNERS]; ///< longest time between the frames of a transfer
+    int64_t cycle_ns[MAPLINES_OWNERS];   ///< time between records
+    maplines_e2e_config_t e2e[MAPLINES_OWNERS];
+    const maplines_authenticator_t *authenticator; ///< NULL: frames without a MAC only
+} maplines_settings_t;
+
+/// Result of maplines_feed.
+typedef struct {
+    maplines_reason_t reason;              ///< MAPLINES_COMPLETE, or why the frame completes no line
+    uint8_t count;                         ///< number of lines that it completes
+    maplines_owner_t slots[MAPLINES_SLOTS]; ///< of these, in this order: see maplines_newest
+} maplines_fed_t;
+
+/// Lines of one pose, with a square root of their joint covariance.
+///
+/// The covariance of the 4 n parameters of n lines is A A^T + diag(F_0 F_0^T, F_1 F_1^T, ...) with
+/// A the rows of `spread`, and F_i those of `specific`.
+typedef struct {
+    uint8_t count; ///< n
+    maplines_line_t lines[MAPLINES_SLOTS];
+    maplines_real_t spread[4 * MAPLINES_SLOTS][7]; ///< due to the pose error
+    maplines_real_t specific[MAPLINES_SLOTS][4][4]; ///< line-specific
+    maplines_real_t fit_range[MAPLINES_SLOTS][2]; ///< [m]
+    maplines_real_t quartic[MAPLINES_SLOTS];      ///< coefficient of T_4 in this range [m]
+    maplines_real_t pose_factor[3][3]; ///< square root of the covariance: along, across, heading
+    maplines_real_t correlation_time;  ///< of the pose error [s]; infinite if unknown
+    maplines_real_t offset_sigma;      ///< of the map [m]
+    maplines_real_t heading_sigma;     ///< of the map [rad]
+    maplines_real_t age; ///< from the pose to the sending of the pose error [s]
+    int64_t t_ns;        ///< reception of the first frame of the pose error [ns]
+    uint32_t counter;    ///< of the pose error
+} maplines_scene_t;
+
+/* structures of the state of a receiver: see the sources; all are part of maplines_decoder_t */
+/* decoder: begin */
+/* decoder: end */
+
+/* ---- use --------------------------------------------------------------------------------------- */
+
+/* use: begin */
+/* use: end */
+
+/* ---- send -------------------------------------------------------------------------------------- */
+
+/* send: begin */
+/* send: end */
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
