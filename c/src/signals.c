@@ -29,6 +29,7 @@ MAPLINES_INTERNAL int64_t maplines_get(const maplines_signal_t *signal, const ui
         raw = raw << count | piece;
         i += count;
     }
+    assert(signal->length > 0U);
     const uint64_t sign = (uint64_t)1 << (signal->length - 1U);
     if (signal->is_signed && (raw & sign) != 0)
     {

@@ -1,0 +1,176 @@
+#!/usr/bin/env python3
+"""Check the C core: its form, warnings of two compilers, and what four analysers find.
+
+    c_checks.py                all checks whose programs are installed; the others are named
+    c_checks.py compile misra  only these
+    c_checks.py --list         the names of the checks
+    c_checks.py --json         the findings as JSON
+
+The exit status is 1 if there is a finding, and with --strict also if a program is missing. Run it
+in the environment of the project: python3 tools/run.py python tools/c_checks.py
+
+Rules of MISRA C:2012 from which the core deviates are in c/MISRA.md, each with its reason; a
+finding of another rule fails.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from reporting import parser_of
+
+ROOT = Path(__file__).resolve().parents[1]
+C = ROOT / "c"
+INCLUDE = [f"-I{C / 'include'}", f"-I{C / 'src'}"]
+WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Wstrict-prototypes",
+            "-Wmissing-prototypes", "-Wdouble-promotion", "-Wundef", "-Werror"]  # fmt: skip
+#: Variants that are compiled: flags after those of the language.
+VARIANTS = ([], ["-DMAPLINES_FLOAT"], ["-DNDEBUG"])
+FINDING = re.compile(r"(?:warning|error|style|performance|portability|information): ")
+
+Findings = list[str]
+
+
+def sources() -> list[str]:
+    """Return the sources of the core."""
+    return [str(path) for path in sorted((C / "src").glob("*.c"))]
+
+
+def all_files() -> list[str]:
+    """Return all C files: of the core, its tests and its examples."""
+    return [str(path) for path in sorted(C.rglob("*.[ch]")) if "build" not in path.parts]
+
+
+def run(command: Sequence[str]) -> tuple[int, list[str]]:
+    """Return the status of a command, and the lines that it prints."""
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    return done.returncode, [*done.stdout.splitlines(), *done.stderr.splitlines()]
+
+
+def check_format() -> Findings:
+    """The files have the format of c/.clang-format."""
+    _, lines = run(["clang-format", "--dry-run", "--Werror", "-style=file", *all_files()])
+    return [line for line in lines if "error:" in line]
+
+
+def check_compile() -> Findings:
+    """Gcc and clang compile the core as C99 and the header as C++17 without a warning."""
+    findings = []
+    for compiler in ("gcc", "clang"):
+        if shutil.which(compiler) is None:
+            continue
+        for variant in VARIANTS:
+            flags = ["-std=c99", "-O2", "-ffp-contract=off", *WARNINGS, *variant, *INCLUDE]
+            for source in sources():
+                status, lines = run([compiler, *flags, "-c", source, "-o", "/dev/null"])
+                findings += [f"{compiler}: {line}" for line in lines if FINDING.search(line)]
+                if status and not findings:
+                    findings.append(f"{compiler}: {source} does not compile")
+    return findings + list(_header_as_cpp())
+
+
+def _header_as_cpp() -> Iterator[str]:
+    """Yield what C++ compilers say of the header."""
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / "header.cpp"
+        source.write_text('#include "maplines.h"\nint main() { return 0; }\n')
+        flags = ["-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Werror"]
+        for compiler in filter(shutil.which, ("g++", "clang++")):
+            status, lines = run(
+                [compiler, "-std=c++17", *flags, *INCLUDE, str(source), "-fsyntax-only"]
+            )
+            yield from (f"{compiler}: {line}" for line in lines if status and line)
+
+
+def check_analyzer() -> Findings:
+    """GCC's -fanalyzer finds nothing."""
+    findings = []
+    for source in sources():
+        flags = ["-std=c99", "-O2", "-fanalyzer", *INCLUDE, "-c", source, "-o", "/dev/null"]
+        findings += [line for line in run(["gcc", *flags])[1] if FINDING.search(line)]
+    return findings
+
+
+def check_cppcheck() -> Findings:
+    """Cppcheck finds nothing in any class of its checks."""
+    suppressed = ("missingIncludeSystem", "unusedFunction", "unmatchedSuppression")
+    command = ["cppcheck", "--quiet", "--enable=all", "--inconclusive", "--std=c99",
+               "--inline-suppr", "--template={file}:{line}: {severity}: {message} [{id}]",
+               *(f"--suppress={name}" for name in suppressed), *INCLUDE, *sources()]  # fmt: skip
+    return [line for line in run(command)[1] if FINDING.search(line)]
+
+
+def check_misra() -> Findings:
+    """The core keeps to MISRA C:2012, but for the rules of c/MISRA.md."""
+    command = ["cppcheck", "--quiet", "--addon=misra", "--std=c99", "--inline-suppr",
+               "--template={file}:{line}: {severity}: {message} [{id}]", *INCLUDE, *sources()]  # fmt: skip
+    deviations = set(re.findall(r"^\| (\d+\.\d+) \|", (C / "MISRA.md").read_text(), re.MULTILINE))
+    findings, seen = [], set()
+    for line in run(command)[1]:
+        if found := re.search(r"misra-c2012-(\d+\.\d+)", line):
+            seen.add(found[1])
+            if found[1] not in deviations:
+                findings.append(line)
+    unneeded = sorted(deviations - seen)
+    return findings + [f"c/MISRA.md: no finding of rule {rule}: remove it" for rule in unneeded]
+
+
+def check_tidy() -> Findings:
+    """Clang-tidy finds nothing with the checks of c/.clang-tidy."""
+    config = f"--config-file={C / '.clang-tidy'}"
+    command = ["clang-tidy", config, "--quiet", *sources(), "--", "-std=c99", *INCLUDE]
+    return [line for line in run(command)[1] if FINDING.search(line)]
+
+
+#: Checks by name, with the programs that each one needs.
+CHECKS: dict[str, tuple[Callable[[], Findings], tuple[str, ...]]] = {
+    "format": (check_format, ("clang-format",)),
+    "compile": (check_compile, ("gcc",)),
+    "cppcheck": (check_cppcheck, ("cppcheck",)),
+    "misra": (check_misra, ("cppcheck",)),
+    "analyzer": (check_analyzer, ("gcc",)),
+    "tidy": (check_tidy, ("clang-tidy",)),
+}
+
+
+def main() -> int:
+    """Run the checks; return the exit status."""
+    parser = parser_of(__doc__)
+    parser.add_argument("names", nargs="*", metavar="CHECK", help=", ".join(CHECKS))
+    parser.add_argument("--list", action="store_true", help="print the names of the checks")
+    parser.add_argument("--json", action="store_true", help="print the findings as JSON")
+    parser.add_argument("--strict", action="store_true", help="fail if a program is missing")
+    options = parser.parse_args()
+    if unknown := sorted({*options.names} - CHECKS.keys()):
+        parser.error(f"unknown check {', '.join(unknown)}; there are {', '.join(CHECKS)}")
+    if options.list:
+        print("\n".join(f"{name:<10} {check.__doc__}" for name, (check, _) in CHECKS.items()))
+        return 0
+    found: dict[str, Findings] = {}
+    missing: dict[str, list[str]] = {}
+    for name in options.names or CHECKS:
+        check, programs = CHECKS[name]
+        if lacking := [program for program in programs if shutil.which(program) is None]:
+            missing[name] = lacking
+            continue
+        found[name] = check()
+    if options.json:
+        print(json.dumps({"findings": found, "missing": missing}, indent=2))
+    else:
+        for name, findings in found.items():
+            print(f"{name:<10} {f'{len(findings)} findings' if findings else 'clean'}")
+            print("".join(f"    {line}\n" for line in findings), end="")
+        for name, lacking in missing.items():
+            print(f"{name:<10} not run: {', '.join(lacking)} is not installed")
+    return int(any(found.values()) or (options.strict and bool(missing)))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
