@@ -17,6 +17,7 @@ PACKAGE = Path(__file__).parents[1] / "maplines_can"
 ROOMS = (
     "values", "propagation",
     "wire.layout", "wire.covariance", "wire.protection", "wire.records", "wire.reception", "wire",
+    "generation",
     "bus",
     "maps", "maps.formats", "localisation", "consumers", "simulation", "cli",
 )  # fmt: skip

@@ -54,12 +54,12 @@ class CholeskyCode(CovarianceCode):
         self.signals = (*self.factor.signals, self.inflation)
         check_octaves(layout, [self.inflation])
         self._variance_factor = exp2_table(self.inflation)
-        # Variances beyond which no pivot and ratios can cover: encoding them may overflow.
-        self._reachable = np.empty(len(rows))
+        #: (k,) variances beyond which no pivot and ratios can cover: encoding them may overflow.
+        self.reachable: Array = np.empty(len(rows))
         factor = self.factor
         for state, pivot, ratios in zip(factor.order, factor.pivots, factor.ratios, strict=True):
             reach = 1 + sum(max(map(abs, ratio.physical_range)) ** 2 for ratio in ratios)
-            self._reachable[state] = 2.0 ** (2 * pivot.physical_range[1]) * reach
+            self.reachable[state] = 2.0 ** (2 * pivot.physical_range[1]) * reach
 
     def encode(self, error: Array, resolution: Array) -> Coded:
         n = len(error)
@@ -71,7 +71,7 @@ class CholeskyCode(CovarianceCode):
         diagonal = np.einsum("nii->ni", error)
         for start in range(0, n, BLOCK):
             rows = np.arange(start, min(start + BLOCK, n))
-            rows = rows[(diagonal[rows] < 4 * self._reachable).all(axis=1)]
+            rows = rows[(diagonal[rows] < 4 * self.reachable).all(axis=1)]
             scale = np.ones(len(rows))
             # Once is enough, unless the inflation of the DBC is too small for its steps, or a value
             # is clipped. Then encode again, for a target that is scaled by what was missing.
@@ -94,7 +94,7 @@ class CholeskyCode(CovarianceCode):
     @property
     def reach(self) -> Array:
         """(k,) largest standard deviations of a decoded covariance."""
-        return np.sqrt(self._reachable)
+        return np.sqrt(self.reachable)
 
     def decode_one(self, raw: Mapping[str, int]) -> Array:
         scale = lookup_one(self._variance_factor, self.inflation, raw[self.inflation.name])

@@ -1,0 +1,1 @@
+"""Generated code: a DBC as constant C tables, the C core, and vectors for other receivers."""

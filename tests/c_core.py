@@ -1,0 +1,104 @@
+"""The C core as programs for tests: a harness with the sources and the tables of a DBC."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+from maplines_can.generation.tables import limits_of, tables_of
+from maplines_can.wire.layout.dbc_reader import Database
+from maplines_can.wire.layout.message_layout import Layout
+
+C = Path(__file__).parents[1] / "c"
+#: As CONTRIBUTING.md promises of the sources.
+WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Werror")
+#: The rounding of each operation is part of the result.
+EXACT = ("-ffp-contract=off",)
+#: Name of the tables in a harness: harness_dbc.h and the constant harness_dbc, of whichever DBC.
+NAME = "harness"
+
+
+def harness(
+    name: str,
+    dbc: str | Path | Database | Layout | None = None,
+    *,
+    cc: str = "cc",
+    flags: Sequence[str] = ("-O2",),
+) -> Path:
+    """Return the program of ``c/tests/<name>_harness.c`` with the core and the tables of a DBC.
+
+    It is compiled once for each content: also in another process, or a later run. The harness
+    includes "harness_dbc.h", which declares the constant ``harness_dbc``, "binary.h" and, if it
+    tests what is not public, "internal.h". The limits are those of the DBC.
+
+    Args:
+        name: of the harness.
+        dbc: as for ``Layout.from_dbc``, or a layout.
+        cc: compiler, such as gcc, clang or aarch64-linux-gnu-gcc.
+        flags: more arguments for it, such as -O0 or -DMAPLINES_FLOAT.
+    """
+    layout = dbc if isinstance(dbc, Layout) else _layout(dbc)
+    return program([C / "tests" / f"{name}_harness.c"], [layout], [NAME], cc=cc, flags=flags)
+
+
+def program(
+    mains: Sequence[Path],
+    layouts: Sequence[Layout],
+    names: Sequence[str],
+    *,
+    cc: str = "cc",
+    flags: Sequence[str] = ("-O2",),
+) -> Path:
+    """Return the program of some sources, the core, and the tables of DBCs with these names."""
+    files: dict[str, str] = {}
+    for layout, name in zip(layouts, names, strict=True):
+        tables = tables_of(layout, name)
+        files |= {f"{name}_dbc.h": tables.header, f"{name}_dbc.c": tables.source}
+    limits = [f"-D{macro}={value}" for macro, value in limits_of(layouts).macros.items()]
+    command = [
+        cc, "-std=c99", *WARNINGS, *EXACT, *limits, *flags,
+        f"-I{C / 'include'}", f"-I{C / 'src'}", f"-I{C / 'tests'}",
+    ]  # fmt: skip
+    sources = sorted((C / "src").glob("*.c"))
+    headers = [path for folder in ("include", "src", "tests") for path in (C / folder).glob("*.h")]
+    digest = hashlib.sha256(repr((command, [*map(str, mains)], files)).encode())
+    for path in (*mains, *sources, *sorted(headers)):
+        digest.update(path.read_bytes())
+    target = _cache() / digest.hexdigest()[:32]
+    if not target.exists():
+        with tempfile.TemporaryDirectory(dir=_cache()) as folder:
+            for file, text in files.items():
+                (Path(folder) / file).write_text(text)
+            tables_c = [f"{folder}/{name}_dbc.c" for name in names]
+            out = Path(folder) / "program"
+            everything = [*map(str, mains), *map(str, sources), *tables_c]
+            subprocess.run(
+                [*command, f"-I{folder}", *everything, "-lm", "-o", str(out)], check=True
+            )
+            out.replace(target)  # in one step: another process may compile the same
+    return target
+
+
+def run(program: Path, data: bytes, *prefix: str) -> bytes:
+    """Return the output of a program; ``prefix`` is an emulator and its arguments."""
+    return subprocess.run([*prefix, str(program)], input=data, stdout=-1, check=True).stdout
+
+
+@cache
+def _cache() -> Path:
+    """Return the folder of the programs, which is this user's own."""
+    user = os.getuid() if hasattr(os, "getuid") else "user"
+    folder = Path(tempfile.gettempdir()) / f"maplines-c-{user}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    assert not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid(), folder
+    return folder
+
+
+@cache
+def _layout(dbc: str | Path | Database | None) -> Layout:
+    return Layout.from_dbc(dbc)
