@@ -282,6 +282,22 @@ typedef struct {
  *     new record     mixtures: a line of all its components, or none
  *       |            scenes: lines of one pose error; records that wait for theirs
  *     lines, scene   may they be used: E2E state, age, second sender
+ *
+ * Three pages of each line are sent one after the other, and the pose error before them:
+ *
+ *     page    0 1 2    0 1 2   0 1 2   0 1 2   0   2            0 1 2
+ *     of      pose     line A  line B  line C  line D           pose
+ *     --------------------------------------------------------------------> time
+ *                  |       |       |       |               |        |
+ *             PENDING      A       B       C         TIMEOUT: 2 frames
+ *                                                                   scene with A, B and C
+ *
+ * The counter of a record tells whether it is new, however late it comes:
+ *
+ *     counter  41       42       44       43       44       45
+ *     -----------|--------|--------|--------|--------|--------|-----------> time
+ *                new      new      new      STALE    DUPLICATE new
+ *     E2E        OK       OK     OKSOMELOST WRONGSEQ. REPEATED OK
  */
 
 /// Windows and bounds of an E2E state machine, with AUTOSAR's names.
@@ -297,17 +313,27 @@ typedef struct {
 typedef struct {
     /// Write the 16 bytes of AES-CMAC(key of key_id, data) to mac; return false without such a key.
     bool (*mac)(void *context, uint8_t key_id, const uint8_t *data, size_t length, uint8_t mac[16]);
+    /// Time since 1970, or of any clock that increases over restarts [us]; NULL: there is no clock.
+    int64_t (*now_us)(void *context);
     void *context;
-    bool has_clock;      ///< there is a clock of freshness values
-    int64_t window_us;   ///< greatest difference from that clock, 1 or more
-    int64_t not_before_us; ///< freshness values up to this one are not accepted
+    int64_t window_us;     ///< greatest difference from that clock, 1 or more
+    int64_t not_before_us; ///< freshness values up to this one are not accepted; 0 or more
 } maplines_authenticator_t;
+
+/// Key of a sender of authenticated frames, and its freshness values.
+typedef struct {
+    bool (*mac)(void *context, uint8_t key_id, const uint8_t *data, size_t length, uint8_t mac[16]);
+    void *context;
+    uint8_t key_id;
+    int64_t last_us; ///< last freshness value that was sent: start with a stored one, or 0
+} maplines_signer_t;
 
 /// Settings of a decoder. Start from maplines_default_settings().
 typedef struct {
     int64_t timeout_ns[MAPLINES_OWNERS]; ///< longest time between the frames of a transfer
     int64_t cycle_ns[MAPLINES_OWNERS];   ///< time between records
     maplines_e2e_config_t e2e[MAPLINES_OWNERS];
+    double stale_cycles; ///< cycles without a newer line after which one is stale: 3
     const maplines_authenticator_t *authenticator; ///< NULL: frames without a MAC only
 } maplines_settings_t;
 
@@ -338,8 +364,283 @@ typedef struct {
     uint32_t counter;    ///< of the pose error
 } maplines_scene_t;
 
-/* structures of the state of a receiver: see the sources; all are part of maplines_decoder_t */
 /* decoder: begin */
+
+/* State of a receiver. Its fields are no part of the interface: they stand here because the caller
+ * owns the memory.
+ */
+
+/// Frames of one transfer that were received, or the last good record with its transfer ID.
+typedef struct {
+    uint8_t record[MAPLINES_MAX_RECORD];
+    int64_t t_ns;   ///< of the first frame
+    uint32_t pages; ///< one bit each; 0: none
+} maplines_transfer_t;
+
+/// What was received of the records of one owner.
+typedef struct {
+    maplines_transfer_t incomplete[MAPLINES_MAX_TRANSFER_IDS]; ///< by transfer ID
+    maplines_transfer_t complete[MAPLINES_MAX_TRANSFER_IDS];   ///< good ones, likewise
+    uint16_t began[MAPLINES_MAX_TRANSFER_IDS]; ///< transfer IDs of incomplete ones, as they began
+    uint16_t count;                            ///< of these
+} maplines_inbox_t;
+
+/// Cycles without a record.
+typedef struct {
+    int64_t due_ns; ///< when the next cycle is missed
+    bool is_running;
+    bool is_counted; ///< cycles up to due_ns were counted before a record came
+} maplines_deadline_t;
+
+/// E2E state machine. The window is in bits, the last check lowest.
+typedef struct {
+    uint32_t oks[(MAPLINES_WINDOW + 31) / 32];
+    uint32_t errors[(MAPLINES_WINDOW + 31) / 32];
+    maplines_e2e_state_t state;
+} maplines_machine_t;
+
+/// Records of the last counters, by the low bits of their counter.
+typedef struct {
+    uint64_t content[MAPLINES_HISTORY]; ///< hash of the record
+    uint8_t flags[MAPLINES_HISTORY];    ///< 0: no record
+    int64_t run_since_ns; ///< records behind the last new one: time of the first of the run
+    uint32_t run_first;   ///< its counter
+    uint32_t run_last;    ///< counter of the last
+    uint32_t run_records; ///< 0: there is no run
+    bool run_is_other;    ///< a counter of the run came before with different content
+} maplines_history_t;
+
+/// Signs of a second sender. INT64_MIN is the time of what has not happened.
+typedef struct {
+    int64_t conflict_ns, confirmed_ns, reused_ns, ahead_ns;
+    uint32_t conflicts, new_records, duplicates;
+    bool is_followed;  ///< other records came since the one that was ahead
+    bool is_blocked;   ///< no new record since the last conflict
+    bool is_confirmed; ///< there are two senders
+} maplines_conflict_t;
+
+/// Rate of the records of a sender, as far as it is known.
+typedef struct {
+    double line_ns;   ///< mean time between two lines in sequence
+    int64_t last_ns;  ///< time and counter of the last line
+    uint32_t counter;
+    uint32_t longest; ///< greatest number of records of a line so far
+    bool has_line;
+} maplines_pace_t;
+
+/// Checks of the records of one owner.
+typedef struct {
+    maplines_e2e_config_t e2e;
+    int64_t cycle_ns;
+    uint64_t modulus; ///< of the counter
+    uint8_t pages;
+    bool is_authentic;
+    maplines_machine_t machine;
+    maplines_deadline_t deadline;
+    maplines_history_t history;
+    maplines_conflict_t conflict;
+    maplines_pace_t pace;
+    int64_t new_ns; ///< time of the last new record
+    uint32_t last;  ///< its counter
+    uint32_t left;  ///< last counter before that, if there was a gap
+    bool has_last, has_left;
+    uint32_t span;  ///< records of the line delivered last; 1 while a later line is incomplete
+    uint32_t ahead; ///< of the last new record against the one before; 0: a sequence break
+    uint8_t duplicated_frames; ///< since the last new record, or since the last REPEATED check
+    bool is_duplicated;        ///< there was such a check since the last new record
+    maplines_e2e_status_t status;
+    uint64_t ok, lost, repeated, wrong_sequence, errors, no_new_data;
+} maplines_check_t;
+
+/// Components of a mixture, as records.
+typedef struct {
+    uint8_t records[MAPLINES_MAX_COMPONENTS][MAPLINES_MAX_RECORD];
+    int64_t t_ns[MAPLINES_MAX_COMPONENTS];
+    uint64_t received; ///< one bit each
+    int64_t last_ns;   ///< time of the component that came last
+    uint32_t first;    ///< counter of the first component
+    uint32_t frames;
+    maplines_real_t x_min, x_max, age; ///< of all components
+    maplines_kind_t kind;
+    uint8_t count; ///< of components; 0: there is no mixture
+} maplines_mixture_t;
+
+/// Record of a line that waits for its pose error, or belongs to one.
+typedef struct {
+    uint8_t record[MAPLINES_MAX_RECORD];
+    int64_t t_ns; ///< of its first frame
+    uint32_t counter;
+    uint8_t frames; ///< that count as pending while it waits
+} maplines_joining_t;
+
+/// Pose error, and the lines that belong to it.
+typedef struct {
+    uint8_t record[MAPLINES_MAX_RECORD];
+    int64_t t_ns; ///< of its first frame
+    uint32_t slots; ///< one bit for each line
+    maplines_joining_t lines[MAPLINES_SLOTS];
+} maplines_epoch_t;
+
+/// Pose errors that lines may still join, lines that wait for theirs, and the newest scene.
+typedef struct {
+    maplines_epoch_t epochs[MAPLINES_EPOCHS + 1]; ///< one more, since the latest may be closed
+    uint8_t open[MAPLINES_EPOCHS];                ///< those that lines may join, the oldest first
+    uint8_t open_count;
+    int8_t latest; ///< newest epoch that waits for no line; -1: none
+    maplines_joining_t waiting[MAPLINES_SLOTS]; ///< by slot
+    uint8_t waits[MAPLINES_SLOTS];              ///< slots of these lines, as they came
+    uint8_t wait_count;
+    int64_t since_ns[MAPLINES_SLOTS]; ///< sequence break of a slot; INT64_MIN: none
+    double intervals_ns[5];           ///< between the last pose errors, the oldest first
+    uint8_t interval_count;
+    bool has_pose;
+    int64_t pose_ns;  ///< time of the last pose error
+    bool is_too_old;  ///< so is that
+    bool is_built;    ///< the scene is that of `latest`
+    maplines_scene_t scene;
+} maplines_epochs_t;
+
+/// Numbers of frames, records and lines, each modulo 2^64.
+///
+/// At any time, frames == line_frames + pose_frames + sum of counts + pending.
+typedef struct {
+    uint64_t counts[MAPLINES_REASONS]; ///< dropped frames by reason; none is MAPLINES_PENDING
+    uint64_t frames;                   ///< received
+    uint64_t lines;                    ///< delivered
+    uint64_t line_frames;              ///< of the lines delivered
+    uint64_t pose_errors;              ///< received
+    uint64_t pose_frames;              ///< of the pose errors received
+    uint64_t lost;    ///< records of lines missing between those received, by their counters
+    uint32_t pending; ///< frames of transfers, mixtures and scenes that are not complete yet
+} maplines_statistics_t;
+
+/// State of a receiver.
+typedef struct {
+    const maplines_dbc_t *dbc;
+    maplines_settings_t settings;
+    maplines_statistics_t statistics; ///< without `lost` and `pending`
+    maplines_inbox_t inboxes[MAPLINES_OWNERS];
+    maplines_check_t checks[MAPLINES_OWNERS];
+    int64_t freshness_us[MAPLINES_OWNERS]; ///< last accepted freshness value
+    maplines_mixture_t incomplete[MAPLINES_SLOTS];
+    maplines_epochs_t epochs;
+    maplines_line_t newest[MAPLINES_SLOTS];
+    maplines_mixture_t mixtures[MAPLINES_SLOTS]; ///< of the newest lines that are mixtures
+    uint32_t has_newest;                         ///< one bit for each slot
+} maplines_decoder_t;
+
+/* Functions of a receiver. */
+
+/// Longest time from 0 [ns], 126 years. A time beyond it is limited to it, so that no difference
+/// of two times overflows.
+#define MAPLINES_MAX_TIME INT64_C(4000000000000000000)
+
+/// E2E checks of an owner.
+typedef struct {
+    maplines_e2e_state_t state;
+    maplines_e2e_status_t status; ///< of the last check
+    uint64_t ok;                  ///< records accepted in sequence (OK or OKSOMELOST)
+    uint64_t lost;                ///< records missing between those, according to their counters
+    uint64_t repeated;
+    uint64_t wrong_sequence;
+    uint64_t errors;
+    uint64_t no_new_data; ///< cycles without a record
+    bool two_senders;     ///< detected in the last 256 cycles
+} maplines_slot_stats_t;
+
+/// State of a slot when the consumer asks.
+typedef struct {
+    const maplines_line_t *line; ///< the newest; NULL before the first. Valid until the next frame
+    maplines_real_t age;         ///< from the pose of the line to now [s]; infinite if too old,
+                                 ///< unknown, or without a line
+    maplines_owner_t slot;
+    maplines_e2e_state_t state;   ///< if the line is conditional on the pose error, VALID only if
+                                  ///< that is, too
+    maplines_e2e_status_t status; ///< of the last check of the slot
+    bool is_stale;    ///< nothing newer came for some cycles, or the line comes after now
+    bool two_senders; ///< detected in the last 256 cycles, or suspected: on the slot, or on the
+                      ///< pose error if the line is conditional on that
+    bool is_usable;   ///< a controller may use the line: VALID, not stale, one sender, a finite
+                      ///< age, and not OUT_OF_RANGE
+} maplines_view_t;
+
+/// The newest scene when the consumer asks.
+typedef struct {
+    const maplines_scene_t *scene; ///< NULL before the first. Valid until the next call
+    maplines_real_t age;           ///< from the pose to now [s]; infinite if too old or unknown
+    maplines_e2e_state_t state;    ///< of the pose error
+    maplines_e2e_status_t status;  ///< of the last check of the pose error
+    maplines_e2e_state_t slot_states[MAPLINES_SLOTS]; ///< of the slot of each line of the scene
+    bool is_stale;    ///< its pose error came some cycles ago, or comes after now
+    bool two_senders; ///< on the pose error, or on the slot of a line
+    bool is_usable;   ///< all states are VALID, not stale, one sender each, and a finite age
+} maplines_scene_view_t;
+
+/// AUTOSAR's windows as this project has them, for lines at 20 Hz.
+maplines_e2e_config_t maplines_default_e2e(void);
+
+/// Settings with the cycle times of the DBC and the time-outs that follow from them.
+void maplines_default_settings(const maplines_dbc_t *dbc, maplines_settings_t *settings);
+
+/// Settings with other times or windows; 0 and NULL are the default.
+///
+/// @param timeout_ms longest time between the frames of a transfer, and between the components of a
+///        mixture; by default (transfer IDs / components - 0.5) cycles, from 0.5 to 1.5.
+/// @param cycle_ms time between the lines of a slot; by default that of the DBC, or 100 ms.
+/// @param e2e windows; for the pose error, limited to the counters of its record.
+/// @return NULL, or what is wrong (then the settings are the default ones).
+const char *maplines_settings_for(const maplines_dbc_t *dbc, double timeout_ms, double cycle_ms,
+                                  const maplines_e2e_config_t *e2e, maplines_settings_t *settings);
+
+/// Start a receiver of the messages of a DBC.
+///
+/// @param settings NULL for the default. They are copied; the authenticator that they point to is
+///        the caller's, and is read with each authenticated frame.
+/// @return NULL, or which setting is wrong: then the default settings are in force, and no frame
+///         is accepted.
+const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_dbc_t *dbc,
+                                  const maplines_settings_t *settings);
+
+/// Take a frame that was received. Any frame may come at any time.
+maplines_fed_t maplines_feed(maplines_decoder_t *decoder, const maplines_frame_t *frame,
+                             int64_t t_ns);
+
+/// Drop the transfers, mixtures and waiting lines that have timed out.
+void maplines_expire(maplines_decoder_t *decoder, int64_t t_ns);
+
+/// The newest line of a slot, whatever its age; NULL before the first. Valid until the next frame.
+const maplines_line_t *maplines_newest(const maplines_decoder_t *decoder, maplines_owner_t slot);
+
+/// Component of the newest line of a slot. A line that is no mixture has one, of weight 1.
+///
+/// @param i from 0 to line->components - 1.
+/// @return false if there is none; then nothing is written.
+bool maplines_component(const maplines_decoder_t *decoder, maplines_owner_t slot, uint8_t i,
+                        maplines_gaussian_t *gaussian, maplines_real_t *weight);
+
+/// The newest line of a slot, and whether it may be used.
+///
+/// @param now_ns current time on the clock of the frames' times. If it is before the reception of
+///        the line by more than 1 ms, this clock was set back: the line is stale, and has no age.
+/// A slot that the DBC does not have is a caller's mistake; it has no line and no state.
+void maplines_latest(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t now_ns,
+                     maplines_view_t *view);
+
+/// The newest scene: lines of one pose, with their joint covariance.
+///
+/// The lines of a cycle come one after the other. The scene before remains the newest until lines
+/// of all slots of the last two scenes have come, or the next pose error. Without a message of the
+/// pose error there is none.
+void maplines_latest_scene(maplines_decoder_t *decoder, int64_t now_ns,
+                           maplines_scene_view_t *view);
+
+/// E2E checks of a slot, or of MAPLINES_POSE; false if nothing was received.
+bool maplines_slot_stats(maplines_decoder_t *decoder, maplines_owner_t owner, int64_t now_ns,
+                         maplines_slot_stats_t *stats);
+
+/// Numbers of frames, records and lines.
+void maplines_statistics(const maplines_decoder_t *decoder, maplines_statistics_t *statistics);
+
 /* decoder: end */
 
 /* ---- use --------------------------------------------------------------------------------------- */

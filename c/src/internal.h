@@ -118,4 +118,193 @@ MAPLINES_INTERNAL bool maplines_decode_scene(const maplines_dbc_t *dbc, const ui
                                              const maplines_member_t *members,
                                              maplines_scene_t *scene);
 
+/* ---- reception ---------------------------------------------------------------------------------
+ *
+ * What a receiver can hold; the generator refuses other DBCs by name:
+ *
+ *     Counter          32 bits at most, in one page
+ *     TransferId       16 bits at most, and 2^bits <= MAPLINES_MAX_TRANSFER_IDS
+ *     pages            32 at most, and MAPLINES_MAX_PAGES
+ *     ComponentCount   64 at most, and MAPLINES_MAX_COMPONENTS
+ *     <Slot>Counter    32 bits at most (it is no longer than Counter)
+ *
+ * Functions of one station of reception; a station knows those before it only by these.
+ */
+
+/* settings.c */
+
+/// Longest cycle time and time-out: an hour.
+#define MAPLINES_MAX_PERIOD_NS INT64_C(3600000000000)
+/// Time of what has not happened.
+#define MAPLINES_NEVER INT64_MIN
+
+/// A time of the caller within +-MAPLINES_MAX_TIME.
+MAPLINES_INTERNAL int64_t maplines_limited_time(int64_t t_ns);
+/// Time between two times in any order [ns]; both are limited ones.
+MAPLINES_INTERNAL int64_t maplines_distance(int64_t a_ns, int64_t b_ns);
+/// NULL, or what is wrong with settings for a DBC.
+MAPLINES_INTERNAL const char *maplines_settings_problem(const maplines_dbc_t *dbc,
+                                                        const maplines_settings_t *settings);
+
+/* secoc.c */
+
+/// Check an authenticated frame: MAPLINES_COMPLETE if its MAC is valid and its freshness value is
+/// new, which then becomes `last_us`; else LENGTH, KEY, MAC, REPLAY or AGE.
+MAPLINES_INTERNAL maplines_reason_t maplines_verify(const maplines_dbc_t *dbc, int owner,
+                                                    const maplines_authenticator_t *authenticator,
+                                                    const maplines_frame_t *frame,
+                                                    int64_t *last_us);
+/// Frame of the authenticated message of an owner with a sealed record, the next freshness value
+/// and a MAC. False without such a message, key or further freshness value; then nothing changes.
+MAPLINES_INTERNAL bool maplines_secure(const maplines_dbc_t *dbc, int owner, const uint8_t *record,
+                                       size_t length, int64_t now_us, maplines_signer_t *signer,
+                                       maplines_frame_t *frame);
+
+/* reassembly.c */
+
+/// A complete record, read or rejected.
+typedef struct {
+    int owner;
+    int64_t t_ns;             ///< of its first frame
+    uint32_t frames;          ///< that carried it
+    uint32_t length;          ///< [byte]
+    maplines_reason_t reason; ///< MAPLINES_COMPLETE, or why its content is rejected
+    maplines_complete_t content; ///< of a good record with a covariance of its own
+    uint8_t record[MAPLINES_MAX_RECORD];
+} maplines_arrival_t;
+
+/// Add a frame to its transfer: MAPLINES_COMPLETE if it completes a record, else why it does not.
+/// `arrival->owner` is that of the frame unless it is FOREIGN.
+MAPLINES_INTERNAL maplines_reason_t maplines_reassemble(maplines_decoder_t *decoder,
+                                                        const maplines_frame_t *frame, int64_t t_ns,
+                                                        maplines_arrival_t *arrival);
+MAPLINES_INTERNAL void maplines_expire_transfers(maplines_decoder_t *decoder, int64_t t_ns);
+/// Frames of incomplete transfers.
+MAPLINES_INTERNAL uint32_t maplines_pending_transfers(const maplines_decoder_t *decoder);
+
+/* e2e_state.c */
+
+/// E2E_P05Check of a counter `delta` after the last one, modulo its modulus.
+MAPLINES_INTERNAL maplines_e2e_status_t maplines_e2e_check(uint64_t delta, uint64_t max_delta);
+MAPLINES_INTERNAL void maplines_machine_init(maplines_machine_t *machine);
+/// E2E_SMCheck: one step with the check of a record, or NONEWDATA.
+MAPLINES_INTERNAL void maplines_machine_step(maplines_machine_t *machine,
+                                             const maplines_e2e_config_t *config,
+                                             maplines_e2e_status_t status);
+MAPLINES_INTERNAL void maplines_machine_clear(maplines_machine_t *machine);
+
+/* history.c */
+
+/// Cycles missed before a record at a time; the deadline starts anew.
+MAPLINES_INTERNAL int64_t maplines_deadline_record(maplines_deadline_t *deadline, int64_t cycle_ns,
+                                                   int64_t t_ns);
+/// Cycles missed up to a time and not returned before.
+MAPLINES_INTERNAL int64_t maplines_deadline_elapse(maplines_deadline_t *deadline, int64_t cycle_ns,
+                                                   int64_t t_ns);
+
+MAPLINES_INTERNAL void maplines_history_add_new(maplines_history_t *history, uint64_t modulus,
+                                                uint32_t counter, uint64_t content, uint64_t ahead);
+MAPLINES_INTERNAL void maplines_history_add_late(maplines_history_t *history, uint64_t modulus,
+                                                 uint32_t counter, uint64_t content,
+                                                 uint64_t behind);
+/// Add a record behind the last new one to the run of its counters.
+MAPLINES_INTERNAL void maplines_history_run(maplines_history_t *history, uint64_t modulus,
+                                            uint32_t counter, int64_t t_ns, bool is_other);
+MAPLINES_INTERNAL bool maplines_history_has_other(const maplines_history_t *history,
+                                                  uint64_t modulus, uint32_t counter,
+                                                  uint64_t content, uint64_t behind);
+MAPLINES_INTERNAL bool maplines_history_is_duplicate(const maplines_history_t *history,
+                                                     uint64_t modulus, uint32_t counter,
+                                                     uint64_t content, uint64_t behind);
+/// Mark a record as duplicated; true the first time a new record is duplicated.
+MAPLINES_INTERNAL bool maplines_history_mark_duplicated(maplines_history_t *history,
+                                                        uint64_t modulus, uint32_t counter,
+                                                        uint64_t behind);
+MAPLINES_INTERNAL bool maplines_history_fills_gap(const maplines_history_t *history,
+                                                  uint64_t modulus, uint32_t counter,
+                                                  uint64_t behind);
+
+/* conflict.c; `cycle_ns` is the time between records */
+
+MAPLINES_INTERNAL void maplines_conflict_init(maplines_conflict_t *conflict);
+MAPLINES_INTERNAL void maplines_conflict_new(maplines_conflict_t *conflict);
+MAPLINES_INTERNAL void maplines_conflict_duplicate(maplines_conflict_t *conflict, int64_t t_ns);
+MAPLINES_INTERNAL void maplines_conflict_count(maplines_conflict_t *conflict, int64_t cycle_ns,
+                                               int64_t t_ns);
+MAPLINES_INTERNAL void maplines_conflict_reused(maplines_conflict_t *conflict, int64_t cycle_ns,
+                                                int64_t t_ns);
+MAPLINES_INTERNAL void maplines_conflict_ahead(maplines_conflict_t *conflict, int64_t t_ns);
+MAPLINES_INTERNAL void maplines_conflict_next(maplines_conflict_t *conflict);
+MAPLINES_INTERNAL void maplines_conflict_late(maplines_conflict_t *conflict, int64_t cycle_ns,
+                                              int64_t t_ns);
+MAPLINES_INTERNAL void maplines_conflict_retract(maplines_conflict_t *conflict);
+MAPLINES_INTERNAL bool maplines_conflict_was_reused(const maplines_conflict_t *conflict,
+                                                    int64_t cycle_ns, int64_t t_ns);
+MAPLINES_INTERNAL bool maplines_conflict_is_suspected(const maplines_conflict_t *conflict,
+                                                      int64_t cycle_ns, int64_t t_ns);
+MAPLINES_INTERNAL void maplines_conflict_elapse(maplines_conflict_t *conflict, int64_t cycle_ns,
+                                                int64_t t_ns);
+
+/* sequence.c */
+
+MAPLINES_INTERNAL void maplines_check_init(maplines_check_t *check,
+                                           const maplines_e2e_config_t *e2e, int64_t cycle_ns,
+                                           uint64_t modulus, uint8_t pages, bool is_authentic);
+/// Check a record whose checksum is correct: MAPLINES_COMPLETE if it is new, DUPLICATE or STALE.
+MAPLINES_INTERNAL maplines_reason_t maplines_check_received(maplines_check_t *check,
+                                                            uint32_t counter, uint64_t content,
+                                                            int64_t t_ns, uint32_t records);
+/// The last new record completed a line of so many records.
+MAPLINES_INTERNAL void maplines_check_delivered(maplines_check_t *check, uint32_t records);
+/// A damaged record or frame is an ERROR check.
+MAPLINES_INTERNAL void maplines_check_failed(maplines_check_t *check, int64_t t_ns);
+/// Check a frame that is in no record, by the reason why it was dropped.
+MAPLINES_INTERNAL void maplines_check_dropped(maplines_check_t *check, maplines_reason_t reason,
+                                              int64_t t_ns);
+/// State at a time: a NONEWDATA check for each cycle missed up to then.
+MAPLINES_INTERNAL maplines_e2e_state_t maplines_check_elapse(maplines_check_t *check, int64_t t_ns);
+MAPLINES_INTERNAL bool maplines_has_one_sender(const maplines_check_t *check, int64_t t_ns);
+
+/* mixtures.c */
+
+/// Add a new record with a covariance of its own to the mixture of its slot. MAPLINES_COMPLETE if it
+/// completes a line: that is the newest then; else PENDING, DUPLICATE or CONTENT.
+MAPLINES_INTERNAL maplines_reason_t maplines_add_component(maplines_decoder_t *decoder,
+                                                           const maplines_arrival_t *arrival,
+                                                           uint32_t *frames);
+/// Drop the mixture of a slot, if there is one.
+MAPLINES_INTERNAL void maplines_drop_mixture(maplines_decoder_t *decoder, int slot);
+/// Drop the mixture of a slot if the counter of a rejected record falls in its range.
+MAPLINES_INTERNAL void maplines_drop_mixture_with(maplines_decoder_t *decoder, int slot,
+                                                  uint32_t counter);
+MAPLINES_INTERNAL void maplines_expire_mixtures(maplines_decoder_t *decoder, int64_t t_ns);
+/// Frames of incomplete mixtures.
+MAPLINES_INTERNAL uint32_t maplines_pending_mixtures(const maplines_decoder_t *decoder);
+
+/* epochs.c */
+
+/// Line that has joined a pose error.
+typedef struct {
+    int epoch;
+    int slot;
+    uint32_t frames; ///< that carried the line
+} maplines_joined_t;
+
+MAPLINES_INTERNAL void maplines_epochs_init(maplines_epochs_t *epochs);
+/// Add a new pose error; return the number of waiting lines that belong to it.
+/// `ahead` is by how much its counter is ahead of the last one; 0 after a sequence break.
+MAPLINES_INTERNAL int maplines_add_pose(maplines_decoder_t *decoder, const uint8_t *record,
+                                        int64_t t_ns, uint32_t ahead,
+                                        maplines_joined_t joined[MAPLINES_SLOTS]);
+/// Add a new line that is no mixture; whether it joins a pose error. Otherwise it waits, in place
+/// of an older one of its slot, which is dropped.
+MAPLINES_INTERNAL bool maplines_add_line(maplines_decoder_t *decoder, int slot,
+                                         const maplines_joining_t *line, bool is_break,
+                                         maplines_joined_t *joined);
+MAPLINES_INTERNAL void maplines_expire_epochs(maplines_decoder_t *decoder, int64_t t_ns);
+/// Frames of lines that wait for their pose error.
+MAPLINES_INTERNAL uint32_t maplines_pending_lines(const maplines_decoder_t *decoder);
+/// The newest scene that waits for no line; NULL before the first.
+MAPLINES_INTERNAL const maplines_scene_t *maplines_newest_scene(maplines_decoder_t *decoder);
+
 #endif
