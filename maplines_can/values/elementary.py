@@ -10,6 +10,8 @@ and ``frexp``, which are exact.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -60,6 +62,8 @@ _TWO_BY_PI, _PI_BY_2, _TWO_PI = _numbers(
 #: Angles beyond this are reduced by whole turns first, which are not exact.
 _FAR = 1e5
 _SQRT_HALF = float.fromhex("0x1.6a09e667f3bcdp-1")
+#: Up to this number, logarithms are computed one by one: with few, arrays cost more than they save.
+FEW = 8
 
 
 def exp2(x: ArrayLike) -> Array:
@@ -82,6 +86,9 @@ def log2(x: ArrayLike) -> Array:
     array([-2.       ,  0.       ,  1.5849625,      -inf])
     """
     values = floats(x, "x")
+    if values.size <= FEW:
+        results = [_log2_one(value) for value in values.ravel().tolist()]
+        return np.array(results).reshape(values.shape)
     mantissa, exponent = np.frexp(values)
     is_low = mantissa < _SQRT_HALF
     m = np.where(is_low, 2 * mantissa, mantissa)
@@ -91,6 +98,21 @@ def log2(x: ArrayLike) -> Array:
         result = e + s * _polynomial(s * s, _LOG2)
     result = np.where(values <= 0, -np.inf, result)
     return np.where(np.isposinf(values), np.inf, result)
+
+
+def _log2_one(x: float) -> float:
+    """Return one logarithm: as ``log2`` to the last bit."""
+    if not 0 < x < math.inf:
+        return -math.inf if x <= 0 else float(x)
+    m, e = math.frexp(x)
+    if m < _SQRT_HALF:
+        m, e = 2 * m, e - 1
+    s = (m - 1) / (m + 1)
+    square, *lower = s * s, *_LOG2
+    total = lower.pop()
+    while lower:
+        total = total * square + lower.pop()
+    return e + s * total
 
 
 def sin_cos(x: ArrayLike) -> tuple[Array, Array]:

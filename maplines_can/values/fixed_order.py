@@ -8,6 +8,9 @@ in the same order. All functions take any number of matrices at once, on the lea
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +20,8 @@ Array = NDArray[np.float64]
 SWEEPS = 16
 #: An entry off the diagonal is taken for 0 if it is this share of both entries on the diagonal.
 NEGLIGIBLE = 2.0**-60
+#: Up to this number, matrices are taken one by one: with few, arrays cost more than they save.
+FEW = 8
 
 
 def product(A: Array, B: Array) -> Array:
@@ -76,6 +81,44 @@ def cholesky(S: Array) -> Array:
             column = L[..., j + 1 :, j]
             rest[..., j + 1 :, j + 1 :] -= column[..., :, None] * column[..., None, :]
     return L
+
+
+def is_definite(S: Array) -> NDArray[np.bool_]:
+    """Return the (N,) matrices, of (N, n, n), of which ``cholesky`` has no NaN.
+
+    >>> is_definite(np.array([[[4.0, 2.0], [2.0, 5.0]], [[4.0, 2.0], [2.0, 1.0]]]))
+    array([ True, False])
+    """
+    if len(S) <= FEW:
+        return np.array([_is_definite_one(rows) for rows in S.tolist()], dtype=bool)
+    n = S.shape[-1]
+    rest = [[S[:, i, j].copy() for j in range(i + 1)] for i in range(n)]
+    definite = np.ones(len(S), dtype=bool)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        for k in range(n):
+            pivot = rest[k][k]
+            definite &= pivot > 0
+            root = np.sqrt(pivot)
+            column = [rest[i][k] / root for i in range(k + 1, n)]
+            for i in range(k + 1, n):
+                for j in range(k + 1, i + 1):
+                    rest[i][j] -= column[i - k - 1] * column[j - k - 1]
+    return definite
+
+
+def _is_definite_one(rest: list[list[Any]]) -> bool:
+    """Return ``is_definite`` of the rows of one matrix, which are overwritten."""
+    n = len(rest)
+    for k in range(n):
+        if not rest[k][k] > 0:
+            return False
+        root = math.sqrt(rest[k][k])
+        column = [row[k] / root for row in rest[k + 1 :]]
+        for i, factor in enumerate(column):
+            row = rest[k + 1 + i]
+            for j in range(i + 1):
+                row[k + 1 + j] -= factor * column[j]
+    return True
 
 
 def lower_solution(L: Array, B: Array) -> Array:

@@ -74,3 +74,17 @@ def test_each_pair_meets_once_in_a_sweep(n):
     assert sorted(pairs) == [(p, q) for p in range(n) for q in range(p + 1, n)]
     for p, q in rounds:
         assert len({*p, *q}) == len(p) + len(q)
+
+
+@pytest.mark.parametrize("n", [1, 3, 4])
+def test_a_matrix_is_definite_if_it_has_a_factor(n: int) -> None:
+    """One by one and all at once; matrices on the edge included."""
+    rng = np.random.default_rng(n)
+    roots = rng.standard_normal((3000, n, n))
+    roots[::2, -1] = roots[::2, 0] * rng.choice([1.0, 1 + 1e-15, 0.9], (1500, 1))
+    S = roots @ roots.mT - rng.choice([0.0, 1e-16, 0.1], (3000, 1, 1)) * np.eye(n)
+    expected = ~np.isnan(fixed_order.cholesky(S)).any(axis=(1, 2))
+    assert 100 < expected.sum() < 2990
+    assert np.array_equal(fixed_order.is_definite(S), expected)
+    one_by_one = [bool(fixed_order.is_definite(one[None])[0]) for one in S]
+    assert one_by_one == expected.tolist()

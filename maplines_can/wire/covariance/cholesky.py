@@ -15,7 +15,9 @@ of the code: a ratio of step D costs D^2 / 24, and a pivot of step D (in octaves
 The decoded covariance covers the target, for two reasons. First, if a ratio is out of range, its
 pivot is lifted until the ratio fits. This adds variance only in the one direction that is narrower
 than the code can represent. Second, the matrix is multiplied by 2^inflation, the least one for
-which S' minus the mean square error about the decoded mean is positive semidefinite.
+which S' minus the mean square error about the decoded mean is positive definite: for which it has a
+Cholesky factor, in units of the decoded one. All operations are in a fixed order, that of
+``c/src/cholesky.c``, so that the raw values are the same on any machine.
 """
 
 from __future__ import annotations
@@ -25,13 +27,23 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ...values import fixed_order
+from ...values.elementary import exp2, log2
 from ..layout.record_layout import RecordLayout
 from ..layout.signals import PARAMETER_SIGNALS
 from .code import Array, Coded, CovarianceCode, check_octaves
-from .factor import BLOCK, CholeskyFactor, exp2_table, lookup, lookup_one
+from .factor import BLOCK, CholeskyFactor, PowersOfTwo
 
 #: Margin of the inflation, so that a check with another algorithm's rounding passes.
 MARGIN = 1e-6
+#: The same, as a share of the variances of the target in units of the decoded ones: 32 roundings.
+AMPLIFIED = 32 * 2.0**-52
+#: Tolerance of the division before a pivot is lifted by whole steps.
+SLACK = 1e-9
+#: Most times that a pivot is lifted. Once is enough, unless rounding moves another ratio out.
+LIFTS = 3
+#: Most times that a covariance is encoded, and what is added to the scale each time.
+ATTEMPTS, WIDER = 8, 1.02
 
 
 class CholeskyCode(CovarianceCode):
@@ -53,13 +65,16 @@ class CholeskyCode(CovarianceCode):
         self.inflation = layout["Inflation"]
         self.signals = (*self.factor.signals, self.inflation)
         check_octaves(layout, [self.inflation])
-        self._variance_factor = exp2_table(self.inflation)
+        self._variance_factors = PowersOfTwo(self.inflation)
+        self._sigma_factors = PowersOfTwo(self.inflation, share=0.5)
         #: (k,) variances beyond which no pivot and ratios can cover: encoding them may overflow.
         self.reachable: Array = np.empty(len(rows))
         factor = self.factor
         for state, pivot, ratios in zip(factor.order, factor.pivots, factor.ratios, strict=True):
-            reach = 1 + sum(max(map(abs, ratio.physical_range)) ** 2 for ratio in ratios)
-            self.reachable[state] = 2.0 ** (2 * pivot.physical_range[1]) * reach
+            reach = 1.0
+            for ratio in ratios:
+                reach += max(map(abs, ratio.physical_range)) ** 2
+            self.reachable[state] = exp2(2 * pivot.physical_range[1]) * reach
 
     def encode(self, error: Array, resolution: Array) -> Coded:
         n = len(error)
@@ -75,12 +90,11 @@ class CholeskyCode(CovarianceCode):
             scale = np.ones(len(rows))
             # Once is enough, unless the inflation of the DBC is too small for its steps, or a value
             # is clipped. Then encode again, for a target that is scaled by what was missing.
-            for _ in range(8):
-                excess = self._encode_block(error[rows], resolution, scale, rows, coded)
-                again = excess > 1
-                if not again.any():
+            for _ in range(ATTEMPTS):
+                covered, excess = self._encode_block(error[rows], resolution, scale, rows, coded)
+                if covered.all():
                     break
-                rows, scale = rows[again], (1.02 * scale * excess)[again]
+                rows, scale = rows[~covered], WIDER * scale[~covered] * excess
         lost = ~coded.covered
         if lost.any():
             for name, raw in self.widest().items():
@@ -88,27 +102,33 @@ class CholeskyCode(CovarianceCode):
         return coded
 
     def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
-        scale = lookup(self._variance_factor, self.inflation, raw[self.inflation.name])
-        return self.factor.decode(raw, scale)
+        return self.factor.decode(raw, self._sigma_factors.of(raw[self.inflation.name]))
+
+    def decode_one(self, raw: Mapping[str, int]) -> Array:
+        return self.factor.decode_one(raw, self._sigma_factors.of_one(raw[self.inflation.name]))
+
+    def factors(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
+        """Return the (N, k, k) square roots F of the decoded covariances F F^T.
+
+        Row i belongs to state i; F is lower triangular with its rows in the order of the DBC.
+        """
+        return self.factor.factors(raw, self._sigma_factors.of(raw[self.inflation.name]))
 
     @property
     def reach(self) -> Array:
         """(k,) largest standard deviations of a decoded covariance."""
         return np.sqrt(self.reachable)
 
-    def decode_one(self, raw: Mapping[str, int]) -> Array:
-        scale = lookup_one(self._variance_factor, self.inflation, raw[self.inflation.name])
-        return self.factor.decode_one(raw, scale)
-
     def widest(self) -> dict[str, int]:
         return self.factor.widest() | {self.inflation.name: self.inflation.raw_max}
 
     def _encode_block(
         self, error: Array, resolution: Array, scale: Array, rows: NDArray[np.intp], coded: Coded
-    ) -> Array:
+    ) -> tuple[NDArray[np.bool_], Array]:
         """Encode (n, k, k) targets, each multiplied by its scale, into these rows of ``coded``.
 
-        Returns the (n,) ratios of the needed to the available inflation; up to 1 it suffices.
+        Returns the (n,) rows that the decoded covariance covers, and for the others the ratio of
+        the needed to the available inflation.
         """
         order = self.factor.order
         M = [[error[:, i, j].copy() for j in order] for i in order]
@@ -117,17 +137,65 @@ class CholeskyCode(CovarianceCode):
         for i in range(len(order)):
             target[i][i] = target[i][i] + floor[i]
         raw, L, lifted = self._quantize(target, floor)
-        needed = _largest_ratio(L, M)
-        steps = (np.log2(needed) - self.inflation.offset) / self.inflation.factor
-        inflation = self.inflation.limited(np.ceil(steps))
-        given = lookup(self._variance_factor, self.inflation, inflation.astype(np.int64))
+        inflation, covered, excess = self._least_inflation(*_whitened(L, M))
         raw[self.inflation.name] = inflation
         for name, value in raw.items():
             coded.raw[name][rows] = value.astype(np.int64)
-        excess = needed / given
         coded.saturated[rows] = lifted
-        coded.covered[rows] = excess <= 1
-        return excess
+        coded.covered[rows] = covered
+        return covered, excess
+
+    def _least_inflation(self, W: Array, margin: Array) -> tuple[Array, NDArray[np.bool_], Array]:
+        """Return the least (n,) raw inflations that cover (n, k, k) targets, which are whitened.
+
+        The inflation covers if ``((2^inflation - margin) / (1 + MARGIN)) I - W`` has a Cholesky
+        factor. Whatever does not exceed an entry of the diagonal does not cover. The search starts
+        there, with steps of 1, 2, 4, ... until one covers, then it halves the last step.
+
+        Returns also which are covered by the largest inflation, and for those that are not, the
+        ratio of what they need to it.
+        """
+        most = float(self.inflation.raw_max)
+        bound = W[:, 0, 0]
+        for i in range(1, W.shape[-1]):
+            bound = np.maximum(bound, W[:, i, i])
+        exponent = log2(bound * (1 + MARGIN) + margin)
+        steps = np.ceil((exponent - self.inflation.offset) / self.inflation.factor)
+        high = self.inflation.limited(steps)
+        low = high - 1  # the highest raw value that is known not to cover
+        covered = np.zeros(len(W), dtype=bool)
+        rows, step = np.arange(len(W)), 1.0
+        while rows.size:
+            fits = self._covers(high[rows], W[rows], margin[rows])
+            covered[rows] = fits
+            rows = rows[~fits & (high[rows] < most)]
+            low[rows], high[rows] = high[rows], np.minimum(high[rows] + step, most)
+            step *= 2
+        rows = np.flatnonzero(covered & (high - low > 1))
+        while rows.size:
+            middle = low[rows] + np.floor((high[rows] - low[rows]) / 2)
+            fits = self._covers(middle, W[rows], margin[rows])
+            high[rows], low[rows] = (
+                np.where(fits, middle, high[rows]),
+                np.where(fits, low[rows], middle),
+            )
+            rows = rows[high[rows] - low[rows] > 1]
+        lost = ~covered
+        if not lost.any():
+            return high, covered, np.zeros(0)
+        largest = fixed_order.eigen(W[lost])[0].max(axis=-1)
+        needed = np.maximum(largest, 0) * (1 + MARGIN) + margin[lost]
+        given = self._variance_factors.of_one(self.inflation.raw_max)
+        return high, covered, np.maximum(needed / given, 1.0)
+
+    def _covers(self, raw: Array, W: Array, margin: Array) -> NDArray[np.bool_]:
+        """Return which (n,) raw inflations cover (n, k, k) targets, which are whitened."""
+        given = self._variance_factors.of(raw.astype(np.int64))
+        diagonal = (given - margin) / (1 + MARGIN)
+        rest = -W
+        for i in range(W.shape[-1]):
+            rest[:, i, i] += diagonal
+        return fixed_order.is_definite(rest)
 
     def _quantize(
         self, S: list[list[Array]], floor: list[Array]
@@ -143,7 +211,7 @@ class CholeskyCode(CovarianceCode):
         A: list[list[Array]] = []
         decoded: list[list[Array]] = []
         lifts: list[NDArray[np.bool_]] = []
-        for i, (table, pivot) in enumerate(
+        for i, (sigmas, pivot) in enumerate(
             zip(self.factor.sigmas, self.factor.pivots, strict=True)
         ):
             target: list[Array] = []
@@ -151,15 +219,15 @@ class CholeskyCode(CovarianceCode):
                 rest = S[i][j] - sum(target[k] * L[j][k] for k in range(j))
                 target.append(rest / L[j][j])
             exact = np.sqrt(np.maximum(S[i][i] - sum(x * x for x in target), floor[i]))
-            nearest = pivot.raw(np.log2(exact))
+            nearest = pivot.raw(log2(exact))
             chosen = pivot.limited(nearest)
-            for _ in range(4):
-                sigma = lookup(table, pivot, chosen.astype(np.int64))
+            for trial in range(LIFTS + 1):
+                sigma = sigmas.of(chosen.astype(np.int64))
                 row, overflow = self._choose_ratios(i, target, sigma, A, raw)
                 over = overflow > 1
-                if not over.any():
+                if trial == LIFTS or not over.any():
                     break
-                lift = np.ceil(np.log2(overflow) / pivot.factor + 1e-9)
+                lift = np.ceil(log2(overflow) / pivot.factor + SLACK)
                 chosen = pivot.limited(np.where(over, chosen + np.maximum(lift, 1), chosen))
             # The target takes over a lifted pivot, so the entries below it become smaller.
             lifted = chosen > nearest
@@ -198,8 +266,8 @@ class CholeskyCode(CovarianceCode):
         return row, overflow
 
 
-def _largest_ratio(L: list[list[Array]], M: list[list[Array]]) -> Array:
-    """Return the (N,) largest eigenvalues of (L L^T)^-1 M, plus a margin for rounding.
+def _whitened(L: list[list[Array]], M: list[list[Array]]) -> tuple[Array, Array]:
+    """Return (N, k, k) matrices L^-1 M L^-T, and (N,) margins for their rounding.
 
     The margin increases with the condition number of the factor, as the rounding error does.
     """
@@ -212,10 +280,8 @@ def _largest_ratio(L: list[list[Array]], M: list[list[Array]]) -> Array:
     W = np.empty((len(M[0][0]), n, n))
     amplification = np.zeros(len(W))
     for i in range(n):
-        XM = [sum(X[i][k] * M[k][j] for k in range(i + 1)) for j in range(n)]
+        XM = [sum(X[i][k] * M[k][j] for k in range(i + 1)) for j in range(i + 1)]
         for j in range(i + 1):
-            W[:, i, j] = sum(XM[k] * X[j][k] for k in range(j + 1))
-        amplification += sum(X[i][k] ** 2 * M[k][k] for k in range(i + 1))
-    largest = np.linalg.eigvalsh(W, UPLO="L")[:, -1]
-    margin = MARGIN + 32 * np.finfo(float).eps * amplification
-    return np.maximum(largest, 0) * (1 + MARGIN) + margin
+            W[:, i, j] = W[:, j, i] = sum(XM[k] * X[j][k] for k in range(j + 1))
+        amplification += sum(X[i][k] * X[i][k] * M[k][k] for k in range(i + 1))
+    return W, MARGIN + AMPLIFIED * amplification

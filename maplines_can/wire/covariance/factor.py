@@ -13,8 +13,9 @@ from itertools import chain, combinations, islice
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from ...values.elementary import exp2
 from ...values.errors import LayoutError
 from ..layout.record_layout import RecordLayout
 from ..layout.signals import PARAMETER_SIGNALS, RATIO, Signal, SignalRow
@@ -74,8 +75,8 @@ class CholeskyFactor:
                 "precision; give them smaller factors or fewer bits"
             )
         self._all_ratios = SignalRow(chain(*self.ratios))
-        #: Standard deviations by raw pivot, for ``lookup``.
-        self.sigmas = [exp2_table(signal) for signal in self.pivots]
+        #: Standard deviations of the pivots.
+        self.sigmas = [PowersOfTwo(signal) for signal in self.pivots]
 
     def _largest_condition(self) -> float:
         """Return the largest trace of the inverse correlation matrix of any bits.
@@ -92,29 +93,54 @@ class CholeskyFactor:
         return float(((inverse * norm) ** 2).sum())
 
     def decode(self, raw: Mapping[str, NDArray[np.int64]], scale: Array | None = None) -> Array:
-        """Return (N, k, k) covariances ``scale L L^T``; without (N,) scales they are 1."""
+        """Return the (N, k, k) covariances ``F F^T`` of the ``factors`` F."""
         n, k = len(raw[self.pivots[0].name]), len(self.pivots)
         cov = np.empty((n, k, k))
-        for start in range(0, n, BLOCK):
-            rows = slice(start, start + BLOCK)
-            block = {signal.name: raw[signal.name][rows] for signal in self.signals}
-            L = []
-            for table, pivot, ratios in zip(self.sigmas, self.pivots, self.ratios, strict=True):
-                sigma = lookup(table, pivot, block[pivot.name])
-                L.append([ratio.physical(block[ratio.name]) * sigma for ratio in ratios] + [sigma])
-            for i, j, value in _products(L, 1.0 if scale is None else scale[rows]):
+        for rows, F in self._blocks(raw, scale):
+            for i, j, value in _products(F):
                 cov[rows, self.order[i], self.order[j]] = value
                 cov[rows, self.order[j], self.order[i]] = value
         return cov
 
+    def factors(self, raw: Mapping[str, NDArray[np.int64]], scale: Array | None = None) -> Array:
+        """Return (N, k, k) square roots F of covariances; row i belongs to state i.
+
+        They are lower triangular with their rows in the order of the DBC.
+
+        Args:
+            raw: (N,) raw values by signal.
+            scale: (N,) factors on the standard deviations; None: 1.
+        """
+        n, k = len(raw[self.pivots[0].name]), len(self.pivots)
+        factors = np.zeros((n, k, k))
+        for rows, F in self._blocks(raw, scale):
+            for i, row in enumerate(F):
+                for j, entry in enumerate(row):
+                    factors[rows, self.order[i], j] = entry
+        return factors
+
+    def _blocks(
+        self, raw: Mapping[str, NDArray[np.int64]], scale: Array | None
+    ) -> Iterator[tuple[slice, list[list[Array]]]]:
+        """Yield the rows of each block, and the rows of their factors in the order of the DBC."""
+        for start in range(0, len(raw[self.pivots[0].name]), BLOCK):
+            rows = slice(start, start + BLOCK)
+            block = {signal.name: raw[signal.name][rows] for signal in self.signals}
+            F = []
+            for powers, pivot, ratios in zip(self.sigmas, self.pivots, self.ratios, strict=True):
+                sigma = powers.of(block[pivot.name])
+                sigma = sigma if scale is None else sigma * scale[rows]
+                F.append([ratio.physical(block[ratio.name]) * sigma for ratio in ratios] + [sigma])
+            yield rows, F
+
     def decode_one(self, raw: Mapping[str, int], scale: float = 1.0) -> Array:
         """Return one (k, k) covariance: as ``decode`` to the last bit."""
-        L, ratios = [], iter(self._all_ratios.physical_one(raw))
-        for i, (table, pivot) in enumerate(zip(self.sigmas, self.pivots, strict=True)):
-            sigma = lookup_one(table, pivot, raw[pivot.name])
-            L.append([ratio * sigma for ratio in islice(ratios, i)] + [sigma])
-        cov = [[0.0] * len(L) for _ in L]
-        for i, j, value in _products(L, scale):
+        F, ratios = [], iter(self._all_ratios.physical_one(raw))
+        for i, (powers, pivot) in enumerate(zip(self.sigmas, self.pivots, strict=True)):
+            sigma = powers.of_one(raw[pivot.name]) * scale
+            F.append([ratio * sigma for ratio in islice(ratios, i)] + [sigma])
+        cov = [[0.0] * len(F) for _ in F]
+        for i, j, value in _products(F):
             cov[self.order[i]][self.order[j]] = cov[self.order[j]][self.order[i]] = value
         return np.array(cov)
 
@@ -125,36 +151,47 @@ class CholeskyFactor:
         return pivots | none
 
 
-def _products(L: list[list[Any]], factor: Any) -> Iterator[tuple[int, int, Any]]:
-    """Yield the lower triangle of ``factor L L^T``, for arrays and single numbers alike."""
-    for i, row in enumerate(L):
-        scaled = [factor * entry for entry in row]
-        for j, column in enumerate(L[: i + 1]):
-            value = scaled[0] * column[0]
+def _products(F: list[list[Any]]) -> Iterator[tuple[int, int, Any]]:
+    """Yield the lower triangle of ``F F^T``, for arrays and single numbers alike.
+
+    The terms are added in the order of the columns.
+    """
+    for i, row in enumerate(F):
+        for j, column in enumerate(F[: i + 1]):
+            value = row[0] * column[0]
             for k in range(1, j + 1):
-                value += scaled[k] * column[k]
+                value = value + row[k] * column[k]
             yield i, j, value
 
 
-def exp2_table(signal: Signal) -> Array | None:
-    """Return 2 to the power of each physical value; None if there are more than 65 536."""
-    if signal.raw_max - signal.raw_min >= 1 << 16:
-        return None
-    return np.exp2(signal.physical(np.arange(signal.raw_min, signal.raw_max + 1)))
-
-
-def lookup(table: Array | None, signal: Signal, raw: NDArray[np.int64]) -> Array:
-    """Return 2 to the power of the physical values of raw values, with a table of ``exp2_table``.
+class PowersOfTwo:
+    """Powers of 2 whose exponents are the values of a signal; a table unless that is long.
 
     If there is a table, a raw value outside the DBC's range is clipped to it.
+
+    Args:
+        signal: the exponents.
+        share: factor on the exponents.
     """
-    if table is None:
-        return np.exp2(signal.physical(raw))
-    return table.take(raw - signal.raw_min, mode="clip")
 
+    def __init__(self, signal: Signal, share: float = 1.0) -> None:
+        self._signal, self._share = signal, share
+        #: Powers by raw value; None if there are more than 65 536.
+        self.table: Array | None = None
+        if signal.raw_max - signal.raw_min < 1 << 16:
+            self.table = self._compute(np.arange(signal.raw_min, signal.raw_max + 1))
 
-def lookup_one(table: Array | None, signal: Signal, raw: int) -> float:
-    """Return one value: as ``lookup`` to the last bit."""
-    if table is None:
-        return float(np.exp2(signal.physical_one(raw)))
-    return table.item(min(max(raw - signal.raw_min, 0), len(table) - 1))
+    def of(self, raw: NDArray[np.int64]) -> Array:
+        """Return the (n,) powers of raw values."""
+        if self.table is None:
+            return self._compute(raw)
+        return self.table.take(raw - self._signal.raw_min, mode="clip")
+
+    def of_one(self, raw: int) -> float:
+        """Return the power of one raw value: as ``of`` to the last bit."""
+        if self.table is None:
+            return float(self._compute(raw))
+        return self.table.item(min(max(raw - self._signal.raw_min, 0), len(self.table) - 1))
+
+    def _compute(self, raw: ArrayLike) -> Array:
+        return exp2(self._signal.physical(raw) * self._share)

@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from maplines_can.values.elementary import exp2
 from maplines_can.values.errors import LayoutError
 from maplines_can.wire.covariance.code import check_octaves
-from maplines_can.wire.covariance.factor import exp2_table, lookup, lookup_one
+from maplines_can.wire.covariance.factor import PowersOfTwo
 from maplines_can.wire.layout.signals import FARTHEST_OCTAVE, Signal
 
 LAYOUT: Any = SimpleNamespace(source="test.dbc")
@@ -57,25 +58,19 @@ def test_an_exponent_must_not_overflow(
             check_octaves(LAYOUT, [signal])
 
 
-@pytest.mark.parametrize("length", [4, 15, 16])
+@pytest.mark.parametrize("share", [1.0, 0.5])
+@pytest.mark.parametrize("length", [4, 15, 16, 17])
 @pytest.mark.parametrize("signed", [False, True])
-def test_a_table_and_the_power_agree(length: int, signed: bool) -> None:
-    """To the last bit, for one value and for many; long signals have no table."""
-    signal = exponent(length, signed=signed, factor=1 / 64, offset=-3.3)
-    table = exp2_table(signal)
-    assert table is not None
+def test_a_table_and_the_power_agree(length: int, signed: bool, share: float) -> None:
+    """To the last bit, for one value and for many; a long signal has no table."""
+    signal = exponent(length, signed=signed, factor=1 / 1024, offset=-3.3)
+    powers = PowersOfTwo(signal, share)
+    assert (powers.table is None) == (length > 16)
     raw = np.linspace(signal.raw_min, signal.raw_max, 50).astype(np.int64)
-    wanted = np.exp2(signal.physical(raw))
-    assert np.array_equal(lookup(table, signal, raw), wanted)
-    assert np.array_equal(lookup(None, signal, raw), wanted)
-    for one, value in zip(raw.tolist(), wanted.tolist(), strict=True):
-        assert lookup_one(table, signal, one) == lookup_one(None, signal, one) == value
-    outside = np.array([signal.raw_min - 1, signal.raw_max + 1])
-    ends = np.exp2(signal.physical([signal.raw_min, signal.raw_max]))
-    assert np.array_equal(lookup(table, signal, outside), ends)
-    assert [lookup_one(table, signal, one) for one in outside.tolist()] == ends.tolist()
-
-
-def test_a_long_signal_has_no_table() -> None:
-    """It would take half a megabyte and more."""
-    assert exp2_table(exponent(17, signed=False)) is None
+    wanted = np.asarray(exp2(share * signal.physical(raw)))
+    assert np.array_equal(powers.of(raw), wanted)
+    assert [powers.of_one(one) for one in raw.tolist()] == wanted.tolist()
+    if powers.table is not None:
+        outside = np.array([signal.raw_min - 1, signal.raw_max + 1])
+        assert powers.of(outside).tolist() == [wanted[0], wanted[-1]]
+        assert [powers.of_one(one) for one in outside.tolist()] == [wanted[0], wanted[-1]]
