@@ -12,6 +12,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from . import fixed_order
 from .arrays import floats
 
 #: Asymmetry and negative eigenvalues up to this, relative to the standard
@@ -110,10 +111,10 @@ def nearest_covariance(cov: ArrayLike) -> NDArray[np.float64]:
 def _nearest(S: NDArray[np.float64], scale: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return ``nearest_covariance`` of (..., n, n) matrices, nearest in units of a scale."""
     scale2 = scale[..., :, None] * scale[..., None, :]
-    values, vectors = np.linalg.eigh(S / scale2)
-    lifted = (vectors * values.clip(0)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
-    lifted = (lifted + np.swapaxes(lifted, -1, -2)) / 2 * scale2
-    return np.where(values[..., :1, None] < 0, lifted, S)
+    values, vectors = fixed_order.eigen(S / scale2)  # an encoder sends what this returns
+    lifted = fixed_order.product(vectors * values.clip(0)[..., None, :], vectors.mT)
+    lifted = (lifted + lifted.mT) / 2 * scale2
+    return np.where(values.min(axis=-1)[..., None, None] < 0, lifted, S)
 
 
 def positive_part(

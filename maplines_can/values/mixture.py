@@ -13,6 +13,34 @@ from numpy.typing import ArrayLike, NDArray
 from .arrays import floats
 from .gaussian import Gaussian
 
+Array = NDArray[np.float64]
+
+
+def moments(weights: Array, means: Array, covs: Array) -> tuple[Array, Array]:
+    """Return the (..., n) mean and the (..., n, n) covariance of mixtures.
+
+    The components are added one after the other, as a receiver in C does.
+
+    Args:
+        weights: (..., k).
+        means: (..., k, n).
+        covs: (..., k, n, n) symmetric.
+    """
+    mean = _weighted_sum(weights, means)
+    d = means - mean[..., None, :]
+    return mean, _weighted_sum(weights, covs + d[..., :, None] * d[..., None, :])
+
+
+def _weighted_sum(weights: Array, values: Array) -> Array:
+    """Return the (..., ...) sums of (..., k, ...) values, the first one first."""
+    axis = weights.ndim - 1
+    w = weights.reshape(*weights.shape, *[1] * (values.ndim - weights.ndim))
+    terms = np.moveaxis(w * values, axis, 0)
+    total = terms[0]
+    for term in terms[1:]:
+        total = total + term
+    return total
+
 
 @dataclass(frozen=True, eq=False)
 class GaussianMixture:
@@ -73,11 +101,8 @@ class GaussianMixture:
     @cached_property
     def overall(self) -> Gaussian:
         """The Gaussian with the mean and covariance of the mixture."""
-        mean = self.weights @ self.means
         with np.errstate(over="ignore", invalid="ignore"):  # Gaussian raises for such a result
-            d = self.means - mean
-            cov = np.einsum("k,kij->ij", self.weights, self.covs + d[:, :, None] * d[:, None, :])
-        return Gaussian(mean, (cov + cov.T) / 2)
+            return Gaussian(*moments(self.weights, self.means, self.covs))
 
     def marginal(self, indices: ArrayLike) -> GaussianMixture:
         """Return the mixture of some of the variables, in the order of ``indices``."""

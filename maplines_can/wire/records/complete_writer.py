@@ -98,7 +98,7 @@ class CompleteWriter:
         """Return (N, k, record bytes) records of mixtures; see ``BatchCodec.encode_mixtures``."""
         n, k = weights.shape
         gaussians = checked_gaussians(means.reshape(-1, 4), covs.reshape(-1, 4, 4))
-        decoded_weights, cover = self._cover(weights, means, covs)
+        decoded_weights, cover = self._cover(weights, means, gaussians.cov.reshape(covs.shape))
         of_components = attributes.of_components(decoded_weights)
         payloads = self.write(gaussians, of_components, np.repeat(cover, k, axis=0))
         return payloads.reshape(n, k, -1)
@@ -282,8 +282,9 @@ class CompleteWriter:
             indefinite = indefinite & ~diagonal
         # For a clipped beta, the first-order sigma of the lateral position has to cover the
         # difference of the tangents, which grows faster than that of the angles.
-        d_beta = slope_error(mean, decoded)[:, 1]
-        error[:, 1, 1] += np.where(clipped, (d_beta**2 - d[:, 1] ** 2).clip(0), 0.0)
+        if clipped.any():
+            d_beta = slope_error(mean[clipped], decoded[clipped])[:, 1]
+            error[clipped, 1, 1] += (d_beta**2 - d[clipped, 1] ** 2).clip(0)
         if cover is not None:
             error += cover
         coded = self._covariance.encode(error, self.layout.resolution)

@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ...values import fixed_order
+from ...values.mixture import moments
+
 Array = NDArray[np.float64]
 
 
@@ -47,28 +50,21 @@ def deficit(
     Weights are (N, k), means (N, k, 4), and covs (N, k, 4, 4). The result is (N, 4, 4) positive
     semidefinite, and zero where the mixture is covered already.
     """
-
-    def total(w: Array, m: Array, S: Array, about: Array) -> Array:
-        spread = m - about[:, None, :]
-        return np.einsum("nk,nkij->nij", w, S + spread[..., :, None] * spread[..., None, :])
-
-    mean, decoded_mean = (
-        np.einsum("nk,nki->ni", w, m)
-        for w, m in ((weights, means), (decoded_weights, decoded_means))
-    )
+    mean, T = moments(weights, means, covs)
     d = means - decoded_means
-    T = total(weights, means, covs, mean)
-    off = mean - decoded_mean
-    T += off[:, :, None] * off[:, None, :]
     own = covs + d[..., :, None] * d[..., None, :]
-    gap = T - total(decoded_weights, decoded_means, own, decoded_mean)
+    decoded_mean, B = moments(decoded_weights, decoded_means, own)
+    off = mean - decoded_mean
+    T = T + off[:, :, None] * off[:, None, :]
+    gap = T - B
     scale = np.sqrt(np.einsum("nii->ni", T))
     scale = np.where((scale > 0) & (scale < np.inf), scale, 1.0)
     scale2 = scale[:, :, None] * scale[:, None, :]
     gap /= scale2
     # On overflow some component is so far out of range that its own record is OUT_OF_RANGE.
     gap[~np.isfinite(gap).all(axis=(1, 2))] = 0.0
-    values, vectors = np.linalg.eigh(gap)
+    values, vectors = fixed_order.eigen(gap)
     # A little more than the gap, so that a check with another algorithm's rounding passes.
     values = np.where(values > 0, values * (1 + 1e-6), 0.0)
-    return (vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1) * scale2
+    lifted = fixed_order.product(vectors * values[:, None, :], vectors.mT)
+    return (lifted + lifted.mT) / 2 * scale2
