@@ -646,6 +646,151 @@ void maplines_statistics(const maplines_decoder_t *decoder, maplines_statistics_
 /* ---- use --------------------------------------------------------------------------------------- */
 
 /* use: begin */
+/// A quantity and its standard deviation, in the same unit.
+typedef struct {
+    maplines_real_t value;
+    maplines_real_t sigma; ///< 0 or more; infinite if nothing is known
+} maplines_estimate_t;
+
+/// One term of a weighted sum of lateral positions: weight * y(x) of the line of a slot.
+typedef struct {
+    maplines_owner_t slot;
+    maplines_real_t x; ///< [m], in the valid range of the line
+    maplines_real_t weight;
+} maplines_term_t;
+
+/// A lateral position that another sensor measures, with an independent error.
+typedef struct {
+    maplines_real_t x;     ///< [m]
+    maplines_real_t y;     ///< [m]
+    maplines_real_t sigma; ///< more than 0 [m]
+} maplines_position_t;
+
+#define MAPLINES_MAX_POSITIONS 8 ///< positions of maplines_mahalanobis
+
+/* A standard deviation is computed as the norm of F^T J, to first order in the parameters, and is
+ * not less than the exact norm: what single or double precision rounds is added. With float this
+ * is 1.5e-6 of the sum of |J_i| sigma_i for y(x), and a third more for each further term.
+ *
+ * A line is the best cubic over its range, and not the road at one place. Right are lateral
+ * positions within the valid range, slopes over 10 m or more, and curvatures over 10 m or more.
+ */
+
+/// Lateral position of the mean line at x [m].
+maplines_real_t maplines_y(const maplines_line_t *line, maplines_real_t x);
+
+/// Standard deviation of the lateral position at x [m].
+maplines_real_t maplines_y_sigma(const maplines_line_t *line, maplines_real_t x);
+
+/// Slope over a distance of more than 0 m, of which x is the middle [1].
+maplines_estimate_t maplines_slope(const maplines_line_t *line, maplines_real_t x,
+                                   maplines_real_t distance);
+
+/// Second difference over a distance of more than 0 m, of which x is the middle, as a curvature
+/// [1/m]: (y(x - h) - 2 y(x) + y(x + h)) / h^2 with h half the distance.
+maplines_estimate_t maplines_curvature(const maplines_line_t *line, maplines_real_t x,
+                                       maplines_real_t distance);
+
+/// Covariance of the four parameters.
+void maplines_covariance(const maplines_gaussian_t *gaussian, maplines_real_t covariance[4][4]);
+
+/// Mahalanobis distance of up to MAPLINES_MAX_POSITIONS measured lateral positions from a line. Its
+/// square has a chi-square distribution of `count` degrees of freedom if line and measurement are
+/// of the same thing. Infinite if a sigma is 0 or a value is not finite.
+maplines_real_t maplines_mahalanobis(const maplines_line_t *line, size_t count,
+                                     const maplines_position_t *positions);
+
+/// Line of a slot of a scene; NULL if the scene has none. For the functions above, and for those
+/// below, which need the joint covariance: lines of one pose are not independent.
+const maplines_line_t *maplines_scene_line(const maplines_scene_t *scene, maplines_owner_t slot);
+
+/// Weighted sum of lateral positions of lines of a scene. False if the scene lacks one of them; the
+/// sum is then 0 with an infinite standard deviation. So it is with the next two functions.
+bool maplines_sum(const maplines_scene_t *scene, size_t count, const maplines_term_t *terms,
+                  maplines_estimate_t *sum);
+
+/// Lateral distance of two lines at x: the width of the lane [m].
+bool maplines_width(const maplines_scene_t *scene, maplines_owner_t left, maplines_owner_t right,
+                    maplines_real_t x, maplines_estimate_t *width);
+
+/// Lateral position of the middle between two lines at x [m].
+bool maplines_centre(const maplines_scene_t *scene, maplines_owner_t left, maplines_owner_t right,
+                     maplines_real_t x, maplines_estimate_t *centre);
+
+/// Range in which all lines of some slots are valid [m]. False if the scene lacks one of them, if
+/// there is no slot, or if the range is empty.
+bool maplines_common_range(const maplines_scene_t *scene, size_t count,
+                           const maplines_owner_t *slots, maplines_real_t *x_min,
+                           maplines_real_t *x_max);
+
+/// Joint covariance of the parameters of the lines of some slots, in this order: an array of its
+/// (4 count)^2 entries by rows. False if the scene lacks a line.
+bool maplines_joint_covariance(const maplines_scene_t *scene, size_t count,
+                               const maplines_owner_t *slots, maplines_real_t *covariance);
+
+/* ---- prediction by the motion of the car ---- */
+
+/// Motion of the car at constant speed and yaw rate: an arc, tangent to the x axis at each point.
+/// This is so if the origin is the centre of the rear axle.
+typedef struct {
+    maplines_real_t speed;          ///< forward [m/s]
+    maplines_real_t yaw_rate;       ///< to the left [rad/s]
+    maplines_real_t speed_sigma;    ///< [m/s]; with what an unknown acceleration adds
+    maplines_real_t yaw_rate_sigma; ///< [rad/s]
+    maplines_real_t correlation;    ///< of their errors, from -1 to 1
+} maplines_motion_t;
+
+/// Displacement of the car: its new pose in its old frame.
+typedef struct {
+    maplines_real_t mean[3];      ///< x [m], y [m], heading [rad]
+    maplines_real_t factor[3][3]; ///< square root of the covariance, lower triangular
+} maplines_displacement_t;
+
+/// Result of a prediction.
+typedef enum {
+    MAPLINES_PREDICTED = 0,
+    MAPLINES_NOT_USABLE = 1,  ///< the line has the status OUT_OF_RANGE, or its age is infinite
+    MAPLINES_TOO_FAR = 2,     ///< the time is more than 10 s from the pose of the line
+    MAPLINES_BAD_MOTION = 3,  ///< a value is not finite, a sigma negative, a correlation beyond 1
+    MAPLINES_ILL_POSED = 4,   ///< the line would not be a function of x in the new frame
+} maplines_prediction_t;
+
+/// Displacement in a time dt [s], negative for one into the past, with its standard deviation [s].
+/// False if a value is not finite, a sigma is negative, or the correlation is beyond 1.
+bool maplines_displacement(const maplines_motion_t *motion, maplines_real_t dt,
+                           maplines_real_t time_sigma, maplines_displacement_t *displacement);
+
+/// Predict a Gaussian over a line after a displacement; x_min and x_max are its valid range [m].
+/// `predicted` may be `gaussian`, and is unchanged unless the result is MAPLINES_PREDICTED.
+///
+/// This is for the components of a mixture (maplines_component), which are predicted one by one;
+/// maplines_overall gives the Gaussian of all of them. For other lines, call maplines_predict.
+maplines_prediction_t maplines_predict_gaussian(const maplines_gaussian_t *gaussian,
+                                                const maplines_displacement_t *displacement,
+                                                maplines_real_t x_min, maplines_real_t x_max,
+                                                maplines_gaussian_t *predicted);
+
+/// Predict a line to the time t_ns [ns], by the displacement of the car since the pose of the line
+/// (t_ns of the line less its age). Its range becomes that of the mean line in the new frame, less
+/// three standard deviations of the displacement at each end; its age becomes 0. The prediction is
+/// by 15 sigma points; the covariance of a line of status UNKNOWN stays as it is. A mixture is
+/// predicted as the Gaussian of its mean and covariance, and has one component then. `predicted`
+/// may be `line`, and is unchanged unless the result is MAPLINES_PREDICTED. So it is with lines of
+/// a scene: each by itself, since the joint covariance is that of one pose.
+maplines_prediction_t maplines_predict(const maplines_line_t *line, int64_t t_ns,
+                                       const maplines_displacement_t *displacement,
+                                       maplines_line_t *predicted);
+
+/// Gaussian with the mean and covariance of a mixture. Weights are positive; `overall` may be one
+/// of the components.
+void maplines_overall(size_t count, const maplines_gaussian_t *components,
+                      const maplines_real_t *weights, maplines_gaussian_t *overall);
+
+/// Predict a line to the time t_ns [ns], by the motion of the car. time_sigma is the standard
+/// deviation of the time [s]: 0.005 covers the rounding of the age in the message.
+maplines_prediction_t maplines_predict_to(const maplines_line_t *line, int64_t t_ns,
+                                          const maplines_motion_t *motion,
+                                          maplines_real_t time_sigma, maplines_line_t *predicted);
 /* use: end */
 
 /* ---- send -------------------------------------------------------------------------------------- */

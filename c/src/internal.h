@@ -307,4 +307,20 @@ MAPLINES_INTERNAL uint32_t maplines_pending_lines(const maplines_decoder_t *deco
 /// The newest scene that waits for no line; NULL before the first.
 MAPLINES_INTERNAL const maplines_scene_t *maplines_newest_scene(maplines_decoder_t *decoder);
 
+/* ---- sigma_points.c ------------------------------------------------------------------------------ */
+
+#define MAPLINES_MAX_STATES 7 ///< of sigma points: a line and a displacement
+#define MAPLINES_SIGMA_POINTS (2 * MAPLINES_MAX_STATES + 1)
+
+/// Function of a state; false where it has no value.
+typedef bool (*maplines_function_t)(const double *state, const void *context, double *value);
+
+/// Square lower triangular root R of A A^T, for an (m, n) matrix A, m <= n <= 15; A is overwritten.
+MAPLINES_INTERNAL void maplines_lower_root(int m, int n, double *A, double *R);
+/// Mean (m) and lower triangular root (m, m), m <= 4, of a function of a Gaussian over n states with
+/// an (n, n) root, by 2 n + 1 sigma points. False if the function has no value at one of them.
+MAPLINES_INTERNAL bool maplines_unscented(maplines_function_t function, const void *context, int n,
+                                          const double *mean, const double *root, int m,
+                                          double *value, double *value_root);
+
 #endif

@@ -1,0 +1,336 @@
+/* What a function of the car does with lines: lateral positions, sums of them, covariances.
+ *
+ * Standard deviations are norms of F^T J, with F a square root of the covariance and J the gradient
+ * of what is asked for. A sum of squares is never negative; J^T P J in single precision may be.
+ */
+#include "internal.h"
+
+#ifdef MAPLINES_FLOAT
+#define UNIT_ROUNDOFF 0x1p-24F
+#define ROOT_OF       sqrtf
+#else
+#define UNIT_ROUNDOFF 0x1p-53
+#define ROOT_OF       sqrt
+#endif
+
+/// Gradient of a sum of lateral positions of one line with respect to its four parameters.
+typedef struct
+{
+    maplines_real_t J[4];
+    maplines_real_t size[4]; ///< sums of the absolute values of the terms of J
+} gradient_t;
+
+/// F^T J of one or several lines, and a bound on what its rounding is relative to.
+typedef struct
+{
+    maplines_real_t g[7 + 4 * MAPLINES_SLOTS];
+    maplines_real_t size[7 + 4 * MAPLINES_SLOTS];
+    size_t count;
+} deviation_t;
+
+static maplines_real_t slope_of(const maplines_gaussian_t *gaussian)
+{
+    return (maplines_real_t)maplines_tan((double)gaussian->mean[1]);
+}
+
+static maplines_real_t lateral_of(const maplines_gaussian_t *gaussian, maplines_real_t x)
+{
+    const maplines_real_t *mean = gaussian->mean;
+    const maplines_real_t bend = mean[2] / 2 + x * mean[3] / 6;
+    return mean[0] + x * (slope_of(gaussian) + x * bend);
+}
+
+static void add_gradient(const maplines_gaussian_t *gaussian, maplines_real_t x,
+                         maplines_real_t weight, gradient_t *gradient)
+{
+    const maplines_real_t slope = slope_of(gaussian);
+    const maplines_real_t J[4] = {weight, weight * ((1 + slope * slope) * x), weight * (x * x / 2),
+                                  weight * (x * x * x / 6)};
+    for (int i = 0; i < 4; ++i)
+    {
+        gradient->J[i] += J[i];
+        gradient->size[i] += J[i] < 0 ? -J[i] : J[i];
+    }
+}
+
+/// Add the product of the transposed rows of four parameters with their gradient.
+static void add_rows(const maplines_real_t *rows, size_t columns, const gradient_t *gradient,
+                     maplines_real_t *g, maplines_real_t *size)
+{
+    for (size_t k = 0; k < columns; ++k)
+    {
+        for (size_t i = 0; i < 4; ++i)
+        {
+            const maplines_real_t entry = rows[i * columns + k];
+            g[k] += entry * gradient->J[i];
+            size[k] += (entry < 0 ? -entry : entry) * gradient->size[i];
+        }
+    }
+}
+
+/// Norm of n values that does not overflow before its result does; NaN if one is NaN.
+static maplines_real_t norm_of(const maplines_real_t *values, size_t n)
+{
+    maplines_real_t largest = 0;
+    for (size_t i = 0; i < n; ++i)
+    {
+        const maplines_real_t size = values[i] < 0 ? -values[i] : values[i];
+        if (size != size)
+        {
+            return size;
+        }
+        largest = size > largest ? size : largest;
+    }
+    if (!(largest > 0))
+    {
+        return 0;
+    }
+    maplines_real_t sum = 0;
+    for (size_t i = 0; i < n; ++i)
+    {
+        const maplines_real_t share = values[i] / largest;
+        sum += share * share;
+    }
+    return largest * ROOT_OF(sum);
+}
+
+/// Standard deviation of a sum of n terms, never less than without rounding.
+///
+/// An entry of F^T J is off by at most 10 + 5 n roundings of the sum of the sizes of its products:
+/// 8 of an entry of a gradient and n - 1 of their sum, one of the entry of F, one of the product,
+/// and 4 n - 1 of the sum of these. The norm of 7 + 4 n entries adds half as many, and three. That
+/// is less than 16 + 8 n. What overflows is infinite: nothing is known.
+static maplines_real_t sigma_of(const deviation_t *deviation, size_t n)
+{
+    const maplines_real_t roundings = (maplines_real_t)(16 + 8 * n);
+    const maplines_real_t rounding = roundings * UNIT_ROUNDOFF;
+    const maplines_real_t sigma = norm_of(deviation->g, deviation->count) +
+                                  rounding * norm_of(deviation->size, deviation->count);
+    return sigma >= 0 ? sigma : (maplines_real_t)INFINITY;
+}
+
+maplines_real_t maplines_y(const maplines_line_t *line, maplines_real_t x)
+{
+    return lateral_of(&line->gaussian, x);
+}
+
+static maplines_estimate_t sum_of(const maplines_gaussian_t *gaussian, size_t count,
+                                  const maplines_term_t *terms)
+{
+    maplines_estimate_t sum = {0, 0};
+    gradient_t gradient = {{0}, {0}};
+    deviation_t deviation = {{0}, {0}, 4};
+    for (size_t i = 0; i < count; ++i)
+    {
+        sum.value += terms[i].weight * lateral_of(gaussian, terms[i].x);
+        add_gradient(gaussian, terms[i].x, terms[i].weight, &gradient);
+    }
+    add_rows(&gaussian->factor[0][0], 4, &gradient, deviation.g, deviation.size);
+    sum.sigma = sigma_of(&deviation, count);
+    return sum;
+}
+
+maplines_real_t maplines_y_sigma(const maplines_line_t *line, maplines_real_t x)
+{
+    const maplines_term_t term = {line->slot, x, 1};
+    return sum_of(&line->gaussian, 1, &term).sigma;
+}
+
+maplines_estimate_t maplines_slope(const maplines_line_t *line, maplines_real_t x,
+                                   maplines_real_t distance)
+{
+    const maplines_real_t weight = 1 / distance;
+    const maplines_term_t terms[2] = {{line->slot, x - distance / 2, -weight},
+                                      {line->slot, x + distance / 2, weight}};
+    return sum_of(&line->gaussian, 2, terms);
+}
+
+maplines_estimate_t maplines_curvature(const maplines_line_t *line, maplines_real_t x,
+                                       maplines_real_t distance)
+{
+    const maplines_real_t half = distance / 2;
+    const maplines_real_t weight = 1 / (half * half);
+    const maplines_term_t terms[3] = {{line->slot, x - half, weight},
+                                      {line->slot, x, -2 * weight},
+                                      {line->slot, x + half, weight}};
+    return sum_of(&line->gaussian, 3, terms);
+}
+
+void maplines_covariance(const maplines_gaussian_t *gaussian, maplines_real_t covariance[4][4])
+{
+    for (int i = 0; i < 4; ++i)
+    {
+        for (int j = 0; j < 4; ++j)
+        {
+            maplines_real_t sum = 0;
+            for (int k = 0; k < 4; ++k)
+            {
+                sum += gaussian->factor[i][k] * gaussian->factor[j][k];
+            }
+            covariance[i][j] = sum;
+        }
+    }
+}
+
+maplines_real_t maplines_mahalanobis(const maplines_line_t *line, size_t count,
+                                     const maplines_position_t *positions)
+{
+    double G[MAPLINES_MAX_POSITIONS][4] = {{0}}; // deviations of the line at the positions
+    double S[MAPLINES_MAX_POSITIONS * MAPLINES_MAX_POSITIONS];
+    double z[MAPLINES_MAX_POSITIONS] = {0};
+    assert(count <= MAPLINES_MAX_POSITIONS);
+    if (count > MAPLINES_MAX_POSITIONS)
+    {
+        return (maplines_real_t)INFINITY;
+    }
+    for (size_t i = 0; i < count; ++i)
+    {
+        gradient_t gradient = {{0}, {0}};
+        deviation_t deviation = {{0}, {0}, 4};
+        add_gradient(&line->gaussian, positions[i].x, 1, &gradient);
+        add_rows(&line->gaussian.factor[0][0], 4, &gradient, deviation.g, deviation.size);
+        for (size_t k = 0; k < 4; ++k)
+        {
+            G[i][k] = (double)deviation.g[k];
+        }
+        z[i] = (double)(positions[i].y - lateral_of(&line->gaussian, positions[i].x));
+    }
+    maplines_product_transposed((int)count, 4, (int)count, &G[0][0], &G[0][0], S);
+    for (size_t i = 0; i < count; ++i)
+    {
+        S[i * count + i] += (double)positions[i].sigma * (double)positions[i].sigma;
+    }
+    if (!maplines_cholesky_factor((int)count, S, S))
+    {
+        return (maplines_real_t)INFINITY;
+    }
+    maplines_lower_solution((int)count, 1, S, z);
+    double sum = 0;
+    for (size_t i = 0; i < count; ++i)
+    {
+        sum += z[i] * z[i];
+    }
+    return (maplines_real_t)sqrt(sum);
+}
+
+/* ---- lines of a scene ------------------------------------------------------------------------ */
+
+/// Place of the line of a slot in a scene; its count if it has none.
+static size_t place_of(const maplines_scene_t *scene, maplines_owner_t slot)
+{
+    size_t place = 0;
+    while (place < scene->count && scene->lines[place].slot != slot)
+    {
+        ++place;
+    }
+    return place;
+}
+
+const maplines_line_t *maplines_scene_line(const maplines_scene_t *scene, maplines_owner_t slot)
+{
+    const size_t place = place_of(scene, slot);
+    return place < scene->count ? &scene->lines[place] : NULL;
+}
+
+bool maplines_sum(const maplines_scene_t *scene, size_t count, const maplines_term_t *terms,
+                  maplines_estimate_t *sum)
+{
+    gradient_t gradients[MAPLINES_SLOTS] = {{{0}, {0}}};
+    maplines_real_t value = 0;
+    *sum = (maplines_estimate_t){0, (maplines_real_t)INFINITY};
+    for (size_t i = 0; i < count; ++i)
+    {
+        const size_t place = place_of(scene, terms[i].slot);
+        if (place == scene->count)
+        {
+            return false;
+        }
+        const maplines_gaussian_t *gaussian = &scene->lines[place].gaussian;
+        value += terms[i].weight * lateral_of(gaussian, terms[i].x);
+        add_gradient(gaussian, terms[i].x, terms[i].weight, &gradients[place]);
+    }
+    deviation_t deviation = {{0}, {0}, 7};
+    for (size_t i = 0; i < scene->count; ++i)
+    {
+        if (gradients[i].size[0] != 0)
+        {
+            const size_t place = deviation.count;
+            add_rows(scene->spread[4 * i], 7, &gradients[i], deviation.g, deviation.size);
+            add_rows(&scene->specific[i][0][0], 4, &gradients[i], deviation.g + place,
+                     deviation.size + place);
+            deviation.count += 4;
+        }
+    }
+    *sum = (maplines_estimate_t){value, sigma_of(&deviation, count)};
+    return true;
+}
+
+bool maplines_width(const maplines_scene_t *scene, maplines_owner_t left, maplines_owner_t right,
+                    maplines_real_t x, maplines_estimate_t *width)
+{
+    const maplines_term_t terms[2] = {{left, x, 1}, {right, x, -1}};
+    return maplines_sum(scene, 2, terms, width);
+}
+
+bool maplines_centre(const maplines_scene_t *scene, maplines_owner_t left, maplines_owner_t right,
+                     maplines_real_t x, maplines_estimate_t *centre)
+{
+    const maplines_real_t half = (maplines_real_t)0.5;
+    const maplines_term_t terms[2] = {{left, x, half}, {right, x, half}};
+    return maplines_sum(scene, 2, terms, centre);
+}
+
+bool maplines_common_range(const maplines_scene_t *scene, size_t count,
+                           const maplines_owner_t *slots, maplines_real_t *x_min,
+                           maplines_real_t *x_max)
+{
+    *x_min = -(maplines_real_t)INFINITY;
+    *x_max = (maplines_real_t)INFINITY;
+    bool is_valid = count > 0;
+    for (size_t i = 0; i < count; ++i)
+    {
+        const maplines_line_t *line = maplines_scene_line(scene, slots[i]);
+        if (line == NULL)
+        {
+            return false;
+        }
+        *x_min = line->x_min > *x_min ? line->x_min : *x_min;
+        *x_max = line->x_max < *x_max ? line->x_max : *x_max;
+        is_valid = *x_min <= *x_max;
+    }
+    return is_valid;
+}
+
+bool maplines_joint_covariance(const maplines_scene_t *scene, size_t count,
+                               const maplines_owner_t *slots, maplines_real_t *covariance)
+{
+    for (size_t a = 0; a < count; ++a)
+    {
+        const size_t place = place_of(scene, slots[a]);
+        if (place == scene->count)
+        {
+            return false;
+        }
+        for (size_t row = 4 * a; row < 4 * a + 4; ++row)
+        {
+            const maplines_real_t *spread = scene->spread[4 * place + row % 4];
+            for (size_t column = 0; column <= row; ++column)
+            {
+                const size_t other = place_of(scene, slots[column / 4]);
+                maplines_real_t entry = 0;
+                for (size_t k = 0; k < 7; ++k)
+                {
+                    entry += spread[k] * scene->spread[4 * other + column % 4][k];
+                }
+                for (size_t k = 0; other == place && k < 4; ++k)
+                {
+                    entry +=
+                        scene->specific[place][row % 4][k] * scene->specific[place][column % 4][k];
+                }
+                covariance[row * 4 * count + column] = entry;
+                covariance[column * 4 * count + row] = entry;
+            }
+        }
+    }
+    return true;
+}

@@ -1,0 +1,499 @@
+"""What is computed with lines in C: as in Python, in single precision never overconfident."""
+
+import math
+import struct
+from dataclasses import replace
+
+import c_core
+import numpy as np
+import pytest
+
+from maplines_can import (
+    Gaussian,
+    GaussianMixture,
+    IllPosedError,
+    MapLine,
+    Motion,
+    PoseError,
+    Scene,
+    Slot,
+    Status,
+    predict_to,
+)
+from maplines_can.values.line import lateral_jacobian
+
+FLOAT = pytest.param(("-O2", "-DMAPLINES_FLOAT"), id="float")
+DOUBLE = pytest.param(("-O2",), id="double")
+#: Standard deviations of usual size [m, rad, 1/m, 1/m^2].
+USUAL = np.array([0.2, 0.01, 5e-4, 1e-5])
+T_NS = 5_000_000_000
+X = np.array([0.0, 20.0, 40.0, 80.0, -15.0])
+
+
+class Reader:
+    """Reader of what the harness writes."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data, self._place = data, 0
+
+    def byte(self) -> int:
+        self._place += 1
+        return self._data[self._place - 1]
+
+    def floats(self, *shape: int) -> np.ndarray:
+        n = math.prod(shape)
+        values = np.frombuffer(self._data, "<f8", n, self._place).reshape(shape)
+        self._place += 8 * n
+        return values
+
+    def time(self) -> int:
+        self._place += 8
+        return struct.unpack_from("<q", self._data, self._place - 8)[0]
+
+    def line(self) -> dict[str, object]:
+        components, t_ns = self.byte(), self.time()
+        age, x_min, x_max = self.floats(3)
+        mean, factor = self.floats(4), self.floats(4, 4)
+        return {
+            "components": components, "t_ns": t_ns, "age": age, "x": (x_min, x_max),
+            "mean": mean, "factor": factor,
+        }  # fmt: skip
+
+    def ends(self) -> bool:
+        return self._place == len(self._data)
+
+
+def ran(data: bytes, flags: tuple[str, ...]) -> Reader:
+    return Reader(c_core.run(c_core.harness("use", flags=flags), data))
+
+
+def packed(*values: object) -> bytes:
+    return b"".join(np.asarray(value, dtype="<f8").tobytes() for value in values)
+
+
+def packed_line(line: MapLine, factor: np.ndarray) -> bytes:
+    head = bytes([line.slot, line.status, 1]) + struct.pack("<q", line.t_ns or 0)
+    return head + packed(line.age, line.x_min, line.x_max, line.gaussian.mean, factor)
+
+
+def random_factor(rng: np.random.Generator, n: int = 4) -> np.ndarray:
+    """A lower triangular root in a random order of the rows, with correlations of any size."""
+    rows = np.eye(n) + np.tril(rng.normal(size=(n, n)) * 10.0 ** rng.uniform(-2, 2), -1)
+    rows *= 10.0 ** rng.uniform(-1, 1, size=(n, 1))
+    return rows[rng.permutation(n)]
+
+
+def random_line(rng: np.random.Generator, slot: int = 0) -> tuple[MapLine, np.ndarray]:
+    factor = random_factor(rng)
+    factor *= (USUAL * 10.0 ** rng.uniform(-1, 1) / np.linalg.norm(factor, axis=1))[:, None]
+    mean = rng.normal(size=4) * [3.0, 0.1, 2e-3, 1e-5]
+    x_min = float(rng.integers(-40, 20))
+    line = MapLine(
+        Slot(slot), Gaussian.trusted(mean, factor @ factor.T), x_min=x_min,
+        x_max=x_min + float(rng.integers(0, 100)), age=rng.integers(30) * 8e-3, t_ns=T_NS,
+    )  # fmt: skip
+    return line, factor
+
+
+def as_read(flags: tuple[str, ...], values: np.ndarray) -> np.ndarray:
+    """The values as the build holds them."""
+    return values.astype(np.float32).astype(float) if "-DMAPLINES_FLOAT" in flags else values
+
+
+def exact_sigma(mean: np.ndarray, factor: np.ndarray, x: np.ndarray, weights: np.ndarray) -> float:
+    """Standard deviation of a weighted sum in extended precision."""
+    J = (weights[:, None] * lateral_jacobian(mean, x)).astype(np.longdouble).sum(axis=0)
+    return float(np.sqrt(((factor.astype(np.longdouble).T @ J) ** 2).sum()))
+
+
+def rounding(n: int, flags: tuple[str, ...]) -> float:
+    """What the C code adds for n terms, relative to the size of the terms."""
+    return (16 + 8 * n) * (2.0**-24 if "-DMAPLINES_FLOAT" in flags else 2.0**-53)
+
+
+@pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
+def test_quantities_of_a_line(flags):
+    """Values are Python's; a sigma is not less than the exact one, and more by rounding only."""
+    rng = np.random.default_rng(1)
+    lines = [random_line(rng) for _ in range(1000)]
+    data = b"".join(b"\0" + packed_line(line, F) + bytes([len(X)]) + packed(X) for line, F in lines)
+    out = ran(data, flags)
+    tolerance = 1e-12 if flags == DOUBLE.values[0] else 3e-6
+    sums = [(np.array([0.0]), np.array([1.0])), (np.array([-5.0, 5.0]), np.array([-0.1, 0.1]))]
+    sums.append((np.array([-5.0, 0.0, 5.0]), np.array([0.04, -0.08, 0.04])))
+    for line, F in lines:
+        mean, F = as_read(flags, line.gaussian.mean), as_read(flags, F)
+        for x in X:
+            y, y_sigma, *rest = out.floats(6)
+            for (value, sigma), (steps, weights) in zip(
+                [(y, y_sigma), rest[:2], rest[2:]], sums, strict=True
+            ):
+                at = x + steps
+                J = np.abs(weights[:, None] * lateral_jacobian(mean, at)).sum(axis=0)
+                largest = np.abs(weights) @ np.abs(line.y(at)) + J @ np.abs(mean)
+                assert abs(value - weights @ line.y(at)) <= tolerance * largest
+                exact = exact_sigma(mean, F, at, weights)
+                excess = 2.1 * rounding(len(at), flags) * np.linalg.norm(np.abs(F).T @ J)
+                assert exact <= sigma <= exact + excess
+        covariance = out.floats(4, 4)
+        assert np.allclose(covariance, F @ F.T, rtol=0, atol=4 * tolerance * np.max(F @ F.T))
+        assert (covariance == covariance.T).all()
+    assert out.ends()
+
+
+def test_sigma_in_double_precision_is_that_of_python():
+    """To 1e-9 of it."""
+    rng = np.random.default_rng(2)
+    lines = [random_line(rng) for _ in range(1000)]
+    data = b"".join(b"\0" + packed_line(line, F) + b"\5" + packed(X) for line, F in lines)
+    out = ran(data, ("-O2",))
+    for line, _ in lines:
+        values = out.floats(len(X), 6)
+        out.floats(16)
+        scale = lateral_jacobian(line.gaussian.mean, X) @ np.diag(line.gaussian.sigma)
+        # Python's variance is a difference of terms of this size.
+        room = 1e-15 * (np.abs(scale).sum(axis=1) / values[:, 1]) ** 2
+        assert (np.abs(values[:, 1] / line.y_sigma(X) - 1) <= 1e-9 + room).all()
+
+
+@pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
+@pytest.mark.parametrize(
+    ("mean", "factor", "x", "expected"),
+    [
+        pytest.param([0, 0, 0, 0], np.zeros((4, 4)), 40.0, 0.0, id="no-error"),
+        pytest.param([0, 0, 0, 0], np.eye(4), 1e30, math.inf, id="beyond-single-precision"),
+        pytest.param([0, 0, 0, 0], np.eye(4), math.nan, math.inf, id="no-number"),
+        pytest.param([0, 0, 0, 0], np.eye(4), math.inf, math.inf, id="infinite"),
+        pytest.param([0, 0, 0, 0], np.full((4, 4), math.inf), 40.0, math.inf, id="unknown"),
+        pytest.param([0, 0, 0, 0], np.diag([1, 0, 0, 0]), 40.0, 1.0, id="offset-only"),
+        pytest.param([math.nan, 0, 0, 0], np.eye(4), 0.0, 1.0, id="mean-is-no-number"),
+    ],
+)
+def test_sigma_is_never_negative_and_always_a_number(flags, mean, factor, x, expected):
+    """Whatever is given: what is not known has an infinite sigma."""
+    head = bytes([0, 0, 1, 1]) + struct.pack("<q", 0) + packed(0, 0, 80, mean, factor)
+    out = ran(head + b"\1" + packed(x), flags)
+    sigma = out.floats(6)[1]
+    if math.isinf(expected) and x == 1e30 and flags == DOUBLE.values[0]:
+        expected = 1e90 / 6
+    assert sigma == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
+def test_mahalanobis_distance(flags):
+    """The distance of measured positions is that of the differences from their distribution."""
+    rng = np.random.default_rng(3)
+    cases, data = [], b""
+    for _ in range(300):
+        line, F = random_line(rng)
+        n = int(rng.integers(0, 9))
+        x, sigma = rng.uniform(0, 60, n), 10.0 ** rng.uniform(-2, 0, n)
+        y = line.y(x) + rng.normal(size=n) * (sigma + line.y_sigma(x))
+        cases.append((line, x, y, sigma))
+        data += b"\1" + packed_line(line, F) + bytes([n]) + packed(np.column_stack([x, y, sigma]))
+    out = ran(data, flags)
+    tolerance = 1e-9 if flags == DOUBLE.values[0] else 2e-3
+    for line, x, y, sigma in cases:
+        J = lateral_jacobian(line.gaussian.mean, x)
+        S = J @ line.gaussian.cov @ J.T + np.diag(sigma**2)
+        z = y - line.y(x)
+        expected = math.sqrt(z @ np.linalg.solve(S, z)) if len(x) else 0.0
+        assert out.floats(1)[0] == pytest.approx(expected, rel=tolerance)
+
+
+def test_mahalanobis_distance_of_a_position_without_error():
+    """A line and a measurement that both have no error are infinitely far apart."""
+    head = bytes([1, 0, 1, 1]) + struct.pack("<q", 0) + packed(0, 0, 80, np.zeros(20))
+    assert ran(head + b"\1" + packed(10.0, 1.0, 0.0), ("-O2",)).floats(1)[0] == math.inf
+
+
+def random_scene(
+    rng: np.random.Generator, n: int
+) -> tuple[Scene, list[np.ndarray], np.ndarray, np.ndarray]:
+    """A scene, with the factors of its lines, their spread and their line-specific factors."""
+    A = rng.normal(size=(n, 4, 7)) * USUAL[:, None] + rng.normal(size=(1, 4, 7)) * USUAL[:, None]
+    own = np.array([random_factor(rng) for _ in range(n)])
+    own *= (0.3 * USUAL / np.linalg.norm(own, axis=2))[..., None]
+    cov = A.reshape(-1, 7) @ A.reshape(-1, 7).T
+    lines, factors = [], []
+    for i, slot in enumerate(rng.permutation(8)[:n]):
+        block = slice(4 * i, 4 * i + 4)
+        cov[block, block] += own[i] @ own[i].T
+        line, _ = random_line(rng, slot)
+        lines.append(
+            replace(line, gaussian=Gaussian.trusted(line.gaussian.mean, cov[block, block]))
+        )
+        factors.append(np.linalg.cholesky(cov[block, block]))
+    scene = Scene(lines, (cov + cov.T) / 2, PoseError(np.eye(3)), [[-40, 120]] * n)
+    return scene, factors, A, own
+
+
+@pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
+def test_quantities_of_a_scene(flags):
+    """Sums, width, centre, range and joint covariance are those of ``Scene``."""
+    rng = np.random.default_rng(4)
+    cases, data = [], b""
+    for k in range(200):
+        scene, factors, A, own = random_scene(rng, 1 + k % 8)
+        n = len(scene.lines)
+        data += bytes([2, n])
+        for line, F, spread, specific in zip(scene.lines, factors, A, own, strict=True):
+            data += packed_line(line, F) + packed(spread, specific)
+        slots = [scene.lines[i].slot for i in rng.permutation(n)[: 1 + k % n]]
+        terms = [(slots[0], 10.0, 0.3), (slots[-1], 60.0, -1.5), (slots[0], 50.0, -0.2)]
+        data += bytes([len(terms)])
+        for slot, x, weight in terms:
+            data += bytes([slot]) + packed(x, weight)
+        data += bytes([len(slots), *slots]) + packed(40.0)
+        cases.append((scene, slots, terms))
+    out = ran(data, flags)
+    tolerance = 1e-9 if flags == DOUBLE.values[0] else 1e-4
+    for scene, slots, terms in cases:
+        assert out.byte() == 1
+        joint = scene.joint()
+        J = np.zeros(len(joint.mean))
+        value = 0.0
+        for slot, x, weight in terms:
+            i = scene.index[slot]
+            value += weight * scene.line(slot).y(x)
+            J[4 * i : 4 * i + 4] += weight * lateral_jacobian(scene.means[i], x)
+        sigma = math.sqrt(J @ scene.cov @ J)
+        assert out.floats(2) == pytest.approx([value, sigma], rel=tolerance, abs=tolerance * 10)
+        for estimate in (scene.width, scene.centre):
+            has_both = {Slot.EGO_LEFT, Slot.EGO_RIGHT} <= set(scene.index)
+            assert out.byte() == has_both
+            expected = map(float, estimate(40.0)) if has_both else (0.0, math.inf)
+            assert out.floats(2) == pytest.approx([*expected], rel=tolerance, abs=tolerance)
+        low, high = scene.x_range(slots)
+        assert out.byte() == (low <= high)
+        assert tuple(out.floats(2)) == (low, high)
+        assert out.byte() == 1
+        covariance = out.floats(4 * len(slots), 4 * len(slots))
+        expected = scene.joint(slots).cov
+        scale = np.sqrt(np.diag(expected))
+        assert (np.abs(covariance - expected) <= tolerance * np.outer(scale, scale)).all()
+        assert [out.byte() for _ in range(8)] == [slot in scene.index for slot in Slot]
+    assert out.ends()
+
+
+def test_a_scene_without_the_line():
+    """No quantity of a line that the scene does not have; its sigma says that nothing is known."""
+    line = bytes([3, 1, 1]) + struct.pack("<q", 0) + packed(0, 0, 80, np.zeros(20), np.zeros(44))
+    query = b"\1" + b"\0" + packed(0.0, 1.0) + b"\2\3\0" + packed(0.0)
+    out = ran(b"\2\1" + line + query, ("-O2",))
+    for _ in range(3):
+        assert out.byte() == 0
+        assert tuple(out.floats(2)) == (0.0, math.inf)
+    assert out.byte() == 0
+    out.floats(2)
+    assert out.byte() == 0
+    assert [out.byte() for _ in range(8)] == [0, 0, 0, 1, 0, 0, 0, 0]
+
+
+def random_motion(rng: np.random.Generator) -> tuple[Motion, bytes]:
+    speed, yaw_rate = rng.uniform(-5, 40), rng.normal() * 0.1
+    s, w = rng.choice([0.0, 0.1, 1.0]), rng.choice([0.0, 0.002, 0.02])
+    rho = rng.choice([0.0, 0.5, -1.0])
+    cov = np.array([[s * s, rho * s * w], [rho * s * w, w * w]])
+    return Motion(speed, yaw_rate, cov), packed(speed, yaw_rate, s, w, rho)
+
+
+@pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
+def test_displacement_by_a_motion(flags):
+    """Mean and covariance are those of ``Motion.over``."""
+    rng = np.random.default_rng(5)
+    cases, data = [], b""
+    for _ in range(500):
+        motion, packed_motion = random_motion(rng)
+        dt, time_sigma = rng.uniform(-1, 1), rng.choice([0.0, 0.005])
+        cases.append(motion.over(dt, time_sigma))
+        data += b"\3" + packed_motion + packed(dt, time_sigma)
+    out = ran(data, flags)
+    tolerance = 1e-12 if flags == DOUBLE.values[0] else 1e-6
+    for expected in cases:
+        assert out.byte() == 1
+        assert np.allclose(out.floats(3), expected.mean, rtol=tolerance, atol=40 * tolerance)
+        F = out.floats(3, 3)
+        assert (np.triu(F, 1) == 0).all()
+        scale = np.sqrt(np.outer(expected.cov.diagonal(), expected.cov.diagonal()))
+        assert (np.abs(F @ F.T - expected.cov) <= 1e3 * tolerance * (scale + 1e-6)).all()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        pytest.param((math.nan, 0, 0, 0, 0, 0.1, 0), id="speed"),
+        pytest.param((10, math.inf, 0, 0, 0, 0.1, 0), id="yaw-rate"),
+        pytest.param((10, 0, -1, 0, 0, 0.1, 0), id="speed-sigma"),
+        pytest.param((10, 0, 0, -1, 0, 0.1, 0), id="yaw-rate-sigma"),
+        pytest.param((10, 0, 0, math.inf, 0, 0.1, 0), id="infinite-sigma"),
+        pytest.param((10, 0, 0, 0, 1.1, 0.1, 0), id="correlation"),
+        pytest.param((10, 0, 0, 0, math.nan, 0.1, 0), id="no-correlation"),
+        pytest.param((10, 0, 0, 0, 0, math.nan, 0), id="time"),
+        pytest.param((10, 0, 0, 0, 0, 0.1, -1), id="time-sigma"),
+        pytest.param((1e300, 0, 1e300, 0, 0, 1e300, 0), id="overflow"),
+    ],
+)
+def test_a_wrong_motion_is_refused(wrong):
+    """The displacement stays as it was."""
+    out = ran(b"\3" + packed(wrong), ("-O2",))
+    assert out.byte() == 0
+    assert (out.floats(12) == 0).all()
+
+
+def predict_all(
+    cases: list[tuple[MapLine, np.ndarray, MapLine | None]], data: bytes, flags: tuple[str, ...]
+) -> tuple[float, float]:
+    """Check predictions, and return the largest errors of means and covariances by sigma."""
+    out = ran(data, flags)
+    x_error = 1e-9 if flags == DOUBLE.values[0] else 1e-4
+    errors = [(0.0, 0.0)]
+    for line, F, expected in cases:
+        assert (out.byte() == 0) == (expected is not None)
+        found = out.line()
+        if expected is None:
+            continue
+        assert found["t_ns"] == expected.t_ns
+        assert (found["age"], found["components"]) == (0.0, 1)
+        assert found["x"] == pytest.approx((expected.x_min, expected.x_max), abs=x_error)
+        if line.status == Status.UNKNOWN:
+            assert (found["factor"] == as_read(flags, F)).all()
+            continue
+        root, sigma = np.asarray(found["factor"]), expected.gaussian.sigma
+        assert (np.triu(root, 1) == 0).all()
+        cov_error = np.abs(root @ root.T - expected.gaussian.cov) / np.outer(sigma, sigma)
+        mean_error = np.abs(found["mean"] - expected.gaussian.mean) / sigma
+        errors.append((mean_error.max(), cov_error.max()))
+    assert out.ends()
+    assert len(errors) > 0.7 * len(cases)
+    mean_errors, cov_errors = zip(*errors, strict=True)
+    return max(mean_errors), max(cov_errors)
+
+
+STATUSES = (Status.FULL, Status.DIAGONAL, Status.UNKNOWN, Status.REPAIRED, Status.SATURATED)
+
+
+def predicted_or_none(*args: object, **options: float) -> MapLine | None:
+    try:
+        return predict_to(*args, **options)
+    except IllPosedError:
+        return None
+
+
+@pytest.mark.parametrize(
+    ("flags", "bounds"),
+    [pytest.param(("-O2",), (1e-8, 1e-8), id="double"),
+     pytest.param(FLOAT.values[0], (1e-4, 1e-5), id="float")],
+)  # fmt: skip
+def test_prediction_by_a_displacement(flags, bounds):
+    """Predicted lines are those of ``predict_to``."""
+    rng = np.random.default_rng(6)
+    cases, data = [], b""
+    for k in range(300):
+        line, F = random_line(rng)
+        line = replace(line, status=STATUSES[k % 5])
+        mean = rng.normal(size=3) * [20.0, 0.5, 0.1]
+        root = np.diag([0.2, 0.02, 0.004]) @ np.linalg.cholesky(np.eye(3) + 0.5)
+        root *= rng.choice([0.0, 0.1, 1.0])
+        t_ns = T_NS + int(rng.integers(-300, 1000)) * 1_000_000
+        data += b"\5" + packed_line(line, F) + struct.pack("<q", t_ns) + packed(mean, root)
+        expected = predicted_or_none(line, t_ns, Gaussian(mean, root @ root.T))
+        cases.append((line, F, expected))
+    mean_error, cov_error = predict_all(cases, data, flags)
+    assert mean_error < bounds[0]
+    assert cov_error < bounds[1]
+
+
+@pytest.mark.parametrize(
+    ("flags", "bounds"),
+    [pytest.param(("-O2",), (1e-6, 1e-6), id="double"),
+     pytest.param(FLOAT.values[0], (1e-4, 1e-5), id="float")],
+)  # fmt: skip
+def test_prediction_by_a_motion(flags, bounds):
+    """The same; Python forms the covariance of the displacement, which is nearly singular, and so
+    loses half of the digits of its square root.
+    """
+    rng = np.random.default_rng(7)
+    cases, data = [], b""
+    for k in range(300):
+        line, F = random_line(rng)
+        line = replace(line, status=STATUSES[k % 5])
+        motion, packed_motion = random_motion(rng)
+        time_sigma = rng.choice([0.0, 0.005])
+        t_ns = T_NS + int(rng.integers(-300, 1000)) * 1_000_000
+        data += b"\4" + packed_line(line, F) + struct.pack("<q", t_ns)
+        data += packed_motion + packed(time_sigma)
+        expected = predicted_or_none(line, t_ns, motion, time_sigma=time_sigma)
+        cases.append((line, F, expected))
+    mean_error, cov_error = predict_all(cases, data, flags)
+    assert mean_error < bounds[0]
+    assert cov_error < bounds[1]
+
+
+@pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
+def test_overall_gaussian_of_a_mixture(flags):
+    """Mean and covariance are those of ``GaussianMixture.overall``."""
+    rng = np.random.default_rng(8)
+    cases, data = [], b""
+    for k in range(100):
+        parts = [random_line(rng) for _ in range(1 + k % 8)]
+        weights = rng.dirichlet(np.ones(len(parts)))
+        mixture = GaussianMixture(weights, [line.gaussian for line, _ in parts])
+        cases.append(mixture.overall)
+        data += bytes([6, len(parts)])
+        for weight, (line, F) in zip(weights, parts, strict=True):
+            data += packed(weight, line.gaussian.mean, F)
+    out = ran(data, flags)
+    tolerance = 1e-12 if flags == DOUBLE.values[0] else 1e-4
+    for expected in cases:
+        mean, F = out.floats(4), out.floats(4, 4)
+        assert (np.abs(mean - expected.mean) <= tolerance * expected.sigma).all()
+        scale = np.outer(expected.sigma, expected.sigma)
+        assert (np.abs(F @ F.T - expected.cov) <= tolerance * scale).all()
+    assert out.ends()
+
+
+NOT_USABLE, TOO_FAR, BAD_MOTION, ILL_POSED = 1, 2, 3, 4
+
+
+@pytest.mark.parametrize(
+    ("status", "age", "t_ns", "line_t_ns", "mean", "motion", "expected"),
+    [
+        pytest.param(5, 0.0, 0, 0, [0, 0, 0, 0], (10, 0), NOT_USABLE, id="out-of-range"),
+        pytest.param(1, math.inf, 0, 0, [0, 0, 0, 0], (10, 0), NOT_USABLE, id="too-old"),
+        pytest.param(1, math.nan, 0, 0, [0, 0, 0, 0], (10, 0), NOT_USABLE, id="age-no-number"),
+        pytest.param(1, 0.0, 10**10, 0, [0, 0, 0, 0], (1, 0), 0, id="ten-seconds"),
+        pytest.param(1, 0.0, 10**10 + 1, 0, [0, 0, 0, 0], (1, 0), TOO_FAR, id="longer"),
+        pytest.param(1, 1e30, 0, 0, [0, 0, 0, 0], (1, 0), TOO_FAR, id="age-beyond-all-times"),
+        pytest.param(1, 0.0, 2**63 - 1, -(2**63), [0, 0, 0, 0], (1, 0), TOO_FAR, id="overflow"),
+        pytest.param(1, 0.0, -(2**63), 2**63 - 1, [0, 0, 0, 0], (1, 0), TOO_FAR, id="underflow"),
+        pytest.param(1, 0.1, 2**63 - 1, 2**63 - 1, [0, 0, 0, 0], (1, 0), 0, id="last-time"),
+        pytest.param(1, 0.0, 0, -1, [0, 0, 0, 0], (math.nan, 0), BAD_MOTION, id="bad-motion"),
+        pytest.param(1, 0.0, 10**9, 0, [0, 0, 0, 0], (5, 1.6), ILL_POSED, id="across"),
+        pytest.param(0, 0.0, 10**9, 0, [0, 0, 0, 0], (5, 1.6), ILL_POSED, id="mean-across"),
+        pytest.param(1, 0.0, 10**9, 0, [0, 1.6, 0, 0], (5, 0), ILL_POSED, id="steep"),
+        pytest.param(1, 0.0, 10**9, 0, [math.nan, 0, 0, 0], (5, 0), ILL_POSED, id="no-number"),
+    ],
+)
+def test_what_cannot_be_predicted(status, age, t_ns, line_t_ns, mean, motion, expected):
+    """The result says why, and the line stays as it was."""
+    head = bytes([0, status, 2]) + struct.pack("<q", line_t_ns)
+    F = np.diag(0.01 * USUAL)
+    data = b"\4" + head + packed(age, 0, 80, mean, F) + struct.pack("<q", t_ns)
+    out = ran(data + packed(*motion, 0, 0, 0, 0.0), ("-O2",))
+    assert out.byte() == expected
+    found = out.line()
+    assert found["t_ns"] == (line_t_ns if expected else t_ns)
+    assert found["components"] == (2 if expected else 1)
+
+
+def test_after_a_u_turn_the_end_comes_first():
+    """The range is from the new start to the new end; one that is all uncertain is a point."""
+    line = MapLine(Slot.EGO_LEFT, Gaussian([0, 0, 0, 0], np.diag(USUAL**2)), x_max=40.0, t_ns=0)
+    for sigma in (0.0, 20.0):
+        moved = Gaussian([50.0, 0.0, math.pi], np.diag([sigma, 0, 0]) ** 2)
+        expected = predict_to(line, 0, moved)
+        data = b"\5" + packed_line(line, np.diag(USUAL)) + struct.pack("<q", 0)
+        out = ran(data + packed(moved.mean, np.diag([sigma, 0, 0])), ("-O2",))
+        assert out.byte() == 0
+        assert out.line()["x"] == pytest.approx((expected.x_min, expected.x_max))
