@@ -33,6 +33,7 @@ COMMANDS = {
     "drive": ("drive", "drive on a map, and send or record the lines around the car"),
     "consume": ("consume", "use received lines as a car does: fuse, steer, check"),
     "scenarios": ("scenarios", "list the scenarios that can be sent"),
+    "generate": ("generate", "generate C for an ECU from a DBC, and vectors for its test"),
     "design": ("design", "design a DBC for a number of frames or a limit on the error"),
     "accuracy": ("accuracy", "compare the received lines of a drive with the truth"),
     "claims": ("claims", "compare each representation of a line with Monte Carlo samples"),

@@ -173,7 +173,7 @@ def codec_from(path: str | None, authenticator: Authenticator | None = None) -> 
     """
     if path is None:
         return Codec.from_dbc(None, authenticator)
-    layout = _layout_from(path)
+    layout = layout_from(path)
     if layout.covariance_code in CODES:
         return Codec(layout, authenticator)
     from ..study.codes import CODES as STUDY_CODES
@@ -181,8 +181,12 @@ def codec_from(path: str | None, authenticator: Authenticator | None = None) -> 
     return Codec(layout, authenticator, STUDY_CODES)
 
 
-def _layout_from(path: str) -> Layout:
-    """Return the layout of a file, or of a DBC of the package or of its study by its name."""
+def layout_from(path: str) -> Layout:
+    """Return the layout of a file, or of a DBC of the package or of its study by its name.
+
+    Raises:
+        LayoutError: see ``Layout.from_dbc``.
+    """
     if Path(path).exists():
         return Layout.from_dbc(path)
     if path in SHIPPED:

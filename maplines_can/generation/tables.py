@@ -13,7 +13,7 @@ from ..values.line import Slot
 from ..wire.covariance import CholeskyCode
 from ..wire.layout.message_layout import PAGE, POSE_CONDITIONAL, TRANSFER_ID, Layout
 from ..wire.layout.pose_layout import POSE, Owner, PoseLayout
-from ..wire.layout.record_layout import RecordLayout
+from ..wire.layout.record_layout import RecordLayout, bits_of
 from ..wire.layout.signals import (
     FINE_SIGNALS,
     OCTAVE,
@@ -87,6 +87,8 @@ def check(layout: Layout) -> None:
             )
         _check_bits(record, f"{TRANSFER_ID}0", MAX_LIMITS.transfer_ids.bit_length() - 1)
         _check_bits(record, "Counter", MAX_COUNTER_BITS)
+        if len({bit // (8 * PAGE_BYTES) for bit in bits_of(record["Counter"])}) > 1:
+            raise record.error(record["Counter"], "to be within a page to have C", "move it")
     if not layout.is_conditional:
         _check_bits(layout, "ComponentCount", MAX_LIMITS.components.bit_length() - 1)
 

@@ -23,6 +23,7 @@ CASES = [
     ("accuracy truth.csv log.blf --plot own.png", "own.png"),
     ("design --frames 4 --n 100 --set road --out own.dbc", "own.dbc"),
     ("design --frames 4 --n 100 --set road --out own.dbc", "own.md"),
+    ("generate c", "CMakeLists.txt"),
     ("figures --samples 1000 --out figures", "figures/figure-06-close-up.svg"),
     ("study report sweep --out own.html", "own.html"),
 ]
@@ -64,7 +65,8 @@ def test_force_replaces_it(
 
 @pytest.mark.parametrize(
     "words",
-    [[name] for name in COMMANDS if name != "consume"]
+    [[name] for name in COMMANDS if name not in ("consume", "generate")]
+    + [["generate", "c"]]
     + [["study", name] for name in STUDY_COMMANDS],
 )
 def test_each_command_that_writes_has_force(words: list[str]) -> None:

@@ -1,0 +1,172 @@
+"""The C core as files for an ECU: header, source, tables of DBCs, and a build."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+
+from ..values.errors import LayoutError
+from ..wire.layout.message_layout import Layout
+from .tables import Limits, limits_of, tables_of
+
+#: A section of internal.h that declares what a source defines: its title gives the order.
+_SECTION = re.compile(r"^/\* -+ (\w+\.c)\b", re.MULTILINE)
+_LOCAL_INCLUDE = re.compile(r'^#include "(\w+\.h)"\n', re.MULTILINE)
+_SYSTEM_INCLUDE = re.compile(r"^#include <\w+\.h>\n", re.MULTILINE)
+#: Where the sources of the header are edited by section.
+_MARKER = re.compile(r"^/\* \w+: (?:begin|end) \*/\n", re.MULTILINE)
+_GUARD = re.compile(r"^#ifndef (\w+_H)\n#define \1\n(.*)^#endif\n\Z", re.MULTILINE | re.DOTALL)
+
+
+def c_files(dbcs: Mapping[str, Layout]) -> dict[str, str]:
+    """Return the files of the C core for one or more DBCs, by their names.
+
+    They depend on nothing but the DBCs and the version of this package.
+
+    Args:
+        dbcs: layouts by the start of the names of their tables, a C identifier.
+
+    Raises:
+        LayoutError: a DBC has no C, or a name is not an identifier; the message has the cure.
+    """
+    for name in dbcs:
+        check_name(name)
+    limits = limits_of(list(dbcs.values()))
+    files = {"maplines.h": header(limits), "maplines.c": source()}
+    for name, layout in dbcs.items():
+        tables = tables_of(layout, name)
+        files |= {f"{name}_dbc.h": tables.header, f"{name}_dbc.c": tables.source}
+    return files | {"CMakeLists.txt": cmake(list(dbcs))}
+
+
+def check_name(name: str) -> None:
+    """Check the start of the names of tables.
+
+    Raises:
+        LayoutError: it is not an identifier of C, begins with an underscore, or is long.
+    """
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,39}", name):
+        raise LayoutError(
+            f"the name of tables must be a C identifier of at most 40 characters that begins with "
+            f"a letter, got {name!r}"
+        )
+
+
+def core_folder() -> Path:
+    """Return the folder of the C core: in the installed package, or the checkout.
+
+    Raises:
+        FileNotFoundError: it is in neither place.
+    """
+    packaged = Path(str(resources.files(__package__.partition(".")[0]))) / "c"
+    checkout = Path(__file__).parents[2] / "c"
+    for folder in (packaged, checkout):
+        if (folder / "src").is_dir():
+            return folder
+    raise FileNotFoundError(f"the C core is neither at {packaged} nor at {checkout}; reinstall")
+
+
+def header(limits: Limits) -> str:
+    """Return ``maplines.h`` with limits; a program may still define larger ones."""
+    text = _text("include/maplines.h")
+    for macro, value in limits.macros.items():
+        text = re.sub(rf"(?<=#define {macro} )\d+", str(value), text)
+    return _MARKER.sub("", text)
+
+
+def source() -> str:
+    """Return ``maplines.c``: all sources in one, where what the header does not name is static."""
+    found = {path.name for path in (core_folder() / "src").glob("*.c")}
+    order = [name for name in _SECTION.findall(_text("src/internal.h")) if name in found]
+    sources = {name: _text(f"src/{name}") for name in [*order, *sorted(found.difference(order))]}
+    headers: dict[str, str] = {}
+    for text in sources.values():
+        _add_headers(text, headers)
+    parts = [*headers.values(), *(_title(name) + text for name, text in sources.items())]
+    body = "\n".join(_LOCAL_INCLUDE.sub("", part).strip("\n") + "\n" for part in parts)
+    return "".join(
+        (
+            "/* The C core of maplines in one file; maplines.h is its manual. */\n",
+            '#include "maplines.h"\n\n',
+            *sorted(set(_SYSTEM_INCLUDE.findall(body))),
+            "\n#define MAPLINES_INTERNAL static\n\n",
+            re.sub(r"\n{3,}", "\n\n", _SYSTEM_INCLUDE.sub("", body)),
+        )
+    )
+
+
+def _add_headers(text: str, headers: dict[str, str]) -> None:
+    """Add the internal headers that a source includes, each after those that it includes."""
+    for name in _LOCAL_INCLUDE.findall(text):
+        if name != "maplines.h" and name not in headers:
+            inner = _GUARD.sub(r"\2", _text(f"src/{name}"))
+            _add_headers(inner, headers)
+            headers[name] = inner
+
+
+def _title(name: str) -> str:
+    return f"/* ==== {name} {'=' * (88 - len(name))} */\n\n"
+
+
+def cmake(names: list[str]) -> str:
+    """Return ``CMakeLists.txt`` of a static library with the tables of these names."""
+    sources = ["maplines.c", *(f"{name}_dbc.c" for name in names)]
+    headers = ["maplines.h", *(f"{name}_dbc.h" for name in names)]
+    version = re.findall(r'#define MAPLINES_VERSION "(.+)"', _text("include/maplines.h"))[0]
+    return CMAKE.format(version=version, sources=" ".join(sources), headers=" ".join(headers))
+
+
+def _text(name: str) -> str:
+    return (core_folder() / name).read_text(encoding="utf-8")
+
+
+CMAKE = """\
+# The library maplines: in a project of yours, add_subdirectory() and link maplines::maplines.
+# Installed, find_package(maplines) and pkg-config find it.
+cmake_minimum_required(VERSION 3.13)
+project(maplines VERSION {version} LANGUAGES C)
+include(GNUInstallDirs)
+
+option(MAPLINES_FLOAT "A receiver computes with float instead of double" OFF)
+
+add_library(maplines STATIC {sources})
+add_library(maplines::maplines ALIAS maplines)
+target_include_directories(
+  maplines PUBLIC $<BUILD_INTERFACE:${{CMAKE_CURRENT_SOURCE_DIR}}>
+                  $<INSTALL_INTERFACE:${{CMAKE_INSTALL_INCLUDEDIR}}>)
+set_target_properties(
+  maplines PROPERTIES C_STANDARD 99 C_STANDARD_REQUIRED ON C_EXTENSIONS OFF
+                      POSITION_INDEPENDENT_CODE ON)
+# A fused multiplication would give other bits than the Python package.
+target_compile_options(
+  maplines PRIVATE $<$<OR:$<C_COMPILER_ID:GNU>,$<C_COMPILER_ID:Clang>>:-ffp-contract=off>)
+set(MAPLINES_CFLAGS "")
+if(MAPLINES_FLOAT)
+  target_compile_definitions(maplines PUBLIC MAPLINES_FLOAT)
+  set(MAPLINES_CFLAGS "-DMAPLINES_FLOAT")
+endif()
+if(NOT MSVC)
+  target_link_libraries(maplines PUBLIC m)
+endif()
+
+install(TARGETS maplines EXPORT maplines ARCHIVE DESTINATION ${{CMAKE_INSTALL_LIBDIR}})
+install(FILES {headers} DESTINATION ${{CMAKE_INSTALL_INCLUDEDIR}})
+install(
+  EXPORT maplines
+  NAMESPACE maplines::
+  FILE maplinesConfig.cmake
+  DESTINATION ${{CMAKE_INSTALL_LIBDIR}}/cmake/maplines)
+file(
+  WRITE ${{CMAKE_CURRENT_BINARY_DIR}}/maplines.pc
+  "prefix=${{CMAKE_INSTALL_PREFIX}}
+Name: maplines
+Description: The lines of a digital map on a CAN bus, with their uncertainty
+Version: ${{PROJECT_VERSION}}
+Cflags: -I\\${{prefix}}/${{CMAKE_INSTALL_INCLUDEDIR}} ${{MAPLINES_CFLAGS}}
+Libs: -L\\${{prefix}}/${{CMAKE_INSTALL_LIBDIR}} -lmaplines -lm
+")
+install(FILES ${{CMAKE_CURRENT_BINARY_DIR}}/maplines.pc
+        DESTINATION ${{CMAKE_INSTALL_LIBDIR}}/pkgconfig)
+"""
