@@ -138,6 +138,23 @@ def lower_solution(L: Array, B: Array) -> Array:
     return rest
 
 
+def upper_solution(L: Array, B: Array) -> Array:
+    """Return the (..., n, m) solutions of L^T X = B for lower triangular (..., n, n) matrices.
+
+    >>> upper_solution(np.array([[2.0, 0.0], [1.0, 2.0]]), np.array([[3.0], [2.0]]))
+    array([[1.],
+           [1.]])
+    """
+    n = L.shape[-1]
+    shape = np.broadcast_shapes(L.shape[:-2], B.shape[:-2])
+    rest = np.array(np.broadcast_to(B, (*shape, *B.shape[-2:])))
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        for i in reversed(range(n)):
+            rest[..., i, :] /= L[..., i, i, None]
+            rest[..., :i, :] -= L[..., i, :i, None] * rest[..., i, None, :]
+    return rest
+
+
 def inverse(A: Array) -> Array:
     """Return the (..., n, n) inverses by Gauss and Jordan's elimination with partial pivoting.
 

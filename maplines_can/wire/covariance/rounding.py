@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...values.fixed_order import congruence, inverse, lower_solution, product
 from ..layout.signals import Signal
 from .code import Array
+from .joint import factor_or_identity
 
 #: Order in which the parameters of a mean are rounded: C1, C0, YOff, Beta.
 ORDER = (3, 2, 0, 1)
@@ -40,41 +42,51 @@ def split(
     return steps if signal.factor > 0 else -steps, rest + fine.raw_min
 
 
-def rounded_means(
-    signals: Sequence[Signal], means: Array, own: Array, J: Array, resolution: float
-) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.bool_]]:
-    """Return the (L,) raw values of means by signal, and which lines fit.
+def rounding_factor(own: Array, J: Array, resolution: float) -> Array:
+    """Return the (L, 4, 4) Cholesky factors of what rounding errors are to be like, in ``ORDER``.
 
-    Each parameter is rounded to its conditional mean given the errors of those before it, so the
-    error of the lateral position is small all over the range, whatever the steps are. It is the
-    smallest where the line-specific covariance is the least: the covariance must cover the error,
-    which would enlarge it most there.
+    An error is to be small where the line-specific covariance is the least: the covariance must
+    cover the error, which would enlarge it most there. In metres, eigenvalues x of D_i are limited
+    to x / (1 + x / LARGEST^2). If no factor exists, the parameters are rounded independently.
 
     Args:
-        signals: of y_off, beta, c0 and c1.
-        means: (L, 4) lines.
         own: (L, 4, 4) line-specific covariances, positive semidefinite.
         J: (L, 4, 4) derivatives of ``seen_lines.bases``.
         resolution: standard deviation of the coefficients of J in addition [m].
     """
-    inverse = np.linalg.inv(J)
-    in_metres = inverse @ own @ inverse.swapaxes(1, 2)
-    values, vectors = np.linalg.eigh((in_metres + in_metres.swapaxes(1, 2)) / 2)
-    values = values.clip(0)
-    size = values / (1 + values / LARGEST**2) + resolution**2
-    root = J @ (vectors * np.sqrt(size)[:, None, :])
-    cov = root @ root.swapaxes(1, 2)
-    L = np.linalg.cholesky(cov[:, ORDER][:, :, ORDER])
+    identity, largest = np.eye(4), LARGEST**2
+    in_metres = congruence(inverse(J), own)
+    root = lower_solution(factor_or_identity(identity + in_metres / largest), identity)
+    limited = (largest + resolution**2) * identity - largest * product(root.mT, root)
+    cov = congruence(J, limited)
+    return factor_or_identity(cov[:, ORDER][:, :, ORDER])
+
+
+def rounded_means(
+    signals: Sequence[Signal], means: Array, L: Array
+) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.bool_]]:
+    """Return the (L,) raw values of means by signal, and which lines fit.
+
+    Each parameter is rounded to its conditional mean given the errors of those before it, so the
+    error of the lateral position is small all over the range, whatever the steps are.
+
+    Args:
+        signals: of y_off, beta, c0 and c1.
+        means: (L, 4) lines.
+        L: (L, 4, 4) of ``rounding_factor``.
+    """
     raw: dict[str, NDArray[np.int64]] = {}
     fits = np.ones(len(means), dtype=bool)
-    z = np.zeros_like(means)  # the errors so far, in terms of L
+    errors: list[Array] = []  # so far, in terms of L
     for row, state in enumerate(ORDER):
         signal, mean = signals[state], means[:, state]
-        expected = (L[:, row, :row] * z[:, :row]).sum(axis=1)
+        expected = np.zeros(len(means))
+        for column, error in enumerate(errors):
+            expected = expected + L[:, row, column] * error
         nearest = signal.raw(mean + expected)
         limited = signal.limited(nearest)
         fits &= nearest == limited
         raw[signal.name] = limited.astype(np.int64)
         error = signal.physical(limited) - mean
-        z[:, row] = (error - expected) / L[:, row, row]
+        errors.append((error - expected) / L[:, row, row])
     return raw, fits

@@ -24,13 +24,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...values.elementary import log2
 from ...values.errors import EncodeError
 from ...values.line import LeftOut
 from ...values.scene import Scene
 from ...values.seen_lines import bases
 from ..layout.signals import Signal
 from .code import Array
-from .rounding import refined, rounded_means, split
+from .rounding import refined, rounded_means, rounding_factor, split
 from .scene_code import FORM, RESOLUTION, DecodedLines, Rows, SceneCode
 from .specific_encoder import SentLines, SpecificEncoder, least_variances
 from .stated_lines import (
@@ -91,8 +92,9 @@ class SceneEncoder:
             stated = stated_lines(self._code, scene)
             fits = np.array([i not in stated.left_out for i in range(len(scene.lines))], dtype=bool)
             parts = CovarianceParts.of(scene, stated, fits)
+            factor = rounding_factor(parts.specific, parts.J, RESOLUTION)
             for mean in (self._code.mean, self._refined):
-                raw, within = rounded_means(mean, stated.means, parts.specific, parts.J, RESOLUTION)
+                raw, within = rounded_means(mean, stated.means, factor)
                 stated.left_out.update(reasons(fits & ~within, LeftOut.MEAN))
                 fits &= within
                 rows.append(self._raw_ranges(stated.ranges) | raw)
@@ -282,5 +284,5 @@ def level_above(signal: Signal, sigma: float) -> int:
     """Return the raw value of the least level from sigma on, or the greatest; 0 for 0."""
     if sigma <= 0:
         return 0
-    raw = math.ceil((math.log2(sigma) - signal.offset) / signal.factor - 1e-9)
+    raw = math.ceil((float(log2(sigma)) - signal.offset) / signal.factor - 1e-9)
     return min(max(raw, 1), signal.raw_max)

@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...values.elementary import exp2
+from ...values.fixed_order import congruence, inverse, product
 from .cholesky import CholeskyCode
 from .code import Array
 from .joint import divergence, largest_ratio, uncovered
@@ -40,7 +42,7 @@ class SentLines(NamedTuple):
     @property
     def least(self) -> Array:
         """(L, 4, 4) covariances of the resolution of the means."""
-        return np.asarray(RESOLUTION**2 * self.J @ self.J.swapaxes(1, 2))
+        return RESOLUTION**2 * product(self.J, self.J.mT)
 
     def of(self, mask: Mask) -> SentLines:
         """Return some of the lines."""
@@ -78,6 +80,9 @@ class SpecificEncoder:
             lacking = uncovered(true, spread, specific, lines.J)
             if lacking is None:
                 return raw, covered, cost
+            comparable = np.asarray(np.isfinite(lacking).all(axis=(1, 2)))
+            if not comparable.all():
+                return raw, comparable, cost
             more += FIRST_SHARE * 2.0**trial * lacking
         has_entries = self._code.entries_code is not None
         return raw, np.zeros_like(covered), np.where(~lines.is_full & has_entries, np.inf, 0.0)
@@ -111,9 +116,9 @@ class SpecificEncoder:
             known + more, lines.common, known + lines.least, lines.J, lines.noise
         )
         specific = levels.decode(raw, lines.means, lines.fit_ranges) + lines.common
-        inverse = np.linalg.inv(lines.J)  # all coefficients in metres
+        to_metres = inverse(lines.J)  # all coefficients in metres
         true, whole, decoded, decoded_whole = (
-            inverse @ cov @ inverse.swapaxes(1, 2)
+            congruence(to_metres, cov)
             for cov in (
                 lines.specific + lines.least,
                 lines.due_to_pose + known + lines.least,
@@ -128,4 +133,4 @@ class SpecificEncoder:
 def least_variances(code: CholeskyCode) -> Array:
     """Return the least variances that a code can decode to, for targets that are singular."""
     pivots = dict(zip(code.factor.order, code.factor.pivots, strict=True))
-    return np.array([4.0 ** pivots[i].physical_range[0] for i in range(len(pivots))])
+    return exp2([2 * pivots[i].physical_range[0] for i in range(len(pivots))])

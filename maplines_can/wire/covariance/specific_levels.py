@@ -24,10 +24,12 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from ...values.elementary import log2
+from ...values.fixed_order import congruence, inverse
 from ...values.seen_lines import NODES, SHAPE, bases
 from ..layout.signals import OCTAVE, Signal
 from .code import Array
-from .joint import divergence, largest_ratio
+from .joint import LN_2, divergence, entries_first, largest_ratio
 
 #: log2 of the level b of the shape [m]: that of the raw value 0, which means b = 0, and by how much
 #: that of the greatest raw value exceeds it.
@@ -40,6 +42,10 @@ TRIED = np.array([0, 1, 2, 3, 5])
 CHOSEN = 24
 #: More than any level squared [m^2].
 BEYOND = 1e100
+#: Added to the variances that errors of points cause: those of points far apart may be singular.
+SINGULAR = 1e-6
+#: Entries without those of T_0, of the lower triangle, column by column.
+_LOWER = ((1, 1), (2, 1), (3, 1), (2, 2), (3, 2), (3, 3))
 GOLDEN_RATIO = (1 + 5**0.5) / 2
 #: (4, K) matrix from values at the nodes to the coefficients of their cubic fit.
 _FIT = np.linalg.pinv(np.polynomial.chebyshev.chebvander(NODES, 3))
@@ -87,6 +93,15 @@ class SpecificLevels:
         self.lateral, self.points, self.shape = lateral, points, shape
         self.signals = (lateral, points, shape)
         self._shape_step = SHAPE_OCTAVES / max(1, shape.raw_max)
+        #: Squares of the levels of all raw values [m^2].
+        self._lateral_squared, self._points_squared, self._shapes_squared = (
+            level * level
+            for level in (
+                _level(lateral, np.arange(lateral.raw_max + 1)),
+                _level(points, np.arange(points.raw_max + 1)),
+                self._shape_level(np.arange(shape.raw_max + 1)),
+            )
+        )
 
     def noise(self, means: Array, fit_ranges: Array) -> Array:
         """Return the (L, S, 4, 4) covariances for p = 1 m of all raw values of the shape.
@@ -150,92 +165,112 @@ class SpecificLevels:
         Returns:
             (L,) raw values by signal, and the (L,) lines whose targets they cover.
         """
-        inverse = np.linalg.inv(J)
-        # In coefficients of T_0 .. T_3:
-        E, C, T = (inverse @ X @ inverse.swapaxes(1, 2) for X in (target - common, common, true))
-        E, C, T = (((X + X.swapaxes(1, 2)) / 2)[:, None] for X in (E, C, T))
-        lines = np.arange(len(E))
+        to_metres = inverse(J)
+        # In coefficients of T_0 .. T_3, the entries first: (4, 4, L, K) for K candidates.
+        E, C, T = (
+            entries_first(congruence(to_metres, X))[..., None]
+            for X in (target - common, common, true)
+        )
+        noise = entries_first(noise)
         k_points, p, of_points = self._points_tried(E, C, T, noise)
         k_shape, of_shape = self._shapes_tried(E)
         k = np.concatenate([k_points, k_shape], axis=1)
         raw_p = np.concatenate([p, np.zeros_like(k_shape)], axis=1)
-        raw_a, cost = self._cost(E, C, T, np.concatenate([of_points, of_shape], axis=1))
+        raw_a, cost = self._cost(E, C, T, np.concatenate([of_points, of_shape], axis=3))
         cost[(raw_p > self.points.raw_max) | (k > self.shape.raw_max)] = np.inf
-        best = lines, cost.argmin(axis=1)
+        best = np.arange(len(k)), cost.argmin(axis=1)
         raw = {self.lateral: raw_a[best], self.points: raw_p[best], self.shape: k[best]}
         limited = {s.name: s.limited(values).astype(np.int64) for s, values in raw.items()}
         return limited, np.isfinite(cost[best])
 
     def _points_tried(
         self, E: Array, C: Array, true: Array, noise: Array
-    ) -> tuple[Array, Array, Array]:
-        """Return (L, K) raw values of the shape and the points, and their (L, K, 4, 4) covariances.
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+        """Return (L, K) raw values of the shape and the points, and their (4, 4, L, K) covariances.
 
-        Arguments as for ``_cost``, and the (L, S, 4, 4) of ``noise``.
+        Arguments as for ``_cost``, and the (4, 4, L, S) noise of all raw values of the shape.
         """
-        # That of points far apart may be singular.
-        whitening = np.linalg.inv(np.linalg.cholesky(noise[..., 1:, 1:] + 1e-6 * np.eye(3)))
-        whitened = whitening @ E[..., 1:, 1:] @ whitening.swapaxes(-1, -2)  # (L, S, 3, 3)
-        least = np.linalg.eigvalsh(whitened)[..., -1].clip(1e-30)
-        least_raw = np.ceil(_raw(self.points, np.sqrt(least))).clip(self.points.raw_min + 1)
+        least = least_raw(self._points_squared, noise, E)
 
-        def covs(raw_p: Array, of: Array) -> Array:
-            return np.asarray(_level(self.points, raw_p)[..., None, None] ** 2 * of)
+        def covs(raw_p: NDArray[np.int64], of: Array) -> Array:
+            return np.asarray(self._points_squared.take(raw_p, mode="clip") * of)
 
-        raw_p = least_raw + TRIED[1]
+        raw_p = least + TRIED[1]
         _, cost = self._cost(E, C, true, covs(raw_p, noise))
         cost[raw_p > self.points.raw_max] = np.inf
         chosen = cost.argsort(axis=1, kind="stable")[:, :CHOSEN]
-        rows = np.arange(len(E))[:, None]
-        k = np.asarray(chosen + self.shape.raw_min, dtype=float).repeat(len(TRIED), axis=1)
-        raw_p = (least_raw[rows, chosen][..., None] + TRIED).reshape(k.shape)
-        return k, raw_p, covs(raw_p, noise[rows, chosen].repeat(len(TRIED), axis=1))
+        k = (chosen + self.shape.raw_min).repeat(len(TRIED), axis=1)
+        raw_p = (np.take_along_axis(least, chosen, axis=1)[..., None] + TRIED).reshape(k.shape)
+        of = noise[:, :, np.arange(len(k))[:, None], chosen].repeat(len(TRIED), axis=3)
+        return k, raw_p, covs(raw_p, of)
 
-    def _shapes_tried(self, E: Array) -> tuple[Array, Array]:
-        """Return (L, K) raw values of levels of the shape, and their (L, K, 4, 4) covariances."""
-        scale = 1 / np.sqrt(SHAPE[1:])
-        scaled = E[:, 0, 1:, 1:] * np.outer(scale, scale)
-        least = np.sqrt(np.linalg.eigvalsh(scaled)[:, -1].clip(1e-30))
-        k = np.ceil((np.log2(least) - SHAPE_OFFSET) / self._shape_step)[:, None] + TRIED
-        k = k.clip(max(1, self.shape.raw_min))
-        return k, self._shape_level(k)[..., None, None] ** 2 * np.diag(SHAPE)
+    def _shapes_tried(self, E: Array) -> tuple[NDArray[np.int64], Array]:
+        """Return (L, K) raw values of levels of the shape, and their (4, 4, L, K) covariances."""
+        shape = np.diag(SHAPE)[..., None, None]
+        k = least_raw(self._shapes_squared, shape, E) + TRIED
+        return k, self._shapes_squared.take(k, mode="clip") * shape
 
     def _shape_level(self, raw: NDArray[np.int64] | Array) -> Array:
         """Return the levels b of raw values of the shape [m]."""
         return np.where(raw == 0, 0.0, np.exp2(SHAPE_OFFSET + self._shape_step * raw))
 
-    def _cost(self, E: Array, C: Array, true: Array, own: Array) -> tuple[Array, Array]:
+    def _cost(self, E: Array, C: Array, true: Array, own: Array) -> tuple[NDArray[np.int64], Array]:
         """Return lateral levels with which covariances cover targets E, and their cost.
 
-        E, C and true are (L, 1, 4, 4), own is (L, K, 4, 4), the others are (L, K).
+        E, C and true are (4, 4, L, 1), own is (4, 4, L, K), the others are (L, K).
         """
-        M = own - E
-        short = _shortfall(M)
-        level_a = _raw(self.lateral, np.sqrt(short.clip(1e-30)))
-        raw_a = np.where(short > 0, np.ceil(level_a).clip(1), 0)
+        short = _shortfall(own - E)
+        level_a = np.ceil(_raw(self.lateral, np.sqrt(short.clip(1e-30)))).clip(1)
+        raw_a = np.where(short > 0, level_a.clip(max=self.lateral.raw_max + 1), 0).astype(np.int64)
         decoded = C + own
-        decoded[..., 0, 0] += _level(self.lateral, raw_a) ** 2
+        decoded[0, 0] += self._lateral_squared.take(raw_a, mode="clip")
+        true, decoded = (np.moveaxis(X, (0, 1), (-2, -1)) for X in (true, decoded))
         with np.errstate(invalid="ignore", divide="ignore"):
-            cost = divergence(true, decoded) + np.log(largest_ratio(decoded, true))
+            cost = divergence(true, decoded) + LN_2 * log2(largest_ratio(decoded, true))
         possible = (raw_a <= self.lateral.raw_max) & np.isfinite(cost)
         return raw_a, np.where(possible, cost, np.inf)
 
 
+def least_raw(squared: Array, covs: Array, E: Array) -> NDArray[np.int64]:
+    """Return the (...,) least raw values whose multiples of a covariance cover, but for entry 0.
+
+    They are one more than the greatest raw value if none covers, and at least 1.
+
+    Args:
+        squared: (n,) squares of the levels of all raw values, which increase.
+        covs: (4, 4, ...) covariances for the level 1.
+        E: (4, 4, ...) what is to be covered.
+    """
+    shape = np.broadcast_shapes(covs.shape, E.shape)[2:]
+    low, high = np.zeros(shape, dtype=np.int64), np.full(shape, len(squared), dtype=np.int64)
+    rest = {(i, j): covs[i, j] + (SINGULAR if i == j else 0.0) for i, j in _LOWER}
+    for _ in range((len(squared) - 1).bit_length()):
+        middle = (low + high) // 2
+        level = squared[middle]
+        a, b, c, d, e, f = (level * rest[ij] - E[ij] for ij in _LOWER)
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            d1 = d - b * b / a
+            e1 = e - b * c / a
+            f2 = f - c * c / a - e1 * e1 / d1
+        covers = (a > 0) & (d1 > 0) & (f2 > 0)
+        low, high = np.where(covers, low, middle), np.where(covers, middle, high)
+    return high
+
+
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")
 def _shortfall(M: Array) -> Array:
-    """Return what to add to entry (0, 0) of (..., 4, 4) matrices to make them semidefinite.
+    """Return what to add to entry (0, 0) of (4, 4, ...) matrices to make them semidefinite.
 
     It is beyond all levels if nothing does: the rest of the matrix is not definite.
     """
     # The Cholesky factor of the rest, with the last row of a 4x4 matrix that ends with entry 0.
-    a, b, c = M[..., 1, 1], M[..., 2, 1], M[..., 3, 1]
-    d, e, f = M[..., 2, 2], M[..., 3, 2], M[..., 3, 3]
-    g, h, i = M[..., 0, 1], M[..., 0, 2], M[..., 0, 3]
+    a, b, c, d, e, f = (M[ij] for ij in _LOWER)
+    g, h, i = M[1, 0], M[2, 0], M[3, 0]
     d1 = d - b * b / a
     e1, h1 = e - b * c / a, h - b * g / a
     f2 = f - c * c / a - e1 * e1 / d1
     i2 = i - c * g / a - e1 * h1 / d1
-    short = g * g / a + h1 * h1 / d1 + i2 * i2 / f2 - M[..., 0, 0]
+    short = g * g / a + h1 * h1 / d1 + i2 * i2 / f2 - M[0, 0]
     definite = (a > 0) & (d1 > 0) & (f2 > 0) & np.isfinite(short)
     return np.where(definite, short, BEYOND)
 
@@ -247,4 +282,4 @@ def _level(signal: Signal, raw: NDArray[np.int64] | Array) -> Array:
 
 def _raw(signal: Signal, level: Array) -> Array:
     """Return the raw values of positive levels, not rounded."""
-    return (np.log2(level) - signal.offset) / signal.factor
+    return (log2(level) - signal.offset) / signal.factor

@@ -101,7 +101,8 @@ def stated_lines(code: SceneCode, scene: Scene) -> StatedLines:
     left_out = reasons(cannot, LeftOut.RANGE) | left_out
     ranges[[*left_out]] = 0.0, 1.0
     shorter = np.diff(ranges)[:, 0] / np.diff(scene.fit_ranges)[:, 0]
-    return StatedLines(means, ranges, scene.quartics * shorter**4, left_out)
+    square = shorter * shorter
+    return StatedLines(means, ranges, scene.quartics * (square * square), left_out)
 
 
 def can_be_seen(scene: Scene) -> Mask:

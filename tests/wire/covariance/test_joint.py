@@ -127,3 +127,15 @@ def test_a_spread_of_any_size_leaves_the_weights_finite() -> None:
         )
         if lacking is not None:
             assert np.isfinite(lacking).all()
+
+
+def test_lines_that_cannot_be_compared_are_named() -> None:
+    """An own covariance that is not definite has no factor; a sum that is not finite has none."""
+    J = np.tile(np.eye(4), (2, 1, 1))
+    own = np.stack([np.eye(4), np.diag([1.0, 1.0, 1.0, -1.0])])
+    lacking = uncovered(np.eye(8), np.zeros((8, 8)), own, J)
+    assert lacking is not None
+    assert np.isfinite(lacking).all(axis=(1, 2)).tolist() == [True, False]
+    lacking = uncovered(np.full((8, 8), np.inf), np.zeros((8, 8)), J, J)
+    assert lacking is not None
+    assert np.isnan(lacking).all()

@@ -8,7 +8,7 @@ import pytest
 from scene_layouts import layout_of
 
 from maplines_can.values.seen_lines import bases
-from maplines_can.wire.covariance.rounding import refined, rounded_means, split
+from maplines_can.wire.covariance.rounding import refined, rounded_means, rounding_factor, split
 from maplines_can.wire.covariance.scene_code import RESOLUTION
 from maplines_can.wire.layout.signals import FINE_SIGNALS, PARAMETER_SIGNALS
 
@@ -23,7 +23,7 @@ def errors_of(own_in_metres: Any) -> Any:
     means = rng.uniform(-1, 1, (LINES, 4)) * [5, 0.2, 2e-3, 1e-5]
     J = bases(means, np.tile([-20.0, 80.0], (LINES, 1)))
     own = J @ np.broadcast_to(own_in_metres, J.shape) @ J.swapaxes(1, 2)
-    raw, fits = rounded_means(SIGNALS, means, own, J, RESOLUTION)
+    raw, fits = rounded_means(SIGNALS, means, rounding_factor(own, J, RESOLUTION))
     assert fits.all()
     decoded = np.column_stack([signal.physical(raw[signal.name]) for signal in SIGNALS])
     return np.linalg.solve(J, (decoded - means)[..., None])[..., 0]
