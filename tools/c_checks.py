@@ -110,7 +110,8 @@ def check_cppcheck() -> Findings:
 def check_misra() -> Findings:
     """The core keeps to MISRA C:2012, but for the rules of c/MISRA.md."""
     command = ["cppcheck", "--quiet", "--addon=misra", "--std=c99", "--inline-suppr",
-               "--template={file}:{line}: {severity}: {message} [{id}]", *INCLUDE, *sources()]  # fmt: skip
+               "--template={file}:{line}: {severity}: {message} [{id}]",
+               *INCLUDE, *sources()]  # fmt: skip
     deviations = set(re.findall(r"^\| (\d+\.\d+) \|", (C / "MISRA.md").read_text(), re.MULTILINE))
     findings, seen = [], set()
     for line in run(command)[1]:
