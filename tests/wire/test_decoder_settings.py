@@ -72,3 +72,10 @@ def test_a_record_without_components_is_one_for_each_transfer_id() -> None:
     layout = Layout.from_dbc(default_dbc_path("maplines-pose.dbc"))
     assert "ComponentCount" not in layout.signals
     assert timeout_cycles(layout) == 1.5
+
+
+def test_a_time_is_a_nanosecond_or_more() -> None:
+    """A cycle time of less would be 0, by which nothing can be divided."""
+    decoder = default_codec().decoder(cycle_ms=1e-9, timeout_ms=1e-9)
+    assert decoder.checks[Slot.EGO_LEFT].cycle_ns == 1
+    assert decoder.latest(Slot.EGO_LEFT, 10**18).line is None

@@ -28,7 +28,7 @@ from ..reasons import Reason
 from .key import Key, shown
 
 DATA_ID_BYTES, FRESHNESS_BYTES = 2, 8
-#: Greatest freshness value that a caller may pass, so that a reconstructed one fits 64 bits.
+#: Greatest freshness value that is sent or accepted, so that a reconstructed one fits 64 bits.
 MAX_FRESHNESS = 2**63 - 1
 #: Bytes of a complete freshness value, enough for 2283 years.
 WHOLE_FRESHNESS = 7
@@ -205,7 +205,7 @@ class Verifier:
     A freshness value is accepted if it is greater than the last accepted one, and with a clock,
     if it is also within the authenticator's window about the current time. Only the clock rejects
     a recording that is replayed to a receiver that has just started; without a clock, only
-    ``not_before`` does.
+    ``not_before`` does. A value beyond ``MAX_FRESHNESS`` is never accepted.
 
     The clock also completes a freshness value of less than 7 bytes, after any silence and any
     number of lost frames, since at most one value with these low bytes lies within the window.
@@ -245,7 +245,8 @@ class Verifier:
             ):
                 return Reason.MAC
             return Reason.REPLAY if freshness <= last else Reason.AGE
-        if now is not None and freshness > now + authenticator.window:
+        latest = MAX_FRESHNESS if now is None else now + authenticator.window
+        if freshness > min(latest, MAX_FRESHNESS):
             return Reason.AGE
         self.last_accepted[data_id] = freshness
         return authentic

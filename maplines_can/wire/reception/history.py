@@ -21,6 +21,8 @@ NEW_RECORDS, DUPLICATES = 32, 29
 SUSPECT_CYCLES = 10
 #: A second sender is forgotten after this many cycles without evidence.
 FORGET_CYCLES = 256
+#: Number of counters whose records are remembered: all of a counter of 8 bits.
+HISTORY = 256
 #: Time of what has not happened.
 NEVER_NS = math.inf
 
@@ -78,7 +80,6 @@ class ReceptionDeadline:
 class _Entry(NamedTuple):
     """A received record."""
 
-    position: int  #: extended sequence number
     content: int
     is_new: bool  #: accepted when it came
     is_in_sequence: bool  #: new, or late and directly after one that is in sequence
@@ -96,32 +97,30 @@ class Run(NamedTuple):
 
 
 class RecordHistory:
-    """Records of the last counter cycle, to recognise duplicates and late records that fill a gap.
+    """Records of the last counters, to recognise duplicates and late records that fill a gap.
 
-    Each counter has one entry. Its position is the extended (unwrapped) sequence number, so that
-    an entry of an earlier counter cycle is not mistaken for one of this cycle.
+    Each of the last ``HISTORY`` counters has an entry; fewer if the counter wraps around earlier.
+    What a new record has skipped is forgotten, so that no entry is mistaken for one of an earlier
+    round of the counter.
     """
 
     def __init__(self, modulus: int) -> None:
-        self._modulus = modulus
-        self._entries: dict[int, _Entry] = {}
-        self._newest = 0  # extended sequence number of the last new record
-        self._run: Run | None = None  # records behind it since then
+        self._modulus, self._length = modulus, min(modulus, HISTORY)
+        self._entries: dict[int, _Entry] = {}  # by the low bits of the counter
+        self._run: Run | None = None  # records behind the last new one since then
 
     def add_new(self, counter: int, content: int, ahead: int) -> None:
-        """Add a new record, ``ahead`` positions after the last new one."""
-        self._newest += ahead
+        """Add a new record, whose counter is ``ahead`` of that of the last new one."""
+        for behind in range(1, min(ahead, self._length)):
+            self._entries.pop((counter - behind) % self._length, None)
         self._run = None
-        self._entries[counter] = _Entry(self._newest, content, is_new=True, is_in_sequence=True)
+        self._entries[counter % self._length] = _Entry(content, is_new=True, is_in_sequence=True)
 
     def add_late(self, counter: int, content: int, behind: int) -> None:
-        """Add a record that was not accepted, unless its position is taken."""
-        if self._at(counter, behind) is None:
-            self._entries[counter] = _Entry(
-                self._newest - behind,
-                content,
-                is_new=False,
-                is_in_sequence=self.fills_gap(counter, behind),
+        """Add a record that was not accepted, unless there is one with its counter."""
+        if behind < self._length and self._at(counter, behind) is None:
+            self._entries[counter % self._length] = _Entry(
+                content, is_new=False, is_in_sequence=self.fills_gap(counter, behind)
             )
 
     def run_with(self, counter: int, t_ns: int, *, is_other: bool) -> Run:
@@ -135,12 +134,12 @@ class RecordHistory:
         return self._run
 
     def has_other(self, counter: int, content: int, behind: int) -> bool:
-        """Return whether another record came with this counter at this position."""
+        """Return whether another record came with this counter, ``behind`` the last new one."""
         entry = self._at(counter, behind)
         return entry is not None and entry.content != content
 
     def is_duplicate(self, counter: int, content: int, behind: int) -> bool:
-        """Return whether the same record came before at this position."""
+        """Return whether the same record came before with this counter."""
         entry = self._at(counter, behind)
         return entry is not None and entry.content == content
 
@@ -149,17 +148,16 @@ class RecordHistory:
         entry = self._at(counter, behind)
         if entry is None or not entry.is_new or entry.is_duplicated:
             return False
-        self._entries[counter] = entry._replace(is_duplicated=True)
+        self._entries[counter % self._length] = entry._replace(is_duplicated=True)
         return True
 
     def fills_gap(self, counter: int, behind: int) -> bool:
         """Return whether a late record directly follows one in sequence, as in a reordered run."""
-        before = self._at((counter - 1) % self._modulus, behind + 1)
+        before = self._at(counter - 1, behind + 1)
         return before is not None and before.is_in_sequence
 
     def _at(self, counter: int, behind: int) -> _Entry | None:
-        entry = self._entries.get(counter)
-        return entry if entry and entry.position == self._newest - behind else None
+        return self._entries.get(counter % self._length) if behind < self._length else None
 
 
 class SenderConflict:
@@ -219,10 +217,11 @@ class SenderConflict:
 
     def conflict(self, t_ns: int) -> None:
         """Count a record that another sender must have sent."""
-        cycles = abs(t_ns - self._conflict_ns) / self._cycle_ns
-        if cycles < 0.5 or self._is_blocked:
+        since_ns = abs(t_ns - self._conflict_ns)
+        if 2 * since_ns < self._cycle_ns or self._is_blocked:
             return
-        self._conflicts = self._conflicts + 1 if cycles <= NEAR_CYCLES else 1
+        is_near = since_ns <= NEAR_CYCLES * self._cycle_ns
+        self._conflicts = self._conflicts + 1 if is_near else 1
         self._conflict_ns, self._is_blocked = t_ns, True
         if self._conflicts >= CONFLICTS:
             self.is_confirmed, self._confirmed_ns = True, t_ns

@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...values.fixed_order import is_definite
+from ...values.gaussian import Gaussian
 from ...values.line import Kind, MapLine, Slot, Status
 from ...values.mixture import GaussianMixture
 from ..layout.pose_layout import Owner
@@ -27,6 +29,9 @@ SEVERITY = (
 #: Weights are multiples of a power of two, so their float sum is exact; the tolerance is for a
 #: factor rounded in the DBC.
 WEIGHT_TOLERANCE = 1e-9
+#: Share of the variances that is added to a covariance that rounding has made indefinite; that of
+#: 64 components errs by less.
+ROUNDING = 2.0**-40
 
 
 class ReceivedLine(NamedTuple):
@@ -108,7 +113,7 @@ class MixtureAssembler:
         if len(mixture.components) < record.count:
             return Reason.PENDING
         records = [mixture.components[i] for i in range(record.count)]
-        if abs(sum(component.weight for component in records) - 1) > WEIGHT_TOLERANCE:
+        if abs(_sum_of_weights(records) - 1) > WEIGHT_TOLERANCE:
             self._drop(slot, Reason.CONTENT)
             return Reason.CONTENT
         del self._incomplete[slot]
@@ -138,6 +143,23 @@ class MixtureAssembler:
         self.counts[reason] += self._incomplete.pop(owner).frames
 
 
+def _sum_of_weights(records: Sequence[CompleteRecord]) -> float:
+    """Return the sum of the weights, one after the other: ``sum`` compensates rounding errors."""
+    total = 0.0
+    for record in records:
+        total += record.weight
+    return total
+
+
+def _definite(gaussian: Gaussian) -> Gaussian:
+    """Return a Gaussian, made wider by rounding errors if these have made it indefinite."""
+    if is_definite(gaussian.cov[None])[0]:
+        return gaussian
+    cov = gaussian.cov.copy()
+    cov[range(len(cov)), range(len(cov))] += ROUNDING * cov.diagonal()
+    return Gaussian.trusted(gaussian.mean, cov)
+
+
 def _mixture_line(records: Sequence[CompleteRecord]) -> MapLine:
     """Return the line of all components of a mixture."""
     gaussians = tuple(record.line.gaussian for record in records)
@@ -145,7 +167,7 @@ def _mixture_line(records: Sequence[CompleteRecord]) -> MapLine:
     first = min((record.line for record in records), key=lambda line: line.t_ns or 0)
     return replace(  # all components have its age, which is relative to ``t_ns``
         first,
-        gaussian=mixture.overall,
+        gaussian=_definite(mixture.overall),
         mixture=mixture,
         status=max((record.line.status for record in records), key=SEVERITY.index),
     )

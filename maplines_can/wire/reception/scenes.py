@@ -147,7 +147,7 @@ class EpochAssembler(Generic[Pose, Line]):
         if ahead is None:
             self._restart()
         elif self._pose_ns is not None:
-            self._intervals_ns.append(abs(t_ns - self._pose_ns) / ahead)
+            self._intervals_ns.append(float(abs(t_ns - self._pose_ns)) / ahead)
         self._pose_ns = t_ns
         epoch = Epoch[Pose, Line](pose, dict(slot_counters), t_ns)
         self._epochs.append(epoch)

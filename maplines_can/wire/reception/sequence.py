@@ -368,9 +368,9 @@ class _Pace:
     """Rate of the records of a sender, as far as it is known."""
 
     def __init__(self, cycle_ns: int, modulus: int) -> None:
-        self._cycle_ns, self._modulus = cycle_ns, modulus
+        self._cycle_ns, self._modulus = float(cycle_ns), modulus
         self.longest_line = 1  #: greatest number of records of a line so far
-        self._line_ns = float(cycle_ns)  # mean time between two lines in sequence
+        self._line_ns = self._cycle_ns  # mean time between two lines in sequence
         self._line: tuple[int, int] | None = None  # counter and time of the last line
 
     def delivered(self, counter: int, t_ns: int, records: int) -> None:
@@ -391,4 +391,4 @@ class _Pace:
     def _lines(self, waited_ns: int) -> float:
         """Return how many lines a sender can have sent in a time: 1.3 is 1 or 2."""
         line_ns = min(max(self._line_ns, self._cycle_ns / FASTEST), self._cycle_ns)
-        return waited_ns / line_ns + JITTER_CYCLES
+        return float(waited_ns) / line_ns + JITTER_CYCLES

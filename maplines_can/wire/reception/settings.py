@@ -84,7 +84,11 @@ def _times_ns(
     dbc_ms = messages.cycle_ms or DEFAULT_CYCLE_MS
     chosen_ms = cycle_ms or dbc_ms
     derived_ms = max(dbc_ms / 2, timeout_cycles(layout) * chosen_ms)
-    return int(1e6 * (timeout_ms or derived_ms)), int(1e6 * chosen_ms)
+    return _whole_ns(timeout_ms or derived_ms), _whole_ns(chosen_ms)
+
+
+def _whole_ns(ms: float) -> int:
+    return max(1, int(1e6 * ms))
 
 
 def _within(e2e: E2EConfig, layout: RecordLayout) -> E2EConfig:

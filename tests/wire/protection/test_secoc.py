@@ -311,6 +311,25 @@ def test_without_a_clock_the_whole_value_is_accepted_after_any_silence(lines: An
         assert names(feed(decoder, sender_encoder.encode(lines[0], fd=True))) == ["line"]
 
 
+def test_a_freshness_value_of_more_than_63_bits_is_never_accepted() -> None:
+    """The next one would not fit 64 bits: a sender that has the key could stop a receiver."""
+    last = 2**63 - 2
+    verify = Verifier(Authenticator(Key(SECRET), not_before=last - 1), LAYOUT)
+    frames = [secured_with(freshness) for freshness in (last, last + 1, last + 2, last + 3)]
+    answers = [verify(frame, DATA_ID) for frame in frames]
+    assert [answer if isinstance(answer, Reason) else "accepted" for answer in answers] == [
+        "accepted", "accepted", Reason.AGE, Reason.AGE,
+    ]  # fmt: skip
+
+
+def secured_with(freshness: int) -> bytes:
+    """Return a secured I-PDU with any freshness value of 64 bits."""
+    authentic = bytes(LAYOUT.authentic_bytes - 1) + b"\x01"
+    number = freshness.to_bytes(8, "big")
+    mac = reference_cmac(SECRET, DATA_ID.to_bytes(2, "big") + authentic + number)
+    return authentic + number[-LAYOUT.freshness_bytes :] + mac[: LAYOUT.mac_bytes]
+
+
 # ---- rejected frames ----------------------------------------------------------------------
 
 

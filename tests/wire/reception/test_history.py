@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from maplines_can.wire.reception.history import RecordHistory
+from maplines_can.wire.reception.history import HISTORY, RecordHistory
 
 MODULUS = 16
 
@@ -66,3 +66,29 @@ def test_positions_continue_beyond_the_wrap_around() -> None:
     assert history.is_duplicate(3, 19, 0)
     assert not history.is_duplicate(3, 3, 0)
     assert history.is_duplicate(4, 4, 15)
+
+
+def test_of_a_long_counter_only_the_last_records_are_known() -> None:
+    """Memory is constant, and an older record is neither a duplicate nor another one."""
+    history = RecordHistory(2**20)
+    for counter in range(5000):
+        history.add_new(counter, counter, 1)
+    oldest = HISTORY - 1
+    assert history.is_duplicate(4999 - oldest, 4999 - oldest, oldest)
+    assert not history.is_duplicate(4999 - HISTORY, 4999 - HISTORY, HISTORY)
+    assert not history.has_other(4999 - HISTORY, -1, HISTORY)
+    history.add_late(4999 - HISTORY, -1, HISTORY)
+    assert history.is_duplicate(4999, 4999, 0), "an older record takes no place of a newer one"
+
+
+@pytest.mark.parametrize("ahead", [3, HISTORY, 2**20])
+def test_what_a_new_record_has_skipped_is_forgotten(ahead: int) -> None:
+    """Low bits that were those of an earlier record are not mistaken for that."""
+    history = RecordHistory(2**20)
+    for counter in range(HISTORY):
+        history.add_new(counter, counter, 1)
+    newest = (HISTORY - 1 + ahead) % 2**20
+    history.add_new(newest, -1, ahead)
+    for behind in range(1, min(ahead, HISTORY)):
+        assert not history.has_other((newest - behind) % 2**20, -1, behind)
+    assert history.is_duplicate(HISTORY - 1, HISTORY - 1, ahead) is (ahead < HISTORY)
