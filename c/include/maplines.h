@@ -169,7 +169,7 @@ typedef struct {
 typedef struct {
     maplines_real_t mean[4];
     /// Square root F of the covariance: F F^T. Row i belongs to parameter i. F is lower triangular
-    /// with its rows in the order of the DBC (see maplines_cholesky_t).
+    /// with its rows in the order of the DBC (see maplines_cholesky_t); of a mixture, in this order.
     maplines_real_t factor[4][4];
 } maplines_gaussian_t;
 
@@ -517,6 +517,7 @@ typedef struct {
 /// State of a receiver.
 typedef struct {
     const maplines_dbc_t *dbc;
+    bool is_ready; ///< the settings are right; otherwise every frame is FOREIGN
     maplines_settings_t settings;
     maplines_statistics_t statistics; ///< without `lost` and `pending`
     maplines_inbox_t inboxes[MAPLINES_OWNERS];
