@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..values.arrays import floats
+from ..values.cubics import MIN_ADVANCE, line_of_cubic
 from ..values.errors import IllPosedError
-from ..values.line import MIN_ADVANCE, PARAMETERS, lateral, lateral_jacobian, line_of_cubic
+from ..values.line import PARAMETERS, lateral, lateral_jacobian
 from ..values.map_error import MapError
 from ..values.polyline import Polyline
 from ..values.seen_lines import NODES, bases

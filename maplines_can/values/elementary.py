@@ -123,13 +123,14 @@ def sin_cos(x: ArrayLike) -> tuple[Array, Array]:
     """
     angle = floats(x, "x")
     with np.errstate(invalid="ignore"):
-        angle = np.where(np.abs(angle) > _FAR, np.fmod(angle, _TWO_PI), angle)
+        if (is_far := np.abs(angle) > _FAR).any():
+            angle = np.where(is_far, np.fmod(angle, _TWO_PI), angle)
         turns = np.rint(angle * _TWO_BY_PI)
         r = ((angle - turns * _HALF_PI[0]) - turns * _HALF_PI[1]) - turns * _HALF_PI[2]
         r2 = r * r
         sine = r + (r * r2) * _polynomial(r2, _SIN)
         cosine = 1 + r2 * _polynomial(r2, _COS)
-        quarter = np.nan_to_num(turns).astype(np.int64) & 3
+        quarter = np.where(np.isfinite(turns), turns, 0.0).astype(np.int64) & 3
     is_odd = (quarter & 1) == 1
     s, c = np.where(is_odd, cosine, sine), np.where(is_odd, sine, cosine)
     return np.where(quarter >= 2, -s, s), np.where((quarter == 1) | (quarter == 2), -c, c)
@@ -166,5 +167,6 @@ def _polynomial(x: Array, coefficients: tuple[float, ...]) -> Array:
     *lower, value = coefficients
     total = np.full_like(x, value)
     for coefficient in reversed(lower):
-        total = total * x + coefficient
+        total *= x
+        total += coefficient
     return total

@@ -56,9 +56,8 @@ def total(values: Array) -> Array:
     """
     while (n := values.shape[-1]) > 1:
         half = (n + 1) // 2
-        head = values[..., :half].copy()
-        head[..., : n - half] += values[..., half:]
-        values = head
+        sums = values[..., : n - half] + values[..., half:]
+        values = sums if n % 2 == 0 else np.append(sums, values[..., n - half : half], axis=-1)
     return np.asarray(values[..., 0])
 
 

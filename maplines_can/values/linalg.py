@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import fixed_order
 from .arrays import floats
+from .fixed_order import cholesky, eigen, total
 
 #: Asymmetry and negative eigenvalues up to this, relative to the standard
 #: deviations, count as rounding errors; larger ones are the caller's mistake.
@@ -166,11 +167,9 @@ def square_root(cov: NDArray[np.float64]) -> NDArray[np.float64]:
            [1., 0.]])
     """
     tiny = 8 * len(cov) * np.finfo(float).eps
-    try:
-        L = np.asarray(np.linalg.cholesky(cov), dtype=float)
-    except np.linalg.LinAlgError:
-        return _semidefinite_root(cov, tiny)
-    if (L.diagonal() ** 2 > tiny * cov.diagonal()).all():
+    L = cholesky(np.asarray(cov, dtype=float))
+    pivots = L.diagonal()
+    if (pivots * pivots > tiny * np.diagonal(cov)).all():
         return L
     return _semidefinite_root(cov, tiny)
 
@@ -178,16 +177,17 @@ def square_root(cov: NDArray[np.float64]) -> NDArray[np.float64]:
 def _semidefinite_root(cov: NDArray[np.float64], tiny: float) -> NDArray[np.float64]:
     """Return ``square_root`` from the eigenvalues above ``tiny`` of the correlation matrix."""
     scale = scale_of(cov)
-    values, vectors = np.linalg.eigh(cov / scale / scale[:, None])
+    values, vectors = eigen(cov / (scale[:, None] * scale))
     M = vectors * np.sqrt(np.where(values > tiny, values, 0.0))
     L = np.zeros_like(M)
     k = 0
     for j in range(len(M)):
         v = M[j, k:].copy()
-        norm = np.sqrt(v @ v)
+        norm = np.sqrt(total(v * v))
         if norm > tiny:  # reflect the remainder of row j onto column k
             v[0] += np.copysign(norm, v[0])
-            M[:, k:] -= np.outer(M[:, k:] @ v, v * (2 / (v @ v)))
+            share = total(M[:, k:] * v) * (2 / total(v * v))
+            M[:, k:] -= share[:, None] * v
             L[j:, j] = M[j:, k] * np.sign(M[j, k])
             k += 1
     return L * np.sqrt(cov.diagonal().clip(0))[:, None]  # zero variance: zero row

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats, number_text
+from .cubics import fit_points, points_of, refitted
 from .errors import IllPosedError
 from .gaussian import Gaussian, variances
 from .mixture import GaussianMixture
@@ -22,10 +23,6 @@ PARAMETERS = ("y_off", "beta", "c0", "c1")
 #: Standard deviations of an unknown covariance [m, rad, 1/m, 1/m^2].
 #: They are so large that a fusion gives the line practically no weight.
 VAGUE_SIGMA = (1000.0, 10.0, 10.0, 10.0)
-
-#: Smallest advance along the car's x axis, as a share of the length of the line. A straight line
-#: satisfies this if its angle to the x axis is less than 80 deg.
-MIN_ADVANCE = 0.17
 
 #: Least valid range of a line that is made, or sent in part [m].
 MIN_RANGE = 1.0
@@ -255,31 +252,6 @@ def _rows(parameters: ArrayLike) -> NDArray[np.float64]:
     return np.moveaxis(lines, -1, 0)
 
 
-def line_of_cubic(
-    q: NDArray[np.float64], centre: NDArray[np.float64], half: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the (..., 4) lines of cubics in the normalised variable ``w = (u - centre) / half``.
-
-    Of the coefficients q, (4, ...) of w^0 .. w^3 [m], they are the value and derivatives at u = 0,
-    the first derivative as an angle.
-    """
-    q0, q1, q2, q3 = q
-    r = 1 / half
-    w = -centre * r
-    lines = np.empty((4, *np.broadcast_shapes(q0.shape, w.shape)))
-    # Horner's scheme, repeated, gives the Taylor coefficients at w.
-    q3_w = q3 * w
-    value2 = q2 + q3_w
-    value1 = q1 + w * value2
-    slope2 = value2 + q3_w
-    lines[0] = q0 + w * value1
-    lines[1] = np.arctan((value1 + w * slope2) * r)
-    r2 = 2 * r * r
-    lines[2] = (slope2 + q3_w) * r2
-    lines[3] = q3 * (3 * r2 * r)
-    return lines.transpose(*range(1, lines.ndim), 0)
-
-
 def transform_line(
     parameters: ArrayLike, displacement: ArrayLike, window: tuple[float, float], points: int = 32
 ) -> NDArray[np.float64]:
@@ -340,13 +312,6 @@ def _ends_text(ends: NDArray[np.float64]) -> str:
     return f"{ends:g}" if ends.ndim == 0 else str(ends)
 
 
-def _quartic(nodes: NDArray[np.float64], root: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return T_4 at (K,) nodes less its fit by a cubic, with (K, 1) roots of the weights."""
-    Q, _ = np.linalg.qr(root * nodes[:, None] ** np.arange(4))
-    T_4 = root[:, 0] * (8 * nodes**4 - 8 * nodes**2 + 1)
-    return np.asarray((T_4 - Q @ (Q.T @ T_4)) / root[:, 0])
-
-
 @np.errstate(over="ignore", invalid="ignore")
 def transform_line_or_nan(
     parameters: ArrayLike,
@@ -388,28 +353,6 @@ def transformed(
     end_weight: float,
 ) -> NDArray[np.float64]:
     """Transform lines as ``transform_line_or_nan`` does; the arguments are not checked."""
-    x_min, x_max = window
-    nodes = np.cos(np.pi * (np.arange(4) + 0.5) / 4)
-    if points > 4:
-        nodes = np.cos(np.pi * np.arange(points) / (points - 1))
-    x = ((x_min + x_max) / 2)[..., None] + ((x_max - x_min) / 2)[..., None] * nodes
-    dx, dy, heading = (poses[..., i, None] for i in range(3))
-    root = np.ones((points, 1))
-    root[[0, -1]] = math.sqrt(end_weight)
-    bend = quartic[..., None] * _quartic(nodes, root)
-    s, t = x - dx, _lateral(np.moveaxis(lines[..., None, :], -1, 0), x) + bend - dy  # (..., points)
-    c, d = np.cos(heading), np.sin(heading)
-    u, v = c * s + d * t, c * t - d * s
-    advance = np.diff(u, axis=-1) * np.sign(u[..., -1:] - u[..., :1])
-    well_posed = (advance > MIN_ADVANCE * np.hypot(advance, np.diff(v, axis=-1))).all(axis=-1)
-    # l(x) contains tan(beta), which is the same for a line that points backwards.
-    ill_posed = ~(well_posed & (np.abs(lines[..., 1]) < np.pi / 2))
-    u = np.where(ill_posed[..., None], nodes, u)  # keeps the QR regular; the fit is discarded
-    centre = (u.max(axis=-1) + u.min(axis=-1)) / 2
-    half = (u.max(axis=-1) - u.min(axis=-1)) / 2
-    w = (u - centre[..., None]) / half[..., None]
-    Q, R = np.linalg.qr(root * w[..., None] ** np.arange(4))
-    q = np.linalg.solve(R, np.swapaxes(Q, -1, -2) @ (root * v[..., None]))[..., 0]
-    fitted = line_of_cubic(np.moveaxis(q, -1, 0), centre, half)
-    fitted[ill_posed] = np.nan
-    return fitted
+    fit = fit_points(points, end_weight)
+    axes = max(lines.ndim, poses.ndim, window[0].ndim + 1, window[1].ndim + 1, quartic.ndim + 1) - 1
+    return refitted(*points_of(lines, window, quartic, fit, axes), poses, fit.weights)

@@ -10,9 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats
+from .cubics import derivatives, fit_points, is_function, points_of, refitted
+from .elementary import sin_cos, tan
 from .errors import IllPosedError
+from .fixed_order import product, total
 from .linalg import square_root
-from .line import check_window, lateral, lateral_jacobian, line_of_cubic, transformed
+from .line import check_window
 
 #: Standard deviations of the pose error by which the range of a line is shortened at an end, so
 #: that the line seen from the true pose ends beyond it.
@@ -20,7 +23,7 @@ MARGIN = 3.0
 #: Points of a line of the map to which a cubic is fitted, in the normalised variable w. They are
 #: denser near the ends of the range, as the extrema of a Chebyshev polynomial, so that the largest
 #: deviation of the least-squares fit is near the least possible one.
-NODES = np.cos(np.pi * np.arange(64) / 63)[::-1]
+NODES = sin_cos(np.pi * np.arange(64) / 63)[1][::-1]
 #: Points of a line to which a cubic is fitted from another pose, and the weight of both ends. It
 #: gives them the share of the whole that they have among ``NODES``.
 POINTS, END_WEIGHT = 16, 0.62
@@ -42,12 +45,13 @@ def bases(means: NDArray[np.float64], fit_ranges: NDArray[np.float64]) -> NDArra
         means: (L, 4) lines.
         fit_ranges: (L, 2) ranges [m].
     """
-    centre, half = fit_ranges.mean(axis=1), np.diff(fit_ranges, axis=1)[:, 0] / 2
+    x_min, x_max = fit_ranges.T
     shape = (4, 4, len(means))
     q = np.broadcast_to(CHEBYSHEV[:, :, None], shape)
-    J = line_of_cubic(q, np.broadcast_to(centre, shape[1:]), np.broadcast_to(half, shape[1:]))
+    J = derivatives(q, np.broadcast_to((x_min + x_max) / 2, shape[1:]), (x_max - x_min) / 2)
     J = J.transpose(1, 2, 0).copy()  # (L, parameters, coefficients)
-    J[:, 1] = np.tan(J[:, 1]) * np.cos(means[:, 1, None]) ** 2
+    _, cosine = sin_cos(means[:, 1])
+    J[:, 1] *= (cosine * cosine)[:, None]
     return J
 
 
@@ -118,17 +122,23 @@ class SeenLines:
         if self.quartics.shape != (lines,):
             raise ValueError(f"quartics must be (L,), got {self.quartics.shape}")
         check_window(self.fit_ranges[:, 0], self.fit_ranges[:, 1], POINTS)
-        if np.isnan(self._values(np.zeros((1, 3)))).any():
+        #: x and y of (K, L) points of the lines.
+        self.points = self._points_of(self.means)
+        if not is_function(*self.points).all():
             raise IllPosedError("a line is nearly perpendicular to the x axis in its range")
 
-    def _values(self, displacements: NDArray[np.float64]) -> NDArray[np.float64]:
-        return self._seen(self.means, displacements[:, None])
-
-    def _seen(
-        self, means: NDArray[np.float64], displacement: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    @np.errstate(over="ignore", invalid="ignore")
+    def _points_of(
+        self, means: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return x and y of (K, L) points of lines."""
         window = self.fit_ranges[:, 0], self.fit_ranges[:, 1]
-        return transformed(means, displacement, window, POINTS, self.quartics, END_WEIGHT)
+        return points_of(means, window, self.quartics, fit_points(POINTS, END_WEIGHT), 1)
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def _values(self, displacements: NDArray[np.float64]) -> NDArray[np.float64]:
+        x, y = (values[:, None] for values in self.points)
+        return refitted(x, y, displacements[:, None], fit_points(POINTS, END_WEIGHT).weights)
 
     def __call__(self, displacements: ArrayLike) -> NDArray[np.float64]:
         """Return the (N, L, 4) lines seen after (N, 3) displacements [m, m, rad]."""
@@ -148,21 +158,30 @@ class SeenLines:
         given by how much the mean of what the sigma points see exceeds the lines so far. A line
         that an iteration makes no function of x, since the pose error is so large, stays as it is.
         """
-        points = _sigma_points(P)[1:]
+        poses = _sigma_points(P)[1:]
         lines = self
         for _ in range(2):
-            centred = self.means - (lines(points).mean(axis=0) - lines.means)
-            is_function = ~np.isnan(self._seen(centred, np.zeros(3))[:, :1])
-            means = np.where(is_function, centred, lines.means)
-            lines = copy(self)  # without the check, which these lines have just passed
-            lines.means = means
+            centred = self.means - (_mean(lines(poses)) - lines.means)
+            points = self._points_of(centred)
+            found = is_function(*points)
+            lines, before = copy(self), lines  # without the check, which these have just passed
+            lines.means = np.where(found[:, None], centred, before.means)
+            lines.points = (points[0], np.where(found, points[1], before.points[1]))
         return lines
 
     def spread(self, P: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (4 L, 4 L) joint covariance of the lines for a pose error with covariance P.
 
-        It is that of 7 sigma points, which go through all lines at once, so it is positive
-        semidefinite. The lines of this object are the means over the pose error, see ``centred``.
+        It is positive semidefinite: A A^T with the factor A of ``spread_factor``.
+        """
+        A = self.spread_factor(P)
+        return product(A, A.T)
+
+    def spread_factor(self, P: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the (4 L, 7) factor of the joint covariance for a pose error with covariance P.
+
+        Its columns are deviations of 7 sigma points, which go through all lines at once. The lines
+        of this object are the means over the pose error, see ``centred``.
 
         Args:
             P: (3, 3) in the ego frame: along [m], across [m], heading [rad].
@@ -170,9 +189,15 @@ class SeenLines:
         values = self.centred(P)(_sigma_points(P))
         d = values.reshape(len(values), -1)
         d = d[1:] - d[0]
-        mean = d.mean(axis=0)
+        mean = _mean(d)
         # The centre has the weights 0 in the mean and 2 in the covariance.
-        return np.asarray((d - mean).T @ (d - mean) / len(d) + 2 * np.outer(mean, mean))
+        deviations = (d - mean) / math.sqrt(len(d))
+        return np.concatenate([deviations, math.sqrt(2) * mean[None]]).T
+
+
+def _mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (...,) means over the first axis."""
+    return total(values.T).T / len(values)
 
 
 def _sigma_points(P: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -193,7 +218,8 @@ def margins(P: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.flo
     along, both, heading = P[..., 0, 0, None], P[..., 0, 2, None], P[..., 2, 2, None]
     along_sigma = np.sqrt((along - 2 * y * both + y * y * heading).clip(0))
     # A turned car sees the end of a line at x at about x cos(turn), which is nearer.
-    shortening = 1 - np.cos(np.minimum(MARGIN * np.sqrt(heading), math.pi / 2))
+    _, cosine = sin_cos(np.minimum(MARGIN * np.sqrt(heading), math.pi / 2))
+    shortening = 1 - cosine
     return np.asarray(MARGIN * along_sigma + shortening * np.abs(x))
 
 
@@ -217,9 +243,18 @@ def valid_ranges(
             the middle of the range is taken to act along the line, too.
         heading_sigma: of the map, (L,) or one for all [rad].
     """
-    ends = np.stack([fit_ranges, lateral(means[:, None], fit_ranges)], axis=-1)
-    middle = lateral_jacobian(means, fit_ranges.mean(axis=1))
-    shift = np.einsum("li,lij,lj->l", middle, specific_covs, middle)
+    y_off, beta, c0, c1 = means.T[..., None]
+    slope = tan(beta)
+
+    def lateral(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return y_off + x * (slope + x * (c0 / 2 + x * c1 / 6))
+
+    middle = (fit_ranges[:, :1] + fit_ranges[:, 1:]) / 2
+    square = middle * middle
+    by_slope = (1 + slope * slope) * middle
+    J = np.stack([np.ones_like(middle), by_slope, square / 2, square * middle / 6], axis=-1)
+    shift = product(product(J, specific_covs), J.mT)[:, 0, 0]
     own = np.zeros((len(means), 3, 3))
     own[:, 0, 0], own[:, 1, 1], own[:, 2, 2] = shift, shift, np.square(heading_sigma)
+    ends = np.stack([fit_ranges, lateral(fit_ranges)], axis=-1)
     return np.asarray(fit_ranges + margins(P + own, ends) * [1, -1])

@@ -11,6 +11,7 @@ from numpy.polynomial import Polynomial
 from scipy.optimize import brentq
 from strategies import mild_lines, motions
 
+from maplines_can.values.cubics import line_of_cubic
 from maplines_can.values.errors import IllPosedError
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import (
@@ -21,7 +22,6 @@ from maplines_can.values.line import (
     Status,
     lateral,
     lateral_jacobian,
-    line_of_cubic,
     transform_line,
 )
 from maplines_can.values.polyline import to_ego

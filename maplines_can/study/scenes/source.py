@@ -27,9 +27,10 @@ from numpy.typing import NDArray
 
 from ...propagation import MapError, map_scene
 from ...simulation.street_shapes import Street, StreetPiece
+from ...values.cubics import line_of_cubic
 from ...values.gaussian import Gaussian
 from ...values.linalg import block_diagonal
-from ...values.line import Slot, lateral_jacobian, line_of_cubic
+from ...values.line import Slot, lateral_jacobian
 from ...values.polyline import Polyline
 from ...values.scene import Scene
 from ...values.seen_lines import SeenLines, bases

@@ -12,7 +12,8 @@ from scene_layouts import layout_of
 from strategies import covariances, mild_lines, symmetric
 
 from maplines_can import Gaussian
-from maplines_can.values.line import lateral, lateral_jacobian, line_of_cubic
+from maplines_can.values.cubics import line_of_cubic
+from maplines_can.values.line import lateral, lateral_jacobian
 from maplines_can.values.seen_lines import NODES, SHAPE, bases
 from maplines_can.wire.covariance.joint import divergence, largest_ratio
 from maplines_can.wire.covariance.specific_levels import GOLDEN_RATIO, SpecificLevels, point_noise
