@@ -33,17 +33,17 @@ static maplines_real_t slope_of(const maplines_gaussian_t *gaussian)
     return (maplines_real_t)maplines_tan((double)gaussian->mean[1]);
 }
 
-static maplines_real_t lateral_of(const maplines_gaussian_t *gaussian, maplines_real_t x)
+static maplines_real_t lateral_of(const maplines_gaussian_t *gaussian, maplines_real_t slope,
+                                  maplines_real_t x)
 {
     const maplines_real_t *mean = gaussian->mean;
     const maplines_real_t bend = mean[2] / 2 + x * mean[3] / 6;
-    return mean[0] + x * (slope_of(gaussian) + x * bend);
+    return mean[0] + x * (slope + x * bend);
 }
 
-static void add_gradient(const maplines_gaussian_t *gaussian, maplines_real_t x,
-                         maplines_real_t weight, gradient_t *gradient)
+static void add_gradient(maplines_real_t slope, maplines_real_t x, maplines_real_t weight,
+                         gradient_t *gradient)
 {
-    const maplines_real_t slope = slope_of(gaussian);
     const maplines_real_t J[4] = {weight, weight * ((1 + slope * slope) * x), weight * (x * x / 2),
                                   weight * (x * x * x / 6)};
     for (int i = 0; i < 4; ++i)
@@ -111,7 +111,7 @@ static maplines_real_t sigma_of(const deviation_t *deviation, size_t n)
 
 maplines_real_t maplines_y(const maplines_line_t *line, maplines_real_t x)
 {
-    return lateral_of(&line->gaussian, x);
+    return lateral_of(&line->gaussian, slope_of(&line->gaussian), x);
 }
 
 static maplines_estimate_t sum_of(const maplines_gaussian_t *gaussian, size_t count,
@@ -120,10 +120,11 @@ static maplines_estimate_t sum_of(const maplines_gaussian_t *gaussian, size_t co
     maplines_estimate_t sum = {0, 0};
     gradient_t gradient = {{0}, {0}};
     deviation_t deviation = {{0}, {0}, 4};
+    const maplines_real_t slope = slope_of(gaussian);
     for (size_t i = 0; i < count; ++i)
     {
-        sum.value += terms[i].weight * lateral_of(gaussian, terms[i].x);
-        add_gradient(gaussian, terms[i].x, terms[i].weight, &gradient);
+        sum.value += terms[i].weight * lateral_of(gaussian, slope, terms[i].x);
+        add_gradient(slope, terms[i].x, terms[i].weight, &gradient);
     }
     add_rows(&gaussian->factor[0][0], 4, &gradient, deviation.g, deviation.size);
     sum.sigma = sigma_of(&deviation, count);
@@ -183,17 +184,18 @@ maplines_real_t maplines_mahalanobis(const maplines_line_t *line, size_t count,
     {
         return (maplines_real_t)INFINITY;
     }
+    const maplines_real_t slope = slope_of(&line->gaussian);
     for (size_t i = 0; i < count; ++i)
     {
         gradient_t gradient = {{0}, {0}};
         deviation_t deviation = {{0}, {0}, 4};
-        add_gradient(&line->gaussian, positions[i].x, 1, &gradient);
+        add_gradient(slope, positions[i].x, 1, &gradient);
         add_rows(&line->gaussian.factor[0][0], 4, &gradient, deviation.g, deviation.size);
         for (size_t k = 0; k < 4; ++k)
         {
             G[i][k] = (double)deviation.g[k];
         }
-        z[i] = (double)(positions[i].y - lateral_of(&line->gaussian, positions[i].x));
+        z[i] = (double)(positions[i].y - lateral_of(&line->gaussian, slope, positions[i].x));
     }
     maplines_product_transposed((int)count, 4, (int)count, &G[0][0], &G[0][0], S);
     for (size_t i = 0; i < count; ++i)
@@ -246,8 +248,9 @@ bool maplines_sum(const maplines_scene_t *scene, size_t count, const maplines_te
             return false;
         }
         const maplines_gaussian_t *gaussian = &scene->lines[place].gaussian;
-        value += terms[i].weight * lateral_of(gaussian, terms[i].x);
-        add_gradient(gaussian, terms[i].x, terms[i].weight, &gradients[place]);
+        const maplines_real_t slope = slope_of(gaussian);
+        value += terms[i].weight * lateral_of(gaussian, slope, terms[i].x);
+        add_gradient(slope, terms[i].x, terms[i].weight, &gradients[place]);
     }
     deviation_t deviation = {{0}, {0}, 7};
     for (size_t i = 0; i < scene->count; ++i)
