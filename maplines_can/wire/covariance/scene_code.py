@@ -6,8 +6,9 @@ displaced pose. From P' and the decoded covariances D_i of own_i it rebuilds the
 
     C = cov f(delta) + blockdiag(D_1, ..., D_L),   delta ~ N(0, P')
 
-by sigma points that go through all lines at once. The first term is positive semidefinite and
-every D_i is positive definite, so C is positive definite for any bits.
+by sigma points that go through all lines at once. It has factors: C = A A^T + blockdiag(F_i F_i^T),
+with A (4 L, 7) the deviations of the sigma points, and F_i regular. So C is positive definite for
+any bits.
 
 D_i has one of two forms. ``SpecificLevels`` takes 19 bits and suffices for most lines whose map
 error is known. The form with all entries takes as many bits as the covariance of a line by itself;
@@ -26,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...values.errors import IllPosedError
+from ...values.fixed_order import cholesky, product, upper_solution
 from ...values.linalg import block_diagonal
 from ...values.line import Slot
 from ...values.seen_lines import SeenLines, bases
@@ -40,6 +42,7 @@ from ..layout.signals import (
 )
 from .cholesky import CholeskyCode
 from .code import Array
+from .factor import PowersOfTwo
 from .specific_levels import SpecificLevels
 
 #: Signal that says whether a record has all entries of D_i.
@@ -47,8 +50,8 @@ FORM = "HasCovariance"
 #: Standard deviation of the coefficients of ``bases`` that D_i of levels has at least: about that
 #: of the rounding errors of the means [m].
 RESOLUTION = 2.0**-9
-#: Share by which decoded variances are enlarged, more than the rounding error of their sum: so
-#: they are definite even if the pose error is millions of times what is line-specific.
+#: Share by which variances are enlarged, more than the rounding error of their sum: so matrices are
+#: definite even if the pose error is millions of times what is line-specific.
 ROUNDING = 2.0**-42
 #: (L,) raw values by signal.
 Rows = dict[str, NDArray[np.int64]]
@@ -71,6 +74,8 @@ class DecodedLines(NamedTuple):
     specific_covs: Array  #: (L, 4, 4) D_i
     cov: Array  #: (4 L, 4 L) C
     quartics: Array  #: (L,) coefficients of T_4 [m]
+    spread: Array  #: (4 L, 7) A
+    specific_factors: Array  #: (L, 4, 4) F_i
 
 
 def _first_slot(pose: RecordLayout) -> str:
@@ -100,6 +105,9 @@ class SceneCode:
         self.time, self.offset, self.heading = (
             pose[name] for name in ("CorrelationTime", "MapOffset", "MapHeading")
         )
+        self._times, self._offsets, self._headings = map(
+            PowersOfTwo, (self.time, self.offset, self.heading)
+        )
         #: Whether the records of lines are conditional on the pose.
         self.is_conditional = FORM in line.signals
         levels, prefix = (line, "") if self.is_conditional else (pose, _first_slot(pose))
@@ -118,15 +126,15 @@ class SceneCode:
     def decode_pose(self, raw: Mapping[str, int]) -> DecodedPose:
         """Return the content of a Pose record from its raw values by signal."""
         levels = [
-            0.0 if raw[s.name] == 0 else 2.0 ** s.physical_one(raw[s.name])
-            for s in (self.offset, self.heading)
+            0.0 if raw[s.name] == 0 else powers.of_one(raw[s.name])
+            for s, powers in ((self.offset, self._offsets), (self.heading, self._headings))
         ]
         time = self.correlation_time(raw[self.time.name])
         return DecodedPose(self.pose_code.decode_one(raw), time, *levels)
 
     def correlation_time(self, raw: int) -> float:
         """Return the correlation time of a raw value [s]; infinite for 0, which means unknown."""
-        return math.inf if raw == 0 else 2.0 ** self.time.physical_one(raw)
+        return math.inf if raw == 0 else self._times.of_one(raw)
 
     def raw_time(self, correlation_time: float) -> int:
         """Return the least raw value whose correlation time is not less than this one [s].
@@ -158,11 +166,12 @@ class SceneCode:
         if not (fit_ranges[:, 0] < fit_ranges[:, 1]).all():
             raise IllPosedError("the range of a line is empty")
         seen = SeenLines(means, fit_ranges, quartics)
-        own = self.decode_specific(raw, means, fit_ranges, self.common(seen, pose))
-        cov = seen.spread(pose.cov) + block_diagonal(own)
-        cov = (cov + cov.T) / 2
+        A = seen.spread_factor(pose.cov)
+        F = self.specific_factors(raw, means, fit_ranges, self.common(seen, pose))
+        own = product(F, F.mT)
+        cov = product(A, A.T) + block_diagonal(own)
         cov[np.diag_indices_from(cov)] *= 1 + ROUNDING
-        return DecodedLines(means, fit_ranges, own, cov, quartics)
+        return DecodedLines(means, fit_ranges, own, cov, quartics, A, F)
 
     def decode_lines(self, raw: Rows) -> tuple[Array, Array, Array]:
         """Return the (L, 4) means, (L, 2) fit ranges and (L,) quartics."""
@@ -174,20 +183,41 @@ class SceneCode:
         return means, fit_ranges, np.asarray(self.quartic.physical(raw[self.quartic.name]))
 
     def decode_specific(self, raw: Rows, means: Array, fit_ranges: Array, common: Array) -> Array:
-        """Return the (L, 4, 4) D_i of (L,) raw values."""
+        """Return the (L, 4, 4) D_i of (L,) raw values: as ``specific_factors``, multiplied out."""
+        F = self.specific_factors(raw, means, fit_ranges, common)
+        return product(F, F.mT)
+
+    def specific_factors(self, raw: Rows, means: Array, fit_ranges: Array, common: Array) -> Array:
+        """Return the (L, 4, 4) factors F_i of D_i of (L,) raw values.
+
+        Args:
+            raw: raw values by signal.
+            means: (L, 4) lines.
+            fit_ranges: (L, 2) [m].
+            common: (L, 4, 4) that of ``common``.
+        """
         own = self.levels.decode(raw, means, fit_ranges) + common
+        own[:, range(4), range(4)] *= 1 + ROUNDING
+        F = product(bases(means, fit_ranges), cholesky(own))
         if self.entries_code is not None and (full := raw[FORM] == 1).any():
             signals = self.entries_code.signals
-            own[full] = self.entries_code.decode({s.name: raw[s.name][full] for s in signals})
-        return own
+            F[full] = self.entries_code.factors({s.name: raw[s.name][full] for s in signals})
+        return F
 
     def common(self, seen: SeenLines, pose: DecodedPose) -> Array:
-        """Return the (L, 4, 4) covariances that the levels of a scene's map error stand for."""
+        """Return the (L, 4, 4) covariances of the coefficients of T_0 .. T_3 that all lines have.
+
+        They are those of the resolution of the means, and what the levels of the map error of a
+        scene stand for.
+        """
         sigma = np.array([pose.offset_sigma, pose.offset_sigma, pose.heading_sigma])
-        J = RESOLUTION * bases(seen.means, seen.fit_ranges)
+        cov = np.tile(RESOLUTION**2 * np.eye(4), (len(seen.means), 1, 1))
         if sigma.any():
-            J = np.concatenate([J, seen.jacobian() * sigma], axis=2)
-        return np.asarray(J @ J.swapaxes(1, 2))
+            # The derivatives of bases are upper triangular: T_k has no derivative beyond the k-th.
+            J = bases(seen.means, seen.fit_ranges)
+            K = upper_solution(J.mT, seen.jacobian() * sigma)
+            cov += product(K, K.mT)
+        return cov
 
     def _is_full(self, line: Mapping[str, int]) -> bool:
         """Return whether raw values have all entries of D_i."""

@@ -33,7 +33,7 @@ class SentLines(NamedTuple):
     means: Array  #: (L, 4)
     fit_ranges: Array  #: (L, 2) [m]
     J: Array  #: (L, 4, 4) derivatives of ``bases``
-    common: Array  #: (L, 4, 4) what the levels of the scene's map error stand for
+    common: Array  #: (L, 4, 4) of ``SceneCode.common``
     noise: Array  #: (L, S, 4, 4) of ``SpecificLevels.noise``
     due_to_pose: Array  #: (L, 4, 4) part of the true covariances
     specific: Array  #: (L, 4, 4) the other part
@@ -115,18 +115,17 @@ class SpecificEncoder:
         raw, covered = levels.encode(
             known + more, lines.common, known + lines.least, lines.J, lines.noise
         )
-        specific = levels.decode(raw, lines.means, lines.fit_ranges) + lines.common
         to_metres = inverse(lines.J)  # all coefficients in metres
-        true, whole, decoded, decoded_whole = (
+        true, whole, due_to_pose = (
             congruence(to_metres, cov)
             for cov in (
                 lines.specific + lines.least,
                 lines.due_to_pose + known + lines.least,
-                specific,
-                lines.due_to_pose + specific,
+                lines.due_to_pose,
             )
         )
-        kl, ratio = divergence(whole, decoded_whole), largest_ratio(decoded, true)
+        decoded = levels.decode(raw, lines.means, lines.fit_ranges) + lines.common
+        kl, ratio = divergence(whole, due_to_pose + decoded), largest_ratio(decoded, true)
         return raw, covered, np.maximum(kl / LEVELS_KL, ratio / LEVELS_RATIO**2)
 
 

@@ -19,14 +19,15 @@ for b.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...values.elementary import log2
-from ...values.fixed_order import congruence, inverse
-from ...values.seen_lines import NODES, SHAPE, bases
+from ...values.elementary import exp2, log2, tan
+from ...values.fixed_order import congruence, inverse, product, total
+from ...values.seen_lines import NODES, SHAPE
 from ..layout.signals import OCTAVE, Signal
 from .code import Array
 from .joint import LN_2, divergence, entries_first, largest_ratio
@@ -35,7 +36,7 @@ from .joint import LN_2, divergence, entries_first, largest_ratio
 #: that of the greatest raw value exceeds it.
 SHAPE_OFFSET, SHAPE_OCTAVES = -10.0, 10.2
 #: Values of r, by the remainder of the raw value of the shape.
-RATIOS = np.array([0.0, *(0.5 * 1.8 ** np.arange(5))])
+RATIOS = np.array([0.0, *np.cumprod([0.5, 1.8, 1.8, 1.8, 1.8])])
 #: Raw values above the least one of the level of the points, or of the shape, that are tried.
 TRIED = np.array([0, 1, 2, 3, 5])
 #: Spacings for which all of them are tried: the best ones for the second.
@@ -46,37 +47,57 @@ BEYOND = 1e100
 SINGULAR = 1e-6
 #: Entries without those of T_0, of the lower triangle, column by column.
 _LOWER = ((1, 1), (2, 1), (3, 1), (2, 2), (3, 2), (3, 3))
-GOLDEN_RATIO = (1 + 5**0.5) / 2
-#: (4, K) matrix from values at the nodes to the coefficients of their cubic fit.
-_FIT = np.linalg.pinv(np.polynomial.chebyshev.chebvander(NODES, 3))
+GOLDEN_RATIO = (1 + math.sqrt(5)) / 2
+
+
+def _fit_matrix() -> Array:
+    """Return the (4, K) matrix from values at the nodes to the coefficients of their cubic fit."""
+    T_2 = 2 * NODES * NODES - 1
+    T = np.stack([np.ones_like(NODES), NODES, T_2, 2 * NODES * T_2 - NODES])
+    return product(inverse(total(T[:, None] * T)), T)
+
+
+_FIT = _fit_matrix()
 
 
 def point_noise(mean: Array, fit_range: Array, spacing: Array, phase: Array) -> Array:
-    """Return the (S, 4, 4) covariances of the coefficients of T_0 .. T_3 for unit errors of points.
+    """Return the (..., S, 4, 4) covariances of the coefficients of T_0 .. T_3 for unit errors.
 
     Args:
-        mean: (4,) line.
-        fit_range: (2,) [m].
-        spacing: (S,) distances of the points along the line, in halves of its length.
-        phase: (S,) of these distances, by how much the first point is ahead of the range's start.
+        mean: (..., 4) lines.
+        fit_range: (..., 2) [m].
+        spacing: (..., S) distances of the points along each line, in halves of its length.
+        phase: (..., S) of these distances, by how much the first point is ahead of the range's
+            start.
     """
-    x = fit_range.mean() + np.ptp(fit_range) / 2 * NODES
-    stretch = np.hypot(1.0, np.tan(mean[1]) + x * (mean[2] + x * mean[3] / 2))
-    along = np.append(0.0, np.cumsum(np.diff(x) * (stretch[1:] + stretch[:-1])))
-    place = 2 * along / along[-1] / spacing[:, None] + phase[:, None]  # (S, K)
+    begin, end = fit_range[..., :1], fit_range[..., 1:]
+    x = (begin + end) / 2 + (end - begin) / 2 * NODES
+    _, beta, c0, c1 = np.moveaxis(mean, -1, 0)[..., None]
+    slope = tan(beta) + x * (c0 + x * c1 / 2)
+    stretch = np.sqrt(1 + slope * slope)
+    steps = np.diff(x) * (stretch[..., 1:] + stretch[..., :-1])
+    along = np.concatenate([np.zeros_like(begin), np.cumsum(steps, axis=-1)], axis=-1)
+    share = 2 * along / along[..., -1:]
+    place = share[..., None, :] / spacing[..., None] + phase[..., None]  # (..., S, K)
     below = place.astype(np.int64)
     share = place - below
-    points = int(below[:, -1].max()) + 2
-    below += points * np.arange(len(spacing))[:, None]
-    W = np.empty((len(spacing), 4, points))
+    rows, points = spacing.size, int(below[..., -1].max()) + 2
+    bins = below.reshape(rows, -1) + points * np.arange(rows)[:, None]
+    W = np.empty((4, rows, points))
     # An error across the line acts on y by the factor ``stretch``.
-    for i, row in enumerate(_FIT * stretch):
-        ends = [np.ravel(row * (1 - share)), np.ravel(row * share)]
-        both = [
-            np.bincount(below.ravel() + k, end, len(spacing) * points) for k, end in enumerate(ends)
-        ]
-        W[:, i] = (both[0] + both[1]).reshape(len(spacing), points)
-    return np.asarray(W @ W.swapaxes(1, 2))
+    for i, row in enumerate(_FIT):
+        weight = (row * stretch)[..., None, :]
+        ends = weight * (1 - share), weight * share
+        of_below, of_above = (
+            np.bincount(bins.ravel() + k, values.ravel(), rows * points)
+            for k, values in enumerate(ends)
+        )
+        W[i] = (of_below + of_above).reshape(rows, points)
+    cov = np.empty((rows, 4, 4))
+    for i in range(4):
+        for j in range(i + 1):  # one after the other, so that more points of other rows add 0
+            cov[:, i, j] = cov[:, j, i] = np.cumsum(W[i] * W[j], axis=-1)[:, -1]
+    return cov.reshape(*spacing.shape, 4, 4)
 
 
 class SpecificLevels:
@@ -93,15 +114,23 @@ class SpecificLevels:
         self.lateral, self.points, self.shape = lateral, points, shape
         self.signals = (lateral, points, shape)
         self._shape_step = SHAPE_OCTAVES / max(1, shape.raw_max)
+        raw = np.arange(shape.raw_max + 1)
         #: Squares of the levels of all raw values [m^2].
         self._lateral_squared, self._points_squared, self._shapes_squared = (
             level * level
             for level in (
                 _level(lateral, np.arange(lateral.raw_max + 1)),
                 _level(points, np.arange(points.raw_max + 1)),
-                self._shape_level(np.arange(shape.raw_max + 1)),
+                self._shape_level(raw),
             )
         )
+        #: Spacing, phase and r^2 times the spacing, by raw value of the shape.
+        self._spacing = shape.physical(raw)
+        if shape.unit == OCTAVE:
+            self._spacing = exp2(self._spacing)
+        self._phase: Array = np.fmod(raw * GOLDEN_RATIO, 1.0)
+        ratio = RATIOS[raw % len(RATIOS)]
+        self._amount = ratio * ratio * self._spacing
 
     def noise(self, means: Array, fit_ranges: Array) -> Array:
         """Return the (L, S, 4, 4) covariances for p = 1 m of all raw values of the shape.
@@ -117,33 +146,23 @@ class SpecificLevels:
         return np.array([self._noise(*line, raw) for line in lines])
 
     def _noise(self, mean: Array, fit_range: Array, raw: NDArray[np.int64]) -> Array:
-        """Return the (S, 4, 4) covariances of a line for p = 1 m."""
-        raw = raw.clip(self.shape.raw_min, self.shape.raw_max)
-        spacing = self.shape.physical(raw)
-        if self.shape.unit == OCTAVE:
-            spacing = np.exp2(spacing)
-        noise = point_noise(
-            mean, fit_range, spacing, np.asarray(raw * GOLDEN_RATIO % 1.0, dtype=float)
-        )
-        amount = RATIOS[raw % len(RATIOS)] ** 2 * spacing
-        return np.asarray(noise + amount[:, None, None] * np.diag(SHAPE))
+        """Return the (..., S, 4, 4) covariances of (..., 4) lines for p = 1 m."""
+        noise = point_noise(mean, fit_range, self._spacing[raw], self._phase[raw])
+        return np.asarray(noise + self._amount[raw][..., None, None] * np.diag(SHAPE))
 
     def decode(
         self, raw: Mapping[str, NDArray[np.int64]], means: Array, fit_ranges: Array
     ) -> Array:
-        """Return the (L, 4, 4) covariances of (L,) raw values by signal."""
-        J = bases(means, fit_ranges)
-        p = _level(self.points, raw[self.points.name])
-        k = raw[self.shape.name].clip(self.shape.raw_min, self.shape.raw_max)
-        noise = np.zeros((len(means), 4, 4))
-        for i in np.flatnonzero(p):
-            noise[i] = self._noise(means[i], fit_ranges[i], k[i : i + 1])[0]
-        b = np.where(p == 0, self._shape_level(k), 0.0)
-        own = p[:, None, None] ** 2 * noise
-        own += b[:, None, None] ** 2 * np.diag(SHAPE)
-        cov = J @ own @ J.swapaxes(1, 2)
-        cov[:, 0, 0] += _level(self.lateral, raw[self.lateral.name]) ** 2
-        return np.asarray(cov + cov.swapaxes(1, 2)) / 2
+        """Return the (L, 4, 4) covariances of the coefficients of T_0 .. T_3 of (L,) raw values."""
+        of_points, of_lateral, k = (raw[s.name] for s in (self.points, self.lateral, self.shape))
+        k = k.clip(0, self.shape.raw_max)
+        own = np.where(of_points == 0, self._shapes_squared[k], 0.0)[:, None, None] * np.diag(SHAPE)
+        if (rows := np.flatnonzero(of_points)).size:
+            noise = self._noise(means[rows], fit_ranges[rows], k[rows, None])[:, 0]
+            squared = self._points_squared.take(of_points[rows], mode="clip")
+            own[rows] = squared[:, None, None] * noise
+        own[:, 0, 0] += self._lateral_squared.take(of_lateral, mode="clip")
+        return np.asarray(own)
 
     def encode(
         self, target: Array, common: Array, true: Array, J: Array, noise: Array
@@ -157,7 +176,8 @@ class SpecificLevels:
 
         Args:
             target: (L, 4, 4) symmetric matrices to be covered; they may be indefinite.
-            common: (L, 4, 4) what is added to the covariances of the levels.
+            common: (L, 4, 4) what is added to the covariances of the levels, of the coefficients of
+                T_0 .. T_3.
             true: (L, 4, 4) the covariances to which the sums are to be close.
             J: (L, 4, 4) derivatives of ``bases``.
             noise: (L, S, 4, 4) that of ``noise``.
@@ -167,10 +187,8 @@ class SpecificLevels:
         """
         to_metres = inverse(J)
         # In coefficients of T_0 .. T_3, the entries first: (4, 4, L, K) for K candidates.
-        E, C, T = (
-            entries_first(congruence(to_metres, X))[..., None]
-            for X in (target - common, common, true)
-        )
+        wanted, of_true = (congruence(to_metres, X) for X in (target, true))
+        E, C, T = (entries_first(X)[..., None] for X in (wanted - common, common, of_true))
         noise = entries_first(noise)
         k_points, p, of_points = self._points_tried(E, C, T, noise)
         k_shape, of_shape = self._shapes_tried(E)
@@ -212,7 +230,7 @@ class SpecificLevels:
 
     def _shape_level(self, raw: NDArray[np.int64] | Array) -> Array:
         """Return the levels b of raw values of the shape [m]."""
-        return np.where(raw == 0, 0.0, np.exp2(SHAPE_OFFSET + self._shape_step * raw))
+        return np.where(raw == 0, 0.0, exp2(SHAPE_OFFSET + self._shape_step * raw))
 
     def _cost(self, E: Array, C: Array, true: Array, own: Array) -> tuple[NDArray[np.int64], Array]:
         """Return lateral levels with which covariances cover targets E, and their cost.
@@ -277,7 +295,7 @@ def _shortfall(M: Array) -> Array:
 
 def _level(signal: Signal, raw: NDArray[np.int64] | Array) -> Array:
     """Return the levels of raw values: 0 for 0, else 2 to the power of the physical value."""
-    return np.where(raw == 0, 0.0, np.exp2(signal.physical(raw)))
+    return np.where(raw == 0, 0.0, exp2(signal.physical(raw)))
 
 
 def _raw(signal: Signal, level: Array) -> Array:

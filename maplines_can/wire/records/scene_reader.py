@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...values.elementary import exp2
 from ...values.gaussian import Gaussian
 from ...values.line import PARAMETERS, Kind, MapLine, Slot, Status
 from ...values.map_error import MapError
@@ -43,7 +44,7 @@ class SceneReader:
     def __init__(self, layout: Layout, pose: PoseLayout, code: SceneCode) -> None:
         self._code = code
         self._age, self._too_old = pose["Age"], pose["Age"].raw_max
-        self._heading_step = 2.0 ** pose["MapHeading"].factor
+        self._heading_step = float(exp2(pose["MapHeading"].factor))
         self._greatest_heading = pose["MapHeading"].raw_max
         self._signals = [layout[name] for name in (*PARAMETER_SIGNALS, "XMin", "XMax")]
 
@@ -149,9 +150,11 @@ def _of_scene(status: Status) -> Status:
 
 
 def _later(age: float, passed_ns: int) -> float:
-    """Return an age [s] when some time [ns] has passed, 0 or more, in whole nanoseconds.
+    """Return an age [s] when some time [ns] has passed, 0 or more.
+
+    It is in whole nanoseconds, up to 2^53 of them.
 
     >>> _later(0.008, 1_620_000), _later(0.008, -9_000_000), _later(math.inf, 1)
     (0.00962, 0.0, inf)
     """
-    return age if math.isinf(age) else max(round(1e9 * age) + passed_ns, 0) / 1e9
+    return age if math.isinf(age) else max(float(round(1e9 * age)) + passed_ns, 0.0) / 1e9

@@ -16,12 +16,18 @@ from scene_streams import feed, new_codec, road_scene
 from strategies import covariances
 
 from maplines_can import MapError, PoseError, Scene
+from maplines_can.values.elementary import exp2
 from maplines_can.values.errors import LayoutError
 from maplines_can.wire import Layout
 from maplines_can.wire.covariance import SceneCode, SceneEncoder
 from maplines_can.wire.layout.dbc_reader import default_dbc_path
 
 CODE, ENCODER = scene_code(), scene_encoder()
+
+
+def level(octave: float) -> float:
+    """Power of 2 as the wire has it."""
+    return float(exp2(octave))
 
 
 def pose_of(cov: Any, error: MapError | None = None, time: float = math.inf) -> Scene:
@@ -42,16 +48,16 @@ def test_any_bits_of_a_pose_are_definite(seed: int) -> None:
     ("time", "raw", "decoded"),
     [
         (math.inf, 0, math.inf),
-        (5e-324, 1, 2**-1.5),
-        (2**-1.5, 1, 2**-1.5),
-        (math.nextafter(2**-1.5, 1), 2, 0.5),
+        (5e-324, 1, level(-1.5)),
+        (level(-1.5), 1, level(-1.5)),
+        (math.nextafter(level(-1.5), 1), 2, 0.5),
         (1.0, 4, 1.0),
-        (math.nextafter(1.0, 2), 5, 2**0.5),
-        (1.18, 5, 2**0.5),
+        (math.nextafter(1.0, 2), 5, level(0.5)),
+        (1.18, 5, level(0.5)),
         (8.0, 10, 8.0),
-        (8.1, 11, 2**3.5),
-        (2**5.5, 15, 2**5.5),
-        (math.nextafter(2**5.5, 99), 0, math.inf),
+        (8.1, 11, level(3.5)),
+        (level(5.5), 15, level(5.5)),
+        (math.nextafter(level(5.5), 99), 0, math.inf),
         (60.0, 0, math.inf),
         (1.7e308, 0, math.inf),
     ],
@@ -119,7 +125,7 @@ def test_a_correlation_time_in_seconds_is_refused() -> None:
 
 @pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
 @pytest.mark.parametrize(
-    ("time", "received"), [(8.0, 8.0), (8.1, 2**3.5), (60.0, math.inf), (1000.0, math.inf)]
+    ("time", "received"), [(8.0, 8.0), (8.1, level(3.5)), (60.0, math.inf), (1000.0, math.inf)]
 )
 def test_a_consumer_gets_the_rounded_correlation_time(
     dbc: str, time: float, received: float
