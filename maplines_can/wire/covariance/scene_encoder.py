@@ -161,7 +161,8 @@ class SceneEncoder:
             reason = LeftOut.ACROSS
             if seen is not None:
                 if noise is None and not forms.is_full[places].all():
-                    noise = self._code.levels.noise(seen.means, seen.fit_ranges)
+                    means, fit_ranges, _ = self._code.decode_lines(forms.with_levels(places))
+                    noise = self._code.levels.noise(means, fit_ranges)
                 d = scene.means[places] - seen.means
                 lines = SentLines(
                     forms.is_full[places],
@@ -253,6 +254,11 @@ class _Forms:
             for name, values in self._with_entries.items()
         }
         return chosen | {FORM: self.is_full[places].astype(np.int64)}
+
+    def with_levels(self, places: Places) -> Rows:
+        """Return the raw values of the lines at some places, if all of them have levels."""
+        chosen = {name: values[places] for name, values in self._with_levels.items()}
+        return chosen | {FORM: np.zeros(len(places), dtype=np.int64)}
 
     def spare_one(self, places: Places) -> None:
         """Let the line for which levels cost the least have them, if none has and they cover it."""
