@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shlex
 import subprocess
 import tempfile
 from collections.abc import Sequence
@@ -21,14 +22,19 @@ WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Werr
 EXACT = ("-ffp-contract=off",)
 #: Name of the tables in a harness: harness_dbc.h and the constant harness_dbc, of whichever DBC.
 NAME = "harness"
+#: Another compiler, more arguments for it, and an emulator of its target, for all programs: see
+#: ``tools/c_checks.py``.
+CC = os.environ.get("MAPLINES_CC", "cc")
+FLAGS = tuple(shlex.split(os.environ.get("MAPLINES_CFLAGS", "-O2")))
+EMULATOR = tuple(shlex.split(os.environ.get("MAPLINES_EMULATOR", "")))
 
 
 def harness(
     name: str,
     dbc: str | Path | Database | Layout | None = None,
     *,
-    cc: str = "cc",
-    flags: Sequence[str] = ("-O2",),
+    cc: str = CC,
+    flags: Sequence[str] = FLAGS,
 ) -> Path:
     """Return the program of ``c/tests/<name>_harness.c`` with the core and the tables of a DBC.
 
@@ -51,8 +57,8 @@ def program(
     layouts: Sequence[Layout],
     names: Sequence[str],
     *,
-    cc: str = "cc",
-    flags: Sequence[str] = ("-O2",),
+    cc: str = CC,
+    flags: Sequence[str] = FLAGS,
 ) -> Path:
     """Return the program of some sources, the core, and the tables of DBCs with these names."""
     files: dict[str, str] = {}
@@ -66,7 +72,7 @@ def program(
     ]  # fmt: skip
     sources = sorted((C / "src").glob("*.c"))
     headers = [path for folder in ("include", "src", "tests") for path in (C / folder).glob("*.h")]
-    digest = hashlib.sha256(repr((command, [*map(str, mains)], files)).encode())
+    digest = hashlib.sha256(repr((command, EMULATOR, [*map(str, mains)], files)).encode())
     for path in (*mains, *sources, *sorted(headers)):
         digest.update(path.read_bytes())
     target = _cache() / digest.hexdigest()[:32]
@@ -80,8 +86,19 @@ def program(
             subprocess.run(
                 [*command, f"-I{folder}", *everything, "-lm", "-o", str(out)], check=True
             )
+            if EMULATOR:
+                out = _emulated(out, target.with_suffix(".bin"))
             out.replace(target)  # in one step: another process may compile the same
     return target
+
+
+def _emulated(program: Path, target: Path) -> Path:
+    """Move a program to another place; return a script that runs it there by the emulator."""
+    program.replace(target)
+    script = program.with_name("script")
+    script.write_text(f'#!/bin/sh\nexec {shlex.join([*EMULATOR, str(target)])} "$@"\n')
+    script.chmod(0o755)
+    return script
 
 
 def run(program: Path, data: bytes, *prefix: str) -> bytes:

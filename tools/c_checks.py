@@ -1,13 +1,20 @@
 #!/usr/bin/env python3
 """Check the C core: its form, warnings of two compilers, and what four analysers find.
 
-    c_checks.py                all checks whose programs are installed; the others are named
+    c_checks.py                the quick checks whose programs are installed; others are named
     c_checks.py compile misra  only these
+    c_checks.py --long         the others: the tests with sanitizers, on other targets, coverage
     c_checks.py --list         the names of the checks
     c_checks.py --json         the findings as JSON
 
 The exit status is 1 if there is a finding, and with --strict also if a program is missing. Run it
 in the environment of the project: python3 tools/run.py python tools/c_checks.py
+
+The long checks run the tests of tests/c with another compiler, and with an emulator if that is for
+another processor; so can you:
+
+    MAPLINES_CC=clang MAPLINES_CFLAGS="-O1 -fsanitize=address,undefined" pytest tests/c
+    MAPLINES_CC=s390x-linux-gnu-gcc MAPLINES_EMULATOR="qemu-s390x -L /usr/s390x-linux-gnu" ...
 
 Rules of MISRA C:2012 from which the core deviates are in c/MISRA.md, each with its reason; a
 finding of another rule fails.
@@ -16,12 +23,13 @@ finding of another rule fails.
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from reporting import parser_of
@@ -31,8 +39,10 @@ C = ROOT / "c"
 INCLUDE = [f"-I{C / 'include'}", f"-I{C / 'src'}"]
 WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Wstrict-prototypes",
             "-Wmissing-prototypes", "-Wdouble-promotion", "-Wundef", "-Werror"]  # fmt: skip
+#: Least share of the branches that the tests take [%].
+MIN_BRANCHES = 98.0
 #: Variants that are compiled: flags after those of the language.
-VARIANTS = ([], ["-DMAPLINES_FLOAT"], ["-DNDEBUG"])
+VARIANTS: tuple[list[str], ...] = ([], ["-DMAPLINES_FLOAT"], ["-DNDEBUG"])
 FINDING = re.compile(r"(?:warning|error|style|performance|portability|information): ")
 
 Findings = list[str]
@@ -48,9 +58,13 @@ def all_files() -> list[str]:
     return [str(path) for path in sorted(C.rglob("*.[ch]")) if "build" not in path.parts]
 
 
-def run(command: Sequence[str]) -> tuple[int, list[str]]:
+def run(
+    command: Sequence[str], environment: Mapping[str, str] | None = None
+) -> tuple[int, list[str]]:
     """Return the status of a command, and the lines that it prints."""
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, cwd=ROOT, env=environment
+    )
     return done.returncode, [*done.stdout.splitlines(), *done.stderr.splitlines()]
 
 
@@ -130,8 +144,75 @@ def check_tidy() -> Findings:
     return [line for line in run(command)[1] if FINDING.search(line)]
 
 
+def findings_with(compiler: str, flags: str = "-O2", emulator: str = "", **more: str) -> Findings:
+    """Run the tests of the core with a compiler, its arguments, and an emulator of its target."""
+    settings = {"MAPLINES_CC": compiler, "MAPLINES_CFLAGS": flags, "MAPLINES_EMULATOR": emulator}
+    command = [sys.executable, "-m", "pytest", "-q", "-n", "2", "tests/c"]
+    status, lines = run(command, os.environ | settings | more)
+    failed = [line for line in lines if re.match(r"(FAILED|ERROR) ", line)]
+    return failed or ([*lines[-3:]] if status else [])
+
+
+def check_sanitizers() -> Findings:
+    """The tests pass with the address and undefined-behaviour sanitizers of clang."""
+    return findings_with("clang", "-O1 -g -fsanitize=address,undefined -fno-sanitize-recover=all")
+
+
+def check_optimised() -> Findings:
+    """The tests pass with gcc and clang, without optimisation and with all of it."""
+    return [
+        f"{compiler} {level}: {line}"
+        for compiler in filter(shutil.which, ("gcc", "clang"))
+        for level in ("-O0", "-O3")
+        for line in findings_with(compiler, level)
+    ]
+
+
+def check_aarch64() -> Findings:
+    """The tests pass on AArch64, which has fused multiplications."""
+    return findings_with("aarch64-linux-gnu-gcc", emulator="qemu-aarch64 -L /usr/aarch64-linux-gnu")
+
+
+def check_s390x() -> Findings:
+    """The tests pass on s390x, which is big-endian."""
+    return findings_with("s390x-linux-gnu-gcc", emulator="qemu-s390x -L /usr/s390x-linux-gnu")
+
+
+def check_armhf() -> Findings:
+    """The tests pass on a 32-bit ARM."""
+    return findings_with("arm-linux-gnueabihf-gcc", emulator="qemu-arm -L /usr/arm-linux-gnueabihf")
+
+
+def check_coverage() -> Findings:
+    """The tests take at least 98 % of the branches of the core."""
+    with tempfile.TemporaryDirectory() as folder:
+        flags = "-O0 -g -fprofile-instr-generate -fcoverage-mapping"
+        profiles = f"{folder}/%p-%m.profraw"
+        cache = Path(folder) / "programs"
+        cache.mkdir()
+        settings = {"LLVM_PROFILE_FILE": profiles, "TMPDIR": str(cache)}
+        findings = findings_with("clang", flags, **settings)
+        merged = f"{folder}/merged.profdata"
+        raw = [str(path) for path in Path(folder).glob("*.profraw")]
+        run(["llvm-profdata", "merge", "-sparse", *raw, "-o", merged])
+        programs = [str(path) for path in cache.glob("maplines-c-*/*") if path.is_file()]
+        objects = [part for program in programs for part in ("-object", program)]
+        command = ["llvm-cov", "report", f"-instr-profile={merged}", "-show-branch-summary=true",
+                   *objects[1:], str(C / "src")]  # fmt: skip
+        lines = run(command)[1]
+    for line in lines:
+        print(line[:200])
+    total = next((line.split() for line in lines if line.startswith("TOTAL")), None)
+    if total is None:
+        return [*findings, "llvm-cov gives no total"]
+    share = float(total[-1].removesuffix("%"))
+    if share < MIN_BRANCHES:
+        findings.append(f"{share} % of the branches are taken, fewer than {MIN_BRANCHES} %")
+    return findings
+
+
 #: Checks by name, with the programs that each one needs.
-CHECKS: dict[str, tuple[Callable[[], Findings], tuple[str, ...]]] = {
+QUICK: dict[str, tuple[Callable[[], Findings], tuple[str, ...]]] = {
     "format": (check_format, ("clang-format",)),
     "compile": (check_compile, ("gcc",)),
     "cppcheck": (check_cppcheck, ("cppcheck",)),
@@ -139,6 +220,15 @@ CHECKS: dict[str, tuple[Callable[[], Findings], tuple[str, ...]]] = {
     "analyzer": (check_analyzer, ("gcc",)),
     "tidy": (check_tidy, ("clang-tidy",)),
 }
+LONG: dict[str, tuple[Callable[[], Findings], tuple[str, ...]]] = {
+    "sanitizers": (check_sanitizers, ("clang",)),
+    "optimised": (check_optimised, ("gcc",)),
+    "coverage": (check_coverage, ("clang", "llvm-cov", "llvm-profdata")),
+    "aarch64": (check_aarch64, ("aarch64-linux-gnu-gcc", "qemu-aarch64")),
+    "s390x": (check_s390x, ("s390x-linux-gnu-gcc", "qemu-s390x")),
+    "armhf": (check_armhf, ("arm-linux-gnueabihf-gcc", "qemu-arm")),
+}
+CHECKS = QUICK | LONG
 
 
 def main() -> int:
@@ -146,6 +236,7 @@ def main() -> int:
     parser = parser_of(__doc__)
     parser.add_argument("names", nargs="*", metavar="CHECK", help=", ".join(CHECKS))
     parser.add_argument("--list", action="store_true", help="print the names of the checks")
+    parser.add_argument("--long", action="store_true", help="run the long checks")
     parser.add_argument("--json", action="store_true", help="print the findings as JSON")
     parser.add_argument("--strict", action="store_true", help="fail if a program is missing")
     options = parser.parse_args()
@@ -156,7 +247,7 @@ def main() -> int:
         return 0
     found: dict[str, Findings] = {}
     missing: dict[str, list[str]] = {}
-    for name in options.names or CHECKS:
+    for name in options.names or (LONG if options.long else QUICK):
         check, programs = CHECKS[name]
         if lacking := [program for program in programs if shutil.which(program) is None]:
             missing[name] = lacking

@@ -16,7 +16,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from cantools.database.can import Message
@@ -48,11 +48,15 @@ MAX_TRIES = 200
 Specs = list[SignalSpec]
 
 
+ByteOrder = Literal["little_endian", "big_endian"]
+ORDERS: tuple[ByteOrder, ...] = ("little_endian", "big_endian")
+
+
 class Place(NamedTuple):
     """Start of a signal in its page, and its byte order."""
 
     start: int
-    byte_order: str
+    byte_order: ByteOrder
 
 
 def random_dbc(seed: int) -> str:
@@ -86,7 +90,13 @@ def _text(rng: np.random.Generator, base: DbcWriter) -> str:
     long = _in_pages(rng, [spec for spec in lines if _is_long(base, spec)])
     ids = rng.choice(np.arange(0x100, 0x700, 0x10), 7, replace=False).tolist()
     pose_spec = PoseSpec(
-        _in_pages(rng, pose), POSE_PAGE_BITS, pose_bits, *ids[3:6], 0x8000 + ids[6]
+        _in_pages(rng, pose),
+        page_bits=POSE_PAGE_BITS,
+        transfer_id_bits=pose_bits,
+        can_id=ids[3],
+        fd_can_id=ids[4],
+        secured_can_id=ids[5],
+        data_id=0x8000 + ids[6],
     )
     writer = replace(
         base,
@@ -228,7 +238,7 @@ def _places(
     """Return random places of the signals of a record in their pages, by name."""
     numbers_byte = int(rng.choice([0, PAGE_BYTES - 1]))
     numbers = [(PAGE, page_bits), (TRANSFER_ID, transfer_bits)]
-    places = _in_row(rng, numbers, 8 * numbers_byte, 8, str(rng.choice(ORDERS)))
+    places = _in_row(rng, numbers, 8 * numbers_byte, 8, _order(rng))
     for page in pages:
         first, length = 8 * (numbers_byte == 0), 8 * (PAGE_BYTES - NUMBERS_BYTES)
         signals = [(spec.name, spec.bits) for spec in page if spec.name != "Crc"]
@@ -237,15 +247,20 @@ def _places(
             is_first = rng.random() < 0.5
             places["Crc"] = Place(first if is_first else first + length, "little_endian")
             first += 8 * CRC_BYTES * is_first
-        places |= _in_row(rng, signals, first, length, str(rng.choice(ORDERS)))
+        places |= _in_row(rng, signals, first, length, _order(rng))
     return places
 
 
-ORDERS = ("little_endian", "big_endian")
+def _order(rng: np.random.Generator) -> ByteOrder:
+    return ORDERS[rng.integers(len(ORDERS))]
 
 
 def _in_row(
-    rng: np.random.Generator, signals: list[tuple[str, int]], first: int, length: int, order: str
+    rng: np.random.Generator,
+    signals: list[tuple[str, int]],
+    first: int,
+    length: int,
+    order: ByteOrder,
 ) -> dict[str, Place]:
     """Return places of signals in random order, with gaps, from a bit at a byte boundary on."""
     gaps = rng.multinomial(
