@@ -20,6 +20,8 @@ C = Path(__file__).parents[1] / "c"
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Werror")
 #: The rounding of each operation is part of the result.
 EXACT = ("-ffp-contract=off",)
+#: A harness takes from the core what it calls, and needs nothing of the rest.
+SECTIONS = ("-ffunction-sections", "-Wl,--gc-sections")
 #: Name of the tables in a harness: harness_dbc.h and the constant harness_dbc, of whichever DBC.
 NAME = "harness"
 #: Another compiler, more arguments for it, and an emulator of its target, for all programs: see
@@ -67,7 +69,7 @@ def program(
         files |= {f"{name}_dbc.h": tables.header, f"{name}_dbc.c": tables.source}
     limits = [f"-D{macro}={value}" for macro, value in limits_of(layouts).macros.items()]
     command = [
-        cc, "-std=c99", *WARNINGS, *EXACT, *limits, *flags,
+        cc, "-std=c99", *WARNINGS, *EXACT, *SECTIONS, *limits, *flags,
         f"-I{C / 'include'}", f"-I{C / 'src'}", f"-I{C / 'tests'}",
     ]  # fmt: skip
     sources = sorted((C / "src").glob("*.c"))
