@@ -28,7 +28,7 @@ MAPLINES_INTERNAL void maplines_lower_root(int m, int n, double *A, double *R)
         if (norm > 0.0)
         {
             // The reflection by v takes the row to its norm, on the diagonal.
-            double v[MAPLINES_SIGMA_POINTS];
+            double v[MAPLINES_SIGMA_POINTS] = {0};
             double length = 0.0;
             for (int k = j; k < n; ++k)
             {
