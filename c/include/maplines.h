@@ -797,6 +797,94 @@ maplines_prediction_t maplines_predict_to(const maplines_line_t *line, int64_t t
 /* ---- send -------------------------------------------------------------------------------------- */
 
 /* send: begin */
+
+/// Why nothing was sent: a caller's mistake. The encoder has not changed then.
+typedef enum {
+    MAPLINES_SENT = 0,           ///< none: it was sent
+    MAPLINES_NO_MESSAGE = 1,     ///< the DBC has no such message for the slot: classic, CAN FD, or
+                                 ///< with a signer, authenticated CAN FD
+    MAPLINES_NO_COVARIANCE = 2,  ///< the records of the DBC are conditional on the pose error: send
+                                 ///< a scene
+    MAPLINES_BAD_MEAN = 3,       ///< a mean is not finite
+    MAPLINES_BAD_COVARIANCE = 4, ///< a covariance is not finite, or beyond 1e307
+    MAPLINES_BAD_VARIANCE = 5,   ///< a variance is negative
+    MAPLINES_ASYMMETRIC = 6,     ///< a covariance is not symmetric up to 1e-9 of its sigmas
+    MAPLINES_BAD_RANGE = 7,      ///< x_min or x_max is not finite, or x_min is more than x_max
+    MAPLINES_BAD_AGE = 8,        ///< an age is negative or NaN
+    MAPLINES_BAD_KIND = 9,
+    MAPLINES_BAD_STATUS = 10,
+    MAPLINES_BAD_WEIGHTS = 11, ///< weights are not positive, or do not add up to 1
+    MAPLINES_BAD_COUNT = 12,   ///< no components, or more than the DBC can send
+    MAPLINES_NO_SIGNATURE = 13, ///< the signer has no such key, or no further freshness value
+} maplines_refusal_t;
+
+/// Line to be sent. All zeros is a line whose covariance is not sent.
+typedef struct {
+    maplines_owner_t slot;
+    maplines_kind_t kind;
+    /// Requested: FULL; DIAGONAL for the variances only, UNKNOWN for the mean only; or that of a
+    /// received line.
+    maplines_status_t status;
+    double x_min;   ///< start of the valid range [m]
+    double x_max;   ///< end of the valid range [m], x_min or more
+    double age;     ///< from the pose to the sending [s]; infinite if too old or unknown
+    double mean[4]; ///< y_off [m], beta [rad], c0 [1/m], c1 [1/m^2]
+    /// May be singular. An indefinite one is replaced by the nearest that covers it (REPAIRED). It
+    /// is not read if the status is UNKNOWN or OUT_OF_RANGE.
+    double cov[4][4];
+} maplines_input_t;
+
+/// Component of a mixture to be sent.
+typedef struct {
+    double weight;
+    double mean[4];
+    double cov[4][4];
+} maplines_component_t;
+
+/// What was sent.
+typedef struct {
+    maplines_refusal_t refusal;
+    maplines_status_t status; ///< of the line; of a mixture, that of the worst component
+    uint16_t count;           ///< number of frames; 0 if it was refused
+} maplines_sent_t;
+
+/// State of a sender.
+typedef struct {
+    const maplines_dbc_t *dbc;
+    maplines_signer_t *signer;         ///< NULL: frames have no MAC
+    uint32_t counter[MAPLINES_OWNERS]; ///< of the next record; a restarted sender may set it
+} maplines_encoder_t;
+
+/// Start a sender whose counters begin with 0.
+///
+/// @param signer NULL, or it signs all frames, which are then CAN FD.
+void maplines_encoder_init(maplines_encoder_t *encoder, const maplines_dbc_t *dbc,
+                           maplines_signer_t *signer);
+
+/// Encode a line into frames to be sent back to back, and advance the counter of its slot.
+///
+/// No value is clipped silently. A mean beyond the message is covered by a wider covariance, or
+/// replaced by the nearest line in a shorter range (SATURATED); OUT_OF_RANGE if nothing covers it or
+/// no valid range can be stated. What is received covers the line unless it is OUT_OF_RANGE: its
+/// covariance minus that of the line, about the received mean, is positive semidefinite.
+///
+/// @param is_fd one CAN FD frame instead of the pages of the classic message.
+/// @param now_us time for the freshness value, as maplines_authenticator_t has it [us]; not used
+///        without a signer.
+/// @param frames at least MAPLINES_MAX_PAGES.
+maplines_sent_t maplines_encode_line(maplines_encoder_t *encoder, const maplines_input_t *line,
+                                     bool is_fd, int64_t now_us, maplines_frame_t *frames);
+
+/// Encode a line that is a Gaussian mixture: one record for each component.
+///
+/// The decoded mixture covers each component and the overall covariance of the mixture.
+///
+/// @param line all but mean and covariance.
+/// @param frames at least MAPLINES_MAX_FRAMES.
+maplines_sent_t maplines_encode_mixture(maplines_encoder_t *encoder, const maplines_input_t *line,
+                                        const maplines_component_t *components, size_t count,
+                                        bool is_fd, int64_t now_us, maplines_frame_t *frames);
+
 /* send: end */
 
 #ifdef __cplusplus

@@ -78,13 +78,35 @@ MAPLINES_INTERNAL void maplines_seal(const maplines_dbc_t *dbc, int owner, uint8
 /// Square root of a decoded covariance; row i belongs to state i.
 MAPLINES_INTERNAL void maplines_decode_factor(const maplines_cholesky_t *code, const uint8_t *record,
                                               double factor[4][4]);
-/// Raw values (pivots, ratios, inflation) of a covariance that covers a (rows, rows) target.
+/// Raw values (pivots, ratios, inflation) of a covariance that covers a (rows, rows) target, whose
+/// states have the variances `resolution` at least.
 /// Returns whether it is covered; if not, the values are those of the widest covariance.
 MAPLINES_INTERNAL bool maplines_encode_covariance(const maplines_cholesky_t *code,
                                                   const double *target, const double *resolution,
                                                   int64_t raw[11], bool *is_saturated);
+///
+/// raw is the pivots of the rows, from 4 on the ratios in the order of `code->ratio`, and at 10 the
+/// inflation.
 MAPLINES_INTERNAL void maplines_put_covariance(const maplines_cholesky_t *code, uint8_t *record,
                                                const int64_t raw[11]);
+/// Raw values of the widest covariance.
+MAPLINES_INTERNAL void maplines_widest_covariance(const maplines_cholesky_t *code, int64_t raw[11]);
+
+/* ---- gaussian.c: decoded Gaussians --------------------------------------------------------------- */
+
+/// Gaussian of a receiver with a mean and a factor, whose rows are triangular in this order of the
+/// states. In single precision the factor is widened so that it covers what the rounding loses.
+MAPLINES_INTERNAL void maplines_set_gaussian(const double mean[4], double (*factor)[4],
+                                             const uint8_t order[4],
+                                             maplines_gaussian_t *gaussian);
+/// Mean and covariance of a mixture; covs are (4, 4) and symmetric.
+MAPLINES_INTERNAL void maplines_moments(int count, const double *weights, double (*means)[4],
+                                        double (*covs)[16], double mean[4], double cov[16]);
+/// Gaussian of a receiver with the mean and covariance of a mixture.
+MAPLINES_INTERNAL void maplines_mixture_gaussian(int count, const double *weights,
+                                                 const maplines_gaussian_t *components,
+                                                 const uint8_t order[4],
+                                                 maplines_gaussian_t *overall);
 
 /* ---- complete.c: records with a covariance of their own ----------------------------------------- */
 
@@ -101,6 +123,82 @@ typedef struct {
 MAPLINES_INTERNAL maplines_reason_t maplines_read_complete(const maplines_dbc_t *dbc, int slot,
                                                            const uint8_t *record, int64_t t_ns,
                                                            maplines_complete_t *content);
+
+/* ---- nearest_line.c ------------------------------------------------------------------------------ */
+
+/// The line within the ranges of signals that is nearest to one beyond them, in the longest part of
+/// its range [m] near the car; false if there is none of the least length. `reach` are the greatest
+/// standard deviations that a covariance can have.
+MAPLINES_INTERNAL bool maplines_nearest_line(const maplines_signal_t signals[4],
+                                             const double mean[4], const double x_range[2],
+                                             double least, const double reach[4], double near[4],
+                                             double near_range[2]);
+/// Error of a direction whose effect of first order is that of the slopes [rad].
+MAPLINES_INTERNAL double maplines_slope_error(double beta, double near);
+
+/* ---- repair.c: covariances of a caller ------------------------------------------------------------ */
+
+/// MAPLINES_SENT, or what is wrong with a (4, 4) covariance. One that is indefinite is not wrong.
+MAPLINES_INTERNAL maplines_refusal_t maplines_check_covariance(const double S[16]);
+/// A symmetric matrix is not positive semidefinite, up to rounding.
+MAPLINES_INTERNAL bool maplines_is_indefinite(const double S[16]);
+/// Nearest positive semidefinite matrix that covers a symmetric one.
+MAPLINES_INTERNAL void maplines_nearest_covariance(const double S[16], double nearest[16]);
+
+/* ---- mixture_weights.c ---------------------------------------------------------------------------- */
+
+/// Weights rounded to positive multiples of 1 / steps that add up to 1.
+MAPLINES_INTERNAL void maplines_quantize_weights(int count, const double *weights, int64_t steps,
+                                                 double *decoded);
+/// Covariance to add to each component so that the whole mixture is covered; overwrites covs.
+MAPLINES_INTERNAL void maplines_deficit(int count, const double *weights, double (*means)[4],
+                                        double (*covs)[16], const double *decoded_weights,
+                                        double (*decoded_means)[4], double cover[16]);
+
+/* ---- complete_write.c ----------------------------------------------------------------------------- */
+
+/// Content of one record of a line: all of it, or a component of its mixture.
+typedef struct {
+    const maplines_input_t *line; ///< all but mean, covariance
+    const double *mean;
+    double cov[16];      ///< exactly symmetric
+    double cover[16];    ///< that the decoded covariance must cover besides
+    bool is_indefinite;
+    int index, count;
+    double weight;
+} maplines_draft_t;
+
+/// Mean and valid range of a line as they are sent.
+typedef struct {
+    int64_t mean[4];
+    int64_t ends[2];
+    bool is_clipped; ///< the mean exceeds its signals
+    bool is_cut;     ///< the range exceeds its signals
+    bool is_outside; ///< no part of the range can be stated
+} maplines_stated_t;
+
+/// Mean and range as they are sent; of a mean that would be clipped, with `is_replaced` the nearest
+/// line within the message.
+MAPLINES_INTERNAL void maplines_state_line(const maplines_dbc_t *dbc, const double mean[4],
+                                           const double x_range[2], bool is_replaced,
+                                           maplines_stated_t *stated);
+/// Write all of a record but what maplines_seal writes; returns its status.
+MAPLINES_INTERNAL maplines_status_t maplines_write_complete(const maplines_dbc_t *dbc,
+                                                            const maplines_draft_t *draft,
+                                                            uint8_t *record);
+/// Least raw value whose physical value is not less; not limited to the range.
+MAPLINES_INTERNAL double maplines_raw_above(const maplines_signal_t *signal, double physical);
+
+/* ---- encoder.c ------------------------------------------------------------------------------------- */
+
+/// The sender has a message for the records of an owner.
+MAPLINES_INTERNAL bool maplines_can_send(const maplines_encoder_t *encoder, int owner, bool is_fd);
+/// Frames of a sealed record, of which there is a message; their number, or 0 if it was not signed.
+MAPLINES_INTERNAL size_t maplines_frames(const maplines_encoder_t *encoder, int owner,
+                                         const uint8_t *record, size_t length, bool is_fd,
+                                         int64_t now_us, maplines_frame_t *frames);
+/// MAPLINES_SENT, or what is wrong with kind, status, range and age of a line.
+MAPLINES_INTERNAL maplines_refusal_t maplines_check_input(const maplines_input_t *line);
 
 /* ---- scene_decode.c: lines and their joint covariance ------------------------------------------- */
 

@@ -52,7 +52,7 @@ def indefinite(cov: NDArray[np.float64], rounding: float = ROUNDING) -> NDArray[
             for j in range(i):
                 rest = S[i, j] / (scale[i] * scale[j]) - sum(row[k] * L[j][k] for k in range(j))
                 row.append(rest / L[j][j])
-            pivot = S[i, i] / scale[i] ** 2 + rounding - sum(x * x for x in row)
+            pivot = S[i, i] / (scale[i] * scale[i]) + rounding - sum(x * x for x in row)
             bad |= ~(pivot > 0)
             L.append([*row, np.sqrt(pivot)])
     return bad

@@ -134,7 +134,8 @@ class Layout(RecordLayout):
     @cached_property
     def resolution(self) -> NDArray[np.float64]:
         """(4,) variances of the mean's rounding error, factor^2 / 12, in SI units squared."""
-        return np.array([self[name].factor ** 2 / 12 for name in PARAMETER_SIGNALS])
+        factors = np.array([self[name].factor for name in PARAMETER_SIGNALS])
+        return factors * factors / 12
 
     @property
     def max_age(self) -> float:

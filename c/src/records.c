@@ -1,0 +1,88 @@
+/* Page numbers, transfer IDs and checksum of a record. */
+#include "internal.h"
+
+MAPLINES_INTERNAL const maplines_record_t *maplines_layout(const maplines_dbc_t *dbc, int owner)
+{
+    return owner == (int)MAPLINES_POSE ? &dbc->pose : &dbc->line;
+}
+
+/// Number of pages of a record, by its content.
+static unsigned pages_of_content(const maplines_dbc_t *dbc, int owner, const uint8_t *record)
+{
+    const maplines_record_t *layout = maplines_layout(dbc, owner);
+    if (owner == (int)MAPLINES_POSE || !dbc->is_conditional)
+    {
+        return layout->pages;
+    }
+    return maplines_get(&dbc->has_covariance, record) != 0 ? layout->pages : layout->short_pages;
+}
+
+MAPLINES_INTERNAL maplines_reason_t maplines_check_record(const maplines_dbc_t *dbc, int owner,
+                                                          const uint8_t *record, size_t length)
+{
+    const maplines_record_t *layout = maplines_layout(dbc, owner);
+    const size_t pages = length / 8U;
+    if (length % 8U != 0U || (pages != layout->pages && pages != layout->short_pages))
+    {
+        return MAPLINES_LENGTH;
+    }
+    const int64_t counter = maplines_get(&layout->counter, record);
+    const int64_t modulus = (int64_t)1 << layout->transfer_id[0].length;
+    for (size_t page = 0; page < pages; ++page)
+    {
+        const uint8_t *data = record + 8U * page;
+        const maplines_signal_t *transfer_id = &layout->transfer_id[page == 0U ? 0 : 1];
+        if (maplines_get(&layout->page, data) != (int64_t)page ||
+            maplines_get(transfer_id, data) != counter % modulus)
+        {
+            return MAPLINES_MIXED;
+        }
+    }
+    const uint16_t crc =
+        maplines_crc(record, length, layout->crc_byte, dbc->messages[owner].data_id);
+    const unsigned received =
+        (unsigned)record[layout->crc_byte] | (unsigned)record[layout->crc_byte + 1U] << 8U;
+    if (received != crc)
+    {
+        return MAPLINES_CRC;
+    }
+    return pages_of_content(dbc, owner, record) == pages ? MAPLINES_COMPLETE : MAPLINES_LENGTH;
+}
+
+MAPLINES_INTERNAL maplines_reason_t maplines_check_conditional(const maplines_dbc_t *dbc,
+                                                               const uint8_t *record)
+{
+    const maplines_levels_t *levels = &dbc->levels;
+    const double x_min = maplines_physical(&dbc->x_min, maplines_get(&dbc->x_min, record));
+    const double x_max = maplines_physical(&dbc->x_max, maplines_get(&dbc->x_max, record));
+    if (maplines_get(&dbc->kind, record) > (int64_t)MAPLINES_VIRTUAL || x_min >= x_max)
+    {
+        return MAPLINES_CONTENT;
+    }
+    // A record has either a covariance or levels.
+    const bool has_levels = maplines_get(&levels->lateral, record) != 0 ||
+                            maplines_get(&levels->points, record) != 0 ||
+                            maplines_get(&levels->shape, record) != 0;
+    if (has_levels && maplines_get(&dbc->has_covariance, record) != 0)
+    {
+        return MAPLINES_CONTENT;
+    }
+    return MAPLINES_COMPLETE;
+}
+
+MAPLINES_INTERNAL void maplines_seal(const maplines_dbc_t *dbc, int owner, uint8_t *record,
+                                     size_t length, uint32_t counter)
+{
+    const maplines_record_t *layout = maplines_layout(dbc, owner);
+    maplines_put(&layout->counter, record, (int64_t)counter);
+    for (size_t page = 0; page < length / 8U; ++page)
+    {
+        uint8_t *data = record + 8U * page;
+        maplines_put(&layout->page, data, (int64_t)page);
+        maplines_put(&layout->transfer_id[page == 0U ? 0 : 1], data, (int64_t)counter);
+    }
+    const uint16_t crc =
+        maplines_crc(record, length, layout->crc_byte, dbc->messages[owner].data_id);
+    record[layout->crc_byte] = (uint8_t)(crc & 0xFFU);
+    record[layout->crc_byte + 1U] = (uint8_t)(crc >> 8U);
+}
