@@ -278,7 +278,6 @@ MAPLINES_INTERNAL void maplines_check_init(maplines_check_t *check,
     check->is_authentic = is_authentic;
     check->status = MAPLINES_E2E_NONE;
     check->span = 1;
-    check->ahead = 1;
     check->pace.line_ns = (double)cycle_ns;
     check->pace.longest = 1;
     maplines_machine_init(&check->machine);
