@@ -207,8 +207,9 @@ maplines_prediction_t maplines_predict_gaussian(const maplines_gaussian_t *gauss
     double mean[MAPLINES_MAX_STATES];
     double root[MAPLINES_MAX_STATES * MAPLINES_MAX_STATES] = {0};
     double factor[16];
-    double line_root[16];
+    double line_root[4][4];
     double line[4];
+    static const uint8_t natural_order[4] = {0, 1, 2, 3};
     const fit_window_t window = window_of((double)x_min, (double)x_max);
     if (!is_finite_displacement(displacement))
     {
@@ -222,10 +223,10 @@ maplines_prediction_t maplines_predict_gaussian(const maplines_gaussian_t *gauss
             factor[4 * i + j] = (double)gaussian->factor[i][j];
         }
     }
-    maplines_lower_root(4, 4, factor, line_root);
+    maplines_lower_root(4, 4, factor, &line_root[0][0]);
     for (int i = 0; i < 4; ++i)
     {
-        memcpy(root + MAPLINES_MAX_STATES * i, line_root + 4 * i, 4 * sizeof(double));
+        memcpy(root + MAPLINES_MAX_STATES * i, line_root[i], 4 * sizeof(double));
     }
     for (int i = 0; i < 3; ++i)
     {
@@ -236,18 +237,11 @@ maplines_prediction_t maplines_predict_gaussian(const maplines_gaussian_t *gauss
         }
     }
     if (!maplines_unscented(displaced, &window, MAPLINES_MAX_STATES, mean, root, 4, line,
-                            line_root))
+                            &line_root[0][0]))
     {
         return MAPLINES_ILL_POSED;
     }
-    for (int i = 0; i < 4; ++i)
-    {
-        predicted->mean[i] = (maplines_real_t)line[i];
-        for (int j = 0; j < 4; ++j)
-        {
-            predicted->factor[i][j] = (maplines_real_t)line_root[4 * i + j];
-        }
-    }
+    maplines_set_gaussian(line, line_root, natural_order, predicted);
     return MAPLINES_PREDICTED;
 }
 

@@ -119,8 +119,9 @@ MAPLINES_INTERNAL bool maplines_unscented(maplines_function_t function, const vo
 void maplines_overall(size_t count, const maplines_gaussian_t *components,
                       const maplines_real_t *weights, maplines_gaussian_t *overall)
 {
+    static const uint8_t natural_order[4] = {0, 1, 2, 3};
     double mean[4] = {0};
-    double root[16] = {0};
+    double root[4][4] = {{0}};
     double total = 0.0;
     for (size_t k = 0; k < count; ++k)
     {
@@ -142,19 +143,12 @@ void maplines_overall(size_t count, const maplines_gaussian_t *components,
         {
             for (int j = 0; j < 4; ++j)
             {
-                columns[9 * i + j] = root[4 * i + j];
+                columns[9 * i + j] = root[i][j];
                 columns[9 * i + 4 + j] = share * (double)components[k].factor[i][j];
             }
             columns[9 * i + 8] = share * ((double)components[k].mean[i] - mean[i]);
         }
-        maplines_lower_root(4, 9, columns, root);
+        maplines_lower_root(4, 9, columns, &root[0][0]);
     }
-    for (int i = 0; i < 4; ++i)
-    {
-        overall->mean[i] = (maplines_real_t)mean[i];
-        for (int j = 0; j < 4; ++j)
-        {
-            overall->factor[i][j] = (maplines_real_t)root[4 * i + j];
-        }
-    }
+    maplines_set_gaussian(mean, root, natural_order, overall);
 }
