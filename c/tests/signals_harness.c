@@ -8,22 +8,38 @@
 #include "harness_dbc.h"
 #include "internal.h"
 
-#define CHOLESKY(code)                                                                           \
-    &(code).pivot[0], &(code).pivot[1], &(code).pivot[2], &(code).pivot[3], &(code).ratio[0],     \
-        &(code).ratio[1], &(code).ratio[2], &(code).ratio[3], &(code).ratio[4], &(code).ratio[5], \
+#define CHOLESKY(code)                                                                             \
+    &(code).pivot[0], &(code).pivot[1], &(code).pivot[2], &(code).pivot[3], &(code).ratio[0],      \
+        &(code).ratio[1], &(code).ratio[2], &(code).ratio[3], &(code).ratio[4], &(code).ratio[5],  \
         &(code).inflation
-#define LEVELS(levels)                                                                       \
-    &(levels).lateral, &(levels).points, &(levels).shape, &(levels).quartic,                 \
-        &(levels).fit_behind, &(levels).fit_ahead
+#define LEVELS(levels)                                                                             \
+    &(levels).lateral, &(levels).points, &(levels).shape, &(levels).quartic, &(levels).fit_behind, \
+        &(levels).fit_ahead
 #define D harness_dbc
 
 static const maplines_signal_t *const of_line[] = {
-    &D.line.page,          &D.line.transfer_id[0], &D.line.counter,   &D.mean[0],
-    &D.mean[1],            &D.mean[2],             &D.mean[3],        &D.kind,
-    &D.x_min,              &D.x_max,               &D.status,         &D.age,
-    &D.component_index,    &D.component_count,     &D.component_weight,
-    &D.has_covariance,     &D.fine[0],             &D.fine[1],        &D.fine[2],
-    &D.fine[3],            CHOLESKY(D.covariance), LEVELS(D.levels),
+    &D.line.page,
+    &D.line.transfer_id[0],
+    &D.line.counter,
+    &D.mean[0],
+    &D.mean[1],
+    &D.mean[2],
+    &D.mean[3],
+    &D.kind,
+    &D.x_min,
+    &D.x_max,
+    &D.status,
+    &D.age,
+    &D.component_index,
+    &D.component_count,
+    &D.component_weight,
+    &D.has_covariance,
+    &D.fine[0],
+    &D.fine[1],
+    &D.fine[2],
+    &D.fine[3],
+    CHOLESKY(D.covariance),
+    LEVELS(D.levels),
 };
 
 static const maplines_signal_t *const of_pose[] = {
@@ -60,8 +76,8 @@ int main(void)
         const bool is_pose = read_u8() != 0;
         const maplines_record_t *layout = is_pose ? &D.pose : &D.line;
         const maplines_signal_t *const *signals = is_pose ? of_pose : of_line;
-        const size_t count = is_pose ? sizeof of_pose / sizeof of_pose[0]
-                                     : sizeof of_line / sizeof of_line[0];
+        const size_t count =
+            is_pose ? sizeof of_pose / sizeof of_pose[0] : sizeof of_line / sizeof of_line[0];
         const size_t length = 8U * layout->pages;
         uint8_t record[MAPLINES_MAX_RECORD] = {0};
         uint8_t written[MAPLINES_MAX_RECORD] = {0};

@@ -64,8 +64,8 @@ def test_a_cpp_program_takes_the_headers_and_links(tmp_path: Path) -> None:
         "int main() { return maplines_dbc.messages[MAPLINES_EGO_LEFT].can_id == 0x340 ? 0 : 1; }\n"
     )
     subprocess.run(
-        ["g++", "-std=c++17", *c_core.WARNINGS, *INCOMPLETE, "main.cpp", "maplines.o", "maplines_dbc.o",
-         "-lm", "-o", "program"], check=True, cwd=tmp_path,
+        ["g++", "-std=c++17", *c_core.WARNINGS, *INCOMPLETE, "main.cpp", "maplines.o",
+         "maplines_dbc.o", "-lm", "-o", "program"], check=True, cwd=tmp_path,
     )  # fmt: skip
     subprocess.run([tmp_path / "program"], check=True)
 

@@ -24,6 +24,7 @@ CASES = [
     ("design --frames 4 --n 100 --set road --out own.dbc", "own.dbc"),
     ("design --frames 4 --n 100 --set road --out own.dbc", "own.md"),
     ("generate c", "CMakeLists.txt"),
+    ("generate vectors", "maplines.json"),
     ("figures --samples 1000 --out figures", "figures/figure-06-close-up.svg"),
     ("study report sweep --out own.html", "own.html"),
 ]
@@ -66,7 +67,7 @@ def test_force_replaces_it(
 @pytest.mark.parametrize(
     "words",
     [[name] for name in COMMANDS if name not in ("consume", "generate")]
-    + [["generate", "c"]]
+    + [["generate", "c"], ["generate", "vectors"]]
     + [["study", name] for name in STUDY_COMMANDS],
 )
 def test_each_command_that_writes_has_force(words: list[str]) -> None:

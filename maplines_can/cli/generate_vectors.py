@@ -1,0 +1,99 @@
+"""The subcommand ``maplines generate vectors``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from ..generation.c_files import check_name
+from ..generation.tables import identifier_of
+from ..generation.vector_files import vector_files
+from ..generation.vectors import SCHEMA
+from .options import SHIPPED, layout_from
+from .overwriting import add_force, check_new
+from .parsing import add_json, option_group
+
+__all__ = ["add_vectors"]
+
+ABOUT = """\
+Generate test vectors from a DBC: frames with their times of reception, and what a receiver makes of
+them. Whoever writes a receiver from the DBC proves it with them.
+
+  NAME.json             the cases: frames, then the reason or the lines; the mean and the covariance
+                        of a line, its lateral position and standard deviation at 0, 20, 40, 80 m,
+                        its status and age; E2E states, counters, scenes. Each number is given in
+                        decimal and, exact, in hexadecimal
+  vectors.schema.json   describes NAME.json
+  NAME.txt              the same, one step a line, for a program without a JSON library
+  run_vectors.c         runs NAME.txt through the receiver of "maplines generate c", and says which
+                        cases pass: a template for other receivers
+  aes_cmac.h            for the authenticated messages of a DBC
+
+There are cases for both ends of each signal, random bits, each reason that the DBC can have, each
+status and each E2E state. The same DBC gives the same files. They have the hash of the DBC and that
+of the cases, which is the hash of all lines of NAME.txt after the one that states it.
+"""
+EXAMPLES = """\
+examples:
+  maplines generate c --out ecu
+  maplines generate vectors --out ecu
+  cd ecu && cc -std=c99 -ffp-contract=off run_vectors.c maplines.c maplines_dbc.c -lm -o run_vectors
+  ./run_vectors maplines.txt
+"""
+
+
+def add_vectors(subparsers: Any) -> argparse.ArgumentParser:
+    """Add the subcommand ``vectors`` to those of ``maplines generate`` and return its parser."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "vectors",
+        description=ABOUT,
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = option_group(parser, "message").add_argument
+    add(
+        "--dbc",
+        default=SHIPPED[0],
+        metavar="FILE",
+        help=f"DBC of the messages, yours or one of {', '.join(SHIPPED)} (default: maplines.dbc)",
+    )
+    add(
+        "--name",
+        metavar="NAME",
+        help="name of the files and of the tables in C, as with 'maplines generate c' (default: "
+        "that of the DBC)",
+    )
+    option_group(parser, "output").add_argument(
+        "--out",
+        default=".",
+        metavar="DIR",
+        help="folder of the files, which is made if there is none (default: this folder)",
+    )
+    add_force(parser)
+    add_json(parser, "the names of the files, the number of cases and the hashes")
+    parser.set_defaults(run=_run)
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    name = arguments.name or identifier_of(arguments.dbc)
+    check_name(name)
+    layout = layout_from(arguments.dbc)
+    folder = Path(arguments.out)
+    names = (f"{name}.json", SCHEMA, f"{name}.txt", "run_vectors.c", "aes_cmac.h")
+    check_new(arguments, *(folder / file for file in names))
+    files = vector_files(layout, name)
+    folder.mkdir(parents=True, exist_ok=True)
+    for file, text in files.items():
+        (folder / file).write_text(text, encoding="utf-8", newline="\n")
+    if arguments.json:
+        content = json.loads(files[f"{name}.json"])
+        paths = [str(folder / file) for file in files]
+        numbers = {"cases": len(content["cases"]), "dbc": content["dbc"]}
+        print(json.dumps({"files": paths, **numbers, "sha256": content["sha256"]}, indent=2))
+    else:
+        for file in files:
+            print(folder / file)
+    return 0
