@@ -238,7 +238,7 @@ static bool covers(const maplines_signal_t *inflation, double raw, int n, const 
 /// Ratio of the inflation that a target W needs to the largest one, 1 or more.
 static double missing_inflation(const maplines_signal_t *inflation, int n, double *W, double margin)
 {
-    double values[4];
+    double values[4] = {0};
     maplines_eigen(n, W, values, NULL);
     double largest = values[0];
     for (int i = 1; i < n; ++i)

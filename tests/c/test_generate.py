@@ -47,7 +47,9 @@ def compile_c(folder: Path, *, cc: str = "cc", flags: tuple[str, ...] = ()) -> N
 
 
 @pytest.mark.parametrize("cc", COMPILERS)
-@pytest.mark.parametrize("flags", [(), ("-DMAPLINES_FLOAT",), ("-DNDEBUG",)], ids=str)
+@pytest.mark.parametrize(
+    "flags", [("-O0",), ("-O3",), ("-DMAPLINES_FLOAT",), ("-DNDEBUG",)], ids=str
+)
 def test_the_files_compile_without_a_warning(
     tmp_path: Path, cc: str, flags: tuple[str, ...]
 ) -> None:
