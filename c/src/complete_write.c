@@ -102,7 +102,6 @@ static void target_of(const maplines_draft_t *draft, const double decoded[4], bo
 {
     const double *cov = draft->cov;
     double d[4];
-    double nearest[16];
     for (int i = 0; i < 4; ++i)
     {
         d[i] = draft->mean[i] - decoded[i];
@@ -114,6 +113,7 @@ static void target_of(const maplines_draft_t *draft, const double decoded[4], bo
     }
     if (draft->is_indefinite)
     {
+        double nearest[16];
         maplines_nearest_covariance(cov, nearest);
         for (int i = 0; i < 16; ++i)
         {

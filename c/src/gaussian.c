@@ -11,8 +11,8 @@
  *     (s T + E)(s T + E)^T = s T (I + X)(I + X)^T s T^T  >=  s^2 (1 - u K)^2 T T^T,
  *
  * where K is the Frobenius norm of |T^-1| |T|. About m + e the sender's covariance grows by at most
- * the factor (1 + q)^2 with q = |T^-1 e|. So s = (1 + q) / (1 - u K) covers. K is 4 to 100 for
- * lines of a road: s - 1 is some millionths.
+ * the factor (1 + q)^2 with q = |T^-1 e|. So s = (1 + q) / (1 - u K) covers. For lines of
+ * a road s - 1 is about a millionth.
  *
  * If K is too large for a float, or an entry too small or too large, the covariance is diagonal:
  * 4 times the diagonal of S covers S, since the correlation matrix has no larger eigenvalue.
@@ -171,8 +171,8 @@ MAPLINES_INTERNAL void maplines_mixture_gaussian(int count, const double *weight
                                                  const uint8_t order[4],
                                                  maplines_gaussian_t *overall)
 {
-    double means[MAPLINES_MAX_COMPONENTS][4];
-    double covs[MAPLINES_MAX_COMPONENTS][16];
+    double means[MAPLINES_MAX_COMPONENTS][4] = {{0.0}};
+    double covs[MAPLINES_MAX_COMPONENTS][16] = {{0.0}};
     double mean[4];
     double cov[16];
     double factor[4][4];

@@ -67,10 +67,10 @@ static void triangular_of(int m, int n, double columns[WIDEST_ROW][NODE_COUNT],
 static void free_solution(double R[WIDEST_ROW][WIDEST_ROW], const bool is_free[4],
                           const double u[4], double solution[4])
 {
-    double columns[WIDEST_ROW][NODE_COUNT];
+    double columns[WIDEST_ROW][NODE_COUNT] = {{0.0}};
     double T[WIDEST_ROW][WIDEST_ROW];
     double fixed[4];
-    int free_ones[4];
+    int free_ones[4] = {0};
     int count = 0;
     for (int i = 0; i < 4; ++i)
     {
@@ -198,7 +198,7 @@ static bool is_near(double start, double end, const double scale[4], const doubl
                     const double high[4], double u[4])
 {
     double A[NODE_COUNT][4];
-    double columns[WIDEST_ROW][NODE_COUNT];
+    double columns[WIDEST_ROW][NODE_COUNT] = {{0.0}};
     double R[WIDEST_ROW][WIDEST_ROW];
     const double middle = (start + end) / 2.0;
     const double half = (end - start) / 2.0;

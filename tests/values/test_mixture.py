@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from maplines_can.values.gaussian import Gaussian
-from maplines_can.values.mixture import GaussianMixture
+from maplines_can.values.mixture import GaussianMixture, moments
 
 
 @pytest.mark.parametrize(
@@ -36,3 +36,20 @@ def test_components_have_the_same_dimension() -> None:
     components = (Gaussian([0.0], [[1.0]]), Gaussian([0.0, 0.0], np.eye(2)))
     with pytest.raises(ValueError, match=r"the same dimension, got \[1, 2\]"):
         GaussianMixture([0.5, 0.5], components)
+
+
+def test_the_moments_of_mixtures_are_sums_over_the_components() -> None:
+    """Of one mixture and of many at once to the last bit."""
+    rng = np.random.default_rng(0)
+    weights = rng.dirichlet(np.ones(9), 20)
+    means, roots = rng.normal(size=(20, 9, 3)), rng.normal(size=(20, 9, 3, 3))
+    covs = roots @ roots.mT
+    mean, cov = moments(weights, means, (covs + covs.mT) / 2)
+    assert mean == pytest.approx(np.einsum("nk,nki->ni", weights, means), rel=1e-12)
+    d = means - mean[:, None]
+    spread = covs + d[..., :, None] * d[..., None, :]
+    assert cov == pytest.approx(np.einsum("nk,nkij->nij", weights, spread), rel=1e-12, abs=1e-14)
+    for i in range(20):
+        one = moments(weights[i], means[i], (covs[i] + covs[i].mT) / 2)
+        assert np.array_equal(one[0], mean[i])
+        assert np.array_equal(one[1], cov[i])

@@ -10,13 +10,20 @@ from hypothesis import strategies as st
 from pose_bits import PRODUCTION
 from scene_layouts import COMPLETE, CONDITIONAL, layout_of, scene_code, scene_encoder
 from scene_streams import codec_of
+from scipy.optimize import lsq_linear
 
 from maplines_can import Gaussian, LeftOut, MapError, MapLine, Polyline, PoseError, Scene, Slot
 from maplines_can.propagation import map_scene
 from maplines_can.values.linalg import block_diagonal
 from maplines_can.values.line import lateral
 from maplines_can.values.seen_lines import bases
-from maplines_can.wire.covariance.nearest_line import MAX_DEVIATION, is_within, nearest_line
+from maplines_can.wire.covariance.nearest_line import (
+    MAX_DEVIATION,
+    _box_solution,
+    _triangular,
+    is_within,
+    nearest_line,
+)
 from maplines_can.wire.layout.signals import PARAMETER_SIGNALS
 
 SIGNALS = {
@@ -71,6 +78,23 @@ def test_the_nearest_line_is_within_the_message_and_near(line: Any, x_range: Any
     assert high - low >= 1.0 - 1e-9
     x = np.linspace(low, high, 400)
     assert np.abs(lateral(near.mean, x) - lateral(np.array(line), x)).max() <= 1.1 * MAX_DEVIATION
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_least_squares_in_a_box_agree_with_scipy(seed: int) -> None:
+    """The same parameters, any number of which are at a limit; the optimum may be in the box."""
+    rng = np.random.default_rng(seed)
+    at_limit = np.zeros(5)
+    for _ in range(100):
+        A = rng.normal(size=(16, 4)) + rng.choice([0.0, 3.0]) * rng.normal(size=(16, 1))
+        low = rng.normal(size=4) - 0.5
+        high = low + rng.exponential(size=4) + 1e-3
+        u = np.array(_box_solution(_triangular(A.tolist()), low.tolist(), high.tolist()))
+        expected = lsq_linear(A, np.zeros(16), (low, high), method="bvls", tol=1e-14).x
+        assert u == pytest.approx(expected, abs=1e-9)
+        assert ((low <= u) & (u <= high)).all()
+        at_limit[((u == low) | (u == high)).sum()] += 1
+    assert (at_limit[1:] > 0).all()
 
 
 def test_a_line_beside_the_message_has_none() -> None:
