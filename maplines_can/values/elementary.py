@@ -37,6 +37,7 @@ _LOG2 = _numbers("""
     0x1.484b13d7c02a9p-2 0x1.0c9a84994022dp-2 0x1.c68f568d31760p-3 0x1.89f3b1694cffep-3
     0x1.5b9ac9b743f0dp-3 0x1.3703c1f4d0ffep-3 0x1.1964ec6fc9491p-3 0x1.00ecd7e080215p-3
 """)
+_LOG2_DOWN = _LOG2[::-1]
 #: Coefficients of (sin r - r) / r^3 and (cos r - 1) / r^2 in powers of r^2.
 _SIN = _numbers("""
     -0x1.5555555555555p-3 0x1.1111111111111p-7 -0x1.a01a01a01a01ap-13 0x1.71de3a556c734p-19
@@ -108,10 +109,9 @@ def _log2_one(x: float) -> float:
     if m < _SQRT_HALF:
         m, e = 2 * m, e - 1
     s = (m - 1) / (m + 1)
-    square, *lower = s * s, *_LOG2
-    total = lower.pop()
-    while lower:
-        total = total * square + lower.pop()
+    square, total = s * s, 0.0
+    for coefficient in _LOG2_DOWN:  # the first product is 0, and adds nothing
+        total = total * square + coefficient
     return e + s * total
 
 

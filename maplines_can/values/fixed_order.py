@@ -21,7 +21,7 @@ SWEEPS = 16
 #: An entry off the diagonal is taken for 0 if it is this share of both entries on the diagonal.
 NEGLIGIBLE = 2.0**-60
 #: Up to this number, matrices are taken one by one: with few, arrays cost more than they save.
-FEW = 8
+FEW = 3
 
 
 def product(A: Array, B: Array) -> Array:
