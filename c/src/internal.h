@@ -11,7 +11,8 @@
 #ifdef __FAST_MATH__
 #error "maplines needs IEEE 754 arithmetic: compile it without -ffast-math"
 #endif
-#if defined(__FLT_EVAL_METHOD__) && __FLT_EVAL_METHOD__ != 0
+/* 1 is that of s390x: float is computed as double, and double is as everywhere. */
+#if defined(__FLT_EVAL_METHOD__) && __FLT_EVAL_METHOD__ != 0 && __FLT_EVAL_METHOD__ != 1
 #error "maplines needs arithmetic in the precision of its types: give gcc -msse2 -mfpmath=sse"
 #endif
 
