@@ -200,6 +200,76 @@ MAPLINES_INTERNAL size_t maplines_frames(const maplines_encoder_t *encoder, int 
                                          int64_t now_us, maplines_frame_t *frames);
 /// MAPLINES_SENT, or what is wrong with kind, status, range and age of a line.
 MAPLINES_INTERNAL maplines_refusal_t maplines_check_input(const maplines_input_t *line);
+/* ---- cubics.c: as values/cubics.py --------------------------------------------------------------- */
+
+#define MAPLINES_FIT_POINTS 16 ///< points of a line to which a cubic is fitted from another pose
+
+/// Line, as what is seen from any pose depends on it.
+typedef struct {
+    double mean[4];
+    double fit_range[2]; ///< [m]
+    double quartic;      ///< coefficient of T_4 in this range [m]
+} maplines_curve_t;
+
+/// Points of a line.
+typedef struct {
+    double x[MAPLINES_FIT_POINTS]; ///< [m]
+    double y[MAPLINES_FIT_POINTS]; ///< [m]; NaN if the line points backwards
+} maplines_points_t;
+
+/// Value and derivatives at 0 of a cubic with coefficients q of w^0 to w^3, w = (u - centre) / half.
+MAPLINES_INTERNAL void maplines_derivatives(const double q[4], double centre, double half,
+                                            double values[4]);
+MAPLINES_INTERNAL void maplines_points_of(const maplines_curve_t *curve, maplines_points_t *points);
+/// Whether a line through points is a function of x, and nowhere nearly perpendicular to it.
+MAPLINES_INTERNAL bool maplines_is_function(const maplines_points_t *points);
+/// Line through points, seen from a pose (x [m], y [m], heading [rad]); NaN if no function of x.
+MAPLINES_INTERNAL void maplines_refitted(const maplines_points_t *points, const double pose[3],
+                                         double line[4]);
+
+/* ---- seen_lines.c: lines as functions of the pose, as values/seen_lines.py ------------------------ */
+
+#define MAPLINES_POSES 7 ///< sigma points of a pose error, the first of which is 0
+
+/// Derivatives of a line with respect to its coefficients of T_0 .. T_3; upper triangular.
+MAPLINES_INTERNAL void maplines_bases(const double mean[4], const double fit_range[2],
+                                      double J[16]);
+/// Square root of an (n, n) positive semidefinite matrix, n up to 4; as values/linalg.py.
+MAPLINES_INTERNAL void maplines_square_root(int n, const double *cov, double *L);
+/// Sigma points of a pose error with covariance P.
+MAPLINES_INTERNAL void maplines_pose_points(const double P[9], double (*poses)[3]);
+/// Line seen from a pose; extrapolated if it is no function of x there. False if that fails.
+MAPLINES_INTERNAL bool maplines_seen(const maplines_points_t *points, const double pose[3],
+                                     double line[4]);
+/// Derivatives of a line with respect to the pose. False if it is no function of x next to it.
+MAPLINES_INTERNAL bool maplines_pose_jacobian(const maplines_points_t *points, double J[4][3]);
+/// Move a line so that it is the mean over the sigma points of a pose error; points are its own.
+MAPLINES_INTERNAL bool maplines_centre_line(maplines_curve_t *curve, maplines_points_t *points,
+                                            double (*poses)[3]);
+/// Rows A of a factor of the covariance of a line due to a pose error with these sigma points.
+MAPLINES_INTERNAL bool maplines_spread(const maplines_curve_t *curve, double (*poses)[3],
+                                       double A[4][MAPLINES_POSES]);
+/// Valid range of a line, within its fit range [m].
+MAPLINES_INTERNAL void maplines_valid_range(const maplines_curve_t *curve, const double P[9],
+                                            const double specific_cov[16], double heading_sigma,
+                                            double range[2]);
+
+/* ---- levels.c: line-specific covariances as levels, of the coefficients of T_0 .. T_3 ------------- */
+
+/// Covariance for unit errors of points at a raw value of the shape, and of the shape beside them.
+MAPLINES_INTERNAL void maplines_level_noise(const maplines_levels_t *levels,
+                                            const maplines_curve_t *curve, int64_t shape,
+                                            double cov[16]);
+/// Level of a raw value of the lateral level or that of the points [m].
+MAPLINES_INTERNAL double maplines_level(const maplines_signal_t *signal, int64_t raw);
+/// Level of a raw value of the shape, where there are no errors of points [m].
+MAPLINES_INTERNAL double maplines_shape_level(const maplines_levels_t *levels, int64_t raw);
+/// Variance of the coefficient of T_k of a line of uncertain shape, up to a common factor.
+MAPLINES_INTERNAL double maplines_shape(int k);
+/// Covariance of raw values.
+MAPLINES_INTERNAL void maplines_decode_levels(const maplines_levels_t *levels,
+                                              const maplines_curve_t *curve, int64_t lateral,
+                                              int64_t points, int64_t shape, double cov[16]);
 
 /* ---- scene_decode.c: lines and their joint covariance ------------------------------------------- */
 
@@ -210,6 +280,17 @@ typedef struct {
     uint8_t record[MAPLINES_MAX_RECORD];
 } maplines_member_t;
 
+/// Covariance of the coefficients of T_0 .. T_3 that all lines of a scene have: of the resolution of
+/// the means, and of the map error. False if the line is no function of x next to its pose.
+MAPLINES_INTERNAL bool maplines_common(const maplines_curve_t *curve,
+                                       const maplines_points_t *points, double offset_sigma,
+                                       double heading_sigma, double cov[16]);
+/// Factor of a line-specific covariance: that of levels, and what is common to all lines.
+MAPLINES_INTERNAL void maplines_specific_factor(const maplines_curve_t *curve,
+                                                const double levels[16], const double common[16],
+                                                double factor[4][4]);
+/// Levels by which the record of a line, or of the pose error, is decoded.
+MAPLINES_INTERNAL const maplines_levels_t *maplines_levels_of(const maplines_dbc_t *dbc);
 /// Scene of a record of the pose error and records of lines, all of them intact and checked.
 /// False if a line is no function of x in its range; no sender sends such a line.
 MAPLINES_INTERNAL bool maplines_decode_scene(const maplines_dbc_t *dbc, const uint8_t *pose_record,

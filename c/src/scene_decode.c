@@ -1,0 +1,394 @@
+/* Scenes: lines of one pose, with a factor of their joint covariance.
+ *
+ * It has the operations of wire/covariance/scene_code.py and wire/records/scene_reader.py in the
+ * same order. Each line needs the pose error and its own record only: its rows of the factor are
+ * what the sigma points of the pose error do to it, and its own block is line-specific.
+ */
+#include "internal.h"
+
+#define MAPLINES_RESOLUTION  0x1p-9 ///< least standard deviation of a coefficient of T_k [m]
+#define MAPLINES_ROUNDING    0x1p-42 ///< share by which variances are enlarged, so that it is definite
+#define MAPLINES_RANGE_STEPS 10.0    ///< steps of the ends of the valid range [1/m]
+#define MAPLINES_MIN_TURN    0.1     ///< least derivative of beta with respect to the heading
+
+/// Pose error, in double precision.
+typedef struct
+{
+    double P[9];
+    double poses[MAPLINES_POSES][3]; ///< its sigma points
+    double offset_sigma, heading_sigma;
+    double largest_heading_sigma; ///< for which the level of the heading may stand
+    double age;                   ///< [s]
+    bool is_heading_limited;      ///< the level of the heading is the greatest one
+} pose_error_t;
+
+/// One line of a scene, in double precision.
+typedef struct
+{
+    maplines_curve_t curve;
+    double levels[16]; ///< covariance of the coefficients of T_0 .. T_3
+    bool is_full;      ///< the record has all entries of the line-specific covariance instead
+} member_t;
+
+/// C = C + A A^T for an (n, k) matrix A.
+static void add_square(int n, int k, const double *A, double *C)
+{
+    double square[16];
+    maplines_product_transposed(n, k, n, A, A, square);
+    for (int i = 0; i < n * n; ++i)
+    {
+        C[i] = C[i] + square[i];
+    }
+}
+
+MAPLINES_INTERNAL const maplines_levels_t *maplines_levels_of(const maplines_dbc_t *dbc)
+{
+    if (dbc->is_conditional)
+    {
+        return &dbc->levels;
+    }
+    int slot = 0;
+    while (slot < MAPLINES_SLOTS - 1 && dbc->slot_levels[slot].lateral.length == 0)
+    {
+        ++slot; // those of all slots are the same
+    }
+    return &dbc->slot_levels[slot];
+}
+
+MAPLINES_INTERNAL bool maplines_common(const maplines_curve_t *curve,
+                                       const maplines_points_t *points, double offset_sigma,
+                                       double heading_sigma, double cov[16])
+{
+    for (int i = 0; i < 16; ++i)
+    {
+        cov[i] = i % 5 == 0 ? MAPLINES_RESOLUTION * MAPLINES_RESOLUTION : 0.0;
+    }
+    if (offset_sigma <= 0.0 && heading_sigma <= 0.0)
+    {
+        return true;
+    }
+    double by_pose[4][3];
+    if (!maplines_pose_jacobian(points, by_pose))
+    {
+        return false;
+    }
+    double J[16];
+    double K[12];
+    maplines_bases(curve->mean, curve->fit_range, J);
+    for (int j = 0; j < 3; ++j)
+    {
+        const double sigma = j < 2 ? offset_sigma : heading_sigma;
+        for (int i = 3; i >= 0; --i) // J is upper triangular
+        {
+            double rest = by_pose[i][j] * sigma;
+            for (int k = 3; k > i; --k)
+            {
+                const double term = J[4 * i + k] * K[3 * k + j];
+                rest = rest - term;
+            }
+            K[3 * i + j] = rest / J[5 * i];
+        }
+    }
+    add_square(4, 3, K, cov);
+    return true;
+}
+
+MAPLINES_INTERNAL void maplines_specific_factor(const maplines_curve_t *curve,
+                                                const double levels[16], const double common[16],
+                                                double factor[4][4])
+{
+    double own[16];
+    double J[16];
+    for (int i = 0; i < 16; ++i)
+    {
+        own[i] = levels[i] + common[i];
+        own[i] = i % 5 == 0 ? own[i] * (1.0 + MAPLINES_ROUNDING) : own[i];
+    }
+    (void)maplines_cholesky_factor(4, own, own); // definite for any bits
+    maplines_bases(curve->mean, curve->fit_range, J);
+    maplines_product(4, 4, 4, J, own, factor[0]);
+}
+
+/// Value of a level, 0 for the raw value 0.
+static double level_of(const maplines_signal_t *signal, const uint8_t *record)
+{
+    return maplines_level(signal, maplines_get(signal, record));
+}
+
+/// Read the pose error, all of whose bits mean something.
+static void read_pose(const maplines_dbc_t *dbc, const uint8_t *record, pose_error_t *pose,
+                      maplines_scene_t *scene)
+{
+    double factor[4][4];
+    double F[9];
+    maplines_decode_factor(&dbc->pose_covariance, record, factor);
+    for (int i = 0; i < 9; ++i)
+    {
+        F[i] = factor[i / 3][i % 3];
+        scene->pose_factor[i / 3][i % 3] = (maplines_real_t)F[i];
+    }
+    maplines_product_transposed(3, 3, 3, F, F, pose->P);
+    maplines_pose_points(pose->P, pose->poses);
+
+    const int64_t raw_age = maplines_get(&dbc->pose_age, record);
+    const int64_t raw_time = maplines_get(&dbc->correlation_time, record);
+    const double time = maplines_level(&dbc->correlation_time, raw_time);
+    const bool is_too_old = raw_age >= dbc->pose_age.raw_max;
+    const double infinity = (double)INFINITY;
+    pose->age = is_too_old ? infinity : maplines_physical(&dbc->pose_age, raw_age) / 1000.0;
+    pose->offset_sigma = level_of(&dbc->map_offset, record);
+    pose->heading_sigma = level_of(&dbc->map_heading, record);
+    pose->largest_heading_sigma = pose->heading_sigma * maplines_exp2(dbc->map_heading.factor);
+    pose->is_heading_limited = maplines_get(&dbc->map_heading, record) == dbc->map_heading.raw_max;
+
+    scene->age = (maplines_real_t)pose->age;
+    scene->correlation_time = (maplines_real_t)(raw_time == 0 ? infinity : time);
+    scene->offset_sigma = (maplines_real_t)pose->offset_sigma;
+    scene->heading_sigma = (maplines_real_t)pose->heading_sigma;
+    scene->counter = (uint32_t)maplines_get(&dbc->pose.counter, record);
+}
+
+/// Read a record that is conditional on the pose error.
+static void read_conditional(const maplines_dbc_t *dbc, const uint8_t *record, member_t *member)
+{
+    const maplines_levels_t *levels = &dbc->levels;
+    maplines_curve_t *curve = &member->curve;
+    member->is_full = maplines_get(&dbc->has_covariance, record) == 1;
+    for (int i = 0; i < 4; ++i)
+    {
+        curve->mean[i] = maplines_physical(&dbc->mean[i], maplines_get(&dbc->mean[i], record));
+        if (member->is_full)
+        {
+            const int64_t fine = maplines_get(&dbc->fine[i], record);
+            curve->mean[i] = curve->mean[i] + maplines_physical(&dbc->fine[i], fine);
+        }
+    }
+    curve->fit_range[0] = maplines_physical(&dbc->x_min, maplines_get(&dbc->x_min, record));
+    curve->fit_range[1] = maplines_physical(&dbc->x_max, maplines_get(&dbc->x_max, record));
+    curve->quartic = maplines_physical(&levels->quartic, maplines_get(&levels->quartic, record));
+    if (!member->is_full && curve->fit_range[0] < curve->fit_range[1])
+    {
+        maplines_decode_levels(levels, curve, maplines_get(&levels->lateral, record),
+                               maplines_get(&levels->points, record),
+                               maplines_get(&levels->shape, record), member->levels);
+    }
+}
+
+/// Physical value of a signal, as a scene has it that is rebuilt from a decoded line.
+static double rebuilt(const maplines_signal_t *signal, double physical)
+{
+    const double raw = maplines_nearest_raw(signal, physical) * signal->factor;
+    return raw + signal->offset;
+}
+
+/// Read a complete record, whose levels are in the record of the pose error.
+static void read_with_levels(const maplines_dbc_t *dbc, const uint8_t *record, int slot,
+                             const uint8_t *pose_record, member_t *member)
+{
+    const maplines_levels_t *own = &dbc->slot_levels[slot];
+    const maplines_levels_t *levels = maplines_levels_of(dbc);
+    maplines_curve_t *curve = &member->curve;
+    member->is_full = false;
+    for (int i = 0; i < 4; ++i)
+    {
+        const maplines_signal_t *signal = &dbc->mean[i];
+        curve->mean[i] = rebuilt(signal, maplines_physical(signal, maplines_get(signal, record)));
+    }
+    const double x_min = maplines_physical(&dbc->x_min, maplines_get(&dbc->x_min, record));
+    const double x_max = maplines_physical(&dbc->x_max, maplines_get(&dbc->x_max, record));
+    const int64_t raw_behind = maplines_get(&own->fit_behind, pose_record);
+    const int64_t raw_ahead = maplines_get(&own->fit_ahead, pose_record);
+    const double behind = maplines_physical(&levels->fit_behind, raw_behind);
+    const double ahead = maplines_physical(&levels->fit_ahead, raw_ahead);
+    curve->fit_range[0] = rebuilt(&dbc->x_min, x_min < x_max ? x_min : x_max) - behind;
+    curve->fit_range[1] = rebuilt(&dbc->x_max, x_max) + ahead;
+    curve->quartic = maplines_physical(&levels->quartic, maplines_get(&own->quartic, pose_record));
+    if (curve->fit_range[0] < curve->fit_range[1])
+    {
+        maplines_decode_levels(levels, curve, maplines_get(&own->lateral, pose_record),
+                               maplines_get(&own->points, pose_record),
+                               maplines_get(&own->shape, pose_record), member->levels);
+    }
+}
+
+/// Age of a line [s], whose first frame came some time after that of its pose error.
+static double later(double age, int64_t passed_ns)
+{
+    if (!(age < (double)INFINITY))
+    {
+        return age;
+    }
+    const double age_ns = rint(1e9 * age) + (double)passed_ns;
+    return (age_ns > 0.0 ? age_ns : 0.0) / 1e9;
+}
+
+/// Difference of two times [ns], limited to its type.
+static int64_t difference(int64_t later_ns, int64_t earlier_ns)
+{
+    if (earlier_ns < 0 && later_ns > INT64_MAX + earlier_ns)
+    {
+        return INT64_MAX;
+    }
+    if (earlier_ns > 0 && later_ns < INT64_MIN + earlier_ns)
+    {
+        return INT64_MIN;
+    }
+    return later_ns - earlier_ns;
+}
+
+/// Set the valid range of a line that is conditional on the pose error. False as for the scene.
+static bool set_valid_range(const pose_error_t *pose, const maplines_curve_t *curve,
+                            const maplines_points_t *points, const double specific_cov[16],
+                            maplines_line_t *line)
+{
+    double heading_sigma = pose->largest_heading_sigma;
+    if (pose->is_heading_limited)
+    {
+        // It may be beyond the levels, but no more than the variance of beta has room for.
+        double J[4][3];
+        if (!maplines_pose_jacobian(points, J))
+        {
+            return false;
+        }
+        const double size = fabs(J[1][2]);
+        const double turn = size > MAPLINES_MIN_TURN ? size : MAPLINES_MIN_TURN;
+        const double possible = sqrt(specific_cov[5]) / turn;
+        heading_sigma = possible > heading_sigma ? possible : heading_sigma;
+    }
+    double range[2];
+    maplines_valid_range(curve, pose->P, specific_cov, heading_sigma, range);
+    // The ends are moved inwards, so that the range does not exceed that of the sender.
+    const double low = ceil(range[0] * MAPLINES_RANGE_STEPS) / MAPLINES_RANGE_STEPS + 0.0;
+    const double high = floor(range[1] * MAPLINES_RANGE_STEPS) / MAPLINES_RANGE_STEPS;
+    const double middle = (range[0] + range[1]) / 2.0;
+    const double end = high > middle ? high : middle;
+    line->x_min = (maplines_real_t)(low < middle ? low : middle);
+    line->x_max = (maplines_real_t)(low <= high ? end : middle);
+    return true;
+}
+
+/// Set the Gaussian of a line that has its block of the joint covariance.
+static void set_gaussian(const maplines_dbc_t *dbc, const double mean[4], const double cov[16],
+                         maplines_gaussian_t *gaussian)
+{
+    double ordered[16];
+    double factor[4][4];
+    const uint8_t *order = dbc->covariance.order;
+    for (int i = 0; i < 16; ++i)
+    {
+        ordered[i] = cov[4 * order[i / 4] + order[i % 4]];
+    }
+    (void)maplines_cholesky_factor(4, ordered, ordered); // definite for any bits
+    for (int i = 0; i < 4; ++i)
+    {
+        memcpy(factor[order[i]], ordered + 4 * i, sizeof factor[0]);
+    }
+    maplines_set_gaussian(mean, factor, order, gaussian);
+}
+
+/// Decode a line of a scene. False as for the scene.
+static bool decode_member(const maplines_dbc_t *dbc, const pose_error_t *pose,
+                          const uint8_t *pose_record, int64_t pose_ns,
+                          const maplines_member_t *given, int place, maplines_scene_t *scene)
+{
+    member_t member;
+    maplines_points_t points;
+    maplines_line_t *line = &scene->lines[place];
+    if (dbc->is_conditional)
+    {
+        read_conditional(dbc, given->record, &member);
+    }
+    else
+    {
+        maplines_complete_t content;
+        if (maplines_read_complete(dbc, given->slot, given->record, given->t_ns, &content) !=
+            MAPLINES_COMPLETE)
+        {
+            return false;
+        }
+        *line = content.line;
+        read_with_levels(dbc, given->record, given->slot, pose_record, &member);
+    }
+    const maplines_curve_t *curve = &member.curve;
+    maplines_points_of(curve, &points);
+    if (!(curve->fit_range[0] < curve->fit_range[1]) || !maplines_is_function(&points))
+    {
+        return false;
+    }
+
+    double A[4][MAPLINES_POSES];
+    double F[4][4];
+    double common[16];
+    if (!maplines_common(curve, &points, pose->offset_sigma, pose->heading_sigma, common) ||
+        !maplines_spread(curve, (double(*)[3])pose->poses, A))
+    {
+        return false;
+    }
+    if (member.is_full)
+    {
+        maplines_decode_factor(&dbc->covariance, given->record, F);
+    }
+    else
+    {
+        maplines_specific_factor(curve, member.levels, common, F);
+    }
+    double specific_cov[16];
+    double cov[16];
+    maplines_product_transposed(4, 4, 4, F[0], F[0], specific_cov);
+    maplines_product_transposed(4, MAPLINES_POSES, 4, A[0], A[0], cov);
+    for (int i = 0; i < 16; ++i)
+    {
+        cov[i] = cov[i] + specific_cov[i];
+        cov[i] = i % 5 == 0 ? cov[i] * (1.0 + MAPLINES_ROUNDING) : cov[i];
+    }
+    for (int i = 0; i < 4; ++i)
+    {
+        for (int k = 0; k < MAPLINES_POSES; ++k)
+        {
+            scene->spread[4 * place + i][k] = (maplines_real_t)A[i][k];
+        }
+        for (int k = 0; k < 4; ++k)
+        {
+            scene->specific[place][i][k] = (maplines_real_t)F[i][k];
+        }
+    }
+    scene->fit_range[place][0] = (maplines_real_t)curve->fit_range[0];
+    scene->fit_range[place][1] = (maplines_real_t)curve->fit_range[1];
+    scene->quartic[place] = (maplines_real_t)curve->quartic;
+
+    set_gaussian(dbc, curve->mean, cov, &line->gaussian);
+    if (!dbc->is_conditional)
+    {
+        const bool is_partial =
+            line->status == MAPLINES_UNKNOWN || line->status == MAPLINES_DIAGONAL;
+        line->status = is_partial ? MAPLINES_FULL : line->status;
+        return true;
+    }
+    line->slot = (maplines_owner_t)given->slot;
+    line->kind = (maplines_kind_t)maplines_get(&dbc->kind, given->record);
+    line->status = MAPLINES_FULL;
+    line->components = 1;
+    line->t_ns = given->t_ns;
+    line->age = (maplines_real_t)later(pose->age, difference(given->t_ns, pose_ns));
+    return set_valid_range(pose, curve, &points, specific_cov, line);
+}
+
+MAPLINES_INTERNAL bool maplines_decode_scene(const maplines_dbc_t *dbc, const uint8_t *pose_record,
+                                             int64_t t_ns, int count,
+                                             const maplines_member_t *members,
+                                             maplines_scene_t *scene)
+{
+    pose_error_t pose;
+    memset(scene, 0, sizeof *scene);
+    scene->count = (uint8_t)count;
+    scene->t_ns = t_ns;
+    read_pose(dbc, pose_record, &pose, scene);
+    for (int place = 0; place < count; ++place)
+    {
+        if (!decode_member(dbc, &pose, pose_record, t_ns, &members[place], place, scene))
+        {
+            return false;
+        }
+    }
+    return true;
+}
