@@ -597,8 +597,7 @@ const char *maplines_settings_for(const maplines_dbc_t *dbc, double timeout_ms, 
 ///
 /// @param settings NULL for the default. They are copied; the authenticator that they point to is
 ///        the caller's, and is read with each authenticated frame.
-/// @return NULL, or which setting is wrong: then the default settings are in force, and no frame
-///         is accepted.
+/// @return NULL, or which setting is wrong: then every frame is FOREIGN.
 const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_dbc_t *dbc,
                                   const maplines_settings_t *settings);
 

@@ -30,7 +30,12 @@ MAPLINES_INTERNAL size_t maplines_frames(const maplines_encoder_t *encoder, int 
                                          int64_t now_us, maplines_frame_t *frames)
 {
     const maplines_messages_t *messages = &encoder->dbc->messages[owner];
-    (void)now_us;
+    if (encoder->signer != NULL)
+    {
+        return maplines_secure(encoder->dbc, owner, record, length, now_us, encoder->signer, frames)
+                   ? 1U
+                   : 0U;
+    }
     if (is_fd)
     {
         memset(frames, 0, sizeof *frames);

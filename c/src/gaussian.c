@@ -141,28 +141,31 @@ MAPLINES_INTERNAL void maplines_moments(int count, const double *weights, double
     }
 }
 
-/// Factor of a covariance with its rows in this order of the states. If rounding has left none, 4
-/// times the diagonal covers.
+/// Share of the variances that is added to a covariance that rounding has made indefinite; that of
+/// 64 components errs by less.
+#define DEFINITE_SHARE 0x1p-40
+
+/// Factor of a covariance with its rows in this order of the states.
 static void factor_in_order(const double cov[16], const uint8_t order[4], double factor[4][4])
 {
     double ordered[16];
+    double L[16];
     for (int i = 0; i < 16; ++i)
     {
         ordered[i] = cov[4 * order[i / 4] + order[i % 4]];
     }
-    const bool is_definite = maplines_cholesky_factor(4, ordered, ordered);
+    if (!maplines_cholesky_factor(4, ordered, L))
+    {
+        for (int i = 0; i < 4; ++i)
+        {
+            const double share = DEFINITE_SHARE * ordered[5 * i];
+            ordered[5 * i] = ordered[5 * i] + share;
+        }
+        (void)maplines_cholesky_factor(4, ordered, L);
+    }
     for (int i = 0; i < 4; ++i)
     {
-        double *row = factor[order[i]];
-        memset(row, 0, 4 * sizeof(double));
-        if (is_definite)
-        {
-            memcpy(row, ordered + 4 * i, 4 * sizeof(double));
-        }
-        else
-        {
-            row[i] = 2.0 * sqrt(cov[5 * order[i]]);
-        }
+        memcpy(factor[order[i]], L + 4 * i, 4 * sizeof(double));
     }
 }
 

@@ -1,0 +1,408 @@
+/* Reassembly of records from frames: all pages of one transfer, or nothing.
+ *
+ * Pages are collected by transfer ID, each transfer by itself, until it is complete or times out.
+ * Pages of a good record are remembered for one time-out; identical pages within it are duplicates:
+ *
+ *     page   0 1   2       0 1   3       2       0 1 2 3
+ *     ID     7 7   7       8 8   7       8       7 7 7 7
+ *     -----------------------------------------------------> time
+ *            transfer 7 is complete: |           duplicates
+ *            transfer 8 waits for page 3; it is dropped after the time-out
+ *
+ * A transfer ID is used again after as many records as there are IDs. Of two transfers with one ID,
+ * that with the newer counter is kept; and when a good record is complete, an incomplete transfer
+ * whose ID is ahead of it by up to half of the IDs, but which began before, is of the last round:
+ *
+ *     ID     7 7   8 8 8 8  9 9 9 9  ...  15 15 15 15            7 7 7 7
+ *     -----------------------------------------------------> time
+ *            transfer 7 lost two pages    |
+ *                                         it is 8 ahead of 15, but older: dropped
+ */
+#include "internal.h"
+
+#define PAGE_BYTES 8U
+
+static uint32_t transfer_ids(const maplines_record_t *layout)
+{
+    return (uint32_t)1 << layout->transfer_id[0].length;
+}
+
+static uint32_t pages_mask(uint32_t pages)
+{
+    return (uint32_t)(((uint64_t)1 << pages) - 1U);
+}
+
+static uint32_t page_count(uint32_t pages)
+{
+    uint32_t count = 0;
+    for (uint32_t rest = pages; rest != 0; rest &= rest - 1U)
+    {
+        ++count;
+    }
+    return count;
+}
+
+/// Whether a time is farther from now than the time-out. Frames may come slightly out of order; if
+/// the clock is set back, everything is old.
+static bool is_timed_out(const maplines_decoder_t *decoder, int owner, int64_t since_ns,
+                         int64_t t_ns)
+{
+    return maplines_distance(t_ns, since_ns) > decoder->settings.timeout_ns[owner];
+}
+
+/// Drop the i-th transfer that began.
+static void drop_transfer(maplines_decoder_t *decoder, int owner, unsigned i,
+                          maplines_reason_t reason)
+{
+    maplines_inbox_t *inbox = &decoder->inboxes[owner];
+    maplines_transfer_t *transfer = &inbox->incomplete[inbox->began[i]];
+    decoder->statistics.counts[reason] += page_count(transfer->pages);
+    transfer->pages = 0;
+    --inbox->count;
+    for (unsigned later = i; later < inbox->count; ++later)
+    {
+        inbox->began[later] = inbox->began[later + 1U];
+    }
+}
+
+/// Place of a transfer among those that began.
+static unsigned place_of(const maplines_inbox_t *inbox, uint32_t id)
+{
+    unsigned i = 0;
+    while (i < inbox->count && inbox->began[i] != id)
+    {
+        ++i;
+    }
+    return i;
+}
+
+static void expire_inbox(maplines_decoder_t *decoder, int owner, int64_t t_ns)
+{
+    const maplines_inbox_t *inbox = &decoder->inboxes[owner];
+    unsigned i = 0;
+    while (i < inbox->count)
+    {
+        if (is_timed_out(decoder, owner, inbox->incomplete[inbox->began[i]].t_ns, t_ns))
+        {
+            drop_transfer(decoder, owner, i, MAPLINES_TIMEOUT);
+        }
+        else
+        {
+            ++i;
+        }
+    }
+}
+
+/// Why the content of a record is rejected, or MAPLINES_COMPLETE.
+static maplines_reason_t read_record(const maplines_dbc_t *dbc, maplines_arrival_t *arrival)
+{
+    const int owner = arrival->owner;
+    const maplines_reason_t reason =
+        maplines_check_record(dbc, owner, arrival->record, arrival->length);
+    if (reason != MAPLINES_COMPLETE || owner == MAPLINES_POSE)
+    {
+        return reason;
+    }
+    if (dbc->is_conditional)
+    {
+        return maplines_check_conditional(dbc, arrival->record);
+    }
+    return maplines_read_complete(dbc, owner, arrival->record, arrival->t_ns, &arrival->content);
+}
+
+/// Read a record; remember a good one, and forget those of the previous round of IDs.
+static void complete_record(maplines_decoder_t *decoder, maplines_arrival_t *arrival)
+{
+    const maplines_record_t *layout = maplines_layout(decoder->dbc, arrival->owner);
+    maplines_inbox_t *inbox = &decoder->inboxes[arrival->owner];
+    arrival->reason = read_record(decoder->dbc, arrival);
+    if (arrival->reason != MAPLINES_COMPLETE)
+    {
+        return;
+    }
+    const uint32_t ids = transfer_ids(layout);
+    const uint32_t own = (uint32_t)maplines_get(&layout->transfer_id[0], arrival->record);
+    maplines_transfer_t *known = &inbox->complete[own];
+    memcpy(known->record, arrival->record, arrival->length);
+    known->t_ns = arrival->t_ns;
+    known->pages = pages_mask(arrival->length / PAGE_BYTES);
+    for (uint32_t ahead = 1; ahead < ids / 2U; ++ahead)
+    {
+        inbox->complete[(own + ahead) % ids].pages = 0;
+    }
+    unsigned i = 0;
+    while (i < inbox->count && inbox->began[i] != own)
+    {
+        if ((inbox->began[i] - own) % ids <= ids / 2U)
+        {
+            drop_transfer(decoder, arrival->owner, i, MAPLINES_INCOMPLETE);
+        }
+        else
+        {
+            ++i;
+        }
+    }
+}
+
+/// Number of pages of a record as far as those of a transfer say it.
+static uint32_t needed_pages(const maplines_dbc_t *dbc, const maplines_record_t *layout,
+                             const maplines_transfer_t *transfer)
+{
+    if (layout->short_pages < layout->pages)
+    {
+        const uint32_t form = dbc->has_covariance.first / (8U * PAGE_BYTES);
+        if ((transfer->pages >> form & 1U) != 0
+            && maplines_get(&dbc->has_covariance, transfer->record) == 0)
+        {
+            return layout->short_pages;
+        }
+    }
+    return layout->pages;
+}
+
+/// By how much the counter in a page is ahead of that of a transfer, modulo the counters; 0 if the
+/// page has no counter.
+static uint64_t counter_ahead(const maplines_record_t *layout, uint32_t page, const uint8_t *data,
+                              const maplines_transfer_t *transfer)
+{
+    if (page != layout->counter.first / (8U * PAGE_BYTES))
+    {
+        return 0;
+    }
+    uint8_t record[MAPLINES_MAX_RECORD];
+    memcpy(record, transfer->record, sizeof(record));
+    memcpy(record + PAGE_BYTES * page, data, PAGE_BYTES);
+    const uint64_t counter = (uint64_t)maplines_get(&layout->counter, record);
+    const uint64_t before = (uint64_t)maplines_get(&layout->counter, transfer->record);
+    return (counter - before) & (((uint64_t)1 << layout->counter.length) - 1U);
+}
+
+/// Whether a page is one of a good record that is not older than the time-out.
+static bool is_known_page(const maplines_decoder_t *decoder, int owner, uint32_t id, uint32_t page,
+                          const uint8_t *data, int64_t t_ns)
+{
+    const maplines_transfer_t *known = &decoder->inboxes[owner].complete[id];
+    if ((known->pages >> page & 1U) == 0 || is_timed_out(decoder, owner, known->t_ns, t_ns))
+    {
+        return false;
+    }
+    return memcmp(known->record + PAGE_BYTES * page, data, PAGE_BYTES) == 0;
+}
+
+static maplines_transfer_t *begin_transfer(maplines_inbox_t *inbox, uint32_t id, int64_t t_ns)
+{
+    maplines_transfer_t *transfer = &inbox->incomplete[id];
+    memset(transfer, 0, sizeof(*transfer));
+    transfer->t_ns = t_ns;
+    inbox->began[inbox->count] = (uint16_t)id;
+    ++inbox->count;
+    return transfer;
+}
+
+static maplines_reason_t dropped_frame(maplines_decoder_t *decoder, maplines_reason_t reason)
+{
+    ++decoder->statistics.counts[reason];
+    return reason;
+}
+
+/// Add a page to its transfer.
+static maplines_reason_t feed_page(maplines_decoder_t *decoder, const uint8_t *data, int64_t t_ns,
+                                   maplines_arrival_t *arrival)
+{
+    const int owner = arrival->owner;
+    const maplines_record_t *layout = maplines_layout(decoder->dbc, owner);
+    maplines_inbox_t *inbox = &decoder->inboxes[owner];
+    if (maplines_get(&layout->page, data) >= layout->pages)
+    {
+        return dropped_frame(decoder, MAPLINES_PAGE);
+    }
+    const uint32_t page = (uint32_t)maplines_get(&layout->page, data);
+    const uint32_t id = (uint32_t)maplines_get(&layout->transfer_id[page == 0 ? 0 : 1], data);
+    expire_inbox(decoder, owner, t_ns);
+    maplines_transfer_t *transfer = &inbox->incomplete[id];
+    if (transfer->pages == 0)
+    {
+        if (is_known_page(decoder, owner, id, page, data, t_ns))
+        {
+            return dropped_frame(decoder, MAPLINES_DUPLICATE);
+        }
+        transfer = begin_transfer(inbox, id, t_ns);
+    }
+    else if ((transfer->pages >> page & 1U) != 0)
+    {
+        if (memcmp(transfer->record + PAGE_BYTES * page, data, PAGE_BYTES) == 0)
+        {
+            return dropped_frame(decoder, MAPLINES_DUPLICATE);
+        }
+        const uint64_t half = (uint64_t)1 << (layout->counter.length - 1U);
+        const uint64_t ahead = counter_ahead(layout, page, data, transfer);
+        if (ahead >= half) // of an older transfer
+        {
+            return dropped_frame(decoder, MAPLINES_REPLACED);
+        }
+        if (ahead > 0)
+        {
+            drop_transfer(decoder, owner, place_of(inbox, id), MAPLINES_REPLACED);
+            transfer = begin_transfer(inbox, id, t_ns);
+        }
+        else
+        {
+            ++decoder->statistics.counts[MAPLINES_REPLACED];
+        }
+    }
+    else
+    {
+        // a page that the transfer does not have yet
+    }
+    memcpy(transfer->record + PAGE_BYTES * page, data, PAGE_BYTES);
+    transfer->pages |= (uint32_t)1 << page;
+    const uint32_t needed = needed_pages(decoder->dbc, layout, transfer);
+    if ((~transfer->pages & pages_mask(needed)) != 0)
+    {
+        return MAPLINES_PENDING;
+    }
+    arrival->t_ns = transfer->t_ns;
+    arrival->frames = needed;
+    arrival->length = needed * PAGE_BYTES;
+    memcpy(arrival->record, transfer->record, arrival->length);
+    complete_record(decoder, arrival);
+    transfer->pages &= ~pages_mask(needed); // what is left is of another record
+    drop_transfer(decoder, owner, place_of(inbox, id), MAPLINES_INCOMPLETE);
+    return MAPLINES_COMPLETE;
+}
+
+/// Take the record at the beginning of a payload that has room for the longest one.
+static maplines_reason_t feed_whole(maplines_decoder_t *decoder, const uint8_t *data, int64_t t_ns,
+                                    maplines_arrival_t *arrival)
+{
+    const maplines_record_t *layout = maplines_layout(decoder->dbc, arrival->owner);
+    uint32_t pages = layout->pages;
+    if (layout->short_pages < layout->pages
+        && maplines_get(&decoder->dbc->has_covariance, data) == 0)
+    {
+        pages = layout->short_pages;
+    }
+    arrival->t_ns = t_ns;
+    arrival->frames = 1;
+    arrival->length = pages * PAGE_BYTES;
+    memcpy(arrival->record, data, arrival->length);
+    complete_record(decoder, arrival);
+    return MAPLINES_COMPLETE;
+}
+
+/// How a message carries records.
+typedef enum {
+    ROUTE_NONE,
+    ROUTE_PAGES,
+    ROUTE_WHOLE,
+    ROUTE_SECURED,
+} route_t;
+
+static route_t route_of(const maplines_messages_t *messages, const maplines_frame_t *frame)
+{
+    const uint32_t id = frame->can_id;
+    const bool is_extended = frame->is_extended;
+    if (!messages->is_present)
+    {
+        return ROUTE_NONE;
+    }
+    if (messages->has_classic && messages->can_id == id && messages->is_extended == is_extended)
+    {
+        return ROUTE_PAGES;
+    }
+    if (messages->has_fd && messages->fd_can_id == id && messages->fd_is_extended == is_extended)
+    {
+        return ROUTE_WHOLE;
+    }
+    if (messages->has_secured && messages->secured_can_id == id
+        && messages->secured_is_extended == is_extended)
+    {
+        return ROUTE_SECURED;
+    }
+    return ROUTE_NONE;
+}
+
+/// Check an authenticated frame, and take its record.
+static maplines_reason_t feed_secured(maplines_decoder_t *decoder, const maplines_frame_t *frame,
+                                      int64_t t_ns, maplines_arrival_t *arrival)
+{
+    const int owner = arrival->owner;
+    const maplines_authenticator_t *authenticator = decoder->settings.authenticator;
+    if (authenticator == NULL)
+    {
+        return dropped_frame(decoder, MAPLINES_KEY);
+    }
+    const maplines_reason_t reason = maplines_verify(decoder->dbc, owner, authenticator, frame,
+                                                     &decoder->freshness_us[owner]);
+    if (reason != MAPLINES_COMPLETE)
+    {
+        return dropped_frame(decoder, reason);
+    }
+    return feed_whole(decoder, frame->data, t_ns, arrival);
+}
+
+MAPLINES_INTERNAL maplines_reason_t maplines_reassemble(maplines_decoder_t *decoder,
+                                                        const maplines_frame_t *frame, int64_t t_ns,
+                                                        maplines_arrival_t *arrival)
+{
+    route_t route = ROUTE_NONE;
+    int owner = 0;
+    while (owner < MAPLINES_OWNERS)
+    {
+        route = route_of(&decoder->dbc->messages[owner], frame);
+        if (route != ROUTE_NONE)
+        {
+            break;
+        }
+        ++owner;
+    }
+    if (route == ROUTE_NONE)
+    {
+        return dropped_frame(decoder, MAPLINES_FOREIGN);
+    }
+    arrival->owner = owner;
+    const maplines_record_t *layout = maplines_layout(decoder->dbc, owner);
+    if (route == ROUTE_SECURED)
+    {
+        return feed_secured(decoder, frame, t_ns, arrival);
+    }
+    if (decoder->settings.authenticator != NULL && layout->fd_authentic > 0)
+    {
+        return dropped_frame(decoder, MAPLINES_UNAUTHENTICATED);
+    }
+    if (route == ROUTE_WHOLE)
+    {
+        if (frame->length < layout->pages * PAGE_BYTES || frame->length > sizeof(frame->data))
+        {
+            return dropped_frame(decoder, MAPLINES_LENGTH);
+        }
+        return feed_whole(decoder, frame->data, t_ns, arrival);
+    }
+    if (frame->length != PAGE_BYTES)
+    {
+        return dropped_frame(decoder, MAPLINES_LENGTH);
+    }
+    return feed_page(decoder, frame->data, t_ns, arrival);
+}
+
+MAPLINES_INTERNAL void maplines_expire_transfers(maplines_decoder_t *decoder, int64_t t_ns)
+{
+    for (int owner = 0; owner < MAPLINES_OWNERS; ++owner)
+    {
+        expire_inbox(decoder, owner, t_ns);
+    }
+}
+
+MAPLINES_INTERNAL uint32_t maplines_pending_transfers(const maplines_decoder_t *decoder)
+{
+    uint32_t pending = 0;
+    for (int owner = 0; owner < MAPLINES_OWNERS; ++owner)
+    {
+        const maplines_inbox_t *inbox = &decoder->inboxes[owner];
+        for (unsigned i = 0; i < inbox->count; ++i)
+        {
+            pending += page_count(inbox->incomplete[inbox->began[i]].pages);
+        }
+    }
+    return pending;
+}

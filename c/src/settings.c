@@ -1,0 +1,248 @@
+/* Times of reception: their range, and the time-outs, cycle times and E2E windows of a decoder. */
+#include "internal.h"
+
+#define DEFAULT_CYCLE_MS 100.0
+#define GRACE_CYCLES 1.5
+#define MS_NS 1e6
+#define MAX_MS 3600000.0
+/// Greatest step of a counter of AUTOSAR's profile 5; a larger one may as well be a step back.
+#define MAX_DELTA_COUNTER 127
+
+MAPLINES_INTERNAL int64_t maplines_limited_time(int64_t t_ns)
+{
+    if (t_ns > MAPLINES_MAX_TIME)
+    {
+        return MAPLINES_MAX_TIME;
+    }
+    return t_ns < -MAPLINES_MAX_TIME ? -MAPLINES_MAX_TIME : t_ns;
+}
+
+MAPLINES_INTERNAL int64_t maplines_distance(int64_t a_ns, int64_t b_ns)
+{
+    return a_ns > b_ns ? a_ns - b_ns : b_ns - a_ns;
+}
+
+maplines_e2e_config_t maplines_default_e2e(void)
+{
+    const maplines_e2e_config_t e2e = {
+        .max_delta_counter = 16,
+        .window_size_init = 10,
+        .window_size_valid = 10,
+        .window_size_invalid = 10,
+        .min_ok_state_init = 6,
+        .min_ok_state_valid = 6,
+        .min_ok_state_invalid = 8,
+        .max_error_state_init = 1,
+        .max_error_state_valid = 2,
+        .max_error_state_invalid = 0,
+        .clear_to_invalid = true,
+    };
+    return e2e;
+}
+
+/// Default time-out of a transfer [cycles]. A transfer ID is used again after (transfer IDs /
+/// components) cycles at the earliest; half a cycle is subtracted, since the sender may be early.
+static double timeout_cycles(const maplines_dbc_t *dbc, int owner)
+{
+    const double transfer_ids =
+        ldexp(1.0, maplines_layout(dbc, owner)->transfer_id[0].length);
+    double components = 1.0;
+    if (owner != MAPLINES_POSE && dbc->component_count.length > 0)
+    {
+        const maplines_signal_t *count = &dbc->component_count;
+        const double most = maplines_physical(count, count->raw_max);
+        components = most > components ? most : components;
+    }
+    double cycles = transfer_ids / components - 0.5;
+    cycles = cycles < GRACE_CYCLES ? cycles : GRACE_CYCLES;
+    return cycles > 0.5 ? cycles : 0.5;
+}
+
+static int64_t whole_ns(double ms)
+{
+    const int64_t t_ns = (int64_t)(MS_NS * ms);
+    return t_ns > 0 ? t_ns : 1;
+}
+
+/// Windows whose step is at most a quarter of the counters of an owner.
+static maplines_e2e_config_t within_counters(const maplines_dbc_t *dbc, int owner,
+                                             const maplines_e2e_config_t *e2e)
+{
+    maplines_e2e_config_t within = *e2e;
+    const double most = ldexp(1.0, maplines_layout(dbc, owner)->counter.length) / 4.0;
+    if ((double)within.max_delta_counter > most)
+    {
+        within.max_delta_counter = (uint8_t)most;
+    }
+    return within;
+}
+
+/// Settings of checked times [ms] and windows; 0 and NULL are the default.
+static void set_all(const maplines_dbc_t *dbc, double timeout_ms, double cycle_ms,
+                    const maplines_e2e_config_t *e2e, maplines_settings_t *settings)
+{
+    const maplines_e2e_config_t standard = maplines_default_e2e();
+    const maplines_e2e_config_t of_slots =
+        e2e != NULL ? *e2e : within_counters(dbc, MAPLINES_EGO_LEFT, &standard);
+    memset(settings, 0, sizeof(*settings));
+    settings->stale_cycles = 3.0;
+    for (int owner = 0; owner < MAPLINES_OWNERS; ++owner)
+    {
+        const maplines_messages_t *messages = &dbc->messages[owner];
+        if (!messages->is_present)
+        {
+            continue;
+        }
+        const double dbc_ms = messages->cycle_ms > 0 ? (double)messages->cycle_ms : DEFAULT_CYCLE_MS;
+        const double chosen_ms = cycle_ms > 0.0 ? cycle_ms : dbc_ms;
+        const double by_cycle_ms = timeout_cycles(dbc, owner) * chosen_ms;
+        const double derived_ms = by_cycle_ms > dbc_ms / 2.0 ? by_cycle_ms : dbc_ms / 2.0;
+        settings->timeout_ns[owner] = whole_ns(timeout_ms > 0.0 ? timeout_ms : derived_ms);
+        settings->cycle_ns[owner] = whole_ns(chosen_ms);
+        settings->e2e[owner] =
+            owner == MAPLINES_POSE ? within_counters(dbc, owner, &of_slots) : of_slots;
+    }
+}
+
+void maplines_default_settings(const maplines_dbc_t *dbc, maplines_settings_t *settings)
+{
+    set_all(dbc, 0.0, 0.0, NULL, settings);
+}
+
+/// What is wrong with the windows and bounds of a state machine by AUTOSAR's constraints.
+static const char *e2e_problem(const maplines_e2e_config_t *e2e)
+{
+    const uint8_t size[3] = {e2e->window_size_init, e2e->window_size_valid,
+                             e2e->window_size_invalid};
+    const uint8_t ok[3] = {e2e->min_ok_state_init, e2e->min_ok_state_valid,
+                           e2e->min_ok_state_invalid};
+    const uint8_t error[3] = {e2e->max_error_state_init, e2e->max_error_state_valid,
+                              e2e->max_error_state_invalid};
+    if (e2e->max_delta_counter < 1 || e2e->max_delta_counter > MAX_DELTA_COUNTER)
+    {
+        return "max_delta_counter must be from 1 to 127";
+    }
+    for (int state = 0; state < 3; ++state)
+    {
+        if (size[state] < 1 || ok[state] < 1)
+        {
+            return "each window_size and min_ok_state must be 1 or more";
+        }
+        if (ok[state] + error[state] > size[state])
+        {
+            return "min_ok_state + max_error_state must fit into the window_size of its state";
+        }
+        if (size[state] > e2e->window_size_valid)
+        {
+            return "no window_size may exceed window_size_valid";
+        }
+    }
+    if (ok[1] > ok[0] || ok[0] > ok[2])
+    {
+        return "min_ok_state_valid <= min_ok_state_init <= min_ok_state_invalid must hold";
+    }
+    if (error[2] > error[0] || error[0] > error[1])
+    {
+        return "max_error_state_invalid <= max_error_state_init <= max_error_state_valid must hold";
+    }
+    return NULL;
+}
+
+static const char *authenticator_problem(const maplines_dbc_t *dbc,
+                                         const maplines_authenticator_t *authenticator)
+{
+    if (dbc->line.fd_authentic == 0)
+    {
+        return "authenticator: the DBC has no authenticated message of lines";
+    }
+    if (authenticator->mac == NULL)
+    {
+        return "authenticator: mac must be a function";
+    }
+    if (authenticator->window_us < 1)
+    {
+        return "authenticator: window_us must be 1 or more";
+    }
+    if (authenticator->not_before_us < 0)
+    {
+        return "authenticator: not_before_us must be 0 or more";
+    }
+    const maplines_record_t *const layouts[2] = {&dbc->line, &dbc->pose};
+    for (int i = 0; i < 2; ++i)
+    {
+        const unsigned bytes = layouts[i]->fd_freshness;
+        if (layouts[i]->fd_authentic == 0)
+        {
+            continue;
+        }
+        if (authenticator->now_us == NULL && bytes < 7)
+        {
+            return "authenticator: without a clock (now_us), Freshness needs 7 bytes in the DBC";
+        }
+        if (authenticator->now_us != NULL
+            && authenticator->window_us > (INT64_C(1) << (8U * bytes - 1U)) - 1)
+        {
+            return "authenticator: window_us must be less than half of what Freshness can count";
+        }
+    }
+    return NULL;
+}
+
+MAPLINES_INTERNAL const char *maplines_settings_problem(const maplines_dbc_t *dbc,
+                                                        const maplines_settings_t *settings)
+{
+    if (!(settings->stale_cycles >= 0.0))
+    {
+        return "stale_cycles must be 0 or more";
+    }
+    for (int owner = 0; owner < MAPLINES_OWNERS; ++owner)
+    {
+        if (!dbc->messages[owner].is_present)
+        {
+            continue;
+        }
+        if (settings->timeout_ns[owner] < 1 || settings->timeout_ns[owner] > MAPLINES_MAX_PERIOD_NS)
+        {
+            return "timeout_ns must be from 1 ns to an hour for each owner of the DBC";
+        }
+        if (settings->cycle_ns[owner] < 1 || settings->cycle_ns[owner] > MAPLINES_MAX_PERIOD_NS)
+        {
+            return "cycle_ns must be from 1 ns to an hour for each owner of the DBC";
+        }
+        const maplines_e2e_config_t *e2e = &settings->e2e[owner];
+        const char *problem = e2e_problem(e2e);
+        if (problem != NULL)
+        {
+            return problem;
+        }
+        const double half = ldexp(0.5, maplines_layout(dbc, owner)->counter.length);
+        if ((double)e2e->max_delta_counter >= half)
+        {
+            return "max_delta_counter must be less than half the modulus of the DBC's Counter";
+        }
+    }
+    return settings->authenticator == NULL ? NULL
+                                           : authenticator_problem(dbc, settings->authenticator);
+}
+
+const char *maplines_settings_for(const maplines_dbc_t *dbc, double timeout_ms, double cycle_ms,
+                                  const maplines_e2e_config_t *e2e, maplines_settings_t *settings)
+{
+    maplines_default_settings(dbc, settings);
+    if (!(timeout_ms >= 0.0 && timeout_ms <= MAX_MS))
+    {
+        return "timeout_ms must be from 0 (the default) to an hour, 3600000 ms";
+    }
+    if (!(cycle_ms >= 0.0 && cycle_ms <= MAX_MS))
+    {
+        return "cycle_ms must be from 0 (the default) to an hour, 3600000 ms";
+    }
+    maplines_settings_t wanted;
+    set_all(dbc, timeout_ms, cycle_ms, e2e, &wanted);
+    const char *problem = maplines_settings_problem(dbc, &wanted);
+    if (problem == NULL)
+    {
+        *settings = wanted;
+    }
+    return problem;
+}
