@@ -15,17 +15,17 @@
  */
 #include "internal.h"
 
-#define CONFLICTS 8U      ///< confirm two senders
-#define NEAR_CYCLES 32    ///< longest time between consecutive conflicts
-#define NEW_RECORDS 32U   ///< of so many consecutive new records,
-#define DUPLICATES 29U    ///< so many that came twice confirm two senders
-#define SUSPECT_CYCLES 10 ///< a second sender is suspected for so long
-#define FORGET_CYCLES 256 ///< a second sender is forgotten after so long
+#define CONFLICTS      8U  ///< confirm two senders
+#define NEAR_CYCLES    32  ///< longest time between consecutive conflicts
+#define NEW_RECORDS    32U ///< of so many consecutive new records,
+#define DUPLICATES     29U ///< so many that came twice confirm two senders
+#define SUSPECT_CYCLES 10  ///< a second sender is suspected for so long
+#define FORGET_CYCLES  256 ///< a second sender is forgotten after so long
 
 static bool is_recent(int64_t then_ns, int64_t cycle_ns, int64_t t_ns)
 {
-    return then_ns != MAPLINES_NEVER
-           && maplines_distance(t_ns, then_ns) <= SUSPECT_CYCLES * cycle_ns;
+    return then_ns != MAPLINES_NEVER &&
+           maplines_distance(t_ns, then_ns) <= SUSPECT_CYCLES * cycle_ns;
 }
 
 MAPLINES_INTERNAL void maplines_conflict_init(maplines_conflict_t *conflict)
@@ -141,16 +141,16 @@ MAPLINES_INTERNAL bool maplines_conflict_was_reused(const maplines_conflict_t *c
 MAPLINES_INTERNAL bool maplines_conflict_is_suspected(const maplines_conflict_t *conflict,
                                                       int64_t cycle_ns, int64_t t_ns)
 {
-    return maplines_conflict_was_reused(conflict, cycle_ns, t_ns)
-           || is_recent(conflict->ahead_ns, cycle_ns, t_ns);
+    return maplines_conflict_was_reused(conflict, cycle_ns, t_ns) ||
+           is_recent(conflict->ahead_ns, cycle_ns, t_ns);
 }
 
 /// Forget evidence that is too old.
 MAPLINES_INTERNAL void maplines_conflict_elapse(maplines_conflict_t *conflict, int64_t cycle_ns,
                                                 int64_t t_ns)
 {
-    if (conflict->is_confirmed
-        && maplines_distance(t_ns, conflict->confirmed_ns) > FORGET_CYCLES * cycle_ns)
+    if (conflict->is_confirmed &&
+        maplines_distance(t_ns, conflict->confirmed_ns) > FORGET_CYCLES * cycle_ns)
     {
         conflict->is_confirmed = false;
         conflict->conflicts = 0;

@@ -1,10 +1,12 @@
-/* AUTOSAR's E2E check of a counter (profile 5), and E2E state machine of the records of an owner. */
+/* AUTOSAR's E2E check of a counter (profile 5), and E2E state machine of the records of an owner.
+ */
 #include "internal.h"
 
 #define WORDS ((MAPLINES_WINDOW + 31) / 32)
 
 /// Window size, least OKs and most errors in a state.
-typedef struct {
+typedef struct
+{
     unsigned size;
     unsigned min_ok;
     unsigned max_error;

@@ -238,13 +238,6 @@ static void cover_mixture(const maplines_dbc_t *dbc, const maplines_component_t 
     maplines_deficit(count, weights, means, covs, decoded_weights, decoded_means, cover);
 }
 
-/// How bad a status is.
-static int severity(maplines_status_t status)
-{
-    static const int ranks[] = {4, 0, 3, 1, 2, 5}; // of UNKNOWN, FULL, DIAGONAL, ...
-    return ranks[status];
-}
-
 maplines_sent_t maplines_encode_mixture(maplines_encoder_t *encoder, const maplines_input_t *line,
                                         const maplines_component_t *components, size_t count,
                                         bool is_fd, int64_t now_us, maplines_frame_t *frames)
@@ -280,7 +273,7 @@ maplines_sent_t maplines_encode_mixture(maplines_encoder_t *encoder, const mapli
             return refused(MAPLINES_NO_SIGNATURE);
         }
         sent.count = (uint16_t)(sent.count + sent_now);
-        sent.status = severity(status) > severity(sent.status) ? status : sent.status;
+        sent.status = maplines_severity(status) > maplines_severity(sent.status) ? status : sent.status;
     }
     return sent;
 }

@@ -447,6 +447,8 @@ MAPLINES_INTERNAL bool maplines_has_one_sender(const maplines_check_t *check, in
 
 /* mixtures.c */
 
+/// How bad a status is: a mixture has that of its worst component.
+MAPLINES_INTERNAL int maplines_severity(maplines_status_t status);
 /// Add a new record with a covariance of its own to the mixture of its slot. MAPLINES_COMPLETE if it
 /// completes a line: that is the newest then; else PENDING, DUPLICATE or CONTENT.
 MAPLINES_INTERNAL maplines_reason_t maplines_add_component(maplines_decoder_t *decoder,

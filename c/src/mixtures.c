@@ -14,8 +14,8 @@ static void drop_incomplete(maplines_decoder_t *decoder, int slot, maplines_reas
 
 static bool is_mixture_old(const maplines_decoder_t *decoder, int slot, int64_t t_ns)
 {
-    return maplines_distance(t_ns, decoder->incomplete[slot].last_ns)
-           > decoder->settings.timeout_ns[slot];
+    return maplines_distance(t_ns, decoder->incomplete[slot].last_ns) >
+           decoder->settings.timeout_ns[slot];
 }
 
 /// Counter of the first component of the line of a record.
@@ -30,9 +30,9 @@ static bool is_of_mixture(const maplines_mixture_t *mixture, const maplines_comp
                           uint32_t first)
 {
     const maplines_line_t *line = &content->line;
-    return mixture->first == first && mixture->count == content->count
-           && mixture->kind == line->kind && mixture->x_min == line->x_min
-           && mixture->x_max == line->x_max && mixture->age == line->age;
+    return mixture->first == first && mixture->count == content->count &&
+           mixture->kind == line->kind && mixture->x_min == line->x_min &&
+           mixture->x_max == line->x_max && mixture->age == line->age;
 }
 
 /// Read the i-th component of a mixture again.
@@ -42,8 +42,7 @@ static void read_component(const maplines_dbc_t *dbc, int slot, const maplines_m
     (void)maplines_read_complete(dbc, slot, mixture->records[i], mixture->t_ns[i], content);
 }
 
-/// How bad a status is: a mixture has that of its worst component.
-static int severity(maplines_status_t status)
+MAPLINES_INTERNAL int maplines_severity(maplines_status_t status)
 {
     static const int order[] = {
         [MAPLINES_FULL] = 0,     [MAPLINES_REPAIRED] = 1, [MAPLINES_SATURATED] = 2,
@@ -63,13 +62,14 @@ static bool assemble_line(const maplines_dbc_t *dbc, int slot, const maplines_mi
     maplines_line_t earliest;
     maplines_status_t status = MAPLINES_FULL;
     double sum = 0.0;
+    memset(&earliest, 0, sizeof(earliest));
     for (unsigned i = 0; i < mixture->count; ++i)
     {
         read_component(dbc, slot, mixture, i, &content);
         gaussians[i] = content.line.gaussian;
         weights[i] = content.weight;
         sum = sum + content.weight;
-        if (severity(content.line.status) > severity(status))
+        if (maplines_severity(content.line.status) > maplines_severity(status))
         {
             status = content.line.status;
         }

@@ -66,7 +66,7 @@ static void drop_transfer(maplines_decoder_t *decoder, int owner, unsigned i,
 }
 
 /// Place of a transfer among those that began.
-static unsigned place_of(const maplines_inbox_t *inbox, uint32_t id)
+static unsigned transfer_place(const maplines_inbox_t *inbox, uint32_t id)
 {
     unsigned i = 0;
     while (i < inbox->count && inbox->began[i] != id)
@@ -151,8 +151,8 @@ static uint32_t needed_pages(const maplines_dbc_t *dbc, const maplines_record_t 
     if (layout->short_pages < layout->pages)
     {
         const uint32_t form = dbc->has_covariance.first / (8U * PAGE_BYTES);
-        if ((transfer->pages >> form & 1U) != 0
-            && maplines_get(&dbc->has_covariance, transfer->record) == 0)
+        if ((transfer->pages >> form & 1U) != 0 &&
+            maplines_get(&dbc->has_covariance, transfer->record) == 0)
         {
             return layout->short_pages;
         }
@@ -242,7 +242,7 @@ static maplines_reason_t feed_page(maplines_decoder_t *decoder, const uint8_t *d
         }
         if (ahead > 0)
         {
-            drop_transfer(decoder, owner, place_of(inbox, id), MAPLINES_REPLACED);
+            drop_transfer(decoder, owner, transfer_place(inbox, id), MAPLINES_REPLACED);
             transfer = begin_transfer(inbox, id, t_ns);
         }
         else
@@ -267,7 +267,7 @@ static maplines_reason_t feed_page(maplines_decoder_t *decoder, const uint8_t *d
     memcpy(arrival->record, transfer->record, arrival->length);
     complete_record(decoder, arrival);
     transfer->pages &= ~pages_mask(needed); // what is left is of another record
-    drop_transfer(decoder, owner, place_of(inbox, id), MAPLINES_INCOMPLETE);
+    drop_transfer(decoder, owner, transfer_place(inbox, id), MAPLINES_INCOMPLETE);
     return MAPLINES_COMPLETE;
 }
 
@@ -277,8 +277,8 @@ static maplines_reason_t feed_whole(maplines_decoder_t *decoder, const uint8_t *
 {
     const maplines_record_t *layout = maplines_layout(decoder->dbc, arrival->owner);
     uint32_t pages = layout->pages;
-    if (layout->short_pages < layout->pages
-        && maplines_get(&decoder->dbc->has_covariance, data) == 0)
+    if (layout->short_pages < layout->pages &&
+        maplines_get(&decoder->dbc->has_covariance, data) == 0)
     {
         pages = layout->short_pages;
     }
@@ -291,7 +291,8 @@ static maplines_reason_t feed_whole(maplines_decoder_t *decoder, const uint8_t *
 }
 
 /// How a message carries records.
-typedef enum {
+typedef enum
+{
     ROUTE_NONE,
     ROUTE_PAGES,
     ROUTE_WHOLE,
@@ -314,8 +315,8 @@ static route_t route_of(const maplines_messages_t *messages, const maplines_fram
     {
         return ROUTE_WHOLE;
     }
-    if (messages->has_secured && messages->secured_can_id == id
-        && messages->secured_is_extended == is_extended)
+    if (messages->has_secured && messages->secured_can_id == id &&
+        messages->secured_is_extended == is_extended)
     {
         return ROUTE_SECURED;
     }
@@ -332,8 +333,8 @@ static maplines_reason_t feed_secured(maplines_decoder_t *decoder, const mapline
     {
         return dropped_frame(decoder, MAPLINES_KEY);
     }
-    const maplines_reason_t reason = maplines_verify(decoder->dbc, owner, authenticator, frame,
-                                                     &decoder->freshness_us[owner]);
+    const maplines_reason_t reason =
+        maplines_verify(decoder->dbc, owner, authenticator, frame, &decoder->freshness_us[owner]);
     if (reason != MAPLINES_COMPLETE)
     {
         return dropped_frame(decoder, reason);

@@ -15,8 +15,8 @@
  */
 #include "internal.h"
 
-#define MAC_BYTES 16
-#define DATA_ID_BYTES 2U
+#define MAC_BYTES       16
+#define DATA_ID_BYTES   2U
 #define FRESHNESS_BYTES 8U
 
 typedef bool (*mac_function_t)(void *context, uint8_t key_id, const uint8_t *data, size_t length,
@@ -70,8 +70,7 @@ static bool is_after_window(uint64_t freshness_us, int64_t now_us, int64_t windo
 
 MAPLINES_INTERNAL maplines_reason_t maplines_verify(const maplines_dbc_t *dbc, int owner,
                                                     const maplines_authenticator_t *authenticator,
-                                                    const maplines_frame_t *frame,
-                                                    int64_t *last_us)
+                                                    const maplines_frame_t *frame, int64_t *last_us)
 {
     const maplines_record_t *layout = maplines_layout(dbc, owner);
     const unsigned authentic = layout->fd_authentic;
@@ -105,8 +104,8 @@ MAPLINES_INTERNAL maplines_reason_t maplines_verify(const maplines_dbc_t *dbc, i
     }
     if (is_same_mac(mac, received, layout->fd_mac))
     {
-        if (freshness_us > (uint64_t)INT64_MAX
-            || (has_clock && is_after_window(freshness_us, now_us, window_us)))
+        if (freshness_us > (uint64_t)INT64_MAX ||
+            (has_clock && is_after_window(freshness_us, now_us, window_us)))
         {
             return MAPLINES_AGE;
         }
@@ -120,8 +119,8 @@ MAPLINES_INTERNAL maplines_reason_t maplines_verify(const maplines_dbc_t *dbc, i
     }
     freshness_us -= (uint64_t)1 << bits;
     if (!mac_of(authenticator->mac, authenticator->context, data_id, frame->data, authentic,
-                freshness_us, mac)
-        || !is_same_mac(mac, received, layout->fd_mac))
+                freshness_us, mac) ||
+        !is_same_mac(mac, received, layout->fd_mac))
     {
         return MAPLINES_MAC;
     }

@@ -28,12 +28,13 @@
  */
 #include "internal.h"
 
-#define RESTART_RECORDS 3U  ///< consecutive records behind the last new one that indicate it
-#define JITTER_CYCLES 0.5   ///< a sender may be early by this much
-#define MEAN_LINES 8.0      ///< the time between two lines is a mean over about this many
-#define FASTEST 10.0        ///< a sender may be faster than the cycle time by this factor
+#define RESTART_RECORDS 3U   ///< consecutive records behind the last new one that indicate it
+#define JITTER_CYCLES   0.5  ///< a sender may be early by this much
+#define MEAN_LINES      8.0  ///< the time between two lines is a mean over about this many
+#define FASTEST         10.0 ///< a sender may be faster than the cycle time by this factor
 
-/* ---- rate of a sender -------------------------------------------------------------------------- */
+/* ---- rate of a sender --------------------------------------------------------------------------
+ */
 
 static uint32_t most_records(const maplines_pace_t *pace, uint32_t records)
 {
@@ -67,7 +68,8 @@ static void pace_delivered(maplines_pace_t *pace, uint64_t modulus, uint32_t cou
     pace->last_ns = t_ns;
 }
 
-/* ---- the counter ------------------------------------------------------------------------------- */
+/* ---- the counter -------------------------------------------------------------------------------
+ */
 
 /// Greatest difference of the counter of a newer record from the last new one. With authentication
 /// it is not limited by time: the freshness value excludes older records.
@@ -103,8 +105,8 @@ static bool is_restart(maplines_check_t *check, uint32_t counter, int64_t t_ns, 
     maplines_history_t *history = &check->history;
     maplines_history_run(history, check->modulus, counter, t_ns, is_other);
     const int64_t grace = check->cycle_ns + check->cycle_ns / 2;
-    if (history->run_records < RESTART_RECORDS
-        || maplines_distance(t_ns, history->run_since_ns) < grace)
+    if (history->run_records < RESTART_RECORDS ||
+        maplines_distance(t_ns, history->run_since_ns) < grace)
     {
         return false;
     }
@@ -132,8 +134,8 @@ static maplines_reason_t why_not_new(maplines_check_t *check, uint32_t counter, 
         maplines_conflict_late(conflict, cycle_ns, t_ns);
     }
     // Farther back, it may be of a sender that restarted in a car that stands.
-    else if (behind <= max_delta
-             && maplines_history_mark_duplicated(history, modulus, counter, behind))
+    else if (behind <= max_delta &&
+             maplines_history_mark_duplicated(history, modulus, counter, behind))
     {
         maplines_conflict_duplicate(conflict, t_ns);
     }
@@ -165,8 +167,8 @@ static maplines_reason_t why_not_new(maplines_check_t *check, uint32_t counter, 
         maplines_conflict_reused(conflict, cycle_ns, t_ns);
     }
     // too far behind to be merely delayed, and it fills no gap
-    else if (behind > max_delta * check->pace.longest
-             && !maplines_history_fills_gap(history, modulus, counter, behind))
+    else if (behind > max_delta * check->pace.longest &&
+             !maplines_history_fills_gap(history, modulus, counter, behind))
     {
         maplines_conflict_count(conflict, cycle_ns, t_ns);
     }
@@ -237,7 +239,8 @@ static maplines_reason_t check_counter(maplines_check_t *check, uint32_t counter
     return MAPLINES_COMPLETE;
 }
 
-/* ---- the checks of an owner -------------------------------------------------------------------- */
+/* ---- the checks of an owner --------------------------------------------------------------------
+ */
 
 static void step_with(maplines_check_t *check, maplines_e2e_status_t status)
 {
@@ -290,8 +293,7 @@ MAPLINES_INTERNAL maplines_reason_t maplines_check_received(maplines_check_t *ch
 {
     maplines_e2e_status_t status = MAPLINES_E2E_NONE;
     record_arrived(check, t_ns);
-    const maplines_reason_t reason =
-        check_counter(check, counter, content, t_ns, records, &status);
+    const maplines_reason_t reason = check_counter(check, counter, content, t_ns, records, &status);
     if (reason == MAPLINES_COMPLETE)
     {
         check->duplicated_frames = 0;
@@ -372,6 +374,6 @@ MAPLINES_INTERNAL maplines_e2e_state_t maplines_check_elapse(maplines_check_t *c
 
 MAPLINES_INTERNAL bool maplines_has_one_sender(const maplines_check_t *check, int64_t t_ns)
 {
-    return !check->conflict.is_confirmed
-           && !maplines_conflict_is_suspected(&check->conflict, check->cycle_ns, t_ns);
+    return !check->conflict.is_confirmed &&
+           !maplines_conflict_is_suspected(&check->conflict, check->cycle_ns, t_ns);
 }

@@ -2,9 +2,9 @@
 #include "internal.h"
 
 #define DEFAULT_CYCLE_MS 100.0
-#define GRACE_CYCLES 1.5
-#define MS_NS 1e6
-#define MAX_MS 3600000.0
+#define GRACE_CYCLES     1.5
+#define MS_NS            1e6
+#define MAX_MS           3600000.0
 /// Greatest step of a counter of AUTOSAR's profile 5; a larger one may as well be a step back.
 #define MAX_DELTA_COUNTER 127
 
@@ -44,8 +44,7 @@ maplines_e2e_config_t maplines_default_e2e(void)
 /// components) cycles at the earliest; half a cycle is subtracted, since the sender may be early.
 static double timeout_cycles(const maplines_dbc_t *dbc, int owner)
 {
-    const double transfer_ids =
-        ldexp(1.0, maplines_layout(dbc, owner)->transfer_id[0].length);
+    const double transfer_ids = ldexp(1.0, maplines_layout(dbc, owner)->transfer_id[0].length);
     double components = 1.0;
     if (owner != MAPLINES_POSE && dbc->component_count.length > 0)
     {
@@ -93,7 +92,8 @@ static void set_all(const maplines_dbc_t *dbc, double timeout_ms, double cycle_m
         {
             continue;
         }
-        const double dbc_ms = messages->cycle_ms > 0 ? (double)messages->cycle_ms : DEFAULT_CYCLE_MS;
+        const double dbc_ms =
+            messages->cycle_ms > 0 ? (double)messages->cycle_ms : DEFAULT_CYCLE_MS;
         const double chosen_ms = cycle_ms > 0.0 ? cycle_ms : dbc_ms;
         const double by_cycle_ms = timeout_cycles(dbc, owner) * chosen_ms;
         const double derived_ms = by_cycle_ms > dbc_ms / 2.0 ? by_cycle_ms : dbc_ms / 2.0;
@@ -179,8 +179,8 @@ static const char *authenticator_problem(const maplines_dbc_t *dbc,
         {
             return "authenticator: without a clock (now_us), Freshness needs 7 bytes in the DBC";
         }
-        if (authenticator->now_us != NULL
-            && authenticator->window_us > (INT64_C(1) << (8U * bytes - 1U)) - 1)
+        if (authenticator->now_us != NULL &&
+            authenticator->window_us > (INT64_C(1) << (8U * bytes - 1U)) - 1)
         {
             return "authenticator: window_us must be less than half of what Freshness can count";
         }

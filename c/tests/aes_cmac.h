@@ -1,7 +1,7 @@
 /* AES-CMAC (RFC 4493) with AES-128, for tests and examples. An ECU has an HSM for it.
  *
- * It is written to be read: no tables but the S-box, one byte at a time. It is not protected against
- * an attacker who measures its time.
+ * It is written to be read: no tables but the S-box, one byte at a time. It is not protected
+ * against an attacker who measures its time.
  */
 #ifndef MAPLINES_TESTS_AES_CMAC_H
 #define MAPLINES_TESTS_AES_CMAC_H
@@ -33,8 +33,8 @@ static inline void aes_s_box(uint8_t box[256])
         q = (uint8_t)(q ^ q << 2U);
         q = (uint8_t)(q ^ q << 4U);
         q = (uint8_t)(q ^ ((q & 0x80U) != 0 ? 0x09U : 0U));
-        box[p] = (uint8_t)(q ^ aes_rotated(q, 1) ^ aes_rotated(q, 2) ^ aes_rotated(q, 3)
-                           ^ aes_rotated(q, 4) ^ 0x63U);
+        box[p] = (uint8_t)(q ^ aes_rotated(q, 1) ^ aes_rotated(q, 2) ^ aes_rotated(q, 3) ^
+                           aes_rotated(q, 4) ^ 0x63U);
     } while (p != 1);
     box[0] = 0x63;
 }

@@ -6,10 +6,10 @@
  *        i64 [us]), its window [us] (i64), last freshness value [us] (i64), a frame (u8 length,
  *        bytes); output: reason + 1 (u8), last freshness value (i64)
  *     2  the same three numbers, time [us] (i64), last freshness value [us] (i64), key ID (u8), a
- *        record (u8 length, bytes); output: done (u8), last freshness value (i64), frame (u8, bytes)
- *     3  a line by the encoder, with its mean only: time [us] (i64), slot (u8), y_off (f64); output:
- *        refusal (u8), frame (u8 length, bytes)
- * Key IDs are 1 and 7; the key of 7 has each bit inverted.
+ *        record (u8 length, bytes); output: done (u8), last freshness value (i64), frame (u8,
+ * bytes) 3  a line by the encoder, with its mean only: time [us] (i64), slot (u8), y_off (f64);
+ * output: refusal (u8), frame (u8 length, bytes) Key IDs are 1 and 7; the key of 7 has each bit
+ * inverted.
  */
 #include "aes_cmac.h"
 #include "binary.h"

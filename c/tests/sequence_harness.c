@@ -1,14 +1,11 @@
 /* Checks of the records of an owner, with counters of any length.
  *
- * Input: bits of the counter, pages, is_authentic (3 u8), cycle time [ns] (i64), greatest step (u8),
- * then steps of a kind (u8) and a time (i64) each:
- *     0  a record: counter (u32), content (u64), records of its line (u32)
- *     1  the last new record has completed a line: records (u32)
- *     2  a damaged record
- *     3  a duplicated frame
- *     4  the state at this time
- * Output, step by step: reason + 1 (u8; 0 unless it is a record), state, status, second sender
- * detected, one sender only (4 u8), step of the counter (u32), lost records (u64).
+ * Input: bits of the counter, pages, is_authentic (3 u8), cycle time [ns] (i64), greatest step
+ * (u8), then steps of a kind (u8) and a time (i64) each: 0  a record: counter (u32), content (u64),
+ * records of its line (u32) 1  the last new record has completed a line: records (u32) 2  a damaged
+ * record 3  a duplicated frame 4  the state at this time Output, step by step: reason + 1 (u8; 0
+ * unless it is a record), state, status, second sender detected, one sender only (4 u8), step of
+ * the counter (u32), lost records (u64).
  */
 #include "binary.h"
 #include "internal.h"
