@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...values.errors import IllPosedError
-from ...values.linalg import block_diagonal, diagonal_blocks, positive_part
+from ...values.fixed_order import congruence, eigen, inverse, product
+from ...values.linalg import block_diagonal, diagonal_blocks
 from ...values.line import MIN_RANGE, LeftOut
 from ...values.scene import Scene
 from ...values.seen_lines import SeenLines, bases
@@ -52,7 +53,7 @@ class CovarianceParts(NamedTuple):
             if scene.specific_covs is not None:
                 specific[fits] = scene.specific_covs[fits]
             else:
-                specific[fits] = positive_part(
+                specific[fits] = _positive_part(
                     diagonal_blocks(scene.cov, 4)[fits] - due_to_pose[fits], J[fits]
                 )
         return cls(J, due_to_pose, specific + excess, excess)
@@ -135,6 +136,13 @@ def seen_lines(
             except IllPosedError:
                 found[i] = False
     return seen if found.all() else None, np.asarray(found)
+
+
+def _positive_part(matrices: Array, J: Array) -> Array:
+    """Return ``linalg.positive_part`` in coordinates with derivatives J, in a fixed order."""
+    values, vectors = eigen(congruence(inverse(J), matrices))
+    root = product(J, vectors * np.sqrt(values.clip(0))[:, None, :])
+    return product(root, root.mT)
 
 
 def reasons(lines: Mask, reason: LeftOut) -> dict[int, LeftOut]:
