@@ -218,7 +218,7 @@ maplines_real_t maplines_mahalanobis(const maplines_line_t *line, size_t count,
 /* ---- lines of a scene ------------------------------------------------------------------------ */
 
 /// Place of the line of a slot in a scene; its count if it has none.
-static size_t place_of(const maplines_scene_t *scene, maplines_owner_t slot)
+static size_t place_in_scene(const maplines_scene_t *scene, maplines_owner_t slot)
 {
     size_t place = 0;
     while (place < scene->count && scene->lines[place].slot != slot)
@@ -230,7 +230,7 @@ static size_t place_of(const maplines_scene_t *scene, maplines_owner_t slot)
 
 const maplines_line_t *maplines_scene_line(const maplines_scene_t *scene, maplines_owner_t slot)
 {
-    const size_t place = place_of(scene, slot);
+    const size_t place = place_in_scene(scene, slot);
     return place < scene->count ? &scene->lines[place] : NULL;
 }
 
@@ -242,7 +242,7 @@ bool maplines_sum(const maplines_scene_t *scene, size_t count, const maplines_te
     *sum = (maplines_estimate_t){0, (maplines_real_t)INFINITY};
     for (size_t i = 0; i < count; ++i)
     {
-        const size_t place = place_of(scene, terms[i].slot);
+        const size_t place = place_in_scene(scene, terms[i].slot);
         if (place == scene->count)
         {
             return false;
@@ -309,7 +309,7 @@ bool maplines_joint_covariance(const maplines_scene_t *scene, size_t count,
 {
     for (size_t a = 0; a < count; ++a)
     {
-        const size_t place = place_of(scene, slots[a]);
+        const size_t place = place_in_scene(scene, slots[a]);
         if (place == scene->count)
         {
             return false;
@@ -319,7 +319,7 @@ bool maplines_joint_covariance(const maplines_scene_t *scene, size_t count,
             const maplines_real_t *spread = scene->spread[4 * place + row % 4];
             for (size_t column = 0; column <= row; ++column)
             {
-                const size_t other = place_of(scene, slots[column / 4]);
+                const size_t other = place_in_scene(scene, slots[column / 4]);
                 maplines_real_t entry = 0;
                 for (size_t k = 0; k < 7; ++k)
                 {

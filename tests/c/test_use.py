@@ -3,6 +3,7 @@
 import math
 import struct
 from dataclasses import replace
+from functools import partial
 
 import c_core
 import numpy as np
@@ -20,7 +21,9 @@ from maplines_can import (
     Status,
     predict_to,
 )
-from maplines_can.values.line import lateral_jacobian
+from maplines_can.propagation import prediction
+from maplines_can.values.line import lateral_jacobian, transform_line_or_nan
+from maplines_can.values.seen_lines import END_WEIGHT, POINTS
 
 FLOAT = pytest.param(("-O2", "-DMAPLINES_FLOAT"), id="float")
 DOUBLE = pytest.param(("-O2",), id="double")
@@ -402,9 +405,18 @@ def predicted_or_none(*args: object, **options: float) -> MapLine | None:
         return None
 
 
+@pytest.fixture
+def as_scenes(monkeypatch):
+    """Python predicts with the points and weights of scenes, as C does."""
+    fit = partial(transform_line_or_nan, points=POINTS, end_weight=END_WEIGHT)
+    monkeypatch.setattr(prediction, "transform_line_or_nan", fit)
+    monkeypatch.setattr(prediction, "transform_line", fit)
+
+
+@pytest.mark.usefixtures("as_scenes")
 @pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
 def test_prediction_by_a_displacement(flags):
-    """Predicted lines are those of ``predict_to``."""
+    """Predicted lines are those of ``predict_to``, if that fits cubics to the same points."""
     rng = np.random.default_rng(6)
     cases, data = [], b""
     for k in range(300):
@@ -420,6 +432,7 @@ def test_prediction_by_a_displacement(flags):
     check_predictions(cases, data, flags, 1e-8)
 
 
+@pytest.mark.usefixtures("as_scenes")
 @pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
 def test_prediction_by_a_motion(flags):
     """The same; Python forms the covariance of the displacement, which is nearly singular, and so
@@ -438,6 +451,30 @@ def test_prediction_by_a_motion(flags):
         expected = predicted_or_none(line, t_ns, motion, time_sigma=time_sigma)
         cases.append((line, F, expected))
     check_predictions(cases, data, flags, 1e-6)
+
+
+@pytest.mark.parametrize("dt", [0.05, 0.2, 1.0])
+def test_prediction_with_fewer_points_than_in_python(dt):
+    """With 16 points of a line instead of 32, a prediction is the same to some 1e-3 of sigma."""
+    rng = np.random.default_rng(9)
+    lines, data = [], b""
+    motion = Motion.with_sigma(30.0, 0.1, (0.3, 0.01))
+    t_ns = T_NS + round(1e9 * dt)
+    for _ in range(100):
+        line, _ = random_line(rng)
+        F = single(USUAL[:, None] * np.tril(np.eye(4) + rng.uniform(-0.5, 0.5, (4, 4))))
+        gaussian = Gaussian.trusted(line.gaussian.mean, F @ F.T)
+        lines.append(replace(line, gaussian=gaussian, age=0.0, x_max=line.x_min + 80.0))
+        data += b"\4" + packed_line(lines[-1], F) + struct.pack("<q", t_ns)
+        data += packed(30.0, 0.1, 0.3, 0.01, 0.0, 0.0)
+    out = ran(data, ("-O2",))
+    for line in lines:
+        expected = predict_to(line, t_ns, motion)
+        assert out.byte() == 0
+        found = out.line()
+        sigma = expected.gaussian.sigma
+        assert (np.abs(found["mean"] - expected.gaussian.mean) <= 3e-3 * sigma).all()
+        check_root(found["factor"], expected.gaussian, ("-O2",), 3e-3)
 
 
 @pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
