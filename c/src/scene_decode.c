@@ -16,7 +16,8 @@ typedef struct
 {
     double P[9];
     double poses[MAPLINES_POSES][3]; ///< its sigma points
-    double offset_sigma, heading_sigma;
+    double offset_sigma;
+    double heading_sigma;
     double largest_heading_sigma; ///< for which the level of the heading may stand
     double age;                   ///< [s]
     bool is_heading_limited;      ///< the level of the heading is the greatest one
@@ -73,7 +74,7 @@ MAPLINES_INTERNAL bool maplines_common(const maplines_curve_t *curve,
         return false;
     }
     double J[16];
-    double K[12];
+    double K[12] = {0.0};
     maplines_bases(curve->mean, curve->fit_range, J);
     for (int j = 0; j < 3; ++j)
     {
@@ -222,20 +223,6 @@ static double later(double age, int64_t passed_ns)
     return (age_ns > 0.0 ? age_ns : 0.0) / 1e9;
 }
 
-/// Difference of two times [ns], limited to its type.
-static int64_t difference(int64_t later_ns, int64_t earlier_ns)
-{
-    if (earlier_ns < 0 && later_ns > INT64_MAX + earlier_ns)
-    {
-        return INT64_MAX;
-    }
-    if (earlier_ns > 0 && later_ns < INT64_MIN + earlier_ns)
-    {
-        return INT64_MIN;
-    }
-    return later_ns - earlier_ns;
-}
-
 /// Set the valid range of a line that is conditional on the pose error. False as for the scene.
 static bool set_valid_range(const pose_error_t *pose, const maplines_curve_t *curve,
                             const maplines_points_t *points, const double specific_cov[16],
@@ -287,9 +274,9 @@ static void set_gaussian(const maplines_dbc_t *dbc, const double mean[4], const 
 }
 
 /// Decode a line of a scene. False as for the scene.
-static bool decode_member(const maplines_dbc_t *dbc, const pose_error_t *pose,
-                          const uint8_t *pose_record, int64_t pose_ns,
-                          const maplines_member_t *given, int place, maplines_scene_t *scene)
+static bool decode_member(const maplines_dbc_t *dbc, pose_error_t *pose, const uint8_t *pose_record,
+                          int64_t pose_ns, const maplines_member_t *given, int place,
+                          maplines_scene_t *scene)
 {
     member_t member;
     maplines_points_t points;
@@ -320,7 +307,7 @@ static bool decode_member(const maplines_dbc_t *dbc, const pose_error_t *pose,
     double F[4][4];
     double common[16];
     if (!maplines_common(curve, &points, pose->offset_sigma, pose->heading_sigma, common) ||
-        !maplines_spread(curve, (double(*)[3])pose->poses, A))
+        !maplines_spread(curve, pose->poses, A))
     {
         return false;
     }
@@ -369,7 +356,7 @@ static bool decode_member(const maplines_dbc_t *dbc, const pose_error_t *pose,
     line->status = MAPLINES_FULL;
     line->components = 1;
     line->t_ns = given->t_ns;
-    line->age = (maplines_real_t)later(pose->age, difference(given->t_ns, pose_ns));
+    line->age = (maplines_real_t)later(pose->age, given->t_ns - pose_ns);
     return set_valid_range(pose, curve, &points, specific_cov, line);
 }
 

@@ -12,6 +12,7 @@ from typing import Any
 import c_core
 import numpy as np
 import pytest
+from random_dbc import random_dbc
 from scene_streams import ALL, COMPLETE, CONDITIONAL, MAP_ERROR, OFFSETS, new_codec, road_scene
 
 from maplines_can import Codec, MapLine, Slot
@@ -20,7 +21,7 @@ from maplines_can.values.cubics import _STEEPEST, fit_points, is_function, point
 from maplines_can.values.errors import IllPosedError
 from maplines_can.values.linalg import square_root
 from maplines_can.values.seen_lines import END_WEIGHT, NODES, POINTS, SeenLines, bases, valid_ranges
-from maplines_can.wire import POSE
+from maplines_can.wire import POSE, Layout
 from maplines_can.wire.covariance import specific_levels
 from maplines_can.wire.covariance.cholesky import CholeskyCode
 from maplines_can.wire.covariance.scene_code import SceneCode
@@ -122,7 +123,8 @@ def random_scenes(wire: Wire, n: int, seed: int) -> Iterator[Given]:
     rng = np.random.default_rng(seed)
     while n:
         t_ns = int(rng.integers(-(2**62), 2**62))
-        slots = sorted(Slot(s) for s in rng.choice(8, rng.integers(0, 9), replace=False))
+        known = [*wire.layout.messages]
+        slots = [slot for slot in known if rng.random() < rng.random()]
         lines = []
         for slot in slots:
             line_ns, payload = t_ns + int(rng.normal(0, 1e8)), wire.random_line(slot, rng)
@@ -240,6 +242,13 @@ def test_scenes_of_any_bits_are_the_same(wire: Wire) -> None:
     counts = check_scenes(wire, [*random_scenes(wire, 300, 3)])
     assert counts["decoded"] > 50
     assert counts["refused"] > 50
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_scenes_of_random_dbcs_are_the_same(seed: int) -> None:
+    """Whose orders of rows, factors, ranges and places differ."""
+    wire = Wire(Codec(Layout.from_text(random_dbc(seed), "random.dbc")))
+    assert check_scenes(wire, [*random_scenes(wire, 60, seed)])["decoded"] > 0
 
 
 # ---- functions of one line ---------------------------------------------------------------------
