@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..values.elementary import tan
 from ..values.line import MapLine, Slot
 from ..wire.codec import Codec
 from ..wire.layout.message_layout import Layout
@@ -230,9 +231,26 @@ def _line(line: MapLine) -> dict[str, Any]:
     return values | {
         "mean": _numbers(line.gaussian.mean),
         "cov": _numbers(_upper(line.gaussian.cov)),
-        "y": _numbers(line.y(PLACES)),
-        "sigma": _numbers(line.y_sigma(PLACES)),
+        "y": _numbers(_lateral(line, x) for x in PLACES),
+        "sigma": _numbers(_lateral_sigma(line, x) for x in PLACES),
     }
+
+
+def _lateral(line: MapLine, x: float) -> float:
+    """Return the lateral position at x: ``MapLine.y``, the same on any machine."""
+    y_off, beta, c0, c1 = line.gaussian.mean.tolist()
+    return float(y_off + x * float(tan(beta)) + x * x / 2 * c0 + x * x * x / 6 * c1)
+
+
+def _lateral_sigma(line: MapLine, x: float) -> float:
+    """Return the standard deviation of it: ``MapLine.y_sigma``, the same on any machine."""
+    slope = float(tan(line.gaussian.mean[1]))
+    J = (1.0, x * (1 + slope * slope), x * x / 2, x * x * x / 6)
+    variance = 0.0
+    for i, row in enumerate(line.gaussian.cov.tolist()):
+        for j, entry in enumerate(row):
+            variance += J[i] * entry * J[j]
+    return math.sqrt(max(variance, 0.0))
 
 
 def _upper(cov: Any) -> list[float]:

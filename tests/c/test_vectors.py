@@ -10,14 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import c_core
+import numpy as np
 import pytest
 from random_dbc import random_dbc
 from scene_layouts import layout_of
 
-from maplines_can import Status
+from maplines_can import Gaussian, MapLine, Slot, Status
 from maplines_can.generation.vector_cases import cases_of
 from maplines_can.generation.vector_files import vectors_from
-from maplines_can.generation.vectors import SCHEMA, Vectors
+from maplines_can.generation.vectors import PLACES, SCHEMA, Vectors
 from maplines_can.wire import E2EState, ProfileStatus, Reason
 from maplines_can.wire.layout.message_layout import Layout
 
@@ -149,6 +150,22 @@ def test_the_hashes_are_those_of_the_dbc_and_of_the_cases(dbc: str) -> None:
     assert [line.split()[-1] for line in text.splitlines()[2:4]] == [
         content(dbc)["dbc"]["sha256"], content(dbc)["sha256"],
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("dbc", SHIPPED)
+def test_lateral_positions_are_those_of_the_line(dbc: str) -> None:
+    """They are computed with functions of the package, whose last bit is the same everywhere."""
+    for step in steps(dbc):
+        for row in step.get("lines", ()):
+            if row["status"] == "OUT_OF_RANGE":
+                assert not {"mean", "cov", "y", "sigma"} & row.keys()
+                continue
+            mean, upper = (row[name]["decimal"] for name in ("mean", "cov"))
+            cov = np.zeros((4, 4))
+            cov[np.triu_indices(4)] = upper
+            line = MapLine(Slot.ROUTE, Gaussian(mean, cov + np.triu(cov, 1).T))
+            assert row["y"]["decimal"] == pytest.approx(line.y(PLACES), rel=1e-12)
+            assert row["sigma"]["decimal"] == pytest.approx(line.y_sigma(PLACES), rel=1e-6)
 
 
 @pytest.mark.parametrize("dbc", SHIPPED)
