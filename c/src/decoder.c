@@ -1,0 +1,426 @@
+/* Decoder of received frames: frames in, lines and scenes out, everything else counted. */
+#include "internal.h"
+
+/// The caller's time may be before a reception by this much [ns]: clocks that are synchronised
+/// differ by less. By more, the caller's clock was set back, and no age is known.
+#define CLOCK_JITTER_NS 1000000
+
+/// Hash of a record (FNV-1a), to recognise duplicates.
+static uint64_t hash_of(const uint8_t *record, size_t length)
+{
+    uint64_t hash = UINT64_C(0xCBF29CE484222325);
+    for (size_t i = 0; i < length; ++i)
+    {
+        hash ^= record[i];
+        hash *= UINT64_C(0x100000001B3);
+    }
+    return hash;
+}
+
+static bool is_slot(const maplines_decoder_t *decoder, int owner)
+{
+    return decoder->is_ready && owner >= 0 && owner < MAPLINES_SLOTS &&
+           decoder->dbc->messages[owner].is_present;
+}
+
+/// Records of an owner are authenticated.
+static bool is_authentic(const maplines_decoder_t *decoder, int owner)
+{
+    return decoder->settings.authenticator != NULL &&
+           maplines_layout(decoder->dbc, owner)->fd_authentic > 0;
+}
+
+const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_dbc_t *dbc,
+                                  const maplines_settings_t *settings)
+{
+    memset(decoder, 0, sizeof(*decoder));
+    decoder->dbc = dbc;
+    maplines_default_settings(dbc, &decoder->settings);
+    const maplines_settings_t *wanted = settings != NULL ? settings : &decoder->settings;
+    const char *problem = maplines_settings_problem(dbc, wanted);
+    if (problem != NULL)
+    {
+        return problem;
+    }
+    decoder->settings = *wanted;
+    decoder->is_ready = true;
+    const maplines_authenticator_t *authenticator = decoder->settings.authenticator;
+    for (int owner = 0; owner < MAPLINES_OWNERS; ++owner)
+    {
+        if (!dbc->messages[owner].is_present)
+        {
+            continue;
+        }
+        const maplines_record_t *layout = maplines_layout(dbc, owner);
+        maplines_check_init(&decoder->checks[owner], &decoder->settings.e2e[owner],
+                            decoder->settings.cycle_ns[owner],
+                            (uint64_t)1 << layout->counter.length, layout->pages,
+                            is_authentic(decoder, owner));
+        decoder->freshness_us[owner] =
+            authenticator != NULL ? authenticator->not_before_us : INT64_C(0);
+    }
+    maplines_epochs_init(&decoder->epochs);
+    return NULL;
+}
+
+/* ---- frames ------------------------------------------------------------------------------------
+ */
+
+static maplines_reason_t dropped_record(maplines_decoder_t *decoder, maplines_reason_t reason,
+                                        uint32_t frames)
+{
+    decoder->statistics.counts[reason] += frames;
+    return reason;
+}
+
+/// Count a line that a frame has completed, which is the newest of its slot.
+static void deliver(maplines_decoder_t *decoder, int slot, uint32_t frames, uint32_t records,
+                    maplines_fed_t *fed)
+{
+    maplines_check_delivered(&decoder->checks[slot], records);
+    ++decoder->statistics.lines;
+    decoder->statistics.line_frames += frames;
+    decoder->has_newest |= (uint32_t)1 << (unsigned)slot;
+    fed->reason = MAPLINES_COMPLETE;
+    fed->slots[fed->count] = (maplines_owner_t)slot;
+    ++fed->count;
+}
+
+/// Add a new record with a covariance of its own to its mixture, and its line to a scene.
+static void feed_component(maplines_decoder_t *decoder, const maplines_arrival_t *arrival,
+                           maplines_fed_t *fed)
+{
+    const maplines_complete_t *content = &arrival->content;
+    const maplines_check_t *check = &decoder->checks[arrival->owner];
+    if (content->count > 1 &&
+        maplines_conflict_was_reused(&check->conflict, check->cycle_ns, arrival->t_ns))
+    {
+        maplines_drop_mixture(decoder, arrival->owner); // its components may come from two senders
+        fed->reason = dropped_record(decoder, MAPLINES_INCOMPLETE, arrival->frames);
+        return;
+    }
+    uint32_t frames = 0;
+    fed->reason = maplines_add_component(decoder, arrival, &frames);
+    if (fed->reason != MAPLINES_COMPLETE)
+    {
+        return;
+    }
+    if (decoder->dbc->has_pose && content->count == 1 && content->line.x_min < content->line.x_max)
+    {
+        maplines_joining_t line;
+        maplines_joined_t joined;
+        memcpy(line.record, arrival->record, MAPLINES_MAX_RECORD);
+        line.t_ns = arrival->t_ns;
+        line.counter = content->counter;
+        line.frames = 0; // they are counted as those of the line
+        (void)maplines_add_line(decoder, arrival->owner, &line, check->ahead == 0, &joined);
+    }
+    deliver(decoder, arrival->owner, frames, content->count, fed);
+}
+
+/// Deliver the line of a conditional record that has joined its pose error; false, and counted, if
+/// it is no function of x.
+static void feed_joined(maplines_decoder_t *decoder, const maplines_joined_t *joined,
+                        maplines_fed_t *fed)
+{
+    const maplines_epoch_t *epoch = &decoder->epochs.epochs[joined->epoch];
+    maplines_scene_t scene;
+    maplines_member_t member;
+    member.slot = joined->slot;
+    member.t_ns = epoch->lines[joined->slot].t_ns;
+    memcpy(member.record, epoch->lines[joined->slot].record, MAPLINES_MAX_RECORD);
+    if (!maplines_decode_scene(decoder->dbc, epoch->record, epoch->t_ns, 1, &member, &scene))
+    {
+        fed->reason = dropped_record(decoder, MAPLINES_CONTENT, joined->frames);
+        return;
+    }
+    decoder->newest[joined->slot] = scene.lines[0];
+    deliver(decoder, joined->slot, joined->frames, 1, fed);
+}
+
+/// Add a new pose error to the epochs, and deliver the lines that waited for it.
+static void feed_pose(maplines_decoder_t *decoder, const maplines_arrival_t *arrival,
+                      maplines_fed_t *fed)
+{
+    maplines_check_t *check = &decoder->checks[MAPLINES_POSE];
+    maplines_joined_t joined[MAPLINES_SLOTS];
+    maplines_check_delivered(check, 1);
+    ++decoder->statistics.pose_errors;
+    decoder->statistics.pose_frames += arrival->frames;
+    const int count =
+        maplines_add_pose(decoder, arrival->record, arrival->t_ns, check->ahead, joined);
+    for (int i = 0; decoder->dbc->is_conditional && i < count; ++i)
+    {
+        feed_joined(decoder, &joined[i], fed);
+    }
+    fed->reason = fed->count > 0 ? MAPLINES_COMPLETE : MAPLINES_PENDING;
+}
+
+/// Add a new record that is conditional on a pose error.
+static void feed_conditional(maplines_decoder_t *decoder, const maplines_arrival_t *arrival,
+                             uint32_t counter, maplines_fed_t *fed)
+{
+    const bool is_break = decoder->checks[arrival->owner].ahead == 0;
+    maplines_joining_t line;
+    maplines_joined_t joined;
+    memcpy(line.record, arrival->record, MAPLINES_MAX_RECORD);
+    line.t_ns = arrival->t_ns;
+    line.counter = counter;
+    line.frames = (uint8_t)arrival->frames;
+    if (maplines_add_line(decoder, arrival->owner, &line, is_break, &joined))
+    {
+        feed_joined(decoder, &joined, fed);
+    }
+}
+
+maplines_fed_t maplines_feed(maplines_decoder_t *decoder, const maplines_frame_t *frame,
+                             int64_t t_ns)
+{
+    maplines_fed_t fed;
+    maplines_arrival_t arrival;
+    memset(&fed, 0, sizeof(fed));
+    memset(&arrival, 0, sizeof(arrival));
+    ++decoder->statistics.frames;
+    if (!decoder->is_ready)
+    {
+        fed.reason = dropped_record(decoder, MAPLINES_FOREIGN, 1);
+        return fed;
+    }
+    const int64_t now_ns = maplines_limited_time(t_ns);
+    fed.reason = maplines_reassemble(decoder, frame, now_ns, &arrival);
+    maplines_check_t *check = &decoder->checks[arrival.owner];
+    if (fed.reason != MAPLINES_COMPLETE)
+    {
+        if (fed.reason != MAPLINES_FOREIGN)
+        {
+            maplines_check_dropped(check, fed.reason, now_ns);
+        }
+        return fed;
+    }
+    if (arrival.reason != MAPLINES_COMPLETE)
+    {
+        maplines_check_failed(check, arrival.t_ns);
+        fed.reason = dropped_record(decoder, arrival.reason, arrival.frames);
+        return fed;
+    }
+    const bool is_complete = !decoder->dbc->is_conditional && arrival.owner != MAPLINES_POSE;
+    const maplines_record_t *layout = maplines_layout(decoder->dbc, arrival.owner);
+    const uint32_t counter = (uint32_t)maplines_get(&layout->counter, arrival.record);
+    const uint64_t content = hash_of(arrival.record, arrival.length);
+    const uint32_t records = is_complete ? arrival.content.count : 1U;
+    fed.reason = maplines_check_received(check, counter, content, arrival.t_ns, records);
+    if (fed.reason != MAPLINES_COMPLETE)
+    {
+        if (fed.reason == MAPLINES_STALE && is_complete)
+        {
+            maplines_drop_mixture_with(decoder, arrival.owner, counter);
+        }
+        (void)dropped_record(decoder, fed.reason, arrival.frames);
+        return fed;
+    }
+    fed.reason = MAPLINES_PENDING;
+    if (arrival.owner == MAPLINES_POSE)
+    {
+        feed_pose(decoder, &arrival, &fed);
+    }
+    else if (decoder->dbc->is_conditional)
+    {
+        feed_conditional(decoder, &arrival, counter, &fed);
+    }
+    else
+    {
+        feed_component(decoder, &arrival, &fed);
+    }
+    return fed;
+}
+
+void maplines_expire(maplines_decoder_t *decoder, int64_t t_ns)
+{
+    const int64_t now_ns = maplines_limited_time(t_ns);
+    maplines_expire_transfers(decoder, now_ns);
+    maplines_expire_mixtures(decoder, now_ns);
+    if (decoder->dbc->has_pose)
+    {
+        maplines_expire_epochs(decoder, now_ns);
+    }
+}
+
+/* ---- views -------------------------------------------------------------------------------------
+ */
+
+/// Time since a reception.
+typedef struct
+{
+    double waited; ///< [s]; infinite if unknown
+    bool is_long;  ///< longer than a number of cycles, or unknown
+} waited_t;
+
+static waited_t waited_since(const maplines_decoder_t *decoder, int owner, int64_t t_ns,
+                             int64_t now_ns)
+{
+    const int64_t waited_ns = now_ns - t_ns;
+    const double longest_ns =
+        decoder->settings.stale_cycles * (double)decoder->settings.cycle_ns[owner];
+    waited_t since = {HUGE_VAL, true};
+    if (waited_ns >= -CLOCK_JITTER_NS)
+    {
+        since.waited = (double)(waited_ns > 0 ? waited_ns : 0) / 1e9;
+        since.is_long = (double)waited_ns > longest_ns;
+    }
+    return since;
+}
+
+/// State at a time; if this clock was set back, no cycles have passed.
+static maplines_e2e_state_t state_at(maplines_check_t *check, int64_t now_ns, double waited)
+{
+    return waited < HUGE_VAL ? maplines_check_elapse(check, now_ns) : check->machine.state;
+}
+
+const maplines_line_t *maplines_newest(const maplines_decoder_t *decoder, maplines_owner_t slot)
+{
+    const bool is_known = is_slot(decoder, (int)slot);
+    const bool has_line = is_known && (decoder->has_newest >> (unsigned)slot & 1U) != 0;
+    return has_line ? &decoder->newest[slot] : NULL;
+}
+
+bool maplines_component(const maplines_decoder_t *decoder, maplines_owner_t slot, uint8_t i,
+                        maplines_gaussian_t *gaussian, maplines_real_t *weight)
+{
+    const maplines_line_t *line = maplines_newest(decoder, slot);
+    if (line == NULL || i >= line->components)
+    {
+        return false;
+    }
+    *gaussian = line->gaussian;
+    *weight = (maplines_real_t)1.0;
+    if (line->components > 1)
+    {
+        maplines_complete_t content;
+        const maplines_mixture_t *mixture = &decoder->mixtures[slot];
+        (void)maplines_read_complete(decoder->dbc, (int)slot, mixture->records[i], mixture->t_ns[i],
+                                     &content);
+        *gaussian = content.line.gaussian;
+        *weight = (maplines_real_t)content.weight;
+    }
+    return true;
+}
+
+void maplines_latest(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t now_ns,
+                     maplines_view_t *view)
+{
+    const int64_t t_ns = maplines_limited_time(now_ns);
+    memset(view, 0, sizeof(*view));
+    view->slot = slot;
+    view->age = (maplines_real_t)HUGE_VAL;
+    view->is_stale = true;
+    view->state = MAPLINES_E2E_NODATA;
+    view->status = MAPLINES_E2E_NONE;
+    if (!is_slot(decoder, (int)slot))
+    {
+        assert(!decoder->is_ready && "slot must be one of the DBC's");
+        return;
+    }
+    const maplines_line_t *line = maplines_newest(decoder, slot);
+    double waited = 0.0;
+    if (line != NULL)
+    {
+        const waited_t since = waited_since(decoder, (int)slot, line->t_ns, t_ns);
+        waited = since.waited;
+        view->line = line;
+        view->age = line->age + (maplines_real_t)waited;
+        view->is_stale = since.is_long;
+    }
+    maplines_check_t *check = &decoder->checks[slot];
+    view->state = state_at(check, t_ns, waited);
+    view->status = check->status;
+    view->two_senders = !maplines_has_one_sender(check, t_ns);
+    if (decoder->dbc->is_conditional)
+    {
+        maplines_check_t *of_pose = &decoder->checks[MAPLINES_POSE];
+        const maplines_e2e_state_t pose_state = state_at(of_pose, t_ns, waited);
+        view->state = view->state == MAPLINES_E2E_VALID ? pose_state : view->state;
+        view->two_senders = view->two_senders || !maplines_has_one_sender(of_pose, t_ns);
+    }
+    view->is_usable = line != NULL && line->status != MAPLINES_OUT_OF_RANGE &&
+                      line->age < (maplines_real_t)HUGE_VAL && view->state == MAPLINES_E2E_VALID &&
+                      !view->is_stale && !view->two_senders;
+}
+
+void maplines_latest_scene(maplines_decoder_t *decoder, int64_t now_ns, maplines_scene_view_t *view)
+{
+    const int64_t t_ns = maplines_limited_time(now_ns);
+    memset(view, 0, sizeof(*view));
+    view->age = (maplines_real_t)HUGE_VAL;
+    view->is_stale = true;
+    view->state = MAPLINES_E2E_NODATA;
+    view->status = MAPLINES_E2E_NONE;
+    if (!decoder->is_ready || !decoder->dbc->has_pose)
+    {
+        return;
+    }
+    maplines_check_t *of_pose = &decoder->checks[MAPLINES_POSE];
+    const maplines_scene_t *scene = maplines_newest_scene(decoder);
+    if (scene == NULL)
+    {
+        view->state = maplines_check_elapse(of_pose, t_ns);
+        view->status = of_pose->status;
+        return;
+    }
+    const waited_t since = waited_since(decoder, MAPLINES_POSE, scene->t_ns, t_ns);
+    view->scene = scene;
+    view->is_stale = since.is_long;
+    if (!decoder->epochs.is_too_old)
+    {
+        view->age = scene->age + (maplines_real_t)since.waited;
+    }
+    view->state = state_at(of_pose, t_ns, since.waited);
+    view->status = of_pose->status;
+    view->two_senders = !maplines_has_one_sender(of_pose, t_ns);
+    bool are_valid = view->state == MAPLINES_E2E_VALID;
+    for (unsigned i = 0; i < scene->count; ++i)
+    {
+        maplines_check_t *check = &decoder->checks[scene->lines[i].slot];
+        view->slot_states[i] = state_at(check, t_ns, since.waited);
+        are_valid = are_valid && view->slot_states[i] == MAPLINES_E2E_VALID;
+        view->two_senders = view->two_senders || !maplines_has_one_sender(check, t_ns);
+    }
+    view->is_usable =
+        are_valid && view->age < (maplines_real_t)HUGE_VAL && !view->is_stale && !view->two_senders;
+}
+
+bool maplines_slot_stats(maplines_decoder_t *decoder, maplines_owner_t owner, int64_t now_ns,
+                         maplines_slot_stats_t *stats)
+{
+    const bool is_known = is_slot(decoder, (int)owner) ||
+                          (owner == MAPLINES_POSE && decoder->is_ready && decoder->dbc->has_pose);
+    memset(stats, 0, sizeof(*stats));
+    stats->state = MAPLINES_E2E_NODATA;
+    stats->status = MAPLINES_E2E_NONE;
+    if (!is_known)
+    {
+        return false;
+    }
+    maplines_check_t *check = &decoder->checks[owner];
+    stats->state = maplines_check_elapse(check, maplines_limited_time(now_ns));
+    stats->status = check->status;
+    stats->ok = check->ok;
+    stats->lost = check->lost;
+    stats->repeated = check->repeated;
+    stats->wrong_sequence = check->wrong_sequence;
+    stats->errors = check->errors;
+    stats->no_new_data = check->no_new_data;
+    stats->two_senders = check->conflict.is_confirmed;
+    return check->status != MAPLINES_E2E_NONE;
+}
+
+void maplines_statistics(const maplines_decoder_t *decoder, maplines_statistics_t *statistics)
+{
+    *statistics = decoder->statistics;
+    statistics->lost = 0;
+    for (int slot = 0; slot < MAPLINES_SLOTS; ++slot)
+    {
+        statistics->lost += decoder->checks[slot].lost;
+    }
+    statistics->pending = maplines_pending_transfers(decoder) + maplines_pending_mixtures(decoder) +
+                          maplines_pending_lines(decoder);
+}

@@ -1,0 +1,405 @@
+/* Join of pose errors and lines: epochs, and the scenes that are rebuilt from them.
+ *
+ * A line belongs to a pose error if the low bits of its counter are those that the pose error
+ * states for its slot, and if its first frame came within a window about that of the pose error:
+ *
+ *     stated for the slot    5             6             7      (three bits)
+ *     pose errors            P             P             P
+ *     lines                   5             6       7     |     a line may come before its pose
+ *     ---------------------------------------------------------------------------> time
+ *                            |<---- window of line 5 and its pose ---->|
+ *
+ * If a line fits two pose errors, or a pose error has a line of the slot already, it joins none.
+ * An epoch waits for lines until it has the slots of both epochs before, or the next pose error
+ * has come.
+ */
+#include "internal.h"
+
+#define HOLD_CYCLES 3 ///< a line waits for its pose error for so long
+#define KEEP_CYCLES 5 ///< an epoch waits for lines for so long
+#define INTERVALS   5 ///< between pose errors, whose median is the cycle of a sender that is fast
+#define NO_EPOCH    (-1)
+
+static bool is_open(const maplines_epochs_t *epochs, int epoch)
+{
+    for (unsigned i = 0; i < epochs->open_count; ++i)
+    {
+        if (epochs->open[i] == epoch)
+        {
+            return true;
+        }
+    }
+    return false;
+}
+
+static void set_latest(maplines_epochs_t *epochs, int epoch)
+{
+    epochs->latest = (int8_t)epoch;
+    epochs->is_built = false;
+}
+
+/// Take the newest epoch that waits for no line as the latest one.
+static void choose_latest(maplines_epochs_t *epochs)
+{
+    unsigned start = 0;
+    for (unsigned i = 0; i < epochs->open_count; ++i)
+    {
+        if ((int)epochs->open[i] == (int)epochs->latest)
+        {
+            start = i + 1U;
+        }
+    }
+    for (unsigned i = start; i < epochs->open_count; ++i)
+    {
+        const uint32_t slots = epochs->epochs[epochs->open[i]].slots;
+        uint32_t expected = 0;
+        for (unsigned before = i > 2U ? i - 2U : 0U; before < i; ++before)
+        {
+            expected |= epochs->epochs[epochs->open[before]].slots;
+        }
+        const bool is_over = i + 1U < epochs->open_count;
+        if (slots != 0 && (is_over || (expected & ~slots) == 0))
+        {
+            set_latest(epochs, epochs->open[i]);
+        }
+    }
+}
+
+static void close_oldest(maplines_epochs_t *epochs)
+{
+    --epochs->open_count;
+    for (unsigned i = 0; i < epochs->open_count; ++i)
+    {
+        epochs->open[i] = epochs->open[i + 1U];
+    }
+}
+
+/// Remove a slot from those that wait; false if it does not.
+static bool stop_waiting(maplines_epochs_t *epochs, int slot)
+{
+    unsigned i = 0;
+    while (i < epochs->wait_count && epochs->waits[i] != slot)
+    {
+        ++i;
+    }
+    if (i == epochs->wait_count)
+    {
+        return false;
+    }
+    --epochs->wait_count;
+    for (; i < epochs->wait_count; ++i)
+    {
+        epochs->waits[i] = epochs->waits[i + 1U];
+    }
+    return true;
+}
+
+static void drop_waiting(maplines_decoder_t *decoder, int slot)
+{
+    if (stop_waiting(&decoder->epochs, slot))
+    {
+        decoder->statistics.counts[MAPLINES_NO_POSE] += decoder->epochs.waiting[slot].frames;
+    }
+}
+
+/// Median of the intervals between pose errors [ns].
+static double median_interval(const maplines_epochs_t *epochs)
+{
+    double sorted[INTERVALS];
+    const unsigned n = epochs->interval_count;
+    for (unsigned i = 0; i < n; ++i)
+    {
+        unsigned place = i;
+        while (place > 0 && sorted[place - 1U] > epochs->intervals_ns[i])
+        {
+            sorted[place] = sorted[place - 1U];
+            --place;
+        }
+        sorted[place] = epochs->intervals_ns[i];
+    }
+    return n % 2U == 1U ? sorted[n / 2U] : (sorted[n / 2U - 1U] + sorted[n / 2U]) / 2.0;
+}
+
+static void add_interval(maplines_epochs_t *epochs, double interval_ns)
+{
+    if (epochs->interval_count == INTERVALS)
+    {
+        --epochs->interval_count;
+        for (unsigned i = 0; i < epochs->interval_count; ++i)
+        {
+            epochs->intervals_ns[i] = epochs->intervals_ns[i + 1U];
+        }
+    }
+    epochs->intervals_ns[epochs->interval_count] = interval_ns;
+    ++epochs->interval_count;
+}
+
+/// Whether a line may be this much later than its pose error. With mixtures, whose components make
+/// the counters of a slot wrap around faster, the window is narrower.
+static bool fits_window(const maplines_decoder_t *decoder, int64_t late_ns)
+{
+    const maplines_epochs_t *epochs = &decoder->epochs;
+    const double early = decoder->dbc->is_conditional ? 1.0 : 0.5;
+    const double late = decoder->dbc->is_conditional ? 3.0 : 1.5;
+    double cycle_ns = (double)decoder->settings.cycle_ns[MAPLINES_POSE];
+    if (epochs->interval_count > 0)
+    {
+        const double median_ns = median_interval(epochs);
+        cycle_ns = median_ns < cycle_ns ? median_ns : cycle_ns;
+    }
+    return -early * cycle_ns <= (double)late_ns && (double)late_ns <= late * cycle_ns;
+}
+
+/// The only epoch that a line fits; NO_EPOCH if there is none or more than one.
+static int epoch_of(const maplines_decoder_t *decoder, int slot, uint32_t counter, int64_t t_ns)
+{
+    const maplines_epochs_t *epochs = &decoder->epochs;
+    const maplines_signal_t *stated = &decoder->dbc->slot_counter[slot];
+    if (stated->length == 0)
+    {
+        return NO_EPOCH;
+    }
+    const uint64_t low = counter & (((uint64_t)1 << stated->length) - 1U);
+    const int64_t since_ns = epochs->since_ns[slot];
+    int found = NO_EPOCH;
+    for (unsigned i = 0; i < epochs->open_count; ++i)
+    {
+        const maplines_epoch_t *epoch = &epochs->epochs[epochs->open[i]];
+        if ((uint64_t)maplines_get(stated, epoch->record) == low &&
+            fits_window(decoder, t_ns - epoch->t_ns) &&
+            (since_ns == MAPLINES_NEVER || epoch->t_ns >= since_ns))
+        {
+            if (found != NO_EPOCH)
+            {
+                return NO_EPOCH;
+            }
+            found = epochs->open[i];
+        }
+    }
+    const bool is_taken =
+        found != NO_EPOCH && (epochs->epochs[found].slots >> (unsigned)slot & 1U) != 0;
+    return is_taken ? NO_EPOCH : found;
+}
+
+static void join_line(maplines_epochs_t *epochs, int epoch, int slot,
+                      const maplines_joining_t *line, maplines_joined_t *joined)
+{
+    epochs->epochs[epoch].lines[slot] = *line;
+    epochs->epochs[epoch].slots |= (uint32_t)1 << (unsigned)slot;
+    if (epoch == epochs->latest)
+    {
+        epochs->is_built = false;
+    }
+    joined->epoch = epoch;
+    joined->slot = slot;
+    joined->frames = line->frames;
+}
+
+/// A place for a new epoch: neither open nor the latest.
+static int free_epoch(const maplines_epochs_t *epochs)
+{
+    int epoch = 0;
+    while (epoch == epochs->latest || is_open(epochs, epoch))
+    {
+        ++epoch;
+    }
+    return epoch;
+}
+
+static void restart_epochs(maplines_decoder_t *decoder)
+{
+    maplines_epochs_t *epochs = &decoder->epochs;
+    epochs->open_count = 0;
+    epochs->interval_count = 0;
+    while (epochs->wait_count > 0)
+    {
+        drop_waiting(decoder, epochs->waits[0]);
+    }
+}
+
+/// Whether the age of a pose error is greater than it can state.
+static bool is_pose_too_old(const maplines_dbc_t *dbc, const uint8_t *record)
+{
+    return maplines_get(&dbc->pose_age, record) >= dbc->pose_age.raw_max;
+}
+
+MAPLINES_INTERNAL void maplines_epochs_init(maplines_epochs_t *epochs)
+{
+    memset(epochs, 0, sizeof(*epochs));
+    epochs->latest = NO_EPOCH;
+    for (int slot = 0; slot < MAPLINES_SLOTS; ++slot)
+    {
+        epochs->since_ns[slot] = MAPLINES_NEVER;
+    }
+}
+
+MAPLINES_INTERNAL int maplines_add_pose(maplines_decoder_t *decoder, const uint8_t *record,
+                                        int64_t t_ns, uint32_t ahead,
+                                        maplines_joined_t joined[MAPLINES_SLOTS])
+{
+    maplines_epochs_t *epochs = &decoder->epochs;
+    epochs->is_too_old = is_pose_too_old(decoder->dbc, record);
+    maplines_expire_epochs(decoder, t_ns);
+    if (ahead == 0)
+    {
+        restart_epochs(decoder);
+    }
+    else if (epochs->has_pose)
+    {
+        add_interval(epochs, (double)maplines_distance(t_ns, epochs->pose_ns) / (double)ahead);
+    }
+    else
+    {
+        // the first one
+    }
+    epochs->has_pose = true;
+    epochs->pose_ns = t_ns;
+    if (epochs->open_count == MAPLINES_EPOCHS)
+    {
+        close_oldest(epochs);
+    }
+    const int epoch = free_epoch(epochs);
+    memcpy(epochs->epochs[epoch].record, record, MAPLINES_MAX_RECORD);
+    epochs->epochs[epoch].t_ns = t_ns;
+    epochs->epochs[epoch].slots = 0;
+    epochs->open[epochs->open_count] = (uint8_t)epoch;
+    ++epochs->open_count;
+    int count = 0;
+    unsigned i = 0;
+    while (i < epochs->wait_count)
+    {
+        const int slot = epochs->waits[i];
+        const maplines_joining_t *line = &epochs->waiting[slot];
+        if (epoch_of(decoder, slot, line->counter, line->t_ns) == epoch)
+        {
+            (void)stop_waiting(epochs, slot);
+            join_line(epochs, epoch, slot, line, &joined[count]);
+            ++count;
+        }
+        else
+        {
+            ++i;
+        }
+    }
+    choose_latest(epochs);
+    return count;
+}
+
+MAPLINES_INTERNAL bool maplines_add_line(maplines_decoder_t *decoder, int slot,
+                                         const maplines_joining_t *line, bool is_break,
+                                         maplines_joined_t *joined)
+{
+    maplines_epochs_t *epochs = &decoder->epochs;
+    maplines_expire_epochs(decoder, line->t_ns);
+    if (is_break)
+    {
+        epochs->since_ns[slot] = line->t_ns;
+    }
+    drop_waiting(decoder, slot);
+    const int epoch = epoch_of(decoder, slot, line->counter, line->t_ns);
+    if (epoch != NO_EPOCH)
+    {
+        join_line(epochs, epoch, slot, line, joined);
+        choose_latest(epochs);
+        return true;
+    }
+    epochs->waiting[slot] = *line;
+    epochs->waits[epochs->wait_count] = (uint8_t)slot;
+    ++epochs->wait_count;
+    return false;
+}
+
+MAPLINES_INTERNAL void maplines_expire_epochs(maplines_decoder_t *decoder, int64_t t_ns)
+{
+    maplines_epochs_t *epochs = &decoder->epochs;
+    const int64_t cycle_ns = decoder->settings.cycle_ns[MAPLINES_POSE];
+    unsigned i = 0;
+    while (i < epochs->wait_count)
+    {
+        const int slot = epochs->waits[i];
+        if (maplines_distance(t_ns, epochs->waiting[slot].t_ns) > HOLD_CYCLES * cycle_ns)
+        {
+            drop_waiting(decoder, slot);
+        }
+        else
+        {
+            ++i;
+        }
+    }
+    while (epochs->open_count > 0 &&
+           maplines_distance(t_ns, epochs->epochs[epochs->open[0]].t_ns) > KEEP_CYCLES * cycle_ns)
+    {
+        const int old = epochs->open[0];
+        close_oldest(epochs);
+        if (epochs->epochs[old].slots != 0 && old != epochs->latest &&
+            !is_open(epochs, epochs->latest))
+        {
+            set_latest(epochs, old); // it has waited for long enough
+        }
+    }
+}
+
+MAPLINES_INTERNAL uint32_t maplines_pending_lines(const maplines_decoder_t *decoder)
+{
+    uint32_t pending = 0;
+    for (unsigned i = 0; i < decoder->epochs.wait_count; ++i)
+    {
+        pending += decoder->epochs.waiting[decoder->epochs.waits[i]].frames;
+    }
+    return pending;
+}
+
+/* ---- scenes ------------------------------------------------------------------------------------
+ */
+
+/// Decode the scene of an epoch without lines that are no function of x in their range.
+static void build_scene(const maplines_dbc_t *dbc, const maplines_epoch_t *epoch,
+                        maplines_scene_t *scene)
+{
+    maplines_member_t members[MAPLINES_SLOTS];
+    int count = 0;
+    memset(members, 0, sizeof(members));
+    for (int slot = 0; slot < MAPLINES_SLOTS; ++slot)
+    {
+        if ((epoch->slots >> (unsigned)slot & 1U) != 0)
+        {
+            members[count].slot = slot;
+            members[count].t_ns = epoch->lines[slot].t_ns;
+            memcpy(members[count].record, epoch->lines[slot].record, MAPLINES_MAX_RECORD);
+            ++count;
+        }
+    }
+    if (maplines_decode_scene(dbc, epoch->record, epoch->t_ns, count, members, scene))
+    {
+        return;
+    }
+    int kept = 0;
+    for (int i = 0; i < count; ++i)
+    {
+        const maplines_member_t member = members[i];
+        if (maplines_decode_scene(dbc, epoch->record, epoch->t_ns, 1, &member, scene))
+        {
+            members[kept] = member;
+            ++kept;
+        }
+    }
+    if (!maplines_decode_scene(dbc, epoch->record, epoch->t_ns, kept, members, scene))
+    {
+        (void)maplines_decode_scene(dbc, epoch->record, epoch->t_ns, 0, members, scene);
+    }
+}
+
+MAPLINES_INTERNAL const maplines_scene_t *maplines_newest_scene(maplines_decoder_t *decoder)
+{
+    maplines_epochs_t *epochs = &decoder->epochs;
+    if (epochs->latest == NO_EPOCH)
+    {
+        return NULL;
+    }
+    if (!epochs->is_built)
+    {
+        build_scene(decoder->dbc, &epochs->epochs[epochs->latest], &epochs->scene);
+        epochs->is_built = true;
+    }
+    return &epochs->scene;
+}

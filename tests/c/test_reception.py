@@ -1,0 +1,109 @@
+"""Reception in C, frame for frame as in Python: lines, reasons, counters, states and views."""
+
+import random
+from collections import Counter
+from dataclasses import fields
+from typing import Any
+
+import c_core
+import pytest
+from c_receivers import MAX_TIME, Receivers
+from c_streams import PROFILES, SECURED_PROFILES, Stream, Traffic, traffic_of
+from random_dbc import random_dbc
+from scene_layouts import layout_of
+
+from maplines_can.values.line import Slot, Status
+from maplines_can.wire import E2EConfig, E2EState, Layout, ProfileStatus, Reason
+
+SHIPPED = ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc")
+FRAMES = 600
+ALL = [*PROFILES, *SECURED_PROFILES]
+MET: dict[str, Counter[str]] = {}
+
+
+def profiles_of(dbc: str) -> list[Any]:
+    return ALL if layout_of(dbc).secured is not None else [*PROFILES]
+
+
+@pytest.mark.parametrize(
+    ("dbc", "profile"),
+    [pytest.param(dbc, p, id=f"{dbc}-{p.name}") for dbc in SHIPPED for p in profiles_of(dbc)],
+)
+def test_a_stream_is_received_as_in_python(dbc: str, profile: Any) -> None:
+    """Clean traffic, faults, hostile bytes, clock faults, two senders, restarts, duplicates."""
+    receivers = Stream(traffic_of(dbc), profile, seed=ALL.index(profile)).run(FRAMES)
+    assert receivers.check(c_core.harness("reception", receivers.layout)) >= FRAMES
+    MET.setdefault(dbc, Counter()).update(receivers.met)
+
+
+def test_the_streams_meet_all_there_is() -> None:
+    """Every reason, status, state and view: otherwise the streams show too little."""
+    met = sum((streams_of(dbc) for dbc in SHIPPED), Counter[str]())
+    names = {reason.name for reason in Reason} | {status.name for status in Status}
+    names |= {f"state {state.name}" for state in E2EState}
+    names |= {f"status {status.name}" for status in ProfileStatus}
+    names |= {"line", "mixture", "scene", "stale", "two senders", "two_senders", "usable"}
+    assert {name for name in names if not met[name]} == set()
+
+
+def streams_of(dbc: str) -> Counter[str]:
+    """Return what the streams of a DBC meet, also if the tests of them ran elsewhere."""
+    if dbc not in MET:
+        traffic = traffic_of(dbc)
+        runs = [Stream(traffic, p, ALL.index(p)).run(FRAMES).met for p in profiles_of(dbc)]
+        MET[dbc] = sum(runs, Counter[str]())
+    return MET[dbc]
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_random_dbc_is_received_as_in_python(seed: int) -> None:
+    """Other places and lengths of signals: of counters, transfer IDs and pages, too."""
+    layout = Layout.from_text(random_dbc(seed))
+    traffic = Traffic(layout, seed)
+    for profile in (PROFILES[3], PROFILES[6], PROFILES[13]):
+        receivers = Stream(traffic, profile, seed).run(FRAMES)
+        receivers.check(c_core.harness("reception", layout))
+
+
+@pytest.mark.parametrize("dbc", SHIPPED[:2])
+def test_in_single_precision_all_decisions_are_the_same(dbc: str) -> None:
+    """Numbers of lines differ by their rounding, nothing else does."""
+    receivers = Stream(traffic_of(dbc), PROFILES[13], seed=3).run(FRAMES)
+    program = c_core.harness("reception", receivers.layout, flags=("-O2", "-DMAPLINES_FLOAT"))
+    receivers.check(program, is_float=True)
+
+
+def test_times_beyond_the_range_are_limited() -> None:
+    """The ends of 64 bits are times as any other."""
+    receivers = Receivers(layout_of("maplines.dbc"))
+    traffic = traffic_of("maplines.dbc")
+    ends = (-(2**63), -MAX_TIME - 1, -MAX_TIME, 0, MAX_TIME, MAX_TIME + 1, 2**63 - 1)
+    for i, t_ns in enumerate(t for _ in range(20) for t in ends):
+        for owner, record in traffic.cycles[i]:
+            for frame in traffic.frames(owner, record, fd=i % 2 == 1):
+                receivers.frame(frame.can_id, frame.data, t_ns)
+        receivers.latest(Slot.NEXT_LEFT, ends[-i % 7])
+        receivers.scene(ends[-i % 7])
+        receivers.statistics(ends[i % 7])
+        receivers.expire(ends[-i % 7])
+    receivers.check(c_core.harness("reception", receivers.layout))
+
+
+@pytest.mark.parametrize("dbc", SHIPPED)
+def test_settings_follow_from_the_dbc_as_in_python(dbc: str) -> None:
+    """Time-outs, cycle times and windows; what Python refuses, C refuses."""
+    receivers, rng, refused = Receivers(layout_of(dbc)), random.Random(1), 0  # noqa: S311
+    for times in [(None, None), (20.0, None), (None, 7.3), (3.6e6, 3.6e6), (1e-9, 1e-9)]:
+        assert not receivers.settings_of(*times)
+    for wrong in (-1.0, float("nan"), float("inf"), 3.6e6 + 1):
+        assert receivers.settings_of(wrong, None)
+        assert receivers.settings_of(None, wrong)
+    names = [field.name for field in fields(E2EConfig)]
+    for _ in range(300):
+        changed = {name: rng.choice([0, 1, 2, 5, 8, 10, 11, 127, 128, 255]) for name in
+                   rng.sample(names[:-1], rng.randrange(1, 4))}  # fmt: skip
+        refused += receivers.settings_of(
+            None, None, changed | {"clear_to_invalid": rng.random() < 0.5}
+        )
+    assert 100 < refused < 300
+    receivers.check(c_core.harness("reception", receivers.layout))
