@@ -815,6 +815,11 @@ typedef enum {
     MAPLINES_BAD_WEIGHTS = 11, ///< weights are not positive, or do not add up to 1
     MAPLINES_BAD_COUNT = 12,   ///< no components, or more than the DBC can send
     MAPLINES_NO_SIGNATURE = 13, ///< the signer has no such key, or no further freshness value
+    MAPLINES_INDEFINITE = 14,   ///< a covariance of a scene is not positive semidefinite
+    MAPLINES_SAME_SLOT = 15,    ///< two lines of a scene have the same slot
+    MAPLINES_BAD_POSE = 16,     ///< the pose error does not fit the message, or its correlation time
+                                ///< is not positive, or the error of the map is negative
+    MAPLINES_UNSEEN = 17,       ///< a line of a scene is no function of x, seen from the mean pose
 } maplines_refusal_t;
 
 /// Line to be sent. All zeros is a line whose covariance is not sent.
@@ -883,6 +888,140 @@ maplines_sent_t maplines_encode_line(maplines_encoder_t *encoder, const maplines
 maplines_sent_t maplines_encode_mixture(maplines_encoder_t *encoder, const maplines_input_t *line,
                                         const maplines_component_t *components, size_t count,
                                         bool is_fd, int64_t now_us, maplines_frame_t *frames);
+
+/* ---- send a scene ---------------------------------------------------------------------------- */
+
+/// Line of a scene to be sent.
+typedef struct {
+    maplines_owner_t slot;
+    maplines_kind_t kind;
+    maplines_status_t status; ///< requested, of a record with a covariance of its own: FULL
+    double x_min;             ///< start of the valid range [m]
+    double x_max;             ///< end of the valid range [m], x_min or more
+    double age;               ///< from the pose to the sending of such a record [s]
+    double mean[4];           ///< y_off [m], beta [rad], c0 [1/m], c1 [1/m^2]
+    double fit_range[2];      ///< in which the cubic was fitted; contains the valid range [m]
+    double quartic;           ///< coefficient of T_4 that the cubic leaves in this range, or 0 [m]
+    /// Part of the covariance that is not due to the pose error, and independent of other lines. It
+    /// is read if `has_specific`.
+    double specific[4][4];
+} maplines_scene_line_t;
+
+/// Lines that are seen from one pose, to be sent.
+typedef struct {
+    uint8_t count;
+    maplines_scene_line_t lines[MAPLINES_SLOTS]; ///< each of another slot
+    /// Joint covariance: the rows and columns 4 i to 4 i + 3 are of line i.
+    double cov[4 * MAPLINES_SLOTS][4 * MAPLINES_SLOTS];
+    bool has_specific;       ///< the line-specific covariances are known
+    double pose_cov[3][3];   ///< of the pose error: along [m], across [m], heading [rad]
+    double pose_age;         ///< from the pose to the sending of the pose error [s]
+    double correlation_time; ///< of the pose error [s]; infinite if unknown
+    double offset_sigma;     ///< common offset of the points of a line of the map, or 0 [m]
+    double heading_sigma;    ///< common rotation of the points of a line of the map, or 0 [rad]
+} maplines_scene_input_t;
+
+/// Why a line does not belong to the scene as it is sent.
+typedef enum {
+    MAPLINES_IN_SCENE = 0,            ///< it does
+    MAPLINES_LEFT_OUT_ACROSS = 1,     ///< it is across the car's x axis
+    MAPLINES_LEFT_OUT_RANGE = 2,      ///< the message cannot state its range
+    MAPLINES_LEFT_OUT_MEAN = 3,       ///< the message cannot state its parameters
+    MAPLINES_LEFT_OUT_COVARIANCE = 4, ///< no covariance of the message covers it
+} maplines_left_out_t;
+
+/// What was sent of a scene.
+typedef struct {
+    maplines_refusal_t refusal;
+    maplines_left_out_t left_out[MAPLINES_SLOTS]; ///< by line
+    /// By line: a line that is left out is sent nevertheless if it has a covariance of its own.
+    bool is_sent[MAPLINES_SLOTS];
+    maplines_status_t status[MAPLINES_SLOTS]; ///< of such lines
+    uint16_t count;                           ///< number of frames; 0 if the scene was refused
+} maplines_sent_scene_t;
+
+/* structures of the memory in which a scene is encoded: see the sources */
+
+/// Memory for a comparison of joint covariances.
+typedef struct {
+    double excess[16 * MAPLINES_SLOTS * MAPLINES_SLOTS];
+    double factor[16 * MAPLINES_SLOTS * MAPLINES_SLOTS];
+} maplines_joint_space_t;
+
+/// Line of a scene while it is encoded: what can be stated of it, and its form.
+typedef struct {
+    int slot;
+    maplines_left_out_t left_out;
+    bool is_full;   ///< all entries of the line-specific covariance are sent, not levels
+    bool is_spared; ///< levels are sent, whatever they cost
+    double cost;    ///< of levels; more than 1 is too much
+    double mean[4]; ///< that is stated
+    double range[2];
+    double quartic;
+    double stated_J[16];
+    double due_to_pose[16]; ///< parts of its covariance
+    double specific[16];
+    double excess[16]; ///< squares of the error of a mean that exceeds the message
+    int64_t raw_mean[4];
+    int64_t raw_refined[4]; ///< with all entries
+    int64_t raw_fine[4];
+    int64_t raw_range[2];
+    int64_t raw_quartic;
+    int64_t raw_fit[2];
+    int64_t raw_levels[3];
+    int64_t raw_covariance[11];
+} maplines_scene_member_t;
+
+/// Line of a scene as a receiver decodes it.
+typedef struct {
+    double mean[4];
+    double fit_range[2];
+    double quartic;
+    double error[4];   ///< of the mean
+    double J[16];      ///< derivatives with respect to coefficients of T_0 .. T_3
+    double common[16]; ///< covariance of these that all lines have
+    double cost;       ///< of levels; more than 1 is too much
+    bool is_covered;
+} maplines_sent_line_t;
+
+/// Memory in which a scene is encoded: 47 kB.
+typedef struct {
+    maplines_scene_member_t members[MAPLINES_SLOTS];
+    int count; ///< of the lines that are not left out so far
+    int places[MAPLINES_SLOTS]; ///< of these in the scene
+    maplines_sent_line_t lines[MAPLINES_SLOTS];
+    int64_t raw_pose[11];
+    int64_t raw_offset, raw_heading, raw_time;
+    double decoded_pose[9];
+    double offset_sigma, heading_sigma;
+    double own[MAPLINES_SLOTS][16];
+    double J[MAPLINES_SLOTS][16];
+    double more[MAPLINES_SLOTS][16];
+    double lacking[MAPLINES_SLOTS][16];
+    double target[16 * MAPLINES_SLOTS * MAPLINES_SLOTS];
+    double spread[16 * MAPLINES_SLOTS * MAPLINES_SLOTS];
+    maplines_joint_space_t joint;
+} maplines_scene_workspace_t;
+
+/// Frames of a scene at most.
+#define MAPLINES_MAX_SCENE_FRAMES (MAPLINES_MAX_PAGES * MAPLINES_OWNERS)
+
+/// Encode the pose error and the lines of a scene into frames, and advance their counters.
+///
+/// What is received covers the scene: the joint covariance minus that of the lines, about the
+/// received means, is positive semidefinite. If the records of the DBC are conditional on the pose
+/// error, lines that do not fit are not sent. Other records have a covariance of their own: such a
+/// line is sent, but does not belong to the scene.
+///
+/// @param is_fd one CAN FD frame for each record instead of its pages; records that are conditional
+///        on the pose error then have all entries of their covariance.
+/// @param now_us time for the freshness value; not used without a signer.
+/// @param workspace need not be initialised.
+/// @param frames at least MAPLINES_MAX_SCENE_FRAMES. Those of the pose error come first.
+maplines_sent_scene_t maplines_encode_scene(maplines_encoder_t *encoder,
+                                            const maplines_scene_input_t *scene, bool is_fd,
+                                            int64_t now_us, maplines_scene_workspace_t *workspace,
+                                            maplines_frame_t *frames);
 
 /* send: end */
 

@@ -41,6 +41,7 @@ MAPLINES_INTERNAL void maplines_congruence(const double A[16], const double S[16
 MAPLINES_INTERNAL double maplines_total(int n, double *values);
 MAPLINES_INTERNAL bool maplines_cholesky_factor(int n, const double *S, double *L);
 MAPLINES_INTERNAL void maplines_lower_solution(int n, int m, const double *L, double *B);
+MAPLINES_INTERNAL void maplines_upper_solution(int n, int m, const double *L, double *B);
 MAPLINES_INTERNAL void maplines_inverse(const double A[16], double out[16]);
 MAPLINES_INTERNAL void maplines_eigen(int n, double *A, double *values, double *V);
 
@@ -298,6 +299,95 @@ MAPLINES_INTERNAL bool maplines_decode_scene(const maplines_dbc_t *dbc, const ui
                                              int64_t t_ns, int count,
                                              const maplines_member_t *members,
                                              maplines_scene_t *scene);
+
+/* ---- joint.c: joint covariances of lines ---------------------------------------------------------- */
+
+/// Standard deviation that the coefficients of T_0 .. T_3 of a line with levels have at least [m].
+#define MAPLINES_RESOLUTION 0x1p-9
+/// Variances of lateral position and direction of a line that are compared.
+#define MAPLINES_VARIANCES 18
+
+/// Cholesky factor of a (4, 4) matrix, or the identity if it has none that is finite.
+MAPLINES_INTERNAL void maplines_factor_or_identity(const double S[16], double L[16]);
+/// What to add to D_i (own) so that diag(D_1, ...) + spread covers the target, all of them of
+/// 4 `lines` rows; false if nothing is. J are derivatives of lines with respect to T_0 .. T_3. It is
+/// NaN for a line whose D_i is not definite, or for all lines if the sum cannot be compared.
+MAPLINES_INTERNAL bool maplines_uncovered(int lines, const double *target, const double *spread,
+                                          double (*own)[16], double (*J)[16],
+                                          maplines_joint_space_t *space, double (*lacking)[16]);
+
+/// A covariance of coefficients of T_0 .. T_3 with which others are compared.
+typedef struct {
+    bool is_definite;
+    double factor[16];
+    double variances[MAPLINES_VARIANCES];
+} maplines_reference_t;
+
+MAPLINES_INTERNAL void maplines_compare_with(const double cov[16], maplines_reference_t *reference);
+/// Divergence (KL) of a decoded covariance from the reference [nat]; infinite if one is not definite.
+MAPLINES_INTERNAL double maplines_divergence(const maplines_reference_t *reference,
+                                             const double decoded[16]);
+/// Largest ratio of the variances of a decoded covariance to those of the reference.
+MAPLINES_INTERNAL double maplines_largest_ratio(const maplines_reference_t *reference,
+                                                const double decoded[16]);
+
+/* ---- rounding.c: means of lines ------------------------------------------------------------------- */
+
+/// Factor of what rounding errors of a line with D_i `own` are to be like.
+MAPLINES_INTERNAL void maplines_rounding_factor(const double own[16], const double J[16],
+                                                double L[16]);
+/// Raw values of a mean, and whether they are within their ranges.
+MAPLINES_INTERNAL bool maplines_round_mean(const maplines_signal_t signals[4], const double mean[4],
+                                           const double L[16], int64_t raw[4]);
+/// One signal for the sum of two, with the steps of the finer one.
+MAPLINES_INTERNAL maplines_signal_t maplines_refined(const maplines_signal_t *signal,
+                                                     const maplines_signal_t *fine);
+/// Raw value of a signal, and of the finer one (`rest`), of their sum.
+MAPLINES_INTERNAL int64_t maplines_split(const maplines_signal_t *fine, int64_t raw, int64_t *rest);
+
+/* ---- level_search.c ------------------------------------------------------------------------------- */
+
+/// What levels of a line are to cover.
+typedef struct {
+    const maplines_curve_t *curve; ///< line as decoded
+    const double *J;         ///< (4, 4) derivatives with respect to coefficients of T_0 .. T_3
+    const double *common;    ///< (4, 4) covariance of these that is added to that of the levels
+    const double *target;    ///< (4, 4) covariance of the parameters to be covered
+    const double *true_cov;  ///< (4, 4) that to which the sum is to be close
+} maplines_level_target_t;
+
+/// Raw levels (lateral, points, shape) that cover a target at the least cost; false if none do.
+MAPLINES_INTERNAL bool maplines_search_levels(const maplines_levels_t *levels,
+                                              const maplines_level_target_t *target,
+                                              int64_t raw[3]);
+
+/* ---- scene_parts.c, specific_encode.c, scene_encode.c --------------------------------------------- */
+
+MAPLINES_INTERNAL maplines_curve_t maplines_curve_of(const double mean[4],
+                                                     const double fit_range[2], double quartic);
+/// A line has a range and is a function of x.
+MAPLINES_INTERNAL bool maplines_can_be_seen(const maplines_curve_t *curve);
+/// Find the part of a line of a scene that can be stated; MAPLINES_IN_SCENE, or why there is none.
+MAPLINES_INTERNAL maplines_left_out_t maplines_state_member(const maplines_dbc_t *dbc,
+                                                            const maplines_scene_input_t *scene,
+                                                            int place,
+                                                            maplines_scene_member_t *member);
+/// Find the parts of its covariance; false if it cannot be seen from other poses.
+MAPLINES_INTERNAL bool maplines_find_parts(const maplines_scene_input_t *scene, int place,
+                                           maplines_scene_member_t *member);
+/// Joint covariance of the lines that are left, with the errors of their means.
+MAPLINES_INTERNAL void maplines_joint_target(const maplines_scene_input_t *scene,
+                                             maplines_scene_workspace_t *space);
+/// Encode D_i of the lines that are left, so that they cover the joint target. Sets which lines are
+/// covered, and the costs of levels.
+MAPLINES_INTERNAL void maplines_cover(const maplines_dbc_t *dbc, maplines_scene_workspace_t *space);
+/// Least variances that a code can decode to, for targets that are singular.
+MAPLINES_INTERNAL void maplines_least_variances(const maplines_cholesky_t *code, double least[4]);
+/// Encode a scene as raw values. MAPLINES_SENT, or why it cannot be sent.
+MAPLINES_INTERNAL maplines_refusal_t maplines_encode_members(const maplines_dbc_t *dbc,
+                                                             const maplines_scene_input_t *scene,
+                                                             bool is_full,
+                                                             maplines_scene_workspace_t *space);
 
 /* ---- reception ---------------------------------------------------------------------------------
  *

@@ -144,6 +144,24 @@ MAPLINES_INTERNAL void maplines_lower_solution(int n, int m, const double *L, do
     }
 }
 
+/// Solution X of L^T X = B, in place of the (n, m) matrix B, for a lower triangular (n, n) matrix.
+MAPLINES_INTERNAL void maplines_upper_solution(int n, int m, const double *L, double *B)
+{
+    for (int i = n - 1; i >= 0; --i)
+    {
+        for (int j = 0; j < m; ++j)
+        {
+            double rest = B[i * m + j];
+            for (int k = n - 1; k > i; --k)
+            {
+                const double term = L[k * n + i] * B[k * m + j];
+                rest = rest - term;
+            }
+            B[i * m + j] = rest / L[i * n + i];
+        }
+    }
+}
+
 /// Inverse of a (4, 4) matrix; not finite if it is singular.
 MAPLINES_INTERNAL void maplines_inverse(const double A[16], double out[16])
 {

@@ -1,0 +1,93 @@
+/* Rounding of the means of lines to the steps of a message.
+ *
+ * Each parameter is rounded to its conditional mean given the errors of those before it, so that
+ * the error of the lateral position is small all over the range, whatever the steps are. The
+ * operations are those of wire/covariance/rounding.py in the same order.
+ */
+#include "internal.h"
+
+/// Order in which the parameters are rounded: C1, C0, YOff, Beta.
+static const int rounding_order[4] = {3, 2, 0, 1};
+
+MAPLINES_INTERNAL void maplines_rounding_factor(const double own[16], const double J[16],
+                                                double L[16])
+{
+    const double largest = 0x1p-16; // the square of LARGEST [m^2]
+    const double resolution = MAPLINES_RESOLUTION * MAPLINES_RESOLUTION; // [m^2]
+    double A[16];
+    double B[16];
+    double root[16];
+    double transposed[16];
+    maplines_inverse(J, A);
+    maplines_congruence(A, own, B);
+    for (int i = 0; i < 16; ++i)
+    {
+        const double unit = i % 5 == 0 ? 1.0 : 0.0;
+        A[i] = unit + B[i] / largest;
+        root[i] = unit;
+    }
+    maplines_factor_or_identity(A, B);
+    maplines_lower_solution(4, 4, B, root);
+    for (int i = 0; i < 16; ++i)
+    {
+        transposed[i] = root[4 * (i % 4) + i / 4];
+    }
+    maplines_product(4, 4, 4, transposed, root, A);
+    for (int i = 0; i < 16; ++i)
+    {
+        const double term = largest * A[i];
+        A[i] = (i % 5 == 0 ? largest + resolution : 0.0) - term;
+    }
+    maplines_congruence(J, A, B);
+    for (int i = 0; i < 16; ++i)
+    {
+        A[i] = B[4 * rounding_order[i / 4] + rounding_order[i % 4]];
+    }
+    maplines_factor_or_identity(A, L);
+}
+
+MAPLINES_INTERNAL bool maplines_round_mean(const maplines_signal_t signals[4], const double mean[4],
+                                           const double L[16], int64_t raw[4])
+{
+    double errors[4]; // so far, in terms of L
+    bool fits = true;
+    for (int row = 0; row < 4; ++row)
+    {
+        const int state = rounding_order[row];
+        const maplines_signal_t *signal = &signals[state];
+        double expected = 0.0;
+        for (int column = 0; column < row; ++column)
+        {
+            const double term = L[4 * row + column] * errors[column];
+            expected = expected + term;
+        }
+        const double nearest = maplines_nearest_raw(signal, mean[state] + expected);
+        raw[state] = maplines_limited(signal, nearest);
+        fits = fits && (double)raw[state] == nearest;
+        const double error = maplines_physical(signal, raw[state]) - mean[state];
+        errors[row] = (error - expected) / L[5 * row];
+    }
+    return fits;
+}
+
+MAPLINES_INTERNAL maplines_signal_t maplines_refined(const maplines_signal_t *signal,
+                                                     const maplines_signal_t *fine)
+{
+    const int64_t values = fine->raw_max - fine->raw_min + 1;
+    maplines_signal_t refined = *signal;
+    refined.factor = fine->factor;
+    refined.offset = signal->offset + fine->offset;
+    refined.raw_min = values * signal->raw_min + fine->raw_min;
+    refined.raw_max = values * signal->raw_max + fine->raw_max;
+    return refined;
+}
+
+MAPLINES_INTERNAL int64_t maplines_split(const maplines_signal_t *fine, int64_t raw, int64_t *rest)
+{
+    const int64_t values = fine->raw_max - fine->raw_min + 1;
+    const int64_t above = raw - fine->raw_min;
+    int64_t remainder = above % values;
+    remainder = remainder < 0 ? remainder + values : remainder;
+    *rest = remainder + fine->raw_min;
+    return (above - remainder) / values;
+}

@@ -1,0 +1,107 @@
+/* Scenes to frames.
+ *
+ * Input, case by case: CAN FD (u8); the counter of each owner (9 u32); number of lines (u8); of
+ * each line slot, kind and status (u8), x_min, x_max, age, mean, fit range and quartic (10 f64);
+ * whether there are line-specific covariances (u8), and these (16 f64 a line); the joint covariance
+ * row by row; covariance (9 f64), age and correlation time of the pose error; offset and heading of
+ * the map. Output: refusal (u8); of each line why it is left out, whether it is sent, and its
+ * status (u8); the counter of each owner (9 u32); number of frames (u16); of each frame CAN ID
+ * (u32), whether it is extended and CAN FD (u8), its length (u8) and its bytes.
+ */
+#include "binary.h"
+#include "harness_dbc.h"
+#include "maplines.h"
+
+static maplines_scene_input_t scene;
+static maplines_scene_workspace_t workspace;
+static maplines_frame_t frames[MAPLINES_MAX_SCENE_FRAMES];
+
+static void read_f64s(double *values, size_t count)
+{
+    for (size_t i = 0; i < count; ++i)
+    {
+        values[i] = read_f64();
+    }
+}
+
+static void read_scene(void)
+{
+    memset(&scene, 0, sizeof scene);
+    scene.count = read_u8();
+    for (size_t i = 0; i < scene.count; ++i)
+    {
+        maplines_scene_line_t *line = &scene.lines[i];
+        line->slot = (maplines_owner_t)read_u8();
+        line->kind = (maplines_kind_t)read_u8();
+        line->status = (maplines_status_t)read_u8();
+        line->x_min = read_f64();
+        line->x_max = read_f64();
+        line->age = read_f64();
+        read_f64s(line->mean, 4);
+        read_f64s(line->fit_range, 2);
+        line->quartic = read_f64();
+    }
+    scene.has_specific = read_u8() != 0;
+    for (size_t i = 0; scene.has_specific && i < scene.count; ++i)
+    {
+        for (size_t row = 0; row < 4; ++row)
+        {
+            read_f64s(scene.lines[i].specific[row], 4);
+        }
+    }
+    for (size_t row = 0; row < 4U * scene.count; ++row)
+    {
+        read_f64s(scene.cov[row], 4U * scene.count);
+    }
+    for (size_t row = 0; row < 3; ++row)
+    {
+        read_f64s(scene.pose_cov[row], 3);
+    }
+    scene.pose_age = read_f64();
+    scene.correlation_time = read_f64();
+    scene.offset_sigma = read_f64();
+    scene.heading_sigma = read_f64();
+}
+
+static void write_frame(const maplines_frame_t *frame)
+{
+    write_u32(frame->can_id);
+    write_u8(frame->is_extended ? 1 : 0);
+    write_u8(frame->is_fd ? 1 : 0);
+    write_u8(frame->length);
+    write_bytes(frame->data, frame->length);
+}
+
+int main(void)
+{
+    maplines_encoder_t encoder;
+    maplines_encoder_init(&encoder, &harness_dbc, NULL);
+    while (!at_end())
+    {
+        const bool is_fd = read_u8() != 0;
+        for (size_t owner = 0; owner < MAPLINES_OWNERS; ++owner)
+        {
+            encoder.counter[owner] = read_u32();
+        }
+        read_scene();
+        const maplines_sent_scene_t sent =
+            maplines_encode_scene(&encoder, &scene, is_fd, 0, &workspace, frames);
+        write_u8((uint8_t)sent.refusal);
+        for (size_t i = 0; i < scene.count; ++i)
+        {
+            write_u8((uint8_t)sent.left_out[i]);
+            write_u8(sent.is_sent[i] ? 1 : 0);
+            write_u8((uint8_t)sent.status[i]);
+        }
+        for (size_t owner = 0; owner < MAPLINES_OWNERS; ++owner)
+        {
+            write_u32(encoder.counter[owner]);
+        }
+        write_u16(sent.count);
+        for (size_t i = 0; i < sent.count; ++i)
+        {
+            write_frame(&frames[i]);
+        }
+    }
+    return 0;
+}
