@@ -1,14 +1,16 @@
 """Scenes to frames in C: the same bytes, reasons and counters as in Python."""
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import c_core
 import numpy as np
 import pytest
+from evidence.exact import covers
 from evidence.roads import SHAPES, random_scene
 from evidence.witness import POSES, Poses
+from random_dbc import random_dbc
 from scene_layouts import layout_of
 from scene_streams import road_scene
 
@@ -27,13 +29,13 @@ from maplines_can import (
 )
 from maplines_can.values.errors import EncodeError, IllPosedError
 from maplines_can.values.line import LeftOut
-from maplines_can.wire import POSE
+from maplines_can.wire import POSE, Layout
 
 CONDITIONAL, COMPLETE = "maplines-pose.dbc", "maplines.dbc"
 OWNERS = (*Slot, POSE)
 #: Numbers of maplines_left_out_t and of maplines_refusal_t.
 LEFT_OUT = {LeftOut.ACROSS: 1, LeftOut.RANGE: 2, LeftOut.MEAN: 3, LeftOut.COVARIANCE: 4}
-BAD_POSE, UNSEEN = 16, 17
+NO_MESSAGE, BAD_POSE, UNSEEN = 1, 16, 17
 ERRORS = (None, MapError(0.05, 0.05), MapError(0.05, 0.05, 0.001), MapError(offset_sigma=0.3))
 AGES = (0.0, 0.004, 0.0205, np.inf)
 
@@ -67,18 +69,17 @@ def input_of(case: Case) -> bytes:
         values = (line.x_min, line.x_max, case.age, *line.gaussian.mean, *fit_range, quartic)
         parts.append(struct.pack("<3B10d", line.slot, line.kind, line.status, *values))
     parts.append(struct.pack("<B", specific is not None))
-    for array in (() if specific is None else specific, scene.cov, scene.pose_error.cov):
-        parts.append(np.asarray(array, dtype="<f8").tobytes())
+    arrays = (() if specific is None else specific, scene.cov, scene.pose_error.cov)
+    parts += [np.asarray(array, dtype="<f8").tobytes() for array in arrays]
     of_map = (error.offset_sigma, error.heading_sigma) if error else (0.0, 0.0)
     parts.append(struct.pack("<4d", case.age, scene.pose_error.correlation_time, *of_map))
     return b"".join(parts)
 
 
-def in_c(dbc: str, cases: list[Case], **how: Any) -> list[Sent]:
+def in_c(layout: Layout, cases: list[Case]) -> list[Sent]:
     """What the C core sends."""
-    output = c_core.run(
-        c_core.harness("scene_encode", layout_of(dbc), **how), b"".join(map(input_of, cases))
-    )
+    program = c_core.harness("scene_encode", layout)
+    output = c_core.run(program, b"".join(map(input_of, cases)))
     view, at = memoryview(output), 0
 
     def read(form: str) -> tuple[Any, ...]:
@@ -108,11 +109,13 @@ def in_python(codec: Codec, case: Case) -> Sent:
     encoder, lines = codec.encoder(), case.scene.lines
     try:
         prepared = encoder.prepare_scene(case.scene, fd=case.is_fd)
+        frames = encoder.encode_scene(prepared, age=case.age, fd=case.is_fd, counters=case.counters)
     except (EncodeError, IllPosedError) as error:
-        refusal = BAD_POSE if isinstance(error, EncodeError) else UNSEEN
+        refusal = UNSEEN
+        if isinstance(error, EncodeError):
+            refusal = BAD_POSE if "pose error does not fit" in str(error) else NO_MESSAGE
         nothing = [0] * len(lines)
         return Sent(refusal, nothing, [False] * len(lines), [*case.counters.values()], [])
-    frames = encoder.encode_scene(prepared, age=case.age, fd=case.is_fd, counters=case.counters)
     left_out = [0] * len(lines)
     for place, reason in prepared.encoded.left_out.items():
         left_out[place] = LEFT_OUT[reason]
@@ -129,13 +132,11 @@ def in_python(codec: Codec, case: Case) -> Sent:
     return Sent(0, left_out, of_lines, counters, flat)
 
 
-def case_of(scene: Scene, rng: Any, dbc: str) -> Case:
+def case_of(scene: Scene, rng: Any, layout: Layout) -> Case:
     """A case with random counters and ages."""
-    layout = layout_of(dbc)
-    bits = {owner: layout["Counter"].length for owner in Slot} | {
-        POSE: layout.pose["Counter"].length if layout.pose else 0
-    }
-    counters = {owner: int(rng.integers(2 ** bits[owner])) for owner in OWNERS}
+    bits = dict.fromkeys(OWNERS, layout["Counter"].length)
+    bits[POSE] = layout.pose["Counter"].length if layout.pose else 0
+    counters = {owner: int(rng.integers(2 ** min(bits[owner], 32))) for owner in OWNERS}
     return Case(scene, counters, float(rng.choice(AGES)), bool(rng.integers(2)))
 
 
@@ -169,8 +170,8 @@ def gaussians(numbers: range) -> Iterator[Scene]:
         rank = int(rng.integers(1, 4))
         B = 10 ** rng.uniform(-2, 1) * np.array([[0.1], [0.2], [0.004]])
         B = B * rng.standard_normal((3, rank))
-        low = rng.uniform(-150, 120, n)
-        ends = np.column_stack([low, low + 10 ** rng.uniform(0, 2.3, n)])
+        low = rng.uniform(-30, 20, n) * rng.choice([1, 1, 1, 6])
+        ends = np.column_stack([low, low + 10 ** rng.uniform(rng.choice([0, 1]), 2.1, n)])
         specific = None
         if rng.integers(2):
             specific = np.array([np.diag(own[4 * i : 4 * i + 4]) for i in range(n)]).reshape(
@@ -210,12 +211,16 @@ def awkward() -> Iterator[Scene]:
         yield Scene((), np.zeros((0, 0)), PoseError(P), np.zeros((0, 2)))
 
 
-def check(dbc: str, scenes: Iterator[Scene], seed: int = 0, **how: Any) -> list[Sent]:
-    """Compare what both send of scenes, and return it."""
-    rng, codec = np.random.default_rng(seed), Codec(layout_of(dbc))
-    cases = [case_of(scene, rng, dbc) for scene in scenes]
+def check(
+    layout: Layout, scenes: Iterable[Scene], seed: int = 0, is_fd: bool | None = None
+) -> list[Sent]:
+    """Compare what both send of scenes, and return it; without ``is_fd`` in either kind of frame."""
+    rng, codec = np.random.default_rng(seed), Codec(layout)
+    cases = [case_of(scene, rng, layout) for scene in scenes]
+    if is_fd is not None:
+        cases = [case._replace(is_fd=is_fd) for case in cases]
     expected = [in_python(codec, case) for case in cases]
-    for got, wanted in zip(in_c(dbc, cases, **how), expected, strict=True):
+    for got, wanted in zip(in_c(layout, cases), expected, strict=True):
         assert got == wanted
     return expected
 
@@ -223,14 +228,14 @@ def check(dbc: str, scenes: Iterator[Scene], seed: int = 0, **how: Any) -> list[
 @pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
 def test_scenes_of_roads(dbc: str) -> None:
     """Frames, reasons and counters of scenes of all shapes of roads."""
-    sent = check(dbc, on_roads(range(2 * len(SHAPES))))
+    sent = check(layout_of(dbc), on_roads(range(len(SHAPES), 2 * len(SHAPES) + 4)))
     assert sum(len(one.frames) for one in sent) > 100
 
 
 @pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
 def test_scenes_of_random_gaussians(dbc: str) -> None:
     """Whatever a caller may give, with lines left out for every reason."""
-    sent = check(dbc, gaussians(range(150)))
+    sent = check(layout_of(dbc), gaussians(range(150)))
     reasons = {reason for one in sent for reason in one.left_out}
     assert reasons >= ({0, 1, 2, 3, 4} if dbc == CONDITIONAL else {0, 1, 2, 4})
 
@@ -238,5 +243,100 @@ def test_scenes_of_random_gaussians(dbc: str) -> None:
 @pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
 def test_awkward_scenes(dbc: str) -> None:
     """Also those whose pose error does not fit."""
-    sent = check(dbc, awkward())
+    sent = check(layout_of(dbc), awkward())
     assert {one.refusal for one in sent} == {0, BAD_POSE}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_scenes_of_random_dbcs(seed: int) -> None:
+    """Whose orders of rows, factors, ranges and places differ."""
+    layout = Layout.from_text(random_dbc(seed), "random.dbc")
+    is_fd = layout.messages_of[POSE].can_id is None
+    can_send = {
+        owner
+        for owner, own in layout.messages_of.items()
+        if (own.fd_can_id if is_fd else own.can_id) is not None
+    }
+    scenes = [*on_roads(range(seed, 100, 20)), *gaussians(range(seed, 400, 20))]
+    scenes = [scene.subset([slot for slot in scene.index if slot in can_send]) for scene in scenes]
+    sent = check(layout, scenes, seed, is_fd=is_fd)
+    assert sum(len(one.frames) for one in sent) > 20
+
+
+@pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
+def test_what_is_received_covers_the_scene(dbc: str) -> None:
+    """In exact arithmetic, and every line that is left out is not received."""
+    layout = layout_of(dbc)
+    rng, covered = np.random.default_rng(1), 0
+    scenes = [scene for scene in gaussians(range(400)) if 1 <= len(scene.lines) <= 2]
+    scenes += [scene.subset(list(scene.index)[:2]) for scene in on_roads(range(10)) if scene.lines]
+    cases = [case_of(scene, rng, layout) for scene in scenes]
+    for case, sent in zip(cases, in_c(layout, cases), strict=True):
+        decoder = Codec(layout).decoder()
+        for can_id, _, _, data in sent.frames:
+            decoder.feed(can_id, data, 0)
+        received = decoder.scene()
+        lines = zip(case.scene.lines, sent.left_out, strict=True)
+        slots = sorted(line.slot for line, why in lines if why == 0 and sent.frames)
+        if not slots:
+            continue
+        assert received is not None
+        assert sorted(received.scene.index) == slots
+        truth, got = case.scene.joint(slots), received.scene.joint(slots)
+        assert covers(got.cov, got.mean, truth.cov, truth.mean)
+        covered += 1
+    assert covered > 10
+
+
+def changed(field: str, place: Any, value: Any) -> Scene:
+    """A good scene with one value that no ``Scene`` has."""
+    scene = road_scene()
+    for holder, name in (
+        (scene, field),
+        (scene.pose_error, field.removeprefix("pose_")),
+        (scene.lines[0], field),
+        (scene.lines[0].gaussian, field),
+    ):
+        if hasattr(holder, name):
+            old = getattr(holder, name)
+            if isinstance(old, np.ndarray):
+                new = old.copy()
+                new[place] = value
+            else:
+                new = value
+            object.__setattr__(holder, name, new)
+            return scene
+    raise AttributeError(field)
+
+
+@pytest.mark.parametrize(
+    ("field", "place", "value", "refusal"),
+    [
+        pytest.param("mean", 1, np.inf, 3, id="mean"),
+        pytest.param("cov", (5, 5), np.nan, 4, id="cov not finite"),
+        pytest.param("cov", (5, 5), -1e-9, 5, id="variance"),
+        pytest.param("cov", (0, 5), 1.0, 6, id="asymmetric"),
+        pytest.param("cov", (np.arange(8), np.arange(8)), 1e-12, 14, id="indefinite"),
+        pytest.param("specific_covs", (0, 2, 2), -1.0, 5, id="specific variance"),
+        pytest.param("pose_cov", (1, 1), -1.0, 5, id="pose variance"),
+        pytest.param("fit_ranges", (0, 1), -99.0, 7, id="fit range"),
+        pytest.param("quartics", 0, np.nan, 7, id="quartic"),
+        pytest.param("x_min", None, 99.0, 7, id="range"),
+        pytest.param("correlation_time", None, 0.0, 16, id="correlation time"),
+        pytest.param("slot", None, Slot.EGO_RIGHT, 15, id="same slot"),
+        pytest.param("slot", None, 8, 1, id="no slot"),
+        pytest.param("kind", None, 8, 9, id="kind"),
+        pytest.param("status", None, 6, 10, id="status"),
+    ],
+)
+@pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
+def test_mistakes_of_a_caller_are_named(
+    dbc: str, field: str, place: Any, value: Any, refusal: int
+) -> None:
+    """Nothing is sent then, and no counter advances."""
+    layout = layout_of(dbc)
+    case = case_of(changed(field, place, value), np.random.default_rng(0), layout)
+    (sent,) = in_c(layout, [case])
+    assert sent.refusal == refusal
+    assert not sent.frames
+    assert sent.counters == [*case.counters.values()]
