@@ -290,6 +290,11 @@ MAPLINES_INTERNAL bool maplines_common(const maplines_curve_t *curve,
 MAPLINES_INTERNAL void maplines_specific_factor(const maplines_curve_t *curve,
                                                 const double levels[16], const double common[16],
                                                 double factor[4][4]);
+/// Set the factors of the line at a place of a scene: A due to the pose error, F line-specific. In
+/// single precision they are widened so that they cover what the rounding loses.
+MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place,
+                                            const double mean[4], double A[4][MAPLINES_POSES],
+                                            double F[4][4], maplines_scene_t *scene);
 /// Levels by which the record of a line, or of the pose error, is decoded.
 MAPLINES_INTERNAL const maplines_levels_t *maplines_levels_of(const maplines_dbc_t *dbc);
 /// Scene of a record of the pose error and records of lines, all of them intact and checked.

@@ -328,17 +328,7 @@ static bool decode_member(const maplines_dbc_t *dbc, pose_error_t *pose, const u
         cov[i] = cov[i] + specific_cov[i];
         cov[i] = i % 5 == 0 ? cov[i] * (1.0 + MAPLINES_ROUNDING) : cov[i];
     }
-    for (int i = 0; i < 4; ++i)
-    {
-        for (int k = 0; k < MAPLINES_POSES; ++k)
-        {
-            scene->spread[4 * place + i][k] = (maplines_real_t)A[i][k];
-        }
-        for (int k = 0; k < 4; ++k)
-        {
-            scene->specific[place][i][k] = (maplines_real_t)F[i][k];
-        }
-    }
+    maplines_set_factors(dbc->covariance.order, place, curve->mean, A, F, scene);
     scene->fit_range[place][0] = (maplines_real_t)curve->fit_range[0];
     scene->fit_range[place][1] = (maplines_real_t)curve->fit_range[1];
     scene->quartic[place] = (maplines_real_t)curve->quartic;
