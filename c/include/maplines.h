@@ -797,7 +797,7 @@ maplines_prediction_t maplines_predict_to(const maplines_line_t *line, int64_t t
 
 /* send: begin */
 
-/// Why nothing was sent: a caller's mistake. The encoder has not changed then.
+/// Why nothing was sent: a caller's mistake. The counters have not changed then.
 typedef enum {
     MAPLINES_SENT = 0,           ///< none: it was sent
     MAPLINES_NO_MESSAGE = 1,     ///< the DBC has no such message for the slot: classic, CAN FD, or

@@ -273,7 +273,8 @@ maplines_sent_t maplines_encode_mixture(maplines_encoder_t *encoder, const mapli
             return refused(MAPLINES_NO_SIGNATURE);
         }
         sent.count = (uint16_t)(sent.count + sent_now);
-        sent.status = maplines_severity(status) > maplines_severity(sent.status) ? status : sent.status;
+        sent.status =
+            maplines_severity(status) > maplines_severity(sent.status) ? status : sent.status;
     }
     return sent;
 }

@@ -41,7 +41,7 @@ static void triangular_of(int m, int n, double columns[WIDEST_ROW][NODE_COUNT],
     memset(R, 0, WIDEST_ROW * WIDEST_ROW * sizeof(double));
     for (int j = 0; j < n; ++j)
     {
-        double unit[NODE_COUNT];
+        double unit[NODE_COUNT] = {0.0};
         R[j][j] = sqrt(dot_product(m, columns[j], columns[j]));
         if (!(R[j][j] > 0.0))
         {
