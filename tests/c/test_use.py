@@ -4,6 +4,7 @@ import math
 import struct
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import c_core
 import numpy as np
@@ -53,7 +54,7 @@ class Reader:
         self._place += 8
         return struct.unpack_from("<q", self._data, self._place - 8)[0]
 
-    def line(self) -> dict[str, object]:
+    def line(self) -> dict[str, Any]:
         components, t_ns = self.byte(), self.time()
         age, x_min, x_max = self.floats(3)
         mean, factor = self.floats(4), self.floats(4, 4)
@@ -135,7 +136,7 @@ def rounding(n: int, flags: tuple[str, ...]) -> float:
 
 
 @pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
-def test_quantities_of_a_line(flags):
+def test_quantities_of_a_line(flags: Any) -> None:
     """Values are Python's; a sigma is not less than the exact one, and more by rounding only."""
     rng = np.random.default_rng(1)
     lines = [random_line(rng) for _ in range(1000)]
@@ -164,7 +165,7 @@ def test_quantities_of_a_line(flags):
     assert out.ends()
 
 
-def test_sigma_in_double_precision_is_that_of_python():
+def test_sigma_in_double_precision_is_that_of_python() -> None:
     """To 1e-9 of it."""
     rng = np.random.default_rng(2)
     lines = [random_line(rng) for _ in range(1000)]
@@ -192,7 +193,9 @@ def test_sigma_in_double_precision_is_that_of_python():
         pytest.param([math.nan, 0, 0, 0], np.eye(4), 0.0, 1.0, id="mean-is-no-number"),
     ],
 )
-def test_sigma_is_never_negative_and_always_a_number(flags, mean, factor, x, expected):
+def test_sigma_is_never_negative_and_always_a_number(
+    flags: Any, mean: Any, factor: Any, x: Any, expected: Any
+) -> None:
     """Whatever is given: what is not known has an infinite sigma."""
     head = bytes([0, 0, 1, 1]) + struct.pack("<q", 0) + packed(0, 0, 80, mean, factor)
     out = ran(head + b"\1" + packed(x), flags)
@@ -203,7 +206,7 @@ def test_sigma_is_never_negative_and_always_a_number(flags, mean, factor, x, exp
 
 
 @pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
-def test_mahalanobis_distance(flags):
+def test_mahalanobis_distance(flags: Any) -> None:
     """The distance of measured positions is that of the differences from their distribution."""
     rng = np.random.default_rng(3)
     cases, data = [], b""
@@ -224,7 +227,7 @@ def test_mahalanobis_distance(flags):
         assert out.floats(1)[0] == pytest.approx(expected, rel=tolerance)
 
 
-def test_mahalanobis_distance_of_a_position_without_error():
+def test_mahalanobis_distance_of_a_position_without_error() -> None:
     """A line and a measurement that both have no error are infinitely far apart."""
     head = bytes([1, 0, 1, 1]) + struct.pack("<q", 0) + packed(0, 0, 80, np.zeros(20))
     assert ran(head + b"\1" + packed(10.0, 1.0, 0.0), ("-O2",)).floats(1)[0] == math.inf
@@ -247,12 +250,13 @@ def random_scene(
             replace(line, gaussian=Gaussian.trusted(line.gaussian.mean, cov[block, block]))
         )
         factors.append(np.linalg.cholesky(cov[block, block]))
-    scene = Scene(lines, (cov + cov.T) / 2, PoseError(np.eye(3)), [[-40, 120]] * n)
+    ranges = np.tile([-40.0, 120.0], (n, 1))
+    scene = Scene(tuple(lines), (cov + cov.T) / 2, PoseError(np.eye(3)), ranges)
     return scene, factors, A, own
 
 
 @pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
-def test_quantities_of_a_scene(flags):
+def test_quantities_of_a_scene(flags: Any) -> None:
     """Sums, width, centre, range and joint covariance are those of ``Scene``."""
     rng = np.random.default_rng(4)
     cases, data = [], b""
@@ -275,13 +279,15 @@ def test_quantities_of_a_scene(flags):
         assert out.byte() == 1
         joint = scene.joint()
         J = np.zeros(len(joint.mean))
-        value = 0.0
+        value = np.zeros(())
         for slot, x, weight in terms:
             i = scene.index[slot]
-            value += weight * scene.line(slot).y(x)
+            value = value + weight * scene.line(slot).y(x)
             J[4 * i : 4 * i + 4] += weight * lateral_jacobian(scene.means[i], x)
         sigma = math.sqrt(J @ scene.cov @ J)
-        assert out.floats(2) == pytest.approx([value, sigma], rel=tolerance, abs=tolerance * 10)
+        assert out.floats(2) == pytest.approx(
+            [float(value), sigma], rel=tolerance, abs=tolerance * 10
+        )
         for estimate in (scene.width, scene.centre):
             has_both = {Slot.EGO_LEFT, Slot.EGO_RIGHT} <= set(scene.index)
             assert out.byte() == has_both
@@ -292,14 +298,14 @@ def test_quantities_of_a_scene(flags):
         assert tuple(out.floats(2)) == (low, high)
         assert out.byte() == 1
         covariance = out.floats(4 * len(slots), 4 * len(slots))
-        expected = scene.joint(slots).cov
-        scale = np.sqrt(np.diag(expected))
-        assert (np.abs(covariance - expected) <= tolerance * np.outer(scale, scale)).all()
+        joint_cov = scene.joint(slots).cov
+        scale = np.sqrt(np.diag(joint_cov))
+        assert (np.abs(covariance - joint_cov) <= tolerance * np.outer(scale, scale)).all()
         assert [out.byte() for _ in range(8)] == [slot in scene.index for slot in Slot]
     assert out.ends()
 
 
-def test_a_scene_without_the_line():
+def test_a_scene_without_the_line() -> None:
     """No quantity of a line that the scene does not have; its sigma says that nothing is known."""
     line = bytes([3, 1, 1]) + struct.pack("<q", 0) + packed(0, 0, 80, np.zeros(20), np.zeros(44))
     query = b"\1" + b"\0" + packed(0.0, 1.0) + b"\2\3\0" + packed(0.0)
@@ -322,7 +328,7 @@ def random_motion(rng: np.random.Generator) -> tuple[Motion, bytes]:
 
 
 @pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
-def test_displacement_by_a_motion(flags):
+def test_displacement_by_a_motion(flags: Any) -> None:
     """Mean and covariance are those of ``Motion.over``."""
     rng = np.random.default_rng(5)
     cases, data = [], b""
@@ -357,7 +363,7 @@ def test_displacement_by_a_motion(flags):
         pytest.param((1e300, 0, 1e300, 0, 0, 1e300, 0), id="overflow"),
     ],
 )
-def test_a_wrong_motion_is_refused(wrong):
+def test_a_wrong_motion_is_refused(wrong: Any) -> None:
     """The displacement stays as it was."""
     out = ran(b"\3" + packed(wrong), ("-O2",))
     assert out.byte() == 0
@@ -398,7 +404,7 @@ def check_predictions(
 STATUSES = (Status.FULL, Status.DIAGONAL, Status.UNKNOWN, Status.REPAIRED, Status.SATURATED)
 
 
-def predicted_or_none(*args: object, **options: float) -> MapLine | None:
+def predicted_or_none(*args: Any, **options: Any) -> MapLine | None:
     try:
         return predict_to(*args, **options)
     except IllPosedError:
@@ -406,7 +412,7 @@ def predicted_or_none(*args: object, **options: float) -> MapLine | None:
 
 
 @pytest.fixture
-def as_scenes(monkeypatch):
+def as_scenes(monkeypatch: Any) -> None:
     """Python predicts with the points and weights of scenes, as C does."""
     fit = partial(transform_line_or_nan, points=POINTS, end_weight=END_WEIGHT)
     monkeypatch.setattr(prediction, "transform_line_or_nan", fit)
@@ -415,7 +421,7 @@ def as_scenes(monkeypatch):
 
 @pytest.mark.usefixtures("as_scenes")
 @pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
-def test_prediction_by_a_displacement(flags):
+def test_prediction_by_a_displacement(flags: Any) -> None:
     """Predicted lines are those of ``predict_to``, if that fits cubics to the same points."""
     rng = np.random.default_rng(6)
     cases, data = [], b""
@@ -434,7 +440,7 @@ def test_prediction_by_a_displacement(flags):
 
 @pytest.mark.usefixtures("as_scenes")
 @pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
-def test_prediction_by_a_motion(flags):
+def test_prediction_by_a_motion(flags: Any) -> None:
     """The same; Python forms the covariance of the displacement, which is nearly singular, and so
     loses half of the digits of its square root.
     """
@@ -454,7 +460,7 @@ def test_prediction_by_a_motion(flags):
 
 
 @pytest.mark.parametrize("dt", [0.05, 0.2, 1.0])
-def test_prediction_with_fewer_points_than_in_python(dt):
+def test_prediction_with_fewer_points_than_in_python(dt: Any) -> None:
     """With 16 points of a line instead of 32, a prediction is the same to some 1e-3 of sigma."""
     rng = np.random.default_rng(9)
     lines, data = [], b""
@@ -478,7 +484,7 @@ def test_prediction_with_fewer_points_than_in_python(dt):
 
 
 @pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
-def test_overall_gaussian_of_a_mixture(flags):
+def test_overall_gaussian_of_a_mixture(flags: Any) -> None:
     """Mean and covariance are those of ``GaussianMixture.overall``."""
     rng = np.random.default_rng(8)
     cases, data = [], b""
@@ -521,7 +527,9 @@ NOT_USABLE, TOO_FAR, BAD_MOTION, ILL_POSED = 1, 2, 3, 4
         pytest.param(1, 0.0, 10**9, 0, [math.nan, 0, 0, 0], (5, 0), ILL_POSED, id="no-number"),
     ],
 )
-def test_what_cannot_be_predicted(status, age, t_ns, line_t_ns, mean, motion, expected):
+def test_what_cannot_be_predicted(
+    status: Any, age: Any, t_ns: Any, line_t_ns: Any, mean: Any, motion: Any, expected: Any
+) -> None:
     """The result says why, and the line stays as it was."""
     head = bytes([0, status, 2]) + struct.pack("<q", line_t_ns)
     F = np.diag(0.01 * USUAL)
@@ -533,7 +541,7 @@ def test_what_cannot_be_predicted(status, age, t_ns, line_t_ns, mean, motion, ex
     assert found["components"] == (2 if expected else 1)
 
 
-def test_after_a_u_turn_the_end_comes_first():
+def test_after_a_u_turn_the_end_comes_first() -> None:
     """The range is from the new start to the new end; one that is all uncertain is a point."""
     line = MapLine(Slot.EGO_LEFT, Gaussian([0, 0, 0, 0], np.diag(USUAL**2)), x_max=40.0, t_ns=0)
     for sigma in (0.0, 20.0):
