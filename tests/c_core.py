@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
-from maplines_can.generation.tables import limits_of, tables_of
+from maplines_can.generation.tables import Limits, limits_of, tables_of
 from maplines_can.wire.layout.dbc_reader import Database
 from maplines_can.wire.layout.message_layout import Layout
 
@@ -21,7 +21,11 @@ WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Werr
 #: The rounding of each operation is part of the result.
 EXACT = ("-ffp-contract=off",)
 #: A harness takes from the core what it calls, and needs nothing of the rest.
-SECTIONS = ("-ffunction-sections", "-Wl,--gc-sections")
+SECTIONS, COLLECT = ("-ffunction-sections",), "-Wl,--gc-sections"
+#: Limits that suffice for most DBCs, which so share the object files of the core.
+LIMITS = Limits(pages=8, transfer_ids=16, components=8)
+#: Folders of headers.
+FOLDERS = ("include", "src", "tests")
 #: Name of the tables in a harness: harness_dbc.h and the constant harness_dbc, of whichever DBC.
 NAME = "harness"
 #: Another compiler, more arguments for it, and an emulator of its target, for all programs: see
@@ -42,7 +46,7 @@ def harness(
 
     It is compiled once for each content: also in another process, or a later run. The harness
     includes "harness_dbc.h", which declares the constant ``harness_dbc``, "binary.h" and, if it
-    tests what is not public, "internal.h". The limits are those of the DBC.
+    tests what is not public, "internal.h".
 
     Args:
         name: of the harness.
@@ -67,31 +71,51 @@ def program(
     for layout, name in zip(layouts, names, strict=True):
         tables = tables_of(layout, name)
         files |= {f"{name}_dbc.h": tables.header, f"{name}_dbc.c": tables.source}
-    limits = [f"-D{macro}={value}" for macro, value in limits_of(layouts).macros.items()]
+    limits = Limits(*map(max, LIMITS, limits_of(layouts)))
     command = [
-        cc, "-std=c99", *WARNINGS, *EXACT, *SECTIONS, *limits, *flags,
-        f"-I{C / 'include'}", f"-I{C / 'src'}", f"-I{C / 'tests'}",
+        cc, "-std=c99", *WARNINGS, *EXACT, *SECTIONS, *flags,
+        *(f"-D{macro}={value}" for macro, value in limits.macros.items()),
+        *(f"-I{C / folder}" for folder in FOLDERS),
     ]  # fmt: skip
-    sources = sorted((C / "src").glob("*.c"))
-    headers = [path for folder in ("include", "src", "tests") for path in (C / folder).glob("*.h")]
-    digest = hashlib.sha256(repr((command, EMULATOR, [*map(str, mains)], files)).encode())
-    for path in (*mains, *sources, *sorted(headers)):
-        digest.update(path.read_bytes())
-    target = _cache() / digest.hexdigest()[:32]
+    core = [_object(command, source) for source in sorted((C / "src").glob("*.c"))]
+    digest = _digest(command, [*mains, *core], EMULATOR, files)
+    target = _cache() / digest
     if not target.exists():
         with tempfile.TemporaryDirectory(dir=_cache()) as folder:
             for file, text in files.items():
                 (Path(folder) / file).write_text(text)
             tables_c = [f"{folder}/{name}_dbc.c" for name in names]
             out = Path(folder) / "program"
-            everything = [*map(str, mains), *map(str, sources), *tables_c]
+            everything = [*map(str, mains), *map(str, core), *tables_c]
             subprocess.run(
-                [*command, f"-I{folder}", *everything, "-lm", "-o", str(out)], check=True
+                [*command, COLLECT, f"-I{folder}", *everything, "-lm", "-o", str(out)], check=True
             )
             if EMULATOR:
                 out = _emulated(out, target.with_suffix(".bin"))
             out.replace(target)  # in one step: another process may compile the same
     return target
+
+
+def _object(command: Sequence[str], source: Path) -> Path:
+    """Return the object file of a source, which is compiled once for each content."""
+    folder = _cache() / "objects"
+    folder.mkdir(exist_ok=True)
+    target = folder / f"{_digest(command, [source])}.o"
+    if not target.exists():
+        with tempfile.TemporaryDirectory(dir=folder) as place:
+            out = Path(place) / "object.o"
+            subprocess.run([*command, "-c", str(source), "-o", str(out)], check=True)
+            out.replace(target)
+    return target
+
+
+def _digest(command: Sequence[str], paths: Sequence[Path], *more: object) -> str:
+    """Return a name for what a command makes of files and of all headers."""
+    headers = sorted(path for folder in FOLDERS for path in (C / folder).glob("*.h"))
+    digest = hashlib.sha256(repr((command, [path.name for path in paths], more)).encode())
+    for path in (*paths, *headers):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:32]
 
 
 def _emulated(program: Path, target: Path) -> Path:

@@ -15,6 +15,7 @@ from .tables import Limits, limits_of, tables_of
 _SECTION = re.compile(r"^/\* -+ (\w+\.c)\b", re.MULTILINE)
 _LOCAL_INCLUDE = re.compile(r'^#include "(\w+\.h)"\n', re.MULTILINE)
 _SYSTEM_INCLUDE = re.compile(r"^#include <\w+\.h>\n", re.MULTILINE)
+_MACRO = re.compile(r"^ *# *define (\w+)", re.MULTILINE)
 #: Where the sources of the header are edited by section.
 _MARKER = re.compile(r"^/\* \w+: (?:begin|end) \*/\n", re.MULTILINE)
 _GUARD = re.compile(r"^#ifndef (\w+_H)\n#define \1\n(.*)^#endif\n\Z", re.MULTILINE | re.DOTALL)
@@ -84,7 +85,7 @@ def source() -> str:
     headers: dict[str, str] = {}
     for text in sources.values():
         _add_headers(text, headers)
-    parts = [*headers.values(), *(_title(name) + text for name, text in sources.items())]
+    parts = [*headers.values(), *(_apart(name, text) for name, text in sources.items())]
     body = "\n".join(_LOCAL_INCLUDE.sub("", part).strip("\n") + "\n" for part in parts)
     return "".join(
         (
@@ -106,8 +107,11 @@ def _add_headers(text: str, headers: dict[str, str]) -> None:
             headers[name] = inner
 
 
-def _title(name: str) -> str:
-    return f"/* ==== {name} {'=' * (88 - len(name))} */\n\n"
+def _apart(name: str, text: str) -> str:
+    """Return a source with a title, whose macros end with it."""
+    title = f"/* ==== {name} {'=' * (88 - len(name))} */\n\n"
+    macros = dict.fromkeys(_MACRO.findall(text))
+    return "".join([title, text.rstrip("\n"), "\n\n", *(f"#undef {name}\n" for name in macros)])
 
 
 def cmake(names: list[str]) -> str:

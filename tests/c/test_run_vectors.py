@@ -1,0 +1,137 @@
+"""The C core passes the test vectors, and the runner fails if a value is another one."""
+
+import re
+import shutil
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import c_core
+import pytest
+from random_dbc import random_dbc
+from scene_layouts import layout_of
+
+from maplines_can.cli import main
+from maplines_can.generation.vector_files import vectors_from
+from maplines_can.wire.layout.message_layout import Layout
+
+pytest.importorskip("cryptography")
+
+#: Until the receiver in C is there.
+needs_receiver = pytest.mark.skipif(
+    not (c_core.C / "src" / "decoder.c").exists(), reason="the core has no receiver yet"
+)
+
+ROOT = Path(__file__).parents[2]
+SHIPPED = ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc")
+
+
+@cache
+def text_of(dbc: str) -> str:
+    return vectors_from(layout_of(dbc)).text
+
+
+def test_the_files_of_the_repository_are_up_to_date() -> None:
+    check = [sys.executable, str(ROOT / "tools" / "make_vectors.py"), "--check"]
+    done = subprocess.run(check, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def runner(layout: Layout, **options: Any) -> Path:
+    return c_core.program([c_core.C / "tests" / "run_vectors.c"], [layout], ["harness"], **options)
+
+
+@needs_receiver
+@pytest.mark.parametrize("flags", [("-O2",), ("-O1", "-DMAPLINES_FLOAT")], ids=["double", "float"])
+@pytest.mark.parametrize("dbc", SHIPPED)
+def test_the_c_core_passes(tmp_path: Path, dbc: str, flags: tuple[str, ...]) -> None:
+    path = tmp_path / "vectors.txt"
+    path.write_text(text_of(dbc))
+    program = runner(layout_of(dbc), flags=flags)
+    done = subprocess.run([program, path], capture_output=True, text=True, check=False)
+    n = text_of(dbc).count("\ncase ")
+    assert done.stdout == f"{n} cases of {dbc}: {n} passed, 0 failed\n"
+    assert done.returncode == 0
+
+
+@needs_receiver
+@pytest.mark.parametrize("seed", range(3))
+def test_the_c_core_passes_those_of_any_dbc(tmp_path: Path, seed: int) -> None:
+    path = tmp_path / "random.dbc"
+    path.write_text(random_dbc(seed))
+    layout = Layout.from_dbc(path)
+    (tmp_path / "vectors.txt").write_text(vectors_from(layout).text)
+    done = subprocess.run(
+        [runner(layout), tmp_path / "vectors.txt"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout
+
+
+@needs_receiver
+@pytest.mark.parametrize(
+    ("pattern", "replacement"),
+    [
+        pytest.param(r"(?m)^(mean) \S+", r"\1 0x1.8p+4", id="mean"),
+        pytest.param(r"(?m)^(cov) \S+", r"\1 0x1p+0", id="covariance"),
+        pytest.param(r"(?m)^(y) \S+", r"\1 0x1p+0", id="y"),
+        pytest.param(r"(?m)^(sigma) \S+", r"\1 0x1p+0", id="sigma"),
+        pytest.param(r"(?m)^(joint) \S+", r"\1 0x1p-30", id="joint"),
+        pytest.param(r"(?m)^(frame .*) CRC$", r"\1 CONTENT", id="reason"),
+        pytest.param(r"(?m)^(frame .*) COMPLETE EGO_LEFT$", r"\1 COMPLETE ROUTE", id="slot"),
+        pytest.param(r"(?m)^(view \S+ \S+) VALID", r"\1 INIT", id="state"),
+        pytest.param(r"(?m)^(view \S+ \S+ \S+) OK", r"\1 ERROR", id="status"),
+        pytest.param(r"(?m)^(view .*) 1$", r"\1 0", id="usable"),
+        pytest.param(r"(?m)^(view (?:\S+ ){4})0x\S+", r"\g<1>inf", id="age"),
+        pytest.param(r"(?m)^(stats (?:\S+ ){4})\d+", r"\g<1>99", id="ok"),
+        pytest.param(r"(?m)^(counts .*)CRC=\d+", r"\1CRC=99", id="count"),
+        pytest.param(r"(?m)^(line \S+ )SOLID", r"\1KERB", id="kind"),
+        pytest.param(r"(?m)^(frame .*) COMPLETE EGO_LEFT$", r"\1 COMPLETE", id="no-slot"),
+        pytest.param(r"(?m)^counts .*$", "anything", id="unknown-step"),
+    ],
+)
+def test_the_runner_fails_if_a_value_is_another_one(
+    tmp_path: Path, pattern: str, replacement: str
+) -> None:
+    text, found = re.subn(pattern, replacement, text_of("maplines.dbc"), count=1)
+    assert found
+    path = tmp_path / "vectors.txt"
+    path.write_text(text)
+    program = runner(layout_of("maplines.dbc"))
+    done = subprocess.run([program, path], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stdout.endswith(" 1 failed\n")
+    name = done.stdout.split(":")[0]
+    assert subprocess.run([program, path, name], stdout=-1, check=False).returncode == 1
+    assert subprocess.run([program, path, "foreign"], stdout=-1, check=False).returncode == (
+        name == "foreign"
+    )
+
+
+@needs_receiver
+def test_the_generated_files_are_enough_to_run_them(tmp_path: Path) -> None:
+    """As the help of the command says."""
+    dbc = tmp_path / "own.dbc"
+    dbc.write_bytes((ROOT / "dbc" / "maplines-secoc.dbc").read_bytes())
+    for what in ("c", "vectors"):
+        assert main(["generate", what, "--dbc", str(dbc), "--out", str(tmp_path)]) == 0
+    compiler = ["cc", "-std=c99", "-ffp-contract=off"]
+    sources = ["run_vectors.c", "maplines.c", "own_dbc.c"]
+    subprocess.run([*compiler, *sources, "-lm", "-o", "run_vectors"], check=True, cwd=tmp_path)
+    subprocess.run([tmp_path / "run_vectors", "own.txt"], check=True, cwd=tmp_path)
+
+
+@needs_receiver
+@pytest.mark.skipif(not shutil.which("cmake"), reason="there is no cmake")
+def test_cmake_builds_the_sources_and_ctest_runs_the_vectors(tmp_path: Path) -> None:
+    """Of one DBC, to be fast."""
+    build = str(tmp_path / "build")
+    options = [f"-DPython3_EXECUTABLE={sys.executable}", "-DCMAKE_BUILD_TYPE=Debug"]
+    for command in (
+        ["cmake", "-S", str(c_core.C), "-B", build, *options],
+        ["cmake", "--build", build, "--target", "run_vectors_maplines"],
+        ["ctest", "--test-dir", build, "--tests-regex", "^vectors_of_maplines$"],
+    ):
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
