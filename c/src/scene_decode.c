@@ -6,7 +6,6 @@
  */
 #include "internal.h"
 
-#define MAPLINES_RESOLUTION  0x1p-9 ///< least standard deviation of a coefficient of T_k [m]
 #define MAPLINES_ROUNDING    0x1p-42 ///< share by which variances are enlarged, so that it is definite
 #define MAPLINES_RANGE_STEPS 10.0    ///< steps of the ends of the valid range [1/m]
 #define MAPLINES_MIN_TURN    0.1     ///< least derivative of beta with respect to the heading

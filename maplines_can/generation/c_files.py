@@ -85,7 +85,8 @@ def source() -> str:
     headers: dict[str, str] = {}
     for text in sources.values():
         _add_headers(text, headers)
-    parts = [*headers.values(), *(_apart(name, text) for name, text in sources.items())]
+    shared = set(_MACRO.findall("".join(headers.values())))
+    parts = [*headers.values(), *(_apart(name, text, shared) for name, text in sources.items())]
     body = "\n".join(_LOCAL_INCLUDE.sub("", part).strip("\n") + "\n" for part in parts)
     return "".join(
         (
@@ -107,10 +108,10 @@ def _add_headers(text: str, headers: dict[str, str]) -> None:
             headers[name] = inner
 
 
-def _apart(name: str, text: str) -> str:
-    """Return a source with a title, whose macros end with it."""
+def _apart(name: str, text: str, shared: set[str]) -> str:
+    """Return a source with a title, whose macros end with it but for shared ones."""
     title = f"/* ==== {name} {'=' * (88 - len(name))} */\n\n"
-    macros = dict.fromkeys(_MACRO.findall(text))
+    macros = dict.fromkeys(macro for macro in _MACRO.findall(text) if macro not in shared)
     return "".join([title, text.rstrip("\n"), "\n\n", *(f"#undef {name}\n" for name in macros)])
 
 

@@ -26,9 +26,6 @@ from maplines_can.wire.layout.message_layout import Layout
 ROOT = Path(__file__).parents[2]
 SHIPPED = ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc")
 ALL = [f"--dbc={name}" for name in SHIPPED]
-#: Until all modules are there, some functions have no caller, and some no definition.
-INCOMPLETE = ("-Wno-error", "-ffunction-sections", "-Wl,--gc-sections")
-COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 
 
 def generate(*words: str | Path) -> int:
@@ -38,21 +35,27 @@ def generate(*words: str | Path) -> int:
 def compile_c(folder: Path, *, cc: str = "cc", flags: tuple[str, ...] = ()) -> None:
     """Compile all C files of a folder with all warnings."""
     names = sorted(path.name for path in folder.glob("*.c"))
-    warnings = (*c_core.WARNINGS, *INCOMPLETE)
-    command = [cc, "-std=c99", "-O1", *warnings, *c_core.EXACT, *flags, "-c", *names]
+    command = [cc, "-std=c99", *c_core.WARNINGS, *c_core.EXACT, *flags, "-c", *names]
     subprocess.run(command, check=True, cwd=folder)
 
 
 # ---- the files --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("cc", COMPILERS)
 @pytest.mark.parametrize(
-    "flags", [("-O0",), ("-O3",), ("-DMAPLINES_FLOAT",), ("-DNDEBUG",)], ids=str
+    ("cc", "flags"),
+    [
+        pytest.param("gcc", ("-O3",), id="gcc"),
+        pytest.param("clang", ("-O2",), id="clang"),
+        pytest.param("gcc", ("-O1", "-DMAPLINES_FLOAT"), id="gcc-float"),
+        pytest.param("clang", ("-DNDEBUG",), id="clang-ndebug"),
+    ],
 )
 def test_the_files_compile_without_a_warning(
     tmp_path: Path, cc: str, flags: tuple[str, ...]
 ) -> None:
+    if not shutil.which(cc):
+        pytest.skip(f"there is no {cc}")
     assert generate(*ALL, "--out", tmp_path) == 0
     compile_c(tmp_path, cc=cc, flags=flags)
 
@@ -66,7 +69,7 @@ def test_a_cpp_program_takes_the_headers_and_links(tmp_path: Path) -> None:
         "int main() { return maplines_dbc.messages[MAPLINES_EGO_LEFT].can_id == 0x340 ? 0 : 1; }\n"
     )
     subprocess.run(
-        ["g++", "-std=c++17", *c_core.WARNINGS, *INCOMPLETE, "main.cpp", "maplines.o",
+        ["g++", "-std=c++17", *c_core.WARNINGS, "main.cpp", "maplines.o",
          "maplines_dbc.o", "-lm", "-o", "program"], check=True, cwd=tmp_path,
     )  # fmt: skip
     subprocess.run([tmp_path / "program"], check=True)
@@ -112,7 +115,7 @@ def test_two_dbcs_in_one_program(tmp_path: Path) -> None:
     )
     compile_c(tmp_path)
     objects = sorted(path.name for path in tmp_path.glob("*.o"))
-    subprocess.run(["cc", *objects, *INCOMPLETE, "-lm", "-o", "program"], check=True, cwd=tmp_path)
+    subprocess.run(["cc", *objects, "-lm", "-o", "program"], check=True, cwd=tmp_path)
     subprocess.run([tmp_path / "program"], check=True)
 
 

@@ -19,11 +19,6 @@ from maplines_can.wire.layout.message_layout import Layout
 
 pytest.importorskip("cryptography")
 
-#: Until the receiver in C is there.
-needs_receiver = pytest.mark.skipif(
-    not (c_core.C / "src" / "decoder.c").exists(), reason="the core has no receiver yet"
-)
-
 ROOT = Path(__file__).parents[2]
 SHIPPED = ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc")
 
@@ -43,7 +38,6 @@ def runner(layout: Layout, **options: Any) -> Path:
     return c_core.program([c_core.C / "tests" / "run_vectors.c"], [layout], ["harness"], **options)
 
 
-@needs_receiver
 @pytest.mark.parametrize("flags", [("-O2",), ("-O1", "-DMAPLINES_FLOAT")], ids=["double", "float"])
 @pytest.mark.parametrize("dbc", SHIPPED)
 def test_the_c_core_passes(tmp_path: Path, dbc: str, flags: tuple[str, ...]) -> None:
@@ -56,7 +50,6 @@ def test_the_c_core_passes(tmp_path: Path, dbc: str, flags: tuple[str, ...]) -> 
     assert done.returncode == 0
 
 
-@needs_receiver
 @pytest.mark.parametrize("seed", range(3))
 def test_the_c_core_passes_those_of_any_dbc(tmp_path: Path, seed: int) -> None:
     path = tmp_path / "random.dbc"
@@ -69,7 +62,6 @@ def test_the_c_core_passes_those_of_any_dbc(tmp_path: Path, seed: int) -> None:
     assert done.returncode == 0, done.stdout
 
 
-@needs_receiver
 @pytest.mark.parametrize(
     ("pattern", "replacement"),
     [
@@ -109,7 +101,6 @@ def test_the_runner_fails_if_a_value_is_another_one(
     )
 
 
-@needs_receiver
 def test_the_generated_files_are_enough_to_run_them(tmp_path: Path) -> None:
     """As the help of the command says."""
     dbc = tmp_path / "own.dbc"
@@ -122,7 +113,6 @@ def test_the_generated_files_are_enough_to_run_them(tmp_path: Path) -> None:
     subprocess.run([tmp_path / "run_vectors", "own.txt"], check=True, cwd=tmp_path)
 
 
-@needs_receiver
 @pytest.mark.skipif(not shutil.which("cmake"), reason="there is no cmake")
 def test_cmake_builds_the_sources_and_ctest_runs_the_vectors(tmp_path: Path) -> None:
     """Of one DBC, to be fast."""
