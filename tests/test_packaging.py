@@ -79,8 +79,10 @@ def test_from_a_wheel(empty_python: Path, wheel: Path, tmp_path: Path) -> None:
     assert found.is_relative_to(tmp_path / "venv")
     assert found.read_bytes() == (ROOT / "dbc" / "maplines.dbc").read_bytes()
     assert "highway" in run(empty_python.parent / "maplines", "scenarios", cwd=tmp_path)
-    run(empty_python.parent / "maplines", "generate", "c", "--out", "ecu", cwd=tmp_path)
-    run(sys.executable, "-m", "maplines_can", "generate", "c", "--out", tmp_path / "own", cwd=ROOT)
+    for what in ("c", "vectors"):
+        generate = ("generate", what, "--out")
+        run(empty_python.parent / "maplines", *generate, "ecu", cwd=tmp_path)
+        run(sys.executable, "-m", "maplines_can", *generate, tmp_path / "own", cwd=ROOT)
     written = [{p.name: p.read_bytes() for p in (tmp_path / d).iterdir()} for d in ("ecu", "own")]
     assert written[0] == written[1]
 
