@@ -347,7 +347,10 @@ typedef struct {
 /// Lines of one pose, with a square root of their joint covariance.
 ///
 /// The covariance of the 4 n parameters of n lines is A A^T + diag(F_0 F_0^T, F_1 F_1^T, ...) with
-/// A the rows of `spread`, and F_i those of `specific`.
+/// A the rows of `spread`, and F_i those of `specific`. The factor of each line is a root of its
+/// block, with variances that are larger by a share of 2^-42, as all of them are in Python's matrix:
+/// more than the rounding errors of a sum. In single precision A and F_i cover those in double
+/// precision, with standard deviations that are 0.05 % larger.
 typedef struct {
     uint8_t count; ///< n
     maplines_line_t lines[MAPLINES_SLOTS];

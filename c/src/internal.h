@@ -299,7 +299,7 @@ MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place,
 MAPLINES_INTERNAL const maplines_levels_t *maplines_levels_of(const maplines_dbc_t *dbc);
 /// Scene of a record of the pose error and records of lines, all of them intact and checked.
 /// False if a line is no function of x in its range; no sender sends such a line. The times are
-/// limited ones.
+/// limited ones. It needs 5 kB of stack.
 MAPLINES_INTERNAL bool maplines_decode_scene(const maplines_dbc_t *dbc, const uint8_t *pose_record,
                                              int64_t t_ns, int count,
                                              const maplines_member_t *members,
