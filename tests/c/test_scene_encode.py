@@ -214,7 +214,7 @@ def awkward() -> Iterator[Scene]:
 def check(
     layout: Layout, scenes: Iterable[Scene], seed: int = 0, is_fd: bool | None = None
 ) -> list[Sent]:
-    """Compare what both send of scenes, and return it; without ``is_fd`` in either kind of frame."""
+    """Compare what both send of scenes, and return it; both kinds of frames without ``is_fd``."""
     rng, codec = np.random.default_rng(seed), Codec(layout)
     cases = [case_of(scene, rng, layout) for scene in scenes]
     if is_fd is not None:
