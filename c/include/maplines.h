@@ -987,7 +987,7 @@ typedef struct {
     bool is_covered;
 } maplines_sent_line_t;
 
-/// Memory in which a scene is encoded: 47 kB.
+/// Memory in which a scene is encoded: 47 kB. It takes up to 9 kB of stack besides.
 typedef struct {
     maplines_scene_member_t members[MAPLINES_SLOTS];
     int count; ///< of the lines that are not left out so far

@@ -15,6 +15,7 @@ from ..wire.layout.message_layout import PAGE, POSE_CONDITIONAL, TRANSFER_ID, La
 from ..wire.layout.pose_layout import POSE, Owner, PoseLayout
 from ..wire.layout.record_layout import RecordLayout, bits_of
 from ..wire.layout.signals import (
+    FINE,
     FINE_SIGNALS,
     OCTAVE,
     PAGE_BYTES,
@@ -29,6 +30,8 @@ from ..wire.layout.slot_messages import RecordMessages
 C_CODES = (CholeskyCode.name, POSE_CONDITIONAL)
 #: Most bits of a counter in C.
 MAX_COUNTER_BITS = 32
+#: Most bits of a signal of the mean with its finer one: both together are an int64_t.
+MAX_MEAN_BITS = 62
 
 
 class Limits(NamedTuple):
@@ -89,7 +92,10 @@ def check(layout: Layout) -> None:
         _check_bits(record, "Counter", MAX_COUNTER_BITS)
         if len({bit // (8 * PAGE_BYTES) for bit in bits_of(record["Counter"])}) > 1:
             raise record.error(record["Counter"], "to be within a page to have C", "move it")
-    if not layout.is_conditional:
+    if layout.is_conditional:
+        for name in PARAMETER_SIGNALS:  # an encoder adds the steps of the finer signal
+            _check_bits(layout, name, MAX_MEAN_BITS - layout[f"{name}{FINE}"].length)
+    else:
         _check_bits(layout, "ComponentCount", MAX_LIMITS.components.bit_length() - 1)
 
 

@@ -1,5 +1,6 @@
 """Scenes to frames in C: the same bytes, reasons and counters as in Python."""
 
+import re
 import struct
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
@@ -30,6 +31,7 @@ from maplines_can import (
 from maplines_can.values.errors import EncodeError, IllPosedError
 from maplines_can.values.line import LeftOut
 from maplines_can.wire import POSE, Layout
+from maplines_can.wire.covariance.joint import _VALUES
 
 CONDITIONAL, COMPLETE = "maplines-pose.dbc", "maplines.dbc"
 OWNERS = (*Slot, POSE)
@@ -76,10 +78,10 @@ def input_of(case: Case) -> bytes:
     return b"".join(parts)
 
 
-def in_c(layout: Layout, cases: list[Case]) -> list[Sent]:
-    """What the C core sends."""
-    program = c_core.harness("scene_encode", layout)
-    output = c_core.run(program, b"".join(map(input_of, cases)))
+def in_c(layout: Layout, cases: list[Case], *prefix: str, **compiler: Any) -> list[Sent]:
+    """What the C core sends; see ``c_core.harness`` and ``c_core.run``."""
+    program = c_core.harness("scene_encode", layout, **compiler)
+    output = c_core.run(program, b"".join(map(input_of, cases)), *prefix)
     view, at = memoryview(output), 0
 
     def read(form: str) -> tuple[Any, ...]:
@@ -212,17 +214,35 @@ def awkward() -> Iterator[Scene]:
 
 
 def check(
-    layout: Layout, scenes: Iterable[Scene], seed: int = 0, is_fd: bool | None = None
+    layout: Layout,
+    scenes: Iterable[Scene],
+    seed: int = 0,
+    *prefix: str,
+    **compiler: Any,
 ) -> list[Sent]:
-    """Compare what both send of scenes, and return it; both kinds of frames without ``is_fd``."""
+    """Compare what both send of scenes in either kind of frame, and return it.
+
+    Lines for which the DBC has no such message are left out before.
+    """
     rng, codec = np.random.default_rng(seed), Codec(layout)
-    cases = [case_of(scene, rng, layout) for scene in scenes]
-    if is_fd is not None:
-        cases = [case._replace(is_fd=is_fd) for case in cases]
+    cases = [sendable(case_of(scene, rng, layout), layout) for scene in scenes]
     expected = [in_python(codec, case) for case in cases]
-    for got, wanted in zip(in_c(layout, cases), expected, strict=True):
+    for got, wanted in zip(in_c(layout, cases, *prefix, **compiler), expected, strict=True):
         assert got == wanted
     return expected
+
+
+def sendable(case: Case, layout: Layout) -> Case:
+    """A case with the lines for which there are messages, in frames that the pose error has."""
+    pose = layout.messages_of[POSE]
+    is_fd = pose.can_id is None or (case.is_fd and pose.fd_can_id is not None)
+    slots = [
+        slot
+        for slot in case.scene.index
+        if (own := layout.messages_of.get(slot)) is not None
+        and (own.fd_can_id if is_fd else own.can_id) is not None
+    ]
+    return case._replace(scene=case.scene.subset(slots), is_fd=is_fd)
 
 
 @pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
@@ -251,15 +271,8 @@ def test_awkward_scenes(dbc: str) -> None:
 def test_scenes_of_random_dbcs(seed: int) -> None:
     """Whose orders of rows, factors, ranges and places differ."""
     layout = Layout.from_text(random_dbc(seed), "random.dbc")
-    is_fd = layout.messages_of[POSE].can_id is None
-    can_send = {
-        owner
-        for owner, own in layout.messages_of.items()
-        if (own.fd_can_id if is_fd else own.can_id) is not None
-    }
     scenes = [*on_roads(range(seed, 100, 20)), *gaussians(range(seed, 400, 20))]
-    scenes = [scene.subset([slot for slot in scene.index if slot in can_send]) for scene in scenes]
-    sent = check(layout, scenes, seed, is_fd=is_fd)
+    sent = check(layout, scenes, seed)
     assert sum(len(one.frames) for one in sent) > 20
 
 
@@ -286,6 +299,14 @@ def test_what_is_received_covers_the_scene(dbc: str) -> None:
         assert covers(got.cov, got.mean, truth.cov, truth.mean)
         covered += 1
     assert covered > 10
+
+
+def test_constants_are_those_of_python() -> None:
+    """Values at places of the range, which C has as numbers."""
+    text = (c_core.C / "src" / "joint.c").read_text()
+    table = text.split("chebyshev_values[MAPLINES_VARIANCES][4] = {")[1].split("};")[0]
+    numbers = [float(number) for number in re.findall(r"-?\d+\.\d+", table)]
+    assert numbers == _VALUES.ravel().tolist()
 
 
 def changed(field: str, place: Any, value: Any) -> Scene:

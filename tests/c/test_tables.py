@@ -79,6 +79,7 @@ def test_a_covariance_code_of_the_study_is_refused_by_name(code: str) -> None:
 @pytest.mark.parametrize(
     ("name", "length", "words"),
     [
+        pytest.param("YOff", 58, "YOff.*at most 5[0-9] bits", id="mean"),
         pytest.param("TransferId0", 9, "TransferId0.*at most 8 bits", id="transfer-ids"),
         pytest.param("Counter", 33, "Counter.*at most 32 bits", id="counter"),
         pytest.param("ComponentCount", 7, "ComponentCount.*at most 6 bits", id="components"),
@@ -87,7 +88,7 @@ def test_a_covariance_code_of_the_study_is_refused_by_name(code: str) -> None:
 def test_what_is_larger_than_c_can_hold_is_refused_by_name(
     name: str, length: int, words: str
 ) -> None:
-    layout = layout_of("maplines.dbc")
+    layout = layout_of("maplines-pose.dbc" if name == "YOff" else "maplines.dbc")
     wide = copy(layout)  # without the checks of the constructor
     vars(wide)["signals"] = {**layout.signals, name: replace(layout[name], length=length)}
     with pytest.raises(LayoutError, match=words):

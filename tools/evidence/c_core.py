@@ -24,7 +24,7 @@ from .harness import bar, evidence
 
 TESTS = Path(__file__).parents[2] / "tests"
 #: Cases that are compared at once.
-CHUNK = 20_000
+CHUNK, SCENES = 20_000, 200
 PROJECT = ("maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc")
 
 
@@ -109,5 +109,32 @@ def scenes(
             if not name.startswith("random"):
                 given += of_scenes.sent_scenes(wire, size // 20, seed)
             counts += of_scenes.check_scenes(wire, given, *prefix, **compiler)
+        rows[name] = {**counts, "different": 0}
+    return rows
+
+
+@evidence(n=20, random=1)
+def encoded_scenes(
+    n: int = 10_000,
+    random: int = 0,
+    dbcs: tuple[str, ...] = PROJECT,
+    cc: str = "cc",
+    flags: str = "-O2",
+    emulator: str = "",
+) -> dict[str, Any]:
+    """Compare encoded scenes, n on each DBC: half of random roads, half of random Gaussians."""
+    of_scenes, prefix = tests("test_scene_encode"), shlex.split(emulator)
+    compiler = {"cc": cc, "flags": tuple(shlex.split(flags))}
+    rows: dict[str, Any] = {}
+    for name, codec in codecs(dbcs, random):
+        counts = Counter[str]()
+        for first in range(0, n, SCENES):
+            numbers = range(first, min(first + SCENES, n), 2)
+            given = [*of_scenes.on_roads(numbers), *of_scenes.gaussians(numbers)]
+            for sent in of_scenes.check(codec.layout, given, first, *prefix, **compiler):
+                counts["scenes"] += 1
+                counts["frames"] += len(sent.frames)
+                counts["lines in scenes"] += sent.left_out.count(0)
+                counts["lines left out"] += len(sent.left_out) - sent.left_out.count(0)
         rows[name] = {**counts, "different": 0}
     return rows
