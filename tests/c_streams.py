@@ -7,11 +7,13 @@ again. A ``Profile`` says what happens to its frames on the way, and to the cloc
 from __future__ import annotations
 
 import random
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, NamedTuple
 
+import c_core
 import numpy as np
 from c_receivers import MAX_TIME, Receivers, Vault
 from scene_layouts import layout_of
@@ -391,3 +393,28 @@ class Stream:
                 receivers.expire(now_ns)
             case _:
                 receivers.latest(rng.choice(self._slots), now_ns)
+
+
+def check_streams(
+    traffic: Traffic, frames: int, seed: int, *prefix: str, **compiler: Any
+) -> tuple[int, Counter[str]]:
+    """Compare both receivers on streams of all profiles; raise AssertionError at a difference.
+
+    Args:
+        traffic: what is sent, such as ``traffic_of("maplines.dbc")``.
+        frames: of each stream, about.
+        seed: of the streams.
+        prefix: an emulator and its arguments.
+        compiler: options of ``c_core.harness``.
+
+    Returns:
+        The number of frames, and how often each answer was met.
+    """
+    program = c_core.harness("reception", traffic.layout, **compiler)
+    total, met = 0, Counter[str]()
+    secured = SECURED_PROFILES if traffic.layout.secured is not None else ()
+    for i, profile in enumerate((*PROFILES, *secured)):
+        receivers = Stream(traffic, profile, 1000 * seed + i).run(frames)
+        total += receivers.check(program, *prefix)
+        met += receivers.met
+    return total, met

@@ -9,7 +9,7 @@
  * other bits than the Python package, which is the model of this code.
  *
  *     #include "maplines_dbc.h"
- *     static maplines_decoder_t decoder;  // all memory of a receiver; 20 to 60 kB
+ *     static maplines_decoder_t decoder;  // all memory of a receiver; 35 to 65 kB
  *
  *     maplines_decoder_init(&decoder, &maplines_dbc, NULL);
  *     ...
