@@ -1,14 +1,15 @@
 """Reception in C, frame for frame as in Python: lines, reasons, counters, states and views."""
 
 import random
+import struct
 from collections import Counter
 from dataclasses import fields
 from typing import Any
 
 import c_core
 import pytest
-from c_receivers import MAX_TIME, Receivers
-from c_streams import PROFILES, SECURED_PROFILES, Stream, Traffic, traffic_of
+from c_receivers import MAX_TIME, REASONS, Receivers
+from c_streams import KEY, PROFILES, SECURED_PROFILES, Stream, Traffic, traffic_of
 from random_dbc import random_dbc
 from scene_layouts import layout_of
 
@@ -107,3 +108,46 @@ def test_settings_follow_from_the_dbc_as_in_python(dbc: str) -> None:
         )
     assert 100 < refused < 300
     receivers.check(c_core.harness("reception", receivers.layout))
+
+
+def settings_with_key(window_us: int = 10**6, not_before_us: int = 0, stale: float = 3.0) -> bytes:
+    """Return what the harness reads of settings with a key and a clock."""
+    key_id, secret = KEY
+    data = struct.pack("<3dBBB", 0.0, 0.0, stale, 0, 1, key_id) + secret
+    return data + struct.pack("<Bqq", 1, window_us, not_before_us)
+
+
+FEED = struct.pack("<BIBB8sqq", 0, 0x340, 0, 8, bytes(8), 0, 0)
+FOREIGN = bytes([REASONS[Reason.FOREIGN], 0])
+
+
+@pytest.mark.parametrize(
+    ("dbc", "settings"),
+    [
+        pytest.param("maplines.dbc", {}, id="no-authenticated-message"),
+        pytest.param("maplines-secoc.dbc", {"window_us": 0}, id="no-window"),
+        pytest.param("maplines-secoc.dbc", {"window_us": 2**55}, id="window-of-all-values"),
+        pytest.param("maplines-secoc.dbc", {"not_before_us": -1}, id="before-0"),
+        pytest.param("maplines-secoc.dbc", {"stale": float("nan")}, id="stale-cycles"),
+    ],
+)
+def test_with_wrong_settings_every_frame_is_foreign(dbc: str, settings: Any) -> None:
+    """A receiver without its key must not accept frames without a MAC instead."""
+    program = c_core.harness("reception", layout_of(dbc))
+    questions = [(1, "<Bq", 0, 0), (2, "<q", 0), (3, "<q", 0)]
+    asked = b"".join(bytes([kind]) + struct.pack(*of) for kind, *of in questions)
+    given = c_core.run(program, settings_with_key(**settings) + FEED + asked)
+    assert given[:3] == b"\1" + FOREIGN
+    no_line = struct.pack("<BqdBB3B", 0, 0, float("inf"), E2EState.NODATA, 0xFF, 1, 0, 0)
+    assert given[3 : 3 + len(no_line)] == no_line
+    good = c_core.run(program, settings_with_key() + FEED) if dbc != "maplines.dbc" else b"\0"
+    assert good[:1] == b"\0"
+
+
+def test_a_slot_that_the_dbc_does_not_have_has_no_line() -> None:
+    """Without assertions, the result of this mistake of a caller is defined."""
+    program = c_core.harness("reception", layout_of("maplines.dbc"), flags=("-O1", "-DNDEBUG"))
+    asked = b"".join(struct.pack("<BBq", 1, slot, 0) for slot in (8, 255))
+    data = struct.pack("<3dBB", 0.0, 0.0, 3.0, 0, 0) + struct.pack("<Bqq", 0, 1, 0)
+    no_line = struct.pack("<BqdBB3B", 0, 0, float("inf"), E2EState.NODATA, 0xFF, 1, 0, 0)
+    assert c_core.run(program, data + asked) == b"\0" + 2 * no_line
