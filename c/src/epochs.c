@@ -105,7 +105,7 @@ static void drop_waiting(maplines_decoder_t *decoder, int slot)
 /// Median of the intervals between pose errors [ns].
 static double median_interval(const maplines_epochs_t *epochs)
 {
-    double sorted[INTERVALS];
+    double sorted[INTERVALS] = {0.0};
     const unsigned n = epochs->interval_count;
     for (unsigned i = 0; i < n; ++i)
     {
