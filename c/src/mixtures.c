@@ -5,7 +5,7 @@
  */
 #include "internal.h"
 
-#define WEIGHT_TOLERANCE 1e-9
+#define MAX_WEIGHT_ERROR 1e-9
 static void drop_incomplete(maplines_decoder_t *decoder, int slot, maplines_reason_t reason)
 {
     decoder->statistics.counts[reason] += decoder->incomplete[slot].frames;
@@ -78,7 +78,7 @@ static bool assemble_line(const maplines_dbc_t *dbc, int slot, const maplines_mi
             earliest = content.line;
         }
     }
-    if (fabs(sum - 1.0) > WEIGHT_TOLERANCE)
+    if (fabs(sum - 1.0) > MAX_WEIGHT_ERROR)
     {
         return false;
     }
