@@ -395,6 +395,11 @@ class Stream:
                 receivers.latest(rng.choice(self._slots), now_ns)
 
 
+def profiles_for(layout: Layout) -> int:
+    """Return the number of profiles whose streams a DBC can have."""
+    return len(PROFILES) + (len(SECURED_PROFILES) if layout.secured is not None else 0)
+
+
 def check_streams(
     traffic: Traffic, frames: int, seed: int, *prefix: str, **compiler: Any
 ) -> tuple[int, Counter[str]]:

@@ -25,6 +25,8 @@ from .harness import bar, evidence
 TESTS = Path(__file__).parents[2] / "tests"
 #: Cases that are compared at once.
 CHUNK, SCENES = 20_000, 200
+#: Frames of one stream.
+STREAM = 20_000
 PROJECT = ("maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc")
 
 
@@ -137,4 +139,35 @@ def encoded_scenes(
                 counts["lines in scenes"] += sent.left_out.count(0)
                 counts["lines left out"] += len(sent.left_out) - sent.left_out.count(0)
         rows[name] = {**counts, "different": 0}
+    return rows
+
+
+@evidence(n=2000, random=1)
+def reception(
+    n: int = 10_000_000,
+    random: int = 0,
+    dbcs: tuple[str, ...] = PROJECT,
+    cc: str = "cc",
+    flags: str = "-O2",
+    emulator: str = "",
+) -> dict[str, Any]:
+    """Compare receivers, n frames or more on each DBC: faults, hostile bytes, clocks, two senders.
+
+    Every answer, line, view, state and count is the same, or the evidence ends with an error.
+    """
+    streams, prefix = tests("c_streams"), shlex.split(emulator)
+    compiler = {"cc": cc, "flags": tuple(shlex.split(flags))}
+    rows: dict[str, Any] = {}
+    for name, codec in codecs(dbcs, random):
+        traffic, met = streams.Traffic(codec.layout), Counter[str]()
+        each = min(STREAM, max(1, n // streams.profiles_for(codec.layout)))
+        frames = seed = 0
+        with bar(n, name) as shown:
+            while frames < n:
+                given, own = streams.check_streams(traffic, each, seed, *prefix, **compiler)
+                frames, seed, met = frames + given, seed + 1, met + own
+                shown.update(given)
+        rows[name] = {"frames": frames, "lines": met["line"], "mixtures": met["mixture"],
+                      "scenes": met["scene"], "views usable": met["usable"],
+                      "different": 0}  # fmt: skip
     return rows
