@@ -79,7 +79,7 @@ def test_a_covariance_code_of_the_study_is_refused_by_name(code: str) -> None:
 @pytest.mark.parametrize(
     ("name", "length", "words"),
     [
-        pytest.param("YOff", 58, "YOff.*at most 5[0-9] bits", id="mean"),
+        pytest.param("YOff", 62, "YOff.*at most [0-9]+ bits", id="mean"),
         pytest.param("TransferId0", 9, "TransferId0.*at most 8 bits", id="transfer-ids"),
         pytest.param("Counter", 33, "Counter.*at most 32 bits", id="counter"),
         pytest.param("ComponentCount", 7, "ComponentCount.*at most 6 bits", id="components"),
