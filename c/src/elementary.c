@@ -24,20 +24,14 @@ MAPLINES_INTERNAL double maplines_exp2(double x)
         0x1.62c0223a5c824p-20, 0x1.b5253d395e7c4p-24, 0x1.e4cf5158b8ecap-28, 0x1.e8cac7351bb25p-32,
         0x1.c3bd650fc2986p-36, 0x1.816193166d0f9p-40,
     };
-    if (x < -2000.0)
-    {
-        x = -2000.0;
-    }
-    else if (x > 2000.0)
-    {
-        x = 2000.0;
-    }
-    else if (x != x)
+    if (x != x)
     {
         return x;
     }
-    const double whole = rint(x);
-    return ldexp(polynomial(x - whole, coefficients, 14), (int)whole);
+    const double above = x < -2000.0 ? -2000.0 : x;
+    const double limited = above > 2000.0 ? 2000.0 : above;
+    const double whole = rint(limited);
+    return ldexp(polynomial(limited - whole, coefficients, 14), (int)whole);
 }
 
 /// Logarithm to base 2; -infinity for 0 and below, NaN for NaN.
@@ -83,15 +77,13 @@ MAPLINES_INTERNAL void maplines_sin_cos(double x, double *sine, double *cosine)
     };
     if (!(fabs(x) < (double)INFINITY))
     {
-        *sine = *cosine = (double)NAN;
+        *sine = (double)NAN;
+        *cosine = (double)NAN;
         return;
     }
-    if (fabs(x) > 1e5)
-    {
-        x = fmod(x, 0x1.921fb54442d18p+2);
-    }
-    const double turns = rint(x * 0x1.45f306dc9c883p-1);
-    double r = x - turns * 0x1.921fb54400000p+0;
+    const double near = fabs(x) > 1e5 ? fmod(x, 0x1.921fb54442d18p+2) : x; // whole turns less
+    const double turns = rint(near * 0x1.45f306dc9c883p-1);
+    double r = near - turns * 0x1.921fb54400000p+0;
     r = r - turns * 0x1.0b4611a600000p-34;
     r = r - turns * 0x1.3198a2e037073p-69;
     const double r2 = r * r;

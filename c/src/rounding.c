@@ -49,7 +49,7 @@ MAPLINES_INTERNAL void maplines_rounding_factor(const double own[16], const doub
 MAPLINES_INTERNAL bool maplines_round_mean(const maplines_signal_t signals[4], const double mean[4],
                                            const double L[16], int64_t raw[4])
 {
-    double errors[4]; // so far, in terms of L
+    double errors[4] = {0.0, 0.0, 0.0, 0.0}; // so far, in terms of L
     bool fits = true;
     for (int row = 0; row < 4; ++row)
     {

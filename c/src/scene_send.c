@@ -282,10 +282,10 @@ static bool send_records(maplines_encoder_t *encoder, const maplines_scene_input
     encoder->counter[pose] = next_counter(dbc, pose, first[pose]);
     for (int place = 0; is_good && place < (int)scene->count; ++place)
     {
-        uint8_t record[MAPLINES_MAX_RECORD] = {0};
         const maplines_scene_line_t *line = &scene->lines[place];
         if (sent->is_sent[place])
         {
+            uint8_t record[MAPLINES_MAX_RECORD] = {0};
             const size_t length = dbc->is_conditional
                                       ? write_conditional(dbc, line, &space->members[place], record)
                                       : write_line(dbc, scene, place, record, &sent->status[place]);
