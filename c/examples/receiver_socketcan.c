@@ -13,8 +13,8 @@
 
 #include <stdio.h>
 
-#define X       40 /* where the lines are evaluated [m] */
-#define X_SCENE 0  /* where the lane is [m] */
+#define X 40      /* where the lines are evaluated [m] */
+#define X_SCENE 0 /* where the lane is [m] */
 
 static const char *const owners[] = {"ego left",  "ego right",  "next left", "next right", "centre",
                                      "edge left", "edge right", "route",     "pose error"};

@@ -101,8 +101,7 @@ static inline bool receive_frame(int bus, maplines_frame_t *frame, int64_t *t_ns
     struct pollfd waiting = {bus, POLLIN, 0};
     struct canfd_frame received;
     struct timespec time;
-    union
-    {
+    union {
         char bytes[CMSG_SPACE(sizeof time)];
         struct cmsghdr aligned;
     } control;

@@ -60,9 +60,9 @@ extern "C" {
 #endif
 /* limits: end */
 
-#define MAPLINES_SLOTS 8                      ///< lines around the car
-#define MAPLINES_OWNERS (MAPLINES_SLOTS + 1)  ///< owners of records: the slots and the pose error
-#define MAPLINES_MAX_RECORD (8 * MAPLINES_MAX_PAGES) ///< [byte]
+#define MAPLINES_SLOTS 8                     ///< lines around the car
+#define MAPLINES_OWNERS (MAPLINES_SLOTS + 1) ///< owners of records: the slots and the pose error
+#define MAPLINES_MAX_RECORD (8 * MAPLINES_MAX_PAGES)                       ///< [byte]
 #define MAPLINES_MAX_FRAMES (MAPLINES_MAX_PAGES * MAPLINES_MAX_COMPONENTS) ///< of a line
 #define MAPLINES_WINDOW 255  ///< longest window of an E2E state machine [checks]
 #define MAPLINES_HISTORY 256 ///< records of a slot that are remembered
@@ -115,26 +115,26 @@ typedef enum {
 
 /// Reason why a received frame does not complete a line, in the order of the Python package.
 typedef enum {
-    MAPLINES_COMPLETE = -1,       ///< none: it completes one line or more
-    MAPLINES_PENDING = 0,         ///< held until the other pages of its transfer arrive
-    MAPLINES_FOREIGN = 1,         ///< its CAN ID carries no map line
-    MAPLINES_LENGTH = 2,          ///< its payload has the wrong length
-    MAPLINES_PAGE = 3,            ///< its page number is not in the DBC
-    MAPLINES_DUPLICATE = 4,       ///< its page or its line was already received
-    MAPLINES_REPLACED = 5,        ///< another frame with its transfer ID was kept in its place
-    MAPLINES_STALE = 6,           ///< a line of its slot that is as new or newer was delivered
-    MAPLINES_INCOMPLETE = 7,      ///< a frame of another record came before its own was complete
-    MAPLINES_TIMEOUT = 8,         ///< the rest of its transfer or line was not received in time
-    MAPLINES_MIXED = 9,           ///< the pages of its record belong to different transfers
-    MAPLINES_CRC = 10,            ///< the checksum of its record is wrong
-    MAPLINES_CONTENT = 11,        ///< its record holds a value that no sender may send
-    MAPLINES_NO_POSE = 12,        ///< the pose error of its record was not received in time
+    MAPLINES_COMPLETE = -1,        ///< none: it completes one line or more
+    MAPLINES_PENDING = 0,          ///< held until the other pages of its transfer arrive
+    MAPLINES_FOREIGN = 1,          ///< its CAN ID carries no map line
+    MAPLINES_LENGTH = 2,           ///< its payload has the wrong length
+    MAPLINES_PAGE = 3,             ///< its page number is not in the DBC
+    MAPLINES_DUPLICATE = 4,        ///< its page or its line was already received
+    MAPLINES_REPLACED = 5,         ///< another frame with its transfer ID was kept in its place
+    MAPLINES_STALE = 6,            ///< a line of its slot that is as new or newer was delivered
+    MAPLINES_INCOMPLETE = 7,       ///< a frame of another record came before its own was complete
+    MAPLINES_TIMEOUT = 8,          ///< the rest of its transfer or line was not received in time
+    MAPLINES_MIXED = 9,            ///< the pages of its record belong to different transfers
+    MAPLINES_CRC = 10,             ///< the checksum of its record is wrong
+    MAPLINES_CONTENT = 11,         ///< its record holds a value that no sender may send
+    MAPLINES_NO_POSE = 12,         ///< the pose error of its record was not received in time
     MAPLINES_UNAUTHENTICATED = 13, ///< its message has no MAC, and this receiver requires one
-    MAPLINES_KEY = 14,            ///< its MAC is of a key that this receiver does not have
-    MAPLINES_MAC = 15,            ///< its MAC is wrong
-    MAPLINES_REPLAY = 16,         ///< its freshness value is not newer than the last accepted one
-    MAPLINES_AGE = 17,            ///< its freshness value is outside the window about now
-    MAPLINES_REASONS = 18,        ///< number of reasons
+    MAPLINES_KEY = 14,             ///< its MAC is of a key that this receiver does not have
+    MAPLINES_MAC = 15,             ///< its MAC is wrong
+    MAPLINES_REPLAY = 16,          ///< its freshness value is not newer than the last accepted one
+    MAPLINES_AGE = 17,             ///< its freshness value is outside the window about now
+    MAPLINES_REASONS = 18,         ///< number of reasons
 } maplines_reason_t;
 
 /// Result of the E2E check of one record, numbered as in AUTOSAR E2E profile 5.
@@ -169,7 +169,8 @@ typedef struct {
 typedef struct {
     maplines_real_t mean[4];
     /// Square root F of the covariance: F F^T. Row i belongs to parameter i. F is lower triangular
-    /// with its rows in the order of the DBC (see maplines_cholesky_t); of a mixture, in this order.
+    /// with its rows in the order of the DBC (see maplines_cholesky_t); of a mixture, in this
+    /// order.
     maplines_real_t factor[4][4];
 } maplines_gaussian_t;
 
@@ -196,7 +197,7 @@ typedef struct {
     double offset;
     int64_t raw_min; ///< of any bits
     int64_t raw_max;
-    uint16_t first; ///< Intel: lowest bit from that of byte 0; Motorola: highest from that of byte 0
+    uint16_t first; ///< lowest bit from that of byte 0; Motorola: highest from that of byte 0
     uint8_t length; ///< [bit]; 0: the DBC has no such signal
     bool is_motorola;
     bool is_signed;
@@ -215,12 +216,12 @@ typedef struct {
 /// What all records of a layout share.
 typedef struct {
     uint8_t pages;
-    uint8_t short_pages;  ///< of a record without a covariance; fewer only if it is conditional
-    uint16_t crc_byte;    ///< first byte of the checksum
-    uint8_t fd_authentic; ///< authentic bytes of the authenticated message; 0: there is none
-    uint8_t fd_freshness; ///< bytes of the truncated freshness value
-    uint8_t fd_mac;       ///< bytes of the truncated MAC
-    maplines_signal_t page;           ///< in each page of 8 bytes
+    uint8_t short_pages;    ///< of a record without a covariance; fewer only if it is conditional
+    uint16_t crc_byte;      ///< first byte of the checksum
+    uint8_t fd_authentic;   ///< authentic bytes of the authenticated message; 0: there is none
+    uint8_t fd_freshness;   ///< bytes of the truncated freshness value
+    uint8_t fd_mac;         ///< bytes of the truncated MAC
+    maplines_signal_t page; ///< in each page of 8 bytes
     maplines_signal_t transfer_id[2]; ///< in page 0, and in each other page of 8 bytes
     maplines_signal_t counter;        ///< in the record
 } maplines_record_t;
@@ -233,7 +234,7 @@ typedef struct {
     maplines_signal_t quartic;
     maplines_signal_t fit_behind; ///< only beside complete records
     maplines_signal_t fit_ahead;
-    bool shape_is_octave;         ///< the shape is an exponent of 2 of the spacing
+    bool shape_is_octave; ///< the shape is an exponent of 2 of the spacing
 } maplines_levels_t;
 
 /// Messages of an owner.
@@ -241,7 +242,7 @@ typedef struct {
     bool is_present;
     bool has_classic, has_fd, has_secured;
     bool is_extended, fd_is_extended, secured_is_extended;
-    uint8_t fd_length; ///< [byte]
+    uint8_t fd_length;        ///< [byte]
     uint16_t data_id;         ///< E2E data ID
     uint16_t secured_data_id; ///< SecOC data ID
     uint32_t can_id, fd_can_id, secured_can_id;
@@ -261,10 +262,10 @@ typedef struct {
     maplines_signal_t mean[4];
     maplines_signal_t kind, x_min, x_max;
     maplines_cholesky_t covariance;
-    maplines_signal_t status, age;                                       // complete
+    maplines_signal_t status, age;                                        // complete
     maplines_signal_t component_index, component_count, component_weight; // complete
-    maplines_signal_t has_covariance, fine[4];                           // conditional
-    maplines_levels_t levels;                                            // conditional
+    maplines_signal_t has_covariance, fine[4];                            // conditional
+    maplines_levels_t levels;                                             // conditional
     /* records of the pose error */
     maplines_signal_t pose_age, correlation_time, map_offset, map_heading;
     maplines_cholesky_t pose_covariance;
@@ -339,8 +340,8 @@ typedef struct {
 
 /// Result of maplines_feed.
 typedef struct {
-    maplines_reason_t reason;              ///< MAPLINES_COMPLETE, or why the frame completes no line
-    uint8_t count;                         ///< number of lines that it completes
+    maplines_reason_t reason; ///< MAPLINES_COMPLETE, or why the frame completes no line
+    uint8_t count;            ///< number of lines that it completes
     maplines_owner_t slots[MAPLINES_SLOTS]; ///< of these, in this order: see maplines_newest
 } maplines_fed_t;
 
@@ -348,23 +349,23 @@ typedef struct {
 ///
 /// The covariance of the 4 n parameters of n lines is A A^T + diag(F_0 F_0^T, F_1 F_1^T, ...) with
 /// A the rows of `spread`, and F_i those of `specific`. The factor of each line is a root of its
-/// block, with variances that are larger by a share of 2^-42, as all of them are in Python's matrix:
-/// more than the rounding errors of a sum. In single precision A and F_i cover those in double
-/// precision, with standard deviations that are 0.05 % larger.
+/// block, with variances that are larger by a share of 2^-42, as all of them are in Python's
+/// matrix: more than the rounding errors of a sum. In single precision A and F_i cover those in
+/// double precision, with standard deviations that are 0.05 % larger.
 typedef struct {
     uint8_t count; ///< n
     maplines_line_t lines[MAPLINES_SLOTS];
-    maplines_real_t spread[4 * MAPLINES_SLOTS][7]; ///< due to the pose error
+    maplines_real_t spread[4 * MAPLINES_SLOTS][7];  ///< due to the pose error
     maplines_real_t specific[MAPLINES_SLOTS][4][4]; ///< line-specific
-    maplines_real_t fit_range[MAPLINES_SLOTS][2]; ///< [m]
-    maplines_real_t quartic[MAPLINES_SLOTS];      ///< coefficient of T_4 in this range [m]
+    maplines_real_t fit_range[MAPLINES_SLOTS][2];   ///< [m]
+    maplines_real_t quartic[MAPLINES_SLOTS];        ///< coefficient of T_4 in this range [m]
     maplines_real_t pose_factor[3][3]; ///< square root of the covariance: along, across, heading
     maplines_real_t correlation_time;  ///< of the pose error [s]; infinite if unknown
     maplines_real_t offset_sigma;      ///< of the map [m]
     maplines_real_t heading_sigma;     ///< of the map [rad]
-    maplines_real_t age; ///< from the pose to the sending of the pose error [s]
-    int64_t t_ns;        ///< reception of the first frame of the pose error [ns]
-    uint32_t counter;    ///< of the pose error
+    maplines_real_t age;               ///< from the pose to the sending of the pose error [s]
+    int64_t t_ns;                      ///< reception of the first frame of the pose error [ns]
+    uint32_t counter;                  ///< of the pose error
 } maplines_scene_t;
 
 /* decoder: begin */
@@ -424,8 +425,8 @@ typedef struct {
 
 /// Rate of the records of a sender, as far as it is known.
 typedef struct {
-    double line_ns;   ///< mean time between two lines in sequence
-    int64_t last_ns;  ///< time and counter of the last line
+    double line_ns;  ///< mean time between two lines in sequence
+    int64_t last_ns; ///< time and counter of the last line
     uint32_t counter;
     uint32_t longest; ///< greatest number of records of a line so far
     bool has_line;
@@ -479,7 +480,7 @@ typedef struct {
 /// Pose error, and the lines that belong to it.
 typedef struct {
     uint8_t record[MAPLINES_MAX_RECORD];
-    int64_t t_ns; ///< of its first frame
+    int64_t t_ns;   ///< of its first frame
     uint32_t slots; ///< one bit for each line
     maplines_joining_t lines[MAPLINES_SLOTS];
 } maplines_epoch_t;
@@ -489,7 +490,7 @@ typedef struct {
     maplines_epoch_t epochs[MAPLINES_EPOCHS + 1]; ///< one more, since the latest may be closed
     uint8_t open[MAPLINES_EPOCHS];                ///< those that lines may join, the oldest first
     uint8_t open_count;
-    int8_t latest; ///< newest epoch that waits for no line; -1: none
+    int8_t latest;                              ///< newest epoch that waits for no line; -1: none
     maplines_joining_t waiting[MAPLINES_SLOTS]; ///< by slot
     uint8_t waits[MAPLINES_SLOTS];              ///< slots of these lines, as they came
     uint8_t wait_count;
@@ -497,9 +498,9 @@ typedef struct {
     double intervals_ns[5];           ///< between the last pose errors, the oldest first
     uint8_t interval_count;
     bool has_pose;
-    int64_t pose_ns;  ///< time of the last pose error
-    bool is_too_old;  ///< so is that
-    bool is_built;    ///< the scene is that of `latest`
+    int64_t pose_ns; ///< time of the last pose error
+    bool is_too_old; ///< so is that
+    bool is_built;   ///< the scene is that of `latest`
     maplines_scene_t scene;
 } maplines_epochs_t;
 
@@ -646,7 +647,8 @@ void maplines_statistics(const maplines_decoder_t *decoder, maplines_statistics_
 
 /* decoder: end */
 
-/* ---- use --------------------------------------------------------------------------------------- */
+/* ---- use ---------------------------------------------------------------------------------------
+ */
 
 /* use: begin */
 /// A quantity and its standard deviation, in the same unit.
@@ -752,10 +754,10 @@ typedef struct {
 /// Result of a prediction.
 typedef enum {
     MAPLINES_PREDICTED = 0,
-    MAPLINES_NOT_USABLE = 1,  ///< the line has the status OUT_OF_RANGE, or its age is infinite
-    MAPLINES_TOO_FAR = 2,     ///< the time is more than 10 s from the pose of the line
-    MAPLINES_BAD_MOTION = 3,  ///< a value is not finite, a sigma negative, a correlation beyond 1
-    MAPLINES_ILL_POSED = 4,   ///< the line would not be a function of x in the new frame
+    MAPLINES_NOT_USABLE = 1, ///< the line has the status OUT_OF_RANGE, or its age is infinite
+    MAPLINES_TOO_FAR = 2,    ///< the time is more than 10 s from the pose of the line
+    MAPLINES_BAD_MOTION = 3, ///< a value is not finite, a sigma negative, a correlation beyond 1
+    MAPLINES_ILL_POSED = 4,  ///< the line would not be a function of x in the new frame
 } maplines_prediction_t;
 
 /// Displacement in a time dt [s], negative for one into the past, with its standard deviation [s].
@@ -796,7 +798,8 @@ maplines_prediction_t maplines_predict_to(const maplines_line_t *line, int64_t t
                                           maplines_real_t time_sigma, maplines_line_t *predicted);
 /* use: end */
 
-/* ---- send -------------------------------------------------------------------------------------- */
+/* ---- send --------------------------------------------------------------------------------------
+ */
 
 /* send: begin */
 
@@ -815,14 +818,14 @@ typedef enum {
     MAPLINES_BAD_AGE = 8,        ///< an age is negative or NaN
     MAPLINES_BAD_KIND = 9,
     MAPLINES_BAD_STATUS = 10,
-    MAPLINES_BAD_WEIGHTS = 11, ///< weights are not positive, or do not add up to 1
-    MAPLINES_BAD_COUNT = 12,   ///< no components, or more than the DBC can send
+    MAPLINES_BAD_WEIGHTS = 11,  ///< weights are not positive, or do not add up to 1
+    MAPLINES_BAD_COUNT = 12,    ///< no components, or more than the DBC can send
     MAPLINES_NO_SIGNATURE = 13, ///< the signer has no such key, or no further freshness value
     MAPLINES_INDEFINITE = 14,   ///< a covariance of a scene is not positive semidefinite
     MAPLINES_SAME_SLOT = 15,    ///< two lines of a scene have the same slot
-    MAPLINES_BAD_POSE = 16,     ///< the pose error does not fit the message, or its correlation time
-                                ///< is not positive, or the error of the map is negative
-    MAPLINES_UNSEEN = 17,       ///< a line of a scene is no function of x, seen from the mean pose
+    MAPLINES_BAD_POSE = 16, ///< the pose error does not fit the message, or its correlation time
+                            ///< is not positive, or the error of the map is negative
+    MAPLINES_UNSEEN = 17,   ///< a line of a scene is no function of x, seen from the mean pose
 } maplines_refusal_t;
 
 /// Line to be sent. All zeros is a line whose covariance is not sent.
@@ -871,8 +874,8 @@ void maplines_encoder_init(maplines_encoder_t *encoder, const maplines_dbc_t *db
 /// Encode a line into frames to be sent back to back, and advance the counter of its slot.
 ///
 /// No value is clipped silently. A mean beyond the message is covered by a wider covariance, or
-/// replaced by the nearest line in a shorter range (SATURATED); OUT_OF_RANGE if nothing covers it or
-/// no valid range can be stated. What is received covers the line unless it is OUT_OF_RANGE: its
+/// replaced by the nearest line in a shorter range (SATURATED); OUT_OF_RANGE if nothing covers it
+/// or no valid range can be stated. What is received covers the line unless it is OUT_OF_RANGE: its
 /// covariance minus that of the line, about the received mean, is positive semidefinite.
 ///
 /// @param is_fd one CAN FD frame instead of the pages of the classic message.
@@ -990,7 +993,7 @@ typedef struct {
 /// Memory in which a scene is encoded: 47 kB. It takes up to 9 kB of stack besides.
 typedef struct {
     maplines_scene_member_t members[MAPLINES_SLOTS];
-    int count; ///< of the lines that are not left out so far
+    int count;                  ///< of the lines that are not left out so far
     int places[MAPLINES_SLOTS]; ///< of these in the scene
     maplines_sent_line_t lines[MAPLINES_SLOTS];
     int64_t raw_pose[11];

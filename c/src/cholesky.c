@@ -5,13 +5,13 @@
 
 #define INFLATION_MARGIN 1e-6 // of the inflation
 #define AMPLIFIED_MARGIN                                                                           \
-    0x1p-47                  // margin for each variance in units of the decoded one: 32 roundings
-#define LIFT_SLACK      1e-9 // of a division, before a pivot is lifted by whole steps
-#define MAX_LIFTS       3    // most times that a pivot is lifted
-#define MAX_ATTEMPTS    8    // most times that a covariance is encoded
-#define WIDER_TARGET    1.02 // factor on the scale each time
-#define FIRST_RATIO     4    // in the raw values, after 4 pivots
-#define INFLATION_PLACE 10   // in the raw values
+    0x1p-47                // margin for each variance in units of the decoded one: 32 roundings
+#define LIFT_SLACK 1e-9    // of a division, before a pivot is lifted by whole steps
+#define MAX_LIFTS 3        // most times that a pivot is lifted
+#define MAX_ATTEMPTS 8     // most times that a covariance is encoded
+#define WIDER_TARGET 1.02  // factor on the scale each time
+#define FIRST_RATIO 4      // in the raw values, after 4 pivots
+#define INFLATION_PLACE 10 // in the raw values
 
 /// Place of ratio (i, j) among the ratios.
 static int ratio_index(int i, int j)
@@ -77,8 +77,7 @@ MAPLINES_INTERNAL void maplines_put_covariance(const maplines_cholesky_t *code, 
 }
 
 /// A factor while it is quantized, by rows in the order of the DBC.
-typedef struct
-{
+typedef struct {
     double target[4][4];  ///< L: of the target, given the entries already quantized
     double decoded[4][4]; ///< L'
     double A[4][4];       ///< L'^-1 L

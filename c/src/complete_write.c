@@ -3,8 +3,8 @@
  */
 #include "internal.h"
 
-#define DIVISION_SLACK   1e-9 // of the division before directed rounding [steps]
-#define MIN_STATED_RANGE 1.0  // least length of a range that is sent for a replaced line [m]
+#define DIVISION_SLACK 1e-9  // of the division before directed rounding [steps]
+#define MIN_STATED_RANGE 1.0 // least length of a range that is sent for a replaced line [m]
 
 static double value_of(const maplines_signal_t *signal, double raw)
 {

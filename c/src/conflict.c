@@ -15,12 +15,12 @@
  */
 #include "internal.h"
 
-#define CONFLICTS      8U  ///< confirm two senders
-#define NEAR_CYCLES    32  ///< longest time between consecutive conflicts
-#define NEW_RECORDS    32U ///< of so many consecutive new records,
-#define DUPLICATES     29U ///< so many that came twice confirm two senders
-#define SUSPECT_CYCLES 10  ///< a second sender is suspected for so long
-#define FORGET_CYCLES  256 ///< a second sender is forgotten after so long
+#define CONFLICTS 8U      ///< confirm two senders
+#define NEAR_CYCLES 32    ///< longest time between consecutive conflicts
+#define NEW_RECORDS 32U   ///< of so many consecutive new records,
+#define DUPLICATES 29U    ///< so many that came twice confirm two senders
+#define SUSPECT_CYCLES 10 ///< a second sender is suspected for so long
+#define FORGET_CYCLES 256 ///< a second sender is forgotten after so long
 
 static bool is_recent(int64_t then_ns, int64_t cycle_ns, int64_t t_ns)
 {

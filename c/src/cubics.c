@@ -4,9 +4,9 @@
  */
 #include "internal.h"
 
-#define MAPLINES_STEEPEST   0x1.72fd9ee590ffbp+2 ///< greatest slope of a line: 80 deg to the x axis
+#define MAPLINES_STEEPEST 0x1.72fd9ee590ffbp+2 ///< greatest slope of a line: 80 deg to the x axis
 #define MAPLINES_END_WEIGHT 0.62 ///< of both ends in a fit; that of the other points is 1
-#define MAPLINES_HALF_PI    0x1.921fb54442d18p+0
+#define MAPLINES_HALF_PI 0x1.921fb54442d18p+0
 
 // Extrema of a Chebyshev polynomial, and what a fitted cubic leaves of T_4 there.
 static const double cubic_nodes[MAPLINES_FIT_POINTS] = {

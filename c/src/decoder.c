@@ -249,8 +249,7 @@ void maplines_expire(maplines_decoder_t *decoder, int64_t t_ns)
  */
 
 /// Time since a reception.
-typedef struct
-{
+typedef struct {
     double waited; ///< [s]; infinite if unknown
     bool is_long;  ///< longer than a number of cycles, or unknown
 } waited_t;

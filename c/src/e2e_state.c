@@ -5,8 +5,7 @@
 #define WORDS ((MAPLINES_WINDOW + 31) / 32)
 
 /// Window size, least OKs and most errors in a state.
-typedef struct
-{
+typedef struct {
     unsigned size;
     unsigned min_ok;
     unsigned max_error;

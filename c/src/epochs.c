@@ -17,8 +17,8 @@
 
 #define HOLD_CYCLES 3 ///< a line waits for its pose error for so long
 #define KEEP_CYCLES 5 ///< an epoch waits for lines for so long
-#define INTERVALS   5 ///< between pose errors, whose median is the cycle of a sender that is fast
-#define NO_EPOCH    (-1)
+#define INTERVALS 5   ///< between pose errors, whose median is the cycle of a sender that is fast
+#define NO_EPOCH (-1)
 
 static bool is_open(const maplines_epochs_t *epochs, int epoch)
 {

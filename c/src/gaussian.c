@@ -18,11 +18,11 @@
  * 4 times the diagonal of S covers S, since the correlation matrix has no larger eigenvalue.
  */
 
-#define MAX_FLOAT_ROUNDING 0.25       // of u K
-#define FLOAT_ROUNDING     0x1.01p-24 // u, and some for the roundings of double precision
-#define SMALLEST_SIGMA     0x1p-80
-#define LARGEST_SIGMA      0x1p60
-#define LARGEST_FLOAT      0x1.fffffep127
+#define MAX_FLOAT_ROUNDING 0.25   // of u K
+#define FLOAT_ROUNDING 0x1.01p-24 // u, and some for the roundings of double precision
+#define SMALLEST_SIGMA 0x1p-80
+#define LARGEST_SIGMA 0x1p60
+#define LARGEST_FLOAT 0x1.fffffep127
 
 /// Frobenius norm of |T^-1| |T|, for a lower triangular T.
 static double amplification_of(const double T[16])

@@ -70,10 +70,10 @@ MAPLINES_INTERNAL int64_t maplines_deadline_record(maplines_deadline_t *deadline
  * earlier round of the counter.
  */
 
-#define IS_TAKEN       1U
-#define IS_NEW         2U ///< accepted when it came
+#define IS_TAKEN 1U
+#define IS_NEW 2U         ///< accepted when it came
 #define IS_IN_SEQUENCE 4U ///< new, or late and directly after one that is in sequence
-#define IS_DUPLICATED  8U ///< received again since
+#define IS_DUPLICATED 8U  ///< received again since
 /// Records of a run that indicate a restart; more are not counted.
 #define MAX_RUN 3U
 

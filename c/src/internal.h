@@ -20,7 +20,8 @@
 #define MAPLINES_INTERNAL
 #endif
 
-/* ---- elementary.c: functions whose results are the same to the last bit on any machine --------- */
+/* ---- elementary.c: functions whose results are the same to the last bit on any machine ---------
+ */
 
 MAPLINES_INTERNAL double maplines_exp2(double x);
 MAPLINES_INTERNAL double maplines_log2(double x);
@@ -28,7 +29,8 @@ MAPLINES_INTERNAL void maplines_sin_cos(double x, double *sine, double *cosine);
 MAPLINES_INTERNAL double maplines_tan(double x);
 MAPLINES_INTERNAL double maplines_atan(double x);
 
-/* ---- linalg.c: in the order of operations of values/fixed_order.py ----------------------------- */
+/* ---- linalg.c: in the order of operations of values/fixed_order.py -----------------------------
+ */
 
 #define MAPLINES_STATES (4 * MAPLINES_SLOTS) ///< parameters of all lines of a scene
 
@@ -45,7 +47,8 @@ MAPLINES_INTERNAL void maplines_upper_solution(int n, int m, const double *L, do
 MAPLINES_INTERNAL void maplines_inverse(const double A[16], double out[16]);
 MAPLINES_INTERNAL void maplines_eigen(int n, double *A, double *values, double *V);
 
-/* ---- signals.c: bits of a record, and the conversion between raw and physical values ----------- */
+/* ---- signals.c: bits of a record, and the conversion between raw and physical values -----------
+ */
 
 /// Raw value of a signal of a record.
 MAPLINES_INTERNAL int64_t maplines_get(const maplines_signal_t *signal, const uint8_t *record);
@@ -61,7 +64,8 @@ MAPLINES_INTERNAL int64_t maplines_limited(const maplines_signal_t *signal, doub
 MAPLINES_INTERNAL uint16_t maplines_crc(const uint8_t *record, size_t length, uint16_t crc_byte,
                                         uint16_t data_id);
 
-/* ---- records.c: pages, transfer IDs and checksum of a record ------------------------------------ */
+/* ---- records.c: pages, transfer IDs and checksum of a record ------------------------------------
+ */
 
 /// Layout of the records of an owner.
 MAPLINES_INTERNAL const maplines_record_t *maplines_layout(const maplines_dbc_t *dbc, int owner);
@@ -75,11 +79,12 @@ MAPLINES_INTERNAL maplines_reason_t maplines_check_conditional(const maplines_db
 MAPLINES_INTERNAL void maplines_seal(const maplines_dbc_t *dbc, int owner, uint8_t *record,
                                      size_t length, uint32_t counter);
 
-/* ---- cholesky.c: a covariance as pivots, ratios and an inflation -------------------------------- */
+/* ---- cholesky.c: a covariance as pivots, ratios and an inflation --------------------------------
+ */
 
 /// Square root of a decoded covariance; row i belongs to state i.
-MAPLINES_INTERNAL void maplines_decode_factor(const maplines_cholesky_t *code, const uint8_t *record,
-                                              double factor[4][4]);
+MAPLINES_INTERNAL void maplines_decode_factor(const maplines_cholesky_t *code,
+                                              const uint8_t *record, double factor[4][4]);
 /// Raw values (pivots, ratios, inflation) of a covariance that covers a (rows, rows) target, whose
 /// states have the variances `resolution` at least.
 /// Returns whether it is covered; if not, the values are those of the widest covariance.
@@ -94,13 +99,13 @@ MAPLINES_INTERNAL void maplines_put_covariance(const maplines_cholesky_t *code, 
 /// Raw values of the widest covariance.
 MAPLINES_INTERNAL void maplines_widest_covariance(const maplines_cholesky_t *code, int64_t raw[11]);
 
-/* ---- gaussian.c: decoded Gaussians --------------------------------------------------------------- */
+/* ---- gaussian.c: decoded Gaussians
+ * --------------------------------------------------------------- */
 
 /// Gaussian of a receiver with a mean and a factor, whose rows are triangular in this order of the
 /// states. In single precision the factor is widened so that it covers what the rounding loses.
 MAPLINES_INTERNAL void maplines_set_gaussian(const double mean[4], double (*factor)[4],
-                                             const uint8_t order[4],
-                                             maplines_gaussian_t *gaussian);
+                                             const uint8_t order[4], maplines_gaussian_t *gaussian);
 /// Mean and covariance of a mixture; covs are (4, 4) and symmetric.
 MAPLINES_INTERNAL void maplines_moments(int count, const double *weights, double (*means)[4],
                                         double (*covs)[16], double mean[4], double cov[16]);
@@ -110,7 +115,8 @@ MAPLINES_INTERNAL void maplines_mixture_gaussian(int count, const double *weight
                                                  const uint8_t order[4],
                                                  maplines_gaussian_t *overall);
 
-/* ---- complete.c: records with a covariance of their own ----------------------------------------- */
+/* ---- complete.c: records with a covariance of their own -----------------------------------------
+ */
 
 /// Content of a record with a covariance of its own: a line, or one component of a mixture.
 typedef struct {
@@ -126,7 +132,8 @@ MAPLINES_INTERNAL maplines_reason_t maplines_read_complete(const maplines_dbc_t 
                                                            const uint8_t *record, int64_t t_ns,
                                                            maplines_complete_t *content);
 
-/* ---- nearest_line.c ------------------------------------------------------------------------------ */
+/* ---- nearest_line.c
+ * ------------------------------------------------------------------------------ */
 
 /// The line within the ranges of signals that is nearest to one beyond them, in the longest part of
 /// its range [m] near the car; false if there is none of the least length. `reach` are the greatest
@@ -138,7 +145,8 @@ MAPLINES_INTERNAL bool maplines_nearest_line(const maplines_signal_t signals[4],
 /// Error of a direction whose effect of first order is that of the slopes [rad].
 MAPLINES_INTERNAL double maplines_slope_error(double beta, double near);
 
-/* ---- repair.c: covariances of a caller ------------------------------------------------------------ */
+/* ---- repair.c: covariances of a caller
+ * ------------------------------------------------------------ */
 
 /// MAPLINES_SENT, or what is wrong with a (4, 4) covariance. One that is indefinite is not wrong.
 MAPLINES_INTERNAL maplines_refusal_t maplines_check_covariance(const double S[16]);
@@ -147,7 +155,8 @@ MAPLINES_INTERNAL bool maplines_is_indefinite(const double S[16]);
 /// Nearest positive semidefinite matrix that covers a symmetric one.
 MAPLINES_INTERNAL void maplines_nearest_covariance(const double S[16], double nearest[16]);
 
-/* ---- mixture_weights.c ---------------------------------------------------------------------------- */
+/* ---- mixture_weights.c
+ * ---------------------------------------------------------------------------- */
 
 /// Weights rounded to positive multiples of 1 / steps that add up to 1.
 MAPLINES_INTERNAL void maplines_quantize_weights(int count, const double *weights, int64_t steps,
@@ -157,14 +166,15 @@ MAPLINES_INTERNAL void maplines_deficit(int count, const double *weights, double
                                         double (*covs)[16], const double *decoded_weights,
                                         double (*decoded_means)[4], double cover[16]);
 
-/* ---- complete_write.c ----------------------------------------------------------------------------- */
+/* ---- complete_write.c
+ * ----------------------------------------------------------------------------- */
 
 /// Content of one record of a line: all of it, or a component of its mixture.
 typedef struct {
     const maplines_input_t *line; ///< all but mean, covariance
     const double *mean;
-    double cov[16];      ///< exactly symmetric
-    double cover[16];    ///< that the decoded covariance must cover besides
+    double cov[16];   ///< exactly symmetric
+    double cover[16]; ///< that the decoded covariance must cover besides
     bool is_indefinite;
     int index, count;
     double weight;
@@ -191,7 +201,8 @@ MAPLINES_INTERNAL maplines_status_t maplines_write_complete(const maplines_dbc_t
 /// Least raw value whose physical value is not less; not limited to the range.
 MAPLINES_INTERNAL double maplines_raw_above(const maplines_signal_t *signal, double physical);
 
-/* ---- encoder.c ------------------------------------------------------------------------------------- */
+/* ---- encoder.c
+ * ------------------------------------------------------------------------------------- */
 
 /// The sender has a message for the records of an owner.
 MAPLINES_INTERNAL bool maplines_can_send(const maplines_encoder_t *encoder, int owner, bool is_fd);
@@ -201,7 +212,8 @@ MAPLINES_INTERNAL size_t maplines_frames(const maplines_encoder_t *encoder, int 
                                          int64_t now_us, maplines_frame_t *frames);
 /// MAPLINES_SENT, or what is wrong with kind, status, range and age of a line.
 MAPLINES_INTERNAL maplines_refusal_t maplines_check_input(const maplines_input_t *line);
-/* ---- cubics.c: as values/cubics.py --------------------------------------------------------------- */
+/* ---- cubics.c: as values/cubics.py
+ * --------------------------------------------------------------- */
 
 #define MAPLINES_FIT_POINTS 16 ///< points of a line to which a cubic is fitted from another pose
 
@@ -218,7 +230,8 @@ typedef struct {
     double y[MAPLINES_FIT_POINTS]; ///< [m]; NaN if the line points backwards
 } maplines_points_t;
 
-/// Value and derivatives at 0 of a cubic with coefficients q of w^0 to w^3, w = (u - centre) / half.
+/// Value and derivatives at 0 of a cubic with coefficients q of w^0 to w^3, w = (u - centre) /
+/// half.
 MAPLINES_INTERNAL void maplines_derivatives(const double q[4], double centre, double half,
                                             double values[4]);
 MAPLINES_INTERNAL void maplines_points_of(const maplines_curve_t *curve, maplines_points_t *points);
@@ -228,7 +241,8 @@ MAPLINES_INTERNAL bool maplines_is_function(const maplines_points_t *points);
 MAPLINES_INTERNAL void maplines_refitted(const maplines_points_t *points, const double pose[3],
                                          double line[4]);
 
-/* ---- seen_lines.c: lines as functions of the pose, as values/seen_lines.py ------------------------ */
+/* ---- seen_lines.c: lines as functions of the pose, as values/seen_lines.py
+ * ------------------------ */
 
 #define MAPLINES_POSES 7 ///< sigma points of a pose error, the first of which is 0
 
@@ -255,7 +269,8 @@ MAPLINES_INTERNAL void maplines_valid_range(const maplines_curve_t *curve, const
                                             const double specific_cov[16], double heading_sigma,
                                             double range[2]);
 
-/* ---- levels.c: line-specific covariances as levels, of the coefficients of T_0 .. T_3 ------------- */
+/* ---- levels.c: line-specific covariances as levels, of the coefficients of T_0 .. T_3
+ * ------------- */
 
 /// Covariance for unit errors of points at a raw value of the shape, and of the shape beside them.
 MAPLINES_INTERNAL void maplines_level_noise(const maplines_levels_t *levels,
@@ -272,7 +287,8 @@ MAPLINES_INTERNAL void maplines_decode_levels(const maplines_levels_t *levels,
                                               const maplines_curve_t *curve, int64_t lateral,
                                               int64_t points, int64_t shape, double cov[16]);
 
-/* ---- scene_decode.c: lines and their joint covariance ------------------------------------------- */
+/* ---- scene_decode.c: lines and their joint covariance -------------------------------------------
+ */
 
 /// Record of a line of a scene.
 typedef struct {
@@ -281,8 +297,8 @@ typedef struct {
     uint8_t record[MAPLINES_MAX_RECORD];
 } maplines_member_t;
 
-/// Covariance of the coefficients of T_0 .. T_3 that all lines of a scene have: of the resolution of
-/// the means, and of the map error. False if the line is no function of x next to its pose.
+/// Covariance of the coefficients of T_0 .. T_3 that all lines of a scene have: of the resolution
+/// of the means, and of the map error. False if the line is no function of x next to its pose.
 MAPLINES_INTERNAL bool maplines_common(const maplines_curve_t *curve,
                                        const maplines_points_t *points, double offset_sigma,
                                        double heading_sigma, double cov[16]);
@@ -292,9 +308,9 @@ MAPLINES_INTERNAL void maplines_specific_factor(const maplines_curve_t *curve,
                                                 double factor[4][4]);
 /// Set the factors of the line at a place of a scene: A due to the pose error, F line-specific. In
 /// single precision they are widened so that they cover what the rounding loses.
-MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place,
-                                            const double mean[4], double A[4][MAPLINES_POSES],
-                                            double F[4][4], maplines_scene_t *scene);
+MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, const double mean[4],
+                                            double A[4][MAPLINES_POSES], double F[4][4],
+                                            maplines_scene_t *scene);
 /// Levels by which the record of a line, or of the pose error, is decoded.
 MAPLINES_INTERNAL const maplines_levels_t *maplines_levels_of(const maplines_dbc_t *dbc);
 /// Scene of a record of the pose error and records of lines, all of them intact and checked.
@@ -305,7 +321,8 @@ MAPLINES_INTERNAL bool maplines_decode_scene(const maplines_dbc_t *dbc, const ui
                                              const maplines_member_t *members,
                                              maplines_scene_t *scene);
 
-/* ---- joint.c: joint covariances of lines ---------------------------------------------------------- */
+/* ---- joint.c: joint covariances of lines
+ * ---------------------------------------------------------- */
 
 /// Standard deviation that the coefficients of T_0 .. T_3 of a line with levels have at least [m].
 #define MAPLINES_RESOLUTION 0x1p-9
@@ -315,8 +332,8 @@ MAPLINES_INTERNAL bool maplines_decode_scene(const maplines_dbc_t *dbc, const ui
 /// Cholesky factor of a (4, 4) matrix, or the identity if it has none that is finite.
 MAPLINES_INTERNAL void maplines_factor_or_identity(const double S[16], double L[16]);
 /// What to add to D_i (own) so that diag(D_1, ...) + spread covers the target, all of them of
-/// 4 `lines` rows; false if nothing is. J are derivatives of lines with respect to T_0 .. T_3. It is
-/// NaN for a line whose D_i is not definite, or for all lines if the sum cannot be compared.
+/// 4 `lines` rows; false if nothing is. J are derivatives of lines with respect to T_0 .. T_3. It
+/// is NaN for a line whose D_i is not definite, or for all lines if the sum cannot be compared.
 MAPLINES_INTERNAL bool maplines_uncovered(int lines, const double *target, const double *spread,
                                           double (*own)[16], double (*J)[16],
                                           maplines_joint_space_t *space, double (*lacking)[16]);
@@ -329,14 +346,16 @@ typedef struct {
 } maplines_reference_t;
 
 MAPLINES_INTERNAL void maplines_compare_with(const double cov[16], maplines_reference_t *reference);
-/// Divergence (KL) of a decoded covariance from the reference [nat]; infinite if one is not definite.
+/// Divergence (KL) of a decoded covariance from the reference [nat]; infinite if one is not
+/// definite.
 MAPLINES_INTERNAL double maplines_divergence(const maplines_reference_t *reference,
                                              const double decoded[16]);
 /// Largest ratio of the variances of a decoded covariance to those of the reference.
 MAPLINES_INTERNAL double maplines_largest_ratio(const maplines_reference_t *reference,
                                                 const double decoded[16]);
 
-/* ---- rounding.c: means of lines ------------------------------------------------------------------- */
+/* ---- rounding.c: means of lines
+ * ------------------------------------------------------------------- */
 
 /// Factor of what rounding errors of a line with D_i `own` are to be like.
 MAPLINES_INTERNAL void maplines_rounding_factor(const double own[16], const double J[16],
@@ -350,15 +369,16 @@ MAPLINES_INTERNAL maplines_signal_t maplines_refined(const maplines_signal_t *si
 /// Raw value of a signal, and of the finer one (`rest`), of their sum.
 MAPLINES_INTERNAL int64_t maplines_split(const maplines_signal_t *fine, int64_t raw, int64_t *rest);
 
-/* ---- level_search.c ------------------------------------------------------------------------------- */
+/* ---- level_search.c
+ * ------------------------------------------------------------------------------- */
 
 /// What levels of a line are to cover.
 typedef struct {
     const maplines_curve_t *curve; ///< line as decoded
-    const double *J;         ///< (4, 4) derivatives with respect to coefficients of T_0 .. T_3
-    const double *common;    ///< (4, 4) covariance of these that is added to that of the levels
-    const double *target;    ///< (4, 4) covariance of the parameters to be covered
-    const double *true_cov;  ///< (4, 4) that to which the sum is to be close
+    const double *J;        ///< (4, 4) derivatives with respect to coefficients of T_0 .. T_3
+    const double *common;   ///< (4, 4) covariance of these that is added to that of the levels
+    const double *target;   ///< (4, 4) covariance of the parameters to be covered
+    const double *true_cov; ///< (4, 4) that to which the sum is to be close
 } maplines_level_target_t;
 
 /// Raw levels (lateral, points, shape) that cover a target at the least cost; false if none do.
@@ -366,7 +386,8 @@ MAPLINES_INTERNAL bool maplines_search_levels(const maplines_levels_t *levels,
                                               const maplines_level_target_t *target,
                                               int64_t raw[3]);
 
-/* ---- scene_parts.c, specific_encode.c, scene_encode.c --------------------------------------------- */
+/* ---- scene_parts.c, specific_encode.c, scene_encode.c
+ * --------------------------------------------- */
 
 MAPLINES_INTERNAL maplines_curve_t maplines_curve_of(const double mean[4],
                                                      const double fit_range[2], double quartic);
@@ -441,10 +462,10 @@ MAPLINES_INTERNAL bool maplines_secure(const maplines_dbc_t *dbc, int owner, con
 /// A complete record, read or rejected.
 typedef struct {
     int owner;
-    int64_t t_ns;             ///< of its first frame
-    uint32_t frames;          ///< that carried it
-    uint32_t length;          ///< [byte]
-    maplines_reason_t reason; ///< MAPLINES_COMPLETE, or why its content is rejected
+    int64_t t_ns;                ///< of its first frame
+    uint32_t frames;             ///< that carried it
+    uint32_t length;             ///< [byte]
+    maplines_reason_t reason;    ///< MAPLINES_COMPLETE, or why its content is rejected
     maplines_complete_t content; ///< of a good record with a covariance of its own
     uint8_t record[MAPLINES_MAX_RECORD];
 } maplines_arrival_t;
@@ -545,8 +566,8 @@ MAPLINES_INTERNAL bool maplines_has_one_sender(const maplines_check_t *check, in
 
 /// How bad a status is: a mixture has that of its worst component.
 MAPLINES_INTERNAL int maplines_severity(maplines_status_t status);
-/// Add a new record with a covariance of its own to the mixture of its slot. MAPLINES_COMPLETE if it
-/// completes a line: that is the newest then; else PENDING, DUPLICATE or CONTENT.
+/// Add a new record with a covariance of its own to the mixture of its slot. MAPLINES_COMPLETE if
+/// it completes a line: that is the newest then; else PENDING, DUPLICATE or CONTENT.
 MAPLINES_INTERNAL maplines_reason_t maplines_add_component(maplines_decoder_t *decoder,
                                                            const maplines_arrival_t *arrival,
                                                            uint32_t *frames);
@@ -585,7 +606,8 @@ MAPLINES_INTERNAL uint32_t maplines_pending_lines(const maplines_decoder_t *deco
 /// The newest scene that waits for no line; NULL before the first.
 MAPLINES_INTERNAL const maplines_scene_t *maplines_newest_scene(maplines_decoder_t *decoder);
 
-/* ---- sigma_points.c ------------------------------------------------------------------------------ */
+/* ---- sigma_points.c
+ * ------------------------------------------------------------------------------ */
 
 #define MAPLINES_MAX_STATES 7 ///< of sigma points: a line and a displacement
 #define MAPLINES_SIGMA_POINTS (2 * MAPLINES_MAX_STATES + 1)
@@ -595,8 +617,8 @@ typedef bool (*maplines_function_t)(const double *state, const void *context, do
 
 /// Square lower triangular root R of A A^T, for an (m, n) matrix A, m <= n <= 15; A is overwritten.
 MAPLINES_INTERNAL void maplines_lower_root(int m, int n, double *A, double *R);
-/// Mean (m) and lower triangular root (m, m), m <= 4, of a function of a Gaussian over n states with
-/// an (n, n) root, by 2 n + 1 sigma points. False if the function has no value at one of them.
+/// Mean (m) and lower triangular root (m, m), m <= 4, of a function of a Gaussian over n states
+/// with an (n, n) root, by 2 n + 1 sigma points. False if the function has no value at one of them.
 MAPLINES_INTERNAL bool maplines_unscented(maplines_function_t function, const void *context, int n,
                                           const double *mean, const double *root, int m,
                                           double *value, double *value_root);

@@ -9,7 +9,7 @@
 #include "internal.h"
 
 #define CHOSEN 24 // spacings for which all levels are tried
-#define TRIED  5  // levels that are tried, from the least one on
+#define TRIED 5   // levels that are tried, from the least one on
 
 static const int64_t tried[TRIED] = {0, 1, 2, 3, 5};
 
@@ -20,8 +20,7 @@ static const double singular = 1e-6;
 static const double natural_log_of_2 = 0x1.62e42fefa39efp-1;
 
 /// What levels are to cover, in coefficients of T_0 .. T_3.
-typedef struct
-{
+typedef struct {
     const maplines_levels_t *levels;
     const maplines_curve_t *curve;
     double lacking[16]; ///< what the levels are to cover
@@ -30,8 +29,7 @@ typedef struct
 } search_t;
 
 /// Raw values of the levels and their cost.
-typedef struct
-{
+typedef struct {
     int64_t lateral;
     int64_t points;
     int64_t shape;
@@ -39,8 +37,7 @@ typedef struct
 } candidate_t;
 
 /// Spacing that is among the best so far.
-typedef struct
-{
+typedef struct {
     double cost;
     int64_t raw;   ///< of the shape
     int64_t least; ///< level of the points, raw
@@ -60,8 +57,7 @@ static double shape_squared(const maplines_levels_t *levels, int64_t raw)
 }
 
 /// Pivots of the Cholesky factorization of a symmetric matrix without row and column 0.
-typedef struct
-{
+typedef struct {
     double a;
     double d1;
     double e1;

@@ -4,10 +4,10 @@
  */
 #include "internal.h"
 
-#define MAPLINES_NODES         64      ///< points of a line of the map to which a cubic is fitted
-#define MAPLINES_SHAPE_OFFSET  (-10.0) ///< log2 of the level of the shape for the raw value 0 [m]
-#define MAPLINES_SHAPE_OCTAVES 10.2    ///< by which that of the greatest raw value exceeds it
-#define MAPLINES_GOLDEN_RATIO  0x1.9e3779b97f4a8p+0
+#define MAPLINES_NODES 64             ///< points of a line of the map to which a cubic is fitted
+#define MAPLINES_SHAPE_OFFSET (-10.0) ///< log2 of the level of the shape for the raw value 0 [m]
+#define MAPLINES_SHAPE_OCTAVES 10.2   ///< by which that of the greatest raw value exceeds it
+#define MAPLINES_GOLDEN_RATIO 0x1.9e3779b97f4a8p+0
 
 // Extrema of a Chebyshev polynomial, and the matrix from values there to the coefficients of
 // T_0 .. T_3 of their cubic fit.
@@ -97,8 +97,7 @@ static const double fit_matrix[4 * MAPLINES_NODES] = {
 };
 
 /// Errors of the points of a map at equal distances, one point after the other.
-typedef struct
-{
+typedef struct {
     double cov[16];  ///< sum of the squares of the points before this one
     double below[4]; ///< weights of errors of this point, by what is ahead of it
     double above[4]; ///< by what is behind it

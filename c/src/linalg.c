@@ -5,7 +5,8 @@
 #include "internal.h"
 
 /// C = A B: (n, k) times (k, m). C is another array than A and B.
-MAPLINES_INTERNAL void maplines_product(int n, int k, int m, const double *A, const double *B, double *C)
+MAPLINES_INTERNAL void maplines_product(int n, int k, int m, const double *A, const double *B,
+                                        double *C)
 {
     for (int i = 0; i < n; ++i)
     {
@@ -23,8 +24,8 @@ MAPLINES_INTERNAL void maplines_product(int n, int k, int m, const double *A, co
 }
 
 /// C = A B^T: (n, k) times (m, k) transposed. C is another array than A and B.
-MAPLINES_INTERNAL void maplines_product_transposed(int n, int k, int m, const double *A, const double *B,
-                                          double *C)
+MAPLINES_INTERNAL void maplines_product_transposed(int n, int k, int m, const double *A,
+                                                   const double *B, double *C)
 {
     for (int i = 0; i < n; ++i)
     {

@@ -7,12 +7,12 @@
 #define SHORTER_RANGE 0.8
 #define MAX_SHORTENED 24
 #define STEEPEST_LINE 1.5 // [rad]
-#define LIMIT_STEPS   8.0
-#define SIGMA_SHARE   0.7
-#define BOX_STEPS     32
+#define LIMIT_STEPS 8.0
+#define SIGMA_SHARE 0.7
+#define BOX_STEPS 32
 #define FLAT_GRADIENT 1e-10
-#define NODE_COUNT    16
-#define WIDEST_ROW    5 // four parameters and a right side
+#define NODE_COUNT 16
+#define WIDEST_ROW 5 // four parameters and a right side
 
 /// Extrema of a Chebyshev polynomial.
 static const double comparison_nodes[NODE_COUNT] = {

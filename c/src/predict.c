@@ -6,8 +6,8 @@
 #include "internal.h"
 
 #define MAX_PREDICTION_NS 1e10 ///< longest time between pose and prediction [ns]
-#define RANGE_MARGIN      3.0  ///< standard deviations by which the range is shortened at each end
-#define MIN_FIT_WINDOW    1.0  ///< least length of the window in which a cubic is fitted [m]
+#define RANGE_MARGIN 3.0       ///< standard deviations by which the range is shortened at each end
+#define MIN_FIT_WINDOW 1.0     ///< least length of the window in which a cubic is fitted [m]
 
 /* ---- the displacement of the car ------------------------------------------------------------- */
 

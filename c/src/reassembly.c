@@ -291,8 +291,7 @@ static maplines_reason_t feed_whole(maplines_decoder_t *decoder, const uint8_t *
 }
 
 /// How a message carries records.
-typedef enum
-{
+typedef enum {
     ROUTE_NONE,
     ROUTE_PAGES,
     ROUTE_WHOLE,

@@ -4,7 +4,7 @@
 #include "internal.h"
 
 #define COVARIANCE_ROUNDING 1e-9
-#define MAX_COVARIANCE      1e307
+#define MAX_COVARIANCE 1e307
 
 /// Standard deviations, with 1 in place of 0.
 static void scale_of(const double S[16], double scale[4])

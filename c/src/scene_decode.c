@@ -6,13 +6,12 @@
  */
 #include "internal.h"
 
-#define MAPLINES_ROUNDING    0x1p-42 ///< share by which variances are enlarged, so that it is definite
-#define MAPLINES_RANGE_STEPS 10.0    ///< steps of the ends of the valid range [1/m]
-#define MAPLINES_MIN_TURN    0.1     ///< least derivative of beta with respect to the heading
+#define MAPLINES_ROUNDING 0x1p-42 ///< share by which variances are enlarged, so that it is definite
+#define MAPLINES_RANGE_STEPS 10.0 ///< steps of the ends of the valid range [1/m]
+#define MAPLINES_MIN_TURN 0.1     ///< least derivative of beta with respect to the heading
 
 /// Pose error, in double precision.
-typedef struct
-{
+typedef struct {
     double P[9];
     double poses[MAPLINES_POSES][3]; ///< its sigma points
     double offset_sigma;
@@ -23,8 +22,7 @@ typedef struct
 } pose_error_t;
 
 /// One line of a scene, in double precision.
-typedef struct
-{
+typedef struct {
     maplines_curve_t curve;
     double levels[16]; ///< covariance of the coefficients of T_0 .. T_3
     bool is_full;      ///< the record has all entries of the line-specific covariance instead

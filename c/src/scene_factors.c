@@ -17,8 +17,8 @@
  * has lost, so what is added is tiny: the standard deviations grow by 0.05 %.
  */
 
-#define ROUNDED_SHARE   0x1p-10 // d
-#define ROUNDED_SCALE   1.00049 // s, rounded up
+#define ROUNDED_SHARE 0x1p-10 // d
+#define ROUNDED_SCALE 1.00049 // s, rounded up
 #define ROUNDED_COLUMNS (4 + MAPLINES_POSES + 1)
 
 MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, const double mean[4],

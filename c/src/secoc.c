@@ -15,8 +15,8 @@
  */
 #include "internal.h"
 
-#define MAC_BYTES       16
-#define DATA_ID_BYTES   2U
+#define MAC_BYTES 16
+#define DATA_ID_BYTES 2U
 #define FRESHNESS_BYTES 8U
 
 typedef bool (*mac_function_t)(void *context, uint8_t key_id, const uint8_t *data, size_t length,

@@ -4,9 +4,9 @@
  */
 #include "internal.h"
 
-#define MAPLINES_MARGIN   3.0  ///< standard deviations of the pose error at an end of a range
-#define MAPLINES_HALVINGS 60   ///< of the distance to a pose from which a line is no function of x
-#define MAPLINES_STEP     1e-4 ///< of the pose, for derivatives [m, rad]
+#define MAPLINES_MARGIN 3.0  ///< standard deviations of the pose error at an end of a range
+#define MAPLINES_HALVINGS 60 ///< of the distance to a pose from which a line is no function of x
+#define MAPLINES_STEP 1e-4   ///< of the pose, for derivatives [m, rad]
 
 MAPLINES_INTERNAL void maplines_bases(const double mean[4], const double fit_range[2], double J[16])
 {

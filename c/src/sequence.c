@@ -28,10 +28,10 @@
  */
 #include "internal.h"
 
-#define RESTART_RECORDS 3U   ///< consecutive records behind the last new one that indicate it
-#define JITTER_CYCLES   0.5  ///< a sender may be early by this much
-#define MEAN_LINES      8.0  ///< the time between two lines is a mean over about this many
-#define FASTEST         10.0 ///< a sender may be faster than the cycle time by this factor
+#define RESTART_RECORDS 3U ///< consecutive records behind the last new one that indicate it
+#define JITTER_CYCLES 0.5  ///< a sender may be early by this much
+#define MEAN_LINES 8.0     ///< the time between two lines is a mean over about this many
+#define FASTEST 10.0       ///< a sender may be faster than the cycle time by this factor
 
 /* ---- rate of a sender --------------------------------------------------------------------------
  */

@@ -2,9 +2,9 @@
 #include "internal.h"
 
 #define DEFAULT_CYCLE_MS 100.0
-#define GRACE_CYCLES     1.5
-#define MS_NS            1e6
-#define MAX_MS           3600000.0
+#define GRACE_CYCLES 1.5
+#define MS_NS 1e6
+#define MAX_MS 3600000.0
 /// Greatest step of a counter of AUTOSAR's profile 5; a larger one may as well be a step back.
 #define MAX_DELTA_COUNTER 127
 

@@ -67,8 +67,8 @@ MAPLINES_INTERNAL bool maplines_unscented(maplines_function_t function, const vo
                                           const double *mean, const double *root, int m,
                                           double *value, double *value_root)
 {
-    double deviations[4 * MAPLINES_SIGMA_POINTS]; // (m, 2 n + 1)
-    double state[MAPLINES_MAX_STATES];
+    double deviations[4 * MAPLINES_SIGMA_POINTS] = {0}; // (m, 2 n + 1)
+    double state[MAPLINES_MAX_STATES] = {0};
     double shift[4] = {0};
     double first[4] = {0};
     double other[4] = {0};
@@ -137,7 +137,7 @@ void maplines_overall(size_t count, const maplines_gaussian_t *components,
     }
     for (size_t k = 0; k < count; ++k)
     {
-        double columns[4 * 9]; // of the components so far, and of this one
+        double columns[4 * 9] = {0}; // of the components so far, and of this one
         const double share = sqrt((double)weights[k] / total);
         for (int i = 0; i < 4; ++i)
         {

@@ -82,7 +82,8 @@ static uint16_t crc_with(uint16_t crc, const uint8_t *data, size_t length)
         crc = (uint16_t)(crc ^ (unsigned)data[i] << 8U);
         for (int bit = 0; bit < 8; ++bit)
         {
-            crc = (uint16_t)((crc & 0x8000U) != 0 ? (unsigned)crc << 1U ^ 0x1021U : (unsigned)crc << 1U);
+            crc = (uint16_t)((crc & 0x8000U) != 0 ? (unsigned)crc << 1U ^ 0x1021U
+                                                  : (unsigned)crc << 1U);
         }
     }
     return crc;

@@ -7,22 +7,20 @@
 
 #ifdef MAPLINES_FLOAT
 #define UNIT_ROUNDOFF 0x1p-24F
-#define ROOT_OF       sqrtf
+#define ROOT_OF sqrtf
 #else
 #define UNIT_ROUNDOFF 0x1p-53
-#define ROOT_OF       sqrt
+#define ROOT_OF sqrt
 #endif
 
 /// Gradient of a sum of lateral positions of one line with respect to its four parameters.
-typedef struct
-{
+typedef struct {
     maplines_real_t J[4];
     maplines_real_t size[4]; ///< sums of the absolute values of the terms of J
 } gradient_t;
 
 /// F^T J of one or several lines, and a bound on what its rounding is relative to.
-typedef struct
-{
+typedef struct {
     maplines_real_t g[7 + 4 * MAPLINES_SLOTS];
     maplines_real_t size[7 + 4 * MAPLINES_SLOTS];
     size_t count;

@@ -35,7 +35,8 @@ static inline void aes_s_box(uint8_t box[256])
         q = (uint8_t)(q ^ ((q & 0x80U) != 0 ? 0x09U : 0U));
         box[p] = (uint8_t)(q ^ aes_rotated(q, 1) ^ aes_rotated(q, 2) ^ aes_rotated(q, 3) ^
                            aes_rotated(q, 4) ^ 0x63U);
-    } while (p != 1);
+    }
+    while (p != 1);
     box[0] = 0x63;
 }
 

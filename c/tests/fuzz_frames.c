@@ -1,8 +1,9 @@
 /* Fuzzing of a receiver: frames and times in any order, damaged and intact.
  *
  * The input is a list of steps. Most bits on a bus fail the checksum, so there are also steps that
- * take any content and seal it as a sender would: then what the content means is decoded. After each
- * step, and at the end, the program aborts if something does not hold that holds for any input.
+ * take any content and seal it as a sender would: then what the content means is decoded. After
+ * each step, and at the end, the program aborts if something does not hold that holds for any
+ * input.
  *
  * With libFuzzer: clang -fsanitize=fuzzer,address,undefined. With -DREPLAY, the program takes the
  * names of files, or draws steps at random: replay COUNT SEED.
@@ -21,7 +22,8 @@
             (void)fprintf(stderr, "line %d: %s does not hold\n", __LINE__, #condition);            \
             abort();                                                                               \
         }                                                                                          \
-    } while (0)
+    }                                                                                              \
+    while (0)
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 

@@ -20,8 +20,7 @@
 static maplines_decoder_t decoder;
 
 /// Keys of the receiver, and its clock.
-static struct
-{
+static struct {
     unsigned count;
     uint8_t id[MAX_KEYS];
     uint8_t key[MAX_KEYS][16];

@@ -39,9 +39,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define DBC          harness_dbc
+#define DBC harness_dbc
 #define COUNT(array) (sizeof(array) / sizeof((array)[0]))
-#define MAX_WORDS    1024
+#define MAX_WORDS 1024
 
 /// Greatest relative difference of numbers; of variances, relative to those of the parameters.
 #ifdef MAPLINES_FLOAT
@@ -108,8 +108,7 @@ static const char *status_name(maplines_e2e_status_t status)
 }
 
 /// The receiver under test, and where its case is.
-typedef struct
-{
+typedef struct {
     maplines_decoder_t decoder;
     maplines_authenticator_t authenticator;
     uint8_t key[16];
@@ -126,8 +125,7 @@ typedef struct
  */
 
 /// A line of the file; a word that it lacks is empty.
-typedef struct
-{
+typedef struct {
     const char *words[MAX_WORDS];
     size_t count;
 } row_t;

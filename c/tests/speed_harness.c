@@ -1,6 +1,7 @@
 /* CPU time of the core for lines: encode, decode, feed and sigma [ns].
  *
- * Input: rounds u32, then lines: mean and covariance, f64. Output: f64 each, the least of the rounds.
+ * Input: rounds u32, then lines: mean and covariance, f64. Output: f64 each, the least of the
+ * rounds.
  */
 #include "binary.h"
 #include "harness_dbc.h"
@@ -8,8 +9,7 @@
 
 #include <time.h>
 
-enum
-{
+enum {
     LINES = 256,
     REPEATED = 16
 };

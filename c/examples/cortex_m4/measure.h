@@ -11,14 +11,13 @@
 
 #ifdef __arm__
 #define SYSTICK_CONTROL (*(volatile uint32_t *)0xE000E010U)
-#define SYSTICK_RELOAD  (*(volatile uint32_t *)0xE000E014U)
-#define SYSTICK_VALUE   (*(volatile uint32_t *)0xE000E018U)
-#define TICK            40U      // instructions
-#define PAINTED         0x10000U // bytes of the stack that are painted
-#define PAINT           0xA5C3F00DU
+#define SYSTICK_RELOAD (*(volatile uint32_t *)0xE000E014U)
+#define SYSTICK_VALUE (*(volatile uint32_t *)0xE000E018U)
+#define TICK 40U         // instructions
+#define PAINTED 0x10000U // bytes of the stack that are painted
+#define PAINT 0xA5C3F00DU
 
-typedef struct
-{
+typedef struct {
     uint32_t ticks;
     uint32_t calls;
     uint32_t stack; ///< greatest of all calls [byte]
@@ -75,9 +74,9 @@ static inline void measure_print(const char *name, const measurement_t *m)
 }
 #else
 typedef int measurement_t;
-#define measure_begin(m)       ((void)(m))
-#define measure_end(m)         ((void)(m))
-#define measure_add(sum, m)    ((void)(sum), (void)(m))
+#define measure_begin(m) ((void)(m))
+#define measure_end(m) ((void)(m))
+#define measure_add(sum, m) ((void)(sum), (void)(m))
 #define measure_print(name, m) ((void)(name), (void)(m))
 #endif
 

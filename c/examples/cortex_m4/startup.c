@@ -21,8 +21,7 @@ __attribute__((section(".vectors"), used)) static const uintptr_t vectors[16] = 
 static int read_arguments(char **argv)
 {
     static char line[512];
-    struct
-    {
+    struct {
         char *text;
         uint32_t size;
     } block = {line, sizeof line};
