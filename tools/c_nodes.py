@@ -77,7 +77,7 @@ def rows_of_python(text: str) -> Rows:
             J = lateral_jacobian(mean, X)
             values = float(lateral(mean, X)), float(np.sqrt(J @ np.array(row["cov"]) @ J))
             if row["x_min"] <= X <= row["x_max"] and row["status"] != "OUT_OF_RANGE":
-                rows[row["slot"].replace("_", " ").lower()].append(values)
+                rows[row["slot"]].append(values)
         elif row.get("width") is not None:
             at = [e for name in ("width", "centre") for e in row[name] if e["x"] == X_SCENE]
             if at:  # both lines are valid there
@@ -164,7 +164,7 @@ def compared(sent: int, c: Rows, python: Rows, text: str, status: int) -> dict[s
     lines = sum(map(len, c.values()))
     equal = in_order(scenes[1], scenes[0])
     met = status == 0 and lines == sent > 0 and not dropped and difference <= STEP
-    late = dropped.get("time-out", 0) > 0 and len(dropped) == 1
+    late = dropped.get("TIMEOUT", 0) > 0 and len(dropped) == 1
     return {
         "lines sent": sent,
         "lines received by C": lines,

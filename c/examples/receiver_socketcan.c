@@ -16,19 +16,11 @@
 #define X 40      /* where the lines are evaluated [m] */
 #define X_SCENE 0 /* where the lane is [m] */
 
-static const char *const owners[] = {"ego left",  "ego right",  "next left", "next right", "centre",
-                                     "edge left", "edge right", "route",     "pose error"};
-static const char *const states[] = {"VALID", "", "NODATA", "INIT", "INVALID"};
-static const char *const reasons[MAPLINES_REASONS] = {
-    "pending", "foreign",         "length",   "page",  "duplicate", "replaced",
-    "stale",   "incomplete",      "time-out", "mixed", "CRC",       "content",
-    "no pose", "unauthenticated", "key",      "MAC",   "replay",    "age"};
-
 static void print_line(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t t_ns)
 {
     maplines_view_t view;
     maplines_latest(decoder, slot, t_ns, &view);
-    printf("%-10s %-7s ", owners[slot], states[view.state]);
+    printf("%-10s %-7s ", maplines_owner_name(slot), maplines_e2e_state_name(view.state));
     if (view.line->status == MAPLINES_OUT_OF_RANGE || X < view.line->x_min || view.line->x_max < X)
     {
         printf("nothing at %d m\n", X);
@@ -70,8 +62,8 @@ static void write_scene(maplines_decoder_t *decoder, int64_t t_ns, int64_t *last
     {
         snprintf(row, sizeof row,
                  "scene      %-7s width %.6f m, sigma %.6f m; centre %.6f m, sigma %.6f m\n",
-                 states[view.state], (double)width.value, (double)width.sigma, (double)centre.value,
-                 (double)centre.sigma);
+                 maplines_e2e_state_name(view.state), (double)width.value, (double)width.sigma,
+                 (double)centre.value, (double)centre.sigma);
     }
 }
 
@@ -86,16 +78,17 @@ static void print_counters(maplines_decoder_t *decoder, int64_t t_ns)
     {
         if (total.counts[i] != 0)
         {
-            printf("%llu dropped: %s\n", (unsigned long long)total.counts[i], reasons[i]);
+            printf("%llu dropped: %s\n", (unsigned long long)total.counts[i],
+                   maplines_reason_name((maplines_reason_t)i));
         }
     }
     for (int i = 0; i < MAPLINES_OWNERS; ++i)
     {
         if (maplines_slot_stats(decoder, (maplines_owner_t)i, t_ns, &checks))
         {
-            printf("%-10s %-7s %llu ok, %llu lost%s\n", owners[i], states[checks.state],
-                   (unsigned long long)checks.ok, (unsigned long long)checks.lost,
-                   checks.two_senders ? ", TWO SENDERS" : "");
+            printf("%-10s %-7s %llu ok, %llu lost%s\n", maplines_owner_name((maplines_owner_t)i),
+                   maplines_e2e_state_name(checks.state), (unsigned long long)checks.ok,
+                   (unsigned long long)checks.lost, checks.two_senders ? ", TWO SENDERS" : "");
         }
     }
 }

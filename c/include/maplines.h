@@ -1031,6 +1031,21 @@ maplines_sent_scene_t maplines_encode_scene(maplines_encoder_t *encoder,
 
 /* send: end */
 
+/* ---- names --------------------------------------------------------------------------------------
+ * Names of values for a log, as the Python package has them, such as "EGO_LEFT" or "CRC"; "?" of a
+ * number that is no value. MAPLINES_NO_POSE is "POSE" there.
+ */
+
+const char *maplines_owner_name(maplines_owner_t owner);
+const char *maplines_kind_name(maplines_kind_t kind);
+const char *maplines_status_name(maplines_status_t status);
+const char *maplines_reason_name(maplines_reason_t reason);
+const char *maplines_e2e_state_name(maplines_e2e_state_t state);
+const char *maplines_e2e_status_name(maplines_e2e_status_t status);
+const char *maplines_prediction_name(maplines_prediction_t prediction);
+const char *maplines_refusal_name(maplines_refusal_t refusal);
+const char *maplines_left_out_name(maplines_left_out_t left_out);
+
 #ifdef __cplusplus
 }
 #endif

@@ -1,4 +1,4 @@
-/* Run test vectors through the receiver of maplines.h: which cases pass.
+/* Run test vectors through the receiver of maplines.h: which cases fail.
  *
  *     maplines generate c --dbc my.dbc
  *     maplines generate vectors --dbc my.dbc
@@ -55,57 +55,6 @@
 #else
 #define MAX_WIDENING 0.0
 #endif
-
-static const char *const owners[] = {"EGO_LEFT",  "EGO_RIGHT",  "NEXT_LEFT", "NEXT_RIGHT", "CENTRE",
-                                     "EDGE_LEFT", "EDGE_RIGHT", "ROUTE",     "POSE"};
-static const char *const kinds[] = {"UNKNOWN",   "SOLID", "DASHED",  "DOUBLE",
-                                    "ROAD_EDGE", "KERB",  "BARRIER", "VIRTUAL"};
-static const char *const statuses[] = {"UNKNOWN",  "FULL",      "DIAGONAL",
-                                       "REPAIRED", "SATURATED", "OUT_OF_RANGE"};
-static const char *const reasons[] = {
-    "PENDING", "FOREIGN",         "LENGTH",  "PAGE",  "DUPLICATE", "REPLACED",
-    "STALE",   "INCOMPLETE",      "TIMEOUT", "MIXED", "CRC",       "CONTENT",
-    "POSE",    "UNAUTHENTICATED", "KEY",     "MAC",   "REPLAY",    "AGE"};
-
-static const char *state_name(maplines_e2e_state_t state)
-{
-    switch (state)
-    {
-    case MAPLINES_E2E_VALID:
-        return "VALID";
-    case MAPLINES_E2E_NODATA:
-        return "NODATA";
-    case MAPLINES_E2E_INIT:
-        return "INIT";
-    case MAPLINES_E2E_INVALID:
-        return "INVALID";
-    default:
-        return "?";
-    }
-}
-
-static const char *status_name(maplines_e2e_status_t status)
-{
-    switch (status)
-    {
-    case MAPLINES_E2E_OK:
-        return "OK";
-    case MAPLINES_E2E_NONEWDATA:
-        return "NONEWDATA";
-    case MAPLINES_E2E_ERROR:
-        return "ERROR";
-    case MAPLINES_E2E_REPEATED:
-        return "REPEATED";
-    case MAPLINES_E2E_OKSOMELOST:
-        return "OKSOMELOST";
-    case MAPLINES_E2E_WRONGSEQUENCE:
-        return "WRONGSEQUENCE";
-    case MAPLINES_E2E_NONE:
-        return "NONE";
-    default:
-        return "?";
-    }
-}
 
 /// The receiver under test, and where its case is.
 typedef struct {
@@ -187,14 +136,12 @@ static void check_variance(run_t *run, double got, double scale, bool is_varianc
 
 static int owner_of(const char *name)
 {
-    for (size_t i = 0; i < COUNT(owners); ++i)
+    int owner = (int)MAPLINES_POSE;
+    while (owner > 0 && strcmp(maplines_owner_name((maplines_owner_t)owner), name) != 0)
     {
-        if (strcmp(owners[i], name) == 0)
-        {
-            return (int)i;
-        }
+        --owner;
     }
-    return 0;
+    return owner;
 }
 
 /// Bytes in hex; returns their number, at most `size`.
@@ -270,16 +217,11 @@ static void feed(run_t *run, const row_t *row)
     run->scene = NULL;
     run->now_us = t_ns / 1000;
     const maplines_fed_t fed = maplines_feed(&run->decoder, &frame, t_ns);
-    const char *answer = "COMPLETE";
-    if (fed.reason != MAPLINES_COMPLETE)
-    {
-        answer = (size_t)fed.reason < COUNT(reasons) ? reasons[fed.reason] : "?";
-    }
-    check_word(run, answer, row, 4, "the answer");
+    check_word(run, maplines_reason_name(fed.reason), row, 4, "the answer");
     check(run, row->count == 5U + fed.count, "the number of lines", "as stated");
     for (size_t i = 0; i < fed.count; ++i)
     {
-        check_word(run, owners[fed.slots[i]], row, 5 + i, "the slot");
+        check_word(run, maplines_owner_name(fed.slots[i]), row, 5 + i, "the slot");
     }
 }
 
@@ -288,8 +230,8 @@ static void view(run_t *run, const row_t *row)
     maplines_view_t seen;
     const maplines_owner_t slot = (maplines_owner_t)owner_of(word(row, 2));
     maplines_latest(&run->decoder, slot, integer(row, 1), &seen);
-    check_word(run, state_name(seen.state), row, 3, "the state");
-    check_word(run, status_name(seen.status), row, 4, "the E2E status");
+    check_word(run, maplines_e2e_state_name(seen.state), row, 3, "the state");
+    check_word(run, maplines_e2e_status_name(seen.status), row, 4, "the E2E status");
     check_number(run, (double)seen.age, 0, row, 5, "the age");
     check_count(run, seen.is_stale, row, 6, "is_stale");
     check_count(run, seen.two_senders, row, 7, "two_senders");
@@ -301,8 +243,8 @@ static void scene(run_t *run, const row_t *row)
     maplines_scene_view_t seen;
     maplines_latest_scene(&run->decoder, integer(row, 1), &seen);
     run->scene = seen.scene;
-    check_word(run, state_name(seen.state), row, 2, "the state");
-    check_word(run, status_name(seen.status), row, 3, "the E2E status");
+    check_word(run, maplines_e2e_state_name(seen.state), row, 2, "the state");
+    check_word(run, maplines_e2e_status_name(seen.status), row, 3, "the E2E status");
     check_number(run, (double)seen.age, 0, row, 4, "the age");
     check_count(run, seen.is_stale, row, 5, "is_stale");
     check_count(run, seen.two_senders, row, 6, "two_senders");
@@ -311,7 +253,7 @@ static void scene(run_t *run, const row_t *row)
     check(run, row->count == 8U + count, "the number of lines", "as stated");
     for (size_t i = 0; i < count; ++i)
     {
-        check_word(run, owners[seen.scene->lines[i].slot], row, 8 + i, "the slot");
+        check_word(run, maplines_owner_name(seen.scene->lines[i].slot), row, 8 + i, "the slot");
     }
 }
 
@@ -322,8 +264,8 @@ static void stats(run_t *run, const row_t *row)
     const maplines_owner_t owner = (maplines_owner_t)owner_of(word(row, 2));
     const bool is_known = maplines_slot_stats(&run->decoder, owner, integer(row, 1), &seen);
     check(run, is_known, "the owner", "known");
-    check_word(run, state_name(seen.state), row, 3, "the state");
-    check_word(run, status_name(seen.status), row, 4, "the E2E status");
+    check_word(run, maplines_e2e_state_name(seen.state), row, 3, "the state");
+    check_word(run, maplines_e2e_status_name(seen.status), row, 4, "the E2E status");
     check_count(run, seen.ok, row, 5, "ok");
     check_count(run, seen.lost, row, 6, "lost");
     check_count(run, seen.repeated, row, 7, "repeated");
@@ -340,22 +282,24 @@ static void counts(run_t *run, const row_t *row)
     check_count(run, seen.frames, row, 1, "frames");
     check_count(run, seen.lines, row, 2, "lines");
     check_count(run, seen.pending, row, 3, "pending");
-    uint64_t expected[COUNT(reasons)] = {0};
+    uint64_t expected[MAPLINES_REASONS] = {0};
     for (size_t i = 4; i < row->count; ++i)
     {
         const char *equals = strchr(word(row, i), '=');
-        for (size_t j = 0; equals != NULL && j < COUNT(reasons); ++j)
+        for (int j = 0; equals != NULL && j < MAPLINES_REASONS; ++j)
         {
+            const char *name = maplines_reason_name((maplines_reason_t)j);
             const size_t length = (size_t)(equals - word(row, i));
-            if (strlen(reasons[j]) == length && strncmp(reasons[j], word(row, i), length) == 0)
+            if (strlen(name) == length && strncmp(name, word(row, i), length) == 0)
             {
                 expected[j] = (uint64_t)strtoull(equals + 1, NULL, 10);
             }
         }
     }
-    for (size_t j = 0; j < COUNT(reasons); ++j)
+    for (int j = 0; j < MAPLINES_REASONS; ++j)
     {
-        check(run, seen.counts[j] == expected[j], "the number of frames that are", reasons[j]);
+        check(run, seen.counts[j] == expected[j], "the number of frames that are",
+              maplines_reason_name((maplines_reason_t)j));
     }
 }
 
@@ -383,8 +327,8 @@ static void line(run_t *run, const row_t *row)
     {
         return;
     }
-    check_word(run, kinds[run->line->kind], row, 2, "the kind");
-    check_word(run, statuses[run->line->status], row, 3, "the status");
+    check_word(run, maplines_kind_name(run->line->kind), row, 2, "the kind");
+    check_word(run, maplines_status_name(run->line->status), row, 3, "the status");
     check_count(run, run->line->components, row, 4, "the number of components");
     check(run, run->line->t_ns == integer(row, 5), "the time", word(row, 5));
     check_number(run, (double)run->line->x_min, 0, row, 6, "x_min");

@@ -1,0 +1,64 @@
+"""Names of the values of enumerations in C: those of Python, or else of the header."""
+
+import re
+
+import c_core
+import pytest
+
+from maplines_can import Kind, Slot, Status
+from maplines_can.values.line import LeftOut
+from maplines_can.wire import Reason
+from maplines_can.wire.protection.e2e_state import E2EState, ProfileStatus
+
+HEADER = (c_core.C / "include" / "maplines.h").read_text(encoding="utf-8")
+
+
+def of_header(enumeration: str) -> dict[int, str]:
+    """The enumerators without their prefix."""
+    body = re.search(rf"typedef enum {{([^}}]*)}} maplines_{enumeration}_t;", HEADER)
+    assert body
+    found = re.findall(r"^    MAPLINES_(\w+) = (-?\w+),", body[1], re.MULTILINE)
+    return {int(number, 0): name for name, number in found}
+
+
+def of_python() -> dict[str, dict[int, str]]:
+    """The names of the enumerations that Python has."""
+    sent = (LeftOut.ACROSS, LeftOut.RANGE, LeftOut.MEAN, LeftOut.COVARIANCE)
+    return {
+        "owner": {slot: slot.name for slot in Slot} | {8: "POSE"},
+        "kind": {kind: kind.name for kind in Kind},
+        "status": {status: status.name for status in Status},
+        "reason": {-1: "COMPLETE"} | {i: reason.name for i, reason in enumerate(Reason)},
+        "e2e_state": {state: state.name for state in E2EState},
+        "e2e_status": {status: status.name for status in ProfileStatus} | {0xFF: "NONE"},
+        "left_out": {0: "IN_SCENE"} | {i + 1: why.name for i, why in enumerate(sent)},
+    }
+
+
+@pytest.fixture(scope="module")
+def names() -> dict[str, dict[int, str]]:
+    """The names in C by enumeration."""
+    rows = c_core.run(c_core.harness("names"), b"").decode().splitlines()
+    found: dict[str, dict[int, str]] = {}
+    for enumeration, number, name in map(str.split, rows):
+        found.setdefault(enumeration, {})[int(number)] = name
+    return found
+
+
+def test_names_are_those_of_python(names: dict[str, dict[int, str]]) -> None:
+    assert {enumeration: names[enumeration] for enumeration in of_python()} == of_python()
+
+
+def test_names_are_those_of_the_header(names: dict[str, dict[int, str]]) -> None:
+    """Without prefixes that C needs, since its enumerators share one name space."""
+    prefixes = {"kind": "KIND_", "e2e_state": "E2E_", "e2e_status": "E2E_", "left_out": "LEFT_OUT_"}
+    for enumeration, of_c in names.items():
+        expected = of_header(enumeration)
+        if enumeration == "reason":
+            assert expected.pop(len(Reason)) == "REASONS"  # their number
+            pose = list(Reason).index(Reason.POSE)
+            assert (expected.pop(pose), of_c[pose]) == ("NO_POSE", "POSE")  # POSE is an owner
+            expected[pose] = of_c[pose]
+        prefix = prefixes.get(enumeration, "")
+        assert of_c == {i: name.removeprefix(prefix) for i, name in expected.items()}
+    assert sorted(names) == sorted(re.findall(r"maplines_(\w+)_name\(", HEADER))
