@@ -942,8 +942,10 @@ typedef struct {
     maplines_left_out_t left_out[MAPLINES_SLOTS]; ///< by line
     /// By line: a line that is left out is sent nevertheless if it has a covariance of its own.
     bool is_sent[MAPLINES_SLOTS];
-    maplines_status_t status[MAPLINES_SLOTS]; ///< of such lines
-    uint16_t count;                           ///< number of frames; 0 if the scene was refused
+    /// By line, if it is sent: that of its record, or FULL of a record that is conditional on the
+    /// pose error, which has none.
+    maplines_status_t status[MAPLINES_SLOTS];
+    uint16_t count; ///< number of frames; 0 if the scene was refused
 } maplines_sent_scene_t;
 
 /* structures of the memory in which a scene is encoded: see the sources */
@@ -1019,8 +1021,18 @@ typedef struct {
 /// error, lines that do not fit are not sent. Other records have a covariance of their own: such a
 /// line is sent, but does not belong to the scene.
 ///
-/// @param is_fd one CAN FD frame for each record instead of its pages; records that are conditional
-///        on the pose error then have all entries of their covariance.
+/// A line-specific covariance is sent as levels. They hold the sum of
+///
+/// - an offset of the line: a variance of y_off (`lateral` of maplines_levels_t);
+/// - either a misfit of the shape, with variances of the coefficients of T_0 .. T_3 in fit_range as
+///   0 : 1/4 : 1 : 2, or independent errors of points along the line, with a part of such a misfit;
+/// - offset_sigma and heading_sigma, which all lines have.
+///
+/// Any other covariance is covered by a wider one of this form; if there is none, the line is left
+/// out. Records that are conditional on the pose error can have all entries instead: on classic CAN
+/// where levels are too wide, on CAN FD unless their signals have no room.
+///
+/// @param is_fd one CAN FD frame for each record instead of its pages.
 /// @param now_us time for the freshness value; not used without a signer.
 /// @param workspace need not be initialised.
 /// @param frames at least MAPLINES_MAX_SCENE_FRAMES. Those of the pose error come first.

@@ -271,6 +271,7 @@ static bool send_records(maplines_encoder_t *encoder, const maplines_scene_input
         sent->is_sent[place] = !dbc->is_conditional || sent->left_out[place] == MAPLINES_IN_SCENE;
         if (sent->is_sent[place])
         {
+            sent->status[place] = MAPLINES_FULL; // unless its record has another one
             encoder->counter[slot] = next_counter(dbc, slot, encoder->counter[slot]);
         }
     }

@@ -30,8 +30,10 @@ from maplines_can import (
 )
 from maplines_can.values.errors import EncodeError, IllPosedError
 from maplines_can.values.line import LeftOut
-from maplines_can.wire import POSE, Layout
+from maplines_can.wire import POSE, Layout, Reason
 from maplines_can.wire.covariance.joint import _VALUES
+from maplines_can.wire.records.frames import Frame
+from maplines_can.wire.records.packer import RecordPacker
 
 CONDITIONAL, COMPLETE = "maplines-pose.dbc", "maplines.dbc"
 OWNERS = (*Slot, POSE)
@@ -57,6 +59,7 @@ class Sent(NamedTuple):
     refusal: int
     left_out: list[int]  #: by line; 0 if it is in the scene
     is_sent: list[bool]  #: by line
+    statuses: list[int]  #: of the lines that are sent
     counters: list[int]  #: by owner
     frames: list[tuple[int, bool, bool, bytes]]  #: CAN ID, extended, CAN FD, data
 
@@ -101,7 +104,8 @@ def in_c(layout: Layout, cases: list[Case], *prefix: str, **compiler: Any) -> li
             frames.append((can_id, bool(is_extended), bool(is_fd), bytes(view[at : at + length])))
             at += length
         left_out, is_sent = [line[0] for line in lines], [bool(line[1]) for line in lines]
-        sent.append(Sent(refusal, left_out, is_sent, counters, frames))
+        statuses = [line[2] for line in lines if line[1]]
+        sent.append(Sent(refusal, left_out, is_sent, statuses, counters, frames))
     assert at == len(output)
     return sent
 
@@ -117,7 +121,7 @@ def in_python(codec: Codec, case: Case) -> Sent:
         if isinstance(error, EncodeError):
             refusal = BAD_POSE if "pose error does not fit" in str(error) else NO_MESSAGE
         nothing = [0] * len(lines)
-        return Sent(refusal, nothing, [False] * len(lines), [*case.counters.values()], [])
+        return Sent(refusal, nothing, [False] * len(lines), [], [*case.counters.values()], [])
     left_out = [0] * len(lines)
     for place, reason in prepared.encoded.left_out.items():
         left_out[place] = LEFT_OUT[reason]
@@ -130,8 +134,20 @@ def in_python(codec: Codec, case: Case) -> Sent:
         for owner, n in case.counters.items()
     ]
     of_lines = [line.slot in prepared.sent_slots for line in lines]
+    statuses = [status_of(codec, slot, frames[slot]) for slot in prepared.sent_slots]
     flat = [(f.can_id, f.is_extended, f.is_fd, f.data) for own in frames.values() for f in own]
-    return Sent(0, left_out, of_lines, counters, flat)
+    return Sent(0, left_out, of_lines, statuses, counters, flat)
+
+
+def status_of(codec: Codec, slot: Slot, frames: Iterable[Frame]) -> int:
+    """The status in the frames of a line; FULL of a record that is conditional and has none."""
+    layout = codec.layout
+    if layout.is_conditional:
+        return Status.FULL
+    payload = b"".join(frame.data for frame in frames)[: layout.record_bytes]
+    raw = RecordPacker(layout).unpack_one(payload, layout.messages[slot].data_id)
+    assert not isinstance(raw, Reason)
+    return raw["Status"]
 
 
 def case_of(scene: Scene, rng: Any, layout: Layout) -> Case:
