@@ -21,6 +21,7 @@ from maplines_can.cli import main
 from maplines_can.cli.options import SHIPPED, codec_from
 from maplines_can.cli.output import LANE_X
 from maplines_can.simulation import scenario
+from maplines_can.values.elementary import exp2
 from maplines_can.wire import POSE, default_dbc_path
 
 CONDITIONAL = "maplines-pose.dbc"
@@ -471,7 +472,7 @@ def test_drive_records_scenes(
         since = (line.t_ns - begun[line.t_ns]) / 1e9
         assert line.age == pytest.approx(since, abs=0.009)
     times = {each.scene.pose_error.correlation_time for each in scenes.values()}
-    assert times == {2**3.5}  # 10 s, in steps of half an octave
+    assert times == {float(exp2(3.5))}  # 10 s, in steps of half an octave
     assert result["bus_load"] < 0.2
 
 

@@ -101,7 +101,7 @@ def scenes(
     emulator: str = "",
 ) -> dict[str, Any]:
     """Compare decoded scenes, n on each DBC: records of any bits, and one in 20 of a road."""
-    of_scenes, prefix = tests("test_scene_decode"), shlex.split(emulator)
+    of_scenes, prefix = tests("c_scenes"), shlex.split(emulator)
     compiler = {"cc": cc, "flags": tuple(shlex.split(flags))}
     rows: dict[str, Any] = {}
     for name, codec in codecs(dbcs, random):
