@@ -28,12 +28,15 @@ them. Whoever writes a receiver from the DBC proves it with them.
   vectors.schema.json   describes NAME.json
   NAME.txt              the same, one step a line, for a program without a JSON library
   run_vectors.c         runs NAME.txt through the receiver of "maplines generate c", and says which
-                        cases pass: a template for other receivers
+                        cases fail: a template for other receivers
   aes_cmac.h            for the authenticated messages of a DBC
 
 There are cases for both ends of each signal, random bits, each reason that the DBC can have, each
 status and each E2E state. The same DBC gives the same files. They have the hash of the DBC and that
 of the cases, which is the hash of all lines of NAME.txt after the one that states it.
+
+A DBC with authenticated messages, such as maplines-pose.dbc and maplines-secoc.dbc, needs the extra
+secoc of this package (cryptography).
 """
 EXAMPLES = """\
 examples:

@@ -15,6 +15,7 @@ import pytest
 from maplines_can import Codec, Slot
 from maplines_can.bus.logs import read_log
 from maplines_can.cli import main
+from maplines_can.wire import default_dbc_path
 
 PAGE = (Path(__file__).parents[2] / "docs" / "embedding.md").read_text(encoding="utf-8")
 SOURCES = re.findall(r"(?ms)^`(\w+\.c)` is:\n\n```c\n(.*?)^```\n", PAGE)
@@ -28,9 +29,14 @@ pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compile
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty folder with the programs of the page as sources."""
     monkeypatch.chdir(tmp_path)
-    for name, text in SOURCES:
-        (tmp_path / name).write_text(text, encoding="utf-8")
+    write_sources(tmp_path)
     return tmp_path
+
+
+def write_sources(folder: Path) -> None:
+    """Write the programs of the page into a folder."""
+    for name, text in SOURCES:
+        (folder / name).write_text(text, encoding="utf-8")
 
 
 def build(name: str, more: Sequence[str] = ()) -> None:
@@ -42,7 +48,7 @@ def build(name: str, more: Sequence[str] = ()) -> None:
 
 def test_programs_are_found() -> None:
     """Each has a command that compiles it."""
-    assert [name for name, _ in SOURCES] == ["receiver.c", "sender.c"]
+    assert [name for name, _ in SOURCES] == ["receiver.c", "sender.c", "scene_sender.c"]
     for name, _ in SOURCES:
         assert sum(f" {name} " in command for command in COMPILE) == 1
 
@@ -75,6 +81,138 @@ def test_the_receiver_prints_what_python_receives(folder: Any, capsys: Any, more
     printed = [[float(word) for word in numbers.findall(row)] for row in rows.splitlines()]
     assert len(expected) > 100
     assert np.abs(np.array(printed) - expected).max() < 0.00051 + 0.00002 * ("FLOAT" in str(more))
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: Any) -> Path:
+    """A folder with the sender and the receiver of the page as programs."""
+    folder: Path = tmp_path_factory.mktemp("built")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        write_sources(folder)
+        assert main(["generate", "c"]) == 0
+        for name in ("sender", "receiver"):
+            build(name)
+    return folder
+
+
+@pytest.fixture
+def sent(built: Path) -> str:
+    """What the sender of the page sends."""
+    return subprocess.run([built / "sender"], stdout=-1, check=True, text=True).stdout
+
+
+def received(built: Path, log: str) -> tuple[list[str], list[str]]:
+    """What the receiver of the page prints, and what it says is no frame."""
+    program = [built / "receiver"]
+    done = subprocess.run(program, input=log, capture_output=True, check=True, text=True)
+    return done.stdout.splitlines(), done.stderr.splitlines()
+
+
+def test_the_receiver_prints_from_the_seventh_record_on(built: Any, sent: Any) -> None:
+    """In the cycle after it, at 0.35 s."""
+    rows, _ = received(built, sent)
+    assert len(rows) == 20 - 7
+
+
+@pytest.mark.parametrize(
+    ("row", "is_frame"),
+    [
+        pytest.param("(0.000001) vcan0 123#", True, id="no-data"),
+        pytest.param("(0.000001) vcan0 12345678##1", True, id="fd-without-data"),
+        pytest.param(f"(0.000001) vcan0 123##1{'A5' * 64}", True, id="fd"),
+        pytest.param("(0.000001) vcan0 123#00 T", True, id="direction"),
+        pytest.param("# a comment", False, id="comment"),
+        pytest.param("", False, id="empty"),
+        pytest.param("(0.000001) vcan0 123#R8", False, id="remote"),
+        pytest.param("(0.000001) vcan0 123##", False, id="fd-without-flags"),
+        pytest.param("(0.000001) vcan0 123#0 1", False, id="half-a-byte"),
+        pytest.param(f"(0.000001) vcan0 123##1{'A5' * 65}", False, id="65-bytes"),
+        pytest.param("(9999999999.000000) vcan0 123#00", False, id="time"),
+        pytest.param("(-000000001.000000) vcan0 123#00", False, id="negative-time"),
+        pytest.param("(0.000001) vcan0 123", False, id="cut"),
+    ],
+)
+def test_rows_that_are_no_frames_are_told_and_skipped(
+    built: Any, sent: Any, row: str, is_frame: Any
+) -> None:
+    """Wherever they are, the frames around them are received."""
+    expected, none = received(built, sent)
+    assert not none
+    frames = sent.splitlines()
+    for place in (0, 41, len(frames)):
+        log = "\n".join([*frames[:place], row, *frames[place:]])
+        rows, told = received(built, log if row else log + "\n")
+        assert rows == expected
+        assert told == ([] if is_frame else [f"no frame: {row}"])
+
+
+def test_an_empty_log_has_no_rows(built: Any) -> None:
+    """And no error."""
+    assert received(built, "") == ([], [])
+
+
+def test_the_sender_tells_what_is_refused(folder: Path) -> None:
+    """Here a line that ends before it begins."""
+    source = folder / "sender.c"
+    wrong = source.read_text().replace(".x_max = 80", ".x_max = -80")
+    source.write_text(wrong)
+    assert main(["generate", "c"]) == 0
+    build("sender")
+    done = subprocess.run(["./sender"], capture_output=True, check=False, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (1, "", "not sent: BAD_RANGE\n")
+
+
+@pytest.mark.parametrize("fd", [False, True])
+def test_the_sender_writes_each_kind_of_frame(folder: Path, capsys: Any, fd: bool) -> None:
+    """Extended CAN IDs and CAN FD: as for the DBC of the page, Python reads 20 lines."""
+    text = default_dbc_path().read_text(encoding="utf-8")
+    for can_id in (0x340, 0x348):
+        text = re.sub(rf"\b{can_id}\b", str(0x9ABC0000 | can_id), text)
+    (folder / "own.dbc").write_text(text, encoding="utf-8")
+    source = folder / "sender.c"
+    call = "&line, false, 0, frames"
+    assert call in source.read_text()
+    source.write_text(source.read_text().replace(call, call.replace("false", str(fd).lower())))
+    assert main(["generate", "c", "--dbc", "own.dbc", "--name", "maplines"]) == 0
+    build("sender")
+    log = subprocess.run(["./sender"], stdout=-1, check=True, text=True).stdout
+    (folder / "sent.log").write_text(log)
+    assert log.count("1ABC0348##1" if fd else "1ABC0340#") == (20 if fd else 80)
+    capsys.readouterr()
+
+    assert main(["decode", "--dbc", "own.dbc", "sent.log"]) == 0
+
+    assert capsys.readouterr().out.count("EGO_LEFT") == 20
+
+
+def test_python_receives_the_scene(folder: Any, capsys: Any) -> None:
+    """Two lines whose joint covariance covers that of the program, and is near it."""
+    assert main(["generate", "c"]) == 0
+    build("scene_sender")
+    with (folder / "scenes.log").open("w") as log:
+        done = subprocess.run(["./scene_sender"], stdout=log, stderr=-1, check=True, text=True)
+    assert done.stderr == "SENT\n"
+    capsys.readouterr()
+
+    assert main(["decode", "--scenes", "scenes.log"]) == 0
+
+    row = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert row["scene"] == ["EGO_LEFT", "EGO_RIGHT"]
+    pose_cov = np.diag([0.3, 0.1, 0.005]) ** 2
+    J = np.zeros((8, 3))
+    J[0::4] = 0.002, -1, 0
+    J[1::4] = 0.0005, 0, -1
+    own = np.kron(np.eye(2), np.diag([0.03**2, 0, 0, 0]))
+    cov, sent = np.array(row["joint"]["cov"]), J @ pose_cov @ J.T + own
+    step = np.kron(np.eye(2), np.diag([1e-5, 1e-6, 1e-9, 1e-12]))
+    assert np.abs(np.array(row["joint"]["mean"])[[0, 4]] - [1.75, -1.75]).max() < 5e-4
+    sigma = np.sqrt(cov.diagonal())
+    assert np.linalg.eigvalsh((cov - sent) / np.outer(sigma, sigma))[0] > -1e-9
+    assert np.linalg.eigvalsh((1.1 * sent + 100 * step - cov) / np.outer(sigma, sigma))[0] > 0
+    width = cov[0, 0] + cov[4, 4] - 2 * cov[0, 4]
+    assert 1.0 < width / (2 * 0.03**2) < 1.5
+    assert np.diag(np.array(row["pose_error"]["cov"]) / pose_cov.clip(1e-9)).min() >= 1
 
 
 def test_python_receives_what_the_sender_sends(folder: Any, capsys: Any) -> None:
