@@ -26,8 +26,9 @@
  * Loops    are bounded by the constants below. There is no recursion.
  * Errors   What the bus sends is counted, and never asserted. A caller's mistake is an assertion
  *          unless NDEBUG is defined; what happens then is said with the function.
- * Needs    <math.h>: sqrt, fabs, floor, ceil, rint, ldexp, frexp, which are exact. <string.h>:
- *          memcpy, memset, memcmp. <assert.h> unless NDEBUG is defined.
+ * Needs    <math.h>: sqrt, fabs, floor, ceil, rint, fmod, ldexp, frexp, copysign, and sqrtf with
+ *          MAPLINES_FLOAT, all of which are exact. <string.h>: memcpy, memset, memcmp. <assert.h>
+ *          unless NDEBUG is defined.
  *
  * Lengths are in metres, angles in radians, x points ahead and y to the left (ISO 8855).
  */
@@ -67,6 +68,23 @@ extern "C" {
 #define MAPLINES_WINDOW 255  ///< longest window of an E2E state machine [checks]
 #define MAPLINES_HISTORY 256 ///< records of a slot that are remembered
 #define MAPLINES_EPOCHS 8    ///< pose errors that are remembered
+
+/* The names of the functions that begin with a structure have its sizes, so that files which do not
+ * agree on MAPLINES_FLOAT and on the limits do not link.
+ */
+#ifdef MAPLINES_FLOAT
+#define MAPLINES_REAL float
+#else
+#define MAPLINES_REAL double
+#endif
+#define MAPLINES_JOIN(name, real, pages, ids, parts) name##_##real##_##pages##_##ids##_##parts
+#define MAPLINES_SIZED(name, real, pages, ids, parts) MAPLINES_JOIN(name, real, pages, ids, parts)
+#define maplines_decoder_init                                                                      \
+    MAPLINES_SIZED(maplines_decoder_init, MAPLINES_REAL, MAPLINES_MAX_PAGES,                       \
+                   MAPLINES_MAX_TRANSFER_IDS, MAPLINES_MAX_COMPONENTS)
+#define maplines_encoder_init                                                                      \
+    MAPLINES_SIZED(maplines_encoder_init, MAPLINES_REAL, MAPLINES_MAX_PAGES,                       \
+                   MAPLINES_MAX_TRANSFER_IDS, MAPLINES_MAX_COMPONENTS)
 
 /* ---- values ---------------------------------------------------------------------------------- */
 
@@ -605,7 +623,11 @@ const char *maplines_settings_for(const maplines_dbc_t *dbc, double timeout_ms, 
 const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_dbc_t *dbc,
                                   const maplines_settings_t *settings);
 
-/// Take a frame that was received. Any frame may come at any time.
+/// Take a data frame that was received. Any one may come at any time; remote frames and error
+/// frames are not for this function.
+///
+/// The reason is MAPLINES_PENDING, too, if the frame completes a pose error, a component of a
+/// mixture, or a line that waits for its pose error.
 maplines_fed_t maplines_feed(maplines_decoder_t *decoder, const maplines_frame_t *frame,
                              int64_t t_ns);
 
@@ -626,6 +648,7 @@ bool maplines_component(const maplines_decoder_t *decoder, maplines_owner_t slot
 ///
 /// @param now_ns current time on the clock of the frames' times. If it is before the reception of
 ///        the line by more than 1 ms, this clock was set back: the line is stale, and has no age.
+///        The E2E state moves on to this time: cycles up to it without a record count as missed.
 /// A slot that the DBC does not have is a caller's mistake; it has no line and no state.
 void maplines_latest(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t now_ns,
                      maplines_view_t *view);

@@ -8,12 +8,17 @@
 #include <math.h>
 #include <string.h>
 
-#ifdef __FAST_MATH__
-#error "maplines needs IEEE 754 arithmetic: compile it without -ffast-math"
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ != 0)
+#error "maplines needs IEEE 754 arithmetic: compile it without -ffast-math and its parts"
 #endif
-/* 1 is that of s390x: float is computed as double, and double is as everywhere. */
-#if defined(__FLT_EVAL_METHOD__) && __FLT_EVAL_METHOD__ != 0 && __FLT_EVAL_METHOD__ != 1
-#error "maplines needs arithmetic in the precision of its types: give gcc -msse2 -mfpmath=sse"
+/* 1 is that of s390x: float is computed as double, and double is as everywhere. 16 is that of CPUs
+ * with half precision, which is not used here. 2 is the x87, which keeps more bits than double has.
+ */
+#if defined(__FLT_EVAL_METHOD__) && (__FLT_EVAL_METHOD__ == 2 || __FLT_EVAL_METHOD__ < 0)
+#error "maplines needs arithmetic in the precision of its types: on a 32-bit x86, -mfpmath=sse"
+#endif
+#ifdef __clang__
+#pragma STDC FP_CONTRACT OFF /* gcc does not know it, and needs -ffp-contract=off */
 #endif
 
 #ifndef MAPLINES_INTERNAL

@@ -44,10 +44,8 @@ static void read_component(const maplines_dbc_t *dbc, int slot, const maplines_m
 
 MAPLINES_INTERNAL int maplines_severity(maplines_status_t status)
 {
-    static const int order[6] = {
-        [MAPLINES_FULL] = 0,     [MAPLINES_REPAIRED] = 1, [MAPLINES_SATURATED] = 2,
-        [MAPLINES_DIAGONAL] = 3, [MAPLINES_UNKNOWN] = 4,  [MAPLINES_OUT_OF_RANGE] = 5,
-    };
+    // UNKNOWN, FULL, DIAGONAL, REPAIRED, SATURATED, OUT_OF_RANGE
+    static const int order[6] = {4, 0, 3, 1, 2, 5};
     return order[status];
 }
 

@@ -73,7 +73,7 @@ bool maplines_displacement(const maplines_motion_t *motion, maplines_real_t dt,
 /// function of x then.
 static bool displaced(const double *state, const void *context, double *line)
 {
-    const double *window = context;
+    const double *window = (const double *)context; // C++ asks for it
     maplines_curve_t curve = {{0}, {window[0], window[1]}, 0.0};
     maplines_points_t points;
     memcpy(curve.mean, state, sizeof curve.mean);

@@ -315,8 +315,8 @@ maplines_sent_scene_t maplines_encode_scene(maplines_encoder_t *encoder,
         !send_records(encoder, scene, is_fd, now_us, workspace, frames, &sent))
     {
         *encoder = before;
+        memset(&sent, 0, sizeof sent);
         sent.refusal = MAPLINES_NO_SIGNATURE;
-        sent.count = 0;
     }
     return sent;
 }

@@ -198,6 +198,10 @@ maplines_real_t maplines_mahalanobis(const maplines_line_t *line, size_t count,
     maplines_product_transposed((int)count, 4, (int)count, &G[0][0], &G[0][0], S);
     for (size_t i = 0; i < count; ++i)
     {
+        if (!(positions[i].sigma > 0))
+        {
+            return (maplines_real_t)INFINITY;
+        }
         S[i * count + i] += (double)positions[i].sigma * (double)positions[i].sigma;
     }
     if (!maplines_cholesky_factor((int)count, S, S))
@@ -210,7 +214,7 @@ maplines_real_t maplines_mahalanobis(const maplines_line_t *line, size_t count,
     {
         sum += z[i] * z[i];
     }
-    return (maplines_real_t)sqrt(sum);
+    return sum >= 0 ? (maplines_real_t)sqrt(sum) : (maplines_real_t)INFINITY; // also of a NaN
 }
 
 /* ---- lines of a scene ------------------------------------------------------------------------ */

@@ -145,8 +145,11 @@ set_target_properties(
   maplines PROPERTIES C_STANDARD 99 C_STANDARD_REQUIRED ON C_EXTENSIONS OFF
                       POSITION_INDEPENDENT_CODE ON)
 # A fused multiplication would give other bits than the Python package.
-target_compile_options(
-  maplines PRIVATE $<$<OR:$<C_COMPILER_ID:GNU>,$<C_COMPILER_ID:Clang>>:-ffp-contract=off>)
+include(CheckCCompilerFlag)
+check_c_compiler_flag(-ffp-contract=off MAPLINES_HAS_FP_CONTRACT)
+if(MAPLINES_HAS_FP_CONTRACT)
+  target_compile_options(maplines PRIVATE -ffp-contract=off)
+endif()
 set(MAPLINES_CFLAGS "")
 if(MAPLINES_FLOAT)
   target_compile_definitions(maplines PUBLIC MAPLINES_FLOAT)
