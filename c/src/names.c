@@ -1,31 +1,48 @@
-/* Names of the values of enumerations, as the Python package has them. */
+/* Names of the values of enumerations, as the Python package has them.
+ *
+ * They stand in arrays of characters: pointers to them would be data that is relocated.
+ */
 #include "internal.h"
 
 #define COUNT(names) ((int)(sizeof(names) / sizeof((names)[0])))
+#define NAME_SIZE 16 // of the longest, UNAUTHENTICATED
 
-static const char *const owner_names[] = {"EGO_LEFT",   "EGO_RIGHT", "NEXT_LEFT",
-                                          "NEXT_RIGHT", "CENTRE",    "EDGE_LEFT",
-                                          "EDGE_RIGHT", "ROUTE",     "POSE"};
-static const char *const kind_names[] = {"UNKNOWN",   "SOLID", "DASHED",  "DOUBLE",
-                                         "ROAD_EDGE", "KERB",  "BARRIER", "VIRTUAL"};
-static const char *const status_names[] = {"UNKNOWN",  "FULL",      "DIAGONAL",
-                                           "REPAIRED", "SATURATED", "OUT_OF_RANGE"};
+static const char owner_names[][NAME_SIZE] = {"EGO_LEFT",   "EGO_RIGHT", "NEXT_LEFT",
+                                              "NEXT_RIGHT", "CENTRE",    "EDGE_LEFT",
+                                              "EDGE_RIGHT", "ROUTE",     "POSE"};
+static const char kind_names[][NAME_SIZE] = {"UNKNOWN",   "SOLID", "DASHED",  "DOUBLE",
+                                             "ROAD_EDGE", "KERB",  "BARRIER", "VIRTUAL"};
+static const char status_names[][NAME_SIZE] = {"UNKNOWN",  "FULL",      "DIAGONAL",
+                                               "REPAIRED", "SATURATED", "OUT_OF_RANGE"};
 /// From MAPLINES_COMPLETE on, which is -1.
-static const char *const reason_names[] = {
+static const char reason_names[][NAME_SIZE] = {
     "COMPLETE",        "PENDING",    "FOREIGN", "LENGTH", "PAGE", "DUPLICATE", "REPLACED",
     "STALE",           "INCOMPLETE", "TIMEOUT", "MIXED",  "CRC",  "CONTENT",   "POSE",
     "UNAUTHENTICATED", "KEY",        "MAC",     "REPLAY", "AGE"};
-static const char *const e2e_state_names[] = {"VALID", "?", "NODATA", "INIT", "INVALID"};
-static const char *const prediction_names[] = {"PREDICTED", "NOT_USABLE", "TOO_FAR", "BAD_MOTION",
-                                               "ILL_POSED"};
-static const char *const refusal_names[] = {
+static const char e2e_state_names[][NAME_SIZE] = {"VALID", "?", "NODATA", "INIT", "INVALID"};
+static const struct {
+    maplines_e2e_status_t status;
+    char name[NAME_SIZE];
+} e2e_statuses[] = {
+    {MAPLINES_E2E_OK, "OK"},
+    {MAPLINES_E2E_NONEWDATA, "NONEWDATA"},
+    {MAPLINES_E2E_ERROR, "ERROR"},
+    {MAPLINES_E2E_REPEATED, "REPEATED"},
+    {MAPLINES_E2E_OKSOMELOST, "OKSOMELOST"},
+    {MAPLINES_E2E_WRONGSEQUENCE, "WRONGSEQUENCE"},
+    {MAPLINES_E2E_NONE, "NONE"},
+};
+static const char prediction_names[][NAME_SIZE] = {"PREDICTED", "NOT_USABLE", "TOO_FAR",
+                                                   "BAD_MOTION", "ILL_POSED"};
+static const char refusal_names[][NAME_SIZE] = {
     "SENT",       "NO_MESSAGE",   "NO_COVARIANCE", "BAD_MEAN",  "BAD_COVARIANCE", "BAD_VARIANCE",
     "ASYMMETRIC", "BAD_RANGE",    "BAD_AGE",       "BAD_KIND",  "BAD_STATUS",     "BAD_WEIGHTS",
     "BAD_COUNT",  "NO_SIGNATURE", "INDEFINITE",    "SAME_SLOT", "BAD_POSE",       "UNSEEN"};
-static const char *const left_out_names[] = {"IN_SCENE", "ACROSS", "RANGE", "MEAN", "COVARIANCE"};
+static const char left_out_names[][NAME_SIZE] = {"IN_SCENE", "ACROSS", "RANGE", "MEAN",
+                                                 "COVARIANCE"};
 
 /// The name at place i; "?" if there is none.
-static const char *name_at(const char *const *names, int count, int i)
+static const char *name_at(const char (*names)[NAME_SIZE], int count, int i)
 {
     return i >= 0 && i < count ? names[i] : "?";
 }
@@ -58,32 +75,12 @@ const char *maplines_e2e_state_name(maplines_e2e_state_t state)
 const char *maplines_e2e_status_name(maplines_e2e_status_t status)
 {
     const char *name = "?";
-    switch (status)
+    for (int i = 0; i < COUNT(e2e_statuses); ++i)
     {
-    case MAPLINES_E2E_OK:
-        name = "OK";
-        break;
-    case MAPLINES_E2E_NONEWDATA:
-        name = "NONEWDATA";
-        break;
-    case MAPLINES_E2E_ERROR:
-        name = "ERROR";
-        break;
-    case MAPLINES_E2E_REPEATED:
-        name = "REPEATED";
-        break;
-    case MAPLINES_E2E_OKSOMELOST:
-        name = "OKSOMELOST";
-        break;
-    case MAPLINES_E2E_WRONGSEQUENCE:
-        name = "WRONGSEQUENCE";
-        break;
-    case MAPLINES_E2E_NONE:
-        name = "NONE";
-        break;
-    default:
-        // no status
-        break;
+        if (e2e_statuses[i].status == status)
+        {
+            name = e2e_statuses[i].name;
+        }
     }
     return name;
 }
