@@ -112,8 +112,13 @@ static inline bool receive_frame(int bus, maplines_frame_t *frame, int64_t *t_ns
     message.msg_iovlen = 1;
     message.msg_control = control.bytes;
     message.msg_controllen = sizeof control.bytes;
-    if (poll(&waiting, 1, 100) <= 0 || recvmsg(bus, &message, 0) <= 0)
+    if (poll(&waiting, 1, 100) <= 0)
     {
+        return false;
+    }
+    if (recvmsg(bus, &message, 0) <= 0)
+    {
+        (void)poll(NULL, 0, 100); // the interface is down: poll returns at once
         return false;
     }
     const struct cmsghdr *stamp = CMSG_FIRSTHDR(&message);

@@ -9,7 +9,7 @@
  * other bits than the Python package, which is the model of this code.
  *
  *     #include "maplines_dbc.h"
- *     static maplines_decoder_t decoder;  // all memory of a receiver; 35 to 65 kB
+ *     static maplines_decoder_t decoder;  // all memory; 40 to 63 kB with the DBCs of the package
  *
  *     maplines_decoder_init(&decoder, &maplines_dbc, NULL);
  *     ...
