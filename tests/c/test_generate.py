@@ -85,7 +85,8 @@ def test_nothing_but_the_interface_is_visible(tmp_path: Path) -> None:
         ["nm", "--defined-only", "--extern-only", "maplines.o"],
         check=True, cwd=tmp_path, capture_output=True, text=True,
     )  # fmt: skip
-    names = {line.split()[2] for line in done.stdout.splitlines()}
+    sizes = r"_(?:float|double)(?:_\d+){3}$"  # what the linker sees of the sizes of structures
+    names = {re.sub(sizes, "", line.split()[2]) for line in done.stdout.splitlines()}
     interface = (tmp_path / "maplines.h").read_text()
     assert all(re.search(rf"\b{name}\(", interface) for name in names)
 
