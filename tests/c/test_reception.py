@@ -134,7 +134,7 @@ FOREIGN = bytes([REASONS[Reason.FOREIGN], 0])
 def test_with_wrong_settings_every_frame_is_foreign(dbc: str, settings: Any) -> None:
     """A receiver without its key must not accept frames without a MAC instead."""
     program = c_core.harness("reception", layout_of(dbc))
-    questions = [(1, "<Bq", 0, 0), (2, "<q", 0), (3, "<q", 0)]
+    questions: list[tuple[Any, ...]] = [(1, "<Bq", 0, 0), (2, "<q", 0), (3, "<q", 0)]
     asked = b"".join(bytes([kind]) + struct.pack(*of) for kind, *of in questions)
     given = c_core.run(program, settings_with_key(**settings) + FEED + asked)
     assert given[:3] == b"\1" + FOREIGN

@@ -1,6 +1,7 @@
 """Elementary functions against the mathematical library, whose error is below one unit."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ NUMBERS = {
 
 @pytest.mark.parametrize("name", OURS)
 @given(data=st.data())
-def test_agrees_with_the_library(name, data):
+def test_agrees_with_the_library(name: Any, data: Any) -> None:
     x = data.draw(NUMBERS.get(name, st.floats(-1e5, 1e5)))
     library = LIBRARY[name](x)
     # Near a multiple of pi/2, and of log2 near 1, an error of the argument's last bit counts.
@@ -57,23 +58,23 @@ def test_agrees_with_the_library(name, data):
         ("atan", -math.inf, -math.pi / 2),
     ],
 )
-def test_edges(name, x, value):
+def test_edges(name: Any, x: Any, value: Any) -> None:
     assert OURS[name](x) == value
 
 
 @pytest.mark.parametrize("name", ["sin", "cos", "tan"])
 @pytest.mark.parametrize("x", [math.inf, -math.inf, math.nan])
-def test_an_angle_that_is_not_finite_has_no_sine(name, x):
+def test_an_angle_that_is_not_finite_has_no_sine(name: Any, x: Any) -> None:
     assert math.isnan(OURS[name](x))
 
 
 @pytest.mark.parametrize("name", OURS)
-def test_a_value_does_not_depend_on_the_others(name):
+def test_a_value_does_not_depend_on_the_others(name: Any) -> None:
     x = np.linspace(0.01, 3.0, 101)
     assert OURS[name](x).tolist() == [float(OURS[name](one)) for one in x]
 
 
 @given(x=st.floats(-1e300, 1e300))
-def test_sine_and_cosine_are_on_the_circle(x):
+def test_sine_and_cosine_are_on_the_circle(x: Any) -> None:
     sine, cosine = elementary.sin_cos(x)
     assert abs(sine * sine + cosine * cosine - 1) < 1e-15

@@ -332,6 +332,7 @@ def test_the_covariance_of_a_mixture_is_definite_in_spite_of_rounding() -> None:
             line = MapLine(Slot.ROUTE, part, t_ns=0)
             answer = assembler.add(CompleteRecord(line, i, 2, 0.5, i), 4, 0)
         assert isinstance(answer, ReceivedLine)
+        assert answer.line.mixture is not None
         overall, cov = answer.line.mixture.overall, answer.line.gaussian.cov
         assert is_definite(cov[None])[0]
         np.testing.assert_allclose(cov, overall.cov, rtol=2.0**-39)
