@@ -31,7 +31,8 @@ NAME = "harness"
 #: Another compiler, more arguments for it, and an emulator of its target, for all programs: see
 #: ``tools/c_checks.py``.
 CC = os.environ.get("MAPLINES_CC", "cc")
-FLAGS = tuple(shlex.split(os.environ.get("MAPLINES_CFLAGS", "-O2")))
+FLAGS = ("-O2",)
+OWN_FLAGS = tuple(shlex.split(os.environ.get("MAPLINES_CFLAGS", "")))
 EMULATOR = tuple(shlex.split(os.environ.get("MAPLINES_EMULATOR", "")))
 
 
@@ -67,6 +68,7 @@ def program(
     flags: Sequence[str] = FLAGS,
 ) -> Path:
     """Return the program of some sources, the core, and the tables of DBCs with these names."""
+    flags = (*flags, *OWN_FLAGS)
     files: dict[str, str] = {}
     for layout, name in zip(layouts, names, strict=True):
         tables = tables_of(layout, name)
