@@ -147,7 +147,7 @@ def check_tidy() -> Findings:
 def findings_with(compiler: str, flags: str = "-O2", emulator: str = "", **more: str) -> Findings:
     """Run the tests of the core with a compiler, its arguments, and an emulator of its target."""
     settings = {"MAPLINES_CC": compiler, "MAPLINES_CFLAGS": flags, "MAPLINES_EMULATOR": emulator}
-    command = [sys.executable, "-m", "pytest", "-q", "-n", "2", "tests/c"]
+    command = [sys.executable, "-m", "pytest", "-q", "-n", "2", "--dist", "loadfile", "tests/c"]
     status, lines = run(command, os.environ | settings | more)
     failed = [line for line in lines if re.match(r"(FAILED|ERROR) ", line)]
     return failed or ([*lines[-3:]] if status else [])
