@@ -114,14 +114,6 @@ static void draft_record(const maplines_input_t *line, const double mean[4], con
     }
 }
 
-/// Counter after one of an owner.
-static uint32_t following(const maplines_encoder_t *encoder, int owner, uint32_t counter)
-{
-    const unsigned bits = maplines_layout(encoder->dbc, owner)->counter.length;
-    const uint64_t mask = ((uint64_t)1 << bits) - 1U;
-    return (uint32_t)(((uint64_t)counter + 1U) & mask);
-}
-
 /// Frames of a record, whose counter is the next one of its slot; 0 if it was not signed.
 static size_t send_record(maplines_encoder_t *encoder, const maplines_draft_t *draft, bool is_fd,
                           int64_t now_us, maplines_frame_t *frames, maplines_status_t *status)
@@ -134,7 +126,7 @@ static size_t send_record(maplines_encoder_t *encoder, const maplines_draft_t *d
     const size_t count = maplines_frames(encoder, slot, record, length, is_fd, now_us, frames);
     if (count > 0U)
     {
-        encoder->counter[slot] = following(encoder, slot, encoder->counter[slot]);
+        encoder->counter[slot] = maplines_next_counter(encoder->dbc, slot, encoder->counter[slot]);
     }
     return count;
 }

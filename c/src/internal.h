@@ -74,6 +74,9 @@ MAPLINES_INTERNAL uint16_t maplines_crc(const uint8_t *record, size_t length, ui
 
 /// Layout of the records of an owner.
 MAPLINES_INTERNAL const maplines_record_t *maplines_layout(const maplines_dbc_t *dbc, int owner);
+/// Counter of the record of an owner that follows the one with a counter.
+MAPLINES_INTERNAL uint32_t maplines_next_counter(const maplines_dbc_t *dbc, int owner,
+                                                 uint32_t counter);
 /// MAPLINES_COMPLETE if a record of this length is intact; else LENGTH, MIXED or CRC.
 MAPLINES_INTERNAL maplines_reason_t maplines_check_record(const maplines_dbc_t *dbc, int owner,
                                                           const uint8_t *record, size_t length);

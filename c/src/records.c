@@ -17,6 +17,14 @@ static unsigned pages_of_content(const maplines_dbc_t *dbc, int owner, const uin
     return maplines_get(&dbc->has_covariance, record) != 0 ? layout->pages : layout->short_pages;
 }
 
+MAPLINES_INTERNAL uint32_t maplines_next_counter(const maplines_dbc_t *dbc, int owner,
+                                                 uint32_t counter)
+{
+    const unsigned bits = maplines_layout(dbc, owner)->counter.length;
+    const uint64_t mask = ((uint64_t)1 << bits) - 1U;
+    return (uint32_t)(((uint64_t)counter + 1U) & mask);
+}
+
 MAPLINES_INTERNAL maplines_reason_t maplines_check_record(const maplines_dbc_t *dbc, int owner,
                                                           const uint8_t *record, size_t length)
 {

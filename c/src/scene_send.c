@@ -137,12 +137,6 @@ static maplines_refusal_t check_scene(const maplines_encoder_t *encoder,
     return refusal;
 }
 
-static uint32_t next_counter(const maplines_dbc_t *dbc, int owner, uint32_t counter)
-{
-    const unsigned bits = maplines_layout(dbc, owner)->counter.length;
-    return (uint32_t)(((uint64_t)counter + 1U) & (((uint64_t)1 << bits) - 1U));
-}
-
 static void put_levels(const maplines_levels_t *levels, uint8_t *record, const int64_t raw[3])
 {
     maplines_put(&levels->lateral, record, raw[0]);
@@ -272,7 +266,7 @@ static bool send_records(maplines_encoder_t *encoder, const maplines_scene_input
         if (sent->is_sent[place])
         {
             sent->status[place] = MAPLINES_FULL; // unless its record has another one
-            encoder->counter[slot] = next_counter(dbc, slot, encoder->counter[slot]);
+            encoder->counter[slot] = maplines_next_counter(dbc, slot, encoder->counter[slot]);
         }
     }
     uint8_t pose_record[MAPLINES_MAX_RECORD] = {0};
@@ -280,7 +274,7 @@ static bool send_records(maplines_encoder_t *encoder, const maplines_scene_input
     const size_t pose_length = write_pose(encoder, scene, first, space, pose_record);
     bool is_good = append(encoder, pose, pose_record, pose_length, first[pose], is_fd, now_us,
                           frames, &sent->count);
-    encoder->counter[pose] = next_counter(dbc, pose, first[pose]);
+    encoder->counter[pose] = maplines_next_counter(dbc, pose, first[pose]);
     for (int place = 0; is_good && place < (int)scene->count; ++place)
     {
         const maplines_scene_line_t *line = &scene->lines[place];
