@@ -19,7 +19,7 @@ static uint64_t hash_of(const uint8_t *record, size_t length)
 
 static bool is_slot(const maplines_decoder_t *decoder, int owner)
 {
-    return decoder->is_ready && owner >= 0 && owner < MAPLINES_SLOTS &&
+    return decoder->is_ready && (unsigned)owner < MAPLINES_SLOTS &&
            decoder->dbc->messages[owner].is_present;
 }
 

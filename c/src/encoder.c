@@ -13,7 +13,7 @@ void maplines_encoder_init(maplines_encoder_t *encoder, const maplines_dbc_t *db
 
 MAPLINES_INTERNAL bool maplines_can_send(const maplines_encoder_t *encoder, int owner, bool is_fd)
 {
-    if (owner < 0 || owner >= MAPLINES_OWNERS || !encoder->dbc->messages[owner].is_present)
+    if ((unsigned)owner >= MAPLINES_OWNERS || !encoder->dbc->messages[owner].is_present)
     {
         return false;
     }
@@ -62,11 +62,11 @@ MAPLINES_INTERNAL maplines_refusal_t maplines_check_input(const maplines_input_t
 {
     const bool is_finite =
         fabs(line->x_min) < (double)INFINITY && fabs(line->x_max) < (double)INFINITY;
-    if ((int)line->kind < 0 || line->kind > MAPLINES_VIRTUAL)
+    if ((unsigned)line->kind > (unsigned)MAPLINES_VIRTUAL)
     {
         return MAPLINES_BAD_KIND;
     }
-    if ((int)line->status < 0 || line->status > MAPLINES_OUT_OF_RANGE)
+    if ((unsigned)line->status > (unsigned)MAPLINES_OUT_OF_RANGE)
     {
         return MAPLINES_BAD_STATUS;
     }

@@ -155,10 +155,6 @@ static int epoch_of(const maplines_decoder_t *decoder, int slot, uint32_t counte
 {
     const maplines_epochs_t *epochs = &decoder->epochs;
     const maplines_signal_t *stated = &decoder->dbc->slot_counter[slot];
-    if (stated->length == 0)
-    {
-        return NO_EPOCH;
-    }
     const uint64_t low = counter & (((uint64_t)1 << stated->length) - 1U);
     const int64_t since_ns = epochs->since_ns[slot];
     int found = NO_EPOCH;
@@ -383,10 +379,8 @@ static void build_scene(const maplines_dbc_t *dbc, const maplines_epoch_t *epoch
             ++kept;
         }
     }
-    if (!maplines_decode_scene(dbc, epoch->record, epoch->t_ns, kept, members, scene))
-    {
-        (void)maplines_decode_scene(dbc, epoch->record, epoch->t_ns, 0, members, scene);
-    }
+    // Lines do not depend on each other, so this finds what each of them has found.
+    (void)maplines_decode_scene(dbc, epoch->record, epoch->t_ns, kept, members, scene);
 }
 
 MAPLINES_INTERNAL const maplines_scene_t *maplines_newest_scene(maplines_decoder_t *decoder)

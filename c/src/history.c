@@ -82,11 +82,16 @@ static uint64_t history_length(uint64_t modulus)
     return modulus < MAPLINES_HISTORY ? modulus : MAPLINES_HISTORY;
 }
 
+static size_t place_of(uint64_t modulus, uint64_t counter)
+{
+    return (size_t)(counter & (MAPLINES_HISTORY - 1U) & (modulus - 1U));
+}
+
 /// Place of a counter `behind` the last new one, or MAPLINES_HISTORY if there is no record of it.
 static size_t entry_of(const maplines_history_t *history, uint64_t modulus, uint64_t counter,
                        uint64_t behind)
 {
-    const size_t place = (size_t)(counter & (MAPLINES_HISTORY - 1U) & (modulus - 1U));
+    const size_t place = place_of(modulus, counter);
     const bool is_taken = behind < history_length(modulus) && history->flags[place] != 0;
     return is_taken ? place : MAPLINES_HISTORY;
 }
@@ -136,12 +141,10 @@ MAPLINES_INTERNAL void maplines_history_run(maplines_history_t *history, uint64_
     history->run_is_other = history->run_is_other || is_other;
 }
 
-MAPLINES_INTERNAL bool maplines_history_has_other(const maplines_history_t *history,
-                                                  uint64_t modulus, uint32_t counter,
-                                                  uint64_t content, uint64_t behind)
+MAPLINES_INTERNAL bool maplines_history_has(const maplines_history_t *history, uint64_t modulus,
+                                            uint32_t counter, uint64_t behind)
 {
-    const size_t place = entry_of(history, modulus, counter, behind);
-    return place < MAPLINES_HISTORY && history->content[place] != content;
+    return entry_of(history, modulus, counter, behind) < MAPLINES_HISTORY;
 }
 
 MAPLINES_INTERNAL bool maplines_history_is_duplicate(const maplines_history_t *history,
@@ -153,11 +156,10 @@ MAPLINES_INTERNAL bool maplines_history_is_duplicate(const maplines_history_t *h
 }
 
 MAPLINES_INTERNAL bool maplines_history_mark_duplicated(maplines_history_t *history,
-                                                        uint64_t modulus, uint32_t counter,
-                                                        uint64_t behind)
+                                                        uint64_t modulus, uint32_t counter)
 {
-    const size_t place = entry_of(history, modulus, counter, behind);
-    if (place == MAPLINES_HISTORY || (history->flags[place] & (IS_NEW | IS_DUPLICATED)) != IS_NEW)
+    const size_t place = place_of(modulus, counter);
+    if ((history->flags[place] & (IS_NEW | IS_DUPLICATED)) != IS_NEW)
     {
         return false;
     }

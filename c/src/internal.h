@@ -459,8 +459,9 @@ MAPLINES_INTERNAL maplines_reason_t maplines_verify(const maplines_dbc_t *dbc, i
                                                     const maplines_authenticator_t *authenticator,
                                                     const maplines_frame_t *frame,
                                                     int64_t *last_us);
-/// Frame of the authenticated message of an owner with a sealed record, the next freshness value
-/// and a MAC. False without such a message, key or further freshness value; then nothing changes.
+/// Frame of the authenticated message of an owner, which it has, with a sealed record, the next
+/// freshness value and a MAC. False without a key or a further freshness value; then nothing
+/// changes.
 MAPLINES_INTERNAL bool maplines_secure(const maplines_dbc_t *dbc, int owner, const uint8_t *record,
                                        size_t length, int64_t now_us, maplines_signer_t *signer,
                                        maplines_frame_t *frame);
@@ -515,16 +516,15 @@ MAPLINES_INTERNAL void maplines_history_add_late(maplines_history_t *history, ui
 /// Add a record behind the last new one to the run of its counters.
 MAPLINES_INTERNAL void maplines_history_run(maplines_history_t *history, uint64_t modulus,
                                             uint32_t counter, int64_t t_ns, bool is_other);
-MAPLINES_INTERNAL bool maplines_history_has_other(const maplines_history_t *history,
-                                                  uint64_t modulus, uint32_t counter,
-                                                  uint64_t content, uint64_t behind);
+/// There is a record with a counter.
+MAPLINES_INTERNAL bool maplines_history_has(const maplines_history_t *history, uint64_t modulus,
+                                            uint32_t counter, uint64_t behind);
 MAPLINES_INTERNAL bool maplines_history_is_duplicate(const maplines_history_t *history,
                                                      uint64_t modulus, uint32_t counter,
                                                      uint64_t content, uint64_t behind);
-/// Mark a record as duplicated; true the first time a new record is duplicated.
+/// Mark a record that there is as duplicated; true the first time a new record is duplicated.
 MAPLINES_INTERNAL bool maplines_history_mark_duplicated(maplines_history_t *history,
-                                                        uint64_t modulus, uint32_t counter,
-                                                        uint64_t behind);
+                                                        uint64_t modulus, uint32_t counter);
 MAPLINES_INTERNAL bool maplines_history_fills_gap(const maplines_history_t *history,
                                                   uint64_t modulus, uint32_t counter,
                                                   uint64_t behind);

@@ -232,9 +232,9 @@ static void limits_of(const maplines_signal_t *signal, double *low, double *high
 {
     const double first = maplines_physical(signal, signal->raw_min);
     const double last = maplines_physical(signal, signal->raw_max);
-    const double room = LIMIT_STEPS * fabs(signal->factor);
-    *low = (first < last ? first : last) + room;
-    *high = (first < last ? last : first) - room;
+    const double room = LIMIT_STEPS * signal->factor;
+    *low = first + room;
+    *high = last - room;
 }
 
 MAPLINES_INTERNAL bool maplines_nearest_line(const maplines_signal_t signals[4],

@@ -24,8 +24,8 @@ typedef struct {
 /// One line of a scene, in double precision.
 typedef struct {
     maplines_curve_t curve;
-    double levels[16]; ///< covariance of the coefficients of T_0 .. T_3
-    bool is_full;      ///< the record has all entries of the line-specific covariance instead
+    int64_t lateral, points, shape; ///< levels of the line-specific covariance
+    bool is_full;                   ///< the record has all entries of it instead
 } member_t;
 
 /// C = C + A A^T for an (n, k) matrix A.
@@ -164,12 +164,9 @@ static void read_conditional(const maplines_dbc_t *dbc, const uint8_t *record, m
     curve->fit_range[0] = maplines_physical(&dbc->x_min, maplines_get(&dbc->x_min, record));
     curve->fit_range[1] = maplines_physical(&dbc->x_max, maplines_get(&dbc->x_max, record));
     curve->quartic = maplines_physical(&levels->quartic, maplines_get(&levels->quartic, record));
-    if (!member->is_full && curve->fit_range[0] < curve->fit_range[1])
-    {
-        maplines_decode_levels(levels, curve, maplines_get(&levels->lateral, record),
-                               maplines_get(&levels->points, record),
-                               maplines_get(&levels->shape, record), member->levels);
-    }
+    member->lateral = maplines_get(&levels->lateral, record);
+    member->points = maplines_get(&levels->points, record);
+    member->shape = maplines_get(&levels->shape, record);
 }
 
 /// Physical value of a signal, as a scene has it that is rebuilt from a decoded line.
@@ -201,12 +198,9 @@ static void read_with_levels(const maplines_dbc_t *dbc, const uint8_t *record, i
     curve->fit_range[0] = rebuilt(&dbc->x_min, x_min < x_max ? x_min : x_max) - behind;
     curve->fit_range[1] = rebuilt(&dbc->x_max, x_max) + ahead;
     curve->quartic = maplines_physical(&levels->quartic, maplines_get(&own->quartic, pose_record));
-    if (curve->fit_range[0] < curve->fit_range[1])
-    {
-        maplines_decode_levels(levels, curve, maplines_get(&own->lateral, pose_record),
-                               maplines_get(&own->points, pose_record),
-                               maplines_get(&own->shape, pose_record), member->levels);
-    }
+    member->lateral = maplines_get(&own->lateral, pose_record);
+    member->points = maplines_get(&own->points, pose_record);
+    member->shape = maplines_get(&own->shape, pose_record);
 }
 
 /// Age of a line [s], whose first frame came some time after that of its pose error.
@@ -220,8 +214,8 @@ static double later(double age, int64_t passed_ns)
     return (age_ns > 0.0 ? age_ns : 0.0) / 1e9;
 }
 
-/// Set the valid range of a line that is conditional on the pose error. False as for the scene.
-static bool set_valid_range(const pose_error_t *pose, const maplines_curve_t *curve,
+/// Set the valid range of a line that is conditional on the pose error.
+static void set_valid_range(const pose_error_t *pose, const maplines_curve_t *curve,
                             const maplines_points_t *points, const double specific_cov[16],
                             maplines_line_t *line)
 {
@@ -230,10 +224,7 @@ static bool set_valid_range(const pose_error_t *pose, const maplines_curve_t *cu
     {
         // It may be beyond the levels, but no more than the variance of beta has room for.
         double J[4][3];
-        if (!maplines_pose_jacobian(points, J))
-        {
-            return false;
-        }
+        (void)maplines_pose_jacobian(points, J); // maplines_common has found that there is one
         const double size = fabs(J[1][2]);
         const double turn = size > MAPLINES_MIN_TURN ? size : MAPLINES_MIN_TURN;
         const double possible = sqrt(specific_cov[5]) / turn;
@@ -248,7 +239,6 @@ static bool set_valid_range(const pose_error_t *pose, const maplines_curve_t *cu
     const double end = high > middle ? high : middle;
     line->x_min = (maplines_real_t)(low < middle ? low : middle);
     line->x_max = (maplines_real_t)(low <= high ? end : middle);
-    return true;
 }
 
 /// Set the Gaussian of a line that has its block of the joint covariance.
@@ -284,12 +274,8 @@ static bool decode_member(const maplines_dbc_t *dbc, pose_error_t *pose, const u
     }
     else
     {
-        maplines_complete_t content;
-        if (maplines_read_complete(dbc, given->slot, given->record, given->t_ns, &content) !=
-            MAPLINES_COMPLETE)
-        {
-            return false;
-        }
+        maplines_complete_t content; // a receiver has read it before, and found it good
+        (void)maplines_read_complete(dbc, given->slot, given->record, given->t_ns, &content);
         *line = content.line;
         read_with_levels(dbc, given->record, given->slot, pose_record, &member);
     }
@@ -314,7 +300,10 @@ static bool decode_member(const maplines_dbc_t *dbc, pose_error_t *pose, const u
     }
     else
     {
-        maplines_specific_factor(curve, member.levels, common, F);
+        double levels[16];
+        maplines_decode_levels(maplines_levels_of(dbc), curve, member.lateral, member.points,
+                               member.shape, levels);
+        maplines_specific_factor(curve, levels, common, F);
     }
     double specific_cov[16];
     double cov[16];
@@ -344,7 +333,8 @@ static bool decode_member(const maplines_dbc_t *dbc, pose_error_t *pose, const u
     line->components = 1;
     line->t_ns = given->t_ns;
     line->age = (maplines_real_t)later(pose->age, given->t_ns - pose_ns);
-    return set_valid_range(pose, curve, &points, specific_cov, line);
+    set_valid_range(pose, curve, &points, specific_cov, line);
+    return true;
 }
 
 MAPLINES_INTERNAL bool maplines_decode_scene(const maplines_dbc_t *dbc, const uint8_t *pose_record,

@@ -307,15 +307,6 @@ static void leave_out(maplines_scene_workspace_t *space, maplines_left_out_t rea
     space->count = count;
 }
 
-static void leave_out_all(maplines_scene_workspace_t *space)
-{
-    for (int i = 0; i < space->count; ++i)
-    {
-        space->members[space->places[i]].left_out = MAPLINES_LEFT_OUT_COVARIANCE;
-    }
-    space->count = 0;
-}
-
 /// Encode the lines in the form that each of them needs; false if one of them cannot be seen.
 static bool encode_lines(const maplines_dbc_t *dbc, const maplines_scene_input_t *scene,
                          maplines_scene_workspace_t *space)
@@ -352,8 +343,7 @@ static bool encode_lines(const maplines_dbc_t *dbc, const maplines_scene_input_t
             leave_out(space, MAPLINES_LEFT_OUT_COVARIANCE);
         }
     }
-    leave_out_all(space); // never reached with a line: each pass changes a form or leaves one out
-    return true;
+    return space->count == 0; // as always: each pass changes a form, or leaves a line out
 }
 
 MAPLINES_INTERNAL maplines_refusal_t maplines_encode_members(const maplines_dbc_t *dbc,

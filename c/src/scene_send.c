@@ -119,7 +119,7 @@ static maplines_refusal_t check_scene(const maplines_encoder_t *encoder,
     {
         const maplines_scene_line_t *line = &scene->lines[i];
         const int slot = (int)line->slot;
-        if (slot < 0 || slot >= MAPLINES_SLOTS || !maplines_can_send(encoder, slot, is_fd))
+        if ((unsigned)slot >= MAPLINES_SLOTS || !maplines_can_send(encoder, slot, is_fd))
         {
             return MAPLINES_NO_MESSAGE;
         }

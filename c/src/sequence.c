@@ -134,8 +134,7 @@ static maplines_reason_t why_not_new(maplines_check_t *check, uint32_t counter, 
         maplines_conflict_late(conflict, cycle_ns, t_ns);
     }
     // Farther back, it may be of a sender that restarted in a car that stands.
-    else if (behind <= max_delta &&
-             maplines_history_mark_duplicated(history, modulus, counter, behind))
+    else if (behind <= max_delta && maplines_history_mark_duplicated(history, modulus, counter))
     {
         maplines_conflict_duplicate(conflict, t_ns);
     }
@@ -160,7 +159,7 @@ static maplines_reason_t why_not_new(maplines_check_t *check, uint32_t counter, 
     {
         return MAPLINES_DUPLICATE;
     }
-    const bool has_other = maplines_history_has_other(history, modulus, counter, content, behind);
+    const bool has_other = maplines_history_has(history, modulus, counter, behind);
     maplines_history_add_late(history, modulus, counter, content, behind);
     if (has_other)
     {

@@ -48,9 +48,7 @@ static double timeout_cycles(const maplines_dbc_t *dbc, int owner)
     double components = 1.0;
     if (owner != MAPLINES_POSE && dbc->component_count.length > 0)
     {
-        const maplines_signal_t *count = &dbc->component_count;
-        const double most = maplines_physical(count, count->raw_max);
-        components = most > components ? most : components;
+        components = maplines_physical(&dbc->component_count, dbc->component_count.raw_max);
     }
     double cycles = transfer_ids / components - 0.5;
     cycles = cycles < GRACE_CYCLES ? cycles : GRACE_CYCLES;
