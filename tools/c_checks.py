@@ -155,7 +155,8 @@ def findings_with(compiler: str, flags: str = "-O2", emulator: str = "", **more:
 
 def check_sanitizers() -> Findings:
     """The tests pass with the address and undefined-behaviour sanitizers of clang."""
-    return findings_with("clang", "-O1 -g -fsanitize=address,undefined -fno-sanitize-recover=all")
+    checks = "-fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all"
+    return findings_with("clang", f"-O1 -g {checks}")
 
 
 def check_optimised() -> Findings:

@@ -7,6 +7,9 @@
 The base is one of the project's DBCs, in turn. Chosen are the order of the rows of the covariance,
 widths, factors and offsets, the pages and the places of all signals, the byte order of each page,
 where page and transfer numbers stand, CAN IDs of 11 and 29 bits, data IDs, slots and cycle times.
+
+Seeds from 1000 on are at the limits of the C core: 256 transfer IDs, 64 components, and records of
+9 to 16 pages, which are too long for CAN FD.
 """
 
 from __future__ import annotations
@@ -39,10 +42,12 @@ PIVOT_ENDS = {
     "YOff": (-12, 5), "Beta": (-18, -1), "C0": (-23, -3), "C1": (-32, -5),
     "Along": (-12, 8), "Across": (-12, 8), "Heading": (-18, -1),
 }  # fmt: skip
-#: Bytes of a page, of its numbers and of the checksum.
-PAGE_BYTES, NUMBERS_BYTES, CRC_BYTES = 8, 1, 2
-#: Bits of the page numbers of the pose error.
-POSE_PAGE_BITS = 3
+#: Bytes of a page and of the checksum.
+PAGE_BYTES, CRC_BYTES = 8, 2
+#: Bits of the page numbers of the pose error, and of those at the limits.
+POSE_PAGE_BITS, LIMIT_PAGE_BITS = 3, 4
+#: First seed of a DBC at the limits.
+LIMIT_SEED = 1000
 MAX_TRIES = 200
 
 Specs = list[SignalSpec]
@@ -64,7 +69,7 @@ def random_dbc(seed: int) -> str:
     rng = np.random.default_rng(seed)
     for _ in range(MAX_TRIES):
         try:
-            text = _text(rng, BASES[seed % len(BASES)])
+            text = _text(rng, *_base(seed))
             Codec(Layout.from_text(text))
         except (LayoutError, StopIteration, ValueError):
             continue  # such as ratios that are too ill-conditioned together, or too many pages
@@ -72,12 +77,26 @@ def random_dbc(seed: int) -> str:
     raise RuntimeError(f"no DBC of seed {seed} is accepted")
 
 
-def _text(rng: np.random.Generator, base: DbcWriter) -> str:
+def _base(seed: int) -> tuple[DbcWriter, bool]:
+    """Return the base of a seed, and whether it is driven to the limits."""
+    if seed < LIMIT_SEED:
+        return BASES[seed % len(BASES)], False
+    without_mac = replace(BASES[seed % 2], first_secured_can_id=None)  # there is no room for one
+    return without_mac, True
+
+
+def _text(rng: np.random.Generator, base: DbcWriter, at_limits: bool) -> str:
     """Return the text of a random DBC, which the codec may refuse."""
     if base.pose is None:
         raise ValueError("the base needs a message of the pose error")
     component_bits, pose_bits = int(rng.integers(1, 4)), int(rng.integers(1, 4))
     transfer_bits = int(rng.integers(1 if base.optional_pages else component_bits + 1, 6))
+    numbers_bytes, pose_page_bits = 1, POSE_PAGE_BITS
+    room = 8 * (PAGE_BYTES - numbers_bytes)
+    if at_limits:
+        component_bits, pose_bits, transfer_bits = 6, 8, 8
+        numbers_bytes, pose_page_bits = 2, LIMIT_PAGE_BITS
+        room = int(rng.integers(21, 33))
     most = 4 if base.first_secured_can_id is not None else len(Slot)
     slots = tuple(sorted(rng.permutation(list(Slot))[: rng.integers(1, most + 1)].tolist()))
     titles = tuple(slot_title(Slot(slot)) for slot in slots)
@@ -86,12 +105,14 @@ def _text(rng: np.random.Generator, base: DbcWriter) -> str:
     lines = [_changed(rng, spec, component_bits) for spec in _flat(base.pages)]
     lines = _with_rows(rng, _with_fine(rng, lines), PARAMETER_SIGNALS)
     pose = _with_rows(rng, _same_of_slots(_all_changed(rng, of_pose), titles), POSE_ROWS)
-    short = _in_pages(rng, [spec for spec in lines if not _is_long(base, spec)])
-    long = _in_pages(rng, [spec for spec in lines if _is_long(base, spec)])
+    short = _in_pages(rng, [spec for spec in lines if not _is_long(base, spec)], room)
+    long = _in_pages(rng, [spec for spec in lines if _is_long(base, spec)], room)
+    if at_limits and not 8 < len(short) + len(long) <= 2**LIMIT_PAGE_BITS:
+        raise ValueError("the record is not as long as it should be")
     ids = rng.choice(np.arange(0x100, 0x700, 0x10), 7, replace=False).tolist()
     pose_spec = PoseSpec(
-        _in_pages(rng, pose),
-        page_bits=POSE_PAGE_BITS,
+        _in_pages(rng, pose, room),
+        page_bits=pose_page_bits,
         transfer_id_bits=pose_bits,
         can_id=ids[3],
         fd_can_id=ids[4],
@@ -113,8 +134,8 @@ def _text(rng: np.random.Generator, base: DbcWriter) -> str:
     )
     database = writer.database()
     page_bits = max(1, (len(writer.pages) - 1).bit_length())
-    of_lines = _places(rng, writer.pages, page_bits, transfer_bits)
-    of_pose_error = _places(rng, pose_spec.pages, POSE_PAGE_BITS, pose_bits)
+    of_lines = _places(rng, writer.pages, (page_bits, transfer_bits), numbers_bytes)
+    of_pose_error = _places(rng, pose_spec.pages, (pose_page_bits, pose_bits), numbers_bytes)
     for message in database.messages:
         _move(message, of_pose_error if message.name.startswith("Pose") else of_lines)
     database.refresh()
@@ -214,9 +235,10 @@ def _with_rows(rng: np.random.Generator, specs: Specs, rows: Sequence[str]) -> S
     return [*kept, *code, replace(inflation, bits=bits, factor=float(rng.choice([0.0124, 0.03])))]
 
 
-def _in_pages(rng: np.random.Generator, specs: Specs) -> tuple[tuple[SignalSpec, ...], ...]:
-    """Distribute signals to pages at random; checksum and counter are on the first one."""
-    room = 8 * (PAGE_BYTES - NUMBERS_BYTES)
+def _in_pages(
+    rng: np.random.Generator, specs: Specs, room: int
+) -> tuple[tuple[SignalSpec, ...], ...]:
+    """Distribute signals to pages with so many bits at random; the first has checksum, counter."""
     head = [spec for spec in specs if spec.name in ("Crc", "Counter")]
     rest = [spec for spec in specs if spec.name not in ("Crc", "Counter")]
     pages: list[Specs] = [head] if head else []
@@ -232,15 +254,19 @@ def _in_pages(rng: np.random.Generator, specs: Specs) -> tuple[tuple[SignalSpec,
 def _places(
     rng: np.random.Generator,
     pages: Sequence[Sequence[SignalSpec]],
-    page_bits: int,
-    transfer_bits: int,
+    numbers_bits: tuple[int, int],
+    numbers_bytes: int,
 ) -> dict[str, Place]:
-    """Return random places of the signals of a record in their pages, by name."""
-    numbers_byte = int(rng.choice([0, PAGE_BYTES - 1]))
-    numbers = [(PAGE, page_bits), (TRANSFER_ID, transfer_bits)]
-    places = _in_row(rng, numbers, 8 * numbers_byte, 8, _order(rng))
+    """Return random places of the signals of a record in their pages, by name.
+
+    The numbers of page and transfer, with so many bits, are in the first or last bytes of a page.
+    """
+    numbers_byte = int(rng.choice([0, PAGE_BYTES - numbers_bytes]))
+    numbers = [*zip((PAGE, TRANSFER_ID), numbers_bits, strict=True)]
+    places = _in_row(rng, numbers, 8 * numbers_byte, 8 * numbers_bytes, _order(rng))
     for page in pages:
-        first, length = 8 * (numbers_byte == 0), 8 * (PAGE_BYTES - NUMBERS_BYTES)
+        first = 8 * numbers_bytes * (numbers_byte == 0)
+        length = 8 * (PAGE_BYTES - numbers_bytes)
         signals = [(spec.name, spec.bits) for spec in page if spec.name != "Crc"]
         if len(signals) < len(page):
             length -= 8 * CRC_BYTES

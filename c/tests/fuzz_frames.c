@@ -1,94 +1,12 @@
-/* Fuzzing of a receiver: frames and times in any order, damaged and intact.
+/* Fuzzing of a receiver: frames and times in any order, damaged and intact, and all that a function
+ * of the car computes with the lines that come of them.
  *
  * The input is a list of steps. Most bits on a bus fail the checksum, so there are also steps that
  * take any content and seal it as a sender would: then what the content means is decoded. After
  * each step, and at the end, the program aborts if something does not hold that holds for any
  * input.
- *
- * With libFuzzer: clang -fsanitize=fuzzer,address,undefined. With -DREPLAY, the program takes the
- * names of files, or draws steps at random: replay COUNT SEED.
  */
-#include "harness_dbc.h"
-#include "internal.h"
-
-#include <stdio.h>
-#include <stdlib.h>
-
-#define REQUIRE(condition)                                                                         \
-    do                                                                                             \
-    {                                                                                              \
-        if (!(condition))                                                                          \
-        {                                                                                          \
-            (void)fprintf(stderr, "line %d: %s does not hold\n", __LINE__, #condition);            \
-            abort();                                                                               \
-        }                                                                                          \
-    }                                                                                              \
-    while (0)
-
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
-
-/// Rest of the input; beyond its end it is zeros.
-typedef struct {
-    const uint8_t *data;
-    size_t left;
-} input_t;
-
-static uint8_t next(input_t *input)
-{
-    if (input->left == 0)
-    {
-        return 0;
-    }
-    --input->left;
-    return *input->data++;
-}
-
-static int64_t next_time(input_t *input, int64_t t_ns)
-{
-    const uint8_t kind = next(input);
-    if (kind < 200) // up to two cycles of 50 ms later
-    {
-        return t_ns + (int64_t)kind * 500000;
-    }
-    if (kind < 240) // earlier or later by up to 2 s
-    {
-        return t_ns + ((int64_t)next(input) - 128) * 16000000;
-    }
-    uint64_t any = 0;
-    for (int i = 0; i < 8; ++i)
-    {
-        any = any << 8U | next(input);
-    }
-    int64_t t;
-    memcpy(&t, &any, sizeof t);
-    return t;
-}
-
-static bool is_a_number(maplines_real_t x)
-{
-    return x - x == 0;
-}
-
-static void check_line(const maplines_line_t *line)
-{
-    REQUIRE(line->slot < MAPLINES_SLOTS);
-    REQUIRE(line->components >= 1 && line->components <= MAPLINES_MAX_COMPONENTS);
-    REQUIRE(line->x_min <= line->x_max);
-    REQUIRE(line->age >= 0);
-    for (int i = 0; i < 4; ++i)
-    {
-        REQUIRE(is_a_number(line->gaussian.mean[i]));
-        bool is_zero = true;
-        for (int j = 0; j < 4; ++j)
-        {
-            REQUIRE(is_a_number(line->gaussian.factor[i][j]));
-            is_zero = is_zero && line->gaussian.factor[i][j] == 0;
-        }
-        REQUIRE(!is_zero); // each variance is positive
-    }
-    const maplines_real_t sigma = maplines_y_sigma(line, 40);
-    REQUIRE(sigma > 0 || !is_a_number(maplines_y(line, 40)));
-}
+#include "fuzz.h"
 
 static void check_all(maplines_decoder_t *decoder, int64_t now_ns)
 {
@@ -174,7 +92,8 @@ static void any_frame(maplines_decoder_t *decoder, input_t *input, int64_t t_ns)
     feed(decoder, &frame, t_ns);
 }
 
-/// An intact record of any content, in one CAN FD frame or in its pages, some lost or twice.
+/// An intact record of any content: in one CAN FD frame, with a MAC, or in its pages, some of which
+/// are lost or come twice.
 static void sealed_record(maplines_decoder_t *decoder, input_t *input, int64_t t_ns)
 {
     const maplines_dbc_t *dbc = decoder->dbc;
@@ -203,6 +122,15 @@ static void sealed_record(maplines_decoder_t *decoder, input_t *input, int64_t t
         feed(decoder, &frame, t_ns);
         return;
     }
+    if ((form & 8U) != 0)
+    {
+        maplines_signer_t signer = {fuzz_mac, NULL, form >> 6U, next_time(input, 0) / 1000};
+        if (maplines_secure(dbc, owner, record, 8 * pages, 0, &signer, &frame))
+        {
+            feed(decoder, &frame, t_ns);
+        }
+        return;
+    }
     if (!address(dbc, owner, 0, &frame))
     {
         return;
@@ -219,85 +147,237 @@ static void sealed_record(maplines_decoder_t *decoder, input_t *input, int64_t t
     }
 }
 
+/* ---- what a function of the car computes with lines ---- */
+
+static void check_estimate(maplines_estimate_t estimate)
+{
+    REQUIRE(estimate.sigma >= 0);
+}
+
+/// What holds for a Gaussian that is predicted, however far: rounding may leave no variance.
+static void check_gaussian(const maplines_gaussian_t *gaussian)
+{
+    maplines_real_t covariance[4][4];
+    maplines_covariance(gaussian, covariance);
+    for (int i = 0; i < 4; ++i)
+    {
+        REQUIRE(is_a_number(gaussian->mean[i]));
+        REQUIRE(covariance[i][i] >= 0);
+    }
+}
+
+static maplines_motion_t next_motion(input_t *input)
+{
+    maplines_motion_t motion;
+    motion.speed = next_real(input, 10);
+    motion.yaw_rate = next_real(input, 0.1);
+    motion.speed_sigma = next_real(input, 0.1);
+    motion.yaw_rate_sigma = next_real(input, 0.01);
+    motion.correlation = next_real(input, 0.2);
+    return motion;
+}
+
+static void predict(const maplines_decoder_t *decoder, input_t *input, const maplines_line_t *line,
+                    int64_t t_ns)
+{
+    maplines_gaussian_t components[MAPLINES_MAX_COMPONENTS];
+    maplines_real_t weights[MAPLINES_MAX_COMPONENTS];
+    maplines_displacement_t displacement;
+    maplines_line_t predicted;
+    const maplines_motion_t motion = next_motion(input);
+    if (maplines_predict_to(line, t_ns, &motion, next_real(input, 0.01), &predicted) ==
+        MAPLINES_PREDICTED)
+    {
+        check_gaussian(&predicted.gaussian);
+        REQUIRE(predicted.x_min <= predicted.x_max);
+        REQUIRE(predicted.age == 0 && predicted.components == 1 && predicted.t_ns == t_ns);
+    }
+    if (maplines_displacement(&motion, next_real(input, 0.2), 0, &displacement) &&
+        maplines_predict(line, t_ns, &displacement, &predicted) == MAPLINES_PREDICTED)
+    {
+        check_gaussian(&predicted.gaussian);
+        REQUIRE(predicted.x_min <= predicted.x_max);
+    }
+    for (int i = 0; i < 3; ++i)
+    {
+        displacement.mean[i] = next_real(input, 1);
+        for (int j = 0; j < 3; ++j)
+        {
+            displacement.factor[i][j] = j > i ? 0 : next_real(input, 0.1);
+        }
+    }
+    bool are_predicted = line == maplines_newest(decoder, line->slot);
+    for (uint8_t i = 0; are_predicted && i < line->components; ++i)
+    {
+        REQUIRE(maplines_component(decoder, line->slot, i, &components[i], &weights[i]));
+        REQUIRE(weights[i] > 0);
+        check_gaussian(&components[i]);
+        are_predicted =
+            maplines_predict_gaussian(&components[i], &displacement, line->x_min, line->x_max,
+                                      &components[i]) == MAPLINES_PREDICTED;
+    }
+    if (are_predicted)
+    {
+        maplines_overall(line->components, components, weights, &components[0]);
+        check_gaussian(&components[0]);
+    }
+}
+
+static void use_line(const maplines_decoder_t *decoder, input_t *input, const maplines_line_t *line,
+                     int64_t t_ns)
+{
+    maplines_position_t positions[MAPLINES_MAX_POSITIONS];
+    const size_t count = next(input) % (MAPLINES_MAX_POSITIONS + 1U);
+    const maplines_real_t x = next_real(input, 20);
+    const maplines_real_t distance = next_real(input, 20);
+    check_estimate((maplines_estimate_t){maplines_y(line, x), maplines_y_sigma(line, x)});
+    check_estimate(maplines_slope(line, x, distance));
+    check_estimate(maplines_curvature(line, x, distance));
+    check_gaussian(&line->gaussian);
+    for (size_t i = 0; i < count; ++i)
+    {
+        positions[i].x = next_real(input, 20);
+        positions[i].y = next_real(input, 2);
+        positions[i].sigma = next_real(input, 0.1);
+    }
+    REQUIRE(maplines_mahalanobis(line, count, positions) >= 0);
+    predict(decoder, input, line, t_ns);
+}
+
+static void use_scene(const maplines_decoder_t *decoder, input_t *input,
+                      const maplines_scene_t *scene, int64_t t_ns)
+{
+    maplines_term_t terms[MAPLINES_SLOTS];
+    maplines_owner_t slots[MAPLINES_SLOTS];
+    maplines_real_t covariance[16 * MAPLINES_SLOTS * MAPLINES_SLOTS];
+    maplines_real_t x_min;
+    maplines_real_t x_max;
+    maplines_estimate_t estimate;
+    const size_t count = next(input) % (MAPLINES_SLOTS + 1U);
+    for (size_t i = 0; i < count; ++i)
+    {
+        const uint8_t place = next(input);
+        const bool is_any = place >= 240 || scene->count == 0;
+        slots[i] =
+            is_any ? (maplines_owner_t)(place % 12U) : scene->lines[place % scene->count].slot;
+        terms[i] = (maplines_term_t){slots[i], next_real(input, 20), next_real(input, 0.5)};
+    }
+    check_estimate((maplines_sum(scene, count, terms, &estimate), estimate));
+    if (maplines_joint_covariance(scene, count, slots, covariance))
+    {
+        for (size_t i = 0; i < 4 * count; ++i)
+        {
+            REQUIRE(covariance[i * (4 * count + 1)] > 0);
+        }
+    }
+    if (maplines_common_range(scene, count, slots, &x_min, &x_max))
+    {
+        REQUIRE(x_min <= x_max);
+        const maplines_owner_t last = slots[count - 1];
+        REQUIRE(maplines_width(scene, slots[0], last, x_min, &estimate));
+        check_estimate(estimate);
+        REQUIRE(maplines_centre(scene, slots[0], last, x_max, &estimate));
+        check_estimate(estimate);
+        use_line(decoder, input, maplines_scene_line(scene, last), t_ns);
+    }
+}
+
+/// Use the newest line of a slot, or the newest scene.
+static void use(maplines_decoder_t *decoder, input_t *input, int64_t t_ns)
+{
+    const int owner = next(input) % MAPLINES_OWNERS;
+    if (owner < MAPLINES_SLOTS)
+    {
+        const maplines_line_t *line = maplines_newest(decoder, (maplines_owner_t)owner);
+        if (line != NULL)
+        {
+            use_line(decoder, input, line, t_ns);
+        }
+    }
+    else if (decoder->dbc->has_pose)
+    {
+        maplines_scene_view_t view;
+        maplines_latest_scene(decoder, t_ns, &view);
+        if (view.scene != NULL)
+        {
+            use_scene(decoder, input, view.scene, t_ns);
+        }
+    }
+}
+
+/* ---- the steps ---- */
+
+static int64_t fuzz_now_us(void *context)
+{
+    (void)context;
+    return 1000000;
+}
+
+/// Start a receiver. Half of them have the default settings; some verify MACs.
+static void begin(maplines_decoder_t *decoder, input_t *input)
+{
+    static const maplines_authenticator_t authenticators[2] = {
+        {fuzz_mac, NULL, NULL, 1, 0}, {fuzz_mac, fuzz_now_us, NULL, 1000000, 0}};
+    maplines_settings_t settings;
+    const uint8_t choice = next(input);
+    maplines_default_settings(&harness_dbc, &settings);
+    if ((choice & 1U) != 0)
+    {
+        maplines_e2e_config_t e2e = maplines_default_e2e();
+        e2e.max_delta_counter = next(input);
+        e2e.window_size_init = next(input);
+        e2e.window_size_valid = next(input);
+        e2e.min_ok_state_init = next(input);
+        e2e.max_error_state_valid = next(input);
+        e2e.clear_to_invalid = (choice & 2U) != 0;
+        const double timeout_ms = next_number(input, 20);
+        const double cycle_ms = next_number(input, 20);
+        (void)maplines_settings_for(&harness_dbc, timeout_ms, cycle_ms,
+                                    (choice & 4U) != 0 ? &e2e : NULL, &settings);
+        settings.stale_cycles = next_number(input, 1);
+    }
+    settings.authenticator = choice >= 64 ? NULL : &authenticators[choice & 1U];
+    const char *problem = maplines_decoder_init(decoder, &harness_dbc, &settings);
+    if (problem != NULL)
+    {
+        REQUIRE(choice < 64 || (choice & 1U) != 0);
+        REQUIRE(maplines_decoder_init(decoder, &harness_dbc, NULL) == NULL);
+    }
+}
+
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
     static maplines_decoder_t decoder; // too large for some stacks; begun anew each time
-    input_t input = {data, size};
-    REQUIRE(maplines_decoder_init(&decoder, &harness_dbc, NULL) == NULL);
+    input_t input = {data, size, false};
+    begin(&decoder, &input);
     int64_t t_ns = 1000000000;
     while (input.left > 0)
     {
         const uint8_t step = next(&input);
         t_ns = next_time(&input, t_ns);
-        if (step < 96)
+        if (step < 80)
         {
             any_frame(&decoder, &input, t_ns);
         }
-        else if (step < 240)
+        else if (step < 208)
         {
             sealed_record(&decoder, &input, t_ns);
         }
-        else if (step < 248)
+        else if (step < 212)
         {
             maplines_expire(&decoder, t_ns);
         }
-        else
+        else if (step < 216)
         {
             check_all(&decoder, t_ns);
+        }
+        else
+        {
+            input.is_ordinary = step % 2U == 0U;
+            use(&decoder, &input, t_ns);
         }
         t_ns = t_ns < -MAPLINES_MAX_TIME || t_ns > MAPLINES_MAX_TIME ? 0 : t_ns;
     }
     check_all(&decoder, t_ns);
     return 0;
 }
-
-#ifdef REPLAY
-static void replay(const char *name)
-{
-    static uint8_t data[1 << 20];
-    FILE *file = fopen(name, "rb");
-    if (file == NULL)
-    {
-        (void)fprintf(stderr, "cannot open %s\n", name);
-        exit(2);
-    }
-    const size_t size = fread(data, 1, sizeof data, file);
-    (void)fclose(file);
-    (void)LLVMFuzzerTestOneInput(data, size);
-}
-
-/// Draw `count` inputs of up to 4 kB from a seed (xorshift64*, Vigna 2016).
-static void draw(unsigned long count, uint64_t seed)
-{
-    static uint8_t data[4096];
-    uint64_t state = seed * 2685821657736338717U + 1U;
-    for (unsigned long i = 0; i < count; ++i)
-    {
-        const size_t size = 16 + (size_t)(state % (sizeof data - 16));
-        for (size_t k = 0; k < size; ++k)
-        {
-            state ^= state >> 12U;
-            state ^= state << 25U;
-            state ^= state >> 27U;
-            data[k] = (uint8_t)(state * 2685821657736338717U >> 56U);
-        }
-        (void)LLVMFuzzerTestOneInput(data, size);
-    }
-}
-
-int main(int argc, char **argv)
-{
-    char *end = NULL;
-    const unsigned long count = argc == 3 ? strtoul(argv[1], &end, 10) : 0;
-    if (count > 0 && *end == '\0')
-    {
-        draw(count, strtoul(argv[2], NULL, 10));
-        return 0;
-    }
-    for (int i = 1; i < argc; ++i)
-    {
-        replay(argv[i]);
-    }
-    return 0;
-}
-#endif

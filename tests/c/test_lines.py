@@ -21,7 +21,7 @@ from c_lines import (
     random_records,
 )
 from dbcs import edited
-from random_dbc import random_dbc
+from random_dbc import LIMIT_SEED, random_dbc
 from random_lines import random_lines
 from scene_layouts import layout_of
 
@@ -48,7 +48,7 @@ def test_records_are_read_as_in_python(dbc: str) -> None:
     assert all(number > 10 for number in counts.values()), counts
 
 
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", [0, 2, LIMIT_SEED])
 def test_records_of_a_random_dbc_are_read_as_in_python(seed: int) -> None:
     """With other widths, orders of rows, byte orders and places of the signals."""
     check_decode(Layout.from_text(random_dbc(seed)), 1000)

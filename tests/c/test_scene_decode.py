@@ -11,7 +11,7 @@ import c_core
 import numpy as np
 import pytest
 from c_scenes import Wire, check_random_scenes, check_scenes, doubles, sent_scenes
-from random_dbc import random_dbc
+from random_dbc import LIMIT_SEED, random_dbc
 from scene_streams import ALL, COMPLETE, CONDITIONAL, new_codec
 
 from maplines_can.values import fixed_order
@@ -48,7 +48,7 @@ def test_scenes_of_any_bits_are_the_same(wire: Wire) -> None:
     assert counts["refused"] > 50
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [*range(6), LIMIT_SEED, LIMIT_SEED + 1])
 def test_scenes_of_random_dbcs_are_the_same(seed: int) -> None:
     """Whose orders of rows, factors, ranges and places differ."""
     layout = Layout.from_text(random_dbc(seed), "random.dbc")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from c_signals import check_signals
 from dbcs import edited
-from random_dbc import random_dbc
+from random_dbc import LIMIT_SEED, random_dbc
 from scene_layouts import layout_of
 
 from maplines_can.generation.tables import identifier_of, limits_of, tables_of
@@ -25,7 +25,7 @@ def test_raw_and_physical_values_are_those_of_python(name: str) -> None:
     check_signals(layout_of(name))
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [*range(6), LIMIT_SEED, LIMIT_SEED + 1])
 def test_signals_of_random_dbcs(seed: int) -> None:
     """Any widths, places, byte orders and orders of rows."""
     check_signals(Layout.from_text(random_dbc(seed), "random.dbc"), 100)
