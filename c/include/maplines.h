@@ -289,6 +289,11 @@ typedef struct {
     maplines_cholesky_t pose_covariance;
     maplines_signal_t slot_counter[MAPLINES_SLOTS];
     maplines_levels_t slot_levels[MAPLINES_SLOTS]; // beside complete records
+    uint16_t spacings;                             ///< raw values of the shape that a sender tries
+    uint16_t spacing_step;                         ///< from one of them to the next
+    /// At each of them: covariance of a straight line for errors of points of 1 m, its lower
+    /// triangle by rows, and by how much the shape adds to it [m^2].
+    const float (*straight)[11];
 } maplines_dbc_t;
 
 /* ---- receive ---------------------------------------------------------------------------------
@@ -1013,6 +1018,8 @@ typedef struct {
     double common[16]; ///< covariance of these that all lines have
     double cost;       ///< of levels; more than 1 is too much
     bool is_covered;
+    uint8_t spacing_count;
+    uint16_t spacings[24]; ///< raw values of the shape that suit the line best
 } maplines_sent_line_t;
 
 /// Memory in which a scene is encoded: 47 kB. It takes up to 9 kB of stack besides.

@@ -280,9 +280,19 @@ MAPLINES_INTERNAL void maplines_valid_range(const maplines_curve_t *curve, const
 /* ---- levels.c: line-specific covariances as levels, of the coefficients of T_0 .. T_3
  * ------------- */
 
+#define MAPLINES_NODES 64 ///< points of a line of the map to which a cubic is fitted
+
+/// Length of a line, at the nodes of its range.
+typedef struct {
+    double stretch[MAPLINES_NODES]; ///< derivative of the length with respect to x
+    double place[MAPLINES_NODES];   ///< length up to the node, in halves of the whole length
+} maplines_arc_t;
+
+/// Length of a line at the nodes of its range.
+MAPLINES_INTERNAL void maplines_arc_of(const maplines_curve_t *curve, maplines_arc_t *arc);
 /// Covariance for unit errors of points at a raw value of the shape, and of the shape beside them.
 MAPLINES_INTERNAL void maplines_level_noise(const maplines_levels_t *levels,
-                                            const maplines_curve_t *curve, int64_t shape,
+                                            const maplines_arc_t *arc, int64_t shape,
                                             double cov[16]);
 /// Level of a raw value of the lateral level or that of the points [m].
 MAPLINES_INTERNAL double maplines_level(const maplines_signal_t *signal, int64_t raw);
@@ -389,10 +399,15 @@ typedef struct {
     const double *true_cov; ///< (4, 4) that to which the sum is to be close
 } maplines_level_target_t;
 
-/// Raw levels (lateral, points, shape) that cover a target at the least cost; false if none do.
-MAPLINES_INTERNAL bool maplines_search_levels(const maplines_levels_t *levels,
+/// Choose the spacings of a line with the least cost at one level of the points.
+MAPLINES_INTERNAL void maplines_choose_spacings(const maplines_dbc_t *dbc,
+                                                const maplines_level_target_t *target,
+                                                maplines_sent_line_t *line);
+/// Raw levels (lateral, points, shape) that cover a target at the least cost, of those with the
+/// spacings of a line; false if none do.
+MAPLINES_INTERNAL bool maplines_search_levels(const maplines_dbc_t *dbc,
                                               const maplines_level_target_t *target,
-                                              int64_t raw[3]);
+                                              const maplines_sent_line_t *line, int64_t raw[3]);
 
 /* ---- scene_parts.c, specific_encode.c, scene_encode.c
  * --------------------------------------------- */

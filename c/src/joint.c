@@ -295,33 +295,45 @@ MAPLINES_INTERNAL bool maplines_uncovered(int lines, const double *target, const
     return true;
 }
 
-/// Values of T_0 .. T_3 at nine places of the range, and their derivatives there.
-static const double chebyshev_values[MAPLINES_VARIANCES][4] = {
-    {1.0, -1.0, 1.0, -1.0},       {1.0, -0.75, 0.125, 0.5625}, {1.0, -0.5, -0.5, 1.0},
-    {1.0, -0.25, -0.875, 0.6875}, {1.0, 0.0, -1.0, 0.0},       {1.0, 0.25, -0.875, -0.6875},
-    {1.0, 0.5, -0.5, -1.0},       {1.0, 0.75, 0.125, -0.5625}, {1.0, 1.0, 1.0, 1.0},
-    {0.0, 1.0, -4.0, 9.0},        {0.0, 1.0, -3.0, 3.75},      {0.0, 1.0, -2.0, 0.0},
-    {0.0, 1.0, -1.0, -2.25},      {0.0, 1.0, 0.0, -3.0},       {0.0, 1.0, 1.0, -2.25},
-    {0.0, 1.0, 2.0, 0.0},         {0.0, 1.0, 3.0, 3.75},       {0.0, 1.0, 4.0, 9.0},
+/// Variances of the lateral position at nine places of the range, and of the direction there:
+/// weights of the entries of the lower triangle, row by row.
+static const double variance_weights[10][MAPLINES_VARIANCES] = {
+    {1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0},
+    {-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0},
+    {1.0, 0.5625, 0.25, 0.0625, 0.0, 0.0625, 0.25, 0.5625, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0,
+     1.0, 1.0},
+    {2.0, 0.25, -1.0, -1.75, -2.0, -1.75, -1.0, 0.25, 2.0, -0.0, -0.0, -0.0, -0.0, 0.0, 0.0, 0.0,
+     0.0, 0.0},
+    {-2.0, -0.1875, 0.5, 0.4375, -0.0, -0.4375, -0.5, 0.1875, 2.0, -8.0, -6.0, -4.0, -2.0, 0.0, 2.0,
+     4.0, 6.0, 8.0},
+    {1.0, 0.015625, 0.25, 0.765625, 1.0, 0.765625, 0.25, 0.015625, 1.0, 16.0, 9.0, 4.0, 1.0, 0.0,
+     1.0, 4.0, 9.0, 16.0},
+    {-2.0, 1.125, 2.0, 1.375, -0.0, -1.375, -2.0, -1.125, 2.0, 0.0, 0.0, 0.0, -0.0, -0.0, -0.0, 0.0,
+     0.0, 0.0},
+    {2.0, -0.84375, -1.0, -0.34375, -0.0, -0.34375, -1.0, -0.84375, 2.0, 18.0, 7.5, 0.0, -4.5, -6.0,
+     -4.5, 0.0, 7.5, 18.0},
+    {-2.0, 0.140625, -1.0, -1.203125, 0.0, 1.203125, 1.0, -0.140625, 2.0, -72.0, -22.5, -0.0, 4.5,
+     -0.0, -4.5, 0.0, 22.5, 72.0},
+    {1.0, 0.31640625, 1.0, 0.47265625, 0.0, 0.47265625, 1.0, 0.31640625, 1.0, 81.0, 14.0625, 0.0,
+     5.0625, 9.0, 5.0625, 0.0, 14.0625, 81.0},
 };
 
 /// Variances of lateral position and direction at places of the range.
 static void variances_of(const double cov[16], double variances[MAPLINES_VARIANCES])
 {
+    static const int entries[10] = {0, 4, 5, 8, 9, 10, 12, 13, 14, 15};
     for (int place = 0; place < MAPLINES_VARIANCES; ++place)
     {
-        const double *T = chebyshev_values[place];
-        double sum = 0.0;
-        for (int i = 0; i < 4; ++i)
+        variances[place] = 0.0;
+    }
+    for (int i = 0; i < 10; ++i)
+    {
+        const double entry = cov[entries[i]];
+        for (int place = 0; place < MAPLINES_VARIANCES; ++place)
         {
-            for (int j = 0; j <= i; ++j)
-            {
-                const double weight = T[i] * T[j] * (i == j ? 1.0 : 2.0);
-                const double term = weight * cov[4 * i + j];
-                sum = sum + term;
-            }
+            const double term = variance_weights[i][place] * entry;
+            variances[place] = variances[place] + term;
         }
-        variances[place] = sum;
     }
 }
 

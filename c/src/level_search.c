@@ -2,14 +2,17 @@
  *
  * The cost is the divergence from the true covariance plus the logarithm of the largest ratio of
  * variances of the lateral position or the direction of the line. For each spacing of the points
- * the least level of the points is found by bisection; one above it is tried. For the best spacings
- * some more are tried, and some levels of the shape alone. The candidates come one after the other,
- * in the order of wire/covariance/specific_levels.py; the first one of equal cost is taken.
+ * the least level of the points is found by bisection; one above it is tried. There the line is
+ * taken for a straight one if it nearly is, since the covariances of a straight line are in the
+ * tables. For the best spacings some more are tried, with the covariances of the line itself, and
+ * some levels of the shape alone. The candidates come one after the other, in the order of
+ * wire/covariance/specific_levels.py; the first one of equal cost is taken.
  */
 #include "internal.h"
 
-#define CHOSEN 24 // spacings for which all levels are tried
+#define CHOSEN 24 // spacings for which all levels are tried, as in maplines_sent_line_t
 #define TRIED 5   // levels that are tried, from the least one on
+#define KEPT 64   // levels whose squares are computed once
 
 static const int64_t tried[TRIED] = {0, 1, 2, 3, 5};
 
@@ -18,14 +21,26 @@ static const double beyond = 1e100;
 /// Added to the variances that errors of points cause: those of points far apart may be singular.
 static const double singular = 1e-6;
 static const double natural_log_of_2 = 0x1.62e42fefa39efp-1;
+/// Ratio of the largest to the least stretch of a line that is nearly straight.
+static const double nearly_straight = 1.1;
+
+/// Squares of levels; 0 until they are computed.
+typedef struct {
+    const maplines_signal_t *signal;
+    double squares[KEPT];
+} squares_t;
 
 /// What levels are to cover, in coefficients of T_0 .. T_3.
 typedef struct {
+    const maplines_dbc_t *dbc;
     const maplines_levels_t *levels;
-    const maplines_curve_t *curve;
-    double lacking[16]; ///< what the levels are to cover
-    double common[16];  ///< what is added to their covariance
+    maplines_arc_t arc;
+    double stretch_squared; ///< of a line that is nearly straight; else 0
+    double lacking[16];     ///< what the levels are to cover
+    double common[16];      ///< what is added to their covariance
     maplines_reference_t reference;
+    squares_t lateral;
+    squares_t points;
 } search_t;
 
 /// Raw values of the levels and their cost.
@@ -39,15 +54,24 @@ typedef struct {
 /// Spacing that is among the best so far.
 typedef struct {
     double cost;
-    int64_t raw;   ///< of the shape
-    int64_t least; ///< level of the points, raw
+    int64_t raw; ///< of the shape
 } spacing_t;
 
 /// Square of the level of a raw value, or of the greatest one.
-static double level_squared(const maplines_signal_t *signal, int64_t raw)
+static double level_squared(squares_t *of, int64_t raw)
 {
-    const double level = maplines_level(signal, raw);
-    return level * level;
+    const bool is_kept = raw < KEPT;
+    if (is_kept && of->squares[raw] > 0.0)
+    {
+        return of->squares[raw];
+    }
+    const double level = maplines_level(of->signal, raw);
+    const double square = level * level;
+    if (is_kept)
+    {
+        of->squares[raw] = square;
+    }
+    return square;
 }
 
 static double shape_squared(const maplines_levels_t *levels, int64_t raw)
@@ -117,17 +141,16 @@ static bool covers_rest(const search_t *search, double square, const double cova
 
 /// Least raw level, 1 or more, of the points or of the shape whose multiple of a covariance covers
 /// what levels are to cover, but for T_0; one more than the greatest if none does.
-static int64_t least_level(const search_t *search, bool is_shape, const double covariance[16])
+static int64_t least_level(search_t *search, bool is_shape, const double covariance[16])
 {
     const maplines_levels_t *levels = search->levels;
-    const maplines_signal_t *signal = is_shape ? &levels->shape : &levels->points;
     int64_t low = 0;
-    int64_t high = signal->raw_max + 1;
+    int64_t high = (is_shape ? levels->shape.raw_max : levels->points.raw_max) + 1;
     while (high - low > 1)
     {
         const int64_t middle = (low + high) / 2;
         const double square =
-            is_shape ? shape_squared(levels, middle) : level_squared(signal, middle);
+            is_shape ? shape_squared(levels, middle) : level_squared(&search->points, middle);
         if (covers_rest(search, square, covariance))
         {
             high = middle;
@@ -141,7 +164,7 @@ static int64_t least_level(const search_t *search, bool is_shape, const double c
 }
 
 /// Find the lateral level with which a covariance covers, and the cost of both.
-static void assess(const search_t *search, double square, const double covariance[16],
+static void assess(search_t *search, double square, const double covariance[16],
                    candidate_t *candidate)
 {
     const maplines_signal_t *lateral = &search->levels->lateral;
@@ -166,7 +189,7 @@ static void assess(const search_t *search, double square, const double covarianc
     {
         decoded[i] = search->common[i] + own[i];
     }
-    decoded[0] = decoded[0] + level_squared(lateral, candidate->lateral);
+    decoded[0] = decoded[0] + level_squared(&search->lateral, candidate->lateral);
     const double ratio = maplines_largest_ratio(&search->reference, decoded);
     const double log_ratio = natural_log_of_2 * maplines_log2(ratio);
     const double cost = maplines_divergence(&search->reference, decoded) + log_ratio;
@@ -176,14 +199,13 @@ static void assess(const search_t *search, double square, const double covarianc
 }
 
 /// Assess a level of the points, with the covariance for the level 1.
-static void assess_points(const search_t *search, int64_t shape, int64_t points,
+static void assess_points(search_t *search, int64_t shape, int64_t points,
                           const double covariance[16], candidate_t *candidate)
 {
-    const maplines_signal_t *signal = &search->levels->points;
-    assess(search, level_squared(signal, points), covariance, candidate);
+    assess(search, level_squared(&search->points, points), covariance, candidate);
     candidate->points = points;
     candidate->shape = shape;
-    if (points > signal->raw_max)
+    if (points > search->levels->points.raw_max)
     {
         candidate->cost = (double)INFINITY;
     }
@@ -216,54 +238,116 @@ static void keep_better(candidate_t *best, const candidate_t *candidate)
     }
 }
 
-/// Try all spacings with one level of the points; returns the number of the best that are kept.
-static int spacings_tried(const search_t *search, spacing_t best[CHOSEN])
+/// Covariance for unit errors of points as `maplines_level_noise`, of a line that is taken for a
+/// straight one if it nearly is.
+static void near_noise(const search_t *search, int spacing, int64_t raw, double cov[16])
 {
-    const maplines_signal_t *shape = &search->levels->shape;
-    int count = 0;
-    for (int64_t raw = shape->raw_min; raw <= shape->raw_max; ++raw)
+    if (!(search->stretch_squared > 0.0))
     {
-        double noise[16];
-        candidate_t candidate;
-        maplines_level_noise(search->levels, search->curve, raw, noise);
-        const int64_t least = least_level(search, false, noise);
-        assess_points(search, raw, least + tried[1], noise, &candidate);
-        const spacing_t spacing = {candidate.cost, raw, least};
-        insert(best, &count, &spacing);
+        maplines_level_noise(search->levels, &search->arc, raw, cov);
+        return;
     }
-    return count;
+    const float *straight = search->dbc->straight[spacing];
+    int entry = 0;
+    for (int i = 0; i < 4; ++i)
+    {
+        for (int j = 0; j <= i; ++j)
+        {
+            const double scaled = search->stretch_squared * (double)straight[entry];
+            cov[4 * i + j] = scaled;
+            cov[4 * j + i] = scaled;
+            ++entry;
+        }
+    }
+    for (int i = 0; i < 4; ++i)
+    {
+        const double of_shape = (double)straight[entry] * maplines_shape(i);
+        cov[5 * i] = cov[5 * i] + of_shape;
+    }
 }
 
-MAPLINES_INTERNAL bool maplines_search_levels(const maplines_levels_t *levels,
-                                              const maplines_level_target_t *target, int64_t raw[3])
+/// Square of the stretch of a line that is nearly straight, the geometric mean of the extremes;
+/// else 0.
+static double stretch_squared(const maplines_arc_t *arc)
 {
-    search_t search;
-    search.levels = levels;
-    search.curve = target->curve;
+    double least = arc->stretch[0];
+    double most = least;
+    for (int k = 1; k < MAPLINES_NODES; ++k)
+    {
+        least = arc->stretch[k] < least ? arc->stretch[k] : least;
+        most = arc->stretch[k] > most ? arc->stretch[k] : most;
+    }
+    return most <= nearly_straight * least ? least * most : 0.0;
+}
+
+static void begin(search_t *search, const maplines_dbc_t *dbc,
+                  const maplines_level_target_t *target)
+{
     double inverse[16];
     double matrix[16];
+    search->dbc = dbc;
+    search->levels = maplines_levels_of(dbc);
+    memset(&search->lateral, 0, sizeof search->lateral);
+    memset(&search->points, 0, sizeof search->points);
+    search->lateral.signal = &search->levels->lateral;
+    search->points.signal = &search->levels->points;
+    maplines_arc_of(target->curve, &search->arc);
+    search->stretch_squared = stretch_squared(&search->arc);
     maplines_inverse(target->J, inverse);
     maplines_congruence(inverse, target->target, matrix);
     for (int i = 0; i < 16; ++i)
     {
-        search.common[i] = target->common[i];
-        search.lacking[i] = matrix[i] - target->common[i];
+        search->common[i] = target->common[i];
+        search->lacking[i] = matrix[i] - target->common[i];
     }
     maplines_congruence(inverse, target->true_cov, matrix);
-    maplines_compare_with(matrix, &search.reference);
+    maplines_compare_with(matrix, &search->reference);
+}
 
+MAPLINES_INTERNAL void maplines_choose_spacings(const maplines_dbc_t *dbc,
+                                                const maplines_level_target_t *target,
+                                                maplines_sent_line_t *line)
+{
+    search_t search;
+    begin(&search, dbc, target);
     spacing_t spacings[CHOSEN];
-    const int count = spacings_tried(&search, spacings);
-    candidate_t best = {0, 0, 0, (double)INFINITY};
-    candidate_t candidate;
-    for (int i = 0; i < count; ++i)
+    int count = 0;
+    for (int i = 0; i < (int)dbc->spacings; ++i)
     {
         double noise[16];
-        maplines_level_noise(levels, target->curve, spacings[i].raw, noise);
+        candidate_t candidate;
+        const int64_t raw = search.levels->shape.raw_min + (int64_t)i * dbc->spacing_step;
+        near_noise(&search, i, raw, noise);
+        const int64_t least = least_level(&search, false, noise);
+        assess_points(&search, raw, least + tried[1], noise, &candidate);
+        const spacing_t spacing = {candidate.cost, raw};
+        insert(spacings, &count, &spacing);
+    }
+    for (int i = 0; i < count; ++i)
+    {
+        line->spacings[i] = (uint16_t)spacings[i].raw;
+    }
+    line->spacing_count = (uint8_t)count;
+}
+
+MAPLINES_INTERNAL bool maplines_search_levels(const maplines_dbc_t *dbc,
+                                              const maplines_level_target_t *target,
+                                              const maplines_sent_line_t *line, int64_t raw[3])
+{
+    search_t search;
+    begin(&search, dbc, target);
+    const maplines_levels_t *levels = search.levels;
+    candidate_t best = {0, 0, 0, (double)INFINITY};
+    candidate_t candidate;
+    for (int i = 0; i < (int)line->spacing_count; ++i)
+    {
+        double noise[16];
+        const int64_t shape_raw = line->spacings[i];
+        maplines_level_noise(levels, &search.arc, shape_raw, noise);
+        const int64_t least = least_level(&search, false, noise);
         for (int k = 0; k < TRIED; ++k)
         {
-            assess_points(&search, spacings[i].raw, spacings[i].least + tried[k], noise,
-                          &candidate);
+            assess_points(&search, shape_raw, least + tried[k], noise, &candidate);
             keep_better(&best, &candidate);
         }
     }

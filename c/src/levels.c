@@ -4,7 +4,6 @@
  */
 #include "internal.h"
 
-#define MAPLINES_NODES 64             ///< points of a line of the map to which a cubic is fitted
 #define MAPLINES_SHAPE_OFFSET (-10.0) ///< log2 of the level of the shape for the raw value 0 [m]
 #define MAPLINES_SHAPE_OCTAVES 10.2   ///< by which that of the greatest raw value exceeds it
 #define MAPLINES_GOLDEN_RATIO 0x1.9e3779b97f4a8p+0
@@ -114,7 +113,7 @@ static void add_point(noise_t *noise)
     }
     for (int i = 0; i < 4; ++i)
     {
-        for (int j = 0; j < 4; ++j)
+        for (int j = 0; j <= i; ++j)
         {
             const double term = weight[i] * weight[j];
             noise->cov[4 * i + j] = noise->cov[4 * i + j] + term;
@@ -122,14 +121,11 @@ static void add_point(noise_t *noise)
     }
 }
 
-/// Covariance of the coefficients for unit errors of points with this spacing and phase.
-static void point_noise(const maplines_curve_t *curve, double spacing, double phase, double cov[16])
+MAPLINES_INTERNAL void maplines_arc_of(const maplines_curve_t *curve, maplines_arc_t *arc)
 {
     const double centre = (curve->fit_range[0] + curve->fit_range[1]) / 2.0;
     const double half = (curve->fit_range[1] - curve->fit_range[0]) / 2.0;
     const double tangent = maplines_tan(curve->mean[1]);
-    double stretch[MAPLINES_NODES];
-    double along[MAPLINES_NODES]; // length of the line up to a node, twice
     double x_before = 0.0;
     for (int k = 0; k < MAPLINES_NODES; ++k)
     {
@@ -139,21 +135,31 @@ static void point_noise(const maplines_curve_t *curve, double spacing, double ph
         const double quadratic = x * (curve->mean[2] + cubic);
         const double slope = tangent + quadratic;
         const double square = slope * slope;
-        stretch[k] = sqrt(1.0 + square);
-        along[k] = 0.0;
+        arc->stretch[k] = sqrt(1.0 + square);
+        arc->place[k] = 0.0;
         if (k > 0)
         {
-            const double step = (x - x_before) * (stretch[k] + stretch[k - 1]);
-            along[k] = k > 1 ? along[k - 1] + step : step;
+            const double step = (x - x_before) * (arc->stretch[k] + arc->stretch[k - 1]);
+            arc->place[k] = k > 1 ? arc->place[k - 1] + step : step;
         }
         x_before = x;
     }
+    const double whole = arc->place[MAPLINES_NODES - 1];
+    for (int k = 0; k < MAPLINES_NODES; ++k)
+    {
+        arc->place[k] = 2.0 * arc->place[k] / whole;
+    }
+}
+
+/// Covariance of the coefficients for unit errors of points with this spacing and phase.
+static void point_noise(const maplines_arc_t *arc, double spacing, double phase, double cov[16])
+{
     noise_t noise;
     memset(&noise, 0, sizeof noise);
     double above[4] = {0.0, 0.0, 0.0, 0.0}; // weights of errors of the next point
     for (int k = 0; k < MAPLINES_NODES; ++k)
     {
-        const double place = 2.0 * along[k] / along[MAPLINES_NODES - 1] / spacing + phase;
+        const double place = arc->place[k] / spacing + phase;
         const int64_t below = (int64_t)place;
         const double share = place - (double)below;
         if (below != noise.point)
@@ -172,7 +178,7 @@ static void point_noise(const maplines_curve_t *curve, double spacing, double ph
         for (int i = 0; i < 4; ++i)
         {
             // An error across the line acts on y by the factor ``stretch``.
-            const double weight = fit_matrix[MAPLINES_NODES * i + k] * stretch[k];
+            const double weight = fit_matrix[MAPLINES_NODES * i + k] * arc->stretch[k];
             const double before = weight * (1.0 - share);
             const double behind = weight * share;
             noise.below[i] = noise.below[i] + before;
@@ -183,7 +189,10 @@ static void point_noise(const maplines_curve_t *curve, double spacing, double ph
     memset(noise.below, 0, sizeof noise.below);
     memcpy(noise.above, above, sizeof noise.above);
     add_point(&noise);
-    memcpy(cov, noise.cov, sizeof noise.cov);
+    for (int i = 0; i < 16; ++i)
+    {
+        cov[i] = i % 4 <= i / 4 ? noise.cov[i] : noise.cov[4 * (i % 4) + i / 4];
+    }
 }
 
 MAPLINES_INTERNAL double maplines_shape(int k)
@@ -212,7 +221,7 @@ MAPLINES_INTERNAL double maplines_shape_level(const maplines_levels_t *levels, i
 }
 
 MAPLINES_INTERNAL void maplines_level_noise(const maplines_levels_t *levels,
-                                            const maplines_curve_t *curve, int64_t shape,
+                                            const maplines_arc_t *arc, int64_t shape,
                                             double cov[16])
 {
     // Ratios r of the shape to the points, by the remainder of the raw value.
@@ -228,7 +237,7 @@ MAPLINES_INTERNAL void maplines_level_noise(const maplines_levels_t *levels,
     const double phase = fmod((double)raw * MAPLINES_GOLDEN_RATIO, 1.0);
     const double ratio = ratios[raw % 6];
     const double amount = ratio * ratio * spacing;
-    point_noise(curve, spacing, phase, cov);
+    point_noise(arc, spacing, phase, cov);
     for (int i = 0; i < 4; ++i)
     {
         const double of_shape = amount * maplines_shape(i);
@@ -254,7 +263,9 @@ MAPLINES_INTERNAL void maplines_decode_levels(const maplines_levels_t *levels,
     else
     {
         const double square = p * p;
-        maplines_level_noise(levels, curve, shape, cov);
+        maplines_arc_t arc;
+        maplines_arc_of(curve, &arc);
+        maplines_level_noise(levels, &arc, shape, cov);
         for (int i = 0; i < 16; ++i)
         {
             cov[i] = square * cov[i];

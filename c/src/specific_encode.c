@@ -52,9 +52,10 @@ static void known_part(const maplines_scene_member_t *member, const maplines_sen
 }
 
 /// Choose levels that cover a line alone plus `more`; whether there are any. `cost` is more than 1
-/// if they cost too much.
-static bool encode_levels(const maplines_levels_t *levels, maplines_scene_member_t *member,
-                          maplines_sent_line_t *line, const double more[16], double *cost)
+/// if they cost too much. The first time, without `more`, its spacings are chosen.
+static bool encode_levels(const maplines_dbc_t *dbc, maplines_scene_member_t *member,
+                          maplines_sent_line_t *line, const double more[16], bool is_first,
+                          double *cost)
 {
     double known[16];
     double resolution[16];
@@ -73,10 +74,14 @@ static bool encode_levels(const maplines_levels_t *levels, maplines_scene_member
     target.common = line->common;
     target.target = wanted;
     target.true_cov = sum;
-    const bool is_covered = maplines_search_levels(levels, &target, member->raw_levels);
+    if (is_first)
+    {
+        maplines_choose_spacings(dbc, &target, line);
+    }
+    const bool is_covered = maplines_search_levels(dbc, &target, line, member->raw_levels);
 
-    maplines_decode_levels(levels, &curve, member->raw_levels[0], member->raw_levels[1],
-                           member->raw_levels[2], decoded);
+    maplines_decode_levels(maplines_levels_of(dbc), &curve, member->raw_levels[0],
+                           member->raw_levels[1], member->raw_levels[2], decoded);
     sum_of_two(decoded, line->common, decoded);
     maplines_inverse(line->J, inverse);
     sum_of_two(member->specific, resolution, sum);
@@ -141,8 +146,10 @@ static void decode_specific(const maplines_dbc_t *dbc, const maplines_scene_memb
     maplines_product_transposed(4, 4, 4, F[0], F[0], own);
 }
 
-/// Encode each line alone plus `more`; whether all are covered and no levels cost too much.
-static bool encode_alone(const maplines_dbc_t *dbc, maplines_scene_workspace_t *space)
+/// Encode each line alone plus `more`, which is 0 the first time; whether all are covered and
+/// no levels cost too much.
+static bool encode_alone(const maplines_dbc_t *dbc, maplines_scene_workspace_t *space,
+                         bool is_first)
 {
     bool is_good = true;
     for (int i = 0; i < space->count; ++i)
@@ -158,8 +165,7 @@ static bool encode_alone(const maplines_dbc_t *dbc, maplines_scene_workspace_t *
         else
         {
             double cost;
-            line->is_covered =
-                encode_levels(maplines_levels_of(dbc), member, line, space->more[i], &cost);
+            line->is_covered = encode_levels(dbc, member, line, space->more[i], is_first, &cost);
             if (dbc->is_conditional)
             {
                 cost = member->is_spared ? 0.0 : cost;
@@ -194,7 +200,7 @@ MAPLINES_INTERNAL void maplines_cover(const maplines_dbc_t *dbc, maplines_scene_
     memset(space->more, 0, sizeof space->more);
     for (int trial = 0; trial < ENLARGEMENTS; ++trial)
     {
-        if (!encode_alone(dbc, space))
+        if (!encode_alone(dbc, space, trial == 0))
         {
             return;
         }

@@ -8,9 +8,12 @@ from itertools import chain
 from pathlib import PurePath
 from typing import NamedTuple
 
+import numpy as np
+
 from ..values.errors import LayoutError
 from ..values.line import Slot
 from ..wire.covariance import CholeskyCode
+from ..wire.covariance.scene_code import SceneCode
 from ..wire.layout.message_layout import PAGE, POSE_CONDITIONAL, TRANSFER_ID, Layout
 from ..wire.layout.pose_layout import POSE, Owner, PoseLayout
 from ..wire.layout.record_layout import RecordLayout, bits_of
@@ -151,6 +154,7 @@ def tables_of(layout: Layout, name: str = "maplines") -> Tables:
             for limit, value in limits._asdict().items()
         ),
         "",
+        *_straight(layout),
         f"const maplines_dbc_t {name}_dbc =",
         *_initializer(_content(layout, limits)),
     ]
@@ -189,7 +193,22 @@ def _content(layout: Layout, limits: Limits) -> Members:
         content[".levels"] = _levels(layout, "")
     if pose is not None:
         content |= _pose_content(pose)
+        searched = SceneCode(pose, layout).levels.searched
+        content |= {
+            ".spacings": len(searched),
+            ".spacing_step": int(np.diff(searched[:2], append=searched[:1] + 1)[0]),
+            ".straight": "straight",
+        }
     return content
+
+
+def _straight(layout: Layout) -> Iterator[str]:
+    """Yield the table of the covariances of a straight line, for the search for levels."""
+    if layout.pose is not None:
+        yield "static const float straight[][11] = {"
+        for row in SceneCode(layout.pose, layout).levels.straight.T.tolist():
+            yield f"    {{{', '.join(f'{_literal(value)}f' for value in row)}}},"
+        yield from ("};", "")
 
 
 _SIGNALS = {"kind": "Kind", "x_min": "XMin", "x_max": "XMax"}

@@ -31,7 +31,7 @@ from maplines_can import (
 from maplines_can.values.errors import EncodeError, IllPosedError
 from maplines_can.values.line import LeftOut
 from maplines_can.wire import POSE, Layout, Reason
-from maplines_can.wire.covariance.joint import _VALUES
+from maplines_can.wire.covariance.joint import _WEIGHTS
 from maplines_can.wire.records.frames import Frame
 from maplines_can.wire.records.packer import RecordPacker
 
@@ -320,9 +320,9 @@ def test_what_is_received_covers_the_scene(dbc: str) -> None:
 def test_constants_are_those_of_python() -> None:
     """Values at places of the range, which C has as numbers."""
     text = (c_core.C / "src" / "joint.c").read_text()
-    table = text.split("chebyshev_values[MAPLINES_VARIANCES][4] = {")[1].split("};")[0]
+    table = text.split("variance_weights[10][MAPLINES_VARIANCES] = {")[1].split("};")[0]
     numbers = [float(number) for number in re.findall(r"-?\d+\.\d+", table)]
-    assert numbers == _VALUES.ravel().tolist()
+    assert numbers == _WEIGHTS.ravel().tolist()
 
 
 def changed(field: str, place: Any, value: Any) -> Scene:

@@ -32,6 +32,8 @@ FACTORIZATIONS, PRECISION, LEAST = 64, 2.0**-14, 2.0**-40
 #: bracket, from the Rayleigh quotient up, at which the next factorization is tried.
 FIRST, FARTHER, NEARER = 2.0**-4, 16.0, 2.0**-6
 LN_2 = float.fromhex("0x1.62e42fefa39efp-1")
+#: Entries of the lower triangle of (4, 4) matrices, row by row.
+TRIANGLE = [(i, j) for i in range(4) for j in range(i + 1)]
 #: Places in the range of a line, in the normalised variable w.
 _PLACES = np.linspace(-1, 1, 9)
 #: (K, 4) values of T_0 .. T_3 there, and of their derivatives. All of them are exact.
@@ -41,6 +43,8 @@ _VALUES = np.vstack(
         np.polynomial.chebyshev.chebval(_PLACES, np.polynomial.chebyshev.chebder(np.eye(4))).T,
     ]
 )
+#: (10, K) weights in these variances of the entries of the lower triangle, row by row.
+_WEIGHTS = np.array([_VALUES[:, i] * _VALUES[:, j] * (1 if i == j else 2) for i, j in TRIANGLE])
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -175,12 +179,9 @@ def largest_ratio(decoded: Array, true: Array) -> Array:
 def _variances(cov: Array) -> Array:
     """Return the (..., K) variances of lateral position and direction at places in the range."""
     S = entries_first(cov)
-    T = _VALUES.reshape(len(_VALUES), 4, *[1] * (S.ndim - 2))
     variances = np.zeros(())
-    for i in range(4):
-        for j in range(i + 1):
-            weight = T[:, i] * T[:, j] * (1.0 if i == j else 2.0)
-            variances = variances + weight * S[i, j]
+    for weight, (i, j) in zip(_WEIGHTS, TRIANGLE, strict=True):
+        variances = variances + weight.reshape(-1, *[1] * (S.ndim - 2)) * S[i, j]
     return np.moveaxis(variances, 0, -1)
 
 

@@ -153,16 +153,13 @@ class SceneEncoder:
         """
         pose_raw = self._encode_pose(scene)
         pose = self._code.decode_pose(pose_raw)
-        places, noise = np.flatnonzero(fits), None
+        places = np.flatnonzero(fits)
         while len(places):
             forms.spare_one(places)
             raw = forms.rows(places)
             seen, covered = seen_lines(*self._code.decode_lines(raw))
             reason = LeftOut.ACROSS
             if seen is not None:
-                if noise is None and not forms.is_full[places].all():
-                    means, fit_ranges, _ = self._code.decode_lines(forms.with_levels(places))
-                    noise = self._code.levels.noise(means, fit_ranges)
                 d = scene.means[places] - seen.means
                 lines = SentLines(
                     forms.is_full[places],
@@ -171,7 +168,6 @@ class SceneEncoder:
                     seen.fit_ranges,
                     bases(seen.means, seen.fit_ranges),
                     self._code.common(seen, pose),
-                    np.zeros((len(places), 0)) if noise is None else noise,
                     parts.due_to_pose[places],
                     parts.specific[places],
                     d[:, :, None] * d[:, None],
@@ -189,7 +185,7 @@ class SceneEncoder:
                     continue
                 reason = LeftOut.COVARIANCE
             stated.left_out.update(dict.fromkeys(places[~covered].tolist(), reason))
-            places, noise = places[covered], None if noise is None else noise[covered]
+            places = places[covered]
         return EncodedScene(pose_raw, {}, None, stated.left_out)
 
     def _row(self, raw: Mapping[str, NDArray[np.int64]], i: int) -> dict[str, int]:
@@ -254,11 +250,6 @@ class _Forms:
             for name, values in self._with_entries.items()
         }
         return chosen | {FORM: self.is_full[places].astype(np.int64)}
-
-    def with_levels(self, places: Places) -> Rows:
-        """Return the raw values of the lines at some places, if all of them have levels."""
-        chosen = {name: values[places] for name, values in self._with_levels.items()}
-        return chosen | {FORM: np.zeros(len(places), dtype=np.int64)}
 
     def spare_one(self, places: Places) -> None:
         """Let the line for which levels cost the least have them, if none has and they cover it."""

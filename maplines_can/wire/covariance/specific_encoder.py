@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...values.elementary import exp2
 from ...values.fixed_order import congruence, inverse, product
@@ -13,6 +14,7 @@ from .cholesky import CholeskyCode
 from .code import Array
 from .joint import divergence, largest_ratio, uncovered
 from .scene_code import FORM, RESOLUTION, Rows, SceneCode
+from .specific_levels import Arc
 from .stated_lines import Mask
 
 #: Largest divergence that levels may cost a line; beyond it all entries are sent [nat].
@@ -23,6 +25,7 @@ LEVELS_RATIO = 1.1
 TRIALS = 12
 #: Share of what the first trial lacks by which D_i are enlarged; each next one takes twice as much.
 FIRST_SHARE = 0.5
+Raws = NDArray[np.int64]
 
 
 class SentLines(NamedTuple):
@@ -34,7 +37,6 @@ class SentLines(NamedTuple):
     fit_ranges: Array  #: (L, 2) [m]
     J: Array  #: (L, 4, 4) derivatives of ``bases``
     common: Array  #: (L, 4, 4) of ``SceneCode.common``
-    noise: Array  #: (L, S, 4, 4) of ``SpecificLevels.noise``
     due_to_pose: Array  #: (L, 4, 4) part of the true covariances
     specific: Array  #: (L, 4, 4) the other part
     error: Array  #: (L, 4, 4) squares of the errors of the means
@@ -72,8 +74,9 @@ class SpecificEncoder:
             spread: (4 L, 4 L) that due to the decoded pose error.
         """
         more = np.zeros_like(lines.specific)
+        spacings = self._spacings(lines.of(~lines.is_full))
         for trial in range(TRIALS):
-            raw, covered, cost = self._encode(lines, more)
+            raw, covered, cost = self._encode(lines, more, spacings)
             if (cost > 1).any() or not covered.all():
                 return raw, covered, cost
             specific = self._code.decode_specific(raw, lines.means, lines.fit_ranges, lines.common)
@@ -87,7 +90,12 @@ class SpecificEncoder:
         has_entries = self._code.entries_code is not None
         return raw, np.zeros_like(covered), np.where(~lines.is_full & has_entries, np.inf, 0.0)
 
-    def _encode(self, lines: SentLines, more: Array) -> tuple[Rows, Mask, Array]:
+    def _spacings(self, lines: SentLines) -> Raws:
+        """Return those of ``SpecificLevels.spacings`` for (L,) lines, each of them alone."""
+        known, arc = lines.specific + lines.error, Arc.of(lines.means, lines.fit_ranges)
+        return self._code.levels.spacings(known, lines.common, known + lines.least, lines.J, arc)
+
+    def _encode(self, lines: SentLines, more: Array, spacings: Raws) -> tuple[Rows, Mask, Array]:
         """Return what ``cover`` does, for D_i that cover each line alone plus ``more``."""
         code, is_full = self._code, lines.is_full
         signals = [*code.levels.signals, *(code.entries_code.signals if code.entries_code else ())]
@@ -95,7 +103,9 @@ class SpecificEncoder:
         covered, cost = np.ones_like(is_full), np.zeros(len(is_full))
         if not is_full.all():
             short = ~is_full
-            levels, covered[short], of_levels = self._encode_levels(lines.of(short), more[short])
+            levels, covered[short], of_levels = self._encode_levels(
+                lines.of(short), more[short], spacings
+            )
             for name, values in levels.items():
                 raw[name][short] = values
             if code.entries_code is not None:
@@ -109,11 +119,14 @@ class SpecificEncoder:
                 raw[name][is_full] = values
         return raw | {FORM: is_full.astype(np.int64)}, covered, cost
 
-    def _encode_levels(self, lines: SentLines, more: Array) -> tuple[Rows, Mask, Array]:
+    def _encode_levels(
+        self, lines: SentLines, more: Array, spacings: Raws
+    ) -> tuple[Rows, Mask, Array]:
         """Return the raw values of (L,) levels, which lines they cover, and what they cost."""
         levels, known = self._code.levels, lines.specific + lines.error
+        arc = Arc.of(lines.means, lines.fit_ranges)
         raw, covered = levels.encode(
-            known + more, lines.common, known + lines.least, lines.J, lines.noise
+            known + more, lines.common, known + lines.least, lines.J, arc, spacings
         )
         to_metres = inverse(lines.J)  # all coefficients in metres
         true, whole, due_to_pose = (

@@ -21,6 +21,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import cached_property
+from itertools import count
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +33,7 @@ from ...values.fixed_order import congruence, inverse, product, total
 from ...values.seen_lines import NODES, SHAPE
 from ..layout.signals import OCTAVE, Signal
 from .code import Array
-from .joint import LN_2, divergence, entries_first, largest_ratio
+from .joint import LN_2, TRIANGLE, divergence, entries_first, largest_ratio
 
 #: log2 of the level b of the shape [m]: that of the raw value 0, which means b = 0, and by how much
 #: that of the greatest raw value exceeds it.
@@ -39,8 +42,12 @@ SHAPE_OFFSET, SHAPE_OCTAVES = -10.0, 10.2
 RATIOS = np.array([0.0, *np.cumprod([0.5, 1.8, 1.8, 1.8, 1.8])])
 #: Raw values above the least one of the level of the points, or of the shape, that are tried.
 TRIED = np.array([0, 1, 2, 3, 5])
-#: Spacings for which all of them are tried: the best ones for the second.
-CHOSEN = 24
+#: Spacings for which the second of them is tried, at most, and those of the best of these for which
+#: all are.
+SPACINGS, CHOSEN = 256, 24
+#: Ratio of the largest to the least stretch of a line that is nearly straight. For such a line,
+#: those of a straight one choose the same spacings.
+NEARLY_STRAIGHT = 1.1
 #: More than any level squared [m^2].
 BEYOND = 1e100
 #: Added to the variances that errors of points cause: those of points far apart may be singular.
@@ -60,25 +67,35 @@ def _fit_matrix() -> Array:
 _FIT = _fit_matrix()
 
 
-def point_noise(mean: Array, fit_range: Array, spacing: Array, phase: Array) -> Array:
+class Arc(NamedTuple):
+    """Lengths of lines, at the nodes of their ranges."""
+
+    stretch: Array  #: (..., K) derivative of the length with respect to x
+    place: Array  #: (..., K) length up to the node, in halves of the whole length
+
+    @classmethod
+    def of(cls, mean: Array, fit_range: Array) -> Arc:
+        """Return the lengths of (..., 4) lines in (..., 2) ranges [m]."""
+        begin, end = fit_range[..., :1], fit_range[..., 1:]
+        x = (begin + end) / 2 + (end - begin) / 2 * NODES
+        _, beta, c0, c1 = np.moveaxis(mean, -1, 0)[..., None]
+        slope = tan(beta) + x * (c0 + x * c1 / 2)
+        stretch = np.sqrt(1 + slope * slope)
+        steps = np.diff(x) * (stretch[..., 1:] + stretch[..., :-1])
+        along = np.concatenate([np.zeros_like(begin), np.cumsum(steps, axis=-1)], axis=-1)
+        return cls(stretch, 2 * along / along[..., -1:])
+
+
+def point_noise(arc: Arc, spacing: Array, phase: Array) -> Array:
     """Return the (..., S, 4, 4) covariances of the coefficients of T_0 .. T_3 for unit errors.
 
     Args:
-        mean: (..., 4) lines.
-        fit_range: (..., 2) [m].
+        arc: of (...) lines.
         spacing: (..., S) distances of the points along each line, in halves of its length.
         phase: (..., S) of these distances, by how much the first point is ahead of the range's
             start.
     """
-    begin, end = fit_range[..., :1], fit_range[..., 1:]
-    x = (begin + end) / 2 + (end - begin) / 2 * NODES
-    _, beta, c0, c1 = np.moveaxis(mean, -1, 0)[..., None]
-    slope = tan(beta) + x * (c0 + x * c1 / 2)
-    stretch = np.sqrt(1 + slope * slope)
-    steps = np.diff(x) * (stretch[..., 1:] + stretch[..., :-1])
-    along = np.concatenate([np.zeros_like(begin), np.cumsum(steps, axis=-1)], axis=-1)
-    share = 2 * along / along[..., -1:]
-    place = share[..., None, :] / spacing[..., None] + phase[..., None]  # (..., S, K)
+    place = arc.place[..., None, :] / spacing[..., None] + phase[..., None]  # (..., S, K)
     below = place.astype(np.int64)
     share = place - below
     rows, points = spacing.size, int(below[..., -1].max()) + 2
@@ -86,7 +103,7 @@ def point_noise(mean: Array, fit_range: Array, spacing: Array, phase: Array) -> 
     W = np.empty((4, rows, points))
     # An error across the line acts on y by the factor ``stretch``.
     for i, row in enumerate(_FIT):
-        weight = (row * stretch)[..., None, :]
+        weight = (row * arc.stretch)[..., None, :]
         ends = weight * (1 - share), weight * share
         of_below, of_above = (
             np.bincount(bins.ravel() + k, values.ravel(), rows * points)
@@ -132,23 +149,59 @@ class SpecificLevels:
         ratio = RATIOS[raw % len(RATIOS)]
         self._amount = ratio * ratio * self._spacing
 
-    def noise(self, means: Array, fit_ranges: Array) -> Array:
-        """Return the (L, S, 4, 4) covariances for p = 1 m of all raw values of the shape.
+    @cached_property
+    def straight(self) -> Array:
+        """(11, S) covariances of a straight line, at the raw values that ``searched`` has.
+
+        The lower triangle for errors of points of 1 m, row by row, and by how much the shape adds
+        to it [m^2]. They have single precision, as in the tables of the C core.
+        """
+        raw = self.searched
+        line = Arc.of(np.zeros(4), np.array([0.0, 1.0]))
+        noise = point_noise(line, self._spacing[raw], self._phase[raw])
+        rows = [noise[:, i, j] for i, j in TRIANGLE]
+        return np.array([*rows, self._amount[raw]], dtype=np.float32).astype(float)
+
+    @cached_property
+    def searched(self) -> NDArray[np.int64]:
+        """(S,) raw values of the shape that an encoder tries: all, or at equal distances.
+
+        The distance has no common divisor with the number of ``RATIOS``.
+        """
+        first, last = self.shape.raw_min, self.shape.raw_max
+        least = -(-(last + 1 - first) // SPACINGS)
+        step = next(n for n in count(least) if math.gcd(n, len(RATIOS)) == 1)
+        return np.arange(first, last + 1, step)
+
+    def noise(self, arc: Arc, raw: NDArray[np.int64]) -> Array:
+        """Return the (..., S, 4, 4) covariances of (...) lines for p = 1 m.
 
         They are those of the coefficients of T_0 .. T_3.
 
         Args:
-            means: (L, 4) lines.
-            fit_ranges: (L, 2) ranges [m].
+            arc: of the lines.
+            raw: (..., S) raw values of the shape.
         """
-        raw = np.arange(self.shape.raw_min, self.shape.raw_max + 1)
-        lines = zip(means, fit_ranges, strict=True)
-        return np.array([self._noise(*line, raw) for line in lines])
-
-    def _noise(self, mean: Array, fit_range: Array, raw: NDArray[np.int64]) -> Array:
-        """Return the (..., S, 4, 4) covariances of (..., 4) lines for p = 1 m."""
-        noise = point_noise(mean, fit_range, self._spacing[raw], self._phase[raw])
+        noise = point_noise(arc, self._spacing[raw], self._phase[raw])
         return np.asarray(noise + self._amount[raw][..., None, None] * np.diag(SHAPE))
+
+    def _near_noise(self, arc: Arc) -> Array:
+        """Return the (4, 4, L, S) ``noise`` at all raw values that are searched, or nearly so.
+
+        Lines that are nearly straight are taken for straight ones.
+        """
+        least, most = arc.stretch.min(axis=-1), arc.stretch.max(axis=-1)
+        squared = (least * most)[:, None]
+        noise = np.empty((4, 4, len(least), len(self.searched)))
+        *of_points, of_shape = self.straight
+        for (i, j), values in zip(TRIANGLE, of_points, strict=True):
+            noise[i, j] = noise[j, i] = squared * values
+        for i in range(4):
+            noise[i, i] += of_shape * SHAPE[i]
+        for line in np.flatnonzero(~(most <= NEARLY_STRAIGHT * least)):
+            own = Arc(arc.stretch[line], arc.place[line])
+            noise[:, :, line] = entries_first(self.noise(own, self.searched))
+        return noise
 
     def decode(
         self, raw: Mapping[str, NDArray[np.int64]], means: Array, fit_ranges: Array
@@ -158,21 +211,42 @@ class SpecificLevels:
         k = k.clip(0, self.shape.raw_max)
         own = np.where(of_points == 0, self._shapes_squared[k], 0.0)[:, None, None] * np.diag(SHAPE)
         if (rows := np.flatnonzero(of_points)).size:
-            noise = self._noise(means[rows], fit_ranges[rows], k[rows, None])[:, 0]
+            noise = self.noise(Arc.of(means[rows], fit_ranges[rows]), k[rows, None])[:, 0]
             squared = self._points_squared.take(of_points[rows], mode="clip")
             own[rows] = squared[:, None, None] * noise
         own[:, 0, 0] += self._lateral_squared.take(of_lateral, mode="clip")
         return np.asarray(own)
 
+    def spacings(
+        self, target: Array, common: Array, true: Array, J: Array, arc: Arc
+    ) -> NDArray[np.int64]:
+        """Return the (L, K) raw values of the shape that suit the errors of points best.
+
+        Of all that are searched, they have the least cost with one level of the points. Arguments
+        as for ``encode``.
+        """
+        E, C, T = _in_metres(target, common, true, J)
+        near = self._near_noise(arc)
+        raw_p = least_raw(self._points_squared, near, E) + TRIED[1]
+        _, cost = self._cost(E, C, T, self._points_squared.take(raw_p, mode="clip") * near)
+        cost[raw_p > self.points.raw_max] = np.inf
+        return np.asarray(self.searched[cost.argsort(axis=1, kind="stable")[:, :CHOSEN]])
+
     def encode(
-        self, target: Array, common: Array, true: Array, J: Array, noise: Array
+        self,
+        target: Array,
+        common: Array,
+        true: Array,
+        J: Array,
+        arc: Arc,
+        spacings: NDArray[np.int64],
     ) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.bool_]]:
         """Return raw values of levels that cover targets together with common covariances.
 
-        Of all spacings and some levels of the points, and of some levels of the shape alone, those
-        are chosen with the least cost: the divergence from the true covariance plus the logarithm
-        of the largest ratio of variances, of the lateral position or the direction of the line at
-        nine places of its range.
+        Of some spacings with some levels of the points, and of some levels of the shape alone,
+        those are chosen with the least cost: the divergence from the true covariance plus the
+        logarithm of the largest ratio of variances, of the lateral position or the direction of
+        the line at nine places of its range.
 
         Args:
             target: (L, 4, 4) symmetric matrices to be covered; they may be indefinite.
@@ -180,19 +254,19 @@ class SpecificLevels:
                 T_0 .. T_3.
             true: (L, 4, 4) the covariances to which the sums are to be close.
             J: (L, 4, 4) derivatives of ``bases``.
-            noise: (L, S, 4, 4) that of ``noise``.
+            arc: of the lines.
+            spacings: (L, K) of ``spacings``, for this target or a similar one.
 
         Returns:
             (L,) raw values by signal, and the (L,) lines whose targets they cover.
         """
-        to_metres = inverse(J)
-        # In coefficients of T_0 .. T_3, the entries first: (4, 4, L, K) for K candidates.
-        wanted, of_true = (congruence(to_metres, X) for X in (target, true))
-        E, C, T = (entries_first(X)[..., None] for X in (wanted - common, common, of_true))
-        noise = entries_first(noise)
-        k_points, p, of_points = self._points_tried(E, C, T, noise)
+        E, C, T = _in_metres(target, common, true, J)
+        noise = entries_first(self.noise(arc, spacings))
+        least = least_raw(self._points_squared, noise, E)
+        p = (least[..., None] + TRIED).reshape(len(J), -1)
+        of_points = self._points_squared.take(p, mode="clip") * noise.repeat(len(TRIED), axis=3)
         k_shape, of_shape = self._shapes_tried(E)
-        k = np.concatenate([k_points, k_shape], axis=1)
+        k = np.concatenate([spacings.repeat(len(TRIED), axis=1), k_shape], axis=1)
         raw_p = np.concatenate([p, np.zeros_like(k_shape)], axis=1)
         raw_a, cost = self._cost(E, C, T, np.concatenate([of_points, of_shape], axis=3))
         cost[(raw_p > self.points.raw_max) | (k > self.shape.raw_max)] = np.inf
@@ -200,27 +274,6 @@ class SpecificLevels:
         raw = {self.lateral: raw_a[best], self.points: raw_p[best], self.shape: k[best]}
         limited = {s.name: s.limited(values).astype(np.int64) for s, values in raw.items()}
         return limited, np.isfinite(cost[best])
-
-    def _points_tried(
-        self, E: Array, C: Array, true: Array, noise: Array
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-        """Return (L, K) raw values of the shape and the points, and their (4, 4, L, K) covariances.
-
-        Arguments as for ``_cost``, and the (4, 4, L, S) noise of all raw values of the shape.
-        """
-        least = least_raw(self._points_squared, noise, E)
-
-        def covs(raw_p: NDArray[np.int64], of: Array) -> Array:
-            return np.asarray(self._points_squared.take(raw_p, mode="clip") * of)
-
-        raw_p = least + TRIED[1]
-        _, cost = self._cost(E, C, true, covs(raw_p, noise))
-        cost[raw_p > self.points.raw_max] = np.inf
-        chosen = cost.argsort(axis=1, kind="stable")[:, :CHOSEN]
-        k = (chosen + self.shape.raw_min).repeat(len(TRIED), axis=1)
-        raw_p = (np.take_along_axis(least, chosen, axis=1)[..., None] + TRIED).reshape(k.shape)
-        of = noise[:, :, np.arange(len(k))[:, None], chosen].repeat(len(TRIED), axis=3)
-        return k, raw_p, covs(raw_p, of)
 
     def _shapes_tried(self, E: Array) -> tuple[NDArray[np.int64], Array]:
         """Return (L, K) raw values of levels of the shape, and their (4, 4, L, K) covariances."""
@@ -247,6 +300,17 @@ class SpecificLevels:
             cost = divergence(true, decoded) + LN_2 * log2(largest_ratio(decoded, true))
         possible = (raw_a <= self.lateral.raw_max) & np.isfinite(cost)
         return raw_a, np.where(possible, cost, np.inf)
+
+
+def _in_metres(target: Array, common: Array, true: Array, J: Array) -> tuple[Array, Array, Array]:
+    """Return targets less what is common, that, and true covariances, as (4, 4, L, 1) entries.
+
+    They are those of the coefficients of T_0 .. T_3.
+    """
+    to_metres = inverse(J)
+    wanted, of_true = (congruence(to_metres, X) for X in (target, true))
+    E, C, T = (entries_first(X)[..., None] for X in (wanted - common, common, of_true))
+    return E, C, T
 
 
 def least_raw(squared: Array, covs: Array, E: Array) -> NDArray[np.int64]:

@@ -16,7 +16,12 @@ from maplines_can.values.cubics import line_of_cubic
 from maplines_can.values.line import lateral, lateral_jacobian
 from maplines_can.values.seen_lines import NODES, SHAPE, bases
 from maplines_can.wire.covariance.joint import divergence, largest_ratio
-from maplines_can.wire.covariance.specific_levels import GOLDEN_RATIO, SpecificLevels, point_noise
+from maplines_can.wire.covariance.specific_levels import (
+    GOLDEN_RATIO,
+    Arc,
+    SpecificLevels,
+    point_noise,
+)
 
 LINE = layout_of("maplines-pose.dbc")
 SIGNALS = tuple(LINE[name] for name in ("OwnLateral", "OwnPoints", "OwnShape"))
@@ -32,9 +37,8 @@ SPACINGS, PHASES = 2.0 ** SIGNALS[2].physical(RAWS), RAWS * GOLDEN_RATIO % 1
 
 def straight_noise(spacing: Any, phase: Any = 0.0) -> Any:
     """(4, 4) covariance of the coefficients of T_0 .. T_3 of a straight line."""
-    return point_noise(
-        np.zeros(4), np.array([-20.0, 80.0]), np.array([spacing]), np.array([phase])
-    )[0]
+    line = Arc.of(np.zeros(4), np.array([-20.0, 80.0]))
+    return point_noise(line, np.array([spacing]), np.array([phase]))[0]
 
 
 def encoded(code: Any, target: Any, rest: Any, floor: float = 0.0) -> Any:
@@ -44,12 +48,18 @@ def encoded(code: Any, target: Any, rest: Any, floor: float = 0.0) -> Any:
     levels.
     """
     n = len(target)
-    noise = code.noise(*STRAIGHT).repeat(n, 0)
+    lines = [values.repeat(n, 0) for values in STRAIGHT]
     true = rest + target + floor * np.eye(4)
     covers, whole = (BASIS @ X @ BASIS.swapaxes(1, 2) for X in (rest + target, true))
-    raw, covered = code.encode(covers, rest, whole, BASIS.repeat(n, 0), noise)
+    raw, covered = levels(code, covers, rest, whole, *lines)
     kl = divergence(true, rest + in_metres(code, raw))
     return raw, np.where(covered, kl, np.inf)
+
+
+def levels(code: Any, target: Any, rest: Any, true: Any, means: Any, fit_ranges: Any) -> Any:
+    """Raw values of levels, and whether they cover, of lines each by itself."""
+    given = target, rest, true, bases(means, fit_ranges), Arc.of(means, fit_ranges)
+    return code.encode(*given, code.spacings(*given))
 
 
 def in_metres(code: Any, raw: Any) -> Any:
@@ -126,7 +136,7 @@ def test_point_noise_is_that_of_fits_through_noisy_points(spacing: float, phase:
     fitted = np.polynomial.chebyshev.chebfit(NODES, at_nodes.T, 3)
     cov = np.cov(fitted)
     scale = np.sqrt(cov.diagonal())
-    got = point_noise(line, ends, np.array([spacing]), np.array([phase]))[0]
+    got = point_noise(Arc.of(line, ends), np.array([spacing]), np.array([phase]))[0]
     assert (np.abs(got - cov) / np.outer(scale, scale)).max() <= 5 * (2 / n) ** 0.5
 
 
@@ -142,7 +152,7 @@ def test_points_are_at_equal_distances_along_a_bend() -> None:
     W = np.array([np.interp(nodes, points, row) for row in np.eye(len(points))]).T
     W *= np.hypot(1, np.interp(25 + 25 * NODES, x, slope))[:, None]
     fitted = np.linalg.pinv(np.polynomial.chebyshev.chebvander(NODES, 3)) @ W
-    got = point_noise(line, ends, np.array([spacing]), np.array([phase]))[0]
+    got = point_noise(Arc.of(line, ends), np.array([spacing]), np.array([phase]))[0]
     expected = fitted @ fitted.T
     assert np.allclose(got, expected, atol=1e-3 * expected.max())
 
@@ -201,7 +211,7 @@ def test_decoded_levels_cover_any_symmetric_target(
     target = 10.0**exponent / max(1e-30, np.abs(target).max()) * target
     true = rest + target + FLOOR * np.eye(4)
     covers, whole = (J @ X @ J.swapaxes(1, 2) for X in (rest + target, true))
-    raw, covered = LEVELS.encode(covers, rest[None], whole, J, LEVELS.noise(*line))
+    raw, covered = levels(LEVELS, covers, rest[None], whole, *line)
     for signal in SIGNALS:
         assert signal.raw_min <= raw[signal.name][0] <= signal.raw_max
     if not covered[0]:
@@ -253,7 +263,7 @@ def test_a_target_of_the_family_costs_at_most_a_step(with_points: bool) -> None:
     a = 2.0 ** rng.uniform(-6, -2.5, n)
     level = 2.0 ** rng.uniform(-7, -4, n)
     chosen = rng.integers(0, 200, n)
-    family = LEVELS.noise(*STRAIGHT)[0, chosen]
+    family = LEVELS.noise(Arc.of(*STRAIGHT), chosen[None])[0]
     if not with_points:
         family = np.diag(SHAPE) + np.zeros((n, 1, 1))
     target = level[:, None, None] ** 2 * family
@@ -279,7 +289,7 @@ def test_the_levels_are_nearly_the_best_of_all() -> None:
         np.where(raw > 0, 2.0 ** s.physical(raw), 0.0)
         for s, raw in zip(coarse, raws[:2], strict=False)
     )
-    every = p[:, None, None] ** 2 * code.noise(*STRAIGHT)[0, raws[2]]
+    every = p[:, None, None] ** 2 * code.noise(Arc.of(*STRAIGHT), raws[2][None])[0]
     every[:, 0, 0] += a**2
     rng = np.random.default_rng(5)
     rest = np.diag([1e-2, 1e-3, 1e-4, 1e-4])
@@ -292,3 +302,39 @@ def test_the_levels_are_nearly_the_best_of_all() -> None:
         best = (divergence(rest + target, rest + covering) + ratio).min()
         got = kl[0] + np.log(largest_ratio(rest + in_metres(code, raw)[0], rest + target))
         assert best - 1e-9 <= got <= 1.2 * best + 0.01
+
+
+def test_the_spacings_of_a_nearly_straight_line_are_as_good_as_any() -> None:
+    """Against the cost with all of them, of targets near those of levels."""
+    rng, worse = np.random.default_rng(8), []
+    for _ in range(40):
+        ends = np.array([rng.uniform(-30, 0), rng.uniform(20, 90)])
+        bend = rng.normal(0, 0.1 / ends[1])
+        line = np.array([[0.0, rng.normal(0, 0.1), bend, 0.0]]), ends[None]
+        arc, J = Arc.of(*line), bases(*line)
+        assert np.ptp(arc.stretch) < 0.1
+        family = LEVELS.noise(arc, rng.integers(0, 256, (1, 1)))[:, 0]
+        mixed = np.diag(rng.uniform(0.5, 2, 4))
+        target = 4.0 ** rng.uniform(-7, -4) * mixed @ family @ mixed
+        true = target + FLOOR * np.eye(4)
+        given = J @ target @ J.mT, np.zeros((1, 4, 4)), J @ true @ J.mT, J, arc
+        costs = []
+        for spacings in (LEVELS.spacings(*given), RAWS[None]):
+            raw, covered = LEVELS.encode(*given, spacings)
+            decoded = LEVELS.decode(raw, *line)
+            cost = divergence(true, decoded) + np.log(largest_ratio(decoded, true))
+            costs.append(np.where(covered, cost, np.inf)[0])
+        assert costs[1] <= costs[0] < np.inf
+        worse.append(costs[0] - costs[1])
+    assert np.mean(worse) < 0.01
+
+
+@pytest.mark.parametrize("bits", [1, 8, 9, 12, 16])
+def test_a_long_signal_is_searched_in_steps(bits: int) -> None:
+    """In few of them, with all ratios of the shape to the points."""
+    raw_max = 2**bits - 1
+    shape = replace(SIGNALS[2], length=bits, raw_min=0, raw_max=raw_max, factor=5 / 2**bits)
+    searched = SpecificLevels(SIGNALS[0], SIGNALS[1], shape).searched
+    assert min(100, 2**bits) <= len(searched) <= 256
+    assert set(searched % 6) == set(range(min(6, 2**bits)))
+    assert raw_max - searched[-1] < searched[1] - searched[0]
