@@ -2,14 +2,14 @@
 
 import re
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import c_core
 import numpy as np
 import pytest
 from evidence.exact import covers
-from evidence.roads import SHAPES, random_scene
+from evidence.roads import SHAPES, Draw, random_scene
 from evidence.witness import POSES, Poses
 from random_dbc import random_dbc
 from scene_layouts import layout_of
@@ -171,6 +171,17 @@ def on_roads(numbers: range) -> Iterator[Scene]:
             map_error=ERRORS[rng.integers(len(ERRORS))],
             correlation_time=float(rng.choice([0.3, 4.0, np.inf])),
         )
+
+
+def on_maps(draws: Sequence[Draw], numbers: range) -> Iterator[Scene]:
+    """Scenes around random poses on maps."""
+    for number in numbers:
+        rng = np.random.default_rng(number)
+        lines, pose = draws[number % len(draws)](number, rng)
+        if lines:
+            sigma = POSES[list(POSES)[number // len(draws) % 2]]
+            cov = Poses.about(pose, sigma, 0, rng).cov
+            yield map_scene(lines, Gaussian(pose, cov), map_error=ERRORS[rng.integers(len(ERRORS))])
 
 
 def gaussians(numbers: range) -> Iterator[Scene]:

@@ -21,6 +21,7 @@ from maplines_can.wire import Codec, default_dbc_path
 from maplines_can.wire.layout.message_layout import Layout
 
 from .harness import bar, evidence
+from .roads import maps_of, on_map
 
 TESTS = Path(__file__).parents[2] / "tests"
 #: Cases that are compared at once.
@@ -120,19 +121,33 @@ def encoded_scenes(
     n: int = 10_000,
     random: int = 0,
     dbcs: tuple[str, ...] = PROJECT,
+    maps: tuple[str, ...] = (),
     cc: str = "cc",
     flags: str = "-O2",
     emulator: str = "",
 ) -> dict[str, Any]:
-    """Compare encoded scenes, n on each DBC: half of random roads, half of random Gaussians."""
+    """Compare encoded scenes, n on each DBC, of random roads, of random Gaussians, and of maps.
+
+    Args:
+        n: number of scenes of each DBC.
+        random: number of random DBCs.
+        dbcs: DBCs of the project, and files.
+        maps: folders and files of maps.
+        cc: compiler.
+        flags: of the compiler.
+        emulator: command that runs the program.
+    """
+    draws = [on_map(found) for found in maps_of(maps).values()]
     of_scenes, prefix = tests("test_scene_encode"), shlex.split(emulator)
     compiler = {"cc": cc, "flags": tuple(shlex.split(flags))}
     rows: dict[str, Any] = {}
     for name, codec in codecs(dbcs, random):
         counts = Counter[str]()
         for first in range(0, n, SCENES):
-            numbers = range(first, min(first + SCENES, n), 2)
+            numbers = range(first, min(first + SCENES, n), 3 if draws else 2)
             given = [*of_scenes.on_roads(numbers), *of_scenes.gaussians(numbers)]
+            if draws:
+                given += of_scenes.on_maps(draws, numbers)
             for sent in of_scenes.check(codec.layout, given, first, *prefix, **compiler):
                 counts["scenes"] += 1
                 counts["frames"] += len(sent.frames)
