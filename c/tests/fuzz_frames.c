@@ -122,7 +122,7 @@ static void sealed_record(maplines_decoder_t *decoder, input_t *input, int64_t t
         feed(decoder, &frame, t_ns);
         return;
     }
-    if ((form & 8U) != 0)
+    if ((form & 8U) != 0 && dbc->messages[owner].has_secured)
     {
         maplines_signer_t signer = {fuzz_mac, NULL, form >> 6U, next_time(input, 0) / 1000};
         if (maplines_secure(dbc, owner, record, 8 * pages, 0, &signer, &frame))
