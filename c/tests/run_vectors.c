@@ -19,6 +19,7 @@
  *     scene T STATE STATUS AGE IS_STALE TWO_SENDERS IS_USABLE SLOTS
  *     stats T OWNER STATE STATUS OK LOST REPEATED WRONG_SEQUENCE ERRORS NO_NEW_DATA TWO_SENDERS
  *     counts FRAMES LINES PENDING REASON=FRAMES ...
+ *     end CASES                        the last row: the number of all cases
  *
  * After a frame or a scene, lines of it:
  *
@@ -513,11 +514,13 @@ int main(int argc, char **argv)
         (void)fprintf(stderr, "usage: %s VECTORS.txt [CASE]\n", argv[0]);
         return 2;
     }
+    unsigned long all_cases = 0;
     unsigned long cases = 0;
     unsigned long failed = 0;
     unsigned long number_of_row = 0;
     bool is_in_case = false;
     bool is_wanted = false;
+    bool is_whole = false; // the last row is that of the end
     while (fgets(text, sizeof(text), file) != NULL)
     {
         ++number_of_row;
@@ -534,9 +537,16 @@ int main(int argc, char **argv)
             is_wanted = argc < 3 || strcmp(word(&row, 1), argv[2]) == 0;
             is_in_case = is_wanted;
             cases += is_wanted ? 1U : 0U;
+            ++all_cases;
+            is_whole = false;
             memset(&run, 0, sizeof(run));
             (void)snprintf(run.name, sizeof(run.name), "%s", word(&row, 1));
             start(&run);
+        }
+        else if (strcmp(word(&row, 0), "end") == 0)
+        {
+            is_whole = strtoul(word(&row, 1), NULL, 10) == all_cases;
+            is_wanted = false;
         }
         else if (is_wanted)
         {
@@ -548,5 +558,10 @@ int main(int argc, char **argv)
     (void)fclose(file);
     (void)printf("%lu cases of %s: %lu passed, %lu failed\n", cases, DBC.name, cases - failed,
                  failed);
-    return failed == 0 && cases > 0 ? 0 : 1;
+    if (!is_whole)
+    {
+        (void)printf("%s is not whole: it has %lu cases, and no end that says so\n", argv[1],
+                     all_cases);
+    }
+    return is_whole && failed == 0 && cases > 0 ? 0 : 1;
 }

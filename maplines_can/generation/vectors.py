@@ -196,7 +196,8 @@ def vectors_of(cases: Iterable[Case], dbc: str, dbc_sha256: str) -> Vectors:
         dbc_sha256: hash of the DBC file.
     """
     all_cases = list(cases)
-    body = "".join(f"{line}\n" for case in all_cases for line in _case_text(case))
+    rows = [row for case in all_cases for row in _case_text(case)]
+    body = "".join(f"{row}\n" for row in [*rows, f"end {len(all_cases)}"])
     digest = hashlib.sha256(body.encode()).hexdigest()
     head = [FORMAT, f"dbc {dbc}", f"dbc-sha256 {dbc_sha256}", f"sha256 {digest}"]
     text = "".join(f"{line}\n" for line in head) + body

@@ -101,6 +101,29 @@ def test_the_runner_fails_if_a_value_is_another_one(
     )
 
 
+@pytest.mark.parametrize(
+    ("pattern", "replacement"),
+    [
+        pytest.param(r"(?s)\ncase [^\n]+\n(?!.*\ncase ).*", "\n", id="last case"),
+        pytest.param(r"(?s)\ncase .*?(?=\ncase )", "", id="first case"),
+        pytest.param(r"end \d+\n$", "", id="end"),
+        pytest.param(r"\d\n$", "", id="last character"),
+    ],
+)
+def test_the_runner_fails_if_the_file_is_cut(
+    tmp_path: Path, pattern: str, replacement: str
+) -> None:
+    text, found = re.subn(pattern, replacement, text_of("maplines.dbc"), count=1)
+    assert found
+    path = tmp_path / "vectors.txt"
+    path.write_text(text)
+    command = [runner(layout_of("maplines.dbc")), path]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert " 0 failed\n" in done.stdout
+    assert "is not whole" in done.stdout
+
+
 def test_the_generated_files_are_enough_to_run_them(tmp_path: Path) -> None:
     """As the help of the command says."""
     dbc = tmp_path / "own.dbc"
