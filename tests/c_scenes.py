@@ -164,18 +164,19 @@ def expected_bytes(wire: Wire, given: Given) -> bytes:
         members.append(
             Member(content.line if isinstance(content, CompleteRecord) else content, t_ns)
         )
+    of_pose = wire.reader.pose(pose, given.t_ns)
     try:
-        scene = wire.reader.scene(pose, given.t_ns, members)
+        lines = wire.reader.lines(of_pose, members) if members else []
     except IllPosedError:
         return b"\0"
+    scene = wire.reader.scene(of_pose, lines)
     error = scene.map_error
     assert error is not None
     signals = {s.name: np.array([pose.raw[s.name]]) for s in wire.code.pose_code.signals}
     factor = wire.code.pose_code.factors(signals)[0]
-    age = wire.reader.age(pose)
     out = struct.pack("<BBIq", 1, len(scene.lines), pose.counter, given.t_ns)
-    times = (scene.pose_error.correlation_time, error.offset_sigma, error.heading_sigma, age)
-    out += doubles(factor, times)
+    map_error = error.offset_sigma, error.heading_sigma
+    out += doubles(factor, scene.pose_error.correlation_time, map_error, of_pose.age)
     if not scene.lines:
         return out
     raw = [wire.reader._raw(member.content, pose.raw) for member in members]

@@ -14,7 +14,7 @@ from maplines_can import MapLine, Scene, Slot
 from maplines_can.wire import POSE, Frame, PreparedScene
 from maplines_can.wire.layout.pose_layout import Owner
 from maplines_can.wire.records.record import RawRecord
-from maplines_can.wire.records.scene_reader import SceneReader
+from maplines_can.wire.records.scene_reader import Member, SceneLine, ScenePose, SceneReader
 
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
 #: Radius of the bend [m] and standard deviation of the pose error across [m] of each sender.
@@ -81,25 +81,22 @@ def merged(dbc: str, senders: Sequence[Sender], cycles: float) -> list[Event]:
 
 
 def build_each_scene_once(patch: pytest.MonkeyPatch) -> None:
-    """Let the reader of scenes return those that it has built: a few, thousands of times."""
-    build, built = SceneReader.scene, dict[Any, Scene]()
+    """Let the reader of scenes decode each line once: they are a few, thousands of times."""
+    decode, decoded = SceneReader.lines, dict[Any, SceneLine]()
 
-    def scene(self: SceneReader, pose: Any, t_ns: int, members: Any) -> Scene:
-        contents = [member.content for member in members]
-        key = (
-            id(self),
-            *(
-                (c.owner, *c.raw.values())
-                if isinstance(c, RawRecord)
-                else (c.slot, *c.gaussian.mean)
-                for c in contents
-            ),
-        )
-        key = *key, *pose.raw.values()
-        if key not in built:
-            built[key] = build(self, pose, t_ns, members)
-        old = built[key]
-        lines = zip(old.lines, members, strict=True)
-        return replace(old, lines=tuple(replace(line, t_ns=m.t_ns) for line, m in lines))
+    def lines(self: SceneReader, pose: ScenePose, members: Sequence[Member]) -> list[SceneLine]:
+        found = []
+        for member in members:
+            content = member.content
+            if isinstance(content, RawRecord):
+                values = content.owner, *content.raw.values()
+            else:
+                values = content.slot, *content.gaussian.mean
+            key = id(self), values, *pose.record.raw.values()
+            if key not in decoded:
+                [decoded[key]] = decode(self, pose, [member])
+            line, part = decoded[key]
+            found.append(SceneLine(replace(line, t_ns=member.t_ns), part))
+        return found
 
-    patch.setattr(SceneReader, "scene", scene)
+    patch.setattr(SceneReader, "lines", lines)

@@ -32,7 +32,7 @@ from maplines_can import Gaussian, LeftOut, map_lines
 from maplines_can.consumers.integrity import multiplier
 from maplines_can.maps import Map, load
 from maplines_can.wire import Encoder
-from maplines_can.wire.covariance.scene_code import SceneCode
+from maplines_can.wire.covariance.scene_code import DecodedLines
 
 for _name in harness.modules():
     importlib.import_module(f"evidence.{_name}")
@@ -195,13 +195,8 @@ def test_wrong_slots_are_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
 )
 def test_wrong_joints_are_found(monkeypatch: pytest.MonkeyPatch, factor: float, words: str) -> None:
     """Too certain, in floating point and exactly; and too wide."""
-    decode = SceneCode.decode
-
-    def scaled(self: Any, *arguments: Any) -> Any:
-        decoded = decode(self, *arguments)
-        return decoded._replace(cov=factor * decoded.cov)
-
-    monkeypatch.setattr(SceneCode, "decode", scaled)
+    cov = vars(DecodedLines)["cov"].fget
+    monkeypatch.setattr(DecodedLines, "cov", property(lambda decoded: factor * cov(decoded)))
     options: Any = {"poses": ("production",), "errors": ("5 cm",), "records": ("conditional",)}
     figures = scenes.scenes(n=4, exact=2, **options)
     assert words in "\n".join(missed(figures, bounds_of("scenes", quick=False)))

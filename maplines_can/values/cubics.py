@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .elementary import atan, sin_cos, tan
-from .fixed_order import total
+from .fixed_order import row_total
 
 Array = NDArray[np.float64]
 
@@ -41,18 +41,21 @@ def derivatives(q: Array, centre: Array, half: Array) -> Array:
     """Return what ``line_of_cubic`` does, with the slope in place of its angle."""
     q0, q1, q2, q3 = q
     r = 1 / half
+    r2 = 2 * r * r
     w = -centre * r
-    values = np.empty((4, *np.broadcast_shapes(q0.shape, w.shape)))
     # Horner's scheme, repeated, gives the Taylor coefficients at w.
     q3_w = q3 * w
     value2 = q2 + q3_w
     value1 = q1 + w * value2
     slope2 = value2 + q3_w
-    values[0] = q0 + w * value1
-    values[1] = (value1 + w * slope2) * r
-    r2 = 2 * r * r
-    values[2] = (slope2 + q3_w) * r2
-    values[3] = q3 * (3 * r2 * r)
+    values = np.array(
+        [
+            q0 + w * value1,
+            (value1 + w * slope2) * r,
+            (slope2 + q3_w) * r2,
+            q3 * (3 * r2 * r),
+        ]
+    )
     return values.transpose(*range(1, values.ndim), 0)
 
 
@@ -78,31 +81,41 @@ def cubic_fit(w: Array, v: Array, weights: Array) -> CubicFit:
     >>> cubic_fit(w, 1 + w**3, np.ones(5)).coefficients.round(12) + 0.0
     array([1., 0., 0., 1.])
     """
-    of_points = weights.reshape(-1, *(1,) * (w.ndim - 1))
-    before, p = np.zeros((1,) * w.ndim), np.ones((len(w), *(1,) * (w.ndim - 1)))
-    c_before, c = np.zeros((4, *p.shape[1:])), np.zeros((4, *p.shape[1:]))
-    c[0] = 1.0
-    norm_before: float | Array = np.inf
-    q, rest = 0.0 * c, v
-    for degree in range(4):
-        weighted = of_points * p
-        norm = _sum(weighted * p)
-        share = _sum(weighted * rest) / norm
-        rest = rest - share * p
-        q = q + share * c
-        if degree < 3:
-            a = _sum(weighted * (w * p)) / norm
-            b = norm / norm_before
-            before, p = p, (w - a) * p - b * before
-            raised = np.concatenate([np.zeros_like(c[:1]), c[:3]])
-            c_before, c = c, raised - a * c - b * c_before
-            norm_before = norm
-    return CubicFit(q, rest)
+    of_points = np.empty_like(w)
+    of_points[...] = weights.reshape(-1, *(1,) * (w.ndim - 1))
+    # The polynomials p0 .. p3, of which p0 is 1, and with n their squared norms.
+    n0, on_v, on_w = _sums(of_points, of_points * v, of_points * w)
+    share0, a0 = on_v / n0, on_w / n0
+    rest, p1 = v - share0, w - a0
+    weighted = of_points * p1
+    n1, on_v, on_w = _sums(weighted * p1, weighted * rest, weighted * (w * p1))
+    share1, a1, b1 = on_v / n1, on_w / n1, n1 / n0
+    rest, p2 = rest - share1 * p1, (w - a1) * p1 - b1
+    weighted = of_points * p2
+    n2, on_v, on_w = _sums(weighted * p2, weighted * rest, weighted * (w * p2))
+    share2, a2, b2 = on_v / n2, on_w / n2, n2 / n1
+    rest, p3 = rest - share2 * p2, (w - a2) * p2 - b2 * p1
+    weighted = of_points * p3
+    n3, on_v = _sums(weighted * p3, weighted * rest)
+    share3 = on_v / n3
+    # Their coefficients, but for 1 of the highest power.
+    p1_0 = 0.0 - a0
+    p2_0, p2_1 = 0.0 - a1 * p1_0 - b1, p1_0 - a1
+    p3_0, p3_1, p3_2 = 0.0 - a2 * p2_0 - b2 * p1_0, p2_0 - a2 * p2_1 - b2, p2_1 - a2
+    q = (
+        share0 + share1 * p1_0 + share2 * p2_0 + share3 * p3_0,
+        share1 + share2 * p2_1 + share3 * p3_1,
+        share2 + share3 * p3_2,
+        share3,
+    )
+    return CubicFit(np.array(q) + 0.0, rest - share3 * p3)  # without -0.0
 
 
-def _sum(values: Array) -> Array:
-    """Return the (...,) sums over the first axis."""
-    return total(values.T).T
+def _sums(*terms: Array) -> Array:
+    """Return the (N, ...) sums of N arrays (K, ...) over their first axis, all at once."""
+    shape = terms[0].shape
+    rows = np.concatenate([values.reshape(shape[0], -1) for values in terms], axis=1)
+    return row_total(rows).reshape(len(terms), *shape[1:])
 
 
 class FitPoints(NamedTuple):
@@ -150,25 +163,37 @@ def points_of(
     return x, y_off + x * (slope + x * (c0 / 2 + x * c1 / 6)) + quartic * bend
 
 
-def refitted(
-    x: Array,
-    y: Array,
-    poses: Array,
-    weights: Array,
-) -> Array:
-    """Return the (..., 4) lines of (K, ...) points in the ego frames of (..., 3) other poses.
+class Poses(NamedTuple):
+    """Poses in the frame of lines, with what each line needs of them."""
+
+    x: Array  #: (...,) [m]
+    y: Array  #: (...,) [m]
+    sine: Array  #: (...,) of the heading
+    cosine: Array  #: (...,) of the heading
+
+    @classmethod
+    def of(cls, poses: Array) -> Poses:
+        """Return (..., 3) poses."""
+        return cls(poses[..., 0], poses[..., 1], *sin_cos(poses[..., 2]))
+
+
+def refitted(x: Array, y: Array, poses: Poses, weights: Array) -> Array:
+    """Return the (..., 4) lines of (K, ...) points in the ego frames of (...,) other poses.
 
     A line that is no function of x there is NaN.
     """
-    s, t = x - poses[..., 0], y - poses[..., 1]
-    d, c = sin_cos(poses[..., 2])
+    s, t = x - poses.x, y - poses.y
+    d, c = poses.sine, poses.cosine
     u, v = c * s + d * t, c * t - d * s
     well_posed = is_function(u, v)
-    centre = (u[0] + u[-1]) / 2
-    half = np.where(well_posed, np.abs(u[0] - u[-1]) / 2, 1.0)  # not 0; that fit is discarded
+    centre, half = (u[0] + u[-1]) / 2, np.abs(u[0] - u[-1]) / 2
+    is_lost = None if well_posed.all() else ~well_posed
+    if is_lost is not None:
+        half = np.where(is_lost, 1.0, half)  # not 0; that fit is discarded
     w = (u - centre) / half
     lines = line_of_cubic(cubic_fit(w, v, weights).coefficients, centre, half)
-    lines[~well_posed] = np.nan
+    if is_lost is not None:
+        lines[is_lost] = np.nan
     return lines
 
 
@@ -177,5 +202,5 @@ def is_function(u: Array, v: Array) -> NDArray[np.bool_]:
 
     None is nearly perpendicular to the u axis, see ``MIN_ADVANCE``.
     """
-    advance, aside = np.diff(u, axis=0) * np.sign(u[-1] - u[0]), np.diff(v, axis=0)
+    advance, aside = (u[1:] - u[:-1]) * np.sign(u[-1] - u[0]), v[1:] - v[:-1]
     return np.asarray((np.abs(aside) < _STEEPEST * advance).all(axis=0))

@@ -37,7 +37,6 @@ _LOG2 = _numbers("""
     0x1.484b13d7c02a9p-2 0x1.0c9a84994022dp-2 0x1.c68f568d31760p-3 0x1.89f3b1694cffep-3
     0x1.5b9ac9b743f0dp-3 0x1.3703c1f4d0ffep-3 0x1.1964ec6fc9491p-3 0x1.00ecd7e080215p-3
 """)
-_LOG2_DOWN = _LOG2[::-1]
 #: Coefficients of (sin r - r) / r^3 and (cos r - 1) / r^2 in powers of r^2.
 _SIN = _numbers("""
     -0x1.5555555555555p-3 0x1.1111111111111p-7 -0x1.a01a01a01a01ap-13 0x1.71de3a556c734p-19
@@ -63,7 +62,7 @@ _TWO_BY_PI, _PI_BY_2, _TWO_PI = _numbers(
 #: Angles beyond this are reduced by whole turns first, which are not exact.
 _FAR = 1e5
 _SQRT_HALF = float.fromhex("0x1.6a09e667f3bcdp-1")
-#: Up to this number, logarithms are computed one by one: with few, arrays cost more than they save.
+#: Up to this number, values are computed one by one: with few, arrays cost more than they save.
 FEW = 8
 
 
@@ -109,10 +108,7 @@ def _log2_one(x: float) -> float:
     if m < _SQRT_HALF:
         m, e = 2 * m, e - 1
     s = (m - 1) / (m + 1)
-    square, total = s * s, 0.0
-    for coefficient in _LOG2_DOWN:  # the first product is 0, and adds nothing
-        total = total * square + coefficient
-    return e + s * total
+    return e + s * _polynomial_one(s * s, _LOG2)
 
 
 def sin_cos(x: ArrayLike) -> tuple[Array, Array]:
@@ -122,6 +118,10 @@ def sin_cos(x: ArrayLike) -> tuple[Array, Array]:
     (array(0.5), array(0.8660254))
     """
     angle = floats(x, "x")
+    if angle.size <= FEW:
+        pairs = [_sin_cos_one(value) for value in angle.ravel().tolist()]
+        sines, cosines = np.array(pairs).reshape(-1, 2).T
+        return sines.reshape(angle.shape), cosines.reshape(angle.shape)
     with np.errstate(invalid="ignore"):
         if (is_far := np.abs(angle) > _FAR).any():
             angle = np.where(is_far, np.fmod(angle, _TWO_PI), angle)
@@ -134,6 +134,20 @@ def sin_cos(x: ArrayLike) -> tuple[Array, Array]:
     is_odd = (quarter & 1) == 1
     s, c = np.where(is_odd, cosine, sine), np.where(is_odd, sine, cosine)
     return np.where(quarter >= 2, -s, s), np.where((quarter == 1) | (quarter == 2), -c, c)
+
+
+def _sin_cos_one(x: float) -> tuple[float, float]:
+    """Return sine and cosine of one angle: as ``sin_cos`` to the last bit."""
+    if not math.isfinite(x):
+        return math.nan, math.nan
+    angle = math.fmod(x, _TWO_PI) if abs(x) > _FAR else x
+    turns = round(angle * _TWO_BY_PI)
+    angle += 0.0  # without -0.0, as of rint, which keeps the sign of 0
+    r = ((angle - turns * _HALF_PI[0]) - turns * _HALF_PI[1]) - turns * _HALF_PI[2]
+    r2 = r * r
+    s = r + (r * r2) * _polynomial_one(r2, _SIN)
+    c = 1 + r2 * _polynomial_one(r2, _COS)
+    return ((s, c), (c, -s), (-s, -c), (-c, s))[turns & 3]
 
 
 def tan(x: ArrayLike) -> Array:
@@ -153,6 +167,9 @@ def atan(x: ArrayLike) -> Array:
     array([ 0.78539816, -1.57079633])
     """
     tangent = floats(x, "x")
+    if tangent.size <= FEW:
+        angles = [_atan_one(value) for value in tangent.ravel().tolist()]
+        return np.array(angles).reshape(tangent.shape)
     size = np.abs(tangent)
     is_steep = size > 1
     t = np.where(is_steep, 1 / np.where(is_steep, size, 1.0), size)
@@ -162,6 +179,15 @@ def atan(x: ArrayLike) -> Array:
     return np.copysign(np.where(is_steep, _PI_BY_2 - angle, angle), tangent)
 
 
+def _atan_one(x: float) -> float:
+    """Return the angle of one tangent: as ``atan`` to the last bit."""
+    t = 1 / abs(x) if abs(x) > 1 else abs(x)
+    for _ in range(2):
+        t = t / (1 + math.sqrt(1 + t * t))
+    angle = 4 * (t * _polynomial_one(t * t, _ATAN))
+    return math.copysign(_PI_BY_2 - angle if abs(x) > 1 else angle, x)
+
+
 def _polynomial(x: Array, coefficients: tuple[float, ...]) -> Array:
     """Return the (...,) values of a polynomial by Horner's scheme, the highest power last."""
     *lower, value = coefficients
@@ -169,4 +195,12 @@ def _polynomial(x: Array, coefficients: tuple[float, ...]) -> Array:
     for coefficient in reversed(lower):
         total *= x
         total += coefficient
+    return total
+
+
+def _polynomial_one(x: float, coefficients: tuple[float, ...]) -> float:
+    """Return one value of a polynomial: as ``_polynomial`` to the last bit."""
+    total = 0.0
+    for coefficient in reversed(coefficients):  # the first product is 0, and adds nothing
+        total = total * x + coefficient
     return total

@@ -54,11 +54,16 @@ def total(values: Array) -> Array:
     >>> total(np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
     array(15.)
     """
-    while (n := values.shape[-1]) > 1:
+    return np.asarray(row_total(values.T).T)
+
+
+def row_total(values: Array) -> Array:
+    """Return the (...) sums over the first axis: as ``total`` over the last one."""
+    while (n := len(values)) > 1:
         half = (n + 1) // 2
-        sums = values[..., : n - half] + values[..., half:]
-        values = sums if n % 2 == 0 else np.append(sums, values[..., n - half : half], axis=-1)
-    return np.asarray(values[..., 0])
+        sums = values[: n - half] + values[half:]
+        values = sums if n % 2 == 0 else np.concatenate([sums, values[n - half : half]])
+    return np.asarray(values[0])
 
 
 def cholesky(S: Array) -> Array:

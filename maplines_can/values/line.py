@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats, number_text
-from .cubics import fit_points, points_of, refitted
+from .cubics import Poses, fit_points, points_of, refitted
 from .errors import IllPosedError
 from .gaussian import Gaussian, variances
 from .mixture import GaussianMixture
@@ -355,4 +355,5 @@ def transformed(
     """Transform lines as ``transform_line_or_nan`` does; the arguments are not checked."""
     fit = fit_points(points, end_weight)
     axes = max(lines.ndim, poses.ndim, window[0].ndim + 1, window[1].ndim + 1, quartic.ndim + 1) - 1
-    return refitted(*points_of(lines, window, quartic, fit, axes), poses, fit.weights)
+    x, y = points_of(lines, window, quartic, fit, axes)
+    return refitted(x, y, Poses.of(poses), fit.weights)

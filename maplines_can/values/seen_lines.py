@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from copy import copy
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats
-from .cubics import derivatives, fit_points, is_function, points_of, refitted
+from .cubics import Poses, derivatives, fit_points, is_function, points_of, refitted
 from .elementary import sin_cos, tan
 from .errors import IllPosedError
-from .fixed_order import product, total
+from .fixed_order import product, row_total
 from .linalg import square_root
 from .line import check_window
 
@@ -33,6 +34,45 @@ CHEBYSHEV = np.array([[1.0, 0, -1, 0], [0, 1, 0, -3], [0, 0, 2, 0], [0, 0, 0, 4]
 SHAPE = np.array([0.0, 0.25, 1.0, 2.0])
 #: Halvings of the distance to a pose at which a line is no function of x; then it has a value.
 HALVINGS = 60
+#: Displacement for derivatives [m, rad].
+STEP = 1e-4
+
+
+class Displacements(NamedTuple):
+    """Displacements of the car, with what each line needs of them."""
+
+    poses: NDArray[np.float64]  #: (N, 3) along [m], across [m], heading [rad]
+    directed: Poses  #: (N, 1) the same
+
+    @classmethod
+    def of(cls, poses: NDArray[np.float64]) -> Displacements:
+        """Return (N, 3) displacements."""
+        return cls(poses, Poses.of(poses[:, None]))
+
+    def then(self, others: Displacements) -> Displacements:
+        """Return these displacements, and others after them."""
+        pairs = zip(self.directed, others.directed, strict=True)
+        poses = np.concatenate([self.poses, others.poses])
+        return Displacements(poses, Poses(*map(np.concatenate, pairs)))
+
+
+_MEAN = Displacements.of(np.zeros((1, 3)))
+_STEPS = Displacements.of(STEP * np.vstack([np.eye(3), -np.eye(3)]))
+
+
+class PoseSpread(NamedTuple):
+    """Sigma points of a pose error: three pairs about the mean."""
+
+    pairs: Displacements  #: 6
+    with_mean: Displacements  #: 7: the mean, and the pairs
+    with_steps: Displacements  #: 12: the pairs, and the steps of ``SeenLines.jacobian``
+
+    @classmethod
+    def of(cls, P: NDArray[np.float64]) -> PoseSpread:
+        """Return those of a pose error with the (3, 3) covariance P."""
+        root = math.sqrt(len(P)) * square_root(P).T
+        pairs = Displacements.of(np.concatenate([root, -root]))
+        return cls(pairs, _MEAN.then(pairs), pairs.then(_STEPS))
 
 
 def bases(means: NDArray[np.float64], fit_ranges: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -59,16 +99,23 @@ def extended(
     values: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     poses: NDArray[np.float64],
     mean_pose: NDArray[np.float64],
+    found: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
     """Return the (N, L, 4) values of a function at (N, 3) poses, also where it has none (NaN).
 
     These are extrapolated linearly from the mean pose through the farthest pose with a value that
     halving the distance finds, so that a transform keeps the spread in that direction.
 
+    Args:
+        values: the function.
+        poses: where its values are wanted.
+        mean_pose: where it has a value.
+        found: ``values(poses)``, if that is known.
+
     Raises:
         IllPosedError: the function has no value at the mean pose or next to it.
     """
-    found = values(poses)
+    found = values(poses) if found is None else found
     missing = np.isnan(found[..., 0])
     if not missing.any():
         return found
@@ -136,19 +183,24 @@ class SeenLines:
         return points_of(means, window, self.quartics, fit_points(POINTS, END_WEIGHT), 1)
 
     @np.errstate(over="ignore", invalid="ignore")
-    def _values(self, displacements: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _refitted(self, poses: Poses) -> NDArray[np.float64]:
         x, y = (values[:, None] for values in self.points)
-        return refitted(x, y, displacements[:, None], fit_points(POINTS, END_WEIGHT).weights)
+        return refitted(x, y, poses, fit_points(POINTS, END_WEIGHT).weights)
+
+    def _values(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        return self._refitted(Poses.of(poses[:, None]))
+
+    def _seen(self, after: Displacements) -> NDArray[np.float64]:
+        found = self._refitted(after.directed)
+        return extended(self._values, after.poses, np.zeros(3), found)
 
     def __call__(self, displacements: ArrayLike) -> NDArray[np.float64]:
         """Return the (N, L, 4) lines seen after (N, 3) displacements [m, m, rad]."""
-        return extended(self._values, floats(displacements, "displacements"), np.zeros(3))
+        return self._seen(Displacements.of(floats(displacements, "displacements")))
 
     def jacobian(self) -> NDArray[np.float64]:
         """Return the (L, 4, 3) derivatives of the lines with respect to the displacement."""
-        step = 1e-4
-        ends = self(step * np.vstack([np.eye(3), -np.eye(3)])).reshape(2, 3, -1, 4)
-        return ((ends[0] - ends[1]) / (2 * step)).transpose(1, 2, 0)
+        return _slopes(self._seen(_STEPS))
 
     def centred(self, P: NDArray[np.float64]) -> SeenLines:
         """Return the lines as seen from the mean pose, if these are their means over pose errors.
@@ -158,10 +210,16 @@ class SeenLines:
         given by how much the mean of what the sigma points see exceeds the lines so far. A line
         that an iteration makes no function of x, since the pose error is so large, stays as it is.
         """
-        poses = _sigma_points(P)[1:]
+        pairs = PoseSpread.of(P).pairs
+        return self._centred(pairs, self._seen(pairs))
+
+    def _centred(self, pairs: Displacements, seen: NDArray[np.float64]) -> SeenLines:
+        """Return ``centred`` of what is seen after the displacements of the sigma points."""
         lines = self
         for _ in range(2):
-            centred = self.means - (_mean(lines(poses)) - lines.means)
+            if lines is not self:
+                seen = lines._seen(pairs)
+            centred = self.means - (_mean(seen) - lines.means)
             points = self._points_of(centred)
             found = is_function(*points)
             lines, before = copy(self), lines  # without the check, which these have just passed
@@ -174,19 +232,29 @@ class SeenLines:
 
         It is positive semidefinite: A A^T with the factor A of ``spread_factor``.
         """
-        A = self.spread_factor(P)
+        A = self.spread_factor(PoseSpread.of(P))
         return product(A, A.T)
 
-    def spread_factor(self, P: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the (4 L, 7) factor of the joint covariance for a pose error with covariance P.
+    def spread_factor(self, points: PoseSpread) -> NDArray[np.float64]:
+        """Return the (4 L, 7) factor of the joint covariance for a pose error.
 
         Its columns are deviations of 7 sigma points, which go through all lines at once. The lines
         of this object are the means over the pose error, see ``centred``.
-
-        Args:
-            P: (3, 3) in the ego frame: along [m], across [m], heading [rad].
         """
-        values = self.centred(P)(_sigma_points(P))
+        return self._spread_factor(points, self._seen(points.pairs))
+
+    def spread_and_jacobian(
+        self, points: PoseSpread
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return ``spread_factor`` and ``jacobian``: faster, as both begin with the same lines."""
+        seen = self._seen(points.with_steps)
+        n = len(points.pairs.poses)
+        return self._spread_factor(points, seen[:n]), _slopes(seen[n:])
+
+    def _spread_factor(self, points: PoseSpread, seen: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return ``spread_factor`` of what is seen after the displacements of the sigma points."""
+        centred = self._centred(points.pairs, seen)
+        values = centred._seen(points.with_mean)  # noqa: SLF001 - of this class, too
         d = values.reshape(len(values), -1)
         d = d[1:] - d[0]
         mean = _mean(d)
@@ -195,15 +263,15 @@ class SeenLines:
         return np.concatenate([deviations, math.sqrt(2) * mean[None]]).T
 
 
+def _slopes(seen: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (L, 4, 3) derivatives of the lines that are seen after steps ahead and back."""
+    ahead, back = seen.reshape(2, 3, -1, 4)
+    return ((ahead - back) / (2 * STEP)).transpose(1, 2, 0)
+
+
 def _mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (...,) means over the first axis."""
-    return total(values.T).T / len(values)
-
-
-def _sigma_points(P: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (7, 3) sigma points of a pose error, the first of which is 0."""
-    root = math.sqrt(len(P)) * square_root(P).T
-    return np.vstack([np.zeros(3), root, -root])
+    return row_total(values) / len(values)
 
 
 def margins(P: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.float64]:

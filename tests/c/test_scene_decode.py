@@ -15,11 +15,26 @@ from random_dbc import LIMIT_SEED, random_dbc
 from scene_streams import ALL, COMPLETE, CONDITIONAL, new_codec
 
 from maplines_can.values import fixed_order
-from maplines_can.values.cubics import _STEEPEST, fit_points, is_function, points_of, refitted
+from maplines_can.values.cubics import (
+    _STEEPEST,
+    Poses,
+    fit_points,
+    is_function,
+    points_of,
+    refitted,
+)
 from maplines_can.values.errors import IllPosedError
 from maplines_can.values.linalg import block_diagonal, square_root
 from maplines_can.values.line import lateral_jacobian
-from maplines_can.values.seen_lines import END_WEIGHT, NODES, POINTS, SeenLines, bases, valid_ranges
+from maplines_can.values.seen_lines import (
+    END_WEIGHT,
+    NODES,
+    POINTS,
+    PoseSpread,
+    SeenLines,
+    bases,
+    valid_ranges,
+)
 from maplines_can.wire import Layout
 from maplines_can.wire.covariance import specific_levels
 from maplines_can.wire.covariance.specific_levels import SpecificLevels
@@ -157,7 +172,7 @@ def of_a_line(
     window = (np.array(fit_range[0]), np.array(fit_range[1]))
     points = points_of(mean, window, np.array(quartic), fit, 0)
     with np.errstate(invalid="ignore", over="ignore"):
-        moved = refitted(*points, pose, fit.weights)
+        moved = refitted(*points, Poses.of(pose), fit.weights)
     out = [bytes([bool(is_function(*points))]), doubles(moved)]
     root = np.sqrt(3) * square_root(P).T
     sigma_points = np.vstack([np.zeros(3), root, -root])
@@ -171,7 +186,7 @@ def of_a_line(
     for values in (
         lambda: seen(pose[None])[0, 0],
         lambda: seen.jacobian()[0],
-        lambda: seen.spread_factor(P),
+        lambda: seen.spread_factor(PoseSpread.of(P)),
     ):
         try:
             out += [b"\1" + doubles(values())]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from maplines_can.values.cubics import cubic_fit, fit_points, points_of, refitted
+from maplines_can.values.cubics import Poses, cubic_fit, fit_points, points_of, refitted
 
 RNG = np.random.default_rng(4)
 
@@ -37,9 +37,10 @@ def test_a_line_does_not_depend_on_the_others() -> None:
     poses = RNG.standard_normal((7, 3)) * [1, 1, 0.2]
     quartics = RNG.standard_normal(5)
     x, y = points_of(lines, (ends[:, 0], ends[:, 1]), quartics, fit, 1)
-    together = refitted(x[:, None], y[:, None], poses[:, None], fit.weights)
+    together = refitted(x[:, None], y[:, None], Poses.of(poses[:, None]), fit.weights)
     for i, pose in enumerate(poses):
         for j in range(5):
             window = np.array(ends[j, 0]), np.array(ends[j, 1])
-            alone = refitted(*points_of(lines[j], window, quartics[j], fit, 0), pose, fit.weights)
+            points = points_of(lines[j], window, quartics[j], fit, 0)
+            alone = refitted(*points, Poses.of(pose), fit.weights)
             assert np.array_equal(together[i, j], alone)

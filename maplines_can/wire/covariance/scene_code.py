@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -30,7 +30,7 @@ from ...values.errors import IllPosedError
 from ...values.fixed_order import cholesky, product, upper_solution
 from ...values.linalg import block_diagonal
 from ...values.line import Slot
-from ...values.seen_lines import SeenLines, bases
+from ...values.seen_lines import PoseSpread, SeenLines, bases
 from ..layout.record_layout import RecordLayout
 from ..layout.signals import (
     FINE_SIGNALS,
@@ -64,18 +64,50 @@ class DecodedPose(NamedTuple):
     correlation_time: float  #: [s]
     offset_sigma: float  #: common offset of the points of a line of the map [m]
     heading_sigma: float  #: common rotation of the points of a line of the map [rad]
+    points: PoseSpread  #: sigma points of P'
 
 
 class DecodedLines(NamedTuple):
-    """L lines of a scene as a receiver decodes them."""
+    """L lines of a scene as a receiver decodes them. What is of a line depends on no other one."""
 
     means: Array  #: (L, 4)
     fit_ranges: Array  #: (L, 2) [m]
     specific_covs: Array  #: (L, 4, 4) D_i
-    cov: Array  #: (4 L, 4 L) C
     quartics: Array  #: (L,) coefficients of T_4 [m]
     spread: Array  #: (4 L, 7) A
     specific_factors: Array  #: (L, 4, 4) F_i
+
+    @classmethod
+    def joined(cls, some: Iterable[DecodedLines]) -> DecodedLines:
+        """Return lines that were decoded with the same pose."""
+        return cls(*map(np.concatenate, zip(*some, strict=True)))
+
+    def one(self, i: int) -> DecodedLines:
+        """Return one of the lines."""
+        line, rows = slice(i, i + 1), slice(4 * i, 4 * i + 4)
+        return DecodedLines(
+            self.means[line],
+            self.fit_ranges[line],
+            self.specific_covs[line],
+            self.quartics[line],
+            self.spread[rows],
+            self.specific_factors[line],
+        )
+
+    @property
+    def cov(self) -> Array:
+        """(4 L, 4 L) joint covariance C."""
+        cov = product(self.spread, self.spread.T) + block_diagonal(self.specific_covs)
+        cov[np.diag_indices_from(cov)] *= 1 + ROUNDING
+        return cov
+
+    @property
+    def covs(self) -> Array:
+        """(L, 4, 4) covariances of the lines: the blocks on the diagonal of C."""
+        A = self.spread.reshape(-1, 4, self.spread.shape[1])
+        covs = product(A, A.mT) + self.specific_covs
+        covs[:, range(4), range(4)] *= 1 + ROUNDING
+        return covs
 
 
 def _first_slot(pose: RecordLayout) -> str:
@@ -125,12 +157,13 @@ class SceneCode:
 
     def decode_pose(self, raw: Mapping[str, int]) -> DecodedPose:
         """Return the content of a Pose record from its raw values by signal."""
-        levels = [
+        offset, heading = (
             0.0 if raw[s.name] == 0 else powers.of_one(raw[s.name])
             for s, powers in ((self.offset, self._offsets), (self.heading, self._headings))
-        ]
+        )
         time = self.correlation_time(raw[self.time.name])
-        return DecodedPose(self.pose_code.decode_one(raw), time, *levels)
+        cov = self.pose_code.decode_one(raw)
+        return DecodedPose(cov, time, offset, heading, PoseSpread.of(cov))
 
     def correlation_time(self, raw: int) -> float:
         """Return the correlation time of a raw value [s]; infinite for 0, which means unknown."""
@@ -147,7 +180,7 @@ class SceneCode:
         return raw[i] if i < len(raw) else 0
 
     def decode(self, pose: DecodedPose, lines: Sequence[Mapping[str, int]]) -> DecodedLines:
-        """Return lines with their joint covariance.
+        """Return lines, and the parts of their joint covariance.
 
         Args:
             pose: content of the Pose record of their cycle.
@@ -166,12 +199,14 @@ class SceneCode:
         if not (fit_ranges[:, 0] < fit_ranges[:, 1]).all():
             raise IllPosedError("the range of a line is empty")
         seen = SeenLines(means, fit_ranges, quartics)
-        A = seen.spread_factor(pose.cov)
-        F = self.specific_factors(raw, means, fit_ranges, self.common(seen, pose))
-        own = product(F, F.mT)
-        cov = product(A, A.T) + block_diagonal(own)
-        cov[np.diag_indices_from(cov)] *= 1 + ROUNDING
-        return DecodedLines(means, fit_ranges, own, cov, quartics, A, F)
+        J = bases(means, fit_ranges)
+        if _has_map_error(pose):
+            A, by_pose = seen.spread_and_jacobian(pose.points)
+            common = _common(J, pose, by_pose)
+        else:
+            A, common = seen.spread_factor(pose.points), _common(J, pose)
+        F = self._specific_factors(raw, means, fit_ranges, common, J)
+        return DecodedLines(means, fit_ranges, product(F, F.mT), quartics, A, F)
 
     def decode_lines(self, raw: Rows) -> tuple[Array, Array, Array]:
         """Return the (L, 4) means, (L, 2) fit ranges and (L,) quartics."""
@@ -183,12 +218,7 @@ class SceneCode:
         return means, fit_ranges, np.asarray(self.quartic.physical(raw[self.quartic.name]))
 
     def decode_specific(self, raw: Rows, means: Array, fit_ranges: Array, common: Array) -> Array:
-        """Return the (L, 4, 4) D_i of (L,) raw values: as ``specific_factors``, multiplied out."""
-        F = self.specific_factors(raw, means, fit_ranges, common)
-        return product(F, F.mT)
-
-    def specific_factors(self, raw: Rows, means: Array, fit_ranges: Array, common: Array) -> Array:
-        """Return the (L, 4, 4) factors F_i of D_i of (L,) raw values.
+        """Return the (L, 4, 4) D_i of (L,) raw values.
 
         Args:
             raw: raw values by signal.
@@ -196,9 +226,16 @@ class SceneCode:
             fit_ranges: (L, 2) [m].
             common: (L, 4, 4) that of ``common``.
         """
+        F = self._specific_factors(raw, means, fit_ranges, common, bases(means, fit_ranges))
+        return product(F, F.mT)
+
+    def _specific_factors(
+        self, raw: Rows, means: Array, fit_ranges: Array, common: Array, J: Array
+    ) -> Array:
+        """Return the (L, 4, 4) factors F_i of D_i; J are the derivatives of ``bases``."""
         own = self.levels.decode(raw, means, fit_ranges) + common
         own[:, range(4), range(4)] *= 1 + ROUNDING
-        F = product(bases(means, fit_ranges), cholesky(own))
+        F = product(J, cholesky(own))
         if self.entries_code is not None and (full := raw[FORM] == 1).any():
             signals = self.entries_code.signals
             F[full] = self.entries_code.factors({s.name: raw[s.name][full] for s in signals})
@@ -210,15 +247,33 @@ class SceneCode:
         They are those of the resolution of the means, and what the levels of the map error of a
         scene stand for.
         """
-        sigma = np.array([pose.offset_sigma, pose.offset_sigma, pose.heading_sigma])
-        cov = np.tile(RESOLUTION**2 * np.eye(4), (len(seen.means), 1, 1))
-        if sigma.any():
-            # The derivatives of bases are upper triangular: T_k has no derivative beyond the k-th.
-            J = bases(seen.means, seen.fit_ranges)
-            K = upper_solution(J.mT, seen.jacobian() * sigma)
-            cov += product(K, K.mT)
-        return cov
+        J = bases(seen.means, seen.fit_ranges)
+        return _common(J, pose, seen.jacobian() if _has_map_error(pose) else None)
 
     def _is_full(self, line: Mapping[str, int]) -> bool:
         """Return whether raw values have all entries of D_i."""
         return self.entries_code is not None and self.entries_code.inflation.name in line
+
+
+def _has_map_error(pose: DecodedPose) -> bool:
+    """Return whether a Pose record states errors of the map, which act as pose errors."""
+    return pose.offset_sigma > 0 or pose.heading_sigma > 0
+
+
+def _common(J: Array, pose: DecodedPose, by_pose: Array | None = None) -> Array:
+    """Return ``SceneCode.common`` of (L, 4, 4) derivatives of ``bases``.
+
+    Args:
+        J: derivatives of the lines with respect to the coefficients of T_0 .. T_3.
+        pose: the Pose record.
+        by_pose: (L, 4, 3) derivatives of the lines with respect to the pose, if that has errors of
+            the map.
+    """
+    cov = np.zeros_like(J)
+    cov[:, range(4), range(4)] = RESOLUTION**2
+    if by_pose is not None:
+        sigma = np.array([pose.offset_sigma, pose.offset_sigma, pose.heading_sigma])
+        # J is upper triangular: T_k has no derivative beyond the k-th.
+        K = upper_solution(J.mT, by_pose * sigma)
+        cov += product(K, K.mT)
+    return cov

@@ -53,6 +53,10 @@ class Signal:
         """
         return np.rint((np.asarray(physical, dtype=float) - self.offset) / self.factor)
 
+    def raw_one(self, physical: float) -> int:
+        """Return one nearest raw value; as ``raw``, without the array overhead."""
+        return round((physical - self.offset) / self.factor)
+
     def physical(self, raw: ArrayLike) -> NDArray[np.float64]:
         """Return the (...,) physical values."""
         if self.is_float:

@@ -15,7 +15,7 @@ from ...values.scene import Scene
 from ..layout.pose_layout import PoseLayout, slot_of
 from ..reasons import Reason
 from ..records.record import RawRecord
-from ..records.scene_reader import Member, SceneReader
+from ..records.scene_reader import Member, SceneLine, ScenePose, SceneReader
 from .mixtures import ReceivedLine
 
 Pose = TypeVar("Pose")
@@ -264,6 +264,9 @@ class ReceivedScene(NamedTuple):
     age: float  #: from the pose to the sending of the pose error [s]; infinite if it is too old
 
 
+_Epoch = Epoch[ScenePose, Member | SceneLine]
+
+
 class SceneAssembler:
     """Assembler of lines and scenes from pose errors and the records that belong to them.
 
@@ -278,11 +281,14 @@ class SceneAssembler:
     ) -> None:
         self._layout, self._reader = layout, reader
         bits = {slot: signal.length for slot, signal in layout.counters.items()}
-        self._epochs = EpochAssembler[RawRecord, Member](bits, cycle_ns, has_mixtures=has_mixtures)
+        #: Lines are members until they are decoded.
+        self._epochs = EpochAssembler[ScenePose, Member | SceneLine](
+            bits, cycle_ns, has_mixtures=has_mixtures
+        )
         self._counts: Counter[Reason] = Counter()
         #: Whether the newest pose error is too old: the sender vouches for no scene any more.
         self.is_too_old = False
-        self._built: tuple[Epoch[RawRecord, Member], int, ReceivedScene] | None = None
+        self._built: tuple[_Epoch, int, ReceivedScene] | None = None
 
     @property
     def counts(self) -> Counter[Reason]:
@@ -299,11 +305,11 @@ class SceneAssembler:
 
         The arguments are those of ``EpochAssembler.add_pose``.
         """
-        self.is_too_old = math.isinf(self._reader.age(pose))
+        decoded = self._reader.pose(pose, t_ns)
+        self.is_too_old = math.isinf(decoded.age)
         counters = self._layout.slot_counters(pose.raw)
-        joined = self._epochs.add_pose(pose, counters, t_ns, ahead=ahead)
-        conditional = [one for one in joined if isinstance(one.line.content, RawRecord)]
-        lines = [self._rebuilt(one) for one in conditional]
+        joined = self._epochs.add_pose(decoded, counters, t_ns, ahead=ahead)
+        lines = [self._received(one) for one in joined if _is_conditional(one.line)]
         return [line for line in lines if isinstance(line, ReceivedLine)]
 
     def add_record(
@@ -325,7 +331,7 @@ class SceneAssembler:
             frames=frames,
             is_break=is_break,
         )
-        return Reason.PENDING if joined is None else self._rebuilt(joined)
+        return Reason.PENDING if joined is None else self._received(joined)
 
     def add_line(self, line: MapLine, counter: int, t_ns: int, is_break: bool) -> None:
         """Add a line with a covariance of its own, which has been delivered."""
@@ -346,26 +352,37 @@ class SceneAssembler:
         """Drop what has timed out at ``t_ns`` [ns]."""
         self._epochs.expire(t_ns)
 
-    def _scene(self, epoch: Epoch[RawRecord, Member]) -> ReceivedScene:
+    def _scene(self, epoch: _Epoch) -> ReceivedScene:
         """Return the scene of an epoch, without lines that are no function of x in their range."""
-        pose, members = epoch.pose, [epoch.lines[slot] for slot in sorted(epoch.lines)]
-        scene = self._joint(epoch, members)
-        if scene is None:
-            members = [one for one in members if self._joint(epoch, [one]) is not None]
-            scene = self._joint(epoch, members) or self._reader.scene(pose, epoch.t_ns, [])
-        return ReceivedScene(scene, pose.counter, epoch.t_ns, self._reader.age(pose))
+        slots = sorted(epoch.lines)
+        self._decode(epoch, [slot for slot in slots if isinstance(epoch.lines[slot], Member)])
+        lines, pose = [epoch.lines[slot] for slot in slots], epoch.pose
+        scene = self._reader.scene(pose, [line for line in lines if isinstance(line, SceneLine)])
+        return ReceivedScene(scene, pose.record.counter, epoch.t_ns, pose.age)
 
-    def _joint(self, epoch: Epoch[RawRecord, Member], members: Sequence[Member]) -> Scene | None:
-        """Return the scene of a pose error and lines; None if a line is no function of x."""
+    def _decode(self, epoch: _Epoch, slots: Sequence[Slot]) -> None:
+        """Decode the lines of some slots of an epoch; one that is no function of x stays as it is.
+
+        All at once, which is faster; if one of them is no function of x, one by one.
+        """
+        members = [line for slot in slots if isinstance(line := epoch.lines[slot], Member)]
+        if not members:
+            return
         try:
-            return self._reader.scene(epoch.pose, epoch.t_ns, members)
+            epoch.lines.update(zip(slots, self._reader.lines(epoch.pose, members), strict=True))
         except IllPosedError:
-            return None
+            for slot in slots if len(slots) > 1 else ():
+                self._decode(epoch, [slot])
 
-    def _rebuilt(self, joined: Joined[RawRecord, Member]) -> ReceivedLine | Reason:
+    def _received(self, joined: Joined[ScenePose, Member | SceneLine]) -> ReceivedLine | Reason:
         """Return the line of a conditional record that has joined its pose error."""
-        scene = self._joint(joined.epoch, [joined.line])
-        if scene is None:
-            self._counts[Reason.CONTENT] += joined.frames
-            return Reason.CONTENT
-        return ReceivedLine(scene.lines[0], joined.frames)
+        self._decode(joined.epoch, [joined.slot])
+        line = joined.epoch.lines[joined.slot]
+        if isinstance(line, SceneLine):
+            return ReceivedLine(line.line, joined.frames)
+        self._counts[Reason.CONTENT] += joined.frames
+        return Reason.CONTENT
+
+
+def _is_conditional(line: Member | SceneLine) -> bool:
+    return isinstance(line, Member) and isinstance(line.content, RawRecord)

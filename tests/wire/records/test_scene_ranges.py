@@ -22,12 +22,12 @@ READER = SceneReader(layout_of(CONDITIONAL), POSE, CODE)
 def received(scene: Scene, late_ns: Any = (0, 0), raw_age: int = 5, **raw: int) -> Scene:
     """What the reader makes of an encoded scene; ``raw`` changes values of the Pose record."""
     sent = scene_encoder(CONDITIONAL).encode(scene)
-    pose = RawRecord(OWNER, 0, sent.pose | {"Age": raw_age} | raw)
+    pose = READER.pose(RawRecord(OWNER, 0, sent.pose | {"Age": raw_age} | raw), 1000)
     members = [
         Member(RawRecord(scene.lines[i].slot, 0, row | {"Kind": scene.lines[i].kind}), 1000 + late)
         for (i, row), late in zip(sent.lines.items(), late_ns, strict=True)
     ]
-    return READER.scene(pose, 1000, members)
+    return READER.scene(pose, READER.lines(pose, members))
 
 
 def scene_of(ranges: Any, map_error: MapError | None = None, pose: Any = PRODUCTION) -> Scene:
