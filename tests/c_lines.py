@@ -6,6 +6,7 @@ Each function raises AssertionError at the first bit that differs, and returns w
 from __future__ import annotations
 
 import struct
+from fractions import Fraction
 from typing import Any
 
 import c_core
@@ -203,3 +204,28 @@ def awkward_lines(codec: Codec, n: int, seed: int) -> Lines:
     variance = rng.random((n, 4)) < 0.3
     covs[kind == 6] *= ~(variance[:, :, None] & variance[:, None, :])[kind == 6]
     return Lines(means, covs.clip(-1e307, 1e307), rng, codec)
+
+
+# ---- exact arithmetic --------------------------------------------------------------------------
+
+
+def exact(matrix: Any) -> list[list[Fraction]]:
+    """Return a matrix of floating-point numbers as fractions."""
+    return [[Fraction(float(value)) for value in row] for row in matrix]
+
+
+def squared(factor: Any) -> Any:
+    """Return the covariance F F^T of a factor F as an array of fractions."""
+    F = exact(factor)
+    return np.array([[sum(a * b for a, b in zip(x, y, strict=True)) for y in F] for x in F])
+
+
+def is_semidefinite(S: Any) -> bool:
+    """Whether a matrix of fractions is positive semidefinite, exactly."""
+    S = S.copy()
+    for k in range(len(S)):
+        if S[k, k] < 0 or (S[k, k] == 0 and (S[k, k:] != 0).any()):
+            return False
+        if S[k, k] > 0:
+            S = S - np.outer(S[:, k], S[k]) / S[k, k]
+    return True

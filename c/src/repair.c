@@ -141,7 +141,7 @@ MAPLINES_INTERNAL void maplines_nearest_covariance(const double S[16], double ne
     nearest_in_scale(S, scale, nearest);
     for (int i = 0; i < 16; ++i)
     {
-        const bool is_empty = !(nearest[5 * (i / 4)] > 0.0) && !(nearest[5 * (i / 4)] < 0.0);
+        const bool is_empty = !(nearest[5 * (i / 4)] > 0.0);
         is_hidden = is_hidden || (is_empty && (nearest[i] > 0.0 || nearest[i] < 0.0));
     }
     if (is_hidden)

@@ -18,7 +18,10 @@ from c_lines import (
     awkward_lines,
     check_decode,
     check_encode,
+    exact,
+    is_semidefinite,
     random_records,
+    squared,
 )
 from dbcs import edited
 from random_dbc import LIMIT_SEED, random_dbc
@@ -35,6 +38,7 @@ from maplines_can.wire.layout.message_layout import Layout
 from maplines_can.wire.layout.pose_layout import POSE
 from maplines_can.wire.layout.record_layout import RecordLayout
 from maplines_can.wire.reasons import Reason
+from maplines_can.wire.reception.mixtures import ROUNDING
 
 COMPLETE = ("maplines.dbc", "maplines-secoc.dbc")
 
@@ -100,26 +104,6 @@ def test_records_of_any_length_are_checked_as_in_python(dbc: str) -> None:
     assert set(reasons) == {REASONS[reason] for reason in expected}
 
 
-def exact(matrix: Any) -> list[list[Fraction]]:
-    return [[Fraction(float(value)) for value in row] for row in matrix]
-
-
-def squared(factor: Any) -> Any:
-    F = exact(factor)
-    return np.array([[sum(a * b for a, b in zip(x, y, strict=True)) for y in F] for x in F])
-
-
-def is_semidefinite(S: Any) -> bool:
-    """Whether a matrix of fractions is positive semidefinite, exactly."""
-    S = S.copy()
-    for k in range(len(S)):
-        if S[k, k] < 0 or (S[k, k] == 0 and (S[k, k:] != 0).any()):
-            return False
-        if S[k, k] > 0:
-            S = S - np.outer(S[:, k], S[k]) / S[k, k]
-    return True
-
-
 def read_both(codec: Codec, records: Any, slots: Any) -> list[Any]:
     """What the builds in double and in single precision read."""
     n = len(records)
@@ -177,17 +161,23 @@ def test_the_gaussian_of_a_mixture_is_that_of_python() -> None:
     }
     factors = codec.covariance.factors(raw)  # type: ignore[attr-defined]
     means = rng.normal(size=(80, 4)) * [1.0, 0.05, 1e-3, 1e-5]
-    data, expected = b"", []
-    for k in (1, 2, 5, 8, 8):
-        chosen = rng.choice(80, k, replace=False)
+    factors[75:] = np.eye(4)
+    factors[75:, order[1:], order[0]] = 1e8  # so correlated that rounding makes them indefinite
+    data, expected, indefinite = b"", [], 0
+    for k in (1, 2, 5, 8, 8, -2, -3):
+        chosen = rng.choice(75, k, replace=False) if k > 0 else np.arange(80 + k, 80)
+        k = abs(k)
         weights = rng.dirichlet(np.ones(k))
         data += bytes([3, k])
         for weight, i in zip(weights, chosen, strict=True):
             data += np.concatenate([[weight], means[i], factors[i].ravel()]).tobytes()
         covs = fixed_order.product(factors[chosen], factors[chosen].mT)
         mean, cov = moments(weights, means[chosen], covs)
-        factor = np.zeros((4, 4))
-        factor[order] = fixed_order.cholesky(cov[np.ix_(order, order)])
+        factor, ordered = np.zeros((4, 4)), cov[np.ix_(order, order)]
+        if not fixed_order.is_definite(ordered[None])[0]:
+            ordered += ROUNDING * np.diag(ordered.diagonal())
+            indefinite += 1
+        factor[order] = fixed_order.cholesky(ordered)
         expected += [*mean, *factor.ravel()]
         if k > 1:
             components = [Gaussian(m, S) for m, S in zip(means[chosen], covs, strict=True)]
@@ -196,6 +186,7 @@ def test_the_gaussian_of_a_mixture_is_that_of_python() -> None:
             assert np.array_equal(overall.mean, mean)
     out = c_core.run(c_core.harness("lines", codec.layout), data)
     assert np.frombuffer(out).tolist() == expected
+    assert indefinite == 2
 
 
 # ---- lines to records --------------------------------------------------------------------------
