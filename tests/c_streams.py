@@ -122,6 +122,7 @@ class Traffic:
         self._rng, self._random = np.random.default_rng(seed), random.Random(seed)  # noqa: S311
         self._encoder = self.codec.encoder()
         has = [*layout.messages]
+        self._is_fd = all(own.can_id is None for own in layout.messages.values())
         self._scene_slots = [slot for slot in SCENE_SLOTS if slot in has] or has[:2]
         self._scenes = self._prepared() if layout.pose is not None else []
         self.cycles = [[*self._cycle(k)] for k in range(CYCLES)]
@@ -129,7 +130,7 @@ class Traffic:
     def _prepared(self) -> list[Any]:
         radii = (400.0, -200.0, 90.0)
         return [
-            self._encoder.prepare_scene(road_scene(slots, radius=radius))
+            self._encoder.prepare_scene(road_scene(slots, radius=radius), fd=self._is_fd)
             for radius in radii
             for slots in (self._scene_slots, self._scene_slots[:2])
         ]
@@ -139,7 +140,8 @@ class Traffic:
         if self._scenes:
             scene = self._random.choice(self._scenes)
             age = self._random.choice([0.0, 0.05, 0.11, np.inf if k % 16 == 0 else 0.02])
-            for owner, frames in self._encoder.encode_scene(scene, age=age).items():
+            sent = self._encoder.encode_scene(scene, age=age, fd=self._is_fd)
+            for owner, frames in sent.items():
                 yield owner, b"".join(frame.data for frame in frames)
         if self.layout.is_conditional:
             return
@@ -175,7 +177,7 @@ class Traffic:
     def frames(self, owner: Owner, record: bytes, *, fd: bool) -> list[Sent]:
         """Return the frames of a record."""
         messages = self.layout.messages_of[owner]
-        if fd and messages.fd_can_id is not None:
+        if (fd or messages.can_id is None) and messages.fd_can_id is not None:
             data = record.ljust(messages.fd_length, b"\0")
             return [Sent(messages.fd_can_id, data, messages.fd_is_extended)]
         assert messages.can_id is not None
@@ -275,7 +277,7 @@ class Stream:
         return self._on_the_way(frames)
 
     def _sent(self, owner: Owner, record: bytes) -> list[Sent]:
-        if self._signer is not None:
+        if self._signer is not None and self._traffic.secured_layout(owner) is not None:
             (frame,) = self._traffic.secured(owner, record, self._signer)
             if self._random.random() < self._profile.forged:
                 frame = self._forged(frame)
@@ -351,7 +353,8 @@ class Stream:
         else:
             away = rng.choice([-(2**24), -3_000_000, -1_000_001, 1_000_001, 2**24, 2**40])
             other = Vault([KEY], now_us=self._sender.now_us + away).authenticator()
-            owner, record = rng.choice(self._traffic.cycles[rng.randrange(CYCLES)])
+            cycle = self._traffic.cycles[rng.randrange(CYCLES)]
+            owner, record = rng.choice([own for own in cycle if own[0] != POSE])
             return self._traffic.secured(owner, record, other)[0]
         return frame._replace(data=bytes(data))
 

@@ -613,7 +613,7 @@ void maplines_default_settings(const maplines_dbc_t *dbc, maplines_settings_t *s
 /// Settings with other times or windows; 0 and NULL are the default.
 ///
 /// @param timeout_ms longest time between the frames of a transfer, and between the components of a
-///        mixture; by default (transfer IDs / components - 0.5) cycles, from 0.5 to 1.5.
+///        mixture; by default 1.5 cycles, and half a cycle of the DBC at least.
 /// @param cycle_ms time between the lines of a slot; by default that of the DBC, or 100 ms.
 /// @param e2e windows; for the pose error, limited to the counters of its record.
 /// @return NULL, or what is wrong (then the settings are the default ones).

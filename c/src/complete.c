@@ -42,14 +42,14 @@ MAPLINES_INTERNAL maplines_reason_t maplines_read_complete(const maplines_dbc_t 
     const int64_t raw_age = maplines_get(&dbc->age, record);
     const int64_t index = maplines_get(&dbc->component_index, record);
     const double count = number_in(&dbc->component_count, record);
-    const double weight = number_in(&dbc->component_weight, record);
+    const double weight = number_in(&dbc->component_weight, record); // any bits are a share
     const double x_min = number_in(&dbc->x_min, record);
     const double x_max = number_in(&dbc->x_max, record);
     if (status > (int64_t)MAPLINES_OUT_OF_RANGE || kind > (int64_t)MAPLINES_VIRTUAL)
     {
         return MAPLINES_CONTENT;
     }
-    if ((double)index >= count || !(weight > 0.0 && weight <= 1.0))
+    if ((double)index >= count)
     {
         return MAPLINES_CONTENT;
     }

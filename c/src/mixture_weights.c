@@ -29,17 +29,17 @@ MAPLINES_INTERNAL void maplines_quantize_weights(int count, const double *weight
         {
             ++multiples[most];
         }
-        int greatest = -1; // excess of those that can lose a step
-        for (int i = 0; i < count; ++i)
+        int greatest = 0; // excess of those that can lose a step
+        for (int i = 1; i < count; ++i)
         {
             const double excess = (double)multiples[i] - exact[i];
             const bool is_greater =
-                greatest < 0 || excess > (double)multiples[greatest] - exact[greatest];
+                multiples[greatest] == 1 || excess > (double)multiples[greatest] - exact[greatest];
             greatest = multiples[i] > 1 && is_greater ? i : greatest;
         }
         if (missing < 0)
         {
-            --multiples[greatest < 0 ? 0 : greatest];
+            --multiples[greatest];
         }
     }
     for (int i = 0; i < count; ++i)

@@ -2,7 +2,9 @@
 #include "internal.h"
 
 #define DEFAULT_CYCLE_MS 100.0
-#define GRACE_CYCLES 1.5
+/// Default time-out of a transfer. A DBC has transfer IDs for two lines of the most components, so
+/// one is used again after two cycles at the earliest. The sender may be early by half a cycle.
+#define TIMEOUT_CYCLES 1.5
 #define MS_NS 1e6
 #define MAX_MS 3600000.0
 /// Greatest step of a counter of AUTOSAR's profile 5; a larger one may as well be a step back.
@@ -38,21 +40,6 @@ maplines_e2e_config_t maplines_default_e2e(void)
         .clear_to_invalid = true,
     };
     return e2e;
-}
-
-/// Default time-out of a transfer [cycles]. A transfer ID is used again after (transfer IDs /
-/// components) cycles at the earliest; half a cycle is subtracted, since the sender may be early.
-static double timeout_cycles(const maplines_dbc_t *dbc, int owner)
-{
-    const double transfer_ids = ldexp(1.0, maplines_layout(dbc, owner)->transfer_id[0].length);
-    double components = 1.0;
-    if (owner != MAPLINES_POSE && dbc->component_count.length > 0)
-    {
-        components = maplines_physical(&dbc->component_count, dbc->component_count.raw_max);
-    }
-    double cycles = transfer_ids / components - 0.5;
-    cycles = cycles < GRACE_CYCLES ? cycles : GRACE_CYCLES;
-    return cycles > 0.5 ? cycles : 0.5;
 }
 
 static int64_t whole_ns(double ms)
@@ -93,7 +80,7 @@ static void set_all(const maplines_dbc_t *dbc, double timeout_ms, double cycle_m
         const double dbc_ms =
             messages->cycle_ms > 0 ? (double)messages->cycle_ms : DEFAULT_CYCLE_MS;
         const double chosen_ms = cycle_ms > 0.0 ? cycle_ms : dbc_ms;
-        const double by_cycle_ms = timeout_cycles(dbc, owner) * chosen_ms;
+        const double by_cycle_ms = TIMEOUT_CYCLES * chosen_ms;
         const double derived_ms = by_cycle_ms > dbc_ms / 2.0 ? by_cycle_ms : dbc_ms / 2.0;
         settings->timeout_ns[owner] = whole_ns(timeout_ms > 0.0 ? timeout_ms : derived_ms);
         settings->cycle_ns[owner] = whole_ns(chosen_ms);

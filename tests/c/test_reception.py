@@ -8,6 +8,7 @@ from typing import Any
 
 import c_core
 import pytest
+from c_layouts import unusual_layouts
 from c_receivers import MAX_TIME, REASONS, Receivers
 from c_streams import KEY, PROFILES, SECURED_PROFILES, Stream, Traffic, traffic_of
 from random_dbc import LIMIT_SEED, random_dbc
@@ -64,6 +65,25 @@ def test_a_random_dbc_is_received_as_in_python(seed: int) -> None:
     for profile in (PROFILES[3], PROFILES[6], PROFILES[13]):
         receivers = Stream(traffic, profile, seed).run(FRAMES)
         receivers.check(c_core.harness("reception", layout))
+
+
+UNUSUAL = unusual_layouts()
+
+
+@pytest.mark.parametrize("unusual", UNUSUAL)
+def test_an_unusual_dbc_is_received_as_in_python(unusual: str) -> None:
+    """Without messages that others have, or with signals of other widths."""
+    layout = UNUSUAL[unusual]
+    traffic = Traffic(layout, 1)
+    profiles = [PROFILES[3], PROFILES[7], PROFILES[13]]
+    if layout.secured is not None:
+        profiles += [SECURED_PROFILES[1], SECURED_PROFILES[5]]
+    met = Counter[str]()
+    for profile in profiles:
+        receivers = Stream(traffic, profile, 1).run(FRAMES)
+        receivers.check(c_core.harness("reception", layout))
+        met += receivers.met
+    assert met["line"] > 20
 
 
 @pytest.mark.parametrize("dbc", SHIPPED[:2])

@@ -1,0 +1,65 @@
+"""Layouts that a DBC may have and those of the project do not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from scene_layouts import layout_of
+
+from maplines_can import Slot
+from maplines_can.wire.layout.message_layout import Layout
+
+
+def with_messages(layout: Layout, **changes: Any) -> Layout:
+    """Return a layout in which the messages of all owners are changed."""
+    messages = {slot: replace(own, **changes) for slot, own in layout.messages.items()}
+    pose = layout.pose
+    if pose is not None:
+        pose = replace(pose, messages=replace(pose.messages, **changes))
+    return replace(layout, messages=messages, pose=pose)
+
+
+def with_signals(layout: Layout, **changes: Mapping[str, Any]) -> Layout:
+    """Return a layout in which signals of the lines are changed; their ranges are all bits."""
+    signals = dict(layout.signals)
+    for name, change in changes.items():
+        signal = replace(signals[name], **change)
+        low, high = signal.all_raw
+        signals[name] = replace(signal, raw_min=low, raw_max=high)
+    return replace(layout, signals=signals)
+
+
+def with_slots(layout: Layout, *slots: Slot) -> Layout:
+    """Return a layout with the messages of some slots."""
+    return replace(layout, messages={slot: layout.messages[slot] for slot in slots})
+
+
+def unusual_layouts() -> dict[str, Layout]:
+    """Return layouts without what the project's DBCs have, by what is unusual of them."""
+    complete, conditional, secured = map(
+        layout_of, ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc")
+    )
+    assert secured.pose is not None
+    messages = replace(secured.pose.messages, secured_can_id=None)
+    plain_pose = replace(secured.pose, messages=messages, secured=None)
+    return {
+        "no pose error": with_signals(
+            with_messages(replace(complete, pose=None), cycle_ms=0),
+            Beta={"length": 15},
+            Status={"start": 55},
+            Kind={"start": 58, "length": 4},
+        ),
+        "classic only": with_messages(conditional, fd_can_id=None),
+        "FD only": with_messages(conditional, can_id=None),
+        "one slot": with_slots(complete, Slot.ROUTE),
+        "the pose error is not authenticated": replace(secured, pose=plain_pose),
+        "wide kinds": with_signals(
+            conditional,
+            Kind={"length": 4},
+            HasCovariance={"start": 54},
+            OwnShape={"start": 55, "length": 7},
+        ),
+        "short counter": with_signals(complete, Counter={"length": 4}),
+    }
