@@ -63,7 +63,7 @@ _TWO_BY_PI, _PI_BY_2, _TWO_PI = _numbers(
 _FAR = 1e5
 _SQRT_HALF = float.fromhex("0x1.6a09e667f3bcdp-1")
 #: Up to this number, values are computed one by one: with few, arrays cost more than they save.
-FEW = 8
+FEW = 16
 
 
 def exp2(x: ArrayLike) -> Array:

@@ -22,6 +22,8 @@ SWEEPS = 16
 NEGLIGIBLE = 2.0**-60
 #: Up to this number, matrices are taken one by one: with few, arrays cost more than they save.
 FEW = 3
+#: Most rows of a matrix for which ``cholesky`` does so.
+FEW_ROWS = 4
 
 
 def product(A: Array, B: Array) -> Array:
@@ -76,6 +78,9 @@ def cholesky(S: Array) -> Array:
            [1., 2.]])
     """
     n = S.shape[-1]
+    if n <= FEW_ROWS and S.size <= FEW * n * n:
+        factors = [_cholesky_one(rows) for rows in S.reshape(-1, n, n).tolist()]
+        return np.array(factors).reshape(S.shape)
     rest, L = S.copy(), np.zeros_like(S)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         for j in range(n):
@@ -84,6 +89,22 @@ def cholesky(S: Array) -> Array:
             L[..., j + 1 :, j] = rest[..., j + 1 :, j] / L[..., j, j, None]
             column = L[..., j + 1 :, j]
             rest[..., j + 1 :, j + 1 :] -= column[..., :, None] * column[..., None, :]
+    return L
+
+
+def _cholesky_one(rest: list[list[float]]) -> list[list[float]]:
+    """Return ``cholesky`` of the rows of one matrix, which are overwritten."""
+    n = len(rest)
+    L = [[0.0] * n for _ in range(n)]
+    for j in range(n):
+        pivot = math.sqrt(rest[j][j]) if rest[j][j] > 0 else math.nan
+        column = [row[j] / pivot for row in rest[j + 1 :]]
+        L[j][j] = pivot
+        for i, factor in enumerate(column, j + 1):
+            L[i][j] = factor
+            row = rest[i]
+            for k in range(j + 1, i + 1):
+                row[k] -= factor * column[k - j - 1]
     return L
 
 
@@ -125,6 +146,14 @@ def _is_definite_one(rest: list[list[Any]]) -> bool:
     return True
 
 
+def _copy_for(L: Array, B: Array) -> Array:
+    """Return a copy of (..., n, m) right-hand sides for each of the (..., n, n) matrices."""
+    if L.shape[:-2] == B.shape[:-2]:
+        return B.copy()
+    shape = np.broadcast_shapes(L.shape[:-2], B.shape[:-2])
+    return np.array(np.broadcast_to(B, (*shape, *B.shape[-2:])))
+
+
 def lower_solution(L: Array, B: Array) -> Array:
     """Return the (..., n, m) solutions of L X = B for lower triangular (..., n, n) matrices.
 
@@ -133,8 +162,7 @@ def lower_solution(L: Array, B: Array) -> Array:
            [2.]])
     """
     n = L.shape[-1]
-    shape = np.broadcast_shapes(L.shape[:-2], B.shape[:-2])
-    rest = np.array(np.broadcast_to(B, (*shape, *B.shape[-2:])))
+    rest = _copy_for(L, B)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         for i in range(n):
             rest[..., i, :] /= L[..., i, i, None]
@@ -150,8 +178,7 @@ def upper_solution(L: Array, B: Array) -> Array:
            [1.]])
     """
     n = L.shape[-1]
-    shape = np.broadcast_shapes(L.shape[:-2], B.shape[:-2])
-    rest = np.array(np.broadcast_to(B, (*shape, *B.shape[-2:])))
+    rest = _copy_for(L, B)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         for i in reversed(range(n)):
             rest[..., i, :] /= L[..., i, i, None]

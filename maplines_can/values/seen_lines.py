@@ -222,9 +222,11 @@ class SeenLines:
             centred = self.means - (_mean(seen) - lines.means)
             points = self._points_of(centred)
             found = is_function(*points)
-            lines, before = copy(self), lines  # without the check, which these have just passed
-            lines.means = np.where(found[:, None], centred, before.means)
-            lines.points = (points[0], np.where(found, points[1], before.points[1]))
+            if not found.all():
+                centred = np.where(found[:, None], centred, lines.means)
+                points = (points[0], np.where(found, points[1], lines.points[1]))
+            lines = copy(self)  # without the check, which these have just passed
+            lines.means, lines.points = centred, points
         return lines
 
     def spread(self, P: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -284,7 +286,7 @@ def margins(P: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.flo
     """
     x, y = ends[..., 0], ends[..., 1]
     along, both, heading = P[..., 0, 0, None], P[..., 0, 2, None], P[..., 2, 2, None]
-    along_sigma = np.sqrt((along - 2 * y * both + y * y * heading).clip(0))
+    along_sigma = np.sqrt(np.maximum(along - 2 * y * both + y * y * heading, 0.0))
     # A turned car sees the end of a line at x at about x cos(turn), which is nearer.
     _, cosine = sin_cos(np.minimum(MARGIN * np.sqrt(heading), math.pi / 2))
     shortening = 1 - cosine
@@ -320,9 +322,10 @@ def valid_ranges(
     middle = (fit_ranges[:, :1] + fit_ranges[:, 1:]) / 2
     square = middle * middle
     by_slope = (1 + slope * slope) * middle
-    J = np.stack([np.ones_like(middle), by_slope, square / 2, square * middle / 6], axis=-1)
+    columns = np.ones_like(middle), by_slope, square / 2, square * middle / 6
+    J = np.concatenate(columns, axis=1)[:, None]
     shift = product(product(J, specific_covs), J.mT)[:, 0, 0]
     own = np.zeros((len(means), 3, 3))
     own[:, 0, 0], own[:, 1, 1], own[:, 2, 2] = shift, shift, np.square(heading_sigma)
-    ends = np.stack([fit_ranges, lateral(fit_ranges)], axis=-1)
+    ends = np.concatenate([fit_ranges[..., None], lateral(fit_ranges)[..., None]], axis=-1)
     return np.asarray(fit_ranges + margins(P + own, ends) * [1, -1])

@@ -233,10 +233,12 @@ class SceneCode:
         self, raw: Rows, means: Array, fit_ranges: Array, common: Array, J: Array
     ) -> Array:
         """Return the (L, 4, 4) factors F_i of D_i; J are the derivatives of ``bases``."""
-        own = self.levels.decode(raw, means, fit_ranges) + common
-        own[:, range(4), range(4)] *= 1 + ROUNDING
-        F = product(J, cholesky(own))
-        if self.entries_code is not None and (full := raw[FORM] == 1).any():
+        F, full = np.empty_like(J), raw[FORM] == 1
+        if not full.all():
+            own = self.levels.decode(raw, means, fit_ranges) + common
+            own[:, range(4), range(4)] *= 1 + ROUNDING
+            F[...] = product(J, cholesky(own))
+        if self.entries_code is not None and full.any():
             signals = self.entries_code.signals
             F[full] = self.entries_code.factors({s.name: raw[s.name][full] for s in signals})
         return F
