@@ -240,8 +240,11 @@ def _lateral(rows: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.fl
 def lateral_jacobian(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
     """Return the (..., 4) derivative of l(x) with respect to (y_off, beta, c0, c1)."""
     _, beta, _, _ = _rows(parameters)
-    x, beta = np.broadcast_arrays(floats(x, "x"), beta)
-    return np.stack([np.ones_like(x), (1 + np.tan(beta) ** 2) * x, x**2 / 2, x**3 / 6], axis=-1)
+    x = floats(x, "x")
+    by_slope = (1 + np.tan(beta) ** 2) * x
+    J = np.empty((*np.shape(by_slope), len(PARAMETERS)))
+    J[..., 0], J[..., 1], J[..., 2], J[..., 3] = 1.0, by_slope, x**2 / 2, x**3 / 6
+    return J
 
 
 def _rows(parameters: ArrayLike) -> NDArray[np.float64]:
@@ -249,7 +252,7 @@ def _rows(parameters: ArrayLike) -> NDArray[np.float64]:
     lines = floats(parameters, "parameters")
     if lines.shape[-1:] != (len(PARAMETERS),):
         raise ValueError(f"parameters must have shape (..., 4), got {lines.shape}")
-    return np.moveaxis(lines, -1, 0)
+    return lines.transpose(-1, *range(lines.ndim - 1))
 
 
 def transform_line(
