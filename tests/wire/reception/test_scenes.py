@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -157,6 +158,42 @@ def scenes_with(plan: list[Any]) -> list[tuple[int, int]]:
             scene = decoder.scene()
             seen += [(scene.t_ns // PERIOD_NS, len(scene.scene.lines))] if scene else []
     return seen[len(plan[0]) - 1 :]
+
+
+@pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
+def test_lines_and_scenes_do_not_depend_on_when_they_were_asked_for(dbc: str) -> None:
+    """Not to the last bit, with records that come in any order or not at all.
+
+    One receiver is asked after each frame, so that it decodes lines as they join, the other one
+    every third cycle, so that it decodes some of them together.
+    """
+    rng = np.random.default_rng(1)
+    often, seldom = codec_of(dbc).decoder(), codec_of(dbc).decoder()
+    sizes = set()
+    for n, frames in enumerate(cycles(dbc, 60)):
+        owners, t_ns = [owner for owner in frames if rng.random() < 0.8], n * PERIOD_NS
+        for i in rng.permutation(len(owners)):
+            answers, _ = feed(seldom, {owners[i]: frames[owners[i]]}, t_ns)
+            others: list[Any] = []
+            for frame in frames[owners[i]]:
+                more, t_ns = feed(often, {owners[i]: [frame]}, t_ns)
+                others += more
+                often.latest_scene(t_ns)
+            assert [*map(bits, answers)] == [*map(bits, others)]
+        if n % 3 == 2:
+            scenes = often.scene(), seldom.scene()
+            assert bits(scenes[0]) == bits(scenes[1])
+            sizes.add(len(scenes[0].scene.lines) if scenes[0] else 0)
+    assert sizes >= {1, 2, 3}
+
+
+def bits(found: object) -> Any:
+    """Return all that a line or a scene consists of, with the bytes of its arrays."""
+    if isinstance(found, np.ndarray):
+        return found.shape, found.tobytes()
+    if is_dataclass(found):
+        return [bits(getattr(found, field.name)) for field in fields(found)]
+    return [*map(bits, found)] if isinstance(found, tuple) else found
 
 
 def test_the_last_scene_of_a_sender_that_stops_has_waited_for_long_enough() -> None:
