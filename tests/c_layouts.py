@@ -36,6 +36,15 @@ def with_slots(layout: Layout, *slots: Slot) -> Layout:
     return replace(layout, messages={slot: layout.messages[slot] for slot in slots})
 
 
+def with_short_freshness(layout: Layout) -> Layout:
+    """Return a layout whose freshness values cannot do without a clock."""
+    assert layout.secured is not None
+    assert layout.pose is not None
+    assert layout.pose.secured is not None
+    pose = replace(layout.pose, secured=replace(layout.pose.secured, freshness_bytes=3))
+    return replace(layout, secured=replace(layout.secured, freshness_bytes=3), pose=pose)
+
+
 def unusual_layouts() -> dict[str, Layout]:
     """Return layouts without what the project's DBCs have, by what is unusual of them."""
     complete, conditional, secured = map(
@@ -53,6 +62,7 @@ def unusual_layouts() -> dict[str, Layout]:
         ),
         "classic only": with_messages(conditional, fd_can_id=None),
         "FD only": with_messages(conditional, can_id=None),
+        "short freshness": with_short_freshness(secured),
         "one slot": with_slots(complete, Slot.ROUTE),
         "the pose error is not authenticated": replace(secured, pose=plain_pose),
         "wide kinds": with_signals(

@@ -25,7 +25,7 @@ from maplines_can.wire.reception.views import STALE_CYCLES
 
 REASONS = {reason: i + 1 for i, reason in enumerate(Reason)}
 OWNERS: tuple[Owner, ...] = (*Slot, POSE)
-FRAME, LATEST, SCENE, EXPIRE, STATISTICS, SETTINGS = range(6)
+FRAME, LATEST, SCENE, EXPIRE, STATISTICS, SETTINGS, COMPONENT, PROBLEM = range(8)
 #: Longest time in C [ns]; beyond it, a time is limited to it.
 MAX_TIME = 4 * 10**18
 
@@ -108,6 +108,21 @@ class Receivers:
                         *flags)
         )  # fmt: skip
         self._meet_view(view)
+
+    def component(self, slot: int, i: int) -> None:
+        """Ask for a component of the newest line of any slot; records have their covariances."""
+        line = self.decoder._newest.get(slot) if slot in self._slots else None
+        found: list[tuple[float, Gaussian]] = []
+        if line is not None and line.mixture is not None:
+            found = [*zip(line.mixture.weights, line.mixture.components, strict=True)]
+        elif line is not None:
+            found = [(1.0, line.gaussian)]
+        self._ask(COMPONENT, bytes([slot, i]), f"component {i} of {slot}")
+        expected = bytes([i < len(found)])
+        if i < len(found):
+            weight, gaussian = found[i]
+            expected += struct.pack("<d", weight) + _gaussian(gaussian)
+        self._expected.append(expected)
 
     def scene(self, now_ns: int) -> None:
         """Ask for the newest scene."""

@@ -7,6 +7,9 @@
  *     3  maplines_expire: time (i64)
  *     4  all statistics: now (i64)
  *     5  other settings, of which nothing but their values is asked: as at the beginning
+ *     6  maplines_component: slot (u8), index (u8)
+ *     7  what is wrong with the default settings after a change: owner (u8), time-out, cycle (i64),
+ *        greatest step (u8), whether there is a function of the MAC (u8) and a clock (u8)
  * Output: whether the settings are refused (u8), then for each step what it gives; the lines that a
  * frame completes follow its answer.
  */
@@ -288,6 +291,45 @@ static void ask_settings(void)
     }
 }
 
+/// Write whether there is a component; if so, its weight and Gaussian.
+static void ask_component(void)
+{
+    maplines_gaussian_t gaussian;
+    maplines_real_t weight;
+    const uint8_t slot = read_u8();
+    const bool is_found =
+        maplines_component(&decoder, (maplines_owner_t)slot, read_u8(), &gaussian, &weight);
+    write_u8(is_found);
+    if (is_found)
+    {
+        write_f64((double)weight);
+        write_mean(&gaussian);
+        write_covariance(&gaussian);
+    }
+}
+
+/// Write what is wrong with changed settings (u8 length, text); nothing if they are good.
+static void ask_problem(void)
+{
+    static maplines_decoder_t other;
+    maplines_settings_t settings;
+    maplines_authenticator_t authenticator;
+    memset(&authenticator, 0, sizeof authenticator);
+    maplines_default_settings(&harness_dbc, &settings);
+    const uint8_t owner = read_u8();
+    settings.timeout_ns[owner] = read_i64();
+    settings.cycle_ns[owner] = read_i64();
+    settings.e2e[owner].max_delta_counter = read_u8();
+    authenticator.mac = read_u8() != 0 ? mac_of_vault : NULL;
+    authenticator.now_us = read_u8() != 0 ? now_of_vault : NULL;
+    authenticator.window_us = 1;
+    settings.authenticator = harness_dbc.line.fd_authentic > 0 ? &authenticator : NULL;
+    const char *problem = maplines_decoder_init(&other, &harness_dbc, &settings);
+    const size_t length = problem != NULL ? strlen(problem) : 0;
+    write_u8((uint8_t)length);
+    write_bytes(problem, length);
+}
+
 int main(void)
 {
     maplines_settings_t settings;
@@ -316,8 +358,14 @@ int main(void)
         case 4:
             ask_statistics();
             break;
-        default:
+        case 5:
             ask_settings();
+            break;
+        case 6:
+            ask_component();
+            break;
+        default:
+            ask_problem();
             break;
         }
     }

@@ -9,7 +9,7 @@ from typing import Any
 import c_core
 import pytest
 from c_layouts import unusual_layouts
-from c_receivers import MAX_TIME, REASONS, Receivers
+from c_receivers import MAX_TIME, PROBLEM, REASONS, Receivers
 from c_streams import KEY, PROFILES, SECURED_PROFILES, Stream, Traffic, traffic_of
 from random_dbc import LIMIT_SEED, random_dbc
 from scene_layouts import layout_of
@@ -19,6 +19,7 @@ from maplines_can.wire import E2EConfig, E2EState, Layout, ProfileStatus, Reason
 
 SHIPPED = ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc")
 FRAMES = 600
+HOUR = 3_600_000_000_000  # [ns]
 ALL = [*PROFILES, *SECURED_PROFILES]
 MET: dict[str, Counter[str]] = {}
 
@@ -128,6 +129,43 @@ def test_settings_follow_from_the_dbc_as_in_python(dbc: str) -> None:
         )
     assert 100 < refused < 300
     receivers.check(c_core.harness("reception", receivers.layout))
+
+
+@pytest.mark.parametrize("owner", [Slot.EGO_LEFT, 8])
+@pytest.mark.parametrize(
+    ("dbc", "change", "problem"),
+    [
+        pytest.param("maplines.dbc", {}, "", id="good"),
+        pytest.param("maplines.dbc", {"timeout": 0}, "timeout_ns must be", id="no-timeout"),
+        pytest.param("maplines.dbc", {"timeout": HOUR + 1}, "timeout_ns must be", id="long-timeout"),
+        pytest.param("maplines.dbc", {"timeout": HOUR, "cycle": HOUR}, "", id="an-hour"),
+        pytest.param("maplines.dbc", {"cycle": 0}, "cycle_ns must be", id="no-cycle"),
+        pytest.param("maplines.dbc", {"cycle": HOUR + 1}, "cycle_ns must be", id="long-cycle"),
+        pytest.param("maplines.dbc", {"step": 127}, "", id="step"),
+        pytest.param("maplines.dbc", {"step": 128}, "max_delta_counter must be from 1", id="long-step"),
+        pytest.param("short counter", {"step": 7}, "", id="step-of-16-counters"),
+        pytest.param("short counter", {"step": 8}, "max_delta_counter must be less than half", id="half"),
+        pytest.param("maplines-secoc.dbc", {}, "", id="with-key"),
+        pytest.param("maplines-secoc.dbc", {"has_clock": 0}, "", id="without-clock"),
+        pytest.param("maplines-secoc.dbc", {"has_mac": 0}, "authenticator: mac must be", id="no-mac"),
+        pytest.param("short freshness", {}, "", id="short-freshness-with-clock"),
+        pytest.param("short freshness", {"has_clock": 0}, "authenticator: without a clock", id="no-clock"),
+    ],
+)
+def test_wrong_settings_are_named(
+    dbc: str, change: dict[str, int], problem: str, owner: int
+) -> None:
+    """Each bound of the structure that a caller fills, for a slot and for the pose error."""
+    layout = layout_of(dbc) if dbc.endswith(".dbc") else UNUSUAL[dbc]
+    given = {"timeout": 10**8, "cycle": 10**8, "step": 3, "has_mac": 1, "has_clock": 1} | change
+    if dbc == "short counter" and owner == 8:
+        pytest.skip("the counter of the pose error is longer")
+    settings = struct.pack("<3dBB", 0.0, 0.0, 3.0, 0, 0) + struct.pack("<Bqq", 0, 1, 0)
+    asked = struct.pack("<BBqqBBB", PROBLEM, owner, *given.values())
+    out = c_core.run(c_core.harness("reception", layout), settings + asked)
+    assert out[1] == len(out) - 2
+    text = out[2:].decode()
+    assert text.startswith(problem) if problem else not text
 
 
 def settings_with_key(window_us: int = 10**6, not_before_us: int = 0, stale: float = 3.0) -> bytes:
