@@ -18,8 +18,6 @@ from maplines_can.wire.layout.message_layout import Layout
 C = Path(__file__).parents[1] / "c"
 #: As CONTRIBUTING.md promises of the sources.
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Werror")
-#: The rounding of each operation is part of the result.
-EXACT = ("-ffp-contract=off",)
 #: A harness takes from the core what it calls, and needs nothing of the rest.
 SECTIONS, COLLECT = ("-ffunction-sections",), "-Wl,--gc-sections"
 #: Limits that suffice for most DBCs, which so share the object files of the core.
@@ -34,6 +32,8 @@ CC = os.environ.get("MAPLINES_CC", "cc")
 FLAGS = ("-O2",)
 OWN_FLAGS = tuple(shlex.split(os.environ.get("MAPLINES_CFLAGS", "")))
 EMULATOR = tuple(shlex.split(os.environ.get("MAPLINES_EMULATOR", "")))
+#: What a compiler may use here, such as fused multiplications; the emulated processors have them.
+NATIVE = () if EMULATOR else ("-march=native",)
 
 
 def harness(
@@ -75,7 +75,7 @@ def program(
         files |= {f"{name}_dbc.h": tables.header, f"{name}_dbc.c": tables.source}
     limits = Limits(*map(max, LIMITS, limits_of(layouts)))
     command = [
-        cc, "-std=c99", *WARNINGS, *EXACT, *SECTIONS, *flags,
+        cc, "-std=c99", *WARNINGS, *SECTIONS, *flags,
         *(f"-D{macro}={value}" for macro, value in limits.macros.items()),
         *(f"-I{C / folder}" for folder in FOLDERS),
     ]  # fmt: skip

@@ -6,7 +6,8 @@
  *
  * To build it in, compile maplines.c and the tables (maplines_dbc.c) with a C99 compiler, and link
  * the mathematical library. Give gcc and clang -ffp-contract=off: a fused multiplication gives
- * other bits than the Python package, which is the model of this code.
+ * other bits than the Python package, which is the model of this code. The source forbids it, too,
+ * by a pragma, which clang's -ffp-contract=fast overrules.
  *
  *     #include "maplines_dbc.h"
  *     static maplines_decoder_t decoder;  // all memory; 40 to 63 kB with the DBCs of the package

@@ -8,7 +8,8 @@
 #include <math.h>
 #include <string.h>
 
-#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ != 0)
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ != 0) ||      \
+    defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) || defined(__NO_SIGNED_ZEROS__)
 #error "maplines needs IEEE 754 arithmetic: compile it without -ffast-math and its parts"
 #endif
 /* 1 is that of s390x: float is computed as double, and double is as everywhere. 16 is that of CPUs
@@ -17,8 +18,13 @@
 #if defined(__FLT_EVAL_METHOD__) && (__FLT_EVAL_METHOD__ == 2 || __FLT_EVAL_METHOD__ < 0)
 #error "maplines needs arithmetic in the precision of its types: on a 32-bit x86, -mfpmath=sse"
 #endif
-#ifdef __clang__
-#pragma STDC FP_CONTRACT OFF /* gcc does not know it, and needs -ffp-contract=off */
+/* No multiplication is fused with an addition: that rounds once instead of twice. GCC does not know
+ * the pragma of C99, and fuses unless -std=c99 or -ffp-contract=off is given.
+ */
+#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC optimize("fp-contract=off")
+#else
+#pragma STDC FP_CONTRACT OFF
 #endif
 
 #ifndef MAPLINES_INTERNAL

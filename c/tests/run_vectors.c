@@ -356,19 +356,16 @@ static void covariance(run_t *run, const row_t *row)
 {
     const bool is_sum = run->scene != NULL || DBC.is_conditional || run->line->components > 1;
     const double tolerance = is_sum ? SUM_TOLERANCE : TOLERANCE;
+    maplines_real_t C[4][4];
+    maplines_covariance(&run->line->gaussian, C);
     size_t place = 1;
     for (int i = 0; i < 4; ++i)
     {
         for (int j = i; j < 4; ++j)
         {
-            double entry = 0;
-            for (int k = 0; k < 4; ++k)
-            {
-                entry += (double)run->line->gaussian.factor[i][k] *
-                         (double)run->line->gaussian.factor[j][k];
-            }
             const double scale = sigma_of(run->line, i) * sigma_of(run->line, j);
-            check_variance(run, entry, scale, i == j, tolerance, row, place, "a covariance");
+            check_variance(run, (double)C[i][j], scale, i == j, tolerance, row, place,
+                           "a covariance");
             ++place;
         }
     }

@@ -35,11 +35,29 @@ def generate(*words: str | Path) -> int:
 def compile_c(folder: Path, *, cc: str = "cc", flags: tuple[str, ...] = ()) -> None:
     """Compile all C files of a folder with all warnings."""
     names = sorted(path.name for path in folder.glob("*.c"))
-    command = [cc, "-std=c99", *c_core.WARNINGS, *c_core.EXACT, *flags, "-c", *names]
+    command = [cc, "-std=c99", *c_core.WARNINGS, *flags, "-c", *names]
     subprocess.run(command, check=True, cwd=folder)
 
 
 # ---- the files --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("cc", "flag"),
+    [
+        ("gcc", "-ffast-math"), ("gcc", "-Ofast"), ("gcc", "-ffinite-math-only"),
+        ("gcc", "-funsafe-math-optimizations"), ("clang", "-ffast-math"), ("clang", "-Ofast"),
+    ],
+)  # fmt: skip
+def test_arithmetic_that_rounds_otherwise_is_refused(tmp_path: Path, cc: str, flag: str) -> None:
+    """GCC says since version 12 that it reorders operations."""
+    if not shutil.which(cc):
+        pytest.skip(f"there is no {cc}")
+    assert generate("--out", tmp_path) == 0
+    command = [cc, flag, "-fsyntax-only", "maplines.c"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode != 0
+    assert "maplines needs IEEE 754 arithmetic" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ def test_records_of_a_random_dbc_are_read_as_in_python(seed: int) -> None:
     check_decode(Layout.from_text(random_dbc(seed)), 1000)
 
 
-@pytest.mark.parametrize("flags", [("-O0",), ("-O3", "-march=native")])
+@pytest.mark.parametrize("flags", [("-O0",), ("-O3", *c_core.NATIVE)])
 def test_the_bits_do_not_depend_on_the_optimisation(flags: tuple[str, ...]) -> None:
     layout = layout_of("maplines.dbc")
     check_decode(layout, 1000, flags=flags)

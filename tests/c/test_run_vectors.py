@@ -38,9 +38,17 @@ def runner(layout: Layout, **options: Any) -> Path:
     return c_core.program([c_core.C / "tests" / "run_vectors.c"], [layout], ["harness"], **options)
 
 
-@pytest.mark.parametrize("flags", [("-O2",), ("-O1", "-DMAPLINES_FLOAT")], ids=["double", "float"])
+@pytest.mark.parametrize(
+    "flags",
+    [
+        pytest.param(("-O2",), id="double"),
+        pytest.param(("-O1", "-DMAPLINES_FLOAT"), id="float"),
+        pytest.param(("-O3", "-std=gnu99", *c_core.NATIVE), id="fused"),
+    ],
+)
 @pytest.mark.parametrize("dbc", SHIPPED)
 def test_the_c_core_passes(tmp_path: Path, dbc: str, flags: tuple[str, ...]) -> None:
+    """Also where GCC would fuse multiplications, since no flag forbids it."""
     path = tmp_path / "vectors.txt"
     path.write_text(text_of(dbc))
     program = runner(layout_of(dbc), flags=flags)
