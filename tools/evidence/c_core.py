@@ -13,7 +13,9 @@ import importlib
 import shlex
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -49,13 +51,37 @@ def codecs(dbcs: tuple[str, ...], randoms: int) -> Iterator[tuple[str, Codec]]:
         yield f"random {seed}", Codec(Layout.from_text(random_dbc(seed), f"random{seed}.dbc"))
 
 
-def chunks(n: int, what: str) -> Iterator[tuple[int, int]]:
-    """Yield seeds and numbers of cases, n in all, with a progress bar."""
-    with bar(n, what) as shown:
-        for seed, first in enumerate(range(0, n, CHUNK)):
-            size = min(CHUNK, n - first)
-            yield seed, size
-            shown.update(size)
+@dataclass
+class Chunk:
+    """Cases of one DBC that are compared at once."""
+
+    name: str  #: of the DBC
+    codec: Codec
+    number: int
+    size: int  #: cases; a comparison may set another number
+    counts: Counter[str]  #: of all chunks of the DBC: its figures
+
+
+def chunks(
+    n: int, size: int, dbcs: Iterable[tuple[str, Codec]], rows: dict[str, Any]
+) -> Iterator[Chunk]:
+    """Yield chunks of n cases of each DBC, and add a row with what they count for each."""
+    for name, codec in dbcs:
+        chunk, done = Chunk(name, codec, 0, 0, Counter()), 0
+        with bar(n, name) as shown:
+            while done < n:
+                chunk.size = min(size, n - done)
+                yield chunk
+                chunk.number += 1
+                done += chunk.size
+                shown.update(chunk.size)
+        rows[name] = {**chunk.counts, "different": 0}
+
+
+def checked(function: Callable[..., Any], cc: str, flags: str, emulator: str) -> Any:
+    """Return a comparison of the tests with a compiler and an emulator."""
+    prefix, compiler = shlex.split(emulator), {"cc": cc, "flags": tuple(shlex.split(flags))}
+    return lambda *given, **options: function(*given, *prefix, **options, **compiler)
 
 
 @evidence(n=400, random=2)
@@ -68,27 +94,20 @@ def lines(
     emulator: str = "",
 ) -> dict[str, Any]:
     """Compare complete lines, n each way on each DBC: records of any bits, and awkward lines."""
-    of_lines, prefix = tests("c_lines"), shlex.split(emulator)
-    compiler = {"cc": cc, "flags": tuple(shlex.split(flags))}
+    of_lines = tests("c_lines")
+    check_decode = checked(of_lines.check_decode, cc, flags, emulator)
+    check_encode = checked(of_lines.check_encode, cc, flags, emulator)
+    complete = (one for one in codecs(dbcs, random) if not one[1].layout.is_conditional)
     rows: dict[str, Any] = {}
-    for name, codec in codecs(dbcs, random):
-        if codec.layout.is_conditional:
-            continue
-        verdicts, statuses = Counter[str](), Counter[int]()
-        for seed, size in chunks(n, name):
-            verdicts += Counter(
-                of_lines.check_decode(codec.layout, size, seed, *prefix, **compiler)
-            )
-            awkward = of_lines.awkward_lines(codec, size, seed)
-            sent = of_lines.check_encode(codec, awkward, *prefix, is_fd=seed % 2 == 1, **compiler)
-            statuses += Counter(dict(enumerate(sent.tolist())))
-        rows[name] = {
-            "decoded": verdicts["None"],
-            "refused": sum(verdicts.values()) - verdicts["None"],
-            "encoded": sum(statuses.values()),
-            "out of range": statuses[5],
-            "different": 0,
-        }
+    for chunk in chunks(n, CHUNK, complete, rows):
+        codec, seed, counts = chunk.codec, chunk.number, chunk.counts
+        verdicts = check_decode(codec.layout, chunk.size, seed)
+        counts["decoded"] += verdicts["None"]
+        counts["refused"] += sum(verdicts.values()) - verdicts["None"]
+        awkward = of_lines.awkward_lines(codec, chunk.size, seed)
+        statuses = check_encode(codec, awkward, is_fd=seed % 2 == 1).tolist()
+        counts["encoded"] += sum(statuses)
+        counts["out of range"] += statuses[5]
     return rows
 
 
@@ -102,17 +121,15 @@ def scenes(
     emulator: str = "",
 ) -> dict[str, Any]:
     """Compare decoded scenes, n on each DBC: records of any bits, and one in 20 of a road."""
-    of_scenes, prefix = tests("c_scenes"), shlex.split(emulator)
-    compiler = {"cc": cc, "flags": tuple(shlex.split(flags))}
+    of_scenes = tests("c_scenes")
+    check_scenes = checked(of_scenes.check_scenes, cc, flags, emulator)
     rows: dict[str, Any] = {}
-    for name, codec in codecs(dbcs, random):
-        wire, counts = of_scenes.Wire(codec), Counter[str]()
-        for seed, size in chunks(n, name):
-            given = [*of_scenes.random_scenes(wire, size - size // 20, seed)]
-            if not name.startswith("random"):
-                given += of_scenes.sent_scenes(wire, size // 20, seed)
-            counts += of_scenes.check_scenes(wire, given, *prefix, **compiler)
-        rows[name] = {**counts, "different": 0}
+    for chunk in chunks(n, CHUNK, codecs(dbcs, random), rows):
+        wire, on_roads = of_scenes.Wire(chunk.codec), chunk.size // 20
+        given = [*of_scenes.random_scenes(wire, chunk.size - on_roads, chunk.number)]
+        if not chunk.name.startswith("random"):
+            given += of_scenes.sent_scenes(wire, on_roads, chunk.number)
+        chunk.counts.update(check_scenes(wire, given))
     return rows
 
 
@@ -138,22 +155,20 @@ def encoded_scenes(
         emulator: command that runs the program.
     """
     draws = [on_map(found) for found in maps_of(maps).values()]
-    of_scenes, prefix = tests("test_scene_encode"), shlex.split(emulator)
-    compiler = {"cc": cc, "flags": tuple(shlex.split(flags))}
+    of_scenes = tests("test_scene_encode")
+    check = checked(of_scenes.check, cc, flags, emulator)
     rows: dict[str, Any] = {}
-    for name, codec in codecs(dbcs, random):
-        counts = Counter[str]()
-        for first in range(0, n, SCENES):
-            numbers = range(first, min(first + SCENES, n), 3 if draws else 2)
-            given = [*of_scenes.on_roads(numbers), *of_scenes.gaussians(numbers)]
-            if draws:
-                given += of_scenes.on_maps(draws, numbers)
-            for sent in of_scenes.check(codec.layout, given, first, *prefix, **compiler):
-                counts["scenes"] += 1
-                counts["frames"] += len(sent.frames)
-                counts["lines in scenes"] += sent.left_out.count(0)
-                counts["lines left out"] += len(sent.left_out) - sent.left_out.count(0)
-        rows[name] = {**counts, "different": 0}
+    for chunk in chunks(n, SCENES, codecs(dbcs, random), rows):
+        first = chunk.number * SCENES
+        numbers = range(first, first + chunk.size, 3 if draws else 2)
+        given = [*of_scenes.on_roads(numbers), *of_scenes.gaussians(numbers)]
+        if draws:
+            given += of_scenes.on_maps(draws, numbers)
+        for sent in check(chunk.codec.layout, given, first):
+            chunk.counts["scenes"] += 1
+            chunk.counts["frames"] += len(sent.frames)
+            chunk.counts["lines in scenes"] += sent.left_out.count(0)
+            chunk.counts["lines left out"] += len(sent.left_out) - sent.left_out.count(0)
     return rows
 
 
@@ -170,19 +185,16 @@ def reception(
 
     Every answer, line, view, state and count is the same, or the evidence ends with an error.
     """
-    streams, prefix = tests("c_streams"), shlex.split(emulator)
-    compiler = {"cc": cc, "flags": tuple(shlex.split(flags))}
+    streams = tests("c_streams")
+    check_streams = checked(streams.check_streams, cc, flags, emulator)
+    traffic_of = cache(streams.Traffic)
+    names = {"lines": "line", "mixtures": "mixture", "scenes": "scene", "views usable": "usable"}
     rows: dict[str, Any] = {}
-    for name, codec in codecs(dbcs, random):
-        traffic, met = streams.Traffic(codec.layout), Counter[str]()
-        each = min(STREAM, max(1, n // streams.profiles_for(codec.layout)))
-        frames = seed = 0
-        with bar(n, name) as shown:
-            while frames < n:
-                given, own = streams.check_streams(traffic, each, seed, *prefix, **compiler)
-                frames, seed, met = frames + given, seed + 1, met + own
-                shown.update(given)
-        rows[name] = {"frames": frames, "lines": met["line"], "mixtures": met["mixture"],
-                      "scenes": met["scene"], "views usable": met["usable"],
-                      "different": 0}  # fmt: skip
+    for chunk in chunks(n, STREAM, codecs(dbcs, random), rows):
+        layout = chunk.codec.layout
+        each = min(STREAM, max(1, n // streams.profiles_for(layout)))
+        chunk.size, met = check_streams(traffic_of(layout), each, chunk.number)
+        chunk.counts["frames"] += chunk.size
+        for name, answer in names.items():
+            chunk.counts[name] += met[answer]
     return rows
