@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
-from pathlib import Path
 from typing import Any
 
 from ..generation.c_files import c_files
 from ..generation.tables import identifier_of, limits_of
+from .generated_files import add_out, check_new_files, write_files
 from .options import SHIPPED, layout_from
-from .overwriting import add_force, check_new
-from .parsing import add_json, option_group
+from .parsing import option_group
 
 __all__ = ["add_c"]
 
@@ -66,14 +64,7 @@ def add_c(subparsers: Any) -> argparse.ArgumentParser:
         help="name of the tables, NAME_dbc; with several DBCs, one for each (default: that of the "
         "file, such as maplines_pose of maplines-pose.dbc)",
     )
-    option_group(parser, "output").add_argument(
-        "--out",
-        default=".",
-        metavar="DIR",
-        help="folder of the files, which is made if there is none (default: this folder)",
-    )
-    add_force(parser)
-    add_json(parser, "the names of the files and the limits")
+    add_out(parser, "the names of the files and the limits")
     parser.set_defaults(run=_run)
     return parser
 
@@ -88,16 +79,6 @@ def _run(arguments: argparse.Namespace) -> int:
         )
     layouts = {name: layout_from(dbc) for name, dbc in zip(names, dbcs, strict=True)}
     files = c_files(layouts)
-    folder = Path(arguments.out)
-    check_new(arguments, *(folder / name for name in files))
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, text in files.items():
-        (folder / name).write_text(text, encoding="utf-8", newline="\n")
-    if arguments.json:
-        paths = [str(folder / name) for name in files]
-        limits = limits_of(list(layouts.values()))._asdict()
-        print(json.dumps({"files": paths, "limits": limits}, indent=2))
-    else:
-        for name in files:
-            print(folder / name)
+    check_new_files(arguments, files)
+    write_files(arguments, files, {"limits": limits_of(list(layouts.values()))._asdict()})
     return 0

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
-from pathlib import Path
 from typing import Any
 
 from ..generation.c_files import check_name
 from ..generation.tables import identifier_of
 from ..generation.vector_files import vector_files
 from ..generation.vectors import SCHEMA
+from .generated_files import add_out, check_new_files, write_files
 from .options import SHIPPED, layout_from
-from .overwriting import add_force, check_new
-from .parsing import add_json, option_group
+from .parsing import option_group
 
 __all__ = ["add_vectors"]
 
@@ -68,14 +67,7 @@ def add_vectors(subparsers: Any) -> argparse.ArgumentParser:
         help="name of the files and of the tables in C, as with 'maplines generate c' (default: "
         "that of the DBC)",
     )
-    option_group(parser, "output").add_argument(
-        "--out",
-        default=".",
-        metavar="DIR",
-        help="folder of the files, which is made if there is none (default: this folder)",
-    )
-    add_force(parser)
-    add_json(parser, "the names of the files, the number of cases and the hashes")
+    add_out(parser, "the names of the files, the number of cases and the hashes")
     parser.set_defaults(run=_run)
     return parser
 
@@ -84,19 +76,10 @@ def _run(arguments: argparse.Namespace) -> int:
     name = arguments.name or identifier_of(arguments.dbc)
     check_name(name)
     layout = layout_from(arguments.dbc)
-    folder = Path(arguments.out)
     names = (f"{name}.json", SCHEMA, f"{name}.txt", "run_vectors.c", "aes_cmac.h")
-    check_new(arguments, *(folder / file for file in names))
+    check_new_files(arguments, names)
     files = vector_files(layout, name)
-    folder.mkdir(parents=True, exist_ok=True)
-    for file, text in files.items():
-        (folder / file).write_text(text, encoding="utf-8", newline="\n")
-    if arguments.json:
-        content = json.loads(files[f"{name}.json"])
-        paths = [str(folder / file) for file in files]
-        numbers = {"cases": len(content["cases"]), "dbc": content["dbc"]}
-        print(json.dumps({"files": paths, **numbers, "sha256": content["sha256"]}, indent=2))
-    else:
-        for file in files:
-            print(folder / file)
+    content = json.loads(files[f"{name}.json"])
+    figures = {"cases": len(content["cases"]), "dbc": content["dbc"], "sha256": content["sha256"]}
+    write_files(arguments, files, figures)
     return 0
