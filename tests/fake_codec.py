@@ -66,6 +66,9 @@ class FakeDecoder:
             return result
         return [result]
 
+    def feed_all(self, frames: Any) -> Any:
+        return [self.feed(*frame[:3]) for frame in frames]
+
     def _feed(self, can_id: Any, data: Any, t_ns: Any) -> Any:
         if not 0x100 <= can_id < 0x108 or len(data) not in (8, 32):
             return Reason.FOREIGN

@@ -6,7 +6,7 @@ import contextlib
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from inspect import iscoroutinefunction
 from typing import Literal, NamedTuple, Self
 
@@ -15,6 +15,7 @@ from can.typechecking import CanFilters
 
 from ..values.line import MapLine, Slot
 from ..wire import Decoder, Reason, SceneView, SlotStats, SlotView
+from ..wire.reception.decoder import ReceivedFrame
 from ..wire.reception.views import STALE_CYCLES
 from .background import BackgroundThread, ForkSafeCondition
 from .link import Link, link_of
@@ -22,6 +23,8 @@ from .stamp_clock import StampClock
 
 #: How long the thread waits for a frame before it checks whether it shall stop [s].
 POLL = 0.1
+#: Most frames that have arrived meanwhile and are decoded together.
+BURST = 256
 
 
 class ReceiverStats(NamedTuple):
@@ -77,24 +80,14 @@ class ReceivedLines(ABC):
     def _raise_error(self) -> None:
         """Raise the error that ended the reception, if there is one."""
 
-    def _take(self, msg: can.Message) -> None:
-        """Decode a message, and count it."""
+    def _take(self, messages: Sequence[can.Message]) -> None:
+        """Decode messages, and count them."""
         with self._changed:
             if self._stopped:
                 return
-            if msg.is_error_frame:
-                self._error_frames += 1
-                return
-            if msg.is_remote_frame:
-                self._remote_frames += 1
-                return
-            self._frames += 1
-            t_ns = round(msg.timestamp * 1e9) or time.time_ns()
-            self._stamps.add(t_ns, time.monotonic_ns())
-            can_id, data = msg.arbitration_id, bytes(msg.data)
-            lines = self._decoder.feed(can_id, data, t_ns, is_extended=msg.is_extended_id)
-            if isinstance(lines, Reason):
-                return
+            frames = [frame for msg in messages if (frame := self._frame(msg)) is not None]
+            answers = self._decoder.feed_all(frames)
+            lines = [line for own in answers if not isinstance(own, Reason) for line in own]
             self._lines += len(lines)
             if self._on_line is None:
                 for line in lines:
@@ -104,6 +97,19 @@ class ReceivedLines(ABC):
                 return
         for line in lines:
             self._on_line(line)
+
+    def _frame(self, msg: can.Message) -> ReceivedFrame | None:
+        """Count a message; return its frame if it is for the decoder."""
+        if msg.is_error_frame:
+            self._error_frames += 1
+            return None
+        if msg.is_remote_frame:
+            self._remote_frames += 1
+            return None
+        self._frames += 1
+        t_ns = round(msg.timestamp * 1e9) or time.time_ns()
+        self._stamps.add(t_ns, time.monotonic_ns())
+        return ReceivedFrame(msg.arbitration_id, bytes(msg.data), t_ns, msg.is_extended_id)
 
     def get(self, timeout: float | None = None) -> MapLine | None:
         """Return the oldest line that waits.
@@ -281,7 +287,7 @@ class LineListener(ReceivedLines, can.Listener):
         """Decode a message; called by python-can. Messages after `stop` are ignored."""
         if not self._stopped:
             self._error = None
-        self._take(msg)
+        self._take([msg])
 
     def on_error(self, exc: Exception) -> None:
         """Store the error that ends a notifier's thread, for `get`; called by python-can.
@@ -369,10 +375,20 @@ class Receiver(BackgroundThread, ReceivedLines):
     def _run(self) -> None:
         try:
             while not self._stopping:
-                message = self._link.recv(POLL)
-                if message is not None:
-                    self._take(message)
+                self._receive_burst()
         finally:
             if self._bus is not None and self._can_ids is not None:
                 with contextlib.suppress(can.CanError, OSError, ValueError):  # if it is shut down
                     self._bus.set_filters(self._bus_filters)
+
+    def _receive_burst(self) -> None:
+        """Wait for a message, and decode it with those that have arrived meanwhile."""
+        messages: list[can.Message] = []
+        try:
+            message = self._link.recv(POLL)
+            while message is not None:
+                messages.append(message)
+                message = self._link.recv(0.0) if len(messages) < BURST else None
+        finally:  # also if the link is closed meanwhile
+            if messages:
+                self._take(messages)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 from ...values.line import MapLine, Slot
 from ..layout.message_layout import Layout
@@ -14,7 +15,7 @@ from ..records.record import CompleteRecord, RawRecord, RecordReader
 from ..records.scene_reader import SceneReader
 from .mixtures import MixtureAssembler, ReceivedLine
 from .reassembly import Reassembler, Record
-from .scenes import ReceivedScene, SceneAssembler
+from .scenes import Joined, JoinedLine, ReceivedScene, SceneAssembler
 from .sequence import SequenceCheck, SlotStats
 from .settings import RecordSettings
 from .views import STALE_CYCLES, SceneView, SlotView, scene_view, slot_view
@@ -23,6 +24,15 @@ from .views import STALE_CYCLES, SceneView, SlotView, scene_view, slot_view
 PENDING, FOREIGN = Reason.PENDING, Reason.FOREIGN
 
 Content = CompleteRecord | RawRecord
+
+
+class ReceivedFrame(NamedTuple):
+    """A frame of the bus, as arguments of ``Decoder.feed``."""
+
+    can_id: int
+    data: bytes
+    t_ns: int  #: time of reception [ns]
+    is_extended: bool = False  #: the ID has 29 bits
 
 
 class Decoder:
@@ -147,13 +157,51 @@ class Decoder:
             One line, or several if a pose error completes those that waited for it; or the reason
             why there is none (PENDING: not yet). No frame raises.
         """
+        record = self._reassembled(can_id, data, t_ns, is_extended)
+        answer = record if isinstance(record, Reason) else self._checked(record)
+        return self._decoded([answer])[0] if isinstance(answer, Joined) else answer
+
+    def feed_all(self, frames: Iterable[ReceivedFrame]) -> list[Sequence[MapLine] | Reason]:
+        """Decode frames that have arrived, the first one first; return what ``feed`` does of each.
+
+        Lines that are conditional on the same pose error are decoded together, which takes a
+        fraction of the time. So a receiver that is late catches up.
+        """
+        answers: list[Sequence[MapLine] | Reason] = []
+        joined: dict[int, JoinedLine] = {}  # lines that are not decoded yet, by their places
+
+        def decode() -> None:
+            for place, answer in zip(joined, self._decoded([*joined.values()]), strict=True):
+                answers[place] = answer
+            joined.clear()
+
+        for frame in frames:
+            record = self._reassembled(*frame)
+            if isinstance(record, Reason):
+                answers.append(record)
+                continue
+            if record.owner == POSE or any(one.slot == record.owner for one in joined.values()):
+                decode()  # the check of a slot knows which of its lines were delivered
+            answer = self._checked(record)
+            if isinstance(answer, Joined):
+                joined[len(answers)], answer = answer, PENDING
+            answers.append(answer)
+        decode()
+        return answers
+
+    def _reassembled(
+        self, can_id: int, data: bytes, t_ns: int, is_extended: bool
+    ) -> Record[Content] | Reason:
+        """Return the record that a frame completes, or the reason why none."""
         self.frames += 1
         record = self._reassembler.feed(can_id, data, t_ns, is_extended)
-        if isinstance(record, Reason):
-            if record is not PENDING and record is not FOREIGN:
-                owner = self._reassembler.owner_of(can_id, is_extended)
-                self.checks[owner].frame_dropped(record, t_ns)
-            return record
+        if isinstance(record, Reason) and record is not PENDING and record is not FOREIGN:
+            owner = self._reassembler.owner_of(can_id, is_extended)
+            self.checks[owner].frame_dropped(record, t_ns)
+        return record
+
+    def _checked(self, record: Record[Content]) -> list[MapLine] | JoinedLine | Reason:
+        """Return the lines of a record, a line that is to be decoded, or the reason why none."""
         check, content = self.checks[record.owner], record.content
         if isinstance(content, Reason):
             check.failed(record.t_ns)
@@ -249,7 +297,7 @@ class Decoder:
 
     def _add_component(
         self, content: CompleteRecord, record: Record[Content], check: SequenceCheck
-    ) -> Sequence[MapLine] | Reason:
+    ) -> list[MapLine] | Reason:
         """Add a new record with a covariance of its own to its mixture, and its line to a scene."""
         slot = content.line.slot
         if content.count > 1 and check.counter_was_reused(record.t_ns):
@@ -268,19 +316,23 @@ class Decoder:
         content: RawRecord,
         record: Record[Content],
         check: SequenceCheck,
-    ) -> Sequence[MapLine] | Reason:
+    ) -> list[MapLine] | JoinedLine | Reason:
         """Add a new pose error, or a new record that is conditional on one, to its scene."""
         if self._scenes is None:  # the layout requires a pose error
             return self._dropped(Reason.POSE, record)
         if content.owner != POSE:
             is_break = check.ahead is None
-            line = self._scenes.add_record(content, record.t_ns, record.frames, is_break)
-            return line if isinstance(line, Reason) else self._delivered([line])
+            return self._scenes.add_record(content, record.t_ns, record.frames, is_break)
         check.delivered(1)
         self.pose_errors += 1
         self.pose_frames += record.frames
         lines = self._scenes.add_pose(content, record.t_ns, check.ahead)
         return self._delivered(lines) if lines else PENDING
+
+    def _decoded(self, joined: Sequence[JoinedLine]) -> list[list[MapLine] | Reason]:
+        """Decode lines that have joined their pose errors; return what is delivered of each."""
+        lines = [] if self._scenes is None else self._scenes.lines(joined)
+        return [line if isinstance(line, Reason) else self._delivered([line]) for line in lines]
 
     def _delivered(self, received: Iterable[ReceivedLine]) -> list[MapLine]:
         """Count the lines that a frame has completed, and keep each as the newest of its slot."""

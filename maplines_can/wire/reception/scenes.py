@@ -264,6 +264,8 @@ class ReceivedScene(NamedTuple):
     age: float  #: from the pose to the sending of the pose error [s]; infinite if it is too old
 
 
+#: Lines are members until they are decoded.
+JoinedLine = Joined[ScenePose, Member | SceneLine]
 _Epoch = Epoch[ScenePose, Member | SceneLine]
 
 
@@ -281,7 +283,6 @@ class SceneAssembler:
     ) -> None:
         self._layout, self._reader = layout, reader
         bits = {slot: signal.length for slot, signal in layout.counters.items()}
-        #: Lines are members until they are decoded.
         self._epochs = EpochAssembler[ScenePose, Member | SceneLine](
             bits, cycle_ns, has_mixtures=has_mixtures
         )
@@ -309,13 +310,15 @@ class SceneAssembler:
         self.is_too_old = math.isinf(decoded.age)
         counters = self._layout.slot_counters(pose.raw)
         joined = self._epochs.add_pose(decoded, counters, t_ns, ahead=ahead)
-        lines = [self._received(one) for one in joined if _is_conditional(one.line)]
+        lines = self.lines([one for one in joined if _is_conditional(one.line)])
         return [line for line in lines if isinstance(line, ReceivedLine)]
 
     def add_record(
         self, record: RawRecord, t_ns: int, frames: int, is_break: bool
-    ) -> ReceivedLine | Reason:
-        """Add a record that is conditional on a pose error; return its line, if that is there.
+    ) -> JoinedLine | Reason:
+        """Add a record that is conditional on a pose error; PENDING if that is not there.
+
+        Otherwise ``lines`` decodes the line: now, or with others of its epoch.
 
         Args:
             record: of the line.
@@ -331,7 +334,16 @@ class SceneAssembler:
             frames=frames,
             is_break=is_break,
         )
-        return Reason.PENDING if joined is None else self._received(joined)
+        return Reason.PENDING if joined is None else joined
+
+    def lines(self, joined: Sequence[JoinedLine]) -> list[ReceivedLine | Reason]:
+        """Return the lines of conditional records that have joined their pose errors.
+
+        CONTENT for a line that is no function of x in its range.
+        """
+        for epoch in dict.fromkeys(one.epoch for one in joined):
+            self._decode(epoch, [one.slot for one in joined if one.epoch is epoch])
+        return [self._received(one) for one in joined]
 
     def add_line(self, line: MapLine, counter: int, t_ns: int, is_break: bool) -> None:
         """Add a line with a covariance of its own, which has been delivered."""
@@ -374,9 +386,8 @@ class SceneAssembler:
             for slot in slots if len(slots) > 1 else ():
                 self._decode(epoch, [slot])
 
-    def _received(self, joined: Joined[ScenePose, Member | SceneLine]) -> ReceivedLine | Reason:
-        """Return the line of a conditional record that has joined its pose error."""
-        self._decode(joined.epoch, [joined.slot])
+    def _received(self, joined: JoinedLine) -> ReceivedLine | Reason:
+        """Return the line of a conditional record that has been decoded, or CONTENT."""
         line = joined.epoch.lines[joined.slot]
         if isinstance(line, SceneLine):
             return ReceivedLine(line.line, joined.frames)

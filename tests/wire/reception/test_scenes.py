@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -23,6 +24,7 @@ from scene_streams import (
 from maplines_can import Kind, MapLine, Slot
 from maplines_can.wire import POSE, Decoder, E2EState, Frame, ProfileStatus, Reason
 from maplines_can.wire.layout.signals import OWN_SIGNALS, PARAMETER_SIGNALS
+from maplines_can.wire.reception.decoder import ReceivedFrame
 from maplines_can.wire.records.frames import FrameWriter
 from maplines_can.wire.records.raw_format import RawFormat
 from maplines_can.wire.records.record import RawRecord
@@ -187,13 +189,59 @@ def test_lines_and_scenes_do_not_depend_on_when_they_were_asked_for(dbc: str) ->
     assert sizes >= {1, 2, 3}
 
 
+@pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
+@pytest.mark.parametrize("seed", range(3))
+def test_frames_that_are_decoded_together_give_the_same(dbc: str, seed: int) -> None:
+    """As one by one: frames of many cycles, late, lost, damaged and twice, in bursts of any size.
+
+    The lines of a slot change their counters to and fro, and some are no function of x.
+    """
+    rng, forger = np.random.default_rng(seed), Forger()
+    bad = {"XMax": forger.layout["XMax"].raw_max, "C0": forger.layout["C0"].raw_max}
+    stream: list[tuple[float, Frame]] = []
+    for n, frames in enumerate(cycles(dbc, 80)):
+        if dbc == CONDITIONAL and rng.random() < 0.2:
+            frames = forger.frames({}, {SLOTS[0]: bad, SLOTS[1]: {}}, n)
+        for i, frame in enumerate(frame for own in frames.values() for frame in own):
+            t = n + i / 40
+            if rng.random() < 0.02:
+                data = bytearray(frame.data)
+                data[rng.integers(len(data))] ^= 1
+                frame = frame._replace(data=bytes(data))
+            times = [t, *[t + rng.random() * 2] * (rng.random() < 0.05)]
+            stream += [(t + (rng.random() < 0.02) * 8 * rng.random(), frame) for t in times]
+    stream.sort(key=lambda one: one[0])
+    received = [
+        ReceivedFrame(frame.can_id, frame.data, round(t * PERIOD_NS))
+        for t, frame in stream
+        if rng.random() < 0.98
+    ]
+    alone, together = codec_of(dbc).decoder(), codec_of(dbc).decoder()
+    place, kinds = 0, Counter[Any]()
+    while place < len(received):
+        burst = received[place : place + int(rng.integers(1, 120))]
+        answers = [alone.feed(*frame[:3]) for frame in burst]
+        assert [*map(bits, answers)] == [*map(bits, together.feed_all(burst))]
+        kinds.update(a if isinstance(a, Reason) else "line" for a in answers)
+        place, now_ns = place + len(burst), burst[-1].t_ns
+        for decoder in (alone, together):
+            assert accounted(decoder)
+        assert alone.counts == together.counts
+        assert alone.pending == together.pending
+        assert alone.slots(now_ns) == together.slots(now_ns)
+        assert bits(alone.latest_scene(now_ns)) == bits(together.latest_scene(now_ns))
+    assert kinds["line"] > 50
+    assert kinds[Reason.CRC]
+    assert dbc == COMPLETE or kinds[Reason.CONTENT]
+
+
 def bits(found: object) -> Any:
     """Return all that a line or a scene consists of, with the bytes of its arrays."""
     if isinstance(found, np.ndarray):
         return found.shape, found.tobytes()
     if is_dataclass(found):
         return [bits(getattr(found, field.name)) for field in fields(found)]
-    return [*map(bits, found)] if isinstance(found, tuple) else found
+    return [*map(bits, found)] if isinstance(found, tuple | list) else found
 
 
 def test_the_last_scene_of_a_sender_that_stops_has_waited_for_long_enough() -> None:
