@@ -168,7 +168,9 @@ static void feed_frame(void)
     frame.can_id = read_u32();
     frame.is_extended = read_u8() != 0;
     frame.length = read_u8();
-    read_bytes(frame.data, frame.length < 64 ? frame.length : 64);
+    uint8_t data[256] = {0};
+    read_bytes(data, frame.length);
+    memcpy(frame.data, data, sizeof frame.data);
     const int64_t t_ns = read_i64();
     vault.now_us = read_i64();
     const maplines_fed_t fed = maplines_feed(&decoder, &frame, t_ns);

@@ -3,19 +3,23 @@
 import random
 import struct
 from collections import Counter
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import c_core
+import numpy as np
 import pytest
 from c_layouts import unusual_layouts
-from c_receivers import MAX_TIME, PROBLEM, REASONS, Receivers
+from c_receivers import FRAME, MAX_TIME, PROBLEM, REASONS, Receivers
 from c_streams import KEY, PROFILES, SECURED_PROFILES, Stream, Traffic, traffic_of
+from dbcs import changed_record
 from random_dbc import LIMIT_SEED, random_dbc
 from scene_layouts import layout_of
+from scene_streams import road_scene
 
+from maplines_can import Gaussian, GaussianMixture, MapLine
 from maplines_can.values.line import Slot, Status
-from maplines_can.wire import E2EConfig, E2EState, Layout, ProfileStatus, Reason
+from maplines_can.wire import POSE, E2EConfig, E2EState, Layout, ProfileStatus, Reason
 
 SHIPPED = ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc")
 FRAMES = 600
@@ -66,6 +70,138 @@ def test_a_random_dbc_is_received_as_in_python(seed: int) -> None:
     for profile in (PROFILES[3], PROFILES[6], PROFILES[13]):
         receivers = Stream(traffic, profile, seed).run(FRAMES)
         receivers.check(c_core.harness("reception", layout))
+
+
+def test_a_sender_that_is_faster_than_any_cycle_time() -> None:
+    """By more than the factor of 10 that a receiver expects at most."""
+    profile = replace(PROFILES[3], settings={"cycle_ms": 3000.0})
+    receivers = Stream(traffic_of("maplines.dbc"), profile, seed=5).run(2 * FRAMES)
+    receivers.check(c_core.harness("reception", receivers.layout))
+
+
+def test_components_of_lines() -> None:
+    """Of mixtures and of other lines; beyond the last one, and of slots without a line, none."""
+    receivers = Stream(traffic_of("maplines.dbc"), PROFILES[3], seed=2).run(FRAMES)
+    for slot in (*Slot, 8, 255):
+        for i in (0, 1, 2, 8, 255):
+            receivers.component(slot, i)
+    receivers.check(c_core.harness("reception", receivers.layout))
+
+
+class Records:
+    """Records of one line or of a scene, to be changed and sent in frames of CAN FD."""
+
+    def __init__(self, **settings: Any) -> None:
+        self.receivers = Receivers(layout_of("maplines.dbc"), **settings)
+        self.layout, self.codec = self.receivers.layout, self.receivers.codec
+
+    def of(self, line: MapLine, counter: int) -> list[bytes]:
+        """Return the records of a line whose first one has a counter."""
+        encoder = self.codec.encoder()
+        (frames,) = encoder.encode_lines([line], fd=True, counters={line.slot: counter})
+        return [frame.data for frame in frames]
+
+    def changed(self, record: bytes, slot: Slot, **raw: Any) -> bytes:
+        """Return a record with other raw values and its checksum."""
+        return changed_record(self.codec, record[: self.layout.record_bytes], slot, **raw)
+
+    def feed(self, owner: Any, record: bytes, t_ns: int) -> None:
+        """Feed a record."""
+        can_id = self.layout.messages_of[owner].fd_can_id
+        assert can_id is not None
+        self.receivers.frame(can_id, record, t_ns)
+
+    def check(self) -> Counter[Reason]:
+        """Compare both receivers; return the counts of reasons."""
+        self.receivers.statistics(10**12)
+        self.receivers.check(c_core.harness("reception", self.layout))
+        return self.receivers.decoder.counts
+
+
+MS = 1_000_000  # [ns]
+
+
+def mixture_line(components: int) -> MapLine:
+    gaussians = [
+        Gaussian([k, 0, 0, 0], np.diag([1e-2, 1e-4, 1e-8, 1e-12])) for k in range(components)
+    ]
+    weights = np.ones(components) / components
+    return MapLine.of_mixture(
+        Slot.ROUTE, GaussianMixture(weights, gaussians), x_min=-8, x_max=60, age=0.04
+    )
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"Kind": 3},
+        {"XMin": 2},
+        {"XMax": 9},
+        {"Age": 9},
+        {"ComponentCount": 7},
+        {"ComponentWeight": 1},
+        {"Status": 4},
+        {},
+    ],
+)
+@pytest.mark.parametrize("place", [1, 2, 3])
+def test_a_mixture_whose_components_differ(change: dict[str, int], place: int) -> None:
+    """One that has other values than the first is of another line; weights must add up to 1."""
+    records = Records()
+    for k in range(3):
+        for i, record in enumerate(records.of(mixture_line(4), 4 * k)):
+            changed = records.changed(record, Slot.ROUTE, **(change if i == place and k else {}))
+            records.feed(Slot.ROUTE, changed, 50 * k * MS - i * MS)  # a clock that is set back
+        records.receivers.component(Slot.ROUTE, place)
+    counts = records.check()
+    is_one = not change or "Status" in change
+    assert records.receivers.met["mixture"] == (3 if is_one else 1)
+    assert counts[Reason.CONTENT] == (8 if "ComponentWeight" in change else 0)
+
+
+def test_a_component_that_comes_again_after_a_break() -> None:
+    """Its counter is new then, but the mixture has it."""
+    records = Records(timeout_ms=2000.0)
+    first, second, third = records.of(mixture_line(3), 0)
+    for record, t_ms in ((first, 0), (second, 1), (first, 1200), (third, 1201)):
+        records.feed(Slot.ROUTE, record, t_ms * MS)
+    assert records.check()[Reason.DUPLICATE] == 1
+
+
+def test_lines_without_a_range_and_across_the_car_are_in_no_scene() -> None:
+    """The other lines of the scene are; and the line of an empty range is one of its slot."""
+    records = Records()
+    scene = road_scene(Slot)
+    encoder = records.codec.encoder()
+    for cycle in range(4):
+        t_ns = 50 * cycle * MS
+        for owner, (frame,) in encoder.encode_scene(scene, age=0.02, fd=True).items():
+            record = frame.data
+            if owner == Slot.EGO_LEFT and cycle > 0:
+                record = records.changed(record, owner, C0=2**18 - 1)
+            elif owner == Slot.EGO_RIGHT and cycle > 0:
+                record = records.changed(record, owner, XMin=5, XMax=0)
+            elif owner == Slot.CENTRE and cycle > 1:
+                record = records.changed(record, owner, XMin=7, XMax=0, Status=Status.OUT_OF_RANGE)
+            records.feed(owner, record, t_ns)
+            if owner == POSE:  # which completes the scene before
+                records.receivers.scene(t_ns)
+                found = records.receivers.decoder.scene()
+                assert len(found.scene.lines if found else ()) == (0, 8, 6, 5)[cycle]
+    assert not records.check()
+    assert records.receivers.met["line"] == 32
+
+
+def test_a_frame_that_is_longer_than_any() -> None:
+    """A driver that is wrong must not make a receiver in C read beyond the frame."""
+    layout = layout_of("maplines.dbc")
+    asked = Receivers(layout)._settings()
+    for length in (31, 32, 64, 65, 255):
+        frame = bytes([FRAME]) + struct.pack("<IBB", 0x348, 0, length) + bytes(length)
+        asked += frame + struct.pack("<qq", 0, 0)
+    out = c_core.run(c_core.harness("reception", layout), asked)
+    wrong, mixed = REASONS[Reason.LENGTH], REASONS[Reason.MIXED]
+    assert [*out[1::2]] == [wrong, mixed, mixed, wrong, wrong]
 
 
 UNUSUAL = unusual_layouts()
@@ -137,19 +273,29 @@ def test_settings_follow_from_the_dbc_as_in_python(dbc: str) -> None:
     [
         pytest.param("maplines.dbc", {}, "", id="good"),
         pytest.param("maplines.dbc", {"timeout": 0}, "timeout_ns must be", id="no-timeout"),
-        pytest.param("maplines.dbc", {"timeout": HOUR + 1}, "timeout_ns must be", id="long-timeout"),
+        pytest.param(
+            "maplines.dbc", {"timeout": HOUR + 1}, "timeout_ns must be", id="long-timeout"
+        ),
         pytest.param("maplines.dbc", {"timeout": HOUR, "cycle": HOUR}, "", id="an-hour"),
         pytest.param("maplines.dbc", {"cycle": 0}, "cycle_ns must be", id="no-cycle"),
         pytest.param("maplines.dbc", {"cycle": HOUR + 1}, "cycle_ns must be", id="long-cycle"),
         pytest.param("maplines.dbc", {"step": 127}, "", id="step"),
-        pytest.param("maplines.dbc", {"step": 128}, "max_delta_counter must be from 1", id="long-step"),
+        pytest.param(
+            "maplines.dbc", {"step": 128}, "max_delta_counter must be from 1", id="long-step"
+        ),
         pytest.param("short counter", {"step": 7}, "", id="step-of-16-counters"),
-        pytest.param("short counter", {"step": 8}, "max_delta_counter must be less than half", id="half"),
+        pytest.param(
+            "short counter", {"step": 8}, "max_delta_counter must be less than half", id="half"
+        ),
         pytest.param("maplines-secoc.dbc", {}, "", id="with-key"),
         pytest.param("maplines-secoc.dbc", {"has_clock": 0}, "", id="without-clock"),
-        pytest.param("maplines-secoc.dbc", {"has_mac": 0}, "authenticator: mac must be", id="no-mac"),
+        pytest.param(
+            "maplines-secoc.dbc", {"has_mac": 0}, "authenticator: mac must be", id="no-mac"
+        ),
         pytest.param("short freshness", {}, "", id="short-freshness-with-clock"),
-        pytest.param("short freshness", {"has_clock": 0}, "authenticator: without a clock", id="no-clock"),
+        pytest.param(
+            "short freshness", {"has_clock": 0}, "authenticator: without a clock", id="no-clock"
+        ),
     ],
 )
 def test_wrong_settings_are_named(
