@@ -33,6 +33,8 @@ READ = np.dtype(
     ]
 )
 ACCEPTED = 255
+#: Number of components for the harness of a line that is no mixture.
+LINE = 255
 #: Numbers of the reasons in C.
 REASONS = {None: ACCEPTED} | {reason: i for i, reason in enumerate(Reason)}
 
@@ -147,7 +149,7 @@ class Lines:
         cases = np.zeros(self.n, case)
         for name in ("slot", "kind", "status", "counter", "x_min", "x_max", "age"):
             cases[name] = getattr(self, name)
-        cases["command"], cases["fd"], cases["count"] = 1, is_fd, self.k
+        cases["command"], cases["fd"], cases["count"] = 1, is_fd, self.k or LINE
         cases["components"]["weight"] = self.weights
         cases["components"]["mean"] = self.means.reshape(self.n, k, 4)
         cases["components"]["cov"] = self.covs.reshape(self.n, k, 4, 4)

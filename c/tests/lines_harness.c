@@ -3,7 +3,7 @@
  * Input, case by case, after a command (u8):
  *   0  slot (u8), length (u8), record: check it and read it
  *   1  slot, kind, status, is_fd (u8 each), counter (u32), x_min, x_max, age (f64), count (u8);
- *      for each of count components, or for a line if it is 0: weight, 4 of the mean, 16 of the
+ *      for each of count components, or for a line if it is 255: weight, 4 of the mean, 16 of the
  *      covariance (f64)
  *   2  4 of the mean, 2 of the range, the least length (f64): the nearest line
  *   3  count (u8); for each component weight, 4 of the mean, 16 of the factor (f64): the mixture
@@ -97,7 +97,8 @@ static void encode(void)
     line.x_max = read_f64();
     line.age = read_f64();
     const size_t count = read_u8();
-    for (size_t k = 0; k < (count > 0 ? count : 1); ++k)
+    const bool is_line = count == 255U;
+    for (size_t k = 0; k < (is_line ? 1U : count); ++k)
     {
         components[k].weight = read_f64();
         for (int i = 0; i < 4; ++i)
@@ -109,7 +110,7 @@ static void encode(void)
             components[k].cov[i / 4][i % 4] = read_f64();
         }
     }
-    if (count == 0)
+    if (is_line)
     {
         memcpy(line.mean, components[0].mean, sizeof line.mean);
         memcpy(line.cov, components[0].cov, sizeof line.cov);

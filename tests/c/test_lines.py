@@ -10,8 +10,10 @@ from typing import Any
 import c_core
 import numpy as np
 import pytest
+from c_layouts import with_messages, with_slots
 from c_lines import (
     ACCEPTED,
+    LINE,
     READ,
     REASONS,
     Lines,
@@ -229,7 +231,9 @@ def test_nearest_lines_are_the_same() -> None:
     last = first + rng.uniform(0.5, 100, n)
     cases = np.zeros(n, np.dtype([("command", "u1"), ("numbers", "<f8", 7)]))
     cases["command"] = 2
-    cases["numbers"] = np.column_stack([means, first, last, np.ones(n)])
+    least = np.ones(n)
+    first[-20:], last[-20:], least[-20:] = 0.0, 0.0, 0.0  # only the offset matters at a point
+    cases["numbers"] = np.column_stack([means, first, last, least])
     out = c_core.run(c_core.harness("lines"), cases.tobytes())
     got = np.frombuffer(out, np.dtype([("found", "u1"), ("numbers", "<f8", 6)]))
     signals = [codec.layout[name] for name in ("YOff", "Beta", "C0", "C1")]
@@ -237,13 +241,27 @@ def test_nearest_lines_are_the_same() -> None:
     for i in range(n):
         with np.errstate(all="ignore"):
             near = nearest_line(
-                signals, means[i], np.array([first[i], last[i]]), 1.0, codec.covariance.reach
+                signals, means[i], np.array([first[i], last[i]]), least[i], codec.covariance.reach
             )
         assert got["found"][i] == (near is not None)
         if near is not None:
             assert got["numbers"][i].tolist() == [*near.mean, *near.x_range]
             found += 1
     assert 50 < found < 250
+
+
+def test_ends_of_a_range_hardly_beyond_a_step() -> None:
+    """Rounding inwards allows for the error of a division, but no range is ever too wide."""
+    codec = Codec(layout_of("maplines.dbc"))
+    n = 200
+    lines = Lines(np.zeros((n, 4)), np.tile(COV, (n, 1, 1)), np.random.default_rng(6), codec)
+    beyond = np.random.default_rng(7).choice([0.0, 1e-12, 1e-10, -1e-10, 3e-9, -3e-9], (2, n))
+    lines.x_min, lines.x_max = 4.0 * np.arange(n) % 24 - 16 + beyond[0], 40.0 + beyond[1]
+    lines.status[:] = Status.FULL
+    check_encode(codec, lines)
+    sent = codec.batch.decode(lines.payloads(codec)[:, 0], lines.slot)
+    assert (sent.x_min >= lines.x_min).all()
+    assert (sent.x_max <= lines.x_max).all()
 
 
 def test_lines_of_random_dbcs_are_encoded_as_in_python() -> None:
@@ -281,6 +299,7 @@ GOOD: dict[str, Any] = {
     "age": 0.04,
 }
 COV = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
+RNG = np.random.default_rng(0)
 NAN, INF = float("nan"), float("inf")
 
 
@@ -317,27 +336,60 @@ def entry(i: int, j: int, value: float) -> Any:
         pytest.param(11, {"weights": [1.5, -0.5]}, id="weight-negative"),
         pytest.param(11, {"weights": [NAN, 0.5]}, id="weight-nan"),
         pytest.param(0, {"weights": [0.5, 0.5]}, id="mixture"),
+        pytest.param(11, {"weights": [2.0, -1.0]}, id="weight-2"),
         pytest.param(12, {"weights": [1 / 9] * 9}, id="components"),
+        pytest.param(12, {"weights": []}, id="no-components"),
+        pytest.param(1, {"weights": [0.5, 0.5], "slot": 8}, id="mixture-of-no-slot"),
         pytest.param(4, {"weights": [0.5, 0.5], "cov": entry(1, 1, INF)}, id="component"),
     ],
 )
 def test_a_mistake_of_the_caller_has_its_name(refusal: int, changes: dict[str, Any]) -> None:
     """Nothing is sent, and the counter does not advance."""
-    given: dict[str, Any] = GOOD | {"mean": np.zeros(4), "cov": COV, "weights": []} | changes
+    given: dict[str, Any] = GOOD | {"mean": np.zeros(4), "cov": COV, "weights": None} | changes
     head = struct.pack(
         "<BBBBBI3d", 1, given["slot"], given["kind"], given["status"], 0, 255,
         given["x_min"], given["x_max"], given["age"],
     )  # fmt: skip
-    data = head + bytes([len(given["weights"])])
-    for weight in given["weights"] or [1.0]:
+    weights = [1.0] if given["weights"] is None else given["weights"]
+    data = head + bytes([LINE if given["weights"] is None else len(weights)])
+    for weight in weights:
         data += np.concatenate([[weight], given["mean"], np.ravel(given["cov"])]).tobytes()
     out = c_core.run(c_core.harness("lines"), data)
     number, _, frames, counter = struct.unpack_from("<BBBI", out)
     assert number == refusal
-    k = len(given["weights"]) or 1
+    k = len(weights)
     assert frames == (0 if refusal else 4 * k)
     assert counter == (255 if refusal else (255 + k) % 256)
     assert len(out) == 7 + frames * (7 + 8)
+
+
+@pytest.mark.parametrize("k", [0, 2])
+@pytest.mark.parametrize(
+    ("layout", "slot", "is_fd", "refusal"),
+    [
+        pytest.param(layout_of("maplines.dbc"), Slot.ROUTE, True, 0, id="sent"),
+        pytest.param(with_slots(layout_of("maplines.dbc"), Slot.ROUTE), 0, False, 1, id="slot"),
+        pytest.param(
+            with_messages(layout_of("maplines.dbc"), can_id=None), 0, False, 1, id="no-classic"
+        ),
+        pytest.param(with_messages(layout_of("maplines.dbc"), can_id=None), 0, True, 0, id="FD"),
+        pytest.param(
+            with_messages(layout_of("maplines.dbc"), fd_can_id=None), 0, True, 1, id="no-FD"
+        ),
+        pytest.param(
+            with_messages(layout_of("maplines.dbc"), fd_can_id=None), 0, False, 0, id="classic"
+        ),
+    ],
+)
+def test_a_line_without_a_message(
+    layout: Layout, slot: int, is_fd: bool, refusal: int, k: int
+) -> None:
+    """In the frame format that is wanted."""
+    means, covs = np.zeros((1, max(k, 1), 4)), np.tile(COV, (1, max(k, 1), 1, 1))
+    lines = Lines(means if k else means[0], covs if k else covs[0], RNG, Codec(layout), k=k)
+    lines.slot, lines.status = np.array([slot]), np.array([1])
+    out = c_core.run(c_core.harness("lines", layout), lines.cases(is_fd=is_fd))
+    assert (out[0], out[2] > 0) == (refusal, refusal == 0)
 
 
 def test_a_line_of_a_conditional_dbc_is_sent_as_a_scene() -> None:
