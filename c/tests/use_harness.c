@@ -76,7 +76,7 @@ static void use_line(void)
 static void use_position(void)
 {
     const maplines_line_t line = read_line();
-    maplines_position_t positions[MAPLINES_MAX_POSITIONS];
+    maplines_position_t positions[255];
     const size_t count = read_u8();
     for (size_t i = 0; i < count; ++i)
     {
@@ -182,6 +182,17 @@ static void predict_by_displacement(void)
     write_line(&line);
 }
 
+static void predict_component(void)
+{
+    maplines_line_t line = read_line();
+    maplines_displacement_t displacement;
+    read_reals(3, displacement.mean);
+    read_reals(9, &displacement.factor[0][0]);
+    write_u8((uint8_t)maplines_predict_gaussian(&line.gaussian, &displacement, line.x_min,
+                                                line.x_max, &line.gaussian));
+    write_line(&line);
+}
+
 static void use_mixture(void)
 {
     maplines_gaussian_t components[8];
@@ -203,7 +214,7 @@ int main(void)
     static void (*const commands[])(void) = {
         use_line,    use_position,      use_scene,
         use_motion,  predict_by_motion, predict_by_displacement,
-        use_mixture,
+        use_mixture, predict_component,
     };
     while (!at_end())
     {

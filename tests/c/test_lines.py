@@ -39,6 +39,7 @@ from maplines_can.wire.covariance.nearest_line import nearest_line
 from maplines_can.wire.layout.message_layout import Layout
 from maplines_can.wire.layout.pose_layout import POSE
 from maplines_can.wire.layout.record_layout import RecordLayout
+from maplines_can.wire.protection.e2e import record_crc
 from maplines_can.wire.reasons import Reason
 from maplines_can.wire.reception.mixtures import ROUNDING
 
@@ -68,6 +69,13 @@ def test_the_bits_do_not_depend_on_the_optimisation(flags: tuple[str, ...]) -> N
     check_encode(codec, awkward_lines(codec, 300, seed=9), flags=flags)
 
 
+def with_crc(record: bytearray, layout: RecordLayout, data_id: int) -> bytearray:
+    """Return a record with the page numbers and transfer IDs that it has, and its checksum."""
+    crc = record_crc(np.frombuffer(bytes(record), np.uint8)[None], data_id, layout.crc_offset)[0]
+    record[layout.crc_offset : layout.crc_offset + 2] = int(crc).to_bytes(2, "little")
+    return record
+
+
 @pytest.mark.parametrize("dbc", ["maplines.dbc", "maplines-pose.dbc"])
 def test_records_of_any_length_are_checked_as_in_python(dbc: str) -> None:
     """Of lines and of the pose error, damaged or with values that no sender sends."""
@@ -86,6 +94,8 @@ def test_records_of_any_length_are_checked_as_in_python(dbc: str) -> None:
         }
         if rng.random() < 0.5:  # a form that a sender may have sent
             raw |= dict.fromkeys([name for name in raw if name.startswith("Own")], 0)
+            if "OwnShape" in raw and rng.random() < 0.3:
+                raw["OwnShape"] = 1  # levels beside a covariance, if there is one
             raw |= {name: abs(raw[name]) // 2 for name in ("XMin",) if name in raw}
         record = bytearray(form.packer.pack_one(raw, form.data_ids[owner]))
         change = rng.random()
@@ -95,6 +105,11 @@ def test_records_of_any_length_are_checked_as_in_python(dbc: str) -> None:
             record += bytes(int(rng.integers(1, 80)))
         elif change < 0.5:
             record[rng.integers(len(record))] ^= 1 << rng.integers(8)
+        elif change < 0.6 and own.short_pages < own.pages:  # a form that its content denies
+            pages = int(rng.choice([own.short_pages, own.pages]))
+            record = with_crc(
+                record[: 8 * pages].ljust(8 * pages, b"\0"), own, form.data_ids[owner]
+            )
         number = 8 if owner == POSE else int(owner)
         cases += bytes([0, number, len(record)]) + record
         content = codec.reader.read(bytes(record), owner, 0)

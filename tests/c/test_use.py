@@ -233,6 +233,29 @@ def test_mahalanobis_distance_of_a_position_without_error() -> None:
     assert ran(head + b"\1" + packed(10.0, 1.0, 0.0), ("-O2",)).floats(1)[0] == math.inf
 
 
+@pytest.mark.parametrize(
+    ("positions", "factor", "expected"),
+    [
+        pytest.param([(10, 0.5, 0.5)], np.zeros((4, 4)), 1.0, id="one"),
+        pytest.param([(10, 0.5, 0.5)], np.diag([0.5, 0, 0, 0]), math.sqrt(0.5), id="both"),
+        pytest.param([(0, 0.5, 0.5)] * 8, np.zeros((4, 4)), math.sqrt(8), id="eight"),
+        pytest.param([(0, 0.5, 0.5)] * 9, np.zeros((4, 4)), math.inf, id="too-many"),
+        pytest.param([(0, math.nan, 0.5)], np.zeros((4, 4)), math.inf, id="no-number"),
+        pytest.param([(math.inf, 1, 0.5)], np.eye(4), math.inf, id="infinitely-far"),
+        pytest.param([(0, 1, math.nan)], np.eye(4), math.inf, id="sigma-no-number"),
+        pytest.param([(0, 1, 1e-30)] * 2, np.eye(4), math.inf, id="one-position-twice"),
+    ],
+)
+@pytest.mark.parametrize("flags", [("-O2", "-DNDEBUG"), ("-O2", "-DNDEBUG", "-DMAPLINES_FLOAT")])
+def test_mahalanobis_distance_of_some_positions(
+    positions: Any, factor: Any, expected: float, flags: Any
+) -> None:
+    """From the line y = 0; without assertions, the result for too many is defined."""
+    head = bytes([1, 0, 1, 1]) + struct.pack("<q", 0) + packed(0, 0, 80, np.zeros(4), factor)
+    out = ran(head + bytes([len(positions)]) + packed(positions), flags)
+    assert out.floats(1)[0] == pytest.approx(expected, rel=1e-6)
+
+
 def random_scene(
     rng: np.random.Generator, n: int
 ) -> tuple[Scene, list[np.ndarray], np.ndarray, np.ndarray]:
@@ -356,10 +379,13 @@ def test_displacement_by_a_motion(flags: Any) -> None:
         pytest.param((10, 0, -1, 0, 0, 0.1, 0), id="speed-sigma"),
         pytest.param((10, 0, 0, -1, 0, 0.1, 0), id="yaw-rate-sigma"),
         pytest.param((10, 0, 0, math.inf, 0, 0.1, 0), id="infinite-sigma"),
+        pytest.param((10, 0, math.inf, 0, 0, 0.1, 0), id="infinite-speed-sigma"),
         pytest.param((10, 0, 0, 0, 1.1, 0.1, 0), id="correlation"),
+        pytest.param((10, 0, 1, 0.1, 1.1, 0.1, 0), id="correlation-of-errors"),
         pytest.param((10, 0, 0, 0, math.nan, 0.1, 0), id="no-correlation"),
         pytest.param((10, 0, 0, 0, 0, math.nan, 0), id="time"),
         pytest.param((10, 0, 0, 0, 0, 0.1, -1), id="time-sigma"),
+        pytest.param((10, 0, 0, 0, 0, 0.1, math.inf), id="infinite-time-sigma"),
         pytest.param((1e300, 0, 1e300, 0, 0, 1e300, 0), id="overflow"),
     ],
 )
@@ -539,6 +565,38 @@ def test_what_cannot_be_predicted(
     found = out.line()
     assert found["t_ns"] == (line_t_ns if expected else t_ns)
     assert found["components"] == (2 if expected else 1)
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        pytest.param({}, 0, id="good"),
+        pytest.param({"status": 5}, NOT_USABLE, id="out-of-range"),
+        pytest.param({"age": math.inf}, NOT_USABLE, id="too-old"),
+        pytest.param({"t_ns": 10**10 + 1}, TOO_FAR, id="too-late"),
+        pytest.param({"mean": [math.nan, 0, 0]}, BAD_MOTION, id="mean"),
+        pytest.param({"mean": [0, 0, math.inf]}, BAD_MOTION, id="heading"),
+        pytest.param({"factor": np.diag([math.nan, 0, 0])}, BAD_MOTION, id="factor"),
+        pytest.param({"factor": np.diag([0, 0, math.inf])}, BAD_MOTION, id="factor-infinite"),
+        pytest.param({"mean": [0, 0, 1.6]}, ILL_POSED, id="across"),
+    ],
+)
+def test_a_displacement_that_cannot_be_predicted_by(changes: dict[str, Any], expected: int) -> None:
+    """The result says why, for lines and for components, and the line stays as it was."""
+    given: dict[str, Any] = {
+        "status": 1, "age": 0.0, "t_ns": 10**9, "mean": [1, 0, 0], "factor": np.zeros((3, 3)),
+    } | changes  # fmt: skip
+    head = bytes([0, given["status"], 2]) + struct.pack("<q", 0)
+    line = head + packed(given["age"], 0, 80, np.zeros(4), np.diag(0.01 * USUAL))
+    moved = packed(given["mean"], given["factor"])
+    out = ran(
+        b"\5" + line + struct.pack("<q", given["t_ns"]) + moved + b"\7" + line + moved, ("-O2",)
+    )
+    assert out.byte() == expected
+    assert out.line()["components"] == (2 if expected else 1)
+    of_component = expected if expected in (BAD_MOTION, ILL_POSED) else 0
+    assert out.byte() == of_component
+    assert (out.line()["factor"] == np.diag(0.01 * USUAL)).all() == (of_component > 0)
 
 
 def test_after_a_u_turn_the_end_comes_first() -> None:
