@@ -13,11 +13,11 @@ void maplines_encoder_init(maplines_encoder_t *encoder, const maplines_dbc_t *db
 
 MAPLINES_INTERNAL bool maplines_can_send(const maplines_encoder_t *encoder, int owner, bool is_fd)
 {
-    if ((unsigned)owner >= MAPLINES_OWNERS || !encoder->dbc->messages[owner].is_present)
+    const maplines_messages_t *messages = &encoder->dbc->messages[owner];
+    if (!messages->is_present)
     {
         return false;
     }
-    const maplines_messages_t *messages = &encoder->dbc->messages[owner];
     if (encoder->signer != NULL)
     {
         return is_fd && messages->has_secured;
@@ -139,7 +139,8 @@ static maplines_refusal_t check_line(const maplines_encoder_t *encoder,
     {
         return MAPLINES_NO_COVARIANCE;
     }
-    if ((int)line->slot >= MAPLINES_SLOTS || !maplines_can_send(encoder, (int)line->slot, is_fd))
+    if ((unsigned)line->slot >= MAPLINES_SLOTS ||
+        !maplines_can_send(encoder, (int)line->slot, is_fd))
     {
         return MAPLINES_NO_MESSAGE;
     }

@@ -75,7 +75,7 @@ def test_an_encoder_with_a_key_signs_as_in_python() -> None:
     encoder = Codec(layout_of("maplines-secoc.dbc"), sender).encoder()
     for now in [rng.randrange(10**15) for _ in range(50)] + [MAX_FRESHNESS, MAX_FRESHNESS]:
         slot, y = rng.choice([*Slot]), rng.uniform(-8, 8)
-        asked += struct.pack("<BqBd", 3, now, slot, y)
+        asked += struct.pack("<BqBdB", 3, now, slot, y, 1)
         line = MapLine.mean_only(slot, [y, 0, 0, 0], age=0.0, x_min=0.0, x_max=80.0)
         try:
             (frame,) = encoder.encode(line, fd=True)
@@ -85,6 +85,59 @@ def test_an_encoder_with_a_key_signs_as_in_python() -> None:
         expected += bytes([0, len(frame.data)]) + frame.data
     assert expected.endswith(bytes([13, 0]))
     assert c_core.run(program(), asked) == expected
+
+
+NO_MESSAGE, NO_SIGNATURE = 1, 13
+
+
+@pytest.mark.parametrize(
+    ("dbc", "is_fd", "refusal"),
+    [
+        pytest.param("maplines-secoc.dbc", 1, 0, id="authenticated"),
+        pytest.param("maplines-secoc.dbc", 0, NO_MESSAGE, id="classic"),
+        pytest.param("maplines.dbc", 1, NO_MESSAGE, id="no-message"),
+    ],
+)
+def test_an_encoder_with_a_key_sends_authenticated_frames_only(
+    dbc: str, is_fd: int, refusal: int
+) -> None:
+    asked = struct.pack("<BqBdB", 3, 7, Slot.ROUTE, 0.0, is_fd)
+    assert c_core.run(c_core.harness("secoc", layout_of(dbc)), asked)[0] == refusal
+
+
+@pytest.mark.parametrize("components", [3, 0])
+@pytest.mark.parametrize("signed", [0, 1, 2, 3])
+@pytest.mark.parametrize("is_busy", [False, True])
+def test_a_line_or_scene_of_which_a_frame_is_not_signed(
+    components: int, signed: int, is_busy: bool
+) -> None:
+    """Nothing is sent, and the counters of all owners stay: all of it or none.
+
+    The last freshness values run out, or the security module gives no MAC.
+    """
+    last = 10**6 if is_busy else MAX_FRESHNESS - signed
+    asked = struct.pack("<BI", 5, signed) if is_busy else b""
+    asked += struct.pack("<BqBq", 4, last, components, 0)
+    refusal, frames, route, pose = struct.unpack("<BBII", c_core.run(program(), asked))
+    if signed < 3:
+        assert (refusal, frames, route, pose) == (NO_SIGNATURE, 0, 0, 0)
+    else:
+        assert (refusal, frames) == (0, 3)
+        assert (route, pose) == ((3, 0) if components else (1, 1))
+
+
+def test_a_mac_that_fails_the_second_time_is_no_replay() -> None:
+    """The MAC of an old frame is computed twice: also with the freshness value before."""
+    layout = LAYOUTS[1]
+    sender = Authenticator(*KEYS, clock=clock_at(2**24 + 1000))
+    data = sender.secure(bytes(32), DATA_ID, layout)
+    asked, answers = b"", []
+    for calls in (0, 1, 2):
+        asked += struct.pack("<BI", 5, calls) + bytes([1]) + numbers_of(layout)
+        asked += struct.pack("<BqqqB", 0, 0, 1, 2**24 + 5000, len(data)) + data
+        reason = (Reason.KEY, Reason.MAC, Reason.REPLAY)[calls]
+        answers.append((REASONS[reason], 2**24 + 5000))
+    assert [*struct.iter_unpack("<Bq", c_core.run(program(), asked))] == answers
 
 
 @pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: f"{layout.freshness_bytes} bytes")
