@@ -24,11 +24,13 @@ static void read_f64s(double *values, size_t count)
     }
 }
 
-static void read_scene(void)
+/// Read a scene; return its number of lines, which is less than its count if that is too large.
+static size_t read_scene(void)
 {
     memset(&scene, 0, sizeof scene);
     scene.count = read_u8();
-    for (size_t i = 0; i < scene.count; ++i)
+    const size_t lines = scene.count < MAPLINES_SLOTS ? scene.count : MAPLINES_SLOTS;
+    for (size_t i = 0; i < lines; ++i)
     {
         maplines_scene_line_t *line = &scene.lines[i];
         line->slot = (maplines_owner_t)read_u8();
@@ -42,16 +44,16 @@ static void read_scene(void)
         line->quartic = read_f64();
     }
     scene.has_specific = read_u8() != 0;
-    for (size_t i = 0; scene.has_specific && i < scene.count; ++i)
+    for (size_t i = 0; scene.has_specific && i < lines; ++i)
     {
         for (size_t row = 0; row < 4; ++row)
         {
             read_f64s(scene.lines[i].specific[row], 4);
         }
     }
-    for (size_t row = 0; row < 4U * scene.count; ++row)
+    for (size_t row = 0; row < 4U * lines; ++row)
     {
-        read_f64s(scene.cov[row], 4U * scene.count);
+        read_f64s(scene.cov[row], 4U * lines);
     }
     for (size_t row = 0; row < 3; ++row)
     {
@@ -61,6 +63,7 @@ static void read_scene(void)
     scene.correlation_time = read_f64();
     scene.offset_sigma = read_f64();
     scene.heading_sigma = read_f64();
+    return lines;
 }
 
 static void write_frame(const maplines_frame_t *frame)
@@ -83,11 +86,11 @@ int main(void)
         {
             encoder.counter[owner] = read_u32();
         }
-        read_scene();
+        const size_t lines = read_scene();
         const maplines_sent_scene_t sent =
             maplines_encode_scene(&encoder, &scene, is_fd, 0, &workspace, frames);
         write_u8((uint8_t)sent.refusal);
-        for (size_t i = 0; i < scene.count; ++i)
+        for (size_t i = 0; i < lines; ++i)
         {
             write_u8((uint8_t)sent.left_out[i]);
             write_u8(sent.is_sent[i] ? 1 : 0);

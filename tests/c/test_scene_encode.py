@@ -3,11 +3,14 @@
 import re
 import struct
 from collections.abc import Iterable, Iterator, Sequence
+from copy import copy
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import c_core
 import numpy as np
 import pytest
+from c_layouts import with_messages, with_slots
 from evidence.exact import covers
 from evidence.roads import SHAPES, Draw, random_scene
 from evidence.witness import POSES, Poses
@@ -339,9 +342,11 @@ def test_constants_are_those_of_python() -> None:
 def changed(field: str, place: Any, value: Any) -> Scene:
     """A good scene with one value that no ``Scene`` has."""
     scene = road_scene()
+    object.__setattr__(scene, "map_error", copy(scene.map_error))  # which all scenes share
     for holder, name in (
         (scene, field),
         (scene.pose_error, field.removeprefix("pose_")),
+        (scene.map_error, field.removeprefix("map_")),
         (scene.lines[0], field),
         (scene.lines[0].gaussian, field),
     ):
@@ -368,7 +373,13 @@ def changed(field: str, place: Any, value: Any) -> Scene:
         pytest.param("specific_covs", (0, 2, 2), -1.0, 5, id="specific variance"),
         pytest.param("pose_cov", (1, 1), -1.0, 5, id="pose variance"),
         pytest.param("fit_ranges", (0, 1), -99.0, 7, id="fit range"),
+        pytest.param("fit_ranges", (0, 0), -np.inf, 7, id="begin of fit range"),
+        pytest.param("fit_ranges", (0, 1), np.inf, 7, id="end of fit range"),
         pytest.param("quartics", 0, np.nan, 7, id="quartic"),
+        pytest.param("map_offset_sigma", None, -1e-9, 16, id="map offset"),
+        pytest.param("map_offset_sigma", None, np.inf, 16, id="infinite map offset"),
+        pytest.param("map_heading_sigma", None, np.nan, 16, id="map heading"),
+        pytest.param("map_heading_sigma", None, np.inf, 16, id="infinite map heading"),
         pytest.param("x_min", None, 99.0, 7, id="range"),
         pytest.param("correlation_time", None, 0.0, 16, id="correlation time"),
         pytest.param("slot", None, Slot.EGO_RIGHT, 15, id="same slot"),
@@ -388,3 +399,37 @@ def test_mistakes_of_a_caller_are_named(
     assert sent.refusal == refusal
     assert not sent.frames
     assert sent.counters == [*case.counters.values()]
+
+
+@pytest.mark.parametrize("age", [-1e-9, np.nan])
+def test_an_age_of_a_pose_error_that_is_none(age: float) -> None:
+    case = case_of(road_scene(()), np.random.default_rng(0), layout_of(COMPLETE))
+    (sent,) = in_c(layout_of(COMPLETE), [case._replace(age=age)])
+    assert (sent.refusal, sent.frames) == (8, [])
+
+
+def test_more_lines_than_slots() -> None:
+    """As if there were a ninth line."""
+    case = case_of(road_scene(Slot), np.random.default_rng(0), layout_of(COMPLETE))
+    data = bytearray(input_of(case))
+    data[struct.calcsize("<B9I")] += 1
+    assert c_core.run(c_core.harness("scene_encode", layout_of(COMPLETE)), bytes(data))[0] == 12
+
+
+@pytest.mark.parametrize(
+    ("layout", "is_fd", "refusal"),
+    [
+        pytest.param(layout_of(COMPLETE), True, 0, id="sent"),
+        pytest.param(replace(layout_of(COMPLETE), pose=None), True, NO_MESSAGE, id="no-pose"),
+        pytest.param(with_slots(layout_of(COMPLETE), Slot.ROUTE), True, NO_MESSAGE, id="slot"),
+        pytest.param(with_messages(layout_of(CONDITIONAL), fd_can_id=None), False, 0, id="classic"),
+        pytest.param(
+            with_messages(layout_of(CONDITIONAL), fd_can_id=None), True, NO_MESSAGE, id="no-FD"
+        ),
+    ],
+)
+def test_a_scene_without_messages(layout: Layout, is_fd: bool, refusal: int) -> None:
+    """Of the pose error or of a line, in the frame format that is wanted."""
+    case = case_of(road_scene([Slot.EGO_LEFT]), np.random.default_rng(0), layout)
+    (sent,) = in_c(layout, [case._replace(is_fd=is_fd)])
+    assert (sent.refusal, bool(sent.frames)) == (refusal, refusal == 0)
