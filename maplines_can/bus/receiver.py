@@ -14,8 +14,7 @@ import can
 from can.typechecking import CanFilters
 
 from ..values.line import MapLine, Slot
-from ..wire import Decoder, Reason, SceneView, SlotStats, SlotView
-from ..wire.reception.decoder import ReceivedFrame
+from ..wire import Decoder, Reason, ReceivedFrame, SceneView, SlotStats, SlotView
 from ..wire.reception.views import STALE_CYCLES
 from .background import BackgroundThread, ForkSafeCondition
 from .link import Link, link_of
@@ -23,8 +22,8 @@ from .stamp_clock import StampClock
 
 #: How long the thread waits for a frame before it checks whether it shall stop [s].
 POLL = 0.1
-#: Most frames that have arrived meanwhile and are decoded together.
-BURST = 256
+#: Most frames that have arrived meanwhile and are decoded together, while `latest` waits.
+BURST = 64
 
 
 class ReceiverStats(NamedTuple):

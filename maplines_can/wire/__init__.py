@@ -10,7 +10,7 @@ from .protection.e2e_state import E2EConfig, E2EState, ProfileStatus
 from .protection.key import Key
 from .protection.secoc import Authenticator, Verifier
 from .reasons import Reason
-from .reception.decoder import Decoder
+from .reception.decoder import Decoder, ReceivedFrame
 from .reception.scenes import ReceivedScene
 from .reception.sequence import SequenceCheck, SlotStats
 from .reception.views import SceneView, SlotView
@@ -36,6 +36,7 @@ __all__ = [
     "PreparedScene",
     "ProfileStatus",
     "Reason",
+    "ReceivedFrame",
     "ReceivedScene",
     "SceneView",
     "SequenceCheck",

@@ -22,9 +22,16 @@ from scene_streams import (
 )
 
 from maplines_can import Kind, MapLine, Slot
-from maplines_can.wire import POSE, Decoder, E2EState, Frame, ProfileStatus, Reason
+from maplines_can.wire import (
+    POSE,
+    Decoder,
+    E2EState,
+    Frame,
+    ProfileStatus,
+    Reason,
+    ReceivedFrame,
+)
 from maplines_can.wire.layout.signals import OWN_SIGNALS, PARAMETER_SIGNALS
-from maplines_can.wire.reception.decoder import ReceivedFrame
 from maplines_can.wire.records.frames import FrameWriter
 from maplines_can.wire.records.raw_format import RawFormat
 from maplines_can.wire.records.record import RawRecord
