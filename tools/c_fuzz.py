@@ -9,6 +9,9 @@
     c_fuzz.py --seconds 60 --corpus DIR          keep what takes new paths, and begin with it
     c_fuzz.py --replay 100000 --seed 1           random inputs without clang, as fast as possible
 
+From random1000 on, DBCs are at the limits of the core. MAPLINES_CFLAGS=-DMAPLINES_FLOAT fuzzes a
+receiver in single precision (--target frames).
+
 An input that breaks a promise is written to crash-..., and the exit status is 1. Run it in the
 environment of the project: python3 tools/run.py python tools/c_fuzz.py
 """

@@ -51,13 +51,32 @@ static void next_mean(input_t *input, double mean[4])
     }
 }
 
+/// Slots that the DBC has; returns their number.
+static unsigned slots_of_dbc(maplines_owner_t slots[MAPLINES_SLOTS])
+{
+    unsigned count = 0;
+    for (int slot = 0; slot < MAPLINES_SLOTS; ++slot)
+    {
+        if (harness_dbc.messages[slot].is_present)
+        {
+            slots[count] = (maplines_owner_t)slot;
+            ++count;
+        }
+    }
+    return count;
+}
+
 static maplines_input_t next_line(input_t *input)
 {
+    maplines_owner_t slots[MAPLINES_SLOTS];
     maplines_input_t line;
     memset(&line, 0, sizeof line);
     const uint8_t status = next(input);
     const unsigned excess = input->is_ordinary ? 0U : 2U;
-    line.slot = (maplines_owner_t)(next(input) % (MAPLINES_SLOTS + excess));
+    const uint8_t slot = next(input);
+    const unsigned present = slots_of_dbc(slots);
+    line.slot = input->is_ordinary ? slots[slot % present]
+                                   : (maplines_owner_t)(slot % (MAPLINES_SLOTS + excess));
     line.kind = (maplines_kind_t)(status % (8U + excess));
     line.status = status < 160 ? MAPLINES_FULL : (maplines_status_t)(status % (6U + excess));
     line.x_min = next_number(input, 10);
@@ -240,20 +259,21 @@ static void next_scene(input_t *input, maplines_scene_input_t *scene)
     static const double pose_scales[3] = {0.5, 0.2, 0.01};
     double A[MAX_VALUES][3];
     memset(scene, 0, sizeof *scene);
-    const uint8_t first = next(input);
-    scene->count = first % (MAPLINES_SLOTS + 1U);
+    maplines_owner_t slots[MAPLINES_SLOTS];
+    const unsigned present = slots_of_dbc(slots);
+    const unsigned first = next(input);
+    scene->count = (uint8_t)(first % ((input->is_ordinary ? present : MAPLINES_SLOTS) + 1U));
     scene->has_specific = first < 128;
     next_covariance(input, 3, pose_scales, scene->pose_cov[0]);
     scene->pose_age = fabs(next_number(input, 0.05));
     scene->correlation_time = fabs(next_number(input, 5));
     scene->offset_sigma = fabs(next_number(input, 0.02));
     scene->heading_sigma = fabs(next_number(input, 1e-3));
-    for (int i = 0; i < scene->count; ++i)
+    for (unsigned i = 0; i < scene->count; ++i)
     {
         maplines_scene_line_t *line = &scene->lines[i];
         const maplines_input_t any = next_line(input);
-        line->slot =
-            input->is_ordinary ? (maplines_owner_t)((first + i) % MAPLINES_SLOTS) : any.slot;
+        line->slot = input->is_ordinary ? slots[(first + i) % present] : any.slot;
         line->kind = any.kind;
         line->status = any.status;
         line->x_min = any.x_min;
