@@ -8,7 +8,9 @@
 
 /// Share of D_i by which a sum must exceed what it covers.
 static const double joint_slack = 1e-6;
-#define FACTORIZATIONS 64 // most of them for one direction that lacks
+#ifndef MAPLINES_FACTORIZATIONS    // a test has fewer, to see what follows
+#define MAPLINES_FACTORIZATIONS 64 // most of them for one direction that lacks
+#endif
 static const double first_excess = 0x1p-4;
 static const double least_excess = 0x1p-40;
 static const double farther = 16.0;
@@ -114,7 +116,7 @@ static bool largest_eigenvalue(int n, const double *S, double bound, double *L, 
     double guess = *excess;
     double low = 0.0;
     double high = (double)INFINITY;
-    for (int i = 0; i < FACTORIZATIONS; ++i)
+    for (int i = 0; i < MAPLINES_FACTORIZATIONS; ++i)
     {
         if (!is_below(n, S, bound + guess, L))
         {

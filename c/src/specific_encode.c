@@ -10,7 +10,9 @@
 static const double levels_divergence = 0.01;
 /// Largest ratio of a line-specific variance, with levels to without.
 static const double levels_ratio = 1.1 * 1.1;
-#define ENLARGEMENTS 12 // of D_i at most
+#ifndef MAPLINES_ENLARGEMENTS    // a test has fewer, to see what follows
+#define MAPLINES_ENLARGEMENTS 12 // of D_i at most
+#endif
 /// Share of what the first trial lacks by which D_i are enlarged; each next one takes twice as
 /// much.
 static const double first_share = 0.5;
@@ -198,7 +200,7 @@ MAPLINES_INTERNAL void maplines_cover(const maplines_dbc_t *dbc, maplines_scene_
 {
     double share = first_share;
     memset(space->more, 0, sizeof space->more);
-    for (int trial = 0; trial < ENLARGEMENTS; ++trial)
+    for (int trial = 0; trial < MAPLINES_ENLARGEMENTS; ++trial)
     {
         if (!encode_alone(dbc, space, trial == 0))
         {

@@ -149,11 +149,20 @@ def random_pose_cov(rng: Any) -> Any:
 
 def test_functions_of_a_line_are_the_same() -> None:
     cases, expected = b"", []
-    for _ in range(300):
+    for i in range(600):
         mean, fit_range, quartic = random_curve(RNG)
         P, pose = random_pose_cov(RNG), RNG.normal(0, 1, 3) * [2, 2, 0.3]
+        match i % 6:  # so far away that no pose is near enough, or the last bits decide
+            case 0:
+                mean[0] *= 10.0 ** RNG.uniform(18, 45)
+            case 1:
+                size = 10.0 ** RNG.uniform(20, 80)
+                P, pose = P * size, pose * size
+            case 2:
+                P = P * 0.0
         root = RNG.normal(0, 1, (4, 4)) * [[0.1], [1e-3], [1e-5], [1e-7]]
         cov, heading_sigma = fixed_order.product(root, root.T), abs(RNG.normal(0, 0.01))
+        cov, heading_sigma = cov * (i % 4 > 0), heading_sigma * (i % 3 > 0)
         cases += b"\1" + doubles(mean, fit_range, quartic, P, pose, cov, heading_sigma)
         expected.append(of_a_line(mean, fit_range, quartic, P, pose, cov, heading_sigma))
     out = c_core.run(c_core.harness("scene", new_codec(CONDITIONAL).layout), cases)

@@ -33,8 +33,11 @@ from maplines_can import (
 )
 from maplines_can.values.errors import EncodeError, IllPosedError
 from maplines_can.values.line import LeftOut
+from maplines_can.values.seen_lines import SeenLines
 from maplines_can.wire import POSE, Layout, Reason
+from maplines_can.wire.covariance import joint, specific_encoder
 from maplines_can.wire.covariance.joint import _WEIGHTS
+from maplines_can.wire.layout.signals import PARAMETER_SIGNALS
 from maplines_can.wire.records.frames import Frame
 from maplines_can.wire.records.packer import RecordPacker
 
@@ -231,6 +234,80 @@ def gaussians(numbers: range) -> Iterator[Scene]:
         )
 
 
+def at_ends(means: Any, layout: Layout, states: list[int], steps: float, rng: Any) -> None:
+    """Move some parameters to the ends of their ranges, 8 steps from those of the signals."""
+    for j in states:
+        signal = layout[PARAMETER_SIGNALS[j]]
+        ends = np.array(signal.physical_range) + np.array([8, -8]) * signal.factor
+        moved = (
+            rng.choice(ends, len(means)) + rng.uniform(-steps, steps, len(means)) * signal.factor
+        )
+        means[:, j] = np.where(rng.random(len(means)) < 0.6, moved, means[:, j])
+
+
+def steepest(mean: Any, fit_range: Any, quartic: Any) -> Any:
+    """Return the multiple of a mean that is hardly a function of x."""
+    good, bad = 0.0, 1e6
+    for _ in range(60):
+        share = (good + bad) / 2
+        try:
+            SeenLines(share * mean[None], fit_range, quartic)
+            good = share
+        except IllPosedError:
+            bad = share
+    return good * mean
+
+
+def extreme(numbers: Iterable[int], layout: Layout) -> Iterator[Scene]:
+    """Scenes of Gaussians of which one thing is at an end of what there is, or far beyond it."""
+    for number in numbers:
+        rng = np.random.default_rng(number)
+        scene = next(s for s in gaussians(range(10 * number, 10**9)) if len(s.lines))
+        means, cov, ranges = scene.means.copy(), scene.cov, scene.fit_ranges
+        specific, error, pose = scene.specific_covs, scene.map_error, scene.pose_error
+        x_ranges = [(line.x_min, line.x_max) for line in scene.lines]
+        match number % 11:
+            case 0:
+                error = MapError(offset_sigma=10 ** rng.uniform(-12, 8))
+            case 1:
+                error = MapError(heading_sigma=10 ** rng.uniform(-12, 8))
+            case 2:
+                scale = 10 ** rng.uniform(60, 130)
+                cov = cov * scale
+                specific = None if specific is None else specific * scale
+            case 3 if specific is not None:
+                specific = specific * 10 ** rng.uniform(60, 130)
+            case 4:
+                means[0] *= 10 ** rng.uniform(20, 70, 4)
+            case 5:
+                pose = PoseError(pose.cov * 10 ** rng.uniform(20, 150), pose.correlation_time)
+            case 6:  # ranges of a few metres, some steps from the ends of the signals
+                ranges = rng.uniform([-5, 1], [0, 4], ranges.shape)
+                x_ranges = [(low + rng.uniform(0, 1), high) for low, high in ranges]
+                at_ends(means, layout, [0, 1, 2, 3], 30.0, rng)
+            case 7 | 8:  # as far as a message can state
+                at_ends(means, layout, [0, 1], 0.02, rng)
+            case _:  # hardly a function of x
+                ranges = rng.uniform([-2, 30], [0, 60], ranges.shape)
+                x_ranges = ranges.tolist()
+                for i in range(len(means)):
+                    means[i] = rng.uniform(0.5, 1.0, 4) * [1, 0.3, 0.1, 1e-4]
+                    curve = ranges[i : i + 1], scene.quartics[i : i + 1]
+                    means[i] = steepest(means[i], *curve) * (1 - 10 ** rng.uniform(-9, -4))
+        lines = tuple(
+            replace(
+                line,
+                gaussian=Gaussian(means[i], cov[4 * i : 4 * i + 4, 4 * i : 4 * i + 4]),
+                x_min=float(x_ranges[i][0]),
+                x_max=float(x_ranges[i][1]),
+            )
+            for i, line in enumerate(scene.lines)
+        )
+        yield Scene(
+            lines, cov, pose, ranges, error, quartics=scene.quartics, specific_covs=specific
+        )
+
+
 def awkward() -> Iterator[Scene]:
     """Scenes at the limits: no lines, no pose error, bends, pose errors without limit."""
     yield Scene((), np.zeros((0, 0)), PoseError(np.zeros((3, 3))), np.zeros((0, 2)))
@@ -288,6 +365,31 @@ def test_scenes_of_random_gaussians(dbc: str) -> None:
     sent = check(layout_of(dbc), gaussians(range(150)))
     reasons = {reason for one in sent for reason in one.left_out}
     assert reasons >= ({0, 1, 2, 3, 4} if dbc == CONDITIONAL else {0, 1, 2, 4})
+
+
+@pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
+def test_extreme_scenes(dbc: str) -> None:
+    """Also those whose lines cannot be seen from other poses."""
+    sent = check(layout_of(dbc), extreme(range(88), layout_of(dbc)))
+    assert {one.refusal for one in sent} == {0, BAD_POSE, UNSEEN}
+
+
+@pytest.mark.parametrize(
+    ("macro", "module", "name"),
+    [
+        pytest.param("ENLARGEMENTS", specific_encoder, "TRIALS", id="enlargements"),
+        pytest.param("FACTORIZATIONS", joint, "FACTORIZATIONS", id="factorizations"),
+    ],
+)
+@pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
+def test_scenes_that_are_not_covered_in_time(
+    macro: str, module: Any, name: str, dbc: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With one step of an iteration that never needs all of its steps, as far as is known."""
+    monkeypatch.setattr(module, name, 1)
+    flags = (*c_core.FLAGS, f"-DMAPLINES_{macro}=1")
+    sent = check(layout_of(dbc), gaussians(range(30)), flags=flags)
+    assert any(LEFT_OUT[LeftOut.COVARIANCE] in one.left_out for one in sent)
 
 
 @pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
