@@ -9,7 +9,7 @@ from typing import Any
 from scene_layouts import layout_of
 
 from maplines_can import Slot
-from maplines_can.wire.layout.message_layout import Layout
+from maplines_can.wire.layout.message_layout import Layout, slot_title
 
 
 def with_messages(layout: Layout, **changes: Any) -> Layout:
@@ -32,8 +32,14 @@ def with_signals(layout: Layout, **changes: Mapping[str, Any]) -> Layout:
 
 
 def with_slots(layout: Layout, *slots: Slot) -> Layout:
-    """Return a layout with the messages of some slots."""
-    return replace(layout, messages={slot: layout.messages[slot] for slot in slots})
+    """Return a layout with the messages of some slots, which the pose error has no others of."""
+    others = tuple(slot_title(slot) for slot in Slot if slot not in slots)
+    pose = layout.pose
+    if pose is not None:
+        signals = {name: s for name, s in pose.signals.items() if not name.startswith(others)}
+        pose = replace(pose, signals=signals)
+    messages = {slot: layout.messages[slot] for slot in slots}
+    return replace(layout, messages=messages, pose=pose)
 
 
 def with_short_freshness(layout: Layout) -> Layout:

@@ -195,7 +195,7 @@ static void read_with_levels(const maplines_dbc_t *dbc, const uint8_t *record, i
     const int64_t raw_ahead = maplines_get(&own->fit_ahead, pose_record);
     const double behind = maplines_physical(&levels->fit_behind, raw_behind);
     const double ahead = maplines_physical(&levels->fit_ahead, raw_ahead);
-    curve->fit_range[0] = rebuilt(&dbc->x_min, x_min < x_max ? x_min : x_max) - behind;
+    curve->fit_range[0] = rebuilt(&dbc->x_min, x_min) - behind;
     curve->fit_range[1] = rebuilt(&dbc->x_max, x_max) + ahead;
     curve->quartic = maplines_physical(&levels->quartic, maplines_get(&own->quartic, pose_record));
     member->lateral = maplines_get(&own->lateral, pose_record);

@@ -134,8 +134,8 @@ def test_repair_of_covariances() -> None:
     S = awkward_covariances(np.random.default_rng(3), 3000)
     bad = linalg.indefinite(S)
     assert 500 < bad.sum() < 2500
-    got = ran([case(REPAIR, matrix) for matrix in S])
-    got = np.frombuffer(got, [("bad", "?"), ("nearest", "<f8", (4, 4))])
+    out = ran([case(REPAIR, matrix) for matrix in S])
+    got = np.frombuffer(out, np.dtype([("bad", "?"), ("nearest", "<f8", (4, 4))]))
     assert (got["bad"] == bad).all()
     assert np.array_equal(got["nearest"], linalg.nearest_covariance(S), equal_nan=True)
 

@@ -37,7 +37,7 @@ from maplines_can.values.mixture import GaussianMixture, moments
 from maplines_can.wire import Codec
 from maplines_can.wire.covariance.nearest_line import nearest_line
 from maplines_can.wire.layout.message_layout import Layout
-from maplines_can.wire.layout.pose_layout import POSE
+from maplines_can.wire.layout.pose_layout import POSE, PoseLayout
 from maplines_can.wire.layout.record_layout import RecordLayout
 from maplines_can.wire.protection.e2e import record_crc
 from maplines_can.wire.reasons import Reason
@@ -85,7 +85,7 @@ def test_records_of_any_length_are_checked_as_in_python(dbc: str) -> None:
     cases, reasons = b"", []
     for owner in (Slot.EGO_LEFT, Slot.ROUTE, POSE) * 250:
         form = codec.reader.formats[owner]
-        own: RecordLayout | None = layout if owner != POSE else layout.pose
+        own: Layout | PoseLayout | None = layout if owner != POSE else layout.pose
         if own is None or (not layout.is_conditional and owner == POSE):
             continue  # the harness would read it as a line
         raw = {

@@ -10,7 +10,7 @@ import c_core
 import numpy as np
 import pytest
 from c_layouts import unusual_layouts
-from c_receivers import FRAME, MAX_TIME, PROBLEM, REASONS, Receivers
+from c_receivers import FRAME, MAX_TIME, PROBLEM, REASONS, SCENE, Receivers
 from c_streams import KEY, PROFILES, SECURED_PROFILES, Stream, Traffic, traffic_of
 from dbcs import changed_record
 from random_dbc import LIMIT_SEED, random_dbc
@@ -338,14 +338,23 @@ FOREIGN = bytes([REASONS[Reason.FOREIGN], 0])
 def test_with_wrong_settings_every_frame_is_foreign(dbc: str, settings: Any) -> None:
     """A receiver without its key must not accept frames without a MAC instead."""
     program = c_core.harness("reception", layout_of(dbc))
-    questions: list[tuple[Any, ...]] = [(1, "<Bq", 0, 0), (2, "<q", 0), (3, "<q", 0)]
+    questions: list[tuple[Any, ...]] = [(1, "<Bq", 0, 0), (2, "<q", 0), (3, "<q", 0), (4, "<q", 0)]
     asked = b"".join(bytes([kind]) + struct.pack(*of) for kind, *of in questions)
     given = c_core.run(program, settings_with_key(**settings) + FEED + asked)
     assert given[:3] == b"\1" + FOREIGN
     no_line = struct.pack("<BqdBB3B", 0, 0, float("inf"), E2EState.NODATA, 0xFF, 1, 0, 0)
     assert given[3 : 3 + len(no_line)] == no_line
+    numbers = struct.calcsize(f"<{len(Reason) + 6}QI")
+    assert given[-numbers - 9 : -numbers] == bytes(9)  # no owner has statistics
     good = c_core.run(program, settings_with_key() + FEED) if dbc != "maplines.dbc" else b"\0"
     assert good[:1] == b"\0"
+
+
+def test_without_a_pose_error_there_is_no_scene() -> None:
+    layout = UNUSUAL["no pose error"]
+    asked = Receivers(layout)._settings() + struct.pack("<Bq", SCENE, 0)
+    out = c_core.run(c_core.harness("reception", layout), asked)
+    assert out == b"\0" + struct.pack("<BdBB3B", 0, float("inf"), E2EState.NODATA, 0xFF, 1, 0, 0)
 
 
 def test_a_slot_that_the_dbc_does_not_have_has_no_line() -> None:
