@@ -10,10 +10,19 @@ from typing import Any
 import c_core
 import numpy as np
 import pytest
-from c_scenes import Wire, check_random_scenes, check_scenes, doubles, sent_scenes
+from c_scenes import (
+    Given,
+    Wire,
+    check_random_scenes,
+    check_scenes,
+    doubles,
+    nearest,
+    sent_scenes,
+)
 from random_dbc import LIMIT_SEED, random_dbc
 from scene_streams import ALL, COMPLETE, CONDITIONAL, new_codec
 
+from maplines_can import Slot
 from maplines_can.values import fixed_order
 from maplines_can.values.cubics import (
     _STEEPEST,
@@ -35,7 +44,7 @@ from maplines_can.values.seen_lines import (
     bases,
     valid_ranges,
 )
-from maplines_can.wire import Layout
+from maplines_can.wire import POSE, Layout
 from maplines_can.wire.covariance import specific_levels
 from maplines_can.wire.covariance.specific_levels import SpecificLevels
 
@@ -61,6 +70,22 @@ def test_scenes_of_any_bits_are_the_same(wire: Wire) -> None:
     counts = check_random_scenes(wire.layout, 300, 3)
     assert counts["decoded"] > 50
     assert counts["refused"] > 50
+
+
+def test_a_line_whose_direction_hardly_depends_on_the_heading() -> None:
+    """One of this curvature is the same from all headings; the level of the map is the greatest."""
+    wire, rng, scenes = Wire(new_codec(CONDITIONAL)), np.random.default_rng(8), []
+    means = {"YOff": -10.0, "Beta": 0.0, "C0": 0.1, "C1": 0.0, "XMin": 0.0, "XMax": 8.0}
+    for _ in range(20):
+        pose = wire.random_raw(wire.pose, rng) | {"MapHeading": wire.pose["MapHeading"].raw_max}
+        for name, sigma in (("Along", 0.3), ("Across", 0.2), ("Heading", 0.005)):
+            pose[f"Pivot{name}"] = nearest(wire.pose[f"Pivot{name}"], np.log2(sigma))
+        raw = wire.random_raw(wire.layout, rng) | {"HasCovariance": 0, "Kind": 1}
+        raw |= {name: nearest(wire.layout[name], value) for name, value in means.items()}
+        line = wire.packed(Slot.ROUTE, raw, wire.layout.messages[Slot.ROUTE].data_id)
+        record = wire.packed(POSE, pose, wire.pose.messages.data_id)
+        scenes.append(Given(0, record, [(Slot.ROUTE, 0, line)]))
+    assert check_scenes(wire, scenes)["lines"] == 20
 
 
 @pytest.mark.parametrize("seed", [*range(6), LIMIT_SEED, LIMIT_SEED + 1])
