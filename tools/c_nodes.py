@@ -22,6 +22,7 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -124,11 +125,13 @@ def talk(
         settings = ["--lines", "8", "--rate", str(rate), "--count", str(cycles), "--standstill"]
         command = [*MAPLINES, "send", *bus, *settings, *of_scene, "--json"]
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
-    with open(folder / "c.txt", "w+") as of_c, open(folder / "python.txt", "w+") as of_python:
+    files = [folder / name for name in ("c.txt", "python.txt", "notes.txt")]
+    with ExitStack() as stack:
+        of_c, of_python, notes = (stack.enter_context(open(file, "w+")) for file in files)
         receive = [*MAPLINES, "receive", *bus, "--json", "--scenes"]
         receivers = [
             subprocess.Popen([str(folder / "receiver_socketcan"), channel], stdout=of_c),
-            subprocess.Popen(receive, stdout=of_python, stderr=subprocess.DEVNULL, env=environment),
+            subprocess.Popen(receive, stdout=of_python, stderr=notes, env=environment),
         ]
         try:
             wait_for_listeners(channel, len(receivers))
@@ -138,10 +141,12 @@ def talk(
             for process in receivers:
                 process.send_signal(signal.SIGINT)
             statuses = [process.wait(60) for process in receivers]
-        of_c.seek(0)
-        of_python.seek(0)
-        text, found = of_c.read(), rows_of_python(of_python.read())
-    return compared(sent_by(sender, done.stdout), rows_of_c(text), found, text, statuses[0])
+        for file in (of_c, of_python, notes):
+            file.seek(0)
+        text, found, said = of_c.read(), rows_of_python(of_python.read()), notes.read()
+    sums = [line for line in said.splitlines() if "lost by their counters" in line]
+    row = compared(sent_by(sender, done.stdout), rows_of_c(text), found, text, statuses[0])
+    return row | {"said by Python": "".join(sums)}
 
 
 def sent_by(sender: str, output: str) -> int:

@@ -60,6 +60,9 @@ If the sender states the error of the pose from which the lines of a cycle are s
 has such a state, too, and a row in each cycle gives the width and the centre of the ego lane, with
 their standard deviations from the joint covariance of the lines."""
 
+#: Lines that may wait to be printed: what comes is to be printed late rather than not at all.
+WAITING = 4096
+
 
 def add_receive(commands: Any) -> None:
     """Add the command ``receive``."""
@@ -101,7 +104,9 @@ def _receive(arguments: argparse.Namespace) -> int:
     opener = fault_opener(arguments)
     with (
         Link(opener, **bus_settings(arguments)) as link,
-        Receiver(link, decoder_of(codec, arguments), can_ids=codec.can_ids) as receiver,
+        Receiver(
+            link, decoder_of(codec, arguments), can_ids=codec.can_ids, queue_size=WAITING
+        ) as receiver,
     ):
         if not arguments.json:
             note(f"listening on {link.name}; stop with Ctrl-C")
