@@ -22,7 +22,8 @@ from .stamp_clock import StampClock
 
 #: How long the thread waits for a frame before it checks whether it shall stop [s].
 POLL = 0.1
-#: Most frames that have arrived meanwhile and are decoded together, while `latest` waits.
+#: Most frames that have arrived meanwhile and are decoded together, while `latest` waits. With a
+#: callback they are decoded one by one: it gets a line before the next frame counts.
 BURST = 64
 
 
@@ -383,11 +384,12 @@ class Receiver(BackgroundThread, ReceivedLines):
     def _receive_burst(self) -> None:
         """Wait for a message, and decode it with those that have arrived meanwhile."""
         messages: list[can.Message] = []
+        most = BURST if self._on_line is None else 1
         try:
             message = self._link.recv(POLL)
             while message is not None:
                 messages.append(message)
-                message = self._link.recv(0.0) if len(messages) < BURST else None
+                message = self._link.recv(0.0) if len(messages) < most else None
         finally:  # also if the link is closed meanwhile
             if messages:
                 self._take(messages)

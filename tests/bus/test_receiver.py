@@ -114,6 +114,29 @@ def test_a_callback_gets_the_lines(link: Any, other: Any) -> None:
     assert receiver.stats().overflowed == 0
 
 
+def test_a_callback_gets_a_line_before_the_next_one_counts(link: Any, other: Any) -> None:
+    """Though all frames have arrived: ``latest`` is the line of the callback, and none follow."""
+    codec, seen = Codec.from_dbc(), []
+    encoder = codec.encoder()
+    lines = [MapLine(Slot.EGO_LEFT, map_line().gaussian, age=0.02 * k) for k in range(4)]
+    receiver = Receiver(other, codec.decoder(), on_line=lambda line: on_line(line))
+
+    def on_line(line: Any) -> None:
+        latest: Any = receiver.latest(Slot.EGO_LEFT).line
+        seen.append((line.age, latest.age, receiver.stats().lines))
+        if len(seen) == 2:
+            receiver.stop()
+
+    for line in lines:
+        send_frames(link, *encoder.encode(line))
+    receiver.start()
+    receiver._join(LONG)
+    receiver.stop()
+    assert [count for *_, count in seen] == [1, 2]
+    assert all(own == latest for own, latest, _ in seen)
+    assert seen[0][0] < seen[1][0]
+
+
 def test_the_error_of_a_callback_is_raised_by_stop(link: Any, other: Any) -> None:
     codec = FakeCodec()
 

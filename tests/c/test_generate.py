@@ -1,6 +1,8 @@
 """The files of ``maplines generate c``: they compile everywhere, and depend on the DBC only."""
 
 import json
+import os
+import platform
 import re
 import shutil
 import subprocess
@@ -53,11 +55,31 @@ def test_arithmetic_that_rounds_otherwise_is_refused(tmp_path: Path, cc: str, fl
     """GCC says since version 12 that it reorders operations."""
     if not shutil.which(cc):
         pytest.skip(f"there is no {cc}")
+    ask = [cc, flag, "-dM", "-E", "-xc", os.devnull]
+    macros = subprocess.run(ask, stdout=-1, text=True, check=True)
+    if flag == "-funsafe-math-optimizations" and "__ASSOCIATIVE_MATH__" not in macros.stdout:
+        pytest.skip(f"this {cc} has no macro for it")
     assert generate("--out", tmp_path) == 0
     command = [cc, flag, "-fsyntax-only", "maplines.c"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode != 0
     assert "maplines needs IEEE 754 arithmetic" in done.stderr
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="counts the FMA instructions of x86-64")
+@pytest.mark.skipif(not shutil.which("gcc"), reason="there is no gcc")
+def test_no_multiplication_is_fused(tmp_path: Path) -> None:
+    """Where the CPU could, and no flag forbids it; GCC then fuses those of any other source."""
+    assert generate("--out", tmp_path) == 0
+    (tmp_path / "own.c").write_text("double f(double *x) { return x[0] * x[1] + x[2]; }")
+
+    def fused(name: str) -> int:
+        command = ["gcc", "-std=gnu99", "-O3", "-march=haswell", "-S", name, "-o", "-"]
+        done = subprocess.run(command, stdout=-1, text=True, check=True, cwd=tmp_path)
+        return done.stdout.count("vfmadd")
+
+    assert fused("own.c") == 1
+    assert fused("maplines.c") == 0
 
 
 @pytest.mark.parametrize(
