@@ -34,6 +34,15 @@ def test_the_files_of_the_repository_are_up_to_date() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def changed(folder: Path, pattern: str, replacement: str) -> Path:
+    """Vectors of maplines.dbc with one change."""
+    text, found = re.subn(pattern, replacement, text_of("maplines.dbc"), count=1)
+    assert found
+    path = folder / "vectors.txt"
+    path.write_text(text)
+    return path
+
+
 def runner(layout: Layout, **options: Any) -> Path:
     return c_core.program([c_core.C / "tests" / "run_vectors.c"], [layout], ["harness"], **options)
 
@@ -94,11 +103,7 @@ def test_the_c_core_passes_those_of_any_dbc(tmp_path: Path, seed: int) -> None:
 def test_the_runner_fails_if_a_value_is_another_one(
     tmp_path: Path, pattern: str, replacement: str
 ) -> None:
-    text, found = re.subn(pattern, replacement, text_of("maplines.dbc"), count=1)
-    assert found
-    path = tmp_path / "vectors.txt"
-    path.write_text(text)
-    program = runner(layout_of("maplines.dbc"))
+    path, program = changed(tmp_path, pattern, replacement), runner(layout_of("maplines.dbc"))
     done = subprocess.run([program, path], capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert done.stdout.endswith(" 1 failed\n")
@@ -121,11 +126,7 @@ def test_the_runner_fails_if_a_value_is_another_one(
 def test_the_runner_fails_if_the_file_is_cut(
     tmp_path: Path, pattern: str, replacement: str
 ) -> None:
-    text, found = re.subn(pattern, replacement, text_of("maplines.dbc"), count=1)
-    assert found
-    path = tmp_path / "vectors.txt"
-    path.write_text(text)
-    command = [runner(layout_of("maplines.dbc")), path]
+    command = [runner(layout_of("maplines.dbc")), changed(tmp_path, pattern, replacement)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert " 0 failed\n" in done.stdout
