@@ -247,8 +247,8 @@ static void use_line(const maplines_decoder_t *decoder, input_t *input, const ma
 static void use_scene(const maplines_decoder_t *decoder, input_t *input,
                       const maplines_scene_t *scene, int64_t t_ns)
 {
-    maplines_term_t terms[MAPLINES_SLOTS];
-    maplines_owner_t slots[MAPLINES_SLOTS];
+    maplines_term_t terms[MAPLINES_SLOTS] = {{MAPLINES_EGO_LEFT, 0, 0}};
+    maplines_owner_t slots[MAPLINES_SLOTS] = {MAPLINES_EGO_LEFT};
     maplines_real_t covariance[16 * MAPLINES_SLOTS * MAPLINES_SLOTS];
     maplines_real_t x_min;
     maplines_real_t x_max;
