@@ -149,4 +149,21 @@ MAPLINES_INTERNAL void maplines_nearest_covariance(const double S[16], double ne
         scale_of_any(S, scale);
         nearest_in_scale(S, scale, nearest);
     }
+    bool is_lost = false; // variances beside covariances many times larger than they admit
+    for (int i = 0; i < 4; ++i)
+    {
+        is_lost = is_lost || nearest[5 * i] < S[5 * i] / 2.0;
+    }
+    if (is_lost)
+    {
+        for (int i = 0; i < 16; ++i)
+        {
+            double row[4];
+            for (int j = 0; j < 4; ++j)
+            {
+                row[j] = fabs(S[4 * (i / 4) + j]);
+            }
+            nearest[i] = i % 5 == 0 ? maplines_total(4, row) : 0.0; // covers any row
+        }
+    }
 }

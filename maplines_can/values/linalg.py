@@ -102,11 +102,20 @@ def nearest_covariance(cov: ArrayLike) -> NDArray[np.float64]:
         raise ValueError(f"cov must be symmetric, got {cov!r}; use (cov + cov.T) / 2")
     nearest = _nearest(S, scale_of(S))
     empty = (np.diagonal(nearest, axis1=-2, axis2=-1) == 0) & (nearest != 0).any(axis=-1)
-    if not empty.any():
+    if empty.any():
+        # Covariances of a zero variance that are so small that rounding hides them.
+        again = _nearest(S, _scale_of_any(S))
+        nearest = np.where(empty.any(axis=-1)[..., None, None], again, nearest)
+    variances = np.diagonal(S, axis1=-2, axis2=-1)
+    lost: NDArray[np.bool_] = np.asarray(
+        np.diagonal(nearest, axis1=-2, axis2=-1) < variances / 2, dtype=np.bool_
+    )
+    if not lost.any():
         return nearest
-    # Covariances of a zero variance that are so small that rounding hides them.
-    again = _nearest(S, _scale_of_any(S))
-    return np.where(empty.any(axis=-1)[..., None, None], again, nearest)
+    # Variances that rounding hides beside covariances many times larger than they admit: sums of
+    # absolute values cover any row.
+    sums = fixed_order.total(np.abs(S))[..., None] * np.eye(S.shape[-1])
+    return np.asarray(np.where(lost.any(axis=-1)[..., None, None], sums, nearest))
 
 
 def _nearest(S: NDArray[np.float64], scale: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -132,12 +132,19 @@ def awkward_covariances(rng: Any, count: int) -> Any:
 def test_repair_of_covariances() -> None:
     """Which are indefinite, and the nearest ones that cover them."""
     S = awkward_covariances(np.random.default_rng(3), 3000)
+    S[0] = [  # covariances many times larger than their variances admit
+        [2.28529358e-2, 3.36018608e-163, -2.00031097e-3, 3.36018608e-163],
+        [3.36018608e-163, 9.88131292e-324, -2.94116132e-164, -2.89114925e-166],
+        [-2.00031097e-3, -2.94116132e-164, 1.75086651e-4, -2.97007282e-164],
+        [3.36018608e-163, -2.89114925e-166, -2.97007282e-164, 2.22507386e-308],
+    ]
     bad = linalg.indefinite(S)
     assert 500 < bad.sum() < 2500
     out = ran([case(REPAIR, matrix) for matrix in S])
     got = np.frombuffer(out, np.dtype([("bad", "?"), ("nearest", "<f8", (4, 4))]))
     assert (got["bad"] == bad).all()
     assert np.array_equal(got["nearest"], linalg.nearest_covariance(S), equal_nan=True)
+    assert (got["nearest"][0].diagonal() >= S[0].diagonal()).all()
 
 
 def random_scene(rng: Any) -> tuple[Any, Any, Any, Any]:
