@@ -107,15 +107,13 @@ def nearest_covariance(cov: ArrayLike) -> NDArray[np.float64]:
         again = _nearest(S, _scale_of_any(S))
         nearest = np.where(empty.any(axis=-1)[..., None, None], again, nearest)
     variances = np.diagonal(S, axis1=-2, axis2=-1)
-    lost: NDArray[np.bool_] = np.asarray(
-        np.diagonal(nearest, axis1=-2, axis2=-1) < variances / 2, dtype=np.bool_
-    )
+    lost = np.diagonal(nearest, axis1=-2, axis2=-1) < variances / 2
     if not lost.any():
         return nearest
     # Variances that rounding hides beside covariances many times larger than they admit: sums of
     # absolute values cover any row.
     sums = fixed_order.total(np.abs(S))[..., None] * np.eye(S.shape[-1])
-    return np.asarray(np.where(lost.any(axis=-1)[..., None, None], sums, nearest))
+    return np.asarray(np.where(np.asarray(lost.any(axis=-1))[..., None, None], sums, nearest))
 
 
 def _nearest(S: NDArray[np.float64], scale: NDArray[np.float64]) -> NDArray[np.float64]:
