@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
-from maplines_can.generation.tables import Limits, limits_of, tables_of
+from maplines_can.generation.tables import tables_of
+from maplines_can.wire.c_tables import Limits, limits_of
 from maplines_can.wire.layout.dbc_reader import Database
 from maplines_can.wire.layout.message_layout import Layout
 

@@ -5,8 +5,8 @@
     python3 tools/run.py pytest            the tests
 
 The environment is the folder .venv of this checkout; nothing outside it changes. It is made
-again when pyproject.toml changes. This needs Python 3.11 or later with venv, and a package
-index that pip can reach.
+again when pyproject.toml or the C of the extension module changes. This needs Python 3.11 or later
+with venv, and a package index that pip can reach.
 """
 
 from __future__ import annotations
@@ -62,7 +62,10 @@ def is_installed(extra: str) -> bool:
 
 def source_hash() -> str:
     """Return the hash of what the environment is made from."""
-    source = (ROOT / "pyproject.toml").read_bytes() + f"{ROOT} {sys.version}".encode()
+    folders = [ROOT / "c" / name for name in ("include", "src", "propagation", "python")]
+    built = sorted(path for folder in folders for path in folder.glob("*.[ch]"))
+    files = [ROOT / "pyproject.toml", ROOT / "tools" / "build_native.py", *built]
+    source = b"".join(path.read_bytes() for path in files) + f"{ROOT} {sys.version}".encode()
     return hashlib.sha256(source).hexdigest()
 
 

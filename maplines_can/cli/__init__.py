@@ -14,6 +14,7 @@ import sys
 import threading
 from collections.abc import Sequence
 from importlib import import_module
+from typing import Any
 
 from .. import __version__
 from ..values.errors import MaplinesError
@@ -98,6 +99,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
 
 
+class _Version(argparse.Action):
+    """Option that prints the version and the path of this process, and ends it."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str) -> None:
+        text = "print the version, and whether C or Python alone computes"
+        super().__init__(option_strings, dest, nargs=0, default=argparse.SUPPRESS, help=text)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from ..native import description  # loads the extension module
+
+        print(f"maplines {__version__}, computes in {description()}")
+        parser.exit()
+
+
 def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     """Return the parser with the options of the command in ``argv``; only names of the others."""
     parser = Parser(
@@ -105,7 +120,7 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
         description="Lines of a digital map on a CAN bus, with their uncertainty.",
         epilog="Start with 'maplines demo'. Help for a command: maplines COMMAND --help",
     )
-    parser.add_argument("--version", action="version", version=f"maplines {__version__}")
+    parser.add_argument("--version", action=_Version)
     words = [word for word in argv if not word.startswith("-")]
     commands = _add_commands(parser, COMMANDS, words[:1])
     study = commands.add_parser("study", help=STUDY_HELP, description=f"{STUDY_HELP}.".capitalize())

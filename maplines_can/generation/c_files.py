@@ -8,8 +8,9 @@ from importlib import resources
 from pathlib import Path
 
 from ..values.errors import LayoutError
+from ..wire.c_tables import Limits, limits_of
 from ..wire.layout.message_layout import Layout
-from .tables import Limits, limits_of, tables_of
+from .tables import tables_of
 
 #: A section of internal.h that declares what a source defines: its title gives the order.
 _SECTION = re.compile(r"^/\* -+ (\w+\.c)\b", re.MULTILINE)

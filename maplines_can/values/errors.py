@@ -25,6 +25,10 @@ class MissingExtraError(MaplinesError, ImportError):
     """A package of an optional extra is not installed. The message names the extra."""
 
 
+class NativeError(MaplinesError, ImportError):
+    """The path that MAPLINES_NATIVE asks for is not there, or there is no such path."""
+
+
 class BusError(MaplinesError, OSError):
     """A CAN interface cannot be opened, or does not support what is requested."""
 

@@ -10,10 +10,11 @@ from dbcs import edited
 from random_dbc import LIMIT_SEED, random_dbc
 from scene_layouts import layout_of
 
-from maplines_can.generation.tables import identifier_of, limits_of, tables_of
+from maplines_can.generation.tables import identifier_of, tables_of
 from maplines_can.study.codes import CODES as STUDY_CODES
 from maplines_can.study.dbc.record_spec import dbc_writer_for
 from maplines_can.values.errors import LayoutError
+from maplines_can.wire.c_tables import limits_of
 from maplines_can.wire.codec import CODES
 from maplines_can.wire.layout.message_layout import Layout
 

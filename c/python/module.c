@@ -1,0 +1,65 @@
+/* The module maplines_can._native. */
+#include "native.h"
+
+maplines_module_t *maplines_module_state(PyObject *module)
+{
+    return (maplines_module_t *)PyModule_GetState(module);
+}
+
+static int add_all(PyObject *module)
+{
+    static int (*const parts[])(PyObject *) = {maplines_add_tables};
+    for (size_t i = 0; i < sizeof parts / sizeof parts[0]; i++)
+    {
+        if (parts[i](module) < 0)
+        {
+            return -1;
+        }
+    }
+#if defined(__VERSION__)
+    const char *compiler = __VERSION__;
+#else
+    const char *compiler = "";
+#endif
+    if (PyModule_AddStringConstant(module, "version", MAPLINES_VERSION) < 0)
+    {
+        return -1;
+    }
+    return PyModule_AddStringConstant(module, "compiler", compiler);
+}
+
+static int traverse(PyObject *module, visitproc visit, void *arg)
+{
+    maplines_module_t *state = maplines_module_state(module);
+    Py_VISIT(state->tables);
+    return 0;
+}
+
+static int clear(PyObject *module)
+{
+    maplines_module_t *state = maplines_module_state(module);
+    Py_CLEAR(state->tables);
+    return 0;
+}
+
+static PyModuleDef_Slot slots[] = {
+    {Py_mod_exec, (void *)add_all},
+    {0, NULL},
+};
+
+static struct PyModuleDef definition = {
+    PyModuleDef_HEAD_INIT,
+    .m_name = "maplines_can._native",
+    .m_doc = "C core of maplines for the Python package, which says what its functions do.",
+    .m_size = sizeof(maplines_module_t),
+    .m_slots = slots,
+    .m_traverse = traverse,
+    .m_clear = clear,
+};
+
+PyMODINIT_FUNC PyInit__native(void);
+
+PyMODINIT_FUNC PyInit__native(void)
+{
+    return PyModuleDef_Init(&definition);
+}

@@ -1,0 +1,322 @@
+"""Tables of a DBC for the C core: the members of ``maplines_dbc_t``, and which DBCs have C."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from enum import IntEnum
+from itertools import chain
+from pathlib import PurePath
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..native import core
+from ..values.errors import LayoutError
+from .covariance import CholeskyCode
+from .covariance.scene_code import SceneCode
+from .layout.message_layout import PAGE, POSE_CONDITIONAL, TRANSFER_ID, Layout
+from .layout.pose_layout import POSE, Owner, PoseLayout
+from .layout.record_layout import RecordLayout, bits_of
+from .layout.signals import (
+    FINE,
+    FINE_SIGNALS,
+    OCTAVE,
+    PAGE_BYTES,
+    PARAMETER_SIGNALS,
+    POSE_ROWS,
+    Signal,
+    slot_title,
+)
+from .layout.slot_messages import RecordMessages
+
+#: Codes of the covariance that the core in C has.
+C_CODES = (CholeskyCode.name, POSE_CONDITIONAL)
+#: Most bits of a counter in C.
+MAX_COUNTER_BITS = 32
+#: Most bits of a signal of the mean with its finer one: both together are an int64_t.
+MAX_MEAN_BITS = 62
+
+
+class OwnerNumber(IntEnum):
+    """Number of an owner: ``maplines_owner_t``."""
+
+    EGO_LEFT = 0
+    EGO_RIGHT = 1
+    NEXT_LEFT = 2
+    NEXT_RIGHT = 3
+    CENTRE = 4
+    EDGE_LEFT = 5
+    EDGE_RIGHT = 6
+    ROUTE = 7
+    POSE = 8
+
+
+class Limits(NamedTuple):
+    """What sets the sizes of the structures in C: ``MAPLINES_MAX_PAGES`` and so on."""
+
+    pages: int  #: of a record
+    transfer_ids: int
+    components: int  #: of a mixture
+
+    @property
+    def macros(self) -> dict[str, int]:
+        """The limits by the names of their macros."""
+        return {f"MAPLINES_MAX_{name.upper()}": value for name, value in self._asdict().items()}
+
+
+#: Largest limits of a DBC that has C.
+MAX_LIMITS = Limits(pages=16, transfer_ids=256, components=64)
+
+
+def number_of(owner: Owner) -> OwnerNumber:
+    """Return the number of an owner in C."""
+    return OwnerNumber.POSE if owner == POSE else OwnerNumber(int(owner))
+
+
+def limits_of(layouts: Sequence[Layout]) -> Limits:
+    """Return the least limits that suffice for all of these DBCs.
+
+    Raises:
+        LayoutError: a DBC has no C; see ``check``.
+    """
+    for layout in layouts:
+        check(layout)
+    return Limits(*map(max, zip(*map(_own_limits, layouts), strict=True)))
+
+
+def check(layout: Layout) -> None:
+    """Check that there is C for a DBC.
+
+    Raises:
+        LayoutError: its covariance code has no C, or it has more pages, transfer IDs, components
+            or counters than the C can hold.
+    """
+    if layout.covariance_code not in C_CODES:
+        raise LayoutError(
+            f"{layout.source}: the covariance code {layout.covariance_code!r} has no C, only "
+            f"{' and '.join(C_CODES)} have; generate C for a DBC with one of these, such as "
+            "maplines.dbc"
+        )
+    for record in _records(layout):
+        if record.pages > MAX_LIMITS.pages:
+            raise LayoutError(
+                f"{layout.source}: a record has {record.pages} pages, but in C it has at most "
+                f"{MAX_LIMITS.pages}; shorten its signals"
+            )
+        _check_bits(record, f"{TRANSFER_ID}0", MAX_LIMITS.transfer_ids.bit_length() - 1)
+        _check_bits(record, "Counter", MAX_COUNTER_BITS)
+        if len({bit // (8 * PAGE_BYTES) for bit in bits_of(record["Counter"])}) > 1:
+            raise record.error(record["Counter"], "to be within a page to have C", "move it")
+    if layout.is_conditional:
+        for name in PARAMETER_SIGNALS:  # an encoder adds the steps of the finer signal
+            _check_bits(layout, name, MAX_MEAN_BITS - layout[f"{name}{FINE}"].length)
+    else:
+        _check_bits(layout, "ComponentCount", MAX_LIMITS.components.bit_length() - 1)
+
+
+# ---- what the tables hold ---------------------------------------------------------------------
+
+#: Values of a structure by member, or of an array by index. None is left out: 0 in C.
+Members = Mapping[Any, "Value"]
+Value = Members | Signal | NDArray[np.float64] | bool | int | float | str | None
+
+
+def tables_of(layout: Layout) -> Any:
+    """Return the tables of a DBC for the extension module; None without it, or if there is no C."""
+    if core is None:
+        return None
+    try:
+        return core.Tables(_plain(content_of(layout)))
+    except LayoutError:
+        return None
+
+
+def _plain(value: Any) -> Any:
+    """Return content as the extension module reads it."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, Signal):
+        return signal_values(value)
+    return np.ascontiguousarray(value, np.float32) if isinstance(value, np.ndarray) else value
+
+
+def content_of(layout: Layout) -> dict[str, Value]:
+    """Return the members of ``maplines_dbc_t``.
+
+    Raises:
+        LayoutError: the DBC has no C; see ``check``.
+    """
+    limits, pose = limits_of([layout]), layout.pose
+    content: dict[str, Value] = {
+        "name": PurePath(layout.source).name,
+        "max_components": limits.components,
+        "is_conditional": layout.is_conditional,
+        "has_pose": pose is not None,
+        "messages": {number_of(owner): _messages(own) for owner, own in layout.messages_of.items()},
+        "line": _record(layout),
+        "pose": None if pose is None else _record(pose),
+        "mean": _indexed(layout[name] for name in PARAMETER_SIGNALS),
+        **{member: layout[name] for member, name in _SIGNALS.items()},
+        "covariance": _cholesky(CholeskyCode(layout)),
+    }
+    own = _CONDITIONAL_SIGNALS if layout.is_conditional else _COMPLETE_SIGNALS
+    content |= {member: layout[name] for member, name in own.items()}
+    if layout.is_conditional:
+        content["fine"] = _indexed(layout[name] for name in FINE_SIGNALS)
+        content["levels"] = _levels(layout, "")
+    if pose is not None:
+        levels = SceneCode(pose, layout).levels
+        steps = np.diff(levels.searched[:2])
+        content |= _pose_content(pose) | {
+            "spacings": len(levels.searched),
+            "spacing_step": int(steps[0]) if len(steps) else 1,
+            "straight": levels.straight.T,
+        }
+    return content
+
+
+_SIGNALS = {"kind": "Kind", "x_min": "XMin", "x_max": "XMax"}
+_COMPLETE_SIGNALS = {
+    "status": "Status",
+    "age": "Age",
+    "component_index": "ComponentIndex",
+    "component_count": "ComponentCount",
+    "component_weight": "ComponentWeight",
+}
+_CONDITIONAL_SIGNALS = {"has_covariance": "HasCovariance"}
+_POSE_SIGNALS = {
+    "pose_age": "Age",
+    "correlation_time": "CorrelationTime",
+    "map_offset": "MapOffset",
+    "map_heading": "MapHeading",
+}
+_LEVELS = {
+    "lateral": "OwnLateral",
+    "points": "OwnPoints",
+    "shape": "OwnShape",
+    "quartic": "Quartic",
+    "fit_behind": "FitBehind",
+    "fit_ahead": "FitAhead",
+}
+
+
+def _pose_content(pose: PoseLayout) -> dict[str, Value]:
+    """Return the members of ``maplines_dbc_t`` of the records of the pose error."""
+    slots = [slot for slot in pose.counters if f"{slot_title(slot)}OwnShape" in pose.signals]
+    return {
+        **{member: pose[name] for member, name in _POSE_SIGNALS.items()},
+        "pose_covariance": _cholesky(CholeskyCode(pose, POSE_ROWS)),
+        "slot_counter": {number_of(slot): signal for slot, signal in pose.counters.items()},
+        "slot_levels": {number_of(slot): _levels(pose, slot_title(slot)) for slot in slots} or None,
+    }
+
+
+def _record(layout: Layout | PoseLayout) -> Members:
+    """Return the members of ``maplines_record_t``."""
+    secured = layout.secured
+    later = f"{TRANSFER_ID}1"
+    return {
+        "pages": layout.pages,
+        "short_pages": layout.short_pages,
+        "crc_byte": layout.crc_offset,
+        "fd_authentic": secured.authentic_bytes if secured else 0,
+        "fd_freshness": secured.freshness_bytes if secured else 0,
+        "fd_mac": secured.mac_bytes if secured else 0,
+        "page": layout[f"{PAGE}0"],
+        "transfer_id": {
+            0: layout[f"{TRANSFER_ID}0"],
+            1: _in_page(layout[later]) if later in layout.signals else None,
+        },
+        "counter": layout["Counter"],
+    }
+
+
+def _messages(messages: RecordMessages) -> Members:
+    """Return the members of ``maplines_messages_t``."""
+    return {
+        "is_present": True,
+        "has_classic": messages.can_id is not None,
+        "has_fd": messages.fd_can_id is not None,
+        "has_secured": messages.secured_can_id is not None,
+        "is_extended": messages.is_extended,
+        "fd_is_extended": messages.fd_is_extended,
+        "secured_is_extended": messages.secured_is_extended,
+        "fd_length": messages.fd_length,
+        "data_id": messages.data_id,
+        "secured_data_id": messages.secured_data_id,
+        "can_id": messages.can_id,
+        "fd_can_id": messages.fd_can_id,
+        "secured_can_id": messages.secured_can_id,
+        "cycle_ms": messages.cycle_ms,
+    }
+
+
+def _cholesky(code: CholeskyCode) -> Members:
+    """Return the members of ``maplines_cholesky_t``."""
+    factor = code.factor
+    return {
+        "rows": len(factor.order),
+        "order": dict(enumerate(factor.order)),
+        "pivot": _indexed(factor.pivots),
+        "ratio": _indexed(chain(*factor.ratios)),
+        "inflation": code.inflation,
+        "reachable": _indexed(map(float, code.reachable)),
+    }
+
+
+def _levels(layout: RecordLayout, prefix: str) -> Members:
+    """Return the members of ``maplines_levels_t``."""
+    signals: dict[str, Value] = {
+        member: layout.signals.get(prefix + name) for member, name in _LEVELS.items()
+    }
+    return {
+        **signals,
+        "shape_is_octave": layout[f"{prefix}OwnShape"].unit == OCTAVE,
+    }
+
+
+def _records(layout: Layout) -> list[Layout | PoseLayout]:
+    return [layout] if layout.pose is None else [layout, layout.pose]
+
+
+def _own_limits(layout: Layout) -> Limits:
+    records = _records(layout)
+    return Limits(
+        pages=max(record.pages for record in records),
+        transfer_ids=2 ** max(record[f"{TRANSFER_ID}0"].length for record in records),
+        components=1 if layout.is_conditional else 2 ** layout["ComponentCount"].length,
+    )
+
+
+def _check_bits(layout: RecordLayout, name: str, most: int) -> None:
+    """Raise LayoutError if a signal is longer than the C can hold."""
+    if (signal := layout[name]).length > most:
+        raise layout.error(signal, f"at most {most} bits to have C", "shorten it")
+
+
+def _in_page(signal: Signal) -> Signal:
+    """Return a signal of a later page with its place in the page."""
+    page = signal.start // (8 * PAGE_BYTES)
+    return Signal(**{**vars(signal), "start": signal.start - 8 * PAGE_BYTES * page})
+
+
+def _indexed(values: Iterable[Value]) -> Members:
+    return dict(enumerate(values))
+
+
+def signal_values(signal: Signal) -> tuple[float, float, int, int, int, int, bool, bool]:
+    """Return the members of ``maplines_signal_t``, in order."""
+    first = signal.start
+    if signal.big_endian:
+        first = first // 8 * 8 + 7 - first % 8
+    return (
+        signal.factor,
+        signal.offset,
+        signal.raw_min,
+        signal.raw_max,
+        first,
+        signal.length,
+        signal.big_endian,
+        signal.signed,
+    )
