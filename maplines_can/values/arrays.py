@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,6 +39,17 @@ def floats(values: ArrayLike, name: str) -> NDArray[np.float64]:
         raise ValueError(
             f"{name} must be numbers from {-LARGEST:.2g} to {LARGEST:.2g}, got {number_text(worst)}"
         ) from None
+
+
+def is_plain(value: object) -> TypeGuard[float]:
+    """Return whether a value is a float, or an integer of Python that is not beyond the floats.
+
+    >>> is_plain(0.5), is_plain(10**400), is_plain(np.float32(0.5))
+    (True, False, False)
+    """
+    if isinstance(value, float):
+        return True
+    return isinstance(value, int) and -LARGEST <= value <= LARGEST
 
 
 def number_text(value: object) -> str:

@@ -87,7 +87,7 @@ def log2(x: ArrayLike) -> Array:
     """
     values = floats(x, "x")
     if values.size <= FEW:
-        results = [_log2_one(value) for value in values.ravel().tolist()]
+        results = [log2_one(value) for value in values.ravel().tolist()]
         return np.array(results).reshape(values.shape)
     mantissa, exponent = np.frexp(values)
     is_low = mantissa < _SQRT_HALF
@@ -100,7 +100,7 @@ def log2(x: ArrayLike) -> Array:
     return np.where(np.isposinf(values), np.inf, result)
 
 
-def _log2_one(x: float) -> float:
+def log2_one(x: float) -> float:
     """Return one logarithm: as ``log2`` to the last bit."""
     if not 0 < x < math.inf:
         return -math.inf if x <= 0 else float(x)

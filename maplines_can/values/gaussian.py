@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -10,7 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats
-from .linalg import MAX_COV, asymmetric, indefinite, rounding_of, scale_of, solve_lower, square_root
+from .linalg import (
+    MAX_COV,
+    is_asymmetric,
+    is_indefinite,
+    rounding_of,
+    scale_of,
+    solve_lower,
+    square_root,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,30 +54,13 @@ matrix is -1; use nearest_covariance(cov), which covers it
         def __init__(self, mean: ArrayLike, cov: ArrayLike) -> None: ...
 
     def __post_init__(self) -> None:
-        rounding = rounding_of(self.cov)
         mean = np.array(floats(self.mean, "mean"))
         cov = np.array(floats(self.cov, "cov"))
-        if mean.ndim != 1 or mean.size == 0 or not np.isfinite(mean).all():
+        if mean.ndim != 1 or mean.size == 0 or not all(map(math.isfinite, mean.tolist())):
             raise ValueError(f"mean must be finite with shape (n,), got {mean!r}")
-        if cov.shape != (mean.size, mean.size) or not (np.abs(cov) <= MAX_COV).all():
+        if cov.shape != (mean.size, mean.size):
             raise ValueError(f"cov must be finite with shape {(mean.size,) * 2}, got {cov!r}")
-        if (cov.diagonal() < 0).any():
-            raise ValueError(f"cov must have variances of 0 or more, got {cov.diagonal()!r}")
-        if cov[cov.diagonal() == 0].any():
-            raise ValueError(
-                f"cov must be 0 in the row and column of a zero variance, got {cov!r}; "
-                "use nearest_covariance(cov)"
-            )
-        if asymmetric(cov, rounding):
-            raise ValueError(f"cov must be symmetric, got {cov!r}; use (cov + cov.T) / 2")
-        cov = (cov + cov.T) / 2
-        if indefinite(cov, rounding):
-            scale = scale_of(cov)
-            least = np.linalg.eigvalsh(cov / scale / scale[:, None])[0]
-            raise ValueError(
-                "cov must be positive semidefinite, but the smallest eigenvalue of its "
-                f"correlation matrix is {least:g}; use nearest_covariance(cov), which covers it"
-            )
+        cov = _checked(cov, rounding_of(self.cov))
         for name, array in (("mean", mean), ("cov", cov)):
             array.flags.writeable = False
             object.__setattr__(self, name, array)
@@ -209,6 +201,37 @@ matrix is -1; use nearest_covariance(cov), which covers it
                 "take a marginal of fewer variables"
             )
         return self.root
+
+
+def _checked(cov: NDArray[np.float64], rounding: float) -> NDArray[np.float64]:
+    """Return an (n, n) covariance, exactly symmetric; raises as ``Gaussian``.
+
+    It is checked in plain numbers: for such small matrices, arrays cost many times as much.
+    """
+    rows, n = cov.tolist(), len(cov)
+    diagonal = [row[i] for i, row in enumerate(rows)]
+    if not all(abs(value) <= MAX_COV for row in rows for value in row):  # or NaN
+        raise ValueError(f"cov must be finite with shape {(n, n)}, got {cov!r}")
+    if min(diagonal) < 0:
+        raise ValueError(f"cov must have variances of 0 or more, got {cov.diagonal()!r}")
+    if any(any(row) for row, variance in zip(rows, diagonal, strict=True) if variance == 0):
+        raise ValueError(
+            f"cov must be 0 in the row and column of a zero variance, got {cov!r}; "
+            "use nearest_covariance(cov)"
+        )
+    if rows != [*map(list, zip(*rows, strict=True))]:
+        if is_asymmetric(rows, rounding):
+            raise ValueError(f"cov must be symmetric, got {cov!r}; use (cov + cov.T) / 2")
+        cov = (cov + cov.T) / 2
+        rows = cov.tolist()
+    if is_indefinite(rows, rounding):
+        scale = scale_of(cov)
+        smallest = np.linalg.eigvalsh(cov / scale / scale[:, None])[0]
+        raise ValueError(
+            "cov must be positive semidefinite, but the smallest eigenvalue of its "
+            f"correlation matrix is {smallest:g}; use nearest_covariance(cov), which covers it"
+        )
+    return cov
 
 
 def independent(first: Gaussian, second: Gaussian) -> Gaussian:

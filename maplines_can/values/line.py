@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .arrays import floats, number_text
+from .arrays import floats, is_plain, number_text
 from .cubics import Poses, fit_points, points_of, refitted
 from .errors import IllPosedError
 from .gaussian import Gaussian, variances
@@ -117,9 +117,9 @@ class MapLine:
     mixture: GaussianMixture | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "slot", Slot(self.slot))
-        object.__setattr__(self, "kind", Kind(self.kind))
-        object.__setattr__(self, "status", Status(self.status))
+        for name, enum in (("slot", Slot), ("kind", Kind), ("status", Status)):
+            if type(value := getattr(self, name)) is not enum:
+                object.__setattr__(self, name, enum(value))
         if not isinstance(self.gaussian, Gaussian):
             raise TypeError(
                 f"gaussian must be a Gaussian over {PARAMETERS}, got {_class_name(self.gaussian)}; "
@@ -132,12 +132,15 @@ class MapLine:
                 f"mixture must be a GaussianMixture, or None, got {_class_name(self.mixture)}; "
                 "use MapLine.of_mixture(slot, mixture)"
             )
-        numbers = floats([self.x_min, self.x_max, self.age], "x_min, x_max and age")
-        if not (np.isfinite(numbers[:2]).all() and self.x_min <= self.x_max):
+        given: tuple[Any, ...] = self.x_min, self.x_max, self.age
+        if not all(map(is_plain, given)):
+            given = tuple(floats(given, "x_min, x_max and age").tolist())
+        x_min, x_max, age = given
+        if not (-math.inf < x_min and x_max < math.inf and self.x_min <= self.x_max):
             raise ValueError(
                 f"x_min <= x_max must be finite [m], got x_min={self.x_min!r}, x_max={self.x_max!r}"
             )
-        if not (0 <= numbers[2] <= MAX_AGE or numbers[2] == np.inf):
+        if not (0 <= age <= MAX_AGE or age == math.inf):
             raise ValueError(
                 f"age must be 0 s or more (up to {MAX_AGE:g}), or infinite if it is too old or "
                 f"unknown, got {self.age!r}"
@@ -186,10 +189,14 @@ class MapLine:
 
     def y(self, x: ArrayLike) -> NDArray[np.float64]:
         """Return the (...,) lateral position of the mean line at x [m]."""
+        if is_plain(x):
+            return _lateral_one(self.gaussian.mean.tolist(), float(x))
         return lateral(self.gaussian.mean, x)
 
     def y_sigma(self, x: ArrayLike) -> NDArray[np.float64]:
         """Return the (...,) standard deviation of the lateral position at x [m], to first order."""
+        if is_plain(x):
+            return _sigma_one(self.gaussian, float(x))
         J = lateral_jacobian(self.gaussian.mean, x)
         with np.errstate(over="ignore", invalid="ignore"):
             return np.sqrt(np.einsum("...i,ij,...j->...", J, self.gaussian.cov, J).clip(0))
@@ -234,6 +241,25 @@ def _lateral(rows: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.fl
     """Return the lateral position of (4, ...) lines."""
     y_off, beta, c0, c1 = rows
     return y_off + x * (np.tan(beta) + x * (c0 / 2 + x * c1 / 6))
+
+
+def _lateral_one(parameters: list[float], x: float) -> Any:
+    """Return the lateral position of one line at one x: as ``lateral``, without arrays.
+
+    It is a number of NumPy's class, as NumPy returns it of arrays without axes.
+    """
+    y_off, beta, c0, c1 = parameters
+    return np.float64(y_off + x * (math.tan(beta) + x * (c0 / 2 + x * c1 / 6)))
+
+
+def _sigma_one(gaussian: Gaussian, x: float) -> Any:
+    """Return the standard deviation of one line at one x: as ``MapLine.y_sigma``."""
+    slope = math.tan(gaussian.mean.item(1))
+    J = (1.0, (1 + slope * slope) * x, x * x / 2, x * x * x / 6)
+    variance = 0.0
+    for weight, (of_y, of_beta, of_c0, of_c1) in zip(J, gaussian.cov.tolist(), strict=True):
+        variance += weight * (of_y + J[1] * of_beta + J[2] * of_c0 + J[3] * of_c1)
+    return np.float64(math.sqrt(0.0 if variance < 0 else variance))
 
 
 @np.errstate(over="ignore", invalid="ignore")

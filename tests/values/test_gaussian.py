@@ -15,6 +15,7 @@ from maplines_can.values.linalg import (
     ROUNDING,
     asymmetric,
     indefinite,
+    is_asymmetric,
     nearest_covariance,
     square_root,
 )
@@ -131,6 +132,20 @@ def test_indefinite_agrees_with_the_eigenvalues_of_the_correlation_matrix(cov: A
 
     if abs(least + ROUNDING) > 1e-13 * max(1.0, np.abs(correlation(cov)).max()):
         assert bool(indefinite(cov)) == (least < -ROUNDING)
+
+
+@given(symmetric() | covariances(), st.integers(1, 4), st.sampled_from([0.0, 1e-300, 1e9, 1e300]))
+@example(pair(1 + 0.9999999e-9), 2, 1.0)
+@example(np.full((2, 2), np.nan), 2, 1.0)
+def test_one_matrix_is_judged_as_one_of_many(cov: Any, n: int, factor: float) -> None:
+    """A matrix alone is checked in plain numbers, with the operations of the arrays."""
+    one = factor * cov[:n, :n]
+    tilted = one * (1 + ROUNDING * np.tri(n, k=-1))
+
+    for rounding in (ROUNDING, 1e-5, -ROUNDING):
+        assert bool(indefinite(one, rounding)) == indefinite(one[None], rounding)[0]
+    for matrix in (one, tilted, tilted.T):
+        assert is_asymmetric(matrix.tolist()) == asymmetric(matrix[None])[0]
 
 
 @given(covariances())

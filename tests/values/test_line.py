@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 from scipy.optimize import brentq
-from strategies import mild_lines, motions
+from strategies import covariances, mild_lines, motions
 
 from maplines_can.values.cubics import line_of_cubic
 from maplines_can.values.errors import IllPosedError
@@ -90,6 +90,19 @@ def test_y_sigma_is_the_spread_of_lines() -> None:
 
     assert (np.abs(drawn.std(axis=0) / line.y_sigma(X) - 1) <= 5 / np.sqrt(2 * n)).all()
     assert np.array_equal(line.y(X), lateral(gaussian.mean, X))
+
+
+@given(mild_lines(), covariances(), st.floats(-200, 200) | st.integers(-200, 200))
+def test_one_x_is_as_one_of_many(mean: Any, cov: Any, x: float) -> None:
+    """One number is computed without arrays; the result is of the same class as that of NumPy."""
+    line = MapLine(Slot.EGO_LEFT, Gaussian(mean, cov))
+    J = lateral_jacobian(mean, x)
+    rounding = 1e-14 * (np.abs(J) @ np.abs(cov) @ np.abs(J))
+
+    assert np.isclose(line.y(x), line.y([x])[0], rtol=1e-15, atol=1e-14)
+    assert abs(line.y_sigma(x) ** 2 - line.y_sigma([x])[0] ** 2) <= rounding
+    for value in (line.y(x), line.y_sigma(x), lateral(mean, x)):
+        assert isinstance(value, np.float64)
 
 
 @given(st.tuples(*[st.floats(-1, 1, width=16)] * 3), st.floats(1, 80))
@@ -339,5 +352,8 @@ def test_a_line_beyond_the_floats_is_infinite_or_nan() -> None:
 
     assert not np.isfinite(line.y([np.inf, -np.inf, np.nan, -1e308])).any()
     assert not np.isfinite(line.y_sigma([np.inf, 1e308])).any()
+    for x in (np.inf, -np.inf, np.nan, -1e308, np.float64(1e308)):
+        assert not np.isfinite(line.y(x))
+        assert not np.isfinite(line.y_sigma(x))
     assert not np.isfinite(lateral(np.full(4, 1e200), -1e308))
     assert not np.isfinite(lateral_jacobian(np.zeros(4), 1e308)[3])
