@@ -15,7 +15,6 @@ import os
 from importlib import import_module
 from typing import Any
 
-from . import __version__
 from .values.errors import NativeError
 
 #: Environment variable that forces a path.
@@ -38,7 +37,7 @@ def _choose() -> tuple[Any, str]:
         if isinstance(error, ModuleNotFoundError):
             why = "it was installed without a C compiler"
     else:
-        if found.version == __version__:
+        if found.version == import_module(__package__).__version__:
             return found, f"built with {found.compiler or 'an unknown compiler'}"
         why = f"the extension module is that of version {found.version}; install the package again"
     if wanted == "1":

@@ -8,7 +8,8 @@ maplines_module_t *maplines_module_state(PyObject *module)
 
 static int add_all(PyObject *module)
 {
-    static int (*const parts[])(PyObject *) = {maplines_add_tables};
+    static int (*const parts[])(PyObject *) = {maplines_add_arrays, maplines_add_tables,
+                                               maplines_add_values};
     for (size_t i = 0; i < sizeof parts / sizeof parts[0]; i++)
     {
         if (parts[i](module) < 0)
@@ -31,6 +32,8 @@ static int add_all(PyObject *module)
 static int traverse(PyObject *module, visitproc visit, void *arg)
 {
     maplines_module_t *state = maplines_module_state(module);
+    Py_VISIT(state->ndarray);
+    Py_VISIT(state->float64);
     Py_VISIT(state->tables);
     return 0;
 }
@@ -38,6 +41,8 @@ static int traverse(PyObject *module, visitproc visit, void *arg)
 static int clear(PyObject *module)
 {
     maplines_module_t *state = maplines_module_state(module);
+    Py_CLEAR(state->ndarray);
+    Py_CLEAR(state->float64);
     Py_CLEAR(state->tables);
     return 0;
 }

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..native import core
 from .arrays import floats
 from .linalg import (
     MAX_COV,
@@ -54,6 +55,10 @@ matrix is -1; use nearest_covariance(cov), which covers it
         def __init__(self, mean: ArrayLike, cov: ArrayLike) -> None: ...
 
     def __post_init__(self) -> None:
+        if core is not None and (checked := core.checked_gaussian(self.mean, self.cov)) is not None:
+            object.__setattr__(self, "mean", checked[0])
+            object.__setattr__(self, "cov", checked[1])
+            return
         mean = np.array(floats(self.mean, "mean"))
         cov = np.array(floats(self.cov, "cov"))
         if mean.ndim != 1 or mean.size == 0 or not all(map(math.isfinite, mean.tolist())):

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..native import core
 from .arrays import floats, is_plain, number_text
 from .cubics import Poses, fit_points, points_of, refitted
 from .errors import IllPosedError
@@ -254,6 +255,8 @@ def _lateral_one(parameters: list[float], x: float) -> Any:
 
 def _sigma_one(gaussian: Gaussian, x: float) -> Any:
     """Return the standard deviation of one line at one x: as ``MapLine.y_sigma``."""
+    if core is not None and (sigma := core.y_sigma(gaussian.mean, gaussian.cov, x)) is not None:
+        return np.float64(sigma)
     slope = math.tan(gaussian.mean.item(1))
     J = (1.0, (1 + slope * slope) * x, x * x / 2, x * x * x / 6)
     variance = 0.0
