@@ -27,7 +27,6 @@ static double power_of(const maplines_signal_t *signal, int64_t raw)
 MAPLINES_INTERNAL void maplines_decode_factor(const maplines_cholesky_t *code,
                                               const uint8_t *record, double factor[4][4])
 {
-    memset(factor, 0, 16 * sizeof(double));
     const double inflation =
         maplines_physical(&code->inflation, maplines_get(&code->inflation, record));
     const double scale = maplines_exp2(inflation * 0.5);
@@ -41,7 +40,14 @@ MAPLINES_INTERNAL void maplines_decode_factor(const maplines_cholesky_t *code,
             const maplines_signal_t *ratio = &code->ratio[ratio_index(i, j)];
             row[j] = maplines_physical(ratio, maplines_get(ratio, record)) * sigma;
         }
-        row[i] = sigma;
+        for (int j = i; j < 4; ++j)
+        {
+            row[j] = j == i ? sigma : 0.0;
+        }
+    }
+    for (int i = (int)code->rows; i < 4; ++i)
+    {
+        memset(factor[i], 0, sizeof factor[i]);
     }
 }
 
@@ -76,7 +82,8 @@ MAPLINES_INTERNAL void maplines_put_covariance(const maplines_cholesky_t *code, 
     maplines_put(&code->inflation, record, raw[INFLATION_PLACE]);
 }
 
-/// A factor while it is quantized, by rows in the order of the DBC.
+/// A factor while it is quantized, by rows in the order of the DBC. All three are lower triangular;
+/// nothing is above their diagonals.
 typedef struct {
     double target[4][4];  ///< L: of the target, given the entries already quantized
     double decoded[4][4]; ///< L'
@@ -294,23 +301,22 @@ static bool encode_once(const maplines_cholesky_t *code, const double *target,
                         const double *resolution, double scale, int64_t raw[11], bool *is_saturated,
                         double *excess)
 {
-    const int n = code->rows;
-    double M[4][4] = {{0.0}};
-    double W[16] = {0.0};
+    const int n = code->rows == 3U ? 3 : 4; // of a pose error, or of a line
+    double M[4][4];
+    double W[16];
     maplines_quantized_t q;
-    memset(&q, 0, sizeof q);
     q.raw = raw;
     *is_saturated = false;
     for (int i = 0; i < n; ++i)
     {
-        double S[4] = {0.0};
+        double S[4];
         const double floor_i = resolution[code->order[i]] * scale;
         for (int j = 0; j < n; ++j)
         {
             M[i][j] = target[n * code->order[i] + code->order[j]];
-            S[j] = scale * M[i][j];
+            const double scaled = scale * M[i][j];
+            S[j] = j == i ? scaled + floor_i : scaled;
         }
-        S[i] = S[i] + floor_i;
         if (quantize_row(code, i, S, floor_i, &q))
         {
             *is_saturated = true;
@@ -329,7 +335,7 @@ MAPLINES_INTERNAL bool maplines_encode_covariance(const maplines_cholesky_t *cod
                                                   const double *target, const double *resolution,
                                                   int64_t raw[11], bool *is_saturated)
 {
-    const int n = code->rows;
+    const int n = (int)code->rows;
     bool is_covered = true;
     *is_saturated = false;
     for (int i = 0; i < n; ++i)

@@ -14,13 +14,14 @@ static void read_gaussian(const maplines_dbc_t *dbc, const uint8_t *record, int6
                           maplines_gaussian_t *gaussian)
 {
     double mean[4];
-    double factor[4][4] = {{0.0}};
+    double factor[4][4];
     for (int i = 0; i < 4; ++i)
     {
         mean[i] = number_in(&dbc->mean[i], record);
     }
     if (status == (int64_t)MAPLINES_UNKNOWN || status == (int64_t)MAPLINES_OUT_OF_RANGE)
     {
+        memset(factor, 0, sizeof factor);
         for (int i = 0; i < 4; ++i)
         {
             factor[dbc->covariance.order[i]][i] = vague_sigma[dbc->covariance.order[i]];

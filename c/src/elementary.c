@@ -15,6 +15,15 @@ static double polynomial(double x, const double *coefficients, int count)
     return total;
 }
 
+/// 2^n for n from -1022 to 1023: the exponent of a double that has no other bits.
+static double power_of_2(int n)
+{
+    const uint64_t bits = (uint64_t)(n + 1023) << 52U;
+    double power;
+    memcpy(&power, &bits, sizeof power);
+    return power;
+}
+
 /// 2^x for x from -2000 to 2000; others are limited to these. NaN for NaN.
 MAPLINES_INTERNAL double maplines_exp2(double x)
 {
@@ -31,7 +40,12 @@ MAPLINES_INTERNAL double maplines_exp2(double x)
     const double above = x < -2000.0 ? -2000.0 : x;
     const double limited = above > 2000.0 ? 2000.0 : above;
     const double whole = rint(limited);
-    return ldexp(polynomial(limited - whole, coefficients, 14), (int)whole);
+    const double mantissa = polynomial(limited - whole, coefficients, 14);
+    if (whole < -1021.0 || whole > 1023.0)
+    {
+        return ldexp(mantissa, (int)whole); // it may round, or be infinite
+    }
+    return mantissa * power_of_2((int)whole);
 }
 
 /// Logarithm to base 2; -infinity for 0 and below, NaN for NaN.
