@@ -9,7 +9,6 @@ in the same order. All functions take any number of matrices at once, on the lea
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,7 +114,7 @@ def is_definite(S: Array) -> NDArray[np.bool_]:
     array([ True, False])
     """
     if len(S) <= FEW:
-        return np.array([_is_definite_one(rows) for rows in S.tolist()], dtype=bool)
+        return np.array([is_definite_one(rows) for rows in S.tolist()], dtype=bool)
     n = S.shape[-1]
     rest = [[S[:, i, j].copy() for j in range(i + 1)] for i in range(n)]
     definite = np.ones(len(S), dtype=bool)
@@ -131,8 +130,11 @@ def is_definite(S: Array) -> NDArray[np.bool_]:
     return definite
 
 
-def _is_definite_one(rest: list[list[Any]]) -> bool:
-    """Return ``is_definite`` of the rows of one matrix, which are overwritten."""
+def is_definite_one(rest: list[list[float]]) -> bool:
+    """Return ``is_definite`` of the rows of one matrix, which are overwritten.
+
+    The lower part is read.
+    """
     n = len(rest)
     for k in range(n):
         if not rest[k][k] > 0:

@@ -74,8 +74,9 @@ class Encoder:
         writer = self._line_writer()
         first = self._counters if counters is None else counters
         records_of_lines, following = writer.write_lines(lines, first)
+        write = self._frame_writer.write
         frames = [
-            [frame for record in records for frame in self.frames(record, line.slot, fd=fd)]
+            [frame for record in records for frame in write(record, line.slot, fd)]
             for line, records in zip(lines, records_of_lines, strict=True)
         ]
         if counters is None:

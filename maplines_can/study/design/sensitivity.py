@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...wire.covariance.cholesky import MARGIN
+from ...wire.covariance.cholesky_one import MARGIN
 
 Array = NDArray[np.float64]
 Bits = NDArray[np.signedinteger[Any]]

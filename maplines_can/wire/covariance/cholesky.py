@@ -31,19 +31,20 @@ from ...values import fixed_order
 from ...values.elementary import exp2, log2
 from ..layout.record_layout import RecordLayout
 from ..layout.signals import PARAMETER_SIGNALS
-from .code import Array, Coded, CovarianceCode, check_octaves
+from .cholesky_one import (
+    AMPLIFIED,
+    ATTEMPTS,
+    LIFTS,
+    MARGIN,
+    SLACK,
+    WIDER,
+    CholeskyOne,
+)
+from .code import Array, Coded, CodedOne, CovarianceCode, check_octaves
 from .factor import BLOCK, CholeskyFactor, PowersOfTwo
 
-#: Margin of the inflation, so that a check with another algorithm's rounding passes.
-MARGIN = 1e-6
-#: The same, as a share of the variances of the target in units of the decoded ones: 32 roundings.
-AMPLIFIED = 32 * 2.0**-52
-#: Tolerance of the division before a pivot is lifted by whole steps.
-SLACK = 1e-9
-#: Most times that a pivot is lifted. Once is enough, unless rounding moves another ratio out.
-LIFTS = 3
-#: Most times that a covariance is encoded, and what is added to the scale each time.
-ATTEMPTS, WIDER = 8, 1.02
+#: Up to this number, covariances are encoded one by one.
+FEW = 6
 
 
 class CholeskyCode(CovarianceCode):
@@ -75,8 +76,29 @@ class CholeskyCode(CovarianceCode):
             for ratio in ratios:
                 reach += max(map(abs, ratio.physical_range)) ** 2
             self.reachable[state] = exp2(2 * pivot.physical_range[1]) * reach
+        reachable = self.reachable.tolist()
+        self._one = CholeskyOne(factor, self.inflation, self._variance_factors, reachable)
 
     def encode(self, error: Array, resolution: Array) -> Coded:
+        if len(error) > FEW:
+            return self._encode_many(error, resolution)
+        least = resolution.tolist()
+        coded = [self.encode_one(rows, least) for rows in error.tolist()]
+        return Coded(
+            {s.name: np.array([one.raw[s.name] for one in coded], int) for s in self.signals},
+            np.array([one.saturated for one in coded], bool),
+            np.array([one.covered for one in coded], bool),
+        )
+
+    def encode_one(self, error: list[list[float]], resolution: list[float]) -> CodedOne:
+        try:
+            return self._one.encode(error, resolution)
+        except (ArithmeticError, ValueError):  # a number is infinite or NaN on the way
+            with np.errstate(all="ignore"):
+                return self._encode_many(np.array([error]), np.array(resolution)).first()
+
+    def _encode_many(self, error: Array, resolution: Array) -> Coded:
+        """Encode (N, k, k) targets by arrays: as ``encode``."""
         n = len(error)
         coded = Coded(
             {signal.name: np.zeros(n, dtype=np.int64) for signal in self.signals},

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,19 @@ class Coded:
     raw: dict[str, NDArray[np.int64]]
     saturated: NDArray[np.bool_]
     covered: NDArray[np.bool_]
+
+    def first(self) -> CodedOne:
+        """Return the first one."""
+        raw = {name: values.item(0) for name, values in self.raw.items()}
+        return CodedOne(raw, self.saturated.item(0), self.covered.item(0))
+
+
+class CodedOne(NamedTuple):
+    """One covariance as raw values; see ``Coded``."""
+
+    raw: dict[str, int]
+    saturated: bool
+    covered: bool
 
 
 class CovarianceCode(ABC):
@@ -66,6 +79,10 @@ class CovarianceCode(ABC):
                 the covariance plus d d^T, with d the error of the decoded mean.
             resolution: (4,) variances of the mean's rounding error, a floor for singular matrices.
         """
+
+    def encode_one(self, error: list[list[float]], resolution: list[float]) -> CodedOne:
+        """Encode one (4, 4) covariance: as ``encode`` to the last bit."""
+        return self.encode(np.array([error]), np.array(resolution)).first()
 
     @abstractmethod
     def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -79,6 +80,20 @@ class Signal:
         limited = self.limited(raw)
         return Nearest(limited, self.physical(limited), raw != limited)
 
+    def nearest_one(self, physical: float) -> NearestOne:
+        """Return ``nearest`` of one number, which may be infinite."""
+        steps = (physical - self.offset) / self.factor
+        if self.raw_min <= steps <= self.raw_max:
+            raw, clipped = round(steps), False
+        else:
+            raw = self.raw_min if steps < self.raw_min else self.raw_max
+            clipped = math.isinf(steps) or round(steps) != raw
+        return NearestOne(raw, raw * self.factor + self.offset, clipped)
+
+    def limited_one(self, raw: float) -> int:
+        """Return ``limited`` of one raw value."""
+        return int(min(max(raw, self.raw_min), self.raw_max))
+
     def raw_above(self, physical: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (...,) raw values of physical values, rounded up."""
         raw = np.ceil((physical - self.offset) / self.factor - SLACK)
@@ -88,6 +103,26 @@ class Signal:
         """Return the (...,) raw values of physical values, rounded down."""
         raw = np.floor((physical - self.offset) / self.factor + SLACK)
         return raw - (self.physical(raw) > physical)
+
+    def above_one(self, physical: float) -> tuple[int, bool]:
+        """Return ``raw_above`` of one number within the range, and whether that clips it."""
+        steps = (physical - self.offset) / self.factor - SLACK
+        if not self.raw_min - 2 < steps <= self.raw_max:
+            return (self.raw_max if steps > self.raw_max else self.raw_min), True
+        raw = math.ceil(steps)
+        raw += self.physical_one(raw) < physical
+        limited = self.limited_one(raw)
+        return limited, raw != limited
+
+    def below_one(self, physical: float) -> tuple[int, bool]:
+        """Return ``raw_below`` of one number within the range, and whether that clips it."""
+        steps = (physical - self.offset) / self.factor + SLACK
+        if not self.raw_min <= steps < self.raw_max + 2:
+            return (self.raw_min if steps < self.raw_min else self.raw_max), True
+        raw = math.floor(steps)
+        raw -= self.physical_one(raw) > physical
+        limited = self.limited_one(raw)
+        return limited, raw != limited
 
     def whole(self, values: NDArray[Any], most: int | None = None) -> NDArray[np.int64]:
         """Return the (n,) raw values of numbers, such as those of an enumeration.
@@ -144,6 +179,14 @@ class Nearest(NamedTuple):
     raw: NDArray[np.float64]  #: (...,) within the range
     physical: NDArray[np.float64]  #: (...,) what they mean
     clipped: NDArray[np.bool_]  #: (...,) where the nearest one is out of range
+
+
+class NearestOne(NamedTuple):
+    """Raw value that is nearest to a physical one."""
+
+    raw: int  #: within the range
+    physical: float  #: what it means
+    clipped: bool  #: whether the nearest one is out of range
 
 
 class SignalRow:

@@ -22,8 +22,12 @@ from ..layout.signals import PARAMETER_SIGNALS, SignalRow
 from ..layout.validation import CheckedGaussians, checked_gaussians
 from .complete_format import CompleteFormat
 from .components import deficit, quantized_weights
+from .line_writer import LineWriter
 
 Array = NDArray[np.float64]
+
+#: Up to this number, lines are written one by one if they fit their message.
+FEW = 8
 
 
 class _Sent(NamedTuple):
@@ -31,7 +35,6 @@ class _Sent(NamedTuple):
 
     raw: dict[str, NDArray[np.int64]]  #: (n,) by signal
     clipped: NDArray[np.bool_]  #: (n,) lines whose means exceed the signals
-    cut: NDArray[np.bool_]  #: (n,) lines whose ranges exceed the signals
     outside: NDArray[np.bool_]  #: (n,) lines of whose ranges no part can be stated
 
 
@@ -62,6 +65,7 @@ class CompleteWriter:
         self._mean = SignalRow(layout[name] for name in PARAMETER_SIGNALS)
         self._weight_steps = round(1 / layout["ComponentWeight"].factor)
         self._modulus = 2 ** layout["Counter"].length
+        self._of_one = LineWriter(layout, form)
 
     @np.errstate(over="ignore", invalid="ignore")  # the status reports what does not fit
     def write(
@@ -105,20 +109,32 @@ class CompleteWriter:
 
     def write_lines(
         self, lines: Sequence[MapLine], counters: Mapping[Owner, int]
-    ) -> tuple[list[list[NDArray[np.uint8]]], Counter[Owner]]:
+    ) -> tuple[list[list[bytes]], Counter[Owner]]:
         """Return the records of each line, and the counters that follow them.
 
         The counters are of the next record of each slot; 0 if there is none. That of the pose error
         does not change.
         """
-        records_of_lines = [self._components(line) for line in lines]
-        records = [record for records in records_of_lines for record in records]
         following: Counter[Owner] = Counter(counters)
-        counter = []
-        for record in records:
-            slot = record.line.slot
-            counter.append(following[slot] % self._modulus)
-            following[slot] = (following[slot] + 1) % self._modulus
+        numbered = []
+        for line in lines:
+            counter = following[line.slot] % self._modulus
+            numbered.append((line, counter))
+            count = 1 if line.mixture is None else len(line.mixture.weights)
+            following[line.slot] = (counter + count) % self._modulus
+        alone: list[bytes | None] = [None] * len(lines)
+        if len(lines) <= FEW:
+            alone = [self._of_one.write(line, counter) for line, counter in numbered]
+        rest = [pair for pair, record in zip(numbered, alone, strict=True) if record is None]
+        written = iter(self._write_together(rest) if rest else ())
+        return [next(written) if record is None else [record] for record in alone], following
+
+    def _write_together(self, lines: Sequence[tuple[MapLine, int]]) -> list[list[bytes]]:
+        """Return the records of lines, given with their first counters, by arrays."""
+        records_of_lines = [self._components(line) for line, _ in lines]
+        records = [record for records in records_of_lines for record in records]
+        first = np.repeat([counter for _, counter in lines], [*map(len, records_of_lines)])
+        index = np.array([record.index for record in records])
         payloads = self.write(
             CheckedGaussians(
                 np.array([record.gaussian.mean for record in records]),
@@ -127,33 +143,28 @@ class CompleteWriter:
             ),
             RecordAttributes(
                 slot=[record.line.slot for record in records],
-                counter=counter,
+                counter=first + index,
                 kind=[record.line.kind for record in records],
                 x_min=[record.line.x_min for record in records],
                 x_max=[record.line.x_max for record in records],
                 age=[record.line.age for record in records],
                 status=[record.line.status for record in records],
-                component_index=[record.index for record in records],
+                component_index=index,
                 component_count=[record.count for record in records],
                 component_weight=[record.weight for record in records],
             ),
             np.array([record.cover for record in records]),
         )
         left = iter(payloads)
-        return [[next(left) for _ in records] for records in records_of_lines], following
+        return [[next(left).tobytes() for _ in records] for records in records_of_lines]
 
     def raw_mean_and_range(self, line: MapLine) -> dict[str, int] | None:
         """Return the raw values of the mean and the valid range of a line, as ``write`` sends them.
 
         None if a value is clipped, or the range cannot be stated: nothing covers such a line.
         """
-        x_range = np.array([[line.x_min, line.x_max]])
-        sent = self._sent(line.gaussian.mean[None], x_range, np.zeros(1, dtype=bool))
-        raw = {name: int(values[0]) for name, values in sent.raw.items()}
-        first, last = self._signals["XMin"], self._signals["XMax"]
-        if first.physical_one(raw[first.name]) >= last.physical_one(raw[last.name]):
-            return None
-        return None if sent.clipped[0] or sent.cut[0] else raw
+        mean, stated = self._of_one.raw_mean(line), self._of_one.raw_range(line)
+        return None if mean is None or stated.cut or stated.empty else mean | stated.raw
 
     def _components(self, line: MapLine) -> list[_Component]:
         if line.mixture is None:
@@ -218,46 +229,43 @@ class CompleteWriter:
         """
         nearest = self._mean.nearest(mean)
         raw, clipped = nearest.raw, np.asarray(nearest.clipped.any(axis=-1))
-        ends, cut, outside = self._raw_range(x_range)
+        ends, outside = self._raw_range(x_range)
         for i in np.flatnonzero(rows & clipped & (x_range[:, 0] < x_range[:, 1])):
             near = nearest_line(
                 self._mean.signals, mean[i], x_range[i], MIN_RANGE, self._covariance.reach
             )
             if near is None:
                 continue
-            (short,), (is_cut,), (is_outside,) = self._raw_range(near.x_range[None])
+            (short,), (is_outside,) = self._raw_range(near.x_range[None])
             first, last = self._signals["XMin"], self._signals["XMax"]
             # Rounding inwards may leave nothing of a short range.
             length = last.physical(short[1]) - first.physical(short[0])
             if not is_outside and length >= MIN_RANGE:
                 raw[i] = self._mean.nearest(near.mean).raw
-                ends[i], cut[i], outside[i] = short, is_cut, is_outside
+                ends[i], outside[i] = short, is_outside
         columns = np.column_stack([raw, ends]).astype(np.int64).T
         return _Sent(
             dict(zip((*PARAMETER_SIGNALS, "XMin", "XMax"), columns, strict=True)),
             clipped,
-            cut,
             outside,
         )
 
     def _raw_range(
         self, x_range: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Return the (n, 2) raw ends of (n, 2) valid ranges, rounded inwards.
 
-        Also the (n,) rows that are cut at the ends of the signals, and those for which no range
-        within the given one can be stated.
+        Also the (n,) rows for which no range within the given one can be stated.
         """
         x_min, x_max = x_range.T
         if (x_min > x_max).any():
             raise EncodeError("x_min must be x_max or less")
         first, last = self._signals["XMin"], self._signals["XMax"]
-        low, high = first.raw_above(x_min), last.raw_below(x_max)
-        raw_min, raw_max = first.limited(low), last.limited(high)
+        raw_min = first.limited(first.raw_above(x_min))
+        raw_max = last.limited(last.raw_below(x_max))
         start, end = first.physical(raw_min), last.physical(raw_max)
         outside = (start < x_min) | (start > end) | (end > x_max)
-        cut = (raw_min != low) | (raw_max != high)
-        return np.column_stack([raw_min, raw_max]), cut, np.asarray(outside)
+        return np.column_stack([raw_min, raw_max]), np.asarray(outside)
 
     def _put_covariance(
         self,

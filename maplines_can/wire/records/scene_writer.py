@@ -146,7 +146,7 @@ class SceneWriter:
         aged = [replace(line, age=ages[line.slot]) for line in sent]
         of_lines, following = self._complete.write_lines(aged, counters)
         return {
-            line.slot: record.tobytes() for line, (record,) in zip(aged, of_lines, strict=True)
+            line.slot: record for line, (record,) in zip(aged, of_lines, strict=True)
         }, following
 
     def _raw_pose(

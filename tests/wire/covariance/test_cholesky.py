@@ -1,11 +1,16 @@
 """The default covariance code at the ends of its signals."""
 
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from scipy.optimize import brentq
+from strategies import covariances, symmetric
 
 from maplines_can.values.errors import LayoutError
 from maplines_can.wire import Layout
@@ -87,6 +92,26 @@ def test_the_inflation_is_the_least_that_covers() -> None:
     assert checked.sum() > 10_000
     assert (largest_ratio(0) <= 1 - 1e-6).all()
     assert (largest_ratio(1) > 1 - 4e-6).all()
+
+
+SPECIAL = st.sampled_from([0.0, 1e-300, 1e-9, 1.0, 1e9, 1e300, np.inf, np.nan])
+
+
+@given(
+    symmetric() | covariances(),
+    st.integers(-20, 20),
+    st.none() | arrays(float, 4, elements=SPECIAL),
+)
+def test_one_covariance_is_encoded_as_one_of_many(cov: Any, octaves: int, factors: Any) -> None:
+    """Any matrix: also one that is indefinite, that no bits cover, or that is not finite."""
+    error = cov * 2.0**octaves
+    with np.errstate(all="ignore"):
+        if factors is not None:
+            error = error * factors * factors[:, None]
+        coded = CODE.encode(np.array([error] * 10), LAYOUT.resolution)
+    one = CODE.encode_one(error.tolist(), LAYOUT.resolution.tolist())
+
+    assert one == coded.first()
 
 
 def pose_signal(name: str, length: int, factor: float, offset: float, unit: str) -> Signal:
