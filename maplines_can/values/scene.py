@@ -154,7 +154,7 @@ class Scene:
                 "each of specific_covs must be finite, symmetric and positive semidefinite, "
                 f"got {bad!r}"
             )
-        if not (np.isfinite(self.fit_ranges).all() and (np.diff(self.fit_ranges) > 0).all()):
+        if not all(-math.inf < low < high < math.inf for low, high in self.fit_ranges.tolist()):
             raise ValueError(f"fit_ranges must be finite and not empty, got {self.fit_ranges!r} m")
         if not np.isfinite(self.quartics).all():
             raise ValueError(f"quartics must be finite, got {self.quartics!r} m")
