@@ -38,7 +38,7 @@ def _choose() -> tuple[Any, str]:
             why = "it was installed without a C compiler"
     else:
         if found.version == import_module(__package__).__version__:
-            return found, f"built with {found.compiler or 'an unknown compiler'}"
+            return found, f"built with {found.compiler}"
         why = f"the extension module is that of version {found.version}; install the package again"
     if wanted == "1":
         raise NativeError(f"{VARIABLE}=1, but there is no C path: {why}")

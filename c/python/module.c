@@ -1,6 +1,16 @@
 /* The module maplines_can._native. */
 #include "native.h"
 
+#if defined(__clang__)
+#define COMPILER __VERSION__ // begins with the name
+#elif defined(__GNUC__)
+#define COMPILER "GCC " __VERSION__
+#elif defined(_MSC_VER)
+#define COMPILER "Microsoft C"
+#else
+#define COMPILER "an unknown compiler"
+#endif
+
 maplines_module_t *maplines_module_state(PyObject *module)
 {
     return (maplines_module_t *)PyModule_GetState(module);
@@ -17,16 +27,11 @@ static int add_all(PyObject *module)
             return -1;
         }
     }
-#if defined(__VERSION__)
-    const char *compiler = __VERSION__;
-#else
-    const char *compiler = "";
-#endif
     if (PyModule_AddStringConstant(module, "version", MAPLINES_VERSION) < 0)
     {
         return -1;
     }
-    return PyModule_AddStringConstant(module, "compiler", compiler);
+    return PyModule_AddStringConstant(module, "compiler", COMPILER);
 }
 
 static int traverse(PyObject *module, visitproc visit, void *arg)
