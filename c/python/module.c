@@ -18,8 +18,8 @@ maplines_module_t *maplines_module_state(PyObject *module)
 
 static int add_all(PyObject *module)
 {
-    static int (*const parts[])(PyObject *) = {maplines_add_arrays, maplines_add_tables,
-                                               maplines_add_values};
+    static int (*const parts[])(PyObject *) = {maplines_add_arrays, maplines_add_batch,
+                                               maplines_add_tables, maplines_add_values};
     for (size_t i = 0; i < sizeof parts / sizeof parts[0]; i++)
     {
         if (parts[i](module) < 0)

@@ -42,6 +42,7 @@ bool maplines_read_doubles(PyObject *array, int axes, Py_ssize_t count, double *
 
 /// Add the functions and types of a file to the module; 0, or -1 with an exception.
 int maplines_add_arrays(PyObject *module);
+int maplines_add_batch(PyObject *module);
 int maplines_add_tables(PyObject *module);
 int maplines_add_values(PyObject *module);
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..values.errors import LayoutError
 from .batch import BatchCodec
+from .c_tables import tables_of
 from .covariance import CholeskyCode, CovarianceCode, SceneCode, SceneEncoder
 from .encoder import Encoder, conditional_error
 from .layout.dbc_reader import Database, default_dbc_path
@@ -20,6 +21,7 @@ from .protection.e2e_state import E2EConfig
 from .protection.secoc import Authenticator, Verifier
 from .reception.decoder import Decoder
 from .reception.settings import decoder_settings
+from .records.batch_kernel import BatchKernel
 from .records.complete_format import CompleteFormat
 from .records.complete_writer import CompleteWriter
 from .records.frames import FrameWriter
@@ -90,7 +92,8 @@ class Codec:
         self.covariance = codes[layout.covariance_code](layout)
         self._complete: CompleteWriter | None = None
         if not layout.is_conditional:
-            self._complete = CompleteWriter(layout, CompleteFormat(layout, self.covariance))
+            kernel = BatchKernel.of(tables_of(layout), layout, self.covariance)
+            self._complete = CompleteWriter(layout, CompleteFormat(layout, self.covariance, kernel))
         #: Reader of the records of each slot and of the pose error.
         self.reader: RecordReader[CompleteRecord | RawRecord] = RecordReader(*self._formats())
         self._frame_writer = FrameWriter(layout, authenticator)

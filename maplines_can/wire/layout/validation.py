@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...native import core
 from ...values.arrays import floats
-from ...values.linalg import MAX_COV, asymmetric, indefinite, rounding_of
+from ...values.linalg import MAX_COV, ROUNDING, asymmetric, indefinite, rounding_of
 from .signals import PARAMETER_SIGNALS
 
 #: Greatest difference of the sum of weights from 1.
@@ -33,6 +34,11 @@ def checked_gaussians(means: ArrayLike, covs: ArrayLike | None) -> CheckedGaussi
     cov = np.zeros((n, 4, 4)) if covs is None else floats(covs, "covs")
     if cov.shape != (n, 4, 4):
         raise ValueError(f"covs must have shape ({n}, 4, 4), as the means, got {cov.shape}")
+    if core is not None and rounding == ROUNDING:
+        symmetric, strange = np.empty((n, 4, 4)), np.empty(n, dtype=bool)
+        given = np.ascontiguousarray(mean), np.ascontiguousarray(cov)
+        if core.check_gaussians(*given, symmetric, strange):
+            return CheckedGaussians(mean, symmetric, strange)
     _refuse("means must be finite", np.asarray(~np.isfinite(mean).all(axis=1)), mean)
     too_large = np.asarray(~(np.abs(cov) <= MAX_COV).all(axis=(1, 2)))  # or NaN
     _refuse("covs must be finite", too_large, cov)

@@ -18,6 +18,7 @@ from ..layout.message_layout import Layout
 from ..layout.pose_layout import Owner, slot_of
 from ..layout.signals import PARAMETER_SIGNALS, SignalRow
 from ..reasons import Reason
+from .batch_kernel import BatchKernel
 from .packer import VERDICTS, RecordPacker
 from .record import CompleteRecord
 
@@ -67,9 +68,13 @@ class CompleteFormat:
     Args:
         layout: of the records.
         covariance: code of the covariance.
+        kernel: decodes and encodes batches in C; None for NumPy.
     """
 
-    def __init__(self, layout: Layout, covariance: CovarianceCode) -> None:
+    def __init__(
+        self, layout: Layout, covariance: CovarianceCode, kernel: BatchKernel | None = None
+    ) -> None:
+        self.kernel = kernel
         self.packer = RecordPacker(layout)
         self.data_ids: dict[Owner, int]
         self.data_ids = {slot: messages.data_id for slot, messages in layout.messages.items()}
@@ -81,6 +86,8 @@ class CompleteFormat:
 
     def read(self, payloads: NDArray[np.uint8], data_ids: NDArray[np.uint16]) -> Batch:
         """Read (N, record bytes) records with (N,) E2E data IDs."""
+        if self.kernel is not None:
+            return Batch(**self.kernel.read(payloads, data_ids))
         raw, verdict = self.packer.unpack(payloads, data_ids)
         mean = self._mean.physical_of(raw)
         cov = self.covariance.decode(raw)

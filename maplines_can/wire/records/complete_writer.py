@@ -89,9 +89,17 @@ class CompleteWriter:
         x_range = np.column_stack(
             [_finite("x_min", attributes.x_min, n), _finite("x_max", attributes.x_max, n)]
         )
+        if (x_range[:, 0] > x_range[:, 1]).any():
+            raise EncodeError("x_min must be x_max or less")
+        age, weight = _age_and_weight(attributes, n)
+        if self.format.kernel is not None:
+            own = (raw[name] for name in ("Counter", "Kind", "Status"))
+            numbers = attributes.slot, *own, attributes.component_index, count
+            return self.format.kernel.encode(gaussians, cover, numbers, (weight, *x_range.T, age))
         sent = self._sent(gaussians.mean, x_range, (requested == Status.FULL) & (count == 1))
         raw |= sent.raw
-        self._put_age_and_weight(raw, attributes, n)
+        raw["Age"] = self._raw_age(age)
+        raw["ComponentWeight"] = self._signals["ComponentWeight"].nearest(weight).raw.astype(int)
         self._put_covariance(raw, gaussians, sent, requested, cover)
         raw["Status"] = np.where(sent.outside, Status.OUT_OF_RANGE, raw["Status"])
         return self._packer.pack(raw, data_ids)
@@ -179,7 +187,9 @@ class CompleteWriter:
     @np.errstate(over="ignore", invalid="ignore")
     def _cover(self, weights: Array, means: Array, covs: Array) -> tuple[Array, Array]:
         """Return the (N, k) decoded weights, and the (N, 4, 4) ``deficit`` that they leave."""
-        steps = self._weight_steps
+        steps, kernel = self._weight_steps, self.format.kernel
+        if kernel is not None and weights.shape[1] <= kernel.max_components:
+            return kernel.cover(weights, means, covs, steps)
         decoded = quantized_weights(weights, steps) / steps
         return decoded, deficit(weights, means, covs, decoded, self._mean.nearest(means).physical)
 
@@ -258,8 +268,6 @@ class CompleteWriter:
         Also the (n,) rows for which no range within the given one can be stated.
         """
         x_min, x_max = x_range.T
-        if (x_min > x_max).any():
-            raise EncodeError("x_min must be x_max or less")
         first, last = self._signals["XMin"], self._signals["XMax"]
         raw_min = first.limited(first.raw_above(x_min))
         raw_max = last.limited(last.raw_below(x_max))
@@ -311,23 +319,24 @@ class CompleteWriter:
         status[np.where(without, far, ~coded.covered)] = Status.OUT_OF_RANGE
         raw["Status"] = np.where(requested == Status.OUT_OF_RANGE, requested, status)
 
-    def _put_age_and_weight(
-        self, raw: dict[str, NDArray[np.int64]], attributes: RecordAttributes, n: int
-    ) -> None:
-        """Add the raw age, rounded up, and the raw weight of the component.
+    def _raw_age(self, age: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return the raw ages, rounded up.
 
         Longer ages are limited to the greatest raw value, which means "too old".
         """
         signal = self._signals["Age"]
-        age = np.broadcast_to(np.asarray(attributes.age, dtype=float), n)
-        if not (age >= 0).all():
-            raise EncodeError(f"age must be 0 s or more, got {age[~(age >= 0)][0]:g}")
-        raw["Age"] = signal.limited(signal.raw_above(1000 * age)).astype(np.int64)
-        signal = self._signals["ComponentWeight"]
-        weight = _finite("component_weight", attributes.component_weight, n)
-        if ((weight <= 0) | (weight > 1)).any():
-            raise EncodeError(f"component_weight must be in (0, 1], got {weight.min():g}")
-        raw["ComponentWeight"] = signal.nearest(weight).raw.astype(np.int64)
+        return signal.limited(signal.raw_above(1000 * age)).astype(np.int64)
+
+
+def _age_and_weight(attributes: RecordAttributes, n: int) -> tuple[Array, Array]:
+    """Return the (n,) ages [s] and weights of the components."""
+    age = np.broadcast_to(np.asarray(attributes.age, dtype=float), n)
+    if not (age >= 0).all():
+        raise EncodeError(f"age must be 0 s or more, got {age[~(age >= 0)][0]:g}")
+    weight = _finite("component_weight", attributes.component_weight, n)
+    if ((weight <= 0) | (weight > 1)).any():
+        raise EncodeError(f"component_weight must be in (0, 1], got {weight.min():g}")
+    return age, weight
 
 
 def _without_covariance(status: NDArray[np.int64]) -> NDArray[np.bool_]:
