@@ -1009,6 +1009,10 @@ typedef struct {
     int64_t raw_covariance[11];
 } maplines_scene_member_t;
 
+#define MAPLINES_CHOSEN_SPACINGS 16
+#define MAPLINES_KEPT_LEVELS 64
+#define MAPLINES_KEPT_SHAPES 256
+
 /// Line of a scene as a receiver decodes it.
 typedef struct {
     double mean[4];
@@ -1020,10 +1024,18 @@ typedef struct {
     double cost;       ///< of levels; more than 1 is too much
     bool is_covered;
     uint8_t spacing_count;
-    uint16_t spacings[24]; ///< raw values of the shape that suit the line best
+    uint16_t spacings[MAPLINES_CHOSEN_SPACINGS]; ///< raw values of the shape that suit it best
+    double levels[16];                           ///< covariance of the levels that are sent
 } maplines_sent_line_t;
 
-/// Memory in which a scene is encoded: 47 kB. It takes up to 10 kB of stack besides.
+/// Squares of the first levels of a DBC [m^2]; 0 until they are computed.
+typedef struct {
+    double lateral[MAPLINES_KEPT_LEVELS];
+    double points[MAPLINES_KEPT_LEVELS];
+    double shape[MAPLINES_KEPT_SHAPES];
+} maplines_level_squares_t;
+
+/// Memory in which a scene is encoded: 51 kB. It takes up to 10 kB of stack besides.
 typedef struct {
     maplines_scene_member_t members[MAPLINES_SLOTS];
     int count;                  ///< of the lines that are not left out so far
@@ -1039,6 +1051,7 @@ typedef struct {
     double lacking[MAPLINES_SLOTS][16];
     double target[16 * MAPLINES_SLOTS * MAPLINES_SLOTS];
     double spread[16 * MAPLINES_SLOTS * MAPLINES_SLOTS];
+    maplines_level_squares_t squares;
     maplines_joint_space_t joint;
 } maplines_scene_workspace_t;
 

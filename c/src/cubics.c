@@ -22,15 +22,23 @@ static const double cubic_quartic[MAPLINES_FIT_POINTS] = {
     -0x1.aadd5272f2917p-1, -0x1.1f2f63cdee8c3p-3, 0x1.407eff5342350p-1,  0x1.e88cb3c9484ddp-1,
 };
 
-/// Sum over the points of products of two factors and their weights; weighted has the weights.
-static double weighted_sum(const double *weighted, const double *values)
+/// Sum over the points of products of two factors, in the order of maplines_total.
+static double sum_of_products(const double a[MAPLINES_FIT_POINTS],
+                              const double b[MAPLINES_FIT_POINTS])
 {
-    double terms[MAPLINES_FIT_POINTS];
-    for (int i = 0; i < MAPLINES_FIT_POINTS; ++i)
+    double terms[MAPLINES_FIT_POINTS / 2];
+    for (int i = 0; i < MAPLINES_FIT_POINTS / 2; ++i)
     {
-        terms[i] = weighted[i] * values[i];
+        const int other = i + MAPLINES_FIT_POINTS / 2;
+        const double first = a[i] * b[i];
+        const double second = a[other] * b[other];
+        terms[i] = first + second;
     }
-    return maplines_total(MAPLINES_FIT_POINTS, terms);
+    for (int i = 0; i < 4; ++i)
+    {
+        terms[i] = terms[i] + terms[i + 4];
+    }
+    return terms[0] + terms[2] + (terms[1] + terms[3]);
 }
 
 /// Coefficients of w^0 to w^3 of the cubic that is fitted to values at w; rest is overwritten.
@@ -39,6 +47,7 @@ static double weighted_sum(const double *weighted, const double *values)
 static void fit_cubic(const double w[MAPLINES_FIT_POINTS], double rest[MAPLINES_FIT_POINTS],
                       double q[4])
 {
+    static const int last = MAPLINES_FIT_POINTS - 1;
     double p[MAPLINES_FIT_POINTS];
     double p_before[MAPLINES_FIT_POINTS];
     double weighted[MAPLINES_FIT_POINTS];
@@ -54,15 +63,25 @@ static void fit_cubic(const double w[MAPLINES_FIT_POINTS], double rest[MAPLINES_
     memset(q, 0, 4 * sizeof(double));
     for (int degree = 0; degree < 4; ++degree)
     {
+        memcpy(weighted, p, sizeof weighted);
+        weighted[0] = MAPLINES_END_WEIGHT * p[0];
+        weighted[last] = MAPLINES_END_WEIGHT * p[last];
+        const double norm = sum_of_products(weighted, p);
+        const double share = sum_of_products(weighted, rest) / norm;
+        for (int i = 0; i < 4; ++i)
+        {
+            const double fitted = share * c[i];
+            q[i] = q[i] + fitted;
+        }
+        if (degree == 3)
+        {
+            break;
+        }
         for (int i = 0; i < MAPLINES_FIT_POINTS; ++i)
         {
-            const bool is_end = i == 0 || i == MAPLINES_FIT_POINTS - 1;
-            weighted[i] = is_end ? MAPLINES_END_WEIGHT * p[i] : p[i];
             by_w[i] = w[i] * p[i];
         }
-        const double norm = weighted_sum(weighted, p);
-        const double share = weighted_sum(weighted, rest) / norm;
-        const double a = weighted_sum(weighted, by_w) / norm;
+        const double a = sum_of_products(weighted, by_w) / norm;
         const double b = norm / norm_before;
         for (int i = 0; i < MAPLINES_FIT_POINTS; ++i)
         {
@@ -76,12 +95,10 @@ static void fit_cubic(const double w[MAPLINES_FIT_POINTS], double rest[MAPLINES_
         double below = 0.0; // coefficient of the power before
         for (int i = 0; i < 4; ++i)
         {
-            const double fitted = share * c[i];
             const double shifted = a * c[i];
             const double lower = b * c_before[i];
             const double raised = below - shifted;
             below = c[i];
-            q[i] = q[i] + fitted;
             c_before[i] = c[i];
             c[i] = raised - lower;
         }

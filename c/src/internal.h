@@ -372,6 +372,11 @@ typedef struct {
 } maplines_reference_t;
 
 MAPLINES_INTERNAL void maplines_compare_with(const double cov[16], maplines_reference_t *reference);
+/// Trace, less 4 and halved, and ratio of roots of determinants, which add up to the divergence
+/// (KL) of a decoded covariance from the reference: the one plus the logarithm of the other. False
+/// if a matrix is not definite.
+MAPLINES_INTERNAL bool maplines_compared(const maplines_reference_t *reference,
+                                         const double decoded[16], double *by_trace, double *ratio);
 /// Divergence (KL) of a decoded covariance from the reference [nat]; infinite if one is not
 /// definite.
 MAPLINES_INTERNAL double maplines_divergence(const maplines_reference_t *reference,
@@ -407,15 +412,16 @@ typedef struct {
     const double *true_cov; ///< (4, 4) that to which the sum is to be close
 } maplines_level_target_t;
 
-/// Choose the spacings of a line with the least cost at one level of the points.
-MAPLINES_INTERNAL void maplines_choose_spacings(const maplines_dbc_t *dbc,
-                                                const maplines_level_target_t *target,
-                                                maplines_sent_line_t *line);
 /// Raw levels (lateral, points, shape) that cover a target at the least cost, of those with the
-/// spacings of a line; false if none do.
+/// spacings of a line; false if none do. The first time, these spacings are chosen. The covariance
+/// of the levels becomes that of the line.
 MAPLINES_INTERNAL bool maplines_search_levels(const maplines_dbc_t *dbc,
-                                              const maplines_level_target_t *target,
-                                              const maplines_sent_line_t *line, int64_t raw[3]);
+                                              const maplines_level_target_t *target, bool is_first,
+                                              maplines_level_squares_t *squares,
+                                              maplines_sent_line_t *line, int64_t raw[3]);
+/// Whether the covariance of levels covers a target; its true covariance is not used.
+MAPLINES_INTERNAL bool maplines_levels_cover(const maplines_level_target_t *target,
+                                             const double levels[16]);
 
 /* ---- scene_parts.c, specific_encode.c, scene_encode.c
  * --------------------------------------------- */

@@ -345,17 +345,17 @@ MAPLINES_INTERNAL void maplines_compare_with(const double cov[16], maplines_refe
     variances_of(cov, reference->variances);
 }
 
-MAPLINES_INTERNAL double maplines_divergence(const maplines_reference_t *reference,
-                                             const double decoded[16])
+MAPLINES_INTERNAL bool maplines_compared(const maplines_reference_t *reference,
+                                         const double decoded[16], double *by_trace, double *ratio)
 {
     double L[16];
     if (!reference->is_definite || !maplines_cholesky_factor(4, decoded, L))
     {
-        return (double)INFINITY;
+        return false;
     }
     const double *G = reference->factor;
     double trace = 0.0;
-    double ratio = 1.0;
+    *ratio = 1.0;
     for (int j = 0; j < 4; ++j)
     {
         double Y[4];
@@ -372,10 +372,22 @@ MAPLINES_INTERNAL double maplines_divergence(const maplines_reference_t *referen
             trace = trace + square;
         }
         const double step = L[5 * j] / G[5 * j];
-        ratio = ratio * step;
+        *ratio = *ratio * step;
     }
-    const double log_ratio = ln_2 * maplines_log2(ratio);
-    const double divergence = (trace - 4.0) / 2.0 + log_ratio;
+    *by_trace = (trace - 4.0) / 2.0;
+    return true;
+}
+
+MAPLINES_INTERNAL double maplines_divergence(const maplines_reference_t *reference,
+                                             const double decoded[16])
+{
+    double by_trace;
+    double ratio;
+    if (!maplines_compared(reference, decoded, &by_trace, &ratio))
+    {
+        return (double)INFINITY;
+    }
+    const double divergence = by_trace + ln_2 * maplines_log2(ratio);
     return fabs(divergence) < (double)INFINITY ? divergence : (double)INFINITY;
 }
 

@@ -2,17 +2,23 @@
  *
  * The cost is the divergence from the true covariance plus the logarithm of the largest ratio of
  * variances of the lateral position or the direction of the line. For each spacing of the points
- * the least level of the points is found by bisection; one above it is tried. There the line is
- * taken for a straight one if it nearly is, since the covariances of a straight line are in the
- * tables. For the best spacings some more are tried, with the covariances of the line itself, and
- * some levels of the shape alone. The candidates come one after the other, in the order of
- * wire/covariance/specific_levels.py; the first one of equal cost is taken.
+ * the least level of the points is searched; one above it is tried. There the line is taken for a
+ * straight one, since the covariances of a straight line are in the tables. For the best spacings
+ * some more are tried, with the covariances of the line itself, and some levels of the shape alone.
+ * Of candidates of equal cost the first one is taken, in the order of
+ * wire/covariance/specific_levels.py.
+ *
+ * A cost is no less than a bound by the variances of the direction, by definition. So what the
+ * bound rules out need not be tried.
  */
 #include "internal.h"
 
-#define CHOSEN 24 // spacings for which all levels are tried, as in maplines_sent_line_t
-#define TRIED 5   // levels that are tried, from the least one on
-#define KEPT 64   // levels whose squares are computed once
+#define CHOSEN MAPLINES_CHOSEN_SPACINGS
+#define TRIED 5      // levels that are tried, from the least one on
+#define SEARCHED 256 // most spacings
+#define DIRECTIONS 5 // variances of the direction that bound a cost
+#define BUCKETS 32   // of spacings with nearly the same bounds
+#define BUCKETS_PER_NAT 32.0
 
 static const int64_t tried[TRIED] = {0, 1, 2, 3, 5};
 
@@ -21,34 +27,37 @@ static const double beyond = 1e100;
 /// Added to the variances that errors of points cause: those of points far apart may be singular.
 static const double singular = 1e-6;
 static const double natural_log_of_2 = 0x1.62e42fefa39efp-1;
-/// Ratio of the largest to the least stretch of a line that is nearly straight.
-static const double nearly_straight = 1.1;
 
-/// Squares of levels; 0 until they are computed.
+/// Signal of levels, with the squares of those that were computed before.
 typedef struct {
+    const maplines_levels_t *levels;
     const maplines_signal_t *signal;
-    double squares[KEPT];
+    double *squares; ///< 0 until they are computed
+    int64_t kept;    ///< number of them
 } squares_t;
 
-/// What levels are to cover, in coefficients of T_0 .. T_3.
+/// What levels are to cover, in coefficients of T_0 .. T_3. Only lower triangles are used.
 typedef struct {
     const maplines_dbc_t *dbc;
     const maplines_levels_t *levels;
     maplines_arc_t arc;
-    double stretch_squared; ///< of a line that is nearly straight; else 0
-    double lacking[16];     ///< what the levels are to cover
-    double common[16];      ///< what is added to their covariance
+    double lacking[16];            ///< what the levels are to cover
+    double common[16];             ///< what is added to their covariance
+    double directions[DIRECTIONS]; ///< variances of the true covariance
+    double shapes[4];
     maplines_reference_t reference;
     squares_t lateral;
     squares_t points;
+    squares_t shape;
 } search_t;
 
-/// Raw values of the levels and their cost.
+/// Raw values of the levels, their cost and their covariance.
 typedef struct {
     int64_t lateral;
     int64_t points;
     int64_t shape;
     double cost;
+    double cov[16];
 } candidate_t;
 
 /// Spacing that is among the best so far.
@@ -57,27 +66,55 @@ typedef struct {
     int64_t raw; ///< of the shape
 } spacing_t;
 
-/// Square of the level of a raw value, or of the greatest one.
-static double level_squared(squares_t *of, int64_t raw)
+/* ---- levels ---------------------------------------------------------------------------------- */
+
+/// Compute the square of the level of a raw value, or of the greatest one.
+static double compute_square(const squares_t *of, int64_t raw)
 {
-    const bool is_kept = raw < KEPT;
-    if (is_kept && of->squares[raw] > 0.0)
-    {
-        return of->squares[raw];
-    }
-    const double level = maplines_level(of->signal, raw);
+    const bool is_shape = of->signal == &of->levels->shape;
+    const double level =
+        is_shape ? maplines_shape_level(of->levels, raw) : maplines_level(of->signal, raw);
     const double square = level * level;
-    if (is_kept)
+    if (raw < of->kept)
     {
         of->squares[raw] = square;
     }
     return square;
 }
 
-static double shape_squared(const maplines_levels_t *levels, int64_t raw)
+static inline double level_squared(const squares_t *of, int64_t raw)
 {
-    const double level = maplines_shape_level(levels, raw);
-    return level * level;
+    return raw < of->kept && of->squares[raw] > 0.0 ? of->squares[raw] : compute_square(of, raw);
+}
+
+/// Least raw value of which the square of the level is not less; one more than the greatest if
+/// none is.
+static int64_t raw_of_square(const squares_t *of, double square)
+{
+    int64_t low = -1;
+    int64_t high = of->signal->raw_max + 1;
+    while (high - low > 1)
+    {
+        const int64_t middle = (low + high) / 2;
+        const bool is_enough = level_squared(of, middle) >= square;
+        high = is_enough ? middle : high;
+        low = is_enough ? low : middle;
+    }
+    return high;
+}
+
+/// Least raw level, 1 or more, whose multiple of a covariance covers all variances but that of T_0.
+static int64_t least_by_variances(const search_t *search, const squares_t *of,
+                                  const double covariance[16])
+{
+    double needed = 0.0;
+    for (int i = 5; i < 16; i += 5)
+    {
+        const double quotient = search->lacking[i] / (covariance[i] + singular);
+        needed = quotient > needed ? quotient : needed;
+    }
+    const int64_t raw = raw_of_square(of, needed);
+    return raw > 1 ? raw : 1;
 }
 
 /// Pivots of the Cholesky factorization of a symmetric matrix without row and column 0.
@@ -139,19 +176,19 @@ static bool covers_rest(const search_t *search, double square, const double cova
     return are_positive(&pivots);
 }
 
-/// Least raw level, 1 or more, of the points or of the shape whose multiple of a covariance covers
-/// what levels are to cover, but for T_0; one more than the greatest if none does.
-static int64_t least_level(search_t *search, bool is_shape, const double covariance[16])
+/// Least raw level, 1 or more, whose multiple of a covariance covers what levels are to cover, but
+/// for T_0; one more than the greatest if none does. It is searched from that on which covers the
+/// variances, in steps that double, and then halved.
+static int64_t least_level(const search_t *search, const squares_t *of, const double covariance[16])
 {
-    const maplines_levels_t *levels = search->levels;
-    int64_t low = 0;
-    int64_t high = (is_shape ? levels->shape.raw_max : levels->points.raw_max) + 1;
+    int64_t low = least_by_variances(search, of, covariance) - 1;
+    int64_t high = of->signal->raw_max + 1;
+    int64_t step = 1;
     while (high - low > 1)
     {
-        const int64_t middle = (low + high) / 2;
-        const double square =
-            is_shape ? shape_squared(levels, middle) : level_squared(&search->points, middle);
-        if (covers_rest(search, square, covariance))
+        const int64_t half = (high - low) / 2;
+        const int64_t middle = low + (step < half ? step : half);
+        if (covers_rest(search, level_squared(of, middle), covariance))
         {
             high = middle;
         }
@@ -159,63 +196,129 @@ static int64_t least_level(search_t *search, bool is_shape, const double covaria
         {
             low = middle;
         }
+        step = 2 * step;
     }
     return high;
 }
 
-/// Find the lateral level with which a covariance covers, and the cost of both.
-static void assess(search_t *search, double square, const double covariance[16],
+/* ---- costs ----------------------------------------------------------------------------------- */
+
+/// Variances of the derivative of a line with respect to w at -1, 1, -1/2, 1/2 and 0.
+static void directions_of(const double S[16], double variances[DIRECTIONS])
+{
+    const double inner = S[5] + 16.0 * S[10];
+    const double outer = inner + 81.0 * S[15];
+    const double at_ends = outer + 18.0 * S[13];
+    const double end = 8.0 * S[9] + 72.0 * S[14];
+    const double between = S[5] + 4.0 * S[10];
+    const double half = 4.0 * S[9];
+    const double centre = S[5] - 6.0 * S[13];
+    variances[0] = at_ends - end;
+    variances[1] = at_ends + end;
+    variances[2] = between - half;
+    variances[3] = between + half;
+    variances[4] = centre + 9.0 * S[15];
+}
+
+/// Lower bound of the cost of a multiple of a covariance; 0 or NaN if there is none.
+///
+/// Let r be the largest ratio of its variances of the direction to the true ones. If it is more
+/// than 1, the divergence is (1 / r - 1 + ln r) / 2 at least, and ln r is 2 (r - 1) / (r + 1) at
+/// least.
+static double least_cost(const search_t *search, double square, const double covariance[16])
+{
+    const double *common = search->common;
+    double decoded[16];
+    double variances[DIRECTIONS];
+    double r = 1.0;
+    decoded[5] = square * covariance[5] + common[5];
+    decoded[9] = square * covariance[9] + common[9];
+    decoded[10] = square * covariance[10] + common[10];
+    decoded[13] = square * covariance[13] + common[13];
+    decoded[14] = square * covariance[14] + common[14];
+    decoded[15] = square * covariance[15] + common[15];
+    directions_of(decoded, variances);
+    for (int i = 0; i < DIRECTIONS; ++i)
+    {
+        const double ratio = variances[i] / search->directions[i];
+        r = ratio > r ? ratio : r;
+    }
+    return (r - 1.0) * (5.0 * r - 1.0) / (2.0 * r * (r + 1.0));
+}
+
+/// Find the lateral level with which a multiple of a covariance covers, and the cost of both, which
+/// is `bound` at least.
+static void assess(const search_t *search, double square, const double covariance[16], double bound,
                    candidate_t *candidate)
 {
-    const maplines_signal_t *lateral = &search->levels->lateral;
-    double own[16];
     double decoded[16];
+    double by_trace;
+    double ratio;
     for (int i = 0; i < 16; ++i)
     {
-        own[i] = square * covariance[i];
-        decoded[i] = own[i] - search->lacking[i];
+        candidate->cov[i] = square * covariance[i];
+        decoded[i] = candidate->cov[i] - search->lacking[i];
     }
-    const double lacks = shortfall(decoded);
-    candidate->lateral = 0;
-    if (lacks > 0.0)
+    candidate->cost = (double)INFINITY;
+    candidate->lateral = raw_of_square(&search->lateral, shortfall(decoded));
+    if (candidate->lateral > search->levels->lateral.raw_max)
     {
-        const double level = sqrt(lacks > 1e-30 ? lacks : 1e-30);
-        const double raw = ceil((maplines_log2(level) - lateral->offset) / lateral->factor);
-        const double limited = raw > 1.0 ? raw : 1.0;
-        const double most = (double)lateral->raw_max + 1.0;
-        candidate->lateral = (int64_t)(limited < most ? limited : most);
+        return;
     }
+    const double lateral = level_squared(&search->lateral, candidate->lateral);
     for (int i = 0; i < 16; ++i)
     {
-        decoded[i] = search->common[i] + own[i];
+        decoded[i] = search->common[i] + candidate->cov[i];
     }
-    decoded[0] = decoded[0] + level_squared(&search->lateral, candidate->lateral);
-    const double ratio = maplines_largest_ratio(&search->reference, decoded);
-    const double log_ratio = natural_log_of_2 * maplines_log2(ratio);
-    const double cost = maplines_divergence(&search->reference, decoded) + log_ratio;
-    const bool is_possible =
-        candidate->lateral <= lateral->raw_max && fabs(cost) < (double)INFINITY;
-    candidate->cost = is_possible ? cost : (double)INFINITY;
+    candidate->cov[0] = candidate->cov[0] + lateral;
+    decoded[0] = decoded[0] + lateral;
+    if (maplines_compared(&search->reference, decoded, &by_trace, &ratio))
+    {
+        const double both = ratio * maplines_largest_ratio(&search->reference, decoded);
+        const double cost = by_trace + natural_log_of_2 * maplines_log2(both);
+        const double least = bound > cost ? bound : cost;
+        candidate->cost = fabs(cost) < (double)INFINITY ? least : (double)INFINITY;
+    }
 }
 
-/// Assess a level of the points, with the covariance for the level 1.
-static void assess_points(search_t *search, int64_t shape, int64_t points,
-                          const double covariance[16], candidate_t *candidate)
+/* ---- search ---------------------------------------------------------------------------------- */
+
+/// Covariance for unit errors of points as `maplines_level_noise`, of a straight line that is
+/// stretched as this one is on average.
+static void near_noise(const search_t *search, double stretch_squared, int spacing, double cov[16])
 {
-    assess(search, level_squared(&search->points, points), covariance, candidate);
-    candidate->points = points;
-    candidate->shape = shape;
-    if (points > search->levels->points.raw_max)
+    static const int places[10] = {0, 4, 5, 8, 9, 10, 12, 13, 14, 15};
+    const float *straight = search->dbc->straight[spacing];
+    const double of_shape = (double)straight[10];
+    for (int i = 0; i < 10; ++i)
     {
-        candidate->cost = (double)INFINITY;
+        cov[places[i]] = stretch_squared * (double)straight[i];
     }
+    cov[5] = cov[5] + of_shape * search->shapes[1];
+    cov[10] = cov[10] + of_shape * search->shapes[2];
+    cov[15] = cov[15] + of_shape * search->shapes[3];
 }
 
-/// Insert a spacing into the best so far, after those that cost as much.
+/// Square of the stretch of a line, the geometric mean of the extremes.
+static double mean_stretch_squared(const maplines_arc_t *arc)
+{
+    double least = arc->stretch[0];
+    double most = least;
+    for (int k = 1; k < MAPLINES_NODES; ++k)
+    {
+        least = arc->stretch[k] < least ? arc->stretch[k] : least;
+        most = arc->stretch[k] > most ? arc->stretch[k] : most;
+    }
+    return least * most;
+}
+
+/// Insert a spacing into the best so far; of those that cost as much, the least raw value is first.
 static void insert(spacing_t best[CHOSEN], int *count, const spacing_t *spacing)
 {
     int place = *count;
-    while (place > 0 && best[place - 1].cost > spacing->cost)
+    while (place > 0 &&
+           (best[place - 1].cost > spacing->cost ||
+            (best[place - 1].cost == spacing->cost && best[place - 1].raw > spacing->raw)))
     {
         --place;
     }
@@ -230,71 +333,128 @@ static void insert(spacing_t best[CHOSEN], int *count, const spacing_t *spacing)
     }
 }
 
-static void keep_better(candidate_t *best, const candidate_t *candidate)
+/// Assess one level of the points at a spacing, and keep it if it is among the best so far.
+static void try_spacing(const search_t *search, double stretch_squared, int i, double bound,
+                        spacing_t best[CHOSEN], int *count)
 {
-    if (candidate->cost < best->cost)
+    double noise[16] = {0.0};
+    candidate_t candidate;
+    near_noise(search, stretch_squared, i, noise);
+    const int64_t points = least_level(search, &search->points, noise) + tried[1];
+    spacing_t spacing = {(double)INFINITY,
+                         search->levels->shape.raw_min + (int64_t)i * search->dbc->spacing_step};
+    if (points <= search->levels->points.raw_max)
     {
-        *best = *candidate;
+        assess(search, level_squared(&search->points, points), noise, bound, &candidate);
+        spacing.cost = candidate.cost;
+    }
+    insert(best, count, &spacing);
+}
+
+/// Order spacings by their bounds, roughly.
+static void order_by_bounds(int count, const double bounds[SEARCHED], uint16_t order[SEARCHED])
+{
+    uint8_t buckets[SEARCHED];
+    int begins[BUCKETS + 1] = {0};
+    double least = (double)INFINITY;
+    for (int i = 0; i < count; ++i)
+    {
+        least = bounds[i] < least ? bounds[i] : least;
+    }
+    for (int i = 0; i < count; ++i)
+    {
+        const double place = BUCKETS_PER_NAT * (bounds[i] - least);
+        buckets[i] = place < BUCKETS - 1.0 ? (uint8_t)place : BUCKETS - 1; // the last one for NaN
+        begins[buckets[i] + 1] += 1;
+    }
+    for (int i = 0; i < BUCKETS; ++i)
+    {
+        begins[i + 1] += begins[i];
+    }
+    for (int i = 0; i < count; ++i)
+    {
+        order[begins[buckets[i]]] = (uint16_t)i;
+        begins[buckets[i]] += 1;
     }
 }
 
-/// Covariance for unit errors of points as `maplines_level_noise`, of a line that is taken for a
-/// straight one if it nearly is.
-static void near_noise(const search_t *search, int spacing, int64_t raw, double cov[16])
+/// Choose the spacings of a line with the least cost at one level of the points.
+static void choose_spacings(const search_t *search, maplines_sent_line_t *line)
 {
-    if (!(search->stretch_squared > 0.0))
+    const double stretch_squared = mean_stretch_squared(&search->arc);
+    const int spacings = (int)search->dbc->spacings;
+    double bounds[SEARCHED];
+    uint16_t order[SEARCHED];
+    spacing_t best[CHOSEN];
+    int count = 0;
+    assert(spacings <= SEARCHED);
+    for (int i = 0; i < spacings; ++i)
     {
-        maplines_level_noise(search->levels, &search->arc, raw, cov);
-        return;
+        double noise[16];
+        near_noise(search, stretch_squared, i, noise);
+        const int64_t points = least_by_variances(search, &search->points, noise) + tried[1];
+        bounds[i] = least_cost(search, level_squared(&search->points, points), noise);
     }
-    const float *straight = search->dbc->straight[spacing];
-    int entry = 0;
-    for (int i = 0; i < 4; ++i)
+    order_by_bounds(spacings, bounds, order); // the best first, so that others are ruled out
+    for (int i = 0; i < spacings; ++i)
     {
-        for (int j = 0; j <= i; ++j)
+        const double limit = count < CHOSEN ? (double)INFINITY : best[CHOSEN - 1].cost;
+        if (!(bounds[order[i]] > limit)) // a NaN bounds nothing
         {
-            const double scaled = search->stretch_squared * (double)straight[entry];
-            cov[4 * i + j] = scaled;
-            cov[4 * j + i] = scaled;
-            ++entry;
+            try_spacing(search, stretch_squared, order[i], bounds[order[i]], best, &count);
         }
     }
-    for (int i = 0; i < 4; ++i)
+    for (int i = 0; i < count; ++i)
     {
-        const double of_shape = (double)straight[entry] * maplines_shape(i);
-        cov[5 * i] = cov[5 * i] + of_shape;
+        line->spacings[i] = (uint16_t)best[i].raw;
     }
+    line->spacing_count = (uint8_t)count;
 }
 
-/// Square of the stretch of a line that is nearly straight, the geometric mean of the extremes;
-/// else 0.
-static double stretch_squared(const maplines_arc_t *arc)
+/// Try some levels of a covariance for the level 1, from the least one on.
+static void try_levels(const search_t *search, const squares_t *of, int64_t shape,
+                       const double covariance[16], candidate_t *best)
 {
-    double least = arc->stretch[0];
-    double most = least;
-    for (int k = 1; k < MAPLINES_NODES; ++k)
+    const bool is_shape = of == &search->shape;
+    const int64_t least = least_level(search, of, covariance);
+    for (int k = 0; k < TRIED; ++k)
     {
-        least = arc->stretch[k] < least ? arc->stretch[k] : least;
-        most = arc->stretch[k] > most ? arc->stretch[k] : most;
+        candidate_t candidate;
+        const int64_t raw = least + tried[k];
+        const double square = level_squared(of, raw);
+        const double bound = least_cost(search, square, covariance);
+        if (raw <= of->signal->raw_max && !(bound >= best->cost))
+        {
+            assess(search, square, covariance, bound, &candidate);
+            candidate.points = is_shape ? 0 : raw;
+            candidate.shape = is_shape ? raw : shape;
+            *best = candidate.cost < best->cost ? candidate : *best;
+        }
     }
-    return most <= nearly_straight * least ? least * most : 0.0;
 }
 
+/// Prepare a search. Its target is that of a line.
 static void begin(search_t *search, const maplines_dbc_t *dbc,
-                  const maplines_level_target_t *target)
+                  const maplines_level_target_t *target, maplines_level_squares_t *squares)
 {
     double inverse[16];
     double matrix[16];
+    const maplines_levels_t *levels = maplines_levels_of(dbc);
+    const squares_t lateral = {levels, &levels->lateral, squares->lateral, MAPLINES_KEPT_LEVELS};
+    const squares_t points = {levels, &levels->points, squares->points, MAPLINES_KEPT_LEVELS};
+    const squares_t shape = {levels, &levels->shape, squares->shape, MAPLINES_KEPT_SHAPES};
     search->dbc = dbc;
-    search->levels = maplines_levels_of(dbc);
-    memset(&search->lateral, 0, sizeof search->lateral);
-    memset(&search->points, 0, sizeof search->points);
-    search->lateral.signal = &search->levels->lateral;
-    search->points.signal = &search->levels->points;
+    search->levels = levels;
+    search->lateral = lateral;
+    search->points = points;
+    search->shape = shape;
     maplines_arc_of(target->curve, &search->arc);
-    search->stretch_squared = stretch_squared(&search->arc);
     maplines_inverse(target->J, inverse);
     maplines_congruence(inverse, target->target, matrix);
+    for (int i = 0; i < 4; ++i)
+    {
+        search->shapes[i] = maplines_shape(i);
+    }
     for (int i = 0; i < 16; ++i)
     {
         search->common[i] = target->common[i];
@@ -302,73 +462,54 @@ static void begin(search_t *search, const maplines_dbc_t *dbc,
     }
     maplines_congruence(inverse, target->true_cov, matrix);
     maplines_compare_with(matrix, &search->reference);
-}
-
-MAPLINES_INTERNAL void maplines_choose_spacings(const maplines_dbc_t *dbc,
-                                                const maplines_level_target_t *target,
-                                                maplines_sent_line_t *line)
-{
-    search_t search;
-    begin(&search, dbc, target);
-    spacing_t spacings[CHOSEN];
-    int count = 0;
-    for (int i = 0; i < (int)dbc->spacings; ++i)
-    {
-        double noise[16];
-        candidate_t candidate;
-        const int64_t raw = search.levels->shape.raw_min + (int64_t)i * dbc->spacing_step;
-        near_noise(&search, i, raw, noise);
-        const int64_t least = least_level(&search, false, noise);
-        assess_points(&search, raw, least + tried[1], noise, &candidate);
-        const spacing_t spacing = {candidate.cost, raw};
-        insert(spacings, &count, &spacing);
-    }
-    for (int i = 0; i < count; ++i)
-    {
-        line->spacings[i] = (uint16_t)spacings[i].raw;
-    }
-    line->spacing_count = (uint8_t)count;
+    directions_of(matrix, search->directions);
 }
 
 MAPLINES_INTERNAL bool maplines_search_levels(const maplines_dbc_t *dbc,
-                                              const maplines_level_target_t *target,
-                                              const maplines_sent_line_t *line, int64_t raw[3])
+                                              const maplines_level_target_t *target, bool is_first,
+                                              maplines_level_squares_t *squares,
+                                              maplines_sent_line_t *line, int64_t raw[3])
 {
     search_t search;
-    begin(&search, dbc, target);
-    const maplines_levels_t *levels = search.levels;
-    candidate_t best = {0, 0, 0, (double)INFINITY};
-    candidate_t candidate;
+    begin(&search, dbc, target, squares);
+    candidate_t best;
+    memset(&best, 0, sizeof best);
+    best.cost = (double)INFINITY;
+    if (is_first)
+    {
+        choose_spacings(&search, line);
+    }
     for (int i = 0; i < (int)line->spacing_count; ++i)
     {
         double noise[16];
         const int64_t shape_raw = line->spacings[i];
-        maplines_level_noise(levels, &search.arc, shape_raw, noise);
-        const int64_t least = least_level(&search, false, noise);
-        for (int k = 0; k < TRIED; ++k)
-        {
-            assess_points(&search, shape_raw, least + tried[k], noise, &candidate);
-            keep_better(&best, &candidate);
-        }
+        maplines_level_noise(search.levels, &search.arc, shape_raw, noise);
+        try_levels(&search, &search.points, shape_raw, noise, &best);
     }
     double shape[16] = {0.0};
     for (int i = 0; i < 4; ++i)
     {
-        shape[5 * i] = maplines_shape(i);
+        shape[5 * i] = search.shapes[i];
     }
-    const int64_t least = least_level(&search, true, shape);
-    for (int k = 0; k < TRIED; ++k)
-    {
-        candidate.points = 0;
-        candidate.shape = least + tried[k];
-        assess(&search, shape_squared(levels, candidate.shape), shape, &candidate);
-        if (candidate.shape <= levels->shape.raw_max)
-        {
-            keep_better(&best, &candidate);
-        }
-    }
+    try_levels(&search, &search.shape, 0, shape, &best);
     raw[0] = best.lateral;
     raw[1] = best.points;
     raw[2] = best.shape;
+    memcpy(line->levels, best.cov, sizeof line->levels);
     return best.cost < (double)INFINITY;
+}
+
+MAPLINES_INTERNAL bool maplines_levels_cover(const maplines_level_target_t *target,
+                                             const double levels[16])
+{
+    double inverse[16];
+    double wanted[16];
+    maplines_inverse(target->J, inverse);
+    maplines_congruence(inverse, target->target, wanted);
+    for (int i = 0; i < 16; ++i)
+    {
+        const double lacking = wanted[i] - target->common[i];
+        wanted[i] = levels[i] - lacking;
+    }
+    return shortfall(wanted) <= 0.0;
 }

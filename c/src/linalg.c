@@ -83,44 +83,33 @@ MAPLINES_INTERNAL double maplines_total(int n, double *values)
 /// Returns whether all pivots are positive; if not, the rest of L is undefined.
 MAPLINES_INTERNAL bool maplines_cholesky_factor(int n, const double *S, double *L)
 {
+    double column[MAPLINES_STATES];
     for (int i = 0; i < n; ++i)
     {
-        for (int j = 0; j <= i; ++j)
+        for (int j = 0; j < n; ++j)
         {
-            double rest = S[i * n + j];
-            for (int k = 0; k < j; ++k)
-            {
-                const double term = L[i * n + k] * L[j * n + k];
-                rest = rest - term;
-            }
-            if (j < i)
-            {
-                L[i * n + j] = rest / L[j * n + j];
-            }
-            else if (rest > 0.0)
-            {
-                L[i * n + i] = sqrt(rest);
-            }
-            else
-            {
-                return false;
-            }
-        }
-        for (int j = i + 1; j < n; ++j)
-        {
-            if (L != S)
-            {
-                L[i * n + j] = 0.0;
-            }
+            L[i * n + j] = j <= i ? S[i * n + j] : 0.0;
         }
     }
-    if (L == S)
+    for (int k = 0; k < n; ++k)
     {
-        for (int i = 0; i < n; ++i)
+        const double pivot = L[k * n + k];
+        if (!(pivot > 0.0))
         {
-            for (int j = i + 1; j < n; ++j)
+            return false;
+        }
+        column[k] = sqrt(pivot);
+        L[k * n + k] = column[k];
+        for (int i = k + 1; i < n; ++i)
+        {
+            const double factor = L[i * n + k] / column[k];
+            double *row = L + i * n;
+            row[k] = factor;
+            column[i] = factor;
+            for (int j = k + 1; j <= i; ++j)
             {
-                L[i * n + j] = 0.0;
+                const double term = factor * column[j];
+                row[j] = row[j] - term;
             }
         }
     }

@@ -53,12 +53,14 @@ static void known_part(const maplines_scene_member_t *member, const maplines_sen
     resolution_of(line->J, resolution);
 }
 
-/// Choose levels that cover a line alone plus `more`; whether there are any. `cost` is more than 1
-/// if they cost too much. The first time, without `more`, its spacings are chosen.
-static bool encode_levels(const maplines_dbc_t *dbc, maplines_scene_member_t *member,
-                          maplines_sent_line_t *line, const double more[16], bool is_first,
-                          double *cost)
+/// Choose levels that cover a line alone plus `more`; whether there are any. `line->cost` is more
+/// than 1 if they cost too much. The first time, without `more`, its spacings are chosen; later the
+/// levels stay as they are if they still cover, since what covers more is no better.
+static bool encode_levels(const maplines_dbc_t *dbc, maplines_scene_workspace_t *space, int i,
+                          bool is_first)
 {
+    maplines_scene_member_t *member = &space->members[space->places[i]];
+    maplines_sent_line_t *line = &space->lines[i];
     double known[16];
     double resolution[16];
     double wanted[16];
@@ -69,22 +71,20 @@ static bool encode_levels(const maplines_dbc_t *dbc, maplines_scene_member_t *me
     maplines_level_target_t target;
     maplines_reference_t reference;
     known_part(member, line, known, resolution);
-    sum_of_two(known, more, wanted);
+    sum_of_two(known, space->more[i], wanted);
     sum_of_two(known, resolution, sum);
     target.curve = &curve;
     target.J = line->J;
     target.common = line->common;
     target.target = wanted;
     target.true_cov = sum;
-    if (is_first)
+    if (!is_first && maplines_levels_cover(&target, line->levels))
     {
-        maplines_choose_spacings(dbc, &target, line);
+        return true;
     }
-    const bool is_covered = maplines_search_levels(dbc, &target, line, member->raw_levels);
-
-    maplines_decode_levels(maplines_levels_of(dbc), &curve, member->raw_levels[0],
-                           member->raw_levels[1], member->raw_levels[2], decoded);
-    sum_of_two(decoded, line->common, decoded);
+    const bool is_covered =
+        maplines_search_levels(dbc, &target, is_first, &space->squares, line, member->raw_levels);
+    sum_of_two(line->levels, line->common, decoded);
     maplines_inverse(line->J, inverse);
     sum_of_two(member->specific, resolution, sum);
     maplines_congruence(inverse, sum, wanted);
@@ -97,7 +97,13 @@ static bool encode_levels(const maplines_dbc_t *dbc, maplines_scene_member_t *me
     maplines_congruence(inverse, member->due_to_pose, sum);
     sum_of_two(sum, decoded, decoded);
     const double divergence = maplines_divergence(&reference, decoded);
-    *cost = greater(divergence / levels_divergence, ratio / levels_ratio);
+    const double cost = greater(divergence / levels_divergence, ratio / levels_ratio);
+    line->cost = 0.0;
+    if (dbc->is_conditional)
+    {
+        const double counted = member->is_spared ? 0.0 : cost;
+        line->cost = is_covered ? counted : (double)INFINITY;
+    }
     return is_covered;
 }
 
@@ -140,10 +146,7 @@ static void decode_specific(const maplines_dbc_t *dbc, const maplines_scene_memb
     {
         const maplines_curve_t curve =
             maplines_curve_of(line->mean, line->fit_range, line->quartic);
-        double levels[16];
-        maplines_decode_levels(maplines_levels_of(dbc), &curve, member->raw_levels[0],
-                               member->raw_levels[1], member->raw_levels[2], levels);
-        maplines_specific_factor(&curve, levels, line->common, F);
+        maplines_specific_factor(&curve, line->levels, line->common, F);
     }
     maplines_product_transposed(4, 4, 4, F[0], F[0], own);
 }
@@ -159,20 +162,14 @@ static bool encode_alone(const maplines_dbc_t *dbc, maplines_scene_workspace_t *
         const int place = space->places[i];
         maplines_scene_member_t *member = &space->members[place];
         maplines_sent_line_t *line = &space->lines[i];
-        line->cost = 0.0;
         if (member->is_full)
         {
+            line->cost = 0.0;
             line->is_covered = encode_entries(&dbc->covariance, member, line, space->more[i]);
         }
         else
         {
-            double cost;
-            line->is_covered = encode_levels(dbc, member, line, space->more[i], is_first, &cost);
-            if (dbc->is_conditional)
-            {
-                cost = member->is_spared ? 0.0 : cost;
-                line->cost = line->is_covered ? cost : (double)INFINITY;
-            }
+            line->is_covered = encode_levels(dbc, space, i, is_first);
         }
         is_good = is_good && line->is_covered && !(line->cost > 1.0);
     }

@@ -147,6 +147,16 @@ def divergence(true: Array, decoded: Array) -> Array:
 
     It is infinite if one of them is not definite.
     """
+    by_trace, ratio = compared(true, decoded)
+    kl = by_trace + LN_2 * log2(ratio)
+    return np.where(np.isfinite(kl), kl, np.inf)
+
+
+def compared(true: Array, decoded: Array) -> tuple[Array, Array]:
+    """Return the (...,) traces, less n and halved, and ratios of roots of determinants, for a KL.
+
+    That is the one plus the logarithm of the other. They are NaN if a matrix is not definite.
+    """
     n = true.shape[-1]
     G, L = _factor(true), _factor(decoded)
     trace, ratio = np.zeros(()), np.ones(())  # of L^-1 G: squared norm, and determinant's inverse
@@ -159,8 +169,7 @@ def divergence(true: Array, decoded: Array) -> Array:
             Y[i] = rest / L[i][i]
             trace = trace + Y[i] * Y[i]
         ratio = ratio * (L[j][j] / G[j][j])
-    kl = (trace - n) / 2 + LN_2 * log2(ratio)
-    return np.where(np.isfinite(kl), kl, np.inf)
+    return (trace - n) / 2, ratio
 
 
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")

@@ -75,8 +75,10 @@ class SpecificEncoder:
         """
         more = np.zeros_like(lines.specific)
         spacings = self._spacings(lines.of(~lines.is_full))
+        raw, covered, cost = self._encode(lines, more, spacings)
         for trial in range(TRIALS):
-            raw, covered, cost = self._encode(lines, more, spacings)
+            if trial > 0:
+                raw, covered, cost = self._encode_again(lines, more, spacings, raw, cost)
             if (cost > 1).any() or not covered.all():
                 return raw, covered, cost
             specific = self._code.decode_specific(raw, lines.means, lines.fit_ranges, lines.common)
@@ -94,6 +96,33 @@ class SpecificEncoder:
         """Return those of ``SpecificLevels.spacings`` for (L,) lines, each of them alone."""
         known, arc = lines.specific + lines.error, Arc.of(lines.means, lines.fit_ranges)
         return self._code.levels.spacings(known, lines.common, known + lines.least, lines.J, arc)
+
+    def _encode_again(
+        self, lines: SentLines, more: Array, spacings: Raws, raw: Rows, cost: Array
+    ) -> tuple[Rows, Mask, Array]:
+        """Return what ``_encode`` does, with ``raw`` and ``cost`` of the levels that still cover.
+
+        What they cost does not depend on ``more``, and what covers more is no better.
+        """
+        known, names = lines.specific + lines.error, [s.name for s in self._code.levels.signals]
+        stays = np.zeros_like(lines.is_full)
+        if (short := ~lines.is_full).any():
+            stays[short] = self._code.levels.covered(
+                {name: raw[name][short] for name in names},
+                (known + more)[short],
+                lines.common[short],
+                lines.J[short],
+                lines.means[short],
+                lines.fit_ranges[short],
+            )
+        other, covered = ~stays, np.ones_like(stays)
+        if other.any():
+            found, covered[other], cost[other] = self._encode(
+                lines.of(other), more[other], spacings[other[short]]
+            )
+            for name, values in found.items():
+                raw[name][other] = values
+        return raw, covered, cost
 
     def _encode(self, lines: SentLines, more: Array, spacings: Raws) -> tuple[Rows, Mask, Array]:
         """Return what ``cover`` does, for D_i that cover each line alone plus ``more``."""

@@ -33,7 +33,7 @@ from ...values.fixed_order import congruence, inverse, product, total
 from ...values.seen_lines import NODES, SHAPE
 from ..layout.signals import OCTAVE, Signal
 from .code import Array
-from .joint import LN_2, TRIANGLE, divergence, entries_first, largest_ratio
+from .joint import LN_2, TRIANGLE, compared, entries_first, largest_ratio
 
 #: log2 of the level b of the shape [m]: that of the raw value 0, which means b = 0, and by how much
 #: that of the greatest raw value exceeds it.
@@ -43,11 +43,8 @@ RATIOS = np.array([0.0, *np.cumprod([0.5, 1.8, 1.8, 1.8, 1.8])])
 #: Raw values above the least one of the level of the points, or of the shape, that are tried.
 TRIED = np.array([0, 1, 2, 3, 5])
 #: Spacings for which the second of them is tried, at most, and those of the best of these for which
-#: all are.
-SPACINGS, CHOSEN = 256, 24
-#: Ratio of the largest to the least stretch of a line that is nearly straight. For such a line,
-#: those of a straight one choose the same spacings.
-NEARLY_STRAIGHT = 1.1
+#: all are. The first ones for which it is tried; of the others, only those that may be better.
+SPACINGS, CHOSEN, FIRST = 256, 16, 24
 #: More than any level squared [m^2].
 BEYOND = 1e100
 #: Added to the variances that errors of points cause: those of points far apart may be singular.
@@ -186,21 +183,17 @@ class SpecificLevels:
         return np.asarray(noise + self._amount[raw][..., None, None] * np.diag(SHAPE))
 
     def _near_noise(self, arc: Arc) -> Array:
-        """Return the (4, 4, L, S) ``noise`` at all raw values that are searched, or nearly so.
+        """Return (4, 4, L, S) ``noise`` at all raw values that are searched, of straight lines.
 
-        Lines that are nearly straight are taken for straight ones.
+        They are stretched as the others are on average, and choose the same spacings, or nearly so.
         """
-        least, most = arc.stretch.min(axis=-1), arc.stretch.max(axis=-1)
-        squared = (least * most)[:, None]
-        noise = np.empty((4, 4, len(least), len(self.searched)))
+        squared = (arc.stretch.min(axis=-1) * arc.stretch.max(axis=-1))[:, None]
+        noise = np.empty((4, 4, len(squared), len(self.searched)))
         *of_points, of_shape = self.straight
         for (i, j), values in zip(TRIANGLE, of_points, strict=True):
             noise[i, j] = noise[j, i] = squared * values
         for i in range(4):
             noise[i, i] += of_shape * SHAPE[i]
-        for line in np.flatnonzero(~(most <= NEARLY_STRAIGHT * least)):
-            own = Arc(arc.stretch[line], arc.place[line])
-            noise[:, :, line] = entries_first(self.noise(own, self.searched))
         return noise
 
     def decode(
@@ -226,10 +219,25 @@ class SpecificLevels:
         as for ``encode``.
         """
         E, C, T = _in_metres(target, common, true, J)
-        near = self._near_noise(arc)
-        raw_p = least_raw(self._points_squared, near, E) + TRIED[1]
-        _, cost = self._cost(E, C, T, self._points_squared.take(raw_p, mode="clip") * near)
-        cost[raw_p > self.points.raw_max] = np.inf
+        near, last = self._near_noise(arc), self.points.raw_max
+        least = _least_by_variances(self._points_squared, near, E)
+        second = self._points_squared.take(least + TRIED[1], mode="clip")
+        bound = _least_cost(second * near, C, T)
+        cost = np.full(bound.shape, np.inf)
+
+        def assess(line: NDArray[np.intp], k: NDArray[np.intp]) -> None:
+            own, of_line = near[:, :, line, k], E[..., line, 0]
+            raw = least_raw(self._points_squared, own, of_line, least[line, k]) + TRIED[1]
+            own = self._points_squared.take(raw, mode="clip") * own
+            _, found = self._cost(of_line, C[..., line, 0], T[..., line, 0], own)
+            found = np.where(raw > last, np.inf, found)
+            cost[line, k] = np.where(bound[line, k] > found, bound[line, k], found)
+
+        first = bound.argsort(axis=1, kind="stable")[:, :FIRST]
+        assess(np.arange(len(first)).repeat(first.shape[1]), first.ravel())
+        others = ~(bound > np.sort(cost, axis=1)[:, :CHOSEN][:, -1:])
+        others[np.arange(len(first))[:, None], first] = False
+        assess(*np.nonzero(others))
         return np.asarray(self.searched[cost.argsort(axis=1, kind="stable")[:, :CHOSEN]])
 
     def encode(
@@ -262,24 +270,33 @@ class SpecificLevels:
         """
         E, C, T = _in_metres(target, common, true, J)
         noise = entries_first(self.noise(arc, spacings))
-        least = least_raw(self._points_squared, noise, E)
-        p = (least[..., None] + TRIED).reshape(len(J), -1)
-        of_points = self._points_squared.take(p, mode="clip") * noise.repeat(len(TRIED), axis=3)
-        k_shape, of_shape = self._shapes_tried(E)
+        p, of_points = _levels_tried(self._points_squared, noise, E)
+        shape = np.diag(SHAPE)[..., None, None] + np.zeros((len(J), 1))
+        k_shape, of_shape = _levels_tried(self._shapes_squared, shape, E)
         k = np.concatenate([spacings.repeat(len(TRIED), axis=1), k_shape], axis=1)
         raw_p = np.concatenate([p, np.zeros_like(k_shape)], axis=1)
-        raw_a, cost = self._cost(E, C, T, np.concatenate([of_points, of_shape], axis=3))
+        own = np.concatenate([of_points, of_shape], axis=3)
+        raw_a, cost = self._cost(E, C, T, own)
+        bound = _least_cost(own, C, T)
+        cost = np.where(bound > cost, bound, cost)
         cost[(raw_p > self.points.raw_max) | (k > self.shape.raw_max)] = np.inf
         best = np.arange(len(k)), cost.argmin(axis=1)
         raw = {self.lateral: raw_a[best], self.points: raw_p[best], self.shape: k[best]}
         limited = {s.name: s.limited(values).astype(np.int64) for s, values in raw.items()}
         return limited, np.isfinite(cost[best])
 
-    def _shapes_tried(self, E: Array) -> tuple[NDArray[np.int64], Array]:
-        """Return (L, K) raw values of levels of the shape, and their (4, 4, L, K) covariances."""
-        shape = np.diag(SHAPE)[..., None, None]
-        k = least_raw(self._shapes_squared, shape, E) + TRIED
-        return k, self._shapes_squared.take(k, mode="clip") * shape
+    def covered(
+        self,
+        raw: Mapping[str, NDArray[np.int64]],
+        target: Array,
+        common: Array,
+        J: Array,
+        means: Array,
+        fit_ranges: Array,
+    ) -> NDArray[np.bool_]:
+        """Return the (L,) lines whose targets raw levels cover. Arguments as for ``encode``."""
+        wanted = congruence(inverse(J), target) - common
+        return _shortfall(entries_first(self.decode(raw, means, fit_ranges) - wanted)) <= 0
 
     def _shape_level(self, raw: NDArray[np.int64] | Array) -> Array:
         """Return the levels b of raw values of the shape [m]."""
@@ -290,14 +307,13 @@ class SpecificLevels:
 
         E, C and true are (4, 4, L, 1), own is (4, 4, L, K), the others are (L, K).
         """
-        short = _shortfall(own - E)
-        level_a = np.ceil(_raw(self.lateral, np.sqrt(short.clip(1e-30)))).clip(1)
-        raw_a = np.where(short > 0, level_a.clip(max=self.lateral.raw_max + 1), 0).astype(np.int64)
+        raw_a = np.searchsorted(self._lateral_squared, _shortfall(own - E))
         decoded = C + own
         decoded[0, 0] += self._lateral_squared.take(raw_a, mode="clip")
         true, decoded = (np.moveaxis(X, (0, 1), (-2, -1)) for X in (true, decoded))
         with np.errstate(invalid="ignore", divide="ignore"):
-            cost = divergence(true, decoded) + LN_2 * log2(largest_ratio(decoded, true))
+            divergence, ratio = compared(true, decoded)
+            cost = divergence + LN_2 * log2(ratio * largest_ratio(decoded, true))
         possible = (raw_a <= self.lateral.raw_max) & np.isfinite(cost)
         return raw_a, np.where(possible, cost, np.inf)
 
@@ -313,30 +329,84 @@ def _in_metres(target: Array, common: Array, true: Array, J: Array) -> tuple[Arr
     return E, C, T
 
 
-def least_raw(squared: Array, covs: Array, E: Array) -> NDArray[np.int64]:
+def _levels_tried(squared: Array, covs: Array, E: Array) -> tuple[NDArray[np.int64], Array]:
+    """Return raw values of levels for (4, 4, L, K) covariances, and what these become with them.
+
+    Those of one covariance come one after the other: (L, K * n) raw values and (4, 4, L, K * n).
+    """
+    least = least_raw(squared, covs, E, _least_by_variances(squared, covs, E))
+    raw = (least[..., None] + TRIED).reshape(len(least), -1)
+    return raw, squared.take(raw, mode="clip") * covs.repeat(len(TRIED), axis=3)
+
+
+def _least_by_variances(squared: Array, covs: Array, E: Array) -> NDArray[np.int64]:
+    """Return the (...,) least raw values, 1 or more, whose multiples cover all variances but one.
+
+    Arguments as for ``least_raw``.
+    """
+    needed = np.zeros(())
+    with np.errstate(invalid="ignore", over="ignore"):
+        for i in range(1, 4):
+            quotient = E[i, i] / (covs[i, i] + SINGULAR)
+            needed = np.where(quotient > needed, quotient, needed)
+    return np.searchsorted(squared, needed).clip(1)
+
+
+def least_raw(squared: Array, covs: Array, E: Array, begin: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the (...,) least raw values whose multiples of a covariance cover, but for entry 0.
 
-    They are one more than the greatest raw value if none covers, and at least 1.
+    They are one more than the greatest raw value if none covers.
 
     Args:
         squared: (n,) squares of the levels of all raw values, which increase.
         covs: (4, 4, ...) covariances for the level 1.
         E: (4, 4, ...) what is to be covered.
+        begin: (...,) raw values to begin with, of which those below do not cover.
     """
-    shape = np.broadcast_shapes(covs.shape, E.shape)[2:]
-    low, high = np.zeros(shape, dtype=np.int64), np.full(shape, len(squared), dtype=np.int64)
+    low, high, step = begin - 1, np.full_like(begin, len(squared)), 1
     rest = {(i, j): covs[i, j] + (SINGULAR if i == j else 0.0) for i, j in _LOWER}
-    for _ in range((len(squared) - 1).bit_length()):
-        middle = (low + high) // 2
-        level = squared[middle]
+    while (is_open := high - low > 1).any():
+        middle = low + np.minimum(step, (high - low) // 2)
+        level = squared.take(middle, mode="clip")
         a, b, c, d, e, f = (level * rest[ij] - E[ij] for ij in _LOWER)
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             d1 = d - b * b / a
             e1 = e - b * c / a
             f2 = f - c * c / a - e1 * e1 / d1
         covers = (a > 0) & (d1 > 0) & (f2 > 0)
-        low, high = np.where(covers, low, middle), np.where(covers, middle, high)
+        low, high = (
+            np.where(is_open & ~covers, middle, low),
+            np.where(is_open & covers, middle, high),
+        )
+        step *= 2
     return high
+
+
+@np.errstate(invalid="ignore", divide="ignore", over="ignore")
+def _least_cost(own: Array, C: Array, true: Array) -> Array:
+    """Return lower bounds of the (...,) costs of (4, 4, ...) covariances own + C; 0 or NaN if none.
+
+    Let r be the largest ratio of the variances of the direction of the line, at five places of its
+    range, to the true ones. If it is more than 1, the divergence is (1 / r - 1 + ln r) / 2 at
+    least, and ln r is 2 (r - 1) / (r + 1) at least.
+    """
+    r = np.ones(())
+    for variance, true_one in zip(_directions(own + C), _directions(true), strict=True):
+        ratio = variance / true_one
+        r = np.where(ratio > r, ratio, r)
+    return np.asarray((r - 1) * (5 * r - 1) / (2 * r * (r + 1)))
+
+
+def _directions(S: Array) -> list[Array]:
+    """Return variances of the derivative with respect to w at -1, 1, -1/2, 1/2 and 0.
+
+    S has the (4, 4, ...) entries of covariances.
+    """
+    at_ends = S[1, 1] + 16 * S[2, 2] + 81 * S[3, 3] + 18 * S[3, 1]
+    end = 8 * S[2, 1] + 72 * S[3, 2]
+    between, half = S[1, 1] + 4 * S[2, 2], 4 * S[2, 1]
+    centre = S[1, 1] - 6 * S[3, 1] + 9 * S[3, 3]
+    return [at_ends - end, at_ends + end, between - half, between + half, centre]
 
 
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")
@@ -360,8 +430,3 @@ def _shortfall(M: Array) -> Array:
 def _level(signal: Signal, raw: NDArray[np.int64] | Array) -> Array:
     """Return the levels of raw values: 0 for 0, else 2 to the power of the physical value."""
     return np.where(raw == 0, 0.0, exp2(signal.physical(raw)))
-
-
-def _raw(signal: Signal, level: Array) -> Array:
-    """Return the raw values of positive levels, not rounded."""
-    return (log2(level) - signal.offset) / signal.factor
