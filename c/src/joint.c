@@ -76,15 +76,33 @@ static void divide(int n, double *v, double divisor)
     }
 }
 
-/// L^-1 e for the unit vector e for which it is the longest.
-static void longest_column(int n, const double *L, double *longest)
+/// L^-1 e for the unit vector e for which it is the longest. What is above the diagonal of L
+/// becomes the transpose of the rest of the inverse.
+static void longest_column(int n, double *L, double *longest)
 {
+    double diagonal[MAPLINES_STATES];
     double largest = -1.0;
     for (int i = 0; i < n; ++i)
     {
+        const double *row = L + i * n;
+        diagonal[i] = 1.0 / row[i];
+        for (int j = 0; j < i; ++j)
+        {
+            double *column = L + j * n;
+            double rest = -(row[j] * diagonal[j]);
+            for (int k = j + 1; k < i; ++k)
+            {
+                const double term = row[k] * column[k];
+                rest = rest - term;
+            }
+            column[i] = rest / row[i];
+        }
+    }
+    for (int i = 0; i < n; ++i)
+    {
         double x[MAPLINES_STATES] = {0.0};
-        x[i] = 1.0;
-        maplines_lower_solution(n, 1, L, x);
+        x[i] = diagonal[i];
+        memcpy(x + i + 1, L + i * n + i + 1, (size_t)(n - i - 1) * sizeof x[0]);
         const double size = dot(n, x, x);
         if (largest == largest && !(size <= largest)) // the first one; a NaN counts as the largest
         {

@@ -113,7 +113,7 @@ static void add_point(noise_t *noise)
     }
     for (int i = 0; i < 4; ++i)
     {
-        for (int j = 0; j <= i; ++j)
+        for (int j = 0; j < 4; ++j) // all of them, which is faster than the lower triangle
         {
             const double term = weight[i] * weight[j];
             noise->cov[4 * i + j] = noise->cov[4 * i + j] + term;
@@ -148,6 +148,10 @@ MAPLINES_INTERNAL void maplines_arc_of(const maplines_curve_t *curve, maplines_a
     for (int k = 0; k < MAPLINES_NODES; ++k)
     {
         arc->place[k] = 2.0 * arc->place[k] / whole;
+        for (int i = 0; i < 4; ++i)
+        {
+            arc->weight[k][i] = fit_matrix[MAPLINES_NODES * i + k] * arc->stretch[k];
+        }
     }
 }
 
@@ -177,10 +181,8 @@ static void point_noise(const maplines_arc_t *arc, double spacing, double phase,
         }
         for (int i = 0; i < 4; ++i)
         {
-            // An error across the line acts on y by the factor ``stretch``.
-            const double weight = fit_matrix[MAPLINES_NODES * i + k] * arc->stretch[k];
-            const double before = weight * (1.0 - share);
-            const double behind = weight * share;
+            const double before = arc->weight[k][i] * (1.0 - share);
+            const double behind = arc->weight[k][i] * share;
             noise.below[i] = noise.below[i] + before;
             above[i] = above[i] + behind;
         }
@@ -189,10 +191,7 @@ static void point_noise(const maplines_arc_t *arc, double spacing, double phase,
     memset(noise.below, 0, sizeof noise.below);
     memcpy(noise.above, above, sizeof noise.above);
     add_point(&noise);
-    for (int i = 0; i < 16; ++i)
-    {
-        cov[i] = i % 4 <= i / 4 ? noise.cov[i] : noise.cov[4 * (i % 4) + i / 4];
-    }
+    memcpy(cov, noise.cov, sizeof noise.cov);
 }
 
 MAPLINES_INTERNAL double maplines_shape(int k)

@@ -79,11 +79,43 @@ MAPLINES_INTERNAL double maplines_total(int n, double *values)
     return values[0];
 }
 
+/// Lower triangular factor of a (4, 4) matrix, as maplines_cholesky_factor.
+static bool factor_of_four(const double S[16], double L[16])
+{
+    const double pivot_0 = S[0];
+    const double l_0 = sqrt(pivot_0);
+    const double l_10 = S[4] / l_0;
+    const double l_20 = S[8] / l_0;
+    const double l_30 = S[12] / l_0;
+    const double pivot_1 = S[5] - l_10 * l_10;
+    const double rest_21 = S[9] - l_20 * l_10;
+    const double rest_31 = S[13] - l_30 * l_10;
+    const double l_1 = sqrt(pivot_1);
+    const double l_21 = rest_21 / l_1;
+    const double l_31 = rest_31 / l_1;
+    const double rest_2 = S[10] - l_20 * l_20;
+    const double pivot_2 = rest_2 - l_21 * l_21;
+    const double rest_32 = S[14] - l_30 * l_20;
+    const double l_2 = sqrt(pivot_2);
+    const double l_32 = (rest_32 - l_31 * l_21) / l_2;
+    const double rest_3 = S[15] - l_30 * l_30;
+    const double last_3 = rest_3 - l_31 * l_31;
+    const double pivot_3 = last_3 - l_32 * l_32;
+    const double factor[16] = {l_0,  0.0,  0.0, 0.0, l_10, l_1,  0.0,  0.0,
+                               l_20, l_21, l_2, 0.0, l_30, l_31, l_32, sqrt(pivot_3)};
+    memcpy(L, factor, sizeof factor);
+    return pivot_0 > 0.0 && pivot_1 > 0.0 && pivot_2 > 0.0 && pivot_3 > 0.0;
+}
+
 /// Lower triangular factor of an (n, n) matrix, of which the lower part is read. L may be S.
 /// Returns whether all pivots are positive; if not, the rest of L is undefined.
 MAPLINES_INTERNAL bool maplines_cholesky_factor(int n, const double *S, double *L)
 {
     double column[MAPLINES_STATES];
+    if (n == 4)
+    {
+        return factor_of_four(S, L);
+    }
     for (int i = 0; i < n; ++i)
     {
         for (int j = 0; j < n; ++j)
