@@ -477,7 +477,9 @@ typedef struct {
     uint8_t duplicated_frames; ///< since the last new record, or since the last REPEATED check
     bool is_duplicated;        ///< there was such a check since the last new record
     maplines_e2e_status_t status;
-    uint64_t ok, lost, repeated, wrong_sequence, errors, no_new_data;
+    uint64_t ok, some_lost; ///< checks by outcome
+    uint64_t repeated, wrong_sequence, errors, no_new_data;
+    uint64_t lost; ///< records
 } maplines_check_t;
 
 /// Components of a mixture, as records.

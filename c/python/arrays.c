@@ -1,8 +1,8 @@
 /* NumPy arrays of double precision: read through the buffer protocol, and made over bytes. */
 #include "native.h"
 
-PyObject *maplines_new_array(PyObject *module, int axes, const Py_ssize_t *shape,
-                             const double *values)
+PyObject *maplines_array_of(PyObject *module, int axes, const Py_ssize_t *shape,
+                            const double *values)
 {
     maplines_module_t *state = maplines_module_state(module);
     PyObject *lengths = PyTuple_New(axes);

@@ -19,7 +19,8 @@ maplines_module_t *maplines_module_state(PyObject *module)
 static int add_all(PyObject *module)
 {
     static int (*const parts[])(PyObject *) = {maplines_add_arrays, maplines_add_batch,
-                                               maplines_add_tables, maplines_add_values};
+                                               maplines_add_decoder, maplines_add_tables,
+                                               maplines_add_values};
     for (size_t i = 0; i < sizeof parts / sizeof parts[0]; i++)
     {
         if (parts[i](module) < 0)
@@ -40,6 +41,10 @@ static int traverse(PyObject *module, visitproc visit, void *arg)
     Py_VISIT(state->ndarray);
     Py_VISIT(state->float64);
     Py_VISIT(state->tables);
+    for (int i = 0; i < MAPLINES_OBJECTS; ++i)
+    {
+        Py_VISIT(state->objects[i]);
+    }
     return 0;
 }
 
@@ -49,6 +54,10 @@ static int clear(PyObject *module)
     Py_CLEAR(state->ndarray);
     Py_CLEAR(state->float64);
     Py_CLEAR(state->tables);
+    for (int i = 0; i < MAPLINES_OBJECTS; ++i)
+    {
+        Py_CLEAR(state->objects[i]);
+    }
     return 0;
 }
 

@@ -18,22 +18,116 @@ typedef struct {
     char *name;
 } maplines_tables_t;
 
+/// Objects of Python that all files use: places in `maplines_module_t.objects`.
+enum {
+    /* classes */
+    MAPLINES_OF_NDARRAY,
+    MAPLINES_OF_FLOAT64, ///< the dtype
+    MAPLINES_OF_GAUSSIAN,
+    MAPLINES_OF_MIXTURE,
+    MAPLINES_OF_MAP_LINE,
+    MAPLINES_OF_POSE_ERROR,
+    MAPLINES_OF_MAP_ERROR,
+    MAPLINES_OF_SCENE,
+    MAPLINES_OF_RECEIVED_SCENE,
+    /* members of enumerations, by number */
+    MAPLINES_OF_SLOTS,
+    MAPLINES_OF_KINDS = MAPLINES_OF_SLOTS + MAPLINES_SLOTS,
+    MAPLINES_OF_STATUSES = MAPLINES_OF_KINDS + MAPLINES_VIRTUAL + 1,
+    MAPLINES_OF_REASONS = MAPLINES_OF_STATUSES + MAPLINES_OUT_OF_RANGE + 1,
+    /* names of attributes */
+    MAPLINES_NAME_MEAN = MAPLINES_OF_REASONS + MAPLINES_REASONS,
+    MAPLINES_NAME_COV,
+    MAPLINES_NAME_WEIGHTS,
+    MAPLINES_NAME_COMPONENTS,
+    MAPLINES_NAME_SLOT,
+    MAPLINES_NAME_GAUSSIAN,
+    MAPLINES_NAME_KIND,
+    MAPLINES_NAME_X_MIN,
+    MAPLINES_NAME_X_MAX,
+    MAPLINES_NAME_AGE,
+    MAPLINES_NAME_STATUS,
+    MAPLINES_NAME_T_NS,
+    MAPLINES_NAME_MIXTURE,
+    MAPLINES_NAME_CORRELATION_TIME,
+    MAPLINES_NAME_POINT_SIGMA,
+    MAPLINES_NAME_OFFSET_SIGMA,
+    MAPLINES_NAME_HEADING_SIGMA,
+    MAPLINES_NAME_LINES,
+    MAPLINES_NAME_POSE_ERROR,
+    MAPLINES_NAME_FIT_RANGES,
+    MAPLINES_NAME_MAP_ERROR,
+    MAPLINES_NAME_LEFT_OUT,
+    MAPLINES_NAME_QUARTICS,
+    MAPLINES_NAME_SPECIFIC_COVS,
+    MAPLINES_OBJECTS
+};
+
 /// What the module holds.
 typedef struct {
-    PyObject *ndarray;    ///< numpy.ndarray
-    PyObject *float64;    ///< numpy.float64
-    PyTypeObject *tables; ///< type of maplines_tables_t
+    PyObject *ndarray;                   ///< numpy.ndarray
+    PyObject *float64;                   ///< numpy.float64
+    PyTypeObject *tables;                ///< type of maplines_tables_t
+    PyObject *objects[MAPLINES_OBJECTS]; ///< NULL before maplines_objects; the last is set last
 } maplines_module_t;
 
 /// State of the module.
 maplines_module_t *maplines_module_state(PyObject *module);
 
+/* arguments.c */
+
+/// Parameters of a method.
+typedef struct {
+    const char *function; ///< as messages name it
+    const char *names[8];
+    int count;
+    int positional; ///< the first ones; the others are keywords only
+    int required;   ///< the first ones
+} maplines_parameters_t;
+
+/// Read the arguments of a method (not `self`) to their places in `values`, which has the defaults,
+/// and NULL for what is required; false with TypeError. References are borrowed.
+bool maplines_read_arguments(const maplines_parameters_t *parameters, PyObject *const *arguments,
+                             Py_ssize_t count, PyObject *keywords, PyObject **values);
+
+/* objects.c: objects of the package, as its constructors make them, but without their checks */
+
+/// Objects of Python by their places; NULL with an exception if they cannot be imported.
+PyObject *const *maplines_objects(maplines_module_t *module);
+
+/// Read-only array of float64 at an offset into bytes [byte]; steals `shape`, which may be NULL.
+PyObject *maplines_new_array(PyObject *const *objects, PyObject *shape, PyObject *bytes,
+                             Py_ssize_t offset);
+
+/// `Gaussian` over n states.
+PyObject *maplines_new_gaussian(PyObject *const *objects, int n, const double *mean,
+                                const double *cov);
+
+/// `GaussianMixture`; `components` are `Gaussian`s.
+PyObject *maplines_new_mixture(PyObject *const *objects, int count, const double *weights,
+                               PyObject *const *components);
+
+/// `MapLine` with the values of a line in C but its Gaussian; steals `gaussian`, which may be NULL,
+/// and `mixture`, which is NULL for None.
+PyObject *maplines_new_line(PyObject *const *objects, const maplines_line_t *line,
+                            PyObject *gaussian, PyObject *mixture);
+
+/// Covariance of a line of a scene: its block of the joint one.
+void maplines_scene_covariance(const maplines_scene_t *scene, int place, double cov[16]);
+
+/// `Scene` of lines, and of the parts of their joint covariance; steals `lines`, a tuple.
+PyObject *maplines_new_scene(PyObject *const *objects, const maplines_scene_t *scene,
+                             PyObject *lines);
+
+/// Named tuple of a class; steals `values`, a tuple that may be NULL.
+PyObject *maplines_new_named(PyObject *class_, PyObject *values);
+
 /// Tables of a DBC of an argument; NULL with TypeError if it is something else.
 const maplines_dbc_t *maplines_dbc_of(PyObject *module, PyObject *tables);
 
 /// Read-only array of double precision with a copy of the values; NULL with an exception.
-PyObject *maplines_new_array(PyObject *module, int axes, const Py_ssize_t *shape,
-                             const double *values);
+PyObject *maplines_array_of(PyObject *module, int axes, const Py_ssize_t *shape,
+                            const double *values);
 /// Hold the buffer of an array of double precision of so many axes, in C order: release it after
 /// use. False without an exception if it is something else.
 bool maplines_hold_doubles(PyObject *array, int axes, Py_buffer *view);
@@ -45,5 +139,6 @@ int maplines_add_arrays(PyObject *module);
 int maplines_add_batch(PyObject *module);
 int maplines_add_tables(PyObject *module);
 int maplines_add_values(PyObject *module);
+int maplines_add_decoder(PyObject *module);
 
 #endif

@@ -187,8 +187,8 @@ static PyObject *checked_gaussian(PyObject *module, PyObject *const *args, Py_ss
     }
     const Py_ssize_t shape[2] = {n, n};
     PyObject *pair = PyTuple_New(2);
-    PyObject *first = pair == NULL ? NULL : maplines_new_array(module, 1, shape, mean);
-    PyObject *second = first == NULL ? NULL : maplines_new_array(module, 2, shape, cov);
+    PyObject *first = pair == NULL ? NULL : maplines_array_of(module, 1, shape, mean);
+    PyObject *second = first == NULL ? NULL : maplines_array_of(module, 2, shape, cov);
     if (second == NULL)
     {
         Py_XDECREF(first);

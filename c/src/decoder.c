@@ -118,29 +118,38 @@ static void feed_component(maplines_decoder_t *decoder, const maplines_arrival_t
     deliver(decoder, arrival->owner, frames, content->count, fed);
 }
 
-/// Deliver the line of a conditional record that has joined its pose error; false, and counted, if
-/// it is no function of x.
-static void feed_joined(maplines_decoder_t *decoder, const maplines_joined_t *joined,
-                        maplines_fed_t *fed)
+/// Deliver the lines of conditional records that have joined one pose error. What is no function of
+/// x is counted instead.
+static void feed_joined(maplines_decoder_t *decoder, const maplines_joined_t *joined, int count,
+                        maplines_fed_t *fed, maplines_scene_t *scene)
 {
-    const maplines_epoch_t *epoch = &decoder->epochs.epochs[joined->epoch];
-    maplines_scene_t scene;
-    maplines_member_t member;
-    member.slot = joined->slot;
-    member.t_ns = epoch->lines[joined->slot].t_ns;
-    memcpy(member.record, epoch->lines[joined->slot].record, MAPLINES_MAX_RECORD);
-    if (!maplines_decode_scene(decoder->dbc, epoch->record, epoch->t_ns, 1, &member, &scene))
+    int slots[MAPLINES_SLOTS] = {0};
+    for (int i = 0; i < count; ++i)
     {
-        fed->reason = dropped_record(decoder, MAPLINES_CONTENT, joined->frames);
-        return;
+        slots[i] = joined[i].slot;
     }
-    decoder->newest[joined->slot] = scene.lines[0];
-    deliver(decoder, joined->slot, joined->frames, 1, fed);
+    maplines_decode_epoch(decoder->dbc, &decoder->epochs.epochs[joined[0].epoch], count, slots,
+                          scene);
+    unsigned place = 0;
+    for (int i = 0; i < count; ++i)
+    {
+        if (place < scene->count && (int)scene->lines[place].slot == slots[i])
+        {
+            decoder->newest[slots[i]] = scene->lines[place];
+            deliver(decoder, slots[i], joined[i].frames, 1, fed);
+            ++place;
+        }
+        else
+        {
+            fed->reason = dropped_record(decoder, MAPLINES_CONTENT, joined[i].frames);
+        }
+    }
+    fed->reason = fed->count > 0 ? MAPLINES_COMPLETE : fed->reason;
 }
 
 /// Add a new pose error to the epochs, and deliver the lines that waited for it.
 static void feed_pose(maplines_decoder_t *decoder, const maplines_arrival_t *arrival,
-                      maplines_fed_t *fed)
+                      maplines_fed_t *fed, maplines_scene_t *scene)
 {
     maplines_check_t *check = &decoder->checks[MAPLINES_POSE];
     maplines_joined_t joined[MAPLINES_SLOTS];
@@ -149,16 +158,16 @@ static void feed_pose(maplines_decoder_t *decoder, const maplines_arrival_t *arr
     decoder->statistics.pose_frames += arrival->frames;
     const int count =
         maplines_add_pose(decoder, arrival->record, arrival->t_ns, check->ahead, joined);
-    for (int i = 0; decoder->dbc->is_conditional && i < count; ++i)
+    if (decoder->dbc->is_conditional && count > 0)
     {
-        feed_joined(decoder, &joined[i], fed);
+        feed_joined(decoder, joined, count, fed, scene);
     }
     fed->reason = fed->count > 0 ? MAPLINES_COMPLETE : MAPLINES_PENDING;
 }
 
 /// Add a new record that is conditional on a pose error.
 static void feed_conditional(maplines_decoder_t *decoder, const maplines_arrival_t *arrival,
-                             uint32_t counter, maplines_fed_t *fed)
+                             uint32_t counter, maplines_fed_t *fed, maplines_scene_t *scene)
 {
     const bool is_break = decoder->checks[arrival->owner].ahead == 0;
     maplines_joining_t line;
@@ -169,12 +178,20 @@ static void feed_conditional(maplines_decoder_t *decoder, const maplines_arrival
     line.frames = (uint8_t)arrival->frames;
     if (maplines_add_line(decoder, arrival->owner, &line, is_break, &joined))
     {
-        feed_joined(decoder, &joined, fed);
+        feed_joined(decoder, &joined, 1, fed, scene);
     }
 }
 
 maplines_fed_t maplines_feed(maplines_decoder_t *decoder, const maplines_frame_t *frame,
                              int64_t t_ns)
+{
+    maplines_scene_t scene;
+    return maplines_feed_with(decoder, frame, t_ns, &scene);
+}
+
+MAPLINES_INTERNAL maplines_fed_t maplines_feed_with(maplines_decoder_t *decoder,
+                                                    const maplines_frame_t *frame, int64_t t_ns,
+                                                    maplines_scene_t *scene)
 {
     maplines_fed_t fed;
     maplines_arrival_t arrival;
@@ -221,11 +238,11 @@ maplines_fed_t maplines_feed(maplines_decoder_t *decoder, const maplines_frame_t
     fed.reason = MAPLINES_PENDING;
     if (arrival.owner == MAPLINES_POSE)
     {
-        feed_pose(decoder, &arrival, &fed);
+        feed_pose(decoder, &arrival, &fed, scene);
     }
     else if (decoder->dbc->is_conditional)
     {
-        feed_conditional(decoder, &arrival, counter, &fed);
+        feed_conditional(decoder, &arrival, counter, &fed, scene);
     }
     else
     {
@@ -402,7 +419,7 @@ bool maplines_slot_stats(maplines_decoder_t *decoder, maplines_owner_t owner, in
     maplines_check_t *check = &decoder->checks[owner];
     stats->state = maplines_check_elapse(check, maplines_limited_time(now_ns));
     stats->status = check->status;
-    stats->ok = check->ok;
+    stats->ok = check->ok + check->some_lost;
     stats->lost = check->lost;
     stats->repeated = check->repeated;
     stats->wrong_sequence = check->wrong_sequence;

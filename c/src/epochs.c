@@ -348,22 +348,17 @@ MAPLINES_INTERNAL uint32_t maplines_pending_lines(const maplines_decoder_t *deco
 /* ---- scenes ------------------------------------------------------------------------------------
  */
 
-/// Decode the scene of an epoch without lines that are no function of x in their range.
-static void build_scene(const maplines_dbc_t *dbc, const maplines_epoch_t *epoch,
-                        maplines_scene_t *scene)
+MAPLINES_INTERNAL void maplines_decode_epoch(const maplines_dbc_t *dbc,
+                                             const maplines_epoch_t *epoch, int count,
+                                             const int *slots, maplines_scene_t *scene)
 {
     maplines_member_t members[MAPLINES_SLOTS];
-    int count = 0;
     memset(members, 0, sizeof(members));
-    for (int slot = 0; slot < MAPLINES_SLOTS; ++slot)
+    for (int i = 0; i < count; ++i)
     {
-        if ((epoch->slots >> (unsigned)slot & 1U) != 0)
-        {
-            members[count].slot = slot;
-            members[count].t_ns = epoch->lines[slot].t_ns;
-            memcpy(members[count].record, epoch->lines[slot].record, MAPLINES_MAX_RECORD);
-            ++count;
-        }
+        members[i].slot = slots[i];
+        members[i].t_ns = epoch->lines[slots[i]].t_ns;
+        memcpy(members[i].record, epoch->lines[slots[i]].record, MAPLINES_MAX_RECORD);
     }
     if (maplines_decode_scene(dbc, epoch->record, epoch->t_ns, count, members, scene))
     {
@@ -381,6 +376,23 @@ static void build_scene(const maplines_dbc_t *dbc, const maplines_epoch_t *epoch
     }
     // Lines do not depend on each other, so this finds what each of them has found.
     (void)maplines_decode_scene(dbc, epoch->record, epoch->t_ns, kept, members, scene);
+}
+
+/// Decode the scene of an epoch.
+static void build_scene(const maplines_dbc_t *dbc, const maplines_epoch_t *epoch,
+                        maplines_scene_t *scene)
+{
+    int slots[MAPLINES_SLOTS] = {0};
+    int count = 0;
+    for (int slot = 0; slot < MAPLINES_SLOTS; ++slot)
+    {
+        if ((epoch->slots >> (unsigned)slot & 1U) != 0)
+        {
+            slots[count] = slot;
+            ++count;
+        }
+    }
+    maplines_decode_epoch(dbc, epoch, count, slots, scene);
 }
 
 MAPLINES_INTERNAL const maplines_scene_t *maplines_newest_scene(maplines_decoder_t *decoder)

@@ -141,10 +141,6 @@ MAPLINES_INTERNAL void maplines_moments(int count, const double *weights, double
     }
 }
 
-/// Share of the variances that is added to a covariance that rounding has made indefinite; that of
-/// 64 components errs by less.
-#define DEFINITE_SHARE 0x1p-40
-
 /// Factor of a covariance with its rows in this order of the states.
 static void factor_in_order(const double cov[16], const uint8_t order[4], double factor[4][4])
 {
@@ -158,7 +154,7 @@ static void factor_in_order(const double cov[16], const uint8_t order[4], double
     {
         for (int i = 0; i < 4; ++i)
         {
-            const double share = DEFINITE_SHARE * ordered[5 * i];
+            const double share = MAPLINES_DEFINITE_SHARE * ordered[5 * i];
             ordered[5 * i] = ordered[5 * i] + share;
         }
         (void)maplines_cholesky_factor(4, ordered, L);

@@ -122,6 +122,9 @@ MAPLINES_INTERNAL void maplines_widest_covariance(const maplines_cholesky_t *cod
 /// states. In single precision the factor is widened so that it covers what the rounding loses.
 MAPLINES_INTERNAL void maplines_set_gaussian(const double mean[4], double (*factor)[4],
                                              const uint8_t order[4], maplines_gaussian_t *gaussian);
+/// Share of the variances that is added to a covariance of a mixture that rounding has made
+/// indefinite; that of 64 components errs by less.
+#define MAPLINES_DEFINITE_SHARE 0x1p-40
 /// Mean and covariance of a mixture; covs are (4, 4) and symmetric.
 MAPLINES_INTERNAL void maplines_moments(int count, const double *weights, double (*means)[4],
                                         double (*covs)[16], double mean[4], double cov[16]);
@@ -642,8 +645,20 @@ MAPLINES_INTERNAL bool maplines_add_line(maplines_decoder_t *decoder, int slot,
 MAPLINES_INTERNAL void maplines_expire_epochs(maplines_decoder_t *decoder, int64_t t_ns);
 /// Frames of lines that wait for their pose error.
 MAPLINES_INTERNAL uint32_t maplines_pending_lines(const maplines_decoder_t *decoder);
+/// Decode the lines of some slots of an epoch, in this order; without one that is no function of x.
+MAPLINES_INTERNAL void maplines_decode_epoch(const maplines_dbc_t *dbc,
+                                             const maplines_epoch_t *epoch, int count,
+                                             const int *slots, maplines_scene_t *scene);
 /// The newest scene that waits for no line; NULL before the first.
 MAPLINES_INTERNAL const maplines_scene_t *maplines_newest_scene(maplines_decoder_t *decoder);
+
+/* decoder.c */
+
+/// As maplines_feed. Lines that are conditional on the pose error are in `scene`, too, with their
+/// parts of the joint covariance; it is not written without such lines.
+MAPLINES_INTERNAL maplines_fed_t maplines_feed_with(maplines_decoder_t *decoder,
+                                                    const maplines_frame_t *frame, int64_t t_ns,
+                                                    maplines_scene_t *scene);
 
 /* ---- sigma_points.c
  * ------------------------------------------------------------------------------ */

@@ -310,6 +310,9 @@ MAPLINES_INTERNAL maplines_reason_t maplines_check_received(maplines_check_t *ch
     case MAPLINES_E2E_WRONGSEQUENCE:
         ++check->wrong_sequence;
         break;
+    case MAPLINES_E2E_OKSOMELOST:
+        ++check->some_lost;
+        break;
     default:
         ++check->ok;
         break;

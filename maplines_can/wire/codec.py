@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..values.errors import LayoutError
 from .batch import BatchCodec
-from .c_tables import tables_of
+from .c_tables import number_of, tables_of
 from .covariance import CholeskyCode, CovarianceCode, SceneCode, SceneEncoder
 from .encoder import Encoder, conditional_error
 from .layout.dbc_reader import Database, default_dbc_path
@@ -20,6 +21,7 @@ from .layout.pose_layout import POSE, Owner, PoseLayout
 from .protection.e2e_state import E2EConfig
 from .protection.secoc import Authenticator, Verifier
 from .reception.decoder import Decoder
+from .reception.native_decoder import NativeDecoder
 from .reception.settings import decoder_settings
 from .records.batch_kernel import BatchKernel
 from .records.complete_format import CompleteFormat
@@ -92,7 +94,7 @@ class Codec:
         self.covariance = codes[layout.covariance_code](layout)
         self._complete: CompleteWriter | None = None
         if not layout.is_conditional:
-            kernel = BatchKernel.of(tables_of(layout), layout, self.covariance)
+            kernel = BatchKernel.of(self._tables, layout, self.covariance)
             self._complete = CompleteWriter(layout, CompleteFormat(layout, self.covariance, kernel))
         #: Reader of the records of each slot and of the pose error.
         self.reader: RecordReader[CompleteRecord | RawRecord] = RecordReader(*self._formats())
@@ -152,6 +154,11 @@ class Codec:
             raise conditional_error(self.layout)
         return BatchCodec(self._complete)
 
+    @cached_property
+    def _tables(self) -> Any:
+        """Tables for the extension module; None if Python computes alone."""
+        return tables_of(self.layout) if type(self.covariance) is CholeskyCode else None
+
     def encoder(self) -> Encoder:
         """Return a new encoder, which holds the counters of a sender."""
         return Encoder(self.layout, self._frame_writer, self._complete, self._scene_writer)
@@ -207,8 +214,11 @@ class Codec:
             verifiers |= dict.fromkeys(layout.messages, of_lines)
         if pose is not None and (of_pose := self._verifier_of(pose)) is not None:
             verifiers[POSE] = of_pose
+        settings = decoder_settings(layout, timeout_ms, cycle_ms, e2e)
+        if self._tables is not None and not verifiers:
+            numbers = {owner: number_of(owner) for owner in settings}
+            return NativeDecoder(layout, self._tables, settings, numbers)
         scenes = None
         if pose is not None and self._scene_code is not None:
             scenes = SceneReader(layout, pose, self._scene_code)
-        settings = decoder_settings(layout, timeout_ms, cycle_ms, e2e)
         return Decoder(layout, self.reader, verifiers, settings, scenes)

@@ -3,10 +3,11 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from dbcs import default_codec, edited
 
-from maplines_can.values.line import Slot
+from maplines_can.values.line import MapLine, Slot
 from maplines_can.wire import POSE, Codec, E2EConfig, Layout, ProfileStatus, default_dbc_path
 from maplines_can.wire.reception.settings import decoder_settings, timeout_cycles
 
@@ -22,10 +23,13 @@ def test_max_delta_counter_must_be_less_than_half_of_the_counters(tmp_path: Path
               for name in ("Counter",)]  # fmt: skip
     codec = Codec.from_dbc(edited(tmp_path, *narrow, (r"Counter : 16\|8@1\+", "Counter : 16|4@1+")))
     for counter, status in ((7, ProfileStatus.OKSOMELOST), (8, ProfileStatus.WRONGSEQUENCE)):
-        check = codec.decoder().checks[Slot.EGO_LEFT]  # 4 is a quarter of the counter modulus
-        assert check.received(3, 3, 0) is None
-        assert check.received(counter, 4, 5 * 50_000_000) is None
-        assert check.status is status
+        decoder, line = codec.decoder(), MapLine.mean_only(Slot.EGO_LEFT, np.zeros(4))
+        for i, own in enumerate((3, counter)):  # 4 is a quarter of the counter modulus
+            (frames,) = codec.encoder().encode_lines([line], counters={Slot.EGO_LEFT: own})
+            for frame in frames:
+                decoder.feed(frame.can_id, frame.data, 5 * i * 50_000_000)
+        assert decoder.lines == 2
+        assert decoder.checks[Slot.EGO_LEFT].status is status
     with pytest.raises(ValueError, match=r"max_delta_counter must be less than 8.*got 16"):
         codec.decoder(e2e=E2EConfig())
     with pytest.raises(ValueError, match=r"max_delta_counter must be less than 8.*got 8"):

@@ -13,6 +13,7 @@ from ..protection.secoc import Verifier
 from ..reasons import Reason
 from ..records.record import CompleteRecord, RawRecord, RecordReader
 from ..records.scene_reader import SceneReader
+from .check import Check
 from .mixtures import MixtureAssembler, ReceivedLine
 from .reassembly import Reassembler, Record
 from .scenes import Joined, JoinedLine, ReceivedScene, SceneAssembler
@@ -24,6 +25,12 @@ from .views import STALE_CYCLES, SceneView, SlotView, scene_view, slot_view
 PENDING, FOREIGN = Reason.PENDING, Reason.FOREIGN
 
 Content = CompleteRecord | RawRecord
+
+#: Message of the error of a question about scenes if there are none.
+NO_POSE = (
+    "the DBC has no message of the pose error (MapLinePose), so there are no scenes; "
+    "take maplines.dbc or maplines-pose.dbc"
+)
 
 
 class ReceivedFrame(NamedTuple):
@@ -105,8 +112,7 @@ class Decoder:
         if (pose := layout.pose) is not None and scenes is not None:
             cycle_ns, mixed = settings[POSE].cycle_ns, not layout.is_conditional
             self._scenes = SceneAssembler(pose, scenes, cycle_ns, has_mixtures=mixed)
-        #: Checks of the records of each slot of the DBC, and of the pose error if it has that.
-        self.checks: Mapping[Owner, SequenceCheck] = {
+        self._checks: Mapping[Owner, SequenceCheck] = {
             owner: SequenceCheck(
                 own.e2e,
                 2 ** of_owner["Counter"].length,
@@ -126,9 +132,14 @@ class Decoder:
         self.pose_frames = 0  #: frames of the pose errors received
 
     @property
+    def checks(self) -> Mapping[Owner, Check]:
+        """Checks of the records of each slot of the DBC, and of the pose error if it has that."""
+        return self._checks
+
+    @property
     def lost(self) -> int:
         """Records of lines missing between those received, by their counters."""
-        return sum(check.lost for owner, check in self.checks.items() if owner != POSE)
+        return sum(check.lost for owner, check in self._checks.items() if owner != POSE)
 
     @property
     def counts(self) -> Counter[Reason]:
@@ -197,12 +208,12 @@ class Decoder:
         record = self._reassembler.feed(can_id, data, t_ns, is_extended)
         if isinstance(record, Reason) and record is not PENDING and record is not FOREIGN:
             owner = self._reassembler.owner_of(can_id, is_extended)
-            self.checks[owner].frame_dropped(record, t_ns)
+            self._checks[owner].frame_dropped(record, t_ns)
         return record
 
     def _checked(self, record: Record[Content]) -> list[MapLine] | JoinedLine | Reason:
         """Return the lines of a record, a line that is to be decoded, or the reason why none."""
-        check, content = self.checks[record.owner], record.content
+        check, content = self._checks[record.owner], record.content
         if isinstance(content, Reason):
             check.failed(record.t_ns)
             return self._dropped(content, record)
@@ -240,14 +251,9 @@ class Decoder:
         Raises:
             ValueError: the DBC has no such slot, or ``now_ns`` is not a whole number.
         """
-        slots = [owner for owner in self.checks if owner != POSE]
-        if slot not in slots:
-            names = ", ".join(known.name for known in slots)
-            raise ValueError(f"slot must be one of the DBC's, {names}, got {slot!r}")
-        if now_ns != now_ns // 1:
-            raise ValueError(f"now_ns must be whole [ns], got {now_ns!r}")
+        self._check_question(slot, now_ns)
         owners: tuple[Owner, ...] = (slot, POSE) if self._is_conditional else (slot,)
-        checks = [self.checks[owner] for owner in owners]
+        checks = [self._checks[owner] for owner in owners]
         return slot_view(Slot(slot), self._newest.get(slot), checks, now_ns, stale_cycles)
 
     def latest_scene(self, now_ns: int, *, stale_cycles: float = STALE_CYCLES) -> SceneView:
@@ -266,14 +272,11 @@ class Decoder:
             ValueError: the DBC has no message of the pose error.
         """
         if self._scenes is None:
-            raise ValueError(
-                "the DBC has no message of the pose error (MapLinePose), so there are no scenes; "
-                "take maplines.dbc or maplines-pose.dbc"
-            )
+            raise ValueError(NO_POSE)
         received = self._scenes.latest()
         lines = () if received is None else received.scene.lines
-        slots = {line.slot: self.checks[line.slot] for line in lines}
-        pose_check, is_too_old = self.checks[POSE], self._scenes.is_too_old
+        slots = {line.slot: self._checks[line.slot] for line in lines}
+        pose_check, is_too_old = self._checks[POSE], self._scenes.is_too_old
         return scene_view(received, is_too_old, pose_check, slots, now_ns, stale_cycles)
 
     def scene(self) -> ReceivedScene | None:
@@ -289,6 +292,15 @@ class Decoder:
     def pose_error(self, now_ns: int) -> SlotStats | None:
         """Return the E2E statistics of the pose error; None if none was received."""
         return self._stats(POSE, now_ns) if POSE in self.checks else None
+
+    def _check_question(self, slot: Slot, now_ns: int) -> None:
+        """Check the arguments of ``latest``."""
+        slots = [owner for owner in self.checks if owner != POSE]
+        if slot not in slots:
+            names = ", ".join(known.name for known in slots)
+            raise ValueError(f"slot must be one of the DBC's, {names}, got {slot!r}")
+        if now_ns != now_ns // 1:
+            raise ValueError(f"now_ns must be whole [ns], got {now_ns!r}")
 
     def _stats(self, owner: Owner, now_ns: int) -> SlotStats | None:
         check = self.checks[owner]
@@ -338,7 +350,7 @@ class Decoder:
         """Count the lines that a frame has completed, and keep each as the newest of its slot."""
         lines = []
         for line, frames, records in received:
-            self.checks[line.slot].delivered(records)
+            self._checks[line.slot].delivered(records)
             self.lines += 1
             self.line_frames += frames
             self._newest[line.slot] = line

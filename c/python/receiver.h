@@ -1,0 +1,40 @@
+/* What the files of `_native.Decoder` share. */
+#ifndef MAPLINES_RECEIVER_H
+#define MAPLINES_RECEIVER_H
+
+#include "native.h"
+
+/// Receiver: `_native.Decoder`.
+typedef struct {
+    PyObject_HEAD maplines_decoder_t *decoder; ///< NULL before it is initialised
+    PyObject *tables;                          ///< those of `decoder`
+    PyObject *module;                          ///< which owns `objects`
+    PyObject *routes;                          ///< by (CAN ID, is extended): the same
+    PyObject *const *objects;
+    PyObject *newest[MAPLINES_SLOTS]; ///< newest line of each slot; NULL before the first
+    PyObject *received; ///< newest scene as it was returned last; NULL before the first
+} maplines_receiver_t;
+
+/// Receiver in C; NULL with RuntimeError if it is not initialised.
+maplines_decoder_t *maplines_receiver_of(PyObject *self);
+
+/// Read a time [ns] of any integral type, limited to what the core takes; false with an exception.
+bool maplines_read_time(PyObject *value, const char *name, int64_t *t_ns);
+
+/// Line of a scene with its block of the joint covariance.
+PyObject *maplines_new_scene_line(PyObject *const *objects, const maplines_scene_t *scene,
+                                  int place);
+
+/* views.c */
+
+PyObject *maplines_receiver_view(PyObject *self, PyObject *arguments);
+PyObject *maplines_receiver_scene(PyObject *self, PyObject *unused);
+PyObject *maplines_receiver_scene_view(PyObject *self, PyObject *arguments);
+PyObject *maplines_receiver_check(PyObject *self, PyObject *arguments);
+PyObject *maplines_receiver_elapse(PyObject *self, PyObject *arguments);
+PyObject *maplines_receiver_senders(PyObject *self, PyObject *arguments);
+PyObject *maplines_receiver_counts(PyObject *self, PyObject *unused);
+PyObject *maplines_receiver_number(PyObject *self, void *offset);
+PyObject *maplines_receiver_pending(PyObject *self, void *unused);
+
+#endif
