@@ -18,9 +18,10 @@ maplines_module_t *maplines_module_state(PyObject *module)
 
 static int add_all(PyObject *module)
 {
-    static int (*const parts[])(PyObject *) = {maplines_add_arrays, maplines_add_batch,
-                                               maplines_add_decoder, maplines_add_tables,
-                                               maplines_add_values};
+    static int (*const parts[])(PyObject *) = {
+        maplines_add_arrays, maplines_add_batch,  maplines_add_decoder, maplines_add_scene,
+        maplines_add_sender, maplines_add_tables, maplines_add_values,
+    };
     for (size_t i = 0; i < sizeof parts / sizeof parts[0]; i++)
     {
         if (parts[i](module) < 0)
@@ -45,6 +46,8 @@ static int traverse(PyObject *module, visitproc visit, void *arg)
     {
         Py_VISIT(state->objects[i]);
     }
+    Py_VISIT(state->sender);
+    Py_VISIT(state->scene);
     return 0;
 }
 
@@ -58,6 +61,8 @@ static int clear(PyObject *module)
     {
         Py_CLEAR(state->objects[i]);
     }
+    Py_CLEAR(state->sender);
+    Py_CLEAR(state->scene);
     return 0;
 }
 

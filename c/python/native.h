@@ -69,6 +69,8 @@ typedef struct {
     PyObject *float64;                   ///< numpy.float64
     PyTypeObject *tables;                ///< type of maplines_tables_t
     PyObject *objects[MAPLINES_OBJECTS]; ///< NULL before maplines_objects; the last is set last
+    PyTypeObject *sender;                ///< that of `_native.Sender`
+    PyTypeObject *scene;                 ///< that of `_native.PreparedScene`
 } maplines_module_t;
 
 /// State of the module.
@@ -137,6 +139,8 @@ bool maplines_read_doubles(PyObject *array, int axes, Py_ssize_t count, double *
 /// Add the functions and types of a file to the module; 0, or -1 with an exception.
 int maplines_add_arrays(PyObject *module);
 int maplines_add_batch(PyObject *module);
+int maplines_add_scene(PyObject *module);
+int maplines_add_sender(PyObject *module);
 int maplines_add_tables(PyObject *module);
 int maplines_add_values(PyObject *module);
 int maplines_add_decoder(PyObject *module);

@@ -205,9 +205,9 @@ static maplines_refusal_t check_components(const maplines_encoder_t *encoder,
     return MAPLINES_SENT;
 }
 
-/// Decoded weights of the components, and what each must cover besides its own covariance.
-static void cover_mixture(const maplines_dbc_t *dbc, const maplines_component_t *components,
-                          int count, double *decoded_weights, double cover[16])
+MAPLINES_INTERNAL void maplines_cover_mixture(const maplines_dbc_t *dbc,
+                                              const maplines_component_t *components, int count,
+                                              double *decoded_weights, double cover[16])
 {
     double weights[MAPLINES_MAX_COMPONENTS];
     double means[MAPLINES_MAX_COMPONENTS][4];
@@ -248,7 +248,7 @@ maplines_sent_t maplines_encode_mixture(maplines_encoder_t *encoder, const mapli
         return refused(refusal);
     }
     const uint32_t first = encoder->counter[line->slot];
-    cover_mixture(encoder->dbc, components, (int)count, weights, cover);
+    maplines_cover_mixture(encoder->dbc, components, (int)count, weights, cover);
     for (size_t i = 0; i < count; ++i)
     {
         maplines_draft_t draft;

@@ -229,6 +229,11 @@ MAPLINES_INTERNAL bool maplines_can_send(const maplines_encoder_t *encoder, int 
 MAPLINES_INTERNAL size_t maplines_frames(const maplines_encoder_t *encoder, int owner,
                                          const uint8_t *record, size_t length, bool is_fd,
                                          int64_t now_us, maplines_frame_t *frames);
+/// Decoded weights of the components of a mixture, and what each of them must cover besides its own
+/// covariance.
+MAPLINES_INTERNAL void maplines_cover_mixture(const maplines_dbc_t *dbc,
+                                              const maplines_component_t *components, int count,
+                                              double *decoded_weights, double cover[16]);
 /// MAPLINES_SENT, or what is wrong with kind, status, range and age of a line.
 MAPLINES_INTERNAL maplines_refusal_t maplines_check_input(const maplines_input_t *line);
 /* ---- cubics.c: as values/cubics.py
@@ -456,6 +461,27 @@ MAPLINES_INTERNAL maplines_refusal_t maplines_encode_members(const maplines_dbc_
                                                              const maplines_scene_input_t *scene,
                                                              bool is_full,
                                                              maplines_scene_workspace_t *space);
+
+/* ---- scene_send.c
+ * -------------------------------------------------------------------------------- */
+
+/// One cycle of a scene: what the record of its pose error states of it.
+typedef struct {
+    double age;                          ///< from the pose to the sending of the pose error [s]
+    uint32_t first[MAPLINES_OWNERS];     ///< counters before the cycle
+    uint32_t following[MAPLINES_OWNERS]; ///< and after it
+    bool is_member[MAPLINES_SLOTS];      ///< lines that are sent and belong to the pose error
+} maplines_pose_cycle_t;
+
+/// Write all of a record that is conditional on the pose error but what maplines_seal writes;
+/// returns its length.
+MAPLINES_INTERNAL size_t maplines_write_conditional(const maplines_dbc_t *dbc, maplines_kind_t kind,
+                                                    const maplines_scene_member_t *member,
+                                                    uint8_t *record);
+/// Write all of the record of the pose error but what maplines_seal writes; returns its length.
+MAPLINES_INTERNAL size_t maplines_write_pose(const maplines_dbc_t *dbc,
+                                             const maplines_scene_workspace_t *space,
+                                             const maplines_pose_cycle_t *cycle, uint8_t *record);
 
 /* ---- reception ---------------------------------------------------------------------------------
  *

@@ -144,16 +144,16 @@ static void put_levels(const maplines_levels_t *levels, uint8_t *record, const i
     maplines_put(&levels->shape, record, raw[2]);
 }
 
-/// Record of a line that is conditional on the pose error; returns its length.
-static size_t write_conditional(const maplines_dbc_t *dbc, const maplines_scene_line_t *line,
-                                const maplines_scene_member_t *member, uint8_t *record)
+MAPLINES_INTERNAL size_t maplines_write_conditional(const maplines_dbc_t *dbc, maplines_kind_t kind,
+                                                    const maplines_scene_member_t *member,
+                                                    uint8_t *record)
 {
     const int64_t *mean = member->is_full ? member->raw_refined : member->raw_mean;
     for (int i = 0; i < 4; ++i)
     {
         maplines_put(&dbc->mean[i], record, mean[i]);
     }
-    maplines_put(&dbc->kind, record, (int64_t)line->kind);
+    maplines_put(&dbc->kind, record, (int64_t)kind);
     maplines_put(&dbc->x_min, record, member->raw_range[0]);
     maplines_put(&dbc->x_max, record, member->raw_range[1]);
     maplines_put(&dbc->levels.quartic, record, member->raw_quartic);
@@ -205,14 +205,11 @@ static void put_slot_counter(const maplines_dbc_t *dbc, int slot, bool is_member
     }
 }
 
-/// Record of the pose error; `first` are the counters before this cycle. Returns its length.
-static size_t write_pose(const maplines_encoder_t *encoder, const maplines_scene_input_t *scene,
-                         const uint32_t first[MAPLINES_OWNERS],
-                         const maplines_scene_workspace_t *space, uint8_t *record)
+MAPLINES_INTERNAL size_t maplines_write_pose(const maplines_dbc_t *dbc,
+                                             const maplines_scene_workspace_t *space,
+                                             const maplines_pose_cycle_t *cycle, uint8_t *record)
 {
-    const maplines_dbc_t *dbc = encoder->dbc;
-    const double age = maplines_raw_above(&dbc->pose_age, 1000.0 * scene->pose_age);
-    bool is_member[MAPLINES_SLOTS] = {false};
+    const double age = maplines_raw_above(&dbc->pose_age, 1000.0 * cycle->age);
     maplines_put(&dbc->pose_age, record, maplines_limited(&dbc->pose_age, age));
     maplines_put(&dbc->correlation_time, record, space->raw_time);
     maplines_put(&dbc->map_offset, record, space->raw_offset);
@@ -221,8 +218,7 @@ static size_t write_pose(const maplines_encoder_t *encoder, const maplines_scene
     for (int i = 0; i < space->count; ++i)
     {
         const maplines_scene_member_t *member = &space->members[space->places[i]];
-        is_member[member->slot] = true;
-        if (!dbc->is_conditional)
+        if (!dbc->is_conditional && cycle->is_member[member->slot])
         {
             const maplines_levels_t *levels = &dbc->slot_levels[member->slot];
             put_levels(levels, record, member->raw_levels);
@@ -233,7 +229,8 @@ static size_t write_pose(const maplines_encoder_t *encoder, const maplines_scene
     }
     for (int slot = 0; slot < MAPLINES_SLOTS; ++slot)
     {
-        put_slot_counter(dbc, slot, is_member[slot], first[slot], encoder->counter[slot], record);
+        put_slot_counter(dbc, slot, cycle->is_member[slot], cycle->first[slot],
+                         cycle->following[slot], record);
     }
     return 8U * (size_t)dbc->pose.pages;
 }
@@ -256,22 +253,27 @@ static bool send_records(maplines_encoder_t *encoder, const maplines_scene_input
                          maplines_frame_t *frames, maplines_sent_scene_t *sent)
 {
     const maplines_dbc_t *dbc = encoder->dbc;
-    uint32_t first[MAPLINES_OWNERS];
-    memcpy(first, encoder->counter, sizeof first);
+    maplines_pose_cycle_t cycle;
+    const uint32_t *first = cycle.first;
+    memset(&cycle, 0, sizeof cycle);
+    cycle.age = scene->pose_age;
+    memcpy(cycle.first, encoder->counter, sizeof cycle.first);
     for (int place = 0; place < (int)scene->count; ++place)
     {
         const int slot = (int)scene->lines[place].slot;
         sent->left_out[place] = space->members[place].left_out;
-        sent->is_sent[place] = !dbc->is_conditional || sent->left_out[place] == MAPLINES_IN_SCENE;
+        cycle.is_member[slot] = sent->left_out[place] == MAPLINES_IN_SCENE;
+        sent->is_sent[place] = !dbc->is_conditional || cycle.is_member[slot];
         if (sent->is_sent[place])
         {
             sent->status[place] = MAPLINES_FULL; // unless its record has another one
             encoder->counter[slot] = maplines_next_counter(dbc, slot, encoder->counter[slot]);
         }
     }
+    memcpy(cycle.following, encoder->counter, sizeof cycle.following);
     uint8_t pose_record[MAPLINES_MAX_RECORD] = {0};
     const int pose = (int)MAPLINES_POSE;
-    const size_t pose_length = write_pose(encoder, scene, first, space, pose_record);
+    const size_t pose_length = maplines_write_pose(dbc, space, &cycle, pose_record);
     bool is_good = append(encoder, pose, pose_record, pose_length, first[pose], is_fd, now_us,
                           frames, &sent->count);
     encoder->counter[pose] = maplines_next_counter(dbc, pose, first[pose]);
@@ -281,9 +283,10 @@ static bool send_records(maplines_encoder_t *encoder, const maplines_scene_input
         if (sent->is_sent[place])
         {
             uint8_t record[MAPLINES_MAX_RECORD] = {0};
-            const size_t length = dbc->is_conditional
-                                      ? write_conditional(dbc, line, &space->members[place], record)
-                                      : write_line(dbc, scene, place, record, &sent->status[place]);
+            const size_t length =
+                dbc->is_conditional
+                    ? maplines_write_conditional(dbc, line->kind, &space->members[place], record)
+                    : write_line(dbc, scene, place, record, &sent->status[place]);
             is_good = append(encoder, (int)line->slot, record, length, first[line->slot], is_fd,
                              now_us, frames, &sent->count);
         }

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..values.errors import LayoutError
 from .batch import BatchCodec
+from .c_sender import CSender
 from .c_tables import number_of, tables_of
 from .covariance import CholeskyCode, CovarianceCode, SceneCode, SceneEncoder
 from .encoder import Encoder, conditional_error
@@ -94,7 +95,7 @@ class Codec:
         self.covariance = codes[layout.covariance_code](layout)
         self._complete: CompleteWriter | None = None
         if not layout.is_conditional:
-            kernel = BatchKernel.of(self._tables, layout, self.covariance)
+            kernel = BatchKernel.of(self._c_tables, layout, self.covariance)
             self._complete = CompleteWriter(layout, CompleteFormat(layout, self.covariance, kernel))
         #: Reader of the records of each slot and of the pose error.
         self.reader: RecordReader[CompleteRecord | RawRecord] = RecordReader(*self._formats())
@@ -154,14 +155,11 @@ class Codec:
             raise conditional_error(self.layout)
         return BatchCodec(self._complete)
 
-    @cached_property
-    def _tables(self) -> Any:
-        """Tables for the extension module; None if Python computes alone."""
-        return tables_of(self.layout) if type(self.covariance) is CholeskyCode else None
-
     def encoder(self) -> Encoder:
         """Return a new encoder, which holds the counters of a sender."""
-        return Encoder(self.layout, self._frame_writer, self._complete, self._scene_writer)
+        return Encoder(
+            self.layout, self._frame_writer, self._complete, self._scene_writer, self._c_sender
+        )
 
     def _formats(self) -> Iterator[RecordFormat[CompleteRecord | RawRecord]]:
         yield RawFormat.of_lines(self.layout) if self._complete is None else self._complete.format
@@ -174,6 +172,17 @@ class Codec:
             return None
         encoder = SceneEncoder(self._scene_code)
         return SceneWriter(self.layout, self.layout.pose, encoder, self._complete)
+
+    @cached_property
+    def _c_tables(self) -> Any:
+        """Tables for the extension module; None if Python computes alone."""
+        return tables_of(self.layout) if type(self.covariance) is CholeskyCode else None
+
+    @cached_property
+    def _c_sender(self) -> CSender | None:
+        if self._c_tables is None:
+            return None
+        return CSender(self._c_tables, self._scene_code, self._frame_writer)
 
     def verifier(self) -> Verifier | None:
         """Return a verifier of received frames of lines; None without an authenticator."""
@@ -215,9 +224,9 @@ class Codec:
         if pose is not None and (of_pose := self._verifier_of(pose)) is not None:
             verifiers[POSE] = of_pose
         settings = decoder_settings(layout, timeout_ms, cycle_ms, e2e)
-        if self._tables is not None and not verifiers:
+        if self._c_tables is not None and not verifiers:
             numbers = {owner: number_of(owner) for owner in settings}
-            return NativeDecoder(layout, self._tables, settings, numbers)
+            return NativeDecoder(layout, self._c_tables, settings, numbers)
         scenes = None
         if pose is not None and self._scene_code is not None:
             scenes = SceneReader(layout, pose, self._scene_code)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from ..values.errors import EncodeError
 from ..values.line import MapLine, Slot
 from ..values.scene import Scene
+from .c_sender import CSender
 from .layout.message_layout import Layout
 from .layout.pose_layout import Owner
 from .records.complete_writer import CompleteWriter
@@ -28,6 +28,7 @@ class Encoder:
         frame_writer: writes the frames of a record.
         line_writer: writes lines; None if the records are conditional on the pose error.
         scene_writer: writes scenes; None if the DBC has no message of the pose error.
+        c_sender: writes what is usual, in C; None for Python alone.
     """
 
     def __init__(
@@ -36,10 +37,12 @@ class Encoder:
         frame_writer: FrameWriter,
         line_writer: CompleteWriter | None,
         scene_writer: SceneWriter | None,
+        c_sender: CSender | None = None,
     ) -> None:
         self._layout, self._frame_writer = layout, frame_writer
         self._lines, self._scenes = line_writer, scene_writer
-        self._counters: Counter[Owner] = Counter()
+        self._c = c_sender
+        self._counters: dict[Owner, int] = {}
 
     def encode(self, line: MapLine, *, fd: bool = False) -> list[Frame]:
         """Encode a line into frames to be sent back to back, and advance the slot's counter.
@@ -71,17 +74,25 @@ class Encoder:
         """
         if not lines:
             return []
-        writer = self._line_writer()
         first = self._counters if counters is None else counters
+        sent = None if self._c is None else self._c.lines(lines, first, fd=fd)
+        frames, following = sent or self._write_lines(lines, first, fd=fd)
+        if counters is None:
+            self._counters = following
+        return frames
+
+    def _write_lines(
+        self, lines: Sequence[MapLine], first: Mapping[Owner, int], *, fd: bool
+    ) -> tuple[list[list[Frame]], dict[Owner, int]]:
+        """Return the frames of each line, and the counters that follow them."""
+        writer = self._line_writer()
         records_of_lines, following = writer.write_lines(lines, first)
         write = self._frame_writer.write
         frames = [
             [frame for record in records for frame in write(record, line.slot, fd)]
             for line, records in zip(lines, records_of_lines, strict=True)
         ]
-        if counters is None:
-            self._counters = following
-        return frames
+        return frames, following
 
     def prepare_scene(self, scene: Scene, *, fd: bool = False) -> PreparedScene:
         """Encode a scene but for counters and age, which takes most of the time.
@@ -94,7 +105,9 @@ class Encoder:
             EncodeError: the DBC has no message of the pose error, or none for a slot; or the pose
                 error does not fit.
         """
-        return self._scene_writer().prepare(scene, full=fd and self._layout.is_conditional)
+        full = fd and self._layout.is_conditional
+        prepared = None if self._c is None else self._c.prepare(scene, full=full)
+        return prepared or self._scene_writer().prepare(scene, full=full)
 
     def encode_scene(
         self,
@@ -131,11 +144,24 @@ class Encoder:
         """
         prepared = self.prepare_scene(scene, fd=fd) if isinstance(scene, Scene) else scene
         first = self._counters if counters is None else counters
-        records, following = self._scene_writer().write(prepared, first, age)
+        sent = None if self._c is None else self._c.scene(prepared, first, age, fd=fd)
+        frames, following = sent or self._write_scene(prepared, first, age, fd=fd)
         if counters is None:
             self._counters = following
+        return frames
+
+    def _write_scene(
+        self,
+        prepared: PreparedScene,
+        first: Mapping[Owner, int],
+        age: float | Mapping[Owner, float],
+        *,
+        fd: bool,
+    ) -> tuple[dict[Owner, list[Frame]], dict[Owner, int]]:
+        """Return the frames of a scene by owner, and the counters that follow them."""
+        records, following = self._scene_writer().write(prepared, first, age)
         write = self._frame_writer.write
-        return {owner: write(record, owner, fd) for owner, record in records.items()}
+        return {owner: write(record, owner, fd) for owner, record in records.items()}, following
 
     def frames(self, payload: NDArray[np.uint8], slot: Slot, *, fd: bool = False) -> list[Frame]:
         """Return the frames of one record; each authenticated frame has its own freshness value."""

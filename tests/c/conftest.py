@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from maplines_can.wire import c_tables
 from maplines_can.wire.layout import validation
-from maplines_can.wire.records.batch_kernel import BatchKernel
 
 
 @pytest.fixture(autouse=True)
 def python_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Batches stay in NumPy."""
-    monkeypatch.setattr(BatchKernel, "of", lambda *_: None)
+    """Codecs that a test makes have no tables for C."""
+    monkeypatch.setattr(c_tables, "core", None)
     monkeypatch.setattr(validation, "core", None)

@@ -39,6 +39,11 @@ class FrameWriter:
             check_freshness(authenticator, layout.secured)
         self._layout, self._authenticator = layout, authenticator
 
+    @property
+    def is_authenticated(self) -> bool:
+        """Whether all frames are authenticated."""
+        return self._authenticator is not None
+
     def write(self, record: bytes, owner: Owner, fd: bool) -> list[Frame]:
         """Return the frames of a record of a line, or of the pose error.
 

@@ -1,0 +1,94 @@
+/* Lines and scenes to frames: what the files of the sender share. */
+#ifndef MAPLINES_SENDER_H
+#define MAPLINES_SENDER_H
+
+#include "native.h"
+
+/* ---- attributes.c: values of Python objects; false, with or without an exception, if one is
+ * unusual
+ */
+
+/// None, for the caller to take the path of Python, which has the messages; an exception that a
+/// value raised is cleared. NULL if it is MemoryError, or no error of a program.
+PyObject *maplines_unusual(void);
+/// A float, or an integer. `value` may be NULL, with an exception; so with the next two.
+bool maplines_read_double(PyObject *value, double *number);
+/// An integer from 0 to `most`, such as a member of an IntEnum.
+bool maplines_read_enum(PyObject *value, int most, int *number);
+/// Copy an array of float64 with a shape.
+bool maplines_read_array(PyObject *array, int ndim, const Py_ssize_t *shape, double *numbers);
+/* The same, of attributes of an object. */
+bool maplines_read_double_of(PyObject *object, PyObject *name, double *number);
+bool maplines_read_enum_of(PyObject *object, PyObject *name, int most, int *number);
+bool maplines_read_array_of(PyObject *object, PyObject *name, int ndim, const Py_ssize_t *shape,
+                            double *numbers);
+
+/* ---- sender.c: lines to frames */
+
+/// Greatest entry of a covariance of a caller, and longest finite age [s].
+#define MAPLINES_GREATEST_COV 1e307
+#define MAPLINES_LONGEST_AGE 1e99
+
+/// Attributes that are read of lines and scenes.
+typedef enum {
+    MAPLINES_ATTRIBUTE_SLOT,
+    MAPLINES_ATTRIBUTE_GAUSSIAN,
+    MAPLINES_ATTRIBUTE_KIND,
+    MAPLINES_ATTRIBUTE_X_MIN,
+    MAPLINES_ATTRIBUTE_X_MAX,
+    MAPLINES_ATTRIBUTE_AGE,
+    MAPLINES_ATTRIBUTE_STATUS,
+    MAPLINES_ATTRIBUTE_MIXTURE,
+    MAPLINES_ATTRIBUTE_MEAN,
+    MAPLINES_ATTRIBUTE_COV,
+    MAPLINES_ATTRIBUTE_WEIGHTS,
+    MAPLINES_ATTRIBUTE_COMPONENTS,
+    MAPLINES_ATTRIBUTE_LINES,
+    MAPLINES_ATTRIBUTE_POSE_ERROR,
+    MAPLINES_ATTRIBUTE_CORRELATION_TIME,
+    MAPLINES_ATTRIBUTE_FIT_RANGES,
+    MAPLINES_ATTRIBUTE_QUARTICS,
+    MAPLINES_ATTRIBUTE_SPECIFIC_COVS,
+    MAPLINES_ATTRIBUTE_MAP_ERROR,
+    MAPLINES_ATTRIBUTE_OFFSET_SIGMA,
+    MAPLINES_ATTRIBUTE_HEADING_SIGMA,
+    MAPLINES_ATTRIBUTES, ///< number of them
+} maplines_name_t;
+
+/// What is made of a record.
+typedef enum {
+    MAPLINES_AS_PAGES = 0,  ///< classic frames
+    MAPLINES_AS_FD = 1,     ///< a CAN FD frame
+    MAPLINES_AS_RECORD = 2, ///< its bytes, for an authenticator
+} maplines_form_t;
+
+/// Writer of the frames of a DBC, as a Python object: `_native.Sender`.
+typedef struct {
+    PyObject_HEAD PyObject *tables;
+    const maplines_dbc_t *dbc;
+    PyTypeObject *frame; ///< class Frame, a tuple
+    allocfunc new_frame;
+    PyTypeObject *scene; ///< that of the module
+    PyObject *pose;      ///< owner of the records of the pose error
+    PyObject *names[MAPLINES_ATTRIBUTES];
+} maplines_sender_t;
+
+/// A message of this form is there for the records of an owner.
+bool maplines_has_form(const maplines_dbc_t *dbc, int owner, maplines_form_t form);
+/// Append the frames of a sealed record to a list; false with an exception.
+bool maplines_add_frames(const maplines_sender_t *sender, int owner, const uint8_t *record,
+                         size_t length, maplines_form_t form, PyObject *frames);
+/// Low bits of the counter of an owner in a dict, 0 without one; false if it is unusual.
+bool maplines_read_counter(PyObject *counters, PyObject *owner, uint32_t *counter);
+/// Set the counter of an owner; false with an exception.
+bool maplines_set_counter(PyObject *counters, PyObject *owner, uint32_t counter);
+/// Read all of a line but its Gaussian.
+bool maplines_read_input(const maplines_sender_t *sender, PyObject *line, maplines_input_t *input);
+/// Read a Gaussian of a line, 4 and (4, 4), whose covariance is exactly symmetric.
+bool maplines_read_gaussian(const maplines_sender_t *sender, PyObject *gaussian, double *mean,
+                            double *cov);
+
+/// Sender.prepare: a scene but for counters and ages.
+PyObject *maplines_prepare_scene(PyObject *self, PyObject *const *args, Py_ssize_t count);
+
+#endif
