@@ -141,6 +141,7 @@ int maplines_add_arrays(PyObject *module);
 int maplines_add_batch(PyObject *module);
 int maplines_add_scene(PyObject *module);
 int maplines_add_sender(PyObject *module);
+int maplines_add_propagation(PyObject *module);
 int maplines_add_tables(PyObject *module);
 int maplines_add_values(PyObject *module);
 int maplines_add_decoder(PyObject *module);

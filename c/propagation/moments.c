@@ -1,0 +1,107 @@
+/* Moments of functions of a Gaussian: the operations of propagation/transform.py. */
+#include "propagation.h"
+
+#define MAX_COV 1e307 ///< largest variance or covariance
+#define ROUNDING 1e-9 ///< of a covariance, relative to the standard deviations
+
+void maplines_rule_points(const maplines_rule_t *rule, const double mean[3], const double root[9],
+                          double *points)
+{
+    for (size_t k = 0; k < rule->count; ++k)
+    {
+        const double *z = rule->z + 3 * k;
+        for (size_t i = 0; i < 3; ++i)
+        {
+            const double first = root[3 * i] * z[0];
+            const double second = root[3 * i + 1] * z[1];
+            const double third = root[3 * i + 2] * z[2];
+            points[3 * k + i] = mean[i] + (first + second + third);
+        }
+    }
+}
+
+void maplines_weighted_moments(const maplines_rule_t *rule, size_t m, size_t stride, double *values,
+                               double *mean, double *cov)
+{
+    // The sums are over differences from the first point: this avoids cancellation.
+    for (size_t i = 0; i < m; ++i)
+    {
+        mean[i] = 0.0;
+    }
+    for (size_t k = 1; k < rule->count; ++k)
+    {
+        double *d = values + k * stride;
+        for (size_t i = 0; i < m; ++i)
+        {
+            d[i] = d[i] - values[i];
+            const double term = rule->mean_weights[k] * d[i];
+            mean[i] = mean[i] + term;
+        }
+    }
+    for (size_t i = 0; i < m * m; ++i)
+    {
+        cov[i] = 0.0;
+    }
+    for (size_t k = 1; k < rule->count; ++k)
+    {
+        double *d = values + k * stride;
+        for (size_t i = 0; i < m; ++i)
+        {
+            d[i] = d[i] - mean[i];
+        }
+        for (size_t i = 0; i < m; ++i)
+        {
+            const double weighted = rule->cov_weights[k] * d[i];
+            for (size_t j = 0; j < m; ++j)
+            {
+                const double term = weighted * d[j];
+                cov[m * i + j] = cov[m * i + j] + term;
+            }
+        }
+    }
+    for (size_t i = 0; i < m; ++i)
+    {
+        for (size_t j = 0; j < m; ++j)
+        {
+            const double term = rule->cov_weights[0] * mean[i] * mean[j];
+            cov[m * i + j] = cov[m * i + j] + term;
+        }
+    }
+    for (size_t i = 0; i < m; ++i)
+    {
+        mean[i] = values[i] + mean[i];
+    }
+}
+
+bool maplines_is_covariance(size_t n, const double *cov, double *scratch)
+{
+    for (size_t i = 0; i < n * n; ++i)
+    {
+        if (!(fabs(cov[i]) <= MAX_COV))
+        {
+            return false;
+        }
+    }
+    for (size_t i = 0; i < n; ++i)
+    {
+        const double variance = cov[(n + 1) * i];
+        if (!(variance >= 0.0))
+        {
+            return false;
+        }
+        scratch[(n + 1) * i] = variance > 0.0 ? sqrt(variance) : 1.0;
+    }
+    for (size_t i = 0; i < n; ++i)
+    {
+        for (size_t j = 0; j < i; ++j)
+        {
+            const double scale = scratch[(n + 1) * i] * scratch[(n + 1) * j];
+            scratch[n * i + j] = cov[n * i + j] / scale;
+        }
+    }
+    for (size_t i = 0; i < n; ++i)
+    {
+        scratch[(n + 1) * i] = (cov[(n + 1) * i] > 0.0 ? 1.0 : 0.0) + ROUNDING;
+    }
+    return maplines_cholesky_factor((int)n, scratch, scratch);
+}

@@ -1,0 +1,19 @@
+/* Nodes of fits, and the matrices from values at the nodes to the coefficients of their fits. */
+#ifndef MAPLINES_PROPAGATION_NODES_H
+#define MAPLINES_PROPAGATION_NODES_H
+
+#include "propagation.h"
+
+#define MAPLINES_COARSE 32 ///< nodes of a fit in the search for the longest range
+
+/// Extrema of a Chebyshev polynomial.
+extern const double maplines_fit_nodes[MAPLINES_NODES];
+/// Rows: from the values at the nodes to the coefficients of w^0 .. w^3.
+extern const double maplines_fit_rows[4 * MAPLINES_NODES];
+/// From the values at the nodes to the coefficient of T_4.
+extern const double maplines_quartic_row[MAPLINES_NODES];
+/// Extrema of a Chebyshev polynomial of lower degree, and the rows of their fit.
+extern const double maplines_coarse_nodes[MAPLINES_COARSE];
+extern const double maplines_coarse_rows[4 * MAPLINES_COARSE];
+
+#endif

@@ -1,0 +1,250 @@
+/* Propagation of a cycle: map lines and an uncertain pose to lines with their covariances.
+ *
+ * It is the arithmetic of maplines_can.propagation, for the Python package, with the operations in
+ * the same order wherever a decision hangs on them; so both find the same lines, and their numbers
+ * agree to rounding. A car needs
+ *
+ *     maplines_prepare_path()     once for each line of the map
+ *     maplines_map_lines()        in each cycle, or
+ *     maplines_map_scene()        for the lines with their joint covariance
+ *
+ * Memory   The caller owns all of it; sizes are said with each structure. There is no allocation
+ *          and no static state. Functions take up to 16 kB of stack.
+ * Threads  Functions share nothing but what they are given.
+ * Errors   A function returns false where the Python package raises an error or warns, and where a
+ *          value is not finite: the caller then takes the Python functions, which say what is
+ *          wrong. Arguments are as those have checked them.
+ * Units    Lengths are in metres, angles in radians, x points ahead and y to the left (ISO 8855).
+ */
+#ifndef MAPLINES_PROPAGATION_H
+#define MAPLINES_PROPAGATION_H
+
+#include "internal.h"
+
+#define MAPLINES_NODES 64  ///< of the fit of a line
+#define MAPLINES_CHORDS 21 ///< that check the shape of a line
+#define MAPLINES_DEGREE 6  ///< of the sums of the normal equations
+#define MAPLINES_SUMS 10   ///< mean(u^k), k = 1 .. 6, and mean(v u^k), k = 0 .. 3
+
+/// Reason for which a line is not given, in the order of LeftOut of the Python package.
+typedef enum {
+    MAPLINES_GIVEN = 0,
+    MAPLINES_NOT_IN_WINDOW = 1,
+    MAPLINES_ACROSS = 2,
+    MAPLINES_TOO_SHORT = 3,
+    MAPLINES_UNCERTAIN = 4,
+} maplines_omission_t;
+
+/* ---- stretches.c: what is seen of lines -------------------------------------------------------
+ */
+
+#define MAPLINES_PATH_ARRAYS 9 ///< arrays of a path, each of as many doubles as it has points
+
+/// Line of a map, with what a query needs of it and does not depend on the pose.
+typedef struct {
+    size_t count;           ///< of points, 2 or more
+    const double *x, *y;    ///< points [m]
+    const double *distance; ///< arc length from the first point to each [m]
+    const double *dx, *dy;  ///< step from each point to the next; the last one is 0 [m]
+    const double *squared;  ///< length of the step [m^2], more than 0
+    const double *cx, *cy;  ///< chord that gives the direction of the step [m]
+    const double *chord;    ///< its length [m]
+} maplines_path_t;
+
+/// Where the car is, and what it looks at.
+typedef struct {
+    double pose[3];   ///< x, y [m] and heading [rad] in the frame of the map
+    double window[2]; ///< ends of what is looked at, in the frame of the car [m]
+    double max_turn;  ///< largest angle between a line and the x axis [rad]
+} maplines_look_t;
+
+/// Stretch of a line within a window: a function y(x) in the frame of the car.
+typedef struct {
+    size_t first, count; ///< points, which include those next to both ends of the range
+    double x_range[2];   ///< [m]
+    size_t line;         ///< of which line it is
+} maplines_stretch_t;
+
+/// Stretches of lines. The points of all of them stand one after the other.
+typedef struct {
+    size_t lines;                ///< number of stretches
+    size_t points;               ///< of all stretches
+    double *x, *y;               ///< (points) in the frame of the car [m]
+    double *key;                 ///< (points) x, ascending over all stretches
+    double *slope;               ///< (points) dy / dkey to the next point
+    double step;                 ///< by which the keys of a stretch exceed those of the one before
+    maplines_stretch_t *stretch; ///< (lines)
+} maplines_stretches_t;
+
+/// Prepare a line of (count, 2) points; memory is MAPLINES_PATH_ARRAYS * count doubles, which the
+/// path uses. False if its coordinates are so large that squares overflow.
+bool maplines_prepare_path(const double *points, const double *distance, size_t count,
+                           double *memory, maplines_path_t *path);
+/// Place on the map from which lines are followed, and how far along them [m].
+void maplines_start(const maplines_look_t *look, double start[2], double *reach);
+/// Stretches of lines; the arrays of `seen` have room for all points of the lines, and left_out has
+/// the reason of each line, or MAPLINES_GIVEN.
+void maplines_see(const maplines_path_t *paths, size_t count, const maplines_look_t *look,
+                  maplines_stretches_t *seen, maplines_omission_t *left_out);
+/// Set keys and slopes of stretches, of which all else is set.
+void maplines_index_stretches(maplines_stretches_t *seen);
+/// Lateral positions of a stretch at ascending x [m].
+void maplines_lateral(const maplines_stretches_t *seen, size_t line, size_t count, const double *x,
+                      double *y);
+/// Indices of points at ascending x [m], with fractions between them.
+void maplines_positions(const maplines_stretches_t *seen, size_t line, size_t count,
+                        const double *x, double *position);
+
+/* ---- cubic_range.c, misfit.c: the cubic of a line, and what it misses -------------------------
+ */
+
+/// How cubics are fitted.
+typedef struct {
+    double max_misfit;  ///< largest deviation of a cubic from its line [m]; may be infinite
+    double room;        ///< distance behind the car at which a range begins at least [m]
+    double step;        ///< of which the ends of ranges are multiples; 0 for any [m]
+    bool has_map_error; ///< whether the next ones count
+    double point_sigma, offset_sigma, heading_sigma; ///< [m], [m], [rad]
+} maplines_fit_t;
+
+/// Cubic of a line by least squares, in w = (x - centre) / half of its range.
+typedef struct {
+    double x_range[2];                           ///< [m]
+    double x[MAPLINES_NODES], y[MAPLINES_NODES]; ///< points of the line [m]
+    double q[4];   ///< coefficients of w^0 .. w^3, before the shift [m]
+    double shift;  ///< that makes the largest deviation least [m]
+    double misfit; ///< the largest deviation [m]
+} maplines_fitted_t;
+
+/// Cubic in the longest range of a stretch with at most the greatest misfit; false if there is
+/// none.
+bool maplines_longest_range(const maplines_stretches_t *seen, size_t line,
+                            const maplines_fit_t *fit, maplines_fitted_t *fitted);
+/// Variances of the coefficients of T_0 .. T_3 that cover what a cubic misses [m^2]. Scratch is one
+/// double for each point of the stretch.
+void maplines_coefficient_variances(const maplines_stretches_t *seen, size_t line,
+                                    const maplines_fitted_t *fitted, double point_sigma,
+                                    double *scratch, double variances[4]);
+
+/* ---- refit.c: the line as a function of the pose ----------------------------------------------
+ */
+
+/// Line as a function of the pose, about the one from which it was selected; 5 kB.
+typedef struct {
+    maplines_fitted_t fitted;
+    double y[MAPLINES_NODES];                        ///< of the points, with the shift [m]
+    double centre[2], half;                          ///< of the points [m]
+    double sums[MAPLINES_DEGREE + 1][MAPLINES_SUMS]; ///< coefficients of c^(d - j) s^j
+    double chords[2][MAPLINES_CHORDS];               ///< [m]
+    double span[2];                                  ///< sum of the chords [m]
+    double slopes[2];                                ///< least and greatest of a chord
+    double least_advance;                            ///< of all chords along the x axis [m]
+    bool is_across;       ///< nearly perpendicular to the x axis of the mean pose
+    double mean[4];       ///< line seen from the mean pose
+    double noise_cov[16]; ///< of the map error and the misfit; 0 without both
+} maplines_refit_t;
+
+/// Pose from which lines are selected.
+typedef struct {
+    double pose[3];      ///< x, y [m] and heading [rad] in the frame of the map
+    double cosine, sine; ///< of the heading
+} maplines_mean_pose_t;
+
+maplines_mean_pose_t maplines_mean_pose(const double pose[3]);
+/// Refit of a stretch; false if there is none. Scratch as of maplines_coefficient_variances.
+bool maplines_refit(const maplines_stretches_t *seen, size_t line, const maplines_mean_pose_t *from,
+                    const maplines_fit_t *fit, double *scratch, maplines_refit_t *refit);
+/// Line (y_off, beta, c0, c1) seen from a pose in the frame of the map; false, and NaN, if it is no
+/// function of x there.
+bool maplines_refit_at(const maplines_refit_t *refit, const maplines_mean_pose_t *from,
+                       const double pose[3], double line[4]);
+/// The same, extrapolated from the mean pose where the line is no function of x; false if it is
+/// none next to the mean pose.
+bool maplines_refit_extended(const maplines_refit_t *refit, const maplines_mean_pose_t *from,
+                             const double pose[3], double line[4]);
+/// Coefficient of T_4 that the cubic leaves of the line [m].
+double maplines_refit_quartic(const maplines_refit_t *refit);
+
+/* ---- moments.c, certain_range.c ----------------------------------------------------------------
+ */
+
+/// Points of a transform: mean + root z, and their weights. The first one is at the mean, or next
+/// to it.
+typedef struct {
+    size_t count;
+    const double *z; ///< (count, 3)
+    const double *mean_weights, *cov_weights;
+} maplines_rule_t;
+
+/// Points (rule->count, 3) of a Gaussian with a lower triangular root.
+void maplines_rule_points(const maplines_rule_t *rule, const double mean[3], const double root[9],
+                          double *points);
+/// Mean (m) and covariance (m, m), symmetric but for rounding, of the (count, m) values at the points of a rule, of
+/// which row i begins at values + i * stride. The values are overwritten.
+void maplines_weighted_moments(const maplines_rule_t *rule, size_t m, size_t stride, double *values,
+                               double *mean, double *cov);
+/// Covariances (n, n) up to rounding; scratch is (n, n).
+bool maplines_is_covariance(size_t n, const double *cov, double *scratch);
+/// Part of a range where the standard deviation of the lateral position is at most max_sigma: the
+/// one with the place nearest to the car. NaN if there is none.
+void maplines_certain_range(const double mean[4], const double cov[16], const double x_range[2],
+                            double max_sigma, double certain[2]);
+
+/* ---- cycle.c: lines of a map ------------------------------------------------------------------
+ */
+
+/// What is asked for.
+typedef struct {
+    double mean[3];     ///< pose in the frame of the map [m, m, rad]
+    double cov[9];      ///< its covariance there
+    double window[2];   ///< that the ranges may extend to [m]
+    maplines_fit_t fit; ///< all but room and step
+    double max_sigma;   ///< largest standard deviation of a lateral position [m]
+} maplines_cycle_t;
+
+/// Uncertain pose, and what follows from it.
+typedef struct {
+    maplines_look_t look;
+    maplines_mean_pose_t from;
+    double pose_cov[9]; ///< in the frame of the car: along, across [m], heading [rad]
+    double cov[9];      ///< with what of the map error acts as a pose error
+    double room;        ///< that ranges leave at their ends, at most [m]
+} maplines_pose_view_t;
+
+/// Memory of a cycle.
+typedef struct {
+    maplines_stretches_t seen;
+    maplines_refit_t *refits; ///< (lines)
+    double *scratch;          ///< (points)
+    double *poses;            ///< (rule->count, 3)
+    double *values;           ///< (rule->count, 4 lines)
+    double *matrix;           ///< (4 lines, 4 lines), of scenes only
+} maplines_work_t;
+
+/// Lines of a scene, one after the other without those that are left out.
+typedef struct {
+    size_t lines;
+    double *means;         ///< (lines, 4)
+    double *cov;           ///< (4 lines, 4 lines)
+    double (*x_ranges)[2]; ///< in which they are valid [m]
+    double (*fit_ranges)[2];
+    double *quartics;
+    double *specific_covs; ///< (lines, 4, 4)
+} maplines_joint_t;
+
+#define MAPLINES_SCENE_LINES MAPLINES_SLOTS ///< most lines of a scene
+
+/// What follows from an uncertain pose.
+void maplines_pose_view(const maplines_cycle_t *cycle, maplines_pose_view_t *view);
+/// Lines one by one, of which each has a mean, a (4, 4) covariance and a valid range [m]; where
+/// left_out has a reason, they are not set.
+bool maplines_map_lines(const maplines_path_t *paths, size_t count, const maplines_cycle_t *cycle,
+                        const maplines_rule_t *rule, maplines_work_t *work,
+                        maplines_omission_t *left_out, double (*means)[4], double (*covs)[16],
+                        double (*x_ranges)[2]);
+/// Lines with their joint covariance, of up to MAPLINES_SCENE_LINES lines.
+bool maplines_map_scene(const maplines_path_t *paths, size_t count, const maplines_cycle_t *cycle,
+                        const maplines_rule_t *rule, maplines_work_t *work,
+                        maplines_omission_t *left_out, maplines_joint_t *joint);
+
+#endif

@@ -1,0 +1,530 @@
+/* Parameters of map lines as functions of the pose: the operations of propagation/refit.py and
+ * propagation/rotated_sums.py.
+ */
+#include "nodes.h"
+
+#define MIN_ADVANCE 0.17         ///< along the x axis, as a share of the length of a line
+#define MIN_PROGRESS (1.0 / 3.0) ///< least share of the advance that does not run backwards
+#define MIN_PIVOT 1e-13          ///< of the normal equations
+#define POSE_STEP 1e-4           ///< for derivatives [m, rad]
+#define CHORD_NODES 3            ///< nodes from the begin of a chord to its end
+#define MOMENTS (MAPLINES_DEGREE + 1)
+#define HALVINGS 60 ///< of the distance to a pose from which a line is no function of x
+
+/// Places of mean(u^k) and mean(v u^k) among the sums, which are in the order of their degrees.
+static const int place_of_u[MAPLINES_DEGREE + 1] = {-1, 0, 2, 4, 6, 8, 9};
+static const int place_of_v[4] = {1, 3, 5, 7};
+
+maplines_mean_pose_t maplines_mean_pose(const double pose[3])
+{
+    const maplines_mean_pose_t from = {{pose[0], pose[1], pose[2]}, cos(pose[2]), sin(pose[2])};
+    return from;
+}
+
+/* ---- sums of the normal equations -------------------------------------------------------------
+ */
+
+/// Moments mean(a^i b^j) of the points, at [i][j] with i + j up to the degree; a are the nodes.
+static void moments_of(const double b[MAPLINES_NODES], double moments[MOMENTS][MOMENTS])
+{
+    double of_a[MOMENTS][MAPLINES_NODES];
+    double of_b[MAPLINES_NODES];
+    double terms[MAPLINES_NODES];
+    for (int k = 0; k < MAPLINES_NODES; ++k)
+    {
+        of_a[0][k] = 1.0;
+        of_b[k] = 1.0;
+    }
+    for (int i = 1; i < MOMENTS; ++i)
+    {
+        for (int k = 0; k < MAPLINES_NODES; ++k)
+        {
+            of_a[i][k] = of_a[i - 1][k] * maplines_fit_nodes[k];
+        }
+    }
+    for (int j = 0; j < MOMENTS; ++j)
+    {
+        for (int i = 0; i + j < MOMENTS; ++i)
+        {
+            for (int k = 0; k < MAPLINES_NODES; ++k)
+            {
+                terms[k] = of_a[i][k] * of_b[k];
+            }
+            for (int half = MAPLINES_NODES / 2; half > 0; half /= 2)
+            {
+                for (int k = 0; k < half; ++k)
+                {
+                    terms[k] = terms[k] + terms[half + k];
+                }
+            }
+            moments[i][j] = terms[0] / MAPLINES_NODES;
+        }
+        for (int k = 0; k < MAPLINES_NODES; ++k)
+        {
+            of_b[k] = of_b[k] * b[k];
+        }
+    }
+}
+
+/// Set the coefficients of c^(d - j) s^j in the sums of degree d of the rotated points, with
+/// u = c a + s b and v = c b - s a, by the binomial theorem.
+static void set_sums(double moments[MOMENTS][MOMENTS], maplines_refit_t *refit)
+{
+    static const double binomials[MOMENTS][MOMENTS] = {
+        {1, 0, 0, 0, 0, 0, 0},   {1, 1, 0, 0, 0, 0, 0}, {1, 2, 1, 0, 0, 0, 0},
+        {1, 3, 3, 1, 0, 0, 0},   {1, 4, 6, 4, 1, 0, 0}, {1, 5, 10, 10, 5, 1, 0},
+        {1, 6, 15, 20, 15, 6, 1}};
+    memset(refit->sums, 0, sizeof refit->sums);
+    for (int k = 1; k <= MAPLINES_DEGREE; ++k)
+    {
+        for (int j = 0; j <= k; ++j)
+        {
+            refit->sums[j][place_of_u[k]] = binomials[k][j] * moments[k - j][j];
+        }
+    }
+    for (int k = 0; k < 4; ++k)
+    {
+        for (int j = 0; j <= k + 1; ++j)
+        {
+            const double ahead = j <= k ? binomials[k][j] * moments[k - j][j + 1] : 0.0;
+            const double aside = j >= 1 ? binomials[k][j - 1] * moments[k + 2 - j][j - 1] : 0.0;
+            refit->sums[j][place_of_v[k]] = ahead - aside;
+        }
+    }
+}
+
+/// Sums of the points after a rotation with this cosine and sine.
+static void rotate_sums(const maplines_refit_t *refit, double c, double s,
+                        double sums[MAPLINES_SUMS])
+{
+    static const int degrees[MAPLINES_SUMS] = {1, 1, 2, 2, 3, 3, 4, 4, 5, 6};
+    static const int firsts[MOMENTS] = {0, 0, 2, 4, 6, 8, 9}; // sum of each degree
+    double of_c[MOMENTS] = {1.0};
+    double of_s[MOMENTS] = {1.0};
+    for (int k = 1; k < MOMENTS; ++k)
+    {
+        of_c[k] = of_c[k - 1] * c;
+        of_s[k] = of_s[k - 1] * s;
+    }
+    for (int i = 0; i < MAPLINES_SUMS; ++i)
+    {
+        sums[i] = refit->sums[0][i] * of_c[degrees[i]];
+    }
+    for (int j = 1; j < MOMENTS; ++j)
+    {
+        for (int i = firsts[j]; i < MAPLINES_SUMS; ++i)
+        {
+            const double factor = of_c[degrees[i] - j] * of_s[j];
+            const double term = refit->sums[j][i] * factor;
+            sums[i] = sums[i] + term;
+        }
+    }
+}
+
+/// Solve the normal equations of the sums by elimination; false if a pivot is too small.
+static bool solve_normal(const double sums[MAPLINES_SUMS], double q[4])
+{
+    const double m1 = sums[0];
+    const double m2 = sums[2];
+    const double m3 = sums[4];
+    const double m4 = sums[6];
+    const double m5 = sums[8];
+    const double m6 = sums[9];
+    // Row i of the symmetric matrix from its diagonal on, after i steps of the elimination.
+    const double row11 = m2 - m1 * m1;
+    const double row12 = m3 - m1 * m2;
+    const double row13 = m4 - m1 * m3;
+    const double factor2 = row12 / row11;
+    const double factor3 = row13 / row11;
+    double row22 = m4 - m2 * m2;
+    double row23 = m5 - m2 * m3;
+    row22 = row22 - factor2 * row12;
+    row23 = row23 - factor2 * row13;
+    const double factor = row23 / row22;
+    double last = m6 - m3 * m3;
+    last = last - factor3 * row13;
+    last = last - factor * row23;
+    q[0] = sums[1];
+    q[1] = sums[3] - q[0] * m1;
+    q[2] = sums[5] - q[0] * m2;
+    q[3] = sums[7] - q[0] * m3;
+    q[2] = q[2] - factor2 * q[1];
+    q[3] = q[3] - factor3 * q[1];
+    q[3] = q[3] - factor * q[2];
+    q[3] = q[3] / last;
+    q[2] = q[2] / row22 - factor * q[3];
+    q[1] = q[1] / row11 - factor2 * q[2];
+    q[1] = q[1] - factor3 * q[3];
+    const double of_1 = m1 * q[1];
+    const double of_2 = m2 * q[2];
+    const double of_3 = m3 * q[3];
+    q[0] = q[0] - (of_1 + of_2 + of_3);
+    return row11 > MIN_PIVOT && row22 > MIN_PIVOT && last > MIN_PIVOT;
+}
+
+/// The points are a function of x after a rotation, and not nearly perpendicular to its axis.
+static bool is_function_after(const maplines_refit_t *refit, double c, double s)
+{
+    const double net = fabs(c * refit->span[0] + s * refit->span[1]);
+    if (!(net >= refit->least_advance))
+    {
+        return false;
+    }
+    if (c + s * refit->slopes[0] > 0.0 && c + s * refit->slopes[1] > 0.0)
+    {
+        return true; // all of it runs ahead
+    }
+    double advances[MAPLINES_CHORDS];
+    for (int i = 0; i < MAPLINES_CHORDS; ++i)
+    {
+        advances[i] = fabs(c * refit->chords[0][i] + s * refit->chords[1][i]);
+    }
+    return net >= MIN_PROGRESS * maplines_total(MAPLINES_CHORDS, advances);
+}
+
+/* ---- the line seen from a pose ----------------------------------------------------------------
+ */
+
+bool maplines_refit_at(const maplines_refit_t *refit, const maplines_mean_pose_t *from,
+                       const double pose[3], double line[4])
+{
+    const double east = pose[0] - from->pose[0];
+    const double north = pose[1] - from->pose[1];
+    double c;
+    double s;
+    double q[4];
+    double sums[MAPLINES_SUMS];
+    maplines_sin_cos(pose[2] - from->pose[2], &s, &c);
+    rotate_sums(refit, c, s, sums);
+    if (!solve_normal(sums, q) || !is_function_after(refit, c, s))
+    {
+        for (int i = 0; i < 4; ++i)
+        {
+            line[i] = (double)NAN;
+        }
+        return false;
+    }
+    // Centre of the points as seen from the pose.
+    const double ahead = from->cosine * east + from->sine * north;
+    const double aside = from->cosine * north - from->sine * east;
+    const double x = refit->centre[0] - ahead;
+    const double y = refit->centre[1] - aside;
+    for (int i = 0; i < 4; ++i)
+    {
+        q[i] = q[i] * refit->half;
+    }
+    const double rise = c * y - s * x;
+    q[0] = q[0] + rise;
+    maplines_derivatives(q, c * x + s * y, refit->half, line);
+    line[1] = maplines_atan(line[1]);
+    return true;
+}
+
+bool maplines_refit_extended(const maplines_refit_t *refit, const maplines_mean_pose_t *from,
+                             const double pose[3], double line[4])
+{
+    if (maplines_refit_at(refit, from, pose, line))
+    {
+        return true;
+    }
+    double share = 1.0;
+    for (int halving = 0; halving < HALVINGS; ++halving)
+    {
+        double nearer[3];
+        share = share / 2.0;
+        for (int i = 0; i < 3; ++i)
+        {
+            const double part = share * (pose[i] - from->pose[i]);
+            nearer[i] = from->pose[i] + part;
+        }
+        if (maplines_refit_at(refit, from, nearer, line))
+        {
+            for (int i = 0; i < 4; ++i)
+            {
+                const double slope = (line[i] - refit->mean[i]) / share;
+                line[i] = refit->mean[i] + slope;
+            }
+            return line[0] == line[0];
+        }
+    }
+    return false;
+}
+
+double maplines_refit_quartic(const maplines_refit_t *refit)
+{
+    double terms[MAPLINES_NODES];
+    for (int i = 0; i < MAPLINES_NODES; ++i)
+    {
+        terms[i] = maplines_quartic_row[i] * refit->y[i];
+    }
+    return maplines_total(MAPLINES_NODES, terms);
+}
+
+/* ---- errors of the map and of the fit ---------------------------------------------------------
+ */
+
+/// Add the outer product of a vector with itself to a (4, 4) matrix.
+static void add_square(const double v[4], double S[16])
+{
+    for (int i = 0; i < 4; ++i)
+    {
+        for (int j = 0; j < 4; ++j)
+        {
+            const double term = v[i] * v[j];
+            S[4 * i + j] = S[4 * i + j] + term;
+        }
+    }
+}
+
+/// Products of the rows of the fit with themselves: the inverse of the normal equations.
+static void inverse_gram(double inverse[16])
+{
+    for (int i = 0; i < 4; ++i)
+    {
+        for (int j = 0; j < 4; ++j)
+        {
+            double terms[MAPLINES_NODES];
+            for (int k = 0; k < MAPLINES_NODES; ++k)
+            {
+                terms[k] = maplines_fit_rows[MAPLINES_NODES * i + k] *
+                           maplines_fit_rows[MAPLINES_NODES * j + k];
+            }
+            inverse[4 * i + j] = maplines_total(MAPLINES_NODES, terms);
+        }
+    }
+}
+
+/// Sums of the errors of one point of the map in the coefficients, by its error in y and in x.
+typedef struct {
+    double of_y[4], of_x[4];
+} point_effect_t;
+
+/// Covariance of the coefficients of a fit for unit errors of the points of the map. A fitted point
+/// has the weighted mean of the errors of its two neighbours.
+static void coefficient_covariance(const maplines_refit_t *refit,
+                                   const double position[MAPLINES_NODES], double S[16])
+{
+    double inverse[16];
+    point_effect_t before = {{0.0}, {0.0}}; // of the point that the position has passed
+    point_effect_t after = {{0.0}, {0.0}};
+    double passed = floor(position[0]);
+    const double *mean = refit->mean;
+    const double tangent = maplines_tan(mean[1]);
+    inverse_gram(inverse);
+    memset(S, 0, 16 * sizeof *S);
+    for (int k = 0; k < MAPLINES_NODES; ++k)
+    {
+        const double u = refit->fitted.x[k];
+        const double w = maplines_fit_nodes[k];
+        const double bend = mean[2] + u * mean[3] / 2.0;
+        const double half_bend = mean[2] / 2.0 + u * mean[3] / 6.0;
+        const double slope = tangent + u * bend;
+        const double rise = tangent + u * half_bend;
+        const double rest = refit->y[k] - (mean[0] + u * rise);
+        const double row[4] = {0.0, 1.0, 2.0 * w, 3.0 * w * w};
+        double by_place[4];
+        double by_y[4];
+        double by_x[4];
+        maplines_product(1, 4, 4, row, inverse, by_place);
+        for (int i = 0; i < 4; ++i)
+        {
+            // An error in x acts twice: via the slope, and via the change of the place.
+            by_y[i] = maplines_fit_rows[MAPLINES_NODES * i + k];
+            const double moved = by_place[i] / refit->half * rest;
+            const double raised = by_y[i] * slope;
+            by_x[i] = moved - raised;
+        }
+        const double below = floor(position[k]);
+        const double share = position[k] - below;
+        for (int shift = 0; shift < 2 && passed < below; ++shift)
+        {
+            add_square(before.of_y, S);
+            add_square(before.of_x, S);
+            before = after;
+            memset(&after, 0, sizeof after);
+            passed = shift == 0 ? passed + 1.0 : below;
+        }
+        for (int i = 0; i < 4; ++i)
+        {
+            before.of_y[i] += (1.0 - share) * by_y[i];
+            before.of_x[i] += (1.0 - share) * by_x[i];
+            after.of_y[i] += share * by_y[i];
+            after.of_x[i] += share * by_x[i];
+        }
+    }
+    add_square(before.of_y, S);
+    add_square(before.of_x, S);
+    add_square(after.of_y, S);
+    add_square(after.of_x, S);
+}
+
+/// Covariance of the line for unit errors of the points of the map.
+static void unit_covariance(const maplines_refit_t *refit, const double position[MAPLINES_NODES],
+                            double unit[16])
+{
+    double S[16];
+    double J[16];
+    double least = (double)INFINITY;
+    double sine;
+    double cosine;
+    maplines_sin_cos(refit->mean[1], &sine, &cosine);
+    coefficient_covariance(refit, position, S);
+    for (int k = 0; k < 4; ++k)
+    {
+        double q[4] = {0.0};
+        double column[4];
+        q[k] = 1.0;
+        maplines_derivatives(q, refit->centre[0], refit->half, column);
+        column[1] = column[1] * (cosine * cosine);
+        for (int i = 0; i < 4; ++i)
+        {
+            J[4 * i + k] = column[i];
+        }
+    }
+    maplines_congruence(J, S, unit);
+    // The fit averages the errors of the points, but the line itself has them in full.
+    const double tangent = maplines_tan(refit->mean[1]);
+    for (int k = 0; k < MAPLINES_NODES; ++k)
+    {
+        const double x = refit->fitted.x[k];
+        const double lateral[4] = {1.0, (1.0 + tangent * tangent) * x, x * x / 2.0,
+                                   x * x * x / 6.0};
+        double products[4];
+        maplines_product(1, 4, 4, lateral, unit, products);
+        for (int i = 0; i < 4; ++i)
+        {
+            products[i] = products[i] * lateral[i];
+        }
+        const double variance = maplines_total(4, products);
+        least = variance < least ? variance : least;
+    }
+    unit[0] += least < 1.0 ? 1.0 - least : 0.0;
+}
+
+/// Add the covariance due to the error of the map, to first order.
+static void add_map_error(const maplines_stretches_t *seen, size_t line,
+                          const maplines_mean_pose_t *from, const maplines_fit_t *fit,
+                          maplines_refit_t *refit)
+{
+    const double sigmas[3] = {fit->offset_sigma, fit->offset_sigma, fit->heading_sigma};
+    double position[MAPLINES_NODES];
+    double unit[16];
+    double J[12]; // (4, 3)
+    for (int k = 0; k < 3; ++k)
+    {
+        double ahead[4];
+        double behind[4];
+        double pose[3] = {from->pose[0], from->pose[1], from->pose[2]};
+        pose[k] = from->pose[k] + POSE_STEP;
+        (void)maplines_refit_at(refit, from, pose, ahead); // NaN is found later
+        pose[k] = from->pose[k] - POSE_STEP;
+        (void)maplines_refit_at(refit, from, pose, behind);
+        for (int i = 0; i < 4; ++i)
+        {
+            J[3 * i + k] = (ahead[i] - behind[i]) / (2.0 * POSE_STEP) * sigmas[k];
+        }
+    }
+    maplines_product_transposed(4, 3, 4, J, J, refit->noise_cov);
+    maplines_positions(seen, line, MAPLINES_NODES, refit->fitted.x, position);
+    unit_covariance(refit, position, unit);
+    for (int i = 0; i < 16; ++i)
+    {
+        const double own = fit->point_sigma * fit->point_sigma * unit[i];
+        refit->noise_cov[i] = refit->noise_cov[i] + own;
+    }
+}
+
+/// Add the covariance that covers what the cubic misses.
+static void add_misfit(const maplines_stretches_t *seen, size_t line, const maplines_fit_t *fit,
+                       double *scratch, maplines_refit_t *refit)
+{
+    double J[16];
+    double scaled[16];
+    double cover[16];
+    double variances[4];
+    const double point_sigma = fit->has_map_error ? fit->point_sigma : 0.0;
+    maplines_bases(refit->mean, refit->fitted.x_range, J);
+    maplines_coefficient_variances(seen, line, &refit->fitted, point_sigma, scratch, variances);
+    for (int i = 0; i < 16; ++i)
+    {
+        scaled[i] = J[i] * variances[i % 4];
+    }
+    maplines_product_transposed(4, 4, 4, scaled, J, cover);
+    for (int i = 0; i < 16; ++i)
+    {
+        refit->noise_cov[i] = refit->noise_cov[i] + cover[i];
+    }
+}
+
+/* ---- refits -----------------------------------------------------------------------------------
+ */
+
+/// Set the chords that check the shape of the points.
+static void set_chords_of(maplines_refit_t *refit)
+{
+    double lengths[MAPLINES_CHORDS];
+    refit->slopes[0] = (double)INFINITY;
+    refit->slopes[1] = -(double)INFINITY;
+    for (int i = 0; i < MAPLINES_CHORDS; ++i)
+    {
+        const int begin = CHORD_NODES * i;
+        const double dx = refit->fitted.x[begin + CHORD_NODES] - refit->fitted.x[begin];
+        const double dy = refit->y[begin + CHORD_NODES] - refit->y[begin];
+        const double slope = dy / dx;
+        refit->chords[0][i] = dx;
+        refit->chords[1][i] = dy;
+        lengths[i] = hypot(dx, dy);
+        refit->slopes[0] = slope < refit->slopes[0] ? slope : refit->slopes[0];
+        refit->slopes[1] = slope > refit->slopes[1] ? slope : refit->slopes[1];
+    }
+    for (int axis = 0; axis < 2; ++axis)
+    {
+        double sums[MAPLINES_CHORDS];
+        memcpy(sums, refit->chords[axis], sizeof sums);
+        refit->span[axis] = maplines_total(MAPLINES_CHORDS, sums);
+    }
+    refit->least_advance = MIN_ADVANCE * maplines_total(MAPLINES_CHORDS, lengths);
+    refit->is_across = 2.0 * refit->half < refit->least_advance;
+}
+
+bool maplines_refit(const maplines_stretches_t *seen, size_t line, const maplines_mean_pose_t *from,
+                    const maplines_fit_t *fit, double *scratch, maplines_refit_t *refit)
+{
+    double scaled[MAPLINES_NODES];
+    double moments[MOMENTS][MOMENTS];
+    const bool is_covered = fit->max_misfit < (double)INFINITY;
+    if (!maplines_longest_range(seen, line, fit, &refit->fitted))
+    {
+        return false;
+    }
+    const double *x = refit->fitted.x;
+    double low = (double)INFINITY;
+    double high = -(double)INFINITY;
+    for (int i = 0; i < MAPLINES_NODES; ++i)
+    {
+        refit->y[i] = is_covered ? refit->fitted.y[i] + refit->fitted.shift : refit->fitted.y[i];
+        low = refit->y[i] < low ? refit->y[i] : low;
+        high = refit->y[i] > high ? refit->y[i] : high;
+    }
+    refit->half = (x[MAPLINES_NODES - 1] - x[0]) / 2.0;
+    refit->centre[0] = (x[0] + x[MAPLINES_NODES - 1]) / 2.0;
+    refit->centre[1] = (low + high) / 2.0;
+    for (int i = 0; i < MAPLINES_NODES; ++i)
+    {
+        scaled[i] = (refit->y[i] - refit->centre[1]) / refit->half;
+    }
+    moments_of(scaled, moments);
+    set_sums(moments, refit);
+    set_chords_of(refit);
+    (void)maplines_refit_at(refit, from, from->pose, refit->mean);
+    memset(refit->noise_cov, 0, sizeof refit->noise_cov);
+    if (fit->has_map_error)
+    {
+        add_map_error(seen, line, from, fit, refit);
+    }
+    if (is_covered)
+    {
+        add_misfit(seen, line, fit, scratch, refit);
+    }
+    return true;
+}
