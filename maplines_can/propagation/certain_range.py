@@ -6,7 +6,8 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
-from ..values.line import lateral_jacobian
+from ..values.elementary import tan
+from ..values.fixed_order import product
 
 #: Default of the largest standard deviation of the lateral position of a line [m]. A line that is
 #: less certain tells no lane from the next but one, and its band is that of the first order only
@@ -59,8 +60,11 @@ def certain_ranges(
     if not np.isfinite(max_sigma):
         return x_ranges
     centre, half = x_ranges.mean(axis=1), np.diff(x_ranges)[:, 0] / 2
-    J = lateral_jacobian(means[:, None], centre[:, None] + half[:, None] * _NODES)
-    excess = np.einsum("lki,lij,lkj->lk", J, covs, J) @ _TO_COEFFICIENTS.T  # (L, DEGREE + 1)
+    x, slope = centre[:, None] + half[:, None] * _NODES, tan(means[:, 1:2])
+    square = x * x
+    J = np.stack([np.ones_like(x), (1 + slope * slope) * x, square / 2, square * x / 6], axis=-1)
+    variance = np.add.reduce((product(J, covs) * J).transpose(2, 0, 1), axis=0)
+    excess = variance @ _TO_COEFFICIENTS.T  # (L, DEGREE + 1)
     excess[:, 0] -= max_sigma**2
     found = x_ranges.copy()
     # No Chebyshev polynomial exceeds 1.

@@ -2,6 +2,8 @@
 
 ``longest_ranges`` gives the longest range in which the cubic of a line deviates from it by no more
 than a limit; ``coefficient_variances`` turns what it misses there into variances.
+
+What decides is computed in a fixed order, which ``c/propagation`` follows: so both find the same.
 """
 
 from __future__ import annotations
@@ -11,11 +13,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..values.cubics import cubic_fit
+from ..values.elementary import sin_cos
+from ..values.fixed_order import row_total, total
 from ..values.seen_lines import NODES, SHAPE
 from .stretches import Stretches
 
 #: As ``NODES``, for the search, which fits many ranges.
-_COARSE = np.cos(np.pi * np.arange(32) / 31)[::-1]
+_COARSE = sin_cos(np.pi * np.arange(32) / 31)[1][::-1]
 #: Starts of the ranges that are tried, as shares of the way from the car back to the window's end.
 _STARTS = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0])
 #: A metre behind the car counts this share of a metre ahead.
@@ -48,21 +53,19 @@ MIN_POINTS, MEDIAN = 8, 0.455
 #: Intervals of a range, at whose ends the rest is evaluated.
 _STEPS = 128
 _GRID = np.linspace(-1.0, 1.0, _STEPS + 1)
-#: (NODES, _STEPS + 1) matrix from values at the nodes to their cubic fit on the grid.
-_TO_GRID = (np.vander(_GRID, 4) @ np.linalg.pinv(np.vander(NODES, 4))).T
 
 
 def _fit_matrix(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (K, K + 4) matrix from values at the nodes to the residuals of their cubic fit,
-    and to its coefficients, of w^0 first.
+    """Return the (K, 4) matrix from values at nodes to the coefficients of their cubic fit.
+
+    Coefficients are those of w^0 first.
     """
-    powers = np.vander(nodes, 4, increasing=True)
-    coefficients = np.linalg.pinv(powers)
-    return np.hstack([(np.eye(len(nodes)) - powers @ coefficients).T, coefficients.T])
+    units, weights = np.eye(len(nodes)), np.ones(len(nodes))
+    return cubic_fit(np.tile(nodes[:, None], len(nodes)), units, weights).coefficients.T
 
 
-_FIT = _fit_matrix(NODES)
-_COARSE_RESIDUALS = np.ascontiguousarray(_fit_matrix(_COARSE)[:, :-4].T)
+#: (K, 4) from values at the nodes to the coefficients of their cubic fit, of w^0 first.
+FIT, _COARSE_FIT = _fit_matrix(NODES), _fit_matrix(_COARSE)
 
 
 def at_nodes(
@@ -73,12 +76,24 @@ def at_nodes(
     return (low + high) / 2 + (high - low) / 2 * nodes
 
 
+def _cubics(y: NDArray[np.float64], fit: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (4, L) coefficients of the cubics through (L, K) values at the nodes of a fit."""
+    return row_total(fit[:, :, None] * y.T[:, None])
+
+
+def _values(q: NDArray[np.float64], w: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (L, K) values of (4, L) cubics at (K,) places in the ranges."""
+    q0, q1, q2, q3 = q[:, :, None]
+    return q0 + w * (q1 + w * (q2 + w * q3))
+
+
 class Fitted(NamedTuple):
     """Least-squares fits of cubics to L lines in ranges of them."""
 
     x_range: NDArray[np.float64]  #: (L, 2) [m]
     x: NDArray[np.float64]  #: (L, K) positions of the nodes [m]
     y: NDArray[np.float64]  #: (L, K) lateral positions of the lines at the nodes [m]
+    q: NDArray[np.float64]  #: (4, L) coefficients of w^0 .. w^3, before the shift [m]
     shift: NDArray[np.float64]  #: (L,) of the cubics, that makes their largest deviations least [m]
     misfit: NDArray[np.float64]  #: (L,) largest deviation of a line from its shifted cubic [m]
 
@@ -90,17 +105,17 @@ def fit(stretches: Stretches, x_range: NDArray[np.float64]) -> Fitted:
     """
     x = at_nodes(x_range)
     y = stretches.lateral(x)
-    fits = y @ _FIT
-    at_node, q = fits[:, : len(NODES)], fits[:, len(NODES) :]
+    q = _cubics(y, FIT)
+    at_node = y - _values(q, NODES)
     low, high = x_range.T
-    of_line = np.vstack([q.T, (low + high) / 2, (high - low) / 2])
+    of_line = np.vstack([q, (low + high) / 2, (high - low) / 2])
     q0, q1, q2, q3, centre, half = of_line[:, stretches.line]
     w = (stretches.x - centre) / half
     at_point = stretches.y - (q0 + w * (q1 + w * (q2 + w * q3)))
     at_point[np.abs(w) >= 1] = 0.0  # between the extremes, as the residuals have the mean 0
     least = np.minimum(at_node.min(axis=1), np.minimum.reduceat(at_point, stretches.first))
     greatest = np.maximum(at_node.max(axis=1), np.maximum.reduceat(at_point, stretches.first))
-    return Fitted(x_range, x, y, (greatest + least) / 2, (greatest - least) / 2)
+    return Fitted(x_range, x, y, q, (greatest + least) / 2, (greatest - least) / 2)
 
 
 def longest_ranges(
@@ -152,8 +167,8 @@ def _search(
         x_range = np.stack(np.broadcast_arrays(begin[:, None], ends), axis=-1)
         x = at_nodes(x_range.reshape(-1, 2), _COARSE)
         y = stretches.lateral(x, lines[which].repeat(len(_ENDS)))
-        residual = _COARSE_RESIDUALS @ y.T  # (K, C E)
-        span = residual.max(axis=0) - residual.min(axis=0)
+        residual = y - _values(_cubics(y, _COARSE_FIT), _COARSE)  # (C E, K)
+        span = residual.max(axis=1) - residual.min(axis=1)
         good = (span <= 2 * max_misfit).reshape(ends.shape)
         some = good.any(axis=1)
         rows, last = np.arange(len(ends)), len(_ENDS) - 1
@@ -198,15 +213,15 @@ def coefficient_variances(
         fitted: the fits of cubics to them.
         point_sigma: stated error of the map's points [m].
     """
-    x, cubic = at_nodes(fitted.x_range, _GRID), fitted.y @ _TO_GRID
+    x, cubic = at_nodes(fitted.x_range, _GRID), _values(fitted.q, _GRID)
     rest = stretches.lateral(x) - cubic
     position = stretches.position(x)
-    noise = np.zeros(len(x))
+    noise, stated = np.zeros(len(x)), point_sigma * point_sigma
     for i in range(len(x) if point_sigma > 0 else 0):
         shown = _shown_noise(stretches, i, x[i], cubic[i])
-        if shown <= MAX_SHOWN * point_sigma**2:
-            noise[i] = min(SHOWN * shown, point_sigma**2)
-    level = np.maximum(MIN_SHAPE * fitted.misfit**2, MIN_SIGMA**2)
+        if shown <= MAX_SHOWN * stated:
+            noise[i] = min(SHOWN * shown, stated)
+    level = np.maximum(MIN_SHAPE * fitted.misfit**2, MIN_SIGMA * MIN_SIGMA)
     lengths = np.diff(fitted.x_range, axis=1)[:, 0]
     for spacing in SPACINGS:
         steps = np.rint(_STEPS * spacing / lengths).astype(np.int64).clip(1)
@@ -215,7 +230,7 @@ def coefficient_variances(
             least = _least_level(rest[long], steps[long], position[long], noise[long])
             level[long] = np.maximum(level[long], least)
     variances = level[:, None] * SHAPE
-    variances[:, 0] = LATERAL_SHARE * fitted.misfit**2 + MIN_SIGMA**2
+    variances[:, 0] = LATERAL_SHARE * fitted.misfit**2 + MIN_SIGMA * MIN_SIGMA
     return np.asarray(variances)
 
 
@@ -240,13 +255,15 @@ def _least_level(
         explained = noise[:, None] * second_difference_variance(position[lines, places])
     # Second differences of T_2 are 4 h^2, those of T_3 are 24 w h^2, with w in the middle.
     h, w = steps * 2 / _STEPS, _GRID[first] + steps * 2 / _STEPS
-    variance = h**4 * (16 * SHAPE[2] + (24 * w) ** 2 * SHAPE[3])
+    square = h * h
+    variance = square * square * (16 * SHAPE[2] + (24 * w) ** 2 * SHAPE[3])
     squared = (y0 - 2 * y1 + y2) ** 2
-    mean = np.where(first < count, (squared - explained) / variance, 0.0).sum(axis=1) / count[:, 0]
-    far = np.where(first < count, (squared - NOISE_LIMIT**2 * explained) / variance, np.inf)
+    mean = total(np.where(first < count, (squared - explained) / variance, 0.0)) / count[:, 0]
+    beyond = squared - NOISE_LIMIT * NOISE_LIMIT * explained
+    far = np.where(first < count, beyond / variance, np.inf)
     place = np.ceil(SHARE * count).astype(np.int64) - 1
     greatest = np.take_along_axis(np.sort(far, axis=1), place, axis=1)[:, 0]
-    return np.asarray(np.maximum(mean, greatest / LIMIT**2))
+    return np.asarray(np.maximum(mean, greatest / (LIMIT * LIMIT)))
 
 
 def _shown_noise(
@@ -276,6 +293,5 @@ def second_difference_variance(position: NDArray[np.float64]) -> NDArray[np.floa
     factor = np.array([1.0, -2.0, 1.0]).reshape(3, *[1] * (position.ndim - 1))
     indices = np.concatenate([below, below + 1])
     weights = np.concatenate([factor * (1 - share), factor * share])
-    return np.einsum(
-        "a...,b...,ab...->...", weights, weights, (indices[:, None] == indices).astype(float)
-    )
+    pairs = np.where(indices[:, None] == indices, weights[:, None] * weights, 0.0)
+    return np.add.reduce(pairs.reshape(-1, *position.shape[1:]), axis=0)  # one after the other

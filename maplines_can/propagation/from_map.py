@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..values.arrays import floats
+from ..values.fixed_order import congruence, product
 from ..values.gaussian import Gaussian
 from ..values.linalg import block_diagonal, diagonal_blocks, is_covariance
 from ..values.line import MIN_RANGE, PARAMETERS, LeftOut, MapLine, MapLineList, Slot
@@ -26,6 +27,7 @@ from ..values.polyline import Polyline
 from ..values.scene import PoseError, Scene
 from ..values.seen_lines import extended, margins, valid_ranges
 from .certain_range import MAX_SIGMA, certain_ranges, check_max_sigma
+from .in_c import lines_in_c, scene_in_c
 from .refit import MAX_MISFIT, Refit
 from .sigma_points import SigmaPoints
 from .splitting import Mixture
@@ -101,6 +103,11 @@ def map_lines(
     >>> lines.left_out
     {<Slot.EGO_RIGHT: 1>: <LeftOut.ACROSS: "the line is across the car's x axis">}
     """
+    if components == 1:
+        settings = (window, transform or SIGMA_POINTS, map_error, max_misfit, max_sigma)
+        in_c = lines_in_c(lines, ego, *settings)
+        if in_c is not None:
+            return in_c
     view = View.of(lines, ego, window, map_error, max_misfit, max_sigma)
     counts = _counts(lines, components)
     # Lines of one component share the calls; each mixture has a direction of its own to cut along.
@@ -162,6 +169,11 @@ def map_scene(
     >>> scene.centre(0.0).sigma.round(3), scene.width(0.0).sigma.round(3)
     (np.float64(0.2), np.float64(0.024))
     """
+    transform = transform or SIGMA_POINTS
+    settings = (window, transform, map_error, max_misfit, max_sigma)
+    in_c = scene_in_c(lines, ego, *settings, correlation_time)
+    if in_c is not None:
+        return in_c
     view = View.of(lines, ego, window, map_error, max_misfit, max_sigma)
     pose_error = PoseError(view.pose_cov, correlation_time)
     slots = [Slot(slot) for slot in lines]
@@ -172,10 +184,11 @@ def map_scene(
     left_out = {slots[i]: reason for i, reason in seen.left_out.items()}
     if not len(seen.given):
         return replace(without, left_out=left_out)
-    joint = _joint(view, seen, pose_error.cov, transform or SIGMA_POINTS)
+    joint = _joint(view, seen, pose_error.cov, transform)
     kept, refit = joint.kept, joint.refit
     left_out |= {slots[i]: LeftOut.TOO_SHORT for i in seen.given[~kept]}
     left_out |= {slots[i]: LeftOut.UNCERTAIN for i in seen.given[joint.is_shorter & ~kept]}
+    left_out = {slot: left_out[slot] for slot in slots if slot in left_out}
     if not kept.any():
         return replace(without, left_out=left_out)
     # The scene checks the joint covariance, and so those of its lines.
@@ -230,9 +243,9 @@ class View:
         _check(lines, ego)
         check_max_sigma(max_sigma)
         x_min, x_max = floats(window, "window").tolist()
-        c, s = np.cos(ego.mean[2]), np.sin(ego.mean[2])
+        c, s = math.cos(ego.mean[2]), math.sin(ego.mean[2])
         R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        pose_cov = cov = np.asarray(R @ ego.cov @ R.T)
+        pose_cov = cov = congruence(R, ego.cov)
         turn = max(MAX_TURN - TURN_MARGIN * float(np.sqrt(cov[2, 2])), MIN_TURN)
         if map_error is not None:  # moves the ends of a line as the pose error does
             shift = map_error.offset_sigma**2 + map_error.point_sigma**2
@@ -452,5 +465,5 @@ class _Flat:
         self.noise_cov = None if own is None else block_diagonal(own)
 
     def __call__(self, displacements: NDArray[np.float64]) -> NDArray[np.float64]:
-        poses = self._pose + displacements @ self._to_map
+        poses = self._pose + product(displacements, self._to_map)
         return self._function(poses).reshape(len(poses), -1)

@@ -5,14 +5,16 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import product
 from typing import Any
 
 import numpy as np
 
+from ..values import fixed_order
 from ..values.errors import IllPosedError
 from ..values.gaussian import Gaussian
-from .transform import Moments, Transform, weighted_moments
+from .transform import Moments, Rule, Transform, own_moments, weighted_moments
 
 #: Largest total weight of points that may be excluded.
 NEGLIGIBLE = 1e-3
@@ -44,15 +46,17 @@ class Quadrature(Transform):
         if not (isinstance(self.order, int) and 1 <= self.order <= 64):
             raise ValueError(f"order must be a whole number from 1 to 64, got {self.order!r}")
 
+    def rule(self, gaussian: Gaussian) -> Rule:
+        """Return the points in units of the root of the covariance, and their weights."""
+        return _rule(self.order, tuple(bool(column.any()) for column in gaussian.root.T))
+
     def _moments(self, function: Callable[..., Any], gaussian: Gaussian) -> Moments:
-        nodes, weights = np.polynomial.hermite_e.hermegauss(self.order)
-        weights = weights / weights.sum()
-        columns = gaussian.root.T[gaussian.root.any(axis=0)]  # (r, n) directions with variance
-        z, w = (np.array(list(product(a, repeat=len(columns)))) for a in (nodes, weights))
-        w = w.prod(axis=1)
-        order = np.argsort((z**2).sum(axis=1), kind="stable")  # the point nearest the mean first
-        z, w = z[order], w[order]
-        points = gaussian.mean + z @ columns
+        rule = self.rule(gaussian)
+        found = own_moments(function, gaussian, rule)
+        if found is not None:
+            return found
+        z, w, _ = rule
+        points = gaussian.mean + fixed_order.product(z, gaussian.root.T)
         values = np.asarray(function(points), dtype=float)
         excluded = np.isnan(values.reshape(len(points), -1)).any(axis=1)
         if excluded.any():
@@ -70,3 +74,17 @@ class Quadrature(Transform):
                 )
             values, w = values[~excluded], w[~excluded] / w[~excluded].sum()
         return weighted_moments(values, w, w)
+
+
+@lru_cache(maxsize=4)
+def _rule(order: int, has_variance: tuple[bool, ...]) -> Rule:
+    """Return the tensor product in the directions that have a variance."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(order)
+    weights = weights / weights.sum()
+    directions = np.flatnonzero(has_variance)
+    z, w = (np.array(list(product(a, repeat=len(directions)))) for a in (nodes, weights))
+    w = w.prod(axis=1)
+    nearest = np.argsort((z**2).sum(axis=1), kind="stable")  # the point nearest the mean first
+    points = np.zeros((len(w), len(has_variance)))
+    points[:, directions] = z[nearest]
+    return Rule(points, w[nearest], w[nearest])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NoReturn
 
@@ -10,32 +9,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..values.arrays import floats
-from ..values.cubics import MIN_ADVANCE, line_of_cubic
 from ..values.errors import IllPosedError
-from ..values.line import PARAMETERS, lateral, lateral_jacobian
+from ..values.gaussian import Gaussian
+from ..values.line import PARAMETERS
 from ..values.map_error import MapError
 from ..values.polyline import Polyline
-from ..values.seen_lines import NODES, bases
-from .cubic_fit import Fitted, coefficient_variances, longest_ranges
+from .in_c import RefitInC, refit_in_c
+from .refit_model import RefitModel
 from .stretches import MAX_TURN, Stretches, stretches
+from .transform import Moments, Rule
 
-#: The sums of the normal equations are polynomials of degree 6 in the cosine and sine
-#: of the rotation of the car.
-DEGREE = 6
-#: Lines times poses per block: its arrays fit in the processor's cache, and its products are so
-#: small that BLAS computes them in the calling thread.
-BLOCK = 1024
-#: The shape of a line is checked by chords from each CHORD-th of the fitted points to the next.
-CHORD = (len(NODES) - 1) // 16
 #: Default of the largest deviation of a cubic from its line [m].
 MAX_MISFIT = 0.1
-#: Minimum |net| / total absolute advance in x; 1/3 allows a third of it to run backwards. Applies
-#: in addition to MIN_ADVANCE.
-MIN_PROGRESS = 1 / 3
-#: (K,) from the values at the nodes to the coefficient of T_4 in their fit.
-_TO_QUARTIC = np.linalg.pinv(np.polynomial.chebyshev.chebvander(NODES, 4))[4]
-#: Smallest pivot of the normal equations; below it there are fewer than 4 distinct points.
-MIN_PIVOT = 1e-13
 
 
 class Refit:
@@ -97,44 +82,56 @@ class Refit:
         if not max_misfit > 0:
             raise ValueError(f"max_misfit must be more than 0 m, got {max_misfit!r}")
         pose = floats(pose, "pose")
-        if isinstance(polyline, Stretches):
-            seen = polyline
-        else:
-            seen = _seen(polyline, pose, window, max_turn)
-        self._trailing = () if isinstance(polyline, Polyline) else (len(seen.given),)
         self.pose = np.array(pose)
-        fitted = longest_ranges(seen, max_misfit, room, step)
-        #: (2,), or (L, 2): range that the cubics describe, in the frame of the mean pose [m].
-        self.x_range = fitted.x_range.reshape(*self._trailing, 2)
-        #: (), or (L,): largest deviation of the cubic from the line in its range [m].
-        self.misfit = fitted.misfit.reshape(self._trailing)
-        x, y = fitted.x, fitted.y
-        if max_misfit < np.inf:
-            y = y + fitted.shift[:, None]
-        #: (L, K, 2) points of each line to which the cubics are fitted, in the frame of ``pose``.
-        self.points = np.stack([x, y], axis=-1)
-        self._half = (x[:, -1:] - x[:, :1]) / 2  # (L, 1)
-        low, high = y.min(axis=1), y.max(axis=1)
-        self._centre = np.array([(x[:, 0] + x[:, -1]) / 2, (low + high) / 2])  # (2, L)
-        scaled = (y - self._centre[1][:, None]) / self._half
-        self._harmonics = _harmonics_of_sums(scaled)  # (11 L, 2 DEGREE + 1)
-        chords = self.points[:, CHORD::CHORD] - self.points[:, :-CHORD:CHORD]  # (L, CHORDS, 2)
-        self._chords = chords.reshape(-1, 2)
-        self._least_advance = MIN_ADVANCE * np.hypot(*chords.T).sum(axis=0)[:, None]
-        #: (), or (L,): whether the line is nearly perpendicular to the x axis of the mean pose.
-        self.is_across = (2 * self._half < self._least_advance).reshape(self._trailing)
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        self._to_ego = np.array([[c, -s], [s, c]])
-        #: (4, 4), or (L, 4, 4): covariance of the map error and of the misfit; None without both.
-        self.noise_cov = None
-        if map_error is not None or max_misfit < np.inf:
-            noise_cov = self._noise_cov(seen, fitted, map_error, is_covered=max_misfit < np.inf)
-            self.noise_cov = noise_cov.reshape(*self._trailing, 4, 4)
+        lines = polyline if isinstance(polyline, Stretches) else _lines(polyline)
+        fit = (map_error, max_misfit, room, step)
+        self._lines: RefitInC | RefitModel = refit_in_c(
+            lines, self.pose, window, max_turn, *fit
+        ) or RefitModel(_seen(lines, self.pose, window, max_turn), self.pose, *fit)
+        self._trailing = () if isinstance(polyline, Polyline) else (self._lines.count,)
+
+    @property
+    def x_range(self) -> NDArray[np.float64]:
+        """(2,), or (L, 2): range that the cubics describe, in the frame of the mean pose [m]."""
+        return self._lines.x_range.reshape(*self._trailing, 2)
+
+    @property
+    def misfit(self) -> NDArray[np.float64]:
+        """(), or (L,): largest deviation of the cubic from the line in its range [m]."""
+        return self._lines.misfit.reshape(self._trailing)
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """(L, K, 2) points to which the cubics are fitted, in the frame of the mean pose [m]."""
+        return self._lines.points
+
+    @property
+    def is_across(self) -> NDArray[np.bool_]:
+        """(), or (L,): whether the line is nearly perpendicular to the x axis of the mean pose."""
+        return self._lines.is_across.reshape(self._trailing)
+
+    @property
+    def noise_cov(self) -> NDArray[np.float64] | None:
+        """(4, 4), or (L, 4, 4): covariance of map error and misfit; None without both."""
+        found = self._lines.noise_cov
+        return None if found is None else found.reshape(*self._trailing, 4, 4)
 
     @property
     def quartic(self) -> NDArray[np.float64]:
         """(), or (L,): coefficient of the polynomial T_4 that the cubic leaves of the line [m]."""
-        return np.asarray((self.points[..., 1] @ _TO_QUARTIC).reshape(self._trailing))
+        return self._lines.quartic.reshape(self._trailing)
+
+    def weighted_moments(self, gaussian: Gaussian, rule: Rule) -> Moments | None:
+        """Return the moments over a pose by the points of a rule, without ``noise_cov``.
+
+        None if they are to be computed from the values at the points.
+        """
+        lines = self._lines
+        found = lines.weighted_moments(gaussian, rule) if isinstance(lines, RefitInC) else None
+        if found is None:
+            return None
+        means, covs = found
+        return Moments(means.reshape(*self._trailing, 4), covs.reshape(*self._trailing, 4, 4))
 
     def __call__(self, poses: ArrayLike) -> NDArray[np.float64]:
         """Return the lines (y_off, beta, c0, c1) for poses.
@@ -155,79 +152,9 @@ class Refit:
             if np.isnan(line).any():
                 self._raise_ill_posed(poses, None)
             return line
-        lines = len(self._half)
-        out = np.empty((len(poses), lines, len(PARAMETERS)))
-        step = max(1, BLOCK // lines)
-        for start in range(0, len(poses), step):
-            out[start : start + step] = self._block(poses[start : start + step])
-        return out.reshape(len(poses), *self._trailing, len(PARAMETERS))
-
-    def _block(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the (N, L, 4) lines for a block of (N, 3) poses."""
-        d = poses - self.pose
-        turn = np.array([np.cos(d[:, 2]), np.sin(d[:, 2])])  # (2, N)
-        q = self._cubics(turn)
-        q *= self._half
-        # Centre of the points as seen from each pose.
-        x, y = self._centre[:, :, None] - (d[:, :2] @ self._to_ego).T[:, None]
-        c, s = turn
-        q[0] += c * y - s * x
-        return line_of_cubic(q, c * x + s * y, self._half).swapaxes(0, 1)  # (N, L, 4)
-
-    def _cubics(self, turn: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the (4, L, N) cubics through the centred and scaled points after rotations.
-
-        They are NaN if the points are ill-posed. ``turn`` is the (2, N) cosine and sine.
-        """
-        lines, poses = len(self._half), turn.shape[1]
-        sums = (self._harmonics @ _harmonics(turn)).reshape(lines, -1, poses)  # (L, 11, N)
-        q, least_pivot = _solve_normal(sums.swapaxes(0, 1))
-        advance = (self._chords @ turn).reshape(lines, -1, poses)  # (L, CHORDS, N)
-        net, total = np.abs(advance.sum(axis=1)), np.abs(advance).sum(axis=1)
-        well_posed = (net >= self._least_advance) & (net >= MIN_PROGRESS * total)
-        well_posed &= least_pivot > MIN_PIVOT
-        if not well_posed.all():
-            q[:, ~well_posed] = np.nan
-        return q
-
-    def _noise_cov(
-        self, seen: Stretches, fitted: Fitted, map_error: MapError | None, *, is_covered: bool
-    ) -> NDArray[np.float64]:
-        """Return the (L, 4, 4) covariance of the map error and, if it is covered, of the misfit."""
-        cov = np.zeros((len(fitted.x), len(PARAMETERS), len(PARAMETERS)))
-        mean = self._block(self.pose[None])[0]
-        if map_error is not None:
-            cov += self._map_cov(map_error, mean, seen.position(fitted.x))
-        if is_covered:
-            J = bases(mean, fitted.x_range)
-            point_sigma = 0.0 if map_error is None else map_error.point_sigma
-            variances = coefficient_variances(seen, fitted, point_sigma)
-            cov += np.einsum("lik,lk,ljk->lij", J, variances, J)
-        return cov
-
-    def _map_cov(
-        self, error: MapError, mean: NDArray[np.float64], position: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the (L, 4, 4) covariance of the lines due to the map error, to first order.
-
-        ``mean`` are the (L, 4) lines seen from the mean pose, ``position`` are (L, K) fractional
-        indices of the fitted points among those of the map.
-        """
-        step = 1e-4
-        poses = self.pose + step * np.array([np.eye(3), -np.eye(3)])  # (2, 3, 3)
-        ahead, behind = self._block(poses.reshape(6, 3)).reshape(2, 3, -1, len(PARAMETERS))
-        J_line_pose = (ahead - behind) / (2 * step)  # (3, L, 4)
-        pose_sigma = np.array([error.offset_sigma, error.offset_sigma, error.heading_sigma])
-        J = J_line_pose * pose_sigma[:, None, None]
-        cov = np.einsum("klm,kln->lmn", J, J)
-        for i, points in enumerate(self.points):
-            unit_cov = _fit_cov(points, position[i], mean[i], self._centre[0, i], self._half[i, 0])
-            # The fit averages the point errors, but the line itself has them in full.
-            J = lateral_jacobian(mean[i], points[:, 0])
-            averaged = np.einsum("ki,ij,kj->k", J, unit_cov, J).min()
-            unit_cov[0, 0] += max(0.0, 1 - averaged)
-            cov[i] += error.point_sigma**2 * unit_cov
-        return cov
+        if poses.ndim != 2 or poses.shape[1] != 3:
+            raise ValueError(f"poses must have shape (N, 3) or (3,), got {poses.shape}")
+        return self._lines(poses).reshape(len(poses), *self._trailing, len(PARAMETERS))
 
     def _raise_ill_posed(
         self, pose: NDArray[np.float64], window: tuple[float, float] | None
@@ -241,128 +168,24 @@ class Refit:
         )
 
 
-def _harmonics(turn: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (2 DEGREE + 1, N): 1, cos(k h) and sin(k h), k = 1 .. 6, of (2, N) cos h and sin h."""
-    z = turn[0] + 1j * turn[1]
-    powers = np.multiply.accumulate(z[None].repeat(DEGREE, axis=0))
-    return np.concatenate([np.ones_like(turn[:1]), powers.real, powers.imag])
-
-
-def _moments_to_harmonics() -> NDArray[np.float64]:
-    """Return the (49, 11 (2 DEGREE + 1)) matrix from moments to the sums of rotated points.
-
-    The moments are mean(b^j a^i), i and j = 0 .. 6. The sums are mean(u^k), k = 0 .. 6, and
-    mean(v u^k), k = 0 .. 3, with u = c a + s b and v = c b - s a. They are trigonometric
-    polynomials, which their values at 13 angles determine.
-    """
-    angles = 2 * np.pi * np.arange(2 * DEGREE + 1) / (2 * DEGREE + 1)
-    c, s = np.cos(angles), np.sin(angles)
-    u = np.zeros((DEGREE + 1, len(angles), DEGREE + 1, DEGREE + 1))  # powers, coefficients [j, i]
-    u[0, :, 0, 0] = 1
-    for k in range(DEGREE):
-        u[k + 1, :, :, 1:] = c[:, None, None] * u[k, :, :, :-1]
-        u[k + 1, :, 1:] += s[:, None, None] * u[k, :, :-1]
-    v_u = np.zeros_like(u[:4])
-    v_u[:, :, 1:] = c[:, None, None] * u[:4, :, :-1]
-    v_u[:, :, :, 1:] -= s[:, None, None] * u[:4, :, :, :-1]
-    values = np.concatenate([u, v_u]).swapaxes(0, 1).reshape(len(angles), -1)
-    coefficients = np.linalg.solve(_harmonics(np.array([c, s])).T, values)
-    shape = (len(angles), 11, (DEGREE + 1) ** 2)
-    return coefficients.reshape(shape).T.reshape((DEGREE + 1) ** 2, -1)
-
-
-#: The same for all lines, so computed once.
-_MOMENTS_TO_HARMONICS = _moments_to_harmonics()
-#: (K, DEGREE + 1) powers of the nodes, with the factor of a mean.
-_POWERS = np.vander(NODES, DEGREE + 1, increasing=True) / len(NODES)
+def _lines(polyline: Polyline | Sequence[Polyline]) -> list[Polyline]:
+    lines = [polyline] if isinstance(polyline, Polyline) else list(polyline)
+    if not lines:
+        raise ValueError("polyline must be a Polyline or a sequence of at least one, got none")
+    return lines
 
 
 def _seen(
-    polyline: Polyline | Sequence[Polyline],
+    lines: list[Polyline] | Stretches,
     pose: NDArray[np.float64],
     window: tuple[float, float],
     max_turn: float,
 ) -> Stretches:
     """Return the stretches of the lines, all of which must have one."""
-    lines = [polyline] if isinstance(polyline, Polyline) else list(polyline)
-    if not lines:
-        raise ValueError("polyline must be a Polyline or a sequence of at least one, got none")
+    if isinstance(lines, Stretches):
+        return lines
     seen = stretches(lines, pose, window, max_turn)
     for i, reason in sorted(seen.left_out.items()):
         which = "the line" if len(lines) == 1 else f"line {i} of {len(lines)}"
         raise IllPosedError(f"{which} cannot be given: {reason}; the window is {window} m")
     return seen
-
-
-def _harmonics_of_sums(b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (11 L, 2 DEGREE + 1) coefficients of the sums of points (a, b) after rotations.
-
-    Of each line, a are the nodes and b is (L, K).
-    """
-    powers = np.ones((DEGREE + 1, *b.shape))
-    for k in range(DEGREE):
-        np.multiply(powers[k], b, out=powers[k + 1])
-    moments = (powers @ _POWERS).swapaxes(0, 1).reshape(len(b), -1)  # (L, 49)
-    return (moments @ _MOMENTS_TO_HARMONICS).reshape(-1, 2 * DEGREE + 1)
-
-
-@np.errstate(invalid="ignore", divide="ignore", over="ignore")
-def _solve_normal(sums: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the (4, ...) solutions of the normal equations, and their least pivots.
-
-    The (11, ...) sums are mean(u^k), k = 0 .. 6, the first of which is 1, and mean(v u^k), k = 0
-    .. 3. The elimination needs no pivoting, as the matrix is positive definite.
-    """
-    m1, m2, m3, m6 = sums[1], sums[2], sums[3], sums[6]
-    rhs = sums[7:]
-    # Row i of the symmetric matrix from its diagonal on, after i steps of the elimination.
-    row1 = sums[2:5] - m1 * sums[1:4]
-    row2 = sums[4:6] - m2 * sums[2:4]
-    factor = row1[1:] / row1[0]
-    row2 -= factor[0] * row1[1:]
-    factor3 = row2[1] / row2[0]
-    last = m6 - m3 * m3 - factor[1] * row1[2] - factor3 * row2[1]
-    q = np.empty((4, *m1.shape))
-    q[0] = rhs[0]
-    q[1:] = rhs[1:] - rhs[0] * sums[1:4]
-    q[2:] -= factor * q[1]
-    q[3] -= factor3 * q[2]
-    q[3] /= last
-    q[2] = q[2] / row2[0] - factor3 * q[3]
-    q[1] = q[1] / row1[0] - factor[0] * q[2] - factor[1] * q[3]
-    q[0] -= m1 * q[1] + m2 * q[2] + m3 * q[3]
-    return q, np.minimum(np.minimum(row1[0], row2[0]), last)
-
-
-def _fit_cov(
-    points: NDArray[np.float64],
-    position: NDArray[np.float64],
-    line: NDArray[np.float64],
-    centre: float,
-    half: float,
-) -> NDArray[np.float64]:
-    """Return the (4, 4) covariance of a fitted line for unit errors of the points of the map.
-
-    The fitted points are interpolated between those of the map, at ``position``.
-    """
-    u, v = points.T
-    A = np.vander((u - centre) / half, 4, increasing=True)
-    dA = np.column_stack([np.zeros_like(u), A[:, :3] * [1, 2, 3]]) / half
-    _, R = np.linalg.qr(A)
-    _, beta, c0, c1 = line
-    slope = np.tan(beta) + u * (c0 + u * c1 / 2)
-    residual = v - lateral(line, u)
-    # An error in u acts twice: via the slope of l, and via the change of A's row.
-    V = np.linalg.solve(R.T @ R, np.hstack([A.T, dA.T * residual - A.T * slope]))
-    # The error of a fitted point is the weighted mean of those of its two neighbours.
-    below = np.floor(position).astype(int)
-    share = position - below
-    below -= below[0]
-    W = np.zeros((len(u), below[-1] + 2))
-    W[np.arange(len(u)), below] = 1 - share
-    W[np.arange(len(u)), below + 1] = share
-    V = np.hstack([V[:, : len(u)] @ W, V[:, len(u) :] @ W])
-    # J: derivative of line_of_cubic at the fit; only beta is nonlinear in q, by its arctangent.
-    J = line_of_cubic(np.eye(4), np.full(4, centre), np.full(4, half)).T
-    J[1] = np.tan(J[1]) * np.cos(beta) ** 2
-    return np.asarray(J @ (V @ V.T) @ J.T)

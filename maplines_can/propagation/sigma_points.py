@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..values.gaussian import Gaussian
-from .transform import Moments, Transform, values_at, weighted_moments
+from .transform import Moments, Rule, Transform, own_moments, values_at, weighted_moments
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,19 @@ class SigmaPoints(Transform):
         cov[0] += 1 - self.alpha**2 + self.beta
         return mean, cov
 
+    def rule(self, gaussian: Gaussian) -> Rule:
+        """Return the points in units of the root of the covariance, and their weights."""
+        return _rule(self, gaussian.mean.size)
+
     def _moments(self, function: Callable[..., Any], gaussian: Gaussian) -> Moments:
+        rule = self.rule(gaussian)
+        found = own_moments(function, gaussian, rule)
+        if found is not None:
+            return found
         values = values_at(function, self.points(gaussian))
-        return weighted_moments(values, *self.weights(gaussian.mean.size))
+        return weighted_moments(values, rule.mean_weights, rule.cov_weights)
+
+
+@lru_cache(maxsize=16)
+def _rule(transform: SigmaPoints, n: int) -> Rule:
+    return Rule(transform.points(Gaussian.trusted(np.zeros(n), np.eye(n))), *transform.weights(n))

@@ -58,7 +58,8 @@ class Stretches:
 
     @cached_property
     def _keys(self) -> NDArray[np.float64]:
-        return self._key(self.x, self.line)
+        # Close points may run back a little; the line is then where it first comes.
+        return np.maximum.accumulate(self._key(self.x, self.line))
 
     @cached_property
     def _step(self) -> float:
@@ -127,7 +128,8 @@ def stretches(
     direction = np.subtract(advance >= least, advance <= -least, dtype=np.int8)
     nearest, left_out = _nearest_steps(parts, joined, direction, start, reach)
     given = np.array([i for i in range(len(lines)) if i not in left_out], dtype=np.intp)
-    points = np.array([[c, s], [-s, c]]) @ (joined.points - pose[:2, None])
+    x, y = joined.points - pose[:2, None]
+    points = np.array([c * x + s * y, c * y - s * x])
     return _in_window(points, direction, nearest[given], (x_min, x_max), given, left_out)
 
 

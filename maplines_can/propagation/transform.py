@@ -10,10 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..values.errors import IllPosedError
+from ..values.fixed_order import product
 from ..values.gaussian import Gaussian
 
 #: Points of one product: so few that BLAS computes it in the calling thread, even of eight lines.
 BLOCK = 128
+
+
+#: Up to this number of points, the products are added one after the other.
+FEW = 16
 
 
 class Moments(NamedTuple):
@@ -21,6 +26,17 @@ class Moments(NamedTuple):
 
     mean: NDArray[np.float64]  #: (..., m)
     cov: NDArray[np.float64]  #: (..., m, m)
+
+
+class Rule(NamedTuple):
+    """Points of a transform: the mean and the root of the covariance times z, and their weights.
+
+    The first one is at the mean, or the nearest to it.
+    """
+
+    z: NDArray[np.float64]  #: (N, n)
+    mean_weights: NDArray[np.float64]  #: (N,)
+    cov_weights: NDArray[np.float64]  #: (N,)
 
 
 class Transform(ABC):
@@ -65,6 +81,12 @@ class Transform(ABC):
         """Return the moments without ``noise_cov``."""
 
 
+def own_moments(function: Callable[..., Any], gaussian: Gaussian, rule: Rule) -> Moments | None:
+    """Return the moments of a function that computes them itself, as a ``Refit`` may; else None."""
+    own = getattr(function, "weighted_moments", None)
+    return None if own is None else own(gaussian, rule)
+
+
 def values_at(function: Callable[..., Any], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the values of a function at points, all of which must have one.
 
@@ -98,7 +120,7 @@ def weighted_moments(
     weights of the mean have the sum 1.
     """
     d = values[1:] - values[0]
-    shift = (mean_weights[1:] @ d.reshape(len(d), values[0].size)).reshape(d.shape[1:])
+    shift = np.add.reduce(mean_weights[1:].reshape(-1, *[1] * (d.ndim - 1)) * d, axis=0)
     d -= shift
     cov = weighted_products(d, cov_weights[1:])
     cov += cov_weights[0] * shift[..., :, None] * shift[..., None, :]
@@ -108,6 +130,8 @@ def weighted_moments(
 def weighted_products(d: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (..., m, m) sums of weights times d d^T over (N, ..., m) differences d."""
     d = d.transpose(*range(1, d.ndim), 0)  # (..., m, N)
+    if 0 < len(weights) <= FEW:
+        return product(d * weights, d.mT)
     total = np.zeros((*d.shape[:-1], d.shape[-2]))
     for start in range(0, len(weights), BLOCK):
         block = d[..., start : start + BLOCK]

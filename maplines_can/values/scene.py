@@ -159,6 +159,36 @@ class Scene:
         if not np.isfinite(self.quartics).all():
             raise ValueError(f"quartics must be finite, got {self.quartics!r} m")
 
+    @classmethod
+    def trusted(
+        cls,
+        lines: tuple[MapLine, ...],
+        cov: NDArray[np.float64],
+        pose_error: PoseError,
+        fit_ranges: NDArray[np.float64],
+        map_error: MapError | None,
+        left_out: dict[Slot, LeftOut],
+        quartics: NDArray[np.float64],
+        specific_covs: NDArray[np.float64],
+    ) -> Scene:
+        """Return a scene of the given values without copying or checking them.
+
+        The arrays are read-only. For those that the extension module has checked; otherwise call
+        ``Scene``.
+        """
+        scene = object.__new__(cls)
+        vars(scene).update(
+            lines=lines,
+            cov=cov,
+            pose_error=pose_error,
+            fit_ranges=fit_ranges,
+            map_error=map_error,
+            left_out=left_out,
+            quartics=quartics,
+            specific_covs=specific_covs,
+        )
+        return scene
+
     @cached_property
     def index(self) -> dict[Slot, int]:
         """Place of each slot's line in ``lines``."""
