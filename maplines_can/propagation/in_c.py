@@ -243,7 +243,8 @@ def refit_in_c(
     has_noise = map_error is not None or max_misfit < np.inf
     if isinstance(lines, Stretches):
         first = np.append(lines.first, len(lines.x)).astype(float)
-        refit = core.refit_of_stretches(lines.x, lines.y, first, lines.x_range, pose, fit)
+        x_range = np.ascontiguousarray(lines.x_range)
+        refit = core.refit_of_stretches(lines.x, lines.y, first, x_range, pose, fit)
         return None if refit is None else RefitInC(refit, len(lines.given), has_noise)
     if not all(isinstance(line, Polyline) for line in lines):
         return None
