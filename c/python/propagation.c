@@ -266,8 +266,8 @@ static PyObject *pose_view(PyObject *module, PyObject *const *args, Py_ssize_t c
     }
     maplines_pose_view(&cycle, &view);
     maplines_start(&view.look, start, &reach);
-    PyObject *place = maplines_new_array(module, 1, &two, start);
-    PyObject *cov = place == NULL ? NULL : maplines_new_array(module, 2, shape, view.pose_cov);
+    PyObject *place = maplines_array_of(module, 1, &two, start);
+    PyObject *cov = place == NULL ? NULL : maplines_array_of(module, 2, shape, view.pose_cov);
     PyObject *found = cov == NULL ? NULL : Py_BuildValue("OdO", place, reach, cov);
     Py_XDECREF(place);
     Py_XDECREF(cov);
@@ -369,7 +369,7 @@ static PyObject *results_of(PyObject *module, const run_t *run, int count, const
     }
     for (int i = 0; i < count; i++)
     {
-        PyObject *array = maplines_new_array(module, axes[i], shapes[i], values[i]);
+        PyObject *array = maplines_array_of(module, axes[i], shapes[i], values[i]);
         if (array == NULL || PyTuple_SetItem(found, i + 1, array) < 0)
         {
             Py_DECREF(found);
@@ -813,7 +813,7 @@ static PyObject *refit_field(PyObject *module, PyObject *const *args, Py_ssize_t
         read_field(&own->refits[i], (int)field, values + i * size);
     }
     const Py_ssize_t all[3] = {(Py_ssize_t)own->lines, shape[0], shape[1]};
-    PyObject *array = maplines_new_array(module, axes[field], all, values);
+    PyObject *array = maplines_array_of(module, axes[field], all, values);
     free(values);
     return array;
 }
