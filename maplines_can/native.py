@@ -34,8 +34,8 @@ def _choose() -> tuple[Any, str]:
         found = import_module("._native", __package__)
     except ImportError as error:
         why = f"the extension module cannot be loaded: {error}"
-        if isinstance(error, ModuleNotFoundError):
-            why = "it was installed without a C compiler"
+        if isinstance(error, ModuleNotFoundError) and error.name == f"{__package__}._native":
+            why = "no extension module; an install with a C compiler builds it"
     else:
         if found.version == import_module(__package__).__version__:
             return found, f"built with {found.compiler}"

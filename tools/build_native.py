@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import sys
 import sysconfig
 import tempfile
 from pathlib import Path
@@ -37,34 +36,36 @@ class NativeHook(BuildHookInterface[Any]):
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Build the module; without it, the wheel is one for any platform."""
         wanted = os.environ.get("MAPLINES_NATIVE", "")
-        if wanted == "0":
-            remove()
-            return
+        path = None
         try:
-            path = build(ROOT if version == "editable" else self._folder())
+            if wanted != "0":
+                self._folder = tempfile.mkdtemp()
+                path = build(Path(self._folder))
         except Exception as error:
+            compiler = os.environ.get("CC") or sysconfig.get_config_var("CC") or "of C"
+            cause = (
+                f"the compiler {compiler!r} is not there or fails, or the headers of Python are "
+                f"missing ({type(error).__name__}); pip install --verbose has its messages"
+            )
             if wanted == "1":
-                raise
-            remove()
+                raise RuntimeError(f"MAPLINES_NATIVE=1, but {cause}") from error
             self.app.display_warning(
                 f"maplines_can is installed without its extension module, and computes in Python "
-                f"alone: {error}"
+                f"alone: {cause}"
             )
-            return
-        build_data["pure_python"] = False
-        build_data["tag"] = wheel_tag()
-        if version != "editable":
+        if version == "editable":
+            put_into_checkout(path)
+        elif path is not None:
             build_data["force_include"][str(path)] = f"maplines_can/{path.name}"
+        if path is not None:
+            build_data["pure_python"] = False
+            build_data["tag"] = wheel_tag()
 
     def finalize(self, *_: Any) -> None:
         """Remove the folder of the build."""
-        shutil.rmtree(self._built, ignore_errors=True)
+        shutil.rmtree(self._folder, ignore_errors=True)
 
-    _built = ""
-
-    def _folder(self) -> Path:
-        self._built = tempfile.mkdtemp()
-        return Path(self._built)
+    _folder = ""
 
 
 def build(folder: Path) -> Path:
@@ -105,10 +106,17 @@ def build(folder: Path) -> Path:
     return Path(command.get_ext_fullpath(extension.name))
 
 
-def remove() -> None:
-    """Remove the module of an earlier build from the checkout."""
-    for path in (ROOT / "maplines_can").glob("_native*"):
-        path.unlink()
+def put_into_checkout(path: Path | None) -> None:
+    """Copy a module into the package of the checkout; None removes those of earlier builds."""
+    package = ROOT / "maplines_can"
+    if path is None:
+        for old in package.glob("_native*"):
+            old.unlink()
+        return
+    copy = Path(tempfile.mkdtemp(dir=package, prefix="_native")) / path.name
+    shutil.copy(path, copy)
+    copy.replace(package / path.name)  # in one step: other processes may load it now
+    copy.parent.rmdir()
 
 
 def wheel_tag() -> str:
@@ -122,5 +130,5 @@ def wheel_tag() -> str:
 
 
 if __name__ == "__main__":
-    print(build(ROOT))
-    sys.exit()
+    with tempfile.TemporaryDirectory() as place:
+        put_into_checkout(build(Path(place)))

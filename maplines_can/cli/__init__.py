@@ -17,7 +17,7 @@ from importlib import import_module
 from typing import Any
 
 from .. import __version__
-from ..values.errors import MaplinesError
+from ..values.errors import MaplinesError, NativeError
 from .parsing import Parser
 from .stderr import note
 
@@ -95,7 +95,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     except (MaplinesError, OSError, ValueError) as error:
         message = _with_options(" ".join(_text(error).split()))
-        note(f"error: {message}{_missing_file_hint(message, argv)}")
+        is_loaded = not isinstance(error, NativeError)  # the hint needs most of the package
+        note(f"error: {message}{_missing_file_hint(message, argv) if is_loaded else ''}")
         return 1
 
 
