@@ -69,7 +69,6 @@ class Receivers:
     def __post_init__(self) -> None:
         authenticator = None if self.vault is None else self.vault.authenticator()
         self.codec = Codec(self.layout, authenticator)
-        self.codec._tables = None  # the model, not what is compared with it
         self.decoder = self.codec.decoder(
             timeout_ms=self.timeout_ms, cycle_ms=self.cycle_ms, e2e=self.e2e
         )
