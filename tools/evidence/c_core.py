@@ -19,6 +19,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from maplines_can import native
 from maplines_can.wire import Codec, default_dbc_path
 from maplines_can.wire.layout.message_layout import Layout
 
@@ -34,7 +35,9 @@ PROJECT = ("maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc")
 
 
 def tests(name: str) -> Any:
-    """Return a module of the tests."""
+    """Return a module of the tests, all of which compare the C core with Python alone."""
+    if native.is_active:
+        sys.exit(f"the C core is not compared with itself: set {native.VARIABLE}=0")
     for folder in (str(TESTS), str(TESTS / "c"), str(TESTS.parent / "tools")):
         if folder not in sys.path:
             sys.path.insert(0, folder)
