@@ -188,7 +188,8 @@ class CompleteWriter:
     def _cover(self, weights: Array, means: Array, covs: Array) -> tuple[Array, Array]:
         """Return the (N, k) decoded weights, and the (N, 4, 4) ``deficit`` that they leave."""
         steps, kernel = self._weight_steps, self.format.kernel
-        if kernel is not None and weights.shape[1] <= kernel.max_components:
+        is_whole = means.shape == (*weights.shape, 4)
+        if kernel is not None and is_whole and weights.shape[1] <= kernel.max_components:
             return kernel.cover(weights, means, covs, steps)
         decoded = quantized_weights(weights, steps) / steps
         return decoded, deficit(weights, means, covs, decoded, self._mean.nearest(means).physical)
