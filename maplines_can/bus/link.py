@@ -224,6 +224,8 @@ interface; 'ip -br link' lists those that are
 
     def _worked(self, bus: can.BusABC, way: str) -> None:
         """Note a successful send or recv: only this shows that a reopened interface works."""
+        if self.up and not self._unclear_since:
+            return  # without the lock: nearly always
         self._unclear_since.pop(way, None)
         with self._lock:
             if self.up or bus is not self._bus:

@@ -50,6 +50,8 @@ class Schedule(Generic[Key]):
         self._period, self._count = period, count
         self._t0 = math.nan  # set by the first key
         self._entries: dict[Key, _Entry] = {}
+        self._deadlines: dict[Key, float] = {}  # next one of each key; infinite if it has none
+        self._first: Key | None = None  # key of the first of them
 
     def add(self, key: Key, phase: float, now: float) -> None:
         """Add a key, or start it again; its first deadline is the next one after ``now`` [s].
@@ -61,40 +63,57 @@ class Schedule(Generic[Key]):
         # The tolerance of a millionth of a period covers rounding after months of uptime.
         cycle = math.ceil((now - self._t0) / self._period - phase - 1e-6)
         end = math.inf if self._count is None else cycle + self._count
-        self._entries[key] = _Entry(phase, cycle, end)
+        self._set(key, _Entry(phase, cycle, end))
 
     def deadline(self, key: Key) -> float:
         """Return the next deadline of a key [s]; infinite if it has none."""
-        entry = self._entries.get(key)
-        return math.inf if entry is None or entry.cycle >= entry.end else self._at(entry)
+        return self._deadlines.get(key, math.inf)
+
+    @property
+    def first(self) -> float:
+        """The next deadline of all keys [s]; infinite if there is none."""
+        return math.inf if self._first is None else self._deadlines[self._first]
 
     def remove(self, key: Key) -> None:
         """Remove a key; it may be unknown."""
         self._entries.pop(key, None)
+        self._deadlines.pop(key, None)
+        self._find_first()
 
     @property
     def over(self) -> bool:
         """Whether every key has had its ``count`` deadlines."""
-        return bool(self._entries) and all(e.cycle >= e.end for e in self._entries.values())
+        return bool(self._entries) and self.first == math.inf
 
     def wait(self, now: float) -> float | None:
         """Return the time until the next deadline [s], at least 0; None if there is none."""
-        first = min(map(self.deadline, self._entries), default=math.inf)
+        first = self.first
         return None if first == math.inf else max(0.0, first - now)
 
     def take(self, now: float) -> Due[Key] | None:
         """Return the oldest deadline that has passed, each one once; None if none has."""
-        key = min(self._entries, key=self.deadline, default=None)
-        if key is None or self.deadline(key) > now:
+        key = self._first
+        if key is None or self._deadlines[key] > now:
             return None
         entry = self._entries[key]
         elapsed = (now - self._t0) / self._period - entry.phase
-        newest = entry._replace(cycle=int(min(max(elapsed, entry.cycle), entry.end - 1)))
-        self._entries[key] = newest._replace(cycle=newest.cycle + 1)
-        return Due(key, self._at(newest), newest.cycle - entry.cycle)
+        newest = int(min(max(elapsed, entry.cycle), entry.end - 1))
+        self._set(key, _Entry(entry.phase, newest + 1, entry.end))
+        return Due(key, self._at(newest, entry.phase), newest - entry.cycle)
 
-    def _at(self, entry: _Entry) -> float:
-        return self._t0 + (entry.cycle + entry.phase) * self._period
+    def _set(self, key: Key, entry: _Entry) -> None:
+        self._entries[key] = entry
+        is_over = entry.cycle >= entry.end
+        self._deadlines[key] = math.inf if is_over else self._at(entry.cycle, entry.phase)
+        self._find_first()
+
+    def _find_first(self) -> None:
+        """Find the first deadline: of equal ones, that of the key that was added first."""
+        deadlines = self._deadlines
+        self._first = min(deadlines, key=deadlines.__getitem__, default=None)
+
+    def _at(self, cycle: int, phase: float) -> float:
+        return self._t0 + (cycle + phase) * self._period
 
 
 class Lateness(NamedTuple):

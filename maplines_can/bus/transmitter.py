@@ -189,6 +189,7 @@ class Transmitter(BackgroundThread):
                     "publish must come before stop, and in the process that called start: this "
                     "transmitter sends nothing; make a new Transmitter"
                 )
+            first = self._tx_queue.first
             for slot in left_out:
                 self._tx_queue.drop(slot)
             self._left_out.update(left_out.values())
@@ -196,7 +197,8 @@ class Transmitter(BackgroundThread):
                 self._tx_queue.put(lines, self._clock(), age)
             else:
                 self._tx_queue.put_scene(prepared, self._clock(), age)
-            self._changed.notify_all()
+            if self._tx_queue.first != first:  # else the thread wakes up in time
+                self._changed.notify_all()
 
     def retract(self, slot: Slot) -> None:
         """Stop sending the line of this slot; the slot may have none.
@@ -255,13 +257,12 @@ class Transmitter(BackgroundThread):
                 retries += 1
         with self._changed:
             self._lateness.add(lateness)
-            self._counts.update(
-                lines=result is Sent.OK and transfer.owner != POSE,
-                pose_errors=result is Sent.OK and transfer.owner == POSE,
-                down=result is Sent.DOWN,
-                full=result is Sent.FULL,
-                overruns=transfer.skipped,
-                frames=sent,
-                retries=retries,
-                expired=result is Sent.OK and transfer.expired,
-            )
+            counts = self._counts
+            if result is Sent.OK:
+                counts["pose_errors" if transfer.owner == POSE else "lines"] += 1
+                counts["expired"] += transfer.expired
+            else:
+                counts["down" if result is Sent.DOWN else "full"] += 1
+            counts["overruns"] += transfer.skipped
+            counts["frames"] += sent
+            counts["retries"] += retries

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
-from ..values.line import MapLine, Slot
+from ..values.line import MapLine, Slot, aged
 from ..wire import POSE, Codec, Frame, Owner, PreparedScene
 from .schedule import Schedule
 
@@ -30,7 +30,7 @@ class Published:
     def with_age(self, now: float, max_age: float) -> MapLine:
         """Return the line with its age at ``now``, infinite if it exceeds ``max_age`` [s]."""
         age = max(0.0, self.age + now - self.at)
-        return replace(self.line, age=age if age <= max_age else math.inf)
+        return aged(self.line, age if age <= max_age else math.inf)
 
 
 @dataclass(frozen=True)
@@ -166,6 +166,11 @@ class TxQueue:
         """Whether every slot has had its ``count`` deadlines."""
         return self._schedule.over
 
+    @property
+    def first(self) -> float:
+        """The next deadline [s]; infinite if there is none."""
+        return self._schedule.first
+
     def wait(self, now: float) -> float | None:
         """Return the time until the next deadline [s]; None if there is none."""
         return self._schedule.wait(now)
@@ -190,7 +195,7 @@ class TxQueue:
             self._counters[due.key] += transfer.records
             if not transfer.frames:
                 transfer = self.renew(transfer, now)
-            return transfer._replace(skipped=due.skipped)
+            return transfer._replace(skipped=due.skipped) if due.skipped else transfer
         return None
 
     def renew(self, transfer: Transfer, now: float) -> Transfer:

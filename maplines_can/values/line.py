@@ -203,6 +203,13 @@ class MapLine:
             return np.sqrt(np.einsum("...i,ij,...j->...", J, self.gaussian.cov, J).clip(0))
 
 
+def aged(line: MapLine, age: float) -> MapLine:
+    """Return a line with another age, 0 s or more or infinite, without checking it again."""
+    copy = object.__new__(type(line))
+    copy.__dict__.update(line.__dict__, age=age)
+    return copy
+
+
 class MapLineList(list[MapLine]):
     """Result of ``map_lines``: lines, and the reasons of those that are left out.
 
