@@ -37,7 +37,7 @@ from reporting import parser_of
 
 ROOT = Path(__file__).resolve().parents[1]
 C = ROOT / "c"
-INCLUDE = [f"-I{C / 'include'}", f"-I{C / 'src'}"]
+INCLUDE = [f"-I{C / name}" for name in ("include", "src", "propagation")]
 WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Wstrict-prototypes",
             "-Wmissing-prototypes", "-Wdouble-promotion", "-Wundef", "-Werror"]  # fmt: skip
 #: Least share of the branches that the tests take [%].
@@ -52,6 +52,11 @@ Findings = list[str]
 def sources() -> list[str]:
     """Return the sources of the core."""
     return [str(path) for path in sorted((C / "src").glob("*.c"))]
+
+
+def sources_of_package() -> list[str]:
+    """Return the sources of the core, and those of the propagation in the extension module."""
+    return [*sources(), *map(str, sorted((C / "propagation").glob("*.c")))]
 
 
 def all_files() -> list[str]:
@@ -83,7 +88,7 @@ def check_compile() -> Findings:
             continue
         for variant in VARIANTS:
             flags = ["-std=c99", "-O2", "-ffp-contract=off", *WARNINGS, *variant, *INCLUDE]
-            for source in sources():
+            for source in sources_of_package():
                 status, lines = run([compiler, *flags, "-c", source, "-o", "/dev/null"])
                 findings += [f"{compiler}: {line}" for line in lines if FINDING.search(line)]
                 if status and not findings:
@@ -107,7 +112,7 @@ def _header_as_cpp() -> Iterator[str]:
 def check_analyzer() -> Findings:
     """GCC's -fanalyzer finds nothing."""
     findings = []
-    for source in sources():
+    for source in sources_of_package():
         flags = ["-std=c99", "-O2", "-fanalyzer", *INCLUDE, "-c", source, "-o", "/dev/null"]
         findings += [line for line in run(["gcc", *flags])[1] if FINDING.search(line)]
     return findings
@@ -118,7 +123,8 @@ def check_cppcheck() -> Findings:
     suppressed = ("missingIncludeSystem", "unusedFunction", "unmatchedSuppression")
     command = ["cppcheck", "--quiet", "--enable=all", "--inconclusive", "--std=c99",
                "--inline-suppr", "--template={file}:{line}: {severity}: {message} [{id}]",
-               *(f"--suppress={name}" for name in suppressed), *INCLUDE, *sources()]  # fmt: skip
+               *(f"--suppress={name}" for name in suppressed), *INCLUDE,
+               *sources_of_package()]  # fmt: skip
     return [line for line in run(command)[1] if FINDING.search(line)]
 
 
@@ -141,7 +147,7 @@ def check_misra() -> Findings:
 def check_tidy() -> Findings:
     """Clang-tidy finds nothing with the checks of c/.clang-tidy."""
     config = f"--config-file={C / '.clang-tidy'}"
-    command = ["clang-tidy", config, "--quiet", *sources(), "--", "-std=c99", *INCLUDE]
+    command = ["clang-tidy", config, "--quiet", *sources_of_package(), "--", "-std=c99", *INCLUDE]
     return [line for line in run(command)[1] if FINDING.search(line)]
 
 

@@ -204,7 +204,7 @@ void maplines_certain_range(const double mean[4], const double cov[16], const do
         return;
     }
     double powers[SAMPLES];
-    double zeros[DEGREE];
+    double zeros[DEGREE] = {0.0};
     powers_of(excess, powers);
     const int count = zeros_of(powers, zeros);
     for (int i = 0; i < count; ++i)

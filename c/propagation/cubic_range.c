@@ -146,7 +146,7 @@ static void narrow(const maplines_stretches_t *seen, size_t line, double span,
                    candidate_t *candidate)
 {
     static const double shares[ENDS] = {0.25, 0.5, 0.75, 1.0};
-    double ends[ENDS];
+    double ends[ENDS] = {0.0};
     const double length = candidate->outer - candidate->inner;
     for (int i = 0; i < ENDS; ++i)
     {

@@ -270,7 +270,7 @@ static bool shorten(const maplines_cycle_t *cycle, const size_t *places, mapline
     {
         double block[16];
         double certain[2];
-        double shorter[2];
+        double shorter[2] = {0.0, 0.0};
         trial_t *trial = &trials[places[i]];
         maplines_stretch_t *stretch = &work->seen.stretch[places[i]];
         const double *x_range = joint->x_ranges[i];
@@ -334,7 +334,7 @@ bool maplines_map_scene(const maplines_path_t *paths, size_t count, const maplin
     static const double origin[3] = {0.0, 0.0, 0.0};
     trial_t trials[MAPLINES_SCENE_LINES];
     size_t places[MAPLINES_SCENE_LINES];
-    bool kept[MAPLINES_SCENE_LINES];
+    bool kept[MAPLINES_SCENE_LINES] = {false};
     maplines_pose_view_t view;
     double root[9];
     maplines_fit_t fit = cycle->fit;

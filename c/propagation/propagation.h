@@ -179,8 +179,8 @@ typedef struct {
 /// Points (rule->count, 3) of a Gaussian with a lower triangular root.
 void maplines_rule_points(const maplines_rule_t *rule, const double mean[3], const double root[9],
                           double *points);
-/// Mean (m) and covariance (m, m), symmetric but for rounding, of the (count, m) values at the points of a rule, of
-/// which row i begins at values + i * stride. The values are overwritten.
+/// Mean (m) and covariance (m, m), symmetric but for rounding, of the (count, m) values at the
+/// points of a rule, of which row i begins at values + i * stride. The values are overwritten.
 void maplines_weighted_moments(const maplines_rule_t *rule, size_t m, size_t stride, double *values,
                                double *mean, double *cov);
 /// Covariances (n, n) up to rounding; scratch is (n, n).
