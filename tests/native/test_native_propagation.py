@@ -511,7 +511,7 @@ def test_calls_keep_nothing() -> None:
     held = [ROAD.points, ROAD.distance, EGO.mean, EGO.cov, points, *rule, paths]
     calls()
     counts = [*map(sys.getrefcount, held)]
-    for _ in range(3):
+    for _ in range(300):  # until the caches of the interpreter are full
         calls()
     gc.collect()
     blocks = sys.getallocatedblocks()
