@@ -320,10 +320,10 @@ PyObject *maplines_new_line(PyObject *const *objects, const maplines_line_t *lin
     PyObject *kind = objects[MAPLINES_OF_KINDS + (int)line->kind];
     PyObject *status = objects[MAPLINES_OF_STATUSES + (int)line->status];
     PyObject *shape = mixture == NULL ? Py_NewRef(Py_None) : mixture;
-    const bool has_gaussian = set_to(made, objects[MAPLINES_NAME_SLOT], Py_NewRef(slot)) &
-                              set_to(made, objects[MAPLINES_NAME_GAUSSIAN], gaussian);
+    const bool has_slot = set_to(made, objects[MAPLINES_NAME_SLOT], Py_NewRef(slot));
+    const bool has_gaussian = set_to(made, objects[MAPLINES_NAME_GAUSSIAN], gaussian);
     const bool has_values =
-        has_gaussian && set_to(made, objects[MAPLINES_NAME_KIND], Py_NewRef(kind)) &&
+        has_slot && has_gaussian && set_to(made, objects[MAPLINES_NAME_KIND], Py_NewRef(kind)) &&
         set_to(made, objects[MAPLINES_NAME_X_MIN], PyFloat_FromDouble((double)line->x_min)) &&
         set_to(made, objects[MAPLINES_NAME_X_MAX], PyFloat_FromDouble((double)line->x_max)) &&
         set_to(made, objects[MAPLINES_NAME_AGE], PyFloat_FromDouble((double)line->age)) &&

@@ -25,6 +25,13 @@ bool maplines_read_time(PyObject *value, const char *name, int64_t *t_ns);
 PyObject *maplines_new_scene_line(PyObject *const *objects, const maplines_scene_t *scene,
                                   int place);
 
+/* decoder.c */
+
+PyObject *maplines_receiver_feed(PyObject *self, PyObject *const *arguments, Py_ssize_t count,
+                                 PyObject *keywords);
+PyObject *maplines_receiver_feed_all(PyObject *self, PyObject *frames);
+PyObject *maplines_receiver_expire(PyObject *self, PyObject *time);
+
 /* views.c */
 
 PyObject *maplines_receiver_view(PyObject *self, PyObject *arguments);

@@ -41,7 +41,7 @@ FRAMES = 600
 def decoders(layout: Layout, **settings: Any) -> tuple[Decoder, Decoder]:
     """Return a decoder in C and one in Python."""
     in_c, in_python = Codec(layout), Codec(layout)
-    in_python._tables = None
+    in_python._c_tables = None
     pair = in_c.decoder(**settings), in_python.decoder(**settings)
     assert [isinstance(one, NativeDecoder) for one in pair] == [True, False]
     return pair
