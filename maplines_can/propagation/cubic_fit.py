@@ -224,7 +224,7 @@ def coefficient_variances(
     level = np.maximum(MIN_SHAPE * fitted.misfit**2, MIN_SIGMA * MIN_SIGMA)
     lengths = np.diff(fitted.x_range, axis=1)[:, 0]
     for spacing in SPACINGS:
-        steps = np.rint(_STEPS * spacing / lengths).astype(np.int64).clip(1)
+        steps = np.rint(_STEPS * spacing / lengths).clip(1, _STEPS).astype(np.int64)
         long = np.flatnonzero(2 * steps <= _STEPS)
         if len(long):
             least = _least_level(rest[long], steps[long], position[long], noise[long])

@@ -181,7 +181,7 @@ def map_scene(
     if not lines:
         return without
     seen = view.stretches(slots)
-    left_out = {slots[i]: reason for i, reason in seen.left_out.items()}
+    left_out = {slots[i]: reason for i, reason in sorted(seen.left_out.items())}
     if not len(seen.given):
         return replace(without, left_out=left_out)
     joint = _joint(view, seen, pose_error.cov, transform)

@@ -7,6 +7,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
@@ -469,6 +470,25 @@ def test_reasons() -> None:
     for max_sigma in (0.1, 0.25, 10.0):
         assert_lines(lines, EGO, max_sigma=max_sigma)
         assert_scene(lines, EGO, max_sigma=max_sigma)
+
+
+def test_reasons_are_in_the_order_of_the_lines_also_without_a_line() -> None:
+    lines = {
+        Slot.NEXT_LEFT: Polyline([[200, 0], [300, 0]]),
+        Slot.EGO_RIGHT: Polyline([[0, -3], [0, -9]]),
+        Slot.EGO_LEFT: Polyline([[-300, 0], [-200, 0]]),
+    }
+    assert assert_scene(lines, EGO) == assert_lines(lines, EGO) == 0
+    assert list(map_scene(lines, EGO).left_out) == [*lines]
+
+
+@pytest.mark.parametrize("end", [1e-9, 1.2e-16, 1e-18, 1e-60])
+def test_a_range_of_less_than_a_nanometre(end: float) -> None:
+    """Its second differences would be those over more steps than an integer has."""
+    seen = replace(stretches([ROAD], np.zeros(3), (-20.0, 80.0)), x_range=np.array([[0.0, end]]))
+    native, python = on_both_paths(lambda: Refit(seen, np.zeros(3)))
+    assert isinstance(python, Refit)
+    assert np.array_equal(native.noise_cov, python.noise_cov, equal_nan=True)
 
 
 @pytest.mark.parametrize("poses", [np.zeros(2), np.zeros((4, 2)), np.zeros((2, 2, 3))], ids=repr)
