@@ -68,6 +68,9 @@ static int clear(PyObject *module)
 
 static PyModuleDef_Slot slots[] = {
     {Py_mod_exec, (void *)add_all},
+#ifdef Py_mod_gil
+    {Py_mod_gil, Py_MOD_GIL_USED}, // objects have no locks of their own
+#endif
     {0, NULL},
 };
 
