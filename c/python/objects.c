@@ -154,10 +154,18 @@ PyObject *const *maplines_objects(maplines_module_t *module)
 /* ---- parts of objects -------------------------------------------------------------------------
  */
 
-/// Object of a class with a dictionary or slots; NULL with an exception.
+/// Object of a class, without a call of its constructor; NULL with an exception.
 static PyObject *new_of(PyObject *class_)
 {
-    return PyType_GenericAlloc((PyTypeObject *)class_, 0);
+    PyObject *none = PyTuple_New(0);
+    if (none == NULL)
+    {
+        return NULL;
+    }
+    newfunc new_object = (newfunc)PyType_GetSlot((PyTypeObject *)class_, Py_tp_new);
+    PyObject *made = new_object((PyTypeObject *)class_, none, NULL);
+    Py_DECREF(none);
+    return made;
 }
 
 /// Set an attribute of an object, and release it; NULL stands for a value that could not be made.
