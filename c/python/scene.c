@@ -23,134 +23,6 @@ typedef struct {
     maplines_scene_workspace_t space;
 } prepared_t;
 
-/// A scene as it was read.
-typedef struct {
-    maplines_scene_input_t input;
-    maplines_input_t lines[MAPLINES_SLOTS];
-    double covs[MAPLINES_SLOTS][16]; ///< of the lines by themselves
-} given_t;
-
-/* ---- read ------------------------------------------------------------------------------------ */
-
-/// Read the lines, and their slots as objects; false if one is unusual.
-static bool read_lines(const maplines_sender_t *sender, PyObject *scene, prepared_t *prepared,
-                       given_t *given)
-{
-    PyObject *lines = PyObject_GetAttr(scene, sender->names[MAPLINES_ATTRIBUTE_LINES]);
-    const Py_ssize_t count = lines != NULL && PyTuple_Check(lines) ? PyTuple_Size(lines) : -1;
-    bool is_used[MAPLINES_SLOTS] = {false};
-    bool is_usual = count >= 0 && count <= MAPLINES_SLOTS;
-    for (int i = 0; is_usual && i < count; i++)
-    {
-        PyObject *object = PyTuple_GetItem(lines, i); // borrowed from a tuple that is held
-        maplines_input_t *line = &given->lines[i];
-        PyObject *mixture = PyObject_GetAttr(object, sender->names[MAPLINES_ATTRIBUTE_MIXTURE]);
-        PyObject *gaussian = PyObject_GetAttr(object, sender->names[MAPLINES_ATTRIBUTE_GAUSSIAN]);
-        prepared->slots[i] = PyObject_GetAttr(object, sender->names[MAPLINES_ATTRIBUTE_SLOT]);
-        prepared->count = i + 1;
-        is_usual = mixture == Py_None && prepared->slots[i] != NULL &&
-                   !PyLong_CheckExact(prepared->slots[i]) && // it is a key: a Slot
-                   maplines_read_input(sender, object, line) &&
-                   maplines_read_gaussian(sender, gaussian, line->mean, given->covs[i]) &&
-                   sender->dbc->messages[line->slot].is_present && !is_used[line->slot];
-        is_used[line->slot] = true;
-        Py_XDECREF(gaussian);
-        Py_XDECREF(mixture);
-    }
-    Py_XDECREF(lines);
-    given->input.count = (uint8_t)prepared->count;
-    return is_usual;
-}
-
-static bool are_finite(const double *numbers, size_t count)
-{
-    bool are = true;
-    for (size_t i = 0; i < count; i++)
-    {
-        are = are && fabs(numbers[i]) <= MAPLINES_GREATEST_COV;
-    }
-    return are;
-}
-
-/// Read the arrays of the lines that are given; false if one is unusual.
-static bool read_arrays(const maplines_sender_t *sender, PyObject *scene, given_t *given)
-{
-    const int n = given->input.count;
-    const Py_ssize_t of_ranges[2] = {n, 2};
-    const Py_ssize_t of_quartics[1] = {n};
-    const Py_ssize_t of_cov[2] = {4 * (Py_ssize_t)n, 4 * (Py_ssize_t)n};
-    const Py_ssize_t of_specific[3] = {n, 4, 4};
-    double ranges[MAPLINES_SLOTS][2];
-    double quartics[MAPLINES_SLOTS];
-    double specific[MAPLINES_SLOTS][16] = {{0.0}};
-    double cov[MAPLINES_STATES * MAPLINES_STATES];
-    const size_t size = 16U * (size_t)n * (size_t)n;
-    PyObject *const *names = sender->names;
-    PyObject *known = PyObject_GetAttr(scene, names[MAPLINES_ATTRIBUTE_SPECIFIC_COVS]);
-    given->input.has_specific = known != Py_None;
-    const bool is_read =
-        known != NULL &&
-        maplines_read_array_of(scene, names[MAPLINES_ATTRIBUTE_FIT_RANGES], 2, of_ranges,
-                               ranges[0]) &&
-        maplines_read_array_of(scene, names[MAPLINES_ATTRIBUTE_QUARTICS], 1, of_quartics,
-                               quartics) &&
-        maplines_read_array_of(scene, names[MAPLINES_ATTRIBUTE_COV], 2, of_cov, cov) &&
-        (known == Py_None || maplines_read_array(known, 3, of_specific, specific[0])) &&
-        are_finite(ranges[0], 2U * (size_t)n) && are_finite(quartics, (size_t)n) &&
-        are_finite(cov, size) && are_finite(specific[0], 16U * (size_t)n);
-    Py_XDECREF(known);
-    bool is_usual = is_read;
-    for (int i = 0; is_usual && i < n; i++)
-    {
-        maplines_scene_line_t *line = &given->input.lines[i];
-        const maplines_input_t *of_line = &given->lines[i];
-        line->slot = of_line->slot;
-        line->kind = of_line->kind;
-        line->status = of_line->status;
-        line->x_min = of_line->x_min;
-        line->x_max = of_line->x_max;
-        line->quartic = quartics[i];
-        memcpy(line->mean, of_line->mean, sizeof line->mean);
-        memcpy(line->fit_range, ranges[i], sizeof line->fit_range);
-        memcpy(line->specific[0], specific[i], sizeof line->specific);
-        is_usual = ranges[i][0] < ranges[i][1];
-    }
-    for (int row = 0; is_usual && row < 4 * n; row++)
-    {
-        memcpy(given->input.cov[row], &cov[4 * n * row], 4U * (size_t)n * sizeof cov[0]);
-    }
-    return is_usual;
-}
-
-/// Read the errors of the pose and of the map; false if one is unusual.
-static bool read_errors(const maplines_sender_t *sender, PyObject *scene,
-                        maplines_scene_input_t *input)
-{
-    static const Py_ssize_t shape[2] = {3, 3};
-    PyObject *const *names = sender->names;
-    PyObject *pose = PyObject_GetAttr(scene, names[MAPLINES_ATTRIBUTE_POSE_ERROR]);
-    PyObject *map = PyObject_GetAttr(scene, names[MAPLINES_ATTRIBUTE_MAP_ERROR]);
-    bool is_usual =
-        pose != NULL && map != NULL &&
-        maplines_read_array_of(pose, names[MAPLINES_ATTRIBUTE_COV], 2, shape, input->pose_cov[0]) &&
-        are_finite(input->pose_cov[0], 9) &&
-        maplines_read_double_of(pose, names[MAPLINES_ATTRIBUTE_CORRELATION_TIME],
-                                &input->correlation_time) &&
-        input->correlation_time > 0.0;
-    if (is_usual && map != Py_None)
-    {
-        is_usual = maplines_read_double_of(map, names[MAPLINES_ATTRIBUTE_OFFSET_SIGMA],
-                                           &input->offset_sigma) &&
-                   maplines_read_double_of(map, names[MAPLINES_ATTRIBUTE_HEADING_SIGMA],
-                                           &input->heading_sigma) &&
-                   input->offset_sigma >= 0.0 && input->offset_sigma < (double)INFINITY &&
-                   input->heading_sigma >= 0.0 && input->heading_sigma < (double)INFINITY;
-    }
-    Py_XDECREF(map);
-    Py_XDECREF(pose);
-    return is_usual;
-}
-
 /* ---- prepare --------------------------------------------------------------------------------- */
 
 /// Set all bits of a signal to 0.
@@ -165,7 +37,8 @@ static void clear_signal(const maplines_signal_t *signal, uint8_t *record, size_
 }
 
 /// Write the records of the lines as far as they do not change.
-static void write_records(const maplines_dbc_t *dbc, const given_t *given, prepared_t *prepared)
+static void write_records(const maplines_dbc_t *dbc, const maplines_given_t *given,
+                          prepared_t *prepared)
 {
     for (int i = 0; i < prepared->count; i++)
     {
@@ -211,7 +84,7 @@ PyObject *maplines_prepare_scene(PyObject *self, PyObject *const *args, Py_ssize
     }
     allocfunc allocate = (allocfunc)PyType_GetSlot(sender->scene, Py_tp_alloc);
     prepared_t *prepared = (prepared_t *)allocate(sender->scene, 0); // all zeros
-    given_t *given = calloc(1, sizeof *given);
+    maplines_given_t *given = calloc(1, sizeof *given);
     if (prepared == NULL || given == NULL)
     {
         Py_XDECREF((PyObject *)prepared);
@@ -219,9 +92,8 @@ PyObject *maplines_prepare_scene(PyObject *self, PyObject *const *args, Py_ssize
         return PyErr_NoMemory();
     }
     prepared->sender = (maplines_sender_t *)Py_NewRef(self);
-    bool is_sent = read_lines(sender, args[0], prepared, given) &&
-                   read_arrays(sender, args[0], given) &&
-                   read_errors(sender, args[0], &given->input);
+    bool is_sent = maplines_read_scene(sender, args[0], prepared->slots, given);
+    prepared->count = given->input.count;
     if (is_sent)
     {
         Py_BEGIN_ALLOW_THREADS; // all that is read now is a copy, or constant

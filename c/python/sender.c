@@ -264,10 +264,10 @@ static PyObject *send_line(const maplines_sender_t *sender, PyObject *line, PyOb
         return NULL;
     }
     PyObject *slot = PyObject_GetAttr(line, sender->names[MAPLINES_ATTRIBUTE_SLOT]);
-    PyObject *mixture = PyObject_GetAttr(line, sender->names[MAPLINES_ATTRIBUTE_MIXTURE]);
-    PyObject *frames = PyList_New(0);
-    bool is_sent = slot != NULL && mixture != NULL && frames != NULL &&
-                   maplines_read_counter(counters, slot, &counter);
+    PyObject *mixture =
+        slot == NULL ? NULL : PyObject_GetAttr(line, sender->names[MAPLINES_ATTRIBUTE_MIXTURE]);
+    PyObject *frames = mixture == NULL ? NULL : PyList_New(0);
+    bool is_sent = frames != NULL && maplines_read_counter(counters, slot, &counter);
     if (is_sent && mixture == Py_None)
     {
         is_sent = send_gaussian(sender, line, &input, form, &counter, frames);

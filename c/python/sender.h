@@ -88,6 +88,22 @@ bool maplines_read_input(const maplines_sender_t *sender, PyObject *line, maplin
 bool maplines_read_gaussian(const maplines_sender_t *sender, PyObject *gaussian, double *mean,
                             double *cov);
 
+/* ---- scene_input.c: scenes as they are read */
+
+/// A scene as it was read.
+typedef struct {
+    maplines_scene_input_t input;
+    maplines_input_t lines[MAPLINES_SLOTS];
+    double covs[MAPLINES_SLOTS][16]; ///< of the lines by themselves
+} maplines_given_t;
+
+/// Read a scene, and the slots of its lines as objects, for the caller to release in any case;
+/// false if it is unusual.
+bool maplines_read_scene(const maplines_sender_t *sender, PyObject *scene,
+                         PyObject *slots[MAPLINES_SLOTS], maplines_given_t *given);
+
+/* ---- scene.c */
+
 /// Sender.prepare: a scene but for counters and ages.
 PyObject *maplines_prepare_scene(PyObject *self, PyObject *const *args, Py_ssize_t count);
 
