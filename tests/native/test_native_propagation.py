@@ -488,6 +488,7 @@ def test_a_range_of_less_than_a_nanometre(end: float) -> None:
     seen = replace(stretches([ROAD], np.zeros(3), (-20.0, 80.0)), x_range=np.array([[0.0, end]]))
     native, python = on_both_paths(lambda: Refit(seen, np.zeros(3)))
     assert isinstance(python, Refit)
+    assert python.noise_cov is not None
     assert np.array_equal(native.noise_cov, python.noise_cov, equal_nan=True)
 
 
