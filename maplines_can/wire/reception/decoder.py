@@ -105,6 +105,7 @@ class Decoder:
         #: Check whether frames are authentic, by owner; empty without authentication.
         self.verifiers = verifiers
         self._is_conditional = layout.is_conditional
+        self._slots = [owner for owner in settings if owner != POSE]
         timeouts_ns = {owner: own.timeout_ns for owner, own in settings.items()}
         self._reassembler = Reassembler(layout, reader, timeouts_ns, verifiers)
         self._mixtures = MixtureAssembler(2 ** layout["Counter"].length, timeouts_ns)
@@ -285,8 +286,7 @@ class Decoder:
 
     def slots(self, now_ns: int) -> dict[Slot, SlotStats]:
         """Return the E2E statistics of each slot on which anything was received."""
-        slots = [owner for owner in self.checks if owner != POSE]
-        stats = {slot: self._stats(slot, now_ns) for slot in slots}
+        stats = {slot: self._stats(slot, now_ns) for slot in self._slots}
         return {slot: known for slot, known in stats.items() if known is not None}
 
     def pose_error(self, now_ns: int) -> SlotStats | None:
@@ -295,15 +295,17 @@ class Decoder:
 
     def _check_question(self, slot: Slot, now_ns: int) -> None:
         """Check the arguments of ``latest``."""
-        slots = [owner for owner in self.checks if owner != POSE]
-        if slot not in slots:
-            names = ", ".join(known.name for known in slots)
+        if slot not in self._slots:
+            names = ", ".join(known.name for known in self._slots)
             raise ValueError(f"slot must be one of the DBC's, {names}, got {slot!r}")
         if now_ns != now_ns // 1:
             raise ValueError(f"now_ns must be whole [ns], got {now_ns!r}")
 
+    def _check_of(self, owner: Owner) -> Check:
+        return self._checks[owner]
+
     def _stats(self, owner: Owner, now_ns: int) -> SlotStats | None:
-        check = self.checks[owner]
+        check = self._check_of(owner)
         check.elapse(now_ns)
         return None if check.status is None else check.stats()
 

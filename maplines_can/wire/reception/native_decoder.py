@@ -55,18 +55,14 @@ class NativeDecoder(_Core, Decoder):  # type: ignore[misc]
         _Core.__init__(self, tables, values, {key: key for key in of_id})
         self.can_ids = layout.can_ids
         self.verifiers = {}
+        self._slots = [owner for owner in settings if owner != POSE]
         self._numbers = {owner: numbers[owner] for owner in settings}
         self._cycles_ns = {owner: own.cycle_ns for owner, own in settings.items()}
 
     @property
     def checks(self) -> Mapping[Owner, Check]:
         """Checks of the records of each slot of the DBC, and of the pose error if it has that."""
-        return {
-            owner: _NativeCheck(
-                number, self._cycles_ns[owner], self._check, self._elapse, self._senders
-            )
-            for owner, number in self._numbers.items()
-        }
+        return {owner: self._check_of(owner) for owner in self._numbers}
 
     @property
     def counts(self) -> Counter[Reason]:
@@ -93,6 +89,10 @@ class NativeDecoder(_Core, Decoder):  # type: ignore[misc]
         slots = (line.slot for line in received.scene.lines)
         of_slots = {slot: _STATES[one] for slot, one in zip(slots, states, strict=True)}
         return SceneView(received.scene, age, stale, *known, received, of_slots, two_senders)
+
+    def _check_of(self, owner: Owner) -> Check:
+        number, cycle_ns = self._numbers[owner], self._cycles_ns[owner]
+        return _NativeCheck(number, cycle_ns, self._check, self._elapse, self._senders)
 
 
 class _NativeCheck:
