@@ -1037,7 +1037,7 @@ typedef struct {
     double shape[MAPLINES_KEPT_SHAPES];
 } maplines_level_squares_t;
 
-/// Memory in which a scene is encoded: 51 kB. It takes up to 10 kB of stack besides.
+/// Memory in which a scene is encoded: 51 kB. It takes up to 12 kB of stack besides.
 typedef struct {
     maplines_scene_member_t members[MAPLINES_SLOTS];
     int count;                  ///< of the lines that are not left out so far

@@ -118,10 +118,10 @@ static void feed_component(maplines_decoder_t *decoder, const maplines_arrival_t
     deliver(decoder, arrival->owner, frames, content->count, fed);
 }
 
-/// Deliver the lines of conditional records that have joined one pose error. What is no function of
-/// x is counted instead.
-static void feed_joined(maplines_decoder_t *decoder, const maplines_joined_t *joined, int count,
-                        maplines_fed_t *fed, maplines_scene_t *scene)
+/// Deliver the lines of conditional records that have joined one pose error, decoded into `scene`.
+/// What is no function of x is counted instead.
+static void deliver_joined(maplines_decoder_t *decoder, const maplines_joined_t *joined, int count,
+                           maplines_fed_t *fed, maplines_scene_t *scene)
 {
     int slots[MAPLINES_SLOTS] = {0};
     for (int i = 0; i < count; ++i)
@@ -145,6 +145,14 @@ static void feed_joined(maplines_decoder_t *decoder, const maplines_joined_t *jo
         }
     }
     fed->reason = fed->count > 0 ? MAPLINES_COMPLETE : fed->reason;
+}
+
+/// The same with a scene of its own if there is none: only frames that need it take its stack.
+static void feed_joined(maplines_decoder_t *decoder, const maplines_joined_t *joined, int count,
+                        maplines_fed_t *fed, maplines_scene_t *scene)
+{
+    maplines_scene_t own;
+    deliver_joined(decoder, joined, count, fed, scene == NULL ? &own : scene);
 }
 
 /// Add a new pose error to the epochs, and deliver the lines that waited for it.
@@ -185,8 +193,7 @@ static void feed_conditional(maplines_decoder_t *decoder, const maplines_arrival
 maplines_fed_t maplines_feed(maplines_decoder_t *decoder, const maplines_frame_t *frame,
                              int64_t t_ns)
 {
-    maplines_scene_t scene;
-    return maplines_feed_with(decoder, frame, t_ns, &scene);
+    return maplines_feed_with(decoder, frame, t_ns, NULL);
 }
 
 MAPLINES_INTERNAL maplines_fed_t maplines_feed_with(maplines_decoder_t *decoder,

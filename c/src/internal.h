@@ -681,7 +681,7 @@ MAPLINES_INTERNAL const maplines_scene_t *maplines_newest_scene(maplines_decoder
 /* decoder.c */
 
 /// As maplines_feed. Lines that are conditional on the pose error are in `scene`, too, with their
-/// parts of the joint covariance; it is not written without such lines.
+/// parts of the joint covariance; it is not written without such lines, and may be NULL.
 MAPLINES_INTERNAL maplines_fed_t maplines_feed_with(maplines_decoder_t *decoder,
                                                     const maplines_frame_t *frame, int64_t t_ns,
                                                     maplines_scene_t *scene);
