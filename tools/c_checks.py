@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Check the C core: its form, warnings of two compilers, and what four analysers find.
+"""Check the C core and the extension module: form, warnings, and what four analysers find.
 
     c_checks.py                the quick checks whose programs are installed; others are named
     c_checks.py compile misra  only these
@@ -31,6 +31,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from sysconfig import get_paths
 from typing import Any
 
 from reporting import parser_of
@@ -38,6 +39,9 @@ from reporting import parser_of
 ROOT = Path(__file__).resolve().parents[1]
 C = ROOT / "c"
 INCLUDE = [f"-I{C / name}" for name in ("include", "src", "propagation")]
+#: The extension module, as setuptools compiles it; its rules are those of the C API of Python.
+EXTENSION = [f"-I{C / 'propagation'}", f"-I{C / 'python'}", f"-isystem{get_paths()['include']}",
+             "-DPy_LIMITED_API=0x030b0000"]  # fmt: skip
 WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Wstrict-prototypes",
             "-Wmissing-prototypes", "-Wdouble-promotion", "-Wundef", "-Werror"]  # fmt: skip
 #: Least share of the branches that the tests take [%].
@@ -59,8 +63,13 @@ def sources_of_package() -> list[str]:
     return [*sources(), *map(str, sorted((C / "propagation").glob("*.c")))]
 
 
+def extension_sources() -> list[str]:
+    """Return the sources of the extension module beside the core."""
+    return [str(path) for path in sorted((C / "python").glob("*.c"))]
+
+
 def all_files() -> list[str]:
-    """Return all C files: of the core, its tests and its examples."""
+    """Return all C files: of the core, the extension module, the tests and the examples."""
     return [str(path) for path in sorted(C.rglob("*.[ch]")) if "build" not in path.parts]
 
 
@@ -81,7 +90,7 @@ def check_format() -> Findings:
 
 
 def check_compile() -> Findings:
-    """Gcc and clang compile the core as C99 and the header as C++17 without a warning."""
+    """Gcc and clang compile all C as C99 and the header as C++17 without a warning."""
     findings = []
     for compiler in ("gcc", "clang"):
         if shutil.which(compiler) is None:
@@ -93,6 +102,11 @@ def check_compile() -> Findings:
                 findings += [f"{compiler}: {line}" for line in lines if FINDING.search(line)]
                 if status and not findings:
                     findings.append(f"{compiler}: {source} does not compile")
+        # Python hands functions to C as pointers to objects: not pedantic.
+        flags = ["-std=c99", "-O2", *WARNINGS, "-Wno-pedantic", *INCLUDE, *EXTENSION]
+        for source in extension_sources():
+            _, lines = run([compiler, *flags, "-c", source, "-o", "/dev/null"])
+            findings += [f"{compiler}: {line}" for line in lines if FINDING.search(line)]
     return findings + list(_header_as_cpp())
 
 
@@ -164,6 +178,34 @@ def check_sanitizers() -> Findings:
     """The tests pass with the address and undefined-behaviour sanitizers of clang."""
     checks = "-fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all"
     return findings_with("clang", f"-O1 -g {checks}")
+
+
+def check_extension() -> Findings:
+    """The tests of the extension module pass with the sanitizers of gcc.
+
+    It is built into a copy of the checkout. CPython leaks a little at its end.
+    """
+    skipped = shutil.ignore_patterns(".*", "_native*", "__pycache__", "build", "docs")
+    library = run(["gcc", "-print-file-name=libasan.so"])[1][0]
+    checks = "-fsanitize=address,undefined -fno-sanitize-recover=undefined"
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "copy"
+        shutil.copytree(ROOT, copy, ignore=skipped)
+        settings = os.environ | {"MAPLINES_NATIVE": "1", "PYTHONPATH": str(copy), "CC": "gcc",
+                                 "CFLAGS": f"{checks} -g -O1", "LDFLAGS": checks}  # fmt: skip
+        status, lines = run([sys.executable, str(copy / "tools" / "build_native.py")], settings)
+        if status:
+            return lines[-3:]
+        settings |= {"LD_PRELOAD": library, "ASAN_OPTIONS": "detect_leaks=0"}
+        tests = [
+            str(copy / "tests" / "native"),
+            f"--rootdir={copy}",
+            "-c",
+            f"{copy}/pyproject.toml",
+        ]
+        command = [sys.executable, "-X", "dev", "-m", "pytest", "-q", "-p", "no:cacheprovider"]
+        status, lines = run([*command, *tests], settings)
+    return lines[-20:] if status else []
 
 
 def check_optimised() -> Findings:
@@ -267,6 +309,7 @@ QUICK: dict[str, tuple[Callable[[], Findings], tuple[str, ...]]] = {
     "tidy": (check_tidy, ("clang-tidy",)),
 }
 LONG: dict[str, tuple[Callable[[], Findings], tuple[str, ...]]] = {
+    "extension": (check_extension, ("gcc",)),
     "sanitizers": (check_sanitizers, ("clang",)),
     "optimised": (check_optimised, ("gcc",)),
     "coverage": (check_coverage, ("clang", "llvm-cov", "llvm-profdata")),
