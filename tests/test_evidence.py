@@ -28,7 +28,7 @@ from evidence.figures import Rms, Share
 from evidence.harness import Evidence, bounds_of, matching, missed, promises, settings
 from evidence.roads import SLOTS, maps_of, random_map
 
-from maplines_can import Gaussian, LeftOut, map_lines
+from maplines_can import Gaussian, LeftOut, map_lines, native
 from maplines_can.consumers.integrity import multiplier
 from maplines_can.maps import Map, load
 from maplines_can.wire import Encoder
@@ -37,12 +37,17 @@ from maplines_can.wire.covariance.scene_code import DecodedLines
 for _name in harness.modules():
     importlib.import_module(f"evidence.{_name}")
 QUICK = {name: one for name, one in harness.REGISTRY.items() if not one.in_real_time}
+#: Whether modules run with the extension module, of those that compare it with Python alone.
+PATHS = {"both_paths": True, "both_paths_roads": True, "c_core": False, "c_speed": False}
 
 
 @pytest.fixture(scope="module", params=QUICK)
 def result(request: pytest.FixtureRequest) -> tuple[Evidence, Any]:
     """An evidence, and the figures of its quickest form."""
     one = QUICK[request.param]
+    needs_c = PATHS.get(one.name.partition(".")[0], native.is_active)
+    if needs_c != native.is_active:
+        pytest.skip(f"the path is {native.description()}")
     return one, one.measure(**one.quick)
 
 

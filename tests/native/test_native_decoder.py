@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from both_senders import codecs_of
 from c_layouts import unusual_layouts
 from c_receivers import MAX_TIME
 from c_streams import PROFILES, Stream, Traffic, traffic_of
@@ -27,7 +28,7 @@ from scene_streams import (
     road_scene,
 )
 
-from maplines_can import Codec, Gaussian, MapLine, native
+from maplines_can import Gaussian, MapLine, native
 from maplines_can.values.line import Slot
 from maplines_can.wire import POSE, Decoder, Layout, Reason, ReceivedFrame
 from maplines_can.wire.reception.native_decoder import NativeDecoder
@@ -40,8 +41,7 @@ FRAMES = 600
 
 def decoders(layout: Layout, **settings: Any) -> tuple[Decoder, Decoder]:
     """Return a decoder in C and one in Python."""
-    in_c, in_python = Codec(layout), Codec(layout)
-    in_python._c_tables = None
+    in_c, in_python = codecs_of(layout)
     pair = in_c.decoder(**settings), in_python.decoder(**settings)
     assert [isinstance(one, NativeDecoder) for one in pair] == [True, False]
     return pair

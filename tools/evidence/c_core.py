@@ -38,9 +38,14 @@ def tests(name: str) -> Any:
     """Return a module of the tests, all of which compare the C core with Python alone."""
     if native.is_active:
         sys.exit(f"the C core is not compared with itself: set {native.VARIABLE}=0")
-    for folder in (str(TESTS), str(TESTS / "c"), str(TESTS.parent / "tools")):
-        if folder not in sys.path:
-            sys.path.insert(0, folder)
+    return load(name)
+
+
+def load(name: str) -> Any:
+    """Return a module of the tests."""
+    for folder in (TESTS, TESTS / "c", TESTS / "native", TESTS.parent / "tools"):
+        if str(folder) not in sys.path:
+            sys.path.insert(0, str(folder))
     return importlib.import_module(name)
 
 
@@ -49,7 +54,7 @@ def codecs(dbcs: tuple[str, ...], randoms: int) -> Iterator[tuple[str, Codec]]:
     for dbc in dbcs:
         path = default_dbc_path(dbc) if dbc in PROJECT else Path(dbc)
         yield dbc, Codec(Layout.from_dbc(path))
-    random_dbc = tests("random_dbc").random_dbc
+    random_dbc = load("random_dbc").random_dbc
     for seed in range(randoms):
         yield f"random {seed}", Codec(Layout.from_text(random_dbc(seed), f"random{seed}.dbc"))
 
