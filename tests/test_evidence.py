@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from drive_files import town
 from evidence import (
+    both_paths,
+    both_paths_roads,
     bus,
     epochs,
     fusion,
@@ -31,7 +33,9 @@ from evidence.roads import SLOTS, maps_of, random_map
 from maplines_can import Gaussian, LeftOut, map_lines, native
 from maplines_can.consumers.integrity import multiplier
 from maplines_can.maps import Map, load
+from maplines_can.propagation import in_c
 from maplines_can.wire import Encoder
+from maplines_can.wire.c_sender import CSender
 from maplines_can.wire.covariance.scene_code import DecodedLines
 
 for _name in harness.modules():
@@ -341,3 +345,33 @@ def test_a_map_is_read_for_its_roads(tmp_path: Path) -> None:
     for wrong, text in (("README.md", "is no map"), ("nowhere", "there is no file")):
         with pytest.raises(ValueError, match=text):
             maps_of([str(tmp_path / wrong)])
+
+
+@pytest.mark.skipif(not native.is_active, reason="there is no C path")
+def test_paths_that_differ_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame in C with another byte, a line in C that is longer by a micrometre, and one path."""
+    of_c = CSender.lines
+
+    def other_byte(*arguments: Any, **options: Any) -> Any:
+        found = of_c(*arguments, **options)
+        if found is None:
+            return None
+        sent, counters = found
+        frame = sent[0][0]
+        sent[0][0] = frame._replace(data=bytes([frame.data[0] ^ 1]) + frame.data[1:])
+        return sent, counters
+
+    def longer(*arguments: Any) -> Any:
+        return [replace(line, x_max=line.x_max + 1e-6) for line in made(*arguments)]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(CSender, "lines", other_byte)
+        with pytest.raises(AssertionError):
+            both_paths.lines(40)
+    made = in_c._made
+    with monkeypatch.context() as patch:
+        patch.setattr(in_c, "_made", longer)
+        assert "range [m] is" in misses("both_paths_roads", both_paths_roads.both_paths_roads(1))
+    monkeypatch.setattr(native, "is_active", False)
+    with pytest.raises(SystemExit, match="only one path to compare"):
+        both_paths.frames(1)
