@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import TypeGuard
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,6 +39,21 @@ def floats(values: ArrayLike, name: str) -> NDArray[np.float64]:
         raise ValueError(
             f"{name} must be numbers from {-LARGEST:.2g} to {LARGEST:.2g}, got {number_text(worst)}"
         ) from None
+
+
+def row_values(values: ArrayLike, n: int) -> NDArray[Any]:
+    """Return the values of n rows: (n,), or (1,) if all have the same, which is checked once.
+
+    Of no rows there are none.
+
+    Raises:
+        ValueError: the values are neither (n,) nor one for all.
+
+    >>> row_values([3, 4], 2), row_values(3, 2), row_values(3, 0).shape
+    (array([3, 4]), array([3]), (0,))
+    """
+    given = np.asarray(values)
+    return given.reshape(1)[:n] if given.shape in ((), (1,)) else np.broadcast_to(given, n)
 
 
 def is_plain(value: object) -> TypeGuard[float]:

@@ -213,6 +213,8 @@ def test_any_gaussians_are_encoded_the_same_or_have_the_same_error(
         {"component_weight": [1.0, 2.0]},
         {"component_index": 1},
         {"component_index": 1, "component_count": 2.0},
+        {"component_index": [0, 1], "component_count": 1},
+        {"slot": [1], "kind": [2], "status": [1], "counter": [7], "x_max": [9.0], "age": [0.5]},
         {"component_count": 100},
         {"kind": 8},
         {"kind": 1.5},
@@ -230,6 +232,13 @@ def test_attributes_are_checked_the_same(attributes: dict[str, Any]) -> None:
     codec = codec_of("maplines.dbc")
     means, covs = random_lines(2, 5)
     compare(codec, lambda: codec.batch.encode(means, covs, **attributes))
+
+
+def test_without_lines_no_attribute_is_wrong() -> None:
+    codec, none = codec_of("maplines.dbc"), np.empty((0, 4))
+    for wrong in ({}, {"kind": 8}, {"slot": 9}, {"age": [-1.0]}, {"x_min": np.nan}):
+        native = compare(codec, lambda w=wrong: codec.batch.encode(none, **w))
+        assert native[1] == (0, 32)
 
 
 def test_wrong_mixtures_have_the_same_errors() -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...values.arrays import row_values
 from ...values.errors import EncodeError, LayoutError
 from ...values.line import Slot
 from .dbc_reader import Database, content_of, default_dbc_path, parse_database, read_text
@@ -198,7 +199,7 @@ class Layout(RecordLayout):
         Raises:
             EncodeError: the DBC has no message for a slot.
         """
-        given = np.broadcast_to(np.asarray(slot), n)
+        given = row_values(slot, n)
         slots = given.astype(np.int64)
         table = np.full(max(Slot) + 1, -1)
         for known, messages in self.messages.items():
@@ -207,4 +208,4 @@ class Layout(RecordLayout):
         bad |= table[slots.clip(0, max(Slot))] < 0
         if bad.any():
             raise EncodeError(f"{self.source} has no message for slot {given[bad][0]}")
-        return table[slots].astype(np.uint16)
+        return np.broadcast_to(table[slots].astype(np.uint16), n)

@@ -78,8 +78,9 @@ class BatchKernel:
         Args:
             gaussians: n of them.
             cover: (n, 4, 4) that is added to the covered target, if any.
-            numbers: (n,) slot, counter, kind, status, component index and count, in this order.
-            reals: (n,) component weight, start and end of the range, and age, in this order.
+            numbers: slot, counter, kind, status, component index and count, in this order; each
+                is (n,) or one for all.
+            reals: component weight, start and end of the range, and age, likewise.
         """
         n = len(gaussians.mean)
         records = np.empty((n, self._record_bytes), dtype=np.uint8)
@@ -123,4 +124,6 @@ class BatchKernel:
 
 def _column(values: ArrayLike, n: int, kind: type) -> NDArray[Any]:
     """Return (n,) values, or one for all, as the extension module reads them."""
-    return np.ascontiguousarray(np.broadcast_to(np.asarray(values), n), dtype=kind)
+    column: NDArray[Any] = np.empty(n, dtype=kind)
+    column[:] = values
+    return column

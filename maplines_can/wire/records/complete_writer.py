@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...values.arrays import row_values
 from ...values.errors import EncodeError
 from ...values.gaussian import Gaussian
 from ...values.linalg import nearest_covariance
@@ -84,24 +85,27 @@ class CompleteWriter:
         n = len(gaussians.mean)
         data_ids = self.layout.data_ids(attributes.slot, n)
         raw = self._raw_numbers(attributes, n)
-        requested, count = raw["Status"], np.broadcast_to(np.asarray(attributes.component_count), n)
-        requested = self._supported(requested)
-        x_range = np.column_stack(
-            [_finite("x_min", attributes.x_min, n), _finite("x_max", attributes.x_max, n)]
-        )
-        if (x_range[:, 0] > x_range[:, 1]).any():
+        x_min = _finite("x_min", attributes.x_min, n)
+        x_max = _finite("x_max", attributes.x_max, n)
+        if (x_min > x_max).any():
             raise EncodeError("x_min must be x_max or less")
         age, weight = _age_and_weight(attributes, n)
         if self.format.kernel is not None:
             own = (raw[name] for name in ("Counter", "Kind", "Status"))
-            numbers = attributes.slot, *own, attributes.component_index, count
-            return self.format.kernel.encode(gaussians, cover, numbers, (weight, *x_range.T, age))
+            component = attributes.component_index, attributes.component_count
+            numbers = attributes.slot, *own, *component
+            reals = weight, x_min, x_max, age
+            return self.format.kernel.encode(gaussians, cover, numbers, reals)
+        count = row_values(attributes.component_count, n)
+        requested = np.broadcast_to(self._supported(raw["Status"]), n)
+        x_range = np.column_stack([np.broadcast_to(end, n) for end in (x_min, x_max)])
         sent = self._sent(gaussians.mean, x_range, (requested == Status.FULL) & (count == 1))
         raw |= sent.raw
         raw["Age"] = self._raw_age(age)
         raw["ComponentWeight"] = self._signals["ComponentWeight"].nearest(weight).raw.astype(int)
         self._put_covariance(raw, gaussians, sent, requested, cover)
         raw["Status"] = np.where(sent.outside, Status.OUT_OF_RANGE, raw["Status"])
+        raw = {name: np.broadcast_to(values, n) for name, values in raw.items()}
         return self._packer.pack(raw, data_ids)
 
     def write_mixtures(
@@ -195,27 +199,23 @@ class CompleteWriter:
         return decoded, deficit(weights, means, covs, decoded, self._mean.nearest(means).physical)
 
     def _raw_numbers(self, attributes: RecordAttributes, n: int) -> dict[str, NDArray[np.int64]]:
-        """Return the (n,) raw values of the attributes that are numbers or enumerations."""
+        """Return raw values of numbers and enumerations, (n,) or one for all, as ``row_values``."""
         signals = self._signals
         status = Status.FULL if attributes.status is None else attributes.status
         counter = np.arange(n) if attributes.counter is None else attributes.counter
-        of_line = np.broadcast_to(np.asarray(counter), n) % 2 ** signals["Counter"].length
-        index = np.broadcast_to(np.asarray(attributes.component_index), n)
-        count = np.broadcast_to(np.asarray(attributes.component_count), n)
+        index = row_values(attributes.component_index, n)
+        count = row_values(attributes.component_count, n)
         raw = {
-            "Status": signals["Status"].whole(np.broadcast_to(np.asarray(status), n), max(Status)),
-            "Counter": signals["Counter"].whole(of_line),
-            "Kind": signals["Kind"].whole(
-                np.broadcast_to(np.asarray(attributes.kind), n), max(Kind)
-            ),
+            "Status": signals["Status"].whole(row_values(status, n), max(Status)),
+            "Counter": signals["Counter"].whole(row_values(counter, n) % self._modulus),
+            "Kind": signals["Kind"].whole(row_values(attributes.kind, n), max(Kind)),
             "ComponentIndex": signals["ComponentIndex"].whole(index),
             "ComponentCount": signals["ComponentCount"].whole(count),
         }
-        if (index >= count).any():
-            i = int((index >= count).argmax())
-            raise EncodeError(
-                f"component_index must be below component_count, got {index[i]} of {count[i]}"
-            )
+        bad = index >= count
+        if bad.any():
+            i, k = (np.broadcast_to(values, bad.shape)[bad][0] for values in (index, count))
+            raise EncodeError(f"component_index must be below component_count, got {i} of {k}")
         return raw
 
     def _supported(self, requested: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -330,8 +330,8 @@ class CompleteWriter:
 
 
 def _age_and_weight(attributes: RecordAttributes, n: int) -> tuple[Array, Array]:
-    """Return the (n,) ages [s] and weights of the components."""
-    age = np.broadcast_to(np.asarray(attributes.age, dtype=float), n)
+    """Return the ages [s] and weights of the components, as ``row_values``."""
+    age = row_values(np.asarray(attributes.age, dtype=float), n)
     if not (age >= 0).all():
         raise EncodeError(f"age must be 0 s or more, got {age[~(age >= 0)][0]:g}")
     weight = _finite("component_weight", attributes.component_weight, n)
@@ -345,7 +345,7 @@ def _without_covariance(status: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def _finite(name: str, value: ArrayLike, n: int) -> NDArray[np.float64]:
-    values = np.broadcast_to(np.asarray(value, dtype=float), n)
+    values = row_values(np.asarray(value, dtype=float), n)
     if not np.isfinite(values).all():
         raise EncodeError(f"{name} must be finite, got {values[~np.isfinite(values)][0]}")
     return values
