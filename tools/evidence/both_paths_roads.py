@@ -93,9 +93,12 @@ def both_paths_roads(n: int = 1000, maps: tuple[str, ...] = ()) -> dict[str, Any
 
 
 def _is_in_c(lines: Any, ego: Gaussian, **rest: Any) -> bool:
-    settings = {"window": (-20.0, 80.0), "max_misfit": 0.1, "max_sigma": 10.0}
+    """Return whether C computes both the lines and the scene."""
+    settings: Any = {"window": (-20.0, 80.0), "max_misfit": 0.1, "max_sigma": 10.0}
     settings |= {"transform": SigmaPoints()} | rest
-    return in_c.lines_in_c(lines, ego, **settings) is not None  # type: ignore[arg-type]
+    if in_c.lines_in_c(lines, ego, **settings) is None:
+        return False
+    return in_c.scene_in_c(lines, ego, correlation_time=1.0, **settings) is not None
 
 
 def _add(row: dict[str, Any], native: Any, python: Any) -> None:
@@ -125,5 +128,5 @@ def _add(row: dict[str, Any], native: Any, python: Any) -> None:
 
 
 def _raise(row: dict[str, Any], name: str, difference: Any) -> None:
-    """Raise the largest difference; NaN is one, too."""
+    """Raise the largest difference; it becomes NaN, which keeps no bound, if one is NaN."""
     row[name] = float(np.max([row[name], np.abs(difference).max()]))
