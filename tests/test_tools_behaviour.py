@@ -48,7 +48,7 @@ def test_the_last_bit_of_a_value_is_recorded() -> None:
 
 def test_a_journey_is_there_and_back() -> None:
     """A call into another file and the return are stays; a function of numpy is none."""
-    found = journeys.steps(lambda: (np.mean([1, 2]), ml.Gaussian([0.0], [[1.0]]).sigma))
+    found = journeys.steps(lambda: (np.mean([1, 2]), ml.Gaussian([0.0], [[1.0]]).marginal([0])))
     files = [file for file, _ in journeys.stays(found)]
     assert files[0] == files[-1]
     assert all(one != other for one, other in pairwise(files))

@@ -1,10 +1,33 @@
 /* NumPy arrays of double precision: read through the buffer protocol, and made over bytes. */
 #include "native.h"
 
+/// Import the classes of NumPy, when the first array is made; false with an exception.
+static bool import_numpy(maplines_module_t *state)
+{
+    if (state->float64 != NULL)
+    {
+        return true;
+    }
+    PyObject *numpy = PyImport_ImportModule("numpy");
+    if (numpy == NULL)
+    {
+        return false;
+    }
+    Py_XDECREF(state->ndarray); // of an attempt that failed
+    state->ndarray = PyObject_GetAttrString(numpy, "ndarray");
+    state->float64 = state->ndarray == NULL ? NULL : PyObject_GetAttrString(numpy, "float64");
+    Py_DECREF(numpy);
+    return state->float64 != NULL;
+}
+
 PyObject *maplines_array_of(PyObject *module, int axes, const Py_ssize_t *shape,
                             const double *values)
 {
     maplines_module_t *state = maplines_module_state(module);
+    if (!import_numpy(state))
+    {
+        return NULL;
+    }
     PyObject *lengths = PyTuple_New(axes);
     Py_ssize_t size = (Py_ssize_t)sizeof(double);
     for (int i = 0; lengths != NULL && i < axes; i++)
@@ -61,18 +84,4 @@ bool maplines_read_doubles(PyObject *array, int axes, Py_ssize_t count, double *
     }
     PyBuffer_Release(&view);
     return has_length;
-}
-
-int maplines_add_arrays(PyObject *module)
-{
-    maplines_module_t *state = maplines_module_state(module);
-    PyObject *numpy = PyImport_ImportModule("numpy");
-    if (numpy == NULL)
-    {
-        return -1;
-    }
-    state->ndarray = PyObject_GetAttrString(numpy, "ndarray");
-    state->float64 = PyObject_GetAttrString(numpy, "float64");
-    Py_DECREF(numpy);
-    return state->ndarray == NULL || state->float64 == NULL ? -1 : 0;
 }

@@ -137,7 +137,6 @@ bool maplines_hold_doubles(PyObject *array, int axes, Py_buffer *view);
 bool maplines_read_doubles(PyObject *array, int axes, Py_ssize_t count, double *values);
 
 /// Add the functions and types of a file to the module; 0, or -1 with an exception.
-int maplines_add_arrays(PyObject *module);
 int maplines_add_batch(PyObject *module);
 int maplines_add_scene(PyObject *module);
 int maplines_add_sender(PyObject *module);

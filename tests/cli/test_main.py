@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 import maplines_can
+from maplines_can import native
 from maplines_can.cli import COMMANDS, STUDY_COMMANDS, main
 from maplines_can.cli.parsing import GROUPS
 from maplines_can.values.errors import missing_extra
@@ -73,10 +74,11 @@ def test_every_command_is_in_the_readme(name: Any) -> None:
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
-    """It is the version of the package."""
+    """It is the version of the package, with the path on which it computes."""
     with pytest.raises(SystemExit, match="0"):
         main(["--version"])
-    assert capsys.readouterr().out == f"maplines {maplines_can.__version__}\n"
+    path = native.description()
+    assert capsys.readouterr().out == f"maplines {maplines_can.__version__}, computes in {path}\n"
 
 
 @pytest.mark.parametrize("module", ["maplines_can", "maplines_can.cli"])
@@ -84,7 +86,7 @@ def test_the_command_runs_as_a_module(module: str) -> None:
     """python -m maplines_can is maplines."""
     command = [sys.executable, "-m", module, "--version"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert done.stdout == f"maplines {maplines_can.__version__}\n"
+    assert done.stdout.startswith(f"maplines {maplines_can.__version__}, ")
 
 
 @pytest.mark.parametrize(
