@@ -33,6 +33,8 @@ The parts:
             the target is for its default, strict
   batch     Gaussian to payload and back, against packing alone by cantools
   one       the same line by line, where arrays do not help
+  paths     each step of a cycle in C and in Python alone, beside the same peer; the
+            targets are for C. It needs the extension module
   map       loading of a map of a thousand roads (copies of the town of the package),
             against parsing its XML alone; lines around the first pose on each of 400
             lanes, and around later poses, against matching of the poses alone, and
@@ -56,7 +58,8 @@ import tracemalloc
 from collections.abc import Callable, Iterator
 from functools import partial
 from importlib.metadata import version
-from itertools import chain, cycle
+from itertools import chain, count, cycle
+from multiprocessing import Process
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree as ET
@@ -71,7 +74,7 @@ from filterpy.kalman import MerweScaledSigmaPoints as MerwePoints
 from filterpy.kalman import unscented_transform
 from map_copies import copies_of_town
 
-from maplines_can import maps
+from maplines_can import maps, native
 from maplines_can.maps.view import LaneView
 from maplines_can.propagation import Refit, SigmaPoints, map_lines, map_scene, points_in_window
 from maplines_can.simulation.scenarios import scenario
@@ -83,6 +86,7 @@ from maplines_can.wire import Codec, Reason, default_dbc_path
 from maplines_can.wire.layout.packing import Packing
 
 ENCODE, DECODE = "cantools encode", "cantools decode"
+FILTERPY = "filterpy with np.polyfit"
 
 
 class Sizes(NamedTuple):
@@ -157,11 +161,26 @@ def refit(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     yield Pair("refit, 10000 points", "refit, 50 points", n, ours_many, ours, 1.3, growth=True)
 
 
+def moments_by_filterpy(points_of_lines: list[Any], mean: Any, cov: Any) -> list[Any]:
+    """Return the moments of lines by filterpy, with np.polyfit for each sigma point and line."""
+    merwe = MerwePoints(3, alpha=1.0, beta=2.0, kappa=0.0)
+    poses = merwe.sigma_points(mean, cov)
+    moments = []
+    for points in points_of_lines:
+        values = np.empty((len(poses), 4))
+        for value, pose in zip(values, poses, strict=True):
+            u, v = to_ego(points, pose).T
+            p3, p2, p1, p0 = np.polyfit(u, v, 3)
+            value[:] = p0, np.arctan(p1), 2 * p2, 6 * p3
+        moments.append(unscented_transform(values, merwe.Wm, merwe.Wc))
+    return moments
+
+
 def scene(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     """Compare sigma points over all lines of a car with filterpy."""
     del sizes, seed  # a scene has a fixed size
     highway = scenario("highway")
-    transform, merwe = SigmaPoints(), MerwePoints(3, alpha=1.0, beta=2.0, kappa=0.0)
+    transform = SigmaPoints()
     window = highway.window
     production = np.diag(np.square([0.1, 0.2, np.radians(0.2)]))
 
@@ -174,18 +193,7 @@ def scene(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
             ego = Gaussian.trusted(mean, cov)  # new: it caches the root of its covariance
             return transform.moments(refit or Refit(lines, mean, window), ego)
 
-        def peer() -> list[Any]:
-            poses = merwe.sigma_points(mean, cov)
-            moments = []
-            for points in points_of_lines:
-                values = np.empty((len(poses), 4))
-                for value, pose in zip(values, poses, strict=True):
-                    u, v = to_ego(points, pose).T
-                    p3, p2, p1, p0 = np.polyfit(u, v, 3)
-                    value[:] = p0, np.arctan(p1), 2 * p2, 6 * p3
-                moments.append(unscented_transform(values, merwe.Wm, merwe.Wc))
-            return moments
-
+        peer = partial(moments_by_filterpy, points_of_lines, mean, cov)
         own, (means, covs) = ours(), zip(*peer(), strict=True)
         expected = np.array(covs) + np.asarray(kept.noise_cov)  # filterpy does not know the misfit
         sigma = np.sqrt(np.einsum("lii->li", expected))
@@ -193,7 +201,7 @@ def scene(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
         difference = max(np.abs((own.mean - means) / sigma).max(), np.abs(d_cov).max())
         return difference, [ours, partial(ours, kept), peer]
 
-    peer = "filterpy with np.polyfit"
+    peer = FILTERPY
     difference, (new, kept, theirs) = pairs(highway_lines(), highway.ego.mean, highway.ego.cov)
     agree("moments in standard deviations", difference, 1e-6)
     yield f"the same moments to {difference:.0e} standard deviations"
@@ -385,6 +393,109 @@ def middle_of(lane: maps.Lane) -> Any:
     return np.array([(x0 + x1) / 2, (y0 + y1) / 2, np.arctan2(y1 - y0, x1 - x0)])
 
 
+def alone(call: Callable[[], Any]) -> Callable[[], Any]:
+    """Return a call that Python computes alone, but for objects that C made before."""
+    users = [one for one in sys.modules.values() if getattr(one, "core", None) is native.core]
+    users.remove(native)
+
+    def run() -> Any:
+        for user in users:
+            user.core = None  # type: ignore[attr-defined]
+        try:
+            return call()
+        finally:
+            for user in users:
+                user.core = native.core  # type: ignore[attr-defined]
+
+    return run
+
+
+def paths(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
+    """Compare both paths with the same peers: what a car does in a cycle, step by step."""
+    if not native.is_active:
+        yield f"nothing, as Python computes alone: {native.reason}"
+        return
+    traffic, highway, many = Traffic(8, seed), scenario("highway"), range(100)
+    lines, ego = dict(zip(Slot, highway_lines(), strict=True)), highway.ego
+    mean, cov = traffic.mean[0], np.array(traffic.cov[0])
+    line = MapLine(Slot.EGO_LEFT, Gaussian(mean, cov))
+    J = np.array([1.0, 30.0, 450.0, 4500.0])
+    kept = Refit([*lines.values()], ego.mean, highway.window)
+    points = [to_map(points, ego.mean) for points in kept.points]
+    filtered = partial(moments_by_filterpy, points, ego.mean, ego.cov)
+    ours = map_scene(lines, ego)
+    encode, decode = traffic.cantools_encoded, traffic.cantools_decoded
+    calls: dict[str, tuple[int, Callable[[], Any], str, Callable[[], Any], float | None]] = {
+        "Gaussian": (
+            100, lambda: [Gaussian(mean, cov) for _ in many],
+            "np.linalg.cholesky", lambda: [np.linalg.cholesky(cov) for _ in many], None,
+        ),
+        "y_sigma(x)": (
+            100, lambda: [line.y_sigma(30.0) for _ in many],
+            "J S J by NumPy", lambda: [np.sqrt(J @ cov @ J) for _ in many], None,
+        ),
+        "map_lines, 8": (1, partial(map_lines, lines, ego), FILTERPY, filtered, 20),
+        "map_scene, 8": (1, partial(map_scene, lines, ego), FILTERPY, filtered, 10),
+        "Refit new, 8": (
+            1,
+            lambda: SigmaPoints().moments(
+                Refit([*lines.values()], ego.mean, highway.window),
+                Gaussian.trusted(ego.mean, ego.cov),
+            ),
+            FILTERPY, filtered, 40,
+        ),
+    }  # fmt: skip
+    for what, (units, call, peer, peer_call, target) in calls.items():
+        yield Pair(f"{what}, C", peer, units, call, peer_call, target)
+        yield Pair(f"{what}, Python", peer, units, alone(call), peer_call)
+    for name in ("maplines.dbc", "maplines-pose.dbc"):
+        make = partial(Codec.from_dbc, default_dbc_path(name))
+        short = "pose: " if "pose" in name else ""
+        for path, codec in (("C", make()), ("Python", alone(make)())):
+            run = alone if path == "Python" else lambda call: call
+            encoder, decoder = run(codec.encoder)(), run(codec.decoder)()
+            send = run(partial(encoder.encode_scene, ours))
+            yield Pair(f"{short}scene sent, {path}", ENCODE, 1, send, encode)
+            prepared = encoder.prepare_scene(ours)
+            cycles = repeated(lambda: chain(*encoder.encode_scene(prepared).values()))  # noqa: B023
+            receive = run(partial(received_scene, decoder, cycles))
+            yield Pair(f"{short}scene read, {path}", DECODE, 1, receive, decode)
+    for path, codec in (("C", Codec.from_dbc()), ("Python", alone(Codec.from_dbc)())):
+        run = alone if path == "Python" else lambda call: call
+        big = Traffic(sizes.lines, seed)
+        big.codec = codec
+        encoder, decoder = run(codec.encoder)(), run(codec.decoder)()
+        singles = [MapLine(slot, Gaussian(*one)) for slot, one in
+                   zip(Slot, zip(traffic.mean, traffic.cov, strict=True), strict=True)]  # fmt: skip
+        rounds = repeated(lambda: chain(*map(encoder.encode, singles)))  # noqa: B023
+        yield Pair(f"line to frames, {path}", ENCODE, 8,
+                   run(partial(each, encoder.encode, singles)), encode)  # fmt: skip
+        yield Pair(f"frames to line, {path}", DECODE, 8,
+                   run(partial(received, decoder, rounds)), decode)  # fmt: skip
+        big_encode, big_decode = big.cantools_encoded, big.cantools_decoded
+        yield Pair(f"encode_batch, {path}", ENCODE, big.n, run(big.encoded), big_encode)
+        decoded = run(partial(codec.batch.decode, big.payloads))
+        yield Pair(f"decode_batch, {path}", DECODE, big.n, decoded, big_decode)
+
+
+def repeated(send: Callable[[], Any]) -> Iterator[list[tuple[int, bytes, int]]]:
+    """Return the frames of cycle after cycle with their times; the counters come again."""
+    cycles = [[(frame.can_id, frame.data) for frame in send()] for _ in range(256)]
+    times = zip(cycle(cycles), count(0, 50_000_000))
+    return ([(*frame, t_ns) for frame in frames] for frames, t_ns in times)
+
+
+def received(decoder: Any, cycles: Iterator[list[tuple[int, bytes, int]]]) -> list[Any]:
+    """Feed the frames of a cycle."""
+    return [decoder.feed(*frame) for frame in next(cycles)]
+
+
+def received_scene(decoder: Any, cycles: Iterator[list[tuple[int, bytes, int]]]) -> Any:
+    """Feed the frames of a cycle, and build the scene."""
+    received(decoder, cycles)
+    return decoder.latest_scene(0)
+
+
 PARTS = {
     "refit": (refit, "1  From poses to lines; times per pose"),
     "scene": (scene, "2  All lines of a scene by sigma points; times per cycle"),
@@ -392,6 +503,7 @@ PARTS = {
     "signals": (signals, "4  Signals alone, four pages per line; times per line"),
     "batch": (batch, "5  Whole batches, against packing alone by cantools; times per line"),
     "one": (one, "6  Single lines, against packing alone by cantools; times per line"),
+    "paths": (paths, "8  In C and in Python alone; times per line, or per cycle"),
     "map": (large_map, "7  A large map"),
 }
 
@@ -460,12 +572,19 @@ def scaled(value: float, unit: str, thousand: str) -> str:
     return f"{value:.3g} {unit}" if value < 999.5 else f"{value / 1e3:.3g} {thousand}"
 
 
+def burn() -> None:
+    """Keep a core busy."""
+    while True:
+        pass
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run the command and return its exit status."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)} [all]")
+    parser.add_argument("--busy", action="store_true", help="keep all cores busy meanwhile")
     parser.add_argument("--quick", action="store_true", help="small sizes, as a smoke test")
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
     parser.add_argument("--seed", type=int, default=0, help="of the poses and roads [%(default)s]")
@@ -485,6 +604,9 @@ def main(argv: list[str] | None = None) -> int:
     say(", ".join(f"{name} {value}" for name, value in sizes._asdict().items()))
     say("\n" + COLUMNS.format(*HEADING))
     results = []
+    burners = [Process(target=burn, daemon=True) for _ in range(os.cpu_count() or 1)]
+    for burner in burners if options.busy else ():
+        burner.start()  # a daemon: it ends with this program
     for name in options.parts or PARTS:
         part, title = PARTS[name]
         say(f"\n{title}")
