@@ -301,7 +301,11 @@ static bool encode_once(const maplines_cholesky_t *code, const double *target,
                         const double *resolution, double scale, int64_t raw[11], bool *is_saturated,
                         double *excess)
 {
-    const int n = code->rows == 3U ? 3 : 4; // of a pose error, or of a line
+    int n = 4; // of a line
+    if (code->rows == 3U)
+    {
+        n = 3; // of a pose error
+    }
     double M[4][4];
     double W[16];
     maplines_quantized_t q;
