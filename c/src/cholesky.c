@@ -295,17 +295,24 @@ static bool least_inflation(const maplines_signal_t *inflation, int n, const dou
     return fits;
 }
 
+/// 3 of a pose error, or 4 of a line: so compilers know the loops over them.
+static int rows_of(const maplines_cholesky_t *code)
+{
+    int rows = 4;
+    if (code->rows == 3U)
+    {
+        rows = 3;
+    }
+    return rows;
+}
+
 /// Encode a target once, multiplied by a scale. Returns whether it is covered; if not, `excess` is
 /// the ratio of the needed to the available inflation.
 static bool encode_once(const maplines_cholesky_t *code, const double *target,
                         const double *resolution, double scale, int64_t raw[11], bool *is_saturated,
                         double *excess)
 {
-    int n = 4; // of a line
-    if (code->rows == 3U)
-    {
-        n = 3; // of a pose error
-    }
+    const int n = rows_of(code);
     double M[4][4];
     double W[16];
     maplines_quantized_t q;
