@@ -77,7 +77,10 @@ def install(extra: str) -> str | None:
         return "venv failed; on Debian and Ubuntu: apt-get install python3-venv"
     pip = [find("python"), "-m", "pip", "--disable-pip-version-check", "install", "-qq"]
     extras = ["dev", "plot"] if extra == "dev" else [extra]
-    if subprocess.run([*pip, "--editable", f"{ROOT}[{','.join(extras)}]"], check=False).returncode:
+    command = [*pip, "--editable", f"{ROOT}[{','.join(extras)}]"]
+    # MAPLINES_NATIVE=0 is for the command, not for the environment, which other commands use, too.
+    variables = {name: text for name, text in os.environ.items() if name != "MAPLINES_NATIVE"}
+    if subprocess.run(command, check=False, env=variables).returncode:
         return "pip could not install the project; see its message above"
     STAMP.write_text(f"{source_hash()} {' '.join(extras)}")
     return None
