@@ -350,7 +350,7 @@ def test_a_link_survives_random_outages(vcan: str) -> None:
         Link(interface="socketcan", channel=vcan) as other,
         Link(interface="socketcan", channel=vcan, on_event=lambda up, _: events.append(up)) as link,
         Receiver(other, codec.decoder()) as receiver,
-        Transmitter(link, codec, period=0.002) as transmitter,  # type: ignore[arg-type]
+        Transmitter(link, codec, period=0.01) as transmitter,  # type: ignore[arg-type]
     ):
         for slot in Slot:
             transmitter.publish(map_line(slot))
