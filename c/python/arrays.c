@@ -1,35 +1,34 @@
-/* NumPy arrays of double precision: read through the buffer protocol, and made over bytes. */
+/* NumPy arrays of double precision: read through the buffer protocol, and made over bytes, which
+ * cannot be changed.
+ */
 #include "native.h"
 
-/// Import the classes of NumPy, when the first array is made; false with an exception.
-static bool import_numpy(maplines_module_t *state)
+PyObject *const *maplines_numpy(PyObject *module)
 {
-    if (state->float64 != NULL)
+    PyObject **objects = maplines_module_state(module)->objects;
+    if (objects[MAPLINES_OF_FLOAT64] != NULL)
     {
-        return true;
+        return objects;
     }
     PyObject *numpy = PyImport_ImportModule("numpy");
-    if (numpy == NULL)
+    PyObject *ndarray = numpy == NULL ? NULL : PyObject_GetAttrString(numpy, "ndarray");
+    PyObject *float64 = ndarray == NULL ? NULL : PyObject_CallMethod(numpy, "dtype", "s", "f8");
+    Py_XDECREF(numpy);
+    if (float64 == NULL || objects[MAPLINES_OF_FLOAT64] != NULL) // set during the import
     {
-        return false;
+        Py_XDECREF(ndarray);
+        Py_XDECREF(float64);
+        return float64 == NULL ? NULL : objects;
     }
-    Py_XDECREF(state->ndarray); // of an attempt that failed
-    state->ndarray = PyObject_GetAttrString(numpy, "ndarray");
-    state->float64 = state->ndarray == NULL ? NULL : PyObject_GetAttrString(numpy, "float64");
-    Py_DECREF(numpy);
-    return state->float64 != NULL;
+    objects[MAPLINES_OF_NDARRAY] = ndarray;
+    objects[MAPLINES_OF_FLOAT64] = float64;
+    return objects;
 }
 
-PyObject *maplines_array_of(PyObject *module, int axes, const Py_ssize_t *shape,
-                            const double *values)
+/// Shape of an array as a tuple; NULL with an exception.
+static PyObject *shape_of(int axes, const Py_ssize_t *shape)
 {
-    maplines_module_t *state = maplines_module_state(module);
-    if (!import_numpy(state))
-    {
-        return NULL;
-    }
     PyObject *lengths = PyTuple_New(axes);
-    Py_ssize_t size = (Py_ssize_t)sizeof(double);
     for (int i = 0; lengths != NULL && i < axes; i++)
     {
         PyObject *length = PyLong_FromSsize_t(shape[i]);
@@ -37,27 +36,49 @@ PyObject *maplines_array_of(PyObject *module, int axes, const Py_ssize_t *shape,
         {
             Py_CLEAR(lengths);
         }
-        size *= shape[i];
     }
-    if (lengths == NULL)
-    {
-        return NULL;
-    }
-    PyObject *bytes = PyBytes_FromStringAndSize((const char *)values, size);
+    return lengths;
+}
+
+PyObject *maplines_array_over(PyObject *const *objects, int axes, const Py_ssize_t *shape,
+                              PyObject *bytes, Py_ssize_t offset)
+{
     PyObject *array = NULL;
-    if (bytes != NULL)
+    PyObject *lengths = objects == NULL ? NULL : shape_of(axes, shape);
+    PyObject *start = lengths == NULL ? NULL : PyLong_FromSsize_t(offset);
+    PyObject *arguments =
+        start == NULL ? NULL : PyTuple_Pack(4, lengths, objects[MAPLINES_OF_FLOAT64], bytes, start);
+    if (arguments != NULL)
     {
-        array = PyObject_CallFunctionObjArgs(state->ndarray, lengths, state->float64, bytes, NULL);
-        Py_DECREF(bytes);
+        PyTypeObject *type = (PyTypeObject *)objects[MAPLINES_OF_NDARRAY];
+        newfunc new_array = (newfunc)PyType_GetSlot(type, Py_tp_new);
+        array = new_array(type, arguments, NULL);
+        Py_DECREF(arguments);
     }
-    Py_DECREF(lengths);
+    Py_XDECREF(start);
+    Py_XDECREF(lengths);
     return array;
 }
 
-bool maplines_hold_doubles(PyObject *array, int axes, Py_buffer *view)
+PyObject *maplines_array_of(PyObject *const *objects, int axes, const Py_ssize_t *shape,
+                            const double *values)
+{
+    Py_ssize_t size = (Py_ssize_t)sizeof(double);
+    for (int i = 0; i < axes; i++)
+    {
+        size *= shape[i];
+    }
+    PyObject *bytes = PyBytes_FromStringAndSize((const char *)values, size);
+    PyObject *array = bytes == NULL ? NULL : maplines_array_over(objects, axes, shape, bytes, 0);
+    Py_XDECREF(bytes);
+    return array;
+}
+
+/// Hold the buffer of an array of so many axes in an order.
+static bool hold(PyObject *array, int order, int axes, Py_buffer *view)
 {
     // What has no buffer, or another format, is for Python: this is no error here.
-    if (PyObject_GetBuffer(array, view, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT) < 0)
+    if (PyObject_GetBuffer(array, view, order | PyBUF_FORMAT) < 0)
     {
         PyErr_Clear();
         return false;
@@ -70,18 +91,29 @@ bool maplines_hold_doubles(PyObject *array, int axes, Py_buffer *view)
     return false;
 }
 
-bool maplines_read_doubles(PyObject *array, int axes, Py_ssize_t count, double *values)
+bool maplines_hold_doubles(PyObject *array, int axes, Py_buffer *view)
+{
+    return hold(array, PyBUF_C_CONTIGUOUS, axes, view);
+}
+
+bool maplines_read_doubles(PyObject *array, int order, int axes, const Py_ssize_t *shape,
+                           double *values)
 {
     Py_buffer view;
-    if (!maplines_hold_doubles(array, axes, &view))
+    if (!hold(array, order, axes, &view))
     {
         return false;
     }
-    const bool has_length = view.len == count * (Py_ssize_t)sizeof(double);
-    if (has_length)
+    bool is_read = true;
+    for (int i = 0; i < axes; i++)
     {
-        memcpy(values, view.buf, (size_t)view.len);
+        is_read = is_read && view.shape[i] == shape[i];
+    }
+    if (is_read && PyBuffer_ToContiguous(values, &view, view.len, 'C') < 0)
+    {
+        PyErr_Clear();
+        is_read = false;
     }
     PyBuffer_Release(&view);
-    return has_length;
+    return is_read;
 }

@@ -39,48 +39,6 @@ bool maplines_read_enum(PyObject *value, int most, int *number)
     return found >= 0 && found <= most;
 }
 
-/// The view is one of doubles with this shape.
-static bool is_of_shape(const Py_buffer *view, int ndim, const Py_ssize_t *shape)
-{
-    bool is_so = view->ndim == ndim && view->format != NULL && strcmp(view->format, "d") == 0;
-    for (int i = 0; is_so && i < ndim; i++)
-    {
-        is_so = view->shape[i] == shape[i];
-    }
-    return is_so;
-}
-
-bool maplines_read_array(PyObject *array, int ndim, const Py_ssize_t *shape, double *numbers)
-{
-    Py_buffer view;
-    if (array == NULL || PyObject_GetBuffer(array, &view, PyBUF_STRIDES | PyBUF_FORMAT) < 0)
-    {
-        return false;
-    }
-    const bool is_so = is_of_shape(&view, ndim, shape);
-    const Py_ssize_t count = is_so ? view.len / (Py_ssize_t)sizeof(double) : 0;
-    if (is_so && PyBuffer_IsContiguous(&view, 'C'))
-    {
-        memcpy(numbers, view.buf, (size_t)view.len);
-    }
-    else
-    {
-        for (Py_ssize_t i = 0; i < count; i++)
-        {
-            const char *place = view.buf;
-            Py_ssize_t rest = i;
-            for (int axis = ndim - 1; axis >= 0; axis--)
-            {
-                place += rest % shape[axis] * view.strides[axis];
-                rest /= shape[axis];
-            }
-            memcpy(&numbers[i], place, sizeof(double));
-        }
-    }
-    PyBuffer_Release(&view);
-    return is_so;
-}
-
 bool maplines_read_double_of(PyObject *object, PyObject *name, double *number)
 {
     PyObject *value = PyObject_GetAttr(object, name);
@@ -97,11 +55,12 @@ bool maplines_read_enum_of(PyObject *object, PyObject *name, int most, int *numb
     return is_read;
 }
 
-bool maplines_read_array_of(PyObject *object, PyObject *name, int ndim, const Py_ssize_t *shape,
-                            double *numbers)
+bool maplines_read_doubles_of(PyObject *object, PyObject *name, int axes, const Py_ssize_t *shape,
+                              double *values)
 {
     PyObject *value = PyObject_GetAttr(object, name);
-    const bool is_read = maplines_read_array(value, ndim, shape, numbers);
+    const bool is_read =
+        value != NULL && maplines_read_doubles(value, PyBUF_STRIDES, axes, shape, values);
     Py_XDECREF(value);
     return is_read;
 }

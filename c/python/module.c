@@ -19,8 +19,8 @@ maplines_module_t *maplines_module_state(PyObject *module)
 static int add_all(PyObject *module)
 {
     static int (*const parts[])(PyObject *) = {
-        maplines_add_batch,  maplines_add_decoder, maplines_add_propagation, maplines_add_scene,
-        maplines_add_sender, maplines_add_tables,  maplines_add_values,
+        maplines_add_names, maplines_add_batch,  maplines_add_decoder, maplines_add_propagation,
+        maplines_add_scene, maplines_add_sender, maplines_add_tables,  maplines_add_values,
     };
     for (size_t i = 0; i < sizeof parts / sizeof parts[0]; i++)
     {
@@ -39,8 +39,6 @@ static int add_all(PyObject *module)
 static int traverse(PyObject *module, visitproc visit, void *arg)
 {
     maplines_module_t *state = maplines_module_state(module);
-    Py_VISIT(state->ndarray);
-    Py_VISIT(state->float64);
     Py_VISIT(state->tables);
     for (int i = 0; i < MAPLINES_OBJECTS; ++i)
     {
@@ -54,8 +52,6 @@ static int traverse(PyObject *module, visitproc visit, void *arg)
 static int clear(PyObject *module)
 {
     maplines_module_t *state = maplines_module_state(module);
-    Py_CLEAR(state->ndarray);
-    Py_CLEAR(state->float64);
     Py_CLEAR(state->tables);
     for (int i = 0; i < MAPLINES_OBJECTS; ++i)
     {

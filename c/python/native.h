@@ -20,9 +20,37 @@ typedef struct {
 
 /// Objects of Python that all files use: places in `maplines_module_t.objects`.
 enum {
-    /* classes */
-    MAPLINES_OF_NDARRAY,
+    /* names of attributes, and of the owner of the records of the pose error: always there */
+    MAPLINES_NAME_AGE,
+    MAPLINES_NAME_COMPONENTS,
+    MAPLINES_NAME_CORRELATION_TIME,
+    MAPLINES_NAME_COV,
+    MAPLINES_NAME_FIT_RANGES,
+    MAPLINES_NAME_GAUSSIAN,
+    MAPLINES_NAME_HEADING_SIGMA,
+    MAPLINES_NAME_KIND,
+    MAPLINES_NAME_LEFT_OUT,
+    MAPLINES_NAME_LINES,
+    MAPLINES_NAME_MAP_ERROR,
+    MAPLINES_NAME_MEAN,
+    MAPLINES_NAME_MIXTURE,
+    MAPLINES_NAME_OFFSET_SIGMA,
+    MAPLINES_NAME_POINT_SIGMA,
+    MAPLINES_NAME_POSE,
+    MAPLINES_NAME_POSE_ERROR,
+    MAPLINES_NAME_QUARTICS,
+    MAPLINES_NAME_SLOT,
+    MAPLINES_NAME_SPECIFIC_COVS,
+    MAPLINES_NAME_STATUS,
+    MAPLINES_NAME_T_NS,
+    MAPLINES_NAME_WEIGHTS,
+    MAPLINES_NAME_X_MAX,
+    MAPLINES_NAME_X_MIN,
+    MAPLINES_NAMES, ///< number of them
+    /* of NumPy: there after maplines_numpy */
+    MAPLINES_OF_NDARRAY = MAPLINES_NAMES,
     MAPLINES_OF_FLOAT64, ///< the dtype
+    /* classes of the package: there after maplines_objects, so as what follows */
     MAPLINES_OF_GAUSSIAN,
     MAPLINES_OF_MIXTURE,
     MAPLINES_OF_MAP_LINE,
@@ -35,40 +63,13 @@ enum {
     MAPLINES_OF_KINDS = MAPLINES_OF_SLOTS + MAPLINES_SLOTS,
     MAPLINES_OF_STATUSES = MAPLINES_OF_KINDS + MAPLINES_VIRTUAL + 1,
     MAPLINES_OF_REASONS = MAPLINES_OF_STATUSES + MAPLINES_OUT_OF_RANGE + 1,
-    /* names of attributes */
-    MAPLINES_NAME_MEAN = MAPLINES_OF_REASONS + MAPLINES_REASONS,
-    MAPLINES_NAME_COV,
-    MAPLINES_NAME_WEIGHTS,
-    MAPLINES_NAME_COMPONENTS,
-    MAPLINES_NAME_SLOT,
-    MAPLINES_NAME_GAUSSIAN,
-    MAPLINES_NAME_KIND,
-    MAPLINES_NAME_X_MIN,
-    MAPLINES_NAME_X_MAX,
-    MAPLINES_NAME_AGE,
-    MAPLINES_NAME_STATUS,
-    MAPLINES_NAME_T_NS,
-    MAPLINES_NAME_MIXTURE,
-    MAPLINES_NAME_CORRELATION_TIME,
-    MAPLINES_NAME_POINT_SIGMA,
-    MAPLINES_NAME_OFFSET_SIGMA,
-    MAPLINES_NAME_HEADING_SIGMA,
-    MAPLINES_NAME_LINES,
-    MAPLINES_NAME_POSE_ERROR,
-    MAPLINES_NAME_FIT_RANGES,
-    MAPLINES_NAME_MAP_ERROR,
-    MAPLINES_NAME_LEFT_OUT,
-    MAPLINES_NAME_QUARTICS,
-    MAPLINES_NAME_SPECIFIC_COVS,
-    MAPLINES_OBJECTS
+    MAPLINES_OBJECTS = MAPLINES_OF_REASONS + MAPLINES_REASONS
 };
 
 /// What the module holds.
 typedef struct {
-    PyObject *ndarray;                   ///< numpy.ndarray
-    PyObject *float64;                   ///< numpy.float64
     PyTypeObject *tables;                ///< type of maplines_tables_t
-    PyObject *objects[MAPLINES_OBJECTS]; ///< NULL before maplines_objects; the last is set last
+    PyObject *objects[MAPLINES_OBJECTS]; ///< NULL before they are there
     PyTypeObject *sender;                ///< that of `_native.Sender`
     PyTypeObject *scene;                 ///< that of `_native.PreparedScene`
 } maplines_module_t;
@@ -92,14 +93,33 @@ typedef struct {
 bool maplines_read_arguments(const maplines_parameters_t *parameters, PyObject *const *arguments,
                              Py_ssize_t count, PyObject *keywords, PyObject **values);
 
+/* arrays.c: NumPy arrays of double precision */
+
+/// Objects of the module with those of NumPy; NULL with an exception if it cannot be imported.
+PyObject *const *maplines_numpy(PyObject *module);
+
+/// Read-only array over bytes, from an offset on [byte]; NULL with an exception, also if `objects`
+/// is NULL.
+PyObject *maplines_array_over(PyObject *const *objects, int axes, const Py_ssize_t *shape,
+                              PyObject *bytes, Py_ssize_t offset);
+/// The same, of a copy of values.
+PyObject *maplines_array_of(PyObject *const *objects, int axes, const Py_ssize_t *shape,
+                            const double *values);
+
+/// Hold the buffer of an array of so many axes, in C order: release it after use. False without an
+/// exception if it is something else.
+bool maplines_hold_doubles(PyObject *array, int axes, Py_buffer *view);
+/// Copy the values of an array of a shape in an order: PyBUF_C_CONTIGUOUS, or PyBUF_STRIDES for
+/// any. False without an exception if it is something else.
+bool maplines_read_doubles(PyObject *array, int order, int axes, const Py_ssize_t *shape,
+                           double *values);
+
+/* package.c: classes and members of enumerations of the package */
+
+/// Objects of the module, all of them; NULL with an exception if they cannot be imported.
+PyObject *const *maplines_objects(PyObject *module);
+
 /* objects.c: objects of the package, as its constructors make them, but without their checks */
-
-/// Objects of Python by their places; NULL with an exception if they cannot be imported.
-PyObject *const *maplines_objects(maplines_module_t *module);
-
-/// Read-only array of float64 at an offset into bytes [byte]; steals `shape`, which may be NULL.
-PyObject *maplines_new_array(PyObject *const *objects, PyObject *shape, PyObject *bytes,
-                             Py_ssize_t offset);
 
 /// `Gaussian` over n states.
 PyObject *maplines_new_gaussian(PyObject *const *objects, int n, const double *mean,
@@ -127,17 +147,9 @@ PyObject *maplines_new_named(PyObject *class_, PyObject *values);
 /// Tables of a DBC of an argument; NULL with TypeError if it is something else.
 const maplines_dbc_t *maplines_dbc_of(PyObject *module, PyObject *tables);
 
-/// Read-only array of double precision with a copy of the values; NULL with an exception.
-PyObject *maplines_array_of(PyObject *module, int axes, const Py_ssize_t *shape,
-                            const double *values);
-/// Hold the buffer of an array of double precision of so many axes, in C order: release it after
-/// use. False without an exception if it is something else.
-bool maplines_hold_doubles(PyObject *array, int axes, Py_buffer *view);
-/// Copy the values of such an array; false without an exception if it has not so many.
-bool maplines_read_doubles(PyObject *array, int axes, Py_ssize_t count, double *values);
-
 /// Add the functions and types of a file to the module; 0, or -1 with an exception.
 int maplines_add_batch(PyObject *module);
+int maplines_add_names(PyObject *module);
 int maplines_add_scene(PyObject *module);
 int maplines_add_sender(PyObject *module);
 int maplines_add_propagation(PyObject *module);

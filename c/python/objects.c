@@ -1,155 +1,10 @@
-/* Objects of the package: arrays, Gaussians, lines and scenes.
+/* Objects of the package: Gaussians, lines and scenes.
  *
  * They are made without their constructors, whose checks they would pass: what is decoded is
  * finite, and its covariances are positive definite for any bits. An object has the attributes that
- * its constructor sets, in this order, so that it is pickled alike. An array reads from a bytes
- * object, which cannot be changed.
+ * its constructor sets, in this order, so that it is pickled alike.
  */
 #include "native.h"
-
-/* ---- classes of the package -------------------------------------------------------------------
- */
-
-/// Store an attribute of a module at a place.
-static int import_to(PyObject **place, const char *module, const char *name)
-{
-    PyObject *imported = PyImport_ImportModule(module);
-    if (imported == NULL)
-    {
-        return -1;
-    }
-    *place = PyObject_GetAttrString(imported, name);
-    Py_DECREF(imported);
-    return *place == NULL ? -1 : 0;
-}
-
-/// Store the members of an enumeration, in the order of the class.
-static int import_members(PyObject **places, int count, const char *module, const char *name)
-{
-    PyObject *enumeration = NULL;
-    if (import_to(&enumeration, module, name) < 0)
-    {
-        return -1;
-    }
-    PyObject *members = PySequence_Tuple(enumeration);
-    Py_DECREF(enumeration);
-    if (members == NULL)
-    {
-        return -1;
-    }
-    const bool has_all = PyTuple_Size(members) == count;
-    for (int i = 0; has_all && i < count; ++i)
-    {
-        places[i] = Py_NewRef(PyTuple_GetItem(members, i));
-    }
-    Py_DECREF(members);
-    if (!has_all)
-    {
-        PyErr_Format(PyExc_ImportError, "%s.%s must have %d members", module, name, count);
-    }
-    return has_all ? 0 : -1;
-}
-
-static int import_classes(PyObject **objects)
-{
-    static const struct {
-        int place;
-        const char *module;
-        const char *name;
-    } classes[] = {
-        {MAPLINES_OF_NDARRAY, "numpy", "ndarray"},
-        {MAPLINES_OF_GAUSSIAN, "maplines_can.values.gaussian", "Gaussian"},
-        {MAPLINES_OF_MIXTURE, "maplines_can.values.mixture", "GaussianMixture"},
-        {MAPLINES_OF_MAP_LINE, "maplines_can.values.line", "MapLine"},
-        {MAPLINES_OF_POSE_ERROR, "maplines_can.values.scene", "PoseError"},
-        {MAPLINES_OF_MAP_ERROR, "maplines_can.values.map_error", "MapError"},
-        {MAPLINES_OF_SCENE, "maplines_can.values.scene", "Scene"},
-        {MAPLINES_OF_RECEIVED_SCENE, "maplines_can.wire.reception.scenes", "ReceivedScene"},
-    };
-    for (size_t i = 0; i < sizeof classes / sizeof classes[0]; ++i)
-    {
-        if (import_to(&objects[classes[i].place], classes[i].module, classes[i].name) < 0)
-        {
-            return -1;
-        }
-    }
-    PyObject *dtype = NULL;
-    if (import_to(&dtype, "numpy", "dtype") < 0)
-    {
-        return -1;
-    }
-    objects[MAPLINES_OF_FLOAT64] = PyObject_CallFunction(dtype, "s", "f8");
-    Py_DECREF(dtype);
-    return objects[MAPLINES_OF_FLOAT64] == NULL ? -1 : 0;
-}
-
-static int import_names(PyObject **objects)
-{
-    static const char *const names[] = {
-        "mean",          "cov",
-        "weights",       "components",
-        "slot",          "gaussian",
-        "kind",          "x_min",
-        "x_max",         "age",
-        "status",        "t_ns",
-        "mixture",       "correlation_time",
-        "point_sigma",   "offset_sigma",
-        "heading_sigma", "lines",
-        "pose_error",    "fit_ranges",
-        "map_error",     "left_out",
-        "quartics",      "specific_covs",
-    };
-    typedef char
-        has_all[sizeof names / sizeof names[0] == MAPLINES_OBJECTS - MAPLINES_NAME_MEAN ? 1 : -1];
-    (void)sizeof(has_all);
-    for (size_t i = 0; i < sizeof names / sizeof names[0]; ++i)
-    {
-        objects[MAPLINES_NAME_MEAN + i] = PyUnicode_InternFromString(names[i]);
-        if (objects[MAPLINES_NAME_MEAN + i] == NULL)
-        {
-            return -1;
-        }
-    }
-    return 0;
-}
-
-/// Fill all places; what is there after an error is released by the caller.
-static int import_all(PyObject **objects)
-{
-    static const char line[] = "maplines_can.values.line";
-    if (import_classes(objects) < 0 ||
-        import_members(objects + MAPLINES_OF_SLOTS, MAPLINES_SLOTS, line, "Slot") < 0 ||
-        import_members(objects + MAPLINES_OF_KINDS, MAPLINES_VIRTUAL + 1, line, "Kind") < 0 ||
-        import_members(objects + MAPLINES_OF_STATUSES, MAPLINES_OUT_OF_RANGE + 1, line, "Status") <
-            0 ||
-        import_members(objects + MAPLINES_OF_REASONS, MAPLINES_REASONS, "maplines_can.wire.reasons",
-                       "Reason") < 0)
-    {
-        return -1;
-    }
-    return import_names(objects);
-}
-
-PyObject *const *maplines_objects(maplines_module_t *module)
-{
-    if (module->objects[MAPLINES_OBJECTS - 1] != NULL)
-    {
-        return module->objects;
-    }
-    PyObject *imported[MAPLINES_OBJECTS] = {NULL};
-    const bool has_all = import_all(imported) == 0;
-    for (int i = 0; i < MAPLINES_OBJECTS; ++i)
-    {
-        PyObject *unused = imported[i];
-        if (has_all)
-        {
-            unused = module->objects[i]; // of an import that this one has caused
-            module->objects[i] = imported[i];
-        }
-        Py_XDECREF(unused);
-    }
-    return has_all ? module->objects : NULL;
-}
 
 /* ---- parts of objects -------------------------------------------------------------------------
  */
@@ -191,63 +46,6 @@ static PyObject *checked(PyObject *object, bool is_made)
     return object;
 }
 
-PyObject *maplines_new_array(PyObject *const *objects, PyObject *shape, PyObject *bytes,
-                             Py_ssize_t offset)
-{
-    if (shape == NULL)
-    {
-        return NULL;
-    }
-    PyObject *array = NULL;
-    PyObject *place = PyLong_FromSsize_t(offset);
-    PyObject *arguments =
-        place == NULL ? NULL : PyTuple_Pack(4, shape, objects[MAPLINES_OF_FLOAT64], bytes, place);
-    if (arguments != NULL)
-    {
-        PyTypeObject *type = (PyTypeObject *)objects[MAPLINES_OF_NDARRAY];
-        newfunc new_array = (newfunc)PyType_GetSlot(type, Py_tp_new);
-        array = new_array(type, arguments, NULL);
-        Py_DECREF(arguments);
-    }
-    Py_XDECREF(place);
-    Py_DECREF(shape);
-    return array;
-}
-
-/// Shape of an array, whose sizes are 0 or more from the first one on.
-static PyObject *shape_of(int rows, int columns, int depth)
-{
-    const int sizes[] = {rows, columns, depth};
-    const int axes = columns < 0 ? 1 : depth < 0 ? 2 : 3;
-    PyObject *shape = PyTuple_New(axes);
-    for (int i = 0; shape != NULL && i < axes; ++i)
-    {
-        PyObject *size = PyLong_FromLong(sizes[i]);
-        if (size == NULL || PyTuple_SetItem(shape, i, size) < 0)
-        {
-            Py_CLEAR(shape);
-        }
-    }
-    return shape;
-}
-
-/// Read-only array of its own values.
-static PyObject *new_values(PyObject *const *objects, PyObject *shape, size_t count,
-                            const double *values)
-{
-    PyObject *array = NULL;
-    PyObject *bytes =
-        PyBytes_FromStringAndSize((const char *)values, (Py_ssize_t)(count * sizeof(double)));
-    if (bytes == NULL)
-    {
-        Py_XDECREF(shape);
-        return NULL;
-    }
-    array = maplines_new_array(objects, shape, bytes, 0);
-    Py_DECREF(bytes);
-    return array;
-}
-
 PyObject *maplines_new_named(PyObject *class_, PyObject *values)
 {
     PyObject *arguments = values == NULL ? NULL : PyTuple_New(1);
@@ -269,6 +67,7 @@ PyObject *maplines_new_named(PyObject *class_, PyObject *values)
 PyObject *maplines_new_gaussian(PyObject *const *objects, int n, const double *mean,
                                 const double *cov)
 {
+    const Py_ssize_t shape[2] = {n, n};
     const size_t size = (size_t)n * sizeof(double);
     PyObject *bytes = PyBytes_FromStringAndSize(NULL, (Py_ssize_t)(size * (size_t)(n + 1)));
     PyObject *gaussian = bytes == NULL ? NULL : new_of(objects[MAPLINES_OF_GAUSSIAN]);
@@ -280,11 +79,10 @@ PyObject *maplines_new_gaussian(PyObject *const *objects, int n, const double *m
     char *values = PyBytes_AsString(bytes);
     memcpy(values, mean, size);
     memcpy(values + size, cov, size * (size_t)n);
-    const bool is_made =
-        set_to(gaussian, objects[MAPLINES_NAME_MEAN],
-               maplines_new_array(objects, shape_of(n, -1, -1), bytes, 0)) &&
-        set_to(gaussian, objects[MAPLINES_NAME_COV],
-               maplines_new_array(objects, shape_of(n, n, -1), bytes, (Py_ssize_t)size));
+    const bool is_made = set_to(gaussian, objects[MAPLINES_NAME_MEAN],
+                                maplines_array_over(objects, 1, shape, bytes, 0)) &&
+                         set_to(gaussian, objects[MAPLINES_NAME_COV],
+                                maplines_array_over(objects, 2, shape, bytes, (Py_ssize_t)size));
     Py_DECREF(bytes);
     return checked(gaussian, is_made);
 }
@@ -302,8 +100,8 @@ PyObject *maplines_new_mixture(PyObject *const *objects, int count, const double
     {
         (void)PyTuple_SetItem(all, i, Py_NewRef(components[i]));
     }
-    PyObject *array =
-        all == NULL ? NULL : new_values(objects, shape_of(count, -1, -1), (size_t)count, weights);
+    const Py_ssize_t shape[1] = {count};
+    PyObject *array = all == NULL ? NULL : maplines_array_of(objects, 1, shape, weights);
     if (array == NULL)
     {
         Py_XDECREF(all);
@@ -384,7 +182,8 @@ static PyObject *new_joint_covariance(PyObject *const *objects, const maplines_s
         return NULL;
     }
     joint_covariance(scene, (double *)(void *)PyBytes_AsString(bytes));
-    PyObject *array = maplines_new_array(objects, shape_of((int)n, (int)n, -1), bytes, 0);
+    const Py_ssize_t shape[2] = {(Py_ssize_t)n, (Py_ssize_t)n};
+    PyObject *array = maplines_array_over(objects, 2, shape, bytes, 0);
     Py_DECREF(bytes);
     return array;
 }
@@ -401,11 +200,13 @@ static PyObject *new_specific(PyObject *const *objects, const maplines_scene_t *
         maplines_product_transposed(4, 4, 4, scene->specific[place][0], scene->specific[place][0],
                                     covs + 16 * place);
     }
-    return new_values(objects, shape_of(scene->count, 4, 4), 16U * scene->count, covs);
+    const Py_ssize_t shape[3] = {scene->count, 4, 4};
+    return maplines_array_of(objects, 3, shape, covs);
 }
 
 static PyObject *new_pose_error(PyObject *const *objects, const maplines_scene_t *scene)
 {
+    static const Py_ssize_t shape[2] = {3, 3};
     double cov[9];
     PyObject *made = new_of(objects[MAPLINES_OF_POSE_ERROR]);
     if (made == NULL)
@@ -414,7 +215,7 @@ static PyObject *new_pose_error(PyObject *const *objects, const maplines_scene_t
     }
     maplines_product_transposed(3, 3, 3, scene->pose_factor[0], scene->pose_factor[0], cov);
     const bool is_made =
-        set_to(made, objects[MAPLINES_NAME_COV], new_values(objects, shape_of(3, 3, -1), 9, cov)) &&
+        set_to(made, objects[MAPLINES_NAME_COV], maplines_array_of(objects, 2, shape, cov)) &&
         set_to(made, objects[MAPLINES_NAME_CORRELATION_TIME],
                PyFloat_FromDouble(scene->correlation_time));
     return checked(made, is_made);
@@ -439,7 +240,7 @@ static PyObject *new_map_error(PyObject *const *objects, const maplines_scene_t 
 PyObject *maplines_new_scene(PyObject *const *objects, const maplines_scene_t *scene,
                              PyObject *lines)
 {
-    const int n = scene->count;
+    const Py_ssize_t shape[2] = {scene->count, 2};
     PyObject *made = new_of(objects[MAPLINES_OF_SCENE]);
     if (made == NULL)
     {
@@ -451,11 +252,11 @@ PyObject *maplines_new_scene(PyObject *const *objects, const maplines_scene_t *s
         set_to(made, objects[MAPLINES_NAME_COV], new_joint_covariance(objects, scene)) &&
         set_to(made, objects[MAPLINES_NAME_POSE_ERROR], new_pose_error(objects, scene)) &&
         set_to(made, objects[MAPLINES_NAME_FIT_RANGES],
-               new_values(objects, shape_of(n, 2, -1), 2U * scene->count, scene->fit_range[0])) &&
+               maplines_array_of(objects, 2, shape, scene->fit_range[0])) &&
         set_to(made, objects[MAPLINES_NAME_MAP_ERROR], new_map_error(objects, scene)) &&
         set_to(made, objects[MAPLINES_NAME_LEFT_OUT], PyDict_New()) &&
         set_to(made, objects[MAPLINES_NAME_QUARTICS],
-               new_values(objects, shape_of(n, -1, -1), scene->count, scene->quartic)) &&
+               maplines_array_of(objects, 1, shape, scene->quartic)) &&
         set_to(made, objects[MAPLINES_NAME_SPECIFIC_COVS], new_specific(objects, scene));
     return checked(made, is_made);
 }

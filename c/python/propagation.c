@@ -11,10 +11,19 @@
 #define PATHS "maplines_can._native.paths"
 #define REFIT "maplines_can._native.refit"
 
-static PyObject *none(void)
+/// Read a pose (3,).
+static bool read_pose(PyObject *array, double pose[3])
 {
-    Py_INCREF(Py_None);
-    return Py_None;
+    static const Py_ssize_t three = 3;
+    return maplines_read_doubles(array, PyBUF_C_CONTIGUOUS, 1, &three, pose);
+}
+
+/// Read the mean (3,) and the covariance (3, 3) of a pose.
+static bool read_gaussian(PyObject *const arrays[2], double mean[3], double cov[9])
+{
+    static const Py_ssize_t shape[2] = {3, 3};
+    return read_pose(arrays[0], mean) &&
+           maplines_read_doubles(arrays[1], PyBUF_C_CONTIGUOUS, 2, shape, cov);
 }
 
 /// Read a number of each of some objects; false without an exception if one is none.
@@ -125,7 +134,7 @@ static PyObject *paths(PyObject *module, PyObject *const *args, Py_ssize_t count
             !prepare(lines, (size_t)i, PyTuple_GetItem(line, 0), PyTuple_GetItem(line, 1), &used))
         {
             free_paths(lines);
-            return none();
+            return Py_NewRef(Py_None);
         }
     }
     PyObject *capsule = lines == NULL ? NULL : PyCapsule_New(lines, PATHS, delete_paths);
@@ -234,8 +243,7 @@ static bool read_cycle(PyObject *const *args, maplines_cycle_t *cycle)
     }
     memset(cycle, 0, sizeof *cycle);
     if ((count != SETTINGS && count != SETTINGS - 3) || !read_numbers(numbers, count, settings) ||
-        !maplines_read_doubles(args[0], 1, 3, cycle->mean) ||
-        !maplines_read_doubles(args[1], 2, 9, cycle->cov))
+        !read_gaussian(args, cycle->mean, cycle->cov))
     {
         return false;
     }
@@ -262,12 +270,13 @@ static PyObject *pose_view(PyObject *module, PyObject *const *args, Py_ssize_t c
     double reach;
     if (count != 3 || !read_cycle(args, &cycle))
     {
-        return none();
+        return Py_NewRef(Py_None);
     }
     maplines_pose_view(&cycle, &view);
     maplines_start(&view.look, start, &reach);
-    PyObject *place = maplines_array_of(module, 1, &two, start);
-    PyObject *cov = place == NULL ? NULL : maplines_array_of(module, 2, shape, view.pose_cov);
+    PyObject *place = maplines_array_of(maplines_numpy(module), 1, &two, start);
+    PyObject *cov =
+        place == NULL ? NULL : maplines_array_of(maplines_numpy(module), 2, shape, view.pose_cov);
     PyObject *found = cov == NULL ? NULL : Py_BuildValue("OdO", place, reach, cov);
     Py_XDECREF(place);
     Py_XDECREF(cov);
@@ -369,7 +378,7 @@ static PyObject *results_of(PyObject *module, const run_t *run, int count, const
     }
     for (int i = 0; i < count; i++)
     {
-        PyObject *array = maplines_array_of(module, axes[i], shapes[i], values[i]);
+        PyObject *array = maplines_array_of(maplines_numpy(module), axes[i], shapes[i], values[i]);
         if (array == NULL || PyTuple_SetItem(found, i + 1, array) < 0)
         {
             Py_DECREF(found);
@@ -386,16 +395,17 @@ static PyObject *map_lines(PyObject *module, PyObject *const *args, Py_ssize_t c
     run_t run;
     if (!begin_run(args, count, false, &run))
     {
-        return PyErr_Occurred() != NULL ? NULL : none();
+        return PyErr_Occurred() != NULL ? NULL : Py_NewRef(Py_None);
     }
     const size_t lines = run.lines->count;
     double(*means)[4] = (double(*)[4])run.results;
     double(*covs)[16] = (double(*)[16])(run.results + 4 * lines);
     double(*x_ranges)[2] = (double(*)[2])(run.results + 20 * lines);
-    Py_BEGIN_ALLOW_THREADS run.is_done =
-        maplines_map_lines(run.lines->paths, lines, &run.cycle, &run.held.rule, &run.work,
-                           run.left_out, means, covs, x_ranges);
-    Py_END_ALLOW_THREADS Py_ssize_t given = 0;
+    Py_BEGIN_ALLOW_THREADS;
+    run.is_done = maplines_map_lines(run.lines->paths, lines, &run.cycle, &run.held.rule, &run.work,
+                                     run.left_out, means, covs, x_ranges);
+    Py_END_ALLOW_THREADS;
+    Py_ssize_t given = 0;
     for (size_t i = 0; run.is_done && i < lines; i++)
     {
         if (run.left_out[i] == MAPLINES_GIVEN)
@@ -409,7 +419,8 @@ static PyObject *map_lines(PyObject *module, PyObject *const *args, Py_ssize_t c
     static const int axes[3] = {2, 3, 2};
     Py_ssize_t shapes[3][3] = {{given, 4, 0}, {given, 4, 4}, {given, 2, 0}};
     const double *const values[3] = {means[0], covs[0], x_ranges[0]};
-    PyObject *found = run.is_done ? results_of(module, &run, 3, axes, shapes, values) : none();
+    PyObject *found =
+        run.is_done ? results_of(module, &run, 3, axes, shapes, values) : Py_NewRef(Py_None);
     free_run(&run);
     return found;
 }
@@ -422,7 +433,7 @@ static PyObject *map_scene(PyObject *module, PyObject *const *args, Py_ssize_t c
     run_t run;
     if (!begin_run(args, count, true, &run))
     {
-        return PyErr_Occurred() != NULL ? NULL : none();
+        return PyErr_Occurred() != NULL ? NULL : Py_NewRef(Py_None);
     }
     const size_t lines = run.lines->count;
     double *means = run.results;
@@ -433,14 +444,17 @@ static PyObject *map_scene(PyObject *module, PyObject *const *args, Py_ssize_t c
     double *cov = specific_covs + 16 * lines;
     maplines_joint_t joint = {
         0, means, cov, (double(*)[2])x_ranges, (double(*)[2])fit_ranges, quartics, specific_covs};
-    Py_BEGIN_ALLOW_THREADS run.is_done = maplines_map_scene(
-        run.lines->paths, lines, &run.cycle, &run.held.rule, &run.work, run.left_out, &joint);
-    Py_END_ALLOW_THREADS static const int axes[6] = {2, 2, 2, 2, 1, 3};
+    Py_BEGIN_ALLOW_THREADS;
+    run.is_done = maplines_map_scene(run.lines->paths, lines, &run.cycle, &run.held.rule, &run.work,
+                                     run.left_out, &joint);
+    Py_END_ALLOW_THREADS;
+    static const int axes[6] = {2, 2, 2, 2, 1, 3};
     const Py_ssize_t k = (Py_ssize_t)joint.lines;
     Py_ssize_t shapes[6][3] = {{k, 4, 0}, {4 * k, 4 * k, 0}, {k, 2, 0},
                                {k, 2, 0}, {k, 0, 0},         {k, 4, 4}};
     const double *const values[6] = {means, cov, x_ranges, fit_ranges, quartics, specific_covs};
-    PyObject *found = run.is_done ? results_of(module, &run, 6, axes, shapes, values) : none();
+    PyObject *found =
+        run.is_done ? results_of(module, &run, 6, axes, shapes, values) : Py_NewRef(Py_None);
     free_run(&run);
     return found;
 }
@@ -493,11 +507,12 @@ static PyObject *refits_of(maplines_stretches_t *seen, double *scratch, const do
     {
         made->lines = seen->lines;
         made->from = maplines_mean_pose(pose);
-        Py_BEGIN_ALLOW_THREADS for (size_t i = 0; is_done && i < seen->lines; i++)
+        Py_BEGIN_ALLOW_THREADS;
+        for (size_t i = 0; is_done && i < seen->lines; i++)
         {
             is_done = maplines_refit(seen, i, &made->from, fit, scratch, &made->refits[i]);
         }
-        Py_END_ALLOW_THREADS
+        Py_END_ALLOW_THREADS;
     }
     free_stretches(seen);
     PyObject *capsule = is_done ? PyCapsule_New(made, REFIT, delete_refits) : NULL;
@@ -509,7 +524,7 @@ static PyObject *refits_of(maplines_stretches_t *seen, double *scratch, const do
         {
             return PyErr_Occurred() != NULL ? NULL : PyErr_NoMemory();
         }
-        return none();
+        return Py_NewRef(Py_None);
     }
     return capsule;
 }
@@ -524,10 +539,10 @@ static PyObject *refit(PyObject *module, PyObject *const *args, Py_ssize_t count
     maplines_fit_t fit;
     const paths_t *lines = count == 4 ? PyCapsule_GetPointer(args[0], PATHS) : NULL;
     PyErr_Clear();
-    if (lines == NULL || !maplines_read_doubles(args[1], 1, 3, pose) || !PyTuple_Check(args[2]) ||
+    if (lines == NULL || !read_pose(args[1], pose) || !PyTuple_Check(args[2]) ||
         PyTuple_Size(args[2]) != 3 || !read_fit(args[3], &fit))
     {
-        return none();
+        return Py_NewRef(Py_None);
     }
     PyObject *const ends[3] = {PyTuple_GetItem(args[2], 0), PyTuple_GetItem(args[2], 1),
                                PyTuple_GetItem(args[2], 2)};
@@ -542,7 +557,7 @@ static PyObject *refit(PyObject *module, PyObject *const *args, Py_ssize_t count
     }
     if (!is_finite)
     {
-        return none();
+        return Py_NewRef(Py_None);
     }
     maplines_stretches_t seen;
     maplines_omission_t *left_out = malloc((lines->count + 1) * sizeof *left_out);
@@ -553,12 +568,14 @@ static PyObject *refit(PyObject *module, PyObject *const *args, Py_ssize_t count
         free(left_out);
         return PyErr_Occurred() != NULL ? NULL : PyErr_NoMemory();
     }
-    Py_BEGIN_ALLOW_THREADS maplines_see(lines->paths, lines->count, &look, &seen, left_out);
-    Py_END_ALLOW_THREADS free(left_out);
+    Py_BEGIN_ALLOW_THREADS;
+    maplines_see(lines->paths, lines->count, &look, &seen, left_out);
+    Py_END_ALLOW_THREADS;
+    free(left_out);
     if (seen.lines < lines->count)
     {
         free_stretches(&seen);
-        return none();
+        return Py_NewRef(Py_None);
     }
     return refits_of(&seen, scratch, pose, &fit);
 }
@@ -573,8 +590,7 @@ static PyObject *refit_of_stretches(PyObject *module, PyObject *const *args, Py_
     double pose[3];
     maplines_fit_t fit;
     PyObject *made = NULL;
-    bool is_held =
-        count == 6 && maplines_read_doubles(args[4], 1, 3, pose) && read_fit(args[5], &fit);
+    bool is_held = count == 6 && read_pose(args[4], pose) && read_fit(args[5], &fit);
     while (is_held && held < 4)
     {
         is_held = maplines_hold_doubles(args[held], held < 3 ? 1 : 2, &views[held]);
@@ -621,7 +637,7 @@ static PyObject *refit_of_stretches(PyObject *module, PyObject *const *args, Py_
     {
         PyBuffer_Release(&views[i]);
     }
-    return made != NULL || PyErr_Occurred() != NULL ? made : none();
+    return made != NULL || PyErr_Occurred() != NULL ? made : Py_NewRef(Py_None);
 }
 
 /// Hold an array that is written.
@@ -650,7 +666,7 @@ static PyObject *refit_values(PyObject *module, PyObject *const *args, Py_ssize_
     Py_buffer values;
     if (own == NULL)
     {
-        return PyErr_Occurred() != NULL ? NULL : none();
+        return PyErr_Occurred() != NULL ? NULL : Py_NewRef(Py_None);
     }
     if (!maplines_hold_doubles(args[1], 2, &poses))
     {
@@ -663,7 +679,8 @@ static PyObject *refit_values(PyObject *module, PyObject *const *args, Py_ssize_
     {
         const double *pose = poses.buf;
         double *line = values.buf;
-        Py_BEGIN_ALLOW_THREADS for (size_t k = 0; k < number; k++)
+        Py_BEGIN_ALLOW_THREADS;
+        for (size_t k = 0; k < number; k++)
         {
             for (size_t i = 0; i < own->lines; i++)
             {
@@ -671,7 +688,8 @@ static PyObject *refit_values(PyObject *module, PyObject *const *args, Py_ssize_
                                         line + 4 * (k * own->lines + i));
             }
         }
-        Py_END_ALLOW_THREADS PyBuffer_Release(&values);
+        Py_END_ALLOW_THREADS;
+        PyBuffer_Release(&values);
     }
     PyBuffer_Release(&poses);
     return PyBool_FromLong(is_held);
@@ -717,11 +735,10 @@ static PyObject *refit_moments(PyObject *module, PyObject *const *args, Py_ssize
     bool is_done = false;
     if (own == NULL)
     {
-        return PyErr_Occurred() != NULL ? NULL : none();
+        return PyErr_Occurred() != NULL ? NULL : Py_NewRef(Py_None);
     }
     const Py_ssize_t lines = (Py_ssize_t)own->lines;
-    if (!maplines_read_doubles(args[1], 1, 3, mean) || !maplines_read_doubles(args[2], 2, 9, cov) ||
-        !hold_rule(args[3], &held))
+    if (!read_gaussian(args + 1, mean, cov) || !hold_rule(args[3], &held))
     {
         return PyBool_FromLong(0);
     }
@@ -734,9 +751,10 @@ static PyObject *refit_moments(PyObject *module, PyObject *const *args, Py_ssize
     {
         if (hold_written(args[5], 16 * lines, &covs))
         {
-            Py_BEGIN_ALLOW_THREADS is_done =
-                moments_of_lines(own, &held.rule, mean, cov, memory, means.buf, covs.buf);
-            Py_END_ALLOW_THREADS PyBuffer_Release(&covs);
+            Py_BEGIN_ALLOW_THREADS;
+            is_done = moments_of_lines(own, &held.rule, mean, cov, memory, means.buf, covs.buf);
+            Py_END_ALLOW_THREADS;
+            PyBuffer_Release(&covs);
         }
         PyBuffer_Release(&means);
     }
@@ -813,7 +831,7 @@ static PyObject *refit_field(PyObject *module, PyObject *const *args, Py_ssize_t
         read_field(&own->refits[i], (int)field, values + i * size);
     }
     const Py_ssize_t all[3] = {(Py_ssize_t)own->lines, shape[0], shape[1]};
-    PyObject *array = maplines_array_of(module, axes[field], all, values);
+    PyObject *array = maplines_array_of(maplines_numpy(module), axes[field], all, values);
     free(values);
     return array;
 }

@@ -111,7 +111,7 @@ static int receiver_init(PyObject *self, PyObject *arguments, PyObject *keywords
     }
     PyObject *module = PyType_GetModule(Py_TYPE(tables));
     const maplines_dbc_t *dbc = module == NULL ? NULL : maplines_dbc_of(module, tables);
-    PyObject *const *objects = dbc == NULL ? NULL : maplines_objects(maplines_module_state(module));
+    PyObject *const *objects = dbc == NULL ? NULL : maplines_objects(module);
     if (objects == NULL)
     {
         return -1;

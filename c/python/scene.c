@@ -158,7 +158,7 @@ static bool read_cycle(const prepared_t *prepared, PyObject *ages, PyObject *cou
                        cycle_t *cycle)
 {
     const maplines_dbc_t *dbc = prepared->sender->dbc;
-    PyObject *pose = prepared->sender->pose;
+    PyObject *pose = prepared->sender->objects[MAPLINES_NAME_POSE];
     const int of_pose = (int)MAPLINES_POSE;
     bool is_usual = read_age(ages, pose, &cycle->pose.age) &&
                     maplines_read_counter(counters, pose, &cycle->pose.first[of_pose]);
@@ -212,8 +212,8 @@ static bool put_scene(const prepared_t *prepared, const cycle_t *cycle, maplines
     uint8_t bytes[MAPLINES_MAX_RECORD] = {0};
     const size_t length = maplines_write_pose(dbc, &prepared->space, &cycle->pose, bytes);
     const int pose = (int)MAPLINES_POSE;
-    bool is_put =
-        put_frames(sender, sent, sender->pose, pose, bytes, length, cycle->pose.first[pose], form);
+    bool is_put = put_frames(sender, sent, sender->objects[MAPLINES_NAME_POSE], pose, bytes, length,
+                             cycle->pose.first[pose], form);
     for (int i = 0; is_put && i < prepared->count; i++)
     {
         const template_t *record = &prepared->records[i];
@@ -236,7 +236,7 @@ static bool put_scene(const prepared_t *prepared, const cycle_t *cycle, maplines
 /// Set the counters that follow; false with an exception.
 static bool set_counters(const prepared_t *prepared, const cycle_t *cycle, PyObject *counters)
 {
-    bool is_set = maplines_set_counter(counters, prepared->sender->pose,
+    bool is_set = maplines_set_counter(counters, prepared->sender->objects[MAPLINES_NAME_POSE],
                                        cycle->pose.following[MAPLINES_POSE]);
     for (int i = 0; is_set && i < prepared->count; i++)
     {

@@ -6,7 +6,7 @@
 static bool read_lines(const maplines_sender_t *sender, PyObject *scene, PyObject **slots,
                        maplines_given_t *given)
 {
-    PyObject *lines = PyObject_GetAttr(scene, sender->names[MAPLINES_ATTRIBUTE_LINES]);
+    PyObject *lines = PyObject_GetAttr(scene, sender->objects[MAPLINES_NAME_LINES]);
     const Py_ssize_t count = lines != NULL && PyTuple_Check(lines) ? PyTuple_Size(lines) : -1;
     bool is_used[MAPLINES_SLOTS] = {false};
     bool is_usual = count >= 0 && count <= MAPLINES_SLOTS;
@@ -14,15 +14,15 @@ static bool read_lines(const maplines_sender_t *sender, PyObject *scene, PyObjec
     {
         PyObject *object = PyTuple_GetItem(lines, i); // borrowed from a tuple that is held
         maplines_input_t *line = &given->lines[i];
-        PyObject *mixture = PyObject_GetAttr(object, sender->names[MAPLINES_ATTRIBUTE_MIXTURE]);
+        PyObject *mixture = PyObject_GetAttr(object, sender->objects[MAPLINES_NAME_MIXTURE]);
         PyObject *gaussian = NULL;
         if (mixture == Py_None) // no code runs after an exception
         {
-            slots[i] = PyObject_GetAttr(object, sender->names[MAPLINES_ATTRIBUTE_SLOT]);
+            slots[i] = PyObject_GetAttr(object, sender->objects[MAPLINES_NAME_SLOT]);
         }
         if (slots[i] != NULL)
         {
-            gaussian = PyObject_GetAttr(object, sender->names[MAPLINES_ATTRIBUTE_GAUSSIAN]);
+            gaussian = PyObject_GetAttr(object, sender->objects[MAPLINES_NAME_GAUSSIAN]);
         }
         is_usual = gaussian != NULL && !PyLong_CheckExact(slots[i]) && // it is a key: a Slot
                    maplines_read_input(sender, object, line) &&
@@ -60,17 +60,18 @@ static bool read_arrays(const maplines_sender_t *sender, PyObject *scene, maplin
     double specific[MAPLINES_SLOTS][16] = {{0.0}};
     double cov[MAPLINES_STATES * MAPLINES_STATES];
     const size_t size = 16U * (size_t)n * (size_t)n;
-    PyObject *const *names = sender->names;
-    PyObject *known = PyObject_GetAttr(scene, names[MAPLINES_ATTRIBUTE_SPECIFIC_COVS]);
+    PyObject *const *objects = sender->objects;
+    PyObject *known = PyObject_GetAttr(scene, objects[MAPLINES_NAME_SPECIFIC_COVS]);
     given->input.has_specific = known != Py_None;
     const bool is_read =
         known != NULL &&
-        maplines_read_array_of(scene, names[MAPLINES_ATTRIBUTE_FIT_RANGES], 2, of_ranges,
-                               ranges[0]) &&
-        maplines_read_array_of(scene, names[MAPLINES_ATTRIBUTE_QUARTICS], 1, of_quartics,
-                               quartics) &&
-        maplines_read_array_of(scene, names[MAPLINES_ATTRIBUTE_COV], 2, of_cov, cov) &&
-        (known == Py_None || maplines_read_array(known, 3, of_specific, specific[0])) &&
+        maplines_read_doubles_of(scene, objects[MAPLINES_NAME_FIT_RANGES], 2, of_ranges,
+                                 ranges[0]) &&
+        maplines_read_doubles_of(scene, objects[MAPLINES_NAME_QUARTICS], 1, of_quartics,
+                                 quartics) &&
+        maplines_read_doubles_of(scene, objects[MAPLINES_NAME_COV], 2, of_cov, cov) &&
+        (known == Py_None ||
+         maplines_read_doubles(known, PyBUF_STRIDES, 3, of_specific, specific[0])) &&
         are_finite(ranges[0], 2U * (size_t)n) && are_finite(quartics, (size_t)n) &&
         are_finite(cov, size) && are_finite(specific[0], 16U * (size_t)n);
     Py_XDECREF(known);
@@ -102,22 +103,21 @@ static bool read_errors(const maplines_sender_t *sender, PyObject *scene,
                         maplines_scene_input_t *input)
 {
     static const Py_ssize_t shape[2] = {3, 3};
-    PyObject *const *names = sender->names;
-    PyObject *pose = PyObject_GetAttr(scene, names[MAPLINES_ATTRIBUTE_POSE_ERROR]);
-    PyObject *map =
-        pose == NULL ? NULL : PyObject_GetAttr(scene, names[MAPLINES_ATTRIBUTE_MAP_ERROR]);
+    PyObject *const *objects = sender->objects;
+    PyObject *pose = PyObject_GetAttr(scene, objects[MAPLINES_NAME_POSE_ERROR]);
+    PyObject *map = pose == NULL ? NULL : PyObject_GetAttr(scene, objects[MAPLINES_NAME_MAP_ERROR]);
     bool is_usual =
         pose != NULL && map != NULL &&
-        maplines_read_array_of(pose, names[MAPLINES_ATTRIBUTE_COV], 2, shape, input->pose_cov[0]) &&
+        maplines_read_doubles_of(pose, objects[MAPLINES_NAME_COV], 2, shape, input->pose_cov[0]) &&
         are_finite(input->pose_cov[0], 9) &&
-        maplines_read_double_of(pose, names[MAPLINES_ATTRIBUTE_CORRELATION_TIME],
+        maplines_read_double_of(pose, objects[MAPLINES_NAME_CORRELATION_TIME],
                                 &input->correlation_time) &&
         input->correlation_time > 0.0;
     if (is_usual && map != Py_None)
     {
-        is_usual = maplines_read_double_of(map, names[MAPLINES_ATTRIBUTE_OFFSET_SIGMA],
+        is_usual = maplines_read_double_of(map, objects[MAPLINES_NAME_OFFSET_SIGMA],
                                            &input->offset_sigma) &&
-                   maplines_read_double_of(map, names[MAPLINES_ATTRIBUTE_HEADING_SIGMA],
+                   maplines_read_double_of(map, objects[MAPLINES_NAME_HEADING_SIGMA],
                                            &input->heading_sigma) &&
                    input->offset_sigma >= 0.0 && input->offset_sigma < (double)INFINITY &&
                    input->heading_sigma >= 0.0 && input->heading_sigma < (double)INFINITY;

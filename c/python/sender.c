@@ -1,30 +1,6 @@
 /* Lines to frames. What is unusual, and all that is wrong, is left to the Python package. */
 #include "sender.h"
 
-static const char *const attribute_names[MAPLINES_ATTRIBUTES] = {
-    [MAPLINES_ATTRIBUTE_SLOT] = "slot",
-    [MAPLINES_ATTRIBUTE_GAUSSIAN] = "gaussian",
-    [MAPLINES_ATTRIBUTE_KIND] = "kind",
-    [MAPLINES_ATTRIBUTE_X_MIN] = "x_min",
-    [MAPLINES_ATTRIBUTE_X_MAX] = "x_max",
-    [MAPLINES_ATTRIBUTE_AGE] = "age",
-    [MAPLINES_ATTRIBUTE_STATUS] = "status",
-    [MAPLINES_ATTRIBUTE_MIXTURE] = "mixture",
-    [MAPLINES_ATTRIBUTE_MEAN] = "mean",
-    [MAPLINES_ATTRIBUTE_COV] = "cov",
-    [MAPLINES_ATTRIBUTE_WEIGHTS] = "weights",
-    [MAPLINES_ATTRIBUTE_COMPONENTS] = "components",
-    [MAPLINES_ATTRIBUTE_LINES] = "lines",
-    [MAPLINES_ATTRIBUTE_POSE_ERROR] = "pose_error",
-    [MAPLINES_ATTRIBUTE_CORRELATION_TIME] = "correlation_time",
-    [MAPLINES_ATTRIBUTE_FIT_RANGES] = "fit_ranges",
-    [MAPLINES_ATTRIBUTE_QUARTICS] = "quartics",
-    [MAPLINES_ATTRIBUTE_SPECIFIC_COVS] = "specific_covs",
-    [MAPLINES_ATTRIBUTE_MAP_ERROR] = "map_error",
-    [MAPLINES_ATTRIBUTE_OFFSET_SIGMA] = "offset_sigma",
-    [MAPLINES_ATTRIBUTE_HEADING_SIGMA] = "heading_sigma",
-};
-
 /* ---- frames ---------------------------------------------------------------------------------- */
 
 bool maplines_has_form(const maplines_dbc_t *dbc, int owner, maplines_form_t form)
@@ -117,18 +93,18 @@ bool maplines_set_counter(PyObject *counters, PyObject *owner, uint32_t counter)
 
 bool maplines_read_input(const maplines_sender_t *sender, PyObject *line, maplines_input_t *input)
 {
-    PyObject *const *names = sender->names;
+    PyObject *const *objects = sender->objects;
     int slot = 0;
     int kind = 0;
     int status = 0;
     memset(input, 0, sizeof *input);
-    if (!maplines_read_enum_of(line, names[MAPLINES_ATTRIBUTE_SLOT], MAPLINES_SLOTS - 1, &slot) ||
-        !maplines_read_enum_of(line, names[MAPLINES_ATTRIBUTE_KIND], MAPLINES_VIRTUAL, &kind) ||
-        !maplines_read_enum_of(line, names[MAPLINES_ATTRIBUTE_STATUS], MAPLINES_OUT_OF_RANGE,
+    if (!maplines_read_enum_of(line, objects[MAPLINES_NAME_SLOT], MAPLINES_SLOTS - 1, &slot) ||
+        !maplines_read_enum_of(line, objects[MAPLINES_NAME_KIND], MAPLINES_VIRTUAL, &kind) ||
+        !maplines_read_enum_of(line, objects[MAPLINES_NAME_STATUS], MAPLINES_OUT_OF_RANGE,
                                &status) ||
-        !maplines_read_double_of(line, names[MAPLINES_ATTRIBUTE_X_MIN], &input->x_min) ||
-        !maplines_read_double_of(line, names[MAPLINES_ATTRIBUTE_X_MAX], &input->x_max) ||
-        !maplines_read_double_of(line, names[MAPLINES_ATTRIBUTE_AGE], &input->age))
+        !maplines_read_double_of(line, objects[MAPLINES_NAME_X_MIN], &input->x_min) ||
+        !maplines_read_double_of(line, objects[MAPLINES_NAME_X_MAX], &input->x_max) ||
+        !maplines_read_double_of(line, objects[MAPLINES_NAME_AGE], &input->age))
     {
         return false;
     }
@@ -143,8 +119,8 @@ bool maplines_read_gaussian(const maplines_sender_t *sender, PyObject *gaussian,
 {
     static const Py_ssize_t shape[2] = {4, 4};
     if (gaussian == NULL ||
-        !maplines_read_array_of(gaussian, sender->names[MAPLINES_ATTRIBUTE_MEAN], 1, shape, mean) ||
-        !maplines_read_array_of(gaussian, sender->names[MAPLINES_ATTRIBUTE_COV], 2, shape, cov))
+        !maplines_read_doubles_of(gaussian, sender->objects[MAPLINES_NAME_MEAN], 1, shape, mean) ||
+        !maplines_read_doubles_of(gaussian, sender->objects[MAPLINES_NAME_COV], 2, shape, cov))
     {
         return false;
     }
@@ -185,7 +161,7 @@ static bool send_gaussian(const maplines_sender_t *sender, PyObject *line,
     maplines_draft_t draft;
     double mean[4];
     memset(&draft, 0, sizeof draft);
-    PyObject *gaussian = PyObject_GetAttr(line, sender->names[MAPLINES_ATTRIBUTE_GAUSSIAN]);
+    PyObject *gaussian = PyObject_GetAttr(line, sender->objects[MAPLINES_NAME_GAUSSIAN]);
     const bool is_read = maplines_read_gaussian(sender, gaussian, mean, draft.cov);
     Py_XDECREF(gaussian);
     draft.line = input;
@@ -202,12 +178,12 @@ static int read_components(const maplines_sender_t *sender, PyObject *mixture,
     const maplines_dbc_t *dbc = sender->dbc;
     double weights[MAPLINES_MAX_COMPONENTS];
     double total = 0.0;
-    PyObject *given = PyObject_GetAttr(mixture, sender->names[MAPLINES_ATTRIBUTE_COMPONENTS]);
+    PyObject *given = PyObject_GetAttr(mixture, sender->objects[MAPLINES_NAME_COMPONENTS]);
     const Py_ssize_t count = given != NULL && PyTuple_Check(given) ? PyTuple_Size(given) : 0;
     bool is_usual = count >= 1 && count <= dbc->max_components &&
                     count <= MAPLINES_MAX_COMPONENTS && count - 1 <= dbc->component_index.raw_max &&
-                    maplines_read_array_of(mixture, sender->names[MAPLINES_ATTRIBUTE_WEIGHTS], 1,
-                                           &count, weights);
+                    maplines_read_doubles_of(mixture, sender->objects[MAPLINES_NAME_WEIGHTS], 1,
+                                             &count, weights);
     for (Py_ssize_t i = 0; is_usual && i < count; i++)
     {
         maplines_component_t *component = &components[i];
@@ -263,9 +239,9 @@ static PyObject *send_line(const maplines_sender_t *sender, PyObject *line, PyOb
     {
         return NULL;
     }
-    PyObject *slot = PyObject_GetAttr(line, sender->names[MAPLINES_ATTRIBUTE_SLOT]);
+    PyObject *slot = PyObject_GetAttr(line, sender->objects[MAPLINES_NAME_SLOT]);
     PyObject *mixture =
-        slot == NULL ? NULL : PyObject_GetAttr(line, sender->names[MAPLINES_ATTRIBUTE_MIXTURE]);
+        slot == NULL ? NULL : PyObject_GetAttr(line, sender->objects[MAPLINES_NAME_MIXTURE]);
     PyObject *frames = mixture == NULL ? NULL : PyList_New(0);
     bool is_sent = frames != NULL && maplines_read_counter(counters, slot, &counter);
     if (is_sent && mixture == Py_None)
@@ -349,18 +325,7 @@ static PyObject *sender_new(PyTypeObject *type, PyObject *args, PyObject *kwargs
     sender->frame = (PyTypeObject *)Py_NewRef(frame);
     sender->new_frame = (allocfunc)PyType_GetSlot(sender->frame, Py_tp_alloc);
     sender->scene = maplines_module_state(module)->scene;
-    sender->pose = PyUnicode_InternFromString("pose");
-    bool is_made = sender->pose != NULL;
-    for (int i = 0; is_made && i < MAPLINES_ATTRIBUTES; i++)
-    {
-        sender->names[i] = PyUnicode_InternFromString(attribute_names[i]);
-        is_made = sender->names[i] != NULL;
-    }
-    if (!is_made)
-    {
-        Py_DECREF((PyObject *)sender);
-        return NULL;
-    }
+    sender->objects = maplines_module_state(module)->objects;
     return (PyObject *)sender;
 }
 
@@ -370,11 +335,6 @@ static void sender_dealloc(PyObject *self)
     PyTypeObject *type = Py_TYPE(self);
     Py_XDECREF(sender->tables);
     Py_XDECREF((PyObject *)sender->frame);
-    Py_XDECREF(sender->pose);
-    for (int i = 0; i < MAPLINES_ATTRIBUTES; i++)
-    {
-        Py_XDECREF(sender->names[i]);
-    }
     freefunc release = (freefunc)PyType_GetSlot(type, Py_tp_free);
     release(self);
     Py_DECREF(type);

@@ -15,45 +15,17 @@ PyObject *maplines_unusual(void);
 bool maplines_read_double(PyObject *value, double *number);
 /// An integer from 0 to `most`, such as a member of an IntEnum.
 bool maplines_read_enum(PyObject *value, int most, int *number);
-/// Copy an array of float64 with a shape.
-bool maplines_read_array(PyObject *array, int ndim, const Py_ssize_t *shape, double *numbers);
-/* The same, of attributes of an object. */
+/* The same, of attributes of an object, and the array of double precision of one, in any order. */
 bool maplines_read_double_of(PyObject *object, PyObject *name, double *number);
 bool maplines_read_enum_of(PyObject *object, PyObject *name, int most, int *number);
-bool maplines_read_array_of(PyObject *object, PyObject *name, int ndim, const Py_ssize_t *shape,
-                            double *numbers);
+bool maplines_read_doubles_of(PyObject *object, PyObject *name, int axes, const Py_ssize_t *shape,
+                              double *values);
 
 /* ---- sender.c: lines to frames */
 
 /// Greatest entry of a covariance of a caller, and longest finite age [s].
 #define MAPLINES_GREATEST_COV 1e307
 #define MAPLINES_LONGEST_AGE 1e99
-
-/// Attributes that are read of lines and scenes.
-typedef enum {
-    MAPLINES_ATTRIBUTE_SLOT,
-    MAPLINES_ATTRIBUTE_GAUSSIAN,
-    MAPLINES_ATTRIBUTE_KIND,
-    MAPLINES_ATTRIBUTE_X_MIN,
-    MAPLINES_ATTRIBUTE_X_MAX,
-    MAPLINES_ATTRIBUTE_AGE,
-    MAPLINES_ATTRIBUTE_STATUS,
-    MAPLINES_ATTRIBUTE_MIXTURE,
-    MAPLINES_ATTRIBUTE_MEAN,
-    MAPLINES_ATTRIBUTE_COV,
-    MAPLINES_ATTRIBUTE_WEIGHTS,
-    MAPLINES_ATTRIBUTE_COMPONENTS,
-    MAPLINES_ATTRIBUTE_LINES,
-    MAPLINES_ATTRIBUTE_POSE_ERROR,
-    MAPLINES_ATTRIBUTE_CORRELATION_TIME,
-    MAPLINES_ATTRIBUTE_FIT_RANGES,
-    MAPLINES_ATTRIBUTE_QUARTICS,
-    MAPLINES_ATTRIBUTE_SPECIFIC_COVS,
-    MAPLINES_ATTRIBUTE_MAP_ERROR,
-    MAPLINES_ATTRIBUTE_OFFSET_SIGMA,
-    MAPLINES_ATTRIBUTE_HEADING_SIGMA,
-    MAPLINES_ATTRIBUTES, ///< number of them
-} maplines_name_t;
 
 /// What is made of a record.
 typedef enum {
@@ -68,9 +40,8 @@ typedef struct {
     const maplines_dbc_t *dbc;
     PyTypeObject *frame; ///< class Frame, a tuple
     allocfunc new_frame;
-    PyTypeObject *scene; ///< that of the module
-    PyObject *pose;      ///< owner of the records of the pose error
-    PyObject *names[MAPLINES_ATTRIBUTES];
+    PyTypeObject *scene;      ///< that of the module
+    PyObject *const *objects; ///< those of the module, of which it uses the names
 } maplines_sender_t;
 
 /// A message of this form is there for the records of an owner.

@@ -133,9 +133,11 @@ static Py_ssize_t length_of(PyObject *mean)
     return n;
 }
 
-static bool read_mean(PyObject *mean, Py_ssize_t n, double *values)
+/// Numbers of a list, a tuple or an array.
+static bool read_numbers(PyObject *row, Py_ssize_t n, double *values)
 {
-    return read_row(mean, n, values) || maplines_read_doubles(mean, 1, n, values);
+    return read_row(row, n, values) ||
+           maplines_read_doubles(row, PyBUF_C_CONTIGUOUS, 1, &n, values);
 }
 
 static bool read_cov(PyObject *cov, Py_ssize_t n, double *values)
@@ -143,7 +145,8 @@ static bool read_cov(PyObject *cov, Py_ssize_t n, double *values)
     const bool is_list = PyList_CheckExact(cov);
     if (!is_list && !PyTuple_CheckExact(cov))
     {
-        return maplines_read_doubles(cov, 2, n * n, values);
+        const Py_ssize_t shape[2] = {n, n}; // in C order only: Python keeps others
+        return maplines_read_doubles(cov, PyBUF_C_CONTIGUOUS, 2, shape, values);
     }
     if ((is_list ? PyList_Size(cov) : PyTuple_Size(cov)) != n)
     {
@@ -152,7 +155,7 @@ static bool read_cov(PyObject *cov, Py_ssize_t n, double *values)
     for (Py_ssize_t i = 0; i < n; i++)
     {
         PyObject *row = is_list ? PyList_GetItem(cov, i) : PyTuple_GetItem(cov, i);
-        if (!read_row(row, n, &values[n * i]) && !maplines_read_doubles(row, 1, n, &values[n * i]))
+        if (!read_numbers(row, n, &values[n * i]))
         {
             return false;
         }
@@ -167,8 +170,8 @@ static PyObject *checked_gaussian(PyObject *module, PyObject *const *args, Py_ss
     double mean[MOST_VARIABLES];
     double cov[MOST_VARIABLES * MOST_VARIABLES];
     const Py_ssize_t n = count == 2 ? length_of(args[0]) : 0;
-    if (n < 1 || n > MOST_VARIABLES || !read_mean(args[0], n, mean) || !read_cov(args[1], n, cov) ||
-        !are_finite((int)n, mean) || !is_covariance((int)n, cov))
+    if (n < 1 || n > MOST_VARIABLES || !read_numbers(args[0], n, mean) ||
+        !read_cov(args[1], n, cov) || !are_finite((int)n, mean) || !is_covariance((int)n, cov))
     {
         Py_RETURN_NONE;
     }
@@ -186,9 +189,10 @@ static PyObject *checked_gaussian(PyObject *module, PyObject *const *args, Py_ss
         Py_RETURN_NONE;
     }
     const Py_ssize_t shape[2] = {n, n};
-    PyObject *pair = PyTuple_New(2);
-    PyObject *first = pair == NULL ? NULL : maplines_array_of(module, 1, shape, mean);
-    PyObject *second = first == NULL ? NULL : maplines_array_of(module, 2, shape, cov);
+    PyObject *const *objects = maplines_numpy(module);
+    PyObject *pair = objects == NULL ? NULL : PyTuple_New(2);
+    PyObject *first = pair == NULL ? NULL : maplines_array_of(objects, 1, shape, mean);
+    PyObject *second = first == NULL ? NULL : maplines_array_of(objects, 2, shape, cov);
     if (second == NULL)
     {
         Py_XDECREF(first);
@@ -204,11 +208,13 @@ static PyObject *checked_gaussian(PyObject *module, PyObject *const *args, Py_ss
 /// float; None if Python has to decide.
 static PyObject *y_sigma(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
+    static const Py_ssize_t shape[2] = {4, 4};
     (void)module;
     double mean[4];
     double cov[16];
-    if (count != 3 || !PyFloat_Check(args[2]) || !maplines_read_doubles(args[0], 1, 4, mean) ||
-        !maplines_read_doubles(args[1], 2, 16, cov))
+    if (count != 3 || !PyFloat_Check(args[2]) ||
+        !maplines_read_doubles(args[0], PyBUF_C_CONTIGUOUS, 1, shape, mean) ||
+        !maplines_read_doubles(args[1], PyBUF_C_CONTIGUOUS, 2, shape, cov))
     {
         Py_RETURN_NONE;
     }

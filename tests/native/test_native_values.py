@@ -100,6 +100,7 @@ def test_sizes(n: int) -> None:
         (np.zeros(2, ">f8"), np.eye(2, dtype=">f8")),
         (np.zeros(2, int), np.eye(2, dtype=int)),
         (np.zeros(4)[::2], np.eye(4)[::2, ::2]),
+        (np.zeros(2), np.array([[1.0, 0.0, 0.0, 1.0]])),
         (np.ma.masked_array([0.0, 1.0], [True, False]), np.eye(2)),
         (np.float64(0), np.float64(1)),
         ([np.float64(1), np.float32(2)], np.eye(2)),
