@@ -33,7 +33,7 @@ from evidence.roads import SLOTS, maps_of, random_map
 from maplines_can import Gaussian, LeftOut, map_lines, native
 from maplines_can.consumers.integrity import multiplier
 from maplines_can.maps import Map, load
-from maplines_can.propagation import in_c
+from maplines_can.propagation.in_c import CycleInC
 from maplines_can.wire import Encoder, c_tables
 from maplines_can.wire.c_sender import CSender
 from maplines_can.wire.covariance.scene_code import DecodedLines
@@ -369,9 +369,9 @@ def test_paths_that_differ_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
         patch.setattr(CSender, "lines", other_byte)
         with pytest.raises(AssertionError):
             both_paths.lines(40)
-    made = in_c._made
+    made = CycleInC._made
     with monkeypatch.context() as patch:
-        patch.setattr(in_c, "_made", longer)
+        patch.setattr(CycleInC, "_made", longer)
         assert "range [m] is" in misses("both_paths_roads", both_paths_roads.both_paths_roads(1))
     monkeypatch.setattr(native, "is_active", False)
     with pytest.raises(SystemExit, match="only one path to compare"):

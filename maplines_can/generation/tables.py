@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from enum import IntEnum
 from pathlib import PurePath
 from typing import NamedTuple
 
 import numpy as np
 
-from ..wire.c_tables import Members, OwnerNumber, Value, content_of, limits_of, signal_values
+from ..wire.c_tables import Members, Value, content_of, limits_of, signal_values
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.signals import Signal
 
@@ -110,7 +111,7 @@ def _initializer(members: Members, indent: str = "") -> Iterator[str]:
 
 def _designator(key: object) -> str:
     """Return the designator of a member, of an owner or of an index."""
-    if isinstance(key, OwnerNumber):
+    if isinstance(key, IntEnum):
         return f"[MAPLINES_{key.name}]"
     return f".{key}" if isinstance(key, str) else f"[{key}]"
 

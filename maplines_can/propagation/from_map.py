@@ -27,7 +27,7 @@ from ..values.polyline import Polyline
 from ..values.scene import PoseError, Scene
 from ..values.seen_lines import extended, margins, valid_ranges
 from .certain_range import MAX_SIGMA, certain_ranges, check_max_sigma
-from .in_c import lines_in_c, scene_in_c
+from .in_c import CycleInC
 from .refit import MAX_MISFIT, Refit
 from .sigma_points import SigmaPoints
 from .splitting import Mixture
@@ -103,12 +103,12 @@ def map_lines(
     >>> lines.left_out
     {<Slot.EGO_RIGHT: 1>: <LeftOut.ACROSS: "the line is across the car's x axis">}
     """
-    if components == 1:
-        settings = (window, transform or SIGMA_POINTS, map_error, max_misfit, max_sigma)
-        in_c = lines_in_c(lines, ego, *settings)
+    asked = (lines, ego, window, map_error, max_misfit, max_sigma)
+    if components == 1 and (cycle := CycleInC.of(*asked)) is not None:
+        in_c = cycle.map_lines(transform or SIGMA_POINTS)
         if in_c is not None:
             return in_c
-    view = View.of(lines, ego, window, map_error, max_misfit, max_sigma)
+    view = View.of(*asked)
     counts = _counts(lines, components)
     # Lines of one component share the calls; each mixture has a direction of its own to cut along.
     singles = [slot for slot, k in counts.items() if k == 1]
@@ -170,11 +170,12 @@ def map_scene(
     (np.float64(0.2), np.float64(0.024))
     """
     transform = transform or SIGMA_POINTS
-    settings = (window, transform, map_error, max_misfit, max_sigma)
-    in_c = scene_in_c(lines, ego, *settings, correlation_time)
-    if in_c is not None:
-        return in_c
-    view = View.of(lines, ego, window, map_error, max_misfit, max_sigma)
+    asked = (lines, ego, window, map_error, max_misfit, max_sigma)
+    if (cycle := CycleInC.of(*asked)) is not None:
+        in_c = cycle.map_scene(transform, correlation_time)
+        if in_c is not None:
+            return in_c
+    view = View.of(*asked)
     pose_error = PoseError(view.pose_cov, correlation_time)
     slots = [Slot(slot) for slot in lines]
     without = Scene((), np.zeros((0, 0)), pose_error, np.zeros((0, 2)), map_error)

@@ -6,9 +6,9 @@ warn: those then run, and say what is wrong.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,80 +36,101 @@ _WRONG = (TypeError, ValueError, OverflowError)
 # ---- lines of a map -------------------------------------------------------------------
 
 
-def lines_in_c(
-    lines: Mapping[Slot, Polyline],
-    ego: Gaussian,
-    window: tuple[float, float],
-    transform: Transform,
-    map_error: MapError | None,
-    max_misfit: float,
-    max_sigma: float,
-) -> MapLineList | None:
-    """Return the lines of ``map_lines``, each of one component."""
-    settings = _settings(lines, ego, window, map_error, max_misfit, max_sigma)
-    rule = None if settings is None else _rule(transform, ego)
-    if settings is None or rule is None:
-        return None
-    paths = _paths_near(lines, ego, settings)
-    found = None if paths is None else core.map_lines(paths, ego.mean, ego.cov, settings, rule)
-    if found is None:
-        return None
-    reasons, means, covs, x_ranges = found
-    return MapLineList(_made(lines, reasons, means, covs, x_ranges), _left_out(lines, reasons))
+class CycleInC(NamedTuple):
+    """What ``map_lines`` and ``map_scene`` are asked, if C takes it."""
 
+    lines: Mapping[Slot, Polyline]
+    ego: Gaussian
+    map_error: MapError | None
+    settings: tuple[float, ...]  #: as C reads them
 
-def scene_in_c(
-    lines: Mapping[Slot, Polyline],
-    ego: Gaussian,
-    window: tuple[float, float],
-    transform: Transform,
-    map_error: MapError | None,
-    max_misfit: float,
-    max_sigma: float,
-    correlation_time: float,
-) -> Scene | None:
-    """Return the scene of ``map_scene``."""
-    settings = _settings(lines, ego, window, map_error, max_misfit, max_sigma)
-    view = None if settings is None else core.pose_view(ego.mean, ego.cov, settings)
-    if settings is None or view is None:
-        return None
-    pose_error = PoseError(view[2], correlation_time)
-    rule = _rule(transform, Gaussian.trusted(np.zeros(3), pose_error.cov))
-    paths = None if rule is None else _paths_near(lines, ego, settings)
-    found = None if paths is None else core.map_scene(paths, ego.mean, ego.cov, settings, rule)
-    if found is None:
-        return None
-    reasons, means, cov, x_ranges, fit_ranges, quartics, specific_covs = found
-    left_out = _left_out(lines, reasons)
-    if not len(means):
-        return Scene((), cov, pose_error, fit_ranges, map_error, left_out)
-    covs = [cov[i : i + 4, i : i + 4] for i in range(0, len(cov), 4)]
-    made = tuple(_made(lines, reasons, means, covs, x_ranges))
-    return Scene.trusted(
-        made, cov, pose_error, fit_ranges, map_error, left_out, quartics, specific_covs
-    )
-
-
-def _settings(
-    lines: Mapping[Slot, Polyline],
-    ego: Gaussian,
-    window: tuple[float, float],
-    map_error: MapError | None,
-    max_misfit: float,
-    max_sigma: float,
-) -> tuple[float, ...] | None:
-    """Return the numbers of a cycle as C takes them, if C takes all of its arguments."""
-    if core is None or not isinstance(lines, dict) or not lines or not isinstance(ego, Gaussian):
-        return None
-    if not all(isinstance(line, Polyline) for line in lines.values()):
-        return None
-    try:
-        x_min, x_max = window
-        if not max_sigma > 0 or not all(map(_SLOTS.__contains__, lines)):
+    @classmethod
+    def of(
+        cls,
+        lines: Mapping[Slot, Polyline],
+        ego: Gaussian,
+        window: tuple[float, float],
+        map_error: MapError | None,
+        max_misfit: float,
+        max_sigma: float,
+    ) -> CycleInC | None:
+        """Return the cycle of the arguments of ``map_lines``."""
+        if core is None or not isinstance(lines, dict) or not lines:
             return None
-    except _WRONG:
-        return None
-    return (x_min, x_max, max_misfit, max_sigma, *_sigmas(map_error))
+        if not isinstance(ego, Gaussian):
+            return None
+        if not all(isinstance(line, Polyline) for line in lines.values()):
+            return None
+        try:
+            x_min, x_max = window
+            if not max_sigma > 0 or not all(map(_SLOTS.__contains__, lines)):
+                return None
+        except _WRONG:
+            return None
+        settings = (x_min, x_max, max_misfit, max_sigma, *_sigmas(map_error))
+        return cls(lines, ego, map_error, settings)
+
+    def map_lines(self, transform: Transform) -> MapLineList | None:
+        """Return the lines of ``map_lines``, each of one component."""
+        found = self._found(core.map_lines, _rule(transform, self.ego))
+        if found is None:
+            return None
+        reasons, means, covs, x_ranges = found
+        return MapLineList(self._made(reasons, means, covs, x_ranges), self._left_out(reasons))
+
+    def map_scene(self, transform: Transform, correlation_time: float) -> Scene | None:
+        """Return the scene of ``map_scene``."""
+        view = core.pose_view(self.ego.mean, self.ego.cov, self.settings)
+        if view is None:
+            return None
+        pose_error = PoseError(view[2], correlation_time)
+        rule = _rule(transform, Gaussian.trusted(np.zeros(3), pose_error.cov))
+        found = self._found(core.map_scene, rule)
+        if found is None:
+            return None
+        reasons, means, cov, x_ranges, fit_ranges, quartics, specific_covs = found
+        left_out = self._left_out(reasons)
+        if not len(means):
+            return Scene((), cov, pose_error, fit_ranges, self.map_error, left_out)
+        covs = [cov[i : i + 4, i : i + 4] for i in range(0, len(cov), 4)]
+        made = tuple(self._made(reasons, means, covs, x_ranges))
+        return Scene.trusted(
+            made, cov, pose_error, fit_ranges, self.map_error, left_out, quartics, specific_covs
+        )
+
+    def _found(self, function: Callable[..., Any], rule: Rule | None) -> Any | None:
+        """Return what a function of C makes of the parts of the lines around the car."""
+        if rule is None:
+            return None
+        ego, parts = self.ego, tuple(self.lines.values())
+        if any(len(line.points) > INDEXED for line in parts):
+            start, reach, _ = core.pose_view(ego.mean, ego.cov, self.settings)
+            parts = tuple(line.near(start, reach) for line in parts)
+        paths = _paths(parts)
+        return None if paths is None else function(paths, ego.mean, ego.cov, self.settings, rule)
+
+    def _made(
+        self,
+        reasons: bytes,
+        means: NDArray[np.float64],
+        covs: NDArray[np.float64] | Sequence[NDArray[np.float64]],
+        x_ranges: NDArray[np.float64],
+    ) -> list[MapLine]:
+        """Return the lines that are given, which C has checked."""
+        given = [
+            item for item, reason in zip(self.lines.items(), reasons, strict=True) if not reason
+        ]
+        rows = zip(given, means, covs, x_ranges.tolist(), strict=True)
+        return [
+            MapLine(slot, Gaussian.trusted(mean, cov), line.kind, low, high)
+            for (slot, line), mean, cov, (low, high) in rows
+        ]
+
+    def _left_out(self, reasons: bytes) -> dict[Slot, LeftOut]:
+        if not any(reasons):
+            return {}
+        pairs = zip(self.lines, map(_REASONS.__getitem__, reasons), strict=True)
+        return {Slot(slot): reason for slot, reason in pairs if reason is not None}
 
 
 def _sigmas(map_error: MapError | None) -> tuple[float, ...]:
@@ -128,45 +149,11 @@ def _rule(transform: Transform, ego: Gaussian) -> Rule | None:
         return None
 
 
-def _paths_near(
-    lines: Mapping[Slot, Polyline], ego: Gaussian, settings: tuple[float, ...]
-) -> Any | None:
-    """Return the parts of lines around the car, as C has them."""
-    parts = tuple(lines.values())
-    if any(len(line.points) > INDEXED for line in parts):
-        start, reach, _ = core.pose_view(ego.mean, ego.cov, settings)
-        parts = tuple(line.near(start, reach) for line in parts)
-    return _paths(parts)
-
-
 @lru_cache(maxsize=KEPT)
 def _paths(lines: tuple[Polyline, ...]) -> Any | None:
     """Return lines as C has them. A car asks for the same lines again and again."""
     arrays = tuple((np.ascontiguousarray(line.points), line.distance) for line in lines)
     return core.paths(arrays, sum(len(line.points) for line in lines))
-
-
-def _made(
-    lines: Mapping[Slot, Polyline],
-    reasons: bytes,
-    means: NDArray[np.float64],
-    covs: NDArray[np.float64] | Sequence[NDArray[np.float64]],
-    x_ranges: NDArray[np.float64],
-) -> list[MapLine]:
-    """Return the lines that are given, which C has checked."""
-    given = [item for item, reason in zip(lines.items(), reasons, strict=True) if not reason]
-    rows = zip(given, means, covs, x_ranges.tolist(), strict=True)
-    return [
-        MapLine(slot, Gaussian.trusted(mean, cov), line.kind, low, high)
-        for (slot, line), mean, cov, (low, high) in rows
-    ]
-
-
-def _left_out(lines: Mapping[Slot, Polyline], reasons: bytes) -> dict[Slot, LeftOut]:
-    if not any(reasons):
-        return {}
-    pairs = zip(lines, map(_REASONS.__getitem__, reasons), strict=True)
-    return {Slot(slot): reason for slot, reason in pairs if reason is not None}
 
 
 # ---- refits ---------------------------------------------------------------------------

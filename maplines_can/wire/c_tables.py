@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..native import core
 from ..values.errors import LayoutError
+from ..values.line import Slot
 from .covariance import CholeskyCode
 from .covariance.scene_code import SceneCode
 from .layout.message_layout import PAGE, POSE_CONDITIONAL, TRANSFER_ID, Layout
@@ -38,18 +39,10 @@ MAX_COUNTER_BITS = 32
 MAX_MEAN_BITS = 62
 
 
-class OwnerNumber(IntEnum):
-    """Number of an owner: ``maplines_owner_t``."""
+class PoseOwner(IntEnum):
+    """The pose error as an owner in C: it follows the slots."""
 
-    EGO_LEFT = 0
-    EGO_RIGHT = 1
-    NEXT_LEFT = 2
-    NEXT_RIGHT = 3
-    CENTRE = 4
-    EDGE_LEFT = 5
-    EDGE_RIGHT = 6
-    ROUTE = 7
-    POSE = 8
+    POSE = len(Slot)
 
 
 class Limits(NamedTuple):
@@ -69,9 +62,9 @@ class Limits(NamedTuple):
 MAX_LIMITS = Limits(pages=16, transfer_ids=256, components=64)
 
 
-def number_of(owner: Owner) -> OwnerNumber:
-    """Return the number of an owner in C."""
-    return OwnerNumber.POSE if owner == POSE else OwnerNumber(int(owner))
+def number_of(owner: Owner) -> Slot | PoseOwner:
+    """Return the number of an owner in C: ``maplines_owner_t``."""
+    return PoseOwner.POSE if owner == POSE else Slot(owner)
 
 
 def limits_of(layouts: Sequence[Layout]) -> Limits:

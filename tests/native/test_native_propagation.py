@@ -306,9 +306,11 @@ def test_random_lines_are_computed_in_c() -> None:
     for seed in range(100):
         lines, ego, rest = random_case(seed)
         settings: dict[str, Any] = {"window": (-20.0, 80.0), "max_misfit": 0.1, "max_sigma": 10.0}
-        settings |= {"transform": SigmaPoints()} | rest
-        found = in_c.lines_in_c(lines, ego, **settings)
-        scene = in_c.scene_in_c(lines, ego, correlation_time=1.0, **settings)
+        settings |= rest
+        transform = settings.pop("transform", SigmaPoints())
+        cycle = in_c.CycleInC.of(lines, ego, **settings)
+        found = None if cycle is None else cycle.map_lines(transform)
+        scene = None if cycle is None else cycle.map_scene(transform, 1.0)
         outcomes.append((found is not None) & (scene is not None))
     assert np.mean(outcomes) > 0.9
 

@@ -17,7 +17,8 @@ import numpy as np
 
 from maplines_can import Gaussian, Scene
 from maplines_can.maps import load, town_path
-from maplines_can.propagation import SigmaPoints, in_c, map_lines, map_scene
+from maplines_can.propagation import SigmaPoints, map_lines, map_scene
+from maplines_can.propagation.in_c import CycleInC
 from maplines_can.simulation.scenarios import SCENARIOS, STREETS
 
 from .both_paths import tests
@@ -95,10 +96,12 @@ def both_paths_roads(n: int = 1000, maps: tuple[str, ...] = ()) -> dict[str, Any
 def _is_in_c(lines: Any, ego: Gaussian, **rest: Any) -> bool:
     """Return whether C computes both the lines and the scene."""
     settings: Any = {"window": (-20.0, 80.0), "max_misfit": 0.1, "max_sigma": 10.0}
-    settings |= {"transform": SigmaPoints()} | rest
-    if in_c.lines_in_c(lines, ego, **settings) is None:
+    settings |= rest
+    transform = settings.pop("transform", SigmaPoints())
+    cycle = CycleInC.of(lines, ego, **settings)
+    if cycle is None or cycle.map_lines(transform) is None:
         return False
-    return in_c.scene_in_c(lines, ego, correlation_time=1.0, **settings) is not None
+    return cycle.map_scene(transform, 1.0) is not None
 
 
 def _add(row: dict[str, Any], native: Any, python: Any) -> None:
