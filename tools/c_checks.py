@@ -137,8 +137,10 @@ def check_cppcheck() -> Findings:
     suppressed = ("missingIncludeSystem", "unusedFunction", "unmatchedSuppression")
     command = ["cppcheck", "--quiet", "--enable=all", "--inconclusive", "--std=c99",
                "--inline-suppr", "--template={file}:{line}: {severity}: {message} [{id}]",
-               *(f"--suppress={name}" for name in suppressed), *INCLUDE,
-               *sources_of_package()]  # fmt: skip
+               *(f"--suppress={name}" for name in suppressed), *INCLUDE, f"-I{C / 'python'}",
+               # The headers of Python are not read.
+               "-DPy_RETURN_NONE=return Py_None",
+               *sources_of_package(), *extension_sources()]  # fmt: skip
     return [line for line in run(command)[1] if FINDING.search(line)]
 
 
@@ -161,7 +163,8 @@ def check_misra() -> Findings:
 def check_tidy() -> Findings:
     """Clang-tidy finds nothing with the checks of c/.clang-tidy."""
     config = f"--config-file={C / '.clang-tidy'}"
-    command = ["clang-tidy", config, "--quiet", *sources_of_package(), "--", "-std=c99", *INCLUDE]
+    command = ["clang-tidy", config, "--quiet", *sources_of_package(), *extension_sources(), "--",
+               "-std=c99", *INCLUDE, *EXTENSION]  # fmt: skip
     return [line for line in run(command)[1] if FINDING.search(line)]
 
 

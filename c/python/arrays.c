@@ -14,12 +14,13 @@ PyObject *const *maplines_numpy(PyObject *module)
     PyObject *ndarray = numpy == NULL ? NULL : PyObject_GetAttrString(numpy, "ndarray");
     PyObject *float64 = ndarray == NULL ? NULL : PyObject_CallMethod(numpy, "dtype", "s", "f8");
     Py_XDECREF(numpy);
-    if (float64 == NULL || objects[MAPLINES_OF_FLOAT64] != NULL) // set during the import
+    if (float64 == NULL)
     {
         Py_XDECREF(ndarray);
-        Py_XDECREF(float64);
-        return float64 == NULL ? NULL : objects;
+        return NULL;
     }
+    Py_XDECREF(objects[MAPLINES_OF_NDARRAY]); // of an import that this one has caused
+    Py_XDECREF(objects[MAPLINES_OF_FLOAT64]);
     objects[MAPLINES_OF_NDARRAY] = ndarray;
     objects[MAPLINES_OF_FLOAT64] = float64;
     return objects;
@@ -68,7 +69,7 @@ PyObject *maplines_array_of(PyObject *const *objects, int axes, const Py_ssize_t
     {
         size *= shape[i];
     }
-    PyObject *bytes = PyBytes_FromStringAndSize((const char *)values, size);
+    PyObject *bytes = PyBytes_FromStringAndSize((const char *)(const void *)values, size);
     PyObject *array = bytes == NULL ? NULL : maplines_array_over(objects, axes, shape, bytes, 0);
     Py_XDECREF(bytes);
     return array;

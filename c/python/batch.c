@@ -411,13 +411,13 @@ static void check_block(const maplines_dbc_t *dbc, const block_t *block, const u
         get_raw(block, page, &layout->page, raw);
         for (int row = 0; row < block->n; row++)
         {
-            verdict[row] = raw[row] == page ? verdict[row] : VERDICT_MIXED;
+            verdict[row] = (int8_t)(raw[row] == page ? verdict[row] : VERDICT_MIXED);
         }
         get_raw(block, page, &layout->transfer_id[page == 0 ? 0 : 1], raw);
         for (int row = 0; row < block->n; row++)
         {
             const bool is_own = raw[row] == (counter[row] & (modulus - 1));
-            verdict[row] = is_own ? verdict[row] : VERDICT_MIXED;
+            verdict[row] = (int8_t)(is_own ? verdict[row] : VERDICT_MIXED);
         }
     }
 }
@@ -523,7 +523,10 @@ static void put_values(const maplines_dbc_t *dbc, const block_t *block, const de
                             to->kind[row] > MAPLINES_VIRTUAL || to->index[row] >= to->count[row] ||
                             (is_turned && to->status[row] != MAPLINES_OUT_OF_RANGE) ||
                             to->weight[row] <= 0.0 || to->weight[row] > 1.0;
-        to->verdict[row] = is_bad && to->verdict[row] == 0 ? VERDICT_CONTENT : to->verdict[row];
+        if (is_bad && to->verdict[row] == 0)
+        {
+            to->verdict[row] = VERDICT_CONTENT;
+        }
         to->x_min[row] = is_turned ? to->x_max[row] : to->x_min[row];
     }
 }

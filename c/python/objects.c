@@ -145,16 +145,16 @@ PyObject *maplines_new_line(PyObject *const *objects, const maplines_line_t *lin
 /// Share by which the variances of a scene are enlarged: that of wire/covariance/scene_code.py.
 #define SCENE_ROUNDING 0x1p-42
 
-/// Joint covariance of the parameters of all lines, by rows.
-static void joint_covariance(const maplines_scene_t *scene, double *cov)
+/// Joint covariance of the parameters of lines, by rows.
+static void joint_covariance(int count, const double (*spread)[7], const double (*specific)[4][4],
+                             double *cov)
 {
-    const int n = 4 * scene->count;
-    maplines_product_transposed(n, 7, n, scene->spread[0], scene->spread[0], cov);
-    for (int place = 0; place < scene->count; ++place)
+    const int n = 4 * count;
+    maplines_product_transposed(n, 7, n, spread[0], spread[0], cov);
+    for (int place = 0; place < count; ++place)
     {
         double own[16];
-        maplines_product_transposed(4, 4, 4, scene->specific[place][0], scene->specific[place][0],
-                                    own);
+        maplines_product_transposed(4, 4, 4, specific[place][0], specific[place][0], own);
         for (int i = 0; i < 16; ++i)
         {
             double *entry = cov + (4 * place + i / 4) * n + 4 * place + i % 4;
@@ -166,11 +166,7 @@ static void joint_covariance(const maplines_scene_t *scene, double *cov)
 
 void maplines_scene_covariance(const maplines_scene_t *scene, int place, double cov[16])
 {
-    maplines_scene_t one;
-    one.count = 1;
-    memcpy(one.spread, scene->spread[4 * place], 4 * sizeof one.spread[0]);
-    memcpy(one.specific, scene->specific[place], sizeof one.specific[0]);
-    joint_covariance(&one, cov);
+    joint_covariance(1, scene->spread + 4 * place, scene->specific + place, cov);
 }
 
 static PyObject *new_joint_covariance(PyObject *const *objects, const maplines_scene_t *scene)
@@ -181,7 +177,8 @@ static PyObject *new_joint_covariance(PyObject *const *objects, const maplines_s
     {
         return NULL;
     }
-    joint_covariance(scene, (double *)(void *)PyBytes_AsString(bytes));
+    joint_covariance(scene->count, scene->spread, scene->specific,
+                     (double *)(void *)PyBytes_AsString(bytes));
     const Py_ssize_t shape[2] = {(Py_ssize_t)n, (Py_ssize_t)n};
     PyObject *array = maplines_array_over(objects, 2, shape, bytes, 0);
     Py_DECREF(bytes);

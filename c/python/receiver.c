@@ -200,6 +200,7 @@ static PyMethodDef receiver_methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
+// NOLINTBEGIN(performance-no-int-to-ptr): Python hands on any pointer
 #define RECEIVER_NUMBER(name)                                                                      \
     {                                                                                              \
 #name, maplines_receiver_number, NULL, NULL, (void *)offsetof(maplines_statistics_t, name) \
@@ -215,6 +216,7 @@ static PyGetSetDef receiver_numbers[] = {
     {"pending", maplines_receiver_pending, NULL, NULL, NULL},
     {NULL, NULL, NULL, NULL, NULL},
 };
+// NOLINTEND(performance-no-int-to-ptr)
 
 static PyType_Slot receiver_slots[] = {
     {Py_tp_init, (void *)receiver_init},

@@ -37,7 +37,7 @@ PyObject *maplines_receiver_expire(PyObject *self, PyObject *time);
 PyObject *maplines_receiver_view(PyObject *self, PyObject *arguments);
 PyObject *maplines_receiver_scene(PyObject *self, PyObject *unused);
 PyObject *maplines_receiver_scene_view(PyObject *self, PyObject *arguments);
-PyObject *maplines_receiver_check(PyObject *self, PyObject *arguments);
+PyObject *maplines_receiver_check(PyObject *self, PyObject *owner);
 PyObject *maplines_receiver_elapse(PyObject *self, PyObject *arguments);
 PyObject *maplines_receiver_senders(PyObject *self, PyObject *arguments);
 PyObject *maplines_receiver_counts(PyObject *self, PyObject *unused);

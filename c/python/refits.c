@@ -151,14 +151,12 @@ static PyObject *refit_of_stretches(PyObject *module, PyObject *const *args, Py_
         Py_RETURN_NONE;
     }
     maplines_stretches_t seen;
-    double *scratch = NULL;
-    if (views[0].shape[0] == views[1].shape[0] && views[2].shape[0] == views[3].shape[0] + 1 &&
-        views[3].shape[1] == 2)
-    {
-        seen.points = (size_t)views[0].shape[0];
-        seen.lines = (size_t)views[3].shape[0];
-        scratch = maplines_new_stretches(seen.lines, seen.points, seen.points, &seen);
-    }
+    seen.points = (size_t)views[0].shape[0];
+    seen.lines = (size_t)views[3].shape[0];
+    const bool fits = views[1].shape[0] == views[0].shape[0] &&
+                      views[2].shape[0] == views[3].shape[0] + 1 && views[3].shape[1] == 2;
+    double *scratch =
+        fits ? maplines_new_stretches(seen.lines, seen.points, seen.points, &seen) : NULL;
     const bool is_valid = scratch != NULL && copy_stretches(views, &seen);
     if (scratch != NULL && !is_valid)
     {

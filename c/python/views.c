@@ -17,14 +17,6 @@ static PyObject *line_of(const maplines_receiver_t *receiver, int slot)
     return Py_NewRef(line == NULL ? Py_None : line);
 }
 
-/// Read (owner, time); false with an exception.
-static bool read_question(PyObject *arguments, int *owner, int64_t *now_ns)
-{
-    PyObject *time = NULL;
-    return PyArg_ParseTuple(arguments, "iO", owner, &time) != 0 &&
-           maplines_read_time(time, "now_ns", now_ns);
-}
-
 /// Check of an owner; NULL with an exception if the DBC does not have it.
 static maplines_check_t *check_of(maplines_decoder_t *decoder, int owner)
 {
@@ -34,6 +26,22 @@ static maplines_check_t *check_of(maplines_decoder_t *decoder, int owner)
         return NULL;
     }
     return &decoder->checks[owner];
+}
+
+/// Check of the owner of (owner, time), and the time as the core takes it; NULL with an exception.
+static maplines_check_t *check_at(PyObject *self, PyObject *arguments, int64_t *t_ns)
+{
+    int owner = 0;
+    int64_t now_ns = 0;
+    PyObject *time = NULL;
+    maplines_decoder_t *decoder = maplines_receiver_of(self);
+    if (decoder == NULL || PyArg_ParseTuple(arguments, "iO", &owner, &time) == 0 ||
+        !maplines_read_time(time, "now_ns", &now_ns))
+    {
+        return NULL;
+    }
+    *t_ns = maplines_limited_time(now_ns);
+    return check_of(decoder, owner);
 }
 
 /// (line, age, is stale, state, status, two senders) of a slot at a time.
@@ -66,8 +74,10 @@ static PyObject *new_scene_lines(const maplines_receiver_t *receiver, const mapl
     {
         const maplines_line_t *line = &scene->lines[place];
         PyObject *newest = receiver->newest[line->slot];
-        const bool is_newest = decoder->dbc->is_conditional && newest != NULL &&
-                               memcmp(&decoder->newest[line->slot], line, sizeof *line) == 0;
+        // The newest one is a copy of a line of the scene, with all its bytes.
+        const maplines_line_t *known = &decoder->newest[line->slot];
+        const bool is_same = memcmp(known, line, sizeof *line) == 0; // NOLINT(bugprone-*,cert-*)
+        const bool is_newest = decoder->dbc->is_conditional && newest != NULL && is_same;
         PyObject *made = is_newest ? Py_NewRef(newest)
                                    : maplines_new_scene_line(receiver->objects, scene, place);
         if (made == NULL || PyTuple_SetItem(lines, place, made) < 0)
@@ -178,31 +188,20 @@ PyObject *maplines_receiver_check(PyObject *self, PyObject *owner)
 /// State of an owner at a time.
 PyObject *maplines_receiver_elapse(PyObject *self, PyObject *arguments)
 {
-    int owner = 0;
-    int64_t now_ns = 0;
-    maplines_decoder_t *decoder = maplines_receiver_of(self);
-    if (decoder == NULL || !read_question(arguments, &owner, &now_ns) ||
-        check_of(decoder, owner) == NULL)
-    {
-        return NULL;
-    }
-    return PyLong_FromLong(
-        (long)maplines_check_elapse(&decoder->checks[owner], maplines_limited_time(now_ns)));
+    int64_t t_ns = 0;
+    maplines_check_t *check = check_at(self, arguments, &t_ns);
+    return check == NULL ? NULL : PyLong_FromLong((long)maplines_check_elapse(check, t_ns));
 }
 
 /// (an owner has one sender, a counter was reused) at a time.
 PyObject *maplines_receiver_senders(PyObject *self, PyObject *arguments)
 {
-    int owner = 0;
-    int64_t now_ns = 0;
-    maplines_decoder_t *decoder = maplines_receiver_of(self);
-    if (decoder == NULL || !read_question(arguments, &owner, &now_ns) ||
-        check_of(decoder, owner) == NULL)
+    int64_t t_ns = 0;
+    const maplines_check_t *check = check_at(self, arguments, &t_ns);
+    if (check == NULL)
     {
         return NULL;
     }
-    const maplines_check_t *check = &decoder->checks[owner];
-    const int64_t t_ns = maplines_limited_time(now_ns);
     return Py_BuildValue(
         "NN", PyBool_FromLong(maplines_has_one_sender(check, t_ns)),
         PyBool_FromLong(maplines_conflict_was_reused(&check->conflict, check->cycle_ns, t_ns)));
@@ -233,17 +232,26 @@ PyObject *maplines_receiver_counts(PyObject *self, PyObject *unused)
     return counts;
 }
 
+/// Numbers of a receiver; false with an exception.
+static bool read_statistics(PyObject *self, maplines_statistics_t *numbers)
+{
+    const maplines_decoder_t *decoder = maplines_receiver_of(self);
+    if (decoder != NULL)
+    {
+        maplines_statistics(decoder, numbers);
+    }
+    return decoder != NULL;
+}
+
 /// Number of maplines_statistics_t at an offset [byte], which is that of a uint64_t.
 PyObject *maplines_receiver_number(PyObject *self, void *offset)
 {
     maplines_statistics_t numbers;
-    const maplines_decoder_t *decoder = maplines_receiver_of(self);
-    if (decoder == NULL)
+    uint64_t number = 0;
+    if (!read_statistics(self, &numbers))
     {
         return NULL;
     }
-    maplines_statistics(decoder, &numbers);
-    uint64_t number = 0;
     memcpy(&number, (const char *)&numbers + (uintptr_t)offset, sizeof number);
     return PyLong_FromUnsignedLongLong(number);
 }
@@ -253,11 +261,5 @@ PyObject *maplines_receiver_pending(PyObject *self, void *unused)
 {
     (void)unused;
     maplines_statistics_t numbers;
-    const maplines_decoder_t *decoder = maplines_receiver_of(self);
-    if (decoder == NULL)
-    {
-        return NULL;
-    }
-    maplines_statistics(decoder, &numbers);
-    return PyLong_FromUnsignedLong(numbers.pending);
+    return read_statistics(self, &numbers) ? PyLong_FromUnsignedLong(numbers.pending) : NULL;
 }
