@@ -129,18 +129,34 @@ interface; 'ip -br link' lists those that are
         Raises:
             BusError: the link is closed, or the interface can never send such a frame.
         """
+        return self.send_all((message,))[0]
+
+    def send_all(self, messages: Iterable[can.Message]) -> tuple[Sent, int]:
+        """Hand frames to the interface, back to back and without waiting, until one is not taken.
+
+        Returns:
+            The result of the last frame that was tried, and how many were handed over.
+
+        Raises:
+            BusError: as `send`.
+        """
         bus = self._ready()
         if bus is None:
-            return Sent.DOWN
+            return Sent.DOWN, 0
         # For most drivers None means "do not wait"; the virtual bus would wait for ever.
         timeout = 0.01 if self._factory.is_virtual else None
+        sent = 0
         try:
             with self._send_lock:
-                bus.send(message, timeout=timeout)
+                for message in messages:
+                    bus.send(message, timeout=timeout)
+                    sent += 1
         except (can.CanError, OSError, ValueError) as error:
-            return self._failed(bus, error, "send")
+            if sent:
+                self._worked(bus, "send")
+            return self._failed(bus, error, "send"), sent
         self._worked(bus, "send")
-        return Sent.OK
+        return Sent.OK, sent
 
     def recv(self, timeout: float) -> can.Message | None:
         """Return the next frame; None after ``timeout`` [s], or sooner during an outage.

@@ -243,18 +243,16 @@ class Transmitter(BackgroundThread):
         while True:
             while sent == 0 and (now := self._clock()) > transfer.latest:
                 transfer = self._tx_queue.renew(transfer, now)
-            frame = transfer.frames[sent]
-            result = self._link.send(message_of(frame))
-            sent += result is Sent.OK
-            if self._on_sent is not None and result is Sent.OK:
-                self._on_sent(frame)
-            if sent == len(transfer.frames) or result is Sent.DOWN:
+            frames = transfer.frames[sent:]
+            result, taken = self._link.send_all([message_of(frame) for frame in frames])
+            sent += taken
+            if self._on_sent is not None:
+                for frame in frames[:taken]:
+                    self._on_sent(frame)
+            if result is not Sent.FULL or self._clock() >= give_up:
                 break
-            if result is Sent.FULL:
-                if self._clock() >= give_up:
-                    break
-                time.sleep(RETRY)  # drivers do not signal that the queue has room again
-                retries += 1
+            time.sleep(RETRY)  # drivers do not signal that the queue has room again
+            retries += 1
         with self._changed:
             self._lateness.add(lateness)
             counts = self._counts

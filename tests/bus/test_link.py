@@ -554,3 +554,32 @@ def test_closing_ends_a_wait_for_the_interface() -> None:
     link.close()
     thread.join(LONG / 4)
     assert not thread.is_alive()
+
+
+@pytest.mark.parametrize(
+    ("script", "expected"),
+    [
+        ([], (Sent.OK, 3)),
+        ([FULL], (Sent.FULL, 0)),
+        ([None, None, FULL], (Sent.FULL, 2)),
+        ([None, GONE], (Sent.DOWN, 1)),
+    ],
+)
+def test_several_frames_are_handed_over_until_one_is_not_taken(script: Any, expected: Any) -> None:
+    """The first ones stay sent, in their order, and none follows the one that failed."""
+    messages = [can.Message(arbitration_id=i) for i in range(3)]
+    with Link(opener := FakeOpener(*script)) as link:
+        assert link.send_all(messages) == expected
+    sent = [opener.sent.get(timeout=0).arbitration_id for _ in range(opener.sent.qsize())]
+    assert sent == list(range(expected[1]))
+
+
+def test_a_frame_that_is_sent_before_an_outage_shows_that_the_interface_was_back() -> None:
+    """Both are reported, in this order."""
+    events: list[bool] = []
+    clock, opener = Clock(), FakeOpener(GONE, None, GONE)
+    with Link(opener, clock=clock, on_event=lambda up, _: events.append(up)) as link:
+        assert link.send_all([FRAME]) == (Sent.DOWN, 0)
+        clock.now += 1.0
+        assert link.send_all([FRAME, FRAME]) == (Sent.DOWN, 1)
+        assert (events, link.outages) == ([False, True, False], 2)
