@@ -11,6 +11,7 @@ missing compiler is an error. CFLAGS and LDFLAGS are added, such as those of san
 
 from __future__ import annotations
 
+import itertools
 import os
 import shutil
 import sysconfig
@@ -98,9 +99,10 @@ def build(folder: Path) -> Path:
     if limited:
         macros.append(("Py_LIMITED_API", f"0x{OLDEST[0]:02x}{OLDEST[1]:02x}0000"))
     folders = [C / name for name in ("src", "propagation", "python")]
+    core, *others = ([str(path) for path in sorted(place.glob("*.c"))] for place in folders)
     extension = Extension(
         "maplines_can._native",
-        [str(path) for sources in folders for path in sorted(sources.glob("*.c"))],
+        [joined(core, folder), *itertools.chain(*others)],
         include_dirs=[str(path) for path in (C / "include", *folders)],
         define_macros=macros,
         libraries=[] if os.name == "nt" else ["m"],
@@ -113,6 +115,13 @@ def build(folder: Path) -> Path:
         command.ensure_finalized()
         command.run()
     return Path(command.get_ext_fullpath(extension.name))
+
+
+def joined(sources: list[str], folder: Path) -> str:
+    """Return a file that includes all sources: compilers inline functions of one in another."""
+    path = folder / "core.c"
+    path.write_text("".join(f'#include "{Path(source).name}"\n' for source in sources))
+    return str(path)
 
 
 def put_into_checkout(path: Path | None) -> None:

@@ -83,7 +83,7 @@ static void semidefinite_root(int n, const double *cov, double tiny, double *L)
     for (int j = 0; j < n; ++j)
     {
         double v[4];
-        double squares[4];
+        double squares[4] = {0.0};
         for (int l = k; l < n; ++l)
         {
             v[l] = M[j * n + l];
