@@ -10,7 +10,7 @@
 
 #define BLOCK 128 // records that are decoded together: their raw values stay in the cache
 #define PAGES MAPLINES_MAX_PAGES
-#define MOST_ARRAYS 20
+#define MOST_ARRAYS 21
 
 /* ---- arrays ---------------------------------------------------------------------------------- */
 
@@ -46,6 +46,26 @@ static void *hold(arrays_t *arrays, PyObject *array, Py_ssize_t bytes, bool is_w
         return NULL;
     }
     return view->buf != NULL ? view->buf : &empty;
+}
+
+/// Hold the tables of a tuple: the powers of 2 of the pivots, by row, and of the inflation. False
+/// with an exception if they are not those of a code.
+static bool hold_powers(arrays_t *arrays, PyObject *tables, const maplines_cholesky_t *code,
+                        maplines_powers_t *powers)
+{
+    for (int i = 0; i < 5; i++)
+    {
+        const maplines_signal_t *signal = i < 4 ? &code->pivot[i] : &code->inflation;
+        const Py_ssize_t values = (Py_ssize_t)(signal->raw_max - signal->raw_min + 1);
+        PyObject *table = PyTuple_GetItem(tables, i); // borrowed
+        const double *held = table == NULL ? NULL : hold(arrays, table, 8 * values, false);
+        if (held == NULL)
+        {
+            return false;
+        }
+        *(i < 4 ? &powers->pivot[i] : &powers->inflation) = held;
+    }
+    return true;
 }
 
 /// Number of rows: the length of an array. -1 with an exception if there are other than so many
@@ -114,7 +134,8 @@ typedef struct {
     uint8_t *records;
 } lines_t;
 
-static void encode_row(const maplines_dbc_t *dbc, const lines_t *lines, Py_ssize_t i)
+static void encode_row(const maplines_dbc_t *dbc, const maplines_powers_t *powers,
+                       const lines_t *lines, Py_ssize_t i)
 {
     const size_t length = 8U * (size_t)dbc->line.pages;
     uint8_t *record = lines->records + length * (size_t)i;
@@ -132,6 +153,7 @@ static void encode_row(const maplines_dbc_t *dbc, const lines_t *lines, Py_ssize
     draft.index = (int)lines->index[i];
     draft.count = (int)lines->count[i];
     draft.weight = lines->weight[i];
+    draft.powers = powers;
     memcpy(draft.cov, lines->cov + 16 * i, sizeof draft.cov);
     for (int k = 0; k < 16; k++)
     {
@@ -142,37 +164,40 @@ static void encode_row(const maplines_dbc_t *dbc, const lines_t *lines, Py_ssize
     maplines_seal(dbc, (int)line.slot, record, length, (uint32_t)lines->counter[i]);
 }
 
-PyDoc_STRVAR(encode_records_doc,
-             "encode_records(tables, mean, cov, indefinite, cover, slot, counter, kind, status,\n"
-             "    index, count, weight, x_min, x_max, age, records) -> None.\n\n"
-             "As CompleteWriter.write for values that it has checked: (n,) int64, or float64 from\n"
-             "the weight on. cover may be None.");
+PyDoc_STRVAR(
+    encode_records_doc,
+    "encode_records(tables, powers, mean, cov, indefinite, cover, slot, counter, kind, status,\n"
+    "    index, count, weight, x_min, x_max, age, records) -> None.\n\n"
+    "As CompleteWriter.write for values that it has checked: (n,) int64, or float64 from\n"
+    "the weight on. cover may be None. powers are the tables of the pivots, by row, and\n"
+    "of the inflation.");
 
 static PyObject *encode_records(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
     arrays_t arrays;
     arrays.count = 0;
-    const Py_ssize_t n = rows_of(args, count, 16, 1);
+    const Py_ssize_t n = rows_of(args, count, 17, 2);
     const maplines_dbc_t *dbc = n < 0 ? NULL : maplines_dbc_of(module, args[0]);
     if (dbc == NULL)
     {
         return NULL;
     }
+    maplines_powers_t powers;
     const void *in[15] = {NULL};
-    bool is_held = true;
+    bool is_held = hold_powers(&arrays, args[1], &dbc->covariance, &powers);
     for (int i = 1; is_held && i < 15; i++)
     {
         const Py_ssize_t size = i == 1 ? 32 : i == 2 || i == 4 ? 128 : i == 3 ? 1 : 8;
-        if (i != 4 || args[i] != Py_None)
+        if (i != 4 || args[i + 1] != Py_None)
         {
-            in[i] = hold(&arrays, args[i], size * n, false);
+            in[i] = hold(&arrays, args[i + 1], size * n, false);
             is_held = in[i] != NULL;
         }
     }
     lines_t lines = {in[1], in[2],  in[4],  in[3],  in[5],  in[6],  in[7], in[8],
                      in[9], in[10], in[11], in[12], in[13], in[14], NULL};
     lines.records =
-        is_held ? hold(&arrays, args[15], 8 * (Py_ssize_t)dbc->line.pages * n, true) : NULL;
+        is_held ? hold(&arrays, args[16], 8 * (Py_ssize_t)dbc->line.pages * n, true) : NULL;
     if (lines.records == NULL)
     {
         release_arrays(&arrays);
@@ -181,7 +206,7 @@ static PyObject *encode_records(PyObject *module, PyObject *const *args, Py_ssiz
     Py_BEGIN_ALLOW_THREADS;
     for (Py_ssize_t i = 0; i < n; i++)
     {
-        encode_row(dbc, &lines, i);
+        encode_row(dbc, &powers, &lines, i);
     }
     Py_END_ALLOW_THREADS;
     release_arrays(&arrays);
@@ -592,22 +617,20 @@ static PyObject *decode_records(PyObject *module, PyObject *const *args, Py_ssiz
     {
         return NULL;
     }
+    maplines_powers_t tables;
     powers_t powers[5];
     void *out[12] = {NULL};
     const uint8_t *records = hold(&arrays, args[1], 8 * (Py_ssize_t)dbc->line.pages * n, false);
     const uint16_t *data_ids = records == NULL ? NULL : hold(&arrays, args[2], 2 * n, false);
     bool is_held = data_ids != NULL;
+    is_held = is_held && hold_powers(&arrays, args[3], &dbc->covariance, &tables);
     for (int i = 0; is_held && i < 5; i++)
     {
         const maplines_signal_t *signal =
             i < 4 ? &dbc->covariance.pivot[i] : &dbc->covariance.inflation;
-        PyObject *table = PyTuple_GetItem(args[3], i); // borrowed
         powers[i].least = signal->raw_min;
         powers[i].last = signal->raw_max - signal->raw_min;
-        powers[i].values = table == NULL
-                               ? NULL
-                               : hold(&arrays, table, 8 * (Py_ssize_t)(powers[i].last + 1), false);
-        is_held = powers[i].values != NULL;
+        powers[i].values = i < 4 ? tables.pivot[i] : tables.inflation;
     }
     for (int i = 0; is_held && i < 12; i++)
     {

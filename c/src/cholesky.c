@@ -19,8 +19,13 @@ static int ratio_index(int i, int j)
     return i * (i - 1) / 2 + j;
 }
 
-static double power_of(const maplines_signal_t *signal, int64_t raw)
+/// Power of 2 of a value, from the table of its signal if there is one.
+static double power_of(const maplines_signal_t *signal, const double *table, int64_t raw)
 {
+    if (table != NULL)
+    {
+        return table[raw - signal->raw_min];
+    }
     return maplines_exp2(maplines_physical(signal, raw));
 }
 
@@ -34,7 +39,7 @@ MAPLINES_INTERNAL void maplines_decode_factor(const maplines_cholesky_t *code,
     {
         double *row = factor[code->order[i]];
         const double sigma =
-            power_of(&code->pivot[i], maplines_get(&code->pivot[i], record)) * scale;
+            power_of(&code->pivot[i], NULL, maplines_get(&code->pivot[i], record)) * scale;
         for (int j = 0; j < i; ++j)
         {
             const maplines_signal_t *ratio = &code->ratio[ratio_index(i, j)];
@@ -133,8 +138,8 @@ static double choose_ratios(const maplines_cholesky_t *code, int i, double sigma
 
 /// Quantize row i of the factor of a target S, whose squared pivot is at least `floor_i`. Returns
 /// whether its pivot was lifted.
-static bool quantize_row(const maplines_cholesky_t *code, int i, const double S[4], double floor_i,
-                         maplines_quantized_t *q)
+static bool quantize_row(const maplines_cholesky_t *code, const maplines_powers_t *powers, int i,
+                         const double S[4], double floor_i, maplines_quantized_t *q)
 {
     const maplines_signal_t *pivot = &code->pivot[i];
     double *target = q->target[i];
@@ -158,13 +163,13 @@ static bool quantize_row(const maplines_cholesky_t *code, int i, const double S[
     double exact = sqrt(variance > floor_i ? variance : floor_i);
     const double nearest = maplines_nearest_raw(pivot, maplines_log2(exact));
     int64_t chosen = maplines_limited(pivot, nearest);
-    double sigma = power_of(pivot, chosen);
+    double sigma = power_of(pivot, powers->pivot[i], chosen);
     double overflow = choose_ratios(code, i, sigma, q);
     for (int trial = 0; trial < MAX_LIFTS && overflow > 1.0; ++trial)
     {
         const double lift = ceil(maplines_log2(overflow) / pivot->factor + LIFT_SLACK);
         chosen = maplines_limited(pivot, (double)chosen + (lift > 1.0 ? lift : 1.0));
-        sigma = power_of(pivot, chosen);
+        sigma = power_of(pivot, powers->pivot[i], chosen);
         overflow = choose_ratios(code, i, sigma, q);
     }
     // The target takes over a lifted pivot, so the entries below it become smaller.
@@ -224,11 +229,11 @@ static double whiten(int n, double L[4][4], double M[4][4], double *W)
 }
 
 /// Whether a raw inflation covers a target W, which is whitened.
-static bool covers(const maplines_signal_t *inflation, double raw, int n, const double *W,
-                   double margin)
+static bool covers(const maplines_signal_t *inflation, const double *table, double raw, int n,
+                   const double *W, double margin)
 {
     double rest[16];
-    const double given = power_of(inflation, (int64_t)raw);
+    const double given = power_of(inflation, table, (int64_t)raw);
     const double diagonal = (given - margin) / (1.0 + INFLATION_MARGIN);
     for (int i = 0; i < n * n; ++i)
     {
@@ -242,7 +247,8 @@ static bool covers(const maplines_signal_t *inflation, double raw, int n, const 
 }
 
 /// Ratio of the inflation that a target W needs to the largest one, 1 or more.
-static double missing_inflation(const maplines_signal_t *inflation, int n, double *W, double margin)
+static double missing_inflation(const maplines_signal_t *inflation, const double *table, int n,
+                                double *W, double margin)
 {
     double values[4] = {0};
     maplines_eigen(n, W, values, NULL);
@@ -252,13 +258,13 @@ static double missing_inflation(const maplines_signal_t *inflation, int n, doubl
         largest = values[i] > largest ? values[i] : largest;
     }
     const double needed = (largest > 0.0 ? largest : 0.0) * (1.0 + INFLATION_MARGIN) + margin;
-    const double excess = needed / power_of(inflation, inflation->raw_max);
+    const double excess = needed / power_of(inflation, table, inflation->raw_max);
     return excess > 1.0 ? excess : 1.0;
 }
 
 /// The least raw inflation that covers a target W; false if none does.
-static bool least_inflation(const maplines_signal_t *inflation, int n, const double *W,
-                            double margin, int64_t *raw)
+static bool least_inflation(const maplines_signal_t *inflation, const double *table, int n,
+                            const double *W, double margin, int64_t *raw)
 {
     const double most = (double)inflation->raw_max;
     double bound = W[0];
@@ -271,18 +277,18 @@ static bool least_inflation(const maplines_signal_t *inflation, int n, const dou
     double high = (double)maplines_limited(inflation, steps);
     double low = high - 1.0; // the highest raw value that is known not to cover
     double step = 1.0;
-    bool fits = covers(inflation, high, n, W, margin);
+    bool fits = covers(inflation, table, high, n, W, margin);
     while (!fits && high < most) // steps double: at most 54 times
     {
         low = high;
         high = high + step < most ? high + step : most;
         step = step * 2.0;
-        fits = covers(inflation, high, n, W, margin);
+        fits = covers(inflation, table, high, n, W, margin);
     }
     while (fits && high - low > 1.0) // halved each time
     {
         const double middle = low + floor((high - low) / 2.0);
-        if (covers(inflation, middle, n, W, margin))
+        if (covers(inflation, table, middle, n, W, margin))
         {
             high = middle;
         }
@@ -308,9 +314,9 @@ static int rows_of(const maplines_cholesky_t *code)
 
 /// Encode a target once, multiplied by a scale. Returns whether it is covered; if not, `excess` is
 /// the ratio of the needed to the available inflation.
-static bool encode_once(const maplines_cholesky_t *code, const double *target,
-                        const double *resolution, double scale, int64_t raw[11], bool *is_saturated,
-                        double *excess)
+static bool encode_once(const maplines_cholesky_t *code, const maplines_powers_t *powers,
+                        const double *target, const double *resolution, double scale,
+                        int64_t raw[11], bool *is_saturated, double *excess)
 {
     const int n = rows_of(code);
     double M[4][4];
@@ -328,24 +334,27 @@ static bool encode_once(const maplines_cholesky_t *code, const double *target,
             const double scaled = scale * M[i][j];
             S[j] = j == i ? scaled + floor_i : scaled;
         }
-        if (quantize_row(code, i, S, floor_i, &q))
+        if (quantize_row(code, powers, i, S, floor_i, &q))
         {
             *is_saturated = true;
         }
     }
     const double margin = whiten(n, q.decoded, M, W);
-    if (least_inflation(&code->inflation, n, W, margin, &raw[INFLATION_PLACE]))
+    if (least_inflation(&code->inflation, powers->inflation, n, W, margin, &raw[INFLATION_PLACE]))
     {
         return true;
     }
-    *excess = missing_inflation(&code->inflation, n, W, margin);
+    *excess = missing_inflation(&code->inflation, powers->inflation, n, W, margin);
     return false;
 }
 
 MAPLINES_INTERNAL bool maplines_encode_covariance(const maplines_cholesky_t *code,
+                                                  const maplines_powers_t *powers,
                                                   const double *target, const double *resolution,
                                                   int64_t raw[11], bool *is_saturated)
 {
+    static const maplines_powers_t no_tables = {{NULL, NULL, NULL, NULL}, NULL};
+    const maplines_powers_t *tables = powers == NULL ? &no_tables : powers;
     const int n = (int)code->rows;
     bool is_covered = true;
     *is_saturated = false;
@@ -359,13 +368,15 @@ MAPLINES_INTERNAL bool maplines_encode_covariance(const maplines_cholesky_t *cod
         double scale = 1.0;
         double excess = 1.0;
         memset(raw, 0, 11 * sizeof(int64_t));
-        is_covered = encode_once(code, target, resolution, scale, raw, is_saturated, &excess);
+        is_covered =
+            encode_once(code, tables, target, resolution, scale, raw, is_saturated, &excess);
         // Once is enough, unless the inflation of the DBC is too small for its steps, or a value is
         // clipped. Then encode again, for a target that is scaled by what was missing.
         for (int attempt = 1; attempt < MAX_ATTEMPTS && !is_covered; ++attempt)
         {
             scale = WIDER_TARGET * scale * excess;
-            is_covered = encode_once(code, target, resolution, scale, raw, is_saturated, &excess);
+            is_covered =
+                encode_once(code, tables, target, resolution, scale, raw, is_saturated, &excess);
         }
     }
     if (!is_covered)

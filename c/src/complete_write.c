@@ -154,7 +154,8 @@ static maplines_status_t encode_error(const maplines_dbc_t *dbc, const maplines_
         resolution[i] = dbc->mean[i].factor * dbc->mean[i].factor / 12.0;
     }
     target_of(draft, decoded, is_clipped, error);
-    if (!maplines_encode_covariance(&dbc->covariance, error, resolution, raw, &is_saturated))
+    if (!maplines_encode_covariance(&dbc->covariance, draft->powers, error, resolution, raw,
+                                    &is_saturated))
     {
         return MAPLINES_OUT_OF_RANGE;
     }

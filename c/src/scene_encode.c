@@ -63,7 +63,7 @@ static bool encode_pose(const maplines_dbc_t *dbc, const maplines_scene_input_t 
         target[i] = pose_slack * scene->pose_cov[i / 3][i % 3];
     }
     maplines_least_variances(code, least);
-    if (!maplines_encode_covariance(code, target, least, space->raw_pose, &is_saturated))
+    if (!maplines_encode_covariance(code, NULL, target, least, space->raw_pose, &is_saturated))
     {
         return false;
     }

@@ -119,7 +119,8 @@ static bool encode_entries(const maplines_cholesky_t *code, maplines_scene_membe
     sum_of_two(target, resolution, target);
     sum_of_two(target, more, target);
     maplines_least_variances(code, least);
-    return maplines_encode_covariance(code, target, least, member->raw_covariance, &is_saturated);
+    return maplines_encode_covariance(code, NULL, target, least, member->raw_covariance,
+                                      &is_saturated);
 }
 
 MAPLINES_INTERNAL void maplines_least_variances(const maplines_cholesky_t *code, double least[4])

@@ -280,7 +280,7 @@ def test_the_module_looks_at_the_sizes_of_arrays() -> None:
     with pytest.raises(ValueError, match="bytes"):
         kernel.read(np.zeros((3, 32), np.uint8), np.zeros(2, np.uint16))
     with pytest.raises(TypeError, match="Tables"):
-        core.encode_records(None, *[mean] * 15)
+        core.encode_records(None, *[mean] * 16)
     many = np.full((1, 65), 1 / 65), np.zeros((1, 65, 4)), np.zeros((1, 65, 4, 4))
     with pytest.raises(ValueError, match="components"):
         kernel.cover(*many, 128)

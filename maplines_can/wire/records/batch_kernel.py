@@ -47,12 +47,12 @@ class BatchKernel:
 
     def __init__(self, tables: Any, layout: Layout, covariance: CholeskyCode) -> None:
         self._tables, self._record_bytes = tables, layout.record_bytes
-        pivots = covariance.factor.pivots
-        exponents = [(pivot, 1.0) for pivot in pivots] + [(covariance.inflation, 0.5)]
-        self._powers = tuple(
-            exp2(signal.physical(np.arange(signal.raw_min, signal.raw_max + 1)) * share)
-            for signal, share in exponents
+        *pivots, inflation = (
+            signal.physical(np.arange(signal.raw_min, signal.raw_max + 1))
+            for signal in (*covariance.factor.pivots, covariance.inflation)
         )
+        self._variance_powers = (*map(exp2, pivots), exp2(inflation))
+        self._sigma_powers = (*self._variance_powers[:-1], exp2(inflation * 0.5))
         #: Most components of a mixture.
         self.max_components = 2 ** layout["ComponentCount"].length
 
@@ -86,6 +86,7 @@ class BatchKernel:
         records = np.empty((n, self._record_bytes), dtype=np.uint8)
         core.encode_records(
             self._tables,
+            self._variance_powers,
             np.ascontiguousarray(gaussians.mean),
             np.ascontiguousarray(gaussians.cov),
             np.ascontiguousarray(gaussians.indefinite),
@@ -116,7 +117,7 @@ class BatchKernel:
             self._tables,
             np.ascontiguousarray(payloads),
             np.ascontiguousarray(data_ids),
-            self._powers,
+            self._sigma_powers,
             *fields.values(),
         )
         return fields
