@@ -182,6 +182,9 @@ static double least_level(const double rest[GRID], int steps, const double *posi
 {
     double greatest[MOST_BEYOND];
     double terms[GRID] = {0.0};
+    double levels[GRID];
+    double squares[GRID];
+    double variances[GRID]; // of the second differences for the level 1
     const int count = GRID - 2 * steps;
     const double h = steps * 2.0 / INTERVALS;
     const double h2 = h * h;
@@ -194,20 +197,24 @@ static double least_level(const double rest[GRID], int steps, const double *posi
         // Second differences of T_2 are 4 h^2, those of T_3 are 24 w h^2, with w in the middle.
         const double w = (i * (2.0 / INTERVALS) - 1.0) + h;
         const double of_cubic = 24.0 * w;
-        const double variance = h2 * h2 * (16.0 * SHAPE_2 + of_cubic * of_cubic * SHAPE_3);
         const double second = rest[i] - 2.0 * rest[i + steps] + rest[i + 2 * steps];
-        double explained = 0.0;
-        if (noise > 0.0)
+        variances[i] = h2 * h2 * (16.0 * SHAPE_2 + of_cubic * of_cubic * SHAPE_3);
+        squares[i] = second * second;
+        terms[i] = squares[i] / variances[i];
+        levels[i] = terms[i];
+    }
+    for (int i = 0; noise > 0.0 && i < count; ++i)
+    {
+        const double place[3] = {position[i], position[i + steps], position[i + 2 * steps]};
+        const double explained = noise * second_difference_variance(place);
+        terms[i] = (squares[i] - explained) / variances[i];
+        levels[i] = (squares[i] - NOISE_LIMIT * NOISE_LIMIT * explained) / variances[i];
+    }
+    for (int i = 0; i < count; ++i)
+    {
+        if (levels[i] > greatest[MOST_BEYOND - 1])
         {
-            const double place[3] = {position[i], position[i + steps], position[i + 2 * steps]};
-            explained = noise * second_difference_variance(place);
-        }
-        terms[i] = (second * second - explained) / variance;
-        const double beyond = second * second - NOISE_LIMIT * NOISE_LIMIT * explained;
-        const double level = beyond / variance;
-        if (level > greatest[MOST_BEYOND - 1])
-        {
-            insert(greatest, level);
+            insert(greatest, levels[i]);
         }
     }
     const int place = (int)ceil(SHARE * count) - 1;
