@@ -72,16 +72,17 @@ static void fit_range(const maplines_stretches_t *seen, size_t line, const doubl
     const double high = x_range[1];
     const double centre = (low + high) / 2.0;
     const double half = (high - low) / 2.0;
+    const double *nodes = maplines_nodes();
     double least = (double)INFINITY;
     double greatest = -(double)INFINITY;
     fitted->x_range[0] = low;
     fitted->x_range[1] = high;
-    at_nodes(low, high, MAPLINES_NODES, maplines_fit_nodes, fitted->x);
+    at_nodes(low, high, MAPLINES_NODES, nodes, fitted->x);
     maplines_lateral(seen, line, MAPLINES_NODES, fitted->x, fitted->y);
     cubic_of(MAPLINES_NODES, maplines_fit_rows, fitted->y, fitted->q);
     for (int i = 0; i < MAPLINES_NODES; ++i)
     {
-        include(fitted->y[i] - cubic_at(fitted->q, maplines_fit_nodes[i]), &least, &greatest);
+        include(fitted->y[i] - cubic_at(fitted->q, nodes[i]), &least, &greatest);
     }
     for (size_t i = stretch->first; i < stretch->first + stretch->count; ++i)
     {

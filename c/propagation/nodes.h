@@ -1,4 +1,4 @@
-/* Nodes of fits, and the matrices from values at the nodes to the coefficients of their fits. */
+/* Matrices from values at the nodes of fits to the coefficients, and the nodes of coarse fits. */
 #ifndef MAPLINES_PROPAGATION_NODES_H
 #define MAPLINES_PROPAGATION_NODES_H
 
@@ -6,9 +6,7 @@
 
 #define MAPLINES_COARSE 32 ///< nodes of a fit in the search for the longest range
 
-/// Extrema of a Chebyshev polynomial.
-extern const double maplines_fit_nodes[MAPLINES_NODES];
-/// Rows: from the values at the nodes to the coefficients of w^0 .. w^3.
+/// Rows: from the values at maplines_nodes to the coefficients of w^0 .. w^3.
 extern const double maplines_fit_rows[4 * MAPLINES_NODES];
 /// From the values at the nodes to the coefficient of T_4.
 extern const double maplines_quartic_row[MAPLINES_NODES];

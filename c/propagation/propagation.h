@@ -21,7 +21,6 @@
 
 #include "internal.h"
 
-#define MAPLINES_NODES 64  ///< of the fit of a line
 #define MAPLINES_CHORDS 21 ///< that check the shape of a line
 #define MAPLINES_DEGREE 6  ///< of the sums of the normal equations
 #define MAPLINES_SUMS 10   ///< mean(u^k), k = 1 .. 6, and mean(v u^k), k = 0 .. 3

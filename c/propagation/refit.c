@@ -27,6 +27,7 @@ maplines_mean_pose_t maplines_mean_pose(const double pose[3])
 /// Moments mean(a^i b^j) of the points, at [i][j] with i + j up to the degree; a are the nodes.
 static void moments_of(const double b[MAPLINES_NODES], double moments[MOMENTS][MOMENTS])
 {
+    const double *nodes = maplines_nodes();
     double of_a[MOMENTS][MAPLINES_NODES];
     double of_b[MAPLINES_NODES];
     double terms[MAPLINES_NODES];
@@ -39,7 +40,7 @@ static void moments_of(const double b[MAPLINES_NODES], double moments[MOMENTS][M
     {
         for (int k = 0; k < MAPLINES_NODES; ++k)
         {
-            of_a[i][k] = of_a[i - 1][k] * maplines_fit_nodes[k];
+            of_a[i][k] = of_a[i - 1][k] * nodes[k];
         }
     }
     for (int j = 0; j < MOMENTS; ++j)
@@ -310,12 +311,13 @@ static void coefficient_covariance(const maplines_refit_t *refit,
     double passed = floor(position[0]);
     const double *mean = refit->mean;
     const double tangent = maplines_tan(mean[1]);
+    const double *nodes = maplines_nodes();
     inverse_gram(inverse);
     memset(S, 0, 16 * sizeof *S);
     for (int k = 0; k < MAPLINES_NODES; ++k)
     {
         const double u = refit->fitted.x[k];
-        const double w = maplines_fit_nodes[k];
+        const double w = nodes[k];
         const double bend = mean[2] + u * mean[3] / 2.0;
         const double half_bend = mean[2] / 2.0 + u * mean[3] / 6.0;
         const double slope = tangent + u * bend;

@@ -315,6 +315,8 @@ typedef struct {
     double weight[MAPLINES_NODES][4];
 } maplines_arc_t;
 
+/// Nodes: the extrema of a Chebyshev polynomial, from -1 to 1.
+MAPLINES_INTERNAL const double *maplines_nodes(void);
 /// Length of a line at the nodes of its range.
 MAPLINES_INTERNAL void maplines_arc_of(const maplines_curve_t *curve, maplines_arc_t *arc);
 /// Covariance for unit errors of points at a raw value of the shape, and of the shape beside them.

@@ -39,7 +39,6 @@ from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import Kind, LeftOut, MapLine, Slot
 from maplines_can.values.polyline import INDEXED, Polyline
 from maplines_can.values.scene import Scene
-from maplines_can.values.seen_lines import NODES
 
 pytestmark = pytest.mark.skipif(core is None, reason="there is no extension module")
 
@@ -140,7 +139,6 @@ def assert_scene(lines: Any, ego: Gaussian, **rest: Any) -> int:
 @pytest.mark.parametrize(
     ("name", "values"),
     [
-        ("fit_nodes", NODES),
         ("fit_rows", FIT.T),
         ("quartic_row", _TO_QUARTIC),
         ("coarse_nodes", _COARSE),
