@@ -10,6 +10,7 @@ from typing import Any
 #: with its function ``add_X``.
 GENERATORS = {
     "c": ("generate_c", "the C core with the tables of a DBC: a sender and a receiver in an ECU"),
+    "fmu": ("generate_fmu", "a receiver or a sender as an FMU, for simulators"),
     "vectors": ("generate_vectors", "frames and the lines that they are, for any other receiver"),
 }
 

@@ -1,0 +1,152 @@
+"""An FMU as a zip file: descriptions, sources, and what the compilers here make of them.
+
+The same DBC and the same compilers give the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import re
+import zipfile
+from collections.abc import Mapping, Sequence
+from importlib import util
+from pathlib import Path, PurePath
+from typing import NamedTuple
+
+from ...wire.c_tables import limits_of
+from ...wire.layout.message_layout import Layout
+from ..c_files import core_folder, header, source
+from ..tables import tables_of
+from . import variables as code
+from .compilers import binaries
+from .description import BUS, build_description, manifest, model_description, terminals
+from .nodes import POSITIONS, controller_rows, receiver_rows
+from .variables import Row, Variable, variables_of
+
+#: C files of each node, besides the core and the tables of the DBC.
+COMMON = ("fmu.h", "bus.h", "bus.c", "fmi3.c", "access.c", "unsupported.c", "controller.c")
+OWN = {"receiver": ("receiver.c",), "sender": ("sender.c",)}
+#: Headers of FMI 3.0, which fmpy has.
+HEADERS = ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h")
+#: Time of the files in the archive: the first that zip has.
+EPOCH = (1980, 1, 1, 0, 0, 0)
+#: Name of the tables in C.
+TABLES = "maplines"
+
+
+class Fmu(NamedTuple):
+    """An FMU that is not written yet."""
+
+    identifier: str
+    files: Mapping[str, bytes]  #: by their names in the archive
+    variables: Sequence[Variable]
+    platforms: Sequence[str]  #: with a binary, such as x86_64-linux
+
+
+def fmu_of(node: str, layout: Layout) -> Fmu:
+    """Return the FMU of a receiver or a sender of the messages of a DBC.
+
+    Args:
+        node: "receiver" or "sender".
+        layout: of the DBC.
+
+    Raises:
+        LayoutError: the DBC has no C; the message has the cure.
+        ModuleNotFoundError: fmpy is not installed, from which the headers of FMI are.
+    """
+    identifier = f"maplines_{node}"
+    variables = described(variables_of(rows_of(node, layout)), layout)
+    sources = sources_of(node, layout)
+    digest = hashlib.sha256()
+    for name, text in sorted(sources.items()):
+        digest.update(f"{name}\n{text}\n".encode())
+    token = _token(digest.digest())
+    everything = variables_of(rows_of(node, layout))
+    sources["variables.h"] = code.header(everything, len(POSITIONS), token, TABLES)
+    sources["variables.c"] = code.source(everything, token)
+    version = re.findall(r'#define MAPLINES_VERSION "(.+)"', sources["maplines.h"])[0]
+    about = f"{ABOUT[node]}, by the messages of {PurePath(layout.source).name}"
+    compiled = sorted(name for name in sources if name.endswith(".c"))
+    built = binaries(identifier, sources, compiled)
+    files = {
+        "modelDescription.xml": model_description(identifier, about, version, token, variables),
+        "terminalsAndIcons/terminalsAndIcons.xml": terminals(),
+        f"extra/{BUS}/fmi-ls-manifest.xml": manifest(),
+        "sources/buildDescription.xml": build_description(identifier, compiled),
+        **{f"sources/{name}": text.encode() for name, text in sources.items()},
+        **{f"binaries/{name}": binary for name, binary in built.items()},
+    }
+    return Fmu(identifier, files, variables, [name.partition("/")[0] for name in built])
+
+
+ABOUT = {
+    "receiver": "Lines of a digital map with their uncertainty, received from a CAN bus",
+    "sender": "Lines of a digital map with their uncertainty, sent on a CAN bus",
+}
+
+
+def rows_of(node: str, layout: Layout) -> list[Row]:
+    """Return the variables of a node."""
+    has_fd = any(messages.fd_can_id is not None for messages in layout.messages_of.values())
+    own = {"receiver": receiver_rows}[node]()
+    return [*controller_rows(2_000_000 if has_fd else 0), *own]
+
+
+def described(variables: Sequence[Variable], layout: Layout) -> list[Variable]:
+    """Return the variables that a DBC gives a meaning: of its slots, and of its scenes."""
+    return [
+        each
+        for each in variables
+        if (each.slot is None or each.slot in layout.messages)
+        and (layout.pose is not None or not each.name.startswith(("scene.", "lane.")))
+    ]
+
+
+def sources_of(node: str, layout: Layout) -> dict[str, str]:
+    """Return the C files of a node but for its variables."""
+    tables = tables_of(layout, TABLES)
+    folder = core_folder() / "fmu"
+    sources = {
+        "maplines.h": header(limits_of([layout])),
+        "maplines.c": source(),
+        f"{TABLES}_dbc.h": tables.header,
+        f"{TABLES}_dbc.c": tables.source,
+        "node.h": (folder / f"{node}.h").read_text(encoding="utf-8"),
+    }
+    for name in (*COMMON, *OWN[node]):
+        sources[name] = (folder / name).read_text(encoding="utf-8")
+    for name in HEADERS:
+        sources[name] = (_fmpy() / "c-code" / name).read_text(encoding="utf-8")
+    return sources
+
+
+def _fmpy() -> Path:
+    """Return the folder of fmpy."""
+    found = util.find_spec("fmpy")
+    if found is None or found.origin is None:
+        raise ModuleNotFoundError(
+            "the headers of FMI come from fmpy, which is not installed; install the extra fmi of "
+            'this package: pip install "maplines_can[fmi]"',
+            name="fmpy",
+        )
+    return Path(found.origin).parent
+
+
+def _token(digest: bytes) -> str:
+    """Return an instantiation token in the form of a GUID."""
+    text = digest.hex()
+    return f"{{{text[:8]}-{text[8:12]}-{text[12:16]}-{text[16:20]}-{text[20:32]}}}"
+
+
+def written(fmu: Fmu) -> bytes:
+    """Return an FMU as a zip file."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        for name in sorted(fmu.files, key=lambda name: (name != "modelDescription.xml", name)):
+            info = zipfile.ZipInfo(name, EPOCH)
+            info.compress_type = zipfile.ZIP_DEFLATED
+            info.create_system = 3
+            info.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
+            archive.writestr(info, fmu.files[name], compresslevel=6)
+    return stream.getvalue()

@@ -1,0 +1,152 @@
+"""Variables of the two nodes: what a receiver and a sender take and give."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import IntEnum
+
+from ...values.line import Kind, Slot, Status
+from ...wire.protection.e2e_state import E2EState
+from ...wire.reasons import Reason
+from .variables import ENTRIES, Role, Row, Store
+
+#: Where a receiver evaluates lines, unless its parameters say otherwise [m].
+POSITIONS = (0.0, 20.0, 40.0, 80.0)
+REAL, CHOICE, COUNT, FLAG = Store
+FIXED, TUNABLE, INPUT, OUTPUT = Role
+FOUR = range(1, 5)
+
+
+class ArbitrationLost(IntEnum):
+    """What a bus does with a frame that has lost the arbitration, as FMI-LS-BUS numbers it."""
+
+    BUFFER_AND_RETRANSMIT = 1
+    DISCARD_AND_NOTIFY = 2
+
+
+class E2EStatus(IntEnum):
+    """Result of the E2E check of one record, as AUTOSAR numbers it, and that of none."""
+
+    OK = 0x00
+    NONEWDATA = 0x01
+    ERROR = 0x07
+    REPEATED = 0x08
+    OKSOMELOST = 0x20
+    WRONGSEQUENCE = 0x40
+    NONE = 0xFF
+
+
+class CanState(IntEnum):
+    """State of a CAN controller, as FMI-LS-BUS numbers it."""
+
+    ERROR_ACTIVE = 1
+    ERROR_PASSIVE = 2
+    BUS_OFF = 3
+
+
+def controller_rows(fd_baud_rate: int) -> list[Row]:
+    """Return the variables of the CAN controller that each node has."""
+    return [
+        Row(COUNT, "BAUD_RATE", "CAN.baud_rate", FIXED, "bit rate of the bus", "bit/s", 500_000),
+        Row(COUNT, "FD_BAUD_RATE", "CAN.fd_baud_rate", FIXED,
+            "bit rate of the data of CAN FD frames; 0: the node has classic CAN", "bit/s",
+            fd_baud_rate),
+        Row(CHOICE, "ARBITRATION_LOST", "CAN.arbitration_lost", FIXED,
+            "what a bus simulation does with a frame that has lost the arbitration",
+            start=ArbitrationLost.BUFFER_AND_RETRANSMIT, choices=ArbitrationLost),
+        Row(FLAG, "BUS_NOTIFICATIONS", "CAN.BusNotifications", FIXED,
+            "the bus confirms frames, and tells of errors and of lost arbitrations"),
+        Row(CHOICE, "CAN_STATE", "CAN.state", OUTPUT, "state of the CAN controller",
+            choices=CanState),
+        Row(COUNT, "TRANSMIT_ERRORS", "CAN.transmit_error_counter", OUTPUT,
+            "transmit error counter of CAN"),
+        Row(COUNT, "RECEIVE_ERRORS", "CAN.receive_error_counter", OUTPUT,
+            "receive error counter of CAN"),
+        Row(COUNT, "FRAMES_SENT", "CAN.frames_sent", OUTPUT,
+            "frames given to the bus, with those that were given again"),
+        Row(COUNT, "CONFIRMED", "CAN.confirmed", OUTPUT, "frames that the bus confirmed"),
+        Row(COUNT, "ARBITRATIONS_LOST", "CAN.arbitrations_lost", OUTPUT,
+            "frames that the bus dropped, since they lost the arbitration"),
+        Row(COUNT, "BUS_ERRORS", "CAN.bus_errors", OUTPUT, "errors that the bus told of"),
+        Row(COUNT, "MALFORMED", "CAN.malformed", OUTPUT,
+            "operations that were dropped, since they are malformed"),
+        Row(COUNT, "FORMAT_ERRORS", "CAN.format_errors", OUTPUT,
+            "operations of this node that another participant found malformed"),
+    ]  # fmt: skip
+
+
+def receiver_rows() -> list[Row]:
+    """Return the variables of a receiver, besides those of its controller."""
+    positions = range(1, len(POSITIONS) + 1)
+    rows = [
+        Row(REAL, "CYCLE_TIME", "cycle_time", FIXED,
+            "time between the lines of a slot; 0: that of the DBC", "s"),
+        Row(REAL, "TIMEOUT", "timeout", FIXED,
+            "longest time between the frames of a line; 0: that which follows from cycle_time",
+            "s"),
+        Row(REAL, "X", "x", TUNABLE, "place at which lines are evaluated", "m", POSITIONS,
+            indices=positions),
+        Row(FLAG, "USABLE", ".usable", OUTPUT, "a controller may use the line"),
+        Row(FLAG, "RECEIVED", ".received", OUTPUT, "a line was received, however long ago"),
+        Row(FLAG, "STALE", ".stale", OUTPUT, "nothing newer came for some cycles"),
+        Row(FLAG, "TWO_SENDERS", ".two_senders", OUTPUT, "two nodes send lines of this slot"),
+        Row(CHOICE, "KIND", ".kind", OUTPUT, "kind of marking or boundary", choices=Kind),
+        Row(CHOICE, "STATUS", ".status", OUTPUT, "quality of the covariance", choices=Status),
+        Row(CHOICE, "E2E_STATE", ".e2e_state", OUTPUT, "E2E state of the slot", choices=E2EState),
+        Row(CHOICE, "E2E_STATUS", ".e2e_status", OUTPUT, "result of the last E2E check",
+            choices=E2EStatus),
+        Row(REAL, "AGE", ".age", OUTPUT,
+            "time since the pose of the line; infinite if too old, unknown, or without a line",
+            "s"),
+        Row(REAL, "X_MIN", ".x_min", OUTPUT, "start of the valid range", "m"),
+        Row(REAL, "X_MAX", ".x_max", OUTPUT, "end of the valid range", "m"),
+        Row(REAL, "MEAN", ".mean", OUTPUT, "y_off [m], beta [rad], c0 [1/m], c1 [1/m^2]",
+            indices=FOUR),
+        Row(REAL, "COV", ".cov", OUTPUT,
+            "covariance of the mean, in the units of the mean; variances are infinite without a "
+            "line", indices=ENTRIES),
+        Row(REAL, "Y", ".y", OUTPUT, "lateral position at x of the same index", "m",
+            indices=positions),
+        Row(REAL, "Y_SIGMA", ".y_sigma", OUTPUT,
+            "standard deviation of y; infinite outside the valid range", "m", indices=positions),
+        Row(COUNT, "OK", ".ok", OUTPUT, "records accepted in sequence"),
+        Row(COUNT, "LOST", ".lost", OUTPUT, "records missing between those"),
+        Row(COUNT, "REPEATED", ".repeated", OUTPUT, "records that came again"),
+        Row(COUNT, "WRONG_SEQUENCE", ".wrong_sequence", OUTPUT, "records out of sequence"),
+        Row(COUNT, "ERRORS", ".errors", OUTPUT, "records with a wrong checksum or content"),
+        Row(COUNT, "NO_NEW_DATA", ".no_new_data", OUTPUT, "cycles without a record"),
+        Row(COUNT, "FRAMES", "frames", OUTPUT, "frames received"),
+        Row(COUNT, "LINES", "lines", OUTPUT, "lines delivered"),
+        Row(COUNT, "POSE_ERRORS", "pose_errors", OUTPUT, "pose errors received"),
+        Row(COUNT, "LOST", "lost", OUTPUT, "records of lines that are missing"),
+        Row(COUNT, "PENDING", "pending", OUTPUT, "frames of what is not complete yet"),
+        Row(COUNT, "DROPPED", "dropped", OUTPUT, "frames dropped, by reason",
+            indices=[reason.name for reason in list(Reason)[1:]]),
+    ]  # fmt: skip
+    return rows + scene_rows(positions)
+
+
+def scene_rows(positions: Sequence[int]) -> list[Row]:
+    """Return the variables of a receiver for lines with the error of their pose."""
+    return [
+        Row(CHOICE, "LANE_LEFT", "lane.left", TUNABLE, "line on the left of the lane",
+            start=Slot.EGO_LEFT, choices=Slot),
+        Row(CHOICE, "LANE_RIGHT", "lane.right", TUNABLE, "line on the right of the lane",
+            start=Slot.EGO_RIGHT, choices=Slot),
+        Row(FLAG, "SCENE_USABLE", "scene.usable", OUTPUT, "a controller may use the scene"),
+        Row(CHOICE, "SCENE_E2E_STATE", "scene.e2e_state", OUTPUT, "E2E state of the pose error",
+            choices=E2EState),
+        Row(COUNT, "SCENE_LINES", "scene.lines", OUTPUT, "lines of the scene"),
+        Row(REAL, "SCENE_AGE", "scene.age", OUTPUT,
+            "time since the pose of the scene; infinite if too old or unknown", "s"),
+        Row(REAL, "WIDTH", "lane.width", OUTPUT, "lateral distance of the lines at x", "m",
+            indices=positions),
+        Row(REAL, "WIDTH_SIGMA", "lane.width_sigma", OUTPUT,
+            "standard deviation of the width; infinite outside the valid ranges, and without a "
+            "scene that has both lines", "m", indices=positions),
+        Row(REAL, "CENTRE", "lane.centre", OUTPUT, "middle between the lines at x", "m",
+            indices=positions),
+        Row(REAL, "CENTRE_SIGMA", "lane.centre_sigma", OUTPUT,
+            "standard deviation of the centre; infinite as that of the width", "m",
+            indices=positions),
+    ]  # fmt: skip

@@ -1,0 +1,136 @@
+"""Nodes in FMUs, driven step by step as an importer does, and operations of FMI-LS-BUS in Python."""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from maplines_can.wire import Frame
+
+RX_DATA, TX_DATA, RX_CLOCK, TX_CLOCK = 1, 2, 3, 4
+GETTERS = {"Float64": "getFloat64", "Enumeration": "getInt64", "UInt64": "getUInt64",
+           "Boolean": "getBoolean"}  # fmt: skip
+
+
+class Operation(NamedTuple):
+    """An operation: its code, and the bytes after code and length."""
+
+    code: int
+    arguments: bytes
+
+    def packed(self) -> bytes:
+        return struct.pack("<II", self.code, 8 + len(self.arguments)) + self.arguments
+
+
+def transmission(frame: Frame) -> Operation:
+    """Return the operation that transmits a frame."""
+    if frame.is_fd:
+        head = struct.pack("<IBBBH", frame.can_id, frame.is_extended, 1, 0, len(frame.data))
+        return Operation(0x11, head + frame.data)
+    head = struct.pack("<IBBH", frame.can_id, frame.is_extended, 0, len(frame.data))
+    return Operation(0x10, head + frame.data)
+
+
+def operations_of(value: bytes) -> list[Operation]:
+    """Return the operations of a binary value, which must be well-formed."""
+    found = []
+    while value:
+        code, length = struct.unpack_from("<II", value)
+        assert 8 <= length <= len(value)
+        found.append(Operation(code, value[8:length]))
+        value = value[length:]
+    return found
+
+
+def frames_of(operations: Iterable[Operation]) -> list[Frame]:
+    """Return the frames that some operations transmit."""
+    frames = []
+    for code, arguments in operations:
+        if code == 0x10:
+            can_id, extended, remote, count = struct.unpack_from("<IBBH", arguments)
+            assert remote == 0
+            assert count == len(arguments) - 8
+            frames.append(Frame(can_id, arguments[8:], False, bool(extended)))
+        elif code == 0x11:
+            can_id, extended, _, _, count = struct.unpack_from("<IBBBH", arguments)
+            assert count == len(arguments) - 9
+            frames.append(Frame(can_id, arguments[9:], True, bool(extended)))
+    return frames
+
+
+class Node:
+    """An instance of an FMU in the event mode at a time."""
+
+    def __init__(
+        self, path: Path, folder: Path, start: Mapping[str, Any] | None = None, t: float = 0.0
+    ) -> None:
+        import fmpy
+        from fmpy.fmi3 import FMU3Slave
+
+        self.description = fmpy.read_model_description(str(path))
+        if not folder.exists():
+            fmpy.extract(str(path), str(folder))
+        self.variables = {each.name: each for each in self.description.modelVariables}
+        self.messages: list[tuple[int, str]] = []
+        self.fmu = FMU3Slave(
+            guid=self.description.guid,
+            unzipDirectory=str(folder),
+            modelIdentifier=self.description.coSimulation.modelIdentifier,
+            instanceName="node",
+        )
+        self.fmu.instantiate(
+            eventModeUsed=True,
+            logMessage=lambda _, status, __, text: self.messages.append((status, text.decode())),
+        )
+        self.set(start or {})
+        self.t = t
+        self.fmu.enterInitializationMode(startTime=t)
+        self.fmu.exitInitializationMode()
+        self.fmu.updateDiscreteStates()
+
+    def close(self) -> None:
+        self.fmu.terminate()
+        self.fmu.freeInstance()
+
+    def get(self, name: str) -> Any:
+        """Return a variable, or a list of those whose names begin with ``name[``."""
+        each = self.variables.get(name)
+        if each is not None:
+            return getattr(self.fmu, GETTERS[each.type])([each.valueReference])[0]
+        return [self.get(full) for full in self.variables if full.startswith(f"{name}[")]
+
+    def set(self, values: Mapping[str, Any]) -> None:
+        for name, value in values.items():
+            each = self.variables[name]
+            setter = GETTERS[each.type].replace("get", "set")
+            getattr(self.fmu, setter)([each.valueReference], [value])
+
+    def step(self, t: float) -> bool:
+        """Go to a time in the step mode, and enter the event mode; return whether it is needed."""
+        self.fmu.enterStepMode()
+        needed, *_ = self.fmu.doStep(self.t, t - self.t)
+        self.t = t
+        self.fmu.enterEventMode()
+        return bool(needed)
+
+    def take(self, value: bytes) -> None:
+        """Hand over what comes from the bus."""
+        self.fmu.setBinary([RX_DATA], [value])
+        self.fmu.setClock([RX_CLOCK], [True])
+        self.fmu.updateDiscreteStates()
+
+    def interval(self) -> float | None:
+        """Return the time until the node sends; None if it is unknown."""
+        intervals, qualifiers = (ctypes.c_double * 1)(), (ctypes.c_int * 1)()
+        self.fmu.getIntervalDecimal((ctypes.c_uint * 1)(TX_CLOCK), intervals, qualifiers)
+        return None if qualifiers[0] == 0 else float(intervals[0])
+
+    def send(self) -> bytes:
+        """Let the clock tick by which the node sends; return what it sends."""
+        self.fmu.setClock([TX_CLOCK], [True])
+        value = self.fmu.getBinary([TX_DATA])[0]
+        self.fmu.updateDiscreteStates()
+        return value or b""
