@@ -1,4 +1,4 @@
-"""Nodes in FMUs, driven step by step as an importer does, and operations of FMI-LS-BUS in Python."""
+"""Nodes in FMUs, driven step by step as an importer does, and operations of FMI-LS-BUS."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ static void take_data(maplines_instance_t *instance, const maplines_operation_t 
     }
 }
 
-static void take_confirmation(maplines_instance_t *instance)
+static void take_confirmation(maplines_instance_t *instance, const maplines_operation_t *operation)
 {
     maplines_controller_t *controller = &instance->state.controller;
     count(instance, COUNT_CONFIRMED);
@@ -83,7 +83,7 @@ static void take_confirmation(maplines_instance_t *instance)
     {
         controller->transmit_errors--;
     }
-    maplines_take_notification(instance, true);
+    maplines_take_notification(instance, operation->can_id, true);
 }
 
 static void take_bus_error(maplines_instance_t *instance, const maplines_operation_t *operation)
@@ -93,7 +93,7 @@ static void take_bus_error(maplines_instance_t *instance, const maplines_operati
     if (operation->is_sender)
     {
         controller->transmit_errors += 8;
-        maplines_take_notification(instance, false);
+        maplines_take_notification(instance, operation->can_id, false);
     }
     else
     {
@@ -115,14 +115,14 @@ static void take_operation(maplines_instance_t *instance, const maplines_operati
     case MAPLINES_CONFIRM:
         if (is_notified)
         {
-            take_confirmation(instance);
+            take_confirmation(instance, operation);
         }
         break;
     case MAPLINES_ARBITRATION_LOST:
         if (is_notified)
         {
             count(instance, COUNT_ARBITRATIONS_LOST);
-            maplines_take_notification(instance, false);
+            maplines_take_notification(instance, operation->can_id, false);
         }
         break;
     case MAPLINES_BUS_ERROR:

@@ -116,8 +116,9 @@ void maplines_note_input(maplines_node_t *node, fmi3ValueReference first, size_t
 void maplines_take_inputs(maplines_instance_t *instance);
 /// Take a frame from the bus.
 void maplines_take_frame(maplines_instance_t *instance, const maplines_frame_t *frame);
-/// Take what a bus that notifies says of the last frame: it was acknowledged, or was not sent.
-void maplines_take_notification(maplines_instance_t *instance, bool is_acknowledged);
+/// Take what a bus that notifies says of a frame of this ID: it was acknowledged, or was not sent.
+void maplines_take_notification(maplines_instance_t *instance, uint32_t can_id,
+                                bool is_acknowledged);
 /// Send what is due now.
 void maplines_send_due(maplines_instance_t *instance);
 /// Time when the node sends next [s]; infinite if there is none.

@@ -56,9 +56,11 @@ void maplines_take_frame(maplines_instance_t *instance, const maplines_frame_t *
     (void)maplines_feed(&instance->state.node.decoder, frame, nanoseconds(instance->state.now));
 }
 
-void maplines_take_notification(maplines_instance_t *instance, bool is_acknowledged)
+void maplines_take_notification(maplines_instance_t *instance, uint32_t can_id,
+                                bool is_acknowledged)
 {
     (void)instance; // a receiver sends no frames
+    (void)can_id;
     (void)is_acknowledged;
 }
 

@@ -20,6 +20,7 @@ the layered standard FMI-LS-BUS 1.0 for CAN, on the level of frames ("low cut").
   receiver   takes frames; gives the mean and the covariance of the line of each slot, its lateral
              position and standard deviation at some x, age and E2E state, and the lane with width
              and centre
+  sender     takes lines with their covariances; gives frames at their deadlines, as "maplines send"
 
 The archive has the sources in C, what builds them, and a binary for each platform that a compiler
 is here for: that of this machine, and Windows with MinGW (x86_64-w64-mingw32-gcc). docs/fmu.md
@@ -30,10 +31,11 @@ The headers of FMI come from fmpy: pip install "maplines_can[fmi]".
 EXAMPLES = """\
 examples:
   maplines generate fmu receiver
+  maplines generate fmu sender
   maplines generate fmu receiver --dbc maplines-pose.dbc --out lane.fmu --force
   fmpy validate maplines_receiver.fmu
 """
-NODES = ("receiver",)
+NODES = ("receiver", "sender")
 
 
 def add_fmu(subparsers: Any) -> argparse.ArgumentParser:

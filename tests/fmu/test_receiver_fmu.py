@@ -15,7 +15,7 @@ from maplines_can.wire import Decoder, Reason
 
 pytest.importorskip("fmpy", reason="the headers of FMI and the importer come from fmpy")
 
-from maplines_can.cli import main  # noqa: E402
+from maplines_can.cli import main
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ from importlib import util
 from pathlib import Path, PurePath
 from typing import NamedTuple
 
+from ...values.errors import LayoutError
 from ...wire.c_tables import limits_of
 from ...wire.layout.message_layout import Layout
 from ..c_files import core_folder, header, source
@@ -21,12 +22,12 @@ from ..tables import tables_of
 from . import variables as code
 from .compilers import binaries
 from .description import BUS, build_description, manifest, model_description, terminals
-from .nodes import POSITIONS, controller_rows, receiver_rows
+from .nodes import POSITIONS, controller_rows, receiver_rows, sender_rows
 from .variables import Row, Variable, variables_of
 
 #: C files of each node, besides the core and the tables of the DBC.
 COMMON = ("fmu.h", "bus.h", "bus.c", "fmi3.c", "access.c", "unsupported.c", "controller.c")
-OWN = {"receiver": ("receiver.c",), "sender": ("sender.c",)}
+OWN = {"receiver": ("receiver.c",), "sender": ("sender.c", "tx_queue.h", "tx_queue.c")}
 #: Headers of FMI 3.0, which fmpy has.
 HEADERS = ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h")
 #: Time of the files in the archive: the first that zip has.
@@ -55,6 +56,7 @@ def fmu_of(node: str, layout: Layout) -> Fmu:
         LayoutError: the DBC has no C; the message has the cure.
         ModuleNotFoundError: fmpy is not installed, from which the headers of FMI are.
     """
+    check(node, layout)
     identifier = f"maplines_{node}"
     variables = described(variables_of(rows_of(node, layout)), layout)
     sources = sources_of(node, layout)
@@ -80,6 +82,24 @@ def fmu_of(node: str, layout: Layout) -> Fmu:
     return Fmu(identifier, files, variables, [name.partition("/")[0] for name in built])
 
 
+def check(node: str, layout: Layout) -> None:
+    """Check that the messages of a DBC are for a node without keys, which gives or takes lines.
+
+    Raises:
+        LayoutError: they are not.
+    """
+    if not any(own.can_id or own.fd_can_id for own in layout.messages.values()):
+        raise LayoutError(
+            f"{layout.source}: all messages are authenticated, and an FMU has no keys; use a DBC "
+            "with messages that are not, such as maplines.dbc"
+        )
+    if node == "sender" and layout.is_conditional:
+        raise LayoutError(
+            f"{layout.source}: its records are conditional on the pose error, and this sender "
+            "takes lines one by one; use a DBC with complete records, such as maplines.dbc"
+        )
+
+
 ABOUT = {
     "receiver": "Lines of a digital map with their uncertainty, received from a CAN bus",
     "sender": "Lines of a digital map with their uncertainty, sent on a CAN bus",
@@ -89,7 +109,7 @@ ABOUT = {
 def rows_of(node: str, layout: Layout) -> list[Row]:
     """Return the variables of a node."""
     has_fd = any(messages.fd_can_id is not None for messages in layout.messages_of.values())
-    own = {"receiver": receiver_rows}[node]()
+    own = receiver_rows() if node == "receiver" else sender_rows(layout)
     return [*controller_rows(2_000_000 if has_fd else 0), *own]
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from enum import IntEnum
 
 from ...values.line import Kind, Slot, Status
+from ...wire.layout.message_layout import Layout
 from ...wire.protection.e2e_state import E2EState
 from ...wire.reasons import Reason
 from .variables import ENTRIES, Role, Row, Store
@@ -34,6 +35,22 @@ class E2EStatus(IntEnum):
     OKSOMELOST = 0x20
     WRONGSEQUENCE = 0x40
     NONE = 0xFF
+
+
+class Refusal(IntEnum):
+    """Why a line is not sent, as maplines.h numbers it."""
+
+    SENT = 0
+    NO_MESSAGE = 1
+    NO_COVARIANCE = 2
+    BAD_MEAN = 3
+    BAD_COVARIANCE = 4
+    BAD_VARIANCE = 5
+    ASYMMETRIC = 6
+    BAD_RANGE = 7
+    BAD_AGE = 8
+    BAD_KIND = 9
+    BAD_STATUS = 10
 
 
 class CanState(IntEnum):
@@ -124,6 +141,42 @@ def receiver_rows() -> list[Row]:
             indices=[reason.name for reason in list(Reason)[1:]]),
     ]  # fmt: skip
     return rows + scene_rows(positions)
+
+
+def sender_rows(layout: Layout) -> list[Row]:
+    """Return the variables of a sender, besides those of its controller."""
+    messages = list(layout.messages.values())
+    cycles_ms = [own.cycle_ms for own in messages if own.cycle_ms > 0]
+    has_classic = any(own.can_id is not None for own in messages)
+    return [
+        Row(REAL, "CYCLE_TIME", "cycle_time", FIXED, "time between two lines of a slot", "s",
+            min(cycles_ms, default=50) * 1e-3),
+        Row(REAL, "MAX_AGE", "max_age", FIXED,
+            "greatest age that is stated; beyond it, a line is sent as too old", "s",
+            layout.max_age),
+        Row(FLAG, "FD", "fd", FIXED, "send CAN FD frames", start=not has_classic),
+        Row(FLAG, "VALID", ".valid", INPUT, "there is a line, which is sent"),
+        Row(CHOICE, "KIND", ".kind", INPUT, "kind of marking or boundary", choices=Kind),
+        Row(CHOICE, "STATUS", ".status", INPUT,
+            "FULL; DIAGONAL to send the variances only, UNKNOWN the mean only; or that of a "
+            "received line", start=Status.FULL, choices=Status),
+        Row(REAL, "X_MIN", ".x_min", INPUT, "start of the valid range", "m"),
+        Row(REAL, "X_MAX", ".x_max", INPUT, "end of the valid range", "m"),
+        Row(REAL, "AGE", ".age", INPUT, "time since the pose of the line, now", "s"),
+        Row(REAL, "MEAN", ".mean", INPUT, "y_off [m], beta [rad], c0 [1/m], c1 [1/m^2]",
+            indices=FOUR),
+        Row(REAL, "COV", ".cov", INPUT, "covariance of the mean, in the units of the mean",
+            indices=ENTRIES),
+        Row(COUNT, "LINES", "lines", OUTPUT, "lines sent with all their frames"),
+        Row(COUNT, "EXPIRED", "expired", OUTPUT, "lines sent as too old"),
+        Row(COUNT, "OVERRUNS", "overruns", OUTPUT, "deadlines missed by a period or more"),
+        Row(COUNT, "GIVEN_UP", "given_up", OUTPUT,
+            "lines of which frames were not sent: the bus did not confirm them for a period, or "
+            "is off"),
+        Row(COUNT, "REFUSED", "refused", OUTPUT, "lines that cannot be sent"),
+        Row(CHOICE, "REFUSAL", "refusal", OUTPUT, "why the last of those cannot be sent",
+            choices=Refusal),
+    ]  # fmt: skip
 
 
 def scene_rows(positions: Sequence[int]) -> list[Row]:
