@@ -36,6 +36,9 @@ from typing import Any
 
 from reporting import parser_of
 
+from maplines_can.generation.fmu.archive import sources_of as fmu_sources
+from maplines_can.wire.layout.message_layout import Layout
+
 ROOT = Path(__file__).resolve().parents[1]
 C = ROOT / "c"
 INCLUDE = [f"-I{C / name}" for name in ("include", "src", "propagation")]
@@ -121,6 +124,45 @@ def _header_as_cpp() -> Iterator[str]:
                 [compiler, "-std=c++17", *flags, *INCLUDE, str(source), "-fsyntax-only"]
             )
             yield from (f"{compiler}: {line}" for line in lines if status and line)
+
+
+def check_fmu() -> Findings:
+    """Gcc, clang, cppcheck and clang-tidy find nothing in the nodes of FMUs."""
+    return [finding for node in ("receiver", "sender") for finding in _findings_of_node(node)]
+
+
+def _findings_of_node(node: str) -> Iterator[str]:
+    """Yield what compilers and analysers say of a node with the tables of maplines.dbc."""
+    sources, _ = fmu_sources(node, Layout.from_dbc())
+    with tempfile.TemporaryDirectory() as folder:
+        headers = Path(folder) / "fmi"
+        headers.mkdir()
+        for name, text in sources.items():
+            ((headers if name.startswith("fmi3") and name.endswith(".h") else Path(folder)) /
+             name).write_text(text)  # fmt: skip
+        own = [f"{folder}/{path.name}" for path in sorted((C / "fmu").glob("*.c"))
+               if path.name in sources]  # fmt: skip
+        flags = ["-std=c99", f"-isystem{headers}", f"-I{folder}"]
+        for compiler in filter(shutil.which, ("gcc", "clang")):
+            for path in [*own, f"{folder}/variables.c"]:
+                command = [compiler, *flags, "-O2", *WARNINGS, "-c", path, "-o", "/dev/null"]
+                status, lines = run(command)
+                yield from (f"{compiler}: {line}" for line in lines if status)
+        if shutil.which("cppcheck"):
+            suppressed = (
+                "missingInclude",
+                "missingIncludeSystem",
+                "unusedFunction",
+                "unmatchedSuppression",
+            )
+            command = ["cppcheck", "--quiet", "--enable=all", "--inconclusive", "--std=c99",
+                       "--template={file}:{line}: {severity}: {message} [{id}]",
+                       *(f"--suppress={name}" for name in suppressed), *own]  # fmt: skip
+            yield from (line for line in run(command)[1] if FINDING.search(line))
+        if shutil.which("clang-tidy"):
+            config = f"--config-file={C / '.clang-tidy'}"
+            command = ["clang-tidy", config, "--quiet", *own, "--", *flags]
+            yield from (line for line in run(command)[1] if FINDING.search(line))
 
 
 def check_analyzer() -> Findings:
@@ -306,6 +348,7 @@ def check_coverage() -> Findings:
 QUICK: dict[str, tuple[Callable[[], Findings], tuple[str, ...]]] = {
     "format": (check_format, ("clang-format",)),
     "compile": (check_compile, ("gcc",)),
+    "fmu": (check_fmu, ("gcc",)),
     "cppcheck": (check_cppcheck, ("cppcheck",)),
     "misra": (check_misra, ("cppcheck",)),
     "analyzer": (check_analyzer, ("gcc",)),

@@ -7,6 +7,7 @@
 #ifdef __GNUC__
 #pragma GCC diagnostic ignored "-Wunused-parameter" // here, all of them but the instance
 #endif
+// NOLINTBEGIN(misc-unused-parameters, readability-non-const-parameter): the types are those of FMI
 
 /// Log that a function is not supported.
 static fmi3Status refuse(fmi3Instance instance, const char *function)
@@ -214,3 +215,4 @@ fmi3Status fmi3ActivateModelPartition(fmi3Instance instance, fmi3ValueReference 
 {
     return refuse(instance, "fmi3ActivateModelPartition");
 }
+// NOLINTEND(misc-unused-parameters, readability-non-const-parameter)

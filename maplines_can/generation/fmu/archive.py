@@ -14,7 +14,7 @@ from importlib import util
 from pathlib import Path, PurePath
 from typing import NamedTuple
 
-from ...values.errors import LayoutError
+from ...values.errors import LayoutError, missing_extra
 from ...wire.c_tables import limits_of
 from ...wire.layout.message_layout import Layout
 from ..c_files import core_folder, header, source
@@ -54,19 +54,13 @@ def fmu_of(node: str, layout: Layout) -> Fmu:
 
     Raises:
         LayoutError: the DBC has no C; the message has the cure.
-        ModuleNotFoundError: fmpy is not installed, from which the headers of FMI are.
+        MissingExtraError: fmpy is not installed.
+        OSError: a compiler fails.
     """
     check(node, layout)
     identifier = f"maplines_{node}"
     variables = described(variables_of(rows_of(node, layout)), layout)
-    sources = sources_of(node, layout)
-    digest = hashlib.sha256()
-    for name, text in sorted(sources.items()):
-        digest.update(f"{name}\n{text}\n".encode())
-    token = _token(digest.digest())
-    everything = variables_of(rows_of(node, layout))
-    sources["variables.h"] = code.header(everything, len(POSITIONS), token, TABLES)
-    sources["variables.c"] = code.source(everything, token)
+    sources, token = sources_of(node, layout)
     version = re.findall(r'#define MAPLINES_VERSION "(.+)"', sources["maplines.h"])[0]
     about = f"{ABOUT[node]}, by the messages of {PurePath(layout.source).name}"
     compiled = sorted(name for name in sources if name.endswith(".c"))
@@ -123,8 +117,11 @@ def described(variables: Sequence[Variable], layout: Layout) -> list[Variable]:
     ]
 
 
-def sources_of(node: str, layout: Layout) -> dict[str, str]:
-    """Return the C files of a node but for its variables."""
+def sources_of(node: str, layout: Layout) -> tuple[dict[str, str], str]:
+    """Return the C files of a node with the headers of FMI, and the instantiation token.
+
+    The token is a hash of what the files contain.
+    """
     tables = tables_of(layout, TABLES)
     folder = core_folder() / "fmu"
     sources = {
@@ -138,18 +135,21 @@ def sources_of(node: str, layout: Layout) -> dict[str, str]:
         sources[name] = (folder / name).read_text(encoding="utf-8")
     for name in HEADERS:
         sources[name] = (_fmpy() / "c-code" / name).read_text(encoding="utf-8")
-    return sources
+    listed = variables_of(rows_of(node, layout))
+    digest = hashlib.sha256(code.source(listed, "").encode())
+    for name, text in sorted(sources.items()):
+        digest.update(f"{name}\n{text}\n".encode())
+    token = _token(digest.digest())
+    sources["variables.h"] = code.header(listed, len(POSITIONS), token, TABLES)
+    sources["variables.c"] = code.source(listed, token)
+    return sources, token
 
 
 def _fmpy() -> Path:
     """Return the folder of fmpy."""
     found = util.find_spec("fmpy")
     if found is None or found.origin is None:
-        raise ModuleNotFoundError(
-            "the headers of FMI come from fmpy, which is not installed; install the extra fmi of "
-            'this package: pip install "maplines_can[fmi]"',
-            name="fmpy",
-        )
+        raise missing_extra("the headers of FMI come from fmpy", "fmi")
     return Path(found.origin).parent
 
 

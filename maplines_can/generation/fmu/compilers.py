@@ -28,7 +28,7 @@ def binaries(
     """Return the shared libraries that the compilers of this machine make, by platform and name.
 
     Raises:
-        RuntimeError: a compiler fails; the message has what it says.
+        OSError: a compiler fails; the message has what it says.
     """
     found: dict[str, bytes] = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -40,9 +40,8 @@ def binaries(
             if compiler is None or platform is None:
                 continue
             ending = ENDINGS[platform.partition("-")[2]]
-            found[f"{platform}/{identifier}{ending}"] = _compiled(
-                compiler, platform, folder, compiled
-            )
+            name = f"{platform}/{identifier}{ending}"
+            found[name] = _compiled(compiler, name, folder, compiled)
     return found
 
 
@@ -59,10 +58,12 @@ def platform_of(compiler: str) -> str | None:
     return None
 
 
-def _compiled(compiler: str, platform: str, folder: str, sources: Iterable[str]) -> bytes:
+def _compiled(compiler: str, name: str, folder: str, sources: Iterable[str]) -> bytes:
+    """Return a shared library of this name, by platform and file."""
+    platform, _, file = name.partition("/")
     more = MORE[platform.partition("-")[2]]
-    _run([compiler, *OPTIONS, *more, *sources, "-lm", "-o", "library"], folder)
-    return (Path(folder) / "library").read_bytes()
+    _run([compiler, *OPTIONS, *more, *sources, "-lm", "-o", file], folder)
+    return (Path(folder) / file).read_bytes()
 
 
 def _run(command: list[str], folder: str | None = None) -> str:
@@ -76,5 +77,5 @@ def _run(command: list[str], folder: str | None = None) -> str:
         env=os.environ | {"LC_ALL": "C"},
     )
     if done.returncode:
-        raise RuntimeError(f"{command[0]} fails: {done.stderr[-500:]}")
+        raise OSError(f"{command[0]} fails: {done.stderr[-500:]}")
     return done.stdout

@@ -1,0 +1,150 @@
+"""The archive of an FMU: descriptions, sources, binaries; it builds from its own sources."""
+
+import re
+import shutil
+import subprocess
+import zipfile
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+
+import pytest
+from fmu_nodes import Node
+from scene_layouts import layout_of
+
+from maplines_can import LayoutError
+from maplines_can.cli import main
+from maplines_can.generation.fmu import archive
+from maplines_can.generation.fmu.description import BUS
+
+fmpy = pytest.importorskip("fmpy", reason="the headers of FMI and the importer come from fmpy")
+LS_BUS = Path(__file__).parents[3] / "shared" / "fmi" / "ls-bus"
+NODES = [
+    ("receiver", "maplines.dbc"),
+    ("receiver", "maplines-pose.dbc"),
+    ("sender", "maplines.dbc"),
+]
+
+
+@pytest.fixture(scope="module", params=NODES, ids="-".join)
+def fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    node, dbc = request.param
+    path = tmp_path_factory.mktemp("fmu") / f"{node}.fmu"
+    assert main(["generate", "fmu", node, "--dbc", dbc, "--out", str(path)]) == 0
+    return path
+
+
+def content(path: Path, name: str) -> str:
+    with zipfile.ZipFile(path) as opened:
+        return opened.read(name).decode()
+
+
+def test_fmpy_finds_no_problems(fmu: Path) -> None:
+    from fmpy.validation import validate_fmu
+
+    assert validate_fmu(str(fmu)) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "schema"),
+    [
+        ("modelDescription.xml", "fmi3ModelDescription.xsd"),
+        ("terminalsAndIcons/terminalsAndIcons.xml", "fmi3TerminalsAndIcons.xsd"),
+        ("sources/buildDescription.xml", "fmi3BuildDescription.xsd"),
+    ],
+)
+def test_descriptions_have_the_form_of_the_schemas(fmu: Path, name: str, schema: str) -> None:
+    etree = pytest.importorskip("lxml.etree")
+    path = resources.files("fmpy") / "schema" / "fmi3" / schema
+    etree.XMLSchema(file=str(path)).assertValid(etree.fromstring(content(fmu, name).encode()))
+
+
+def test_the_manifest_is_that_of_the_standard(fmu: Path) -> None:
+    """As its schema fixes the attributes, which imports one from the web."""
+    text = content(fmu, "extra/org.fmi-standard.fmi-ls-bus/fmi-ls-manifest.xml")
+    assert 'fmi-ls:fmi-ls-name="org.fmi-standard.fmi-ls-bus"' in text
+    assert 'fmi-ls:fmi-ls-version="1.0.0"' in text
+    assert 'isBusSimulationFMU="false"' in text
+    schema = LS_BUS / "schema" / "fmi3LayeredStandardBusManifest.xsd"
+    if schema.exists():
+        assert BUS in schema.read_text()
+        assert 'fixed="Layered Standard for the simulation of bus' in schema.read_text()
+
+
+def test_the_same_dbc_gives_the_same_bytes(fmu: Path, tmp_path: Path) -> None:
+    again = tmp_path / "again.fmu"
+    with zipfile.ZipFile(fmu) as opened:
+        assert opened.namelist()[0] == "modelDescription.xml"
+    dbc = fmpy.read_model_description(str(fmu)).description.split()[-1]
+    assert main(["generate", "fmu", fmu.stem, "--dbc", dbc, "--out", str(again)]) == 0
+    assert again.read_bytes() == fmu.read_bytes()
+
+
+def test_it_builds_from_its_sources(fmu: Path, tmp_path: Path) -> None:
+    """With the files and definitions of its build description, and nothing else."""
+    fmpy.extract(str(fmu), str(tmp_path / "fmu"))
+    shutil.rmtree(tmp_path / "fmu" / "binaries")
+    build = fmpy.read_model_description(str(fmu)).buildConfigurations[0]
+    files = build.sourceFileSets[0]
+    folder = tmp_path / "fmu" / "sources"
+    assert sorted(files.sourceFiles) == sorted(path.name for path in folder.glob("*.c"))
+    library = tmp_path / "fmu" / "binaries" / fmpy.platform_tuple
+    library.mkdir(parents=True)
+    flags = [f"-D{each.name}={each.value}" for each in files.preprocessorDefinitions]
+    out = str(library / f"{build.modelIdentifier}.so")
+    command = ["cc", "-std=c99", "-fPIC", "-shared", *flags, *files.sourceFiles, "-lm", "-o", out]
+    subprocess.run(command, check=True, cwd=folder)
+    node = Node(fmu, tmp_path / "fmu")
+    assert node.get("CAN.state") == 1
+    node.close()
+
+
+def test_a_library_exports_the_functions_of_fmi_only(fmu: Path, tmp_path: Path) -> None:
+    fmpy.extract(str(fmu), str(tmp_path))
+    library = next(tmp_path.glob("binaries/*-linux/*.so"))
+    printed = subprocess.run(
+        ["nm", "-D", "--defined-only", str(library)], capture_output=True, text=True, check=True
+    ).stdout
+    names = {row.split()[-1] for row in printed.splitlines()}
+    header = content(fmu, "sources/fmi3Functions.h")
+    assert names == set(re.findall(r"^#define (fmi3\w+) +fmi3FullName", header, re.MULTILINE))
+
+
+@pytest.mark.skipif(shutil.which("x86_64-w64-mingw32-gcc") is None, reason="there is no MinGW")
+def test_a_library_for_windows_is_inside(fmu: Path) -> None:
+    with zipfile.ZipFile(fmu) as opened:
+        name = next(each for each in opened.namelist() if each.endswith(".dll"))
+        assert name == f"binaries/x86_64-windows/maplines_{fmu.stem}.dll"
+        assert opened.read(name)[:2] == b"MZ"
+
+
+def test_without_compilers_there_are_the_sources(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    path = tmp_path / "new" / "receiver.fmu"
+    assert main(["generate", "fmu", "receiver", "--out", str(path)]) == 0
+    assert "no C compiler" in capsys.readouterr().out
+    with zipfile.ZipFile(path) as opened:
+        assert not any(name.startswith("binaries/") for name in opened.namelist())
+    assert main(["generate", "fmu", "receiver", "--out", str(path)]) != 0  # it exists
+
+
+def test_without_fmpy_the_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("maplines_can.generation.fmu.archive.util.find_spec", lambda _: None)
+    assert main(["generate", "fmu", "receiver", "--out", str(tmp_path / "r.fmu")]) != 0
+    assert 'pip install ".[fmi]"' in capsys.readouterr().err
+
+
+def test_a_dbc_that_a_node_cannot_have_is_refused() -> None:
+    """A sender of lines takes complete records; without keys, a message must have no MAC."""
+    with pytest.raises(LayoutError, match="conditional"):
+        archive.fmu_of("sender", layout_of("maplines-pose.dbc"))
+    layout = layout_of("maplines-secoc.dbc")
+    secured = {
+        slot: replace(own, can_id=None, fd_can_id=None) for slot, own in layout.messages.items()
+    }
+    with pytest.raises(LayoutError, match="authenticated"):
+        archive.fmu_of("receiver", replace(layout, messages=secured, pose=None))
