@@ -12,8 +12,9 @@ from maplines_can.cli import _parser, main
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("dbc/*.md")])
-#: A block of Python, and the block of text right after it, if there is one: its output.
-EXAMPLE = re.compile(r"(?ms)^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```\n)?")
+#: A block of Python, and the block of text right after it, if there is one: its output. What a page
+#: names as a file has a test of its own.
+EXAMPLE = re.compile(r"(?ms)(?<!` is:\n\n)^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```\n)?")
 WITH_PYTHON = [page for page in PAGES if EXAMPLE.search(page.read_text(encoding="utf-8"))]
 #: A block of commands, and a command in it up to the end of its line, a pipe, or what follows it.
 SHELL = re.compile(r"(?ms)^```sh\n(.*?)^```\n")
