@@ -18,7 +18,7 @@ ROOMS = (
     "values", "propagation",
     "wire.layout", "wire.covariance", "wire.protection", "wire.records", "wire.reception", "wire",
     "generation",
-    "bus",
+    "bus", "cosimulation",
     "maps", "maps.formats", "localisation", "consumers", "simulation", "cli",
 )  # fmt: skip
 #: Modules that stand lower than their folder.
@@ -33,6 +33,7 @@ LAZY = {
     ("cli.options", "study.dbc.record_spec"),
     ("cli.map_info", "study.figures.map_picture"),
     ("simulation.transmission", "testing"),
+    ("cosimulation.links", "testing"), ("cosimulation.runner", "testing"),
 }  # fmt: skip
 #: Packages that may import a big dependency.
 DOORS = {
@@ -44,6 +45,7 @@ DOORS = {
     "bokeh": {"study"},
     "distributed": {"study"},
     "pyarrow": {"simulation", "study"},
+    "fmpy": {"cosimulation"},
     "small_gicp": {"localisation"},
 }
 

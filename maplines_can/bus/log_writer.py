@@ -48,9 +48,9 @@ class LogWriter:
         if isinstance(self._writer, can.ASCWriter):
             self._writer.log_event("Start of drive", start)  # else the first frame is at 0
 
-    def write(self, frame: Frame, t: float) -> None:
-        """Write a frame sent at a time [s]."""
-        self._writer.on_message_received(message_of(frame, t))
+    def write(self, frame: Frame, t: float, **flags: bool) -> None:
+        """Write a frame sent at a time [s]; with other flags of ``can.Message``, such as remote."""
+        self._writer.on_message_received(message_of(frame, t, **flags))
         self.frames += 1
 
     def close(self) -> None:
@@ -81,15 +81,15 @@ def check_log_path(path: Path) -> None:
         raise missing_extra(f"{path}: writing .mf4 needs asammdf", "mf4")
 
 
-def message_of(frame: Frame, t: float = 0.0) -> can.Message:
-    """Return a frame as a message of python-can, with its time stamp [s]."""
+def message_of(frame: Frame, t: float = 0.0, **flags: bool) -> can.Message:
+    """Return a frame as a message of python-can, with its time stamp [s] and other flags of it."""
     return can.Message(
         timestamp=t,
         arbitration_id=frame.can_id,
         is_extended_id=frame.is_extended,
         is_rx=False,
         is_fd=frame.is_fd,
-        bitrate_switch=frame.is_fd,
         data=frame.data,
         check=False,
+        **{"bitrate_switch": frame.is_fd, **flags},
     )

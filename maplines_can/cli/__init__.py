@@ -35,6 +35,7 @@ COMMANDS = {
     "consume": ("consume", "use received lines as a car does: fuse, steer, check"),
     "scenarios": ("scenarios", "list the scenarios that can be sent"),
     "generate": ("generate", "generate C for an ECU from a DBC, and vectors for its test"),
+    "fmu": ("fmu", "run FMUs on a simulated CAN bus, and check them"),
     "design": ("design", "design a DBC for a number of frames or a limit on the error"),
     "accuracy": ("accuracy", "compare the received lines of a drive with the truth"),
     "claims": ("claims", "compare each representation of a line with Monte Carlo samples"),
@@ -68,6 +69,9 @@ OPTIONS = {
     "window must": "--window must",
     "; use map_scene and encode_scene": "; use maplines demo, send, receive, decode or drive",
     "leave out the projection": "leave out --projection",
+    "ignore_findings=True": "--ignore-findings",
+    "leave out the bit rate": "leave out --bitrate",
+    "step must": "--step must",
     "projection must": "--projection must",
 }
 

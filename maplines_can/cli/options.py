@@ -85,16 +85,19 @@ def fault_opener(arguments: argparse.Namespace) -> FaultyOpener | None:
     return FaultyOpener(arguments.faults)
 
 
-def fault_injector(arguments: argparse.Namespace) -> FaultInjector[Frame] | None:
+def fault_injector(
+    arguments: argparse.Namespace, make_frame: Callable[[int, bytes, bool, bool], Any] = Frame
+) -> FaultInjector[Any] | None:
     """Return the injector of ``--faults`` into frames that no bus carries; None without faults.
 
-    It gives the same faults as a bus into which the frames are sent.
+    It gives the same faults as a bus into which the frames are sent. ``make_frame`` makes the
+    frames of a flood.
     """
     if arguments.faults is None or arguments.faults.direction == "receive":
         return None
     from ..testing import FaultInjector
 
-    return FaultInjector(arguments.faults, stream="send")
+    return FaultInjector(arguments.faults, stream="send", make_frame=make_frame)
 
 
 def fault_counts(opener: FaultyOpener | None) -> dict[str, int]:

@@ -49,6 +49,10 @@ class RouteError(MaplinesError, ValueError):
     """A map has no route between two lanes, or no such lane."""
 
 
+class FmuError(MaplinesError, ValueError):
+    """An FMU cannot be read, is no node of a CAN bus, or fails while it runs."""
+
+
 class StudyError(MaplinesError, ValueError):
     """A study cannot run with the given file, output directory or workers."""
 
