@@ -248,7 +248,11 @@ def _result(simulation: CoSimulation) -> dict[str, Any]:
         },
         "frames": link.frames,
         "problems": dict(link.problems),
-        "warnings": {name: node.warnings for name, node in simulation.nodes.items()},
+        "warnings": {
+            name: {"count": node.warnings, "last": node.last_message}
+            for name, node in simulation.nodes.items()
+            if node.warnings
+        },
         "ended_by": simulation.ended_by,
     }
     if isinstance(link, BusLink) and link.bus.busy_ns and simulation.now_ns:
@@ -272,5 +276,6 @@ def _text(result: Mapping[str, Any]) -> str:
     if result["faults"]:
         rows.append(f"faults: {faults_text(result['faults'])}")
     rows += [f"problem: {what} ({count} times)" for what, count in result["problems"].items()]
-    rows += [f"{name}: {count} warnings" for name, count in result["warnings"].items() if count]
+    for name, one in result["warnings"].items():
+        rows.append(f"{name}: {one['count']} warnings, the last one: {one['last']}")
     return "\n".join(rows)

@@ -11,7 +11,7 @@ import shutil
 import tempfile
 import zipfile
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from ctypes import c_double, c_int, c_uint, c_uint64
 from dataclasses import dataclass
 from fractions import Fraction
@@ -138,6 +138,11 @@ class Node:
         self.channels = [Channel(self, terminal) for terminal in description.bus_terminals]
         self.has_variable_step = description.is_true("canHandleVariableCommunicationStepSize")
 
+    @property
+    def last_message(self) -> str:
+        """What the FMU said last of a warning or an error; empty if it said nothing."""
+        return self._messages[-1] if self._messages else ""
+
     # ---- variables -----------------------------------------------------------------
 
     def variable(self, name: str) -> Variable:
@@ -167,6 +172,20 @@ class Node:
         variable = self.variable(name)
         kind = "Int64" if variable.type == "Enumeration" else variable.type
         return list(self._call(f"get{kind}", [variable.reference], size))
+
+    def get_all(self, names: Sequence[str], sizes: Sequence[int]) -> list[Value]:
+        """Return the elements of variables, one after the other; one call for each type."""
+        by_type: dict[str, list[int]] = {}
+        for index, name in enumerate(names):
+            by_type.setdefault(self.variable(name).type, []).append(index)
+        found: list[list[Value]] = [[]] * len(names)
+        for kind, indices in by_type.items():
+            references = [self.variables[names[index]].reference for index in indices]
+            get = "getInt64" if kind == "Enumeration" else f"get{kind}"
+            values = iter(self._call(get, references, sum(sizes[index] for index in indices)))
+            for index in indices:
+                found[index] = [next(values) for _ in range(sizes[index])]
+        return [value for elements in found for value in elements]
 
     def set_values(self, name: str, values: Iterable[Value]) -> None:
         """Set the elements of a variable."""

@@ -75,18 +75,19 @@ class OutputWriter:
         self._file = Path(path).open("w", encoding="utf-8", newline="")  # noqa: SIM115 - see close
         self._writer = csv.writer(self._file, lineterminator="\n")
         self._simulation = simulation
-        self._outputs = [
-            (node, name, node.size(variable))
-            for node in simulation.nodes.values()
-            for name, variable in node.variables.items()
-            if variable.causality == "output" and variable.type in PLAIN_TYPES
-        ]
-        self._writer.writerow([TIME, *(c for output in self._outputs for c in _columns(*output))])
+        self._outputs = [(node, *_outputs(node)) for node in simulation.nodes.values()]
+        columns = (
+            column
+            for node, names, sizes in self._outputs
+            for name, size in zip(names, sizes, strict=True)
+            for column in _columns(node, name, size)
+        )
+        self._writer.writerow([TIME, *columns])
 
     def write(self) -> None:
         """Write the outputs at the present time."""
         values = (
-            value for node, name, size in self._outputs for value in node.get_values(name, size)
+            value for node, names, sizes in self._outputs for value in node.get_all(names, sizes)
         )
         self._writer.writerow([self._simulation.now, *values])
 
@@ -99,6 +100,16 @@ class OutputWriter:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
+
+
+def _outputs(node: Node) -> tuple[list[str], list[int]]:
+    """Return the names and the sizes of the plain outputs of a node."""
+    found = [
+        name
+        for name, variable in node.variables.items()
+        if variable.causality == "output" and variable.type in PLAIN_TYPES
+    ]
+    return found, [node.size(node.variables[name]) for name in found]
 
 
 def _columns(node: Node, name: str, size: int) -> list[str]:

@@ -216,20 +216,28 @@ static void* place_of(Node* node, uint32_t reference)
     }
 }
 
+static size_t size_of(uint32_t reference)
+{
+    return reference == LAST || reference == STORE ? 2 : 1;
+}
+
 #define ACCESS(Type, ctype)                                                                        \
     int fmi3Get##Type(Node* node, const uint32_t* refs, size_t n, ctype* values, size_t m)         \
     {                                                                                              \
-        void* place = place_of(node, refs[0]);                                                     \
-        if (n != 1 || place == NULL) {                                                             \
-            return ERROR;                                                                          \
+        size_t at = 0;                                                                             \
+        for (size_t i = 0; i < n; at += size_of(refs[i++])) {                                      \
+            void* place = place_of(node, refs[i]);                                                 \
+            if (place == NULL || at + size_of(refs[i]) > m) {                                      \
+                return ERROR;                                                                      \
+            }                                                                                      \
+            memcpy(values + at, place, size_of(refs[i]) * sizeof(ctype));                          \
         }                                                                                          \
-        memcpy(values, place, m * sizeof(ctype));                                                  \
-        return OK;                                                                                 \
+        return at == m ? OK : ERROR;                                                               \
     }                                                                                              \
     int fmi3Set##Type(Node* node, const uint32_t* refs, size_t n, const ctype* values, size_t m)   \
     {                                                                                              \
         void* place = place_of(node, refs[0]);                                                     \
-        if (n != 1 || place == NULL) {                                                             \
+        if (n != 1 || place == NULL || m != size_of(refs[0])) {                                    \
             return ERROR;                                                                          \
         }                                                                                          \
         memcpy(place, values, m * sizeof(ctype));                                                  \
