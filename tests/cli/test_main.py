@@ -286,7 +286,7 @@ def test_item_11_a_codec_describes_itself() -> None:
     )
 
 
-@pytest.mark.parametrize("extra", ["secoc", "mf4", "study", "plot"])
+@pytest.mark.parametrize("extra", ["fmi", "secoc", "mf4", "study", "plot"])
 def test_item_11_an_extra_is_one_that_a_checkout_has(extra: str) -> None:
     """The command in the message names an extra of pyproject.toml; nothing is published."""
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
