@@ -19,7 +19,7 @@ ROOMS = (
     "wire.layout", "wire.covariance", "wire.protection", "wire.records", "wire.reception", "wire",
     "generation",
     "bus", "cosimulation",
-    "maps", "maps.formats", "localisation", "consumers", "simulation", "cli",
+    "maps", "maps.formats", "localisation", "consumers", "simulation", "restbus", "cli",
 )  # fmt: skip
 #: Modules that stand lower than their folder.
 BELOW = {"wire.reasons": "wire.layout", "native": "values"}
@@ -32,13 +32,13 @@ LAZY = {
     ("cli.options", "testing"), ("cli.options", "study.codes"),
     ("cli.options", "study.dbc.record_spec"),
     ("cli.map_info", "study.figures.map_picture"),
-    ("simulation.transmission", "testing"),
+    ("simulation.transmission", "testing"), ("restbus.faults", "testing"),
     ("cosimulation.links", "testing"), ("cosimulation.runner", "testing"),
 }  # fmt: skip
 #: Packages that may import a big dependency.
 DOORS = {
-    "can": {"bus", "testing"},
-    "cantools": {"wire", "study"},
+    "can": {"bus", "testing", "restbus"},
+    "cantools": {"wire", "study", "restbus"},
     "cryptography": {"wire"},
     "tqdm": {"cli"},
     "matplotlib": {"study"},

@@ -32,6 +32,7 @@ COMMANDS = {
     "decode": ("decode", "print the lines in a log file"),
     "map": ("map_info", "print what is in a map file, and draw it"),
     "drive": ("drive", "drive on a map, and send or record the lines around the car"),
+    "restbus": ("restbus", "simulate the nodes around a device: lines and other messages"),
     "consume": ("consume", "use received lines as a car does: fuse, steer, check"),
     "scenarios": ("scenarios", "list the scenarios that can be sent"),
     "generate": ("generate", "generate C for an ECU from a DBC, and vectors for its test"),

@@ -53,6 +53,10 @@ class FmuError(MaplinesError, ValueError):
     """An FMU cannot be read, is no node of a CAN bus, or fails while it runs."""
 
 
+class RestbusError(MaplinesError, ValueError):
+    """A configuration, a script or a command of a restbus simulation is wrong."""
+
+
 class StudyError(MaplinesError, ValueError):
     """A study cannot run with the given file, output directory or workers."""
 

@@ -1,0 +1,174 @@
+"""Sources of the lines that a restbus sends: a scenario, a drive, a log or a script."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from ..bus import LogFrame, read_log
+from ..maps import random_tour, town_path, town_tour
+from ..maps.formats.load import load
+from ..maps.line_source import LineSource
+from ..simulation.pose_source import PoseSource
+from ..simulation.recorded import RecordedDrive
+from ..simulation.scenario_lines import ScenarioLines, weaving_ego
+from ..simulation.scenarios import SCENARIOS, STREETS, scenario
+from ..simulation.trajectory import SimulatedDrive, drive_along
+from ..values.errors import RestbusError
+from ..values.line import MapLine, Slot, aged
+from ..values.scene import Scene
+from ..wire import Codec, Reason, default_dbc_path
+from .signals import script
+from .tables import Table
+
+#: Lines at a time since the start [s]: all that are sent from now on; None at the end.
+Lines = Callable[[float], "list[MapLine] | Scene | None"]
+SOURCES = ("scenario", "drive", "log", "script")
+#: Standard deviations of the reported pose of a drive, along, across [m] and heading [deg], and
+#: their correlation time [s].
+SIGMA, CORRELATION_TIME = (0.3, 0.1, 0.2), 10.0
+#: Length of a tour on a map [m].
+TOUR = 10_000.0
+#: Lines of a log that are older than this are sent no more [s].
+MAX_LOG_AGE = 1.0
+
+
+def codec_of(name: str, folder: Path) -> Codec:
+    """Return the codec of a DBC: a file, or one of this package."""
+    path = folder / name
+    if not path.exists() and Path(name).name == name and name.startswith("maplines"):
+        path = default_dbc_path(name)
+    return Codec.from_dbc(path)
+
+
+def lines_of(table: Table, codec: Codec, period: float, seed: int, folder: Path) -> Lines:
+    """Return the source that a table of the configuration describes.
+
+    Raises:
+        RestbusError: the table is wrong.
+    """
+    given = [key for key in SOURCES if key in table]
+    if len(given) != 1:
+        known = '", "'.join(SOURCES)
+        got = ", ".join(given) or "none"
+        table.end("period_ms", "dbc", *SOURCES) if not given else None
+        raise RestbusError(
+            f'{table.name}: one of "{known}" must say where the lines come from, got {got}'
+        )
+    pose_error = table.flag("pose_error") or codec.layout.is_conditional
+    if pose_error and codec.layout.pose is None:
+        raise RestbusError(
+            f"{table.name}: pose_error needs a DBC with a message of the pose error, such as "
+            f'dbc = "maplines.dbc"; {codec.layout.source} has none'
+        )
+    makers = {"scenario": _scenario, "drive": _drive, "log": _log, "script": _script}
+    return makers[given[0]](table, period, seed, folder, pose_error)
+
+
+def _slots(table: Table) -> int:
+    return int(table.number("lines", 1, 8, "lines", 4, whole=True))
+
+
+def _scenario(table: Table, _period: float, _seed: int, _folder: Path, pose_error: bool) -> Lines:
+    name = table.choice("scenario", SCENARIOS | STREETS)
+    moves = table.flag("moves", default=True)
+    source = ScenarioLines(scenario(name), _slots(table), 1, math.inf if pose_error else None)
+    still = None if moves else source.seen_from()
+
+    def lines(t: float) -> list[MapLine] | Scene:
+        return still or source.seen_from(weaving_ego(source.scenario, t))
+
+    return lines
+
+
+def _drive(table: Table, period: float, seed: int, folder: Path, pose_error: bool) -> Lines:
+    name, path = table.text("drive"), table.take("map")
+    road_map = load(town_path() if path is None else folder / str(path))
+    way: SimulatedDrive | RecordedDrive
+    route = None
+    if name == "tour":
+        route = town_tour(road_map) if path is None else random_tour(road_map, TOUR, seed)
+        way = drive_along(road_map, route)
+    else:
+        way = RecordedDrive.from_csv(folder / name, projection=road_map.projection)
+    along, across, heading = SIGMA
+    errors = PoseSource((along, across, math.radians(heading)), CORRELATION_TIME, seed)
+    slots = tuple(Slot)[: _slots(table)]
+    time = CORRELATION_TIME if pose_error else None
+    source = LineSource(road_map, errors.pose, slots, route, correlation_time=time)
+    times = way.times(1 / period)
+    start, end = float(times[0]), float(times[-1])
+
+    def lines(t: float) -> list[MapLine] | Scene | None:
+        if start + t > end:
+            return None
+        state = way.at([start + t])
+        cycle = source.cycle(start + t, state.pose[0])
+        return cycle.lines if cycle.scene is None else cycle.scene
+
+    return lines
+
+
+def _log(table: Table, _period: float, _seed: int, folder: Path, pose_error: bool) -> Lines:
+    if pose_error:
+        raise RestbusError(
+            f"{table.name}: the lines of a log are sent without the pose error; set "
+            'pose_error = false and dbc = "maplines.dbc"'
+        )
+    name = table.text("log")
+    path = folder / name
+    if not path.exists():
+        raise RestbusError(f"{table.name}: log: there is no file {path}")
+    decoder = codec_of(table.text("log_dbc", "maplines.dbc"), folder).decoder()
+    frames: Iterator[LogFrame] = iter(read_log(path))
+    latest: dict[Slot, MapLine] = {}
+    first = next(frames, None)
+    if first is None:
+        raise RestbusError(f"{table.name}: log: {path} has no frames")
+    origin_ns, waiting = first.t_ns, [first]
+
+    def lines(t: float) -> list[MapLine] | None:
+        now_ns = origin_ns + round(t * 1e9)
+        while waiting and waiting[0].t_ns <= now_ns:
+            frame = waiting.pop()
+            answer = decoder.feed(
+                frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended
+            )
+            if not isinstance(answer, Reason):
+                latest.update((line.slot, line) for line in answer)
+            waiting.extend([following] if (following := next(frames, None)) else [])
+        for slot, line in list(latest.items()):
+            if now_ns - (line.t_ns or 0) > MAX_LOG_AGE * 1e9:
+                del latest[slot]
+        if not (waiting or latest):
+            return None
+        return [
+            aged(line, line.age + 1e-9 * (now_ns - (line.t_ns or 0))) for line in latest.values()
+        ]
+
+    return lines
+
+
+def _script(table: Table, _period: float, _seed: int, folder: Path, _pose_error: bool) -> Lines:
+    text = table.text("script")
+    function = script(f"{table.name}: script", text, folder, "lines")
+
+    def lines(t: float) -> list[MapLine] | Scene:
+        try:
+            result: Any = function(t)
+        except Exception as error:
+            kind = type(error).__name__
+            raise RestbusError(f"{table.name}: {text} fails at {t:g} s: {kind}: {error}") from error
+        if isinstance(result, Scene):
+            return result
+        result = [result] if isinstance(result, MapLine) else result
+        if not isinstance(result, list) or not all(isinstance(line, MapLine) for line in result):
+            raise RestbusError(
+                f"{table.name}: {text} must return a list of MapLine, or a Scene, at {t:g} s, "
+                f"got {result!r}"
+            )
+        return result
+
+    return lines
