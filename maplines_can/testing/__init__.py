@@ -1,17 +1,8 @@
-"""Fault injection for tests of a receiver: into a stream of frames, or into a python-can bus."""
+"""For tests, ours and yours: fault injection, and assertions about lines and their uncertainty.
 
-from .fault_injector import FaultInjector
-from .faults import Faults, Interval
-from .faulty_bus import FaultyBus
-from .faulty_opener import FaultyOpener
-from .scripted_fault import FaultKind, ScriptedFault
+The fixtures of the pytest plugin are in ``plugin.py``; docs/testing.md tells how to use them.
+"""
 
-__all__ = [
-    "FaultInjector",
-    "FaultKind",
-    "Faults",
-    "FaultyBus",
-    "FaultyOpener",
-    "Interval",
-    "ScriptedFault",
-]
+from .. import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__)

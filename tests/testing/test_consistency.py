@@ -1,0 +1,212 @@
+"""Tests of assert_consistent: false alarms, power, and what its messages say."""
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from lasting_errors import Array, N, T, gauss_markov
+
+from maplines_can import Gaussian, MapLine, Slot
+from maplines_can.testing import assert_consistent
+from maplines_can.testing.effective_samples import effective_samples
+
+
+def estimates(white: Array, factor: float = 1.0) -> tuple[Array, Array]:
+    """Return means and covariances of correlated variables, with sigmas that are too small."""
+    d = white.shape[1]
+    root = np.tril(np.full((d, d), 0.3)) + np.eye(d)
+    return white @ root.T, np.broadcast_to(root @ root.T / factor**2, (len(white), d, d))
+
+
+def fails(white: Array, factor: float = 1.0) -> bool:
+    """Return whether the assertion fails; a run that is too short does not."""
+    try:
+        assert_consistent(estimates(white, factor), np.zeros(white.shape))
+    except AssertionError:
+        return True
+    except ValueError as error:
+        if "too short" not in str(error):
+            raise
+    return False
+
+
+@pytest.mark.parametrize("d", [1, 4])
+@pytest.mark.parametrize("time", [0, 20, 240, 2400])
+@pytest.mark.parametrize("n", [50, N])
+def test_right_estimates_pass(n: int, time: float, d: int) -> None:
+    """1 % of false alarms at most: 8 of 200 have the probability 1e-3."""
+    rng = np.random.default_rng([n, int(time), d])
+
+    assert sum(fails(gauss_markov(rng, n, d, time * n / N)) for _ in range(200)) < 8
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
+def test_right_estimates_pass_whose_errors_last_in_part(share: float) -> None:
+    rng = np.random.default_rng(7)
+
+    def mixed() -> Array:
+        lasting = gauss_markov(rng, d=4, time=120)
+        return np.sqrt(share) * lasting + np.sqrt(1 - share) * gauss_markov(rng, d=4)
+
+    assert sum(fails(mixed()) for _ in range(200)) < 8
+
+
+@pytest.mark.parametrize(
+    ("d", "time", "least"), [(1, 0, 100), (4, 0, 100), (4, 20, 85), (1, 6, 75), (1, 20, 20)]
+)
+def test_sigmas_that_are_20_percent_too_small_are_found(d: int, time: float, least: int) -> None:
+    """Of 100 runs; if errors last, one needs more samples."""
+    rng = np.random.default_rng([int(time), d])
+
+    assert sum(fails(gauss_markov(rng, d=d, time=time), 1.25) for _ in range(100)) >= least
+
+
+def test_message_of_covariances_that_are_too_small() -> None:
+    white = gauss_markov(np.random.default_rng(0), d=2, time=6)
+
+    with pytest.raises(AssertionError) as caught:
+        assert_consistent(estimates(white, 1.5), np.zeros((N, 2)), t=T)
+    text = str(caught.value)
+    assert "overconfident: the mean NEES is" in text
+    assert "(2 is expected)" in text
+    assert re.search(r"deviations are about 3[2-5]% too small", text)
+    assert " s; largest NEES, " in text
+    assert "successive inputs that are taken as independent: errors last for about 0.3" in text
+
+
+def test_message_of_an_event() -> None:
+    """Stale lines for half a second: it says when."""
+    white = gauss_markov(np.random.default_rng(0), d=2)
+    white[800:810] += 12
+
+    with pytest.raises(AssertionError) as caught:
+        assert_consistent(estimates(white), np.zeros((N, 2)), t=T)
+    assert "from 36 to 41.95 s" in str(caught.value)
+    assert "look at: what happened at 36 s" in str(caught.value)
+
+
+def test_one_gross_error_fails_even_if_the_errors_last() -> None:
+    white = np.full((N, 1), 0.5)
+    white[700] = 9.0
+
+    with pytest.raises(AssertionError, match=r"the NEES at 35 s is 81, but at most 22\.5"):
+        assert_consistent(estimates(white), np.zeros(N), t=T)
+
+
+def test_message_of_a_bias() -> None:
+    """An error that never changes is one sample; three standard deviations are too many."""
+    white = 0.1 * gauss_markov(np.random.default_rng(0))
+
+    with pytest.raises(AssertionError, match=r"look at: a bias of the estimate, 3\.\d+ in the"):
+        assert_consistent(estimates(white + 3), np.zeros(N))
+    with pytest.raises(ValueError, match="too short"):
+        assert_consistent(estimates(white + 2), np.zeros(N))
+
+
+def test_correlations_that_are_wrong_are_named() -> None:
+    """Each variable alone is right; their difference is not."""
+    rng = np.random.default_rng(0)
+    cov = np.broadcast_to([[1.0, 0.95], [0.95, 1.0]], (N, 2, 2))
+
+    with pytest.raises(AssertionError, match="look at: the correlations between the variables"):
+        assert_consistent((rng.standard_normal((N, 2)), cov), np.zeros((N, 2)))
+
+
+def test_band_of_one_variable_is_named() -> None:
+    """One of four sigmas is too small, others are too large, so that the mean NEES is right."""
+    error = gauss_markov(np.random.default_rng(0), d=4) * [1.4, 0.8, 0.8, 0.8]
+    cov = np.broadcast_to(np.eye(4), (N, 4, 4))
+
+    with pytest.raises(AssertionError, match=r"errors of variable 0 is 1\.4\d* stated standard"):
+        assert_consistent((error, cov), np.zeros((N, 4)))
+
+
+def test_a_run_that_is_too_short_says_how_long_it_must_be() -> None:
+    white = gauss_markov(np.random.default_rng(3), time=1000)
+
+    with pytest.raises(ValueError, match=r"too short: its 1200 samples say as much as .* s long"):
+        assert_consistent(estimates(white), np.zeros(N), t=T)
+    with pytest.raises(ValueError, match="too short: it has 19 samples, and 20 are needed"):
+        assert_consistent(estimates(white[:19]), np.zeros(19))
+
+
+def test_pessimism_is_a_failure_if_it_is_asked_for() -> None:
+    white = gauss_markov(np.random.default_rng(0), d=2)
+    pessimistic = estimates(white, 1 / 1.5)
+
+    assert assert_consistent(pessimistic, np.zeros((N, 2))).least == 0
+    assert_consistent(pessimistic, np.zeros((N, 2)), max_pessimism=1.5)
+    with pytest.raises(AssertionError, match=r"standard deviations are about 1\.5\d* times"):
+        assert_consistent(pessimistic, np.zeros((N, 2)), max_pessimism=1.2)
+
+
+def lines(error: Array, factor: float = 1.0) -> list[MapLine]:
+    cov = np.diag([0.1, 0.01, 1e-3, 1e-5]) ** 2 / factor**2
+    return [MapLine(Slot.EGO_LEFT, Gaussian([1.75 + e, 0, 1e-3, 0], cov)) for e in error]
+
+
+def test_lines_are_compared_by_parameters_or_by_y_at_x() -> None:
+    rng = np.random.default_rng(0)
+    sigma = np.array([0.1, 0.01, 1e-3, 1e-5])
+    own = lines(np.zeros(N))
+    true = own[0].gaussian.mean + sigma * rng.standard_normal((N, 4))
+    x = [0.0, 20.0, 60.0]
+    y = np.array([[MapLine.mean_only(Slot.EGO_LEFT, row).y(place) for place in x] for row in true])
+
+    assert set(assert_consistent(own, true).ratios) == {"y_off", "beta", "c0", "c1"}
+    found = assert_consistent(own, y, x=x)
+    assert set(found.ratios) == {"y at 0 m", "y at 20 m", "y at 60 m"}
+    assert found.nees == pytest.approx(3, abs=0.3)
+    with pytest.raises(AssertionError, match=r"y at 60 m 1\.5"):
+        assert_consistent(lines(np.zeros(N), 1.5), y, x=x)
+
+
+def test_gaussians_are_as_their_arrays() -> None:
+    white = gauss_markov(np.random.default_rng(0), d=2)
+    mean, cov = estimates(white)
+    gaussians = [Gaussian(m, c) for m, c in zip(mean, cov, strict=True)]
+
+    of_gaussians = assert_consistent(gaussians, np.zeros((N, 2)))
+    assert of_gaussians == assert_consistent((mean, cov), np.zeros((N, 2)))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"confidence": 1.0}, "confidence must be 0.5 or more and less than 1, got 1.0"),
+        ({"max_pessimism": 0.5}, "max_pessimism must be finite and 1 or more, got 0.5"),
+        ({"x": 20.0}, "x is for lines"),
+        ({"t": T[::-1]}, "t must be 1200 increasing times"),
+        ({"truth": np.zeros((N, 3))}, r"truth must have the shape of the estimates \(1200, 2\)"),
+        ({"truth": np.full((N, 2), np.nan)}, "truth must be finite, got .* in sample 0"),
+        ({"estimates": (np.zeros((N, 2)), np.zeros((N, 2)))}, "must be means .n, d. and cov"),
+        ({"estimates": (np.zeros((N, 2)), np.ones((N, 2, 2)))}, "positive definite, got"),
+        ({"estimates": []}, "estimates must be Gaussians, lines, or .* got none"),
+    ],
+)
+def test_a_wrong_argument_is_named(arguments: dict[str, Any], message: str) -> None:
+    right: dict[str, Any] = {"estimates": estimates(np.zeros((N, 2))), "truth": np.zeros((N, 2))}
+
+    with pytest.raises((ValueError, TypeError), match=message):
+        assert_consistent(**right | arguments)
+
+
+def test_x_must_be_in_the_range_of_the_lines() -> None:
+    with pytest.raises(ValueError, match="that is valid from 0 to 80 m"):
+        assert_consistent(lines(np.zeros(30)), np.zeros((30, 1)), x=100.0)
+    with pytest.raises(ValueError, match="x must be 1 to 4 different positions"):
+        assert_consistent(lines(np.zeros(30)), np.zeros((30, 2)), x=[5.0, 5.0])
+
+
+def test_effective_samples_of_gauss_markov_errors() -> None:
+    """In theory n / tau, tau = (1 + rho^2) / (1 - rho^2): squares forget twice as fast."""
+    rng = np.random.default_rng(0)
+    for time in (2.0, 10.0, 40.0):
+        rho2 = np.exp(-2 / time)
+        found = np.mean([effective_samples(gauss_markov(rng, 4000, 1, time)) for _ in range(20)])
+        assert found == pytest.approx(4000 * (1 - rho2) / (1 + rho2), rel=0.1)
+
+
+def test_no_errors_are_independent() -> None:
+    assert effective_samples(np.zeros((100, 2))) == 100
