@@ -96,6 +96,7 @@ the confidence 0.99 (1 is expected)
       look at: all covariances, which are too small all the time: a noise or a covariance of the \
 input that is too small, or correlated inputs that are taken as independent
     """
+    __tracebackhide__ = True  # pytest shows the line of the test
     if not 0.5 <= confidence < 1:
         raise ValueError(f"confidence must be 0.5 or more and less than 1, got {confidence!r}")
     if max_pessimism is not None and not 1 <= max_pessimism < math.inf:

@@ -82,6 +82,7 @@ but 0.001 are expected of a risk of 1e-05 in a sample
       where: from 2 to 2.2 s, with an error of -0.36 and a level of 0.3
       look at: what happened then: a level of this risk has hardly one excess in this time
     """
+    __tracebackhide__ = True  # pytest shows the line of the test
     level, error = floats(levels, "levels"), floats(errors, "errors")
     n = level.size
     if level.ndim != 1 or error.shape != level.shape or not n:
