@@ -28,7 +28,7 @@ from .series import Errors, Estimates, errors_of
 MIN_SAMPLES, MIN_EFFECTIVE = 20, 5.0
 #: Parts of the time, of which a message names the worst one.
 PARTS = 10
-#: A part with more than this share of the sum of all NEES is an event of its own.
+#: A part with more than this share of all excess of the NEES is an event of its own.
 EVENT = 0.5
 #: A mean error of more than this share of the root mean square is called a bias.
 BIAS = 0.8
@@ -181,7 +181,7 @@ def _message(errors: Errors, found: Consistency, reason: str) -> str:
     nees = errors.nees
     parts = np.array_split(np.arange(n), min(PARTS, n))
     worst = max(parts, key=lambda part: float(nees[part].mean()))
-    share = float(nees[worst].sum() / nees.sum())
+    share = float((nees[worst] - d).sum() / (nees - d).sum())
     small = 1 - math.sqrt(d / found.nees)
     much = (
         f"standard deviations are about {small:.0%} too small"
@@ -215,7 +215,7 @@ def _hint(errors: Errors, found: Consistency, share: float, worst: np.ndarray) -
             f"what happened {errors.at(int(np.argmax(errors.nees)))}: the rest is consistent, so "
             "think of a line that was too old, of another line, or of a pose that jumped"
         )
-    if share > EVENT:
+    if found.nees > found.most and share > EVENT:
         return (
             f"what happened {errors.at(worst[0])}: most of the errors are from there, such as "
             "those of a line that was too old, of another line, or of a pose that jumped"
