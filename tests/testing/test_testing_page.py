@@ -10,7 +10,7 @@ import pytest
 pytest_plugins = ["pytester"]
 
 PAGE = (Path(__file__).parents[2] / "docs/testing.md").read_text(encoding="utf-8")
-FILES = dict(re.findall(r"```python\n# (\w+\.py)\n(.*?)```", PAGE, re.DOTALL))
+FILES = dict(re.findall(r"```py\n# (\w+\.py)\n(.*?)```", PAGE, re.DOTALL))
 TEST = FILES["test_controller.py"]
 #: Changes of the controller of the page that make it wrong.
 WRONG = {

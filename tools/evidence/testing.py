@@ -118,7 +118,7 @@ def of_page() -> dict[str, Any]:
     """Return the names that the examples of docs/testing.md define."""
     text = (DOCS / "testing.md").read_text(encoding="utf-8")
     names: dict[str, Any] = {}
-    for file, code in re.findall(r"```python\n# (\w+\.py)\n(.*?)```", text, re.DOTALL):
+    for file, code in re.findall(r"```py\n# (\w+\.py)\n(.*?)```", text, re.DOTALL):
         if not file.startswith("test_"):
             exec(compile(code, file, "exec"), names)  # noqa: S102 - an example of our own page
     return names
@@ -185,8 +185,8 @@ def cycles(page: dict[str, Any], seconds: float, seed: int) -> Iterator[tuple[st
 def controllers(runs: int = 100, seconds: float = 60.0, seed: int = 0) -> dict[str, Any]:
     """Count runs of the test of docs/testing.md that pass and fail, by controller.
 
-    A car weaves along a winding road for a minute, with two outages of the sender of 1.5 s, in virtual
-    time; its pose error lasts for half a second.
+    A car weaves along a winding road for a minute, with two outages of the sender of 1.5 s, in
+    virtual time; its pose error lasts for half a second.
     """
     page, result = of_page(), {name: Counter[str]() for name in CONTROLLERS}
     for run in progress(range(runs), "runs", runs):
