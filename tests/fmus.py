@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import shutil
 import subprocess
 import zipfile
@@ -17,7 +18,10 @@ SOURCE = Path(__file__).parent / "cosimulation" / "node.c"
 #: FMI 3.0 and FMI-LS-BUS beside it.
 OFFICIAL = "MAPLINES_FMI_LS_BUS_EXAMPLES"
 COMPILER = shutil.which("gcc") or shutil.which("clang")
-needs_compiler = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler")
+HAS_PLATFORM = (platform.system(), platform.machine()) == ("Linux", "x86_64")
+needs_compiler = pytest.mark.skipif(
+    COMPILER is None or not HAS_PLATFORM, reason="needs a C compiler on Linux, x86_64"
+)
 needs_official = pytest.mark.skipif(OFFICIAL not in os.environ, reason=f"{OFFICIAL} is not set")
 
 MIME = 'mimeType="application/org.fmi-standard.fmi-ls-bus.can; version=&quot;1.0.0&quot;"'

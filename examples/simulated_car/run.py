@@ -19,6 +19,7 @@ import ctypes
 import math
 import subprocess
 import tempfile
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -157,8 +158,10 @@ class Road:
 def build(folder: Path) -> Any:
     """Generate the FMUs, compile the lane keeping, and return its function."""
     for node in ("sender", "receiver"):
-        if maplines(["generate", "fmu", node, "--out", str(folder / f"{node}.fmu")]):
-            raise SystemExit(1)
+        with redirect_stdout(None):
+            status = maplines(["generate", "fmu", node, "--out", str(folder / f"{node}.fmu")])
+        if status:
+            raise SystemExit(status)
     library = folder / "lane_keeping.so"
     command = ["cc", "-std=c99", "-O2", "-Wall", "-Wextra", "-fPIC", "-shared"]
     subprocess.run(  # noqa: S603 - our own source
