@@ -434,7 +434,7 @@ fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *FMUState)
         maplines_log(own, fmi3Error, "fmi3GetFMUState: there is no memory");
         return fmi3Error;
     }
-    *state = own->state;
+    memcpy(state, &own->state, sizeof *state);
     *FMUState = state;
     return fmi3OK;
 }

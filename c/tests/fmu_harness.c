@@ -1,6 +1,7 @@
 /* A node of an FMU with any bytes on its bus, for the sanitizers: each line of the input is a value
  * of Rx_Data in hexadecimal digits. All variables are read after each, and the state is saved,
- * stored and restored. The sum of what the node sends is printed, so that nothing is left out.
+ * stored and restored. Printed are the number of bytes that the node sends, and a hash of these and
+ * of its real variables: it is the same on each platform.
  */
 #include "fmu.h"
 
@@ -38,8 +39,19 @@ static void update(fmi3Instance node)
                                    &next));
 }
 
+/// FNV-1a of bytes, after others.
+static uint64_t hash_more(uint64_t hash, const void *bytes, size_t size)
+{
+    const uint8_t *byte = bytes;
+    for (size_t i = 0; i < size; i++)
+    {
+        hash = (hash ^ byte[i]) * UINT64_C(0x100000001B3);
+    }
+    return hash;
+}
+
 /// Let Tx_Clock tick; the number of bytes that are sent.
-static size_t tick(fmi3Instance node)
+static size_t tick(fmi3Instance node, uint64_t *hash)
 {
     const fmi3ValueReference clock = MAPLINES_TX_CLOCK;
     const fmi3ValueReference data = MAPLINES_TX_DATA;
@@ -51,6 +63,7 @@ static size_t tick(fmi3Instance node)
     check(fmi3GetIntervalDecimal(node, &clock, 1, &interval, &qualifier));
     check(fmi3SetClock(node, &clock, 1, &active));
     check(fmi3GetBinary(node, &data, 1, &size, &value, 1));
+    *hash = hash_more(*hash, value, size);
     update(node);
     return size;
 }
@@ -66,13 +79,14 @@ static void receive(fmi3Instance node, const fmi3Byte *bytes, size_t size)
 }
 
 /// Read all variables; publish all that are inputs again, and make all slots valid.
-static void touch(fmi3Instance node)
+static void touch(fmi3Instance node, uint64_t *hash)
 {
     for (fmi3ValueReference i = 0; i < MAPLINES_REALS; i++)
     {
         const fmi3ValueReference reference = MAPLINES_FIRST_REAL + i;
         fmi3Float64 value = 0;
         check(fmi3GetFloat64(node, &reference, 1, &value, 1));
+        *hash = hash_more(*hash, &value, sizeof value);
         if (i >= MAPLINES_TUNABLE_REALS && i < MAPLINES_SETTABLE_REALS)
         {
             value += 1e-3;
@@ -140,6 +154,7 @@ int main(void)
     const fmi3ValueReference notifications = MAPLINES_FIRST_FLAG + FLAG_BUS_NOTIFICATIONS;
     const fmi3Boolean is_notified = true;
     size_t sent = 0;
+    uint64_t hash = 0;
     double now = 0;
     fmi3Boolean flags[3];
     fmi3Instance node = fmi3InstantiateCoSimulation("node", maplines_token, "", false, false, true,
@@ -154,10 +169,10 @@ int main(void)
         fmi3Byte *exact = malloc(size + 1); // so that a sanitizer sees what is read behind it
         check(exact == NULL ? fmi3Error : fmi3OK);
         memcpy(exact, bytes, size);
-        sent += tick(node);
+        sent += tick(node, &hash);
         receive(node, exact, size);
         free(exact);
-        touch(node);
+        touch(node, &hash);
         store(node);
         check(fmi3EnterStepMode(node));
         check(fmi3DoStep(node, now, STEP, true, &flags[0], &flags[1], &flags[2], &now));
@@ -165,6 +180,7 @@ int main(void)
     }
     check(fmi3Terminate(node));
     fmi3FreeInstance(node);
-    printf("%lu\n", (unsigned long)sent);
+    printf("%lu %08lx%08lx\n", (unsigned long)sent, (unsigned long)(hash >> 32),
+           (unsigned long)(hash & 0xFFFFFFFFU));
     return EXIT_SUCCESS;
 }

@@ -1,6 +1,7 @@
 """The interface of FMI: states, instances, wrong calls; and any bytes on the bus."""
 
 import ctypes
+import os
 import shutil
 import struct
 import subprocess
@@ -211,20 +212,21 @@ def test_malformed_operations_are_counted_and_answered(fmu: Path) -> None:
     node.close()
 
 
-@pytest.mark.parametrize("node", ["receiver", "sender"])
-def test_any_bytes_pass_the_sanitizers(node: str, tmp_path: Path) -> None:
-    """Frames, notifications, and these with some bits changed."""
-    if shutil.which("clang") is None:
-        pytest.skip("there is no clang")
+def build(node: str, folder: Path, command: list[str]) -> Path:
+    """Return the program of fmu_harness.c with the sources of a node."""
     sources, _ = sources_of(node, Layout.from_dbc())
     for name, text in sources.items():
-        (tmp_path / name).write_text(text)
-    shutil.copy(C / "tests" / "fmu_harness.c", tmp_path)
-    command = ["clang", "-std=c99", "-g", "-O1", "-fsanitize=address,undefined,float-cast-overflow",
-               "-fno-sanitize-recover=all", *(name for name in sources if name.endswith(".c")),
-               "fmu_harness.c", "-lm", "-o", "harness"]  # fmt: skip
-    subprocess.run(command, check=True, cwd=tmp_path)
-    rng = np.random.default_rng(3)
+        (folder / name).write_text(text)
+    shutil.copy(C / "tests" / "fmu_harness.c", folder)
+    files = [*(name for name in sources if name.endswith(".c")), "fmu_harness.c"]
+    arguments = ["-std=c99", "-ffp-contract=off", *files, "-lm", "-o", "harness.exe"]
+    subprocess.run([*command, *arguments], check=True, cwd=folder)
+    return folder / "harness.exe"
+
+
+def any_bytes(seed: int) -> str:
+    """Return values of a bus: frames, notifications, and these with some bits changed."""
+    rng = np.random.default_rng(seed)
     encoder = Codec.from_dbc().encoder()
     rows = []
     for k in range(400):
@@ -235,13 +237,40 @@ def test_any_bytes_pass_the_sanitizers(node: str, tmp_path: Path) -> None:
         for _ in range(rng.integers(0, 4)):
             value[rng.integers(len(value))] ^= 1 << rng.integers(8)
         rows.append(bytes(value[: rng.integers(1, len(value) + 1)] if k % 5 == 0 else value).hex())
+    return "\n".join([*rows, ""])
+
+
+def output(command: list[str], text: str, **variables: str) -> str:
     done = subprocess.run(
-        [str(tmp_path / "harness")], input="\n".join(rows) + "\n", capture_output=True, text=True,
-        check=False,
-    )  # fmt: skip
-    assert done.stderr == ""
-    assert done.returncode == 0
-    assert int(done.stdout) > 1000
+        command, input=text, capture_output=True, text=True, check=False, env=os.environ | variables
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("node", ["receiver", "sender"])
+def test_any_bytes_pass_the_sanitizers(node: str, tmp_path: Path) -> None:
+    if shutil.which("clang") is None:
+        pytest.skip("there is no clang")
+    checks = "-fsanitize=address,undefined,float-cast-overflow"
+    command = ["clang", "-g", "-O1", checks, "-fno-sanitize-recover=all"]
+    printed = output([str(build(node, tmp_path, command))], any_bytes(3))
+    assert int(printed.split()[0]) > 1000
+
+
+@pytest.mark.parametrize("node", ["receiver", "sender"])
+def test_on_windows_a_node_sends_the_same(node: str, tmp_path: Path) -> None:
+    """Bytes sent and real variables are the same in Wine as here."""
+    mingw = shutil.which("x86_64-w64-mingw32-gcc")
+    wine = shutil.which("wine64") or shutil.which("wine") or shutil.which("/usr/lib/wine/wine64")
+    if mingw is None or wine is None:
+        pytest.skip("there is no MinGW, or no Wine")
+    (tmp_path / "here").mkdir()
+    here = build(node, tmp_path / "here", ["cc", "-O2", "-DNDEBUG"])
+    there = build(node, tmp_path, [mingw, "-O2", "-DNDEBUG", "-static-libgcc"])
+    text = any_bytes(4)
+    prefix = {"WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all"}
+    assert output([wine, str(there)], text, **prefix).split() == output([str(here)], text).split()
 
 
 @pytest.mark.skipif(not LS_BUS.exists(), reason="the headers of FMI-LS-BUS are not here")
