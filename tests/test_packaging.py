@@ -128,13 +128,15 @@ def test_the_wheel_has_the_package_and_nothing_else(wheel: Path) -> None:
 
 
 def test_the_wheel_has_every_dbc(wheel: Path) -> None:
-    """The wheel has the three DBCs of the package, equal to the last byte."""
+    """The wheel has the DBCs of the lines and that of the restbus, equal to the last byte."""
     files = (ROOT / "dbc").glob("*.dbc")
     expected = {f"maplines_can/dbc/{path.name}": path.read_bytes() for path in files}
+    example = Path("maplines_can/restbus/example-car.dbc")
+    expected[str(example)] = (ROOT / example).read_bytes()
     with zipfile.ZipFile(wheel) as archive:
         found = {name: archive.read(name) for name in archive.namelist() if name.endswith(".dbc")}
 
-    assert len(found) == 3
+    assert len(found) == 4
     assert expected == found
 
 
