@@ -122,10 +122,12 @@ def _restbus(arguments: argparse.Namespace) -> int:
         else:
             bus = stack.enter_context(Link(**settings))
             restbus = Restbus(config, bus, clock, on_sent=sent, on_error=note)
-            if not arguments.json:
+        with suppress(KeyboardInterrupt):
+            if not arguments.json and not arguments.virtual_time:
                 until = "until Ctrl-C" if duration is None else f"for {duration:g} s"
                 note(f"{len(config.messages)} messages on {bus.name}, {until}")
-        _run(restbus, clock, duration)
+            _run(restbus, clock, duration)
+        restbus.stop()
         result = restbus.as_dict() | {"record": arguments.record}
     print(json.dumps(result) if arguments.json else _text(result))
     return 0
@@ -136,16 +138,14 @@ def _frame(message: Any) -> Frame:
 
 
 def _run(restbus: Restbus, clock: RealClock | VirtualClock, duration: float | None) -> None:
-    """Run until the end, or Ctrl-C."""
+    """Run until the end."""
     restbus.start()
     end_ns = None if duration is None else clock.now_ns + to_ns(duration)
-    with suppress(KeyboardInterrupt):
-        if isinstance(clock, VirtualClock):
-            _run_virtually(clock, end_ns or 0)
-        else:
-            with _commands(restbus, clock):
-                clock.run_until(clock.now_ns + to_ns(1e9) if end_ns is None else end_ns)
-    restbus.stop()
+    if isinstance(clock, VirtualClock):
+        _run_virtually(clock, end_ns or 0)
+    else:
+        with _commands(restbus, clock):
+            clock.run_until(clock.now_ns + to_ns(1e9) if end_ns is None else end_ns)
 
 
 def _run_virtually(clock: Clock, end_ns: int) -> None:
