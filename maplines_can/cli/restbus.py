@@ -123,7 +123,7 @@ def _restbus(arguments: argparse.Namespace) -> int:
             bus = stack.enter_context(Link(**settings))
             restbus = Restbus(config, bus, clock, on_sent=sent, on_error=note)
         with suppress(KeyboardInterrupt):
-            if not arguments.json and not arguments.virtual_time:
+            if isinstance(bus, Link) and not arguments.json:
                 until = "until Ctrl-C" if duration is None else f"for {duration:g} s"
                 note(f"{len(config.messages)} messages on {bus.name}, {until}")
             _run(restbus, clock, duration)
