@@ -18,7 +18,7 @@ ROOMS = (
     "values", "propagation",
     "wire.layout", "wire.covariance", "wire.protection", "wire.records", "wire.reception", "wire",
     "generation",
-    "bus", "cosimulation",
+    "bus", "recordings", "cosimulation",
     "maps", "maps.formats", "localisation", "consumers", "simulation", "restbus", "cli",
 )  # fmt: skip
 #: Modules that stand lower than their folder.

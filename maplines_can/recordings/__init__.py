@@ -1,0 +1,1 @@
+"""Recordings of a bus: logs as arrays of frames and of lines, tables, plots."""
