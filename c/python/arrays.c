@@ -118,3 +118,29 @@ bool maplines_read_doubles(PyObject *array, int order, int axes, const Py_ssize_
     PyBuffer_Release(&view);
     return is_read;
 }
+
+void maplines_release_arrays(maplines_arrays_t *arrays)
+{
+    for (int i = 0; i < arrays->count; i++)
+    {
+        PyBuffer_Release(&arrays->views[i]);
+    }
+    arrays->count = 0;
+}
+
+void *maplines_hold(maplines_arrays_t *arrays, PyObject *array, Py_ssize_t bytes, bool is_written)
+{
+    static char empty;
+    Py_buffer *view = &arrays->views[arrays->count];
+    if (PyObject_GetBuffer(array, view, is_written ? PyBUF_CONTIG : PyBUF_CONTIG_RO) < 0)
+    {
+        return NULL;
+    }
+    arrays->count++;
+    if (view->len != bytes)
+    {
+        PyErr_Format(PyExc_ValueError, "an array must have %zd bytes, got %zd", bytes, view->len);
+        return NULL;
+    }
+    return view->buf != NULL ? view->buf : &empty;
+}

@@ -6,51 +6,14 @@
  */
 #include "native.h"
 
-#include <stdarg.h>
-
 #define BLOCK 128 // records that are decoded together: their raw values stay in the cache
 #define PAGES MAPLINES_MAX_PAGES
-#define MOST_ARRAYS 21
 
 /* ---- arrays ---------------------------------------------------------------------------------- */
 
-/// Arrays of a call, released together.
-typedef struct {
-    Py_buffer views[MOST_ARRAYS];
-    int count;
-} arrays_t;
-
-static void release_arrays(arrays_t *arrays)
-{
-    for (int i = 0; i < arrays->count; i++)
-    {
-        PyBuffer_Release(&arrays->views[i]);
-    }
-    arrays->count = 0;
-}
-
-/// Pointer to the values of an array of so many bytes; NULL with an exception if it is another one,
-/// or if it may not be written to. An empty array has a pointer, too.
-static void *hold(arrays_t *arrays, PyObject *array, Py_ssize_t bytes, bool is_written)
-{
-    static char empty;
-    Py_buffer *view = &arrays->views[arrays->count];
-    if (PyObject_GetBuffer(array, view, is_written ? PyBUF_CONTIG : PyBUF_CONTIG_RO) < 0)
-    {
-        return NULL;
-    }
-    arrays->count++;
-    if (view->len != bytes)
-    {
-        PyErr_Format(PyExc_ValueError, "an array must have %zd bytes, got %zd", bytes, view->len);
-        return NULL;
-    }
-    return view->buf != NULL ? view->buf : &empty;
-}
-
 /// Hold the tables of a tuple: the powers of 2 of the pivots, by row, and of the inflation. False
 /// with an exception if they are not those of a code.
-static bool hold_powers(arrays_t *arrays, PyObject *tables, const maplines_cholesky_t *code,
+static bool hold_powers(maplines_arrays_t *arrays, PyObject *tables, const maplines_cholesky_t *code,
                         maplines_powers_t *powers)
 {
     for (int i = 0; i < 5; i++)
@@ -58,7 +21,7 @@ static bool hold_powers(arrays_t *arrays, PyObject *tables, const maplines_chole
         const maplines_signal_t *signal = i < 4 ? &code->pivot[i] : &code->inflation;
         const Py_ssize_t values = (Py_ssize_t)(signal->raw_max - signal->raw_min + 1);
         PyObject *table = PyTuple_GetItem(tables, i); // borrowed
-        const double *held = table == NULL ? NULL : hold(arrays, table, 8 * values, false);
+        const double *held = table == NULL ? NULL : maplines_hold(arrays, table, 8 * values, false);
         if (held == NULL)
         {
             return false;
@@ -91,7 +54,7 @@ PyDoc_STRVAR(
 static PyObject *check_gaussians(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
     (void)module;
-    arrays_t arrays;
+    maplines_arrays_t arrays;
     arrays.count = 0;
     bool is_good = true;
     const Py_ssize_t n = rows_of(args, count, 4, 0);
@@ -99,13 +62,13 @@ static PyObject *check_gaussians(PyObject *module, PyObject *const *args, Py_ssi
     {
         return NULL;
     }
-    const double *mean = hold(&arrays, args[0], 32 * n, false);
-    const double *cov = mean == NULL ? NULL : hold(&arrays, args[1], 128 * n, false);
-    double *symmetric = cov == NULL ? NULL : hold(&arrays, args[2], 128 * n, true);
-    uint8_t *indefinite = symmetric == NULL ? NULL : hold(&arrays, args[3], n, true);
+    const double *mean = maplines_hold(&arrays, args[0], 32 * n, false);
+    const double *cov = mean == NULL ? NULL : maplines_hold(&arrays, args[1], 128 * n, false);
+    double *symmetric = cov == NULL ? NULL : maplines_hold(&arrays, args[2], 128 * n, true);
+    uint8_t *indefinite = symmetric == NULL ? NULL : maplines_hold(&arrays, args[3], n, true);
     if (indefinite == NULL)
     {
-        release_arrays(&arrays);
+        maplines_release_arrays(&arrays);
         return NULL;
     }
     Py_BEGIN_ALLOW_THREADS;
@@ -121,7 +84,7 @@ static PyObject *check_gaussians(PyObject *module, PyObject *const *args, Py_ssi
         maplines_symmetric(4, symmetric + 16 * i);
     }
     Py_END_ALLOW_THREADS;
-    release_arrays(&arrays);
+    maplines_release_arrays(&arrays);
     return PyBool_FromLong(is_good);
 }
 
@@ -174,7 +137,7 @@ PyDoc_STRVAR(
 
 static PyObject *encode_records(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
-    arrays_t arrays;
+    maplines_arrays_t arrays;
     arrays.count = 0;
     const Py_ssize_t n = rows_of(args, count, 17, 2);
     const maplines_dbc_t *dbc = n < 0 ? NULL : maplines_dbc_of(module, args[0]);
@@ -190,17 +153,17 @@ static PyObject *encode_records(PyObject *module, PyObject *const *args, Py_ssiz
         const Py_ssize_t size = i == 1 ? 32 : i == 2 || i == 4 ? 128 : i == 3 ? 1 : 8;
         if (i != 4 || args[i + 1] != Py_None)
         {
-            in[i] = hold(&arrays, args[i + 1], size * n, false);
+            in[i] = maplines_hold(&arrays, args[i + 1], size * n, false);
             is_held = in[i] != NULL;
         }
     }
     lines_t lines = {in[1], in[2],  in[4],  in[3],  in[5],  in[6],  in[7], in[8],
                      in[9], in[10], in[11], in[12], in[13], in[14], NULL};
     lines.records =
-        is_held ? hold(&arrays, args[16], 8 * (Py_ssize_t)dbc->line.pages * n, true) : NULL;
+        is_held ? maplines_hold(&arrays, args[16], 8 * (Py_ssize_t)dbc->line.pages * n, true) : NULL;
     if (lines.records == NULL)
     {
-        release_arrays(&arrays);
+        maplines_release_arrays(&arrays);
         return NULL;
     }
     Py_BEGIN_ALLOW_THREADS;
@@ -209,7 +172,7 @@ static PyObject *encode_records(PyObject *module, PyObject *const *args, Py_ssiz
         encode_row(dbc, &powers, &lines, i);
     }
     Py_END_ALLOW_THREADS;
-    release_arrays(&arrays);
+    maplines_release_arrays(&arrays);
     Py_RETURN_NONE;
 }
 
@@ -238,7 +201,7 @@ static void cover_one(const maplines_dbc_t *dbc, int k, int64_t steps, const dou
 
 static PyObject *cover_mixtures(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
-    arrays_t arrays;
+    maplines_arrays_t arrays;
     arrays.count = 0;
     const Py_ssize_t n = rows_of(args, count, 7, 1);
     const maplines_dbc_t *dbc = n < 0 ? NULL : maplines_dbc_of(module, args[0]);
@@ -260,14 +223,14 @@ static PyObject *cover_mixtures(PyObject *module, PyObject *const *args, Py_ssiz
         PyErr_SetString(PyExc_ValueError, "there are more components than the core can hold");
         return NULL;
     }
-    const double *given = hold(&arrays, args[1], 8 * n * k, false);
-    const double *means = given == NULL ? NULL : hold(&arrays, args[2], 32 * n * k, false);
-    const double *covs = means == NULL ? NULL : hold(&arrays, args[3], 128 * n * k, false);
-    double *decoded = covs == NULL ? NULL : hold(&arrays, args[5], 8 * n * k, true);
-    double *cover = decoded == NULL ? NULL : hold(&arrays, args[6], 128 * n, true);
+    const double *given = maplines_hold(&arrays, args[1], 8 * n * k, false);
+    const double *means = given == NULL ? NULL : maplines_hold(&arrays, args[2], 32 * n * k, false);
+    const double *covs = means == NULL ? NULL : maplines_hold(&arrays, args[3], 128 * n * k, false);
+    double *decoded = covs == NULL ? NULL : maplines_hold(&arrays, args[5], 8 * n * k, true);
+    double *cover = decoded == NULL ? NULL : maplines_hold(&arrays, args[6], 128 * n, true);
     if (cover == NULL)
     {
-        release_arrays(&arrays);
+        maplines_release_arrays(&arrays);
         return NULL;
     }
     Py_BEGIN_ALLOW_THREADS;
@@ -277,7 +240,7 @@ static PyObject *cover_mixtures(PyObject *module, PyObject *const *args, Py_ssiz
                   decoded + k * i, cover + 16 * i);
     }
     Py_END_ALLOW_THREADS;
-    release_arrays(&arrays);
+    maplines_release_arrays(&arrays);
     Py_RETURN_NONE;
 }
 
@@ -609,7 +572,7 @@ PyDoc_STRVAR(decode_records_doc,
 static PyObject *decode_records(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
     static const uint8_t sizes[] = {32, 128, 1, 8, 8, 8, 8, 8, 8, 8, 8, 8};
-    arrays_t arrays;
+    maplines_arrays_t arrays;
     arrays.count = 0;
     const Py_ssize_t n = rows_of(args, count, 16, 1);
     const maplines_dbc_t *dbc = n < 0 ? NULL : maplines_dbc_of(module, args[0]);
@@ -620,8 +583,8 @@ static PyObject *decode_records(PyObject *module, PyObject *const *args, Py_ssiz
     maplines_powers_t tables;
     powers_t powers[5];
     void *out[12] = {NULL};
-    const uint8_t *records = hold(&arrays, args[1], 8 * (Py_ssize_t)dbc->line.pages * n, false);
-    const uint16_t *data_ids = records == NULL ? NULL : hold(&arrays, args[2], 2 * n, false);
+    const uint8_t *records = maplines_hold(&arrays, args[1], 8 * (Py_ssize_t)dbc->line.pages * n, false);
+    const uint16_t *data_ids = records == NULL ? NULL : maplines_hold(&arrays, args[2], 2 * n, false);
     bool is_held = data_ids != NULL;
     is_held = is_held && hold_powers(&arrays, args[3], &dbc->covariance, &tables);
     for (int i = 0; is_held && i < 5; i++)
@@ -634,12 +597,12 @@ static PyObject *decode_records(PyObject *module, PyObject *const *args, Py_ssiz
     }
     for (int i = 0; is_held && i < 12; i++)
     {
-        out[i] = hold(&arrays, args[4 + i], sizes[i] * n, true);
+        out[i] = maplines_hold(&arrays, args[4 + i], sizes[i] * n, true);
         is_held = out[i] != NULL;
     }
     if (!is_held)
     {
-        release_arrays(&arrays);
+        maplines_release_arrays(&arrays);
         return NULL;
     }
     const decoded_t to = {out[0], out[1], out[5], out[6], out[7],  out[10],
@@ -647,7 +610,7 @@ static PyObject *decode_records(PyObject *module, PyObject *const *args, Py_ssiz
     Py_BEGIN_ALLOW_THREADS;
     decode_all(dbc, records, data_ids, powers, to, n);
     Py_END_ALLOW_THREADS;
-    release_arrays(&arrays);
+    maplines_release_arrays(&arrays);
     Py_RETURN_NONE;
 }
 

@@ -104,24 +104,36 @@ static bool read_data(PyObject *data, maplines_frame_t *frame)
 /* ---- lines ------------------------------------------------------------------------------------
  */
 
-/// Line of a slot whose record has a covariance of its own.
-static PyObject *new_complete_line(const maplines_receiver_t *receiver, int slot)
+void maplines_line_moments(const maplines_decoder_t *decoder, int slot,
+                           const maplines_scene_t *scene, int place, double cov[16],
+                           maplines_components_t *components)
 {
-    const maplines_line_t line = receiver->decoder->newest[slot];
-    double cov[16];
-    maplines_product_transposed(4, 4, 4, line.gaussian.factor[0], line.gaussian.factor[0], cov);
-    PyObject *gaussian = maplines_new_gaussian(receiver->objects, 4, line.gaussian.mean, cov);
-    return maplines_new_line(receiver->objects, &line, gaussian, NULL);
-}
-
-/// Mean and covariance of a mixture, whose components have these covariances.
-static PyObject *new_overall(PyObject *const *objects, int count, const double *weights,
-                             double (*means)[4], double (*covs)[16])
-{
-    double mean[4];
-    double cov[16];
+    const maplines_line_t *line = &decoder->newest[slot];
+    components->count = 0;
+    if (decoder->dbc->is_conditional)
+    {
+        maplines_scene_covariance(scene, place, cov);
+        return;
+    }
+    if (line->components <= 1)
+    {
+        maplines_product_transposed(4, 4, 4, line->gaussian.factor[0], line->gaussian.factor[0],
+                                    cov);
+        return;
+    }
+    components->count = line->components;
+    for (int i = 0; i < components->count; ++i)
+    {
+        maplines_gaussian_t gaussian;
+        (void)maplines_component(decoder, line->slot, (uint8_t)i, &gaussian,
+                                 &components->weights[i]);
+        memcpy(components->means[i], gaussian.mean, sizeof components->means[i]);
+        maplines_product_transposed(4, 4, 4, gaussian.factor[0], gaussian.factor[0],
+                                    components->covs[i]);
+    }
     double L[16];
-    maplines_moments(count, weights, means, covs, mean, cov);
+    maplines_moments(components->count, components->weights, components->means, components->covs,
+                     components->mean, cov);
     if (!maplines_cholesky_factor(4, cov, L))
     {
         for (int i = 0; i < 4; ++i)
@@ -130,43 +142,36 @@ static PyObject *new_overall(PyObject *const *objects, int count, const double *
             cov[5 * i] = cov[5 * i] + share;
         }
     }
-    return maplines_new_gaussian(objects, 4, mean, cov);
 }
 
-/// Line of a slot that is a mixture.
-static PyObject *new_mixture_line(const maplines_receiver_t *receiver, int slot)
+PyObject *maplines_new_moments_line(PyObject *const *objects, const maplines_line_t *line,
+                                    const double cov[16], const maplines_components_t *components)
 {
-    const maplines_line_t line = receiver->decoder->newest[slot];
-    const int count = line.components;
-    double weights[MAPLINES_MAX_COMPONENTS];
-    double means[MAPLINES_MAX_COMPONENTS][4];
-    double covs[MAPLINES_MAX_COMPONENTS][16];
-    PyObject *components[MAPLINES_MAX_COMPONENTS] = {NULL};
-    for (int i = 0; i < count; ++i)
+    const int count = components->count;
+    const double *mean = count > 0 ? components->mean : line->gaussian.mean;
+    PyObject *mixture = NULL;
+    if (count > 0)
     {
-        maplines_gaussian_t gaussian;
-        (void)maplines_component(receiver->decoder, line.slot, (uint8_t)i, &gaussian, &weights[i]);
-        memcpy(means[i], gaussian.mean, sizeof means[i]);
-        maplines_product_transposed(4, 4, 4, gaussian.factor[0], gaussian.factor[0], covs[i]);
+        PyObject *gaussians[MAPLINES_MAX_COMPONENTS] = {NULL};
+        bool is_made = true;
+        for (int i = 0; is_made && i < count; ++i)
+        {
+            gaussians[i] =
+                maplines_new_gaussian(objects, 4, components->means[i], components->covs[i]);
+            is_made = gaussians[i] != NULL;
+        }
+        mixture =
+            is_made ? maplines_new_mixture(objects, count, components->weights, gaussians) : NULL;
+        for (int i = 0; i < count; ++i)
+        {
+            Py_XDECREF(gaussians[i]);
+        }
+        if (mixture == NULL)
+        {
+            return NULL;
+        }
     }
-    bool is_made = true;
-    for (int i = 0; is_made && i < count; ++i)
-    {
-        components[i] = maplines_new_gaussian(receiver->objects, 4, means[i], covs[i]);
-        is_made = components[i] != NULL;
-    }
-    PyObject *mixture =
-        is_made ? maplines_new_mixture(receiver->objects, count, weights, components) : NULL;
-    for (int i = 0; i < count; ++i)
-    {
-        Py_XDECREF(components[i]);
-    }
-    if (mixture == NULL)
-    {
-        return NULL;
-    }
-    PyObject *overall = new_overall(receiver->objects, count, weights, means, covs);
-    return maplines_new_line(receiver->objects, &line, overall, mixture);
+    return maplines_new_line(objects, line, maplines_new_gaussian(objects, 4, mean, cov), mixture);
 }
 
 PyObject *maplines_new_scene_line(PyObject *const *objects, const maplines_scene_t *scene,
@@ -187,19 +192,11 @@ static PyObject *new_lines(maplines_receiver_t *receiver, const maplines_fed_t *
     for (int i = 0; lines != NULL && i < fed->count; ++i)
     {
         const int slot = (int)fed->slots[i];
-        PyObject *line = NULL;
-        if (receiver->decoder->dbc->is_conditional)
-        {
-            line = maplines_new_scene_line(receiver->objects, scene, i);
-        }
-        else if (receiver->decoder->newest[slot].components > 1)
-        {
-            line = new_mixture_line(receiver, slot);
-        }
-        else
-        {
-            line = new_complete_line(receiver, slot);
-        }
+        double cov[16];
+        maplines_components_t components;
+        maplines_line_moments(receiver->decoder, slot, scene, i, cov, &components);
+        const maplines_line_t newest = receiver->decoder->newest[slot];
+        PyObject *line = maplines_new_moments_line(receiver->objects, &newest, cov, &components);
         PyObject *before = receiver->newest[slot];
         receiver->newest[slot] = Py_XNewRef(line);
         Py_XDECREF(before);

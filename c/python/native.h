@@ -114,6 +114,19 @@ bool maplines_hold_doubles(PyObject *array, int axes, Py_buffer *view);
 bool maplines_read_doubles(PyObject *array, int order, int axes, const Py_ssize_t *shape,
                            double *values);
 
+#define MAPLINES_MOST_ARRAYS 21
+
+/// Arrays of a call, released together.
+typedef struct {
+    Py_buffer views[MAPLINES_MOST_ARRAYS];
+    int count;
+} maplines_arrays_t;
+
+/// Pointer to the values of an array of so many bytes; NULL with an exception if it is another one,
+/// or if it may not be written to. An empty array has a pointer, too.
+void *maplines_hold(maplines_arrays_t *arrays, PyObject *array, Py_ssize_t bytes, bool is_written);
+void maplines_release_arrays(maplines_arrays_t *arrays);
+
 /* package.c: classes and members of enumerations of the package */
 
 /// Objects of the module, all of them; NULL with an exception if they cannot be imported.
@@ -136,6 +149,9 @@ PyObject *maplines_new_line(PyObject *const *objects, const maplines_line_t *lin
 
 /// Covariance of a line of a scene: its block of the joint one.
 void maplines_scene_covariance(const maplines_scene_t *scene, int place, double cov[16]);
+
+/// Joint covariance of the n lines of a scene: (4 n, 4 n).
+void maplines_all_covariances(const maplines_scene_t *scene, double *cov);
 
 /// `Scene` of lines, and of the parts of their joint covariance; steals `lines`, a tuple.
 PyObject *maplines_new_scene(PyObject *const *objects, const maplines_scene_t *scene,

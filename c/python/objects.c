@@ -169,6 +169,11 @@ void maplines_scene_covariance(const maplines_scene_t *scene, int place, double 
     joint_covariance(1, scene->spread + 4 * place, scene->specific + place, cov);
 }
 
+void maplines_all_covariances(const maplines_scene_t *scene, double *cov)
+{
+    joint_covariance(scene->count, scene->spread, scene->specific, cov);
+}
+
 static PyObject *new_joint_covariance(PyObject *const *objects, const maplines_scene_t *scene)
 {
     const size_t n = 4U * scene->count;

@@ -176,6 +176,7 @@ static void receiver_dealloc(PyObject *self)
     PyTypeObject *type = Py_TYPE(self);
     PyObject_GC_UnTrack(self);
     (void)receiver_clear(self);
+    free(receiver->shown);
     free(receiver->decoder);
     Py_XDECREF(receiver->tables);
     Py_XDECREF(receiver->routes);
@@ -189,6 +190,8 @@ static PyMethodDef receiver_methods[] = {
     {"feed", (PyCFunction)(void (*)(void))maplines_receiver_feed, METH_FASTCALL | METH_KEYWORDS,
      NULL},
     {"feed_all", maplines_receiver_feed_all, METH_O, NULL},
+    {"feed_arrays", (PyCFunction)(void (*)(void))maplines_receiver_feed_arrays, METH_FASTCALL,
+     NULL},
     {"expire", maplines_receiver_expire, METH_O, NULL},
     {"_view", maplines_receiver_view, METH_VARARGS, NULL},
     {"scene", maplines_receiver_scene, METH_NOARGS, NULL},

@@ -12,6 +12,7 @@ typedef struct {
     PyObject *routes;                          ///< by (CAN ID, is extended): the same
     PyObject *const *objects;
     PyObject *newest[MAPLINES_SLOTS]; ///< newest line of each slot; NULL before the first
+    struct maplines_scene_row *shown; ///< scene that feed_arrays has not returned yet, or NULL
     PyObject *received; ///< newest scene as it was returned last; NULL before the first
 } maplines_receiver_t;
 
@@ -27,10 +28,34 @@ PyObject *maplines_new_scene_line(PyObject *const *objects, const maplines_scene
 
 /* decoder.c */
 
+/// Components of a mixture.
+typedef struct {
+    int count; ///< 0: the line is no mixture
+    double mean[4]; ///< of all
+    double weights[MAPLINES_MAX_COMPONENTS];
+    double means[MAPLINES_MAX_COMPONENTS][4];
+    double covs[MAPLINES_MAX_COMPONENTS][16];
+} maplines_components_t;
+
+/// Covariance and components of the newest line of a slot, which was at a place of what a frame has
+/// completed. `scene` is that of maplines_feed_with.
+void maplines_line_moments(const maplines_decoder_t *decoder, int slot,
+                           const maplines_scene_t *scene, int place, double cov[16],
+                           maplines_components_t *components);
+
+/// `MapLine` of a line, its covariance and its components.
+PyObject *maplines_new_moments_line(PyObject *const *objects, const maplines_line_t *line,
+                                    const double cov[16], const maplines_components_t *components);
+
 PyObject *maplines_receiver_feed(PyObject *self, PyObject *const *arguments, Py_ssize_t count,
                                  PyObject *keywords);
 PyObject *maplines_receiver_feed_all(PyObject *self, PyObject *frames);
 PyObject *maplines_receiver_expire(PyObject *self, PyObject *time);
+
+/* feed_blocks.c */
+
+PyObject *maplines_receiver_feed_arrays(PyObject *self, PyObject *const *arguments,
+                                        Py_ssize_t count);
 
 /* views.c */
 

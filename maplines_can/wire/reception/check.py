@@ -33,6 +33,10 @@ class Check(Protocol):
         """Records missing between those received, according to their counters."""
 
     @property
+    def counter(self) -> int | None:
+        """Counter of the last new record; None before the first."""
+
+    @property
     def ahead(self) -> int | None:
         """By how much the last new record is ahead of the one before; None after a break."""
 

@@ -104,7 +104,8 @@ class Decoder:
         self.can_ids = layout.can_ids
         #: Check whether frames are authentic, by owner; empty without authentication.
         self.verifiers = verifiers
-        self._is_conditional = layout.is_conditional
+        #: Whether lines are conditional on the pose error.
+        self.is_conditional = layout.is_conditional
         self._slots = [owner for owner in settings if owner != POSE]
         timeouts_ns = {owner: own.timeout_ns for owner, own in settings.items()}
         self._reassembler = Reassembler(layout, reader, timeouts_ns, verifiers)
@@ -253,7 +254,7 @@ class Decoder:
             ValueError: the DBC has no such slot, or ``now_ns`` is not a whole number.
         """
         self._check_question(slot, now_ns)
-        owners: tuple[Owner, ...] = (slot, POSE) if self._is_conditional else (slot,)
+        owners: tuple[Owner, ...] = (slot, POSE) if self.is_conditional else (slot,)
         checks = [self._checks[owner] for owner in owners]
         return slot_view(Slot(slot), self._newest.get(slot), checks, now_ns, stale_cycles)
 

@@ -54,6 +54,7 @@ class NativeDecoder(_Core, Decoder):  # type: ignore[misc]
         of_id = layout.message_of_id | (layout.pose.message_of_id if layout.pose else {})
         _Core.__init__(self, tables, values, {key: key for key in of_id})
         self.can_ids = layout.can_ids
+        self.is_conditional = layout.is_conditional
         self.verifiers = {}
         self._slots = [owner for owner in settings if owner != POSE]
         self._numbers = {owner: numbers[owner] for owner in settings}
@@ -133,13 +134,18 @@ class _NativeCheck:
         return self._values()[3] or None
 
     @property
+    def counter(self) -> int | None:
+        counter: int | None = self._values()[5]
+        return counter
+
+    @property
     def two_senders(self) -> bool:
         is_confirmed: bool = self._values()[4]
         return is_confirmed
 
     @property
     def statuses(self) -> Counter[ProfileStatus]:
-        numbers = zip(ProfileStatus, self._values()[5], strict=True)
+        numbers = zip(ProfileStatus, self._values()[6], strict=True)
         return Counter({status: number for status, number in numbers if number})
 
     def has_one_sender(self, t_ns: int) -> bool:

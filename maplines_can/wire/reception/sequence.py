@@ -150,6 +150,11 @@ class SequenceCheck:
         return self._machine.state
 
     @property
+    def counter(self) -> int | None:
+        """Counter of the last new record; None before the first."""
+        return self._counters.last
+
+    @property
     def two_senders(self) -> bool:
         """Whether two senders were detected in the last 256 cycles."""
         return self._conflict.is_confirmed
@@ -269,7 +274,7 @@ class _CounterCheck:
         self._window_ns = config.window_size_valid * cycle_ns
         self._grace_ns = int(GRACE_CYCLES * cycle_ns)
         self._is_authentic = is_authentic
-        self._last: int | None = None  # counter of the last new record
+        self.last: int | None = None  #: counter of the last new record
         self._new_ns = 0  # its time
         self._left: int | None = None  # last counter before that, if there was a gap
         # Records of the line delivered last; 1 while a later line is incomplete.
@@ -277,7 +282,7 @@ class _CounterCheck:
 
     def check(self, counter: int, content: int, t_ns: int, records: int) -> _Found:
         """Check the counter of a record; remember a new one."""
-        status, last = check(counter, self._last, self._max_delta, self._modulus), self._last
+        status, last = check(counter, self.last, self._max_delta, self._modulus), self.last
         if status is OK or last is None:
             self.conflict.next()
             self._accept(counter, content, t_ns, 1)
@@ -304,13 +309,13 @@ class _CounterCheck:
     def delivered(self, records: int) -> None:
         """Note that the last new record completed a line of this many records."""
         self._span = records
-        if self._last is not None:
-            self._pace.delivered(self._last, self._new_ns, records)
+        if self.last is not None:
+            self._pace.delivered(self.last, self._new_ns, records)
 
     def _accept(self, counter: int, content: int, t_ns: int, ahead: int) -> None:
         self._history.add_new(counter, content, ahead)
         self.conflict.new()
-        self._last, self._new_ns, self._span = counter, t_ns, 1
+        self.last, self._new_ns, self._span = counter, t_ns, 1
 
     def _most_ahead(self, waited_ns: int, records: int) -> int:
         """Return the greatest difference of the counter of a newer record from the last new one.
