@@ -1,0 +1,102 @@
+"""MCAP: a message a line in JSON, on a topic a slot, so that ``EgoLeft.y40`` is a plot."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from ...values.errors import missing_extra
+from ...values.line import Slot
+from ...wire.layout.signals import slot_title
+from ..table import LineTable, Table
+from .writer import About, PartFiles
+
+_TYPES = {"b": "boolean", "i": "integer", "u": "integer", "f": "number"}
+_TITLES = {slot.name: slot_title(slot) for slot in Slot}
+
+
+class McapWriter:
+    """Writer of MCAP with the topics ``EgoLeft`` and so on, ``rejects`` and ``scenes``.
+
+    With several channels in a log the topics are ``can0/EgoLeft`` and so on. The JSON schema of a
+    topic has the units. A value that is not finite is left out of its message.
+
+    Args:
+        path: of the file.
+        about: source of the tables: the metadata record ``maplines_can``.
+
+    Raises:
+        MissingExtraError: mcap is not installed.
+    """
+
+    def __init__(self, path: Path, about: About) -> None:
+        try:
+            from mcap.writer import Writer
+        except ImportError as error:
+            raise missing_extra(f"{path}: MCAP needs mcap", "tables") from error
+        self._files = PartFiles(path)
+        self._file = self._files.temporary("lines").open("wb")
+        self._writer = Writer(self._file)
+        self._writer.start(profile="", library=f"maplines_can {about.maplines_can}")
+        self._writer.add_metadata("maplines_can", about.texts)
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+
+    def write(self, table: LineTable) -> None:
+        """Write the rows of a block, in the order of their times as far as a block has them."""
+        for name, part in table.parts.items():
+            many = len(part.categories.get("channel", ())) > 1
+            names = [column for column in part.columns if column != "t_ns"]
+            columns = [part[column].tolist() for column in names]
+            for t_ns, *row in zip(part.columns["t_ns"].tolist(), *columns, strict=True):
+                values = {
+                    key: value
+                    for key, value in zip(names, row, strict=True)
+                    if not (isinstance(value, float) and not math.isfinite(value))
+                }
+                topic = _TITLES[values["slot"]] if name == "lines" else name
+                topic = f"{values['channel']}/{topic}" if many else topic
+                time = max(t_ns, 0)  # MCAP has no times before 1970
+                self._writer.add_message(
+                    self._channel(topic, name, part),
+                    log_time=time,
+                    data=json.dumps(values).encode(),
+                    publish_time=time,
+                )
+
+    def _channel(self, topic: str, name: str, part: Table) -> int:
+        if topic not in self._channels:
+            if name not in self._schemas:
+                text = json.dumps(_schema(name, part)).encode()
+                self._schemas[name] = self._writer.register_schema(
+                    f"maplines.{name}", "jsonschema", text
+                )
+            self._channels[topic] = self._writer.register_channel(
+                topic, "json", self._schemas[name]
+            )
+        return self._channels[topic]
+
+    def close(self) -> list[Path]:
+        """Complete the file and return its path."""
+        self._writer.finish()
+        self._file.close()
+        return self._files.close()
+
+    def abort(self) -> None:
+        """Leave no file."""
+        self._file.close()
+        self._files.abort()
+
+
+def _schema(name: str, part: Table) -> dict[str, Any]:
+    """Return the JSON schema of the messages of a table."""
+    properties: dict[str, Any] = {}
+    for column in part.columns:
+        kind = part.columns[column].dtype.kind
+        of_text = column in part.categories
+        properties[column] = {"type": "string" if of_text else _TYPES[kind]}
+        if column in part.units:
+            properties[column]["description"] = f"[{part.units[column]}]"
+    return {"title": f"maplines.{name}", "type": "object", "properties": properties}

@@ -1,0 +1,57 @@
+"""Parquet: a file for each table; units and the source are in the metadata."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ...values.errors import missing_extra
+from ..table import LineTable
+from .writer import About, PartFiles
+
+
+class ParquetWriter:
+    """Writer of Parquet, a row group a block of frames.
+
+    A field has the metadata ``unit``, and the schema has those of ``About`` with the prefix
+    ``maplines.``.
+
+    Args:
+        path: of the file of lines.
+        about: source of the tables.
+
+    Raises:
+        MissingExtraError: pyarrow is not installed.
+    """
+
+    def __init__(self, path: Path, about: About) -> None:
+        try:
+            import pyarrow.parquet as pq
+        except ImportError as error:
+            raise missing_extra(f"{path}: Parquet needs pyarrow", "tables") from error
+        self._pq, self._about, self._files = pq, about, PartFiles(path)
+        self._writers: dict[str, Any] = {}
+
+    def write(self, table: LineTable) -> None:
+        """Write the rows of a block."""
+        for name, part in table.parts.items():
+            rows = part.to_arrow()
+            if name not in self._writers:
+                about = {f"maplines.{key}": text for key, text in self._about.texts.items()}
+                schema = rows.schema.with_metadata(about)
+                path = self._files.temporary(name)
+                self._writers[name] = self._pq.ParquetWriter(path, schema, compression="zstd")
+            if len(part):
+                self._writers[name].write_table(rows.replace_schema_metadata(None))
+
+    def close(self) -> list[Path]:
+        """Complete the files and return their paths."""
+        for writer in self._writers.values():
+            writer.close()
+        return self._files.close()
+
+    def abort(self) -> None:
+        """Leave no file."""
+        for writer in self._writers.values():
+            writer.close()
+        self._files.abort()

@@ -1,0 +1,124 @@
+"""Logs to tables of lines: at once, or in blocks whose memory is bounded."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from os import PathLike
+from typing import IO
+
+from ..values.errors import LogError
+from ..values.line import Slot
+from ..wire import Codec
+from .blocks import BLOCK_FRAMES, read_blocks
+from .receive import LogReceiver
+from .table import LineTable, checked_at, joined, line_table
+
+Log = str | PathLike[str] | IO[bytes]
+
+
+def read_lines(
+    log: Log,
+    *,
+    at: Sequence[float] = (),
+    dbc: str | PathLike[str] | Codec | None = None,
+    slots: Sequence[Slot] | None = None,
+    scenes: bool = False,
+    cycle_ms: float | None = None,
+    timeout_ms: float | None = None,
+) -> LineTable:
+    """Return the lines of a log as a table, in the order of their last frames.
+
+    The lines are those of ``Decoder.feed`` frame by frame. A line that must not be used (its status
+    is OUT_OF_RANGE, or its age is infinite) has nan for its values, and so has a position at an x
+    outside of the range of its line. ``usable`` is true if a controller might have used the line as
+    it arrived, see ``SlotView.usable``.
+
+    ===================  ==========================================================================
+    column               meaning
+    ===================  ==========================================================================
+    t, t_ns              time of the first frame [s; nan if the log has no times] [ns]
+    channel, slot        categories
+    kind, status         categories, those of ``MapLine``
+    state                E2E state after the line, see ``SlotView.state``
+    usable, two_senders  as in ``SlotView``, at the time of the last frame
+    counter, ahead       of the last record, and by how much it is ahead of the one before; 0 after
+                         a sequence break
+    components           number of components; 1 for a line that is no mixture
+    age                  from the pose to the sending [s]
+    x_min, x_max         range [m]
+    y_off, beta, c0, c1  mean [m, rad, 1/m, 1/m^2]
+    cov_y_off_beta ...   covariance, upper triangle
+    y40, sigma40 ...     position at x = 40 m and its standard deviation, to first order [m]
+    ===================  ==========================================================================
+
+    Args:
+        log: path of a file, or a stream; see `read_log` for the formats.
+        at: distances ahead of the car [m].
+        dbc: path of the DBC or its codec; that of the package by default.
+        slots: lines of these only.
+        scenes: whether to give the table of scenes, too.
+        cycle_ms: as in ``Codec.decoder``.
+        timeout_ms: as in ``Codec.decoder``.
+
+    Warns:
+        UserWarning: the log is damaged; the table has what is intact.
+
+    Raises:
+        LogError: the log cannot be opened.
+        ValueError: a distance or a time is out of range, or the DBC has no scenes.
+
+    >>> table = read_lines("drive.log", at=[20, 40])  # doctest: +SKIP
+    >>> left = table.where(table["slot"] == "EGO_LEFT").to_pandas()  # doctest: +SKIP
+    """
+    tables = []
+    given = {"slots": slots, "scenes": scenes, "cycle_ms": cycle_ms, "timeout_ms": timeout_ms}
+    try:
+        tables.extend(line_tables(log, at=at, dbc=dbc, **given))  # type: ignore[arg-type]
+    except LogError as error:
+        if not tables:
+            raise
+        warnings.warn(str(error), stacklevel=2)
+    return joined(tables)
+
+
+def line_tables(
+    log: Log,
+    *,
+    at: Sequence[float] = (),
+    dbc: str | PathLike[str] | Codec | None = None,
+    slots: Sequence[Slot] | None = None,
+    scenes: bool = False,
+    cycle_ms: float | None = None,
+    timeout_ms: float | None = None,
+    block_frames: int = BLOCK_FRAMES,
+) -> Iterator[LineTable]:
+    """Return an iterator over the tables of the blocks of a log; the arguments are as above.
+
+    The last table has the scenes at the end of the log, and no lines.
+
+    Args:
+        log, at, dbc, slots, scenes, cycle_ms, timeout_ms: as for `read_lines`.
+        block_frames: most frames of a block.
+
+    Raises:
+        LogError: the log cannot be opened; or, after the last table, it is damaged.
+        ValueError: as for `read_lines`.
+    """
+    codec = dbc if isinstance(dbc, Codec) else Codec.from_dbc(dbc)
+    receiver = LogReceiver(codec, cycle_ms=cycle_ms, timeout_ms=timeout_ms, scenes=scenes)
+    blocks = read_blocks(log, block_frames=block_frames)
+    checked_at(at)
+
+    def tables() -> Iterator[LineTable]:
+        error = None
+        try:
+            for block in blocks:
+                yield line_table(receiver.feed(block), block, at, slots, scenes=scenes)
+        except LogError as damage:
+            error = damage
+        yield line_table(receiver.finish(), None, at, slots, scenes=scenes)
+        if error is not None:
+            raise error
+
+    return tables()
