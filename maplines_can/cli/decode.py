@@ -14,7 +14,15 @@ from typing import Any
 from ..bus import LogFrame, read_log
 from ..values.errors import LogError
 from ..values.line import MapLine
-from ..wire import POSE, Codec, Decoder, Reason, SceneView
+from ..wire import Codec, Decoder, Reason, SceneView
+from .decode_tables import (
+    MAX_CHANNELS,
+    add_tables,
+    beyond_text,
+    check_tables,
+    note_decoders,
+    write_files,
+)
 from .fitting_dbc import MAX_IDS, dbc_hint
 from .options import (
     add_codec,
@@ -25,22 +33,9 @@ from .options import (
     decoder_of,
     keyed_codec,
 )
-from .output import (
-    POSE_ERROR,
-    check_text,
-    counts_text,
-    is_another_scene,
-    line_dict,
-    pose_errors_text,
-    scene_dict,
-    slot_text,
-    write_csv,
-)
+from .output import is_another_scene, line_dict, scene_dict, write_csv
 from .parsing import add_command, option_group
 from .stderr import note, with_progress
-
-#: No log of a car has more channels. Each one needs a decoder, some 16 kB.
-MAX_CHANNELS = 256
 
 DESCRIPTION = """\
 Print the lines in a log file, or in a pipe as they arrive, one row of JSON each. At the end,
@@ -49,6 +44,13 @@ slot and of the pose error.
 
 If the sender states the error of the pose from which the lines of a cycle are seen, these lines
 are a scene. --scenes prints the joint covariance of each scene.
+
+With -o, the lines are written to a table instead, many times as fast: see 'Tables of lines' in
+docs/recordings.md. It has the columns of --csv, and the E2E state, the counter and, for each x of
+--at, the lateral position and its standard deviation (y40, sigma40). Frames that are dropped are in
+FILE.rejects, and scenes with the width and the centre of the ego lane in FILE.scenes (--scenes);
+MF4 and MCAP have all of them in one file. Many logs are a data set in a folder, a file a log; the
+same command goes on where it was stopped.
 
 With --csv, a line that must not be used (usable is false: OUT_OF_RANGE, or too old) has empty cells
 instead of values.
@@ -62,29 +64,47 @@ counter has caught up. So prefer -L."""
 def add_decode(commands: Any) -> None:
     """Add the command ``decode``."""
     example = (
-        "maplines decode drive.blf --csv > drive.csv\n         candump -L vcan0 | maplines decode -"
+        "maplines decode drive.blf --at 0,20,40 -o drive.parquet\n"
+        "         candump -L vcan0 | maplines decode -"
     )
     parser = add_command(commands, "decode", _decode, DESCRIPTION, example)
     add_codec(parser)
     add_cycle(parser)
     add_transfer_timeout(parser)
-    parser.add_argument("log", metavar="LOG", help="log file, or - for standard input")
+    parser.add_argument(
+        "logs",
+        metavar="LOG",
+        nargs="+",
+        help="log file, or - for standard input; with -o FOLDER also directories, and patterns "
+        "such as 'drives/**/*.blf'",
+    )
     rows = option_group(parser, "output").add_mutually_exclusive_group()
     rows.add_argument("--csv", action="store_true", help="print CSV instead of JSON")
     add_scenes(rows)
+    add_tables(parser)
 
 
 def _decode(arguments: argparse.Namespace) -> int:
+    check_tables(arguments)
+    if arguments.out is None:
+        return _print_lines(arguments)
+    return write_files(arguments)
+
+
+def _print_lines(arguments: argparse.Namespace) -> int:
+    arguments.log = arguments.logs[0]
     codec = keyed_codec(arguments, clock=None)
     check_scenes(codec, arguments)
     log = DecodedLog(codec, arguments)
     with closing(log.lines()) as rows:  # ends the progress bar
         try:
             if arguments.csv:
-                write_csv(sys.stdout, rows)
+                write_csv(sys.stdout, rows, arguments.at)
             else:
                 for channel, line in rows:
-                    print(json.dumps(line_dict(line) | {"channel": channel}), flush=True)
+                    print(
+                        json.dumps(line_dict(line, arguments.at) | {"channel": channel}), flush=True
+                    )
         except KeyboardInterrupt:  # the counters so far are still useful
             log.status = 130
     if not log.has_time:
@@ -128,10 +148,7 @@ class DecodedLog:
             note(f"error: {error}")
             self.status = 1
         if self._beyond:
-            note(
-                f"error: {self._arguments.log}: {self._beyond} frames are not read, they are of "
-                f"channels beyond the first {MAX_CHANNELS}; split the log by channel"
-            )
+            note(beyond_text(self._arguments.log, self._beyond))
             self.status = 1
         for channel, decoder in self._decoders.items():
             # This counts the incomplete lines at the end of the log.
@@ -160,6 +177,8 @@ class DecodedLog:
         )
         if not isinstance(found, Reason):
             for line in found:
+                if self._arguments.slots is not None and line.slot not in self._arguments.slots:
+                    continue
                 yield frame.channel, line if self.has_time else replace(line, t_ns=None)
         self._see(frame.channel)
 
@@ -189,20 +208,4 @@ class DecodedLog:
 
     def note_counters(self) -> None:
         """Print the counters of all frames, and the state of each slot at the end of the log."""
-        decoders = self._decoders.values()
-        total = sum((one.counts for one in decoders), Counter())
-        note(
-            f"{sum(one.lines for one in decoders)} lines"
-            f"{pose_errors_text(sum(one.pose_errors for one in decoders))} from "
-            f"{sum(one.frames for one in decoders)} frames; "
-            f"{sum(one.lost for one in decoders)} lines lost by their counters; "
-            f"dropped frames: {counts_text({reason.name: n for reason, n in total.items()})}"
-        )
-        for channel, decoder in self._decoders.items():
-            where = f"{channel} " if len(decoders) > 1 else ""
-            for owner, check in decoder.checks.items():
-                name = POSE_ERROR if owner == POSE else slot_text(owner.name)
-                check.elapse(self._last_ns)
-                stats = check.stats()
-                if stats.status is not None:
-                    note(f"{where}{name}: {check_text(stats)}")
+        note_decoders(self._decoders, self._last_ns)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TextIO
 
 import numpy as np
@@ -57,9 +57,16 @@ def line_text(line: MapLine) -> str:
     )
 
 
-def line_dict(line: MapLine) -> dict[str, Any]:
-    """Return all fields of a line, for JSON; an infinite age is None."""
-    return {
+def line_dict(line: MapLine, at: Sequence[float] = ()) -> dict[str, Any]:
+    """Return all fields of a line, for JSON; an infinite age is None.
+
+    With distances x [m], "at" has the position there and its standard deviation, if the line is
+    usable and x is in its range.
+    """
+    here = [x for x in at if line.is_usable and line.x_min <= x <= line.x_max]
+    y = [(float(line.y(x)), float(line.y_sigma(x))) for x in here]
+    positions = [{"x": x, "y": one, "sigma": s} for x, (one, s) in zip(here, y, strict=True)]
+    return ({"at": positions} if at else {}) | {
         "t": None if line.t_ns is None else line.t_ns / 1e9,
         "slot": line.slot.name,
         "kind": line.kind.name,
@@ -151,7 +158,7 @@ def _estimate(estimate: Estimate) -> dict[str, float]:
     return {"value": float(estimate.value), "sigma": float(estimate.sigma)}
 
 
-def write_csv(out: TextIO, lines: Iterable[tuple[str, MapLine]]) -> None:
+def write_csv(out: TextIO, lines: Iterable[tuple[str, MapLine]], at: Sequence[float] = ()) -> None:
     """Write pairs of channel and line as a table with a header.
 
     Each number is the shortest decimal that reads back as the same floating-point number. A mixture
@@ -162,9 +169,10 @@ def write_csv(out: TextIO, lines: Iterable[tuple[str, MapLine]]) -> None:
     columns = ["t", "channel", "slot", "kind", "status", "usable"]
     values = ["x_min", "x_max", "age", "components", *PARAMETERS]
     values += [f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in UPPER_TRIANGLE]
-    writer.writerow([*columns, *values])
+    places = [f"{name}{x:g}" for x in at for name in ("y", "sigma")]
+    writer.writerow([*columns, *values, *places])
     for channel, line in lines:
-        row = line_dict(line)
+        row = line_dict(line, at)
         cells = [row["t"], channel, row["slot"], row["kind"], row["status"]]
         cells.append(str(row["usable"]).lower())
         if row["usable"]:
@@ -172,6 +180,8 @@ def write_csv(out: TextIO, lines: Iterable[tuple[str, MapLine]]) -> None:
             cells += [*row["mean"].values(), *(row["cov"][i][j] for i, j in UPPER_TRIANGLE)]
         else:
             cells += [""] * len(values)
+        known = {one["x"]: one for one in row.get("at", ())}
+        cells += [known[x][name] if x in known else "" for x in at for name in ("y", "sigma")]
         writer.writerow(cells)
         out.flush()  # a reader of a pipe gets each line at once
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Sequence
 from os import PathLike
+from pathlib import Path
 from typing import IO
 
 from ..values.errors import LogError
@@ -21,7 +22,7 @@ def read_lines(
     log: Log,
     *,
     at: Sequence[float] = (),
-    dbc: str | PathLike[str] | Codec | None = None,
+    dbc: str | Path | Codec | None = None,
     slots: Sequence[Slot] | None = None,
     scenes: bool = False,
     cycle_ms: float | None = None,
@@ -71,10 +72,18 @@ def read_lines(
     >>> table = read_lines("drive.log", at=[20, 40])  # doctest: +SKIP
     >>> left = table.where(table["slot"] == "EGO_LEFT").to_pandas()  # doctest: +SKIP
     """
-    tables = []
-    given = {"slots": slots, "scenes": scenes, "cycle_ms": cycle_ms, "timeout_ms": timeout_ms}
+    tables: list[LineTable] = []
+    found = line_tables(
+        log,
+        at=at,
+        dbc=dbc,
+        slots=slots,
+        scenes=scenes,
+        cycle_ms=cycle_ms,
+        timeout_ms=timeout_ms,
+    )
     try:
-        tables.extend(line_tables(log, at=at, dbc=dbc, **given))  # type: ignore[arg-type]
+        tables.extend(found)
     except LogError as error:
         if not tables:
             raise
@@ -86,19 +95,25 @@ def line_tables(
     log: Log,
     *,
     at: Sequence[float] = (),
-    dbc: str | PathLike[str] | Codec | None = None,
+    dbc: str | Path | Codec | None = None,
     slots: Sequence[Slot] | None = None,
     scenes: bool = False,
     cycle_ms: float | None = None,
     timeout_ms: float | None = None,
     block_frames: int = BLOCK_FRAMES,
 ) -> Iterator[LineTable]:
-    """Return an iterator over the tables of the blocks of a log; the arguments are as above.
+    """Return an iterator over the tables of the blocks of a log.
 
     The last table has the scenes at the end of the log, and no lines.
 
     Args:
-        log, at, dbc, slots, scenes, cycle_ms, timeout_ms: as for `read_lines`.
+        log: as for `read_lines`, like all but the last argument.
+        at: distances [m].
+        dbc: path or codec.
+        slots: lines of these only.
+        scenes: whether to give them.
+        cycle_ms: as in ``Codec.decoder``.
+        timeout_ms: as in ``Codec.decoder``.
         block_frames: most frames of a block.
 
     Raises:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,14 @@ MAX_IDS = 4096
 _LONG_NS = 10**18
 
 _NUMBERS = {reason: number for number, reason in enumerate(REASONS)}
+
+
+class _Rows(NamedTuple):
+    """What has come of the frames of one channel."""
+
+    lines: NDArray[np.void]
+    components: NDArray[np.void]
+    scenes: NDArray[np.void]
 
 
 class LogReceiver:
@@ -53,7 +62,9 @@ class LogReceiver:
     ) -> None:
         if scenes and codec.layout.pose is None:
             raise ValueError(f"scenes: {codec.layout.source} has no message of the pose error")
-        self._new_decoder = lambda: codec.decoder(cycle_ms=cycle_ms, timeout_ms=timeout_ms)
+        self._new_decoder: Callable[[], Decoder] = partial(
+            codec.decoder, cycle_ms=cycle_ms, timeout_ms=timeout_ms
+        )
         self._new_decoder()  # raises for a wrong time
         self._has_scenes = scenes
         # Scene without a newer one, and its row, by channel.
@@ -93,10 +104,10 @@ class LogReceiver:
         for decoder in self.decoders.values():
             decoder.expire(self.last_ns + _LONG_NS)
         channels = tuple(self.decoders)
-        parts = []
-        for number, channel in enumerate(channels):
-            rows = self._end(channel)
-            parts.append((number, np.empty(0, LINE_ROW), np.empty(0, COMPONENT_ROW), rows))
+        none = np.empty(0, LINE_ROW), np.empty(0, COMPONENT_ROW)
+        parts = [
+            (number, _Rows(*none, self._end(channel))) for number, channel in enumerate(channels)
+        ]
         return self._joined(parts, channels, np.empty(0, np.uint8), np.empty(0, bool))
 
     def _see_ids(self, block: FrameBlock) -> None:
@@ -119,19 +130,19 @@ class LogReceiver:
         channel: int,
         places: NDArray[np.int64],
         reasons: NDArray[np.uint8],
-    ) -> tuple[int, NDArray[np.void], NDArray[np.void], NDArray[np.void]]:
+    ) -> tuple[int, _Rows]:
         name = block.channels[channel]
         decoder: Any = self.decoders[name]
         if hasattr(decoder, "feed_arrays"):
             arrays = (block.can_id, block.is_extended, block.t_ns, block.length, block.data)
             found = decoder.feed_arrays(*arrays, places, reasons, int(self._has_scenes))
-            rows = zip(found, (LINE_ROW, COMPONENT_ROW, SCENE_ROW), strict=True)
-            lines, components, scenes = (np.frombuffer(*one).copy() for one in rows)
+            kinds = zip(found, (LINE_ROW, COMPONENT_ROW, SCENE_ROW), strict=True)
+            rows = _Rows(*(np.frombuffer(*one).copy() for one in kinds))
         else:
-            lines, components, scenes = self._feed_frames(block, name, places, reasons)
-        for rows_of_frames in (lines, scenes):
-            rows_of_frames["frame"] += self.frames
-        return channel, lines, components, scenes
+            rows = self._feed_frames(block, name, places, reasons)
+        rows.lines["frame"] += self.frames
+        rows.scenes["frame"] += self.frames
+        return channel, rows
 
     def _feed_frames(
         self,
@@ -139,7 +150,7 @@ class LogReceiver:
         channel: str,
         places: NDArray[np.int64],
         reasons: NDArray[np.uint8],
-    ) -> tuple[NDArray[np.void], NDArray[np.void], NDArray[np.void]]:
+    ) -> _Rows:
         """Decode frame by frame, with a decoder that has no C."""
         decoder = self.decoders[channel]
         lines: list[Any] = []
@@ -160,8 +171,9 @@ class LogReceiver:
                     lines.append(_line_row(decoder, line, k, t_ns))
             if self._has_scenes:
                 self._see(channel, k, t_ns, scenes)
-        rows = np.array(scenes, SCENE_ROW) if scenes else np.empty(0, SCENE_ROW)
-        return np.array(lines, LINE_ROW), np.array(components, COMPONENT_ROW), rows
+        return _Rows(
+            np.array(lines, LINE_ROW), np.array(components, COMPONENT_ROW), _array_of(scenes)
+        )
 
     def _see(self, channel: str, k: int, t_ns: int, scenes: list[NDArray[np.void]]) -> None:
         """Show the newest scene of a channel; one that another has followed is complete."""
@@ -181,26 +193,30 @@ class LogReceiver:
             *_, scenes = decoder.feed_arrays(*none, 2 * self._has_scenes)
             return np.frombuffer(scenes, SCENE_ROW).copy()
         shown = self._shown.pop(channel, None)
-        return np.empty(0, SCENE_ROW) if shown is None else np.array([shown[1]], SCENE_ROW)
+        return _array_of([] if shown is None else [shown[1]])
 
     def _joined(
         self,
-        parts: list[tuple[int, NDArray[np.void], NDArray[np.void], NDArray[np.void]]],
+        parts: list[tuple[int, _Rows]],
         channels: tuple[str, ...],
         reasons: NDArray[np.uint8],
         has_time: NDArray[np.bool_],
     ) -> LineBlock:
         """Return the rows of all channels in the order of their frames."""
         first, self.frames = self.frames, self.frames + len(reasons)
-        numbers = [number for number, *_ in parts]
-        by_kind = [[part[1 + kind] for part in parts] for kind in range(3)]
-        starts = np.cumsum([0, *map(len, by_kind[0])])
-        for start, rows in zip(starts[:-1], by_kind[1], strict=True):
-            rows["line"] += start
-        kinds = zip(by_kind, (LINE_ROW, COMPONENT_ROW, SCENE_ROW), strict=True)
-        lines, components, scenes = (np.concatenate([*rows, np.empty(0, k)]) for rows, k in kinds)
-        channel = np.repeat(np.array(numbers, np.uint16), [len(rows) for rows in by_kind[0]])
-        of_scenes = np.repeat(np.array(numbers, np.uint16), [len(rows) for rows in by_kind[2]])
+        numbers = np.array([number for number, _ in parts], np.uint16)
+        each = [rows for _, rows in parts]
+        begin = 0
+        for rows in each:
+            rows.components["line"] += begin
+            begin += len(rows.lines)
+        lines = np.concatenate([np.empty(0, LINE_ROW), *(rows.lines for rows in each)])
+        components = np.concatenate(
+            [np.empty(0, COMPONENT_ROW), *(rows.components for rows in each)]
+        )
+        scenes = np.concatenate([np.empty(0, SCENE_ROW), *(rows.scenes for rows in each)])
+        channel = np.repeat(numbers, [len(rows.lines) for rows in each])
+        of_scenes = np.repeat(numbers, [len(rows.scenes) for rows in each])
         if len(parts) > 1:
             order = np.argsort(lines["frame"], kind="stable")
             place = np.empty_like(order)
@@ -246,6 +262,10 @@ def _line_row(decoder: Decoder, line: MapLine, frame: int, t_ns: int) -> tuple[A
     )
 
 
+def _array_of(scenes: list[NDArray[np.void]]) -> NDArray[np.void]:
+    return np.array(scenes, SCENE_ROW) if scenes else np.empty(0, SCENE_ROW)
+
+
 def _component_rows(line: MapLine, place: int) -> Iterator[tuple[Any, ...]]:
     if line.mixture is not None:
         mixture = line.mixture
@@ -259,7 +279,7 @@ def _scene_row(
     """Return the `SCENE_ROW` of the newest scene, which a frame may have changed."""
     scene, lines = received.scene, received.scene.lines
     checks = [decoder.checks[POSE], *(decoder.checks[line.slot] for line in lines)]
-    row = np.zeros((), SCENE_ROW)
+    row: Any = np.zeros((), SCENE_ROW)
     row["frame"], row["t_ns"], row["counter"] = frame, received.t_ns, received.counter
     row["age"] = received.age
     row["correlation_time"] = scene.pose_error.correlation_time
@@ -275,4 +295,4 @@ def _scene_row(
         row["x_min"][place], row["x_max"][place] = line.x_min, line.x_max
         row["mean"][place] = line.gaussian.mean
     row["cov"][: 4 * len(lines), : 4 * len(lines)] = scene.cov
-    return row
+    return np.asarray(row)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..values.errors import MissingExtraError, missing_extra
 from ..values.line import PARAMETERS, Kind, Slot, Status, lateral, lateral_jacobian
@@ -57,7 +57,7 @@ class Table:
             return column
         return np.array([*self.categories[name], ""])[column]
 
-    def where(self, keep: ArrayLike) -> Table:
+    def where(self, keep: Array) -> Table:
         """Return the rows at these places, or where a mask is true."""
         columns = {name: column[keep] for name, column in self.columns.items()}
         return Table(columns, self.categories, self.units)
@@ -94,7 +94,7 @@ class Table:
         try:
             import pandas as pd
         except ImportError as error:
-            raise MissingExtraError("a data frame of pandas needs it: pip install pandas") from error
+            raise MissingExtraError("there is no pandas: pip install pandas") from error
         columns: dict[str, Any] = dict(self.columns)
         for name, texts in self.categories.items():
             columns[name] = pd.Categorical.from_codes(self.columns[name].astype(int), list(texts))
@@ -109,7 +109,7 @@ class Table:
         try:
             import polars as pl
         except ImportError as error:
-            raise MissingExtraError("a data frame of polars needs it: pip install polars") from error
+            raise MissingExtraError("there is no polars: pip install polars") from error
         return pl.from_arrow(self.to_arrow())
 
 
@@ -255,7 +255,7 @@ def _reject_table(
 ) -> Table:
     if frames is None:
         places = np.empty(0, int)
-        columns = {"t": np.empty(0), "t_ns": np.empty(0, np.int64)}
+        columns: dict[str, Array] = {"t": np.empty(0), "t_ns": np.empty(0, np.int64)}
         columns |= {"channel": np.empty(0, np.uint16), "can_id": np.empty(0, np.uint32)}
     else:
         places = np.flatnonzero(~np.isin(block.reasons, _NOT_REJECTED))
@@ -268,9 +268,7 @@ def _reject_table(
     return Table(columns, named | reasons, {"t": "s", "t_ns": "ns"})
 
 
-def _scene_table(
-    block: LineBlock, xs: Sequence[float], named: dict[str, tuple[str, ...]]
-) -> Table:
+def _scene_table(block: LineBlock, xs: Sequence[float], named: dict[str, tuple[str, ...]]) -> Table:
     rows = block.scenes
     columns: dict[str, Array] = {"t": rows["t_ns"] / 1e9, "t_ns": rows["t_ns"]}
     columns["channel"] = block.scene_channel

@@ -57,6 +57,10 @@ class RestbusError(MaplinesError, ValueError):
     """A configuration, a script or a command of a restbus simulation is wrong."""
 
 
+class EngineError(MaplinesError, ValueError):
+    """The workers of a long piece of work cannot be reached, or die again and again."""
+
+
 class StudyError(MaplinesError, ValueError):
     """A study cannot run with the given file, output directory or workers."""
 

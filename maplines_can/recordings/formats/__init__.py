@@ -9,11 +9,11 @@ from .mcap import McapWriter
 from .mf4 import Mf4Writer
 from .parquet import ParquetWriter
 from .text import CsvWriter, JsonLinesWriter
-from .writer import About, TableWriter
+from .writer import About, PathOf, TableWriter, beside
 
-__all__ = ["SUFFIXES", "About", "TableWriter", "open_tables"]
+__all__ = ["SUFFIXES", "About", "PathOf", "TableWriter", "beside", "open_tables", "suffix_of"]
 
-_WRITERS: dict[str, Callable[[Path, About], TableWriter]] = {
+_WRITERS: dict[str, Callable[[PathOf, About], TableWriter]] = {
     ".parquet": ParquetWriter,
     ".csv": CsvWriter,
     ".jsonl": JsonLinesWriter,
@@ -24,26 +24,34 @@ _WRITERS: dict[str, Callable[[Path, About], TableWriter]] = {
 SUFFIXES = tuple(_WRITERS)
 
 
-def open_tables(path: Path, about: About) -> TableWriter:
-    """Return a writer of tables, in the format of the suffix of a path.
+def suffix_of(path: Path) -> str:
+    """Return the suffix of a file of tables.
+
+    Raises:
+        ValueError: the format is unknown.
+
+    >>> suffix_of(Path("lines.txt"))
+    Traceback (most recent call last):
+    ValueError: lines.txt: a table has the suffix .parquet, .csv, .jsonl, .mf4 or .mcap
+    """
+    if path.suffix not in SUFFIXES:
+        *others, last = SUFFIXES
+        raise ValueError(f"{path}: a table has the suffix {', '.join(others)} or {last}")
+    return path.suffix
+
+
+def open_tables(path_of: PathOf, about: About, suffix: str) -> TableWriter:
+    """Return a writer of tables.
 
     The files are written under temporary names, and have their own once ``close`` has returned.
 
     Args:
-        path: of the file of lines.
-        about: what the file says of its source.
+        path_of: paths of the files.
+        about: what the files say of their source.
+        suffix: one of `SUFFIXES`.
 
     Raises:
-        ValueError: the format is unknown.
         MissingExtraError: a package of the format is not installed.
-        OSError: the file cannot be written.
-
-    >>> open_tables(Path("lines.txt"), About("drive.log", "maplines.dbc", ""))
-    Traceback (most recent call last):
-    ValueError: lines.txt: a table has the suffix .parquet, .csv, .jsonl, .mf4, .mcap
+        OSError: a file cannot be written.
     """
-    if path.suffix not in _WRITERS:
-        raise ValueError(f"{path}: a table has the suffix {', '.join(SUFFIXES)}")
-    return _WRITERS[path.suffix](path, about)
-
-
+    return _WRITERS[suffix](path_of, about)

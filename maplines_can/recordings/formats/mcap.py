@@ -11,7 +11,7 @@ from ...values.errors import missing_extra
 from ...values.line import Slot
 from ...wire.layout.signals import slot_title
 from ..table import LineTable, Table
-from .writer import About, PartFiles
+from .writer import About, PartFiles, PathOf
 
 _TYPES = {"b": "boolean", "i": "integer", "u": "integer", "f": "number"}
 _TITLES = {slot.name: slot_title(slot) for slot in Slot}
@@ -24,21 +24,21 @@ class McapWriter:
     topic has the units. A value that is not finite is left out of its message.
 
     Args:
-        path: of the file.
+        path_of: paths of the files.
         about: source of the tables: the metadata record ``maplines_can``.
 
     Raises:
         MissingExtraError: mcap is not installed.
     """
 
-    def __init__(self, path: Path, about: About) -> None:
+    def __init__(self, path_of: PathOf, about: About) -> None:
         try:
             from mcap.writer import Writer
         except ImportError as error:
-            raise missing_extra(f"{path}: MCAP needs mcap", "tables") from error
-        self._files = PartFiles(path)
+            raise missing_extra("an MCAP file needs mcap", "tables") from error
+        self._files = PartFiles(path_of)
         self._file = self._files.temporary("lines").open("wb")
-        self._writer = Writer(self._file)
+        self._writer: Any = Writer(self._file)
         self._writer.start(profile="", library=f"maplines_can {about.maplines_can}")
         self._writer.add_metadata("maplines_can", about.texts)
         self._schemas: dict[str, int] = {}

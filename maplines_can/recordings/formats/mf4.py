@@ -14,7 +14,7 @@ from ...values.errors import missing_extra
 from ...values.line import Slot
 from ...wire.layout.signals import slot_title
 from ..table import LineTable, Table
-from .writer import About, PartFiles
+from .writer import About, PartFiles, PathOf
 
 _TITLES = {slot.name: slot_title(slot) for slot in Slot}
 #: Columns that are no channels.
@@ -28,19 +28,19 @@ class Mf4Writer:
     asammdf extends a group by copying it. Categories are numbers with a conversion to text.
 
     Args:
-        path: of the file.
+        path_of: paths of the files.
         about: source of the tables: the comment of the file.
 
     Raises:
         MissingExtraError: asammdf is not installed.
     """
 
-    def __init__(self, path: Path, about: About) -> None:
+    def __init__(self, path_of: PathOf, about: About) -> None:
         try:
             import asammdf
         except ImportError as error:
-            raise missing_extra(f"{path}: MF4 needs asammdf", "mf4") from error
-        self._asammdf, self._about, self._files = asammdf, about, PartFiles(path)
+            raise missing_extra("an MF4 file needs asammdf", "mf4") from error
+        self._asammdf, self._about, self._files = asammdf, about, PartFiles(path_of)
         self._groups: dict[str, tuple[IO[bytes], np.dtype[np.void], Table]] = {}
         self._path = self._files.temporary("lines")
         self._begin_ns: int | None = None
@@ -66,8 +66,8 @@ class Mf4Writer:
             for name in names:
                 kind = rows.columns[name].dtype
                 kinds.append((name, "u1" if kind.kind == "b" else kind))
-            file = tempfile.TemporaryFile()  # noqa: SIM115 - open until close
-            self._groups[group] = file, np.dtype(kinds), rows
+            spool = tempfile.TemporaryFile()  # noqa: SIM115 - open until close
+            self._groups[group] = spool, np.dtype(kinds), rows
         file, dtype, _ = self._groups[group]
         spooled = np.empty(len(rows), dtype)
         spooled["t"] = (t_ns - self._begin_ns) / 1e9
@@ -97,7 +97,7 @@ class Mf4Writer:
         return self._files.close()
 
     def _signal(self, channel: str, samples: NDArray[np.void], name: str, rows: Table) -> Any:
-        conversion = None
+        conversion: dict[str, object] | None = None
         if name in rows.categories:
             texts = rows.categories[name]
             conversion = {f"val_{k}": k for k in range(len(texts))}

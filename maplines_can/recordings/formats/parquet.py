@@ -7,7 +7,7 @@ from typing import Any
 
 from ...values.errors import missing_extra
 from ..table import LineTable
-from .writer import About, PartFiles
+from .writer import About, PartFiles, PathOf
 
 
 class ParquetWriter:
@@ -17,19 +17,19 @@ class ParquetWriter:
     ``maplines.``.
 
     Args:
-        path: of the file of lines.
+        path_of: paths of the files.
         about: source of the tables.
 
     Raises:
         MissingExtraError: pyarrow is not installed.
     """
 
-    def __init__(self, path: Path, about: About) -> None:
+    def __init__(self, path_of: PathOf, about: About) -> None:
         try:
             import pyarrow.parquet as pq
         except ImportError as error:
-            raise missing_extra(f"{path}: Parquet needs pyarrow", "tables") from error
-        self._pq, self._about, self._files = pq, about, PartFiles(path)
+            raise missing_extra("a Parquet file needs pyarrow", "tables") from error
+        self._pq, self._about, self._files = pq, about, PartFiles(path_of)
         self._writers: dict[str, Any] = {}
 
     def write(self, table: LineTable) -> None:

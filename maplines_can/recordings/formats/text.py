@@ -10,19 +10,19 @@ from pathlib import Path
 from typing import IO, Any
 
 from ..table import LineTable, Table
-from .writer import About, PartFiles
+from .writer import About, PartFiles, PathOf
 
 
 class CsvWriter:
     """Writer of CSV. A number is the shortest decimal that reads back; nan is an empty cell.
 
     Args:
-        path: of the file of lines.
-        about: source of the tables, which CSV has no place for.
+        path_of: paths of the files.
+        _about: source of the tables, which CSV has no place for.
     """
 
-    def __init__(self, path: Path, about: About) -> None:
-        self._files = PartFiles(path)
+    def __init__(self, path_of: PathOf, _about: About) -> None:
+        self._files = PartFiles(path_of)
         self._open: dict[str, IO[str]] = {}
 
     def write(self, table: LineTable) -> None:
@@ -53,8 +53,8 @@ class JsonLinesWriter(CsvWriter):
     """Writer of JSON Lines, an object a row; nan is null.
 
     Args:
-        path: of the file of lines.
-        about: source of the tables, which the rows do not repeat.
+        path_of: paths of the files.
+        _about: source of the tables, which the rows do not repeat.
     """
 
     def write(self, table: LineTable) -> None:

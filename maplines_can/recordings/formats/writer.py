@@ -3,12 +3,28 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Protocol
 
 from ... import __version__
+from ...wire import Codec
 from ..table import LineTable
+
+#: Path of the file of a table, by its name: lines, rejects or scenes.
+PathOf = Callable[[str], Path]
+
+
+def beside(path: Path) -> PathOf:
+    """Return the paths of tables of which the lines are in a file: others are beside it.
+
+    >>> beside(Path("drive.csv"))("rejects").name
+    'drive.rejects.csv'
+    """
+    return lambda name: (
+        path if name == "lines" else path.with_name(f"{path.stem}.{name}{path.suffix}")
+    )
 
 
 @dataclass(frozen=True)
@@ -27,6 +43,12 @@ class About:
     dbc_sha256: str
     at: tuple[float, ...] = ()
     maplines_can: str = field(default=__version__)
+
+    @classmethod
+    def of(cls, codec: Codec, log: str, at: tuple[float, ...]) -> About:
+        """Return what a log and its codec say."""
+        layout = codec.layout
+        return cls(Path(log).name, Path(layout.source).name, layout.sha256, at)
 
     @property
     def texts(self) -> dict[str, str]:
@@ -51,20 +73,18 @@ class TableWriter(Protocol):
 class PartFiles:
     """The files of a writer by the names of their tables, under temporary names until `close`.
 
-    The lines are in the file of the path, and other tables beside it: ``drive.rejects.csv``.
+    Args:
+        path_of: returns the path of the file of a table by its name, such as "lines".
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path_of: PathOf) -> None:
+        self._path_of = path_of
         self._paths: dict[str, Path] = {}
 
     def temporary(self, name: str) -> Path:
         """Return the temporary path of the file of a table, which is new."""
-        final = self._path
-        if name != "lines":
-            final = final.with_name(f"{final.stem}.{name}{final.suffix}")
-        self._paths[name] = final
-        return _temporary(final)
+        self._paths[name] = self._path_of(name)
+        return _temporary(self._paths[name])
 
     def close(self) -> list[Path]:
         """Give the files their names; return their paths."""

@@ -14,9 +14,9 @@ from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
+from ...engines import in_processes, in_this_process, on_dask
 from ...simulation.parquet_files import arrow
 from .directory import StudyDirectory
-from .engines import in_processes, in_this_process, on_dask
 from .plan import Study
 from .tables import write_tables
 from .tasks import tasks_of
@@ -43,8 +43,8 @@ def run_study(
         progress: called with the finished and the total number of Gaussians.
 
     Raises:
-        StudyError: ``out`` holds another study, or the workers fail. Finished tasks are kept, as
-            after Ctrl-C.
+        StudyError: ``out`` holds another study.
+        EngineError: the workers fail. Finished tasks are kept, as after Ctrl-C.
         MissingExtraError: pyarrow or Dask is not installed.
     """
     arrow()  # fail now rather than after the work

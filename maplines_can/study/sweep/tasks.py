@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...engines import Result, Task
 from ...values.line import Status
 from ...wire.covariance.cholesky import CholeskyCode
 from ...wire.layout.packing import Packing
 from ..metrics import Figure, Score, evaluate, kl_terms
 from ..scenes import table as scene_table
 from ..sets import Chunk, Gaussians
-from .engines import Result, Task
 from .limit import limit_of
 from .plan import (
     DEFAULT_CODE,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -69,6 +70,7 @@ class Layout(RecordLayout):
         source: name of the DBC in error messages.
         secured: layout of the authenticated messages; None if there are none.
         pose: layout of the pose error; None if there is no such message.
+        sha256: of the text of the DBC in UTF-8; empty for a database of cantools.
 
     Raises:
         LayoutError: a signal is missing or is not within its bounds, two messages have
@@ -80,6 +82,7 @@ class Layout(RecordLayout):
     covariance_code: str
     secured: SecuredLayout | None = None
     pose: PoseLayout | None = None
+    sha256: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         self.check(CONDITIONAL_RECORD if self.is_conditional else COMPLETE_RECORD)
@@ -130,7 +133,8 @@ class Layout(RecordLayout):
             LayoutError: the text is not a DBC, or does not describe a map line.
         """
         content = content_of(parse_database(text, source), source)
-        return cls(source=source, **content._asdict())
+        sha256 = hashlib.sha256(text.encode()).hexdigest()
+        return cls(source=source, sha256=sha256, **content._asdict())
 
     @cached_property
     def resolution(self) -> NDArray[np.float64]:

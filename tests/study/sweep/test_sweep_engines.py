@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 from study_helpers import small, tables
 
-from maplines_can.study.sweep.engines import Task, _check_versions, in_processes
+from maplines_can.engines import Task, _check_versions, in_processes
 from maplines_can.study.sweep.run import run_study
-from maplines_can.values.errors import StudyError
+from maplines_can.values.errors import EngineError
 
 
 def kill_this_process() -> None:
@@ -26,9 +26,9 @@ def kill_this_process() -> None:
 
 def test_a_task_that_kills_each_process_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is tried a few times only, and the message has advice."""
-    monkeypatch.setattr("maplines_can.study.sweep.engines.DEATHS", 1)
+    monkeypatch.setattr("maplines_can.engines.DEATHS", 1)
 
-    with pytest.raises(StudyError, match=r"died 2 times in a row; make chunks smaller"):
+    with pytest.raises(EngineError, match=r"died 2 times in a row; make tasks smaller"):
         list(in_processes(iter([Task("deadly", kill_this_process)]), 1))  # type: ignore[arg-type]
 
 
@@ -85,7 +85,7 @@ def test_workers_of_another_version_are_refused(there: Any) -> None:
                 return there
             raise there(package)
 
-    with pytest.raises(StudyError, match=r"need maplines_can .*; they have (0.0.1|none)"):
+    with pytest.raises(EngineError, match=r"need maplines_can .*; they have (0.0.1|none)"):
         _check_versions(Client(), "tcp://b")
 
 
@@ -93,9 +93,9 @@ def test_a_missing_scheduler_is_refused(tmp_path: Path, monkeypatch: pytest.Monk
     """The message has its address."""
     pytest.importorskip("distributed")
     pytest.importorskip("pyarrow")
-    monkeypatch.setattr("maplines_can.study.sweep.engines.PATIENCE", 0.2)
+    monkeypatch.setattr("maplines_can.engines.PATIENCE", 0.2)
 
-    with pytest.raises(StudyError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:9"):
+    with pytest.raises(EngineError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:9"):
         run_study(small(), tmp_path / "out", scheduler="tcp://127.0.0.1:9")
 
 

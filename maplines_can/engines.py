@@ -1,4 +1,4 @@
-"""Engines: run the tasks of a study in this process, on processes of this machine, or on Dask.
+"""Engines: run tasks in this process, on processes of this machine, or on Dask.
 
 An engine takes an iterator of tasks and yields ``(key, result)`` as tasks finish, in any order. It
 draws only a few tasks ahead of its workers, so that memory use stays flat. If a worker dies, its
@@ -20,9 +20,9 @@ from itertools import islice
 from multiprocessing import active_children, get_context, parent_process
 from typing import Any, NamedTuple
 
-from ...values.errors import StudyError, missing_extra
+from .values.errors import EngineError, missing_extra
 
-#: Number of times in a row that a process may die before the study is given up.
+#: Number of times in a row that a process may die before the work is given up.
 DEATHS = 3
 #: Tasks in flight for each worker, so that none waits for the next one.
 AHEAD = 2
@@ -36,7 +36,7 @@ Result = dict[str, Any]
 class Task(NamedTuple):
     """A piece of work for any process."""
 
-    key: str  #: unique within a study
+    key: str  #: unique
     work: Callable[[], Result]  #: can be pickled
 
 
@@ -57,7 +57,7 @@ def in_processes(tasks: Iterator[Task], jobs: int) -> Results:
     """Run tasks on processes of this machine, which are replaced if they die.
 
     Raises:
-        StudyError: they die again and again.
+        EngineError: they die again and again.
     """
     waiting: deque[Task] = deque()
     deaths = 0
@@ -73,9 +73,9 @@ def in_processes(tasks: Iterator[Task], jobs: int) -> Results:
             deaths += 1
         else:
             return
-    raise StudyError(
-        f"the workers died {deaths} times in a row; make chunks smaller (--chunk) or take fewer "
-        "jobs (--jobs) if memory is short. Finished tasks are kept"
+    raise EngineError(
+        f"the workers died {deaths} times in a row; make tasks smaller, or take fewer jobs "
+        "(--jobs), if memory is short. Finished tasks are kept"
     )
 
 
@@ -149,34 +149,34 @@ def on_dask(tasks: Iterator[Task], address: str, name: str) -> Results:
     Args:
         tasks: to run.
         address: of the scheduler, such as tcp://10.0.0.1:8786.
-        name: of the study, for the scheduler's dashboard.
+        name: of the work, for the scheduler's dashboard.
 
     Raises:
         MissingExtraError: dask.distributed is not installed.
-        StudyError: the scheduler or its workers cannot be reached, or a task kills each worker.
+        EngineError: the scheduler or its workers cannot be reached, or a task kills each worker.
     """
     distributed = _distributed()
     try:
         client = distributed.Client(address, timeout=PATIENCE)
     except (OSError, ValueError, TimeoutError) as error:
-        raise StudyError(f"there is no Dask scheduler at {address}: {error}") from error
+        raise EngineError(f"there is no Dask scheduler at {address}: {error}") from error
     with client:
         try:
             client.wait_for_workers(1, timeout=PATIENCE)
         except TimeoutError:
-            raise StudyError(
+            raise EngineError(
                 f"the Dask scheduler at {address} has no workers; start some: dask worker {address}"
             ) from None
         _check_versions(client, address)
         try:
             yield from _flow(distributed, client, tasks, name)
         except distributed.KilledWorker as error:
-            raise StudyError(
-                f"a task killed each Dask worker that took it ({error}); make chunks smaller "
-                "(--chunk) if memory is short. Finished tasks are kept"
+            raise EngineError(
+                f"a task killed each Dask worker that took it ({error}); make tasks smaller "
+                "if memory is short. Finished tasks are kept"
             ) from error
         except (CancelledError, OSError) as error:
-            raise StudyError(
+            raise EngineError(
                 f"the Dask scheduler at {address} is lost ({error}); run the same command again to "
                 "go on"
             ) from error
@@ -189,7 +189,7 @@ def _check_versions(client: Any, address: str) -> None:
     except PackageNotFoundError:
         there = {"none"}
     if there != {here}:
-        raise StudyError(
+        raise EngineError(
             f"the workers of {address} need maplines_can {here}, as there is here; they have "
             f"{', '.join(sorted(there))}"
         )

@@ -1,0 +1,242 @@
+"""Many logs as one data set: a file of tables a log, written by many processes, and resumable."""
+
+from __future__ import annotations
+
+import glob
+import json
+import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ..engines import Result, Task, in_processes, in_this_process, on_dask
+from ..values.errors import LogError
+from ..values.line import Slot
+from ..wire import Codec
+from .blocks import FrameBlock, read_blocks
+from .formats import About, TableWriter, open_tables
+from .line_block import LineBlock
+from .receive import LogReceiver
+from .table import checked_at, line_table
+
+#: Suffixes of logs in a directory, also compressed (.gz).
+LOG_SUFFIXES = (".log", ".asc", ".blf", ".trc", ".mf4", ".db")
+#: Results of the logs, a JSON object a line.
+MANIFEST = "manifest.jsonl"
+
+
+class Tables(NamedTuple):
+    """What the tables of logs have; the members are those of `read_lines`."""
+
+    at: tuple[float, ...] = ()
+    dbc: str | None = None
+    slots: tuple[Slot, ...] | None = None
+    scenes: bool = False
+    cycle_ms: float | None = None
+    timeout_ms: float | None = None
+
+
+def logs_of(places: Iterable[str]) -> list[Path]:
+    """Return the logs of files, directories and patterns, each once; those of one place sorted.
+
+    A directory has the logs of all folders in it, known by `LOG_SUFFIXES`.
+
+    Raises:
+        LogError: a place has no log.
+    """
+    found: dict[Path, None] = {}
+    for place in places:
+        path = Path(place)
+        if path.is_dir():
+            here = sorted(one for one in path.rglob("*") if one.is_file() and _is_log(one))
+        elif path.exists() or not glob.has_magic(place):
+            here = [path]
+        else:
+            here = [Path(one) for one in sorted(glob.glob(place, recursive=True))]
+        if not here:
+            raise LogError(f"{place}: has no log ({', '.join(LOG_SUFFIXES)})")
+        found |= dict.fromkeys(here)
+    return [*found]
+
+
+def _is_log(path: Path) -> bool:
+    name = path.with_suffix("") if path.suffix == ".gz" else path
+    return name.suffix.lower() in LOG_SUFFIXES and not path.name.startswith(".")
+
+
+def write_tables(
+    receiver: LogReceiver,
+    log: Any,
+    writer: TableWriter,
+    tables: Tables,
+    progress: Callable[[int], None] = lambda _frames: None,
+) -> tuple[list[Path], str]:
+    """Write the tables of a log; return their files, and why the log is damaged, or nothing.
+
+    Raises:
+        LogError: the log cannot be opened, or has no good record.
+        OSError: a file cannot be written.
+    """
+    checked_at(tables.at)
+    damage, blocks = "", 0
+
+    def write(lines: LineBlock, frames: FrameBlock | None) -> None:
+        writer.write(line_table(lines, frames, tables.at, tables.slots, scenes=tables.scenes))
+
+    try:
+        try:
+            for block in read_blocks(log):
+                write(receiver.feed(block), block)
+                blocks += 1
+                progress(len(block))
+        except LogError as error:
+            if not blocks:
+                raise
+            damage = str(error)
+        write(receiver.finish(), None)
+        return writer.close(), damage
+    except BaseException:
+        writer.abort()
+        raise
+
+
+def write_data_set(
+    logs: Sequence[Path],
+    folder: Path,
+    suffix: str,
+    tables: Tables,
+    *,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    progress: Callable[[int, int, Result], None] = lambda _done, _total, _result: None,
+) -> list[Result]:
+    """Write the tables of many logs to ``folder/lines``, ``folder/rejects`` and so on.
+
+    Each log has a file of its own in each. A log whose result is in the manifest is not read again,
+    if it has not changed: so a run that was stopped goes on. A log that cannot be read is an entry
+    with its error, and the others are not affected.
+
+    Args:
+        logs: their paths.
+        folder: of the data set; it is made if there is none.
+        suffix: of the files, such as ``.parquet``.
+        tables: what they have.
+        jobs: processes of this machine.
+        scheduler: address of a Dask scheduler whose workers have the same files; or None.
+        progress: called with the finished logs, all logs and the result of one.
+
+    Returns:
+        The results of all logs, in their order: ``log``, ``frames``, ``lines``, ``dropped``,
+        ``error`` and ``files``, which are relative to the folder.
+
+    Raises:
+        ValueError: the folder has tables of other options, or files of another format.
+        EngineError: the workers fail. Finished logs are kept.
+        OSError: the folder cannot be written.
+    """
+    names = _names(logs)
+    wanted = {"suffix": suffix, "tables": json.loads(json.dumps(tables._asdict()))}
+    results = _known(folder, wanted, dict(zip(map(str, logs), names, strict=True)))
+    for left in folder.rglob(".*.part"):  # of workers that were killed
+        left.unlink(missing_ok=True)
+    total = len(logs)
+    for done, known in enumerate(results.values(), 1):
+        progress(done, total, known)
+    work = (
+        Task(str(log), partial(decode_log, str(log), str(folder), name, suffix, tables))
+        for log, name in zip(logs, names, strict=True)
+        if str(log) not in results
+    )
+    if len(results) < total:
+        engine = _engine(work, jobs, scheduler)
+        with closing(engine), (folder / MANIFEST).open("a") as manifest:
+            for key, result in engine:
+                results[key] = result
+                print(json.dumps(result), file=manifest, flush=True)
+                progress(len(results), total, result)
+    return [results[str(log)] for log in logs]
+
+
+def _engine(work: Iterator[Task], jobs: int, scheduler: str | None) -> Any:
+    if scheduler is not None:
+        return on_dask(work, scheduler, f"maplines-decode-{os.getpid()}")
+    return in_processes(work, jobs) if jobs > 1 else in_this_process(work)
+
+
+def decode_log(log: str, folder: str, name: str, suffix: str, tables: Tables) -> Result:
+    """Write the tables of a log of a data set; return its result. No log raises."""
+    place = Path(folder)
+    result = {"log": log, "name": name, "stamp": _stamp(Path(log)), "error": "", "files": []}
+    codec = Codec.from_dbc(tables.dbc)
+    receiver = LogReceiver(
+        codec, cycle_ms=tables.cycle_ms, timeout_ms=tables.timeout_ms, scenes=tables.scenes
+    )
+    about = About.of(codec, log, tables.at)
+
+    def path_of(part: str) -> Path:
+        (place / part).mkdir(parents=True, exist_ok=True)
+        return place / part / f"{name}{suffix}"
+
+    try:
+        files, damage = write_tables(receiver, log, open_tables(path_of, about, suffix), tables)
+        result |= {"error": damage, "files": [str(file.relative_to(place)) for file in files]}
+    except LogError as error:
+        result["error"] = str(error)
+    dropped = {reason.name: number for reason, number in receiver.counts.items()}
+    lines = sum(one.lines for one in receiver.decoders.values())
+    return result | {"frames": receiver.frames, "lines": lines, "dropped": dropped}
+
+
+def dropped_of(results: Iterable[Result]) -> Counter[str]:
+    """Return the dropped frames of all logs by reason."""
+    return sum((Counter(result["dropped"]) for result in results), Counter())
+
+
+def _names(logs: Sequence[Path]) -> list[str]:
+    """Return a name for each log: its path from the folder that they share."""
+    paths = [log.absolute() for log in logs]
+    shared = Path(os.path.commonpath([path.parent for path in paths]))
+    names = ["__".join(path.relative_to(shared).parts) for path in paths]
+    stems = [name.removesuffix(".gz").rpartition(".")[0] or name for name in names]
+    return stems if len(set(stems)) == len(stems) else names
+
+
+def _stamp(log: Path) -> list[int]:
+    """Return what tells whether a log has changed: its size and its time [ns]."""
+    try:
+        about = log.stat()
+    except OSError:
+        return []
+    return [about.st_size, about.st_mtime_ns]
+
+
+def _known(folder: Path, wanted: dict[str, Any], names: dict[str, str]) -> dict[str, Result]:
+    """Return the results of a data set that was begun; begin it if it was not."""
+    manifest = folder / MANIFEST
+    if not manifest.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        manifest.write_text(json.dumps(wanted) + "\n")
+        return {}
+    head, *rows = manifest.read_text().splitlines()
+    if json.loads(head) != wanted:
+        raise ValueError(
+            f"{folder}: has tables of other options, {head}; give the same ones, or another folder"
+        )
+    known: dict[str, Result] = {}
+    for row in rows:
+        try:
+            result = json.loads(row)
+        except ValueError:  # the run was killed while it wrote
+            continue
+        log = result["log"]
+        is_same = log in names and result["name"] == names[log]
+        is_same = is_same and result["stamp"] == _stamp(Path(log))
+        if is_same and all((folder / file).exists() for file in result["files"]):
+            known[log] = result
+    again = manifest.with_suffix(".new")
+    again.write_text("".join(f"{json.dumps(row)}\n" for row in (wanted, *known.values())))
+    again.replace(manifest)
+    return known
