@@ -20,6 +20,9 @@ from can.io.blf import (
     BLFParseError,
 )
 
+from ..native import core
+from .frame_block import BLOCK_FRAMES, FrameArrays
+
 #: Most bytes of an object of a BLF file, packed and unpacked; writers make containers of 128 kB.
 MAX_OBJECT = 1 << 24
 #: Most bytes of a row of an SQL table; that of a frame has some 100.
@@ -73,6 +76,47 @@ class BlfReader(can.BLFReader):
         yield from super()._parse_data(data[:end])
         if end is not None:
             raise BLFParseError("an object is shorter than its own header")
+
+
+class BlfRunReader(BlfReader):
+    """BLF reader that yields runs of data frames as blocks; python-can reads all other objects.
+
+    Args:
+        file: as for `BlfReader`.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        super().__init__(file)
+        self._arrays = FrameArrays()
+
+    def _parse_data(self, data: bytes) -> Iterator[Any]:
+        arrays, place = self._arrays, 0
+        while True:
+            frames, place = core.parse_blf(
+                data, place, self.start_timestamp, arrays.names, arrays.arrays
+            )
+            if frames:
+                self._pos = place
+                yield arrays.block(frames)
+            if frames < BLOCK_FRAMES:
+                end = _end_of_object(data, place)
+                try:
+                    yield from super()._parse_data(data[place:end])
+                finally:
+                    self._pos += place
+                if end is None:
+                    return
+                place = end
+
+
+def _end_of_object(data: bytes, place: int) -> int | None:
+    """Return the place after the next object; None if it is not whole."""
+    head = OBJ_HEADER_BASE_STRUCT
+    place = data.find(b"LOBJ", place, place + 8)
+    if place < 0 or place + head.size > len(data):
+        return None
+    size = head.unpack_from(data, place)[3]
+    return place + size if head.size <= size <= len(data) - place else None
 
 
 def _unpacked(container: bytes) -> bytes:

@@ -1,0 +1,131 @@
+"""Frames of logs: one by one, and as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Frames of a block by default. Its arrays of classic CAN take 1.5 MB.
+BLOCK_FRAMES = 1 << 16
+#: Most bytes of data of a frame, those of CAN FD.
+MAX_DATA = 64
+
+
+class LogFrame(NamedTuple):
+    """Data frame of a log."""
+
+    can_id: int
+    data: bytes
+    t_ns: int  #: time of reception as logged [ns]: absolute, or from the start of the log
+    is_extended: bool
+    channel: str  #: of the interface; empty if the log has none
+    has_time: bool  #: False if the log has no time stamps (candump without -L and -t)
+
+
+@dataclass(frozen=True, eq=False)
+class FrameBlock:
+    """Data frames of a log as arrays, in the order of the file; n frames.
+
+    Args:
+        can_id: (n,) uint32.
+        is_extended: (n,) bool.
+        t_ns: (n,) int64, time as in ``LogFrame`` [ns].
+        has_time: (n,) bool, whether the log has that time.
+        channel: (n,) uint16, place in ``channels``.
+        length: (n,) uint8, bytes of data.
+        data: (n, 8) or (n, 64) uint8, C-contiguous; zero from the length on.
+        channels: names of the channels so far; those of a block begin with those of the one before.
+    """
+
+    can_id: NDArray[np.uint32]
+    is_extended: NDArray[np.bool_]
+    t_ns: NDArray[np.int64]
+    has_time: NDArray[np.bool_]
+    channel: NDArray[np.uint16]
+    length: NDArray[np.uint8]
+    data: NDArray[np.uint8]
+    channels: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.can_id)
+
+    def part(self, begin: int, end: int) -> FrameBlock:
+        """Return the frames from a place on, up to another."""
+        arrays = (one[begin:end] for one in self._arrays)
+        return FrameBlock(*arrays, self.channels)  # type: ignore[arg-type]
+
+    @property
+    def _arrays(self) -> tuple[NDArray[np.generic], ...]:
+        about = self.can_id, self.is_extended, self.t_ns, self.has_time
+        return *about, self.channel, self.length, self.data
+
+
+class FrameArrays:
+    """Arrays that a parser in C fills, again and again."""
+
+    def __init__(self) -> None:
+        n = BLOCK_FRAMES
+        kinds = np.uint32, np.bool_, np.int64, np.uint16, np.uint8
+        #: As the parsers take them.
+        self.arrays = *(np.empty(n, kind) for kind in kinds), np.empty((n, MAX_DATA), np.uint8)
+        #: Names of the channels so far.
+        self.names: list[str] = []
+
+    def block(self, n: int) -> FrameBlock:
+        """Return the first frames, all of which have a time."""
+        can_id, is_extended, t_ns, channel, length, data = (one[:n] for one in self.arrays)
+        width = 8 if n == 0 or length.max() <= 8 else MAX_DATA
+        return FrameBlock(
+            can_id=can_id.copy(),
+            is_extended=is_extended.copy(),
+            t_ns=t_ns.copy(),
+            has_time=np.ones(n, bool),
+            channel=channel.copy(),
+            length=length.copy(),
+            data=data[:, :width].copy(),
+            channels=tuple(self.names),
+        )
+
+
+def block_of(frames: Sequence[LogFrame], numbers: dict[str, int]) -> FrameBlock:
+    """Return one frame or more as a block.
+
+    Args:
+        frames: in their order.
+        numbers: those of the channels so far, by name; new ones are added.
+    """
+    can_ids, payloads, times, extended, channels, has_time = zip(*frames, strict=True)
+    length = np.fromiter(map(len, payloads), np.uint8, len(frames))
+    width = 8 if length.max() <= 8 else MAX_DATA
+    data = b"".join(payload.ljust(width, b"\0") for payload in payloads)
+    return FrameBlock(
+        can_id=np.array(can_ids, np.uint32),
+        is_extended=np.array(extended),
+        t_ns=np.array(times, np.int64),
+        has_time=np.array(has_time),
+        channel=np.array([numbers.setdefault(one, len(numbers)) for one in channels], np.uint16),
+        length=length,
+        data=np.frombuffer(data, np.uint8).reshape(-1, width),
+        channels=tuple(numbers),
+    )
+
+
+def joined_blocks(blocks: Sequence[FrameBlock]) -> FrameBlock:
+    """Return blocks of one log as one; their channels have the same numbers."""
+    if len(blocks) == 1:
+        return blocks[0]
+    width = max(block.data.shape[1] for block in blocks)
+    wide = [
+        block
+        if block.data.shape[1] == width
+        else np.pad(block.data, ((0, 0), (0, width - block.data.shape[1])))
+        for block in blocks
+    ]
+    data = np.concatenate([one.data if isinstance(one, FrameBlock) else one for one in wide])
+    names = "can_id", "is_extended", "t_ns", "has_time", "channel", "length"
+    arrays = {name: np.concatenate([getattr(block, name) for block in blocks]) for name in names}
+    return FrameBlock(**arrays, data=data, channels=blocks[-1].channels)
