@@ -267,10 +267,15 @@ static place_t read_candump(place_t at, candump_time_t *time, channels_t *channe
     {
         return NULL;
     }
-    time->is_difference = time->is_difference ||
-                          (stamp < time->stamp - stamp && time->stamp < MIN_ABSOLUTE_NS);
+    const bool is_difference =
+        time->is_difference || (stamp < time->stamp - stamp && time->stamp < MIN_ABSOLUTE_NS);
+    if (is_difference && time->time > INT64_MAX - stamp)
+    {
+        return NULL;
+    }
+    time->is_difference = is_difference;
     time->stamp = stamp;
-    time->time = time->is_difference ? time->time + stamp : stamp;
+    time->time = is_difference ? time->time + stamp : stamp;
     maplines_add_frame(frames, can_id, digits == 8, time->time, (uint16_t)channel, data,
                        (uint8_t)length);
     return end;

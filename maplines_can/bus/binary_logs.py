@@ -11,6 +11,15 @@ from typing import Any, BinaryIO
 
 import can
 from can.io.blf import (
+    CAN_ERROR_EXT,
+    CAN_ERROR_EXT_STRUCT,
+    CAN_FD_MESSAGE,
+    CAN_FD_MESSAGE_64,
+    CAN_FD_MSG_64_STRUCT,
+    CAN_FD_MSG_STRUCT,
+    CAN_MESSAGE,
+    CAN_MESSAGE2,
+    CAN_MSG_STRUCT,
     FILE_HEADER_STRUCT,
     LOG_CONTAINER,
     LOG_CONTAINER_STRUCT,
@@ -25,6 +34,14 @@ from .frame_block import BLOCK_FRAMES, FrameArrays
 
 #: Most bytes of an object of a BLF file, packed and unpacked; writers make containers of 128 kB.
 MAX_OBJECT = 1 << 24
+#: Bytes of the content of an object, by its kind.
+_CONTENT = {
+    CAN_MESSAGE: CAN_MSG_STRUCT.size,
+    CAN_MESSAGE2: CAN_MSG_STRUCT.size,
+    CAN_ERROR_EXT: CAN_ERROR_EXT_STRUCT.size,
+    CAN_FD_MESSAGE: CAN_FD_MSG_STRUCT.size,
+    CAN_FD_MESSAGE_64: CAN_FD_MSG_64_STRUCT.size,
+}
 #: Most bytes of a row of an SQL table; that of a frame has some 100.
 MAX_ROW = 1 << 16
 #: Head of a compressed block of an MF4 file, with the lengths of its data unpacked and packed.
@@ -110,13 +127,17 @@ class BlfRunReader(BlfReader):
 
 
 def _end_of_object(data: bytes, place: int) -> int | None:
-    """Return the place after the next object; None if it is not whole."""
+    """Return the place after the next object; None if it is not whole.
+
+    An object that is shorter than its content is not, since the reader goes on behind it.
+    """
     head = OBJ_HEADER_BASE_STRUCT
     place = data.find(b"LOBJ", place, place + 8)
     if place < 0 or place + head.size > len(data):
         return None
-    size = head.unpack_from(data, place)[3]
-    return place + size if head.size <= size <= len(data) - place else None
+    _, _, version, size, kind = head.unpack_from(data, place)
+    least = head.size + (16 if version == 1 else 24) + _CONTENT.get(kind, 0)
+    return place + size if least <= size <= len(data) - place else None
 
 
 def _unpacked(container: bytes) -> bytes:

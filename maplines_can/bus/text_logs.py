@@ -188,6 +188,8 @@ class CandumpReader:
     def _parse(self, arrays: FrameArrays) -> tuple[int, int, int]:
         time = self._stamp, self._time, self._is_difference
         lines: Any = self._lines
+        if max(self._stamp, self._time) > _MAX_NS:  # C has no such number
+            return 0, lines.place, 0
         *found, time = core.parse_candump(
             lines.buffer, lines.place, time, arrays.names, arrays.arrays
         )

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from log_frames import frames_of
 
-from maplines_can.bus import LogFrame, read_log
-from maplines_can.recordings.blocks import FrameBlock, read_blocks
+from maplines_can.bus import read_log
+from maplines_can.recordings.blocks import read_blocks
 from maplines_can.values.errors import LogError
 
 CANDUMP = """\
@@ -16,21 +17,6 @@ CANDUMP = """\
 (1.000200) can0 123##1000102030405060708090A0B0C0D0E0F
 (1.000300) can0 7FF#
 """
-
-
-def frames_of(block: FrameBlock) -> list[LogFrame]:
-    """Return the frames of a block as those of `read_log`."""
-    return [
-        LogFrame(
-            int(block.can_id[k]),
-            block.data[k, : block.length[k]].tobytes(),
-            int(block.t_ns[k]),
-            bool(block.is_extended[k]),
-            block.channels[block.channel[k]],
-            bool(block.has_time[k]),
-        )
-        for k in range(len(block))
-    ]
 
 
 @pytest.mark.parametrize("block_frames", [1, 2, 3, 1000])
