@@ -1,10 +1,11 @@
 """The CAN bus: send lines, receive lines, read logs. The only door to python-can."""
 
+from .frame_block import LogFrame
 from .keys import key_from_env, key_from_file
 from .link import Link, Sent
 from .load import bus_load, frame_bits, frame_time, transfers_within
 from .log_writer import LogWriter
-from .logs import LogFrame, read_log
+from .logs import read_log
 from .receiver import LineListener, Receiver, ReceiverStats
 from .schedule import Lateness
 from .signals import SignalDecoder, SignalLog, read_signals

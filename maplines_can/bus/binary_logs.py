@@ -5,11 +5,12 @@ from __future__ import annotations
 import sqlite3
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import can
+import numpy as np
 from can.io.blf import (
     CAN_ERROR_EXT,
     CAN_ERROR_EXT_STRUCT,
@@ -28,9 +29,10 @@ from can.io.blf import (
     ZLIB_DEFLATE,
     BLFParseError,
 )
+from numpy.typing import NDArray
 
 from ..native import core
-from .frame_block import BLOCK_FRAMES, FrameArrays
+from .frame_block import BLOCK_FRAMES, MAX_DATA, FrameArrays, FrameBlock
 
 #: Most bytes of an object of a BLF file, packed and unpacked; writers make containers of 128 kB.
 MAX_OBJECT = 1 << 24
@@ -179,6 +181,90 @@ class Mf4Reader(can.MF4Reader):
     def __init__(self, path: Path) -> None:
         check_mf4_blocks(path)
         super().__init__(path)
+
+
+class Mf4RunReader(Mf4Reader):
+    """MF4 reader that yields the data frames of a file as blocks, if they are in one group.
+
+    Those of several groups, which are merged by their times, are read by python-can.
+
+    Args:
+        path: of the file.
+    """
+
+    def __iter__(self) -> Iterator[Any]:
+        groups = [number for number, group in enumerate(self._mdf.groups) if _has_frames(group)]
+        if len(groups) == 1:
+            return self._runs(groups[0])
+        return super().__iter__()
+
+    def _runs(self, group: int) -> Iterator[FrameBlock]:
+        numbers: dict[int, int] = {}
+        for offset in range(0, self._mdf.groups[group].channel_group.cycles_nr, BLOCK_FRAMES):
+            found = self._mdf.get(
+                "CAN_DataFrame", group, record_offset=offset, record_count=BLOCK_FRAMES, raw=False
+            )
+            fields = {
+                name.removeprefix("CAN_DataFrame."): found[name]
+                for name in found.samples.dtype.names
+            }
+            yield _mf4_block(fields, found.timestamps + self._start_timestamp, numbers)
+
+
+def _has_frames(group: Any) -> bool:
+    """Return whether a group has data frames of CAN, as python-can decides it."""
+    from asammdf.blocks.v4_constants import BUS_TYPE_CAN, FLAG_CG_BUS_EVENT, SOURCE_BUS
+
+    about = group.channel_group
+    return bool(
+        about.flags & FLAG_CG_BUS_EVENT
+        and about.cycles_nr > 0
+        and about.acq_source is not None
+        and about.acq_source.source_type & SOURCE_BUS
+        and about.acq_source.bus_type == BUS_TYPE_CAN
+        and any(channel.name == "CAN_DataFrame" for channel in group.channels)
+    )
+
+
+def _mf4_block(
+    fields: Mapping[str, NDArray[Any]], seconds: NDArray[np.float64], numbers: dict[int, int]
+) -> FrameBlock:
+    """Return the data frames of a group.
+
+    Args:
+        fields: of the frames, by the names of the standard.
+        seconds: times.
+        numbers: of the channels so far; new ones are added.
+    """
+    n = len(seconds)
+    t_ns = np.rint(seconds * 1e9)
+    if n and not np.abs(t_ns).max() < 2**63:
+        raise ValueError("the time stamp is beyond 64 bits of nanoseconds")
+    given = fields["DataBytes"][:, :MAX_DATA]
+    length = np.minimum(fields["DataLength"], given.shape[1]).astype(np.uint8)
+    if n and (fields["DataLength"] > MAX_DATA).any():
+        raise ValueError(f"a frame has at most {MAX_DATA} bytes of data")
+    width = 8 if n == 0 or length.max() <= 8 else MAX_DATA
+    data = np.zeros((n, width), np.uint8)
+    known = min(width, given.shape[1])
+    data[:, :known] = np.where(np.arange(known) < length[:, None], given[:, :known], 0)
+    channel = np.zeros(n, np.uint16)
+    if "BusChannel" in fields:
+        of_frame = fields["BusChannel"].astype(np.int64)
+        values, first, place = np.unique(of_frame, return_index=True, return_inverse=True)
+        for value in values[np.argsort(first)].tolist():
+            numbers.setdefault(value, len(numbers))
+        channel = np.array([numbers[value] for value in values.tolist()], np.uint16)[place]
+    return FrameBlock(
+        can_id=(fields["ID"].astype(np.uint32) & np.uint32(0x1FFFFFFF)),
+        is_extended=fields["IDE"].astype(bool) if "IDE" in fields else np.ones(n, bool),
+        t_ns=t_ns.astype(np.int64),
+        has_time=np.ones(n, bool),
+        channel=channel,
+        length=length,
+        data=data,
+        channels=tuple(map(str, numbers)) or ("",),
+    )
 
 
 def check_mf4_blocks(path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,13 +55,17 @@ class FrameBlock:
 
     def part(self, begin: int, end: int) -> FrameBlock:
         """Return the frames from a place on, up to another."""
-        arrays = (one[begin:end] for one in self._arrays)
-        return FrameBlock(*arrays, self.channels)  # type: ignore[arg-type]
-
-    @property
-    def _arrays(self) -> tuple[NDArray[np.generic], ...]:
-        about = self.can_id, self.is_extended, self.t_ns, self.has_time
-        return *about, self.channel, self.length, self.data
+        here = slice(begin, end)
+        return FrameBlock(
+            can_id=self.can_id[here],
+            is_extended=self.is_extended[here],
+            t_ns=self.t_ns[here],
+            has_time=self.has_time[here],
+            channel=self.channel[here],
+            length=self.length[here],
+            data=self.data[here],
+            channels=self.channels,
+        )
 
 
 class FrameArrays:
@@ -71,7 +75,10 @@ class FrameArrays:
         n = BLOCK_FRAMES
         kinds = np.uint32, np.bool_, np.int64, np.uint16, np.uint8
         #: As the parsers take them.
-        self.arrays = *(np.empty(n, kind) for kind in kinds), np.empty((n, MAX_DATA), np.uint8)
+        self.arrays: tuple[NDArray[Any], ...] = (
+            *(np.empty(n, kind) for kind in kinds),
+            np.empty((n, MAX_DATA), np.uint8),
+        )
         #: Names of the channels so far.
         self.names: list[str] = []
 

@@ -22,7 +22,7 @@ from can.io.player import MESSAGE_READERS
 from ..native import core
 from ..values.errors import LogError, missing_extra
 from ..values.input_files import checked_path
-from .binary_logs import BlfReader, BlfRunReader, Mf4Reader, SqliteReader
+from .binary_logs import BlfReader, BlfRunReader, Mf4Reader, Mf4RunReader, SqliteReader
 from .frame_block import FrameBlock, LogFrame
 from .text_logs import AscReader, CandumpReader, Lines, TrcReader, check_frame, text_of
 
@@ -189,7 +189,7 @@ def _read_text(file: io.BufferedReader, name: str, suffix: str, runs: bool) -> R
     is_packed = isinstance(getattr(file, "raw", None), gzip.GzipFile)
     lines = Lines(file, io.DEFAULT_BUFFER_SIZE) if is_packed else Lines(file)
     readers: Any = _RUN_READERS if runs and suffix in _RUN_READERS else _READERS
-    reader = (readers.get(suffix) or MESSAGE_READERS[suffix])(lines)
+    reader = (readers.get(suffix) or MESSAGE_READERS[suffix])(cast(Any, lines))
     while lines.number > last:  # else the reader fails again without reading a line
         last = lines.number
         try:
@@ -247,13 +247,7 @@ _READERS = {
     ".db": SqliteReader,
     ".mf4": Mf4Reader,
 }
-#: Readers that yield runs; those of text and .blf need C.
-_RUN_READERS = (
-    {}
-    if core is None
-    else {
-        "": partial(CandumpReader, runs=True),
-        ".asc": AscReader,
-        ".blf": BlfRunReader,
-    }
-)
+#: Readers that yield runs.
+_RUN_READERS: dict[str, Any] = {".mf4": Mf4RunReader}
+if core is not None:
+    _RUN_READERS |= {"": partial(CandumpReader, runs=True), ".asc": AscReader, ".blf": BlfRunReader}
