@@ -23,7 +23,7 @@ from .decode_tables import (
     note_decoders,
     write_files,
 )
-from .fitting_dbc import MAX_IDS, dbc_hint
+from .fitting_dbc import MAX_IDS, choose_dbc, dbc_hint
 from .options import (
     add_codec,
     add_cycle,
@@ -86,6 +86,7 @@ def add_decode(commands: Any) -> None:
 
 def _decode(arguments: argparse.Namespace) -> int:
     check_tables(arguments)
+    choose_dbc(arguments)
     if arguments.out is None:
         return _print_lines(arguments)
     return write_files(arguments)

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from ..values.line import Slot
-from ..wire import POSE, Decoder, default_dbc_path
+from ..wire import POSE, SHIPPED, Decoder, default_dbc_path
 from .fitting_dbc import dbc_hint
-from .options import SHIPPED, check_scenes, keyed_codec
+from .options import check_scenes, keyed_codec
 from .output import POSE_ERROR, check_text, counts_text, pose_errors_text, slot_text
 from .overwriting import add_force, check_new
 from .parsing import number, option_group

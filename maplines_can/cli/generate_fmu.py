@@ -7,7 +7,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from .options import SHIPPED, layout_from
+from ..wire import SHIPPED
+from .options import layout_from
 from .overwriting import add_force, check_new
 from .parsing import add_json, option_group
 

@@ -10,8 +10,9 @@ from ..generation.c_files import check_name
 from ..generation.tables import identifier_of
 from ..generation.vector_files import vector_files
 from ..generation.vectors import SCHEMA
+from ..wire import SHIPPED
 from .generated_files import add_out, check_new_files, write_files
-from .options import SHIPPED, layout_from
+from .options import layout_from
 from .parsing import option_group
 
 __all__ = ["add_vectors"]

@@ -8,7 +8,7 @@ from itertools import islice
 from pathlib import Path
 
 from ..maps.formats.load import SHIPPED as MAPS
-from .options import SHIPPED as DBCS
+from ..wire import SHIPPED as DBCS
 
 #: Files of a folder whose names are compared.
 MAX_FILES = 10_000

@@ -9,16 +9,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..bus import key_from_env, key_from_file
-from ..wire import CODES, Authenticator, Codec, Decoder, Frame, Key, Layout, default_dbc_path
+from ..wire import (
+    CODES,
+    SHIPPED,
+    Authenticator,
+    Codec,
+    Decoder,
+    Frame,
+    Key,
+    Layout,
+    default_dbc_path,
+)
 from .parsing import natural, number, option_group
 
 if TYPE_CHECKING:
     from ..testing import FaultInjector, Faults, FaultyOpener
-
-
-#: DBCs of this package; their names, and those of the study's, stand for them where there is no
-#: such file.
-SHIPPED = ("maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc")
 
 
 def add_bus(parser: argparse.ArgumentParser, *, private: bool = False) -> None:

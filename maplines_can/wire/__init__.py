@@ -3,7 +3,7 @@
 from .batch import BatchCodec
 from .codec import CODES, Codec
 from .encoder import Encoder
-from .layout.dbc_reader import default_dbc_path
+from .layout.dbc_reader import SHIPPED, default_dbc_path
 from .layout.message_layout import Layout
 from .layout.pose_layout import POSE, Owner
 from .protection.e2e_state import E2EConfig, E2EState, ProfileStatus
@@ -21,6 +21,7 @@ from .records.scene_writer import PreparedScene
 __all__ = [
     "CODES",
     "POSE",
+    "SHIPPED",
     "Authenticator",
     "Batch",
     "BatchCodec",

@@ -17,8 +17,8 @@ from example_lines import scenario_lines
 
 from maplines_can import Codec, MapLine, Slot
 from maplines_can.cli import main
-from maplines_can.cli.options import SHIPPED
 from maplines_can.simulation import scenario
+from maplines_can.wire import SHIPPED
 
 
 @pytest.fixture

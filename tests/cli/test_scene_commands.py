@@ -18,11 +18,11 @@ from sender_pairs import Sender, merged
 
 from maplines_can import Codec, MapError, MapLine, Slot, map_scene, read_log
 from maplines_can.cli import main
-from maplines_can.cli.options import SHIPPED, codec_from
+from maplines_can.cli.options import codec_from
 from maplines_can.cli.output import LANE_X
 from maplines_can.simulation import scenario
 from maplines_can.values.elementary import exp2
-from maplines_can.wire import POSE, default_dbc_path
+from maplines_can.wire import POSE, SHIPPED, default_dbc_path
 
 CONDITIONAL = "maplines-pose.dbc"
 NAMES = ["maplines.dbc", CONDITIONAL]

@@ -55,6 +55,10 @@ class DbcContent(NamedTuple):
     pose: PoseLayout | None
 
 
+#: DBCs of this package; their names stand for them where there is no such file.
+SHIPPED = ("maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc")
+
+
 def default_dbc_path(name: str = "maplines.dbc") -> Path:
     """Return the path of one of the project's DBCs: in the installed package, or the checkout.
 
