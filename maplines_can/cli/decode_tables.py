@@ -28,13 +28,13 @@ def add_tables(parser: argparse.ArgumentParser) -> None:
     add = option_group(parser, "output").add_argument
     add(
         "--at",
-        type=_distances,
+        type=distances,
         default=(),
         metavar="X,...",
         help="give the lateral position and its standard deviation at these distances ahead of "
         "the car, too [m], such as 0,20,40",
     )
-    add("--slots", type=_slots, metavar="NAME,...", help="lines of these slots only: ego-left,...")
+    add("--slots", type=slots, metavar="NAME,...", help="lines of these slots only: ego-left,...")
     add(
         "-o",
         "--out",
@@ -177,10 +177,10 @@ def _times(arguments: argparse.Namespace) -> dict[str, float | None]:
     return {"cycle_ms": arguments.cycle_ms, "timeout_ms": arguments.transfer_timeout}
 
 
-def _distances(text: str) -> tuple[float, ...]:
+def distances(text: str) -> tuple[float, ...]:
     """Return the distances of ``--at``.
 
-    >>> _distances("0,20,-5.5")
+    >>> distances("0,20,-5.5")
     (0.0, 20.0, -5.5)
     """
     from ..recordings.table import checked_at
@@ -191,10 +191,10 @@ def _distances(text: str) -> tuple[float, ...]:
         raise argparse.ArgumentTypeError(f"must be numbers such as 0,20,40: {error}") from None
 
 
-def _slots(text: str) -> tuple[Slot, ...]:
+def slots(text: str) -> tuple[Slot, ...]:
     """Return the slots of ``--slots``.
 
-    >>> _slots("ego-left,route")
+    >>> slots("ego-left,route")
     (<Slot.EGO_LEFT: 0>, <Slot.ROUTE: 7>)
     """
     try:

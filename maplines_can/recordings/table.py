@@ -175,7 +175,7 @@ def line_table(
     for i, j in UPPER_TRIANGLE:
         columns[f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}"] = cov[:, i, j]
     for x in xs:
-        y, sigma = _position(mean, cov, x)
+        y, sigma = position(mean, cov, x)
         is_in = (columns["x_min"] <= x) & (x <= columns["x_max"])
         columns[f"y{x:g}"] = np.where(is_in, y, np.nan)
         columns[f"sigma{x:g}"] = np.where(is_in, sigma, np.nan)
@@ -244,7 +244,7 @@ def _is_at(name: str) -> bool:
     return head in ("y", "sigma", "width", "sigma_width", "centre", "sigma_centre") and head != name
 
 
-def _position(mean: Array, cov: Array, x: float) -> tuple[Array, Array]:
+def position(mean: Array, cov: Array, x: float) -> tuple[Array, Array]:
     """Return the positions of lines at x [m] and their standard deviations, to first order."""
     J = lateral_jacobian(mean, x)
     return lateral(mean, x), np.sqrt(np.einsum("ni,nij,nj->n", J, cov, J).clip(0))

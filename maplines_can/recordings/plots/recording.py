@@ -1,0 +1,134 @@
+"""What is drawn of a log: columns of its lines, scenes and rejects, by slot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...values.errors import LogError
+from ...values.line import Slot
+from ...wire import Codec
+from ..read_lines import line_tables
+from ..table import LineTable, Table
+
+Array = NDArray[Any]
+
+#: Smaller times are from the begin of the log [s].
+MIN_ABSOLUTE = 1e8
+#: A line is in the view from above if it is not older than this [s].
+OLDEST = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Columns of a log, thinned out for nothing yet.
+
+    Args:
+        name: of the log.
+        begin: time of its first line [s]; the times of the columns are from there on.
+        lines: columns of the lines by the name of their slot, after that of their channel if there
+            are several.
+        scenes: columns of the scenes; none if the DBC has none.
+        rejects: times of the dropped frames, by reason.
+        truth: times and lateral positions (n, 9) at 0, 10 .. 80 m, by slot.
+    """
+
+    name: str
+    begin: float
+    lines: Mapping[str, Mapping[str, Array]]
+    scenes: Mapping[str, Array]
+    rejects: Mapping[str, Array]
+    truth: Mapping[Slot, tuple[Array, Array]] = field(default_factory=dict)
+
+
+def recorded(
+    log: Any,
+    codec: Codec,
+    at: Sequence[float],
+    *,
+    slots: Sequence[Slot] | None = None,
+    time: tuple[float, float] = (-math.inf, math.inf),
+) -> tuple[Recording, str]:
+    """Return the columns of a log, and why it is damaged, or nothing.
+
+    Args:
+        log: path or stream.
+        codec: of the lines.
+        at: distances ahead of the car [m].
+        slots: these only.
+        time: first and last time [s], from the first line on, or of the clock if they are more than
+            1e8.
+
+    Raises:
+        LogError: the log cannot be opened, has no time stamps, or has no line in this time.
+    """
+    has_scenes = codec.layout.pose is not None
+    kept: dict[str, list[Table]] = {"lines": [], "rejects": [], "scenes": []}
+    damage, begin = "", None
+    tables = line_tables(log, at=at, dbc=codec, slots=slots, scenes=has_scenes)
+    columns = ["t", "channel", "slot", "usable", "state", "age", "x_min", "x_max"]
+    columns += ["y_off", "beta", "c0", "c1"]
+    try:
+        for table in tables:
+            if begin is None and len(table):
+                begin = float(table["t"][0])
+            if begin is not None:
+                for name, part in table.parts.items():
+                    kept[name].append(_within(part, begin, time, columns))
+    except LogError as error:
+        damage = str(error)
+        if begin is None:
+            raise
+    if begin is None:
+        raise LogError(f"{log}: has no line of {Path(codec.layout.source).name}")
+    if math.isnan(begin):
+        raise LogError(f"{log}: has no time stamps, so there is nothing to draw; use candump -L")
+    lines = _joined(kept["lines"])
+    if not len(lines):
+        raise LogError(f"{log}: has no line in this time")
+    many = len(lines.categories["channel"]) > 1
+    keys = lines.columns["channel"].astype(int) * len(Slot) + lines.columns["slot"]
+    by_slot = {}
+    for key in np.unique(keys):
+        rows = lines.where(keys == key)
+        label = str(rows["slot"][0]).replace("_", " ").lower()
+        label = f"{rows['channel'][0]} {label}" if many else label
+        by_slot[label] = {name: rows.columns[name] for name in rows.columns} | {
+            "state": rows["state"]
+        }
+    rejects = _joined(kept["rejects"])
+    reasons = rejects["reason"] if len(rejects) else np.empty(0, str)
+    of_reason = {str(one): rejects["t"][reasons == one] - begin for one in np.unique(reasons)}
+    for columns_of in by_slot.values():
+        columns_of["t"] = columns_of["t"] - begin
+    scenes = dict(_joined(kept["scenes"]).columns) if kept["scenes"] else {}
+    if "t" in scenes:
+        scenes["t"] = scenes["t"] - begin
+    return Recording(Path(str(log)).name, begin, by_slot, scenes, of_reason), damage
+
+
+def _within(part: Table, begin: float, time: tuple[float, float], columns: list[str]) -> Table:
+    """Return the rows of a time, with the columns that are drawn."""
+    low, high = (one if one > MIN_ABSOLUTE else one + begin for one in time)
+    found = part.where((part["t"] >= low) & (part["t"] <= high) | np.isnan(part["t"]))
+    if isinstance(part, LineTable):
+        names = [*columns, *(name for name in part.columns if name.startswith(("y", "sigma")))]
+        names += [name for name in part.columns if name.startswith("cov_")]
+        kept = {name: found.columns[name] for name in dict.fromkeys(names)}
+        return Table(kept, found.categories)
+    return found
+
+
+def _joined(parts: Sequence[Table]) -> Table:
+    if not parts:
+        return Table({})
+    columns = {
+        name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns
+    }
+    return Table(columns, parts[-1].categories)
