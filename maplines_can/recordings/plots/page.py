@@ -36,6 +36,8 @@ def write_page(panels: Sequence[Panel], title: str, path: str | Path) -> None:
         ranges = {"x_range": shared[panel.x_label]} if panel.x_label in shared else {}
         if panel.rows:
             ranges["y_range"] = [*panel.rows]
+        elif panel.limits is not None:
+            ranges["y_range"] = panel.limits
         plot = figure(
             title=panel.title + (f" ({panel.note})" if panel.note else ""),
             height=height,

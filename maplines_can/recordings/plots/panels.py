@@ -16,6 +16,8 @@ from .recording import OLDEST, Recording, recorded
 __all__ = ["Band", "Dots", "Panel", "Recording", "Strip", "above", "panels_of", "recorded"]
 
 Array = NDArray[np.float64]
+#: The members of a ``Band`` after its colour.
+Points = tuple[bool, Array, Array, Array, Array]
 
 #: Okabe and Ito's colours, by slot.
 COLOURS = dict(
@@ -102,6 +104,16 @@ class Panel:
     rows: Sequence[str] = ()
     note: str = field(default="")
 
+    @property
+    def limits(self) -> tuple[float, float] | None:
+        """Lower and upper end of the bands, with a margin; None without any."""
+        low = [np.nanmin(band.low) for band in self.bands if np.isfinite(band.low).any()]
+        high = [np.nanmax(band.high) for band in self.bands if np.isfinite(band.high).any()]
+        if not low:
+            return None
+        margin = 0.05 * (max(high) - min(low)) or 1.0
+        return float(min(low) - margin), float(max(high) + margin)
+
 
 def panels_of(recordings: Sequence[Recording], at: Sequence[float]) -> list[Panel]:
     """Return the panels of recordings over each other: positions, width, age, states and rejects.
@@ -123,7 +135,7 @@ def panels_of(recordings: Sequence[Recording], at: Sequence[float]) -> list[Pane
         bands = [_dashed(band, recordings) for band in bands]
         title = f"lateral position at {x:g} m, with 1, 2 and 3 sigma"
         found.append(Panel(title, "time [s]", "y [m]", bands, dots, note=_bin_note(width)))
-    lanes = [r for r in recordings if any(f"width{x:g}" in r.scenes for x in at)]
+    lanes = [recording for recording in recordings if len(recording.scenes.get("t", ()))]
     if lanes:
         found += [*_lane_panels(lanes, recordings, at)]
     found.append(_age_panel(recordings))
@@ -203,7 +215,7 @@ def _state_panel(recordings: Sequence[Recording]) -> Panel:
             strips += [*_strips(lines["t"], lines["state"], lines["usable"], len(rows))]
             rows.append(_label(recordings, number, label))
     title = "E2E state of the slots, and dropped frames"
-    note = "red: VALID, but not to be used"
+    note = "yellow: INIT, red: INVALID, pale: VALID, but not to be used"
     return Panel(title, "time [s]", "", dots=dots, strips=strips, rows=rows, note=note)
 
 
@@ -226,9 +238,7 @@ def _strips(t: Array, state: NDArray[np.str_], usable: NDArray[np.bool_], row: i
     return found[::step]
 
 
-def _thinned(
-    t: Array, y: Array, sigma: Array
-) -> tuple[tuple[bool, Array, Array, Array, Array], float]:
+def _thinned(t: Array, y: Array, sigma: Array) -> tuple[Points, float]:
     """Return (dash, t, y, low, high) of a band, with gaps, and the time that a point stands for.
 
     A point of many stands for all of a time: the median, and the outermost ends of each band.

@@ -53,7 +53,7 @@ def _draw(ax: Any, panel: Panel) -> None:
         ax.plot(band.x, band.y, style, color=band.colour, linewidth=1.1, label=band.label)
     for dots in panel.dots:
         label = None if panel.rows else dots.label
-        ax.plot(dots.x, dots.y, ".", color=dots.colour, markersize=2.5, label=label)
+        ax.plot(dots.x, dots.y, ".", color=dots.colour, markersize=1.5, label=label)
     for strip in panel.strips:
         ax.broken_barh(
             [(strip.begin, max(strip.end - strip.begin, 1e-3))],
@@ -66,6 +66,8 @@ def _draw(ax: Any, panel: Panel) -> None:
         ax.set_ylim(-0.6, len(panel.rows) - 0.4)
     elif panel.bands or panel.dots:
         ax.legend(loc="upper left", bbox_to_anchor=(1, 1), fontsize="small", frameon=False)
+    if panel.limits is not None:
+        ax.set_ylim(*panel.limits)  # the truth may go on far beyond
     ax.set_title(panel.title + (f" ({panel.note})" if panel.note else ""), fontsize="medium")
     ax.set_xlabel(panel.x_label)
     ax.set_ylabel(panel.y_label)
