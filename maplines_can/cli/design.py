@@ -40,6 +40,7 @@ for lines like those of a set:
   paper        uncertainty from the pose alone: nearly singular covariances
   road         uncertainty from pose and map, as a car would send them
   both         both sets, with equal weights
+  LOG          a log of lines, as for 'decode', or the .parquet that 'decode -o' wrote
   FILE         your own Gaussians, .npz, .csv or .parquet: mean (N, 4) and cov (N, 4, 4)
 
 With any design, each decoded covariance is positive definite and covers the one that was sent.

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
 
 from ..study.codes import CODES
 from ..study.sets import DRAWN_SETS, MapView, line_set
+from ..study.sweep.estimate import cpu_seconds
 from ..study.sweep.plan import Study
 from ..study.sweep.run import run_study
 from ..study.sweep.tables import read_table, summary_text
 from .parsing import add_json, number, option_group
-from .stderr import Bar, progress_bar
+from .stderr import Bar, note, progress_bar
 
 __all__ = ["add_run"]
 
@@ -27,6 +29,8 @@ A set is
   paper        lines with pose error only: nearly singular covariances
   road         lines with pose and map error, as a real car would send them
   adversarial  random covariances of all kinds, singular ones too
+  LOG          a log of lines, as for 'decode', or the .parquet that 'decode -o' wrote: which bits
+               do the lines of your own drives need
   FILE         your own Gaussians, .npz, .csv or .parquet: mean (N, 4) and cov (N, 4, 4), or
                columns mean_0 .. mean_3 and cov_00, cov_01 .. cov_33 (the upper triangle is
                enough); with mean_0 .. mean_2 it is poses (x [m], y [m], heading [rad]), which see
@@ -45,6 +49,7 @@ examples:
   maplines study run --out sweep --quick
   maplines study run --out sweep --set road --code Cholesky --finer 0 --n 1e7
   maplines study run --out mine --set drive.csv --map lanes.csv
+  maplines study run --out drives --set drive.blf --finer -2 -1 0
   maplines study run --out big --n 1e8 --scheduler tcp://10.0.0.1:8786
 
 For more than one machine: run 'dask scheduler' on one and 'dask worker ADDRESS' on each, with this
@@ -150,6 +155,18 @@ def add_run(commands: Any, bar: Bar = progress_bar) -> argparse.ArgumentParser:
     return parser
 
 
+def _estimate_text(cpu: float, jobs: int) -> str:
+    """Return how long a study will take.
+
+    >>> _estimate_text(300.0, 2)
+    'this will take about 5 min of CPU time, 2.5 min on 2 processes'
+    """
+    return (
+        f"this will take about {cpu / 60:.2g} min of CPU time, {cpu / 60 / jobs:.2g} min on "
+        f"{jobs} processes"
+    )
+
+
 def _run(arguments: argparse.Namespace, bar: Bar) -> int:
     view = None
     if arguments.map is not None:
@@ -168,6 +185,8 @@ def _run(arguments: argparse.Namespace, bar: Bar) -> int:
         chunk_size=arguments.chunk,
         **sizes,
     )
+    if not Path(arguments.out).exists():
+        note(_estimate_text(cpu_seconds(study), arguments.jobs or os.cpu_count() or 1))
     try:
         with bar(" Gaussians") as progress:
             directory = run_study(

@@ -6,7 +6,10 @@ e_h [rad]) have the same form, with d = 4 or d = 3 numbers:
 - ``.npz``: arrays ``mean`` (N, d) and ``cov`` (N, d, d), or (N, d (d + 1) / 2) with the upper
   triangles row by row;
 - ``.csv`` and ``.parquet``: columns ``mean_0`` .. and ``cov_00``, ``cov_01`` .., at least those of
-  the upper triangle. The first line of a CSV names its columns.
+  the upper triangle. The first line of a CSV names its columns;
+- ``.parquet`` that ``maplines decode -o`` wrote, and the logs themselves (`LOG_SUFFIXES`, of the
+  DBC of the package that fits them best): the lines that may be used. A receiver's Gaussians are
+  rounded already, so that the code that they were sent with costs nothing more.
 
 All are read in blocks.
 
@@ -33,14 +36,21 @@ from numpy.typing import NDArray
 
 from ..maps import load
 from ..maps.formats.load import map_path
+from ..recordings.data_set import LOG_SUFFIXES
+from ..recordings.fitting import best_fit, fits
+from ..recordings.read_lines import line_tables
+from ..recordings.table import UPPER_TRIANGLE
 from ..simulation.parquet_files import parquet_batches
 from ..values.errors import MapFileError, StudyError
 from ..values.input_files import checked_path, lines_of
 from ..values.linalg import asymmetric, indefinite, nearest_covariance
+from ..values.line import PARAMETERS
 from ..values.polyline import Polyline
 
 Array = NDArray[np.float64]
 
+#: Columns of the covariance in the tables of ``maplines decode``, the upper triangle.
+DECODED_COV = tuple(f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in UPPER_TRIANGLE)
 #: Rows read at a time when a file is checked.
 BLOCK = 50_000
 #: Most bytes of an array of an ``.npz`` that is stored by columns.
@@ -80,11 +90,11 @@ class GaussianFile:
         return cls(path, 4 if dimension == 4 else 3, rows, _sha256(path))
 
     def blocks(self, size: int) -> Iterator[tuple[Array, Array]]:
-        """Yield (n, d) means and (n, d, d) covariances, at most ``size`` rows at a time.
+        """Yield (n, d) means and (n, d, d) covariances, ``size`` rows at a time.
 
         Covariances that rounding in the file has made slightly indefinite are repaired.
         """
-        for mean, cov in _blocks(self.path, size):
+        for mean, cov in _of_size(_blocks(self.path, size), size):
             cov = (cov + cov.transpose(0, 2, 1)) / 2
             broken = indefinite(cov)
             cov[broken] = nearest_covariance(cov[broken])
@@ -139,6 +149,24 @@ def _blocks(path: Path, size: int) -> Iterator[tuple[Array, Array]]:
         yield from _READERS[path.suffix.lower()](path, size)
     except (OSError, EOFError, UnicodeDecodeError, zipfile.BadZipFile, zlib.error) as error:
         raise StudyError(f"{path}: cannot be read: {error}") from error
+
+
+def _of_size(blocks: Iterator[tuple[Array, Array]], size: int) -> Iterator[tuple[Array, Array]]:
+    """Yield the rows of blocks in blocks of a size, of which the last one may be smaller."""
+    means, covs, rows = [], [], 0
+    for mean, cov in blocks:
+        means.append(mean)
+        covs.append(cov)
+        rows += len(mean)
+        if rows < size:
+            continue
+        mean, cov = np.concatenate(means), np.concatenate(covs)
+        end = rows - rows % size
+        for start in range(0, end, size):
+            yield mean[start : start + size], cov[start : start + size]
+        means, covs, rows = [mean[end:]], [cov[end:]], rows - end
+    if rows:
+        yield np.concatenate(means), np.concatenate(covs)
 
 
 def _npz_blocks(path: Path, size: int) -> Iterator[tuple[Array, Array]]:
@@ -258,12 +286,27 @@ def _parquet_blocks(path: Path, size: int) -> Iterator[tuple[Array, Array]]:
         return _columns(path, columns)[1]
 
     for batch in parquet_batches(path, choose, size, StudyError):
-        d = 4 if "mean_3" in batch else 3
+        d = 3 if "mean_0" in batch and "mean_3" not in batch else 4
         values = np.stack([np.asarray(column, dtype=float) for column in batch.values()], axis=-1)
-        yield values[:, :d], _squares(values[:, d:], d)
+        if PARAMETERS[0] in batch:  # a line that must not be used has no values
+            values = values[np.isfinite(values[:, 0])]
+        if len(values):
+            yield values[:, :d], _squares(values[:, d:], d)
+
+
+def _log_blocks(path: Path, size: int) -> Iterator[tuple[Array, Array]]:
+    codec = best_fit(fits(path), path).codec
+    for table in line_tables(path, dbc=codec):
+        mean = np.stack([table.columns[name] for name in PARAMETERS], axis=-1)
+        upper = np.stack([table.columns[name] for name in DECODED_COV], axis=-1)
+        known = np.isfinite(mean[:, 0])
+        mean, cov = mean[known], _squares(upper[known], 4)
+        for start in range(0, len(mean), size):
+            yield mean[start : start + size], cov[start : start + size]
 
 
 _READERS = {".npz": _npz_blocks, ".csv": _csv_blocks, ".parquet": _parquet_blocks}
+_READERS |= dict.fromkeys(LOG_SUFFIXES, _log_blocks)
 
 
 def _columns(path: Path, columns: Sequence[str]) -> tuple[int, list[str]]:
@@ -272,6 +315,9 @@ def _columns(path: Path, columns: Sequence[str]) -> tuple[int, list[str]]:
     Raises:
         StudyError: a column is missing.
     """
+    decoded = [*PARAMETERS, *DECODED_COV]
+    if set(decoded) <= set(columns):
+        return 4, decoded
     d = 4 if "mean_3" in columns else 3
     means = [f"mean_{i}" for i in range(d)]
     square = [f"cov_{i}{j}" for i in range(d) for j in range(d)]

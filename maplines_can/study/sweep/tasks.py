@@ -50,7 +50,7 @@ def tasks_of(study: Study, done: set[str]) -> Iterator[Task]:
         first = list(islice(chunks, int(np.searchsorted(rows, study.limit_n)) + 1))
         n = min(study.limit_n, int(rows[-1]))
         for part in parts:
-            yield Task(limit_key(place, part), partial(_limit_result, first, n, part, study.seed))
+            yield Task(limit_key(place, part), partial(limit_result, first, n, part, study.seed))
     for lines, scene_sizes in study.scene_sizes.items():
         for index, size in enumerate(scene_sizes):
             if (key := scenes_key(lines, index)) not in done:
@@ -66,10 +66,10 @@ def tasks_of(study: Study, done: set[str]) -> Iterator[Task]:
             start += size
             key = chunk_key(place, index)
             if key not in done:
-                yield Task(key, partial(_chunk_result, chunk, plans, fields))
+                yield Task(key, partial(chunk_result, chunk, plans, fields))
 
 
-def _chunk_result(chunk: Chunk, plans: Sequence[Plan], field_plans: Sequence[Plan]) -> Result:
+def chunk_result(chunk: Chunk, plans: Sequence[Plan], field_plans: Sequence[Plan]) -> Result:
     """Send a chunk through all codes and widths; return scores and worst cases."""
     given = chunk()
     scores, fields = [], []
@@ -176,7 +176,7 @@ class _Trial:
         ]
 
 
-def _limit_result(chunks: Sequence[Chunk], n: int, part: str, seed: int) -> Result:
+def limit_result(chunks: Sequence[Chunk], n: int, part: str, seed: int) -> Result:
     """Return rows of the table ``limit`` for the first n Gaussians, or why there is no limit."""
     means, covs = zip(*(chunk() for chunk in chunks), strict=True)
     mean, cov = (np.concatenate(arrays)[:n] for arrays in (means, covs))
