@@ -5,12 +5,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from recorded_drive import record
 from study_helpers import table_of, write_csv
 
+from maplines_can.cli import main
+from maplines_can.recordings.read_lines import read_lines
 from maplines_can.study import road
 from maplines_can.study.files import GaussianFile, read_map
 from maplines_can.study.sets import line_set
 from maplines_can.values.errors import MaplinesError, StudyError
+from maplines_can.values.line import PARAMETERS
 
 
 def triangle(cov: Any) -> Any:
@@ -156,3 +160,20 @@ def test_a_map_that_cannot_be_used_is_refused(text: str, message: str, tmp_path:
 
     with pytest.raises(StudyError, match=message):
         read_map(tmp_path / "map.csv")
+
+
+def test_a_log_is_a_set(tmp_path: Path) -> None:
+    """Its lines, and those of its table; in chunks of any size, without those that have no values."""
+    log = record(tmp_path / "drive.log", seconds=4.0)
+    table = read_lines(log)
+    assert main(["decode", str(log), "-o", str(tmp_path / "drive.parquet")]) == 0
+    for path in (log, tmp_path / "drive.parquet"):
+        own = line_set(str(path))
+        assert own.sizes(0, 50) == [50] * (len(table) // 50) + [len(table) % 50]
+        chunks = [chunk() for chunk in own.chunks(0, 50, 0)]
+        assert [len(chunk.mean) for chunk in chunks] == own.sizes(0, 50)
+        mean = np.concatenate([chunk.mean for chunk in chunks])
+        cov = np.concatenate([chunk.cov for chunk in chunks])
+        for i, name in enumerate(PARAMETERS):
+            assert np.array_equal(mean[:, i], table[name])
+            assert np.array_equal(cov[:, 0, i], table[f"cov_y_off_{name}"])
