@@ -24,6 +24,9 @@ from .propagation import map_lines as map_lines
 from .propagation import map_scene as map_scene
 from .propagation import predict_to as predict_to
 from .propagation import scene_mixture as scene_mixture
+from .recordings.read_lines import line_tables as line_tables
+from .recordings.read_lines import read_lines as read_lines
+from .recordings.table import LineTable as LineTable
 from .values.errors import EncodeError as EncodeError
 from .values.errors import IllPosedError as IllPosedError
 from .values.errors import LayoutError as LayoutError

@@ -13,8 +13,8 @@
 
 /// Hold the tables of a tuple: the powers of 2 of the pivots, by row, and of the inflation. False
 /// with an exception if they are not those of a code.
-static bool hold_powers(maplines_arrays_t *arrays, PyObject *tables, const maplines_cholesky_t *code,
-                        maplines_powers_t *powers)
+static bool hold_powers(maplines_arrays_t *arrays, PyObject *tables,
+                        const maplines_cholesky_t *code, maplines_powers_t *powers)
 {
     for (int i = 0; i < 5; i++)
     {
@@ -160,7 +160,8 @@ static PyObject *encode_records(PyObject *module, PyObject *const *args, Py_ssiz
     lines_t lines = {in[1], in[2],  in[4],  in[3],  in[5],  in[6],  in[7], in[8],
                      in[9], in[10], in[11], in[12], in[13], in[14], NULL};
     lines.records =
-        is_held ? maplines_hold(&arrays, args[16], 8 * (Py_ssize_t)dbc->line.pages * n, true) : NULL;
+        is_held ? maplines_hold(&arrays, args[16], 8 * (Py_ssize_t)dbc->line.pages * n, true)
+                : NULL;
     if (lines.records == NULL)
     {
         maplines_release_arrays(&arrays);
@@ -583,8 +584,10 @@ static PyObject *decode_records(PyObject *module, PyObject *const *args, Py_ssiz
     maplines_powers_t tables;
     powers_t powers[5];
     void *out[12] = {NULL};
-    const uint8_t *records = maplines_hold(&arrays, args[1], 8 * (Py_ssize_t)dbc->line.pages * n, false);
-    const uint16_t *data_ids = records == NULL ? NULL : maplines_hold(&arrays, args[2], 2 * n, false);
+    const uint8_t *records =
+        maplines_hold(&arrays, args[1], 8 * (Py_ssize_t)dbc->line.pages * n, false);
+    const uint16_t *data_ids =
+        records == NULL ? NULL : maplines_hold(&arrays, args[2], 2 * n, false);
     bool is_held = data_ids != NULL;
     is_held = is_held && hold_powers(&arrays, args[3], &dbc->covariance, &tables);
     for (int i = 0; is_held && i < 5; i++)

@@ -7,7 +7,12 @@
 
 #include <math.h>
 
-enum { CAN_MESSAGE = 1, CAN_MESSAGE2 = 86, CAN_FD_MESSAGE = 100, CAN_FD_MESSAGE_64 = 101 };
+enum {
+    CAN_MESSAGE = 1,
+    CAN_MESSAGE2 = 86,
+    CAN_FD_MESSAGE = 100,
+    CAN_FD_MESSAGE_64 = 101
+};
 
 #define BASE_SIZE 16 // of the header of an object [byte]
 #define EXTENDED (UINT32_C(1) << 31)
@@ -111,9 +116,8 @@ static size_t read_object(const uint8_t *data, size_t place, size_t size, double
     const bool is_read =
         kind == CAN_MESSAGE || kind == CAN_MESSAGE2 ? read_classic(body, body_size, &frame)
         : kind == CAN_FD_MESSAGE                    ? read_fd(body, body_size, &frame)
-        : kind == CAN_FD_MESSAGE_64
-            ? read_fd_64(body, body_size, object_size, header_size, &frame)
-            : false;
+        : kind == CAN_FD_MESSAGE_64 ? read_fd_64(body, body_size, object_size, header_size, &frame)
+                                    : false;
     // Both are exact, so that the quotient is the nearest to the decimal.
     const double seconds = (double)ticks / (flags == 1 ? 1e5 : 1e9) + start;
     if (!is_read || ticks >= MOST_TICKS || frame.channel == 0 || !(fabs(seconds) < 9e9))
@@ -185,8 +189,8 @@ static PyObject *parse_blf(PyObject *module, PyObject *const *args, Py_ssize_t c
     long last[2] = {-1, 0};
     while (frames.count < frames.capacity)
     {
-        const size_t next = read_object((const uint8_t *)data, place, size, start, args[3], last,
-                                        &frames);
+        const size_t next =
+            read_object((const uint8_t *)data, place, size, start, args[3], last, &frames);
         if (next == 0)
         {
             break;

@@ -256,7 +256,11 @@ static bool feed_frames(feeding_t *feeding, maplines_receiver_t *receiver)
         frame.can_id = feeding->can_ids[i];
         frame.is_extended = feeding->are_extended[i] != 0;
         frame.length = feeding->lengths[i];
-        memcpy(frame.data, feeding->data + (size_t)i * feeding->width, feeding->width);
+        const uint8_t *data = feeding->data + (size_t)i * feeding->width;
+        for (size_t byte = 0; byte < feeding->width; ++byte)
+        {
+            frame.data[byte] = data[byte];
+        }
         const maplines_fed_t fed =
             maplines_feed_with(decoder, &frame, feeding->times_ns[i], &scene);
         feeding->reasons[i] = (uint8_t)fed.reason; // -1 becomes 255
@@ -300,8 +304,7 @@ static bool renew_lines(const feeding_t *feeding, maplines_receiver_t *receiver)
                 memcpy(components.covs[k], one->cov, sizeof components.covs[k]);
             }
         }
-        PyObject *made =
-            maplines_new_moments_line(receiver->objects, &line, row->cov, &components);
+        PyObject *made = maplines_new_moments_line(receiver->objects, &line, row->cov, &components);
         if (made == NULL)
         {
             return false;
@@ -332,8 +335,8 @@ static bool hold_frames(feeding_t *feeding, maplines_arrays_t *arrays, PyObject 
         (feeding->are_extended = maplines_hold(arrays, values[1], n, false)) == NULL ||
         (feeding->times_ns = maplines_hold(arrays, values[2], 8 * n, false)) == NULL ||
         (feeding->lengths = maplines_hold(arrays, values[3], n, false)) == NULL ||
-        (feeding->data = maplines_hold(arrays, values[4], (Py_ssize_t)feeding->width * n,
-                                       false)) == NULL ||
+        (feeding->data = maplines_hold(arrays, values[4], (Py_ssize_t)feeding->width * n, false)) ==
+            NULL ||
         (feeding->places = maplines_hold(arrays, values[5], 8 * count, false)) == NULL ||
         (feeding->reasons = maplines_hold(arrays, values[6], n, true)) == NULL)
     {

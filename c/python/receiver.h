@@ -30,7 +30,7 @@ PyObject *maplines_new_scene_line(PyObject *const *objects, const maplines_scene
 
 /// Components of a mixture.
 typedef struct {
-    int count; ///< 0: the line is no mixture
+    int count;      ///< 0: the line is no mixture
     double mean[4]; ///< of all
     double weights[MAPLINES_MAX_COMPONENTS];
     double means[MAPLINES_MAX_COMPONENTS][4];

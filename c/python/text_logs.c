@@ -375,7 +375,6 @@ static place_t read_asc(place_t at, channels_t *channels, maplines_frames_t *fra
     uint32_t can_id = 0;
     bool is_extended = false;
     uint8_t data[MAPLINES_MAX_DATA];
-    char name[8];
     (void)skip_blanks(&at);
     if (!read_seconds(&at, &t_ns))
     {
@@ -394,9 +393,8 @@ static place_t read_asc(place_t at, channels_t *channels, maplines_frames_t *fra
     int length = -1;
     if (is_fd)
     {
-        length = skip_direction(&at) && read_asc_id(&at, &can_id, &is_extended)
-                     ? read_fd(&at, data)
-                     : -1;
+        length = skip_direction(&at) && read_asc_id(&at, &can_id, &is_extended) ? read_fd(&at, data)
+                                                                                : -1;
     }
     else
     {
@@ -410,6 +408,7 @@ static place_t read_asc(place_t at, channels_t *channels, maplines_frames_t *fra
     }
     if (number != channels->asc_number)
     {
+        char name[8];
         const int digits = PyOS_snprintf(name, sizeof name, "%u", (unsigned)number - 1);
         const int known = channel_of(channels, name, (size_t)digits);
         channels->last = NULL; // `name` is gone when the next one is compared
@@ -427,8 +426,7 @@ static place_t read_asc(place_t at, channels_t *channels, maplines_frames_t *fra
             return NULL;
         }
     }
-    maplines_add_frame(frames, can_id, is_extended, t_ns, channels->number, data,
-                       (uint8_t)length);
+    maplines_add_frame(frames, can_id, is_extended, t_ns, channels->number, data, (uint8_t)length);
     return at + 1;
 }
 
@@ -542,8 +540,7 @@ static PyObject *parse_asc(PyObject *module, PyObject *const *args, Py_ssize_t c
 }
 
 static PyMethodDef functions[] = {
-    {"parse_candump", (PyCFunction)(void (*)(void))parse_candump, METH_FASTCALL,
-     parse_candump_doc},
+    {"parse_candump", (PyCFunction)(void (*)(void))parse_candump, METH_FASTCALL, parse_candump_doc},
     {"parse_asc", (PyCFunction)(void (*)(void))parse_asc, METH_FASTCALL, parse_asc_doc},
     {NULL, NULL, 0, NULL},
 };

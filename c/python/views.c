@@ -176,15 +176,14 @@ PyObject *maplines_receiver_check(PyObject *self, PyObject *owner)
     {
         return NULL;
     }
-    return Py_BuildValue("iNKkNN(KKKKKK)", (int)check->machine.state, status_of(check->status),
-                         (unsigned long long)check->lost, (unsigned long)check->ahead,
-                         PyBool_FromLong(check->conflict.is_confirmed),
-                         check->has_last ? PyLong_FromUnsignedLong(check->last)
-                                         : Py_NewRef(Py_None),
-                         (unsigned long long)check->ok, (unsigned long long)check->no_new_data,
-                         (unsigned long long)check->errors, (unsigned long long)check->repeated,
-                         (unsigned long long)check->some_lost,
-                         (unsigned long long)check->wrong_sequence);
+    return Py_BuildValue(
+        "iNKkNN(KKKKKK)", (int)check->machine.state, status_of(check->status),
+        (unsigned long long)check->lost, (unsigned long)check->ahead,
+        PyBool_FromLong(check->conflict.is_confirmed),
+        check->has_last ? PyLong_FromUnsignedLong(check->last) : Py_NewRef(Py_None),
+        (unsigned long long)check->ok, (unsigned long long)check->no_new_data,
+        (unsigned long long)check->errors, (unsigned long long)check->repeated,
+        (unsigned long long)check->some_lost, (unsigned long long)check->wrong_sequence);
 }
 
 /// State of an owner at a time.

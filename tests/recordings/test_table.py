@@ -23,7 +23,9 @@ POSE_DBC = default_dbc_path("maplines-pose.dbc")
 
 
 def decoded(log: Path, dbc: Any = None) -> tuple[list[MapLine], list[Reason], Decoder]:
-    decoder, lines, reasons = Codec.from_dbc(dbc).decoder(), [], []
+    decoder = Codec.from_dbc(dbc).decoder()
+    lines: list[MapLine] = []
+    reasons: list[Reason] = []
     for frame in read_log(log):
         found = decoder.feed(frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended)
         if isinstance(found, Reason):

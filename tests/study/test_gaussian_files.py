@@ -163,7 +163,7 @@ def test_a_map_that_cannot_be_used_is_refused(text: str, message: str, tmp_path:
 
 
 def test_a_log_is_a_set(tmp_path: Path) -> None:
-    """Its lines, and those of its table; in chunks of any size, without those that have no values."""
+    """Its lines, and those of its table, in chunks of any size."""
     log = record(tmp_path / "drive.log", seconds=4.0)
     table = read_lines(log)
     assert main(["decode", str(log), "-o", str(tmp_path / "drive.parquet")]) == 0
