@@ -164,7 +164,7 @@ def _run(arguments: argparse.Namespace) -> int:
             )
         )
         is_stopped = _simulate(simulation, stack, arguments)
-        result = _result(simulation) | {"stopped": is_stopped, "cpu": time.monotonic() - start}
+        result = _result(simulation) | {"stopped": is_stopped, "elapsed": time.monotonic() - start}
     result["faults"] = {} if injector is None else injector.as_dict()
     result["log"] = arguments.log
     print(json.dumps(result, indent=2) if arguments.json else _text(result))
@@ -264,7 +264,7 @@ def _text(result: Mapping[str, Any]) -> str:
     """Return the counters of a simulation as text."""
     load = f", load {100 * result['load']:.1f} %" if "load" in result else ""
     rows = [
-        f"{result['seconds']:g} s simulated in {result['cpu']:.1f} s, "
+        f"{result['seconds']:g} s simulated in {result['elapsed']:.1f} s, "
         f"{result['points']} communication points",
         *(
             f"{name}: sent {one['sent']} frames, received {one['received']}, "
