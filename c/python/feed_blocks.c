@@ -284,7 +284,7 @@ static bool renew_lines(const feeding_t *feeding, maplines_receiver_t *receiver)
     for (int slot = 0; slot < MAPLINES_SLOTS; ++slot)
     {
         const int64_t place = feeding->newest[slot];
-        if (place < 0)
+        if (place < 0 || feeding->lines.rows == NULL)
         {
             continue;
         }
