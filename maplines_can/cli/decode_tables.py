@@ -94,6 +94,8 @@ def _write_file(arguments: argparse.Namespace, out: Path) -> int:
     parts = ["lines", "rejects", *["scenes"] * arguments.scenes]
     path_of = beside(out)
     check_new(arguments, *map(path_of, parts))
+    if not out.parent.is_dir():
+        raise ValueError(f"-o {out}: there is no folder {out.parent}")
     (log,) = arguments.logs
     receiver = LogReceiver(codec, scenes=arguments.scenes, **_times(arguments))
     writer = open_tables(path_of, About.of(codec, log, arguments.at), out.suffix)
@@ -151,7 +153,7 @@ def _write_folder(arguments: argparse.Namespace, folder: Path) -> int:
         note(f"error: {result['error']}")
     note(
         f"{sum(result['lines'] for result in results)} lines from "
-        f"{sum(result['frames'] for result in results)} frames of {len(results)} logs, "
+        f"{sum(result['frames'] for result in results)} frames of {len(results)} log{'s' * (len(results) > 1)}, "
         f"{len(bad)} of them damaged; dropped frames: {counts_text(dropped_of(results))}"
     )
     note(f"written: {folder}; {folder / 'manifest.jsonl'} has the result of each log")

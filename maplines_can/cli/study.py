@@ -160,11 +160,12 @@ def _estimate_text(cpu: float, jobs: int) -> str:
 
     >>> _estimate_text(300.0, 2)
     'this will take about 5 min of CPU time, 2.5 min on 2 processes'
+    >>> _estimate_text(9.0, 1)
+    'this will take about 9 s of CPU time'
     """
-    return (
-        f"this will take about {cpu / 60:.2g} min of CPU time, {cpu / 60 / jobs:.2g} min on "
-        f"{jobs} processes"
-    )
+    scale, unit = (1, "s") if cpu < 100 else (60, "min")
+    text = f"this will take about {cpu / scale:.2g} {unit} of CPU time"
+    return text if jobs == 1 else f"{text}, {cpu / scale / jobs:.2g} {unit} on {jobs} processes"
 
 
 def _run(arguments: argparse.Namespace, bar: Bar) -> int:

@@ -8,8 +8,8 @@ e_h [rad]) have the same form, with d = 4 or d = 3 numbers:
 - ``.csv`` and ``.parquet``: columns ``mean_0`` .. and ``cov_00``, ``cov_01`` .., at least those of
   the upper triangle. The first line of a CSV names its columns;
 - ``.parquet`` that ``maplines decode -o`` wrote, and the logs themselves (`LOG_SUFFIXES`, of the
-  DBC of the package that fits them best): the lines that may be used. A receiver's Gaussians are
-  rounded already, so that the code that they were sent with costs nothing more.
+  DBC of the package that fits them best): the lines that may be used. They are rounded already,
+  to the steps of the code that they were sent with.
 
 All are read in blocks.
 
