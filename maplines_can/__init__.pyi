@@ -26,7 +26,6 @@ from .propagation import predict_to as predict_to
 from .propagation import scene_mixture as scene_mixture
 from .recordings.read_lines import line_tables as line_tables
 from .recordings.read_lines import read_lines as read_lines
-from .recordings.table import LineTable as LineTable
 from .values.errors import EncodeError as EncodeError
 from .values.errors import IllPosedError as IllPosedError
 from .values.errors import LayoutError as LayoutError

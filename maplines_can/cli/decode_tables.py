@@ -153,7 +153,7 @@ def _write_folder(arguments: argparse.Namespace, folder: Path) -> int:
         note(f"error: {result['error']}")
     note(
         f"{sum(result['lines'] for result in results)} lines from "
-        f"{sum(result['frames'] for result in results)} frames of {len(results)} log{'s' * (len(results) > 1)}, "
+        f"{sum(result['frames'] for result in results)} frames; logs: {len(results)}, "
         f"{len(bad)} of them damaged; dropped frames: {counts_text(dropped_of(results))}"
     )
     note(f"written: {folder}; {folder / 'manifest.jsonl'} has the result of each log")

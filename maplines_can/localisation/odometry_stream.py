@@ -182,7 +182,8 @@ class OdometryStream:
         limits, (t, speed, rate) = self.limits, new
         finite = np.isfinite(speed) & np.isfinite(rate)
         speed, rate = np.where(finite, speed, 0.0), np.where(finite, rate, 0.0)
-        lateral = np.abs(speed).clip(max=limits.speed) * np.abs(rate)
+        with np.errstate(over="ignore"):  # infinite is beyond the limit, too
+            lateral = np.abs(speed).clip(max=limits.speed) * np.abs(rate)
         turns = (np.abs(rate) > limits.yaw_rate) | (lateral > limits.lateral_acceleration)
         verdict = np.full(self._cars, Verdict.USED, dtype=np.intp)
         if last is not None:
