@@ -91,11 +91,13 @@ fmi3Instance fmi3InstantiateCoSimulation(
     (void)requiredIntermediateVariables;
     (void)nRequiredIntermediateVariables;
     (void)intermediateUpdate;
-    maplines_instance_t *own = calloc(1, sizeof *own);
+    const size_t scratch = maplines_scratch_size() * sizeof(double);
+    maplines_instance_t *own = calloc(1, sizeof *own + scratch);
     if (own == NULL)
     {
         return NULL;
     }
+    own->scratch = (double *)(own + 1);
     own->environment = instanceEnvironment;
     own->log = logMessage;
     own->is_logging = loggingOn;

@@ -6,7 +6,9 @@
  *     controller.c   the CAN controller of a node: what is received, errors, what is sent
  *     bus.c          the operations that nodes exchange
  *     receiver.c     a node: frames to lines, or
- *     sender.c       a node: lines to frames, at the deadlines of tx_queue.c
+ *     sender.c       a node: lines to frames, at the deadlines of tx_queue.c; its inputs are
+ *     line_input.c   lines, or
+ *     pose_input.c   a pose, from which it computes the lines of a map along a route
  *
  * `maplines generate fmu` adds variables.h and .c, which list the variables of a node with their
  * start values, as modelDescription.xml does; the C core; the tables of a DBC; the headers of FMI.
@@ -78,6 +80,7 @@ typedef struct {
     fmi3InstanceEnvironment environment;
     fmi3LogMessageCallback log; ///< may be NULL
     bool is_logging;            ///< events, too; warnings and errors are always logged
+    double *scratch;            ///< maplines_scratch_size() of them; no call leaves anything there
 } maplines_instance_t;
 
 /* ---- fmi3.c ---------------------------------------------------------------------------------- */
@@ -110,6 +113,8 @@ void maplines_bind(maplines_node_t *node);
 void maplines_unbind(maplines_node_t *node);
 /// Start the node with its parameters; NULL, or what is wrong with them.
 const char *maplines_start(maplines_instance_t *instance);
+/// Number of doubles that the node computes with.
+size_t maplines_scratch_size(void);
 /// Note that an input is set: that of an index, among those whose first value reference is given.
 void maplines_note_input(maplines_node_t *node, fmi3ValueReference first, size_t index);
 /// Take inputs that were set at this time.
@@ -125,5 +130,13 @@ void maplines_send_due(maplines_instance_t *instance);
 double maplines_next_due(const maplines_instance_t *instance);
 /// Compute the outputs at this time.
 void maplines_refresh(maplines_instance_t *instance);
+
+/* ---- sender.c, with line_input.c or pose_input.c ----------------------------------------------
+ */
+
+/// Start the inputs of a sender with its parameters; NULL, or what is wrong with them.
+const char *maplines_start_input(maplines_instance_t *instance);
+/// Note that a line is not sent, and why.
+void maplines_refuse(maplines_instance_t *instance, int slot, maplines_refusal_t refusal);
 
 #endif

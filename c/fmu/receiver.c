@@ -39,6 +39,11 @@ const char *maplines_start(maplines_instance_t *instance)
     return wrong;
 }
 
+size_t maplines_scratch_size(void)
+{
+    return 0;
+}
+
 void maplines_note_input(maplines_node_t *node, fmi3ValueReference first, size_t index)
 {
     (void)node; // a receiver has none but Rx_Data

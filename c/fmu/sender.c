@@ -1,8 +1,5 @@
 /* Sender as a node of an FMU: lines to frames, at their deadlines.
  *
- * Setting an input of a slot publishes its line: it is sent from then on, with an age that grows,
- * in place of the one before. A slot that is not valid sends nothing.
- *
  * Frames of a line are sent at once. If the bus notifies (BusNotifications), each is sent when the
  * one before is confirmed, and again when it was not sent; after a period, the rest of a line is
  * given up, as by the transmitter of the Python package whose queue stays full.
@@ -71,88 +68,18 @@ const char *maplines_start(maplines_instance_t *instance)
     {
         wrong = "fd needs CAN.fd_baud_rate";
     }
-    return wrong;
+    return wrong != NULL ? wrong : maplines_start_input(instance);
 }
 
-/* ---- inputs ---------------------------------------------------------------------------------- */
+/* ---- sending --------------------------------------------------------------------------------- */
 
-void maplines_note_input(maplines_node_t *node, fmi3ValueReference first, size_t index)
-{
-    size_t slot = (index - FLAG_SLOTS) / SLOT_FLAGS;
-    if (first == MAPLINES_FIRST_REAL)
-    {
-        slot = (index - REAL_SLOTS) / SLOT_REALS;
-    }
-    else if (first == MAPLINES_FIRST_CHOICE)
-    {
-        slot = (index - CHOICE_SLOTS) / SLOT_CHOICES;
-    }
-    node->set |= (uint32_t)1 << slot;
-}
-
-/// Read the line of a slot from the inputs.
-static void read_line(const maplines_values_t *values, int slot, maplines_input_t *line)
-{
-    const double *reals = &values->reals[REAL_SLOTS + SLOT_REALS * slot];
-    const int64_t *choices = &values->choices[CHOICE_SLOTS + SLOT_CHOICES * slot];
-    const double *entry = &reals[SLOT_REAL_COV];
-    memset(line, 0, sizeof *line);
-    line->slot = (maplines_owner_t)slot;
-    line->kind = (maplines_kind_t)choices[SLOT_CHOICE_KIND];
-    line->status = (maplines_status_t)choices[SLOT_CHOICE_STATUS];
-    line->x_min = reals[SLOT_REAL_X_MIN];
-    line->x_max = reals[SLOT_REAL_X_MAX];
-    line->age = reals[SLOT_REAL_AGE];
-    for (int i = 0; i < 4; i++)
-    {
-        line->mean[i] = reals[SLOT_REAL_MEAN + i];
-        for (int j = 0; j <= i; j++)
-        {
-            line->cov[i][j] = *entry;
-            line->cov[j][i] = *entry;
-            entry++;
-        }
-    }
-}
-
-/// Note that a line is not sent, and why.
-static void refuse(maplines_instance_t *instance, int slot, maplines_refusal_t refusal)
+void maplines_refuse(maplines_instance_t *instance, int slot, maplines_refusal_t refusal)
 {
     count(instance, COUNT_REFUSED, 1);
     instance->state.values.choices[CHOICE_REFUSAL] = (int64_t)refusal;
     maplines_log(instance, fmi3Warning, "the line of slot %s is not sent: %s",
                  maplines_owner_name((maplines_owner_t)slot), maplines_refusal_name(refusal));
 }
-
-void maplines_take_inputs(maplines_instance_t *instance)
-{
-    const maplines_values_t *values = &instance->state.values;
-    maplines_node_t *node = &instance->state.node;
-    for (int slot = 0; slot < MAPLINES_SLOTS && node->set != 0; slot++)
-    {
-        if ((node->set >> slot & 1U) != 0)
-        {
-            maplines_input_t line;
-            read_line(values, slot, &line);
-            const bool is_valid = values->flags[FLAG_SLOTS + SLOT_FLAGS * slot + SLOT_FLAG_VALID];
-            if (is_valid && line.age >= 0.0)
-            {
-                maplines_publish(&node->queue, &line, instance->state.now);
-            }
-            else
-            {
-                maplines_drop(&node->queue, slot);
-            }
-            if (is_valid && !(line.age >= 0.0))
-            {
-                refuse(instance, slot, MAPLINES_BAD_AGE);
-            }
-        }
-    }
-    node->set = 0;
-}
-
-/* ---- sending --------------------------------------------------------------------------------- */
 
 /// Encode the line that is due; false if it is refused.
 static bool encode(maplines_instance_t *instance)
@@ -166,7 +93,7 @@ static bool encode(maplines_instance_t *instance)
     sending->next = 0;
     if (sent.refusal != MAPLINES_SENT)
     {
-        refuse(instance, (int)line->slot, sent.refusal);
+        maplines_refuse(instance, (int)line->slot, sent.refusal);
     }
     return sent.refusal == MAPLINES_SENT;
 }

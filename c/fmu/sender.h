@@ -19,7 +19,10 @@ typedef struct {
     maplines_encoder_t encoder;
     maplines_tx_queue_t queue;
     maplines_sending_t sending;
-    uint32_t set; ///< slots of which an input was set, one bit each
+    uint32_t set;     ///< slots of which an input was set, one bit each; 1 if the pose was
+    bool is_on_route; ///< the last pose; of a sender with a map
+    uint32_t section; ///< of the route, where it was
+    double s;         ///< its position along the path of the route [m]
 } maplines_node_t;
 
 #endif

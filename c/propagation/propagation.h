@@ -80,7 +80,7 @@ typedef struct {
 bool maplines_prepare_path(const double *points, const double *distance, size_t count,
                            double *memory, maplines_path_t *path);
 /// Place on the map from which lines are followed, and how far along them [m].
-void maplines_start(const maplines_look_t *look, double start[2], double *reach);
+void maplines_look_start(const maplines_look_t *look, double start[2], double *reach);
 /// Stretches of lines; the arrays of `seen` have room for all points of the lines, and left_out has
 /// the reason of each line, or MAPLINES_GIVEN.
 void maplines_see(const maplines_path_t *paths, size_t count, const maplines_look_t *look,

@@ -88,7 +88,7 @@ typedef struct {
     double reach;     ///< how far along them [m]
 } frame_t;
 
-void maplines_start(const maplines_look_t *look, double start[2], double *reach)
+void maplines_look_start(const maplines_look_t *look, double start[2], double *reach)
 {
     const double low = look->window[0];
     const double high = look->window[1];
@@ -247,7 +247,7 @@ void maplines_see(const maplines_path_t *paths, size_t count, const maplines_loo
     frame_t frame = {cos(look->pose[2]), sin(look->pose[2]),  look->pose[0],
                      look->pose[1],      cos(look->max_turn), look->window[0],
                      look->window[1],    {0.0, 0.0},          0.0};
-    maplines_start(look, frame.start, &frame.reach);
+    maplines_look_start(look, frame.start, &frame.reach);
     seen->lines = 0;
     seen->points = 0;
     for (size_t i = 0; i < count; ++i)

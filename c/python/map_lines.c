@@ -36,7 +36,7 @@ static PyObject *pose_view(PyObject *module, PyObject *const *args, Py_ssize_t c
         return maplines_none();
     }
     maplines_pose_view(&cycle, &view);
-    maplines_start(&view.look, start, &reach);
+    maplines_look_start(&view.look, start, &reach);
     PyObject *place = maplines_array_of(maplines_numpy(module), 1, &two, start);
     PyObject *cov =
         place == NULL ? NULL : maplines_array_of(maplines_numpy(module), 2, shape, view.pose_cov);

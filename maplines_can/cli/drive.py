@@ -18,8 +18,7 @@ import numpy as np
 from ..bus import LogWriter, frame_time
 from ..bus.log_writer import check_log_path
 from ..maps import LaneTracker, Map, Route, load, town_path
-from ..maps.line_source import WINDOW, ChooseComponents, LineSource
-from ..maps.view import AHEAD, BEHIND
+from ..maps.line_source import ChooseComponents, LineSource
 from ..propagation.component_counts import component_counts
 from ..simulation.components import (
     MAX_LOAD,
@@ -50,7 +49,7 @@ from .parsing import add_command, add_json, number, option_group, seconds
 from .reported_pose import add_reported_pose, check_reported_pose, reported_pose_of
 from .sending import add_line_model, bus_share, map_error_of, sends_scenes
 from .stderr import note, progress_bar
-from .ways import TOUR, add_way, check_way, states_of, way_of
+from .ways import TOUR, add_view, add_way, check_way, states_of, way_of
 
 #: Name of the map of this package.
 TOWN = town_path().name
@@ -90,25 +89,7 @@ def add_drive(commands: Any) -> None:
     scenario.add_argument(
         "--seconds", type=seconds, metavar="S", help="end after this part of the drive [s]"
     )
-    scenario.add_argument(
-        "--lines",
-        type=number(int, 1, len(Slot)),
-        default=4,
-        metavar="N",
-        help="slots that are sent, the first N of: "
-        + ", ".join(slot.name.lower().replace("_", " ") for slot in Slot)
-        + " (default: 4)",
-    )
-    scenario.add_argument(
-        "--window",
-        nargs=2,
-        type=number(float, -BEHIND, AHEAD),
-        default=WINDOW,
-        metavar=("MIN", "MAX"),
-        help="range of the lines ahead of the car [m], "
-        f"-{BEHIND:g} to {AHEAD:g}; in a corner, what is behind the car shortens what is ahead "
-        f"(default: {WINDOW[0]:g} {WINDOW[1]:g})",
-    )
+    add_view(scenario)
     add_reported_pose(parser)
     add_line_model(parser)
     scenario.add_argument(

@@ -117,6 +117,11 @@ def add_line_model(parser: argparse.ArgumentParser) -> None:
         help="largest bus load of the lines, as a share of the bus time from 0.001 to 1 "
         f"(default: {MAX_LOAD:g} with --components auto, otherwise no limit)",
     )
+    add_map_error(scenario)
+
+
+def add_map_error(scenario: Any) -> None:
+    """Add ``--map-error`` and ``--max-sigma`` to a group of options."""
     scenario.add_argument(
         "--map-error",
         type=number(float, 1e-6, 100),

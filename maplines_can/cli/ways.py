@@ -5,16 +5,20 @@ from __future__ import annotations
 import argparse
 from itertools import islice, product
 from pathlib import Path
+from typing import Any
 
 from ..bus import read_signals
 from ..maps import Map, Route, random_tour, town_path, town_tour
 from ..maps.formats.load import map_path
+from ..maps.line_source import WINDOW
+from ..maps.view import AHEAD, BEHIND
 from ..simulation.map_frame import check_on_map
 from ..simulation.recorded import RecordedDrive
 from ..simulation.trajectory import CarState, SimulatedDrive, drive_along
 from ..values.errors import DriveFileError, RouteError
+from ..values.line import Slot
 from .output import counts_text
-from .parsing import option_group
+from .parsing import number, option_group
 from .stderr import note
 
 #: Length of a route that is chosen at random [m].
@@ -29,11 +33,7 @@ def add_way(parser: argparse.ArgumentParser) -> None:
     """Add ``--route``, ``--drive`` and the options of a drive in a bus log."""
     options = option_group(parser, "scenario")
     ways = options.add_mutually_exclusive_group()
-    ways.add_argument(
-        "--route",
-        metavar="A..B",
-        help="route from A to B, which are ids of lanes or of roads; A..B..C leads through B",
-    )
+    add_route(ways)
     ways.add_argument(
         "--drive",
         metavar="FILE",
@@ -50,6 +50,38 @@ def add_way(parser: argparse.ArgumentParser) -> None:
         "--signals-dbc",
         metavar="FILE",
         help="DBC of these signals: that of the car, whereas --dbc is that of the lines",
+    )
+
+
+def add_route(group: Any) -> None:
+    """Add ``--route`` to a group of options."""
+    group.add_argument(
+        "--route",
+        metavar="A..B",
+        help="route from A to B, which are ids of lanes or of roads; A..B..C leads through B",
+    )
+
+
+def add_view(scenario: Any) -> None:
+    """Add ``--lines`` and ``--window``: what is sent of the map around the car."""
+    scenario.add_argument(
+        "--lines",
+        type=number(int, 1, len(Slot)),
+        default=4,
+        metavar="N",
+        help="slots that are sent, the first N of: "
+        + ", ".join(slot.name.lower().replace("_", " ") for slot in Slot)
+        + " (default: 4)",
+    )
+    scenario.add_argument(
+        "--window",
+        nargs=2,
+        type=number(float, -BEHIND, AHEAD),
+        default=WINDOW,
+        metavar=("MIN", "MAX"),
+        help="range of the lines ahead of the car [m], "
+        f"-{BEHIND:g} to {AHEAD:g}; in a corner, what is behind the car shortens what is ahead "
+        f"(default: {WINDOW[0]:g} {WINDOW[1]:g})",
     )
 
 
@@ -79,17 +111,30 @@ def way_of(
         DriveFileError: the recorded drive cannot be used, or is not on the map.
         ValueError: options do not fit together.
     """
+    if arguments.drive is not None:
+        _check_lanes(road_map)
+        return _recorded(road_map, arguments), None
+    route = route_of(road_map, arguments)
+    return drive_along(road_map, route), route
+
+
+def route_of(road_map: Map, arguments: argparse.Namespace) -> Route:
+    """Return the route of ``--route``, or else that of the town, or one that is chosen at random.
+
+    Raises:
+        RouteError: there is no such route, or the map has no lanes.
+    """
+    _check_lanes(road_map)
+    if arguments.route is not None:
+        return _route(road_map, arguments.route)
+    if arguments.map is None or map_path(arguments.map).resolve() == town_path().resolve():
+        return town_tour(road_map)
+    return random_tour(road_map, TOUR, arguments.seed)
+
+
+def _check_lanes(road_map: Map) -> None:
     if not any(lane.type.is_drivable for lane in road_map.lanes.values()):
         raise RouteError(f"the map {road_map.name} has no lanes to drive on")
-    if arguments.drive is not None:
-        return _recorded(road_map, arguments), None
-    if arguments.route is not None:
-        route = _route(road_map, arguments.route)
-    elif arguments.map is None or map_path(arguments.map).resolve() == town_path().resolve():
-        route = town_tour(road_map)
-    else:
-        route = random_tour(road_map, TOUR, arguments.seed)
-    return drive_along(road_map, route), route
 
 
 def _route(road_map: Map, text: str) -> Route:

@@ -78,8 +78,12 @@ def header(limits: Limits) -> str:
     return _MARKER.sub("", text)
 
 
-def source() -> str:
-    """Return ``maplines.c``: all sources in one, where what the header does not name is static."""
+def source(internal: str = "static") -> str:
+    """Return ``maplines.c``: all sources in one, where what the header does not name is static.
+
+    Args:
+        internal: storage class of those; nothing, if other sources call them.
+    """
     found = {path.name for path in (core_folder() / "src").glob("*.c")}
     order = [name for name in _SECTION.findall(_text("src/internal.h")) if name in found]
     sources = {name: _text(f"src/{name}") for name in [*order, *sorted(found.difference(order))]}
@@ -94,10 +98,17 @@ def source() -> str:
             "/* The C core of maplines in one file; maplines.h is its manual. */\n",
             '#include "maplines.h"\n\n',
             *sorted(set(_SYSTEM_INCLUDE.findall(body))),
-            "\n#define MAPLINES_INTERNAL static\n\n",
+            f"\n#define MAPLINES_INTERNAL {internal}".rstrip() + "\n\n",
             re.sub(r"\n{3,}", "\n\n", _SYSTEM_INCLUDE.sub("", body)),
         )
     )
+
+
+def propagation_sources() -> dict[str, str]:
+    """Return the files that propagate lines of a map, beside ``maplines.c`` that is not static."""
+    folder = core_folder() / "propagation"
+    files = {path.name: path.read_text(encoding="utf-8") for path in sorted(folder.iterdir())}
+    return {"internal.h": _text("src/internal.h")} | files
 
 
 def _add_headers(text: str, headers: dict[str, str]) -> None:

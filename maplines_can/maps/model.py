@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ..values.errors import RouteError
 from ..values.line import Slot
 from ..values.polyline import Polyline
+from ..values.route_lines import RouteLines
 from .landmarks import Landmark
 from .lane import Lane, LaneType, Road, Skipped
 from .matching import LaneIndex, LaneMatch
@@ -173,6 +174,14 @@ class Map:
         preferred = frozenset() if route is None else route.lane_set
         match = self.index.match(pose, preferred)
         return {} if match is None else self.view.lines(match, route)
+
+    def along(self, route: Route) -> RouteLines:
+        """Return the lines along a route, for a sender that has no more of the map than these.
+
+        In each lane of the route, they are those of ``lines`` there. In a lane change, they become
+        those of the other lane half way.
+        """
+        return self.view.along(route)
 
     def __repr__(self) -> str:
         return f"<Map {self.name!r}: {len(self.roads)} roads, {len(self.lanes)} lanes>"

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import accumulate, takewhile
+from itertools import accumulate, pairwise, takewhile
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from ..propagation.stretches import MAX_TURN
 from ..values.line import Slot
-from ..values.polyline import Polyline
+from ..values.polyline import INDEXED, Polyline
+from ..values.route_lines import RouteLines
 from .joints import MAX_GAP, SNAP, gap, joined_lines
 from .lane import Lane, Skipped
 from .lane_graph import DirectedLane, DrivenLine, LaneGraph
@@ -25,6 +26,9 @@ from .routing import Route
 AHEAD = 150.0
 #: Length of the lines behind the start of a lane, if the map has it [m].
 BEHIND = 60.0
+#: Length of the sections of a lane in which its lines are cut, if they have too many points for
+#: a query without a search tree, and what remains of them beyond these distances [m].
+SECTION, REACH = 200.0, 100.0
 #: Lanes whose lines are kept, so that the next pose on one of them finds them.
 KEPT = 1024
 #: Largest angle between lines that lead through a junction beside each other [rad].
@@ -135,6 +139,29 @@ class LaneView:
         if route is not None and index is not None:
             lines[Slot.ROUTE] = self._route_line(route, index)
         return lines
+
+    def along(self, route: Route) -> RouteLines:
+        """Return the lines along a route: see ``Map.along``."""
+        changes = iter(route.changes)
+        change = next(changes, None)
+        begins = list(route.starts)
+        for i, pair in enumerate(pairwise(route.lanes), 1):
+            if change and pair == (change.origin, change.target):
+                begins[i] = (change.start + change.end) / 2
+                change = next(changes, None)
+        starts, sections = [], []
+        for i, (begin, end) in enumerate(pairwise([*begins, route.line.length])):
+            behind, ahead = self.paths(route, i)
+            around = self.around(DirectedLane(route.lanes[i], False), ahead, behind)
+            lines = self.with_route(around, route, i)
+            is_long = any(len(line.points) > INDEXED for line in lines.values())
+            parts = math.ceil((end - begin) / SECTION) if is_long else 1
+            for span in pairwise(np.linspace(begin, end, parts + 1).tolist()):
+                starts.append(span[0])
+                sections.append(
+                    {slot: _near_section(line, route.line, span) for slot, line in lines.items()}
+                )
+        return RouteLines(route.line, tuple(starts), sections)
 
     def _around(
         self, key: DirectedLane, ahead: tuple[DirectedLane, ...], behind: tuple[DirectedLane, ...]
@@ -301,6 +328,17 @@ def may_turn_back(lines: Sequence[Polyline], spans: Sequence[tuple[float, float]
     is_far = np.abs(turned.imag) < -NEARLY_OPPOSITE * turned.real
     far = np.logical_or.reduceat(is_far, first[:-1]).tolist()
     return [a or b for a, b in zip(far, is_short, strict=True)]
+
+
+def _near_section(line: Polyline, path: Polyline, span: tuple[float, float]) -> Polyline:
+    """Return what a car sees of a long line between two positions along a path beside it [m]."""
+    if len(line.points) <= INDEXED:
+        return line
+    at = np.transpose([np.interp(span, path.distance, values) for values in path.points.T])
+    nearest = [np.hypot(*(line.points - place).T).argmin() for place in at]
+    low, high = np.sort(line.distance[nearest])
+    first, last = line.distance.searchsorted([low - BEHIND - REACH, high + AHEAD + REACH])
+    return Polyline(line.points[max(0, first - 1) : last + 1], line.kind)
 
 
 def _route_line(route: Route, index: int) -> Polyline:

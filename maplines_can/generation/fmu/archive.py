@@ -17,17 +17,23 @@ from typing import NamedTuple
 from ...values.errors import LayoutError, missing_extra
 from ...wire.c_tables import limits_of
 from ...wire.layout.message_layout import Layout
-from ..c_files import core_folder, header, source
+from ..c_files import core_folder, header, propagation_sources, source
 from ..tables import tables_of
 from . import variables as code
 from .compilers import binaries
 from .description import BUS, build_description, manifest, model_description, terminals
-from .nodes import POSITIONS, controller_rows, receiver_rows, sender_rows
+from .nodes import POSITIONS, controller_rows, line_rows, pose_rows, receiver_rows, sender_rows
+from .route import SentRoute, route_source
 from .variables import Row, Variable, variables_of
 
 #: C files of each node, besides the core and the tables of the DBC.
 COMMON = ("fmu.h", "bus.h", "bus.c", "fmi3.c", "access.c", "unsupported.c", "controller.c")
-OWN = {"receiver": ("receiver.c",), "sender": ("sender.c", "tx_queue.h", "tx_queue.c")}
+SENDER = ("sender.c", "tx_queue.h", "tx_queue.c")
+OWN = {
+    "receiver": ("receiver.h", "receiver.c"),
+    "sender": ("sender.h", *SENDER, "line_input.c"),
+    "map_sender": ("sender.h", *SENDER, "pose_input.c", "route.h"),
+}
 #: Headers of FMI 3.0, which fmpy has.
 HEADERS = ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h")
 #: Time of the files in the archive: the first that zip has.
@@ -45,12 +51,13 @@ class Fmu(NamedTuple):
     platforms: Sequence[str]  #: with a binary, such as x86_64-linux
 
 
-def fmu_of(node: str, layout: Layout) -> Fmu:
+def fmu_of(node: str, layout: Layout, route: SentRoute | None = None) -> Fmu:
     """Return the FMU of a receiver or a sender of the messages of a DBC.
 
     Args:
-        node: "receiver" or "sender".
+        node: "receiver" or "sender"; "map_sender" for a sender that takes poses.
         layout: of the DBC.
+        route: lines of the map of that one.
 
     Raises:
         LayoutError: the DBC has no C; the message has the cure.
@@ -59,10 +66,11 @@ def fmu_of(node: str, layout: Layout) -> Fmu:
     """
     check(node, layout)
     identifier = f"maplines_{node}"
-    variables = described(variables_of(rows_of(node, layout)), layout)
-    sources, token = sources_of(node, layout)
+    variables = described(variables_of(rows_of(node, layout, route)), layout)
+    sources, token = sources_of(node, layout, route)
     version = re.findall(r'#define MAPLINES_VERSION "(.+)"', sources["maplines.h"])[0]
     about = f"{ABOUT[node]}, by the messages of {PurePath(layout.source).name}"
+    about += f", along a route on {route.name}" if route else ""
     compiled = sorted(name for name in sources if name.endswith(".c"))
     built = binaries(identifier, sources, compiled)
     files = {
@@ -87,7 +95,7 @@ def check(node: str, layout: Layout) -> None:
             f"{layout.source}: all messages are authenticated, and an FMU has no keys; use a DBC "
             "with messages that are not, such as maplines.dbc"
         )
-    if node == "sender" and layout.is_conditional:
+    if node != "receiver" and layout.is_conditional:
         raise LayoutError(
             f"{layout.source}: its records are conditional on the pose error, and this sender "
             "takes lines one by one; use a DBC with complete records, such as maplines.dbc"
@@ -97,14 +105,21 @@ def check(node: str, layout: Layout) -> None:
 ABOUT = {
     "receiver": "Lines of a digital map with their uncertainty, received from a CAN bus",
     "sender": "Lines of a digital map with their uncertainty, sent on a CAN bus",
+    "map_sender": "Lines around a pose of a car, computed with their uncertainty from a digital "
+    "map, and sent on a CAN bus",
 }
 
 
-def rows_of(node: str, layout: Layout) -> list[Row]:
+def rows_of(node: str, layout: Layout, route: SentRoute | None = None) -> list[Row]:
     """Return the variables of a node."""
     has_fd = any(messages.fd_can_id is not None for messages in layout.messages_of.values())
-    own = receiver_rows() if node == "receiver" else sender_rows(layout)
-    return [*controller_rows(2_000_000 if has_fd else 0), *own]
+    rows = controller_rows(2_000_000 if has_fd else 0)
+    if node == "receiver":
+        return rows + receiver_rows()
+    own = (
+        line_rows() if route is None else pose_rows(route.window, route.map_error, route.max_sigma)
+    )
+    return rows + sender_rows(layout) + own
 
 
 def described(variables: Sequence[Variable], layout: Layout) -> list[Variable]:
@@ -117,7 +132,9 @@ def described(variables: Sequence[Variable], layout: Layout) -> list[Variable]:
     ]
 
 
-def sources_of(node: str, layout: Layout) -> tuple[dict[str, str], str]:
+def sources_of(
+    node: str, layout: Layout, route: SentRoute | None = None
+) -> tuple[dict[str, str], str]:
     """Return the C files of a node with the headers of FMI, and the instantiation token.
 
     The token is a hash of what the files contain.
@@ -126,16 +143,18 @@ def sources_of(node: str, layout: Layout) -> tuple[dict[str, str], str]:
     folder = core_folder() / "fmu"
     sources = {
         "maplines.h": header(limits_of([layout])),
-        "maplines.c": source(),
+        "maplines.c": source() if route is None else source(internal=""),
         f"{TABLES}_dbc.h": tables.header,
         f"{TABLES}_dbc.c": tables.source,
-        "node.h": (folder / f"{node}.h").read_text(encoding="utf-8"),
     }
     for name in (*COMMON, *OWN[node]):
         sources[name] = (folder / name).read_text(encoding="utf-8")
+    sources["node.h"] = sources.pop(OWN[node][0])
+    if route is not None:
+        sources |= propagation_sources() | {"route.c": route_source(route)}
     for name in HEADERS:
         sources[name] = (_fmpy() / "c-code" / name).read_text(encoding="utf-8")
-    listed = variables_of(rows_of(node, layout))
+    listed = variables_of(rows_of(node, layout, route))
     digest = hashlib.sha256(code.source(listed, "").encode())
     for name, text in sorted(sources.items()):
         digest.update(f"{name}\n{text}\n".encode())

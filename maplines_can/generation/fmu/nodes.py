@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import IntEnum
 
+from ...propagation.refit import MAX_MISFIT
 from ...values.line import Kind, Slot, Status
+from ...values.map_error import MapError
 from ...wire.layout.message_layout import Layout
 from ...wire.protection.e2e_state import E2EState
 from ...wire.reasons import Reason
@@ -15,7 +17,7 @@ from .variables import ENTRIES, Role, Row, Store
 POSITIONS = (0.0, 20.0, 40.0, 80.0)
 REAL, CHOICE, COUNT, FLAG = Store
 FIXED, TUNABLE, INPUT, OUTPUT = Role
-FOUR = range(1, 5)
+THREE, FOUR = range(1, 4), range(1, 5)
 
 
 class ArbitrationLost(IntEnum):
@@ -51,6 +53,17 @@ class Refusal(IntEnum):
     BAD_AGE = 8
     BAD_KIND = 9
     BAD_STATUS = 10
+
+
+class Omission(IntEnum):
+    """Why the line of a slot is not given for a pose."""
+
+    GIVEN = 0
+    NOT_IN_WINDOW = 1
+    ACROSS = 2
+    TOO_SHORT = 3
+    UNCERTAIN = 4
+    NO_LINE = 5
 
 
 class CanState(IntEnum):
@@ -144,7 +157,7 @@ def receiver_rows() -> list[Row]:
 
 
 def sender_rows(layout: Layout) -> list[Row]:
-    """Return the variables of a sender, besides those of its controller."""
+    """Return the variables of a sender, besides those of its controller and its inputs."""
     messages = list(layout.messages.values())
     cycles_ms = [own.cycle_ms for own in messages if own.cycle_ms > 0]
     has_classic = any(own.can_id is not None for own in messages)
@@ -155,6 +168,21 @@ def sender_rows(layout: Layout) -> list[Row]:
             "greatest age that is stated; beyond it, a line is sent as too old", "s",
             layout.max_age),
         Row(FLAG, "FD", "fd", FIXED, "send CAN FD frames", start=not has_classic),
+        Row(COUNT, "LINES", "lines", OUTPUT, "lines sent with all their frames"),
+        Row(COUNT, "EXPIRED", "expired", OUTPUT, "lines sent as too old"),
+        Row(COUNT, "OVERRUNS", "overruns", OUTPUT, "deadlines missed by a period or more"),
+        Row(COUNT, "GIVEN_UP", "given_up", OUTPUT,
+            "lines of which frames were not sent: the bus did not confirm them for a period, or "
+            "is off"),
+        Row(COUNT, "REFUSED", "refused", OUTPUT, "lines that cannot be sent"),
+        Row(CHOICE, "REFUSAL", "refusal", OUTPUT, "why the last of those cannot be sent",
+            choices=Refusal),
+    ]  # fmt: skip
+
+
+def line_rows() -> list[Row]:
+    """Return the inputs of a sender that takes lines."""
+    return [
         Row(FLAG, "VALID", ".valid", INPUT, "there is a line, which is sent"),
         Row(CHOICE, "KIND", ".kind", INPUT, "kind of marking or boundary", choices=Kind),
         Row(CHOICE, "STATUS", ".status", INPUT,
@@ -167,15 +195,49 @@ def sender_rows(layout: Layout) -> list[Row]:
             indices=FOUR),
         Row(REAL, "COV", ".cov", INPUT, "covariance of the mean, in the units of the mean",
             indices=ENTRIES),
-        Row(COUNT, "LINES", "lines", OUTPUT, "lines sent with all their frames"),
-        Row(COUNT, "EXPIRED", "expired", OUTPUT, "lines sent as too old"),
-        Row(COUNT, "OVERRUNS", "overruns", OUTPUT, "deadlines missed by a period or more"),
-        Row(COUNT, "GIVEN_UP", "given_up", OUTPUT,
-            "lines of which frames were not sent: the bus did not confirm them for a period, or "
-            "is off"),
-        Row(COUNT, "REFUSED", "refused", OUTPUT, "lines that cannot be sent"),
-        Row(CHOICE, "REFUSAL", "refusal", OUTPUT, "why the last of those cannot be sent",
-            choices=Refusal),
+    ]  # fmt: skip
+
+
+def pose_rows(window: tuple[float, float], map_error: MapError, max_sigma: float) -> list[Row]:
+    """Return the inputs of a sender that takes a pose, and what it says of the map around it.
+
+    The arguments are the start values of parameters, see ``map_lines``.
+    """
+    low, high = window
+    return [
+        Row(REAL, "WINDOW_X_MIN", "window.x_min", FIXED,
+            "start of the range ahead of the car that lines may extend to, -60 m or more", "m",
+            low),
+        Row(REAL, "WINDOW_X_MAX", "window.x_max", FIXED, "end of that range, 150 m or less", "m",
+            high),
+        Row(REAL, "MAX_MISFIT", "max_misfit", FIXED,
+            "greatest deviation of a cubic from its line", "m", MAX_MISFIT),
+        Row(REAL, "MAX_SIGMA", "max_sigma", FIXED,
+            "greatest standard deviation of a lateral position; a range ends there", "m",
+            max_sigma),
+        Row(REAL, "MAP_POINT_SIGMA", "map_error.point_sigma", FIXED,
+            "standard deviation of the error of each map point", "m", map_error.point_sigma),
+        Row(REAL, "MAP_OFFSET_SIGMA", "map_error.offset_sigma", FIXED,
+            "standard deviation of the common offset of a line of the map", "m",
+            map_error.offset_sigma),
+        Row(REAL, "MAP_HEADING_SIGMA", "map_error.heading_sigma", FIXED,
+            "standard deviation of the common rotation of a line of the map", "rad",
+            map_error.heading_sigma),
+        Row(FLAG, "POSE_VALID", "pose.valid", INPUT, "there is a pose"),
+        Row(REAL, "POSE_AGE", "pose.age", INPUT, "time since the pose, now", "s"),
+        Row(REAL, "POSE_MEAN", "pose.mean", INPUT,
+            "x [m], y [m], heading [rad] in the frame of the map", indices=THREE),
+        Row(REAL, "POSE_COV", "pose.cov", INPUT, "covariance of the mean, in the units of the mean",
+            indices=ENTRIES[:6]),
+        Row(FLAG, "ON_ROUTE", "route.is_on", OUTPUT, "the pose is on the route"),
+        Row(COUNT, "SECTION", "route.section", OUTPUT,
+            "section of the route where the pose is, from 1; 0 if it is not on the route"),
+        Row(REAL, "ROUTE_S", "route.s", OUTPUT, "position of the pose along the route", "m"),
+        Row(CHOICE, "LEFT_OUT", ".left_out", OUTPUT, "why there is no new line, or that there is",
+            start=Omission.NO_LINE, choices=Omission),
+        Row(COUNT, "OFF_ROUTE", "off_route", OUTPUT, "poses that are not on the route"),
+        Row(COUNT, "NOT_COMPUTED", "not_computed", OUTPUT,
+            "poses without lines, since the Gaussian is none, or is too wide"),
     ]  # fmt: skip
 
 

@@ -1,0 +1,89 @@
+"""Lines of a map along a route, for a sender that has this much of a map only."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .arrays import floats
+from .line import Slot
+from .polyline import Polyline, nearest_share, squared_length
+
+#: A car farther from the line of the route is not on it [m].
+MAX_OFFSET = 10.0
+#: Distances behind and ahead of the last place on the route where the next one is sought [m].
+SEARCH_BEHIND, SEARCH_AHEAD = 30.0, 100.0
+
+
+class RoutePlace(NamedTuple):
+    """Place of a car on a route."""
+
+    section: int
+    s: float  #: position along the line of the route [m]
+
+
+@dataclass(frozen=True, eq=False)
+class RouteLines:
+    """Lines of a map along a route, section by section: a section is a lane, or a part of one.
+
+    Args:
+        path: line of the route.
+        starts: position along ``path`` at which each section starts [m]: 0, and ascending.
+        sections: lines of each section, by slot.
+
+    >>> left, right, path = (Polyline([[0, y], [90, y]]) for y in (1.75, -1.75, 0))
+    >>> first, second = {Slot.EGO_LEFT: left}, {Slot.EGO_LEFT: left, Slot.EGO_RIGHT: right}
+    >>> along = RouteLines(path, (0.0, 40.0), (first, second))
+    >>> along.locate([55.0, 0.5, 0.0])
+    RoutePlace(section=1, s=55.0)
+    """
+
+    path: Polyline
+    starts: tuple[float, ...]
+    sections: Sequence[Mapping[Slot, Polyline]]
+
+    def locate(self, pose: ArrayLike, last: RoutePlace | None = None) -> RoutePlace | None:
+        """Return the place on the route that is nearest to a pose; None if it is not on the route.
+
+        A car is on the route if the line of the route is at most 10 m away, and the car heads along
+        it, by less than 90 degrees to either side. A route may pass a place several times: the
+        place is sought near the last one first. All operations have an order, which
+        ``c/fmu/pose_input.c`` follows.
+
+        Args:
+            pose: (3,) e_x [m], e_y [m], e_h [rad] of the car in the map frame.
+            last: place where the car was.
+
+        Raises:
+            ValueError: the pose does not have this shape.
+        """
+        pose = floats(pose, "pose")
+        if pose.shape != (3,):
+            raise ValueError(f"pose must have shape (3,), got {pose.shape}")
+        if not np.isfinite(pose).all():
+            return None
+        begin, distance = self.path.points[:-1].T, self.path.distance
+        step = self.path.points[1:].T - begin
+        share, squared = nearest_share(begin, step, squared_length(step), pose[:2, None])
+        is_along = step[0] * math.cos(pose[2]) + step[1] * math.sin(pose[2]) > 0
+        is_candidate = is_along & (squared <= MAX_OFFSET**2)
+        if last is not None:
+            is_near = distance[1:] >= last.s - SEARCH_BEHIND
+            is_near &= distance[:-1] <= last.s + SEARCH_AHEAD
+            is_near &= is_candidate
+            is_candidate = is_near if is_near.any() else is_candidate
+        if not is_candidate.any():
+            return None
+        return self._place(int(np.where(is_candidate, squared, np.inf).argmin()), share)
+
+    def _place(self, i: int, share: NDArray[np.float64]) -> RoutePlace:
+        """Return the place at a share of step i."""
+        distance = self.path.distance
+        s = float(distance[i] + share[i] * (distance[i + 1] - distance[i]))
+        return RoutePlace(max(0, bisect_right(self.starts, s) - 1), s)
