@@ -8,11 +8,42 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from maplines_can import Kind, MapError, Polyline, Slot
+from maplines_can.generation.fmu import SentRoute, fmu_of, written
+from maplines_can.generation.fmu.archive import sources_of
+from maplines_can.values.route_lines import RouteLines
 from maplines_can.wire import Frame
+from maplines_can.wire.layout.message_layout import Layout
 
 RX_DATA, TX_DATA, RX_CLOCK, TX_CLOCK = 1, 2, 3, 4
 GETTERS = {"Float64": "getFloat64", "Enumeration": "getInt64", "UInt64": "getUInt64",
            "Boolean": "getBoolean"}  # fmt: skip
+
+
+def straight_route() -> SentRoute:
+    """Return a route along the x axis with two lines that end, and a bend behind them."""
+    x = np.arange(-100.0, 300.0, 2.0)
+    left, right, bend = (
+        Polyline(np.column_stack([x, y]), Kind.SOLID)
+        for y in (np.full_like(x, 1.75), np.full_like(x, -1.75), 5.0 + 1e-4 * x**2)
+    )
+    first = {Slot.EGO_LEFT: left, Slot.EGO_RIGHT: right, Slot.NEXT_LEFT: bend}
+    lines = RouteLines(Polyline([[-100, 0], [300, 0]]), (0.0, 150.0), (first, {Slot.CENTRE: left}))
+    return SentRoute("a test", lines, list(Slot), (-4.0, 80.0), MapError(), 2.0)
+
+
+def sources_of_node(node: str) -> dict[str, str]:
+    """Return the C files of a node with maplines.dbc."""
+    route = straight_route() if node == "map_sender" else None
+    return sources_of(node, Layout.from_dbc(), route)[0]
+
+
+def generate(node: str, path: Path) -> None:
+    """Write the FMU of a node with maplines.dbc."""
+    route = straight_route() if node == "map_sender" else None
+    path.write_bytes(written(fmu_of(node, Layout.from_dbc(), route)))
 
 
 class Operation(NamedTuple):

@@ -36,7 +36,10 @@ from typing import Any
 
 from reporting import parser_of
 
+from maplines_can import MapError, Polyline, Slot
+from maplines_can.generation.fmu import SentRoute
 from maplines_can.generation.fmu.archive import sources_of as fmu_sources
+from maplines_can.values.route_lines import RouteLines
 from maplines_can.wire.layout.message_layout import Layout
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -128,12 +131,16 @@ def _header_as_cpp() -> Iterator[str]:
 
 def check_fmu() -> Findings:
     """Gcc, clang, cppcheck and clang-tidy find nothing in the nodes of FMUs."""
-    return [finding for node in ("receiver", "sender") for finding in _findings_of_node(node)]
+    path = Polyline([[0, 0], [1, 0]])
+    lines = RouteLines(path, (0.0,), ({Slot.EGO_LEFT: path},))
+    route = SentRoute("any", lines, list(Slot), (-4.0, 80.0), MapError(), 1.0)
+    nodes = {"receiver": None, "sender": None, "map_sender": route}
+    return [finding for node in nodes.items() for finding in _findings_of_node(*node)]
 
 
-def _findings_of_node(node: str) -> Iterator[str]:
+def _findings_of_node(node: str, route: SentRoute | None) -> Iterator[str]:
     """Yield what compilers and analysers say of a node with the tables of maplines.dbc."""
-    sources, _ = fmu_sources(node, Layout.from_dbc())
+    sources, _ = fmu_sources(node, Layout.from_dbc(), route)
     with tempfile.TemporaryDirectory() as folder:
         headers = Path(folder) / "fmi"
         headers.mkdir()

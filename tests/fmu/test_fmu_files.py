@@ -16,6 +16,7 @@ from maplines_can import LayoutError
 from maplines_can.cli import main
 from maplines_can.generation.fmu import archive
 from maplines_can.generation.fmu.description import BUS
+from maplines_can.maps import town_path
 
 fmpy = pytest.importorskip("fmpy", reason="the headers of FMI and the importer come from fmpy")
 LS_BUS = Path(__file__).parents[3] / "shared" / "fmi" / "ls-bus"
@@ -23,14 +24,22 @@ NODES = [
     ("receiver", "maplines.dbc"),
     ("receiver", "maplines-pose.dbc"),
     ("sender", "maplines.dbc"),
+    ("map_sender", "maplines.dbc"),
 ]
+#: Options of a sender with a map: a short route.
+MAP = ["--map", str(town_path()), "--route", "15:0:-1..14:0:1"]
+
+
+def options(node: str) -> list[str]:
+    """Return the words that generate a node."""
+    return ["sender", *MAP] if node == "map_sender" else [node]
 
 
 @pytest.fixture(scope="module", params=NODES, ids="-".join)
 def fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     node, dbc = request.param
     path = tmp_path_factory.mktemp("fmu") / f"{node}.fmu"
-    assert main(["generate", "fmu", node, "--dbc", dbc, "--out", str(path)]) == 0
+    assert main(["generate", "fmu", *options(node), "--dbc", dbc, "--out", str(path)]) == 0
     return path
 
 
@@ -75,8 +84,8 @@ def test_the_same_dbc_gives_the_same_bytes(fmu: Path, tmp_path: Path) -> None:
     again = tmp_path / "again.fmu"
     with zipfile.ZipFile(fmu) as opened:
         assert opened.namelist()[0] == "modelDescription.xml"
-    dbc = fmpy.read_model_description(str(fmu)).description.split()[-1]
-    assert main(["generate", "fmu", fmu.stem, "--dbc", dbc, "--out", str(again)]) == 0
+    (dbc,) = re.findall(r"[\w-]+\.dbc", fmpy.read_model_description(str(fmu)).description)
+    assert main(["generate", "fmu", *options(fmu.stem), "--dbc", dbc, "--out", str(again)]) == 0
     assert again.read_bytes() == fmu.read_bytes()
 
 

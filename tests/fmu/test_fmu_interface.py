@@ -10,22 +10,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fmu_nodes import Node, Operation, operations_of, transmission
+from fmu_nodes import Node, Operation, generate, operations_of, sources_of_node, transmission
 
 from maplines_can import Codec, MapLine, Slot
-from maplines_can.cli import main
-from maplines_can.generation.fmu.archive import sources_of
-from maplines_can.wire.layout.message_layout import Layout
 
 fmpy = pytest.importorskip("fmpy", reason="the headers of FMI and the importer come from fmpy")
 C = Path(__file__).parents[2] / "c"
 LS_BUS = Path(__file__).parents[3] / "shared" / "fmi" / "ls-bus" / "headers"
 
 
-@pytest.fixture(scope="module", params=["receiver", "sender"])
+NODES = ["receiver", "sender", "map_sender"]
+
+
+@pytest.fixture(scope="module", params=NODES)
 def fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("fmu") / f"{request.param}.fmu"
-    assert main(["generate", "fmu", request.param, "--out", str(path)]) == 0
+    generate(request.param, path)
     return path
 
 
@@ -39,6 +39,9 @@ def drive(node: Node, cycles: int, seed: int) -> bytes:
             node.set(
                 {"EGO_LEFT.valid": True, "EGO_LEFT.mean[1]": rng.normal(), "EGO_LEFT.x_max": 50.0}
             )
+        if "pose.valid" in node.variables:
+            node.set({"pose.valid": True, "pose.mean[1]": 40.0 * rng.normal(), "pose.cov[1,1]": 0.1,
+                      "pose.cov[2,2]": 0.02, "pose.cov[3,3]": 1e-4})  # fmt: skip
         interval = node.interval()
         node.step(node.t + (interval or 0.05))
         found += node.send()
@@ -214,7 +217,7 @@ def test_malformed_operations_are_counted_and_answered(fmu: Path) -> None:
 
 def build(node: str, folder: Path, command: list[str]) -> Path:
     """Return the program of fmu_harness.c with the sources of a node."""
-    sources, _ = sources_of(node, Layout.from_dbc())
+    sources = sources_of_node(node)
     for name, text in sources.items():
         (folder / name).write_text(text)
     shutil.copy(C / "tests" / "fmu_harness.c", folder)
@@ -248,7 +251,7 @@ def output(command: list[str], text: str, **variables: str) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("node", ["receiver", "sender"])
+@pytest.mark.parametrize("node", NODES)
 def test_any_bytes_pass_the_sanitizers(node: str, tmp_path: Path) -> None:
     if shutil.which("clang") is None:
         pytest.skip("there is no clang")
@@ -258,7 +261,7 @@ def test_any_bytes_pass_the_sanitizers(node: str, tmp_path: Path) -> None:
     assert int(printed.split()[0]) > 1000
 
 
-@pytest.mark.parametrize("node", ["receiver", "sender"])
+@pytest.mark.parametrize("node", NODES)
 def test_on_windows_a_node_sends_the_same(node: str, tmp_path: Path) -> None:
     """Bytes sent and real variables are the same in Wine as here."""
     mingw = shutil.which("x86_64-w64-mingw32-gcc")
@@ -276,7 +279,7 @@ def test_on_windows_a_node_sends_the_same(node: str, tmp_path: Path) -> None:
 @pytest.mark.skipif(not LS_BUS.exists(), reason="the headers of FMI-LS-BUS are not here")
 def test_operations_are_those_of_the_official_header(tmp_path: Path) -> None:
     """Each one that a node writes, and each one that it reads."""
-    sources, _ = sources_of("sender", Layout.from_dbc())
+    sources = sources_of_node("sender")
     for name, text in sources.items():
         (tmp_path / name).write_text(text)
     shutil.copy(C / "tests" / "bus_harness.c", tmp_path)
