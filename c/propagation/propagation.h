@@ -1,8 +1,8 @@
 /* Propagation of a cycle: map lines and an uncertain pose to lines with their covariances.
  *
- * It is the arithmetic of maplines_can.propagation, for the Python package, with the operations in
- * the same order wherever a decision hangs on them; so both find the same lines, and their numbers
- * agree to rounding. A car needs
+ * It is the arithmetic of maplines_can.propagation, for the Python package and for an FMU with a
+ * map, with the operations in the same order wherever a decision hangs on them; so both find the
+ * same lines, and their numbers agree to rounding. A car needs
  *
  *     maplines_prepare_path()     once for each line of the map
  *     maplines_map_lines()        in each cycle, or

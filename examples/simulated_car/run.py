@@ -4,9 +4,9 @@
 
 The car of ``maplines drive`` leaves its rails here: it steers by what it receives.
 
-    map + pose  ->  lines  ->  sender FMU  ->  bus with faults  ->  receiver FMU
-        ^                                                               |
-        car  <-------------------  lane_keeping.c  <--------------------+
+    pose  ->  sender FMU with a map  ->  bus with faults  ->  receiver FMU
+     ^                                                             |
+    car  <------------------  lane_keeping.c  <--------------------+
 
 In a tunnel the pose becomes uncertain, and later the bus is down for a while; the lane keeping
 slows down or stops before it could leave the lane. The picture shows it.
@@ -25,19 +25,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maplines_can import Gaussian, MapLine, Slot, maps
+from maplines_can import Gaussian, Slot, maps
 from maplines_can.cli import main as maplines
 from maplines_can.cosimulation import CoSimulation
 from maplines_can.cosimulation.links import SentFrame
-from maplines_can.maps.line_source import LineSource
 from maplines_can.simulation import PoseSource, drive_along
 from maplines_can.testing import FaultInjector, Faults
 
 FOLDER = Path(__file__).parent
 PERIOD = 0.05  #: of lines and control [s]
-AGE = 0.02  #: of the pose when its lines are published [s]
+AGE = 0.02  #: of the pose when the sender takes it [s]
 X = (0.0, 10.0, 20.0, 35.0)  #: where the receiver gives the lines [m]
-WINDOW, MISFIT = (-5.0, 45.0), 0.05  #: of the lines, and of a cubic from its line [m]
+#: Of the lines that the sender computes [m].
+PARAMETERS = {"window.x_min": -5.0, "window.x_max": 45.0, "max_misfit": 0.05}
 SIDES = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
 COUNTRY_ROAD = (119.0, 178.0)  #: time in which `maplines drive` is on it [s]
 HALF_LANE, HALF_CAR = 1.625, 0.9  #: half of their widths [m]
@@ -108,19 +108,12 @@ class TunnelPose:
         return Gaussian(pose + factor * (reported.mean - pose), factor**2 * reported.cov)
 
 
-def inputs_of(line: MapLine) -> dict[str, Any]:
-    """Return the inputs of the sender FMU for a line."""
-    values: dict[str, Any] = {
-        "valid": True,
-        "kind": int(line.kind),
-        "status": int(line.status),
-        "x_min": line.x_min,
-        "x_max": line.x_max,
-        "age": AGE,
-    }
-    values |= {f"mean[{i + 1}]": float(line.gaussian.mean[i]) for i in range(4)}
-    for i in range(4):
-        values |= {f"cov[{i + 1},{j + 1}]": float(line.gaussian.cov[i, j]) for j in range(i + 1)}
+def inputs_of(pose: Gaussian) -> dict[str, Any]:
+    """Return the inputs of the sender FMU for a pose."""
+    values: dict[str, Any] = {"valid": True, "age": AGE}
+    for i in range(3):
+        values[f"mean[{i + 1}]"] = float(pose.mean[i])
+        values |= {f"cov[{i + 1},{j + 1}]": float(pose.cov[i, j]) for j in range(i + 1)}
     return values
 
 
@@ -157,9 +150,11 @@ class Road:
 
 def build(folder: Path) -> Any:
     """Generate the FMUs, compile the lane keeping, and return its function."""
-    for node in ("sender", "receiver"):
+    options = {"sender": ["--map", "--lines", "2"], "receiver": []}
+    for node, own in options.items():
         with redirect_stdout(None):
-            status = maplines(["generate", "fmu", node, "--out", str(folder / f"{node}.fmu")])
+            out = ["--out", str(folder / f"{node}.fmu")]
+            status = maplines(["generate", "fmu", node, *own, *out])
         if status:
             raise SystemExit(status)
     library = folder / "lane_keeping.so"
@@ -177,11 +172,12 @@ def build(folder: Path) -> Any:
 def simulate(seconds: float, faults: str) -> tuple[list[Moment], CoSimulation]:
     """Drive for a time [s]; return what happened, and the closed simulation."""
     road, demand, moments = Road(), Demand(), list[Moment]()
-    source = LineSource(road.map, TunnelPose(), SIDES, road.route, WINDOW, max_misfit=MISFIT)
+    reported = TunnelPose()
     car = Car(road.start, road.start_speed)
     injector = FaultInjector[SentFrame](Faults.parse(faults), make_frame=SentFrame)
     values = {("receiver", f"x[{i + 1}]"): x for i, x in enumerate(X)}
     values |= {("sender", "cycle_time"): PERIOD, ("receiver", "cycle_time"): PERIOD}
+    values |= {("sender", name): value for name, value in PARAMETERS.items()}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         lane_keeping = build(folder)
@@ -195,11 +191,8 @@ def simulate(seconds: float, faults: str) -> tuple[list[Moment], CoSimulation]:
                 if t > 0:
                     car.drive(demand, PERIOD)
                 wanted, offset = road.wanted(car.pose)
-                cycle = source.cycle(t, car.pose)
-                known = {line.slot: inputs_of(line) for line in cycle.lines}
-                for slot in SIDES:
-                    for variable, value in known.get(slot, {"valid": False}).items():
-                        simulation.set("sender", f"{slot.name}.{variable}", value)
+                for variable, value in inputs_of(reported(t, car.pose)).items():
+                    simulation.set("sender", f"pose.{variable}", value)
                 lane = received(simulation)
                 lane_keeping(lane, car.speed, wanted, demand)
                 moments.append(

@@ -17,8 +17,8 @@ PAGE = (Path(__file__).parents[2] / "docs" / "fmu.md").read_text(encoding="utf-8
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with what the commands of the page make."""
     folder = tmp_path_factory.mktemp("page")
-    for words in re.findall(r"^maplines (generate fmu \w+)", PAGE, re.MULTILINE):
-        name = f"maplines_{words.split()[-1]}.fmu"
+    commands = re.findall(r"^maplines (generate fmu [^#]+?) +# ([\w.]+)", PAGE, re.MULTILINE)
+    for words, name in commands:
         assert main([*words.split(), "--out", str(folder / name)]) == 0
     return folder
 
