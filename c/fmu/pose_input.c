@@ -133,22 +133,22 @@ static bool find_place(const double pose[3], bool is_near, double last, double *
     return least < (double)INFINITY;
 }
 
-/// Find the section of the route where a car is; false if it is not on the route.
-static bool locate(const double pose[3], maplines_node_t *node)
+/// Find the section of the route where a car is, near its last place if it was on the route; false
+/// if it is not on the route.
+static bool locate(const double pose[3], bool was_on_route, maplines_node_t *node)
 {
     const maplines_route_t *route = &maplines_route;
     double s = 0.0;
-    const bool is_found = (node->is_on_route && find_place(pose, true, node->s, &s)) ||
-                          find_place(pose, false, 0.0, &s);
-    node->is_on_route = is_found;
-    node->s = is_found ? s : 0.0;
+    node->is_on_route =
+        (was_on_route && find_place(pose, true, node->s, &s)) || find_place(pose, false, 0.0, &s);
+    node->s = s;
     node->section = 0;
     while (node->section + 1 < route->section_count &&
-           route->sections[node->section + 1].start <= node->s)
+           route->sections[node->section + 1].start <= s)
     {
         node->section++;
     }
-    return is_found;
+    return node->is_on_route;
 }
 
 /* ---- the lines around it --------------------------------------------------------------------- */
@@ -256,44 +256,60 @@ static void publish_all(maplines_instance_t *instance, const maplines_around_t *
     }
 }
 
+/// Note that a pose has no lines, and why.
+static void refuse_pose(maplines_instance_t *instance, const char *why)
+{
+    instance->state.values.counts[COUNT_NOT_COMPUTED]++;
+    maplines_log(instance, fmi3Warning, "the pose is not used: %s", why);
+}
+
+/// Compute the lines around the pose that is set; false if there are none.
+static bool take_pose(maplines_instance_t *instance, maplines_around_t *around)
+{
+    maplines_node_t *node = &instance->state.node;
+    maplines_values_t *values = &instance->state.values;
+    maplines_cycle_t cycle;
+    const bool was_on_route = node->is_on_route;
+    node->is_on_route = false;
+    if (!values->flags[FLAG_POSE_VALID])
+    {
+        return false;
+    }
+    if (!read_cycle(values, &cycle))
+    {
+        refuse_pose(instance, "its age is negative, or it is no Gaussian");
+        return false;
+    }
+    if (!locate(cycle.mean, was_on_route, node))
+    {
+        values->counts[COUNT_OFF_ROUTE]++;
+        return false;
+    }
+    if (!compute(instance, &cycle, around))
+    {
+        refuse_pose(instance, "it is too uncertain for numbers of the lines");
+        return false;
+    }
+    return true;
+}
+
 void maplines_take_inputs(maplines_instance_t *instance)
 {
     maplines_node_t *node = &instance->state.node;
     maplines_values_t *values = &instance->state.values;
     maplines_around_t around;
-    maplines_cycle_t cycle;
     if (node->set == 0)
     {
         return;
     }
     node->set = 0;
     memset(&around, 0, sizeof around);
-    const bool is_valid = values->flags[FLAG_POSE_VALID];
-    const bool is_right = is_valid && read_cycle(values, &cycle);
-    bool is_done = is_right && locate(cycle.mean, node);
-    if (is_done)
-    {
-        is_done = compute(instance, &cycle, &around);
-        values->counts[COUNT_NOT_COMPUTED] += is_done ? 0 : 1;
-    }
-    else
-    {
-        node->is_on_route = false;
-        values->counts[COUNT_NOT_COMPUTED] += is_valid && !is_right ? 1 : 0;
-        values->counts[COUNT_OFF_ROUTE] += is_right ? 1 : 0;
-    }
-    if (is_valid && !is_right)
-    {
-        maplines_log(instance, fmi3Warning,
-                     "the pose is not used: its age is negative or unknown, "
-                     "it is not finite, or its covariance is not one");
-    }
-    if (!is_done)
+    if (!take_pose(instance, &around))
     {
         around.count = 0;
     }
     publish_all(instance, &around);
     values->flags[FLAG_ON_ROUTE] = node->is_on_route;
-    values->reals[REAL_ROUTE_S] = node->s;
+    values->reals[REAL_ROUTE_S] = node->is_on_route ? node->s : 0.0;
     values->counts[COUNT_SECTION] = node->is_on_route ? node->section + 1 : 0;
 }

@@ -39,7 +39,7 @@ def town() -> Map:
     return load(town_path())
 
 
-def pose_inputs(pose: Gaussian, age: float = 0.0) -> Mapping[str, Any]:
+def pose_inputs(pose: Gaussian, age: float = 0.0) -> dict[str, Any]:
     """Return the inputs of a pose."""
     return {
         "pose.valid": True,
@@ -136,7 +136,7 @@ def straight(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def sent_slots(node: Node, seconds: float = 0.1) -> set[int]:
     """Return the slots of which a node sends frames."""
     slots = {own.can_id: slot for slot, own in Codec.from_dbc().layout.messages.items()}
-    found, end = set(), node.t + seconds
+    found, end = set[int](), node.t + seconds
     while node.t < end:
         interval = node.interval()
         node.step(min(end, node.t + (0.05 if interval is None else max(interval, 1e-4))))
@@ -144,7 +144,7 @@ def sent_slots(node: Node, seconds: float = 0.1) -> set[int]:
     return found
 
 
-def at(x: float, y: float = 0.0, heading: float = 0.0, sigma: float = 0.1) -> Mapping[str, Any]:
+def at(x: float, y: float = 0.0, heading: float = 0.0, sigma: float = 0.1) -> dict[str, Any]:
     return pose_inputs(Gaussian([x, y, heading], np.diag([sigma, sigma, 0.01]) ** 2))
 
 

@@ -52,7 +52,7 @@ def test_sections_follow_each_other(town: Map) -> None:
 LINE = Polyline([[0, 0], [1, 0]])
 #: A loop that passes the x axis twice.
 LOOP = RouteLines(
-    Polyline([[0, 0], [200, 0], [200, 50], [-50, 50], [-50, 0.5], [200, 0.5]]),
+    Polyline(np.array([[0, 0], [200, 0], [200, 50], [-50, 50], [-50, 0.5], [200, 0.5]])),
     (0.0, 300.0, 500.0),
     ({}, {Slot.EGO_LEFT: LINE}, {Slot.EGO_RIGHT: LINE}),
 )
