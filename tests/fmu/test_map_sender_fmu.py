@@ -218,6 +218,17 @@ def test_wrong_parameters_are_refused(straight: Path, name: str, value: float) -
         started(straight, **{name: value})
 
 
+def test_a_limit_may_be_infinite(tmp_path: Path) -> None:
+    """Its start value is finite, as each in a description."""
+    out = tmp_path / "sender.fmu"
+    options = ["--map", "--route", "15:0:-1..14:0:1", "--max-sigma", "inf", "--map-error", "0.1"]
+    assert main(["generate", "fmu", "sender", *options, "--out", str(out)]) == 0
+    node = started(out)
+    assert node.get("max_sigma") == 1e6
+    assert node.get("map_error.offset_sigma") == 0.1
+    node.close()
+
+
 def test_a_route_without_lines_is_refused() -> None:
     route = straight_route()
     with pytest.raises(LayoutError, match="no line along the route for the slots ROUTE"):

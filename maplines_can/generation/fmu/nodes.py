@@ -17,6 +17,8 @@ from .variables import ENTRIES, Role, Row, Store
 POSITIONS = (0.0, 20.0, 40.0, 80.0)
 REAL, CHOICE, COUNT, FLAG = Store
 FIXED, TUNABLE, INPUT, OUTPUT = Role
+#: Standard deviation of a position that no line has: the start value of a limit is finite [m].
+NO_LIMIT = 1e6
 THREE, FOUR = range(1, 4), range(1, 5)
 
 
@@ -214,7 +216,7 @@ def pose_rows(window: tuple[float, float], map_error: MapError, max_sigma: float
             "greatest deviation of a cubic from its line", "m", MAX_MISFIT),
         Row(REAL, "MAX_SIGMA", "max_sigma", FIXED,
             "greatest standard deviation of a lateral position; a range ends there", "m",
-            max_sigma),
+            min(max_sigma, NO_LIMIT)),
         Row(REAL, "MAP_POINT_SIGMA", "map_error.point_sigma", FIXED,
             "standard deviation of the error of each map point", "m", map_error.point_sigma),
         Row(REAL, "MAP_OFFSET_SIGMA", "map_error.offset_sigma", FIXED,
