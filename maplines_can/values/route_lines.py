@@ -37,11 +37,11 @@ class RouteLines:
         starts: position along ``path`` at which each section starts [m]: 0, and ascending.
         sections: lines of each section, by slot.
 
-    >>> left, right, path = (Polyline([[0, y], [90, y]]) for y in (1.75, -1.75, 0))
+    >>> left, right, path = (Polyline([[0, y], [64, y]]) for y in (1.75, -1.75, 0))
     >>> first, second = {Slot.EGO_LEFT: left}, {Slot.EGO_LEFT: left, Slot.EGO_RIGHT: right}
-    >>> along = RouteLines(path, (0.0, 40.0), (first, second))
-    >>> along.locate([55.0, 0.5, 0.0])
-    RoutePlace(section=1, s=55.0)
+    >>> along = RouteLines(path, (0.0, 32.0), (first, second))
+    >>> along.locate([48.0, 0.5, 0.0])
+    RoutePlace(section=1, s=48.0)
     """
 
     path: Polyline
