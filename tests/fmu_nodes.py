@@ -37,13 +37,14 @@ def straight_route() -> SentRoute:
 def sources_of_node(node: str) -> dict[str, str]:
     """Return the C files of a node with maplines.dbc."""
     route = straight_route() if node == "map_sender" else None
-    return sources_of(node, Layout.from_dbc(), route)[0]
+    return sources_of(node.removeprefix("map_"), Layout.from_dbc(), route)[0]
 
 
 def generate(node: str, path: Path) -> None:
     """Write the FMU of a node with maplines.dbc."""
     route = straight_route() if node == "map_sender" else None
-    path.write_bytes(written(fmu_of(node, Layout.from_dbc(), route)))
+    fmu = fmu_of(node.removeprefix("map_"), Layout.from_dbc(), route)
+    path.write_bytes(written(fmu))
 
 
 class Operation(NamedTuple):

@@ -134,8 +134,8 @@ def check_fmu() -> Findings:
     path = Polyline([[0, 0], [1, 0]])
     lines = RouteLines(path, (0.0,), ({Slot.EGO_LEFT: path},))
     route = SentRoute("any", lines, list(Slot), (-4.0, 80.0), MapError(), 1.0)
-    nodes = {"receiver": None, "sender": None, "map_sender": route}
-    return [finding for node in nodes.items() for finding in _findings_of_node(*node)]
+    nodes = (("receiver", None), ("sender", None), ("sender", route))
+    return [finding for node in nodes for finding in _findings_of_node(*node)]
 
 
 def _findings_of_node(node: str, route: SentRoute | None) -> Iterator[str]:

@@ -81,7 +81,6 @@ static bool read_cycle(const maplines_values_t *values, maplines_cycle_t *cycle)
             cycle->cov[3 * j + i] = *entry;
             entry++;
         }
-        is_right = is_right && cycle->cov[4 * i] >= 0.0;
     }
     cycle->window[0] = reals[REAL_WINDOW_X_MIN];
     cycle->window[1] = reals[REAL_WINDOW_X_MAX];

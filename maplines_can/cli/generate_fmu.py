@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..maps import load, town_path
-from ..maps.line_source import WINDOW
 from ..propagation import MapError
-from ..propagation.certain_range import MAX_SIGMA
 from ..values.line import Slot
 from ..wire import SHIPPED
 from .options import layout_from
@@ -24,9 +23,6 @@ if TYPE_CHECKING:
     from ..wire.layout.message_layout import Layout
 
 __all__ = ["add_fmu"]
-
-#: Value of --map without a file.
-TOWN = object()
 
 ABOUT = """\
 Generate a node on a CAN bus as an FMU, for simulators and test benches: FMI 3.0 co-simulation with
@@ -76,7 +72,7 @@ def add_fmu(subparsers: Any) -> argparse.ArgumentParser:
     scenario.add_argument(
         "--map",
         nargs="?",
-        const=TOWN,
+        const=str(town_path()),
         metavar="FILE",
         help="map of a sender; without a file, the town of this package",
     )
@@ -96,21 +92,20 @@ def add_fmu(subparsers: Any) -> argparse.ArgumentParser:
     )
     add_force(parser)
     add_json(parser, "the name of the FMU, its platforms and the number of its variables")
-    parser.set_defaults(run=_run)
+    parser.set_defaults(run=partial(_run, parser))
     return parser
 
 
-def _run(arguments: argparse.Namespace) -> int:
+def _run(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
     from ..generation.fmu import fmu_of, written
 
-    has_map = arguments.map is not None
-    node = f"map_{arguments.node}" if has_map else arguments.node
-    path = Path(arguments.out or f"maplines_{node}.fmu")
+    _check_options(parser, arguments)
+    kind = arguments.node if arguments.map is None else f"map_{arguments.node}"
+    path = Path(arguments.out or f"maplines_{kind}.fmu")
     check_new(arguments, path)
-    _check_options(arguments)
     layout = layout_from(arguments.dbc)
-    route = _route(arguments, layout) if has_map else None
-    fmu = fmu_of(node, layout, route)
+    route = None if arguments.map is None else _route(arguments, layout)
+    fmu = fmu_of(arguments.node, layout, route)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(written(fmu))
     figures = {
@@ -136,7 +131,7 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _check_options(arguments: argparse.Namespace) -> None:
+def _check_options(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
     """Check that the options of a map come with one.
 
     Raises:
@@ -144,10 +139,8 @@ def _check_options(arguments: argparse.Namespace) -> None:
     """
     if arguments.map is not None and arguments.node != "sender":
         raise ValueError("--map is of a sender: a receiver takes frames, and needs no map")
-    defaults = {"route": None, "lines": 4, "window": WINDOW, "map_error": None,
-                "max_sigma": MAX_SIGMA, "seed": 0}  # fmt: skip
-    for name, default in defaults.items():
-        if arguments.map is None and getattr(arguments, name) != default:
+    for name in ("route", "lines", "window", "map_error", "max_sigma", "seed"):
+        if arguments.map is None and getattr(arguments, name) != parser.get_default(name):
             option = "--" + name.replace("_", "-")
             raise ValueError(f"{option} is of a sender with a map; add --map FILE")
 
@@ -156,8 +149,7 @@ def _route(arguments: argparse.Namespace, layout: Layout) -> SentRoute:
     """Return the lines along a route that the options ask for."""
     from ..generation.fmu import SentRoute
 
-    arguments.map = None if arguments.map == TOWN else arguments.map
-    road_map = load(town_path() if arguments.map is None else arguments.map)
+    road_map = load(arguments.map)
     return SentRoute(
         road_map.name,
         road_map.along(route_of(road_map, arguments)),

@@ -55,9 +55,9 @@ def fmu_of(node: str, layout: Layout, route: SentRoute | None = None) -> Fmu:
     """Return the FMU of a receiver or a sender of the messages of a DBC.
 
     Args:
-        node: "receiver" or "sender"; "map_sender" for a sender that takes poses.
+        node: "receiver" or "sender".
         layout: of the DBC.
-        route: lines of the map of that one.
+        route: lines of a map, for a sender that takes poses; None for one that takes lines.
 
     Raises:
         LayoutError: the DBC has no C; the message has the cure.
@@ -65,11 +65,12 @@ def fmu_of(node: str, layout: Layout, route: SentRoute | None = None) -> Fmu:
         OSError: a compiler fails.
     """
     check(node, layout)
-    identifier = f"maplines_{node}"
+    kind = kind_of(node, route)
+    identifier = f"maplines_{kind}"
     variables = described(variables_of(rows_of(node, layout, route)), layout)
     sources, token = sources_of(node, layout, route)
     version = re.findall(r'#define MAPLINES_VERSION "(.+)"', sources["maplines.h"])[0]
-    about = f"{ABOUT[node]}, by the messages of {PurePath(layout.source).name}"
+    about = f"{ABOUT[kind]}, by the messages of {PurePath(layout.source).name}"
     about += f", along a route on {route.name}" if route else ""
     compiled = sorted(name for name in sources if name.endswith(".c"))
     built = binaries(identifier, sources, compiled)
@@ -84,6 +85,11 @@ def fmu_of(node: str, layout: Layout, route: SentRoute | None = None) -> Fmu:
     return Fmu(identifier, files, variables, [name.partition("/")[0] for name in built])
 
 
+def kind_of(node: str, route: SentRoute | None) -> str:
+    """Return the kind of a node: "receiver", "sender", or "map_sender"."""
+    return node if route is None else f"map_{node}"
+
+
 def check(node: str, layout: Layout) -> None:
     """Check that the messages of a DBC are for a node without keys, which gives or takes lines.
 
@@ -95,7 +101,7 @@ def check(node: str, layout: Layout) -> None:
             f"{layout.source}: all messages are authenticated, and an FMU has no keys; use a DBC "
             "with messages that are not, such as maplines.dbc"
         )
-    if node != "receiver" and layout.is_conditional:
+    if node == "sender" and layout.is_conditional:
         raise LayoutError(
             f"{layout.source}: its records are conditional on the pose error, and this sender "
             "takes lines one by one; use a DBC with complete records, such as maplines.dbc"
@@ -147,9 +153,10 @@ def sources_of(
         f"{TABLES}_dbc.h": tables.header,
         f"{TABLES}_dbc.c": tables.source,
     }
-    for name in (*COMMON, *OWN[node]):
+    own = OWN[kind_of(node, route)]
+    for name in (*COMMON, *own):
         sources[name] = (folder / name).read_text(encoding="utf-8")
-    sources["node.h"] = sources.pop(OWN[node][0])
+    sources["node.h"] = sources.pop(own[0])
     if route is not None:
         sources |= propagation_sources() | {"route.c": route_source(route)}
     for name in HEADERS:
