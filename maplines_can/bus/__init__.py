@@ -4,6 +4,7 @@ from .frame_block import LogFrame
 from .keys import key_from_env, key_from_file
 from .link import Link, Sent
 from .load import bus_load, frame_bits, frame_time, transfers_within
+from .log_summary import LogReader, LogSummary, Skipped
 from .log_writer import LogWriter
 from .logs import read_log
 from .receiver import LineListener, Receiver, ReceiverStats
@@ -16,12 +17,15 @@ __all__ = [
     "LineListener",
     "Link",
     "LogFrame",
+    "LogReader",
+    "LogSummary",
     "LogWriter",
     "Receiver",
     "ReceiverStats",
     "Sent",
     "SignalDecoder",
     "SignalLog",
+    "Skipped",
     "Transmitter",
     "TransmitterStats",
     "bus_load",

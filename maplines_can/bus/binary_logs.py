@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from ..native import core
 from .frame_block import BLOCK_FRAMES, MAX_DATA, FrameArrays, FrameBlock
+from .log_summary import LogSummary
 
 #: Most bytes of an object of a BLF file, packed and unpacked; writers make containers of 128 kB.
 MAX_OBJECT = 1 << 24
@@ -57,17 +58,19 @@ class BlfReader(can.BLFReader):
 
     Args:
         file: open for reading, and able to seek to its start.
+        summary: of the log.
 
     Raises:
         BLFParseError: the header or an object is too short, too long, or not known.
     """
 
-    def __init__(self, file: BinaryIO) -> None:
+    def __init__(self, file: BinaryIO, summary: LogSummary) -> None:
         length = int.from_bytes(file.read(8)[4:], "little")
         file.seek(0)
         if not FILE_HEADER_STRUCT.size <= length <= MAX_OBJECT:  # python-can would read all of it
             raise BLFParseError(f"its header has {length} bytes")
         super().__init__(file)
+        self._summary = summary
 
     def __iter__(self) -> Iterator[can.Message]:  # type: ignore[override]
         head = OBJ_HEADER_BASE_STRUCT
@@ -102,10 +105,11 @@ class BlfRunReader(BlfReader):
 
     Args:
         file: as for `BlfReader`.
+        summary: of the log.
     """
 
-    def __init__(self, file: BinaryIO) -> None:
-        super().__init__(file)
+    def __init__(self, file: BinaryIO, summary: LogSummary) -> None:
+        super().__init__(file, summary)
         self._arrays = FrameArrays()
 
     def _parse_data(self, data: bytes) -> Iterator[Any]:
@@ -173,14 +177,16 @@ class Mf4Reader(can.MF4Reader):
 
     Args:
         path: of the file.
+        summary: of the log.
 
     Raises:
         ValueError: a block is larger.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, summary: LogSummary) -> None:
         check_mf4_blocks(path)
         super().__init__(path)
+        self._summary = summary
 
 
 class Mf4RunReader(Mf4Reader):
@@ -190,6 +196,7 @@ class Mf4RunReader(Mf4Reader):
 
     Args:
         path: of the file.
+        summary: of the log.
     """
 
     def __iter__(self) -> Iterator[Any]:
@@ -289,13 +296,15 @@ class SqliteReader:
 
     Args:
         path: of the file; it is not written to.
+        summary: of the log.
 
     Raises:
         sqlite3.Error: the file is damaged, or a row has more than ``MAX_ROW`` bytes.
         ValueError: there is no such table, or a row of it is no frame.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, summary: LogSummary) -> None:
+        self._summary = summary
         self._connection = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
         self._connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_ROW)
 

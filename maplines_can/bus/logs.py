@@ -13,17 +13,17 @@ from functools import partial
 from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any, NamedTuple, cast, get_args
 
 import can
 from can.io.blf import BLFParseError
-from can.io.player import MESSAGE_READERS
 
 from ..native import core
 from ..values.errors import LogError, missing_extra
 from ..values.input_files import checked_path
 from .binary_logs import BlfReader, BlfRunReader, Mf4Reader, Mf4RunReader, SqliteReader
 from .frame_block import FrameBlock, LogFrame
+from .log_summary import LogReader, LogSummary, Skipped, Times
 from .text_logs import AscReader, CandumpReader, Lines, TrcReader, check_frame, text_of
 
 #: What readers yield.
@@ -59,13 +59,16 @@ _ASC_HEADS = ("date", "base", "//")
 _HEADER_AGAIN = {".csv": "\n", ".asc": "internal events logged\n"}
 
 
-def read_log(source: str | PathLike[str] | IO[bytes]) -> Iterator[LogFrame]:
+def read_log(
+    source: str | PathLike[str] | IO[bytes], *, times: Times = "auto"
+) -> LogReader[LogFrame]:
     """Return an iterator over the data frames of a log, in the order of the file.
 
     The suffix determines the format: .asc, .blf, .csv, .db, .mf4 or .trc. The content determines it
     if the suffix is .log or .txt, or if there is none, as in a stream. It may then also be the
     output of candump, with or without ``-L``, ``-t``, ``-x`` and ``-a``. The text formats and .blf
-    may be compressed (.gz). Error and remote frames are skipped. The log is not loaded into memory
+    may be compressed (.gz). Other records, such as error and remote frames, are skipped and
+    counted in ``summary.skipped`` of the iterator. The log is not loaded into memory
     at once; a frame of a pipe is returned as soon as its line has arrived.
 
     The time stamps of ``candump -t d`` are differences. They are recognised and added up from the
@@ -78,25 +81,48 @@ def read_log(source: str | PathLike[str] | IO[bytes]) -> Iterator[LogFrame]:
 
     Args:
         source: path of a file, or a binary stream with ``peek``, such as ``sys.stdin.buffer``.
+        times: kind of the time stamps of a text log: "absolute", "zero" for those from the start of
+            the log, "delta" for those from the frame before, or "auto" to find the kind.
 
     Raises:
         LogError: the file does not exist or its format is unknown (raised by the call), or it is
             damaged (raised after the last good frame).
+        ValueError: ``times`` is none of these.
         TypeError: the source is neither a path nor such a stream.
         MissingExtraError: .mf4 without the package asammdf.
     """
-    return cast(Iterator[LogFrame], _open(source, runs=False))
+    return cast("LogReader[LogFrame]", _reader(source, times, runs=False))
 
 
-def read_runs(source: str | PathLike[str] | IO[bytes]) -> Iterator[LogFrame | FrameBlock]:
+def read_runs(
+    source: str | PathLike[str] | IO[bytes], *, times: Times = "auto"
+) -> LogReader[LogFrame | FrameBlock]:
     """Return what `read_log` does, with runs of ordinary records as blocks.
 
     The channels of a block have the numbers of its reader.
     """
-    return _open(source, runs=True)
+    return _reader(source, times, runs=True)
 
 
-def _open(source: str | PathLike[str] | IO[bytes], *, runs: bool) -> Records:
+class _Reading(NamedTuple):
+    """How a log is read, and its summary."""
+
+    summary: LogSummary
+    times: Times
+    runs: bool
+
+
+def _reader(
+    source: str | PathLike[str] | IO[bytes], times: Times, *, runs: bool
+) -> LogReader[LogFrame | FrameBlock]:
+    if times not in get_args(Times):
+        known = ", ".join(get_args(Times))
+        raise ValueError(f"times must be one of {known}, got {times!r}")
+    summary = LogSummary()
+    return LogReader(_open(source, _Reading(summary, times, runs)), summary)
+
+
+def _open(source: str | PathLike[str] | IO[bytes], how: _Reading) -> Records:
     if not isinstance(source, str | PathLike):
         if not hasattr(source, "peek"):
             raise TypeError(
@@ -104,7 +130,7 @@ def _open(source: str | PathLike[str] | IO[bytes], *, runs: bool) -> Records:
                 f"sys.stdin.buffer, got a {type(source).__name__}"
             )
         name = str(getattr(source, "name", "stream"))
-        return _read_any(cast(io.BufferedReader, source), name, runs=runs)
+        return _read_any(cast(io.BufferedReader, source), name, how)
     path = checked_path(source, LogError)
     suffix, compressed = path.suffix.lower(), False
     if suffix == ".gz":
@@ -119,8 +145,8 @@ def _open(source: str | PathLike[str] | IO[bytes], *, runs: bool) -> Records:
         )
     if suffix in _BINARY:
         _check_reader(path, suffix)
-        return _read_binary(path, suffix, compressed, runs)
-    return _read_path(path, "" if suffix in _ANY_FORMAT else suffix, runs)
+        return _read_binary(path, suffix, compressed, how)
+    return _read_path(path, "" if suffix in _ANY_FORMAT else suffix, how)
 
 
 def _check_reader(path: Path, suffix: str) -> None:
@@ -128,18 +154,17 @@ def _check_reader(path: Path, suffix: str) -> None:
         raise missing_extra(f"{path}: reading .mf4 needs asammdf", "mf4")
 
 
-def _read_path(path: Path, suffix: str, runs: bool) -> Records:
+def _read_path(path: Path, suffix: str, how: _Reading) -> Records:
     with path.open("rb") as file:
-        yield from _read_any(file, str(path), suffix, path, runs=runs)
+        yield from _read_any(file, str(path), how, suffix, path)
 
 
 def _read_any(
     file: io.BufferedReader,
     name: str,
+    how: _Reading,
     suffix: str = "",
     path: Path | None = None,
-    *,
-    runs: bool,
 ) -> Records:
     """Yield the frames of an open log; without a suffix, the first bytes determine the format."""
     try:
@@ -151,27 +176,28 @@ def _read_any(
         raise LogError(f"{name}: not a valid log ({text_of(error)})") from error
     suffix = suffix or next((s for first, s in _FIRST_BYTES.items() if head.startswith(first)), "")
     if suffix not in _BINARY:
-        yield from _read_text(file, name, suffix, runs)
+        yield from _read_text(file, name, suffix, how)
     elif path is None or compressed:
         raise LogError(
             f"{name}: a log in the format {suffix} is read from a file only, not compressed"
         )
     else:
         _check_reader(path, suffix)
-        yield from _read_binary(path, suffix, False, runs)
+        yield from _read_binary(path, suffix, False, how)
 
 
-def _read_binary(path: Path, suffix: str, compressed: bool, runs: bool) -> Records:
+def _read_binary(path: Path, suffix: str, compressed: bool, how: _Reading) -> Records:
+    how.summary.format = suffix
     good, missing = 0, 0
     with contextlib.ExitStack() as stack:
         try:
             source: Any = path
             if suffix == ".blf":  # python-can leaves the file open if it is not a BLF file
                 source = stack.enter_context((gzip.open if compressed else open)(path, "rb"))
-            readers: Any = _RUN_READERS if runs and suffix in _RUN_READERS else _READERS
-            reader = stack.enter_context(readers[suffix](source))
+            readers: Any = _RUN_READERS if how.runs and suffix in _RUN_READERS else _READERS
+            reader = stack.enter_context(readers[suffix](source, how.summary))
             for message in reader:
-                yield from _records(message)
+                yield from _records(message, how.summary)
                 good += len(message) if isinstance(message, FrameBlock) else 1
             if isinstance(reader, can.BLFReader) and not compressed:
                 # python-can does not report a truncated BLF file.
@@ -183,18 +209,19 @@ def _read_binary(path: Path, suffix: str, compressed: bool, runs: bool) -> Recor
         raise LogError(f"{path}: truncated after {good} good records, {missing} bytes are missing")
 
 
-def _read_text(file: io.BufferedReader, name: str, suffix: str, runs: bool) -> Records:
+def _read_text(file: io.BufferedReader, name: str, suffix: str, how: _Reading) -> Records:
+    how.summary.format = suffix or "candump"
     good, bad, first, last = 0, 0, "", -1
     # A compressed file that is truncated raises, without what has been unpacked in this reading.
     is_packed = isinstance(getattr(file, "raw", None), gzip.GzipFile)
     lines = Lines(file, io.DEFAULT_BUFFER_SIZE) if is_packed else Lines(file)
-    readers: Any = _RUN_READERS if runs and suffix in _RUN_READERS else _READERS
-    reader = (readers.get(suffix) or MESSAGE_READERS[suffix])(cast(Any, lines))
+    readers: Any = _RUN_READERS if how.runs and suffix in _RUN_READERS else _READERS
+    reader = readers[suffix](lines, how.summary, how.times)
     while lines.number > last:  # else the reader fails again without reading a line
         last = lines.number
         try:
             for record in reader:
-                yield from _records(record)
+                yield from _records(record, how.summary)
                 good += len(record) if isinstance(record, FrameBlock) else 1
             break
         except _DAMAGE as error:
@@ -222,11 +249,13 @@ def _read_text(file: io.BufferedReader, name: str, suffix: str, runs: bool) -> R
         raise LogError(f"{name}: {end}")
 
 
-def _records(message: can.Message | LogFrame | FrameBlock) -> Records:
-    """Yield the record of a reader, if it is no error frame and no remote frame."""
+def _records(message: can.Message | LogFrame | FrameBlock, summary: LogSummary) -> Records:
+    """Yield the record of a reader if it is a data frame; count it otherwise."""
     if isinstance(message, LogFrame | FrameBlock):
         yield message
-    elif not (message.is_error_frame or message.is_remote_frame):
+    elif message.is_error_frame or message.is_remote_frame:
+        summary.skipped[Skipped.ERROR if message.is_error_frame else Skipped.REMOTE] += 1
+    else:
         data, t_ns = bytes(message.data), round(message.timestamp * 1e9)
         check_frame(message.arbitration_id, data, t_ns)
         yield LogFrame(
@@ -239,9 +268,12 @@ def _records(message: can.Message | LogFrame | FrameBlock) -> Records:
         )
 
 
-#: Readers that are not python-can's own.
-_READERS = {
+#: Readers of text take the lines, the summary and the kind of times; the others a source and the
+#: summary.
+_READERS: dict[str, Any] = {
     "": CandumpReader,
+    ".asc": lambda lines, _summary, _times: can.ASCReader(lines),
+    ".csv": lambda lines, _summary, _times: can.CSVReader(lines),
     ".trc": TrcReader,
     ".blf": BlfReader,
     ".db": SqliteReader,

@@ -14,6 +14,7 @@ import can
 from ..native import core
 from ..values.input_files import MAX_LINE
 from .frame_block import BLOCK_FRAMES, MAX_DATA, FrameArrays, FrameBlock, LogFrame
+from .log_summary import LogSummary, Skipped, Times
 
 #: Characters after which the end of a damaged line is no longer sought.
 MAX_DAMAGE = 1 << 24
@@ -153,7 +154,16 @@ class TrcReader(can.TRCReader):
 
     It also ignores the last line of the header, which python-can's takes for a record if the
     file has none.
+
+    Args:
+        lines: of the log.
+        summary: of the log.
+        times: kind of the time stamps.
     """
+
+    def __init__(self, lines: Lines, summary: LogSummary, times: Times) -> None:
+        super().__init__(lines)  # type: ignore[arg-type]
+        self._summary, self._times = summary, times
 
     def _parse_line(self, line: str) -> can.Message | None:
         if not line or line.startswith(";"):
@@ -166,11 +176,15 @@ class CandumpReader:
 
     Args:
         lines: of the log.
+        summary: of the log.
+        times: kind of the time stamps.
         runs: whether to yield runs of rows as blocks.
     """
 
-    def __init__(self, lines: Lines, *, runs: bool = False) -> None:
-        self._lines = lines
+    def __init__(
+        self, lines: Lines, summary: LogSummary, times: Times, *, runs: bool = False
+    ) -> None:
+        self._lines, self._summary, self._times = lines, summary, times
         self._stamp = self._time = 0
         self._is_difference = False
         self._arrays = FrameArrays() if runs and core is not None else None
@@ -207,6 +221,7 @@ class CandumpReader:
         can_id, is_extended = int(row["id"], 16), len(row["id"]) > 3
         t_ns = 0 if row["time"] is None else self._t_ns(row["time"])
         if row["remote"] or can_id >> 29 == _ERROR_FLAG:
+            self._summary.skipped[Skipped.REMOTE if row["remote"] else Skipped.ERROR] += 1
             return None
         data = bytes.fromhex(row["data"])
         length = int(row.groupdict().get("length") or len(data))
@@ -232,10 +247,13 @@ class AscReader(can.ASCReader):
 
     Args:
         lines: of the log.
+        summary: of the log.
+        times: kind of the time stamps.
     """
 
-    def __init__(self, lines: Lines) -> None:
+    def __init__(self, lines: Lines, summary: LogSummary, times: Times) -> None:
         super().__init__(lines)  # type: ignore[arg-type]
+        self._summary, self._times = summary, times
         self._lines, self._arrays = lines, FrameArrays()
         self._has_header = False
 

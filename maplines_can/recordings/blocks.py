@@ -10,6 +10,7 @@ from typing import IO
 import numpy as np
 
 from ..bus.frame_block import BLOCK_FRAMES, FrameBlock, LogFrame, block_of, joined_blocks
+from ..bus.log_summary import LogReader, Times
 from ..bus.logs import read_runs
 from ..values.errors import LogError
 
@@ -17,8 +18,11 @@ __all__ = ["BLOCK_FRAMES", "FrameBlock", "read_blocks"]
 
 
 def read_blocks(
-    source: str | PathLike[str] | IO[bytes], *, block_frames: int = BLOCK_FRAMES
-) -> Iterator[FrameBlock]:
+    source: str | PathLike[str] | IO[bytes],
+    *,
+    block_frames: int = BLOCK_FRAMES,
+    times: Times = "auto",
+) -> LogReader[FrameBlock]:
     """Return an iterator over the data frames of a log in blocks: those of `read_log`, as arrays.
 
     Logs of candump -L, ASC, BLF and MF4 are read as arrays, as far as their records are ordinary.
@@ -27,6 +31,7 @@ def read_blocks(
     Args:
         source: as for `read_log`.
         block_frames: most frames of a block.
+        times: as for `read_log`.
 
     Raises:
         LogError: as by `read_log`: at once, or after the block with the last good frame.
@@ -35,7 +40,9 @@ def read_blocks(
     if block_frames < 1:
         raise ValueError(f"block_frames must be 1 frame or more, got {block_frames}")
     is_stream = not isinstance(source, str | PathLike)
-    return _blocks_of(read_runs(source), block_frames, 1 if is_stream else block_frames)
+    runs = read_runs(source, times=times)
+    blocks = _blocks_of(runs, block_frames, 1 if is_stream else block_frames)
+    return LogReader(blocks, runs.summary)
 
 
 def _blocks_of(

@@ -1,0 +1,63 @@
+"""What a log has besides its data frames: its format, its kind of times, and what is skipped."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Generic, Literal, TypeVar
+
+Record = TypeVar("Record")
+
+#: Kind of the time stamps of a log, see ``read_log``.
+Times = Literal["auto", "absolute", "zero", "delta"]
+
+
+class Skipped(StrEnum):
+    """Kind of a record that is no data frame on the bus."""
+
+    REQUEST = "transmit request"  #: the frame that was sent has a record of its own
+    REMOTE = "remote frame"
+    ERROR = "error frame"
+    STATE = "chip state"
+    OTHER = "other event"
+
+
+@dataclass(slots=True)
+class LogSummary:
+    """Properties of a log, as far as it has been read.
+
+    Args:
+        format: of the log, by its suffix, such as ".blf"; "candump" for that tool's output.
+        times: kind of its time stamps: "absolute", "zero" or "delta", see ``read_log``; empty if it
+            has none, or if none has been read.
+        skipped: numbers of records that are no data frames, by kind.
+        notices: what was assumed about the log, as sentences.
+    """
+
+    format: str = ""
+    times: str = ""
+    skipped: Counter[Skipped] = field(default_factory=Counter)
+    notices: list[str] = field(default_factory=list)
+
+
+class LogReader(Iterator[Record], Generic[Record]):
+    """Iterator over the records of a log, with its summary so far.
+
+    Args:
+        records: of the log; a generator that fills the summary.
+        summary: of the same log.
+    """
+
+    def __init__(self, records: Iterator[Record], summary: LogSummary) -> None:
+        self._records, self.summary = records, summary
+
+    def __next__(self) -> Record:
+        return next(self._records)
+
+    def close(self) -> None:
+        """Close the file; any number of times."""
+        close = getattr(self._records, "close", None)
+        if close is not None:
+            close()
