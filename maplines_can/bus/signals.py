@@ -4,25 +4,32 @@ from __future__ import annotations
 
 import csv
 import tomllib
+import warnings
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from os import PathLike, fspath
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..values.errors import DriveFileError, LogError
 from ..values.input_files import checked_path
-from ..wire.layout.dbc_reader import Database, parse_database, read_text
+from ..wire.layout.dbc_reader import Database, DbcSignal, Message, parse_database, read_text
+from .j1939 import Reassembler, j1939_messages, nearest, pgn_of, source_of
 from .logs import read_log
 
 #: Largest table of signal names [B].
 MAX_TABLE = 10**6
 
+#: Greatest address in J1939.
+MAX_ADDRESS = 0xFF
+
+#: CAN ID of a message, and whether it is extended.
+Key = tuple[int, bool]
 Series = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
@@ -52,12 +59,19 @@ class SignalLog(Mapping[str, Series]):
         return len(self.series)
 
 
+class _Wanted(NamedTuple):
+    column: str
+    signal: str
+    sender: int | None  #: address in J1939; None for any
+
+
 class SignalDecoder:
     """Decoder of signals of any DBC, frame by frame.
 
     Args:
         dbc: of the messages.
         signals: see ``read_signals``.
+        encoding: of the DBC; None to find it.
 
     Raises:
         LayoutError: the DBC cannot be read.
@@ -65,45 +79,108 @@ class SignalDecoder:
     """
 
     def __init__(
-        self, dbc: str | PathLike[str], signals: Mapping[str, str] | str | PathLike[str]
+        self,
+        dbc: str | PathLike[str],
+        signals: Mapping[str, str] | str | PathLike[str],
+        *,
+        encoding: str | None = None,
     ) -> None:
         source = "signals" if isinstance(signals, Mapping) else fspath(signals)
         #: Names of the signals by the names of their series.
         self.names = dict(signals if isinstance(signals, Mapping) else read_table(signals))
-        #: Numbers of frames that their message does not fit, by reason.
+        #: Numbers of frames that are not used, or only in part, by reason.
         self.skipped: Counter[str] = Counter()
-        database = parse_database(read_text(Path(dbc)), fspath(dbc), strict=False)
-        self._wanted: dict[tuple[int, bool], list[tuple[str, str]]] = {}
+        #: Numbers of values by the address of the sender in J1939, by the names of their series.
+        self.senders: dict[str, Counter[int]] = {}
+        database = parse_database(read_text(Path(dbc), encoding), fspath(dbc), strict=False)
+        groups = j1939_messages(database)
+        self._groups: dict[int, list[Message]] = {}
+        for group in groups:
+            self._groups.setdefault(pgn_of(group.frame_id), []).append(group)
+        self._wanted: dict[Key, list[_Wanted]] = {}
         for column, name in self.names.items():
-            message, signal = _find(database, name, f"{source}: {column}", fspath(dbc))
-            key = message.frame_id, message.is_extended_frame
-            self._wanted.setdefault(key, []).append((column, signal))
-        self._messages: dict[tuple[int, bool], Any] = {
-            (m.frame_id, m.is_extended_frame): m for m in database.messages
-        }
+            wanted, message = _find(database, column, name, source, fspath(dbc))
+            if wanted.sender is not None and message not in groups:
+                raise DriveFileError(
+                    f"{source}: {column} = {name!r}: has the address of a sender of J1939, but "
+                    f"{message.name} is no parameter group in {fspath(dbc)}; leave it out"
+                )
+            self._wanted.setdefault(_key(message), []).append(wanted)
+        self._messages = {_key(m): m for m in database.messages if m not in groups}
+        self._transport = Reassembler(
+            pgn_of(group.frame_id) for group in groups if _key(group) in self._wanted
+        )
 
     @property
-    def can_ids(self) -> frozenset[int]:
-        """CAN IDs of the messages of the signals."""
+    def can_ids(self) -> frozenset[int] | None:
+        """CAN IDs of the messages of the signals; None if any, as one is a group of J1939."""
+        if not self._wanted.keys() <= self._messages.keys():
+            return None
         return frozenset(can_id for can_id, _ in self._wanted)
 
-    def decode(self, can_id: int, data: bytes, *, is_extended: bool = False) -> dict[str, float]:
-        """Return the physical values in a frame by the names of their series; none in others."""
-        key = can_id, is_extended
-        if key not in self._wanted:
+    def decode(
+        self, can_id: int, data: bytes, *, is_extended: bool = False, channel: str = ""
+    ) -> dict[str, float]:
+        """Return the physical values in a frame by the names of their series; none in others.
+
+        A frame that completes a message of J1939's transport protocol has all its values. Of a
+        frame that is shorter than its message, the signals that are in it are read.
+        """
+        message = self._messages.get((can_id, is_extended))
+        is_group = message is None and is_extended
+        if is_group:
+            can_id, data = self._transport.feed(can_id, data, channel) or (can_id, data)
+            message = self._group(can_id)
+        if message is None or _key(message) not in self._wanted:
             return {}
-        message = self._messages[key]
         try:
-            decoded = message.decode(data, decode_choices=False)
+            decoded: Any = message.decode(data, decode_choices=False, allow_truncated=True)
         except Exception:  # noqa: BLE001 - cantools raises many types, all for data that do not fit
             self.skipped[f"the data do not fit the message {message.name}"] += 1
             return {}
-        # A signal that is missing is multiplexed, and not in this frame.
-        return {
-            column: float(decoded[signal])
-            for column, signal in self._wanted[key]
-            if signal in decoded
+        found: dict[str, float] = {}
+        sender, is_short = source_of(can_id), False
+        for column, signal, wanted in self._wanted[_key(message)]:
+            # A signal that is missing is multiplexed and not in this frame, or beyond its end.
+            if signal in decoded and wanted in (None, sender):
+                found[column] = float(decoded[signal])
+                if is_group:
+                    self.senders.setdefault(column, Counter())[sender] += 1
+            is_short = is_short or end_of(message.get_signal_by_name(signal)) > len(data)
+        if is_short:
+            what = "end before a signal of" if found else "do not fit"
+            self.skipped[f"the data {what} the message {message.name}"] += 1
+        return found
+
+    def _group(self, can_id: int) -> Message | None:
+        """Return the message of the parameter group of a frame."""
+        groups = self._groups.get(pgn_of(can_id), ())
+        group = nearest(can_id, groups)
+        if group is None and any(_key(one) in self._wanted for one in groups):
+            names = ", ".join(one.name for one in groups)
+            self.skipped[
+                f"address {source_of(can_id):#04x} is of none of {names}, which have one PGN"
+            ] += 1
+        return group
+
+    def damage(self) -> dict[str, int]:
+        """Return `skipped`, and the transfers of J1939 that are not complete."""
+        transfers = {
+            f"incomplete transfers of the parameter group {pgn:#06x}": count
+            for pgn, count in self._transport.incomplete.items()
+            if count
         }
+        return {**self.skipped, **transfers}
+
+    def mixtures(self) -> list[str]:
+        """Return which series have values of several senders in J1939, and what to do."""
+        return [
+            f"{column} = {self.names[column]} has values of several senders: "
+            + ", ".join(f"{sender:#04x} ({count})" for sender, count in sorted(senders.items()))
+            + f"; for one of them, write {self.names[column]}@{min(senders):#04x}"
+            for column, senders in self.senders.items()
+            if len(senders) > 1
+        ]
 
 
 def read_signals(
@@ -111,33 +188,49 @@ def read_signals(
     dbc: str | PathLike[str],
     signals: Mapping[str, str] | str | PathLike[str],
     channel: str | None = None,
+    *,
+    encoding: str | None = None,
 ) -> SignalLog:
     """Return signals of a log as time series, such as those of a drive for ``RecordedDrive``.
 
-    A frame that its message does not fit is skipped and counted. The good part of a damaged log is
-    used, and the damage is listed in ``skipped``.
+    A frame that its message does not fit is skipped and counted; of one that is too short, the
+    signals that are in it are read. Messages of J1939, by ProtocolType or VFrameFormat of the DBC,
+    are known by their parameter group, from any sender; those of more than 8 bytes are put
+    together by its transport protocol. The good part of a damaged log is used, and the damage is
+    listed in ``skipped``.
 
     Args:
         log: see ``read_log``.
         dbc: of the messages in the log.
         signals: name of the signal by the name of its series, as "Message.Signal", or as "Signal"
-            if only one message has it; or the path of such a table. A table in TOML has lines such
-            as ``speed_kmh = "ESP.VehicleSpeed"``; one in CSV has the header ``column,signal``.
+            if only one message has it; in J1939 followed by the address of the sender, as in
+            "CCVS1.WheelBasedVehicleSpeed@0x27", if there are several; or the path of such a table.
+            A table in TOML has lines such as ``speed_kmh = "ESP.VehicleSpeed"``; one in CSV has the
+            header ``column,signal``.
         channel: of the interface, if the log has frames of several; None for all.
+        encoding: of the DBC, such as ``cp936``; None to find it.
+
+    Warns:
+        UserWarning: a series has values of several senders of J1939; or see ``Layout.from_dbc``.
 
     Raises:
         LogError: the log cannot be read, or has none of the frames of a signal.
         LayoutError: the DBC cannot be read.
         DriveFileError: the table cannot be read, or a signal is not in the DBC.
     """
-    decoder = SignalDecoder(dbc, signals)
+    decoder = SignalDecoder(dbc, signals, encoding=encoding)
     times: dict[str, list[float]] = {column: [] for column in decoder.names}
     values: dict[str, list[float]] = {column: [] for column in decoder.names}
     try:
         for frame in read_log(log):
             if channel is not None and frame.channel != channel:
                 continue
-            found = decoder.decode(frame.can_id, frame.data, is_extended=frame.is_extended)
+            found = decoder.decode(
+                frame.can_id,
+                frame.data,
+                is_extended=frame.is_extended,
+                channel=frame.channel,
+            )
             for column, value in found.items():
                 times[column].append(frame.t_ns * 1e-9)
                 values[column].append(value)
@@ -147,14 +240,16 @@ def read_signals(
         decoder.skipped[str(error)] += 1
     for column, name in decoder.names.items():
         if not times[column]:
-            why = "; ".join(f"{count} times: {reason}" for reason, count in decoder.skipped.items())
+            why = "; ".join(f"{count} times: {why}" for why, count in decoder.damage().items())
             raise LogError(
                 f"{log}: has no value of {column} = {name}; correct the name, the DBC or the "
                 f"channel{f' ({why})' if why else ''}"
             )
+    for mixture in decoder.mixtures():
+        warnings.warn(f"{log}: {mixture}", stacklevel=2)
     return SignalLog(
         {column: (np.array(times[column]), np.array(values[column])) for column in times},
-        decoder.skipped,
+        decoder.damage(),
     )
 
 
@@ -202,9 +297,12 @@ def read_table(path: str | PathLike[str]) -> dict[str, str]:
     return table
 
 
-def _find(database: Database, name: str, where: str, dbc: str) -> tuple[Any, str]:
-    """Return the message of a signal, and the name of the signal."""
-    message_name, _, signal = name.rpartition(".")
+def _find(
+    database: Database, column: str, name: str, source: str, dbc: str
+) -> tuple[_Wanted, Message]:
+    """Return the signal of a series, and its message."""
+    path, _, address = name.partition("@")
+    message_name, _, signal = path.rpartition(".")
     found = [
         message
         for message in database.messages
@@ -213,7 +311,26 @@ def _find(database: Database, name: str, where: str, dbc: str) -> tuple[Any, str
     if len(found) != 1:
         which = ", ".join(f"{message.name}.{signal}" for message in found)
         raise DriveFileError(
-            f"{where} = {name!r}: "
+            f"{source}: {column} = {name!r}: "
             + (f"is ambiguous in {dbc}; use one of {which}" if found else f"is not in {dbc}")
         )
-    return found[0], signal
+    try:
+        sender = int(address, 0) if "@" in name else None
+    except ValueError:
+        sender = -1
+    if sender is not None and not 0 <= sender <= MAX_ADDRESS:
+        raise DriveFileError(
+            f"{source}: {column} = {name!r}: {address!r} must be the address of a sender, 0 to "
+            f"{MAX_ADDRESS}, such as 0x27"
+        )
+    return _Wanted(column, signal, sender), found[0]
+
+
+def _key(message: Message) -> Key:
+    return message.frame_id, message.is_extended_frame
+
+
+def end_of(signal: DbcSignal) -> int:
+    """Return the number of bytes that a message must have for a signal."""
+    bit = signal.start if signal.byte_order == "little_endian" else signal.start ^ 7
+    return -(-(bit + signal.length) // 8)

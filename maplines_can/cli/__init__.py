@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
@@ -73,6 +74,8 @@ OPTIONS = {
     "leave out the projection": "leave out --projection",
     "ignore_findings=True": "--ignore-findings",
     "leave out the bit rate": "leave out --bitrate",
+    "encoding=, --encoding": "--encoding",
+    "encoding=": "--encoding ",
     "step must": "--step must",
     "projection must": "--projection must",
 }
@@ -87,6 +90,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     argv = sys.argv[1:] if argv is None else argv
     logging.basicConfig(format="maplines: %(message)s", stream=sys.stderr)
+    warnings.showwarning = _show_warning
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # kill ends it as Ctrl-C does
     try:
@@ -104,6 +108,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         is_loaded = not isinstance(error, NativeError)  # the hint needs most of the package
         note(f"error: {message}{_missing_file_hint(message, argv) if is_loaded else ''}")
         return 1
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+    """Print a warning as a note, without the place in the code."""
+    note(str(message) if category is UserWarning else f"{category.__name__}: {message}")
 
 
 class _Version(argparse.Action):

@@ -52,7 +52,7 @@ def _claims(arguments: argparse.Namespace) -> int:
             scenarios,
             n=arguments.samples,
             seed=arguments.seed,
-            codec=codec_from(arguments.dbc),
+            codec=codec_from(arguments.dbc, encoding=arguments.encoding),
             progress=progress,
         )
     writers = {"text": as_text, "csv": as_csv, "markdown": as_markdown}

@@ -87,14 +87,16 @@ def camera_of(arguments: argparse.Namespace) -> Iterator[NewLines]:
     """
     if arguments.camera_channel:
         settings = bus_settings(arguments) | {"channel": arguments.camera_channel}
-        codec = codec_from(arguments.camera_dbc)
+        codec = codec_from(arguments.camera_dbc, encoding=arguments.encoding)
         with Link(**settings) as link, Receiver(link, codec.decoder()) as receiver:
             yield lambda _: _arrived(receiver)
     elif arguments.camera:
         yield _recorded(
             _of_table(arguments.camera)
             if _is_table(arguments.camera)
-            else _of_log(arguments.camera, codec_from(arguments.camera_dbc))
+            else _of_log(
+                arguments.camera, codec_from(arguments.camera_dbc, encoding=arguments.encoding)
+            )
         )
     else:
         yield lambda _: []

@@ -101,7 +101,7 @@ def motion_of(arguments: argparse.Namespace, default: Motion) -> Iterator[Motion
 def _live(arguments: argparse.Namespace) -> Iterator[MotionAt]:
     """Yield the motion of the newest signals on a bus; unknown if they are too old."""
     source = f"--signals {arguments.signals}"
-    decoder = SignalDecoder(arguments.signals_dbc, arguments.signals)
+    decoder = SignalDecoder(arguments.signals_dbc, arguments.signals, encoding=arguments.encoding)
     units = {name: COLUMNS.get(name, (name, 1.0)) for name in decoder.names}
     _check_quantities({quantity for quantity, _ in units.values()}, source)
     settings = bus_settings(arguments)
@@ -128,8 +128,10 @@ def _live(arguments: argparse.Namespace) -> Iterator[MotionAt]:
         yield motion
     if missing := [quantity for quantity in QUANTITIES if quantity not in newest]:
         note(f"{source}: no {' and no '.join(missing)} has arrived; check --signals-channel")
-    if decoder.skipped:
-        note(f"{source}: skipped: {counts_text(decoder.skipped)}")
+    if damage := decoder.damage():
+        note(f"{source}: skipped: {counts_text(damage)}")
+    for mixture in decoder.mixtures():
+        note(f"{source}: {mixture}")
 
 
 def _arrived(link: Link, decoder: SignalDecoder) -> Iterator[tuple[str, float]]:
@@ -174,7 +176,7 @@ def _table(path: str) -> dict[str, Series]:
 def _signals(arguments: argparse.Namespace) -> dict[str, Series]:
     """Return the series of signals in a log."""
     log = arguments.motion or arguments.log
-    found = read_signals(log, arguments.signals_dbc, arguments.signals)
+    found = read_signals(log, arguments.signals_dbc, arguments.signals, encoding=arguments.encoding)
     if found.skipped:
         note(f"{log}: skipped: {counts_text(found.skipped)}")
     return _in_si_units(found, f"--signals {arguments.signals}")

@@ -169,6 +169,7 @@ def _tables(arguments: argparse.Namespace) -> Any:
     return Tables(
         at=arguments.at,
         dbc=None if dbc is None else str(Path(dbc).absolute()),
+        encoding=arguments.encoding,
         slots=arguments.slots,
         scenes=arguments.scenes,
         **_times(arguments),

@@ -41,7 +41,7 @@ def _figures(arguments: argparse.Namespace) -> int:
             Path(arguments.out),
             seed=arguments.seed,
             samples=arguments.samples,
-            codec=codec_from(arguments.dbc),
+            codec=codec_from(arguments.dbc, encoding=arguments.encoding),
             progress=progress,
         )
     if arguments.json:

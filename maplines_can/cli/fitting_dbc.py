@@ -36,7 +36,7 @@ def choose_dbc(arguments: argparse.Namespace) -> None:
         raise LogError(f"--dbc {wanted} reads the begin of a log twice; give a file, or the DBC")
     log = logs_of(arguments.logs)[0]
     dbcs = SHIPPED if wanted == "auto" else [*map(str, sorted(Path(wanted).glob("*.dbc")))]
-    found = fits(log, dbcs)
+    found = fits(log, dbcs, arguments.encoding)
     best = best_fit(found, log)
     others = [fit for fit in found if fit is not best and fit.records]
     also = f"; {', '.join(fit.name for fit in others)}: {others[0].intact} frames" if others else ""

@@ -10,7 +10,7 @@ from ..generation.tables import identifier_of
 from ..wire import SHIPPED
 from ..wire.c_tables import limits_of
 from .generated_files import add_out, check_new_files, write_files
-from .options import layout_from
+from .options import add_encoding, layout_from
 from .parsing import option_group
 
 __all__ = ["add_c"]
@@ -58,6 +58,7 @@ def add_c(subparsers: Any) -> argparse.ArgumentParser:
         help="DBC of the messages, yours or one of "
         f"{', '.join(SHIPPED)}; may be given several times (default: maplines.dbc)",
     )
+    add_encoding(parser)
     add(
         "--name",
         action="append",
@@ -79,7 +80,9 @@ def _run(arguments: argparse.Namespace) -> int:
             f"--name must give each DBC a name of its own, got {', '.join(names)} for "
             f"{', '.join(dbcs)}; give --name as many times as --dbc"
         )
-    layouts = {name: layout_from(dbc) for name, dbc in zip(names, dbcs, strict=True)}
+    layouts = {
+        name: layout_from(dbc, arguments.encoding) for name, dbc in zip(names, dbcs, strict=True)
+    }
     files = c_files(layouts)
     check_new_files(arguments, files)
     write_files(arguments, files, {"limits": limits_of(list(layouts.values()))._asdict()})

@@ -12,7 +12,7 @@ from ..maps import load, town_path
 from ..propagation import MapError
 from ..values.line import Slot
 from ..wire import SHIPPED
-from .options import layout_from
+from .options import add_encoding, layout_from
 from .overwriting import add_force, check_new
 from .parsing import add_json, number, option_group
 from .sending import add_map_error, map_error_of
@@ -68,6 +68,7 @@ def add_fmu(subparsers: Any) -> argparse.ArgumentParser:
         metavar="FILE",
         help=f"DBC of the messages, yours or one of {', '.join(SHIPPED)} (default: maplines.dbc)",
     )
+    add_encoding(parser)
     scenario = option_group(parser, "scenario")
     scenario.add_argument(
         "--map",
@@ -103,7 +104,7 @@ def _run(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
     kind = arguments.node if arguments.map is None else f"map_{arguments.node}"
     path = Path(arguments.out or f"maplines_{kind}.fmu")
     check_new(arguments, path)
-    layout = layout_from(arguments.dbc)
+    layout = layout_from(arguments.dbc, arguments.encoding)
     route = None if arguments.map is None else _route(arguments, layout)
     fmu = fmu_of(arguments.node, layout, route)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,7 @@ from ..generation.vector_files import vector_files
 from ..generation.vectors import SCHEMA
 from ..wire import SHIPPED
 from .generated_files import add_out, check_new_files, write_files
-from .options import layout_from
+from .options import add_encoding, layout_from
 from .parsing import option_group
 
 __all__ = ["add_vectors"]
@@ -62,6 +62,7 @@ def add_vectors(subparsers: Any) -> argparse.ArgumentParser:
         metavar="FILE",
         help=f"DBC of the messages, yours or one of {', '.join(SHIPPED)} (default: maplines.dbc)",
     )
+    add_encoding(parser)
     add(
         "--name",
         metavar="NAME",
@@ -76,7 +77,7 @@ def add_vectors(subparsers: Any) -> argparse.ArgumentParser:
 def _run(arguments: argparse.Namespace) -> int:
     name = arguments.name or identifier_of(arguments.dbc)
     check_name(name)
-    layout = layout_from(arguments.dbc)
+    layout = layout_from(arguments.dbc, arguments.encoding)
     names = (f"{name}.json", SCHEMA, f"{name}.txt", "run_vectors.c", "aes_cmac.h")
     check_new_files(arguments, names)
     files = vector_files(layout, name)

@@ -129,6 +129,17 @@ def add_dbc(parser: argparse.ArgumentParser) -> None:
         "and those of the study, such as maplines-float16.dbc "
         "(default: maplines.dbc, or with a key maplines-secoc.dbc)",
     )
+    add_encoding(parser)
+
+
+def add_encoding(parser: argparse.ArgumentParser) -> None:
+    """Add ``--encoding``."""
+    option_group(parser, "message").add_argument(
+        "--encoding",
+        metavar="NAME",
+        help="encoding of the DBCs of this call, such as utf-8, cp1252 or cp936 (default: found, "
+        "by a byte order mark, as UTF-8, or as the code page in which all units exist)",
+    )
 
 
 def add_codec(parser: argparse.ArgumentParser) -> None:
@@ -168,12 +179,14 @@ def keyed_codec(
     """
     keys = [read(name, key_id) for read, name, key_id in arguments.keys or ()]
     if not keys:
-        return codec_from(arguments.dbc)
+        return codec_from(arguments.dbc, encoding=arguments.encoding)
     authenticator = Authenticator(*keys, clock=clock, window_ns=round(1e9 * window))
-    return codec_from(arguments.dbc, authenticator)
+    return codec_from(arguments.dbc, authenticator, arguments.encoding)
 
 
-def codec_from(path: str | None, authenticator: Authenticator | None = None) -> Codec:
+def codec_from(
+    path: str | None, authenticator: Authenticator | None = None, encoding: str | None = None
+) -> Codec:
     """Return the codec of a DBC; the study's codes are imported only if the DBC names one.
 
     Raises:
@@ -181,7 +194,7 @@ def codec_from(path: str | None, authenticator: Authenticator | None = None) -> 
     """
     if path is None:
         return Codec.from_dbc(None, authenticator)
-    layout = layout_from(path)
+    layout = layout_from(path, encoding)
     if layout.covariance_code in CODES:
         return Codec(layout, authenticator)
     from ..study.codes import CODES as STUDY_CODES
@@ -189,14 +202,14 @@ def codec_from(path: str | None, authenticator: Authenticator | None = None) -> 
     return Codec(layout, authenticator, STUDY_CODES)
 
 
-def layout_from(path: str) -> Layout:
+def layout_from(path: str, encoding: str | None = None) -> Layout:
     """Return the layout of a file, or of a DBC of the package or of its study by its name.
 
     Raises:
         LayoutError: see ``Layout.from_dbc``.
     """
     if Path(path).exists():
-        return Layout.from_dbc(path)
+        return Layout.from_dbc(path, encoding=encoding)
     if path in SHIPPED:
         return Layout.from_dbc(default_dbc_path(path))
     if path.startswith("maplines-"):
@@ -204,7 +217,7 @@ def layout_from(path: str) -> Layout:
 
         if text := dbc_named(path):
             return Layout.from_text(text, path)
-    return Layout.from_dbc(path)
+    return Layout.from_dbc(path, encoding=encoding)
 
 
 def _key_from(read: Callable[[str, int], Key]) -> Callable[[str], tuple[Any, str, int]]:

@@ -19,7 +19,7 @@ from ..bus.virtual_time import VirtualNetwork, VirtualTimeBus
 from ..restbus import Config, Restbus
 from ..restbus.config import EXAMPLE
 from ..wire import Frame
-from .options import add_bus, bus_settings
+from .options import add_bus, add_encoding, bus_settings
 from .output import faults_text
 from .overwriting import add_force, check_new
 from .parsing import add_command, add_json, number, option_group, seconds
@@ -69,6 +69,7 @@ def add_restbus(commands: Any) -> None:
         help="seed of random faults and pose errors (default: that of CONFIG, or 0)",
     )
     add_bus(parser)
+    add_encoding(parser)
     option_group(parser, "bus").add_argument(
         "--virtual-time",
         action="store_true",
@@ -95,7 +96,7 @@ def _restbus(arguments: argparse.Namespace) -> int:
     if arguments.record:
         check_log_path(Path(arguments.record))
     check_new(arguments, arguments.record)
-    config = Config.load(arguments.config, seed=arguments.seed)
+    config = Config.load(arguments.config, seed=arguments.seed, encoding=arguments.encoding)
     duration = config.seconds if arguments.seconds is None else arguments.seconds
     settings = config.bus | bus_settings(arguments)
     if arguments.virtual_time and duration is None:

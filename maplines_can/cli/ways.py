@@ -196,7 +196,9 @@ def _from_table(road_map: Map, name: str) -> RecordedDrive:
 
 
 def _from_log(road_map: Map, arguments: argparse.Namespace) -> RecordedDrive:
-    signals = read_signals(arguments.drive, arguments.signals_dbc, arguments.signals)
+    signals = read_signals(
+        arguments.drive, arguments.signals_dbc, arguments.signals, encoding=arguments.encoding
+    )
     if signals.skipped:
         note(f"{arguments.drive}: skipped: {counts_text(signals.skipped)}")
     try:

@@ -33,6 +33,7 @@ class Tables(NamedTuple):
 
     at: tuple[float, ...] = ()
     dbc: str | None = None
+    encoding: str | None = None
     slots: tuple[Slot, ...] | None = None
     scenes: bool = False
     cycle_ms: float | None = None
@@ -170,7 +171,7 @@ def decode_log(log: str, folder: str, name: str, suffix: str, tables: Tables) ->
     """Write the tables of a log of a data set; return its result. No log raises."""
     place = Path(folder)
     result = {"log": log, "name": name, "stamp": _stamp(Path(log)), "error": "", "files": []}
-    codec = Codec.from_dbc(tables.dbc)
+    codec = Codec.from_dbc(tables.dbc, encoding=tables.encoding)
     receiver = LogReceiver(
         codec, cycle_ms=tables.cycle_ms, timeout_ms=tables.timeout_ms, scenes=tables.scenes
     )

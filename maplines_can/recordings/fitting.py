@@ -55,7 +55,9 @@ class Fit:
         )
 
 
-def fits(log: str | Path, dbcs: Sequence[str | Path] = SHIPPED) -> list[Fit]:
+def fits(
+    log: str | Path, dbcs: Sequence[str | Path] = SHIPPED, encoding: str | None = None
+) -> list[Fit]:
     """Return how well DBCs fit the begin of a log, the best one first.
 
     Of DBCs that fit alike, that with fewer messages is better.
@@ -63,6 +65,7 @@ def fits(log: str | Path, dbcs: Sequence[str | Path] = SHIPPED) -> list[Fit]:
     Args:
         log: path of the log.
         dbcs: paths, or names of those of the package.
+        encoding: of the DBCs; None to find it.
 
     Raises:
         LogError: the log cannot be opened, or has no frame.
@@ -75,7 +78,7 @@ def fits(log: str | Path, dbcs: Sequence[str | Path] = SHIPPED) -> list[Fit]:
     for dbc in dbcs:
         path = default_dbc_path(str(dbc)) if dbc in SHIPPED and not Path(dbc).exists() else dbc
         try:
-            codecs.append(Codec.from_dbc(path))
+            codecs.append(Codec.from_dbc(path, encoding=encoding))
         except LayoutError as error:
             problem = problem or error
     if not codecs:

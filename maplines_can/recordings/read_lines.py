@@ -23,6 +23,7 @@ def read_lines(
     *,
     at: Sequence[float] = (),
     dbc: str | Path | Codec | None = None,
+    encoding: str | None = None,
     slots: Sequence[Slot] | None = None,
     scenes: bool = False,
     cycle_ms: float | None = None,
@@ -57,6 +58,7 @@ def read_lines(
         log: path of a file, or a stream; see `read_log` for the formats.
         at: distances ahead of the car [m].
         dbc: path of the DBC or its codec; that of the package by default.
+        encoding: of the DBC; None to find it.
         slots: lines of these only.
         scenes: whether to give the table of scenes, too.
         cycle_ms: as in ``Codec.decoder``.
@@ -77,6 +79,7 @@ def read_lines(
         log,
         at=at,
         dbc=dbc,
+        encoding=encoding,
         slots=slots,
         scenes=scenes,
         cycle_ms=cycle_ms,
@@ -96,6 +99,7 @@ def line_tables(
     *,
     at: Sequence[float] = (),
     dbc: str | Path | Codec | None = None,
+    encoding: str | None = None,
     slots: Sequence[Slot] | None = None,
     scenes: bool = False,
     cycle_ms: float | None = None,
@@ -110,6 +114,7 @@ def line_tables(
         log: as for `read_lines`, like all but the last argument.
         at: distances [m].
         dbc: path or codec.
+        encoding: of the DBC.
         slots: lines of these only.
         scenes: whether to give them.
         cycle_ms: as in ``Codec.decoder``.
@@ -120,7 +125,7 @@ def line_tables(
         LogError: the log cannot be opened; or, after the last table, it is damaged.
         ValueError: as for `read_lines`.
     """
-    codec = dbc if isinstance(dbc, Codec) else Codec.from_dbc(dbc)
+    codec = dbc if isinstance(dbc, Codec) else Codec.from_dbc(dbc, encoding=encoding)
     receiver = LogReceiver(codec, cycle_ms=cycle_ms, timeout_ms=timeout_ms, scenes=scenes)
     blocks = read_blocks(log, block_frames=block_frames)
     checked_at(at)

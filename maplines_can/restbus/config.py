@@ -68,8 +68,15 @@ class Config:
     bus: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def load(cls, path: str | PathLike[str], *, seed: int | None = None) -> Config:
+    def load(
+        cls, path: str | PathLike[str], *, seed: int | None = None, encoding: str | None = None
+    ) -> Config:
         """Read a file; paths in it are relative to its folder.
+
+        Args:
+            path: of the file.
+            seed: instead of that of the file.
+            encoding: of the DBCs, instead of that of the file.
 
         Raises:
             RestbusError: the file cannot be read, or its content is wrong.
@@ -87,13 +94,18 @@ class Config:
         except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise RestbusError(f"{fspath(path)}: is not valid TOML: {error}") from error
         try:
-            return cls.from_dict(values, Path(path).parent, seed=seed)
+            return cls.from_dict(values, Path(path).parent, seed=seed, encoding=encoding)
         except RestbusError as error:
             raise RestbusError(f"{fspath(path)}: {error}") from error
 
     @classmethod
     def from_dict(
-        cls, values: Mapping[str, Any], folder: Path = Path(), *, seed: int | None = None
+        cls,
+        values: Mapping[str, Any],
+        folder: Path = Path(),
+        *,
+        seed: int | None = None,
+        encoding: str | None = None,
     ) -> Config:
         """Return the configuration of the values of a TOML file.
 
@@ -112,20 +124,22 @@ class Config:
             config.bus = _bus(bus)
         databases: dict[str, Database] = {}
         default = table.take("dbc")
+        own_encoding = table.text("encoding") if "encoding" in table else None
+        encoding = encoding or own_encoding
         for number_, entry in enumerate(table.tables("message"), 1):
-            message = _message(entry, number_, default, folder, databases)
+            message = _message(entry, number_, default, folder, databases, encoding)
             if message.name in (*config.messages, "lines"):
                 raise RestbusError(
                     f"message {message.name}: stands twice; count and gap_ms make bursts"
                 )
             config.messages[message.name] = message
         if lines is not None:
-            config.lines = _lines(lines, config, folder)
+            config.lines = _lines(lines, config, folder, encoding)
         config.events = sorted(
             (_event(entry, n) for n, entry in enumerate(table.tables("event"), 1)),
             key=lambda event: event.at,
         )
-        table.end("seconds", "faults")
+        table.end("seconds", "faults", "encoding")
         if config.lines is None and not config.messages:
             raise RestbusError("there is nothing to send; add [lines] or [[message]]")
         return config
@@ -145,7 +159,12 @@ def _bus(table: Table) -> dict[str, Any]:
 
 
 def _message(
-    entry: object, number: int, default: object, folder: Path, databases: dict[str, Database]
+    entry: object,
+    number: int,
+    default: object,
+    folder: Path,
+    databases: dict[str, Database],
+    encoding: str | None,
 ) -> DbcMessage:
     table = Table(entry, f"message {number}")
     name = table.text("name")
@@ -153,7 +172,8 @@ def _message(
     path = table.text("dbc", default if isinstance(default, str) else None)
     if path not in databases:
         try:
-            databases[path] = parse_database(read_text(_dbc(path, folder)), path, strict=False)
+            text = read_text(_dbc(path, folder), encoding)
+            databases[path] = parse_database(text, path, strict=False)
         except LayoutError as error:
             raise RestbusError(f"{table.name}: dbc: {error}") from error
     names = {message.name: message for message in databases[path].messages}
@@ -169,8 +189,8 @@ def _dbc(name: str, folder: Path) -> Path:
     return EXAMPLE.with_name(name) if name == EXAMPLE_DBC and not path.exists() else path
 
 
-def _lines(table: Table, config: Config, folder: Path) -> LinesConfig:
-    codec = codec_of(table.text("dbc", "maplines.dbc"), folder)
+def _lines(table: Table, config: Config, folder: Path, encoding: str | None) -> LinesConfig:
+    codec = codec_of(table.text("dbc", "maplines.dbc"), folder, encoding)
     period = table.number("period_ms", 1, MAX_MS, "ms", 50) / 1000
     start = table.number("start_ms", 0, MAX_MS, "ms", 0) / 1000
     fd = table.flag("fd")

@@ -35,12 +35,12 @@ TOUR = 10_000.0
 MAX_LOG_AGE = 1.0
 
 
-def codec_of(name: str, folder: Path) -> Codec:
+def codec_of(name: str, folder: Path, encoding: str | None = None) -> Codec:
     """Return the codec of a DBC: a file, or one of this package."""
     path = folder / name
     if not path.exists() and Path(name).name == name and name.startswith("maplines"):
         path = default_dbc_path(name)
-    return Codec.from_dbc(path)
+    return Codec.from_dbc(path, encoding=encoding)
 
 
 def lines_of(table: Table, codec: Codec, period: float, seed: int, folder: Path) -> Lines:

@@ -108,11 +108,13 @@ class Codec:
         dbc: str | Path | Database | None = None,
         authenticator: Authenticator | None = None,
         codes: Mapping[str, type[CovarianceCode]] = CODES,
+        *,
+        encoding: str | None = None,
     ) -> Codec:
         """Return the codec of a DBC file, or of a database that cantools has loaded from one.
 
         By default, the DBC is the project's ``maplines.dbc``, or ``maplines-secoc.dbc`` with an
-        authenticator.
+        authenticator. Its encoding is found, or stated, as in ``Layout.from_dbc``.
 
         Raises:
             LayoutError: the file is missing, or the DBC does not describe a map line; the message
@@ -126,7 +128,7 @@ class Codec:
         if dbc is None and authenticator is not None:
             dbc = default_dbc_path("maplines-secoc.dbc")
         try:
-            return cls(Layout.from_dbc(dbc), authenticator, codes)
+            return cls(Layout.from_dbc(dbc, encoding=encoding), authenticator, codes)
         finally:
             del authenticator  # a traceback may show the locals
 

@@ -242,7 +242,7 @@ def test_signals_of_frames_with_the_same_number(tmp_path: Path, dbc: Path) -> No
 def test_signals_frame_by_frame(dbc: Path) -> None:
     """An extended identifier is another one; of multiplexed signals, those in the frame count."""
     decoder = SignalDecoder(dbc, NAMES | {"first": "First", "which": "Which"})
-    assert decoder.can_ids == {256, 512, 258}
+    assert decoder.can_ids == frozenset({256, 512, 258})
     motion = b"\x8c\xa0\x0e\x10\x01\x00"
     assert decoder.decode(512, motion, is_extended=True) == {
         "heading_deg": pytest.approx(360.0),

@@ -274,6 +274,7 @@ def test_fusion_with_the_motion_of_signals_on_the_bus(
 def test_the_last_signals_count_for_half_a_second(channel: str, signals: list[object]) -> None:
     """Frames of other messages, and frames without data, change nothing."""
     arguments = argparse.Namespace(
+        encoding=None,
         **dict.fromkeys(("log", "motion", "speed", "signals_channel", "bitrate", "data_bitrate")),
         interface="virtual",
         channel=channel,

@@ -15,6 +15,7 @@ from cantools.database.can import Signal as DbcSignal
 from ...values.errors import LayoutError
 from ...values.input_files import checked_path
 from ...values.line import Kind, Slot, Status
+from .dbc_encoding import text_of
 from .dbc_limits import MAX_DBC, check_numbers
 from .dbc_messages import (
     FrameFormat,
@@ -35,6 +36,8 @@ from .slot_messages import RecordMessages, SecuredLayout
 __all__ = [
     "Database",
     "DbcContent",
+    "DbcSignal",
+    "Message",
     "content_of",
     "default_dbc_path",
     "parse_database",
@@ -73,8 +76,8 @@ def default_dbc_path(name: str = "maplines.dbc") -> Path:
     raise LayoutError(f"{name} is neither at {packaged} nor at {checkout}; reinstall")
 
 
-def read_text(path: Path) -> str:
-    """Return the text of a DBC file; raises LayoutError as ``Layout.from_dbc``."""
+def read_text(path: Path, encoding: str | None = None) -> str:
+    """Return the text of a DBC file; see `text_of`; raises LayoutError as ``Layout.from_dbc``."""
     try:
         with checked_path(path, LayoutError).open("rb") as file:  # a pipe or device may never end
             data = file.read(MAX_DBC + 1)
@@ -82,10 +85,7 @@ def read_text(path: Path) -> str:
         raise LayoutError(f"{path}: cannot be read: {error.strerror or error}") from error
     if len(data) > MAX_DBC:
         raise LayoutError(f"{path}: is too large: a DBC must have {MAX_DBC:,} bytes at most")
-    try:
-        return data.decode("cp1252")  # the encoding that DBC tools write
-    except UnicodeDecodeError as error:
-        raise LayoutError(f"{path}: is not a valid DBC: {error}") from error
+    return text_of(data, str(path), encoding)
 
 
 def parse_database(text: str, source: str, *, strict: bool = True) -> Database:

@@ -104,19 +104,28 @@ class Layout(RecordLayout):
             yield Room("the pose error", pose.messages, pose.secured, pose.record_bytes)
 
     @classmethod
-    def from_dbc(cls, dbc: str | Path | Database | None = None) -> Layout:
+    def from_dbc(
+        cls, dbc: str | Path | Database | None = None, *, encoding: str | None = None
+    ) -> Layout:
         """Read a layout from a DBC file, or from a database that cantools has loaded from one.
 
         By default, the DBC is the project's ``maplines.dbc``.
 
+        Args:
+            dbc: path or database.
+            encoding: of the file, such as ``cp936``; None to find it.
+
+        Warns:
+            UserWarning: the encoding is not stated, and a unit or a name is uncertain.
+
         Raises:
-            LayoutError: the file is missing, is larger than 16 MB, is not a DBC, or does not
-                describe a map line.
+            LayoutError: the file is missing, is larger than 16 MB, is not a DBC, is not in the
+                encoding, or does not describe a map line.
             TypeError: it is neither a path nor a ``cantools.database.can.Database``.
         """
         if isinstance(dbc, str | Path | None):
             path = default_dbc_path() if dbc is None else Path(dbc)
-            return cls.from_text(read_text(path), str(path))
+            return cls.from_text(read_text(path, encoding), str(path))
         if not isinstance(dbc, Database):
             raise TypeError(
                 "dbc must be a path, or a Database that cantools has loaded from a DBC, got a "
