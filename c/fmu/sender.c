@@ -98,15 +98,20 @@ static bool encode(maplines_instance_t *instance)
     return sent.refusal == MAPLINES_SENT;
 }
 
+/// Time until which lines are due [s]: that of a tick is a sum of intervals, so it may be early.
+static double due_time(const maplines_instance_t *instance)
+{
+    const double first = maplines_first_deadline(&instance->state.node.queue);
+    const double now = instance->state.now;
+    return first <= now + TOLERANCE ? fmax(first, now) : now;
+}
+
 /// Take the next line that is due, and encode it; false if there is none.
 static bool take_next(maplines_instance_t *instance)
 {
     maplines_node_t *node = &instance->state.node;
     maplines_sending_t *sending = &node->sending;
-    const double first = maplines_first_deadline(&node->queue);
-    const double now = instance->state.now;
-    // The time of a tick is a sum of intervals, so it may be a little early.
-    const double due = first <= now + TOLERANCE ? fmax(first, now) : now;
+    const double due = due_time(instance);
     bool is_taken = false;
     while (!is_taken && maplines_take(&node->queue, due, &sending->due))
     {
@@ -175,10 +180,34 @@ static void send_all(maplines_instance_t *instance)
     }
 }
 
+static bool is_off(const maplines_instance_t *instance)
+{
+    return instance->state.controller.state == MAPLINES_BUS_OFF;
+}
+
+/// Give up all lines that are due.
+static void give_up_due(maplines_instance_t *instance)
+{
+    maplines_sending_t *sending = &instance->state.node.sending;
+    if (sending->count > 0)
+    {
+        finish(instance, false);
+    }
+    while (maplines_take(&instance->state.node.queue, due_time(instance), &sending->due))
+    {
+        count(instance, COUNT_GIVEN_UP, 1 + sending->due.skipped);
+    }
+}
+
 void maplines_send_due(maplines_instance_t *instance)
 {
     maplines_node_t *node = &instance->state.node;
     maplines_sending_t *sending = &node->sending;
+    if (is_off(instance))
+    {
+        give_up_due(instance);
+        return;
+    }
     if (!instance->state.values.flags[FLAG_BUS_NOTIFICATIONS])
     {
         send_all(instance);
@@ -216,7 +245,7 @@ void maplines_take_notification(maplines_instance_t *instance, uint32_t can_id,
 double maplines_next_due(const maplines_instance_t *instance)
 {
     const maplines_node_t *node = &instance->state.node;
-    if (instance->state.controller.state == MAPLINES_BUS_OFF)
+    if (is_off(instance))
     {
         return (double)INFINITY;
     }
@@ -235,5 +264,8 @@ void maplines_take_frame(maplines_instance_t *instance, const maplines_frame_t *
 
 void maplines_refresh(maplines_instance_t *instance)
 {
-    (void)instance; // what it counts is counted in the outputs
+    if (is_off(instance)) // it announces no tick
+    {
+        give_up_due(instance);
+    }
 }

@@ -55,6 +55,7 @@ class Bench:
         else:
             self.clock = RealClock()
         self._start_ns = self.clock.now_ns
+        self._passed = 0.0
 
     @property
     def is_virtual(self) -> bool:
@@ -92,9 +93,15 @@ class Bench:
         """Call a function at a time since the begin [s], while the time passes."""
         return self.clock.call_at(self._start_ns + to_ns(t), function)
 
+    @property
+    def present(self) -> float:
+        """Begin of what a test takes as now [s]: in real time, the end of the last `run_for`."""
+        return self.now if self.is_virtual else self._passed
+
     def run_for(self, seconds: float) -> None:
         """Let the time pass [s]."""
         self.clock.run_for(seconds)
+        self._passed = self.now
 
     def run_until(self, is_done: Callable[[], bool], timeout: float, step: float) -> bool:
         """Let the time pass until something is so; return whether it is, or False at the timeout.

@@ -137,16 +137,20 @@ class ReceivingNode:
         return self.listener.latest(slot, now_ns, stale_cycles=stale_cycles)
 
     def assert_received(self, slot: Slot, within: float) -> MapLine:
-        """Return the newest line of a slot that came since the last call; else let the time pass.
+        """Return a line of a slot that comes now; else let the time pass until one comes.
+
+        Lines that came before are in `arrivals`; each is returned only once. In real time, what
+        came since ``Bench.run_for`` comes now.
 
         Raises:
             AssertionError: none comes within this time [s].
         """
         __tracebackhide__ = True  # pytest shows the line of the test
         begin, known = self._bench.now, self._asserted.get(slot, 0)
+        present = self._bench.present
 
         def news() -> list[MapLine]:
-            return [line for _, line in self.arrivals[known:] if line.slot == slot]
+            return [a.line for a in self.arrivals[known:] if a.line.slot == slot and a.t >= present]
 
         if self._bench.run_until(lambda: bool(news()), within, min(STEP, within / 4)):
             self._asserted[slot] = len(self.arrivals)

@@ -180,6 +180,12 @@ def test_a_node_with_too_many_errors_is_off(fmu: Path) -> None:
     node.step(0.2)
     assert operations_of(node.send()) == []
     assert node.interval() is None
+    assert node.get("given_up") == 1 + 4  # the one that found it off, and four cycles
+    assert node.interval() is None
+    node.step(1.2)
+    assert node.get("given_up") == 1 + 4 + 20
+    assert node.get("given_up") == 1 + 4 + 20
+    assert node.get("overruns") == node.get("lines") == 0
     node.fmu.reset()
     assert node.get("CAN.state") == 1
     node.fmu.freeInstance()

@@ -132,6 +132,45 @@ def test_faults_begin_and_end_at_their_times(pytester: pytest.Pytester, as_marke
     )
 
 
+def test_a_line_of_before_is_not_received(pytester: pytest.Pytester) -> None:
+    """Neither one that came before the time passed, nor one that was returned."""
+    test = """
+    def test_lost(maplines_bus, maplines_sender, maplines_receiver):
+        maplines_sender.publish(LINE)
+        maplines_bus.run_for(0.12)
+        maplines_sender.faults = "loss=1"
+        assert len(maplines_receiver.arrivals) == 3
+        maplines_receiver.assert_received(Slot.EGO_LEFT, within=0.2)
+    def test_once(maplines_bus, maplines_sender, maplines_receiver):
+        maplines_sender.send(LINE)
+        maplines_receiver.assert_received(Slot.EGO_LEFT, within=0.2)
+        maplines_receiver.assert_received(Slot.EGO_LEFT, within=0.2)
+    """
+    result = run(pytester, test)
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines(
+        ["*within 0.2 s, from 0.12 to 0.32 s", "*before that: the last one at 0.1 s"]
+    )
+
+
+@pytest.mark.parametrize("wait", [0.0, 0.05])
+def test_a_line_that_came_already_is_received_in_real_time(
+    pytester: pytest.Pytester, wait: float
+) -> None:
+    """The thread of python-can may be before the assertion; what came before a wait is old."""
+    test = f"""
+    @pytest.mark.maplines(interface="virtual")
+    def test_line(maplines_bus, maplines_sender, maplines_receiver):
+        maplines_sender.send(LINE)
+        while not maplines_receiver.arrivals:
+            pass
+        if {wait}:
+            maplines_bus.run_for({wait})
+        maplines_receiver.assert_received(Slot.EGO_LEFT, within=0.02)
+    """
+    run(pytester, test).assert_outcomes(**{"failed" if wait else "passed": 1})
+
+
 def test_held_back_frames_come_when_they_are_due(pytester: pytest.Pytester) -> None:
     test = """
     @pytest.mark.maplines(faults="delay=0.03")
