@@ -82,7 +82,7 @@ def centre_line(left: Polyline, right: Polyline) -> Polyline:
            [9. , 1.5]])
     """
     if _is_paired(left.points, right.points):
-        return boundary((left.points + right.points) / 2)
+        return boundary((left.points + right.points) / 2, Kind.VIRTUAL)
     fractions = np.unique(np.concatenate([line.distance / line.length for line in (left, right)]))
     pair = _at(left, fractions), _at(right, fractions)
     points, reach = (pair[0] + pair[1]) / 2, np.hypot(*(pair[0] - pair[1]).T)
@@ -92,7 +92,7 @@ def centre_line(left: Polyline, right: Polyline) -> Polyline:
         )
         moved = inside_left & inside_right
         points[moved] = (on_left[moved] + on_right[moved]) / 2
-    return boundary(points)
+    return boundary(points, Kind.VIRTUAL)
 
 
 def _is_paired(left: Array, right: Array) -> bool:
@@ -191,12 +191,17 @@ def lanelet_map(
         polylines: lines of no lane.
 
     Raises:
-        MapFileError: there are neither lanes nor lines.
+        MapFileError: there are neither lanes nor lines, or all lanes are mirrored.
     """
     by_id, skipped = {lane.id: lane for lane in lanes}, list(skipped)
     if not by_id and not polylines:
         why = f"; first reason: {skipped[0]}" if skipped else ""
         raise MapFileError(f"{name} contains no usable lane or line{why}")
+    if by_id and all(map(_is_mirrored, by_id.values())):
+        raise MapFileError(
+            f"{name}: the left boundary of each lane is on its right; write x (east) before y "
+            "(north), or longitude before latitude, or exchange left and right"
+        )
     by_id = {lane.id: _without_dead_links(lane, by_id, skipped) for lane in by_id.values()}
     road_of: dict[str, str] = {}
     groups: list[list[Lane]] = []
@@ -219,6 +224,15 @@ def lanelet_map(
         left_hand_traffic=on_right > on_left,
         polylines=polylines or {},
     )
+
+
+def _is_mirrored(lane: Lane) -> bool:
+    """Return whether the left boundary of a lane begins on the right of the lane."""
+    (x, y), (u, v) = (
+        lane.left.points[0] - lane.right.points[0],
+        np.diff(lane.centre.points[:2], axis=0)[0],
+    )
+    return bool(u * y - v * x < 0)
 
 
 def _without_dead_links(lane: Lane, known: Mapping[str, Lane], skipped: list[Skipped]) -> Lane:

@@ -166,7 +166,7 @@ def test_markings(tags: dict[str, str], kind: Kind) -> None:
     osm = Osm()
     osm.lanelet(osm.way((0.0, 3.0), (9.0, 3.0), **tags), osm.way((0.0, 0.0), (9.0, 0.0)))
     (lane,) = osm.map().lanes.values()
-    assert (lane.left.kind, lane.right.kind, lane.centre.kind) == (kind, Kind.UNKNOWN, Kind.UNKNOWN)
+    assert (lane.left.kind, lane.right.kind, lane.centre.kind) == (kind, Kind.UNKNOWN, Kind.VIRTUAL)
 
 
 def test_the_frame_is_utm() -> None:
