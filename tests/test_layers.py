@@ -47,6 +47,7 @@ DOORS = {
     "pyarrow": {"simulation", "study", "recordings"},
     "fmpy": {"cosimulation"},
     "small_gicp": {"localisation"},
+    "pyproj": {"maps"},
 }
 
 

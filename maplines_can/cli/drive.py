@@ -133,7 +133,10 @@ def _drive(arguments: argparse.Namespace) -> int:
     check_new(arguments, arguments.record, truth_path)
     road_map = load(town_path() if arguments.map is None else arguments.map)
     if road_map.skipped:
-        note(f"{road_map.name}: {len(road_map.skipped)} parts of the file are not used")
+        note(
+            f"{road_map.name}: {len(road_map.skipped)} parts of the file are not used, or assumed "
+            f"('maplines map' lists them); first: {road_map.skipped[0]}"
+        )
     slots = tuple(Slot)[: arguments.lines]
     components = _components(codec, slots, arguments)
     if fast and not (arguments.record or arguments.truth or arguments.json):

@@ -153,7 +153,7 @@ def text_lines(summary: dict[str, Any]) -> list[str]:
         lines += ["", f"  {'type of lane':<18}{'lanes':>7}{'km':>10}"]
     for kind, lanes in summary["lanes"].items():
         lines.append(f"  {kind:<18}{lanes['count']:>7}{lanes['km']:>10.2f}")
-    for key, title in (("skipped", "not used"), ("link_gaps", "links with gaps")):
+    for key, title in (("skipped", "not used, or assumed"), ("link_gaps", "links with gaps")):
         count = sum(group["count"] for group in summary[key])
         lines += ["", f"  {title}: {count or 'none'}"]
         for group in summary[key]:

@@ -167,7 +167,7 @@ class Road:
 
 @dataclass(frozen=True)
 class Skipped:
-    """Something in a map file that is not used.
+    """Something in a map file that is not used, or not as it stands there.
 
     Args:
         where: line or element of the file.

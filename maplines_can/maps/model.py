@@ -30,8 +30,9 @@ class Map:
     Args:
         lanes: by their ids.
         roads: by their ids.
-        skipped: what in the file is not used.
-        projection: PROJ string (or WKT) of the map frame as in the file; None if it has none.
+        skipped: what in the file is not used, or taken in another way; first what concerns the
+            frame.
+        projection: PROJ string, WKT or code of the map frame; None if it has none.
         name: name of the file or of the map.
         left_hand_traffic: whether most roads have left-hand traffic.
         polylines: lines of the file that belong to no lane, by their ids.

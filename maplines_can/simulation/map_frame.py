@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..maps.formats.systems import to_plane
 from ..values.arrays import floats
-from ..values.errors import DriveFileError, missing_extra
+from ..values.errors import DriveFileError
 from ..values.polyline import Polyline
 
 #: Step to the north at which the direction of north in the map frame is taken [deg]; about 1 m.
 _NORTH_STEP_DEG = 1e-5
-#: Part of a PROJ string that concerns heights only; its grid is often not installed.
-_GEOID = re.compile(r"\+geoidgrids=\S+")
 #: Farthest from the extent of a map that a position counts as on the map [m].
 MARGIN = 100.0
 
@@ -30,8 +27,8 @@ def project(lat_deg: ArrayLike, lon_deg: ArrayLike, projection: str | None) -> N
         projection: of the map: PROJ string, WKT, or a code such as "EPSG:25832".
 
     Raises:
-        DriveFileError: there is no projection, it is not valid, its coordinates are not in metres,
-            or a position is outside its domain.
+        DriveFileError: there is no projection, it is not valid, it is none to a plane, or a
+            position is outside its domain.
         MissingExtraError: pyproj is not installed.
     """
     lat, lon = floats(lat_deg, "lat_deg"), floats(lon_deg, "lon_deg")
@@ -42,8 +39,15 @@ def project(lat_deg: ArrayLike, lon_deg: ArrayLike, projection: str | None) -> N
             "lat_deg must be from -90 to 90 deg and lon_deg from -360 to 360 deg, "
             f"got {lat[i]:g} and {lon[i]:g}"
         )
-    x, y = _transformer(projection).transform(lon, lat)
-    points = np.column_stack([x, y])
+    if not projection:
+        raise DriveFileError(
+            "the map has no projection, so latitude and longitude have no position on it; "
+            "give the positions as x and y in the frame of the map"
+        )
+    try:
+        points = to_plane(projection, lat, lon)
+    except ValueError as error:
+        raise DriveFileError(str(error)) from error
     if not np.isfinite(points).all():
         i = int((~np.isfinite(points).all(axis=1)).argmax())
         raise DriveFileError(
@@ -64,30 +68,6 @@ def north(
     there = project(lat_deg + step, lon_deg, projection)
     dx, dy = ((there - project(lat_deg, lon_deg, projection)) * np.sign(step)[:, None]).T
     return np.arctan2(dy, dx)
-
-
-def _transformer(projection: str | None) -> Any:
-    """Return the transformation from longitude and latitude [deg] to the map frame."""
-    if not projection:
-        raise DriveFileError(
-            "the map has no projection, so latitude and longitude have no position on it; "
-            "give the positions as x and y in the frame of the map"
-        )
-    try:
-        import pyproj
-    except ImportError as error:
-        raise missing_extra("positions in latitude and longitude need pyproj", "maps") from error
-    try:
-        crs = pyproj.CRS.from_user_input(_GEOID.sub("", projection))
-        transformer = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
-    except pyproj.exceptions.ProjError as error:
-        reason = " ".join(str(error).split())
-        raise DriveFileError(f"projection {projection!r} is not valid: {reason}") from error
-    if not crs.is_projected:
-        raise DriveFileError(
-            f"projection {projection!r} has no coordinates in metres; use a projected one"
-        )
-    return transformer
 
 
 def check_on_map(

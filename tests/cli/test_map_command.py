@@ -32,7 +32,7 @@ def test_the_map_of_the_package_is_the_default(capsys: pytest.CaptureFixture[str
     assert "x -1211.5 to 1211.5 m" in out
     assert "right-hand" in out
     assert "+proj=tmerc" in out
-    assert "not used: none" in out
+    assert "not used, or assumed: none" in out
     assert "links with gaps: none" in out
 
 
@@ -66,7 +66,7 @@ def test_what_is_not_used_is_counted_by_reason_with_an_example(
     assert len(skipped) < len(listed)
     assert skipped[0]["count"] == 2
     assert {group["where"] for group in skipped} <= {one.where for one in listed}
-    assert f"not used: {len(listed)}" in text
+    assert f"not used, or assumed: {len(listed)}" in text
     assert f"2 x {skipped[0]['why']}" in text
     assert f"first: {skipped[0]['where']}" in text
 

@@ -2,6 +2,8 @@
 
 Speed limits are those of the lanelets (2018b) or of their traffic signs (2020a) [m/s]. The position
 ``gpsLatitude`` and ``gpsLongitude`` of a scenario says nothing of its frame and is not used.
+Positions are those of the system ``geoReference``, less the translation of the scenario: see
+``systems``. Without one they are in metres.
 """
 
 from __future__ import annotations
@@ -9,15 +11,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ...values.errors import MapFileError
 from ...values.line import Kind
 from ...values.polyline import Polyline
 from ..lane import SkippedList
 from ..model import Lane, LaneType, Map, Skipped
 from .lanelets import boundary, centre_line, lanelet_map
+from .projection import shifted, utm_of
+from .systems import is_wgs84, placed
 from .xml_tree import Document, Element, number_in
 
 #: Elements that say nothing of lanes.
@@ -80,7 +86,28 @@ def read(stream: BinaryIO, name: str) -> Map:
     for element in document.elements():
         reader.add(element)
     reader.skipped += document.check_root("commonRoad", "a CommonRoad")
+    try:
+        reader.place()
+    except ValueError as error:
+        raise MapFileError(f"{name}, geoReference: {error}") from None
     return lanelet_map(reader.lanes(), name, reader.skipped, reader.projection)
+
+
+class _Bound(NamedTuple):
+    """A boundary as in the file: (n, 2) points in the system of the file, and its marking."""
+
+    tag: str
+    points: NDArray[np.float64]
+    kind: Kind
+
+
+class _Raw(NamedTuple):
+    """A lanelet as in its file: its boundaries, and the arguments of ``Lane`` that it gives."""
+
+    where: str
+    left: _Bound
+    right: _Bound
+    given: dict[str, Any]
 
 
 class _Reader:
@@ -89,6 +116,9 @@ class _Reader:
     def __init__(self) -> None:
         self.skipped: list[Skipped] = SkippedList()
         self.projection: str | None = None
+        self._geo_reference: Element | None = None
+        self._translation = (0.0, 0.0)
+        self._raw: dict[str, _Raw] = {}
         self._lanes: dict[str, Lane] = {}
         self._signs_of: dict[str, list[str]] = {}
         self._limits: dict[str, float] = {}
@@ -110,6 +140,44 @@ class _Reader:
                 for child in incoming.children:
                     if child.tag.startswith("successors"):
                         self._junctions[child.get("ref")] = element.get("id")
+
+    def place(self) -> None:
+        """Bring all lanelets into the frame of the map.
+
+        Raises:
+            ValueError: there is no such system, or the positions are not in it.
+        """
+        bounds = [bound for raw in self._raw.values() for bound in (raw.left, raw.right)]
+        if not bounds:
+            return
+        points = np.concatenate([bound.points for bound in bounds])
+        if self._geo_reference is not None:
+            points = self._in_metres(points, self._geo_reference)
+        parts = iter(np.split(points, np.cumsum([len(bound.points) for bound in bounds[:-1]])))
+        for key, raw in self._raw.items():
+            sides = [bound._replace(points=next(parts)) for bound in (raw.left, raw.right)]
+            try:
+                left, right = map(_line, sides)
+                centre = centre_line(left, right)
+            except ValueError as error:
+                self.skipped.append(Skipped(raw.where, f"the lanelet is not used: {error}"))
+            else:
+                self._lanes[key] = Lane(id=key, left=left, right=right, centre=centre, **raw.given)
+
+    def _in_metres(self, points: NDArray[np.float64], reference: Element) -> NDArray[np.float64]:
+        """Return positions in the frame of the map, and note its projection."""
+        system, (x, y) = reference.text.strip(), self._translation
+        if is_wgs84(system):
+            system = "+proj=longlat +datum=WGS84 +no_defs"
+        found = placed(system, points + self._translation)
+        notices, self.projection = found.notices, found.projection
+        if found.projection == system and (x or y):
+            self.projection = shifted(utm_of(system) or system, x, y)
+            if self.projection is None:
+                notices.append(f"a translation in {system[:200]} has no projection of its own")
+        is_same = found.projection == system
+        self.skipped[:0] = [Skipped(reference.place, why) for why in notices]
+        return points if is_same else found.points
 
     def lanes(self) -> Iterator[Lane]:
         """Yield the lanes with all their links, in both directions."""
@@ -143,14 +211,13 @@ class _Reader:
         try:
             if not key:
                 raise ValueError("it has no id")  # noqa: TRY301 - as of an unusable boundary
-            if key in self._lanes:
+            if key in self._raw:
                 raise ValueError("another one has the same id")  # noqa: TRY301
             left, right = (_bound(element, side) for side in ("leftBound", "rightBound"))
-            centre = centre_line(left, right)
         except ValueError as error:
             self.skipped.append(Skipped(where, f"the lanelet is not used: {error}"))
             return
-        beside: dict[str, str | None] = dict.fromkeys(_SIDES)
+        beside: dict[str, Any] = dict.fromkeys(_SIDES)
         for side in ("Left", "Right"):
             adjacent = element.first(f"adjacent{side}")
             if adjacent is not None and adjacent.get("drivingDir") == "same":
@@ -159,43 +226,46 @@ class _Reader:
                 beside["opposite_left"] = beside["opposite_left"] or adjacent.get("ref")
         limit = number_in(_text(element, "speedLimit"))
         self._signs_of[key] = _references(element.all("trafficSignRef"))
-        self._lanes[key] = Lane(
-            id=key,
-            left=left,
-            right=right,
-            centre=centre,
-            type=_lane_type(element),
-            speed_limit=limit if limit > 0 else None,
-            successors=tuple(_references(element.all("successor"))),
-            predecessors=tuple(_references(element.all("predecessor"))),
-            **beside,  # type: ignore[arg-type]
-        )
+        given = beside | {
+            "type": _lane_type(element),
+            "speed_limit": limit if limit > 0 else None,
+            "successors": tuple(_references(element.all("successor"))),
+            "predecessors": tuple(_references(element.all("predecessor"))),
+        }
+        self._raw[key] = _Raw(where, left, right, given)
 
     def _add_location(self, element: Element) -> None:
         transformation = element.first("geoTransformation")
         if transformation is None:
             return
-        self.projection = _text(transformation, "geoReference") or None
-        for more in transformation.all("additionalTransformation"):
-            unit = {"scaling": 1.0}
-            moved = [
-                child.tag
-                for child in more.children
-                if number_in(child.text) != unit.get(child.tag, 0.0)
-            ]
-            if moved:
-                why = f"{', '.join(moved)} not applied: apply it to positions that are projected"
-                self.skipped.append(Skipped(more.place, why))
+        reference = transformation.first("geoReference")
+        if reference is None or not reference.text.strip():
+            return
+        moved = {
+            child.tag: number_in(child.text)
+            for more in transformation.all("additionalTransformation")
+            for child in more.children
+        }
+        x, y = moved.pop("xTranslation", 0.0), moved.pop("yTranslation", 0.0)
+        is_moved_only = moved.get("zRotation", 0.0) == 0 and moved.get("scaling", 1.0) == 1
+        if is_moved_only and math.isfinite(x + y):
+            self._geo_reference, self._translation = reference, (x, y)
+        else:
+            why = (
+                "zRotation and scaling are not applied: positions are taken as metres, and "
+                "latitude and longitude have no place among them"
+            )
+            self.skipped.append(Skipped(transformation.place, why))
 
 
 _SIDES = ("left_neighbour", "right_neighbour", "opposite_left")
 
 
-def _bound(lanelet: Element, tag: str) -> Polyline:
-    """Return a boundary.
+def _bound(lanelet: Element, tag: str) -> _Bound:
+    """Return a boundary as in the file.
 
     Raises:
-        ValueError: it is missing, or has no two points.
+        ValueError: it is missing, or a point is not finite.
     """
     bound = lanelet.first(tag)
     if bound is None:
@@ -206,10 +276,19 @@ def _bound(lanelet: Element, tag: str) -> Polyline:
         if not all(map(math.isfinite, points[-1])):
             raise ValueError(f"the point in line {point.line} has no finite x and y")
     kind = _KINDS.get(_text(bound, "lineMarking"), Kind.UNKNOWN)
+    return _Bound(tag, np.array(points).reshape(-1, 2), kind)
+
+
+def _line(bound: _Bound) -> Polyline:
+    """Return the line of a boundary.
+
+    Raises:
+        ValueError: it has no two points.
+    """
     try:
-        return boundary(np.array(points).reshape(-1, 2), kind)
+        return boundary(bound.points, bound.kind)
     except ValueError as error:
-        raise ValueError(f"<{tag}>: {error}") from None
+        raise ValueError(f"<{bound.tag}>: {error}") from None
 
 
 def _lane_type(lanelet: Element) -> LaneType:

@@ -25,7 +25,7 @@ from ..lane import SkippedList
 from ..model import Map, Skipped
 from .lanelet_tags import RawLanelet, Side, Tags, lanelets
 from .lanelets import lanelet_map, linked
-from .projection import UTM_LATITUDES, project, tangent, utm
+from .projection import UTM_LATITUDES, middle, project, tangent, utm
 from .xml_tree import Document, Element, memory_of, number_in
 
 Array = NDArray[np.float64]
@@ -254,11 +254,7 @@ def _around(positions: Array) -> str | None:
     """Return the projection for (n, 2) latitudes and longitudes [deg]."""
     if not len(positions):
         return None
-    positions = positions.copy()
-    first = positions[0, 1]  # the map may cross the 180th meridian
-    positions[:, 1] = first + (positions[:, 1] - first + 180) % 360 - 180
-    latitude, longitude = ((positions.min(axis=0) + positions.max(axis=0)) / 2).tolist()
-    longitude = math.remainder(longitude, 360)
+    latitude, longitude = middle(*positions.T)
     low, high = UTM_LATITUDES
     return (utm if low <= latitude <= high else tangent)(latitude, longitude)
 

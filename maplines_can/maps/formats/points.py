@@ -7,8 +7,8 @@ each other, or follow each other, if their boundaries have the same points. A la
 side is not used. Lines without a lane are ``Map.polylines``.
 
 GeoJSON: each feature is a ``LineString`` or a ``MultiLineString`` with these as ``properties``.
-Positions are longitude and latitude of WGS84, projected around the middle of the map. If a member
-``crs`` names another system, they are x and y of that [m].
+Positions are longitude and latitude of WGS84, projected around the middle of the map, or those of
+the system that a member ``crs`` names: see ``systems``. A geographic one has the longitude first.
 
 CSV: the first line names the columns ``line``, ``x`` and ``y`` [m], and perhaps ``lane``, ``side``
 and ``kind``. The points of a line are in their order, next to each other.
@@ -37,7 +37,8 @@ from ...values.polyline import Polyline
 from ..lane import SkippedList
 from ..model import Lane, Map, Skipped
 from .lanelets import Lanelet, boundary, centre_line, lanelet_map, linked
-from .projection import project, tangent
+from .projection import around, project
+from .systems import is_wgs84, placed
 from .xml_tree import number_in
 
 Array = NDArray[np.float64]
@@ -50,9 +51,6 @@ MAX_JSON_BYTES, MAX_JSON = 1 << 24, 3 << 25
 HEAD = 1 << 16
 #: Most lines, and most points of a line.
 MAX_LINES, MAX_POINTS = 100_000, 2_000_000
-
-#: Names of the longitude and latitude of WGS84 in a member ``crs``.
-_WGS84 = ("CRS84", "EPSG::4326", "EPSG:4326")
 
 
 class _Line(NamedTuple):
@@ -233,13 +231,37 @@ def _geojson(
     for i, one in enumerate(features):
         lines += _feature(one, i, skipped)
         _check_lines(len(lines), name)
-    system = document.get("crs")
-    if isinstance(system, dict):
-        properties = system.get("properties")
-        named = str(properties.get("name", "")) if isinstance(properties, dict) else ""
-        if not named.endswith(_WGS84):
-            return lines, named or None
-    return _projected(lines, projection, skipped)
+    if document.get("crs") is None:
+        return _projected(lines, projection, skipped)
+    system = _system(document["crs"])
+    if is_wgs84(system):
+        return _projected(lines, projection, skipped)
+    try:
+        found = placed(system, np.concatenate([np.empty((0, 2)), *_points(lines)]), projection)
+    except ValueError as error:
+        raise MapFileError(f"{name}, member crs: {error}") from None
+    skipped[:0] = [Skipped("member crs", why) for why in found.notices]
+    return _with_points(lines, found.points), found.projection
+
+
+def _system(crs: Any) -> str:
+    """Return the name of the system of a member ``crs``, or its text if it names none."""
+    given = crs.get("properties") if isinstance(crs, dict) else None
+    given = given if isinstance(given, dict) else {}
+    if isinstance(code := given.get("code"), int):  # of drafts of GeoJSON
+        return f"EPSG:{code}"
+    return str(given["name"]) if "name" in given else json.dumps(crs)
+
+
+def _points(lines: Iterable[_Line]) -> list[Array]:
+    return [line.points for line in lines]
+
+
+def _with_points(lines: Sequence[_Line], points: Array) -> list[_Line]:
+    """Return the lines with other points, which follow each other."""
+    ends = np.cumsum([len(line.points) for line in lines])
+    parts = zip(lines, np.split(points, ends[:-1]), strict=True)
+    return [line._replace(points=part) for line, part in parts]
 
 
 def _feature(feature: Any, index: int, skipped: list[Skipped]) -> Iterator[_Line]:
@@ -296,15 +318,8 @@ def _projected(
                 "system in the member crs"
             )
             skipped.append(Skipped(line.where, why))
-    points = np.concatenate([line.points for line in usable] or [np.empty((0, 2))])
-    if not len(points):
+    if not usable or not len(points := np.concatenate(_points(usable))):
         return [], None
-    first = points[0, 0]  # the map may cross the 180th meridian
-    points[:, 0] = first + (points[:, 0] - first + 180) % 360 - 180
-    longitude, latitude = ((points.min(axis=0) + points.max(axis=0)) / 2).tolist()
-    around = round(latitude, 7), round(math.remainder(longitude, 360), 7)
-    projection = projection or tangent(*around)
-    plane = project(projection, points[:, 1], points[:, 0])
-    ends = np.cumsum([len(line.points) for line in usable])
-    parts = zip(usable, np.split(plane, ends[:-1]), strict=True)
-    return [line._replace(points=part) for line, part in parts], projection
+    longitude, latitude = points.T
+    projection = projection or around(latitude, longitude)
+    return _with_points(usable, project(projection, latitude, longitude)), projection

@@ -12,6 +12,7 @@ A projection is a PROJ string, as pyproj takes it. These are evaluated here, wit
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -27,6 +28,13 @@ FLATTENING = 1 / 298.257223563
 UTM_SCALE = 0.9996
 #: Latitudes of UTM [deg].
 UTM_LATITUDES = (-80.0, 84.0)
+
+#: Projections of this module, and parameters that it knows. GRS80 is WGS84 up to 0.1 mm.
+_PROJECTIONS = ("tmerc", "topocentric", "utm")
+_PLANE = ("proj", "zone", "south", "lat_0", "lon_0", "h_0", "k", "k_0", "x_0", "y_0")
+_OTHERS = ("datum", "ellps", "units", "geoidgrids", "no_defs", "type", "vunits", "wktext")
+_PARAMETERS = frozenset(_PLANE + _OTHERS)
+_UTM = re.compile(r".*\bEPSG\W*(?:[\d.]+\W+)?(326|327|258)(0[1-9]|[1-5]\d|60)", re.I)
 
 _E2 = FLATTENING * (2 - FLATTENING)
 _N = FLATTENING / (2 - FLATTENING)
@@ -84,6 +92,71 @@ def tangent(latitude: float, longitude: float) -> str:
     """
     origin = f"+lat_0={_fixed(latitude)} +lon_0={_fixed(longitude)}"
     return f"+proj=tmerc {origin} +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
+
+
+def middle(latitude: ArrayLike, longitude: ArrayLike) -> tuple[float, float]:
+    """Return the middle of positions, also across the 180th meridian [deg].
+
+    >>> middle([10.0, 11.0], [179.0, -179.0])
+    (10.5, 180.0)
+    """
+    positions = np.column_stack([latitude, longitude])
+    positions = positions[np.isfinite(positions).all(axis=1)]
+    first = positions[0, 1]
+    positions[:, 1] = first + (positions[:, 1] - first + 180) % 360 - 180
+    mid_latitude, mid_longitude = ((positions.min(axis=0) + positions.max(axis=0)) / 2).tolist()
+    return mid_latitude, math.remainder(mid_longitude, 360)
+
+
+def around(latitude: ArrayLike, longitude: ArrayLike) -> str:
+    """Return the PROJ string of ``tangent`` at the middle of positions, rounded to 1 cm [deg].
+
+    >>> around([49.0], [8.4]) == tangent(49.0, 8.4)
+    True
+    """
+    mid_latitude, mid_longitude = middle(latitude, longitude)
+    return tangent(round(mid_latitude, 7), round(mid_longitude, 7))
+
+
+def shifted(projection: str, x: float, y: float) -> str | None:
+    """Return the PROJ string whose positions are those of a projection less (x, y) [m].
+
+    It is None if the projection is no PROJ string with an origin that can be moved.
+
+    >>> shifted("+proj=utm +zone=32 +datum=WGS84", 490e3, 5.46e6)
+    '+proj=tmerc +lat_0=0 +lon_0=9 +k=0.9996 +datum=WGS84 +x_0=10000.0 +y_0=-5460000.0'
+    """
+    words = projection.split()
+    given = {name: value for name, _, value in (w.lstrip("+").partition("=") for w in words)}
+    if given.get("proj", "longlat") in {"geocent", "latlong", "longlat", "pipeline"}:
+        return None
+    try:
+        if given["proj"] == "utm":
+            origin = 500e3, 10e6 if "south" in given else 0.0
+            moved = {"proj", "zone", "south", "lat_0", "lon_0", "k", "k_0"}
+            meridian = 6 * int(given["zone"]) - 183
+            kept = [f"+proj=tmerc +lat_0=0 +lon_0={meridian} +k={UTM_SCALE}"]
+        else:
+            origin = float(given.get("x_0", "0")), float(given.get("y_0", "0"))
+            moved, kept = set(), []
+    except (KeyError, ValueError):
+        return None
+    moved |= {"x_0", "y_0"}
+    kept += [word for word in words if word.lstrip("+").partition("=")[0] not in moved]
+    return f"{' '.join(kept)} +x_0={_fixed(origin[0] - x)} +y_0={_fixed(origin[1] - y)}"
+
+
+def utm_of(name: str) -> str | None:
+    """Return the PROJ string of a code of UTM of WGS84 or ETRS89, or None if it is another name.
+
+    >>> utm_of("urn:ogc:def:crs:EPSG::25832"), utm_of("EPSG:32733"), utm_of("EPSG:2154")
+    ('+proj=utm +zone=32 +datum=WGS84', '+proj=utm +zone=33 +south +datum=WGS84', None)
+    """
+    code = _UTM.fullmatch(name.strip())
+    if code is None:
+        return None
+    south = " +south" if code[1] == "327" else ""
+    return f"+proj=utm +zone={int(code[2])}{south} +datum=WGS84"
 
 
 def local_cartesian(latitude: float, longitude: float, height: float = 0.0) -> str:
@@ -182,19 +255,29 @@ def _fixed(number: float) -> str:
     return np.format_float_positional(float(number), trim="0")
 
 
+def parameters_of(projection: str) -> Mapping[str, str] | None:
+    """Return the parameters of the last step, or None if it is no projection of this module."""
+    words = (word.lstrip("+") for word in projection.rpartition("+step")[2].split())
+    given = {name: value for name, _, value in (word.partition("=") for word in words)}
+    is_known = (
+        given.get("proj") in _PROJECTIONS
+        and given.keys() <= _PARAMETERS
+        and {given.get("ellps", "WGS84"), given.get("datum", "WGS84")} <= {"WGS84", "GRS80"}
+        and given.get("units", "m") == "m"
+    )
+    return given if is_known else None
+
+
 def _parameters(projection: str) -> Mapping[str, str]:
     """Return the parameters of the last step.
 
     Raises:
         ValueError: the projection is not one of this module.
     """
-    words = (word.lstrip("+") for word in projection.rpartition("+step")[2].split())
-    given = {name: value for name, _, value in (word.partition("=") for word in words)}
-    known = {"utm", "tmerc", "topocentric"}
-    ellipsoid = given.get("ellps", given.get("datum", "WGS84"))
-    if given.get("proj") not in known or ellipsoid != "WGS84" or given.get("units", "m") != "m":
+    given = parameters_of(projection)
+    if given is None:
         raise ValueError(
-            f"projection must be +proj={', '.join(sorted(known))} of WGS84 in metres, "
+            f"projection must be +proj={', '.join(_PROJECTIONS)} of WGS84 in metres, "
             f"got {projection[:80]!r}; project the positions with pyproj"
         )
     return given

@@ -182,12 +182,14 @@ def test_the_projection() -> None:
         "<location><geoNameId>1</geoNameId><geoTransformation>"
         "<geoReference>+proj=utm +zone=32</geoReference><additionalTransformation>"
         "<xTranslation>{}</xTranslation><yTranslation>0.0</yTranslation>"
-        "<scaling>1.0</scaling></additionalTransformation></geoTransformation></location>"
+        "<scaling>{}</scaling></additionalTransformation></geoTransformation></location>"
     )
-    found = read_map(text.format("0.0"), lanelet(1))
+    found = read_map(text.format("0.0", "1.0"), lanelet(1, 5e5))
     assert (found.projection, found.skipped) == ("+proj=utm +zone=32", ())
-    (skipped,) = read_map(text.format("3.5"), lanelet(1)).skipped
-    assert skipped.why.startswith("xTranslation not applied")
+    for wrong in ("0.0", "1.1"), ("far", "1.0"):
+        found = read_map(text.format(*wrong), lanelet(1, 5e5))
+        assert found.skipped[0].why.startswith("zRotation and scaling are not applied")
+        assert found.projection is None
     assert read_map(lanelet(1)).projection is None
 
 

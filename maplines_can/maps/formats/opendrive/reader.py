@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -18,7 +19,9 @@ from ....values.polyline import Polyline
 from ...landmarks import Landmark
 from ...lane import SkippedList
 from ...model import Lane, Map, Road, Skipped
-from ..xml_tree import Document, Element
+from ..projection import shifted, utm_of
+from ..systems import notices_of
+from ..xml_tree import Document, Element, number_in
 from .attributes import UnusableError
 from .boundaries import SAME, Boundaries, SamplingError, sampled
 from .landmarks import read_buildings, read_landmarks
@@ -71,7 +74,8 @@ class _Reader:
         self._topology: dict[str, RoadTopology] = {}
         self._connections: list[Connection] = []
         self._left_hand = 0
-        self._projection: str | None = None
+        self._geo_reference: Element | None = None
+        self._offset: Element | None = None
 
     def add(self, element: Element) -> None:
         """Read a child of the root."""
@@ -87,12 +91,29 @@ class _Reader:
                 self.skipped.append(Skipped(error.skipped.where, why))
 
     def _add_header(self, header: Element) -> None:
-        if reference := header.first("geoReference"):
-            self._projection = reference.text.strip() or None
-        offset = header.first("offset")
-        if offset and any(offset.get(axis, "0").strip("+-.0") for axis in ("x", "y", "hdg")):
-            why = "the offset is not applied: add it to positions before they are projected"
-            self.skipped.append(Skipped(offset.place, why))
+        self._geo_reference, self._offset = header.first("geoReference"), header.first("offset")
+
+    def _frame(self) -> str | None:
+        """Return the projection of the map, and list what is to be known of it.
+
+        The offset of the header leads from positions of the file to those of ``geoReference``.
+        """
+        reference, offset = self._geo_reference, self._offset
+        name = "" if reference is None else reference.text.strip()
+        x, y, turn = (number_in(offset.get(i, "0")) if offset else 0.0 for i in ("x", "y", "hdg"))
+        projection = name or None
+        if offset and (x, y, turn) != (0, 0, 0):
+            is_moved = turn == 0 and math.isfinite(x + y)
+            projection = shifted(utm_of(name) or name, x, y) if is_moved else None
+            if projection is None:
+                why = "the offset is not applied: latitude and longitude have no place on the map"
+                self.skipped.insert(0, Skipped(offset.place, why))
+        if reference is not None and projection:
+            ends = [end for road in self._topology.values() for end in (road.start, road.end)]
+            points = np.array([[end.real + x, end.imag + y] for end in ends])
+            found = [Skipped(reference.place, why) for why in notices_of(name, points)]
+            self.skipped[:0] = found
+        return projection
 
     def _add_road(self, element: Element) -> None:
         road = read_road(element, self.skipped)
@@ -185,6 +206,7 @@ class _Reader:
             successors[one][str(other)] = predecessors[other][str(one)] = None
             if one.road != other.road:
                 after[one.road][other.road] = before[other.road][one.road] = None
+        projection = self._frame()
         return Map(
             lanes={
                 str(key): lane(
@@ -198,7 +220,7 @@ class _Reader:
                 for key, road in self._roads.items()
             },
             skipped=tuple(self.skipped),
-            projection=self._projection,
+            projection=projection,
             name=name,
             left_hand_traffic=2 * self._left_hand > len(self._roads),
             landmarks=tuple(self._landmarks),
