@@ -66,6 +66,7 @@ class BusFactory:
     ) -> None:
         self.name = ""  #: interface and channel, for messages
         self.fd = False  #: whether CAN FD frames can be sent
+        self.is_open_for_fd = False  #: whether it was asked for CAN FD, or says that it has it
         self._channel = ""  # of SocketCAN only, whose kernel can be asked for its state
         self._index: int | None = None
         self.is_virtual = False  #: whether it is python-can's in-process interface
@@ -119,6 +120,7 @@ class BusFactory:
         self.name = self.name or str(bus.channel_info)
         # The virtual bus transports CAN FD frames, too, although it reports classic CAN.
         self.is_virtual = self.is_virtual or isinstance(bus, VirtualBus)
+        self.is_open_for_fd |= bus.protocol is not can.CanProtocol.CAN_20
         self.fd = self.is_virtual or bus.protocol is not can.CanProtocol.CAN_20
         if isinstance(bus, SocketcanBus) and not self._channel:
             self._channel, self.is_socketcan = bus.channel, True
@@ -151,7 +153,7 @@ class BusFactory:
             text = f"the CAN interface cannot be opened: {error_text(error)}"
             raise BusError(f"{text}{_interface_hint(given.get('interface'))}") from error
         self.name = " ".join(str(config[k]) for k in ("interface", "channel") if config[k])
-        self.fd = bool(config.get("fd"))
+        self.fd = self.is_open_for_fd = bool(config.get("fd"))
         self.is_virtual = config["interface"] == "virtual"
         self.is_socketcan = config["interface"] == "socketcan"
         if self.is_socketcan:

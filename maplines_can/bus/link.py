@@ -123,6 +123,11 @@ interface; 'ip -br link' lists those that are
         """Whether CAN FD frames can be sent."""
         return self._factory.fd
 
+    @property
+    def carries_fd(self) -> bool:
+        """Whether it is open for CAN FD; `fd` is also true of a virtual bus that is not."""
+        return self._factory.is_open_for_fd
+
     def send(self, message: can.Message) -> Sent:
         """Hand one frame to the interface, without waiting.
 

@@ -123,6 +123,8 @@ def _restbus(arguments: argparse.Namespace) -> int:
         else:
             bus = stack.enter_context(Link(**settings))
             restbus = Restbus(config, bus, clock, on_sent=sent, on_error=note)
+        for text in config.notices:
+            note(text)
         with suppress(KeyboardInterrupt):
             if isinstance(bus, Link) and not arguments.json:
                 until = "until Ctrl-C" if duration is None else f"for {duration:g} s"

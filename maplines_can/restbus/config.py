@@ -9,14 +9,16 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
 
-from cantools.database.can import Database
+from cantools.database.can import Database, Message
 
+from ..bus.j1939 import ANY_SOURCE, j1939_messages, source_of
 from ..values.errors import LayoutError, RestbusError
 from ..wire import Codec
 from ..wire.layout.dbc_reader import parse_database, read_text
+from .fields import with_exact_starts
 from .lines import Lines, codec_of, lines_of
 from .messages import MAX_MS, DbcMessage
-from .tables import Table, nearest
+from .tables import Table, listed, nearest
 
 #: Largest configuration [bytes], and latest event [s].
 MAX_CONFIG, MAX_S = 10**6, 1e7
@@ -66,6 +68,15 @@ class Config:
     seconds: float | None = None
     seed: int = 0
     bus: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def notices(self) -> list[str]:
+        """What is sent otherwise than the DBC says, or is not sent, and of which messages."""
+        names: dict[str, list[str]] = {}
+        for message in self.messages.values():
+            for text in message.notices:
+                names.setdefault(text, []).append(message.name)
+        return [f"{listed(own)}: {text}" for text, own in names.items()]
 
     @classmethod
     def load(
@@ -172,15 +183,29 @@ def _message(
     path = table.text("dbc", default if isinstance(default, str) else None)
     if path not in databases:
         try:
-            text = read_text(_dbc(path, folder), encoding)
+            text = with_exact_starts(read_text(_dbc(path, folder), encoding))
             databases[path] = parse_database(text, path, strict=False)
         except LayoutError as error:
             raise RestbusError(f"{table.name}: dbc: {error}") from error
-    names = {message.name: message for message in databases[path].messages}
-    if name not in names:
-        hint = nearest(name, names, "its messages are")
+    database = databases[path]
+    found = [message for message in database.messages if message.name == name]
+    if not found:
+        hint = nearest(name, (message.name for message in database.messages), "its messages are")
         raise RestbusError(f"{table.name}: {path} has no such message{hint}")
-    return DbcMessage(table, names[name], folder)
+    if len(found) > 1:
+        raise RestbusError(f"{table.name}: {path} has {len(found)} messages of this name")
+    address = _address(database, found[0]) if found[0] in j1939_messages(database) else None
+    return DbcMessage(table, found[0], folder, address)
+
+
+def _address(database: Database, message: Message) -> int:
+    """Return the address of the sender in J1939: of the identifier, else of the node."""
+    address = source_of(message.frame_id)
+    if address != ANY_SOURCE:
+        return address
+    senders = [node for node in database.nodes if node.name in message.senders and node.dbc]
+    stated = [node.dbc.attributes.get("NmStationAddress") for node in senders]
+    return next((int(each.value) for each in stated if each is not None), address)
 
 
 def _dbc(name: str, folder: Path) -> Path:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections import Counter, deque
-from collections.abc import Callable
+from collections import Counter, defaultdict, deque
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ..bus import Lateness, Link, Sent
 from ..bus.clock import Clock, to_ns
+from ..bus.j1939 import source_of
 from ..bus.link import link_of
 from ..bus.log_writer import message_of
 from ..bus.periodic import PeriodicCall, QueueSending
@@ -18,10 +19,11 @@ from ..values.errors import MaplinesError, RestbusError
 from ..values.line import MapLineList, Slot
 from ..values.scene import Scene
 from ..wire import Frame
+from .broadcasts import PAUSE_NS, Broadcasts
 from .config import Config, LinesConfig
 from .faults import FaultySending, parse_faults
 from .messages import DbcMessage
-from .tables import nearest
+from .tables import listed, nearest
 
 if TYPE_CHECKING:
     import can
@@ -73,9 +75,12 @@ class Restbus:
         self._on_error = on_error or partial(print, file=sys.stderr)
         self._faults = FaultySending(clock, self._put, config.seed)
         self._waiting: deque[Frame] = deque()
+        self._check_bus()
         self._sending = {
-            name: _MessageSending(message, clock, self._faults.send)
-            for name, message in config.messages.items()
+            name: _MessageSending(message, clock, put)
+            for (name, message), put in zip(
+                config.messages.items(), self._puts(config.messages.values()), strict=True
+            )
         }
         lines = config.lines
         self._lines = None if lines is None else _LinesSending(lines, clock, self._faults.send)
@@ -132,6 +137,7 @@ class Restbus:
             "commands": self.commands,
             "faults": self._faults.counts(),
             "outages": self._link.outages,
+            "notices": self.config.notices,
             "messages": {name: sending.as_dict() for name, sending in self._senders.items()},
         }
 
@@ -143,12 +149,17 @@ class Restbus:
     # ---- commands ------------------------------------------------------------------
 
     def _check_events(self) -> None:
+        """Check all events in their order: a signal may contradict one that was set before."""
         parse_faults(self.config.faults or "off", 0)
         for event in self.config.events:
             try:
-                self._parsed(event.command)
+                execute = self._parsed(event.command)
             except MaplinesError as error:
                 raise RestbusError(f"event at {event.at:g} s: {error}") from error
+            if event.command.split()[0] in ("set", "reset"):
+                execute()
+        for message in self.config.messages.values():
+            message.reset()
 
     def _try(self, text: str) -> None:
         try:
@@ -191,6 +202,41 @@ class Restbus:
 
     # ---- sending -------------------------------------------------------------------
 
+    def _check_bus(self) -> None:
+        """Check that the bus can carry what is sent."""
+        lines = self.config.lines
+        names = [message.name for message in self.config.messages.values() if message.is_fd]
+        if lines is not None and lines.fd:
+            names.append("lines")
+        if names and not self._link.carries_fd:
+            raise RestbusError(
+                f"{listed(names)}: sent as CAN FD, and {self._link.name} is open for classic CAN; "
+                "set fd = true in [bus], or open it for CAN FD"
+            )
+
+    def _puts(self, messages: Iterable[DbcMessage]) -> Iterator[Callable[[list[Frame]], object]]:
+        """Yield what takes the frames of each message: at once, or one after the other."""
+        broadcasts: dict[int, Broadcasts] = {}
+        load: defaultdict[int, float] = defaultdict(float)
+        for message in messages:
+            if not message.is_broadcast:
+                yield self._put_all
+                continue
+            address = source_of(message.can_id)
+            load[address] += message.frames_each * PAUSE_NS * message.count / message.cycle_ms
+            if load[address] > 1e6:
+                raise RestbusError(
+                    f"message {message.name}: J1939 sends its {message.frames_each} frames 50 ms "
+                    f"apart, and address {address} has no time for them; lengthen cycle_ms"
+                )
+            if address not in broadcasts:
+                broadcasts[address] = Broadcasts(self.clock, self._faults.send)
+            yield broadcasts[address].put
+
+    def _put_all(self, frames: Iterable[Frame]) -> None:
+        for frame in frames:
+            self._faults.send(frame)
+
     def _put(self, frame: Frame) -> None:
         """Hand a frame to the bus, after those that wait for room in its queue."""
         if self._waiting:
@@ -222,16 +268,20 @@ class Restbus:
 
 
 def _value(text: str) -> float | str:
-    try:
-        return float(text)
-    except ValueError:
-        return text.strip()
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text.strip()
 
 
 class _MessageSending:
     """Periodic sending of a message, with its bursts."""
 
-    def __init__(self, message: DbcMessage, clock: Clock, send: Callable[[Frame], object]) -> None:
+    def __init__(
+        self, message: DbcMessage, clock: Clock, send: Callable[[list[Frame]], object]
+    ) -> None:
         self.message, self._clock, self._send = message, clock, send
         self._start_ns = clock.now_ns
         self._call: PeriodicCall | None = None
@@ -261,7 +311,7 @@ class _MessageSending:
         call = self._call
         lateness = self._lateness if call is None else call.lateness()
         overruns = self._overruns + (0 if call is None else call.overruns)
-        frames = self.message.sent
+        frames = self.message.sent * self.message.frames_each
         return {"frames": frames, "overruns": overruns, "lateness": lateness._asdict()}
 
     def _begin(self, first_ns: int) -> None:
@@ -277,7 +327,7 @@ class _MessageSending:
 
     def _frame(self, t_ns: int, generation: int) -> None:
         if generation == self._generation:
-            self._send(self.message.frame((t_ns - self._start_ns) / 1e9))
+            self._send(self.message.frames((t_ns - self._start_ns) / 1e9))
 
 
 class _LinesSending:

@@ -1,4 +1,4 @@
-"""Values of a signal over time: fixed, counting, swept, or from a script."""
+"""Raw values of a signal over time: fixed, in turn, counting, swept, or from a script."""
 
 from __future__ import annotations
 
@@ -8,77 +8,42 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from cantools.database.can import Signal
-
 from ..values.errors import RestbusError
-from .tables import Table, nearest, number
+from .fields import Field, Raw
+from .tables import Table, nearest
 
-#: Value of a signal at a time since the start [s], in the transmission of this number.
-Value = Callable[[float, int], float]
+#: Raw value of a signal at a time since the start [s], in the transmission of this number.
+Value = Callable[[float, int], Raw]
 #: Longest period of a sweep [s].
 MAX_PERIOD = 1e6
 
 
-def limits(signal: Signal) -> tuple[float, float]:
-    """Return the physical values that a signal can have: by its bits, and by the DBC's range."""
-    bits = signal.length
-    if signal.is_float:
-        low, high = -3.4028235e38 if bits < 64 else -1.7e308, 3.4028235e38 if bits < 64 else 1.7e308
-    elif signal.is_signed:
-        low, high = -(2.0 ** (bits - 1)), 2.0 ** (bits - 1) - 1
-    else:
-        low, high = 0.0, 2.0**bits - 1
-    ends = sorted(signal.offset + raw * signal.scale for raw in (low, high))
-    if signal.minimum is not None:
-        ends[0] = max(ends[0], float(signal.minimum))
-    if signal.maximum is not None:
-        ends[1] = min(ends[1], float(signal.maximum))
-    return ends[0], ends[1]
-
-
-def initial(signal: Signal) -> float:
-    """Return the start value in the DBC (GenSigStartValue), else 0 or what is nearest to it."""
-    low, high = limits(signal)
-    value = signal.initial if isinstance(signal.initial, int | float) else 0.0
-    return float(min(max(value, low), high))
-
-
-def fixed(name: str, value: object, signal: Signal) -> float:
-    """Return a value that a signal can have: a number, or the name of one of its values."""
-    if isinstance(value, str):
-        choices = {str(text): raw for raw, text in (signal.choices or {}).items()}
-        if value not in choices:
-            hint = nearest(value, choices, "its named values are")
-            raise RestbusError(f"{name} must be a number or a named value, got {value!r}{hint}")
-        return float(signal.offset + choices[value] * signal.scale)
-    if isinstance(value, bool):
-        value = int(value)
-    return number(name, value, *limits(signal), signal.unit or "")
-
-
-def value_of(name: str, values: object, signal: Signal, folder: Path) -> Value:
+def value_of(name: str, values: object, field: Field, folder: Path) -> Value:
     """Return the values of a signal as the configuration describes them.
 
     Args:
         name: of message and signal.
-        values: a number, the name of a value, or a table with one of the keys ``count``,
-            ``ramp``, ``sine`` and ``script``.
-        signal: of the DBC.
+        values: a number, the name of a value, a list of them, or a table with one of the keys
+            ``count``, ``ramp``, ``sine`` and ``script``.
+        field: the signal.
         folder: where the files of scripts are.
 
     Raises:
         RestbusError: the description is wrong, or the signal cannot have such a value.
     """
+    if isinstance(values, list) and values:
+        raws = [field.raw(name, value) for value in values]
+        return lambda _t, n: raws[n % len(raws)]
     if not isinstance(values, dict):
-        constant = fixed(name, values, signal)
-        return lambda _t, _n: constant
+        raw = field.raw(name, values)
+        return lambda _t, _n: raw
     table = Table(values, name)
     if "script" in table:
-        value = _scripted(name, table.text("script"), signal, folder)
+        value = _scripted(name, table.text("script"), field, folder)
     elif "count" in table:
-        value = _counting(name, table, signal)
+        value = _counting(name, table, field)
     else:
-        value = _swept(name, table, signal)
+        value = _swept(name, table, field)
     table.end("count", "ramp", "sine", "script")
     return value
 
@@ -109,49 +74,76 @@ def script(name: str, text: str, folder: Path, function: str | None = None) -> C
     return result
 
 
-def _scripted(name: str, text: str, signal: Signal, folder: Path) -> Value:
-    function, (low, high) = script(f"{name}: script", text, folder), limits(signal)
+def _scripted(name: str, text: str, field: Field, folder: Path) -> Value:
+    function = script(f"{name}: script", text, folder)
 
-    def value(t: float, _n: int) -> float:
+    def value(t: float, _n: int) -> Raw:
         try:
             result = function(t)
         except Exception as error:
             kind = type(error).__name__
             raise RestbusError(f"{name}: {text} fails at {t:g} s: {kind}: {error}") from error
-        return number(f"{name}: {text} at {t:g} s", result, low, high, signal.unit or "")
+        return field.raw(f"{name}: {text} at {t:g} s", result)
 
     return value
 
 
-def _counting(name: str, table: Table, signal: Signal) -> Value:
-    first, last = _ends(name, "count", table, signal)
-    span = abs(last - first)
-    step = table.number("step", 1e-12, max(span, 1e-12), signal.unit or "", min(1.0, span) or 1e-12)
-    values = math.floor(span / step + 1e-9) + 1
-    sign = math.copysign(step, last - first)
-    return lambda _t, n: first + sign * (n % values)
+def _counting(name: str, table: Table, field: Field) -> Value:
+    ends = _Ends(name, "count", table, field)
+    span = abs(ends.last - ends.first)
+    # Steps between the raw values would count a page twice.
+    least = abs(field.signal.scale) if field.pages and span else 1e-12
+    unit, default = field.signal.unit or "", min(1.0, span) or 1e-12
+    step = table.number("step", least, max(span, least), unit, max(default, least))
+    whole = isinstance(span, int) and step == int(step)  # exact beyond 53 bits, too
+    step = int(step) if whole else step
+    values = span // step + 1 if whole else math.floor(span / step + 1e-9) + 1
+    sign = step if ends.last >= ends.first else -step
+
+    def value(_t: float, n: int) -> Raw:
+        return ends.between(ends.first + sign * (n % values))
+
+    for n in range(min(values, len(field.pages) + 1) if field.pages else 0):
+        field.page(f"{name}: count", value(0.0, n))
+    return value
 
 
-def _swept(name: str, table: Table, signal: Signal) -> Value:
+def _swept(name: str, table: Table, field: Field) -> Value:
     kinds = [kind for kind in ("ramp", "sine") if kind in table]
     if not kinds:
         table.end("count", "ramp", "sine", "script", "period_s", "phase_deg")
         raise RestbusError(
             f"{name} needs count, ramp, sine or script, such as {{ sine = [-1, 1], period_s = 10 }}"
         )
-    low, high = _ends(name, kinds[0], table, signal)
+    ends = _Ends(name, kinds[0], table, field)
+    low, high = ends.first, ends.last
     period = table.number("period_s", 1e-3, MAX_PERIOD, "s")
     phase = table.number("phase_deg", -360, 360, "deg", 0.0) / 360
+    if field.pages:
+        for raw in range(int(ends.least), int(ends.most) + 1):
+            field.page(f"{name}: {kinds[0]}", raw)
 
     if kinds[0] == "ramp":
-        return lambda t, _n: low + (high - low) * ((t / period + phase) % 1.0)
+        return lambda t, _n: ends.between(low + (high - low) * ((t / period + phase) % 1.0))
     middle, half = (low + high) / 2, (high - low) / 2
-    return lambda t, _n: middle + half * math.sin(2 * math.pi * (t / period + phase))
+    return lambda t, _n: ends.between(middle + half * math.sin(2 * math.pi * (t / period + phase)))
 
 
-def _ends(name: str, kind: str, table: Table, signal: Signal) -> tuple[float, float]:
-    values = table.take(kind)
-    if not isinstance(values, list) or len(values) != 2:
-        raise RestbusError(f"{name}: {kind} must be [FIRST, LAST], got {values!r}")
-    first, last = (fixed(f"{name}: {kind}", value, signal) for value in values)
-    return first, last
+class _Ends:
+    """First and last value of a signal that changes, ``[FIRST, LAST]``."""
+
+    def __init__(self, name: str, kind: str, table: Table, field: Field) -> None:
+        values = table.take(kind)
+        if not isinstance(values, list) or len(values) != 2:
+            raise RestbusError(f"{name}: {kind} must be [FIRST, LAST], got {values!r}")
+        raws = [field.raw(f"{name}: {kind}", value) for value in values]
+        self.first, self.last = (
+            field.physical(raw) if isinstance(value, str) else value
+            for raw, value in zip(raws, values, strict=True)
+        )
+        self._field = field
+        self.least, self.most = sorted(raws)
+
+    def between(self, value: float) -> Raw:
+        """Return the raw value of a physical one, which was rounded and may be just outside."""
+        return min(max(self._field.nearest_raw(value), self.least), self.most)

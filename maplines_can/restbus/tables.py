@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from typing import Any
@@ -21,6 +20,17 @@ def nearest(name: str, known: Iterable[str], what: str = "") -> str:
     if like:
         return f"; did you mean {like[0]!r}?"
     return f"; {what or 'known'}: {', '.join(known) or 'none'}"
+
+
+def listed(names: Iterable[str]) -> str:
+    """Return names for a sentence; of many, only some.
+
+    >>> listed(["A", "B"]), listed(f"M{n}" for n in range(40))
+    ('A, B', 'M0, M1, M2, M3, M4, M5, M6, M7 and 32 more')
+    """
+    names = list(names)
+    shown = ", ".join(names[:8] if len(names) > 9 else names)
+    return f"{shown} and {len(names) - 8} more" if len(names) > 9 else shown
 
 
 class Table:
@@ -122,7 +132,7 @@ def number(
 ) -> float:
     """Return a number, checked against its limits."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    valid = is_number and math.isfinite(value) and least <= value <= most  # type: ignore[arg-type,operator]
+    valid = is_number and least <= value <= most  # type: ignore[operator]
     if not valid or (whole and value != int(value)):  # type: ignore[call-overload]
         what = "a whole number" if whole else "a number"
         raise RestbusError(

@@ -1,0 +1,516 @@
+"""DBCs of others in a restbus: start values, ranges, pages, lengths, and bits of two signals."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import can
+import cantools
+import pytest
+from e2e import p01, p11
+
+from maplines_can.bus.clock import RealClock, VirtualClock
+from maplines_can.bus.virtual_time import VirtualNetwork, VirtualTimeBus
+from maplines_can.cli import main
+from maplines_can.restbus import Config, Restbus
+from maplines_can.values.errors import RestbusError
+
+HEAD = 'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_: A\n\n'
+START = 'BA_DEF_ SG_ "GenSigStartValue" INT -1e9 1e9;\nBA_DEF_DEF_ "GenSigStartValue" 0;\n'
+
+
+def dbc(folder: Path, signals: str, rest: str = "", *, length: int = 8, can_id: int = 256) -> Path:
+    """Write a DBC of one message M, whose signals are rows such as ``S : 0|8@1+ (1,0) [0|0]``."""
+    rows = "".join(f' SG_ {row.strip()} "" A\n' for row in signals.strip().splitlines())
+    path = folder / "m.dbc"
+    path.write_text(f"{HEAD}BO_ {can_id} M: {length} A\n{rows}\n{rest}\n", encoding="utf-8")
+    return path
+
+
+def starts(**values: object) -> str:
+    return START + "".join(
+        f'BA_ "GenSigStartValue" SG_ 256 {name} {value};\n' for name, value in values.items()
+    )
+
+
+def config(path: Path, events: list[dict[str, Any]] | None = None, **message: Any) -> Config:
+    entry = {"name": "M", "dbc": str(path), "cycle_ms": 10, **message}
+    return Config.from_dict({"message": [entry], "event": events or []})
+
+
+def frames(config: Config, seconds: float = 0.05) -> list[can.Message]:
+    """Return the frames that another node receives on virtual time."""
+    clock = VirtualClock()
+    network = VirtualNetwork(clock)
+    with VirtualTimeBus(network) as bus, VirtualTimeBus(network) as other:
+        restbus = Restbus(config, bus, clock)
+        restbus.start()
+        clock.run_for(seconds)
+        restbus.stop()
+        return list(iter(lambda: other.recv(0), None))
+
+
+def payload(path: Path, **signals: Any) -> bytes:
+    return bytes(frames(config(path, signals=signals), 0.0)[0].data)
+
+
+def raw(path: Path, data: bytes) -> dict[str, Any]:
+    """Return the raw values that cantools reads in a payload."""
+    message = cantools.database.load_file(path).get_message_by_name("M")
+    return message.decode(data, scaling=False, decode_choices=False)
+
+
+# ---- start values ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("signal", "start", "rest", "expected"),
+    [
+        pytest.param("S : 0|4@1+ (1,0) [0|8]", 15, 'VAL_ 256 S 0 "P" 15 "SNA" ;', 15, id="named"),
+        pytest.param("S : 0|8@1+ (1,-40) [-40|214]", 255, "", 255, id="beyond the range"),
+        pytest.param("S : 0|8@1+ (1,5) [0|4]", 3, "", 3, id="disjoint range"),
+        pytest.param("S : 0|8@1+ (0.5,0) [100|0]", 3, "", 3, id="reversed range"),
+        pytest.param("S : 0|8@1- (0.1,0) [-5|5]", -100, "", -100, id="signed"),
+        pytest.param("S : 3|12@0+ (-0.25,7) [0|0]", 4001, "", 4001, id="Motorola, factor < 0"),
+        pytest.param("S : 0|8@1+ (0,7) [0|0]", 9, "", 9, id="factor 0"),
+        pytest.param("S : 0|64@1+ (1,0) [0|0]", 2**63 + 1, "", 2**63 + 1, id="64 bits"),
+        pytest.param("S : 7|64@0- (0.5,0) [0|0]", -(2**62) - 1, "", -(2**62) - 1, id="-2^62 - 1"),
+        pytest.param("S : 0|64@1+ (1,0) [0|0]", "1.84467440737096E+19", "", 2**64 - 1, id="digits"),
+    ],
+)  # fmt: skip
+def test_a_start_value_is_sent_raw(
+    tmp_path: Path, signal: str, start: object, rest: str, expected: int
+) -> None:
+    """Neither a name, a range nor a float changes it; cantools reads it in the payload."""
+    path = dbc(tmp_path, signal, rest)
+    data = payload(dbc(tmp_path, signal, f"{starts(S=start)}{rest}"))
+    dbc(tmp_path, signal, rest)
+    assert raw(path, data) == {"S": expected}
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "expected"),
+    [
+        pytest.param("INT 0 65535", "12", 12, id="INT"),
+        pytest.param("HEX 0 65535", "12", 12, id="HEX"),
+        pytest.param("FLOAT 0 1E+011", "12", 12, id="FLOAT"),
+        pytest.param("FLOAT 0 1E+011", "9223372036854775809", 2**63 + 1, id="FLOAT of 64 bits"),
+        pytest.param("STRING", '"12"', 12, id="STRING"),
+        pytest.param("STRING", '"0x1F"', 31, id="STRING in hexadecimal"),
+        pytest.param('ENUM "0","1","a;b"', "2", 2, id="ENUM"),
+    ],
+)
+def test_start_values_of_each_kind_of_attribute(
+    tmp_path: Path, kind: str, text: str, expected: int
+) -> None:
+    """cantools makes floats of FLOAT, and refuses STRING, so the text is read."""
+    rest = f'BA_DEF_ SG_ "GenSigStartValue" {kind};\nBA_ "GenSigStartValue" SG_ 256 S {text};'
+    data = payload(dbc(tmp_path, "S : 0|64@1+ (1,0) [0|0]", rest))
+    assert int.from_bytes(data, "little") == expected
+
+
+def test_a_float_starts_with_its_raw_value(tmp_path: Path) -> None:
+    rest = f"SIG_VALTYPE_ 256 F : 1;\n{starts(F='1.5').replace('INT -1e9 1e9', 'FLOAT 0 1')}"
+    data = payload(dbc(tmp_path, "F : 32|32@1- (2,0) [0|0]", rest))
+    assert struct.unpack_from("<f", data, 4) == (1.5,)
+
+
+@pytest.mark.parametrize(
+    ("rest", "expected"),
+    [
+        pytest.param("", 40, id="no attribute: physical 0"),
+        pytest.param(START, 0, id="default of the attribute"),
+        pytest.param(START.replace('" 0;', '" 7;'), 7, id="another default"),
+        pytest.param(START.replace('" 0;', '" 256;'), 40, id="default that does not fit"),
+    ],
+)
+def test_a_signal_without_a_start_value(tmp_path: Path, rest: str, expected: int) -> None:
+    assert payload(dbc(tmp_path, "S : 0|8@1+ (1,-40) [0|0]", rest))[0] == expected
+
+
+@pytest.mark.parametrize("start", ["256", "-1", "1.5"])
+def test_a_start_value_that_its_bits_cannot_have_is_an_error_at_the_start(
+    tmp_path: Path, start: str
+) -> None:
+    path = dbc(tmp_path, "S : 0|8@1+ (1,0) [0|0]", starts(S=start).replace("INT", "FLOAT"))
+    text = rf"message M: S: its start value .*'{start}', is no raw value of its 8 bits, \[0, 255\]"
+    with pytest.raises(RestbusError, match=text):
+        config(path)
+    assert payload(path, S=4)[0] == 4
+
+
+# ---- ranges and values of users ----------------------------------------------------------
+
+ODD = """
+    Raw : 0|8@1+ (1,5) [0|4]
+    Rev : 8|8@1+ (0.5,-20) [100|0]
+    Nil : 16|8@1+ (0,1) [0|0]
+    Far : 60|8@1+ (1,0) [0|0]
+    Five : 24|8@1+ (1,0) [5|10]
+    Zero : 32|8@1+ (1,0) [0.0|0.0]
+    Text : 40|8@1+ (1,0) [0|3]
+"""
+
+
+def test_signals_with_odd_ranges_are_sent_with_raw_0(tmp_path: Path) -> None:
+    path = dbc(tmp_path, ODD)
+    assert payload(path) == bytes(8)
+    assert config(path).notices == [
+        "M: sent without Far: its bits lie beyond the 8 bytes of the message"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("signal", "value", "text"),
+    [
+        ("Raw", 10, r"Raw cannot be set: its range in the DBC, \[0\|4\], has none of the values"),
+        ("Rev", 50, r"Rev cannot be set: its range in the DBC is reversed, \[100\|0\]"),
+        ("Nil", 1, "Nil cannot be set: its factor in the DBC is 0"),
+        ("Far", 0, "Far cannot be set: its bits lie beyond the 8 bytes"),
+        ("Five", 11, r"Five must be a number in \[5, 10\], got 11"),
+        ("Zero", 256, r"Zero must be a number in \[0, 255\], got 256"),
+        ("Zero", 10**400, r"Zero must be a number in \[0, 255\]"),
+        ("Zero", float("nan"), r"Zero must be a number in \[0, 255\], got nan"),
+        ("Text", "Twice", "'Twice' is the name of 1 and 2; give the number"),
+        ("Text", "Large", "Text: 'Large' is 300, no raw value of its 8 bits"),
+        ("Text", [1, 4], r"Text must be a number in \[0, 3\], got 4"),
+    ],
+)
+def test_a_value_that_a_signal_cannot_have_is_an_error_at_the_start(
+    tmp_path: Path, signal: str, value: object, text: str
+) -> None:
+    path = dbc(tmp_path, ODD, 'VAL_ 256 Text 1 "Twice" 2 "Twice" 9 "Nine" 300 "Large" ;')
+    with pytest.raises(RestbusError, match=text):
+        config(path, signals={signal: value})
+
+
+def test_a_named_value_is_raw_and_a_list_is_sent_in_turn(tmp_path: Path) -> None:
+    path = dbc(tmp_path, ODD, 'VAL_ 256 Text 9 "Nine" ;')
+    sent = frames(config(path, signals={"Text": ["Nine", 2], "Zero": 255}), 0.03)
+    assert [tuple(m.data[4:6]) for m in sent] == [(255, 9), (255, 2), (255, 9), (255, 2)]
+
+
+@pytest.mark.parametrize("factor", ["1", "1.0", "2"])
+def test_values_of_64_bits_are_exact(tmp_path: Path, factor: str) -> None:
+    """2^63 + 1 is no float; a command has it as text. The range has 15 digits, as tools write."""
+    path = dbc(tmp_path, f"S : 0|64@1+ ({factor},0) [0|3.68934881474191E+019]")
+    value = (2**63 + 1) * int(float(factor))
+    event = {"at_s": 0.02, "command": f"set M.S {value - 2 * int(float(factor))}"}
+    counting = {"count": [value, value + 10], "step": 2}
+    for given, first in ((value, 2**63 + 1), (counting, 2**63 + 1)):
+        sent = frames(config(path, [event], signals={"S": given}), 0.03)
+        numbers = [int.from_bytes(m.data, "little") for m in sent]
+        assert (numbers[0], numbers[-1]) == (first, first - 2)
+
+
+@pytest.mark.parametrize("order", ["0|64@1", "7|64@0"])
+def test_sweeps_end_at_the_limits(tmp_path: Path, order: str) -> None:
+    path = dbc(tmp_path, f"S : {order}- (1,0) [0|0]")
+    ramp = {"ramp": [-(2**63), 2**63 - 1], "period_s": 0.03, "phase_deg": 359.9999999999999}
+    data = bytes(frames(config(path, signals={"S": ramp}), 0.0)[0].data)
+    assert int.from_bytes(data, "little" if "@1" in order else "big", signed=True) > 2**62
+
+
+# ---- pages -------------------------------------------------------------------------------
+
+MUX = """
+    Mux M : 0|8@1+ (1,0) [0|0]
+    Sig m3 : 8|8@1+ (1,0) [0|0]
+    Oth m9 : 8|8@1+ (1,0) [0|0]
+    All : 16|8@1+ (1,0) [0|0]
+"""
+
+
+def test_pages_that_exist_are_sent_in_turn(tmp_path: Path) -> None:
+    """No page is 0, the start value of a multiplexer that states none."""
+    sent = frames(config(dbc(tmp_path, MUX), signals={"Sig": 1, "Oth": 2, "All": 5}), 0.03)
+    assert [bytes(m.data[:3]) for m in sent] == [b"\3\1\5", b"\x09\2\5", b"\3\1\5", b"\x09\2\5"]
+
+
+def test_a_start_value_that_is_a_page_stays(tmp_path: Path) -> None:
+    """One that is no page, and a default of the attribute that is one, do not."""
+    mux = MUX.replace("m9", "m0")
+    for rest, expected in ((starts(Mux=3), {3}), (starts(Mux=1), {0, 3}), (START, {0, 3})):
+        assert {m.data[0] for m in frames(config(dbc(tmp_path, mux, rest)))} == expected
+
+
+def test_pages_of_pages_are_sent_in_turn(tmp_path: Path) -> None:
+    """Two multiplexers, one with ranges and a multiplexer on a page of its own (SG_MUL_VAL_)."""
+    signals = """
+        A M : 0|8@1+ (1,0) [0|0]
+        B m1M : 8|8@1+ (1,0) [0|0]
+        C m4 : 16|8@1+ (1,7) [0|0]
+        D m6 : 16|8@1- (1,0) [0|0]
+        E m2 : 16|8@1+ (1,0) [0|0]
+        F M : 32|8@1+ (1,0) [0|0]
+        G m1 : 40|8@1+ (1,0) [0|0]
+    """
+    rest = (
+        "SG_MUL_VAL_ 256 B A 1-1;\nSG_MUL_VAL_ 256 C B 4-5;\nSG_MUL_VAL_ 256 D B 6-6;\n"
+        "SG_MUL_VAL_ 256 E A 2-2;\nSG_MUL_VAL_ 256 G F 1-2;\n"
+    )
+    path = dbc(tmp_path, signals, rest)
+    given = {"C": 9, "D": -3, "E": 4, "G": 8}
+    sent = [raw(path, bytes(m.data)) for m in frames(config(path, signals=given), 0.05)]
+    pages = [(m["A"], m.get("B"), m["F"]) for m in sent]
+    assert pages == [(1, 4, 1), (2, None, 2), (1, 5, 1), (2, None, 2), (1, 6, 1), (2, None, 2)]
+    assert [m.get("C", m.get("D", m.get("E"))) for m in sent] == [2, 4, 2, 4, -3, 4]
+    fixed = [raw(path, bytes(m.data)) for m in frames(config(path, signals={"A": 1}), 0.02)]
+    assert [m["B"] for m in fixed] == [4, 5, 6]
+
+
+def test_a_named_page_without_signals_can_be_set(tmp_path: Path) -> None:
+    path = dbc(tmp_path, MUX, 'VAL_ 256 Mux 3 "Three" 12 "Empty" ;')
+    assert {m.data[0] for m in frames(config(path))} == {3, 9}
+    assert payload(path, Mux="Empty", Sig=255) == bytes([12, *bytes(7)])
+
+
+@pytest.mark.parametrize(
+    ("value", "key"),
+    [
+        (1, ""), ([3, 4], ""), ({"count": [3, 9]}, ": count"),
+        ({"ramp": [3, 9], "period_s": 1}, ": ramp"), ({"sine": [9, 3], "period_s": 1}, ": sine"),
+    ],
+)  # fmt: skip
+def test_a_page_of_the_configuration_that_does_not_exist_is_an_error_at_the_start(
+    tmp_path: Path, value: object, key: str
+) -> None:
+    text = f"message M: Mux{key} selects a page, and .* is none of the DBC; its pages are 3, 9"
+    with pytest.raises(RestbusError, match=text):
+        config(dbc(tmp_path, MUX), signals={"Mux": value})
+
+
+def test_pages_that_exist_may_be_counted_and_set(tmp_path: Path) -> None:
+    path = dbc(tmp_path, MUX)
+    for value in ({"count": [3, 9], "step": 6}, [3, 9]):
+        sent = frames(config(path, signals={"Mux": value}), 0.03)
+        assert [m.data[0] for m in sent] == [3, 9, 3, 9]
+    events = [
+        {"at_s": 0.005, "command": "set M.Mux 9"},
+        {"at_s": 0.025, "command": "reset M.Mux"},
+    ]
+    sent = frames(config(path, events), 0.04)
+    assert [m.data[0] for m in sent] == [3, 9, 9, 9, 3]
+
+
+def test_a_page_set_live_that_does_not_exist_is_refused_and_the_run_goes_on(tmp_path: Path) -> None:
+    errors: list[str] = []
+    clock = VirtualClock()
+    network = VirtualNetwork(clock)
+    with VirtualTimeBus(network) as bus, VirtualTimeBus(network) as other:
+        made = config(dbc(tmp_path, MUX), signals={"Mux": 3})
+        restbus = Restbus(made, bus, clock, on_error=errors.append)
+        restbus.start()
+        for text in ("set M.Mux 1", "set M.Mux 999", "set M.Nope 1"):
+            restbus.command(text)
+        clock.run_for(0.1)
+        received = list(iter(lambda: other.recv(0), None))
+    assert [m.data[0] for m in received] == [3] * 11
+    assert errors[0] == "M.Mux selects a page, and 1 is none of the DBC; its pages are 3, 9"
+    assert len(errors) == 3
+    with pytest.raises(RestbusError, match=r"event at 1 s: M.Mux selects a page, and 1"):
+        frames(config(dbc(tmp_path, MUX), [{"at_s": 1, "command": "set M.Mux 1"}]))
+
+
+# ---- bits that signals share -------------------------------------------------------------
+
+SHARED = """
+    Low : 0|8@1+ (1,0) [0|0]
+    Word : 0|16@1+ (1,0) [0|0]
+    Motorola : 7|12@0+ (1,0) [0|0]
+    Alone : 56|8@1+ (1,0) [0|0]
+"""
+
+
+@pytest.mark.parametrize(
+    ("signals", "stated", "expected"),
+    [
+        pytest.param({"Low": 0x12}, {}, "1200", id="one set"),
+        pytest.param({"Word": 0x1234}, {}, "3412", id="the longer set"),
+        pytest.param({"Motorola": 0xABC}, {}, "abc0", id="Motorola set"),
+        pytest.param({"Low": 0x34, "Word": 0x1234}, {}, "3412", id="both set, the same bits"),
+        pytest.param({"Low": 0x12}, {"Word": 0xABCD}, "12ab", id="set before start"),
+        pytest.param({}, {"Word": 0xABCD}, "cdab", id="start before none"),
+        pytest.param({}, {"Low": 0xCD, "Word": 0xABCD}, "cdab", id="starts agree"),
+    ],
+)
+def test_signals_that_share_bits_are_sent_as_stated(
+    tmp_path: Path, signals: dict[str, int], stated: dict[str, int], expected: str
+) -> None:
+    path = dbc(tmp_path, SHARED, starts(**stated))
+    made = config(path, signals=signals | {"Alone": 255})
+    assert made.notices == []
+    assert bytes(frames(made, 0.0)[0].data).hex() == f"{expected}0000000000ff"
+
+
+def test_start_values_that_contradict_each_other_are_told(tmp_path: Path) -> None:
+    made = config(dbc(tmp_path, SHARED, starts(Low=1, Word=0xAB02)))
+    assert "start values differ in common bits" in made.notices[0]
+    assert "Low before Word" in made.notices[0]
+    assert bytes(frames(made, 0.0)[0].data[:2]) == b"\x01\xab"
+
+
+def test_values_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
+    path = dbc(tmp_path, SHARED)
+    for signals in ({"Low": 1, "Word": 2}, {"Low": {"count": [0, 9]}, "Word": 0}):
+        with pytest.raises(RestbusError, match="message M: Low and Word have common bits"):
+            config(path, signals=signals)
+    events = [
+        {"at_s": 0.0, "command": "set M.Low 1"},
+        {"at_s": 0.1, "command": "reset M.Low"},
+        {"at_s": 0.2, "command": "set M.Word 2"},
+    ]
+    assert bytes(frames(config(path, events), 0.3)[-1].data[:2]) == b"\2\0"
+    del events[1]
+    text = r"event at 0.2 s: M.Word has bits of Low, which has another value; reset Low"
+    with pytest.raises(RestbusError, match=text):
+        frames(config(path, events))
+    mux = dbc(tmp_path, f"{MUX.rstrip()}\n    Over : 4|8@1+ (1,0) [0|0]\n")
+    with pytest.raises(RestbusError, match="Mux and Over have common bits"):
+        config(mux, signals={"Over": 1})
+
+
+def test_a_name_that_stands_twice(tmp_path: Path) -> None:
+    """Both signals have the start value of the name; neither can be set."""
+    path = dbc(tmp_path, "S : 0|8@1+ (1,0) [0|0]\nS : 8|8@1+ (1,0) [0|0]", starts(S=5))
+    assert payload(path)[:3] == b"\5\5\0"
+    with pytest.raises(RestbusError, match="M has 2 signals 'S'; rename them"):
+        config(path, signals={"S": 1})
+    path.write_text(f"{HEAD}BO_ 1 M: 8 A\n\nBO_ 2 M: 8 A\n")
+    with pytest.raises(RestbusError, match="has 2 messages of this name"):
+        config(path)
+
+
+# ---- lengths and CAN FD ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("can_id", [256, 0x80000000 | 0x1ABCDEF0])
+@pytest.mark.parametrize(
+    ("length", "sent"),
+    [(0, 0), (1, 1), (8, 8), (9, 12), (10, 12), (12, 12), (13, 16), (21, 24), (33, 48), (64, 64)],
+)
+def test_the_length_decides_on_can_fd(tmp_path: Path, length: int, sent: int, can_id: int) -> None:
+    """Without VFrameFormat cantools says that no message is of CAN FD."""
+    signal = f"S : {8 * length - 8}|8@1+ (1,0) [0|0]" if length else ""
+    made = config(
+        dbc(tmp_path, signal, length=length, can_id=can_id), signals={"S": 255} if length else {}
+    )
+    message = frames(made, 0.0)[0]
+    assert (message.is_fd, message.is_extended_id) == (length > 8, can_id > 2047)
+    assert message.arbitration_id == can_id & 0x1FFFFFFF
+    expected = bytes(length - 1) + b"\xff" if length else b""
+    assert bytes(message.data) == expected.ljust(sent, b"\0")
+    said = [text for text in made.notices if f"no frame has {length} bytes; {sent} are" in text]
+    assert len(said) == (sent > length)
+
+
+def test_a_message_that_no_frame_carries_is_refused_by_name(tmp_path: Path) -> None:
+    text = "message M: has 65 bytes, and 64 can be sent at most"
+    with pytest.raises(RestbusError, match=text):
+        config(dbc(tmp_path, "S : 0|8@1+ (1,0) [0|0]", length=65))
+
+
+@pytest.mark.parametrize("suffix", ["log", "asc", "blf", "mf4"])
+def test_recordings_have_can_fd_frames_of_whole_length(
+    tmp_path: Path, suffix: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """python-can reads them; the length is in --json and on standard error."""
+    if suffix == "mf4":
+        pytest.importorskip("asammdf")
+    path = dbc(tmp_path, "S : 64|8@1+ (1,0) [0|0]", starts(S=77), length=10)
+    table, log = tmp_path / "r.toml", tmp_path / f"r.{suffix}"
+    text = f"seconds = 0.05\n[[message]]\nname = 'M'\ndbc = '{path.name}'\ncycle_ms = 10\n"
+    table.write_text(text)
+    command = ["restbus", str(table), "--virtual-time", "--json", "--record", str(log)]
+    assert main(command) == 0
+    out, err = capsys.readouterr()
+    assert "M: no frame has 10 bytes; 12 are sent" in err
+    assert any("12 are sent" in notice for notice in json.loads(out)["notices"])
+    with can.LogReader(log) as reader:
+        read = list(reader)
+    assert {(m.is_fd, len(m.data), m.data[8], m.bitrate_switch) for m in read} == {
+        (True, 12, 77, True)
+    }
+
+
+@pytest.mark.parametrize("lines", [False, True])
+def test_can_fd_on_a_bus_of_classic_can_is_refused_at_the_start(
+    tmp_path: Path, lines: bool
+) -> None:
+    """A virtual bus of python-can carries CAN FD, although it says that it does not."""
+    made = config(dbc(tmp_path, "S : 0|8@1+ (1,0) [0|0]", length=8 if lines else 64))
+    if lines:
+        table = {"scenario": "production", "fd": True, "moves": False}
+        made.lines = Config.from_dict({"lines": table}).lines
+    name = "lines" if lines else "M"
+    with (
+        can.Bus("fd", interface="virtual") as bus,
+        pytest.raises(RestbusError, match=f"{name}: sent as CAN FD, and .* open for classic CAN"),
+    ):
+        Restbus(made, bus, RealClock())
+    with can.Bus("fd", interface="virtual", protocol=can.CanProtocol.CAN_FD) as bus:
+        Restbus(made, bus, RealClock())
+
+
+@pytest.mark.parametrize("fd", ["", "fd = true"])
+def test_the_command_needs_fd_for_can_fd(
+    tmp_path: Path,
+    fd: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """``--fd`` and [bus] say so, of a virtual bus, too."""
+    monkeypatch.setattr("sys.stdin", None)
+    path = dbc(tmp_path, "S : 0|8@1+ (1,0) [0|0]", length=64)
+    table = tmp_path / "r.toml"
+    text = f"[bus]\ninterface = 'virtual'\n{fd}\n[[message]]\nname = 'M'\ndbc = '{path.name}'\n"
+    table.write_text(text + "cycle_ms = 10\n")
+    assert main(["restbus", str(table), "--seconds", "0.02"]) == (0 if fd else 1)
+    assert ("M: sent as CAN FD, and virtual" in capsys.readouterr().err) == (not fd)
+
+
+# ---- the nibble of E2E -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("profile", "check", "mode"),
+    [
+        pytest.param(1, p01.e2e_p01_check, p01.E2E_P01_DATAID_NIBBLE, id="1"),
+        pytest.param(11, p11.e2e_p11_check, p11.E2E_P11_DATAID_NIBBLE, id="11"),
+    ],
+)
+@pytest.mark.parametrize("nibble", ["none", "signal", "named"])
+def test_the_nibble_of_the_data_id_is_sent(
+    tmp_path: Path, profile: int, check: Any, mode: int, nibble: str
+) -> None:
+    """It stands beside the counter, with or without a signal; the package autosar-e2e checks it."""
+    signals = "Crc : 0|8@1+ (1,0) [0|0]\nCounter : 8|4@1+ (1,0) [0|0]\nS : 16|8@1+ (1,0) [0|0]"
+    if nibble != "none":
+        signals += "\nId : 12|4@1+ (2,1) [0|0]"
+    e2e: dict[str, Any] = {"profile": profile, "data_id": 0x934, "data_id_mode": "nibble"}
+    e2e |= {"counter": "Counter", "crc": "Crc"} | ({"nibble": "Id"} if nibble == "named" else {})
+    path = dbc(tmp_path, signals)
+    sent = [bytearray(m.data) for m in frames(config(path, e2e=e2e, signals={"S": 7}), 0.2)]
+    assert [m[1] for m in sent] == [0x90 | n % 15 for n in range(21)]
+    assert all(check(m, 0x934, data_id_mode=mode) for m in sent)
+    if nibble != "none":
+        with pytest.raises(RestbusError, match="Id is set by e2e"):
+            config(path, e2e=e2e, signals={"Id": 3})
+    with pytest.raises(RestbusError, match=r"data_id must be a whole number in \[0, 4095\]"):
+        config(path, e2e=e2e | {"data_id": 0x1934})
+
+
+def test_a_nibble_without_a_place_must_be_named(tmp_path: Path) -> None:
+    signals = "Crc : 0|8@1+ (1,0) [0|0]\nCounter : 8|4@1+ (1,0) [0|0]\nS : 12|8@1+ (1,0) [0|0]"
+    e2e = {
+        "profile": 11,
+        "data_id": 1,
+        "data_id_mode": "nibble",
+        "counter": "Counter",
+        "crc": "Crc",
+    }
+    with pytest.raises(RestbusError, match="nibble is missing; name the signal of 4 bits"):
+        config(dbc(tmp_path, signals), e2e=e2e)
