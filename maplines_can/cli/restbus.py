@@ -36,11 +36,13 @@ comments. It has
   [bus]                          interface, channel, bitrate, data_bitrate, fd
   [lines]                        scenario, drive, log or script; lines, dbc, fd, pose_error,
                                  period_ms, start_ms
-  [[message]]                    name, dbc, cycle_ms, start_ms, count and gap_ms (bursts), on
-  [message.signals]              SIGNAL = number, "named value", { count = [0, 9], step = 1 },
-                                 { ramp = [-1, 1], period_s = 5 }, { sine = [-1, 1], period_s = 5,
-                                 phase_deg = 90 } or { script = "FILE.py:FUNCTION" }
-  [message.e2e]                  profile, data_id, data_id_mode, counter, crc
+  [[message]]                    name, dbc, cycle_ms, start_ms, count and gap_ms (bursts), on; of
+                                 J1939: source_address, priority
+  [message.signals]              SIGNAL = number, "named value", a list of them (one a frame),
+                                 { count = [0, 9], step = 1 }, { ramp = [-1, 1], period_s = 5 },
+                                 { sine = [-1, 1], period_s = 5, phase_deg = 90 } or
+                                 { script = "FILE.py:FUNCTION" }
+  [message.e2e]                  profile, data_id, data_id_mode, nibble, counter, crc
   [[event]]                      at_s, command
 
 Commands, in events and, while it runs in real time, as rows on standard input:
@@ -48,6 +50,9 @@ Commands, in events and, while it runs in real time, as rows on standard input:
   set Message.Signal VALUE       reset Message.Signal      fault loss=0.1,dup=0.05 (or drop 0.1)
   start Message                  stop Message              fault off
   start lines                    stop lines                quit (standard input only)
+
+A message of more than 8 bytes is sent as CAN FD, or packet by packet in J1939. What is sent otherwise
+than the DBC says is told on standard error, and by --json as "notices".
 
 Deadlines are absolute: cycle times do not drift. With --virtual-time nothing waits, and the frames
 are those of a run in real time at its deadlines."""

@@ -59,8 +59,11 @@ def payload(path: Path, **signals: Any) -> bytes:
 
 def raw(path: Path, data: bytes) -> dict[str, Any]:
     """Return the raw values that cantools reads in a payload."""
-    message = cantools.database.load_file(path).get_message_by_name("M")
-    return message.decode(data, scaling=False, decode_choices=False)
+    database: Any = cantools.database.load_file(path)
+    decoded: dict[str, Any] = database.decode_message(
+        "M", data, scaling=False, decode_choices=False
+    )
+    return decoded
 
 
 # ---- start values ----------------------------------------------------------------------
@@ -514,3 +517,105 @@ def test_a_nibble_without_a_place_must_be_named(tmp_path: Path) -> None:
     }
     with pytest.raises(RestbusError, match="nibble is missing; name the signal of 4 bits"):
         config(dbc(tmp_path, signals), e2e=e2e)
+
+
+# ---- J1939 -------------------------------------------------------------------------------
+
+J1939 = (
+    'BA_DEF_ "ProtocolType" STRING;\nBA_DEF_ BU_ "NmStationAddress" INT 0 255;\n'
+    'BA_ "ProtocolType" "J1939";\n'
+)
+NODE = 'BA_ "NmStationAddress" BU_ A 37;\n'
+
+
+@pytest.mark.parametrize(
+    ("stated", "node", "table", "expected"),
+    [
+        pytest.param(0x18FEF1FE, NODE, {}, 0x18FEF125, id="address of the node"),
+        pytest.param(0x18FEF103, NODE, {}, 0x18FEF103, id="address of the identifier"),
+        pytest.param(0x18FEF1FE, "", {}, 0x18FEF1FE, id="no address"),
+        pytest.param(0x18FEF1FE, NODE, {"source_address": 0}, 0x18FEF100, id="source_address"),
+        pytest.param(0x18FEF103, "", {"priority": 0}, 0x00FEF103, id="priority"),
+    ],
+)
+def test_a_message_of_j1939_has_the_address_of_its_sender(
+    tmp_path: Path, stated: int, node: str, table: dict[str, Any], expected: int
+) -> None:
+    path = dbc(tmp_path, "S : 0|8@1+ (1,0) [0|0]", J1939 + node, can_id=0x80000000 | stated)
+    made = config(path, **table)
+    assert {m.arbitration_id for m in frames(made)} == {expected}
+    assert made.notices == (
+        ["M: the DBC has no address of the sender; 254 is sent, set source_address"]
+        if expected & 0xFF == 0xFE
+        else []
+    )
+    with pytest.raises(RestbusError, match=r"source_address must be .* in \[0, 253\], got 254"):
+        config(path, source_address=254)
+    with pytest.raises(RestbusError, match="unknown key 'priority'"):
+        config(dbc(tmp_path, "S : 0|8@1+ (1,0) [0|0]"), priority=3)
+
+
+def test_long_messages_of_j1939_are_announced_and_sent_packet_by_packet(tmp_path: Path) -> None:
+    """The bytes are those of J1939-21, whose packets are 50 to 200 ms apart."""
+    path = dbc(
+        tmp_path, "S : 0|16@1+ (1,0) [0|0]\n T : 152|8@1+ (1,0) [0|0]", J1939, length=20,
+        can_id=0x80000000 | 0x18FECA03,
+    )  # fmt: skip
+    made = config(path, cycle_ms=200, signals={"S": 0x1234, "T": 0xAB})
+    sent = frames(made, 0.2)
+    assert [(m.arbitration_id, bytes(m.data).hex()) for m in sent] == [
+        (0x1CECFF03, "20140003ffcafe00"),
+        (0x1CEBFF03, "0134120000000000"),
+        (0x1CEBFF03, "0200000000000000"),
+        (0x1CEBFF03, "030000000000abff"),
+        (0x1CECFF03, "20140003ffcafe00"),
+    ]
+    assert [round(m.timestamp * 1e3) for m in sent] == [0, 50, 100, 150, 200]
+    assert not any(m.is_fd for m in sent)
+
+
+def test_an_address_sends_one_long_message_after_the_other(tmp_path: Path) -> None:
+    """can-j1939 receives both: packets do not say to which message they belong."""
+    j1939 = pytest.importorskip("j1939")
+    names = {"P": 0x18FECA03, "Q": 0x18FECB03, "R": 0x18FECC04}
+    blocks = "".join(
+        f'BO_ {0x80000000 | can_id} {name}: 15 A\n SG_ S : 112|8@1+ (1,0) [0|0] "" A\n\n'
+        for name, can_id in names.items()
+    )
+    path = tmp_path / "m.dbc"
+    path.write_text(f"{HEAD}{blocks}{J1939}")
+    table = {
+        "dbc": str(path),
+        "message": [
+            {"name": name, "cycle_ms": 1000, "signals": {"S": n}} for n, name in enumerate(names, 1)
+        ],
+    }
+    received: list[tuple[int, int, bytes]] = []
+    unit = j1939.ElectronicControlUnit()
+    try:
+        unit.subscribe(lambda _p, pgn, sa, _t, data: received.append((pgn, sa, bytes(data))))
+        for m in frames(Config.from_dict(table), 0.9):
+            unit.notify(m.arbitration_id, m.data, m.timestamp)
+    finally:
+        unit.stop()
+    whole = [
+        (0xFECA, 3, bytes(14) + b"\1"), (0xFECB, 3, bytes(14) + b"\2"),
+        (0xFECC, 4, bytes(14) + b"\3"),
+    ]  # fmt: skip
+    assert sorted(received) == whole
+
+
+@pytest.mark.parametrize(
+    ("can_id", "length", "cycle_ms", "text"),
+    [
+        (0x18EF0503, 20, 1000, "has 20 bytes for one address, for which J1939 needs the answers"),
+        (0x18FECA03, 1786, 60_000, "has 1786 bytes, and 1785 can be sent at most"),
+        (0x18FECA03, 20, 150, "J1939 sends its 4 frames 50 ms apart, and address 3 has no time"),
+    ],
+)
+def test_a_long_message_of_j1939_that_cannot_be_sent_is_refused_by_name(
+    tmp_path: Path, can_id: int, length: int, cycle_ms: int, text: str
+) -> None:
+    path = dbc(tmp_path, "S : 0|8@1+ (1,0) [0|0]", J1939, length=length, can_id=0x80000000 | can_id)
+    with pytest.raises(RestbusError, match=f"message M: {text}"):
+        frames(config(path, cycle_ms=cycle_ms))
