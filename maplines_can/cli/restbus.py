@@ -51,8 +51,8 @@ Commands, in events and, while it runs in real time, as rows on standard input:
   start Message                  stop Message              fault off
   start lines                    stop lines                quit (standard input only)
 
-A message of more than 8 bytes is sent as CAN FD, or packet by packet in J1939. What is sent otherwise
-than the DBC says is told on standard error, and by --json as "notices".
+A message of more than 8 bytes is sent as CAN FD, or packet by packet in J1939. What is sent
+otherwise than the DBC says is told on standard error, and by --json as "notices".
 
 Deadlines are absolute: cycle times do not drift. With --virtual-time nothing waits, and the frames
 are those of a run in real time at its deadlines."""
