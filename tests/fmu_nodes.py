@@ -18,6 +18,8 @@ from maplines_can.wire import Frame
 from maplines_can.wire.layout.message_layout import Layout
 
 RX_DATA, TX_DATA, RX_CLOCK, TX_CLOCK = 1, 2, 3, 4
+#: Qualifiers of an interval in FMI.
+NOT_YET_KNOWN, UNCHANGED, CHANGED = 0, 1, 2
 GETTERS = {"Float64": "getFloat64", "Enumeration": "getInt64", "UInt64": "getUInt64",
            "Boolean": "getBoolean"}  # fmt: skip
 
@@ -119,6 +121,7 @@ class Node:
         )
         self.set(start or {})
         self.t = t
+        self.tick: float | None = None  #: when the node sends, as it has said [s]
         self.fmu.enterInitializationMode(startTime=t)
         self.fmu.exitInitializationMode()
         self.fmu.updateDiscreteStates()
@@ -156,12 +159,21 @@ class Node:
 
     def interval(self) -> float | None:
         """Return the time until the node sends; None if it is unknown."""
+        qualifier, interval = self.announcement()
+        if qualifier == CHANGED:
+            self.tick = self.t + interval
+        assert (self.tick is None) == (qualifier == NOT_YET_KNOWN)
+        return None if self.tick is None else self.tick - self.t
+
+    def announcement(self) -> tuple[int, float]:
+        """Return the qualifier and the interval that the node gives for Tx_Clock [s]."""
         intervals, qualifiers = (ctypes.c_double * 1)(), (ctypes.c_int * 1)()
         self.fmu.getIntervalDecimal((ctypes.c_uint * 1)(TX_CLOCK), intervals, qualifiers)
-        return None if qualifiers[0] == 0 else float(intervals[0])
+        return qualifiers[0], float(intervals[0])
 
     def send(self) -> bytes:
         """Let the clock tick by which the node sends; return what it sends."""
+        self.tick = None
         self.fmu.setClock([TX_CLOCK], [True])
         value = self.fmu.getBinary([TX_DATA])[0]
         self.fmu.updateDiscreteStates()

@@ -36,7 +36,11 @@ static bool read_transmission(maplines_operation_t *operation, bool is_fd)
         return false;
     }
     const uint32_t length = read_integer(bytes + 4 + flags, 2);
-    bool is_right = length <= (is_fd ? 64U : 8U) && operation->length == fixed + length;
+    operation->is_remote = !is_fd && bytes[5] == 1;
+    // A remote frame states the length that it asks for; nodes give it data, too, or none.
+    const bool is_short = operation->is_remote && operation->length == fixed;
+    bool is_right =
+        length <= (is_fd ? 64U : 8U) && (is_short || operation->length == fixed + length);
     for (size_t i = 4; i < 4 + flags; i++)
     {
         is_right = is_right && bytes[i] <= 1;
@@ -44,13 +48,12 @@ static bool read_transmission(maplines_operation_t *operation, bool is_fd)
     frame->can_id = read_integer(bytes, 4);
     frame->is_extended = bytes[4] == 1;
     frame->is_fd = is_fd;
-    operation->is_remote = !is_fd && bytes[5] == 1;
     if (!is_right || frame->can_id > (frame->is_extended ? 0x1FFFFFFFU : 0x7FFU))
     {
         return false;
     }
     frame->length = (uint8_t)length;
-    memcpy(frame->data, operation->bytes + fixed, length);
+    memcpy(frame->data, operation->bytes + fixed, is_short ? 0 : length);
     return true;
 }
 

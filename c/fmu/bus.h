@@ -2,6 +2,7 @@
  *
  *     operation   code (4) | length of all (4) | arguments            integers: lowest byte first
  *     CAN         0x10 | 16 + n | id (4) | extended (1) | remote (1) | n (2) | data (n)
+ *                 of a remote frame also 0x10 | 16 | ... | n (2), without data
  *     CAN FD      0x11 | 17 + n | id (4) | extended (1) | rate switch (1) | error state (1) | n (2)
  *                               | data (n)
  *
@@ -55,7 +56,7 @@ typedef enum {
 typedef struct {
     maplines_code_t code;
     maplines_frame_t frame; ///< of transmissions of CAN and CAN FD
-    bool is_remote;         ///< a remote frame, which has no data
+    bool is_remote;         ///< a remote frame; its length is that which it asks for
     uint32_t can_id;        ///< of a confirmation, a lost arbitration or a bus error
     bool is_primary;        ///< of a bus error: this node detected it
     bool is_sender;         ///< of a bus error: of a frame of this node

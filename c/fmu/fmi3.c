@@ -363,18 +363,21 @@ static fmi3Status ask_interval(maplines_instance_t *own, const char *function,
                      (unsigned long)clock);
         return fmi3Error;
     }
-    double *announced = &own->state.controller.announced;
+    maplines_controller_t *controller = &own->state.controller;
     const double next =
         own->state.mode == MAPLINES_EVENT ? maplines_next_tick(own) : (double)INFINITY;
-    *interval = 0.0;
-    *qualifier = fmi3IntervalNotYetKnown;
-    if (next < (double)INFINITY)
+    const bool is_known =
+        next >= controller->announced && next <= controller->announced; // not if that is NaN
+    *qualifier = isnan(controller->announced) ? fmi3IntervalNotYetKnown : fmi3IntervalUnchanged;
+    if (next < (double)INFINITY && !is_known)
     {
-        *interval = fmax(next - own->state.now, 0.0);
-        *qualifier =
-            next >= *announced && next <= *announced ? fmi3IntervalUnchanged : fmi3IntervalChanged;
-        *announced = next;
+        *qualifier = fmi3IntervalChanged;
+        controller->announced = next;
+        controller->interval = fmax(next - own->state.now, 0.0);
     }
+    // A tick that was announced comes, though there is nothing to send any more: FMI takes back
+    // none. An unchanged interval is the value of the call before.
+    *interval = *qualifier == fmi3IntervalNotYetKnown ? 0.0 : controller->interval;
     return fmi3OK;
 }
 

@@ -51,6 +51,7 @@ typedef struct {
     bool is_filled;           ///< tx holds all that is sent at this tick
     maplines_operations_t tx; ///< to be sent at the next tick
     double announced;         ///< time of the next tick that the importer knows [s]; NaN: none
+    double interval;          ///< with which that was announced [s]
     maplines_can_state_t state;
     uint32_t transmit_errors, receive_errors; ///< the error counters of CAN
 } maplines_controller_t;

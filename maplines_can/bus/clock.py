@@ -98,7 +98,8 @@ class Clock(ABC):
 class VirtualClock(Clock):
     """Clock whose time passes only while it runs: from one call to the next, without waiting.
 
-    It is run by one thread at a time, and not inside its own calls.
+    It is run by one thread, the first one as long as that lives, and not inside its own calls: two
+    threads would let the time pass as far as their turns happen to be.
 
     Args:
         start_ns: time at the start [ns].
@@ -116,6 +117,7 @@ class VirtualClock(Clock):
         super().__init__()
         self._now_ns = start_ns
         self._running = threading.Lock()
+        self._thread: threading.Thread | None = None
 
     @property
     def now_ns(self) -> int:
@@ -135,6 +137,7 @@ class VirtualClock(Clock):
         Raises:
             RuntimeError: the clock is running, in a call of its own or in another thread.
         """
+        self._check_thread()
         if not self._running.acquire(blocking=False):
             raise RuntimeError(
                 "a virtual clock cannot be run inside its own calls or by a second thread; in a "
@@ -160,6 +163,15 @@ class VirtualClock(Clock):
         while self.step(t_ns):
             pass
         self._now_ns = max(self._now_ns, t_ns)
+
+    def _check_thread(self) -> None:
+        own, here = self._thread, threading.current_thread()
+        if own is not here and own is not None and own.is_alive():
+            raise RuntimeError(
+                f"a virtual clock is run by one thread, {own.name!r} here, so {here.name!r} cannot "
+                "let the time pass, nor wait in recv; use call_at, or bus.add_listener(listener)"
+            )
+        self._thread = here
 
 
 class RealClock(Clock):

@@ -240,6 +240,19 @@ class VirtualTimeBus(can.BusABC):
             task.start()
         return task
 
+    def fileno(self) -> int:
+        """Raise an error: nothing but the clock can say when to read.
+
+        A ``can.Notifier`` asks for it when it is made, so that is refused before its thread runs.
+
+        Raises:
+            TypeError: always.
+        """
+        raise TypeError(
+            "a can.Notifier cannot read a bus in virtual time: its thread would let the time pass "
+            "by itself; call bus.add_listener(listener) instead, or recv in the thread of the test"
+        )
+
     def flush_tx_buffer(self) -> None:
         """Discard the frames that wait for the wire."""
         self.outgoing.clear()

@@ -38,7 +38,6 @@ COMMANDS = {
     "consume": ("consume", "use received lines as a car does: fuse, steer, check"),
     "scenarios": ("scenarios", "list the scenarios that can be sent"),
     "generate": ("generate", "generate C for an ECU from a DBC, and vectors for its test"),
-    "fmu": ("fmu", "run FMUs on a simulated CAN bus, and check them"),
     "design": ("design", "design a DBC for a number of frames or a limit on the error"),
     "accuracy": ("accuracy", "compare the received lines of a drive with the truth"),
     "claims": ("claims", "compare each representation of a line with Monte Carlo samples"),
@@ -49,7 +48,15 @@ STUDY_COMMANDS = {
     "report": ("report", "write an HTML report with plots of a run"),
     "production": ("production", "compare with the lane messages of production cars"),
 }
-STUDY_HELP = "study the error caused by quantization on the bus"
+FMU_COMMANDS = {
+    "run": ("fmu_run", "run FMUs that are nodes of a CAN bus: FMI 3.0, FMI-LS-BUS 1.0.0"),
+    "check": ("fmu_check", "check FMUs against FMI-LS-BUS 1.0.0"),
+}
+#: Commands that have commands of their own, and one line of help.
+GROUPS = {
+    "study": (STUDY_COMMANDS, "study the error caused by quantization on the bus"),
+    "fmu": (FMU_COMMANDS, "run FMUs on a simulated CAN bus, and check them"),
+}
 #: Parts of error messages that name a Python argument, and the option of the command for it.
 OPTIONS = {
     "a lower rate, fd=True, a higher bitrate or a higher max_load": "a lower --rate, --fd, a "
@@ -139,8 +146,9 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version)
     words = [word for word in argv if not word.startswith("-")]
     commands = _add_commands(parser, COMMANDS, words[:1])
-    study = commands.add_parser("study", help=STUDY_HELP, description=f"{STUDY_HELP}.".capitalize())
-    _add_commands(study, STUDY_COMMANDS, words[1:2] if words[:1] == ["study"] else [])
+    for name, (table, text) in GROUPS.items():
+        group = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        _add_commands(group, table, words[1:2] if words[:1] == [name] else [])
     return parser
 
 

@@ -69,6 +69,7 @@ class Transmit(NamedTuple):
     is_remote: bool = False  #: CAN only
     bit_rate_switch: bool = False  #: CAN FD only
     error_state: bool = False  #: CAN FD only
+    requested: int = 0  #: bytes that a remote frame asks for; the operation may have no data for it
 
 
 class Confirm(NamedTuple):
@@ -174,8 +175,8 @@ def _encoded(operation: Operation) -> bytes:
         case Transmit(can_id, data, True, extended, _, switch, error):
             head = _CAN_FD.pack(can_id, extended, switch, error, len(data))
             return _framed(CAN_FD_TRANSMIT, head + data)
-        case Transmit(can_id, data, _, extended, remote):
-            head = _CAN.pack(can_id, extended, remote, len(data))
+        case Transmit(can_id, data, _, extended, remote, _, _, requested):
+            head = _CAN.pack(can_id, extended, remote, requested if remote else len(data))
             return _framed(CAN_TRANSMIT, head + data)
         case Confirm(can_id):
             return _framed(CONFIRM, _ID.pack(can_id))
@@ -218,14 +219,17 @@ def _parsed(code: int, arguments: bytes) -> Operation:
     match code:
         case 0x10:
             can_id, extended, remote, length = _CAN.unpack_from(arguments)
-            data = _data(arguments, _CAN.size, length)
-            _check_length(data, _CAN_LENGTHS)
+            # A remote frame states the length that it asks for; nodes give it data, too, or none.
+            is_short = remote == 1 and len(arguments) == _CAN.size
+            data = b"" if is_short else _data(arguments, _CAN.size, length)
+            _check_length(length, _CAN_LENGTHS)
             _check_id(can_id, extended)
-            return Transmit(can_id, data, False, bool(extended), bool(remote))
+            frame = Transmit(can_id, data, False, bool(extended), bool(remote))
+            return frame._replace(requested=length) if remote else frame
         case 0x11:
             can_id, extended, switch, error, length = _CAN_FD.unpack_from(arguments)
             data = _data(arguments, _CAN_FD.size, length)
-            _check_length(data, FD_LENGTHS)
+            _check_length(length, FD_LENGTHS)
             _check_id(can_id, extended)
             return Transmit(can_id, data, True, bool(extended), False, bool(switch), bool(error))
         case 0x20:
@@ -264,9 +268,9 @@ def _data(arguments: bytes, at: int, length: int) -> bytes:
     return data
 
 
-def _check_length(data: bytes, lengths: Sequence[int]) -> None:
-    if len(data) not in lengths:
-        raise ValueError(f"no such frame has {len(data)} data bytes")
+def _check_length(length: int, lengths: Sequence[int]) -> None:
+    if length not in lengths:
+        raise ValueError(f"no such frame has {length} data bytes")
 
 
 def _check_id(can_id: int, extended: int) -> None:

@@ -9,7 +9,7 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
@@ -142,7 +142,9 @@ def _described(path: Path, fmu: zipfile.ZipFile) -> Description:
         raise FmuError(f"{path}: is an FMU of FMI {version or '?'}; a bus needs FMI 3.0")
     interface, experiment = model.find("CoSimulation"), model.find("DefaultExperiment")
     terminals = next((_xml(path, fmu, name) for name in TERMINALS if name in names), None)
-    platforms = {Path(name).parts[1] for name in names if name.startswith("binaries/")}
+    # Archives may have entries of folders, too, such as "binaries/".
+    files = [PurePosixPath(name).parts for name in names if not name.endswith("/")]
+    platforms = {parts[1] for parts in files if parts[0] == "binaries" and len(parts) > 2}
     try:
         variables = [_variable(one) for one in model.iterfind("ModelVariables/*")]
         unknowns = model.iterfind("ModelStructure/InitialUnknown")

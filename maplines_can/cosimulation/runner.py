@@ -10,7 +10,7 @@ When no node has anything left, the bus arbitrates, and the nodes leave event mo
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from os import PathLike
@@ -39,7 +39,7 @@ class CoSimulation:
     """Co-simulation of FMUs that are connected by a CAN bus.
 
     If one of them is a bus simulation, it connects the others, otherwise the bus of this package
-    does. A node has the name of its file, and a number if another one has the same.
+    does. A node has the name of its file, and a number if one before it has the same.
 
     Args:
         fmus: paths of the FMUs.
@@ -149,14 +149,16 @@ class CoSimulation:
 
         Args:
             until: end of the simulation [s].
-            each_step: called at the start and after each step of `step`, such as to set inputs.
+            each_step: called at the start, after each step of `step`, and at the end, such as to
+                set inputs.
         """
         end_ns = round(until * 1e9)
         if each_step is not None and self.now_ns == 0:
             each_step()
         while self.now_ns < end_ns and self.ended_by is None:
             self.advance(end_ns)
-            if each_step is not None and self.now_ns % self._step_ns == 0:
+            is_last = self.now_ns >= end_ns or self.ended_by is not None
+            if each_step is not None and (is_last or self.now_ns % self._step_ns == 0):
                 each_step()
         if self._set_now:
             self._settle()
@@ -270,15 +272,20 @@ class CoSimulation:
 def node_names(fmus: Sequence[str | PathLike[str]]) -> dict[str, Path]:
     """Return the paths of FMUs by the names of their nodes.
 
-    >>> list(node_names(["a/node.fmu", "bus.fmu", "b/node.fmu"]))
-    ['node', 'bus', 'node_2']
+    A number is added to the name of a file that another node has, up to a name that no file has.
+
+    >>> list(node_names(["a/node.fmu", "node_2.fmu", "b/node.fmu"]))
+    ['node', 'node_2', 'node_3']
     """
+    paths = [Path(fmu) for fmu in fmus]
+    stems = {path.stem for path in paths}
     names: dict[str, Path] = {}
-    counts: Counter[str] = Counter()
-    for path in map(Path, fmus):
-        counts[path.stem] += 1
-        number = counts[path.stem]
-        names[path.stem if number == 1 else f"{path.stem}_{number}"] = path
+    for path in paths:
+        name, number = path.stem, 1
+        while name in names or (number > 1 and name in stems):
+            number += 1
+            name = f"{path.stem}_{number}"
+        names[name] = path
     return names
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Self
 
 from ..values.errors import FmuError
+from ..values.input_files import DELIMITERS, lines_of
 from .node import PLAIN_TYPES, Node
 from .runner import CoSimulation
 
@@ -40,32 +41,43 @@ def read_inputs(
 ) -> list[tuple[float, Mapping[tuple[str, str], str]]]:
     """Return the inputs in a table with the columns time [s] and NODE.variable.
 
-    A row sets its values at its time; an empty cell sets nothing.
+    A row sets its values at its time; an empty cell sets nothing. Cells are separated by commas,
+    semicolons or tabs.
 
     Raises:
         FmuError: the table is malformed.
         OSError: the file cannot be read.
     """
-    with Path(path).open(encoding="utf-8", newline="") as file:
-        reader = csv.reader(file)
-        header = next(reader, [])
-        if header[:1] != [TIME]:
-            raise FmuError(f"{path}: the first column must be {TIME!r}, got {header[:1]}")
-        nodes = list(nodes)
-        variables = [split_name(name, nodes) for name in header[1:]]
-        rows: list[tuple[float, Mapping[tuple[str, str], str]]] = []
-        for cells in reader:
-            if not cells:
-                continue
-            where = f"{path}, line {reader.line_num}"
-            if len(cells) != len(header):
-                raise FmuError(f"{where}: has {len(cells)} cells, the header has {len(header)}")
-            time = _time(cells[0], where)
-            if rows and time < rows[-1][0]:
-                raise FmuError(f"{where}: time must not fall, got {time:g} after {rows[-1][0]:g} s")
-            values = zip(variables, cells[1:], strict=True)
-            rows.append((time, {name: cell for name, cell in values if cell}))
-        return rows
+    try:
+        with Path(path).open(encoding="utf-8-sig", newline="") as file:
+            return _rows(lines_of(file, str(path), FmuError), str(path), list(nodes))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise FmuError(f"{path}: is not a CSV file: {error}") from error
+
+
+def _rows(
+    lines: Iterator[str], path: str, nodes: Sequence[str]
+) -> list[tuple[float, Mapping[tuple[str, str], str]]]:
+    first = next(lines, "")
+    delimiter = max(DELIMITERS, key=first.count)
+    header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
+    if header[:1] != [TIME]:
+        raise FmuError(f"{path}: the first column must be {TIME!r}, got {header[:1]}")
+    variables = [split_name(name, nodes) for name in header[1:]]
+    rows: list[tuple[float, Mapping[tuple[str, str], str]]] = []
+    reader = csv.reader(lines, delimiter=delimiter)
+    for cells in reader:
+        if not cells:
+            continue
+        where = f"{path}, line {reader.line_num + 1}"
+        if len(cells) != len(header):
+            raise FmuError(f"{where}: has {len(cells)} cells, the header has {len(header)}")
+        time = _time(cells[0], where)
+        if rows and time < rows[-1][0]:
+            raise FmuError(f"{where}: time must not fall, got {time:g} after {rows[-1][0]:g} s")
+        values = zip(variables, cells[1:], strict=True)
+        rows.append((time, {name: cell for name, cell in values if cell}))
+    return rows
 
 
 class OutputWriter:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..values.errors import DriveFileError
-from ..values.input_files import checked_path, lines_of
+from ..values.input_files import DELIMITERS, checked_path, lines_of
 
 _METRES, _RADIANS = {"": 1.0}, {"": 1.0, "_deg": math.radians(1.0)}
 #: Units of each quantity by the suffix of its column, as factors to the SI unit; latitude and
@@ -49,8 +49,6 @@ COVARIANCE = (
 )
 #: Most values of a drive: an hour at 100 Hz with all columns has 5 million.
 MAX_VALUES = 10_000_000
-#: Delimiters of a CSV file.
-_DELIMITERS = ",;\t"
 
 
 def quantities(names: Sequence[str], source: str) -> dict[str, tuple[str, float]]:
@@ -139,7 +137,7 @@ def _read_rows(
         if line.strip() and not line.startswith("#")
     )
     _, header = next(numbered, (0, ""))
-    delimiter = max(_DELIMITERS, key=header.count)
+    delimiter = max(DELIMITERS, key=header.count)
     names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter), [])]
     found = quantities(names, source)
     places = [names.index(column) for column, _ in found.values()]

@@ -250,7 +250,7 @@ def _parquet_table(path: Path) -> dict[str, Any]:
 def _csv_table(path: Path) -> dict[str, Any]:
     numbers, texts = array("d"), {name: list[str]() for name in _TEXT}
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with path.open(encoding="utf-8-sig", newline="") as file:
             reader = csv.reader(lines_of(file, str(path), DriveFileError))
             names = next(reader, [])
             places = [i for i, name in enumerate(names) if name not in _TEXT]

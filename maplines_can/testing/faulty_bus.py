@@ -317,9 +317,10 @@ class FaultyBus(can.BusABC):
             NotImplementedError: received frames get faults, so that a readable descriptor would
                 not mean that there is a frame.
         """
+        descriptor = self.bus.fileno()  # raises for a bus in virtual time
         if self.receiving is not None:
             raise NotImplementedError("a bus that holds back frames has no file descriptor")
-        return self.bus.fileno()
+        return descriptor
 
     @property
     def protocol(self) -> can.CanProtocol:

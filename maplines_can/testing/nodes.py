@@ -31,6 +31,7 @@ class SendingNode:
     """
 
     def __init__(self, bench: Bench, codec: Codec, *, fd: bool = False) -> None:
+        _check_bench(bench)
         self._bench, self._fd = bench, fd
         self._encoder, self._max_age = codec.encoder(), codec.layout.max_age
         self._bus = FaultyBus(bench.open(), Faults(direction="send"), clock=lambda: bench.now)
@@ -123,6 +124,7 @@ class ReceivingNode:
     """
 
     def __init__(self, bench: Bench, codec: Codec) -> None:
+        _check_bench(bench)
         self._bench = bench
         self.arrivals: list[Arrival] = []  #: all lines, in the order of their arrival
         self.listener = LineListener(
@@ -218,3 +220,11 @@ class ReceivingNode:
         stats = self.listener.stats()
         reasons = ", ".join(f"{n} {reason.name}" for reason, n in stats.counts.items() if n)
         return f"frames: {stats.frames}{f' ({reasons})' if reasons else ''}"
+
+
+def _check_bench(bench: object) -> None:
+    if not isinstance(bench, Bench):
+        raise TypeError(
+            f"the bench of a node must be a Bench, got a {type(bench).__name__}; a fixture "
+            "maplines_bus of a project must give one, such as Bench('socketcan', 'vcan0')"
+        )

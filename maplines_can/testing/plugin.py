@@ -157,18 +157,24 @@ def pytest_runtest_makereport(
     """Add what happened on the bus to the report of a test that failed."""
     report = yield
     fixtures = getattr(item, "funcargs", {})
-    if call.when == "call" and report.failed and "maplines_bus" in fixtures:
-        report.sections.append(("maplines", "\n".join(_story(fixtures))))
+    has_ours = any(name.startswith("maplines_") for name in fixtures)
+    if call.when == "call" and report.failed and has_ours and (story := [*_story(fixtures)]):
+        report.sections.append(("maplines", "\n".join(story)))
     return report
 
 
 def _story(fixtures: dict[str, Any]) -> Iterator[str]:
-    bench, sender = fixtures["maplines_bus"], fixtures.get("maplines_sender")
-    kind = "virtual" if bench.is_virtual else f"real ({bench.interface} {bench.channel})"
-    yield f"time: {bench.now:.4g} s, {kind}"
-    if sender is not None:
+    """Yield what happened at the fixtures that are ours; a project may have its own."""
+    from .bench import Bench
+    from .nodes import ReceivingNode, SendingNode
+
+    bench, sender = fixtures.get("maplines_bus"), fixtures.get("maplines_sender")
+    if isinstance(bench, Bench):
+        kind = "virtual" if bench.is_virtual else f"real ({bench.interface} {bench.channel})"
+        yield f"time: {bench.now:.4g} s, {kind}"
+    if isinstance(sender, SendingNode):
         counts = ", ".join(f"{n} {kind}" for kind, n in sender.fault_counts.items())
         yield f"sender: {sender.sent} lines; faults: {counts or 'none'}"
-    if (receiver := fixtures.get("maplines_receiver")) is not None:
+    if isinstance(receiver := fixtures.get("maplines_receiver"), ReceivingNode):
         stats = receiver.listener.stats()
         yield f"receiver: {stats.lines} lines of {stats.frames} frames, {stats.lost} lost"

@@ -9,6 +9,8 @@ from typing import TextIO
 
 #: Most characters of a line of a table.
 MAX_LINE = 1 << 16
+#: What may separate the cells of a table.
+DELIMITERS = ",;\t"
 
 
 def checked_path(path: str | PathLike[str], error: type[Exception]) -> Path:

@@ -19,6 +19,7 @@ from maplines_can.bus.clock import RealClock, VirtualClock
 from maplines_can.bus.periodic import PeriodicCall, QueueSending
 from maplines_can.bus.tx_queue import TxQueue
 from maplines_can.bus.virtual_time import VirtualCyclicTask, VirtualNetwork, VirtualTimeBus
+from maplines_can.testing import FaultyBus
 
 
 def message(can_id: int, data: bytes = b"", *, is_extended: bool = False) -> can.Message:
@@ -279,3 +280,39 @@ def test_send_periodic_of_a_virtual_bus() -> None:
 def test_bit_rates_are_checked(settings: dict[str, float], text: str) -> None:
     with pytest.raises(ValueError, match=text):
         VirtualNetwork(VirtualClock(), **settings)
+
+
+def test_a_notifier_is_refused_when_it_is_made() -> None:
+    """Its thread would let the time pass; a bus with faults, and a proxy, are no way around."""
+    clock = VirtualClock()
+    network = VirtualNetwork(clock)
+    with VirtualTimeBus(network) as plain, FaultyBus(VirtualTimeBus(network), "loss=0.1") as faulty:
+        for bus in (plain, faulty):
+            with pytest.raises(TypeError, match=r"can.Notifier cannot .* bus.add_listener"):
+                can.Notifier(bus, [])
+    assert clock.now_ns == 0
+
+
+def test_one_thread_lets_the_time_pass() -> None:
+    """The first one, as long as it lives: a second one would make the result a matter of luck."""
+    clock = VirtualClock()
+    network = VirtualNetwork(clock)
+    go_on, is_first = threading.Event(), threading.Event()
+
+    def first() -> None:
+        clock.run_for(1.0)
+        is_first.set()
+        go_on.wait()
+
+    thread = threading.Thread(target=first, name="reader")
+    thread.start()
+    is_first.wait()
+    with VirtualTimeBus(network) as bus:
+        for call in (lambda: clock.run_for(1.0), lambda: bus.recv(timeout=0.1), bus.recv):
+            with pytest.raises(RuntimeError, match="run by one thread, 'reader' here"):
+                call()
+        assert clock.now == 1.0
+        go_on.set()
+        thread.join()
+        clock.run_for(1.0)
+    assert clock.now == 2.0

@@ -9,7 +9,7 @@ import fmus
 import pytest
 
 from maplines_can.cli import main
-from maplines_can.cli.fmu import LOG_START
+from maplines_can.cli.fmu_run import LOG_START
 from maplines_can.cosimulation import CoSimulation
 
 pytest.importorskip("fmpy")

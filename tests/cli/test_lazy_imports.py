@@ -124,6 +124,14 @@ def test_a_map_loads_neither_bus_nor_study() -> None:
     assert not among(modules, *STUDY, "can", "cantools", "maplines_can.wire", "maplines_can.bus")
 
 
+def test_checking_an_fmu_loads_neither_bus_nor_numpy(tmp_path: Path) -> None:
+    """Nor fmpy: it reads XML."""
+    (tmp_path / "node.fmu").write_bytes(b"")
+    modules = modules_after(MAIN.format(["fmu", "check", "--help"]))
+    assert "maplines_can.cosimulation.checks" in modules
+    assert not among(modules, *STUDY, "numpy", "can", "cantools", "fmpy", "maplines_can.bus")
+
+
 def test_only_faults_load_the_fault_injection() -> None:
     """The receiver of the test above loads none."""
     bus = ["--interface", "virtual", "--channel", "silent", "--timeout", "0.05"]

@@ -12,12 +12,16 @@ import pytest
 
 import maplines_can
 from maplines_can import native
-from maplines_can.cli import COMMANDS, STUDY_COMMANDS, main
+from maplines_can.cli import COMMANDS, main
+from maplines_can.cli import GROUPS as COMMAND_GROUPS
 from maplines_can.cli.parsing import GROUPS
 from maplines_can.values.errors import missing_extra
 
 ROOT = Path(__file__).parents[2]
-ALL = [*COMMANDS, *(f"study {name}" for name in STUDY_COMMANDS)]
+GROUPED = {
+    group: [f"{group} {name}" for name in table] for group, (table, _) in COMMAND_GROUPS.items()
+}
+ALL = [*COMMANDS, *(name for names in GROUPED.values() for name in names)]
 
 
 def help_of(capsys: pytest.CaptureFixture[str], *words: Any) -> Any:
@@ -27,13 +31,17 @@ def help_of(capsys: pytest.CaptureFixture[str], *words: Any) -> Any:
 
 
 def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
-    """Each command has a line of help, and so have the commands of the study."""
-    top, study = help_of(capsys), help_of(capsys, "study")
-    for text, table in ((top, COMMANDS), (study, STUDY_COMMANDS)):
+    """Each command has a line of help, and so have those that others consist of."""
+    top = help_of(capsys)
+    pages = [(top, COMMANDS)]
+    for group, (table, about) in COMMAND_GROUPS.items():
+        assert f"\n    {group} " in top
+        assert about in top
+        pages.append((help_of(capsys, group), table))
+    for text, table in pages:
         for name, (_, about) in table.items():
             assert f"\n    {name}" in text
-            assert about in text
-    assert "\n    study " in top
+            assert about in " ".join(text.split())
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -67,7 +75,7 @@ def test_options_are_in_groups(capsys: pytest.CaptureFixture[str], name: str) ->
     assert re.findall(r"(?m)^  (-\S+)", options) == ["-h,"]
 
 
-@pytest.mark.parametrize("name", [*COMMANDS, "study"])
+@pytest.mark.parametrize("name", [*COMMANDS, *COMMAND_GROUPS])
 def test_every_command_is_in_the_readme(name: Any) -> None:
     """README shows each command at least once."""
     assert f"maplines {name}" in (ROOT / "README.md").read_text()

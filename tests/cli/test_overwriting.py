@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from maplines_can.cli import COMMANDS, STUDY_COMMANDS, _parser, main
+from maplines_can.cli import COMMANDS, GROUPS, _parser, main
 
 #: What a person wrote.
 OWN = b"my own work\n"
 #: Options with which a command writes files.
-WRITING = {"--out", "--plot", "--record", "--truth"}
+WRITING = {"--log", "--output", "--out", "--plot", "--record", "--truth"}
 #: Commands that write, with the file that is there.
 CASES = [
     ("demo --seconds 0.1 --plot own.png", "own.png"),
@@ -68,7 +68,7 @@ def test_force_replaces_it(
     "words",
     [[name] for name in COMMANDS if name not in ("consume", "generate")]
     + [["generate", "c"], ["generate", "vectors"]]
-    + [["study", name] for name in STUDY_COMMANDS],
+    + [[group, name] for group, (table, _) in GROUPS.items() for name in table],
 )
 def test_each_command_that_writes_has_force(words: list[str]) -> None:
     """Of those with such an option, only the study has none: its folder is never replaced."""

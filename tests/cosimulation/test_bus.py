@@ -18,6 +18,8 @@ from maplines_can.cosimulation.bus_operations import (
     Status,
     Transmit,
     Wakeup,
+    decode,
+    encode,
 )
 
 DISCARD = Configuration(
@@ -71,6 +73,16 @@ def test_without_a_bit_rate_frames_arrive_at_once() -> None:
     nodes.send("a", frame(2))
     assert nodes.take(5) == [("b", frame(2)), ("c", frame(2)), ("a", Confirm(2))]
     assert nodes.bus.next_ns is None
+
+
+def test_a_remote_frame_with_a_length_and_no_data_is_confirmed() -> None:
+    """As in FMI-LS-BUS since its pull request 393; it is on the bus as long as one without data."""
+    (remote,) = decode(bytes.fromhex("10000000 10000000 02000000 00 01 0800"))
+    assert isinstance(remote, Transmit)
+    nodes = Nodes(None, notified="a")
+    nodes.send("a", remote)
+    assert nodes.take(5) == [("b", remote), ("c", remote), ("a", Confirm(2))]
+    assert encode([remote]).hex() == "10000000100000000200000000010800"
 
 
 def test_the_lowest_id_wins_whoever_comes_first() -> None:

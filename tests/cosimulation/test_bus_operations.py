@@ -26,6 +26,13 @@ from maplines_can.cosimulation.bus_operations import (
 EXAMPLES: list[tuple[Operation, str]] = [
     (Transmit(0x123, b"\x01\x02"), "10000000 12000000 23010000 00 00 0200 0102"),
     (Transmit(0x7FF, b"", is_remote=True), "10000000 10000000 ff070000 00 01 0000"),
+    # FMI-LS-BUS since its pull request 393: a remote frame has a length, and no data ...
+    (Transmit(0x7FF, b"", is_remote=True, requested=4), "10000000 10000000 ff070000 00 01 0400"),
+    # ... and before it, the macro of its header wrote data, too.
+    (
+        Transmit(0x7FF, bytes(2), is_remote=True, requested=2),
+        "10000000 12000000 ff070000 00 01 0200 0000",
+    ),
     (
         Transmit(0x1ABCDEF0, b"\xaa" * 12, True, True, False, True, True),
         "11000000 1d000000 f0debc1a 01 01 01 0c00" + "aa" * 12,

@@ -1,5 +1,7 @@
 """Co-simulations of test nodes: times, links, faults, values, and errors."""
 
+import shutil
+import zipfile
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -9,7 +11,9 @@ import pytest
 
 from maplines_can.cosimulation import CoSimulation
 from maplines_can.cosimulation.bus_operations import Transmit
+from maplines_can.cosimulation.description import read_description
 from maplines_can.cosimulation.links import SentFrame
+from maplines_can.cosimulation.runner import node_names
 from maplines_can.testing import FaultInjector, Faults
 from maplines_can.values.errors import FmuError
 
@@ -152,6 +156,50 @@ def test_inputs_are_set_at_their_times(node: Path) -> None:
         assert simulation.get("node", "store") == [1.0, 2.0]
         assert simulation.get("node_2", "last") == [4.0, 4.0]
     assert seen == [(0.0, 0.0), (0.1, 3.0), (0.2, 3.0), (0.3, 4.0)]
+
+
+def test_each_step_is_called_at_the_end_too(node: Path) -> None:
+    """It is, whether or not the end is a multiple of the step, and once."""
+    seen: list[float] = []
+    with CoSimulation([node, node], step=0.1) as simulation:
+        simulation.run(0.25, lambda: seen.append(simulation.now))
+        simulation.run(0.3, lambda: seen.append(simulation.now))
+        simulation.set("node", "store", [1.0, 2.0])
+        simulation.run(0.3, lambda: seen.append(simulation.now))
+    assert seen == [0.0, 0.1, 0.2, 0.25, 0.3]
+    values = {("node", "end_at"): 0.123}
+    with CoSimulation([node, node], values=values, step=0.1) as simulation:
+        simulation.run(1.0, lambda: seen.append(simulation.now))
+        assert seen[-1] == simulation.now < 0.3
+
+
+@pytest.mark.parametrize(
+    ("paths", "names"),
+    [
+        (["a/n.fmu", "n_2.fmu", "b/n.fmu"], ["n", "n_2", "n_3"]),
+        (["a/n.fmu", "b/n.fmu", "n_2.fmu"], ["n", "n_3", "n_2"]),
+        (["n_2.fmu", "a/n.fmu", "b/n.fmu", "c/n_2.fmu"], ["n_2", "n", "n_3", "n_2_2"]),
+        (["n.fmu"] * 4, ["n", "n_2", "n_3", "n_4"]),
+    ],
+)
+def test_each_node_has_a_name_of_its_own(paths: list[str], names: list[str]) -> None:
+    assert [(name, str(path)) for name, path in node_names(paths).items()] == [
+        *zip(names, paths, strict=True)
+    ]
+
+
+def test_an_archive_may_have_entries_of_folders(tmp_path: Path, node: Path) -> None:
+    """``shutil.make_archive``, ``zip -r`` and ``fmpy compile`` write them."""
+    with zipfile.ZipFile(node) as fmu:
+        fmu.extractall(tmp_path / "files")
+    (tmp_path / "files" / "binaries" / "x86_64-windows").mkdir()
+    (tmp_path / "files" / "binaries" / "readme.txt").touch()
+    packed = shutil.make_archive(str(tmp_path / "packed"), "zip", tmp_path / "files")
+    again = Path(packed).rename(tmp_path / "again.fmu")
+    assert "binaries/" in zipfile.ZipFile(again).namelist()
+    assert read_description(again).platforms == read_description(node).platforms
+    simulation, _ = run([again, node], 0.25)
+    assert simulation.link.frames == 4
 
 
 def test_a_node_of_fixed_steps_steps_at_the_grid_only(tmp_path: Path, node: Path) -> None:

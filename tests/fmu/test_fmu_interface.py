@@ -189,6 +189,9 @@ MALFORMED = [
     Operation(0x10, struct.pack("<IBBH", 1, 2, 0, 0)).packed(),
     Operation(0x10, struct.pack("<IBBH", 1, 0, 0, 9) + bytes(9)).packed(),
     Operation(0x10, struct.pack("<IBBH", 1, 0, 0, 8) + bytes(7)).packed(),
+    Operation(0x10, struct.pack("<IBBH", 1, 0, 0, 8)).packed(),
+    Operation(0x10, struct.pack("<IBBH", 1, 0, 1, 8) + bytes(7)).packed(),
+    Operation(0x10, struct.pack("<IBBH", 1, 0, 1, 9)).packed(),
     Operation(0x11, struct.pack("<IBBBH", 1, 0, 1, 0, 65) + bytes(65)).packed(),
     Operation(0x12, bytes(3)).packed(),
     Operation(0x20, bytes(3)).packed(),
@@ -212,6 +215,17 @@ def test_malformed_operations_are_counted_and_answered(fmu: Path) -> None:
         assert answer == Operation(0x01, struct.pack("<H", len(wrong)) + wrong)
     node.take(MALFORMED[4] + Operation(0x01, struct.pack("<H", 1) + b"x").packed())
     assert node.get("CAN.format_errors") == 1
+    node.close()
+
+
+@pytest.mark.parametrize("data", [b"", bytes(4)], ids=["without-data", "with-data"])
+def test_a_remote_frame_states_the_length_that_it_asks_for(fmu: Path, data: bytes) -> None:
+    """FMI-LS-BUS since its pull request 393: no data; before it, its header wrote them."""
+    node = Node(fmu, fmu.with_suffix(""))
+    node.send()
+    node.take(Operation(0x10, struct.pack("<IBBH", 1, 0, 1, 4) + data).packed())
+    assert node.get("CAN.malformed") == 0
+    assert operations_of(node.send()) == []
     node.close()
 
 

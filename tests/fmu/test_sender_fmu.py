@@ -7,7 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fmu_nodes import Node, Operation, frames_of, operations_of
+from fmu_nodes import (
+    CHANGED,
+    NOT_YET_KNOWN,
+    UNCHANGED,
+    Node,
+    Operation,
+    frames_of,
+    operations_of,
+)
 from random_lines import random_lines
 
 from maplines_can import Codec, Gaussian, Kind, MapLine, Slot, Status
@@ -162,6 +170,28 @@ def test_a_line_that_is_not_confirmed_is_given_up_after_a_period(fmu: Path) -> N
     assert len(again) == 1
     assert again != frames
     assert node.get("given_up") == 1
+    node.close()
+
+
+def test_intervals_of_the_clock_have_the_qualifiers_of_fmi(fmu: Path) -> None:
+    """FMI 3.0.2, 2.2.9: none is unknown after one was known; one unchanged has its value."""
+    node = Node(fmu, fmu.with_suffix(""))
+    node.send()  # the configuration of the bus
+    assert node.announcement()[0] == NOT_YET_KNOWN
+    line = lines_at(1, [Slot.EGO_LEFT])[0]
+    node.set(inputs_of(line))
+    assert node.announcement() == (CHANGED, 0.0)
+    node.send()
+    first = node.announcement()
+    assert first == (CHANGED, pytest.approx(0.05))
+    assert node.announcement() == (UNCHANGED, first[1])
+    node.step(0.02)
+    assert node.announcement() == (UNCHANGED, first[1])
+    node.set({"EGO_LEFT.valid": False})
+    assert node.announcement() == (UNCHANGED, first[1])
+    node.step(0.05)
+    assert frames_of(operations_of(node.send())) == []
+    assert node.announcement()[0] == NOT_YET_KNOWN
     node.close()
 
 

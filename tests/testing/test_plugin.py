@@ -301,6 +301,47 @@ def test_wrong_markers(pytester: pytest.Pytester, marker: str, message: str) -> 
     result.stdout.fnmatch_lines([message])
 
 
+@pytest.mark.parametrize("name", ["bus", "sender", "receiver"])
+def test_a_fixture_of_the_project_in_place_of_one_of_ours(
+    pytester: pytest.Pytester, name: str
+) -> None:
+    """The report of a test that fails says what is known, and the session goes on."""
+    pytester.makeconftest(
+        f"""
+        import can, pytest
+        @pytest.fixture
+        def maplines_{name}():
+            with can.Bus(interface="virtual", channel="own") as bus:
+                yield bus
+        """
+    )
+    others = {"bus": "", "sender": "maplines_receiver", "receiver": "maplines_sender"}[name]
+    test = f"""
+        def test_fails(maplines_{name}, {others}): assert 1 == 2
+        def test_other(): pass
+        """
+    result = run(pytester, test)
+    result.assert_outcomes(failed=1, passed=1)
+    assert ("time: 0 s, virtual" in result.stdout.str()) == (name != "bus")
+
+
+def test_a_node_of_ours_on_a_bus_of_the_project_is_refused_by_name(
+    pytester: pytest.Pytester,
+) -> None:
+    pytester.makeconftest(
+        """
+        import can, pytest
+        @pytest.fixture
+        def maplines_bus():
+            with can.Bus(interface="virtual", channel="own") as bus:
+                yield bus
+        """
+    )
+    result = run(pytester, PASSING)
+    result.assert_outcomes(errors=1)
+    result.stdout.fnmatch_lines(["*TypeError: the bench of a node must be a Bench, *VirtualBus*"])
+
+
 def test_the_marker_is_registered(pytester: pytest.Pytester) -> None:
     run(pytester, "\n@pytest.mark.maplines(time='virtual')" + PASSING, "--strict-markers")
 

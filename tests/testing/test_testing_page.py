@@ -72,3 +72,36 @@ def test_the_keywords_of_robot_framework(tmp_path: Path) -> None:
 
     assert done.returncode == 0, done.stdout
     assert "1 test, 1 passed, 0 failed" in done.stdout
+    assert "shut down" not in done.stdout + done.stderr
+
+
+SUITE = """\
+*** Settings ***
+Library    maplines_can.testing.robot.MaplinesLibrary
+
+*** Test Cases ***
+Times
+    Publish Line    EGO_LEFT    1.75    0    0    0
+    Run For    200 ms
+    Run For    0.25
+    Line Should Be Received    ego left    within=1 second
+    No Line Should Be Stale    during=200ms
+Wrong slot
+    Publish Line    EGO_MIDDLE    1.75    0    0    0
+No keyword
+    No Operation
+"""
+
+
+def test_robot_framework_has_its_times_and_the_names_of_slots(tmp_path: Path) -> None:
+    """A wrong slot is named with the right ones; no bus is left open, and none opened in vain."""
+    pytest.importorskip("robot")
+    (tmp_path / "lines.robot").write_text(SUITE, encoding="utf-8")
+
+    command = [sys.executable, "-m", "robot", "--output", "NONE", "lines.robot"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+
+    assert done.returncode == 1, done.stdout
+    assert "3 tests, 2 passed, 1 failed" in done.stdout
+    assert "'EGO_MIDDLE'. Available: 'CENTRE" in done.stdout
+    assert "shut down" not in done.stdout + done.stderr

@@ -1,4 +1,4 @@
-"""The command ``maplines fmu``: run FMUs on a simulated CAN bus, and check them."""
+"""The command ``maplines fmu run``."""
 
 from __future__ import annotations
 
@@ -22,27 +22,22 @@ from ..wire import Frame
 from .options import add_faults, fault_injector
 from .output import faults_text
 from .overwriting import add_force, check_new
-from .parsing import Parser, add_command, add_json, number, option_group
+from .parsing import add_command, add_json, number, option_group
 from .stderr import note, progress_bar
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-DESCRIPTION = "Run FMUs that are nodes of a CAN bus (FMI 3.0, FMI-LS-BUS 1.0.0), and check them."
-RUN = """\
+DESCRIPTION = """\
 Simulate FMUs that are nodes of a CAN bus: co-simulation of FMI 3.0 with the layered standard
 FMI-LS-BUS 1.0.0, low cut.
 
 If one of them simulates the bus (isBusSimulationFMU), it connects the others: the first to its
 first terminal, and so on. Otherwise the bus of this package does, for any number of nodes: without
 delay, or with --bitrate, arbitration and confirmations. A node has the name of its file; a second
-one of the same name is NAME_2.
+one of the same name is NAME_2, or the next number that no file has.
 
 All FMUs are checked first, as by 'maplines fmu check'."""
-CHECK = """\
-Check FMUs against FMI-LS-BUS 1.0.0, low cut, CAN: manifest, bus terminals and their configuration,
-clocks, MIME types, sizes and causality. This is what 'fmpy validate' does not check; use both.
-An error breaks a rule of the standard. The exit status is 1 if there is one."""
 #: Time that is simulated if --until is not given [s].
 UNTIL = 10.0
 #: Time stamp at the start of a log [s]: a .blf or .mf4 has a date, here 2000-01-01 UTC.
@@ -51,25 +46,10 @@ LOG_START = {".blf": 946_684_800.0, ".mf4": 946_684_800.0}
 PATIENCE = 2.0
 
 
-def add_fmu(commands: Any) -> None:
-    """Add the command ``fmu`` with its subcommands."""
-    parser: Parser = commands.add_parser(
-        "fmu",
-        description=DESCRIPTION,
-        epilog="example: maplines fmu run sender.fmu receiver.fmu --until 60 --log can.blf",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    what = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    _add_run(what)
-    example = "maplines fmu check sender.fmu"
-    checked = add_command(what, "check", _check, CHECK, example)
-    checked.add_argument("fmus", nargs="+", metavar="FMU", help="FMU to check")
-    add_json(checked, "the findings")
-
-
-def _add_run(commands: Any) -> None:
+def add_run(commands: Any) -> None:
+    """Add the command ``fmu run``."""
     example = "maplines fmu run sender.fmu receiver.fmu --until 60 --faults loss=0.1 --log can.blf"
-    parser = add_command(commands, "run", _run, RUN, example)
+    parser = add_command(commands, "run", _run, DESCRIPTION, example)
     parser.add_argument("fmus", nargs="+", metavar="FMU", help="FMU of a node, or of the bus")
     scenario = option_group(parser, "scenario").add_argument
     scenario(
@@ -124,17 +104,6 @@ def _add_run(commands: Any) -> None:
     output("--output", metavar="FILE", help="write the outputs of all nodes into this table, .csv")
     add_force(parser)
     add_json(parser, "the counters")
-
-
-def _check(arguments: argparse.Namespace) -> int:
-    findings = {path: check(read_description(path)) for path in arguments.fmus}
-    if arguments.json:
-        table = {path: [one._asdict() for one in found] for path, found in findings.items()}
-        print(json.dumps(table, indent=2))
-    else:
-        for path, found in findings.items():
-            print("\n".join(f"{path}: {one}" for one in found) or f"{path}: no findings")
-    return int(any(one.is_error for found in findings.values() for one in found))
 
 
 def _run(arguments: argparse.Namespace) -> int:
