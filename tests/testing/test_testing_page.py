@@ -82,10 +82,10 @@ Library    maplines_can.testing.robot.MaplinesLibrary
 *** Test Cases ***
 Times
     Publish Line    EGO_LEFT    1.75    0    0    0
-    Run For    200 ms
-    Run For    0.25
+    Run For    50 ms
+    Run For    0.05
     Line Should Be Received    ego left    within=1 second
-    No Line Should Be Stale    during=200ms
+    No Line Should Be Stale    during=20ms
 Wrong slot
     Publish Line    EGO_MIDDLE    1.75    0    0    0
 No keyword
