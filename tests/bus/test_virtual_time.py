@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -308,7 +309,12 @@ def test_one_thread_lets_the_time_pass() -> None:
     thread.start()
     is_first.wait()
     with VirtualTimeBus(network) as bus:
-        for call in (lambda: clock.run_for(1.0), lambda: bus.recv(timeout=0.1), bus.recv):
+        calls: tuple[Callable[[], object], ...] = (
+            lambda: clock.run_for(1.0),
+            lambda: bus.recv(timeout=0.1),
+            bus.recv,
+        )
+        for call in calls:
             with pytest.raises(RuntimeError, match="run by one thread, 'reader' here"):
                 call()
         assert clock.now == 1.0

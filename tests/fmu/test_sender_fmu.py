@@ -182,13 +182,14 @@ def test_intervals_of_the_clock_have_the_qualifiers_of_fmi(fmu: Path) -> None:
     node.set(inputs_of(line))
     assert node.announcement() == (CHANGED, 0.0)
     node.send()
-    first = node.announcement()
-    assert first == (CHANGED, pytest.approx(0.05))
-    assert node.announcement() == (UNCHANGED, first[1])
+    qualifier, interval = node.announcement()
+    assert qualifier == CHANGED
+    assert interval == pytest.approx(0.05)
+    assert node.announcement() == (UNCHANGED, interval)
     node.step(0.02)
-    assert node.announcement() == (UNCHANGED, first[1])
+    assert node.announcement() == (UNCHANGED, interval)
     node.set({"EGO_LEFT.valid": False})
-    assert node.announcement() == (UNCHANGED, first[1])
+    assert node.announcement() == (UNCHANGED, interval)
     node.step(0.05)
     assert frames_of(operations_of(node.send())) == []
     assert node.announcement()[0] == NOT_YET_KNOWN
