@@ -16,12 +16,17 @@
 static bool hold_powers(maplines_arrays_t *arrays, PyObject *tables,
                         const maplines_cholesky_t *code, maplines_powers_t *powers)
 {
+    if (!PyTuple_Check(tables) || PyTuple_Size(tables) != 5)
+    {
+        PyErr_SetString(PyExc_TypeError, "powers must be a tuple of 5 tables");
+        return false;
+    }
     for (int i = 0; i < 5; i++)
     {
         const maplines_signal_t *signal = i < 4 ? &code->pivot[i] : &code->inflation;
         const Py_ssize_t values = (Py_ssize_t)(signal->raw_max - signal->raw_min + 1);
         PyObject *table = PyTuple_GetItem(tables, i); // borrowed
-        const double *held = table == NULL ? NULL : maplines_hold(arrays, table, 8 * values, false);
+        const double *held = maplines_hold(arrays, table, 8 * values, false);
         if (held == NULL)
         {
             return false;

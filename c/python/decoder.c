@@ -54,6 +54,11 @@ static int find_route(PyObject *routes, PyObject *can_id, PyObject *is_extended,
     {
         return PyErr_Occurred() == NULL ? 0 : -1;
     }
+    if (!PyTuple_Check(known) || PyTuple_Size(known) != 2)
+    {
+        PyErr_SetString(PyExc_TypeError, "routes must be tuples of a CAN ID and a bool");
+        return -1;
+    }
     frame->can_id = (uint32_t)PyLong_AsUnsignedLong(PyTuple_GetItem(known, 0));
     frame->is_extended = PyObject_IsTrue(PyTuple_GetItem(known, 1)) > 0;
     return 1;
@@ -239,18 +244,22 @@ static int read_frame(PyObject *routes, PyObject *const values[4], maplines_fram
 
 static PyObject *feed_frame(maplines_receiver_t *receiver, PyObject *const values[4])
 {
-    maplines_decoder_t *decoder = receiver->decoder;
     maplines_frame_t frame;
     maplines_scene_t scene;
     int64_t t_ns = 0;
     const int is_possible = read_frame(receiver->routes, values, &frame, &t_ns);
-    if (is_possible <= 0)
+    // Only now: what is read may run code, and other threads meanwhile.
+    maplines_decoder_t *decoder =
+        is_possible < 0 ? NULL : maplines_receiver_of((PyObject *)receiver);
+    if (decoder == NULL)
+    {
+        return NULL;
+    }
+    if (is_possible == 0)
     {
         ++decoder->statistics.frames;
-        decoder->statistics.counts[MAPLINES_FOREIGN] += is_possible == 0 ? 1U : 0U;
-        return is_possible < 0
-                   ? NULL
-                   : Py_NewRef(receiver->objects[MAPLINES_OF_REASONS + MAPLINES_FOREIGN]);
+        ++decoder->statistics.counts[MAPLINES_FOREIGN];
+        return Py_NewRef(receiver->objects[MAPLINES_OF_REASONS + MAPLINES_FOREIGN]);
     }
     const maplines_fed_t fed = maplines_feed_with(decoder, &frame, t_ns, &scene);
     if (fed.reason != MAPLINES_COMPLETE)
@@ -326,8 +335,9 @@ PyObject *maplines_receiver_feed_all(PyObject *self, PyObject *frames)
 PyObject *maplines_receiver_expire(PyObject *self, PyObject *time)
 {
     int64_t t_ns = 0;
-    maplines_decoder_t *decoder = maplines_receiver_of(self);
-    if (decoder == NULL || !maplines_read_time(time, "t_ns", &t_ns))
+    maplines_decoder_t *decoder =
+        maplines_read_time(time, "t_ns", &t_ns) ? maplines_receiver_of(self) : NULL;
+    if (decoder == NULL)
     {
         return NULL;
     }

@@ -253,9 +253,14 @@ static bool feed_frames(feeding_t *feeding, maplines_receiver_t *receiver)
     for (Py_ssize_t k = 0; k < feeding->count; ++k)
     {
         const int64_t i = feeding->places[k];
+        if (i < 0 || i >= feeding->frames) // another thread has changed it
+        {
+            continue;
+        }
         frame.can_id = feeding->can_ids[i];
         frame.is_extended = feeding->are_extended[i] != 0;
-        frame.length = feeding->lengths[i];
+        const uint8_t length = feeding->lengths[i]; // another thread may have changed it
+        frame.length = length <= feeding->width ? length : (uint8_t)feeding->width;
         const uint8_t *data = feeding->data + (size_t)i * feeding->width;
         for (size_t byte = 0; byte < feeding->width; ++byte)
         {
@@ -384,13 +389,16 @@ PyObject *maplines_receiver_feed_arrays(PyObject *self, PyObject *const *argumen
     }
     const long scenes = PyLong_AsLong(arguments[7]);
     PyObject *rows = NULL;
-    if (!(scenes == -1 && PyErr_Occurred() != NULL) && hold_frames(&feeding, &arrays, arguments))
+    if (!(scenes == -1 && PyErr_Occurred() != NULL) && hold_frames(&feeding, &arrays, arguments) &&
+        maplines_receiver_of(self) != NULL)
     {
         bool has_memory = true;
         feeding.has_scenes = scenes > 0 && receiver->decoder->dbc->has_pose;
+        receiver->is_busy = true;
         Py_BEGIN_ALLOW_THREADS;
         has_memory = feed_frames(&feeding, receiver);
         Py_END_ALLOW_THREADS;
+        receiver->is_busy = false;
         has_memory = has_memory && (scenes != 2 || add_shown(&feeding, receiver));
         if (!has_memory)
         {

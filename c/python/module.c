@@ -81,6 +81,16 @@ static struct PyModuleDef definition = {
     .m_clear = clear,
 };
 
+PyObject *maplines_module_of(PyObject *object)
+{
+    PyObject *module = PyType_GetModule(Py_TYPE(object));
+    PyErr_Clear(); // of a type of no module
+    // The state of another module has other members.
+    const bool is_own = module != NULL && PyModule_GetDef(module) == &definition;
+    PyErr_Clear();
+    return is_own ? module : NULL;
+}
+
 PyMODINIT_FUNC PyInit__native(void);
 
 PyMODINIT_FUNC PyInit__native(void)

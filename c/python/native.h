@@ -77,6 +77,10 @@ typedef struct {
 /// State of the module.
 maplines_module_t *maplines_module_state(PyObject *module);
 
+/// The module that an object of one of its types belongs to, borrowed; NULL without an exception if
+/// it is of another module, or of none.
+PyObject *maplines_module_of(PyObject *object);
+
 /* arguments.c */
 
 /// Parameters of a method.
@@ -160,7 +164,8 @@ PyObject *maplines_new_scene(PyObject *const *objects, const maplines_scene_t *s
 /// Named tuple of a class; steals `values`, a tuple that may be NULL.
 PyObject *maplines_new_named(PyObject *class_, PyObject *values);
 
-/// Tables of a DBC of an argument; NULL with TypeError if it is something else.
+/// Tables of a DBC of an argument; NULL with TypeError if it is something else, or if `module` is
+/// NULL.
 const maplines_dbc_t *maplines_dbc_of(PyObject *module, PyObject *tables);
 
 /// Add the functions and types of a file to the module; 0, or -1 with an exception.

@@ -9,12 +9,19 @@
 
 maplines_decoder_t *maplines_receiver_of(PyObject *self)
 {
-    maplines_decoder_t *decoder = ((maplines_receiver_t *)self)->decoder;
-    if (decoder == NULL)
+    const maplines_receiver_t *receiver = (maplines_receiver_t *)self;
+    if (receiver->decoder == NULL)
     {
         PyErr_SetString(PyExc_RuntimeError, "the decoder is not initialised");
     }
-    return decoder;
+    else if (receiver->is_busy)
+    {
+        PyErr_SetString(PyExc_RuntimeError,
+                        "another thread feeds frames to the decoder, which is not thread-safe; "
+                        "give each thread a decoder of its own, or hold a lock for each call");
+        return NULL;
+    }
+    return receiver->decoder;
 }
 
 static bool read_unsigned(PyObject *value, uint8_t *number)
@@ -109,8 +116,8 @@ static int receiver_init(PyObject *self, PyObject *arguments, PyObject *keywords
         PyErr_SetString(PyExc_RuntimeError, "the decoder is initialised already");
         return -1;
     }
-    PyObject *module = PyType_GetModule(Py_TYPE(tables));
-    const maplines_dbc_t *dbc = module == NULL ? NULL : maplines_dbc_of(module, tables);
+    PyObject *module = maplines_module_of(tables);
+    const maplines_dbc_t *dbc = maplines_dbc_of(module, tables);
     PyObject *const *objects = dbc == NULL ? NULL : maplines_objects(module);
     if (objects == NULL)
     {

@@ -13,10 +13,11 @@ typedef struct {
     PyObject *const *objects;
     PyObject *newest[MAPLINES_SLOTS]; ///< newest line of each slot; NULL before the first
     struct maplines_scene_row *shown; ///< scene that feed_arrays has not returned yet, or NULL
+    bool is_busy;       ///< a thread that does not hold the GIL uses `decoder` and `shown`
     PyObject *received; ///< newest scene as it was returned last; NULL before the first
 } maplines_receiver_t;
 
-/// Receiver in C; NULL with RuntimeError if it is not initialised.
+/// Receiver in C; NULL with RuntimeError if it is not initialised, or if another thread uses it.
 maplines_decoder_t *maplines_receiver_of(PyObject *self);
 
 /// Read a time [ns] of any integral type, limited to what the core takes; false with an exception.

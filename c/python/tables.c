@@ -119,6 +119,11 @@ static bool read_signal_values(PyObject *values, maplines_signal_t *signal)
     {
         return false;
     }
+    if (length < 1 || length > 64 || first + length > 8 * MAPLINES_MAX_RECORD)
+    {
+        PyErr_SetString(PyExc_ValueError, "a signal must be within a record");
+        return false;
+    }
     signal->raw_min = raw_min;
     signal->raw_max = raw_max;
     signal->first = first;
@@ -193,7 +198,8 @@ static bool read_record(PyObject *content, const char *key, maplines_record_t *r
            read_u16(mapping, "crc_byte", &record->crc_byte) &&
            read_u8(mapping, "fd_authentic", &record->fd_authentic) &&
            read_u8(mapping, "fd_freshness", &record->fd_freshness) &&
-           read_u8(mapping, "fd_mac", &record->fd_mac) &&
+           read_u8(mapping, "fd_mac", &record->fd_mac) && record->pages <= MAPLINES_MAX_PAGES &&
+           record->short_pages <= record->pages && record->crc_byte <= 8 * MAPLINES_MAX_PAGES - 2 &&
            read_signal(mapping, "page", &record->page) &&
            read_signals(mapping, "transfer_id", 2, record->transfer_id) &&
            read_signal(mapping, "counter", &record->counter);
@@ -317,6 +323,7 @@ static bool read_content(PyObject *content, maplines_tables_t *tables)
     PyObject *levels = mapping_of(content, "levels");
     return PyErr_Occurred() == NULL && (levels == NULL || read_levels(levels, &dbc->levels)) &&
            read_name(content, tables) && read_u8(content, "max_components", &dbc->max_components) &&
+           dbc->max_components <= MAPLINES_MAX_COMPONENTS &&
            read_bool(content, "is_conditional", &dbc->is_conditional) &&
            read_bool(content, "has_pose", &dbc->has_pose) && read_owners(content, dbc) &&
            read_record(content, "line", &dbc->line) && read_record(content, "pose", &dbc->pose) &&
@@ -393,7 +400,7 @@ static PyType_Spec tables_spec = {
 
 const maplines_dbc_t *maplines_dbc_of(PyObject *module, PyObject *tables)
 {
-    if (!PyObject_TypeCheck(tables, maplines_module_state(module)->tables))
+    if (module == NULL || !PyObject_TypeCheck(tables, maplines_module_state(module)->tables))
     {
         PyErr_SetString(PyExc_TypeError, "tables must be _native.Tables");
         return NULL;

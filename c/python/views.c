@@ -34,14 +34,14 @@ static maplines_check_t *check_at(PyObject *self, PyObject *arguments, int64_t *
     int owner = 0;
     int64_t now_ns = 0;
     PyObject *time = NULL;
-    maplines_decoder_t *decoder = maplines_receiver_of(self);
-    if (decoder == NULL || PyArg_ParseTuple(arguments, "iO", &owner, &time) == 0 ||
+    if (PyArg_ParseTuple(arguments, "iO", &owner, &time) == 0 ||
         !maplines_read_time(time, "now_ns", &now_ns))
     {
         return NULL;
     }
+    maplines_decoder_t *decoder = maplines_receiver_of(self); // after all that may run code
     *t_ns = maplines_limited_time(now_ns);
-    return check_of(decoder, owner);
+    return decoder == NULL ? NULL : check_of(decoder, owner);
 }
 
 /// (line, age, is stale, state, status, two senders) of a slot at a time.
@@ -52,9 +52,13 @@ PyObject *maplines_receiver_view(PyObject *self, PyObject *arguments)
     int64_t now_ns = 0;
     PyObject *time = NULL;
     maplines_view_t view;
+    if (PyArg_ParseTuple(arguments, "iOd", &slot, &time, &stale_cycles) == 0 ||
+        !maplines_read_time(time, "now_ns", &now_ns))
+    {
+        return NULL;
+    }
     maplines_decoder_t *decoder = maplines_receiver_of(self);
-    if (decoder == NULL || PyArg_ParseTuple(arguments, "iOd", &slot, &time, &stale_cycles) == 0 ||
-        !maplines_read_time(time, "now_ns", &now_ns) || check_of(decoder, slot) == NULL)
+    if (decoder == NULL || check_of(decoder, slot) == NULL)
     {
         return NULL;
     }
@@ -139,9 +143,13 @@ PyObject *maplines_receiver_scene_view(PyObject *self, PyObject *arguments)
     int64_t now_ns = 0;
     PyObject *time = NULL;
     maplines_scene_view_t view;
-    maplines_decoder_t *decoder = maplines_receiver_of(self);
-    if (decoder == NULL || PyArg_ParseTuple(arguments, "Od", &time, &stale_cycles) == 0 ||
+    if (PyArg_ParseTuple(arguments, "Od", &time, &stale_cycles) == 0 ||
         !maplines_read_time(time, "now_ns", &now_ns))
+    {
+        return NULL;
+    }
+    maplines_decoder_t *decoder = maplines_receiver_of(self);
+    if (decoder == NULL)
     {
         return NULL;
     }

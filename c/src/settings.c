@@ -81,7 +81,8 @@ static void set_all(const maplines_dbc_t *dbc, double timeout_ms, double cycle_m
             messages->cycle_ms > 0 ? (double)messages->cycle_ms : DEFAULT_CYCLE_MS;
         const double chosen_ms = cycle_ms > 0.0 ? cycle_ms : dbc_ms;
         const double by_cycle_ms = TIMEOUT_CYCLES * chosen_ms;
-        const double derived_ms = by_cycle_ms > dbc_ms / 2.0 ? by_cycle_ms : dbc_ms / 2.0;
+        const double by_dbc_ms = by_cycle_ms > dbc_ms / 2.0 ? by_cycle_ms : dbc_ms / 2.0;
+        const double derived_ms = by_dbc_ms < MAX_MS ? by_dbc_ms : MAX_MS;
         settings->timeout_ns[owner] = whole_ns(timeout_ms > 0.0 ? timeout_ms : derived_ms);
         settings->cycle_ns[owner] = whole_ns(chosen_ms);
         settings->e2e[owner] =

@@ -58,6 +58,13 @@ class BackgroundThread(ABC):
         self._thread: threading.Thread | None = None
         self._process: int | None = None  # the process in which the thread was started
 
+    def __reduce__(self) -> str:
+        name = type(self).__name__
+        raise TypeError(
+            f"a {name} cannot be pickled or copied, since it has a thread; pickle the Codec, and "
+            f"make a {name} in the other process"
+        )
+
     @abstractmethod
     def start(self) -> Self:
         """Start the thread; ``with`` calls this."""

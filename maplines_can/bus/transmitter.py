@@ -155,8 +155,8 @@ class Transmitter(BackgroundThread):
                 ``line.age`` is ignored.
 
         Raises:
-            EncodeError: a scene does not fit the DBC, see ``Encoder.prepare_scene``; or it takes
-                scenes only.
+            EncodeError: a scene does not fit the DBC, or was prepared for another one, see
+                ``Encoder.prepare_scene``; or the DBC takes scenes only.
             ValueError: ``t_pose_ns`` is more than 1 s ahead of ``time.time_ns()``, or more
                 than 1 h behind.
             RuntimeError: the transmitter was stopped, or runs in the parent process only.
@@ -171,7 +171,7 @@ class Transmitter(BackgroundThread):
                     f"t_pose_ns must be on the clock of time.time_ns(), at most 1 s ahead and 1 h "
                     f"ago, got {t_pose_ns!r}, which was {age:g} s ago"
                 )
-        if isinstance(line, Scene):
+        if isinstance(line, Scene | PreparedScene):
             line = self._encoder.prepare_scene(line, fd=self._fd)
         prepared = line if isinstance(line, PreparedScene) else None
         left_out = line.left_out if isinstance(line, MapLineList | PreparedScene) else {}

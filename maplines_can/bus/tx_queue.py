@@ -133,7 +133,11 @@ class TxQueue:
         """Publish a scene at ``now`` [s] in place of all that was published before.
 
         It has the given age [s], or that of its oldest line.
+
+        Raises:
+            EncodeError: it was prepared for another DBC.
         """
+        prepared = self._encoder.prepare_scene(prepared, fd=self._fd)
         if age is None:
             age = max((line.age for line in prepared.scene.lines), default=0.0)
         if self._scene is None:

@@ -142,10 +142,7 @@ class MapLine:
                 f"x_min <= x_max must be finite [m], got x_min={self.x_min!r}, x_max={self.x_max!r}"
             )
         if not (0 <= age <= MAX_AGE or age == math.inf):
-            raise ValueError(
-                f"age must be 0 s or more (up to {MAX_AGE:g}), or infinite if it is too old or "
-                f"unknown, got {self.age!r}"
-            )
+            raise age_error(self.age)
         if self.t_ns is not None and self.t_ns != self.t_ns // 1:
             raise ValueError(
                 f"t_ns must be a whole number [ns], or None at the sender, got {self.t_ns!r}"
@@ -223,6 +220,14 @@ class MapLineList(list[MapLine]):
     ) -> None:
         super().__init__(lines)
         self.left_out = dict(left_out or {})
+
+
+def age_error(age: object) -> ValueError:
+    """Return the error of an age that no line or scene can have."""
+    return ValueError(
+        f"age must be 0 s or more (up to {MAX_AGE:g}), or infinite if it is too old or unknown, "
+        f"got {age!r}"
+    )
 
 
 def _class_name(value: object) -> str:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -19,12 +22,16 @@ class BatchCodec:
     """Codec of many lines at once; ``Codec.batch`` is one.
 
     Args:
+        again: returns that of the same codec.
         writer: writer of the records.
     """
 
-    def __init__(self, writer: CompleteWriter) -> None:
-        self._writer, self._layout = writer, writer.layout
+    def __init__(self, again: Callable[[], BatchCodec], writer: CompleteWriter) -> None:
+        self._again, self._writer, self._layout = again, writer, writer.layout
         self._reader = RecordReader(writer.format)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return self._again, ()
 
     def encode(
         self,

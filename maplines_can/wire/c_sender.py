@@ -18,6 +18,7 @@ from ..values.scene import Scene
 from .covariance.cholesky import CholeskyCode
 from .covariance.scene_code import DecodedLines, SceneCode
 from .covariance.scene_encoder import EncodedScene
+from .layout.message_layout import Layout
 from .layout.pose_layout import Owner
 from .records.frames import Frame, FrameWriter
 from .records.scene_writer import PreparedScene
@@ -38,16 +39,21 @@ class CSender:
     """Writer of frames in C.
 
     Args:
-        tables: of the DBC; see ``tables_of``.
+        layout: of the DBC.
+        tables: of the same; see ``tables_of``.
         scene_code: of the DBC; None if it has no message of the pose error.
         frame_writer: writes authenticated frames.
     """
 
     def __init__(
-        self, tables: Any, scene_code: SceneCode | None, frame_writer: FrameWriter
+        self,
+        layout: Layout,
+        tables: Any,
+        scene_code: SceneCode | None,
+        frame_writer: FrameWriter,
     ) -> None:
         self._sender = core.Sender(tables, Frame)
-        self._code, self._frame_writer = scene_code, frame_writer
+        self._layout, self._code, self._frame_writer = layout, scene_code, frame_writer
         self._is_authenticated = frame_writer.is_authenticated
 
     def lines(
@@ -74,7 +80,8 @@ class CSender:
             return None
         lines = zip(scene.lines, prepared.left_out(), strict=True)
         sent = tuple(line.slot for line, why in lines if not (self._code.is_conditional and why))
-        return PreparedScene(scene, SceneInC.of(scene, prepared, self._code), sent)
+        encoded = SceneInC.of(scene, prepared, self._code)
+        return PreparedScene(scene, encoded, sent, self._layout)
 
     def scene(
         self,
@@ -88,7 +95,7 @@ class CSender:
 
         None if the scene was prepared or changed in Python, or if something is unusual.
         """
-        encoded = prepared.encoded if isinstance(prepared, PreparedScene) else None
+        encoded = prepared.encoded
         records = encoded.records_of(prepared.scene) if isinstance(encoded, SceneInC) else None
         if records is None or not isinstance(counters, dict):
             return None
@@ -121,6 +128,10 @@ class SceneInC(EncodedScene):
         self = object.__new__(cls)
         vars(self).update(_scene=scene, _prepared=prepared, _code=code)
         return self
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return the scene as Python encodes it: the records in C stay in this process."""
+        return EncodedScene, (self.pose, self.lines, self.decoded, self.left_out)
 
     def records_of(self, scene: Scene) -> Any:
         """Return the records in C; None if they are of another scene, or fields were changed."""

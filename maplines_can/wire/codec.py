@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,8 @@ class Codec:
     """Codec between map lines and CAN frames; all factors, ranges and bits are from a DBC.
 
     It has no state. ``batch`` is for arrays of lines, ``encoder()`` for a sender and ``decoder()``
-    for a receiver; each of these two has a state of its own.
+    for a receiver; each of these two has a state of its own. A codec can be pickled, for another
+    process; one with an authenticator cannot, since that would write its keys.
 
     The covariance is never overconfident. Let S be the covariance that was given, d the error of
     the decoded mean, and S' the decoded covariance. Unless the status is OUT_OF_RANGE, S' is
@@ -132,6 +133,10 @@ class Codec:
         finally:
             del authenticator  # a traceback may show the locals
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        codes = {self.layout.covariance_code: type(self.covariance)}
+        return type(self), (self.layout, self.authenticator, codes)
+
     def __repr__(self) -> str:
         secured = "" if self.authenticator is None else ", authenticated"
         return f"<Codec of {self.layout.source}: {self.layout.covariance_code}{secured}>"
@@ -155,12 +160,17 @@ class Codec:
         """
         if self._complete is None:
             raise conditional_error(self.layout)
-        return BatchCodec(self._complete)
+        return BatchCodec(partial(getattr, self, "batch"), self._complete)
 
     def encoder(self) -> Encoder:
         """Return a new encoder, which holds the counters of a sender."""
         return Encoder(
-            self.layout, self._frame_writer, self._complete, self._scene_writer, self._c_sender
+            self.encoder,
+            self.layout,
+            self._frame_writer,
+            self._complete,
+            self._scene_writer,
+            self._c_sender,
         )
 
     def _formats(self) -> Iterator[RecordFormat[CompleteRecord | RawRecord]]:
@@ -184,7 +194,7 @@ class Codec:
     def _c_sender(self) -> CSender | None:
         if self._c_tables is None:
             return None
-        return CSender(self._c_tables, self._scene_code, self._frame_writer)
+        return CSender(self.layout, self._c_tables, self._scene_code, self._frame_writer)
 
     def verifier(self) -> Verifier | None:
         """Return a verifier of received frames of lines; None without an authenticator."""
@@ -208,8 +218,8 @@ class Codec:
             timeout_ms: longest time between the frames of a transfer, and between the components
                 of a mixture [ms]. The default is shorter than the time after which transfer IDs
                 repeat: (transfer IDs / greatest ComponentCount - 0.5) cycles, at least 0.5 and at
-                most 1.5 cycles; 75 ms with ``maplines.dbc``. ``Reassembler`` describes the effect
-                of a longer one.
+                most 1.5 cycles, and at most an hour; 75 ms with ``maplines.dbc``. ``Reassembler``
+                describes the effect of a longer one.
             cycle_ms: cycle time of the lines of a slot [ms], for the E2E state, stale and late
                 lines, and the default of ``timeout_ms``; by default the slot's cycle time in the
                 DBC, or 100 ms.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from operator import index
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +13,7 @@ from ..values.errors import EncodeError
 from ..values.line import MapLine, Slot
 from ..values.scene import Scene
 from .c_sender import CSender
-from .layout.message_layout import Layout
+from .layout.message_layout import PAGE_BYTES, Layout
 from .layout.pose_layout import Owner
 from .records.complete_writer import CompleteWriter
 from .records.frames import Frame, FrameWriter
@@ -21,9 +23,11 @@ from .records.scene_writer import PreparedScene, SceneWriter
 class Encoder:
     """Encoder of the lines of a sender; it holds the counter of each slot and of the pose error.
 
-    ``Codec.encoder`` makes one, whose counters begin with 0.
+    ``Codec.encoder`` makes one, whose counters begin with 0. A copy, or one from a pickle, goes on
+    from the counters of the original: only one of the two may send.
 
     Args:
+        again: makes an encoder of the same codec.
         layout: of the records.
         frame_writer: writes the frames of a record.
         line_writer: writes lines; None if the records are conditional on the pose error.
@@ -33,16 +37,20 @@ class Encoder:
 
     def __init__(
         self,
+        again: Callable[[], Encoder],
         layout: Layout,
         frame_writer: FrameWriter,
         line_writer: CompleteWriter | None,
         scene_writer: SceneWriter | None,
         c_sender: CSender | None = None,
     ) -> None:
-        self._layout, self._frame_writer = layout, frame_writer
+        self._again, self._layout, self._frame_writer = again, layout, frame_writer
         self._lines, self._scenes = line_writer, scene_writer
         self._c = c_sender
         self._counters: dict[Owner, int] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return self._again, (), {"_counters": self._counters}
 
     def encode(self, line: MapLine, *, fd: bool = False) -> list[Frame]:
         """Encode a line into frames to be sent back to back, and advance the slot's counter.
@@ -85,7 +93,7 @@ class Encoder:
         self, lines: Sequence[MapLine], first: Mapping[Owner, int], *, fd: bool
     ) -> tuple[list[list[Frame]], dict[Owner, int]]:
         """Return the frames of each line, and the counters that follow them."""
-        writer = self._line_writer()
+        writer, first = self._line_writer(), _whole(first)
         records_of_lines, following = writer.write_lines(lines, first)
         write = self._frame_writer.write
         frames = [
@@ -94,17 +102,31 @@ class Encoder:
         ]
         return frames, following
 
-    def prepare_scene(self, scene: Scene, *, fd: bool = False) -> PreparedScene:
+    def prepare_scene(self, scene: Scene | PreparedScene, *, fd: bool = False) -> PreparedScene:
         """Encode a scene but for counters and age, which takes most of the time.
 
         Args:
-            scene: from ``map_scene``.
+            scene: from ``map_scene``; one that is prepared is returned as it is.
             fd: for CAN FD frames, which always have all entries of line-specific covariances.
 
         Raises:
             EncodeError: the DBC has no message of the pose error, or none for a slot; or the pose
-                error does not fit.
+                error does not fit; or the scene was prepared for another DBC.
+            TypeError: it is no scene.
         """
+        if isinstance(scene, PreparedScene):
+            if not scene.layout.is_same_as(self._layout):
+                raise EncodeError(
+                    f"the scene was prepared for another DBC, {scene.layout.source}, and this "
+                    f"encoder is of {self._layout.source}; prepare it with an encoder of this DBC, "
+                    "or encode or publish the Scene itself"
+                )
+            return scene
+        if not isinstance(scene, Scene):
+            raise TypeError(
+                "scene must be a Scene, such as from map_scene, or one from prepare_scene, got a "
+                f"{type(scene).__name__}"
+            )
         full = fd and self._layout.is_conditional
         prepared = None if self._c is None else self._c.prepare(scene, full=full)
         return prepared or self._scene_writer().prepare(scene, full=full)
@@ -133,6 +155,7 @@ class Encoder:
 
         Raises:
             EncodeError: as ``prepare_scene``.
+            ValueError: an age is less than 0 or NaN, or is missing.
 
         >>> from maplines_can import Codec, Gaussian, Polyline, map_scene
         >>> from maplines_can.wire import default_dbc_path
@@ -142,7 +165,7 @@ class Encoder:
         >>> {owner: len(frames) for owner, frames in codec.encoder().encode_scene(scene).items()}
         {'pose': 2, <Slot.EGO_LEFT: 0>: 2}
         """
-        prepared = self.prepare_scene(scene, fd=fd) if isinstance(scene, Scene) else scene
+        prepared = self.prepare_scene(scene, fd=fd)
         first = self._counters if counters is None else counters
         sent = None if self._c is None else self._c.scene(prepared, first, age, fd=fd)
         frames, following = sent or self._write_scene(prepared, first, age, fd=fd)
@@ -159,12 +182,23 @@ class Encoder:
         fd: bool,
     ) -> tuple[dict[Owner, list[Frame]], dict[Owner, int]]:
         """Return the frames of a scene by owner, and the counters that follow them."""
-        records, following = self._scene_writer().write(prepared, first, age)
+        records, following = self._scene_writer().write(prepared, _whole(first), age)
         write = self._frame_writer.write
         return {owner: write(record, owner, fd) for owner, record in records.items()}, following
 
     def frames(self, payload: NDArray[np.uint8], slot: Slot, *, fd: bool = False) -> list[Frame]:
-        """Return the frames of one record; each authenticated frame has its own freshness value."""
+        """Return the frames of one record; each authenticated frame has its own freshness value.
+
+        Raises:
+            EncodeError: the DBC has no such message, or its records have another length.
+        """
+        layout = self._layout
+        lengths = sorted({PAGE_BYTES * layout.short_pages, layout.record_bytes})
+        if payload.nbytes not in lengths:
+            raise EncodeError(
+                f"payload must be a record of {layout.source}, of {' or '.join(map(str, lengths))} "
+                f"bytes, got {payload.nbytes}"
+            )
         return self._frame_writer.write(payload.tobytes(), slot, fd)
 
     def _line_writer(self) -> CompleteWriter:
@@ -179,6 +213,11 @@ class Encoder:
                 "cannot be sent as a scene; take maplines.dbc or maplines-pose.dbc"
             )
         return self._scenes
+
+
+def _whole(counters: Mapping[Owner, int]) -> dict[Owner, int]:
+    """Return counters of any integral type as integers."""
+    return {owner: index(counter) for owner, counter in counters.items()}
 
 
 def conditional_error(layout: Layout) -> EncodeError:

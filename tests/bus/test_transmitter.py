@@ -371,9 +371,12 @@ class SceneCodec(FakeCodec):
 
     layout: Any = SimpleNamespace(max_age=60.0, is_conditional=True, source="pose.dbc")
 
-    def prepare_scene(self, scene: Scene, *, fd: bool) -> PreparedScene:
+    def prepare_scene(self, scene: Scene | PreparedScene, *, fd: bool) -> PreparedScene:
         assert fd is False
-        return PreparedScene(scene, EncodedScene({}, {}, None, {}), tuple(scene.index))
+        if isinstance(scene, PreparedScene):
+            return scene
+        encoded = EncodedScene({}, {}, None, {})
+        return PreparedScene(scene, encoded, tuple(scene.index), self.layout)
 
     def encode_scene(self, prepared: PreparedScene, *, age: Any, fd: bool, counters: Any) -> Any:
         assert fd is False

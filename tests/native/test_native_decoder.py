@@ -308,16 +308,6 @@ def ids_of(decoder: Decoder, layout: Layout) -> Iterable[list[int]]:
     yield [own.fd_can_id for own in messages if own.fd_can_id is not None]
 
 
-def test_a_time_that_is_no_whole_number_is_refused_at_once() -> None:
-    """In Python, when its line is made; what is not of the DBC is not looked at."""
-    decoder, _ = decoders(layout_of(COMPLETE))
-    for wrong, error in ((0.5, ValueError), (float("nan"), ValueError), ("0", TypeError)):
-        with pytest.raises(error):
-            decoder.feed(KNOWN, bytes(8), wrong)  # type: ignore[arg-type]
-    assert decoder.feed(KNOWN, bytes(8), 0) is Reason.PENDING
-    assert decoder.frames == 4
-
-
 @pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
 def test_nothing_leaks(dbc: str) -> None:
     """Thousands of frames, scenes and errors leave no object behind."""

@@ -5,16 +5,138 @@ from typing import Any
 
 import numpy as np
 import pytest
+from both_senders import codecs_of
 from dbcs import default_codec, edited
 
 from maplines_can.values.line import MapLine, Slot
-from maplines_can.wire import POSE, Codec, E2EConfig, Layout, ProfileStatus, default_dbc_path
+from maplines_can.wire import (
+    POSE,
+    Codec,
+    E2EConfig,
+    Layout,
+    ProfileStatus,
+    Reason,
+    default_dbc_path,
+)
 from maplines_can.wire.reception.settings import decoder_settings, timeout_cycles
 
 
-def test_a_time_of_an_hour_is_allowed() -> None:
-    """The upper bound is part of the range."""
-    assert default_codec().decoder(timeout_ms=3_600_000, cycle_ms=3_600_000).lines == 0
+@pytest.mark.parametrize("in_c", [True, False])
+@pytest.mark.parametrize(
+    ("given", "timeout_ms", "cycle_ms"),
+    [
+        pytest.param((3_600_000, 3_600_000), 3_600_000, 3_600_000, id="both"),
+        pytest.param((None, 3_600_000), 3_600_000, 3_600_000, id="a-time-out-of-one-cycle"),
+        pytest.param((None, 2_400_000), 3_600_000, 2_400_000, id="a-time-out-of-1.5-cycles"),
+        pytest.param((None, 2_000_000), 3_000_000, 2_000_000, id="below"),
+    ],
+)
+def test_a_time_of_an_hour_is_allowed(
+    given: Any, timeout_ms: int, cycle_ms: int, in_c: bool
+) -> None:
+    """The upper bound is part of the range, and of the time-out that follows from the cycle."""
+    layout = default_codec().layout
+    settings = decoder_settings(layout, *given)
+    assert {one[:2] for one in settings.values()} == {(timeout_ms * 10**6, cycle_ms * 10**6)}
+    decoder = codecs_of(layout)[not in_c].decoder(timeout_ms=given[0], cycle_ms=given[1])
+    first, *rest = default_codec().encoder().encode(MapLine.mean_only(Slot.EGO_LEFT, np.zeros(4)))
+    decoder.feed(first.can_id, first.data, 0)
+    for frame in rest:  # as late as it may be
+        decoder.feed(frame.can_id, frame.data, timeout_ms * 10**6)
+    assert decoder.lines == 1
+    assert not decoder.latest(Slot.EGO_LEFT, 3 * cycle_ms * 10**6).stale
+    assert decoder.latest(Slot.EGO_LEFT, 3 * cycle_ms * 10**6 + 1).stale
+
+
+@pytest.mark.parametrize("in_c", [True, False])
+@pytest.mark.parametrize(
+    ("wrong", "error", "message"),
+    [
+        pytest.param(-1, ValueError, "stale_cycles must be 0 or more", id="negative"),
+        pytest.param(float("nan"), ValueError, "stale_cycles must be 0 or more", id="nan"),
+        pytest.param("3", TypeError, "must be real number, not str", id="text"),
+        pytest.param(None, TypeError, "must be real number, not NoneType", id="none"),
+    ],
+)
+def test_a_wrong_number_of_stale_cycles_raises(
+    wrong: Any, error: type[Exception], message: str, in_c: bool
+) -> None:
+    """NaN would never be stale; so for the scene, before the first one."""
+    decoder = codecs_of(default_codec().layout)[not in_c].decoder()
+    with pytest.raises(error, match=message):
+        decoder.latest(Slot.EGO_LEFT, 0, stale_cycles=wrong)
+    with pytest.raises(error, match=message):
+        decoder.latest_scene(0, stale_cycles=wrong)
+    assert decoder.latest(Slot.EGO_LEFT, 0, stale_cycles=float("inf")).stale  # there is no line
+
+
+LATEST_NS = 4 * 10**18
+
+
+@pytest.mark.parametrize("in_c", [True, False])
+@pytest.mark.parametrize(
+    ("given", "t_ns"),
+    [
+        pytest.param(7.0, 7, id="float"),
+        pytest.param(np.int64(-7), -7, id="int64"),
+        pytest.param(np.float64(7), 7, id="float64"),
+        pytest.param(True, 1, id="bool"),
+        pytest.param(LATEST_NS, LATEST_NS, id="latest"),
+        pytest.param(LATEST_NS + 1, LATEST_NS, id="beyond"),
+        pytest.param(-LATEST_NS - 1, -LATEST_NS, id="before"),
+        pytest.param(np.uint64(2**64 - 1), LATEST_NS, id="uint64"),
+        pytest.param(10**400, LATEST_NS, id="huge"),
+        pytest.param(1e30, LATEST_NS, id="huge-float"),
+    ],
+)
+def test_times_are_integers_within_a_range(given: Any, t_ns: int, in_c: bool) -> None:
+    """Of frames, of questions and of the end of a time-out, in C and in Python."""
+    decoder = codecs_of(default_codec().layout)[not in_c].decoder()
+    line = MapLine.mean_only(Slot.EGO_LEFT, np.zeros(4), age=0.01)
+    frames = default_codec().encoder().encode(line)
+    *_, answer = [decoder.feed(frame.can_id, frame.data, given) for frame in frames]
+    assert not isinstance(answer, Reason)
+    (received,) = answer
+    assert (received.t_ns, type(received.t_ns)) == (t_ns, int)
+    view = decoder.latest(Slot.EGO_LEFT, given)
+    assert (type(view.age), view.age, view.stale) == (float, received.age, False)
+    assert decoder.slots(given)[Slot.EGO_LEFT].ok == 1
+    decoder.feed(frames[0].can_id, bytes(8), -LATEST_NS)
+    decoder.expire(given)
+    assert decoder.pending == (t_ns == -LATEST_NS)
+
+
+@pytest.mark.parametrize("in_c", [True, False])
+@pytest.mark.parametrize(
+    ("wrong", "error", "message"),
+    [
+        pytest.param(1.5, ValueError, "must be whole \\[ns\\], got 1.5", id="fraction"),
+        pytest.param(float("inf"), ValueError, "must be whole \\[ns\\], got inf", id="infinite"),
+        pytest.param(float("nan"), ValueError, "must be whole \\[ns\\], got nan", id="nan"),
+        pytest.param("1", TypeError, "'str' object cannot be interpreted", id="text"),
+        pytest.param(None, TypeError, "'NoneType' object cannot be interpreted", id="none"),
+    ],
+)
+def test_what_is_no_time_raises(
+    wrong: Any, error: type[Exception], message: str, in_c: bool
+) -> None:
+    """Wherever a time is an argument, and nothing is counted."""
+    decoder = codecs_of(default_codec().layout)[not in_c].decoder()
+    (frame, *_) = default_codec().encoder().encode(MapLine.mean_only(Slot.EGO_LEFT, np.zeros(4)))
+    for ask in (
+        lambda: decoder.feed(frame.can_id, frame.data, wrong),
+        lambda: decoder.feed(frame.can_id, bytes(3), wrong),
+        lambda: decoder.expire(wrong),
+        lambda: decoder.latest(Slot.EGO_LEFT, wrong),
+        lambda: decoder.latest_scene(wrong),
+        lambda: decoder.slots(wrong),
+        lambda: decoder.pose_error(wrong),
+    ):
+        with pytest.raises(error, match=message):
+            ask()
+    assert decoder.feed(0x7FF, frame.data, wrong) is Reason.FOREIGN  # not looked at
+    assert decoder.feed(frame.can_id, frame.data, 0) is Reason.PENDING
+    assert decoder.frames == decoder.pending + sum(decoder.counts.values()) == 2
 
 
 def test_max_delta_counter_must_be_less_than_half_of_the_counters(tmp_path: Path) -> None:

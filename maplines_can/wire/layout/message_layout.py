@@ -145,6 +145,16 @@ class Layout(RecordLayout):
         sha256 = hashlib.sha256(text.encode()).hexdigest()
         return cls(source=source, sha256=sha256, **content._asdict())
 
+    def is_same_as(self, other: Layout) -> bool:
+        """Whether records and messages are the same, as those of a DBC that was read twice."""
+        return self is other or self._content == other._content
+
+    @cached_property
+    def _content(self) -> tuple[object, ...]:
+        pose = self.pose
+        of_pose = None if pose is None else (pose.signals, pose.messages, pose.secured)
+        return self.signals, self.messages, self.covariance_code, self.secured, of_pose
+
     @cached_property
     def resolution(self) -> NDArray[np.float64]:
         """(4,) variances of the mean's rounding error, factor^2 / 12, in SI units squared."""

@@ -137,7 +137,10 @@ or AES-256), got 4 characters
         return f"Key(key_id={self.key_id}, fingerprint={self.fingerprint!r})"
 
     def __reduce__(self) -> str:
-        raise TypeError("a Key cannot be pickled or copied, since that would write its secret")
+        raise TypeError(
+            "a Key cannot be pickled or copied, since that would write its secret; read it in each "
+            "process, such as with key_from_file"
+        )
 
 
 def _primitives() -> tuple[Any, Any]:

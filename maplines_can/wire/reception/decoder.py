@@ -19,7 +19,15 @@ from .reassembly import Reassembler, Record
 from .scenes import Joined, JoinedLine, ReceivedScene, SceneAssembler
 from .sequence import SequenceCheck, SlotStats
 from .settings import RecordSettings
-from .views import STALE_CYCLES, SceneView, SlotView, scene_view, slot_view
+from .times import limited_ns
+from .views import (
+    STALE_CYCLES,
+    SceneView,
+    SlotView,
+    check_stale_cycles,
+    scene_view,
+    slot_view,
+)
 
 # Looked up only once, since feed is called for every frame.
 PENDING, FOREIGN = Reason.PENDING, Reason.FOREIGN
@@ -70,7 +78,9 @@ class Decoder:
     no line, no transfer, no check.
 
     Time is an argument. `latest` and `latest_scene` return the newest line of a slot and the newest
-    scene at any time; a ``Receiver`` does the same on a bus. A decoder is not thread-safe.
+    scene at any time; a ``Receiver`` does the same on a bus. A decoder is not thread-safe: use it
+    in one thread, or with a lock. A call during ``feed_arrays`` of another thread raises
+    RuntimeError.
 
     Args:
         layout: of the records and their messages.
@@ -133,6 +143,12 @@ class Decoder:
         self.pose_errors = 0  #: pose errors received
         self.pose_frames = 0  #: frames of the pose errors received
 
+    def __reduce__(self) -> str:
+        raise TypeError(
+            "a Decoder cannot be pickled or copied, since it holds the state of a receiver; pickle "
+            "the Codec, and make another with its decoder()"
+        )
+
     @property
     def checks(self) -> Mapping[Owner, Check]:
         """Checks of the records of each slot of the DBC, and of the pose error if it has that."""
@@ -163,12 +179,16 @@ class Decoder:
         Args:
             can_id: its CAN ID.
             data: its payload.
-            t_ns: time of reception, on any clock that runs steadily [ns].
+            t_ns: time of reception, on any clock that runs steadily [ns]. Times are limited to
+                +-4e18 ns.
             is_extended: the ID has 29 bits.
 
         Returns:
             One line, or several if a pose error completes those that waited for it; or the reason
             why there is none (PENDING: not yet). No frame raises.
+
+        Raises:
+            ValueError: ``t_ns`` is not a whole number.
         """
         record = self._reassembled(can_id, data, t_ns, is_extended)
         answer = record if isinstance(record, Reason) else self._checked(record)
@@ -206,11 +226,11 @@ class Decoder:
         self, can_id: int, data: bytes, t_ns: int, is_extended: bool
     ) -> Record[Content] | Reason:
         """Return the record that a frame completes, or the reason why none."""
-        self.frames += 1
         record = self._reassembler.feed(can_id, data, t_ns, is_extended)
+        self.frames += 1
         if isinstance(record, Reason) and record is not PENDING and record is not FOREIGN:
             owner = self._reassembler.owner_of(can_id, is_extended)
-            self._checks[owner].frame_dropped(record, t_ns)
+            self._checks[owner].frame_dropped(record, limited_ns(t_ns, "t_ns"))
         return record
 
     def _checked(self, record: Record[Content]) -> list[MapLine] | JoinedLine | Reason:
@@ -231,6 +251,7 @@ class Decoder:
 
     def expire(self, t_ns: int) -> None:
         """Drop the transfers, mixtures and waiting lines that have timed out at ``t_ns`` [ns]."""
+        t_ns = limited_ns(t_ns, "t_ns")
         self._reassembler.expire(t_ns)
         self._mixtures.expire(t_ns)
         if self._scenes is not None:
@@ -251,9 +272,12 @@ class Decoder:
                 stale; see ``Codec.decoder`` for the cycle time.
 
         Raises:
-            ValueError: the DBC has no such slot, or ``now_ns`` is not a whole number.
+            ValueError: the DBC has no such slot, ``now_ns`` is not a whole number, or
+                ``stale_cycles`` is less than 0 or NaN.
         """
-        self._check_question(slot, now_ns)
+        self._check_slot(slot)
+        check_stale_cycles(stale_cycles)
+        now_ns = limited_ns(now_ns, "now_ns")
         owners: tuple[Owner, ...] = (slot, POSE) if self.is_conditional else (slot,)
         checks = [self._checks[owner] for owner in owners]
         return slot_view(Slot(slot), self._newest.get(slot), checks, now_ns, stale_cycles)
@@ -271,10 +295,12 @@ class Decoder:
             stale_cycles: number of cycle times since its pose error after which a scene is stale.
 
         Raises:
-            ValueError: the DBC has no message of the pose error.
+            ValueError: the DBC has no message of the pose error; or as ``latest``.
         """
         if self._scenes is None:
             raise ValueError(NO_POSE)
+        check_stale_cycles(stale_cycles)
+        now_ns = limited_ns(now_ns, "now_ns")
         received = self._scenes.latest()
         lines = () if received is None else received.scene.lines
         slots = {line.slot: self._checks[line.slot] for line in lines}
@@ -294,20 +320,17 @@ class Decoder:
         """Return the E2E statistics of the pose error; None if none was received."""
         return self._stats(POSE, now_ns) if POSE in self.checks else None
 
-    def _check_question(self, slot: Slot, now_ns: int) -> None:
-        """Check the arguments of ``latest``."""
+    def _check_slot(self, slot: Slot) -> None:
         if slot not in self._slots:
             names = ", ".join(known.name for known in self._slots)
             raise ValueError(f"slot must be one of the DBC's, {names}, got {slot!r}")
-        if now_ns != now_ns // 1:
-            raise ValueError(f"now_ns must be whole [ns], got {now_ns!r}")
 
     def _check_of(self, owner: Owner) -> Check:
         return self._checks[owner]
 
     def _stats(self, owner: Owner, now_ns: int) -> SlotStats | None:
         check = self._check_of(owner)
-        check.elapse(now_ns)
+        check.elapse(limited_ns(now_ns, "now_ns"))
         return None if check.status is None else check.stats()
 
     def _add_component(

@@ -17,7 +17,7 @@ from .check import Check
 from .decoder import NO_POSE, Decoder
 from .sequence import SlotStats
 from .settings import RecordSettings
-from .views import STALE_CYCLES, SceneView, SlotView
+from .views import STALE_CYCLES, SceneView, SlotView, check_stale_cycles
 
 #: Base class with the stations, and ``feed``, ``feed_all``, ``expire``, ``scene`` and the numbers
 #: of frames.
@@ -30,8 +30,6 @@ _STATUSES |= {int(status): status for status in ProfileStatus}
 
 class NativeDecoder(_Core, Decoder):  # type: ignore[misc]
     """Decoder whose stations are in C: the methods are those of ``Decoder``.
-
-    Times are limited to +-4e18 ns. A time that is no integer raises in ``feed`` at once.
 
     Args:
         layout: of the records and their messages.
@@ -72,7 +70,8 @@ class NativeDecoder(_Core, Decoder):  # type: ignore[misc]
 
     def latest(self, slot: Slot, now_ns: int, *, stale_cycles: float = STALE_CYCLES) -> SlotView:
         """Return the newest line of a slot with its state; see ``Decoder.latest``."""
-        self._check_question(slot, now_ns)
+        self._check_slot(slot)
+        check_stale_cycles(stale_cycles)
         line, age, stale, state, status, two_senders = self._view(slot, now_ns, stale_cycles)
         return SlotView(
             Slot(slot), line, age, stale, _STATES[state], _STATUSES[status], two_senders
@@ -82,6 +81,7 @@ class NativeDecoder(_Core, Decoder):  # type: ignore[misc]
         """Return the newest scene; see ``Decoder.latest_scene``."""
         if POSE not in self._numbers:
             raise ValueError(NO_POSE)
+        check_stale_cycles(stale_cycles)
         received = self.scene()
         age, stale, state, status, states, two_senders = self._scene_view(now_ns, stale_cycles)
         known = _STATES[state], _STATUSES[status]

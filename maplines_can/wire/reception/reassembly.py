@@ -14,6 +14,7 @@ from ..layout.pose_layout import Owner, PoseLayout
 from ..layout.signals import PAGE, PAGE_BYTES, TRANSFER_ID, Signal
 from ..reasons import Reason
 from ..records.record import Content, RecordReader
+from .times import limited_ns
 
 #: Function that returns the record of an authenticated payload and its SecOC data ID, or the
 #: reason why it is not authentic, as a ``Verifier`` does.
@@ -207,6 +208,7 @@ class Reassembler(Generic[Content]):
         if route is None:
             return self._dropped(Reason.FOREIGN)
         inbox, is_whole, data_id = route
+        t_ns = limited_ns(t_ns, "t_ns")
         if data_id is not None or inbox.verify is not None:
             return self._feed_secured(inbox, data_id, bytes(data), t_ns)
         if is_whole:

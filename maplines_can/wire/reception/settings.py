@@ -83,7 +83,7 @@ def _times_ns(
     """Return the time-out and the cycle time [ns] of an owner with these messages."""
     dbc_ms = messages.cycle_ms or DEFAULT_CYCLE_MS
     chosen_ms = cycle_ms or dbc_ms
-    derived_ms = max(dbc_ms / 2, timeout_cycles(layout) * chosen_ms)
+    derived_ms = min(max(dbc_ms / 2, timeout_cycles(layout) * chosen_ms), MAX_MS)
     return _whole_ns(timeout_ms or derived_ms), _whole_ns(chosen_ms)
 
 

@@ -86,6 +86,19 @@ class SceneView(NamedTuple):
         return vouched and not self.stale and not self.two_senders
 
 
+def check_stale_cycles(stale_cycles: float) -> None:
+    """Check that a number of cycles is 0 or more; infinite is never.
+
+    Raises:
+        ValueError: it is less than 0, or NaN.
+        TypeError: it is no number.
+    """
+    if math.isnan(stale_cycles) or stale_cycles < 0:
+        raise ValueError(
+            f"stale_cycles must be 0 or more, or infinite for never, got {stale_cycles!r}"
+        )
+
+
 def slot_view(
     slot: Slot,
     line: MapLine | None,

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...values.arrays import floats
 from ...values.errors import EncodeError
-from ...values.line import LeftOut, Slot
+from ...values.line import MAX_AGE, LeftOut, Slot, age_error
 from ...values.scene import Scene
 from ..covariance.scene_encoder import EncodedScene, SceneEncoder
 from ..layout.message_layout import Layout
@@ -28,6 +30,7 @@ class PreparedScene:
     encoded: EncodedScene
     #: Slots of the lines that are sent, whether they belong to the pose error or not.
     sent_slots: tuple[Slot, ...]
+    layout: Layout  #: of the DBC whose raw values they are
 
     @property
     def members(self) -> dict[Slot, dict[str, int]]:
@@ -100,10 +103,11 @@ class SceneWriter:
         if self._complete is None:
             encoded = self._encoder.encode(scene, full=full)
             sent = tuple(scene.lines[place].slot for place in encoded.lines)
-            return PreparedScene(scene, encoded, sent)
+            return PreparedScene(scene, encoded, sent, self._layout)
         raw = [self._complete.raw_mean_and_range(line) for line in scene.lines]
         encoded = self._encoder.encode_levels(scene, raw)
-        return PreparedScene(scene, encoded, tuple(line.slot for line in scene.lines))
+        sent = tuple(line.slot for line in scene.lines)
+        return PreparedScene(scene, encoded, sent, self._layout)
 
     def write(
         self,
@@ -118,8 +122,17 @@ class SceneWriter:
             counters: next counter of each slot and of the pose error; 0 if there is none.
             age: time from the pose to the sending of each record, or one for all [s]; infinite if
                 it is too old.
+
+        Raises:
+            ValueError: an age is less than 0 or NaN, or that of a record is missing.
         """
         ages = age if isinstance(age, Mapping) else dict.fromkeys((POSE, *Slot), age)
+        aged = (POSE,) if self._complete is None else (POSE, *prepared.sent_slots)
+        if missing := [owner for owner in aged if owner not in ages]:
+            raise ValueError(
+                f"age must be one for all [s], or have that of each record, but {missing[0]!r} "
+                "has none"
+            )
         records, following = self._line_records(prepared, counters, ages)
         raw = self._raw_pose(prepared, counters, following) | {"Age": self._raw_age(ages[POSE])}
         number = following[POSE] % self._pose_modulus
@@ -169,5 +182,8 @@ class SceneWriter:
         return raw
 
     def _raw_age(self, age: float) -> int:
+        given = float(floats(age, "age"))
+        if not (0 <= given <= MAX_AGE or given == math.inf):
+            raise age_error(age)
         signal = self._pose.signals["Age"]
-        return int(signal.limited(signal.raw_above(np.asarray(1000 * age))))
+        return int(signal.limited(signal.raw_above(np.asarray(1000 * given))))

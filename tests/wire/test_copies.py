@@ -1,0 +1,122 @@
+"""Codecs, encoders and prepared scenes in other processes: pickled and copied."""
+
+import json
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable
+from copy import copy, deepcopy
+from typing import Any
+
+import numpy as np
+import pytest
+from both_senders import codecs_of
+from scene_streams import ALL, COMPLETE, CONDITIONAL, authenticated_codec, new_codec, road_scene
+
+from maplines_can import Codec, MapLine, Slot
+from maplines_can.bus import Link, Transmitter
+from maplines_can.wire import Encoder
+
+LINE = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0.01, 0, 0], x_max=60.0, age=0.02)
+MEANS, COVS = [[1.75, 0, 0, 0]], [np.diag([0.01, 1e-4, 1e-8, 1e-12])]
+
+
+def pickled(value: Any) -> Any:
+    return pickle.loads(pickle.dumps(value))  # noqa: S301
+
+
+COPIES = [
+    pytest.param(pickled, id="pickle"),
+    pytest.param(copy, id="copy"),
+    pytest.param(deepcopy, id="deepcopy"),
+]
+
+
+def frames_of(encoder: Encoder, dbc: str) -> Any:
+    """Return what an encoder sends next: the scene, and a line if the DBC takes it by itself."""
+    scene = encoder.encode_scene(road_scene(), age=0.03)
+    return scene, None if dbc == CONDITIONAL else encoder.encode(LINE)
+
+
+@pytest.mark.parametrize("in_c", [True, False])
+@pytest.mark.parametrize("dbc", ALL)
+@pytest.mark.parametrize("again", COPIES)
+def test_a_copy_does_the_same(again: Callable[[Any], Any], dbc: str, in_c: bool) -> None:
+    """A codec, its batches, an encoder with its counters, and a scene that it has prepared."""
+    codec = codecs_of(new_codec(dbc).layout)[not in_c]
+    other: Codec = again(codec)
+    assert (repr(other), other.can_ids) == (repr(codec), codec.can_ids)
+    encoder = codec.encoder()
+    frames_of(encoder, dbc)  # the counters advance
+    prepared = again(encoder.prepare_scene(road_scene()))
+    expected, found = again(encoder), again(encoder)
+    assert frames_of(found, dbc) == frames_of(expected, dbc) == frames_of(encoder, dbc)
+    assert found.encode_scene(prepared) == encoder.encode_scene(road_scene())
+    assert other.encoder().encode_scene(road_scene()) == codec.encoder().encode_scene(prepared)
+    if dbc != CONDITIONAL:
+        records = codec.batch.encode(MEANS, COVS)
+        assert again(codec.batch).encode(MEANS, COVS).tobytes() == records.tobytes()
+        expected, found = (one.batch.decode(records).cov for one in (codec, other))
+        assert found.tobytes() == expected.tobytes()
+
+
+def test_a_copy_of_an_encoder_has_counters_of_its_own() -> None:
+    """What one sends does not advance the other."""
+    encoder = new_codec(COMPLETE).encoder()
+    encoder.encode(LINE)
+    for again in (copy, deepcopy, pickled):
+        other, before = again(encoder), encoder._counters
+        other.encode(LINE)
+        assert encoder._counters == before != other._counters
+
+
+SEND = """
+import pickle, sys
+codec, encoder, prepared = pickle.load(sys.stdin.buffer)
+sent = [encoder.encode_scene(prepared), codec.encoder().encode_scene(prepared.scene)]
+print([[frame.data.hex() for frames in each.values() for frame in frames] for each in sent])
+"""
+
+
+@pytest.mark.parametrize("native", ["0", ""])
+@pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
+def test_another_process_sends_the_same(dbc: str, native: str) -> None:
+    """Python alone reads what C has pickled: the bytes do not depend on the path."""
+    codec = new_codec(dbc)
+    encoder = codec.encoder()
+    encoder.encode_scene(road_scene())
+    given = pickle.dumps((codec, encoder, encoder.prepare_scene(road_scene())))
+    done = subprocess.run(
+        [sys.executable, "-c", SEND],
+        input=given,
+        capture_output=True,
+        check=True,
+        env=os.environ | {"MAPLINES_NATIVE": native},
+    )
+    sent = encoder.encode_scene(road_scene()), codec.encoder().encode_scene(road_scene())
+    expected = [[x.data.hex() for frames in each.values() for x in frames] for each in sent]
+    assert json.loads(done.stdout.replace(b"'", b'"')) == expected
+
+
+@pytest.mark.parametrize("again", [pickled, deepcopy])
+def test_a_key_is_never_written(again: Callable[[Any], Any]) -> None:
+    """A codec with an authenticator names the cure; so does its encoder."""
+    codec = authenticated_codec("maplines-secoc.dbc")
+    for value in (codec, codec.encoder()) if again is pickled else (codec,):
+        with pytest.raises(TypeError, match=r"Key cannot be pickled or copied.*key_from_file"):
+            again(value)
+
+
+@pytest.mark.parametrize("in_c", [True, False])
+@pytest.mark.parametrize("again", COPIES)
+def test_what_has_a_state_cannot_be_copied(again: Callable[[Any], Any], in_c: bool) -> None:
+    """A decoder, and threads that send; the message says what to pickle instead."""
+    codec = codecs_of(new_codec(COMPLETE).layout)[not in_c]
+    with pytest.raises(TypeError, match=r"a Decoder cannot be pickled.*pickle the Codec"):
+        again(codec.decoder())
+    with (
+        Link(interface="virtual", channel="copies") as link,
+        pytest.raises(TypeError, match=r"a Transmitter cannot be pickled.*pickle the Codec"),
+    ):
+        again(Transmitter(link, codec))
