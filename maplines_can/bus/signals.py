@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import tomllib
 import warnings
 from collections import Counter
 from collections.abc import Mapping
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..values.errors import DriveFileError, LogError
-from ..values.input_files import checked_path
+from ..values.input_files import checked_path, toml_of
 from ..wire.layout.dbc_reader import Database, DbcSignal, Message, parse_database, read_text
 from .j1939 import Reassembler, j1939_messages, nearest, pgn_of, source_of
 from .logs import read_log
@@ -282,10 +281,7 @@ def read_table(path: str | PathLike[str]) -> dict[str, str]:
                 )
             table[row[0]] = row[1]
     else:
-        try:
-            table = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise DriveFileError(f"{source}: is not valid TOML: {error}") from error
+        table = toml_of(text, str(source), DriveFileError)
     for column, name in table.items():
         if not isinstance(name, str) or not name:
             raise DriveFileError(

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from ..engines import Result, Task, in_processes, in_this_process, on_dask
 from ..values.errors import LogError
+from ..values.input_files import json_of
 from ..values.line import Slot
 from ..wire import Codec
 from .blocks import FrameBlock, read_blocks
@@ -221,16 +222,18 @@ def _known(folder: Path, wanted: dict[str, Any], names: dict[str, str]) -> dict[
         folder.mkdir(parents=True, exist_ok=True)
         manifest.write_text(json.dumps(wanted) + "\n")
         return {}
-    head, *rows = manifest.read_text().splitlines()
-    if json.loads(head) != wanted:
+    head, *rows = manifest.read_text().splitlines() or [""]
+    if json_of(head, str(manifest), ValueError) != wanted:
         raise ValueError(
             f"{folder}: has tables of other options, {head}; give the same ones, or another folder"
         )
     known: dict[str, Result] = {}
     for row in rows:
         try:
-            result = json.loads(row)
+            result = json_of(row, str(manifest), ValueError)
         except ValueError:  # the run was killed while it wrote
+            continue
+        if not isinstance(result, dict) or not result.keys() >= {"log", "name", "stamp", "files"}:
             continue
         log = result["log"]
         is_same = log in names and result["name"] == names[log]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from os import PathLike, fspath
@@ -13,6 +12,7 @@ from cantools.database.can import Database, Message
 
 from ..bus.j1939 import ANY_SOURCE, j1939_messages, source_of
 from ..values.errors import LayoutError, RestbusError
+from ..values.input_files import toml_of
 from ..wire import Codec
 from ..wire.layout.dbc_reader import parse_database, read_text
 from .fields import with_exact_starts
@@ -101,9 +101,10 @@ class Config:
         if len(data) > MAX_CONFIG:
             raise RestbusError(f"{fspath(path)}: must have {MAX_CONFIG:,} bytes at most")
         try:
-            values = tomllib.loads(data.decode())
-        except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            text = data.decode()
+        except UnicodeDecodeError as error:
             raise RestbusError(f"{fspath(path)}: is not valid TOML: {error}") from error
+        values = toml_of(text, fspath(path), RestbusError)
         try:
             return cls.from_dict(values, Path(path).parent, seed=seed, encoding=encoding)
         except RestbusError as error:

@@ -1,16 +1,26 @@
-"""Files that come from anywhere: their paths, and the lines of a text."""
+"""Files that come from anywhere: their paths, the lines of a text, and values in TOML and JSON."""
 
 from __future__ import annotations
 
+import json
+import re
+import tomllib
 from collections.abc import Iterator
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 #: Most characters of a line of a table.
 MAX_LINE = 1 << 16
 #: What may separate the cells of a table.
 DELIMITERS = ",;\t"
+#: Deepest nesting of values in TOML and JSON; parsers and messages recurse into deeper ones.
+MAX_NESTING = 32
+_KEY = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*"""
+#: A key or header of TOML with more dots: the time of its parser grows with their square.
+_LONG_KEY = re.compile(
+    rf"(?:^[ \t]*\[{{0,2}}|[{{,])[ \t]*(?:{_KEY}){{{MAX_NESTING}}}", re.MULTILINE
+)
 
 
 def checked_path(path: str | PathLike[str], error: type[Exception]) -> Path:
@@ -46,3 +56,66 @@ def lines_of(file: TextIO, source: str, error: type[Exception]) -> Iterator[str]
         if len(line) > MAX_LINE:
             raise error(f"{source}: line {number} has more than {MAX_LINE} characters")
         yield line
+
+
+def toml_of(text: str, source: str, error: type[Exception]) -> dict[str, Any]:
+    """Return the values of a text in TOML.
+
+    Args:
+        text: the text.
+        source: its name, for messages.
+        error: type of the error.
+
+    Raises:
+        error: it is not TOML, or is nested deeper than ``MAX_NESTING``.
+
+    >>> toml_of("a = [", "car.toml", ValueError)
+    Traceback (most recent call last):
+    ...
+    ValueError: car.toml: is not valid TOML: Invalid value (at end of document)
+    """
+    if _LONG_KEY.search(text):
+        raise _too_deep(source, error)
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as wrong:
+        raise error(f"{source}: is not valid TOML: {wrong}") from wrong
+    except RecursionError:
+        raise _too_deep(source, error) from None
+    _check_nesting(values, source, error)
+    return values
+
+
+def json_of(text: str, source: str, error: type[Exception]) -> Any:
+    """Return the value of a text in JSON; arguments and errors are those of ``toml_of``.
+
+    >>> json_of("[" * 100_000, "log.json", ValueError)
+    Traceback (most recent call last):
+    ...
+    ValueError: log.json: values must be nested at most 32 deep
+    """
+    try:
+        value = json.loads(text)
+    except ValueError as wrong:
+        raise error(f"{source}: is not valid JSON: {wrong}") from wrong
+    except RecursionError:
+        raise _too_deep(source, error) from None
+    _check_nesting(value, source, error)
+    return value
+
+
+def _check_nesting(value: Any, source: str, error: type[Exception]) -> None:
+    level = [value]
+    for _ in range(MAX_NESTING + 1):
+        level = [
+            item
+            for each in level
+            if isinstance(each, dict | list)
+            for item in (each.values() if isinstance(each, dict) else each)
+        ]
+    if level:
+        raise _too_deep(source, error)
+
+
+def _too_deep(source: str, error: type[Exception]) -> Exception:
+    return error(f"{source}: values must be nested at most {MAX_NESTING} deep")

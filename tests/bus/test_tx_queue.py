@@ -177,6 +177,9 @@ class SceneCodec(FakeCodec):
         self.calls.append({line.slot for line in lines})
         return [self._frames(counters[line.slot], line.age) for line in lines]
 
+    def prepare_scene(self, prepared: Any, *, fd: bool) -> Any:  # noqa: ARG002
+        return prepared
+
     def encode_scene(self, prepared: Any, *, age: Any, fd: bool, counters: Any) -> Any:  # noqa: ARG002
         owners = (POSE, *prepared.sent_slots)
         self.calls.append(set(owners))

@@ -81,6 +81,32 @@ def test_a_run_goes_on(logs: Path, tmp_path: Path) -> None:
     assert sorted(json.loads(row)["log"] for row in rows) == sorted(map(str, found))
 
 
+@pytest.mark.parametrize(
+    "row", ["5", "{}", "[1]", '{"log": ', '{"a":' * 5000 + "1" + "}" * 5000, '{"log": "x"}']
+)
+def test_rows_of_a_manifest_that_are_none_are_left_out(
+    row: str, logs: Path, tmp_path: Path
+) -> None:
+    """Of a run that was killed, or of someone else: each log is there once."""
+    found, out = logs_of([str(logs / "0.log")]), tmp_path / "set"
+    write_data_set(found, out, ".csv", TABLES)
+    with (out / MANIFEST).open("a") as manifest:
+        manifest.write(f"{row}\n")
+    assert [result["name"] for result in write_data_set(found, out, ".csv", TABLES)] == ["0"]
+    assert row not in (out / MANIFEST).read_text().splitlines()
+
+
+@pytest.mark.parametrize("head", ["", "x", "[" * 5000])
+def test_a_manifest_of_something_else_is_named(head: str, logs: Path, tmp_path: Path) -> None:
+    """It is not replaced."""
+    out = tmp_path / "set"
+    out.mkdir()
+    (out / MANIFEST).write_text(head)
+    with pytest.raises(ValueError, match=r"manifest\.jsonl: (is not valid JSON|values must be)"):
+        write_data_set(logs_of([str(logs / "0.log")]), out, ".csv", TABLES)
+    assert (out / MANIFEST).read_text() == head
+
+
 def test_a_log_that_has_changed_is_read_again(logs: Path, tmp_path: Path) -> None:
     found, out = logs_of([str(logs)]), tmp_path / "set"
     before = write_data_set(found, out, ".csv", TABLES)

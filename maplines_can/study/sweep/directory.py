@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ...values.errors import StudyError
+from ...values.input_files import json_of
 
 
 class StudyDirectory:
@@ -69,7 +70,8 @@ class StudyDirectory:
         """
         path = self.path / "chunks" / f"{key}.json.gz"
         try:
-            return json.loads(gzip.decompress(path.read_bytes()))
+            text = gzip.decompress(path.read_bytes()).decode()
+            return json_of(text, path.name, ValueError)
         except (OSError, EOFError, ValueError) as error:
             raise StudyError(
                 f"{path}: cannot be read ({error}); delete it and run the study again"
@@ -78,7 +80,7 @@ class StudyDirectory:
 
 def _compare(manifest: Path, wanted: Mapping[str, Any]) -> None:
     """Raise ``StudyError`` if a manifest describes another study than the wanted one."""
-    there = json.loads(manifest.read_text(encoding="utf-8"))
+    there = json_of(manifest.read_text(encoding="utf-8"), str(manifest), StudyError)
     if not isinstance(there, dict):
         raise StudyError(f"{manifest}: is not the manifest of a study")
     for key, value in wanted.items():
