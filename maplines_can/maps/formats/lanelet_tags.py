@@ -78,7 +78,6 @@ class RawLanelet(NamedTuple):
 def lanelets(raw: Iterable[RawLanelet], skipped: list[Skipped]) -> Iterator[Lanelet]:
     """Yield the lanelets that can be used, and list the others."""
     lines: dict[Hashable, Polyline] = {}
-    two_way = 0
     for one in raw:
         try:
             left, right = (_line(side, lines) for side in (one.left, one.right))
@@ -97,11 +96,7 @@ def lanelets(raw: Iterable[RawLanelet], skipped: list[Skipped]) -> Iterator[Lane
             speed_limit=_speed_limit(one, skipped),
             junction=one.tags.get("intersection_area") or None,
         )
-        two_way += lane.type == LaneType.BIDIRECTIONAL
         yield Lanelet(lane, one.left.nodes, one.right.nodes)
-    if two_way:
-        why = "they are used only in the direction of their boundaries"
-        skipped.append(Skipped(f"{two_way} lanelets that are not one-way", why))
 
 
 def _line(side: Side, known: dict[Hashable, Polyline]) -> Polyline:

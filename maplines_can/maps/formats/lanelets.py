@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...values.errors import MapFileError
 from ...values.line import Kind
 from ...values.polyline import Polyline
-from ..model import Lane, Map, Road, Skipped
+from ..model import Lane, LaneType, Map, Road, Skipped
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ def centre_line(left: Polyline, right: Polyline) -> Polyline:
     between the points of both boundaries that are nearest to them.
 
     Raises:
-        ValueError: it has no length.
+        ValueError: it has no length, or nowhere a width.
 
     >>> left, right = Polyline([[0, 3], [9, 3]]), Polyline([[0, 0], [4, 0], [9, 0]])
     >>> centre_line(left, right).points
@@ -81,6 +81,8 @@ def centre_line(left: Polyline, right: Polyline) -> Polyline:
            [4. , 1.5],
            [9. , 1.5]])
     """
+    if len(left.points) == len(right.points) and np.abs(left.points - right.points).max() <= SAME:
+        raise ValueError("it has no width")
     if _is_paired(left.points, right.points):
         return boundary((left.points + right.points) / 2, Kind.VIRTUAL)
     fractions = np.unique(np.concatenate([line.distance / line.length for line in (left, right)]))
@@ -202,6 +204,9 @@ def lanelet_map(
             f"{name}: the left boundary of each lane is on its right; write x (east) before y "
             "(north), or longitude before latitude, or exchange left and right"
         )
+    if both_ways := sum(lane.type is LaneType.BIDIRECTIONAL for lane in by_id.values()):
+        why = "they are used only in the direction of their boundaries"
+        skipped.append(Skipped(f"{both_ways} lanelets that are not one-way", why))
     by_id = {lane.id: _without_dead_links(lane, by_id, skipped) for lane in by_id.values()}
     road_of: dict[str, str] = {}
     groups: list[list[Lane]] = []

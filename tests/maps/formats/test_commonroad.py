@@ -228,3 +228,24 @@ def test_types_of_all_users(kind: str, one_way: str, both_ways: str) -> None:
     elif kind == "urban" and both_ways in ("car", "vehicle"):
         expected = LaneType.BIDIRECTIONAL
     assert found.type == expected
+
+
+def test_lanelets_of_both_directions_are_said() -> None:
+    both = "<userBidirectional>vehicle</userBidirectional>"
+    (said,) = read_map(lanelet(1, 0, 0, both), lanelet(2, 0, 9)).skipped
+    assert (said.where, said.why) == (
+        "1 lanelets that are not one-way",
+        "they are used only in the direction of their boundaries",
+    )
+
+
+def test_the_centre_line_is_virtual() -> None:
+    """As of each format: it is no marking."""
+    assert read_map(lanelet(1)).lanes["1"].centre.kind is Kind.VIRTUAL
+
+
+def test_a_lanelet_without_width_is_not_used() -> None:
+    flat = bound("leftBound", (0, 9), (9, 9)) + bound("rightBound", (0, 9), (9, 9))
+    found = read_map(lanelet(1), f'<lanelet id="2">{flat}</lanelet>')
+    assert list(found.lanes) == ["1"]
+    assert "it has no width" in found.skipped[0].why

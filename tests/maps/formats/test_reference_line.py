@@ -14,6 +14,7 @@ from maplines_can.maps.formats.opendrive.reference_line import (
     MAX_TURN,
     Array,
     Complex,
+    Geometry,
     ReferenceLine,
     clothoid,
 )
@@ -227,7 +228,7 @@ def test_all_kinds_chained() -> None:
 
 def test_a_jump_between_geometries_has_two_sides() -> None:
     """At its end, a geometry has its own value."""
-    line = line_of(geometry(length=50.0), geometry(s=50.0, x=50.0, y=2.0, length=50.0))
+    line = ReferenceLine([Geometry(0, 0, 0, 0, length=50), Geometry(50, 50, 2, 0, length=50)])
     stop = np.array([50.0])
     assert line(stop, stop - 1)[0] == pytest.approx([50])
     assert line(stop, stop)[0] == pytest.approx([50 + 2j])

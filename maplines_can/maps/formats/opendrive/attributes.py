@@ -81,3 +81,42 @@ def cubic(element: Element, start: str, origin: float = 0.0) -> CubicPiece:
     """
     a, b, c, d = (number(element, name, 0.0) for name in "abcd")
     return CubicPiece(origin + number(element, start, 0.0), a, b, c, d)
+
+
+def cubics(
+    elements: Iterable[Element],
+    start: str,
+    stretch: tuple[float, float],
+    skipped: list[Skipped],
+) -> tuple[CubicPiece, ...]:
+    """Return the functions of elements that apply in a stretch of s, by their starts.
+
+    One that never applies, as another one begins at the same s or it begins after the end, may be
+    unusable; it is listed then.
+
+    Args:
+        elements: with a, b, c and d.
+        start: name of the attribute of the start, as an offset from that of the stretch.
+        stretch: its start and its end [m].
+        skipped: list that gets what is not used.
+
+    Raises:
+        UnusableError: a start, or a number of a function that applies, is not finite.
+    """
+    origin, end = stretch
+    by_start: dict[float, Element] = {}
+    rest = []
+    for element in elements:
+        s = origin + number(element, start, 0.0)
+        rest += [by_start[s]] if s in by_start else []
+        by_start[s] = element
+    starts = sorted(by_start)
+    applied = [s for s in starts if s < end] or starts[:1]
+    rest += [by_start[s] for s in starts[len(applied) :]]
+    for element in rest:
+        try:
+            cubic(element, start)
+        except UnusableError as error:
+            why = f"{error.skipped.why}; it never applies"
+            skipped.append(Skipped(error.skipped.where, why))
+    return tuple(cubic(by_start[s], start, origin) for s in applied)

@@ -77,6 +77,7 @@ class Boundaries:
         self._bordered = [not record.width and bool(record.border) for record in records]
         self._borders = Profiles([r.border for r in records]) if any(self._bordered) else None
         self._least = np.zeros(len(records))
+        self._level = np.array([record.is_level for record in records], dtype=bool)
 
     @property
     def is_point(self) -> bool:
@@ -123,6 +124,8 @@ class Boundaries:
             least = widths.min(axis=1)
             self._least = np.minimum(self._least, np.where(least < -WIDTH_TOLERANCE, least, 0.0))
             widths = np.maximum(widths, 0.0)
+        if self.road.roll is not None and self._level.any():  # all are rolled later
+            widths[self._level] /= np.cos(self.road.roll(s, at))
         t = np.zeros((len(self._ids) + 1, len(s)))
         split = len(self._left)
         widths[:split].cumsum(axis=0, out=t[1 : split + 1])

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from ....values.line import Kind
 from ...model import LaneType, Skipped
 from ..xml_tree import Element
-from .attributes import UnusableError, attempt, cubic, integer, number
+from .attributes import UnusableError, attempt, cubics, integer, number
 from .profiles import CubicPiece
 
 _LANE_TYPES = {kind.value.lower(): kind for kind in LaneType} | {
@@ -45,6 +45,8 @@ class LaneRecord(NamedTuple):
         line: of the file.
         type: use of the lane.
         is_reversed: whether it is used against the usual direction of its side.
+        is_level: whether it is not rolled with the road.
+        travel: travel direction along s that its ``userData`` states, or empty.
         width: pieces that begin at s of the road.
         border: likewise, used if ``width`` is empty.
         marks: of the outer boundary.
@@ -57,6 +59,8 @@ class LaneRecord(NamedTuple):
     line: int
     type: LaneType
     is_reversed: bool
+    is_level: bool
+    travel: str
     width: tuple[CubicPiece, ...]
     border: tuple[CubicPiece, ...]
     marks: Marks
@@ -67,11 +71,21 @@ class LaneRecord(NamedTuple):
 
 @dataclass(frozen=True)
 class SectionRecord:
-    """A lane section: start [m], lanes by id without lane 0, and the marking of lane 0."""
+    """A lane section.
+
+    Args:
+        s: start [m].
+        lanes: by id, without lane 0.
+        centre_marks: marking of lane 0.
+        gone: lanes that have no width in it.
+        label: name in the ids of lanes.
+    """
 
     s: float
     lanes: dict[int, LaneRecord]
     centre_marks: Marks
+    gone: dict[int, LaneRecord] = field(default_factory=dict)
+    label: str = ""
 
 
 def read_sections(lanes: Element, end: float, skipped: list[Skipped]) -> tuple[SectionRecord, ...]:
@@ -87,12 +101,14 @@ def read_sections(lanes: Element, end: float, skipped: list[Skipped]) -> tuple[S
     """
     found: list[SectionRecord] = []
     elements = [(number(e, "s", least=-1e-6), e) for e in lanes.all("laneSection")]
-    for s, element in sorted(elements, key=lambda item: item[0]):
+    elements.sort(key=lambda item: item[0])
+    ends = [*(s for s, _ in elements[1:]), end]
+    for (s, element), stop in zip(elements, ends, strict=False):
         if s > end:
             why = f"it begins at {s:g} m, after the end of the reference line at {end:g} m"
             skipped.append(Skipped(element.place, why))
             continue
-        found.append(_section(element, s, skipped))
+        found.append(_section(element, (s, min(stop, end)), skipped))
         if element.get("singleSide").lower() in {"true", "1"} and len(found) > 1:
             found[-2:] = _continued(found[-2], found[-1])
     if not found:
@@ -100,7 +116,10 @@ def read_sections(lanes: Element, end: float, skipped: list[Skipped]) -> tuple[S
     return tuple(found)
 
 
-def _section(element: Element, s: float, skipped: list[Skipped]) -> SectionRecord:
+def _section(
+    element: Element, extent: tuple[float, float], skipped: list[Skipped]
+) -> SectionRecord:
+    s = extent[0]
     elements = [lane for side in element.children for lane in side.all("lane")]
     by_id: dict[int, Element] = {}
     for lane_id, lane in attempt(lambda lane: (integer(lane, "id"), lane), elements, skipped):
@@ -116,7 +135,7 @@ def _section(element: Element, s: float, skipped: list[Skipped]) -> SectionRecor
         if is_left in unusable:
             why = f"lane {unusable[is_left]}, from which its position follows, cannot be used"
             skipped.append(Skipped(by_id[lane_id].place, why))
-        elif record := attempt(lambda e: _lane(e, s, skipped), [by_id[lane_id]], skipped):
+        elif record := attempt(lambda e: _lane(e, extent, skipped), [by_id[lane_id]], skipped):
             lanes[lane_id] = record[0]
         else:
             unusable[is_left] = lane_id
@@ -124,9 +143,11 @@ def _section(element: Element, s: float, skipped: list[Skipped]) -> SectionRecor
     return SectionRecord(s, lanes, centre)
 
 
-def _lane(element: Element, s: float, skipped: list[Skipped]) -> LaneRecord:
-    width = tuple(cubic(e, "sOffset", s) for e in element.all("width"))
-    border = tuple(cubic(e, "sOffset", s) for e in element.all("border"))
+def _lane(element: Element, extent: tuple[float, float], skipped: list[Skipped]) -> LaneRecord:
+    s = extent[0]
+    width, border = (
+        cubics(element.all(tag), "sOffset", extent, skipped) for tag in ("width", "border")
+    )
     if first := width or border:
         gap = min(piece.start for piece in first) - s
         if gap > 1e-6:
@@ -135,11 +156,20 @@ def _lane(element: Element, s: float, skipped: list[Skipped]) -> LaneRecord:
     else:
         skipped.append(Skipped(element.place, "it has neither width nor border: its width is 0"))
     link = element.first("link") or Element("link", {}, element.line)
+    type_ = _LANE_TYPES.get(element.get("type", "none").lower(), LaneType.OTHER)
+    travel = _travel_direction(element)
+    if type_ is LaneType.DRIVING and "both" in (element.get("direction"), travel):
+        type_ = LaneType.BIDIRECTIONAL
+    if type_.is_drivable and element.first("access"):
+        why = "who has access to it is not read; cars drive on it, as its type says"
+        skipped.append(Skipped(element.place, why))
     return LaneRecord(
         id=integer(element, "id"),
         line=element.line,
-        type=_LANE_TYPES.get(element.get("type", "none").lower(), LaneType.OTHER),
+        type=type_,
         is_reversed=element.get("direction") == "reversed",
+        is_level=element.get("level").lower() in {"true", "1"},
+        travel=travel,
         width=width,
         border=border,
         marks=_marks(element, s, skipped),
@@ -151,6 +181,13 @@ def _lane(element: Element, s: float, skipped: list[Skipped]) -> LaneRecord:
         predecessors=_linked(link, "predecessor", skipped),
         successors=_linked(link, "successor", skipped),
     )
+
+
+def _travel_direction(lane: Element) -> str:
+    """Return "forward", "backward" or "both", as RoadRunner writes them, or "" for no direction."""
+    vectors = (e for data in lane.all("userData") for e in data.all("vectorLane"))
+    given = next((e.get("travelDir") for e in vectors), "").lower()
+    return {"bidirectional": "both"}.get(given, given if given in {"forward", "backward"} else "")
 
 
 def _linked(link: Element, tag: str, skipped: list[Skipped]) -> tuple[int, ...]:

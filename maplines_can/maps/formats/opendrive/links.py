@@ -21,14 +21,15 @@ CONTACT_DISTANCE = 1.0
 
 
 class LaneKey(NamedTuple):
-    """A lane of a file."""
+    """A lane of a file; the label is that of the lane section in ids, if not its index."""
 
     road: str
     section: int
     lane: int
+    label: str = ""
 
     def __str__(self) -> str:
-        return f"{self.road}:{self.section}:{self.lane}"
+        return f"{self.road}:{self.label or self.section}:{self.lane}"
 
 
 class LaneEnd(NamedTuple):
@@ -46,6 +47,7 @@ class LaneTopology(NamedTuple):
         is_forward: whether it is driven in the direction of s.
         is_drivable: whether cars drive on it.
         is_point: whether its lane section has no length, so that links pass through it.
+        is_gone: whether it has no width, so that links end at it.
         predecessors: ids of lanes at its start.
         successors: ids of lanes at its end.
     """
@@ -56,17 +58,26 @@ class LaneTopology(NamedTuple):
     is_point: bool
     predecessors: tuple[int, ...]
     successors: tuple[int, ...]
+    is_gone: bool = False
 
 
 @dataclass(frozen=True)
 class RoadTopology:
-    """A road, as links need it: its lanes by section and id, and the points where it ends."""
+    """A road, as links need it: its lanes by section and id, and the points where it ends.
+
+    ``labels`` are those of its lane sections.
+    """
 
     sections: tuple[Mapping[int, LaneTopology], ...]
     start: complex
     end: complex
     predecessor: RoadLink | None
     successor: RoadLink | None
+    labels: tuple[str, ...] = ()
+
+    def key(self, road_id: str, section: int, lane_id: int) -> LaneKey:
+        """Return a lane of the road."""
+        return LaneKey(road_id, section, lane_id, self.labels[section] if self.labels else "")
 
     def link(self, is_end: bool) -> RoadLink | None:
         """Return the neighbour at the end, or at the start."""
@@ -79,7 +90,7 @@ class RoadTopology:
     def lane_end(self, road_id: str, lane_id: int, is_end: bool) -> LaneEnd:
         """Return an end of a lane at an end of the road."""
         section = len(self.sections) - 1 if is_end else 0
-        return LaneEnd(LaneKey(road_id, section, lane_id), is_end)
+        return LaneEnd(self.key(road_id, section, lane_id), is_end)
 
 
 @dataclass(frozen=True)
@@ -116,6 +127,8 @@ def read_connections(junction: Element, skipped: list[Skipped]) -> list[Connecti
         )
         place = f"{element.place} of junction {junction.get('id')[:40]!r}"
         contact = contact_of(element)
+        if not element.first("laneLink"):
+            skipped.append(Skipped(place, "it has no laneLink, so it links no lanes"))
         return Connection(place, junction.get("id"), incoming, outgoing, contact, tuple(lanes))
 
     return attempt(read, junction.all("connection"), skipped)
@@ -143,7 +156,7 @@ def lane_links(
     ):
         if lost := next((end for end in (one, other) if lane(end) is None), None):
             skipped.append(Skipped(place, f"it names lane {lost.lane}, which is not in the map"))
-        else:
+        elif not any(found.is_gone for end in (one, other) if (found := lane(end))):
             joined[one][other] = joined[other][one] = None
     _pass_through_points(joined, lane)
     for one, others in joined.items():
@@ -186,7 +199,7 @@ def _lane_ends(roads: Mapping[str, RoadTopology]) -> Iterator[tuple[LaneEnd, Lan
         for section, lanes in enumerate(road.sections):
             for lane_id, lane in lanes.items():
                 for is_end in (False, True):
-                    yield LaneEnd(LaneKey(road_id, section, lane_id), is_end), lane
+                    yield LaneEnd(road.key(road_id, section, lane_id), is_end), lane
 
 
 def _linked_end(roads: Mapping[str, RoadTopology], one: LaneEnd, other: int) -> LaneEnd | None:
@@ -198,7 +211,7 @@ def _linked_end(roads: Mapping[str, RoadTopology], one: LaneEnd, other: int) -> 
     road = roads[one.lane.road]
     beyond = one.lane.section + (1 if one.is_end else -1)
     if 0 <= beyond < len(road.sections):
-        return LaneEnd(LaneKey(one.lane.road, beyond, other), not one.is_end)
+        return LaneEnd(road.key(one.lane.road, beyond, other), not one.is_end)
     link = road.link(one.is_end)
     if link is not None and link.is_junction:
         return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -18,7 +18,7 @@ from ....values.line import Kind
 from ....values.polyline import Polyline
 from ...landmarks import Landmark
 from ...lane import SkippedList
-from ...model import Lane, Map, Road, Skipped
+from ...model import Lane, LaneType, Map, Road, Skipped
 from ..projection import shifted, utm_of
 from ..systems import notices_of
 from ..xml_tree import Document, Element, number_in
@@ -29,13 +29,17 @@ from .lane_section import LaneRecord
 from .links import Connection, LaneKey, LaneTopology, RoadTopology, lane_links, read_connections
 from .reference_line import Complex
 from .road import RoadRecord, read_road
+from .vanishing import without_vanished
 
 #: Elements that say nothing of lanes or landmarks.
-_IGNORED = {"elevationProfile", "railroad", "surface", "userData"}
+_IGNORED = {"elevationProfile", "railroad", "surface"}
+
+#: Travel direction of a lane by whether it is driven along s.
+_TRAVEL = {True: "forward", False: "backward"}
 
 T = TypeVar("T")
 #: Returns a lane, given its ``successors`` and ``predecessors``.
-UnlinkedLane = Callable[..., Lane]
+UnlinkedLane = partial[Lane]
 
 
 @np.errstate(all="ignore")  # what overflows is not finite, and its road is not used
@@ -117,14 +121,16 @@ class _Reader:
 
     def _add_road(self, element: Element) -> None:
         road = read_road(element, self.skipped)
-        if road.id in self._roads:
+        if road.id in self._topology:
             raise UnusableError(element, "another road has the same id")
+        road = without_vanished(road, self.skipped)
         sections = [Boundaries(road, index) for index in range(len(road.sections))]
         try:
             lanes = dict(self._road_lanes(road, [one for one in sections if not one.is_point]))
         except SamplingError as error:
             raise UnusableError(element, str(error)) from None
-        if not lanes:
+        is_point = all(section.is_point for section in sections)
+        if not lanes and not is_point:
             raise UnusableError(element, "it has no lanes with a length")
         self.lanes |= lanes
         self._landmarks += read_landmarks(element, road, self.skipped)
@@ -138,7 +144,12 @@ class _Reader:
             last,
             road.predecessor,
             road.successor,
+            tuple(section.label for section in road.sections),
         )
+        if is_point:
+            why = f"the road {road.id!r} has no length; links pass through it"
+            self.skipped.append(Skipped(element.place, why))
+            return
         ids = tuple(map(str, lanes))
         self._roads[road.id] = Road(road.id, road.name, road.reference.end, ids, road.junction)
 
@@ -170,7 +181,12 @@ class _Reader:
         for record, beside, own in zip(
             records, zip(padded, padded[2:], strict=False), drawn, strict=True
         ):
-            key = LaneKey(road.id, index, record.id)
+            key = LaneKey(road.id, index, record.id, section.label)
+            is_forward = _is_forward(road, record)
+            if record.type.is_drivable and record.travel == _TRAVEL[not is_forward]:
+                place, way = f"line {record.line}, lane {key}", _TRAVEL[is_forward]
+                why = f"its travelDir {record.travel} is not used; it is driven {way} along s"
+                self.skipped.append(Skipped(place, why))
             if record.id in negative:
                 place = f"line {record.line}, lane {key}"
                 self.skipped.append(Skipped(place, "its width is negative in part; 0 is used"))
@@ -207,6 +223,15 @@ class _Reader:
             if one.road != other.road:
                 after[one.road][other.road] = before[other.road][one.road] = None
         projection = self._frame()
+        both_ways = [
+            key
+            for key, lane in self.lanes.items()
+            if lane.keywords["type"] == LaneType.BIDIRECTIONAL
+        ]
+        if both_ways:
+            where = f"{len(both_ways)} lanes of both directions, such as {both_ways[0]}"
+            why = "they are used only in the direction of their side of the road"
+            self.skipped.append(Skipped(where, why))
         return Map(
             lanes={
                 str(key): lane(
@@ -326,7 +351,7 @@ def _neighbours(
     opposite = None
     for side, other in enumerate(beside):
         if other is not None and other.type.is_drivable:
-            key = str(LaneKey(road.id, index, other.id))
+            key = str(LaneKey(road.id, index, other.id, road.sections[index].label))
             if _is_forward(road, other) == _is_forward(road, record):
                 same[side] = key
             else:
@@ -335,6 +360,7 @@ def _neighbours(
 
 
 def _topology(road: RoadRecord, index: int, is_point: bool) -> dict[int, LaneTopology]:
+    section, gone = road.sections[index], road.sections[index].gone
     return {
         record.id: LaneTopology(
             record.line,
@@ -343,6 +369,7 @@ def _topology(road: RoadRecord, index: int, is_point: bool) -> dict[int, LaneTop
             is_point,
             record.predecessors,
             record.successors,
+            record.id in gone,
         )
-        for record in road.sections[index].lanes.values()
+        for record in (*section.lanes.values(), *gone.values())
     }

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
 from ...model import Skipped
 from ..xml_tree import Element
-from .attributes import UnusableError, attempt, cubic, number
+from .attributes import UnusableError, attempt, cubic, cubics, number
 from .lane_section import SectionRecord, Speeds, read_sections, speed
-from .profiles import Profiles
+from .profiles import CubicPiece, Profiles
 from .reference_line import MAX_TURN, Geometry, Parameter, ReferenceLine
 
 #: Largest coordinate [m]. UTM has 1e7 m.
@@ -19,6 +22,8 @@ MAX_COORDINATE = 1e8
 MAX_LENGTH = 1e6
 #: Gap between geometries, and difference of lengths, that is listed [m].
 LENGTH_TOLERANCE = 0.01
+#: Excess of a width of 3.5 m that is not listed [mm].
+MAX_EXCESS_MM = 0.5
 
 _SHAPES = ("line", "arc", "spiral", "poly3", "paramPoly3")
 
@@ -88,8 +93,15 @@ def read_road(element: Element, skipped: list[Skipped]) -> RoadRecord:
     reference = _reference_line(element, skipped)
     if not (lanes := element.first("lanes")):
         raise UnusableError(element, "the road has no <lanes>")
-    lateral = element.first("lateralProfile")
-    rolls = [cubic(e, "s") for e in (lateral.all("superelevation") if lateral else ())]
+    stretch = (0.0, reference.end)
+    lateral = element.first("lateralProfile") or Element("lateralProfile", {}, element.line)
+    offsets, rolls = (
+        _from_the_start(
+            cubics(parent.all(tag), "s", stretch, skipped), f"{element.place}, {tag}", skipped
+        )
+        for parent, tag in ((lanes, "laneOffset"), (lateral, "superelevation"))
+    )
+    _list_unused(lateral, reference.end, skipped)
     link = element.first("link") or Element("link", {}, element.line)
     types = [kind for kind in element.all("type") if kind.first("speed")]
     junction = element.get("junction", "-1")
@@ -100,7 +112,7 @@ def read_road(element: Element, skipped: list[Skipped]) -> RoadRecord:
         junction=None if junction in {"", "-1"} else junction,
         is_left_hand=element.get("rule").upper() == "LHT",
         reference=reference,
-        lane_offset=Profiles([[cubic(e, "s") for e in lanes.all("laneOffset")]]),
+        lane_offset=Profiles([offsets]),
         roll=Profiles([rolls]) if any(any(piece[1:]) for piece in rolls) else None,
         speeds=tuple(
             attempt(lambda e: (number(e, "s", 0.0), speed(e.first("speed") or e)), types, skipped)
@@ -109,6 +121,30 @@ def read_road(element: Element, skipped: list[Skipped]) -> RoadRecord:
         predecessor=_road_link(link, "predecessor", skipped),
         successor=_road_link(link, "successor", skipped),
     )
+
+
+def _from_the_start(
+    pieces: tuple[CubicPiece, ...], place: str, skipped: list[Skipped]
+) -> tuple[CubicPiece, ...]:
+    """Return a function that is 0 before its first piece: what is not defined is not there."""
+    if not pieces or pieces[0].start <= 1e-6 or not pieces[0].a:
+        return pieces
+    why = f"it is not defined before s = {pieces[0].start:g} m; 0 is used there"
+    skipped.append(Skipped(place, why))
+    return (CubicPiece(0.0, 0.0), *pieces)
+
+
+def _list_unused(lateral: Element, end: float, skipped: list[Skipped]) -> None:
+    """List the shapes of a cross-section that are not used."""
+    if pieces := attempt(lambda e: cubic(e, "s"), lateral.all("crossfall"), skipped):
+        s = np.linspace(0.0, end, 33)
+        angle = float(np.abs(Profiles([pieces])(s, s)).max())
+        if (excess := 3500 * (1 - math.cos(angle))) > MAX_EXCESS_MM:
+            why = f"crossfall is not used: a width of 3.5 m is {excess:.3g} mm too large"
+            skipped.append(Skipped(lateral.place, why))
+    if any(shape.get(name, "0").strip("+-.0") for shape in lateral.all("shape") for name in "bcd"):
+        why = "shapes are not used: widths are those along a plane road"
+        skipped.append(Skipped(lateral.place, why))
 
 
 def _road_link(link: Element, tag: str, skipped: list[Skipped]) -> RoadLink | None:
@@ -131,8 +167,9 @@ def contact_of(element: Element) -> str:
 
 def _reference_line(road: Element, skipped: list[Skipped]) -> ReferenceLine:
     plan = road.first("planView")
-    geometries = [_geometry(e) for e in (plan.all("geometry") if plan else ())]
-    geometries = sorted((g for g in geometries if g.length > 0), key=lambda g: g.s)
+    elements = plan.all("geometry") if plan else []
+    elements = [e for e in elements if number(e, "length", least=0.0) > 0] or elements[:1]
+    geometries = sorted(map(_geometry, elements), key=lambda g: g.s)
     if not geometries:
         raise UnusableError(road, "the road has no <planView> with a <geometry>")
     for one, other in pairwise(geometries):
@@ -140,6 +177,13 @@ def _reference_line(road: Element, skipped: list[Skipped]) -> ReferenceLine:
             why = f"the geometry at s = {one.s:g} m ends at {one.s + one.length:g} m; it is used "
             skipped.append(Skipped(road.place, f"{why}up to the next one at {other.s:g} m"))
     line = ReferenceLine(geometries)
+    joints = np.array(line.starts[1:])
+    gaps = np.abs(line(joints, np.nextafter(joints, -np.inf))[0] - line(joints, joints)[0])
+    if (jumps := joints[gaps > LENGTH_TOLERANCE]).size:
+        why = (
+            f"{jumps.size} geometries begin up to {gaps.max():.3g} m from the end of the one before"
+        )
+        skipped.append(Skipped(road.place, f"{why}; the lines jump, first at s = {jumps[0]:g} m"))
     if line.end > MAX_LENGTH:
         raise UnusableError(road, f"the road ends at s = {line.end:g} m, beyond {MAX_LENGTH:g} m")
     length = road.get("length")
