@@ -1,25 +1,48 @@
 /* Parser of the objects in a container of a BLF file: data frames of classic CAN and of CAN FD.
  *
- * It stops at the first object that is not one of these, whole and of its usual size: the reader in
- * Python takes that. All numbers are little-endian.
+ * Objects that are no frames on the bus are counted by kind. It stops at the first object that is
+ * not whole, or not of its usual size: the reader in Python takes that. All numbers are
+ * little-endian.
  */
 #include "frames_out.h"
 
-#include <math.h>
-
 enum {
     CAN_MESSAGE = 1,
+    CAN_ERROR = 2,
+    CAN_STATISTIC = 4,
+    LOG_CONTAINER = 10,
+    CAN_DRIVER_ERROR = 31,
+    CAN_ERROR_EXT = 73,
+    CAN_DRIVER_ERROR_EXT = 74,
     CAN_MESSAGE2 = 86,
     CAN_FD_MESSAGE = 100,
-    CAN_FD_MESSAGE_64 = 101
+    CAN_FD_MESSAGE_64 = 101,
+    CAN_FD_ERROR_64 = 104
 };
+
+/// What an object is; the order of those that are skipped is that of ``Skipped`` in Python.
+typedef enum {
+    REQUEST,
+    REMOTE,
+    ERROR_FRAME,
+    STATE,
+    OTHER,
+    SKIPPED_COUNT,
+    FRAME = SKIPPED_COUNT,
+    UNUSUAL
+} object_kind_t;
 
 #define BASE_SIZE 16 // of the header of an object [byte]
 #define EXTENDED (UINT32_C(1) << 31)
 #define ID_MASK UINT32_C(0x1FFFFFFF)
-#define REMOTE 0x80
-#define REMOTE_64 0x10
-#define MOST_TICKS (UINT64_C(1) << 53) // are exact as floating-point numbers
+#define DIRECTION 0x0F
+#define REQUEST_DIRECTION 2
+#define REMOTE_FLAG 0x80
+#define REMOTE_FLAG_64 0x10
+#define REQUEST_FLAG_64 0x80
+#define ACKNOWLEDGED_FLAG_64 0x40
+#define MAX_PADDING 7                 // between two objects [byte]
+#define MAX_TICKS (UINT64_C(1) << 48) // times 10000, and with a date added, fit in 63 bits
 
 static uint32_t u16(const uint8_t *at)
 {
@@ -44,86 +67,127 @@ typedef struct {
     uint32_t length, there; ///< bytes of data, and those that the object has; the others are zero
 } blf_frame_t;
 
-/// Read a frame of classic CAN.
-static bool read_classic(const uint8_t *body, uint32_t size, blf_frame_t *frame)
+/// Return what an object is by its direction and by whether it is a remote frame.
+static object_kind_t kind_of(bool is_request, bool is_remote)
 {
-    if (size < 16 || (body[2] & REMOTE) != 0 || body[3] > 8)
-    {
-        return false;
-    }
-    *frame = (blf_frame_t){u32(body + 4), u16(body), body + 8, body[3], body[3]};
-    return true;
+    return is_request ? REQUEST : is_remote ? REMOTE : FRAME;
 }
 
-static bool read_fd(const uint8_t *body, uint32_t size, blf_frame_t *frame)
+/// Read a frame of classic CAN.
+static object_kind_t read_classic(const uint8_t *body, uint32_t size, blf_frame_t *frame)
 {
-    if (size < 84 || (body[2] & REMOTE) != 0 || body[14] > MAPLINES_MAX_DATA)
+    if (size < 16)
     {
-        return false;
+        return UNUSUAL;
+    }
+    const uint32_t length = body[3] < 8 ? body[3] : 8;
+    *frame = (blf_frame_t){u32(body + 4), u16(body), body + 8, length, length};
+    return kind_of((body[2] & DIRECTION) == REQUEST_DIRECTION, (body[2] & REMOTE_FLAG) != 0);
+}
+
+static object_kind_t read_fd(const uint8_t *body, uint32_t size, blf_frame_t *frame)
+{
+    if (size < 84 || body[14] > MAPLINES_MAX_DATA)
+    {
+        return UNUSUAL;
     }
     *frame = (blf_frame_t){u32(body + 4), u16(body), body + 20, body[14], body[14]};
-    return true;
+    return kind_of((body[2] & DIRECTION) == REQUEST_DIRECTION, (body[2] & REMOTE_FLAG) != 0);
 }
 
 /// Read a frame of CAN FD whose data may be shorter than they say.
-static bool read_fd_64(const uint8_t *body, uint32_t size, uint32_t object_size,
-                       uint32_t header_size, blf_frame_t *frame)
+static object_kind_t read_fd_64(const uint8_t *body, uint32_t size, uint32_t header,
+                                blf_frame_t *frame)
 {
-    if (size < 40 || (u32(body + 12) & REMOTE_64) != 0 || body[2] > MAPLINES_MAX_DATA)
+    if (size < 40 || body[2] > MAPLINES_MAX_DATA)
     {
-        return false;
+        return UNUSUAL;
     }
-    const uint32_t extension = body[35];
-    const uint32_t end = extension != 0 ? extension : object_size;
-    if (end < header_size + 40)
+    const uint32_t behind = body[35];
+    const uint32_t end = behind != 0 ? behind : header + size;
+    if (end < header + 40 || end > header + size)
     {
-        return false;
+        return UNUSUAL;
     }
-    const uint32_t room = end - header_size - 40;
+    const uint32_t room = end - header - 40;
     const uint32_t there = body[2] < room ? body[2] : room;
     *frame = (blf_frame_t){u32(body + 4), body[0], body + 40, body[2], there};
-    return there <= size - 40;
+    const uint32_t flags = u32(body + 12);
+    const bool is_request = body[34] == REQUEST_DIRECTION ||
+                            (flags & (REQUEST_FLAG_64 | ACKNOWLEDGED_FLAG_64)) == REQUEST_FLAG_64;
+    return kind_of(is_request, (flags & REMOTE_FLAG_64) != 0);
 }
 
-/// Read an object; the place after it, or 0 if it is for Python.
-static size_t read_object(const uint8_t *data, size_t place, size_t size, double start,
-                          PyObject *names, long *last, maplines_frames_t *frames)
+/// Read an object, or count it; the place after it, or 0 if it is for Python.
+static size_t read_object(const uint8_t *data, size_t place, size_t size, int64_t start_ns,
+                          PyObject *names, long *last, Py_ssize_t *skipped,
+                          maplines_frames_t *frames)
 {
     size_t at = place;
-    while (at + 4 <= size && at <= place + 4 && memcmp(data + at, "LOBJ", 4) != 0)
+    while (at + 4 <= size && at <= place + MAX_PADDING && memcmp(data + at, "LOBJ", 4) != 0)
     {
-        at++; // padding
+        at++;
     }
-    if (at > place + 4 || size - at < BASE_SIZE + 24)
+    if (at > place + MAX_PADDING || size - at < BASE_SIZE)
     {
         return 0;
     }
     const uint8_t *object = data + at;
-    const uint32_t header_size = u16(object + 4);
     const uint32_t version = u16(object + 6);
     const uint32_t object_size = u32(object + 8);
-    const uint32_t kind = u32(object + 12);
+    if (object_size < BASE_SIZE || object_size > size - at)
+    {
+        return 0;
+    }
     const uint32_t header = BASE_SIZE + (version == 1 ? 16 : 24);
-    if (version < 1 || version > 2 || object_size < header || object_size > size - at)
-    {
-        return 0;
-    }
-    const uint32_t flags = u32(object + 16);
-    const uint64_t ticks = u64(object + 24);
-    const uint8_t *body = object + header;
-    const uint32_t body_size = object_size - header;
+    const bool has_body = version >= 1 && version <= 2 && object_size >= header;
+    const uint8_t *body = object + (has_body ? header : 0);
+    const uint32_t body_size = has_body ? object_size - header : 0;
     blf_frame_t frame = {0};
-    const bool is_read =
-        kind == CAN_MESSAGE || kind == CAN_MESSAGE2 ? read_classic(body, body_size, &frame)
-        : kind == CAN_FD_MESSAGE                    ? read_fd(body, body_size, &frame)
-        : kind == CAN_FD_MESSAGE_64 ? read_fd_64(body, body_size, object_size, header_size, &frame)
-                                    : false;
-    // Both are exact, so that the quotient is the nearest to the decimal.
-    const double seconds = (double)ticks / (flags == 1 ? 1e5 : 1e9) + start;
-    if (!is_read || ticks >= MOST_TICKS || frame.channel == 0 || !(fabs(seconds) < 9e9))
+    object_kind_t kind = OTHER;
+    switch (u32(object + 12))
+    {
+    case CAN_MESSAGE:
+    case CAN_MESSAGE2:
+        kind = read_classic(body, body_size, &frame);
+        break;
+    case CAN_FD_MESSAGE:
+        kind = read_fd(body, body_size, &frame);
+        break;
+    case CAN_FD_MESSAGE_64:
+        kind = read_fd_64(body, body_size, header, &frame);
+        break;
+    case CAN_ERROR:
+    case CAN_ERROR_EXT:
+    case CAN_FD_ERROR_64:
+        kind = ERROR_FRAME;
+        break;
+    case CAN_STATISTIC:
+    case CAN_DRIVER_ERROR:
+    case CAN_DRIVER_ERROR_EXT:
+        kind = STATE;
+        break;
+    case LOG_CONTAINER:
+        kind = UNUSUAL;
+        break;
+    default:
+        break;
+    }
+    if (kind < SKIPPED_COUNT)
+    {
+        skipped[kind]++;
+        return at + object_size;
+    }
+    if (kind == UNUSUAL || frame.channel == 0)
     {
         return 0;
     }
+    const uint64_t ticks = u64(object + 24);
+    if (ticks >= MAX_TICKS)
+    {
+        return 0;
+    }
+    const int64_t t_ns = start_ns + (int64_t)ticks * (u32(object + 16) == 1 ? 10000 : 1);
     if (*last != (long)frame.channel)
     {
         const long names_before = (long)PyList_Size(names);
@@ -146,16 +210,16 @@ static size_t read_object(const uint8_t *data, size_t place, size_t size, double
     }
     uint8_t padded[MAPLINES_MAX_DATA] = {0};
     memcpy(padded, frame.data, frame.there);
-    maplines_add_frame(frames, frame.can_id & ID_MASK, (frame.can_id & EXTENDED) != 0,
-                       (int64_t)rint(seconds * 1e9), (uint16_t)last[1], padded,
-                       (uint8_t)frame.length);
+    maplines_add_frame(frames, frame.can_id & ID_MASK, (frame.can_id & EXTENDED) != 0, t_ns,
+                       (uint16_t)last[1], padded, (uint8_t)frame.length);
     return at + object_size;
 }
 
 PyDoc_STRVAR(parse_blf_doc,
-             "parse_blf(data, place, start, names, arrays) -> frames, place.\n\n"
-             "Read the data frames of the objects from a place on, up to an object of another\n"
-             "kind, or one that is not whole. start is the time of the file [s].");
+             "parse_blf(data, place, start_ns, names, arrays) -> frames, place, skipped.\n\n"
+             "Read the data frames of the objects from a place on, up to an object that is not\n"
+             "whole or unusual. start_ns is the time of the file. skipped are the numbers of the\n"
+             "others, by kind.");
 
 static PyObject *parse_blf(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
@@ -169,7 +233,7 @@ static PyObject *parse_blf(PyObject *module, PyObject *const *args, Py_ssize_t c
     }
     const char *data = PyBytes_AsString(args[0]);
     const Py_ssize_t begin = PyLong_AsSsize_t(args[1]);
-    const double start = PyFloat_AsDouble(args[2]);
+    const int64_t start_ns = PyLong_AsLongLong(args[2]);
     if (data == NULL || PyErr_Occurred() != NULL)
     {
         return NULL;
@@ -187,10 +251,11 @@ static PyObject *parse_blf(PyObject *module, PyObject *const *args, Py_ssize_t c
         return NULL;
     }
     long last[2] = {-1, 0};
+    Py_ssize_t skipped[SKIPPED_COUNT] = {0};
     while (frames.count < frames.capacity)
     {
-        const size_t next =
-            read_object((const uint8_t *)data, place, size, start, args[3], last, &frames);
+        const size_t next = read_object((const uint8_t *)data, place, size, start_ns, args[3], last,
+                                        skipped, &frames);
         if (next == 0)
         {
             break;
@@ -198,7 +263,8 @@ static PyObject *parse_blf(PyObject *module, PyObject *const *args, Py_ssize_t c
         place = next;
     }
     maplines_release_arrays(&arrays);
-    return Py_BuildValue("nn", frames.count, (Py_ssize_t)place);
+    return Py_BuildValue("nn(nnnnn)", frames.count, (Py_ssize_t)place, skipped[REQUEST],
+                         skipped[REMOTE], skipped[ERROR_FRAME], skipped[STATE], skipped[OTHER]);
 }
 
 static PyMethodDef functions[] = {

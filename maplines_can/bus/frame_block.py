@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 BLOCK_FRAMES = 1 << 16
 #: Most bytes of data of a frame, those of CAN FD.
 MAX_DATA = 64
+#: Most bytes of an object or a block of a binary log, packed and unpacked; writers make containers
+#: of 128 kB in BLF, and the standard of MF4 recommends blocks of 4 MB at most.
+MAX_OBJECT = 1 << 24
 
 
 class LogFrame(NamedTuple):
@@ -55,7 +58,10 @@ class FrameBlock:
 
     def part(self, begin: int, end: int) -> FrameBlock:
         """Return the frames from a place on, up to another."""
-        here = slice(begin, end)
+        return self.where(slice(begin, end))
+
+    def where(self, here: slice | NDArray[np.bool_ | np.int64]) -> FrameBlock:
+        """Return the frames of a slice, of a mask, or at places."""
         return FrameBlock(
             can_id=self.can_id[here],
             is_extended=self.is_extended[here],
@@ -119,6 +125,17 @@ def block_of(frames: Sequence[LogFrame], numbers: dict[str, int]) -> FrameBlock:
         data=np.frombuffer(data, np.uint8).reshape(-1, width),
         channels=tuple(numbers),
     )
+
+
+def frames_of(block: FrameBlock) -> Iterator[LogFrame]:
+    """Yield the frames of a block one by one."""
+    names = "can_id", "length", "t_ns", "is_extended", "channel", "has_time"
+    columns = (getattr(block, name).tolist() for name in names)
+    for k, (can_id, length, t_ns, is_extended, channel, has_time) in enumerate(
+        zip(*columns, strict=True)
+    ):
+        data = block.data[k, :length].tobytes()
+        yield LogFrame(can_id, data, t_ns, is_extended, block.channels[channel], has_time)
 
 
 def joined_blocks(blocks: Sequence[FrameBlock]) -> FrameBlock:

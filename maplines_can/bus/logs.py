@@ -21,9 +21,11 @@ from can.io.blf import BLFParseError
 from ..native import core
 from ..values.errors import LogError, missing_extra
 from ..values.input_files import checked_path
-from .binary_logs import BlfReader, BlfRunReader, Mf4Reader, Mf4RunReader, SqliteReader
-from .frame_block import FrameBlock, LogFrame
+from .blf_logs import BlfReader, BlfRunReader
+from .frame_block import FrameBlock, LogFrame, frames_of
 from .log_summary import LogReader, LogSummary, Skipped, Times
+from .mf4_logs import Mf4Reader
+from .sqlite_logs import SqliteReader
 from .text_logs import AscReader, CandumpReader, Lines, TrcReader, check_frame, text_of
 
 #: What readers yield.
@@ -42,6 +44,7 @@ _ANY_FORMAT = ("", ".log", ".txt")
 _FIRST_BYTES = {
     b"LOGG": ".blf",
     b"MDF ": ".mf4",
+    b"UnFinMF ": ".mf4",
     b"SQLite format 3": ".db",
     b";": ".trc",
     b"timestamp,": ".csv",
@@ -189,24 +192,34 @@ def _read_any(
 def _read_binary(path: Path, suffix: str, compressed: bool, how: _Reading) -> Records:
     how.summary.format = suffix
     good, missing = 0, 0
+
+    def records() -> int:
+        return good + how.summary.skipped.total()
+
     with contextlib.ExitStack() as stack:
         try:
             source: Any = path
-            if suffix == ".blf":  # python-can leaves the file open if it is not a BLF file
+            if suffix == ".blf":
                 source = stack.enter_context((gzip.open if compressed else open)(path, "rb"))
             readers: Any = _RUN_READERS if how.runs and suffix in _RUN_READERS else _READERS
             reader = stack.enter_context(readers[suffix](source, how.summary))
-            for message in reader:
-                yield from _records(message, how.summary)
-                good += len(message) if isinstance(message, FrameBlock) else 1
-            if isinstance(reader, can.BLFReader) and not compressed:
-                # python-can does not report a truncated BLF file.
-                missing = reader.file_size - path.stat().st_size
+            for record in reader:
+                yield from [record] if how.runs else _frames(record)
+                good += len(record) if isinstance(record, FrameBlock) else 1
+            missing = getattr(reader, "missing", 0)
         except _DAMAGE as error:
-            what = f"damaged after {good} good records" if good else f"not a valid {suffix} file"
+            what = f"not a valid {suffix} file"
+            if records():
+                what = f"damaged after {records()} good records"
             raise LogError(f"{path}: {what} ({text_of(error)}); the rest is not read") from error
     if missing > 0:
-        raise LogError(f"{path}: truncated after {good} good records, {missing} bytes are missing")
+        raise LogError(
+            f"{path}: truncated after {records()} good records, {missing} bytes are missing"
+        )
+
+
+def _frames(record: LogFrame | FrameBlock) -> Iterator[LogFrame]:
+    return iter([record]) if isinstance(record, LogFrame) else frames_of(record)
 
 
 def _read_text(file: io.BufferedReader, name: str, suffix: str, how: _Reading) -> Records:
@@ -280,6 +293,6 @@ _READERS: dict[str, Any] = {
     ".mf4": Mf4Reader,
 }
 #: Readers that yield runs.
-_RUN_READERS: dict[str, Any] = {".mf4": Mf4RunReader}
+_RUN_READERS: dict[str, Any] = {}
 if core is not None:
     _RUN_READERS |= {"": partial(CandumpReader, runs=True), ".asc": AscReader, ".blf": BlfRunReader}
