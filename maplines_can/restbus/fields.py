@@ -182,17 +182,14 @@ class Field:
     def _start(self, text: str) -> Raw | None:
         """Return the raw value of the text of a start value; None if it is no number."""
         try:
-            number_ = Decimal(int(text, 16)) if text[:2] == "0x" else Decimal(text)
-            if self.signal.is_float or number_ != int(number_):
-                return float(number_)
+            exact = Decimal(int(text, 16)) if text[:2] == "0x" else Decimal(text)
+            is_whole = exact == int(exact) and not self.signal.is_float
+            value = int(exact) if is_whole else float(exact)
         except (InvalidOperation, ValueError, OverflowError):
             return None
-        # Tools write 15 digits, which round the greatest value of 64 bits up.
-        ends = {
-            Decimal(f"{Decimal(end):.14e}"): end for end in self._raw_limits if abs(end) >= 1 << 53
-        }
-        value = int(number_)
-        return value if self._holds(value) else ends.get(number_, value)
+        # Tools write 15 digits, which round the greatest value of 64 bits or of a float up.
+        ends = {Decimal(f"{Decimal(end):.14e}"): end for end in self._raw_limits}
+        return value if self._holds(value) else ends.get(exact, value)
 
     @property
     def _bits(self) -> str:
@@ -311,8 +308,10 @@ class Fields:
 
     def shared(self, one: Field, other: Field) -> int:
         """Return the bits that two signals share on a page, as a mask; 0 if none."""
-        mine, its = (self._pages.get(field, {}) for field in (one, other))
-        if one is other or any(mine[name].isdisjoint(its[name]) for name in mine.keys() & its):
+        if one is other or not {one, other} <= self._pages.keys():
+            return 0
+        mine, its = self._pages[one], self._pages[other]
+        if any(mine[name].isdisjoint(its[name]) for name in mine.keys() & its):
             return 0
         return one.mask & other.mask
 
@@ -325,9 +324,18 @@ class Fields:
                 if field.pages:
                     yield from self._present(field.name, raws[field], raws)
 
-    def _find(self, multiplexer: str | None, pages: dict[str, frozenset[int]]) -> None:
+    def _find(
+        self,
+        multiplexer: str | None,
+        pages: dict[str, frozenset[int]],
+        exist: frozenset[int] = frozenset(),
+    ) -> None:
+        """Find the pages of the signals below a multiplexer, whose own and existing ones are given.
+
+        A signal that is only on pages that do not exist is never sent, and has none.
+        """
         for field in self._below.get(multiplexer, ()):
-            own = pages if multiplexer is None else pages | {multiplexer: field.ids}
-            self._pages[field] = own
-            if field.pages:
-                self._find(field.name, own)
+            own = pages if multiplexer is None else pages | {multiplexer: field.ids & exist}
+            if all(own.values()):
+                self._pages[field] = own
+                self._find(field.name, own, field.pages)

@@ -265,6 +265,17 @@ def test_pages_of_pages_are_sent_in_turn(tmp_path: Path) -> None:
     assert [m["B"] for m in fixed] == [4, 5, 6]
 
 
+def test_pages_that_the_multiplexer_cannot_have(tmp_path: Path) -> None:
+    """One bit has no page 5; what is only there cannot be set, and does not share bits."""
+    mux = MUX.replace("0|8@1+", "0|1@1+").replace("m3", "m1").replace("m9 : 8", "m5 : 16")
+    path = dbc(tmp_path, mux, starts(Oth=1, All=2))
+    made = config(path, signals={"Sig": 7})
+    assert made.notices == []
+    assert {bytes(m.data[:3]) for m in frames(made)} == {b"\1\7\2"}
+    with pytest.raises(RestbusError, match="Oth: is on no page that M can have"):
+        config(path, signals={"Oth": 7})
+
+
 def test_a_named_page_without_signals_can_be_set(tmp_path: Path) -> None:
     path = dbc(tmp_path, MUX, 'VAL_ 256 Mux 3 "Three" 12 "Empty" ;')
     assert {m.data[0] for m in frames(config(path))} == {3, 9}
