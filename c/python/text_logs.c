@@ -1,11 +1,9 @@
-/* Parsers of text logs: the ordinary rows of candump -L and of ASC.
+/* Parsers of text logs: the ordinary rows of candump -L and of ASC, hexadecimal and decimal.
  *
  * A parser stops at the first row that is not of its strict form: the reader in Python, which knows
  * all forms and what is an error, takes that row.
  */
 #include "frames_out.h"
-
-#include <math.h>
 
 bool maplines_hold_frames(maplines_arrays_t *arrays, PyObject *tuple, maplines_frames_t *frames)
 {
@@ -73,27 +71,6 @@ static int read_data(place_t *at, uint8_t *data)
     return count;
 }
 
-/// Read so many bytes, each after blanks; false if there are fewer.
-static bool read_spaced_data(place_t *at, uint8_t *data, int count)
-{
-    for (int i = 0; i < count; i++)
-    {
-        place_t c = *at;
-        while (*c == ' ')
-        {
-            c++;
-        }
-        if (c == *at || hex(c[0]) < 0 || hex(c[1]) < 0 || hex(c[2]) >= 0 ||
-            !(c[2] == ' ' || c[2] == '\n' || c[2] == '\r'))
-        {
-            return false;
-        }
-        data[i] = (uint8_t)(16 * hex(c[0]) + hex(c[1]));
-        *at = c + 2;
-    }
-    return true;
-}
-
 /// Read decimal digits, at most so many; their number.
 static int read_digits(place_t *at, int most, uint64_t *value)
 {
@@ -106,6 +83,44 @@ static int read_digits(place_t *at, int most, uint64_t *value)
         ++count;
     }
     return count;
+}
+
+/// Read a byte of two hexadecimal digits, or of up to three decimal ones; false if it is none.
+static bool read_byte(place_t *at, int radix, uint8_t *byte)
+{
+    uint64_t value = 0;
+    if (radix == 10)
+    {
+        const bool is_read = read_digits(at, 3, &value) > 0 && value <= UINT8_MAX;
+        *byte = (uint8_t)value;
+        return is_read;
+    }
+    if (hex((*at)[0]) < 0 || hex((*at)[1]) < 0)
+    {
+        return false;
+    }
+    *byte = (uint8_t)(16 * hex((*at)[0]) + hex((*at)[1]));
+    *at += 2;
+    return true;
+}
+
+/// Read so many bytes, each after blanks; false if there are fewer.
+static bool read_spaced_data(place_t *at, int radix, uint8_t *data, int count)
+{
+    for (int i = 0; i < count; i++)
+    {
+        place_t c = *at;
+        while (*c == ' ')
+        {
+            c++;
+        }
+        if (c == *at || !read_byte(&c, radix, &data[i]) || (*c != ' ' && *c != '\n' && *c != '\r'))
+        {
+            return false;
+        }
+        *at = c;
+    }
+    return true;
 }
 
 static bool skip(place_t *at, char c)
@@ -133,6 +148,55 @@ static place_t end_of_row(place_t at)
 {
     at += *at == '\r' ? 1 : 0;
     return *at == '\n' ? at + 1 : NULL;
+}
+
+/* ---- times ----------------------------------------------------------------------------------- */
+
+enum {
+    ABSOLUTE = 0,
+    ZERO = 1,
+    DELTA = 2
+};
+
+/// Times of rows, as in log_times.py.
+typedef struct {
+    int kind;
+    int64_t sum;  ///< of the stamps [ns]
+    int64_t high; ///< highest stamp of the recording [ns]
+} log_times_t;
+
+#define MAX_DISORDER_NS INT64_C(100000000)
+
+/// Read a time stamp, which ends with a character, in ns; false if it is not of the strict form.
+static bool read_stamp(place_t *at, char end, int64_t *stamp)
+{
+    uint64_t seconds = 0;
+    uint64_t fraction = 0;
+    if (read_digits(at, 10, &seconds) == 0 || seconds > 9000000000U || !skip(at, '.'))
+    {
+        return false;
+    }
+    const int digits = read_digits(at, 9, &fraction);
+    for (int i = digits; i < 9; i++)
+    {
+        fraction *= 10;
+    }
+    *stamp = (int64_t)(seconds * 1000000000U + fraction);
+    return digits > 0 && skip(at, end);
+}
+
+/// Time of the next row; false if a recording may begin again here, or the time is too great.
+static bool add_stamp(log_times_t *times, int64_t stamp, int64_t *t_ns)
+{
+    if (times->kind == DELTA ? times->sum > INT64_MAX - stamp
+                             : times->kind == ZERO && times->high - stamp > MAX_DISORDER_NS)
+    {
+        return false;
+    }
+    times->sum += times->kind == DELTA ? stamp : 0;
+    times->high = times->kind == ZERO && stamp > times->high ? stamp : times->high;
+    *t_ns = times->kind == DELTA ? times->sum : stamp;
+    return true;
 }
 
 /* ---- candump --------------------------------------------------------------------------------- */
@@ -181,41 +245,16 @@ static int channel_of(channels_t *channels, const char *name, size_t length)
     return (int)number;
 }
 
-/// Times of candump: those of -t d are differences, which are added up.
-typedef struct {
-    int64_t stamp, time;
-    bool is_difference;
-} candump_time_t;
-
 #define MAX_NAME 64
-#define MIN_ABSOLUTE_NS INT64_C(100000000000000000)
-
-/// Time of a row, whose stamp is in brackets; false if it is not of the strict form.
-static bool read_stamp(place_t *at, int64_t *stamp)
-{
-    uint64_t seconds = 0;
-    uint64_t fraction = 0;
-    if (!skip(at, '(') || read_digits(at, 10, &seconds) == 0 || seconds > 9000000000U ||
-        !skip(at, '.'))
-    {
-        return false;
-    }
-    const int digits = read_digits(at, 9, &fraction);
-    for (int i = digits; i < 9; i++)
-    {
-        fraction *= 10;
-    }
-    *stamp = (int64_t)(seconds * 1000000000U + fraction);
-    return digits > 0 && skip(at, ')') && skip(at, ' ');
-}
 
 /// Read a row such as "(1.5) can0 340#1122334455667788"; the place after it, or NULL.
-static place_t read_candump(place_t at, candump_time_t *time, channels_t *channels,
+static place_t read_candump(place_t at, log_times_t *times, channels_t *channels,
                             maplines_frames_t *frames)
 {
     int64_t stamp = 0;
+    int64_t t_ns = 0;
     uint8_t data[MAPLINES_MAX_DATA];
-    if (!read_stamp(&at, &stamp))
+    if (!skip(&at, '(') || !read_stamp(&at, ')', &stamp) || !skip(&at, ' '))
     {
         return NULL;
     }
@@ -263,21 +302,11 @@ static place_t read_candump(place_t at, candump_time_t *time, channels_t *channe
     }
     const place_t end = end_of_row(at);
     const int channel = end == NULL ? -1 : channel_of(channels, name, name_length);
-    if (channel < 0)
+    if (channel < 0 || !add_stamp(times, stamp, &t_ns))
     {
         return NULL;
     }
-    const bool is_difference =
-        time->is_difference || (stamp < time->stamp - stamp && time->stamp < MIN_ABSOLUTE_NS);
-    if (is_difference && time->time > INT64_MAX - stamp)
-    {
-        return NULL;
-    }
-    time->is_difference = is_difference;
-    time->stamp = stamp;
-    time->time = is_difference ? time->time + stamp : stamp;
-    maplines_add_frame(frames, can_id, digits == 8, time->time, (uint16_t)channel, data,
-                       (uint8_t)length);
+    maplines_add_frame(frames, can_id, digits == 8, t_ns, (uint16_t)channel, data, (uint8_t)length);
     return end;
 }
 
@@ -287,18 +316,19 @@ static place_t read_candump(place_t at, candump_time_t *time, channels_t *channe
 
 static const uint8_t fd_lengths[] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64};
 
-/// Read a CAN ID in hexadecimal, with "x" if it has 29 bits, and blanks.
-static bool read_asc_id(place_t *at, uint32_t *can_id, bool *is_extended)
+/// Read a CAN ID, with "x" if it has 29 bits, and blanks.
+static bool read_asc_id(place_t *at, int radix, uint32_t *can_id, bool *is_extended)
 {
     int digits = 0;
-    *can_id = 0;
-    for (; digits < 9 && hex(**at) >= 0; digits++, ++*at)
+    uint64_t value = 0;
+    for (; digits < 9 && hex(**at) >= 0 && hex(**at) < radix; digits++, ++*at)
     {
-        *can_id = 16 * *can_id + (uint32_t)hex(**at);
+        value = (uint64_t)radix * value + (uint64_t)hex(**at);
     }
     *is_extended = **at == 'x';
     *at += *is_extended ? 1 : 0;
-    return digits > 0 && digits < 9 && (*can_id >> 29) == 0 && skip_blanks(at);
+    *can_id = (uint32_t)value;
+    return digits > 0 && (value >> 29) == 0 && skip_blanks(at);
 }
 
 static bool skip_direction(place_t *at)
@@ -311,25 +341,8 @@ static bool skip_direction(place_t *at)
     return skip_blanks(at);
 }
 
-/// Read a time stamp [s] as the nearest floating-point number, in ns.
-static bool read_seconds(place_t *at, int64_t *t_ns)
-{
-    static const double powers[] = {1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9};
-    uint64_t whole = 0;
-    uint64_t part = 0;
-    if (read_digits(at, 7, &whole) == 0 || !skip(at, '.'))
-    {
-        return false;
-    }
-    const int digits = read_digits(at, 8, &part);
-    // Both numbers are exact, so that the quotient is the nearest to the decimal.
-    const double scaled = (double)whole * powers[digits] + (double)part;
-    *t_ns = (int64_t)rint(scaled / powers[digits] * 1e9);
-    return digits > 0 && **at == ' ' && skip_blanks(at);
-}
-
 /// Read what follows "Rx" of a classic frame: "d 8 11 22 ..."; its length, or -1.
-static int read_classic(place_t *at, uint8_t *data)
+static int read_classic(place_t *at, int radix, uint8_t *data)
 {
     if (!skip(at, 'd') || !skip_blanks(at) || **at < '0' || **at > '8')
     {
@@ -338,14 +351,15 @@ static int read_classic(place_t *at, uint8_t *data)
     const int length = **at - '0';
     ++*at;
     if (length == 0 ? **at != ' ' && **at != '\n' && **at != '\r'
-                    : !read_spaced_data(at, data, length))
+                    : !read_spaced_data(at, radix, data, length))
     {
         return -1;
     }
     return length;
 }
 
-/// Read what follows the CAN ID of a frame of CAN FD: "1 0 f 64 11 22 ..."; its length, or -1.
+/// Read what follows the hexadecimal CAN ID of a frame of CAN FD, such as "1 0 f 64 11 22 ...";
+/// its length, or -1.
 static int read_fd(place_t *at, uint8_t *data)
 {
     uint64_t flag = 0;
@@ -360,7 +374,7 @@ static int read_fd(place_t *at, uint8_t *data)
     const int dlc = hex(**at);
     *at += dlc < 0 ? 0 : 1;
     if (dlc < 0 || !skip_blanks(at) || read_digits(at, 2, &length) == 0 || length == 0 ||
-        length != fd_lengths[dlc] || !read_spaced_data(at, data, (int)length))
+        length != fd_lengths[dlc] || !read_spaced_data(at, 16, data, (int)length))
     {
         return -1;
     }
@@ -368,18 +382,21 @@ static int read_fd(place_t *at, uint8_t *data)
 }
 
 /// Read a row such as "1.5 1 340 Rx d 2 11 22"; the place after it, or NULL.
-static place_t read_asc(place_t at, channels_t *channels, maplines_frames_t *frames)
+static place_t read_asc(place_t at, int radix, log_times_t *times, channels_t *channels,
+                        maplines_frames_t *frames)
 {
+    int64_t stamp = 0;
     int64_t t_ns = 0;
     uint64_t number = 0;
     uint32_t can_id = 0;
     bool is_extended = false;
     uint8_t data[MAPLINES_MAX_DATA];
     (void)skip_blanks(&at);
-    if (!read_seconds(&at, &t_ns))
+    if (!read_stamp(&at, ' ', &stamp))
     {
         return NULL;
     }
+    (void)skip_blanks(&at);
     const bool is_fd = strncmp(at, "CANFD ", 6) == 0;
     if (is_fd)
     {
@@ -393,13 +410,15 @@ static place_t read_asc(place_t at, channels_t *channels, maplines_frames_t *fra
     int length = -1;
     if (is_fd)
     {
-        length = skip_direction(&at) && read_asc_id(&at, &can_id, &is_extended) ? read_fd(&at, data)
-                                                                                : -1;
+        length =
+            radix == 16 && skip_direction(&at) && read_asc_id(&at, radix, &can_id, &is_extended)
+                ? read_fd(&at, data)
+                : -1;
     }
     else
     {
-        length = read_asc_id(&at, &can_id, &is_extended) && skip_direction(&at)
-                     ? read_classic(&at, data)
+        length = read_asc_id(&at, radix, &can_id, &is_extended) && skip_direction(&at)
+                     ? read_classic(&at, radix, data)
                      : -1;
     }
     if (length < 0)
@@ -425,6 +444,10 @@ static place_t read_asc(place_t at, channels_t *channels, maplines_frames_t *fra
         {
             return NULL;
         }
+    }
+    if (!add_stamp(times, stamp, &t_ns))
+    {
+        return NULL;
     }
     maplines_add_frame(frames, can_id, is_extended, t_ns, channels->number, data, (uint8_t)length);
     return at + 1;
@@ -460,37 +483,33 @@ static bool open_text(PyObject *bytes, PyObject *place, text_t *text)
     return true;
 }
 
-PyDoc_STRVAR(parse_candump_doc,
-             "parse_candump(text, place, time, names, arrays) -> frames, place, rows, time.\n\n"
-             "Read rows of candump -L from a place on, up to one of another form. time is (stamp,\n"
-             "time, is difference) of the row before.");
-
-static PyObject *parse_candump(PyObject *module, PyObject *const *args, Py_ssize_t count)
+/// Parse rows with the arguments of a call; the radix is 0 for those of candump.
+static PyObject *parse_rows(PyObject *const *args, int radix)
 {
-    (void)module;
     maplines_arrays_t arrays = {.count = 0};
     maplines_frames_t frames;
     text_t text;
-    long long stamp = 0;
+    int kind = 0;
     long long sum = 0;
-    int is_difference = 0;
-    if (count != 5 || !PyList_Check(args[3]) || !PyTuple_Check(args[4]))
+    long long high = 0;
+    if (!PyList_Check(args[3]) || !PyTuple_Check(args[2]) || !PyTuple_Check(args[4]))
     {
-        PyErr_SetString(PyExc_TypeError, "there must be 5 arguments, with a list and a tuple");
+        PyErr_SetString(PyExc_TypeError, "times and arrays must be tuples, names a list");
         return NULL;
     }
     if (!open_text(args[0], args[1], &text) ||
-        !PyArg_ParseTuple(args[2], "LLp", &stamp, &sum, &is_difference) ||
+        !PyArg_ParseTuple(args[2], "iLL", &kind, &sum, &high) ||
         !maplines_hold_frames(&arrays, args[4], &frames))
     {
         maplines_release_arrays(&arrays);
         return NULL;
     }
-    candump_time_t time = {stamp, sum, is_difference != 0};
+    log_times_t times = {kind, sum, high};
     channels_t channels = {.names = args[3], .last = NULL};
     while (text.at < text.end && frames.count < frames.capacity)
     {
-        const place_t next = read_candump(text.at, &time, &channels, &frames);
+        const place_t next = radix == 0 ? read_candump(text.at, &times, &channels, &frames)
+                                        : read_asc(text.at, radix, &times, &channels, &frames);
         if (next == NULL)
         {
             break;
@@ -499,44 +518,45 @@ static PyObject *parse_candump(PyObject *module, PyObject *const *args, Py_ssize
         text.rows++;
     }
     maplines_release_arrays(&arrays);
-    return Py_BuildValue("nnn(LLN)", frames.count, (Py_ssize_t)(text.at - text.begin), text.rows,
-                         (long long)time.stamp, (long long)time.time,
-                         PyBool_FromLong(time.is_difference));
+    return Py_BuildValue("nnn(iLL)", frames.count, (Py_ssize_t)(text.at - text.begin), text.rows,
+                         times.kind, (long long)times.sum, (long long)times.high);
 }
 
-PyDoc_STRVAR(parse_asc_doc, "parse_asc(text, place, names, arrays) -> frames, place, rows.\n\n"
-                            "Read rows of ASC in hexadecimal from a place on, up to one of another "
-                            "form.");
+PyDoc_STRVAR(parse_candump_doc,
+             "parse_candump(text, place, times, names, arrays) -> frames, place, rows, times.\n\n"
+             "Read rows of candump -L from a place on, up to one of another form. times is (kind,\n"
+             "sum, high) of LogTimes.");
+
+static PyObject *parse_candump(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (count != 5)
+    {
+        PyErr_SetString(PyExc_TypeError, "there must be 5 arguments");
+        return NULL;
+    }
+    return parse_rows(args, 0);
+}
+
+PyDoc_STRVAR(
+    parse_asc_doc,
+    "parse_asc(text, place, times, names, arrays, radix) -> frames, place, rows, times.\n\n"
+    "Read rows of ASC from a place on, up to one of another form; the radix of their\n"
+    "numbers is 10 or 16. times is (kind, sum, high) of LogTimes.");
 
 static PyObject *parse_asc(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
     (void)module;
-    maplines_arrays_t arrays = {.count = 0};
-    maplines_frames_t frames;
-    text_t text;
-    if (count != 4 || !PyList_Check(args[2]) || !PyTuple_Check(args[3]))
+    const long radix = count == 6 ? PyLong_AsLong(args[5]) : 0;
+    if (radix != 10 && radix != 16)
     {
-        PyErr_SetString(PyExc_TypeError, "there must be 4 arguments, with a list and a tuple");
-        return NULL;
-    }
-    if (!open_text(args[0], args[1], &text) || !maplines_hold_frames(&arrays, args[3], &frames))
-    {
-        maplines_release_arrays(&arrays);
-        return NULL;
-    }
-    channels_t channels = {.names = args[2], .last = NULL};
-    while (text.at < text.end && frames.count < frames.capacity)
-    {
-        const place_t next = read_asc(text.at, &channels, &frames);
-        if (next == NULL)
+        if (PyErr_Occurred() == NULL)
         {
-            break;
+            PyErr_SetString(PyExc_TypeError, "there must be 6 arguments, with a radix of 10 or 16");
         }
-        text.at = next;
-        text.rows++;
+        return NULL;
     }
-    maplines_release_arrays(&arrays);
-    return Py_BuildValue("nnn", frames.count, (Py_ssize_t)(text.at - text.begin), text.rows);
+    return parse_rows(args, (int)radix);
 }
 
 static PyMethodDef functions[] = {

@@ -30,7 +30,7 @@ from can.io.blf import (
 from ..native import core
 from .frame_block import MAX_DATA, MAX_OBJECT, FrameArrays, FrameBlock, LogFrame
 from .log_summary import LogSummary, Skipped
-from .text_logs import check_frame
+from .text_rows import check_frame
 
 _SIGNATURE = b"LOBJ"
 #: Most bytes between two objects. Writers align them to 4 or 8 bytes, or add ``size % 4``.

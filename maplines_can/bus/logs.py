@@ -5,28 +5,32 @@ from __future__ import annotations
 import contextlib
 import gzip
 import io
+import re
 import sqlite3
 import struct
 import zlib
 from collections.abc import Iterator
-from functools import partial
 from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
 from typing import IO, Any, NamedTuple, cast, get_args
 
-import can
 from can.io.blf import BLFParseError
 
 from ..native import core
 from ..values.errors import LogError, missing_extra
 from ..values.input_files import checked_path
+from .asc_log import AscFormat
 from .blf_logs import BlfReader, BlfRunReader
+from .candump_log import CandumpFormat
 from .frame_block import FrameBlock, LogFrame, frames_of
-from .log_summary import LogReader, LogSummary, Skipped, Times
+from .log_summary import LogReader, LogSummary, Times
+from .log_times import LogTimes
 from .mf4_logs import Mf4Reader
 from .sqlite_logs import SqliteReader
-from .text_logs import AscReader, CandumpReader, Lines, TrcReader, check_frame, text_of
+from .table_logs import CsvFormat, TrcFormat
+from .text_lines import Lines, text_of
+from .text_rows import RowReader
 
 #: What readers yield.
 Records = Iterator[LogFrame | FrameBlock]
@@ -41,25 +45,27 @@ _DAMAGE = (
 _SUFFIXES = (".asc", ".blf", ".csv", ".db", ".log", ".mf4", ".trc", ".txt")
 #: Suffixes without a known format. The first bytes tell it; if none matches, it is candump's.
 _ANY_FORMAT = ("", ".log", ".txt")
-_FIRST_BYTES = {
-    b"LOGG": ".blf",
-    b"MDF ": ".mf4",
-    b"UnFinMF ": ".mf4",
-    b"SQLite format 3": ".db",
-    b";": ".trc",
-    b"timestamp,": ".csv",
-    b"date": ".asc",
-    b"base": ".asc",
-    b"//": ".asc",
+_FIRST_BYTES = {b"LOGG": ".blf", b"MDF ": ".mf4", b"UnFinMF ": ".mf4", b"SQLite format 3": ".db"}
+#: First line of the text formats, in lower case.
+_FIRST_LINES = {
+    ".trc": re.compile(r";"),
+    ".csv": re.compile(r"timestamp,|[\d.]+,0x"),
+    ".asc": re.compile(
+        r"date\s|base\s|//|begin\s+triggerblock|(no\s+)?internal\s+events"
+        r"|\d+\.\d+\s+(\d+\s|canfd\s|can\s|start\s+of\s)"
+    ),
 }
 _BINARY = (".blf", ".db", ".mf4")
 _GZIP = b"\x1f\x8b"
 
-#: First words of an .asc file.
-_ASC_HEADS = ("date", "base", "//")
-# A text reader that is restarted takes the next line for a header. This line is
-# inserted before it, so that no record is lost.
-_HEADER_AGAIN = {".csv": "\n", ".asc": "internal events logged\n"}
+_TEXT: dict[str, Any] = {
+    "": CandumpFormat,
+    ".asc": AscFormat,
+    ".csv": CsvFormat,
+    ".trc": TrcFormat,
+}
+#: Formats whose time stamps may be of several kinds.
+_ANY_TIMES = ("", ".asc", ".csv")
 
 
 def read_log(
@@ -74,8 +80,11 @@ def read_log(
     counted in ``summary.skipped`` of the iterator. The log is not loaded into memory
     at once; a frame of a pipe is returned as soon as its line has arrived.
 
-    The time stamps of ``candump -t d`` are differences. They are recognised and added up from the
-    first one that is less than half of the previous one. ``candump -t A`` writes local time.
+    The kind of the time stamps of candump, and of an .asc log that does not state it, is found from
+    the first 100 rows, once and for all. Stamps of 1e8 s or more are absolute at once. Of a pipe,
+    the rows of 2 s at most wait for that, but on Windows all 100: ``times`` states the kind.
+    Where stamps from the start of the log begin again, as in two logs one after the other, so do
+    the times. ``candump -t A`` writes local time. What was assumed is in ``summary.notices``.
 
     A damaged record of a text log is skipped, such as a line of more than ``MAX_LINE`` characters;
     one of more than ``MAX_DAMAGE`` ends the reading. A damaged binary log is read up to the damage;
@@ -88,8 +97,9 @@ def read_log(
             the log, "delta" for those from the frame before, or "auto" to find the kind.
 
     Raises:
-        LogError: the file does not exist or its format is unknown (raised by the call), or it is
-            damaged (raised after the last good frame).
+        LogError: the file does not exist, its format is unknown, or ``times`` states a kind for a
+            format that has its own (raised by the call), or it is damaged (raised after the last
+            good frame).
         ValueError: ``times`` is none of these.
         TypeError: the source is neither a path nor such a stream.
         MissingExtraError: .mf4 without the package asammdf.
@@ -146,10 +156,20 @@ def _open(source: str | PathLike[str] | IO[bytes], how: _Reading) -> Records:
         raise LogError(
             f"{path}: " + ("is not a file" if path.exists() else "there is no such file")
         )
+    if suffix not in _ANY_FORMAT:
+        _check_times(path, suffix, how)
     if suffix in _BINARY:
         _check_reader(path, suffix)
         return _read_binary(path, suffix, compressed, how)
     return _read_path(path, "" if suffix in _ANY_FORMAT else suffix, how)
+
+
+def _check_times(name: object, suffix: str, how: _Reading) -> None:
+    if how.times != "auto" and suffix not in _ANY_TIMES:
+        raise LogError(
+            f"{name}: times is {how.times!r}, but the format {suffix} has one kind of time stamps; "
+            "use 'auto'"
+        )
 
 
 def _check_reader(path: Path, suffix: str) -> None:
@@ -179,14 +199,36 @@ def _read_any(
         raise LogError(f"{name}: not a valid log ({text_of(error)})") from error
     suffix = suffix or next((s for first, s in _FIRST_BYTES.items() if head.startswith(first)), "")
     if suffix not in _BINARY:
-        yield from _read_text(file, name, suffix, how)
-    elif path is None or compressed:
+        if _is_utf_16(head):
+            raise LogError(
+                f"{name}: the text is UTF-16; convert it, as with iconv -f UTF-16 -t UTF-8"
+            )
+        lines = Lines(file, is_packed=compressed)
+        suffix = suffix or _text_format(lines)
+        _check_times(name, suffix, how)
+        yield from _read_text(lines, name, suffix, how)
+        return
+    _check_times(name, suffix, how)
+    if path is None or compressed:
         raise LogError(
             f"{name}: a log in the format {suffix} is read from a file only, not compressed"
         )
     else:
         _check_reader(path, suffix)
         yield from _read_binary(path, suffix, False, how)
+
+
+def _is_utf_16(head: bytes) -> bool:
+    """Whether a text begins with a byte order mark of UTF-16, or two of its ASCII characters."""
+    is_zero = [byte == 0 for byte in head[:4]]
+    marks = b"\xff\xfe", b"\xfe\xff"
+    return head.startswith(marks) or is_zero in ([False, True] * 2, [True, False] * 2)
+
+
+def _text_format(lines: Lines) -> str:
+    """Return the suffix of a text format by the first line; empty for candump."""
+    first = "".join(lines.ahead(1)).lower()
+    return next((suffix for suffix, line in _FIRST_LINES.items() if line.match(first)), "")
 
 
 def _read_binary(path: Path, suffix: str, compressed: bool, how: _Reading) -> Records:
@@ -222,29 +264,22 @@ def _frames(record: LogFrame | FrameBlock) -> Iterator[LogFrame]:
     return iter([record]) if isinstance(record, LogFrame) else frames_of(record)
 
 
-def _read_text(file: io.BufferedReader, name: str, suffix: str, how: _Reading) -> Records:
+def _read_text(lines: Lines, name: str, suffix: str, how: _Reading) -> Records:
     how.summary.format = suffix or "candump"
     good, bad, first, last = 0, 0, "", -1
-    # A compressed file that is truncated raises, without what has been unpacked in this reading.
-    is_packed = isinstance(getattr(file, "raw", None), gzip.GzipFile)
-    lines = Lines(file, io.DEFAULT_BUFFER_SIZE) if is_packed else Lines(file)
-    readers: Any = _RUN_READERS if how.runs and suffix in _RUN_READERS else _READERS
-    reader = readers[suffix](lines, how.summary, how.times)
+    row_format = _TEXT[suffix](LogTimes(how.times, how.summary), how.summary)
+    reader = RowReader(lines, row_format, runs=how.runs)
     while lines.number > last:  # else the reader fails again without reading a line
         last = lines.number
         try:
             for record in reader:
-                yield from _records(record, how.summary)
+                yield record
                 good += len(record) if isinstance(record, FrameBlock) else 1
             break
         except _DAMAGE as error:
             bad += 1
             first = first or f"line {lines.number}: {text_of(error)}"
-            if suffix in _HEADER_AGAIN:
-                lines.insert(_HEADER_AGAIN[suffix])
-    # python-can skips what it cannot read in an .asc file.
-    if suffix == ".asc" and lines.first and not (good or lines.first.startswith(_ASC_HEADS)):
-        raise LogError(f"{name}: not a valid .asc file: it has neither a header nor frames")
+    good += how.summary.skipped.total()
     end = ""
     if lines.end:
         what, why = lines.end
@@ -262,37 +297,8 @@ def _read_text(file: io.BufferedReader, name: str, suffix: str, how: _Reading) -
         raise LogError(f"{name}: {end}")
 
 
-def _records(message: can.Message | LogFrame | FrameBlock, summary: LogSummary) -> Records:
-    """Yield the record of a reader if it is a data frame; count it otherwise."""
-    if isinstance(message, LogFrame | FrameBlock):
-        yield message
-    elif message.is_error_frame or message.is_remote_frame:
-        summary.skipped[Skipped.ERROR if message.is_error_frame else Skipped.REMOTE] += 1
-    else:
-        data, t_ns = bytes(message.data), round(message.timestamp * 1e9)
-        check_frame(message.arbitration_id, data, t_ns)
-        yield LogFrame(
-            message.arbitration_id,
-            data,
-            t_ns,
-            message.is_extended_id,
-            "" if message.channel is None else str(message.channel),
-            has_time=True,
-        )
-
-
-#: Readers of text take the lines, the summary and the kind of times; the others a source and the
-#: summary.
-_READERS: dict[str, Any] = {
-    "": CandumpReader,
-    ".asc": lambda lines, _summary, _times: can.ASCReader(lines),
-    ".csv": lambda lines, _summary, _times: can.CSVReader(lines),
-    ".trc": TrcReader,
-    ".blf": BlfReader,
-    ".db": SqliteReader,
-    ".mf4": Mf4Reader,
-}
+_READERS: dict[str, Any] = {".blf": BlfReader, ".db": SqliteReader, ".mf4": Mf4Reader}
 #: Readers that yield runs.
 _RUN_READERS: dict[str, Any] = {}
 if core is not None:
-    _RUN_READERS |= {"": partial(CandumpReader, runs=True), ".asc": AscReader, ".blf": BlfRunReader}
+    _RUN_READERS |= {".blf": BlfRunReader}

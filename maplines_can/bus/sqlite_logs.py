@@ -10,7 +10,7 @@ from typing import Any
 
 from .frame_block import LogFrame
 from .log_summary import LogSummary, Skipped
-from .text_logs import check_frame
+from .text_rows import check_frame
 
 #: Most bytes of a row of an SQL table; that of a frame has some 100.
 MAX_ROW = 1 << 16

@@ -31,6 +31,8 @@ LOGGED_FD = can.Message(
     timestamp=102.0, arbitration_id=0x124, is_extended_id=False, is_fd=True, data=bytes(range(32))
 )
 
+CSV_HEADER = "timestamp,arbitration_id,extended,remote,error,dlc,data"
+
 FORMATS = ["asc", "blf", "csv", "db", "log", "mf4", "trc", "asc.gz", "blf.gz", "csv.gz", "log.gz"]
 
 
@@ -101,7 +103,7 @@ def read_until_error(path: Any) -> Any:
     ("suffix", "header", "good", "bad"),
     [
         pytest.param("log", "", "(1.5) can0 {:03X}#0001", "(1.5) can0 1\xff3#0001", id="log"),
-        pytest.param("csv", "names", "1.5,{:#x},0,0,0,2,AAE=", "1.5,\xff,0", id="csv"),
+        pytest.param("csv", CSV_HEADER, "1.5,{:#x},0,0,0,2,AAE=", "1.5,\xff,0", id="csv"),
         pytest.param(
             "asc",
             "date Fri Nov 21 2025\nbase hex  timestamps absolute\nno internal events logged",
@@ -161,7 +163,7 @@ def test_a_file_of_something_else_is_one_clear_error(tmp_path: Path, suffix: str
 
     assert frames == []
     if suffix == ".asc":
-        assert text == ": not a valid .asc file: it has neither a header nor frames"
+        assert "line 20: it has neither a header nor frames: 'This is not a log.')" in text
     if suffix == ".log":
         assert "none of 20 records can be read (line 1: " in text
         assert text.endswith("; the content is no format that is known, such as candump's")
@@ -221,14 +223,15 @@ def test_a_blf_object_that_is_shorter_than_its_header_ends_the_file(
     assert "damaged after 30 good records (BLFParseError: an object is shorter" in text
 
 
-def test_a_reader_that_makes_no_progress_is_stopped(tmp_path: Path) -> None:
-    """On a version of the format that python-can does not know, it fails at each attempt."""
+@pytest.mark.parametrize("version", ["2.0", "9.9"])
+def test_a_trc_log_of_unknown_columns_is_one_clear_error(tmp_path: Path, version: str) -> None:
+    """A version that is not known, or one whose header must have the columns and has none."""
     path = tmp_path / "drive.trc"
-    path.write_text(";$FILEVERSION=2.0\n   1   1059.9 DT 0300 Rx 7 00 00 00 00 04 00 00\n")
+    path.write_text(f";$FILEVERSION={version}\n   1   1059.9 DT 0300 Rx 1 00\n")
     frames, text = read_until_error(path)
 
     assert frames == []
-    assert "File has no column information" in text
+    assert f"(line 2: the columns of version '{version}' of TRC are not known)" in text
 
 
 @pytest.mark.parametrize(

@@ -60,8 +60,11 @@ def read(frames: Iterator[Any]) -> tuple[list[LogFrame], str]:
 
 
 def check_same(source: Path, *, has_error: bool | None = None) -> int:
-    expected = read(read_log(source))
-    assert read(read_blocks(source)) == expected
+    blocks, one = read_blocks(source), read_log(source)
+    expected = read(one)
+    assert read(blocks) == expected
+    if source.suffix in (".log", ".asc", ".gz"):
+        assert blocks.summary == one.summary
     assert read(read_blocks(source, block_frames=7)) == expected
     if has_error is not None:
         assert bool(expected[1]) == has_error
@@ -164,14 +167,29 @@ def test_rows_of_other_forms(tmp_path: Path, suffix: str, others: list[str]) -> 
             check_same(path)
 
 
-def test_differences_of_time_are_added_up(tmp_path: Path) -> None:
-    """Those of candump -t d, from the first one that is less than half of the one before."""
-    path = tmp_path / "d.log"
-    stamps = [5.0, 4.9, 1.0, 0.2, 9.0, 1700000000.0, 0.1, 0.1]
-    path.write_text("".join(f"({stamp:.6f}) can0 123#00\n" for stamp in stamps))
-    assert check_same(path, has_error=False) == len(stamps)
-    times = [frame.t_ns for frame in read(read_blocks(path))[0]]
-    assert times[:3] == [5 * 10**9, 49 * 10**8, 59 * 10**8]
+#: Stamps [s], and the kind that they are found to have.
+STAMPS = {
+    "delta": ([5.0, 4.9, 1.0, 0.2, 9.0, 0.1, 0.1], "delta"),
+    "delta, beyond 64 bits later": ([0.0, 0.1, 0.05, 0.1, 8e9, 8e9, 0.1], "absolute"),
+    "zero, two recordings": ([*range(40), *range(30), 40, 39.95, 39.8, 41], "zero"),
+    "absolute": ([1.7e9, 1.6e9, 0.5], "absolute"),
+    "zero, then absolute": ([0.0, 0.0, 0.0, 1.7e9, 1.7e9], "absolute"),
+}
+
+
+@pytest.mark.parametrize("times", ["auto", "absolute", "zero", "delta"])
+@pytest.mark.parametrize("case", STAMPS)
+@pytest.mark.parametrize("suffix", ["log", "asc"])
+def test_kinds_of_time_stamps(tmp_path: Path, suffix: str, case: str, times: Any) -> None:
+    """C and Python have the same times, notices and errors, of each kind."""
+    stamps, kind = STAMPS[case]
+    path = tmp_path / f"a.{suffix}"
+    row = "({:.6f}) can0 123#00\n" if suffix == "log" else " {:.6f} 1  123  Rx  d 1 00\n"
+    path.write_text("".join(row.format(stamp) for stamp in stamps))
+    one, blocks = read_log(path, times=times), read_blocks(path, times=times)
+    assert read(blocks) == read(one)
+    assert blocks.summary == one.summary
+    assert one.summary.times == (kind if times == "auto" else times)
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r", ""])
@@ -212,7 +230,7 @@ def test_a_block_of_a_pipe_has_what_has_arrived() -> None:
     """No frame waits for one that has not been sent, also after a part of a row."""
     parts = [b"(1.0) can0 1", b"23#00\n(2.0) can0 123#01\n(3.0) ", b"can0 123#02\n"]
     pipe: Any = Pipe([*parts])
-    seen = [(len(block), pipe.left) for block in read_blocks(pipe)]
+    seen = [(len(block), pipe.left) for block in read_blocks(pipe, times="zero")]
     assert seen == [(2, 1), (1, 0)]
 
 
