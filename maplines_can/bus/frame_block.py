@@ -16,6 +16,8 @@ MAX_DATA = 64
 #: Most bytes of an object or a block of a binary log, packed and unpacked; writers make containers
 #: of 128 kB in BLF, and the standard of MF4 recommends blocks of 4 MB at most.
 MAX_OBJECT = 1 << 24
+#: Time from which a float has no nanoseconds [s]; those of dates are taken as microseconds.
+_DATES = 1e6
 
 
 class LogFrame(NamedTuple):
@@ -102,6 +104,11 @@ class FrameArrays:
             data=data[:, :width].copy(),
             channels=tuple(self.names),
         )
+
+
+def stamp_ns(t: float) -> int:
+    """Return a time stamp [s] in nanoseconds, without the digits that a float does not have."""
+    return round(t * 1e9) if abs(t) < _DATES else round(t * 1e6) * 1000
 
 
 def block_of(frames: Sequence[LogFrame], numbers: dict[str, int]) -> FrameBlock:

@@ -20,15 +20,12 @@ from can.io.blf import (
 from ..values.errors import LogError, missing_extra
 from ..values.input_files import checked_path
 from ..wire import Frame
+from .frame_block import stamp_ns
 
 #: Suffixes of the formats: candump -L, Vector ASC and BLF, ASAM MDF 4.
 SUFFIXES = (".log", ".asc", ".blf", ".mf4")
-
-
 #: Flag of an error frame in the ID of candump.
 _ERROR_FLAG = 1 << 29
-#: Time from which a float has no nanoseconds: those of a date are written in microseconds [s].
-_DATES = 1e6
 
 
 class LogWriter:
@@ -75,11 +72,6 @@ class LogWriter:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
-
-
-def _ns(t: float) -> int:
-    """Return a time [s] in nanoseconds, without the digits that a float does not have."""
-    return round(t * 1e9) if abs(t) < _DATES else round(t * 1e6) * 1000
 
 
 class _CandumpWriter(can.CanutilsLogWriter):
@@ -129,7 +121,7 @@ class _BlfWriter(can.BLFWriter):
     def __init__(self, path: Path, start: float) -> None:
         super().__init__(path)
         is_date = any(timestamp_to_systemtime(start))  # in milliseconds
-        self._start_ns = _ns(start) // 10**6 * 10**6 if is_date else 0
+        self._start_ns = stamp_ns(start) // 10**6 * 10**6 if is_date else 0
         self.start_timestamp = self._start_ns / 1e9
 
     def _add_object(self, obj_type: int, data: bytes, timestamp: float | None = None) -> None:
@@ -137,7 +129,7 @@ class _BlfWriter(can.BLFWriter):
         data += bytes(4 if obj_type == CAN_FD_MESSAGE else 0)
         head, start = OBJ_HEADER_BASE_STRUCT.size, OBJ_HEADER_V1_STRUCT.size
         size = head + start + len(data)
-        ticks = max(_ns(self.stop_timestamp) - self._start_ns, 0)
+        ticks = max(stamp_ns(self.stop_timestamp) - self._start_ns, 0)
         self._buffer += [
             OBJ_HEADER_BASE_STRUCT.pack(b"LOBJ", head + start, 1, size, obj_type),
             OBJ_HEADER_V1_STRUCT.pack(TIME_ONE_NANS, 0, 0, ticks),
@@ -154,13 +146,13 @@ class _Mf4Writer(can.MF4Writer):
 
     def __init__(self, path: Path, start: float) -> None:
         super().__init__(path)
-        self._start_ns = _ns(start)
+        self._start_ns = stamp_ns(start)
         self._start_time = 0.0  # messages have their time from the start
         self._mdf.header.start_time = datetime.fromtimestamp(start, UTC)
         self._mdf.header.abs_time = self._start_ns  # which asammdf has rounded
 
     def on_message_received(self, msg: can.Message) -> None:
-        msg.timestamp = (_ns(msg.timestamp) - self._start_ns) / 1e9
+        msg.timestamp = (stamp_ns(msg.timestamp) - self._start_ns) / 1e9
         super().on_message_received(msg)
 
 

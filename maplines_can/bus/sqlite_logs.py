@@ -8,7 +8,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from .frame_block import LogFrame
+from .frame_block import LogFrame, stamp_ns
 from .log_summary import LogSummary, Skipped
 from .text_rows import check_frame
 
@@ -77,7 +77,7 @@ class SqliteReader:
         if is_error or is_remote:
             self._summary.skipped[Skipped.ERROR if is_error else Skipped.REMOTE] += 1
             return
-        data, t_ns = data or b"", round(timestamp * 1e9)
+        data, t_ns = data or b"", stamp_ns(timestamp)
         check_frame(can_id, data, t_ns)
         name = "" if channel is None else str(channel)
         yield LogFrame(can_id, data, t_ns, bool(is_extended), name, has_time=True)
