@@ -113,7 +113,7 @@ Change = Callable[[Signal], None]
 
 def field_of(signal: Signal) -> str:
     """Return the name of a signal; ``Page`` without the number of the page."""
-    return re.sub(r"^Page\d$", "Page", signal.name)
+    return re.sub(r"Page\d$", "Page", signal.name)
 
 
 def _set(**values: Any) -> Change:

@@ -16,7 +16,7 @@ from cantools.database.can.formats.dbc.dbc_attribute_definition import DbcAttrib
 from cantools.database.can.formats.dbc.dbc_specifics import DbcSpecifics
 
 from ...values.line import Slot
-from ...wire.layout.message_layout import SECURED_SIGNALS, fd_length, slot_title
+from ...wire.layout.message_layout import POSE_PREFIX, SECURED_SIGNALS, fd_length, slot_title
 from .record_pages import PAGE_BYTES, RecordPages, SignalSpec, dbc_signal
 
 __all__ = ["TRANSFER_ID_BITS", "DbcWriter", "PoseSpec", "SignalSpec", "paged"]
@@ -60,7 +60,7 @@ class PoseSpec:
     @property
     def record(self) -> RecordPages:
         """Pages of the record."""
-        return RecordPages(self.pages, self.page_bits, self.transfer_id_bits)
+        return RecordPages(self.pages, self.page_bits, self.transfer_id_bits, POSE_PREFIX)
 
 
 @dataclass(frozen=True)

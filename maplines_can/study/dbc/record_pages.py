@@ -87,6 +87,7 @@ class RecordPages:
         pages: the signals of each page, in the order of their bits.
         page_bits: width of the page number; None for the least.
         transfer_id_bits: width of the transfer number.
+        prefix: of the names of both, whose widths another record of the DBC may have otherwise.
 
     Raises:
         ValueError: a page has more than 64 bits.
@@ -95,6 +96,7 @@ class RecordPages:
     pages: tuple[tuple[SignalSpec, ...], ...]
     page_bits: int | None = None
     transfer_id_bits: int = 4
+    prefix: str = ""
 
     def __post_init__(self) -> None:
         for number in range(len(self.pages)):
@@ -120,21 +122,28 @@ class RecordPages:
             yield (
                 replace(
                     _TRANSFER_ID,
-                    name=f"{TRANSFER_ID}{number}",
+                    name=f"{self.prefix}{TRANSFER_ID}{number}",
                     bits=bits,
                     why=_TRANSFER_ID.why.format(2**bits),
                 ),
                 end - bits,
             )
-        yield replace(_PAGE, bits=page_bits), end
+        yield replace(_PAGE, name=self._page, bits=page_bits), end
+
+    @property
+    def _page(self) -> str:
+        return f"{self.prefix}{PAGE}"
 
     def paged(self) -> list[Signal]:
         """Return the signals of the multiplexed message."""
         signals = []
         for number in range(len(self.pages)):
             for spec, start in self.placed(number):
-                if spec.name != PAGE:
-                    ids: dict[str, Any] = {"multiplexer_ids": [number], "multiplexer_signal": PAGE}
+                if spec.name != self._page:
+                    ids: dict[str, Any] = {
+                        "multiplexer_ids": [number],
+                        "multiplexer_signal": self._page,
+                    }
                     signals.append(dbc_signal(spec, start, **ids))
                 elif number == 0:
                     signals.append(dbc_signal(spec, start, is_multiplexer=True))
@@ -145,7 +154,7 @@ class RecordPages:
         signals = []
         for number in range(len(self.pages)):
             for spec, start in self.placed(number):
-                name = f"{PAGE}{number}" if spec.name == PAGE else spec.name
+                name = f"{self._page}{number}" if spec.name == self._page else spec.name
                 start += 8 * PAGE_BYTES * number
                 signals.append(dbc_signal(replace(spec, name=name), start))
         return signals
@@ -173,7 +182,7 @@ class RecordPages:
 def _cells(spec: SignalSpec) -> str:
     """Return the cells of a signal but its place; slots and numbers of transfers become ``*``."""
     low, high = spec.range
-    name = f"{TRANSFER_ID}*" if spec.name.startswith(TRANSFER_ID) else _SLOT.sub("*", spec.name)
+    name = re.sub(rf"({TRANSFER_ID})\d+$", r"\1*", _SLOT.sub("*", spec.name))
     return (
         f"`{name}` | {spec.bits} | {spec.factor:.6g} | {low:.6g} .. {high:.6g} "
         f"| {spec.unit or '-'} | {_SLOT.sub('line', spec.about)} | {spec.why}"

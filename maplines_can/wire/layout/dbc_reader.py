@@ -30,7 +30,7 @@ from .dbc_messages import (
 )
 from .pose_layout import POSE, Owner, PoseLayout
 from .record_layout import bits_of, pages_of
-from .signals import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID, Signal
+from .signals import PAGE, PAGE_BYTES, POSE_PREFIX, SECURED_SIGNALS, TRANSFER_ID, Signal
 from .slot_messages import RecordMessages, SecuredLayout
 
 __all__ = [
@@ -127,7 +127,7 @@ def content_of(database: Database, source: str) -> DbcContent:
         check_frame(message, kind, source)
         for signal in message.signals:
             _check_choices(signal, f"{source}: message {message.name}")
-        records.setdefault(owner, {})[message.name] = _record(message, source)
+        records.setdefault(owner, {})[message.name] = _record(message, owner, source)
     slots = sorted(owner for owner in messages if isinstance(owner, Slot))
     if not slots:
         raise LayoutError(
@@ -186,7 +186,8 @@ def _shared_signals(records: Mapping[str, Mapping[str, Signal]], source: str) ->
     """Return the signals that all messages have; others do not belong to the record."""
     (first, signals), *others = records.items()
     for name, other in others:
-        differing = sorted(s for s in signals.keys() & other.keys() if signals[s] != other[s])
+        both = signals.keys() & other.keys()
+        differing = sorted(signals[s].dbc_name for s in both if signals[s] != other[s])
         differing += [f"{PAGE}{n}" for n in {*pages_of(signals)} ^ {*pages_of(other)}]
         if differing:
             raise LayoutError(
@@ -221,15 +222,16 @@ def _check_can_ids(database: Database, own: Iterable[str], source: str) -> None:
             )
 
 
-def _record(message: Message, source: str) -> dict[str, Signal]:
+def _record(message: Message, owner: Owner, source: str) -> dict[str, Signal]:
     """Return the signals with bit positions in the record, independent of the frame format."""
     where = f"{source}: message {message.name}"
+    prefix = POSE_PREFIX if owner == POSE else ""
     multiplexers = [signal for signal in message.signals if signal.is_multiplexer]
     if multiplexers:
-        signals = _paged_signals(message, multiplexers, where)
+        signals = _paged_signals(message, multiplexers, prefix, where)
     else:
         own = [signal for signal in message.signals if signal.name not in SECURED_SIGNALS]
-        signals = [to_signal(signal) for signal in own]
+        signals = [_unprefixed(to_signal(signal), prefix) for signal in own]
     record = {signal.name: signal for signal in sorted(signals, key=lambda signal: signal.start)}
     if f"{TRANSFER_ID}0" not in record and {"Counter", f"{TRANSFER_ID}1"} <= set(record):
         record[f"{TRANSFER_ID}0"] = low_bits(
@@ -238,23 +240,34 @@ def _record(message: Message, source: str) -> dict[str, Signal]:
     pages = pages_of(record)
     if not pages or (not multiplexers and message.length < len(pages) * PAGE_BYTES):
         raise LayoutError(
-            f"{where}: must have pages of 8 bytes, each with {PAGE} and {TRANSFER_ID}"
+            f"{where}: must have pages of 8 bytes, each with {prefix}{PAGE} and "
+            f"{prefix}{TRANSFER_ID}"
         )
     # The padding of a CAN FD message may hold other signals.
     end = 8 * PAGE_BYTES * len(pages)
     return {name: signal for name, signal in record.items() if min(bits_of(signal)) < end}
 
 
-def _paged_signals(message: Message, multiplexers: list[DbcSignal], where: str) -> list[Signal]:
+def _unprefixed(signal: Signal, prefix: str) -> Signal:
+    """Return a signal; page and transfer ID without the prefix, as in records of lines."""
+    name = signal.name.removeprefix(prefix)
+    if name == signal.name or not name.startswith((PAGE, TRANSFER_ID)):
+        return signal
+    return replace(signal, name=name, prefix=prefix)
+
+
+def _paged_signals(
+    message: Message, multiplexers: list[DbcSignal], prefix: str, where: str
+) -> list[Signal]:
     """Return the signals of a multiplexed message, its pages concatenated."""
-    if len(multiplexers) > 1 or multiplexers[0].name != PAGE:
-        raise LayoutError(f"{where}: must have one multiplexer, named {PAGE}")
+    if len(multiplexers) > 1 or multiplexers[0].name.removeprefix(prefix) != PAGE:
+        raise LayoutError(f"{where}: must have one multiplexer, named {prefix}{PAGE}")
     pages = sorted({i for s in message.signals for i in s.multiplexer_ids or ()})
     if pages != list(range(len(pages))):
         raise LayoutError(f"{where}: pages must be numbered 0, 1, ..., got {pages}")
     signals = []
     for dbc_signal in message.signals:
-        signal = to_signal(dbc_signal)
+        signal = _unprefixed(to_signal(dbc_signal), prefix)
         if dbc_signal.multiplexer_ids is None:  # repeated in every page
             for page in pages:
                 start = signal.start + 8 * PAGE_BYTES * page

@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 
 from ...values.line import Slot
 from .record_layout import RecordLayout
-from .signals import POSE_RECORD, Signal, of_slot, slot_title
+from .signals import POSE_PREFIX, POSE_RECORD, Signal, of_slot, slot_title
 from .slot_messages import RecordMessages, SecuredLayout
 
 #: Owner of the records of the pose error, as a slot is that of its lines.
@@ -42,6 +42,7 @@ class PoseLayout(RecordLayout):
     """
 
     needed_by: ClassVar[str] = "each message of the pose error (MapLinePose)"
+    prefix: ClassVar[str] = POSE_PREFIX
 
     messages: RecordMessages
     secured: SecuredLayout | None = None

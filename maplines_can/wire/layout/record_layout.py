@@ -38,8 +38,14 @@ class RecordLayout:
     #: What needs each signal, for error messages.
     needed_by: ClassVar[str] = "each message of a map line"
 
+    #: Prefix of page and transfer ID in the DBC.
+    prefix: ClassVar[str] = ""
+
     signals: Mapping[str, Signal]
     source: str
+
+    def _dbc_name(self, name: str) -> str:
+        return f"{self.prefix}{name}" if name.startswith((PAGE, TRANSFER_ID)) else name
 
     def __getitem__(self, name: str) -> Signal:
         """Return the signal of this name.
@@ -51,8 +57,8 @@ class RecordLayout:
             return self.signals[name]
         except KeyError:
             raise LayoutError(
-                f"{self.source}: there is no signal {name!r}; {self.needed_by} needs it, "
-                "within the pages of 8 bytes"
+                f"{self.source}: there is no signal {self._dbc_name(name)!r}; {self.needed_by} "
+                "needs it, within the pages of 8 bytes"
             ) from None
 
     @cached_property
@@ -95,7 +101,7 @@ class RecordLayout:
     def error(self, signal: Signal, needs: str, cure: str) -> LayoutError:
         """Return the error that a signal does not have what it needs."""
         return LayoutError(
-            f"{self.source}: signal {signal.name} is {signal}, but it needs {needs}; {cure}"
+            f"{self.source}: signal {signal.dbc_name} is {signal}, but it needs {needs}; {cure}"
         )
 
 
@@ -289,23 +295,28 @@ def check_record(signals: Signals, bounds: Mapping[str, Bounds], source: str) ->
     for relation in RELATIONS:
         applies = relation.name in bounds or relation.name in OF_SLOT
         if applies and not relation.met(signals):
-            has = "; ".join(f"{s.name} is {s}" for s in _named(signals, relation.name))
+            named = _named(signals, relation.name)
+            has = "; ".join(f"{signal.dbc_name} is {signal}" for signal in named)
             raise LayoutError(
-                f"{source}: signal {relation.name} needs {relation.needs}, but {has}; "
-                f"{relation.cure}"
+                f"{source}: signal {named[-1].prefix}{relation.name} needs {relation.needs}, "
+                f"but {has}; {relation.cure}"
             )
     _check_places(signals, source)
 
 
 def _check_places(signals: Signals, source: str) -> None:
     """Check that no signals overlap, and that each is in the record."""
-    owner: dict[int, str] = {}
+    owner: dict[int, Signal] = {}
     for name, signal in signals.items():
         bits = bits_of(signal)
         if max(bits) >= PAGE_BITS * len(pages_of(signals)):
-            raise LayoutError(f"{source}: signal {name} must lie in the record's pages of 8 bytes")
+            raise LayoutError(
+                f"{source}: signal {signal.dbc_name} must lie in the record's pages of 8 bytes"
+            )
         if name == f"{TRANSFER_ID}0" and bits <= bits_of(signals["Counter"]):
             continue  # the low bits of the counter
         for bit in bits:
-            if owner.setdefault(bit, name) != name:
-                raise LayoutError(f"{source}: signals {owner[bit]} and {name} overlap; move one")
+            if (other := owner.setdefault(bit, signal)) is not signal:
+                raise LayoutError(
+                    f"{source}: signals {other.dbc_name} and {signal.dbc_name} overlap; move one"
+                )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ class Signal:
     """One signal of a record, with the conversion between raw and physical values.
 
     Args:
-        name: as in the DBC.
+        name: as in the DBC, without the prefix.
         start: first bit within the record, numbered as in the DBC.
         length: number of bits.
         big_endian: Motorola byte order; ``start`` is then the most significant bit.
@@ -33,6 +33,7 @@ class Signal:
         raw_max: greatest raw value within the DBC's range; less than ``raw_min`` if there is none.
         is_float: the raw value is the bit pattern of an IEEE 754 number. Only ``physical``
             supports such a signal, with 32 bits.
+        prefix: of the name in the DBC, for messages.
     """
 
     name: str
@@ -46,6 +47,12 @@ class Signal:
     raw_min: int
     raw_max: int
     is_float: bool = False
+    prefix: str = field(default="", compare=False)
+
+    @property
+    def dbc_name(self) -> str:
+        """Name in the DBC."""
+        return f"{self.prefix}{self.name}"
 
     def raw(self, physical: ArrayLike) -> NDArray[np.float64]:
         """Return the (...,) nearest raw values, which may be out of range.

@@ -31,6 +31,7 @@ __all__ = [
     "PAGE",
     "PAGE_BYTES",
     "PARAMETER_SIGNALS",
+    "POSE_PREFIX",
     "POSE_RECORD",
     "POSE_ROWS",
     "POSE_SIGNALS",
@@ -152,7 +153,7 @@ class Bounds:
         for needs, is_met, cure in self.properties(signal):
             if not is_met:
                 raise LayoutError(
-                    f"{source}: signal {signal.name} is {signal}, but it needs {needs}; {cure}"
+                    f"{source}: signal {signal.dbc_name} is {signal}, but it needs {needs}; {cure}"
                 )
 
 
@@ -182,6 +183,9 @@ _METRES = Bounds(units=("m", ""), unsigned=True, factor=1, offset=0)
 
 #: Signals that every page repeats: the number of the page, and of the transfer it belongs to.
 PAGE, TRANSFER_ID = "Page", "TransferId"
+#: Prefix of both in the pose error, so that each name has one definition in a DBC: formats such as
+#: SYM have no more. Without it, they are read, too.
+POSE_PREFIX = "Pose"
 _PAGES = {PAGE: _count(1), TRANSFER_ID: _count(1)}
 _PROTECTION = {
     "Crc": _count(16, 16),

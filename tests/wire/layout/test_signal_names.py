@@ -1,0 +1,104 @@
+"""Each name of a signal has one definition in a DBC, as formats with one per name need."""
+
+import random
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import cantools
+import pytest
+
+from maplines_can.study.codes import CODES
+from maplines_can.study.dbc.record_spec import dbc_writer_for
+from maplines_can.values.errors import LayoutError
+from maplines_can.wire import SHIPPED, Layout, default_dbc_path
+
+
+def texts() -> dict[str, str]:
+    shipped = {name: default_dbc_path(name).read_text("utf-8") for name in SHIPPED}
+    return shipped | {code: dbc_writer_for(code).dbc() for code in CODES}
+
+
+@pytest.mark.parametrize("name", texts())
+def test_each_name_has_one_definition(name: str) -> None:
+    """Length, sign, conversion, range, unit and names of values; byte order, too."""
+    found = defaultdict(set)
+    database: Any = cantools.database.load_string(texts()[name], "dbc")
+    for message in database.messages:
+        for s in message.signals:
+            law = (s.length, s.is_signed, s.is_float, s.byte_order, s.scale, s.offset)
+            found[s.name].add((*law, s.minimum, s.maximum, s.unit, str(s.choices)))
+    assert {name: laws for name, laws in found.items() if len(laws) > 1} == {}
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_names_without_the_prefix_are_read(name: str) -> None:
+    """A DBC of before has the same layout."""
+    text = texts()[name]
+    before = text.replace("PosePage", "Page").replace("PoseTransferId", "TransferId")
+    assert before.count("SG_ Page M") == 9
+    one, other = Layout.from_text(text), Layout.from_text(before)
+
+    assert one.pose is not None
+    assert other.pose is not None
+    assert list(one.signals.items()) == list(other.signals.items())
+    assert list(one.pose.signals.items()) == list(other.pose.signals.items())
+    assert one.pose.short_pages == other.pose.short_pages
+    assert one.pose["Page0"].dbc_name == "PosePage0"
+    assert other.pose["Page0"].dbc_name == one["Page0"].dbc_name == "Page0"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "error"),
+    [
+        pytest.param("SG_ PosePage M", "SG_ PoseLeaf M", "one multiplexer, named PosePage", id="m"),
+        pytest.param("SG_ Page M", "SG_ PosePage M", "one multiplexer, named Page$", id="line"),
+        pytest.param("PoseTransferId1 m1", "PoseX m1", "no signal 'PoseTransferId1'", id="none"),
+        pytest.param(
+            "PoseTransferId2 m2 : 59|2", "PoseTransferId2 m2 : 58|2", "PoseTransferId", id="place"
+        ),
+        pytest.param(
+            "PoseTransferId1 m1 : 59|2@1+ (1",
+            "PoseTransferId1 m1 : 59|2@1+ (2",
+            "PoseTransferId1",
+            id="law",
+        ),
+        pytest.param(
+            "PoseTransferId1 : 123|2@1+ (1",
+            "PoseTransferId1 : 123|2@1+ (2",
+            "PoseTransferId1 differ",
+            id="other-message",
+        ),
+    ],
+)
+def test_errors_have_the_names_of_the_dbc(old: str, new: str, error: str) -> None:
+    text = texts()["maplines.dbc"]
+    head, _, pose = text.partition("BO_ 860 ")
+    edited = (
+        head.replace(old, new) + "BO_ 860 " + pose
+        if error.endswith("$")
+        else head + "BO_ 860 " + pose.replace(old, new, 1)
+    )
+    assert edited != text
+    with pytest.raises(LayoutError, match=error):
+        Layout.from_text(edited)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_payloads_are_decoded_as_before(name: str, tmp_path: Path) -> None:
+    """SYM has one definition for each name: all values are those of the DBC."""
+    text = texts()[name]
+    dbc: Any = cantools.database.load_string(text, "dbc")
+    sym: Any = cantools.database.load_string(dbc.as_sym_string(), "sym")
+    rng, count = random.Random(0), 0  # noqa: S311
+    for message in dbc.messages:
+        for _ in range(20):
+            data = rng.randbytes(message.length)
+            try:
+                values = message.decode(data, decode_choices=False)
+            except cantools.database.DecodeError:  # a page that there is not
+                continue
+            other = sym.get_message_by_name(message.name).decode(data, decode_choices=False)
+            assert values == other
+            count += 1
+    assert count > 300
