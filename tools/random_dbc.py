@@ -34,7 +34,14 @@ from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import Slot
 from maplines_can.wire import Codec
 from maplines_can.wire.layout.message_layout import PARAMETER_SIGNALS, Layout, slot_title
-from maplines_can.wire.layout.signals import FINE, OF_SLOT, PAGE, POSE_ROWS, TRANSFER_ID
+from maplines_can.wire.layout.signals import (
+    FINE,
+    OF_SLOT,
+    PAGE,
+    POSE_PREFIX,
+    POSE_ROWS,
+    TRANSFER_ID,
+)
 
 BASES = (DEFAULT, CONDITIONAL, SECURED)
 #: Ends of the ranges of pivots [octave], by row.
@@ -305,7 +312,7 @@ def _in_row(
 def _move(message: Message, places: dict[str, Place]) -> None:
     """Move the signals of a message to their places."""
     for signal in message.signals:
-        base = re.sub(rf"^({PAGE}|{TRANSFER_ID})\d+$", r"\1", signal.name)
+        base = re.sub(rf"^(?:{POSE_PREFIX})?({PAGE}|{TRANSFER_ID})\d*$", r"\1", signal.name)
         if base not in places:
             continue  # of the trailer of an authenticated message
         start, order = places[base]
