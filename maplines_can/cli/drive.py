@@ -17,7 +17,7 @@ import numpy as np
 
 from ..bus import LogWriter, frame_time
 from ..bus.log_writer import check_log_path
-from ..maps import LaneTracker, Map, Route, load, town_path
+from ..maps import LaneTracker, Map, Route, town_path
 from ..maps.line_source import ChooseComponents, LineSource
 from ..propagation.component_counts import component_counts
 from ..simulation.components import (
@@ -49,7 +49,7 @@ from .parsing import add_command, add_json, number, option_group, seconds
 from .reported_pose import add_reported_pose, check_reported_pose, reported_pose_of
 from .sending import add_line_model, bus_share, map_error_of, sends_scenes
 from .stderr import note, progress_bar
-from .ways import TOUR, add_view, add_way, check_way, states_of, way_of
+from .ways import TOUR, add_view, add_way, check_way, map_of, states_of, way_of
 
 #: Name of the map of this package.
 TOWN = town_path().name
@@ -131,12 +131,7 @@ def _drive(arguments: argparse.Namespace) -> int:
         check_log_path(Path(arguments.record))
     truth_path = _truth_path(arguments)
     check_new(arguments, arguments.record, truth_path)
-    road_map = load(town_path() if arguments.map is None else arguments.map)
-    if road_map.skipped:
-        note(
-            f"{road_map.name}: {len(road_map.skipped)} parts of the file are not used, or assumed "
-            f"('maplines map' lists them); first: {road_map.skipped[0]}"
-        )
+    road_map = map_of(arguments.map)
     slots = tuple(Slot)[: arguments.lines]
     components = _components(codec, slots, arguments)
     if fast and not (arguments.record or arguments.truth or arguments.json):

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..maps import load, town_path
+from ..maps import town_path
 from ..propagation import MapError
 from ..values.line import Slot
 from ..wire import SHIPPED
@@ -16,7 +16,7 @@ from .options import add_encoding, layout_from
 from .overwriting import add_force, check_new
 from .parsing import add_json, number, option_group
 from .sending import add_map_error, map_error_of
-from .ways import add_route, add_view, route_of
+from .ways import add_route, add_view, map_of, route_of
 
 if TYPE_CHECKING:
     from ..generation.fmu import SentRoute
@@ -150,7 +150,7 @@ def _route(arguments: argparse.Namespace, layout: Layout) -> SentRoute:
     """Return the lines along a route that the options ask for."""
     from ..generation.fmu import SentRoute
 
-    road_map = load(arguments.map)
+    road_map = map_of(arguments.map)
     return SentRoute(
         road_map.name,
         road_map.along(route_of(road_map, arguments)),

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..bus import read_signals
-from ..maps import Map, Route, random_tour, town_path, town_tour
+from ..maps import Map, Route, load, random_tour, town_path, town_tour
 from ..maps.formats.load import map_path
 from ..maps.line_source import WINDOW
 from ..maps.view import AHEAD, BEHIND
@@ -205,6 +205,17 @@ def _from_log(road_map: Map, arguments: argparse.Namespace) -> RecordedDrive:
         return RecordedDrive.from_signals(signals, road_map.projection)
     except DriveFileError as error:
         raise DriveFileError(f"{arguments.drive}: {error}") from error
+
+
+def map_of(path: str | None) -> Map:
+    """Load a map, by default that of this package, and note what is not used of it."""
+    road_map = load(town_path() if path is None else path)
+    if road_map.skipped:
+        note(
+            f"{road_map.name}: {len(road_map.skipped)} parts of the file are not used, or assumed "
+            f"('maplines map' lists them); first: {road_map.skipped[0]}"
+        )
+    return road_map
 
 
 def states_of(way: SimulatedDrive | RecordedDrive, arguments: argparse.Namespace) -> CarState:

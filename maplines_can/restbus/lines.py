@@ -11,6 +11,7 @@ from ..bus import LogFrame, read_log
 from ..maps import random_tour, town_path, town_tour
 from ..maps.formats.load import load
 from ..maps.line_source import LineSource
+from ..simulation.map_frame import check_on_map
 from ..simulation.pose_source import PoseSource
 from ..simulation.recorded import RecordedDrive
 from ..simulation.scenario_lines import ScenarioLines, weaving_ego
@@ -93,6 +94,8 @@ def _drive(table: Table, period: float, seed: int, folder: Path, pose_error: boo
         way = drive_along(road_map, route)
     else:
         way = RecordedDrive.from_csv(folder / name, projection=road_map.projection)
+        centres = [lane.centre for lane in road_map.lanes.values()]
+        check_on_map(way.pose[:, :2], centres, road_map.projection, name)
     along, across, heading = SIGMA
     errors = PoseSource((along, across, math.radians(heading)), CORRELATION_TIME, seed)
     slots = tuple(Slot)[: _slots(table)]

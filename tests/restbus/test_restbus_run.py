@@ -19,7 +19,7 @@ from maplines_can.bus.clock import RealClock, VirtualClock
 from maplines_can.bus.virtual_time import VirtualNetwork, VirtualTimeBus
 from maplines_can.restbus import Config, Restbus
 from maplines_can.restbus.config import EXAMPLE
-from maplines_can.values.errors import RestbusError
+from maplines_can.values.errors import DriveFileError, RestbusError
 from maplines_can.wire import Reason
 
 CAR: Any = cantools.database.load_file(EXAMPLE.with_name("example-car.dbc"))
@@ -266,6 +266,13 @@ def test_lines_of_a_script_a_log_and_a_drive(tmp_path: Path) -> None:
     assert len(repeated) >= 18
     assert all(min(abs(y - known) for known in offsets) < 0.01 for y in repeated)
     assert decoded_offsets(run({"lines": {"drive": "tour"}, "seed": 3}, 0.3, tmp_path))
+
+
+def test_a_drive_that_is_not_on_the_map_is_refused(tmp_path: Path) -> None:
+    """Otherwise no line would be sent."""
+    (tmp_path / "far.csv").write_text("time,x,y,heading\n0,1e6,0,0\n9,1e6,9,0\n")
+    with pytest.raises(DriveFileError, match=r"far\.csv: no position is on the map"):
+        run({"lines": {"drive": "far.csv"}}, 0.3, tmp_path)
 
 
 def decoded_offsets(messages: list[can.Message]) -> list[float]:

@@ -26,6 +26,7 @@ from ..model import Map, Skipped
 from .lanelet_tags import RawLanelet, Side, Tags, lanelets
 from .lanelets import lanelet_map, linked
 from .projection import UTM_LATITUDES, middle, project, tangent, utm
+from .systems import notices_of
 from .xml_tree import Document, Element, memory_of, number_in
 
 Array = NDArray[np.float64]
@@ -176,6 +177,8 @@ class _OsmFile:
         else:
             projection = projection or _around(values[:, :2])
             points = project(projection, *values[:, :3].T) if projection else values[:, 3:]
+            notices = notices_of(projection, points) if projection else []
+            self.skipped[:0] = [Skipped("the projection", why) for why in notices]
         positions = dict(zip(used, points, strict=True))
         frame = "local_x and local_y" if is_local else "latitude and longitude"
         return list(self._placed(complete, positions, frame)), projection

@@ -38,7 +38,7 @@ from ..lane import SkippedList
 from ..model import Lane, Map, Skipped
 from .lanelets import Lanelet, boundary, centre_line, lanelet_map, linked
 from .projection import around, project
-from .systems import is_wgs84, placed
+from .systems import is_wgs84, notices_of, placed
 from .xml_tree import number_in
 
 Array = NDArray[np.float64]
@@ -322,4 +322,6 @@ def _projected(
         return [], None
     longitude, latitude = points.T
     projection = projection or around(latitude, longitude)
-    return _with_points(usable, project(projection, latitude, longitude)), projection
+    plane = project(projection, latitude, longitude)
+    skipped[:0] = [Skipped("the projection", why) for why in notices_of(projection, plane)]
+    return _with_points(usable, plane), projection

@@ -135,7 +135,9 @@ def notices_of(name: str, points: Array) -> list[str]:
     if not system.holds(sample):
         return [*notices, _outside(name)]
     scale = system.scale(sample) / system.unit
-    if np.abs(scale - 1).max() > MAX_DISTORTION:
+    if scale.min() < 0:
+        notices.append(f"the axes of {name[:200]} are mirrored; x and y are taken as they are")
+    elif np.abs(scale - 1).max() > MAX_DISTORTION:
         size = f"a metre of {name[:200]} is {np.abs(scale[0]).mean():.5g} m on the ground"
         notices.append(f"{size}; lengths and widths are taken as they are in the file")
     return [*notices, *system.shift(sample)]
@@ -148,6 +150,9 @@ def to_plane(name: str, latitude: ArrayLike, longitude: ArrayLike) -> Array:
         ValueError: there is no such system, or it has no plane.
         MissingExtraError: pyproj is not installed.
     """
+    given = parameters_of(name)
+    if given is not None and given["proj"] == "topocentric":  # pyproj takes no pipeline for one
+        return project(name, latitude, longitude)
     system = _System(name)
     if system.is_geographic:
         raise ValueError(f"projection {name!r} has no coordinates in metres; use a projected one")
@@ -263,15 +268,17 @@ class _System:
 
 
 def _known(name: str, points: Array) -> list[str] | None:
-    """Return what is to be known of positions in UTM or transverse Mercator, without pyproj.
+    """Return what is to be known of positions in a plane of ``projection``, without pyproj.
 
     It is None if the system is not one of these, or has another scale at the positions.
     """
     given = parameters_of(utm_of(name) or name)
     sample = _sample(points)
     try:
-        if given is None or given["proj"] == "topocentric":
+        if given is None:
             return None
+        if given["proj"] == "topocentric":
+            return []
         if given["proj"] == "utm" and float(given.get("zone", "0")) not in range(1, 61):
             return None
         k, x_0 = float(given.get("k", given.get("k_0", "1"))), float(given.get("x_0", "0"))

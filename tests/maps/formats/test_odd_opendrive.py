@@ -5,16 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from xodr_files import WIDTH, cubic, geometry, lane, linked, read_map, reasons, road, section
 
 from maplines_can import Slot
 from maplines_can.maps import LaneType, Map
-from tests.xodr_files import WIDTH, cubic, geometry, lane, linked, read_map, road, section
 
 NAN = '<{tag} {start} a="nan" b="nan" c="nan" d="nan"/>'
-
-
-def reasons(found: Map) -> list[str]:
-    return [one.why for one in found.skipped]
 
 
 def row(*lengths: float) -> Map:

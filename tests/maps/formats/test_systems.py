@@ -16,8 +16,9 @@ import maplines_can as ml
 from maplines_can.maps import Map, MapFileError
 from maplines_can.maps.formats.commonroad import read as read_commonroad
 from maplines_can.maps.formats.opendrive import read as read_opendrive
+from maplines_can.maps.formats.osm import read as read_osm
 from maplines_can.maps.formats.points import read as read_points
-from maplines_can.maps.formats.projection import around, shifted, utm_of
+from maplines_can.maps.formats.projection import around, local_cartesian, shifted, utm_of
 from maplines_can.simulation.map_frame import project
 from maplines_can.values.errors import MissingExtraError
 
@@ -290,6 +291,7 @@ def test_a_translation_of_commonroad_is_part_of_the_frame() -> None:
         pytest.param("EPSG:25832+7837", (8.9, 49.3), [], id="compound"),
         pytest.param("EPSG:4979", None, ["is in degrees, not a plane"], id="three-dimensional"),
         pytest.param("nonsense", None, ["'nonsense' is not valid"], id="unknown"),
+        pytest.param("EPSG:5513", (14.4, 50.0), ["are mirrored"], id="mirrored"),
     ],
 )
 def test_opendrive_remains_in_metres(
@@ -353,6 +355,43 @@ def test_a_requested_frame_of_a_file_with_a_system(tmp_path: Path) -> None:
     found = ml.maps.load(path, "+proj=utm +zone=32")
     assert found.projection == "+proj=utm +zone=32"
     assert found.lanes["1"].width == pytest.approx(WIDTH * 0.9996, rel=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("projection", "text"),
+    [
+        pytest.param("+proj=utm +zone=32", None, id="its-zone"),
+        pytest.param("+proj=utm +zone=50", "not in the area of +proj=utm +zone=50", id="far-zone"),
+        pytest.param("+proj=tmerc +lon_0=11 +lat_0=48 +k=1.5", "is 0.6666", id="scale"),
+        pytest.param(local_cartesian(48.1, 11.6), None, id="tangent-plane"),
+    ],
+)
+def test_the_scale_of_a_requested_frame_is_said(projection: str, text: str | None) -> None:
+    """Also of Lanelet2, whose positions are in WGS84; a drive in degrees is in the same frame."""
+    pytest.importorskip("pyproj")
+    sides = on_ground("EPSG:4326", MUNICH)
+    features = [{"type": "Feature", "properties": {"lane": "1", "side": side},
+                 "geometry": {"type": "LineString", "coordinates": points.tolist()}}
+                for side, points in zip(("left", "right"), sides, strict=True)]  # fmt: skip
+    document = {"type": "FeatureCollection", "features": features}
+    nodes, ways = "", ""
+    for way, points in enumerate(sides):
+        ids = [f"{way}{i}" for i in range(len(points))]
+        nodes += "".join(f'<node id="1{i}" lat="{lat!r}" lon="{lon!r}"/>'
+                         for i, (lon, lat) in zip(ids, points.tolist(), strict=True))  # fmt: skip
+        ways += f'<way id="{way + 1}">{"".join(f"""<nd ref="1{i}"/>""" for i in ids)}</way>'
+    lanelet = (
+        '<relation id="1"><member type="way" role="left" ref="1"/><member type="way" role="right" '
+        'ref="2"/><tag k="type" v="lanelet"/><tag k="subtype" v="road"/></relation>'
+    )
+    for found in (
+        read_points(io.BytesIO(json.dumps(document).encode()), "map.geojson", projection),
+        read_osm(io.BytesIO(f"<osm>{nodes}{ways}{lanelet}</osm>".encode()), "map.osm", projection),
+    ):
+        assert len(found.skipped) == (text is not None)
+        assert text is None or text in found.skipped[0].why
+        start = project([MUNICH[1]], [MUNICH[0]], found.projection)[0]
+        assert found.lanes["1"].centre.points[0] == pytest.approx(start, abs=1e-3, rel=1e-9)
 
 
 def test_names_of_systems() -> None:
