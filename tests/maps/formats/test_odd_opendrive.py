@@ -19,9 +19,9 @@ def row(*lengths: float) -> Map:
     for i, length in enumerate(lengths, 1):
         before = linked("predecessor", str(i - 1), "end") if i > 1 else ""
         after = linked("successor", str(i + 1)) if i < last else ""
-        ends = {"predecessor": -1 if i > 1 else None, "successor": -1 if i < last else None}
         plan = geometry(x=x, length=length)
-        content = section(lane(-1, **ends))
+        ends = -1 if i > 1 else None, -1 if i < last else None
+        content = section(lane(-1, predecessor=ends[0], successor=ends[1]))
         roads.append(road(content, road_id=str(i), plan=plan, length=length, link=before + after))
         x += length
     return read_map(*roads)
@@ -205,15 +205,14 @@ def test_a_geometry_without_length_may_be_unusable() -> None:
 def test_what_is_not_defined_is_0(tag: str, before: float, after: float) -> None:
     """Before the first record there is neither an offset nor a roll, and it is said."""
     record = cubic(tag, 2.0 if tag == "laneOffset" else 0.6, s=60.0)
-    where = "offsets" if tag == "laneOffset" else "lateral"
-    found = read_map(road(**{where: record}))
+    found = read_map(road(offsets=record) if tag == "laneOffset" else road(lateral=record))
     right = found.lanes["1:0:-1"].right
     assert np.interp([10, 59, 61, 90], *right.points.T) == pytest.approx(
         [before, before, after, after]
     )
     assert reasons(found) == ["it is not defined before s = 60 m; 0 is used there"]
-    continuous = read_map(road(**{where: cubic(tag, 0.0, b=0.01, s=60.0)}))
-    assert not continuous.skipped
+    slow = cubic(tag, 0.0, b=0.01, s=60.0)
+    assert not read_map(road(offsets=slow) if tag == "laneOffset" else road(lateral=slow)).skipped
 
 
 def test_level_lanes_are_not_rolled() -> None:

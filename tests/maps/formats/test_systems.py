@@ -92,12 +92,14 @@ MOVED = [
     pytest.param("EPSG:4807", PARIS, "[grad]", id="grad-from-paris"),
     pytest.param("EPSG:2263", NEW_YORK, "[US survey foot, 0.3048", id="feet"),
     pytest.param("EPSG:5513", (14.4, 50.0), "x and y of EPSG:5513", id="south-and-west"),
+    pytest.param("+proj=tmerc +lat_0=48 +lon_0=11 +k=1.0012", MUNICH, "metre, 0.9987", id="k"),
     pytest.param("+proj=utm +zone=32 +units=us-ft", MUNICH, "US survey foot", id="proj-feet"),
     pytest.param("+proj=tmerc +lat_0=48 +lon_0=11 +to_meter=0.3048", MUNICH, "foot", id="to-meter"),
 ]
 KEPT = [
     pytest.param("EPSG:25832", (8.9, 49.3), id="utm"),
     pytest.param("EPSG:2154", PARIS, id="lambert-93"),
+    pytest.param("+proj=tmerc +lat_0=48 +lon_0=11 +k=1.0008", MUNICH, id="k"),
     pytest.param("EPSG:27700", (-1.5, 52.0), id="british-grid"),
     pytest.param("EPSG:2193", (172.0, -43.0), id="north-before-east"),
     pytest.param("EPSG:31467", (8.9, 49.3), id="gauss-kruger"),
