@@ -149,8 +149,9 @@ class CsvFormat:
         if cells == [""]:
             return None
         is_first, self._is_first = self._is_first, False
-        if "timestamp" in cells or (is_first and not _CSV_ROW.match(line)):
-            self._columns = tuple(cells)
+        names = tuple(cell.lower() for cell in cells)
+        if "timestamp" in names or (is_first and not _CSV_ROW.match(line)):
+            self._columns = names
             return None
         if missing := [name for name in _CSV_COLUMNS if name not in self._columns]:
             raise ValueError(f"the header has no column {missing[0]}")

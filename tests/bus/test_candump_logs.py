@@ -7,10 +7,11 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
+import can
 import pytest
 from cantools.logreader import Parser
 
-from maplines_can.bus import read_log
+from maplines_can.bus import Skipped, read_log
 from maplines_can.values.errors import LogError
 
 T0 = 1_700_000_000.123456
@@ -166,25 +167,90 @@ def test_times_are_exact_to_the_nanosecond(tmp_path: Path) -> None:
     assert [f.t_ns for f in read_log(path)] == [1_700_000_000_123_456_789]
 
 
-@pytest.mark.parametrize(
-    "row",
-    [
-        "  can0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME",
-        "  can0  123   [0]  remote request",
-        "  can0  123   [4]  remote request",
-        "(1.5) can0 20000004#0004000000000000",
-        "(1.5) can0 123#R",
-        "(1.5) can0 123#R8",
-        "\tcontroller-problem{tx-error-warning}",
-        "",
-    ],
-)
-def test_what_is_no_data_frame_is_skipped(tmp_path: Path, row: str) -> None:
-    """Error and remote frames, the explanations of candump -e, and empty lines."""
+#: Rows of what is no data frame, by the tool that writes them.
+OTHER_ROWS = {
+    "  can0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME": Skipped.ERROR,
+    "  can0  RX - -  20000088   [8]  00 00 80 19 00 00 00 00   ERRORFRAME": Skipped.ERROR,
+    "  can0  20000004   [8]  00 04 00 00 00 00 00 00   '........'": Skipped.ERROR,
+    "(1.5) can0 20000004#0004000000000000": Skipped.ERROR,
+    "(1.5) can0 20000080#": Skipped.ERROR,  # python-can's writer, whatever the class was
+    "(1.5) can0 20000080##0": Skipped.ERROR,
+    "(1.5) can0 3FFFFFFF#0004000000000000 R": Skipped.ERROR,
+    "  can0  123   [0]  remote request": Skipped.REMOTE,
+    "  can0  123   [4]  remote request": Skipped.REMOTE,
+    "  can0  TX - -  00000123   [4]  remote request": Skipped.REMOTE,
+    "(1.5) can0 123#R": Skipped.REMOTE,
+    "(1.5) can0 123#R8 T": Skipped.REMOTE,
+    "(1.5) can0 123#r8": Skipped.REMOTE,
+    "(1.5) can0 00000123#R8_E": Skipped.REMOTE,
+    "(1.5) can0 123#81:00:12345678#11223344": Skipped.OTHER,  # CAN XL
+    "DROPCOUNT: dropped 2 CAN frames on 'can0' socket (total drops 2)": Skipped.OTHER,
+    "\tcontroller-problem{tx-error-warning}": None,
+    "": None,
+}
+
+
+@pytest.mark.parametrize("row", OTHER_ROWS)
+def test_what_is_no_data_frame_is_counted_by_kind(tmp_path: Path, row: str) -> None:
+    """The explanations of candump -e and empty lines are no records."""
     path = tmp_path / "drive.log"
     path.write_text(f"{row}\n  can0  340   [1]  2A\n")
+    log = read_log(path)
+    kind = OTHER_ROWS[row]
 
-    assert [f.data for f in read_log(path)] == [b"*"]
+    assert [f.data for f in log] == [b"*"]
+    assert log.summary.skipped == ({} if kind is None else {kind: 1})
+
+
+def test_error_frames_of_python_can_are_none_of_data(tmp_path: Path) -> None:
+    """Those that its writer writes, and those of candump that its reader takes for data."""
+    path = tmp_path / "drive.log"
+    with can.CanutilsLogWriter(path) as writer:
+        writer.on_message_received(can.Message(timestamp=1.5, is_error_frame=True, data=b"12"))
+        writer.on_message_received(can.Message(timestamp=1.5, is_remote_frame=True, dlc=8))
+    log = read_log(path)
+
+    assert [*log] == []
+    assert log.summary.skipped == {Skipped.ERROR: 1, Skipped.REMOTE: 1}
+
+
+@pytest.mark.parametrize("code", ["8", "E"])
+def test_raw_data_length_codes_are_8_bytes(tmp_path: Path, code: str) -> None:
+    """candump -8 prints them in other brackets."""
+    path = tmp_path / "drive.log"
+    path.write_text(f"  can0  340   {{{code}}}  00 11 22 33 44 55 66 77\n")
+    assert [len(f.data) for f in read_log(path)] == [8]
+
+
+@pytest.mark.parametrize("row", ["(1.5) can0 340#11", "  can0  340   [1]  11", *OTHER_ROWS])
+def test_a_byte_order_mark_costs_no_row(tmp_path: Path, row: str) -> None:
+    """Neither at the begin nor where another log was added."""
+    path = tmp_path / "drive.log"
+    path.write_text(f"\ufeff{row}\n\ufeff{row}\n", encoding="utf-8")
+    log = read_log(path)
+    kind = OTHER_ROWS.get(row, Skipped.STATE)
+
+    assert len([*log]) + log.summary.skipped.total() == (0 if kind is None else 2)
+
+
+@pytest.mark.parametrize(
+    ("row", "is_certain"),
+    [
+        ("(1.5) can0 340#11", False),
+        ("(1.5) can0 340##011", False),
+        ("(1.5) can0 340#11 R", True),
+        ("(1.5) can0 340#11\n", True),
+        ("  can0  340   [1]  11", True),
+    ],
+)
+def test_a_last_row_that_may_be_cut_is_said(tmp_path: Path, row: str, is_certain: bool) -> None:
+    """The rows of candump -L do not have a length."""
+    path = tmp_path / "drive.log"
+    path.write_text(row)
+    log = read_log(path)
+
+    assert [f.data for f in log] == [b"\x11"]
+    assert bool(log.summary.notices) != is_certain
 
 
 @pytest.mark.parametrize(
