@@ -78,7 +78,8 @@ def summary_of(road_map: Map) -> dict[str, Any]:
     points = np.concatenate([line.points for line in lines])
     low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     drivable = [lane for lane in lanes if lane.type.is_drivable]
-    limits = [lane.speed_limit for lane in drivable if lane.speed_limit is not None]
+    every = [(*(v for _, v in lane.speed_limits), lane.speed_limit) for lane in drivable]
+    limits = [limit for own in every for limit in own if limit is not None]
     types = Counter(lane.type for lane in lanes)
     return {
         "name": road_map.name,

@@ -115,7 +115,15 @@ def way_of(
         _check_lanes(road_map)
         return _recorded(road_map, arguments), None
     route = route_of(road_map, arguments)
-    return drive_along(road_map, route), route
+    try:
+        return drive_along(road_map, route), route
+    except ValueError as error:
+        if arguments.route is not None:
+            raise RouteError(f"--route {arguments.route}: {error}; choose other lanes") from None
+        raise RouteError(
+            f"the route chosen at random on {road_map.name} cannot be driven: {error}; give "
+            "another --seed, or --route A..B with ids of lanes or roads"
+        ) from None
 
 
 def route_of(road_map: Map, arguments: argparse.Namespace) -> Route:

@@ -52,13 +52,12 @@ class LocalisationLayer:
         for lane in road_map.lanes.values():
             if lane.type.is_drivable:
                 lines |= {id(line): line for line in (lane.left, lane.right)}
-        seen = [line for line in lines.values() if line.kind not in _INVISIBLE and line.length > 0]
-        sampled = [_sampled(line) for line in seen]
-        counts = [len(points) for points in sampled]
-        table = np.vstack([*sampled, np.empty((0, 4))])
+        sampled = [_visible(line) for line in lines.values() if line.length > 0]
+        table = np.vstack([*(points for points, _ in sampled), np.empty((0, 4))])
         self._points, self._angle, self._curvature = table[:, :2], table[:, 2], table[:, 3]
-        self._line = np.repeat(np.arange(len(seen)), counts)
-        self._kind = np.repeat(np.array([line.kind for line in seen], dtype=np.intp), counts)
+        kinds = [kind for _, kind in sampled]
+        self._line = np.repeat(np.arange(len(kinds)), [len(kind) for kind in kinds])
+        self._kind = np.concatenate([*kinds, np.empty(0, dtype=np.intp)])
         self._tree = cKDTree(self._points)
         self.landmarks: tuple[Landmark, ...] = road_map.landmarks
         #: (m, 2) positions of the landmarks [m].
@@ -113,6 +112,17 @@ def _pairs(tree: cKDTree, points: Array, reach: float) -> tuple[NDArray[np.intp]
     counts = [len(rows) for rows in found]
     rows = np.fromiter((row for some in found for row in some), dtype=np.intp, count=sum(counts))
     return np.repeat(given, counts), rows
+
+
+def _visible(line: Polyline) -> tuple[Array, NDArray[np.intp]]:
+    """Return (k, 4) samples of a line where it is visible, and their (k,) kinds."""
+    if line.kind in _INVISIBLE and not line.kinds:
+        return np.empty((0, 4)), np.empty(0, dtype=np.intp)
+    points = _sampled(line)
+    s = np.linspace(0.0, line.length, len(points))
+    kind = np.array([line.kind_at(at) for at in s.tolist()], dtype=np.intp)
+    keep = ~np.isin(kind, [*_INVISIBLE])
+    return points[keep], kind[keep]
 
 
 def _sampled(line: Polyline) -> Array:

@@ -11,6 +11,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from ..values.pieces import Pieces
 from ..values.polyline import Polyline
 
 #: Points at which ``Lane.width`` measures.
@@ -82,11 +83,14 @@ class Lane:
 
     Args:
         id: unique in the map; "road:section:lane" from OpenDRIVE.
-        left: left boundary; its ``kind`` is that of the marking.
+        left: left boundary; its ``kind`` is that of the marking, and ``kinds`` are those of a
+            marking that changes along it.
         right: right boundary, likewise.
         centre: line halfway between them.
         type: use of the lane.
-        speed_limit: [m/s]; None if the map states none.
+        speed_limit: [m/s]; None if the map states none. Of several, that of the greatest length.
+        speed_limits: pairs (s, limit) if the limit changes: each applies from the arc length s of
+            the centre line [m] to the next pair. The first s is 0.
         left_neighbour: id of the drivable lane on the left with the same driving direction; the
             marking between them is ``left.kind``.
         right_neighbour: as ``left_neighbour``, on the right.
@@ -111,6 +115,7 @@ class Lane:
     predecessors: tuple[str, ...] = ()
     road: str = ""
     junction: str | None = None
+    speed_limits: Pieces[float | None] = ()
 
     @property
     def length(self) -> float:

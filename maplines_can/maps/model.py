@@ -10,6 +10,7 @@ from typing import overload
 
 from numpy.typing import ArrayLike
 
+from ..values.arrays import floats
 from ..values.errors import RouteError
 from ..values.line import Slot
 from ..values.polyline import Polyline
@@ -156,11 +157,11 @@ class Map:
         the route's lanes. So the two slots of a side have the same line where there are no
         further lanes.
 
-        The lines run in the driving direction of the car and have the kind of the boundary where
-        it is. They continue at least 150 m ahead and 60 m behind where the map does: along the
-        route, else along the straightest lane. A line ends where a lane link has a gap of more
-        than 0.3 m (see ``link_gaps``), and before it returns. ``LaneTracker`` keeps slots stable
-        along a drive.
+        The lines run in the driving direction of the car. Each has one kind: that of the boundary
+        at its point nearest to the car. They continue at least 150 m ahead and 60 m behind where
+        the map does: along the route, else along the straightest lane. A line ends where a lane
+        link has a gap of more than 0.3 m (see ``link_gaps``), and before it returns.
+        ``LaneTracker`` keeps slots stable along a drive.
 
         Args:
             pose: (3,) e_x [m], e_y [m], e_h [rad] of the car in the map frame.
@@ -174,7 +175,7 @@ class Map:
         """
         preferred = frozenset() if route is None else route.lane_set
         match = self.index.match(pose, preferred)
-        return {} if match is None else self.view.lines(match, route)
+        return {} if match is None else self.view.lines(floats(pose, "pose"), match, route)
 
     def along(self, route: Route) -> RouteLines:
         """Return the lines along a route, for a sender that has no more of the map than these.

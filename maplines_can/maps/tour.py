@@ -2,21 +2,33 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+from operator import itemgetter
+
 import numpy as np
 
 from ..values.errors import RouteError
+from .lane_graph import DirectedLane
 from .model import Map
-from .routing import Route
+from .routing import Route, route_through, ways_from
 
-#: Starts that are compared, and goals in a row without a route after which a tour ends.
-STARTS, FAILURES = 8, 12
+#: Starts that are compared.
+STARTS = 32
+#: Most places of a tour, and most of them that are given up.
+MAX_PLACES, MAX_DEAD_ENDS = 1000, 12
+#: Shortest lane change of a tour [m].
+LEAST_CHANGE = 30.0
+#: Largest gap between two lanes of a tour [m]; a link over a greater one is an error of the map.
+MAX_GAP = 1.0
 
 
 def random_tour(road_map: Map, length: float = 10_000.0, seed: int = 0) -> Route:
-    """Return a route from lane to lane, each drawn at random, until it has a length.
+    """Return a route through places drawn at random, until it has a length.
 
-    It is shorter if no further lane can be reached. Of several starts drawn at random, the one
-    with the longest tour is taken.
+    Each place is one that can be reached from the one before, and a lane change is made only on
+    the way to it: where the lane does not lead there. A place is reached when the car enters any
+    of the lanes beside each other there. The tour is shorter if the road ends. Of several starts
+    drawn at random, the one with the longest tour is taken.
 
     Args:
         road_map: the map.
@@ -34,7 +46,7 @@ def random_tour(road_map: Map, length: float = 10_000.0, seed: int = 0) -> Route
     rng = np.random.default_rng(seed)
     best: Route | None = None
     for _ in range(STARTS):
-        tour = tour_from(road_map, lanes[rng.integers(len(lanes))], lanes, length, rng)
+        tour = tour_from(road_map, lanes[rng.integers(len(lanes))], length, rng)
         if best is None or tour.length > best.length:
             best = tour
         if best.length >= length:
@@ -43,23 +55,29 @@ def random_tour(road_map: Map, length: float = 10_000.0, seed: int = 0) -> Route
     return best
 
 
-def tour_from(
-    road_map: Map, start: str, lanes: list[str], length: float, rng: np.random.Generator
-) -> Route:
-    """Return a tour from a lane on."""
-    stops, failures = [start], 0
-    driven = 0.0
-    while driven < length and failures < FAILURES:
-        goal = lanes[rng.integers(len(lanes))]
-        try:
-            leg = road_map.route(stops[-1], goal)
-        except RouteError:
-            failures += 1
-            continue
-        if goal == stops[-1]:
-            failures += 1
-            continue
-        failures = 0
-        stops.append(goal)
-        driven += leg.length
-    return road_map.route(stops[0], stops[-1], via=stops[1:-1])
+def tour_from(road_map: Map, start: str, length: float, rng: np.random.Generator) -> Route:
+    """Return a tour from a lane on. Where it cannot go on, another place is drawn."""
+    lanes = road_map.lanes
+    places = [(lanes[start].length, [start])]  # length and lanes up to each
+    longest, dead_ends = places[0], 0
+    for _ in range(MAX_PLACES):
+        driven, path = places[-1]
+        ahead = [
+            (state, way)
+            for state, way in ways_from(lanes, path[-1], 0.0, LEAST_CHANGE, MAX_GAP)
+            if not state.is_beside_start
+        ]
+        if ahead:
+            goal, _ = ahead[rng.integers(len(ahead))]
+            row = road_map.view.graph.row(DirectedLane(goal.lane))
+            leg = next(way for state, way in ahead if DirectedLane(state.lane) in row)()
+            driven += sum(lanes[b].length for a, b in pairwise(leg) if b in lanes[a].successors)
+            places.append((driven, path + leg[1:]))
+            longest = max(longest, places[-1], key=itemgetter(0))
+        else:
+            places.pop()
+            dead_ends += 1
+        if longest[0] >= length or not places or dead_ends > MAX_DEAD_ENDS:
+            break
+    _, path = longest
+    return route_through(lanes, path, 0.0, lanes[path[-1]].length)

@@ -110,23 +110,25 @@ class LaneTracker:
         Raises:
             ValueError: ``pose`` is not finite or not of shape (3,).
         """
-        last = self._track
-        match = self._choose(floats(pose, "pose"))
+        last, pose = self._track, floats(pose, "pose")
+        match = self._choose(pose)
         if match is None:
             return self.lose()
         key = DirectedLane(match.lane, match.is_against)
-        if last is not None and key == last.key:
-            return TrackedLines(last.lines, match)
-        track = self._track = self._entered(key, last)
+        track = last if last and key == last.key else self._entered(key, last)
+        lines = self._map.view.beside(pose[:2], track.around, track.lines)
+        if track is last:
+            return TrackedLines(lines, match)
+        self._track = track
         if last is None:
-            return TrackedLines(track.lines, match, changed=frozenset(track.lines))
+            return TrackedLines(lines, match, changed=frozenset(lines))
         changed = frozenset(
             slot
             for slot in last.lines.keys() | track.lines.keys()
             if not _is_continued(slot, last, track)
         )
         lane_changed = {Slot.EGO_LEFT, Slot.EGO_RIGHT} <= changed
-        return TrackedLines(track.lines, match, lane_changed, changed)
+        return TrackedLines(lines, match, lane_changed, changed)
 
     def lose(self) -> TrackedLines:
         """Return the lines of a car that is off the map, or does not know its pose: no lines."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import accumulate, pairwise, takewhile
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..propagation.stretches import MAX_TURN
-from ..values.line import Slot
+from ..values.line import Kind, Slot
 from ..values.polyline import INDEXED, Polyline
 from ..values.route_lines import RouteLines
 from .joints import MAX_GAP, SNAP, gap, joined_lines
@@ -80,12 +80,14 @@ class Surroundings:
         base: by slot, the line of a lane beside the car that the line is.
         parts: by slot, the lines of the lanes that the line is made of.
         lanes: the lane, and those behind and ahead of it that the lines follow.
+        changing: by slot, the line of a lane beside the car if its kind changes along it.
     """
 
     lines: Mapping[Slot, Polyline]
     base: Mapping[Slot, DrivenLine]
     parts: Mapping[Slot, tuple[DrivenLine, ...]]
     lanes: frozenset[DirectedLane]
+    changing: Mapping[Slot, Polyline]
 
 
 class LaneView:
@@ -99,16 +101,20 @@ class LaneView:
         self.graph = LaneGraph(lanes)
         self.around = lru_cache(KEPT)(self._around)
         self._route_line = lru_cache(KEPT)(_route_line)
+        self._of_kind = lru_cache(KEPT)(_of_kind)
         self._at = lru_cache(KEPT * 8)(self._find_at)
         self._following = lru_cache(KEPT * 64)(self._find_following)
         self._leads_beside = lru_cache(KEPT * 64)(self._find_leads_beside)
 
-    def lines(self, match: LaneMatch, route: Route | None) -> dict[Slot, Polyline]:
+    def lines(
+        self, pose: NDArray[np.float64], match: LaneMatch, route: Route | None
+    ) -> dict[Slot, Polyline]:
         """Return the lines around a pose: see ``Map.lines``."""
         key = DirectedLane(match.lane, match.is_against)
         index = None if route is None else self.index(key, route)
         behind, ahead = self.paths(route, index)
-        return self.with_route(self.around(key, ahead, behind), route, index)
+        around = self.around(key, ahead, behind)
+        return {**self.beside(pose[:2], around, self.with_route(around, route, index))}
 
     def index(self, key: DirectedLane, route: Route, first: int = 0) -> int | None:
         """Return which lane of a route a lane is, or else which one is beside it."""
@@ -140,28 +146,42 @@ class LaneView:
             lines[Slot.ROUTE] = self._route_line(route, index)
         return lines
 
+    def beside(
+        self, point: NDArray[np.float64], around: Surroundings, lines: Mapping[Slot, Polyline]
+    ) -> Mapping[Slot, Polyline]:
+        """Return lines around a lane with the kinds that they have beside a point of it."""
+        changing = around.changing
+        if not changing:
+            return lines
+        places = locate(changing.values(), point)
+        kinds = {
+            slot: line.kind_at(place.s)
+            for (slot, line), place in zip(changing.items(), places, strict=True)
+        }
+        return {**lines, **{slot: self._of_kind(lines[slot], kinds[slot]) for slot in kinds}}
+
     def along(self, route: Route) -> RouteLines:
         """Return the lines along a route: see ``Map.along``."""
-        changes = iter(route.changes)
-        change = next(changes, None)
-        begins = list(route.starts)
-        for i, pair in enumerate(pairwise(route.lanes), 1):
-            if change and pair == (change.origin, change.target):
-                begins[i] = (change.start + change.end) / 2
-                change = next(changes, None)
+        path = route.line
         starts, sections = [], []
-        for i, (begin, end) in enumerate(pairwise([*begins, route.line.length])):
+        for i, (begin, end) in enumerate(pairwise([*route.begins, path.length])):
             behind, ahead = self.paths(route, i)
             around = self.around(DirectedLane(route.lanes[i], False), ahead, behind)
             lines = self.with_route(around, route, i)
             is_long = any(len(line.points) > INDEXED for line in lines.values())
             parts = math.ceil((end - begin) / SECTION) if is_long else 1
-            for span in pairwise(np.linspace(begin, end, parts + 1).tolist()):
+            bounds = {*np.linspace(begin, end, parts + 1).tolist()}
+            bounds.update(_changes(around.changing.values(), path, (begin, end)))
+            for span in pairwise(sorted(bounds)):
+                (middle,) = path.at(np.mean(span, keepdims=True))
                 starts.append(span[0])
                 sections.append(
-                    {slot: _near_section(line, route.line, span) for slot, line in lines.items()}
+                    {
+                        slot: _near_section(line, path, span)
+                        for slot, line in self.beside(middle, around, lines).items()
+                    }
                 )
-        return RouteLines(route.line, tuple(starts), sections)
+        return RouteLines(path, tuple(starts), sections)
 
     def _around(
         self, key: DirectedLane, ahead: tuple[DirectedLane, ...], behind: tuple[DirectedLane, ...]
@@ -198,6 +218,7 @@ class LaneView:
             {slot: own[0] for slot, own in front.lines.items()},
             {slot: parts[i] for slot, i in which.items()},
             frozenset((*front.lanes, *(other.back for other in rear.lanes))),
+            {slot: own[0].line for slot, own in front.lines.items() if own[0].line.kinds},
         )
 
     def _find_at(self, key: DirectedLane) -> CrossSection:
@@ -328,6 +349,22 @@ def may_turn_back(lines: Sequence[Polyline], spans: Sequence[tuple[float, float]
     is_far = np.abs(turned.imag) < -NEARLY_OPPOSITE * turned.real
     far = np.logical_or.reduceat(is_far, first[:-1]).tolist()
     return [a or b for a, b in zip(far, is_short, strict=True)]
+
+
+def _of_kind(line: Polyline, kind: Kind) -> Polyline:
+    return line if line.kind is kind else Polyline.trusted(line.points, kind, line.distance)
+
+
+def _changes(
+    lines: Iterable[Polyline], path: Polyline, span: tuple[float, float]
+) -> Iterator[float]:
+    """Yield where along a part of a path [m] the kinds of lines beside it change."""
+    part = Polyline(path.between(*span))
+    for line in lines:
+        for start, _ in line.kinds[1:]:
+            (place,) = locate([part], *line.at(np.array([start])))
+            if 0 < place.s < part.length:
+                yield span[0] + place.s
 
 
 def _near_section(line: Polyline, path: Polyline, span: tuple[float, float]) -> Polyline:

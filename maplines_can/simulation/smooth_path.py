@@ -64,9 +64,11 @@ class SmoothPath:
         self._spline = CubicSpline(grid, _smoothed(sampled, SCALE / grid[1]))
         speed = np.hypot(*self._spline(grid, 1).T)
         if speed.min() < MIN_PROGRESS:
+            s = float(grid[speed.argmin()])
+            x, y = self._spline(s)
             raise ValueError(
-                f"path turns back on itself at s = {grid[speed.argmin()]:.1f} m, where no car can "
-                "follow it; divide it there"
+                f"path turns back on itself at s = {s:.1f} m, near x = {x:.1f} m and y = {y:.1f} m,"
+                " where no car can follow it"
             )
         # Simpson's rule on each cell; |p'| is within some per cent of 1 and varies slowly.
         middle = np.hypot(*self._spline((grid[1:] + grid[:-1]) / 2, 1).T)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -189,18 +190,26 @@ def drive_along(
     if goal - start < MIN_LENGTH:
         raise ValueError(
             f"the route from lane {route.lanes[0]!r} to lane {route.lanes[-1]!r} has a length of "
-            f"{goal - start:.3g} m; choose a goal that is 1 m or more ahead of the start"
+            f"{goal - start:.3g} m, but a drive needs {MIN_LENGTH:g} m or more"
         )
-    distance = route.line.distance
-    inside = (distance > start) & (distance < goal)
-    s = np.concatenate([[start], distance[inside], [goal]])
-    path = np.column_stack([np.interp(s, distance, values) for values in route.line.points.T])
-    lanes = [road_map.lanes[lane] for lane in route.lanes]
-    speeds = [lane.speed_limit or default_speed for lane in lanes]
-    # Of lanes beside each other, the last one counts; those before the start do not.
-    by_start = dict(zip((max(0.0, at - start) for at in route.starts), speeds, strict=True))
+    # Of what applies from the same position, or from before the start, the last one counts.
+    by_start = {
+        max(0.0, at - start): limit or default_speed for at, limit in _speed_limits(road_map, route)
+    }
     pairs = [(at, speed) for at, speed in by_start.items() if at < goal - start]
-    return SimulatedDrive(Polyline(path), pairs, **limits)
+    return SimulatedDrive(Polyline(route.line.between(start, goal)), pairs, **limits)
+
+
+def _speed_limits(road_map: Map, route: Route) -> Iterator[tuple[float, float | None]]:
+    """Yield the speed limits along the line of a route, and the positions where they begin [m]."""
+    for i, (begin, end) in enumerate(pairwise([*route.begins, route.line.length])):
+        lane = road_map.lanes[route.lanes[i]]
+        start, length = route.extent(i)
+        scale = length / lane.length if lane.length > 0 else 0.0
+        for s, limit in lane.speed_limits or ((0.0, lane.speed_limit),):
+            at = start + scale * s
+            if at < end:
+                yield max(begin, at), limit
 
 
 def _placed(distance: NDArray[np.float64], path: SmoothPath) -> NDArray[np.float64]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats, number_text
 from .line import Kind
+from .pieces import Pieces, extents, longest, merged, value_at
 
 #: Limit of ``Polyline.resampled``; 10^7 points take 160 MB.
 MAX_POINTS = 10**7
@@ -28,6 +31,9 @@ MAX_NEAR = 1000
 #: Parts of lines that are kept for the next query.
 KEPT = 16
 
+#: A kind, or pairs of the arc length from which a kind applies [m], ascending from 0, and the kind.
+Kinds = Kind | Sequence[tuple[float, Kind]]
+
 
 @dataclass(frozen=True, eq=False)
 class Polyline:
@@ -39,23 +45,31 @@ class Polyline:
     Args:
         points: (n, 2) finite, n >= 2, in the map frame [m]. Coordinates in single precision
             are accepted as long as their rounding error is at most 1 mm.
-        kind: kind of marking or boundary.
+        kind: kind of marking or boundary; where it changes, pairs (s, kind) that apply from the
+            arc length s [m] to the next pair. The first s is 0. ``kind`` is then the kind of the
+            greatest length, and ``kinds`` are the pairs.
 
     Raises:
-        ValueError: the shape is wrong, a value is not finite, or single precision is too coarse.
+        ValueError: the shape is wrong, a value is not finite, single precision is too coarse, or
+            the arc lengths of the kinds do not increase from 0 to less than the length.
 
     >>> Polyline([[0, 0], [3, 4]]).length
     5.0
+    >>> line = Polyline([[0, 0], [9, 0]], [(0, Kind.DASHED), (4, Kind.SOLID)])
+    >>> line.kind.name, line.kind_at(3.9).name, line.kind_at(4.0).name
+    ('SOLID', 'DASHED', 'SOLID')
     """
 
     points: NDArray[np.float64]
     kind: Kind = Kind.UNKNOWN
     #: (n,) arc length from the first point to each point [m].
     distance: NDArray[np.float64] = field(init=False, repr=False)
+    #: pairs (s, kind) if the kind changes along the line; empty if it does not.
+    kinds: Pieces[Kind] = field(init=False, repr=False)
 
     if TYPE_CHECKING:  # the fields have the types after conversion
 
-        def __init__(self, points: ArrayLike, kind: Kind = Kind.UNKNOWN) -> None: ...
+        def __init__(self, points: ArrayLike, kind: Kinds = Kind.UNKNOWN) -> None: ...
 
     def __post_init__(self) -> None:
         _check_precision(self.points)
@@ -67,13 +81,13 @@ class Polyline:
             raise ValueError(f"points must be finite [m], but point {bad} is {points[bad]}")
         with np.errstate(over="ignore"):
             distance = _arc_lengths(points)
-        self._set(points, distance, Kind(self.kind))
+        self._set(points, distance, _checked(self.kind, distance[-1]))
 
     @classmethod
     def trusted(
         cls,
         points: NDArray[np.float64],
-        kind: Kind = Kind.UNKNOWN,
+        kind: Kinds = Kind.UNKNOWN,
         distance: NDArray[np.float64] | None = None,
     ) -> Polyline:
         """Return a line of the given arrays without copying or checking them.
@@ -83,17 +97,21 @@ class Polyline:
 
         Args:
             points: (n, 2) finite, n >= 2 [m].
-            kind: kind of marking or boundary.
+            kind: kind of marking or boundary, or pairs as of the constructor.
             distance: (n,) arc lengths from the first point [m], if they are known.
         """
         line = object.__new__(cls)
         line._set(points, _arc_lengths(points) if distance is None else distance, kind)
         return line
 
-    def _set(self, points: NDArray[np.float64], distance: NDArray[np.float64], kind: Kind) -> None:
+    def _set(self, points: NDArray[np.float64], distance: NDArray[np.float64], kind: Kinds) -> None:
         points.setflags(write=False)
         distance.setflags(write=False)
-        vars(self).update(points=points, distance=distance, kind=kind)
+        kinds = () if isinstance(kind, Kind) else merged(kind)
+        if not isinstance(kind, Kind):
+            kind = longest(kinds, float(distance[-1]))
+        kinds = kinds if len(kinds) > 1 else ()
+        vars(self).update(points=points, distance=distance, kind=kind, kinds=kinds)
 
     @cached_property
     def _tree(self) -> SearchTree | None:
@@ -103,6 +121,26 @@ class Polyline:
     def length(self) -> float:
         """Length of the line [m]."""
         return float(self.distance[-1])
+
+    def kind_at(self, s: float) -> Kind:
+        """Return the kind at an arc length [m]."""
+        return value_at(self.kinds, s) if self.kinds else self.kind
+
+    def parts(self) -> Iterator[Polyline]:
+        """Yield the parts of one kind each."""
+        if not self.kinds:
+            yield self
+        for (start, end), kind in extents(self.kinds, self.length):
+            yield Polyline(self.between(start, end), kind)
+
+    def between(self, start: float, end: float) -> NDArray[np.float64]:
+        """Return the (n, 2) points from an arc length to a greater one [m]."""
+        inside = (self.distance > start) & (self.distance < end)
+        return self.at(np.concatenate([[start], self.distance[inside], [end]]))
+
+    def at(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the (n, 2) points at (n,) arc lengths [m]."""
+        return np.column_stack([np.interp(s, self.distance, p) for p in self.points.T])
 
     def resampled(self, spacing: float) -> Polyline:
         """Return the line with evenly spaced points, at most ``spacing`` [m] apart.
@@ -123,8 +161,9 @@ class Polyline:
                 f"{distance[-1]:g} m ({MAX_POINTS:g} points), got {spacing!r}"
             )
         s = np.linspace(0, distance[-1], max(1, int(np.ceil(distance[-1] / spacing))) + 1)
-        points = np.column_stack([np.interp(s, distance, p) for p in self.points.T])
-        return Polyline(points, self.kind)
+        found = Polyline(self.at(s))
+        kinds = [(float(np.interp(at, s, found.distance)), kind) for at, kind in self.kinds]
+        return Polyline.trusted(found.points, kinds or self.kind, found.distance)
 
     def near(self, point: NDArray[np.float64], reach: float) -> Polyline:
         """Return the part of the line up to ``reach`` [m] from its point nearest to a point.
@@ -202,6 +241,24 @@ def nearest_share(
 def squared_length(steps: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (n,) squared lengths of (2, n) steps, a tiny number in place of 0."""
     return np.maximum(steps[0] ** 2 + steps[1] ** 2, np.finfo(float).tiny)
+
+
+def _checked(kind: Kinds, length: float) -> Kinds:
+    """Return a kind, or pairs.
+
+    Raises:
+        ValueError: it is no kind, or the arc lengths do not increase from 0 to less than a length.
+    """
+    if not isinstance(kind, Sequence):
+        return Kind(kind)
+    pairs = [(float(s), Kind(one)) for s, one in kind]
+    s = [start for start, _ in pairs]
+    if s[:1] != [0.0] or not all(one < other for one, other in pairwise([*s, length])):
+        raise ValueError(
+            "kinds must be pairs (s, kind) with increasing s from 0 to less than the length of "
+            f"{length:g} m, got {kind!r}"
+        )
+    return pairs
 
 
 def _arc_lengths(points: NDArray[np.float64]) -> NDArray[np.float64]:

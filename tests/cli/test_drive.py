@@ -11,9 +11,9 @@ import pytest
 from answers import one
 from can.interfaces import virtual
 from drive_files import run, table, town
-from xodr_files import document, geometry, lane, road, section
+from xodr_files import WIDTH, document, geometry, lane, road, section
 
-from maplines_can import Codec, MapLine, Slot, read_log
+from maplines_can import Codec, Kind, MapLine, Slot, read_log
 from maplines_can.cli import main
 from maplines_can.cli.drive import _text
 from maplines_can.maps.line_source import Cycle, LineSource
@@ -548,3 +548,47 @@ def test_a_scan_is_a_sensor_of_the_localisation(capsys: pytest.CaptureFixture[st
     assert json.loads(capsys.readouterr().out)["measurements"]["pose"]["USED"] >= 3
     assert main(drive) == 1
     assert "--scan is a sensor of --localise" in capsys.readouterr().err
+
+
+def test_the_kind_on_the_bus_is_that_of_the_marking_beside_the_car(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Broken for 100 m, solid from there; a cycle in which the pose error decides is left out."""
+    marks = '<roadMark sOffset="0" type="broken"/><roadMark sOffset="100" type="solid"/>'
+    path, log = tmp_path / "marks.xodr", tmp_path / "drive.log"
+    lanes = section(lane(-1, WIDTH + marks), lane(-2))
+    path.write_text(document(road(lanes, plan=geometry(length=200.0), length=200.0)))
+    run(capsys, str(path), *FAST[:1], "--route", "1:0:-1..1:0:-1", "--record", str(log),
+        "--truth", str(tmp_path / "truth.csv"))  # fmt: skip
+    truth = table(tmp_path / "truth.csv")
+    times = [float(row["time"]) for row in truth]
+    right = [line for line in decoded(log) if line.slot is Slot.EGO_RIGHT]
+    start, sides = min(line.t_ns or 0 for line in right), [0, 0]
+    for line in right:
+        i = int(np.searchsorted(times, times[0] + ((line.t_ns or 0) - start) / 1e9 + 1e-3)) - 1
+        x = float(truth[i]["x"])
+        if abs(x - 100.0) > 2.0:
+            assert line.kind is (Kind.SOLID if x > 100.0 else Kind.DASHED)
+            sides[x > 100.0] += 1
+    assert min(sides) > 100
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        pytest.param([], r"chosen at random on short.xodr .* 0.5 m, but .*; give another --seed, "
+                         r"or --route A\.\.B", id="none-given"),
+        pytest.param(["--route", "1..1"], r"--route 1\.\.1: .* 0.5 m, but .*; choose other lanes",
+                     id="route"),
+    ],
+)  # fmt: skip
+def test_a_route_that_no_car_can_drive(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], words: str
+) -> None:
+    """The error advises to change what was given."""
+    path = tmp_path / "short.xodr"
+    path.write_text(document(road(section(lane(-1)), plan=geometry(length=0.5), length=0.5)))
+    assert main(["drive", str(path), "--seconds", "1", *options]) == 1
+    (error,) = [line for line in capsys.readouterr().err.splitlines() if "error:" in line]
+    assert re.search(words, error)
+    assert ("--route" in error.split(";")[0]) == bool(options)

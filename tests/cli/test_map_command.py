@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from xodr_files import cubic, document, lane, linked, road, section
+from xodr_files import WIDTH, cubic, document, lane, linked, road, section
 
 from maplines_can.cli import main
 from maplines_can.maps import load, town_path
@@ -137,3 +137,16 @@ def test_a_file_without_a_usable_road_is_an_error_with_its_line(
     err = capsys.readouterr().err
     assert "contains no usable road" in err
     assert "line 4" in err
+
+
+def test_the_speed_limits_are_all_that_apply(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also those of a short part of a lane."""
+    limits = "".join(
+        f'<speed sOffset="{s}" max="{v}" unit="km/h"/>' for s, v in ((0, 50), (10, 30), (20, 70))
+    )
+    path = tmp_path / "limits.xodr"
+    path.write_text(document(road(section(lane(-1, WIDTH + limits)))))
+    assert main(["map", str(path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["speed_limits_kmh"] == [30.0, 70.0]

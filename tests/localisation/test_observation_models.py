@@ -1,6 +1,7 @@
 """What a car sees of its map: the lines beside it, Jacobians, and the association."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from maplines_can.localisation.motion_model import CAMERA, initial
 from maplines_can.localisation.observation_models import innovation, line_jacobian
 from maplines_can.maps import Landmark, LandmarkKind
 from maplines_can.values.line import Kind
+from maplines_can.values.polyline import Polyline
 
 KINDS = (Kind.DASHED, Kind.SOLID)
 COV = np.diag([0.05, 0.005]) ** 2
@@ -166,3 +168,17 @@ def test_without_a_map_nothing_is_matched() -> None:
     mean, cov = prior([0, 0, 0], [0.2, 0.2, 0.003])
     for seen in (lines((1.0, 0.0)), landmarks((9.0, 1.0))):
         assert innovation(seen, mean, cov, None).verdict.tolist() == [[Verdict.UNMATCHED]]
+
+
+def test_the_kind_of_a_line_is_that_beside_the_car() -> None:
+    """A part that a camera does not see is none."""
+    one = lane("1", (0.0, 0.0, 0.0), 200.0, kinds=(Kind.KERB, Kind.VIRTUAL))
+    kinds = [(0.0, Kind.DASHED), (60.0, Kind.VIRTUAL), (140.0, Kind.SOLID)]
+    changing = replace(one, right=Polyline(one.right.points, kinds))
+    poses = np.array([[30.0, 0.0, 0.0], [100.0, 0.0, 0.0], [170.0, 0.0, 0.0]])
+    found = LocalisationLayer(network(changing)).lines_beside(poses)
+    seen = sorted(zip(found.car.tolist(), (found.offset < 0).tolist(), found.kind, strict=True))
+    assert seen == [
+        (0, False, Kind.KERB), (0, True, Kind.DASHED), (1, False, Kind.KERB),
+        (2, False, Kind.KERB), (2, True, Kind.SOLID),
+    ]  # fmt: skip

@@ -1,6 +1,7 @@
 """Routes: the shortest way, lane changes, loops, and none."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from lane_maps import WIDTH, crossing, lane, network, pose_on, roundabout
 from maplines_can.maps import Map
 from maplines_can.values.errors import RouteError
 from maplines_can.values.line import Kind
+from maplines_can.values.polyline import Polyline
 
 CROSSING = crossing()
 RING = roundabout()
@@ -187,3 +189,44 @@ def test_a_place_to_pass_must_be_on_the_map() -> None:
         CROSSING.route("in0", "out2", via=["nowhere"])
     with pytest.raises(RouteError, match="no lane is near the via"):
         CROSSING.route("in0", "out2", via=[np.array([1e4, 1e4, 0.0])])
+
+
+def change_across(*kinds: tuple[float, Kind], exit_s: float = 0.0) -> tuple[float, float] | None:
+    """Return from where to where a route changes lanes on 300 m, whose boundary has these kinds."""
+    left, right = lane("l", (0.0, 0.0, 0.0), 300.0, t=WIDTH), lane("r", (0.0, 0.0, 0.0), 300.0)
+    between = Polyline(right.left.points, kinds)
+    lanes = [replace(left, right=between), replace(right, left=between)]
+    found = network(*lanes, rows=["l r"])
+    try:
+        (change,) = found.route([exit_s, WIDTH, 0.0], "r").changes
+    except RouteError:
+        return None
+    return change.start, change.end
+
+
+@pytest.mark.parametrize(
+    ("kinds", "start", "expected"),
+    [
+        pytest.param([(0, 1), (200, 2)], 0.0, (200, 260), id="where-it-is-dashed"),
+        pytest.param([(0, 2), (200, 1)], 0.0, (0, 60), id="at-once"),
+        pytest.param([(0, 2), (200, 1)], 170.0, (170, 200), id="rest-of-the-dashes"),
+        pytest.param([(0, 5), (100, 2), (140, 5)], 0.0, (100, 140), id="gap-of-a-kerb"),
+        pytest.param([(0, 5), (100, 1), (200, 5)], 0.0, (100, 160), id="solid-before-a-kerb"),
+        pytest.param([(0, 2), (100, 5)], 150.0, None, id="gap-behind"),
+        pytest.param([(0, 5), (100, 6)], 0.0, None, id="closed"),
+        pytest.param([(0, 2), (10, 1), (150, 7)], 5.0, (150, 210), id="longest-without-a-line"),
+    ],
+)
+def test_a_lane_change_is_where_the_boundary_permits(
+    kinds: list[tuple[float, Kind]], start: float, expected: tuple[float, float] | None
+) -> None:
+    found = change_across(*kinds, exit_s=start)
+    assert found == (None if expected is None else pytest.approx(expected))
+
+
+def test_the_car_is_on_a_lane_from_half_way_of_a_change() -> None:
+    route = motorway().route("a1", "exit")
+    begins = dict(zip(route.lanes, route.begins, strict=True))
+    first, second = ((change.start + change.end) / 2 for change in route.changes)
+    assert (begins["a1"], begins["a2"], begins["a3"]) == pytest.approx((0.0, first, second))
+    assert begins["b3"] == pytest.approx(200.0, abs=0.5)

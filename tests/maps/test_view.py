@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from lane_maps import WIDTH, carriageway, crossing, lane, network, pose_on, roun
 from xodr_files import cubic, linked, read_map, road, section
 from xodr_files import lane as xodr_lane
 
-from maplines_can.maps import Map, link_gaps, view
+from maplines_can.maps import LaneTracker, Map, link_gaps, view
 from maplines_can.propagation.stretches import stretches
 from maplines_can.values.line import Kind, Slot
 from maplines_can.values.polyline import Polyline
@@ -415,3 +416,64 @@ def test_lines_of_an_opendrive_file() -> None:
     assert lines[Slot.EGO_RIGHT].points[-1] == pytest.approx([200.0, -3.5])
     assert lines[Slot.EDGE_RIGHT].points[-1] == pytest.approx([200.0, -7.0])
     assert Slot.NEXT_RIGHT in found.lines([150.0, -1.5, 0.0])
+
+
+CHANGING = [(0.0, Kind.DASHED), (80.0, Kind.SOLID), (150.0, Kind.DOUBLE)]
+
+
+def changing(kinds: Any = CHANGING) -> Map:
+    """Return two lanes beside each other; the boundary between them changes its kind."""
+    right = lane("r", kinds=(Kind.UNKNOWN, Kind.KERB))
+    left = replace(lane("l", t=WIDTH), right=Polyline(right.left.points, kinds))
+    return network(left, replace(right, left=left.right), rows=["l r"])
+
+
+@pytest.mark.parametrize(
+    ("x", "kind"), [(0, 2), (79.9, 2), (80.1, 1), (149.9, 1), (150.1, 3), (199.9, 3)]
+)
+@pytest.mark.parametrize("turn", [0.0, np.pi])
+def test_the_kind_of_a_line_is_that_beside_the_car(x: float, kind: int, turn: float) -> None:
+    """In each slot of it and in both directions; the line is whole and runs as before."""
+    found, plain = changing(), changing(Kind.DASHED)
+    for y, slots in (
+        (0.0, (Slot.EGO_LEFT, Slot.EGO_RIGHT)),
+        (WIDTH, (Slot.EGO_RIGHT, Slot.EGO_LEFT)),
+    ):
+        pose = [x, y, turn]
+        lines = found.lines(pose)
+        slot = slots[1 if turn else 0]
+        assert lines[slot].kind == kind
+        assert lines[slot].kinds == ()
+        assert lines[Slot.CENTRE].kind is Kind.VIRTUAL
+        for name, line in plain.lines(pose).items():
+            assert lines[name].points.tolist() == line.points.tolist()
+            if name not in {slot}:
+                assert lines[name].kind is line.kind
+
+
+def test_a_tracked_line_changes_its_kind_and_no_slot() -> None:
+    """The line of two slots remains one, and so does that of a kind."""
+    found = changing()
+    tracker = LaneTracker(found)
+    tracked = [tracker.lines([x, WIDTH, 0.0]) for x in range(0, 200, 10)]
+    assert [one.lines[Slot.EGO_RIGHT].kind for one in tracked] == [
+        *[Kind.DASHED] * 8, *[Kind.SOLID] * 7, *[Kind.DOUBLE] * 5
+    ]  # fmt: skip
+    assert all(not one.changed for one in tracked[1:])
+    assert len({id(one.lines[Slot.EGO_RIGHT]) for one in tracked}) == 3
+    assert all(one.lines[Slot.EGO_LEFT] is one.lines[Slot.EDGE_LEFT] for one in tracked)
+
+
+def test_a_route_has_sections_where_a_kind_changes() -> None:
+    """For a sender that has only these: the kinds at each place are those of the map there."""
+    found = changing()
+    route = found.route("r", "r")
+    along = found.along(route)
+    assert along.starts == pytest.approx((0.0, 80.0, 150.0))
+    for x in np.arange(0.5, 200.0, 1.0):
+        place = along.locate([x, 0.0, 0.0])
+        assert place is not None
+        own, lines = along.sections[place.section], found.lines([x, 0.0, 0.0], route)
+        assert {slot: line.kind for slot, line in own.items()} == {
+            slot: line.kind for slot, line in lines.items()
+        }

@@ -47,21 +47,8 @@ def test_a_route_without_length_is_refused() -> None:
     found = road(None, None)
     route = found.route((40.0, 0.0, 0.0), (40.2, 0.0, 0.0))
     assert isinstance(route, Route)
-    with pytest.raises(ValueError, match="1 m or more ahead"):
+    with pytest.raises(ValueError, match=r"0\.2 m, but a drive needs 1 m or more"):
         drive_along(found, route)
-
-
-def test_a_route_with_lane_changes_has_one_limit_at_a_place() -> None:
-    """That of the lane to which the car changes."""
-    lanes = [
-        replace(lane("l", t=3.5), speed_limit=20.0),
-        replace(lane("r"), speed_limit=10.0),
-    ]
-    found = network(*lanes, rows=["l r"])
-    drive = drive_along(found, found.route("l", "r"))
-    state = drive.at(drive.times(10.0))
-    assert state.speed.max() <= 10.0 + 1e-6
-    assert np.ptp(state.pose[:, 1]) == pytest.approx(3.5, abs=0.01)
 
 
 def test_a_lane_without_a_limit_has_that_of_a_town() -> None:
@@ -79,3 +66,33 @@ def test_the_lines_of_a_drive_are_those_from_4_m_behind_to_80_m_ahead() -> None:
         cycle = source.cycle(0.0, np.array([100.0, 0.0, 0.0]))
         for line in cycle.lines:
             assert (line.x_min, line.x_max) == pytest.approx(ends, abs=0.05)
+
+
+def test_a_limit_that_changes_in_a_lane_holds_from_there() -> None:
+    """From s to s of each lane, also if the route begins behind it."""
+    limits = ((0.0, 20.0), (50.0, 8.0), (70.0, None))
+    first, second = (replace(one, speed_limits=limits) for one in LANES)
+    found = network(first, replace(second, speed_limits=(), speed_limit=12.0), links={"a": "b"})
+    for start in ("a", (40.0, 0.0, 0.0), (60.0, 0.0, 0.0)):
+        drive = drive_along(found, found.route(start, "b"), acceleration=9.0, start_speed=0.0)
+        state = drive.at(drive.times(100.0))
+        x = state.pose[:, 0]
+        for low, high, most in ((0, 50, 20.0), (50, 70, 8.0), (70, 100, 50 / 3.6), (100, 200, 12)):
+            inside = (x > low + 0.01) & (x < high - 0.01)
+            assert not inside.any() or state.speed[inside].max() <= most + 1e-6
+        assert state.speed[(x > 90) & (x < 99)].max() > 12.0
+
+
+@pytest.mark.parametrize(("own", "other"), [(20.0, 10.0), (10.0, 20.0)])
+def test_in_a_lane_change_the_limit_changes_half_way(own: float, other: float) -> None:
+    lanes = [replace(lane("l", t=3.5), speed_limit=own), replace(lane("r"), speed_limit=other)]
+    found = network(*lanes, rows=["l r"])
+    route = found.route("l", "r")
+    drive = drive_along(found, route, acceleration=9.0, lateral_acceleration=9.0)
+    state = drive.at(drive.times(100.0))
+    (change,) = route.changes
+    half = (change.start + change.end) / 2
+    x = state.pose[:, 0]
+    assert state.speed[x < half - 0.1].max() <= own + 1e-6
+    assert state.speed[x > half + 0.1].max() <= other + 1e-6
+    assert state.speed.max() > 12.0

@@ -119,3 +119,44 @@ def test_to_map_is_the_inverse_of_to_ego(points: Any, heading: float) -> None:
     pose = [3.0, -4.0, heading]
 
     assert np.allclose(to_map(to_ego(points, pose), pose), points, atol=1e-12)
+
+
+def test_the_kinds_of_a_line_that_changes() -> None:
+    """One of them is that of the greatest length; others apply from where they begin."""
+    line = Polyline([[0, 0], [4, 0], [9, 0]], [(0, Kind.DASHED), (2, Kind.DASHED), (3, Kind.SOLID)])
+    assert line.kinds == ((0.0, Kind.DASHED), (3.0, Kind.SOLID))
+    assert line.kind is Kind.SOLID
+    assert [line.kind_at(s) for s in (-1.0, 2.9, 3.0, 99.0)] == [
+        *(Kind.DASHED, Kind.DASHED, Kind.SOLID, Kind.SOLID)
+    ]
+    parts = [(part.kind, part.points[:, 0].tolist()) for part in line.parts()]
+    assert parts == [(Kind.DASHED, [0, 3]), (Kind.SOLID, [3, 4, 9])]
+    assert Polyline([[0, 0], [9, 0]], [(0, Kind.KERB)]).kinds == ()
+    (whole,) = STRAIGHT.parts()
+    assert whole is STRAIGHT
+    assert STRAIGHT.kind_at(50.0) is Kind.UNKNOWN
+
+
+def test_a_resampled_line_keeps_its_kinds_where_they_are() -> None:
+    """Also where it cuts a corner, and so is shorter."""
+    line = Polyline([[0, 0], [10, 0], [10, 10]], [(0, Kind.DASHED), (10, Kind.SOLID)])
+    found = line.resampled(20.0)
+    assert found.length == pytest.approx(np.sqrt(200))
+    assert [kind for _, kind in found.kinds] == [Kind.DASHED, Kind.SOLID]
+    assert [s for s, _ in found.kinds] == pytest.approx([0, np.sqrt(50)])
+
+
+@pytest.mark.parametrize(
+    "kinds",
+    [
+        pytest.param([], id="none"),
+        pytest.param([(1, Kind.SOLID)], id="not-from-the-start"),
+        pytest.param([(0, Kind.SOLID), (0, Kind.DASHED)], id="twice"),
+        pytest.param([(0, Kind.SOLID), (5, Kind.KERB), (4, Kind.DASHED)], id="not-in-order"),
+        pytest.param([(0, Kind.SOLID), (9, Kind.DASHED)], id="at-the-end"),
+        pytest.param([(0, Kind.SOLID), (np.nan, Kind.DASHED)], id="nan"),
+    ],
+)
+def test_kinds_without_an_order_are_refused(kinds: Any) -> None:
+    with pytest.raises(ValueError, match="increasing s from 0 to less than the length of 9 m"):
+        Polyline([[0, 0], [9, 0]], kinds)

@@ -3,15 +3,17 @@
 Each line may name a ``lane`` and the ``side`` on which it is of it in driving direction, ``left``
 or ``right``; a line between two lanes is listed with both. It may have a ``kind``, the name of a
 ``Kind`` such as ``solid`` or ``road_edge``. Lines run in driving direction, and lanes are beside
-each other, or follow each other, if their boundaries have the same points. A lane with only one
-side is not used. Lines without a lane are ``Map.polylines``.
+each other, or follow each other, if their boundaries have the same points. A side may be several
+lines, such as one of each kind; each begins where the one before it in the file ends. A lane with
+only one side is not used. Lines without a lane are ``Map.polylines``.
 
 GeoJSON: each feature is a ``LineString`` or a ``MultiLineString`` with these as ``properties``.
 Positions are longitude and latitude of WGS84, projected around the middle of the map, or those of
 the system that a member ``crs`` names: see ``systems``. A geographic one has the longitude first.
 
 CSV: the first line names the columns ``line``, ``x`` and ``y`` [m], and perhaps ``lane``, ``side``
-and ``kind``. The points of a line are in their order, next to each other.
+and ``kind``. The points of a line are in their order, next to each other. A kind applies from its
+point on, up to the next one that is given.
 """
 
 from __future__ import annotations
@@ -61,7 +63,7 @@ class _Line(NamedTuple):
     points: Array  #: (n, 2)
     lane: str
     side: str
-    kind: str
+    kinds: Sequence[tuple[int, str]]  #: from which point on each applies
 
 
 def read(stream: BinaryIO, name: str, projection: str | None = None) -> Map:
@@ -114,11 +116,11 @@ def _check_lines(count: int, name: str) -> None:
 
 
 def _map(lines: Iterable[_Line], name: str, skipped: list[Skipped], projection: str | None) -> Map:
-    sides: dict[str, dict[str, tuple[_Line, Polyline]]] = {}
+    sides: dict[str, dict[str, list[_Line]]] = {}
     polylines: dict[str, Polyline] = {}
     for line in lines:
         try:
-            found = boundary(line.points, _kind(line))
+            found = _boundary(line)
             if line.lane and line.side not in {"left", "right"}:
                 raise ValueError(f"the side must be left or right, got {line.side[:40]!r}")  # noqa: TRY301
         except ValueError as error:
@@ -126,39 +128,68 @@ def _map(lines: Iterable[_Line], name: str, skipped: list[Skipped], projection: 
             continue
         if not line.lane:
             polylines[_unique(line.name, polylines)] = found
-        elif line.side in sides.setdefault(line.lane, {}):
+            continue
+        parts = sides.setdefault(line.lane, {}).setdefault(line.side, [])
+        if parts and (parts[-1].points[-1] != line.points[0]).any():
             why = f"lane {line.lane[:40]!r} has another {line.side} side; only that is used"
             skipped.append(Skipped(line.where, why))
         else:
-            sides[line.lane][line.side] = (line, found)
+            parts.append(line)
     lanelets = list(_lanelets(sides, skipped))
     return lanelet_map(linked(lanelets), name, skipped, projection, polylines)
 
 
 def _lanelets(
-    sides: dict[str, dict[str, tuple[_Line, Polyline]]], skipped: list[Skipped]
+    sides: dict[str, dict[str, list[_Line]]], skipped: list[Skipped]
 ) -> Iterator[Lanelet]:
     for lane, both in sides.items():
+        whole = {side: _joined(parts) for side, parts in both.items()}
         try:
             if len(both) < 2:
                 raise ValueError(f"it has only a {next(iter(both))} side")  # noqa: TRY301
-            (_, left), (_, right) = both["left"], both["right"]
+            left, right = _boundary(whole["left"]), _boundary(whole["right"])
             centre = centre_line(left, right)
         except ValueError as error:
-            where = next(iter(both.values()))[0].where
+            where = next(iter(whole.values())).where
             skipped.append(Skipped(where, f"lane {lane[:40]!r} is not used: {error}"))
             continue
         ends: tuple[tuple[Hashable, ...], ...] = tuple(
-            tuple(map(complex, *both[side][0].points.T.tolist())) for side in ("left", "right")
+            tuple(map(complex, *whole[side].points.T.tolist())) for side in ("left", "right")
         )
         yield Lanelet(Lane(id=lane, left=left, right=right, centre=centre), *ends)
 
 
-def _kind(line: _Line) -> Kind:
-    name = line.kind.strip().upper() or "UNKNOWN"
+def _joined(parts: Sequence[_Line]) -> _Line:
+    """Return the line of several, each of which begins with the last point of the one before."""
+    first, *others = parts
+    first_rows = np.cumsum([0, *(len(part.points) - 1 for part in parts)]).tolist()
+    return first._replace(
+        points=np.concatenate([first.points, *(part.points[1:] for part in others)]),
+        kinds=[
+            (begin + row, kind)
+            for begin, part in zip(first_rows, parts, strict=False)
+            for row, kind in part.kinds
+        ],
+    )
+
+
+def _boundary(line: _Line) -> Polyline:
+    """Return the line with its kinds.
+
+    Raises:
+        ValueError: it is no line, or a kind is none.
+    """
+    found = boundary(line.points)
+    distance = np.append(0.0, np.hypot(*np.diff(line.points, axis=0).T).cumsum()).tolist()
+    kinds = {distance[row]: _kind(name) for row, name in line.kinds if row + 1 < len(distance)}
+    return Polyline.trusted(found.points, [*kinds.items()], found.distance)
+
+
+def _kind(text: str) -> Kind:
+    name = text.strip().upper() or "UNKNOWN"
     if name not in Kind.__members__:
         known = ", ".join(kind.name.lower() for kind in Kind)
-        raise ValueError(f"the kind must be one of {known}, got {line.kind[:40]!r}")
+        raise ValueError(f"the kind must be one of {known}, got {text[:40]!r}")
     return Kind[name]
 
 
@@ -190,7 +221,11 @@ def _csv(text: Iterable[str], name: str, skipped: list[Skipped]) -> Iterator[_Li
             first = next(group)
             where = bad_at = f"line {rows.line_num}"
             points, bad = array("d"), ""
+            kinds = [(0, field(first, "kind"))]
             for row in itertools.chain([first], group):
+                kind = field(row, "kind")
+                if kind and kind != kinds[-1][1]:
+                    kinds.append((len(points) // 2, kind))
                 points.extend((number_in(field(row, "x")), number_in(field(row, "y"))))
                 if len(points) > 2 * MAX_POINTS:
                     raise MapFileError(
@@ -207,8 +242,8 @@ def _csv(text: Iterable[str], name: str, skipped: list[Skipped]) -> Iterator[_Li
             if bad:
                 skipped.append(Skipped(bad_at, f"line {key[:40]!r} is not used: {bad}"))
             else:
-                lane, side, kind = (field(first, column) for column in ("lane", "side", "kind"))
-                yield _Line(key, where, _array(points), lane, side.lower(), kind)
+                lane, side = field(first, "lane"), field(first, "side").lower()
+                yield _Line(key, where, _array(points), lane, side, kinds)
     except csv.Error as error:
         raise MapFileError(f"{name}, line {rows.line_num}: {error}") from None
 
@@ -289,7 +324,7 @@ def _feature(feature: Any, index: int, skipped: list[Skipped]) -> Iterator[_Line
         except (IndexError, KeyError, OverflowError, TypeError):
             skipped.append(Skipped(where, "its coordinates are not lists of two numbers"))
         else:
-            yield _Line(named, where, points, lane.strip(), side.strip().lower(), kind)
+            yield _Line(named, where, points, lane.strip(), side.strip().lower(), [(0, kind)])
 
 
 def _array(values: Sequence[float]) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...maps import Lane, LaneType, Map
 from ...values.line import Kind
+from ...values.polyline import Polyline
 from .panels import new_figure
 
 #: Colours of the surfaces, and the types of lanes that have them. Later ones are drawn above.
@@ -144,7 +145,7 @@ def _draw(
             PolyCollection(areas, facecolor=colour, edgecolor=colour, lw=0.1, zorder=order)
         )
     bounds = {id(line): line for lane in lanes for line in (lane.left, lane.right)}
-    every = [*bounds.values(), *road_map.polylines.values()]
+    every = _parts([*bounds.values(), *road_map.polylines.values()])
     for kind, stroke in STROKES.items():
         width = float(np.clip(stroke.width / point, MIN_STROKE, MAX_STROKE))
         is_dashed = stroke.dashes is not None and stroke.dashes[0] / point > 1.0
@@ -165,6 +166,11 @@ def _draw(
     ax.set_ylabel("y [m]", fontsize=9)
     for spine in ax.spines.values():
         spine.set_color("0.7")
+
+
+def _parts(lines: Iterable[Polyline]) -> list[Polyline]:
+    """Return the parts of lines that have one kind each."""
+    return [part for line in lines for part in line.parts()]
 
 
 def _is_near(lane: Lane, low: NDArray[np.float64], high: NDArray[np.float64]) -> bool:
@@ -271,8 +277,8 @@ def _legend(road_map: Map) -> list[Any]:
         for name, colour in reversed(_surfaces())
         if name in surfaces
     ]
-    kinds = {line.kind for lane in lanes for line in (lane.left, lane.right)}
-    kinds |= {line.kind for line in road_map.polylines.values()}
+    lines = [line for lane in lanes for line in (lane.left, lane.right)]
+    kinds = {line.kind for line in _parts([*lines, *road_map.polylines.values()])}
     for kind, stroke in STROKES.items():
         if kind in kinds:
             is_white = stroke.colour == "#ffffff"

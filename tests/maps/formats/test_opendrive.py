@@ -1,10 +1,12 @@
 """Lanes and roads that the reader of OpenDRIVE returns."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from xodr_files import WIDTH, geometry, lane, linked, read_map, reasons, road, section
 
-from maplines_can import Kind
+from maplines_can import Kind, Polyline
 from maplines_can.maps import Lane, LaneType
 
 #: A road with all that a reader tends to mix up: two lanes each way, and shoulders.
@@ -247,3 +249,100 @@ def test_the_order_of_geometries_and_sections_in_the_file_does_not_matter() -> N
     found = read_map(road(section(lane(-1), s=60.0), section(lane(-1, successor=-1)), plan=plan))
     assert found.lanes["1:0:-1"].length == pytest.approx(60)
     assert found.lanes["1:0:-1"].successors == ("1:1:-1",)
+
+
+def marks(*pairs: tuple[float, str]) -> str:
+    return "".join(f'<roadMark sOffset="{s}" type="{kind}"/>' for s, kind in pairs)
+
+
+#: A bend to the left of radius 100 m, so that each boundary has another length.
+BEND = geometry('<arc curvature="0.01"/>')
+
+
+@pytest.mark.parametrize("lane_id", [1, -1])
+def test_markings_hold_from_s_to_s(lane_id: int) -> None:
+    """Along the boundary as driven, against s on the left; the s of a section counts from 0."""
+    first = section(lane(1), lane(-1), centre=marks((0, "solid")))
+    own = WIDTH + marks((5, "broken"), (20, "solid"), (50, "solid"))
+    centre = marks((0, "solid"), (30, "solid solid"))
+    second = section(lane(1, own), lane(-1, own), s=40.0, centre=centre)
+    found = lane_of(road(first, second, plan=BEND), lane_id=f"1:1:{lane_id}")
+
+    def along(line: Polyline, t: float, *changes: tuple[float, Kind]) -> list[tuple[float, Kind]]:
+        """Return the kinds as driven of those by s from the start of the section."""
+        scale, length = 1 - t / 100, 60.0
+        spans = [(s, end, kind) for (s, kind), (end, _) in pairwise([*changes, (length, kind_0)])]
+        if lane_id < 0:
+            return [(s * scale, kind) for s, _, kind in spans]
+        return [((length - end) * scale, kind) for _, end, kind in reversed(spans)]
+
+    kind_0, t = Kind.UNKNOWN, 3.5 * lane_id
+    for line, at, changes in (
+        (found.left, 0.0, [(0.0, Kind.SOLID), (30.0, Kind.DOUBLE)]),
+        (found.right, t, [(0.0, Kind.ROAD_EDGE), (5.0, Kind.DASHED), (20.0, Kind.SOLID)]),
+    ):
+        expected = along(line, at, *changes)
+        assert [kind for _, kind in line.kinds] == [kind for _, kind in expected]
+        assert [s for s, _ in line.kinds] == pytest.approx([s for s, _ in expected], abs=2e-3)
+        for s in np.linspace(0.5, line.length - 0.5, 60):
+            kind = next(kind for start, kind in reversed(expected) if start <= s + 2e-3)
+            assert line.kind_at(s) is kind
+
+
+def test_a_marking_that_does_not_change_is_one() -> None:
+    """Neither one of another colour, nor one that begins where the section ends, nor lines."""
+    same = marks((0, "broken"), (30, "broken"), (100, "solid"), (120, "curb"))
+    found = lane_of(road(section(lane(-1, WIDTH + same))))
+    assert found.right.kinds == found.centre.kinds == found.speed_limits == ()
+    assert found.right.kind is Kind.DASHED
+
+
+@pytest.mark.parametrize(
+    ("of_road", "of_lane", "expected"),
+    [
+        pytest.param("0:50 60:30", "", [(0, 50), (60, 30)], id="road"),
+        pytest.param("0:50 60", "", [(0, 50), (60, None)], id="road-type-without-a-limit"),
+        pytest.param("0:50 60:x", "", [(0, 50), (60, None)], id="road-type-with-a-bad-one"),
+        pytest.param("", "0:50 60:30", [(0, 50), (60, 30)], id="lane"),
+        pytest.param("0:50", "60:30", [(0, 50), (60, 30)], id="lane-later"),
+        pytest.param("0:50 20:70 80:60", "60:30", [(0, 50), (20, 70), (60, 30)], id="both"),
+        pytest.param("", "60:30", [(0, None), (60, 30)], id="none-before"),
+        pytest.param("", "0:50 60:no limit", [(0, 50), (60, None)], id="no-limit"),
+        pytest.param("", "0:50 60:undefined", [(0, 50), (60, None)], id="undefined"),
+    ],
+)
+def test_speed_limits_hold_from_s_to_s(
+    of_road: str, of_lane: str, expected: list[tuple[float, float | None]]
+) -> None:
+    """In both directions; before the first limit of a lane, that of its road applies."""
+
+    def elements(text: str, element: str) -> str:
+        pairs = [pair.partition(":") for pair in text.replace(" limit", "_").split()]
+        return "".join(
+            element.format(
+                s,
+                f'<speed sOffset="{s}" max="{v.replace("_", " limit")}" unit="km/h"/>' if v else "",
+            )
+            for s, _, v in pairs
+        )
+
+    own = WIDTH + elements(of_lane, "{1}")
+    before = elements(of_road, '<type s="{0}" type="town">{1}</type>')
+    lanes = read_map(road(section(lane(1, own), lane(-1, own)), before=before)).lanes
+    stops = [s for s, _ in expected[1:]]
+    starts = [0, *(100 - s for s in reversed(stops))]
+    backward = zip(starts, [v for _, v in reversed(expected)], strict=True)
+    for found, pairs in (("1:0:-1", expected), ("1:0:1", list(backward))):
+        given = lanes[found].speed_limits
+        assert [s for s, _ in given] == pytest.approx([s for s, _ in pairs])
+        limits = [None if v is None else pytest.approx(v / 3.6) for _, v in pairs]
+        assert [v for _, v in given] == limits
+        assert lanes[found].speed_limit == lanes["1:0:-1"].speed_limit
+
+
+def test_a_speed_limit_of_miles_follows_one_of_kilometres() -> None:
+    own = '<speed sOffset="0" max="50" unit="km/h"/><speed sOffset="40" max="30" unit="mph"/>'
+    found = lane_of(road(section(lane(-1, WIDTH + own))))
+    assert [s for s, _ in found.speed_limits] == pytest.approx([0.0, 40.0])
+    assert [v for _, v in found.speed_limits] == pytest.approx([50 / 3.6, 30 * 0.44704])
+    assert found.speed_limit == pytest.approx(30 * 0.44704)

@@ -221,3 +221,65 @@ def test_load(tmp_path: Path, name: str) -> None:
     assert len(ml.maps.load(path).lanes) == 3
     with pytest.raises(ValueError, match="is CSV, whose positions are in metres"):
         ml.maps.load(path, projection=utm(49.0, 8.0))
+
+
+def test_the_kind_of_a_csv_holds_from_its_point_on() -> None:
+    """Up to the next one that is given; the same for lines without a lane."""
+    text = """line,x,y,lane,side,kind
+a,0,3,1,left,dashed
+a,30,3,,,
+a,50,3,,,solid
+a,90,3,,,kerb
+b,0,0,1,right,
+b,90,0,,,
+c,0,0,,,
+c,60,0,,,barrier
+c,60,0,,,barrier
+c,80,0,,,
+"""
+    found = read_map(text)
+    lane, other = found.lanes["1"], found.polylines["c"]
+    assert lane.left.kinds == ((0.0, Kind.DASHED), (50.0, Kind.SOLID))
+    assert (lane.left.kind, lane.right.kinds) == (Kind.DASHED, ())
+    assert other.kinds == ((0.0, Kind.UNKNOWN), (60.0, Kind.BARRIER))
+    assert found.skipped == ()
+
+
+def test_a_kind_that_is_none_within_a_line_is_listed() -> None:
+    found = read_map("line,x,y,kind\na,0,0,solid\na,9,0,zigzag\na,20,0,\nb,0,0,\nb,1,0,\n")
+    assert list(found.polylines) == ["b"]
+    assert "the kind must be one of" in found.skipped[0].why
+
+
+def test_a_side_of_several_lines_has_the_kind_of_each() -> None:
+    """Each begins where the one before it ends; the lanes beside it share all of them."""
+    text = """line,x,y,lane,side,kind
+a,0,3,1,left,
+a,90,3,,,
+b,0,0,1,right,dashed
+b,30,0,,,
+c,30,0,1,right,solid
+c,60,0,,,
+c,90,0,,,
+d,0,0,2,left,
+d,30,0,,,
+d,60,0,,,
+d,90,0,,,
+e,0,-3,2,right,
+e,90,-3,,,
+"""
+    found = read_map(text)
+    one = found.lanes["1"]
+    assert one.right.points[:, 0].tolist() == [0, 30, 60, 90]
+    assert one.right.kinds == ((0.0, Kind.DASHED), (30.0, Kind.SOLID))
+    assert (one.right_neighbour, found.skipped) == ("2", ())
+
+    sides = [(9.0, 50.0), (9.001, 50.0), (9.003, 50.0)], [(9.0, 49.999), (9.003, 49.999)]
+    parts = [
+        feature(*sides[0][:2], lane="1", side="left", kind="dashed"),
+        feature(*sides[0][1:], lane="1", side="left", kind="solid"),
+        feature(*sides[1], lane="1", side="right"),
+    ]
+    left = read_map(geojson(*parts)).lanes["1"].left
+    assert [kind for _, kind in left.kinds] == [Kind.DASHED, Kind.SOLID]
+    assert left.kinds[1][0] == pytest.approx(left.length / 3, rel=1e-3)

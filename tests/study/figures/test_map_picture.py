@@ -60,3 +60,12 @@ def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(MissingExtraError, match="plot"):
         draw_map(crossing(), tmp_path / "map.png")
+
+
+def test_each_part_of_a_line_is_drawn_as_its_kind(tmp_path: Path) -> None:
+    path = tmp_path / "map.svg"
+    line = Polyline(LINE.points, [(0.0, Kind.KERB), (100.0, Kind.BARRIER)])
+    draw_map(Map({}, {}, polylines={"line": line}), path)
+    text = path.read_text()
+    assert "<!-- barrier -->" in text
+    assert "<!-- kerb -->" in text

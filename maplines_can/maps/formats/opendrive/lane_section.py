@@ -175,7 +175,9 @@ def _lane(element: Element, extent: tuple[float, float], skipped: list[Skipped])
         marks=_marks(element, s, skipped),
         speeds=tuple(
             attempt(
-                lambda e: (s + number(e, "sOffset", 0.0), speed(e)), element.all("speed"), skipped
+                lambda e: (s + number(e, "sOffset", 0.0), speed(e, skipped)),
+                element.all("speed"),
+                skipped,
             )
         ),
         predecessors=_linked(link, "predecessor", skipped),
@@ -201,12 +203,13 @@ def _marks(lane: Element, s: float, skipped: list[Skipped]) -> Marks:
     return tuple(sorted(attempt(read, lane.all("roadMark"), skipped)))
 
 
-def speed(element: Element) -> float | None:
-    """Return a speed limit [m/s], or None if it says that there is none.
+def speed(element: Element | None, skipped: list[Skipped]) -> float | None:
+    """Return a speed limit [m/s], or None if there is none, or none that can be used."""
+    elements = [element] if element else []
+    return next(iter(attempt(_speed, elements, skipped)), None)
 
-    Raises:
-        UnusableError: it is not a number, or its unit is unknown.
-    """
+
+def _speed(element: Element) -> float | None:
     if element.get("max").lower() in _NO_LIMIT:
         return None
     unit = element.get("unit")

@@ -15,9 +15,11 @@ import numpy as np
 
 from ....values.errors import MapFileError
 from ....values.line import Kind
+from ....values.pieces import Pieces, longest, merged
 from ....values.polyline import Polyline
 from ...landmarks import Landmark
 from ...lane import SkippedList
+from ...matching import locate
 from ...model import Lane, LaneType, Map, Road, Skipped
 from ..projection import shifted, utm_of
 from ..systems import notices_of
@@ -25,7 +27,7 @@ from ..xml_tree import Document, Element, number_in
 from .attributes import UnusableError
 from .boundaries import SAME, Boundaries, SamplingError, sampled
 from .landmarks import read_buildings, read_landmarks
-from .lane_section import LaneRecord
+from .lane_section import LaneRecord, Speeds
 from .links import Connection, LaneKey, LaneTopology, RoadTopology, lane_links, read_connections
 from .reference_line import Complex
 from .road import RoadRecord, read_road
@@ -36,6 +38,8 @@ _IGNORED = {"elevationProfile", "railroad", "surface"}
 
 #: Travel direction of a lane by whether it is driven along s.
 _TRAVEL = {True: "forward", False: "backward"}
+#: Kinds at the outside of a road without a marking.
+_UNMARKED = {Kind.UNKNOWN: Kind.ROAD_EDGE, Kind.VIRTUAL: Kind.ROAD_EDGE}
 
 T = TypeVar("T")
 #: Returns a lane, given its ``successors`` and ``predecessors``.
@@ -167,21 +171,26 @@ class _Reader:
         index = boundaries.index
         section, extent = road.sections[index], road.extent(index)
         records = sorted(section.lanes.values(), key=lambda record: -record.id)
-        kinds = {0: _longest(section.centre_marks, extent, Kind.UNKNOWN)}  # by row
+        kinds = {0: _pieces(section.centre_marks, extent, Kind.UNKNOWN)}  # by row
         for record in records:
-            kinds[boundaries.rows[record.id][1]] = _longest(record.marks, extent, Kind.UNKNOWN)
+            kinds[boundaries.rows[record.id][1]] = _pieces(record.marks, extent, Kind.UNKNOWN)
         if not road.junction:  # roads overlap in a junction
             for row in boundaries.outermost:
-                if kinds[row] in {Kind.UNKNOWN, Kind.VIRTUAL}:
-                    kinds[row] = Kind.ROAD_EDGE
+                kinds[row] = merged([(s, _UNMARKED.get(kind, kind)) for s, kind in kinds[row]])
         drawn = [_lines_of(record, boundaries, _is_forward(road, record)) for record in records]
-        lines = _polylines(points, kinds, dict.fromkeys(chain.from_iterable(drawn)))
+        longest_kinds = {row: longest(pieces, extent[1]) for row, pieces in kinds.items()}
+        lines = _polylines(points, longest_kinds, dict.fromkeys(chain.from_iterable(drawn)))
+        for line, polyline in lines.items():
+            if line.one == line.other and len(kinds[line.one]) > 1:
+                pieces = _along(polyline, line, kinds[line.one], boundaries)
+                lines[line] = Polyline.trusted(polyline.points, pieces, polyline.distance)
         negative = set(boundaries.negative)
         padded = [None, *records, None]
         for record, beside, own in zip(
             records, zip(padded, padded[2:], strict=False), drawn, strict=True
         ):
             key = LaneKey(road.id, index, record.id, section.label)
+            limits = _pieces(_speeds(road, record), extent, None)
             is_forward = _is_forward(road, record)
             if record.type.is_drivable and record.travel == _TRAVEL[not is_forward]:
                 place, way = f"line {record.line}, lane {key}", _TRAVEL[is_forward]
@@ -203,7 +212,10 @@ class _Reader:
                     right=lines[right],
                     centre=lines[centre],
                     type=record.type,
-                    speed_limit=_longest(record.speeds or road.speeds, extent, None),
+                    speed_limit=longest(limits, extent[1]),
+                    speed_limits=_along(lines[centre], centre, limits, boundaries)
+                    if len(limits) > 1
+                    else (),
                     left_neighbour=same[0],
                     right_neighbour=same[1],
                     opposite_left=opposite,
@@ -330,17 +342,37 @@ def _is_forward(road: RoadRecord, record: LaneRecord) -> bool:
     return ((record.id < 0) != road.is_left_hand) != record.is_reversed
 
 
-def _longest(records: Sequence[tuple[float, T]], extent: tuple[float, float], default: T) -> T:
-    """Return the value that applies to the longest part of a stretch of s."""
-    if len(records) < 2:
-        return records[0][1] if records else default
+def _pieces(
+    records: Sequence[tuple[float, T]], extent: tuple[float, float], default: T
+) -> Pieces[T]:
+    """Return the values that apply in a stretch of s, from the s at which each begins."""
     start, end = extent
-    lengths: defaultdict[T, float] = defaultdict(float)
-    ordered = sorted(records, key=itemgetter(0))
-    stops = [*(s for s, _ in ordered[1:]), end]
-    for (s, value), stop in zip(ordered, stops, strict=False):
-        lengths[value] += max(0.0, min(stop, end) - max(s, start))
-    return max(lengths, key=lengths.__getitem__, default=default)
+    found = {start: default}
+    for s, value in sorted(records, key=itemgetter(0)):
+        if s <= start + SAME:
+            found[start] = value
+        elif s < end - SAME:
+            found[s] = value
+    return merged(list(found.items()))
+
+
+def _along(polyline: Polyline, line: _Line, pieces: Pieces[T], boundaries: Boundaries) -> Pieces[T]:
+    """Return what applies in a stretch of s, along a line of the lane section as driven."""
+    s = np.array([s for s, _ in pieces[1:]])
+    points = boundaries(s, s)
+    at = (points[line.one] + points[line.other]) / 2
+    places = [next(locate([polyline], np.array([p.real, p.imag]))).s for p in at]
+    values = [value for _, value in pieces]
+    if not line.is_forward:
+        places, values = places[::-1], values[::-1]
+    starts = np.maximum.accumulate([0.0, *places]).tolist()
+    return merged(list(dict(zip(starts, values, strict=True)).items()))
+
+
+def _speeds(road: RoadRecord, record: LaneRecord) -> Speeds:
+    """Return the speed limits of a lane; those of its road apply before its own."""
+    first = min((s for s, _ in record.speeds), default=math.inf)
+    return (*(one for one in road.speeds if one[0] < first), *record.speeds)
 
 
 def _neighbours(

@@ -103,7 +103,6 @@ def read_road(element: Element, skipped: list[Skipped]) -> RoadRecord:
     )
     _list_unused(lateral, reference.end, skipped)
     link = element.first("link") or Element("link", {}, element.line)
-    types = [kind for kind in element.all("type") if kind.first("speed")]
     junction = element.get("junction", "-1")
     return RoadRecord(
         id=road_id,
@@ -115,7 +114,11 @@ def read_road(element: Element, skipped: list[Skipped]) -> RoadRecord:
         lane_offset=Profiles([offsets]),
         roll=Profiles([rolls]) if any(any(piece[1:]) for piece in rolls) else None,
         speeds=tuple(
-            attempt(lambda e: (number(e, "s", 0.0), speed(e.first("speed") or e)), types, skipped)
+            attempt(
+                lambda e: (number(e, "s", 0.0), speed(e.first("speed"), skipped)),
+                element.all("type"),
+                skipped,
+            )
         ),
         sections=read_sections(lanes, reference.end, skipped),
         predecessor=_road_link(link, "predecessor", skipped),
