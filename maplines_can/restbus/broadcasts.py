@@ -43,16 +43,15 @@ class Broadcasts:
 
     Args:
         clock: on which the pauses pass.
-        send: takes each frame.
     """
 
-    def __init__(self, clock: Clock, send: Callable[[Frame], object]) -> None:
-        self._clock, self._send = clock, send
-        self._waiting: deque[Frame] = deque()
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._waiting: deque[Callable[[], object]] = deque()
         self._is_busy = False
 
-    def put(self, frames: Iterable[Frame]) -> None:
-        """Send the frames of a message, after those of the messages before it."""
+    def put(self, frames: Iterable[Callable[[], object]]) -> None:
+        """Send the frames of a message, by calls, after those of the messages before it."""
         self._waiting += frames
         if not self._is_busy:
             self._next()
@@ -60,5 +59,5 @@ class Broadcasts:
     def _next(self) -> None:
         self._is_busy = bool(self._waiting)
         if self._waiting:
-            self._send(self._waiting.popleft())
+            self._waiting.popleft()()
             self._clock.call_at(self._clock.now_ns + PAUSE_NS, self._next)

@@ -77,9 +77,9 @@ class Restbus:
         self._waiting: deque[Frame] = deque()
         self._check_bus()
         self._sending = {
-            name: _MessageSending(message, clock, put)
-            for (name, message), put in zip(
-                config.messages.items(), self._puts(config.messages.values()), strict=True
+            name: _MessageSending(message, clock, self._faults.send, broadcasts)
+            for (name, message), broadcasts in zip(
+                config.messages.items(), self._broadcasts(config.messages.values()), strict=True
             )
         }
         lines = config.lines
@@ -214,13 +214,17 @@ class Restbus:
                 "set fd = true in [bus], or open it for CAN FD"
             )
 
-    def _puts(self, messages: Iterable[DbcMessage]) -> Iterator[Callable[[list[Frame]], object]]:
-        """Yield what takes the frames of each message: at once, or one after the other."""
-        broadcasts: dict[int, Broadcasts] = {}
+    def _broadcasts(self, messages: Iterable[DbcMessage]) -> Iterator[Broadcasts | None]:
+        """Yield, of each message, what sends its frames one after the other; None if all at once.
+
+        Raises:
+            RestbusError: an address has no time for its messages.
+        """
+        senders: dict[int, Broadcasts] = {}
         load: defaultdict[int, float] = defaultdict(float)
         for message in messages:
             if not message.is_broadcast:
-                yield self._put_all
+                yield None
                 continue
             address = source_of(message.can_id)
             load[address] += message.frames_each * PAUSE_NS * message.count / message.cycle_ms
@@ -229,13 +233,7 @@ class Restbus:
                     f"message {message.name}: J1939 sends its {message.frames_each} frames 50 ms "
                     f"apart, and address {address} has no time for them; lengthen cycle_ms"
                 )
-            if address not in broadcasts:
-                broadcasts[address] = Broadcasts(self.clock, self._faults.send)
-            yield broadcasts[address].put
-
-    def _put_all(self, frames: Iterable[Frame]) -> None:
-        for frame in frames:
-            self._faults.send(frame)
+            yield senders.setdefault(address, Broadcasts(self.clock))
 
     def _put(self, frame: Frame) -> None:
         """Hand a frame to the bus, after those that wait for room in its queue."""
@@ -280,9 +278,14 @@ class _MessageSending:
     """Periodic sending of a message, with its bursts."""
 
     def __init__(
-        self, message: DbcMessage, clock: Clock, send: Callable[[list[Frame]], object]
+        self,
+        message: DbcMessage,
+        clock: Clock,
+        send: Callable[[Frame], object],
+        broadcasts: Broadcasts | None,
     ) -> None:
         self.message, self._clock, self._send = message, clock, send
+        self._broadcasts, self._frames = broadcasts, 0
         self._start_ns = clock.now_ns
         self._call: PeriodicCall | None = None
         self._generation = 0  # a burst of an earlier one is not finished
@@ -311,8 +314,7 @@ class _MessageSending:
         call = self._call
         lateness = self._lateness if call is None else call.lateness()
         overruns = self._overruns + (0 if call is None else call.overruns)
-        frames = self.message.sent * self.message.frames_each
-        return {"frames": frames, "overruns": overruns, "lateness": lateness._asdict()}
+        return {"frames": self._frames, "overruns": overruns, "lateness": lateness._asdict()}
 
     def _begin(self, first_ns: int) -> None:
         period_ns = to_ns(self.message.cycle_ms / 1000)
@@ -326,8 +328,17 @@ class _MessageSending:
             self._clock.call_at(t_ns, partial(self._frame, t_ns, generation))
 
     def _frame(self, t_ns: int, generation: int) -> None:
-        if generation == self._generation:
-            self._send(self.message.frames((t_ns - self._start_ns) / 1e9))
+        if generation != self._generation:
+            return
+        frames = self.message.frames((t_ns - self._start_ns) / 1e9)
+        if self._broadcasts is None:
+            self._count_and_send(frames[0])
+        else:
+            self._broadcasts.put(partial(self._count_and_send, frame) for frame in frames)
+
+    def _count_and_send(self, frame: Frame) -> None:
+        self._frames += 1
+        self._send(frame)
 
 
 class _LinesSending:

@@ -583,6 +583,13 @@ def test_long_messages_of_j1939_are_announced_and_sent_packet_by_packet(tmp_path
     ]
     assert [round(m.timestamp * 1e3) for m in sent] == [0, 50, 100, 150, 200]
     assert not any(m.is_fd for m in sent)
+    clock = VirtualClock()
+    with VirtualTimeBus(VirtualNetwork(clock)) as bus:
+        restbus = Restbus(made, bus, clock)
+        restbus.start()
+        clock.run_for(0.06)
+        counts = restbus.as_dict()
+    assert (counts["frames"], counts["messages"]["M"]["frames"]) == (2, 2)
 
 
 def test_an_address_sends_one_long_message_after_the_other(tmp_path: Path) -> None:
