@@ -163,6 +163,9 @@ class _System:
     """A coordinate system with x to the east and y to the north."""
 
     def __init__(self, name: str) -> None:
+        if name.startswith("+") and "+proj=" not in name and "+init=" not in name:
+            # As CARLA writes it. pyproj would look for a similar name, for a quarter of a second.
+            raise ValueError(f"projection {name[:200]!r} is not valid: it has no +proj")
         try:
             import pyproj
         except ImportError as error:

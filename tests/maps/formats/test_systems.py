@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import maplines_can as ml
 from maplines_can.maps import Map, MapFileError
 from maplines_can.maps.formats.commonroad import read as read_commonroad
 from maplines_can.maps.formats.opendrive import read as read_opendrive
@@ -44,7 +43,7 @@ def on_ground(name: str, at: tuple[float, float]) -> list[Array]:
     return sides
 
 
-def geojson(name: Any, sides: list[Array]) -> Map:
+def geojson_text(name: Any, sides: list[Array]) -> str:
     features = [
         {
             "type": "Feature",
@@ -54,8 +53,11 @@ def geojson(name: Any, sides: list[Array]) -> Map:
         for side, points in zip(("left", "right"), sides, strict=True)
     ]
     crs = name if isinstance(name, dict) else {"type": "name", "properties": {"name": name}}
-    text = json.dumps({"type": "FeatureCollection", "crs": crs, "features": features})
-    return read_points(io.BytesIO(text.encode()), "map.geojson")
+    return json.dumps({"type": "FeatureCollection", "crs": crs, "features": features})
+
+
+def geojson(name: Any, sides: list[Array]) -> Map:
+    return read_points(io.BytesIO(geojson_text(name, sides).encode()), "map.geojson")
 
 
 def commonroad(name: str, sides: list[Array], more: str = "") -> Map:
@@ -213,7 +215,7 @@ def test_a_code_of_an_early_draft() -> None:
     [
         pytest.param("EPSG:4326", MUNICH, "left boundary of each lane is on its right", id="4326"),
         pytest.param("EPSG:4258", MUNICH, "write longitude before latitude", id="4258"),
-        pytest.param("EPSG:31467", (8.9, 49.3), "write x .east. before y .north.", id="31467"),
+        pytest.param("EPSG:31467", (8.9, 49.3), "'EPSG:31467'; write x .east. before", id="31467"),
         pytest.param("EPSG:2263", NEW_YORK, "left boundary", id="2263"),
         pytest.param("EPSG:32632", (8.9, 49.3), "left boundary", id="utm"),
     ],
@@ -227,14 +229,19 @@ def test_exchanged_axes_are_refused(
         read(name, sides)
 
 
-def test_local_metres_of_a_utm_zone_are_metres() -> None:
-    """Positions around 0 are not in the zone that the file names; it is said."""
-    sides = [np.array([[0, WIDTH], [90, WIDTH]]), np.array([[0.0, 0], [90, 0]])]
-    for name in ("EPSG:25832", "EPSG:2154"):
+@pytest.mark.parametrize("name", ["EPSG:25832", "EPSG:2154"])
+def test_local_metres_of_a_national_grid_are_metres(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Positions around 0 are not in the area that the file names; it is said."""
+    if name == "EPSG:25832":
+        monkeypatch.setitem(sys.modules, "pyproj", None)
+    else:
         pytest.importorskip("pyproj")
-        found = commonroad(name, sides)
-        assert found.lanes["1"].width == WIDTH
-        assert f"not in the area of {name}; they are taken as metres" in found.skipped[0].why
+    sides = [np.array([[0, WIDTH], [90, WIDTH]]), np.array([[0.0, 0], [90, 0]])]
+    found = commonroad(name, sides)
+    assert found.lanes["1"].width == WIDTH
+    assert f"not in the area of {name}; they are taken as metres" in found.skipped[0].why
 
 
 def test_metres_that_are_no_degrees_are_refused() -> None:
@@ -294,6 +301,7 @@ def test_a_translation_of_commonroad_is_part_of_the_frame() -> None:
         pytest.param("EPSG:4979", None, ["is in degrees, not a plane"], id="three-dimensional"),
         pytest.param("nonsense", None, ["'nonsense' is not valid"], id="unknown"),
         pytest.param("EPSG:5513", (14.4, 50.0), ["are mirrored"], id="mirrored"),
+        pytest.param("+lat_0=49 +lon_0=8", None, ["is not valid: it has no +proj"], id="carla"),
     ],
 )
 def test_opendrive_remains_in_metres(
@@ -343,20 +351,15 @@ def test_an_offset_that_cannot_be_is_said(name: str, offset: str) -> None:
     assert found.projection is None
 
 
-def test_a_requested_frame_of_a_file_with_a_system(tmp_path: Path) -> None:
-    """Positions of another system are projected, too."""
-    sides = on_ground("EPSG:3857", MUNICH)
-    path = tmp_path / "map.geojson"
-    features = [
-        {"type": "Feature", "properties": {"lane": "1", "side": side},
-         "geometry": {"type": "LineString", "coordinates": points.tolist()}}
-        for side, points in zip(("left", "right"), sides, strict=True)
-    ]  # fmt: skip
-    crs = {"type": "name", "properties": {"name": "EPSG:3857"}}
-    path.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": features}))
-    found = ml.maps.load(path, "+proj=utm +zone=32")
-    assert found.projection == "+proj=utm +zone=32"
-    assert found.lanes["1"].width == pytest.approx(WIDTH * 0.9996, rel=5e-4)
+@pytest.mark.parametrize("name", ["EPSG:3857", "EPSG:3035", "EPSG:25832", "EPSG:4326"])
+def test_a_requested_frame_of_a_file_with_a_system(name: str) -> None:
+    """Positions are projected to it from another system, metric or not."""
+    text = geojson_text(name, on_ground(name, MUNICH))
+    wanted = "+proj=utm +zone=33"
+    found = read_points(io.BytesIO(text.encode()), "map.geojson", wanted)
+    assert found.projection == wanted
+    start = project([MUNICH[1]], [MUNICH[0]], wanted)[0]
+    assert found.lanes["1"].centre.points[0] == pytest.approx(start, abs=1e-3)
 
 
 @pytest.mark.parametrize(
