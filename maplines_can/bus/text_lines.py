@@ -17,6 +17,8 @@ from ..values.input_files import MAX_LINE
 MAX_DAMAGE = 1 << 24
 #: Most characters of a reason in a message.
 _MAX_REASON = 200
+#: Usual greatest length of a line.
+_AHEAD = 256
 _BYTE_ORDER_MARK = "\ufeff"
 _BLANKS = f" \t\r\n{_BYTE_ORDER_MARK}"
 
@@ -126,17 +128,23 @@ class Lines:
                 whether a stream has data (Windows, and objects without a file descriptor), a line
                 waits until they are there.
         """
-        until = math.inf
+        until, size = math.inf, _AHEAD * count
         while True:
-            *whole, rest = self.buffer[self.place :].splitlines(keepends=True) or [b""]
-            if rest.endswith((b"\n", b"\r")) or self._is_at_end:
+            is_all = self.place + size >= len(self.buffer)
+            part = self.buffer[self.place : self.place + size]
+            *whole, rest = part.splitlines(keepends=True) or [b""]
+            if rest.endswith((b"\n", b"\r")) or (is_all and self._is_at_end):
                 whole, rest = [*whole, rest], b""
             texts = (line.decode(errors="replace").strip(_BLANKS) for line in whole)
             lines = [*islice(filter(None, texts), count)]
+            if len(lines) == count or len(rest) > MAX_LINE:
+                return lines
+            if not is_all:
+                size *= 2
+                continue
             if lines and until == math.inf:
                 until = time.monotonic() + seconds
-            is_full = len(lines) == count or len(rest) > MAX_LINE or self._is_at_end
-            if is_full or not self._has_data(until):
+            if self._is_at_end or not self._has_data(until):
                 return lines
             self.fill()
 
