@@ -92,7 +92,7 @@ def _counting(name: str, table: Table, field: Field) -> Value:
     ends = _Ends(name, "count", table, field)
     span = abs(ends.last - ends.first)
     # Steps between the raw values would count a page twice.
-    least = abs(field.signal.scale) if field.pages and span else 1e-12
+    least = abs(field.signal.scale) if field.pages else 1e-12
     unit, default = field.signal.unit or "", min(1.0, span) or 1e-12
     step = table.number("step", least, max(span, least), unit, max(default, least))
     whole = isinstance(span, int) and step == int(step)  # exact beyond 53 bits, too
@@ -111,7 +111,9 @@ def _counting(name: str, table: Table, field: Field) -> Value:
 def _swept(name: str, table: Table, field: Field) -> Value:
     kinds = [kind for kind in ("ramp", "sine") if kind in table]
     if not kinds:
-        table.end("count", "ramp", "sine", "script", "period_s", "phase_deg")
+        for key in ("period_s", "phase_deg"):
+            table.take(key)
+        table.end("count", "ramp", "sine", "script")
         raise RestbusError(
             f"{name} needs count, ramp, sine or script, such as {{ sine = [-1, 1], period_s = 10 }}"
         )

@@ -173,6 +173,11 @@ def test_signals_with_odd_ranges_are_sent_with_raw_0(tmp_path: Path) -> None:
         ("Rev", 50, r"Rev cannot be set: its range in the DBC is reversed, \[100\|0\]"),
         ("Nil", 1, "Nil cannot be set: its factor in the DBC is 0"),
         ("Far", 0, "Far cannot be set: its bits lie beyond the 8 bytes"),
+        ("Five", 4, r"Five must be a number in \[5, 10\], got 4"),
+        ("Five", {"ramp": [5], "period_s": 1}, r"Five: ramp must be \[FIRST, LAST\], got \[5\]"),
+        ("Five", {"period_s": 1}, "Five needs count, ramp, sine or script"),
+        ("Five", {"script": "nowhere.py"}, 'Five: script must be "FILE.py:FUNCTION"'),
+        ("Five", {"script": "s.py:g"}, "s.py has no function 'g'; its functions are: f"),
         ("Five", 11, r"Five must be a number in \[5, 10\], got 11"),
         ("Zero", 256, r"Zero must be a number in \[0, 255\], got 256"),
         ("Zero", 10**400, r"Zero must be a number in \[0, 255\]"),
@@ -186,14 +191,63 @@ def test_a_value_that_a_signal_cannot_have_is_an_error_at_the_start(
     tmp_path: Path, signal: str, value: object, text: str
 ) -> None:
     path = dbc(tmp_path, ODD, 'VAL_ 256 Text 1 "Twice" 2 "Twice" 9 "Nine" 300 "Large" ;')
+    (tmp_path / "s.py").write_text("def f(t):\n    return t\n")
+    entry = {"name": "M", "dbc": str(path), "cycle_ms": 10, "signals": {signal: value}}
     with pytest.raises(RestbusError, match=text):
-        config(path, signals={signal: value})
+        Config.from_dict({"message": [entry]}, tmp_path)
 
 
 def test_a_named_value_is_raw_and_a_list_is_sent_in_turn(tmp_path: Path) -> None:
     path = dbc(tmp_path, ODD, 'VAL_ 256 Text 9 "Nine" ;')
     sent = frames(config(path, signals={"Text": ["Nine", 2], "Zero": 255}), 0.03)
     assert [tuple(m.data[4:6]) for m in sent] == [(255, 9), (255, 2), (255, 9), (255, 2)]
+
+
+def test_ends_may_have_names(tmp_path: Path) -> None:
+    """They are raw, so their physical values are beyond the factor and the offset."""
+    path = dbc(tmp_path, "S : 0|8@1+ (2,10) [0|0]", 'VAL_ 256 S 3 "Three" 5 "Five" ;')
+    sent = frames(config(path, signals={"S": {"count": ["Three", "Five"], "step": 2}}), 0.02)
+    assert [m.data[0] for m in sent] == [3, 4, 5]
+
+
+@pytest.mark.parametrize("factor", ["0.7", "-0.7"])
+def test_the_last_value_of_the_bits_can_be_set_as_a_decimal(tmp_path: Path, factor: str) -> None:
+    """3 * 0.7 is less than 2.1."""
+    path = dbc(tmp_path, f"S : 0|2@1+ ({factor},0) [0|0]")
+    assert payload(path, S=2.1 if factor == "0.7" else -2.1)[0] == 3
+
+
+@pytest.mark.parametrize(
+    ("bits", "code", "most"), [(16, "e", 65504), (32, "f", 3.4e38), (64, "d", 1e308)]
+)
+def test_floats_of_each_length(tmp_path: Path, bits: int, code: str, most: float) -> None:
+    """Wide whole numbers are floats here; more than the greatest is refused."""
+    kind = "SIG_VALTYPE_ 256 S : 2;" if bits == 64 else "SIG_VALTYPE_ 256 S : 1;"
+    path = dbc(tmp_path, f"S : 0|{bits}@1- (0.5,0) [0|0]", kind)
+    for value in (-0.25, most / 2, 2**60 + 1 if bits > 16 else 3):
+        data = payload(path, S=value)
+        assert struct.unpack_from(f"<{code}", data) == struct.unpack(
+            f"<{code}", struct.pack(f"<{code}", 2 * value)
+        )
+    with pytest.raises(RestbusError, match="S must be a number in"):
+        payload(path, S=2 * most)
+
+
+def test_the_longest_signal_that_can_be_set(tmp_path: Path) -> None:
+    rows = "S : 0|1000@1+ (1,0) [0|0]\nT : 1000|1001@1+ (1,0) [0|0]"
+    path = dbc(tmp_path, rows, J1939, length=300, can_id=0x98FECA03)
+    sent = frames(config(path, cycle_ms=60_000, signals={"S": 2**1000 - 1}), 10.0)
+    assert b"".join(bytes(m.data[1:]) for m in sent[1:])[:126] == b"\xff" * 125 + b"\0"
+    with pytest.raises(RestbusError, match="T cannot be set: it has more than 1000 bits"):
+        config(path, cycle_ms=60_000, signals={"T": 0})
+
+
+def test_wide_values_between_floats_have_the_decimal_factor(tmp_path: Path) -> None:
+    path = dbc(tmp_path, "S : 0|64@1+ (0.5,7) [0|0]")
+    assert int.from_bytes(payload(path, S=2**61 + 8), "little") == 2**62 + 2
+    assert int.from_bytes(payload(path, S=2**20 + 7), "little") == 2**21
+    path = dbc(tmp_path, "S : 0|64@1+ (0.1,0) [0|0]")
+    assert int.from_bytes(payload(path, S=2**60 + 1), "little") == 10 * 2**60 + 10
 
 
 @pytest.mark.parametrize("factor", ["1", "1.0", "2"])
@@ -385,6 +439,32 @@ def test_values_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
     mux = dbc(tmp_path, f"{MUX.rstrip()}\n    Over : 4|8@1+ (1,0) [0|0]\n")
     with pytest.raises(RestbusError, match="Mux and Over have common bits"):
         config(mux, signals={"Over": 1})
+
+
+def test_multiplexers_that_share_bits_are_told(tmp_path: Path) -> None:
+    """Nobody sets them, so it is no error."""
+    signals = "A M : 0|8@1+ (1,0) [0|0]\nB M : 4|8@1+ (1,0) [0|0]\nC m1 : 16|8@1+ (1,0) [0|0]"
+    rest = "SG_MUL_VAL_ 256 C A 1-2;\n"
+    made = config(
+        dbc(tmp_path, signals + "\nD m3 : 24|8@1+ (1,0) [0|0]", f"{rest}SG_MUL_VAL_ 256 D B 3-3;")
+    )
+    assert made.notices == ["M: start values differ in common bits, in which are sent: A before B"]
+
+
+def test_a_command_resets_one_signal(tmp_path: Path) -> None:
+    events = [
+        {"at_s": 0.0, "command": "set M.Low 1"},
+        {"at_s": 0.0, "command": "set M.Alone 2"},
+        {"at_s": 0.015, "command": "reset M.Low"},
+    ]
+    sent = frames(config(dbc(tmp_path, SHARED), events), 0.02)
+    assert bytes(sent[-1].data) == bytes(7) + b"\2"
+
+
+def test_an_unknown_key_of_e2e(tmp_path: Path) -> None:
+    e2e = {"profile": 2, "data_id": [0] * 16, "counter": "B", "crc": "A", "crcs": 1}
+    with pytest.raises(RestbusError, match="unknown key 'crcs'; did you mean 'crc'"):
+        config(dbc(tmp_path, "A : 0|8@1+ (1,0) [0|0]\nB : 8|4@1+ (1,0) [0|0]"), e2e=e2e)
 
 
 def test_a_name_that_stands_twice(tmp_path: Path) -> None:
@@ -592,6 +672,13 @@ def test_long_messages_of_j1939_are_announced_and_sent_packet_by_packet(tmp_path
     assert (counts["frames"], counts["messages"]["M"]["frames"]) == (2, 2)
 
 
+def test_a_long_message_for_all_of_a_group_with_a_receiver(tmp_path: Path) -> None:
+    """The announcement names the parameter group without the receiver."""
+    path = dbc(tmp_path, "S : 0|8@1+ (1,0) [0|0]", J1939, length=9, can_id=0x99EFFF03)
+    sent = frames(config(path, cycle_ms=1000), 0.0)
+    assert bytes(sent[0].data).hex() == "20090002ff00ef01"
+
+
 def test_an_address_sends_one_long_message_after_the_other(tmp_path: Path) -> None:
     """can-j1939 receives both: packets do not say to which message they belong."""
     j1939 = pytest.importorskip("j1939")
@@ -626,6 +713,7 @@ def test_an_address_sends_one_long_message_after_the_other(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("can_id", "length", "cycle_ms", "text"),
     [
+        (0x19EF0503, 20, 1000, "has 20 bytes for one address"),
         (0x18EF0503, 20, 1000, "has 20 bytes for one address, for which J1939 needs the answers"),
         (0x18FECA03, 1786, 60_000, "has 1786 bytes, and 1785 can be sent at most"),
         (0x18FECA03, 20, 150, "J1939 sends its 4 frames 50 ms apart, and address 3 has no time"),
