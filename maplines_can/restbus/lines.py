@@ -91,7 +91,13 @@ def _drive(table: Table, period: float, seed: int, folder: Path, pose_error: boo
     route = None
     if name == "tour":
         route = town_tour(road_map) if path is None else random_tour(road_map, TOUR, seed)
-        way = drive_along(road_map, route)
+        try:
+            way = drive_along(road_map, route)
+        except ValueError as error:
+            raise RestbusError(
+                f"{table.name}: the route chosen at random on {road_map.name} cannot be driven: "
+                f"{error}; set another seed, or drive to the file of a recorded drive"
+            ) from None
     else:
         way = RecordedDrive.from_csv(folder / name, projection=road_map.projection)
         centres = [lane.centre for lane in road_map.lanes.values()]

@@ -13,6 +13,7 @@ import pytest
 from e2e import p01, p02, p04, p05, p06, p07, p11
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from xodr_files import document, geometry, lane, road, section
 
 from maplines_can import Codec, Slot
 from maplines_can.bus.clock import RealClock, VirtualClock
@@ -273,6 +274,14 @@ def test_a_drive_that_is_not_on_the_map_is_refused(tmp_path: Path) -> None:
     (tmp_path / "far.csv").write_text("time,x,y,heading\n0,1e6,0,0\n9,1e6,9,0\n")
     with pytest.raises(DriveFileError, match=r"far\.csv: no position is on the map"):
         run({"lines": {"drive": "far.csv"}}, 0.3, tmp_path)
+
+
+def test_a_tour_that_no_car_can_drive_is_refused(tmp_path: Path) -> None:
+    """The error advises to change what a configuration has."""
+    text = document(road(section(lane(-1)), plan=geometry(length=0.5), length=0.5))
+    (tmp_path / "short.xodr").write_text(text)
+    with pytest.raises(RestbusError, match=r"short\.xodr cannot be driven: .* 0\.5 m, .* seed, or"):
+        run({"lines": {"drive": "tour", "map": "short.xodr"}}, 0.3, tmp_path)
 
 
 def decoded_offsets(messages: list[can.Message]) -> list[float]:
