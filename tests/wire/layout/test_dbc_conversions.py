@@ -1,0 +1,64 @@
+"""The table of conversions in dbc/README.md says what is measured."""
+
+import logging
+import re
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+
+import dbc_conversions
+import pytest
+
+PAGE = Path(__file__).parents[3] / "dbc" / "README.md"
+
+
+def stated(tool: str) -> list[list[str]]:
+    """Return format, messages kept and what is lost in the rows of a tool."""
+    rows = re.findall(rf"^\| {tool} [\d.]+ \| (.*) \|$", PAGE.read_text("utf-8"), re.MULTILINE)
+    return [row.split(" | ") for row in rows]
+
+
+@pytest.fixture
+def quiet() -> Iterator[None]:
+    """Without the warnings of canmatrix."""
+    logging.disable()
+    yield
+    logging.disable(logging.NOTSET)
+
+
+def test_conversions_by_cantools() -> None:
+    """DBC, KCD and SYM keep all messages."""
+    measured = [list(row[1:]) for row in dbc_conversions.rows("cantools")]
+
+    assert stated("cantools") == measured
+    assert [row[1] for row in measured] == ["72 of 72"] * 3
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.usefixtures("quiet")
+def test_conversions_by_canmatrix() -> None:
+    """Of the version in the table; others lose other things."""
+    pytest.importorskip("canmatrix")
+    if version("canmatrix") != dbc_conversions.CANMATRIX:
+        pytest.skip(f"canmatrix is {version('canmatrix')}")
+
+    assert stated("canmatrix") == [list(row[1:]) for row in dbc_conversions.rows("canmatrix")]
+
+
+def test_what_differs_is_seen() -> None:
+    """A message with another factor is not kept, and each loss has its name."""
+    text = (PAGE.parent / "maplines.dbc").read_text("utf-8")
+    load = dbc_conversions.cantools.database.load_string
+    reference = load(text, "dbc")
+    for old, new, kept, lost in (
+        ("", "", 18, []),
+        ("(0.0009765625,0)", "(0.000976562,0)", 2, ["factors after six digits"]),
+        ("(0.0009765625,0)", "(0.001,0)", 2, ["factors"]),
+        ('VFrameFormat" BO_ 840 14', 'VFrameFormat" BO_ 840 0', 18, ["CAN FD flag"]),
+        (" 832 ", " 700 ", 17, ["messages"]),
+        ('[-32|31.9990234375] "m"', '[-32|31.9990234375] "mm"', 18, ["units"]),
+        ("SG_ YOff m0 : 24|16@1-", "SG_ YOff m0 : 24|16@1+", 10, ["signs"]),
+    ):
+        changed = text.replace(old, new) if old else text
+        assert (changed != text) == bool(old)
+        assert dbc_conversions.compared(reference, load(changed, "dbc")) == (kept, lost)
