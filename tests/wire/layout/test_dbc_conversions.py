@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 
+import cantools
 import dbc_conversions
 import pytest
 
@@ -48,7 +49,7 @@ def test_conversions_by_canmatrix() -> None:
 def test_what_differs_is_seen() -> None:
     """A message with another factor is not kept, and each loss has its name."""
     text = (PAGE.parent / "maplines.dbc").read_text("utf-8")
-    load = dbc_conversions.cantools.database.load_string
+    load = cantools.database.load_string
     reference = load(text, "dbc")
     for old, new, kept, lost in (
         ("", "", 18, []),
