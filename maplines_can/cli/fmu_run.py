@@ -170,10 +170,12 @@ def _recorder(stack: ExitStack, path: str) -> Record:
     log = stack.enter_context(LogWriter(path, start))
 
     def write(frame: Transmit, t: float) -> None:
+        data = b"" if frame.is_remote else frame.data
         log.write(
-            Frame(frame.can_id, frame.data, frame.is_fd, frame.is_extended),
+            Frame(frame.can_id, data, frame.is_fd, frame.is_extended),
             start + t,
             is_remote_frame=frame.is_remote,
+            dlc=frame.requested if frame.is_remote else len(data),
             bitrate_switch=frame.bit_rate_switch,
             error_state_indicator=frame.error_state,
         )

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from contextlib import ExitStack
 from pathlib import Path
 
 import can
@@ -9,8 +10,9 @@ import fmus
 import pytest
 
 from maplines_can.cli import main
-from maplines_can.cli.fmu_run import LOG_START
+from maplines_can.cli.fmu_run import LOG_START, _recorder
 from maplines_can.cosimulation import CoSimulation
+from maplines_can.cosimulation.bus_operations import Transmit
 
 pytest.importorskip("fmpy")
 pytestmark = fmus.needs_compiler
@@ -131,3 +133,16 @@ def test_a_missing_fmpy_names_the_extra(
     monkeypatch.setattr("maplines_can.cosimulation.node.find_spec", lambda _: None)
     assert main(["fmu", "run", node]) == 1
     assert 'running FMUs needs fmpy; install the extra "fmi"' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf"])
+def test_a_log_has_the_length_that_a_remote_frame_asks_for(tmp_path: Path, suffix: str) -> None:
+    """Whether or not the operation had data."""
+    path = tmp_path / f"can{suffix}"
+    with ExitStack() as stack:
+        record = _recorder(stack, str(path))
+        record(Transmit(0x12, b"", is_remote=True, requested=4), 0.5)
+        record(Transmit(0x12, bytes(2), is_remote=True, requested=2), 0.6)
+    with can.LogReader(path) as reader:
+        found = [(message.is_remote_frame, message.dlc) for message in reader]
+    assert found == [(True, 4), (True, 2)]
