@@ -17,6 +17,7 @@ import pytest
 from log_frames import frames_of
 
 from maplines_can.bus import LogFrame, read_log
+from maplines_can.bus.frame_block import MAX_OBJECT
 from maplines_can.bus.log_summary import Skipped
 from maplines_can.recordings.blocks import read_blocks
 from maplines_can.values.errors import LogError
@@ -408,6 +409,17 @@ def test_a_container_that_is_missing_is_noticed(tmp_path: Path) -> None:
         missing = len(content) - len(cut)
         assert len(frames) == 2
         assert error == f"truncated after 2 good records, {missing} bytes are missing"
+
+
+def test_objects_of_the_least_and_of_the_greatest_size(tmp_path: Path) -> None:
+    """A head alone, and as much as a reader holds; also as the last of their container."""
+    least = struct.pack("<4sHHLL", b"LOBJ", 16, 1, 16, 65)
+    greatest = thing(65, bytes(MAX_OBJECT - 32))
+    content = [FRAME, least, container(FRAME + least), container(greatest), container(FRAME)]
+    path = tmp_path / "a.blf"
+    path.write_bytes(head_of(b"".join(content)))
+    frames, skipped, _, error = read(path)
+    assert (len(frames), skipped, error) == (3, {Skipped.OTHER: 3}, "")
 
 
 @pytest.mark.parametrize("year", [2200, 1600])

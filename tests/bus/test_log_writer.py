@@ -189,6 +189,25 @@ def test_objects_of_a_blf_log_have_their_whole_size(tmp_path: Path) -> None:
     assert len(content) == 96 + 120
 
 
+def test_a_blf_log_knows_the_number_of_its_objects(tmp_path: Path) -> None:
+    path = tmp_path / "drive.blf"
+    write(path, FRAMES)
+    with can.BLFReader(path) as log:
+        assert (log.object_count, log.start_timestamp, log.stop_timestamp) == (
+            3,
+            START,
+            START + 1.75,
+        )
+
+
+def test_a_frame_before_the_start_of_a_blf_log(tmp_path: Path) -> None:
+    """It has the stamp of the start: the format has no earlier ones."""
+    path = tmp_path / "drive.blf"
+    with LogWriter(path, START) as log:
+        log.write(FRAMES[0], START - 1)
+    assert [frame.t_ns for frame in read_log(path)] == [round(START * 1e9)]
+
+
 def test_many_frames_in_containers(tmp_path: Path) -> None:
     """Some frames begin in a container and end in the next one."""
     path = tmp_path / "drive.blf"

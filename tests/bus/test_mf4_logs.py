@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -268,6 +269,32 @@ def test_groups_that_say_less(tmp_path: Path, missing: str) -> None:
     group = signal("CAN_DataFrame", [0, 1, 2], fields())
     frames, _ = read(written(tmp_path / "a.mf4", group, change=without(missing)))
     assert len(frames) == 3
+
+
+def test_error_frames_that_say_less(tmp_path: Path) -> None:
+    """They are counted by the name of their channel."""
+    errors = signal("CAN_ErrorFrame", [0, 1], {"BusChannel": np.ones(2, np.uint8)})
+    _, summary = read(written(tmp_path / "a.mf4", errors, change=without("flags")))
+    assert summary.skipped == {Skipped.ERROR: 2}
+
+
+@pytest.mark.skipif(not hasattr(time, "tzset"), reason="the zone of a process cannot be set here")
+@pytest.mark.parametrize(("zone", "hours"), [("JST-9", 9), ("EST5", -5)])
+def test_a_start_without_a_zone_is_local_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, zone: str, hours: int
+) -> None:
+    """As python-can writes it, and reads it."""
+    with monkeypatch.context() as patch:
+        patch.setenv("TZ", zone)
+        time.tzset()
+        group = signal("CAN_DataFrame", [0, 1, 2], fields())
+        path = written(tmp_path / "a.mf4", group, start=START.replace(tzinfo=None))
+        frames, _ = read(path)
+        with can.MF4Reader(path) as messages:
+            expected = [message.timestamp for message in messages]
+    time.tzset()
+    assert frames[0].t_ns == START_NS - hours * 3600 * 10**9
+    assert [frame.t_ns / 1e9 for frame in frames] == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("block", [2, 3, 5, 1 << 16])

@@ -91,6 +91,6 @@ def test_a_table_without_a_column_of_a_frame(tmp_path: Path, missing: str) -> No
 def test_a_row_that_is_no_frame_ends_the_reading(
     tmp_path: Path, row: tuple[Any, ...], words: str
 ) -> None:
-    frames = []
+    frames = list[LogFrame]()
     with pytest.raises(LogError, match=f"damaged after 1 good records .*{words}"):
         frames.extend(read_log(written(tmp_path / "a.db", NAMES, [ROWS[0], row])))
