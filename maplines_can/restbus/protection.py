@@ -85,7 +85,7 @@ class Protection:
         there = [other for other in self._fields.all if other.mask & field.mask]
         if [other.mask for other in there] == [field.mask]:
             return there[0]
-        if there or not field.mask:
+        if there:
             raise RestbusError(
                 f"{table.name}: nibble is missing; name the signal of 4 bits that has the high "
                 "nibble of the data ID"

@@ -93,7 +93,7 @@ def _counting(name: str, table: Table, field: Field) -> Value:
     span = abs(ends.last - ends.first)
     # Steps between the raw values would count a page twice.
     least = abs(field.signal.scale) if field.pages else 1e-12
-    unit, default = field.signal.unit or "", min(1.0, span) or 1e-12
+    unit, default = field.signal.unit or "", min(1.0, span)
     step = table.number("step", least, max(span, least), unit, max(default, least))
     whole = isinstance(span, int) and step == int(step)  # exact beyond 53 bits, too
     step = int(step) if whole else step

@@ -134,6 +134,18 @@ def test_a_signal_without_a_start_value(tmp_path: Path, rest: str, expected: int
     assert payload(dbc(tmp_path, "S : 0|8@1+ (1,-40) [0|0]", rest))[0] == expected
 
 
+@pytest.mark.parametrize(("start", "valid"), [(127, 1), (128, 0), (-128, 1), (-129, 0)])
+def test_the_bits_of_a_signed_signal_end_its_start_values(
+    tmp_path: Path, start: int, valid: int
+) -> None:
+    path = dbc(tmp_path, "S : 0|8@1- (1,0) [0|0]", starts(S=start))
+    if valid:
+        assert payload(path)[0] == start % 256
+    else:
+        with pytest.raises(RestbusError, match=r"of its 8 bits, \[-128, 127\]"):
+            config(path)
+
+
 @pytest.mark.parametrize("start", ["256", "-1", "1.5"])
 def test_a_start_value_that_its_bits_cannot_have_is_an_error_at_the_start(
     tmp_path: Path, start: str
@@ -261,6 +273,9 @@ def test_values_of_64_bits_are_exact(tmp_path: Path, factor: str) -> None:
         sent = frames(config(path, [event], signals={"S": given}), 0.03)
         numbers = [int.from_bytes(m.data, "little") for m in sent]
         assert (numbers[0], numbers[-1]) == (first, first - 2)
+    sent = frames(config(path, signals={"S": {"count": [value, value + 24], "step": 12}}), 0.03)
+    steps = [int.from_bytes(m.data, "little") - (2**63 + 1) for m in sent]
+    assert steps == [n % 3 * 12 // int(float(factor)) for n in range(4)]
 
 
 @pytest.mark.parametrize("order", ["0|64@1", "7|64@0"])
@@ -339,7 +354,7 @@ def test_a_named_page_without_signals_can_be_set(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("value", "key"),
     [
-        (1, ""), ([3, 4], ""), ({"count": [3, 9]}, ": count"),
+        (1, ""), ([3, 4], ""), ({"count": [3, 9]}, ": count"), ({"count": [3, 4]}, ": count"),
         ({"ramp": [3, 9], "period_s": 1}, ": ramp"), ({"sine": [9, 3], "period_s": 1}, ": sine"),
     ],
 )  # fmt: skip
@@ -349,6 +364,13 @@ def test_a_page_of_the_configuration_that_does_not_exist_is_an_error_at_the_star
     text = f"message M: Mux{key} selects a page, and .* is none of the DBC; its pages are 3, 9"
     with pytest.raises(RestbusError, match=text):
         config(dbc(tmp_path, MUX), signals={"Mux": value})
+
+
+def test_a_step_within_a_page_is_an_error(tmp_path: Path) -> None:
+    """It would send a page twice; the error has the factor."""
+    path = dbc(tmp_path, MUX)
+    with pytest.raises(RestbusError, match=r"step must be a number in \[1, 6\], got 0.5"):
+        config(path, signals={"Mux": {"count": [3, 9], "step": 0.5}})
 
 
 def test_pages_that_exist_may_be_counted_and_set(tmp_path: Path) -> None:
@@ -459,6 +481,15 @@ def test_a_command_resets_one_signal(tmp_path: Path) -> None:
     ]
     sent = frames(config(dbc(tmp_path, SHARED), events), 0.02)
     assert bytes(sent[-1].data) == bytes(7) + b"\2"
+
+
+def test_what_e2e_sets_cannot_be_set(tmp_path: Path) -> None:
+    path = dbc(tmp_path, "A : 0|8@1+ (1,0) [0|0]\nB : 8|4@1+ (1,0) [0|0]\nC : 17|8@1+ (1,0) [0|0]")
+    e2e = {"profile": 2, "data_id": [0] * 16, "counter": "B", "crc": "A"}
+    with pytest.raises(RestbusError, match=r"M.B is set by e2e; damage it with a fault instead"):
+        frames(config(path, [{"at_s": 0.0, "command": "set M.B 1"}], e2e=e2e))
+    with pytest.raises(RestbusError, match="crc must begin with a byte, C does not"):
+        config(path, e2e=e2e | {"crc": "C"})
 
 
 def test_an_unknown_key_of_e2e(tmp_path: Path) -> None:
