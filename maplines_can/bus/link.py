@@ -7,7 +7,7 @@ import logging
 import time
 from collections.abc import Callable, Iterable
 from enum import Enum
-from typing import Any
+from typing import Any, Self
 from weakref import WeakKeyDictionary
 
 import can
@@ -212,7 +212,7 @@ interface; 'ip -br link' lists those that are
         if bus is not None:
             self._factory.close(bus)
 
-    def __enter__(self) -> Link:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exception: object) -> None:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 Record = TypeVar("Record")
 
@@ -41,6 +41,12 @@ class LogSummary:
     skipped: Counter[Skipped] = field(default_factory=Counter)
     notices: list[str] = field(default_factory=list)
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return the summary, for JSON."""
+        skipped = {str(kind): n for kind, n in self.skipped.items()}
+        rest = {"skipped": skipped, "notices": self.notices}
+        return {"format": self.format, "times": self.times} | rest
+
 
 class LogReader(Iterator[Record], Generic[Record]):
     """Iterator over the records of a log, with its summary so far.
@@ -61,3 +67,12 @@ class LogReader(Iterator[Record], Generic[Record]):
         close = getattr(self._records, "close", None)
         if close is not None:
             close()
+
+
+def skipped_text(skipped: Mapping[Skipped, int]) -> str:
+    """Return the numbers of records that are no data frames as text; empty without any.
+
+    >>> skipped_text({Skipped.ERROR: 1, Skipped.REQUEST: 258})
+    '1 error frame, 258 transmit requests'
+    """
+    return ", ".join(f"{n} {kind}{'s' * (n != 1)}" for kind, n in skipped.items() if n)

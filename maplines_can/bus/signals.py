@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from ..values.errors import DriveFileError, LogError
 from ..values.input_files import checked_path, toml_of
 from ..wire.layout.dbc_reader import Database, DbcSignal, Message, parse_database, read_text
+from .first_frames import FirstFrames, ids_text
 from .j1939 import Reassembler, j1939_messages, nearest, pgn_of, source_of
+from .log_summary import LogSummary, Times
 from .logs import read_log
 
 #: Largest table of signal names [B].
@@ -39,10 +41,12 @@ class SignalLog(Mapping[str, Series]):
     Args:
         series: by name.
         skipped: numbers of frames that are not used, and of damage of the log, by reason.
+        log: summary of the log: its format and times, and what is no data frame, by kind.
     """
 
     series: Mapping[str, Series]
     skipped: Mapping[str, int] = field(default_factory=dict)
+    log: LogSummary = field(default_factory=LogSummary)
 
     def __post_init__(self) -> None:
         for name in ("series", "skipped"):
@@ -189,6 +193,7 @@ def read_signals(
     channel: str | None = None,
     *,
     encoding: str | None = None,
+    times: Times = "auto",
 ) -> SignalLog:
     """Return signals of a log as time series, such as those of a drive for ``RecordedDrive``.
 
@@ -208,6 +213,7 @@ def read_signals(
             header ``column,signal``.
         channel: of the interface, if the log has frames of several; None for all.
         encoding: of the DBC, such as ``cp936``; None to find it.
+        times: kind of the time stamps, see ``read_log``.
 
     Warns:
         UserWarning: a series has values of several senders of J1939; or see ``Layout.from_dbc``.
@@ -218,11 +224,13 @@ def read_signals(
         DriveFileError: the table cannot be read, or a signal is not in the DBC.
     """
     decoder = SignalDecoder(dbc, signals, encoding=encoding)
-    times: dict[str, list[float]] = {column: [] for column in decoder.names}
+    stamps: dict[str, list[float]] = {column: [] for column in decoder.names}
     values: dict[str, list[float]] = {column: [] for column in decoder.names}
+    frames, first, channels = read_log(log, times=times), FirstFrames(), set[str]()
     try:
-        for frame in read_log(log):
+        for frame in frames:
             if channel is not None and frame.channel != channel:
+                channels.add(frame.channel)
                 continue
             found = decoder.decode(
                 frame.can_id,
@@ -230,25 +238,32 @@ def read_signals(
                 is_extended=frame.is_extended,
                 channel=frame.channel,
             )
+            if not found:
+                first.add(frame)
             for column, value in found.items():
-                times[column].append(frame.t_ns * 1e-9)
+                stamps[column].append(frame.t_ns * 1e-9)
                 values[column].append(value)
     except LogError as error:
-        if not all(times.values()):
+        if not all(stamps.values()):
             raise
         decoder.skipped[str(error)] += 1
     for column, name in decoder.names.items():
-        if not times[column]:
-            why = "; ".join(f"{count} times: {why}" for why, count in decoder.damage().items())
+        if not stamps[column]:
+            why = [f"{count} times: {why}" for why, count in decoder.damage().items()]
+            if first.frames and not why:
+                why.append(f"the CAN IDs of the other frames are {ids_text(first.counts)}")
+            elif channels and not first.frames:
+                why.append(f"the channels are {', '.join(sorted(channels))}")
             raise LogError(
                 f"{log}: has no value of {column} = {name}; correct the name, the DBC or the "
-                f"channel{f' ({why})' if why else ''}"
+                f"channel ({'; '.join(why) or 'there is no frame'})"
             )
     for mixture in decoder.mixtures():
         warnings.warn(f"{log}: {mixture}", stacklevel=2)
     return SignalLog(
-        {column: (np.array(times[column]), np.array(values[column])) for column in times},
+        {column: (np.array(stamps[column]), np.array(values[column])) for column in stamps},
         decoder.damage(),
+        frames.summary,
     )
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ..bus import read_log
+from ..bus import LogSummary, read_log
+from ..bus.first_frames import FirstFrames
 from ..simulation.truth import Truth, read_truth, truth_paths
 from ..study.accuracy.consistency import consistency_of
 from ..study.accuracy.evaluation import Accuracy, accuracy_of
@@ -17,9 +17,8 @@ from ..study.accuracy.text import as_text
 from ..values.errors import DriveFileError, LogError
 from ..values.line import MapLine
 from ..wire import Decoder, Reason
-from .fitting_dbc import MAX_IDS, dbc_hint
+from .log_input import add_times, check_received, note_log
 from .options import add_codec, add_cycle, add_transfer_timeout, decoder_of, keyed_codec
-from .output import counts_text
 from .overwriting import add_force, check_new
 from .parsing import add_command, add_json, option_group
 from .stderr import note, with_progress
@@ -58,6 +57,7 @@ def add_accuracy(commands: Any) -> None:
     add_codec(parser)
     add_cycle(parser)
     add_transfer_timeout(parser)
+    add_times(parser)
     add_json(parser)
 
 
@@ -67,28 +67,29 @@ def _accuracy(arguments: argparse.Namespace) -> int:
             f"--plot must be a file that ends in {', '.join(PICTURES)}, got {arguments.plot!r}"
         )
     check_new(arguments, arguments.plot)
-    frames = read_log(arguments.log)
+    frames = read_log(arguments.log, times=arguments.times)
     truth = read_truth(arguments.truth or truth_of(arguments.log))
     codec = keyed_codec(arguments, clock=None)
     decoders: dict[str, Decoder] = {}
-    can_ids: set[int] = set()
-    status, has_time = 0, True
+    first = FirstFrames()
+    status, has_time, is_empty = 0, True, True
 
     def lines() -> Iterator[MapLine]:
-        nonlocal status, has_time
+        nonlocal status, has_time, is_empty
         try:
             for frame in with_progress(frames, " frames"):
-                if len(can_ids) < MAX_IDS:
-                    can_ids.add(frame.can_id)
+                if is_empty:
+                    first.add(frame)
                 decoder = decoders.setdefault(frame.channel, decoder_of(codec, arguments))
                 has_time = frame.has_time
                 found = decoder.feed(
                     frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended
                 )
                 if not isinstance(found, Reason):
+                    is_empty = False
                     yield from found
         except LogError as error:
-            if not any(decoder.lines for decoder in decoders.values()):
+            if is_empty:
                 raise
             note(f"error: {error}")  # the lines before the damage are compared
             status = 1
@@ -96,18 +97,19 @@ def _accuracy(arguments: argparse.Namespace) -> int:
     accuracy = accuracy_of(truth, lines())
     if not has_time:
         raise LogError(f"{arguments.log}: has no time stamps; record it with candump -L")
-    if not accuracy.received:
-        dropped = sum((decoder.counts for decoder in decoders.values()), start=Counter())
-        counts = counts_text({reason.name: n for reason, n in dropped.items()})
-        hint = dbc_hint(can_ids, codec, dropped) if can_ids else ""
-        raise LogError(
-            f"{arguments.log}: has no lines; frames dropped: {counts}{'; ' * bool(hint)}{hint}"
-        )
-    _print(accuracy, truth, arguments)
+    note_log(arguments.log, frames.summary)
+    if is_empty:
+        pose_errors = sum(decoder.pose_errors for decoder in decoders.values())
+        if not pose_errors:
+            check_received(arguments.log, first, codec, frames.summary)
+        raise LogError(f"{arguments.log}: has no lines, and {pose_errors} pose errors")
+    _print(accuracy, truth, frames.summary, arguments)
     return status
 
 
-def _print(accuracy: Accuracy, truth: Truth, arguments: argparse.Namespace) -> None:
+def _print(
+    accuracy: Accuracy, truth: Truth, summary: LogSummary, arguments: argparse.Namespace
+) -> None:
     """Print the accuracy, and draw it if a picture is asked for."""
     if arguments.plot:
         from ..study.accuracy.plot import draw_accuracy
@@ -115,7 +117,7 @@ def _print(accuracy: Accuracy, truth: Truth, arguments: argparse.Namespace) -> N
         draw_accuracy(accuracy, arguments.plot)
     if arguments.json:
         consistency = consistency_of(accuracy)
-        rest: dict[str, Any] = {"lane_changes": truth.lane_changes}
+        rest: dict[str, Any] = {"lane_changes": truth.lane_changes, "log": summary.as_dict()}
         rest["consistency"] = None if consistency is None else consistency.as_dict()
         print(json.dumps(accuracy.as_dict() | rest, indent=2))
     else:

@@ -14,11 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bus import Link, Receiver, read_log
+from ..bus.log_summary import Times
 from ..propagation import pose_time_ns
+from ..recordings.fitting import check_fit
 from ..values.gaussian import Gaussian
 from ..values.line import PARAMETERS, MapLine, Slot
 from ..wire import Codec, Reason
 from .consume_input import table_rows
+from .log_input import note_log
 from .options import bus_settings, codec_from
 from .parsing import option_group
 from .stderr import note
@@ -95,7 +98,9 @@ def camera_of(arguments: argparse.Namespace) -> Iterator[NewLines]:
             _of_table(arguments.camera)
             if _is_table(arguments.camera)
             else _of_log(
-                arguments.camera, codec_from(arguments.camera_dbc, encoding=arguments.encoding)
+                arguments.camera,
+                codec_from(arguments.camera_dbc, encoding=arguments.encoding),
+                arguments.times,
             )
         )
     else:
@@ -134,13 +139,25 @@ def _aged(line: MapLine, now_ns: int) -> MapLine | None:
     return replace(line, age=age, t_ns=None) if age <= OLDEST else None
 
 
-def _of_log(path: str, codec: Codec) -> Iterator[MapLine]:
-    """Yield the lines in a log, with their times."""
-    decoder = codec.decoder()
-    for frame in read_log(path):
-        found = decoder.feed(frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended)
-        if not isinstance(found, Reason):
-            yield from found
+def _of_log(path: str, codec: Codec, times: Times = "auto") -> Iterator[MapLine]:
+    """Return an iterator over the lines in a log, with their times.
+
+    Raises:
+        LogError: it has none.
+    """
+    check_fit(path, codec, times=times)
+    decoder, frames = codec.decoder(), read_log(path, times=times)
+
+    def lines() -> Iterator[MapLine]:
+        for frame in frames:
+            answer = decoder.feed(
+                frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended
+            )
+            if not isinstance(answer, Reason):
+                yield from answer
+        note_log(path, frames.summary)
+
+    return lines()
 
 
 def _is_table(path: str) -> bool:

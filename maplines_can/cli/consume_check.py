@@ -131,18 +131,16 @@ def _check(arguments: argparse.Namespace) -> int:
             counts[result.outcome] += 1
             alarms += result.raised
             if result.outcome is not last or t >= due - 1e-9:
-                _print(t, result, as_json=arguments.json)
+                _print(t, result, source.skipped if arguments.json else None)
                 last, due = result.outcome, t + arguments.every
     note(
         f"{alarms} alarms; "
         + ", ".join(f"{counts[outcome]} cycles {outcome.name}" for outcome in Outcome)
     )
     if counts[Outcome.UNCHECKED] == counts.total():
-        note(
-            "error: nothing was compared: there was no usable scene with a line that the camera "
-            f"sees, too; {source.why_nothing()}"
+        return source.report_nothing(
+            "nothing was compared: there was no usable scene with a line that the camera sees, too"
         )
-        return 1
     return 3 if alarms else 0
 
 
@@ -179,9 +177,10 @@ def _seen(new_lines: NewLines) -> Camera:
     return lines
 
 
-def _print(t: float, result: Check, *, as_json: bool) -> None:
+def _print(t: float, result: Check, skipped: dict[str, int] | None) -> None:
+    """Print a row; as JSON with the counters of skipped records, otherwise as text."""
     suspect = None if result.suspect is None else result.suspect.name
-    if as_json:
+    if skipped is not None:
         row = {
             "t": round(t, 3),
             "outcome": result.outcome.name,
@@ -189,6 +188,7 @@ def _print(t: float, result: Check, *, as_json: bool) -> None:
             "statistic": result.statistic,
             "lines": [slot.name for slot in result.slots],
             "suspect": suspect,
+            "skipped": skipped,
         }
         print(json.dumps(row), flush=True)
         return

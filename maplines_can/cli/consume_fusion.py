@@ -20,7 +20,6 @@ from .consume_input import PERIOD, ConsumerCycle, Input, add_input, scene_codec
 from .consume_motion import MotionAt, add_motion, motion_of
 from .output import LANE, LANE_X
 from .parsing import add_command, number, option_group
-from .stderr import note
 
 #: Motion of a car of which none is known: means and standard deviations [m/s, rad/s].
 UNKNOWN_MOTION = Motion.with_sigma(15.0, 0.0, (10.0, 0.3))
@@ -83,16 +82,16 @@ def _fusion(arguments: argparse.Namespace) -> int:
         camera_of(arguments) as camera,
         source as cycles,
     ):
-        rows = _print_rows(_epochs(cycles, motion, camera), arguments)
+        rows = _print_rows(_epochs(cycles, motion, camera), arguments, source)
     if not rows:
-        why = source.why_nothing()
-        note(f"error: no scene with a line of the ego lane was received; {why}")
-        return 1
+        return source.report_nothing("no scene with a line of the ego lane was received")
     return 0
 
 
 def _print_rows(
-    epochs: Iterator[tuple[LaneFusion, FusionInputs]], arguments: argparse.Namespace
+    epochs: Iterator[tuple[LaneFusion, FusionInputs]],
+    arguments: argparse.Namespace,
+    source: Input | None = None,
 ) -> int:
     """Fuse until the end or Ctrl-C, and print rows; return the number of those with a lane."""
     last = None
@@ -103,6 +102,7 @@ def _print_rows(
             if last is None or abs(epoch.t_ns - last) >= round(1e9 * arguments.every) - 1:
                 last = epoch.t_ns
                 row = lane_dict(lane, epoch)
+                row["skipped"] = {} if source is None else source.skipped
                 print(json.dumps(row) if arguments.json else lane_text(row), flush=True)
                 rows += lane.scene is not None
     except KeyboardInterrupt:

@@ -11,10 +11,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
 
-from ..bus import Link, Receiver, read_log
+from ..bus import LogSummary, Receiver, read_log
+from ..bus.first_frames import FirstFrames
 from ..values.input_files import lines_of
 from ..wire import Codec, SceneView
-from .fitting_dbc import MAX_IDS, dbc_hint
+from .log_input import ObservedLink, add_times, note_log, why_silent
 from .options import (
     add_bus,
     add_codec,
@@ -24,7 +25,6 @@ from .options import (
     decoder_of,
     keyed_codec,
 )
-from .output import counts_text
 from .parsing import add_json, number, option_group, seconds
 from .stderr import note, with_progress
 
@@ -49,6 +49,7 @@ def add_input(parser: argparse.ArgumentParser, what: str) -> None:
     add_codec(parser)
     add_cycle(parser)
     add_transfer_timeout(parser)
+    add_times(parser)
     add = option_group(parser, "output").add_argument
     add("--seconds", type=seconds, metavar="S", help="stop after this time [s]")
     add(
@@ -93,7 +94,9 @@ class Input:
     def __init__(self, arguments: argparse.Namespace) -> None:
         codec = scene_codec(arguments)
         self._arguments, self._decoder = arguments, decoder_of(codec, arguments)
-        self._codec, self._can_ids = codec, set[int]()
+        self._codec, self._first, self._is_cut = codec, FirstFrames(), False
+        self.summary = LogSummary()  #: of the log
+        self._link: ObservedLink | None = None
 
     def __enter__(self) -> Generator[ConsumerCycle, None, None]:
         self._cycles = self._counted()
@@ -106,35 +109,48 @@ class Input:
         trace: TracebackType | None,
     ) -> bool:
         self._cycles.close()
+        if self._arguments.log:
+            note_log(self._arguments.log, self.summary)
         return kind is KeyboardInterrupt
 
-    def why_nothing(self) -> str:
-        """Return what to check if no scene could be used; call it after the cycles."""
-        decoder, codec = self._decoder, self._codec
-        if not decoder.frames:
-            if self._arguments.log:
-                return "the log has no frame"
-            return (
-                "no frame of the messages of --dbc has arrived; check that the sender runs, on the "
-                "same --interface and --channel"
-                + ", and whether it sends CAN FD (--fd)"
-                * (not self._arguments.fd)
-            )
+    @property
+    def skipped(self) -> dict[str, int]:
+        """Records of the log so far that are no data frames, by kind, for JSON."""
+        return {str(kind): n for kind, n in self.summary.skipped.items()}
+
+    def report_nothing(self, what: str) -> int:
+        """Print that there was nothing to use, and what to check; return the exit status.
+
+        It is 0 if --seconds leaves out what there may be. Call it after the cycles.
+
+        Args:
+            what: that was not there.
+        """
+        decoder, log = self._decoder, self._arguments.log
+        counts = f"{decoder.lines} lines and {decoder.pose_errors} pose errors"
         if not (decoder.lines or decoder.pose_errors):
-            counts = {reason.name: count for reason, count in decoder.counts.items()}
-            hint = dbc_hint(self._can_ids or codec.can_ids, codec, decoder.counts)
-            return (
-                f"none of {decoder.frames} frames completed a line (dropped: "
-                f"{counts_text(counts)}); "
-                + (hint or "check whether --dbc and the keys are those of the sender")
+            why = self._why_silent()
+        elif self._is_cut:
+            note(f"{what} in --seconds {self._arguments.seconds:g}, with {counts}")
+            return 0
+        elif not decoder.pose_errors:
+            why = SENDER
+        else:
+            why = (
+                f"{counts} have been received; check whether they are too old, incomplete or not "
+                "of the ego lane: 'maplines receive' and 'decode' print them"
             )
-        if not decoder.pose_errors:
-            return SENDER
-        return (
-            f"{decoder.lines} lines and {decoder.pose_errors} pose errors have been received; "
-            "check whether they are too old, incomplete or not of the ego lane: 'maplines receive' "
-            "and 'decode' print them"
-        )
+        note(f"error: {what}; {f'{log}: ' if log else ''}{why}")
+        return 1
+
+    def _why_silent(self) -> str:
+        """Return why neither a line nor a pose error was received."""
+        if self._link is not None:
+            counts, fd = self._decoder.counts, self._arguments.fd
+            return why_silent(self._link, self._codec, counts, fd=fd)
+        from ..recordings.fitting import misfit
+
+        return misfit(self._first, [self._codec], self.summary).text
 
     def _counted(self) -> Generator[ConsumerCycle, None, None]:
         first, most = None, self._arguments.seconds
@@ -143,6 +159,7 @@ class Input:
             first = mono_ns if first is None else first
             if most is not None and mono_ns - first >= most * 1e9:
                 found.close()
+                self._is_cut = bool(self._arguments.log)
                 return
             yield ConsumerCycle(mono_ns - first, now_ns, view)
 
@@ -150,11 +167,13 @@ class Input:
         path, decoder = self._arguments.log, self._decoder
         step = round(PERIOD * 1e9)
         due: int | None = None
-        for frame in with_progress(read_log(path), " frames"):
+        frames = read_log(path, times=self._arguments.times)
+        self.summary = frames.summary
+        for frame in with_progress(frames, " frames"):
             if not frame.has_time:
                 raise ValueError(f"LOG: {path} has no time stamps; record it with candump -L")
-            if len(self._can_ids) < MAX_IDS:
-                self._can_ids.add(frame.can_id)
+            if not decoder.lines:
+                self._first.add(frame)
             due = frame.t_ns + step if due is None else due
             if frame.t_ns - due > 60 * 10**9:  # a pause, not a drive
                 due = frame.t_ns
@@ -167,8 +186,10 @@ class Input:
 
     def _from_bus(self) -> Generator[Found, None, None]:
         with ExitStack() as stack:
-            link = stack.enter_context(Link(**bus_settings(self._arguments)))
-            receiver = stack.enter_context(Receiver(link, self._decoder, on_line=lambda _: None))
+            link = ObservedLink(self._decoder, **bus_settings(self._arguments))
+            self._link = stack.enter_context(link)
+            receiver = Receiver(link, self._decoder, on_line=lambda _: None, can_ids=None)
+            stack.enter_context(receiver)
             if not self._arguments.json:
                 note(f"listening on {link.name}; stop with Ctrl-C")
             due = time.monotonic()

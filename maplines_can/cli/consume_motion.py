@@ -15,6 +15,7 @@ from ..bus import Link, SignalDecoder, read_signals
 from ..propagation import Motion
 from ..simulation.columns import COLUMNS
 from .consume_input import table_rows
+from .log_input import note_log
 from .options import bus_settings
 from .output import counts_text
 from .parsing import number, option_group
@@ -176,7 +177,15 @@ def _table(path: str) -> dict[str, Series]:
 def _signals(arguments: argparse.Namespace) -> dict[str, Series]:
     """Return the series of signals in a log."""
     log = arguments.motion or arguments.log
-    found = read_signals(log, arguments.signals_dbc, arguments.signals, encoding=arguments.encoding)
+    found = read_signals(
+        log,
+        arguments.signals_dbc,
+        arguments.signals,
+        encoding=arguments.encoding,
+        times=arguments.times,
+    )
+    if log != arguments.log:
+        note_log(log, found.log)
     if found.skipped:
         note(f"{log}: skipped: {counts_text(found.skipped)}")
     return _in_si_units(found, f"--signals {arguments.signals}")

@@ -11,7 +11,6 @@ from ..consumers.steering import Command, LaneSteering, SteeringState
 from ..propagation import Motion
 from .consume_input import PERIOD, Input, add_input
 from .parsing import add_command, number, option_group
-from .stderr import note
 
 DESCRIPTION = """\
 Follow the ego lane by received lines, and print the demanded curvature and speed, the state, and
@@ -50,16 +49,15 @@ def _steer(arguments: argparse.Namespace) -> int:
             motion = Motion(command.speed, command.speed * command.curvature)
             engaged |= command.state is not SteeringState.HANDOVER
             if command.state is not state or t >= due - 1e-9:
-                _print(t, command, as_json=arguments.json)
+                _print(t, command, source.skipped if arguments.json else None)
                 state, due = command.state, t + arguments.every
     if not engaged:
-        why = source.why_nothing()
-        note(f"error: there was no usable scene with a boundary of the ego lane; {why}")
-        return 1
+        return source.report_nothing("there was no usable scene with a boundary of the ego lane")
     return 0
 
 
-def _print(t: float, command: Command, *, as_json: bool) -> None:
+def _print(t: float, command: Command, skipped: dict[str, int] | None) -> None:
+    """Print a row; as JSON with the counters of skipped records, otherwise as text."""
     path = command.path
     row = {
         "t": round(t, 3),
@@ -71,8 +69,8 @@ def _print(t: float, command: Command, *, as_json: bool) -> None:
         "sigma": None if path is None else float(path.sigma[0]),
         "reach": None if path is None else path.reach,
     }
-    if as_json:
-        print(json.dumps(row), flush=True)
+    if skipped is not None:
+        print(json.dumps(row | {"skipped": skipped}), flush=True)
         return
     radius = math.inf if abs(command.curvature) < 1e-4 else 1 / command.curvature
     where = ""

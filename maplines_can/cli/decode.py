@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections import Counter
 from collections.abc import Generator, Iterator
 from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
 from ..bus import LogFrame, read_log
+from ..bus.first_frames import FirstFrames
 from ..values.errors import LogError
 from ..values.line import MapLine
 from ..wire import Codec, Decoder, Reason, SceneView
@@ -21,9 +21,10 @@ from .decode_tables import (
     beyond_text,
     check_tables,
     note_decoders,
+    note_slots,
     write_files,
 )
-from .fitting_dbc import MAX_IDS, choose_dbc, dbc_hint
+from .log_input import add_times, check_received, choose_dbc, note_log
 from .options import (
     add_codec,
     add_cycle,
@@ -71,6 +72,7 @@ def add_decode(commands: Any) -> None:
     add_codec(parser)
     add_cycle(parser)
     add_transfer_timeout(parser)
+    add_times(parser)
     parser.add_argument(
         "logs",
         metavar="LOG",
@@ -113,9 +115,8 @@ def _print_lines(arguments: argparse.Namespace) -> int:
             "the log has no time stamps, so nothing that depends on time is checked; use candump -L"
         )
     log.note_counters()
-    if not log.status and (hint := log.hint()):
-        note(f"error: {arguments.log}: {hint}")
-        return 1
+    if log.is_empty and log.status != 130:
+        check_received(arguments.log, log.first, codec, log.summary)
     return log.status
 
 
@@ -133,11 +134,12 @@ class DecodedLog:
     def __init__(self, codec: Codec, arguments: argparse.Namespace) -> None:
         self.status, self.has_time = 0, True
         self._codec, self._arguments = codec, arguments
-        self._frames = read_log(sys.stdin.buffer if arguments.log == "-" else arguments.log)
+        source = sys.stdin.buffer if arguments.log == "-" else arguments.log
+        self._frames = read_log(source, times=arguments.times)
+        self.summary, self.first = self._frames.summary, FirstFrames()
         self._decoders: dict[str, Decoder] = {}
         self._scenes: dict[str, SceneView] = {}  # the newest of each channel, with --scenes
-        self._can_ids: set[int] = set()
-        self._last_ns = self._beyond = 0
+        self._lines = self._printed = self._last_ns = self._beyond = 0
 
     def lines(self) -> Generator[tuple[str, MapLine], None, None]:
         """Yield the lines with their channels; print the scenes."""
@@ -146,6 +148,8 @@ class DecodedLog:
                 if self._knows(frame):
                     yield from self._feed(frame)
         except LogError as error:  # the intact records have been read by now
+            if not self._decoders:
+                raise
             note(f"error: {error}")
             self.status = 1
         if self._beyond:
@@ -160,8 +164,8 @@ class DecodedLog:
 
     def _knows(self, frame: LogFrame) -> bool:
         """Return whether there is a decoder for the channel of a frame, now at the latest."""
-        if len(self._can_ids) < MAX_IDS:
-            self._can_ids.add(frame.can_id)
+        if not self._lines:
+            self.first.add(frame)
         if frame.channel in self._decoders:
             return True
         if len(self._decoders) == MAX_CHANNELS:
@@ -177,9 +181,11 @@ class DecodedLog:
             frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended
         )
         if not isinstance(found, Reason):
+            self._lines += len(found)
             for line in found:
                 if self._arguments.slots is not None and line.slot not in self._arguments.slots:
                     continue
+                self._printed += 1
                 yield frame.channel, line if self.has_time else replace(line, t_ns=None)
         self._see(frame.channel)
 
@@ -199,14 +205,13 @@ class DecodedLog:
         row = scene_dict(view) | ({} if self.has_time else {"t": None})
         print(json.dumps(row | {"channel": channel}), flush=True)
 
-    def hint(self) -> str:
-        """Return of which DBC the frames are if there is neither a line nor a pose error."""
-        decoders = self._decoders.values()
-        if not self._can_ids or any(one.lines or one.pose_errors for one in decoders):
-            return ""
-        dropped = sum((one.counts for one in decoders), Counter())
-        return dbc_hint(self._can_ids, self._codec, dropped)
+    @property
+    def is_empty(self) -> bool:
+        """Whether there was neither a line nor a pose error."""
+        return not any(one.lines or one.pose_errors for one in self._decoders.values())
 
     def note_counters(self) -> None:
         """Print the counters of all frames, and the state of each slot at the end of the log."""
+        note_log(self._arguments.log, self.summary)
         note_decoders(self._decoders, self._last_ns)
+        note_slots(self._arguments, self._lines, self._printed)

@@ -12,7 +12,7 @@ from typing import Any
 
 from ..values.line import Slot
 from ..wire import POSE, SHIPPED, Decoder, default_dbc_path
-from .fitting_dbc import dbc_hint
+from .log_input import check_received, note_log
 from .options import check_scenes, keyed_codec
 from .output import POSE_ERROR, check_text, counts_text, pose_errors_text, slot_text
 from .overwriting import add_force, check_new
@@ -97,7 +97,7 @@ def _write_file(arguments: argparse.Namespace, out: Path) -> int:
     if not out.parent.is_dir():
         raise ValueError(f"-o {out}: there is no folder {out.parent}")
     (log,) = arguments.logs
-    receiver = LogReceiver(codec, scenes=arguments.scenes, **_times(arguments))
+    receiver = LogReceiver(codec, scenes=arguments.scenes, **_timing(arguments))
     writer = open_tables(path_of, About.of(codec, log, arguments.at), out.suffix)
     tables = _tables(arguments)
     done = 0
@@ -109,10 +109,10 @@ def _write_file(arguments: argparse.Namespace, out: Path) -> int:
             progress(done, done)
 
         source: Any = sys.stdin.buffer if log == "-" else log
-        files, damage = write_tables(receiver, source, writer, tables, count)
+        written = write_tables(receiver, source, writer, tables, count)
     status = 0
-    if damage:
-        note(f"error: {damage}")
+    if written.damage:
+        note(f"error: {written.damage}")
         status = 1
     if receiver.beyond:
         note(beyond_text(log, receiver.beyond))
@@ -121,14 +121,13 @@ def _write_file(arguments: argparse.Namespace, out: Path) -> int:
         note(
             "the log has no time stamps, so nothing that depends on time is checked; use candump -L"
         )
+    note_log(log, written.summary)
     note_decoders(receiver.decoders, receiver.last_ns)
-    note(f"written: {' '.join(map(str, files))}")
-    if status or not receiver.can_ids or not receiver.is_empty:
-        return status
-    if hint := dbc_hint(receiver.can_ids, codec, receiver.counts):
-        note(f"error: {log}: {hint}")
-        return 1
-    return 0
+    note_slots(arguments, sum(one.lines for one in receiver.decoders.values()), written.lines)
+    note(f"written: {' '.join(map(str, written.files))}")
+    if receiver.is_empty and (receiver.frames or not status):
+        check_received(log, receiver.first, codec, written.summary)
+    return status
 
 
 def _write_folder(arguments: argparse.Namespace, folder: Path) -> int:
@@ -154,8 +153,9 @@ def _write_folder(arguments: argparse.Namespace, folder: Path) -> int:
     note(
         f"{sum(result['lines'] for result in results)} lines from "
         f"{sum(result['frames'] for result in results)} frames; logs: {len(results)}, "
-        f"{len(bad)} of them damaged; dropped frames: {counts_text(dropped_of(results))}"
+        f"{len(bad)} of them with an error; dropped frames: {counts_text(dropped_of(results))}"
     )
+    note_slots(arguments, *(sum(result[key] for result in results) for key in ("lines", "rows")))
     note(f"written: {folder}; {folder / 'manifest.jsonl'} has the result of each log")
     return 1 if bad else 0
 
@@ -172,11 +172,12 @@ def _tables(arguments: argparse.Namespace) -> Any:
         encoding=arguments.encoding,
         slots=arguments.slots,
         scenes=arguments.scenes,
-        **_times(arguments),
+        times=arguments.times,
+        **_timing(arguments),
     )
 
 
-def _times(arguments: argparse.Namespace) -> dict[str, float | None]:
+def _timing(arguments: argparse.Namespace) -> dict[str, float | None]:
     return {"cycle_ms": arguments.cycle_ms, "timeout_ms": arguments.transfer_timeout}
 
 
@@ -213,6 +214,13 @@ def beyond_text(log: str, frames: int) -> str:
         f"error: {log}: {frames} frames are not read, they are of "
         f"channels beyond the first {MAX_CHANNELS}; split the log by channel"
     )
+
+
+def note_slots(arguments: argparse.Namespace, received: int, kept: int) -> None:
+    """Say that ``--slots`` leaves out all lines, if it does."""
+    if received and not kept:
+        names = ",".join(slot.name.lower().replace("_", "-") for slot in arguments.slots or ())
+        note(f"none of the {received} lines is of --slots {names}")
 
 
 def note_decoders(decoders: Mapping[str, Decoder], last_ns: int) -> None:

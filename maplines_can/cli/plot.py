@@ -11,7 +11,7 @@ from typing import Any
 
 from ..values.errors import MaplinesError
 from .decode_tables import distances, slots
-from .fitting_dbc import choose_dbc
+from .log_input import add_times, choose_dbc, note_log
 from .options import add_codec, keyed_codec
 from .overwriting import add_force, check_new
 from .parsing import add_command, option_group
@@ -39,6 +39,7 @@ def add_plot(commands: Any) -> None:
     )
     parser = add_command(commands, "plot", _plot, DESCRIPTION, example)
     add_codec(parser)
+    add_times(parser)
     parser.add_argument("logs", metavar="LOG", nargs="+", help="log file, as for 'decode'")
     add = option_group(parser, "output").add_argument
     add(
@@ -51,7 +52,7 @@ def add_plot(commands: Any) -> None:
     add("--slots", type=slots, metavar="NAME,...", help="these lines only, such as ego-left")
     add(
         "--time",
-        type=_times,
+        type=_time,
         default=(-math.inf, math.inf),
         metavar="FROM..TO",
         help="draw this time only [s], from the first line on, such as 10..20 or 30..",
@@ -82,8 +83,14 @@ def _plot(arguments: argparse.Namespace) -> int:
     for log in arguments.logs:
         source: Any = sys.stdin.buffer if log == "-" else log
         found, damage = recorded(
-            source, codec, arguments.at, slots=arguments.slots, time=arguments.time
+            source,
+            codec,
+            arguments.at,
+            slots=arguments.slots,
+            time=arguments.time,
+            times=arguments.times,
         )
+        note_log(log, found.log)
         if damage:
             note(f"error: {damage}")
             status = 1
@@ -116,10 +123,10 @@ def _with_truth(recording: Any, path: str) -> Any:
     return replace(recording, truth={slot: (t[here], y[here]) for slot, (_, y) in lines.items()})
 
 
-def _times(text: str) -> tuple[float, float]:
+def _time(text: str) -> tuple[float, float]:
     """Return the time of ``--time``.
 
-    >>> _times("10..20"), _times("30..")
+    >>> _time("10..20"), _time("30..")
     ((10.0, 20.0), (30.0, inf))
     """
     begin, dots, end = text.partition("..")

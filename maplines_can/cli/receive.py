@@ -5,13 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
-from ..bus import Link, Receiver, ReceiverStats
+from ..bus import Receiver, ReceiverStats
 from ..values.line import MapLine
-from ..wire import E2EState, SceneView, SlotStats
+from ..wire import Codec, E2EState, SceneView, SlotStats
+from .log_input import ObservedLink, why_silent
 from .options import (
     add_bus,
     add_codec,
@@ -102,34 +104,39 @@ def _receive(arguments: argparse.Namespace) -> int:
     if arguments.scenes and not arguments.json:
         raise ValueError("--scenes needs --json; as text, the ego lane of scenes is printed anyway")
     opener = fault_opener(arguments)
+    decoder = decoder_of(codec, arguments)
     with (
-        Link(opener, **bus_settings(arguments)) as link,
-        Receiver(
-            link, decoder_of(codec, arguments), can_ids=codec.can_ids, queue_size=WAITING
-        ) as receiver,
+        ObservedLink(decoder, opener, **bus_settings(arguments)) as link,
+        Receiver(link, decoder, can_ids=None, queue_size=WAITING) as receiver,
     ):
         if not arguments.json:
             note(f"listening on {link.name}; stop with Ctrl-C")
         has_scenes = codec.layout.pose is not None and (arguments.scenes or not arguments.json)
-        left = _print_lines(receiver, has_scenes, arguments)
+        why = partial(_why_nothing, link, codec, fd=arguments.fd)
+        left = _print_lines(receiver, has_scenes, why, arguments)
         stats, faults, slots = receiver.stats(), fault_counts(opener), _checks(receiver)
     _note_stats(stats)
     for name, check in slots.items():
         note(f"{slot_text(name)}: {check_text(check)}")
     if faults:
         note(f"faults: {faults_text(faults)}")
-    if not stats.lines and arguments.timeout is not None:
-        note(f"error: nothing received: {_why_nothing(stats, arguments)}")
+    if not stats.lines:
+        note(f"error: nothing received: {why(stats)}")
         return 1
     return 0 if left in (None, 0) else 1
 
 
-def _print_lines(receiver: Receiver, has_scenes: bool, arguments: argparse.Namespace) -> int | None:
+def _print_lines(
+    receiver: Receiver,
+    has_scenes: bool,
+    why: Callable[[ReceiverStats], str],
+    arguments: argparse.Namespace,
+) -> int | None:
     """Print lines and scenes as they arrive; return how many of ``--count`` are left."""
     left = arguments.count
     scene: SceneView | None = None  # the newest, to which late lines may come
     with suppress(KeyboardInterrupt):
-        for line, check in _arriving(receiver, arguments):
+        for line, check in _arriving(receiver, why, arguments):
             if has_scenes:
                 now = receiver.latest_scene()
                 if scene is not None and is_another_scene(now, scene):
@@ -182,22 +189,15 @@ def _print_scene(scene: SceneView, receiver: Receiver, arguments: argparse.Names
         print(text, flush=True)
 
 
-def _why_nothing(stats: ReceiverStats, arguments: argparse.Namespace) -> str:
+def _why_nothing(link: ObservedLink, codec: Codec, stats: ReceiverStats, *, fd: bool) -> str:
     """Return what to check if no line has arrived."""
-    if stats.frames:
-        dropped = counts_text({reason.name: n for reason, n in stats.counts.items()})
-        return (
-            f"{stats.frames} frames have arrived, but none completed a line (dropped: {dropped}); "
-            "check whether --dbc and the keys are those of the sender"
-        )
-    return (
-        "no frame has arrived; check that the sender runs, on the same --interface and --channel, "
-        "with the same --dbc" + ("" if arguments.fd else ", and whether it sends CAN FD (--fd)")
-    )
+    if stats.pose_errors:
+        return f"{stats.pose_errors} pose errors have arrived, but no line"
+    return why_silent(link, codec, stats.counts, fd=fd)
 
 
 def _arriving(
-    receiver: Receiver, arguments: argparse.Namespace
+    receiver: Receiver, why: Callable[[ReceiverStats], str], arguments: argparse.Namespace
 ) -> Iterator[tuple[MapLine, SlotStats]]:
     """Yield lines with the checks of their slots; print each change of a state.
 
@@ -221,7 +221,7 @@ def _arriving(
             continue
         if is_silent and time.monotonic() - start >= SILENCE:
             is_silent = False
-            note(f"no line for {SILENCE:g} s: {_why_nothing(receiver.stats(), arguments)}")
+            note(f"no line for {SILENCE:g} s: {why(receiver.stats())}")
         if timeout is not None and time.monotonic() - last >= timeout:
             note(f"no line for {timeout:g} s")
             return

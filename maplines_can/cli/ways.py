@@ -17,6 +17,7 @@ from ..simulation.recorded import RecordedDrive
 from ..simulation.trajectory import CarState, SimulatedDrive, drive_along
 from ..values.errors import DriveFileError, RouteError
 from ..values.line import Slot
+from .log_input import add_times, note_log
 from .output import counts_text
 from .parsing import number, option_group
 from .stderr import note
@@ -51,6 +52,7 @@ def add_way(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="DBC of these signals: that of the car, whereas --dbc is that of the lines",
     )
+    add_times(parser)
 
 
 def add_route(group: Any) -> None:
@@ -205,8 +207,13 @@ def _from_table(road_map: Map, name: str) -> RecordedDrive:
 
 def _from_log(road_map: Map, arguments: argparse.Namespace) -> RecordedDrive:
     signals = read_signals(
-        arguments.drive, arguments.signals_dbc, arguments.signals, encoding=arguments.encoding
+        arguments.drive,
+        arguments.signals_dbc,
+        arguments.signals,
+        encoding=arguments.encoding,
+        times=arguments.times,
     )
+    note_log(arguments.drive, signals.log)
     if signals.skipped:
         note(f"{arguments.drive}: skipped: {counts_text(signals.skipped)}")
     try:

@@ -12,15 +12,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ..bus.log_summary import LogSummary, Times
 from ..engines import Result, Task, in_processes, in_this_process, on_dask
 from ..values.errors import LogError
 from ..values.input_files import json_of
 from ..values.line import Slot
 from ..wire import Codec
 from .blocks import FrameBlock, read_blocks
+from .fitting import misfit
 from .formats import About, TableWriter, open_tables
 from .line_block import LineBlock
-from .receive import LogReceiver
+from .receive import MAX_CHANNELS, LogReceiver
 from .table import checked_at, line_table
 
 #: Suffixes of logs in a directory, also compressed (.gz).
@@ -39,6 +41,23 @@ class Tables(NamedTuple):
     scenes: bool = False
     cycle_ms: float | None = None
     timeout_ms: float | None = None
+    times: Times = "auto"
+
+
+class Written(NamedTuple):
+    """What was written of a log.
+
+    Args:
+        files: of the tables.
+        lines: in the table of lines.
+        damage: why the log is damaged, or nothing.
+        summary: of the log.
+    """
+
+    files: list[Path]
+    lines: int
+    damage: str
+    summary: LogSummary
 
 
 def logs_of(places: Iterable[str]) -> list[Path]:
@@ -75,31 +94,34 @@ def write_tables(
     writer: TableWriter,
     tables: Tables,
     progress: Callable[[int], None] = lambda _frames: None,
-) -> tuple[list[Path], str]:
-    """Write the tables of a log; return their files, and why the log is damaged, or nothing.
+) -> Written:
+    """Write the tables of a log.
 
     Raises:
         LogError: the log cannot be opened, or has no good record.
         OSError: a file cannot be written.
     """
     checked_at(tables.at)
-    damage, blocks = "", 0
+    damage, lines = "", 0
 
-    def write(lines: LineBlock, frames: FrameBlock | None) -> None:
-        writer.write(line_table(lines, frames, tables.at, tables.slots, scenes=tables.scenes))
+    def write(received: LineBlock, frames: FrameBlock | None) -> None:
+        nonlocal lines
+        table = line_table(received, frames, tables.at, tables.slots, scenes=tables.scenes)
+        lines += len(table)
+        writer.write(table)
 
     try:
+        blocks = read_blocks(log, times=tables.times)
         try:
-            for block in read_blocks(log):
+            for block in blocks:
                 write(receiver.feed(block), block)
-                blocks += 1
                 progress(len(block))
         except LogError as error:
-            if not blocks:
+            if not receiver.frames:
                 raise
             damage = str(error)
         write(receiver.finish(), None)
-        return writer.close(), damage
+        return Written(writer.close(), lines, damage, blocks.summary)
     except BaseException:
         writer.abort()
         raise
@@ -132,7 +154,8 @@ def write_data_set(
 
     Returns:
         The results of all logs, in their order: ``log``, ``frames``, ``lines``, ``dropped``,
-        ``error`` and ``files``, which are relative to the folder.
+        ``error``, ``files``, which are relative to the folder, ``rows`` of the table of lines, and
+        ``format``, ``times``, ``skipped`` and ``notices`` of the `LogSummary`.
 
     Raises:
         ValueError: the folder has tables of other options, or files of another format.
@@ -172,6 +195,7 @@ def decode_log(log: str, folder: str, name: str, suffix: str, tables: Tables) ->
     """Write the tables of a log of a data set; return its result. No log raises."""
     place = Path(folder)
     result = {"log": log, "name": name, "stamp": _stamp(Path(log)), "error": "", "files": []}
+    result |= LogSummary().as_dict() | {"rows": 0}
     codec = Codec.from_dbc(tables.dbc, encoding=tables.encoding)
     receiver = LogReceiver(
         codec, cycle_ms=tables.cycle_ms, timeout_ms=tables.timeout_ms, scenes=tables.scenes
@@ -183,13 +207,24 @@ def decode_log(log: str, folder: str, name: str, suffix: str, tables: Tables) ->
         return place / part / f"{name}{suffix}"
 
     try:
-        files, damage = write_tables(receiver, log, open_tables(path_of, about, suffix), tables)
-        result |= {"error": damage, "files": [str(file.relative_to(place)) for file in files]}
+        written = write_tables(receiver, log, open_tables(path_of, about, suffix), tables)
+        result["files"] = [str(file.relative_to(place)) for file in written.files]
+        result |= written.summary.as_dict() | {"rows": written.lines}
+        result["error"] = "; ".join(_problems(receiver, codec, written, log))
     except LogError as error:
         result["error"] = str(error)
     dropped = {reason.name: number for reason, number in receiver.counts.items()}
     lines = sum(one.lines for one in receiver.decoders.values())
     return result | {"frames": receiver.frames, "lines": lines, "dropped": dropped}
+
+
+def _problems(receiver: LogReceiver, codec: Codec, written: Written, log: str) -> Iterator[str]:
+    if written.damage:
+        yield written.damage
+    if receiver.beyond:
+        yield f"{log}: {receiver.beyond} frames are of channels beyond the first {MAX_CHANNELS}"
+    if receiver.is_empty and (receiver.frames or not written.damage):
+        yield f"{log}: {misfit(receiver.first, [codec], written.summary).text}"
 
 
 def dropped_of(results: Iterable[Result]) -> Counter[str]:

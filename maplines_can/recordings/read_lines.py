@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import IO
 
+from ..bus.log_summary import LogReader, Times
 from ..values.errors import LogError
 from ..values.line import Slot
 from ..wire import Codec
-from .blocks import BLOCK_FRAMES, read_blocks
+from .blocks import BLOCK_FRAMES, FrameBlock, read_blocks
+from .fitting import misfit
+from .line_block import LineBlock
 from .receive import LogReceiver
 from .table import LineTable, checked_at, joined, line_table
 
@@ -28,6 +32,7 @@ def read_lines(
     scenes: bool = False,
     cycle_ms: float | None = None,
     timeout_ms: float | None = None,
+    times: Times = "auto",
 ) -> LineTable:
     """Return the lines of a log as a table, in the order of their last frames.
 
@@ -63,9 +68,11 @@ def read_lines(
         scenes: whether to give the table of scenes, too.
         cycle_ms: as in ``Codec.decoder``.
         timeout_ms: as in ``Codec.decoder``.
+        times: kind of the time stamps, see `read_log`.
 
     Warns:
-        UserWarning: the log is damaged; the table has what is intact.
+        UserWarning: the log is damaged; the table has what is intact. Or it has neither a line nor
+            a pose error of the DBC; the warning says which DBC fits.
 
     Raises:
         LogError: the log cannot be opened.
@@ -84,6 +91,7 @@ def read_lines(
         scenes=scenes,
         cycle_ms=cycle_ms,
         timeout_ms=timeout_ms,
+        times=times,
     )
     try:
         tables.extend(found)
@@ -104,6 +112,7 @@ def line_tables(
     scenes: bool = False,
     cycle_ms: float | None = None,
     timeout_ms: float | None = None,
+    times: Times = "auto",
     block_frames: int = BLOCK_FRAMES,
 ) -> Iterator[LineTable]:
     """Return an iterator over the tables of the blocks of a log.
@@ -119,7 +128,11 @@ def line_tables(
         scenes: whether to give them.
         cycle_ms: as in ``Codec.decoder``.
         timeout_ms: as in ``Codec.decoder``.
+        times: kind of the time stamps, see `read_log`.
         block_frames: most frames of a block.
+
+    Warns:
+        UserWarning: there was neither a line nor a pose error; the warning says which DBC fits.
 
     Raises:
         LogError: the log cannot be opened; or, after the last table, it is damaged.
@@ -127,18 +140,52 @@ def line_tables(
     """
     codec = dbc if isinstance(dbc, Codec) else Codec.from_dbc(dbc, encoding=encoding)
     receiver = LogReceiver(codec, cycle_ms=cycle_ms, timeout_ms=timeout_ms, scenes=scenes)
-    blocks = read_blocks(log, block_frames=block_frames)
+    blocks = read_blocks(log, block_frames=block_frames, times=times)
     checked_at(at)
 
     def tables() -> Iterator[LineTable]:
         error = None
         try:
-            for block in blocks:
-                yield line_table(receiver.feed(block), block, at, slots, scenes=scenes)
+            yield from tables_of(receiver, blocks, at, slots, scenes=scenes)
         except LogError as damage:
             error = damage
-        yield line_table(receiver.finish(), None, at, slots, scenes=scenes)
+        if receiver.is_empty and (receiver.frames or error is None):
+            why = misfit(receiver.first, [codec], blocks.summary).text.replace("--dbc ", "dbc=")
+            warnings.warn(f"{name_of(log)}: {why}", stacklevel=2)
         if error is not None:
             raise error
 
     return tables()
+
+
+def tables_of(
+    receiver: LogReceiver,
+    blocks: LogReader[FrameBlock],
+    at: Sequence[float] = (),
+    slots: Sequence[Slot] | None = None,
+    *,
+    scenes: bool = False,
+) -> Iterator[LineTable]:
+    """Yield the tables of the blocks of a log, as `line_tables`, with a receiver of the caller.
+
+    Raises:
+        LogError: after the last table, the log is damaged.
+    """
+
+    def table_of(lines: LineBlock, frames: FrameBlock | None) -> LineTable:
+        return replace(line_table(lines, frames, at, slots, scenes=scenes), log=blocks.summary)
+
+    error = None
+    try:
+        for block in blocks:
+            yield table_of(receiver.feed(block), block)
+    except LogError as damage:
+        error = damage
+    yield table_of(receiver.finish(), None)
+    if error is not None:
+        raise error
+
+
+def name_of(log: Log) -> str:
+    """Return the name of a log for messages."""
+    return str(getattr(log, "name", log))

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bus.first_frames import FirstFrames
 from ..values.line import MapLine
 from ..wire import POSE, Codec, Decoder, E2EState, ReceivedScene
 from ..wire.reasons import Reason
@@ -20,8 +21,6 @@ from .line_block import COMPLETE, COMPONENT_ROW, LINE_ROW, REASONS, SCENE_ROW, L
 
 #: No log of a car has more channels. Each one needs a decoder, some 16 kB.
 MAX_CHANNELS = 256
-#: CAN IDs of a log that are kept; more than the classic ones.
-MAX_IDS = 4096
 #: Longer than any time-out [ns].
 _LONG_NS = 10**18
 
@@ -70,7 +69,7 @@ class LogReceiver:
         # Scene without a newer one, and its row, by channel.
         self._shown: dict[str, tuple[ReceivedScene, NDArray[np.void]]] = {}
         self.decoders: dict[str, Decoder] = {}  #: by channel
-        self.can_ids: set[int] = set()  #: of the first frames
+        self.first = FirstFrames()  #: those before a line or a pose error
         self.frames = 0  #: of all blocks
         self.beyond = 0  #: frames of channels beyond the first ``MAX_CHANNELS``: not decoded
         self.last_ns = 0  #: time of the last frame [ns]
@@ -89,7 +88,8 @@ class LogReceiver:
     def feed(self, block: FrameBlock) -> LineBlock:
         """Decode the frames of a block; return their lines."""
         reasons = np.full(len(block), _NUMBERS[Reason.FOREIGN], np.uint8)
-        self._see_ids(block)
+        if self.is_empty:
+            self.first.add_block(block)
         parts = [
             self._feed_channel(block, channel, places, reasons)
             for channel, places in _by_channel(block)
@@ -109,11 +109,6 @@ class LogReceiver:
             (number, _Rows(*none, self._end(channel))) for number, channel in enumerate(channels)
         ]
         return self._joined(parts, channels, np.empty(0, np.uint8), np.empty(0, bool))
-
-    def _see_ids(self, block: FrameBlock) -> None:
-        if len(self.can_ids) < MAX_IDS:
-            known = np.unique(block.can_id)[: MAX_IDS - len(self.can_ids)]
-            self.can_ids.update(known.tolist())
 
     def _knows(self, channel: str, frames: int) -> bool:
         """Return whether there is a decoder for a channel, now at the latest."""

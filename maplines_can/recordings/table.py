@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bus.log_summary import LogSummary
 from ..values.errors import MissingExtraError, missing_extra
 from ..values.line import PARAMETERS, Kind, Slot, Status, lateral, lateral_jacobian
 from ..wire import E2EState
@@ -121,11 +122,13 @@ class LineTable(Table):
         at: distances ahead of the car at which there are a position and its sigma [m].
         rejects: a row a frame that was dropped at once, but those of other messages.
         scenes: a row a scene, with the width and the centre of the ego lane at each x.
+        log: summary of the log, as far as it has been read: what is no data frame, by kind.
     """
 
     at: tuple[float, ...] = ()
     rejects: Table = field(default_factory=lambda: Table({}))
     scenes: Table = field(default_factory=lambda: Table({}))
+    log: LogSummary = field(default_factory=LogSummary)
 
     @property
     def parts(self) -> dict[str, Table]:
@@ -199,7 +202,7 @@ def joined(tables: Sequence[LineTable]) -> LineTable:
     lines, last = found["lines"], tables[-1]
     scenes = found.get("scenes", Table({}))
     return LineTable(
-        lines.columns, lines.categories, lines.units, last.at, found["rejects"], scenes
+        lines.columns, lines.categories, lines.units, last.at, found["rejects"], scenes, last.log
     )
 
 

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 
-from ..bus import LogFrame, read_log
+from ..bus import read_log
+from ..bus.log_summary import Times
 from ..maps import random_tour, town_path, town_tour
 from ..maps.formats.load import load
 from ..maps.line_source import LineSource
+from ..recordings.fitting import check_fit
 from ..simulation.map_frame import check_on_map
 from ..simulation.pose_source import PoseSource
 from ..simulation.recorded import RecordedDrive
 from ..simulation.scenario_lines import ScenarioLines, weaving_ego
 from ..simulation.scenarios import SCENARIOS, STREETS, scenario
 from ..simulation.trajectory import SimulatedDrive, drive_along
-from ..values.errors import RestbusError
+from ..values.errors import LogError, RestbusError
 from ..values.line import MapLine, Slot, aged
 from ..values.scene import Scene
 from ..wire import Codec, Reason, default_dbc_path
@@ -130,12 +132,16 @@ def _log(table: Table, _period: float, _seed: int, folder: Path, pose_error: boo
     path = folder / name
     if not path.exists():
         raise RestbusError(f"{table.name}: log: there is no file {path}")
-    decoder = codec_of(table.text("log_dbc", "maplines.dbc"), folder).decoder()
-    frames: Iterator[LogFrame] = iter(read_log(path))
+    codec = codec_of(table.text("log_dbc", "maplines.dbc"), folder)
+    times = cast(Times, table.choice("log_times", get_args(Times), "auto"))
+    try:
+        check_fit(path, codec, times=times)
+        frames = read_log(path, times=times)
+        first = next(frames)
+    except LogError as error:
+        raise RestbusError(f"{table.name}: log: {error}") from error
+    decoder = codec.decoder()
     latest: dict[Slot, MapLine] = {}
-    first = next(frames, None)
-    if first is None:
-        raise RestbusError(f"{table.name}: log: {path} has no frames")
     origin_ns, waiting = first.t_ns, [first]
 
     def lines(t: float) -> list[MapLine] | None:

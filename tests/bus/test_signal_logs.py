@@ -254,3 +254,28 @@ def test_signals_frame_by_frame(dbc: Path) -> None:
     assert not decoder.skipped
     assert decoder.decode(256, b"\x01") == {}
     assert decoder.skipped == {"the data do not fit the message Position": 1}
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        pytest.param({"is_extended_id": True}, "other frames are extended 0x100", id="extended"),
+        pytest.param({"arbitration_id": 0x110}, "other frames are 0x110", id="another-id"),
+        pytest.param({"channel": "can7"}, "the channels are can7", id="another-channel"),
+        pytest.param({"is_remote_frame": True}, "there is no frame", id="no-frame"),
+    ],
+)
+def test_a_missing_signal_names_what_is_there(
+    dbc: Path, tmp_path: Path, settings: dict[str, Any], words: str
+) -> None:
+    """The CAN IDs of the other frames, or their channels."""
+    path = tmp_path / "other.log"
+    with can.Logger(path) as writer:
+        message: dict[str, Any] = {
+            "arbitration_id": 256,
+            "is_extended_id": False,
+            "channel": "can0",
+        }
+        writer(can.Message(timestamp=1.0, **message | {"dlc": 8} | settings))
+    with pytest.raises(LogError, match=words):
+        read_signals(path, dbc, {"x": "Position.X"}, channel="can0")

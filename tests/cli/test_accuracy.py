@@ -144,7 +144,11 @@ def test_the_text_and_the_picture(folder: Path, capsys: pytest.CaptureFixture[st
         pytest.param("{d}/exact.blf.csv {d}/nowhere.blf", "nowhere.blf", id="no log"),
         pytest.param("{d}/exact.blf {d}/exact.blf", r"exact.blf: .*\.csv or", id="log as truth"),
         pytest.param("{d}/exact.blf.csv {d}/map.xodr", "map.xodr.*unknown", id="map as log"),
-        pytest.param("{d}/exact.blf.csv {d}/empty.log", "empty.log: has no lines", id="no lines"),
+        pytest.param(
+            "{d}/exact.blf.csv {d}/empty.log",
+            "empty.log: no record of maplines.dbc is whole in 1 frame ",
+            id="no lines",
+        ),
         pytest.param("{d}/exact.blf.csv {d}/bare.log", "no time stamps", id="no times"),
         pytest.param("{d}/exact.blf.csv {d}/later.log", "of the same drive", id="other drive"),
         pytest.param("{d}/exact.blf.csv {d}/exact.blf --plot a.gif", r"--plot.*\.png", id="plot"),

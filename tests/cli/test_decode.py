@@ -171,7 +171,7 @@ def test_a_dbc_of_someone_else_is_named_as_none_of_ours(
     path.write_text("(1000.0) can0 100#00\n(1000.1) can0 101#00\n")
     assert main(["decode", str(path)]) == 1
     (error,) = [row for row in capsys.readouterr().err.splitlines() if "maplines: error:" in row]
-    assert "no frame has a CAN ID of" in error
+    assert "none with its CAN IDs, but 0x100..0x101" in error
     assert "take the --dbc of the sender" in error
 
 
@@ -194,21 +194,27 @@ def test_the_number_of_channels_is_limited(
     path = tmp_path / "names.log"
     path.write_text("".join(f"({k}.0) v{k % 300} 340#0011223344556677\n" for k in range(600)))
     assert main(["decode", str(path)]) == 1
-    first, second = capsys.readouterr().err.splitlines()
+    first, second, last = capsys.readouterr().err.splitlines()
     assert first == (
         f"maplines: error: {path}: 88 frames are not read, they are of channels beyond the first "
         "256; split the log by channel"
     )
     assert "0 lines from 512 frames" in second
+    assert "no record of maplines.dbc is whole in 600 frames" in last
 
 
 @pytest.mark.parametrize(
     ("text", "notes", "status"),
     [
-        pytest.param("", ["0 lines from 0 frames"], 0, id="empty"),
-        pytest.param(";$FILEVERSION=1.1\n;$STARTTIME=1\n;--\n", ["0 lines from 0"], 0, id="head"),
+        pytest.param("", ["0 lines from 0 frames", "has no frame, read as .trc"], 1, id="empty"),
         pytest.param(
-            "1) 2\n1) 0.5 0340 1 11\n", ["1 of 2 records", "1 frames", "1 errors"], 1, id="short"
+            ";$FILEVERSION=1.1\n;$STARTTIME=1\n;--\n", ["0 lines", "has no frame"], 1, id="head"
+        ),
+        pytest.param(
+            "1) 2\n1) 0.5 0340 1 11\n",
+            ["1 of 2 records", "1 frames", "1 errors", "no record of"],
+            1,
+            id="short",
         ),
     ],
 )
@@ -314,4 +320,5 @@ def test_a_dbc_with_the_same_ids_and_other_records_is_an_error(
     assert main(["decode", str(path), "--dbc", str(other)]) == 0
     assert main(["decode", str(path)]) == 1
     last = capsys.readouterr().err.splitlines()[-1]
-    assert "but no frame completes a line of it; take the --dbc of the sender" in last
+    assert "is whole in 4 frames (4 with its CAN IDs: 0x340)" in last
+    assert "no DBC of this package fits; take the --dbc of the sender" in last

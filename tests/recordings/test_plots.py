@@ -120,7 +120,7 @@ def test_the_command(scene_log: Path, faulty_log: Path, tmp_path: Path, capsys: 
 def test_what_cannot_be_drawn_raises(tmp_path: Path, scene_log: Path) -> None:
     path = tmp_path / "plain.log"
     path.write_text("can0  123   [1]  00\n")
-    with pytest.raises(LogError, match="has no line"):
+    with pytest.raises(LogError, match=r"no record of maplines\.dbc is whole"):
         recorded(path, Codec.from_dbc(), [20.0])
     with pytest.raises(LogError, match="no line in this time"):
         recorded(scene_log, POSE, [20.0], time=(1e6, 2e6))

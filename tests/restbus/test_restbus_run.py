@@ -284,6 +284,24 @@ def test_a_tour_that_no_car_can_drive_is_refused(tmp_path: Path) -> None:
         run({"lines": {"drive": "tour", "map": "short.xodr"}}, 0.3, tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        pytest.param("", "a.log: has no frame", id="empty"),
+        pytest.param("(1.0) can0 100#00\n", "no DBC of this package fits", id="foreign"),
+    ],
+)
+def test_a_log_without_a_line_is_refused_at_the_start(
+    tmp_path: Path, text: str, error: str
+) -> None:
+    """It would send nothing."""
+    (tmp_path / "a.log").write_text(text)
+    with pytest.raises(RestbusError, match=f"lines: log: .*{error}"):
+        run({"lines": {"log": "a.log"}}, 0.1, tmp_path)
+    with pytest.raises(RestbusError, match="log_times must be auto, absolute, zero or delta"):
+        run({"lines": {"log": "a.log", "log_times": "relative"}}, 0.1, tmp_path)
+
+
 def decoded_offsets(messages: list[can.Message]) -> list[float]:
     decoder, offsets = Codec.from_dbc().decoder(), []
     for m in messages:

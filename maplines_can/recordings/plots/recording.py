@@ -11,10 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...bus.log_summary import LogSummary, Times
 from ...values.errors import LogError
 from ...values.line import Slot
 from ...wire import Codec
-from ..read_lines import line_tables
+from ..blocks import read_blocks
+from ..fitting import misfit
+from ..read_lines import name_of, tables_of
+from ..receive import LogReceiver
 from ..table import LineTable, Table
 
 Array = NDArray[Any]
@@ -36,6 +40,7 @@ class Recording:
             are several.
         scenes: columns of the scenes; none if the DBC has none.
         rejects: times of the dropped frames, by reason.
+        log: summary of the log.
         truth: times and lateral positions (n, 9) at 0, 10 .. 80 m, by slot.
     """
 
@@ -44,6 +49,7 @@ class Recording:
     lines: Mapping[str, Mapping[str, Array]]
     scenes: Mapping[str, Array]
     rejects: Mapping[str, Array]
+    log: LogSummary
     truth: Mapping[Slot, tuple[Array, Array]] = field(default_factory=dict)
 
 
@@ -54,6 +60,7 @@ def recorded(
     *,
     slots: Sequence[Slot] | None = None,
     time: tuple[float, float] = (-math.inf, math.inf),
+    times: Times = "auto",
 ) -> tuple[Recording, str]:
     """Return the columns of a log, and why it is damaged, or nothing.
 
@@ -64,18 +71,19 @@ def recorded(
         slots: these only.
         time: first and last time [s], from the first line on, or of the clock if they are more than
             1e8.
+        times: kind of the time stamps, see `read_log`.
 
     Raises:
         LogError: the log cannot be opened, has no time stamps, or has no line in this time.
     """
     has_scenes = codec.layout.pose is not None
     kept: dict[str, list[Table]] = {"lines": [], "rejects": [], "scenes": []}
-    damage, begin = "", None
-    tables = line_tables(log, at=at, dbc=codec, slots=slots, scenes=has_scenes)
+    damage, begin, name = "", None, name_of(log)
+    receiver, blocks = LogReceiver(codec, scenes=has_scenes), read_blocks(log, times=times)
     columns = ["t", "channel", "slot", "usable", "state", "age", "x_min", "x_max"]
     columns += ["y_off", "beta", "c0", "c1"]
     try:
-        for table in tables:
+        for table in tables_of(receiver, blocks, at, slots, scenes=has_scenes):
             if begin is None and len(table):
                 begin = float(table["t"][0])
             if begin is not None:
@@ -85,13 +93,16 @@ def recorded(
         damage = str(error)
         if begin is None:
             raise
+    if receiver.is_empty:
+        raise LogError(f"{name}: {misfit(receiver.first, [codec], blocks.summary).text}")
     if begin is None:
-        raise LogError(f"{log}: has no line of {Path(codec.layout.source).name}")
+        received = sum(one.lines for one in receiver.decoders.values())
+        raise LogError(f"{name}: has {received} lines, but none of the slots that are drawn")
     if math.isnan(begin):
-        raise LogError(f"{log}: has no time stamps, so there is nothing to draw; use candump -L")
+        raise LogError(f"{name}: has no time stamps, so there is nothing to draw; use candump -L")
     lines = _joined(kept["lines"])
     if not len(lines):
-        raise LogError(f"{log}: has no line in this time")
+        raise LogError(f"{name}: has no line in this time")
     many = len(lines.categories["channel"]) > 1
     keys = lines.columns["channel"].astype(int) * len(Slot) + lines.columns["slot"]
     by_slot = {}
@@ -110,7 +121,8 @@ def recorded(
     scenes = dict(_joined(kept["scenes"]).columns) if kept["scenes"] else {}
     if "t" in scenes:
         scenes["t"] = scenes["t"] - begin
-    return Recording(Path(str(log)).name, begin, by_slot, scenes, of_reason), damage
+    drawn = Recording(Path(name).name, begin, by_slot, scenes, of_reason, blocks.summary)
+    return drawn, damage
 
 
 def _within(part: Table, begin: float, time: tuple[float, float], columns: list[str]) -> Table:
