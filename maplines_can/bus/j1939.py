@@ -142,7 +142,7 @@ class Reassembler:
                 self._transfers[key] = _Transfer(pgn, size)
                 self.incomplete[pgn] += 1
         elif control == CTS and data[1] and (transfer := self._transfers.get(back)):
-            if transfer.pgn == pgn and data[2] - 1 <= len(transfer.data) // PACKET:
+            if transfer.pgn == pgn:
                 del transfer.data[max(data[2] - 1, 0) * PACKET :]  # these are sent again
         elif control == ABORT:
             for one in (key, back):

@@ -134,6 +134,14 @@ def test_other_messages_of_the_dbc_have_their_identifiers(dbc: Path) -> None:
     assert decoder.decode(0x18FEFD00, SPEED, is_extended=True) == {"level": 255.0}
     assert decoder.decode(0x18FEFD27, SPEED, is_extended=True) == {}
     assert decoder.decode(0x7F1, SPEED) == {}
+    dbc.write_text(DBC.replace("BO_ 2566847744", "BO_ 257").replace("BO_ 257 1;", "BO_ 257 0;"))
+    standard = SignalDecoder(dbc, {"level": "Level"})
+    assert standard.can_ids == frozenset({257})
+    assert standard.decode(257, SPEED) == {"level": 255.0}
+    dbc.write_text(
+        DBC.replace("BO_ 2566847744", "BO_ 257").replace('BA_ "VFrameFormat" BO_ 257 1;', "")
+    )
+    assert SignalDecoder(dbc, {"level": "Level"}).decode(257, SPEED) == {"level": 255.0}
 
 
 def test_several_messages_of_one_group(dbc: Path) -> None:
@@ -244,6 +252,24 @@ def test_incomplete_transfers_give_nothing(
 
     text = "1 times: incomplete transfers of the parameter group 0xfeca"
     assert (text in str(found.value)) == is_counted
+
+
+def test_a_message_of_whole_packets(dbc: Path) -> None:
+    """14 bytes are two packets; no padding ends the second one."""
+    reassembler = Reassembler([0xFECA])
+    frames = ["18ECFF27#200E0002FFCAFE00", *BAM[1:3]]
+
+    assert [feed(reassembler, frame) for frame in frames] == [None, None, bytes(range(1, 15))]
+    assert not +reassembler.incomplete
+
+
+def test_another_announcement_ends_a_transfer(dbc: Path) -> None:
+    """Also one of a group of no signal, which is not counted itself."""
+    reassembler = Reassembler([0xFECA])
+    other = BAM[0].replace("CAFE00", "CBFE00")
+
+    assert not any(feed(reassembler, frame) for frame in [BAM[0], other, *BAM[1:]])
+    assert reassembler.incomplete == {0xFECA: 1}
 
 
 @pytest.mark.parametrize("answer", ["1CEC2705#FF01FFFFFF00EF00", "18EC0527#FF01FFFFFF00EF00"])

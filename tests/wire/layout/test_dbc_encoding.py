@@ -85,6 +85,13 @@ def test_uncertain_names_are_said_each_once() -> None:
     assert "油".encode("cp936").decode("cp1252") not in str(found[0].message)
 
 
+def test_utf_8_is_certain_if_the_units_do_not_say_otherwise() -> None:
+    """Its comments and names of values are right, and nothing is said of them."""
+    text = CAR.format(unit="C", comment="油") + 'VAL_ 256 Temp 0 "开" ;\n'
+
+    assert text_of(text.encode(), "car.dbc") == text
+
+
 def test_bytes_that_no_code_page_has_refuse_nothing() -> None:
     """A file of several encodings: the unit is read, and the comment has a replacement."""
     data = car("°C", "{}", "cp1252").replace(b"{}", b"\x81\x8d\x98\xff\x30")
