@@ -134,6 +134,7 @@ def test_other_messages_of_the_dbc_have_their_identifiers(dbc: Path) -> None:
     assert decoder.decode(0x18FEFD00, SPEED, is_extended=True) == {"level": 255.0}
     assert decoder.decode(0x18FEFD27, SPEED, is_extended=True) == {}
     assert decoder.decode(0x7F1, SPEED) == {}
+    assert not decoder.senders
     dbc.write_text(DBC.replace("BO_ 2566847744", "BO_ 257").replace("BO_ 257 1;", "BO_ 257 0;"))
     standard = SignalDecoder(dbc, {"level": "Level"})
     assert standard.can_ids == frozenset({257})
@@ -225,6 +226,7 @@ def test_long_messages_are_put_together(
     found = read_signals(log_of(tmp_path, frames), dbc, names)
 
     assert [found[name][1].tolist() for name in names] == [[value] for value in values]
+    assert not found.skipped
     last = max(i for i, frame in enumerate(frames) if "#03" in frame)
     assert max(t for series in found.values() for t in series[0]) == pytest.approx(1 + last / 10)
 
@@ -261,6 +263,9 @@ def test_a_message_of_whole_packets(dbc: Path) -> None:
 
     assert [feed(reassembler, frame) for frame in frames] == [None, None, bytes(range(1, 15))]
     assert not +reassembler.incomplete
+    to_one = Reassembler([0xEF00])
+    whole = [to_one.feed(int(f[:8], 16), bytes.fromhex(f[9:])) for f in RTS]
+    assert [w.can_id for w in whole if w] == [0x1CEF0527]
 
 
 def test_another_announcement_ends_a_transfer(dbc: Path) -> None:
