@@ -45,6 +45,7 @@ _UNIT = re.compile(
     re.VERBOSE,
 )
 _UNITS = re.compile(r'^[ \t]*SG_\s[^"\n]*"([^"\n]*)"', re.MULTILINE)
+_MESSAGE = re.compile(r"^[ \t]*BO_\s", re.MULTILINE)
 #: Comments, whose words have no effect.
 _COMMENT = re.compile(r'^[ \t]*CM_\s[^"\n]*"(?:\\"|[^"])*"', re.MULTILINE)
 _QUOTED = re.compile(r'"((?:\\"|[^"])*)"')
@@ -75,7 +76,7 @@ def text_of(data: bytes, source: str, encoding: str | None = None) -> str:
     # A DBC of several encodings is read, too, although it has bytes that none of them has.
     found = found or {FALLBACK: data.decode(FALLBACK, "replace")}
     page = min(found, key=lambda name: len(_strange(_UNITS.findall(found[name]))))
-    if page == "utf-8":
+    if page == "utf-8" or not _MESSAGE.search(found[page]):  # the parser says what it is not
         return found[page]
     if uncertain := _strange(_QUOTED.findall(_COMMENT.sub("", found[page]))):
         more = f" and {len(uncertain) - 3} more" if len(uncertain) > 3 else ""
