@@ -128,6 +128,6 @@ def why_silent(link: ObservedLink, codec: Codec, counts: Mapping[Reason, int], *
         )
     dropped = counts_text({reason.name: n for reason, n in counts.items()})
     return (
-        f"{link.first.frames} frames have arrived, but none completed a line (dropped: {dropped}); "
+        f"frames have arrived, but none completed a line (dropped: {dropped}); "
         f"{misfit(link.first, [codec]).text}"
     )
