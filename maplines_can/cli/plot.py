@@ -71,7 +71,7 @@ def add_plot(commands: Any) -> None:
 
 def _plot(arguments: argparse.Namespace) -> int:
     from ..recordings.plots import panels_of, recorded, write_page, write_picture
-    from ..recordings.plots.panels import above
+    from ..recordings.plots.panels import above, distinct
 
     out = Path(arguments.out)
     if out.suffix not in (*PICTURES, ".html"):
@@ -103,7 +103,7 @@ def _plot(arguments: argparse.Namespace) -> int:
         panels = [above(recordings, arguments.above)]
         if not panels[0].bands:
             raise ValueError(f"--above {arguments.above:g}: there is no line in the second before")
-    title = ", ".join(recording.name for recording in recordings)
+    title = ", ".join(recording.name for recording in distinct(recordings))
     (write_page if out.suffix == ".html" else write_picture)(panels, title, out)
     note(f"written: {out}")
     return status

@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can import Codec
+from maplines_can import Codec, Gaussian, MapLine, Slot
+from maplines_can.bus import LogWriter
+from maplines_can.bus.log_summary import LogSummary
 from maplines_can.cli import main
-from maplines_can.recordings.plots.panels import above, panels_of
-from maplines_can.recordings.plots.recording import recorded
+from maplines_can.recordings.plots import write_page
+from maplines_can.recordings.plots.panels import Panel, above, panels_of
+from maplines_can.recordings.plots.recording import Recording, recorded
 from maplines_can.recordings.read_lines import read_lines
 from maplines_can.values.errors import LogError
 from maplines_can.wire import default_dbc_path
@@ -81,6 +84,96 @@ def test_states_and_rejects(faulty_log: Path) -> None:
     for strip in (one for one in panel.strips if one.row == row):
         here = (t >= strip.begin) & (t < strip.end)
         assert {*own["state"][here]} <= {strip.label}
+
+
+def scenes_of(name: str, width: float | None) -> Recording:
+    """Return a recording whose lane has a width; with None, without scenes."""
+    t = np.arange(5.0)
+    given = {"width20": width, "centre20": 0.0}
+    scenes = {"t": t} | {n: np.full(5, value) for n, value in given.items()}
+    scenes |= {f"sigma_{n[:-2]}20": np.full(5, 0.1) for n in given}
+    rows = {"t": t, "y20": t, "sigma20": t, "age": t, "status": np.zeros(5, int)}
+    rows |= {"usable": np.ones(5, bool), "state": np.full(5, "VALID")}
+    lines = {"ego left": rows}
+    return Recording(name, 0.0, lines, scenes if width else {}, {"CRC": t}, LogSummary())
+
+
+@pytest.mark.parametrize(
+    ("names", "widths", "drawn"),
+    [
+        pytest.param(
+            ("a.blf", "b.blf"), (3.0, 4.0), {"a.blf": (3.0, False), "b.blf": (4.0, True)}, id="both"
+        ),
+        pytest.param(("a.blf", "b.blf"), (None, 4.0), {"b.blf": (4.0, True)}, id="second-only"),
+        pytest.param(("a.blf", "b.blf"), (3.0, None), {"a.blf": (3.0, False)}, id="first-only"),
+        pytest.param(
+            ("a.blf", "a.blf"),
+            (3.0, 4.0),
+            {"a.blf (1)": (3.0, False), "a.blf (2)": (4.0, True)},
+            id="of-one-name",
+        ),
+    ],
+)
+def test_each_width_has_the_name_of_its_log(
+    names: tuple[str, str], widths: Any, drawn: Any, tmp_path: Path
+) -> None:
+    """In the same colour, and dashed if it is not of the first log; so for each other panel."""
+    panels = panels_of([*map(scenes_of, names, widths)], [20.0])
+    position, width, _, age, state = panels
+    found = {band.label.split(": ")[0]: (float(band.y[0]), band.dash) for band in width.bands}
+    assert found == drawn
+    assert len({band.colour for band in width.bands}) == 1
+    for panel in (position, age):
+        assert [band.dash for band in panel.bands] == [False, True]
+        assert len({band.label for band in panel.bands}) == 2
+    assert len(set(state.rows)) == 4
+    write_page(panels, "widths", tmp_path / "page.html")
+    assert all(f"{name}: at 20 m" in (tmp_path / "page.html").read_text() for name in drawn)
+
+
+def bare_log(path: Path, known: bool) -> Path:
+    """Write a log of a route without a covariance, and if ``known`` of a line that has one."""
+    codec = Codec.from_dbc()
+    encoder, cov = codec.encoder(), np.diag([0.04, 1e-4, 1e-8, 1e-12])
+    route = MapLine.mean_only(Slot.ROUTE, [0.2, 0, 0, 0], x_max=80.0, age=0.02)
+    left = MapLine(Slot.EGO_LEFT, Gaussian([1.75, 0, 0, 0], cov), x_max=80.0, age=0.02)
+    old = MapLine(Slot.EGO_RIGHT, Gaussian([-1.75, 0, 0, 0], cov), x_max=80.0, age=float("inf"))
+    with LogWriter(path, start=100.0) as log:
+        for k in range(20):
+            for frame in (
+                f for one in (route, left, old)[: 1 + 2 * known] for f in encoder.encode(one)
+            ):
+                log.write(frame, 100 + 0.05 * k)
+    return path
+
+
+@pytest.mark.parametrize(("known", "most"), [(True, 8.0), (False, 2.5)])
+def test_a_line_without_a_covariance_has_no_band(
+    known: bool, most: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The axis is that of the others; the title says which line it is."""
+    recording, _ = recorded(bare_log(tmp_path / "bare.log", known), Codec.from_dbc(), [20.0])
+
+    def check(panel: Panel) -> None:
+        assert panel.limits is not None
+        assert panel.limits[1] - panel.limits[0] < most
+        assert "without a covariance, so without a band: route" in panel.note
+        for band in panel.bands:
+            assert (
+                np.isfinite(band.low).any()
+                == np.isfinite(band.high).any()
+                == ("left" in band.label)
+            )
+            assert "route" not in band.label or np.nanmax(band.y) == pytest.approx(0.2, abs=1e-3)
+
+    check(panels_of([recording], [20.0])[0])
+    check(above([recording], 0.5))
+    monkeypatch.setattr("maplines_can.recordings.plots.panels.MOST_POINTS", 4)
+    check(panels_of([recording], [20.0])[0])
+    for suffix in (".png", ".html"):
+        out = tmp_path / f"plot{suffix}"
+        assert main(["plot", str(tmp_path / "bare.log"), "-o", str(out)]) == 0
+        assert out.stat().st_size > 10_000
 
 
 def test_from_above(scene_log: Path) -> None:

@@ -3,21 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from itertools import pairwise
+from dataclasses import dataclass, field, replace
+from itertools import cycle, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...values.line import PARAMETERS, Slot, lateral
+from ...values.line import PARAMETERS, Slot, Status, lateral
 from ..table import UPPER_TRIANGLE, position
 from .recording import OLDEST, Recording, recorded
 
-__all__ = ["Band", "Dots", "Panel", "Recording", "Strip", "above", "panels_of", "recorded"]
+__all__ = [
+    "Band",
+    "Dots",
+    "Panel",
+    "Recording",
+    "Strip",
+    "above",
+    "distinct",
+    "panels_of",
+    "recorded",
+]
 
 Array = NDArray[np.float64]
-#: The members of a ``Band`` after its colour.
-Points = tuple[bool, Array, Array, Array, Array]
+#: The members of a ``Band`` after its colour and its dash.
+Points = tuple[Array, Array, Array, Array]
 
 #: Okabe and Ito's colours, by slot.
 COLOURS = dict(
@@ -46,7 +56,7 @@ class Band:
         dash: whether the line is dashed.
         x: (n,) times [s] or distances [m]; the values are nan at a gap.
         y: (n,) values.
-        low: (3, n) lower ends of the bands.
+        low: (3, n) lower ends of the bands; nan where there is none.
         high: (3, n) upper ends.
     """
 
@@ -106,13 +116,14 @@ class Panel:
 
     @property
     def limits(self) -> tuple[float, float] | None:
-        """Lower and upper end of the bands, with a margin; None without any."""
-        low = [np.nanmin(band.low) for band in self.bands if np.isfinite(band.low).any()]
-        high = [np.nanmax(band.high) for band in self.bands if np.isfinite(band.high).any()]
-        if not low:
+        """Lower and upper end of values and bands, with a margin; None without any."""
+        drawn = [one.ravel() for band in self.bands for one in (band.y, band.low, band.high)]
+        known = np.concatenate([*drawn, np.empty(0)])
+        known = known[np.isfinite(known)]
+        if not len(known):
             return None
-        margin = 0.05 * (max(high) - min(low)) or 1.0
-        return float(min(low) - margin), float(max(high) + margin)
+        margin = 0.05 * np.ptp(known) or 1.0
+        return float(known.min() - margin), float(known.max() + margin)
 
 
 def panels_of(recordings: Sequence[Recording], at: Sequence[float]) -> list[Panel]:
@@ -122,22 +133,25 @@ def panels_of(recordings: Sequence[Recording], at: Sequence[float]) -> list[Pane
         recordings: one or more; the second and later ones are dashed.
         at: distances ahead of the car [m].
     """
+    recordings = distinct(recordings)
     found = []
     for x in at:
-        bands, dots, width = [], [], 0.0
+        bands, dots, width, bare = [], [], 0.0, set[str]()
         for number, recording in enumerate(recordings):
             for label, rows in recording.lines.items():
-                names = f"y{x:g}", f"sigma{x:g}"
-                one, bin_width = _thinned(rows["t"], *(rows[name] for name in names))
+                is_bare = rows["status"] == Status.UNKNOWN
+                sigma = np.where(is_bare, np.nan, rows[f"sigma{x:g}"])
+                one, bin_width = _thinned(rows["t"], rows[f"y{x:g}"], sigma)
                 width = max(width, bin_width)
-                bands.append(Band(_label(recordings, number, label), _colour(label), *one))
+                name = _label(recordings, number, label)
+                bands.append(Band(name, _colour(label), number > 0, *one))
+                bare |= {name} if is_bare.any() else set()
             dots += [*_truth(recording, x)] if number == 0 else []
-        bands = [_dashed(band, recordings) for band in bands]
         title = f"lateral position at {x:g} m, with 1, 2 and 3 sigma"
-        found.append(Panel(title, "time [s]", "y [m]", bands, dots, note=_bin_note(width)))
-    lanes = [recording for recording in recordings if len(recording.scenes.get("t", ()))]
-    if lanes:
-        found += [*_lane_panels(lanes, recordings, at)]
+        note = "; ".join(filter(None, [_bin_note(width), _bare_note(sorted(bare))]))
+        found.append(Panel(title, "time [s]", "y [m]", bands, dots, note=note))
+    if any(len(recording.scenes.get("t", ())) for recording in recordings):
+        found += [*_lane_panels(recordings, at)]
     found.append(_age_panel(recordings))
     found.append(_state_panel(recordings))
     return found
@@ -150,7 +164,8 @@ def above(recordings: Sequence[Recording], time: float) -> Panel:
         recordings: one or more.
         time: from the first line on [s].
     """
-    bands = []
+    recordings = distinct(recordings)
+    bands, bare = [], []
     for number, recording in enumerate(recordings):
         for label, rows in recording.lines.items():
             past = np.flatnonzero((rows["t"] <= time) & (rows["t"] > time - OLDEST))
@@ -164,29 +179,44 @@ def above(recordings: Sequence[Recording], time: float) -> Panel:
                 cov[i, j] = cov[j, i] = value
             x = np.linspace(rows["x_min"][k], rows["x_max"][k], 101)
             sigma = np.array([position(mean[None], cov[None], one)[1][0] for one in x])
+            if rows["status"][k] == Status.UNKNOWN:
+                sigma[:] = np.nan
+                bare.append(_label(recordings, number, label))
             y = lateral(mean, x)
             shift = np.arange(1, 4)[:, None] * sigma
-            text = f"{label}, {time - rows['t'][k]:.2f} s old" + "" * bool(rows["usable"][k])
+            text = f"{label}, {time - rows['t'][k]:.2f} s old"
             text += "" if rows["usable"][k] else ", not usable"
             name = _label(recordings, number, text)
             bands.append(Band(name, _colour(label), number > 0, x, y, y - shift, y + shift))
     title = f"lines at {time:g} s, with 1, 2 and 3 sigma"
-    return Panel(title, "x, ahead of the car [m]", "y, to the left [m]", bands)
+    return Panel(
+        title, "x, ahead of the car [m]", "y, to the left [m]", bands, note=_bare_note(bare)
+    )
 
 
-def _lane_panels(
-    lanes: Sequence[Recording], recordings: Sequence[Recording], at: Sequence[float]
-) -> Iterator[Panel]:
+def distinct(recordings: Sequence[Recording]) -> list[Recording]:
+    """Return the recordings with names that differ: logs in two folders may have the same one."""
+    names = [recording.name for recording in recordings]
+    return [
+        recording
+        if names.count(recording.name) == 1
+        else replace(recording, name=f"{recording.name} ({number})")
+        for number, recording in enumerate(recordings, 1)
+    ]
+
+
+def _lane_panels(recordings: Sequence[Recording], at: Sequence[float]) -> Iterator[Panel]:
     for name, what in (("width", "width of the ego lane"), ("centre", "centre of the ego lane")):
         bands, width = [], 0.0
-        colours = iter([*COLOURS.values()] * 9)
-        for number, recording in enumerate(lanes):
-            for x in at:
+        for number, recording in enumerate(recordings):
+            if not len(recording.scenes.get("t", ())):
+                continue
+            for x, colour in zip(at, cycle(COLOURS.values()), strict=False):
                 value, sigma = (recording.scenes[f"{n}{x:g}"] for n in (name, f"sigma_{name}"))
                 one, bin_width = _thinned(recording.scenes["t"], value, sigma)
                 width = max(width, bin_width)
                 label = _label(recordings, number, f"at {x:g} m")
-                bands.append(Band(label, next(colours), *one))
+                bands.append(Band(label, colour, number > 0, *one))
         title = f"{what}, with 1, 2 and 3 sigma of the joint covariance"
         yield Panel(title, "time [s]", f"{name} [m]", bands, note=_bin_note(width))
 
@@ -196,8 +226,8 @@ def _age_panel(recordings: Sequence[Recording]) -> Panel:
     for number, recording in enumerate(recordings):
         for label, rows in recording.lines.items():
             one, _ = _thinned(rows["t"], 1e3 * rows["age"], np.zeros(len(rows["t"])))
-            bands.append(Band(_label(recordings, number, label), _colour(label), *one))
-    bands = [_dashed(band, recordings) for band in bands]
+            name = _label(recordings, number, label)
+            bands.append(Band(name, _colour(label), number > 0, *one))
     return Panel("age of the lines when they were sent", "time [s]", "age [ms]", bands)
 
 
@@ -239,7 +269,7 @@ def _strips(t: Array, state: NDArray[np.str_], usable: NDArray[np.bool_], row: i
 
 
 def _thinned(t: Array, y: Array, sigma: Array) -> tuple[Points, float]:
-    """Return (dash, t, y, low, high) of a band, with gaps, and the time that a point stands for.
+    """Return (t, y, low, high) of a band, with gaps, and the time that a point stands for.
 
     A point of many stands for all of a time: the median, and the outermost ends of each band.
     """
@@ -255,13 +285,13 @@ def _thinned(t: Array, y: Array, sigma: Array) -> tuple[Points, float]:
         place = ((t - t[0]) / width).astype(int) if len(t) else np.empty(0, int)
         begins = np.flatnonzero(np.diff(place, prepend=-1))
         middle = [np.median(y[a:b]) for a, b in pairwise([*begins.tolist(), len(y)])]
-        low = np.minimum.reduceat(low, begins, axis=1) if len(t) else low
-        high = np.maximum.reduceat(high, begins, axis=1) if len(t) else high
+        low = np.fmin.reduceat(low, begins, axis=1) if len(t) else low
+        high = np.fmax.reduceat(high, begins, axis=1) if len(t) else high
         t, y = t[begins], np.array(middle)
     gaps = np.flatnonzero(np.diff(t) > max(GAP, 2.5 * width)) + 1
     t = np.insert(t, gaps, (t[gaps - 1] + t[gaps]) / 2)
     y, low, high = (np.insert(one, gaps, np.nan, axis=-1) for one in (y, low, high))
-    return (False, t, y, low, high), width
+    return (t, y, low, high), width
 
 
 def _truth(recording: Recording, x: float) -> Iterator[Dots]:
@@ -274,12 +304,6 @@ def _truth(recording: Recording, x: float) -> Iterator[Dots]:
             yield Dots(f"{label}, truth", "black", t[::step], y[::step, int(x // 10)])
 
 
-def _dashed(band: Band, recordings: Sequence[Recording]) -> Band:
-    """Return a band, dashed if it is not of the first of several recordings."""
-    is_later = len(recordings) > 1 and not band.label.startswith(f"{recordings[0].name}: ")
-    return Band(band.label, band.colour, is_later, band.x, band.y, band.low, band.high)
-
-
 def _label(recordings: Sequence[Recording], number: int, label: str) -> str:
     return f"{recordings[number].name}: {label}" if len(recordings) > 1 else label
 
@@ -288,6 +312,10 @@ def _colour(label: str) -> str:
     return next(
         colour for slot, colour in COLOURS.items() if slot.name.replace("_", " ").lower() in label
     )
+
+
+def _bare_note(labels: Sequence[str]) -> str:
+    return f"without a covariance, so without a band: {', '.join(labels)}" if labels else ""
 
 
 def _bin_note(width: float) -> str:

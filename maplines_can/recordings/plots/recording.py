@@ -80,7 +80,7 @@ def recorded(
     kept: dict[str, list[Table]] = {"lines": [], "rejects": [], "scenes": []}
     damage, begin, name = "", None, name_of(log)
     receiver, blocks = LogReceiver(codec, scenes=has_scenes), read_blocks(log, times=times)
-    columns = ["t", "channel", "slot", "usable", "state", "age", "x_min", "x_max"]
+    columns = ["t", "channel", "slot", "status", "usable", "state", "age", "x_min", "x_max"]
     columns += ["y_off", "beta", "c0", "c1"]
     try:
         for table in tables_of(receiver, blocks, at, slots, scenes=has_scenes):
