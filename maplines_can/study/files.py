@@ -8,8 +8,8 @@ e_h [rad]) have the same form, with d = 4 or d = 3 numbers:
 - ``.csv`` and ``.parquet``: columns ``mean_0`` .. and ``cov_00``, ``cov_01`` .., at least those of
   the upper triangle. The first line of a CSV names its columns;
 - ``.parquet`` that ``maplines decode -o`` wrote, and the logs themselves (`LOG_SUFFIXES`, of the
-  DBC of the package that fits them best): the lines that may be used. They are rounded already,
-  to the steps of the code that they were sent with.
+  DBC of the package that fits them best): the lines that may be used and have a covariance. They
+  are rounded already, to the steps of the code that they were sent with.
 
 All are read in blocks.
 
@@ -44,7 +44,7 @@ from ..simulation.parquet_files import parquet_batches
 from ..values.errors import MapFileError, StudyError
 from ..values.input_files import checked_path, lines_of
 from ..values.linalg import asymmetric, indefinite, nearest_covariance
-from ..values.line import PARAMETERS
+from ..values.line import PARAMETERS, Status
 from ..values.polyline import Polyline
 
 Array = NDArray[np.float64]
@@ -86,7 +86,10 @@ class GaussianFile:
             _check(path, rows, mean, cov)
             rows += len(mean)
         if not rows:
-            raise StudyError(f"{path}: has no rows")
+            raise StudyError(
+                f"{path}: has no rows; of received lines, those count that may be used and have a "
+                "covariance"
+            )
         return cls(path, 4 if dimension == 4 else 3, rows, _sha256(path))
 
     def blocks(self, size: int) -> Iterator[tuple[Array, Array]]:
@@ -283,13 +286,18 @@ def _next_rows(lines: Iterator[str], size: int) -> list[str]:
 
 def _parquet_blocks(path: Path, size: int) -> Iterator[tuple[Array, Array]]:
     def choose(columns: list[str]) -> list[str]:
-        return _columns(path, columns)[1]
+        names = _columns(path, columns)[1]
+        return [*names, "status"] if names[0] == PARAMETERS[0] and "status" in columns else names
 
     for batch in parquet_batches(path, choose, size, StudyError):
+        status = batch.pop("status", None)
         d = 3 if "mean_0" in batch and "mean_3" not in batch else 4
         values = np.stack([np.asarray(column, dtype=float) for column in batch.values()], axis=-1)
-        if PARAMETERS[0] in batch:  # a line that must not be used has no values
-            values = values[np.isfinite(values[:, 0])]
+        if PARAMETERS[0] in batch:
+            known = np.isfinite(values[:, 0])  # a line that must not be used has no values
+            if status is not None:
+                known &= np.array([one != Status.UNKNOWN.name for one in status], bool)
+            values = values[known]
         if len(values):
             yield values[:, :d], _squares(values[:, d:], d)
 
@@ -299,7 +307,7 @@ def _log_blocks(path: Path, size: int) -> Iterator[tuple[Array, Array]]:
     for table in line_tables(path, dbc=codec):
         mean = np.stack([table.columns[name] for name in PARAMETERS], axis=-1)
         upper = np.stack([table.columns[name] for name in DECODED_COV], axis=-1)
-        known = np.isfinite(mean[:, 0])
+        known = np.isfinite(mean[:, 0]) & (table.columns["status"] != Status.UNKNOWN)
         mean, cov = mean[known], _squares(upper[known], 4)
         for start in range(0, len(mean), size):
             yield mean[start : start + size], cov[start : start + size]

@@ -8,6 +8,8 @@ import pytest
 from recorded_drive import record
 from study_helpers import table_of, write_csv
 
+from maplines_can import Codec, Gaussian, MapLine, Slot
+from maplines_can.bus import LogWriter
 from maplines_can.cli import main
 from maplines_can.recordings.read_lines import read_lines
 from maplines_can.study import road
@@ -177,3 +179,60 @@ def test_a_log_is_a_set(tmp_path: Path) -> None:
         for i, name in enumerate(PARAMETERS):
             assert np.array_equal(mean[:, i], table[name])
             assert np.array_equal(cov[:, 0, i], table[f"cov_y_off_{name}"])
+
+
+def bare_log(path: Path, count: int) -> Path:
+    """Write a log of a route without a covariance, a line that has one, and one that is too old."""
+    encoder, cov = Codec.from_dbc().encoder(), np.diag([0.04, 1e-4, 1e-8, 1e-12])
+    lines = [
+        MapLine.mean_only(Slot.ROUTE, [0.2, 0, 0, 0], x_max=80.0, age=0.02),
+        MapLine(Slot.EGO_LEFT, Gaussian([1.75, 0, 0, 0], cov), x_max=80.0, age=0.02),
+        MapLine(Slot.EGO_RIGHT, Gaussian([-1.75, 0, 0, 0], cov), x_max=80.0, age=float("inf")),
+    ][:count]
+    with LogWriter(path, start=100.0) as log:
+        for k in range(20):
+            for frames in encoder.encode_lines(lines):
+                for frame in frames:
+                    log.write(frame, 100 + 0.05 * k)
+    return path
+
+
+def test_received_lines_without_a_covariance_are_left_out(tmp_path: Path) -> None:
+    """The wide one that a receiver takes instead says nothing of the bits that are needed."""
+    log = bare_log(tmp_path / "some.log", 3)
+    assert main(["decode", str(log), "-o", str(tmp_path / "some.parquet")]) == 0
+    for path in (log, tmp_path / "some.parquet"):
+        (chunk,) = (chunk() for chunk in line_set(str(path)).chunks(0, 50, 0))
+        assert chunk.mean[:, 0].tolist() == [1.75] * 20
+        assert chunk.cov[:, 0, 0].max() < 0.05
+
+
+def test_a_table_without_a_line_that_counts_is_refused(tmp_path: Path, capsys: Any) -> None:
+    """With status 1, by each command."""
+    log = bare_log(tmp_path / "none.log", 1)
+    assert main(["decode", str(log), "-o", str(tmp_path / "none.parquet")]) == 0
+    words = ["--out", str(tmp_path / "x.dbc"), "--frames", "4"]
+    for path in (log, tmp_path / "none.parquet"):
+        capsys.readouterr()
+        assert main(["design", "--set", str(path), *words]) == 1
+        assert main(["study", "run", "--set", str(path), "--out", str(tmp_path / "study")]) == 1
+        text = f"maplines: error: {path}: has no rows; of received lines, those count that may be "
+        assert capsys.readouterr().err.count(text) == 2
+
+
+def test_ends_of_the_dbc_are_within_the_ranges_of_a_design(tmp_path: Path) -> None:
+    """A curvature rate that was sent at its end is decoded with the decimals of a DBC."""
+    codec = Codec.from_dbc()
+    mean = np.tile([1.75, 0.0, 0.0, -0.04], (300, 1))  # beyond the end: saturated
+    mean[:, 0] += np.linspace(-1, 1, 300)
+    cov = np.tile(np.diag([0.04, 1e-3, 1e-5, 1e-3]), (300, 1, 1))
+    encoder, slot = codec.encoder(), Slot.EGO_LEFT
+    with LogWriter(tmp_path / "ends.log", start=100.0) as log:
+        for k, payload in enumerate(codec.batch.encode(mean, cov, slot=slot)):
+            for frame in encoder.frames(payload, slot):
+                log.write(frame, 100 + 0.05 * k)
+    assert read_lines(tmp_path / "ends.log")["status"].tolist() == ["SATURATED"] * 300
+    ends = -read_lines(tmp_path / "ends.log")["c1"]
+    assert ends.max() > 0.03125  # by a few units in the last place
+    words = ["--frames", "4", "--out", str(tmp_path / "x.dbc"), "--set", str(tmp_path / "ends.log")]
+    assert main(["design", *words]) == 0

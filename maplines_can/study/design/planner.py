@@ -42,6 +42,8 @@ SPARE = 2.0
 PRICES = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6)
 #: Share of the allowed saturated lines to aim at: a set does not show its own tails well.
 ENDS_AIM = 0.5
+#: Lines of a log are decoded with the factors of a DBC, which has them in decimals.
+ROUNDING = 1e-9
 #: Lines of each set from which the blur is estimated.
 BLUR_ROWS = 1000
 #: Least relative improvement; smaller ones are noise of the set.
@@ -89,13 +91,14 @@ class Planner:
     ) -> Array:
         """Return the (4,) ends of ranges; raise if they do not include the values of the sets."""
         ends = np.array([given.get(*pair) for pair in zip(PARAMETERS, default, strict=True)])
-        share = self._weights @ (values > ends)
+        share = self._weights @ (values > ends * (1 + ROUNDING))
         if share.max() > self.targets.max_saturated:
             i = int(share.argmax())
             raise ValueError(
                 f"{what}: {PARAMETERS[i]} of {100 * share[i]:.2g} % of the lines is beyond "
                 f"{ends[i]:g}, but at most {100 * self.targets.max_saturated:g} % may be; the "
-                f"greatest is {values[:, i].max():.3g}"
+                f"greatest is {values[:, i].max():.3g}; choose {PARAMETERS[i]} of {what} above it, "
+                "or a greater max_saturated"
             )
         return ends
 

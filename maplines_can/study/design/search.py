@@ -76,10 +76,15 @@ def design(
     if held_out is None:
         held_out = {name: Gaussians(s.mean[1::2], s.cov[1::2]) for name, s in sets.items()}
         sets = {name: Gaussians(s.mean[::2], s.cov[::2]) for name, s in sets.items()}
-    if not sets or any(len(s.mean) < MIN_LINES for s in (*sets.values(), *held_out.values())):
-        raise ValueError(
-            f"sets must have {MIN_LINES} lines or more for the search and for the figures"
-        )
+    for name, lines in (*sets.items(), *held_out.items()):
+        if len(lines.mean) < MIN_LINES:
+            raise ValueError(
+                f"sets must have {MIN_LINES} lines or more for the search, and as many for the "
+                f"figures (every other line of a set, if no others are given), but {name} has "
+                f"{len(lines.mean)} for one of them; give a set of more lines"
+            )
+    if not sets:
+        raise ValueError("there must be a set of lines")
     left = 1.0
 
     def step() -> None:
