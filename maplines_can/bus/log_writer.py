@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from importlib.util import find_spec
 from os import PathLike
@@ -19,6 +21,7 @@ from can.io.blf import (
 
 from ..values.errors import LogError, missing_extra
 from ..values.input_files import checked_path
+from ..values.output_files import writing
 from ..wire import Frame
 from .frame_block import stamp_ns
 
@@ -40,7 +43,9 @@ class LogWriter:
         start: time at which the log starts [s]; no frame is earlier.
 
     Raises:
-        LogError: the suffix is another one, or the file cannot be written.
+        LogError: the suffix is another one, or the file cannot be written. `write` and `close`
+            raise it, too, and go on to do so: what was written before is then in a file of the
+            same name with ``.part`` behind it.
         MissingExtraError: .mf4 without the package asammdf.
 
     >>> with LogWriter(tmp / "drive.log", start=1.0) as log:  # doctest: +SKIP
@@ -51,6 +56,7 @@ class LogWriter:
         self.path = checked_path(path, LogError)
         check_log_path(self.path)
         self.frames = 0
+        self._error: LogError | None = None
         try:
             self._writer: Any = _WRITERS[self.path.suffix.lower()](self.path, start)
         except OSError as error:
@@ -58,14 +64,35 @@ class LogWriter:
 
     def write(self, frame: Frame, t: float, **flags: Any) -> None:
         """Write a frame sent at a time [s]; with other flags of ``can.Message``, such as remote."""
-        self._writer.on_message_received(message_of(frame, t, **flags))
+        with self._writing():
+            self._writer.on_message_received(message_of(frame, t, **flags))
         self.frames += 1
 
     def close(self) -> None:
         """Write what is left and close the file; any number of times."""
+        with self._writing():
+            self._stop()
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        if self._error is not None:
+            raise self._error
+        try:
+            with writing(self.path, LogError, self._stop):
+                yield
+        except LogError as error:
+            self._error = error
+            raise
+
+    def _stop(self) -> None:
         writer, self._writer = self._writer, None
-        if writer is not None:
-            writer.stop()
+        try:
+            if writer is not None:
+                writer.stop()
+        except OSError:
+            with suppress(OSError):
+                writer.file.close()  # which that of BLF leaves open
+            raise
 
     def __enter__(self) -> LogWriter:
         return self

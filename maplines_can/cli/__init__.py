@@ -7,6 +7,7 @@ loads nothing of the study, and ``maplines --help`` nothing at all.
 from __future__ import annotations
 
 import argparse
+import errno
 import logging
 import os
 import signal
@@ -14,6 +15,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 from typing import Any
 
@@ -57,6 +59,8 @@ GROUPS = {
     "study": (STUDY_COMMANDS, "study the error caused by quantization on the bus"),
     "fmu": (FMU_COMMANDS, "run FMUs on a simulated CAN bus, and check them"),
 }
+#: Errors of a device that is full; those of files name them.
+NO_ROOM = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 #: Parts of error messages that name a Python argument, and the option of the command for it.
 OPTIONS = {
     "a lower rate, fd=True, a higher bitrate or a higher max_load": "a lower --rate, --fd, a "
@@ -72,6 +76,11 @@ OPTIONS = {
     "frames or max_kl": "--frames or --max-kl",
     "frames: ": "--frames ",
     "max_kl": "--max-kl",
+    "of ranges above": "of --range above",
+    "of sigmas above": "of --sigma above",
+    "ranges: ": "--range: ",
+    "sigmas: ": "--sigma: ",
+    "max_saturated": "--max-saturated",
     "keep_mean": "--keep-mean",
     "ranges must": "--range must",
     "sigmas must": "--sigma must",
@@ -96,25 +105,45 @@ def main(argv: Sequence[str] | None = None) -> int:
         ``SystemExit`` with status 2.
     """
     argv = sys.argv[1:] if argv is None else argv
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # it was closed before the start
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 - open until the end
     logging.basicConfig(format="maplines: %(message)s", stream=sys.stderr)
     warnings.showwarning = _show_warning
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # kill ends it as Ctrl-C does
     try:
-        arguments = _parser(argv).parse_args(argv)
-        if getattr(arguments, "keys", None):
-            arguments.fd = True  # a frame of classic CAN is too short for a MAC
-        return int(arguments.run(arguments))
+        return _run(argv)
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:  # the reader of our output, such as head, has closed it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it at exit
         return 0
     except (MaplinesError, OSError, ValueError) as error:
         message = _with_options(" ".join(_text(error).split()))
         is_loaded = not isinstance(error, NativeError)  # the hint needs most of the package
         note(f"error: {message}{_missing_file_hint(message, argv) if is_loaded else ''}")
         return 1
+    finally:
+        _drop_output()
+
+
+def _run(argv: Sequence[str]) -> int:
+    try:
+        arguments = _parser(argv).parse_args(argv)
+        if getattr(arguments, "keys", None):
+            arguments.fd = True  # a frame of classic CAN is too short for a MAC
+        return int(arguments.run(arguments))
+    finally:
+        sys.stdout.flush()  # of help, too; at exit, there would be a traceback
+
+
+def _drop_output() -> None:
+    """Drop what standard output cannot take, which Python would try to write again at exit."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
@@ -169,6 +198,9 @@ def _text(error: Exception) -> str:
     """Return the text of an error, without an error number if a file is missing."""
     if isinstance(error, FileNotFoundError) and error.filename is not None:
         return f"{error.filename}: there is no such file or folder"
+    if isinstance(error, OSError) and error.errno in NO_ROOM:
+        name = "standard output" if error.filename is None else error.filename
+        return f"{name}: cannot be written: {error.strerror}"
     return str(error)
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from ..maps import town_path
 from ..propagation import MapError
 from ..values.line import Slot
+from ..values.output_files import whole_file
 from ..wire import SHIPPED
 from .options import add_encoding, layout_from
 from .overwriting import add_force, check_new
@@ -108,7 +109,8 @@ def _run(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
     route = None if arguments.map is None else _route(arguments, layout)
     fmu = fmu_of(arguments.node, layout, route)
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(written(fmu))
+    with whole_file(path) as part:
+        part.write_bytes(written(fmu))
     figures = {
         "file": str(path),
         "platforms": list(fmu.platforms),

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from ..values.output_files import whole_file
 from .overwriting import add_force, check_new
 from .parsing import add_json, option_group
 
@@ -40,6 +41,7 @@ def write_files(
     folder = Path(arguments.out)
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
-        (folder / name).write_text(text, encoding="utf-8", newline="\n")
+        with whole_file(folder / name) as part:
+            part.write_text(text, encoding="utf-8", newline="\n")
     paths = [str(folder / name) for name in files]
     print(json.dumps({"files": paths, **figures}, indent=2) if arguments.json else "\n".join(paths))

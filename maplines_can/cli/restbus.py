@@ -18,6 +18,7 @@ from ..bus.log_writer import check_log_path
 from ..bus.virtual_time import VirtualNetwork, VirtualTimeBus
 from ..restbus import Config, Restbus
 from ..restbus.config import EXAMPLE
+from ..values.errors import LogError
 from ..wire import Frame
 from .options import add_bus, add_encoding, bus_settings
 from .output import faults_text
@@ -113,8 +114,12 @@ def _restbus(arguments: argparse.Namespace) -> int:
             log = stack.enter_context(LogWriter(arguments.record, clock.now))
 
         def sent(frame: Frame, t_ns: int) -> None:
-            if log is not None:
+            if log is None:
+                return
+            try:
                 log.write(frame, t_ns / 1e9)
+            except LogError:  # the bus would take it for an error of its own
+                clock.call_at(clock.now_ns, log.close)  # raises again, where the run ends
 
         bus: VirtualTimeBus | Link
         if isinstance(clock, VirtualClock):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -15,8 +15,9 @@ Bar = Callable[[str], AbstractContextManager[Callable[[float, float], None]]]
 
 
 def note(text: str) -> None:
-    """Print one line at once."""
-    print(f"maplines: {text}", file=sys.stderr, flush=True)
+    """Print one line at once; nobody can be told that this is not possible."""
+    with suppress(OSError):
+        print(f"maplines: {text}", file=sys.stderr, flush=True)
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from typing import Self
 
 from ..values.errors import FmuError
 from ..values.input_files import DELIMITERS, lines_of
+from ..values.output_files import writing
 from .node import PLAIN_TYPES, Node
 from .runner import CoSimulation
 
@@ -84,7 +85,8 @@ class OutputWriter:
     """Table of the plain outputs of all nodes: one row each time, one column each element."""
 
     def __init__(self, path: str | PathLike[str], simulation: CoSimulation) -> None:
-        self._file = Path(path).open("w", encoding="utf-8", newline="")  # noqa: SIM115 - see close
+        self._path = Path(path)
+        self._file = self._path.open("w", encoding="utf-8", newline="")
         self._writer = csv.writer(self._file, lineterminator="\n")
         self._simulation = simulation
         self._outputs = [(node, *_outputs(node)) for node in simulation.nodes.values()]
@@ -101,11 +103,14 @@ class OutputWriter:
         values = (
             value for node, names, sizes in self._outputs for value in node.get_all(names, sizes)
         )
-        self._writer.writerow([self._simulation.now, *values])
+        row = [self._simulation.now, *values]
+        with writing(self._path, FmuError, self._file.close):
+            self._writer.writerow(row)
 
     def close(self) -> None:
         """Close the file."""
-        self._file.close()
+        with writing(self._path, FmuError, self._file.close):
+            self._file.close()
 
     def __enter__(self) -> Self:
         return self

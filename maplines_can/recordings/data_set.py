@@ -17,6 +17,7 @@ from ..engines import Result, Task, in_processes, in_this_process, on_dask
 from ..values.errors import LogError
 from ..values.input_files import json_of
 from ..values.line import Slot
+from ..values.output_files import write_error
 from ..wire import Codec
 from .blocks import FrameBlock, read_blocks
 from .fitting import misfit
@@ -122,6 +123,9 @@ def write_tables(
             damage = str(error)
         write(receiver.finish(), None)
         return Written(writer.close(), lines, damage, blocks.summary)
+    except OSError as error:
+        writer.abort()
+        raise write_error(error, writer.path) from None
     except BaseException:
         writer.abort()
         raise

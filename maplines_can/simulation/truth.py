@@ -21,6 +21,7 @@ import csv
 import math
 from array import array
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,6 +33,7 @@ from ..propagation.stretches import stretches
 from ..values.errors import DriveFileError
 from ..values.input_files import checked_path, lines_of
 from ..values.line import Slot
+from ..values.output_files import writing
 from ..values.polyline import Polyline
 from .parquet_files import arrow, parquet_batches
 
@@ -114,7 +116,7 @@ class TruthWriter:
     """
 
     def __init__(self, path: str | PathLike[str], slots: Sequence[Slot]) -> None:
-        path = checked_path(path, DriveFileError)
+        self._path = path = checked_path(path, DriveFileError)
         self._names = columns(slots)
         self._rows: list[list[Any]] = []
         self._parquet: Any = None
@@ -136,16 +138,21 @@ class TruthWriter:
         """Write a row: the values of the cycle in the order of the columns, and ``true_lines``."""
         self._rows.append([*cycle, *lines.ravel().tolist()])
         if len(self._rows) == ROWS:
-            self._flush()
+            with self._writing():
+                self._flush()
 
     def close(self) -> None:
         """Write the rest and close the file; any number of times."""
         if self._file.closed:
             return
-        self._flush()
-        if self._parquet is not None:
-            self._parquet.close()
-        self._file.close()
+        with self._writing():
+            self._flush()
+            if self._parquet is not None:
+                self._parquet.close()
+            self._file.close()
+
+    def _writing(self) -> AbstractContextManager[None]:
+        return writing(self._path, DriveFileError, self._file.close)
 
     def __enter__(self) -> TruthWriter:
         return self

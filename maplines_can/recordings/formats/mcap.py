@@ -11,13 +11,13 @@ from ...values.errors import missing_extra
 from ...values.line import Slot
 from ...wire.layout.signals import slot_title
 from ..table import LineTable, Table
-from .writer import About, PartFiles, PathOf
+from .writer import About, FilesWriter, PathOf
 
 _TYPES = {"b": "boolean", "i": "integer", "u": "integer", "f": "number"}
 _TITLES = {slot.name: slot_title(slot) for slot in Slot}
 
 
-class McapWriter:
+class McapWriter(FilesWriter):
     """Writer of MCAP with the topics ``EgoLeft`` and so on, ``rejects`` and ``scenes``.
 
     With several channels in a log the topics are ``can0/EgoLeft`` and so on. The JSON schema of a
@@ -36,7 +36,7 @@ class McapWriter:
             from mcap.writer import Writer
         except ImportError as error:
             raise missing_extra("an MCAP file needs mcap", "tables") from error
-        self._files = PartFiles(path_of)
+        super().__init__(path_of)
         self._file = self._files.temporary("lines").open("wb")
         self._writer: Any = Writer(self._file)
         self._writer.start(profile="", library=f"maplines_can {about.maplines_can}")
@@ -81,13 +81,11 @@ class McapWriter:
     def close(self) -> list[Path]:
         """Complete the file and return its path."""
         self._writer.finish()
-        self._file.close()
+        self._release()
         return self._files.close()
 
-    def abort(self) -> None:
-        """Leave no file."""
+    def _release(self) -> None:
         self._file.close()
-        self._files.abort()
 
 
 def _schema(name: str, part: Table) -> dict[str, Any]:

@@ -14,14 +14,14 @@ from ...values.errors import missing_extra
 from ...values.line import Slot
 from ...wire.layout.signals import slot_title
 from ..table import LineTable, Table
-from .writer import About, PartFiles, PathOf
+from .writer import About, FilesWriter, PathOf
 
 _TITLES = {slot.name: slot_title(slot) for slot in Slot}
 #: Columns that are no channels.
 _NOT_CHANNELS = ("t", "t_ns", "channel", "slot")
 
 
-class Mf4Writer:
+class Mf4Writer(FilesWriter):
     """Writer of MF4 (ASAM MDF 4.1), for measurement tools.
 
     The rows of each group are spooled to a temporary file and appended at once at the end, since
@@ -40,7 +40,8 @@ class Mf4Writer:
             import asammdf
         except ImportError as error:
             raise missing_extra("an MF4 file needs asammdf", "mf4") from error
-        self._asammdf, self._about, self._files = asammdf, about, PartFiles(path_of)
+        super().__init__(path_of)
+        self._asammdf, self._about = asammdf, about
         self._groups: dict[str, tuple[IO[bytes], np.dtype[np.void], Table]] = {}
         self._path = self._files.temporary("lines")
         self._begin_ns: int | None = None
@@ -90,9 +91,12 @@ class Mf4Writer:
                     if name != "t"
                 ]
                 mdf.append(signals, comment=group, acq_name=group)
-            # asammdf replaces the suffix of another name
-            written = mdf.save(self._path.with_suffix(".mf4"), overwrite=True, compression=1)
-        Path(written).replace(self._path)
+            saved = self._path.with_suffix(".mf4")  # asammdf replaces the suffix of another name
+            try:
+                mdf.save(saved, overwrite=True, compression=1)
+                saved.replace(self._path)
+            finally:
+                saved.unlink(missing_ok=True)
         self._release()
         return self._files.close()
 
@@ -110,11 +114,6 @@ class Mf4Writer:
             unit=rows.units.get(name, ""),
             conversion=conversion,
         )
-
-    def abort(self) -> None:
-        """Leave no file."""
-        self._release()
-        self._files.abort()
 
     def _release(self) -> None:
         for file, _, _ in self._groups.values():

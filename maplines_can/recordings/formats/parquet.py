@@ -7,10 +7,10 @@ from typing import Any
 
 from ...values.errors import missing_extra
 from ..table import LineTable
-from .writer import About, PartFiles, PathOf
+from .writer import About, FilesWriter, PathOf
 
 
-class ParquetWriter:
+class ParquetWriter(FilesWriter):
     """Writer of Parquet, a row group a block of frames.
 
     A field has the metadata ``unit``, and the schema has those of ``About`` with the prefix
@@ -29,7 +29,8 @@ class ParquetWriter:
             import pyarrow.parquet as pq
         except ImportError as error:
             raise missing_extra("a Parquet file needs pyarrow", "tables") from error
-        self._pq, self._about, self._files = pq, about, PartFiles(path_of)
+        super().__init__(path_of)
+        self._pq, self._about = pq, about
         self._writers: dict[str, Any] = {}
 
     def write(self, table: LineTable) -> None:
@@ -46,12 +47,9 @@ class ParquetWriter:
 
     def close(self) -> list[Path]:
         """Complete the files and return their paths."""
-        for writer in self._writers.values():
-            writer.close()
+        self._release()
         return self._files.close()
 
-    def abort(self) -> None:
-        """Leave no file."""
+    def _release(self) -> None:
         for writer in self._writers.values():
             writer.close()
-        self._files.abort()

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import IO, Any
 
 from ..table import LineTable, Table
-from .writer import About, PartFiles, PathOf
+from .writer import About, FilesWriter, PathOf
 
 
-class CsvWriter:
+class CsvWriter(FilesWriter):
     """Writer of CSV. A number is the shortest decimal that reads back; nan is an empty cell.
 
     Args:
@@ -22,7 +22,7 @@ class CsvWriter:
     """
 
     def __init__(self, path_of: PathOf, _about: About) -> None:
-        self._files = PartFiles(path_of)
+        super().__init__(path_of)
         self._open: dict[str, IO[str]] = {}
 
     def write(self, table: LineTable) -> None:
@@ -38,15 +38,12 @@ class CsvWriter:
 
     def close(self) -> list[Path]:
         """Complete the files and return their paths."""
-        for file in self._open.values():
-            file.close()
+        self._release()
         return self._files.close()
 
-    def abort(self) -> None:
-        """Leave no file."""
+    def _release(self) -> None:
         for file in self._open.values():
             file.close()
-        self._files.abort()
 
 
 class JsonLinesWriter(CsvWriter):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Protocol
 
 from ... import __version__
+from ...values.output_files import temporary_path
 from ...wire import Codec
 from ..table import LineTable
 
@@ -60,6 +61,10 @@ class About:
 class TableWriter(Protocol):
     """Writer of the tables of a log, block by block."""
 
+    @property
+    def path(self) -> Path:
+        """Path of the file of the lines, for messages."""
+
     def write(self, table: LineTable) -> None:
         """Write the rows of a block."""
 
@@ -68,6 +73,26 @@ class TableWriter(Protocol):
 
     def abort(self) -> None:
         """Leave no file."""
+
+
+class FilesWriter:
+    """Base of the writers.
+
+    Args:
+        path_of: paths of the files.
+    """
+
+    def __init__(self, path_of: PathOf) -> None:
+        self._files, self.path = PartFiles(path_of), path_of("lines")
+
+    def abort(self) -> None:
+        """Leave no file."""
+        with suppress(OSError):  # what is left cannot be written, either
+            self._release()
+        self._files.abort()
+
+    def _release(self) -> None:
+        """Close the temporary files."""
 
 
 class PartFiles:
@@ -79,24 +104,23 @@ class PartFiles:
 
     def __init__(self, path_of: PathOf) -> None:
         self._path_of = path_of
-        self._paths: dict[str, Path] = {}
+        self._paths: dict[Path, Path] = {}  # temporary ones, by the final ones
 
     def temporary(self, name: str) -> Path:
         """Return the temporary path of the file of a table, which is new."""
-        self._paths[name] = self._path_of(name)
-        return _temporary(self._paths[name])
+        final = self._path_of(name)
+        self._paths[final] = temporary_path(final)
+        return self._paths[final]
 
     def close(self) -> list[Path]:
         """Give the files their names; return their paths."""
-        for final in self._paths.values():
-            _temporary(final).replace(final)
-        return [*self._paths.values()]
+        for final, part in self._paths.items():
+            if part != final:
+                part.replace(final)
+        return [*self._paths]
 
     def abort(self) -> None:
         """Remove the files."""
-        for final in self._paths.values():
-            _temporary(final).unlink(missing_ok=True)
-
-
-def _temporary(final: Path) -> Path:
-    return final.with_name(f".{final.name}.{os.getpid()}.part")
+        for final, part in self._paths.items():
+            if part != final:
+                part.unlink(missing_ok=True)

@@ -6,7 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ...values.errors import missing_extra
+from ...values.output_files import whole_file
 from .panels import Band, Panel
 
 
@@ -51,7 +55,8 @@ def write_page(panels: Sequence[Panel], title: str, path: str | Path) -> None:
         _draw(plot, panel)
         figures.append(plot)
     html = file_html(column(figures, sizing_mode="stretch_width"), INLINE, title)
-    Path(path).write_text(html, encoding="utf-8")
+    with whole_file(path) as part:
+        part.write_text(html, encoding="utf-8")
 
 
 def _draw(plot: Any, panel: Panel) -> None:
@@ -86,7 +91,7 @@ def _draw_band(plot: Any, band: Band) -> None:
     from bokeh.models import HoverTool
 
     for low, high in zip(band.low, band.high, strict=True):
-        for begin, end in _stretches(band):
+        for begin, end in _stretches(low):
             here = slice(begin, end)
             plot.varea(
                 band.x[here], low[here], high[here],
@@ -104,10 +109,8 @@ def _draw_band(plot: Any, band: Band) -> None:
     plot.add_tools(HoverTool(renderers=[line], tooltips=about, mode="vline", visible=False))
 
 
-def _stretches(band: Band) -> list[tuple[int, int]]:
-    """Return the stretches without nan, since an area has none."""
-    import numpy as np
-
-    known = np.concatenate([[False], np.isfinite(band.y), [False]])
+def _stretches(low: NDArray[np.float64]) -> list[tuple[int, int]]:
+    """Return the stretches of a band without nan, since an area has none."""
+    known = np.concatenate([[False], np.isfinite(low), [False]])
     edges = np.flatnonzero(np.diff(known.astype(int)))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ...values.errors import missing_extra
+from ...values.output_files import whole_file
 from .panels import Panel
 
 #: Opacity of each of the three bands, which lie over each other.
@@ -42,7 +43,8 @@ def write_picture(panels: Sequence[Panel], title: str, path: str | Path) -> None
         axes.append(ax)
         _draw(ax, panel)
     figure.suptitle(title)
-    figure.savefig(path, dpi=110)
+    with whole_file(path) as part:
+        figure.savefig(part, dpi=110, format=Path(path).suffix[1:])
 
 
 def _draw(ax: Any, panel: Panel) -> None:

@@ -8,6 +8,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from ...values.output_files import whole_file
 from ...wire.layout.message_layout import PARAMETER_SIGNALS
 from ..dbc.dbc_writer import DbcWriter
 from ..text_table import aligned, markdown
@@ -152,8 +153,9 @@ class Design:
         """Write the DBC, and its page with the same name and the suffix ``.md``."""
         dbc = Path(path).with_suffix(".dbc")
         page = dbc.with_suffix(".md")
-        dbc.write_text(self.writer.dbc())
-        page.write_text(self.page(dbc.name, command))
+        with whole_file(dbc) as part, whole_file(page) as part_of_page:
+            part.write_text(self.writer.dbc())
+            part_of_page.write_text(self.page(dbc.name, command))
         return dbc, page
 
 

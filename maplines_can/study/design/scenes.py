@@ -20,6 +20,7 @@ import numpy as np
 
 from ...values.errors import LayoutError
 from ...values.line import Slot
+from ...values.output_files import whole_file
 from ...values.scene import Scene
 from ...wire import Codec
 from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
@@ -101,13 +102,15 @@ class SceneDesign:
         """Write the DBC, and its page with the same name and the suffix ``.md``."""
         dbc = Path(path).with_suffix(".dbc")
         page = dbc.with_suffix(".md")
-        dbc.write_text(self.writer.dbc())
         figures = indent(self.text(), "    ", lambda _line: True)
-        page.write_text(
+        text = (
             f"# {dbc.name}\n\nDesigned by\n\n    {command}\n\nRecords that are conditional on the "
             f"pose error, measured on random scenes:\n\n{figures}\n\n## The record of a line\n\n"
             f"{self.writer.table()}\n"
         )
+        with whole_file(dbc) as part, whole_file(page) as part_of_page:
+            part.write_text(self.writer.dbc())
+            part_of_page.write_text(text)
         return dbc, page
 
 

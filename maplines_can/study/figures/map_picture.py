@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...maps import Lane, LaneType, Map
 from ...values.line import Kind
+from ...values.output_files import whole_file
 from ...values.polyline import Polyline
 from .panels import new_figure
 
@@ -126,7 +127,8 @@ def draw_map(road_map: Map, path: str | Path) -> None:
     figure.legend(
         handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=8.5
     )
-    figure.savefig(path, dpi=DPI)
+    with whole_file(path) as part:
+        figure.savefig(part, dpi=DPI, format=Path(path).suffix[1:])
 
 
 def _draw(

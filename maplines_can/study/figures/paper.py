@@ -18,6 +18,7 @@ from ...simulation.scenarios import SCENARIOS
 from ...values.errors import missing_extra
 from ...values.gaussian import Gaussian
 from ...values.line import lateral_jacobian
+from ...values.output_files import whole_file
 from ...wire import Codec
 from ..claims.approximations import Approximation, through_the_wire
 from ..metrics import LATERAL_X
@@ -174,7 +175,8 @@ def draw_figures(
         for name, figure in _figures(cases, seed, codec):
             for suffix in formats:
                 paths.append(out / f"{name}.{suffix}")
-                figure.savefig(paths[-1], dpi=DPI, metadata=METADATA[suffix])
+                with whole_file(paths[-1]) as part:
+                    figure.savefig(part, dpi=DPI, metadata=METADATA[suffix], format=suffix)
                 if progress is not None:
                     progress(len(paths), len(figure_paths(out, formats)))
     return paths

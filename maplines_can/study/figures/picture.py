@@ -10,6 +10,7 @@ import numpy as np
 from ...simulation.scenarios import Scenario
 from ...values.gaussian import Gaussian
 from ...values.line import MapLine
+from ...values.output_files import whole_file
 from ..round_trip import RoundTrip
 from .panels import Z99, ellipse, new_figure
 
@@ -54,7 +55,8 @@ def draw_round_trip(trip: RoundTrip, scenario: Scenario, path: str | Path) -> No
     axes[1].set_xlabel("x, ahead of the car [m]")
     for ax in axes:
         ax.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, dpi=150)
+    with whole_file(path) as part:
+        figure.savefig(part, dpi=150, format=Path(path).suffix[1:])
 
 
 def _draw_line(axes: Any, line: MapLine, colour: str, received: MapLine | None) -> None:

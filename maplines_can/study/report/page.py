@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ...values.errors import missing_extra
+from ...values.output_files import whole_file
 from ..codes import CODES
 from ..metrics import LATERAL_X
 from ..scenes.table import HEAD, cells_of
@@ -66,7 +67,8 @@ def write_report(folder: str | Path, out_path: str | Path, *, title: str = TITLE
     )
     out_path = Path(out_path)
     out_path.parent.mkdir(parents=True, exist_ok=True)
-    out_path.write_text(html, encoding="utf-8")
+    with whole_file(out_path) as part:
+        part.write_text(html, encoding="utf-8")
     return out_path
 
 

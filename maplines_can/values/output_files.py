@@ -1,0 +1,81 @@
+"""Files that are written: whole under their names, or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from os import PathLike
+from pathlib import Path
+
+
+def temporary_path(path: Path) -> Path:
+    """Return where a file is written until it is whole: beside it.
+
+    What is no file, such as a device, is written to directly.
+    """
+    if path.exists() and not path.is_file():
+        return path
+    return path.with_name(f".{path.name}.{os.getpid()}.part")
+
+
+def write_error(error: OSError, path: str | PathLike[str]) -> OSError:
+    """Return an error in writing with the name of the file, and the reason of the system alone.
+
+    One that is not of the system, without a number, is returned as it is.
+
+    >>> print(write_error(OSError(28, "a library could not write"), "drive.csv"))
+    [Errno 28] No space left on device: 'drive.csv'
+    """
+    if error.errno is None:
+        return error
+    return OSError(error.errno, os.strerror(error.errno), os.fspath(path))
+
+
+@contextmanager
+def whole_file(path: str | PathLike[str]) -> Iterator[Path]:
+    r"""Yield a temporary path of a file, which gets its name at the end.
+
+    Raises:
+        OSError: it cannot be written. A file that was there before stays as it was.
+
+    >>> with whole_file(tmp / "drive.csv") as path:  # doctest: +SKIP
+    ...     path.write_text("t,y\n")
+    """
+    final = Path(path).resolve()  # a link stays one
+    part = temporary_path(final)
+    try:
+        yield part
+        if part != final:
+            part.replace(final)
+    except OSError as error:
+        raise write_error(error, path) from None
+    finally:
+        if part != final:
+            with suppress(OSError):
+                part.unlink(missing_ok=True)
+
+
+@contextmanager
+def writing(path: Path, kind: type[Exception], close: Callable[[], object]) -> Iterator[None]:
+    """Write to an open file; if that fails, close and rename it, so that no half one has its name.
+
+    Args:
+        path: of the file.
+        kind: type of the error.
+        close: closes it.
+
+    Raises:
+        kind: the file cannot be written to; the message has its name and the reason.
+    """
+    try:
+        yield
+    except OSError as error:
+        left = ""
+        with suppress(OSError):
+            close()
+        if path.is_file():
+            with suppress(OSError):
+                left = f"; what was written before is in {path.replace(f'{path}.part')}"
+        reason = write_error(error, path).strerror or error
+        raise kind(f"{path}: cannot be written: {reason}{left}") from error
