@@ -116,7 +116,7 @@ def _print_lines(arguments: argparse.Namespace) -> int:
         )
     log.note_counters()
     if log.is_empty and log.status != 130:
-        check_received(arguments.log, log.first, codec, log.summary)
+        check_received(arguments.log, log.first, codec, log.summary, has_failed=bool(log.status))
     return log.status
 
 

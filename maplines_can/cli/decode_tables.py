@@ -126,7 +126,7 @@ def _write_file(arguments: argparse.Namespace, out: Path) -> int:
     note_slots(arguments, sum(one.lines for one in receiver.decoders.values()), written.lines)
     note(f"written: {' '.join(map(str, written.files))}")
     if receiver.is_empty and (receiver.frames or not status):
-        check_received(log, receiver.first, codec, written.summary)
+        check_received(log, receiver.first, codec, written.summary, has_failed=bool(status))
     return status
 
 

@@ -24,7 +24,7 @@ def add_times(parser: argparse.ArgumentParser) -> None:
         choices=get_args(Times),
         default="auto",
         help="kind of the time stamps of a text log: absolute, zero (from the start of the log) or "
-        "delta (from the frame before) (default: auto, by the header or the first rows)",
+        "delta (from the frame before); by default auto, by the header or the first rows",
     )
 
 
@@ -60,16 +60,31 @@ def note_log(log: str, summary: LogSummary) -> None:
         note(f"{log}: skipped: {skipped}")
 
 
-def check_received(log: str, first: FirstFrames, codec: Codec, summary: LogSummary) -> None:
+def check_received(
+    log: str,
+    first: FirstFrames,
+    codec: Codec,
+    summary: LogSummary,
+    *,
+    has_failed: bool = False,
+) -> None:
     """Say why neither a line nor a pose error was received of a log.
 
+    Args:
+        log: its name.
+        first: frames of it.
+        codec: of the lines.
+        summary: of the log.
+        has_failed: whether an error of the log has been printed, which the reason follows.
+
     Raises:
-        LogError: with the reason, unless options of the command leave out what there is.
+        LogError: with the reason, unless there was an error, or options of the command leave out
+            what there is.
     """
     from ..recordings.fitting import misfit
 
     why = misfit(first, [codec], summary)
-    if not why.is_left_out:
+    if not (why.is_left_out or has_failed):
         raise LogError(f"{log}: {why.text}")
     note(f"{log}: {why.text}")
 
