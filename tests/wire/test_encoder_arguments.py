@@ -1,0 +1,79 @@
+"""Ages, counters and records that a caller gives to an encoder, in C and in Python."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from both_senders import codecs_of
+from scene_streams import COMPLETE, CONDITIONAL, new_codec, road_scene
+
+from maplines_can import Codec, EncodeError, Slot
+from maplines_can.wire import POSE, Frame
+
+
+def both(dbc: str) -> tuple[Codec, Codec]:
+    return codecs_of(new_codec(dbc).layout)
+
+
+@pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
+@pytest.mark.parametrize(
+    ("age", "message"),
+    [
+        pytest.param(-1.0, "age must be 0 s or more", id="negative"),
+        pytest.param(-1e-300, "age must be 0 s or more", id="hardly-negative"),
+        pytest.param(float("-inf"), "age must be 0 s or more", id="minus-infinite"),
+        pytest.param(float("nan"), "age must be 0 s or more", id="nan"),
+        pytest.param(None, "age must be 0 s or more", id="none"),
+        pytest.param(1e100, "age must be 0 s or more", id="beyond"),
+        pytest.param(10**400, "numbers from -1.8e.308 to", id="beyond-the-floats"),
+        pytest.param("x", "could not convert", id="text"),
+        pytest.param({}, "age must be one for all .*'pose' has none", id="no-record"),
+        pytest.param(dict.fromkeys((POSE, *Slot), -1.0), "0 s or more", id="of-the-pose"),
+    ],
+)
+def test_a_wrong_age_of_a_scene_raises(age: Any, message: str, dbc: str) -> None:
+    """A negative one is not sent as 0."""
+    for codec in both(dbc):
+        with pytest.raises(ValueError, match=message):
+            codec.encoder().encode_scene(road_scene(), age=age)
+
+
+@pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
+def test_an_age_may_be_of_any_kind_of_number(dbc: str) -> None:
+    """Also infinite: too old."""
+    ages: list[Any] = [0.125, np.float32(0.125), {POSE: 0.125, **dict.fromkeys(Slot, 0.125)}]
+    for codec in both(dbc):
+        sent = [codec.encoder().encode_scene(road_scene(), age=age) for age in ages]
+        assert sent[0] == sent[1] == sent[2]
+        assert codec.encoder().encode_scene(road_scene(), age=np.inf) != sent[0]
+
+
+@pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
+def test_counters_may_be_of_any_kind_of_integer(dbc: str) -> None:
+    """What is no integer raises."""
+    slot, expected = Slot.EGO_LEFT, dict[Any, list[Frame]]()
+    counter: Any
+    wrong: Any
+    for codec in both(dbc):
+        encoder, counters = codec.encoder(), [3, np.int64(3), np.uint8(3), 3 + 2**40]
+        for counter in counters:
+            sent = encoder.encode_scene(road_scene(), counters={slot: counter, POSE: counter})
+            expected = expected or sent
+            assert sent == expected
+        for wrong in (1.5, "3", None):
+            with pytest.raises(TypeError):
+                encoder.encode_scene(road_scene(), counters={slot: wrong})
+
+
+@pytest.mark.parametrize("fd", [False, True])
+@pytest.mark.parametrize(("dbc", "lengths"), [(COMPLETE, [32]), (CONDITIONAL, [16, 32])])
+def test_a_record_of_another_length_is_refused(dbc: str, lengths: list[int], fd: bool) -> None:
+    """It would be that of another DBC."""
+    encoder, slot = new_codec(dbc).encoder(), Slot.EGO_LEFT
+    for length in range(70):
+        record = np.zeros(length, np.uint8)
+        if length in lengths:
+            assert sum(len(frame.data) for frame in encoder.frames(record, slot, fd=fd)) >= length
+            continue
+        with pytest.raises(EncodeError, match=f"of {' or '.join(map(str, lengths))} bytes, got"):
+            encoder.frames(record, slot, fd=fd)
