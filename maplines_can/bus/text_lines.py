@@ -7,7 +7,6 @@ import math
 import select
 import time
 import zlib
-from collections.abc import Iterator
 from itertools import islice
 from typing import Any
 
@@ -24,7 +23,7 @@ _BLANKS = f" \t\r\n{_BYTE_ORDER_MARK}"
 
 
 class Lines:
-    """Iterator over the lines of a text log; only the last one may lack a line feed.
+    """Lines of a text log, one by one with ``next``; only the last one may lack a line feed.
 
     A line of more than ``MAX_LINE`` bytes raises a ValueError, once it has been skipped. A byte
     that is not UTF-8 costs its own line only. Byte order marks are removed.
@@ -45,9 +44,6 @@ class Lines:
         self.number = 0
         #: What ended the file before its end, and why; None if nothing did.
         self.end: tuple[str, str] | None = None
-
-    def __iter__(self) -> Iterator[str]:
-        return self
 
     def __next__(self) -> str:
         end = self._end_of_line()

@@ -326,6 +326,24 @@ class Terminal(io.RawIOBase):
         return len(chunk)
 
 
+@pytest.mark.parametrize("size", range(1, 30, 4))
+@pytest.mark.parametrize(
+    "row",
+    [
+        "(1.5) can0 340#2A\n",
+        " 0.5 1 340 Rx d 1 2A\n",
+        "1.5,0x340,0,0,0,1,Kg==\n",
+        " \r\n(1.5) c 340#2A\r",
+    ],
+)
+def test_a_stream_in_small_parts_is_the_same(row: str, size: int) -> None:
+    """The format is known by whole lines, whatever arrives first."""
+    data = row.encode() * 3
+    parts = [data[place : place + size] for place in range(0, len(data), size)]
+    stream: Any = io.BufferedReader(Terminal(*parts, b""))
+    assert [(f.can_id, f.data) for f in read_log(stream)] == [(0x340, b"*")] * 3
+
+
 def test_nothing_is_read_after_the_end_of_a_stream() -> None:
     row = b"  can0  340   [1]  2A\n"
     stream: Any = io.BufferedReader(Terminal(row, row, b"", row, b""))

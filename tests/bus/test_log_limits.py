@@ -214,3 +214,15 @@ def test_numbers_beyond_their_range_are_damage(tmp_path: Path, row: str) -> None
         frames.extend(read_log(path))
     assert len(frames) == 2
     assert len(str(caught.value)) < len(str(path)) + 400
+
+
+@pytest.mark.parametrize(("last", "is_read"), [(807, True), (808, False)])
+def test_the_last_time_is_that_of_64_bits(tmp_path: Path, last: int, is_read: bool) -> None:
+    """Of nanoseconds."""
+    path = tmp_path / "drive.log"
+    path.write_text(f"(9223372036.854775{last}) can0 340#00\n")
+    if is_read:
+        assert [frame.t_ns for frame in read_log(path)] == [2**63 - 1]
+        return
+    with pytest.raises(LogError, match="beyond 64 bits"):
+        list(read_log(path))
