@@ -125,8 +125,8 @@ class Field:
         """Return the raw value that is nearest to a physical one, as cantools rounds it."""
         signal = self.signal
         raw: Raw = signal.conversion.numeric_scaled_to_raw(value)
-        if isinstance(value, int) and not signal.is_float and abs(raw) >= 1 << 53:
-            # A float does not hold it. The factor is the decimal number that the DBC has.
+        if abs(raw) >= 1 << 53:  # a float does not hold it
+            # The factor is the decimal number that the DBC has.
             offset, scale = (Fraction(str(part)) for part in (signal.offset, signal.scale))
             raw = round((value - offset) / scale)
         return raw

@@ -24,13 +24,14 @@ class Protection:
             raise RestbusError(f"{table.name}: profile must be one of {known}, got {self.number!r}")
         profile = PROFILES[self.number]
         self.profile, self._fields = profile, fields
-        self.mode = table.choice("data_id_mode", DATA_ID_MODES, "both")
+        modes = {"1": DATA_ID_MODES, "11": ("both", "nibble")}.get(self.number)
+        self.mode = "both" if modes is None else table.choice("data_id_mode", modes, "both")
         self.data_id = self._data_id(table)
         self.counter = self._field(table, "counter", profile.counter_bits)
         self.crc = self._field(table, "crc", profile.crc_bits)
         #: Signals that are set here, with their raw values; the counter has its own.
         self.fields: dict[Field, Raw] = {self.counter: 0, self.crc: 0}
-        if self._has_nibble:
+        if self.mode == "nibble":
             self.fields[self._nibble(table, message)] = self.data_id >> 8  # type: ignore[operator]
         table.end()
         if self.counter == self.crc:
@@ -48,13 +49,8 @@ class Protection:
         size = self.last - self.first
         return payload[: self.first] + crc.to_bytes(size, order) + payload[self.last :]  # type: ignore[arg-type]
 
-    @property
-    def _has_nibble(self) -> bool:
-        """Whether bits 8 to 11 of the data ID are sent, and the others are 0."""
-        return self.mode == "nibble" and self.number in ("1", "11")
-
     def _data_id(self, table: Table) -> int | list[int]:
-        bits = 12 if self._has_nibble else self.profile.data_id_bits
+        bits = 12 if self.mode == "nibble" else self.profile.data_id_bits
         value, most = table.take("data_id"), (1 << bits) - 1
         name = f"{table.name}: data_id"
         if self.number != "2":

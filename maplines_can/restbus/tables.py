@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from typing import Any
@@ -132,7 +133,7 @@ def number(
 ) -> float:
     """Return a number, checked against its limits."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    valid = is_number and least <= value <= most  # type: ignore[operator]
+    valid = is_number and least <= value <= most and abs(value) < math.inf  # type: ignore[operator,arg-type]
     if not valid or (whole and value != int(value)):  # type: ignore[call-overload]
         what = "a whole number" if whole else "a number"
         raise RestbusError(

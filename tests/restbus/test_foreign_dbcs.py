@@ -215,6 +215,24 @@ def test_a_named_value_is_raw_and_a_list_is_sent_in_turn(tmp_path: Path) -> None
     assert [tuple(m.data[4:6]) for m in sent] == [(255, 9), (255, 2), (255, 9), (255, 2)]
 
 
+def test_a_sine_between_its_ends(tmp_path: Path) -> None:
+    """An eighth and a twelfth of a period beyond the phase."""
+    path = dbc(tmp_path, "S : 0|16@1- (0.001,0) [0|0]")
+    for period, expected in ((0.08, [0, 7.071, 10, 7.071]), (0.12, [0, 5, 8.66, 10])):
+        sine = {"sine": [-10, 10], "period_s": period, "phase_deg": 360}
+        sent = frames(config(path, signals={"S": sine}), 0.03)
+        values = [int.from_bytes(m.data[:2], "little", signed=True) / 1000 for m in sent]
+        assert values == pytest.approx(expected, abs=1e-3)
+
+
+def test_a_step_that_is_no_whole_number(tmp_path: Path) -> None:
+    path = dbc(tmp_path, "S : 0|8@1+ (0.5,0) [0|0]")
+    sent = frames(config(path, signals={"S": {"count": [0, 1], "step": 0.5}}), 0.03)
+    assert [m.data[0] for m in sent] == [0, 1, 2, 0]
+    with pytest.raises(RestbusError, match=r"count must be a whole number in \[1, 1000\]"):
+        config(path, count=2.5)
+
+
 def test_ends_may_have_names(tmp_path: Path) -> None:
     """They are raw, so their physical values are beyond the factor and the offset."""
     path = dbc(tmp_path, "S : 0|8@1+ (2,10) [0|0]", 'VAL_ 256 S 3 "Three" 5 "Five" ;')
@@ -243,6 +261,14 @@ def test_floats_of_each_length(tmp_path: Path, bits: int, code: str, most: float
         )
     with pytest.raises(RestbusError, match="S must be a number in"):
         payload(path, S=2 * most)
+
+
+@pytest.mark.parametrize("value", [float("inf"), float("-inf"), float("nan")])
+def test_a_float_of_infinite_range_takes_finite_values_only(tmp_path: Path, value: float) -> None:
+    path = dbc(tmp_path, "S : 0|64@1- (2,0) [0|0]", "SIG_VALTYPE_ 256 S : 2;")
+    assert struct.unpack("<d", payload(path, S=1e308)) == (5e307,)
+    with pytest.raises(RestbusError, match="S must be a number in"):
+        config(path, signals={"S": value})
 
 
 def test_the_longest_signal_that_can_be_set(tmp_path: Path) -> None:
@@ -445,7 +471,8 @@ def test_start_values_that_contradict_each_other_are_told(tmp_path: Path) -> Non
 
 def test_values_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
     path = dbc(tmp_path, SHARED)
-    for signals in ({"Low": 1, "Word": 2}, {"Low": {"count": [0, 9]}, "Word": 0}):
+    for low in (1, [0, 1], {"count": [0, 9]}):
+        signals = {"Low": low, "Word": 0}
         with pytest.raises(RestbusError, match="message M: Low and Word have common bits"):
             config(path, signals=signals)
     events = [
@@ -530,6 +557,16 @@ def test_the_length_decides_on_can_fd(tmp_path: Path, length: int, sent: int, ca
     assert bytes(message.data) == expected.ljust(sent, b"\0")
     said = [text for text in made.notices if f"no frame has {length} bytes; {sent} are" in text]
     assert len(said) == (sent > length)
+
+
+def test_a_short_message_is_of_can_fd_if_the_dbc_says_so(tmp_path: Path) -> None:
+    rest = (
+        'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","StandardCAN_FD";\n'
+        'BA_DEF_DEF_ "VFrameFormat" "StandardCAN";\nBA_ "VFrameFormat" BO_ 256 2;\n'
+    )
+    made = config(dbc(tmp_path, "S : 0|8@1+ (1,0) [0|0]", rest))
+    assert [(m.is_fd, len(m.data)) for m in frames(made, 0.0)] == [(True, 8)]
+    assert made.notices == []
 
 
 def test_a_message_that_no_frame_carries_is_refused_by_name(tmp_path: Path) -> None:
@@ -626,6 +663,32 @@ def test_the_nibble_of_the_data_id_is_sent(
             config(path, e2e=e2e, signals={"Id": 3})
     with pytest.raises(RestbusError, match=r"data_id must be a whole number in \[0, 4095\]"):
         config(path, e2e=e2e | {"data_id": 0x1934})
+
+
+def test_a_header_behind_other_bytes_and_of_motorola_bytes(tmp_path: Path) -> None:
+    """A checksum of one byte has no order; the nibble stays beside the counter."""
+    path = dbc(tmp_path, "Crc : 23|8@0+ (1,0) [0|0]\nCounter : 27|4@0+ (1,0) [0|0]")
+    e2e = {"profile": 11, "data_id": 0x934, "data_id_mode": "nibble"}
+    e2e |= {"counter": "Counter", "crc": "Crc"}
+    sent = [bytearray(m.data) for m in frames(config(path, e2e=e2e), 0.02)]
+    assert [m[3] for m in sent] == [0x90, 0x91, 0x92]
+    mode = p11.E2E_P11_DATAID_NIBBLE
+    assert all(p11.e2e_p11_check(m, 0x934, data_id_mode=mode, offset=2) for m in sent)
+
+
+@pytest.mark.parametrize(
+    ("profile", "mode", "text"),
+    [(5, "nibble", "unknown key 'data_id_mode'"), (11, "low", "must be both or nibble, got 'low'")],
+)
+def test_a_mode_that_the_profile_does_not_have(
+    tmp_path: Path, profile: int, mode: str, text: str
+) -> None:
+    """Its data IDs would not be those that the mode says."""
+    bits = ("0|16@1+", "16|8@1+") if profile == 5 else ("0|8@1+", "8|4@1+")
+    path = dbc(tmp_path, f"Crc : {bits[0]} (1,0) [0|0]\nCounter : {bits[1]} (1,0) [0|0]")
+    e2e = {"profile": profile, "data_id": 1, "counter": "Counter", "crc": "Crc"}
+    with pytest.raises(RestbusError, match=text):
+        config(path, e2e=e2e | {"data_id_mode": mode})
 
 
 def test_a_nibble_without_a_place_must_be_named(tmp_path: Path) -> None:
