@@ -153,6 +153,10 @@ ROWS_OF_FRAMES = {
     "CANFD 1 Tx 340 Name 1 0 9 12 " + "0a " * 12: (0x340, b"\n" * 12),
     "CANFD 1 Tx 340 - 1 0 f 64 " + "0a " * 64: (0x340, b"\n" * 64),
     "CANFD 1 Tx 340  1 0 0  0  0 0 3000 0": (0x340, b""),
+    "CANFD 1 Tx 340  1 0 0  0": (0x340, b""),
+    "CANFD 1 Tx 340 Name 1 0 0  0": (0x340, b""),
+    "1 7FF Rx d 1 01 ID = 5": (0x7FF, b"\1"),
+    "1 1FFFFFFFX Rx d 1 01": (0x1FFFFFFF, b"\1"),
 }
 
 
@@ -181,6 +185,22 @@ def test_a_row_that_is_cut_is_damage(tmp_path: Path, row: str, end: str) -> None
     path.write_text(f"base hex timestamps absolute\n 0.1 1 340 Rx d 1 00\n 0.2 {row}{end}")
     with pytest.raises(LogError, match=r"1 of 2 records are damaged \(the first: line 3: "):
         list(read_log(path))
+
+
+@pytest.mark.parametrize(
+    ("row", "is_certain"),
+    [("1 832 Rx d 2 1 25", False), ("1 832 Rx d 2 1 255", True), ("1 832 Rx d 2 1 25 ID", True)],
+)
+@pytest.mark.parametrize("end", ["", "\n"])
+def test_a_last_decimal_byte_that_may_be_cut_is_said(
+    tmp_path: Path, row: str, is_certain: bool, end: str
+) -> None:
+    """It has one to three digits, and no line feed behind it."""
+    path = tmp_path / "a.asc"
+    path.write_text(f"base dec timestamps absolute\n 0.1 {row}{end}")
+    log = read_log(path)
+    assert [len(f.data) for f in log] == [2]
+    assert bool(log.summary.notices) == (not is_certain and not end)
 
 
 def test_every_cut_of_a_log_is_said(tmp_path: Path) -> None:

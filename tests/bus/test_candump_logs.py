@@ -240,13 +240,15 @@ def test_a_byte_order_mark_costs_no_row(tmp_path: Path, row: str) -> None:
         ("(1.5) can0 340##011", False),
         ("(1.5) can0 340#11 R", True),
         ("(1.5) can0 340#11\n", True),
+        ("(1.5) can0 340#11\r", True),
+        ("(1.5) can0 340#11\r\n", True),
         ("  can0  340   [1]  11", True),
     ],
 )
 def test_a_last_row_that_may_be_cut_is_said(tmp_path: Path, row: str, is_certain: bool) -> None:
     """The rows of candump -L do not have a length."""
     path = tmp_path / "drive.log"
-    path.write_text(row)
+    path.write_bytes(row.encode())
     log = read_log(path)
 
     assert [f.data for f in log] == [b"\x11"]
