@@ -96,3 +96,19 @@ def test_in_a_lane_change_the_limit_changes_half_way(own: float, other: float) -
     assert state.speed[x < half - 0.1].max() <= own + 1e-6
     assert state.speed[x > half + 0.1].max() <= other + 1e-6
     assert state.speed.max() > 12.0
+
+
+def test_limits_within_the_lanes_of_a_route_hold_where_the_car_is_on_them() -> None:
+    """Neither that of a lane that it has left, nor one counted from the start of the route."""
+    second = replace(LANES[1], speed_limits=((0.0, 20.0), (30.0, 6.0)))
+    found = network(replace(LANES[0], speed_limit=20.0), second, links={"a": "b"})
+    state = (drive := drive_along(found, found.route("a", "b"), acceleration=9.0)).at(
+        drive.times(100.0)
+    )
+    x = state.pose[:, 0]
+    assert state.speed[x > 130.1].max() <= 6.0 + 1e-6
+    assert state.speed[(x > 50) & (x < 110)].min() > 6.5
+    left = replace(lane("l", t=3.5), speed_limits=((0.0, 10.0), (100.0, 5.0)))
+    beside = network(left, replace(lane("r"), speed_limit=12.0), rows=["l r"])
+    state = (drive := drive_along(beside, beside.route("l", "r"))).at(drive.times(10.0))
+    assert state.speed[state.pose[:, 0] > 100].max() == pytest.approx(12.0, abs=0.05)

@@ -346,3 +346,11 @@ def test_a_speed_limit_of_miles_follows_one_of_kilometres() -> None:
     assert [s for s, _ in found.speed_limits] == pytest.approx([0.0, 40.0])
     assert [v for _, v in found.speed_limits] == pytest.approx([50 / 3.6, 30 * 0.44704])
     assert found.speed_limit == pytest.approx(30 * 0.44704)
+
+
+def test_a_marking_from_a_rounding_error_on_is_that_from_the_start() -> None:
+    """A part of less than 0.1 mm is none; in a longer one before it, nothing is said."""
+    near, later = (WIDTH + marks((s, "solid")) for s in (9e-5, 2e-4))
+    lanes = read_map(road(section(lane(-1, near), lane(-2, later), lane(-3)))).lanes
+    assert (lanes["1:0:-1"].right.kind, lanes["1:0:-1"].right.kinds) == (Kind.SOLID, ())
+    assert [kind for _, kind in lanes["1:0:-2"].right.kinds] == [Kind.UNKNOWN, Kind.SOLID]
