@@ -94,8 +94,8 @@ class DbcMessage:
 
     @property
     def frames_each(self) -> int:
-        """Number of frames of one message."""
-        return 1 if not self.is_broadcast else len(packets(self.can_id, bytes(self.length)))
+        """Number of frames of one message that is a broadcast."""
+        return len(packets(self.can_id, bytes(self.length)))
 
     def check(self, signal: str, value: object = None) -> Raw:
         """Return the raw value of a value of a signal.

@@ -185,12 +185,14 @@ def test_signals_with_odd_ranges_are_sent_with_raw_0(tmp_path: Path) -> None:
         ("Rev", 50, r"Rev cannot be set: its range in the DBC is reversed, \[100\|0\]"),
         ("Nil", 1, "Nil cannot be set: its factor in the DBC is 0"),
         ("Far", 0, "Far cannot be set: its bits lie beyond the 8 bytes"),
-        ("Five", 4, r"Five must be a number in \[5, 10\], got 4"),
+        ("Five", 4, r"Five must be a number in \[5, 10\] km, got 4"),
         ("Five", {"ramp": [5], "period_s": 1}, r"Five: ramp must be \[FIRST, LAST\], got \[5\]"),
         ("Five", {"period_s": 1}, "Five needs count, ramp, sine or script"),
         ("Five", {"script": "nowhere.py"}, 'Five: script must be "FILE.py:FUNCTION"'),
+        ("Five", {"script": ":f"}, 'Five: script must be "FILE.py:FUNCTION"'),
+        ("Five", {"count": [5, 9], "step": 5}, r"step must be a number in \[1e-12, 4\] km, got 5"),
         ("Five", {"script": "s.py:g"}, "s.py has no function 'g'; its functions are: f"),
-        ("Five", 11, r"Five must be a number in \[5, 10\], got 11"),
+        ("Five", 11, r"Five must be a number in \[5, 10\] km, got 11"),
         ("Zero", 256, r"Zero must be a number in \[0, 255\], got 256"),
         ("Zero", 10**400, r"Zero must be a number in \[0, 255\]"),
         ("Zero", float("nan"), r"Zero must be a number in \[0, 255\], got nan"),
@@ -203,6 +205,7 @@ def test_a_value_that_a_signal_cannot_have_is_an_error_at_the_start(
     tmp_path: Path, signal: str, value: object, text: str
 ) -> None:
     path = dbc(tmp_path, ODD, 'VAL_ 256 Text 1 "Twice" 2 "Twice" 9 "Nine" 300 "Large" ;')
+    path.write_text(path.read_text().replace('[5|10] ""', '[5|10] "km"'))
     (tmp_path / "s.py").write_text("def f(t):\n    return t\n")
     entry = {"name": "M", "dbc": str(path), "cycle_ms": 10, "signals": {signal: value}}
     with pytest.raises(RestbusError, match=text):
@@ -485,9 +488,23 @@ def test_values_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
     text = r"event at 0.2 s: M.Word has bits of Low, which has another value; reset Low"
     with pytest.raises(RestbusError, match=text):
         frames(config(path, events))
-    mux = dbc(tmp_path, f"{MUX.rstrip()}\n    Over : 4|8@1+ (1,0) [0|0]\n")
+    # A multiplexer changes, so that nothing agrees with it, if it is not set.
+    mux = dbc(tmp_path, f"{MUX.rstrip()}\n    Over : 0|4@1+ (1,0) [0|0]\n")
     with pytest.raises(RestbusError, match="Mux and Over have common bits"):
-        config(mux, signals={"Over": 1})
+        config(mux, signals={"Over": 3})
+    assert bytes(frames(config(mux, signals={"Over": 3, "Mux": 3}), 0.0)[0].data[:1]) == b"\3"
+
+
+def test_a_command_comes_before_a_start_value(tmp_path: Path) -> None:
+    path = dbc(tmp_path, SHARED, starts(Word=0xABCD))
+    sent = frames(config(path, [{"at_s": 0.005, "command": "set M.Low 1"}]), 0.01)
+    assert [bytes(m.data[:2]) for m in sent] == [b"\xcd\xab", b"\x01\xab"]
+
+
+def test_a_float_of_a_length_that_no_float_has(tmp_path: Path) -> None:
+    made = config(dbc(tmp_path, "S : 0|24@1- (1,0) [0|0]", "SIG_VALTYPE_ 256 S : 1;"))
+    assert made.notices == ["M: sent without S: it is a float of 24 bits"]
+    assert bytes(frames(made, 0.0)[0].data) == bytes(8)
 
 
 def test_multiplexers_that_share_bits_are_told(tmp_path: Path) -> None:
@@ -515,6 +532,8 @@ def test_what_e2e_sets_cannot_be_set(tmp_path: Path) -> None:
     e2e = {"profile": 2, "data_id": [0] * 16, "counter": "B", "crc": "A"}
     with pytest.raises(RestbusError, match=r"M.B is set by e2e; damage it with a fault instead"):
         frames(config(path, [{"at_s": 0.0, "command": "set M.B 1"}], e2e=e2e))
+    with pytest.raises(RestbusError, match=r"data_id must be a whole number in .*, got 1.5"):
+        config(path, e2e=e2e | {"data_id": [1.5] * 16})
     with pytest.raises(RestbusError, match="crc must begin with a byte, C does not"):
         config(path, e2e=e2e | {"crc": "C"})
 
@@ -767,10 +786,11 @@ def test_long_messages_of_j1939_are_announced_and_sent_packet_by_packet(tmp_path
 
 
 def test_a_long_message_for_all_of_a_group_with_a_receiver(tmp_path: Path) -> None:
-    """The announcement names the parameter group without the receiver."""
-    path = dbc(tmp_path, "S : 0|8@1+ (1,0) [0|0]", J1939, length=9, can_id=0x99EFFF03)
-    sent = frames(config(path, cycle_ms=1000), 0.0)
-    assert bytes(sent[0].data).hex() == "20090002ff00ef01"
+    """The announcement names the parameter group without the receiver; from F0 on there is none."""
+    for can_id, group in ((0x99EFFF03, "00ef01"), (0x98F00503, "05f000")):
+        path = dbc(tmp_path, "S : 0|8@1+ (1,0) [0|0]", J1939, length=9, can_id=can_id)
+        sent = frames(config(path, cycle_ms=1000), 0.0)
+        assert bytes(sent[0].data).hex() == f"20090002ff{group}"
 
 
 def test_an_address_sends_one_long_message_after_the_other(tmp_path: Path) -> None:
