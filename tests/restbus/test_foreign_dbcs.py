@@ -228,6 +228,14 @@ def test_a_sine_between_its_ends(tmp_path: Path) -> None:
         assert values == pytest.approx(expected, abs=1e-3)
 
 
+def test_a_ramp_begins_again(tmp_path: Path) -> None:
+    """It begins at its phase, here a quarter of its period of 40 ms."""
+    path = dbc(tmp_path, "S : 0|8@1+ (1,0) [0|0]")
+    ramp = {"ramp": [0, 80], "period_s": 0.04, "phase_deg": 90}
+    sent = frames(config(path, signals={"S": ramp}), 0.05)
+    assert [m.data[0] for m in sent] == [20, 40, 60, 0, 20, 40]
+
+
 def test_a_step_that_is_no_whole_number(tmp_path: Path) -> None:
     path = dbc(tmp_path, "S : 0|8@1+ (0.5,0) [0|0]")
     sent = frames(config(path, signals={"S": {"count": [0, 1], "step": 0.5}}), 0.03)
@@ -528,12 +536,23 @@ def test_a_command_resets_one_signal(tmp_path: Path) -> None:
 
 
 def test_what_e2e_sets_cannot_be_set(tmp_path: Path) -> None:
-    path = dbc(tmp_path, "A : 0|8@1+ (1,0) [0|0]\nB : 8|4@1+ (1,0) [0|0]\nC : 17|8@1+ (1,0) [0|0]")
+    signals = """
+        A : 0|8@1+ (1,0) [0|0]
+        B : 8|4@1+ (1,0) [0|0]
+        C : 17|8@1+ (1,0) [0|0]
+        D : 62|4@1+ (1,0) [0|0]
+    """
+    path = dbc(tmp_path, signals)
     e2e = {"profile": 2, "data_id": [0] * 16, "counter": "B", "crc": "A"}
     with pytest.raises(RestbusError, match=r"M.B is set by e2e; damage it with a fault instead"):
         frames(config(path, [{"at_s": 0.0, "command": "set M.B 1"}], e2e=e2e))
     with pytest.raises(RestbusError, match=r"data_id must be a whole number in .*, got 1.5"):
         config(path, e2e=e2e | {"data_id": [1.5] * 16})
+    for data_id in (7, [0] * 15):
+        with pytest.raises(RestbusError, match="data_id of profile 2 must be a list of 16"):
+            config(path, e2e=e2e | {"data_id": data_id})
+    with pytest.raises(RestbusError, match="counter: D cannot be sent: its bits lie beyond the 8"):
+        config(path, e2e=e2e | {"counter": "D"})
     with pytest.raises(RestbusError, match="crc must begin with a byte, C does not"):
         config(path, e2e=e2e | {"crc": "C"})
 
@@ -776,6 +795,7 @@ def test_long_messages_of_j1939_are_announced_and_sent_packet_by_packet(tmp_path
     ]
     assert [round(m.timestamp * 1e3) for m in sent] == [0, 50, 100, 150, 200]
     assert not any(m.is_fd for m in sent)
+    assert all(m.is_extended_id for m in sent)
     clock = VirtualClock()
     with VirtualTimeBus(VirtualNetwork(clock)) as bus:
         restbus = Restbus(made, bus, clock)
