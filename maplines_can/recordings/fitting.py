@@ -69,9 +69,8 @@ class Fit:
         """
         decoders, counts = receiver.decoders.values(), receiver.counts
         received = sum(one.lines + one.pose_errors for one in decoders)
-        records = received - (
-            -counts[Reason.POSE] // codec.layout.pages
-        )  # of classic CAN, at least
+        # A record of classic CAN has as many frames as pages, one of CAN FD has fewer.
+        records = received + math.ceil(counts[Reason.POSE] / codec.layout.pages)
         intact = sum(one.line_frames + one.pose_frames for one in decoders)
         intact += sum(counts[reason] for reason in _INTACT)
         chance = _chance(frames, records, codec.layout["Crc"].length)
