@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from maplines_can import Codec, MapLine, Slot
-from maplines_can.bus import LogFrame
+from maplines_can.bus import LogFrame, first_frames
 from maplines_can.bus.first_frames import FirstFrames
+from maplines_can.recordings import fitting
+from maplines_can.recordings.blocks import read_blocks
 from maplines_can.recordings.fitting import Fit, best_fit, check_fit, fits, misfit
 from maplines_can.values.errors import LogError
 from maplines_can.wire import default_dbc_path
@@ -67,6 +70,18 @@ def test_a_log_is_read_until_a_line(tmp_path: Path) -> None:
         check_fit(tmp_path / "a.log", POSE)
 
 
+@pytest.mark.parametrize(("most", "text"), [(8, "; 2 records"), (7, "; at least 1 records")])
+def test_records_of_which_frames_are_not_kept(
+    most: int, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There are at least those of the frames that are kept."""
+    monkeypatch.setattr(first_frames, "MAX_EACH", most)
+    first, encoder = FirstFrames(), Codec.from_dbc().encoder()
+    for k, one in enumerate(encoder.encode(LINE) + encoder.encode(LINE)):
+        first.add(LogFrame(one.can_id, bytes(one.data), k * 10**6, False, "", has_time=True))
+    assert text in misfit(first, [POSE]).text
+
+
 @pytest.mark.parametrize(("frames", "text"), [(4, "1 records of maplines.dbc"), (3, "no DBC of")])
 def test_a_single_record_names_its_dbc(frames: int, text: str) -> None:
     """If it is whole."""
@@ -74,3 +89,24 @@ def test_a_single_record_names_its_dbc(frames: int, text: str) -> None:
     for k, one in enumerate(Codec.from_dbc().encoder().encode(LINE)[:frames]):
         first.add(LogFrame(one.can_id, bytes(one.data), k * 10**6, False, "", has_time=True))
     assert text in misfit(first, [POSE]).text
+
+
+@pytest.mark.parametrize(
+    ("most", "foreign", "records"),
+    [
+        pytest.param(8, 40, 1, id="on-to-the-first-fit"),
+        pytest.param(1000, 40, 2, id="on-to-the-most-frames"),
+    ],
+)
+def test_a_log_is_read_until_a_dbc_fits(
+    most: int, foreign: int, records: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sender that starts late is found, and after so many frames nothing more is read."""
+    monkeypatch.setattr(fitting, "MOST_FRAMES", most)
+    monkeypatch.setattr(fitting, "read_blocks", partial(read_blocks, block_frames=4))
+    encoder = Codec.from_dbc().encoder()
+    own = encoder.encode(LINE) + encoder.encode(LINE)
+    rows = [f"({1 + k / 1000:.6f}) can0 100#00\n" for k in range(foreign)]
+    rows += [f"(9.{k:06d}) can0 {one.can_id:03X}#{one.data.hex()}\n" for k, one in enumerate(own)]
+    (tmp_path / "a.log").write_text("".join(rows))
+    assert fits(tmp_path / "a.log")[0].records == records
