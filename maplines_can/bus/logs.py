@@ -213,9 +213,8 @@ def _read_any(
         raise LogError(
             f"{name}: a log in the format {suffix} is read from a file only, not compressed"
         )
-    else:
-        _check_reader(path, suffix)
-        yield from _read_binary(path, suffix, False, how)
+    _check_reader(path, suffix)
+    yield from _read_binary(path, suffix, False, how)
 
 
 def _is_utf_16(head: bytes) -> bool:

@@ -17,7 +17,7 @@ DELIMITERS = ",;\t"
 #: Deepest nesting of values in TOML and JSON; parsers and messages recurse into deeper ones.
 MAX_NESTING = 32
 _KEY = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*"""
-#: A key or header of TOML with more dots: the time of its parser grows with their square.
+#: A key or header of TOML that nests deeper; it is refused before the text is parsed.
 _LONG_KEY = re.compile(
     rf"(?:^[ \t]*\[{{0,2}}|[{{,])[ \t]*(?:{_KEY}){{{MAX_NESTING}}}", re.MULTILINE
 )

@@ -2,6 +2,8 @@
 
 import json
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +17,17 @@ from maplines_can.cli.output import check_text, line_dict, line_text
 from maplines_can.simulation import scenario
 from maplines_can.values.line import Status
 from maplines_can.wire import E2EState, ProfileStatus, SlotStats
+
+
+@contextmanager
+def sending(channel: str) -> Iterator[None]:
+    """Send a line of the default DBC again and again."""
+    with (
+        Link(interface="virtual", channel=channel) as link,
+        Transmitter(link, Codec.from_dbc(), period=0.01) as transmitter,
+    ):
+        transmitter.publish(scenario_lines(scenario("highway"), 1))
+        yield
 
 
 def test_lines_are_printed_until_the_count(
@@ -82,11 +95,7 @@ def test_a_receiver_of_frames_that_it_cannot_read_says_why(
 ) -> None:
     """Frames of its CAN IDs that complete no line, with the reasons for which they are dropped."""
     monkeypatch.setattr("maplines_can.cli.receive.SILENCE", 0.05)
-    with (
-        Link(interface="virtual", channel=channel) as link,
-        Transmitter(link, Codec.from_dbc(), period=0.01) as transmitter,
-    ):
-        transmitter.publish(scenario_lines(scenario("highway"), 1))
+    with sending(channel):
         bus = ["--interface", "virtual", "--channel", channel, "--faults", "corrupt=1,seed=1"]
         assert main(["receive", *bus, "--timeout", "1"]) == 1
     (note,) = [row for row in capsys.readouterr().err.splitlines() if "no line for 0.05 s" in row]
@@ -98,11 +107,7 @@ def test_item_11_frames_without_a_line_are_an_error(
     capsys: pytest.CaptureFixture[str], channel: str
 ) -> None:
     """The last line says so, and the counters say why."""
-    with (
-        Link(interface="virtual", channel=channel) as link,
-        Transmitter(link, Codec.from_dbc(), period=0.01) as transmitter,
-    ):
-        transmitter.publish(scenario_lines(scenario("highway"), 1))
+    with sending(channel):
         bus = ["--interface", "virtual", "--channel", channel, "--faults", "corrupt=1,seed=1"]
         assert main(["receive", *bus, "--timeout", "0.2"]) == 1
     last = capsys.readouterr().err.splitlines()
@@ -115,11 +120,7 @@ def test_the_dbc_of_the_frames_on_a_bus_is_named(
     capsys: pytest.CaptureFixture[str], channel: str
 ) -> None:
     """Frames of all CAN IDs are tried until the first line."""
-    with (
-        Link(interface="virtual", channel=channel) as link,
-        Transmitter(link, Codec.from_dbc(), period=0.01) as transmitter,
-    ):
-        transmitter.publish(scenario_lines(scenario("highway"), 1))
+    with sending(channel):
         bus = ["--interface", "virtual", "--channel", channel, "--dbc", "maplines-pose.dbc"]
         assert main(["receive", *bus, "--timeout", "0.2"]) == 1
     assert "records of maplines.dbc are whole; take --dbc maplines.dbc" in capsys.readouterr().err

@@ -3,6 +3,7 @@
 import gzip
 import sys
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +28,15 @@ TOML: dict[str, Callable[[int], str]] = {
     "header": lambda n: f"\n[{'a.' * n}a]\n",
     "header-of-an-array": lambda n: f"[[ {'a .' * n} a ]]\n",
 }
-#: Python's own parsers follow so many; a key of so many dots takes them a minute.
-DEPTHS = (MAX_NESTING + 1, sys.getrecursionlimit() + 1, 20_000)
+#: Deeper than the limit, and than Python's own parsers follow; of values, which raise there, more.
+DEPTHS = (MAX_NESTING + 1, sys.getrecursionlimit() + 1)
+VALUE_DEPTHS = (*DEPTHS, 20_000)
 
 
-@pytest.mark.parametrize("depth", DEPTHS)
-@pytest.mark.parametrize("name", TOML)
+@pytest.mark.parametrize(
+    ("name", "depth"),
+    [*product(TOML, DEPTHS), ("arrays", VALUE_DEPTHS[-1]), ("inline-tables", VALUE_DEPTHS[-1])],
+)
 def test_deep_toml_is_refused_in_one_line(name: str, depth: int, tmp_path: Path) -> None:
     """By all that reads TOML of a user."""
     text, path = TOML[name](depth), tmp_path / "deep.toml"
@@ -57,7 +61,7 @@ def test_many_dots_in_a_text_are_no_key() -> None:
     assert toml_of(text, "car.toml", ValueError)["a"] == "b." * 100
 
 
-@pytest.mark.parametrize("depth", DEPTHS)
+@pytest.mark.parametrize("depth", VALUE_DEPTHS)
 @pytest.mark.parametrize(("start", "end"), [("[", "]"), ('{"a":', "}")])
 def test_deep_json_is_refused(start: str, end: str, depth: int, tmp_path: Path) -> None:
     """Of the manifest of a study, and of a result."""
