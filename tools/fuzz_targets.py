@@ -33,6 +33,7 @@ MS = 1_000_000
 CODES = ("Cholesky", "LogCholesky", "Float32", "Linear", "MeanOnly", "secoc")
 #: Time steps before a frame, selected by two bits of its operation [ns].
 STEPS = (MS // 4, 0, 5 * MS, 60 * MS)
+FAR_NS = 10**18  # a decoder takes times of up to four times this
 SUFFIXES = (".log", ".asc", ".blf", ".csv", ".trc", ".db", ".log.gz", ".asc.gz", ".blf.gz")
 _SECRET = bytes(range(16))
 
@@ -171,6 +172,7 @@ def decoder(data: bytes) -> Counter[str]:
             send(Slot(number % 8), take.byte(), 2 + (number >> 3) % 7, consistent=True)
         elif what == 5:  # a step in time, forward or backward
             t_ns += int.from_bytes(take.take(2), "little", signed=True) * MS << (op >> 6) * 16
+            t_ns = max(-FAR_NS, min(t_ns, FAR_NS))
         elif what == 6 and fed:  # an earlier frame, unchanged or with a flipped bit
             can_id, payload, is_extended = fed[-1 - take.byte() % len(fed)]
             if op & 8 and payload:
@@ -185,7 +187,7 @@ def decoder(data: bytes) -> Counter[str]:
             for slot in codec.layout.messages:
                 view = state.latest(slot, t_ns)
                 require(view.line is None or view.age == view.age, f"age is {view.age}")
-    state.expire(t_ns + 10**18)
+    state.expire(t_ns + FAR_NS)
     check_counts(state, len(fed))
     require(state.pending == 0, f"{state.pending} frames stay pending")
     return outcomes

@@ -20,6 +20,7 @@ import math
 import subprocess
 import tempfile
 from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -152,7 +153,7 @@ def build(folder: Path) -> Any:
     """Generate the FMUs, compile the lane keeping, and return its function."""
     options = {"sender": ["--map", "--lines", "2"], "receiver": []}
     for node, own in options.items():
-        with redirect_stdout(None):
+        with redirect_stdout(StringIO()):
             out = ["--out", str(folder / f"{node}.fmu")]
             status = maplines(["generate", "fmu", node, *own, *out])
         if status:

@@ -208,8 +208,11 @@ def test_item_11_lines_are_compared_within_their_valid_range(
     """At the end of the range where it is before 80 m; the picture goes no farther, either."""
     figure_module = pytest.importorskip("matplotlib.figure")
     figures: list[Any] = []
+    save = figure_module.Figure.savefig
     monkeypatch.setattr(
-        figure_module.Figure, "savefig", lambda figure, *_, **__: figures.append(figure)
+        figure_module.Figure,
+        "savefig",
+        lambda figure, *args, **kwargs: (figures.append(figure), save(figure, *args, **kwargs)),
     )
     arguments = ["demo", "--seconds", "0.1", "--scenario", "street-turn"]
     assert main([*arguments, "--json", "--plot", str(tmp_path / "turn.png")]) == 0

@@ -410,10 +410,11 @@ def test_decode_loses_no_line_that_waits_for_its_pose_error(
     assert [len(row["scene"]) for row in scenes] == [4] * CYCLES
     assert "dropped frames: none" in err
     without = [each for each in late if each[1] != POSE]
-    assert main([*write_log(tmp_path / "none.log", without, "can0"), "--dbc", CONDITIONAL]) == 0
+    assert main([*write_log(tmp_path / "none.log", without, "can0"), "--dbc", CONDITIONAL]) == 1
     out, err = capsys.readouterr()
     assert out == ""
     assert re.search(r"0 lines from \d+ frames; .* \d+ pose", err)
+    assert "the pose errors that they need are not there" in err
 
 
 @pytest.mark.parametrize("name", NAMES)

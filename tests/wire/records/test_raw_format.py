@@ -70,7 +70,7 @@ def test_pose_records_are_as_cantools_decodes_them(dbc: str) -> None:
         for signals in (pages, whole):
             assert {name: signals[name] for name in raw} == raw
             assert signals["Counter"] == counter
-            assert signals["TransferId1"] == counter % 4
+            assert signals["PoseTransferId1"] == counter % 4
 
     check()
 
