@@ -484,10 +484,12 @@ def test_drive_sends_scenes_in_real_time(
     """One CAN FD frame for each line and each pose error; uncorrelated errors are allowed."""
     route = ["--route", "1:0:-2..1:0:-1", "--seconds", "0.5", "--rate", "10", "--fd"]
     options = [*route, "--correlation-time", "0", *SENDING[name]]
+    fast = ["--as-fast-as-possible", "--record", str(tmp_path / "fast.log")]
     result = run(capsys, town(tmp_path), *options)
     assert result["frames"] == result["lines"] + result["pose_errors"]
-    assert result["pose_errors"] > 0
-    assert main(["drive", town(tmp_path), *options]) == 0
+    assert result["cycles"] + result["late_cycles"] == 5  # a busy machine leaves some out
+    assert (result["pose_errors"] > 0) == (result["cycles"] > 0)
+    assert main(["drive", town(tmp_path), *options, *fast]) == 0
     assert re.search(r"sent +\d+ lines and \d+ pose errors in \d+ frames", capsys.readouterr().out)
 
 
