@@ -373,8 +373,8 @@ def large_map(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
 
         def first() -> list[Any]:
             view = LaneView(road_map.lanes)  # new: it keeps the lines of the lanes
-            matches = zip(map(road_map.match, poses), poses, strict=True)
-            return [view.lines(pose, match, None) for match, pose in matches if match is not None]
+            matches = map(road_map.match, poses)
+            return [view.lines(match, None) for match in matches if match is not None]
 
         match, again = (partial(each, call, poses) for call in (road_map.match, road_map.lines))
         memory = f"{kept / 1e6:.0f} MB kept, {peak / 1e6:.0f} MB at most"

@@ -6,13 +6,17 @@ import math
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..values.arrays import floats
+from ..values.pieces import Pieces, merged
 from ..values.polyline import Polyline
 from .lane import Lane
+
+T = TypeVar("T")
 
 #: Lanes farther from the pose are no match [m].
 MAX_DISTANCE = 30.0
@@ -284,6 +288,19 @@ def locate(lines: Iterable[Polyline], point: NDArray[np.float64]) -> Iterator[Pl
         s = s0 + min(max(along, 0.0), step)
         yield Place(s, t, math.atan2(dy[k], dx[k]), overshoot)
         first = last + 1
+
+
+def pieces_beside(
+    line: Polyline, points: Iterable[NDArray[np.float64]], values: Sequence[T], is_along: bool
+) -> Pieces[T]:
+    """Return values that change at points beside a line, by the arc length of the line [m].
+
+    The points, at which all values but the first one begin, run along the line or against it.
+    """
+    order = slice(None, None, 1 if is_along else -1)
+    places = [place.s for point in points for place in locate([line], point)][order]
+    starts = np.maximum.accumulate([0.0, *places]).tolist()
+    return merged(list(dict(zip(starts, values[order], strict=True)).items()))
 
 
 def _near(

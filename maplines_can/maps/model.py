@@ -10,7 +10,6 @@ from typing import overload
 
 from numpy.typing import ArrayLike
 
-from ..values.arrays import floats
 from ..values.errors import RouteError
 from ..values.line import Slot
 from ..values.polyline import Polyline
@@ -158,7 +157,7 @@ class Map:
         further lanes.
 
         The lines run in the driving direction of the car. Each has one kind: that of the boundary
-        at its point nearest to the car. They continue at least 150 m ahead and 60 m behind where
+        beside the car, across the lane. They continue at least 150 m ahead and 60 m behind where
         the map does: along the route, else along the straightest lane. A line ends where a lane
         link has a gap of more than 0.3 m (see ``link_gaps``), and before it returns.
         ``LaneTracker`` keeps slots stable along a drive.
@@ -175,7 +174,7 @@ class Map:
         """
         preferred = frozenset() if route is None else route.lane_set
         match = self.index.match(pose, preferred)
-        return {} if match is None else self.view.lines(floats(pose, "pose"), match, route)
+        return {} if match is None else self.view.lines(match, route)
 
     def along(self, route: Route) -> RouteLines:
         """Return the lines along a route, for a sender that has no more of the map than these.

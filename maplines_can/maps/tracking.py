@@ -110,13 +110,13 @@ class LaneTracker:
         Raises:
             ValueError: ``pose`` is not finite or not of shape (3,).
         """
-        last, pose = self._track, floats(pose, "pose")
-        match = self._choose(pose)
+        last = self._track
+        match = self._choose(floats(pose, "pose"))
         if match is None:
             return self.lose()
         key = DirectedLane(match.lane, match.is_against)
         track = last if last and key == last.key else self._entered(key, last)
-        lines = self._map.view.beside(pose[:2], track.around, track.lines)
+        lines = self._map.view.beside(match.s, track.around, track.lines)
         if track is last:
             return TrackedLines(lines, match)
         self._track = track

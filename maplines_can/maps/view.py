@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import accumulate, pairwise, takewhile
@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from ..propagation.stretches import MAX_TURN
 from ..values.line import Kind, Slot
+from ..values.pieces import Pieces, value_at
 from ..values.polyline import INDEXED, Polyline
 from ..values.route_lines import RouteLines
 from .joints import MAX_GAP, SNAP, gap, joined_lines
 from .lane import Lane, Skipped
 from .lane_graph import DirectedLane, DrivenLine, LaneGraph
-from .matching import LaneMatch, locate, wrapped
+from .matching import LaneMatch, locate, pieces_beside, wrapped
 from .routing import Route
 
 #: Length of the lines ahead of the end of a lane, if the map has it [m].
@@ -80,14 +81,15 @@ class Surroundings:
         base: by slot, the line of a lane beside the car that the line is.
         parts: by slot, the lines of the lanes that the line is made of.
         lanes: the lane, and those behind and ahead of it that the lines follow.
-        changing: by slot, the line of a lane beside the car if its kind changes along it.
+        changing: by slot, the kinds of a line that changes its kind beside the lane, from which arc
+            length of the centre line of the lane each applies [m].
     """
 
     lines: Mapping[Slot, Polyline]
     base: Mapping[Slot, DrivenLine]
     parts: Mapping[Slot, tuple[DrivenLine, ...]]
     lanes: frozenset[DirectedLane]
-    changing: Mapping[Slot, Polyline]
+    changing: Mapping[Slot, Pieces[Kind]]
 
 
 class LaneView:
@@ -106,15 +108,13 @@ class LaneView:
         self._following = lru_cache(KEPT * 64)(self._find_following)
         self._leads_beside = lru_cache(KEPT * 64)(self._find_leads_beside)
 
-    def lines(
-        self, pose: NDArray[np.float64], match: LaneMatch, route: Route | None
-    ) -> dict[Slot, Polyline]:
+    def lines(self, match: LaneMatch, route: Route | None) -> dict[Slot, Polyline]:
         """Return the lines around a pose: see ``Map.lines``."""
         key = DirectedLane(match.lane, match.is_against)
         index = None if route is None else self.index(key, route)
         behind, ahead = self.paths(route, index)
         around = self.around(key, ahead, behind)
-        return {**self.beside(pose[:2], around, self.with_route(around, route, index))}
+        return {**self.beside(match.s, around, self.with_route(around, route, index))}
 
     def index(self, key: DirectedLane, route: Route, first: int = 0) -> int | None:
         """Return which lane of a route a lane is, or else which one is beside it."""
@@ -147,18 +147,14 @@ class LaneView:
         return lines
 
     def beside(
-        self, point: NDArray[np.float64], around: Surroundings, lines: Mapping[Slot, Polyline]
+        self, s: float, around: Surroundings, lines: Mapping[Slot, Polyline]
     ) -> Mapping[Slot, Polyline]:
-        """Return lines around a lane with the kinds that they have beside a point of it."""
-        changing = around.changing
-        if not changing:
-            return lines
-        places = locate(changing.values(), point)
-        kinds = {
-            slot: line.kind_at(place.s)
-            for (slot, line), place in zip(changing.items(), places, strict=True)
+        """Return lines around a lane with the kinds that they have beside its centre line at s."""
+        found = {
+            slot: self._of_kind(lines[slot], value_at(kinds, s))
+            for slot, kinds in around.changing.items()
         }
-        return {**lines, **{slot: self._of_kind(lines[slot], kinds[slot]) for slot in kinds}}
+        return {**lines, **found} if found else lines
 
     def along(self, route: Route) -> RouteLines:
         """Return the lines along a route: see ``Map.along``."""
@@ -171,14 +167,15 @@ class LaneView:
             is_long = any(len(line.points) > INDEXED for line in lines.values())
             parts = math.ceil((end - begin) / SECTION) if is_long else 1
             bounds = {*np.linspace(begin, end, parts + 1).tolist()}
-            bounds.update(_changes(around.changing.values(), path, (begin, end)))
+            bounds.update(_changes(around, path, (begin, end)))
             for span in pairwise(sorted(bounds)):
                 (middle,) = path.at(np.mean(span, keepdims=True))
+                (place,) = locate([around.base[Slot.CENTRE].line], middle)
                 starts.append(span[0])
                 sections.append(
                     {
                         slot: _near_section(line, path, span)
-                        for slot, line in self.beside(middle, around, lines).items()
+                        for slot, line in self.beside(place.s, around, lines).items()
                     }
                 )
         return RouteLines(path, tuple(starts), sections)
@@ -218,7 +215,7 @@ class LaneView:
             {slot: own[0] for slot, own in front.lines.items()},
             {slot: parts[i] for slot, i in which.items()},
             frozenset((*front.lanes, *(other.back for other in rear.lanes))),
-            {slot: own[0].line for slot, own in front.lines.items() if own[0].line.kinds},
+            _changing(front.lines),
         )
 
     def _find_at(self, key: DirectedLane) -> CrossSection:
@@ -355,16 +352,26 @@ def _of_kind(line: Polyline, kind: Kind) -> Polyline:
     return line if line.kind is kind else Polyline.trusted(line.points, kind, line.distance)
 
 
-def _changes(
-    lines: Iterable[Polyline], path: Polyline, span: tuple[float, float]
-) -> Iterator[float]:
+def _changing(lines: Mapping[Slot, Sequence[DrivenLine]]) -> dict[Slot, Pieces[Kind]]:
+    """Return the kinds of lines that change theirs, by the arc length of the centre line [m]."""
+    centre, found = lines[Slot.CENTRE][0], {}
+    for slot, (own, *_) in lines.items():
+        if own.line.kinds:
+            starts, kinds = zip(*own.line.kinds, strict=True)
+            points = own.line.at(np.array(starts[1:]))
+            is_along = own.key.is_against is centre.key.is_against
+            found[slot] = pieces_beside(centre.line, points, kinds, is_along)
+    return found
+
+
+def _changes(around: Surroundings, path: Polyline, span: tuple[float, float]) -> Iterator[float]:
     """Yield where along a part of a path [m] the kinds of lines beside it change."""
     part = Polyline(path.between(*span))
-    for line in lines:
-        for start, _ in line.kinds[1:]:
-            (place,) = locate([part], *line.at(np.array([start])))
-            if 0 < place.s < part.length:
-                yield span[0] + place.s
+    changes = [s for kinds in around.changing.values() for s, _ in kinds[1:]]
+    for point in around.base[Slot.CENTRE].line.at(np.array(changes)):
+        (place,) = locate([part], point)
+        if 0 < place.s < part.length:
+            yield span[0] + place.s
 
 
 def _near_section(line: Polyline, path: Polyline, span: tuple[float, float]) -> Polyline:

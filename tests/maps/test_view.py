@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from lane_maps import WIDTH, carriageway, crossing, lane, network, pose_on, roundabout
 from xodr_files import cubic, linked, read_map, road, section
@@ -449,6 +449,29 @@ def test_the_kind_of_a_line_is_that_beside_the_car(x: float, kind: int, turn: fl
             assert lines[name].points.tolist() == line.points.tolist()
             if name not in {slot}:
                 assert lines[name].kind is line.kind
+
+
+@given(s=st.floats(0.0, 199.9), t=st.floats(-0.7, 0.7), lane_of=st.booleans(), turn=st.booleans())
+def test_kinds_in_a_bend_change_across_the_lane(
+    s: float, t: float, lane_of: bool, turn: bool
+) -> None:
+    """Also those of an opposite lane: each boundary has its own s, and its own direction."""
+    radius, kinds = 80.0, (Kind.DASHED, Kind.SOLID, Kind.DOUBLE)
+    lanes = [
+        lane("r", curvature=1 / radius, t=-WIDTH / 2),
+        lane("o", curvature=1 / radius, t=WIDTH / 2, backward=True),
+    ]
+    for i, one in enumerate(lanes):
+        s_of_change = np.array([0.0, 0.4, 0.7]) * one.right.length
+        changing = Polyline(one.right.points, list(zip(s_of_change.tolist(), kinds, strict=True)))
+        lanes[i] = replace(one, right=changing)
+    found = network(*lanes, opposite=["r o"])
+    lines = found.lines(pose_on(lanes[lane_of], s, t, math.pi * turn))
+    share = s / lanes[lane_of].length
+    assume(min(abs(share - k) for k in (0.3, 0.4, 0.6, 0.7)) > 1e-3)
+    own, other = (kinds[sum(at >= k for k in (0.4, 0.7))] for at in (share, 1 - share))
+    slots = (Slot.EGO_RIGHT, Slot.EDGE_LEFT) if not turn else (Slot.EGO_LEFT, Slot.EDGE_RIGHT)
+    assert [lines[slot].kind for slot in slots] == [own, other]
 
 
 def test_a_tracked_line_changes_its_kind_and_no_slot() -> None:

@@ -19,7 +19,7 @@ from ....values.pieces import Pieces, longest, merged
 from ....values.polyline import Polyline
 from ...landmarks import Landmark
 from ...lane import SkippedList
-from ...matching import locate
+from ...matching import pieces_beside
 from ...model import Lane, LaneType, Map, Road, Skipped
 from ..projection import shifted, utm_of
 from ..systems import notices_of
@@ -361,12 +361,8 @@ def _along(polyline: Polyline, line: _Line, pieces: Pieces[T], boundaries: Bound
     s = np.array([s for s, _ in pieces[1:]])
     points = boundaries(s, s)
     at = (points[line.one] + points[line.other]) / 2
-    places = [next(locate([polyline], np.array([p.real, p.imag]))).s for p in at]
     values = [value for _, value in pieces]
-    if not line.is_forward:
-        places, values = places[::-1], values[::-1]
-    starts = np.maximum.accumulate([0.0, *places]).tolist()
-    return merged(list(dict(zip(starts, values, strict=True)).items()))
+    return pieces_beside(polyline, np.column_stack([at.real, at.imag]), values, line.is_forward)
 
 
 def _speeds(road: RoadRecord, record: LaneRecord) -> Speeds:
