@@ -209,11 +209,12 @@ def test_item_11_lines_are_compared_within_their_valid_range(
     figure_module = pytest.importorskip("matplotlib.figure")
     figures: list[Any] = []
     save = figure_module.Figure.savefig
-    monkeypatch.setattr(
-        figure_module.Figure,
-        "savefig",
-        lambda figure, *args, **kwargs: (figures.append(figure), save(figure, *args, **kwargs)),
-    )
+
+    def keep_and_save(figure: Any, *args: Any, **kwargs: Any) -> None:
+        figures.append(figure)
+        save(figure, *args, **kwargs)
+
+    monkeypatch.setattr(figure_module.Figure, "savefig", keep_and_save)
     arguments = ["demo", "--seconds", "0.1", "--scenario", "street-turn"]
     assert main([*arguments, "--json", "--plot", str(tmp_path / "turn.png")]) == 0
     lines = json.loads(capsys.readouterr().out)["lines"]
