@@ -122,7 +122,7 @@ def test_a_tour_goes_round_a_road_that_is_its_own_successor() -> None:
 
 def test_a_tour_crosses_no_gap_between_lanes() -> None:
     """A link to a lane elsewhere is an error of the map, which no car can follow."""
-    lanes = [lane("a"), lane("b", (200.9, 0.0, 0.0)), lane("c", (350.0, 0.0, 0.0))]
+    lanes = [lane("a"), lane("b", (200.9, 0.0, 0.0)), lane("c", (402.4, 0.0, 0.0))]
     tour = random_tour(network(*lanes, links={"a": "b", "b": "c"}), 2000.0)
     assert tour.lanes == ("a", "b")
 
