@@ -118,12 +118,14 @@ def parsed(text: str, kind: Any) -> Any:
 
     >>> parsed("1e6", int), parsed("true", bool), parsed("a,b, c", tuple[str, ...])
     (1000000, True, ('a', 'b, c'))
+    >>> parsed("", tuple[str, ...])
+    ()
     """
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is types.UnionType:
         return parsed(text, arguments[0])
     if origin is tuple:
-        return tuple(parsed(part, arguments[0]) for part in re.split(r",(?! )", text))
+        return tuple(parsed(part, arguments[0]) for part in re.split(r",(?! )", text) if text)
     if origin is typing.Literal:
         if text not in arguments:
             raise ValueError(f"must be one of {', '.join(arguments)}, got {text!r}")
