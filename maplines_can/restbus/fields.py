@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from collections.abc import Iterable, Iterator, Mapping
@@ -222,7 +223,8 @@ class Field:
         """Return the raw value of a number within the limits."""
         low, high = self._limits(name)
         value = int(value) if isinstance(value, bool) else value
-        if not isinstance(value, int | float) or not any(self._near(value, (low, high))):
+        is_number = isinstance(value, int | float) and abs(value) < math.inf
+        if not is_number or not any(self._near(value, (low, high))):  # type: ignore[arg-type]
             number(name, value, low, high, self.signal.unit or "")
         return self.nearest_raw(value)  # type: ignore[arg-type]
 
