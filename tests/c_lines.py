@@ -89,9 +89,9 @@ def check_decode(dbc: Any, n: int, seed: int = 0, *prefix: str, **compiler: Any)
         expected[name][fine] = getattr(batch, f"component_{name}")[fine]
     expected["counter"][fine] = batch.counter[fine]
     raw = codec.batch._reader.formats[Slot(slots[0])].packer.unpack(records, slots)[0]
-    factors = codec.covariance.factors(raw)  # type: ignore[attr-defined]
+    factors = codec.covariance.factors(raw)
     vague = np.isin(batch.status, [Status.UNKNOWN, Status.OUT_OF_RANGE])
-    order = codec.covariance.factor.order  # type: ignore[attr-defined]
+    order = codec.covariance.factor.order
     diagonal = np.zeros((4, 4))
     for column, state in enumerate(order):
         diagonal[state, column] = VAGUE_SIGMA[state]

@@ -9,10 +9,10 @@ import pyarrow.parquet as pq
 
 from maplines_can.study import LATERAL_X, evaluate, paper
 from maplines_can.study.codes import CODES
+from maplines_can.study.comparison import codec_for, transmit
 from maplines_can.study.dbc.covariance_spec import covariance_signals
 from maplines_can.study.dbc.record_spec import dbc_writer_for
 from maplines_can.values.line import Status
-from maplines_can.wire import Codec
 from maplines_can.wire.layout.message_layout import Layout
 
 USED = ["Cholesky", "LinearNearest", "MeanOnly"]
@@ -29,8 +29,8 @@ def share(name: Any, which: Any) -> Any:
 
 def rows_of(set_: Any, code: Any, finer_bits: Any, mean: Any, cov: Any) -> Any:
     """Return a code's row of the summary and its worst cases; infinities are kept."""
-    codec = Codec(Layout.from_text(dbc_writer_for(code, finer_bits).dbc(), code), codes=CODES)
-    batch = codec.batch.decode(codec.batch.encode(mean, cov))
+    codec = codec_for(Layout.from_text(dbc_writer_for(code, finer_bits).dbc(), code))
+    batch = transmit(codec, mean, cov)
     verdict = evaluate(mean, cov, batch.mean, batch.cov, codec.resolution)
     kl, bits = verdict.kl_covered, sum(s.bits for s in covariance_signals(code, finer_bits))
     row = {"set": set_, "code": code, "finer_bits": finer_bits, "n": len(mean), "seed": 0}

@@ -29,7 +29,7 @@ STUDY_COMMANDS = {f"cli.{name}" for name in (
 )}  # fmt: skip
 #: Imports inside functions of the product: what and where from. They run when an option asks.
 LAZY = {
-    ("cli.options", "testing"), ("cli.options", "study.codes"),
+    ("cli.options", "testing"), ("cli.options", "study.comparison"),
     ("cli.options", "study.dbc.record_spec"),
     ("cli.map_info", "study.figures.map_picture"),
     ("simulation.transmission", "testing"), ("restbus.faults", "testing"),

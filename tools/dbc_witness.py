@@ -301,7 +301,7 @@ def _check_records(
 
 def covariance_by_hand(signals: Any, codec: Codec) -> Any:
     """Return the covariance from the signals that cantools decodes, as in dbc/README.md."""
-    order = codec.covariance.factor.order  # type: ignore[attr-defined]
+    order = codec.covariance.factor.order
     names = [PARAMETER_SIGNALS[i] for i in order]
     L = np.zeros((4, 4))
     for i, row in enumerate(names):

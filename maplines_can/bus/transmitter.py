@@ -12,7 +12,7 @@ import can
 from ..values.errors import BusError, EncodeError
 from ..values.line import LeftOut, MapLine, MapLineList, Slot
 from ..values.scene import Scene
-from ..wire import POSE, Codec, Frame, PreparedScene
+from ..wire import POSE, Frame, LineCodec, PreparedScene
 from .background import BackgroundThread
 from .link import Link, Sent, link_of
 from .log_writer import message_of
@@ -94,7 +94,7 @@ class Transmitter(BackgroundThread):
     def __init__(
         self,
         link: Link | can.BusABC,
-        codec: Codec,
+        codec: LineCodec,
         *,
         period: float = 0.05,
         fd: bool = False,

@@ -10,7 +10,7 @@ from functools import partial
 from typing import NamedTuple
 
 from ..values.line import MapLine, Slot, aged
-from ..wire import POSE, Codec, Frame, Owner, PreparedScene
+from ..wire import POSE, Frame, LineCodec, Owner, PreparedScene
 from .schedule import Schedule
 
 #: Max lead time of encoding [s]; well below the 1 s freshness window.
@@ -102,7 +102,7 @@ class TxQueue:
     """
 
     def __init__(
-        self, codec: Codec, period: float, *, fd: bool, count: int | None, max_age: float
+        self, codec: LineCodec, period: float, *, fd: bool, count: int | None, max_age: float
     ) -> None:
         self._encoder, self._period, self._fd, self._max_age = codec.encoder(), period, fd, max_age
         self._schedule: Schedule[Owner] = Schedule(period, count)

@@ -14,7 +14,7 @@ from ..consumers import FusedLane, LaneFusion
 from ..consumers.integrity import RISKS, multiplier
 from ..propagation import Motion
 from ..values.line import MapLine
-from ..wire import Codec, SceneView
+from ..wire import LineCodec, SceneView
 from .consume_camera import COLUMNS, NewLines, add_camera, camera_of, check_camera
 from .consume_input import PERIOD, ConsumerCycle, Input, add_input, scene_codec
 from .consume_motion import MotionAt, add_motion, motion_of
@@ -124,7 +124,7 @@ def _epochs(
 
 
 def _simulated(
-    arguments: argparse.Namespace, codec: Codec
+    arguments: argparse.Namespace, codec: LineCodec
 ) -> Iterator[tuple[LaneFusion, FusionInputs]]:
     """Yield the epochs of a simulated car in the town."""
     from ..maps import load, town_path, town_tour

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from ..bus import LogSummary, Receiver, read_log
 from ..bus.first_frames import FirstFrames
 from ..values.input_files import lines_of
-from ..wire import Codec, SceneView
+from ..wire import LineCodec, SceneView
 from .log_input import ObservedLink, add_times, note_log, why_silent
 from .options import (
     add_bus,
@@ -199,7 +199,7 @@ class Input:
                 receiver.wait(max(0.0, due - time.monotonic()))
 
 
-def scene_codec(arguments: argparse.Namespace) -> Codec:
+def scene_codec(arguments: argparse.Namespace) -> LineCodec:
     """Return the codec of the options.
 
     Raises:

@@ -14,7 +14,7 @@ from ..bus import LogFrame, read_log
 from ..bus.first_frames import FirstFrames
 from ..values.errors import LogError
 from ..values.line import MapLine
-from ..wire import Codec, Decoder, Reason, SceneView
+from ..wire import Decoder, LineCodec, Reason, SceneView
 from .decode_tables import (
     MAX_CHANNELS,
     add_tables,
@@ -131,7 +131,7 @@ class DecodedLog:
         LogError: the log cannot be opened.
     """
 
-    def __init__(self, codec: Codec, arguments: argparse.Namespace) -> None:
+    def __init__(self, codec: LineCodec, arguments: argparse.Namespace) -> None:
         self.status, self.has_time = 0, True
         self._codec, self._arguments = codec, arguments
         source = sys.stdin.buffer if arguments.log == "-" else arguments.log

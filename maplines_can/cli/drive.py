@@ -32,7 +32,7 @@ from ..simulation.truth import TruthWriter, truth_paths
 from ..values.gaussian import Gaussian
 from ..values.line import LeftOut, Slot
 from ..values.polyline import Polyline
-from ..wire import Codec, Frame
+from ..wire import Frame, LineCodec
 from .options import (
     add_bus,
     add_codec,
@@ -247,7 +247,7 @@ def _send(drive: Transmission, arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _components(
-    codec: Codec, slots: tuple[Slot, ...], arguments: argparse.Namespace
+    codec: LineCodec, slots: tuple[Slot, ...], arguments: argparse.Namespace
 ) -> int | ChooseComponents:
     """Return the number of mixture components of each line, or a function that chooses it.
 

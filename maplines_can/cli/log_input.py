@@ -11,7 +11,7 @@ from ..bus import Link, LogFrame, LogSummary
 from ..bus.first_frames import FirstFrames
 from ..bus.log_summary import Times, skipped_text
 from ..values.errors import LogError
-from ..wire import SHIPPED, Codec, Decoder, Reason
+from ..wire import SHIPPED, Decoder, LineCodec, Reason
 from .output import counts_text
 from .parsing import option_group
 from .stderr import note
@@ -63,7 +63,7 @@ def note_log(log: str, summary: LogSummary) -> None:
 def check_received(
     log: str,
     first: FirstFrames,
-    codec: Codec,
+    codec: LineCodec,
     summary: LogSummary,
     *,
     has_failed: bool = False,
@@ -125,7 +125,9 @@ class ObservedLink(Link):
         return message
 
 
-def why_silent(link: ObservedLink, codec: Codec, counts: Mapping[Reason, int], *, fd: bool) -> str:
+def why_silent(
+    link: ObservedLink, codec: LineCodec, counts: Mapping[Reason, int], *, fd: bool
+) -> str:
     """Return what to check if no line has arrived.
 
     Args:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..bus import key_from_env, key_from_file
+from ..values.errors import LayoutError
 from ..wire import (
     CODES,
     SHIPPED,
@@ -18,6 +19,7 @@ from ..wire import (
     Frame,
     Key,
     Layout,
+    LineCodec,
     default_dbc_path,
 )
 from .parsing import natural, number, option_group
@@ -120,13 +122,12 @@ def _faults(text: str) -> Faults:
         raise argparse.ArgumentTypeError(str(error)) from error
 
 
-def add_dbc(parser: argparse.ArgumentParser) -> None:
-    """Add ``--dbc``."""
+def add_dbc(parser: argparse.ArgumentParser, others: str = "") -> None:
+    """Add ``--dbc``; ``others`` are DBCs that are not of the package's wire."""
     option_group(parser, "message").add_argument(
         "--dbc",
         metavar="FILE",
-        help=f"DBC of the messages; of this package there are {', '.join(SHIPPED)}, "
-        "and those of the study, such as maplines-float16.dbc "
+        help=f"DBC of the messages; of this package there are {', '.join(SHIPPED)}{others} "
         "(default: maplines.dbc, or with a key maplines-secoc.dbc)",
     )
     add_encoding(parser)
@@ -163,7 +164,7 @@ def add_codec(parser: argparse.ArgumentParser) -> None:
         metavar="[ID:]NAME",
         help="like --key-file, with the key in an environment variable",
     )
-    add_dbc(parser)
+    add_dbc(parser, ", and those of the study, such as maplines-float16.dbc")
 
 
 def keyed_codec(
@@ -171,7 +172,7 @@ def keyed_codec(
     *,
     clock: Callable[[], int] | None = time.time_ns,
     window: float = 1.0,
-) -> Codec:
+) -> LineCodec:
     """Return the codec of the DBC, with the keys if there are any.
 
     The freshness of a frame is checked against the clock [ns], within the window [s]; that of a
@@ -179,27 +180,45 @@ def keyed_codec(
     """
     keys = [read(name, key_id) for read, name, key_id in arguments.keys or ()]
     if not keys:
-        return codec_from(arguments.dbc, encoding=arguments.encoding)
+        return line_codec_from(arguments.dbc, encoding=arguments.encoding)
     authenticator = Authenticator(*keys, clock=clock, window_ns=round(1e9 * window))
-    return codec_from(arguments.dbc, authenticator, arguments.encoding)
+    return line_codec_from(arguments.dbc, authenticator, arguments.encoding)
 
 
 def codec_from(
     path: str | None, authenticator: Authenticator | None = None, encoding: str | None = None
 ) -> Codec:
-    """Return the codec of a DBC; the study's codes are imported only if the DBC names one.
+    """Return the codec of a DBC with a covariance code of the core.
 
     Raises:
         LayoutError: see ``Codec.from_dbc``.
     """
     if path is None:
         return Codec.from_dbc(None, authenticator)
+    return Codec(layout_from(path, encoding), authenticator)
+
+
+def line_codec_from(
+    path: str | None, authenticator: Authenticator | None = None, encoding: str | None = None
+) -> LineCodec:
+    """Return the codec of any DBC of lines; one with a code of the study imports the study.
+
+    Raises:
+        LayoutError: see ``Codec.from_dbc``; or lines with a code of the study have a key.
+    """
+    if path is None:
+        return Codec.from_dbc(None, authenticator)
     layout = layout_from(path, encoding)
     if layout.covariance_code in CODES:
         return Codec(layout, authenticator)
-    from ..study.codes import CODES as STUDY_CODES
+    if authenticator is not None:
+        raise LayoutError(
+            f"{layout.source}: lines with the covariance code {layout.covariance_code!r} are not "
+            "authenticated; take maplines-secoc.dbc, or no key"
+        )
+    from ..study.comparison import ComparisonCodec
 
-    return Codec(layout, authenticator, STUDY_CODES)
+    return ComparisonCodec(layout)
 
 
 def layout_from(path: str, encoding: str | None = None) -> Layout:
@@ -257,7 +276,7 @@ def add_transfer_timeout(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def decoder_of(codec: Codec, arguments: argparse.Namespace) -> Decoder:
+def decoder_of(codec: LineCodec, arguments: argparse.Namespace) -> Decoder:
     """Return a new decoder for ``--cycle-ms`` and ``--transfer-timeout``."""
     return codec.decoder(cycle_ms=arguments.cycle_ms, timeout_ms=arguments.transfer_timeout)
 
@@ -273,7 +292,7 @@ def add_scenes(options: Any) -> None:
     )
 
 
-def check_scenes(codec: Codec, arguments: argparse.Namespace) -> None:
+def check_scenes(codec: LineCodec, arguments: argparse.Namespace) -> None:
     """Raise ValueError if ``--scenes`` is given and the DBC has none."""
     if arguments.scenes and codec.layout.pose is None:
         raise ValueError(

@@ -12,7 +12,7 @@ from typing import Any
 
 from ..bus import Receiver, ReceiverStats
 from ..values.line import MapLine
-from ..wire import Codec, E2EState, SceneView, SlotStats
+from ..wire import E2EState, LineCodec, SceneView, SlotStats
 from .log_input import ObservedLink, why_silent
 from .options import (
     add_bus,
@@ -189,7 +189,7 @@ def _print_scene(scene: SceneView, receiver: Receiver, arguments: argparse.Names
         print(text, flush=True)
 
 
-def _why_nothing(link: ObservedLink, codec: Codec, stats: ReceiverStats, *, fd: bool) -> str:
+def _why_nothing(link: ObservedLink, codec: LineCodec, stats: ReceiverStats, *, fd: bool) -> str:
     """Return what to check if no line has arrived."""
     if stats.pose_errors:
         return f"{stats.pose_errors} pose errors have arrived, but no line"

@@ -10,7 +10,7 @@ from typing import Any
 from ..bus import Link, Transmitter, TransmitterStats
 from ..bus.schedule import Schedule
 from ..simulation.scenario_lines import AMPLITUDE, SINE_PERIOD, SPEED, weaving_ego
-from ..wire import Codec
+from ..wire import LineCodec
 from .options import (
     add_bus,
     add_codec,
@@ -86,7 +86,9 @@ def _send(arguments: argparse.Namespace) -> int:
         return 0
 
 
-def _note_start(sending: Sending, codec: Codec, link: Link, arguments: argparse.Namespace) -> None:
+def _note_start(
+    sending: Sending, codec: LineCodec, link: Link, arguments: argparse.Namespace
+) -> None:
     """Print what is about to be sent."""
     until = f"{arguments.count} times" if arguments.count else "until Ctrl-C"
     authenticated = ", authenticated" if codec.authenticator else ""

@@ -23,7 +23,7 @@ from ..simulation.scenario_lines import ScenarioLines
 from ..simulation.scenarios import SCENARIOS, STREETS, Scenario, scenario
 from ..values.line import LeftOut, MapLine, MapLineList, Slot
 from ..values.scene import Scene
-from ..wire import Codec
+from ..wire import LineCodec
 from .output import left_out_text
 from .parsing import number, option_group, positive
 
@@ -49,7 +49,7 @@ class Sending(NamedTuple):
         """Lines one by one."""
         return self.lines.lines if isinstance(self.lines, Scene) else self.lines
 
-    def left_out(self, codec: Codec) -> Mapping[Slot, LeftOut]:
+    def left_out(self, codec: LineCodec) -> Mapping[Slot, LeftOut]:
         """Return why lines are not sent: those of a scene that do not fit the message, too."""
         if isinstance(self.lines, Scene):
             return codec.encoder().prepare_scene(self.lines, fd=self.bus.fd).left_out
@@ -139,7 +139,7 @@ def add_map_error(scenario: Any) -> None:
     )
 
 
-def sending_of(codec: Codec, arguments: argparse.Namespace) -> Sending:
+def sending_of(codec: LineCodec, arguments: argparse.Namespace) -> Sending:
     """Return what is sent, by the options of ``add_sending``.
 
     Raises:
@@ -175,7 +175,7 @@ def sending_of(codec: Codec, arguments: argparse.Namespace) -> Sending:
     return sending
 
 
-def _rate(scenario: Scenario, codec: Codec, arguments: argparse.Namespace) -> float:
+def _rate(scenario: Scenario, codec: LineCodec, arguments: argparse.Namespace) -> float:
     """Return how often each line is sent: ``--rate``, or the shortest cycle time in the DBC."""
     if arguments.rate is not None:
         return float(arguments.rate)
@@ -185,7 +185,7 @@ def _rate(scenario: Scenario, codec: Codec, arguments: argparse.Namespace) -> fl
     return 1000 / min(cycles) if cycles else DEFAULT_RATE
 
 
-def sends_scenes(codec: Codec, arguments: argparse.Namespace) -> bool:
+def sends_scenes(codec: LineCodec, arguments: argparse.Namespace) -> bool:
     """Return whether lines are sent as scenes: together with the error of their pose.
 
     Raises:

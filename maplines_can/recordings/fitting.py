@@ -18,7 +18,7 @@ import numpy as np
 from ..bus.first_frames import CanId, FirstFrames, ids_text, keys_of
 from ..bus.log_summary import LogSummary, Times, skipped_text
 from ..values.errors import LayoutError, LogError
-from ..wire import SHIPPED, Codec, default_dbc_path
+from ..wire import SHIPPED, Codec, LineCodec, default_dbc_path
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.slot_messages import RecordMessages, SecuredLayout
 from ..wire.reasons import Reason
@@ -51,7 +51,7 @@ class Fit:
         chance: bound on the probability that so many checksums are right by chance, log10.
     """
 
-    codec: Codec
+    codec: LineCodec
     frames: int
     intact: int
     records: int
@@ -59,7 +59,7 @@ class Fit:
     chance: float
 
     @classmethod
-    def of(cls, receiver: LogReceiver, codec: Codec, frames: int) -> Fit:
+    def of(cls, receiver: LogReceiver, codec: LineCodec, frames: int) -> Fit:
         """Return how well the DBC of a receiver fits what it has received.
 
         Args:
@@ -166,7 +166,7 @@ def best_fit(found: Sequence[Fit], log: str | PathLike[str], *, times: Times = "
     raise LogError(f"{log}: no DBC fits: {why.text}")
 
 
-def check_fit(log: str | PathLike[str], codec: Codec, *, times: Times = "auto") -> None:
+def check_fit(log: str | PathLike[str], codec: LineCodec, *, times: Times = "auto") -> None:
     """Read a log as far as its first line or pose error.
 
     Raises:
@@ -193,7 +193,7 @@ class Misfit(NamedTuple):
 
 
 def misfit(
-    first: FirstFrames, codecs: Sequence[Codec], summary: LogSummary | None = None
+    first: FirstFrames, codecs: Sequence[LineCodec], summary: LogSummary | None = None
 ) -> Misfit:
     """Return why receivers have found neither a line nor a pose error, and what would fit.
 
@@ -244,14 +244,14 @@ class _Trial(NamedTuple):
     is_left_out: bool = False
 
 
-def _trials(first: FirstFrames, codecs: Sequence[Codec]) -> Iterator[_Trial]:
+def _trials(first: FirstFrames, codecs: Sequence[LineCodec]) -> Iterator[_Trial]:
     """Yield the trials, the simplest explanation first."""
     tried = {codec.layout.sha256 for codec in codecs}
     others = [one for one in _shipped() if one.layout.sha256 not in tried]
     blocks = [*first.blocks()]
     # Each channel needs a decoder for each trial, and no car has so many.
     most = MAX_SHIFTS // max(len(block.channels) for block in blocks) + 1
-    keyless = [_with(codec, codec.layout) for codec in codecs]
+    keyless = [codec.of_layout(codec.layout) for codec in codecs]
     for codec, own in zip(codecs, keyless, strict=True):
         yield _own(_fit(blocks, own), codec)
         yield _Trial(
@@ -263,7 +263,7 @@ def _trials(first: FirstFrames, codecs: Sequence[Codec]) -> Iterator[_Trial]:
         yield _Trial(fit, f"of {fit.name} are whole; take --dbc {fit.name}")
     for codec in (*keyless, *others):
         if codec.layout.secured is not None:
-            fit = _fit(blocks, _with(codec, _authentic(codec.layout)))
+            fit = _fit(blocks, codec.of_layout(_authentic(codec.layout)))
             what = f"--dbc {fit.name} and the key" if codec in others else "the key"
             yield _Trial(
                 fit, f"of {fit.name} are whole, but authenticated; take {what} of the sender"
@@ -278,7 +278,7 @@ def _trials(first: FirstFrames, codecs: Sequence[Codec]) -> Iterator[_Trial]:
             )
 
 
-def _own(fit: Fit, codec: Codec) -> _Trial:
+def _own(fit: Fit, codec: LineCodec) -> _Trial:
     """Return why a receiver leaves out records of its own DBC."""
     if codec.authenticator is not None:
         return _Trial(
@@ -291,7 +291,7 @@ def _own(fit: Fit, codec: Codec) -> _Trial:
 
 def _fit(
     blocks: Sequence[FrameBlock],
-    codec: Codec,
+    codec: LineCodec,
     moves: Mapping[CanId, CanId] | None = None,
     *,
     is_timed: bool = True,
@@ -340,11 +340,6 @@ def _shifts(first: FirstFrames, layout: Layout) -> Iterator[dict[CanId, CanId]]:
 def _shipped() -> tuple[Codec, ...]:
     """Return the codecs of the package; reading a DBC takes as long as thousands of frames."""
     return tuple(Codec.from_dbc(default_dbc_path(name)) for name in SHIPPED)
-
-
-def _with(codec: Codec, layout: Layout) -> Codec:
-    """Return a codec without a key of another layout with the same covariance code."""
-    return Codec(layout, codes={layout.covariance_code: type(codec.covariance)})
 
 
 def _authentic(layout: Layout) -> Layout:

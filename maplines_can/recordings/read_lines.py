@@ -12,7 +12,7 @@ from typing import IO
 from ..bus.log_summary import LogReader, Times
 from ..values.errors import LogError
 from ..values.line import Slot
-from ..wire import Codec
+from ..wire import Codec, LineCodec
 from .blocks import BLOCK_FRAMES, FrameBlock, read_blocks
 from .fitting import misfit
 from .line_block import LineBlock
@@ -26,7 +26,7 @@ def read_lines(
     log: Log,
     *,
     at: Sequence[float] = (),
-    dbc: str | Path | Codec | None = None,
+    dbc: str | Path | LineCodec | None = None,
     encoding: str | None = None,
     slots: Sequence[Slot] | None = None,
     scenes: bool = False,
@@ -106,7 +106,7 @@ def line_tables(
     log: Log,
     *,
     at: Sequence[float] = (),
-    dbc: str | Path | Codec | None = None,
+    dbc: str | Path | LineCodec | None = None,
     encoding: str | None = None,
     slots: Sequence[Slot] | None = None,
     scenes: bool = False,
@@ -138,7 +138,7 @@ def line_tables(
         LogError: the log cannot be opened; or, after the last table, it is damaged.
         ValueError: as for `read_lines`.
     """
-    codec = dbc if isinstance(dbc, Codec) else Codec.from_dbc(dbc, encoding=encoding)
+    codec = dbc if isinstance(dbc, LineCodec) else Codec.from_dbc(dbc, encoding=encoding)
     receiver = LogReceiver(codec, cycle_ms=cycle_ms, timeout_ms=timeout_ms, scenes=scenes)
     blocks = read_blocks(log, block_frames=block_frames, times=times)
     checked_at(at)

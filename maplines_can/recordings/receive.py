@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..bus.first_frames import FirstFrames
 from ..values.line import MapLine
-from ..wire import POSE, Codec, Decoder, E2EState, ReceivedScene
+from ..wire import POSE, Decoder, E2EState, LineCodec, ReceivedScene
 from ..wire.reasons import Reason
 from .blocks import FrameBlock
 from .line_block import COMPLETE, COMPONENT_ROW, LINE_ROW, REASONS, SCENE_ROW, LineBlock
@@ -53,7 +53,7 @@ class LogReceiver:
 
     def __init__(
         self,
-        codec: Codec,
+        codec: LineCodec,
         *,
         cycle_ms: float | None = None,
         timeout_ms: float | None = None,

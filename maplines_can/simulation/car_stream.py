@@ -15,7 +15,7 @@ from ..propagation import MapError, Motion, map_scene
 from ..values.line import MapLine
 from ..values.polyline import Polyline
 from ..values.scene import Scene
-from ..wire import Codec, Decoder
+from ..wire import Decoder, LineCodec
 from .camera import COLUMNS, LANE, Errors, UnitGaussMarkov, camera_view
 from .pose_source import PoseSource
 from .trajectory import SimulatedDrive
@@ -62,7 +62,7 @@ class CarStream:
         road_map: Map,
         route: Route,
         drive: SimulatedDrive,
-        codec: Codec,
+        codec: LineCodec,
         correlation_time: float,
         seed: int = 0,
         errors: Errors | None = None,

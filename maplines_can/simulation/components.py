@@ -17,7 +17,7 @@ from ..values.gaussian import Gaussian
 from ..values.line import Slot
 from ..values.polyline import Polyline
 from ..values.scene import PoseError, Scene
-from ..wire import POSE, Codec
+from ..wire import POSE, LineCodec
 from .scenarios import Scenario
 
 #: Limit of the bus load if the number of components is chosen.
@@ -50,7 +50,7 @@ class LineComponents:
 
 def choose_components(
     scenario: Scenario,
-    codec: Codec,
+    codec: LineCodec,
     lines: int = 4,
     components: int | Literal["auto"] = "auto",
     bus: BusShare = BusShare(),  # noqa: B008 - a value
@@ -82,7 +82,7 @@ def choose_components(
 
 
 def component_budget(
-    codec: Codec, slots: Collection[Slot], least: int, bus: BusShare
+    codec: LineCodec, slots: Collection[Slot], least: int, bus: BusShare
 ) -> int | None:
     """Return how many components all lines together may have; None for no limit.
 
@@ -114,7 +114,7 @@ def component_budget(
     return budget
 
 
-def check_scene_load(codec: Codec, slots: Collection[Slot], bus: BusShare) -> None:
+def check_scene_load(codec: LineCodec, slots: Collection[Slot], bus: BusShare) -> None:
     """Check the bus load of the pose error and of lines with the longest records.
 
     Raises:

@@ -19,7 +19,7 @@ from ..maps import LaneTracker
 from ..maps.line_source import Cycle, LineSource
 from ..values.line import MapLine, MapLineList, Slot
 from ..values.scene import Scene
-from ..wire import POSE, Codec, Frame, Owner, PreparedScene
+from ..wire import POSE, Frame, LineCodec, Owner, PreparedScene
 from .trajectory import CarState
 from .truth import TruthWriter, true_lines
 
@@ -110,7 +110,7 @@ class Transmission:
     source: LineSource
     states: CarState
     period: float
-    codec: Codec
+    codec: LineCodec
     fd: bool
     bitrates: tuple[int, int | None]
     open_log: Callable[[float], LogWriter] | None

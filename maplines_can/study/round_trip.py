@@ -18,7 +18,7 @@ import numpy as np
 from ..bus import Link, Receiver, ReceiverStats, Transmitter, TransmitterStats, bus_load
 from ..values.line import MapLine, Slot, Status
 from ..values.scene import Scene
-from ..wire import Codec, Decoder, Frame, PreparedScene
+from ..wire import Decoder, Frame, LineCodec, PreparedScene
 from .metrics import evaluate
 from .scene_result import SceneResult, scene_result
 
@@ -134,7 +134,7 @@ class RoundTrip:
 
 def round_trip(
     lines: Sequence[MapLine] | Scene,
-    codec: Codec,
+    codec: LineCodec,
     *,
     bus: BusSettings | None = None,
     seconds: float = 3.0,
@@ -234,7 +234,7 @@ class _Arrivals:
 
 def _run(
     lines: Sequence[MapLine] | PreparedScene,
-    codec: Codec,
+    codec: LineCodec,
     bus: BusSettings,
     count: int,
     faults: Faults | None,
@@ -282,7 +282,7 @@ def _faulty_opener(faults: Faults) -> FaultyOpener:
     return FaultyOpener(faults)
 
 
-def _result(line: MapLine, back: MapLine | None, codec: Codec) -> LineResult:
+def _result(line: MapLine, back: MapLine | None, codec: LineCodec) -> LineResult:
     """Compare a line as sent with the same line as received, within the valid range of both."""
     # A line that a busy machine delivers too late is compared where it is valid, too.
     known = line if back is None or back.status is Status.OUT_OF_RANGE else back

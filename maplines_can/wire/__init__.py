@@ -1,7 +1,8 @@
 """Map lines and their Gaussians as messages on a CAN bus, as a DBC describes them."""
 
 from .batch import BatchCodec
-from .codec import CODES, Codec
+from .c_tables import CODES
+from .codec import Codec, LineCodec
 from .encoder import Encoder
 from .layout.dbc_reader import SHIPPED, default_dbc_path
 from .layout.message_layout import Layout
@@ -33,6 +34,7 @@ __all__ = [
     "Frame",
     "Key",
     "Layout",
+    "LineCodec",
     "Owner",
     "PreparedScene",
     "ProfileStatus",

@@ -31,8 +31,8 @@ from .layout.signals import (
 )
 from .layout.slot_messages import RecordMessages
 
-#: Codes of the covariance that the core in C has.
-C_CODES = (CholeskyCode.name, POSE_CONDITIONAL)
+#: Covariance codes of the core, by their names in the DBC's attribute CovarianceCode.
+CODES = (CholeskyCode.name, POSE_CONDITIONAL)
 #: Most bits of a counter in C.
 MAX_COUNTER_BITS = 32
 #: Most bits of a signal of the mean with its finer one: both together are an int64_t.
@@ -78,6 +78,20 @@ def limits_of(layouts: Sequence[Layout]) -> Limits:
     return Limits(*map(max, zip(*map(_own_limits, layouts), strict=True)))
 
 
+def check_code(layout: Layout) -> None:
+    """Check that the core has the covariance code of a DBC.
+
+    Raises:
+        LayoutError: it has not.
+    """
+    if layout.covariance_code not in CODES:
+        raise LayoutError(
+            f"{layout.source}: the covariance code {layout.covariance_code!r} is none of the core, "
+            f"which has {' and '.join(CODES)}; take a DBC with one of these, such as maplines.dbc, "
+            "or for the codes of the study maplines_can.study.comparison.codec_for"
+        )
+
+
 def check(layout: Layout) -> None:
     """Check that there is C for a DBC.
 
@@ -85,12 +99,7 @@ def check(layout: Layout) -> None:
         LayoutError: its covariance code has no C, or it has more pages, transfer IDs, components
             or counters than the C can hold.
     """
-    if layout.covariance_code not in C_CODES:
-        raise LayoutError(
-            f"{layout.source}: the covariance code {layout.covariance_code!r} has no C, only "
-            f"{' and '.join(C_CODES)} have; generate C for a DBC with one of these, such as "
-            "maplines.dbc"
-        )
+    check_code(layout)
     for record in _records(layout):
         if record.pages > MAX_LIMITS.pages:
             raise LayoutError(

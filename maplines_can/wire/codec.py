@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..values.errors import LayoutError
 from .batch import BatchCodec
 from .c_sender import CSender
-from .c_tables import number_of, tables_of
-from .covariance import CholeskyCode, CovarianceCode, SceneCode, SceneEncoder
+from .c_tables import check_code, number_of, tables_of
+from .covariance import CholeskyCode, SceneCode, SceneEncoder
 from .encoder import Encoder, conditional_error
 from .layout.dbc_reader import Database, default_dbc_path
-from .layout.message_layout import POSE_CONDITIONAL, Layout
+from .layout.message_layout import Layout
 from .layout.pose_layout import POSE, Owner, PoseLayout
 from .protection.e2e_state import E2EConfig
 from .protection.secoc import Authenticator, Verifier
@@ -33,8 +32,41 @@ from .records.record import CompleteRecord, RawRecord, RecordFormat, RecordReade
 from .records.scene_reader import SceneReader
 from .records.scene_writer import SceneWriter
 
-#: Covariance codes of the package, by the name in the DBC's attribute CovarianceCode.
-CODES: Mapping[str, type[CovarianceCode]] = {CholeskyCode.name: CholeskyCode}
+
+@runtime_checkable
+class LineCodec(Protocol):
+    """What senders and receivers of lines need of a codec: a `Codec`, or one of the study."""
+
+    @property
+    def layout(self) -> Layout:
+        """Of the records and their messages."""
+
+    @property
+    def authenticator(self) -> Authenticator | None:
+        """Keys and clock; None without authentication."""
+
+    @property
+    def can_ids(self) -> frozenset[int]:
+        """CAN IDs of all lines, for filters."""
+
+    @property
+    def resolution(self) -> NDArray[np.float64]:
+        """(4,) variances of the mean's rounding error."""
+
+    def of_layout(self, layout: Layout) -> LineCodec:
+        """Return the codec of another layout, without a key."""
+
+    def encoder(self) -> Encoder:
+        """Return a new encoder."""
+
+    def decoder(
+        self,
+        *,
+        timeout_ms: float | None = None,
+        cycle_ms: float | None = None,
+        e2e: E2EConfig | None = None,
+    ) -> Decoder:
+        """Return a new decoder."""
 
 
 class Codec:
@@ -53,7 +85,6 @@ class Codec:
         layout: from ``Layout.from_dbc``; most callers use ``Codec.from_dbc``.
         authenticator: keys and clock. With it, the codec sends authenticated frames only, and its
             decoders accept no others. None for a bus without authentication.
-        codes: covariance codes that the DBC may name, by name.
 
     Raises:
         LayoutError: the covariance code is unknown, or there is an authenticator but the DBC has
@@ -69,12 +100,7 @@ class Codec:
     (array([ True]), np.float64(1.75), np.float64(0.102))
     """
 
-    def __init__(
-        self,
-        layout: Layout,
-        authenticator: Authenticator | None = None,
-        codes: Mapping[str, type[CovarianceCode]] = CODES,
-    ) -> None:
+    def __init__(self, layout: Layout, authenticator: Authenticator | None = None) -> None:
         self.layout = layout
         self.authenticator: Authenticator | None = None
         if not isinstance(authenticator, Authenticator | None):
@@ -85,15 +111,9 @@ class Codec:
                 "Authenticator(key, clock=time.time_ns) makes one of a Key"
             )
         self.authenticator = authenticator
-        codes = {POSE_CONDITIONAL: CholeskyCode} | dict(codes)
-        if layout.covariance_code not in codes:
-            raise LayoutError(
-                f"{layout.source}: the covariance code {layout.covariance_code!r} is not known; "
-                f"there are {', '.join(codes)}; for those of the study, pass "
-                "codes=maplines_can.study.codes.CODES"
-            )
-        #: Code of the covariance that the DBC names.
-        self.covariance = codes[layout.covariance_code](layout)
+        check_code(layout)
+        #: Code of the covariance.
+        self.covariance = CholeskyCode(layout)
         self._complete: CompleteWriter | None = None
         if not layout.is_conditional:
             kernel = BatchKernel.of(self._c_tables, layout, self.covariance)
@@ -108,7 +128,6 @@ class Codec:
         cls,
         dbc: str | Path | Database | None = None,
         authenticator: Authenticator | None = None,
-        codes: Mapping[str, type[CovarianceCode]] = CODES,
         *,
         encoding: str | None = None,
     ) -> Codec:
@@ -129,13 +148,12 @@ class Codec:
         if dbc is None and authenticator is not None:
             dbc = default_dbc_path("maplines-secoc.dbc")
         try:
-            return cls(Layout.from_dbc(dbc, encoding=encoding), authenticator, codes)
+            return cls(Layout.from_dbc(dbc, encoding=encoding), authenticator)
         finally:
             del authenticator  # a traceback may show the locals
 
     def __reduce__(self) -> tuple[Any, ...]:
-        codes = {self.layout.covariance_code: type(self.covariance)}
-        return type(self), (self.layout, self.authenticator, codes)
+        return type(self), (self.layout, self.authenticator)
 
     def __repr__(self) -> str:
         secured = "" if self.authenticator is None else ", authenticated"
@@ -161,6 +179,10 @@ class Codec:
         if self._complete is None:
             raise conditional_error(self.layout)
         return BatchCodec(partial(getattr, self, "batch"), self._complete)
+
+    def of_layout(self, layout: Layout) -> Codec:
+        """Return the codec of another layout, without a key."""
+        return Codec(layout)
 
     def encoder(self) -> Encoder:
         """Return a new encoder, which holds the counters of a sender."""
@@ -188,7 +210,7 @@ class Codec:
     @cached_property
     def _c_tables(self) -> Any:
         """Tables for the extension module; None if Python computes alone."""
-        return tables_of(self.layout) if type(self.covariance) is CholeskyCode else None
+        return tables_of(self.layout)
 
     @cached_property
     def _c_sender(self) -> CSender | None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from operator import index
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,17 @@ from ..values.scene import Scene
 from .c_sender import CSender
 from .layout.message_layout import PAGE_BYTES, Layout
 from .layout.pose_layout import Owner
-from .records.complete_writer import CompleteWriter
 from .records.frames import Frame, FrameWriter
 from .records.scene_writer import PreparedScene, SceneWriter
+
+
+class LineWriter(Protocol):
+    """Writer of the records of lines."""
+
+    def write_lines(
+        self, lines: Sequence[MapLine], counters: Mapping[Owner, int]
+    ) -> tuple[list[list[bytes]], Counter[Owner]]:
+        """Return the records of each line, and the counters that follow them."""
 
 
 class Encoder:
@@ -40,7 +49,7 @@ class Encoder:
         again: Callable[[], Encoder],
         layout: Layout,
         frame_writer: FrameWriter,
-        line_writer: CompleteWriter | None,
+        line_writer: LineWriter | None,
         scene_writer: SceneWriter | None,
         c_sender: CSender | None = None,
     ) -> None:
@@ -201,7 +210,7 @@ class Encoder:
             )
         return self._frame_writer.write(payload.tobytes(), slot, fd)
 
-    def _line_writer(self) -> CompleteWriter:
+    def _line_writer(self) -> LineWriter:
         if self._lines is None:
             raise conditional_error(self._layout)
         return self._lines

@@ -246,7 +246,7 @@ def test_json_names_the_files_and_the_limits(tmp_path: Path, capsys: Any) -> Non
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        pytest.param(["--dbc", "maplines-float16.dbc"], "'Float16' has no C", id="study"),
+        pytest.param(["--dbc", "maplines-float16.dbc"], "'Float16' is none of", id="study"),
         pytest.param(["--name", "a-b"], "C identifier", id="name"),
         pytest.param(["--name", "_a"], "begins with a letter", id="underscore"),
         pytest.param(["--name", "a", "--name", "b"], "as many times as --dbc", id="names"),

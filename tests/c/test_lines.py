@@ -171,12 +171,12 @@ def test_the_gaussian_of_a_mixture_is_that_of_python() -> None:
     """Its mean, and the factor of its covariance with the rows in the order of the DBC."""
     codec = Codec(layout_of("maplines.dbc"))
     rng = np.random.default_rng(11)
-    order = codec.covariance.factor.order  # type: ignore[attr-defined]
+    order = codec.covariance.factor.order
     raw = {
         name: rng.integers(*s.all_raw, 80, endpoint=True)
         for name, s in codec.layout.signals.items()
     }
-    factors = codec.covariance.factors(raw)  # type: ignore[attr-defined]
+    factors = codec.covariance.factors(raw)
     means = rng.normal(size=(80, 4)) * [1.0, 0.05, 1e-3, 1e-5]
     factors[75:] = np.eye(4)
     factors[75:, order[1:], order[0]] = 1e8  # so correlated that rounding makes them indefinite

@@ -20,7 +20,6 @@ from scene_layouts import layout_of
 
 from maplines_can import Slot, Status
 from maplines_can.native import core
-from maplines_can.study.codes import CODES
 from maplines_can.values.errors import EncodeError
 from maplines_can.wire import Codec
 from maplines_can.wire.layout import validation
@@ -252,15 +251,6 @@ def test_wrong_mixtures_have_the_same_errors() -> None:
 
 
 # ---- the seam ----------------------------------------------------------------------------------
-
-
-def test_other_covariance_codes_stay_in_numpy() -> None:
-    assert CODES
-    for name, code in CODES.items():
-        layout = layout_of("maplines.dbc")
-        if name != layout.covariance_code:
-            assert BatchKernel.of(object(), layout, object.__new__(code)) is None
-    assert BatchKernel.of(None, layout, codec_of("maplines.dbc").covariance) is None
 
 
 def test_the_module_looks_at_the_sizes_of_arrays() -> None:

@@ -364,18 +364,6 @@ def test_frames_are_ordinary() -> None:
         assert sys.getrefcount(frame.data) <= 3
 
 
-def test_another_covariance_code_runs_in_python() -> None:
-    """A codec with a code of its own does not use the C of the code with the same name."""
-    from maplines_can.wire.covariance import CholeskyCode
-
-    class Wider(CholeskyCode):
-        pass
-
-    codec = Codec(layout_of(COMPLETE), codes={"Cholesky": Wider})
-    assert codec.encoder()._c is None
-    assert Codec(layout_of(COMPLETE)).encoder()._c is not None
-
-
 def test_a_sender_of_something_else() -> None:
     """The types check what they are made of."""
     tables = tables_of(layout_of(COMPLETE))

@@ -191,7 +191,7 @@ def test_the_names_of_the_ratios_order_the_rows(tmp_path: Path) -> None:
     path = tmp_path / "order.dbc"
     path.write_text(text)
     codec = Codec.from_dbc(path)
-    assert [("YOff", "Beta", "C0", "C1")[i] for i in codec.covariance.factor.order] == [  # type: ignore[attr-defined]
+    assert [("YOff", "Beta", "C0", "C1")[i] for i in codec.covariance.factor.order] == [
         "C0", "C1", "YOff", "Beta",
     ]  # fmt: skip
     check_guarantee(codec, *road(500, seed=8))

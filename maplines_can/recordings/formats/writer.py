@@ -10,7 +10,7 @@ from typing import Protocol
 
 from ... import __version__
 from ...values.output_files import temporary_path
-from ...wire import Codec
+from ...wire import LineCodec
 from ..table import LineTable
 
 #: Path of the file of a table, by its name: lines, rejects or scenes.
@@ -46,7 +46,7 @@ class About:
     maplines_can: str = field(default=__version__)
 
     @classmethod
-    def of(cls, codec: Codec, log: str, at: tuple[float, ...]) -> About:
+    def of(cls, codec: LineCodec, log: str, at: tuple[float, ...]) -> About:
         """Return what a log and its codec say."""
         layout = codec.layout
         return cls(Path(log).name, Path(layout.source).name, layout.sha256, at)

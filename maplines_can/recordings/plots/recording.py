@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...bus.log_summary import LogSummary, Times
 from ...values.errors import LogError
 from ...values.line import Slot
-from ...wire import Codec
+from ...wire import LineCodec
 from ..blocks import read_blocks
 from ..fitting import misfit
 from ..read_lines import name_of, tables_of
@@ -55,7 +55,7 @@ class Recording:
 
 def recorded(
     log: Any,
-    codec: Codec,
+    codec: LineCodec,
     at: Sequence[float],
     *,
     slots: Sequence[Slot] | None = None,

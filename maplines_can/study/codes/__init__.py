@@ -1,7 +1,7 @@
 """Covariance codes for comparison, and the table of all codes."""
 
 from ...wire.covariance.cholesky import CholeskyCode
-from ...wire.covariance.code import CovarianceCode
+from .code import CovarianceCode
 from .integer_cholesky import IntegerCholesky
 from .log_cholesky import LogCholesky
 from .sigmas import LogCorrelation, MeanOnly, Sigmas
@@ -9,12 +9,20 @@ from .triangle import Float16Triangle, Float32Triangle, LinearCovering, LinearNe
 
 __all__ = ["CODES"]
 
+
+class Cholesky(CholeskyCode, CovarianceCode):
+    """Code of the core, which its ``Codec`` sends."""
+
+    about = "as LogCholesky, with feedback from row to row, and inflated until it covers"
+    positive_definite = True
+    covering = True
+
+
 #: All codes by name, as in the DBC's attribute CovarianceCode; the first is the default.
-#: ``Codec.from_dbc(path, codes=CODES)`` reads the DBC of any of them.
 CODES: dict[str, type[CovarianceCode]] = {
     code.name: code
     for code in (
-        CholeskyCode,
+        Cholesky,
         LogCholesky,
         IntegerCholesky,
         LinearCovering,

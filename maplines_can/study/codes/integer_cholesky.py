@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...wire.covariance.code import Array, Coded, check_octaves
 from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
-from .batch import BatchCode, check_linear
+from .code import CovarianceCode, check_linear
 
 #: States in the order of the factor, and the unit of each.
 ORDER = (2, 1, 0, 3)
@@ -32,7 +32,7 @@ def entry_name(i: int, j: int) -> str:
     return f"Root{PARAMETER_SIGNALS[ORDER[i]]}{PARAMETER_SIGNALS[ORDER[j]]}"
 
 
-class IntegerCholesky(BatchCode):
+class IntegerCholesky(CovarianceCode):
     """A factor with the smallest exponent that holds it, enlarged until it covers.
 
     Any bits with diagonal elements of 1 or more give a positive definite matrix.

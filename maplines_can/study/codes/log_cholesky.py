@@ -11,9 +11,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ...wire.covariance.code import Array, Coded, CovarianceCode, nearest_raw
+from ...wire.covariance.code import Array, Coded
 from ...wire.covariance.factor import CholeskyFactor
 from ...wire.layout.message_layout import Layout
+from .code import CovarianceCode, nearest_raw
 
 
 class LogCholesky(CovarianceCode):
@@ -50,9 +51,6 @@ class LogCholesky(CovarianceCode):
 
     def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
         return self.factor.decode(raw)
-
-    def decode_one(self, raw: Mapping[str, int]) -> Array:
-        return self.factor.decode_one(raw)
 
     def widest(self) -> dict[str, int]:
         return self.factor.widest()

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...values.line import VAGUE_SIGMA, Status
-from ...wire.covariance.code import Array, Coded, CovarianceCode, check_octaves, nearest_raw
+from ...wire.covariance.code import Array, Coded, check_octaves
 from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
 from ...wire.layout.signals import Signal
-from .batch import BatchCode, check_linear
+from .code import CovarianceCode, check_linear, nearest_raw
 
 
 def _rounded_up(
@@ -27,7 +27,7 @@ def _rounded_up(
     return signal.limited(steps).astype(np.int64), steps > signal.raw_max
 
 
-class LogCorrelation(BatchCode):
+class LogCorrelation(CovarianceCode):
     """Standard deviations rounded up, correlations rounded to the nearest."""
 
     name = "LogCorrelation"
@@ -73,7 +73,7 @@ class LogCorrelation(BatchCode):
         return zero | {signal.name: signal.raw_max for signal in self.sigmas}
 
 
-class Sigmas(BatchCode):
+class Sigmas(CovarianceCode):
     """Four logarithmic standard deviations, rounded up.
 
     They cover the variances. Correlations are neither sent nor covered; the status of the line
@@ -131,9 +131,6 @@ class MeanOnly(CovarianceCode):
     def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
         n = len(next(iter(raw.values()))) if raw else 0
         return np.tile(np.diag(np.square(VAGUE_SIGMA)), (n, 1, 1))
-
-    def decode_one(self, raw: Mapping[str, int]) -> Array:
-        return np.diag(np.square(VAGUE_SIGMA))
 
     def widest(self) -> dict[str, int]:
         return {}

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...values.errors import LayoutError
-from ...wire.covariance.code import Array, Coded, nearest_raw
+from ...wire.covariance.code import Array, Coded
 from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
-from .batch import BatchCode, check_linear
+from .code import CovarianceCode, check_linear, nearest_raw
 
 #: The upper triangle, row by row, as in the paper.
 PAIRS = tuple((i, j) for i in range(4) for j in range(i, 4))
@@ -40,7 +40,7 @@ def half_name(i: int, j: int) -> str:
 # ---- linear signals -------------------------------------------------------------------
 
 
-class _LinearTriangle(BatchCode):
+class _LinearTriangle(CovarianceCode):
     """Base of codes with linear entries."""
 
     def __init__(self, layout: Layout) -> None:
@@ -133,7 +133,7 @@ class LinearCovering(_LinearTriangle):
 # ---- floating-point numbers -----------------------------------------------------------
 
 
-class _FloatTriangle(BatchCode):
+class _FloatTriangle(CovarianceCode):
     """Base of codes with floating-point entries, rounded to the nearest."""
 
     positive_definite = False

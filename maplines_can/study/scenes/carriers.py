@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from ...values.linalg import block_diagonal
 from ...values.line import Status, lateral_jacobian
 from ...values.scene import Scene
-from ...wire import Codec, PreparedScene
+from ...wire import PreparedScene
 from ...wire.covariance.scene_code import RESOLUTION
 from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
 from ...wire.layout.signals import FINE_SIGNALS, OWN_SIGNALS
-from ..codes import CODES
+from ..comparison import AnyCodec, codec_for, transmit
 from ..dbc.pose_spec import CONDITIONAL
 from ..dbc.record_spec import DEFAULT, dbc_writer_for
 from .source import noise_floor
@@ -38,17 +38,17 @@ _OTHERS = {*PARAMETER_SIGNALS, *FINE_SIGNALS, "XMin", "XMax", "CorrelationTime"}
 
 
 @lru_cache
-def codec_of(code: str) -> Codec:
-    """Return the codec of a code, a name of ``CODES`` or of ``WITH_POSE``."""
+def codec_of(code: str) -> AnyCodec:
+    """Return the codec of a code, a name of ``codes.CODES`` or of ``WITH_POSE``."""
     writer = WITH_POSE[code] if code in WITH_POSE else dbc_writer_for(code)
-    return Codec(Layout.from_dbc(writer.database()), codes=CODES)
+    return codec_for(Layout.from_dbc(writer.database()))
 
 
 def evaluations(code: str, scenes: Sequence[Scene]) -> Iterator[dict[str, Any]]:
     """Yield the figures of each scene as sent by a code.
 
     Args:
-        code: a name of ``CODES`` or of ``WITH_POSE``.
+        code: a name of ``codes.CODES`` or of ``WITH_POSE``.
         scenes: the scenes, with at least the lines of the ego lane as the first two.
     """
     codec = codec_of(code)
@@ -58,7 +58,7 @@ def evaluations(code: str, scenes: Sequence[Scene]) -> Iterator[dict[str, Any]]:
         yield from _independent(codec, scenes)
 
 
-def with_pose(codec: Codec, scene: Scene) -> dict[str, Any]:
+def with_pose(codec: AnyCodec, scene: Scene) -> dict[str, Any]:
     """Return the figures of a scene as sent by a codec with a message of the pose error."""
     encoder = codec.encoder()
     prepared = encoder.prepare_scene(scene)
@@ -82,7 +82,7 @@ def with_pose(codec: Codec, scene: Scene) -> dict[str, Any]:
     return row | compare(scene, places, decoded.means, decoded.cov, floor)
 
 
-def joint_bits(codec: Codec, prepared: PreparedScene) -> int:
+def joint_bits(codec: AnyCodec, prepared: PreparedScene) -> int:
     """Return the bits of a scene's joint covariance: of the pose error, and of each line."""
     layout, encoded = codec.layout, prepared.encoded
     pose = layout.pose
@@ -97,7 +97,7 @@ def joint_bits(codec: Codec, prepared: PreparedScene) -> int:
     return bits + each * len(encoded.lines) + single * len(prepared.sent_slots)
 
 
-def _bits(codec: Codec, names: Sequence[str]) -> int:
+def _bits(codec: AnyCodec, names: Sequence[str]) -> int:
     return sum(codec.layout[name].length for name in names)
 
 
@@ -105,10 +105,10 @@ def _with_all_entries(prepared: PreparedScene) -> int:
     return sum("Inflation" in raw for raw in prepared.encoded.lines.values())
 
 
-def _independent(codec: Codec, scenes: Sequence[Scene]) -> Iterator[dict[str, Any]]:
+def _independent(codec: AnyCodec, scenes: Sequence[Scene]) -> Iterator[dict[str, Any]]:
     means = np.concatenate([scene.means for scene in scenes])
     covs = np.array([line.gaussian.cov for scene in scenes for line in scene.lines])
-    batch = codec.batch.decode(codec.batch.encode(means, covs))
+    batch = transmit(codec, means, covs)
     good = batch.accepted & (batch.status != Status.OUT_OF_RANGE)
     bits = sum(signal.length for signal in codec.covariance.signals)
     start = 0

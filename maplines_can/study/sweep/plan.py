@@ -12,9 +12,9 @@ import numpy as np
 
 from ...values.errors import StudyError
 from ...values.line import Slot
-from ...wire import Codec
 from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
 from ..codes import CODES
+from ..comparison import AnyCodec, codec_for
 from ..dbc.covariance_spec import covariance_signals
 from ..dbc.record_spec import dbc_writer_for
 from ..sets import LineSet
@@ -146,16 +146,16 @@ def scenes_key(lines: int, index: int) -> str:
 
 
 @lru_cache(maxsize=256)
-def codec_of(plan: Plan) -> Codec:
+def codec_of(plan: Plan) -> AnyCodec:
     """Return the codec of a plan, with a DBC of its own for one slot, since all are alike."""
     writer = dbc_writer_for(
         plan.code, plan.finer_bits, {plan.field: plan.delta_bits} if plan.field else None
     )
     database = replace(writer, slots=(Slot.EGO_LEFT,)).database()
-    return Codec(Layout.from_dbc(database), codes=CODES)
+    return codec_for(Layout.from_dbc(database))
 
 
-def theory(codec: Codec) -> dict[str, float]:
+def theory(codec: AnyCodec) -> dict[str, float]:
     """Return the expected KL [nat] of the rounding of each field, before inflation.
 
     A ratio of step D costs D^2 / 24, a pivot of D octaves (D ln 2)^2 / 12 (see

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from ...engines import Result, Task
 from ...values.line import Status
+from ...wire import Codec
 from ...wire.covariance.cholesky import CholeskyCode
 from ...wire.layout.packing import Packing
+from ..comparison import transmit
 from ..metrics import Figure, Score, evaluate, kl_terms
 from ..scenes import table as scene_table
 from ..sets import Chunk, Gaussians
@@ -98,8 +100,7 @@ class _Trial:
     def __init__(self, plan: Plan, given: Gaussians) -> None:
         self.codec, self.given = codec_of(plan), given
         started = time.perf_counter()
-        self.payloads = self.codec.batch.encode(*given)
-        self.batch = self.codec.batch.decode(self.payloads)
+        self.batch = transmit(self.codec, *given)
         decoded = self.batch.mean, self.batch.cov
         self.evaluation = evaluate(*given, *decoded, self.codec.resolution)
         self.seconds = time.perf_counter() - started
@@ -135,10 +136,11 @@ class _Trial:
         all terms; the count of a ratio's name is the number of those that are rounded to zero.
         """
         layout, code = self.codec.layout, self.codec.covariance
-        if not isinstance(code, CholeskyCode):
+        if not isinstance(self.codec, Codec) or not isinstance(code, CholeskyCode):
             raise TypeError(f"only {CholeskyCode.name} is inflated, not {code.name}")
         rows = self.batch.status == Status.FULL
-        inflation = Packing([layout["Inflation"]], layout.record_bytes).unpack(self.payloads)
+        payloads = self.codec.batch.encode(*self.given)
+        inflation = Packing([layout["Inflation"]], layout.record_bytes).unpack(payloads)
         factor = np.exp2(layout["Inflation"].physical(inflation["Inflation"]))
         mean, cov = self.given
         d = mean - self.batch.mean

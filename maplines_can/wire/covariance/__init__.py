@@ -1,8 +1,7 @@
 """Codes of the covariance: covariances as signals, and back."""
 
 from .cholesky import CholeskyCode
-from .code import Coded, CovarianceCode
 from .scene_code import SceneCode
 from .scene_encoder import SceneEncoder
 
-__all__ = ["CholeskyCode", "Coded", "CovarianceCode", "SceneCode", "SceneEncoder"]
+__all__ = ["CholeskyCode", "SceneCode", "SceneEncoder"]

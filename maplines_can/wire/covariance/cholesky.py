@@ -40,30 +40,31 @@ from .cholesky_one import (
     WIDER,
     CholeskyOne,
 )
-from .code import Array, Coded, CodedOne, CovarianceCode, check_octaves
+from .code import Array, Coded, CodedOne, check_octaves
 from .factor import BLOCK, CholeskyFactor, PowersOfTwo
 
 #: Up to this number, covariances are encoded one by one.
 FEW = 6
 
 
-class CholeskyCode(CovarianceCode):
+class CholeskyCode:
     """Pivots and ratios that are quantized with feedback, and an inflation.
 
     Args:
         layout: has the signals.
-        rows: names of the k rows, in the order of the states of the covariance. The arrays of
-            ``CovarianceCode`` then have k where they have 4.
+        rows: names of the k rows, in the order of the states of the covariance.
+
+    Raises:
+        LayoutError: a signal is missing, or has an unsuitable factor or range.
     """
 
+    #: Name in the DBC's attribute CovarianceCode.
     name = "Cholesky"
-    about = "as LogCholesky, with feedback from row to row, and inflated until it covers"
-    positive_definite = True
-    covering = True
 
     def __init__(self, layout: RecordLayout, rows: Sequence[str] = PARAMETER_SIGNALS) -> None:
         self.factor = CholeskyFactor(layout, rows)
         self.inflation = layout["Inflation"]
+        #: Signals that hold the covariance.
         self.signals = (*self.factor.signals, self.inflation)
         check_octaves(layout, [self.inflation])
         self._variance_factors = PowersOfTwo(self.inflation)
@@ -80,6 +81,13 @@ class CholeskyCode(CovarianceCode):
         self._one = CholeskyOne(factor, self.inflation, self._variance_factors, reachable)
 
     def encode(self, error: Array, resolution: Array) -> Coded:
+        """Encode covariances.
+
+        Args:
+            error: (N, k, k) positive semidefinite target that the decoded covariance must cover:
+                the covariance plus d d^T, with d the error of the decoded mean.
+            resolution: (k,) variances of the mean's rounding error, a floor for singular matrices.
+        """
         if len(error) > FEW:
             return self._encode_many(error, resolution)
         least = resolution.tolist()
@@ -91,6 +99,7 @@ class CholeskyCode(CovarianceCode):
         )
 
     def encode_one(self, error: list[list[float]], resolution: list[float]) -> CodedOne:
+        """Encode one (k, k) covariance: as ``encode`` to the last bit."""
         try:
             return self._one.encode(error, resolution)
         except (ArithmeticError, ValueError):  # a number is infinite or NaN on the way
@@ -124,9 +133,11 @@ class CholeskyCode(CovarianceCode):
         return coded
 
     def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
+        """Return the (N, k, k) covariances of (N,) raw values by signal."""
         return self.factor.decode(raw, self._sigma_factors.of(raw[self.inflation.name]))
 
     def decode_one(self, raw: Mapping[str, int]) -> Array:
+        """Return one (k, k) covariance: as ``decode`` to the last bit."""
         return self.factor.decode_one(raw, self._sigma_factors.of_one(raw[self.inflation.name]))
 
     def factors(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
@@ -142,6 +153,7 @@ class CholeskyCode(CovarianceCode):
         return np.sqrt(self.reachable)
 
     def widest(self) -> dict[str, int]:
+        """Return the raw values of the widest covariance, for a line without a covariance."""
         return self.factor.widest() | {self.inflation.name: self.inflation.raw_max}
 
     def _encode_block(

@@ -1,17 +1,14 @@
-"""Interface of the covariance codes, and functions that they share."""
+"""Covariances as raw values, and the check of the signals that hold exponents."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...values.line import Status
-from ..layout.message_layout import Layout
 from ..layout.record_layout import RecordLayout
 from ..layout.signals import OCTAVES, Signal
 
@@ -45,68 +42,6 @@ class CodedOne(NamedTuple):
     raw: dict[str, int]
     saturated: bool
     covered: bool
-
-
-class CovarianceCode(ABC):
-    """Code between covariances and the raw values of a layout's signals.
-
-    Raises:
-        LayoutError: a signal is missing, or has an unsuitable factor or range.
-    """
-
-    #: Name in the DBC's attribute CovarianceCode.
-    name: ClassVar[str]
-    #: One line on the signals.
-    about: ClassVar[str]
-    #: Whether any bits decode to a positive definite covariance.
-    positive_definite: ClassVar[bool]
-    #: Whether the decoded covariance minus the target is positive semidefinite.
-    covering: ClassVar[bool]
-    #: Best status that the code supports.
-    status: ClassVar[Status] = Status.FULL
-    #: Signals that hold the covariance.
-    signals: tuple[Signal, ...]
-
-    @abstractmethod
-    def __init__(self, layout: Layout) -> None: ...
-
-    @abstractmethod
-    def encode(self, error: Array, resolution: Array) -> Coded:
-        """Encode covariances.
-
-        Args:
-            error: (N, 4, 4) positive semidefinite target that the decoded covariance must cover:
-                the covariance plus d d^T, with d the error of the decoded mean.
-            resolution: (4,) variances of the mean's rounding error, a floor for singular matrices.
-        """
-
-    def encode_one(self, error: list[list[float]], resolution: list[float]) -> CodedOne:
-        """Encode one (4, 4) covariance: as ``encode`` to the last bit."""
-        return self.encode(np.array([error]), np.array(resolution)).first()
-
-    @abstractmethod
-    def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
-        """Return the (N, 4, 4) covariances of (N,) raw values by signal."""
-
-    @abstractmethod
-    def decode_one(self, raw: Mapping[str, int]) -> Array:
-        """Return one (4, 4) covariance: as ``decode`` to the last bit."""
-
-    @property
-    def reach(self) -> Array:
-        """(4,) largest standard deviations of a decoded covariance; infinite if none is known."""
-        return np.full(4, np.inf)
-
-    @abstractmethod
-    def widest(self) -> dict[str, int]:
-        """Return the raw values of the widest covariance, for a line without a covariance."""
-
-
-def nearest_raw(signal: Signal, physical: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the (N,) nearest raw values within the range, and which were clipped to it."""
-    nearest = signal.raw(physical)
-    limited = signal.limited(nearest)
-    return limited.astype(np.int64), nearest != limited
 
 
 def check_octaves(layout: RecordLayout, signals: Sequence[Signal]) -> None:

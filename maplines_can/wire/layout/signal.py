@@ -31,8 +31,7 @@ class Signal:
         unit: of the physical value.
         raw_min: least raw value within the DBC's range.
         raw_max: greatest raw value within the DBC's range; less than ``raw_min`` if there is none.
-        is_float: the raw value is the bit pattern of an IEEE 754 number. Only ``physical``
-            supports such a signal, with 32 bits.
+        is_float: the raw value is the bit pattern of an IEEE 754 number; no signal of the core is.
         prefix: of the name in the DBC, for messages.
     """
 
@@ -67,10 +66,6 @@ class Signal:
 
     def physical(self, raw: ArrayLike) -> NDArray[np.float64]:
         """Return the (...,) physical values."""
-        if self.is_float:
-            pattern = np.asarray(raw, dtype=np.int64).astype(np.uint32)
-            with np.errstate(invalid="ignore"):  # the bits may be those of a signalling NaN
-                return pattern.view(np.float32).astype(float)
         return np.asarray(raw, dtype=float) * self.factor + self.offset
 
     def physical_one(self, raw: int) -> float:

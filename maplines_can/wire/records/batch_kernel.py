@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...native import core
 from ...values.elementary import exp2
-from ..covariance import CholeskyCode, CovarianceCode
+from ..covariance import CholeskyCode
 from ..layout.message_layout import Layout
 from ..layout.validation import CheckedGaussians
 
@@ -57,9 +57,9 @@ class BatchKernel:
         self.max_components = 2 ** layout["ComponentCount"].length
 
     @classmethod
-    def of(cls, tables: Any, layout: Layout, covariance: CovarianceCode) -> BatchKernel | None:
-        """Return the kernel of a layout; None if the C core lacks the code, or its tables."""
-        if tables is None or type(covariance) is not CholeskyCode:
+    def of(cls, tables: Any, layout: Layout, covariance: CholeskyCode) -> BatchKernel | None:
+        """Return the kernel of a layout; None without C, or if its tables were too large."""
+        if tables is None:
             return None
         exponents = (*covariance.factor.pivots, covariance.inflation)
         if any(signal.raw_max - signal.raw_min >= MAX_TABLE for signal in exponents):

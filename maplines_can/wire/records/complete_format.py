@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...values.gaussian import Gaussian
-from ...values.linalg import nearest_covariance
 from ...values.line import VAGUE_SIGMA, Kind, MapLine, Status
-from ..covariance import CovarianceCode
+from ..covariance import CholeskyCode
 from ..layout.message_layout import Layout
 from ..layout.pose_layout import Owner, slot_of
 from ..layout.signals import PARAMETER_SIGNALS, SignalRow
@@ -25,8 +24,6 @@ from .record import CompleteRecord
 #: Signals of the other numbers of a record.
 NUMBERS = ("XMin", "XMax", "Age", "ComponentCount", "ComponentWeight")
 LAST_STATUS, LAST_KIND = max(Status), max(Kind)
-#: Least eigenvalue of a repaired correlation matrix.
-MIN_VARIANCE = 1e-9
 _VAGUE = np.diag(np.square(VAGUE_SIGMA))
 
 
@@ -35,9 +32,7 @@ class Batch:
     """Many decoded records. Use a row only if it is ``accepted``."""
 
     mean: NDArray[np.float64]  #: (N, 4) in [m, rad, 1/m, 1/m^2]
-    #: (N, 4, 4), positive definite in every row if the covariance code guarantees it. With another
-    #: code a row may be indefinite; ``BatchCodec.decode_one`` and a receiver repair it.
-    cov: NDArray[np.float64]
+    cov: NDArray[np.float64]  #: (N, 4, 4), positive definite in every row
     verdict: NDArray[np.int8]  #: (N,) 0 if accepted, else an index into VERDICTS
     status: NDArray[np.int64]  #: (N,) as ``Status``
     kind: NDArray[np.int64]  #: (N,) as ``Kind``
@@ -72,7 +67,7 @@ class CompleteFormat:
     """
 
     def __init__(
-        self, layout: Layout, covariance: CovarianceCode, kernel: BatchKernel | None = None
+        self, layout: Layout, covariance: CholeskyCode, kernel: BatchKernel | None = None
     ) -> None:
         self.kernel = kernel
         self.packer = RecordPacker(layout)
@@ -81,7 +76,6 @@ class CompleteFormat:
         self._mean = SignalRow(layout[name] for name in PARAMETER_SIGNALS)
         self._numbers = SignalRow(layout[name] for name in NUMBERS)
         self._too_old = layout["Age"].raw_max  # the raw value that means so, or more
-        self._resolution = layout.resolution
         self.covariance = covariance
 
     def read(self, payloads: NDArray[np.uint8], data_ids: NDArray[np.uint16]) -> Batch:
@@ -101,9 +95,6 @@ class CompleteFormat:
         invalid = (status > LAST_STATUS) | (raw["Kind"] > LAST_KIND) | (index >= count)
         invalid |= (physical["XMin"] > physical["XMax"]) & (status != Status.OUT_OF_RANGE)
         invalid |= (physical["ComponentWeight"] <= 0) | (physical["ComponentWeight"] > 1)
-        if not self.covariance.positive_definite:
-            invalid |= ~np.isfinite(cov).all(axis=(1, 2))
-            invalid |= (np.einsum("nii->ni", cov) < 0).any(axis=1)
         verdict[invalid & (verdict == 0)] = VERDICTS.index(Reason.CONTENT)
         return Batch(
             mean=mean,
@@ -135,14 +126,6 @@ class CompleteFormat:
         mean = np.array(self._mean.physical_one(raw))
         without_covariance = raw["Status"] in (Status.UNKNOWN, Status.OUT_OF_RANGE)
         cov = _VAGUE.copy() if without_covariance else self.covariance.decode_one(raw)
-        status = Status(raw["Status"])
-        if not (without_covariance or self.covariance.positive_definite):
-            if not np.isfinite(cov).all() or (cov.diagonal() < 0).any():
-                return Reason.CONTENT
-            if not _is_definite(cov):
-                cov = nearest_covariance(cov)
-                cov += np.diag(np.maximum(self._resolution, MIN_VARIANCE * cov.diagonal()))
-                status = Status.REPAIRED
         line = MapLine(
             slot=slot_of(owner),
             gaussian=Gaussian.trusted(mean, cov),
@@ -150,15 +133,7 @@ class CompleteFormat:
             x_min=min(x_min, x_max),
             x_max=x_max,
             age=age_ms / 1000 if raw["Age"] < self._too_old else math.inf,
-            status=status,
+            status=Status(raw["Status"]),
             t_ns=t_ns,
         )
         return CompleteRecord(line, index, count, weight, raw["Counter"])
-
-
-def _is_definite(cov: NDArray[np.float64]) -> bool:
-    """Return whether a (4, 4) matrix is numerically positive definite."""
-    sigma = np.sqrt(cov.diagonal())
-    if not sigma.all():
-        return False
-    return bool(np.linalg.eigvalsh(cov / (sigma[:, None] * sigma))[0] > 1e-12)

@@ -97,7 +97,7 @@ class CompleteWriter:
             reals = weight, x_min, x_max, age
             return self.format.kernel.encode(gaussians, cover, numbers, reals)
         count = row_values(attributes.component_count, n)
-        requested = np.broadcast_to(self._supported(raw["Status"]), n)
+        requested = np.broadcast_to(raw["Status"], n)
         x_range = np.column_stack([np.broadcast_to(end, n) for end in (x_min, x_max)])
         sent = self._sent(gaussians.mean, x_range, (requested == Status.FULL) & (count == 1))
         raw |= sent.raw
@@ -217,13 +217,6 @@ class CompleteWriter:
             i, k = (np.broadcast_to(values, bad.shape)[bad][0] for values in (index, count))
             raise EncodeError(f"component_index must be below component_count, got {i} of {k}")
         return raw
-
-    def _supported(self, requested: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the (n,) requested status, as far as the covariance code supports it."""
-        best = self._covariance.status
-        if best == Status.FULL:
-            return requested
-        return np.where(_without_covariance(requested), requested, best)
 
     def _sent(
         self, mean: NDArray[np.float64], x_range: NDArray[np.float64], rows: NDArray[np.bool_]

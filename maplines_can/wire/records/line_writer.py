@@ -102,8 +102,6 @@ class LineWriter:
                 abs(x) > FAR * abs(signal.factor) for signal, x in zip(self._mean, d, strict=True)
             )
             return self._widest, Status.OUT_OF_RANGE if is_far else requested
-        if (best := self._covariance.status) != Status.FULL:
-            requested = best
         cov = line.gaussian.cov.tolist()
         error = [
             [value + x * y for value, y in zip(row, d, strict=True)]

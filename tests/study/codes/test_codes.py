@@ -8,18 +8,20 @@ import numpy as np
 import pytest
 from example_lines import lines_timed_out, scenario_lines
 
-from maplines_can import Codec, Gaussian, MapLine, Slot, Status
+from maplines_can import Gaussian, MapLine, Slot, Status
 from maplines_can.simulation.scenarios import SCENARIOS
 from maplines_can.study import adversarial, evaluate, paper, road
 from maplines_can.study.codes import CODES
 from maplines_can.study.codes.integer_cholesky import ORDER, UNIT
+from maplines_can.study.comparison import codec_for, transmit
 from maplines_can.study.dbc.covariance_spec import covariance_signals
 from maplines_can.study.dbc.record_spec import SERVICE, dbc_writer_for
 from maplines_can.study.round_trip import round_trip
 from maplines_can.values.errors import LayoutError
-from maplines_can.wire import Layout
+from maplines_can.wire import Layout, Reason
 from maplines_can.wire.records.packer import RecordPacker
 
+MS = 1_000_000
 WITH_WIDTHS = [name for name in CODES if name not in ("Float16", "Float32", "MeanOnly")]
 
 
@@ -31,7 +33,7 @@ def database_of(name: Any) -> Any:
 
 @cache
 def codec_of(name: Any) -> Any:
-    return Codec.from_dbc(database_of(name), codes=CODES)
+    return codec_for(Layout.from_dbc(database_of(name)))
 
 
 @cache
@@ -39,10 +41,8 @@ def lines_of(which: Any) -> Any:
     return {"paper": paper, "road": road}[which](400, seed=5)
 
 
-def sent_and_decoded(name: Any, means: Any, covs: Any) -> Any:
-    codec = codec_of(name)
-    payloads = codec.batch.encode(means, covs)
-    return codec, payloads, codec.batch.decode(payloads)
+def received(name: Any, means: Any, covs: Any) -> Any:
+    return transmit(codec_of(name), means, covs)
 
 
 @pytest.mark.parametrize("name", CODES)
@@ -59,25 +59,25 @@ def test_every_code_has_a_dbc_that_names_it(name: Any) -> None:
 def test_a_code_keeps_its_guarantees(name: Any, which: str) -> None:
     """A covering code is never overconfident, and its decoded covariances are definite."""
     means, covs = lines_of(which)
-    codec, _, batch = sent_and_decoded(name, means, covs)
+    codec, code, batch = codec_of(name), CODES[name], received(name, means, covs)
     assert batch.accepted.all()
     usable = batch.status != Status.OUT_OF_RANGE
     assert usable.mean() > 0.99
     evaluation = evaluate(
         means[usable], covs[usable], batch.mean[usable], batch.cov[usable], codec.resolution
     )
-    if codec.covariance.covering:
+    if code.covering:
         assert not evaluation.overconfident.any()
         assert evaluation.positive_definite.all()
-    if codec.covariance.positive_definite:
+    if code.positive_definite:
         assert evaluation.positive_definite.all()
-    assert set(batch.status[usable].tolist()) <= {codec.covariance.status, Status.SATURATED}
+    assert set(batch.status[usable].tolist()) <= {code.status, Status.SATURATED}
 
 
 @pytest.mark.parametrize("name", [name for name in CODES if CODES[name].covering])
 def test_a_covering_code_covers_adversarial_covariances_or_says_that_it_cannot(name: Any) -> None:
     means, covs = adversarial(1500, seed=11)
-    codec, _, batch = sent_and_decoded(name, means, covs)
+    codec, batch = codec_of(name), received(name, means, covs)
     usable = batch.status != Status.OUT_OF_RANGE
     evaluation = evaluate(
         means[usable], covs[usable], batch.mean[usable], batch.cov[usable], codec.resolution
@@ -89,61 +89,60 @@ def test_a_covering_code_covers_adversarial_covariances_or_says_that_it_cannot(n
 @pytest.mark.parametrize("name", CODES)
 def test_any_bits_decode_to_a_definite_line_or_a_reason(name: Any) -> None:
     """One by one, as in a receiver: an indefinite covariance is repaired or refused."""
-    codec = codec_of(name)
-    rng = np.random.default_rng(3)
-    fields = codec.layout.signals.values()
-    lines = 0
-    for _ in range(300):
-        raw = {f.name: int(rng.integers(f.raw_min, f.raw_max, endpoint=True)) for f in fields}
+    codec, rng = codec_of(name), np.random.default_rng(3)
+    decoder, packer = codec.decoder(), RecordPacker(codec.layout)
+    messages = codec.layout.messages[Slot.EGO_LEFT]
+    answers = []
+    for counter in range(300):
+        raw = {
+            signal.name: int(rng.integers(signal.raw_min, signal.raw_max, endpoint=True))
+            for signal in codec.layout.signals.values()
+        }
         raw |= {"Status": Status.FULL, "ComponentIndex": 0, "ComponentCount": 0, "Kind": 0}
-        data = RecordPacker(codec.layout).pack_one(
-            raw, codec.layout.messages[Slot.EGO_LEFT].data_id
-        )
-        line = codec.batch.decode_one(data, Slot.EGO_LEFT)
-        batch = codec.batch.decode(np.frombuffer(data, dtype=np.uint8)[None])
-        assert isinstance(line, MapLine) == batch.accepted[0]
-        if isinstance(line, MapLine):
-            lines += 1
-            sigma = line.gaussian.sigma
-            np.linalg.cholesky(line.gaussian.cov / np.outer(sigma, sigma))
-            if line.status is Status.FULL:
-                assert np.array_equal(line.gaussian.cov, batch.cov[0])
+        record = packer.pack_one(raw | {"Counter": counter % 256}, messages.data_id)
+        for start in range(0, len(record), 8):
+            answer = decoder.feed(messages.can_id, record[start : start + 8], counter * 50 * MS)
+        answers.append(answer)
+    lines = [line for answer in answers if not isinstance(answer, Reason) for line in answer]
+    assert {answer for answer in answers if isinstance(answer, Reason)} <= {Reason.CONTENT}
+    assert len(lines) + decoder.counts[Reason.CONTENT] // codec.layout.pages == 300
+    for line in lines:
+        sigma = line.gaussian.sigma
+        np.linalg.cholesky(line.gaussian.cov / np.outer(sigma, sigma))
     assert lines
 
 
 @pytest.mark.parametrize("name", CODES)
-def test_a_definite_line_is_decoded_alone_as_in_a_batch(name: Any) -> None:
-    """Only an indefinite covariance is repaired: others keep their status and each bit."""
-    codec, payloads, batch = sent_and_decoded(name, *(values[:30] for values in lines_of("road")))
+def test_frames_say_what_arrays_say(name: Any) -> None:
+    """Only an indefinite covariance is repaired: others keep their status and each bit.
+
+    The physical values of all pages are those that cantools reads, and it packs the same bytes.
+    """
+    means, covs = (values[:30] for values in lines_of("road"))
+    codec, batch = codec_of(name), received(name, means, covs)
+    encoder, decoder, database = codec.encoder(), codec.decoder(), database_of(name)
     definite = 0
-    for payload, cov, status in zip(payloads, batch.cov, batch.status, strict=True):
-        line = codec.batch.decode_one(payload.tobytes(), Slot.EGO_LEFT)
-        sigma = np.sqrt(cov.diagonal())
-        if sigma.all() and np.linalg.eigvalsh(cov / np.outer(sigma, sigma))[0] > 1e-9:
-            definite += 1
-            assert line.status == status
-            assert np.array_equal(line.gaussian.cov, cov)
-        else:
-            assert line.status is Status.REPAIRED
-    assert definite or name == "Float16"  # loses the variance of c1
-
-
-@pytest.mark.parametrize("name", CODES)
-def test_cantools_reads_the_same_signals(name: Any) -> None:
-    """Physical values of every page agree, and cantools encodes the same bytes."""
-    means, covs = (values[:20] for values in lines_of("road"))
-    codec, payloads, batch = sent_and_decoded(name, means, covs)
-    database = database_of(name)
-    for i, payload in enumerate(payloads):
+    for i, (mean, cov) in enumerate(zip(means, covs, strict=True)):
         signals: dict[Any, Any] = {}
-        for frame in codec.encoder().frames(payload, Slot.EGO_LEFT):
+        for frame in encoder.encode(MapLine(Slot.EGO_LEFT, Gaussian(mean, cov))):
             message = database.get_message_by_frame_id(frame.can_id)
             page = message.decode(frame.data, decode_choices=False)
             assert message.encode(page) == frame.data
             signals |= page
+            answer = decoder.feed(frame.can_id, frame.data, i * 50 * MS)
+        (line,) = answer
         assert [signals[state] for state in ("YOff", "Beta", "C0", "C1")] == batch.mean[i].tolist()
+        assert line.gaussian.mean.tolist() == batch.mean[i].tolist()
         if name != "MeanOnly":
             assert covariance_by_hand(name, signals) == pytest.approx(batch.cov[i], rel=1e-9)
+        sigma = np.sqrt(batch.cov[i].diagonal())
+        if sigma.all() and np.linalg.eigvalsh(batch.cov[i] / np.outer(sigma, sigma))[0] > 1e-9:
+            definite += 1
+            assert line.status == batch.status[i]
+            assert np.array_equal(line.gaussian.cov, batch.cov[i])
+        else:
+            assert line.status is Status.REPAIRED
+    assert definite or name == "Float16"  # loses the variance of c1
 
 
 def covariance_by_hand(name: Any, signals: Any) -> Any:
@@ -193,7 +192,7 @@ def test_the_integer_factor_has_the_99_bits_of_sbas() -> None:
 def test_half_precision_loses_small_variances() -> None:
     """The variance of c1 is below 6e-8, too small for float16 but not for float32."""
     means, covs = lines_of("road")
-    half, single = (sent_and_decoded(name, means, covs)[2].cov for name in ("Float16", "Float32"))
+    half, single = (received(name, means, covs).cov for name in ("Float16", "Float32"))
     assert (half[:, 3, 3] == 0).mean() > 0.5
     assert (single[:, 3, 3] > 0).all()
     assert np.diagonal(single, axis1=1, axis2=2) == pytest.approx(
@@ -206,7 +205,7 @@ def test_feedback_limits_the_error_of_nearly_singular_matrices() -> None:
     means, covs = lines_of("paper")
     found = {}
     for name in ("Cholesky", "LogCholesky"):
-        codec, _, batch = sent_and_decoded(name, means, covs)
+        codec, batch = codec_of(name), received(name, means, covs)
         ok = batch.status == Status.FULL
         evaluation = evaluate(means[ok], covs[ok], batch.mean[ok], batch.cov[ok], codec.resolution)
         found[name] = np.quantile(evaluation.kl_covered, 0.99)
@@ -218,8 +217,8 @@ def test_one_bit_more_in_each_field_divides_the_divergence_by_four() -> None:
     means, covs = lines_of("road")
     kl = []
     for finer in (-1, 0, 1):
-        codec = Codec(Layout.from_text(dbc_writer_for("Cholesky", finer).dbc()), codes=CODES)
-        batch = codec.batch.decode(codec.batch.encode(means, covs))
+        codec = codec_for(Layout.from_text(dbc_writer_for("Cholesky", finer).dbc()))
+        batch = transmit(codec, means, covs)
         kl.append(evaluate(means, covs, batch.mean, batch.cov, codec.resolution).kl_covered.mean())
     assert kl[0] / kl[1] == pytest.approx(4, rel=0.15)
     assert kl[1] / kl[2] == pytest.approx(4, rel=0.15)
@@ -230,10 +229,10 @@ def test_codes_work_with_other_widths(name: Any) -> None:
     means, covs = lines_of("road")
     for finer in (-1, 2):
         writer = dbc_writer_for(name, finer)
-        codec = Codec(Layout.from_text(writer.dbc()), codes=CODES)
-        batch = codec.batch.decode(codec.batch.encode(means, covs))
+        codec = codec_for(Layout.from_text(writer.dbc()))
+        batch = transmit(codec, means, covs)
         assert batch.accepted.all()
-        if codec.covariance.covering:
+        if CODES[name].covering:
             usable = batch.status != Status.OUT_OF_RANGE
             evaluation = evaluate(
                 means[usable], covs[usable], batch.mean[usable], batch.cov[usable], codec.resolution
@@ -254,7 +253,7 @@ def test_messages_name_the_alternatives() -> None:
         dbc_writer_for("Cholesky", -9)
     text = dbc_writer_for("Sigmas").dbc().replace('"Sigmas"', '"LinearNearest"')
     with pytest.raises(LayoutError, match="CovYOffYOff"):
-        Codec(Layout.from_text(text), codes=CODES)
+        codec_for(Layout.from_text(text))
 
 
 @pytest.mark.parametrize("name", CODES)
@@ -284,14 +283,13 @@ def test_item_10_no_gaussian_loses_its_batch(name: Any) -> None:
     """A covariance that is singular but for rounding has no factor; the others are as alone."""
     codec, covs = codec_of(name), singular(400)
     means = np.tile([1.0, 0.0, 0.0, 0.0], (len(covs), 1))
-    payloads = codec.batch.encode(means, covs)
-    batch = codec.batch.decode(payloads)
+    batch = transmit(codec, means, covs)
     assert batch.accepted.all()
     for k in range(0, len(covs), 7):
-        alone = codec.batch.decode(codec.batch.encode(means[[k]], covs[[k]]))
+        alone = transmit(codec, means[[k]], covs[[k]])
         np.testing.assert_array_equal(batch.cov[k], alone.cov[0])
     usable = batch.status != Status.OUT_OF_RANGE
-    if codec.covariance.covering and usable.any():
+    if CODES[name].covering and usable.any():
         evaluation = evaluate(
             means[usable], covs[usable], batch.mean[usable], batch.cov[usable], codec.resolution
         )

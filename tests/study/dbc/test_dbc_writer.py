@@ -8,7 +8,7 @@ from typing import Any
 import cantools
 import pytest
 
-from maplines_can.cli.options import codec_from
+from maplines_can.cli.options import line_codec_from
 from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.dbc_writer import DbcWriter, SignalSpec
 from maplines_can.study.dbc.pose_spec import CONDITIONAL
@@ -100,9 +100,9 @@ def test_the_dbc_of_each_code_has_a_name(
 ) -> None:
     """``--dbc`` takes it in any folder; a file of that name comes first."""
     monkeypatch.chdir(tmp_path)
-    assert codec_from(dbc_name(code)).layout.covariance_code == code
+    assert line_codec_from(dbc_name(code)).layout.covariance_code == code
     Path(dbc_name(code)).write_text(dbc_writer_for("Sigmas").dbc())
-    assert codec_from(dbc_name(code)).layout.covariance_code == "Sigmas"
+    assert line_codec_from(dbc_name(code)).layout.covariance_code == "Sigmas"
 
 
 def test_the_tool_writes_the_dbc_of_each_code(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import pytest
 from study_helpers import small, tables
 
 from maplines_can.study import evaluate, road
+from maplines_can.study.comparison import transmit
 from maplines_can.study.sets import drawn_chunk, line_set
 from maplines_can.study.sweep.plan import Plan, codec_of, theory
 from maplines_can.study.sweep.run import run_study
@@ -19,7 +20,7 @@ def test_the_summary_is_that_of_all_chunks_at_once(undisturbed: Any) -> None:
     chunks = [drawn_chunk("road", 3, i, 50) for i in range(8)]
     means, covs = (np.concatenate(arrays) for arrays in zip(*chunks, strict=True))
     codec = codec_of(Plan("Cholesky"))
-    batch = codec.batch.decode(codec.batch.encode(means, covs))
+    batch = transmit(codec, means, covs)
     evaluation = evaluate(means, covs, batch.mean, batch.cov, codec.resolution)
     row = undisturbed["summary"][0]
 

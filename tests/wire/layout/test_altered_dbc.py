@@ -17,6 +17,7 @@ from dbc_witness import WrongResultError, check_codec, check_line
 
 from maplines_can import Codec, Gaussian, GaussianMixture
 from maplines_can.study.codes import CODES
+from maplines_can.study.comparison import codec_for
 from maplines_can.study.dbc.pose_spec import CONDITIONAL, POSE_WITH_LEVELS
 from maplines_can.study.dbc.record_spec import DEFAULT, SECURED, dbc_writer_for
 from maplines_can.values.errors import LayoutError
@@ -243,7 +244,7 @@ def test_the_dbc_of_each_code_is_accepted(code: str) -> None:
     for finer in (0,) if code in ("Float16", "Float32", "MeanOnly") else (-1, 0, 2):
         layout = Layout.from_dbc(replace(dbc_writer_for(code, finer), pose=None).database())
         assert (layout.pose, layout.short_pages) == (None, layout.pages)
-        Codec(layout, codes=CODES)
+        codec_for(layout)
 
 
 def test_from_dbc_takes_a_loaded_database() -> None:

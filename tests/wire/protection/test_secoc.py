@@ -33,7 +33,6 @@ from secoc_streams import (
 
 from maplines_can import Codec, Slot
 from maplines_can.simulation import scenario
-from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.record_spec import SECURED, dbc_writer_for
 from maplines_can.values.errors import EncodeError, LayoutError
 from maplines_can.wire import Authenticator, E2EState, Key, Layout, Reason, Verifier
@@ -538,13 +537,16 @@ def test_a_time_of_more_than_63_bits_raises() -> None:
         Authenticator(Key(SECRET), clock=lambda: 1000 * 2**63).secure(bytes(32), 1, LAYOUT)
 
 
-@pytest.mark.parametrize("code", ["MeanOnly", "Float16"])
-def test_records_of_other_lengths_are_authenticated(tmp_path: Path, clock: Any, code: str) -> None:
-    """24 bytes, with padding that the MAC covers, and 48 bytes, which fill the largest frame."""
+@pytest.mark.parametrize(("finer", "length"), [(1, 40), (6, 48)])
+def test_records_of_other_lengths_are_authenticated(
+    tmp_path: Path, clock: Any, finer: int, length: int
+) -> None:
+    """40 bytes, with padding that the MAC covers, and 48 bytes, which fill the largest frame."""
     path = tmp_path / "other.dbc"
-    path.write_text(replace(dbc_writer_for(code), first_secured_can_id=0x350).dbc())
+    path.write_text(replace(dbc_writer_for("Cholesky", finer), first_secured_can_id=0x350).dbc())
     authenticator = Authenticator(Key(SECRET), clock=clock)
-    codec = Codec.from_dbc(path, authenticator, codes=CODES)
+    codec = Codec.from_dbc(path, authenticator)
+    assert codec.layout.record_bytes == length
     (line,) = scenario_lines(scenario("highway"), 1)
     (frame,) = codec.encoder().encode(line, fd=True)
     decoder = codec.decoder()

@@ -1,0 +1,74 @@
+"""Interface of the covariance codes for comparison, and functions that they share."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...values.line import Status
+from ...wire.covariance.code import Array, Coded
+from ...wire.layout.message_layout import Layout
+from ...wire.layout.signals import Bounds, Signal
+
+
+class CovarianceCode(ABC):
+    """Code between covariances and the raw values of a layout's signals.
+
+    Raises:
+        LayoutError: a signal is missing, or has an unsuitable factor or range.
+    """
+
+    #: Name in the DBC's attribute CovarianceCode.
+    name: ClassVar[str]
+    #: One line on the signals.
+    about: ClassVar[str]
+    #: Whether any bits decode to a positive definite covariance.
+    positive_definite: ClassVar[bool]
+    #: Whether the decoded covariance minus the target is positive semidefinite.
+    covering: ClassVar[bool]
+    #: Best status that the code supports.
+    status: ClassVar[Status] = Status.FULL
+    #: Signals that hold the covariance.
+    signals: tuple[Signal, ...]
+
+    @abstractmethod
+    def __init__(self, layout: Layout) -> None: ...
+
+    @abstractmethod
+    def encode(self, error: Array, resolution: Array) -> Coded:
+        """Encode covariances.
+
+        Args:
+            error: (N, 4, 4) positive semidefinite target that the decoded covariance must cover:
+                the covariance plus d d^T, with d the error of the decoded mean.
+            resolution: (4,) variances of the mean's rounding error, a floor for singular matrices.
+        """
+
+    @abstractmethod
+    def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
+        """Return the (N, 4, 4) covariances of (N,) raw values by signal."""
+
+    @abstractmethod
+    def widest(self) -> dict[str, int]:
+        """Return the raw values of the widest covariance, for a line without a covariance."""
+
+
+#: Bounds of an entry of a matrix.
+ENTRY = Bounds(offset=0)
+
+
+def check_linear(layout: Layout, signals: Iterable[Signal]) -> None:
+    """Raise ``LayoutError`` unless the signals are within ``ENTRY``."""
+    for signal in signals:
+        ENTRY.check(signal, layout.source)
+
+
+def nearest_raw(signal: Signal, physical: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the (N,) nearest raw values within the range, and which were clipped to it."""
+    nearest = signal.raw(physical)
+    limited = signal.limited(nearest)
+    return limited.astype(np.int64), nearest != limited
