@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shlex
+import shutil
 import subprocess
 import tempfile
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
+
+import pytest
 
 from maplines_can.generation.tables import tables_of
 from maplines_can.wire.c_tables import Limits, limits_of
@@ -24,7 +28,7 @@ SECTIONS, COLLECT = ("-ffunction-sections",), "-Wl,--gc-sections"
 #: Limits that suffice for most DBCs, which so share the object files of the core.
 LIMITS = Limits(pages=8, transfer_ids=16, components=8)
 #: Folders of headers.
-FOLDERS = ("include", "src", "tests")
+FOLDERS = ("include", "src", "propagation", "tests")
 #: Name of the tables in a harness: harness_dbc.h and the constant harness_dbc, of whichever DBC.
 NAME = "harness"
 #: Another compiler, more arguments for it, and an emulator of its target, for all programs: see
@@ -133,6 +137,28 @@ def _emulated(program: Path, target: Path) -> Path:
 def run(program: Path, data: bytes, *prefix: str) -> bytes:
     """Return the output of a program; ``prefix`` is an emulator and its arguments."""
     return subprocess.run([*prefix, str(program)], input=data, stdout=-1, check=True).stdout
+
+
+#: What the core takes from the mathematical library: functions that IEEE 754 defines to the last
+#: bit, or that only move bits. Those of C99 for the exponent are exact, but for subnormal numbers,
+#: which ldexp rounds once.
+EXACT = {"sqrt", "fabs", "floor", "ceil", "rint", "ldexp", "frexp", "copysign"}
+
+
+def library_functions(*files: Path) -> set[str]:
+    """Return what object files, or a shared library, take from the mathematical library."""
+    library = subprocess.check_output(["cc", "-print-file-name=libm.so.6"], text=True).strip()
+    if not (shutil.which("nm") and Path(library).is_absolute()):
+        pytest.skip("there is no nm, or no libm.so.6")
+    return _symbols("-u", *files) & _symbols("--defined-only", library)
+
+
+def _symbols(*arguments: str | Path) -> set[str]:
+    """Return names that nm lists, without the versions of the C library."""
+    is_shared = ".so" in str(arguments[-1])
+    command = ["nm", *(["-D"] if is_shared else []), *map(str, arguments)]
+    lines = subprocess.check_output(command, text=True).splitlines()
+    return {re.sub("@.*", "", line.split()[-1]) for line in lines if line}
 
 
 @cache

@@ -101,8 +101,9 @@ static bool read_cycle(const maplines_values_t *values, maplines_cycle_t *cycle)
 static bool find_place(const double pose[3], bool is_near, double last, double *s)
 {
     const maplines_route_t *route = &maplines_route;
-    const double c = cos(pose[2]);
-    const double sine = sin(pose[2]);
+    double c;
+    double sine;
+    maplines_sin_cos(pose[2], &sine, &c);
     double least = (double)INFINITY;
     for (size_t i = 0; i + 1 < route->path_count; i++)
     {
@@ -170,8 +171,9 @@ static double *prepare(const maplines_route_line_t *line, double *memory, maplin
     distance[0] = 0.0;
     for (size_t i = 1; i < line->count; i++)
     {
-        distance[i] = distance[i - 1] +
-                      hypot(points[i][0] - points[i - 1][0], points[i][1] - points[i - 1][1]);
+        const double dx = points[i][0] - points[i - 1][0];
+        const double dy = points[i][1] - points[i - 1][1];
+        distance[i] = distance[i - 1] + maplines_hypot(dx, dy);
     }
     memory += line->count;
     const bool is_right = maplines_prepare_path(points[0], distance, line->count, memory, path);

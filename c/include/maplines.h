@@ -27,9 +27,9 @@
  * Loops    are bounded by the constants below. There is no recursion.
  * Errors   What the bus sends is counted, and never asserted. A caller's mistake is an assertion
  *          unless NDEBUG is defined; what happens then is said with the function.
- * Needs    <math.h>: sqrt, fabs, floor, ceil, rint, fmod, ldexp, frexp, copysign, and sqrtf with
- *          MAPLINES_FLOAT, all of which are exact. <string.h>: memcpy, memset, memcmp. <assert.h>
- *          unless NDEBUG is defined.
+ * Needs    <math.h>: sqrt, fabs, floor, ceil, rint, ldexp, frexp, copysign, and sqrtf with
+ *          MAPLINES_FLOAT, all of which are exact: IEEE 754 defines each bit of them. <string.h>:
+ * memcpy, memset, memcmp. <assert.h> unless NDEBUG is defined.
  *
  * Lengths are in metres, angles in radians, x points ahead and y to the left (ISO 8855).
  */

@@ -33,8 +33,9 @@ static double margin_at(const double P[9], double x, double y)
 
 void maplines_pose_view(const maplines_cycle_t *cycle, maplines_pose_view_t *view)
 {
-    const double c = cos(cycle->mean[2]);
-    const double s = sin(cycle->mean[2]);
+    view->from = maplines_mean_pose(cycle->mean);
+    const double c = view->from.cosine;
+    const double s = view->from.sine;
     const double R[9] = {c, s, 0.0, -s, c, 0.0, 0.0, 0.0, 1.0};
     double RS[9];
     maplines_product(3, 3, 3, R, cycle->cov, RS);
@@ -60,7 +61,6 @@ void maplines_pose_view(const maplines_cycle_t *cycle, maplines_pose_view_t *vie
     view->look.window[0] = cycle->window[0] - view->room;
     view->look.window[1] = cycle->window[1] + view->room;
     memcpy(view->look.pose, cycle->mean, sizeof view->look.pose);
-    view->from = maplines_mean_pose(cycle->mean);
 }
 
 /// Values of some lines at the poses of a cycle, one row of all lines for each pose.

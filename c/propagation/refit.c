@@ -17,7 +17,8 @@ static const int place_of_v[4] = {1, 3, 5, 7};
 
 maplines_mean_pose_t maplines_mean_pose(const double pose[3])
 {
-    const maplines_mean_pose_t from = {{pose[0], pose[1], pose[2]}, cos(pose[2]), sin(pose[2])};
+    maplines_mean_pose_t from = {{pose[0], pose[1], pose[2]}, 0.0, 0.0};
+    maplines_sin_cos(pose[2], &from.sine, &from.cosine);
     return from;
 }
 
@@ -475,7 +476,7 @@ static void set_chords_of(maplines_refit_t *refit)
         const double slope = dy / dx;
         refit->chords[0][i] = dx;
         refit->chords[1][i] = dy;
-        lengths[i] = hypot(dx, dy);
+        lengths[i] = maplines_hypot(dx, dy);
         refit->slopes[0] = slope < refit->slopes[0] ? slope : refit->slopes[0];
         refit->slopes[1] = slope > refit->slopes[1] ? slope : refit->slopes[1];
     }

@@ -69,7 +69,7 @@ bool maplines_prepare_path(const double *points, const double *distance, size_t 
     }
     for (size_t i = 0; i < count; ++i)
     {
-        chord[i] = hypot(cx[i], cy[i]);
+        chord[i] = maplines_hypot(cx[i], cy[i]);
     }
     return fabs(x[0]) < MOST_LENGTH && fabs(y[0]) < MOST_LENGTH &&
            fabs(distance[count - 1]) < MOST_LENGTH;
@@ -88,15 +88,27 @@ typedef struct {
     double reach;     ///< how far along them [m]
 } frame_t;
 
-void maplines_look_start(const maplines_look_t *look, double start[2], double *reach)
+static frame_t frame_of(const maplines_look_t *look)
 {
     const double low = look->window[0];
     const double high = look->window[1];
     const double behind = 0.0 > low ? 0.0 : low;
     const double ahead = behind < high ? behind : high;
-    *reach = (high - low + fabs(ahead)) / cos(look->max_turn);
-    start[0] = look->pose[0] + ahead * cos(look->pose[2]);
-    start[1] = look->pose[1] + ahead * sin(look->pose[2]);
+    double sine_of_turn;
+    frame_t frame = {0.0, 0.0, look->pose[0], look->pose[1], 0.0, low, high, {0.0, 0.0}, 0.0};
+    maplines_sin_cos(look->pose[2], &frame.s, &frame.c);
+    maplines_sin_cos(look->max_turn, &sine_of_turn, &frame.least);
+    frame.start[0] = frame.x + ahead * frame.c;
+    frame.start[1] = frame.y + ahead * frame.s;
+    frame.reach = (high - low + fabs(ahead)) / frame.least;
+    return frame;
+}
+
+void maplines_look_start(const maplines_look_t *look, double start[2], double *reach)
+{
+    const frame_t frame = frame_of(look);
+    memcpy(start, frame.start, sizeof frame.start);
+    *reach = frame.reach;
 }
 
 /// Direction of a step: 1 along the x axis of the car, -1 against it, 0 across it.
@@ -244,10 +256,7 @@ static bool stretch_around(const maplines_path_t *path, const frame_t *frame, si
 void maplines_see(const maplines_path_t *paths, size_t count, const maplines_look_t *look,
                   maplines_stretches_t *seen, maplines_omission_t *left_out)
 {
-    frame_t frame = {cos(look->pose[2]), sin(look->pose[2]),  look->pose[0],
-                     look->pose[1],      cos(look->max_turn), look->window[0],
-                     look->window[1],    {0.0, 0.0},          0.0};
-    maplines_look_start(look, frame.start, &frame.reach);
+    const frame_t frame = frame_of(look);
     seen->lines = 0;
     seen->points = 0;
     for (size_t i = 0; i < count; ++i)

@@ -219,7 +219,7 @@ static PyObject *y_sigma(PyObject *module, PyObject *const *args, Py_ssize_t cou
         Py_RETURN_NONE;
     }
     const double x = PyFloat_AsDouble(args[2]);
-    const double slope = tan(mean[1]);
+    const double slope = maplines_tan(mean[1]);
     const double J[4] = {1.0, (1 + slope * slope) * x, x * x / 2, x * x * x / 6};
     double variance = 0.0;
     for (int i = 0; i < 4; i++)
@@ -230,8 +230,24 @@ static PyObject *y_sigma(PyObject *module, PyObject *const *args, Py_ssize_t cou
     return PyFloat_FromDouble(sqrt(variance < 0 ? 0.0 : variance));
 }
 
+/// y(mean, x): lateral position of a line at x [m], as a float; None if Python has to decide.
+static PyObject *y(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    static const Py_ssize_t shape[1] = {4};
+    (void)module;
+    maplines_line_t line;
+    memset(&line, 0, sizeof line);
+    if (count != 2 || !PyFloat_Check(args[1]) ||
+        !maplines_read_doubles(args[0], PyBUF_C_CONTIGUOUS, 1, shape, line.gaussian.mean))
+    {
+        Py_RETURN_NONE;
+    }
+    return PyFloat_FromDouble(maplines_y(&line, PyFloat_AsDouble(args[1])));
+}
+
 static PyMethodDef functions[] = {
     {"checked_gaussian", (PyCFunction)(void (*)(void))checked_gaussian, METH_FASTCALL, NULL},
+    {"y", (PyCFunction)(void (*)(void))y, METH_FASTCALL, NULL},
     {"y_sigma", (PyCFunction)(void (*)(void))y_sigma, METH_FASTCALL, NULL},
     {NULL, NULL, 0, NULL},
 };

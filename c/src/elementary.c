@@ -1,8 +1,11 @@
 /* Elementary functions whose results are the same to the last bit on any machine.
  *
- * They have the operations of values/elementary.py in the same order.
+ * They have the operations of values/elementary.py in the same order. Of the mathematical library
+ * the core takes what IEEE 754 defines to the last bit, which maplines.h lists.
  */
 #include "internal.h"
+
+#define TWO_PI 0x1.921fb54442d18p+2
 
 static double polynomial(double x, const double *coefficients, int count)
 {
@@ -76,6 +79,26 @@ MAPLINES_INTERNAL double maplines_log2(double x)
     return (double)exponent + series;
 }
 
+/// Remainder of an angle after division by TWO_PI, with its sign: that of fmod, whose name has a
+/// newer version in newer C libraries. No difference rounds: it is of numbers within a factor of 2.
+static double without_turns(double x)
+{
+    double rest = fabs(x);
+    double turns = TWO_PI;
+    int doublings = 0;
+    while (turns <= rest / 2.0)
+    {
+        turns = 2.0 * turns;
+        ++doublings;
+    }
+    for (; doublings >= 0; --doublings)
+    {
+        rest = rest >= turns ? rest - turns : rest;
+        turns = turns / 2.0;
+    }
+    return copysign(rest, x);
+}
+
 /// Sine and cosine of an angle [rad]; NaN if it is not finite.
 MAPLINES_INTERNAL void maplines_sin_cos(double x, double *sine, double *cosine)
 {
@@ -95,7 +118,7 @@ MAPLINES_INTERNAL void maplines_sin_cos(double x, double *sine, double *cosine)
         *cosine = (double)NAN;
         return;
     }
-    const double near = fabs(x) > 1e5 ? fmod(x, 0x1.921fb54442d18p+2) : x; // whole turns less
+    const double near = fabs(x) > 1e5 ? without_turns(x) : x;
     const double turns = rint(near * 0x1.45f306dc9c883p-1);
     double r = near - turns * 0x1.921fb54400000p+0;
     r = r - turns * 0x1.0b4611a600000p-34;

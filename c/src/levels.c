@@ -238,7 +238,8 @@ MAPLINES_INTERNAL void maplines_level_noise(const maplines_levels_t *levels,
     const int64_t raw = clipped(&levels->shape, shape);
     const double physical = maplines_physical(&levels->shape, raw);
     const double spacing = levels->shape_is_octave ? maplines_exp2(physical) : physical;
-    const double phase = fmod((double)raw * MAPLINES_GOLDEN_RATIO, 1.0);
+    const double turns = (double)raw * MAPLINES_GOLDEN_RATIO;
+    const double phase = turns - floor(turns);
     const double ratio = ratios[raw % 6];
     const double amount = ratio * ratio * spacing;
     point_noise(arc, spacing, phase, cov);

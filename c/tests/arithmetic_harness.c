@@ -9,9 +9,10 @@
  *      and n bases; output: whether they do not cover (u8), and if so what each of them lacks
  *   5  two (4, 4) covariances; output: divergence of the second from the first, largest ratio
  *   6  a mean, a factor (4, 4), the order of its rows (4 u8); output: mean and factor of a receiver
+ *   7  x, y; output: the length of the vector
  */
 #include "binary.h"
-#include "internal.h"
+#include "propagation.h"
 
 static void read_numbers(int n, double *values)
 {
@@ -110,10 +111,17 @@ static void set_gaussian(void)
     }
 }
 
+static void find_length(void)
+{
+    const double x = read_f64();
+    write_f64(maplines_hypot(x, read_f64()));
+}
+
 int main(void)
 {
     static void (*const commands[])(void) = {
-        compute_elementary, invert, find_eigenvalues, repair, find_uncovered, compare, set_gaussian,
+        compute_elementary, invert,  find_eigenvalues, repair,
+        find_uncovered,     compare, set_gaussian,     find_length,
     };
     while (!at_end())
     {

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..values.arrays import floats
+from ..values.elementary import sin_cos_one
 from ..values.fixed_order import congruence, product
 from ..values.gaussian import Gaussian
 from ..values.linalg import block_diagonal, diagonal_blocks, is_covariance
@@ -244,7 +245,7 @@ class View:
         _check(lines, ego)
         check_max_sigma(max_sigma)
         x_min, x_max = floats(window, "window").tolist()
-        c, s = math.cos(ego.mean[2]), math.sin(ego.mean[2])
+        s, c = sin_cos_one(ego.mean.item(2))
         R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         pose_cov = cov = congruence(R, ego.cov)
         turn = max(MAX_TURN - TURN_MARGIN * float(np.sqrt(cov[2, 2])), MIN_TURN)
@@ -460,7 +461,7 @@ class _Flat:
 
     def __init__(self, function: ExtendedRefit, pose: NDArray[np.float64]) -> None:
         self._function, self._pose = function, pose
-        c, s = math.cos(pose[2]), math.sin(pose[2])
+        s, c = sin_cos_one(pose.item(2))
         self._to_map = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         own = function.noise_cov
         self.noise_cov = None if own is None else block_diagonal(own)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..values.arrays import floats
+from ..values.elementary import sin_cos
 from ..values.gaussian import Gaussian, independent, variances
 from .sigma_points import SigmaPoints
 from .transform import Transform
@@ -89,6 +90,7 @@ class Motion:
 def _arc(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (N, 3) displacements [m, m, rad] for (N, 3) speeds, yaw rates and times."""
     speed, yaw_rate, dt = points.T
-    turn = yaw_rate * dt
-    chord = speed * dt * np.sinc(turn / (2 * np.pi))  # np.sinc(x) is sin(pi x) / (pi x)
-    return np.column_stack([chord * np.cos(turn / 2), chord * np.sin(turn / 2), turn])
+    half = yaw_rate * dt / 2  # angle of the chord to the x axis
+    sine, cosine = sin_cos(half)
+    chord = speed * dt * np.divide(sine, half, where=np.abs(half) > 1e-9, out=np.ones_like(half))
+    return np.column_stack([chord * cosine, chord * sine, 2 * half])

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from ..values.cubics import MIN_ADVANCE, cubic_fit, derivatives, line_of_cubic
-from ..values.elementary import sin_cos, tan
+from ..values.elementary import hypot, sin_cos, sin_cos_one, tan
 from ..values.fixed_order import congruence, product, row_total
 from ..values.line import PARAMETERS
 from ..values.map_error import MapError
@@ -68,11 +66,11 @@ class RefitModel:
         chords = self.points[:, CHORD::CHORD] - self.points[:, :-CHORD:CHORD]  # (L, CHORDS, 2)
         self._chords = chords.T[..., None]  # (2, CHORDS, L, 1)
         self._span = row_total(self._chords.swapaxes(0, 1))  # (2, L, 1)
-        self._least_advance = MIN_ADVANCE * row_total(np.hypot(*self._chords))  # (L, 1)
+        self._least_advance = MIN_ADVANCE * row_total(hypot(*self._chords))  # (L, 1)
         slopes = self._chords[1] / self._chords[0]
         self._slopes = slopes.min(axis=0), slopes.max(axis=0)
         self.is_across = (2 * self._half < self._least_advance)[:, 0]
-        self._turn = math.cos(pose[2]), math.sin(pose[2])
+        self._turn = sin_cos_one(pose.item(2))
         self.noise_cov = None
         if map_error is not None or max_misfit < np.inf:
             self.noise_cov = self._noise_cov(
@@ -106,7 +104,7 @@ class RefitModel:
         q = self._cubics(c, s)
         q *= self._half
         # Centre of the points as seen from each pose.
-        cos_mean, sin_mean = self._turn
+        sin_mean, cos_mean = self._turn
         x = self._centre[0, :, None] - (cos_mean * d[:, 0] + sin_mean * d[:, 1])
         y = self._centre[1, :, None] - (cos_mean * d[:, 1] - sin_mean * d[:, 0])
         q[0] += c * y - s * x

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..values.arrays import floats
+from ..values.elementary import hypot, sin_cos_one
 from ..values.line import LeftOut
 from ..values.polyline import Polyline, nearest_share, squared_length, to_map
 
@@ -116,15 +117,16 @@ def stretches(
         raise ValueError(f"window must have finite x_min < x_max [m], got {window}")
     # If the car is not in the window, the end of the window nearest to it takes its place.
     ahead = min(max(0.0, x_min), x_max)
-    reach = (x_max - x_min + abs(ahead)) / math.cos(max_turn)
-    c, s = math.cos(pose[2]), math.sin(pose[2])
+    s, c = sin_cos_one(pose.item(2))
+    _, least_cosine = sin_cos_one(max_turn)
+    reach = (x_max - x_min + abs(ahead)) / least_cosine
     start = pose[:2] + np.array([ahead * c, ahead * s])
     parts = tuple([line.near(start, reach) for line in lines])
     joined = _joined(parts)
 
     # Steps in the direction of the car's x axis are 1, against it -1, and across 0.
     advance = c * joined.chords[0] + s * joined.chords[1]
-    least = math.cos(max_turn) * joined.chord
+    least = least_cosine * joined.chord
     direction = np.subtract(advance >= least, advance <= -least, dtype=np.int8)
     nearest, left_out = _nearest_steps(parts, joined, direction, start, reach)
     given = np.array([i for i in range(len(lines)) if i not in left_out], dtype=np.intp)
@@ -165,7 +167,7 @@ def _joined(lines: tuple[Polyline, ...]) -> _Joined:
     last = count.cumsum() - 1
     first = last + 1 - count
     squared = squared_length(steps)
-    return _Joined(points, steps, squared, chords, np.hypot(*chords), count, first, last)
+    return _Joined(points, steps, squared, chords, hypot(*chords), count, first, last)
 
 
 def _steps(line: Polyline) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..native import core
 from .arrays import floats, is_plain, number_text
 from .cubics import Poses, fit_points, points_of, refitted
+from .elementary import tan_one
 from .errors import IllPosedError
 from .gaussian import Gaussian, variances
 from .mixture import GaussianMixture
@@ -188,7 +189,7 @@ class MapLine:
     def y(self, x: ArrayLike) -> NDArray[np.float64]:
         """Return the (...,) lateral position of the mean line at x [m]."""
         if is_plain(x):
-            return _lateral_one(self.gaussian.mean.tolist(), float(x))
+            return _lateral_one(self.gaussian.mean, float(x))
         return lateral(self.gaussian.mean, x)
 
     def y_sigma(self, x: ArrayLike) -> NDArray[np.float64]:
@@ -247,29 +248,26 @@ def lateral(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
     >>> lateral([1.0, 0.0, 0.01, 0.0], [0, 10, 20])
     array([1. , 1.5, 3. ])
     """
-    return _lateral(_rows(parameters), floats(x, "x"))
-
-
-def _lateral(rows: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the lateral position of (4, ...) lines."""
-    y_off, beta, c0, c1 = rows
+    (y_off, beta, c0, c1), x = _rows(parameters), floats(x, "x")
     return y_off + x * (np.tan(beta) + x * (c0 / 2 + x * c1 / 6))
 
 
-def _lateral_one(parameters: list[float], x: float) -> Any:
+def _lateral_one(parameters: NDArray[np.float64], x: float) -> Any:
     """Return the lateral position of one line at one x: as ``lateral``, without arrays.
 
     It is a number of NumPy's class, as NumPy returns it of arrays without axes.
     """
-    y_off, beta, c0, c1 = parameters
-    return np.float64(y_off + x * (math.tan(beta) + x * (c0 / 2 + x * c1 / 6)))
+    if core is not None and (y := core.y(parameters, x)) is not None:
+        return np.float64(y)
+    y_off, beta, c0, c1 = parameters.tolist()
+    return np.float64(y_off + x * (tan_one(beta) + x * (c0 / 2 + x * c1 / 6)))
 
 
 def _sigma_one(gaussian: Gaussian, x: float) -> Any:
     """Return the standard deviation of one line at one x: as ``MapLine.y_sigma``."""
     if core is not None and (sigma := core.y_sigma(gaussian.mean, gaussian.cov, x)) is not None:
         return np.float64(sigma)
-    slope = math.tan(gaussian.mean.item(1))
+    slope = tan_one(gaussian.mean.item(1))
     J = (1.0, (1 + slope * slope) * x, x * x / 2, x * x * x / 6)
     variance = 0.0
     for weight, (of_y, of_beta, of_c0, of_c1) in zip(J, gaussian.cov.tolist(), strict=True):
@@ -282,9 +280,10 @@ def lateral_jacobian(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]
     """Return the (..., 4) derivative of l(x) with respect to (y_off, beta, c0, c1)."""
     _, beta, _, _ = _rows(parameters)
     x = floats(x, "x")
-    by_slope = (1 + np.tan(beta) ** 2) * x
+    slope = np.tan(beta)
+    by_slope = (1 + slope * slope) * x
     J = np.empty((*np.shape(by_slope), len(PARAMETERS)))
-    J[..., 0], J[..., 1], J[..., 2], J[..., 3] = 1.0, by_slope, x**2 / 2, x**3 / 6
+    J[..., 0], J[..., 1], J[..., 2], J[..., 3] = 1.0, by_slope, x * x / 2, x * x * x / 6
     return J
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats, number_text
+from .elementary import hypot, sin_cos_one
 from .line import Kind
 from .pieces import Pieces, extents, longest, merged, value_at
 
@@ -265,7 +266,7 @@ def _arc_lengths(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (n,) arc lengths of (n, 2) points from the first one."""
     step = points[1:] - points[:-1]
     found = np.zeros(len(points))
-    np.hypot(step[:, 0], step[:, 1]).cumsum(out=found[1:])
+    hypot(step[:, 0], step[:, 1]).cumsum(out=found[1:])
     return found
 
 
@@ -289,8 +290,8 @@ def to_ego(points: ArrayLike, pose: ArrayLike) -> NDArray[np.float64]:
     >>> to_ego([[0.0, 5.0]], [0.0, 0.0, np.pi / 2]).round(9) + 0.0
     array([[5., 0.]])
     """
-    e_x, e_y, e_h = floats(pose, "pose")
-    c, s = np.cos(e_h), np.sin(e_h)
+    e_x, e_y, e_h = floats(pose, "pose").tolist()
+    s, c = sin_cos_one(e_h)
     return (floats(points, "points") - [e_x, e_y]) @ np.array([[c, -s], [s, c]])
 
 
@@ -300,8 +301,8 @@ def to_map(points: ArrayLike, pose: ArrayLike) -> NDArray[np.float64]:
     >>> to_map([[5.0, 0.0]], [0.0, 0.0, np.pi / 2]).round(9) + 0.0
     array([[0., 5.]])
     """
-    e_x, e_y, e_h = floats(pose, "pose")
-    c, s = np.cos(e_h), np.sin(e_h)
+    e_x, e_y, e_h = floats(pose, "pose").tolist()
+    s, c = sin_cos_one(e_h)
     return floats(points, "points") @ np.array([[c, s], [-s, c]]) + [e_x, e_y]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats
+from .elementary import sin_cos_one
 from .line import Slot
 from .polyline import Polyline, nearest_share, squared_length
 
@@ -71,7 +71,8 @@ class RouteLines:
         begin, distance = self.path.points[:-1].T, self.path.distance
         step = self.path.points[1:].T - begin
         share, squared = nearest_share(begin, step, squared_length(step), pose[:2, None])
-        is_along = step[0] * math.cos(pose[2]) + step[1] * math.sin(pose[2]) > 0
+        sine, cosine = sin_cos_one(pose.item(2))
+        is_along = step[0] * cosine + step[1] * sine > 0
         is_candidate = is_along & (squared <= MAX_OFFSET**2)
         if last is not None:
             is_near = distance[1:] >= last.s - SEARCH_BEHIND

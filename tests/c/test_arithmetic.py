@@ -15,7 +15,7 @@ from maplines_can.values import elementary, fixed_order, linalg
 from maplines_can.values.seen_lines import bases
 from maplines_can.wire.covariance import joint
 
-ELEMENTARY, INVERSE, EIGEN, REPAIR, UNCOVERED, COMPARE, GAUSSIAN = range(7)
+ELEMENTARY, INVERSE, EIGEN, REPAIR, UNCOVERED, COMPARE, GAUSSIAN, LENGTH = range(8)
 INF, NAN, HUGE, TINY = math.inf, math.nan, 1e300, 5e-324
 
 
@@ -75,6 +75,19 @@ def test_elementary_functions() -> None:
     power, logarithm, tangent, angle = (function(x) for function in functions)
     expected = np.column_stack([power, logarithm, sine, cosine, tangent, angle])
     check([case(ELEMENTARY, value) for value in x], expected)
+
+
+def test_lengths() -> None:
+    """Of vectors whose squares are in the range of numbers, beyond it, or at a bound of it."""
+    rng = np.random.default_rng(9)
+    some = [0.0, 1.0, TINY, 2.3e-308, 1e-162, 1e-154, 2.0**511.5, 2.0**512, 1.7e308, INF]
+    x, y = np.array([(a, b) for a in [*some, NAN] for b in some] * 3).T
+    x[len(x) // 3 :] *= -1.0
+    x[2 * len(x) // 3 :] = np.nextafter(x[2 * len(x) // 3 :], 0.0)
+    near, far = (rng.normal(size=(2, 3000)) * 10.0 ** rng.uniform(*ends, (2, 3000))
+                 for ends in ((-3, 8), (-323, 308)))  # fmt: skip
+    x, y = np.concatenate([[x, y], near, far], axis=1)
+    check([case(LENGTH, *pair) for pair in zip(x, y, strict=True)], elementary.hypot(x, y))
 
 
 # ---- matrices ----------------------------------------------------------------------------------

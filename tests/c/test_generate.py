@@ -131,6 +131,23 @@ def test_nothing_but_the_interface_is_visible(tmp_path: Path) -> None:
     assert all(re.search(rf"\b{name}\(", interface) for name in names)
 
 
+@pytest.mark.parametrize("optimisation", [("-O0", "-fno-builtin"), ("-O3",)], ids=" ".join)
+@pytest.mark.parametrize("kind", ["double", "float"])
+def test_results_do_not_depend_on_the_mathematical_library(
+    tmp_path: Path, kind: str, optimisation: tuple[str, ...]
+) -> None:
+    """Without optimisation each call is seen: they are those that the header names, all exact."""
+    assert generate("--out", tmp_path) == 0
+    is_float = kind == "float"
+    compile_c(tmp_path, flags=(*optimisation, *(["-DMAPLINES_FLOAT"] if is_float else [])))
+    found = c_core.library_functions(*tmp_path.glob("*.o"))
+    exact = c_core.EXACT | ({"sqrtf"} if is_float else set())
+    assert found == exact if optimisation[0] == "-O0" else found <= exact
+    interface = (tmp_path / "maplines.h").read_text()
+    named = re.findall(r"<math\.h>: (.*?) all of", interface, re.DOTALL)[0]
+    assert set(re.findall(r"[a-z]+\d?", named)) - {"and", "with"} == c_core.EXACT | {"sqrtf"}
+
+
 def test_the_core_has_no_memory_of_its_own(tmp_path: Path) -> None:
     """There is no static variable, so any number of receivers work beside each other."""
     if not shutil.which("size"):

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import c_core
 import pytest
 
 from maplines_can import __version__, native
@@ -109,6 +110,13 @@ def test_another_path_is_an_error(command: list[str]) -> None:
     """The error names the value and the valid ones, of each command."""
     text = "MAPLINES_NATIVE must be 0 for Python alone, 1 for C, or not set, got '2'"
     assert maplines(*command, native="2") == (1, "", f"maplines: error: {text}\n")
+
+
+@pytest.mark.skipif(not native.is_active, reason="Python alone runs here")
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads the symbols of ELF")
+def test_the_module_runs_with_any_mathematical_library() -> None:
+    """It needs no function that differs between libraries, or whose name has a new version."""
+    assert c_core.library_functions(Path(native.core.__file__)) <= c_core.EXACT
 
 
 def test_help_needs_no_path() -> None:

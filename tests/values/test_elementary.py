@@ -1,11 +1,17 @@
 """Elementary functions against the mathematical library, whose error is below one unit."""
 
+import ast
 import math
+import re
+from decimal import Context, Decimal, localcontext
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from maplines_can.values import elementary
@@ -78,3 +84,126 @@ def test_a_value_does_not_depend_on_the_others(name: Any) -> None:
 def test_sine_and_cosine_are_on_the_circle(x: Any) -> None:
     sine, cosine = elementary.sin_cos(x)
     assert abs(sine * sine + cosine * cosine - 1) < 1e-15
+
+
+# ---- angles of any size ---------------------------------------------------------------
+
+
+@cache
+def pi(digits: int = 700) -> Decimal:
+    """Return pi by Machin's formula, 16 atan(1/5) - 4 atan(1/239)."""
+    one = 10 ** (digits + 10)
+
+    def inverse_tangent(n: int) -> int:
+        total, power, k = 0, one // n, 0
+        while power:
+            total += (-1) ** k * (power // (2 * k + 1))
+            power, k = power // (n * n), k + 1
+        return total
+
+    return Decimal(16 * inverse_tangent(5) - 4 * inverse_tangent(239)).scaleb(-digits - 10)
+
+
+def exact_sine_and_cosine(x: float) -> tuple[Decimal, Decimal]:
+    """Return sine and cosine to 60 digits by their series, of the rest of whole turns."""
+    with localcontext(Context(prec=700)):
+        angle = Decimal(x) % (2 * pi())
+    with localcontext(Context(prec=80)):
+        term, sums, k = Decimal(1), [Decimal(0)] * 4, 0
+        while term.adjusted() > -70 or k < 10:
+            sums[k % 4] += term
+            k += 1
+            term *= angle / k
+        return sums[1] - sums[3], sums[0] - sums[2]
+
+
+@given(x=st.floats(allow_nan=False, allow_infinity=False))
+@example(x=1e5)
+@example(x=math.nextafter(1e5, math.inf))
+@example(x=1e22)
+@example(x=-1.7976931348623157e308)
+@example(x=6381956970095103 * 2.0**797)  # the double that is nearest to a multiple of pi / 2
+@example(x=5e-324)
+@example(x=-2.3e-308)
+def test_sine_and_cosine_of_any_angle(x: Any) -> None:
+    """Far angles are as if they were off by less than half a unit in their last place."""
+    off = math.ulp(x) / 2 if abs(x) > 1e5 else 0.0
+    for got, exact in zip(elementary.sin_cos(x), exact_sine_and_cosine(x), strict=True):
+        error = abs(Fraction(float(got)) - Fraction(exact))
+        scale = max(abs(float(exact)), 2.0**-53 * min(abs(x), 1e5))
+        assert error <= 3 * Fraction(math.ulp(scale)) + Fraction(off)
+
+
+@pytest.mark.parametrize("x", [0.0, -0.0, 5e-324, -5e-324, 1.0, -1e4, 1e6, 1e300, math.inf])
+def test_one_angle_is_as_of_many(x: Any) -> None:
+    """To the last bit, with the sign of zero."""
+    many = [*elementary.sin_cos([x] * 20), elementary.tan([x] * 20)]
+    one = [*elementary.sin_cos_one(x), elementary.tan_one(x)]
+    assert [repr(float(values[7])) for values in many] == [repr(value) for value in one]
+
+
+# ---- lengths --------------------------------------------------------------------------
+
+SIZES = st.floats(-1e8, 1e8) | st.floats(-1e160, 1e160)
+
+
+@given(x=SIZES, y=SIZES)
+@example(x=0.0, y=-0.0)
+@example(x=9e153, y=-9e153)
+@example(x=1e-150, y=5e-324)
+@example(x=5e-324, y=5e-324)
+def test_a_length_has_a_small_error(x: Any, y: Any) -> None:
+    """Relative to it, or to what no map has; it is infinite if the square is."""
+    with np.errstate(over="ignore"):
+        length = elementary.hypot(np.array([x]), np.array([y])).item()
+    with localcontext(Context(prec=60)):
+        exact = (Decimal(x) ** 2 + Decimal(y) ** 2).sqrt()
+    if exact > Decimal(2) ** 512 * (1 - Decimal(2) ** -53):
+        assert length == math.inf
+    else:
+        bound = max(Fraction(exact) / 2**52, Fraction(1e-160))
+        assert abs(Fraction(length) - Fraction(exact)) <= bound
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "length"),
+    [(3.0, -4.0, 5.0), (0.0, 1.75, 1.75), (math.inf, 1.0, math.inf), (-math.inf, 0.0, math.inf)],
+)
+def test_lengths(x: Any, y: Any, length: Any) -> None:
+    """Of one vector and of many, whose arrays do not change."""
+    rows = np.tile([x, y], (20, 1))
+    assert elementary.hypot(*rows.T).tolist() == [length] * 20
+    assert elementary.hypot(*rows[:1].T).item() == length
+    assert (rows == [x, y]).all()
+
+
+@pytest.mark.parametrize("other", [0.0, 1e300, math.inf])
+def test_a_length_of_what_is_no_number_is_none(other: Any) -> None:
+    """NaN, also with an infinite coordinate."""
+    with np.errstate(over="ignore"):
+        found = elementary.hypot(np.array([math.nan, other]), np.array([other, math.nan]))
+    assert np.isnan(found).all()
+
+
+# ---- who uses the library --------------------------------------------------------------
+
+PACKAGE = Path(elementary.__file__).parents[1]
+#: What has no twin in C: messages, densities, and the positions of arrays of lines.
+WITHOUT_TWIN = {"values/arrays.py", "values/gaussian.py", "values/line.py", "values/mixture.py",
+                "propagation/splitting.py"}  # fmt: skip
+INEXACT = re.compile(
+    r"a?(sin|cos|tan)h?|arc\w+|atan2|hypot|dist|sinc|exp(2|m1)?|log(2|10|1p)?|pow|\w*power|cbrt"
+)
+
+
+def test_no_module_with_a_twin_in_c_uses_inexact_functions_of_libraries() -> None:
+    """Their last bits depend on the machine; docstrings may."""
+    found = {
+        path.relative_to(PACKAGE).as_posix()
+        for folder in ("values", "propagation", "wire")
+        for path in (PACKAGE / folder).rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Attribute) and INEXACT.fullmatch(node.attr)
+        if isinstance(node.value, ast.Name) and node.value.id in ("np", "math")
+    }
+    assert found == WITHOUT_TWIN

@@ -142,7 +142,8 @@ class SpecificLevels:
         self._spacing = shape.physical(raw)
         if shape.unit == OCTAVE:
             self._spacing = exp2(self._spacing)
-        self._phase: Array = np.fmod(raw * GOLDEN_RATIO, 1.0)
+        turns = raw * GOLDEN_RATIO
+        self._phase: Array = turns - np.floor(turns)
         ratio = RATIOS[raw % len(RATIOS)]
         self._amount = ratio * ratio * self._spacing
 
