@@ -14,10 +14,10 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from cantools.database.can import Database
 
 from maplines_can.generation.tables import tables_of
 from maplines_can.wire.c_tables import Limits, limits_of
-from maplines_can.wire.layout.dbc_reader import Database
 from maplines_can.wire.layout.message_layout import Layout
 
 C = Path(__file__).parents[1] / "c"

@@ -8,6 +8,7 @@ import os
 for library in ("OPENBLAS", "MKL", "OMP"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
+import tempfile
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -17,6 +18,11 @@ from dbcs import default_codec
 from hypothesis import settings
 
 from maplines_can import Link
+
+# Not the cache of the user: each test process, and the commands that it starts, have their own.
+_CACHE = tempfile.TemporaryDirectory()
+for variable in ("XDG_CACHE_HOME", "LOCALAPPDATA"):
+    os.environ[variable] = _CACHE.name
 
 # No test depends on how busy the machine is, and a commit has one verdict. More and new examples:
 # pytest --hypothesis-profile random

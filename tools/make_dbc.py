@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Write the DBCs of the package and the tables in dbc/README.md.
+"""Write the DBCs of the package, their tables, and those in dbc/README.md.
 
 python tools/make_dbc.py                write them
 python tools/make_dbc.py --check        report whether they are up to date
@@ -16,6 +16,8 @@ from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.covariance_spec import covariance_signals
 from maplines_can.study.dbc.pose_spec import CONDITIONAL, POSE_WITH_LEVELS
 from maplines_can.study.dbc.record_spec import DEFAULT, SECURED, dbc_name, dbc_writer_for
+from maplines_can.wire.layout.dbc_file import PACKAGED, key_of, parsed_tables
+from maplines_can.wire.layout.dbc_tables import to_json
 from maplines_can.wire.layout.record_layout import RELATIONS
 from maplines_can.wire.layout.signals import (
     COMPLETE_RECORD,
@@ -44,12 +46,19 @@ def wanted() -> Any:
         "codes": codes_table(),
     }
     page = fill_tables((FOLDER / "README.md").read_text(), "make_dbc.py", tables)
-    return {
-        FOLDER / "maplines.dbc": DEFAULT.dbc(),
-        FOLDER / "maplines-secoc.dbc": SECURED.dbc(),
-        FOLDER / "maplines-pose.dbc": CONDITIONAL.dbc(),
-        FOLDER / "README.md": page,
+    dbcs = {
+        "maplines.dbc": DEFAULT.dbc(),
+        "maplines-secoc.dbc": SECURED.dbc(),
+        "maplines-pose.dbc": CONDITIONAL.dbc(),
     }
+    texts = {FOLDER / name: dbc for name, dbc in dbcs.items()} | {FOLDER / "README.md": page}
+    kept = {
+        (PACKAGED / name).with_suffix(".json"): to_json(
+            key_of(dbc.encode()), parsed_tables(dbc, name)
+        )
+        for name, dbc in dbcs.items()
+    }
+    return texts | kept
 
 
 def without(table: str, other: str) -> str:

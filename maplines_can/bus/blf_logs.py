@@ -4,33 +4,26 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
-from typing import Any, BinaryIO, NamedTuple, cast
-
-from can.io.blf import (
-    CAN_ERROR_EXT,
-    CAN_FD_MESSAGE,
-    CAN_FD_MESSAGE_64,
-    CAN_MESSAGE,
-    CAN_MESSAGE2,
-    CAN_MSG_EXT,
-    FILE_HEADER_STRUCT,
-    LOG_CONTAINER,
-    LOG_CONTAINER_STRUCT,
-    NO_COMPRESSION,
-    OBJ_HEADER_BASE_STRUCT,
-    REMOTE_FLAG,
-    TIME_TEN_MICS,
-    ZLIB_DEFLATE,
-    BLFParseError,
-    TSystemTime,
-    systemtime_to_timestamp,
-)
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
+from typing import Any, BinaryIO, NamedTuple
 
 from ..native import core
 from .frame_block import MAX_DATA, MAX_OBJECT, FrameArrays, FrameBlock, LogFrame
 from .log_summary import LogSummary, Skipped
 from .text_rows import check_frame
+
+#: Signature, length, application (4), version of the format (4), length of the file, length when
+#: it is unpacked, numbers of objects, and when the recording starts and stops, 8 fields each.
+_FILE_HEADER = struct.Struct("<4sLBBBBBBBBQQLL8H8H")
+#: Signature, length of the header, its version, length and kind of an object.
+_OBJECT_HEADER = struct.Struct("<4sHHLL")
+#: Compression method of a container, and its length when it is unpacked.
+_CONTAINER = struct.Struct("<H6xL4x")
+_NO_COMPRESSION, _ZLIB_DEFLATE = 0, 2
+#: Flags of a CAN ID, of a classic frame, and of a stamp in units of 10 microseconds.
+_EXTENDED, _REMOTE, _TEN_MICROSECONDS = 1 << 31, 0x80, 1
 
 _SIGNATURE = b"LOBJ"
 #: Most bytes between two objects. Writers align them to 4 or 8 bytes, or add ``size % 4``.
@@ -43,13 +36,15 @@ _STAMP = struct.Struct("<L4xQ")
 _MAX_START_NS = 2**62
 #: Objects beside containers are read together, up to this many bytes.
 _LOOSE_BYTES = 1 << 17
-#: Kinds of objects that python-can does not name.
-_CAN_ERROR, _CAN_STATISTIC, _CAN_DRIVER_ERROR, _CAN_DRIVER_ERROR_EXT = 2, 4, 31, 74
-_CAN_FD_ERROR_64 = 104
+#: Kinds of objects.
+_CAN_MESSAGE, _CAN_MESSAGE2, _CAN_FD_MESSAGE, _CAN_FD_MESSAGE_64 = 1, 86, 100, 101
+_LOG_CONTAINER = 10
+_CAN_ERROR, _CAN_ERROR_EXT, _CAN_FD_ERROR_64, _CAN_STATISTIC = 2, 73, 104, 4
+_CAN_DRIVER_ERROR, _CAN_DRIVER_ERROR_EXT = 31, 74
 #: Objects that are no frames, by kind; all others are events of another kind.
 _SKIPPED = {
     _CAN_ERROR: Skipped.ERROR,
-    CAN_ERROR_EXT: Skipped.ERROR,
+    _CAN_ERROR_EXT: Skipped.ERROR,
     _CAN_FD_ERROR_64: Skipped.ERROR,
     _CAN_STATISTIC: Skipped.STATE,
     _CAN_DRIVER_ERROR: Skipped.STATE,
@@ -63,6 +58,10 @@ _FD = struct.Struct("<HBBL6xB5x")
 #: Channel, number of bytes of data, CAN ID, flags, direction, place of the bytes behind the data.
 _FD_64 = struct.Struct("<BxBxL4xL18xBB4x")
 _REMOTE_64, _REQUEST_64, _ACKNOWLEDGED_64 = 0x10, 0x80, 0x40
+
+
+class BLFParseError(Exception):
+    """The file is no valid BLF file."""
 
 
 class _Object(NamedTuple):
@@ -93,17 +92,17 @@ class BlfReader:
     missing = 0
 
     def __init__(self, file: BinaryIO, summary: LogSummary) -> None:
-        head = file.read(FILE_HEADER_STRUCT.size)
+        head = file.read(_FILE_HEADER.size)
         if not head.startswith(b"LOGG"):
             raise BLFParseError("it does not begin with LOGG")
-        fields = FILE_HEADER_STRUCT.unpack(head)
+        fields = _FILE_HEADER.unpack(head)
         length = fields[1]
         if not len(head) <= length <= MAX_OBJECT:
             raise BLFParseError(f"its header has {length} bytes")
         file.read(length - len(head))
         self._file, self._summary, self._place = file, summary, 0
         self._compression_level, self._file_size = fields[7], fields[10]
-        start = systemtime_to_timestamp(cast("TSystemTime", fields[14:22]))
+        start = _seconds_of(fields[14:22])
         self._start_ns = round(start * 1000) * 10**6
         if abs(self._start_ns) >= _MAX_START_NS:
             raise BLFParseError(f"its recording begins in the year {fields[14]}")
@@ -133,13 +132,13 @@ class BlfReader:
         loose = bytearray()
         try:
             for kind, whole in self._outer_objects():
-                if kind != LOG_CONTAINER:
+                if kind != _LOG_CONTAINER:
                     loose += whole
-                if loose and (kind == LOG_CONTAINER or len(loose) > _LOOSE_BYTES):
+                if loose and (kind == _LOG_CONTAINER or len(loose) > _LOOSE_BYTES):
                     yield bytes(loose), False
                     loose.clear()
-                if kind == LOG_CONTAINER:
-                    yield self._unpacked(whole[OBJ_HEADER_BASE_STRUCT.size :]), True
+                if kind == _LOG_CONTAINER:
+                    yield self._unpacked(whole[_OBJECT_HEADER.size :]), True
         except (BLFParseError, OSError, EOFError, zlib.error):  # the last three by gzip
             yield bytes(loose), False
             raise
@@ -147,7 +146,7 @@ class BlfReader:
 
     def _outer_objects(self) -> Iterator[tuple[int, bytes]]:
         """Yield the kinds and the bytes of the objects of the file; the last may be truncated."""
-        head = OBJ_HEADER_BASE_STRUCT
+        head = _OBJECT_HEADER
         while start := self._file.read(head.size):
             padding = start.find(_SIGNATURE, 0, _MAX_PADDING + len(_SIGNATURE))
             if padding < 0:
@@ -169,18 +168,18 @@ class BlfReader:
 
     def _unpacked(self, container: bytes) -> bytes:
         """Return the content of a container, which may be truncated."""
-        if len(container) < LOG_CONTAINER_STRUCT.size:
+        if len(container) < _CONTAINER.size:
             raise BLFParseError("a container is shorter than its own header")
-        method, _ = LOG_CONTAINER_STRUCT.unpack_from(container)
-        data = container[LOG_CONTAINER_STRUCT.size :]
-        if method == ZLIB_DEFLATE:
+        method, _ = _CONTAINER.unpack_from(container)
+        data = container[_CONTAINER.size :]
+        if method == _ZLIB_DEFLATE:
             try:
                 data = zlib.decompressobj().decompress(data, MAX_OBJECT + 1)
             except zlib.error:
                 # vblf states this method in every container; its file states that none is packed.
                 if self._compression_level != 0:
                     raise
-        elif method != NO_COMPRESSION:
+        elif method != _NO_COMPRESSION:
             raise BLFParseError(f"the compression method {method} of a container is unknown")
         if len(data) > MAX_OBJECT:
             raise BLFParseError(f"a container has more than {MAX_OBJECT} bytes when it is unpacked")
@@ -197,7 +196,7 @@ class BlfReader:
         """Yield the frame of an object, or count it."""
         read = _READERS.get(found.kind)
         if read is None:
-            if found.kind == LOG_CONTAINER:
+            if found.kind == _LOG_CONTAINER:
                 raise BLFParseError("a container is in another one")
             self._summary.skipped[_SKIPPED.get(found.kind, Skipped.OTHER)] += 1
             return
@@ -206,15 +205,15 @@ class BlfReader:
             raise BLFParseError(f"the version {found.version} of the header of a frame is unknown")
         body = data[found.begin + header_size : found.end]
         try:
-            flags, ticks = _STAMP.unpack_from(data, found.begin + OBJ_HEADER_BASE_STRUCT.size)
+            flags, ticks = _STAMP.unpack_from(data, found.begin + _OBJECT_HEADER.size)
             channel, can_id, payload, skipped = read(body, header_size)
         except struct.error:
             raise BLFParseError("a frame is shorter than its own fields") from None
         if skipped is not None:
             self._summary.skipped[skipped] += 1
             return
-        t_ns = self._start_ns + ticks * (10_000 if flags == TIME_TEN_MICS else 1)
-        is_extended, can_id = bool(can_id & CAN_MSG_EXT), can_id & 0x1FFFFFFF
+        t_ns = self._start_ns + ticks * (10_000 if flags == _TEN_MICROSECONDS else 1)
+        is_extended, can_id = bool(can_id & _EXTENDED), can_id & 0x1FFFFFFF
         check_frame(can_id, payload, t_ns)
         yield LogFrame(can_id, payload, t_ns, is_extended, str(channel - 1), has_time=True)
 
@@ -251,13 +250,22 @@ class BlfRunReader(BlfReader):
             yield from self._frames(data, found)
 
 
+def _seconds_of(systemtime: Sequence[int]) -> float:
+    """Return a time as a Unix time [s]; 0 if it is none, such as one without a date."""
+    year, month, _, day, hour, minute, second, milliseconds = systemtime
+    with suppress(ValueError):
+        date = datetime(year, month, day, hour, minute, second, 1000 * milliseconds, UTC)
+        return date.timestamp()
+    return 0
+
+
 def _next_object(data: bytes, place: int) -> _Object | None:
     """Return the next object from a place on; None if the data end before its end.
 
     Raises:
         BLFParseError: there is none, or it is shorter than its own header.
     """
-    head = OBJ_HEADER_BASE_STRUCT
+    head = _OBJECT_HEADER
     begin = data.find(_SIGNATURE, place, place + _MAX_PADDING + len(_SIGNATURE))
     if begin < 0:
         if len(data) - place < _MAX_PADDING + len(_SIGNATURE):
@@ -284,7 +292,7 @@ def _kind(*, is_request: bool, is_remote: bool) -> Skipped | None:
 
 
 def _kind_of(flags: int) -> Skipped | None:
-    return _kind(is_request=flags & _DIRECTION == _REQUEST, is_remote=bool(flags & REMOTE_FLAG))
+    return _kind(is_request=flags & _DIRECTION == _REQUEST, is_remote=bool(flags & _REMOTE))
 
 
 def _bytes(body: bytes, begin: int, count: int) -> bytes:
@@ -322,8 +330,8 @@ def _fd_64(body: bytes, header_size: int) -> _Fields:
 
 
 _READERS = {
-    CAN_MESSAGE: _classic,
-    CAN_MESSAGE2: _classic,
-    CAN_FD_MESSAGE: _fd,
-    CAN_FD_MESSAGE_64: _fd_64,
+    _CAN_MESSAGE: _classic,
+    _CAN_MESSAGE2: _classic,
+    _CAN_FD_MESSAGE: _fd,
+    _CAN_FD_MESSAGE_64: _fd_64,
 }

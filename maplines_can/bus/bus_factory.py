@@ -23,20 +23,25 @@ import sys
 from collections.abc import Callable
 from difflib import get_close_matches
 from enum import Enum
-from typing import Any, NamedTuple
-
-import can
-from can.interfaces.socketcan import SocketcanBus
-from can.interfaces.virtual import VirtualBus
-from can.typechecking import CanFilter
-from can.util import load_config
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..values.errors import BusError
 
-_ERRORS = (can.CanError, OSError, ValueError, TypeError, ImportError, AttributeError)
+if TYPE_CHECKING:
+    import can
+    from can.typechecking import CanFilter
+
+_ERRORS = (OSError, ValueError, TypeError, ImportError, AttributeError)
 _SIOCGIFFLAGS, _SIOCGIFMTU = 0x8913, 0x8921  # linux/sockios.h
 _IFF_UP = 1  # linux/if.h
 _CANFD_MTU = 72  # linux/can.h: sizeof(struct canfd_frame)
+
+
+def can_error() -> type[Exception]:
+    """Return ``can.CanError``; python-can is loaded where a bus is opened, not before."""
+    import can
+
+    return can.CanError
 
 
 class UnsuitableInterfaceError(BusError):
@@ -64,6 +69,8 @@ class BusFactory:
     def __init__(
         self, opener: Callable[..., can.BusABC] | can.BusABC | None, settings: dict[str, Any]
     ) -> None:
+        import can
+
         self.name = ""  #: interface and channel, for messages
         self.fd = False  #: whether CAN FD frames can be sent
         self.is_open_for_fd = False  #: whether it was asked for CAN FD, or says that it has it
@@ -98,6 +105,10 @@ class BusFactory:
             BusError: the interface cannot be opened now; the message has the reason and the cure.
                 It is an `UnsuitableInterfaceError` if the interface is up but lacks CAN FD.
         """
+        from can import CanProtocol
+        from can.interfaces.socketcan import SocketcanBus
+        from can.interfaces.virtual import VirtualBus
+
         if self.is_given and self.is_deleted():
             raise BusError(f"{self.name} was deleted, and a bus of the caller is not reopened")
         problem = interface_problem(self._channel, self.fd) if self._channel else None
@@ -111,17 +122,17 @@ class BusFactory:
             bus = self._opener()
             if filters:
                 bus.set_filters(filters)
-        except _ERRORS as error:
+        except (can_error(), *_ERRORS) as error:
             if bus is not None:  # it is useless without its filters
-                with contextlib.suppress(can.CanError, OSError):
+                with contextlib.suppress(can_error(), OSError):
                     self.close(bus)
             name = self.name or "the CAN interface"
             raise BusError(f"{name} cannot be opened: {error_text(error)}") from error
         self.name = self.name or str(bus.channel_info)
         # The virtual bus transports CAN FD frames, too, although it reports classic CAN.
         self.is_virtual = self.is_virtual or isinstance(bus, VirtualBus)
-        self.is_open_for_fd |= bus.protocol is not can.CanProtocol.CAN_20
-        self.fd = self.is_virtual or bus.protocol is not can.CanProtocol.CAN_20
+        self.is_open_for_fd |= bus.protocol is not CanProtocol.CAN_20
+        self.fd = self.is_virtual or bus.protocol is not CanProtocol.CAN_20
         if isinstance(bus, SocketcanBus) and not self._channel:
             self._channel, self.is_socketcan = bus.channel, True
             index = interface_index(self._channel)
@@ -140,11 +151,13 @@ class BusFactory:
     def _configured(
         self, opener: Callable[..., can.BusABC], settings: dict[str, Any]
     ) -> Callable[[], can.BusABC]:
+        from can.util import load_config
+
         given = {key: value for key, value in settings.items() if value is not None}
         context = given.pop("config_context", None)
         try:
             config: dict[str, Any] = dict(load_config(config=given, context=context))
-        except _ERRORS as error:
+        except (can_error(), *_ERRORS) as error:
             if '"None"' in str(error):  # python-can's name of an interface that is not given
                 raise BusError(
                     "no CAN interface is given; pass interface=... and channel=..., set "
@@ -165,7 +178,9 @@ class BusFactory:
 
 def _interface_hint(name: object) -> str:
     """Return what python-can has instead of an interface that it does not have; else nothing."""
-    known = sorted(can.VALID_INTERFACES)
+    from can import VALID_INTERFACES
+
+    known = sorted(VALID_INTERFACES)
     if name is None or name in known:
         return ""
     like = get_close_matches(str(name), known, 1)

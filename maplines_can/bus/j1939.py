@@ -13,9 +13,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from ..wire.layout.dbc_reader import Database, Message
+if TYPE_CHECKING:
+    from ..wire.layout.dbc_reader import Database, Message
 
 #: Parameter groups of the transport protocol: connection management, and data.
 TP_CM, TP_DT = 0xEC00, 0xEB00

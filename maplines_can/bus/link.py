@@ -7,11 +7,8 @@ import logging
 import time
 from collections.abc import Callable, Iterable
 from enum import Enum
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 from weakref import WeakKeyDictionary
-
-import can
-from can.typechecking import CanFilter
 
 from ..values.errors import BusError
 from .background import ForkSafeCondition
@@ -19,9 +16,14 @@ from .bus_factory import (
     BusFactory,
     DriverError,
     UnsuitableInterfaceError,
+    can_error,
     classify_error,
     error_text,
 )
+
+if TYPE_CHECKING:
+    import can
+    from can.typechecking import CanFilter
 
 log = logging.getLogger("maplines_can.bus")
 
@@ -69,6 +71,7 @@ class Link:
             The first opening is not retried: its failure is most often a mistake.
         TypeError: ``opener`` is neither a function nor a bus, or an open bus has settings.
 
+    >>> import can
     >>> with Link(interface="virtual", channel="doc") as link:
     ...     link.name, link.up, link.send(can.Message(arbitration_id=1)).name
     ('virtual doc', True, 'OK')
@@ -156,7 +159,7 @@ interface; 'ip -br link' lists those that are
                 for message in messages:
                     bus.send(message, timeout=timeout)
                     sent += 1
-        except (can.CanError, OSError, ValueError) as error:
+        except (can_error(), OSError, ValueError) as error:
             if sent:
                 self._worked(bus, "send")
             return self._failed(bus, error, "send"), sent
@@ -175,7 +178,7 @@ interface; 'ip -br link' lists those that are
             return None
         try:
             message = bus.recv(timeout)
-        except (can.CanError, OSError, ValueError) as error:
+        except (can_error(), OSError, ValueError) as error:
             self._failed(bus, error, "recv")
             self._pause_for(0.001)  # limits the CPU load if the driver fails immediately
             return None
@@ -200,7 +203,7 @@ interface; 'ip -br link' lists those that are
             return
         try:
             bus.set_filters(filters or None)
-        except (can.CanError, OSError, ValueError) as error:
+        except (can_error(), OSError, ValueError) as error:
             self._mark_lost(bus, f"its filters cannot be set: {error_text(error)}")
 
     def close(self) -> None:
@@ -291,7 +294,7 @@ interface; 'ip -br link' lists those that are
             if was_up:
                 self.outages += 1
                 self._lost_at = self._clock()
-        with contextlib.suppress(can.CanError, OSError):  # closing a lost interface may fail, too
+        with contextlib.suppress(can_error(), OSError):  # closing a lost interface may fail, too
             self._factory.close(bus)
         if was_up:
             self._report(False, f"{self.name} is lost ({reason}); {self._outlook}")
@@ -333,6 +336,8 @@ def link_of(link: Link | can.BusABC) -> Link:
     """
     if isinstance(link, Link):
         return link
+    import can
+
     if isinstance(link, can.BusABC):
         return Link(link)
     raise TypeError(

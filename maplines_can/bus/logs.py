@@ -15,13 +15,11 @@ from os import PathLike
 from pathlib import Path
 from typing import IO, Any, NamedTuple, cast, get_args
 
-from can.io.blf import BLFParseError
-
 from ..native import core
 from ..values.errors import LogError, missing_extra
 from ..values.input_files import checked_path
 from .asc_log import AscFormat
-from .blf_logs import BlfReader, BlfRunReader
+from .blf_logs import BLFParseError, BlfReader, BlfRunReader
 from .candump_log import CandumpFormat
 from .frame_block import FrameBlock, LogFrame, frames_of
 from .log_summary import LogReader, LogSummary, Times

@@ -13,9 +13,9 @@ from traceback import walk_tb
 from typing import Any
 
 import numpy as np
-from can.util import CAN_FD_DLC
 from numpy.typing import NDArray
 
+from ..wire.layout.slot_messages import FD_LENGTHS
 from .frame_block import BLOCK_FRAMES, MAX_DATA, MAX_OBJECT, FrameBlock, joined_blocks
 from .log_summary import LogSummary, Skipped
 
@@ -32,7 +32,7 @@ _EXTENDED = 1 << 31
 _MAX_STANDARD = 0x7FF
 #: Number in the field Dir of a transmit request, and what its text begins with.
 _REQUEST, _REQUEST_TEXT = 2, "txr"
-_LENGTHS = np.array(CAN_FD_DLC)
+_LENGTHS = np.array(FD_LENGTHS)
 
 
 class Mf4Reader:

@@ -1,4 +1,4 @@
-"""Receive lines: from a link by a thread, or as a listener of python-can; the rest is counted."""
+"""Receive lines from a link by a thread; the rest is counted."""
 
 from __future__ import annotations
 
@@ -8,17 +8,19 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
 from inspect import iscoroutinefunction
-from typing import Literal, NamedTuple, Self
-
-import can
-from can.typechecking import CanFilters
+from typing import TYPE_CHECKING, Literal, NamedTuple, Self
 
 from ..values.line import MapLine, Slot
 from ..wire import Decoder, Reason, ReceivedFrame, SceneView, SlotStats, SlotView
 from ..wire.reception.views import STALE_CYCLES
 from .background import BackgroundThread, ForkSafeCondition
+from .bus_factory import can_error
 from .link import Link, link_of
 from .stamp_clock import StampClock
+
+if TYPE_CHECKING:
+    import can
+    from can.typechecking import CanFilters
 
 #: How long the thread waits for a frame before it checks whether it shall stop [s].
 POLL = 0.1
@@ -222,92 +224,6 @@ class ReceivedLines(ABC):
         return self._stamps.now(time.monotonic_ns()) if now_ns is None else now_ns
 
 
-class LineListener(ReceivedLines, can.Listener):
-    """Listener of python-can that turns messages into lines.
-
-    It works wherever a ``can.Listener`` does: in a ``can.Notifier``, with or without an asyncio
-    event loop, or called directly with the messages of a log. Use one listener for each bus. A
-    `Receiver` is a listener with a link and a thread.
-
-    As in python-can, a time stamp of 0 means that there is none; the current time is used instead.
-    Read a log that starts at 0 with ``relative_timestamp=False``.
-
-    Lines go to the callback ``on_line`` if there is one. Otherwise they wait for
-    `get` or for iteration (``for line in listener``, which ends after `stop`). Lines that wait
-    when the listener stops can still be fetched. The newest ``queue_size`` lines wait. Older
-    ones are dropped and counted as overflowed, because a stale line is of no use.
-
-    A control loop needs neither callback nor queue: `latest` returns the newest line of a slot at
-    any time, with its age, its E2E state, and whether it is stale.
-
-    All methods may be called from any thread. No message causes an exception. An exception raised
-    by the callback reaches the caller of the listener: a notifier keeps it as
-    ``notifier.exception`` and stops reading, as with any listener. `get` and the iteration raise it
-    again.
-
-    Args:
-        decoder: turns frames into lines; used by this listener only.
-        on_line: a plain function, called with each line by the thread that brings the message.
-        queue_size: how many lines may wait.
-
-    Raises:
-        ValueError: ``queue_size`` is less than 1.
-        TypeError: ``decoder`` is no decoder, or ``on_line`` is no plain function.
-
-    >>> from maplines_can import Codec, MapLine
-    >>> codec = Codec.from_dbc()
-    >>> listener = LineListener(codec.decoder())
-    >>> for frame in codec.encoder().encode(MapLine.mean_only(Slot.ROUTE, [1.75, 0, 0, 0])):
-    ...     listener(
-    ...         can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=False)
-    ...     )
-    >>> listener.get().slot.name, listener.stats().frames
-    ('ROUTE', 4)
-    """
-
-    def __init__(
-        self,
-        decoder: Decoder,
-        *,
-        on_line: Callable[[MapLine], object] | None = None,
-        queue_size: int = 256,
-    ) -> None:
-        super().__init__(decoder, on_line, queue_size, ForkSafeCondition())
-        self._error: Exception | None = None  # of the notifier; None while messages arrive
-
-    @property
-    def _is_over(self) -> bool:
-        return self._stopped or self._error is not None
-
-    def _raise_error(self) -> None:
-        if self._error is not None:
-            raise self._error
-
-    def on_message_received(self, msg: can.Message) -> None:
-        """Decode a message; called by python-can. Messages after `stop` are ignored."""
-        if not self._stopped:
-            self._error = None
-        self._take([msg])
-
-    def on_error(self, exc: Exception) -> None:
-        """Store the error that ends a notifier's thread, for `get`; called by python-can.
-
-        Raises:
-            NotImplementedError: always. This tells the notifier that the error is not handled, so
-                it stops unless another listener handles the error.
-        """
-        with self._changed:
-            self._error = exc
-            self._changed.notify_all()
-        raise NotImplementedError
-
-    def stop(self) -> None:
-        """Ignore further messages, and let `get` and the iteration end; called by python-can."""
-        with self._changed:
-            self._stopped = True
-            self._changed.notify_all()
-
-
 class Receiver(BackgroundThread, ReceivedLines):
     """Thread that turns the frames of a link into lines.
 
@@ -352,7 +268,7 @@ class Receiver(BackgroundThread, ReceivedLines):
         BackgroundThread.__init__(self, "maplines receive")
         ReceivedLines.__init__(self, decoder, on_line, queue_size, self._changed)
         self._link = link_of(link)
-        self._bus = link if isinstance(link, can.BusABC) else None  # the caller's
+        self._bus = None if isinstance(link, Link) else link  # the caller's
         self._bus_filters: CanFilters | None = None  # of the caller
         self._can_ids = decoder.can_ids if can_ids == "decoder" else can_ids
         if self._can_ids is not None and (isinstance(self._can_ids, str) or not self._can_ids):
@@ -378,7 +294,7 @@ class Receiver(BackgroundThread, ReceivedLines):
                 self._receive_burst()
         finally:
             if self._bus is not None and self._can_ids is not None:
-                with contextlib.suppress(can.CanError, OSError, ValueError):  # if it is shut down
+                with contextlib.suppress(can_error(), OSError, ValueError):  # if it is shut down
                     self._bus.set_filters(self._bus_filters)
 
     def _receive_burst(self) -> None:

@@ -10,18 +10,21 @@ from dataclasses import dataclass, field
 from os import PathLike, fspath
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO, Any, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..values.errors import DriveFileError, LogError
 from ..values.input_files import checked_path, toml_of
-from ..wire.layout.dbc_reader import Database, DbcSignal, Message, parse_database, read_text
+from ..wire.layout.dbc_reader import parse_database, read_text
 from .first_frames import FirstFrames, ids_text
 from .j1939 import Reassembler, j1939_messages, nearest, pgn_of, source_of
 from .log_summary import LogSummary, Times
 from .logs import read_log
+
+if TYPE_CHECKING:
+    from ..wire.layout.dbc_reader import Database, Message
 
 #: Largest table of signal names [B].
 MAX_TABLE = 10**6
@@ -341,7 +344,7 @@ def _key(message: Message) -> Key:
     return message.frame_id, message.is_extended_frame
 
 
-def end_of(signal: DbcSignal) -> int:
+def end_of(signal: Any) -> int:
     """Return the number of bytes that a message must have for a signal."""
     bit = signal.start if signal.byte_order == "little_endian" else signal.start ^ 7
     return -(-(bit + signal.length) // 8)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from base64 import b64decode
 
-from can.util import dlc2len
-
+from ..wire.layout.slot_messages import FD_LENGTHS
 from .frame_block import LogFrame
 from .log_summary import LogSummary, Skipped
 from .log_times import MIN_ABSOLUTE_NS, LogTimes
@@ -76,7 +75,7 @@ class TrcFormat:
         data = bytes.fromhex(cells.get("D", ""))
         code = int(cells["L"]) if "L" in cells else 0
         if kind in _TRC_FD and code in range(16):
-            code = dlc2len(code)
+            code = FD_LENGTHS[code]
         length = int(cells["l"]) if "l" in cells else code
         if len(data) == length > 8 and kind not in _TRC_FD:  # put together from frames of J1939
             self._summary.skipped[Skipped.OTHER] += 1

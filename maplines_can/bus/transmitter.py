@@ -5,9 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NamedTuple, Self
-
-import can
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from ..values.errors import BusError, EncodeError
 from ..values.line import LeftOut, MapLine, MapLineList, Slot
@@ -18,6 +16,9 @@ from .link import Link, Sent, link_of
 from .log_writer import message_of
 from .schedule import Lateness, LatenessHistogram
 from .tx_queue import Transfer, TxQueue
+
+if TYPE_CHECKING:
+    import can
 
 #: Pause between two attempts to put a frame into a full transmit queue [s].
 RETRY = 0.001

@@ -40,7 +40,7 @@ class Parser(argparse.ArgumentParser):
 
         The usage, which argparse would print before it, has all options of the command.
         """
-        from ..bus.keys import without_keys  # imports python-can, which --help does not need
+        from ..bus.keys import without_keys  # imports most of wire, which --help does not need
 
         if choice := re.search(r"invalid choice: '(.+)' \(choose from (.+)\)", message):
             like = get_close_matches(choice[1], re.findall(r"[\w-]+", choice[2]), 1)

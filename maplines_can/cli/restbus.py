@@ -10,12 +10,11 @@ import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..bus import Link, LogWriter
 from ..bus.clock import Clock, RealClock, VirtualClock, to_ns
 from ..bus.log_writer import check_log_path
-from ..bus.virtual_time import VirtualNetwork, VirtualTimeBus
 from ..restbus import Config, Restbus
 from ..restbus.config import EXAMPLE
 from ..values.errors import LogError
@@ -25,6 +24,9 @@ from .output import faults_text
 from .overwriting import add_force, check_new
 from .parsing import add_command, add_json, number, option_group, seconds
 from .stderr import note, progress_bar
+
+if TYPE_CHECKING:
+    from ..bus.virtual_time import VirtualTimeBus
 
 DESCRIPTION = """\
 Simulate the nodes around a device under test: the positioning ECU with its map lines, and any other
@@ -123,6 +125,8 @@ def _restbus(arguments: argparse.Namespace) -> int:
 
         bus: VirtualTimeBus | Link
         if isinstance(clock, VirtualClock):
+            from ..bus.virtual_time import VirtualNetwork, VirtualTimeBus
+
             rates = {name: settings.get(name) for name in ("bitrate", "data_bitrate")}
             network = VirtualNetwork(clock, **rates)
             bus = stack.enter_context(VirtualTimeBus(network))

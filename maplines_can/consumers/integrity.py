@@ -32,8 +32,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
-from scipy.special import erfc, ndtr
 
 from ..values.arrays import floats
 
@@ -146,6 +144,8 @@ def multiplier(
     >>> round(multiplier(1e-7), 2)  # 72000 independent samples
     7.09
     """
+    from scipy.optimize import brentq
+
     if not 0 < risk < 1:
         raise ValueError(f"risk must be more than 0 and less than 1 in an hour, got {risk!r}")
     if not correlation_time >= 0:
@@ -176,6 +176,8 @@ def risk_bound(
     >>> risk_bound(0.0, 10.0)
     1.0
     """
+    from scipy.special import ndtr
+
     rho = math.exp(-period / correlation_time) if correlation_time > 0 else 0.0
     r = (1 - tolerance.white_share) * rho
     K /= tolerance.sigma_ratio
@@ -190,6 +192,8 @@ def risk_bound(
 
 def _stationary_bound(K: NDArray[np.float64], r: float, period: float) -> NDArray[np.float64]:
     """Return the bound for (...,) levels, for the correlation r of successive samples."""
+    from scipy.special import erfc
+
     found = erfc(K / math.sqrt(2)) + (samples_of(period) - 1) * onset(K, r)
     return np.asarray(np.minimum(1.0, found))
 
@@ -205,6 +209,8 @@ def onset(K: ArrayLike, rho: float) -> NDArray[np.float64]:
     >>> onset([2.0, 2.0], 0.0).round(4), onset(2.0, 0.9).round(4)
     (array([0.0434, 0.0434]), np.float64(0.0188))
     """
+    from scipy.special import erfc
+
     K = np.asarray(K, float)
     outside = erfc(K / math.sqrt(2))
     if rho == 0:

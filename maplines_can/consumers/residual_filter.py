@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from ..values.linalg import block_diagonal
 from .error_times import cover, transition
@@ -224,4 +223,6 @@ def threshold(probability: float, n: int) -> float:
     >>> round(threshold(0.01, 2), 3)
     9.21
     """
+    from scipy.special import chdtri
+
     return float(chdtri(n, probability))

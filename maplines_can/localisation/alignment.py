@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from .sensor_errors import SensorErrors
 
@@ -63,6 +62,8 @@ def aligned(
         pose: (3,) of the car at the last position, in the frame of the odometry.
         errors: of the sensors.
     """
+    from scipy.special import chdtri
+
     chosen = _last(positions, car, since)
     if chosen is None:
         return None

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import Akima1DInterpolator
-from scipy.spatial import cKDTree
 
 from ..maps import Landmark, Map
 from ..values.line import Kind
 from ..values.polyline import Polyline
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
 
@@ -48,6 +49,8 @@ class LocalisationLayer:
     """
 
     def __init__(self, road_map: Map) -> None:
+        from scipy.spatial import cKDTree
+
         lines: dict[int, Polyline] = {}
         for lane in road_map.lanes.values():
             if lane.type.is_drivable:
@@ -131,6 +134,8 @@ def _sampled(line: Polyline) -> Array:
     The direction of a polyline jumps at its points, by up to 1 deg on a motorway. An Akima spline
     through them restores the curve, and remains straight where they are.
     """
+    from scipy.interpolate import Akima1DInterpolator
+
     distance, keep = np.unique(line.distance, return_index=True)
     points = line.points[keep]
     s = np.linspace(0.0, distance[-1], max(1, math.ceil(distance[-1] / SPACING)) + 1)

@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any
-
-from cantools.database.can import Database, Message
+from typing import TYPE_CHECKING, Any
 
 from ..bus.j1939 import ANY_SOURCE, j1939_messages, source_of
 from ..values.errors import LayoutError, RestbusError
@@ -19,6 +17,9 @@ from .fields import with_exact_starts
 from .lines import Lines, codec_of, lines_of
 from .messages import MAX_MS, DbcMessage
 from .tables import Table, listed, nearest
+
+if TYPE_CHECKING:
+    from cantools.database.can import Database, Message
 
 #: Largest configuration [bytes], and latest event [s].
 MAX_CONFIG, MAX_S = 10**6, 1e7

@@ -8,12 +8,13 @@ import struct
 from collections.abc import Iterable, Iterator, Mapping
 from decimal import Decimal, InvalidOperation
 from fractions import Fraction
-
-from cantools.database.can import Message, Signal
-from cantools.database.utils import start_bit
+from typing import TYPE_CHECKING
 
 from ..values.errors import RestbusError
 from .tables import nearest, number
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message, Signal
 
 #: Greatest float of each length, and its format of the module struct.
 FLOATS = {
@@ -54,6 +55,8 @@ class Field:
         self.signal, self.name = signal, signal.name
         self._bytes = message.length
         self._is_motorola = signal.byte_order == "big_endian"
+        from cantools.database.utils import start_bit
+
         free = 8 * message.length - start_bit(signal) - signal.length
         self._shift = free if self._is_motorola else signal.start
         bits = signal.length

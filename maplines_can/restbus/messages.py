@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from enum import IntEnum
 from itertools import combinations
 from pathlib import Path
-
-from cantools.database.can import Message
+from typing import TYPE_CHECKING
 
 from ..bus.j1939 import MOST, pgn_of
 from ..values.errors import RestbusError
@@ -18,6 +17,9 @@ from .fields import Field, Fields, Raw
 from .protection import Protection
 from .signals import Value, value_of
 from .tables import Table
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message
 
 #: Most payloads of a message that are kept, to pack each only once.
 MAX_KEPT = 1024

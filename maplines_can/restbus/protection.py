@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from cantools.database.can import Message, Signal
+from typing import TYPE_CHECKING
 
 from ..values.errors import RestbusError
 from .e2e import DATA_ID_MODES, PROFILES, checksum
 from .fields import Field, Fields, Raw
 from .tables import Table, number
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message
 
 
 class Protection:
@@ -75,6 +78,8 @@ class Protection:
         """Return the signal of the bits 8 to 11 of the data ID, by default beside the counter."""
         if "nibble" in table:
             return self._field(table, "nibble", 4)
+        from cantools.database.can import Signal
+
         field = Field(
             Signal("nibble of the data ID", self.counter.signal.start // 8 * 8 + 4, 4), message
         )

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from os import PathLike
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 from ..values.arrays import floats
 from ..values.errors import DriveFileError
@@ -17,6 +17,9 @@ from .columns import POSITION, chosen, quantities, read_csv
 from .map_frame import north, project
 from .recorded_errors import covariances, covered, first_problem, linear, valid_series
 from .trajectory import CarState, even_times
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
 
 #: Longest time between two records that is interpolated [s].
 MAX_GAP = 1.5
@@ -61,6 +64,8 @@ class RecordedDrive:
     _spline: CubicHermiteSpline = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        from scipy.interpolate import CubicHermiteSpline
+
         n = np.size(self.t)
         shapes = {"t": (n,), "pose": (n, 3), "speed": (n,), "yaw_rate": (n,), "cov": (n, 3, 3)}
         for name, shape in shapes.items():

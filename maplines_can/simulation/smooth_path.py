@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
-from scipy.linalg import solveh_banded
 
 from ..values.polyline import Polyline
 
@@ -48,6 +46,8 @@ class SmoothPath:
     """
 
     def __init__(self, line: Polyline) -> None:
+        from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
         if not SAME_POINT < line.length <= MAX_LENGTH:
             raise ValueError(
                 f"path must have a length of more than 0 and up to {MAX_LENGTH:g} m, "
@@ -115,6 +115,8 @@ def _smoothed(points: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
         points: (n, 2), evenly spaced, n >= 4.
         scale: length scale, in units of the spacing.
     """
+    from scipy.linalg import solveh_banded
+
     third = np.array([-1.0, 3.0, -3.0, 1.0])
     bands = np.zeros((4, len(points)))  # of the symmetric matrix I + scale^6 D'D, by diagonal
     for i in range(4):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from .c_sender import CSender
 from .c_tables import check_code, number_of, tables_of
 from .covariance import CholeskyCode, SceneCode, SceneEncoder
 from .encoder import Encoder, conditional_error
-from .layout.dbc_reader import Database, default_dbc_path
+from .layout.dbc_reader import default_dbc_path
 from .layout.message_layout import Layout
 from .layout.pose_layout import POSE, Owner, PoseLayout
 from .protection.e2e_state import E2EConfig
@@ -31,6 +31,9 @@ from .records.raw_format import RawFormat
 from .records.record import CompleteRecord, RawRecord, RecordFormat, RecordReader
 from .records.scene_reader import SceneReader
 from .records.scene_writer import SceneWriter
+
+if TYPE_CHECKING:
+    from cantools.database.can import Database
 
 
 @runtime_checkable

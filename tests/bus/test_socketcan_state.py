@@ -256,7 +256,7 @@ def given_socket(
 ) -> type[GivenSocket]:
     """The class of a bus that is taken for one of SocketCAN."""
     kernel["can0"] = Interface()
-    monkeypatch.setattr("maplines_can.bus.bus_factory.SocketcanBus", GivenSocket)
+    monkeypatch.setattr("can.interfaces.socketcan.SocketcanBus", GivenSocket)
     return GivenSocket
 
 

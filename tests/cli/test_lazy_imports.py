@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,14 @@ import pytest
 from example_lines import scenario_lines
 
 import maplines_can
-from maplines_can import Codec
+from maplines_can import Codec, map_scene
+from maplines_can.bus import LogWriter
+from maplines_can.cli import COMMANDS
 from maplines_can.simulation import scenario
+from maplines_can.wire import default_dbc_path
 
 SHOW = "\nimport json, sys; print(json.dumps(sorted(sys.modules)))"
+STATUS = "from maplines_can.cli import main\nassert main({}) == 0"
 MAIN = "from maplines_can.cli import main\ntry: main({})\nexcept SystemExit: pass"
 
 
@@ -38,7 +43,18 @@ def among(modules: Any, *packages: Any) -> Any:
     return [m for m in modules if any(f"{m}.".startswith(f"{package}.") for package in packages)]
 
 
+def on_a_bus(words: list[str]) -> Any:
+    """Return the modules of a command on a bus, but for those that python-can itself loads.
+
+    With the extra mf4, these are asammdf, pandas and what they load.
+    """
+    of_can = modules_after("import can")
+    return [m for m in modules_after(MAIN.format(words)) if m not in of_can]
+
+
 STUDY = ("maplines_can.study", "maplines_can.testing", "matplotlib", "scipy.stats", "pyarrow")
+#: What a command needs for a bus, or for a DBC that is not known; and what python-can loads, too.
+HEAVY = ("can", "cantools", "scipy", "asammdf", "pandas", "pyarrow")
 
 
 @pytest.fixture
@@ -85,18 +101,70 @@ def test_help_loads_nothing(words: Any) -> None:
     assert not among(modules, "maplines_can.wire", "maplines_can.bus", "maplines_can.propagation")
 
 
-@pytest.mark.parametrize("name", ["receive", "decode", "send", "drive"])
-def test_help_of_a_command_loads_nothing_of_the_study(name: str) -> None:
-    """Nor does it load other commands."""
+@pytest.mark.parametrize(
+    "name", ["receive", "decode", "plot", "send", "map", "generate", "consume", "restbus"]
+)
+def test_help_of_a_command_loads_neither_study_nor_bus(name: str) -> None:
+    """Nor does it load other commands, or what python-can loads where the extra mf4 is there."""
     modules = modules_after(MAIN.format([name, "--help"]))
-    assert f"maplines_can.cli.{name}" in modules
+    assert among(modules, f"maplines_can.cli.{COMMANDS[name][0]}")
     assert not among(modules, *STUDY, "maplines_can.cli.demo", "maplines_can.cli.claims")
+    assert not among(modules, *HEAVY)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        pytest.param(["decode", "LOG.log"], id="candump"),
+        pytest.param(["decode", "LOG.asc"], id="asc"),
+        pytest.param(["decode", "LOG.blf"], id="blf"),
+        pytest.param(["decode", "LOG.log", "--csv", "--at", "0,40"], id="csv"),
+        pytest.param(["decode", "LOG.log", "-o", "LOG.csv"], id="table"),
+        pytest.param(["decode", "LOG.log", "--dbc", "auto"], id="dbc-auto"),
+        pytest.param(["decode", "LOG.log", "--dbc", "OTHER.dbc"], id="known-dbc"),
+        pytest.param(["consume", "steer", "SCENES.log", "--dbc", "maplines-pose.dbc"], id="steer"),
+        pytest.param(["generate", "c", "--out", "LOG_c"], id="generate"),
+    ],
+)
+def test_a_command_without_a_bus_loads_no_library_of_buses(
+    command: list[str], logs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither python-can, nor cantools for a DBC that is known, nor scipy."""
+    monkeypatch.chdir(logs)
+    Codec.from_dbc(logs / "OTHER.dbc")  # now it is known
+
+    done = modules_after(STATUS.format(command))
+
+    assert not among(done, *HEAVY)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with logs of lines and of scenes, and a DBC of the user."""
+    folder = tmp_path_factory.mktemp("logs")
+    codec = Codec.from_dbc()
+    (folder / "OTHER.dbc").write_text(f'{default_dbc_path().read_text()}CM_ "another";\n')
+    encoder, lines = codec.encoder(), scenario_lines(scenario("production"))
+    frames = [frame for line in lines for frame in encoder.encode(line)]
+    for suffix in ("log", "asc", "blf"):
+        with LogWriter(folder / f"LOG.{suffix}", 1e9) as log:
+            for i, frame in enumerate(frames):
+                log.write(frame, 1e9 + 0.001 * i)
+    scenes = Codec.from_dbc(default_dbc_path("maplines-pose.dbc")).encoder()
+    road = scenario("production")
+    scene = map_scene(road.lines, road.ego, correlation_time=5.0)
+    with LogWriter(folder / "SCENES.log", 1e9) as log:
+        for cycle in range(20):
+            own = scenes.encode_scene(scene, age=0.02).values()
+            for i, frame in enumerate(chain(*own)):
+                log.write(frame, 1e9 + 0.05 * cycle + 0.0005 * i)
+    return folder
 
 
 def test_a_receiver_loads_no_estimation_and_no_study() -> None:
     """Receiving for a short time, on a silent bus."""
     bus = ["--interface", "virtual", "--channel", "silent", "--timeout", "0.05"]
-    modules = modules_after(MAIN.format(["receive", *bus]))
+    modules = on_a_bus(["receive", *bus])
     assert "maplines_can.bus.receiver" in modules
     assert not among(
         modules, *STUDY, "maplines_can.propagation", "maplines_can.simulation.scenarios"
@@ -114,7 +182,7 @@ def test_decoding_loads_no_estimation_and_no_study(log: Any) -> None:
 def test_sending_loads_nothing_of_the_study() -> None:
     """Sending a line."""
     bus = ["--interface", "virtual", "--channel", "nobody", "--count", "1", "--rate", "100"]
-    assert not among(modules_after(MAIN.format(["send", *bus])), *STUDY)
+    assert not among(on_a_bus(["send", *bus]), *STUDY)
 
 
 def test_a_map_loads_neither_bus_nor_study() -> None:

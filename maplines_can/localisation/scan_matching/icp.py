@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from ...values.errors import missing_extra
 from .match import (
@@ -55,6 +54,8 @@ def match_icp(
         ValueError: a shape is wrong, or a value is not finite or negative.
         MissingExtraError: small_gicp is not installed.
     """
+    from scipy.spatial import cKDTree
+
     small_gicp = _small_gicp()
     scan, start = checked(scan, start)
     if len(scan) < MIN_POINTS:

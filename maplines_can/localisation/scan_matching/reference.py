@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ...maps import Landmark, Map
 from ...values.polyline import Polyline
@@ -30,6 +29,8 @@ class ScanReference:
     """
 
     def __init__(self, road_map: Map) -> None:
+        from scipy.spatial import cKDTree
+
         outlines = [*road_map.buildings, *map(_pole, road_map.landmarks)]
         if not outlines:
             raise ValueError(

@@ -16,7 +16,7 @@ import warnings
 
 from ...values.errors import LayoutError
 
-__all__ = ["text_of"]
+__all__ = ["decoded", "say", "text_of"]
 
 #: Code pages, in the order in which they are tried; the first one is what most DBC tools write.
 FALLBACK = "cp1252"
@@ -67,26 +67,43 @@ def text_of(data: bytes, source: str, encoding: str | None = None) -> str:
     Raises:
         LayoutError: there is no such encoding, or the text does not have it.
     """
+    text, doubt = decoded(data, source, encoding)
+    say(doubt, source)
+    return text
+
+
+def say(doubt: str, source: str) -> None:
+    """Warn of what is uncertain in a DBC; see `decoded`."""
+    if doubt:
+        warnings.warn(f"{source}: {doubt}", stacklevel=3)
+
+
+def decoded(data: bytes, source: str, encoding: str | None = None) -> tuple[str, str]:
+    """Return the text of a DBC as `text_of`, and what is uncertain, which is empty if nothing is.
+
+    Raises:
+        LayoutError: there is no such encoding, or the text does not have it.
+    """
     if encoding is not None:
-        return _stated(data, source, encoding)
+        return _stated(data, source, encoding), ""
     for mark, name in MARKS.items():
         if data.startswith(mark):
-            return _stated(data, source, name)
+            return _stated(data, source, name), ""
     found = {name: text for name in CODE_PAGES if (text := _strict(data, name)) is not None}
     # A DBC of several encodings is read, too, although it has bytes that none of them has.
     found = found or {FALLBACK: data.decode(FALLBACK, "replace")}
     page = min(found, key=lambda name: len(_strange(_UNITS.findall(found[name]))))
     if page == "utf-8" or not _MESSAGE.search(found[page]):  # the parser says what it is not
-        return found[page]
-    if uncertain := _strange(_QUOTED.findall(_COMMENT.sub("", found[page]))):
-        more = f" and {len(uncertain) - 3} more" if len(uncertain) > 3 else ""
-        warnings.warn(
-            f"{source}: is not in UTF-8, and taken to be in {page}, so it is uncertain whether "
-            f"{', '.join(map(repr, uncertain[:3]))}{more} is right; state the encoding "
-            "(encoding=, --encoding), such as cp1252 or cp936",
-            stacklevel=2,
-        )
-    return found[page]
+        return found[page], ""
+    uncertain = _strange(_QUOTED.findall(_COMMENT.sub("", found[page])))
+    if not uncertain:
+        return found[page], ""
+    more = f" and {len(uncertain) - 3} more" if len(uncertain) > 3 else ""
+    return found[page], (
+        f"is not in UTF-8, and taken to be in {page}, so it is uncertain whether "
+        f"{', '.join(map(repr, uncertain[:3]))}{more} is right; state the encoding "
+        "(encoding=, --encoding), such as cp1252 or cp936"
+    )
 
 
 def _stated(data: bytes, source: str, encoding: str) -> str:

@@ -6,12 +6,9 @@ import math
 import sys
 from dataclasses import replace
 from enum import Enum
-from typing import Any
-
-from cantools.database.can import Message
-from cantools.database.can import Signal as DbcSignal
 
 from ...values.errors import LayoutError
+from .dbc_tables import Attribute, DbcMessage, DbcSignal
 from .signals import PAGE_BYTES, TRAILER, Signal, all_raw
 from .slot_messages import FD_LENGTHS, MAX_MS, RecordMessages, SecuredLayout
 
@@ -22,14 +19,14 @@ class FrameFormat(Enum):
     CLASSIC, FD, SECURED = range(3)
 
 
-def format_of(message: Message) -> FrameFormat:
+def format_of(message: DbcMessage) -> FrameFormat:
     """Return the frame format of a message."""
-    if attribute(message, "SecOCDataId") is not None:
+    if message.secoc_data_id is not None:
         return FrameFormat.SECURED
     return FrameFormat.FD if message.is_fd else FrameFormat.CLASSIC
 
 
-def check_frame(message: Message, kind: FrameFormat, source: str) -> None:
+def check_frame(message: DbcMessage, kind: FrameFormat, source: str) -> None:
     """Check the length and the multiplexer of a message against its frame format."""
     where = f"{source}: message {message.name}"
     if kind is FrameFormat.CLASSIC and message.length != PAGE_BYTES:
@@ -51,42 +48,36 @@ def check_frame(message: Message, kind: FrameFormat, source: str) -> None:
 
 
 def record_messages(
-    owner: str, messages: dict[FrameFormat, Message], source: str
+    owner: str, messages: dict[FrameFormat, DbcMessage], source: str
 ) -> RecordMessages:
     """Return the messages of a record, which belong to ``owner``, as errors name it."""
     classic, fd, secured = (messages.get(kind) for kind in FrameFormat)
-    data_ids = {attribute(message, "E2EDataId") for message in messages.values()}
+    data_ids = {message.e2e_data_id for message in messages.values()}
     data_id = data_ids.pop()
     if data_ids or data_id is None:
         raise LayoutError(f"{source}: {owner}: its messages need the same attribute E2EDataId")
     secured_data_id = 0
     if secured:
         what = f"{source}: message {secured.name}: SecOCDataId"
-        secured_data_id = integer(attribute(secured, "SecOCDataId"), what, 0xFFFF)
+        secured_data_id = integer(secured.secoc_data_id, what, 0xFFFF)
     message = next(m for m in (classic, fd, secured) if m is not None)
     where = f"{source}: message {message.name}"
     return RecordMessages(
         name=message.name,
-        can_id=classic.frame_id if classic else None,
-        fd_can_id=fd.frame_id if fd else None,
-        is_extended=bool(classic and classic.is_extended_frame),
-        fd_is_extended=bool(fd and fd.is_extended_frame),
+        can_id=classic.can_id if classic else None,
+        fd_can_id=fd.can_id if fd else None,
+        is_extended=bool(classic and classic.is_extended),
+        fd_is_extended=bool(fd and fd.is_extended),
         fd_length=fd.length if fd else 0,
         data_id=integer(data_id, f"{where}: E2EDataId", 0xFFFF),
-        cycle_ms=integer(message.cycle_time or 0, f"{where}: GenMsgCycleTime", MAX_MS),
-        secured_can_id=secured.frame_id if secured else None,
-        secured_is_extended=bool(secured and secured.is_extended_frame),
+        cycle_ms=integer(message.cycle or 0, f"{where}: GenMsgCycleTime", MAX_MS),
+        secured_can_id=secured.can_id if secured else None,
+        secured_is_extended=bool(secured and secured.is_extended),
         secured_data_id=secured_data_id,
     )
 
 
-def attribute(message: Message, name: str) -> Any:
-    """Return the value of an attribute of a message; None if it has none."""
-    attributes = message.dbc.attributes if message.dbc else {}
-    return attributes[name].value if name in attributes else None
-
-
-def secured_layout(message: Message, source: str) -> SecuredLayout:
+def secured_layout(message: DbcMessage, source: str) -> SecuredLayout:
     """Return the layout of an authenticated message, which must be that of AUTOSAR SecOC."""
     where = f"{source}: message {message.name}"
     signals = {signal.name: to_signal(signal) for signal in message.signals}
@@ -110,12 +101,12 @@ def secured_layout(message: Message, source: str) -> SecuredLayout:
     return SecuredLayout(message.length, sizes["Freshness"], sizes["Mac"])
 
 
-def integer(value: Any, what: str, most: int) -> int:
+def integer(value: Attribute, what: str, most: int) -> int:
     """Return the value of an attribute as an integer from 0 to ``most``."""
     try:
-        number = int(value)
+        number = -1 if value is None else int(value)
         valid = (isinstance(value, str) or number == value) and 0 <= number <= most
-    except (ValueError, TypeError, OverflowError):
+    except (ValueError, OverflowError):
         valid = False
     if not valid:
         raise LayoutError(f"{what} must be a whole number from 0 to {most}, got {value!r}")
@@ -132,27 +123,27 @@ def low_bits(signal: Signal, name: str, length: int) -> Signal:
 
 
 def to_signal(signal: DbcSignal) -> Signal:
-    """Convert a cantools signal to a `Signal`; ``Bounds`` checks those of the record."""
-    factor, offset = float(signal.scale), float(signal.offset)
-    signed = bool(signal.is_signed and not signal.is_float)
+    """Convert a signal of a DBC; ``Bounds`` checks those of the record."""
+    factor, offset = signal.factor, signal.offset
+    signed = signal.signed and not signal.is_float
     low, high = all_raw(signal.length, signed)
     bounds = [bound for bound in (signal.minimum, signal.maximum) if bound is not None]
     if len(bounds) == 2 and factor != 0 and not signal.is_float:  # the DBC's range, if narrower
-        ends = [_finite((float(bound) - offset) / factor) for bound in bounds]
+        ends = [_finite((bound - offset) / factor) for bound in bounds]
         first, last = ends if factor > 0 else ends[::-1]
         low, high = max(low, round(first)), min(high, round(last))  # bounds are rounded to decimals
     return Signal(
         name=signal.name,
         start=signal.start,
         length=signal.length,
-        big_endian=signal.byte_order == "big_endian",
+        big_endian=signal.big_endian,
         signed=signed,
         factor=factor,
         offset=offset,
-        unit=signal.unit or "",
+        unit=signal.unit,
         raw_min=low,
         raw_max=high,
-        is_float=bool(signal.is_float),
+        is_float=signal.is_float,
     )
 
 

@@ -6,11 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
-from typing import NamedTuple
-
-import cantools
-from cantools.database.can import Database, Message
-from cantools.database.can import Signal as DbcSignal
+from typing import TYPE_CHECKING, NamedTuple
 
 from ...values.errors import LayoutError
 from ...values.input_files import checked_path
@@ -19,7 +15,6 @@ from .dbc_encoding import text_of
 from .dbc_limits import MAX_DBC, check_numbers
 from .dbc_messages import (
     FrameFormat,
-    attribute,
     check_frame,
     format_of,
     integer,
@@ -28,21 +23,15 @@ from .dbc_messages import (
     secured_layout,
     to_signal,
 )
+from .dbc_tables import DbcMessage, DbcSignal, DbcTables
 from .pose_layout import POSE, Owner, PoseLayout
 from .record_layout import bits_of, pages_of
 from .signals import PAGE, PAGE_BYTES, POSE_PREFIX, SECURED_SIGNALS, TRANSFER_ID, Signal
 from .slot_messages import RecordMessages, SecuredLayout
 
-__all__ = [
-    "Database",
-    "DbcContent",
-    "DbcSignal",
-    "Message",
-    "content_of",
-    "default_dbc_path",
-    "parse_database",
-    "read_text",
-]
+if TYPE_CHECKING:  # cantools is loaded if it parses a DBC; these are for the modules of bus, too
+    from cantools.database.can import Database as Database
+    from cantools.database.can import Message as Message
 
 #: Covariance code of a DBC without the attribute CovarianceCode.
 DEFAULT_CODE = "Cholesky"
@@ -76,8 +65,8 @@ def default_dbc_path(name: str = "maplines.dbc") -> Path:
     raise LayoutError(f"{name} is neither at {packaged} nor at {checkout}; reinstall")
 
 
-def read_text(path: Path, encoding: str | None = None) -> str:
-    """Return the text of a DBC file; see `text_of`; raises LayoutError as ``Layout.from_dbc``."""
+def read_bytes(path: Path) -> bytes:
+    """Return the content of a DBC file; raises LayoutError as ``Layout.from_dbc``."""
     try:
         with checked_path(path, LayoutError).open("rb") as file:  # a pipe or device may never end
             data = file.read(MAX_DBC + 1)
@@ -85,7 +74,12 @@ def read_text(path: Path, encoding: str | None = None) -> str:
         raise LayoutError(f"{path}: cannot be read: {error.strerror or error}") from error
     if len(data) > MAX_DBC:
         raise LayoutError(f"{path}: is too large: a DBC must have {MAX_DBC:,} bytes at most")
-    return text_of(data, str(path), encoding)
+    return data
+
+
+def read_text(path: Path, encoding: str | None = None) -> str:
+    """Return the text of a DBC file; see `text_of`; raises LayoutError as ``Layout.from_dbc``."""
+    return text_of(read_bytes(path), str(path), encoding)
 
 
 def parse_database(text: str, source: str, *, strict: bool = True) -> Database:
@@ -99,6 +93,9 @@ def parse_database(text: str, source: str, *, strict: bool = True) -> Database:
     Raises:
         LayoutError: the text is not a DBC.
     """
+    import cantools
+    from cantools.database.can import Database
+
     check_numbers(text, source)
     try:
         database = cantools.database.load_string(text, database_format="dbc", strict=strict)
@@ -110,15 +107,16 @@ def parse_database(text: str, source: str, *, strict: bool = True) -> Database:
     return database
 
 
-def content_of(database: Database, source: str) -> DbcContent:
-    """Read the record and its messages from a loaded database.
+def content_of(tables: DbcTables, source: str) -> DbcContent:
+    """Return the record and its messages that the tables of a DBC describe.
 
     Raises:
         LayoutError: it does not describe a map line.
     """
     records: dict[Owner, dict[str, dict[str, Signal]]] = {}
-    messages: dict[Owner, dict[FrameFormat, Message]] = {}
-    for message in database.messages:
+    messages: dict[Owner, dict[FrameFormat, DbcMessage]] = {}
+    known: dict[object, dict[str, Signal]] = {}  # slots have the same signals
+    for message in tables.messages:
         if (owner := _owner(message, source)) is None:
             continue
         kind = format_of(message)
@@ -127,19 +125,22 @@ def content_of(database: Database, source: str) -> DbcContent:
         check_frame(message, kind, source)
         for signal in message.signals:
             _check_choices(signal, f"{source}: message {message.name}")
-        records.setdefault(owner, {})[message.name] = _record(message, owner, source)
+        like = owner == POSE, message.length, message.signals
+        if like not in known:
+            known[like] = _record(message, owner, source)
+        records.setdefault(owner, {})[message.name] = known[like]
     slots = sorted(owner for owner in messages if isinstance(owner, Slot))
     if not slots:
         raise LayoutError(
             f"{source}: no message has the attribute MapLineSlot, so none carries a map line"
         )
-    _check_can_ids(database, [name for own in records.values() for name in own], source)
+    _check_can_ids(tables.messages, [name for own in records.values() for name in own], source)
     lines = {name: record for slot in slots for name, record in records[slot].items()}
-    code = database.dbc.attributes.get("CovarianceCode") if database.dbc else None
+    code = tables.covariance_code
     return DbcContent(
         signals=_shared_signals(lines, source),
         messages={s: record_messages(_name(s), messages[s], source) for s in slots},
-        covariance_code=DEFAULT_CODE if code is None else str(code.value),
+        covariance_code=DEFAULT_CODE if code is None else str(code),
         secured=_secured([messages[slot] for slot in slots], source),
         pose=PoseLayout(
             signals=_shared_signals(records[POSE], source),
@@ -152,10 +153,10 @@ def content_of(database: Database, source: str) -> DbcContent:
     )
 
 
-def _owner(message: Message, source: str) -> Owner | None:
+def _owner(message: DbcMessage, source: str) -> Owner | None:
     """Return the slot or the pose error whose record a message has; None if it has none."""
     where = f"{source}: message {message.name}"
-    number, pose = attribute(message, "MapLineSlot"), attribute(message, "MapLinePose")
+    number, pose = message.slot, message.pose
     has_pose = pose is not None and integer(pose, f"{where}: MapLinePose", 1) == 1
     if number is None:
         return POSE if has_pose else None
@@ -172,7 +173,7 @@ def _name(owner: Owner) -> str:
 
 
 def _secured(
-    messages: Iterable[Mapping[FrameFormat, Message]], source: str
+    messages: Iterable[Mapping[FrameFormat, DbcMessage]], source: str
 ) -> SecuredLayout | None:
     """Return the layout that all authenticated messages have; None if there is none."""
     secured = [own[FrameFormat.SECURED] for own in messages if FrameFormat.SECURED in own]
@@ -202,27 +203,27 @@ def _check_choices(signal: DbcSignal, where: str) -> None:
     """Check that VAL_ gives no name of a Status or Kind to another value; new names are allowed."""
     enumeration = {"Status": Status, "Kind": Kind}.get(signal.name)
     names = enumeration.__members__ if enumeration else {}
-    for number, text in (signal.choices or {}).items():
-        if names.get(str(text), number) != number:
+    for number, text in signal.names:
+        if names.get(text, number) != number:
             raise LayoutError(
                 f"{where}: signal {signal.name}: VAL_ gives the value {number} the name {text}, "
-                f"which belongs to the value {names[str(text)].value}; correct VAL_"
+                f"which belongs to the value {names[text].value}; correct VAL_"
             )
 
 
-def _check_can_ids(database: Database, own: Iterable[str], source: str) -> None:
+def _check_can_ids(messages: Iterable[DbcMessage], own: Iterable[str], source: str) -> None:
     """Check that no message has the same CAN ID as a message of a map line."""
     names: dict[tuple[int, bool], str] = {}
-    for message in database.messages:
-        first = names.setdefault((message.frame_id, message.is_extended_frame), message.name)
+    for message in messages:
+        first = names.setdefault((message.can_id, message.is_extended), message.name)
         if first != message.name and not {first, message.name}.isdisjoint(own):
             raise LayoutError(
                 f"{source}: messages {first} and {message.name} have the same CAN ID, "
-                f"{message.frame_id}; give each its own"
+                f"{message.can_id}; give each its own"
             )
 
 
-def _record(message: Message, owner: Owner, source: str) -> dict[str, Signal]:
+def _record(message: DbcMessage, owner: Owner, source: str) -> dict[str, Signal]:
     """Return the signals with bit positions in the record, independent of the frame format."""
     where = f"{source}: message {message.name}"
     prefix = POSE_PREFIX if owner == POSE else ""
@@ -257,23 +258,23 @@ def _unprefixed(signal: Signal, prefix: str) -> Signal:
 
 
 def _paged_signals(
-    message: Message, multiplexers: list[DbcSignal], prefix: str, where: str
+    message: DbcMessage, multiplexers: list[DbcSignal], prefix: str, where: str
 ) -> list[Signal]:
     """Return the signals of a multiplexed message, its pages concatenated."""
     if len(multiplexers) > 1 or multiplexers[0].name.removeprefix(prefix) != PAGE:
         raise LayoutError(f"{where}: must have one multiplexer, named {prefix}{PAGE}")
-    pages = sorted({i for s in message.signals for i in s.multiplexer_ids or ()})
+    pages = sorted({i for s in message.signals for i in s.pages or ()})
     if pages != list(range(len(pages))):
         raise LayoutError(f"{where}: pages must be numbered 0, 1, ..., got {pages}")
     signals = []
     for dbc_signal in message.signals:
         signal = _unprefixed(to_signal(dbc_signal), prefix)
-        if dbc_signal.multiplexer_ids is None:  # repeated in every page
+        if dbc_signal.pages is None:  # repeated in every page
             for page in pages:
                 start = signal.start + 8 * PAGE_BYTES * page
                 signals.append(replace(signal, name=f"{signal.name}{page}", start=start))
-        elif len(dbc_signal.multiplexer_ids) == 1:
-            start = signal.start + 8 * PAGE_BYTES * dbc_signal.multiplexer_ids[0]
+        elif len(dbc_signal.pages) == 1:
+            start = signal.start + 8 * PAGE_BYTES * dbc_signal.pages[0]
             signals.append(replace(signal, start=start))
         else:
             raise LayoutError(f"{where}: signal {signal.name} must be in one page or in all")

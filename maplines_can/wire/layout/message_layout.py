@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from ...values.arrays import row_values
 from ...values.errors import EncodeError, LayoutError
 from ...values.line import Slot
-from .dbc_reader import Database, content_of, default_dbc_path, parse_database, read_text
+from .dbc_encoding import say
+from .dbc_file import DbcFile, parsed_tables
+from .dbc_reader import content_of, default_dbc_path
+from .dbc_tables import DbcTables, tables_of
 from .pose_layout import POSE, Owner, PoseLayout
 from .record_layout import RecordLayout, bits_of
 from .signals import (
@@ -36,6 +40,9 @@ from .slot_messages import (
     check_messages,
     fd_length,
 )
+
+if TYPE_CHECKING:
+    from cantools.database.can import Database
 
 __all__ = [
     "PAGE",
@@ -125,16 +132,18 @@ class Layout(RecordLayout):
                 encoding, or does not describe a map line.
             TypeError: it is neither a path nor a ``cantools.database.can.Database``.
         """
-        if isinstance(dbc, str | Path | None):
-            path = default_dbc_path() if dbc is None else Path(dbc)
-            return cls.from_text(read_text(path, encoding), str(path))
-        if not isinstance(dbc, Database):
-            raise TypeError(
-                "dbc must be a path, or a Database that cantools has loaded from a DBC, got a "
-                f"{type(dbc).__name__}"
-            )
-        source = "the cantools database"
-        return cls(source=source, **content_of(dbc, source)._asdict())
+        if not isinstance(dbc, str | Path | None):
+            return cls.from_tables(_loaded_tables(dbc), "the cantools database")
+        file = DbcFile(default_dbc_path() if dbc is None else Path(dbc), encoding)
+        with suppress(LayoutError):  # such tables were not kept by `DbcFile.keep`
+            if (tables := file.kept()) is not None:
+                layout = cls.from_tables(tables, file.source)
+                say(tables.doubt, file.source)
+                return layout
+        tables = file.parsed()
+        layout = cls.from_tables(tables, file.source)
+        file.keep(tables)
+        return layout
 
     @classmethod
     def from_text(cls, text: str, source: str = "DBC") -> Layout:
@@ -143,9 +152,17 @@ class Layout(RecordLayout):
         Raises:
             LayoutError: the text is not a DBC, or does not describe a map line.
         """
-        content = content_of(parse_database(text, source), source)
-        sha256 = hashlib.sha256(text.encode()).hexdigest()
-        return cls(source=source, sha256=sha256, **content._asdict())
+        return cls.from_tables(parsed_tables(text, source), source)
+
+    @classmethod
+    def from_tables(cls, tables: DbcTables, source: str) -> Layout:
+        """Return the layout that the tables of a DBC describe, named ``source`` in error messages.
+
+        Raises:
+            LayoutError: they do not describe a map line.
+        """
+        content = content_of(tables, source)
+        return cls(source=source, sha256=tables.sha256, **content._asdict())
 
     def is_same_as(self, other: Layout) -> bool:
         """Whether records and messages are the same, as those of a DBC that was read twice."""
@@ -234,3 +251,15 @@ class Layout(RecordLayout):
         if bad.any():
             raise EncodeError(f"{self.source} has no message for slot {given[bad][0]}")
         return np.broadcast_to(table[slots].astype(np.uint16), n)
+
+
+def _loaded_tables(database: object) -> DbcTables:
+    """Return the tables of a database of cantools; raises as ``Layout.from_dbc``."""
+    from cantools.database.can import Database
+
+    if isinstance(database, Database):
+        return tables_of(database)
+    raise TypeError(
+        "dbc must be a path, or a Database that cantools has loaded from a DBC, got a "
+        f"{type(database).__name__}"
+    )

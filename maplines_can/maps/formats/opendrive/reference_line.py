@@ -12,7 +12,6 @@ from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fresnel
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -161,6 +160,8 @@ def _by_fresnel(s: Array, curvature: Array, rate: Array) -> Complex:
     curvature s + rate s^2 / 2 = sign(rate) pi/2 t^2 - curvature^2 / (2 rate)
     with t = sqrt(|rate| / pi) (s + curvature / rate).
     """
+    from scipy.special import fresnel
+
     scale, before = np.sqrt(np.abs(rate) / np.pi), curvature / rate
     from_s, from_c = fresnel(scale * before)
     to_s, to_c = fresnel(scale * (s + before))
