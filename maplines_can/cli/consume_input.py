@@ -15,7 +15,8 @@ from ..bus import LogSummary, Receiver, read_log
 from ..bus.first_frames import FirstFrames
 from ..values.input_files import lines_of
 from ..wire import LineCodec, SceneView
-from .log_input import ObservedLink, add_times, note_log, why_silent
+from .log_input import add_times, note_log
+from .observed_link import ObservedLink, why_silent
 from .options import (
     add_bus,
     add_codec,

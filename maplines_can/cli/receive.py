@@ -13,7 +13,7 @@ from typing import Any
 from ..bus import Receiver, ReceiverStats
 from ..values.line import MapLine
 from ..wire import E2EState, LineCodec, SceneView, SlotStats
-from .log_input import ObservedLink, why_silent
+from .observed_link import ObservedLink, why_silent
 from .options import (
     add_bus,
     add_codec,

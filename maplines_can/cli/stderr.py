@@ -39,6 +39,8 @@ def with_progress(items: Iterable[T], unit: str) -> Iterable[T]:
 
     There is no bar if the results go to a terminal, where it would overwrite them.
     """
+    if sys.stdout.isatty() or not sys.stderr.isatty():
+        return items
     from tqdm import tqdm
 
-    return tqdm(items, unit=unit, disable=sys.stdout.isatty() or not sys.stderr.isatty())
+    return tqdm(items, unit=unit)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -57,9 +56,9 @@ def default_dbc_path(name: str = "maplines.dbc") -> Path:
     Raises:
         LayoutError: it is in neither place.
     """
-    packaged = resources.files(__package__.partition(".")[0]) / "dbc" / name
-    checkout = Path(__file__).parents[3] / "dbc" / name
-    for path in (Path(str(packaged)), checkout):
+    package, root = Path(__file__).parents[2:4]
+    packaged, checkout = package / "dbc" / name, root / "dbc" / name
+    for path in (packaged, checkout):
         if path.is_file():
             return path
     raise LayoutError(f"{name} is neither at {packaged} nor at {checkout}; reinstall")

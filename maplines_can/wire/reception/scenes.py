@@ -6,7 +6,6 @@ import math
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from statistics import median
 from typing import Generic, NamedTuple, TypeVar
 
 from ...values.errors import IllPosedError
@@ -208,6 +207,8 @@ class EpochAssembler(Generic[Pose, Line]):
         """Return whether a line may be this much later than its pose error."""
         cycle_ns: float = self._longest_cycle_ns
         if self._intervals_ns:
+            from statistics import median  # loads decimal and more, which C does not need
+
             cycle_ns = min(cycle_ns, median(self._intervals_ns))
         return -self._early * cycle_ns <= late_ns <= self._late * cycle_ns
 
