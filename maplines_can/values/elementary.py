@@ -204,7 +204,8 @@ def hypot(x: Array, y: Array) -> Array:
     >>> hypot(np.array([3.0, 1e200]), np.array([4.0, 0.0]))
     array([ 5., inf])
     """
-    return np.asarray(np.sqrt(x * x + y * y))
+    with np.errstate(over="ignore"):  # infinite then, as in C
+        return np.asarray(np.sqrt(x * x + y * y))
 
 
 def _polynomial(x: Array, coefficients: tuple[float, ...]) -> Array:
