@@ -100,10 +100,11 @@ def drive(steering: LaneSteering, cycles: list[Cycle], speed: float) -> tuple[li
         turning = speed * curvature if cycle.yaw_rate is None else cycle.yaw_rate
         motion = Motion(speed, turning)
         scene = None if cycle.lane is None else scene_of(cycle.lane)
-        command = steering.step(round(1e9 * t), scene_view(scene, cycle.age), motion)
+        now_ns = round(1e9 * t)
+        command = steering.step(now_ns, scene_view(scene, cycle.age), motion)
         curvature = command.curvature
         commands.append(command)
-        rows.append((t, speed))
+        rows.append((now_ns * 1e-9, speed))
     return commands, np.array(rows)
 
 
