@@ -21,8 +21,9 @@ def python_alone() -> Iterator[None]:
     loaded = [one for name, one in sys.modules.items() if name.startswith("maplines_can.")]
     with ExitStack() as stack:
         for user in loaded:
-            if vars(user).get("core") is not None:
-                stack.enter_context(patch.object(user, "core", None))
+            for name in ("core", "lib"):
+                if vars(user).get(name) is not None and user.__name__ != "maplines_can":
+                    stack.enter_context(patch.object(user, name, None))
         yield
 
 

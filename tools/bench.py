@@ -395,17 +395,22 @@ def middle_of(lane: maps.Lane) -> Any:
 
 def alone(call: Callable[[], Any]) -> Callable[[], Any]:
     """Return a call that Python computes alone, but for objects that C made before."""
-    users = [one for one in sys.modules.values() if getattr(one, "core", None) is native.core]
-    users.remove(native)
+    names = ("core", "lib")
+    users = [
+        (one, name, vars(native)[name])
+        for one in sys.modules.values()
+        for name in names
+        if one is not native and getattr(one, name, None) is vars(native)[name]
+    ]
 
     def run() -> Any:
-        for user in users:
-            user.core = None  # type: ignore[attr-defined]
+        for user, name, _ in users:
+            setattr(user, name, None)
         try:
             return call()
         finally:
-            for user in users:
-                user.core = native.core  # type: ignore[attr-defined]
+            for user, name, value in users:
+                setattr(user, name, value)
 
     return run
 

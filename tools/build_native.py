@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Build the extension module maplines_can._native.
+"""Build the extension module maplines_can._native, and the core as a shared library beside it.
 
 `pip install` runs this; it needs a C compiler and nothing else. Without one, the package is
 installed without the extension module and computes in Python alone, and `maplines --version` says
@@ -11,8 +11,8 @@ missing compiler is an error. CFLAGS and LDFLAGS are added, such as those of san
 
 from __future__ import annotations
 
-import itertools
 import os
+import re
 import shutil
 import sysconfig
 import tempfile
@@ -23,6 +23,8 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 ROOT = Path(__file__).resolve().parents[1]
 C = ROOT / "c"
+#: The core as a shared library, which has no part of Python in it.
+LIBRARY = "_native_core.dll" if os.name == "nt" else "_native_core.so"
 #: The limited API of this version of Python: one wheel serves all later ones, too.
 OLDEST = (3, 11)
 #: Structures have the size of the largest DBC that has C.
@@ -46,11 +48,11 @@ class NativeHook(BuildHookInterface[Any]):
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Build the module; without it, the wheel is one for any platform."""
         wanted = os.environ.get("MAPLINES_NATIVE", "")
-        path = None
+        paths: list[Path] = []
         try:
             if wanted != "0":
                 self._folder = tempfile.mkdtemp()
-                path = build(Path(self._folder))
+                paths = build(Path(self._folder))
         except Exception as error:
             compiler = os.environ.get("CC") or sysconfig.get_config_var("CC") or "of C"
             cause = (
@@ -64,10 +66,11 @@ class NativeHook(BuildHookInterface[Any]):
                 f"alone: {cause}"
             )
         if version == "editable":
-            put_into_checkout(path)
-        elif path is not None:
+            put_into_checkout(paths)
+            return
+        for path in paths:
             build_data["force_include"][str(path)] = f"maplines_can/{path.name}"
-        if path is not None:
+        if paths:
             build_data["pure_python"] = False
             build_data["tag"] = wheel_tag()
 
@@ -78,8 +81,8 @@ class NativeHook(BuildHookInterface[Any]):
     _folder = ""
 
 
-def build(folder: Path) -> Path:
-    """Build the extension module in the package of a folder; return its path.
+def build(folder: Path) -> list[Path]:
+    """Build both in the package of a folder; return their paths.
 
     Raises:
         Exception: there is no compiler, or it fails.
@@ -87,54 +90,72 @@ def build(folder: Path) -> Path:
     from setuptools import Distribution, Extension
     from setuptools.command.build_ext import build_ext
 
+    macros = [(f"MAPLINES_MAX_{name}", str(limit)) for name, limit in LIMITS.items()]
+    folders = [C / name for name in ("src", "propagation", "core", "python")]
+    include = [str(path) for path in (C / "include", *folders)]
+    src, propagation, arrays, binding = (sorted(place.glob("*.c")) for place in folders)
+    libraries = [] if os.name == "nt" else ["m"]
+
     class Build(build_ext):  # type: ignore[misc]
         def build_extensions(self) -> None:
-            if self.compiler.compiler_type != "msvc":
-                for extension in self.extensions:
-                    extension.extra_compile_args = OPTIONS
+            options = OPTIONS if self.compiler.compiler_type != "msvc" else []
+            objects = self.compiler.compile(
+                [joined(src, folder), *map(str, propagation + arrays)],
+                output_dir=self.build_temp,
+                macros=macros,
+                include_dirs=include,
+                extra_postargs=options,
+            )
+            self.compiler.link_shared_object(
+                objects, str(library), libraries=libraries, export_symbols=functions()
+            )
+            extension.extra_compile_args, extension.extra_objects = options, objects
             super().build_extensions()
 
     limited = not sysconfig.get_config_var("Py_GIL_DISABLED")
-    macros = [(f"MAPLINES_MAX_{name}", str(limit)) for name, limit in LIMITS.items()]
-    if limited:
-        macros.append(("Py_LIMITED_API", f"0x{OLDEST[0]:02x}{OLDEST[1]:02x}0000"))
-    folders = [C / name for name in ("src", "propagation", "python")]
-    core, *others = ([str(path) for path in sorted(place.glob("*.c"))] for place in folders)
+    own = [("Py_LIMITED_API", f"0x{OLDEST[0]:02x}{OLDEST[1]:02x}0000")] if limited else []
     extension = Extension(
         "maplines_can._native",
-        [joined(core, folder), *itertools.chain(*others)],
-        include_dirs=[str(path) for path in (C / "include", *folders)],
-        define_macros=macros,
-        libraries=[] if os.name == "nt" else ["m"],
+        list(map(str, binding)),
+        include_dirs=include,
+        define_macros=macros + own,
+        libraries=libraries,
         py_limited_api=limited,
     )
     command = Build(Distribution({"name": "maplines_can", "ext_modules": [extension]}))
     command.force = True  # options may have changed
+    library = folder / "maplines_can" / LIBRARY
+    library.parent.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as objects:
         command.build_lib, command.build_temp = str(folder), objects
         command.ensure_finalized()
         command.run()
-    return Path(command.get_ext_fullpath(extension.name))
+    return [Path(command.get_ext_fullpath(extension.name)), library]
 
 
-def joined(sources: list[str], folder: Path) -> str:
+def functions() -> list[str]:
+    """Return the names of the functions that the library exports."""
+    return re.findall(r"^[a-z].*\b(maplines_\w+)\(", (C / "core" / "core.h").read_text(), re.M)
+
+
+def joined(sources: list[Path], folder: Path) -> str:
     """Return a file that includes all sources: compilers inline functions of one in another."""
     path = folder / "core.c"
-    path.write_text("".join(f'#include "{Path(source).name}"\n' for source in sources))
+    path.write_text("".join(f'#include "{source.name}"\n' for source in sources))
     return str(path)
 
 
-def put_into_checkout(path: Path | None) -> None:
-    """Copy a module into the package of the checkout; None removes those of earlier builds."""
+def put_into_checkout(paths: list[Path]) -> None:
+    """Copy what was built into the package of the checkout; nothing removes earlier builds."""
     package = ROOT / "maplines_can"
-    if path is None:
+    if not paths:
         for old in package.glob("_native*"):
             old.unlink()
-        return
-    copy = Path(tempfile.mkdtemp(dir=package, prefix="_native")) / path.name
-    shutil.copy(path, copy)
-    copy.replace(package / path.name)  # in one step: other processes may load it now
-    copy.parent.rmdir()
+    for path in paths:
+        copy = Path(tempfile.mkdtemp(dir=package, prefix="_native")) / path.name
+        shutil.copy(path, copy)
+        copy.replace(package / path.name)  # in one step: other processes may load it now
+        copy.parent.rmdir()
 
 
 def wheel_tag() -> str:

@@ -62,7 +62,7 @@ def is_installed(extra: str) -> bool:
 
 def source_hash() -> str:
     """Return the hash of what the environment is made from."""
-    folders = [ROOT / "c" / name for name in ("include", "src", "propagation", "python")]
+    folders = [ROOT / "c" / name for name in ("include", "src", "propagation", "core", "python")]
     built = sorted(path for folder in folders for path in folder.glob("*.[ch]"))
     files = [ROOT / "pyproject.toml", ROOT / "tools" / "build_native.py", *built]
     source = b"".join(path.read_bytes() for path in files) + f"{ROOT} {sys.version}".encode()

@@ -13,9 +13,8 @@
 
 /// Tables of a DBC, as a Python object: `_native.Tables`.
 typedef struct {
-    PyObject_HEAD maplines_dbc_t dbc;
-    float (*straight)[11];
-    char *name;
+    PyObject_HEAD const maplines_dbc_t *dbc;
+    PyObject *owner; ///< of the memory
 } maplines_tables_t;
 
 /// Objects of Python that all files use: places in `maplines_module_t.objects`.
@@ -169,7 +168,6 @@ PyObject *maplines_new_named(PyObject *class_, PyObject *values);
 const maplines_dbc_t *maplines_dbc_of(PyObject *module, PyObject *tables);
 
 /// Add the functions and types of a file to the module; 0, or -1 with an exception.
-int maplines_add_batch(PyObject *module);
 int maplines_add_names(PyObject *module);
 int maplines_add_scene(PyObject *module);
 int maplines_add_sender(PyObject *module);

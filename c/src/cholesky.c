@@ -138,7 +138,7 @@ static double choose_ratios(const maplines_cholesky_t *code, int i, double sigma
 
 /// Quantize row i of the factor of a target S, whose squared pivot is at least `floor_i`. Returns
 /// whether its pivot was lifted.
-static bool quantize_row(const maplines_cholesky_t *code, const maplines_powers_t *powers, int i,
+static bool quantize_row(const maplines_cholesky_t *code, const double *const powers[5], int i,
                          const double S[4], double floor_i, maplines_quantized_t *q)
 {
     const maplines_signal_t *pivot = &code->pivot[i];
@@ -163,13 +163,13 @@ static bool quantize_row(const maplines_cholesky_t *code, const maplines_powers_
     double exact = sqrt(variance > floor_i ? variance : floor_i);
     const double nearest = maplines_nearest_raw(pivot, maplines_log2(exact));
     int64_t chosen = maplines_limited(pivot, nearest);
-    double sigma = power_of(pivot, powers->pivot[i], chosen);
+    double sigma = power_of(pivot, powers[i], chosen);
     double overflow = choose_ratios(code, i, sigma, q);
     for (int trial = 0; trial < MAX_LIFTS && overflow > 1.0; ++trial)
     {
         const double lift = ceil(maplines_log2(overflow) / pivot->factor + LIFT_SLACK);
         chosen = maplines_limited(pivot, (double)chosen + (lift > 1.0 ? lift : 1.0));
-        sigma = power_of(pivot, powers->pivot[i], chosen);
+        sigma = power_of(pivot, powers[i], chosen);
         overflow = choose_ratios(code, i, sigma, q);
     }
     // The target takes over a lifted pivot, so the entries below it become smaller.
@@ -314,7 +314,7 @@ static int rows_of(const maplines_cholesky_t *code)
 
 /// Encode a target once, multiplied by a scale. Returns whether it is covered; if not, `excess` is
 /// the ratio of the needed to the available inflation.
-static bool encode_once(const maplines_cholesky_t *code, const maplines_powers_t *powers,
+static bool encode_once(const maplines_cholesky_t *code, const double *const powers[5],
                         const double *target, const double *resolution, double scale,
                         int64_t raw[11], bool *is_saturated, double *excess)
 {
@@ -340,21 +340,21 @@ static bool encode_once(const maplines_cholesky_t *code, const maplines_powers_t
         }
     }
     const double margin = whiten(n, q.decoded, M, W);
-    if (least_inflation(&code->inflation, powers->inflation, n, W, margin, &raw[INFLATION_PLACE]))
+    if (least_inflation(&code->inflation, powers[4], n, W, margin, &raw[INFLATION_PLACE]))
     {
         return true;
     }
-    *excess = missing_inflation(&code->inflation, powers->inflation, n, W, margin);
+    *excess = missing_inflation(&code->inflation, powers[4], n, W, margin);
     return false;
 }
 
 MAPLINES_INTERNAL bool maplines_encode_covariance(const maplines_cholesky_t *code,
-                                                  const maplines_powers_t *powers,
+                                                  const double *const powers[5],
                                                   const double *target, const double *resolution,
                                                   int64_t raw[11], bool *is_saturated)
 {
-    static const maplines_powers_t no_tables = {{NULL, NULL, NULL, NULL}, NULL};
-    const maplines_powers_t *tables = powers == NULL ? &no_tables : powers;
+    static const double *const no_tables[5] = {NULL};
+    const double *const *tables = powers == NULL ? no_tables : powers;
     const int n = (int)code->rows;
     bool is_covered = true;
     *is_saturated = false;

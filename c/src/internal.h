@@ -101,18 +101,13 @@ MAPLINES_INTERNAL void maplines_seal(const maplines_dbc_t *dbc, int owner, uint8
 /// Square root of a decoded covariance; row i belongs to state i.
 MAPLINES_INTERNAL void maplines_decode_factor(const maplines_cholesky_t *code,
                                               const uint8_t *record, double factor[4][4]);
-/// Powers of 2 of all values of signals, each from the least raw value on, for a caller that
-/// encodes many covariances: of the pivots, by row, and of the inflation.
-typedef struct {
-    const double *pivot[4];
-    const double *inflation;
-} maplines_powers_t;
-
 /// Raw values (pivots, ratios, inflation) of a covariance that covers a (rows, rows) target, whose
-/// states have the variances `resolution` at least. `powers` may be NULL: then they are computed.
+/// states have the variances `resolution` at least. `powers` are those of 2 of all values of the
+/// pivots, by row, and of the inflation, each from the least raw value on; where one is NULL, it is
+/// computed.
 /// Returns whether it is covered; if not, the values are those of the widest covariance.
 MAPLINES_INTERNAL bool maplines_encode_covariance(const maplines_cholesky_t *code,
-                                                  const maplines_powers_t *powers,
+                                                  const double *const powers[5],
                                                   const double *target, const double *resolution,
                                                   int64_t raw[11], bool *is_saturated);
 ///
@@ -205,7 +200,7 @@ typedef struct {
     bool is_indefinite;
     int index, count;
     double weight;
-    const maplines_powers_t *powers; ///< or NULL
+    const double *const *powers; ///< as of maplines_encode_covariance, or NULL
 } maplines_draft_t;
 
 /// Mean and valid range of a line as they are sent.

@@ -15,6 +15,7 @@ from typing import Any
 from ..native import core
 from ..values.line import LeftOut, MapLine
 from ..values.scene import Scene
+from .c_tables import native_tables
 from .covariance.cholesky import CholeskyCode
 from .covariance.scene_code import DecodedLines, SceneCode
 from .covariance.scene_encoder import EncodedScene
@@ -52,7 +53,7 @@ class CSender:
         scene_code: SceneCode | None,
         frame_writer: FrameWriter,
     ) -> None:
-        self._sender = core.Sender(tables, Frame)
+        self._sender = core.Sender(native_tables(tables), Frame)
         self._layout, self._code, self._frame_writer = layout, scene_code, frame_writer
         self._is_authenticated = frame_writer.is_authenticated
 

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..native import core
+from ..core import ffi, structure
+from ..native import core, lib
 from ..values.errors import LayoutError
 from ..values.line import Slot
 from .covariance import CholeskyCode
@@ -125,17 +126,25 @@ Value = Members | Signal | NDArray[np.float64] | bool | int | float | str | None
 
 
 def tables_of(layout: Layout) -> Any:
-    """Return the tables of a DBC for the extension module; None without it, or if there is no C."""
-    if core is None:
+    """Return the tables of a DBC, a ``maplines_dbc_t *``; None without C, also of this DBC."""
+    if core is None or lib is None:
         return None
     try:
-        return core.Tables(_plain(content_of(layout)))
+        tables = structure("maplines_dbc_t", _plain(content_of(layout)))
     except LayoutError:
         return None
+    if not lib.maplines_check_tables(tables):
+        raise LayoutError(f"{layout.source}: the core takes its tables for those of no DBC")
+    return tables
+
+
+def native_tables(tables: Any) -> Any:
+    """Return the same tables for the extension module."""
+    return core.Tables(int(ffi.cast("uintptr_t", tables)), tables)
 
 
 def _plain(value: Any) -> Any:
-    """Return content as the extension module reads it."""
+    """Return content as C has it: signals by their members, arrays in single precision."""
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, Signal):

@@ -53,7 +53,7 @@ def numpy_alone(codec: Codec) -> Iterator[None]:
     assert codec._complete is not None
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(codec._complete.format, "kernel", None)
-        patch.setattr(validation, "core", None)
+        patch.setattr(validation, "lib", None)
         yield
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from ...native import core
 from ...values.line import Slot
+from ..c_tables import native_tables
 from ..layout.message_layout import Layout
 from ..layout.pose_layout import POSE, Owner
 from ..protection.e2e_state import E2EState, ProfileStatus
@@ -50,7 +51,7 @@ class NativeDecoder(_Core, Decoder):  # type: ignore[misc]
             for owner, own in settings.items()
         }
         of_id = layout.message_of_id | (layout.pose.message_of_id if layout.pose else {})
-        _Core.__init__(self, tables, values, {key: key for key in of_id})
+        _Core.__init__(self, native_tables(tables), values, {key: key for key in of_id})
         self.can_ids = layout.can_ids
         self.is_conditional = layout.is_conditional
         self.verifiers = {}

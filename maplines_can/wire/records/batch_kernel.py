@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...native import core
+from ...core import ffi, pointer, pointers
+from ...native import lib
 from ...values.elementary import exp2
 from ..covariance import CholeskyCode
 from ..layout.message_layout import Layout
@@ -18,29 +19,16 @@ Array = NDArray[np.float64]
 
 #: Most values of a signal whose powers of 2 are held in a table.
 MAX_TABLE = 1 << 16
-#: Fields of a ``Batch`` that are decoded, in the order of the extension module, with their types.
-FIELDS: dict[str, type] = {
-    "mean": np.float64,
-    "cov": np.float64,
-    "verdict": np.int8,
-    "status": np.int64,
-    "kind": np.int64,
-    "x_min": np.float64,
-    "x_max": np.float64,
-    "age": np.float64,
-    "component_index": np.int64,
-    "component_count": np.int64,
-    "component_weight": np.float64,
-    "counter": np.int64,
-}
-SHAPES = {"mean": (4,), "cov": (4, 4)}
+#: Rows of the arrays of values beside mean and covariance: fields of a ``Batch``.
+INTEGERS = ("counter", "kind", "status", "component_index", "component_count")
+REALS = ("component_weight", "x_min", "x_max", "age")
 
 
 class BatchKernel:
     """Encoding and decoding of checked arrays in C: bit for bit as in NumPy.
 
     Args:
-        tables: of the layout, for the extension module.
+        tables: of the layout: see ``tables_of``.
         layout: of the records.
         covariance: code of the covariance.
     """
@@ -51,8 +39,9 @@ class BatchKernel:
             signal.physical(np.arange(signal.raw_min, signal.raw_max + 1))
             for signal in (*covariance.factor.pivots, covariance.inflation)
         )
-        self._variance_powers = (*map(exp2, pivots), exp2(inflation))
-        self._sigma_powers = (*self._variance_powers[:-1], exp2(inflation * 0.5))
+        powers = (*map(exp2, pivots), exp2(inflation))
+        self._variance_powers = pointers(powers)
+        self._sigma_powers = pointers((*powers[:-1], exp2(inflation * 0.5)))
         #: Most components of a mixture.
         self.max_components = 2 ** layout["ComponentCount"].length
 
@@ -70,7 +59,8 @@ class BatchKernel:
         self,
         gaussians: CheckedGaussians,
         cover: Array | None,
-        numbers: Iterable[ArrayLike],
+        slot: ArrayLike,
+        integers: Iterable[ArrayLike],
         reals: Iterable[ArrayLike],
     ) -> NDArray[np.uint8]:
         """Return the (n, record bytes) records of lines.
@@ -78,31 +68,35 @@ class BatchKernel:
         Args:
             gaussians: n of them.
             cover: (n, 4, 4) that is added to the covered target, if any.
-            numbers: slot, counter, kind, status, component index and count, in this order; each
-                is (n,) or one for all.
-            reals: component weight, start and end of the range, and age, likewise.
+            slot: (n,) or one for all.
+            integers: each of INTEGERS, likewise.
+            reals: each of REALS, likewise.
         """
         n = len(gaussians.mean)
         records = np.empty((n, self._record_bytes), dtype=np.uint8)
-        core.encode_records(
+        lib.maplines_encode_lines(
             self._tables,
             self._variance_powers,
-            np.ascontiguousarray(gaussians.mean),
-            np.ascontiguousarray(gaussians.cov),
-            np.ascontiguousarray(gaussians.indefinite),
-            None if cover is None else np.ascontiguousarray(cover),
-            *(_column(values, n, np.int64) for values in numbers),
-            *(_column(values, n, np.float64) for values in reals),
-            records,
+            n,
+            pointer(np.ascontiguousarray(gaussians.mean)),
+            pointer(np.ascontiguousarray(gaussians.cov)),
+            ffi.NULL if cover is None else pointer(np.ascontiguousarray(cover)),
+            pointer(np.ascontiguousarray(gaussians.indefinite)),
+            pointer(_rows((slot,), n, np.int64)),
+            pointer(_rows(integers, n, np.int64)),
+            pointer(_rows(reals, n, np.float64)),
+            pointer(records),
         )
         return records
 
     def cover(self, weights: Array, means: Array, covs: Array, steps: int) -> tuple[Array, Array]:
         """Return the (n, k) decoded weights of mixtures, and the (n, 4, 4) deficit they leave."""
-        n = len(weights)
-        decoded, cover = np.empty(weights.shape), np.empty((n, 4, 4))
+        n, k = weights.shape
+        decoded, cover = np.empty((n, k)), np.empty((n, 4, 4))
         given = map(np.ascontiguousarray, (weights, means, covs))
-        core.cover_mixtures(self._tables, *given, steps, decoded, cover)
+        arrays = map(pointer, (*given, decoded, cover))
+        if not lib.maplines_cover_mixtures(self._tables, n, k, steps, *arrays):
+            raise ValueError(f"the core holds up to 64 components, got {k}")
         return decoded, cover
 
     def read(
@@ -110,21 +104,20 @@ class BatchKernel:
     ) -> dict[str, NDArray[Any]]:
         """Return the fields of a ``Batch`` of (n, record bytes) records with (n,) data IDs."""
         n = len(payloads)
-        fields: dict[str, NDArray[Any]] = {
-            name: np.empty((n, *SHAPES.get(name, ())), dtype=kind) for name, kind in FIELDS.items()
-        }
-        core.decode_records(
-            self._tables,
-            np.ascontiguousarray(payloads),
-            np.ascontiguousarray(data_ids),
-            self._sigma_powers,
-            *fields.values(),
-        )
-        return fields
+        mean, cov, verdict = np.empty((n, 4)), np.empty((n, 4, 4)), np.empty(n, dtype=np.int8)
+        integers = np.empty((len(INTEGERS), n), dtype=np.int64)
+        reals = np.empty((len(REALS), n))
+        given = (np.ascontiguousarray(payloads), np.ascontiguousarray(data_ids))
+        arrays = map(pointer, (*given, mean, cov, verdict, integers, reals))
+        lib.maplines_decode_lines(self._tables, self._sigma_powers, n, *arrays)
+        fields = dict(zip((*INTEGERS, *REALS), (*integers, *reals), strict=True))
+        return {"mean": mean, "cov": cov, "verdict": verdict, **fields}
 
 
-def _column(values: ArrayLike, n: int, kind: type) -> NDArray[Any]:
-    """Return (n,) values, or one for all, as the extension module reads them."""
-    column: NDArray[Any] = np.empty(n, dtype=kind)
-    column[:] = values
-    return column
+def _rows(values: Iterable[ArrayLike], n: int, kind: type) -> NDArray[Any]:
+    """Return (K, n) values of K rows, each of (n,) or one for all."""
+    given = tuple(values)
+    rows: NDArray[Any] = np.empty((len(given), n), dtype=kind)
+    for row, value in zip(rows, given, strict=True):
+        row[:] = value
+    return rows

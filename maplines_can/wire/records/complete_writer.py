@@ -93,9 +93,10 @@ class CompleteWriter:
         if self.format.kernel is not None:
             own = (raw[name] for name in ("Counter", "Kind", "Status"))
             component = attributes.component_index, attributes.component_count
-            numbers = attributes.slot, *own, *component
             reals = weight, x_min, x_max, age
-            return self.format.kernel.encode(gaussians, cover, numbers, reals)
+            return self.format.kernel.encode(
+                gaussians, cover, attributes.slot, (*own, *component), reals
+            )
         count = row_values(attributes.component_count, n)
         requested = np.broadcast_to(raw["Status"], n)
         x_range = np.column_stack([np.broadcast_to(end, n) for end in (x_min, x_max)])

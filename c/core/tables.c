@@ -1,0 +1,83 @@
+/* What both sides of the shared library agree on: version, structures, and tables of a DBC. */
+#include "core.h"
+#include "internal.h"
+
+const char *maplines_core_version(void)
+{
+    return MAPLINES_VERSION;
+}
+
+size_t maplines_core_size(void)
+{
+    return sizeof(maplines_dbc_t);
+}
+
+/// Whether signals are within a record of so many pages; those of no bits are not in the DBC.
+static bool are_within(size_t count, const maplines_signal_t *signals, int pages)
+{
+    bool is_within = true;
+    for (size_t i = 0; i < count; i++)
+    {
+        const maplines_signal_t *signal = &signals[i];
+        is_within = is_within && signal->length <= 64 && signal->raw_min <= signal->raw_max &&
+                    (signal->length == 0 || signal->first + signal->length <= 64 * pages);
+    }
+    return is_within;
+}
+
+static bool is_cholesky(const maplines_cholesky_t *code, int pages)
+{
+    bool is_ordered = code->rows <= 4;
+    for (int i = 0; i < 4; i++)
+    {
+        is_ordered = is_ordered && code->order[i] < 4;
+    }
+    return is_ordered && are_within(4, code->pivot, pages) && are_within(6, code->ratio, pages) &&
+           are_within(1, &code->inflation, pages);
+}
+
+static bool is_record(const maplines_record_t *record)
+{
+    const int pages = record->pages;
+    return pages <= MAPLINES_MAX_PAGES && record->short_pages <= pages &&
+           (pages == 0 || record->crc_byte <= 8 * pages - 2) &&
+           are_within(1, &record->page, pages) && are_within(2, record->transfer_id, pages) &&
+           are_within(1, &record->counter, pages);
+}
+
+static bool are_levels(const maplines_levels_t *levels, int pages)
+{
+    return are_within(1, &levels->lateral, pages) && are_within(1, &levels->points, pages) &&
+           are_within(1, &levels->shape, pages) && are_within(1, &levels->quartic, pages) &&
+           are_within(1, &levels->fit_behind, pages) && are_within(1, &levels->fit_ahead, pages);
+}
+
+bool maplines_check_tables(const maplines_dbc_t *dbc)
+{
+    const int pages = dbc->line.pages;
+    const int of_pose = dbc->pose.pages;
+    bool is_good = dbc->max_components <= MAPLINES_MAX_COMPONENTS && is_record(&dbc->line) &&
+                   is_record(&dbc->pose) && pages > 0 && (of_pose > 0 || !dbc->has_pose) &&
+                   (dbc->spacings == 0 || dbc->straight != NULL);
+    const maplines_signal_t own[] = {
+        dbc->kind,          dbc->x_min,           dbc->x_max,           dbc->status,
+        dbc->age,           dbc->component_index, dbc->component_count, dbc->component_weight,
+        dbc->has_covariance};
+    const maplines_signal_t pose[] = {dbc->pose_age, dbc->correlation_time, dbc->map_offset,
+                                      dbc->map_heading};
+    is_good = is_good && are_within(sizeof own / sizeof own[0], own, pages) &&
+              are_within(4, dbc->mean, pages) && are_within(4, dbc->fine, pages) &&
+              are_levels(&dbc->levels, pages) && is_cholesky(&dbc->covariance, pages) &&
+              are_within(sizeof pose / sizeof pose[0], pose, of_pose) &&
+              is_cholesky(&dbc->pose_covariance, of_pose) &&
+              are_within(MAPLINES_SLOTS, dbc->slot_counter, of_pose);
+    for (int slot = 0; slot < MAPLINES_SLOTS; slot++)
+    {
+        is_good = is_good && are_levels(&dbc->slot_levels[slot], of_pose);
+    }
+    for (int owner = 0; owner < MAPLINES_OWNERS; owner++)
+    {
+        is_good = is_good && dbc->messages[owner].fd_length <= 64;
+    }
+    return is_good;
+}

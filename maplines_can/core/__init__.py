@@ -1,0 +1,97 @@
+"""The core in C as a shared library: ``lib`` has its functions, and ``ffi`` their types.
+
+``declarations.py`` is what cffi makes of ``c/core/core.h``. Nothing at run time compares the two
+but what is done here, once: the version, and the size of the tables. Arguments of functions
+are as their callers have checked them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .declarations import ffi
+
+__all__ = ["ffi", "load", "pointer", "pointers", "structure"]
+
+PATH = Path(__file__).parents[1] / f"_native_core.{'dll' if os.name == 'nt' else 'so'}"
+#: Type that cffi takes for any pointer.
+_ANY = ffi.typeof("void *")
+#: Types of the elements of arrays, by those of NumPy.
+_TYPES = {
+    kind: ffi.typeof(f"{name}[]")
+    for kind, name in {
+        "f8": "double", "f4": "float", "i8": "int64_t", "u2": "uint16_t", "u1": "uint8_t",
+        "i1": "int8_t", "b1": "uint8_t",
+    }.items()
+}  # fmt: skip
+
+
+def load(version: str) -> Any:
+    """Return the functions of the library.
+
+    Raises:
+        ImportError: there is no library, or it is not that of this version of the package.
+    """
+    try:
+        lib = ffi.dlopen(str(PATH))
+    except OSError as error:
+        raise ImportError(f"the core cannot be loaded: {error}") from error
+    found = ffi.string(lib.maplines_core_version()).decode()
+    if (found, lib.maplines_core_size()) != (version, ffi.sizeof("maplines_dbc_t")):
+        raise ImportError(f"the core is that of version {found}; install the package again")
+    return lib
+
+
+def pointer(array: NDArray[Any], *, written: bool = False) -> Any:
+    """Return the pointer to the elements of an array, which it keeps alive.
+
+    Raises:
+        ValueError: the array is not in C order, or may not be written to.
+    """
+    return ffi.from_buffer(_TYPES[array.dtype.str[1:]], array, require_writable=written)
+
+
+def pointers(arrays: Sequence[NDArray[Any]]) -> Any:
+    """Return pointers to arrays of double precision, as a C array."""
+    kept = list(map(pointer, arrays))
+    made = ffi.new("const double *[]", kept)
+    _kept[made] = kept
+    return made
+
+
+def structure(name: str, content: Mapping[Any, Any]) -> Any:
+    """Return a structure with the members of a mapping; None is left out: 0.
+
+    Members are numbers, texts, arrays, tuples (the members of a structure in their order), mappings
+    by name (a structure) or by index (an array). It keeps alive what it points to.
+    """
+    kept: list[Any] = []
+    made = ffi.new(f"{name} *", _plain(content, kept))
+    _kept[made] = kept
+    return made
+
+
+_kept: WeakKeyDictionary[Any, list[Any]] = WeakKeyDictionary()
+
+
+def _plain(value: Any, kept: list[Any]) -> Any:
+    """Return content as cffi takes it; ``kept`` gets what it points to."""
+    if isinstance(value, Mapping):
+        given = {key: _plain(item, kept) for key, item in value.items() if item is not None}
+        if all(isinstance(key, str) for key in given):
+            return given
+        return [given.get(index, {}) for index in range(max(given) + 1)]
+    if isinstance(value, str):
+        kept.append(ffi.new("char[]", value.encode(errors="replace")))
+        return kept[-1]
+    if isinstance(value, np.ndarray):
+        kept.append(ffi.from_buffer(value))
+        return ffi.cast(_ANY, kept[-1])
+    return value

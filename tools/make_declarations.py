@@ -1,0 +1,41 @@
+#!/usr/bin/env python3
+"""Write maplines_can/core/declarations.py: what cffi makes of c/core/core.h, with a C compiler.
+
+python3 tools/run.py python tools/make_declarations.py     after a change of maplines.h or core.h
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import tempfile
+from pathlib import Path
+
+from build_native import LIMITS
+from cffi import FFI
+
+ROOT = Path(__file__).resolve().parents[1]
+PATH = ROOT / "maplines_can" / "core" / "declarations.py"
+#: Standard headers, whose types cffi knows.
+HEADERS = {"stdbool.h": "", "stddef.h": "", "stdint.h": "#define INT64_C(value) value\n"}
+
+
+def declarations() -> str:
+    """Return the Python file."""
+    with tempfile.TemporaryDirectory() as folder:
+        for name, text in HEADERS.items():
+            (Path(folder) / name).write_text(text)
+        command = [os.environ.get("CC", "cc"), "-E", "-P", "-nostdinc", f"-I{folder}"]
+        command += [f"-DMAPLINES_MAX_{name}={limit}" for name, limit in LIMITS.items()]
+        command += [f"-I{ROOT / 'c' / 'include'}", str(ROOT / "c" / "core" / "core.h")]
+        text = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+        ffi = FFI()
+        ffi.cdef("\n".join(line for line in text.splitlines() if not line.startswith("#")))
+        ffi.set_source("maplines_can.core.declarations", None)
+        path = Path(folder) / "declarations.py"
+        ffi.emit_python_code(str(path))
+        return path.read_text()
+
+
+if __name__ == "__main__":
+    PATH.write_text(declarations())
