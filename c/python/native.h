@@ -177,7 +177,5 @@ int maplines_add_refits(PyObject *module);
 int maplines_add_tables(PyObject *module);
 int maplines_add_values(PyObject *module);
 int maplines_add_decoder(PyObject *module);
-int maplines_add_text_logs(PyObject *module);
-int maplines_add_blf_log(PyObject *module);
 
 #endif

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from ..native import core
+from ..native import lib
 from .frame_block import LogFrame
 from .log_summary import LogSummary, Skipped
 from .log_times import LogTimes
@@ -45,8 +45,9 @@ class AscFormat:
 
     @property
     def run(self) -> tuple[Any, ...] | None:
-        """Parser in C of frames, and the radix of their numbers."""
-        return None if core is None or self._is_header else (core.parse_asc, self._radix)
+        """Function of the core for frames, and the radix of their numbers."""
+        is_row = lib is not None and not self._is_header
+        return (lib.maplines_parse_asc, self._radix) if is_row else None
 
     def row(self, line: str, number: int) -> LogFrame | None:
         """Return the frame of a row; None if it is no data frame."""

@@ -9,8 +9,8 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any, BinaryIO, NamedTuple
 
-from ..native import core
-from .frame_block import MAX_DATA, MAX_OBJECT, FrameArrays, FrameBlock, LogFrame
+from ..native import lib
+from .frame_block import MAX_DATA, MAX_OBJECT, FrameBlock, LogCore, LogFrame
 from .log_summary import LogSummary, Skipped
 from .text_rows import check_frame
 
@@ -228,20 +228,18 @@ class BlfRunReader(BlfReader):
 
     def __init__(self, file: BinaryIO, summary: LogSummary) -> None:
         super().__init__(file, summary)
-        self._arrays = FrameArrays()
+        self._core = LogCore()
 
     def _parse(self, data: bytes) -> Iterator[Any]:
-        arrays, self._place = self._arrays, 0
+        core, self._place = self._core, 0
         while True:
-            frames, self._place, skipped = core.parse_blf(
-                data, self._place, self._start_ns, arrays.names, arrays.arrays
-            )
-            for kind, count in zip(Skipped, skipped, strict=True):
+            self._place = core.read(lib.maplines_parse_blf, data, self._place, self._start_ns)
+            for kind, count in zip(Skipped, core.state.skipped, strict=True):
                 if count:
                     self._summary.skipped[kind] += count
-            if frames:
-                yield arrays.block(frames)
-            if frames == len(arrays.arrays[0]):
+            if core.state.frames:
+                yield core.block()
+            if core.is_full:
                 continue
             found = _next_object(data, self._place)
             if found is None:

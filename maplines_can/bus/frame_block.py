@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core import ffi, structure
+
 #: Frames of a block by default. Its arrays of classic CAN take 1.5 MB.
 BLOCK_FRAMES = 1 << 16
 #: Most bytes of data of a frame, those of CAN FD.
@@ -76,33 +78,56 @@ class FrameBlock:
         )
 
 
-class FrameArrays:
-    """Arrays that a parser in C fills, again and again."""
+class LogCore:
+    """Reader of ordinary records in C, which fills its arrays again and again."""
 
     def __init__(self) -> None:
         n = BLOCK_FRAMES
-        kinds = np.uint32, np.bool_, np.int64, np.uint16, np.uint8
-        #: As the parsers take them.
-        self.arrays: tuple[NDArray[Any], ...] = (
+        kinds = np.uint32, np.uint8, np.int64, np.uint16, np.uint8
+        self._arrays: tuple[NDArray[Any], ...] = (
             *(np.empty(n, kind) for kind in kinds),
             np.empty((n, MAX_DATA), np.uint8),
         )
-        #: Names of the channels so far.
-        self.names: list[str] = []
+        names = "can_id", "is_extended", "t_ns", "channel", "length", "data"
+        arrays = dict(zip(names, self._arrays, strict=True))
+        #: A ``maplines_log_t``.
+        self.state = structure("maplines_log_t", {"capacity": n, **arrays})
+        self._channels: tuple[str, ...] = ()
 
-    def block(self, n: int) -> FrameBlock:
-        """Return the first frames, all of which have a time."""
-        can_id, is_extended, t_ns, channel, length, data = (one[:n] for one in self.arrays)
+    @property
+    def is_full(self) -> bool:
+        """Whether the last call ended because there was no more room."""
+        return bool(self.state.frames == BLOCK_FRAMES)
+
+    def read(self, parse: Any, data: bytes, place: int, *other: int) -> int:
+        """Read records from a place on; return the place reached, or of one of another form.
+
+        Args:
+            parse: function of the core.
+            data: of the log.
+            place: in them.
+            other: arguments of the function.
+        """
+        left = ffi.from_buffer(data) + place
+        return place + int(parse(self.state, len(data) - place, left, *other))
+
+    def block(self) -> FrameBlock:
+        """Return the frames of the last call, all of which have a time."""
+        state = self.state
+        n = state.frames
+        can_id, is_extended, t_ns, channel, length, data = (one[:n] for one in self._arrays)
         width = 8 if n == 0 or length.max() <= 8 else MAX_DATA
+        for k in range(len(self._channels), state.channels):
+            self._channels += (ffi.string(state.names[k]).decode(),)
         return FrameBlock(
             can_id=can_id.copy(),
-            is_extended=is_extended.copy(),
+            is_extended=is_extended.astype(bool),
             t_ns=t_ns.copy(),
             has_time=np.ones(n, bool),
             channel=channel.copy(),
             length=length.copy(),
             data=data[:, :width].copy(),
-            channels=tuple(self.names),
+            channels=self._channels,
         )
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, Protocol
 
-from ..native import core
-from .frame_block import BLOCK_FRAMES, MAX_DATA, FrameArrays, FrameBlock, LogFrame
+from ..native import lib
+from .frame_block import MAX_DATA, FrameBlock, LogCore, LogFrame
 from .log_times import MAX_WAIT, LogTimes
 from .text_lines import Lines
 
@@ -44,7 +44,7 @@ class RowFormat(Protocol):
 
     @property
     def run(self) -> tuple[Any, ...] | None:
-        """Parser in C of ordinary rows, and what it needs besides; None if there is none now."""
+        """Function of the core for ordinary rows, and its last arguments; None if there is none."""
 
 
 class RowReader:
@@ -58,13 +58,13 @@ class RowReader:
 
     def __init__(self, lines: Lines, format: RowFormat, *, runs: bool) -> None:  # noqa: A002
         self._lines, self._format = lines, format
-        self._arrays = FrameArrays() if runs and core is not None else None
+        self._core = LogCore() if runs and lib is not None else None
 
     def __iter__(self) -> Iterator[LogFrame | FrameBlock]:
         lines, times = self._lines, self._format.times
         while True:
-            if self._arrays is not None:
-                yield from self._runs(self._arrays)
+            if self._core is not None:
+                yield from self._runs(self._core)
             if times.rows_to_see:
                 ahead = lines.ahead(times.rows_to_see, MAX_WAIT)
                 stamps = [self._format.stamp(line) for line in ahead]
@@ -77,19 +77,20 @@ class RowReader:
             if (frame := self._format.row(line, lines.number)) is not None:
                 yield frame
 
-    def _runs(self, arrays: FrameArrays) -> Iterator[FrameBlock]:
+    def _runs(self, core: LogCore) -> Iterator[FrameBlock]:
         """Yield the ordinary rows before a row of another form, or before the end."""
         lines, times = self._lines, self._format.times
         run = self._format.run
         while run is not None and times.kind and max(times.in_c) <= MAX_NS:
             parse, *other = run
-            frames, lines.place, rows, times.in_c = parse(
-                lines.buffer, lines.place, times.in_c, arrays.names, arrays.arrays, *other
-            )
-            lines.number += rows
-            if frames:
-                yield arrays.block(frames)
-            if frames < BLOCK_FRAMES and (lines.has_line or not lines.fill()):
+            state = core.state
+            state.times, state.sum, state.high = times.in_c
+            lines.place = core.read(parse, lines.buffer, lines.place, *other)
+            times.in_c = state.times, state.sum, state.high
+            lines.number += state.rows
+            if state.frames:
+                yield core.block()
+            if not core.is_full and (lines.has_line or not lines.fill()):
                 return
 
 

@@ -244,6 +244,17 @@ def test_blocks_have_one_numbering_of_channels(tmp_path: Path) -> None:
     assert last.channels == ("b", "a", "c", "d")
 
 
+@pytest.mark.parametrize("suffix", ["log", "asc", "blf"])
+def test_more_channels_than_the_core_knows(tmp_path: Path, suffix: str) -> None:
+    """The frames of the others are read one by one; the log goes on as before."""
+    numbers = [*range(300), *range(250, 280), 0]
+    frames = [
+        can.Message(timestamp=1.7e9 + 1e-3 * k, arbitration_id=1, data=[k % 256], channel=number)
+        for k, number in enumerate(numbers)
+    ]
+    assert check_same(written(tmp_path / f"a.{suffix}", frames), has_error=False) == len(frames)
+
+
 def _blocks(path: Path) -> Iterator[Any]:
     try:
         yield from read_blocks(path, block_frames=1)
