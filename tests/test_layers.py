@@ -12,10 +12,10 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "maplines_can"
 
-#: Folders of the product, from the values up. A folder imports only those that stand before it:
+#: Folders of the product, from the binding of C up. A folder imports only those before it:
 #: the core is what stands before the maps.
 ROOMS = (
-    "values", "propagation",
+    "core", "values", "propagation",
     "wire.layout", "wire.covariance", "wire.protection", "wire.records", "wire.reception", "wire",
     "generation",
     "bus", "recordings", "cosimulation",
