@@ -97,6 +97,124 @@ size_t maplines_parse_asc(maplines_log_t *log, size_t size, const char *text, in
 /// Read the objects in a container of BLF; the log starts at `start_ns`, of at most 2^62.
 size_t maplines_parse_blf(maplines_log_t *log, size_t size, const uint8_t *data, int64_t start_ns);
 
+/* ---- receive.c: a decoder ---------------------------------------------------------------------
+ * A row is a structure whose members are those of a dtype of wire/reception/rows.py.
+ */
+
+/// Line that a frame has completed: `LINE_ROW`.
+typedef struct {
+    int64_t frame; ///< place of the frame
+    int64_t t_ns;
+    double x_min, x_max, age;
+    double mean[4];
+    double cov[16];
+    uint32_t counter; ///< of its last record
+    uint32_t ahead;   ///< of the record before; 0 after a sequence break
+    uint8_t slot, kind, status, components;
+    uint8_t state, e2e_status;
+    uint8_t two_senders, is_usable;
+} maplines_line_row_t;
+
+/// Component of a mixture: `COMPONENT_ROW`.
+typedef struct {
+    int64_t line; ///< place of its line among the rows
+    double weight;
+    double mean[4];
+    double cov[16];
+} maplines_component_row_t;
+
+/// Scene: `SCENE_ROW`.
+typedef struct {
+    int64_t frame; ///< place of the last frame that has changed it; -1: there is none
+    int64_t t_ns;
+    double age, correlation_time;
+    uint32_t counter;
+    uint8_t count, state, two_senders, is_usable;
+    uint8_t slots[MAPLINES_SLOTS];
+    double x_min[MAPLINES_SLOTS], x_max[MAPLINES_SLOTS];
+    double mean[MAPLINES_SLOTS][4];
+    double cov[4 * MAPLINES_SLOTS][4 * MAPLINES_SLOTS];
+} maplines_scene_row_t;
+
+/// Memory for rows, and how many there are.
+typedef struct {
+    maplines_line_row_t *lines;
+    maplines_component_row_t *components;
+    maplines_scene_row_t *scenes;
+    size_t max_lines, max_components, max_scenes;
+    size_t line_count, component_count, scene_count;
+} maplines_rows_t;
+
+/// Frames of a block, and those of a decoder among them.
+typedef struct {
+    size_t count;  ///< of the places
+    size_t frames; ///< of the block
+    size_t width;  ///< of the data of a frame, at most 64 [byte]
+    const int64_t *places;
+    const uint32_t *can_ids;
+    const uint8_t *are_extended;
+    const int64_t *times_ns;
+    const uint8_t *lengths; ///< [byte]; at most `width` of them are read
+    const uint8_t *data;    ///< (frames, width)
+    uint8_t *reasons;       ///< of each frame; 255 if it has completed lines
+} maplines_block_t;
+
+/// The newest scene, with all that a receiver knows of it.
+typedef struct {
+    int64_t t_ns;
+    double age, correlation_time, offset_sigma, heading_sigma;
+    uint32_t counter;
+    uint8_t count;                      ///< n
+    uint8_t are_newest[MAPLINES_SLOTS]; ///< the line is the newest of its slot
+    maplines_line_row_t lines[MAPLINES_SLOTS];
+    double pose_cov[9];
+    double fit_ranges[MAPLINES_SLOTS][2];
+    double quartics[MAPLINES_SLOTS];
+    double specific[MAPLINES_SLOTS][16];
+    double cov[16 * MAPLINES_SLOTS * MAPLINES_SLOTS]; ///< (4 n, 4 n)
+} maplines_seen_scene_t;
+
+/// A decoder, and what its functions write: all that one of Python needs. It must not be moved.
+typedef struct {
+    maplines_decoder_t decoder;
+    maplines_rows_t rows; ///< over the next two
+    maplines_line_row_t lines[MAPLINES_SLOTS];
+    maplines_component_row_t components[MAPLINES_MAX_COMPONENTS];
+    maplines_scene_row_t shown; ///< newest scene of a block: a row when another follows
+    maplines_view_t view;
+    maplines_scene_view_t scene_view;
+    maplines_seen_scene_t seen;
+    maplines_statistics_t numbers;
+} maplines_receiver_t;
+
+/// Default settings of a decoder of a DBC.
+void maplines_receiver_settings(const maplines_dbc_t *dbc, maplines_settings_t *settings);
+/// Start; return NULL, or what is wrong with the settings.
+const char *maplines_receiver_start(maplines_receiver_t *receiver, const maplines_dbc_t *dbc,
+                                    const maplines_settings_t *settings);
+/// Take a frame: the reason why it completes no line, or minus the number of lines, which are the
+/// rows then. Bit 31 of the CAN ID says that it has 29 bits.
+int maplines_receiver_feed(maplines_receiver_t *receiver, uint32_t can_id, int64_t t_ns,
+                           const uint8_t *data, size_t length);
+/// Take the frames at the places from `first` on, as long as there is room for the rows of one
+/// more, and add their rows. It returns the place after the last one.
+size_t maplines_receiver_feed_block(maplines_receiver_t *receiver, const maplines_block_t *block,
+                                    size_t first, maplines_rows_t *rows, bool has_scenes);
+void maplines_receiver_expire(maplines_receiver_t *receiver, int64_t t_ns);
+/// Write the view of a slot of the DBC, or of the newest scene.
+void maplines_receiver_see(maplines_receiver_t *receiver, int slot, int64_t now_ns,
+                           double stale_cycles);
+void maplines_receiver_see_scene(maplines_receiver_t *receiver, int64_t now_ns,
+                                 double stale_cycles);
+/// Write the newest scene: false if there is none, or it is as in the last call and `is_known`.
+bool maplines_receiver_scene(maplines_receiver_t *receiver, bool is_known);
+/// Write the numbers of frames and lines.
+void maplines_receiver_count(maplines_receiver_t *receiver);
+/// State of an owner at a time; whether it has one sender; whether a counter was reused.
+int maplines_receiver_elapse(maplines_receiver_t *receiver, int owner, int64_t t_ns);
+bool maplines_receiver_has_one_sender(const maplines_receiver_t *receiver, int owner, int64_t t_ns);
+bool maplines_receiver_reused(const maplines_receiver_t *receiver, int owner, int64_t t_ns);
+
 #ifdef __GNUC__
 #pragma GCC visibility pop
 #endif

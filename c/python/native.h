@@ -49,20 +49,7 @@ enum {
     /* of NumPy: there after maplines_numpy */
     MAPLINES_OF_NDARRAY = MAPLINES_NAMES,
     MAPLINES_OF_FLOAT64, ///< the dtype
-    /* classes of the package: there after maplines_objects, so as what follows */
-    MAPLINES_OF_GAUSSIAN,
-    MAPLINES_OF_MIXTURE,
-    MAPLINES_OF_MAP_LINE,
-    MAPLINES_OF_POSE_ERROR,
-    MAPLINES_OF_MAP_ERROR,
-    MAPLINES_OF_SCENE,
-    MAPLINES_OF_RECEIVED_SCENE,
-    /* members of enumerations, by number */
-    MAPLINES_OF_SLOTS,
-    MAPLINES_OF_KINDS = MAPLINES_OF_SLOTS + MAPLINES_SLOTS,
-    MAPLINES_OF_STATUSES = MAPLINES_OF_KINDS + MAPLINES_VIRTUAL + 1,
-    MAPLINES_OF_REASONS = MAPLINES_OF_STATUSES + MAPLINES_OUT_OF_RANGE + 1,
-    MAPLINES_OBJECTS = MAPLINES_OF_REASONS + MAPLINES_REASONS
+    MAPLINES_OBJECTS
 };
 
 /// What the module holds.
@@ -79,22 +66,6 @@ maplines_module_t *maplines_module_state(PyObject *module);
 /// The module that an object of one of its types belongs to, borrowed; NULL without an exception if
 /// it is of another module, or of none.
 PyObject *maplines_module_of(PyObject *object);
-
-/* arguments.c */
-
-/// Parameters of a method.
-typedef struct {
-    const char *function; ///< as messages name it
-    const char *names[8];
-    int count;
-    int positional; ///< the first ones; the others are keywords only
-    int required;   ///< the first ones
-} maplines_parameters_t;
-
-/// Read the arguments of a method (not `self`) to their places in `values`, which has the defaults,
-/// and NULL for what is required; false with TypeError. References are borrowed.
-bool maplines_read_arguments(const maplines_parameters_t *parameters, PyObject *const *arguments,
-                             Py_ssize_t count, PyObject *keywords, PyObject **values);
 
 /* arrays.c: NumPy arrays of double precision */
 
@@ -130,39 +101,6 @@ typedef struct {
 void *maplines_hold(maplines_arrays_t *arrays, PyObject *array, Py_ssize_t bytes, bool is_written);
 void maplines_release_arrays(maplines_arrays_t *arrays);
 
-/* package.c: classes and members of enumerations of the package */
-
-/// Objects of the module, all of them; NULL with an exception if they cannot be imported.
-PyObject *const *maplines_objects(PyObject *module);
-
-/* objects.c: objects of the package, as its constructors make them, but without their checks */
-
-/// `Gaussian` over n states.
-PyObject *maplines_new_gaussian(PyObject *const *objects, int n, const double *mean,
-                                const double *cov);
-
-/// `GaussianMixture`; `components` are `Gaussian`s.
-PyObject *maplines_new_mixture(PyObject *const *objects, int count, const double *weights,
-                               PyObject *const *components);
-
-/// `MapLine` with the values of a line in C but its Gaussian; steals `gaussian`, which may be NULL,
-/// and `mixture`, which is NULL for None.
-PyObject *maplines_new_line(PyObject *const *objects, const maplines_line_t *line,
-                            PyObject *gaussian, PyObject *mixture);
-
-/// Covariance of a line of a scene: its block of the joint one.
-void maplines_scene_covariance(const maplines_scene_t *scene, int place, double cov[16]);
-
-/// Joint covariance of the n lines of a scene: (4 n, 4 n).
-void maplines_all_covariances(const maplines_scene_t *scene, double *cov);
-
-/// `Scene` of lines, and of the parts of their joint covariance; steals `lines`, a tuple.
-PyObject *maplines_new_scene(PyObject *const *objects, const maplines_scene_t *scene,
-                             PyObject *lines);
-
-/// Named tuple of a class; steals `values`, a tuple that may be NULL.
-PyObject *maplines_new_named(PyObject *class_, PyObject *values);
-
 /// Tables of a DBC of an argument; NULL with TypeError if it is something else, or if `module` is
 /// NULL.
 const maplines_dbc_t *maplines_dbc_of(PyObject *module, PyObject *tables);
@@ -176,6 +114,5 @@ int maplines_add_map_lines(PyObject *module);
 int maplines_add_refits(PyObject *module);
 int maplines_add_tables(PyObject *module);
 int maplines_add_values(PyObject *module);
-int maplines_add_decoder(PyObject *module);
 
 #endif

@@ -27,8 +27,8 @@ _ANY = ffi.typeof("void *")
 _TYPES = {
     kind: ffi.typeof(f"{name}[]")
     for kind, name in {
-        "f8": "double", "f4": "float", "i8": "int64_t", "u2": "uint16_t", "u1": "uint8_t",
-        "i1": "int8_t", "b1": "uint8_t",
+        "f8": "double", "f4": "float", "i8": "int64_t", "u4": "uint32_t", "u2": "uint16_t",
+        "u1": "uint8_t", "i1": "int8_t", "b1": "uint8_t",
     }.items()
 }  # fmt: skip
 

@@ -16,8 +16,9 @@ from ..bus.first_frames import FirstFrames
 from ..values.line import MapLine
 from ..wire import POSE, Decoder, E2EState, LineCodec, ReceivedScene
 from ..wire.reasons import Reason
+from ..wire.reception.rows import COMPONENT_ROW, LINE_ROW, SCENE_ROW
 from .blocks import FrameBlock
-from .line_block import COMPLETE, COMPONENT_ROW, LINE_ROW, REASONS, SCENE_ROW, LineBlock
+from .line_block import COMPLETE, REASONS, LineBlock
 
 #: No log of a car has more channels. Each one needs a decoder, some 16 kB.
 MAX_CHANNELS = 256
@@ -130,9 +131,7 @@ class LogReceiver:
         decoder: Any = self.decoders[name]
         if hasattr(decoder, "feed_arrays"):
             arrays = (block.can_id, block.is_extended, block.t_ns, block.length, block.data)
-            found = decoder.feed_arrays(*arrays, places, reasons, int(self._has_scenes))
-            kinds = zip(found, (LINE_ROW, COMPONENT_ROW, SCENE_ROW), strict=True)
-            rows = _Rows(*(np.frombuffer(*one).copy() for one in kinds))
+            rows = _Rows(*decoder.feed_arrays(*arrays, places, reasons, int(self._has_scenes)))
         else:
             rows = self._feed_frames(block, name, places, reasons)
         rows.lines["frame"] += self.frames
@@ -184,9 +183,9 @@ class LogReceiver:
         """Return the scene of a channel that no other has followed."""
         decoder: Any = self.decoders[channel]
         if hasattr(decoder, "feed_arrays"):
-            none = [np.empty(0, kind) for kind in ("u4", "?", "i8", "u1", "u1", "i8", "u1")]
-            *_, scenes = decoder.feed_arrays(*none, 2 * self._has_scenes)
-            return np.frombuffer(scenes, SCENE_ROW).copy()
+            one = [np.empty(0, kind) for kind in ("u4", "?", "i8", "u1", "i8", "u1")]
+            one.insert(4, np.empty((0, 0), np.uint8))
+            return _Rows(*decoder.feed_arrays(*one, 2 * self._has_scenes)).scenes
         shown = self._shown.pop(channel, None)
         return _array_of([] if shown is None else [shown[1]])
 

@@ -21,6 +21,7 @@ from ..wire.covariance.nearest_line import slope_error
 from ..wire.layout.pose_layout import slot_of
 from ..wire.layout.signals import PARAMETER_SIGNALS, SignalRow
 from ..wire.layout.validation import CheckedGaussians, checked_gaussians
+from ..wire.reception.python_decoder import PythonDecoder
 from ..wire.reception.settings import decoder_settings
 from ..wire.records.components import deficit, quantized_weights
 from ..wire.records.frames import FrameWriter
@@ -166,7 +167,7 @@ class ComparisonCodec:
     ) -> Decoder:
         """Return a new decoder, as ``Codec.decoder``; it repairs indefinite covariances."""
         settings = decoder_settings(self.layout, timeout_ms, cycle_ms, e2e)
-        return Decoder(self.layout, RecordReader(_Records(self)), {}, settings, None)
+        return PythonDecoder(self.layout, RecordReader(_Records(self)), {}, settings, None)
 
 
 class _Records:

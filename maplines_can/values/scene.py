@@ -169,7 +169,7 @@ class Scene:
         map_error: MapError | None,
         left_out: dict[Slot, LeftOut],
         quartics: NDArray[np.float64],
-        specific_covs: NDArray[np.float64],
+        specific_covs: NDArray[np.float64] | None,
     ) -> Scene:
         """Return a scene of the given values without copying or checking them.
 

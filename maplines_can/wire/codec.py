@@ -22,6 +22,7 @@ from .protection.e2e_state import E2EConfig
 from .protection.secoc import Authenticator, Verifier
 from .reception.decoder import Decoder
 from .reception.native_decoder import NativeDecoder
+from .reception.python_decoder import PythonDecoder
 from .reception.settings import decoder_settings
 from .records.batch_kernel import BatchKernel
 from .records.complete_format import CompleteFormat
@@ -268,4 +269,4 @@ class Codec:
         scenes = None
         if pose is not None and self._scene_code is not None:
             scenes = SceneReader(layout, pose, self._scene_code)
-        return Decoder(layout, self.reader, verifiers, settings, scenes)
+        return PythonDecoder(layout, self.reader, verifiers, settings, scenes)

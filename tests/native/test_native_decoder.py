@@ -32,6 +32,7 @@ from maplines_can import Gaussian, MapLine, native
 from maplines_can.values.line import Slot
 from maplines_can.wire import POSE, Decoder, Layout, Reason, ReceivedFrame
 from maplines_can.wire.reception.native_decoder import NativeDecoder
+from maplines_can.wire.reception.python_decoder import PythonDecoder
 from maplines_can.wire.reception.views import STALE_CYCLES
 
 pytestmark = pytest.mark.skipif(not native.is_active, reason="there is no C path")
@@ -353,30 +354,6 @@ def test_a_decoder_is_freed() -> None:
 
 
 @pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
-@pytest.mark.parametrize(
-    ("owner", "name"), [(MapLine, "kind"), (MapLine, "mixture"), (Gaussian, "cov")]
-)
-def test_an_error_in_the_middle(
-    dbc: str, owner: Any, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It comes out of the decoder, which goes on after it."""
-    frames = scene_frames(dbc)
-    decoder, other = decoders(layout_of(dbc))
-    with monkeypatch.context() as patch:
-        patch.setattr(owner, name, property(lambda _: 0), raising=False)
-        with pytest.raises(AttributeError):
-            decoder.feed_all(frames)
-    for frame in frames[: decoder.frames]:
-        other.feed(*frame[:3])
-    assert numbers_of(decoder) == numbers_of(other)
-    rest = frames[decoder.frames :]
-    assert content(decoder.feed_all(rest)) == content(other.feed_all(rest))
-    for slot in Slot:
-        assert content(decoder.latest(slot, 0)) == content(other.latest(slot, 0))
-    assert content(decoder.scene()) == content(other.scene())
-
-
-@pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
 def test_memory_that_ends(dbc: str) -> None:
     """MemoryError, wherever it is, and no crash; the decoder goes on."""
     testcapi = pytest.importorskip("_testcapi")
@@ -411,4 +388,4 @@ def test_the_settings_are_those_of_python() -> None:
 
 def test_with_a_key_the_stations_are_those_of_python() -> None:
     """A MAC needs a library of Python in any case."""
-    assert type(authenticated_codec("maplines-secoc.dbc").decoder()) is Decoder
+    assert type(authenticated_codec("maplines-secoc.dbc").decoder()) is PythonDecoder

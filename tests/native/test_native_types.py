@@ -45,8 +45,6 @@ def test_what_is_no_table_is_refused(name: str) -> None:
     """By each type and function that takes the tables of a DBC."""
     strange = STRANGE[name]()
     uses: list[Callable[[], Any]] = [
-        lambda: core.Decoder(strange, {}, {}),
-        lambda: type("Own", (core.Decoder,), {})(strange, {}, {}),
         lambda: core.Sender(strange, Frame),
         lambda: core.encode_records(strange, (), *[np.zeros(0)] * 15),
         lambda: core.cover_mixtures(strange, *[np.zeros(0)] * 3, 1, *[np.zeros(0)] * 2),
@@ -59,7 +57,7 @@ def test_what_is_no_table_is_refused(name: str) -> None:
 
 @pytest.mark.parametrize("name", STRANGE)
 def test_other_arguments_of_another_type_are_refused(name: str) -> None:
-    """The class of frames, content of tables, powers, settings and routes."""
+    """The class of frames, content of tables, and powers."""
     strange = STRANGE[name]()
     own = tables()
     none = [np.zeros(0)] * 15
@@ -68,9 +66,6 @@ def test_other_arguments_of_another_type_are_refused(name: str) -> None:
         lambda: core.Tables(strange),
         lambda: core.encode_records(own, strange, *none),
         lambda: core.decode_records(own, np.zeros(0, "u1"), np.zeros(0, "u2"), strange, *none[:12]),
-        lambda: core.Decoder(own, strange, {}),
-        lambda: core.Decoder(own, {}, strange),
-        lambda: core.Decoder(own, {}, {(832, False): strange}).feed(np.int64(832), bytes(8), 0),
         lambda: core.Sender(own, Frame).lines([], strange, 0),
     ]
     for use in uses:

@@ -236,11 +236,11 @@ def test_the_decoder_goes_on_after_a_block() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({4: np.zeros((3, 65), np.uint8)}, "at most 64 bytes"),
+        ({4: np.zeros((3, 65), np.uint8)}, "up to 64"),
         ({5: np.array([0, 3])}, "places"),
         ({5: np.array([-1, 2])}, "places"),
-        ({3: np.full(3, 9, np.uint8)}, "all of their data"),
-        ({2: np.zeros(2, np.int64)}, "24 bytes"),
+        ({3: np.full(3, 9, np.uint8)}, "length must be 8 at most"),
+        ({2: np.zeros(2, np.int64)}, r"t_ns must be \(3,\)"),
     ],
 )
 def test_wrong_arrays_raise(change: dict[int, Any], message: str) -> None:

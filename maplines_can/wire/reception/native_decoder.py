@@ -1,36 +1,52 @@
-"""Decoder of received frames in C, with the answers of the one in Python."""
+"""Decoder of received frames in C."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple
+from threading import Lock
 from typing import Any
 
-from ...native import core
-from ...values.line import Slot
-from ..c_tables import native_tables
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core import ffi, pointer
+from ...native import lib
+from ...values.line import MapLine, Slot
 from ..layout.message_layout import Layout
 from ..layout.pose_layout import POSE, Owner
 from ..protection.e2e_state import E2EState, ProfileStatus
 from ..reasons import Reason
 from .check import Check
-from .decoder import NO_POSE, Decoder
+from .decoder import NO_POSE, Decoder, ReceivedFrame
+from .received import COMPONENT_BYTES, LINE_BYTES, line_of, scene_of
+from .rows import COMPONENT_ROW, LINE_ROW, SCENE_ROW
+from .scenes import ReceivedScene
 from .sequence import SlotStats
 from .settings import RecordSettings
+from .times import MAX_TIME_NS, limited_ns
 from .views import STALE_CYCLES, SceneView, SlotView, check_stale_cycles
 
-#: Base class with the stations, and ``feed``, ``feed_all``, ``expire``, ``scene`` and the numbers
-#: of frames.
-_Core: Any = type("_Core", (), {}) if core is None else core.Decoder
-
 _STATES = {int(state): state for state in E2EState}
-_STATUSES: dict[int | None, ProfileStatus | None] = {None: None}
+_STATUSES: dict[int, ProfileStatus | None] = {0xFF: None}
 _STATUSES |= {int(status): status for status in ProfileStatus}
+_REASONS = tuple(Reason)
+_FOREIGN, _FOREIGN_NUMBER = Reason.FOREIGN, tuple(Reason).index(Reason.FOREIGN)
+#: Members of ``maplines_check_t`` with the numbers of checks, in the order of `ProfileStatus`.
+_NUMBERS = ("ok", "no_new_data", "errors", "repeated", "some_lost", "wrong_sequence")
+#: Times that need no limit.
+_MIN_NS, _MAX_NS = -MAX_TIME_NS, MAX_TIME_NS
+#: Lines that a frame completes at most, and components of a mixture.
+_MAX_LINES, _MAX_COMPONENTS = len(Slot), 64
+#: Rows of lines, components and scenes for which a call of the core has memory.
+_LINES, _COMPONENTS, _SCENES = 4096, 2048, 256
+
+Rows = NDArray[np.void]
 
 
-class NativeDecoder(_Core, Decoder):  # type: ignore[misc]
-    """Decoder whose stations are in C: the methods are those of ``Decoder``.
+class NativeDecoder(Decoder):
+    """Decoder whose stations are in C.
 
     Args:
         layout: of the records and their messages.
@@ -46,18 +62,29 @@ class NativeDecoder(_Core, Decoder):  # type: ignore[misc]
         settings: Mapping[Owner, RecordSettings],
         numbers: Mapping[Owner, int],
     ) -> None:
-        values = {
-            numbers[owner]: (own.timeout_ns, own.cycle_ns, astuple(own.e2e))
-            for owner, own in settings.items()
-        }
         of_id = layout.message_of_id | (layout.pose.message_of_id if layout.pose else {})
-        _Core.__init__(self, native_tables(tables), values, {key: key for key in of_id})
-        self.can_ids = layout.can_ids
-        self.is_conditional = layout.is_conditional
-        self.verifiers = {}
-        self._slots = [owner for owner in settings if owner != POSE]
+        super().__init__(layout, {}, settings)
+        #: CAN IDs as the core takes them: bit 31 says that one has 29 bits.
+        self._routes = {(can_id, long): can_id | long << 31 for can_id, long in of_id}
         self._numbers = {owner: numbers[owner] for owner in settings}
         self._cycles_ns = {owner: own.cycle_ns for owner, own in settings.items()}
+        self._tables, self._c = tables, ffi.new("maplines_receiver_t *")
+        chosen = ffi.new("maplines_settings_t *")
+        lib.maplines_receiver_settings(tables, chosen)
+        for owner, own in settings.items():
+            number = numbers[owner]
+            chosen.timeout_ns[number], chosen.cycle_ns[number] = own.timeout_ns, own.cycle_ns
+            chosen.e2e[number] = astuple(own.e2e)
+        if (problem := lib.maplines_receiver_start(self._c, tables, chosen)) != ffi.NULL:
+            raise ValueError(ffi.string(problem).decode())
+        #: Held around each call of the core, and until its result is read.
+        self._lock = Lock()
+        self._feed = lib.maplines_receiver_feed
+        self._line_bytes = ffi.buffer(self._c.lines)
+        self._component_bytes = ffi.buffer(self._c.components)
+        self._foreign = 0  # frames of no message, which the core does not get
+        self._newest: dict[Slot, MapLine] = {}
+        self._received: ReceivedScene | None = None
 
     @property
     def checks(self) -> Mapping[Owner, Check]:
@@ -67,96 +94,283 @@ class NativeDecoder(_Core, Decoder):  # type: ignore[misc]
     @property
     def counts(self) -> Counter[Reason]:
         """Dropped frames by reason."""
-        return Counter(self._dropped_frames())
+        with self._lock:
+            numbers = ffi.unpack(self._c.decoder.statistics.counts, len(_REASONS))
+            numbers[_FOREIGN_NUMBER] += self._foreign
+        counts = zip(_REASONS, numbers, strict=True)
+        return Counter({reason: count for reason, count in counts if count})
+
+    @property
+    def frames(self) -> int:
+        """Frames received."""
+        return int(self._c.decoder.statistics.frames) + self._foreign
+
+    @property
+    def lines(self) -> int:
+        """Lines delivered."""
+        return int(self._c.decoder.statistics.lines)
+
+    @property
+    def line_frames(self) -> int:
+        """Frames of the lines delivered."""
+        return int(self._c.decoder.statistics.line_frames)
+
+    @property
+    def pose_errors(self) -> int:
+        """Pose errors received."""
+        return int(self._c.decoder.statistics.pose_errors)
+
+    @property
+    def pose_frames(self) -> int:
+        """Frames of the pose errors received."""
+        return int(self._c.decoder.statistics.pose_frames)
+
+    @property
+    def lost(self) -> int:
+        """Records of lines missing between those received, by their counters."""
+        return self._counted("lost")
+
+    @property
+    def pending(self) -> int:
+        """Frames of transfers, mixtures and scenes that are not complete yet."""
+        return self._counted("pending")
+
+    def feed(
+        self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
+    ) -> Sequence[MapLine] | Reason:
+        """Decode a frame; see ``Decoder.feed``."""
+        known = self._routes.get((can_id, is_extended))
+        if known is None:
+            with self._lock:
+                self._foreign += 1
+            return _FOREIGN
+        if type(data) is not bytes:
+            len(data)  # a number has no payload, though bytes() takes one
+            data = bytes(data)
+        if type(t_ns) is not int or not _MIN_NS <= t_ns <= _MAX_NS:
+            t_ns = limited_ns(t_ns, "t_ns")
+        with self._lock:
+            found = self._feed(self._c, known, t_ns, data, len(data))
+            return _REASONS[found] if found >= 0 else self._completed(-found)
+
+    def feed_all(self, frames: Iterable[ReceivedFrame]) -> list[Sequence[MapLine] | Reason]:
+        """Decode frames that have arrived; see ``Decoder.feed_all``."""
+
+        def one(
+            can_id: int, data: bytes, t_ns: int, is_extended: bool
+        ) -> Sequence[MapLine] | Reason:
+            return self.feed(can_id, data, t_ns, is_extended=is_extended)
+
+        return [one(*frame) for frame in frames]
+
+    def _completed(self, count: int) -> list[MapLine]:
+        """Return the lines of the rows, which are the newest of their slots."""
+        rows = self._line_bytes[: count * LINE_BYTES]
+        lines = []
+        for begin in range(0, len(rows), LINE_BYTES):
+            line = line_of(rows, begin, self._components)
+            self._newest[line.slot] = line
+            lines.append(line)
+        return lines
+
+    def _components(self) -> bytes:
+        """Return the rows of components of the line that was completed last."""
+        return self._component_bytes[: self._c.rows.component_count * COMPONENT_BYTES]
+
+    def feed_arrays(
+        self,
+        can_id: NDArray[np.uint32],
+        is_extended: NDArray[np.bool_],
+        t_ns: NDArray[np.int64],
+        length: NDArray[np.uint8],
+        data: NDArray[np.uint8],
+        places: NDArray[np.int64],
+        reasons: NDArray[np.uint8],
+        scenes: int,
+    ) -> tuple[Rows, Rows, Rows]:
+        """Decode frames of a block.
+
+        Args:
+            can_id: (n,) of all frames of the block.
+            is_extended: (n,) their IDs have 29 bits.
+            t_ns: (n,) times of reception [ns].
+            length: (n,) of their payloads [byte].
+            data: (n, up to 64) bytes, of which each frame has ``length``.
+            places: of the frames of this decoder.
+            reasons: (n,) is written to at these places: places in ``Reason``, or 255 of a frame
+                that has completed lines.
+            scenes: 0 for none, 1 for those that another has followed, 2 for the last one, too.
+
+        Returns:
+            Rows of lines, components of mixtures, and scenes.
+
+        Raises:
+            ValueError: a place or a length is beyond the arrays, or an array is not in C order.
+            TypeError: an array is of another type.
+        """
+        _check_block(can_id, is_extended, t_ns, length, data, places, reasons)
+        arrays: list[NDArray[Any]] = [places, can_id, is_extended, t_ns, length, data]
+        given = [len(places), len(can_id), data.shape[1], *map(pointer, arrays)]
+        given.append(pointer(reasons, written=True))
+        block, place = ffi.new("maplines_block_t *", given), 0
+        found: list[tuple[Rows, Rows, Rows]] = []
+        count = 0
+        with self._lock:
+            while place < len(places) or not found:
+                most = len(places) - place
+                lines = np.empty(min(most, _LINES) + _MAX_LINES, LINE_ROW)
+                components = np.empty(min(most, _COMPONENTS) + _MAX_COMPONENTS, COMPONENT_ROW)
+                complete = np.empty(min(most, _SCENES) + 1, SCENE_ROW)
+                memory = [
+                    ffi.from_buffer("maplines_line_row_t[]", lines),
+                    ffi.from_buffer("maplines_component_row_t[]", components),
+                    ffi.from_buffer("maplines_scene_row_t[]", complete),
+                ]
+                rows = ffi.new("maplines_rows_t *", [*memory, *map(len, memory)])
+                place = lib.maplines_receiver_feed_block(self._c, block, place, rows, scenes > 0)
+                components = components[: rows.component_count]
+                components["line"] += count
+                count += rows.line_count
+                found.append((lines[: rows.line_count], components, complete[: rows.scene_count]))
+            shown = self._c.shown
+            if scenes == 2 and shown.frame >= 0:
+                last = np.frombuffer(ffi.buffer(ffi.addressof(shown))[:], SCENE_ROW)
+                found.append((lines[:0], components[:0], last))
+                shown.frame = -1
+            joined = [np.concatenate(each) for each in zip(*found, strict=True)]
+            self._renew(joined[0], joined[1])
+        return joined[0], joined[1], joined[2]
+
+    def _renew(self, lines: Rows, components: Rows) -> None:
+        """Make the newest line of each slot of these rows, as ``feed`` does."""
+        for slot in np.unique(lines["slot"]).tolist():
+            place = int(np.flatnonzero(lines["slot"] == slot)[-1])
+            own = components[slice(*np.searchsorted(components["line"], (place, place + 1)))]
+            self._newest[Slot(slot)] = line_of(lines[place].tobytes(), 0, own.tobytes)
+
+    def expire(self, t_ns: int) -> None:
+        """Drop what has timed out; see ``Decoder.expire``."""
+        t_ns = limited_ns(t_ns, "t_ns")
+        with self._lock:
+            lib.maplines_receiver_expire(self._c, t_ns)
 
     def latest(self, slot: Slot, now_ns: int, *, stale_cycles: float = STALE_CYCLES) -> SlotView:
         """Return the newest line of a slot with its state; see ``Decoder.latest``."""
         self._check_slot(slot)
         check_stale_cycles(stale_cycles)
-        line, age, stale, state, status, two_senders = self._view(slot, now_ns, stale_cycles)
-        return SlotView(
-            Slot(slot), line, age, stale, _STATES[state], _STATUSES[status], two_senders
-        )
+        slot, now_ns = Slot(slot), limited_ns(now_ns, "now_ns")
+        with self._lock:
+            lib.maplines_receiver_see(self._c, slot, now_ns, stale_cycles)
+            view = self._c.view
+            return SlotView(
+                slot,
+                self._newest.get(slot),
+                view.age,
+                view.is_stale,
+                _STATES[view.state],
+                _STATUSES[view.status],
+                view.two_senders,
+            )
 
     def latest_scene(self, now_ns: int, *, stale_cycles: float = STALE_CYCLES) -> SceneView:
         """Return the newest scene; see ``Decoder.latest_scene``."""
         if POSE not in self._numbers:
             raise ValueError(NO_POSE)
         check_stale_cycles(stale_cycles)
-        received = self.scene()
-        age, stale, state, status, states, two_senders = self._scene_view(now_ns, stale_cycles)
-        known = _STATES[state], _STATUSES[status]
-        if received is None:
-            return SceneView(None, age, stale, *known)
-        slots = (line.slot for line in received.scene.lines)
-        of_slots = {slot: _STATES[one] for slot, one in zip(slots, states, strict=True)}
-        return SceneView(received.scene, age, stale, *known, received, of_slots, two_senders)
+        now_ns = limited_ns(now_ns, "now_ns")
+        with self._lock:
+            received, view = self._newest_scene(), self._c.scene_view
+            lib.maplines_receiver_see_scene(self._c, now_ns, stale_cycles)
+            known = _STATES[view.state], _STATUSES[view.status]
+            if received is None:
+                return SceneView(None, view.age, view.is_stale, *known)
+            lines, states = received.scene.lines, view.slot_states
+            of_slots = {line.slot: _STATES[states[i]] for i, line in enumerate(lines)}
+            senders = view.two_senders
+            return SceneView(
+                received.scene, view.age, view.is_stale, *known, received, of_slots, senders
+            )
+
+    def scene(self) -> ReceivedScene | None:
+        """Return the newest scene; see ``Decoder.scene``."""
+        with self._lock:
+            return self._newest_scene()
+
+    def _newest_scene(self) -> ReceivedScene | None:
+        if lib.maplines_receiver_scene(self._c, self._received is not None):
+            seen = self._c.seen
+            rows = ffi.buffer(seen.lines)[: seen.count * LINE_BYTES]
+            lines = [line_of(rows, begin) for begin in range(0, len(rows), LINE_BYTES)]
+            for i, line in enumerate(lines):
+                if seen.are_newest[i]:
+                    lines[i] = self._newest.get(line.slot, line)
+            self._received = scene_of(seen, tuple(lines))
+        return self._received
 
     def _check_of(self, owner: Owner) -> Check:
-        number, cycle_ns = self._numbers[owner], self._cycles_ns[owner]
-        return _NativeCheck(number, cycle_ns, self._check, self._elapse, self._senders)
+        return _NativeCheck(self._c, self._numbers[owner], self._cycles_ns[owner], self._lock)
+
+    def _counted(self, name: str) -> int:
+        with self._lock:
+            lib.maplines_receiver_count(self._c)
+            return int(getattr(self._c.numbers, name))
 
 
 class _NativeCheck:
     """Checks of the records of one owner of a decoder: as ``SequenceCheck``, but to be read.
 
     Args:
+        receiver: a ``maplines_receiver_t *``.
         number: of the owner in C.
         cycle_ns: time between records [ns].
-        values, elapse, senders: methods of the decoder for the check of an owner.
+        lock: of the decoder.
     """
 
-    def __init__(
-        self,
-        number: int,
-        cycle_ns: int,
-        values: Callable[[int], Any],
-        elapse: Callable[[int, int], int],
-        senders: Callable[[int, int], tuple[bool, bool]],
-    ) -> None:
+    def __init__(self, receiver: Any, number: int, cycle_ns: int, lock: Lock) -> None:
         self.cycle_ns = cycle_ns
-        self._number, self._values_of, self._elapse, self._senders = number, values, elapse, senders
+        self._c, self._number, self._lock = receiver, number, lock
+        self._check = receiver.decoder.checks[number]
 
     @property
     def state(self) -> E2EState:
-        return _STATES[self._values()[0]]
+        return _STATES[self._check.machine.state]
 
     @property
     def status(self) -> ProfileStatus | None:
-        return _STATUSES[self._values()[1]]
+        return _STATUSES[self._check.status]
 
     @property
     def lost(self) -> int:
-        lost: int = self._values()[2]
-        return lost
+        """Records of lines missing between those received, by their counters."""
+        return int(self._check.lost)
 
     @property
     def ahead(self) -> int | None:
-        return self._values()[3] or None
+        return self._check.ahead or None
 
     @property
     def counter(self) -> int | None:
-        counter: int | None = self._values()[5]
-        return counter
+        return int(self._check.last) if self._check.has_last else None
 
     @property
     def two_senders(self) -> bool:
-        is_confirmed: bool = self._values()[4]
-        return is_confirmed
+        return bool(self._check.conflict.is_confirmed)
 
     @property
     def statuses(self) -> Counter[ProfileStatus]:
-        numbers = zip(ProfileStatus, self._values()[6], strict=True)
-        return Counter({status: number for status, number in numbers if number})
+        with self._lock:
+            numbers = [getattr(self._check, name) for name in _NUMBERS]
+        each = zip(ProfileStatus, numbers, strict=True)
+        return Counter({status: number for status, number in each if number})
 
     def has_one_sender(self, t_ns: int) -> bool:
-        return self._senders(self._number, t_ns)[0]
+        return bool(self._asked(lib.maplines_receiver_has_one_sender, t_ns))
 
     def counter_was_reused(self, t_ns: int) -> bool:
-        return self._senders(self._number, t_ns)[1]
+        return bool(self._asked(lib.maplines_receiver_reused, t_ns))
 
     def elapse(self, t_ns: int) -> E2EState:
-        return _STATES[self._elapse(self._number, t_ns)]
+        return _STATES[self._asked(lib.maplines_receiver_elapse, t_ns)]
 
     def stats(self) -> SlotStats:
         n = self.statuses
@@ -172,5 +386,32 @@ class _NativeCheck:
             two_senders=self.two_senders,
         )
 
-    def _values(self) -> Any:
-        return self._values_of(self._number)
+    def _asked(self, ask: Any, t_ns: int) -> Any:
+        t_ns = limited_ns(t_ns, "t_ns")
+        with self._lock:
+            return ask(self._c, self._number, t_ns)
+
+
+def _check_block(
+    can_id: NDArray[np.uint32],
+    is_extended: NDArray[np.bool_],
+    t_ns: NDArray[np.int64],
+    length: NDArray[np.uint8],
+    data: NDArray[np.uint8],
+    places: NDArray[np.int64],
+    reasons: NDArray[np.uint8],
+) -> None:
+    """Check the sizes of the arrays of a block; see ``NativeDecoder.feed_arrays``."""
+    n, width = data.shape
+    for name, array in (
+        ("can_id", can_id), ("is_extended", is_extended), ("t_ns", t_ns), ("length", length),
+        ("reasons", reasons),
+    ):  # fmt: skip
+        if array.shape != (n,):
+            raise ValueError(f"{name} must be ({n},) as the rows of data, got {array.shape}")
+    if width > 64:
+        raise ValueError(f"data must be (n, up to 64) bytes, got {data.shape}")
+    if len(places) and not (places.min() >= 0 and places.max() < n):
+        raise ValueError(f"places must be those of {n} frames, got up to {places.max()}")
+    if (length[places] > width).any():
+        raise ValueError(f"length must be {width} at most as data has, got {length.max()}")

@@ -1,0 +1,351 @@
+/* Frames to lines and scenes: a decoder whose results are rows, of one frame or of a block. */
+#include "core.h"
+#include "internal.h"
+
+/* ---- covariances ------------------------------------------------------------------------------
+ */
+
+/// Share by which the variances of a scene are enlarged: that of wire/covariance/scene_code.py.
+#define SCENE_ROUNDING 0x1p-42
+
+/// Joint covariance (4 count, 4 count) of the parameters of lines of a scene from a place on.
+static void joint_covariance(const maplines_scene_t *scene, int first, int count, double *cov)
+{
+    const int n = 4 * count;
+    const double *spread = scene->spread[4 * first];
+    maplines_product_transposed(n, 7, n, spread, spread, cov);
+    for (int place = 0; place < count; ++place)
+    {
+        const double *factor = scene->specific[first + place][0];
+        double own[16];
+        maplines_product_transposed(4, 4, 4, factor, factor, own);
+        for (int i = 0; i < 16; ++i)
+        {
+            double *entry = cov + (4 * place + i / 4) * n + 4 * place + i % 4;
+            *entry = *entry + own[i];
+            *entry = i % 5 == 0 ? *entry * (1.0 + SCENE_ROUNDING) : *entry;
+        }
+    }
+}
+
+/// Components, overall mean and covariance of the newest line of a slot, which is a mixture.
+static void add_mixture(const maplines_decoder_t *decoder, int slot, int count,
+                        maplines_rows_t *rows, maplines_line_row_t *row)
+{
+    double weights[MAPLINES_MAX_COMPONENTS];
+    double means[MAPLINES_MAX_COMPONENTS][4];
+    double covs[MAPLINES_MAX_COMPONENTS][16];
+    double L[16];
+    for (int i = 0; i < count; ++i)
+    {
+        maplines_gaussian_t gaussian;
+        maplines_component_row_t *component = &rows->components[rows->component_count++];
+        (void)maplines_component(decoder, (maplines_owner_t)slot, (uint8_t)i, &gaussian,
+                                 &weights[i]);
+        memcpy(means[i], gaussian.mean, sizeof means[i]);
+        maplines_product_transposed(4, 4, 4, gaussian.factor[0], gaussian.factor[0], covs[i]);
+        component->line = (int64_t)rows->line_count;
+        component->weight = weights[i];
+        memcpy(component->mean, means[i], sizeof means[i]);
+        memcpy(component->cov, covs[i], sizeof covs[i]);
+    }
+    maplines_moments(count, weights, means, covs, row->mean, row->cov);
+    if (!maplines_cholesky_factor(4, row->cov, L))
+    {
+        for (int i = 0; i < 4; ++i)
+        {
+            const double share = MAPLINES_DEFINITE_SHARE * row->cov[5 * i];
+            row->cov[5 * i] = row->cov[5 * i] + share;
+        }
+    }
+}
+
+/* ---- rows ------------------------------------------------------------------------------------ */
+
+/// State after the last check: that of the slot or, if this is VALID, of the pose error.
+static maplines_e2e_state_t state_of(const maplines_decoder_t *decoder, int slot)
+{
+    const maplines_e2e_state_t state = decoder->checks[slot].machine.state;
+    return state == MAPLINES_E2E_VALID && decoder->dbc->is_conditional
+               ? decoder->checks[MAPLINES_POSE].machine.state
+               : state;
+}
+
+static bool has_two_senders(const maplines_decoder_t *decoder, int slot, int64_t t_ns)
+{
+    return !maplines_has_one_sender(&decoder->checks[slot], t_ns) ||
+           (decoder->dbc->is_conditional &&
+            !maplines_has_one_sender(&decoder->checks[MAPLINES_POSE], t_ns));
+}
+
+/// Members of a row that the line itself has, but its covariance.
+static void read_line(const maplines_line_t *line, maplines_line_row_t *row)
+{
+    memset(row, 0, sizeof *row);
+    row->t_ns = line->t_ns;
+    row->x_min = line->x_min;
+    row->x_max = line->x_max;
+    row->age = line->age;
+    memcpy(row->mean, line->gaussian.mean, sizeof row->mean);
+    row->slot = (uint8_t)line->slot;
+    row->kind = (uint8_t)line->kind;
+    row->status = (uint8_t)line->status;
+    row->components = line->components;
+}
+
+/// Add the line at a place of those that a frame has completed, each the newest of its slot.
+static void add_line(const maplines_decoder_t *decoder, int slot, const maplines_scene_t *scene,
+                     int place, int64_t frame, int64_t t_ns, maplines_rows_t *rows)
+{
+    const maplines_line_t *line = &decoder->newest[slot];
+    const maplines_check_t *check = &decoder->checks[slot];
+    maplines_line_row_t *row = &rows->lines[rows->line_count];
+    read_line(line, row);
+    row->frame = frame;
+    if (decoder->dbc->is_conditional)
+    {
+        joint_covariance(scene, place, 1, row->cov);
+    }
+    else if (line->components > 1)
+    {
+        add_mixture(decoder, slot, line->components, rows, row);
+    }
+    else
+    {
+        const double *factor = line->gaussian.factor[0];
+        maplines_product_transposed(4, 4, 4, factor, factor, row->cov);
+    }
+    row->counter = check->last;
+    row->ahead = check->ahead;
+    row->state = (uint8_t)state_of(decoder, slot);
+    row->e2e_status = (uint8_t)check->status;
+    row->two_senders = has_two_senders(decoder, slot, t_ns);
+    row->is_usable = line->status != MAPLINES_OUT_OF_RANGE && isfinite(line->age) &&
+                     row->state == (uint8_t)MAPLINES_E2E_VALID && row->two_senders == 0;
+    ++rows->line_count;
+}
+
+/// Take a frame and add its lines.
+static maplines_reason_t feed(maplines_decoder_t *decoder, const maplines_frame_t *frame,
+                              int64_t t_ns, int64_t place, maplines_rows_t *rows)
+{
+    maplines_scene_t scene;
+    const maplines_fed_t fed = maplines_feed_with(decoder, frame, t_ns, &scene);
+    for (int i = 0; i < fed.count; ++i)
+    {
+        add_line(decoder, (int)fed.slots[i], &scene, i, place, maplines_limited_time(t_ns), rows);
+    }
+    return fed.reason;
+}
+
+static void read_scene_row(const maplines_decoder_t *decoder, const maplines_scene_t *scene,
+                           int64_t frame, int64_t t_ns, maplines_scene_row_t *row)
+{
+    const maplines_check_t *of_pose = &decoder->checks[MAPLINES_POSE];
+    bool are_valid = of_pose->machine.state == MAPLINES_E2E_VALID;
+    double cov[16 * MAPLINES_SLOTS * MAPLINES_SLOTS];
+    memset(row, 0, sizeof *row);
+    row->frame = frame;
+    row->t_ns = scene->t_ns;
+    row->age = scene->age;
+    row->correlation_time = scene->correlation_time;
+    row->counter = scene->counter;
+    row->count = scene->count;
+    row->state = (uint8_t)of_pose->machine.state;
+    row->two_senders = !maplines_has_one_sender(of_pose, t_ns);
+    joint_covariance(scene, 0, scene->count, cov);
+    const int n = 4 * scene->count;
+    for (int i = 0; i < n; ++i)
+    {
+        memcpy(row->cov[i], cov + i * n, (size_t)n * sizeof(double));
+    }
+    for (int place = 0; place < scene->count; ++place)
+    {
+        const maplines_line_t *line = &scene->lines[place];
+        const maplines_check_t *check = &decoder->checks[line->slot];
+        row->slots[place] = (uint8_t)line->slot;
+        row->x_min[place] = line->x_min;
+        row->x_max[place] = line->x_max;
+        memcpy(row->mean[place], line->gaussian.mean, sizeof row->mean[place]);
+        are_valid = are_valid && check->machine.state == MAPLINES_E2E_VALID;
+        row->two_senders = row->two_senders != 0 || !maplines_has_one_sender(check, t_ns);
+    }
+    row->is_usable = are_valid && isfinite(row->age) && row->two_senders == 0;
+}
+
+/// Show the newest scene, which a frame may have changed; the one before is complete.
+static void see_scene(maplines_decoder_t *decoder, int64_t frame, int64_t t_ns,
+                      maplines_rows_t *rows, maplines_scene_row_t *shown)
+{
+    const bool is_shown = shown->frame >= 0;
+    if (is_shown && decoder->epochs.is_built)
+    {
+        return;
+    }
+    const maplines_scene_t *scene = maplines_newest_scene(decoder);
+    if (scene == NULL)
+    {
+        return;
+    }
+    if (is_shown && (shown->counter != scene->counter || shown->t_ns != scene->t_ns))
+    {
+        rows->scenes[rows->scene_count++] = *shown;
+    }
+    read_scene_row(decoder, scene, frame, maplines_limited_time(t_ns), shown);
+}
+
+/* ---- frames ---------------------------------------------------------------------------------- */
+
+#define IS_EXTENDED UINT32_C(0x80000000)
+
+void maplines_receiver_settings(const maplines_dbc_t *dbc, maplines_settings_t *settings)
+{
+    maplines_default_settings(dbc, settings);
+}
+
+const char *maplines_receiver_start(maplines_receiver_t *receiver, const maplines_dbc_t *dbc,
+                                    const maplines_settings_t *settings)
+{
+    receiver->rows.lines = receiver->lines;
+    receiver->rows.components = receiver->components;
+    receiver->shown.frame = -1;
+    return maplines_decoder_init(&receiver->decoder, dbc, settings);
+}
+
+int maplines_receiver_feed(maplines_receiver_t *receiver, uint32_t can_id, int64_t t_ns,
+                           const uint8_t *data, size_t length)
+{
+    maplines_rows_t *rows = &receiver->rows;
+    maplines_frame_t frame;
+    memset(&frame, 0, sizeof frame);
+    frame.can_id = can_id & ~IS_EXTENDED;
+    frame.is_extended = (can_id & IS_EXTENDED) != 0;
+    // A payload that is longer than any frame has the wrong length with its beginning alone.
+    frame.length = (uint8_t)(length < sizeof frame.data ? length : sizeof frame.data);
+    memcpy(frame.data, data, frame.length);
+    rows->line_count = 0;
+    rows->component_count = 0;
+    const maplines_reason_t reason = feed(&receiver->decoder, &frame, t_ns, 0, rows);
+    return reason == MAPLINES_COMPLETE ? -(int)rows->line_count : (int)reason;
+}
+
+static bool has_room(const maplines_rows_t *rows)
+{
+    return rows->line_count + MAPLINES_SLOTS <= rows->max_lines &&
+           rows->component_count + MAPLINES_MAX_COMPONENTS <= rows->max_components &&
+           rows->scene_count < rows->max_scenes;
+}
+
+size_t maplines_receiver_feed_block(maplines_receiver_t *receiver, const maplines_block_t *block,
+                                    size_t first, maplines_rows_t *rows, bool has_scenes)
+{
+    maplines_decoder_t *decoder = &receiver->decoder;
+    maplines_frame_t frame;
+    memset(&frame, 0, sizeof frame);
+    size_t k = first;
+    while (k < block->count && has_room(rows))
+    {
+        const int64_t i = block->places[k];
+        ++k;
+        if (i < 0 || (size_t)i >= block->frames) // another thread has changed it
+        {
+            continue;
+        }
+        const uint8_t length = block->lengths[i];
+        frame.can_id = block->can_ids[i];
+        frame.is_extended = block->are_extended[i] != 0;
+        frame.length = length <= block->width ? length : (uint8_t)block->width;
+        memcpy(frame.data, block->data + (size_t)i * block->width, block->width);
+        const int64_t t_ns = block->times_ns[i];
+        block->reasons[i] = (uint8_t)feed(decoder, &frame, t_ns, i, rows); // -1 becomes 255
+        if (has_scenes && decoder->dbc->has_pose)
+        {
+            see_scene(decoder, i, t_ns, rows, &receiver->shown);
+        }
+    }
+    return k;
+}
+
+void maplines_receiver_expire(maplines_receiver_t *receiver, int64_t t_ns)
+{
+    maplines_expire(&receiver->decoder, t_ns);
+}
+
+/* ---- views ----------------------------------------------------------------------------------- */
+
+void maplines_receiver_see(maplines_receiver_t *receiver, int slot, int64_t now_ns,
+                           double stale_cycles)
+{
+    receiver->decoder.settings.stale_cycles = stale_cycles;
+    maplines_latest(&receiver->decoder, (maplines_owner_t)slot, now_ns, &receiver->view);
+}
+
+void maplines_receiver_see_scene(maplines_receiver_t *receiver, int64_t now_ns, double stale_cycles)
+{
+    receiver->decoder.settings.stale_cycles = stale_cycles;
+    maplines_latest_scene(&receiver->decoder, now_ns, &receiver->scene_view);
+}
+
+bool maplines_receiver_scene(maplines_receiver_t *receiver, bool is_known)
+{
+    maplines_decoder_t *decoder = &receiver->decoder;
+    maplines_seen_scene_t *scene = &receiver->seen;
+    const bool is_same = is_known && decoder->epochs.is_built;
+    const maplines_scene_t *newest =
+        is_same || !decoder->dbc->has_pose ? NULL : maplines_newest_scene(decoder);
+    if (newest == NULL)
+    {
+        return false;
+    }
+    scene->t_ns = newest->t_ns;
+    scene->age = newest->age;
+    scene->correlation_time = newest->correlation_time;
+    scene->offset_sigma = newest->offset_sigma;
+    scene->heading_sigma = newest->heading_sigma;
+    scene->counter = newest->counter;
+    scene->count = newest->count;
+    maplines_product_transposed(3, 3, 3, newest->pose_factor[0], newest->pose_factor[0],
+                                scene->pose_cov);
+    joint_covariance(newest, 0, newest->count, scene->cov);
+    memcpy(scene->fit_ranges, newest->fit_range, sizeof scene->fit_ranges);
+    memcpy(scene->quartics, newest->quartic, sizeof scene->quartics);
+    for (int place = 0; place < newest->count; ++place)
+    {
+        const maplines_line_t *line = &newest->lines[place];
+        const double *factor = newest->specific[place][0];
+        read_line(line, &scene->lines[place]);
+        joint_covariance(newest, place, 1, scene->lines[place].cov);
+        maplines_product_transposed(4, 4, 4, factor, factor, scene->specific[place]);
+        // The newest one is a copy of a line of the scene, with all its bytes.
+        const maplines_line_t *known = &decoder->newest[line->slot];
+        const bool is_copy = memcmp(known, line, sizeof *line) == 0; // NOLINT(bugprone-*,cert-*)
+        scene->are_newest[place] = decoder->dbc->is_conditional && is_copy;
+    }
+    return true;
+}
+
+/* ---- checks and numbers -----------------------------------------------------------------------
+ */
+
+void maplines_receiver_count(maplines_receiver_t *receiver)
+{
+    maplines_statistics(&receiver->decoder, &receiver->numbers);
+}
+
+int maplines_receiver_elapse(maplines_receiver_t *receiver, int owner, int64_t t_ns)
+{
+    return (int)maplines_check_elapse(&receiver->decoder.checks[owner],
+                                      maplines_limited_time(t_ns));
+}
+
+bool maplines_receiver_has_one_sender(const maplines_receiver_t *receiver, int owner, int64_t t_ns)
+{
+    return maplines_has_one_sender(&receiver->decoder.checks[owner], maplines_limited_time(t_ns));
+}
+
+bool maplines_receiver_reused(const maplines_receiver_t *receiver, int owner, int64_t t_ns)
+{
+    const maplines_check_t *check = &receiver->decoder.checks[owner];
+    return maplines_conflict_was_reused(&check->conflict, check->cycle_ns,
+                                        maplines_limited_time(t_ns));
+}
