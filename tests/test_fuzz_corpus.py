@@ -48,8 +48,8 @@ def test_the_seeds_pass() -> None:
 def test_a_broken_invariant_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """A decoder that does not count a frame is a defect."""
     one = max((CORPUS / "decoder").iterdir(), key=lambda path: path.stat().st_size)
-    for one in (NativeDecoder, PythonDecoder):
-        monkeypatch.setattr(one, "feed", lambda *_, **__: Reason.FOREIGN)
+    for kind in (NativeDecoder, PythonDecoder):
+        monkeypatch.setattr(kind, "feed", lambda *_, **__: Reason.FOREIGN)
 
     with pytest.raises(fuzz_targets.InvariantError, match="accounted for"):
         fuzz_targets.decoder(one.read_bytes())

@@ -2,7 +2,8 @@
 
 ``declarations.py`` is what cffi makes of ``c/core/core.h``. Nothing at run time compares the two
 but what is done here, once: the version, and the size of the tables. Arguments of functions
-are as their callers have checked them.
+are as their callers have checked them. A call lets other threads run: an object with a state has a
+``Lock``, which it holds around its calls.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from threading import Lock
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -18,7 +20,7 @@ from numpy.typing import NDArray
 
 from .declarations import ffi
 
-__all__ = ["ffi", "load", "pointer", "pointers", "structure"]
+__all__ = ["Lock", "ffi", "load", "pointer", "pointers", "structure"]
 
 PATH = Path(__file__).parents[1] / f"_native_core.{'dll' if os.name == 'nt' else 'so'}"
 #: Type that cffi takes for any pointer.

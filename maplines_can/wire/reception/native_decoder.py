@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple
-from threading import Lock
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core import ffi, pointer
+from ...core import Lock, ffi, pointer
 from ...native import lib
 from ...values.line import MapLine, Slot
 from ..layout.message_layout import Layout
