@@ -215,6 +215,67 @@ int maplines_receiver_elapse(maplines_receiver_t *receiver, int owner, int64_t t
 bool maplines_receiver_has_one_sender(const maplines_receiver_t *receiver, int owner, int64_t t_ns);
 bool maplines_receiver_reused(const maplines_receiver_t *receiver, int owner, int64_t t_ns);
 
+/* ---- propagate.c: lines of a map --------------------------------------------------------------
+ *
+ * Memory is of doubles: as many as the function of its name says. Paths have pointers into their
+ * memory, so that stays where it is; that of refits may be copied. Of a transform, z (poses, 3) are
+ * its points, with their weights of mean and covariance. Reasons of lines are those of LeftOut by
+ * their numbers, from 1 on, or 0. A map error is 1 and the sigmas of points [m], offset [m] and
+ * heading [rad], or 0 and any.
+ *
+ * A query is the mean and covariance of the pose (3), (3, 3) in the frame of the map, the window
+ * (2) [m], the largest misfit [m], the largest standard deviation of a line [m], and the map error.
+ */
+
+/// Size of paths.
+size_t maplines_paths_size(size_t lines, size_t points);
+/// Prepare lines of (count, 2) points with their arc lengths [m]; false if they are too large.
+bool maplines_prepare_paths(size_t lines, const size_t *count, const double *const *points,
+                            const double *const *distance, double *paths);
+/// Size of the memory of the functions below, of so many lines that are propagated together: all of
+/// a scene, 1 of those one by one, 0 of refits.
+size_t maplines_work_size(size_t lines, size_t points, size_t together, size_t poses);
+/// Place on the map from which lines are followed (2), how far along them [m], and the covariance
+/// of the pose in the frame of the car (3, 3). False if the window or the misfit is wrong.
+bool maplines_query_view(const double query[20], double view[12]);
+/// Lines one by one. Of the K of `lines` that are given, `found` has the means (lines, 4), the
+/// covariances (lines, 4, 4) and the valid ranges (lines, 2) [m], each with K rows that are set.
+/// False if a value is wrong or not finite.
+bool maplines_propagate_lines(const double *paths, const double query[20], size_t poses,
+                              const double *z, const double *mean_weights,
+                              const double *cov_weights, double *memory, uint8_t *left_out,
+                              double *found);
+/// Lines of a scene, as above: means, valid ranges, fit ranges (lines, 2), coefficients of T_4
+/// (lines), line-specific covariances (lines, 4, 4), and the joint covariance (4 K, 4 K). False
+/// also if there are more lines than slots.
+bool maplines_propagate_scene(const double *paths, const double query[20], size_t poses,
+                              const double *z, const double *mean_weights,
+                              const double *cov_weights, double *memory, uint8_t *left_out,
+                              double *found);
+
+/// Size of refits.
+size_t maplines_refits_size(size_t lines);
+/// Place on the map from which lines are followed (2), and how far along them [m]. A look is a pose
+/// (3), a window (2) [m], and the largest turn [rad].
+void maplines_refit_start(const double look[6], double start[3]);
+/// Refits of lines. Settings are misfit, room, step, and map error. Fields are the ranges
+/// (lines, 2), misfits (lines), whether lines are across (lines), coefficients of T_4 (lines),
+/// covariances of the noise (lines, 4, 4), and points (lines, 64, 2). False if a line has none.
+bool maplines_refit_lines(const double *paths, const double look[6], const double settings[7],
+                          double *memory, uint8_t *left_out, double *refits, double *fields);
+/// The same of stretches, with the index of the first point of each.
+bool maplines_refit_stretches(size_t lines, size_t points, const double *x, const double *y,
+                              const int64_t *first, const double *x_range, const double pose[3],
+                              const double settings[7], double *memory, double *refits,
+                              double *fields);
+/// Lines (n, lines, 4) from poses (n, 3); NaN where they are no functions of x.
+void maplines_refit_values(const double *refits, size_t n, const double *poses, double *values);
+/// Moments over a Gaussian of the pose: mean (3) and covariance (3, 3). Memory is 7 doubles for
+/// each point. False if a line has no value at a point.
+bool maplines_refit_moments(const double *refits, const double gaussian[12], size_t poses,
+                            const double *z, const double *mean_weights, const double *cov_weights,
+                            double *memory, double *means, double *covs);
+
 #ifdef __GNUC__
 #pragma GCC visibility pop
 #endif

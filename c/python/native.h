@@ -109,9 +109,6 @@ const maplines_dbc_t *maplines_dbc_of(PyObject *module, PyObject *tables);
 int maplines_add_names(PyObject *module);
 int maplines_add_scene(PyObject *module);
 int maplines_add_sender(PyObject *module);
-int maplines_add_paths(PyObject *module);
-int maplines_add_map_lines(PyObject *module);
-int maplines_add_refits(PyObject *module);
 int maplines_add_tables(PyObject *module);
 int maplines_add_values(PyObject *module);
 

@@ -104,6 +104,7 @@ def map_lines(
     >>> lines.left_out
     {<Slot.EGO_RIGHT: 1>: <LeftOut.ACROSS: "the line is across the car's x axis">}
     """
+    lines, window = _checked(lines, ego, window, max_sigma)
     asked = (lines, ego, window, map_error, max_misfit, max_sigma)
     if components == 1 and (cycle := CycleInC.of(*asked)) is not None:
         in_c = cycle.map_lines(transform or SIGMA_POINTS)
@@ -171,6 +172,7 @@ def map_scene(
     (np.float64(0.2), np.float64(0.024))
     """
     transform = transform or SIGMA_POINTS
+    lines, window = _checked(lines, ego, window, max_sigma)
     asked = (lines, ego, window, map_error, max_misfit, max_sigma)
     if (cycle := CycleInC.of(*asked)) is not None:
         in_c = cycle.map_scene(transform, correlation_time)
@@ -241,10 +243,8 @@ class View:
         max_misfit: float = MAX_MISFIT,
         max_sigma: float = MAX_SIGMA,
     ) -> View:
-        """Return the view of the arguments of ``map_lines``, which it checks."""
-        _check(lines, ego)
-        check_max_sigma(max_sigma)
-        x_min, x_max = floats(window, "window").tolist()
+        """Return the view of the checked arguments of ``map_lines``."""
+        x_min, x_max = window
         s, c = sin_cos_one(ego.mean.item(2))
         R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         pose_cov = cov = congruence(R, ego.cov)
@@ -290,13 +290,16 @@ class ExtendedRefit:
         return extended(lambda at: self._refit(at)[:, self._lines], poses, self._refit.pose)
 
 
-def _check(lines: Mapping[Slot, Polyline], ego: Gaussian) -> None:
-    """Check the lines, and that the Gaussian is over a pose."""
+def _checked(
+    lines: Mapping[Slot, Polyline], ego: Gaussian, window: tuple[float, float], max_sigma: float
+) -> tuple[dict[Slot, Polyline], tuple[float, float]]:
+    """Return the lines, of any mapping, and the window as floats; the others are checked."""
     if not isinstance(lines, Mapping):
         raise TypeError(
             "lines must be a mapping from slots to polylines, such as "
             f"{{Slot.EGO_LEFT: Polyline(points)}}, got {type(lines).__name__}"
         )
+    lines = lines if type(lines) is dict else dict(lines)
     for slot, line in lines.items():
         if not isinstance(line, Polyline):
             raise TypeError(
@@ -306,6 +309,9 @@ def _check(lines: Mapping[Slot, Polyline], ego: Gaussian) -> None:
         raise ValueError(
             f"ego must be over the pose (e_x [m], e_y [m], e_h [rad]), got {ego.mean.size}-D"
         )
+    check_max_sigma(max_sigma)
+    x_min, x_max = floats(window, "window").tolist()
+    return lines, (x_min, x_max)
 
 
 def _counts(

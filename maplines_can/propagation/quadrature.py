@@ -55,7 +55,7 @@ class Quadrature(Transform):
         found = own_moments(function, gaussian, rule)
         if found is not None:
             return found
-        z, w, _ = rule
+        z, w = rule.z, rule.mean_weights
         points = gaussian.mean + fixed_order.product(z, gaussian.root.T)
         values = np.asarray(function(points), dtype=float)
         excluded = np.isnan(values.reshape(len(points), -1)).any(axis=1)

@@ -16,7 +16,13 @@ from ..values.map_error import MapError
 from ..values.polyline import Polyline
 from .in_c import RefitInC, refit_in_c
 from .refit_model import RefitModel
-from .stretches import MAX_TURN, Stretches, stretches
+from .stretches import (
+    MAX_TURN,
+    Stretches,
+    check_given,
+    checked_pose,
+    stretches,
+)
 from .transform import Moments, Rule
 
 #: Default of the largest deviation of a cubic from its line [m].
@@ -52,6 +58,7 @@ class Refit:
             any [m].
 
     Raises:
+        TypeError: a line is no ``Polyline``.
         ValueError: ``pose``, ``window`` or ``max_misfit`` is wrong, or there is no line.
         IllPosedError: a line is not in the window, or is nearly perpendicular to the x axis.
 
@@ -81,9 +88,8 @@ class Refit:
     ) -> None:
         if not max_misfit > 0:
             raise ValueError(f"max_misfit must be more than 0 m, got {max_misfit!r}")
-        pose = floats(pose, "pose")
-        self.pose = np.array(pose)
         lines = polyline if isinstance(polyline, Stretches) else _lines(polyline)
+        self.pose = np.array(checked_pose(pose))
         fit = (map_error, max_misfit, room, step)
         self._lines: RefitInC | RefitModel = refit_in_c(
             lines, self.pose, window, max_turn, *fit
@@ -172,6 +178,11 @@ def _lines(polyline: Polyline | Sequence[Polyline]) -> list[Polyline]:
     lines = [polyline] if isinstance(polyline, Polyline) else list(polyline)
     if not lines:
         raise ValueError("polyline must be a Polyline or a sequence of at least one, got none")
+    for line in lines:
+        if not isinstance(line, Polyline):
+            raise TypeError(
+                f"polyline must be a Polyline or a sequence of them, got {type(line).__name__}"
+            )
     return lines
 
 
@@ -185,7 +196,5 @@ def _seen(
     if isinstance(lines, Stretches):
         return lines
     seen = stretches(lines, pose, window, max_turn)
-    for i, reason in sorted(seen.left_out.items()):
-        which = "the line" if len(lines) == 1 else f"line {i} of {len(lines)}"
-        raise IllPosedError(f"{which} cannot be given: {reason}; the window is {window} m")
+    check_given([seen.left_out.get(i) for i in range(len(lines))], window)
     return seen

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..values.arrays import floats
 from ..values.elementary import hypot, sin_cos_one
+from ..values.errors import IllPosedError
 from ..values.line import LeftOut
 from ..values.polyline import Polyline, nearest_share, squared_length, to_map
 
@@ -109,12 +110,8 @@ def stretches(
     Raises:
         ValueError: ``pose`` is not finite or not of shape (3,), or the window is empty.
     """
-    pose = floats(pose, "pose")
-    if pose.shape != (3,) or not np.isfinite(pose).all():
-        raise ValueError(f"pose must be finite with shape (3,), got {pose!r}")
-    x_min, x_max = floats(window, "window").tolist()
-    if not -np.inf < x_min < x_max < np.inf:
-        raise ValueError(f"window must have finite x_min < x_max [m], got {window}")
+    pose = checked_pose(pose)
+    x_min, x_max = checked_window(window)
     # If the car is not in the window, the end of the window nearest to it takes its place.
     ahead = min(max(0.0, x_min), x_max)
     s, c = sin_cos_one(pose.item(2))
@@ -133,6 +130,42 @@ def stretches(
     x, y = joined.points - pose[:2, None]
     points = np.array([c * x + s * y, c * y - s * x])
     return _in_window(points, direction, nearest[given], (x_min, x_max), given, left_out)
+
+
+def checked_pose(pose: ArrayLike) -> NDArray[np.float64]:
+    """Return a pose as an array of floats.
+
+    Raises:
+        ValueError: it is not finite or not of shape (3,).
+    """
+    pose = floats(pose, "pose")
+    if pose.shape != (3,) or not all(map(math.isfinite, pose.tolist())):
+        raise ValueError(f"pose must be finite with shape (3,), got {pose!r}")
+    return pose
+
+
+def checked_window(window: tuple[float, float]) -> tuple[float, float]:
+    """Return the ends of a window as floats [m].
+
+    Raises:
+        ValueError: it is empty, or not of two finite numbers.
+    """
+    x_min, x_max = floats(window, "window").tolist()
+    if not -np.inf < x_min < x_max < np.inf:
+        raise ValueError(f"window must have finite x_min < x_max [m], got {window}")
+    return x_min, x_max
+
+
+def check_given(left_out: Sequence[LeftOut | None], window: tuple[float, float]) -> None:
+    """Check that all lines have a stretch in a window.
+
+    Raises:
+        IllPosedError: one is left out.
+    """
+    for i, reason in enumerate(left_out):
+        if reason is not None:
+            which = "the line" if len(left_out) == 1 else f"line {i} of {len(left_out)}"
+            raise IllPosedError(f"{which} cannot be given: {reason}; the window is {window} m")
 
 
 def points_in_window(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -28,7 +29,8 @@ class Moments(NamedTuple):
     cov: NDArray[np.float64]  #: (..., m, m)
 
 
-class Rule(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Rule:
     """Points of a transform: the mean and the root of the covariance times z, and their weights.
 
     The first one is at the mean, or the nearest to it.

@@ -173,6 +173,25 @@ class MapLine:
         """
         return cls(slot, mixture.overall, mixture=mixture, **rest)
 
+    @classmethod
+    def trusted(
+        cls, slot: Slot, gaussian: Gaussian, kind: Kind, x_min: float, x_max: float
+    ) -> MapLine:
+        """Return a line of values that are computed, and so of the right types, without checks."""
+        line = object.__new__(cls)
+        line.__dict__.update(
+            slot=slot,
+            gaussian=gaussian,
+            kind=kind,
+            x_min=x_min,
+            x_max=x_max,
+            age=0.0,
+            status=Status.FULL,
+            t_ns=None,
+            mixture=None,
+        )
+        return line
+
     @property
     def is_usable(self) -> bool:
         """Whether the line fitted the message and its age is finite.
