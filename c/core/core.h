@@ -276,6 +276,17 @@ bool maplines_refit_moments(const double *refits, const double gaussian[12], siz
                             const double *z, const double *mean_weights, const double *cov_weights,
                             double *memory, double *means, double *covs);
 
+/* ---- values.c: Gaussians, and places of a line ------------------------------------------------
+ */
+
+/// Whether a mean (n) and a covariance (n, n) are those of a Gaussian, up to a relative rounding
+/// error. It makes the covariance exactly symmetric; memory is n (n + 1) doubles.
+bool maplines_check_gaussian(size_t n, double rounding, const double *mean, double *cov,
+                             double *memory);
+/// Lateral position of a line at x, and its standard deviation to first order [m].
+double maplines_line_y(double y_off, double beta, double c0, double c1, double x);
+double maplines_line_sigma(double beta, const double cov[16], double x);
+
 #ifdef __GNUC__
 #pragma GCC visibility pop
 #endif

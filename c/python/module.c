@@ -19,8 +19,10 @@ maplines_module_t *maplines_module_state(PyObject *module)
 static int add_all(PyObject *module)
 {
     static int (*const parts[])(PyObject *) = {
-        maplines_add_names,  maplines_add_scene,  maplines_add_sender,
-        maplines_add_tables, maplines_add_values,
+        maplines_add_names,
+        maplines_add_scene,
+        maplines_add_sender,
+        maplines_add_tables,
     };
     for (size_t i = 0; i < sizeof parts / sizeof parts[0]; i++)
     {

@@ -110,6 +110,5 @@ int maplines_add_names(PyObject *module);
 int maplines_add_scene(PyObject *module);
 int maplines_add_sender(PyObject *module);
 int maplines_add_tables(PyObject *module);
-int maplines_add_values(PyObject *module);
 
 #endif

@@ -25,13 +25,15 @@ __all__ = ["Lock", "ffi", "load", "pointer", "pointers", "structure"]
 PATH = Path(__file__).parents[1] / f"_native_core.{'dll' if os.name == 'nt' else 'so'}"
 #: Type that cffi takes for any pointer.
 _ANY = ffi.typeof("void *")
-#: Types of the elements of arrays, by those of NumPy.
+#: Types of arrays by the characters of those of NumPy, of which some have the same size.
 _TYPES = {
     kind: ffi.typeof(f"{name}[]")
-    for kind, name in {
-        "f8": "double", "f4": "float", "i8": "int64_t", "u4": "uint32_t", "u2": "uint16_t",
-        "u1": "uint8_t", "i1": "int8_t", "b1": "uint8_t",
+    for name, kinds in {
+        "double": "d", "float": "f", "int64_t": "lq", "uint32_t": "IL", "uint16_t": "H",
+        "uint8_t": "B?", "int8_t": "b",
     }.items()
+    for kind in kinds
+    if ffi.sizeof(name) == np.dtype(kind).itemsize
 }  # fmt: skip
 
 
@@ -57,7 +59,7 @@ def pointer(array: NDArray[Any], *, written: bool = False) -> Any:
     Raises:
         ValueError: the array is not in C order, or may not be written to.
     """
-    return ffi.from_buffer(_TYPES[array.dtype.str[1:]], array, require_writable=written)
+    return ffi.from_buffer(_TYPES[array.dtype.char], array, require_writable=written)
 
 
 def pointers(arrays: Sequence[NDArray[Any]]) -> Any:

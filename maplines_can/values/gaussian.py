@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..native import core
+from ..core import ffi, pointer
+from ..native import lib
 from .arrays import floats
 from .linalg import (
     MAX_COV,
@@ -21,6 +23,9 @@ from .linalg import (
     solve_lower,
     square_root,
 )
+
+#: Memory that is not cleared.
+_new: Callable[..., Any] = ffi.new_allocator(should_clear_after_alloc=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,19 +60,17 @@ matrix is -1; use nearest_covariance(cov), which covers it
         def __init__(self, mean: ArrayLike, cov: ArrayLike) -> None: ...
 
     def __post_init__(self) -> None:
-        if core is not None and (checked := core.checked_gaussian(self.mean, self.cov)) is not None:
-            object.__setattr__(self, "mean", checked[0])
-            object.__setattr__(self, "cov", checked[1])
-            return
-        mean = np.array(floats(self.mean, "mean"))
-        cov = np.array(floats(self.cov, "cov"))
-        if mean.ndim != 1 or mean.size == 0 or not all(map(math.isfinite, mean.tolist())):
-            raise ValueError(f"mean must be finite with shape (n,), got {mean!r}")
-        if cov.shape != (mean.size, mean.size):
-            raise ValueError(f"cov must be finite with shape {(mean.size,) * 2}, got {cov!r}")
-        cov = _checked(cov, rounding_of(self.cov))
+        mean = floats(self.mean, "mean").copy()
+        cov = floats(self.cov, "cov").copy()
+        rounding = rounding_of(self.cov)
+        if not (lib is not None and _is_checked(mean, cov, rounding)):
+            if mean.ndim != 1 or mean.size == 0 or not all(map(math.isfinite, mean.tolist())):
+                raise ValueError(f"mean must be finite with shape (n,), got {mean!r}")
+            if cov.shape != (mean.size, mean.size):
+                raise ValueError(f"cov must be finite with shape {(mean.size,) * 2}, got {cov!r}")
+            cov = _checked(cov, rounding)
         for name, array in (("mean", mean), ("cov", cov)):
-            array.flags.writeable = False
+            array.setflags(write=False)
             object.__setattr__(self, name, array)
 
     @classmethod
@@ -206,6 +209,15 @@ matrix is -1; use nearest_covariance(cov), which covers it
                 "take a marginal of fewer variables"
             )
         return self.root
+
+
+def _is_checked(mean: NDArray[np.float64], cov: NDArray[np.float64], rounding: float) -> bool:
+    """Return whether the core finds nothing wrong, and make the covariance exactly symmetric."""
+    n = mean.size
+    if n == 0 or mean.shape != (n,) or cov.shape != (n, n):
+        return False
+    memory = _new("double[]", n * (n + 1))
+    return bool(lib.maplines_check_gaussian(n, rounding, pointer(mean), pointer(cov), memory))
 
 
 def _checked(cov: NDArray[np.float64], rounding: float) -> NDArray[np.float64]:

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..native import core
+from ..core import pointer
+from ..native import lib
 from .arrays import floats, is_plain, number_text
 from .cubics import Poses, fit_points, points_of, refitted
 from .elementary import tan_one
@@ -276,16 +277,17 @@ def _lateral_one(parameters: NDArray[np.float64], x: float) -> Any:
 
     It is a number of NumPy's class, as NumPy returns it of arrays without axes.
     """
-    if core is not None and (y := core.y(parameters, x)) is not None:
-        return np.float64(y)
     y_off, beta, c0, c1 = parameters.tolist()
+    if lib is not None:
+        return np.float64(lib.maplines_line_y(y_off, beta, c0, c1, x))
     return np.float64(y_off + x * (tan_one(beta) + x * (c0 / 2 + x * c1 / 6)))
 
 
 def _sigma_one(gaussian: Gaussian, x: float) -> Any:
     """Return the standard deviation of one line at one x: as ``MapLine.y_sigma``."""
-    if core is not None and (sigma := core.y_sigma(gaussian.mean, gaussian.cov, x)) is not None:
-        return np.float64(sigma)
+    if lib is not None:
+        cov = pointer(np.ascontiguousarray(gaussian.cov))
+        return np.float64(lib.maplines_line_sigma(gaussian.mean.item(1), cov, x))
     slope = tan_one(gaussian.mean.item(1))
     J = (1.0, (1 + slope * slope) * x, x * x / 2, x * x * x / 6)
     variance = 0.0
