@@ -9,7 +9,7 @@ are as their callers have checked them. A call lets other threads run: an object
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -20,21 +20,21 @@ from numpy.typing import NDArray
 
 from .declarations import ffi
 
-__all__ = ["Lock", "ffi", "load", "pointer", "pointers", "structure"]
+__all__ = ["Lock", "ffi", "load", "new", "pointer", "pointers", "structure"]
 
 PATH = Path(__file__).parents[1] / f"_native_core.{'dll' if os.name == 'nt' else 'so'}"
 #: Type that cffi takes for any pointer.
 _ANY = ffi.typeof("void *")
-#: Types of arrays by the characters of those of NumPy, of which some have the same size.
+#: Types of arrays, by those of the elements in NumPy.
 _TYPES = {
-    kind: ffi.typeof(f"{name}[]")
-    for name, kinds in {
-        "double": "d", "float": "f", "int64_t": "lq", "uint32_t": "IL", "uint16_t": "H",
-        "uint8_t": "B?", "int8_t": "b",
+    np.dtype(kind): ffi.typeof(f"{name}[]")
+    for kind, name in {
+        "f8": "double", "f4": "float", "i8": "int64_t", "u4": "uint32_t", "u2": "uint16_t",
+        "u1": "uint8_t", "i1": "int8_t", "b1": "uint8_t",
     }.items()
-    for kind in kinds
-    if ffi.sizeof(name) == np.dtype(kind).itemsize
 }  # fmt: skip
+#: Allocate memory that is not cleared, by the name of its type and a length.
+new: Callable[..., Any] = ffi.new_allocator(should_clear_after_alloc=False)
 
 
 def load(version: str) -> Any:
@@ -57,9 +57,10 @@ def pointer(array: NDArray[Any], *, written: bool = False) -> Any:
     """Return the pointer to the elements of an array, which it keeps alive.
 
     Raises:
+        KeyError: elements are of a type that the core has not, also by their byte order.
         ValueError: the array is not in C order, or may not be written to.
     """
-    return ffi.from_buffer(_TYPES[array.dtype.char], array, require_writable=written)
+    return ffi.from_buffer(_TYPES[array.dtype], array, written)
 
 
 def pointers(arrays: Sequence[NDArray[Any]]) -> Any:

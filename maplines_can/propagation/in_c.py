@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import ffi, pointer, pointers
+from ..core import ffi, new, pointer, pointers
 from ..native import lib
 from ..values.gaussian import Gaussian
 from ..values.line import LeftOut, MapLine, MapLineList, Slot
@@ -34,8 +34,6 @@ REASONS = (None, LeftOut.NOT_IN_WINDOW, LeftOut.ACROSS, LeftOut.TOO_SHORT, LeftO
 _SLOTS = frozenset(Slot)
 #: Errors of values that are no numbers in double precision.
 _WRONG = (TypeError, OverflowError)
-#: Memory that is not cleared.
-_new: Callable[..., Any] = ffi.new_allocator(should_clear_after_alloc=False)
 
 
 # ---- what all functions take ----------------------------------------------------------
@@ -50,7 +48,7 @@ class _Paths(NamedTuple):
 
     def work(self, together: int = 0, poses: int = 0) -> Any:
         """Return memory for a query in which so many lines are propagated together."""
-        return _new("double[]", lib.maplines_work_size(self.lines, self.points, together, poses))
+        return new("double[]", lib.maplines_work_size(self.lines, self.points, together, poses))
 
 
 @lru_cache(maxsize=KEPT)
@@ -59,7 +57,7 @@ def _paths(lines: tuple[Polyline, ...]) -> _Paths | None:
     points = [np.ascontiguousarray(line.points, float) for line in lines]
     distances = [np.ascontiguousarray(line.distance, float) for line in lines]
     count = [*map(len, points)]
-    memory = _new("double[]", lib.maplines_paths_size(len(lines), sum(count)))
+    memory = new("double[]", lib.maplines_paths_size(len(lines), sum(count)))
     arrays = pointers(points), pointers(distances)
     if not lib.maplines_prepare_paths(len(lines), count, *arrays, memory):
         return None
@@ -254,7 +252,7 @@ class RefitInC:
             return None
         means, covs = np.empty((self.count, 4)), np.empty((self.count, 4, 4))
         points = _points_of(rule)
-        work, arrays = _new("double[]", 7 * points[0]), (pointer(means), pointer(covs))
+        work, arrays = new("double[]", 7 * points[0]), (pointer(means), pointer(covs))
         if lib.maplines_refit_moments(pointer(self._refits), pose, *points, work, *arrays):
             return Moments(means, covs)
         return None

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core import ffi, pointer
+from ..core import new, pointer
 from ..native import lib
 from .arrays import floats
 from .linalg import (
@@ -23,9 +22,6 @@ from .linalg import (
     solve_lower,
     square_root,
 )
-
-#: Memory that is not cleared.
-_new: Callable[..., Any] = ffi.new_allocator(should_clear_after_alloc=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +212,7 @@ def _is_checked(mean: NDArray[np.float64], cov: NDArray[np.float64], rounding: f
     n = mean.size
     if n == 0 or mean.shape != (n,) or cov.shape != (n, n):
         return False
-    memory = _new("double[]", n * (n + 1))
+    memory = new("double[]", n * (n + 1))
     return bool(lib.maplines_check_gaussian(n, rounding, pointer(mean), pointer(cov), memory))
 
 

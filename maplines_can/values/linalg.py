@@ -26,7 +26,8 @@ MAX_COV = 1e307
 
 def rounding_of(cov: object) -> float:
     """Return the relative rounding error of a covariance: 1e-9, or 1e-5 in single precision."""
-    return 1e-5 if getattr(cov, "dtype", None) in (np.float32, np.float16) else ROUNDING
+    kind = getattr(getattr(cov, "dtype", None), "char", "")
+    return 1e-5 if kind in ("e", "f") else ROUNDING
 
 
 def asymmetric(cov: NDArray[np.float64], rounding: float = ROUNDING) -> NDArray[np.bool_]:

@@ -1,5 +1,6 @@
 """Gaussians and bands of lines: the core against Python alone."""
 
+import sys
 from typing import Any
 
 import hypothesis.strategies as st
@@ -8,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis.extra.numpy import arrays
 
+from maplines_can.core import pointer
 from maplines_can.native import lib
 from maplines_can.values import gaussian as module
 from maplines_can.values import line as line_module
@@ -152,3 +154,9 @@ def test_a_gaussian_that_was_not_checked_may_hold_any_arrays() -> None:
     odd = Gaussian.trusted(np.array([1.0, 9, 0, 9, 0, 9, 0, 9])[::2], np.diag([4.0] * 8)[::2, ::2])
     line = MapLine(Slot.EGO_LEFT, odd)
     assert [line.y(2.0), line.y_sigma(0.0)] == [1.0, 2.0]
+
+
+@pytest.mark.parametrize("kind", [">f8" if sys.byteorder == "little" else "<f8", "f2", "O"])
+def test_pointers_of_arrays_that_the_core_would_misread(kind: str) -> None:
+    with pytest.raises(KeyError):
+        pointer(np.zeros(2, kind))
