@@ -143,6 +143,7 @@ typedef struct {
     maplines_scene_row_t *scenes;
     size_t max_lines, max_components, max_scenes;
     size_t line_count, component_count, scene_count;
+    bool is_waiting; ///< an authenticated frame is next, for which there is room
 } maplines_rows_t;
 
 /// Frames of a block, and those of a decoder among them.
@@ -174,6 +175,26 @@ typedef struct {
     double cov[16 * MAPLINES_SLOTS * MAPLINES_SLOTS]; ///< (4 n, 4 n)
 } maplines_seen_scene_t;
 
+/// Bytes of a frame that a MAC is of: data ID, authentic I-PDU and freshness value.
+#define MAPLINES_MAC_DATA 74
+
+/// Authentication of a frame: the core asks for a MAC, or for a second one of an older freshness
+/// value, and goes on when it has it.
+typedef struct {
+    maplines_authenticator_t authenticator; ///< its MACs are the answers
+    maplines_frame_t frame;
+    int owner;
+    int64_t t_ns, now_us;
+    maplines_rows_t *rows; ///< of the block of the frame; NULL: it is fed alone
+    int64_t place;         ///< in the block
+    bool has_scenes;
+    uint8_t asked, answered; ///< number of MACs
+    uint8_t key_id;
+    uint8_t size; ///< of the data of each [byte]
+    uint8_t data[2][MAPLINES_MAC_DATA];
+    uint8_t macs[2][16];
+} maplines_authentication_t;
+
 /// A decoder, and what its functions write: all that one of Python needs. It must not be moved.
 typedef struct {
     maplines_decoder_t decoder;
@@ -185,19 +206,33 @@ typedef struct {
     maplines_scene_view_t scene_view;
     maplines_seen_scene_t seen;
     maplines_statistics_t numbers;
+    maplines_authentication_t secoc;
 } maplines_receiver_t;
+
+/// Answer of a function that waits for the MAC of `secoc.data[secoc.answered]`.
+#define MAPLINES_ASKS_MAC MAPLINES_REASONS
 
 /// Default settings of a decoder of a DBC.
 void maplines_receiver_settings(const maplines_dbc_t *dbc, maplines_settings_t *settings);
-/// Start; return NULL, or what is wrong with the settings.
+/// Start; return NULL, or what is wrong with the settings. A window of 1 us or more, about a clock
+/// or without one, is that of authenticated frames; with 0, those are dropped.
 const char *maplines_receiver_start(maplines_receiver_t *receiver, const maplines_dbc_t *dbc,
-                                    const maplines_settings_t *settings);
+                                    maplines_settings_t *settings, int64_t window_us,
+                                    bool has_clock);
 /// Take a frame: the reason why it completes no line, or minus the number of lines, which are the
 /// rows then. Bit 31 of the CAN ID says that it has 29 bits.
 int maplines_receiver_feed(maplines_receiver_t *receiver, uint32_t can_id, int64_t t_ns,
                            const uint8_t *data, size_t length);
+/// Take an authenticated frame of an owner, at a time of the clock and with the last freshness
+/// value that was accepted. The answer is that of maplines_receiver_feed, or MAPLINES_ASKS_MAC.
+int maplines_receiver_feed_secured(maplines_receiver_t *receiver, int owner, int64_t t_ns,
+                                   const uint8_t *data, size_t length, int64_t now_us,
+                                   int64_t last_us);
+/// Go on with a MAC of 16 bytes, or with NULL if there is no such key; the answer is as before.
+int maplines_receiver_give_mac(maplines_receiver_t *receiver, const uint8_t *mac);
 /// Take the frames at the places from `first` on, as long as there is room for the rows of one
-/// more, and add their rows. It returns the place after the last one.
+/// more, and add their rows; an authenticated frame ends it. It returns the place after the last
+/// one.
 size_t maplines_receiver_feed_block(maplines_receiver_t *receiver, const maplines_block_t *block,
                                     size_t first, maplines_rows_t *rows, bool has_scenes);
 void maplines_receiver_expire(maplines_receiver_t *receiver, int64_t t_ns);

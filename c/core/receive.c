@@ -203,30 +203,161 @@ void maplines_receiver_settings(const maplines_dbc_t *dbc, maplines_settings_t *
     maplines_default_settings(dbc, settings);
 }
 
-const char *maplines_receiver_start(maplines_receiver_t *receiver, const maplines_dbc_t *dbc,
-                                    const maplines_settings_t *settings)
+/// MAC that was given for data; without one it is asked for, if there is room.
+static bool given_mac(void *context, uint8_t key_id, const uint8_t *data, size_t length,
+                      uint8_t mac[16])
 {
+    maplines_authentication_t *secoc = context;
+    for (unsigned i = 0; i < secoc->answered; ++i)
+    {
+        if (length == secoc->size && memcmp(secoc->data[i], data, length) == 0)
+        {
+            memcpy(mac, secoc->macs[i], sizeof secoc->macs[i]);
+            return true;
+        }
+    }
+    if (secoc->asked < 2U && length <= sizeof secoc->data[0])
+    {
+        secoc->key_id = key_id;
+        secoc->size = (uint8_t)length;
+        memcpy(secoc->data[secoc->asked], data, length);
+        ++secoc->asked;
+    }
+    return false;
+}
+
+static int64_t given_time(void *context)
+{
+    return ((const maplines_authentication_t *)context)->now_us;
+}
+
+const char *maplines_receiver_start(maplines_receiver_t *receiver, const maplines_dbc_t *dbc,
+                                    maplines_settings_t *settings, int64_t window_us,
+                                    bool has_clock)
+{
+    maplines_authenticator_t *authenticator = &receiver->secoc.authenticator;
+    authenticator->mac = given_mac;
+    authenticator->now_us = has_clock ? given_time : NULL;
+    authenticator->context = &receiver->secoc;
+    authenticator->window_us = window_us;
+    settings->authenticator = window_us > 0 ? authenticator : NULL;
     receiver->rows.lines = receiver->lines;
     receiver->rows.components = receiver->components;
     receiver->shown.frame = -1;
     return maplines_decoder_init(&receiver->decoder, dbc, settings);
 }
 
+/// Copy a payload; of one that is longer than any frame, its beginning: its length is wrong, too.
+static void set_data(maplines_frame_t *frame, const uint8_t *data, size_t length)
+{
+    frame->length = (uint8_t)(length < sizeof frame->data ? length : sizeof frame->data);
+    memcpy(frame->data, data, frame->length);
+}
+
+/// Take a frame; its lines become the rows of the receiver.
+static int feed_one(maplines_receiver_t *receiver, const maplines_frame_t *frame, int64_t t_ns)
+{
+    maplines_rows_t *rows = &receiver->rows;
+    rows->line_count = 0;
+    rows->component_count = 0;
+    const maplines_reason_t reason = feed(&receiver->decoder, frame, t_ns, 0, rows);
+    return reason == MAPLINES_COMPLETE ? -(int)rows->line_count : (int)reason;
+}
+
+/// Take a frame of a block; its lines are added to the rows, and the scene before, if it is
+/// complete.
+static maplines_reason_t feed_at(maplines_receiver_t *receiver, const maplines_frame_t *frame,
+                                 int64_t t_ns, int64_t place, maplines_rows_t *rows,
+                                 bool has_scenes)
+{
+    maplines_decoder_t *decoder = &receiver->decoder;
+    const maplines_reason_t reason = feed(decoder, frame, t_ns, place, rows);
+    if (has_scenes && decoder->dbc->has_pose)
+    {
+        see_scene(decoder, place, t_ns, rows, &receiver->shown);
+    }
+    return reason;
+}
+
 int maplines_receiver_feed(maplines_receiver_t *receiver, uint32_t can_id, int64_t t_ns,
                            const uint8_t *data, size_t length)
 {
-    maplines_rows_t *rows = &receiver->rows;
     maplines_frame_t frame;
     memset(&frame, 0, sizeof frame);
     frame.can_id = can_id & ~IS_EXTENDED;
     frame.is_extended = (can_id & IS_EXTENDED) != 0;
-    // A payload that is longer than any frame has the wrong length with its beginning alone.
-    frame.length = (uint8_t)(length < sizeof frame.data ? length : sizeof frame.data);
-    memcpy(frame.data, data, frame.length);
-    rows->line_count = 0;
-    rows->component_count = 0;
-    const maplines_reason_t reason = feed(&receiver->decoder, &frame, t_ns, 0, rows);
-    return reason == MAPLINES_COMPLETE ? -(int)rows->line_count : (int)reason;
+    set_data(&frame, data, length);
+    return feed_one(receiver, &frame, t_ns);
+}
+
+/// Take the frame, whose MACs were given, alone or as one of a block.
+static int take_secured(maplines_receiver_t *receiver)
+{
+    const maplines_authentication_t *secoc = &receiver->secoc;
+    if (secoc->rows == NULL)
+    {
+        return feed_one(receiver, &secoc->frame, secoc->t_ns);
+    }
+    return (int)feed_at(receiver, &secoc->frame, secoc->t_ns, secoc->place, secoc->rows,
+                        secoc->has_scenes);
+}
+
+/// Verify the frame without a change of the decoder; take it when no MAC is missing.
+static int go_on(maplines_receiver_t *receiver, int owner)
+{
+    maplines_authentication_t *secoc = &receiver->secoc;
+    maplines_decoder_t *decoder = &receiver->decoder;
+    int64_t last_us = decoder->freshness_us[owner];
+    (void)maplines_verify(decoder->dbc, owner, &secoc->authenticator, &secoc->frame, &last_us);
+    return secoc->asked > secoc->answered ? MAPLINES_ASKS_MAC : take_secured(receiver);
+}
+
+int maplines_receiver_feed_secured(maplines_receiver_t *receiver, int owner, int64_t t_ns,
+                                   const uint8_t *data, size_t length, int64_t now_us,
+                                   int64_t last_us)
+{
+    const maplines_messages_t *messages = &receiver->decoder.dbc->messages[owner];
+    maplines_authentication_t *secoc = &receiver->secoc;
+    receiver->decoder.freshness_us[owner] = last_us;
+    secoc->frame.can_id = messages->secured_can_id;
+    secoc->frame.is_extended = messages->secured_is_extended;
+    set_data(&secoc->frame, data, length);
+    secoc->owner = owner;
+    secoc->t_ns = t_ns;
+    secoc->now_us = now_us;
+    secoc->asked = 0;
+    secoc->answered = 0;
+    return go_on(receiver, owner);
+}
+
+int maplines_receiver_give_mac(maplines_receiver_t *receiver, const uint8_t *mac)
+{
+    maplines_authentication_t *secoc = &receiver->secoc;
+    if (mac == NULL) // nothing is asked for again
+    {
+        secoc->asked = 2;
+        return take_secured(receiver);
+    }
+    if (secoc->answered < secoc->asked)
+    {
+        memcpy(secoc->macs[secoc->answered], mac, sizeof secoc->macs[0]);
+        ++secoc->answered;
+    }
+    return go_on(receiver, secoc->owner);
+}
+
+/// Whether a frame waits for its MAC.
+static bool is_secured(const maplines_decoder_t *decoder, const maplines_frame_t *frame)
+{
+    bool is_found = false;
+    for (int owner = 0; owner < MAPLINES_OWNERS && decoder->settings.authenticator != NULL; ++owner)
+    {
+        const maplines_messages_t *messages = &decoder->dbc->messages[owner];
+        is_found = is_found || (messages->is_present && messages->has_secured &&
+                                messages->secured_can_id == frame->can_id &&
+                                messages->secured_is_extended == frame->is_extended);
+    }
+    return is_found;
 }
 
 static bool has_room(const maplines_rows_t *rows)
@@ -239,29 +370,31 @@ static bool has_room(const maplines_rows_t *rows)
 size_t maplines_receiver_feed_block(maplines_receiver_t *receiver, const maplines_block_t *block,
                                     size_t first, maplines_rows_t *rows, bool has_scenes)
 {
-    maplines_decoder_t *decoder = &receiver->decoder;
     maplines_frame_t frame;
     memset(&frame, 0, sizeof frame);
+    rows->is_waiting = false;
     size_t k = first;
     while (k < block->count && has_room(rows))
     {
         const int64_t i = block->places[k];
-        ++k;
         if (i < 0 || (size_t)i >= block->frames) // another thread has changed it
         {
+            ++k;
             continue;
         }
         const uint8_t length = block->lengths[i];
         frame.can_id = block->can_ids[i];
         frame.is_extended = block->are_extended[i] != 0;
+        if (is_secured(&receiver->decoder, &frame))
+        {
+            rows->is_waiting = true;
+            break;
+        }
+        ++k;
         frame.length = length <= block->width ? length : (uint8_t)block->width;
         memcpy(frame.data, block->data + (size_t)i * block->width, block->width);
-        const int64_t t_ns = block->times_ns[i];
-        block->reasons[i] = (uint8_t)feed(decoder, &frame, t_ns, i, rows); // -1 becomes 255
-        if (has_scenes && decoder->dbc->has_pose)
-        {
-            see_scene(decoder, i, t_ns, rows, &receiver->shown);
-        }
+        block->reasons[i] = (uint8_t)feed_at(receiver, &frame, block->times_ns[i], i, rows,
+                                             has_scenes); // -1 becomes 255
     }
     return k;
 }

@@ -262,10 +262,9 @@ class Codec:
         if pose is not None and (of_pose := self._verifier_of(pose)) is not None:
             verifiers[POSE] = of_pose
         settings = decoder_settings(layout, timeout_ms, cycle_ms, e2e)
-        # With a key, frames are verified in Python: its library has the MAC, and its errors.
-        if self._c_tables is not None and not verifiers:
+        if self._c_tables is not None:
             numbers = {owner: number_of(owner) for owner in settings}
-            return NativeDecoder(layout, self._c_tables, settings, numbers)
+            return NativeDecoder(layout, self._c_tables, verifiers, settings, numbers)
         scenes = None
         if pose is not None and self._scene_code is not None:
             scenes = SceneReader(layout, pose, self._scene_code)

@@ -2,6 +2,7 @@
 
 import gc
 import pickle
+import random
 import tracemalloc
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -13,24 +14,23 @@ from typing import Any
 
 import numpy as np
 import pytest
-from both_senders import codecs_of
+from both_codecs import python_alone
 from c_layouts import unusual_layouts
-from c_receivers import MAX_TIME
-from c_streams import PROFILES, Stream, Traffic, traffic_of
+from c_receivers import MAX_TIME, Vault
+from c_streams import KEY, OTHER_KEY, PROFILES, SECURED_PROFILES, Stream, Traffic, traffic_of
 from random_dbc import random_dbc
 from scene_layouts import layout_of
 from scene_streams import (
     COMPLETE,
     CONDITIONAL,
     PERIOD_NS,
-    authenticated_codec,
     new_codec,
     road_scene,
 )
 
 from maplines_can import Gaussian, MapLine, native
 from maplines_can.values.line import Slot
-from maplines_can.wire import POSE, Decoder, Layout, Reason, ReceivedFrame
+from maplines_can.wire import POSE, Codec, Decoder, Key, Layout, Reason, ReceivedFrame
 from maplines_can.wire.reception.native_decoder import NativeDecoder
 from maplines_can.wire.reception.python_decoder import PythonDecoder
 from maplines_can.wire.reception.views import STALE_CYCLES
@@ -40,12 +40,19 @@ pytestmark = pytest.mark.skipif(not native.is_active, reason="there is no C path
 FRAMES = 600
 
 
-def decoders(layout: Layout, **settings: Any) -> tuple[Decoder, Decoder]:
+def decoders(
+    layout: Layout, vault: Vault | None = None, **settings: Any
+) -> tuple[Decoder, Decoder]:
     """Return a decoder in C and one in Python."""
-    in_c, in_python = codecs_of(layout)
-    pair = in_c.decoder(**settings), in_python.decoder(**settings)
-    assert [isinstance(one, NativeDecoder) for one in pair] == [True, False]
-    return pair
+
+    def codec() -> Codec:
+        return Codec(layout, None if vault is None else vault.authenticator())
+
+    with python_alone():
+        in_python = codec().decoder(**settings)
+    in_c = codec().decoder(**settings)
+    assert (type(in_c), type(in_python)) == (NativeDecoder, PythonDecoder)
+    return in_c, in_python
 
 
 def content(value: Any) -> Any:
@@ -70,10 +77,15 @@ class Both:
     """Both decoders; what they are asked is compared at once."""
 
     def __init__(
-        self, layout: Layout, *, stale_cycles: float = STALE_CYCLES, **settings: Any
+        self,
+        layout: Layout,
+        *,
+        stale_cycles: float = STALE_CYCLES,
+        vault: Vault | None = None,
+        **settings: Any,
     ) -> None:
-        self.layout, self.vault, self._stale = layout, None, stale_cycles
-        self.in_c, self.in_python = decoders(layout, **settings)
+        self.layout, self.vault, self._stale = layout, vault, stale_cycles
+        self.in_c, self.in_python = decoders(layout, vault, **settings)
         self.decoder, self.met = self.in_c, Counter[str]()
         self.newest: dict[Slot, MapLine] = {}
 
@@ -125,6 +137,7 @@ def numbers_of(decoder: Decoder) -> Any:
     return (
         decoder.frames, decoder.lines, decoder.line_frames, decoder.pose_errors,
         decoder.pose_frames, decoder.lost, decoder.pending, decoder.counts, decoder.can_ids,
+        {owner: one.last_accepted for owner, one in decoder.verifiers.items()},
     )  # fmt: skip
 
 
@@ -140,7 +153,7 @@ def check_of(decoder: Decoder, owner: Any, t_ns: int) -> Any:
 def run(traffic: Traffic, profile: Any, seed: int, frames: int = FRAMES) -> Counter[str]:
     """Feed a stream to both decoders; return what it meets."""
     stream = Stream(traffic, profile, seed)
-    both: Any = Both(traffic.layout, **profile.settings)
+    both: Any = Both(traffic.layout, vault=stream.receivers.vault, **profile.settings)
     stream.receivers = both
     stream.run(frames)
     return Counter(both.met)
@@ -386,6 +399,43 @@ def test_the_settings_are_those_of_python() -> None:
     assert STALE_CYCLES == 3.0
 
 
-def test_with_a_key_the_stations_are_those_of_python() -> None:
-    """A MAC needs a library of Python in any case."""
-    assert type(authenticated_codec("maplines-secoc.dbc").decoder()) is PythonDecoder
+@pytest.mark.parametrize("profile", SECURED_PROFILES, ids=lambda profile: profile.name)
+def test_authenticated_frames_are_received_as_in_python(profile: Any) -> None:
+    """With and without a clock and keys: forged, replayed, late, hostile frames."""
+    met = run(traffic_of("maplines-secoc.dbc"), profile, 5)
+    wanted = {"forged": "MAC", "replayed": "REPLAY", "not auth": "UNAUTHENTICATED"}
+    assert {reason for name, reason in wanted.items() if name in profile.name} - met.keys() == set()
+    assert (met["line"] > 0) == (profile.has_keys == profile.is_signed)
+
+
+def test_any_freshness_value_and_clock_of_a_frame() -> None:
+    """Also those that no sender sends, at the ends of all numbers; keys come and go."""
+    layout = layout_of("maplines-secoc.dbc")
+    vault, rng = Vault([KEY, OTHER_KEY]), random.Random(9)  # noqa: S311
+    both = Both(layout, vault=vault)
+    own, sender = layout.messages[Slot.CENTRE], Traffic(layout, 0)
+    assert layout.secured is not None
+    assert own.secured_can_id is not None
+    records = [record for cycle in sender.cycles[:40] for slot, record in cycle if slot == 4]
+    last = 0
+    for i in range(600):
+        far = 2**62 if i < 550 else 2**63 - 2  # after that one, none is new
+        now = rng.choice([0, last, last + 1, last - 10**6, last + 10**6, *[far] * (i % 50 == 49)])
+        vault.now_us = max(now, 0)
+        signer = Vault([rng.choice([KEY, OTHER_KEY, (9, KEY[1])])], now_us=vault.now_us)
+        signer.now_us += rng.choice([0, 0, 0, 10**6, 10**6 + 1, -(10**6), -(10**6) - 1])
+        signer.now_us = max(0, min(signer.now_us, 2**63 - 2))
+        data = signer.authenticator().secure(
+            rng.choice(records), own.secured_data_id, layout.secured
+        )
+        data = data[: rng.choice([*[len(data)] * 9, 20])] + bytes(rng.choice([0] * 9 + [1, 100]))
+        both.frame(own.secured_can_id, data, i * 10**7, is_extended=own.secured_is_extended)
+        last = both.in_c.verifiers[Slot.CENTRE].last_accepted.get(own.secured_data_id, 0)
+        if i in (200, 400):
+            for one in (both.in_c, both.in_python):
+                authenticator = one.verifiers[Slot.CENTRE].authenticator
+                (authenticator.retire if i == 200 else authenticator.add)(
+                    *([OTHER_KEY[0]] if i == 200 else [Key(OTHER_KEY[1], OTHER_KEY[0])])
+                )
+        both.statistics(i * 10**7)
+    assert {"LENGTH", "KEY", "AGE", "REPLAY"} <= both.met.keys()

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import random
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 import pytest
+from both_codecs import python_alone
 from both_senders import codecs_of
-from c_streams import PROFILES, Stream, traffic_of
+from c_receivers import Vault
+from c_streams import KEY, OTHER_KEY, PROFILES, SECURED_PROFILES, Stream, traffic_of
 from scene_layouts import layout_of
 
 from maplines_can import MapLine, native
@@ -171,6 +174,29 @@ def recorded(codec: Codec, dbc: str, profile: Any, seed: int) -> tuple[Recorder,
     stream.run(FRAMES)
     recorder.decoder.expire(recorder.frames[-1][2] + 10**18)
     return recorder, recorder.frames
+
+
+@pytest.mark.parametrize("which", CODECS)
+@pytest.mark.parametrize("number", [1, 3])
+def test_authenticated_streams_are_received_as_frame_by_frame(number: int, which: int) -> None:
+    """Forged, replayed and hostile frames, among others and in blocks of any size."""
+    dbc, vault = "maplines-secoc.dbc", Vault([KEY, OTHER_KEY], window_us=None)
+    layout = layout_of(dbc)
+    with python_alone() if which else nullcontext():
+        codec = Codec(layout, vault.authenticator())
+        expected, frames = recorded(codec, dbc, SECURED_PROFILES[number], 0)
+    frames = [frame for frame in frames if len(frame[1]) <= 64]
+    with python_alone():
+        expected = Recorder(Codec(layout, vault.authenticator()).decoder())
+        for can_id, data, t_ns, is_extended in frames:
+            expected.frame(can_id, data, t_ns, is_extended=is_extended)
+        expected.decoder.expire(frames[-1][2] + 10**18)
+    receiver = LogReceiver(codec, scenes=POSE in expected.decoder.checks)
+    blocks = in_blocks(receiver, frames, [0] * len(frames), 2)
+    check(blocks, expected, scenes=POSE in expected.decoder.checks)
+    assert numbers_of(receiver.decoders["a"]) == numbers_of(expected.decoder)
+    assert expected.decoder.lines > 100
+    assert {Reason.MAC, Reason.REPLAY} <= expected.decoder.counts.keys()
 
 
 def test_channels_have_decoders_of_their_own() -> None:

@@ -218,13 +218,14 @@ class Verifier:
 
     def __init__(self, authenticator: Authenticator, layout: SecuredLayout) -> None:
         check_freshness(authenticator, layout)
-        self._authenticator, self._layout = authenticator, layout
+        self.authenticator = authenticator  #: keys and clock
+        self.layout = layout  #: of the secured I-PDUs
         #: Last accepted freshness value, by data ID [us].
         self.last_accepted: dict[int, int] = {}
 
     def __call__(self, data: bytes, data_id: int) -> bytes | Reason:
         """Return the authentic I-PDU of a secured I-PDU: the record, padding, and the key ID."""
-        layout, authenticator = self._layout, self._authenticator
+        layout, authenticator = self.layout, self.authenticator
         if len(data) != layout.length:
             return Reason.LENGTH
         authentic, trailer = data[: layout.authentic_bytes], data[layout.authentic_bytes :]

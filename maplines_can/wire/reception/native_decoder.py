@@ -16,6 +16,7 @@ from ...values.line import MapLine, Slot
 from ..layout.message_layout import Layout
 from ..layout.pose_layout import POSE, Owner
 from ..protection.e2e_state import E2EState, ProfileStatus
+from ..protection.secoc import DATA_ID_BYTES, FRESHNESS_BYTES, MAX_FRESHNESS, Verifier
 from ..reasons import Reason
 from .check import Check
 from .decoder import NO_POSE, Decoder, ReceivedFrame
@@ -31,6 +32,9 @@ _STATES = {int(state): state for state in E2EState}
 _STATUSES: dict[int, ProfileStatus | None] = {0xFF: None}
 _STATUSES |= {int(status): status for status in ProfileStatus}
 _REASONS = tuple(Reason)
+#: Answer of the core to a frame whose MAC it needs: MAPLINES_ASKS_MAC.
+_ASKS_MAC = len(_REASONS)
+_MAX_WINDOW_US = 1 << 62
 _FOREIGN, _FOREIGN_NUMBER = Reason.FOREIGN, tuple(Reason).index(Reason.FOREIGN)
 #: Members of ``maplines_check_t`` with the numbers of checks, in the order of `ProfileStatus`.
 _NUMBERS = ("ok", "no_new_data", "errors", "repeated", "some_lost", "wrong_sequence")
@@ -41,6 +45,8 @@ _MAX_LINES, _MAX_COMPONENTS = len(Slot), 64
 #: Rows of lines, components and scenes for which a call of the core has memory.
 _LINES, _COMPONENTS, _SCENES = 4096, 2048, 256
 
+_ROWS = ("maplines_line_row_t", "maplines_component_row_t", "maplines_scene_row_t")
+
 Rows = NDArray[np.void]
 
 
@@ -50,6 +56,7 @@ class NativeDecoder(Decoder):
     Args:
         layout: of the records and their messages.
         tables: of the same DBC, from ``c_tables.tables_of``.
+        verifiers: of the owners whose frames are authenticated.
         settings: of each owner.
         numbers: of the owners in C.
     """
@@ -58,13 +65,14 @@ class NativeDecoder(Decoder):
         self,
         layout: Layout,
         tables: Any,
+        verifiers: Mapping[Owner, Verifier],
         settings: Mapping[Owner, RecordSettings],
         numbers: Mapping[Owner, int],
     ) -> None:
-        of_id = layout.message_of_id | (layout.pose.message_of_id if layout.pose else {})
-        super().__init__(layout, {}, settings)
+        super().__init__(layout, verifiers, settings)
         #: CAN IDs as the core takes them: bit 31 says that one has 29 bits.
-        self._routes = {(can_id, long): can_id | long << 31 for can_id, long in of_id}
+        self._routes: dict[tuple[int, bool], int] = {}
+        self._secured: dict[tuple[int, bool], _SecuredRoute] = {}
         self._numbers = {owner: numbers[owner] for owner in settings}
         self._cycles_ns = {owner: own.cycle_ns for owner, own in settings.items()}
         self._tables, self._c = tables, ffi.new("maplines_receiver_t *")
@@ -74,11 +82,31 @@ class NativeDecoder(Decoder):
             number = numbers[owner]
             chosen.timeout_ns[number], chosen.cycle_ns[number] = own.timeout_ns, own.cycle_ns
             chosen.e2e[number] = astuple(own.e2e)
-        if (problem := lib.maplines_receiver_start(self._c, tables, chosen)) != ffi.NULL:
+        window_us, has_clock = 0, False
+        for verifier in verifiers.values():
+            window_us = min(verifier.authenticator.window, _MAX_WINDOW_US)
+            has_clock = verifier.authenticator.now() is not None
+        problem = lib.maplines_receiver_start(self._c, tables, chosen, window_us, has_clock)
+        if problem != ffi.NULL:
             raise ValueError(ffi.string(problem).decode())
+        for records in (layout, layout.pose):
+            if records is None:
+                continue
+            for key, (owner, _) in records.message_of_id.items():
+                data_id = records.data_id_of_secured.get(key)
+                if data_id is not None and owner in verifiers:
+                    verifier, data = verifiers[owner], self._c.secoc.data
+                    size = DATA_ID_BYTES + verifier.layout.authentic_bytes + FRESHNESS_BYTES
+                    asked = [ffi.buffer(one, size) for one in data]
+                    self._secured[key] = _SecuredRoute(numbers[owner], data_id, verifier, asked)
+                else:
+                    self._routes[key] = key[0] | key[1] << 31
+        self._freshness_us = self._c.decoder.freshness_us
         #: Held around each call of the core, and until its result is read.
         self._lock = Lock()
         self._feed = lib.maplines_receiver_feed
+        self._feed_mac = lib.maplines_receiver_feed_secured
+        self._give_mac = lib.maplines_receiver_give_mac
         self._line_bytes = ffi.buffer(self._c.lines)
         self._component_bytes = ffi.buffer(self._c.components)
         self._foreign = 0  # frames of no message, which the core does not get
@@ -140,12 +168,9 @@ class NativeDecoder(Decoder):
         """Decode a frame; see ``Decoder.feed``."""
         known = self._routes.get((can_id, is_extended))
         if known is None:
-            with self._lock:
-                self._foreign += 1
-            return _FOREIGN
+            return self._feed_secured((can_id, is_extended), data, t_ns)
         if type(data) is not bytes:
-            len(data)  # a number has no payload, though bytes() takes one
-            data = bytes(data)
+            data = _payload(data)
         if type(t_ns) is not int or not _MIN_NS <= t_ns <= _MAX_NS:
             t_ns = limited_ns(t_ns, "t_ns")
         with self._lock:
@@ -161,6 +186,46 @@ class NativeDecoder(Decoder):
             return self.feed(can_id, data, t_ns, is_extended=is_extended)
 
         return [one(*frame) for frame in frames]
+
+    def _feed_secured(
+        self, key: tuple[int, bool], data: bytes, t_ns: int
+    ) -> Sequence[MapLine] | Reason:
+        """Decode a frame whose ID is not that of a message without a MAC."""
+        route = self._secured.get(key)
+        if route is None:
+            with self._lock:
+                self._foreign += 1
+            return _FOREIGN
+        if type(data) is not bytes:
+            data = _payload(data)
+        if type(t_ns) is not int or not _MIN_NS <= t_ns <= _MAX_NS:
+            t_ns = limited_ns(t_ns, "t_ns")
+        now_us = route.authenticator.now()
+        with self._lock:
+            found = self._verified(route, now_us, data, t_ns)
+            return _REASONS[found] if found >= 0 else self._completed(-found)
+
+    def _verified(self, route: _SecuredRoute, now_us: int | None, data: bytes, t_ns: int) -> int:
+        """Return the answer of the core to a frame, whose MACs it gets.
+
+        The last freshness value is that of the verifier.
+        """
+        c, owner, authenticator = self._c, route.owner, route.authenticator
+        last = route.last_accepted.get(route.data_id, authenticator.not_before)
+        now_us = now_us or 0
+        if not -MAX_FRESHNESS <= now_us <= MAX_FRESHNESS:
+            now_us = MAX_FRESHNESS if now_us > 0 else -MAX_FRESHNESS
+        found = self._feed_mac(c, owner, t_ns, data, len(data), now_us, last)
+        if found == _ASKS_MAC:
+            key = authenticator.key(data[route.key_at])
+            for asked in route.asked:
+                found = self._give_mac(c, ffi.NULL if key is None else key.mac(asked))
+                if found != _ASKS_MAC:
+                    break
+            accepted = self._freshness_us[owner]
+            if accepted != last:
+                route.last_accepted[route.data_id] = accepted
+        return int(found)
 
     def _completed(self, count: int) -> list[MapLine]:
         """Return the lines of the rows, which are the newest of their slots."""
@@ -212,33 +277,41 @@ class NativeDecoder(Decoder):
         given = [len(places), len(can_id), data.shape[1], *map(pointer, arrays)]
         given.append(pointer(reasons, written=True))
         block, place = ffi.new("maplines_block_t *", given), 0
-        found: list[tuple[Rows, Rows, Rows]] = []
-        count = 0
+        found: list[list[Rows]] = []
         with self._lock:
             while place < len(places) or not found:
-                most = len(places) - place
-                lines = np.empty(min(most, _LINES) + _MAX_LINES, LINE_ROW)
-                components = np.empty(min(most, _COMPONENTS) + _MAX_COMPONENTS, COMPONENT_ROW)
-                complete = np.empty(min(most, _SCENES) + 1, SCENE_ROW)
-                memory = [
-                    ffi.from_buffer("maplines_line_row_t[]", lines),
-                    ffi.from_buffer("maplines_component_row_t[]", components),
-                    ffi.from_buffer("maplines_scene_row_t[]", complete),
-                ]
-                rows = ffi.new("maplines_rows_t *", [*memory, *map(len, memory)])
-                place = lib.maplines_receiver_feed_block(self._c, block, place, rows, scenes > 0)
-                components = components[: rows.component_count]
-                components["line"] += count
-                count += rows.line_count
-                found.append((lines[: rows.line_count], components, complete[: rows.scene_count]))
+                rows, arrays_of_rows = _new_rows(len(places) - place)
+                place = self._feed_block(block, place, rows, scenes > 0)
+                counts = rows.line_count, rows.component_count, rows.scene_count
+                part = [array[:n] for array, n in zip(arrays_of_rows, counts, strict=True)]
+                part[1]["line"] += sum(len(lines) for lines, *_ in found)
+                found.append(part)
             shown = self._c.shown
             if scenes == 2 and shown.frame >= 0:
                 last = np.frombuffer(ffi.buffer(ffi.addressof(shown))[:], SCENE_ROW)
-                found.append((lines[:0], components[:0], last))
+                found.append([part[0][:0], part[1][:0], last])
                 shown.frame = -1
-            joined = [np.concatenate(each) for each in zip(*found, strict=True)]
-            self._renew(joined[0], joined[1])
-        return joined[0], joined[1], joined[2]
+            lines, components, complete = map(np.concatenate, zip(*found, strict=True))
+            self._renew(lines, components)
+        return lines, components, complete
+
+    def _feed_block(self, block: Any, place: int, rows: Any, has_scenes: bool) -> int:
+        """Feed frames of a block from a place on, as long as there is room; return the next one."""
+        feed_block, secoc = lib.maplines_receiver_feed_block, self._c.secoc
+        place = feed_block(self._c, block, place, rows, has_scenes)
+        while rows.is_waiting:
+            i = block.places[place]
+            route = self._secured[block.can_ids[i], bool(block.are_extended[i])]
+            data = ffi.buffer(block.data + i * block.width, min(block.lengths[i], block.width))[:]
+            now_us = route.authenticator.now()
+            secoc.rows, secoc.place, secoc.has_scenes = rows, i, has_scenes
+            try:
+                answer = self._verified(route, now_us, data, block.times_ns[i])
+            finally:
+                secoc.rows = ffi.NULL
+            block.reasons[i] = answer & 0xFF
+            place = feed_block(self._c, block, place + 1, rows, has_scenes)
+        return int(place)
 
     def _renew(self, lines: Rows, components: Rows) -> None:
         """Make the newest line of each slot of these rows, as ``feed`` does."""
@@ -315,6 +388,22 @@ class NativeDecoder(Decoder):
             return int(getattr(self._c.numbers, name))
 
 
+class _SecuredRoute:
+    """What belongs to an authenticated message.
+
+    Args:
+        owner: in C.
+        data_id: SecOC data ID.
+        verifier: with the keys, the clock and the last freshness values.
+        asked: buffers of the bytes whose MACs the core asks for, one after the other.
+    """
+
+    def __init__(self, owner: int, data_id: int, verifier: Verifier, asked: list[Any]) -> None:
+        self.owner, self.data_id, self.asked = owner, data_id, asked
+        self.authenticator, self.last_accepted = verifier.authenticator, verifier.last_accepted
+        self.key_at = verifier.layout.authentic_bytes - 1
+
+
 class _NativeCheck:
     """Checks of the records of one owner of a decoder: as ``SequenceCheck``, but to be read.
 
@@ -389,6 +478,26 @@ class _NativeCheck:
         t_ns = limited_ns(t_ns, "t_ns")
         with self._lock:
             return ask(self._c, self._number, t_ns)
+
+
+def _payload(data: Any) -> bytes:
+    """Return a payload of another type; a number has none, though bytes() takes one."""
+    len(data)
+    return bytes(data)
+
+
+def _new_rows(frames: int) -> tuple[Any, tuple[Rows, Rows, Rows]]:
+    """Return a ``maplines_rows_t *``, for so many frames if they are not too many, and its arrays.
+
+    The structure does not keep the arrays alive.
+    """
+    arrays = (
+        np.empty(min(frames, _LINES) + _MAX_LINES, LINE_ROW),
+        np.empty(min(frames, _COMPONENTS) + _MAX_COMPONENTS, COMPONENT_ROW),
+        np.empty(min(frames, _SCENES) + 1, SCENE_ROW),
+    )
+    memory = [ffi.from_buffer(f"{name}[]", a) for name, a in zip(_ROWS, arrays, strict=True)]
+    return ffi.new("maplines_rows_t *", [*memory, *map(len, memory)]), arrays
 
 
 def _check_block(
