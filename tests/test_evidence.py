@@ -352,23 +352,22 @@ def test_a_map_is_read_for_its_roads(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not native.is_active, reason="there is no C path")
 def test_paths_that_differ_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A frame in C with another byte, a line in C that is longer by a micrometre, and one path."""
-    of_c = CSender.lines
+    """A record in C with another byte, a line in C that is longer by a micrometre, and one path."""
+    of_c = CSender.write_lines
 
     def other_byte(*arguments: Any, **options: Any) -> Any:
         found = of_c(*arguments, **options)
         if found is None:
             return None
-        sent, counters = found
-        frame = sent[0][0]
-        sent[0][0] = frame._replace(data=bytes([frame.data[0] ^ 1]) + frame.data[1:])
-        return sent, counters
+        records, counters = found
+        data = bytes([records.data[0] ^ 1]) + records.data[1:]
+        return records._replace(data=data), counters
 
     def longer(*arguments: Any) -> Any:
         return [replace(line, x_max=line.x_max + 1e-6) for line in made(*arguments)]
 
     with monkeypatch.context() as patch:
-        patch.setattr(CSender, "lines", other_byte)
+        patch.setattr(CSender, "write_lines", other_byte)
         with pytest.raises(AssertionError):
             both_paths.lines(40)
     made = CycleInC._made

@@ -322,6 +322,64 @@ bool maplines_check_gaussian(size_t n, double rounding, const double *mean, doub
 double maplines_line_y(double y_off, double beta, double c0, double c1, double x);
 double maplines_line_sigma(double beta, const double cov[16], double x);
 
+/* ---- send.c: lines and scenes to records ------------------------------------------------------
+ */
+
+/// Line to be sent, but for its Gaussian.
+typedef struct {
+    int32_t slot, kind, status;
+    double x_min, x_max, age;
+} maplines_given_line_t;
+
+/// Scene to be sent.
+typedef struct {
+    size_t count; ///< n
+    const maplines_given_line_t *lines;
+    const double *gaussians;  ///< (n, 20) mean and covariance of each line by itself
+    const double *fit_ranges; ///< (n, 2)
+    const double *quartics;   ///< (n,)
+    const double *cov;        ///< (4 n, 4 n)
+    const double *specific;   ///< (n, 4, 4), or NULL
+    const double *pose_cov;   ///< (3, 3)
+    double correlation_time, offset_sigma, heading_sigma;
+} maplines_given_scene_t;
+
+/// Record of a line, without what changes from cycle to cycle.
+typedef struct {
+    uint8_t slot;
+    uint8_t length; ///< [byte]
+    bool is_there;  ///< it can be sent
+    uint8_t bytes[MAPLINES_MAX_RECORD];
+} maplines_template_t;
+
+/// Scene but for counters and ages. Its memory begins with zeros.
+typedef struct {
+    uint8_t count; ///< of the lines
+    maplines_template_t records[MAPLINES_SLOTS];
+    maplines_scene_workspace_t space;
+} maplines_prepared_t;
+
+/// Write the records of n lines, m in all, and advance the counters of their slots. False if a line
+/// cannot be sent; records and counters are then of no use.
+///
+/// `powers` are as in maplines_encode_lines, or NULL. `components` (n,) are those of each line,
+/// with `weights` (m,) if it is a mixture of more than one; both are NULL if none is. `gaussians`
+/// (m, 20) are mean and covariance of each component.
+bool maplines_write_lines(const maplines_dbc_t *dbc, const double *const *powers, size_t n,
+                          const maplines_given_line_t *lines, const int32_t *components,
+                          const double *gaussians, const double *weights,
+                          int64_t counters[MAPLINES_OWNERS], uint8_t *records);
+/// Encode a scene but for counters and ages. False if it cannot be sent.
+bool maplines_prepare_scene(const maplines_dbc_t *dbc, const maplines_given_scene_t *scene,
+                            bool is_full, maplines_prepared_t *prepared);
+/// Write the records of the pose error and of the lines of n slots, one after the other, of up to
+/// MAPLINES_MAX_RECORD each; slots are in the order of the scene. Counters advance. False if an age
+/// is none, or a line has no record; records and counters are then of no use.
+bool maplines_write_scene(const maplines_dbc_t *dbc, const maplines_prepared_t *prepared, size_t n,
+                          const uint8_t *slots, const double ages[MAPLINES_OWNERS],
+                          int64_t counters[MAPLINES_OWNERS], uint8_t lengths[MAPLINES_OWNERS],
+                          uint8_t *records);
+
 #ifdef __GNUC__
 #pragma GCC visibility pop
 #endif

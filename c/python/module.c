@@ -20,8 +20,6 @@ static int add_all(PyObject *module)
 {
     static int (*const parts[])(PyObject *) = {
         maplines_add_names,
-        maplines_add_scene,
-        maplines_add_sender,
         maplines_add_tables,
     };
     for (size_t i = 0; i < sizeof parts / sizeof parts[0]; i++)
@@ -46,8 +44,6 @@ static int traverse(PyObject *module, visitproc visit, void *arg)
     {
         Py_VISIT(state->objects[i]);
     }
-    Py_VISIT(state->sender);
-    Py_VISIT(state->scene);
     return 0;
 }
 
@@ -59,8 +55,6 @@ static int clear(PyObject *module)
     {
         Py_CLEAR(state->objects[i]);
     }
-    Py_CLEAR(state->sender);
-    Py_CLEAR(state->scene);
     return 0;
 }
 

@@ -56,8 +56,6 @@ enum {
 typedef struct {
     PyTypeObject *tables;                ///< type of maplines_tables_t
     PyObject *objects[MAPLINES_OBJECTS]; ///< NULL before they are there
-    PyTypeObject *sender;                ///< that of `_native.Sender`
-    PyTypeObject *scene;                 ///< that of `_native.PreparedScene`
 } maplines_module_t;
 
 /// State of the module.
@@ -107,8 +105,6 @@ const maplines_dbc_t *maplines_dbc_of(PyObject *module, PyObject *tables);
 
 /// Add the functions and types of a file to the module; 0, or -1 with an exception.
 int maplines_add_names(PyObject *module);
-int maplines_add_scene(PyObject *module);
-int maplines_add_sender(PyObject *module);
 int maplines_add_tables(PyObject *module);
 
 #endif

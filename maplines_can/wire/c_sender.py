@@ -1,122 +1,245 @@
-"""Sender in C: lines and scenes to frames, if they are usual; the Python package writes the rest.
+"""Sender in C: lines and scenes to records, if they are usual; the Python package writes the rest.
 
-Unusual is whatever raises an error, values that are no plain floats, and DBCs without C. The
-functions return None for it, so that there is one place for each error.
+Unusual is whatever raises an error, and what is no line or no scene. The functions return None for
+it, so that there is one place for each error.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from enum import IntEnum
-from functools import cached_property
+import struct
+from array import array
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property, lru_cache
 from itertools import chain
+from operator import attrgetter
 from typing import Any
 
-from ..native import core
-from ..values.line import LeftOut, MapLine
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core import ffi, pointer
+from ..native import lib
+from ..values.line import LeftOut, MapLine, Slot
 from ..values.scene import Scene
-from .c_tables import native_tables
 from .covariance.cholesky import CholeskyCode
 from .covariance.scene_code import DecodedLines, SceneCode
 from .covariance.scene_encoder import EncodedScene
 from .layout.message_layout import Layout
-from .layout.pose_layout import Owner
-from .records.frames import Frame, FrameWriter
+from .layout.pose_layout import POSE, Owner
+from .records.counters import OWNERS
+from .records.frames import Records
 from .records.scene_writer import PreparedScene
 
 #: Reasons of lines that are left out by their numbers: ``maplines_left_out_t``.
 LEFT_OUT = (None, LeftOut.ACROSS, LeftOut.RANGE, LeftOut.MEAN, LeftOut.COVARIANCE)
-
-
-class _Form(IntEnum):
-    """What is made of a record: ``maplines_form_t``."""
-
-    PAGES = 0
-    FD = 1
-    RECORD = 2  #: its bytes, for an authenticator
+_MAX_RECORD = ffi.sizeof("maplines_template_t") - ffi.offsetof("maplines_template_t", "bytes")
+_LINES, _DOUBLES, _INTS, _COUNTERS, _BYTES = map(
+    ffi.typeof, ("maplines_given_line_t[]", "double[]", "int32_t[]", "int64_t[]", "uint8_t[]")
+)
+_FIELDS = attrgetter("slot", "kind", "status", "x_min", "x_max", "age")
+_MIXTURE, _ARRAYS = attrgetter("mixture"), attrgetter("gaussian.mean", "gaussian.cov")
+_SLOT, _OF_COMPONENT = attrgetter("slot"), attrgetter("mean", "cov")
+_AGES = struct.Struct(f"{len(OWNERS)}d")
+_ONE = np.ones(1)
+#: Bytes of a mean and of its covariance.
+_GAUSSIAN = 160
+#: Errors of values that C does not take.
+_WRONG = (TypeError, ValueError, AttributeError, OverflowError, struct.error)
 
 
 class CSender:
-    """Writer of frames in C.
+    """Writer of records in C.
 
     Args:
         layout: of the DBC.
         tables: of the same; see ``tables_of``.
+        powers: of 2 of the values of the covariance; see ``BatchKernel``. NULL: C computes them.
         scene_code: of the DBC; None if it has no message of the pose error.
-        frame_writer: writes authenticated frames.
     """
 
     def __init__(
-        self,
-        layout: Layout,
-        tables: Any,
-        scene_code: SceneCode | None,
-        frame_writer: FrameWriter,
+        self, layout: Layout, tables: Any, powers: Any, scene_code: SceneCode | None
     ) -> None:
-        self._sender = core.Sender(native_tables(tables), Frame)
-        self._layout, self._code, self._frame_writer = layout, scene_code, frame_writer
-        self._is_authenticated = frame_writer.is_authenticated
+        self._layout, self._tables, self._powers = layout, tables, powers
+        self._code = scene_code
 
-    def lines(
-        self, lines: Sequence[MapLine], counters: Mapping[Owner, int], *, fd: bool
-    ) -> tuple[list[list[Frame]], dict[Owner, int]] | None:
-        """Return the frames of each line, and the counters that follow; None if one is unusual."""
-        if not isinstance(counters, dict):
+    def write_lines(
+        self, lines: Sequence[MapLine], counters: bytes
+    ) -> tuple[Records, bytes] | None:
+        """Return the records of all lines, and the counters that follow; None if one is unusual."""
+        try:
+            slots, given, gaussians, parts, weights = _given(lines)
+        except _WRONG:
             return None
-        following = dict(counters)
-        sent = self._sender.lines(lines, following, self._form(fd))
-        if sent is None or not self._is_authenticated:
-            return None if sent is None else (sent, following)
-        write = self._frame_writer.write
-        frames = [
-            [frame for record in records for frame in write(record, line.slot, fd)]
-            for line, records in zip(lines, sent, strict=True)
-        ]
-        return frames, following
+        length, following = self._layout.record_bytes, bytearray(counters)
+        records = bytearray(len(gaussians) // _GAUSSIAN * length)
+        if not lib.maplines_write_lines(
+            self._tables,
+            self._powers,
+            len(slots),
+            ffi.from_buffer(_LINES, given),
+            ffi.from_buffer(_INTS, parts) if parts else ffi.NULL,
+            ffi.from_buffer(_DOUBLES, gaussians),
+            ffi.from_buffer(_DOUBLES, weights) if weights else ffi.NULL,
+            ffi.from_buffer(_COUNTERS, following),
+            ffi.from_buffer(_BYTES, records),
+        ):
+            return None
+        if parts:
+            pairs = zip(slots, parts, strict=True)
+            slots = [slot for slot, count in pairs for _ in range(count or 1)]
+        lengths = (length,) * len(slots)
+        return Records(bytes(records), tuple(slots), lengths), bytes(following)
 
     def prepare(self, scene: Scene, *, full: bool) -> PreparedScene | None:
         """Return a scene but for counters and ages; None if it is unusual."""
-        prepared = self._sender.prepare(scene, full)
-        if prepared is None or self._code is None:
+        if self._code is None:
             return None
-        lines = zip(scene.lines, prepared.left_out(), strict=True)
-        sent = tuple(line.slot for line, why in lines if not (self._code.is_conditional and why))
+        try:
+            given, kept = _given_scene(scene)
+        except _WRONG:
+            return None
+        prepared = ffi.new("maplines_prepared_t *")
+        if not lib.maplines_prepare_scene(self._tables, given, full, prepared):
+            return None
+        del kept
         encoded = SceneInC.of(scene, prepared, self._code)
+        sent = tuple(
+            line.slot
+            for line, record in zip(scene.lines, prepared.records, strict=False)
+            if record.is_there
+        )
         return PreparedScene(scene, encoded, sent, self._layout)
 
-    def scene(
+    def write_scene(
         self,
         prepared: PreparedScene,
-        counters: Mapping[Owner, int],
+        counters: bytes,
         age: float | Mapping[Owner, float],
-        *,
-        fd: bool,
-    ) -> tuple[dict[Owner, list[Frame]], dict[Owner, int]] | None:
-        """Return the frames of a scene by owner, and the counters that follow.
+    ) -> tuple[Records, bytes] | None:
+        """Return the records of a scene, and the counters that follow.
 
         None if the scene was prepared or changed in Python, or if something is unusual.
         """
         encoded = prepared.encoded
-        records = encoded.records_of(prepared.scene) if isinstance(encoded, SceneInC) else None
-        if records is None or not isinstance(counters, dict):
+        scene = prepared.scene
+        in_c = encoded.prepared_of(scene) if isinstance(encoded, SceneInC) else None
+        if in_c is None:
             return None
-        following = dict(counters)
-        sent = records.encode(prepared.sent_slots, age, following, self._form(fd))
-        if sent is None or not self._is_authenticated:
-            return None if sent is None else (sent, following)
-        write = self._frame_writer.write
-        return {owner: write(record, owner, fd) for owner, (record,) in sent.items()}, following
+        slots = [line.slot for line in scene.lines if line.slot in prepared.sent_slots]
+        try:
+            # An age that is missing is none, which C refuses where it needs it.
+            ages = _AGES.pack(
+                *(
+                    [age.get(owner, -1.0) for owner in OWNERS]
+                    if isinstance(age, Mapping)
+                    else [age] * len(OWNERS)
+                )
+            )
+            sent = bytes(slots)
+        except _WRONG:
+            return None
+        following, lengths = bytearray(counters), bytearray(len(OWNERS))
+        records = bytearray(len(OWNERS) * _MAX_RECORD)
+        if not lib.maplines_write_scene(
+            self._tables,
+            in_c,
+            len(slots),
+            sent,
+            ffi.from_buffer(_DOUBLES, ages),
+            ffi.from_buffer(_COUNTERS, following),
+            ffi.from_buffer(_BYTES, lengths),
+            ffi.from_buffer(_BYTES, records),
+        ):
+            return None
+        own = tuple(lengths[: len(slots) + 1])
+        return Records(bytes(records[: sum(own)]), (POSE, *slots), own), bytes(following)
 
-    def _form(self, fd: bool) -> int:
-        if self._is_authenticated:
-            return _Form.RECORD
-        return _Form.FD if fd else _Form.PAGES
+
+def _given(lines: Sequence[MapLine]) -> tuple[list[Slot], bytes, bytes, Any, bytes]:
+    """Return slots, lines, Gaussians, components of each line and their weights as C has them.
+
+    Without a mixture, the last two are empty.
+    """
+    slots = [*map(_SLOT, lines)]
+    given = _struct(len(slots)).pack(*chain.from_iterable(map(_FIELDS, lines)))
+    mixtures = [*map(_MIXTURE, lines)]
+    if mixtures.count(None) == len(slots):
+        gaussians = _bytes(chain.from_iterable(map(_ARRAYS, lines)))
+        if len(gaussians) != _GAUSSIAN * len(slots):
+            raise ValueError("each Gaussian is over four parameters")
+        return slots, given, gaussians, b"", b""
+    components = [
+        (line.gaussian,) if mixture is None else mixture.components
+        for line, mixture in zip(lines, mixtures, strict=True)
+    ]
+    n = sum(map(len, components))
+    parts = array("i", [0 if one is None else len(one.components) for one in mixtures])
+    arrays = map(_OF_COMPONENT, chain.from_iterable(components))
+    gaussians = _bytes(chain.from_iterable(arrays))
+    weights = _bytes(_ONE if mixture is None else mixture.weights for mixture in mixtures)
+    if (len(gaussians), len(weights)) != (_GAUSSIAN * n, 8 * n):
+        raise ValueError("each Gaussian is over four parameters, and has a weight")
+    return slots, given, gaussians, parts, weights
+
+
+@lru_cache(maxsize=64)
+def _struct(n: int) -> struct.Struct:
+    """Return the form of n lines: ``maplines_given_line_t``."""
+    return struct.Struct("=" + "3i4x3d" * n)
+
+
+def _bytes(arrays: Iterable[NDArray[np.float64]]) -> bytes:
+    """Return the values of arrays one after the other, by rows."""
+    kept: list[Any] = [*arrays]
+    try:
+        return b"".join(kept)
+    except (BufferError, ValueError, TypeError):  # one is not in C order
+        kept = [*map(np.ascontiguousarray, kept)]
+        return b"".join(kept)
+
+
+def _given_scene(scene: Scene) -> tuple[Any, Any]:
+    """Return a scene as C has it, and what it points to.
+
+    Raises:
+        ValueError: it has other shapes than a scene.
+    """
+    n = len(scene.lines)
+    slots, lines, gaussians, parts, _ = _given(scene.lines)
+    map_error, pose_error, specific = scene.map_error, scene.pose_error, scene.specific_covs
+    arrays = [
+        _array(scene.fit_ranges, (n, 2)),
+        _array(scene.quartics, (n,)),
+        _array(scene.cov, (4 * n, 4 * n)),
+        ffi.NULL if specific is None else _array(specific, (n, 4, 4)),
+        _array(pose_error.cov, (3, 3)),
+    ]
+    given = ffi.new("maplines_given_scene_t *")
+    kept = ffi.from_buffer(_LINES, lines), ffi.from_buffer(_DOUBLES, gaussians), *arrays
+    given[0] = (
+        n,
+        *kept,
+        pose_error.correlation_time,
+        0.0 if map_error is None else map_error.offset_sigma,
+        0.0 if map_error is None else map_error.heading_sigma,
+    )
+    if len(slots) > len(Slot) or parts:
+        raise ValueError("each line of a scene has one Gaussian")
+    return given, kept
+
+
+def _array(values: Any, shape: tuple[int, ...]) -> Any:
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    if array.shape != shape:
+        raise ValueError("an array of a scene has another shape")
+    return pointer(array)
 
 
 class SceneInC(EncodedScene):
     """Scene that was encoded in C. Its fields are made when they are read.
 
-    A caller may change or replace what it has read: `records_of` finds out.
+    A caller may change or replace what it has read: `prepared_of` finds out.
     """
 
     _prepared: Any = None
@@ -131,11 +254,11 @@ class SceneInC(EncodedScene):
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return the scene as Python encodes it: the records in C stay in this process."""
+        """Return the scene as Python encodes it: what is in C stays in this process."""
         return EncodedScene, (self.pose, self.lines, self.decoded, self.left_out)
 
-    def records_of(self, scene: Scene) -> Any:
-        """Return the records in C; None if they are of another scene, or fields were changed."""
+    def prepared_of(self, scene: Scene) -> Any:
+        """Return the scene in C; None if it is of another scene, or fields were changed."""
         fields = vars(self)
         if self._prepared is None or self._scene is not scene:
             return None
@@ -163,37 +286,44 @@ class SceneInC(EncodedScene):
     @cached_property
     def left_out(self) -> dict[int, LeftOut]:
         """See ``EncodedScene``."""
-        reasons = enumerate(self._prepared.left_out())
+        reasons = enumerate(member.left_out for member in self._members())
         return {place: why for place, i in reasons if (why := LEFT_OUT[i]) is not None}
 
+    def _members(self) -> Sequence[Any]:
+        """Return the lines of the scene as ``maplines_scene_member_t``."""
+        return [*self._prepared.space.members[0 : self._prepared.count]]
+
     def _raw_pose(self) -> dict[str, int]:
-        code, raw = self._code, self._prepared.raw_pose()
+        code, space = self._code, self._prepared.space
+        raw = space.raw_offset, space.raw_heading, space.raw_time
         signals = (code.offset, code.heading, code.time)
-        own = {signal.name: value for signal, value in zip(signals, raw[11:], strict=True)}
-        return _of_covariance(code.pose_code, raw[:11]) | own
+        own = {signal.name: value for signal, value in zip(signals, raw, strict=True)}
+        return _of_covariance(code.pose_code, space.raw_pose) | own
 
     def _raw_lines(self) -> dict[int, dict[str, int]]:
-        places = range(len(self._prepared.left_out()))
-        raw = {place: self._prepared.raw_line(place) for place in places}
-        return {place: self._raw_line(values) for place, values in raw.items() if values}
+        members = enumerate(self._members())
+        return {place: self._raw_line(one) for place, one in members if not one.left_out}
 
-    def _raw_line(self, values: Sequence[int]) -> dict[str, int]:
-        """Return raw values by signal, from ``PreparedScene.raw_line`` of the module in C."""
-        code, is_full = self._code, values[0]
+    def _raw_line(self, member: Any) -> dict[str, int]:
+        """Return raw values by signal."""
+        code, is_full = self._code, member.is_full
         pairs: list[tuple[Any, int]] = [
-            *zip((*code.mean, *code.range, code.quartic), values[1:8], strict=True),
-            *zip(code.fit, values[8:10], strict=False),  # complete records only
-            *zip(code.levels.signals, values[10:13], strict=True),
-            *zip(code.fine if is_full else (), values[13:17], strict=False),
+            *zip(code.mean, member.raw_refined if is_full else member.raw_mean, strict=True),
+            *zip(code.range, member.raw_range, strict=True),
+            (code.quartic, member.raw_quartic),
+            *zip(code.fit, member.raw_fit, strict=False),  # complete records only
+            *zip(code.levels.signals, [0] * 3 if is_full else member.raw_levels, strict=True),
+            *zip(code.fine if is_full else (), member.raw_fine, strict=False),
         ]
         raw = {signal.name: value for signal, value in pairs}
         if is_full and code.entries_code is not None:
-            raw |= _of_covariance(code.entries_code, values[17:])
+            raw |= _of_covariance(code.entries_code, member.raw_covariance)
         return raw
 
 
-def _of_covariance(code: CholeskyCode, raw: Sequence[int]) -> dict[str, int]:
+def _of_covariance(code: CholeskyCode, values: Sequence[int]) -> dict[str, int]:
     """Return the raw values of a covariance by signal, from those of ``maplines_cholesky_t``."""
+    raw = [*values]
     ratios = chain(*code.factor.ratios)
     pairs = [*zip(code.factor.pivots, raw[:4], strict=False), *zip(ratios, raw[4:10], strict=False)]
     return {signal.name: value for signal, value in (*pairs, (code.inflation, raw[10]))}

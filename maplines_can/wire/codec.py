@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core import ffi
 from .batch import BatchCodec
 from .c_sender import CSender
 from .c_tables import check_code, number_of, tables_of
@@ -220,7 +221,9 @@ class Codec:
     def _c_sender(self) -> CSender | None:
         if self._c_tables is None:
             return None
-        return CSender(self.layout, self._c_tables, self._scene_code, self._frame_writer)
+        kernel = None if self._complete is None else self._complete.format.kernel
+        powers = ffi.NULL if kernel is None else kernel.variance_powers
+        return CSender(self.layout, self._c_tables, powers, self._scene_code)
 
     def verifier(self) -> Verifier | None:
         """Return a verifier of received frames of lines; None without an authenticator."""

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from operator import index
+from itertools import islice
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core import Lock
 from ..values.errors import EncodeError
 from ..values.line import MapLine, Slot
 from ..values.scene import Scene
 from .c_sender import CSender
 from .layout.message_layout import PAGE_BYTES, Layout
 from .layout.pose_layout import Owner
-from .records.frames import Frame, FrameWriter
+from .records.counters import packed, unpacked
+from .records.frames import Frame, FrameWriter, Records
 from .records.scene_writer import PreparedScene, SceneWriter
 
 
@@ -56,7 +58,8 @@ class Encoder:
         self._again, self._layout, self._frame_writer = again, layout, frame_writer
         self._lines, self._scenes = line_writer, scene_writer
         self._c = c_sender
-        self._counters: dict[Owner, int] = {}
+        self._counters = packed({})
+        self._lock = Lock()  # of the counters: threads send different ones
 
     def __reduce__(self) -> tuple[Any, ...]:
         return self._again, (), {"_counters": self._counters}
@@ -91,25 +94,21 @@ class Encoder:
         """
         if not lines:
             return []
-        first = self._counters if counters is None else counters
-        sent = None if self._c is None else self._c.lines(lines, first, fd=fd)
-        frames, following = sent or self._write_lines(lines, first, fd=fd)
-        if counters is None:
-            self._counters = following
+        lines = [*lines]  # reading one of a subclass may change the list
+        with self._lock:
+            first = self._counters if counters is None else packed(counters)
+            written = None if self._c is None else self._c.write_lines(lines, first)
+            records, following = written or self._write_lines(lines, unpacked(first))
+            frames = self._frame_writer.write_all(records, fd)
+            if len(frames) != len(lines):  # mixtures have a record of each component
+                ordered = iter(frames)
+                frames = [
+                    [frame for own in islice(ordered, _parts(line)) for frame in own]
+                    for line in lines
+                ]
+            if counters is None:
+                self._counters = following
         return frames
-
-    def _write_lines(
-        self, lines: Sequence[MapLine], first: Mapping[Owner, int], *, fd: bool
-    ) -> tuple[list[list[Frame]], dict[Owner, int]]:
-        """Return the frames of each line, and the counters that follow them."""
-        writer, first = self._line_writer(), _whole(first)
-        records_of_lines, following = writer.write_lines(lines, first)
-        write = self._frame_writer.write
-        frames = [
-            [frame for record in records for frame in write(record, line.slot, fd)]
-            for line, records in zip(lines, records_of_lines, strict=True)
-        ]
-        return frames, following
 
     def prepare_scene(self, scene: Scene | PreparedScene, *, fd: bool = False) -> PreparedScene:
         """Encode a scene but for counters and age, which takes most of the time.
@@ -175,25 +174,15 @@ class Encoder:
         {'pose': 2, <Slot.EGO_LEFT: 0>: 2}
         """
         prepared = self.prepare_scene(scene, fd=fd)
-        first = self._counters if counters is None else counters
-        sent = None if self._c is None else self._c.scene(prepared, first, age, fd=fd)
-        frames, following = sent or self._write_scene(prepared, first, age, fd=fd)
-        if counters is None:
-            self._counters = following
+        with self._lock:
+            first = self._counters if counters is None else packed(counters)
+            written = None if self._c is None else self._c.write_scene(prepared, first, age)
+            records, following = written or self._write_scene(prepared, unpacked(first), age)
+            each = self._frame_writer.write_all(records, fd)
+            frames = dict(zip(records.owners, each, strict=True))
+            if counters is None:
+                self._counters = following
         return frames
-
-    def _write_scene(
-        self,
-        prepared: PreparedScene,
-        first: Mapping[Owner, int],
-        age: float | Mapping[Owner, float],
-        *,
-        fd: bool,
-    ) -> tuple[dict[Owner, list[Frame]], dict[Owner, int]]:
-        """Return the frames of a scene by owner, and the counters that follow them."""
-        records, following = self._scene_writer().write(prepared, _whole(first), age)
-        write = self._frame_writer.write
-        return {owner: write(record, owner, fd) for owner, record in records.items()}, following
 
     def frames(self, payload: NDArray[np.uint8], slot: Slot, *, fd: bool = False) -> list[Frame]:
         """Return the frames of one record; each authenticated frame has its own freshness value.
@@ -210,10 +199,23 @@ class Encoder:
             )
         return self._frame_writer.write(payload.tobytes(), slot, fd)
 
-    def _line_writer(self) -> LineWriter:
+    def _write_lines(
+        self, lines: Sequence[MapLine], counters: Mapping[Owner, int]
+    ) -> tuple[Records, bytes]:
         if self._lines is None:
             raise conditional_error(self._layout)
-        return self._lines
+        of_lines, following = self._lines.write_lines(lines, counters)
+        pairs = zip(lines, of_lines, strict=True)
+        return Records.of((line.slot, one) for line, own in pairs for one in own), packed(following)
+
+    def _write_scene(
+        self,
+        prepared: PreparedScene,
+        counters: Mapping[Owner, int],
+        age: float | Mapping[Owner, float],
+    ) -> tuple[Records, bytes]:
+        records, following = self._scene_writer().write(prepared, counters, age)
+        return Records.of(records.items()), packed(following)
 
     def _scene_writer(self) -> SceneWriter:
         if self._scenes is None:
@@ -224,9 +226,9 @@ class Encoder:
         return self._scenes
 
 
-def _whole(counters: Mapping[Owner, int]) -> dict[Owner, int]:
-    """Return counters of any integral type as integers."""
-    return {owner: index(counter) for owner, counter in counters.items()}
+def _parts(line: MapLine) -> int:
+    """Return the number of records of a line."""
+    return 1 if line.mixture is None else len(line.mixture.components)
 
 
 def conditional_error(layout: Layout) -> EncodeError:

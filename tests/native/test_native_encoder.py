@@ -4,8 +4,9 @@ import gc
 import sys
 from collections import Counter, UserDict
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
@@ -24,7 +25,7 @@ from strategies import covariances, symmetric
 from maplines_can import Codec, Gaussian, GaussianMixture, Kind, MapLine, Slot, Status
 from maplines_can.native import core
 from maplines_can.wire import POSE, Frame, Layout
-from maplines_can.wire.c_tables import tables_of
+from maplines_can.wire.records.counters import packed
 
 pytestmark = pytest.mark.skipif(core is None, reason="there is no extension module")
 
@@ -164,7 +165,7 @@ def test_counters(start: int) -> None:
     encoders = codecs[0].encoder(), codecs[1].encoder()
     lines = [ordinary(), MapLine.of_mixture(Slot.EGO_LEFT, mixture_of(3)), ordinary(Slot.ROUTE)]
     for encoder in encoders:
-        encoder._counters[Slot.EGO_LEFT] = start
+        encoder._counters = packed({Slot.EGO_LEFT: start})
     for _ in range(20):
         check_same(encoders, "encode_lines", lines)
     for kind in (dict, Counter, MappingProxyType, UserDict):
@@ -237,14 +238,7 @@ def unusual_lines() -> Iterator[Any]:
     for mean, cov in (
         (MEAN.astype(np.float32), COV),
         (MEAN, COV.astype(np.float32)),
-        (MEAN.astype(int), COV),
-        (MEAN.astype(">f8"), COV.astype(">f8")),
-        (MEAN.astype(object), COV),
-        (MEAN.astype(complex), COV),
         (MEAN[:3].copy(), COV),
-        (MEAN[None].copy(), COV),
-        (MEAN, COV.reshape(2, 8).copy()),
-        (MEAN, COV.reshape(1, 4, 4).copy()),
         (MEAN, COV[:3, :3].copy()),
         (MEAN, COV.copy(order="F")),
         (np.repeat(MEAN, 2)[::2], np.kron(COV, np.ones((2, 3)))[::2, ::3]),
@@ -263,8 +257,7 @@ def unusual_lines() -> Iterator[Any]:
             arrays: Any = mean[...], cov[...]
             object.__setattr__(line, "gaussian", Gaussian.trusted(*arrays))
             yield line
-    for attributes in ({}, {"mean": MEAN}, {"mean": MEAN, "cov": None}, {"mean": 3, "cov": COV},
-                       {"mean": MEAN.tolist(), "cov": COV.tolist()}):  # fmt: skip
+    for attributes in ({}, {"mean": MEAN}, {"mean": MEAN, "cov": None}, {"mean": 3, "cov": 3}):
         line = ordinary()
         object.__setattr__(line, "gaussian", SimpleNamespace(**attributes))
         yield line
@@ -302,7 +295,7 @@ def test_an_interrupt_is_not_lost() -> None:
     encoder = codecs_of(layout_of(COMPLETE))[0].encoder()
     with pytest.raises(KeyboardInterrupt):
         encoder.encode(line)
-    assert encoder._counters == {}
+    assert encoder._counters == packed({})
 
 
 def test_a_line_that_changes_the_list_of_lines() -> None:
@@ -318,10 +311,9 @@ def test_a_line_that_changes_the_list_of_lines() -> None:
     line = made_of(Sly, ordinary())
     lines: list[MapLine] = [line, ordinary(Slot.ROUTE, x_max=50.0), ordinary(Slot.CENTRE)]
     encoder = codecs_of(layout_of(COMPLETE))[0].encoder()
-    sender: Any = encoder._c
-    sent = sender.lines(lines, {}, fd=False)
+    sent = encoder.encode_lines(lines)
     assert lines == []
-    assert len(sent[0]) == 3
+    assert len(sent) == 3
 
 
 @given(
@@ -364,22 +356,21 @@ def test_frames_are_ordinary() -> None:
         assert sys.getrefcount(frame.data) <= 3
 
 
-def test_a_sender_of_something_else() -> None:
-    """The types check what they are made of."""
-    tables = tables_of(layout_of(COMPLETE))
-    arguments: Any
-    for arguments in ((), (tables,), (tables, dict), (None, Frame), (tables, 3), (Frame, tables)):
-        with pytest.raises(TypeError):
-            core.Sender(*arguments)
-    with pytest.raises(TypeError):
-        core.PreparedScene()
-    sender = core.Sender(tables, Frame)
-    for arguments in ((), ([],), ([], {}), ([], [], 0), ([], {}, 3), ([], {}, "a"), ([], {}, -1)):
-        with pytest.raises(TypeError):
-            sender.lines(*arguments)
-    for arguments in ((), (None,), (None, 2), (None, "a"), (None, 0, 0)):
-        with pytest.raises(TypeError):
-            sender.prepare(*arguments)
+def test_an_encoder_in_several_threads() -> None:
+    """Each record has another counter, as if one thread had sent all."""
+    codec = codecs_of_maplines()[0]
+    encoder, alone = codec.encoder(), codec.encoder()
+    repetitions, threads = 300, 3
+
+    def send(_: int) -> list[Frame]:
+        return [frame for _ in range(repetitions) for frame in encoder.encode(ordinary())]
+
+    with ThreadPoolExecutor(threads) as pool:
+        sent = [frame for frames in pool.map(send, range(threads)) for frame in frames]
+
+    expected = [frame for _ in range(repetitions * threads) for frame in alone.encode(ordinary())]
+    assert Counter(sent) == Counter(expected)
+    assert encoder._counters == alone._counters
 
 
 def test_nothing_leaks() -> None:
@@ -390,17 +381,13 @@ def test_nothing_leaks() -> None:
     mixture = MapLine.of_mixture(Slot.CENTRE, mixture_of(8))
     raising = made_of(Raising, ordinary())
     reversed_cov = replace(ordinary(), gaussian=Gaussian.trusted(MEAN, COV[::-1, ::-1]))
-    sender: Any = encoder._c
-    alone: Any = lacking._c
 
     def cycle() -> None:
         encoder.encode(ordinary())
         encoder.encode_lines([ordinary(Slot.ROUTE), mixture], fd=True)
-        sender.lines([ordinary(), reversed_cov], {}, fd=False)
-        for bad in (None, raising, mixture.gaussian, [ordinary(), raising]):
-            sender.lines([ordinary(), bad], {}, fd=False)
-        assert alone.lines([ordinary(), ordinary(Slot.ROUTE)], {}, fd=False) is None
-        core.Sender(tables, Frame)
+        other: Any
+        for other in (reversed_cov, None, raising, mixture.gaussian):
+            outcome(partial(encoder.encode_lines, [ordinary(), other]))
+        outcome(partial(lacking.encode_lines, [ordinary(), ordinary(Slot.ROUTE)]))
 
-    tables = tables_of(layout_of(COMPLETE))
     assert_no_growth(cycle, 300)

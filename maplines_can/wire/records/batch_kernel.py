@@ -40,7 +40,8 @@ class BatchKernel:
             for signal in (*covariance.factor.pivots, covariance.inflation)
         )
         powers = (*map(exp2, pivots), exp2(inflation))
-        self._variance_powers = pointers(powers)
+        #: Of 2, of the values of the pivots and of the inflation; see ``maplines_encode_lines``.
+        self.variance_powers = pointers(powers)
         self._sigma_powers = pointers((*powers[:-1], exp2(inflation * 0.5)))
         #: Most components of a mixture.
         self.max_components = 2 ** layout["ComponentCount"].length
@@ -76,7 +77,7 @@ class BatchKernel:
         records = np.empty((n, self._record_bytes), dtype=np.uint8)
         lib.maplines_encode_lines(
             self._tables,
-            self._variance_powers,
+            self.variance_powers,
             n,
             pointer(np.ascontiguousarray(gaussians.mean)),
             pointer(np.ascontiguousarray(gaussians.cov)),

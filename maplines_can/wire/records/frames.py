@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable, Iterable
+from itertools import repeat
+from struct import Struct
+from typing import Any, NamedTuple
 
 from ...values.errors import EncodeError, LayoutError
 from ..layout.message_layout import Layout
 from ..layout.pose_layout import POSE, Owner
 from ..layout.signals import PAGE_BYTES
-from ..layout.slot_messages import RecordMessages, SecuredLayout
 from ..protection.secoc import Authenticator, check_freshness
+
+#: Most combinations of records whose form is remembered.
+MAX_FORMS = 64
 
 
 class Frame(NamedTuple):
@@ -19,6 +24,22 @@ class Frame(NamedTuple):
     data: bytes
     is_fd: bool = False
     is_extended: bool = False
+
+
+class Records(NamedTuple):
+    """Records one after the other."""
+
+    data: bytes
+    owners: tuple[Owner, ...]  #: of each
+    lengths: tuple[int, ...]  #: of each [byte]
+
+    @classmethod
+    def of(cls, records: Iterable[tuple[Owner, bytes]]) -> Records:
+        """Return records that are given by one."""
+        given = [*records]
+        data = b"".join(record for _, record in given)
+        owners = tuple(owner for owner, _ in given)
+        return cls(data, owners, tuple(len(record) for _, record in given))
 
 
 class FrameWriter:
@@ -38,6 +59,8 @@ class FrameWriter:
                 )
             check_freshness(authenticator, layout.secured)
         self._layout, self._authenticator = layout, authenticator
+        #: Of what was written before, by owners, lengths and whether it is CAN FD.
+        self._forms: dict[tuple[Any, ...], _Form] = {}
 
     @property
     def is_authenticated(self) -> bool:
@@ -51,37 +74,79 @@ class FrameWriter:
             EncodeError: the DBC has no such message, or classic CAN is requested with an
                 authenticator.
         """
-        messages = self._layout.messages_of.get(owner)
-        if owner != POSE:
-            return self._write(record, messages, self._layout.secured, f"slot {owner!r}", fd)
-        secured = None if self._layout.pose is None else self._layout.pose.secured
-        return self._write(record, messages, secured, "the pose error", fd)
+        return self.write_all(Records(record, (owner,), (len(record),)), fd)[0]
 
-    def _write(
-        self,
-        record: bytes,
-        messages: RecordMessages | None,
-        secured: SecuredLayout | None,
-        owner: str,
-        fd: bool,
-    ) -> list[Frame]:
-        if self._authenticator is not None:
+    def write_all(self, records: Records, fd: bool) -> list[list[Frame]]:
+        """Return the frames of each record; see ``write``."""
+        key = records.owners, records.lengths, bool(fd)
+        form = self._forms.get(key)
+        if form is None:
+            if len(self._forms) >= MAX_FORMS:
+                self._forms.clear()
+            form = self._forms[key] = self._form(records, fd)
+        data: Iterable[bytes] = form.cut.unpack(records.data)
+        if form.finish:
+            data = [finish(one) for finish, one in zip(form.finish, data, strict=True)]
+        parts = zip(form.can_ids, data, repeat(form.is_fd), form.are_extended)
+        # The constructor of a named tuple takes as long as all the rest.
+        frames = [*map(_new, repeat(Frame), parts)]
+        return [frames[place] for place in form.places]
+
+    def _form(self, records: Records, fd: bool) -> _Form:
+        """Return how records are cut into frames."""
+        sizes: list[int] = []
+        frames: list[tuple[int, bool, Callable[[bytes], bytes]]] = []
+        places: list[slice] = []
+        for owner, length in zip(records.owners, records.lengths, strict=True):
+            step = length if fd else PAGE_BYTES
+            own = [min(step, length - start) for start in range(0, length, step)]
+            places.append(slice(len(sizes), len(sizes) + len(own)))
+            frames += [self._message(owner, length, fd)] * len(own)
+            sizes += own
+        can_ids, are_extended, finish = zip(*frames, strict=True)
+        cut = Struct("".join(f"{size}s" for size in sizes))
+        needed = finish if any(one is not bytes for one in finish) else ()
+        return _Form(cut, can_ids, are_extended, bool(fd), needed, tuple(places))
+
+    def _message(
+        self, owner: Owner, length: int, fd: bool
+    ) -> tuple[int, bool, Callable[[bytes], bytes]]:
+        """Return ID and format of the frames of a record, and what makes their data of it."""
+        messages = self._layout.messages_of.get(owner)
+        layout = self._layout.pose if owner == POSE else self._layout
+        secured = None if layout is None else layout.secured
+        name = "the pose error" if owner == POSE else f"slot {owner!r}"
+        authenticator = self._authenticator
+        if authenticator is not None:
             if not fd:
                 raise EncodeError(
                     "classic CAN is not authenticated; send CAN FD (fd=True), or without a key"
                 )
             if messages is None or secured is None or messages.secured_can_id is None:
-                raise EncodeError(f"{self._layout.source} has no authenticated message for {owner}")
-            data = self._authenticator.secure(record, messages.secured_data_id, secured)
-            return [Frame(messages.secured_can_id, data, True, messages.secured_is_extended)]
-        can_id = None if messages is None else messages.fd_can_id if fd else messages.can_id
-        if messages is None or can_id is None:
+                raise EncodeError(f"{self._layout.source} has no authenticated message for {name}")
+            data_id, own = messages.secured_data_id, secured
+            can_id, is_extended = messages.secured_can_id, messages.secured_is_extended
+            return can_id, is_extended, lambda data: authenticator.secure(data, data_id, own)
+        found = None if messages is None else messages.fd_can_id if fd else messages.can_id
+        if messages is None or found is None:
             kind = "CAN FD" if fd else "classic"
-            raise EncodeError(f"{self._layout.source} has no {kind} message for {owner}")
-        if fd:
-            padded = record.ljust(messages.fd_length, b"\0")
-            return [Frame(can_id, padded, True, messages.fd_is_extended)]
-        return [
-            Frame(can_id, record[start : start + PAGE_BYTES], False, messages.is_extended)
-            for start in range(0, len(record), PAGE_BYTES)
-        ]
+            raise EncodeError(f"{self._layout.source} has no {kind} message for {name}")
+        if not fd:
+            return found, messages.is_extended, bytes
+        size = messages.fd_length
+        pad = bytes if length == size else lambda data: data.ljust(size, b"\0")
+        return found, messages.fd_is_extended, pad
+
+
+class _Form(NamedTuple):
+    """How records are cut into frames."""
+
+    cut: Struct
+    can_ids: tuple[int, ...]
+    are_extended: tuple[bool, ...]
+    is_fd: bool
+    finish: tuple[Callable[[bytes], bytes], ...]  #: of each frame; empty for none
+    places: tuple[slice, ...]  #: of the frames of each record
+
+
+_new = tuple.__new__

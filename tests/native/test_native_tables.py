@@ -1,0 +1,60 @@
+"""Tables of a DBC that the core checks, since it reads and writes where they say."""
+
+from typing import Any
+
+import pytest
+from scene_streams import COMPLETE, CONDITIONAL, new_codec
+
+from maplines_can import native
+from maplines_can.core import structure
+from maplines_can.wire import c_tables
+
+pytestmark = pytest.mark.skipif(not native.is_active, reason="there is no C path")
+
+
+def is_accepted(dbc: str, change: dict[str, Any]) -> bool:
+    """Return whether the core takes the tables of a DBC with other members."""
+    content = c_tables.content_of(new_codec(dbc).layout)
+    for name, value in change.items():
+        before = content[name]
+        content[name] = {**before, **value} if isinstance(value, dict) else value  # type: ignore[dict-item]
+    tables = structure("maplines_dbc_t", c_tables._plain(content))
+    return bool(native.lib.maplines_check_tables(tables))
+
+
+@pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
+def test_tables_of_a_dbc_are_accepted(dbc: str) -> None:
+    assert is_accepted(dbc, {})
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param({"line": {"pages": 17}}, id="pages"),
+        pytest.param({"line": {"pages": 0}}, id="no-pages"),
+        pytest.param({"line": {"pages": 2, "short_pages": 3}}, id="short-pages"),
+        pytest.param({"line": {"crc_byte": 127}}, id="checksum"),
+        pytest.param({"pose": {"pages": 0}}, id="no-pose"),
+        pytest.param({"max_components": 65}, id="components"),
+        pytest.param({"kind": (1.0, 0.0, 0, 1, 1020, 5, 0, 0)}, id="end-of-a-signal"),
+        pytest.param({"kind": (1.0, 0.0, 0, 1, 0, 65, 0, 0)}, id="length"),
+        pytest.param({"kind": (1.0, 0.0, 1, 0, 0, 1, 0, 0)}, id="limits"),
+        pytest.param({"covariance": {"rows": 5}}, id="rows"),
+        pytest.param({"covariance": {"order": {0: 4, 1: 1, 2: 2, 3: 3}}}, id="order"),
+        pytest.param({"straight": None}, id="no-levels"),
+    ],
+)
+def test_tables_beyond_a_record_are_refused(change: dict[str, Any]) -> None:
+    """It would be read and written beyond a record, or a structure."""
+    assert not is_accepted(COMPLETE, change)
+
+
+def test_a_layout_whose_tables_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The error names the DBC: the package made the tables."""
+    given = c_tables.content_of
+    monkeypatch.setattr(
+        c_tables, "content_of", lambda layout: {**given(layout), "max_components": 65}
+    )
+
+    with pytest.raises(c_tables.LayoutError, match=r"maplines\.dbc: the core takes its tables"):
+        c_tables.tables_of(new_codec(COMPLETE).layout)
