@@ -108,7 +108,7 @@ class BatchKernel:
         mean, cov, verdict = np.empty((n, 4)), np.empty((n, 4, 4)), np.empty(n, dtype=np.int8)
         integers = np.empty((len(INTEGERS), n), dtype=np.int64)
         reals = np.empty((len(REALS), n))
-        given = (np.ascontiguousarray(payloads), np.ascontiguousarray(data_ids))
+        given: Any = (np.ascontiguousarray(payloads), np.ascontiguousarray(data_ids))
         arrays = map(pointer, (*given, mean, cov, verdict, integers, reals))
         lib.maplines_decode_lines(self._tables, self._sigma_powers, n, *arrays)
         fields = dict(zip((*INTEGERS, *REALS), (*integers, *reals), strict=True))
