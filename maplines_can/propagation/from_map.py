@@ -299,7 +299,7 @@ def _checked(
             "lines must be a mapping from slots to polylines, such as "
             f"{{Slot.EGO_LEFT: Polyline(points)}}, got {type(lines).__name__}"
         )
-    lines = lines if type(lines) is dict else dict(lines)
+    lines = dict(lines)  # other threads may change theirs
     for slot, line in lines.items():
         if not isinstance(line, Polyline):
             raise TypeError(

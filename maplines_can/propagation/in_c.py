@@ -148,7 +148,7 @@ class CycleInC(NamedTuple):
         if reasons is None:
             return None
         k, left_out = reasons.count(0), self._left_out(reasons)
-        found.flags.writeable = False
+        found.setflags(write=False)
         means, x_ranges, fit_ranges, quartics, specific_covs, cov = (
             found[begin : begin + size].reshape(shape) for begin, size, shape in _parts(count, k)
         )
@@ -229,7 +229,7 @@ class RefitInC:
     ) -> None:
         n = self.count = len(fields) // _FIELDS
         self._refits = refits  # numbers only: it may be copied
-        fields.flags.writeable = False
+        fields.setflags(write=False)
         self.x_range = fields[: 2 * n].reshape(n, 2)  #: (L, 2)
         self.misfit = fields[2 * n : 3 * n]  #: (L,)
         self.is_across = fields[3 * n : 4 * n].astype(bool)  #: (L,)

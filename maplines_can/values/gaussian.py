@@ -65,9 +65,9 @@ matrix is -1; use nearest_covariance(cov), which covers it
             if cov.shape != (mean.size, mean.size):
                 raise ValueError(f"cov must be finite with shape {(mean.size,) * 2}, got {cov!r}")
             cov = _checked(cov, rounding)
-        for name, array in (("mean", mean), ("cov", cov)):
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+        mean.setflags(write=False)
+        cov.setflags(write=False)
+        self.__dict__.update(mean=mean, cov=cov)
 
     @classmethod
     def trusted(cls, mean: NDArray[np.float64], cov: NDArray[np.float64]) -> Gaussian:
@@ -77,9 +77,9 @@ matrix is -1; use nearest_covariance(cov), which covers it
         construction, as in a decoder; otherwise call ``Gaussian(mean, cov)``.
         """
         gaussian = object.__new__(cls)
-        for name, array in (("mean", mean), ("cov", cov)):
-            array.flags.writeable = False
-            object.__setattr__(gaussian, name, array)
+        mean.setflags(write=False)
+        cov.setflags(write=False)
+        gaussian.__dict__.update(mean=mean, cov=cov)
         return gaussian
 
     @property
