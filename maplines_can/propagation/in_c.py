@@ -193,12 +193,14 @@ class CycleInC(NamedTuple):
     ) -> list[MapLine]:
         """Return the lines that are given, which the core has checked."""
         given = [
-            item for item, reason in zip(self.lines.items(), reasons, strict=True) if not reason
+            (slot if type(slot) is Slot else Slot(slot), line.kind)
+            for (slot, line), reason in zip(self.lines.items(), reasons, strict=True)
+            if not reason
         ]
         rows = zip(given, means, covs, x_ranges.tolist(), strict=True)
         return [
-            MapLine.trusted(Slot(slot), Gaussian.trusted(mean, cov), line.kind, low, high)
-            for (slot, line), mean, cov, (low, high) in rows
+            MapLine.trusted(slot, Gaussian.trusted(mean, cov), kind, low, high)
+            for (slot, kind), mean, cov, (low, high) in rows
         ]
 
     def _left_out(self, reasons: bytes) -> dict[Slot, LeftOut]:
