@@ -143,7 +143,8 @@ typedef struct {
     maplines_scene_row_t *scenes;
     size_t max_lines, max_components, max_scenes;
     size_t line_count, component_count, scene_count;
-    bool is_waiting; ///< an authenticated frame is next, for which there is room
+    size_t newest[MAPLINES_SLOTS]; ///< of each slot: its newest line and those before; 0: none
+    bool is_waiting;               ///< an authenticated frame is next, for which there is room
 } maplines_rows_t;
 
 /// Frames of a block, and those of a decoder among them.

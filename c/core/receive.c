@@ -123,6 +123,7 @@ static void add_line(const maplines_decoder_t *decoder, int slot, const maplines
     row->is_usable = line->status != MAPLINES_OUT_OF_RANGE && isfinite(line->age) &&
                      row->state == (uint8_t)MAPLINES_E2E_VALID && row->two_senders == 0;
     ++rows->line_count;
+    rows->newest[slot] = rows->line_count;
 }
 
 /// Take a frame and add its lines.

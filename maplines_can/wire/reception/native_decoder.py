@@ -284,6 +284,7 @@ class NativeDecoder(Decoder):
                 place = self._feed_block(block, place, rows, scenes > 0)
                 counts = rows.line_count, rows.component_count, rows.scene_count
                 part = [array[:n] for array, n in zip(arrays_of_rows, counts, strict=True)]
+                self._renew(rows, part[0], part[1])
                 part[1]["line"] += sum(len(lines) for lines, *_ in found)
                 found.append(part)
             shown = self._c.shown
@@ -291,9 +292,9 @@ class NativeDecoder(Decoder):
                 last = np.frombuffer(ffi.buffer(ffi.addressof(shown))[:], SCENE_ROW)
                 found.append([part[0][:0], part[1][:0], last])
                 shown.frame = -1
-            lines, components, complete = map(np.concatenate, zip(*found, strict=True))
-            self._renew(lines, components)
-        return lines, components, complete
+            if len(found) > 1:
+                part = [np.concatenate(each) for each in zip(*found, strict=True)]
+        return part[0], part[1], part[2]
 
     def _feed_block(self, block: Any, place: int, rows: Any, has_scenes: bool) -> int:
         """Feed frames of a block from a place on, as long as there is room; return the next one."""
@@ -313,12 +314,14 @@ class NativeDecoder(Decoder):
             place = feed_block(self._c, block, place + 1, rows, has_scenes)
         return int(place)
 
-    def _renew(self, lines: Rows, components: Rows) -> None:
+    def _renew(self, rows: Any, lines: Rows, components: Rows) -> None:
         """Make the newest line of each slot of these rows, as ``feed`` does."""
-        for slot in np.unique(lines["slot"]).tolist():
-            place = int(np.flatnonzero(lines["slot"] == slot)[-1])
-            own = components[slice(*np.searchsorted(components["line"], (place, place + 1)))]
-            self._newest[Slot(slot)] = line_of(lines[place].tobytes(), 0, own.tobytes)
+        for slot, count in zip(Slot, rows.newest, strict=True):
+            if count:
+                row, own = lines[count - 1].tobytes(), components
+                if len(own):
+                    own = own[slice(*np.searchsorted(own["line"], (count - 1, count)))]
+                self._newest[slot] = line_of(row, 0, own.tobytes)
 
     def expire(self, t_ns: int) -> None:
         """Drop what has timed out; see ``Decoder.expire``."""
