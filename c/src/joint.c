@@ -52,7 +52,11 @@ static bool is_below(int n, const double *S, double bound, double *L)
 {
     for (int i = 0; i < n * n; ++i)
     {
-        L[i] = i % (n + 1) == 0 ? bound - S[i] : -S[i];
+        L[i] = -S[i];
+    }
+    for (int i = 0; i < n * n; i += n + 1)
+    {
+        L[i] = bound - S[i];
     }
     return maplines_cholesky_factor(n, L, L);
 }
@@ -243,11 +247,15 @@ static bool add_directions(int lines, double (*L)[16], double (*sizes)[16], doub
         }
         const double amount = guess + joint_slack;
         add_direction(lines, amount, v, L, sizes, lacking);
-        for (int k = 0; k < n * n; ++k)
+        for (int row = 0; row < n; ++row)
         {
-            const double scaled = amount * v[k / n];
-            const double term = scaled * v[k % n];
-            excess[k] = excess[k] - term;
+            const double scaled = amount * v[row];
+            double *const entries = excess + row * n;
+            for (int k = 0; k < n; ++k)
+            {
+                const double term = scaled * v[k];
+                entries[k] = entries[k] - term;
+            }
         }
         if (is_below(n, excess, bound, space))
         {
