@@ -27,7 +27,7 @@ def codecs_of(layout: Layout, *, is_authenticated: bool = False) -> tuple[Codec,
         return Codec(layout, Authenticator(key, clock=lambda: 10**18) if is_authenticated else None)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(c_tables, "core", None)
+        patch.setattr(c_tables, "lib", None)
         alone = codec()
         assert alone.encoder()._c is None  # from now on
     return codec(), alone

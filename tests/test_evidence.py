@@ -204,7 +204,7 @@ def test_wrong_slots_are_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
 )
 def test_wrong_joints_are_found(monkeypatch: pytest.MonkeyPatch, factor: float, words: str) -> None:
     """Too certain, in floating point and exactly; and too wide."""
-    monkeypatch.setattr(c_tables, "core", None)  # what is made wrong is Python's
+    monkeypatch.setattr(c_tables, "lib", None)  # what is made wrong is Python's
     cov = vars(DecodedLines)["cov"].fget
     monkeypatch.setattr(DecodedLines, "cov", property(lambda decoded: factor * cov(decoded)))
     options: Any = {"poses": ("production",), "errors": ("5 cm",), "records": ("conditional",)}

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import ffi, structure
-from ..native import core, lib
+from ..core import structure
+from ..native import lib
 from ..values.errors import LayoutError
 from ..values.line import Slot
 from .covariance import CholeskyCode
@@ -127,7 +127,7 @@ Value = Members | Signal | NDArray[np.float64] | bool | int | float | str | None
 
 def tables_of(layout: Layout) -> Any:
     """Return the tables of a DBC, a ``maplines_dbc_t *``; None without C, also of this DBC."""
-    if core is None or lib is None:
+    if lib is None:
         return None
     try:
         tables = structure("maplines_dbc_t", _plain(content_of(layout)))
@@ -136,11 +136,6 @@ def tables_of(layout: Layout) -> Any:
     if not lib.maplines_check_tables(tables):
         raise LayoutError(f"{layout.source}: the core takes its tables for those of no DBC")
     return tables
-
-
-def native_tables(tables: Any) -> Any:
-    """Return the same tables for the extension module."""
-    return core.Tables(int(ffi.cast("uintptr_t", tables)), tables)
 
 
 def _plain(value: Any) -> Any:
