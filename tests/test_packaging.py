@@ -1,6 +1,6 @@
 """A checkout, an editable install and a wheel find the default DBC; the wheel is complete.
 
-With a C compiler, an install has the extension module; without one, it computes in Python alone.
+An install builds the C core. Where there is no C compiler, pip is told to fetch one.
 """
 
 import os
@@ -10,46 +10,45 @@ import sysconfig
 import venv
 import zipfile
 from pathlib import Path
-from typing import Any
 
+import build_core
 import pytest
 
-from maplines_can import native
+from maplines_can.core import PATH
 
 ROOT = Path(__file__).parents[1]
 FIND_DBC = "import maplines_can.wire as w; w.Codec.from_dbc(); print(w.default_dbc_path())"
 BIN = "Scripts" if sys.platform == "win32" else "bin"
 
 
-def run(*command: str | Path, cc: str | None = None, **options: Any) -> str:
+def run(*command: str | Path, cwd: Path | None = None, **variables: str) -> str:
     """Run a command on no forced path, check that it succeeds, and return its output.
 
     Args:
         command: program and arguments.
-        cc: C compiler of this run.
-        options: of subprocess.run.
+        cwd: folder of the run.
+        variables: of its environment.
     """
     environment = {name: value for name, value in os.environ.items() if name != "MAPLINES_NATIVE"}
-    environment |= {"CC": cc} if cc else {}
     done = subprocess.run(
-        command, capture_output=True, text=True, check=False, env=environment, **options
+        command, capture_output=True, text=True, check=False, cwd=cwd, env=environment | variables
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout.strip()
 
 
-def built(folder: Path, **options: Any) -> Path:
+def built(folder: Path, **variables: str) -> Path:
     """Return a wheel of the checkout."""
     build = (sys.executable, "-m", "build", "--wheel", "--no-isolation")
-    run(*build, "--outdir", folder, ROOT, **options)
+    run(*build, "--outdir", folder, ROOT, **variables)
     (path,) = folder.glob("*.whl")
     return path
 
 
-def extensions(wheel: Path) -> list[str]:
-    """Return the names of the extension modules in a wheel."""
+def libraries(wheel: Path) -> list[str]:
+    """Return the names of the shared libraries in a wheel."""
     with zipfile.ZipFile(wheel) as archive:
-        return [name for name in archive.namelist() if "_native" in name]
+        return [name for name in archive.namelist() if name.endswith(PATH.suffix)]
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +97,7 @@ def test_in_an_editable_install(empty_python: Path, tmp_path: Path) -> None:
     found = run(empty_python, "-c", FIND_DBC, cwd=tmp_path)
     assert Path(found) == ROOT / "dbc" / "maplines.dbc"
     said = run(empty_python.parent / "maplines", "--version", cwd=tmp_path)
-    assert ("computes in C (built with" in said) is native.is_active
+    assert "computes in C (built with" in said
 
 
 def test_from_a_wheel(empty_python: Path, wheel: Path, tmp_path: Path) -> None:
@@ -109,7 +108,7 @@ def test_from_a_wheel(empty_python: Path, wheel: Path, tmp_path: Path) -> None:
     assert found.read_bytes() == (ROOT / "dbc" / "maplines.dbc").read_bytes()
     assert "highway" in run(empty_python.parent / "maplines", "scenarios", cwd=tmp_path)
     said = run(empty_python.parent / "maplines", "--version", cwd=tmp_path)
-    assert ("computes in C (built with" in said) is native.is_active
+    assert "computes in C (built with" in said
     for what in ("c", "vectors"):
         generate = ("generate", what, "--out")
         run(empty_python.parent / "maplines", *generate, "ecu", cwd=tmp_path)
@@ -140,28 +139,73 @@ def test_the_wheel_has_every_dbc(wheel: Path) -> None:
     assert expected == found
 
 
-@pytest.mark.skipif(not native.is_active, reason="needs a C compiler")
-def test_the_tag_of_a_wheel_with_the_extension_module(wheel: Path) -> None:
-    """One wheel of a platform serves all versions of Python; a free-threaded one has its own."""
+def test_the_tag_of_a_wheel(wheel: Path) -> None:
+    """One wheel of a platform serves all versions of Python: it has no part of one."""
     _, _, python, abi, platform = wheel.stem.split("-")
-    (extension,) = extensions(wheel)
 
+    assert (python, abi) == ("py3", "none")
     assert platform == sysconfig.get_platform().replace("-", "_").replace(".", "_")
-    if sysconfig.get_config_var("Py_GIL_DISABLED"):
-        assert abi.endswith("t")
-    else:
-        assert (python, abi) == ("cp311", "abi3")
-        assert sys.platform == "win32" or ".abi3." in extension
+    assert libraries(wheel) == [f"maplines_can/core/{PATH.name}"]
+
+
+def test_a_wheel_of_python_alone(tmp_path: Path) -> None:
+    """It is one for all platforms, and the library of the checkout stays as it is."""
+    own = PATH.stat().st_mtime_ns
+
+    pure = built(tmp_path, MAPLINES_NATIVE="0")
+
+    assert pure.stem.endswith("-py3-none-any")
+    assert libraries(pure) == []
+    assert own == PATH.stat().st_mtime_ns
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="CC is of other systems")
-def test_a_wheel_without_a_compiler(tmp_path: Path) -> None:
-    """It is one for all platforms, and the extension module of the checkout stays as it is."""
-    own = sorted((path, path.stat().st_mtime_ns) for path in ROOT.glob("maplines_can/_native*"))
+@pytest.mark.parametrize(
+    ("compiler", "reason"),
+    [
+        pytest.param("no-such-compiler", "'no-such-compiler' cannot be run", id="missing"),
+        pytest.param("false", "'false' fails", id="fails"),
+    ],
+)
+def test_a_compiler_that_builds_nothing(compiler: str, reason: str, tmp_path: Path) -> None:
+    """The build ends with its name, and the library of the checkout stays as it is."""
+    own = PATH.stat().st_mtime_ns
 
-    pure = built(tmp_path, cc="no-such-compiler")
+    with pytest.raises(AssertionError, match=f"maplines_can: the compiler {reason}"):
+        built(tmp_path, CC=compiler)
 
-    assert pure.stem.endswith("-py3-none-any")
-    assert extensions(pure) == []
-    after = ROOT.glob("maplines_can/_native*")
-    assert own == sorted((path, path.stat().st_mtime_ns) for path in after)
+    assert own == PATH.stat().st_mtime_ns
+
+
+def test_a_compiler_is_fetched_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is a requirement of the build then, for platforms that it knows."""
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.delenv("MAPLINES_NATIVE", raising=False)
+    monkeypatch.setenv("PATH", "")
+    hook = build_core.CoreHook.__new__(build_core.CoreHook)
+
+    assert hook.dependencies() == ["ziglang>=0.13"]
+    monkeypatch.setattr(build_core.platform, "machine", lambda: "pdp11")
+    assert hook.dependencies() == []
+    with pytest.raises(build_core.BuildError, match=r"ziglang has none for .*apt-get install gcc"):
+        build_core.compiler()
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        pytest.param({"CC": "clang -m32"}, ["clang", "-m32"], id="of-CC"),
+        pytest.param({}, ["cc"], id="found"),
+    ],
+)
+@pytest.mark.skipif(sys.platform == "win32", reason="cc is of other systems")
+def test_the_compiler_of_the_machine(
+    settings: dict[str, str], expected: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """CC comes before what is found, and nothing is fetched."""
+    monkeypatch.delenv("CC", raising=False)
+    for name, value in settings.items():
+        monkeypatch.setenv(name, value)
+
+    assert build_core.compiler() == expected
+    assert build_core.CoreHook.__new__(build_core.CoreHook).dependencies() == []

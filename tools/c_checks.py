@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Check the C core and the extension module: form, warnings, and what four analysers find.
+"""Check the C core and its shared library: form, warnings, and what four analysers find.
 
     c_checks.py                the quick checks whose programs are installed; others are named
     c_checks.py compile misra  only these
@@ -31,7 +31,6 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from sysconfig import get_paths
 from typing import Any
 
 from reporting import parser_of
@@ -44,10 +43,7 @@ from maplines_can.wire.layout.message_layout import Layout
 
 ROOT = Path(__file__).resolve().parents[1]
 C = ROOT / "c"
-INCLUDE = [f"-I{C / name}" for name in ("include", "src", "propagation")]
-#: The extension module, as setuptools compiles it; its rules are those of the C API of Python.
-EXTENSION = [f"-I{C / 'propagation'}", f"-I{C / 'python'}", f"-isystem{get_paths()['include']}",
-             "-DPy_LIMITED_API=0x030b0000"]  # fmt: skip
+INCLUDE = [f"-I{C / name}" for name in ("include", "src", "propagation", "core")]
 WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Wstrict-prototypes",
             "-Wmissing-prototypes", "-Wdouble-promotion", "-Wundef", "-Werror"]  # fmt: skip
 #: Least share of the branches that the tests take [%].
@@ -65,17 +61,17 @@ def sources() -> list[str]:
 
 
 def sources_of_package() -> list[str]:
-    """Return the sources of the core, and those of the propagation in the extension module."""
+    """Return the sources of the core, and those of the propagation."""
     return [*sources(), *map(str, sorted((C / "propagation").glob("*.c")))]
 
 
-def extension_sources() -> list[str]:
-    """Return the sources of the extension module beside the core."""
-    return [str(path) for path in sorted((C / "python").glob("*.c"))]
+def library_sources() -> list[str]:
+    """Return what only the shared library has: loops over arrays, for the Python package."""
+    return [str(path) for path in sorted((C / "core").glob("*.c"))]
 
 
 def all_files() -> list[str]:
-    """Return all C files: of the core, the extension module, the tests and the examples."""
+    """Return all C files: of the core, its library, the tests and the examples."""
     return [str(path) for path in sorted(C.rglob("*.[ch]")) if "build" not in path.parts]
 
 
@@ -103,16 +99,12 @@ def check_compile() -> Findings:
             continue
         for variant in VARIANTS:
             flags = ["-std=c99", "-O2", "-ffp-contract=off", *WARNINGS, *variant, *INCLUDE]
-            for source in sources_of_package():
+            is_double = "-DMAPLINES_FLOAT" not in variant
+            for source in [*sources_of_package(), *(library_sources() if is_double else [])]:
                 status, lines = run([compiler, *flags, "-c", source, "-o", "/dev/null"])
                 findings += [f"{compiler}: {line}" for line in lines if FINDING.search(line)]
                 if status and not findings:
                     findings.append(f"{compiler}: {source} does not compile")
-        # Python hands functions to C as pointers to objects: not pedantic.
-        flags = ["-std=c99", "-O2", *WARNINGS, "-Wno-pedantic", *INCLUDE, *EXTENSION]
-        for source in extension_sources():
-            _, lines = run([compiler, *flags, "-c", source, "-o", "/dev/null"])
-            findings += [f"{compiler}: {line}" for line in lines if FINDING.search(line)]
     return findings + list(_header_as_cpp())
 
 
@@ -186,10 +178,8 @@ def check_cppcheck() -> Findings:
     suppressed = ("missingIncludeSystem", "unusedFunction", "unmatchedSuppression")
     command = ["cppcheck", "--quiet", "--enable=all", "--inconclusive", "--std=c99",
                "--inline-suppr", "--template={file}:{line}: {severity}: {message} [{id}]",
-               *(f"--suppress={name}" for name in suppressed), *INCLUDE, f"-I{C / 'python'}",
-               # The headers of Python are not read.
-               "-DPy_RETURN_NONE=return Py_None",
-               *sources_of_package(), *extension_sources()]  # fmt: skip
+               *(f"--suppress={name}" for name in suppressed), *INCLUDE,
+               *sources_of_package(), *library_sources()]  # fmt: skip
     return [line for line in run(command)[1] if FINDING.search(line)]
 
 
@@ -212,8 +202,8 @@ def check_misra() -> Findings:
 def check_tidy() -> Findings:
     """Clang-tidy finds nothing with the checks of c/.clang-tidy."""
     config = f"--config-file={C / '.clang-tidy'}"
-    command = ["clang-tidy", config, "--quiet", *sources_of_package(), *extension_sources(), "--",
-               "-std=c99", *INCLUDE, *EXTENSION]  # fmt: skip
+    command = ["clang-tidy", config, "--quiet", *sources_of_package(), *library_sources(), "--",
+               "-std=c99", *INCLUDE]  # fmt: skip
     return [line for line in run(command)[1] if FINDING.search(line)]
 
 
@@ -232,12 +222,12 @@ def check_sanitizers() -> Findings:
     return findings_with("clang", f"-O1 -g {checks}")
 
 
-def check_extension() -> Findings:
-    """The tests of the extension module pass with the sanitizers of gcc.
+def check_library() -> Findings:
+    """The tests of the library through Python pass with the sanitizers of gcc.
 
     It is built into a copy of the checkout. CPython leaks a little at its end.
     """
-    skipped = shutil.ignore_patterns(".*", "_native*", "__pycache__", "build", "docs")
+    skipped = shutil.ignore_patterns(".*", "maplines.so", "__pycache__", "build", "docs")
     library = run(["gcc", "-print-file-name=libasan.so"])[1][0]
     checks = "-fsanitize=address,undefined -fno-sanitize-recover=undefined"
     with tempfile.TemporaryDirectory() as folder:
@@ -245,7 +235,7 @@ def check_extension() -> Findings:
         shutil.copytree(ROOT, copy, ignore=skipped)
         settings = os.environ | {"MAPLINES_NATIVE": "1", "PYTHONPATH": str(copy), "CC": "gcc",
                                  "CFLAGS": f"{checks} -g -O1", "LDFLAGS": checks}  # fmt: skip
-        status, lines = run([sys.executable, str(copy / "tools" / "build_native.py")], settings)
+        status, lines = run([sys.executable, str(copy / "tools" / "build_core.py")], settings)
         if status:
             return lines[-3:]
         settings |= {"LD_PRELOAD": library, "ASAN_OPTIONS": "detect_leaks=0"}
@@ -362,7 +352,7 @@ QUICK: dict[str, tuple[Callable[[], Findings], tuple[str, ...]]] = {
     "tidy": (check_tidy, ("clang-tidy",)),
 }
 LONG: dict[str, tuple[Callable[[], Findings], tuple[str, ...]]] = {
-    "extension": (check_extension, ("gcc",)),
+    "library": (check_library, ("gcc",)),
     "sanitizers": (check_sanitizers, ("clang",)),
     "optimised": (check_optimised, ("gcc",)),
     "coverage": (check_coverage, ("clang", "llvm-cov", "llvm-profdata")),

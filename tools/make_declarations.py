@@ -11,7 +11,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from build_native import LIMITS
+from build_core import LIMITS
 from cffi import FFI
 
 ROOT = Path(__file__).resolve().parents[1]

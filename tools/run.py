@@ -5,8 +5,8 @@
     python3 tools/run.py pytest            the tests
 
 The environment is the folder .venv of this checkout; nothing outside it changes. It is made
-again when pyproject.toml or the C of the extension module changes. This needs Python 3.11 or later
-with venv, and a package index that pip can reach.
+again when pyproject.toml or the C of the core changes. This needs Python 3.11 or later with venv,
+and a package index that pip can reach; without a C compiler, pip fetches one (100 MB).
 """
 
 from __future__ import annotations
@@ -62,9 +62,9 @@ def is_installed(extra: str) -> bool:
 
 def source_hash() -> str:
     """Return the hash of what the environment is made from."""
-    folders = [ROOT / "c" / name for name in ("include", "src", "propagation", "core", "python")]
+    folders = [ROOT / "c" / name for name in ("include", "src", "propagation", "core")]
     built = sorted(path for folder in folders for path in folder.glob("*.[ch]"))
-    files = [ROOT / "pyproject.toml", ROOT / "tools" / "build_native.py", *built]
+    files = [ROOT / "pyproject.toml", ROOT / "tools" / "build_core.py", *built]
     source = b"".join(path.read_bytes() for path in files) + f"{ROOT} {sys.version}".encode()
     return hashlib.sha256(source).hexdigest()
 

@@ -13,6 +13,10 @@
 
 #include "maplines.h"
 
+#ifdef MAPLINES_FLOAT
+#error "the library computes in double precision"
+#endif
+
 #ifdef __GNUC__
 #pragma GCC visibility push(default)
 #endif
@@ -22,6 +26,8 @@
 
 /// Version of the sources.
 const char *maplines_core_version(void);
+/// Compiler that built the library.
+const char *maplines_core_compiler(void);
 /// Size of maplines_dbc_t.
 size_t maplines_core_size(void);
 /// Whether tables are those of a DBC: no signal, page or index is beyond its record.
@@ -267,13 +273,13 @@ bool maplines_receiver_reused(const maplines_receiver_t *receiver, int owner, in
 size_t maplines_paths_size(size_t lines, size_t points);
 /// Prepare lines of (count, 2) points with their arc lengths [m]; false if they are too large.
 bool maplines_prepare_paths(size_t lines, const size_t *count, const double *const *points,
-                            const double *const *distance, double *paths);
+                            const double *const *distance, double *memory);
 /// Size of the memory of the functions below, of so many lines that are propagated together: all of
 /// a scene, 1 of those one by one, 0 of refits.
 size_t maplines_work_size(size_t lines, size_t points, size_t together, size_t poses);
 /// Place on the map from which lines are followed (2), how far along them [m], and the covariance
 /// of the pose in the frame of the car (3, 3). False if the window or the misfit is wrong.
-bool maplines_query_view(const double query[20], double view[12]);
+bool maplines_query_view(const double query[20], double found[12]);
 /// Lines one by one. Of the K of `lines` that are given, `found` has the means (lines, 4), the
 /// covariances (lines, 4, 4) and the valid ranges (lines, 2) [m], each with K rows that are set.
 /// False if a value is wrong or not finite.

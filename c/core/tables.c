@@ -2,6 +2,21 @@
 #include "core.h"
 #include "internal.h"
 
+#if defined(__clang__)
+#define COMPILER __VERSION__ // begins with the name
+#elif defined(__GNUC__)
+#define COMPILER "GCC " __VERSION__
+#elif defined(_MSC_VER)
+#define COMPILER "Microsoft C"
+#else
+#define COMPILER "an unknown compiler"
+#endif
+
+const char *maplines_core_compiler(void)
+{
+    return COMPILER;
+}
+
 const char *maplines_core_version(void)
 {
     return MAPLINES_VERSION;

@@ -354,7 +354,6 @@ MAPLINES_INTERNAL bool maplines_encode_covariance(const maplines_cholesky_t *cod
                                                   int64_t raw[11], bool *is_saturated)
 {
     static const double *const no_tables[5] = {NULL};
-    const double *const *tables = powers == NULL ? no_tables : powers;
     const int n = (int)code->rows;
     bool is_covered = true;
     *is_saturated = false;
@@ -365,6 +364,7 @@ MAPLINES_INTERNAL bool maplines_encode_covariance(const maplines_cholesky_t *cod
     }
     if (is_covered)
     {
+        const double *const *tables = powers == NULL ? no_tables : powers;
         double scale = 1.0;
         double excess = 1.0;
         memset(raw, 0, 11 * sizeof(int64_t));

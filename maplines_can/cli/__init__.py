@@ -159,7 +159,7 @@ class _Version(argparse.Action):
         super().__init__(option_strings, dest, nargs=0, default=argparse.SUPPRESS, help=text)
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        from ..native import description  # loads the extension module
+        from ..native import description  # loads the core
 
         print(f"maplines {__version__}, computes in {description()}")
         parser.exit()

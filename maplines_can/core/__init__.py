@@ -20,9 +20,13 @@ from numpy.typing import NDArray
 
 from .declarations import ffi
 
+<<<<<<< HEAD
 __all__ = ["Lock", "ffi", "load", "new", "pointer", "pointers", "structure"]
+=======
+__all__ = ["CoreError", "Lock", "ffi", "load", "pointer", "pointers", "structure"]
+>>>>>>> 224c8783 (WIP: build of the library alone)
 
-PATH = Path(__file__).parents[1] / f"_native_core.{'dll' if os.name == 'nt' else 'so'}"
+PATH = Path(__file__).with_name(f"maplines.{'dll' if os.name == 'nt' else 'so'}")
 #: Type that cffi takes for any pointer.
 _ANY = ffi.typeof("void *")
 #: Types of arrays, by those of the elements in NumPy.
@@ -37,20 +41,28 @@ _TYPES = {
 new: Callable[..., Any] = ffi.new_allocator(should_clear_after_alloc=False)
 
 
-def load(version: str) -> Any:
-    """Return the functions of the library.
+class CoreError(ImportError):
+    """There is no library, or it is not that of this version of the package."""
+
+
+def load(version: str) -> tuple[Any, str]:
+    """Return the functions of the library, and what built it.
 
     Raises:
-        ImportError: there is no library, or it is not that of this version of the package.
+        CoreError: there is none that can be used.
     """
+    if not PATH.exists():
+        raise CoreError("no library of the core; an install with a C compiler builds it")
     try:
         lib = ffi.dlopen(str(PATH))
-    except OSError as error:
-        raise ImportError(f"the core cannot be loaded: {error}") from error
-    found = ffi.string(lib.maplines_core_version()).decode()
-    if (found, lib.maplines_core_size()) != (version, ffi.sizeof("maplines_dbc_t")):
-        raise ImportError(f"the core is that of version {found}; install the package again")
-    return lib
+        found = ffi.string(lib.maplines_core_version()).decode()
+        size = lib.maplines_core_size()
+        compiler = ffi.string(lib.maplines_core_compiler()).decode()
+    except (OSError, ffi.error) as error:
+        raise CoreError(f"the library of the core cannot be loaded: {error}") from error
+    if (found, size) != (version, ffi.sizeof("maplines_dbc_t")):
+        raise CoreError(f"the library of the core is of version {found}; install the package again")
+    return lib, f"built with {compiler}"
 
 
 def pointer(array: NDArray[Any], *, written: bool = False) -> Any:
