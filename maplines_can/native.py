@@ -46,7 +46,6 @@ reason: str
 lib, reason = _choose()
 #: Whether the core computes.
 is_active = lib is not None
-core: Any = None  # TODO goes
 
 
 def description() -> str:

@@ -41,7 +41,7 @@ from maplines_can.wire.covariance.scene_code import DecodedLines
 for _name in harness.modules():
     importlib.import_module(f"evidence.{_name}")
 QUICK = {name: one for name, one in harness.REGISTRY.items() if not one.in_real_time}
-#: Whether modules run with the extension module, of those that compare it with Python alone.
+#: Whether modules run with the C core, of those that compare it with Python alone.
 PATHS = {"both_paths": True, "both_paths_roads": True, "c_core": False, "c_speed": False}
 
 

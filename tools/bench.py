@@ -34,7 +34,7 @@ The parts:
   batch     Gaussian to payload and back, against packing alone by cantools
   one       the same line by line, where arrays do not help
   paths     each step of a cycle in C and in Python alone, beside the same peer; the
-            targets are for C. It needs the extension module
+            targets are for C, which it needs
   map       loading of a map of a thousand roads (copies of the town of the package),
             against parsing its XML alone; lines around the first pose on each of 400
             lanes, and around later poses, against matching of the poses alone, and
@@ -395,22 +395,17 @@ def middle_of(lane: maps.Lane) -> Any:
 
 def alone(call: Callable[[], Any]) -> Callable[[], Any]:
     """Return a call that Python computes alone, but for objects that C made before."""
-    names = ("core", "lib")
-    users = [
-        (one, name, vars(native)[name])
-        for one in sys.modules.values()
-        for name in names
-        if one is not native and getattr(one, name, None) is vars(native)[name]
-    ]
+    users = [one for one in sys.modules.values() if getattr(one, "lib", None) is native.lib]
+    users.remove(native)
 
     def run() -> Any:
-        for user, name, _ in users:
-            setattr(user, name, None)
+        for user in users:
+            user.lib = None  # type: ignore[attr-defined]
         try:
             return call()
         finally:
-            for user, name, value in users:
-                setattr(user, name, value)
+            for user in users:
+                user.lib = native.lib  # type: ignore[attr-defined]
 
     return run
 

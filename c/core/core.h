@@ -28,8 +28,8 @@
 const char *maplines_core_version(void);
 /// Compiler that built the library.
 const char *maplines_core_compiler(void);
-/// Size of maplines_dbc_t.
-size_t maplines_core_size(void);
+/// Sizes of the structures that the Python package makes, in its order.
+size_t maplines_core_size(size_t i);
 /// Whether tables are those of a DBC: no signal, page or index is beyond its record.
 bool maplines_check_tables(const maplines_dbc_t *dbc);
 

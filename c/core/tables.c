@@ -22,9 +22,13 @@ const char *maplines_core_version(void)
     return MAPLINES_VERSION;
 }
 
-size_t maplines_core_size(void)
+size_t maplines_core_size(size_t i)
 {
-    return sizeof(maplines_dbc_t);
+    static const size_t sizes[] = {sizeof(maplines_dbc_t),      sizeof(maplines_receiver_t),
+                                   sizeof(maplines_settings_t), sizeof(maplines_block_t),
+                                   sizeof(maplines_rows_t),     sizeof(maplines_log_t),
+                                   sizeof(maplines_prepared_t), sizeof(maplines_given_scene_t)};
+    return i < sizeof sizes / sizeof sizes[0] ? sizes[i] : 0U;
 }
 
 /// Whether signals are within a record of so many pages; those of no bits are not in the DBC.

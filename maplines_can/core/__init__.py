@@ -1,7 +1,7 @@
 """The core in C as a shared library: ``lib`` has its functions, and ``ffi`` their types.
 
 ``declarations.py`` is what cffi makes of ``c/core/core.h``. Nothing at run time compares the two
-but what is done here, once: the version, and the size of the tables. Arguments of functions
+but what is done here, once: the version, and the sizes of the structures. Arguments of functions
 are as their callers have checked them. A call lets other threads run: an object with a state has a
 ``Lock``, which it holds around its calls.
 """
@@ -20,11 +20,7 @@ from numpy.typing import NDArray
 
 from .declarations import ffi
 
-<<<<<<< HEAD
-__all__ = ["Lock", "ffi", "load", "new", "pointer", "pointers", "structure"]
-=======
-__all__ = ["CoreError", "Lock", "ffi", "load", "pointer", "pointers", "structure"]
->>>>>>> 224c8783 (WIP: build of the library alone)
+__all__ = ["CoreError", "Lock", "ffi", "load", "new", "pointer", "pointers", "structure"]
 
 PATH = Path(__file__).with_name(f"maplines.{'dll' if os.name == 'nt' else 'so'}")
 #: Type that cffi takes for any pointer.
@@ -39,6 +35,10 @@ _TYPES = {
 }  # fmt: skip
 #: Allocate memory that is not cleared, by the name of its type and a length.
 new: Callable[..., Any] = ffi.new_allocator(should_clear_after_alloc=False)
+
+
+#: Structures that are made here, in the order of ``maplines_core_size``.
+_STRUCTURES = ("dbc", "receiver", "settings", "block", "rows", "log", "prepared", "given_scene")
 
 
 class CoreError(ImportError):
@@ -56,11 +56,11 @@ def load(version: str) -> tuple[Any, str]:
     try:
         lib = ffi.dlopen(str(PATH))
         found = ffi.string(lib.maplines_core_version()).decode()
-        size = lib.maplines_core_size()
+        sizes = [lib.maplines_core_size(i) for i in range(len(_STRUCTURES))]
         compiler = ffi.string(lib.maplines_core_compiler()).decode()
     except (OSError, ffi.error) as error:
         raise CoreError(f"the library of the core cannot be loaded: {error}") from error
-    if (found, size) != (version, ffi.sizeof("maplines_dbc_t")):
+    if (found, sizes) != (version, [ffi.sizeof(f"maplines_{name}_t") for name in _STRUCTURES]):
         raise CoreError(f"the library of the core is of version {found}; install the package again")
     return lib, f"built with {compiler}"
 

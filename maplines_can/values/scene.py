@@ -173,7 +173,7 @@ class Scene:
     ) -> Scene:
         """Return a scene of the given values without copying or checking them.
 
-        The arrays are read-only. For those that the extension module has checked; otherwise call
+        The arrays are read-only. For those that the C core has checked; otherwise call
         ``Scene``.
         """
         scene = object.__new__(cls)

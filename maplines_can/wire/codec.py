@@ -214,7 +214,7 @@ class Codec:
 
     @cached_property
     def _c_tables(self) -> Any:
-        """Tables for the extension module; None if Python computes alone."""
+        """Tables for the core; None if Python computes alone."""
         return tables_of(self.layout)
 
     @cached_property

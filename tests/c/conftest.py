@@ -1,4 +1,4 @@
-"""Tests of the C core: what it is compared with is Python, and never the extension module."""
+"""Tests of the C core: what it is compared with is Python, and never the shared library."""
 
 from __future__ import annotations
 

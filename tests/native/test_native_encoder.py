@@ -1,4 +1,4 @@
-"""Lines to frames: the extension module against Python alone, bit by bit."""
+"""Lines to frames: the C core against Python alone, bit by bit."""
 
 import gc
 import sys
@@ -23,11 +23,11 @@ from scene_layouts import layout_of
 from strategies import covariances, symmetric
 
 from maplines_can import Codec, Gaussian, GaussianMixture, Kind, MapLine, Slot, Status
-from maplines_can.native import core
+from maplines_can.native import lib
 from maplines_can.wire import POSE, Frame, Layout
 from maplines_can.wire.records.counters import packed
 
-pytestmark = pytest.mark.skipif(core is None, reason="there is no extension module")
+pytestmark = pytest.mark.skipif(lib is None, reason="there is no C path")
 
 COMPLETE, CONDITIONAL, SECURED = "maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc"
 MEAN, COV = np.array([1.75, 0.01, 1e-3, 1e-6]), np.diag([0.1, 0.01, 1e-3, 1e-5]) ** 2

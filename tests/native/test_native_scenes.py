@@ -1,4 +1,4 @@
-"""Scenes to frames: the extension module against Python alone, bit by bit."""
+"""Scenes to frames: the C core against Python alone, bit by bit."""
 
 from collections import Counter, UserDict
 from collections.abc import Iterator
@@ -30,12 +30,12 @@ from maplines_can import (
     Status,
     map_scene,
 )
-from maplines_can.native import core
+from maplines_can.native import lib
 from maplines_can.wire import POSE, Codec, Layout, PreparedScene
 from maplines_can.wire.c_sender import SceneInC
 from maplines_can.wire.records.counters import packed
 
-pytestmark = pytest.mark.skipif(core is None, reason="there is no extension module")
+pytestmark = pytest.mark.skipif(lib is None, reason="there is no C path")
 
 COMPLETE, CONDITIONAL, SECURED = "maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc"
 ERRORS = (None, MapError(0.05, 0.05), MapError(0.05, 0.05, 0.001), MapError(offset_sigma=0.3))

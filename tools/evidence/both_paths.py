@@ -1,4 +1,4 @@
-"""The extension module back to back with Python alone, through the API of Python, in one process.
+"""The C core back to back with Python alone, through the API of Python, in one process.
 
 The cases and comparisons are those of the tests in tests/native and tests/c, with other numbers of
 cases. A case that differs ends the evidence with an error that shows it, so the number of
@@ -35,7 +35,7 @@ APART_NS, PERIOD_NS = 200_000, 50_000_000
 
 
 def tests(name: str) -> Any:
-    """Return a module of the tests, all of which need the extension module."""
+    """Return a module of the tests, all of which need the C core."""
     if not native.is_active:
         sys.exit(f"there is only one path to compare: {native.description()}")
     return c_core.load(name)

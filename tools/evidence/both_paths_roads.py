@@ -1,4 +1,4 @@
-"""Lines and scenes of maps by the extension module, and by Python alone in the same process.
+"""Lines and scenes of maps by the C core, and by Python alone in the same process.
 
 The differences are the largest ones, of means and covariances in standard deviations. C leaves what
 is unusual to Python; this is counted, for there is nothing to compare.

@@ -79,10 +79,10 @@ class BatchKernel:
             self._tables,
             self.variance_powers,
             n,
-            pointer(np.ascontiguousarray(gaussians.mean)),
-            pointer(np.ascontiguousarray(gaussians.cov)),
-            ffi.NULL if cover is None else pointer(np.ascontiguousarray(cover)),
-            pointer(np.ascontiguousarray(gaussians.indefinite)),
+            _given(gaussians.mean, (n, 4)),
+            _given(gaussians.cov, (n, 4, 4)),
+            ffi.NULL if cover is None else _given(cover, (n, 4, 4)),
+            _given(gaussians.indefinite, (n,)),
             pointer(_rows((slot,), n, np.int64)),
             pointer(_rows(integers, n, np.int64)),
             pointer(_rows(reals, n, np.float64)),
@@ -94,8 +94,8 @@ class BatchKernel:
         """Return the (n, k) decoded weights of mixtures, and the (n, 4, 4) deficit they leave."""
         n, k = weights.shape
         decoded, cover = np.empty((n, k)), np.empty((n, 4, 4))
-        given = map(np.ascontiguousarray, (weights, means, covs))
-        arrays = map(pointer, (*given, decoded, cover))
+        given = _given(weights, (n, k)), _given(means, (n, k, 4)), _given(covs, (n, k, 4, 4))
+        arrays = (*given, pointer(decoded), pointer(cover))
         if not lib.maplines_cover_mixtures(self._tables, n, k, steps, *arrays):
             raise ValueError(f"the core holds up to 64 components, got {k}")
         return decoded, cover
@@ -108,11 +108,19 @@ class BatchKernel:
         mean, cov, verdict = np.empty((n, 4)), np.empty((n, 4, 4)), np.empty(n, dtype=np.int8)
         integers = np.empty((len(INTEGERS), n), dtype=np.int64)
         reals = np.empty((len(REALS), n))
-        given: Any = (np.ascontiguousarray(payloads), np.ascontiguousarray(data_ids))
-        arrays = map(pointer, (*given, mean, cov, verdict, integers, reals))
+        given = _given(payloads, (n, self._record_bytes)), _given(data_ids, (n,))
+        made = mean, cov, verdict, integers, reals
+        arrays = (*given, *(pointer(one) for one in made))
         lib.maplines_decode_lines(self._tables, self._sigma_powers, n, *arrays)
         fields = dict(zip((*INTEGERS, *REALS), (*integers, *reals), strict=True))
         return {"mean": mean, "cov": cov, "verdict": verdict, **fields}
+
+
+def _given(array: NDArray[Any], shape: tuple[int, ...]) -> Any:
+    """Return the pointer to the elements of an array of this shape: C would read beyond another."""
+    if array.shape != shape:
+        raise ValueError(f"an array must have shape {shape}, got {array.shape}")
+    return pointer(np.ascontiguousarray(array))
 
 
 def _rows(values: Iterable[ArrayLike], n: int, kind: type) -> NDArray[Any]:
