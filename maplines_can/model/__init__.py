@@ -1,0 +1,34 @@
+"""Model of the wire: the rules of ``dbc/README.md``, one function each, in plain numbers.
+
+It is for people: to study a record step by step, to port the project to another language, and as
+the witness of the core in C. The product never calls it; ``maplines selftest`` compares both on the
+machine at hand, to the last bit. All numbers are floats and ints, all matrices lists of rows, and
+nothing is written for speed. It imports nothing of the package but the types of lines
+(``values``) and what a DBC says (``wire.layout``). Reasons, statuses and states are strings: the
+names of those of the product.
+
+Read the receiver in this order::
+
+    signals.py       bits of a signal to a raw value and back; raw values to physical ones
+    records.py       a record from its signals: pages, transfer ID, checksum; what no sender sends
+    secoc.py         is a frame authentic
+    reassembly.py    the pages of a transfer, or none
+    e2e.py           checksum, status of a counter, state machine
+    sequence.py      is a record new; lost, late and repeated ones; a sender that restarts
+    senders.py       signs of a second sender
+    mixtures.py      the components of a line, or none
+    epochs.py        which lines belong to which pose error
+    lines.py         cubics seen from another pose
+    levels.py        line-specific covariance of levels
+    scenes.py        lines and joint covariance from the pose error and the records of the lines
+    settings.py      time-outs and cycle times
+    receiver.py      all of it: class ``Receiver``
+
+``elementary.py`` and ``matrices.py`` have the arithmetic, in the order of operations of the core.
+``streams.py`` draws what a faulty, hostile bus delivers to a receiver.
+
+What belongs to the sender (the covariance code, the records that it writes, the weights of
+mixtures, the encoding of scenes) is in files of its own beside these. It shares ``signals.py``,
+``records.py`` (``written`` makes a record of raw values), ``elementary.py``, ``matrices.py``,
+``lines.py``, ``levels.py`` and ``scenes.py``: a sender decodes what it has encoded.
+"""

@@ -1,0 +1,101 @@
+"""Elementary functions with the same bits on any machine: polynomials in a reduced argument.
+
+Those of mathematical libraries differ in the last bits, and a sender decodes what it encodes. Sums
+and products are in the order of the core, ``c/src/elementary.c``.
+"""
+
+from __future__ import annotations
+
+import math
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    return tuple(map(float.fromhex, text.split()))
+
+
+#: Coefficients of 2^f, ln(2)^k / k!, the highest power last.
+_EXP2 = _numbers("""
+    0x1.0000000000000p+0 0x1.62e42fefa39efp-1 0x1.ebfbdff82c58fp-3 0x1.c6b08d704a0c0p-5
+    0x1.3b2ab6fba4e77p-7 0x1.5d87fe78a6731p-10 0x1.430912f86c787p-13 0x1.ffcbfc588b0c7p-17
+    0x1.62c0223a5c824p-20 0x1.b5253d395e7c4p-24 0x1.e4cf5158b8ecap-28 0x1.e8cac7351bb25p-32
+    0x1.c3bd650fc2986p-36 0x1.816193166d0f9p-40
+""")
+#: Coefficients of (sin r - r) / r^3 and (cos r - 1) / r^2 in powers of r^2.
+_SIN = _numbers("""
+    -0x1.5555555555555p-3 0x1.1111111111111p-7 -0x1.a01a01a01a01ap-13 0x1.71de3a556c734p-19
+    -0x1.ae64567f544e4p-26 0x1.6124613a86d09p-33 -0x1.ae7f3e733b81fp-41 0x1.952c77030ad4ap-49
+""")
+_COS = _numbers("""
+    -0x1.0000000000000p-1 0x1.5555555555555p-5 -0x1.6c16c16c16c17p-10 0x1.a01a01a01a01ap-16
+    -0x1.27e4fb7789f5cp-22 0x1.1eed8eff8d898p-29 -0x1.93974a8c07c9dp-37 0x1.ae7f3e733b81fp-45
+    -0x1.6827863b97d97p-53
+""")
+#: Coefficients of atan(t) / t in powers of t^2: (-1)^k / (2 k + 1).
+_ATAN = _numbers("""
+    0x1.0000000000000p+0 -0x1.5555555555555p-2 0x1.999999999999ap-3 -0x1.2492492492492p-3
+    0x1.c71c71c71c71cp-4 -0x1.745d1745d1746p-4 0x1.3b13b13b13b14p-4 -0x1.1111111111111p-4
+    0x1.e1e1e1e1e1e1ep-5 -0x1.af286bca1af28p-5 0x1.8618618618618p-5 -0x1.642c8590b2164p-5
+    0x1.47ae147ae147bp-5
+""")
+#: pi / 2 in three parts; a product of the first two with up to 20 bits is exact.
+_HALF_PI = _numbers("0x1.921fb54400000p+0 0x1.0b4611a600000p-34 0x1.3198a2e037073p-69")
+_TWO_BY_PI, PI_BY_2, _TWO_PI = _numbers(
+    "0x1.45f306dc9c883p-1 0x1.921fb54442d18p+0 0x1.921fb54442d18p+2"
+)
+#: Angles beyond this are first reduced by whole turns [rad].
+_FAR = 1e5
+
+
+def exp2(x: float) -> float:
+    """Return 2^x: the nearest whole power, and a polynomial for the rest.
+
+    >>> exp2(-1.0), exp2(10.0)
+    (0.5, 1024.0)
+    """
+    whole = round(x)
+    return math.ldexp(_polynomial(x - whole, _EXP2), whole)
+
+
+def sin_cos(x: float) -> tuple[float, float]:
+    """Return sine and cosine [rad]; NaN for an angle that is not finite.
+
+    >>> sin_cos(0.0)
+    (0.0, 1.0)
+    """
+    if not math.isfinite(x):
+        return math.nan, math.nan
+    angle = math.fmod(x, _TWO_PI) if abs(x) > _FAR else x
+    quarters = round(angle * _TWO_BY_PI)
+    angle += 0.0  # without -0.0
+    r = ((angle - quarters * _HALF_PI[0]) - quarters * _HALF_PI[1]) - quarters * _HALF_PI[2]
+    square = r * r
+    s = r + (r * square) * _polynomial(square, _SIN)
+    c = 1 + square * _polynomial(square, _COS)
+    return ((s, c), (c, -s), (-s, -c), (-c, s))[quarters & 3]
+
+
+def tan(x: float) -> float:
+    """Return the tangent [rad]."""
+    sine, cosine = sin_cos(x)
+    return sine / cosine
+
+
+def atan(x: float) -> float:
+    """Return the angle of a tangent, from -pi/2 to pi/2 [rad].
+
+    >>> atan(0.0), atan(-math.inf) == -math.pi / 2
+    (0.0, True)
+    """
+    t = 1 / abs(x) if abs(x) > 1 else abs(x)
+    for _ in range(2):  # tan(a / 2) = tan a / (1 + sqrt(1 + tan^2 a))
+        t = t / (1 + math.sqrt(1 + t * t))
+    angle = 4 * (t * _polynomial(t * t, _ATAN))
+    return math.copysign(PI_BY_2 - angle if abs(x) > 1 else angle, x)
+
+
+def _polynomial(x: float, coefficients: tuple[float, ...]) -> float:
+    """Return the value of a polynomial by Horner's scheme, the highest power last."""
+    *lower, value = coefficients
+    for coefficient in reversed(lower):
+        value = value * x + coefficient
+    return value

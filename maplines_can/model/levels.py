@@ -1,0 +1,138 @@
+"""Levels of the line-specific covariance: a covariance in a few bits.
+
+In the coefficients of T_0 .. T_3 it is one of
+
+    a^2 e e^T + b^2 diag(0, 1/4, 1, 2)                              OwnPoints is 0
+    a^2 e e^T + p^2 (N(d, phase) + r^2 d diag(0, 1/4, 1, 2))        otherwise
+
+with a, p, d and b of ``OwnLateral``, ``OwnPoints``, ``OwnShape`` and ``OwnShape``, e the direction
+of T_0, and N the covariance of a cubic through points with independent errors of 1 m.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from typing import NamedTuple
+
+from ..wire.layout.signals import OCTAVE, Signal
+from .elementary import exp2, tan
+from .lines import Curve, extrema
+from .matrices import Matrix, Row, diagonal, dot, inverse, product, total
+from .signals import level, physical
+
+#: Shape of a line that is uncertain, in coefficients of T_0 .. T_3.
+SHAPE = (0.0, 0.25, 1.0, 2.0)
+#: log2 of the level b [m] for the raw value 0, and by how much that of the greatest exceeds it.
+SHAPE_OFFSET, SHAPE_OCTAVES = -10.0, 10.2
+#: r by the remainder of the raw value of ``OwnShape`` modulo 6.
+RATIOS = (0.0, 0.5, 0.5 * 1.8, 0.5 * 1.8 * 1.8, 0.5 * 1.8 * 1.8 * 1.8, 0.5 * 1.8 * 1.8 * 1.8 * 1.8)
+GOLDEN_RATIO = (1 + math.sqrt(5)) / 2
+#: Places at which a cubic is fitted to the points, from -1 to 1.
+NODES = extrema(64)[::-1]
+
+
+def _fit_matrix() -> Matrix:
+    """Return the (4, 64) matrix from values at the nodes to the coefficients of T_0 .. T_3."""
+    T = [[1.0] * len(NODES), NODES, [2 * w * w - 1 for w in NODES]]
+    T.append([2 * w * t - w for w, t in zip(NODES, T[2], strict=True)])
+    squares = [[total([x * y for x, y in zip(a, b, strict=True)]) for b in T] for a in T]
+    return product(inverse(squares), T)
+
+
+FIT = _fit_matrix()
+
+
+class LevelSignals(NamedTuple):
+    """Signals of the levels of a line."""
+
+    lateral: Signal  #: OwnLateral
+    points: Signal  #: OwnPoints
+    shape: Signal  #: OwnShape
+
+
+class Levels(NamedTuple):
+    """Raw values of the levels of a line."""
+
+    lateral: int
+    points: int
+    shape: int
+
+
+def level_covariance(signals: LevelSignals, raw: Levels, curve: Curve) -> Matrix:
+    """Return the covariance of the coefficients of T_0 .. T_3."""
+    if raw.points == 0:
+        b = shape_level(signals.shape, raw.shape)
+        cov = diagonal(b * b * share for share in SHAPE)
+    else:
+        p = level(signals.points, {signals.points.name: raw.points})
+        cov = [[p * p * x for x in row] for row in noise(signals.shape, raw.shape, curve)]
+    a = level(signals.lateral, {signals.lateral.name: raw.lateral})
+    cov[0][0] += a * a
+    return cov
+
+
+def shape_level(signal: Signal, raw: int) -> float:
+    """Return the level b of an uncertain shape alone [m]."""
+    step = SHAPE_OCTAVES / max(1, signal.raw_max)
+    return exp2(SHAPE_OFFSET + step * raw) if raw else 0.0
+
+
+def noise(signal: Signal, raw: int, curve: Curve) -> Matrix:
+    """Return N(d, phase) + r^2 d diag(SHAPE): the raw value stands for d, the phase and r."""
+    d = physical(signal, {signal.name: raw})
+    d = exp2(d) if signal.unit == OCTAVE else d
+    turns = raw * GOLDEN_RATIO
+    ratio = RATIOS[raw % len(RATIOS)]
+    cov = point_noise(curve, d, turns - math.floor(turns))
+    for i, share in enumerate(SHAPE):
+        cov[i][i] += ratio * ratio * d * share
+    return cov
+
+
+class Arc(NamedTuple):
+    """Length of a line at the nodes of its range."""
+
+    stretch: Row  #: derivative of the length with respect to x
+    place: Row  #: length up to the node, in halves of the whole length
+
+
+def arc_of(curve: Curve) -> Arc:
+    """Return the length of a line, by trapezoids."""
+    _, beta, c0, c1 = curve.mean
+    middle, half = (curve.begin + curve.end) / 2, (curve.end - curve.begin) / 2
+    x = [middle + half * node for node in NODES]
+    slopes = [tan(beta) + u * (c0 + u * c1 / 2) for u in x]
+    stretch = [math.sqrt(1 + slope * slope) for slope in slopes]
+    along, length = [0.0], 0.0
+    for k in range(1, len(x)):
+        length += (x[k] - x[k - 1]) * (stretch[k] + stretch[k - 1])
+        along.append(length)
+    return Arc(stretch, [2 * place / length for place in along])
+
+
+def point_noise(curve: Curve, spacing: float, phase: float) -> Matrix:
+    """Return the covariance of the coefficients for points with independent errors of 1 m.
+
+    The points are at equal distances along the line. Between two of them, the line has shares of
+    both of their errors; one across the line acts on y by the factor ``stretch``.
+
+    Args:
+        curve: the line.
+        spacing: distance of the points, in halves of the length of the line.
+        phase: by how much the first point is ahead of the start of the range, in distances.
+    """
+    arc = arc_of(curve)
+    behind: dict[int, Row] = defaultdict(lambda: [0.0] * 4)  # weights of the errors of each point
+    ahead: dict[int, Row] = defaultdict(lambda: [0.0] * 4)
+    for k, (stretch, along) in enumerate(zip(arc.stretch, arc.place, strict=True)):
+        place = along / spacing + phase
+        point = int(place)
+        share = place - point
+        for i, row in enumerate(FIT):
+            weight = row[k] * stretch
+            behind[point][i] += weight * (1 - share)
+            ahead[point + 1][i] += weight * share
+    points = range(max(ahead) + 1)
+    W = [[behind[point][i] + ahead[point][i] for point in points] for i in range(4)]
+    return [[dot(a, b) for b in W] for a in W]

@@ -1,0 +1,352 @@
+"""Receiver of all lines of a DBC: frames in; lines, scenes and counted reasons out.
+
+Every record passes the same stations. Each may drop it, with a reason that is counted::
+
+    frame          secoc.py        with keys: MAC and freshness, before all others
+      |            reassembly.py   all pages of one transfer, or none; time-outs
+    record         records.py      page numbers, transfer IDs, checksum; what no sender sends
+      |            sequence.py     counter: duplicate, late or new; E2E status and state
+    new record     mixtures.py     a line of all its components, or none
+      |            epochs.py       lines of one pose error; records that wait for theirs
+    lines, scene   scenes.py
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from ..values.line import Slot, Status
+from ..wire.layout.message_layout import Layout
+from ..wire.layout.pose_layout import POSE, Owner, PoseLayout, slot_of
+from .epochs import Epoch, Epochs
+from .mixtures import Mixtures, Received
+from .reassembly import Content, Reassembly, Record
+from .records import AnyLayout, Component, Line, RawRecord, complete, conditional, intact
+from .scenes import Member, Pose, Scene, pose_of, scene_line, scene_of
+from .secoc import Keys, verified
+from .sequence import SequenceCheck
+from .settings import Settings, settings_of
+
+#: A line is stale if nothing newer has come for so many cycles.
+STALE_CYCLES = 3.0
+#: The time of a question may be before a reception by this [ns]; by more, the clock was set back.
+CLOCK_JITTER_NS = 1_000_000
+#: Times are limited to this [ns].
+MAX_TIME_NS = 4 * 10**18
+
+
+class LineView(NamedTuple):
+    """The newest line of a slot, and whether it may be used now."""
+
+    line: Line | None
+    age: float  #: from its pose to now [s]; infinite if too old, unknown, or without a line
+    is_stale: bool
+    state: str  #: of the slot; if the line is conditional on the pose error, of both
+    status: str | None  #: of the last check of the slot
+    may_be_two: bool  #: senders
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether a controller may use the line."""
+        is_sent = self.line is not None and self.line.status is not Status.OUT_OF_RANGE
+        is_good = self.state == "VALID" and math.isfinite(self.age)
+        return is_sent and is_good and not self.is_stale and not self.may_be_two
+
+
+class SceneView(NamedTuple):
+    """The newest scene, and whether it may be used now."""
+
+    scene: Scene | None
+    age: float  #: from its pose to now [s]; infinite if too old, unknown, or without a scene
+    is_stale: bool
+    state: str  #: of the pose error
+    status: str | None  #: of the last check of the pose error
+    slot_states: dict[Slot, str]  #: of the lines of the scene
+    may_be_two: bool  #: senders, of the pose error or of a line
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether a controller may use the scene."""
+        are_valid = {self.state, *self.slot_states.values()} == {"VALID"}
+        is_good = are_valid and math.isfinite(self.age)
+        return is_good and not self.is_stale and not self.may_be_two
+
+
+class _Owner:
+    """What there is of the records of a slot, or of the pose error."""
+
+    def __init__(
+        self,
+        layout: Layout,
+        owner: Owner,
+        settings: Settings,
+        counts: Counter[str],
+        keys: Keys | None,
+    ) -> None:
+        self.owner, self._lines = owner, layout
+        self.layout: AnyLayout = layout.pose if owner == POSE and layout.pose else layout
+        self.messages = layout.messages_of[owner]
+        #: Layout of its authenticated message; None if its frames are not authenticated.
+        self.secured = None if keys is None else self.layout.secured
+        modulus, is_authentic = 2 ** self.layout["Counter"].length, self.secured is not None
+        self.reassembly = Reassembly(self.layout, self._content, settings.timeout_ns, counts)
+        self.check = SequenceCheck(
+            settings.windows,
+            modulus,
+            self.layout.pages,
+            settings.cycle_ns,
+            is_authentic=is_authentic,
+        )
+        self.mixtures = Mixtures(modulus, settings.timeout_ns, counts)
+        self.newest: Line | None = None
+
+    def _content(self, payload: bytes, t_ns: int) -> Content | str:
+        """Return what a record says, or why it is rejected."""
+        raw = intact(self.layout, payload, self.messages.data_id)
+        if isinstance(raw, str):
+            return raw
+        if self.owner == POSE:
+            return RawRecord(raw["Counter"], raw)
+        if self._lines.is_conditional:
+            return conditional(self._lines, raw)
+        return complete(self._lines, self.owner, raw, t_ns)
+
+
+class Receiver:
+    """Receiver of frames; time is an argument [ns].
+
+    At any time ``frames == line_frames + pose_frames + sum(counts.values()) + pending``.
+
+    Args:
+        layout: of the DBC.
+        settings: of each owner; None for what the DBC implies.
+        keys: with them, only authenticated frames are accepted of each owner that has such a
+            message.
+
+    >>> receiver = Receiver(Layout.from_dbc())
+    >>> receiver.feed(0x340, bytes(8), t_ns=0), receiver.feed(0x123, bytes(8), t_ns=0)
+    ('PENDING', 'FOREIGN')
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        settings: Mapping[Owner, Settings] | None = None,
+        keys: Keys | None = None,
+    ) -> None:
+        self.counts: Counter[str] = Counter()  #: dropped frames by reason
+        self.frames = 0  #: received
+        self.lines = self.line_frames = 0  #: delivered
+        self.pose_errors = self.pose_frames = 0  #: received
+        self._layout, self._keys = layout, keys
+        of_owners = settings_of(layout) if settings is None else settings
+        self._owners = {
+            owner: _Owner(layout, owner, own, self.counts, keys) for owner, own in of_owners.items()
+        }
+        self._pose_is_too_old = False
+        stated = {} if layout.pose is None else layout.pose.counters
+        self._epochs = Epochs[Pose, Member](
+            {slot: 2**signal.length for slot, signal in stated.items()},
+            of_owners[POSE].cycle_ns if POSE in of_owners else 1,
+            self.counts,
+            has_mixtures=not layout.is_conditional,
+        )
+
+    @property
+    def checks(self) -> dict[Owner, SequenceCheck]:
+        """Checks of the records of each owner."""
+        return {owner: own.check for owner, own in self._owners.items()}
+
+    @property
+    def pending(self) -> int:
+        """Frames of transfers, mixtures and lines that are not complete yet."""
+        of_owners = (
+            one.pending for own in self._owners.values() for one in (own.reassembly, own.mixtures)
+        )
+        return sum(of_owners) + self._epochs.pending
+
+    # ---- stations of a frame ------------------------------------------------------------------
+
+    def feed(
+        self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
+    ) -> list[Line] | str:
+        """Return the lines that a frame completes, or the reason why none."""
+        t_ns = limited(t_ns)
+        self.frames += 1
+        own = self._owner_of(can_id, is_extended)
+        if own is None:
+            return self._dropped("FOREIGN", 1)
+        record = self._reassembled(own, can_id, data, t_ns, is_extended=is_extended)
+        if isinstance(record, Record):
+            return self._checked(own, record)
+        if record != "PENDING":
+            self._dropped(record, 1)
+            own.check.frame_dropped(record, t_ns)
+        return record
+
+    def _owner_of(self, can_id: int, is_extended: bool) -> _Owner | None:
+        key = can_id, is_extended
+        return next((own for own in self._owners.values() if key in own.messages.ids), None)
+
+    def _reassembled(
+        self, own: _Owner, can_id: int, data: bytes, t_ns: int, *, is_extended: bool
+    ) -> Record | str:
+        """Return the record that a frame completes, or why none."""
+        key, reassembly = (can_id, is_extended), own.reassembly
+        data_id = own.messages.secured_ids.get(key)
+        if data_id is not None and (own.secured is None or self._keys is None):
+            return "KEY"
+        if data_id is not None and own.secured is not None and self._keys is not None:
+            payload = verified(self._keys, own.secured, data, data_id)
+            if isinstance(payload, str):
+                return payload
+            return reassembly.complete(reassembly.whole(payload), t_ns, 1)
+        if own.secured is not None:
+            return "UNAUTHENTICATED"
+        if not own.messages.ids[key]:
+            return reassembly.add_page(data, t_ns)
+        if len(data) < own.layout.record_bytes:
+            return "LENGTH"
+        return reassembly.complete(reassembly.whole(data), t_ns, 1)
+
+    def _checked(self, own: _Owner, record: Record) -> list[Line] | str:
+        """Return the lines of a record, or why none."""
+        content, check = record.content, own.check
+        if isinstance(content, str):
+            check.failed(record.t_ns)
+            return self._dropped(content, record.frames)
+        reason = check.received(content.counter, record.payload, record.t_ns, content.size)
+        if reason is not None:
+            if reason == "STALE":
+                own.mixtures.drop_if_within(content.counter)
+            return self._dropped(reason, record.frames)
+        if isinstance(content, Component):
+            return self._add_component(own, content, record)
+        if isinstance(own.layout, PoseLayout):
+            return self._add_pose(pose_of(own.layout, content, record.t_ns), own, record)
+        return self._add_conditional(slot_of(own.owner), content, own.check.ahead is None, record)
+
+    def _add_component(self, own: _Owner, content: Component, record: Record) -> list[Line] | str:
+        """Add a new record with a covariance of its own to its line, and that to a scene."""
+        if content.size > 1 and own.check.senders.was_reused(record.t_ns):
+            own.mixtures.drop("INCOMPLETE")  # its components may be of two senders
+            return self._dropped("INCOMPLETE", record.frames)
+        received = own.mixtures.add(content, record.frames, record.t_ns)
+        if isinstance(received, str):
+            return received
+        line = received.line
+        if received.records == 1 and line.x_min < line.x_max:
+            member, is_break = Member(line.slot, line, record.t_ns), own.check.ahead is None
+            self._epochs.add_line(
+                member, line.slot, content.counter, record.t_ns, 0, is_break=is_break
+            )
+        return [self._delivered(received)]
+
+    def _add_conditional(
+        self, slot: Slot, content: RawRecord, is_break: bool, record: Record
+    ) -> list[Line] | str:
+        """Add a new record that is conditional on a pose error; it may have to wait for that."""
+        member, t_ns = Member(slot, content, record.t_ns), record.t_ns
+        epoch = self._epochs.add_line(
+            member, slot, content.counter, t_ns, record.frames, is_break=is_break
+        )
+        return "PENDING" if epoch is None else self._rebuilt(epoch, slot, record.frames)
+
+    def _add_pose(self, pose: Pose, own: _Owner, record: Record) -> list[Line] | str:
+        """Add a new pose error; return the lines that waited for it."""
+        own.check.delivered(1)
+        self.pose_errors += 1
+        self.pose_frames += record.frames
+        self._pose_is_too_old = math.isinf(pose.age)
+        signals = pose.layout.counters
+        counters = {slot: pose.raw[signal.name] for slot, signal in signals.items()}
+        lines: list[Line] = []
+        for epoch, slot, frames in self._epochs.add_pose(
+            pose, counters, record.t_ns, own.check.ahead
+        ):
+            if isinstance(epoch.lines[slot].content, RawRecord):
+                found = self._rebuilt(epoch, slot, frames)
+                lines += [] if isinstance(found, str) else found
+        return lines or "PENDING"
+
+    def _rebuilt(self, epoch: Epoch[Pose, Member], slot: Slot, frames: int) -> list[Line] | str:
+        """Return the line of a conditional record that has joined its pose error."""
+        found = scene_line(self._layout, epoch.pose, epoch.lines[slot])
+        if found is None:
+            return self._dropped("CONTENT", frames)
+        return [self._delivered(Received(found.line, frames))]
+
+    def _delivered(self, received: Received) -> Line:
+        line, frames, records = received
+        self._owners[line.slot].check.delivered(records)
+        self._owners[line.slot].newest = line
+        self.lines += 1
+        self.line_frames += frames
+        return line
+
+    def _dropped(self, reason: str, frames: int) -> str:
+        self.counts[reason] += frames
+        return reason
+
+    # ---- questions ----------------------------------------------------------------------------
+
+    def expire(self, t_ns: int) -> None:
+        """Drop what has timed out."""
+        t_ns = limited(t_ns)
+        for own in self._owners.values():
+            own.reassembly.expire(t_ns)
+            own.mixtures.expire(t_ns)
+        self._epochs.expire(t_ns)
+
+    def latest(self, slot: Slot, now_ns: int, stale_cycles: float = STALE_CYCLES) -> LineView:
+        """Return the newest line of a slot, and whether it may be used now."""
+        now_ns = limited(now_ns)
+        owners: list[Owner] = [slot, POSE] if self._layout.is_conditional else [slot]
+        checks = [self._owners[owner].check for owner in owners]
+        line, age, is_stale, waited = self._owners[slot].newest, math.inf, True, 0.0
+        if line is not None:
+            waited, is_stale = _waited(line.t_ns, now_ns, stale_cycles * checks[0].cycle_ns)
+            age = line.age + waited
+        states = [_state(check, now_ns, waited) for check in checks]
+        state = next((one for one in states if one != "VALID"), "VALID")
+        may_be_two = any(check.senders.may_be_two(now_ns) for check in checks)
+        return LineView(line, age, is_stale, state, checks[0].status, may_be_two)
+
+    def latest_scene(self, now_ns: int, stale_cycles: float = STALE_CYCLES) -> SceneView:
+        """Return the newest scene that waits for no line, and whether it may be used now."""
+        now_ns, check = limited(now_ns), self._owners[POSE].check
+        epoch = self._epochs.latest
+        if epoch is None:
+            state = check.elapse(now_ns)
+            return SceneView(None, math.inf, True, state, check.status, {}, may_be_two=False)
+        members = [member for _, member in sorted(epoch.lines.items())]
+        found = [scene_line(self._layout, epoch.pose, member) for member in members]
+        scene = scene_of(epoch.pose, [line for line in found if line is not None])
+        waited, is_stale = _waited(epoch.t_ns, now_ns, stale_cycles * check.cycle_ns)
+        state, status = _state(check, now_ns, waited), check.status
+        checks = {line.slot: self._owners[line.slot].check for line in scene.lines}
+        states = {slot: _state(one, now_ns, waited) for slot, one in checks.items()}
+        may_be_two = any(one.senders.may_be_two(now_ns) for one in (check, *checks.values()))
+        age = math.inf if self._pose_is_too_old else epoch.pose.age + waited
+        return SceneView(scene, age, is_stale, state, status, states, may_be_two)
+
+
+def limited(t_ns: int) -> int:
+    """Return a time within +-4e18 ns."""
+    return max(-MAX_TIME_NS, min(t_ns, MAX_TIME_NS))
+
+
+def _waited(t_ns: int, now_ns: int, longest_ns: float) -> tuple[float, bool]:
+    """Return the time since a reception [s], infinite if unknown, and whether it is too long."""
+    waited_ns = now_ns - t_ns
+    if waited_ns < -CLOCK_JITTER_NS:
+        return math.inf, True
+    return max(waited_ns, 0) / 1e9, waited_ns > longest_ns
+
+
+def _state(check: SequenceCheck, now_ns: int, waited: float) -> str:
+    """Return the state now; if the clock was set back, no cycles have passed."""
+    return check.state if math.isinf(waited) else check.elapse(now_ns)

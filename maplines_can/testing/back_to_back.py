@@ -1,0 +1,366 @@
+"""Core and model, side by side: the same frames and questions, and every bit of the answers.
+
+`compare` runs one stream of `hostile_streams` through both. After each step it compares what they
+answer, all numbers of frames, and the E2E state of the owner of the frame.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import astuple
+from typing import Any, NamedTuple
+
+from ..model.e2e import Windows
+from ..model.receiver import LineView as ModelLineView
+from ..model.receiver import Receiver as Model
+from ..model.receiver import SceneView as ModelSceneView
+from ..model.records import Component
+from ..model.records import Line as ModelLine
+from ..model.secoc import Keys
+from ..model.sequence import SequenceCheck as ModelCheck
+from ..model.settings import settings_of
+from ..values.line import MapLine
+from ..wire import POSE, Authenticator, Codec, Decoder, Key, Layout, Owner, Reason, SceneView
+from ..wire import SlotView as LineView
+from .hostile_streams import (
+    PROFILES,
+    SECURED_PROFILES,
+    FrameStep,
+    Profile,
+    Question,
+    Step,
+    Stream,
+    Traffic,
+)
+
+#: Secrets of the keys of streams, by key ID; of the first one from RFC 4493. Frames have its MAC.
+SECRETS = {1: bytes.fromhex("2b7e151628aed2a6abf7158809cf4f3c"), 2: bytes(range(16))}
+#: Time at which streams with keys begin, and the window of freshness values [us].
+START_US, WINDOW_US = 1_750_000_000_000_000, 1_000_000
+
+
+class Difference(NamedTuple):
+    """The first difference between core and model."""
+
+    stream: str  #: DBC, profile and seed
+    step: int  #: from 0
+    what: str  #: the frame or the question
+    where: str  #: the value that differs
+    core: str
+    model: str
+
+    def __str__(self) -> str:
+        """Return the difference as text."""
+        return (
+            f"{self.stream}, step {self.step}, {self.what}:\n"
+            f"{self.where} is {self.core} by the core, {self.model} by the model"
+        )
+
+
+class Result(NamedTuple):
+    """Result of the comparison of a stream."""
+
+    frames: int
+    records: int  #: complete records that were checked
+    difference: Difference | None
+
+
+def profiles_of(layout: Layout) -> tuple[Profile, ...]:
+    """Return the profiles of streams that a DBC can have."""
+    return PROFILES if layout.secured is None else (*PROFILES, *SECURED_PROFILES)
+
+
+def compare(traffic: Traffic, profile: Profile, frames: int, seed: int) -> Result:
+    """Compare core and model on a stream of so many frames, up to the first difference."""
+    pair = _Pair(traffic.layout, profile)
+    sign = pair.sign if profile.is_signed else None
+    stream = Stream(traffic, profile, seed, sign, START_US)
+    name = f"{traffic.layout.source}, {profile.name}, seed {seed}"
+    for number, step in enumerate(stream.steps()):
+        found = next(pair.differences(step), None)
+        if found is not None:
+            difference = Difference(name, number, _text(step), *found)
+            return Result(pair.model.frames, pair.records, difference)
+        if pair.model.frames >= frames:
+            break
+    return Result(pair.model.frames, pair.records, None)
+
+
+class _Pair:
+    """A decoder of the core, and the receiver of the model with the same settings."""
+
+    def __init__(self, layout: Layout, profile: Profile) -> None:
+        self._layout, self._stale_cycles = layout, profile.stale_cycles
+        self.now_us = START_US
+        self._keys = {key_id: Key(secret, key_id) for key_id, secret in SECRETS.items()}
+        settings = dict(profile.settings)
+        self.core = self._decoder(profile).decoder(**settings)
+        e2e = settings.pop("e2e", None)
+        windows = None if e2e is None else Windows(*astuple(e2e))
+        self.model = Model(
+            layout, settings_of(layout, windows=windows, **settings), self._model_keys(profile)
+        )
+        self._core_checks, self._model_checks = self.core.checks, self.model.checks
+        of_id = layout.message_of_id | (layout.pose.message_of_id if layout.pose else {})
+        self._owner_of = {key: owner for key, (owner, _) in of_id.items()}
+
+    @property
+    def records(self) -> int:
+        """Complete records that were checked."""
+        checks = self._model_checks.values()
+        return sum(check.statuses.total() - check.statuses["NONEWDATA"] for check in checks)
+
+    def _decoder(self, profile: Profile) -> Codec:
+        if not profile.has_keys:
+            return Codec(self._layout)
+        clock = (lambda: 1000 * self.now_us) if profile.has_clock else None
+        keys = self._keys.values()
+        return Codec(self._layout, Authenticator(*keys, clock=clock, window_ns=1000 * WINDOW_US))
+
+    def _model_keys(self, profile: Profile) -> Keys | None:
+        if not profile.has_keys:
+            return None
+        clock_us = (lambda: self.now_us) if profile.has_clock else None
+
+        def mac(key_id: int, data: bytes) -> bytes | None:
+            return self._keys[key_id].mac(data) if key_id in self._keys else None
+
+        return Keys(mac, clock_us, WINDOW_US)
+
+    def sign(self, owner: Owner, record: bytes, now_us: int) -> bytes:
+        """Return the authenticated payload of a record."""
+        messages = self._layout.messages_of[owner]
+        layout = self._layout.pose if owner == POSE else self._layout
+        assert layout is not None  # noqa: S101 - a stream has records of what the DBC has
+        assert layout.secured is not None  # noqa: S101 - likewise
+        authenticator = Authenticator(self._keys[1], clock=lambda: 1000 * now_us)
+        return authenticator.secure(record, messages.secured_data_id, layout.secured)
+
+    def differences(self, step: Step) -> Iterator[tuple[str, str, str]]:
+        """Take a step; yield what differs: where, and the values."""
+        if isinstance(step, FrameStep):
+            self.now_us = step.now_us
+            key = step.can_id, step.is_extended
+            fed = step.can_id, step.data, step.t_ns
+            answer = self.core.feed(*fed, is_extended=step.is_extended)
+            model_answer = self.model.feed(*fed, is_extended=step.is_extended)
+            yield from _differences("the answer", _answer(answer), _model_answer(model_answer))
+            owners = [self._owner_of[key]] if key in self._owner_of else []
+        else:
+            yield from _differences("the answer", *self._answers(step))
+            owners = [*self._core_checks]
+        yield from _differences("the receiver", _numbers(self.core), _model_numbers(self.model))
+        for owner in owners:
+            core, model = self._core_checks[owner], self._model_checks[owner]
+            yield from _differences(f"the check of {owner!r}", _check(core), _model_check(model))
+
+    def _answers(self, step: Question) -> tuple[Any, Any]:
+        if step.kind == "latest":
+            view = self.core.latest(step.slot, step.t_ns, stale_cycles=self._stale_cycles)
+            return _view(view), _model_view(
+                self.model.latest(step.slot, step.t_ns, self._stale_cycles)
+            )
+        if step.kind == "scene" and self._layout.pose is not None:
+            scene = self.core.latest_scene(step.t_ns, stale_cycles=self._stale_cycles)
+            return _scene(scene), _model_scene(
+                self.model.latest_scene(step.t_ns, self._stale_cycles)
+            )
+        if step.kind == "expire":
+            self.core.expire(step.t_ns)
+            self.model.expire(step.t_ns)
+        elif step.kind == "statistics":
+            self.core.slots(step.t_ns)
+            self.core.pose_error(step.t_ns)
+            for check in self._model_checks.values():
+                check.elapse(step.t_ns)
+        return None, None
+
+
+def _differences(where: str, core: Any, model: Any) -> Iterator[tuple[str, str, str]]:
+    """Yield the values that differ, in lists and dictionaries of any depth; floats by bits."""
+    if isinstance(core, dict) and isinstance(model, dict):
+        for name in core.keys() | model.keys():
+            yield from _differences(f"{where}: {name}", core.get(name), model.get(name))
+    elif isinstance(core, list) and isinstance(model, list) and len(core) == len(model):
+        for i, (one, other) in enumerate(zip(core, model, strict=True)):
+            yield from _differences(f"{where}[{i}]", one, other)
+    elif _bits(core) != _bits(model):
+        yield where, _shown(core), _shown(model)
+
+
+def _bits(value: Any) -> Any:
+    return struct.pack("<d", value) if isinstance(value, float) else value
+
+
+def _shown(value: Any) -> str:
+    return f"{value!r} ({value.hex()})" if isinstance(value, float) else repr(value)
+
+
+def _text(step: Step) -> str:
+    if isinstance(step, Question):
+        return f"{step.kind} of {step.slot.name} at {step.t_ns} ns"
+    return f"frame {step.can_id:X}#{step.data.hex().upper()} at {step.t_ns} ns"
+
+
+# ---- answers as plain values ----------------------------------------------------------------
+
+
+def _answer(answer: Any) -> Any:
+    return answer.name if isinstance(answer, Reason) else [_line(line) for line in answer]
+
+
+def _model_answer(answer: list[ModelLine] | str) -> Any:
+    return answer if isinstance(answer, str) else [_model_line(line) for line in answer]
+
+
+def _line(line: MapLine | None) -> Any:
+    if line is None:
+        return None
+    mixture = line.mixture
+    components = () if mixture is None else zip(mixture.weights, mixture.components, strict=True)
+    return _named(
+        *(line.slot, line.kind, line.status, line.x_min, line.x_max, line.age, line.t_ns),
+        line.gaussian.mean.tolist(),
+        line.gaussian.cov.tolist(),
+        [[float(w), one.mean.tolist(), one.cov.tolist()] for w, one in components],
+    )
+
+
+def _model_line(line: ModelLine | None) -> Any:
+    if line is None:
+        return None
+    return _named(
+        *(line.slot, line.kind, line.status, line.x_min, line.x_max, line.age, line.t_ns),
+        line.mean,
+        line.cov,
+        [_component(component) for component in line.components],
+    )
+
+
+def _component(component: Component) -> Any:
+    return [component.weight, component.line.mean, component.line.cov]
+
+
+def _named(*values: Any) -> dict[str, Any]:
+    names = ("slot", "kind", "status", "x_min", "x_max", "age", "t_ns", "mean", "cov", "components")
+    numbers = (float(value) if i in (3, 4, 5) else value for i, value in enumerate(values))
+    return dict(zip(names, numbers, strict=True))
+
+
+def _view(view: LineView) -> dict[str, Any]:
+    return {
+        "line": _line(view.line),
+        "age": float(view.age),
+        "stale": bool(view.stale),
+        "state": view.state.name,
+        "status": None if view.status is None else view.status.name,
+        "two senders": bool(view.two_senders),
+        "usable": bool(view.usable),
+    }
+
+
+def _model_view(view: ModelLineView) -> dict[str, Any]:
+    return {
+        "line": _model_line(view.line),
+        "age": view.age,
+        "stale": view.is_stale,
+        "state": view.state,
+        "status": view.status,
+        "two senders": view.may_be_two,
+        "usable": view.is_usable,
+    }
+
+
+def _scene(view: SceneView) -> dict[str, Any]:
+    found: dict[str, Any] = {
+        "age": float(view.age),
+        "stale": bool(view.stale),
+        "state": view.state.name,
+        "status": None if view.status is None else view.status.name,
+        "states": {slot.name: state.name for slot, state in view.slot_states.items()},
+        "two senders": bool(view.two_senders),
+        "usable": bool(view.usable),
+    }
+    scene = view.scene
+    if scene is not None and view.received is not None:
+        error = scene.map_error
+        found |= {
+            "counter": view.received.counter,
+            "t_ns": view.received.t_ns,
+            "lines": [_line(line) for line in scene.lines],
+            "cov": scene.cov.tolist(),
+            "pose": scene.pose_error.cov.tolist(),
+            "correlation time": float(scene.pose_error.correlation_time),
+            "map error": None if error is None else [error.offset_sigma, error.heading_sigma],
+            "fit ranges": scene.fit_ranges.tolist(),
+            "quartics": scene.quartics.tolist(),
+            "specific": [] if scene.specific_covs is None else scene.specific_covs.tolist(),
+        }
+    return found
+
+
+def _model_scene(view: ModelSceneView) -> dict[str, Any]:
+    found: dict[str, Any] = {
+        "age": view.age,
+        "stale": view.is_stale,
+        "state": view.state,
+        "status": view.status,
+        "states": {slot.name: state for slot, state in view.slot_states.items()},
+        "two senders": view.may_be_two,
+        "usable": view.is_usable,
+    }
+    scene = view.scene
+    if scene is not None:
+        pose = scene.pose
+        found |= {
+            "counter": pose.counter,
+            "t_ns": pose.t_ns,
+            "lines": [_model_line(line) for line in scene.lines],
+            "cov": scene.cov,
+            "pose": pose.cov,
+            "correlation time": pose.correlation_time,
+            "map error": [pose.offset_sigma, pose.heading_sigma],
+            "fit ranges": [[*ends] for ends in scene.fit_ranges],
+            "quartics": scene.quartics,
+            "specific": scene.own,
+        }
+    return found
+
+
+def _numbers(decoder: Decoder) -> dict[str, Any]:
+    return _counted(decoder, {reason.name: n for reason, n in decoder.counts.items()})
+
+
+def _model_numbers(model: Model) -> dict[str, Any]:
+    return _counted(model, model.counts)
+
+
+def _counted(receiver: Decoder | Model, counts: Any) -> dict[str, Any]:
+    names = ("frames", "lines", "line_frames", "pose_errors", "pose_frames", "pending")
+    found: dict[str, Any] = {name: getattr(receiver, name) for name in names}
+    return found | {"counts": {reason: n for reason, n in counts.items() if n}}
+
+
+def _check(check: Any) -> dict[str, Any]:
+    return {
+        "state": check.state.name,
+        "status": None if check.status is None else check.status.name,
+        "lost": check.lost,
+        "ahead": check.ahead,
+        "counter": check.counter,
+        "two senders": check.two_senders,
+        "statuses": {status.name: n for status, n in check.statuses.items() if n},
+    }
+
+
+def _model_check(check: ModelCheck) -> dict[str, Any]:
+    return {
+        "state": check.state,
+        "status": check.status,
+        "lost": check.lost,
+        "ahead": check.ahead,
+        "counter": check.last,
+        "two senders": check.senders.are_two,
+        "statuses": {status: n for status, n in check.statuses.items() if n},
+    }
