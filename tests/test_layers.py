@@ -25,8 +25,12 @@ ROOMS = (
 BELOW = {"wire.reasons": "wire.layout", "native": "values", "engines": "values"}
 #: Commands that run the study; the others import it, and fault injection, only inside functions.
 STUDY_COMMANDS = {f"cli.{name}" for name in (
-    "demo", "study", "report", "production", "design", "accuracy", "claims", "figures",
+    "demo", "study", "report", "production", "design", "accuracy", "claims", "figures", "selftest",
 )}  # fmt: skip
+#: What the model may import of the package: the types of lines, and what a DBC says.
+OF_MODEL = ("values.errors", "values.line", "wire.layout")
+#: Who may import the model: the comparison of core and model, which ``maplines selftest`` runs.
+MODEL_USERS = {"testing.hostile_streams", "testing.back_to_back"}
 #: Imports inside functions of the product: what and where from. They run when an option asks.
 LAZY = {
     ("cli.options", "testing"), ("cli.options", "study.comparison"),
@@ -109,17 +113,24 @@ def rank(module: str) -> int:
 
 
 def is_product(module: str) -> bool:
-    """Return whether a module is neither the study nor fault injection."""
-    return module.split(".")[0] not in {"study", "testing"}
+    """Return whether a module is neither the study, fault injection nor the model."""
+    return module.split(".")[0] not in {"study", "testing", "model"}
 
 
 def upward(package: Path = PACKAGE) -> list[str]:
-    """Return the imports that point up, or from the product to the study or to fault injection."""
+    """Return the imports that point up, or from the product to the study, the model or faults.
+
+    The model imports types and layouts only.
+    """
     found = []
     for importer, target, is_own, is_lazy in imports(package):
         if not is_own or not importer or not target:  # the package shows the names of all
             continue
-        if is_product(importer) and not is_product(target):
+        if importer.startswith("model"):
+            is_allowed = target.startswith(("model", *OF_MODEL))
+        elif target.startswith("model"):
+            is_allowed = importer in MODEL_USERS
+        elif is_product(importer) and not is_product(target):
             is_allowed = importer in STUDY_COMMANDS or (is_lazy and (importer, target) in LAZY)
         elif is_product(importer):
             is_allowed = rank(target) <= rank(importer)
@@ -141,7 +152,7 @@ def test_the_order_is_complete() -> None:
     top = {path.name for path in PACKAGE.iterdir() if path.suffix in ("", ".py")}
     rooms = {room.split(".")[0] for room in ROOMS}
     single = {"__init__.py", "__main__.py", "native.py", "engines.py"}
-    assert top - {"__pycache__"} == rooms | {"study", "testing"} | single
+    assert top - {"__pycache__"} == rooms | {"study", "testing", "model"} | single
 
 
 def test_there_is_no_circle() -> None:
@@ -179,6 +190,16 @@ def test_there_is_no_circle() -> None:
             "cli/receive.py", "def f():\n    from ..study import sets", id="lazily-but-not-allowed"
         ),
         pytest.param("study/metrics.py", "from ..cli import main", id="study-imports-command"),
+        pytest.param(
+            "wire/codec.py",
+            "def f():\n    from ..model.receiver import Receiver",
+            id="product-imports-model",
+        ),
+        pytest.param("cli/selftest.py", "from ..model import e2e", id="command-imports-model"),
+        pytest.param("model/e2e.py", "from ..wire.reasons import Reason", id="model-imports-wire"),
+        pytest.param(
+            "model/e2e.py", "from ..values.linalg import eigen", id="model-imports-values"
+        ),
     ],
 )
 def test_an_upward_import_is_found(tmp_path: Path, file: str, line: str) -> None:

@@ -44,6 +44,7 @@ COMMANDS = {
     "accuracy": ("accuracy", "compare the received lines of a drive with the truth"),
     "claims": ("claims", "compare each representation of a line with Monte Carlo samples"),
     "figures": ("figures", "draw the figures of the paper"),
+    "selftest": ("selftest", "compare the core with its model on this machine, bit by bit"),
 }
 STUDY_COMMANDS = {
     "run": ("study", "compare codes, bit widths and sets of lines; can be resumed"),

@@ -25,7 +25,8 @@ Read the receiver in this order::
     receiver.py      all of it: class ``Receiver``
 
 ``elementary.py`` and ``matrices.py`` have the arithmetic, in the order of operations of the core.
-``streams.py`` draws what a faulty, hostile bus delivers to a receiver.
+Its comparison with the core is above it: ``testing/hostile_streams.py`` draws what a faulty,
+hostile bus delivers, and ``testing/back_to_back.py`` feeds it to both.
 
 What belongs to the sender (the covariance code, the records that it writes, the weights of
 mixtures, the encoding of scenes) is in files of its own beside these. It shares ``signals.py``,

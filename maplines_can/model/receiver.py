@@ -301,6 +301,11 @@ class Receiver:
             own.mixtures.expire(t_ns)
         self._epochs.expire(t_ns)
 
+    def elapse(self, now_ns: int) -> None:
+        """Check the cycles without a record of all owners up to now; ``checks`` has the results."""
+        for own in self._owners.values():
+            own.check.elapse(limited(now_ns))
+
     def latest(self, slot: Slot, now_ns: int, stale_cycles: float = STALE_CYCLES) -> LineView:
         """Return the newest line of a slot, and whether it may be used now."""
         now_ns = limited(now_ns)

@@ -7,8 +7,9 @@ answer, all numbers of frames, and the E2E state of the owner of the frame.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import astuple
+from itertools import count, zip_longest
 from typing import Any, NamedTuple
 
 from ..model.e2e import Windows
@@ -34,6 +35,8 @@ from .hostile_streams import (
     Traffic,
 )
 
+#: Frames of a stream: enough for states, restarts and counters that wrap around.
+FRAMES = 2000
 #: Secrets of the keys of streams, by key ID; of the first one from RFC 4493. Frames have its MAC.
 SECRETS = {1: bytes.fromhex("2b7e151628aed2a6abf7158809cf4f3c"), 2: bytes(range(16))}
 #: Time at which streams with keys begin, and the window of freshness values [us].
@@ -85,6 +88,60 @@ def compare(traffic: Traffic, profile: Profile, frames: int, seed: int) -> Resul
         if pair.model.frames >= frames:
             break
     return Result(pair.model.frames, pair.records, None)
+
+
+class Comparison(NamedTuple):
+    """Result of the comparison of many streams."""
+
+    frames: int
+    records: int
+    streams: int
+    difference: Difference | None  #: the first one, which ended it
+
+    def __str__(self) -> str:
+        """Return the result as text."""
+        if self.difference is not None:
+            return f"core and model differ: {self.difference}"
+        return (
+            f"bit-identical on {self.records} records "
+            f"({self.frames} frames in {self.streams} streams)"
+        )
+
+
+def compare_all(
+    layouts: Sequence[Layout],
+    seed: int,
+    is_over: Callable[[], bool],
+    frames: int = FRAMES,
+) -> Comparison:
+    """Compare core and model on streams of all profiles of some DBCs, until it is over.
+
+    The streams of a seed are always the same ones, in the same order: one of each profile and DBC,
+    then others. At least one is compared.
+
+    Args:
+        layouts: of the DBCs.
+        seed: of all streams.
+        is_over: asked after each stream.
+        frames: of a stream.
+    """
+    total = Comparison(0, 0, 0, None)
+    for turn in count():
+        traffics = [Traffic(layout, seed + turn) for layout in layouts]
+        kinds = [[(traffic, one) for one in profiles_of(traffic.layout)] for traffic in traffics]
+        mixed = (pair for pairs in zip_longest(*kinds) for pair in pairs if pair is not None)
+        for traffic, profile in mixed:
+            of_stream = 1000 * (seed + turn) + total.streams
+            result = compare(traffic, profile, frames, of_stream)
+            total = Comparison(
+                total.frames + result.frames,
+                total.records + result.records,
+                total.streams + 1,
+                result.difference,
+            )
+            if result.difference is not None or is_over():
+                return total
+    raise AssertionError  # count has no end
 
 
 class _Pair:
@@ -172,8 +229,7 @@ class _Pair:
         elif step.kind == "statistics":
             self.core.slots(step.t_ns)
             self.core.pose_error(step.t_ns)
-            for check in self._model_checks.values():
-                check.elapse(step.t_ns)
+            self.model.elapse(step.t_ns)
         return None, None
 
 

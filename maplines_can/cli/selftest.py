@@ -1,0 +1,67 @@
+"""The command ``maplines selftest``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from typing import Any
+
+from ..testing.back_to_back import compare_all
+from ..wire import SHIPPED, default_dbc_path
+from .options import add_encoding, layout_from
+from .parsing import add_command, add_json, number, option_group, seconds
+
+__all__ = ["add_selftest"]
+
+DESCRIPTION = """\
+Compare the core with the model of maplines_can.model, which has the rules of dbc/README.md in plain
+Python. Both get the frames of a faulty, hostile bus: lost, repeated, reordered, damaged and late
+ones, two senders, restarts, wrong keys and jumping clocks. Every decoded number, reason, counter
+and state is compared to the last bit, after each frame. The status is 1 if one differs."""
+
+
+def add_selftest(commands: Any) -> None:
+    """Add the command ``selftest``."""
+    parser = add_command(
+        commands, "selftest", _selftest, DESCRIPTION, "maplines selftest --seconds 60 --seed 2"
+    )
+    add = option_group(parser, "scenario").add_argument
+    add(
+        "--seconds",
+        type=seconds,
+        default=10.0,
+        metavar="N",
+        help="time after which no further stream begins (default: 10)",
+    )
+    add(
+        "--seed",
+        type=number(int, 0, 10**9),
+        default=1,
+        metavar="N",
+        help="seed of the streams, which are the same ones on any machine (default: 1)",
+    )
+    option_group(parser, "message").add_argument(
+        "--dbc",
+        action="append",
+        metavar="FILE",
+        help=f"DBC of the messages; can be repeated (default: {', '.join(SHIPPED)})",
+    )
+    add_encoding(parser)
+    add_json(parser)
+
+
+def _selftest(arguments: argparse.Namespace) -> int:
+    paths = arguments.dbc or [str(default_dbc_path(name)) for name in SHIPPED]
+    layouts = [layout_from(path, arguments.encoding) for path in paths]
+    begin = time.perf_counter()
+    found = compare_all(
+        layouts, arguments.seed, lambda: time.perf_counter() - begin >= arguments.seconds
+    )
+    difference = found.difference
+    if arguments.json:
+        row = found._asdict() | {"difference": None if difference is None else difference._asdict()}
+        print(json.dumps(row, indent=2))
+    else:
+        print(found)
+    return 0 if difference is None else 1
