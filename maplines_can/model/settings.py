@@ -30,14 +30,21 @@ def settings_of(
     windows: Windows | None = None,
 ) -> dict[Owner, Settings]:
     """Return the settings of all slots and of the pose error; None for what the DBC implies."""
-    given = timeout_ms, cycle_ms, windows or Windows()
-    of_all: dict[Owner, Settings] = {}
-    for slot, messages in layout.messages.items():
-        # Windows that were chosen are taken as they are, by default a step is limited.
-        of_all[slot] = _settings(layout, messages, *given, is_limited=windows is None)
-    if layout.pose is not None:
-        of_all[POSE] = _settings(layout.pose, layout.pose.messages, *given, is_limited=True)
+    of_lines = limited(Windows(), layout) if windows is None else windows
+    of_all: dict[Owner, Settings] = {
+        slot: Settings(*_times_ns(layout, messages, timeout_ms, cycle_ms), of_lines)
+        for slot, messages in layout.messages.items()
+    }
+    if (pose := layout.pose) is not None:
+        times = _times_ns(pose, pose.messages, timeout_ms, cycle_ms)
+        of_all[POSE] = Settings(*times, limited(of_lines, pose))
     return of_all
+
+
+def limited(windows: Windows, layout: AnyLayout) -> Windows:
+    """Return windows whose step is at most a quarter of the counters of a layout."""
+    most = min(windows.max_delta_counter, 2 ** layout["Counter"].length // 4)
+    return windows._replace(max_delta_counter=most)
 
 
 def timeout_cycles(layout: AnyLayout) -> float:
@@ -53,22 +60,17 @@ def timeout_cycles(layout: AnyLayout) -> float:
     return max(0.5, min(ids / components - 0.5, GRACE_CYCLES))
 
 
-def _settings(
+def _times_ns(
     layout: AnyLayout,
     messages: RecordMessages,
     timeout_ms: float | None,
     cycle_ms: float | None,
-    windows: Windows,
-    *,
-    is_limited: bool,
-) -> Settings:
+) -> tuple[int, int]:
+    """Return the time-out and the cycle time [ns]."""
     of_dbc_ms = messages.cycle_ms or DEFAULT_CYCLE_MS
     chosen_ms = cycle_ms or of_dbc_ms
     implied_ms = min(max(of_dbc_ms / 2, timeout_cycles(layout) * chosen_ms), MAX_MS)
-    if is_limited:  # a step is at most a quarter of the counters
-        most = min(windows.max_delta_counter, 2 ** layout["Counter"].length // 4)
-        windows = windows._replace(max_delta_counter=most)
-    return Settings(_whole_ns(timeout_ms or implied_ms), _whole_ns(chosen_ms), windows)
+    return _whole_ns(timeout_ms or implied_ms), _whole_ns(chosen_ms)
 
 
 def _whole_ns(ms: float) -> int:

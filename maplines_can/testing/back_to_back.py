@@ -69,9 +69,19 @@ class Result(NamedTuple):
     difference: Difference | None
 
 
-def profiles_of(layout: Layout) -> tuple[Profile, ...]:
+def profiles_of(layout: Layout) -> list[Profile]:
     """Return the profiles of streams that a DBC can have."""
-    return PROFILES if layout.secured is None else (*PROFILES, *SECURED_PROFILES)
+    secured = () if layout.secured is None else SECURED_PROFILES
+    return [profile for profile in (*PROFILES, *secured) if _is_possible(profile, layout)]
+
+
+def _is_possible(profile: Profile, layout: Layout) -> bool:
+    """Return whether a receiver of a DBC can have the settings of a profile."""
+    try:
+        _Pair(layout, profile)
+    except ValueError:  # the counter, or the freshness value, is too short
+        return False
+    return True
 
 
 def compare(traffic: Traffic, profile: Profile, frames: int, seed: int) -> Result:
