@@ -28,8 +28,14 @@ Read the receiver in this order::
 Its comparison with the core is above it: ``testing/hostile_streams.py`` draws what a faulty,
 hostile bus delivers, and ``testing/back_to_back.py`` feeds it to both.
 
-What belongs to the sender (the covariance code, the records that it writes, the weights of
-mixtures, the encoding of scenes) is in files of its own beside these. It shares ``signals.py``,
-``records.py`` (``written`` makes a record of raw values), ``elementary.py``, ``matrices.py``,
+The sender, in this order::
+
+    rounding.py      physical values to raw ones: nearest, up, down
+    covariance.py    a covariance as pivots, ratios and an inflation that covers it
+    nearest_line.py  the line within the ranges of a message that is nearest to another one
+    weights.py       weights of a mixture, and what their rounding leaves to be covered
+    writer.py        a line, or a mixture, as complete records
+
+``testing/sender_streams.py`` compares it. The encoding of scenes is not here yet. It shares
 ``lines.py``, ``levels.py`` and ``scenes.py``: a sender decodes what it has encoded.
 """

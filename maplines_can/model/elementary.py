@@ -20,6 +20,12 @@ _EXP2 = _numbers("""
     0x1.62c0223a5c824p-20 0x1.b5253d395e7c4p-24 0x1.e4cf5158b8ecap-28 0x1.e8cac7351bb25p-32
     0x1.c3bd650fc2986p-36 0x1.816193166d0f9p-40
 """)
+#: Coefficients of log2 in powers of ((m - 1) / (m + 1))^2: 2 / ((2 k + 1) ln 2).
+_LOG2 = _numbers("""
+    0x1.71547652b82fep+1 0x1.ec709dc3a03fdp-1 0x1.2776c50ef9bfep-1 0x1.a61762a7aded9p-2
+    0x1.484b13d7c02a9p-2 0x1.0c9a84994022dp-2 0x1.c68f568d31760p-3 0x1.89f3b1694cffep-3
+    0x1.5b9ac9b743f0dp-3 0x1.3703c1f4d0ffep-3 0x1.1964ec6fc9491p-3 0x1.00ecd7e080215p-3
+""")
 #: Coefficients of (sin r - r) / r^3 and (cos r - 1) / r^2 in powers of r^2.
 _SIN = _numbers("""
     -0x1.5555555555555p-3 0x1.1111111111111p-7 -0x1.a01a01a01a01ap-13 0x1.71de3a556c734p-19
@@ -42,6 +48,7 @@ _HALF_PI = _numbers("0x1.921fb54400000p+0 0x1.0b4611a600000p-34 0x1.3198a2e03707
 _TWO_BY_PI, PI_BY_2, _TWO_PI = _numbers(
     "0x1.45f306dc9c883p-1 0x1.921fb54442d18p+0 0x1.921fb54442d18p+2"
 )
+_SQRT_HALF = float.fromhex("0x1.6a09e667f3bcdp-1")
 #: Angles beyond this are first reduced by whole turns [rad].
 _FAR = 1e5
 
@@ -54,6 +61,21 @@ def exp2(x: float) -> float:
     """
     whole = round(x)
     return math.ldexp(_polynomial(x - whole, _EXP2), whole)
+
+
+def log2(x: float) -> float:
+    """Return the logarithm to base 2; -inf for 0 and below, NaN for NaN.
+
+    >>> log2(0.25), log2(0.0)
+    (-2.0, -inf)
+    """
+    if not 0 < x < math.inf:
+        return -math.inf if x <= 0 else x
+    m, e = math.frexp(x)
+    if m < _SQRT_HALF:
+        m, e = 2 * m, e - 1
+    s = (m - 1) / (m + 1)
+    return e + s * _polynomial(s * s, _LOG2)
 
 
 def sin_cos(x: float) -> tuple[float, float]:

@@ -11,6 +11,11 @@ from collections.abc import Iterable, Sequence
 Row = list[float]
 Matrix = list[Row]
 
+#: Most sweeps of Jacobi's method; it converges in 5 to 8.
+SWEEPS = 16
+#: An entry off the diagonal is 0 if it is no more than this share of both entries on the diagonal.
+NEGLIGIBLE = 2.0**-60
+
 
 def product(A: Sequence[Sequence[float]], B: Sequence[Sequence[float]]) -> Matrix:
     """Return A B; the terms are added one after the other, the first one first."""
@@ -34,6 +39,22 @@ def dot(a: Sequence[float], b: Sequence[float]) -> float:
 def added(A: Matrix, B: Matrix) -> Matrix:
     """Return A + B."""
     return [[a + b for a, b in zip(*rows, strict=True)] for rows in zip(A, B, strict=True)]
+
+
+def subtracted(A: Matrix, B: Matrix) -> Matrix:
+    """Return A - B."""
+    return [[a - b for a, b in zip(x, y, strict=True)] for x, y in zip(A, B, strict=True)]
+
+
+def outer(d: Sequence[float]) -> Matrix:
+    """Return d d^T."""
+    return [[x * y for y in d] for x in d]
+
+
+def symmetric(A: Matrix) -> Matrix:
+    """Return the mean of A and A^T."""
+    n = range(len(A))
+    return [[(A[i][j] + A[j][i]) / 2 for j in n] for i in n]
 
 
 def diagonal(values: Iterable[float]) -> Matrix:
@@ -103,3 +124,72 @@ def inverse(A: Matrix) -> Matrix:
             if i != k:
                 M[i] = [x - M[i][k] * pivot for x, pivot in zip(M[i], M[k], strict=True)]
     return [row[n:] for row in M]
+
+
+def eigen(S: Matrix) -> tuple[Row, Matrix]:
+    """Return the eigenvalues of a symmetric matrix, in no order, and the eigenvectors as columns.
+
+    By Jacobi's method. Each round rotates disjoint pairs of rows: all columns, then all rows.
+    """
+    n = len(S)
+    A, V = [list(row) for row in S], diagonal([1.0] * n)
+    for _ in range(SWEEPS):
+        is_done = True
+        for pairs in rounds(n):
+            turns = [_rotation(A[p][p], A[q][q], A[p][q]) for p, q in pairs]
+            if any(turn is not None for turn in turns):
+                is_done = False
+                for (p, q), turn in zip(pairs, turns, strict=True):
+                    c, s = turn or (1.0, 0.0)
+                    for row in (*A, *V):
+                        row[p], row[q] = c * row[p] - s * row[q], s * row[p] + c * row[q]
+                for (p, q), turn in zip(pairs, turns, strict=True):
+                    c, s = turn or (1.0, 0.0)
+                    upper, lower = A[p], A[q]
+                    A[p] = [c * x - s * y for x, y in zip(upper, lower, strict=True)]
+                    A[q] = [s * x + c * y for x, y in zip(upper, lower, strict=True)]
+            for p, q in pairs:
+                A[p][q] = A[q][p] = 0.0
+        if is_done:
+            break
+    return [A[i][i] for i in range(n)], V
+
+
+def _rotation(a: float, b: float, off: float) -> tuple[float, float] | None:
+    """Return cosine and sine of the rotation that makes an entry 0; None if that is negligible."""
+    if not abs(off) > NEGLIGIBLE * math.sqrt(abs(a * b)):
+        return None
+    theta = (b - a) / (2 * off)
+    t = 1 / (abs(theta) + math.sqrt(theta * theta + 1))
+    t = -t if theta < 0 else t
+    c = 1 / math.sqrt(t * t + 1)
+    return c, t * c
+
+
+def rounds(n: int) -> list[list[tuple[int, int]]]:
+    """Return the rounds of a tournament of n: disjoint pairs (p, q) with p < q, each once.
+
+    >>> rounds(4)
+    [[(0, 3), (1, 2)], [(0, 2), (1, 3)], [(0, 1), (2, 3)]]
+    """
+    even = n + n % 2
+    ring, found = list(range(1, even)), []
+    for _ in range(even - 1):
+        order = [0, *ring]
+        pairs = [sorted((order[i], order[even - 1 - i])) for i in range(even // 2)]
+        found.append([(p, q) for p, q in pairs if q < n])
+        ring = [ring[-1], *ring[:-1]]
+    return found
+
+
+def positive_part(S: Matrix, more: float = 0.0) -> Matrix:
+    """Return a symmetric matrix with 0 in place of its negative eigenvalues.
+
+    Args:
+        S: the matrix.
+        more: what is added to the others, as a share of each.
+    """
+    values, V = eigen(S)
+    kept = [value * (1 + more) if value > 0 else 0.0 for value in values]
+    scaled = [[v * value for v, value in zip(row, kept, strict=True)] for row in V]
+    return symmetric(product(scaled, [*zip(*V, strict=True)]))

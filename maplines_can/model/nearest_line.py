@@ -1,0 +1,193 @@
+"""The line within the ranges of a message that is nearest to one that exceeds them.
+
+To clip one parameter alone moves the line by up to tens of metres: the others have to make up for
+it. In a short range they do so to a few centimetres, since there the parameters of a cubic can be
+told apart only poorly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from ..wire.layout.signals import Signal
+from .elementary import atan, sin_cos, tan
+from .matrices import Matrix, Row, dot
+
+#: Largest deviation of such a line from the given one in its range [m]: as much as a cubic may
+#: deviate from the line of the map.
+MAX_DEVIATION = 0.1
+#: Factor by which a range is shortened towards the car, until the deviation is that small, and the
+#: most times.
+SHORTER, TRIALS = 0.8, 24
+#: Greatest direction of such a line [rad].
+STEEPEST = 1.5
+#: Steps of its signal that a parameter keeps from the end of its range, for the rounding.
+STEPS = 8
+#: Share of the largest standard deviation of a parameter that may make up for its deviation.
+SHARE = 0.7
+#: Nodes at which lines are compared, in the normalised variable of a range: the extrema of a
+#: Chebyshev polynomial. Between them, two cubics are at most 5 % further apart.
+NODES = [-sin_cos(math.pi / 15 * k)[1] for k in range(16)]
+#: Most steps of the least squares in a box. Each moves one parameter to its limit, or off it.
+BOX_STEPS = 32
+#: Least gradient for which a parameter moves off its limit, relative to the largest possible one.
+FLAT = 1e-10
+
+
+def nearest_line(
+    signals: Sequence[Signal],
+    mean: Row,
+    x_range: Sequence[float],
+    least: float,
+    reach: Sequence[float],
+) -> tuple[Row, Row] | None:
+    """Return the nearest line, and where it deviates by at most ``MAX_DEVIATION``.
+
+    By least squares in the longest range, which is shortened towards the car as far as necessary.
+
+    Args:
+        signals: of y_off, beta, c0 and c1.
+        mean: of the given line.
+        x_range: of the given line [m].
+        least: least length of the range [m].
+        reach: standard deviations that a covariance can have: it has to cover the deviation.
+
+    Returns:
+        None if no line within the ranges of the signals is near enough in any range that is long
+        enough.
+    """
+    away = [SHARE * sigma for sigma in reach]
+    low, high, line = list[float](), list[float](), list(mean)
+    for signal, value, most in zip(signals, mean, away, strict=True):
+        first, last = bounds(signal)
+        low.append(max(first, value - most))
+        high.append(min(last, value + most))
+    low[1], high[1] = (tan(min(max(x, -STEEPEST), STEEPEST)) for x in (low[1], high[1]))
+    line[1] = tan(mean[1])
+    scale = [max(abs(a), abs(b)) for a, b in zip(low, high, strict=True)]
+    if not all(b - a > 1e-9 * s for a, b, s in zip(low, high, scale, strict=True)):
+        return None
+    room = [
+        [(end - x) / s for end, x, s in zip(ends, line, scale, strict=True)] for ends in (low, high)
+    ]
+    first, last = x_range
+    car = min(max(0.0, first), last)
+    share = 1.0
+    for _ in range(TRIALS):
+        start, end = car + share * (first - car), car + share * (last - car)
+        if end - start < least:
+            return None
+        A = _basis(start, end, scale)
+        step = _box_solution(_triangular(A), *room)
+        if all(abs(dot(row, step)) <= MAX_DEVIATION for row in A):
+            near = [line[i] + step[i] * scale[i] for i in range(4)]
+            near = [min(max(x, a), b) for x, a, b in zip(near, low, high, strict=True)]
+            near[1] = atan(near[1])
+            return near, [start, end]
+        share *= SHORTER
+    return None
+
+
+def bounds(signal: Signal) -> tuple[float, float]:
+    """Return the least and the greatest value of a parameter, some steps within its range."""
+    low, high = signal.physical_range
+    step = STEPS * abs(signal.factor)
+    return low + step, high - step
+
+
+def slope_error(beta: float, near: float) -> float:
+    """Return the error of beta whose first-order effect is that of the slopes."""
+    sine, cosine = sin_cos(near)
+    return (tan(beta) - sine / cosine) * (cosine * cosine)
+
+
+# ---- least squares in a box -------------------------------------------------------------------
+
+
+def _basis(start: float, end: float, scale: Row) -> Matrix:
+    """Return the lateral positions [m] at the nodes of a range, for parameters of a scale each."""
+    middle, half = (start + end) / 2, (end - start) / 2
+    rows = []
+    for node in NODES:
+        x = middle + half * node
+        square = x * x
+        rows.append([scale[0], x * scale[1], square / 2 * scale[2], square * x / 6 * scale[3]])
+    return rows
+
+
+def _triangular(A: Matrix) -> Matrix:
+    """Return the upper triangular (n, n) R with R^T R = A^T A, by modified Gram-Schmidt."""
+    columns = [list(column) for column in zip(*A, strict=True)]
+    n = len(columns)
+    R = [[0.0] * n for _ in range(n)]
+    for j, column in enumerate(columns):
+        R[j][j] = math.sqrt(dot(column, column))
+        if R[j][j] > 0:
+            unit = [value / R[j][j] for value in column]
+            for k in range(j + 1, n):
+                R[j][k] = dot(unit, columns[k])
+                columns[k] = [
+                    value - R[j][k] * u for value, u in zip(columns[k], unit, strict=True)
+                ]
+    return R
+
+
+def _box_solution(R: Matrix, low: Row, high: Row) -> Row:
+    """Return the u between ``low`` and ``high`` with the least |R u|: by active sets.
+
+    A parameter is fixed at a limit or free. The free ones move towards their least squares until
+    one reaches a limit, and is fixed there. If none does, the fixed one whose gradient points most
+    into the box becomes free (Stark and Parker, Computational Statistics 10, 1995).
+    """
+    n = len(low)
+    u = [min(max(0.0, low[i]), high[i]) for i in range(n)]
+    is_free = [u[i] == 0.0 for i in range(n)]
+    for _ in range(BOX_STEPS):
+        free = [i for i in range(n) if is_free[i]]
+        target = _free_solution(R, free, u)
+        share, limit = 1.0, -1
+        for i in free:
+            end = low[i] if target[i] < low[i] else high[i]
+            if not low[i] <= target[i] <= high[i]:
+                part = (end - u[i]) / (target[i] - u[i])
+                if part < share:
+                    share, limit = part, i
+        for i in free:
+            u[i] = target[i] if limit < 0 else u[i] + share * (target[i] - u[i])
+            u[i] = min(max(u[i], low[i]), high[i])
+        if limit >= 0:
+            u[limit] = low[limit] if target[limit] < low[limit] else high[limit]
+            is_free[limit] = False
+            continue
+        rest = [dot(row, u) for row in R]
+        size = math.sqrt(dot(rest, rest))
+        steepest, released = 0.0, -1
+        for i in range(n):
+            if is_free[i]:
+                continue
+            column = [row[i] for row in R]
+            gradient = dot(column, rest)
+            inwards = -gradient if u[i] == low[i] else gradient
+            norm = math.sqrt(dot(column, column))
+            if inwards > FLAT * norm * size and inwards / norm > steepest:
+                steepest, released = inwards / norm, i
+        if released < 0:
+            break
+        is_free[released] = True
+    return u
+
+
+def _free_solution(R: Matrix, free: list[int], u: Row) -> Row:
+    """Return u with its free entries replaced by those of the least |R u|."""
+    n = len(u)
+    fixed = [0.0 if i in free else u[i] for i in range(n)]
+    m = len(free)
+    T = _triangular([[*(row[i] for i in free), -dot(row, fixed)] for row in R])
+    solution = list(u)
+    for j in reversed(range(m)):
+        rest = T[j][m]
+        for k in range(j + 1, m):
+            rest = rest - T[j][k] * solution[free[k]]
+        solution[free[j]] = rest / T[j][j] if T[j][j] > 0 else u[free[j]]
+    return solution

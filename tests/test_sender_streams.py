@@ -1,0 +1,64 @@
+"""Senders of core and model on the same random lines, and whether another rule would be found."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maplines_can import native
+from maplines_can.model import covariance, nearest_line, weights
+from maplines_can.testing.sender_streams import STREAMS, bits, compare_senders
+from maplines_can.wire import SHIPPED, Codec, Layout, default_dbc_path
+
+pytestmark = pytest.mark.skipif(not native.is_active, reason="there is no core")
+
+LAYOUT = Layout.from_dbc()
+
+
+def after(steps: int) -> Any:
+    """Return a question that is true after so many turns."""
+    turns = iter(range(steps))
+    return lambda: next(turns, None) is None
+
+
+def test_core_and_model_write_and_read_the_same_records() -> None:
+    layouts = [Layout.from_dbc(default_dbc_path(name)) for name in SHIPPED]
+
+    found = compare_senders(layouts, 1, after(17))
+
+    assert str(found) == "bit-identical on 3600 records of senders"
+
+
+@pytest.mark.parametrize("stream", STREAMS)
+def test_streams_are_the_same_on_any_machine(stream: Any) -> None:
+    codec = Codec(LAYOUT)
+    first, second = (stream(codec, np.random.default_rng(1)) for _ in range(2))
+    for _ in range(20):
+        assert str(next(first).input) == str(next(second).input)
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "value"),
+    [
+        (covariance, "MARGIN", 1e-4),
+        (covariance, "LIFTS", 0),
+        (covariance, "ATTEMPTS", 1),
+        (covariance, "ROUNDING", 1e-2),
+        (nearest_line, "SHORTER", 0.7),
+        (nearest_line, "MAX_DEVIATION", 0.2),
+        (weights, "MORE", 1e-2),
+    ],
+)
+def test_another_rule_is_found(
+    monkeypatch: pytest.MonkeyPatch, module: Any, name: str, value: Any
+) -> None:
+    monkeypatch.setattr(module, name, value)
+
+    assert "core and model differ" in str(compare_senders([LAYOUT], 1, after(90)))
+
+
+def test_last_bits_count() -> None:
+    """An answer is another one if a float differs in its last bit, or in the sign of 0."""
+    assert bits([1.0]) != bits([float(np.nextafter(1.0, 2))])
+    assert bits(0.0) != bits(-0.0)
+    assert bits(np.array([float("nan")])) == bits([float("nan")])
