@@ -33,6 +33,7 @@ from .hostile_streams import (
     Step,
     Stream,
     Traffic,
+    traffics_of,
 )
 
 #: Frames of a stream: enough for states, restarts and counters that wrap around.
@@ -78,18 +79,19 @@ def profiles_of(layout: Layout) -> list[Profile]:
 def _is_possible(profile: Profile, layout: Layout) -> bool:
     """Return whether a receiver of a DBC can have the settings of a profile."""
     try:
-        _Pair(layout, profile)
+        Pair(layout, profile)
     except ValueError:  # the counter, or the freshness value, is too short
         return False
     return True
 
 
-def compare(traffic: Traffic, profile: Profile, frames: int, seed: int) -> Result:
+def compare(traffics: Sequence[Traffic], profile: Profile, frames: int, seed: int) -> Result:
     """Compare core and model on a stream of so many frames, up to the first difference."""
-    pair = _Pair(traffic.layout, profile)
+    layout = traffics[0].layout
+    pair = Pair(layout, profile)
     sign = pair.sign if profile.is_signed else None
-    stream = Stream(traffic, profile, seed, sign, START_US)
-    name = f"{traffic.layout.source}, {profile.name}, seed {seed}"
+    stream = Stream(traffics, profile, seed, sign, START_US)
+    name = f"{layout.source}, {profile.name}, seed {seed}"
     for number, step in enumerate(stream.steps()):
         found = next(pair.differences(step), None)
         if found is not None:
@@ -137,12 +139,12 @@ def compare_all(
     """
     total = Comparison(0, 0, 0, None)
     for turn in count():
-        traffics = [Traffic(layout, seed + turn) for layout in layouts]
-        kinds = [[(traffic, one) for one in profiles_of(traffic.layout)] for traffic in traffics]
+        traffics = [traffics_of(layout, seed + turn) for layout in layouts]
+        kinds = [[(own, one) for one in profiles_of(own[0].layout)] for own in traffics]
         mixed = (pair for pairs in zip_longest(*kinds) for pair in pairs if pair is not None)
-        for traffic, profile in mixed:
+        for own, profile in mixed:
             of_stream = 1000 * (seed + turn) + total.streams
-            result = compare(traffic, profile, frames, of_stream)
+            result = compare(own, profile, frames, of_stream)
             total = Comparison(
                 total.frames + result.frames,
                 total.records + result.records,
@@ -154,12 +156,19 @@ def compare_all(
     raise AssertionError  # count has no end
 
 
-class _Pair:
-    """A decoder of the core, and the receiver of the model with the same settings."""
+class Pair:
+    """A decoder of the core, and the receiver of the model with the same settings.
+
+    Args:
+        layout: of the DBC.
+        profile: has the settings.
+    """
 
     def __init__(self, layout: Layout, profile: Profile) -> None:
+        self.profile = profile
         self._layout, self._stale_cycles = layout, profile.stale_cycles
-        self.now_us = START_US
+        self.now_us = START_US  #: time of the clock of freshness values
+        self.answer: Any = None  #: last answer of the model
         self._keys = {key_id: Key(secret, key_id) for key_id, secret in SECRETS.items()}
         settings = dict(profile.settings)
         self.core = self._decoder(profile).decoder(**settings)
@@ -211,8 +220,8 @@ class _Pair:
             key = step.can_id, step.is_extended
             fed = step.can_id, step.data, step.t_ns
             answer = self.core.feed(*fed, is_extended=step.is_extended)
-            model_answer = self.model.feed(*fed, is_extended=step.is_extended)
-            yield from _differences("the answer", _answer(answer), _model_answer(model_answer))
+            self.answer = self.model.feed(*fed, is_extended=step.is_extended)
+            yield from _differences("the answer", _answer(answer), _model_answer(self.answer))
             owners = [self._owner_of[key]] if key in self._owner_of else []
         else:
             yield from _differences("the answer", *self._answers(step))
@@ -225,14 +234,12 @@ class _Pair:
     def _answers(self, step: Question) -> tuple[Any, Any]:
         if step.kind == "latest":
             view = self.core.latest(step.slot, step.t_ns, stale_cycles=self._stale_cycles)
-            return _view(view), _model_view(
-                self.model.latest(step.slot, step.t_ns, self._stale_cycles)
-            )
+            self.answer = self.model.latest(step.slot, step.t_ns, self._stale_cycles)
+            return _view(view), _model_view(self.answer)
         if step.kind == "scene" and self._layout.pose is not None:
             scene = self.core.latest_scene(step.t_ns, stale_cycles=self._stale_cycles)
-            return _scene(scene), _model_scene(
-                self.model.latest_scene(step.t_ns, self._stale_cycles)
-            )
+            self.answer = self.model.latest_scene(step.t_ns, self._stale_cycles)
+            return _scene(scene), _model_scene(self.answer)
         if step.kind == "expire":
             self.core.expire(step.t_ns)
             self.model.expire(step.t_ns)

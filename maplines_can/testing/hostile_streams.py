@@ -8,7 +8,7 @@ says what happens to the frames on the way, and to the clock.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -16,10 +16,11 @@ from ..model.records import AnyLayout, written
 from ..model.signals import nearest_raw, of_slot
 from ..values.line import Slot
 from ..wire import POSE, E2EConfig, Layout, Owner
+from ..wire.layout.pose_layout import slot_of
 from ..wire.layout.signals import OWN_SIGNALS, PAGE_BYTES, PARAMETER_SIGNALS, Signal
 
 CYCLES = 256
-#: Time between two cycles, and between two frames of one [ns].
+#: Time between most cycles, and between two frames of one [ns].
 PERIOD_NS, APART_NS = 50_000_000, 200_000
 #: Slots whose lines are mixtures in every third cycle.
 MIXED_SLOTS = (Slot.ROUTE, Slot.CENTRE)
@@ -66,6 +67,8 @@ class Profile:
     sealed: float = 0.0  #: a record of any content with a correct checksum is inserted
     fd: float = 0.0  #: of a record: it is sent as one frame
     silence: float = 0.0  #: of a cycle: nothing is sent in it
+    outage: float = 0.0  #: of a cycle: that of up to 120 cycles, whose counters go on, is lost
+    pause: float = 0.0  #: of a cycle: a sender pauses for up to 15 cycles
     restart: float = 0.0  #: of a cycle: the sender begins again
     jump: float = 0.0  #: of a cycle: the clock jumps, or stands still
     senders: int = 1
@@ -86,20 +89,23 @@ PROFILES = (
     Profile("clean"),
     Profile("CAN FD", fd=1.0),
     Profile("classic and CAN FD", fd=0.5, loss=0.05),
-    Profile("faults", **_FAULTS, fd=0.2, silence=0.02, restart=0.005),
+    Profile("faults", **_FAULTS, fd=0.2, silence=0.02, restart=0.005, outage=0.01),
     Profile("many faults", loss=0.2, duplicate=0.2, swap=0.2, late=0.1, damage=0.1),
     Profile("late", late=0.3, duplicate=0.1),
     Profile("hostile", hostile=0.5, sealed=0.1, loss=0.05),
     Profile("any content", sealed=0.5, fd=0.5),
     Profile("clock", jump=0.1, loss=0.05, duplicate=0.05, silence=0.02),
-    Profile("two senders", senders=2, loss=0.02),
-    Profile("two senders, same counters", senders=2, is_same=True, restart=0.01, jump=0.02),
+    Profile("two senders", senders=2, loss=0.02, pause=0.05, fd=0.8),
+    Profile("two senders, same counters", senders=2, is_same=True, restart=0.01, jump=0.02,
+            pause=0.02),
     Profile("everything twice", duplicate=1.0),
-    Profile("restarts", restart=0.05, silence=0.1),
+    Profile("most twice", duplicate=0.92, fd=1.0),
+    Profile("restarts", restart=0.05, silence=0.05, fd=0.9),
     Profile("everything", **_FAULTS, hostile=0.1, sealed=0.05, fd=0.3, silence=0.02, restart=0.01,
             jump=0.02, senders=2),
     Profile("long time-outs", **_FAULTS, settings={"timeout_ms": 900.0, "cycle_ms": 20.0}),
-    Profile("fast sender", **_FAULTS, settings={"cycle_ms": 500.0}),
+    Profile("fast sender", **_FAULTS, fd=0.8, outage=0.05, settings={"cycle_ms": 500.0}),
+    Profile("very fast sender", fd=1.0, outage=0.05, settings={"cycle_ms": 1000.0}),
     Profile("narrow windows", **_FAULTS, silence=0.1, stale_cycles=1.5,
             settings={"e2e": E2EConfig(3, 3, 5, 4, 2, 2, 3, 1, 1, 0, clear_to_invalid=False)}),
     Profile("wide windows", **_FAULTS,
@@ -132,9 +138,15 @@ class Traffic:
         self._cycles: list[list[tuple[Owner, bytes]]] = []
 
     def cycle(self, k: int) -> list[tuple[Owner, bytes]]:
-        """Return the records of a cycle: a pose error, and lines with one record or more."""
+        """Return the records of a cycle: a pose error, and lines with one record or more.
+
+        Some cycles have their records in another order.
+        """
         while len(self._cycles) <= k:
-            self._cycles.append([*self._records()])
+            records = [*self._records()]
+            if self._random.random() < 0.1:
+                self._random.shuffle(records)
+            self._cycles.append(records)
         return self._cycles[k]
 
     def any_record(self, rng: random.Random, counter: int) -> tuple[Owner, bytes]:
@@ -193,6 +205,8 @@ class Traffic:
         size = rng.randint(2, 1 + count.raw_max) if slot in MIXED_SLOTS and count.raw_max else 1
         size = size if len(self._cycles) % 3 == 0 else 1
         ends = [0, *sorted(rng.sample(range(1, weights), size - 1)), weights]
+        if size > 1 and rng.random() < 0.1:
+            ends[-1] -= 1  # the sum of the weights is less than 1
         common = self._values()
         status = rng.choices(range(6), (1, 20, 1, 1, 1, 1))[0]
         for place in range(size):
@@ -201,7 +215,7 @@ class Traffic:
                 "Status": status if rng.random() < 0.9 else 1,
                 "ComponentIndex": place,
                 "ComponentCount": size - 1,
-                "ComponentWeight": ends[place + 1] - ends[place] - 1,
+                "ComponentWeight": max(ends[place + 1] - ends[place] - 1, 0),
             }
 
     def _values(self) -> dict[str, int]:
@@ -232,6 +246,11 @@ class Traffic:
         return raw
 
 
+def traffics_of(layout: Layout, seed: int) -> tuple[Traffic, ...]:
+    """Return what some senders send, with the same counters and other contents."""
+    return tuple(Traffic(layout, 10 * seed + i) for i in range(3))
+
+
 def _within(signal: Signal, value: float) -> int:
     return max(signal.raw_min, min(nearest_raw(signal, value), signal.raw_max))
 
@@ -248,7 +267,7 @@ class Stream:
     """Steps of one stream.
 
     Args:
-        traffic: what is sent.
+        traffics: what senders send; each begins, and restarts, with one of these.
         profile: what happens to it.
         seed: of all that is drawn here.
         sign: authenticates records; None if the profile has no authenticated frames.
@@ -257,58 +276,78 @@ class Stream:
 
     def __init__(
         self,
-        traffic: Traffic,
+        traffics: Sequence[Traffic],
         profile: Profile,
         seed: int,
         sign: Sign | None = None,
         start_us: int = 0,
     ) -> None:
-        self._traffic, self._profile, self._sign = traffic, profile, sign
+        self._traffics, self._profile, self._sign = traffics, profile, sign
         self._random = random.Random(seed)  # noqa: S311 - no secret
         self._at = [self._random.randrange(CYCLES) for _ in range(profile.senders)]
         if profile.is_same:
             self._at = [self._at[0]] * profile.senders
+        self._traffic = traffics[0]
+        self._sent_by = [self._random.choice(traffics) for _ in self._at]
+        self._paused = [0] * profile.senders  # cycles
         start = [0, 0, 10**18, -4 * 10**18, 4 * 10**18 - 3 * 10**11, 2**53 - 10**9]
         self._t_ns, self._now_us = self._random.choice(start), start_us
         self._still = 0  # frames for which the clock stands still
         self._held: list[tuple[int, _Sent]] = []  # until this cycle
         self._cycle = 0
-        self._slots = [*traffic.layout.messages]
+        self._slots = [*self._traffic.layout.messages]
+        of_id = self._traffic.layout.message_of_id
+        self._owner_of: dict[tuple[int, bool], Owner] = {key: of_id[key][0] for key in of_id}
 
     def steps(self) -> Iterator[Step]:
         """Yield frames and questions without end."""
         rng = self._random
         while True:
-            begin_ns = self._t_ns
+            begin_ns, apart_ns = self._t_ns, APART_NS * rng.choice([1, 1, 1, 1, 1, 1, 10, 20])
             for sent in self._frames_of_cycle():
                 if self._still > 0:
                     self._still -= 1
                 else:
-                    self._t_ns += rng.randrange(2 * APART_NS)
+                    self._t_ns += rng.randrange(2 * apart_ns)
                 yield FrameStep(*sent, self._t_ns, self._now_us)
                 if rng.random() < self._profile.ask:
-                    yield self._question()
+                    yield self._question(sent)
             if self._still == 0:
-                self._t_ns = max(self._t_ns, begin_ns + PERIOD_NS)
+                cycles = 1.0 if rng.random() < 0.7 else rng.uniform(0.5, 3.5)
+                self._t_ns = max(self._t_ns, begin_ns + round(cycles * PERIOD_NS))
             self._now_us += PERIOD_NS // 1000
             self._cycle += 1
+            if rng.random() < self._profile.outage:
+                self._lose_cycles()
             self._jump()
 
-    def _question(self) -> Question:
+    def _lose_cycles(self) -> None:
+        """Lose some cycles; the counters may go on faster or slower than the time."""
+        cycles = self._random.randrange(120)
+        self._at = [(at + cycles) % CYCLES for at in self._at]
+        self._t_ns += round(cycles * self._random.uniform(0.3, 2.5) * PERIOD_NS)
+
+    def _question(self, sent: _Sent) -> Question:
         rng = self._random
-        later = rng.choice([0, 0, 10**6, 60 * 10**6, -(10**6), -(10**7), 5 * 10**8])
+        later = rng.choice([0, 0, 1, 60, -1, -1.5, -2, -10, 500])
+        later = round(later * 10**6)
         now_ns = max(FIRST_NS, min(self._t_ns + later, LAST_NS))
         kind = rng.choice(["latest", "latest", "scene", "statistics", "expire"])
-        return Question(kind, rng.choice(self._slots), now_ns)
+        owner = self._owner_of.get((sent.can_id, sent.is_extended), POSE)
+        is_other = owner == POSE or rng.random() < 0.5
+        return Question(kind, rng.choice(self._slots) if is_other else slot_of(owner), now_ns)
 
     def _frames_of_cycle(self) -> list[_Sent]:
         rng, profile, frames = self._random, self._profile, list[_Sent]()
         for i in range(profile.senders):
             if rng.random() < profile.restart:
-                self._at[i] = 0
-            if rng.random() < profile.silence:
+                self._at[i], self._sent_by[i] = 0, rng.choice(self._traffics)
+            if rng.random() < profile.pause:
+                self._paused[i] = rng.randrange(15)
+            self._paused[i] -= 1
+            if rng.random() < profile.silence or self._paused[i] >= 0:
                 continue
-            cycle = self._traffic.cycle(self._at[i])
+            cycle = self._sent_by[i].cycle(self._at[i])
             own = [frame for record in cycle for frame in self._sent(*record)]
             self._at[i] = (self._at[i] + 1) % CYCLES
             places = sorted(rng.randrange(len(frames) + 1) for _ in own)

@@ -1,0 +1,60 @@
+"""The command ``maplines selftest``: what it says, and its status."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from maplines_can.cli import main
+from maplines_can.model import sequence
+from maplines_can.wire import default_dbc_path
+
+SHORT = ["selftest", "--seconds", "0.001"]
+
+
+def test_core_and_model_are_equal(capsys: pytest.CaptureFixture[str]) -> None:
+    """One stream at least is compared, however short the time is."""
+    assert main(SHORT) == 0
+    found = re.fullmatch(
+        r"bit-identical on (\d+) records \(2000 frames in 1 streams\)\n", capsys.readouterr().out
+    )
+    assert found is not None
+    assert int(found[1]) > 100
+
+
+def test_the_streams_of_a_seed_are_the_same_ones(capsys: pytest.CaptureFixture[str]) -> None:
+    """Other seeds have other ones."""
+    rows = []
+    for seed in ("3", "3", "4"):
+        assert main([*SHORT, "--seed", seed, "--json"]) == 0
+        rows.append(json.loads(capsys.readouterr().out))
+    assert rows[0] == rows[1] != rows[2]
+    assert rows[0].keys() == {"frames", "records", "streams", "difference"}
+    assert rows[0]["difference"] is None
+
+
+def test_the_first_difference_ends_it_with_status_1(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It says where: the stream, the frame and the value by both."""
+    monkeypatch.setattr(sequence, "GRACE_CYCLES", 1.0)
+    assert main(["selftest", "--seconds", "60"]) == 1
+    text = capsys.readouterr().out
+    assert text.startswith("core and model differ: ")
+    assert "maplines.dbc" in text
+    assert "by the core" in text
+    assert main(["selftest", "--seconds", "60", "--json"]) == 1
+    difference = json.loads(capsys.readouterr().out)["difference"]
+    assert difference["core"] != difference["model"]
+
+
+def test_other_dbcs_can_be_given(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """By a path, or by the name of one of the package; a missing one is an error."""
+    path = tmp_path / "own.dbc"
+    path.write_text(default_dbc_path("maplines-pose.dbc").read_text())
+    assert main([*SHORT, "--dbc", str(path)]) == 0
+    assert main([*SHORT, "--dbc", "none.dbc"]) == 1
+    assert "none.dbc" in capsys.readouterr().err

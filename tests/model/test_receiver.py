@@ -1,0 +1,352 @@
+"""The receiver of the model: its rules by example, and the core beside it on hostile streams."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+from c_layouts import unusual_layouts
+from random_dbc import random_dbc
+from scene_layouts import layout_of
+
+from maplines_can import Kind, Slot, Status
+from maplines_can.model import (
+    e2e,
+    elementary,
+    epochs,
+    levels,
+    lines,
+    mixtures,
+    reassembly,
+    receiver,
+    scenes,
+    secoc,
+    senders,
+    sequence,
+    settings,
+)
+from maplines_can.model.records import written
+from maplines_can.testing.back_to_back import START_US, Pair, compare, profiles_of
+from maplines_can.testing.hostile_streams import (
+    PROFILES,
+    SECURED_PROFILES,
+    FrameStep,
+    Question,
+    Stream,
+    traffics_of,
+)
+from maplines_can.wire import POSE, SHIPPED, Layout, Owner
+
+MS = 1_000_000
+CYCLE = 50 * MS
+COMPLETE, SECURED, CONDITIONAL = "maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc"
+SLOT = Slot.EGO_LEFT
+
+
+# ---- streams ------------------------------------------------------------------------------------
+
+
+def check_streams(layout: Layout, seed: int, frames: int) -> None:
+    traffics = traffics_of(layout, seed)
+    for i, profile in enumerate(profiles_of(layout)):
+        result = compare(traffics, profile, frames, 100 * seed + i)
+        assert result.difference is None, str(result.difference)
+        assert result.frames == frames
+
+
+@pytest.mark.parametrize("dbc", SHIPPED)
+def test_core_and_model_are_equal_on_hostile_streams(dbc: str) -> None:
+    """Every decoded double, reason, counter and state, after each frame."""
+    check_streams(layout_of(dbc), seed=1, frames=500)
+
+
+@pytest.mark.parametrize("name", sorted(unusual_layouts()))
+def test_they_are_equal_with_unusual_dbcs(name: str) -> None:
+    """Without a pose error, with some messages or slots only, with short counters."""
+    check_streams(unusual_layouts()[name], seed=2, frames=100)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_they_are_equal_with_random_dbcs(seed: int) -> None:
+    """Other places, byte orders, lengths and factors."""
+    check_streams(Layout.from_text(random_dbc(seed)), seed=3, frames=100)
+
+
+def of_name(name: str) -> Any:
+    return next(one for one in (*PROFILES, *SECURED_PROFILES) if one.name == name)
+
+
+def test_the_streams_meet_all_reasons_and_states() -> None:
+    """No station is left out."""
+    met = set[str]()
+    for dbc, names in {
+        COMPLETE: ["faults", "hostile", "any content", "late", "two senders, same counters"],
+        CONDITIONAL: ["faults", "any content", "late"],
+        SECURED: ["authenticated, faults", "authenticated, without a key", "not authenticated"],
+    }.items():
+        for name in names:
+            pair = Pair(layout_of(dbc), of_name(name))
+            sign = pair.sign if pair.profile.is_signed else None
+            traffics = traffics_of(layout_of(dbc), 1)
+            stream = Stream(traffics, pair.profile, 7, sign, START_US)
+            for step in stream.steps():
+                assert not [*pair.differences(step)]
+                if isinstance(step, Question) and step.kind == "latest":
+                    met |= {pair.answer.state, "usable"} if pair.answer.is_usable else set()
+                    met |= {pair.answer.state, "two"} if pair.answer.may_be_two else set()
+                if pair.model.frames >= 2500:
+                    break
+            for check in pair.model.checks.values():
+                met |= {*check.statuses, check.state}
+            met |= {*pair.model.counts}
+    reasons = {
+        *("FOREIGN", "LENGTH", "PAGE", "DUPLICATE", "REPLACED", "STALE", "INCOMPLETE", "TIMEOUT"),
+        *("MIXED", "CRC", "CONTENT", "POSE", "UNAUTHENTICATED", "KEY", "MAC", "REPLAY", "AGE"),
+    }
+    assert met >= {*reasons, *e2e.STATUSES, *e2e.STATES, "usable", "two"} - {"NODATA"}
+
+
+# ---- a fault of a rule is found -----------------------------------------------------------------
+
+FAULTS = [
+    pytest.param(e2e, "OKS", ("OK",), COMPLETE, "faults", id="lost-records-are-no-OK"),
+    pytest.param(sequence, "GRACE_CYCLES", 1.6, COMPLETE, "faults", id="deadline"),
+    pytest.param(sequence, "RESTART_RECORDS", 4, COMPLETE, "restarts", id="restart"),
+    pytest.param(sequence, "FASTEST", 5, COMPLETE, "very fast sender", id="pace"),
+    pytest.param(sequence, "MEAN_LINES", 7, COMPLETE, "fast sender", id="mean-pace"),
+    pytest.param(senders, "CONFLICTS", 9, COMPLETE, "two senders", id="conflicts"),
+    pytest.param(senders, "DUPLICATES", 30, COMPLETE, "most twice", id="duplicates"),
+    pytest.param(senders, "SUSPECT_CYCLES", 9, COMPLETE, "two senders", id="suspicion"),
+    pytest.param(mixtures, "WEIGHT_TOLERANCE", 1.0, COMPLETE, "CAN FD", id="weights"),
+    pytest.param(
+        mixtures, "SEVERITY", mixtures.SEVERITY[::-1], COMPLETE, "clean", id="worst-component"
+    ),
+    pytest.param(epochs, "KEEP_CYCLES", 4.0, CONDITIONAL, "late", id="epochs-are-kept"),
+    pytest.param(epochs, "WINDOW", (0.4, 3.0), CONDITIONAL, "late", id="window"),
+    pytest.param(epochs, "MIXTURE_WINDOW", (0.5, 0.5), COMPLETE, "late", id="mixture-window"),
+    pytest.param(scenes, "ROUNDING", 2.0**-43, CONDITIONAL, "clean", id="rounding"),
+    pytest.param(scenes, "RESOLUTION", 2.0**-8, CONDITIONAL, "clean", id="resolution"),
+    pytest.param(scenes, "STEPS", 20, CONDITIONAL, "clean", id="valid-range"),
+    pytest.param(lines, "END_WEIGHT", 0.63, CONDITIONAL, "clean", id="end-weight"),
+    pytest.param(lines, "MARGIN", 2.9, CONDITIONAL, "clean", id="margin"),
+    pytest.param(levels, "GOLDEN_RATIO", 1.618, CONDITIONAL, "clean", id="phase"),
+    pytest.param(levels, "SHAPE_OCTAVES", 10.3, CONDITIONAL, "clean", id="shape"),
+    pytest.param(elementary, "_ATAN", elementary._ATAN[:-3], CONDITIONAL, "clean", id="arc"),
+    pytest.param(receiver, "CLOCK_JITTER_NS", 2 * MS, COMPLETE, "clock", id="clock-jitter"),
+    pytest.param(settings, "GRACE_CYCLES", 1.4, COMPLETE, "many faults", id="time-out"),
+    pytest.param(secoc, "MAX_FRESHNESS", 0, SECURED, "authenticated", id="freshness"),
+    pytest.param(
+        reassembly.Reassembly, "_ahead", lambda *_: 0, COMPLETE, "many faults", id="newer-counter"
+    ),
+    pytest.param(
+        reassembly.Reassembly, "_needed", lambda *_: 4, CONDITIONAL, "clean", id="short-record"
+    ),
+]
+
+
+@pytest.mark.parametrize(("module", "name", "faulty", "dbc", "profile"), FAULTS)
+def test_a_fault_of_a_rule_is_found(
+    monkeypatch: pytest.MonkeyPatch,
+    module: Any,
+    name: str,
+    faulty: Any,
+    dbc: str,
+    profile: str,
+) -> None:
+    """One rule of the model is another one: a stream tells it from the core."""
+    traffics = traffics_of(layout_of(dbc), 1)
+    monkeypatch.setattr(module, name, faulty)
+    found = (compare(traffics, of_name(profile), 2500, seed).difference for seed in range(3))
+    difference = next((one for one in found if one is not None), None)
+    assert difference is not None
+    assert difference.core != difference.model
+    assert dbc in str(difference)
+
+
+# ---- rules by example: the core agrees in each step ---------------------------------------------
+
+
+class Sender:
+    """Records of any owner, by their counters, to core and model."""
+
+    def __init__(self, dbc: str, profile: str = "clean") -> None:
+        self.layout = layout_of(dbc)
+        self.pair = Pair(self.layout, of_name(profile))
+
+    def record(self, counter: int, owner: Owner = SLOT, **raw: int) -> bytes:
+        """Return a record with a straight line, or a pose error of small levels."""
+        layout = self.layout.pose if owner == POSE else self.layout
+        assert layout is not None
+        values = {name: 0 for name in layout.signals if owner == POSE} | {"XMin": 1, "XMax": 20}
+        of_complete = {"Status": 1, "Age": 3, "ComponentWeight": 31}
+        values |= {"HasCovariance": 0} if self.layout.is_conditional else of_complete
+        known = {name: n for name, n in values.items() if name in layout.signals}
+        data_id = self.layout.messages_of[owner].data_id
+        return written(layout, known | {"Counter": counter} | raw, data_id)
+
+    def pages(self, record: bytes, owner: Owner = SLOT) -> list[tuple[int, bytes]]:
+        can_id = self.layout.messages_of[owner].can_id
+        assert can_id is not None
+        return [(can_id, record[i : i + 8]) for i in range(0, len(record), 8)]
+
+    def feed(self, frames: list[tuple[int, bytes]], t_ns: int = 0) -> list[Any]:
+        """Return the answers to frames, 0.25 ms apart: reasons, or lines."""
+        answers = []
+        for i, (can_id, data) in enumerate(frames):
+            step = FrameStep(can_id, data, False, t_ns + i * MS // 4, self.pair.now_us)
+            assert not [*self.pair.differences(step)]
+            answers.append(self.pair.answer)
+        return answers
+
+    def send(self, counter: int, t_ns: int, owner: Owner = SLOT, **raw: int) -> Any:
+        """Return the answer to the last frame of a record."""
+        return self.feed(self.pages(self.record(counter, owner, **raw), owner), t_ns)[-1]
+
+    def latest(self, t_ns: int, slot: Slot = SLOT) -> Any:
+        """Return the view of a slot."""
+        assert not [*self.pair.differences(Question("latest", slot, t_ns))]
+        return self.pair.answer
+
+
+@pytest.fixture
+def sender() -> Sender:
+    """A sender of complete records."""
+    return Sender(COMPLETE)
+
+
+def test_a_line_is_all_pages_of_one_transfer(sender: Sender) -> None:
+    """Three pages wait, the fourth completes the line; the same ones again are duplicates."""
+    pages = sender.pages(sender.record(5))
+    *waiting, (line,) = sender.feed(pages)
+    assert waiting == ["PENDING"] * 3
+    assert (line.slot, line.kind, line.status) == (SLOT, Kind.UNKNOWN, Status.FULL)
+    assert (line.x_min, line.x_max, line.age, line.t_ns) == (-16.0, 80.0, 0.024, 0)
+    assert sender.feed(pages) == ["DUPLICATE"] * 4
+
+
+@pytest.mark.parametrize("bit", [0, 20, 63, 70, 127, 200])
+def test_a_damaged_bit_is_found(sender: Sender, bit: int) -> None:
+    """By the checksum, the page number or the transfer ID."""
+    data = bytearray(sender.record(5))
+    data[bit // 8] ^= 1 << bit % 8
+    answers = sender.feed(sender.pages(bytes(data)))
+    assert all(isinstance(answer, str) for answer in answers)
+    assert not sender.pair.model.lines
+
+
+def test_a_newer_counter_replaces_a_transfer_with_its_id(sender: Sender) -> None:
+    """Transfer 5 has lost its last page; 16 records later its ID comes again."""
+    first, second = (sender.pages(sender.record(counter)) for counter in (5, 21))
+    sender.feed(first[:3])
+    *_, (line,) = sender.feed(second)
+    assert line.t_ns == 0
+    assert +sender.pair.model.counts == {"REPLACED": 3}
+
+
+def test_the_seventh_record_in_a_row_is_usable(sender: Sender) -> None:
+    """The first one does not count; of the next ones, six are enough."""
+    states = []
+    for k in range(8):
+        sender.send(k, k * CYCLE)
+        view = sender.latest(k * CYCLE + MS)
+        states.append((view.state, view.is_usable))
+    assert states == [("INIT", False)] * 6 + [("VALID", True)] * 2
+
+
+def test_lost_late_and_repeated_records(sender: Sender) -> None:
+    """A gap counts as lost records; what is behind the last new one is not delivered."""
+    answers = [sender.send(c, k * CYCLE) for k, c in enumerate((0, 1, 4, 3, 4, 30))]
+    check = sender.pair.model.checks[SLOT]
+    is_line = [not isinstance(answer, str) for answer in answers]
+    assert is_line == [True, True, True, False, False, False]
+    assert answers[3:] == ["STALE", "DUPLICATE", "STALE"]
+    assert check.lost == 2
+    assert check.statuses == {
+        "OK": 2, "OKSOMELOST": 1, "WRONGSEQUENCE": 2, "REPEATED": 1,
+    }  # fmt: skip
+
+
+def test_a_sender_that_restarts_is_told_from_late_records(sender: Sender) -> None:
+    """Two of its records are dropped, then it is known: one counter has another content."""
+    for k in range(3):
+        sender.send(k, k * CYCLE)
+    for k in range(40, 43):
+        sender.send(k, (k - 37) * CYCLE)  # dropped: too far ahead
+    answers = [sender.send(k, (6 + k) * CYCLE, Kind=1) for k in range(3)]
+    assert [one if isinstance(one, str) else "line" for one in answers] == ["STALE"] * 3
+    assert sender.send(3, 9 * CYCLE, Kind=1)[0].kind is Kind.SOLID
+
+
+def test_a_mixture_has_all_of_its_components(sender: Sender) -> None:
+    """They have consecutive counters and the same range; the sum of the weights is 1."""
+    parts: list[Any] = [
+        {"ComponentIndex": i, "ComponentCount": 2, "ComponentWeight": w, "YOff": y}
+        for i, (w, y) in enumerate(((7, -512), (7, 512), (15, 0)))
+    ]
+    first, second, (line,) = (sender.send(8 + i, i * MS, **raw) for i, raw in enumerate(parts))
+    assert (first, second) == ("PENDING", "PENDING")
+    assert [component.weight for component in line.components] == [0.25, 0.25, 0.5]
+    assert line.mean[0] == 0.0
+    assert line.cov[0][0] > 0.125
+    assert sender.send(11, CYCLE, **parts[0]) == "PENDING"
+    assert sender.send(14, 2 * CYCLE, **parts[0]) == "PENDING"
+    assert +sender.pair.model.counts == {"INCOMPLETE": 4}
+
+
+def test_a_conditional_line_waits_for_its_pose_error() -> None:
+    """It has the low bits of its counter, and comes at about the same time."""
+    sender = Sender(CONDITIONAL)
+    assert sender.send(13, 0) == "PENDING"
+    assert sender.pair.model.pending == 2  # a record without a covariance has two pages
+    (line,) = sender.send(0, 4 * MS, POSE, EgoLeftCounter=5)
+    assert line.t_ns == 0
+    assert sender.send(14, CYCLE) == "PENDING"
+    assert sender.send(1, CYCLE + 4 * MS, POSE, EgoLeftCounter=7) == "PENDING"
+    sender.latest(CYCLE)
+    assert not [*sender.pair.differences(Question("expire", SLOT, 10 * CYCLE))]
+    assert +sender.pair.model.counts == {"POSE": 2}
+
+
+def test_an_old_line_is_stale_and_a_clock_that_was_set_back_has_no_ages(sender: Sender) -> None:
+    """Three cycles without a newer line; before the reception, no age is known."""
+    sender.send(0, 0)
+    views = [sender.latest(t_ns) for t_ns in (150 * MS, 150 * MS + 1, -MS, -MS - 1)]
+    assert [view.is_stale for view in views] == [False, True, False, True]
+    assert [view.age for view in views] == [0.174, pytest.approx(0.174), 0.024, math.inf]
+
+
+def test_what_is_not_authentic_changes_nothing() -> None:
+    """With keys the MAC is checked first, and each freshness value is newer than the last one."""
+    sender = Sender(SECURED, "authenticated")
+    own, now = sender.layout.messages[SLOT], sender.pair.now_us
+    assert own.secured_can_id is not None
+    signed = [sender.pair.sign(SLOT, sender.record(k), now + k) for k in range(2)]
+    forged = signed[1][:-1] + bytes([signed[1][-1] ^ 1])
+    answers = sender.feed([(own.secured_can_id, data) for data in (signed[0], forged, signed[0])])
+    assert answers[1:] == ["MAC", "REPLAY"]
+    assert sender.feed(sender.pages(sender.record(2))) == ["UNAUTHENTICATED"] * 4
+    assert sender.pair.model.checks[SLOT].statuses == {"OK": 1}
+    assert len(sender.feed([(own.secured_can_id, signed[1])])[0]) == 1
+
+
+# ---- the product does without -------------------------------------------------------------------
+
+
+def test_the_product_never_loads_the_model() -> None:
+    """A codec, a sender, a receiver and the command decode and send without it."""
+    code = """
+import sys, maplines_can as ml
+from maplines_can.cli import main
+codec = ml.Codec.from_dbc()
+decoder = codec.decoder()
+line = ml.MapLine.mean_only(ml.Slot.ROUTE, [0, 0, 0, 0])
+for frame in codec.encoder().encode(line):
+    decoder.feed(frame.can_id, frame.data, 0)
+assert decoder.lines == 1
+assert main(["scenarios"]) == 0
+assert not [name for name in sys.modules if name.startswith("maplines_can.model")]
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
