@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from maplines_can import native
-from maplines_can.model import covariance, nearest_line, weights
+from maplines_can.model import covariance, nearest_line, scene_sender, weights
 from maplines_can.testing.sender_streams import STREAMS, bits, compare_senders
 from maplines_can.wire import SHIPPED, Codec, Layout, default_dbc_path
 
@@ -24,9 +24,9 @@ def after(steps: int) -> Any:
 def test_core_and_model_write_and_read_the_same_records() -> None:
     layouts = [Layout.from_dbc(default_dbc_path(name)) for name in SHIPPED]
 
-    found = compare_senders(layouts, 1, after(17))
+    found = compare_senders(layouts, 1, after(8))
 
-    assert str(found) == "bit-identical on 3600 records of senders"
+    assert str(found) == "bit-identical on 1230 records of senders"
 
 
 @pytest.mark.parametrize("stream", STREAMS)
@@ -47,6 +47,7 @@ def test_streams_are_the_same_on_any_machine(stream: Any) -> None:
         (nearest_line, "SHORTER", 0.7),
         (nearest_line, "MAX_DEVIATION", 0.2),
         (weights, "MORE", 1e-2),
+        (scene_sender, "POSE_SLACK", 1.02),
     ],
 )
 def test_another_rule_is_found(

@@ -35,7 +35,10 @@ The sender, in this order::
     nearest_line.py  the line within the ranges of a message that is nearest to another one
     weights.py       weights of a mixture, and what their rounding leaves to be covered
     writer.py        a line, or a mixture, as complete records
+    joint.py         what two joint covariances lack to cover a third
+    level_search.py  which levels of the line-specific covariance tell the least wrong
+    scene_sender.py  a scene as records
 
-``testing/sender_streams.py`` compares it. The encoding of scenes is not here yet. It shares
-``lines.py``, ``levels.py`` and ``scenes.py``: a sender decodes what it has encoded.
+It shares ``lines.py``, ``levels.py`` and ``scenes.py`` with the receiver: a sender decodes what it
+has encoded. ``testing/sender_streams.py`` compares it.
 """

@@ -63,6 +63,16 @@ def diagonal(values: Iterable[float]) -> Matrix:
     return [[x if i == j else 0.0 for j in range(len(entries))] for i, x in enumerate(entries)]
 
 
+def transposed(A: Matrix) -> Matrix:
+    """Return A^T."""
+    return [list(column) for column in zip(*A, strict=True)]
+
+
+def congruence(A: Matrix, S: Matrix) -> Matrix:
+    """Return A S A^T, exactly symmetric."""
+    return symmetric(product(product(A, S), transposed(A)))
+
+
 def total(values: Sequence[float]) -> float:
     """Return the sum: halves are added to each other until one is left.
 
@@ -96,6 +106,20 @@ def cholesky(S: Matrix) -> Matrix:
 def is_definite(S: Matrix) -> bool:
     """Return whether the Cholesky factor exists."""
     return not math.isnan(cholesky(S)[-1][-1])
+
+
+def lower_solution(L: Matrix, B: Matrix) -> Matrix:
+    """Return X with L X = B for a lower triangular L.
+
+    >>> lower_solution([[2.0, 0.0], [1.0, 2.0]], [[2.0], [5.0]])
+    [[1.0], [2.0]]
+    """
+    X = [list(row) for row in B]
+    for i, row in enumerate(X):
+        X[i] = [x / L[i][i] for x in row]
+        for k in range(i + 1, len(L)):
+            X[k] = [x - L[k][i] * y for x, y in zip(X[k], X[i], strict=True)]
+    return X
 
 
 def upper_solution(U: Matrix, B: Matrix) -> Matrix:

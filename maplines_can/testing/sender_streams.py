@@ -15,14 +15,19 @@ import numpy as np
 from ..model import writer
 from ..model.e2e import checksum
 from ..model.records import complete, intact, written
+from ..model.scene_sender import SceneDraft, SceneSender
+from ..propagation import map_scene
+from ..values.errors import EncodeError, MaplinesError
+from ..values.gaussian import Gaussian
 from ..values.line import Kind, Slot
-from ..wire import Codec, Layout
+from ..values.map_error import MapError
+from ..values.polyline import Polyline
+from ..values.scene import Scene
+from ..wire import POSE, Codec, Layout, Owner
 from .back_to_back import Difference
 
 #: Range of the parameters of a random line.
 SIZES = (32.0, 0.5, 0.125, 0.03125)
-#: Steps of a stream in a turn.
-STEPS = 200
 _VERDICTS = (None, "MIXED", "CRC", "CONTENT")
 _FIELDS = (
     "mean", "cov", "kind", "status", "x_min", "x_max", "age", "component_index", "component_count",
@@ -57,6 +62,8 @@ def bits(value: Any) -> Any:
         return float(value).hex()
     if isinstance(value, np.ndarray):
         return bits(value.tolist())
+    if isinstance(value, dict):
+        return {str(key): bits(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [bits(item) for item in value]
     return int(value) if isinstance(value, int | np.integer) else value
@@ -195,30 +202,120 @@ def _read(layout: Layout, record: bytes, slot: Slot, data_id: int) -> Any:
     ]  # fmt: skip
 
 
-STREAMS = (lines, mixtures, records)
+def random_scene(rng: np.random.Generator, slots: Sequence[Slot]) -> Scene:
+    """Return a scene of lines of a map, some of which exceed the message."""
+    x = np.arange(-60.0, 160.0, float(_choice(rng, 2, 5, 10, 20)))
+    bend, twist = rng.uniform(-3e-3, 3e-3), rng.uniform(-2e-5, 2e-5)
+    chosen = rng.permutation([*slots])[: rng.integers(1, 5)]
+    roads = {
+        Slot(int(slot)): Polyline(
+            np.column_stack(
+                [
+                    x,
+                    _choice(rng, 3.5, 3.5, 12.0) * k
+                    - 5
+                    + rng.uniform(-1, 1)
+                    + bend * x**2
+                    + twist * x**3,
+                ]
+            )
+        )
+        for k, slot in enumerate(chosen)
+    }
+    B = rng.normal(size=(3, 3)) * 10.0 ** rng.uniform([-2, -2, -4], [0, 0, -1.5])[:, None]
+    pose = Gaussian(np.zeros(3), B @ B.T)
+    error = MapError(
+        point_sigma=float(_choice(rng, 0.0, 0.03, 0.1)),
+        offset_sigma=float(_choice(rng, 0.0, 0.05, 0.5)),
+        heading_sigma=float(_choice(rng, 0.0, 1e-3)),
+    )
+    window = _choice(rng, (-20.0, 80.0), (-8.0, 60.0), (-30.0, 130.0), (0.0, 15.0))
+    return map_scene(roads, pose, map_error=_choice(rng, None, error, error), window=window)
+
+
+def scenes(codec: Codec, rng: np.random.Generator) -> Iterator[SenderStep]:
+    """Yield scenes as the record of the pose error and the records of lines."""
+    layout, pose = codec.layout, codec.layout.pose
+    if pose is None:
+        return
+    sender = SceneSender(layout, pose)
+    while True:
+        try:
+            scene = random_scene(rng, [*layout.messages])
+        except MaplinesError:  # a line is no function of x
+            continue
+        owners: list[Owner] = [POSE, *layout.messages]
+        counters = {owner: int(rng.integers(256)) for owner in owners}
+        fd, age = bool(rng.random() < 0.3), float(rng.uniform(0, 0.1))
+        try:
+            frames = codec.encoder().encode_scene(scene, age=age, fd=fd, counters=counters)
+        except EncodeError:
+            core = None
+        else:
+            core = {str(o): b"".join(bytes(f.data) for f in of) for o, of in frames.items()}
+        model = sender.records(_scene_draft(scene), counters, age, full=fd)
+        yield SenderStep(scene, core, _padded(model, core or {}))
+
+
+def _padded(
+    records_of: dict[Owner, bytes] | None, core: dict[str, bytes]
+) -> dict[str, bytes] | None:
+    """Return records with the padding of CAN FD."""
+    if records_of is None:
+        return None
+    lengths = {owner: len(sent) for owner, sent in core.items()}
+    return {
+        str(owner): record.ljust(lengths.get(str(owner), 0), b"\0")
+        for owner, record in records_of.items()
+    }
+
+
+def _scene_draft(scene: Scene) -> SceneDraft:
+    known = scene.map_error or MapError()
+    drafts = [
+        writer.Draft(
+            line.slot, line.gaussian.mean.tolist(), line.gaussian.cov.tolist(), int(line.kind),
+            int(line.status), float(line.x_min), float(line.x_max),
+        )
+        for line in scene.lines
+    ]  # fmt: skip
+    specific = scene.specific_covs
+    return SceneDraft(
+        drafts, scene.cov.tolist(), scene.pose_error.cov.tolist(),
+        float(scene.pose_error.correlation_time), float(known.offset_sigma or 0.0),
+        float(known.heading_sigma or 0.0), [tuple(ends) for ends in scene.fit_ranges.tolist()],
+        scene.quartics.tolist(), None if specific is None else specific.tolist(),
+    )  # fmt: skip
+
+
+#: Streams, and their steps in a turn.
+STREAMS = {lines: 200, mixtures: 200, records: 200, scenes: 10}
+#: Those that records of lines without a covariance of their own have.
+CONDITIONAL = (scenes,)
 
 
 def compare_senders(
     layouts: Sequence[Layout], seed: int, is_over: Callable[[], bool]
 ) -> SenderComparison:
-    """Compare core and model on streams of DBCs whose records are complete, until it is over.
+    """Compare core and model on the streams of DBCs, in turn, until it is over.
 
     Args:
-        layouts: of the DBCs; those whose records are conditional on the pose error have no stream.
+        layouts: of the DBCs.
         seed: of all streams, which are the same ones on any machine.
-        is_over: asked after ``STEPS`` steps of each stream.
+        is_over: asked after a turn of each stream.
     """
-    codecs = [Codec(layout) for layout in layouts if not layout.is_conditional]
-    streams = [
-        (f"{codec.layout.source}, {stream.__name__}, seed {seed}", stream(codec, _rng(seed)))
-        for codec in codecs
-        for stream in STREAMS
-    ]
+    streams = []
+    for codec in map(Codec, layouts):
+        for stream, steps in STREAMS.items():
+            is_conditional, has_pose = codec.layout.is_conditional, codec.layout.pose is not None
+            if stream in CONDITIONAL if is_conditional else stream is not scenes or has_pose:
+                name = f"{codec.layout.source}, {stream.__name__}, seed {seed}"
+                streams.append((name, stream(codec, np.random.default_rng(seed)), steps))
     done = turn = 0
-    while streams:
-        for name, stream in streams:
-            for number in range(turn * STEPS, (turn + 1) * STEPS):
-                step = next(stream)
+    while True:
+        for name, steps_of, steps in streams:
+            for number in range(turn * steps, (turn + 1) * steps):
+                step = next(steps_of)
                 core, model = bits(step.core), bits(step.model)
                 if core != model:
                     shown = str(step.input), "the answer", str(core), str(model)
@@ -227,8 +324,3 @@ def compare_senders(
             if is_over():
                 return SenderComparison(done, None)
         turn += 1
-    return SenderComparison(done, None)
-
-
-def _rng(seed: int) -> np.random.Generator:
-    return np.random.default_rng(seed)

@@ -1,0 +1,225 @@
+"""Joint covariances of lines: how far two are apart, and what two lack to cover a third."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from .elementary import log2
+from .matrices import (
+    Matrix,
+    Row,
+    added,
+    cholesky,
+    congruence,
+    diagonal,
+    inverse,
+    is_definite,
+    lower_solution,
+    outer,
+    product,
+    subtracted,
+    symmetric,
+    total,
+    transposed,
+    upper_solution,
+)
+
+#: Share of D by which a sum must exceed what it covers, so that another rounding passes.
+SLACK = 1e-6
+#: Most factorizations for one direction that lacks; the share of the excess to which its eigenvalue
+#: is found, and the least excess that counts.
+FACTORIZATIONS, PRECISION, LEAST = 64, 2.0**-14, 2.0**-40
+#: First guess of an excess, the factor to the next one while it is too small, and the share of the
+#: bracket, from the Rayleigh quotient up, at which the next factorization is tried.
+FIRST, FARTHER, NEARER = 2.0**-4, 16.0, 2.0**-6
+LN_2 = float.fromhex("0x1.62e42fefa39efp-1")
+#: Entries of the lower triangle, row by row.
+TRIANGLE = [(i, j) for i in range(4) for j in range(i + 1)]
+PLACES = [k / 4 - 1 for k in range(9)]
+#: Values of T_0 .. T_3 at places of the range, then those of their derivatives; all are exact.
+VALUES = [[1.0, w, 2 * w * w - 1, 4 * w * w * w - 3 * w] for w in PLACES]
+VALUES += [[0.0, 1.0, 4 * w, 12 * w * w - 3] for w in PLACES]
+
+
+# ---- one line ---------------------------------------------------------------------------------
+
+
+def variances(S: Matrix) -> Row:
+    """Return the variances of lateral position and direction of a line at the places."""
+    found = []
+    for values in VALUES:
+        variance = 0.0
+        for i, j in TRIANGLE:
+            variance += values[i] * values[j] * (1 if i == j else 2) * S[i][j]
+        found.append(variance)
+    return found
+
+
+def largest_ratio(decoded: Matrix, true: Matrix) -> float:
+    """Return the largest ratio of these variances; NaN if one is."""
+    ratios = [
+        a / b if b else math.nan for a, b in zip(*map(variances, (decoded, true)), strict=True)
+    ]
+    return math.nan if any(map(math.isnan, ratios)) else max(ratios)
+
+
+def compared(true: Matrix, decoded: Matrix) -> tuple[float, float]:
+    """Return the trace, less n and halved, and the ratio of the roots of the determinants.
+
+    The divergence is the first one plus the logarithm of the other.
+    """
+    G, L = cholesky_by_rows(true), cholesky_by_rows(decoded)
+    trace, ratio, n = 0.0, 1.0, len(true)
+    for j in range(n):
+        Y: dict[int, float] = {}
+        for i in range(j, n):
+            rest = G[i][j]
+            for k in range(j, i):
+                rest -= L[i][k] * Y[k]
+            Y[i] = rest / L[i][i]
+            trace += Y[i] * Y[i]
+        ratio *= L[j][j] / G[j][j]
+    return (trace - n) / 2, ratio
+
+
+def divergence(true: Matrix, decoded: Matrix) -> float:
+    """Return the KL of zero-mean Gaussians [nat]; infinite if one is not definite."""
+    by_trace, ratio = compared(true, decoded)
+    kl = by_trace + LN_2 * log2(ratio)
+    return kl if math.isfinite(kl) else math.inf
+
+
+def cholesky_by_rows(S: Matrix) -> Matrix:
+    """Return the Cholesky factor row by row; NaN if there is none."""
+    L: Matrix = []
+    for i in range(len(S)):
+        row: Row = []
+        for j in range(i):
+            rest = S[i][j]
+            for k in range(j):
+                rest -= row[k] * L[j][k]
+            row.append(rest / L[j][j])
+        pivot = S[i][i]
+        for entry in row:
+            pivot -= entry * entry
+        L.append([*row, math.sqrt(pivot) if pivot > 0 else math.nan])
+    return L
+
+
+def factor_or_identity(S: Matrix) -> Matrix:
+    """Return the Cholesky factor, or 1 if there is none."""
+    L = cholesky(S)
+    exists = all(math.isfinite(x) for row in L for x in row)
+    return L if exists else diagonal([1.0] * len(S))
+
+
+# ---- all lines --------------------------------------------------------------------------------
+
+
+def block(S: Matrix, i: int, j: int) -> Matrix:
+    """Return the block of two lines."""
+    return [row[4 * j : 4 * j + 4] for row in S[4 * i : 4 * i + 4]]
+
+
+def uncovered(
+    true: Matrix, spread: Matrix, own: Sequence[Matrix], J: Sequence[Matrix]
+) -> list[Matrix] | None:
+    """Return what to add to own covariances, so that they cover a scene; None if they do.
+
+    The scene is covered if ``spread + blockdiag(own) - true`` is positive semidefinite. If it is
+    not, it lacks a u u^T for some u with a part u_i in every line. For any positive weights t_i,
+
+        a u u^T <= blockdiag(..., a (sum_j t_j) / t_i u_i u_i^T, ...)
+
+    The weights are the sizes of u_i against the whole covariance of their lines. What is added is
+    NaN for lines that cannot be compared.
+    """
+    lines, nan = range(len(J)), [[math.nan] * 4] * 4
+    to_metres = [inverse(one) for one in J]
+    factors = [cholesky(congruence(to_metres[i], own[i])) for i in lines]
+    exists = [all(math.isfinite(x) for row in L for x in row) for L in factors]
+    if not all(exists):
+        return [[[0.0] * 4] * 4 if one else nan for one in exists]
+    W = [lower_solution(factors[i], to_metres[i]) for i in lines]
+    excess = whitened(W, subtracted(true, spread))
+    if is_definite(less_than(1 - SLACK, excess)):
+        return None
+    identity = diagonal([1.0] * 4)
+    sizes = [
+        factor_or_identity(added(identity, congruence(W[i], block(spread, i, i)))) for i in lines
+    ]
+    lacking = [[[0.0] * 4 for _ in range(4)] for _ in lines]
+    guess = FIRST
+    for _ in range(4 * len(J)):
+        found = largest(excess, 1 - SLACK, guess)
+        if found is None:
+            return [nan for _ in lines]
+        guess, v = found  # the next one is hardly larger
+        amount = guess + SLACK
+        parts = [[[x] for x in v[4 * i : 4 * i + 4]] for i in lines]
+        weights = []
+        for i in lines:
+            share = [x for (x,) in lower_solution(sizes[i], parts[i])]
+            weights.append(math.sqrt(total([x * x for x in share])) + 1e-9)
+        for i in lines:
+            u = [x for (x,) in product(factors[i], parts[i])]
+            factor = amount * total(weights) / weights[i]
+            lacking[i] = added(lacking[i], [[factor * x for x in row] for row in outer(u)])
+        excess = [
+            [x - amount * a * b for x, b in zip(row, v, strict=True)]
+            for row, a in zip(excess, v, strict=True)
+        ]
+        if is_definite(less_than(1 - SLACK, excess)):
+            break
+    return [congruence(J[i], lacking[i]) for i in lines]
+
+
+def less_than(bound: float, S: Matrix) -> Matrix:
+    """Return bound I - S."""
+    return subtracted(diagonal([bound] * len(S)), S)
+
+
+def largest(S: Matrix, bound: float, guess: float) -> tuple[float, Row] | None:
+    """Return by how much the largest eigenvalue of S exceeds a bound, and an eigenvector.
+
+    A factorization of s I - S decides whether s exceeds all eigenvalues. If it does, a step of
+    inverse iteration gives a vector whose Rayleigh quotient is near the largest one from below.
+    None if it is infinite.
+    """
+    low, high = 0.0, math.inf
+    for _ in range(FACTORIZATIONS):
+        L = cholesky(less_than(bound + guess, S))
+        if math.isnan(L[-1][-1]):
+            low = guess
+            guess = FARTHER * guess if math.isinf(high) else (low + high) / 2
+            continue
+        high = guess
+        # The column of the inverse with the largest diagonal entry is nearest to the eigenvector.
+        X = transposed(lower_solution(L, diagonal([1.0] * len(S))))
+        norms = [total([x * x for x in column]) for column in X]
+        column = X[max(range(len(X)), key=lambda i: norms[i])]
+        U = transposed(L)
+        v = upper_solution(U, [[x] for x in column])
+        norm = math.sqrt(total([x * x for (x,) in v]))
+        v = upper_solution(U, lower_solution(L, [[x / norm] for (x,) in v]))
+        norm = math.sqrt(total([x * x for (x,) in v]))
+        unit = [x / norm for (x,) in v]
+        images = [total([x * y for x, y in zip(row, unit, strict=True)]) for row in S]
+        quotient = total([x * y for x, y in zip(unit, images, strict=True)])
+        low = max(low, quotient - bound)
+        if high - low <= PRECISION * high or high <= LEAST:
+            return high, unit
+        guess = low + NEARER * (high - low)
+    return None
+
+
+def whitened(W: Sequence[Matrix], S: Matrix) -> Matrix:
+    """Return blockdiag(W) S blockdiag(W)^T, exactly symmetric."""
+    rows: Matrix = []
+    for i, one in enumerate(W):
+        blocks = [
+            product(product(one, block(S, i, j)), transposed(other)) for j, other in enumerate(W)
+        ]
+        rows += [[x for b in blocks for x in b[k]] for k in range(4)]
+    return symmetric(rows)
