@@ -60,19 +60,19 @@ def check_streams(layout: Layout, seed: int, frames: int) -> None:
 @pytest.mark.parametrize("dbc", SHIPPED)
 def test_core_and_model_are_equal_on_hostile_streams(dbc: str) -> None:
     """Every decoded double, reason, counter and state, after each frame."""
-    check_streams(layout_of(dbc), seed=1, frames=500)
+    check_streams(layout_of(dbc), seed=1, frames=200)
 
 
 @pytest.mark.parametrize("name", sorted(unusual_layouts()))
 def test_they_are_equal_with_unusual_dbcs(name: str) -> None:
     """Without a pose error, with some messages or slots only, with short counters."""
-    check_streams(unusual_layouts()[name], seed=2, frames=100)
+    check_streams(unusual_layouts()[name], seed=2, frames=60)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_they_are_equal_with_random_dbcs(seed: int) -> None:
     """Other places, byte orders, lengths and factors."""
-    check_streams(Layout.from_text(random_dbc(seed)), seed=3, frames=100)
+    check_streams(Layout.from_text(random_dbc(seed)), seed=3, frames=60)
 
 
 def of_name(name: str) -> Any:
