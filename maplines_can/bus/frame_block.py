@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import ffi, structure
+from ..core import ffi
+from ..core.memory import structure
 
 #: Frames of a block by default. Its arrays of classic CAN take 1.5 MB.
 BLOCK_FRAMES = 1 << 16

@@ -9,34 +9,15 @@ are as their callers have checked them. A call lets other threads run: an object
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from threading import Lock
 from typing import Any
-from weakref import WeakKeyDictionary
-
-import numpy as np
-from numpy.typing import NDArray
 
 from .declarations import ffi
 
-__all__ = ["CoreError", "Lock", "ffi", "load", "new", "pointer", "pointers", "structure"]
+__all__ = ["PATH", "CoreError", "Lock", "ffi", "load"]
 
 PATH = Path(__file__).with_name(f"maplines.{'dll' if os.name == 'nt' else 'so'}")
-#: Type that cffi takes for any pointer.
-_ANY = ffi.typeof("void *")
-#: Types of arrays, by those of the elements in NumPy.
-_TYPES = {
-    np.dtype(kind): ffi.typeof(f"{name}[]")
-    for kind, name in {
-        "f8": "double", "f4": "float", "i8": "int64_t", "u4": "uint32_t", "u2": "uint16_t",
-        "u1": "uint8_t", "i1": "int8_t", "b1": "uint8_t",
-    }.items()
-}  # fmt: skip
-#: Allocate memory that is not cleared, by the name of its type and a length.
-new: Callable[..., Any] = ffi.new_allocator(should_clear_after_alloc=False)
-
-
 #: Structures that are made here, in the order of ``maplines_core_size``.
 _STRUCTURES = ("dbc", "receiver", "settings", "block", "rows", "log", "prepared", "given_scene")
 
@@ -63,52 +44,3 @@ def load(version: str) -> tuple[Any, str]:
     if (found, sizes) != (version, [ffi.sizeof(f"maplines_{name}_t") for name in _STRUCTURES]):
         raise CoreError(f"the library of the core is of version {found}; install the package again")
     return lib, f"built with {compiler}"
-
-
-def pointer(array: NDArray[Any], *, written: bool = False) -> Any:
-    """Return the pointer to the elements of an array, which it keeps alive.
-
-    Raises:
-        KeyError: elements are of a type that the core has not, also by their byte order.
-        ValueError: the array is not in C order, or may not be written to.
-    """
-    return ffi.from_buffer(_TYPES[array.dtype], array, written)
-
-
-def pointers(arrays: Sequence[NDArray[Any]]) -> Any:
-    """Return pointers to arrays of double precision, as a C array."""
-    kept = list(map(pointer, arrays))
-    made = ffi.new("const double *[]", kept)
-    _kept[made] = kept
-    return made
-
-
-def structure(name: str, content: Mapping[Any, Any]) -> Any:
-    """Return a structure with the members of a mapping; None is left out: 0.
-
-    Members are numbers, texts, arrays, tuples (the members of a structure in their order), mappings
-    by name (a structure) or by index (an array). It keeps alive what it points to.
-    """
-    kept: list[Any] = []
-    made = ffi.new(f"{name} *", _plain(content, kept))
-    _kept[made] = kept
-    return made
-
-
-_kept: WeakKeyDictionary[Any, list[Any]] = WeakKeyDictionary()
-
-
-def _plain(value: Any, kept: list[Any]) -> Any:
-    """Return content as cffi takes it; ``kept`` gets what it points to."""
-    if isinstance(value, Mapping):
-        given = {key: _plain(item, kept) for key, item in value.items() if item is not None}
-        if all(isinstance(key, str) for key in given):
-            return given
-        return [given.get(index, {}) for index in range(max(given) + 1)]
-    if isinstance(value, str):
-        kept.append(ffi.new("char[]", value.encode(errors="replace")))
-        return kept[-1]
-    if isinstance(value, np.ndarray):
-        kept.append(ffi.from_buffer(value))
-        return ffi.cast(_ANY, kept[-1])
-    return value

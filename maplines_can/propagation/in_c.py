@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import ffi, new, pointer, pointers
+from ..core import ffi
+from ..core.memory import new, pointer, pointers
 from ..native import lib
 from ..values.gaussian import Gaussian
 from ..values.line import LeftOut, MapLine, MapLineList, Slot

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core import new, pointer
+from ..core.memory import new, pointer
 from ..native import lib
 from .arrays import floats
 from .linalg import (

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core import pointer
+from ..core.memory import pointer
 from ..native import lib
 from .arrays import floats, is_plain, number_text
 from .cubics import Poses, fit_points, points_of, refitted

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import ffi, pointer
+from ..core import ffi
+from ..core.memory import pointer
 from ..native import lib
 from ..values.line import LeftOut, MapLine, Slot
 from ..values.scene import Scene

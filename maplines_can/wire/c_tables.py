@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import structure
+from ..core.memory import structure
 from ..native import lib
 from ..values.errors import LayoutError
 from ..values.line import Slot

@@ -1,12 +1,14 @@
 """Tables of a DBC that the core checks, since it reads and writes where they say."""
 
+import shutil
 from typing import Any
 
+import make_declarations
 import pytest
 from scene_streams import COMPLETE, CONDITIONAL, new_codec
 
 from maplines_can import native
-from maplines_can.core import structure
+from maplines_can.core.memory import structure
 from maplines_can.wire import c_tables
 
 pytestmark = pytest.mark.skipif(not native.is_active, reason="there is no C path")
@@ -20,6 +22,12 @@ def is_accepted(dbc: str, change: dict[str, Any]) -> bool:
         content[name] = {**before, **value} if isinstance(value, dict) else value  # type: ignore[dict-item]
     tables = structure("maplines_dbc_t", c_tables._plain(content))
     return bool(native.lib.maplines_check_tables(tables))
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no cc")
+def test_the_declarations_are_those_of_the_headers() -> None:
+    """After a change of a header, tools/make_declarations.py writes them again."""
+    assert make_declarations.PATH.read_text() == make_declarations.declarations()
 
 
 @pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis.extra.numpy import arrays
 
-from maplines_can.core import pointer
+from maplines_can.core.memory import pointer
 from maplines_can.native import lib
 from maplines_can.values import gaussian as module
 from maplines_can.values import line as line_module

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core import pointer
+from ...core.memory import pointer
 from ...native import lib
 from ...values.arrays import floats
 from ...values.linalg import MAX_COV, ROUNDING, asymmetric, indefinite, rounding_of

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core import ffi, pointer, pointers
+from ...core import ffi
+from ...core.memory import pointer, pointers
 from ...native import lib
 from ...values.elementary import exp2
 from ..covariance import CholeskyCode
