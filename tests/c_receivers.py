@@ -111,7 +111,8 @@ class Receivers:
 
     def component(self, slot: int, i: int) -> None:
         """Ask for a component of the newest line of any slot; records have their covariances."""
-        line = self.decoder._newest.get(Slot(slot)) if slot in self._slots else None
+        decoder: Any = self.decoder  # of Python, which has the newest lines at hand
+        line = decoder._newest.get(Slot(slot)) if slot in self._slots else None
         found: list[tuple[float, Gaussian]] = []
         if line is not None and line.mixture is not None:
             found = [*zip(line.mixture.weights, line.mixture.components, strict=True)]

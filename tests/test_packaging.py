@@ -9,7 +9,9 @@ import sys
 import sysconfig
 import venv
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import build_core
 import pytest
@@ -21,7 +23,11 @@ FIND_DBC = "import maplines_can.wire as w; w.Codec.from_dbc(); print(w.default_d
 BIN = "Scripts" if sys.platform == "win32" else "bin"
 
 
-def run(*command: str | Path, cwd: Path | None = None, **variables: str) -> str:
+def run(
+    *command: str | Path,
+    cwd: Path | None = None,
+    variables: Mapping[str, str] = MappingProxyType({}),
+) -> str:
     """Run a command on no forced path, check that it succeeds, and return its output.
 
     Args:
@@ -31,7 +37,12 @@ def run(*command: str | Path, cwd: Path | None = None, **variables: str) -> str:
     """
     environment = {name: value for name, value in os.environ.items() if name != "MAPLINES_NATIVE"}
     done = subprocess.run(
-        command, capture_output=True, text=True, check=False, cwd=cwd, env=environment | variables
+        command,
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=cwd,
+        env={**environment, **variables},
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout.strip()
@@ -40,7 +51,7 @@ def run(*command: str | Path, cwd: Path | None = None, **variables: str) -> str:
 def built(folder: Path, **variables: str) -> Path:
     """Return a wheel of the checkout."""
     build = (sys.executable, "-m", "build", "--wheel", "--no-isolation")
-    run(*build, "--outdir", folder, ROOT, **variables)
+    run(*build, "--outdir", folder, ROOT, variables=variables)
     (path,) = folder.glob("*.whl")
     return path
 
@@ -185,7 +196,7 @@ def test_a_compiler_is_fetched_where_there_is_none(monkeypatch: pytest.MonkeyPat
     hook = build_core.CoreHook.__new__(build_core.CoreHook)
 
     assert hook.dependencies() == ["ziglang>=0.13"]
-    monkeypatch.setattr(build_core.platform, "machine", lambda: "pdp11")
+    monkeypatch.setattr("platform.machine", lambda: "pdp11")
     assert hook.dependencies() == []
     with pytest.raises(build_core.BuildError, match=r"ziglang has none for .*apt-get install gcc"):
         build_core.compiler()

@@ -9,6 +9,7 @@ from scene_streams import COMPLETE, CONDITIONAL, new_codec
 
 from maplines_can import native
 from maplines_can.core.memory import structure
+from maplines_can.values.errors import LayoutError
 from maplines_can.wire import c_tables
 
 pytestmark = pytest.mark.skipif(not native.is_active, reason="there is no C path")
@@ -64,5 +65,5 @@ def test_a_layout_whose_tables_are_refused(monkeypatch: pytest.MonkeyPatch) -> N
         c_tables, "content_of", lambda layout: {**given(layout), "max_components": 65}
     )
 
-    with pytest.raises(c_tables.LayoutError, match=r"maplines\.dbc: the core takes its tables"):
+    with pytest.raises(LayoutError, match=r"maplines\.dbc: the core takes its tables"):
         c_tables.tables_of(new_codec(COMPLETE).layout)
