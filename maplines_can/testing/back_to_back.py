@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import astuple
+from importlib.util import find_spec
 from itertools import count, zip_longest
 from typing import Any, NamedTuple
 
@@ -70,9 +71,13 @@ class Result(NamedTuple):
     difference: Difference | None
 
 
+#: Whether streams can have authenticated frames: the extra ``secoc`` is installed.
+HAS_MAC = find_spec("cryptography") is not None
+
+
 def profiles_of(layout: Layout) -> list[Profile]:
     """Return the profiles of streams that a DBC can have."""
-    secured = () if layout.secured is None else SECURED_PROFILES
+    secured = SECURED_PROFILES if layout.secured is not None and HAS_MAC else ()
     return [profile for profile in (*PROFILES, *secured) if _is_possible(profile, layout)]
 
 
@@ -169,7 +174,8 @@ class Pair:
         self._layout, self._stale_cycles = layout, profile.stale_cycles
         self.now_us = START_US  #: time of the clock of freshness values
         self.answer: Any = None  #: last answer of the model
-        self._keys = {key_id: Key(secret, key_id) for key_id, secret in SECRETS.items()}
+        secrets = SECRETS if profile.has_keys or profile.is_signed else {}
+        self._keys = {key_id: Key(secret, key_id) for key_id, secret in secrets.items()}
         settings = dict(profile.settings)
         self.core = self._decoder(profile).decoder(**settings)
         e2e = settings.pop("e2e", None)

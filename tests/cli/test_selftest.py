@@ -8,10 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from maplines_can.cli import main
+from maplines_can.cli import main, selftest
 from maplines_can.model import e2e
-from maplines_can.wire import default_dbc_path
+from maplines_can.testing import back_to_back
+from maplines_can.wire import Layout, default_dbc_path
+from maplines_can.wire.protection import key
 
+SECURED = Layout.from_dbc(default_dbc_path("maplines-secoc.dbc"))
 SHORT = ["selftest", "--seconds", "0.001"]
 
 
@@ -58,3 +61,20 @@ def test_other_dbcs_can_be_given(capsys: pytest.CaptureFixture[str], tmp_path: P
     assert main([*SHORT, "--dbc", str(path)]) == 0
     assert main([*SHORT, "--dbc", "none.dbc"]) == 1
     assert "none.dbc" in capsys.readouterr().err
+
+
+def test_without_cryptography_the_rest_is_compared(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It says what is not compared, and which extra has it."""
+    monkeypatch.setattr(back_to_back, "HAS_MAC", False)
+    monkeypatch.setattr(selftest, "HAS_MAC", False)
+    monkeypatch.setattr(key, "_primitives", lambda: pytest.fail("there is no cryptography"))
+    assert not any(one.has_keys for one in back_to_back.profiles_of(SECURED))
+    for profile in back_to_back.profiles_of(SECURED):
+        back_to_back.Pair(SECURED, profile)
+    assert main(SHORT) == 0
+    captured = capsys.readouterr()
+    assert captured.out.startswith("bit-identical on ")
+    expected = 'maplines: authenticated frames are not compared; install the extra "secoc"'
+    assert captured.err.startswith(expected)
