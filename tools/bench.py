@@ -442,7 +442,7 @@ def paths(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
                 Refit([*lines.values()], ego.mean, highway.window),
                 Gaussian.trusted(ego.mean, ego.cov),
             ),
-            FILTERPY, filtered, 40,
+            FILTERPY, filtered, 20,
         ),
     }  # fmt: skip
     for what, (units, call, peer, peer_call, target) in calls.items():
