@@ -91,8 +91,7 @@ static bool write_line(const maplines_dbc_t *dbc, const double *const *powers,
                        const double *given_weights, int64_t *counter, uint8_t *records)
 {
     const size_t length = 8U * (size_t)dbc->line.pages;
-    double weights[MAPLINES_MAX_COMPONENTS];
-    double cover[16];
+    double weights[MAPLINES_MAX_COMPONENTS] = {1.0};
     maplines_input_t line;
     maplines_draft_t draft;
     bool is_good = read_line(dbc, given, &line);
@@ -107,8 +106,7 @@ static bool write_line(const maplines_dbc_t *dbc, const double *const *powers,
     draft.powers = powers;
     if (is_good && given_weights != NULL)
     {
-        is_good = read_mixture(dbc, count, gaussians, given_weights, weights, cover);
-        memcpy(draft.cover, cover, sizeof draft.cover);
+        is_good = read_mixture(dbc, count, gaussians, given_weights, weights, draft.cover);
     }
     for (int i = 0; is_good && i < count; i++)
     {
