@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from . import ffi
 
-__all__ = ["new", "pointer", "pointers", "structure"]
+__all__ = ["new", "pointer", "pointers", "shaped", "structure"]
 
 #: Type that cffi takes for any pointer.
 _ANY = ffi.typeof("void *")
@@ -35,6 +35,17 @@ def pointer(array: NDArray[Any], *, written: bool = False) -> Any:
         ValueError: the array is not in C order, or may not be written to.
     """
     return ffi.from_buffer(_TYPES[array.dtype], array, written)
+
+
+def shaped(array: NDArray[Any], shape: tuple[int, ...]) -> Any:
+    """Return the pointer to the elements of an array, in C order.
+
+    Raises:
+        ValueError: it has another shape, so that C would read beyond it.
+    """
+    if array.shape != shape:
+        raise ValueError(f"an array must have shape {shape}, got {array.shape}")
+    return pointer(np.ascontiguousarray(array))
 
 
 def pointers(arrays: Sequence[NDArray[Any]]) -> Any:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core import ffi
-from ..core.memory import pointer
+from ..core.memory import shaped
 from ..native import lib
 from ..values.line import LeftOut, MapLine, Slot
 from ..values.scene import Scene
@@ -231,10 +231,7 @@ def _given_scene(scene: Scene) -> tuple[Any, Any]:
 
 
 def _array(values: Any, shape: tuple[int, ...]) -> Any:
-    array = np.ascontiguousarray(values, dtype=np.float64)
-    if array.shape != shape:
-        raise ValueError("an array of a scene has another shape")
-    return pointer(array)
+    return shaped(np.asarray(values, dtype=np.float64), shape)
 
 
 class SceneInC(EncodedScene):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...core import ffi
-from ...core.memory import pointer, pointers
+from ...core.memory import pointer, pointers, shaped
 from ...native import lib
 from ...values.elementary import exp2
 from ..covariance import CholeskyCode
@@ -80,10 +80,10 @@ class BatchKernel:
             self._tables,
             self.variance_powers,
             n,
-            _given(gaussians.mean, (n, 4)),
-            _given(gaussians.cov, (n, 4, 4)),
-            ffi.NULL if cover is None else _given(cover, (n, 4, 4)),
-            _given(gaussians.indefinite, (n,)),
+            shaped(gaussians.mean, (n, 4)),
+            shaped(gaussians.cov, (n, 4, 4)),
+            ffi.NULL if cover is None else shaped(cover, (n, 4, 4)),
+            shaped(gaussians.indefinite, (n,)),
             pointer(_rows((slot,), n, np.int64)),
             pointer(_rows(integers, n, np.int64)),
             pointer(_rows(reals, n, np.float64)),
@@ -95,7 +95,7 @@ class BatchKernel:
         """Return the (n, k) decoded weights of mixtures, and the (n, 4, 4) deficit they leave."""
         n, k = weights.shape
         decoded, cover = np.empty((n, k)), np.empty((n, 4, 4))
-        given = _given(weights, (n, k)), _given(means, (n, k, 4)), _given(covs, (n, k, 4, 4))
+        given = shaped(weights, (n, k)), shaped(means, (n, k, 4)), shaped(covs, (n, k, 4, 4))
         arrays = (*given, pointer(decoded), pointer(cover))
         if not lib.maplines_cover_mixtures(self._tables, n, k, steps, *arrays):
             raise ValueError(f"the core holds up to 64 components, got {k}")
@@ -109,19 +109,12 @@ class BatchKernel:
         mean, cov, verdict = np.empty((n, 4)), np.empty((n, 4, 4)), np.empty(n, dtype=np.int8)
         integers = np.empty((len(INTEGERS), n), dtype=np.int64)
         reals = np.empty((len(REALS), n))
-        given = _given(payloads, (n, self._record_bytes)), _given(data_ids, (n,))
+        given = shaped(payloads, (n, self._record_bytes)), shaped(data_ids, (n,))
         made = mean, cov, verdict, integers, reals
         arrays = (*given, *(pointer(one) for one in made))
         lib.maplines_decode_lines(self._tables, self._sigma_powers, n, *arrays)
         fields = dict(zip((*INTEGERS, *REALS), (*integers, *reals), strict=True))
         return {"mean": mean, "cov": cov, "verdict": verdict, **fields}
-
-
-def _given(array: NDArray[Any], shape: tuple[int, ...]) -> Any:
-    """Return the pointer to the elements of an array of this shape: C would read beyond another."""
-    if array.shape != shape:
-        raise ValueError(f"an array must have shape {shape}, got {array.shape}")
-    return pointer(np.ascontiguousarray(array))
 
 
 def _rows(values: Iterable[ArrayLike], n: int, kind: type) -> NDArray[Any]:
