@@ -2,7 +2,6 @@ from . import bus as bus
 from . import consumers as consumers
 from . import localisation as localisation
 from . import maps as maps
-from . import native as native
 from . import propagation as propagation
 from . import simulation as simulation
 from . import testing as testing

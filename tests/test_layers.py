@@ -22,7 +22,7 @@ ROOMS = (
     "maps", "maps.formats", "localisation", "consumers", "simulation", "restbus", "cli",
 )  # fmt: skip
 #: Modules that stand lower than their folder.
-BELOW = {"wire.reasons": "wire.layout", "native": "values", "engines": "values"}
+BELOW = {"wire.reasons": "wire.layout", "values.errors": "core", "engines": "values"}
 #: Commands that run the study; the others import it, and fault injection, only inside functions.
 STUDY_COMMANDS = {f"cli.{name}" for name in (
     "demo", "study", "report", "production", "design", "accuracy", "claims", "figures", "selftest",
@@ -151,7 +151,7 @@ def test_the_order_is_complete() -> None:
     """Each folder of the product is in the list, and nothing stands beside the folders."""
     top = {path.name for path in PACKAGE.iterdir() if path.suffix in ("", ".py")}
     rooms = {room.split(".")[0] for room in ROOMS}
-    single = {"__init__.py", "__main__.py", "native.py", "engines.py"}
+    single = {"__init__.py", "__main__.py", "engines.py"}
     assert top - {"__pycache__"} == rooms | {"study", "testing", "model"} | single
 
 

@@ -3,8 +3,7 @@
 
 `pip install` runs this. It needs a C compiler: that of CC, or cc, gcc, clang or cl. Where there is
 none, pip fetches the package ziglang, which has one (100 MB, so this takes minutes). CFLAGS and
-LDFLAGS are added, such as those of sanitizers. With MAPLINES_NATIVE=0 nothing is built, and the
-package computes in Python alone.
+LDFLAGS are added, such as those of sanitizers.
 
     python tools/build_core.py       build it again in the checkout, after changes of C
 """
@@ -57,15 +56,11 @@ class CoreHook(BuildHookInterface[Any]):
 
     def dependencies(self) -> list[str]:
         """Return what pip installs for the build: a compiler where there is none."""
-        return ["ziglang>=0.13"] if is_wanted() and not own_compiler() and target() else []
+        return ["ziglang>=0.13"] if not own_compiler() and target() else []
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Build the library; without it, the wheel is one for any platform."""
+        """Build the library into the checkout, or into a wheel of this platform."""
         place = ROOT / "maplines_can" / LIBRARY
-        if not is_wanted():
-            if version == "editable":
-                place.unlink(missing_ok=True)
-            return
         if version != "editable":
             self._folder = tempfile.mkdtemp()
             place = Path(self._folder) / place.name
@@ -83,11 +78,6 @@ class CoreHook(BuildHookInterface[Any]):
         shutil.rmtree(self._folder, ignore_errors=True)
 
     _folder = ""
-
-
-def is_wanted() -> bool:
-    """Return whether the library is to be built."""
-    return os.environ.get("MAPLINES_NATIVE", "") != "0"
 
 
 def own_compiler() -> list[str]:

@@ -78,9 +78,7 @@ def install(extra: str) -> str | None:
     pip = [find("python"), "-m", "pip", "--disable-pip-version-check", "install", "-qq"]
     extras = ["dev", "plot"] if extra == "dev" else [extra]
     command = [*pip, "--editable", f"{ROOT}[{','.join(extras)}]"]
-    # MAPLINES_NATIVE=0 is for the command, not for the environment, which other commands use, too.
-    variables = {name: text for name, text in os.environ.items() if name != "MAPLINES_NATIVE"}
-    if subprocess.run(command, check=False, env=variables).returncode:
+    if subprocess.run(command, check=False).returncode:
         return "pip could not install the project; see its message above"
     STAMP.write_text(f"{source_hash()} {' '.join(extras)}")
     return None

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from ..native import lib
+from ..core import lib
 from .frame_block import LogFrame
 from .log_summary import LogSummary, Skipped
 from .log_times import LogTimes
@@ -46,8 +46,7 @@ class AscFormat:
     @property
     def run(self) -> tuple[Any, ...] | None:
         """Function of the core for frames, and the radix of their numbers."""
-        is_row = lib is not None and not self._is_header
-        return (lib.maplines_parse_asc, self._radix) if is_row else None
+        return None if self._is_header else (lib.maplines_parse_asc, self._radix)
 
     def row(self, line: str, number: int) -> LogFrame | None:
         """Return the frame of a row; None if it is no data frame."""

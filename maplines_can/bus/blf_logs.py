@@ -9,7 +9,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any, BinaryIO, NamedTuple
 
-from ..native import lib
+from ..core import lib
 from .frame_block import MAX_DATA, MAX_OBJECT, FrameBlock, LogCore, LogFrame
 from .log_summary import LogSummary, Skipped
 from .text_rows import check_frame

@@ -6,7 +6,7 @@ import re
 from datetime import datetime
 from typing import Any
 
-from ..native import lib
+from ..core import lib
 from .frame_block import LogFrame
 from .log_summary import LogSummary, Skipped
 from .log_times import LogTimes
@@ -42,7 +42,7 @@ class CandumpFormat:
         summary: of the log.
     """
 
-    run: tuple[Any, ...] | None = None if lib is None else (lib.maplines_parse_candump,)
+    run: tuple[Any, ...] | None = (lib.maplines_parse_candump,)
 
     def __init__(self, times: LogTimes, summary: LogSummary) -> None:
         self.times, self._summary = times, summary

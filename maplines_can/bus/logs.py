@@ -15,7 +15,6 @@ from os import PathLike
 from pathlib import Path
 from typing import IO, Any, NamedTuple, cast, get_args
 
-from ..native import lib
 from ..values.errors import LogError, missing_extra
 from ..values.input_files import checked_path
 from .asc_log import AscFormat
@@ -296,6 +295,4 @@ def _read_text(lines: Lines, name: str, suffix: str, how: _Reading) -> Records:
 
 _READERS: dict[str, Any] = {".blf": BlfReader, ".db": SqliteReader, ".mf4": Mf4Reader}
 #: Readers that yield runs.
-_RUN_READERS: dict[str, Any] = {}
-if lib is not None:
-    _RUN_READERS |= {".blf": BlfRunReader}
+_RUN_READERS: dict[str, Any] = {".blf": BlfRunReader}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, Protocol
 
-from ..native import lib
 from .frame_block import MAX_DATA, FrameBlock, LogCore, LogFrame
 from .log_times import MAX_WAIT, LogTimes
 from .text_lines import Lines
@@ -58,7 +57,7 @@ class RowReader:
 
     def __init__(self, lines: Lines, format: RowFormat, *, runs: bool) -> None:  # noqa: A002
         self._lines, self._format = lines, format
-        self._core = LogCore() if runs and lib is not None else None
+        self._core = LogCore() if runs else None
 
     def __iter__(self) -> Iterator[LogFrame | FrameBlock]:
         lines, times = self._lines, self._format.times

@@ -20,7 +20,7 @@ from importlib import import_module
 from typing import Any
 
 from .. import __version__
-from ..values.errors import MaplinesError, NativeError
+from ..values.errors import CoreError, MaplinesError
 from .parsing import Parser
 from .stderr import note
 
@@ -121,7 +121,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     except (MaplinesError, OSError, ValueError) as error:
         message = _with_options(" ".join(_text(error).split()))
-        is_loaded = not isinstance(error, NativeError)  # the hint needs most of the package
+        is_loaded = not isinstance(error, CoreError)  # the hint needs most of the package
         note(f"error: {message}{_missing_file_hint(message, argv) if is_loaded else ''}")
         return 1
     finally:
@@ -153,16 +153,16 @@ def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__
 
 
 class _Version(argparse.Action):
-    """Option that prints the version and the path of this process, and ends it."""
+    """Option that prints the version and the compiler of the core, and ends it."""
 
     def __init__(self, option_strings: Sequence[str], dest: str) -> None:
-        text = "print the version, and whether C or Python alone computes"
+        text = "print the version, and what compiler built the core"
         super().__init__(option_strings, dest, nargs=0, default=argparse.SUPPRESS, help=text)
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        from ..native import description  # loads the core
+        from ..core import compiler  # loads the core
 
-        print(f"maplines {__version__}, computes in {description()}")
+        print(f"maplines {__version__}, core built with {compiler}")
         parser.exit()
 
 

@@ -13,34 +13,36 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
+from .. import __version__
+from ..values.errors import CoreError
 from .declarations import ffi
 
-__all__ = ["PATH", "CoreError", "Lock", "ffi", "load"]
+__all__ = ["PATH", "Lock", "compiler", "ffi", "lib"]
 
 PATH = Path(__file__).with_name(f"maplines.{'dll' if os.name == 'nt' else 'so'}")
 #: Structures that are made here, in the order of ``maplines_core_size``.
 _STRUCTURES = ("dbc", "receiver", "settings", "block", "rows", "log", "prepared", "given_scene")
+_CURE = "install maplines_can again, which builds it"
 
 
-class CoreError(ImportError):
-    """There is no library, or it is not that of this version of the package."""
-
-
-def load(version: str) -> tuple[Any, str]:
-    """Return the functions of the library, and what built it.
-
-    Raises:
-        CoreError: there is none that can be used.
-    """
+def _load() -> tuple[Any, str]:
+    """Return the functions of the library, and what built it."""
     if not PATH.exists():
-        raise CoreError("no library of the core; an install with a C compiler builds it")
+        raise CoreError(f"the library of the core, {PATH.name}, is missing; {_CURE}")
     try:
         lib = ffi.dlopen(str(PATH))
         found = ffi.string(lib.maplines_core_version()).decode()
         sizes = [lib.maplines_core_size(i) for i in range(len(_STRUCTURES))]
         compiler = ffi.string(lib.maplines_core_compiler()).decode()
     except (OSError, ffi.error) as error:
-        raise CoreError(f"the library of the core cannot be loaded: {error}") from error
-    if (found, sizes) != (version, [ffi.sizeof(f"maplines_{name}_t") for name in _STRUCTURES]):
-        raise CoreError(f"the library of the core is of version {found}; install the package again")
-    return lib, f"built with {compiler}"
+        raise CoreError(f"the library of the core cannot be loaded: {error}; {_CURE}") from error
+    if (found, sizes) != (__version__, [ffi.sizeof(f"maplines_{name}_t") for name in _STRUCTURES]):
+        raise CoreError(f"the library of the core is of version {found}; {_CURE}")
+    return lib, compiler
+
+
+#: The functions of the library.
+lib: Any
+#: The compiler that built it.
+compiler: str
+lib, compiler = _load()

@@ -14,9 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import ffi
+from ..core import ffi, lib
 from ..core.memory import new, pointer, pointers
-from ..native import lib
 from ..values.gaussian import Gaussian
 from ..values.line import LeftOut, MapLine, MapLineList, Slot
 from ..values.map_error import MapError
@@ -112,7 +111,7 @@ class CycleInC(NamedTuple):
         max_sigma: float,
     ) -> CycleInC | None:
         """Return the cycle of the checked arguments of ``map_lines``."""
-        if lib is None or not lines or not _SLOTS.issuperset(lines):
+        if not lines or not _SLOTS.issuperset(lines):
             return None
         pose = (*ego.mean.tolist(), *ego.cov.ravel().tolist())
         try:
@@ -281,8 +280,6 @@ def refit_in_c(
         ValueError: the window is empty.
         IllPosedError: a line has no stretch.
     """
-    if lib is None:
-        return None
     settings = (max_misfit, room, step, *_error_of(map_error))
     has_noise = map_error is not None or max_misfit < np.inf
     count = len(lines.given) if isinstance(lines, Stretches) else len(lines)

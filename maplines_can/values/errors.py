@@ -25,8 +25,8 @@ class MissingExtraError(MaplinesError, ImportError):
     """A package of an optional extra is not installed. The message names the extra."""
 
 
-class NativeError(MaplinesError, ImportError):
-    """The path that MAPLINES_NATIVE asks for is not there, or there is no such path."""
+class CoreError(MaplinesError, ImportError):
+    """There is no library of the core, or it is not that of this version of the package."""
 
 
 class BusError(MaplinesError, OSError):

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core import lib
 from ..core.memory import new, pointer
-from ..native import lib
 from .arrays import floats
 from .linalg import (
     MAX_COV,
@@ -59,7 +59,7 @@ matrix is -1; use nearest_covariance(cov), which covers it
         mean = floats(self.mean, "mean").copy()
         cov = floats(self.cov, "cov").copy()
         rounding = rounding_of(self.cov)
-        if not (lib is not None and _is_checked(mean, cov, rounding)):
+        if not _is_checked(mean, cov, rounding):
             if mean.ndim != 1 or mean.size == 0 or not all(map(math.isfinite, mean.tolist())):
                 raise ValueError(f"mean must be finite with shape (n,), got {mean!r}")
             if cov.shape != (mean.size, mean.size):

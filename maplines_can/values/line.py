@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core import lib
 from ..core.memory import pointer
-from ..native import lib
 from .arrays import floats, is_plain, number_text
 from .cubics import Poses, fit_points, points_of, refitted
-from .elementary import tan_one
 from .errors import IllPosedError
 from .gaussian import Gaussian, variances
 from .mixture import GaussianMixture
@@ -278,22 +277,13 @@ def _lateral_one(parameters: NDArray[np.float64], x: float) -> Any:
     It is a number of NumPy's class, as NumPy returns it of arrays without axes.
     """
     y_off, beta, c0, c1 = parameters.tolist()
-    if lib is not None:
-        return np.float64(lib.maplines_line_y(y_off, beta, c0, c1, x))
-    return np.float64(y_off + x * (tan_one(beta) + x * (c0 / 2 + x * c1 / 6)))
+    return np.float64(lib.maplines_line_y(y_off, beta, c0, c1, x))
 
 
 def _sigma_one(gaussian: Gaussian, x: float) -> Any:
     """Return the standard deviation of one line at one x: as ``MapLine.y_sigma``."""
-    if lib is not None:
-        cov = pointer(np.ascontiguousarray(gaussian.cov))
-        return np.float64(lib.maplines_line_sigma(gaussian.mean.item(1), cov, x))
-    slope = tan_one(gaussian.mean.item(1))
-    J = (1.0, (1 + slope * slope) * x, x * x / 2, x * x * x / 6)
-    variance = 0.0
-    for weight, (of_y, of_beta, of_c0, of_c1) in zip(J, gaussian.cov.tolist(), strict=True):
-        variance += weight * (of_y + J[1] * of_beta + J[2] * of_c0 + J[3] * of_c1)
-    return np.float64(math.sqrt(0.0 if variance < 0 else variance))
+    cov = pointer(np.ascontiguousarray(gaussian.cov))
+    return np.float64(lib.maplines_line_sigma(gaussian.mean.item(1), cov, x))
 
 
 @np.errstate(over="ignore", invalid="ignore")

@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import ffi
+from ..core import ffi, lib
 from ..core.memory import shaped
-from ..native import lib
 from ..values.line import LeftOut, MapLine, Slot
 from ..values.scene import Scene
 from .covariance.cholesky import CholeskyCode

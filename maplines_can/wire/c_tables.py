@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core import lib
 from ..core.memory import structure
-from ..native import lib
 from ..values.errors import LayoutError
 from ..values.line import Slot
 from .covariance import CholeskyCode
@@ -126,13 +126,12 @@ Value = Members | Signal | NDArray[np.float64] | bool | int | float | str | None
 
 
 def tables_of(layout: Layout) -> Any:
-    """Return the tables of a DBC, a ``maplines_dbc_t *``; None without C, also of this DBC."""
-    if lib is None:
-        return None
-    try:
-        tables = structure("maplines_dbc_t", _plain(content_of(layout)))
-    except LayoutError:
-        return None
+    """Return the tables of a DBC, a ``maplines_dbc_t *``.
+
+    Raises:
+        LayoutError: the core cannot hold the DBC; see ``check``.
+    """
+    tables = structure("maplines_dbc_t", _plain(content_of(layout)))
     if not lib.maplines_check_tables(tables):
         raise LayoutError(f"{layout.source}: the core takes its tables for those of no DBC")
     return tables

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...core import lib
 from ...core.memory import pointer
-from ...native import lib
 from ...values.arrays import floats
 from ...values.linalg import MAX_COV, ROUNDING, asymmetric, indefinite, rounding_of
 from .signals import PARAMETER_SIGNALS
@@ -35,7 +35,7 @@ def checked_gaussians(means: ArrayLike, covs: ArrayLike | None) -> CheckedGaussi
     cov = np.zeros((n, 4, 4)) if covs is None else floats(covs, "covs")
     if cov.shape != (n, 4, 4):
         raise ValueError(f"covs must have shape ({n}, 4, 4), as the means, got {cov.shape}")
-    if lib is not None and rounding == ROUNDING:
+    if rounding == ROUNDING:
         symmetric, strange = np.empty((n, 4, 4)), np.empty(n, dtype=bool)
         given = np.ascontiguousarray(mean), np.ascontiguousarray(cov), symmetric, strange
         if lib.maplines_check_gaussians(n, *map(pointer, given)):

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core import Lock, ffi
+from ...core import Lock, ffi, lib
 from ...core.memory import pointer
-from ...native import lib
 from ...values.line import MapLine, Slot
 from ..layout.message_layout import Layout
 from ..layout.pose_layout import POSE, Owner

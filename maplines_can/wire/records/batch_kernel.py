@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core import ffi
+from ...core import ffi, lib
 from ...core.memory import pointer, pointers, shaped
-from ...native import lib
 from ...values.elementary import exp2
 from ..covariance import CholeskyCode
 from ..layout.message_layout import Layout
