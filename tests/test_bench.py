@@ -9,11 +9,8 @@ from typing import Any
 
 import pytest
 
-from maplines_can import native
-
 TARGETS = {"refit": 3, "scene": 3, "window": 2, "signals": 2, "batch": 2, "one": 0, "map": 2}
-if native.is_active:
-    TARGETS["paths"] = 3
+TARGETS["cycle"] = 3
 
 
 @pytest.fixture
@@ -43,7 +40,7 @@ def test_every_part_gives_a_row_for_each_of_its_targets(
 
     report = json.loads(capsys.readouterr().out)
     targets = [row["part"] for row in report["results"] if row["target"]]
-    assert {part: targets.count(part) for part in bench.PARTS} == {"paths": 0} | TARGETS
+    assert {part: targets.count(part) for part in bench.PARTS} == TARGETS
     for row in report["results"]:
         assert 0 < row["ratio_min"] <= row["ratio"] <= row["ratio_max"]
         assert min(row["ours_s"], row["peer_s"], row["ours_bytes"], row["peer_bytes"]) > 0

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from drive_files import town
 from evidence import (
-    both_paths,
-    both_paths_roads,
     bus,
+    core,
     epochs,
     fusion,
     harness,
@@ -30,28 +29,22 @@ from evidence.figures import Rms, Share
 from evidence.harness import Evidence, bounds_of, matching, missed, promises, settings
 from evidence.roads import SLOTS, maps_of, random_map
 
-from maplines_can import Gaussian, LeftOut, map_lines, native
+from maplines_can import Gaussian, LeftOut, map_lines
 from maplines_can.consumers.integrity import multiplier
 from maplines_can.maps import Map, load
-from maplines_can.propagation.in_c import CycleInC
+from maplines_can.testing import back_to_back, sender_streams
 from maplines_can.wire import Encoder, c_tables
-from maplines_can.wire.c_sender import CSender
 from maplines_can.wire.covariance.scene_code import DecodedLines
 
 for _name in harness.modules():
     importlib.import_module(f"evidence.{_name}")
 QUICK = {name: one for name, one in harness.REGISTRY.items() if not one.in_real_time}
-#: Whether modules run with the C core, of those that compare it with Python alone.
-PATHS = {"both_paths": True, "both_paths_roads": True, "c_core": False, "c_speed": False}
 
 
 @pytest.fixture(scope="module", params=QUICK)
 def result(request: pytest.FixtureRequest) -> tuple[Evidence, Any]:
     """An evidence, and the figures of its quickest form."""
     one = QUICK[request.param]
-    needs_c = PATHS.get(one.name.partition(".")[0], native.is_active)
-    if needs_c != native.is_active:
-        pytest.skip(f"the path is {native.description()}")
     return one, one.measure(**one.quick)
 
 
@@ -350,30 +343,18 @@ def test_a_map_is_read_for_its_roads(tmp_path: Path) -> None:
             maps_of([str(tmp_path / wrong)])
 
 
-@pytest.mark.skipif(not native.is_active, reason="there is no C path")
-def test_paths_that_differ_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A record in C with another byte, a line in C that is longer by a micrometre, and one path."""
-    of_c = CSender.write_lines
+def test_a_core_that_differs_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A record with another byte and a frame with another reason end the evidence with a line."""
+    written = sender_streams.writer.write
 
-    def other_byte(*arguments: Any, **options: Any) -> Any:
-        found = of_c(*arguments, **options)
-        if found is None:
-            return None
-        records, counters = found
-        data = bytes([records.data[0] ^ 1]) + records.data[1:]
-        return records._replace(data=data), counters
-
-    def longer(*arguments: Any) -> Any:
-        return [replace(line, x_max=line.x_max + 1e-6) for line in made(*arguments)]
+    def other_byte(*arguments: Any) -> bytes:
+        record = written(*arguments)
+        return bytes([record[0] ^ 1]) + record[1:]
 
     with monkeypatch.context() as patch:
-        patch.setattr(CSender, "write_lines", other_byte)
-        with pytest.raises(AssertionError):
-            both_paths.lines(40)
-    made = CycleInC._made
-    with monkeypatch.context() as patch:
-        patch.setattr(CycleInC, "_made", longer)
-        assert "range [m] is" in misses("both_paths_roads", both_paths_roads.both_paths_roads(1))
-    monkeypatch.setattr(native, "is_active", False)
-    with pytest.raises(SystemExit, match="only one path to compare"):
-        both_paths.frames(1)
+        patch.setattr(sender_streams.writer, "write", other_byte)
+        with pytest.raises(SystemExit, match=r"is .* by the core, .* by the model"):
+            core.senders(40)
+    monkeypatch.setattr(back_to_back, "_answer", lambda _: "PENDING")
+    with pytest.raises(SystemExit, match="the answer is 'PENDING' by the core"):
+        core.frames(100)

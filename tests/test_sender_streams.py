@@ -5,12 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can import native
 from maplines_can.model import covariance, nearest_line, scene_sender, weights
 from maplines_can.testing.sender_streams import STREAMS, bits, compare_senders
 from maplines_can.wire import SHIPPED, Codec, Layout, default_dbc_path
-
-pytestmark = pytest.mark.skipif(not native.is_active, reason="there is no core")
 
 LAYOUT = Layout.from_dbc()
 

@@ -33,8 +33,7 @@ The parts:
             the target is for its default, strict
   batch     Gaussian to payload and back, against packing alone by cantools
   one       the same line by line, where arrays do not help
-  paths     each step of a cycle in C and in Python alone, beside the same peer; the
-            targets are for C, which it needs
+  cycle     each step of a cycle of a car, beside a peer
   map       loading of a map of a thousand roads (copies of the town of the package),
             against parsing its XML alone; lines around the first pose on each of 400
             lanes, and around later poses, against matching of the poses alone, and
@@ -74,7 +73,7 @@ from filterpy.kalman import MerweScaledSigmaPoints as MerwePoints
 from filterpy.kalman import unscented_transform
 from map_copies import copies_of_town
 
-from maplines_can import maps, native
+from maplines_can import maps
 from maplines_can.maps.view import LaneView
 from maplines_can.propagation import Refit, SigmaPoints, map_lines, map_scene, points_in_window
 from maplines_can.simulation.scenarios import scenario
@@ -393,28 +392,8 @@ def middle_of(lane: maps.Lane) -> Any:
     return np.array([(x0 + x1) / 2, (y0 + y1) / 2, np.arctan2(y1 - y0, x1 - x0)])
 
 
-def alone(call: Callable[[], Any]) -> Callable[[], Any]:
-    """Return a call that Python computes alone, but for objects that C made before."""
-    users = [one for one in sys.modules.values() if getattr(one, "lib", None) is native.lib]
-    users.remove(native)
-
-    def run() -> Any:
-        for user in users:
-            user.lib = None  # type: ignore[attr-defined]
-        try:
-            return call()
-        finally:
-            for user in users:
-                user.lib = native.lib  # type: ignore[attr-defined]
-
-    return run
-
-
-def paths(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
-    """Compare both paths with the same peers: what a car does in a cycle, step by step."""
-    if not native.is_active:
-        yield f"nothing, as Python computes alone: {native.reason}"
-        return
+def cycle_steps(_: Sizes, seed: int) -> Iterator[str | Pair]:
+    """Compare each step of a cycle of a car with a peer."""
     traffic, highway, many = Traffic(8, seed), scenario("highway"), range(100)
     lines, ego = dict(zip(Slot, highway_lines(), strict=True)), highway.ego
     mean, cov = traffic.mean[0], np.array(traffic.cov[0])
@@ -446,36 +425,23 @@ def paths(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
         ),
     }  # fmt: skip
     for what, (units, call, peer, peer_call, target) in calls.items():
-        yield Pair(f"{what}, C", peer, units, call, peer_call, target)
-        yield Pair(f"{what}, Python", peer, units, alone(call), peer_call)
+        yield Pair(what, peer, units, call, peer_call, target)
     for name in ("maplines.dbc", "maplines-pose.dbc"):
-        make = partial(Codec.from_dbc, default_dbc_path(name))
+        codec = Codec.from_dbc(default_dbc_path(name))
         short = "pose: " if "pose" in name else ""
-        for path, codec in (("C", make()), ("Python", alone(make)())):
-            run = alone if path == "Python" else lambda call: call
-            encoder, decoder = run(codec.encoder)(), run(codec.decoder)()
-            send = run(partial(encoder.encode_scene, ours))
-            yield Pair(f"{short}scene sent, {path}", ENCODE, 1, send, encode)
-            prepared = encoder.prepare_scene(ours)
-            cycles = repeated(lambda: chain(*encoder.encode_scene(prepared).values()))  # noqa: B023
-            receive = run(partial(received_scene, decoder, cycles))
-            yield Pair(f"{short}scene read, {path}", DECODE, 1, receive, decode)
-    for path, codec in (("C", Codec.from_dbc()), ("Python", alone(Codec.from_dbc)())):
-        run = alone if path == "Python" else lambda call: call
-        big = Traffic(sizes.lines, seed)
-        big.codec = codec
-        encoder, decoder = run(codec.encoder)(), run(codec.decoder)()
-        singles = [MapLine(slot, Gaussian(*one)) for slot, one in
-                   zip(Slot, zip(traffic.mean, traffic.cov, strict=True), strict=True)]  # fmt: skip
-        rounds = repeated(lambda: chain(*map(encoder.encode, singles)))  # noqa: B023
-        yield Pair(f"line to frames, {path}", ENCODE, 8,
-                   run(partial(each, encoder.encode, singles)), encode)  # fmt: skip
-        yield Pair(f"frames to line, {path}", DECODE, 8,
-                   run(partial(received, decoder, rounds)), decode)  # fmt: skip
-        big_encode, big_decode = big.cantools_encoded, big.cantools_decoded
-        yield Pair(f"encode_batch, {path}", ENCODE, big.n, run(big.encoded), big_encode)
-        decoded = run(partial(codec.batch.decode, big.payloads))
-        yield Pair(f"decode_batch, {path}", DECODE, big.n, decoded, big_decode)
+        encoder, decoder = codec.encoder(), codec.decoder()
+        yield Pair(f"{short}scene sent", ENCODE, 1, partial(encoder.encode_scene, ours), encode)
+        prepared = encoder.prepare_scene(ours)
+        cycles = repeated(lambda: chain(*encoder.encode_scene(prepared).values()))  # noqa: B023
+        receive = partial(received_scene, decoder, cycles)
+        yield Pair(f"{short}scene read", DECODE, 1, receive, decode)
+    encoder, decoder = traffic.codec.encoder(), traffic.codec.decoder()
+    singles = [MapLine(slot, Gaussian(*one)) for slot, one in
+               zip(Slot, zip(traffic.mean, traffic.cov, strict=True), strict=True)]  # fmt: skip
+    rounds = repeated(lambda: chain(*map(encoder.encode, singles)))
+    yield Pair("line to frames", ENCODE, 8, partial(each, encoder.encode, singles), encode)
+    yield Pair("8 lines in one call", ENCODE, 8, partial(encoder.encode_lines, singles), encode)
+    yield Pair("frames to line", DECODE, 8, partial(received, decoder, rounds), decode)
 
 
 def repeated(send: Callable[[], Any]) -> Iterator[list[tuple[int, bytes, int]]]:
@@ -503,7 +469,7 @@ PARTS = {
     "signals": (signals, "4  Signals alone, four pages per line; times per line"),
     "batch": (batch, "5  Whole batches, against packing alone by cantools; times per line"),
     "one": (one, "6  Single lines, against packing alone by cantools; times per line"),
-    "paths": (paths, "8  In C and in Python alone; times per line, or per cycle"),
+    "cycle": (cycle_steps, "8  A cycle step by step; times per line, or per cycle"),
     "map": (large_map, "7  A large map"),
 }
 

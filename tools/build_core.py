@@ -110,8 +110,7 @@ def compiler() -> list[str]:
     raise BuildError(
         f"there is no C compiler ({', '.join(COMPILERS)} or CC), and the package ziglang "
         f"{'is not installed' if known else f'has none for {sysconfig.get_platform()}'}; install "
-        "one (on Debian: apt-get install gcc), or set MAPLINES_NATIVE=0 to compute in Python "
-        "alone, which is slower"
+        "one (on Debian: apt-get install gcc)"
     )
 
 

@@ -233,7 +233,7 @@ def check_library() -> Findings:
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "copy"
         shutil.copytree(ROOT, copy, ignore=skipped)
-        settings = os.environ | {"MAPLINES_NATIVE": "1", "PYTHONPATH": str(copy), "CC": "gcc",
+        settings = os.environ | {"PYTHONPATH": str(copy), "CC": "gcc",
                                  "CFLAGS": f"{checks} -g -O1", "LDFLAGS": checks}  # fmt: skip
         status, lines = run([sys.executable, str(copy / "tools" / "build_core.py")], settings)
         if status:

@@ -22,7 +22,7 @@ __all__ = ["PATH", "Lock", "compiler", "ffi", "lib"]
 PATH = Path(__file__).with_name(f"maplines.{'dll' if os.name == 'nt' else 'so'}")
 #: Structures that are made here, in the order of ``maplines_core_size``.
 _STRUCTURES = ("dbc", "receiver", "settings", "block", "rows", "log", "prepared", "given_scene")
-_CURE = "install maplines_can again, which builds it"
+_CURE = "install the package again, which builds it"
 
 
 def _load() -> tuple[Any, str]:

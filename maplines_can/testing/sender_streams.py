@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -304,23 +305,38 @@ def compare_senders(
         seed: of all streams, which are the same ones on any machine.
         is_over: asked after a turn of each stream.
     """
-    streams = []
-    for codec in map(Codec, layouts):
-        for stream, steps in STREAMS.items():
-            is_conditional, has_pose = codec.layout.is_conditional, codec.layout.pose is not None
-            if stream in CONDITIONAL if is_conditional else stream is not scenes or has_pose:
-                name = f"{codec.layout.source}, {stream.__name__}, seed {seed}"
-                streams.append((name, stream(codec, np.random.default_rng(seed)), steps))
+    streams = [
+        (f"{layout.source}, {stream.__name__}, seed {seed}",
+         stream(Codec(layout), np.random.default_rng(seed)), STREAMS[stream])
+        for layout in layouts
+        for stream in streams_of(layout)
+    ]  # fmt: skip
     done = turn = 0
     while True:
-        for name, steps_of, steps in streams:
-            for number in range(turn * steps, (turn + 1) * steps):
-                step = next(steps_of)
-                core, model = bits(step.core), bits(step.model)
-                if core != model:
-                    shown = str(step.input), "the answer", str(core), str(model)
-                    return SenderComparison(done, Difference(name, number, *shown))
-                done += 1
+        for name, steps, count in streams:
+            found = compare_steps(name, steps, turn * count, count)
+            done += found.records
+            if found.difference is not None:
+                return SenderComparison(done, found.difference)
             if is_over():
                 return SenderComparison(done, None)
         turn += 1
+
+
+def streams_of(layout: Layout) -> list[Callable[..., Iterator[SenderStep]]]:
+    """Return the streams that a DBC can have."""
+    if layout.is_conditional:
+        return [*CONDITIONAL]
+    return [stream for stream in STREAMS if stream is not scenes or layout.pose is not None]
+
+
+def compare_steps(
+    name: str, steps: Iterator[SenderStep], first: int, count: int
+) -> SenderComparison:
+    """Compare some steps of a stream, numbered from ``first`` on, up to the first difference."""
+    for done, step in enumerate(islice(steps, count)):
+        core, model = bits(step.core), bits(step.model)
+        if core != model:
+            shown = str(step.input), "the answer", str(core), str(model)
+            return SenderComparison(done, Difference(name, first + done, *shown))
+    return SenderComparison(count, None)

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import maplines_can
-from maplines_can import native
+from maplines_can import core
 from maplines_can.cli import COMMANDS, main
 from maplines_can.cli import GROUPS as COMMAND_GROUPS
 from maplines_can.cli.parsing import GROUPS
@@ -82,11 +82,11 @@ def test_every_command_is_in_the_readme(name: Any) -> None:
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
-    """It is the version of the package, with the path on which it computes."""
+    """It is the version of the package, with the compiler of the core."""
     with pytest.raises(SystemExit, match="0"):
         main(["--version"])
-    path = native.description()
-    assert capsys.readouterr().out == f"maplines {maplines_can.__version__}, computes in {path}\n"
+    text = f"maplines {maplines_can.__version__}, core built with {core.compiler}\n"
+    assert capsys.readouterr().out == text
 
 
 @pytest.mark.parametrize("module", ["maplines_can", "maplines_can.cli"])

@@ -14,12 +14,12 @@ import pytest
 from c_lines import Lines, awkward_lines, random_records
 from hypothesis import given
 from hypothesis.extra.numpy import arrays
+from maplines_can.native import lib
 from random_dbc import LIMIT_SEED, random_dbc
 from random_lines import random_lines
 from scene_layouts import layout_of
 
 from maplines_can import Slot, Status
-from maplines_can.native import lib
 from maplines_can.values.errors import EncodeError
 from maplines_can.wire import Codec
 from maplines_can.wire.layout import validation

@@ -17,13 +17,13 @@ from c_layouts import unusual_layouts, with_slots
 from c_lines import awkward_lines
 from hypothesis import given
 from hypothesis import strategies as st
+from maplines_can.native import lib
 from random_dbc import random_dbc
 from random_lines import random_lines
 from scene_layouts import layout_of
 from strategies import covariances, symmetric
 
 from maplines_can import Codec, Gaussian, GaussianMixture, Kind, MapLine, Slot, Status
-from maplines_can.native import lib
 from maplines_can.wire import POSE, Frame, Layout
 from maplines_can.wire.records.counters import packed
 

@@ -20,10 +20,10 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 from hypothesis import given
+from maplines_can.native import lib
 
 from maplines_can import maps
 from maplines_can.maps.tracking import LaneTracker
-from maplines_can.native import lib
 from maplines_can.propagation import (
     Linear,
     MapError,

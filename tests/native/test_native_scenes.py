@@ -15,6 +15,7 @@ from both_senders import Calls, assert_no_growth, check_same, codecs_of, outcome
 from c_layouts import unusual_layouts
 from evidence.roads import SHAPES, random_scene
 from evidence.witness import POSES, Poses
+from maplines_can.native import lib
 from random_dbc import random_dbc
 from scene_layouts import layout_of
 from scene_streams import OFFSETS, road_scene
@@ -30,7 +31,6 @@ from maplines_can import (
     Status,
     map_scene,
 )
-from maplines_can.native import lib
 from maplines_can.wire import POSE, Codec, Layout, PreparedScene
 from maplines_can.wire.c_sender import SceneInC
 from maplines_can.wire.records.counters import packed

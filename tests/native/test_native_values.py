@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis.extra.numpy import arrays
+from maplines_can.native import lib
 
 from maplines_can.core.memory import pointer
-from maplines_can.native import lib
 from maplines_can.values import gaussian as module
 from maplines_can.values import line as line_module
 from maplines_can.values.gaussian import Gaussian

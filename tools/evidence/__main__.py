@@ -15,14 +15,11 @@ bound; other figures have none. The exit status is 1 if a bound is missed.
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 
 if __name__ == "__main__":
     sys.path[0] = str(Path(__file__).resolve().parents[1])  # the folder of the package
-    if any(part.startswith(("c_core", "c_speed")) for part in sys.argv[1:]):
-        os.environ["MAPLINES_NATIVE"] = "0"  # the C core is compared with Python alone
     from evidence.harness import main
 
     sys.exit(main(__doc__))
