@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from typing import NamedTuple
 
 #: Statuses that count as OK in a window.
@@ -27,16 +26,9 @@ class Windows(NamedTuple):
     max_error_state_invalid: int = 0
     clear_to_invalid: bool = True
 
-    def of(self, state: str) -> tuple[int, int, int]:
-        """Return the size of the window, the least OKs and the most errors in a state."""
-        return {
-            "VALID": (self.window_size_valid, self.min_ok_state_valid, self.max_error_state_valid),
-            "INVALID": (
-                self.window_size_invalid,
-                self.min_ok_state_invalid,
-                self.max_error_state_invalid,
-            ),
-        }.get(state, (self.window_size_init, self.min_ok_state_init, self.max_error_state_init))
+    def of(self, name: str, state: str) -> int:
+        """Return the bound of a state: INIT, VALID or INVALID."""
+        return int(getattr(self, f"{name}_{state.lower()}"))
 
 
 def crc16(data: bytes) -> int:
@@ -75,33 +67,27 @@ class StateMachine:
 
     def __init__(self, windows: Windows) -> None:
         self._windows = windows
-        self._checks: deque[str] = deque()  # in the window, the last one at the end
+        self._checks = list[str]()  # in the window, the last one at the end
         self.state = "NODATA"
 
     def step(self, status: str) -> None:
         """Add a check, and pass to the next state if it is time."""
-        windows = self._windows
         if self.state == "NODATA":
             if status not in ("ERROR", "NONEWDATA"):
                 self.state = "INIT"  # this check does not count
             return
-        self._checks.append(status)
-        size, least_oks, most_errors = windows.of(self.state)
-        self._shorten(size)
-        oks = sum(status in OKS for status in self._checks)
-        errors = self._checks.count("ERROR")
-        if errors <= most_errors and oks >= least_oks:
+        of, state = self._windows.of, self.state
+        self._checks = [*self._checks, status][-of("window_size", state) :]
+        oks, errors = sum(one in OKS for one in self._checks), self._checks.count("ERROR")
+        has_errors = errors > of("max_error_state", state)
+        if not has_errors and oks >= of("min_ok_state", state):
             self.state = "VALID"
-        elif self.state == "VALID" or (self.state == "INIT" and errors > most_errors):
-            if windows.clear_to_invalid:
+        elif state == "VALID" or (state == "INIT" and has_errors):
+            if self._windows.clear_to_invalid:
                 self.clear()
             self.state = "INVALID"
-        self._shorten(windows.of(self.state)[0])
+        self._checks = self._checks[-of("window_size", self.state) :]
 
     def clear(self) -> None:
         """Clear the window: what it holds is of another sequence."""
         self._checks.clear()
-
-    def _shorten(self, size: int) -> None:
-        while len(self._checks) > size:
-            self._checks.popleft()

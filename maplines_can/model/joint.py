@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from .elementary import log2
 from .matrices import (
@@ -13,11 +13,14 @@ from .matrices import (
     cholesky,
     congruence,
     diagonal,
+    dot_by_halves,
     inverse,
     is_definite,
     lower_solution,
+    norm,
     outer,
     product,
+    scaled,
     subtracted,
     symmetric,
     total,
@@ -58,9 +61,8 @@ def variances(S: Matrix) -> Row:
 
 def largest_ratio(decoded: Matrix, true: Matrix) -> float:
     """Return the largest ratio of these variances; NaN if one is."""
-    ratios = [
-        a / b if b else math.nan for a, b in zip(*map(variances, (decoded, true)), strict=True)
-    ]
+    pairs = zip(variances(decoded), variances(true), strict=True)
+    ratios = [a / b if b else math.nan for a, b in pairs]
     return math.nan if any(map(math.isnan, ratios)) else max(ratios)
 
 
@@ -69,16 +71,16 @@ def compared(true: Matrix, decoded: Matrix) -> tuple[float, float]:
 
     The divergence is the first one plus the logarithm of the other.
     """
-    G, L = cholesky_by_rows(true), cholesky_by_rows(decoded)
+    G, L = cholesky(true), cholesky(decoded)
     trace, ratio, n = 0.0, 1.0, len(true)
     for j in range(n):
-        Y: dict[int, float] = {}
+        Y: Row = []  # column j of L^-1 G, from the diagonal on
         for i in range(j, n):
             rest = G[i][j]
-            for k in range(j, i):
-                rest -= L[i][k] * Y[k]
-            Y[i] = rest / L[i][i]
-            trace += Y[i] * Y[i]
+            for k, y in enumerate(Y, start=j):
+                rest -= L[i][k] * y
+            Y.append(rest / L[i][i])
+            trace += Y[-1] * Y[-1]
         ratio *= L[j][j] / G[j][j]
     return (trace - n) / 2, ratio
 
@@ -90,28 +92,15 @@ def divergence(true: Matrix, decoded: Matrix) -> float:
     return kl if math.isfinite(kl) else math.inf
 
 
-def cholesky_by_rows(S: Matrix) -> Matrix:
-    """Return the Cholesky factor row by row; NaN if there is none."""
-    L: Matrix = []
-    for i in range(len(S)):
-        row: Row = []
-        for j in range(i):
-            rest = S[i][j]
-            for k in range(j):
-                rest -= row[k] * L[j][k]
-            row.append(rest / L[j][j])
-        pivot = S[i][i]
-        for entry in row:
-            pivot -= entry * entry
-        L.append([*row, math.sqrt(pivot) if pivot > 0 else math.nan])
-    return L
+def is_finite(S: Matrix) -> bool:
+    """Whether all entries are numbers."""
+    return all(math.isfinite(x) for row in S for x in row)
 
 
 def factor_or_identity(S: Matrix) -> Matrix:
     """Return the Cholesky factor, or 1 if there is none."""
     L = cholesky(S)
-    exists = all(math.isfinite(x) for row in L for x in row)
-    return L if exists else diagonal([1.0] * len(S))
+    return L if is_finite(L) else diagonal([1.0] * len(S))
 
 
 # ---- all lines --------------------------------------------------------------------------------
@@ -135,42 +124,36 @@ def uncovered(
     The weights are the sizes of u_i against the whole covariance of their lines. What is added is
     NaN for lines that cannot be compared.
     """
-    lines, nan = range(len(J)), [[math.nan] * 4] * 4
+    lines, nan, bound = range(len(J)), [[math.nan] * 4] * 4, 1 - SLACK
     to_metres = [inverse(one) for one in J]
     factors = [cholesky(congruence(to_metres[i], own[i])) for i in lines]
-    exists = [all(math.isfinite(x) for row in L for x in row) for L in factors]
-    if not all(exists):
-        return [[[0.0] * 4] * 4 if one else nan for one in exists]
+    if not all(map(is_finite, factors)):
+        return [diagonal([0.0] * 4) if is_finite(L) else nan for L in factors]
     W = [lower_solution(factors[i], to_metres[i]) for i in lines]
     excess = whitened(W, subtracted(true, spread))
-    if is_definite(less_than(1 - SLACK, excess)):
+    if is_definite(less_than(bound, excess)):
         return None
-    identity = diagonal([1.0] * 4)
-    sizes = [
-        factor_or_identity(added(identity, congruence(W[i], block(spread, i, i)))) for i in lines
-    ]
-    lacking = [[[0.0] * 4 for _ in range(4)] for _ in lines]
+    wholes = [congruence(W[i], block(spread, i, i)) for i in lines]
+    sizes = [factor_or_identity(added(diagonal([1.0] * 4), whole)) for whole in wholes]
+    lacking = [diagonal([0.0] * 4) for _ in lines]
     guess = FIRST
     for _ in range(4 * len(J)):
-        found = largest(excess, 1 - SLACK, guess)
+        found = largest(excess, bound, guess)
         if found is None:
             return [nan for _ in lines]
         guess, v = found  # the next one is hardly larger
         amount = guess + SLACK
-        parts = [[[x] for x in v[4 * i : 4 * i + 4]] for i in lines]
-        weights = []
+        parts = [v[4 * i : 4 * i + 4] for i in lines]
+        weights = [norm(solved(lower_solution, sizes[i], parts[i])) + 1e-9 for i in lines]
         for i in lines:
-            share = [x for (x,) in lower_solution(sizes[i], parts[i])]
-            weights.append(math.sqrt(total([x * x for x in share])) + 1e-9)
-        for i in lines:
-            u = [x for (x,) in product(factors[i], parts[i])]
-            factor = amount * total(weights) / weights[i]
-            lacking[i] = added(lacking[i], [[factor * x for x in row] for row in outer(u)])
+            u = [x for (x,) in product(factors[i], [[x] for x in parts[i]])]
+            share = amount * total(weights) / weights[i]
+            lacking[i] = added(lacking[i], scaled(share, outer(u)))
         excess = [
             [x - amount * a * b for x, b in zip(row, v, strict=True)]
             for row, a in zip(excess, v, strict=True)
         ]
-        if is_definite(less_than(1 - SLACK, excess)):
+        if is_definite(less_than(bound, excess)):
             break
     return [congruence(J[i], lacking[i]) for i in lines]
 
@@ -178,6 +161,11 @@ def uncovered(
 def less_than(bound: float, S: Matrix) -> Matrix:
     """Return bound I - S."""
     return subtracted(diagonal([bound] * len(S)), S)
+
+
+def solved(solution: Callable[[Matrix, Matrix], Matrix], A: Matrix, b: Row) -> Row:
+    """Return the solution of a triangular system with one right-hand side."""
+    return [x for (x,) in solution(A, [[x] for x in b])]
 
 
 def largest(S: Matrix, bound: float, guess: float) -> tuple[float, Row] | None:
@@ -197,21 +185,26 @@ def largest(S: Matrix, bound: float, guess: float) -> tuple[float, Row] | None:
         high = guess
         # The column of the inverse with the largest diagonal entry is nearest to the eigenvector.
         X = transposed(lower_solution(L, diagonal([1.0] * len(S))))
-        norms = [total([x * x for x in column]) for column in X]
-        column = X[max(range(len(X)), key=lambda i: norms[i])]
-        U = transposed(L)
-        v = upper_solution(U, [[x] for x in column])
-        norm = math.sqrt(total([x * x for (x,) in v]))
-        v = upper_solution(U, lower_solution(L, [[x / norm] for (x,) in v]))
-        norm = math.sqrt(total([x * x for (x,) in v]))
-        unit = [x / norm for (x,) in v]
-        images = [total([x * y for x, y in zip(row, unit, strict=True)]) for row in S]
-        quotient = total([x * y for x, y in zip(unit, images, strict=True)])
-        low = max(low, quotient - bound)
+        U, v = transposed(L), max(X, key=norm_squared)
+        v = unit(solved(upper_solution, U, v))
+        v = unit(solved(upper_solution, U, solved(lower_solution, L, v)))
+        images = [dot_by_halves(row, v) for row in S]
+        low = max(low, dot_by_halves(v, images) - bound)
         if high - low <= PRECISION * high or high <= LEAST:
-            return high, unit
+            return high, v
         guess = low + NEARER * (high - low)
     return None
+
+
+def norm_squared(v: Row) -> float:
+    """Return the square of the length."""
+    return dot_by_halves(v, v)
+
+
+def unit(v: Row) -> Row:
+    """Return the vector of length 1."""
+    length = norm(v)
+    return [x / length for x in v]
 
 
 def whitened(W: Sequence[Matrix], S: Matrix) -> Matrix:

@@ -10,14 +10,12 @@ import math
 import struct
 from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
-from ..wire.layout.signals import OCTAVE, Signal
-from .elementary import exp2, log2
+from .elementary import log2
 from .joint import LN_2, compared, largest_ratio
 from .levels import (
-    GOLDEN_RATIO,
     RATIOS,
     SHAPE,
     Levels,
@@ -27,10 +25,12 @@ from .levels import (
     noise,
     point_noise,
     shape_level,
+    spacing_of,
+    with_shape,
 )
 from .lines import Curve
-from .matrices import Matrix, Row, added, congruence, diagonal, inverse, subtracted
-from .signals import level, physical
+from .matrices import Matrix, Row, added, congruence, diagonal, inverse, scaled, subtracted
+from .signals import level
 
 #: Raw values above the least one of the level of the points, or of the shape, that are tried.
 TRIED = (0, 1, 2, 3, 5)
@@ -45,38 +45,33 @@ SINGULAR = 1e-6
 LOWER = ((1, 1), (2, 1), (3, 1), (2, 2), (3, 2), (3, 3))
 
 
-@dataclass(frozen=True)
-class Wanted:
+class Wanted(NamedTuple):
     """What levels have to cover, of the coefficients of T_0 .. T_3."""
 
     target: Matrix  #: E: less what is common to all lines
     common: Matrix  #: C
     true: Matrix  #: T: to which the sum is to be close
 
-    @classmethod
-    def of(cls, target: Matrix, common: Matrix, true: Matrix, J: Matrix) -> Wanted:
-        """Return what is given of the parameters, and J of ``bases``."""
-        to_metres = inverse(J)
-        wanted = subtracted(congruence(to_metres, target), common)
-        return cls(wanted, common, congruence(to_metres, true))
+
+def wanted_of(target: Matrix, common: Matrix, true: Matrix, J: Matrix) -> Wanted:
+    """Return what levels have to cover, of covariances of the parameters; J is of ``bases``."""
+    to_metres = inverse(J)
+    covered = subtracted(congruence(to_metres, target), common)
+    return Wanted(covered, common, congruence(to_metres, true))
 
 
-@dataclass(frozen=True)
 class LevelSearch:
     """Search for the levels of a line."""
 
-    signals: LevelSignals
+    def __init__(self, signals: LevelSignals) -> None:
+        self.signals = signals
 
     @cached_property
     def squares(self) -> tuple[Row, Row, Row]:
         """Squares of the levels a, p and b of all raw values."""
-        lateral, points, shape = self.signals
-        of_levels = [
-            [level(one, {one.name: raw}) ** 2 for raw in range(one.raw_max + 1)]
-            for one in (lateral, points)
-        ]
-        shapes = [shape_level(shape, raw) for raw in range(shape.raw_max + 1)]
-        return of_levels[0], of_levels[1], [b * b for b in shapes]
+        of_signals = zip((level, level, shape_level), self.signals, strict=True)
+        a, p, b = ([of(one, raw) for raw in range(one.raw_max + 1)] for of, one in of_signals)
+        return [x * x for x in a], [x * x for x in p], [x * x for x in b]
 
     @cached_property
     def searched(self) -> list[int]:
@@ -95,53 +90,41 @@ class LevelSearch:
         """
         line, found = Curve([0.0] * 4, 0.0, 1.0, 0.0), []
         for raw in self.searched:
-            d, phase, amount = spacing_of(self.signals.shape, raw)
-            N = point_noise(line, d, phase)
-            found.append(([[_single(x) for x in row] for row in N], _single(amount)))
-        return found
-
-    def near_noise(self, curve: Curve) -> list[Matrix]:
-        """Return the noise at all raw values that are tried, of straight lines.
-
-        They are stretched as the line is on average, and choose the same spacings, or nearly so.
-        """
-        stretch = arc_of(curve).stretch
-        squared = min(stretch) * max(stretch)
-        found = []
-        for N, amount in self.straight:
-            S = [[squared * x for x in row] for row in N]
-            for i, share in enumerate(SHAPE):
-                S[i][i] += amount * share
-            found.append(S)
+            spacing = spacing_of(self.signals.shape, raw)
+            N = [[_single(x) for x in row] for row in point_noise(line, spacing)]
+            found.append((N, _single(spacing.uncertainty)))
         return found
 
     def spacings(self, wanted: Wanted, curve: Curve) -> list[int]:
         """Return the raw values of the shape that suit the errors of points best.
 
-        Of all that are searched, they have the least cost with one level of the points.
+        Of all that are searched, they have the least cost with one level of the points. Straight
+        lines that are stretched as the line is on average choose the same ones, or nearly so.
         """
-        near, squared, last = self.near_noise(curve), self.squares[1], self.signals.points.raw_max
+        stretch, squared = arc_of(curve).stretch, self.squares[1]
+        mean = min(stretch) * max(stretch)
+        near = [with_shape(scaled(mean, N), amount) for N, amount in self.straight]
         least = [least_by_variances(squared, S, wanted.target) for S in near]
         bound = []
         for S, raw in zip(near, least, strict=True):
-            own = scaled(_at(squared, raw + TRIED[1]), S)
-            bound.append(least_cost(own, wanted))
+            bound.append(least_cost(scaled(_at(squared, raw + TRIED[1]), S), wanted))
         cost = [math.inf] * len(near)
 
         def assess(k: int) -> None:
             raw = least_raw(squared, near[k], wanted.target, least[k]) + TRIED[1]
             _, found = self.cost(scaled(_at(squared, raw), near[k]), wanted)
-            found = math.inf if raw > last else found
+            found = math.inf if raw > self.signals.points.raw_max else found
             cost[k] = bound[k] if bound[k] > found else found
 
-        first = sorted(range(len(near)), key=lambda k: (math.isnan(bound[k]), bound[k]))[:FIRST]
+        places = range(len(near))
+        first = sorted(places, key=lambda k: (math.isnan(bound[k]), bound[k]))[:FIRST]
         for k in first:
             assess(k)
         limit = sorted(cost)[min(CHOSEN, len(cost)) - 1]
-        for k in range(len(near)):
+        for k in places:
             if k not in first and not bound[k] > limit:
                 assess(k)
-        return [self.searched[k] for k in sorted(range(len(near)), key=lambda k: cost[k])[:CHOSEN]]
+        return [self.searched[k] for k in sorted(places, key=lambda k: cost[k])[:CHOSEN]]
 
     def encode(self, wanted: Wanted, curve: Curve, spacings: Sequence[int]) -> tuple[Levels, bool]:
         """Return the levels with the least cost, and whether they cover the line.
@@ -149,17 +132,19 @@ class LevelSearch:
         Of some spacings with some levels of the points, and of some levels of the shape alone.
         """
         tried: list[tuple[int, int, Matrix]] = []  # raw values of the points and the shape
-        squared = self.squares[1]
+        _, squared, of_shape = self.squares
+
+        def least(squares: Row, S: Matrix) -> int:
+            begin = least_by_variances(squares, S, wanted.target)
+            return least_raw(squares, S, wanted.target, begin)
+
         for k in spacings:
             S = noise(self.signals.shape, k, curve)
-            least = least_raw(
-                squared, S, wanted.target, least_by_variances(squared, S, wanted.target)
-            )
-            tried += [(least + n, k, scaled(_at(squared, least + n), S)) for n in TRIED]
-        shape, squared = diagonal(SHAPE), self.squares[2]
-        begin = least_by_variances(squared, shape, wanted.target)
-        least = least_raw(squared, shape, wanted.target, begin)
-        tried += [(0, least + n, scaled(_at(squared, least + n), shape)) for n in TRIED]
+            raws = [least(squared, S) + n for n in TRIED]
+            tried += [(raw, k, scaled(_at(squared, raw), S)) for raw in raws]
+        S = diagonal(SHAPE)
+        raws = [least(of_shape, S) + n for n in TRIED]
+        tried += [(0, raw, scaled(_at(of_shape, raw), S)) for raw in raws]
         best, best_cost = (0, *tried[0][:2]), math.nan
         for points, k, own in tried:
             lateral, cost = self.cost(own, wanted)
@@ -169,15 +154,13 @@ class LevelSearch:
                 cost = math.inf
             if not cost >= best_cost:  # the first one with the least cost
                 best, best_cost = (lateral, points, k), cost
-        limits = [signal.raw_max for signal in self.signals]
-        raw = [min(value, most) for value, most in zip(best, limits, strict=True)]
+        raw = [min(x, signal.raw_max) for x, signal in zip(best, self.signals, strict=True)]
         return Levels(*raw), math.isfinite(best_cost)
 
-    def covered(self, raw: Levels, target: Matrix, common: Matrix, J: Matrix, curve: Curve) -> bool:
-        """Whether levels cover a target."""
-        wanted = subtracted(congruence(inverse(J), target), common)
+    def covered(self, raw: Levels, wanted: Wanted, curve: Curve) -> bool:
+        """Whether levels cover what is wanted."""
         own = level_covariance(self.signals, raw, curve)
-        return shortfall(subtracted(own, wanted)) <= 0
+        return shortfall(subtracted(own, wanted.target)) <= 0
 
     def cost(self, own: Matrix, wanted: Wanted) -> tuple[int, float]:
         """Return the lateral level with which a covariance covers the target, and its cost."""
@@ -191,14 +174,6 @@ class LevelSearch:
         return raw, cost if is_possible else math.inf
 
 
-def spacing_of(signal: Signal, raw: int) -> tuple[float, float, float]:
-    """Return d, the phase, and r^2 d of a raw value of the shape."""
-    d = physical(signal, {signal.name: raw})
-    d = exp2(d) if signal.unit == OCTAVE else d
-    turns, ratio = raw * GOLDEN_RATIO, RATIOS[raw % len(RATIOS)]
-    return d, turns - math.floor(turns), ratio * ratio * d
-
-
 def _single(x: float) -> float:
     """Return a number in single precision."""
     return float(struct.unpack("f", struct.pack("f", x))[0])
@@ -209,16 +184,9 @@ def _at(squared: Sequence[float], raw: int) -> float:
     return squared[min(max(raw, 0), len(squared) - 1)]
 
 
-def scaled(factor: float, S: Matrix) -> Matrix:
-    """Return a multiple of a matrix."""
-    return [[factor * x for x in row] for row in S]
-
-
 def least_by_variances(squared: Sequence[float], S: Matrix, E: Matrix) -> int:
     """Return the least raw value, 1 or more, whose multiple of S covers all variances but one."""
-    needed = 0.0
-    for i in range(1, 4):
-        needed = max(needed, E[i][i] / (S[i][i] + SINGULAR))
+    needed = max(0.0, *(E[i][i] / (S[i][i] + SINGULAR) for i in range(1, 4)))
     return max(bisect_left(squared, needed), 1)
 
 
@@ -229,9 +197,10 @@ def least_raw(squared: Sequence[float], S: Matrix, E: Matrix, begin: int) -> int
     double until the bracket is shorter, and are halved then.
     """
     low, high, step = begin - 1, len(squared), 1
+    regular = added(S, diagonal([SINGULAR] * 4))
     while high - low > 1:
         middle = low + min(step, (high - low) // 2)
-        if _rest_is_definite(_at(squared, middle), S, E):
+        if pivots(subtracted(scaled(_at(squared, middle), regular), E)) is not None:
             high = middle
         else:
             low = middle
@@ -239,34 +208,31 @@ def least_raw(squared: Sequence[float], S: Matrix, E: Matrix, begin: int) -> int
     return high
 
 
-def _rest_is_definite(factor: float, S: Matrix, E: Matrix) -> bool:
-    a, b, c, d, e, f = (
-        factor * (S[i][j] + (SINGULAR if i == j else 0.0)) - E[i][j] for i, j in LOWER
-    )
-    if not a > 0:
-        return False
-    d1, e1 = d - b * b / a, e - b * c / a
-    return d1 > 0 and f - c * c / a - e1 * e1 / d1 > 0
+def pivots(M: Matrix) -> tuple[Row, Row] | None:
+    """Return the pivots of a matrix without T_0, and what is left of the entries of T_0 then.
 
-
-def shortfall(M: Matrix) -> float:
-    """Return what to add to the entry of T_0 to make a matrix semidefinite.
-
-    It is beyond all levels if nothing does: the rest of the matrix is not definite.
+    None if a pivot is not positive: the rest of the matrix is not definite.
     """
     a, b, c, d, e, f = (M[i][j] for i, j in LOWER)
     g, h, i = M[1][0], M[2][0], M[3][0]
     if not a > 0:
-        return BEYOND
+        return None
     d1 = d - b * b / a
     e1, h1 = e - b * c / a, h - b * g / a
     if not d1 > 0:
-        return BEYOND
+        return None
     f2 = f - c * c / a - e1 * e1 / d1
     i2 = i - c * g / a - e1 * h1 / d1
-    if not f2 > 0:
+    return ([a, d1, f2], [g, h1, i2]) if f2 > 0 else None
+
+
+def shortfall(M: Matrix) -> float:
+    """Return what to add to the entry of T_0 to make a matrix semidefinite; or ``BEYOND``."""
+    found = pivots(M)
+    if found is None:
         return BEYOND
-    short = g * g / a + h1 * h1 / d1 + i2 * i2 / f2 - M[0][0]
+    (a, d, f), (g, h, i) = found
+    short = g * g / a + h * h / d + i * i / f - M[0][0]
     return short if math.isfinite(short) else BEYOND
 
 
@@ -277,9 +243,8 @@ def least_cost(own: Matrix, wanted: Wanted) -> float:
     ones, the divergence is (1 / r - 1 + ln r) / 2 at least, and ln r is 2 (r - 1) / (r + 1).
     """
     r = 1.0
-    for variance, true in zip(
-        directions(added(own, wanted.common)), directions(wanted.true), strict=True
-    ):
+    decoded = added(own, wanted.common)
+    for variance, true in zip(directions(decoded), directions(wanted.true), strict=True):
         if true and variance / true > r:
             r = variance / true
     return (r - 1) * (5 * r - 1) / (2 * r * (r + 1))

@@ -18,8 +18,8 @@ from typing import NamedTuple
 from ..wire.layout.signals import OCTAVE, Signal
 from .elementary import exp2, tan
 from .lines import Curve, extrema
-from .matrices import Matrix, Row, diagonal, dot, inverse, product, total
-from .signals import level, physical
+from .matrices import Matrix, Row, diagonal, dot_by_halves, inverse, product, scaled, square
+from .signals import level, value
 
 #: Shape of a line that is uncertain, in coefficients of T_0 .. T_3.
 SHAPE = (0.0, 0.25, 1.0, 2.0)
@@ -36,8 +36,7 @@ def _fit_matrix() -> Matrix:
     """Return the (4, 64) matrix from values at the nodes to the coefficients of T_0 .. T_3."""
     T = [[1.0] * len(NODES), NODES, [2 * w * w - 1 for w in NODES]]
     T.append([2 * w * t - w for w, t in zip(NODES, T[2], strict=True)])
-    squares = [[total([x * y for x, y in zip(a, b, strict=True)]) for b in T] for a in T]
-    return product(inverse(squares), T)
+    return product(inverse([[dot_by_halves(a, b) for b in T] for a in T]), T)
 
 
 FIT = _fit_matrix()
@@ -65,9 +64,9 @@ def level_covariance(signals: LevelSignals, raw: Levels, curve: Curve) -> Matrix
         b = shape_level(signals.shape, raw.shape)
         cov = diagonal(b * b * share for share in SHAPE)
     else:
-        p = level(signals.points, {signals.points.name: raw.points})
-        cov = [[p * p * x for x in row] for row in noise(signals.shape, raw.shape, curve)]
-    a = level(signals.lateral, {signals.lateral.name: raw.lateral})
+        p = level(signals.points, raw.points)
+        cov = scaled(p * p, noise(signals.shape, raw.shape, curve))
+    a = level(signals.lateral, raw.lateral)
     cov[0][0] += a * a
     return cov
 
@@ -78,16 +77,34 @@ def shape_level(signal: Signal, raw: int) -> float:
     return exp2(SHAPE_OFFSET + step * raw) if raw else 0.0
 
 
-def noise(signal: Signal, raw: int, curve: Curve) -> Matrix:
-    """Return N(d, phase) + r^2 d diag(SHAPE): the raw value stands for d, the phase and r."""
-    d = physical(signal, {signal.name: raw})
+class Spacing(NamedTuple):
+    """Spacing of the points of a line: what a raw value of ``OwnShape`` stands for."""
+
+    distance: float  #: d, in halves of the length of the line
+    phase: float  #: by how much the first point is ahead of the start of the range, in distances
+    uncertainty: float  #: r^2 d, of the shape
+
+
+def spacing_of(signal: Signal, raw: int) -> Spacing:
+    """Return the spacing of a raw value of ``OwnShape``."""
+    d = value(signal, raw)
     d = exp2(d) if signal.unit == OCTAVE else d
-    turns = raw * GOLDEN_RATIO
-    ratio = RATIOS[raw % len(RATIOS)]
-    cov = point_noise(curve, d, turns - math.floor(turns))
-    for i, share in enumerate(SHAPE):
-        cov[i][i] += ratio * ratio * d * share
-    return cov
+    turns, ratio = raw * GOLDEN_RATIO, RATIOS[raw % len(RATIOS)]
+    return Spacing(d, turns - math.floor(turns), ratio * ratio * d)
+
+
+def noise(signal: Signal, raw: int, curve: Curve) -> Matrix:
+    """Return N(d, phase) + r^2 d diag(SHAPE)."""
+    spacing = spacing_of(signal, raw)
+    return with_shape(point_noise(curve, spacing), spacing.uncertainty)
+
+
+def with_shape(cov: Matrix, amount: float) -> Matrix:
+    """Return a covariance plus an amount of an uncertain shape."""
+    return [
+        [x + amount * SHAPE[i] if i == j else x for j, x in enumerate(row)]
+        for i, row in enumerate(cov)
+    ]
 
 
 class Arc(NamedTuple):
@@ -104,29 +121,23 @@ def arc_of(curve: Curve) -> Arc:
     x = [middle + half * node for node in NODES]
     slopes = [tan(beta) + u * (c0 + u * c1 / 2) for u in x]
     stretch = [math.sqrt(1 + slope * slope) for slope in slopes]
-    along, length = [0.0], 0.0
+    along = [0.0]
     for k in range(1, len(x)):
-        length += (x[k] - x[k - 1]) * (stretch[k] + stretch[k - 1])
-        along.append(length)
-    return Arc(stretch, [2 * place / length for place in along])
+        along.append(along[-1] + (x[k] - x[k - 1]) * (stretch[k] + stretch[k - 1]))
+    return Arc(stretch, [2 * place / along[-1] for place in along])
 
 
-def point_noise(curve: Curve, spacing: float, phase: float) -> Matrix:
+def point_noise(curve: Curve, spacing: Spacing) -> Matrix:
     """Return the covariance of the coefficients for points with independent errors of 1 m.
 
     The points are at equal distances along the line. Between two of them, the line has shares of
     both of their errors; one across the line acts on y by the factor ``stretch``.
-
-    Args:
-        curve: the line.
-        spacing: distance of the points, in halves of the length of the line.
-        phase: by how much the first point is ahead of the start of the range, in distances.
     """
     arc = arc_of(curve)
     behind: dict[int, Row] = defaultdict(lambda: [0.0] * 4)  # weights of the errors of each point
     ahead: dict[int, Row] = defaultdict(lambda: [0.0] * 4)
     for k, (stretch, along) in enumerate(zip(arc.stretch, arc.place, strict=True)):
-        place = along / spacing + phase
+        place = along / spacing.distance + spacing.phase
         point = int(place)
         share = place - point
         for i, row in enumerate(FIT):
@@ -134,5 +145,4 @@ def point_noise(curve: Curve, spacing: float, phase: float) -> Matrix:
             behind[point][i] += weight * (1 - share)
             ahead[point + 1][i] += weight * share
     points = range(max(ahead) + 1)
-    W = [[behind[point][i] + ahead[point][i] for point in points] for i in range(4)]
-    return [[dot(a, b) for b in W] for a in W]
+    return square([[behind[point][i] + ahead[point][i] for point in points] for i in range(4)])

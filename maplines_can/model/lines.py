@@ -8,10 +8,21 @@ Chebyshev polynomial T_4 over that range is beside a cubic. To see it from anoth
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from .elementary import PI_BY_2, atan, sin_cos, tan
-from .matrices import Matrix, Row, cholesky, dot, total
+from .matrices import (
+    Matrix,
+    Row,
+    diagonal,
+    dot,
+    dot_by_halves,
+    entrywise,
+    square_root,
+    total,
+    transposed,
+)
 
 #: Points of a line, and the weight of both ends in a fit; that of the others is 1.
 POINTS, END_WEIGHT = 16, 0.62
@@ -39,17 +50,11 @@ class Curve(NamedTuple):
 Points = tuple[Row, Row]
 
 
-class Fit(NamedTuple):
-    """A cubic that was fitted to points."""
+def cubic_fit(w: Row, values: Row) -> tuple[Row, Row]:
+    """Return the coefficients of w^0 .. w^3 of a cubic that is fitted to points, and the rest.
 
-    coefficients: Row  #: of w^0 .. w^3
-    rest: Row  #: what it leaves of the values
-
-
-def cubic_fit(w: Row, values: Row) -> Fit:
-    """Fit a cubic, by polynomials that are orthogonal on the points (Forsythe 1957).
-
-    Each of them is w times the one before, less its shares of the two before.
+    It is fitted by polynomials that are orthogonal on the points (Forsythe 1957). Each of them is w
+    times the one before, less its shares of the two before.
     """
     q, rest = [0.0] * 4, values
     p, p_before = [1.0] * len(w), [0.0] * len(w)
@@ -57,20 +62,17 @@ def cubic_fit(w: Row, values: Row) -> Fit:
     norm_before = math.inf
     for _ in range(4):
         weighted = [END_WEIGHT * p[0], *p[1:-1], END_WEIGHT * p[-1]]
-        norm = _sum(weighted, p)
-        share = _sum(weighted, rest) / norm
+        norm = dot_by_halves(weighted, p)
+        share = dot_by_halves(weighted, rest) / norm
         q = [x + share * y for x, y in zip(q, c, strict=True)]
         rest = [x - share * y for x, y in zip(rest, p, strict=True)]
-        a, b = _sum(weighted, [x * y for x, y in zip(w, p, strict=True)]) / norm, norm / norm_before
+        a = dot_by_halves(weighted, [x * y for x, y in zip(w, p, strict=True)]) / norm
+        b = norm / norm_before
         p, p_before = [(x - a) * y - b * z for x, y, z in zip(w, p, p_before, strict=True)], p
         raised = [0.0, *c[:3]]
         c, c_before = [r - a * x - b * z for r, x, z in zip(raised, c, c_before, strict=True)], c
         norm_before = norm
-    return Fit(q, rest)
-
-
-def _sum(a: Row, b: Row) -> float:
-    return total([x * y for x, y in zip(a, b, strict=True)])
+    return q, rest
 
 
 def derivatives(q: Row, centre: float, half: float) -> Row:
@@ -103,7 +105,7 @@ def _t_4(w: float) -> float:
 
 
 #: What a fitted cubic leaves of T_4.
-BEND = cubic_fit(NODES, [_t_4(w) for w in NODES]).rest
+BEND = cubic_fit(NODES, [_t_4(w) for w in NODES])[1]
 
 
 def y_of(mean: Row, slope: float, x: float) -> float:
@@ -138,8 +140,8 @@ def refitted(points: Points, pose: Row) -> Row | None:
     if not is_function((u, v)):
         return None
     centre, half = (u[0] + u[-1]) / 2, abs(u[0] - u[-1]) / 2
-    fit = cubic_fit([(x - centre) / half for x in u], v)
-    line = derivatives(fit.coefficients, centre, half)
+    coefficients, _ = cubic_fit([(x - centre) / half for x in u], v)
+    line = derivatives(coefficients, centre, half)
     line[1] = atan(line[1])
     return line
 
@@ -161,22 +163,26 @@ def seen(points: Points, pose: Row) -> Row | None:
     return None
 
 
+def seen_from(points: Points, poses: Sequence[Row]) -> list[Row] | None:
+    """Return the lines from some poses; None if there is none from one of them."""
+    found = [line for pose in poses if (line := seen(points, pose)) is not None]
+    return found if len(found) == len(poses) else None
+
+
 def pose_jacobian(points: Points) -> Matrix | None:
     """Return the (4, 3) derivatives of a line with respect to the pose."""
-    columns = []
-    for k in range(3):
-        ahead, back = (seen(points, [sign * STEP * (i == k) for i in range(3)]) for sign in (1, -1))
-        if ahead is None or back is None:
-            return None
-        columns.append([(a - b) / (2 * STEP) for a, b in zip(ahead, back, strict=True)])
-    return [[*row] for row in zip(*columns, strict=True)]
+    steps = diagonal([STEP] * 3)
+    ahead, back = seen_from(points, steps), seen_from(points, [[-x for x in d] for d in steps])
+    if ahead is None or back is None:
+        return None
+    return transposed(entrywise(lambda a, b: (a - b) / (2 * STEP), ahead, back))
 
 
 def bases(curve: Curve) -> Matrix:
     """Return the derivatives of a line with respect to its coefficients of T_0 .. T_3."""
     chebyshev = ([1.0, 0, 0, 0], [0.0, 1, 0, 0], [-1.0, 0, 2, 0], [0.0, -3, 0, 4])
     centre, half = (curve.begin + curve.end) / 2, (curve.end - curve.begin) / 2
-    J = [[*row] for row in zip(*(derivatives(q, centre, half) for q in chebyshev), strict=True)]
+    J = transposed([derivatives(q, centre, half) for q in chebyshev])
     _, cosine = sin_cos(curve.mean[1])
     J[1] = [x * (cosine * cosine) for x in J[1]]
     return J
@@ -185,9 +191,9 @@ def bases(curve: Curve) -> Matrix:
 def sigma_points(P: Matrix) -> list[Row]:
     """Return the six displaced sigma points of a pose error: columns of sqrt(3) L, then less them.
 
-    P is that of a record, so that its Cholesky factor exists.
+    P may be singular.
     """
-    root = [[math.sqrt(3) * x for x in column] for column in zip(*cholesky(P), strict=True)]
+    root = [[math.sqrt(3) * x for x in column] for column in transposed(square_root(P))]
     return root + [[-x for x in column] for column in root]
 
 
@@ -199,9 +205,8 @@ def centred(curve: Curve, poses: list[Row]) -> Curve | None:
     """
     line = curve
     for _ in range(2):
-        values = [seen(points_of(line), pose) for pose in poses]
-        found = [value for value in values if value is not None]
-        if len(found) < len(poses):
+        found = seen_from(points_of(line), poses)
+        if found is None:
             return None
         means = [total(column) / len(poses) for column in zip(*found, strict=True)]
         moved = [
@@ -221,13 +226,12 @@ def spread(curve: Curve, poses: list[Row]) -> Matrix | None:
     line = centred(curve, poses)
     if line is None:
         return None
-    points = points_of(line)
-    first, others = seen(points, [0.0] * 3), [seen(points, pose) for pose in poses]
-    if first is None or None in others:
+    lines = seen_from(points_of(line), [[0.0] * 3, *poses])
+    if lines is None:
         return None
     A = []
-    for i, x in enumerate(first):
-        d = [other[i] - x for other in others if other is not None]
+    for first, *others in zip(*lines, strict=True):
+        d = [x - first for x in others]
         mean = total(d) / len(d)
         A.append([*((value - mean) / math.sqrt(len(d)) for value in d), math.sqrt(2) * mean])
     return A

@@ -6,7 +6,9 @@ BLAS and LAPACK choose the order of sums by the processor; here it is part of th
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial, reduce
+from operator import add, sub, truediv
 
 Row = list[float]
 Matrix = list[Row]
@@ -29,21 +31,55 @@ def square(A: Sequence[Sequence[float]]) -> Matrix:
 
 
 def dot(a: Sequence[float], b: Sequence[float]) -> float:
-    """Return the scalar product, the first terms first."""
-    total = a[0] * b[0]
-    for i in range(1, len(a)):
-        total += a[i] * b[i]
-    return total
+    """Return the scalar product, the first terms first; 0 of none."""
+    products = [x * y for x, y in zip(a, b, strict=True)] or [0.0]
+    found = products[0]
+    for term in products[1:]:
+        found += term
+    return found
 
 
-def added(A: Matrix, B: Matrix) -> Matrix:
-    """Return A + B."""
-    return [[a + b for a, b in zip(*rows, strict=True)] for rows in zip(A, B, strict=True)]
+def total(values: Sequence[float]) -> float:
+    """Return the sum: halves are added to each other until one is left.
+
+    >>> total([1.0, 2.0, 3.0, 4.0, 5.0])
+    15.0
+    """
+    terms = [*values]
+    while (n := len(terms)) > 1:
+        half = (n + 1) // 2
+        terms = [terms[i] + terms[i + half] for i in range(n - half)] + terms[n - half : half]
+    return terms[0]
+
+
+def dot_by_halves(a: Sequence[float], b: Sequence[float]) -> float:
+    """Return the scalar product, with the sum of ``total``."""
+    return total([x * y for x, y in zip(a, b, strict=True)])
+
+
+def norm(a: Sequence[float]) -> float:
+    """Return the length, with the sum of ``total``."""
+    return math.sqrt(dot_by_halves(a, a))
+
+
+def entrywise(operation: Callable[[float, float], float], A: Matrix, B: Matrix) -> Matrix:
+    """Return the results of an operation on the entries of two matrices."""
+    return [[operation(a, b) for a, b in zip(x, y, strict=True)] for x, y in zip(A, B, strict=True)]
+
+
+def added(*matrices: Matrix) -> Matrix:
+    """Return A + B, or of more matrices, the first ones first."""
+    return reduce(partial(entrywise, add), matrices)
 
 
 def subtracted(A: Matrix, B: Matrix) -> Matrix:
     """Return A - B."""
-    return [[a - b for a, b in zip(x, y, strict=True)] for x, y in zip(A, B, strict=True)]
+    return entrywise(sub, A, B)
+
+
+def scaled(factor: float, A: Matrix) -> Matrix:
+    """Return a multiple of A."""
+    return [[factor * x for x in row] for row in A]
 
 
 def outer(d: Sequence[float]) -> Matrix:
@@ -71,19 +107,6 @@ def transposed(A: Matrix) -> Matrix:
 def congruence(A: Matrix, S: Matrix) -> Matrix:
     """Return A S A^T, exactly symmetric."""
     return symmetric(product(product(A, S), transposed(A)))
-
-
-def total(values: Sequence[float]) -> float:
-    """Return the sum: halves are added to each other until one is left.
-
-    >>> total([1.0, 2.0, 3.0, 4.0, 5.0])
-    15.0
-    """
-    terms = [*values]
-    while (n := len(terms)) > 1:
-        half = (n + 1) // 2
-        terms = [terms[i] + terms[i + half] for i in range(n - half)] + terms[n - half : half]
-    return terms[0]
 
 
 def cholesky(S: Matrix) -> Matrix:
@@ -215,5 +238,42 @@ def positive_part(S: Matrix, more: float = 0.0) -> Matrix:
     """
     values, V = eigen(S)
     kept = [value * (1 + more) if value > 0 else 0.0 for value in values]
-    scaled = [[v * value for v, value in zip(row, kept, strict=True)] for row in V]
-    return symmetric(product(scaled, [*zip(*V, strict=True)]))
+    kept_V = [[v * value for v, value in zip(row, kept, strict=True)] for row in V]
+    return symmetric(product(kept_V, transposed(V)))
+
+
+def scale_of(S: Matrix) -> Row:
+    """Return the standard deviations of a covariance, with 1 in place of 0."""
+    return [math.sqrt(row[i] if row[i] > 0 else 1.0) for i, row in enumerate(S)]
+
+
+def square_root(S: Matrix) -> Matrix:
+    """Return a lower triangular L with L L^T = S, which may be singular."""
+    tiny, L = 8 * len(S) * 2.0**-52, cholesky(S)
+    is_regular = all(L[i][i] * L[i][i] > tiny * row[i] for i, row in enumerate(S))
+    return L if is_regular else _semidefinite_root(S, tiny)
+
+
+def _semidefinite_root(S: Matrix, tiny: float) -> Matrix:
+    """Return ``square_root`` by the eigenvalues above ``tiny`` of the correlations.
+
+    Rows are reflected to be lower triangular (Householder). One that depends on those before it
+    takes no column.
+    """
+    values, V = eigen(entrywise(truediv, S, outer(scale_of(S))))
+    roots = [math.sqrt(value if value > tiny else 0.0) for value in values]
+    M = [[x * root for x, root in zip(row, roots, strict=True)] for row in V]
+    L, k = diagonal([0.0] * len(S)), 0
+    for j in range(len(S)):
+        v = M[j][k:]
+        length = norm(v)
+        if length > tiny:
+            v[0] += math.copysign(length, v[0])
+            twice = 2 / dot_by_halves(v, v)
+            for row in M:
+                share = dot_by_halves(row[k:], v) * twice
+                row[k:] = [x - share * y for x, y in zip(row[k:], v, strict=True)]
+            for i in range(j, len(S)):
+                L[i][j] = M[i][k] * (1.0 if M[j][k] > 0 else -1.0)
+            k += 1
+    return [[x * math.sqrt(max(S[i][i], 0.0)) for x in row] for i, row in enumerate(L)]

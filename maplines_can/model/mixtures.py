@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from ..values.line import Status
-from .matrices import Matrix, is_definite
+from .matrices import dot, is_definite
 from .records import Component, Line
+from .weights import moments
 
 #: The status of a line is that of its worst component; from best to worst.
 SEVERITY = (
@@ -45,16 +46,11 @@ class _Mixture:
 
 
 class Mixtures:
-    """The mixture of one slot that is not complete yet.
-
-    Args:
-        modulus: of the counter.
-        timeout_ns: longest time between two components, one after the other.
-        counts: dropped frames by reason.
-    """
+    """The mixture of one slot that is not complete yet; ``counts`` are of dropped frames."""
 
     def __init__(self, modulus: int, timeout_ns: int, counts: Counter[str]) -> None:
-        self._modulus, self._timeout_ns, self._counts = modulus, timeout_ns, counts
+        self._modulus, self._counts = modulus, counts
+        self._timeout_ns = timeout_ns  # longest time between two components, one after the other
         self._held: _Mixture | None = None
 
     @property
@@ -84,9 +80,7 @@ class Mixtures:
         if len(held.components) < component.size:
             return "PENDING"
         components = tuple(held.components[i] for i in range(component.size))
-        weights = 0.0
-        for one in components:
-            weights += one.weight
+        weights = dot([one.weight for one in components], [1.0] * component.size)
         if abs(weights - 1) > WEIGHT_TOLERANCE:
             self.drop("CONTENT")
             return "CONTENT"
@@ -115,27 +109,12 @@ def mixture_line(components: tuple[Component, ...]) -> Line:
 
     Time and status are those of the earliest and of the worst component.
     """
-    mean = _weighted(components, [[one.line.mean] for one in components])[0]
-    spreads = []
-    for one in components:
-        d = [x - y for x, y in zip(one.line.mean, mean, strict=True)]
-        spreads.append([[one.line.cov[i][j] + d[i] * d[j] for j in range(4)] for i in range(4)])
-    cov = _weighted(components, spreads)
+    lines = [one.line for one in components]
+    weights = [one.weight for one in components]
+    mean, cov = moments(weights, [one.mean for one in lines], [one.cov for one in lines])
     if not is_definite(cov):
         for i in range(4):
             cov[i][i] += ROUNDING * cov[i][i]
-    return min((one.line for one in components), key=lambda line: line.t_ns)._replace(
-        mean=mean,
-        cov=cov,
-        status=max((one.line.status for one in components), key=SEVERITY.index),
-        components=components,
-    )
-
-
-def _weighted(components: tuple[Component, ...], values: list[Matrix]) -> Matrix:
-    """Return the weighted sum of a matrix of each component, the first one first."""
-    total = [[components[0].weight * x for x in row] for row in values[0]]
-    for one, matrix in zip(components[1:], values[1:], strict=True):
-        for row, added in zip(total, matrix, strict=True):
-            row[:] = [x + one.weight * y for x, y in zip(row, added, strict=True)]
-    return total
+    status = max((line.status for line in lines), key=SEVERITY.index)
+    first = min(lines, key=lambda line: line.t_ns)
+    return first._replace(mean=mean, cov=cov, status=status, components=components)

@@ -8,19 +8,16 @@ from typing import NamedTuple
 from ..values.line import VAGUE_SIGMA, Kind, Slot, Status
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import PoseLayout
-from ..wire.layout.signals import (
-    OWN_SIGNALS,
-    PAGE_BYTES,
-    PARAMETER_SIGNALS,
-    Signal,
-)
+from ..wire.layout.signals import OWN_SIGNALS, PAGE_BYTES, PARAMETER_SIGNALS, Signal
+from .covariance import code_of, decoded
 from .e2e import checksum
-from .elementary import exp2
 from .matrices import Matrix, diagonal
-from .signals import Raw, packed, physical, power, read
+from .signals import Raw, packed, physical, read
 
 #: Layout of the records of lines, or of the pose error.
 AnyLayout = Layout | PoseLayout
+#: Statuses of lines without a covariance: it was not sent, or does not exist.
+WITHOUT = (Status.UNKNOWN, Status.OUT_OF_RANGE)
 
 
 class Line(NamedTuple):
@@ -90,50 +87,13 @@ def intact(layout: AnyLayout, record: bytes, data_id: int) -> dict[str, int] | s
 
 def written(layout: AnyLayout, raw: Raw, data_id: int) -> bytes:
     """Return the record of raw values, with page numbers, transfer IDs and checksum."""
-    pages = pages_of(layout, raw)
-    of_pages = {f"Page{page}": page for page in range(pages)}
-    of_pages |= {f"TransferId{page}": raw["Counter"] for page in range(pages)}
-    length = PAGE_BYTES * pages
-    record = packed(signals_of(layout, pages), {**raw, **of_pages, "Crc": 0}, length)
-    crc = checksum(record, layout.crc_offset, data_id)
-    return record[: layout.crc_offset] + crc.to_bytes(2, "little") + record[layout.crc_offset + 2 :]
-
-
-# ---- covariance -------------------------------------------------------------------------------
-
-
-def order_of(layout: AnyLayout, names: tuple[str, ...]) -> list[str]:
-    """Return the rows of the Cholesky factor: with ``RatioC0Beta``, C0 comes after Beta."""
-    return sorted(names, key=lambda row: sum(f"Ratio{row}{one}" in layout.signals for one in names))
-
-
-def cholesky_factor(layout: AnyLayout, names: tuple[str, ...], raw: Raw) -> Matrix:
-    """Return F with F F^T = 2^Inflation L L^T; its rows are in the order of the DBC.
-
-    L_ii = 2^Pivot_i, and L_ij = Ratio_ij L_ii for j < i.
-    """
-    rows, inflation = order_of(layout, names), physical(layout["Inflation"], raw)
-    scale = exp2(inflation * 0.5)
-    F = []
-    for i, row in enumerate(rows):
-        sigma = power(layout[f"Pivot{row}"], raw) * scale
-        ratios = [physical(layout[f"Ratio{row}{column}"], raw) for column in rows[:i]]
-        F.append([*(ratio * sigma for ratio in ratios), sigma, *[0.0] * (len(rows) - 1 - i)])
-    return F
-
-
-def covariance(layout: AnyLayout, names: tuple[str, ...], raw: Raw) -> Matrix:
-    """Return the covariance with its rows in the order of ``names``. Any bits are definite."""
-    rows, F = order_of(layout, names), cholesky_factor(layout, names, raw)
-    places = [names.index(row) for row in rows]
-    cov = [[0.0] * len(rows) for _ in rows]
-    for i, row in enumerate(F):
-        for j, column in enumerate(F[: i + 1]):
-            value = row[0] * column[0]
-            for k in range(1, j + 1):
-                value += row[k] * column[k]
-            cov[places[i]][places[j]] = cov[places[j]][places[i]] = value
-    return cov
+    pages, place = pages_of(layout, raw), layout.crc_offset
+    all_raw = {**raw, "Crc": 0}
+    for page in range(pages):
+        all_raw |= {f"Page{page}": page, f"TransferId{page}": raw["Counter"]}
+    record = packed(signals_of(layout, pages), all_raw, PAGE_BYTES * pages)
+    crc = checksum(record, place, data_id).to_bytes(2, "little")
+    return record[:place] + crc + record[place + 2 :]
 
 
 # ---- what the values mean ---------------------------------------------------------------------
@@ -142,7 +102,7 @@ def covariance(layout: AnyLayout, names: tuple[str, ...], raw: Raw) -> Matrix:
 def age_of(layout: AnyLayout, raw: Raw) -> float:
     """Return the age [s]: infinite for the greatest raw value, which means too old or unknown."""
     is_too_old = raw["Age"] >= layout["Age"].raw_max
-    return math.inf if is_too_old else physical(layout["Age"], raw) / 1000
+    return math.inf if is_too_old else physical(layout, raw, "Age")[0] / 1000
 
 
 def complete(layout: Layout, slot: Slot, raw: Raw, t_ns: int) -> Component | str:
@@ -151,8 +111,8 @@ def complete(layout: Layout, slot: Slot, raw: Raw, t_ns: int) -> Component | str
     No sender sends unknown statuses or kinds, a component that is not one of the line's, a weight
     that is no share, or a range that is empty, except if the line is OUT_OF_RANGE.
     """
-    x_min, x_max = (physical(layout[name], raw) for name in ("XMin", "XMax"))
-    count, weight = (physical(layout[f"Component{name}"], raw) for name in ("Count", "Weight"))
+    x_min, x_max = physical(layout, raw, "XMin", "XMax")
+    count, weight = physical(layout, raw, "ComponentCount", "ComponentWeight")
     if raw["Status"] > max(Status) or raw["Kind"] > max(Kind):
         return "CONTENT"
     if raw["ComponentIndex"] >= count or not 0 < weight <= 1:
@@ -160,12 +120,9 @@ def complete(layout: Layout, slot: Slot, raw: Raw, t_ns: int) -> Component | str
     status = Status(raw["Status"])
     if x_min > x_max and status is not Status.OUT_OF_RANGE:
         return "CONTENT"
-    if status in (Status.UNKNOWN, Status.OUT_OF_RANGE):  # it was not sent, or does not exist
-        cov = diagonal(sigma * sigma for sigma in VAGUE_SIGMA)
-    else:
-        cov = covariance(layout, PARAMETER_SIGNALS, raw)
-    mean = [physical(layout[name], raw) for name in PARAMETER_SIGNALS]
-    age = age_of(layout, raw)
+    vague = diagonal(sigma * sigma for sigma in VAGUE_SIGMA)
+    cov = vague if status in WITHOUT else decoded(code_of(layout), raw)
+    mean, age = physical(layout, raw, *PARAMETER_SIGNALS), age_of(layout, raw)
     line = Line(slot, mean, cov, Kind(raw["Kind"]), min(x_min, x_max), x_max, age, status, t_ns)
     return Component(line, raw["ComponentIndex"], int(count), weight, raw["Counter"])
 
@@ -175,10 +132,7 @@ def conditional(layout: Layout, raw: Raw) -> RawRecord | str:
 
     No sender sends unknown kinds, an empty range, or levels beside a covariance.
     """
-    if raw["Kind"] > max(Kind):
-        return "CONTENT"
-    if physical(layout["XMin"], raw) >= physical(layout["XMax"], raw):
-        return "CONTENT"
-    if raw["HasCovariance"] and any(raw[name] for name in OWN_SIGNALS):
-        return "CONTENT"
-    return RawRecord(raw["Counter"], raw)
+    x_min, x_max = physical(layout, raw, "XMin", "XMax")
+    has_both = raw["HasCovariance"] and any(raw[name] for name in OWN_SIGNALS)
+    is_possible = raw["Kind"] <= max(Kind) and x_min < x_max and not has_both
+    return RawRecord(raw["Counter"], raw) if is_possible else "CONTENT"

@@ -11,13 +11,21 @@ What there is of a line depends on its own record and on the pose error only.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from ..values.line import Kind, Slot, Status
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import PoseLayout
-from ..wire.layout.signals import FINE, OWN_SIGNALS, PARAMETER_SIGNALS, POSE_ROWS
+from ..wire.layout.signals import (
+    FINE_SIGNALS,
+    OWN_SIGNALS,
+    PARAMETER_SIGNALS,
+    POSE_ROWS,
+    SLOT_SIGNALS,
+    Signal,
+)
+from .covariance import code_of, decoded
 from .elementary import exp2
 from .levels import Levels, LevelSignals, level_covariance
 from .lines import (
@@ -31,8 +39,8 @@ from .lines import (
     valid_range,
 )
 from .matrices import Matrix, added, cholesky, diagonal, product, square, upper_solution
-from .records import Line, RawRecord, age_of, cholesky_factor, covariance, order_of
-from .signals import Raw, level, nearest_raw, of_slot, physical
+from .records import Line, RawRecord, age_of
+from .signals import Raw, level, nearest, of_slot, physical, value
 
 #: About the standard deviation of the rounding errors of means, in coefficients of T_0 .. T_3 [m].
 RESOLUTION = 2.0**-9
@@ -88,13 +96,13 @@ class Scene(NamedTuple):
 
 def pose_of(layout: PoseLayout, record: RawRecord, t_ns: int) -> Pose:
     """Return the content of a record of the pose error. All bits mean something."""
-    raw = record.raw
-    time, offset, heading = (
-        level(layout[name], raw) for name in ("CorrelationTime", "MapOffset", "MapHeading")
-    )
-    cov = covariance(layout, POSE_ROWS, raw)
-    time = time if raw["CorrelationTime"] else math.inf
-    return Pose(layout, raw, record.counter, t_ns, age_of(layout, raw), cov, time, offset, heading)
+    raw, cov = record.raw, decoded(code_of(layout, POSE_ROWS), record.raw)
+    names = ("CorrelationTime", "MapOffset", "MapHeading")
+    time, offset, heading = (level(layout[name], raw[name]) for name in names)
+    return Pose(
+        layout, raw, record.counter, t_ns, age_of(layout, raw), cov, time or math.inf, offset,
+        heading,
+    )  # fmt: skip
 
 
 def scene_line(layout: Layout, pose: Pose, member: Member) -> SceneLine | None:
@@ -102,24 +110,19 @@ def scene_line(layout: Layout, pose: Pose, member: Member) -> SceneLine | None:
 
     None if it is no function of x in its range; no sender sends such a line.
     """
-    content = member.content
-    if isinstance(content, RawRecord):
-        curve, signals, raw = _conditional(layout, content.raw)
-    else:
-        curve, signals, raw = _with_levels(layout, pose, content)
+    content, slot_signals = member.content, signals_of_slot(layout, member.slot)
+    raw = content.raw if isinstance(content, RawRecord) else _sent(layout, pose, content)
+    curve = curve_of(layout, slot_signals, raw)
     if not curve.begin < curve.end or not is_function(points_of(curve)):
         return None
     A, common = spread(curve, sigma_points(pose.cov)), common_covariance(pose, curve)
     if A is None or common is None:
         return None
-    if isinstance(content, RawRecord) and content.raw["HasCovariance"]:
-        own = square(_in_order_of_states(layout, content.raw))
-    else:
-        own = square(_level_factor(added(level_covariance(signals, raw, curve), common), curve))
+    own = own_covariance(layout, slot_signals, raw, curve, common)
     cov = enlarged(added(square(A), own))
     if isinstance(content, RawRecord):
         x_min, x_max = _valid_range(pose, curve, own)
-        kind, age = Kind(content.raw["Kind"]), later(pose.age, member.t_ns - pose.t_ns)
+        kind, age = Kind(raw["Kind"]), later(pose.age, member.t_ns - pose.t_ns)
         line = Line(member.slot, curve.mean, cov, kind, x_min, x_max, age, Status.FULL, member.t_ns)
     else:  # in a scene, all of its covariance is known
         is_partial = content.status in (Status.UNKNOWN, Status.DIAGONAL)
@@ -132,8 +135,8 @@ def scene_of(pose: Pose, lines: Sequence[SceneLine]) -> Scene:
     cov = square([row for line in lines for row in line.spread])
     for i, line in enumerate(lines):
         for j, row in enumerate(line.own):
-            for k, value in enumerate(row):
-                cov[4 * i + j][4 * i + k] += value
+            for k, x in enumerate(row):
+                cov[4 * i + j][4 * i + k] += x
     return Scene(
         [line.line for line in lines],
         enlarged(cov),
@@ -146,10 +149,8 @@ def scene_of(pose: Pose, lines: Sequence[SceneLine]) -> Scene:
 
 def enlarged(cov: Matrix) -> Matrix:
     """Return a covariance that is definite in double precision, whatever its parts are."""
-    return [
-        [x * (1 + ROUNDING) if i == j else x for j, x in enumerate(row)]
-        for i, row in enumerate(cov)
-    ]
+    places = range(len(cov))
+    return [[cov[i][j] * (1 + ROUNDING) if i == j else cov[i][j] for j in places] for i in places]
 
 
 def common_covariance(pose: Pose, curve: Curve) -> Matrix | None:
@@ -181,47 +182,51 @@ def later(age: float, passed_ns: int) -> float:
 # ---- what the records say of a line -------------------------------------------------------------
 
 
-def _conditional(layout: Layout, raw: Raw) -> tuple[Curve, LevelSignals, Levels]:
-    """Return mean, range and levels of a conditional record; with a covariance it is finer."""
-    mean = [physical(layout[name], raw) for name in PARAMETER_SIGNALS]
-    if raw["HasCovariance"]:
-        fine = [physical(layout[f"{name}{FINE}"], raw) for name in PARAMETER_SIGNALS]
-        mean = [x + added_x for x, added_x in zip(mean, fine, strict=True)]
-    begin, end, quartic = (physical(layout[name], raw) for name in ("XMin", "XMax", "Quartic"))
-    signals = LevelSignals(*(layout[name] for name in OWN_SIGNALS))
-    return Curve(mean, begin, end, quartic), signals, Levels(*(raw[name] for name in OWN_SIGNALS))
+def signals_of_slot(layout: Layout, slot: Slot) -> dict[str, Signal]:
+    """Return the signals of levels, quartic and fit range: of the record, or of the pose error."""
+    if layout.is_conditional or layout.pose is None:
+        return {name: layout[name] for name in SLOT_SIGNALS if name in layout.signals}
+    return {name: layout.pose[of_slot(slot, name)] for name in SLOT_SIGNALS}
 
 
-def _with_levels(layout: Layout, pose: Pose, line: Line) -> tuple[Curve, LevelSignals, Levels]:
-    """Return mean and range of a complete record, and its levels in that of the pose error.
+def _sent(layout: Layout, pose: Pose, line: Line) -> dict[str, int]:
+    """Return the raw values of a complete record, and those in the record of the pose error."""
+    names = (*PARAMETER_SIGNALS, "XMin", "XMax")
+    values = zip(names, (*line.mean, line.x_min, line.x_max), strict=True)
+    raw = {name: int(nearest(layout[name], x)) for name, x in values}
+    return raw | {name: pose.raw[of_slot(line.slot, name)] for name in SLOT_SIGNALS}
 
-    The range was fitted beyond the valid one, by FitBehind and FitAhead.
+
+def curve_of(layout: Layout, slot_signals: Mapping[str, Signal], raw: Raw) -> Curve:
+    """Return mean and fit range of a line; its mean is finer with a covariance.
+
+    That of a complete record was fitted beyond its valid range, by FitBehind and FitAhead.
     """
-
-    def sent(name: str, value: float) -> float:
-        raw = {name: nearest_raw(layout[name], value)}
-        return physical(layout[name], raw)
-
-    def of_pose(name: str) -> float:
-        return physical(pose.layout[of_slot(line.slot, name)], pose.raw)
-
-    mean = [sent(name, x) for name, x in zip(PARAMETER_SIGNALS, line.mean, strict=True)]
-    begin = sent("XMin", line.x_min) - of_pose("FitBehind")
-    end = sent("XMax", line.x_max) + of_pose("FitAhead")
-    names = [of_slot(line.slot, name) for name in OWN_SIGNALS]
-    signals, raw = (pose.layout[name] for name in names), (pose.raw[name] for name in names)
-    return Curve(mean, begin, end, of_pose("Quartic")), LevelSignals(*signals), Levels(*raw)
+    mean = physical(layout, raw, *PARAMETER_SIGNALS)
+    if raw.get("HasCovariance"):
+        fine = physical(layout, raw, *FINE_SIGNALS)
+        mean = [x + more for x, more in zip(mean, fine, strict=True)]
+    begin, end = physical(layout, raw, "XMin", "XMax")
+    if "FitBehind" in slot_signals:
+        begin -= value(slot_signals["FitBehind"], raw["FitBehind"])
+        end += value(slot_signals["FitAhead"], raw["FitAhead"])
+    return Curve(mean, begin, end, value(slot_signals["Quartic"], raw["Quartic"]))
 
 
-def _in_order_of_states(layout: Layout, raw: Raw) -> Matrix:
-    """Return the factor of all entries of D, with its rows in the order of the parameters."""
-    rows, F = order_of(layout, PARAMETER_SIGNALS), cholesky_factor(layout, PARAMETER_SIGNALS, raw)
-    return [F[rows.index(name)] for name in PARAMETER_SIGNALS]
+def levels_of(slot_signals: Mapping[str, Signal]) -> LevelSignals:
+    """Return the signals of the levels."""
+    return LevelSignals(*(slot_signals[name] for name in OWN_SIGNALS))
 
 
-def _level_factor(cov: Matrix, curve: Curve) -> Matrix:
-    """Return a factor of D, from the covariance of the coefficients of T_0 .. T_3."""
-    return product(bases(curve), cholesky(enlarged(cov)))
+def own_covariance(
+    layout: Layout, slot_signals: Mapping[str, Signal], raw: Raw, curve: Curve, common: Matrix
+) -> Matrix:
+    """Return D: all of its entries, or levels and what is common to all lines."""
+    if raw.get("HasCovariance"):
+        return decoded(code_of(layout), raw)
+    levels = Levels(*(raw[name] for name in OWN_SIGNALS))
+    cov = added(level_covariance(levels_of(slot_signals), levels, curve), common)
+    return square(product(bases(curve), cholesky(enlarged(cov))))
 
 
 def _valid_range(pose: Pose, curve: Curve, own: Matrix) -> tuple[float, float]:

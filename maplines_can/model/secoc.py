@@ -20,20 +20,13 @@ MAX_FRESHNESS = 2**63 - 1
 
 @dataclass
 class Keys:
-    """Keys of a receiver, and the last freshness value of each data ID.
+    """Keys of a receiver, and the last freshness value of each data ID."""
 
-    Args:
-        mac: function that returns the whole MAC of a key ID and data, AES-CMAC (RFC 4493); None if
-            there is no such key.
-        clock_us: function that returns the time; None without a clock.
-        window_us: greatest difference between a freshness value and the clock.
-        not_before_us: freshness values up to this one are not accepted.
-    """
-
+    #: Returns the whole MAC of a key ID and data, AES-CMAC (RFC 4493); None without such a key.
     mac: Callable[[int, bytes], bytes | None]
-    clock_us: Callable[[], int] | None = None
-    window_us: int = 1_000_000
-    not_before_us: int = 0
+    clock_us: Callable[[], int] | None = None  #: returns the time
+    window_us: int = 1_000_000  #: greatest difference between a freshness value and the clock
+    not_before_us: int = 0  #: freshness values up to this one are not accepted
     last_us: dict[int, int] = field(default_factory=dict)
 
 
@@ -49,13 +42,12 @@ def verified(keys: Keys, layout: SecuredLayout, data: bytes, data_id: int) -> by
     low, mac = trailer[: layout.freshness_bytes], trailer[layout.freshness_bytes :]
     last = keys.last_us.get(data_id, keys.not_before_us)
     now = None if keys.clock_us is None else keys.clock_us()
-    floor = last if now is None else max(last, now - keys.window_us - 1)
-    freshness, span = completed(low, floor), 256 ** len(low)
+    freshness = completed(low, last if now is None else max(last, now - keys.window_us - 1))
 
     def is_valid(value: int) -> bool:
         covered = data_id.to_bytes(2, "big") + authentic + value.to_bytes(8, "big")
-        whole = keys.mac(authentic[-1], covered)
-        return whole is not None and whole[: len(mac)] == mac
+        found = keys.mac(authentic[-1], covered)
+        return found is not None and found[: len(mac)] == mac
 
     if keys.mac(authentic[-1], b"") is None:
         return "KEY"
@@ -66,7 +58,7 @@ def verified(keys: Keys, layout: SecuredLayout, data: bytes, data_id: int) -> by
         keys.last_us[data_id] = freshness
         return authentic
     # It is never accepted, but an old frame is to be told from a forged one.
-    freshness -= span
+    freshness -= 256 ** len(low)
     if freshness < 0 or not is_valid(freshness):
         return "MAC"
     return "REPLAY" if freshness <= last else "AGE"

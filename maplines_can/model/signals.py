@@ -1,16 +1,22 @@
-"""Bits of a signal to its raw value and back, and raw values to physical ones."""
+"""Bits of a signal to its raw value and back, and raw values to physical ones and back."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping
 from typing import Literal
 
 from ..values.line import Slot
+from ..wire.layout.record_layout import RecordLayout
 from ..wire.layout.signals import Signal, slot_title
 from .elementary import exp2
 
 #: Raw values by the name of the signal.
 Raw = Mapping[str, int]
+#: Tolerance for the floating-point error of the division before directed rounding [steps].
+SLACK = 1e-9
+
+# ---- bits -------------------------------------------------------------------------------------
 
 
 def read(signal: Signal, record: bytes) -> int:
@@ -50,26 +56,59 @@ def _shift(signal: Signal, length: int) -> int:
     return 8 * length - first - signal.length
 
 
-def physical(signal: Signal, raw: Raw) -> float:
-    """Return the physical value of a signal: raw * factor + offset."""
-    return raw[signal.name] * signal.factor + signal.offset
+# ---- physical values ----------------------------------------------------------------------------
 
 
-def nearest_raw(signal: Signal, value: float) -> int:
-    """Return the raw value nearest to a physical one, halves to even; it may be out of range."""
-    return round((value - signal.offset) / signal.factor)
+def value(signal: Signal, raw: float) -> float:
+    """Return the physical value of a signal."""
+    return raw * signal.factor + signal.offset
 
 
-def power(signal: Signal, raw: Raw) -> float:
-    """Return 2 to the power of a physical value, such as that of ``PivotYOff``."""
-    return exp2(physical(signal, raw))
+def physical(layout: RecordLayout, raw: Raw, *names: str) -> list[float]:
+    """Return the physical values of signals."""
+    return [value(layout[name], raw[name]) for name in names]
 
 
-def level(signal: Signal, raw: Raw) -> float:
-    """Return the level of a signal such as ``MapOffset``: the raw value 0 means that it is 0."""
-    return power(signal, raw) if raw[signal.name] else 0.0
+def level(signal: Signal, raw: int) -> float:
+    """Return 2 to the power of a physical value; 0 for the raw value 0, which means none."""
+    return exp2(value(signal, raw)) if raw else 0.0
 
 
 def of_slot(slot: Slot, name: str) -> str:
     """Return the name of a signal that the pose error has for each slot: ``EgoLeftCounter``."""
     return f"{slot_title(slot)}{name}"
+
+
+# ---- rounding: a raw value may be out of range, or infinite, until it is limited ----------------
+
+
+def whole(function: Callable[[float], float], x: float) -> float:
+    """Return a number rounded by a function; infinite numbers and NaN as they are."""
+    return float(function(x)) if math.isfinite(x) else x
+
+
+def nearest(signal: Signal, x: float) -> float:
+    """Return the nearest raw value, halves to even."""
+    return whole(round, (x - signal.offset) / signal.factor)
+
+
+def above(signal: Signal, x: float) -> float:
+    """Return the least raw value that is not below a value."""
+    raw = whole(math.ceil, (x - signal.offset) / signal.factor - SLACK)
+    return raw + 1 if value(signal, raw) < x else raw
+
+
+def below(signal: Signal, x: float) -> float:
+    """Return the greatest raw value that is not above a value."""
+    raw = whole(math.floor, (x - signal.offset) / signal.factor + SLACK)
+    return raw - 1 if value(signal, raw) > x else raw
+
+
+def limited(signal: Signal, raw: float) -> int:
+    """Return a raw value within the range of its signal."""
+    return int(min(max(raw, signal.raw_min), signal.raw_max))
+
+
+def nearest_limited(signal: Signal, x: float) -> int:
+    """Return the nearest raw value within the range of its signal."""
+    return limited(signal, nearest(signal, x))

@@ -1,11 +1,12 @@
-"""Weights of the components of a mixture as records have them, and what their rounding leaves."""
+"""Mixtures: their moments, their weights in a record, and what the rounding of these leaves."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from operator import mul, truediv
 
-from .matrices import Matrix, Row, added, outer, positive_part, subtracted
+from .matrices import Matrix, Row, added, diagonal, entrywise, outer, positive_part, subtracted
 
 #: More than the gap, so that a check with another algorithm's rounding passes.
 MORE = 1e-6
@@ -40,19 +41,19 @@ def moments(
     weights: Sequence[float], means: Sequence[Row], covs: Sequence[Matrix]
 ) -> tuple[Row, Matrix]:
     """Return mean and covariance of a mixture; the components are added one after the other."""
-    n = range(len(means[0]))
-    mean = [_weighted_sum(weights, [m[i] for m in means]) for i in n]
-    about = []
-    for m, cov in zip(means, covs, strict=True):
-        about.append(added(cov, outer([x - y for x, y in zip(m, mean, strict=True)])))
-    return mean, [[_weighted_sum(weights, [S[i][j] for S in about]) for j in n] for i in n]
+    mean = _weighted(weights, [[m] for m in means])[0]
+    return mean, _weighted(weights, about(means, [mean] * len(means), covs))
 
 
-def _weighted_sum(weights: Sequence[float], values: Sequence[float]) -> float:
-    total = weights[0] * values[0]
-    for weight, value in zip(weights[1:], values[1:], strict=True):
-        total += weight * value
-    return total
+def _weighted(weights: Sequence[float], matrices: Sequence[Matrix]) -> Matrix:
+    shares = zip(weights, matrices, strict=True)
+    return added(*([[weight * x for x in row] for row in A] for weight, A in shares))
+
+
+def about(means: Sequence[Row], points: Sequence[Row], covs: Sequence[Matrix]) -> list[Matrix]:
+    """Return the mean squares about a point of each component."""
+    d = [[x - y for x, y in zip(*pair, strict=True)] for pair in zip(means, points, strict=True)]
+    return [added(cov, outer(one)) for cov, one in zip(covs, d, strict=True)]
 
 
 def deficit(
@@ -68,19 +69,14 @@ def deficit(
     their covariance B. It must cover T, the true mean square error about the decoded mean: the
     positive part of T - B closes the gap.
     """
-    mean, T = moments(weights, means, covs)
-    own = []
-    for m, decoded, cov in zip(means, decoded_means, covs, strict=True):
-        own.append(added(cov, outer([x - y for x, y in zip(m, decoded, strict=True)])))
+    mean, cov = moments(weights, means, covs)
+    own = about(means, decoded_means, covs)
     decoded_mean, B = moments(decoded_weights, decoded_means, own)
-    T = added(T, outer([x - y for x, y in zip(mean, decoded_mean, strict=True)]))
-    gap = subtracted(T, B)
+    (T,) = about([mean], [decoded_mean], [cov])
     sigmas = [math.sqrt(row[i]) for i, row in enumerate(T)]
-    scale = [sigma if 0 < sigma < math.inf else 1.0 for sigma in sigmas]
-    n = range(len(scale))
-    gap = [[gap[i][j] / (scale[i] * scale[j]) for j in n] for i in n]
+    units = outer([sigma if 0 < sigma < math.inf else 1.0 for sigma in sigmas])
+    gap = entrywise(truediv, subtracted(T, B), units)
     if not all(math.isfinite(x) for row in gap for x in row):
         # A component is so far out of range that its own record is OUT_OF_RANGE.
-        gap = [[0.0 for _ in n] for _ in n]
-    lifted = positive_part(gap, MORE)
-    return [[lifted[i][j] * (scale[i] * scale[j]) for j in n] for i in n]
+        gap = diagonal([0.0] * len(gap))
+    return entrywise(mul, positive_part(gap, MORE), units)

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..values.line import MIN_RANGE, Slot, Status
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.signals import PARAMETER_SIGNALS, Signal
-from .covariance import code_of, encode, is_indefinite, nearest_covariance
+from .covariance import code_of, encode, is_indefinite, nearest_covariance, reachable, widest
 from .matrices import Matrix, Row, added, diagonal, outer, subtracted
 from .nearest_line import nearest_line, slope_error
-from .records import written
-from .rounding import above, below, limited
-from .rounding import nearest as nearest_of
+from .records import WITHOUT, written
+from .signals import above, below, limited, nearest, nearest_limited, value
 from .weights import deficit, quantized_weights
 
 #: Largest distance of a mean from the one that is sent without a covariance [steps].
 FAR = 0.51
-_WITHOUT = (Status.UNKNOWN, Status.OUT_OF_RANGE)
 
 
 @dataclass(frozen=True)
@@ -55,25 +53,15 @@ def write(layout: Layout, line: Draft, counter: int, cover: Matrix | None = None
     ends, is_outside = stated_range(layout, line.x_min, line.x_max)
     if is_clipped and line.status == Status.FULL and line.count == 1 and line.x_min < line.x_max:
         raw_mean, ends, is_outside = replaced(layout, line, (raw_mean, ends, is_outside))
-    decoded = [signal.physical_one(raw) for signal, raw in zip(signals, raw_mean, strict=True)]
-    covariance, status = _covariance_and_status(layout, line, decoded, is_clipped, cover)
-    raw = {
-        **dict(zip(PARAMETER_SIGNALS, raw_mean, strict=True)),
-        **covariance,
-        "XMin": ends[0],
-        "XMax": ends[1],
-        "Counter": counter,
-        "Status": int(Status.OUT_OF_RANGE if is_outside else status),
-        "Kind": line.kind,
-        "Age": limited(layout["Age"], above(layout["Age"], 1000 * line.age)),
-    }
-    component = {
-        "ComponentIndex": line.index,
-        "ComponentCount": line.count,
-        "ComponentWeight": line.weight,
-    }
-    for name, value in component.items():
-        raw[name] = limited(layout[name], nearest_of(layout[name], value))
+    decoded = [value(signal, raw) for signal, raw in zip(signals, raw_mean, strict=True)]
+    raw, status = _covariance_and_status(layout, line, decoded, is_clipped, cover)
+    raw |= dict(zip(PARAMETER_SIGNALS, raw_mean, strict=True))
+    raw |= {"XMin": ends[0], "XMax": ends[1], "Kind": line.kind, "Counter": counter}
+    raw["Status"] = int(Status.OUT_OF_RANGE if is_outside else status)
+    raw["Age"] = limited(layout["Age"], above(layout["Age"], 1000 * line.age))
+    component = {"Index": line.index, "Count": line.count, "Weight": line.weight}
+    for name, x in component.items():
+        raw[f"Component{name}"] = nearest_limited(layout[f"Component{name}"], x)
     return written(layout, raw, layout.messages[line.slot].data_id)
 
 
@@ -83,16 +71,16 @@ def _mean_signals(layout: Layout) -> list[Signal]:
 
 def clipped_mean(signals: Sequence[Signal], mean: Sequence[float]) -> tuple[list[int], bool]:
     """Return the nearest raw mean within the ranges, and whether a parameter exceeds its range."""
-    nearest = [nearest_of(signal, x) for signal, x in zip(signals, mean, strict=True)]
-    raw = [limited(signal, x) for signal, x in zip(signals, nearest, strict=True)]
-    return raw, raw != nearest
+    exact = [nearest(signal, x) for signal, x in zip(signals, mean, strict=True)]
+    raw = [limited(signal, x) for signal, x in zip(signals, exact, strict=True)]
+    return raw, raw != exact
 
 
 def stated_range(layout: Layout, x_min: float, x_max: float) -> tuple[tuple[int, int], bool]:
     """Return the raw ends of a valid range, rounded inwards, and whether no part can be stated."""
     first, last = layout["XMin"], layout["XMax"]
     raw = limited(first, above(first, x_min)), limited(last, below(last, x_max))
-    start, end = first.physical_one(raw[0]), last.physical_one(raw[1])
+    start, end = value(first, raw[0]), value(last, raw[1])
     return raw, start < x_min or start > end or end > x_max
 
 
@@ -105,13 +93,13 @@ def replaced(layout: Layout, line: Draft, stated: _Stated) -> _Stated:
     It is the nearest line within the message, in the part of the range where it is near, if enough
     of that can be stated; otherwise what was stated so far.
     """
-    reach = [math.sqrt(variance) for variance in code_of(layout).reachable]
+    reach = [math.sqrt(variance) for variance in reachable(code_of(layout))]
     signals = _mean_signals(layout)
     near = nearest_line(signals, line.mean, (line.x_min, line.x_max), MIN_RANGE, reach)
     if near is None:
         return stated
     ends, is_outside = stated_range(layout, *near[1])
-    length = layout["XMax"].physical_one(ends[1]) - layout["XMin"].physical_one(ends[0])
+    length = value(layout["XMax"], ends[1]) - value(layout["XMin"], ends[0])
     if is_outside or length < MIN_RANGE:  # rounding inwards may leave nothing of a short range
         return stated
     return clipped_mean(signals, near[0])[0], ends, False
@@ -120,29 +108,23 @@ def replaced(layout: Layout, line: Draft, stated: _Stated) -> _Stated:
 def _covariance_and_status(
     layout: Layout, line: Draft, decoded: Row, is_clipped: bool, cover: Matrix | None
 ) -> tuple[dict[str, int], int]:
+    """Return the raw values of the covariance, and what became of the line."""
     code = code_of(layout)
-    if line.status in _WITHOUT:  # nothing makes up for a mean that is clipped
-        signals = _mean_signals(layout)
-        is_far = any(
-            abs(x - y) > FAR * abs(signal.factor)
-            for x, y, signal in zip(line.mean, decoded, signals, strict=True)
-        )
-        return code.widest(), Status.OUT_OF_RANGE if is_far else line.status
+    steps = [signal.factor for signal in _mean_signals(layout)]
+    if line.status in WITHOUT:  # nothing makes up for a mean that is clipped
+        errors = [x - y for x, y in zip(line.mean, decoded, strict=True)]
+        is_far = any(abs(d) > FAR * step for d, step in zip(errors, steps, strict=True))
+        return widest(code), Status.OUT_OF_RANGE if is_far else line.status
     target = target_of(line, decoded, is_clipped, cover)
-    coded = encode(code, target, resolution(layout))
+    coded = encode(code, target, [step * step / 12 for step in steps])
     if not coded.is_covered:
         return coded.raw, Status.OUT_OF_RANGE
     is_repaired = line.status != Status.DIAGONAL and is_indefinite(line.cov)
     if is_repaired or line.status == Status.REPAIRED:
         return coded.raw, Status.REPAIRED
-    if line.status == Status.FULL and (is_clipped or coded.is_saturated):
+    if line.status == Status.FULL and (is_clipped or coded.is_lifted):
         return coded.raw, Status.SATURATED
     return coded.raw, line.status
-
-
-def resolution(layout: Layout) -> Row:
-    """Return the variances of the rounding of the mean."""
-    return [signal.factor * signal.factor / 12 for signal in _mean_signals(layout)]
 
 
 def target_of(line: Draft, decoded: Row, is_clipped: bool, cover: Matrix | None) -> Matrix:
@@ -183,17 +165,13 @@ def write_mixture(
     steps = round(1 / layout["ComponentWeight"].factor)
     decoded_weights = [multiple / steps for multiple in quantized_weights(weights, steps)]
     signals = _mean_signals(layout)
-    decoded_means = [
-        [s.physical_one(raw) for s, raw in zip(signals, clipped_mean(signals, m)[0], strict=True)]
-        for m in means
-    ]
+    decoded_means = []
+    for mean in means:
+        raw, _ = clipped_mean(signals, mean)
+        decoded_means.append([value(s, one) for s, one in zip(signals, raw, strict=True)])
     cover = deficit(weights, means, covs, decoded_weights, decoded_means)
-    modulus = 2 ** layout["Counter"].length
-    records = []
+    modulus, records = 2 ** layout["Counter"].length, []
     for i, (weight, mean, cov) in enumerate(zip(decoded_weights, means, covs, strict=True)):
-        component = Draft(
-            line.slot, mean, cov, line.kind, line.status, line.x_min, line.x_max, line.age,
-            index=i, count=len(means), weight=weight,
-        )  # fmt: skip
+        component = replace(line, mean=mean, cov=cov, index=i, count=len(means), weight=weight)
         records.append(write(layout, component, (counter + i) % modulus, cover))
     return records

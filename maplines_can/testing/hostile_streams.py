@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from ..model.records import AnyLayout, written
-from ..model.signals import nearest_raw, of_slot
+from ..model.signals import nearest_limited, of_slot
 from ..values.line import Slot
 from ..wire import POSE, E2EConfig, Layout, Owner
 from ..wire.layout.pose_layout import slot_of
-from ..wire.layout.signals import OWN_SIGNALS, PAGE_BYTES, PARAMETER_SIGNALS, Signal
+from ..wire.layout.signals import OWN_SIGNALS, PAGE_BYTES, PARAMETER_SIGNALS
 
 CYCLES = 256
 #: Time between most cycles, and between two frames of one [ns].
@@ -223,10 +223,10 @@ class Traffic:
         rng, layout = self._random, self.layout
         raw = {name: rng.randint(s.raw_min, s.raw_max) for name, s in layout.signals.items()}
         for name, sigma in zip(PARAMETER_SIGNALS, SPREAD, strict=True):
-            raw[name] = _within(layout[name], rng.gauss(0, sigma))
+            raw[name] = nearest_limited(layout[name], rng.gauss(0, sigma))
         raw["Kind"] %= 8
-        raw["XMin"] = _within(layout["XMin"], rng.uniform(-20, 5))
-        raw["XMax"] = _within(layout["XMax"], rng.uniform(15, 110))
+        raw["XMin"] = nearest_limited(layout["XMin"], rng.uniform(-20, 5))
+        raw["XMax"] = nearest_limited(layout["XMax"], rng.uniform(15, 110))
         return raw
 
     def _pose(self, stated: Mapping[Slot, int]) -> dict[str, int]:
@@ -234,7 +234,7 @@ class Traffic:
         raw = {name: rng.randint(s.raw_min, s.raw_max) for name, s in layout.signals.items()}
         if rng.random() < 0.9:
             for name, (low, high) in PIVOTS.items():
-                raw[name] = _within(layout[name], rng.uniform(low, high))
+                raw[name] = nearest_limited(layout[name], rng.uniform(low, high))
         for name in ("MapOffset", "MapHeading"):
             raw[name] = rng.choice([0, raw[name], raw[name], layout[name].raw_max])
         for slot in self.layout.messages:
@@ -249,10 +249,6 @@ class Traffic:
 def traffics_of(layout: Layout, seed: int) -> tuple[Traffic, ...]:
     """Return what some senders send, with the same counters and other contents."""
     return tuple(Traffic(layout, 10 * seed + i) for i in range(3))
-
-
-def _within(signal: Signal, value: float) -> int:
-    return max(signal.raw_min, min(nearest_raw(signal, value), signal.raw_max))
 
 
 class _Sent(NamedTuple):

@@ -247,14 +247,16 @@ def scenes(codec: Codec, rng: np.random.Generator) -> Iterator[SenderStep]:
             continue
         owners: list[Owner] = [POSE, *layout.messages]
         counters = {owner: int(rng.integers(256)) for owner in owners}
-        fd, age = bool(rng.random() < 0.3), float(rng.uniform(0, 0.1))
+        ages = {owner: float(rng.uniform(0, 0.1)) for owner in owners}
+        fd = bool(rng.random() < 0.3)
         try:
-            frames = codec.encoder().encode_scene(scene, age=age, fd=fd, counters=counters)
+            frames = codec.encoder().encode_scene(scene, age=ages, fd=fd, counters=counters)
         except EncodeError:
             core = None
         else:
             core = {str(o): b"".join(bytes(f.data) for f in of) for o, of in frames.items()}
-        model = sender.records(_scene_draft(scene), counters, age, full=fd)
+        found = sender.send(_scene_draft(scene), counters, ages, full=fd)
+        model = None if found is None else found.records
         yield SenderStep(scene, core, _padded(model, core or {}))
 
 
