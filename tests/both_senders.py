@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from maplines_can import Codec, Kind, Slot
-from maplines_can.wire import POSE, Authenticator, Frame, Key, Layout, c_tables
+from maplines_can.wire import POSE, Authenticator, Frame, Key, Layout, tables
 from maplines_can.wire.encoder import Encoder
 
 
@@ -27,7 +27,7 @@ def codecs_of(layout: Layout, *, is_authenticated: bool = False) -> tuple[Codec,
         return Codec(layout, Authenticator(key, clock=lambda: 10**18) if is_authenticated else None)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(c_tables, "lib", None)
+        patch.setattr(tables, "lib", None)
         alone = codec()
         assert alone.encoder()._c is None  # from now on
     return codec(), alone

@@ -17,7 +17,7 @@ import pytest
 from cantools.database.can import Database
 
 from maplines_can.generation.tables import tables_of
-from maplines_can.wire.c_tables import Limits, limits_of
+from maplines_can.wire.tables import Limits, limits_of
 from maplines_can.wire.layout.message_layout import Layout
 
 C = Path(__file__).parents[1] / "c"

@@ -10,9 +10,9 @@ from typing import Any
 from scene_layouts import layout_of
 
 from maplines_can import Slot
+from maplines_can.model.records import written
+from maplines_can.model.signals import read
 from maplines_can.wire import Authenticator, Codec
-from maplines_can.wire.layout.packing import Packing
-from maplines_can.wire.records.packer import RecordPacker
 
 DBC = Path(__file__).parents[1] / "dbc" / "maplines.dbc"
 
@@ -33,8 +33,8 @@ def new_codec(authenticator: Authenticator | None = None) -> Codec:
 def changed_record(codec: Codec, payload: bytes, slot: Slot = Slot.EGO_LEFT, **raw: Any) -> bytes:
     """Return a record with other raw values, and what protects it."""
     layout = codec.layout
-    values = Packing(list(layout.signals.values()), layout.record_bytes).unpack_one(payload)
-    return RecordPacker(layout).pack_one(values | raw, layout.messages[slot].data_id)
+    values = {name: read(signal, payload) for name, signal in layout.signals.items()}
+    return written(layout, values | raw, layout.messages[slot].data_id)
 
 
 def edited(tmp_path: Path, *edits: tuple[str, str]) -> Path:

@@ -33,7 +33,7 @@ from maplines_can import Gaussian, LeftOut, map_lines
 from maplines_can.consumers.integrity import multiplier
 from maplines_can.maps import Map, load
 from maplines_can.testing import back_to_back, sender_streams
-from maplines_can.wire import Encoder, c_tables
+from maplines_can.wire import Encoder, tables
 from maplines_can.wire.covariance.scene_code import DecodedLines
 
 for _name in harness.modules():
@@ -197,7 +197,7 @@ def test_wrong_slots_are_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
 )
 def test_wrong_joints_are_found(monkeypatch: pytest.MonkeyPatch, factor: float, words: str) -> None:
     """Too certain, in floating point and exactly; and too wide."""
-    monkeypatch.setattr(c_tables, "lib", None)  # what is made wrong is Python's
+    monkeypatch.setattr(tables, "lib", None)  # what is made wrong is Python's
     cov = vars(DecodedLines)["cov"].fget
     monkeypatch.setattr(DecodedLines, "cov", property(lambda decoded: factor * cov(decoded)))
     options: Any = {"poses": ("production",), "errors": ("5 cm",), "records": ("conditional",)}

@@ -1,9 +1,17 @@
-/* Batches of complete records: the loops of wire/records over arrays of lines. */
+/* Batches of complete records: loops over arrays of lines. */
 #include "core.h"
 #include "internal.h"
 
 #define BLOCK 128 // records that are decoded together: their raw values stay in the cache
 #define PAGES MAPLINES_MAX_PAGES
+
+void maplines_powers_of_two(size_t n, const double *exponents, double *powers)
+{
+    for (size_t i = 0; i < n; i++)
+    {
+        powers[i] = maplines_exp2(exponents[i]);
+    }
+}
 
 /* ---- encode ---------------------------------------------------------------------------------- */
 
@@ -127,7 +135,7 @@ typedef struct {
     int8_t *verdict;
 } decoded_t;
 
-/// Verdicts, in the order of records.packer.VERDICTS.
+/// Verdicts: see maplines_decode_lines.
 enum {
     VERDICT_MIXED = 1,
     VERDICT_CRC = 2,
@@ -267,16 +275,19 @@ static void check_block(const maplines_dbc_t *dbc, const block_t *block, const u
     }
 }
 
-/// Powers of 2 of a signal; raw values beyond the range of the DBC are clipped to it.
+/// Powers of 2 of a signal, times a share: from its table, or computed if there is none, or if a raw
+/// value is beyond the range of the DBC.
 static void get_powers(const block_t *block, const maplines_signal_t *signal, const double *powers,
-                       double *values)
+                       double share, double *values)
 {
     int64_t raw[BLOCK];
     get_raw(block, 0, signal, raw);
     for (int row = 0; row < block->n; row++)
     {
-        const int64_t above = raw[row] < signal->raw_min ? signal->raw_min : raw[row];
-        values[row] = powers[(above < signal->raw_max ? above : signal->raw_max) - signal->raw_min];
+        const bool is_tabled =
+            powers != NULL && raw[row] >= signal->raw_min && raw[row] <= signal->raw_max;
+        values[row] = is_tabled ? powers[raw[row] - signal->raw_min]
+                                : maplines_exp2(maplines_physical(signal, raw[row]) * share);
     }
 }
 
@@ -289,10 +300,10 @@ static void put_covariances(const maplines_dbc_t *dbc, const block_t *block,
     const uint8_t *order = code->order;
     double F[4][4][BLOCK];
     double scale[BLOCK];
-    get_powers(block, &code->inflation, powers[4], scale);
+    get_powers(block, &code->inflation, powers[4], 0.5, scale);
     for (int i = 0; i < 4; i++)
     {
-        get_powers(block, &code->pivot[i], powers[i], F[i][i]);
+        get_powers(block, &code->pivot[i], powers[i], 1.0, F[i][i]);
         for (int row = 0; row < block->n; row++)
         {
             F[i][i][row] = F[i][i][row] * scale[row];

@@ -42,13 +42,15 @@ bool maplines_check_tables(const maplines_dbc_t *dbc);
  *   reals (4, n)     component weight, start and end of the valid range [m], age [s]
  */
 
-/// Whether all of n Gaussians may be sent: as checked_gaussians of layout/validation.py. It sets
-/// `symmetric` (n, 4, 4) and `indefinite`.
+/// Powers of 2.
+void maplines_powers_of_two(size_t n, const double *exponents, double *powers);
+/// Whether all of n Gaussians may be sent: finite, symmetric but for rounding, and without negative
+/// variances. It sets `symmetric` (n, 4, 4), and which are `indefinite` beyond rounding.
 bool maplines_check_gaussians(size_t n, const double *mean, const double *cov, double *symmetric,
                               uint8_t *indefinite);
-/// Write n records of lines whose values were checked: as CompleteWriter.write. `powers` are those
-/// of 2 of all values of the pivots, by row, and of the inflation, each from the least raw value
-/// on; `cover` (n, 4, 4), or NULL, is what the decoded covariances must cover besides.
+/// Write n records of lines whose values were checked. `powers` are those of 2 of all values of the
+/// pivots, by row, and of the inflation, each from the least raw value on, or NULL; `cover`
+/// (n, 4, 4), or NULL, is what the decoded covariances must cover besides.
 void maplines_encode_lines(const maplines_dbc_t *dbc, const double *const powers[5], size_t n,
                            const double *mean, const double *cov, const double *cover,
                            const uint8_t *indefinite, const int64_t *slot, const int64_t *integers,
@@ -58,8 +60,8 @@ void maplines_encode_lines(const maplines_dbc_t *dbc, const double *const powers
 bool maplines_cover_mixtures(const maplines_dbc_t *dbc, size_t n, size_t k, int64_t steps,
                              const double *weights, const double *means, const double *covs,
                              double *decoded, double *cover);
-/// Read n records: as CompleteFormat.read. The last of the powers are those of the square roots of
-/// the inflation; verdicts are indices of VERDICTS of records/packer.py.
+/// Read n records. The last of the powers are those of the square roots of the inflation; verdicts
+/// are 0, or 1 for mixed pages, 2 for the checksum, and 3 for values that no sender sends.
 void maplines_decode_lines(const maplines_dbc_t *dbc, const double *const powers[5], size_t n,
                            const uint8_t *records, const uint16_t *data_ids, double *mean,
                            double *cov, int8_t *verdict, int64_t *integers, double *reals);

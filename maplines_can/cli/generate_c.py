@@ -8,7 +8,7 @@ from typing import Any
 from ..generation.c_files import c_files
 from ..generation.tables import identifier_of
 from ..wire import SHIPPED
-from ..wire.c_tables import limits_of
+from ..wire.tables import limits_of
 from .generated_files import add_out, check_new_files, write_files
 from .options import add_encoding, layout_from
 from .parsing import option_group

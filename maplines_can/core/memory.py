@@ -48,9 +48,9 @@ def shaped(array: NDArray[Any], shape: tuple[int, ...]) -> Any:
     return pointer(np.ascontiguousarray(array))
 
 
-def pointers(arrays: Sequence[NDArray[Any]]) -> Any:
-    """Return pointers to arrays of double precision, as a C array."""
-    kept = list(map(pointer, arrays))
+def pointers(arrays: Sequence[NDArray[Any] | None]) -> Any:
+    """Return pointers to arrays of double precision, as a C array; NULL for None."""
+    kept = [ffi.NULL if array is None else pointer(array) for array in arrays]
     made = ffi.new("const double *[]", kept)
     _kept[made] = kept
     return made

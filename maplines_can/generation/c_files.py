@@ -8,8 +8,8 @@ from importlib import resources
 from pathlib import Path
 
 from ..values.errors import LayoutError
-from ..wire.c_tables import Limits, limits_of
 from ..wire.layout.message_layout import Layout
+from ..wire.tables import Limits, limits_of
 from .tables import tables_of
 
 #: A section of internal.h that declares what a source defines: its title gives the order.

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..wire.c_tables import Members, Value, content_of, limits_of, signal_values
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.signals import Signal
+from ..wire.tables import Members, Value, content_of, limits_of, signal_values
 
 
 class Tables(NamedTuple):

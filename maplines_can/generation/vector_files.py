@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path, PurePath
 
-from ..wire.c_tables import check
 from ..wire.layout.message_layout import Layout
+from ..wire.tables import check
 from .c_files import core_folder
 from .vector_cases import cases_of
 from .vectors import SCHEMA, Vectors, vectors_of
@@ -16,7 +16,7 @@ def vector_files(layout: Layout, name: str) -> dict[str, str]:
     """Return the files of the vectors of a DBC by their names; ``name`` is that of its tables.
 
     Raises:
-        LayoutError: the DBC has no C; see ``c_tables.check``.
+        LayoutError: the DBC has no C; see ``tables.check``.
         MissingExtraError: it has authenticated messages, and cryptography is not installed.
     """
     vectors = vectors_from(layout)

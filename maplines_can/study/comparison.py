@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,7 +24,8 @@ from ..wire.layout.validation import CheckedGaussians, checked_gaussians
 from ..wire.reception.python_decoder import PythonDecoder
 from ..wire.reception.settings import decoder_settings
 from ..wire.records.components import deficit, quantized_weights
-from ..wire.records.frames import FrameWriter
+from ..wire.records.counters import packed, unpacked
+from ..wire.records.frames import FrameWriter, Records
 from ..wire.records.packer import RecordPacker
 from ..wire.records.record import CompleteRecord, RecordReader
 from .codes import CODES
@@ -155,8 +156,7 @@ class ComparisonCodec:
 
     def encoder(self) -> Encoder:
         """Return a new encoder, which holds the counters of a sender."""
-        frames = FrameWriter(self.layout, None)
-        return Encoder(self.encoder, self.layout, frames, _Records(self), None)
+        return ComparisonEncoder(self)
 
     def decoder(
         self,
@@ -168,6 +168,22 @@ class ComparisonCodec:
         """Return a new decoder, as ``Codec.decoder``; it repairs indefinite covariances."""
         settings = decoder_settings(self.layout, timeout_ms, cycle_ms, e2e)
         return PythonDecoder(self.layout, RecordReader(_Records(self)), {}, settings, None)
+
+
+class ComparisonEncoder(Encoder):
+    """Encoder of lines with a covariance code for comparison."""
+
+    def __init__(self, codec: ComparisonCodec) -> None:
+        no_tables: Any = None
+        super().__init__(
+            codec.encoder, codec.layout, no_tables, FrameWriter(codec.layout, None), None
+        )
+        self._writer = _Records(codec)
+
+    def _write_lines(self, lines: Sequence[MapLine], counters: bytes) -> tuple[Records, bytes]:
+        of_lines, following = self._writer.write_lines(lines, unpacked(counters))
+        pairs = zip(lines, of_lines, strict=True)
+        return Records.of((line.slot, one) for line, own in pairs for one in own), packed(following)
 
 
 class _Records:

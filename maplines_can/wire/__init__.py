@@ -1,7 +1,6 @@
 """Map lines and their Gaussians as messages on a CAN bus, as a DBC describes them."""
 
-from .batch import BatchCodec
-from .c_tables import CODES
+from .batch import Batch, BatchCodec
 from .codec import Codec, LineCodec
 from .encoder import Encoder
 from .layout.dbc_reader import SHIPPED, default_dbc_path
@@ -15,9 +14,9 @@ from .reception.decoder import Decoder, ReceivedFrame
 from .reception.scenes import ReceivedScene
 from .reception.sequence import SequenceCheck, SlotStats
 from .reception.views import SceneView, SlotView
-from .records.complete_format import Batch
 from .records.frames import Frame
 from .records.scene_writer import PreparedScene
+from .tables import CODES
 
 __all__ = [
     "CODES",

@@ -2,20 +2,62 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core import ffi, lib
+from ..core.memory import pointer, shaped
 from ..values.errors import EncodeError
-from ..values.line import MapLine, Slot
-from .layout.attributes import LINE_ATTRIBUTES, RecordAttributes, numbers
-from .layout.validation import checked_gaussians, checked_mixtures, checked_payloads
+from ..values.gaussian import Gaussian
+from ..values.line import Kind, MapLine, Slot, Status
+from .layout.attributes import INTEGERS, LINE_ATTRIBUTES, REALS, RecordAttributes, numbers
+from .layout.message_layout import Layout
+from .layout.validation import (
+    CheckedGaussians,
+    checked_gaussians,
+    checked_mixtures,
+    checked_payloads,
+)
 from .reasons import Reason
-from .records.complete_format import Batch
-from .records.complete_writer import CompleteWriter
-from .records.record import RecordReader
+from .tables import LineTables
+
+#: Outcomes of the checks of a record, in the order of their numbers in ``Batch.verdict``.
+VERDICTS = (None, Reason.MIXED, Reason.CRC, Reason.CONTENT)
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Many decoded records. Use a row only if it is ``accepted``."""
+
+    mean: NDArray[np.float64]  #: (N, 4) in [m, rad, 1/m, 1/m^2]
+    cov: NDArray[np.float64]  #: (N, 4, 4), positive definite in every row
+    verdict: NDArray[np.int8]  #: (N,) 0 if accepted, else an index into VERDICTS
+    status: NDArray[np.int64]  #: (N,) as ``Status``
+    kind: NDArray[np.int64]  #: (N,) as ``Kind``
+    x_min: NDArray[np.float64]  #: (N,) [m]
+    x_max: NDArray[np.float64]  #: (N,) [m]
+    age: NDArray[np.float64]  #: (N,) time from the pose to the sending [s]; inf if too old
+    component_index: NDArray[np.int64]  #: (N,)
+    component_count: NDArray[np.int64]  #: (N,)
+    component_weight: NDArray[np.float64]  #: (N,)
+    counter: NDArray[np.int64]  #: (N,)
+
+    @property
+    def accepted(self) -> NDArray[np.bool_]:
+        """(N,) True where the record passed all checks."""
+        return self.verdict == 0
+
+    @property
+    def rejects(self) -> Counter[Reason]:
+        """Number of rejected records, by reason."""
+        numbers = np.bincount(self.verdict, minlength=len(VERDICTS))
+        pairs = zip(VERDICTS, numbers.tolist(), strict=True)
+        return Counter({reason: n for reason, n in pairs if reason and n})
 
 
 class BatchCodec:
@@ -23,12 +65,13 @@ class BatchCodec:
 
     Args:
         again: returns that of the same codec.
-        writer: writer of the records.
+        layout: of the records.
+        tables: of the same DBC.
     """
 
-    def __init__(self, again: Callable[[], BatchCodec], writer: CompleteWriter) -> None:
-        self._again, self._writer, self._layout = again, writer, writer.layout
-        self._reader = RecordReader(writer.format)
+    def __init__(self, again: Callable[[], BatchCodec], layout: Layout, tables: LineTables) -> None:
+        self._again, self._layout, self._tables = again, layout, tables
+        self._weight_steps = round(1 / layout["ComponentWeight"].factor)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return self._again, ()
@@ -69,9 +112,7 @@ class BatchCodec:
         """
         gaussians = checked_gaussians(means, covs)
         values = RecordAttributes.from_keywords(attributes)
-        return self._writer.write(
-            gaussians, values.without_covariance() if covs is None else values
-        )
+        return self._encode(gaussians, values.without_covariance() if covs is None else values)
 
     def encode_mixtures(
         self, weights: ArrayLike, means: ArrayLike, covs: ArrayLike, **attributes: ArrayLike | None
@@ -98,7 +139,20 @@ class BatchCodec:
                 positive, or do not add up to 1.
         """
         values = RecordAttributes.from_keywords(attributes, LINE_ATTRIBUTES)
-        return self._writer.write_mixtures(*checked_mixtures(weights, means, covs), values)
+        weights, means, covs = checked_mixtures(weights, means, covs)
+        n, k = weights.shape
+        gaussians = checked_gaussians(means.reshape(-1, 4), covs.reshape(-1, 4, 4))
+        self._layout["ComponentCount"].whole(np.full(n, k))
+        decoded, cover = np.empty((n, k)), np.empty((n, 4, 4))
+        given = shaped(weights, (n, k)), shaped(means, (n, k, 4))
+        of_cov = shaped(gaussians.cov.reshape(covs.shape), covs.shape)
+        arrays = (*given, of_cov, pointer(decoded), pointer(cover))
+        if not lib.maplines_cover_mixtures(self._tables.dbc, n, k, self._weight_steps, *arrays):
+            raise EncodeError(f"the core refuses mixtures of {k} components")
+        records = self._encode(
+            gaussians, values.of_components(decoded), np.repeat(cover, k, axis=0)
+        )
+        return records.reshape(n, k, -1)
 
     def decode(self, payloads: ArrayLike, slot: ArrayLike = Slot.EGO_LEFT) -> Batch:
         """Decode many records. Never raises on payload content.
@@ -114,20 +168,71 @@ class BatchCodec:
             ValueError: the array has another shape or type.
         """
         records = checked_payloads(payloads, self._layout.record_bytes)
-        data_ids = self._layout.data_ids(numbers("slot", slot), len(records))
-        return self._writer.format.read(records, data_ids)
+        n = len(records)
+        data_ids = self._layout.data_ids(numbers("slot", slot), n)
+        mean, cov, verdict = np.empty((n, 4)), np.empty((n, 4, 4)), np.empty(n, dtype=np.int8)
+        integers = np.empty((len(INTEGERS), n), dtype=np.int64)
+        reals = np.empty((len(REALS), n))
+        lib.maplines_decode_lines(
+            self._tables.dbc,
+            self._tables.sigma_powers,
+            n,
+            shaped(records, records.shape),
+            shaped(data_ids, (n,)),
+            *(pointer(one) for one in (mean, cov, verdict, integers, reals)),
+        )
+        fields = dict(zip((*INTEGERS, *REALS), (*integers, *reals), strict=True))
+        return Batch(mean, cov, verdict, **fields)
 
     def decode_one(self, payload: bytes, slot: Slot, t_ns: int | None = None) -> MapLine | Reason:
         """Decode one record, received at ``t_ns`` [ns]; bit-identical to ``decode``.
 
         Returns:
             The line, or the reason why the record is rejected. For a component of a mixture it is
-            the Gaussian of the component; ``Codec.reader`` has its index, count and weight, too.
+            the Gaussian of the component; ``decode`` has its index, count and weight, too.
 
         Raises:
             EncodeError: the DBC has no message for the slot.
         """
         if slot not in self._layout.messages:
             raise EncodeError(f"{self._layout.source} has no message for slot {slot!r}")
-        record = self._reader.read(payload, slot, t_ns)
-        return record if isinstance(record, Reason) else record.line
+        if len(payload) != self._layout.record_bytes:
+            return Reason.LENGTH
+        batch = self.decode(np.frombuffer(payload, np.uint8)[None], slot)
+        if (reason := VERDICTS[batch.verdict[0]]) is not None:
+            return reason
+        return MapLine(
+            slot=Slot(slot),
+            gaussian=Gaussian.trusted(batch.mean[0], batch.cov[0]),
+            kind=Kind(int(batch.kind[0])),
+            x_min=float(batch.x_min[0]),
+            x_max=float(batch.x_max[0]),
+            age=float(batch.age[0]),
+            status=Status(int(batch.status[0])),
+            t_ns=t_ns,
+        )
+
+    def _encode(
+        self,
+        gaussians: CheckedGaussians,
+        attributes: RecordAttributes,
+        cover: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.uint8]:
+        """Return the (N, record bytes) records of Gaussians.
+
+        ``cover`` is (N, 4, 4): what the decoded covariances must cover besides.
+        """
+        n = len(gaussians.mean)
+        rows = attributes.rows(self._layout, n)
+        records = np.empty((n, self._layout.record_bytes), dtype=np.uint8)
+        lib.maplines_encode_lines(
+            self._tables.dbc,
+            self._tables.variance_powers,
+            n,
+            shaped(gaussians.mean, (n, 4)),
+            shaped(gaussians.cov, (n, 4, 4)),
+            ffi.NULL if cover is None else shaped(cover, (n, 4, 4)),
+            shaped(gaussians.indefinite, (n,)),
+            *(pointer(one) for one in (*rows, records)),
+        )
+        return records

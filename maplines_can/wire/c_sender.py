@@ -1,4 +1,4 @@
-"""Sender in C: lines and scenes to records, if they are usual; the Python package writes the rest.
+"""Sender in C: scenes to records, if they are usual; the Python package writes the rest.
 
 Unusual is whatever raises an error, and what is no line or no scene. The functions return None for
 it, so that there is one place for each error.
@@ -7,42 +7,33 @@ it, so that there is one place for each error.
 from __future__ import annotations
 
 import struct
-from array import array
-from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property, lru_cache
+from collections.abc import Mapping, Sequence
+from functools import cached_property
 from itertools import chain
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core import ffi, lib
 from ..core.memory import shaped
-from ..values.line import LeftOut, MapLine, Slot
+from ..values.line import LeftOut, Slot
 from ..values.scene import Scene
 from .covariance.cholesky import CholeskyCode
 from .covariance.scene_code import DecodedLines, SceneCode
 from .covariance.scene_encoder import EncodedScene
 from .layout.message_layout import Layout
-from .layout.pose_layout import POSE, Owner
-from .records.counters import OWNERS
+from .layout.pose_layout import OWNERS, POSE, Owner
 from .records.frames import Records
+from .records.given import given_lines
 from .records.scene_writer import PreparedScene
 
 #: Reasons of lines that are left out by their numbers: ``maplines_left_out_t``.
 LEFT_OUT = (None, LeftOut.ACROSS, LeftOut.RANGE, LeftOut.MEAN, LeftOut.COVARIANCE)
 _MAX_RECORD = ffi.sizeof("maplines_template_t") - ffi.offsetof("maplines_template_t", "bytes")
-_LINES, _DOUBLES, _INTS, _COUNTERS, _BYTES = map(
-    ffi.typeof, ("maplines_given_line_t[]", "double[]", "int32_t[]", "int64_t[]", "uint8_t[]")
+_LINES, _DOUBLES, _COUNTERS, _BYTES = map(
+    ffi.typeof, ("maplines_given_line_t[]", "double[]", "int64_t[]", "uint8_t[]")
 )
-_FIELDS = attrgetter("slot", "kind", "status", "x_min", "x_max", "age")
-_MIXTURE, _ARRAYS = attrgetter("mixture"), attrgetter("gaussian.mean", "gaussian.cov")
-_SLOT, _OF_COMPONENT = attrgetter("slot"), attrgetter("mean", "cov")
 _AGES = struct.Struct(f"{len(OWNERS)}d")
-_ONE = np.ones(1)
-#: Bytes of a mean and of its covariance.
-_GAUSSIAN = 160
 #: Errors of values that C does not take.
 _WRONG = (TypeError, ValueError, AttributeError, OverflowError, struct.error)
 
@@ -53,43 +44,11 @@ class CSender:
     Args:
         layout: of the DBC.
         tables: of the same; see ``tables_of``.
-        powers: of 2 of the values of the covariance; see ``BatchKernel``. NULL: C computes them.
         scene_code: of the DBC; None if it has no message of the pose error.
     """
 
-    def __init__(
-        self, layout: Layout, tables: Any, powers: Any, scene_code: SceneCode | None
-    ) -> None:
-        self._layout, self._tables, self._powers = layout, tables, powers
-        self._code = scene_code
-
-    def write_lines(
-        self, lines: Sequence[MapLine], counters: bytes
-    ) -> tuple[Records, bytes] | None:
-        """Return the records of all lines, and the counters that follow; None if one is unusual."""
-        try:
-            slots, given, gaussians, parts, weights = _given(lines)
-        except _WRONG:
-            return None
-        length, following = self._layout.record_bytes, bytearray(counters)
-        records = bytearray(len(gaussians) // _GAUSSIAN * length)
-        if not lib.maplines_write_lines(
-            self._tables,
-            self._powers,
-            len(slots),
-            ffi.from_buffer(_LINES, given),
-            ffi.from_buffer(_INTS, parts) if parts else ffi.NULL,
-            ffi.from_buffer(_DOUBLES, gaussians),
-            ffi.from_buffer(_DOUBLES, weights) if weights else ffi.NULL,
-            ffi.from_buffer(_COUNTERS, following),
-            ffi.from_buffer(_BYTES, records),
-        ):
-            return None
-        if parts:
-            pairs = zip(slots, parts, strict=True)
-            slots = [slot for slot, count in pairs for _ in range(count or 1)]
-        lengths = (length,) * len(slots)
-        return Records(bytes(records), tuple(slots), lengths), bytes(following)
+    def __init__(self, layout: Layout, tables: Any, scene_code: SceneCode | None) -> None:
+        self._layout, self._tables, self._code = layout, tables, scene_code
 
     def prepare(self, scene: Scene, *, full: bool) -> PreparedScene | None:
         """Return a scene but for counters and ages; None if it is unusual."""
@@ -156,49 +115,6 @@ class CSender:
         return Records(bytes(records[: sum(own)]), (POSE, *slots), own), bytes(following)
 
 
-def _given(lines: Sequence[MapLine]) -> tuple[list[Slot], bytes, bytes, Any, bytes]:
-    """Return slots, lines, Gaussians, components of each line and their weights as C has them.
-
-    Without a mixture, the last two are empty.
-    """
-    slots = [*map(_SLOT, lines)]
-    given = _struct(len(slots)).pack(*chain.from_iterable(map(_FIELDS, lines)))
-    mixtures = [*map(_MIXTURE, lines)]
-    if mixtures.count(None) == len(slots):
-        gaussians = _bytes(chain.from_iterable(map(_ARRAYS, lines)))
-        if len(gaussians) != _GAUSSIAN * len(slots):
-            raise ValueError("each Gaussian is over four parameters")
-        return slots, given, gaussians, b"", b""
-    components = [
-        (line.gaussian,) if mixture is None else mixture.components
-        for line, mixture in zip(lines, mixtures, strict=True)
-    ]
-    n = sum(map(len, components))
-    parts = array("i", [0 if one is None else len(one.components) for one in mixtures])
-    arrays = map(_OF_COMPONENT, chain.from_iterable(components))
-    gaussians = _bytes(chain.from_iterable(arrays))
-    weights = _bytes(_ONE if mixture is None else mixture.weights for mixture in mixtures)
-    if (len(gaussians), len(weights)) != (_GAUSSIAN * n, 8 * n):
-        raise ValueError("each Gaussian is over four parameters, and has a weight")
-    return slots, given, gaussians, parts, weights
-
-
-@lru_cache(maxsize=64)
-def _struct(n: int) -> struct.Struct:
-    """Return the form of n lines: ``maplines_given_line_t``."""
-    return struct.Struct("=" + "3i4x3d" * n)
-
-
-def _bytes(arrays: Iterable[NDArray[np.float64]]) -> bytes:
-    """Return the values of arrays one after the other, by rows."""
-    kept: list[Any] = [*arrays]
-    try:
-        return b"".join(kept)
-    except (BufferError, ValueError, TypeError):  # one is not in C order
-        kept = [*map(np.ascontiguousarray, kept)]
-        return b"".join(kept)
-
-
 def _given_scene(scene: Scene) -> tuple[Any, Any]:
     """Return a scene as C has it, and what it points to.
 
@@ -206,7 +122,7 @@ def _given_scene(scene: Scene) -> tuple[Any, Any]:
         ValueError: it has other shapes than a scene.
     """
     n = len(scene.lines)
-    slots, lines, gaussians, parts, _ = _given(scene.lines)
+    slots, lines, gaussians, parts, _ = given_lines(scene.lines)
     map_error, pose_error, specific = scene.map_error, scene.pose_error, scene.specific_covs
     arrays = [
         _array(scene.fit_ranges, (n, 2)),

@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import ffi
 from .batch import BatchCodec
 from .c_sender import CSender
-from .c_tables import check_code, number_of, tables_of
 from .covariance import CholeskyCode, SceneCode, SceneEncoder
 from .encoder import Encoder, conditional_error
 from .layout.dbc_reader import default_dbc_path
@@ -23,16 +21,14 @@ from .protection.e2e_state import E2EConfig
 from .protection.secoc import Authenticator, Verifier
 from .reception.decoder import Decoder
 from .reception.native_decoder import NativeDecoder
-from .reception.python_decoder import PythonDecoder
 from .reception.settings import decoder_settings
-from .records.batch_kernel import BatchKernel
 from .records.complete_format import CompleteFormat
 from .records.complete_writer import CompleteWriter
 from .records.frames import FrameWriter
 from .records.raw_format import RawFormat
 from .records.record import CompleteRecord, RawRecord, RecordFormat, RecordReader
-from .records.scene_reader import SceneReader
 from .records.scene_writer import SceneWriter
+from .tables import LineTables, check_code, number_of
 
 if TYPE_CHECKING:
     from cantools.database.can import Database
@@ -119,10 +115,10 @@ class Codec:
         check_code(layout)
         #: Code of the covariance.
         self.covariance = CholeskyCode(layout)
+        self._tables = LineTables.of(layout, self.covariance)
         self._complete: CompleteWriter | None = None
         if not layout.is_conditional:
-            kernel = BatchKernel.of(self._c_tables, layout, self.covariance)
-            self._complete = CompleteWriter(layout, CompleteFormat(layout, self.covariance, kernel))
+            self._complete = CompleteWriter(layout, CompleteFormat(layout, self.covariance))
         #: Reader of the records of each slot and of the pose error.
         self.reader: RecordReader[CompleteRecord | RawRecord] = RecordReader(*self._formats())
         self._frame_writer = FrameWriter(layout, authenticator)
@@ -181,9 +177,9 @@ class Codec:
         Raises:
             EncodeError: the records are conditional on the pose error.
         """
-        if self._complete is None:
+        if self.layout.is_conditional:
             raise conditional_error(self.layout)
-        return BatchCodec(partial(getattr, self, "batch"), self._complete)
+        return BatchCodec(partial(getattr, self, "batch"), self.layout, self._tables)
 
     def of_layout(self, layout: Layout) -> Codec:
         """Return the codec of another layout, without a key."""
@@ -194,8 +190,8 @@ class Codec:
         return Encoder(
             self.encoder,
             self.layout,
+            self._tables,
             self._frame_writer,
-            self._complete,
             self._scene_writer,
             self._c_sender,
         )
@@ -213,17 +209,8 @@ class Codec:
         return SceneWriter(self.layout, self.layout.pose, encoder, self._complete)
 
     @cached_property
-    def _c_tables(self) -> Any:
-        """Tables for the core; None if Python computes alone."""
-        return tables_of(self.layout)
-
-    @cached_property
-    def _c_sender(self) -> CSender | None:
-        if self._c_tables is None:
-            return None
-        kernel = None if self._complete is None else self._complete.format.kernel
-        powers = ffi.NULL if kernel is None else kernel.variance_powers
-        return CSender(self.layout, self._c_tables, powers, self._scene_code)
+    def _c_sender(self) -> CSender:
+        return CSender(self.layout, self._tables.dbc, self._scene_code)
 
     def verifier(self) -> Verifier | None:
         """Return a verifier of received frames of lines; None without an authenticator."""
@@ -265,10 +252,5 @@ class Codec:
         if pose is not None and (of_pose := self._verifier_of(pose)) is not None:
             verifiers[POSE] = of_pose
         settings = decoder_settings(layout, timeout_ms, cycle_ms, e2e)
-        if self._c_tables is not None:
-            numbers = {owner: number_of(owner) for owner in settings}
-            return NativeDecoder(layout, self._c_tables, verifiers, settings, numbers)
-        scenes = None
-        if pose is not None and self._scene_code is not None:
-            scenes = SceneReader(layout, pose, self._scene_code)
-        return PythonDecoder(layout, self.reader, verifiers, settings, scenes)
+        numbers = {owner: number_of(owner) for owner in settings}
+        return NativeDecoder(layout, self._tables.dbc, verifiers, settings, numbers)

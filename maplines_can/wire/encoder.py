@@ -2,33 +2,32 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import struct
 from collections.abc import Callable, Mapping, Sequence
 from itertools import islice
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import Lock
+from ..core import Lock, ffi, lib
 from ..values.errors import EncodeError
 from ..values.line import MapLine, Slot
 from ..values.scene import Scene
 from .c_sender import CSender
+from .layout.attributes import RecordAttributes
 from .layout.message_layout import PAGE_BYTES, Layout
 from .layout.pose_layout import Owner
+from .layout.validation import checked_gaussians
 from .records.counters import packed, unpacked
 from .records.frames import Frame, FrameWriter, Records
+from .records.given import GAUSSIAN_BYTES, given_lines
 from .records.scene_writer import PreparedScene, SceneWriter
+from .tables import LineTables
 
-
-class LineWriter(Protocol):
-    """Writer of the records of lines."""
-
-    def write_lines(
-        self, lines: Sequence[MapLine], counters: Mapping[Owner, int]
-    ) -> tuple[list[list[bytes]], Counter[Owner]]:
-        """Return the records of each line, and the counters that follow them."""
+_LINES, _DOUBLES, _INTS, _COUNTERS, _BYTES = map(
+    ffi.typeof, ("maplines_given_line_t[]", "double[]", "int32_t[]", "int64_t[]", "uint8_t[]")
+)
 
 
 class Encoder:
@@ -40,23 +39,23 @@ class Encoder:
     Args:
         again: makes an encoder of the same codec.
         layout: of the records.
+        tables: of the same DBC.
         frame_writer: writes the frames of a record.
-        line_writer: writes lines; None if the records are conditional on the pose error.
         scene_writer: writes scenes; None if the DBC has no message of the pose error.
-        c_sender: writes what is usual, in C; None for Python alone.
+        c_sender: writes what is usual, in C.
     """
 
     def __init__(
         self,
         again: Callable[[], Encoder],
         layout: Layout,
+        tables: LineTables,
         frame_writer: FrameWriter,
-        line_writer: LineWriter | None,
         scene_writer: SceneWriter | None,
         c_sender: CSender | None = None,
     ) -> None:
         self._again, self._layout, self._frame_writer = again, layout, frame_writer
-        self._lines, self._scenes = line_writer, scene_writer
+        self._tables, self._scenes = tables, scene_writer
         self._c = c_sender
         self._counters = packed({})
         self._lock = Lock()  # of the counters: threads send different ones
@@ -97,8 +96,7 @@ class Encoder:
         lines = [*lines]  # reading one of a subclass may change the list
         with self._lock:
             first = self._counters if counters is None else packed(counters)
-            written = None if self._c is None else self._c.write_lines(lines, first)
-            records, following = written or self._write_lines(lines, unpacked(first))
+            records, following = self._write_lines(lines, first)
             frames = self._frame_writer.write_all(records, fd)
             if len(frames) != len(lines):  # mixtures have a record of each component
                 ordered = iter(frames)
@@ -199,14 +197,31 @@ class Encoder:
             )
         return self._frame_writer.write(payload.tobytes(), slot, fd)
 
-    def _write_lines(
-        self, lines: Sequence[MapLine], counters: Mapping[Owner, int]
-    ) -> tuple[Records, bytes]:
-        if self._lines is None:
-            raise conditional_error(self._layout)
-        of_lines, following = self._lines.write_lines(lines, counters)
-        pairs = zip(lines, of_lines, strict=True)
-        return Records.of((line.slot, one) for line, own in pairs for one in own), packed(following)
+    def _write_lines(self, lines: Sequence[MapLine], counters: bytes) -> tuple[Records, bytes]:
+        """Return the records of lines one after the other, and the counters that follow."""
+        try:
+            slots, given, gaussians, parts, weights = given_lines(lines)
+        except struct.error as error:
+            raise unfit_lines(self._layout, lines) from error
+        length, following = self._layout.record_bytes, bytearray(counters)
+        records = bytearray(len(gaussians) // GAUSSIAN_BYTES * length)
+        if not lib.maplines_write_lines(
+            self._tables.dbc,
+            self._tables.variance_powers,
+            len(slots),
+            ffi.from_buffer(_LINES, given),
+            ffi.from_buffer(_INTS, parts) if parts else ffi.NULL,
+            ffi.from_buffer(_DOUBLES, gaussians),
+            ffi.from_buffer(_DOUBLES, weights) if weights else ffi.NULL,
+            ffi.from_buffer(_COUNTERS, following),
+            ffi.from_buffer(_BYTES, records),
+        ):
+            raise unfit_lines(self._layout, lines)
+        if parts:
+            pairs = zip(slots, parts, strict=True)
+            slots = [slot for slot, count in pairs for _ in range(count or 1)]
+        lengths = (length,) * len(slots)
+        return Records(bytes(records), tuple(slots), lengths), bytes(following)
 
     def _write_scene(
         self,
@@ -229,6 +244,33 @@ class Encoder:
 def _parts(line: MapLine) -> int:
     """Return the number of records of a line."""
     return 1 if line.mixture is None else len(line.mixture.components)
+
+
+def unfit_lines(layout: Layout, lines: Sequence[MapLine]) -> EncodeError:
+    """Return the error that the core takes no such lines.
+
+    Raises:
+        EncodeError, ValueError, TypeError: the fault, if it is one that has a name.
+    """
+    if layout.is_conditional:
+        return conditional_error(layout)
+    for line in lines:
+        parts = (line.gaussian,) if line.mixture is None else line.mixture.components
+        count = len(parts)
+        checked_gaussians([one.mean for one in parts], [one.cov for one in parts])
+        shared = RecordAttributes(
+            slot=line.slot,
+            kind=line.kind,
+            x_min=line.x_min,
+            x_max=line.x_max,
+            age=line.age,
+            status=line.status,
+            component_index=np.arange(count),
+            component_count=count,
+            component_weight=1.0 if line.mixture is None else line.mixture.weights,
+        )
+        shared.rows(layout, count)
+    return EncodeError(f"{layout.source}: the core takes no lines such as {lines!r}")
 
 
 def conditional_error(layout: Layout) -> EncodeError:

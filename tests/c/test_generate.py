@@ -22,7 +22,7 @@ from maplines_can.cli import main
 from maplines_can.generation.c_files import c_files, header, source
 from maplines_can.study.design.scenes import fields, writer_of
 from maplines_can.wire import E2EState, ProfileStatus, Reason
-from maplines_can.wire.c_tables import MAX_LIMITS, limits_of
+from maplines_can.wire.tables import MAX_LIMITS, limits_of
 from maplines_can.wire.layout.message_layout import Layout
 
 ROOT = Path(__file__).parents[2]

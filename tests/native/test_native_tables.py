@@ -10,18 +10,18 @@ from scene_streams import COMPLETE, CONDITIONAL, new_codec
 from maplines_can import native
 from maplines_can.core.memory import structure
 from maplines_can.values.errors import LayoutError
-from maplines_can.wire import c_tables
+from maplines_can.wire import tables
 
 pytestmark = pytest.mark.skipif(not native.is_active, reason="there is no C path")
 
 
 def is_accepted(dbc: str, change: dict[str, Any]) -> bool:
     """Return whether the core takes the tables of a DBC with other members."""
-    content = c_tables.content_of(new_codec(dbc).layout)
+    content = tables.content_of(new_codec(dbc).layout)
     for name, value in change.items():
         before = content[name]
         content[name] = {**before, **value} if isinstance(value, dict) else value  # type: ignore[dict-item]
-    tables = structure("maplines_dbc_t", c_tables._plain(content))
+    tables = structure("maplines_dbc_t", tables._plain(content))
     return bool(native.lib.maplines_check_tables(tables))
 
 
@@ -60,10 +60,10 @@ def test_tables_beyond_a_record_are_refused(change: dict[str, Any]) -> None:
 
 def test_a_layout_whose_tables_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """The error names the DBC: the package made the tables."""
-    given = c_tables.content_of
+    given = tables.content_of
     monkeypatch.setattr(
-        c_tables, "content_of", lambda layout: {**given(layout), "max_components": 65}
+        tables, "content_of", lambda layout: {**given(layout), "max_components": 65}
     )
 
     with pytest.raises(LayoutError, match=r"maplines\.dbc: the core takes its tables"):
-        c_tables.tables_of(new_codec(COMPLETE).layout)
+        tables.tables_of(new_codec(COMPLETE).layout)

@@ -15,8 +15,8 @@ from pathlib import Path, PurePath
 from typing import NamedTuple
 
 from ...values.errors import LayoutError, missing_extra
-from ...wire.c_tables import limits_of
 from ...wire.layout.message_layout import Layout
+from ...wire.tables import limits_of
 from ..c_files import core_folder, header, propagation_sources, source
 from ..tables import tables_of
 from . import variables as code

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...values.arrays import floats
+from ...values.arrays import floats, row_values
 from ...values.errors import EncodeError
 from ...values.line import Kind, Slot, Status
+from .message_layout import Layout
+
+#: Rows of the arrays of the core of values beside mean and covariance.
+INTEGERS = ("counter", "kind", "status", "component_index", "component_count")
+REALS = ("component_weight", "x_min", "x_max", "age")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,6 +105,70 @@ class RecordAttributes:
             component_count=k,
             component_weight=weights.ravel(),
         )
+
+    def rows(self, layout: Layout, n: int) -> RecordRows:
+        """Return the attributes of n records as the core takes them.
+
+        Raises:
+            EncodeError: one cannot be encoded, such as a slot that the DBC does not have.
+            ValueError: one has not n values, or one for all.
+        """
+        layout.data_ids(self.slot, n)
+        integers = self._integers(layout, n)
+        x_min, x_max = _finite("x_min", self.x_min, n), _finite("x_max", self.x_max, n)
+        if (x_min > x_max).any():
+            raise EncodeError("x_min must be x_max or less")
+        age = row_values(np.asarray(self.age, dtype=float), n)
+        if not (age >= 0).all():
+            raise EncodeError(f"age must be 0 s or more, got {age[~(age >= 0)][0]:g}")
+        weight = _finite("component_weight", self.component_weight, n)
+        if ((weight <= 0) | (weight > 1)).any():
+            raise EncodeError(f"component_weight must be in (0, 1], got {weight.min():g}")
+        return RecordRows(
+            _rows([self.slot], n, np.int64)[0],
+            _rows(integers, n, np.int64),
+            _rows([weight, x_min, x_max, age], n, np.float64),
+        )
+
+    def _integers(self, layout: Layout, n: int) -> list[ArrayLike]:
+        """Return each of INTEGERS, (n,) or one for all."""
+        status = row_values(Status.FULL if self.status is None else self.status, n)
+        counter = row_values(np.arange(n) if self.counter is None else self.counter, n)
+        index, count = row_values(self.component_index, n), row_values(self.component_count, n)
+        raw_status = layout["Status"].whole(status, max(Status))
+        raw_counter = layout["Counter"].whole(counter % 2 ** layout["Counter"].length)
+        raw_kind = layout["Kind"].whole(row_values(self.kind, n), max(Kind))
+        layout["ComponentIndex"].whole(index)
+        layout["ComponentCount"].whole(count)
+        bad = index >= count
+        if bad.any():
+            i, k = (np.broadcast_to(values, bad.shape)[bad][0] for values in (index, count))
+            raise EncodeError(f"component_index must be below component_count, got {i} of {k}")
+        return [raw_counter, raw_kind, raw_status, index, count]
+
+
+class RecordRows(NamedTuple):
+    """Attributes of n records as the core takes them."""
+
+    slot: NDArray[np.int64]  #: (n,)
+    integers: NDArray[np.int64]  #: (5, n) of INTEGERS
+    reals: NDArray[np.float64]  #: (4, n) of REALS
+
+
+def _rows(values: Iterable[ArrayLike], n: int, kind: type) -> NDArray[Any]:
+    """Return (K, n) values of K rows, each of (n,) or one for all."""
+    given = tuple(values)
+    rows: NDArray[Any] = np.empty((len(given), n), dtype=kind)
+    for row, value in zip(rows, given, strict=True):
+        row[:] = value
+    return rows
+
+
+def _finite(name: str, value: ArrayLike, n: int) -> NDArray[np.float64]:
+    values = row_values(np.asarray(value, dtype=float), n)
+    if not np.isfinite(values).all():
+        raise EncodeError(f"{name} must be finite, got {values[~np.isfinite(values)][0]}")
+    return values
 
 
 def numbers(name: str, values: ArrayLike) -> NDArray[Any]:

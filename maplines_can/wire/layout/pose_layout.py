@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, TypeAlias
 
 from ...values.line import Slot
 from .record_layout import RecordLayout
@@ -15,7 +15,9 @@ from .slot_messages import RecordMessages, SecuredLayout
 #: Owner of the records of the pose error, as a slot is that of its lines.
 POSE: Literal["pose"] = "pose"
 #: Owner of a record: a slot, or the pose error.
-Owner = Slot | Literal["pose"]
+Owner: TypeAlias = Slot | Literal["pose"]
+#: Owners by their numbers in the core: ``maplines_owner_t``.
+OWNERS: tuple[Owner, ...] = (*Slot, POSE)
 
 
 def slot_of(owner: Owner) -> Slot:

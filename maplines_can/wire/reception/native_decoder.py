@@ -55,7 +55,7 @@ class NativeDecoder(Decoder):
 
     Args:
         layout: of the records and their messages.
-        tables: of the same DBC, from ``c_tables.tables_of``.
+        tables: of the same DBC, from ``tables.tables_of``.
         verifiers: of the owners whose frames are authenticated.
         settings: of each owner.
         numbers: of the owners in C.

@@ -20,7 +20,7 @@ from ..layout.attributes import RecordAttributes
 from ..layout.message_layout import Layout
 from ..layout.pose_layout import Owner
 from ..layout.signals import PARAMETER_SIGNALS, SignalRow
-from ..layout.validation import CheckedGaussians, checked_gaussians
+from ..layout.validation import CheckedGaussians
 from .complete_format import CompleteFormat
 from .components import deficit, quantized_weights
 from .line_writer import LineWriter
@@ -90,13 +90,6 @@ class CompleteWriter:
         if (x_min > x_max).any():
             raise EncodeError("x_min must be x_max or less")
         age, weight = _age_and_weight(attributes, n)
-        if self.format.kernel is not None:
-            own = (raw[name] for name in ("Counter", "Kind", "Status"))
-            component = attributes.component_index, attributes.component_count
-            reals = weight, x_min, x_max, age
-            return self.format.kernel.encode(
-                gaussians, cover, attributes.slot, (*own, *component), reals
-            )
         count = row_values(attributes.component_count, n)
         requested = np.broadcast_to(raw["Status"], n)
         x_range = np.column_stack([np.broadcast_to(end, n) for end in (x_min, x_max)])
@@ -108,17 +101,6 @@ class CompleteWriter:
         raw["Status"] = np.where(sent.outside, Status.OUT_OF_RANGE, raw["Status"])
         raw = {name: np.broadcast_to(values, n) for name, values in raw.items()}
         return self._packer.pack(raw, data_ids)
-
-    def write_mixtures(
-        self, weights: Array, means: Array, covs: Array, attributes: RecordAttributes
-    ) -> NDArray[np.uint8]:
-        """Return (N, k, record bytes) records of mixtures; see ``BatchCodec.encode_mixtures``."""
-        n, k = weights.shape
-        gaussians = checked_gaussians(means.reshape(-1, 4), covs.reshape(-1, 4, 4))
-        decoded_weights, cover = self._cover(weights, means, gaussians.cov.reshape(covs.shape))
-        of_components = attributes.of_components(decoded_weights)
-        payloads = self.write(gaussians, of_components, np.repeat(cover, k, axis=0))
-        return payloads.reshape(n, k, -1)
 
     def write_lines(
         self, lines: Sequence[MapLine], counters: Mapping[Owner, int]
@@ -192,10 +174,7 @@ class CompleteWriter:
     @np.errstate(over="ignore", invalid="ignore")
     def _cover(self, weights: Array, means: Array, covs: Array) -> tuple[Array, Array]:
         """Return the (N, k) decoded weights, and the (N, 4, 4) ``deficit`` that they leave."""
-        steps, kernel = self._weight_steps, self.format.kernel
-        is_whole = means.shape == (*weights.shape, 4)
-        if kernel is not None and is_whole and weights.shape[1] <= kernel.max_components:
-            return kernel.cover(weights, means, covs, steps)
+        steps = self._weight_steps
         decoded = quantized_weights(weights, steps) / steps
         return decoded, deficit(weights, means, covs, decoded, self._mean.nearest(means).physical)
 

@@ -1,4 +1,4 @@
-"""Counters of a sender, as C has them."""
+"""Counters of a sender, as the core has them."""
 
 from __future__ import annotations
 
@@ -7,11 +7,8 @@ from itertools import repeat
 from operator import index
 from struct import Struct, error
 
-from ...values.line import Slot
-from ..layout.pose_layout import POSE, Owner
+from ..layout.pose_layout import OWNERS, Owner
 
-#: Owners of records by their numbers in C: ``maplines_owner_t``.
-OWNERS: tuple[Owner, ...] = (*Slot, POSE)
 _FORM = Struct(f"{len(OWNERS)}q")
 
 
@@ -21,6 +18,7 @@ def packed(counters: Mapping[Owner, int]) -> bytes:
     Raises:
         TypeError: one is no integer.
 
+    >>> from maplines_can import Slot
     >>> unpacked(packed({Slot.ROUTE: 3}))[Slot.ROUTE]
     3
     """

@@ -15,8 +15,6 @@ from maplines_can.values.line import MapLine, Slot, Status
 from maplines_can.values.scene import PoseError, Scene
 from maplines_can.wire import POSE
 from maplines_can.wire.layout.signals import PARAMETER_SIGNALS
-from maplines_can.wire.records.complete_format import CompleteFormat
-from maplines_can.wire.records.complete_writer import CompleteWriter
 
 
 @pytest.mark.parametrize("y", [0.0, np.pi / 2])
@@ -54,7 +52,7 @@ def test_each_record_of_a_scene_has_its_own_age() -> None:
 def test_a_scene_states_the_lines_that_are_sent(
     parameter: int, is_greatest: bool, steps: float, ends: Any
 ) -> None:
-    """Up to the last step of each parameter, and the receiver's scene covers them."""
+    """Up to the last step of each parameter: the receiver's scene covers them."""
     layout, codec = layout_of(COMPLETE), new_codec(COMPLETE)
     signals = [layout[name] for name in PARAMETER_SIGNALS]
     end = signals[parameter].physical_range[is_greatest]
@@ -63,16 +61,6 @@ def test_a_scene_states_the_lines_that_are_sent(
     own = np.diag([0.01, 1e-4, 1e-6, 1e-8]) ** 2
     low, high = 4.0 * ends[0], 4.0 * ends[1]
     line = MapLine(Slot.EGO_LEFT, Gaussian(mean, own), x_min=low, x_max=high)
-    writer = CompleteWriter(layout, CompleteFormat(layout, codec.covariance))
-    raw = writer.raw_mean_and_range(line)
-    assert raw is not None
-    batch = codec.batch.decode(codec.batch.encode([mean], [own], x_min=low, x_max=high))
-    assert [signal.physical(raw[signal.name]) for signal in signals] == batch.mean[0].tolist()
-    assert (layout["XMin"].physical(raw["XMin"]), layout["XMax"].physical(raw["XMax"])) == (
-        batch.x_min[0],
-        batch.x_max[0],
-    )
-
     pose = PoseError(np.diag([0.1, 0.1, 0.002]) ** 2)
     scene = Scene((line,), own, pose, np.array([[low, high]]))
     decoder = codec.decoder()

@@ -1,4 +1,4 @@
-"""Tables of a DBC for the C core: the members of ``maplines_dbc_t``, and which DBCs have C."""
+"""Tables of a DBC for the core: the members of ``maplines_dbc_t``, and which DBCs it can hold."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from collections.abc import Iterable, Mapping, Sequence
 from enum import IntEnum
 from itertools import chain
 from pathlib import PurePath
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core import lib
-from ..core.memory import structure
+from ..core.memory import pointer, pointers, structure
 from ..values.errors import LayoutError
 from ..values.line import Slot
 from .covariance import CholeskyCode
 from .covariance.scene_code import SceneCode
 from .layout.message_layout import PAGE, POSE_CONDITIONAL, TRANSFER_ID, Layout
-from .layout.pose_layout import POSE, Owner, PoseLayout
+from .layout.pose_layout import OWNERS, POSE, Owner, PoseLayout
 from .layout.record_layout import RecordLayout, bits_of
 from .layout.signals import (
     FINE,
@@ -38,12 +38,14 @@ CODES = (CholeskyCode.name, POSE_CONDITIONAL)
 MAX_COUNTER_BITS = 32
 #: Most bits of a signal of the mean with its finer one: both together are an int64_t.
 MAX_MEAN_BITS = 62
+#: Most values of a signal whose powers of 2 are tabled: 512 kB.
+MAX_TABLE = 1 << 16
 
 
 class PoseOwner(IntEnum):
-    """The pose error as an owner in C: it follows the slots."""
+    """The pose error as an owner in C."""
 
-    POSE = len(Slot)
+    POSE = len(OWNERS) - 1
 
 
 class Limits(NamedTuple):
@@ -121,8 +123,8 @@ def check(layout: Layout) -> None:
 # ---- what the tables hold ---------------------------------------------------------------------
 
 #: Values of a structure by member, or of an array by index. None is left out: 0 in C.
-Members = Mapping[Any, "Value"]
-Value = Members | Signal | NDArray[np.float64] | bool | int | float | str | None
+Members: TypeAlias = Mapping[Any, "Value"]
+Value: TypeAlias = Members | Signal | NDArray[np.float64] | bool | int | float | str | None
 
 
 def tables_of(layout: Layout) -> Any:
@@ -135,6 +137,37 @@ def tables_of(layout: Layout) -> Any:
     if not lib.maplines_check_tables(tables):
         raise LayoutError(f"{layout.source}: the core takes its tables for those of no DBC")
     return tables
+
+
+class LineTables(NamedTuple):
+    """What the core needs for complete records. Powers of 2 are pointers to a table of each pivot,
+    by row, and of the inflation; NULL for a signal of more than MAX_TABLE values.
+    """
+
+    dbc: Any  #: ``maplines_dbc_t *``
+    variance_powers: Any
+    sigma_powers: Any  #: the same, but for the inflation: its square roots
+
+    @classmethod
+    def of(cls, layout: Layout, covariance: CholeskyCode) -> LineTables:
+        """Return the tables of a DBC with this covariance code; raises as ``tables_of``."""
+        pivots = [_powers_of_two(signal) for signal in covariance.factor.pivots]
+        inflation = covariance.inflation
+        return cls(
+            tables_of(layout),
+            pointers([*pivots, _powers_of_two(inflation)]),
+            pointers([*pivots, _powers_of_two(inflation, 0.5)]),
+        )
+
+
+def _powers_of_two(signal: Signal, share: float = 1.0) -> NDArray[np.float64] | None:
+    """Return the powers of 2 of all values of a signal; None if there are too many."""
+    if signal.raw_max - signal.raw_min >= MAX_TABLE:
+        return None
+    exponents = signal.physical(np.arange(signal.raw_min, signal.raw_max + 1)) * share
+    powers = np.empty_like(exponents)
+    lib.maplines_powers_of_two(len(powers), pointer(exponents), pointer(powers))
+    return powers
 
 
 def _plain(value: Any) -> Any:
