@@ -17,8 +17,8 @@ import pytest
 from cantools.database.can import Database
 
 from maplines_can.generation.tables import tables_of
-from maplines_can.wire.tables import Limits, limits_of
 from maplines_can.wire.layout.message_layout import Layout
+from maplines_can.wire.tables import Limits, limits_of
 
 C = Path(__file__).parents[1] / "c"
 #: As CONTRIBUTING.md promises of the sources.

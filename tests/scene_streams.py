@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from functools import cache
-from typing import Any
+from itertools import chain
+from typing import Any, NamedTuple
 
 import numpy as np
 from scene_layouts import layout_of
 
 from maplines_can import Codec, Gaussian, MapError, Polyline, Scene, Slot, map_scene
-from maplines_can.wire import Authenticator, Decoder, Frame, Key, Reason
+from maplines_can.wire import Authenticator, Decoder, Frame, Key, PreparedScene, Reason
 
 #: Offsets of the lines from the car [m].
 OFFSETS = {
@@ -85,3 +86,36 @@ def feed(
             answers += [answer] if isinstance(answer, Reason) else answer
             t_ns += apart_ns
     return answers, t_ns
+
+
+class Passed(NamedTuple):
+    """A scene that was sent, and what is received of it."""
+
+    prepared: PreparedScene
+    frames: dict[Any, list[Frame]]
+    received: Scene | None  #: None if it is a pose error without lines
+
+    @property
+    def full(self) -> list[Slot]:
+        """Lines of which all entries of the line-specific covariance are sent."""
+        pages = self.prepared.layout.pages
+        return [s for s in self.prepared.sent_slots if len(self.frames[s]) == pages]
+
+    @property
+    def scene(self) -> Scene:
+        """The scene as received; there must be one."""
+        assert self.received is not None
+        return self.received
+
+
+def passed(dbc: str | Codec, scene: Scene, *, fd: bool = False, age: float = 0.0) -> Passed:
+    """Send a scene, and receive it."""
+    codec = codec_of(dbc) if isinstance(dbc, str) else dbc
+    encoder, decoder = codec.encoder(), codec.decoder()
+    prepared = encoder.prepare_scene(scene, fd=fd)
+    frames = encoder.encode_scene(prepared, fd=fd, age=age)
+    for frame in chain.from_iterable(frames.values()):
+        decoder.feed(frame.can_id, frame.data, 0)
+    found = decoder.scene()
+    received = None if found is None or not found.scene.lines else found.scene
+    return Passed(prepared, frames, received)

@@ -29,12 +29,11 @@ from evidence.figures import Rms, Share
 from evidence.harness import Evidence, bounds_of, matching, missed, promises, settings
 from evidence.roads import SLOTS, maps_of, random_map
 
-from maplines_can import Gaussian, LeftOut, map_lines
+from maplines_can import Gaussian, map_lines
 from maplines_can.consumers.integrity import multiplier
 from maplines_can.maps import Map, load
 from maplines_can.testing import back_to_back, sender_streams
-from maplines_can.wire import Encoder, tables
-from maplines_can.wire.covariance.scene_code import DecodedLines
+from maplines_can.wire import Encoder
 
 for _name in harness.modules():
     importlib.import_module(f"evidence.{_name}")
@@ -197,9 +196,17 @@ def test_wrong_slots_are_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
 )
 def test_wrong_joints_are_found(monkeypatch: pytest.MonkeyPatch, factor: float, words: str) -> None:
     """Too certain, in floating point and exactly; and too wide."""
-    monkeypatch.setattr(tables, "lib", None)  # what is made wrong is Python's
-    cov = vars(DecodedLines)["cov"].fget
-    monkeypatch.setattr(DecodedLines, "cov", property(lambda decoded: factor * cov(decoded)))
+    compare, check = scenes.compare, scenes.check
+
+    def wrong(scene: Any) -> Any:
+        return replace(scene, cov=factor * scene.cov)
+
+    monkeypatch.setattr(
+        scenes, "compare", lambda truth, got, *rest: compare(truth, wrong(got), *rest)
+    )
+    monkeypatch.setattr(
+        scenes, "check", lambda truth, got, *rest, **how: check(truth, wrong(got), *rest, **how)
+    )
     options: Any = {"poses": ("production",), "errors": ("5 cm",), "records": ("conditional",)}
     figures = scenes.scenes(n=4, exact=2, **options)
     assert words in "\n".join(missed(figures, bounds_of("scenes", quick=False)))
@@ -213,9 +220,7 @@ def test_lines_that_are_lost_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
         prepared = prepare(encoder, scene, **options)
         if prepared is scene:  # it was prepared before
             return scene
-        first = {0: LeftOut.MEAN} if prepared.sent_slots else {}
-        encoded = replace(prepared.encoded, left_out=prepared.encoded.left_out | first)
-        return replace(prepared, encoded=encoded, sent_slots=prepared.sent_slots[1:])
+        return replace(prepared, sent_slots=prepared.sent_slots[1:])
 
     monkeypatch.setattr(Encoder, "prepare_scene", without_first)
     figures = scenes.scenes(14, records=("conditional",), poses=("production",), errors=("5 cm",))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Callable
 from functools import cache
@@ -19,23 +18,18 @@ from fuzz_targets import (
     require,
     valid_record,
 )
-from scene_layouts import pose_record
+from scene_layouts import raw_record
 
 from maplines_can.values.line import Slot
 from maplines_can.wire import POSE, Codec, Decoder, Frame, Reason, default_dbc_path
-from maplines_can.wire.covariance import CholeskyCode
 from maplines_can.wire.layout.packing import Packing
 from maplines_can.wire.layout.pose_layout import PoseLayout
 from maplines_can.wire.layout.record_layout import RecordLayout
-from maplines_can.wire.layout.signals import FINE_SIGNALS, OWN_SIGNALS, PARAMETER_SIGNALS
+from maplines_can.wire.layout.signals import OWN_SIGNALS
 from maplines_can.wire.records.frames import FrameWriter
-from maplines_can.wire.records.raw_format import RawFormat
-from maplines_can.wire.records.record import RawRecord
 
 #: DBCs with records that are conditional on the pose error, and with complete records.
 DBCS = ("maplines-pose.dbc", "maplines.dbc")
-#: Signals of a pose error that its writer fills in.
-_FILLED = re.compile(r"^(Crc|Page|TransferId)|Counter$")
 
 
 class Parts(NamedTuple):
@@ -44,8 +38,6 @@ class Parts(NamedTuple):
     codec: Codec
     packing: Packing
     pose: PoseLayout
-    poses: RawFormat
-    lines: RawFormat | None  #: None if the records are complete
     frames: FrameWriter
 
 
@@ -57,9 +49,7 @@ def parts_of(dbc: str) -> Parts:
     if layout.pose is None:
         raise ValueError(f"{dbc} has no message of the pose error")
     packing = Packing(list(layout.signals.values()), layout.record_bytes)
-    lines = RawFormat.of_lines(layout) if layout.is_conditional else None
-    frames = FrameWriter(layout, None)
-    return Parts(codec, packing, layout.pose, RawFormat.of_pose(layout.pose), lines, frames)
+    return Parts(codec, packing, layout.pose, FrameWriter(layout, None))
 
 
 def drawn(layout: RecordLayout, content: bytes) -> dict[str, int]:
@@ -74,31 +64,27 @@ def drawn(layout: RecordLayout, content: bytes) -> dict[str, int]:
 
 def pose_frames(parts: Parts, content: bytes, counters: dict[Any, int], fd: bool) -> list[Frame]:
     """Return the frames of a pose error with any content that states these counters."""
-    stated = {slot: counters.get(slot, 0) for slot in parts.pose.counters}
-    values = drawn(parts.pose, content)
-    raw = {name: value for name, value in values.items() if not _FILLED.search(name)}
-    record = pose_record(parts.pose, counters.get(POSE, 0) % 256, raw, stated)
-    return parts.frames.write(parts.poses.write(record), POSE, fd=fd)
+    raw = drawn(parts.pose, content)
+    for slot, signal in parts.pose.counters.items():
+        raw[signal.name] = counters.get(slot, 0) % 2**signal.length
+    record = raw_record(parts.pose, POSE, counters.get(POSE, 0) % 256, raw)
+    return parts.frames.write(record, POSE, fd=fd)
 
 
 def line_frames(parts: Parts, content: bytes, slot: Slot, counter: int, fd: bool) -> list[Frame]:
     """Return the frames of a line with any content that passes all checks of the protection."""
     layout = parts.codec.layout
-    if parts.lines is None:
+    if not layout.is_conditional:
         signals = {"ComponentIndex": 0, "ComponentCount": 0, "ComponentWeight": 31}
         record = valid_record(parts.codec, parts.packing, content, slot, counter, **signals)
         return parts.frames.write(record, slot, fd)
     raw = drawn(layout, content)
-    is_full = raw["HasCovariance"]
-    names = {"Kind", *PARAMETER_SIGNALS, "XMin", "XMax", "Quartic", *OWN_SIGNALS}
-    if is_full:
-        names |= {*FINE_SIGNALS, *(signal.name for signal in CholeskyCode(layout).signals)}
-    raw = {name: raw[name] for name in names} | (dict.fromkeys(OWN_SIGNALS, 0) if is_full else {})
+    if raw["HasCovariance"]:
+        raw |= dict.fromkeys(OWN_SIGNALS, 0)
     low, high = (layout[name].physical_one(raw[name]) for name in ("XMin", "XMax"))
     if low >= high:  # an empty range is not written
         raw["XMin"], raw["XMax"] = layout["XMin"].raw_min, layout["XMax"].raw_max
-    of_slot = RawRecord(slot, counter, raw)
-    return parts.frames.write(parts.lines.write(of_slot), slot, fd)
+    return parts.frames.write(raw_record(layout, slot, counter, raw), slot, fd)
 
 
 def scenes(data: bytes) -> Counter[str]:

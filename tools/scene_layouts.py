@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 from maplines_can import Slot
+from maplines_can.model.records import written
 from maplines_can.wire import POSE, Layout
-from maplines_can.wire.covariance import SceneCode, SceneEncoder
+from maplines_can.wire.covariance import SceneCode
 from maplines_can.wire.layout.dbc_reader import default_dbc_path
-from maplines_can.wire.layout.pose_layout import PoseLayout
+from maplines_can.wire.layout.pose_layout import Owner, PoseLayout
 from maplines_can.wire.records.record import RawRecord
 
 #: DBC with records that are conditional on the pose, and DBC with complete records beside it.
@@ -37,10 +38,12 @@ def scene_code(dbc: str = CONDITIONAL) -> SceneCode:
     return SceneCode(pose_layout_of(dbc), layout_of(dbc))
 
 
-@lru_cache
-def scene_encoder(dbc: str = CONDITIONAL) -> SceneEncoder:
-    """Return the encoder of the scenes of one of the project's DBCs."""
-    return SceneEncoder(scene_code(dbc))
+def raw_record(
+    layout: Layout | PoseLayout, owner: Owner, counter: int, raw: Mapping[str, int]
+) -> bytes:
+    """Return the record of raw values, which the specification writes."""
+    own = layout.messages if isinstance(layout, PoseLayout) else layout.messages[Slot(owner)]
+    return written(layout, {**raw, "Counter": counter}, own.data_id)
 
 
 def pose_record(

@@ -378,9 +378,10 @@ bool maplines_write_lines(const maplines_dbc_t *dbc, const double *const *powers
                           const maplines_given_line_t *lines, const int32_t *components,
                           const double *gaussians, const double *weights,
                           int64_t counters[MAPLINES_OWNERS], uint8_t *records);
-/// Encode a scene but for counters and ages. False if it cannot be sent.
-bool maplines_prepare_scene(const maplines_dbc_t *dbc, const maplines_given_scene_t *scene,
-                            bool is_full, maplines_prepared_t *prepared);
+/// Encode a scene but for counters and ages: MAPLINES_SENT, or why it cannot be sent; -1 if a value
+/// is none that a scene has.
+int maplines_prepare_scene(const maplines_dbc_t *dbc, const maplines_given_scene_t *scene,
+                           bool is_full, maplines_prepared_t *prepared);
 /// Write the records of the pose error and of the lines of n slots, one after the other, of up to
 /// MAPLINES_MAX_RECORD each; slots are in the order of the scene. Counters advance. False if an age
 /// is none, or a line has no record; records and counters are then of no use.

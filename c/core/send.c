@@ -146,12 +146,13 @@ bool maplines_write_lines(const maplines_dbc_t *dbc, const double *const *powers
 
 /* ---- scenes ---------------------------------------------------------------------------------- */
 
+/// Whether numbers are finite; what is too large to be sent is left out, or does not fit.
 static bool are_finite(const double *numbers, size_t count)
 {
     bool are = true;
     for (size_t i = 0; i < count; i++)
     {
-        are = are && fabs(numbers[i]) <= greatest_cov;
+        are = are && fabs(numbers[i]) < (double)INFINITY;
     }
     return are;
 }
@@ -247,15 +248,20 @@ static void write_template(const maplines_dbc_t *dbc, const maplines_input_t *li
     }
 }
 
-bool maplines_prepare_scene(const maplines_dbc_t *dbc, const maplines_given_scene_t *scene,
-                            bool is_full, maplines_prepared_t *prepared)
+int maplines_prepare_scene(const maplines_dbc_t *dbc, const maplines_given_scene_t *scene,
+                           bool is_full, maplines_prepared_t *prepared)
 {
     maplines_scene_input_t input;
     maplines_input_t lines[MAPLINES_SLOTS];
-    if (!read_scene(dbc, scene, &input, lines) ||
-        maplines_encode_members(dbc, &input, is_full, &prepared->space) != MAPLINES_SENT)
+    if (!read_scene(dbc, scene, &input, lines))
     {
-        return false;
+        return -1;
+    }
+    const maplines_refusal_t refusal =
+        maplines_encode_members(dbc, &input, is_full, &prepared->space);
+    if (refusal != MAPLINES_SENT)
+    {
+        return (int)refusal;
     }
     prepared->count = input.count;
     for (int i = 0; i < (int)input.count; i++)
@@ -263,7 +269,7 @@ bool maplines_prepare_scene(const maplines_dbc_t *dbc, const maplines_given_scen
         write_template(dbc, &lines[i], &scene->gaussians[GAUSSIAN * i + 4],
                        &prepared->space.members[i], &prepared->records[i]);
     }
-    return true;
+    return (int)MAPLINES_SENT;
 }
 
 static bool is_age(double age)

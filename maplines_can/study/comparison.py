@@ -28,6 +28,7 @@ from ..wire.records.counters import packed, unpacked
 from ..wire.records.frames import FrameWriter, Records
 from ..wire.records.packer import RecordPacker
 from ..wire.records.record import CompleteRecord, RecordReader
+from ..wire.scene_writer import SceneWriter
 from .codes import CODES
 
 Array = NDArray[np.float64]
@@ -175,9 +176,9 @@ class ComparisonEncoder(Encoder):
 
     def __init__(self, codec: ComparisonCodec) -> None:
         no_tables: Any = None
-        super().__init__(
-            codec.encoder, codec.layout, no_tables, FrameWriter(codec.layout, None), None
-        )
+        layout = codec.layout
+        frames, scenes = FrameWriter(layout, None), SceneWriter(layout, no_tables)
+        super().__init__(codec.encoder, layout, no_tables, frames, scenes)
         self._writer = _Records(codec)
 
     def _write_lines(self, lines: Sequence[MapLine], counters: bytes) -> tuple[Records, bytes]:

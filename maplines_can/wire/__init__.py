@@ -15,7 +15,7 @@ from .reception.scenes import ReceivedScene
 from .reception.sequence import SequenceCheck, SlotStats
 from .reception.views import SceneView, SlotView
 from .records.frames import Frame
-from .records.scene_writer import PreparedScene
+from .scene_writer import PreparedScene
 from .tables import CODES
 
 __all__ = [

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .batch import BatchCodec
-from .c_sender import CSender
-from .covariance import CholeskyCode, SceneCode, SceneEncoder
+from .covariance import CholeskyCode, SceneCode
 from .encoder import Encoder, conditional_error
 from .layout.dbc_reader import default_dbc_path
 from .layout.message_layout import Layout
@@ -27,7 +26,7 @@ from .records.complete_writer import CompleteWriter
 from .records.frames import FrameWriter
 from .records.raw_format import RawFormat
 from .records.record import CompleteRecord, RawRecord, RecordFormat, RecordReader
-from .records.scene_writer import SceneWriter
+from .scene_writer import SceneWriter
 from .tables import LineTables, check_code, number_of
 
 if TYPE_CHECKING:
@@ -193,7 +192,6 @@ class Codec:
             self._tables,
             self._frame_writer,
             self._scene_writer,
-            self._c_sender,
         )
 
     def _formats(self) -> Iterator[RecordFormat[CompleteRecord | RawRecord]]:
@@ -202,15 +200,8 @@ class Codec:
             yield RawFormat.of_pose(self.layout.pose)
 
     @cached_property
-    def _scene_writer(self) -> SceneWriter | None:
-        if self._scene_code is None or self.layout.pose is None:
-            return None
-        encoder = SceneEncoder(self._scene_code)
-        return SceneWriter(self.layout, self.layout.pose, encoder, self._complete)
-
-    @cached_property
-    def _c_sender(self) -> CSender:
-        return CSender(self.layout, self._tables.dbc, self._scene_code)
+    def _scene_writer(self) -> SceneWriter:
+        return SceneWriter(self.layout, self._tables.dbc)
 
     def verifier(self) -> Verifier | None:
         """Return a verifier of received frames of lines; None without an authenticator."""

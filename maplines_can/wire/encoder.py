@@ -14,15 +14,14 @@ from ..core import Lock, ffi, lib
 from ..values.errors import EncodeError
 from ..values.line import MapLine, Slot
 from ..values.scene import Scene
-from .c_sender import CSender
 from .layout.attributes import RecordAttributes
 from .layout.message_layout import PAGE_BYTES, Layout
 from .layout.pose_layout import Owner
 from .layout.validation import checked_gaussians
-from .records.counters import packed, unpacked
+from .records.counters import packed
 from .records.frames import Frame, FrameWriter, Records
 from .records.given import GAUSSIAN_BYTES, given_lines
-from .records.scene_writer import PreparedScene, SceneWriter
+from .scene_writer import PreparedScene, SceneWriter
 from .tables import LineTables
 
 _LINES, _DOUBLES, _INTS, _COUNTERS, _BYTES = map(
@@ -41,8 +40,7 @@ class Encoder:
         layout: of the records.
         tables: of the same DBC.
         frame_writer: writes the frames of a record.
-        scene_writer: writes scenes; None if the DBC has no message of the pose error.
-        c_sender: writes what is usual, in C.
+        scene_writer: writes scenes.
     """
 
     def __init__(
@@ -51,12 +49,10 @@ class Encoder:
         layout: Layout,
         tables: LineTables,
         frame_writer: FrameWriter,
-        scene_writer: SceneWriter | None,
-        c_sender: CSender | None = None,
+        scene_writer: SceneWriter,
     ) -> None:
         self._again, self._layout, self._frame_writer = again, layout, frame_writer
         self._tables, self._scenes = tables, scene_writer
-        self._c = c_sender
         self._counters = packed({})
         self._lock = Lock()  # of the counters: threads send different ones
 
@@ -133,9 +129,7 @@ class Encoder:
                 "scene must be a Scene, such as from map_scene, or one from prepare_scene, got a "
                 f"{type(scene).__name__}"
             )
-        full = fd and self._layout.is_conditional
-        prepared = None if self._c is None else self._c.prepare(scene, full=full)
-        return prepared or self._scene_writer().prepare(scene, full=full)
+        return self._scenes.prepare(scene, full=fd and self._layout.is_conditional)
 
     def encode_scene(
         self,
@@ -174,8 +168,7 @@ class Encoder:
         prepared = self.prepare_scene(scene, fd=fd)
         with self._lock:
             first = self._counters if counters is None else packed(counters)
-            written = None if self._c is None else self._c.write_scene(prepared, first, age)
-            records, following = written or self._write_scene(prepared, unpacked(first), age)
+            records, following = self._scenes.write(prepared, first, age)
             each = self._frame_writer.write_all(records, fd)
             frames = dict(zip(records.owners, each, strict=True))
             if counters is None:
@@ -222,23 +215,6 @@ class Encoder:
             slots = [slot for slot, count in pairs for _ in range(count or 1)]
         lengths = (length,) * len(slots)
         return Records(bytes(records), tuple(slots), lengths), bytes(following)
-
-    def _write_scene(
-        self,
-        prepared: PreparedScene,
-        counters: Mapping[Owner, int],
-        age: float | Mapping[Owner, float],
-    ) -> tuple[Records, bytes]:
-        records, following = self._scene_writer().write(prepared, counters, age)
-        return Records.of(records.items()), packed(following)
-
-    def _scene_writer(self) -> SceneWriter:
-        if self._scenes is None:
-            raise EncodeError(
-                f"{self._layout.source} has no message of the pose error (MapLinePose), so lines "
-                "cannot be sent as a scene; take maplines.dbc or maplines-pose.dbc"
-            )
-        return self._scenes
 
 
 def _parts(line: MapLine) -> int:

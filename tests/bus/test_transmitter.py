@@ -35,7 +35,6 @@ from maplines_can.values.errors import BusError, EncodeError
 from maplines_can.values.line import LeftOut, MapLineList, Slot
 from maplines_can.values.scene import Scene
 from maplines_can.wire import POSE, Frame, PreparedScene
-from maplines_can.wire.covariance.scene_encoder import EncodedScene
 
 
 def transfer(sent: Any, n: Any = PAGES) -> Any:
@@ -375,8 +374,9 @@ class SceneCodec(FakeCodec):
         assert fd is False
         if isinstance(scene, PreparedScene):
             return scene
-        encoded = EncodedScene({}, {}, None, {})
-        return PreparedScene(scene, encoded, tuple(scene.index), self.layout)
+        members = [SimpleNamespace(left_out=0) for _ in scene.lines]
+        core = SimpleNamespace(space=SimpleNamespace(members=members))
+        return PreparedScene(scene, self.layout, False, tuple(scene.index), core)
 
     def encode_scene(self, prepared: PreparedScene, *, age: Any, fd: bool, counters: Any) -> Any:
         assert fd is False

@@ -22,8 +22,8 @@ from maplines_can.cli import main
 from maplines_can.generation.c_files import c_files, header, source
 from maplines_can.study.design.scenes import fields, writer_of
 from maplines_can.wire import E2EState, ProfileStatus, Reason
-from maplines_can.wire.tables import MAX_LIMITS, limits_of
 from maplines_can.wire.layout.message_layout import Layout
+from maplines_can.wire.tables import MAX_LIMITS, limits_of
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc")

@@ -1,8 +1,7 @@
 """Scenes to frames in C: the same bytes, reasons and counters as in Python."""
 
-import re
 import struct
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from copy import copy
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -11,10 +10,8 @@ import c_core
 import numpy as np
 import pytest
 from c_layouts import with_messages, with_slots
-from evidence.exact import covers
-from evidence.roads import SHAPES, Draw, random_scene
+from evidence.roads import SHAPES, random_scene
 from evidence.witness import POSES, Poses
-from random_dbc import random_dbc
 from scene_layouts import layout_of
 from scene_streams import road_scene
 
@@ -35,8 +32,6 @@ from maplines_can.values.errors import EncodeError, IllPosedError
 from maplines_can.values.line import LeftOut
 from maplines_can.values.seen_lines import SeenLines
 from maplines_can.wire import POSE, Layout, Reason
-from maplines_can.wire.covariance import joint, specific_encoder
-from maplines_can.wire.covariance.joint import _WEIGHTS
 from maplines_can.wire.layout.signals import PARAMETER_SIGNALS
 from maplines_can.wire.records.frames import Frame
 from maplines_can.wire.records.packer import RecordPacker
@@ -129,8 +124,8 @@ def in_python(codec: Codec, case: Case) -> Sent:
         nothing = [0] * len(lines)
         return Sent(refusal, nothing, [False] * len(lines), [], [*case.counters.values()], [])
     left_out = [0] * len(lines)
-    for place, reason in prepared.encoded.left_out.items():
-        left_out[place] = LEFT_OUT[reason]
+    for place, member in zip(range(len(lines)), prepared.core.space.members, strict=False):
+        left_out[place] = member.left_out
     modulus = 2 ** codec.layout["Counter"].length
     pose_modulus = 2 ** codec.layout.pose["Counter"].length if codec.layout.pose else 1
     counters = [
@@ -177,17 +172,6 @@ def on_roads(numbers: range) -> Iterator[Scene]:
             map_error=ERRORS[rng.integers(len(ERRORS))],
             correlation_time=float(rng.choice([0.3, 4.0, np.inf])),
         )
-
-
-def on_maps(draws: Sequence[Draw], numbers: range) -> Iterator[Scene]:
-    """Scenes around random poses on maps."""
-    for number in numbers:
-        rng = np.random.default_rng(number)
-        lines, pose = draws[number % len(draws)](number, rng)
-        if lines:
-            sigma = POSES[list(POSES)[number // len(draws) % 2]]
-            cov = Poses.about(pose, sigma, 0, rng).cov
-            yield map_scene(lines, Gaussian(pose, cov), map_error=ERRORS[rng.integers(len(ERRORS))])
 
 
 def gaussians(numbers: range) -> Iterator[Scene]:
@@ -375,71 +359,11 @@ def test_extreme_scenes(dbc: str) -> None:
     assert {one.refusal for one in sent} == {0, BAD_POSE, UNSEEN}
 
 
-@pytest.mark.parametrize(
-    ("macro", "module", "name"),
-    [
-        pytest.param("ENLARGEMENTS", specific_encoder, "TRIALS", id="enlargements"),
-        pytest.param("FACTORIZATIONS", joint, "FACTORIZATIONS", id="factorizations"),
-    ],
-)
-@pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
-def test_scenes_that_are_not_covered_in_time(
-    macro: str, module: Any, name: str, dbc: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With one step of an iteration that never needs all of its steps, as far as is known."""
-    monkeypatch.setattr(module, name, 1)
-    flags = (*c_core.FLAGS, f"-DMAPLINES_{macro}=1")
-    sent = check(layout_of(dbc), gaussians(range(30)), flags=flags)
-    assert any(LEFT_OUT[LeftOut.COVARIANCE] in one.left_out for one in sent)
-
-
 @pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
 def test_awkward_scenes(dbc: str) -> None:
     """Also those whose pose error does not fit."""
     sent = check(layout_of(dbc), awkward())
     assert {one.refusal for one in sent} == {0, BAD_POSE}
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_scenes_of_random_dbcs(seed: int) -> None:
-    """Whose orders of rows, factors, ranges and places differ."""
-    layout = Layout.from_text(random_dbc(seed), "random.dbc")
-    scenes = [*on_roads(range(seed, 100, 20)), *gaussians(range(seed, 400, 20))]
-    sent = check(layout, scenes, seed)
-    assert sum(len(one.frames) for one in sent) > 20
-
-
-@pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
-def test_what_is_received_covers_the_scene(dbc: str) -> None:
-    """In exact arithmetic, and every line that is left out is not received."""
-    layout = layout_of(dbc)
-    rng, covered = np.random.default_rng(1), 0
-    scenes = [scene for scene in gaussians(range(400)) if 1 <= len(scene.lines) <= 2]
-    scenes += [scene.subset(list(scene.index)[:2]) for scene in on_roads(range(10)) if scene.lines]
-    cases = [case_of(scene, rng, layout) for scene in scenes]
-    for case, sent in zip(cases, in_c(layout, cases), strict=True):
-        decoder = Codec(layout).decoder()
-        for can_id, _, _, data in sent.frames:
-            decoder.feed(can_id, data, 0)
-        received = decoder.scene()
-        lines = zip(case.scene.lines, sent.left_out, strict=True)
-        slots = sorted(line.slot for line, why in lines if why == 0 and sent.frames)
-        if not slots:
-            continue
-        assert received is not None
-        assert sorted(received.scene.index) == slots
-        truth, got = case.scene.joint(slots), received.scene.joint(slots)
-        assert covers(got.cov, got.mean, truth.cov, truth.mean)
-        covered += 1
-    assert covered > 10
-
-
-def test_constants_are_those_of_python() -> None:
-    """Values at places of the range, which C has as numbers."""
-    text = (c_core.C / "src" / "joint.c").read_text()
-    table = text.split("variance_weights[10][MAPLINES_VARIANCES] = {")[1].split("};")[0]
-    numbers = [float(number) for number in re.findall(r"-?\d+\.\d+", table)]
-    assert numbers == _WEIGHTS.ravel().tolist()
 
 
 def changed(field: str, place: Any, value: Any) -> Scene:

@@ -16,7 +16,7 @@ from dbcs import DBC, edited
 from drive_files import run, town
 from sender_pairs import Sender, merged
 
-from maplines_can import Codec, MapError, MapLine, Slot, map_scene, read_log
+from maplines_can import Codec, Gaussian, MapError, MapLine, Slot, map_scene, read_log
 from maplines_can.cli import main
 from maplines_can.cli.options import codec_from
 from maplines_can.cli.output import LANE_X
@@ -191,9 +191,11 @@ def test_a_line_that_does_not_belong_to_the_pose_error_is_not_joined() -> None:
     """As one that the levels of the pose error do not cover: it is sent and received alone."""
     codec = Codec.from_dbc()
     encoder = codec.encoder()
-    prepared = encoder.prepare_scene(scene_of())
-    raw = {place: raw for place, raw in prepared.encoded.lines.items() if place != 0}
-    prepared = replace(prepared, encoded=replace(prepared.encoded, lines=raw))
+    scene = scene_of()
+    first, *others = scene.lines
+    beside = Gaussian([40.0, *first.gaussian.mean[1:]], first.gaussian.cov)
+    lines = (replace(first, gaussian=beside), *others)
+    prepared = encoder.prepare_scene(replace(scene, lines=lines))
     assert len(prepared.sent_slots) == 4
     decoder, lines = codec.decoder(), 0
     for cycle in range(300):

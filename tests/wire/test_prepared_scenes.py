@@ -1,16 +1,21 @@
-"""Scenes that were prepared by one encoder and are given to another."""
+"""Scenes that were prepared: given to another encoder, copied, or with values that no scene has."""
 
+import copy
 import pickle
 import re
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
-from both_senders import codecs_of
-from scene_streams import COMPLETE, CONDITIONAL, new_codec, road_scene
+from scene_streams import COMPLETE, CONDITIONAL, OFFSETS, new_codec, road_scene
 
-from maplines_can import Codec, EncodeError
+from maplines_can import Codec, EncodeError, Gaussian, Scene, Slot
 from maplines_can.bus import Link, Transmitter
 from maplines_can.bus.tx_queue import TxQueue
-from maplines_can.wire import Layout, default_dbc_path
+from maplines_can.wire import POSE, Layout, default_dbc_path
 
 OTHER = {COMPLETE: CONDITIONAL, CONDITIONAL: COMPLETE}
 
@@ -42,13 +47,10 @@ def check_refused(own: Codec, strange: Codec) -> None:
         assert queue.wait(0.0) is transmitter._tx_queue.wait(0.0) is None
 
 
-@pytest.mark.parametrize("prepared_in_c", [True, False])
-@pytest.mark.parametrize("sent_in_c", [True, False])
 @pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
-def test_a_scene_of_another_dbc_is_refused(dbc: str, sent_in_c: bool, prepared_in_c: bool) -> None:
-    """In C and in Python; the message has both DBCs and the cure."""
-    own = codecs_of(new_codec(dbc).layout)[not sent_in_c]
-    check_refused(own, codecs_of(new_codec(OTHER[dbc]).layout)[not prepared_in_c])
+def test_a_scene_of_another_dbc_is_refused(dbc: str) -> None:
+    """The message has both DBCs and the cure."""
+    check_refused(new_codec(dbc), new_codec(OTHER[dbc]))
 
 
 @pytest.mark.parametrize(
@@ -69,10 +71,9 @@ def test_one_difference_makes_another_dbc(edit: tuple[str, str]) -> None:
     check_refused(strange, own)
 
 
-@pytest.mark.parametrize("in_c", [True, False])
-def test_the_same_dbc_may_be_read_twice(in_c: bool) -> None:
+def test_the_same_dbc_may_be_read_twice() -> None:
     """Also from a pickle, and with another comment."""
-    own = codecs_of(new_codec(COMPLETE).layout)[not in_c]
+    own = new_codec(COMPLETE)
     expected = own.encoder().encode_scene(road_scene())
     comment = (r'(CM_ SG_ 832 YOff ")', r"\1Lateral. ")
     for layout in (
@@ -91,3 +92,109 @@ def test_what_is_no_scene_is_refused(wrong: object) -> None:
     for give in (encoder.encode_scene, encoder.prepare_scene):
         with pytest.raises(TypeError, match="scene must be a Scene.*got a " + type(wrong).__name__):
             give(wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("fd", [False, True])
+@pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
+def test_a_copy_is_the_same_scene(dbc: str, fd: bool) -> None:
+    """One from a pickle is prepared again, without the lines that are not sent."""
+    encoder = new_codec(dbc).encoder()
+    prepared = encoder.prepare_scene(road_scene(OFFSETS), fd=fd).without(Slot.CENTRE)
+    expected = encoder.encode_scene(prepared, fd=fd, counters={})
+    assert [*expected] == [POSE, *(slot for slot in OFFSETS if slot != Slot.CENTRE)]
+    assert copy.copy(prepared) is copy.deepcopy(prepared) is prepared
+    again = pickle.loads(pickle.dumps(prepared))  # noqa: S301
+    assert encoder.encode_scene(again, fd=fd, counters={}) == expected
+    assert (again.sent_slots, again.members) == (prepared.sent_slots, prepared.members)
+
+
+def test_the_order_of_the_slots_is_that_of_the_scene() -> None:
+    """Of whatever slots a caller selects; those that are no lines of it are not sent."""
+    encoder = new_codec(CONDITIONAL).encoder()
+    prepared = encoder.prepare_scene(road_scene([Slot.ROUTE, Slot.EGO_LEFT, Slot.CENTRE]))
+    some = replace(prepared, sent_slots=(Slot.CENTRE, Slot.ROUTE, Slot.EDGE_LEFT))
+    assert [*encoder.encode_scene(some)] == [POSE, Slot.ROUTE, Slot.CENTRE]
+    unfit = encoder.prepare_scene(changed(road_scene(), "lines", beside(road_scene())))
+    assert [*unfit.unfit] == [Slot.EGO_RIGHT]
+    with pytest.raises(EncodeError, match=r"sent_slots.*has no record"):
+        encoder.encode_scene(replace(unfit, sent_slots=(Slot.EGO_LEFT, Slot.EGO_RIGHT)))
+
+
+def beside(scene: Scene) -> Any:
+    """The lines of a scene, the second of them beyond all messages."""
+    first, second = scene.lines
+    mean = [99.0, *second.gaussian.mean[1:]]
+    return first, replace(second, gaussian=Gaussian(mean, second.gaussian.cov))
+
+
+def changed(given: Any, name: str, value: Any) -> Any:
+    """Return a copy with an attribute that no constructor has checked."""
+    one = object.__new__(type(given))
+    vars(one).update(vars(given) | {name: value})
+    return one
+
+
+SCENE = road_scene([Slot.EGO_LEFT, Slot.CENTRE])
+FIRST, SECOND = SCENE.lines
+WRONG: dict[str, tuple[str, Any, str]] = {
+    "a line twice": ("lines", (FIRST, FIRST), "lines must be of different slots"),
+    "fewer lines": ("lines", (FIRST,), r"cov must be \(4, 4\) for 1 lines"),
+    "no line": ("lines", (FIRST, None), "slot"),
+    "nan": ("lines", (FIRST, changed(SECOND, "x_max", np.nan)), "x_max"),
+    "three parameters": (
+        "lines",
+        (FIRST, changed(SECOND, "gaussian", Gaussian(np.zeros(3), np.eye(3)))),
+        "gaussian must be over",
+    ),
+    "other shape": ("cov", SCENE.cov[:4, :4], r"cov must be \(8, 8\)"),
+    "not finite": ("cov", SCENE.cov * np.nan, "cov must be finite"),
+    "empty range": ("fit_ranges", SCENE.fit_ranges[:, ::-1], "fit_ranges must be finite and not"),
+    "infinite range": ("fit_ranges", SCENE.fit_ranges * np.inf, "fit_ranges must be finite"),
+    "quartics": ("quartics", np.array([np.nan, 0.0]), "quartics must be finite"),
+    "own": ("specific_covs", np.full((2, 4, 4), np.nan), "each of specific_covs must be finite"),
+    "pose": ("pose_error", SimpleNamespace(cov=np.eye(3)), "correlation_time"),
+    "time": (
+        "pose_error",
+        SimpleNamespace(cov=np.eye(3) * 1e-4, correlation_time=-1.0),
+        "correlation_time must be more than 0 s",
+    ),
+}
+
+
+@pytest.mark.parametrize(("name", "value", "message"), WRONG.values(), ids=WRONG)
+def test_a_value_that_no_scene_has_is_named(name: str, value: Any, message: str) -> None:
+    """As by its constructor, which did not see it; no counter advances."""
+    encoder = new_codec(CONDITIONAL).encoder()
+    with pytest.raises((ValueError, AttributeError), match=message):
+        encoder.encode_scene(changed(SCENE, name, value))
+    assert encoder.encode_scene(SCENE) == new_codec(CONDITIONAL).encoder().encode_scene(SCENE)
+
+
+def test_arrays_of_any_order_and_type_are_those_of_the_scene() -> None:
+    """They are converted where they are given."""
+    encoder, narrow = new_codec(COMPLETE).encoder(), SCENE.cov.astype(np.float32)
+    expected = encoder.encode_scene(SCENE, counters={})
+    for name, value in (
+        ("cov", np.asfortranarray(SCENE.cov)),
+        ("fit_ranges", SCENE.fit_ranges.T.copy().T),
+        ("lines", [FIRST, SECOND]),
+        ("lines", (FIRST, changed(SECOND, "x_min", np.float64(SECOND.x_min)))),
+    ):
+        assert encoder.encode_scene(changed(SCENE, name, value), counters={}) == expected
+    rounded = changed(SCENE, "cov", narrow.astype(float))
+    assert encoder.encode_scene(changed(SCENE, "cov", narrow), counters={}) == (
+        encoder.encode_scene(rounded, counters={})
+    )
+
+
+def test_threads_prepare_at_the_same_time() -> None:
+    """They share nothing that is written to."""
+    codec = new_codec(CONDITIONAL)
+    scenes = [road_scene(OFFSETS, radius=radius) for radius in (50.0, 200.0, 1e3, 1e4)]
+
+    def frames_of(scene: Scene) -> Any:
+        return codec.encoder().encode_scene(scene)
+
+    one_by_one = [*map(frames_of, scenes)]
+    with ThreadPoolExecutor(4) as pool:
+        assert [*pool.map(frames_of, scenes * 3)] == one_by_one * 3

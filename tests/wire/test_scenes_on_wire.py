@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import count
 from typing import Any
 
@@ -140,25 +141,20 @@ def test_a_line_of_a_full_record_covers_at_least_what_the_scene_says() -> None:
         assert np.linalg.eigvalsh(margin * np.outer(scale, scale)).min() > -1e-9
 
 
+def beside(scene: Scene) -> Scene:
+    """Return a scene whose second line is beyond YOff."""
+    first, second, *others = scene.lines
+    mean = [40.0, *second.gaussian.mean[1:]]
+    moved = replace(second, gaussian=Gaussian(mean, second.gaussian.cov))
+    return replace(scene, lines=(first, moved, *others))
+
+
 @pytest.mark.parametrize("dbc", ALL)
 def test_lines_that_do_not_fit(dbc: str) -> None:
     """A conditional line is not sent; a full one is, but does not belong to the pose error."""
     scene = road_scene(SLOTS)
-    means = scene.means
-    means[1, 0] = 40.0  # beyond YOff
-    lines = [
-        MapLine(
-            line.slot,
-            Gaussian(mean, line.gaussian.cov),
-            kind=line.kind,
-            x_min=line.x_min,
-            x_max=line.x_max,
-        )
-        for line, mean in zip(scene.lines, means, strict=True)
-    ]
-    odd = Scene(tuple(lines), scene.cov, scene.pose_error, scene.fit_ranges, scene.map_error)
     codec, is_conditional = codec_of(dbc), dbc == CONDITIONAL
-    frames = codec.encoder().encode_scene(odd, counters={})
+    frames = codec.encoder().encode_scene(beside(scene), counters={})
     assert (Slot.EGO_RIGHT in frames) is not is_conditional
 
     decoder = codec.decoder()
@@ -175,8 +171,8 @@ def test_lines_that_do_not_fit(dbc: str) -> None:
 def test_a_line_that_is_no_member_never_joins(dbc: str, first: int) -> None:
     """Whatever the counters are: what no levels cover is sent, and stays out of each scene."""
     codec = codec_of(dbc)
-    prepared = codec.encoder().prepare_scene(road_scene(SLOTS))
-    prepared.encoded.lines.pop(1)
+    prepared = codec.encoder().prepare_scene(beside(road_scene(SLOTS)))
+    assert (len(prepared.sent_slots), len(prepared.members)) == (3, 2)
     decoder = codec.decoder()
     counters: dict[Any, int] = dict.fromkeys([POSE, *Slot], first)
     for cycle in range(10):

@@ -34,12 +34,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maplines_can import Codec, Gaussian, MapError, MapLine, Scene, Slot, map_scene
-from maplines_can.study.scenes.source import noise_floor
+from maplines_can.study.scenes.source import RESOLUTION, noise_floor
 from maplines_can.values.linalg import block_diagonal
 from maplines_can.values.line import lateral_jacobian
 from maplines_can.values.seen_lines import bases
 from maplines_can.wire import POSE, default_dbc_path
-from maplines_can.wire.covariance.scene_code import RESOLUTION
 
 from .exact import covers, is_positive_definite
 from .figures import Share, quantiles
@@ -170,7 +169,7 @@ class Passage:
         started = time.perf_counter()
         received = decoder.scene()
         values["decode [ms]"].append(1000 * (time.perf_counter() - started))
-        members = len(prepared.encoded.lines)
+        members = len(prepared.members)
         counts["not received"] += received is None or len(received.scene.lines) < members
         return None if received is None else received.scene
 

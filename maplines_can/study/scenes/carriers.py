@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -18,14 +19,13 @@ from numpy.typing import NDArray
 from ...values.linalg import block_diagonal
 from ...values.line import Status, lateral_jacobian
 from ...values.scene import Scene
-from ...wire import PreparedScene
-from ...wire.covariance.scene_code import RESOLUTION
+from ...wire.covariance import CholeskyCode
 from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
-from ...wire.layout.signals import FINE_SIGNALS, OWN_SIGNALS
+from ...wire.layout.signals import FINE_SIGNALS, OWN_SIGNALS, POSE_ROWS
 from ..comparison import AnyCodec, codec_for, transmit
 from ..dbc.pose_spec import CONDITIONAL
 from ..dbc.record_spec import DEFAULT, dbc_writer_for
-from .source import noise_floor
+from .source import RESOLUTION, noise_floor
 
 Array = NDArray[np.float64]
 
@@ -60,49 +60,57 @@ def evaluations(code: str, scenes: Sequence[Scene]) -> Iterator[dict[str, Any]]:
 
 def with_pose(codec: AnyCodec, scene: Scene) -> dict[str, Any]:
     """Return the figures of a scene as sent by a codec with a message of the pose error."""
-    encoder = codec.encoder()
+    encoder, decoder = codec.encoder(), codec.decoder()
     prepared = encoder.prepare_scene(scene)
-    frames = sum(map(len, encoder.encode_scene(prepared).values()))
-    decoded = prepared.encoded.decoded
-    lines = len(prepared.sent_slots)
+    frames = encoder.encode_scene(prepared)
+    for frame in chain.from_iterable(frames.values()):
+        decoder.feed(frame.can_id, frame.data, 0)
+    lines, members = len(prepared.sent_slots), len(prepared.members)
+    full = lines
+    if codec.layout.is_conditional:
+        full = sum(len(frames[slot]) == codec.layout.pages for slot in prepared.sent_slots)
     row = {
-        "frames": frames,
+        "frames": sum(map(len, frames.values())),
         "mean_bits": lines * _bits(codec, PARAMETER_SIGNALS),
-        "joint_bits": joint_bits(codec, prepared),
-        "left_out": len(scene.lines) - len(prepared.members),
-        "all_entries": lines,
+        "joint_bits": joint_bits(codec, lines, members, full),
+        "left_out": len(scene.lines) - members,
+        "all_entries": full,
     }
     if codec.layout.is_conditional:
-        row["all_entries"] = _with_all_entries(prepared)
-        row["mean_bits"] += row["all_entries"] * _bits(codec, FINE_SIGNALS)
-    if decoded is None:
+        row["mean_bits"] += full * _bits(codec, FINE_SIGNALS)
+    received = decoder.scene()
+    if received is None or not members:
         return row
-    places = np.array(list(prepared.encoded.lines))
+    decoded = received.scene
+    places = np.array([scene.index[line.slot] for line in decoded.lines])
     floor = noise_floor(decoded.means, decoded.fit_ranges, RESOLUTION)
     return row | compare(scene, places, decoded.means, decoded.cov, floor)
 
 
-def joint_bits(codec: AnyCodec, prepared: PreparedScene) -> int:
-    """Return the bits of a scene's joint covariance: of the pose error, and of each line."""
-    layout, encoded = codec.layout, prepared.encoded
-    pose = layout.pose
+def joint_bits(codec: AnyCodec, lines: int, members: int, full: int) -> int:
+    """Return the bits of a scene's joint covariance: of the pose error, and of each line.
+
+    Args:
+        codec: of a DBC with a message of the pose error.
+        lines: that are sent.
+        members: of these that belong to the pose error.
+        full: of these that are sent with all entries of their covariance.
+    """
+    layout, pose = codec.layout, codec.layout.pose
     if pose is None:
         raise ValueError("the DBC has no message of the pose error")
-    own = [name for raw in encoded.lines.values() for name in raw if name not in _OTHERS]
-    bits = sum(pose[name].length for name in encoded.pose if name not in _OTHERS)
+    of_pose = (*CholeskyCode(pose, POSE_ROWS).signals, pose["MapOffset"], pose["MapHeading"])
+    bits = sum(signal.length for signal in of_pose)
+    single = sum(signal.length for signal in CholeskyCode(layout).signals)
     if layout.is_conditional:
-        return bits + _bits(codec, [*own, *["HasCovariance"] * len(encoded.lines)])
-    each = sum(pose[f"EgoLeft{name}"].length for name in (*OWN_SIGNALS, "Quartic"))
-    single = sum(signal.length for signal in codec.covariance.signals)
-    return bits + each * len(encoded.lines) + single * len(prepared.sent_slots)
+        own = _bits(codec, (*OWN_SIGNALS, "Quartic", "HasCovariance"))
+        return bits + members * own + full * single
+    own = sum(pose[f"EgoLeft{name}"].length for name in (*OWN_SIGNALS, "Quartic"))
+    return bits + members * own + lines * single
 
 
 def _bits(codec: AnyCodec, names: Sequence[str]) -> int:
     return sum(codec.layout[name].length for name in names)
-
-
-def _with_all_entries(prepared: PreparedScene) -> int:
-    return sum("Inflation" in raw for raw in prepared.encoded.lines.values())
 
 
 def _independent(codec: AnyCodec, scenes: Sequence[Scene]) -> Iterator[dict[str, Any]]:

@@ -38,6 +38,9 @@ from ..sweep.limit import Limit
 
 Array = NDArray[np.float64]
 
+#: Least standard deviation of the coefficients of T_0 .. T_3 in a covariance of levels: about that
+#: of the rounding errors of the means [m].
+RESOLUTION = 2.0**-9
 #: Standard deviations of a production pose: along [m], across [m], heading [deg].
 PRODUCTION = (0.1, 0.2, 0.2)
 #: Rows of P in the order of the parameters. The error along the road comes last.

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ...wire.covariance.scene_code import RESOLUTION
 from ..text_table import aligned
 from .carriers import WITH_POSE, evaluations
-from .source import information, joint_limit, random_scene
+from .source import RESOLUTION, information, joint_limit, random_scene
 
 Row = dict[str, Any]
 

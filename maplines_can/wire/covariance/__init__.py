@@ -2,6 +2,5 @@
 
 from .cholesky import CholeskyCode
 from .scene_code import SceneCode
-from .scene_encoder import SceneEncoder
 
-__all__ = ["CholeskyCode", "SceneCode", "SceneEncoder"]
+__all__ = ["CholeskyCode", "SceneCode"]

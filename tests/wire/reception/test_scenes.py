@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
@@ -22,6 +23,7 @@ from scene_streams import (
 )
 
 from maplines_can import Kind, MapLine, Slot
+from maplines_can.model.records import intact
 from maplines_can.wire import (
     POSE,
     Decoder,
@@ -299,8 +301,18 @@ class Forger:
         )
         self.writer = FrameWriter(self.layout, None)
         prepared = codec.encoder().prepare_scene(road_scene(SLOTS), fd=True)
-        self.pose_raw = {**prepared.encoded.pose, "Age": 3}
-        self.long_raw = dict(prepared.encoded.lines[0])
+        sent = codec.encoder().encode_scene(prepared, fd=True)
+        pose, line = (sent[owner][0].data for owner in (POSE, SLOTS[0]))
+        of_pose = intact(self.pose_layout, pose, self.pose_layout.messages.data_id)
+        of_line = intact(self.layout, line, self.layout.messages[SLOTS[0]].data_id)
+        assert isinstance(of_pose, dict)
+        assert isinstance(of_line, dict)
+        filled = re.compile(r"^(Crc|Page|TransferId|HasCovariance)|Counter$")
+        self.pose_raw, self.long_raw = (
+            {name: value for name, value in raw.items() if not filled.search(name)}
+            for raw in (of_pose, of_line)
+        )
+        self.pose_raw["Age"] = 3
         of_own = (*PARAMETER_SIGNALS, "XMin", "XMax", "Quartic", *OWN_SIGNALS)
         self.line_raw = {name: self.long_raw[name] for name in of_own}
 

@@ -1,0 +1,246 @@
+"""Writer of scenes: the record of the pose error, and the records of the lines seen from there."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+
+from ..core import ffi, lib
+from ..core.memory import shaped
+from ..values.arrays import floats
+from ..values.errors import EncodeError, IllPosedError
+from ..values.line import MAX_AGE, LeftOut, Slot, age_error
+from ..values.scene import PoseError, Scene
+from .layout.message_layout import Layout
+from .layout.pose_layout import OWNERS, POSE, Owner
+from .records.frames import Records
+from .records.given import given_lines
+from .tables import tables_of
+
+#: Reasons of lines that are left out by their numbers: ``maplines_left_out_t``.
+LEFT_OUT = (None, LeftOut.ACROSS, LeftOut.RANGE, LeftOut.MEAN, LeftOut.COVARIANCE)
+_MAX_RECORD = ffi.sizeof("maplines_template_t") - ffi.offsetof("maplines_template_t", "bytes")
+_LINES, _DOUBLES, _COUNTERS, _BYTES = map(
+    ffi.typeof, ("maplines_given_line_t[]", "double[]", "int64_t[]", "uint8_t[]")
+)
+_AGES = struct.Struct(f"{len(OWNERS)}d")
+#: Errors of values that cannot be given to the core.
+_WRONG = (TypeError, ValueError, AttributeError, OverflowError, struct.error)
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedScene:
+    """A scene as records but for counters and age, so that it may be sent many times.
+
+    ``Encoder.prepare_scene`` makes one. It does not change, so that a copy is the same one. A
+    pickle has the scene only, which is prepared again.
+    """
+
+    scene: Scene
+    layout: Layout  #: of the DBC that it is prepared for
+    full: bool  #: all entries of line-specific covariances are sent, as in CAN FD records
+    #: Slots of the lines that are sent, whether they belong to the pose error or not.
+    sent_slots: tuple[Slot, ...]
+    core: Any = field(repr=False)  #: ``maplines_prepared_t``
+
+    @property
+    def members(self) -> tuple[Slot, ...]:
+        """Slots of the lines that are sent and belong to the pose error."""
+        sent = self.sent_slots
+        return tuple(slot for slot, why in self._reasons() if why is None and slot in sent)
+
+    @property
+    def unfit(self) -> dict[Slot, LeftOut]:
+        """Reasons of the lines of the scene that are not sent, since they do not fit, by slot."""
+        sent = self.sent_slots
+        return {slot: why for slot, why in self._reasons() if why is not None and slot not in sent}
+
+    @property
+    def left_out(self) -> dict[Slot, LeftOut]:
+        """Reasons of all lines that are not sent, by slot: also of those not in the scene."""
+        return dict(self.scene.left_out) | self.unfit
+
+    def without(self, slot: Slot) -> PreparedScene:
+        """Return the scene without the line of a slot; there may be none."""
+        return replace(self, sent_slots=tuple(s for s in self.sent_slots if s != slot))
+
+    def _reasons(self) -> Iterator[tuple[Slot, LeftOut | None]]:
+        """Yield the slot of each line, and why it does not belong to the pose error."""
+        for line, member in zip(self.scene.lines, self.core.space.members, strict=False):
+            yield line.slot, LEFT_OUT[member.left_out]
+
+    def __copy__(self) -> PreparedScene:
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> PreparedScene:
+        return self
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _prepared_again, (self.scene, self.layout, self.full, self.sent_slots)
+
+
+def _prepared_again(
+    scene: Scene, layout: Layout, full: bool, slots: tuple[Slot, ...]
+) -> PreparedScene:
+    prepared = SceneWriter(layout, tables_of(layout)).prepare(scene, full=full)
+    return replace(prepared, sent_slots=tuple(s for s in prepared.sent_slots if s in slots))
+
+
+class SceneWriter:
+    """Writer of scenes of a DBC.
+
+    If the records of lines are conditional on the pose, a line that does not fit is not sent.
+    Other records have a covariance of their own: the line is sent, but does not belong to the pose
+    error.
+
+    Args:
+        layout: of the DBC.
+        tables: of the same; see ``tables_of``.
+    """
+
+    def __init__(self, layout: Layout, tables: Any) -> None:
+        self._layout, self._tables = layout, tables
+
+    def prepare(self, scene: Scene, *, full: bool = False) -> PreparedScene:
+        """Encode a scene; this takes most of the time.
+
+        Args:
+            scene: the scene.
+            full: send all entries of line-specific covariances, as CAN FD records do.
+
+        Raises:
+            EncodeError: the DBC has no message of the pose error or for a slot, or the pose error
+                does not fit.
+            IllPosedError: a line is not a function of x, seen from the mean pose.
+            ValueError: a value is none that a scene has, which its constructor does not take.
+        """
+        if self._layout.pose is None:
+            raise EncodeError(
+                f"{self._layout.source} has no message of the pose error (MapLinePose), so lines "
+                "cannot be sent as a scene; take maplines.dbc or maplines-pose.dbc"
+            )
+        core = ffi.new("maplines_prepared_t *")
+        try:
+            given, kept = _given_scene(scene)
+        except _WRONG as error:
+            raise self._fault(scene, lib.MAPLINES_SENT) from error
+        refusal = lib.maplines_prepare_scene(self._tables, given, full, core)
+        del kept
+        if refusal != lib.MAPLINES_SENT:
+            raise self._fault(scene, refusal)
+        records = zip(scene.lines, core.records, strict=False)
+        sent = tuple(line.slot for line, record in records if record.is_there)
+        return PreparedScene(scene, self._layout, full, sent, core)
+
+    def write(
+        self, prepared: PreparedScene, counters: bytes, age: float | Mapping[Owner, float]
+    ) -> tuple[Records, bytes]:
+        """Return the records of the pose error and of each line, and the counters that follow.
+
+        Args:
+            prepared: the scene.
+            counters: next counter of each slot and of the pose error; see ``packed``.
+            age: time from the pose to the sending of each record, or one for all [s]; infinite if
+                it is too old.
+
+        Raises:
+            ValueError: an age is less than 0 or NaN, or that of a record is missing.
+        """
+        slots = [line.slot for line in prepared.scene.lines if line.slot in prepared.sent_slots]
+        ages = self._ages(age, slots)
+        following, lengths = bytearray(counters), bytearray(len(OWNERS))
+        records = bytearray(len(OWNERS) * _MAX_RECORD)
+        if not lib.maplines_write_scene(
+            self._tables,
+            prepared.core,
+            len(slots),
+            bytes(slots),
+            ffi.from_buffer(_DOUBLES, ages),
+            ffi.from_buffer(_COUNTERS, following),
+            ffi.from_buffer(_BYTES, lengths),
+            ffi.from_buffer(_BYTES, records),
+        ):
+            raise EncodeError("the core refuses sent_slots of the scene: one of them has no record")
+        own = tuple(lengths[: len(slots) + 1])
+        return Records(bytes(records[: sum(own)]), (POSE, *slots), own), bytes(following)
+
+    def _ages(self, age: float | Mapping[Owner, float], slots: list[Slot]) -> bytes:
+        """Return the ages of all owners; 0 for records without one."""
+        if not isinstance(age, Mapping):
+            return _AGES.pack(*[_checked_age(age)] * len(OWNERS))
+        aged: tuple[Owner, ...] = (POSE,) if self._layout.is_conditional else (POSE, *slots)
+        if missing := [owner for owner in aged if owner not in age]:
+            raise ValueError(
+                f"age must be one for all [s], or have that of each record, but {missing[0]!r} "
+                "has none"
+            )
+        checked = {owner: _checked_age(age[owner]) for owner in aged}
+        return _AGES.pack(*[checked.get(owner, 0.0) for owner in OWNERS])
+
+    def _fault(self, scene: Scene, refusal: int) -> Exception:
+        """Return the error of a scene that the core refuses, or that cannot be given to it."""
+        for line in scene.lines:
+            if line.slot not in self._layout.messages:
+                return EncodeError(f"{self._layout.source} has no message for slot {line.slot!r}")
+        try:
+            for line in scene.lines:
+                replace(line)  # its constructor checks all values
+            PoseError(scene.pose_error.cov, scene.pose_error.correlation_time)
+            Scene(**{one.name: getattr(scene, one.name) for one in fields(Scene)})
+        except ValueError as error:
+            return error
+        if refusal == lib.MAPLINES_BAD_POSE:
+            sigma = np.sqrt(scene.pose_error.cov.diagonal())
+            return EncodeError(
+                "the pose error does not fit the Pose message: its standard deviations are "
+                f"{sigma[0]:g} m along, {sigma[1]:g} m across and {sigma[2]:g} rad"
+            )
+        if refusal == lib.MAPLINES_UNSEEN:
+            return IllPosedError("a line is not a function of x, seen from the mean pose")
+        return EncodeError(f"the core refuses the scene ({refusal}): it has a value of no scene")
+
+
+def _checked_age(age: float) -> float:
+    given = age if type(age) is float else float(floats(age, "age"))
+    if not (0 <= given <= MAX_AGE or given == math.inf):
+        raise age_error(age)
+    return given
+
+
+def _given_scene(scene: Scene) -> tuple[Any, Any]:
+    """Return a scene as C has it, and what it points to.
+
+    Raises:
+        ValueError: it has other shapes than a scene.
+    """
+    n = len(scene.lines)
+    slots, lines, gaussians, components, _ = given_lines(scene.lines)
+    if len(slots) > len(Slot) or components:
+        raise ValueError("each line of a scene has one Gaussian, and a slot of its own")
+    map_error, pose_error, specific = scene.map_error, scene.pose_error, scene.specific_covs
+    arrays = [
+        _array(scene.fit_ranges, (n, 2)),
+        _array(scene.quartics, (n,)),
+        _array(scene.cov, (4 * n, 4 * n)),
+        ffi.NULL if specific is None else _array(specific, (n, 4, 4)),
+        _array(pose_error.cov, (3, 3)),
+    ]
+    given = ffi.new("maplines_given_scene_t *")
+    kept = ffi.from_buffer(_LINES, lines), ffi.from_buffer(_DOUBLES, gaussians), *arrays
+    given[0] = (
+        n,
+        *kept,
+        pose_error.correlation_time,
+        0.0 if map_error is None else map_error.offset_sigma,
+        0.0 if map_error is None else map_error.heading_sigma,
+    )
+    return given, kept
+
+
+def _array(values: Any, shape: tuple[int, ...]) -> Any:
+    return shaped(np.asarray(values, dtype=np.float64), shape)

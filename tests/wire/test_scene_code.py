@@ -1,0 +1,562 @@
+"""Code of scenes through codec and decoder: what is received covers what was sent."""
+
+import math
+import re
+from contextlib import suppress
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from evidence.exact import covers, is_positive_definite
+from evidence.roads import SHAPES, random_scene
+from evidence.witness import POSES, Poses
+from fuzz_scenes import line_frames, parts_of, pose_frames
+from hypothesis import assume, example, given, settings
+from hypothesis import strategies as st
+from pose_bits import PRODUCTION
+from scene_streams import COMPLETE, CONDITIONAL, Passed, codec_of, passed
+from strategies import covariances
+
+from maplines_can import (
+    Codec,
+    EncodeError,
+    Gaussian,
+    LeftOut,
+    MapError,
+    MapLine,
+    Polyline,
+    PoseError,
+    Scene,
+    Slot,
+    map_scene,
+)
+from maplines_can.model.lines import Curve, is_function, points_of
+from maplines_can.study.scenes.source import RESOLUTION, noise_floor
+from maplines_can.values.elementary import exp2
+from maplines_can.values.errors import LayoutError
+from maplines_can.values.line import lateral, lateral_jacobian
+from maplines_can.wire import POSE, Layout, default_dbc_path
+
+#: Standard deviations of the parameters of a line of a map [m, rad, 1/m, 1/m^2].
+SIGMA = np.array([0.05, 2e-3, 1e-4, 3e-6])
+WINDOW = (-20.0, 80.0)
+SEEDS = st.integers(0, 2**32)
+BOTH = pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
+
+
+def scene_of(
+    means: Any,
+    cov: Any = None,
+    pose: Any = PRODUCTION,
+    ranges: Any = WINDOW,
+    error: MapError | None = None,
+    time: float = math.inf,
+) -> Scene:
+    """A scene of lines of the first slots, which by default have own errors only."""
+    n = len(means)
+    fit_ranges = np.broadcast_to(np.asarray(ranges, dtype=float), (n, 2))
+    cov = np.kron(np.eye(n), np.diag(SIGMA**2)) if cov is None else cov
+    lines = [
+        MapLine(Slot(i), Gaussian(mean, cov[4 * i : 4 * i + 4, 4 * i : 4 * i + 4]))
+        for i, mean in enumerate(means)
+    ]
+    if np.shape(ranges) != (2,):  # valid in them, too
+        pairs = zip(lines, fit_ranges, strict=True)
+        lines = [replace(line, x_min=low, x_max=high) for line, (low, high) in pairs]
+    return Scene(tuple(lines), cov, PoseError(pose, time), fit_ranges, error)
+
+
+def empty(pose: Any = PRODUCTION, error: MapError | None = None, time: float = math.inf) -> Scene:
+    """A scene without lines."""
+    return Scene((), np.zeros((0, 0)), PoseError(pose, time), np.zeros((0, 2)), error)
+
+
+def straight_lanes(n: int = 3, scale: float = 1.0) -> Scene:
+    """Straight lines of a map with an error of their own, seen from a production pose."""
+    means = np.array([[1.75 - 3.5 * i, 0.01, 1e-4, 0.0] for i in range(n)])
+    J = np.array([[0.0, -1, 0], [0, 0, -1], [0, 0, 0], [0, 0, 0]])
+    common = np.kron(np.ones((n, n)), J @ PRODUCTION @ J.T)
+    return scene_of(means, common + scale * np.kron(np.eye(n), np.diag(SIGMA**2)))
+
+
+def road_scene(number: int, lines: int, pose: str, error: MapError | None) -> Scene:
+    """A scene of a random road."""
+    case = random_scene(list(SHAPES)[number % len(SHAPES)], np.random.default_rng(number), lines)
+    poses = Poses.about(case.pose, POSES[pose], 0, np.random.default_rng())
+    roads = {slot: Polyline(points) for slot, points in case.lines.items()}
+    return map_scene(roads, Gaussian(case.pose, poses.cov), map_error=error)
+
+
+def check_covered(scene: Scene, found: Passed) -> None:
+    """What is received is definite and covers the lines that are sent, in exact arithmetic."""
+    received, slots = found.received, [*found.prepared.members]
+    if received is None:
+        assert not slots
+        return
+    assert sorted(received.index) == sorted(slots)
+    truth = scene.joint([line.slot for line in received.lines])
+    assert is_positive_definite(received.cov.tolist())
+    assert covers(received.cov, received.means.ravel(), truth.cov, truth.mean)
+
+
+def level(octave: float) -> float:
+    """Power of 2 as the wire has it."""
+    return float(exp2(octave))
+
+
+# ---- what is covered ---------------------------------------------------------------------------
+
+
+@settings(deadline=None, max_examples=60)
+@given(SEEDS, st.integers(1, 4))
+def test_any_bits_of_a_scene_are_definite(seed: int, lines: int) -> None:
+    """In exact arithmetic, with any pose error and either form of line-specific covariances."""
+    rng, parts = np.random.default_rng(seed), parts_of(CONDITIONAL)
+    frames = pose_frames(parts, rng.bytes(32), {}, fd=True)
+    for slot in list(Slot)[:lines]:
+        frames += line_frames(parts, rng.bytes(32), slot, 0, fd=True)
+    decoder = parts.codec.decoder()
+    for frame in frames:
+        decoder.feed(frame.can_id, frame.data, 0)
+    found = decoder.scene()
+    if found is not None and found.scene.lines:
+        assert np.array_equal(found.scene.cov, found.scene.cov.T)
+        assert is_positive_definite(found.scene.cov.tolist())
+
+
+@settings(deadline=None, max_examples=40)
+@given(SEEDS, st.sampled_from([1, 2, 3, 5]), st.floats(-4, 1), covariances(3), st.booleans())
+def test_any_scene_is_covered(
+    seed: int, lines: int, exponent: float, pose: Any, full: bool
+) -> None:
+    """Covariances as a caller may give them, singular ones too, with any pose error."""
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((4 * lines, rng.choice([0, 1, 3, 8])))
+    A *= 10.0**exponent * np.tile(SIGMA, lines)[:, None]
+    own = rng.choice([0.0, 1e-12, 1.0]) * np.kron(np.eye(lines), np.diag(SIGMA**2))
+    means = rng.uniform(-1, 1, (lines, 4)) * [5, 0.2, 2e-3, 1e-5]
+    pose = pose * 10.0 ** -rng.integers(0, 6)
+    error = [None, MapError(), MapError(0.05, 0.1, 1e-3)][rng.integers(3)]
+    low = rng.integers(-30, 20, lines)
+    ranges = np.column_stack([low, low + rng.integers(1, 90, lines)])
+    scene = scene_of(means, A @ A.T + own, pose, ranges, error)
+    if rng.random() < 0.5:  # of another scene
+        B = rng.standard_normal((lines, 4, 4)) * 10.0 ** rng.integers(-3, 2) * SIGMA[:, None]
+        scene = replace(scene, specific_covs=B @ B.swapaxes(1, 2))
+    for dbc in (CONDITIONAL, COMPLETE):
+        with suppress(*(() if np.sqrt(pose.diagonal()).max() <= 0.5 else (EncodeError,))):
+            check_covered(scene, passed(dbc, scene, fd=full))
+
+
+@pytest.mark.parametrize("error", [None, MapError(0.05, 0.08, 1e-3)], ids=["exact", "map error"])
+@pytest.mark.parametrize("pose", POSES)
+@pytest.mark.parametrize("lines", [1, 2, 5, 8])
+def test_scenes_of_roads_are_covered(lines: int, pose: str, error: MapError | None) -> None:
+    scene = road_scene(lines + 10 * (error is None) + 3 * (pose == "poor"), lines, pose, error)
+    assert scene.lines
+    for dbc, fd in ((CONDITIONAL, False), (CONDITIONAL, True), (COMPLETE, False)):
+        check_covered(scene, passed(dbc, scene, fd=fd))
+
+
+@pytest.mark.parametrize("pose", [0.0, 1e-30, 1.0, 1e4])
+def test_zero_and_large_pose_errors_are_covered(pose: float) -> None:
+    """The pose is not what the lines say: they have all of it of their own, or too little."""
+    lanes = straight_lanes()
+    scene = scene_of(lanes.means, lanes.cov, pose * PRODUCTION)
+    found = passed(CONDITIONAL, scene)
+    assert len(found.prepared.members) == 3
+    check_covered(scene, found)
+
+
+def test_singular_covariances_are_covered() -> None:
+    """None at all, only the pose's, and one that is common to all lines but not the pose's."""
+    lanes, u = straight_lanes(), np.tile(SIGMA, 3)
+    for cov in (np.zeros((12, 12)), lanes.cov - straight_lanes(scale=0.0).cov, np.outer(u, u)):
+        scene = scene_of(lanes.means, cov)
+        found = passed(CONDITIONAL, scene)
+        assert len(found.prepared.members) == 3
+        check_covered(scene, found)
+
+
+def test_a_scene_that_states_its_own_covariances_is_covered() -> None:
+    """Even if they are wrong, and with less for a poor pose: they are not to be inferred."""
+    known = road_scene(5, 4, "poor", None)
+    assert known.specific_covs is not None
+    sizes = []
+    for own in (known.specific_covs, None, 0 * known.specific_covs):
+        scene = replace(known, specific_covs=own)
+        found = passed(CONDITIONAL, scene)
+        check_covered(scene, found)
+        sizes.append(np.linalg.slogdet(found.scene.cov)[1])
+    assert sizes[0] <= sizes[1]
+    check_covered(known, passed(COMPLETE, known))
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_a_received_scene_is_sent_again_and_covered(full: bool) -> None:
+    """Its fit ranges are kept, and all levels of the pose error."""
+    first = passed(CONDITIONAL, road_scene(2, 3, "production", MapError(0.05, 0.08)), fd=full)
+    again = first.scene
+    second = passed(CONDITIONAL, again, fd=full)
+    check_covered(again, second)
+    assert np.array_equal(second.scene.fit_ranges, again.fit_ranges)
+    assert second.scene.map_error == again.map_error
+
+
+# ---- what does not fit -------------------------------------------------------------------------
+
+UNFIT = {
+    "beside": ([60.0, 0, 0, 0], WINDOW, SIGMA, LeftOut.MEAN),
+    "across": ([0.0, 1.3, 0, 0], WINDOW, SIGMA, LeftOut.MEAN),
+    "far": ([1e300, 0, 0, 0], WINDOW, SIGMA, LeftOut.ACROSS),
+    "bent": ([0, 0, 0, 1.7e308], WINDOW, SIGMA, LeftOut.ACROSS),
+    "no function of x": ([0.0, 0, 0.3, 0], WINDOW, SIGMA, LeftOut.ACROSS),
+    "behind": ([5.0, 0, 0, 0], (-40.0, -1.0), SIGMA, LeftOut.RANGE),
+    "ahead": ([5.0, 0, 0, 0], (40.0, 1e200), SIGMA, LeftOut.RANGE),
+    "between metres": ([2.0, 0, 0, 0], (3.2, 3.8), SIGMA, LeftOut.RANGE),
+    "wide": ([2.0, 0, 0, 0], WINDOW, 1e6 * SIGMA, LeftOut.COVARIANCE),
+    "wider": ([2.0, 0, 0, 0], WINDOW, [0, 0, 0, 1e53], LeftOut.ACROSS),
+    "widest": ([2.0, 0, 0, 0], WINDOW, [0, 0, 0, 1e153], LeftOut.ACROSS),
+}
+
+
+@pytest.mark.parametrize(("mean", "window", "sigma", "reason"), UNFIT.values(), ids=UNFIT)
+@pytest.mark.parametrize("place", [0, 2])
+def test_lines_that_do_not_fit_do_not_affect_the_others(
+    mean: Any, window: Any, sigma: Any, reason: LeftOut, place: int
+) -> None:
+    """They are left out with a reason, and the others are sent as without them."""
+    lanes = straight_lanes(4)
+    means, ranges, cov = lanes.means.copy(), lanes.fit_ranges.copy(), lanes.cov.copy()
+    means[place], ranges[place] = mean, window
+    own = np.s_[4 * place : 4 * place + 4]
+    cov[own], cov[:, own] = 0.0, 0.0
+    cov[own, own] = np.diag(np.square(sigma))
+    scene = scene_of(means, cov, ranges=ranges)
+    others = [Slot(i) for i in range(4) if i != place]
+    found, alone = passed(CONDITIONAL, scene), passed(CONDITIONAL, scene.subset(others))
+    assert found.prepared.left_out == found.prepared.unfit == {Slot(place): reason}
+    assert [*found.prepared.members] == others
+    assert found.frames == alone.frames
+    assert Slot(place) not in codec_of(COMPLETE).encoder().prepare_scene(scene).members
+
+
+@BOTH
+@pytest.mark.parametrize("size", [1e20, 1e160, 1e306])
+def test_own_covariances_beyond_all_codes_do_not_affect_the_others(size: float, dbc: str) -> None:
+    """The line is left out of the scene."""
+    own = np.array([size * np.eye(4), np.diag(SIGMA**2)])
+    scene = replace(straight_lanes(2), specific_covs=own)
+    assert codec_of(dbc).encoder().prepare_scene(scene).members == (Slot(1),)
+
+
+def test_a_complete_record_without_a_range_is_not_in_the_scene() -> None:
+    """Its valid range is too short for the steps of 4 m, and was rounded inwards to none."""
+    scene = road_scene(0, 2, "production", MapError(0.05, 0.05))
+    first = replace(scene.lines[0], x_min=5.0, x_max=7.0)
+    found = passed(COMPLETE, replace(scene, lines=(first, *scene.lines[1:])))
+    assert found.prepared.sent_slots == (Slot(0), Slot(1))
+    assert found.prepared.members == (Slot(1),)
+    assert [*found.scene.index] == [Slot(1)]
+
+
+@BOTH
+def test_a_scene_without_lines_is_a_pose(dbc: str) -> None:
+    found = passed(dbc, empty())
+    assert ([*found.frames], found.received, found.prepared.unfit) == ([POSE], None, {})
+
+
+PARTS = {
+    "behind": ([5.0, 0, 0, 0], (-40.0, 80.0), (-32.0, 80.0)),
+    "half metres": ([5.0, 0, 0, 0], (-20.5, 79.5), (-20.0, 79.0)),
+    "long": ([5.0, 0, 0, 0], (-20.0, 200.0), (-20.0, 127.0)),
+    "turned": ([2.0, -0.51, 0.008, 8e-4], (-12.0, 2.0), (-12.0, 2.0)),
+    "turned much": ([2.0, -0.55, 0.008, 8e-4], (-12.0, 2.0), (-6.0, 1.0)),
+    "short": ([9.8, 0.41, -0.21, 0.041], (-1.0, 0.0), (-1.0, 0.0)),
+    "bent": ([4.3, 0, -0.05, -0.066], (-2.0, 4.0), (-2.0, 4.0)),
+}
+
+
+@pytest.mark.parametrize("full", [False, True])
+@pytest.mark.parametrize(("mean", "x_range", "part"), PARTS.values(), ids=PARTS)
+def test_the_part_of_a_line_that_the_message_can_state_is_sent(
+    mean: Any, x_range: Any, part: Any, full: bool
+) -> None:
+    """Near the line, covered, and nothing beyond its range; the other line is there, too."""
+    scene = scene_of([mean, [-1.75, 0, 1e-3, 0]], ranges=[x_range, (-20.0, 60.0)])
+    found = passed(CONDITIONAL, scene, fd=full)
+    assert found.prepared.unfit == {}
+    assert found.scene.fit_ranges[0] == pytest.approx(part)
+    x = np.linspace(part[0], part[1], 100)
+    apart = lateral(found.scene.means[0], x) - lateral(np.array(mean), x)
+    assert np.abs(apart).max() <= 0.12
+    check_covered(scene, found)
+
+
+@given(
+    st.tuples(st.floats(-60, 60), st.floats(-1.2, 1.2), st.floats(-0.6, 0.6), st.floats(-0.1, 0.1)),
+    st.tuples(st.floats(-20, 30), st.floats(2, 60)),
+    st.floats(0.0, 2.0),
+)
+@example((2.0, 0.62, 0.0, 0.0), (-6.0, 7.0), 0.9)
+@example((2.0, 0.56, 0.0, 0.0), (-1.5, 3.0), 0.69)
+def test_a_line_beyond_the_message_is_valid_for_a_metre(line: Any, given: Any, room: float) -> None:
+    """After the rounding to whole metres, and without the room at the ends; or it is left out."""
+    low, high = given[0], given[0] + given[1]
+    room = min(room, (high - low) / 4)
+    scene = scene_of([line], ranges=[(low, high)])
+    first = replace(scene.lines[0], x_min=low + room, x_max=high - room)
+    found = passed(CONDITIONAL, replace(scene, lines=(first,)))
+    assert len(found.prepared.members) + len(found.prepared.unfit) == 1
+    exceeds = (np.abs(line) > [s.physical_range[1] for s in MEAN]).any()
+    if found.received is not None and exceeds:
+        assert np.diff(found.scene.fit_ranges[0])[0] >= 1.0 + 2 * room - 1e-9
+
+
+MEAN = [codec_of(CONDITIONAL).layout[name] for name in ("YOff", "Beta", "C0", "C1")]
+
+
+@settings(max_examples=40)
+@given(SEEDS)
+@example(0)
+def test_a_scene_within_the_limits_of_the_message_loses_no_line(seed: int) -> None:
+    """Lines of any parameters and ranges that the message can state, unless they are steep."""
+    rng = np.random.default_rng(seed)
+    n = rng.integers(2, 9)
+    means = rng.uniform(-0.99, 0.99, (n, 4)) * [s.physical_range[1] for s in MEAN]
+    means *= rng.choice([1.0, 0.3, 0.05], (n, 1))
+    low = rng.integers(-32, 32, n)
+    ranges = np.column_stack([low, (low + rng.integers(1, 60, n)).clip(0)]).astype(float)
+    ranges[:, 0] = np.minimum(ranges[:, 0], ranges[:, 1] - 1)
+    scene = scene_of(means, ranges=ranges)
+    found = passed(CONDITIONAL, scene)
+    assert {*found.prepared.members} | found.prepared.unfit.keys() == {*scene.index}
+    for slot in found.prepared.unfit:
+        x = np.linspace(*ranges[slot], 50)
+        slope = np.tan(means[slot, 1]) + means[slot, 2] * x + means[slot, 3] * x**2 / 2
+        assert np.abs(slope).max() >= 3  # lines of a map rise by less
+    check_covered(scene, found)
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_a_line_at_the_limit_is_sent_or_left_out(full: bool) -> None:
+    """Some become steeper by the rounding; the others of the scene are sent as without them."""
+    rng, left_out, n = np.random.default_rng(1), 0, 10
+    others = [Slot(1), Slot(2)]
+    for _ in range(n):
+        low = rng.uniform(-1, 1, 4) * [3, 0.1, 5e-3, 0]
+        high = low + np.array([0, 0, 0, 0.03])
+        while low[3] < (middle := (low[3] + high[3]) / 2) < high[3]:
+            at = np.append(low[:3], middle)
+            is_good = is_function(points_of(Curve(at.tolist(), -20.0, 60.0, 0.0)))
+            low, high = (at, high) if is_good else (low, at)
+        others_of = [[1.75, 0.0, 1e-3, 0.0], [-1.75, 0.0, 1e-3, 0.0]]
+        scene = scene_of([low, *others_of], ranges=(-20.0, 60.0))
+        found = passed(CONDITIONAL, scene, fd=full)
+        assert [*found.prepared.members][-2:] == others
+        if Slot(0) not in found.prepared.members:
+            left_out += 1
+            assert found.frames == passed(CONDITIONAL, scene.subset(others), fd=full).frames
+    assert 0 < left_out < n
+
+
+# ---- what it costs -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("full", "most"), [(False, 0.01), (True, 0.002)])
+def test_means_are_near_all_over_the_range(full: bool, most: float) -> None:
+    """Though half a step of C1 alone is 2 cm at 80 m: each rounding allows for those before it."""
+    rng, x = np.random.default_rng(2), np.linspace(-20, 80, 101)
+    for _ in range(100):
+        mean = rng.uniform(-1, 1, 4) * [5, 0.2, 2e-3, 1e-5]
+        received = passed(CONDITIONAL, scene_of(mean[None]), fd=full).scene
+        assert np.abs(lateral(received.means[0], x) - lateral(mean, x)).max() <= most
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("error", [None, MapError(0.05, 0.08)], ids=["exact", "map error"])
+@pytest.mark.parametrize("pose", POSES)
+def test_joint_quantities_are_as_uncertain_as_at_the_sender(
+    shape: str, error: MapError | None, pose: str
+) -> None:
+    """Width and difference of directions of conditional records, within 12 %.
+
+    Beyond the resolution of the means, at the ends of the common range and between them. Nothing is
+    common to a lane's boundaries but the pose error, which these quantities do not see: they show
+    what the lines have of their own.
+    """
+    scene = road_scene([*SHAPES].index(shape) + 14, 4, pose, error)
+    received = passed(CONDITIONAL, scene).scene
+    assert [*received.index][:2] == [Slot(0), Slot(1)]
+    floor = noise_floor(received.means, received.fit_ranges, RESOLUTION)[:8, :8]
+    true, ranges = scene.cov[:8, :8] + floor, received.fit_ranges[:2]
+    for x in np.linspace(ranges[:, 0].max(), ranges[:, 1].min(), 5):
+        position = lateral_jacobian(received.means[:2], x)
+        turned = 1 + np.tan(received.means[:2, 1]) ** 2
+        slope = np.array([[0.0, t, x, x * x / 2] for t in turned])
+        for one, other in (position, slope):
+            g = np.append(one, -other)
+            assert g @ received.cov[:8, :8] @ g <= 1.12**2 * (g @ true @ g)
+
+
+def test_lines_of_a_map_error_take_two_frames_and_others_four() -> None:
+    """Levels hold what a map error is; nothing they have suits a line without any error."""
+    scene = road_scene(0, 4, "production", MapError(0.05, 0.05))
+    assert len(passed(CONDITIONAL, scene).full) <= 1
+
+
+@pytest.mark.parametrize("error", [None, MapError(0.05, 0.05, 0.001)])
+@pytest.mark.parametrize("radius", [30.0, 150.0, 1e6])
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_a_scene_takes_no_more_frames_than_complete_records(
+    count: int, radius: float, error: MapError | None
+) -> None:
+    """Four classic frames a line, with its pose error, also if levels cost all lines much."""
+    s = np.arange(-60.0, 100.0, 7.0) / radius
+    lines = {
+        Slot(i): Polyline(
+            np.column_stack([(radius - y) * np.sin(s), radius - (radius - y) * np.cos(s)])
+        )
+        for i, y in enumerate([1.75, -1.75, 5.25, -5.25][:count])
+    }
+    for seed in range(3):
+        sigma = np.diag([0.3, 0.2, 0.01 * 4.0**-seed]) ** 2
+        scene = map_scene(lines, Gaussian([0.0, 0.1 * seed, 0.0], sigma), map_error=error)
+        found = passed(CONDITIONAL, scene)
+        assert len(found.frames) == 1 + count
+        assert sum(map(len, found.frames.values())) <= 4 * count
+        check_covered(scene, found)
+
+
+# ---- the pose error ----------------------------------------------------------------------------
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("time", "decoded"),
+    [
+        (math.inf, math.inf),
+        (5e-324, level(-1.5)),
+        (level(-1.5), level(-1.5)),
+        (math.nextafter(level(-1.5), 1), 0.5),
+        (1.0, 1.0),
+        (math.nextafter(1.0, 2), level(0.5)),
+        (8.1, level(3.5)),
+        (level(5.5), level(5.5)),
+        (math.nextafter(level(5.5), 99), math.inf),
+        (1.7e308, math.inf),
+    ],
+)
+def test_the_correlation_time_is_rounded_up(time: float, decoded: float, dbc: str) -> None:
+    """To the next level, below the least one to that, and beyond the greatest one to unknown."""
+    scene = replace(straight_lanes(1), pose_error=PoseError(PRODUCTION, time))
+    assert passed(dbc, scene).scene.pose_error.correlation_time == decoded
+
+
+TIME = re.compile(r'(CorrelationTime (?:m1 )?: \d+\|4@1\+) \(0.5,-2\) \[-2\|5.5\] "octave"')
+
+
+@cache
+def altered(law: str) -> Codec:
+    """The codec of a DBC whose correlation time has another factor, offset and range."""
+    text, n = TIME.subn(rf"\1 {law}", default_dbc_path(CONDITIONAL).read_text())
+    assert n == 3
+    return Codec(Layout.from_text(text))
+
+
+@pytest.mark.parametrize(
+    ("law", "greatest"),
+    [
+        ('(0.5,-2) [-2|5.5] ""', 2**5.5),
+        ('(0.1,1.03) [1.03|2.53] "octave"', 2**2.53),
+        ('(3,-20) [-20|25] "octave"', 2.0**25),
+        ('(12,20) [20|200] "octave"', 2.0**200),
+    ],
+)
+@settings(max_examples=25)
+@given(octaves=st.floats(-40, 210))
+def test_no_decoded_correlation_time_is_too_short(
+    law: str, greatest: float, octaves: float
+) -> None:
+    """Whatever the signal of the DBC: less than a step longer, or unknown; sent again, the same."""
+    codec, time = altered(law), 2.0**octaves
+    assert codec.layout.pose is not None
+    signal = codec.layout.pose["CorrelationTime"]
+
+    def decoded(time: float) -> float:
+        scene = replace(straight_lanes(1), pose_error=PoseError(PRODUCTION, time))
+        return passed(codec, scene).scene.pose_error.correlation_time
+
+    received = decoded(time)
+    assert received >= time
+    assert decoded(received) == received
+    if time > greatest * (1 + 1e-12):
+        assert received == math.inf
+    elif time <= greatest * (1 - 1e-12):
+        least = 2.0 ** signal.physical_one(1)
+        assert received <= max(least, time * 2**signal.factor * (1 + 1e-12))
+
+
+def test_a_correlation_time_in_seconds_is_refused() -> None:
+    """Its factor would be taken for one of octaves."""
+    with pytest.raises(LayoutError, match=r'CorrelationTime.*"octave"'):
+        altered('(5,0) [0|75] "s"')
+
+
+@pytest.mark.parametrize(
+    ("sigma", "offset", "heading"),
+    [
+        (0.0, None, None),
+        (1e-9, -7.875, -11.875),
+        (2**-11.87, -7.875, -11.75),
+        (2**-9.49, -7.875, -9.375),
+        (2**-7.5, -7.5, -8.125),
+        (2**-3.5, -3.5, -8.125),
+        (1e9, -0.125, -8.125),
+    ],
+)
+def test_the_levels_of_the_map_error(
+    sigma: float, offset: float | None, heading: float | None
+) -> None:
+    """Both are rounded up: no level of a line has the shape of a shift along it or a rotation."""
+    scene = replace(straight_lanes(1), map_error=MapError(0.0, sigma, sigma))
+    error = passed(CONDITIONAL, scene).scene.map_error or MapError()
+    assert error.offset_sigma == (0.0 if offset is None else level(offset))
+    assert error.heading_sigma == (0.0 if heading is None else level(heading))
+
+
+@given(covariances(3))
+def test_the_decoded_pose_error_covers_and_costs_little(cov: Any) -> None:
+    """Of a production pose with any correlations: 7 % of the variance, and the resolution."""
+    scale = np.sqrt(np.where(cov.diagonal() > 0, cov.diagonal(), 1.0))
+    root = np.sqrt(PRODUCTION.diagonal())
+    cov = cov / scale / scale[:, None] * root * root[:, None]
+    scene = scene_of(straight_lanes(1).means, None, cov)
+    decoded = passed(CONDITIONAL, scene).scene.pose_error.cov
+    assert covers(decoded, np.zeros(3), scene.pose_error.cov, np.zeros(3))
+    assume(np.linalg.eigvalsh(cov / root / root[:, None])[0] > 0.1)
+    excess = (decoded.diagonal() + 1e-12) / (cov.diagonal() + 2.0**-24)
+    assert excess.max() <= 1.15
+
+
+@BOTH
+def test_the_largest_pose_error_that_fits(dbc: str) -> None:
+    """The encoder refuses larger ones in each of its directions, up to the largest numbers."""
+    rng, encoder = np.random.default_rng(1), codec_of(dbc).encoder()
+    for _ in range(5):
+        A = rng.standard_normal((3, 3)) * np.array([[0.1], [0.2], [0.004]])
+        fits, refused = 0.0, 40.0
+        for _ in range(12):
+            scale = (fits + refused) / 2
+            try:
+                encoder.prepare_scene(empty(4.0**scale * A @ A.T))
+            except EncodeError:
+                refused = scale
+            else:
+                fits = scale
+        assert 1.0 < fits < 20.0
+    for size in (1e60, 1e300, 1e307):
+        with pytest.raises(EncodeError, match=r"the pose error does not fit.*m along"):
+            encoder.prepare_scene(empty(size * np.eye(3)))
