@@ -30,7 +30,9 @@ STUDY_COMMANDS = {f"cli.{name}" for name in (
 #: What the model may import of the package: the types of lines, and what a DBC says.
 OF_MODEL = ("values.errors", "values.line", "wire.layout")
 #: Who may import the model: the comparison of core and model, which ``maplines selftest`` runs.
-MODEL_USERS = {f"testing.{name}" for name in ("hostile_streams", "back_to_back", "sender_streams")}
+MODEL_USERS = {f"testing.{name}" for name in (
+    "hostile_streams", "back_to_back", "sender_streams", "map_streams",
+)}  # fmt: skip
 #: Imports inside functions of the product: what and where from. They run when an option asks.
 LAZY = {
     ("cli.options", "testing"), ("cli.options", "study.comparison"),

@@ -1,4 +1,4 @@
-"""Model of the wire: the rules of ``dbc/README.md``, one function each, in plain numbers.
+"""Model of the core: the rules of ``dbc/README.md``, one function each, in plain numbers.
 
 It is for people: to study a record step by step, to port the project to another language, and as
 the witness of the core in C. The product never calls it; ``maplines selftest`` compares both on the
@@ -41,4 +41,14 @@ The sender, in this order::
 
 It shares ``lines.py``, ``levels.py`` and ``scenes.py`` with the receiver: a sender decodes what it
 has encoded. ``testing/sender_streams.py`` compares it.
+
+The propagation, from lines of a map and an uncertain pose to lines with covariances, in this order::
+
+    stretches.py     what a car sees of a line, as a function y(x) in its frame
+    cubic_ranges.py  the longest range in which a cubic follows a line, and what it misses there
+    refits.py        the cubic that a line is, as a function of the pose; errors of the map
+    certain_range.py where the lateral position of a line is known well enough
+    propagation.py   moments over the pose: lines one by one, and scenes
+
+``testing/map_streams.py`` compares it.
 """

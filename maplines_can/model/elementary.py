@@ -96,6 +96,15 @@ def sin_cos(x: float) -> tuple[float, float]:
     return ((s, c), (c, -s), (-s, -c), (-c, s))[quarters & 3]
 
 
+def hypot(x: float, y: float) -> float:
+    """Return the length of a vector.
+
+    >>> hypot(3.0, 4.0)
+    5.0
+    """
+    return math.sqrt(x * x + y * y)
+
+
 def tan(x: float) -> float:
     """Return the tangent [rad]."""
     sine, cosine = sin_cos(x)

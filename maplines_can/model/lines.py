@@ -50,7 +50,7 @@ class Curve(NamedTuple):
 Points = tuple[Row, Row]
 
 
-def cubic_fit(w: Row, values: Row) -> tuple[Row, Row]:
+def cubic_fit(w: Row, values: Row, end_weight: float = END_WEIGHT) -> tuple[Row, Row]:
     """Return the coefficients of w^0 .. w^3 of a cubic that is fitted to points, and the rest.
 
     It is fitted by polynomials that are orthogonal on the points (Forsythe 1957). Each of them is w
@@ -61,7 +61,7 @@ def cubic_fit(w: Row, values: Row) -> tuple[Row, Row]:
     c, c_before = [1.0, 0.0, 0.0, 0.0], [0.0] * 4  # coefficients of p
     norm_before = math.inf
     for _ in range(4):
-        weighted = [END_WEIGHT * p[0], *p[1:-1], END_WEIGHT * p[-1]]
+        weighted = [end_weight * p[0], *p[1:-1], end_weight * p[-1]]
         norm = dot_by_halves(weighted, p)
         share = dot_by_halves(weighted, rest) / norm
         q = [x + share * y for x, y in zip(q, c, strict=True)]

@@ -21,9 +21,10 @@ SHORT = ["selftest", "--seconds", "0.001"]
 def test_core_and_model_are_equal(capsys: pytest.CaptureFixture[str]) -> None:
     """One stream at least is compared, however short the time is."""
     assert main(SHORT) == 0
-    receivers, senders = capsys.readouterr().out.splitlines()
+    receivers, senders, maps = capsys.readouterr().out.splitlines()
     found = re.fullmatch(r"bit-identical on (\d+) records \(2000 frames in 1 streams\)", receivers)
     assert senders.startswith("bit-identical on ")
+    assert maps == "bit-identical on 10 queries of maps"
     assert found is not None
     assert int(found[1]) > 100
 
@@ -35,8 +36,9 @@ def test_the_streams_of_a_seed_are_the_same_ones(capsys: pytest.CaptureFixture[s
         assert main([*SHORT, "--seed", seed, "--json"]) == 0
         rows.append(json.loads(capsys.readouterr().out))
     assert rows[0] == rows[1] != rows[2]
-    assert rows[0].keys() == {"frames", "records", "streams", "difference", "senders"}
+    assert rows[0].keys() == {"frames", "records", "streams", "difference", "senders", "maps"}
     assert rows[0]["difference"] is None
+    assert rows[0]["maps"] == {"queries": 10, "difference": None}
 
 
 def test_the_first_difference_ends_it_with_status_1(

@@ -1,0 +1,299 @@
+"""A map line as a function of the pose: the cubic that it is, seen from there.
+
+The points of its longest range are turned, and a cubic is fitted to them by least squares. As a
+rotation mixes u and v linearly, each sum of the normal equations is a polynomial in the cosine and
+sine of the turn. What the map's error and the misfit add to the covariance is independent of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from fractions import Fraction
+from itertools import pairwise
+from typing import NamedTuple
+
+from .cubic_ranges import FIT, Limits, coefficient_variances, longest_range
+from .elementary import atan, hypot, sin_cos, tan
+from .levels import NODES
+from .lines import HALVINGS, MIN_ADVANCE, STEP, Curve, bases, cubic_fit, derivatives, y_of
+from .matrices import (
+    Matrix,
+    Row,
+    added,
+    congruence,
+    diagonal,
+    dot_by_halves,
+    outer,
+    product,
+    scaled,
+    square,
+    total,
+    transposed,
+)
+from .stretches import Stretches
+
+#: Share of the advance of the chords that must not run backwards.
+MIN_PROGRESS = 1 / 3
+#: Smallest pivot of the normal equations; below it there are fewer than 4 distinct points.
+MIN_PIVOT = 1e-13
+#: The shape of a line is checked by chords from each third node to the next.
+CHORD = 3
+#: Highest power of u in the normal equations.
+DEGREE = 6
+
+
+class MapError(NamedTuple):
+    """Standard deviations of the error of a map."""
+
+    points: float  #: of each point, independently [m]
+    offset: float  #: of all of it [m]
+    heading: float  #: of all of it [rad]
+
+
+class Refit(NamedTuple):
+    """A line as a function of the pose."""
+
+    begin: float  #: of the range that the cubic describes, seen from the mean pose [m]
+    end: float
+    misfit: float  #: largest deviation of the cubic from the line [m]
+    x: Row  #: points to which cubics are fitted [m]
+    y: Row
+    pose: Row  #: the mean pose
+    centre: tuple[float, float]  #: of the points [m]
+    half: float  #: of their range [m]
+    of_u: Matrix  #: coefficients of mean(u^k) for k of 1 .. 6, see ``turned``
+    of_v: Matrix  #: those of mean(v u^k) for k of 0 .. 3
+    chords: list[tuple[float, float]]  #: [m]
+    noise: Matrix  #: covariance of the map's error and of the misfit
+
+
+def refit(
+    seen: Stretches, line: int, pose: Row, limits: Limits, error: MapError | None
+) -> Refit | None:
+    """Return a stretch as a function of the pose; None if a cubic follows it nowhere."""
+    fitted = longest_range(seen, line, limits)
+    if fitted is None:
+        return None
+    is_covered = math.isfinite(limits.max_misfit)
+    x, y = fitted.x, [v + fitted.shift for v in fitted.y] if is_covered else fitted.y
+    centre, half = ((x[0] + x[-1]) / 2, (min(y) + max(y)) / 2), (x[-1] - x[0]) / 2
+    of_u, of_v = sums_of([(v - centre[1]) / half for v in y])
+    points = [*zip(x, y, strict=True)][::CHORD]
+    chords = [(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(points)]
+    found = Refit(
+        *(fitted.begin, fitted.end, fitted.misfit, x, y, pose, centre, half, of_u, of_v, chords),
+        noise=[[0.0] * 4 for _ in range(4)],
+    )
+    mean = line_at(found, pose) or [math.nan] * 4
+    noise = found.noise
+    if error is not None:
+        noise = map_noise(found, mean, [seen.position(line, u) for u in x], error)
+    if is_covered:
+        J = bases(Curve(mean, fitted.begin, fitted.end, 0.0))
+        cover = coefficient_variances(seen, line, fitted, 0.0 if error is None else error.points)
+        wide = [[a * variance for a, variance in zip(row, cover, strict=True)] for row in J]
+        noise = added(noise, product(wide, transposed(J)))
+    return found._replace(noise=noise)
+
+
+# ---- the line seen from a pose ----------------------------------------------------------------
+
+
+def sums_of(b: Row) -> tuple[Matrix, Matrix]:
+    """Return the coefficients of c^(d - j) s^j in the sums of degree d of turned points.
+
+    The points (a, b), with the nodes as a, become u = c a + s b and v = c b - s a.
+    """
+    powers_a, powers_b = ([[1.0] * len(NODES)] for _ in range(2))
+    for _ in range(DEGREE):
+        powers_a.append([x * y for x, y in zip(powers_a[-1], NODES, strict=True)])
+        powers_b.append([x * y for x, y in zip(powers_b[-1], b, strict=True)])
+
+    def moment(i: int, j: int) -> float:
+        return dot_by_halves(powers_a[i], powers_b[j]) / len(NODES)
+
+    of_u = [[math.comb(k, j) * moment(k - j, j) for j in range(k + 1)] for k in range(1, 7)]
+    of_v = []
+    for k in range(4):
+        ahead = [math.comb(k, j) * moment(k - j, j + 1) for j in range(k + 1)]
+        aside = [math.comb(k, j) * moment(k + 1 - j, j) for j in range(k + 1)]
+        of_v.append([x - y for x, y in zip([*ahead, 0.0], [0.0, *aside], strict=True)])
+    return of_u, of_v
+
+
+def turned(coefficients: Row, c: Row, s: Row) -> float:
+    """Return a sum of turned points, from the powers of the cosine and sine."""
+    d = len(coefficients) - 1
+    value = coefficients[0] * c[d]
+    for j in range(1, d + 1):
+        value += coefficients[j] * (c[d - j] * s[j])
+    return value
+
+
+def normal_solution(m: Row, r: Row) -> Row | None:
+    """Return the cubic v(u) from mean(u^k) and mean(v u^k); None for too few distinct points."""
+    m1, m2, m3, m4, m5, m6 = m
+    a11, a12, a13 = m2 - m1 * m1, m3 - m1 * m2, m4 - m1 * m3
+    if not a11 > MIN_PIVOT:
+        return None
+    f2, f3 = a12 / a11, a13 / a11
+    a22, a23 = m4 - m2 * m2 - f2 * a12, m5 - m2 * m3 - f2 * a13
+    if not a22 > MIN_PIVOT:
+        return None
+    f = a23 / a22
+    a33 = m6 - m3 * m3 - f3 * a13 - f * a23
+    if not a33 > MIN_PIVOT:
+        return None
+    r1, r2, r3 = (r[k] - r[0] * m[k - 1] for k in (1, 2, 3))
+    r2 = r2 - f2 * r1
+    r3 = r3 - f3 * r1 - f * r2
+    q3 = r3 / a33
+    q2 = r2 / a22 - f * q3
+    q1 = r1 / a11 - f2 * q2 - f3 * q3
+    return [r[0] - (m1 * q1 + m2 * q2 + m3 * q3), q1, q2, q3]
+
+
+def is_function_after(chords: Sequence[tuple[float, float]], c: float, s: float) -> bool:
+    """Return whether points are a function of x after a turn, and not nearly across it."""
+    xs, ys = [x for x, _ in chords], [y for _, y in chords]
+    net = abs(c * total(xs) + s * total(ys))
+    if not net >= least_advance(chords):
+        return False
+    slopes = [y / x for x, y in chords]
+    if c + s * min(slopes) > 0 and c + s * max(slopes) > 0:
+        return True  # all of it runs ahead
+    return net >= MIN_PROGRESS * total([abs(c * x + s * y) for x, y in chords])
+
+
+def least_advance(chords: Sequence[tuple[float, float]]) -> float:
+    """Return the least distance that the points must advance along the x axis [m]."""
+    return MIN_ADVANCE * total([hypot(x, y) for x, y in chords])
+
+
+def is_across(line: Refit) -> bool:
+    """Return whether a line is nearly perpendicular to the x axis of the mean pose."""
+    return 2 * line.half < least_advance(line.chords)
+
+
+def line_at(line: Refit, pose: Sequence[float]) -> Row | None:
+    """Return the line from a pose in the frame of the map; None if it is no function of x there."""
+    s, c = sin_cos(pose[2] - line.pose[2])
+    of_c, of_s = [1.0], [1.0]
+    for _ in range(DEGREE):
+        of_c.append(of_c[-1] * c)
+        of_s.append(of_s[-1] * s)
+    m, r = ([turned(row, of_c, of_s) for row in rows] for rows in (line.of_u, line.of_v))
+    q = normal_solution(m, r)
+    if q is None or not is_function_after(line.chords, c, s):
+        return None
+    east, north = pose[0] - line.pose[0], pose[1] - line.pose[1]
+    sine, cosine = sin_cos(line.pose[2])
+    x = line.centre[0] - (cosine * east + sine * north)
+    y = line.centre[1] - (cosine * north - sine * east)
+    q = [a * line.half for a in q]
+    q[0] += c * y - s * x
+    found = derivatives(q, c * x + s * y, line.half)
+    found[1] = atan(found[1])
+    return found
+
+
+def line_or_extended(line: Refit, pose: Sequence[float]) -> Row | None:
+    """Return the line from a pose, extrapolated from the mean pose where it is no function."""
+    found = line_at(line, pose)
+    if found is not None:
+        return found
+    mean, share = line_at(line, line.pose) or [math.nan] * 4, 1.0
+    for _ in range(HALVINGS):
+        share /= 2
+        nearer = [m + share * (x - m) for x, m in zip(pose, line.pose, strict=True)]
+        found = line_at(line, nearer)
+        if found is not None:
+            found = [m + (x - m) / share for x, m in zip(found, mean, strict=True)]
+            return None if math.isnan(found[0]) else found
+    return None
+
+
+def _quartic_row() -> Row:
+    """Return the row from values at the nodes to the coefficient of T_4 in their fit."""
+    fourth = [float(Fraction(w) ** 4) for w in NODES]  # rounded once
+    T_4 = [8 * p - 8 * (w * w) + 1 for p, w in zip(fourth, NODES, strict=True)]
+    _, rest = cubic_fit(NODES, T_4, end_weight=1.0)
+    return [x / dot_by_halves(rest, rest) for x in rest]
+
+
+QUARTIC = _quartic_row()
+
+
+def quartic(line: Refit) -> float:
+    """Return the coefficient of T_4 that the cubic leaves of the line [m]."""
+    return dot_by_halves(QUARTIC, line.y)
+
+
+# ---- errors of the map ------------------------------------------------------------------------
+
+
+def map_noise(line: Refit, mean: Row, position: Row, error: MapError) -> Matrix:
+    """Return the covariance of a line due to the error of the map, to first order.
+
+    Args:
+        line: the line.
+        mean: it, seen from the mean pose.
+        position: indices of its points among those of the map, with fractions.
+        error: of the map.
+    """
+    columns = []
+    for k, sigma in enumerate((error.offset, error.offset, error.heading)):
+        ahead, back = (
+            line_at(line, [p + sign * STEP if i == k else p for i, p in enumerate(line.pose)])
+            or [math.nan] * 4
+            for sign in (1, -1)
+        )
+        columns.append([(a - b) / (2 * STEP) * sigma for a, b in zip(ahead, back, strict=True)])
+    of_pose = square(transposed(columns))
+    unit = unit_covariance(line, mean, position)
+    return added(of_pose, scaled(error.points * error.points, unit))
+
+
+def unit_covariance(line: Refit, mean: Row, position: Row) -> Matrix:
+    """Return the covariance of a line for unit errors of the points of the map."""
+    J = transposed([derivatives(q, line.centre[0], line.half) for q in diagonal([1.0] * 4)])
+    _, cosine = sin_cos(mean[1])
+    J[1] = [x * (cosine * cosine) for x in J[1]]
+    unit = congruence(J, fit_covariance(line, mean, position))
+    # The fit averages the errors of the points, but the line itself has them in full.
+    slope, least = tan(mean[1]), math.inf
+    for x in line.x:
+        lateral = [1.0, (1 + slope * slope) * x, x * x / 2, x * x * x / 6]
+        (products,) = product([lateral], unit)
+        least = min(least, dot_by_halves(products, lateral))
+    unit[0][0] += 1 - least if least < 1 else 0.0
+    return unit
+
+
+def fit_covariance(line: Refit, mean: Row, position: Row) -> Matrix:
+    """Return the covariance of the coefficients of a fit for unit errors of the map's points.
+
+    A fitted point has the weighted mean of the errors of its two neighbours. An error in x acts
+    twice: by the slope of the line, and by the change of the place in the range.
+    """
+    inverse = [[dot_by_halves(a, b) for b in FIT] for a in FIT]
+    slope = tan(mean[1])
+    of_y: dict[int, Row] = defaultdict(lambda: [0.0] * 4)  # effects of the errors of each point
+    of_x: dict[int, Row] = defaultdict(lambda: [0.0] * 4)
+    for k, (u, v, w) in enumerate(zip(line.x, line.y, NODES, strict=True)):
+        along = slope + u * (mean[2] + u * mean[3] / 2)
+        rest = v - y_of(mean, slope, u)
+        (by_place,) = product([[0.0, 1.0, 2 * w, 3 * w * w]], inverse)
+        by_y = [row[k] for row in FIT]
+        by_x = [a / line.half * rest - b * along for a, b in zip(by_place, by_y, strict=True)]
+        below = math.floor(position[k])
+        share = position[k] - below
+        for point, weight in ((below, 1 - share), (below + 1, share)):
+            of_y[point] = [a + weight * b for a, b in zip(of_y[point], by_y, strict=True)]
+            of_x[point] = [a + weight * b for a, b in zip(of_x[point], by_x, strict=True)]
+    S = [[0.0] * 4 for _ in range(4)]
+    for point in sorted(of_y):
+        S = added(S, outer(of_y[point]), outer(of_x[point]))
+    return S
