@@ -42,7 +42,7 @@ The sender, in this order::
 It shares ``lines.py``, ``levels.py`` and ``scenes.py`` with the receiver: a sender decodes what it
 has encoded. ``testing/sender_streams.py`` compares it.
 
-The propagation, from lines of a map and an uncertain pose to lines with covariances, in this order::
+The propagation, from map lines and an uncertain pose to lines with covariances, in this order::
 
     stretches.py     what a car sees of a line, as a function y(x) in its frame
     cubic_ranges.py  the longest range in which a cubic follows a line, and what it misses there

@@ -15,7 +15,17 @@ from .certain_range import certain_range
 from .cubic_ranges import Limits
 from .elementary import PI_BY_2, sin_cos
 from .lines import MARGIN, Curve, valid_range
-from .matrices import Matrix, Row, added, congruence, dot, is_definite, scale_of, square_root, symmetric
+from .matrices import (
+    Matrix,
+    Row,
+    added,
+    congruence,
+    dot,
+    is_definite,
+    scale_of,
+    square_root,
+    symmetric,
+)
 from .refits import MapError, Refit, is_across, line_at, line_or_extended, quartic, refit
 from .stretches import Look, Path, Stretch, Stretches, is_possible, limited, stretch_of
 
