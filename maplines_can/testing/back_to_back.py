@@ -161,6 +161,116 @@ def compare_all(
     raise AssertionError  # count has no end
 
 
+class CoreSide:
+    """A decoder of the core that takes steps of a stream.
+
+    Args:
+        layout: of the DBC.
+        profile: has the settings.
+    """
+
+    def __init__(self, layout: Layout, profile: Profile) -> None:
+        self.now_us = START_US  #: time of the clock of freshness values
+        self._layout, self._stale_cycles = layout, profile.stale_cycles
+        self._decoder = self._codec(profile).decoder(**profile.settings)
+        self._checks = self._decoder.checks
+        self._owners_of = _owners_of(layout)
+
+    def take(self, step: Step) -> dict[str, Any]:
+        """Take a step; return the answers as plain values."""
+        return {
+            "the answer": self._answer(step),
+            "the receiver": _numbers(self._decoder),
+            **{f"the check of {o!r}": _check(self._checks[o]) for o in self._owners_of(step)},
+        }
+
+    def _codec(self, profile: Profile) -> Codec:
+        if not profile.has_keys:
+            return Codec(self._layout)
+        clock = (lambda: 1000 * self.now_us) if profile.has_clock else None
+        keys = _keys().values()
+        return Codec(self._layout, Authenticator(*keys, clock=clock, window_ns=1000 * WINDOW_US))
+
+    def _answer(self, step: Step) -> Any:
+        core = self._decoder
+        if isinstance(step, FrameStep):
+            self.now_us = step.now_us
+            is_extended = step.is_extended
+            return _answer(core.feed(step.can_id, step.data, step.t_ns, is_extended=is_extended))
+        if step.kind == "latest":
+            return _view(core.latest(step.slot, step.t_ns, stale_cycles=self._stale_cycles))
+        if step.kind == "scene" and self._layout.pose is not None:
+            return _scene(core.latest_scene(step.t_ns, stale_cycles=self._stale_cycles))
+        if step.kind == "expire":
+            core.expire(step.t_ns)
+        elif step.kind == "statistics":
+            core.slots(step.t_ns)
+            core.pose_error(step.t_ns)
+        return None
+
+
+class ModelSide:
+    """The receiver of the model that takes the same steps; with the same arguments."""
+
+    def __init__(self, layout: Layout, profile: Profile) -> None:
+        self.now_us = START_US
+        self.answer: Any = None  #: last answer, as the model gives it
+        self._layout, self._stale_cycles = layout, profile.stale_cycles
+        settings = dict(profile.settings)
+        e2e = settings.pop("e2e", None)
+        windows = None if e2e is None else Windows(*astuple(e2e))
+        self.receiver = Model(
+            layout, settings_of(layout, windows=windows, **settings), self._keys(profile)
+        )
+        self._checks = self.receiver.checks
+        self._owners_of = _owners_of(layout)
+
+    @property
+    def records(self) -> int:
+        """Complete records that were checked."""
+        checks = self._checks.values()
+        return sum(check.statuses.total() - check.statuses["NONEWDATA"] for check in checks)
+
+    def take(self, step: Step) -> dict[str, Any]:
+        """Take a step; return the answers as plain values."""
+        return {
+            "the answer": self._answer(step),
+            "the receiver": _model_numbers(self.receiver),
+            **{f"the check of {o!r}": _model_check(self._checks[o]) for o in self._owners_of(step)},
+        }
+
+    def _keys(self, profile: Profile) -> Keys | None:
+        if not profile.has_keys:
+            return None
+        clock_us = (lambda: self.now_us) if profile.has_clock else None
+        keys = _keys()
+
+        def mac(key_id: int, data: bytes) -> bytes | None:
+            return keys[key_id].mac(data) if key_id in keys else None
+
+        return Keys(mac, clock_us, WINDOW_US)
+
+    def _answer(self, step: Step) -> Any:
+        model = self.receiver
+        if isinstance(step, FrameStep):
+            self.now_us = step.now_us
+            is_extended = step.is_extended
+            answer = model.feed(step.can_id, step.data, step.t_ns, is_extended=is_extended)
+            self.answer = answer
+            return _model_answer(answer)
+        if step.kind == "latest":
+            self.answer = model.latest(step.slot, step.t_ns, self._stale_cycles)
+            return _model_view(self.answer)
+        if step.kind == "scene" and self._layout.pose is not None:
+            self.answer = model.latest_scene(step.t_ns, self._stale_cycles)
+            return _model_scene(self.answer)
+        if step.kind == "expire":
+            model.expire(step.t_ns)
+        elif step.kind == "statistics":
+            model.elapse(step.t_ns)
+        return None
+
+
 class Pair:
     """A decoder of the core, and the receiver of the model with the same settings.
 
@@ -171,44 +281,29 @@ class Pair:
 
     def __init__(self, layout: Layout, profile: Profile) -> None:
         self.profile = profile
-        self._layout, self._stale_cycles = layout, profile.stale_cycles
-        self.now_us = START_US  #: time of the clock of freshness values
-        self.answer: Any = None  #: last answer of the model
-        secrets = SECRETS if profile.has_keys or profile.is_signed else {}
-        self._keys = {key_id: Key(secret, key_id) for key_id, secret in secrets.items()}
-        settings = dict(profile.settings)
-        self.core = self._decoder(profile).decoder(**settings)
-        e2e = settings.pop("e2e", None)
-        windows = None if e2e is None else Windows(*astuple(e2e))
-        self.model = Model(
-            layout, settings_of(layout, windows=windows, **settings), self._model_keys(profile)
-        )
-        self._core_checks, self._model_checks = self.core.checks, self.model.checks
-        of_id = layout.message_of_id | (layout.pose.message_of_id if layout.pose else {})
-        self._owner_of = {key: owner for key, (owner, _) in of_id.items()}
+        self.core_side, self.model_side = CoreSide(layout, profile), ModelSide(layout, profile)
+        self._layout = layout
+        self._signing_key = _keys()[1] if profile.is_signed else None
+
+    @property
+    def model(self) -> Model:
+        """The receiver of the model."""
+        return self.model_side.receiver
+
+    @property
+    def answer(self) -> Any:
+        """The last answer of the model."""
+        return self.model_side.answer
+
+    @property
+    def now_us(self) -> int:
+        """Time of the clock of freshness values."""
+        return self.model_side.now_us
 
     @property
     def records(self) -> int:
         """Complete records that were checked."""
-        checks = self._model_checks.values()
-        return sum(check.statuses.total() - check.statuses["NONEWDATA"] for check in checks)
-
-    def _decoder(self, profile: Profile) -> Codec:
-        if not profile.has_keys:
-            return Codec(self._layout)
-        clock = (lambda: 1000 * self.now_us) if profile.has_clock else None
-        keys = self._keys.values()
-        return Codec(self._layout, Authenticator(*keys, clock=clock, window_ns=1000 * WINDOW_US))
-
-    def _model_keys(self, profile: Profile) -> Keys | None:
-        if not profile.has_keys:
-            return None
-        clock_us = (lambda: self.now_us) if profile.has_clock else None
-
-        def mac(key_id: int, data: bytes) -> bytes | None:
-            return self._keys[key_id].mac(data) if key_id in self._keys else None
-
-        return Keys(mac, clock_us, WINDOW_US)
+        return self.model_side.records
 
     def sign(self, owner: Owner, record: bytes, now_us: int) -> bytes:
         """Return the authenticated payload of a record."""
@@ -216,44 +311,35 @@ class Pair:
         layout = self._layout.pose if owner == POSE else self._layout
         assert layout is not None  # noqa: S101 - a stream has records of what the DBC has
         assert layout.secured is not None  # noqa: S101 - likewise
-        authenticator = Authenticator(self._keys[1], clock=lambda: 1000 * now_us)
+        assert self._signing_key is not None  # noqa: S101 - likewise
+        authenticator = Authenticator(self._signing_key, clock=lambda: 1000 * now_us)
         return authenticator.secure(record, messages.secured_data_id, layout.secured)
 
     def differences(self, step: Step) -> Iterator[tuple[str, str, str]]:
         """Take a step; yield what differs: where, and the values."""
-        if isinstance(step, FrameStep):
-            self.now_us = step.now_us
-            key = step.can_id, step.is_extended
-            fed = step.can_id, step.data, step.t_ns
-            answer = self.core.feed(*fed, is_extended=step.is_extended)
-            self.answer = self.model.feed(*fed, is_extended=step.is_extended)
-            yield from _differences("the answer", _answer(answer), _model_answer(self.answer))
-            owners = [self._owner_of[key]] if key in self._owner_of else []
-        else:
-            yield from _differences("the answer", *self._answers(step))
-            owners = [*self._core_checks]
-        yield from _differences("the receiver", _numbers(self.core), _model_numbers(self.model))
-        for owner in owners:
-            core, model = self._core_checks[owner], self._model_checks[owner]
-            yield from _differences(f"the check of {owner!r}", _check(core), _model_check(model))
+        core, model = self.core_side.take(step), self.model_side.take(step)
+        for where, answer in core.items():
+            yield from _differences(where, answer, model[where])
 
-    def _answers(self, step: Question) -> tuple[Any, Any]:
-        if step.kind == "latest":
-            view = self.core.latest(step.slot, step.t_ns, stale_cycles=self._stale_cycles)
-            self.answer = self.model.latest(step.slot, step.t_ns, self._stale_cycles)
-            return _view(view), _model_view(self.answer)
-        if step.kind == "scene" and self._layout.pose is not None:
-            scene = self.core.latest_scene(step.t_ns, stale_cycles=self._stale_cycles)
-            self.answer = self.model.latest_scene(step.t_ns, self._stale_cycles)
-            return _scene(scene), _model_scene(self.answer)
-        if step.kind == "expire":
-            self.core.expire(step.t_ns)
-            self.model.expire(step.t_ns)
-        elif step.kind == "statistics":
-            self.core.slots(step.t_ns)
-            self.core.pose_error(step.t_ns)
-            self.model.elapse(step.t_ns)
-        return None, None
+
+def _keys() -> dict[int, Key]:
+    """Return the keys of streams, by their IDs."""
+    return {key_id: Key(secret, key_id) for key_id, secret in SECRETS.items()}
+
+
+def _owners_of(layout: Layout) -> Callable[[Step], list[Owner]]:
+    """Return a function of those whose checks a step may change: of a question, any."""
+    of_id = layout.message_of_id | (layout.pose.message_of_id if layout.pose else {})
+    owner_of = {key: owner for key, (owner, _) in of_id.items()}
+    everyone = [*layout.messages_of]
+
+    def owners(step: Step) -> list[Owner]:
+        if isinstance(step, Question):
+            return everyone
+        key = step.can_id, step.is_extended
+        return [owner_of[key]] if key in owner_of else []
+
+    return owners
 
 
 def _differences(where: str, core: Any, model: Any) -> Iterator[tuple[str, str, str]]:

@@ -36,12 +36,13 @@ _FIELDS = (
 )  # fmt: skip
 
 
-class SenderStep(NamedTuple):
-    """One input, and both answers to it."""
+class SenderStream(NamedTuple):
+    """Inputs without end, and the answers of core and model to one."""
 
-    input: Any
-    core: Any
-    model: Any
+    inputs: Callable[[Layout, np.random.Generator], Iterator[Any]]
+    core: Callable[[Codec, Any], Any]
+    model: Callable[[Layout, Any], Any]
+    steps: int  #: in a turn
 
 
 class SenderComparison(NamedTuple):
@@ -120,27 +121,31 @@ def _counter(rng: np.random.Generator, layout: Layout) -> int:
     return int(rng.integers(2 ** layout["Counter"].length))
 
 
-def lines(codec: Codec, rng: np.random.Generator) -> Iterator[SenderStep]:
-    """Yield lines as complete records."""
+def _lines(layout: Layout, rng: np.random.Generator) -> Iterator[Any]:
+    """Yield lines, each with a counter."""
     while True:
-        line, counter = random_draft(rng, codec.layout), _counter(rng, codec.layout)
-        component: dict[str, Any] = {
-            "component_index": [line.index],
-            "component_count": [line.count],
-            "component_weight": [line.weight],
-        }
-        core = codec.batch.encode(
-            [line.mean], [line.cov], **_attributes(line, counter), **component
-        )
-        yield SenderStep(line, core[0].tobytes(), writer.write(codec.layout, line, counter))
+        yield random_draft(rng, layout), _counter(rng, layout)
 
 
-def mixtures(codec: Codec, rng: np.random.Generator) -> Iterator[SenderStep]:
-    """Yield mixtures as complete records: their weights, and what covers them."""
-    layout = codec.layout
+def _line_by_core(codec: Codec, given: Any) -> Any:
+    line, counter = given
+    component: dict[str, Any] = {
+        "component_index": [line.index],
+        "component_count": [line.count],
+        "component_weight": [line.weight],
+    }
+    core = codec.batch.encode([line.mean], [line.cov], **_attributes(line, counter), **component)
+    return core[0].tobytes()
+
+
+def _line_by_model(layout: Layout, given: Any) -> Any:
+    return writer.write(layout, *given)
+
+
+def _mixtures(layout: Layout, rng: np.random.Generator) -> Iterator[Any]:
+    """Yield mixtures: a line with a counter, and the weights, means and covariances."""
     most = int(layout["ComponentCount"].physical_range[1])
-    while True:
-        line, counter = random_draft(rng, layout), _counter(rng, layout)
+    for line, counter in _lines(layout, rng):
         k = int(rng.integers(1, most + 1))
         weights = np.maximum(rng.dirichlet(np.full(k, _choice(rng, 0.1, 1, 10))), 1e-6)
         weights /= weights.sum()
@@ -148,18 +153,22 @@ def mixtures(codec: Codec, rng: np.random.Generator) -> Iterator[SenderStep]:
         sigma = np.sqrt(np.abs(np.diag(cov))) * _choice(rng, 0.1, 1, 5)
         means = line.mean + rng.normal(size=(k, 4)) * sigma
         covs = np.array([cov * rng.uniform(0.1, 2) for _ in range(k)])
-        core = codec.batch.encode_mixtures(
-            [weights], [means], [covs], **_attributes(line, counter)
-        )[0]
-        model = writer.write_mixture(
-            layout, line, weights.tolist(), means.tolist(), covs.tolist(), counter
-        )
-        yield SenderStep((line, weights, means, covs), [record.tobytes() for record in core], model)
+        yield line, counter, weights.tolist(), means.tolist(), covs.tolist()
 
 
-def records(codec: Codec, rng: np.random.Generator) -> Iterator[SenderStep]:
-    """Yield what complete records say, many of them of random values or damaged."""
-    layout = codec.layout
+def _mixture_by_core(codec: Codec, given: Any) -> Any:
+    line, counter, *mixture = given
+    core = codec.batch.encode_mixtures(*([part] for part in mixture), **_attributes(line, counter))
+    return [record.tobytes() for record in core[0]]
+
+
+def _mixture_by_model(layout: Layout, given: Any) -> Any:
+    line, counter, *mixture = given
+    return writer.write_mixture(layout, line, *mixture, counter)
+
+
+def _records(layout: Layout, rng: np.random.Generator) -> Iterator[Any]:
+    """Yield complete records with their slots, many of random values or damaged."""
     while True:
         slot = Slot(_choice(rng, *layout.messages))
         data_id = layout.messages[slot].data_id
@@ -171,12 +180,14 @@ def records(codec: Codec, rng: np.random.Generator) -> Iterator[SenderStep]:
             record = written(layout, raw, data_id)
         else:
             record = writer.write(layout, random_draft(rng, layout), _counter(rng, layout))
-        record = _damaged(record, layout.crc_offset, data_id, rng)
-        batch = codec.batch.decode(np.frombuffer(record, np.uint8)[None], slot=[slot])
-        core: Any = _VERDICTS[int(batch.verdict[0])]
-        if core is None:
-            core = [getattr(batch, name)[0] for name in _FIELDS]
-        yield SenderStep(record.hex(), core, _read(layout, record, slot, data_id))
+        yield slot, _damaged(record, layout.crc_offset, data_id, rng)
+
+
+def _record_by_core(codec: Codec, given: Any) -> Any:
+    slot, record = given
+    batch = codec.batch.decode(np.frombuffer(record, np.uint8)[None], slot=[slot])
+    verdict = _VERDICTS[int(batch.verdict[0])]
+    return verdict or [getattr(batch, name)[0] for name in _FIELDS]
 
 
 def _damaged(record: bytes, crc_byte: int, data_id: int, rng: np.random.Generator) -> bytes:
@@ -191,8 +202,9 @@ def _damaged(record: bytes, crc_byte: int, data_id: int, rng: np.random.Generato
     return bytes(changed)
 
 
-def _read(layout: Layout, record: bytes, slot: Slot, data_id: int) -> Any:
-    raw = intact(layout, record, data_id)
+def _record_by_model(layout: Layout, given: Any) -> Any:
+    slot, record = given
+    raw = intact(layout, record, layout.messages[slot].data_id)
     found = raw if isinstance(raw, str) else complete(layout, slot, raw, 0)
     if isinstance(found, str):
         return found
@@ -234,12 +246,9 @@ def random_scene(rng: np.random.Generator, slots: Sequence[Slot]) -> Scene:
     return map_scene(roads, pose, map_error=_choice(rng, None, error, error), window=window)
 
 
-def scenes(codec: Codec, rng: np.random.Generator) -> Iterator[SenderStep]:
-    """Yield scenes as the record of the pose error and the records of lines."""
-    layout, pose = codec.layout, codec.layout.pose
-    if pose is None:
-        return
-    sender = SceneSender(layout, pose)
+def _scenes(layout: Layout, rng: np.random.Generator) -> Iterator[Any]:
+    """Yield scenes with their counters, ages, and whether they are sent as CAN FD."""
+    has_fd = all(own.fd_can_id is not None for own in layout.messages_of.values())
     while True:
         try:
             scene = random_scene(rng, [*layout.messages])
@@ -248,28 +257,29 @@ def scenes(codec: Codec, rng: np.random.Generator) -> Iterator[SenderStep]:
         owners: list[Owner] = [POSE, *layout.messages]
         counters = {owner: int(rng.integers(256)) for owner in owners}
         ages = {owner: float(rng.uniform(0, 0.1)) for owner in owners}
-        fd = bool(rng.random() < 0.3)
-        try:
-            frames = codec.encoder().encode_scene(scene, age=ages, fd=fd, counters=counters)
-        except EncodeError:
-            core = None
-        else:
-            core = {str(o): b"".join(bytes(f.data) for f in of) for o, of in frames.items()}
-        found = sender.send(_scene_draft(scene), counters, ages, full=fd)
-        model = None if found is None else found.records
-        yield SenderStep(scene, core, _padded(model, core or {}))
+        yield scene, counters, ages, bool(rng.random() < 0.3) and has_fd
 
 
-def _padded(
-    records_of: dict[Owner, bytes] | None, core: dict[str, bytes]
-) -> dict[str, bytes] | None:
-    """Return records with the padding of CAN FD."""
-    if records_of is None:
+def _scene_by_core(codec: Codec, given: Any) -> Any:
+    scene, counters, ages, fd = given
+    try:
+        frames = codec.encoder().encode_scene(scene, age=ages, fd=fd, counters=counters)
+    except EncodeError:
         return None
-    lengths = {owner: len(sent) for owner, sent in core.items()}
+    return {str(o): b"".join(bytes(f.data) for f in of) for o, of in frames.items()}
+
+
+def _scene_by_model(layout: Layout, given: Any) -> Any:
+    """Return the records; those of CAN FD with their padding."""
+    scene, counters, ages, fd = given
+    assert layout.pose is not None  # noqa: S101 - else it has no scenes
+    sender = SceneSender(layout, layout.pose)
+    found = sender.send(_scene_draft(scene), counters, ages, full=fd)
+    if found is None:
+        return None
     return {
-        str(owner): record.ljust(lengths.get(str(owner), 0), b"\0")
-        for owner, record in records_of.items()
+        str(owner): record.ljust(layout.messages_of[owner].fd_length if fd else 0, b"\0")
+        for owner, record in found.records.items()
     }
 
 
@@ -291,10 +301,20 @@ def _scene_draft(scene: Scene) -> SceneDraft:
     )  # fmt: skip
 
 
-#: Streams, and their steps in a turn.
-STREAMS = {lines: 200, mixtures: 200, records: 200, scenes: 10}
-#: Those that records of lines without a covariance of their own have.
-CONDITIONAL = (scenes,)
+#: Streams by name.
+STREAMS = {
+    "lines": SenderStream(_lines, _line_by_core, _line_by_model, 200),
+    "mixtures": SenderStream(_mixtures, _mixture_by_core, _mixture_by_model, 200),
+    "records": SenderStream(_records, _record_by_core, _record_by_model, 200),
+    "scenes": SenderStream(_scenes, _scene_by_core, _scene_by_model, 10),
+}
+
+
+def streams_of(layout: Layout) -> list[str]:
+    """Return the names of the streams that a DBC can have."""
+    if layout.is_conditional:  # its lines have no covariance of their own
+        return ["scenes"]
+    return [name for name in STREAMS if name != "scenes" or layout.pose is not None]
 
 
 def compare_senders(
@@ -308,37 +328,29 @@ def compare_senders(
         is_over: asked after a turn of each stream.
     """
     streams = [
-        (f"{layout.source}, {stream.__name__}, seed {seed}",
-         stream(Codec(layout), np.random.default_rng(seed)), STREAMS[stream])
-        for layout in layouts
-        for stream in streams_of(layout)
-    ]  # fmt: skip
+        (codec, name, STREAMS[name].inputs(codec.layout, np.random.default_rng(seed)))
+        for codec in map(Codec, layouts)
+        for name in streams_of(codec.layout)
+    ]
     done = turn = 0
     while True:
-        for name, steps, count in streams:
-            found = compare_steps(name, steps, turn * count, count)
+        for codec, name, inputs in streams:
+            count = STREAMS[name].steps
+            title = f"{codec.layout.source}, {name}, seed {seed}"
+            found = compare_steps(title, codec, STREAMS[name], inputs, turn * count, count)
             done += found.records
-            if found.difference is not None:
+            if found.difference is not None or is_over():
                 return SenderComparison(done, found.difference)
-            if is_over():
-                return SenderComparison(done, None)
         turn += 1
 
 
-def streams_of(layout: Layout) -> list[Callable[..., Iterator[SenderStep]]]:
-    """Return the streams that a DBC can have."""
-    if layout.is_conditional:
-        return [*CONDITIONAL]
-    return [stream for stream in STREAMS if stream is not scenes or layout.pose is not None]
-
-
 def compare_steps(
-    name: str, steps: Iterator[SenderStep], first: int, count: int
+    title: str, codec: Codec, stream: SenderStream, inputs: Iterator[Any], first: int, count: int
 ) -> SenderComparison:
     """Compare some steps of a stream, numbered from ``first`` on, up to the first difference."""
-    for done, step in enumerate(islice(steps, count)):
-        core, model = bits(step.core), bits(step.model)
+    for done, given in enumerate(islice(inputs, count)):
+        core, model = bits(stream.core(codec, given)), bits(stream.model(codec.layout, given))
         if core != model:
-            shown = str(step.input), "the answer", str(core), str(model)
-            return SenderComparison(done, Difference(name, first + done, *shown))
+            shown = str(given), "the answer", str(core), str(model)
+            return SenderComparison(done, Difference(title, first + done, *shown))
     return SenderComparison(count, None)

@@ -66,17 +66,18 @@ def senders(n: int = 100_000, random: int = 0, seed: int = 1) -> dict[str, Any]:
     rows: dict[str, Any] = {}
     for name, layout in layouts(random):
         rows[name] = {"different": 0}
-        for stream in sender_streams.streams_of(layout):
-            share = sender_streams.STREAMS[stream] / max(sender_streams.STREAMS.values())
-            count = max(1, round(n * max(share, 0.1)))
-            steps, done = stream(Codec(layout), np.random.default_rng(seed)), 0
-            with bar(count, f"{name}, {stream.__name__}") as shown:
+        most = max(stream.steps for stream in sender_streams.STREAMS.values())
+        for kind in sender_streams.streams_of(layout):
+            stream, title, done = sender_streams.STREAMS[kind], f"{name}, {kind}", 0
+            count = max(1, round(n * max(stream.steps / most, 0.1)))
+            codec, inputs = Codec(layout), stream.inputs(layout, np.random.default_rng(seed))
+            with bar(count, title) as shown:
                 while done < count:
                     size = min(STEPS, count - done)
-                    found = sender_streams.compare_steps(name, steps, done, size)
+                    found = sender_streams.compare_steps(title, codec, stream, inputs, done, size)
                     if found.difference is not None:
                         sys.exit(str(found.difference))
                     done += size
                     shown.update(size)
-            rows[name][stream.__name__] = done
+            rows[name][kind] = done
     return rows
