@@ -64,7 +64,9 @@ PRELOAD = [
     *("scipy.linalg", "scipy.spatial", "scipy.stats", "scipy.optimize", "scipy.integrate"),
 ]
 #: Files that the tests do not need.
-LEFT_OUT = shutil.ignore_patterns(".git", ".venv", "*cache*", ".hypothesis", "build", "dist")
+LEFT_OUT = shutil.ignore_patterns(
+    ".git", ".venv", ".*cache", "__pycache__", ".hypothesis", "build", "dist"
+)
 #: Time limit of the tests of a mutant: a multiple of their normal time, and a constant [s].
 SLOWER, START_UP = 3, 30
 #: Reason given in the report for a survivor that is not in the list.
@@ -104,7 +106,7 @@ class Outcome(NamedTuple):
     """Result of one mutant."""
 
     file: str
-    mutant: Mutant
+    mutant: Any  #: with function, line, original and mutated
     how: str  #: killed, timeout, survived or not covered
 
     @property
@@ -298,16 +300,20 @@ class Runner:
         return "timeout" if status is None else "killed" if status else "survived"
 
     def _run(self, task: Callable[[], None], limit: float | None) -> int | None:
-        """Run a task in a process; return its exit status, None if it exceeds the limit [s]."""
-        process = self._context.Process(target=task)
-        process.start()
-        process.join(limit)
-        status = process.exitcode
-        if process.pid:
-            with suppress(ProcessLookupError):  # the task leads a group of processes
-                os.killpg(process.pid, signal.SIGKILL)
-        process.join()
-        return status
+        return run_task(self._context, task, limit)
+
+
+def run_task(context: Any, task: Callable[[], None], limit: float | None = None) -> int | None:
+    """Run a task in a process; return its exit status, None if it exceeds the limit [s]."""
+    process = context.Process(target=task)
+    process.start()
+    process.join(limit)
+    status = process.exitcode
+    if process.pid:
+        with suppress(ProcessLookupError):  # the task leads a group of processes
+            os.killpg(process.pid, signal.SIGKILL)
+    process.join()
+    return status
 
 
 # ---- the result -----------------------------------------------------------------------------

@@ -25,6 +25,13 @@ def run_tests(tree: Path, tests: Sequence[str]) -> None:
     _end(_pytest(tree, sorted({test.partition("::")[0] for test in tests}), _Chosen(tests), "-x"))
 
 
+def run_files(tree: Path, tests: Sequence[str]) -> None:
+    """Run the tests of files and folders until one fails; end the process with their status."""
+    sys.dont_write_bytecode = True
+    os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
+    _end(_pytest(tree, tests, _NoShrinking(), "-x", *WITHOUT_GENERATED))
+
+
 def record_lines(tree: Path, sources: Sequence[str], tests: Sequence[str], out: Path) -> None:
     """Run tests, write the lines and the time of each, and end the process."""
     sys.dont_write_bytecode = False  # the mutants' processes need not compile what is unchanged

@@ -65,7 +65,7 @@ def bits(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return bits(value.tolist())
     if isinstance(value, dict):
-        return {str(key): bits(item) for key, item in value.items()}
+        return {str(key): bits(value[key]) for key in sorted(value, key=str)}
     if isinstance(value, list | tuple):
         return [bits(item) for item in value]
     return int(value) if isinstance(value, int | np.integer) else value

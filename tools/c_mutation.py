@@ -1,0 +1,254 @@
+#!/usr/bin/env python3
+"""Mutation test of the C core: change one place at a time; core and model must differ.
+
+    c_mutation.py                             a sample of 300 mutants of all of the core
+    c_mutation.py --files c/src/sequence.c --sample 0      all of a file; patterns as c/core/*log*
+    c_mutation.py --tests                     survivors of the streams also meet the tests
+
+A mutant has one change to a comparison, an operator, a number, a condition or a statement (see
+c_mutants.py). Only its file is compiled, and the library is built into a copy of the tree: the
+checkout is not changed. What does not compile, or gives the same object code, is no mutant.
+
+First the streams of core and model (maplines_can/testing) are recorded: three DBCs that are
+shipped, and some random ones. A mutant takes the same inputs. It is killed if an answer differs
+from the model's, or it crashes or does not end. With --tests, those of the folders of TESTS run for
+what survives.
+
+Tools that mutate C (Mull, universalmutator) are not used: Mull has a package for each version of
+LLVM, in no distribution, and runs programs rather than libraries; of universalmutator only the
+patterns would be used, as c_mutants.py has them.
+
+tools/mutation_survivors.toml has the reasons for accepted survivors, which still count as such.
+The exit status is 1 if less than --least of the mutants are killed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter, defaultdict
+from fnmatch import fnmatch
+from functools import partial
+from pathlib import Path
+
+from build_core import FOLDERS, LIBRARY, LIMITS, OPTIONS, compiler
+from c_mutants import Mutant, mutants
+from c_mutation_streams import record, replay
+from mutation import LEFT_OUT, PRELOAD, ROOT, Outcome, reasons, run_task, summary
+from mutation_worker import run_files
+from reporting import bar, parser_of, report
+
+#: Tests that concern files of the core, by a pattern of their names; the first one that fits.
+TESTS = {
+    "c/core/*log*": ["tests/bus"],
+    "c/propagation/*": ["tests/propagation"],
+    "c/core/propagate.c": ["tests/propagation"],
+    "*": ["tests/wire", "tests/c"],
+}
+#: Time limits of a mutant [s]: of the streams, and of the tests.
+STREAM_LIMIT, TEST_LIMIT = 120, 600
+#: Steps of each recording that are taken before all of any.
+FIRST = 100
+FLAGS = [
+    *(option for option in OPTIONS if option not in ("-O3", "-shared")),
+    *("-O1", "-Werror=return-type"),
+    *(f"-DMAPLINES_MAX_{name}={limit}" for name, limit in LIMITS.items()),
+    *(f"-I{place.relative_to(ROOT)}" for place in (ROOT / "c" / "include", *FOLDERS)),
+]
+
+
+def main() -> int:
+    """Run the command and return its exit status."""
+    arguments = _arguments()
+    started = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="c-mutation-") as name:
+        folder = Path(name)
+        core = Core(folder / "core", arguments.recordings or folder / "recordings")
+        if not core.recordings and not core.record(arguments.frames):
+            return 1
+        recorded = time.monotonic()
+        wanted = [file for file in core.files if any(fnmatch(file, p) for p in arguments.files)]
+        every = [(file, m) for file in wanted for m in mutants((ROOT / file).read_text())]
+        random.Random(arguments.seed).shuffle(every)  # noqa: S311 - no secret
+        run = Run(core, every, arguments.sample or len(every), is_tested=arguments.tests)
+        outcomes = run.outcomes(folder, arguments.jobs)
+    result = summary(outcomes, reasons(arguments.survivors), arguments.least)
+    result |= {
+        "killed by": dict(run.killed_by.most_common()),
+        "no mutants": dict(run.left_out),
+        "seed": arguments.seed,
+        "minutes to record": (recorded - started) / 60,
+        "minutes": (time.monotonic() - started) / 60,
+    }
+    return report(result, arguments.json, 44)
+
+
+def _arguments() -> argparse.Namespace:
+    parser = parser_of(__doc__)
+    parser.add_argument(
+        "--files",
+        nargs="+",
+        default=["c/*"],
+        metavar="PATTERN",
+        help="files that are changed (default: all of c/src, c/propagation and c/core)",
+    )
+    parser.add_argument(
+        "--sample", type=int, default=300, help="number of mutants; 0: all (default: 300)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the sample (default: 0)")
+    parser.add_argument("--jobs", type=int, default=1, help="mutants at a time (default: 1)")
+    parser.add_argument("--tests", action="store_true", help="survivors also meet the tests")
+    parser.add_argument(
+        "--frames", type=int, default=800, help="steps of a stream of a receiver (default: 800)"
+    )
+    parser.add_argument(
+        "--recordings",
+        type=Path,
+        metavar="FOLDER",
+        help="keep the recordings in it; those that are in it are used",
+    )
+    parser.add_argument(
+        "--least", type=float, default=0.92, help="share that must be killed (default: 0.92)"
+    )
+    parser.add_argument(
+        "--survivors",
+        type=Path,
+        default=ROOT / "tools" / "mutation_survivors.toml",
+        help="accepted survivors (default: tools/mutation_survivors.toml)",
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    return parser.parse_args()
+
+
+def compiled(tree: Path, file: str, out: Path) -> bool:
+    """Compile a file of a tree; return whether the compiler takes it."""
+    command = [*compiler(), *FLAGS, "-w", "-c", file, "-o", str(out)]
+    return subprocess.run(command, cwd=tree, capture_output=True, check=False).returncode == 0
+
+
+def linked(tree: Path, objects: list[Path]) -> bool:
+    """Build the library of a tree from object files."""
+    made = tree / "maplines_can" / LIBRARY
+    command = [*compiler(), "-shared", *map(str, objects), "-o", str(made), "-lm"]
+    return subprocess.run(command, cwd=tree, capture_output=True, check=False).returncode == 0
+
+
+class Core:
+    """The core that is not changed: its object files, and the recordings of its streams."""
+
+    def __init__(self, folder: Path, recordings: Path) -> None:
+        self.tree, self._recordings = folder / "tree", recordings
+        self._recordings.mkdir(parents=True, exist_ok=True)
+        shutil.copytree(ROOT, self.tree, ignore=LEFT_OUT, symlinks=True)
+        self.files = [
+            path.relative_to(ROOT).as_posix() for place in FOLDERS for path in place.glob("*.c")
+        ]
+        self.files.sort()
+        self.objects = {file: folder / f"{Path(file).stem}.o" for file in self.files}
+        for file, out in self.objects.items():
+            if not compiled(self.tree, file, out):
+                sys.exit(f"c_mutation.py: {file} does not compile")
+        if not linked(self.tree, [*self.objects.values()]):
+            sys.exit("c_mutation.py: the library cannot be linked")
+        self.context = multiprocessing.get_context("forkserver")
+        self.context.set_forkserver_preload([*PRELOAD, "cryptography.hazmat.primitives.cmac"])
+
+    def record(self, frames: int) -> bool:
+        """Record the streams; return whether core and model agree."""
+        return run_task(self.context, partial(record, self.tree, self._recordings, frames)) == 0
+
+    @property
+    def recordings(self) -> list[Path]:
+        """Files of the recordings."""
+        return sorted(self._recordings.iterdir())
+
+
+class Run:
+    """Mutants in the order of their sample, each of which is compiled and tested."""
+
+    def __init__(
+        self, core: Core, every: list[tuple[str, Mutant]], size: int, *, is_tested: bool
+    ) -> None:
+        self._core, self._size, self._is_tested = core, size, is_tested
+        self._next = iter(enumerate(every))
+        self._found: dict[int, Outcome] = {}
+        self._lock = threading.Lock()
+        self._kills: dict[str, Counter[str]] = defaultdict(Counter)  # recordings, by file
+        self.killed_by = Counter[str]()
+        self.left_out = Counter[str]()
+        self._bar = bar(size, "mutants")
+
+    def outcomes(self, folder: Path, jobs: int) -> list[Outcome]:
+        """Return the outcomes of the sample, in its order."""
+        threads = [
+            threading.Thread(target=self._work, args=(folder / f"job{i}",)) for i in range(jobs)
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        return [self._found[i] for i in sorted(self._found)[: self._size]]
+
+    def _work(self, folder: Path) -> None:
+        tree = folder / "tree"
+        shutil.copytree(self._core.tree, tree, symlinks=True)
+        while True:
+            with self._lock:
+                number, (file, mutant) = next(self._next, (0, ("", None)))
+                if mutant is None or len(self._found) >= self._size:
+                    return
+            source = (tree / file).read_text()
+            try:
+                (tree / file).write_text(mutant.apply(source))
+                how = self._outcome(folder, tree, file)
+            finally:
+                (tree / file).write_text(source)
+            with self._lock:
+                if how in ("no compilation", "same object code"):
+                    self.left_out[how] += 1
+                else:
+                    self._found[number] = Outcome(file, mutant, how)
+                    self._bar.update()
+
+    def _outcome(self, folder: Path, tree: Path, file: str) -> str:
+        out = folder / "mutant.o"
+        if not compiled(tree, file, out):
+            return "no compilation"
+        own = self._core.objects[file]
+        if out.read_bytes() == own.read_bytes():
+            return "same object code"
+        if not linked(
+            tree, [out, *(other for other in self._core.objects.values() if other != own)]
+        ):
+            return "no compilation"
+        said, kills = folder / "said", self._kills[file]
+        said.write_text("")
+        total = sum(self._kills.values(), Counter[str]())
+        files = sorted(self._core.recordings, key=lambda p: (-kills[p.name], -total[p.name], p))
+        status = run_task(
+            self._core.context, partial(replay, tree, files, FIRST, said), STREAM_LIMIT
+        )
+        if status != 0:
+            kills[said.read_text()] += 1
+            return self._killed("streams", status)
+        if not self._is_tested:
+            return "survived"
+        tests = next(tests for pattern, tests in TESTS.items() if fnmatch(file, pattern))
+        status = run_task(self._core.context, partial(run_files, tree, tests), TEST_LIMIT)
+        return self._killed(" ".join(tests), status) if status != 0 else "survived"
+
+    def _killed(self, by: str, status: int | None) -> str:
+        how = "time limit" if status is None else "crash" if status < 0 else "other answers"
+        self.killed_by[f"{by}, {how}"] += 1
+        return "timeout" if status is None else "killed"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
