@@ -32,7 +32,7 @@ from evidence.roads import SLOTS, maps_of, random_map
 from maplines_can import Gaussian, map_lines
 from maplines_can.consumers.integrity import multiplier
 from maplines_can.maps import Map, load
-from maplines_can.testing import back_to_back, sender_streams
+from maplines_can.testing import back_to_back, map_streams, sender_streams
 from maplines_can.wire import Encoder
 
 for _name in harness.modules():
@@ -363,3 +363,6 @@ def test_a_core_that_differs_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(back_to_back, "_answer", lambda _: "PENDING")
     with pytest.raises(SystemExit, match="the answer is 'PENDING' by the core"):
         core.frames(100)
+    monkeypatch.setattr(map_streams, "model_answer", lambda _: None)
+    with pytest.raises(SystemExit, match="by the core, None by the model"):
+        core.maps(10)

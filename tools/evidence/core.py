@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from maplines_can.testing import back_to_back, sender_streams
+from maplines_can.testing import back_to_back, map_streams, sender_streams
 from maplines_can.wire import SHIPPED, Codec, Layout, default_dbc_path
 
 from .harness import bar, evidence
@@ -81,3 +81,19 @@ def senders(n: int = 100_000, random: int = 0, seed: int = 1) -> dict[str, Any]:
                     shown.update(size)
             rows[name][kind] = done
     return rows
+
+
+@evidence(n=20)
+def maps(n: int = 30_000, seed: int = 1) -> dict[str, int]:
+    """Compare the propagation: n queries of lines, scenes and refits of random maps."""
+    turns = iter(range(max(1, n // map_streams.STEPS) - 1))
+    with bar(n, "maps") as shown:
+
+        def is_over() -> bool:
+            shown.update(map_streams.STEPS)
+            return next(turns, None) is None
+
+        found = map_streams.compare_maps(seed, is_over)
+    if found.difference is not None:
+        sys.exit(str(found.difference))
+    return {"queries": found.queries, "different": 0}
