@@ -32,6 +32,8 @@ const char *maplines_core_compiler(void);
 size_t maplines_core_size(size_t i);
 /// Whether tables are those of a DBC: no signal, page or index is beyond its record.
 bool maplines_check_tables(const maplines_dbc_t *dbc);
+/// Compute the covariances of a straight line at the spacings of a DBC: its table `straight`.
+void maplines_straight_levels(const maplines_dbc_t *dbc, float *straight);
 
 /* ---- batch.c: complete records, and back ------------------------------------------------------
  */

@@ -5,7 +5,7 @@
 /* ---- covariances ------------------------------------------------------------------------------
  */
 
-/// Share by which the variances of a scene are enlarged: that of wire/covariance/scene_code.py.
+/// Share by which the variances of a scene are enlarged: that of maplines_can/model/scenes.py.
 #define SCENE_ROUNDING 0x1p-42
 
 /// Joint covariance (4 count, 4 count) of the parameters of lines of a scene from a place on.

@@ -100,3 +100,27 @@ bool maplines_check_tables(const maplines_dbc_t *dbc)
     }
     return is_good;
 }
+
+void maplines_straight_levels(const maplines_dbc_t *dbc, float *straight)
+{
+    const maplines_levels_t *levels = maplines_levels_of(dbc);
+    const double mean[4] = {0.0, 0.0, 0.0, 0.0};
+    const double fit_range[2] = {0.0, 1.0};
+    const maplines_curve_t curve = maplines_curve_of(mean, fit_range, 0.0);
+    maplines_arc_t arc;
+    maplines_arc_of(&curve, &arc);
+    for (int k = 0; k < (int)dbc->spacings; k++)
+    {
+        const int64_t raw = levels->shape.raw_min + (int64_t)k * dbc->spacing_step;
+        double cov[16];
+        straight[10] = (float)maplines_point_noise(levels, &arc, raw, cov);
+        for (int i = 0; i < 4; i++)
+        {
+            for (int j = 0; j <= i; j++)
+            {
+                *straight++ = (float)cov[4 * i + j];
+            }
+        }
+        straight++;
+    }
+}

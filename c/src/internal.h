@@ -314,7 +314,12 @@ typedef struct {
 MAPLINES_INTERNAL const double *maplines_nodes(void);
 /// Length of a line at the nodes of its range.
 MAPLINES_INTERNAL void maplines_arc_of(const maplines_curve_t *curve, maplines_arc_t *arc);
-/// Covariance for unit errors of points at a raw value of the shape, and of the shape beside them.
+/// Covariance for unit errors of points at a raw value of the shape, and by how much the shape adds
+/// to it.
+MAPLINES_INTERNAL double maplines_point_noise(const maplines_levels_t *levels,
+                                              const maplines_arc_t *arc, int64_t shape,
+                                              double cov[16]);
+/// The sum of both.
 MAPLINES_INTERNAL void maplines_level_noise(const maplines_levels_t *levels,
                                             const maplines_arc_t *arc, int64_t shape,
                                             double cov[16]);

@@ -2,7 +2,7 @@
  *
  * J are derivatives of lines with respect to coefficients of T_0 .. T_3 in their ranges, so that
  * all entries of a covariance of these are in metres squared. The operations are those of
- * wire/covariance/joint.py in the same order.
+ * maplines_can/model/joint.py in the same order.
  */
 #include "internal.h"
 

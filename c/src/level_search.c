@@ -6,7 +6,7 @@
  * straight one, since the covariances of a straight line are in the tables. For the best spacings
  * some more are tried, with the covariances of the line itself, and some levels of the shape alone.
  * Of candidates of equal cost the first one is taken, in the order of
- * wire/covariance/specific_levels.py.
+ * maplines_can/model/level_search.py.
  *
  * A cost is no less than a bound by the variances of the direction, by definition. So what the
  * bound rules out need not be tried.

@@ -1,6 +1,6 @@
 /* Levels of the line-specific covariance.
  *
- * It has the operations of wire/covariance/specific_levels.py in the same order.
+ * It has the operations of maplines_can/model/levels.py in the same order.
  */
 #include "internal.h"
 
@@ -224,9 +224,9 @@ MAPLINES_INTERNAL double maplines_shape_level(const maplines_levels_t *levels, i
     return raw == 0 ? 0.0 : maplines_exp2(MAPLINES_SHAPE_OFFSET + exponent);
 }
 
-MAPLINES_INTERNAL void maplines_level_noise(const maplines_levels_t *levels,
-                                            const maplines_arc_t *arc, int64_t shape,
-                                            double cov[16])
+MAPLINES_INTERNAL double maplines_point_noise(const maplines_levels_t *levels,
+                                              const maplines_arc_t *arc, int64_t shape,
+                                              double cov[16])
 {
     // Ratios r of the shape to the points, by the remainder of the raw value.
     static const double ratios[6] = {0.0,
@@ -241,8 +241,15 @@ MAPLINES_INTERNAL void maplines_level_noise(const maplines_levels_t *levels,
     const double turns = (double)raw * MAPLINES_GOLDEN_RATIO;
     const double phase = turns - floor(turns);
     const double ratio = ratios[raw % 6];
-    const double amount = ratio * ratio * spacing;
     point_noise(arc, spacing, phase, cov);
+    return ratio * ratio * spacing;
+}
+
+MAPLINES_INTERNAL void maplines_level_noise(const maplines_levels_t *levels,
+                                            const maplines_arc_t *arc, int64_t shape,
+                                            double cov[16])
+{
+    const double amount = maplines_point_noise(levels, arc, shape, cov);
     for (int i = 0; i < 4; ++i)
     {
         const double of_shape = amount * maplines_shape(i);

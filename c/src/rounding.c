@@ -2,7 +2,7 @@
  *
  * Each parameter is rounded to its conditional mean given the errors of those before it, so that
  * the error of the lateral position is small all over the range, whatever the steps are. The
- * operations are those of wire/covariance/rounding.py in the same order.
+ * operations are those of maplines_can/model/scene_sender.py in the same order.
  */
 #include "internal.h"
 

@@ -1,8 +1,8 @@
 /* Scenes: lines of one pose, with a factor of their joint covariance.
  *
- * It has the operations of wire/covariance/scene_code.py and wire/records/scene_reader.py in the
- * same order. Each line needs the pose error and its own record only: its rows of the factor are
- * what the sigma points of the pose error do to it, and its own block is line-specific.
+ * It has the operations of maplines_can/model/scenes.py in the same order. Each line
+ * needs the pose error and its own record only: its rows of the factor are what the sigma points of
+ * the pose error do to it, and its own block is line-specific.
  */
 #include "internal.h"
 

@@ -3,7 +3,7 @@
  * What a receiver decodes covers the scene plus the errors of the decoded means. Lines for which
  * levels cost too much send all entries; but not all lines of a scene do if there is one that
  * levels cover, so that a scene with its pose error takes no more frames than complete records. The
- * operations are those of wire/covariance/scene_encoder.py in the same order.
+ * operations are those of maplines_can/model/scene_sender.py in the same order.
  */
 #include "internal.h"
 

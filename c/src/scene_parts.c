@@ -1,6 +1,6 @@
 /* Lines of a scene as a message can state them, and the parts of their covariances.
  *
- * The operations are those of wire/covariance/stated_lines.py in the same order.
+ * The operations are those of maplines_can/model/scene_sender.py in the same order.
  */
 #include "internal.h"
 

@@ -2,7 +2,7 @@
  *
  * Each D_i covers what is specific to its line. If together they do not cover the scene, those of
  * the lines concerned are enlarged until they do. The operations are those of
- * wire/covariance/specific_encoder.py in the same order.
+ * maplines_can/model/scene_sender.py in the same order.
  */
 #include "internal.h"
 

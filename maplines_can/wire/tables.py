@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from enum import IntEnum
-from itertools import chain
+from itertools import chain, count
 from pathlib import PurePath
 from typing import Any, NamedTuple, TypeAlias
 
@@ -16,7 +17,6 @@ from ..core.memory import pointer, pointers, structure
 from ..values.errors import LayoutError
 from ..values.line import Slot
 from .covariance import CholeskyCode
-from .covariance.scene_code import SceneCode
 from .layout.message_layout import PAGE, POSE_CONDITIONAL, TRANSFER_ID, Layout
 from .layout.pose_layout import OWNERS, POSE, Owner, PoseLayout
 from .layout.record_layout import RecordLayout, bits_of
@@ -36,6 +36,8 @@ from .layout.slot_messages import RecordMessages
 CODES = (CholeskyCode.name, POSE_CONDITIONAL)
 #: Most bits of a counter in C.
 MAX_COUNTER_BITS = 32
+#: Most spacings that an encoder of scenes searches, and ratios of the shape to the points.
+MAX_SPACINGS, SHAPE_RATIOS = 256, 6
 #: Most bits of a signal of the mean with its finer one: both together are an int64_t.
 MAX_MEAN_BITS = 62
 #: Most values of a signal whose powers of 2 are tabled: 512 kB.
@@ -204,14 +206,28 @@ def content_of(layout: Layout) -> dict[str, Value]:
         content["fine"] = _indexed(layout[name] for name in FINE_SIGNALS)
         content["levels"] = _levels(layout, "")
     if pose is not None:
-        levels = SceneCode(pose, layout).levels
-        steps = np.diff(levels.searched[:2])
-        content |= _pose_content(pose) | {
-            "spacings": len(levels.searched),
-            "spacing_step": int(steps[0]) if len(steps) else 1,
-            "straight": levels.straight.T,
-        }
+        content |= _pose_content(pose) | _spacings(layout, pose)
+        content["straight"] = _straight(content)
     return content
+
+
+def _spacings(layout: Layout, pose: PoseLayout) -> Members:
+    """Return the members of the spacings that an encoder searches: all, or at equal distances."""
+    shapes = [f"{slot_title(slot)}OwnShape" for slot in Slot]
+    of_first = next((name for name in shapes if name in pose.signals), shapes[0])
+    shape = layout["OwnShape"] if layout.is_conditional else pose[of_first]
+    values = shape.raw_max + 1 - shape.raw_min
+    # By the remainder of the raw value, each spacing has another ratio.
+    step = next(n for n in count(-(-values // MAX_SPACINGS)) if math.gcd(n, SHAPE_RATIOS) == 1)
+    return {"spacings": len(range(0, values, step)), "spacing_step": step}
+
+
+def _straight(content: Mapping[str, Value]) -> NDArray[np.float64]:
+    """Return the (S, 11) covariances of a straight line at the spacings, in single precision."""
+    tables = structure("maplines_dbc_t", _plain(content))
+    found = np.empty((tables.spacings, 11), np.float32)
+    lib.maplines_straight_levels(tables, pointer(found))
+    return found.astype(float)
 
 
 _SIGNALS = {"kind": "Kind", "x_min": "XMin", "x_max": "XMax"}
