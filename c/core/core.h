@@ -275,25 +275,25 @@ bool maplines_receiver_reused(const maplines_receiver_t *receiver, int owner, in
 
 /// Size of paths.
 size_t maplines_paths_size(size_t lines, size_t points);
-/// Prepare lines of (count, 2) points with their arc lengths [m]; false if they are too large.
-bool maplines_prepare_paths(size_t lines, const size_t *count, const double *const *points,
+/// Prepare lines of (count, 2) points with their arc lengths [m].
+void maplines_prepare_paths(size_t lines, const size_t *count, const double *const *points,
                             const double *const *distance, double *memory);
 /// Size of the memory of the functions below, of so many lines that are propagated together: all of
 /// a scene, 1 of those one by one, 0 of refits.
 size_t maplines_work_size(size_t lines, size_t points, size_t together, size_t poses);
 /// Place on the map from which lines are followed (2), how far along them [m], and the covariance
-/// of the pose in the frame of the car (3, 3). False if the window or the misfit is wrong.
-bool maplines_query_view(const double query[20], double found[12]);
+/// of the pose in the frame of the car (3, 3).
+void maplines_query_view(const double query[20], double found[12]);
 /// Lines one by one. Of the K of `lines` that are given, `found` has the means (lines, 4), the
 /// covariances (lines, 4, 4) and the valid ranges (lines, 2) [m], each with K rows that are set.
-/// False if a value is wrong or not finite.
+/// False if a line has no value at a pose, or no Gaussian.
 bool maplines_propagate_lines(const double *paths, const double query[20], size_t poses,
                               const double *z, const double *mean_weights,
                               const double *cov_weights, double *memory, uint8_t *left_out,
                               double *found);
 /// Lines of a scene, as above: means, valid ranges, fit ranges (lines, 2), coefficients of T_4
-/// (lines), line-specific covariances (lines, 4, 4), and the joint covariance (4 K, 4 K). False
-/// also if there are more lines than slots.
+/// (lines), line-specific covariances (lines, 4, 4), and the joint covariance (4 K, 4 K). There are
+/// at most as many lines as slots.
 bool maplines_propagate_scene(const double *paths, const double query[20], size_t poses,
                               const double *z, const double *mean_weights,
                               const double *cov_weights, double *memory, uint8_t *left_out,
@@ -303,24 +303,51 @@ bool maplines_propagate_scene(const double *paths, const double query[20], size_
 size_t maplines_refits_size(size_t lines);
 /// Place on the map from which lines are followed (2), and how far along them [m]. A look is a pose
 /// (3), a window (2) [m], and the largest turn [rad].
-void maplines_refit_start(const double look[6], double start[3]);
-/// Refits of lines. Settings are misfit, room, step, and map error. Fields are the ranges
-/// (lines, 2), misfits (lines), whether lines are across (lines), coefficients of T_4 (lines),
-/// covariances of the noise (lines, 4, 4), and points (lines, 64, 2). False if a line has none.
-bool maplines_refit_lines(const double *paths, const double look[6], const double settings[7],
-                          double *memory, uint8_t *left_out, double *refits, double *fields);
-/// The same of stretches, with the index of the first point of each.
-bool maplines_refit_stretches(size_t lines, size_t points, const double *x, const double *y,
-                              const int64_t *first, const double *x_range, const double pose[3],
-                              const double settings[7], double *memory, double *refits,
-                              double *fields);
+void maplines_look_from(const double look[6], double start[3]);
+/// Refits of the lines that are seen, up to the first one that no cubic follows; their number.
+/// Settings are misfit, room, step, and map error.
+size_t maplines_refit_lines(const double *paths, const double look[6], const double settings[7],
+                            double *memory, uint8_t *left_out, double *refits);
+/// What refits have: the ranges (lines, 2), misfits (lines), whether lines are across (lines),
+/// coefficients of T_4 (lines), covariances of the noise (lines, 4, 4), and points (lines, 64, 2).
+void maplines_refit_fields(const double *refits, double *fields);
 /// Lines (n, lines, 4) from poses (n, 3); NaN where they are no functions of x.
 void maplines_refit_values(const double *refits, size_t n, const double *poses, double *values);
-/// Moments over a Gaussian of the pose: mean (3) and covariance (3, 3). Memory is 7 doubles for
-/// each point. False if a line has no value at a point.
-bool maplines_refit_moments(const double *refits, const double gaussian[12], size_t poses,
-                            const double *z, const double *mean_weights, const double *cov_weights,
-                            double *memory, double *means, double *covs);
+/// The same, extrapolated where they are none; false if one is none next to the mean pose. Poses
+/// may be displacements in the frame of the car.
+bool maplines_refit_extended_values(const double *refits, size_t n, const double *poses,
+                                    bool are_displacements, double *values);
+
+/// Stretches of the lines that are seen; their number. Of each, the number of its points, the range
+/// (2) [m], and the points [m], which stand one after the other.
+size_t maplines_see_lines(const double *paths, const double look[6], double *memory,
+                          uint8_t *left_out, size_t *count, double *x_range, double *x, double *y);
+/// Lateral positions of a stretch at n ascending places [m]. Memory is 4 doubles for each point.
+void maplines_lateral_of(size_t points, const double *x, const double *y, double *memory, size_t n,
+                         const double *at, double *found);
+
+/// Lines one by one for a caller that computes the moments: refits of the lines that are given, and
+/// their ranges (lines, 2) [m]; their number.
+size_t maplines_fit_lines(const double *paths, const double query[20], double *memory,
+                          uint8_t *left_out, double *x_ranges, double *refits);
+/// Shorten the range of a line to where it is certain enough; false if too little is left.
+bool maplines_shorten_line(const double mean[4], const double cov[16], double max_sigma,
+                           double x_range[2]);
+/// Size of the search of a scene.
+size_t maplines_search_size(void);
+/// Begin a scene for a caller that computes the moments; memory is that of a scene of no poses.
+void maplines_search_scene(const double *paths, const double query[20], double *memory,
+                           double *search);
+/// Refits of the lines that are kept; their number. If it is not 0, moments and settling follow.
+size_t maplines_search_fit(double *search, uint8_t *left_out, double *refits);
+/// Valid ranges (K, 2) [m] of the K lines with these means (K, 4) and joint covariance; false if
+/// they are to be fitted again.
+bool maplines_search_settle(double *search, double *means, double *cov, double *x_ranges);
+
+/// Moments of values (n, outputs, m) at weighted points, of which the first is at the mean or next
+/// to it: means (outputs, m) and covariances (outputs, m, m). The values are overwritten.
+void maplines_moments_of(size_t n, size_t outputs, size_t m, const double *mean_weights,
+                         const double *cov_weights, double *values, double *means, double *covs);
 
 /* ---- values.c: Gaussians, and places of a line ------------------------------------------------
  */

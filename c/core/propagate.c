@@ -30,22 +30,19 @@ size_t maplines_paths_size(size_t lines, size_t points)
            MAPLINES_PATH_ARRAYS * points;
 }
 
-bool maplines_prepare_paths(size_t lines, const size_t *count, const double *const *points,
+void maplines_prepare_paths(size_t lines, const size_t *count, const double *const *points,
                             const double *const *distance, double *memory)
 {
     paths_t *own = (paths_t *)(void *)memory;
     double *rest = memory + maplines_paths_size(lines, 0);
-    bool is_prepared = true;
     own->lines = lines;
     own->points = 0;
     for (size_t i = 0; i < lines; i++)
     {
-        is_prepared &=
-            maplines_prepare_path(points[i], distance[i], count[i], rest, &own->paths[i]);
+        maplines_prepare_path(points[i], distance[i], count[i], rest, &own->paths[i]);
         rest += MAPLINES_PATH_ARRAYS * count[i];
         own->points += count[i];
     }
-    return is_prepared;
 }
 
 size_t maplines_work_size(size_t lines, size_t points, size_t together, size_t poses)
@@ -99,32 +96,26 @@ static void read_map_error(const double sigmas[4], maplines_fit_t *fit)
     fit->heading_sigma = sigmas[3];
 }
 
-/// Read a query; false if its window or its misfit is wrong.
-static bool read_query(const double query[20], maplines_cycle_t *cycle)
-{
-    memset(cycle, 0, sizeof *cycle);
-    memcpy(cycle->mean, query, sizeof cycle->mean);
-    memcpy(cycle->cov, query + 3, sizeof cycle->cov);
-    memcpy(cycle->window, query + 12, sizeof cycle->window);
-    cycle->fit.max_misfit = query[14];
-    cycle->max_sigma = query[15];
-    read_map_error(query + 16, &cycle->fit);
-    return -(double)INFINITY < cycle->window[0] && cycle->window[0] < cycle->window[1] &&
-           cycle->window[1] < (double)INFINITY && cycle->fit.max_misfit > 0.0;
-}
-
-bool maplines_query_view(const double query[20], double found[12])
+static maplines_cycle_t cycle_of(const double query[20])
 {
     maplines_cycle_t cycle;
+    memset(&cycle, 0, sizeof cycle);
+    memcpy(cycle.mean, query, sizeof cycle.mean);
+    memcpy(cycle.cov, query + 3, sizeof cycle.cov);
+    memcpy(cycle.window, query + 12, sizeof cycle.window);
+    cycle.fit.max_misfit = query[14];
+    cycle.max_sigma = query[15];
+    read_map_error(query + 16, &cycle.fit);
+    return cycle;
+}
+
+void maplines_query_view(const double query[20], double found[12])
+{
+    const maplines_cycle_t cycle = cycle_of(query);
     maplines_pose_view_t view;
-    const bool is_read = read_query(query, &cycle);
-    if (is_read)
-    {
-        maplines_pose_view(&cycle, &view);
-        maplines_look_start(&view.look, found, &found[2]);
-        memcpy(found + 3, view.pose_cov, sizeof view.pose_cov);
-    }
-    return is_read;
+    maplines_pose_view(&cycle, &view);
+    maplines_look_start(&view.look, found, &found[2]);
+    memcpy(found + 3, view.pose_cov, sizeof view.pose_cov);
 }
 
 bool maplines_propagate_lines(const double *paths, const double query[20], size_t poses,
@@ -137,12 +128,12 @@ bool maplines_propagate_lines(const double *paths, const double query[20], size_
     const maplines_rule_t rule = {poses, z, mean_weights, cov_weights};
     maplines_omission_t *reasons;
     maplines_work_t work = work_of(lines, own->points, 1, poses, memory, &reasons);
-    maplines_cycle_t cycle;
+    const maplines_cycle_t cycle = cycle_of(query);
     double(*means)[4] = (double(*)[4])found;
     double(*covs)[16] = (double(*)[16])(found + 4 * lines);
     double(*x_ranges)[2] = (double(*)[2])(found + 20 * lines);
-    if (!read_query(query, &cycle) || !maplines_map_lines(own->paths, lines, &cycle, &rule, &work,
-                                                          reasons, means, covs, x_ranges))
+    if (!maplines_map_lines(own->paths, lines, &cycle, &rule, &work, reasons, means, covs,
+                            x_ranges))
     {
         return false;
     }
@@ -171,7 +162,7 @@ bool maplines_propagate_scene(const double *paths, const double query[20], size_
     const maplines_rule_t rule = {poses, z, mean_weights, cov_weights};
     maplines_omission_t *reasons;
     maplines_work_t work = work_of(lines, own->points, lines, poses, memory, &reasons);
-    maplines_cycle_t cycle;
+    const maplines_cycle_t cycle = cycle_of(query);
     maplines_joint_t joint;
     joint.lines = 0;
     joint.means = found;
@@ -180,10 +171,6 @@ bool maplines_propagate_scene(const double *paths, const double query[20], size_
     joint.quartics = joint.fit_ranges[lines];
     joint.specific_covs = joint.quartics + lines;
     joint.cov = joint.specific_covs + 16 * lines;
-    if (lines > MAPLINES_SCENE_LINES || !read_query(query, &cycle))
-    {
-        return false;
-    }
     const bool is_done =
         maplines_map_scene(own->paths, lines, &cycle, &rule, &work, reasons, &joint);
     put_reasons(lines, reasons, left_out);
@@ -197,9 +184,9 @@ size_t maplines_refits_size(size_t lines)
     return doubles_of(sizeof(refits_t) + lines * sizeof(maplines_refit_t));
 }
 
-/// Set what is read of the refits.
-static void put_fields(const refits_t *own, double *fields)
+void maplines_refit_fields(const double *refits, double *fields)
 {
+    const refits_t *own = (const refits_t *)(const void *)refits;
     const size_t lines = own->lines;
     for (size_t i = 0; i < lines; i++)
     {
@@ -221,81 +208,45 @@ static void put_fields(const refits_t *own, double *fields)
     }
 }
 
-/// Refits of stretches; false if a line has none.
-static bool refit_all(const maplines_work_t *work, const double pose[3], const double settings[7],
-                      double *refits, double *fields)
-{
-    refits_t *own = (refits_t *)(void *)refits;
-    maplines_fit_t fit;
-    bool is_done = true;
-    fit.max_misfit = settings[0];
-    fit.room = settings[1];
-    fit.step = settings[2];
-    read_map_error(settings + 3, &fit);
-    own->lines = work->seen.lines;
-    own->from = maplines_mean_pose(pose);
-    is_done = fit.max_misfit > 0.0 && fabs(fit.room) < (double)INFINITY && fit.step >= 0.0 &&
-              fit.step < (double)INFINITY;
-    for (size_t i = 0; is_done && i < own->lines; i++)
-    {
-        is_done = maplines_refit(&work->seen, i, &own->from, &fit, work->scratch, &own->refits[i]);
-    }
-    if (is_done)
-    {
-        put_fields(own, fields);
-    }
-    return is_done;
-}
-
 static maplines_look_t look_of(const double look[6])
 {
     const maplines_look_t own = {{look[0], look[1], look[2]}, {look[3], look[4]}, look[5]};
     return own;
 }
 
-void maplines_refit_start(const double look[6], double start[3])
+void maplines_look_from(const double look[6], double start[3])
 {
     const maplines_look_t own = look_of(look);
     maplines_look_start(&own, start, &start[2]);
 }
 
-bool maplines_refit_lines(const double *paths, const double look[6], const double settings[7],
-                          double *memory, uint8_t *left_out, double *refits, double *fields)
+size_t maplines_refit_lines(const double *paths, const double look[6], const double settings[7],
+                            double *memory, uint8_t *left_out, double *refits)
 {
     const paths_t *own = (const paths_t *)(const void *)paths;
+    refits_t *made = (refits_t *)(void *)refits;
     const maplines_look_t at = look_of(look);
     maplines_omission_t *reasons;
     maplines_work_t work = work_of(own->lines, own->points, 0, 0, memory, &reasons);
+    maplines_fit_t fit;
+    fit.max_misfit = settings[0];
+    fit.room = settings[1];
+    fit.step = settings[2];
+    read_map_error(settings + 3, &fit);
     maplines_see(own->paths, own->lines, &at, &work.seen, reasons);
     put_reasons(own->lines, reasons, left_out);
-    return work.seen.lines == own->lines && refit_all(&work, look, settings, refits, fields);
-}
-
-bool maplines_refit_stretches(size_t lines, size_t points, const double *x, const double *y,
-                              const int64_t *first, const double *x_range, const double pose[3],
-                              const double settings[7], double *memory, double *refits,
-                              double *fields)
-{
-    maplines_omission_t *reasons;
-    maplines_work_t work = work_of(lines, points, 0, 0, memory, &reasons);
-    work.seen.lines = lines;
-    work.seen.points = points;
-    memcpy(work.seen.x, x, points * sizeof *x);
-    memcpy(work.seen.y, y, points * sizeof *y);
-    for (size_t i = 0; i < lines; i++)
+    made->lines = 0;
+    made->from = maplines_mean_pose(look);
+    for (size_t i = 0; i < work.seen.lines; i++)
     {
-        const size_t begin = (size_t)first[i];
-        const size_t end = i + 1 < lines ? (size_t)first[i + 1] : points;
-        const maplines_stretch_t stretch = {
-            begin, end - begin, {x_range[2 * i], x_range[2 * i + 1]}, i};
-        work.seen.stretch[i] = stretch;
-        if (begin >= end || end > points)
+        if (!maplines_refit(&work.seen, i, &made->from, &fit, work.scratch,
+                            &made->refits[made->lines]))
         {
-            return false;
+            break;
         }
+        made->lines++;
     }
-    maplines_index_stretches(&work.seen);
-    return refit_all(&work, pose, settings, refits, fields);
+    return made->lines;
 }
 
 void maplines_refit_values(const double *refits, size_t n, const double *poses, double *values)
@@ -311,30 +262,169 @@ void maplines_refit_values(const double *refits, size_t n, const double *poses, 
     }
 }
 
-bool maplines_refit_moments(const double *refits, const double gaussian[12], size_t poses,
-                            const double *z, const double *mean_weights, const double *cov_weights,
-                            double *memory, double *means, double *covs)
+bool maplines_refit_extended_values(const double *refits, size_t n, const double *poses,
+                                    bool are_displacements, double *values)
 {
     const refits_t *own = (const refits_t *)(const void *)refits;
-    const maplines_rule_t rule = {poses, z, mean_weights, cov_weights};
-    double *at = memory;
-    double *values = at + 3 * poses;
-    double root[9];
-    maplines_square_root(3, gaussian + 3, root);
-    maplines_rule_points(&rule, gaussian, root, at);
-    for (size_t i = 0; i < own->lines; i++)
+    bool is_right = true;
+    for (size_t k = 0; k < n; k++)
     {
-        for (size_t k = 0; k < poses; k++)
+        double pose[3] = {poses[3 * k], poses[3 * k + 1], poses[3 * k + 2]};
+        if (are_displacements)
         {
-            double *line = values + 4 * k;
-            if (!maplines_refit_at(&own->refits[i], &own->from, at + 3 * k, line) ||
-                !(line[0] == line[0] && line[1] == line[1] && line[2] == line[2] &&
-                  line[3] == line[3]))
-            {
-                return false;
-            }
+            maplines_displace(&own->from, pose);
         }
-        maplines_weighted_moments(&rule, 4, 4, values, means + 4 * i, covs + 16 * i);
+        for (size_t i = 0; i < own->lines; i++)
+        {
+            is_right &= maplines_refit_extended(&own->refits[i], &own->from, pose,
+                                                values + 4 * (k * own->lines + i));
+        }
     }
-    return true;
+    return is_right;
+}
+
+/* ---- what is seen of lines ------------------------------------------------------------------- */
+
+size_t maplines_see_lines(const double *paths, const double look[6], double *memory,
+                          uint8_t *left_out, size_t *count, double *x_range, double *x, double *y)
+{
+    const paths_t *own = (const paths_t *)(const void *)paths;
+    const maplines_look_t at = look_of(look);
+    maplines_omission_t *reasons;
+    maplines_work_t work = work_of(own->lines, own->points, 0, 0, memory, &reasons);
+    maplines_see(own->paths, own->lines, &at, &work.seen, reasons);
+    put_reasons(own->lines, reasons, left_out);
+    for (size_t i = 0; i < work.seen.lines; i++)
+    {
+        const maplines_stretch_t *stretch = &work.seen.stretch[i];
+        count[i] = stretch->count;
+        memcpy(x_range + 2 * i, stretch->x_range, sizeof stretch->x_range);
+    }
+    memcpy(x, work.seen.x, work.seen.points * sizeof *x);
+    memcpy(y, work.seen.y, work.seen.points * sizeof *y);
+    return work.seen.lines;
+}
+
+void maplines_lateral_of(size_t points, const double *x, const double *y, double *memory, size_t n,
+                         const double *at, double *found)
+{
+    maplines_stretch_t stretch = {0, points, {0.0, 0.0}, 0};
+    maplines_stretches_t seen;
+    memset(&seen, 0, sizeof seen);
+    seen.lines = 1;
+    seen.points = points;
+    seen.x = memory;
+    seen.y = memory + points;
+    seen.key = memory + 2 * points;
+    seen.slope = memory + 3 * points;
+    seen.stretch = &stretch;
+    memcpy(seen.x, x, points * sizeof *x);
+    memcpy(seen.y, y, points * sizeof *y);
+    maplines_index_stretches(&seen);
+    maplines_lateral(&seen, 0, n, at, found);
+}
+
+/* ---- lines and scenes step by step ----------------------------------------------------------- */
+
+size_t maplines_fit_lines(const double *paths, const double query[20], double *memory,
+                          uint8_t *left_out, double *x_ranges, double *refits)
+{
+    const paths_t *own = (const paths_t *)(const void *)paths;
+    refits_t *made = (refits_t *)(void *)refits;
+    const maplines_cycle_t cycle = cycle_of(query);
+    maplines_omission_t *reasons;
+    maplines_work_t work = work_of(own->lines, own->points, 0, 0, memory, &reasons);
+    maplines_pose_view_t view;
+    maplines_pose_view(&cycle, &view);
+    const maplines_fit_t fit = maplines_line_fit(&cycle, &view);
+    maplines_see(own->paths, own->lines, &view.look, &work.seen, reasons);
+    made->lines = 0;
+    made->from = view.from;
+    for (size_t i = 0; i < work.seen.lines; i++)
+    {
+        maplines_refit_t *refit = &made->refits[made->lines];
+        if (maplines_refit(&work.seen, i, &view.from, &fit, work.scratch, refit) &&
+            maplines_line_range(&cycle, &view, refit, x_ranges + 2 * made->lines))
+        {
+            made->lines++;
+        }
+        else
+        {
+            reasons[work.seen.stretch[i].line] = MAPLINES_TOO_SHORT;
+        }
+    }
+    put_reasons(own->lines, reasons, left_out);
+    return made->lines;
+}
+
+bool maplines_shorten_line(const double mean[4], const double cov[16], double max_sigma,
+                           double x_range[2])
+{
+    return maplines_shorten_range(mean, cov, max_sigma, x_range);
+}
+
+/// Search of the ranges of a scene; its work is in memory of the caller.
+typedef struct {
+    maplines_cycle_t cycle;
+    maplines_search_t search;
+    maplines_work_t work;
+    maplines_omission_t *reasons;
+    size_t asked; ///< lines that are asked for
+} scene_search_t;
+
+size_t maplines_search_size(void)
+{
+    return doubles_of(sizeof(scene_search_t));
+}
+
+void maplines_search_scene(const double *paths, const double query[20], double *memory,
+                           double *search)
+{
+    const paths_t *own = (const paths_t *)(const void *)paths;
+    scene_search_t *state = (scene_search_t *)(void *)search;
+    state->cycle = cycle_of(query);
+    state->asked = own->lines;
+    state->work = work_of(own->lines, own->points, own->lines, 0, memory, &state->reasons);
+    maplines_begin_scene(own->paths, own->lines, &state->cycle, &state->work, state->reasons,
+                         &state->search);
+}
+
+size_t maplines_search_fit(double *search, uint8_t *left_out, double *refits)
+{
+    scene_search_t *state = (scene_search_t *)(void *)search;
+    refits_t *made = (refits_t *)(void *)refits;
+    (void)maplines_fit_scene(&state->cycle, &state->work, state->reasons, &state->search);
+    put_reasons(state->asked, state->reasons, left_out);
+    made->lines = state->search.lines;
+    made->from = state->search.view.from;
+    for (size_t i = 0; i < made->lines; i++)
+    {
+        made->refits[i] = state->work.refits[state->search.places[i]];
+    }
+    return made->lines;
+}
+
+bool maplines_search_settle(double *search, double *means, double *cov, double *x_ranges)
+{
+    scene_search_t *state = (scene_search_t *)(void *)search;
+    maplines_joint_t joint;
+    memset(&joint, 0, sizeof joint);
+    joint.lines = state->search.lines;
+    joint.means = means;
+    joint.cov = cov;
+    joint.x_ranges = (double(*)[2])x_ranges;
+    return maplines_settle_scene(&state->cycle, &state->work, &state->search, &joint);
+}
+
+/* ---- moments --------------------------------------------------------------------------------- */
+
+void maplines_moments_of(size_t n, size_t outputs, size_t m, const double *mean_weights,
+                         const double *cov_weights, double *values, double *means, double *covs)
+{
+    const maplines_rule_t rule = {n, NULL, mean_weights, cov_weights};
+    for (size_t i = 0; i < outputs; i++)
+    {
+        maplines_weighted_moments(&rule, m, outputs * m, values + m * i, means + m * i,
+                                  covs + m * m * i);
+    }
 }

@@ -163,7 +163,7 @@ typedef struct {
     double x_ranges[MAPLINES_SLOTS][2];
 } maplines_around_t;
 
-/// Prepare a line; the memory behind it, or NULL if its coordinates are too large.
+/// Prepare a line; the memory behind it.
 static double *prepare(const maplines_route_line_t *line, double *memory, maplines_path_t *path)
 {
     const double(*points)[2] = &maplines_route.points[line->first];
@@ -176,8 +176,8 @@ static double *prepare(const maplines_route_line_t *line, double *memory, maplin
         distance[i] = distance[i - 1] + maplines_hypot(dx, dy);
     }
     memory += line->count;
-    const bool is_right = maplines_prepare_path(points[0], distance, line->count, memory, path);
-    return is_right ? memory + MAPLINES_PATH_ARRAYS * line->count : NULL;
+    maplines_prepare_path(points[0], distance, line->count, memory, path);
+    return memory + MAPLINES_PATH_ARRAYS * line->count;
 }
 
 /// Compute the lines of the section of the car; false if it is not possible.
@@ -193,13 +193,9 @@ static bool compute(maplines_instance_t *instance, const maplines_cycle_t *cycle
     double *memory = instance->scratch;
     around->count = section->count;
     around->lines = &route->lines[section->first];
-    for (size_t i = 0; i < around->count && memory != NULL; i++)
+    for (size_t i = 0; i < around->count; i++)
     {
         memory = prepare(&around->lines[i], memory, &paths[i]);
-    }
-    if (memory == NULL)
-    {
-        return false;
     }
     maplines_work_t work;
     memset(&work, 0, sizeof work);

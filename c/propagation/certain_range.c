@@ -1,4 +1,4 @@
-/* Certain range: how far the lateral position of a line is known, see propagation/certain_range.py.
+/* Certain range: how far the lateral position of a line is known.
  *
  * The variance of the lateral position is a polynomial of degree 6 in x. The zeros of each of its
  * derivatives separate those of the one before, so each is found between two of the next one.

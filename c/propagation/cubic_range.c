@@ -1,4 +1,4 @@
-/* Longest ranges in which cubics follow lines: the operations of propagation/cubic_fit.py. */
+/* Longest ranges in which cubics follow lines. */
 #include "nodes.h"
 
 #define STARTS 9 ///< of ranges that are tried

@@ -1,6 +1,4 @@
-/* Lines of a map from an uncertain pose, one by one or as a scene: the operations of
- * propagation/from_map.py.
- */
+/* Lines of a map from an uncertain pose, one by one or as a scene. */
 #include "propagation.h"
 
 #define MAX_TURN 0x1.226c3bcdbe7aep+0 ///< 65 deg: largest angle between a line and the x axis
@@ -104,14 +102,17 @@ static double clipped(double value, const double window[2])
 /* ---- lines one by one -------------------------------------------------------------------------
  */
 
-/// Mean, covariance and range of the line of a refit, and why it is left out after all.
-static bool set_line(const maplines_cycle_t *cycle, const maplines_pose_view_t *view,
-                     const maplines_rule_t *rule, const maplines_refit_t *refit,
-                     maplines_work_t *work, maplines_omission_t *left_out, double mean[4],
-                     double cov[16], double x_range[2])
+maplines_fit_t maplines_line_fit(const maplines_cycle_t *cycle, const maplines_pose_view_t *view)
 {
-    static const size_t place = 0;
-    double scratch[16];
+    maplines_fit_t fit = cycle->fit;
+    fit.room = view->room;
+    fit.step = 0.0;
+    return fit;
+}
+
+bool maplines_line_range(const maplines_cycle_t *cycle, const maplines_pose_view_t *view,
+                         const maplines_refit_t *refit, double x_range[2])
+{
     for (int end = 0; end < 2; ++end)
     {
         const int node = end == 0 ? 0 : MAPLINES_NODES - 1;
@@ -119,11 +120,42 @@ static bool set_line(const maplines_cycle_t *cycle, const maplines_pose_view_t *
         const double x = refit->fitted.x_range[end] + (end == 0 ? margin : -margin);
         x_range[end] = clipped(x, cycle->window);
     }
-    if (!(x_range[1] - x_range[0] >= MIN_RANGE) || refit->is_across)
+    return x_range[1] - x_range[0] >= MIN_RANGE && !refit->is_across;
+}
+
+bool maplines_shorten_range(const double mean[4], const double cov[16], double max_sigma,
+                            double x_range[2])
+{
+    double certain[2];
+    maplines_certain_range(mean, cov, x_range, max_sigma, certain);
+    if (certain[0] == x_range[0] && certain[1] == x_range[1])
     {
-        *left_out = MAPLINES_TOO_SHORT;
         return true;
     }
+    x_range[0] = certain[0];
+    x_range[1] = certain[1];
+    return certain[1] - certain[0] >= MIN_RANGE; // not if it is NaN
+}
+
+/// Whether a mean and a covariance are those of a Gaussian, which has no covariances of a variance
+/// of 0.
+static bool is_gaussian(const double mean[4], const double cov[16])
+{
+    double scratch[16];
+    bool is_right = is_finite_array(4, mean) && maplines_is_covariance(4, cov, scratch);
+    for (int i = 0; i < 16; ++i)
+    {
+        is_right = is_right && (cov[5 * (i / 4)] > 0.0 || cov[i] == 0.0);
+    }
+    return is_right;
+}
+
+/// Mean and covariance of the line of a refit; false if they are none.
+static bool set_line(const maplines_pose_view_t *view, const maplines_rule_t *rule,
+                     const maplines_refit_t *refit, maplines_work_t *work, double mean[4],
+                     double cov[16])
+{
+    static const size_t place = 0;
     if (!values_at(view, rule, refit, 1, &place, work))
     {
         return false;
@@ -134,21 +166,7 @@ static bool set_line(const maplines_cycle_t *cycle, const maplines_pose_view_t *
         cov[i] += refit->noise_cov[i];
     }
     maplines_symmetric(4, cov);
-    if (!is_finite_array(4, mean) || !maplines_is_covariance(4, cov, scratch) ||
-        !(cov[0] > 0.0 && cov[5] > 0.0 && cov[10] > 0.0 && cov[15] > 0.0))
-    {
-        return false;
-    }
-    double certain[2];
-    maplines_certain_range(mean, cov, x_range, cycle->max_sigma, certain);
-    if (!(certain[1] - certain[0] >= MIN_RANGE) &&
-        !(certain[0] == x_range[0] && certain[1] == x_range[1]))
-    {
-        *left_out = MAPLINES_UNCERTAIN;
-    }
-    x_range[0] = certain[0];
-    x_range[1] = certain[1];
-    return true;
+    return is_gaussian(mean, cov);
 }
 
 bool maplines_map_lines(const maplines_path_t *paths, size_t count, const maplines_cycle_t *cycle,
@@ -158,22 +176,27 @@ bool maplines_map_lines(const maplines_path_t *paths, size_t count, const maplin
 {
     maplines_pose_view_t view;
     double root[9];
-    maplines_fit_t fit = cycle->fit;
     maplines_pose_view(cycle, &view);
+    const maplines_fit_t fit = maplines_line_fit(cycle, &view);
     maplines_square_root(3, cycle->cov, root);
     maplines_rule_points(rule, cycle->mean, root, work->poses);
     maplines_see(paths, count, &view.look, &work->seen, left_out);
-    fit.room = view.room;
-    fit.step = 0.0;
     for (size_t i = 0; i < work->seen.lines; ++i)
     {
         const size_t line = work->seen.stretch[i].line;
         maplines_refit_t *refit = &work->refits[0];
         if (!maplines_refit(&work->seen, i, &view.from, &fit, work->scratch, refit) ||
-            !set_line(cycle, &view, rule, refit, work, &left_out[line], means[line], covs[line],
-                      x_ranges[line]))
+            !maplines_line_range(cycle, &view, refit, x_ranges[line]))
+        {
+            left_out[line] = MAPLINES_TOO_SHORT;
+        }
+        else if (!set_line(&view, rule, refit, work, means[line], covs[line]))
         {
             return false;
+        }
+        else if (!maplines_shorten_range(means[line], covs[line], cycle->max_sigma, x_ranges[line]))
+        {
+            left_out[line] = MAPLINES_UNCERTAIN;
         }
     }
     return true;
@@ -181,14 +204,6 @@ bool maplines_map_lines(const maplines_path_t *paths, size_t count, const maplin
 
 /* ---- lines of a scene -------------------------------------------------------------------------
  */
-
-/// Line of a scene while its range is sought.
-typedef struct {
-    bool is_new;     ///< its range has changed
-    bool is_shorter; ///< it was fitted again, since it was uncertain
-    bool is_dropped;
-    int trials;
-} trial_t;
 
 static void valid_range_of(const maplines_cycle_t *cycle, const maplines_pose_view_t *view,
                            const maplines_refit_t *refit, const double mean[4], double x_range[2])
@@ -202,11 +217,11 @@ static void valid_range_of(const maplines_cycle_t *cycle, const maplines_pose_vi
 
 /// The line is to be in the scene, as far as it is known before the propagation.
 static bool is_kept(const maplines_cycle_t *cycle, const maplines_pose_view_t *view,
-                    const maplines_refit_t *refit, const trial_t *trial)
+                    const maplines_refit_t *refit, const maplines_trial_t *trial)
 {
     const double *fit_range = refit->fitted.x_range;
     double x_range[2];
-    if (refit->is_across || trial->is_dropped)
+    if (trial->is_dropped || refit->is_across)
     {
         return false;
     }
@@ -262,17 +277,18 @@ static void block_of(const maplines_joint_t *joint, size_t line, double block[16
 }
 
 /// Shorten the ranges of the lines that are uncertain at an end; whether there are any.
-static bool shorten(const maplines_cycle_t *cycle, const size_t *places, maplines_work_t *work,
-                    const maplines_joint_t *joint, trial_t *trials)
+static bool shorten(const maplines_cycle_t *cycle, maplines_work_t *work, maplines_search_t *search,
+                    const maplines_joint_t *joint)
 {
     bool is_any = false;
-    for (size_t i = 0; i < joint->lines; ++i)
+    for (size_t i = 0; i < search->lines; ++i)
     {
         double block[16];
         double certain[2];
         double shorter[2] = {0.0, 0.0};
-        trial_t *trial = &trials[places[i]];
-        maplines_stretch_t *stretch = &work->seen.stretch[places[i]];
+        const size_t place = search->places[i];
+        maplines_trial_t *trial = &search->trials[place];
+        maplines_stretch_t *stretch = &work->seen.stretch[place];
         const double *x_range = joint->x_ranges[i];
         block_of(joint, i, block);
         maplines_certain_range(joint->means + 4 * i, block, x_range, cycle->max_sigma, certain);
@@ -281,7 +297,7 @@ static bool shorten(const maplines_cycle_t *cycle, const size_t *places, mapline
             continue;
         }
         is_any = true;
-        set_shorter(work->refits[places[i]].fitted.x_range, x_range, certain, shorter);
+        set_shorter(work->refits[place].fitted.x_range, x_range, certain, shorter);
         trial->is_shorter = true;
         trial->is_dropped = trial->trials >= TRIALS || !(shorter[1] - shorter[0] >= MIN_RANGE);
         ++trial->trials;
@@ -313,18 +329,64 @@ static bool set_scene(const size_t *places, maplines_work_t *work, maplines_join
            maplines_is_covariance(4 * joint->lines, joint->cov, work->matrix);
 }
 
-/// Reasons of the lines that are not kept.
-static void set_reasons(const maplines_work_t *work, const trial_t *trials, const bool *kept,
-                        maplines_omission_t *left_out)
+void maplines_begin_scene(const maplines_path_t *paths, size_t count, const maplines_cycle_t *cycle,
+                          maplines_work_t *work, maplines_omission_t *left_out,
+                          maplines_search_t *search)
 {
+    memset(search, 0, sizeof *search);
+    maplines_pose_view(cycle, &search->view);
+    search->fit = cycle->fit;
+    search->fit.room = search->view.room;
+    search->fit.step = WHOLE_STEP;
+    maplines_see(paths, count, &search->view.look, &work->seen, left_out);
     for (size_t i = 0; i < work->seen.lines; ++i)
     {
-        if (!kept[i])
+        search->trials[i].is_new = true;
+    }
+}
+
+bool maplines_fit_scene(const maplines_cycle_t *cycle, maplines_work_t *work,
+                        maplines_omission_t *left_out, maplines_search_t *search)
+{
+    search->lines = 0;
+    for (size_t i = 0; i < work->seen.lines; ++i)
+    {
+        maplines_trial_t *trial = &search->trials[i];
+        maplines_refit_t *refit = &work->refits[i];
+        if (trial->is_new && !trial->is_dropped &&
+            !maplines_refit(&work->seen, i, &search->view.from, &search->fit, work->scratch, refit))
+        {
+            trial->is_dropped = true;
+        }
+        trial->is_new = false;
+        if (is_kept(cycle, &search->view, refit, trial))
+        {
+            search->places[search->lines] = i;
+            ++search->lines;
+        }
+        else
         {
             left_out[work->seen.stretch[i].line] =
-                trials[i].is_shorter ? MAPLINES_UNCERTAIN : MAPLINES_TOO_SHORT;
+                trial->is_shorter ? MAPLINES_UNCERTAIN : MAPLINES_TOO_SHORT;
         }
     }
+    return search->lines > 0;
+}
+
+bool maplines_settle_scene(const maplines_cycle_t *cycle, maplines_work_t *work,
+                           maplines_search_t *search, maplines_joint_t *joint)
+{
+    bool has_ended = false;
+    for (size_t i = 0; i < search->lines; ++i)
+    {
+        const size_t place = search->places[i];
+        double *x_range = joint->x_ranges[i];
+        valid_range_of(cycle, &search->view, &work->refits[place], joint->means + 4 * i, x_range);
+        const bool ends = !(x_range[1] - x_range[0] >= MIN_RANGE);
+        search->trials[place].is_dropped |= ends;
+        has_ended |= ends;
+    }
+    return !has_ended && !shorten(cycle, work, search, joint);
 }
 
 bool maplines_map_scene(const maplines_path_t *paths, size_t count, const maplines_cycle_t *cycle,
@@ -332,73 +394,31 @@ bool maplines_map_scene(const maplines_path_t *paths, size_t count, const maplin
                         maplines_omission_t *left_out, maplines_joint_t *joint)
 {
     static const double origin[3] = {0.0, 0.0, 0.0};
-    trial_t trials[MAPLINES_SCENE_LINES];
-    size_t places[MAPLINES_SCENE_LINES];
-    bool kept[MAPLINES_SCENE_LINES] = {false};
-    maplines_pose_view_t view;
+    maplines_search_t search;
     double root[9];
-    maplines_fit_t fit = cycle->fit;
-    memset(trials, 0, sizeof trials);
-    maplines_pose_view(cycle, &view);
-    maplines_square_root(3, view.pose_cov, root);
+    maplines_begin_scene(paths, count, cycle, work, left_out, &search);
+    maplines_square_root(3, search.view.pose_cov, root);
     maplines_rule_points(rule, origin, root, work->poses);
-    for (size_t k = 0; k < rule->count; ++k) // from displacements to the frame of the map
+    for (size_t k = 0; k < rule->count; ++k)
     {
-        double *pose = work->poses + 3 * k;
-        const double ahead[2] = {pose[0] * view.from.cosine, pose[0] * view.from.sine};
-        const double aside[2] = {pose[1] * -view.from.sine, pose[1] * view.from.cosine};
-        pose[0] = cycle->mean[0] + (ahead[0] + aside[0]);
-        pose[1] = cycle->mean[1] + (ahead[1] + aside[1]);
-        pose[2] = cycle->mean[2] + pose[2];
-    }
-    maplines_see(paths, count, &view.look, &work->seen, left_out);
-    fit.room = view.room;
-    fit.step = WHOLE_STEP;
-    for (size_t i = 0; i < work->seen.lines; ++i)
-    {
-        trials[i].is_new = true;
+        maplines_displace(&search.view.from, work->poses + 3 * k);
     }
     // Each round but the last drops a line or is one of the trials of a line.
     for (int round = 0; round < MAPLINES_SCENE_LINES * (TRIALS + 3); ++round)
     {
-        joint->lines = 0;
-        for (size_t i = 0; i < work->seen.lines; ++i)
+        const bool has_lines = maplines_fit_scene(cycle, work, left_out, &search);
+        joint->lines = search.lines;
+        if (!has_lines)
         {
-            if (trials[i].is_new &&
-                !maplines_refit(&work->seen, i, &view.from, &fit, work->scratch, &work->refits[i]))
-            {
-                return false;
-            }
-            trials[i].is_new = false;
-            kept[i] = is_kept(cycle, &view, &work->refits[i], &trials[i]);
-            if (kept[i])
-            {
-                places[joint->lines] = i;
-                ++joint->lines;
-            }
-        }
-        if (joint->lines == 0)
-        {
-            set_reasons(work, trials, kept, left_out);
             return true;
         }
-        if (!set_moments(&view, rule, places, work, joint))
+        if (!set_moments(&search.view, rule, search.places, work, joint))
         {
             return false;
         }
-        bool has_ended = false;
-        for (size_t i = 0; i < joint->lines; ++i)
+        if (maplines_settle_scene(cycle, work, &search, joint))
         {
-            double *x_range = joint->x_ranges[i];
-            valid_range_of(cycle, &view, &work->refits[places[i]], joint->means + 4 * i, x_range);
-            const bool ends = x_range[1] - x_range[0] < MIN_RANGE;
-            trials[places[i]].is_dropped |= ends;
-            has_ended |= ends;
-        }
-        if (!has_ended && !shorten(cycle, places, work, joint, trials))
-        {
-            set_reasons(work, trials, kept, left_out);
-            return set_scene(places, work, joint);
+            return set_scene(search.places, work, joint);
         }
     }
     return false;

@@ -1,4 +1,4 @@
-/* Moments of functions of a Gaussian: the operations of propagation/transform.py. */
+/* Moments of functions of a Gaussian. */
 #include "propagation.h"
 
 #define MAX_COV 1e307 ///< largest variance or covariance

@@ -1,8 +1,6 @@
 /* Propagation of a cycle: map lines and an uncertain pose to lines with their covariances.
  *
- * It is the arithmetic of maplines_can.propagation, for the Python package and for an FMU with a
- * map, with the operations in the same order wherever a decision hangs on them; so both find the
- * same lines, and their numbers agree to rounding. A car needs
+ * The Python package and an FMU with a map have it from here. A car needs
  *
  *     maplines_prepare_path()     once for each line of the map
  *     maplines_map_lines()        in each cycle, or
@@ -11,9 +9,8 @@
  * Memory   The caller owns all of it; sizes are said with each structure. There is no allocation
  *          and no static state. Functions take up to 16 kB of stack.
  * Threads  Functions share nothing but what they are given.
- * Errors   A function returns false where the Python package raises an error or warns, and where a
- *          value is not finite: the caller then takes the Python functions, which say what is
- *          wrong. Arguments are as those have checked them.
+ * Errors   A function returns false where a line has no value at a point of a transform, or the
+ *          result is not finite or no covariance. Arguments are as the Python package checks them.
  * Units    Lengths are in metres, angles in radians, x points ahead and y to the left (ISO 8855).
  */
 #ifndef MAPLINES_PROPAGATION_H
@@ -34,7 +31,7 @@ typedef enum {
     MAPLINES_UNCERTAIN = 4,
 } maplines_omission_t;
 
-/// Length of a vector: the operations of values/elementary.py. The relative error is at most 2^-52
+/// Length of a vector. The relative error is at most 2^-52
 /// from 1e-150 to 1e154; squares of what is longer overflow.
 static inline double maplines_hypot(double x, double y)
 {
@@ -83,8 +80,8 @@ typedef struct {
 } maplines_stretches_t;
 
 /// Prepare a line of (count, 2) points; memory is MAPLINES_PATH_ARRAYS * count doubles, which the
-/// path uses. False if its coordinates are so large that squares overflow.
-bool maplines_prepare_path(const double *points, const double *distance, size_t count,
+/// path uses. A step whose square overflows is far away from any car.
+void maplines_prepare_path(const double *points, const double *distance, size_t count,
                            double *memory, maplines_path_t *path);
 /// Place on the map from which lines are followed, and how far along them [m].
 void maplines_look_start(const maplines_look_t *look, double start[2], double *reach);
@@ -157,7 +154,10 @@ typedef struct {
 } maplines_mean_pose_t;
 
 maplines_mean_pose_t maplines_mean_pose(const double pose[3]);
-/// Refit of a stretch; false if there is none. Scratch as of maplines_coefficient_variances.
+/// From a displacement in the frame of the car to the pose in the frame of the map.
+void maplines_displace(const maplines_mean_pose_t *from, double pose[3]);
+/// Refit of a stretch; false if no cubic follows it in any range. Scratch as of
+/// maplines_coefficient_variances.
 bool maplines_refit(const maplines_stretches_t *seen, size_t line, const maplines_mean_pose_t *from,
                     const maplines_fit_t *fit, double *scratch, maplines_refit_t *refit);
 /// Line (y_off, beta, c0, c1) seen from a pose in the frame of the map; false, and NaN, if it is no
@@ -240,17 +240,56 @@ typedef struct {
 
 #define MAPLINES_SCENE_LINES MAPLINES_SLOTS ///< most lines of a scene
 
+/// Line of a scene while its range is sought.
+typedef struct {
+    bool is_new;     ///< its range has changed
+    bool is_shorter; ///< it was fitted again, since it was uncertain
+    bool is_dropped;
+    int trials;
+} maplines_trial_t;
+
+/// Lines of a scene while their ranges are sought.
+typedef struct {
+    maplines_pose_view_t view;
+    maplines_fit_t fit;
+    maplines_trial_t trials[MAPLINES_SCENE_LINES];
+    size_t lines;                        ///< that are kept
+    size_t places[MAPLINES_SCENE_LINES]; ///< of these among the stretches
+} maplines_search_t;
+
 /// What follows from an uncertain pose.
 void maplines_pose_view(const maplines_cycle_t *cycle, maplines_pose_view_t *view);
+
 /// Lines one by one, of which each has a mean, a (4, 4) covariance and a valid range [m]; where
 /// left_out has a reason, they are not set.
 bool maplines_map_lines(const maplines_path_t *paths, size_t count, const maplines_cycle_t *cycle,
                         const maplines_rule_t *rule, maplines_work_t *work,
                         maplines_omission_t *left_out, double (*means)[4], double (*covs)[16],
                         double (*x_ranges)[2]);
+/// How lines are fitted one by one.
+maplines_fit_t maplines_line_fit(const maplines_cycle_t *cycle, const maplines_pose_view_t *view);
+/// Range of a refit with room for the pose error; false if the line cannot be given.
+bool maplines_line_range(const maplines_cycle_t *cycle, const maplines_pose_view_t *view,
+                         const maplines_refit_t *refit, double x_range[2]);
+/// Shorten the range of a line to where it is certain enough; false if too little is left.
+bool maplines_shorten_range(const double mean[4], const double cov[16], double max_sigma,
+                            double x_range[2]);
+
 /// Lines with their joint covariance, of up to MAPLINES_SCENE_LINES lines.
 bool maplines_map_scene(const maplines_path_t *paths, size_t count, const maplines_cycle_t *cycle,
                         const maplines_rule_t *rule, maplines_work_t *work,
                         maplines_omission_t *left_out, maplines_joint_t *joint);
+/// The same step by step, for a caller that computes the moments itself: begin, then fit and
+/// settle until nothing is left or all is settled.
+void maplines_begin_scene(const maplines_path_t *paths, size_t count, const maplines_cycle_t *cycle,
+                          maplines_work_t *work, maplines_omission_t *left_out,
+                          maplines_search_t *search);
+/// Fit lines whose ranges are new; false if no line is kept. The reasons of the others are set.
+bool maplines_fit_scene(const maplines_cycle_t *cycle, maplines_work_t *work,
+                        maplines_omission_t *left_out, maplines_search_t *search);
+/// Set the valid ranges by the means and the covariance of the lines that are kept; false if lines
+/// are to be fitted again or dropped.
+bool maplines_settle_scene(const maplines_cycle_t *cycle, maplines_work_t *work,
+                           maplines_search_t *search, maplines_joint_t *joint);
 
 #endif

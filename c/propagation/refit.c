@@ -1,6 +1,4 @@
-/* Parameters of map lines as functions of the pose: the operations of propagation/refit.py and
- * propagation/rotated_sums.py.
- */
+/* Parameters of map lines as functions of the pose. */
 #include "nodes.h"
 
 #define MIN_ADVANCE 0.17         ///< along the x axis, as a share of the length of a line
@@ -20,6 +18,15 @@ maplines_mean_pose_t maplines_mean_pose(const double pose[3])
     maplines_mean_pose_t from = {{pose[0], pose[1], pose[2]}, 0.0, 0.0};
     maplines_sin_cos(pose[2], &from.sine, &from.cosine);
     return from;
+}
+
+void maplines_displace(const maplines_mean_pose_t *from, double pose[3])
+{
+    const double ahead[2] = {pose[0] * from->cosine, pose[0] * from->sine};
+    const double aside[2] = {pose[1] * -from->sine, pose[1] * from->cosine};
+    pose[0] = from->pose[0] + (ahead[0] + aside[0]);
+    pose[1] = from->pose[1] + (ahead[1] + aside[1]);
+    pose[2] = from->pose[2] + pose[2];
 }
 
 /* ---- sums of the normal equations -------------------------------------------------------------

@@ -1,10 +1,9 @@
-/* What is seen of lines of the map: the operations of propagation/stretches.py. */
+/* What is seen of lines of the map. */
 #include "propagation.h"
 
 #include <float.h>
 
 #define DIRECTION_BASE 0.5 ///< over which the direction of a line is taken [m]
-#define MOST_LENGTH 1e100  ///< of a line and its coordinates, whose squares do not overflow [m]
 
 /* ---- paths ------------------------------------------------------------------------------------
  */
@@ -31,7 +30,7 @@ static void set_chords(const double *x, const double *y, const double *distance,
     }
 }
 
-bool maplines_prepare_path(const double *points, const double *distance, size_t count,
+void maplines_prepare_path(const double *points, const double *distance, size_t count,
                            double *memory, maplines_path_t *path)
 {
     double *x = memory;
@@ -71,8 +70,6 @@ bool maplines_prepare_path(const double *points, const double *distance, size_t 
     {
         chord[i] = maplines_hypot(cx[i], cy[i]);
     }
-    return fabs(x[0]) < MOST_LENGTH && fabs(y[0]) < MOST_LENGTH &&
-           fabs(distance[count - 1]) < MOST_LENGTH;
 }
 
 /* ---- the nearest step -------------------------------------------------------------------------
@@ -140,7 +137,8 @@ static void squared_distances(const maplines_path_t *path, const frame_t *frame,
         const double along_y = share * path->dy[i];
         const double x = frame->start[0] - path->x[i] - along_x;
         const double y = frame->start[1] - path->y[i] - along_y;
-        squared[i] = x * x + y * y;
+        const double square = x * x + y * y;
+        squared[i] = square < (double)INFINITY ? square : (double)INFINITY; // NaN by overflow, too
     }
 }
 

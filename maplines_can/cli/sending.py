@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..propagation import MapError
-from ..propagation.certain_range import MAX_SIGMA
+from ..propagation.from_map import MAX_SIGMA
 from ..simulation.components import (
     MAX_LOAD,
     BusShare,

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 
-from ..propagation.cubic_fit import LATERAL_SHARE, MIN_SIGMA
 from ..values.gaussian import Gaussian
 from ..values.line import MapLine, Slot, lateral_jacobian
 from ..values.map_error import MapError
@@ -30,6 +29,9 @@ EXACT = Chebyshev([0.0])
 #: beside parking are up to 7.5 m wide. Of two lanes taken for one, the middle is 1.75 m beside that
 #: of each, which the offset of the car shows.
 WIDTHS = (2.0, 8.0)
+#: What the covariance of a line has of the misfit in the variance of T_0, as c/propagation/misfit.c
+#: makes it: this share of its square, and the square of this deviation [m].
+LATERAL_SHARE, MIN_SIGMA = 0.2, 0.01
 
 
 class Path(NamedTuple):

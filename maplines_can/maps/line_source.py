@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..propagation import MapError, map_lines, map_scene
-from ..propagation.certain_range import MAX_SIGMA
+from ..propagation.from_map import MAX_SIGMA
 from ..propagation.refit import MAX_MISFIT
 from ..values.gaussian import Gaussian
 from ..values.line import MapLineList, Slot

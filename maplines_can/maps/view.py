@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..propagation.stretches import MAX_TURN
+from ..propagation.paths import MAX_TURN
 from ..values.line import Kind, Slot
 from ..values.pieces import Pieces, value_at
 from ..values.polyline import INDEXED, Polyline

@@ -13,7 +13,7 @@ from .refit import Refit
 from .scene_mixture import scene_mixture
 from .sigma_points import SigmaPoints
 from .splitting import Mixture
-from .stretches import points_in_window
+from .paths import points_in_window
 from .transform import Moments, Transform
 
 __all__ = [

@@ -1,56 +1,47 @@
 """Lines of a map in the frame of a car whose pose is uncertain: one by one, or as a scene.
 
-Both go the same way: the stretches of the lines that the car sees (``stretches``), the range in
-which a cubic follows each (``Refit``), its moments over the pose (``Transform``), and the range in
-which it is valid and certain enough. Lines of a scene are propagated together, so that they have a
-joint covariance.
+The core does it in one call for a transform whose points it knows. For any other one, and for
+mixtures, it is asked step by step: for the lines as functions of the pose, whose moments are then
+computed here, and for the ranges in which they are valid and certain enough.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..values.arrays import floats
-from ..values.elementary import sin_cos_one
-from ..values.fixed_order import congruence, product
+from ..core import ffi, lib
+from ..core.memory import new, pointer
 from ..values.gaussian import Gaussian
-from ..values.linalg import block_diagonal, diagonal_blocks, is_covariance
-from ..values.line import MIN_RANGE, PARAMETERS, LeftOut, MapLine, MapLineList, Slot
+from ..values.linalg import block_diagonal
+from ..values.line import PARAMETERS, LeftOut, MapLine, MapLineList, Slot
 from ..values.map_error import MapError
 from ..values.mixture import GaussianMixture
 from ..values.polyline import Polyline
 from ..values.scene import PoseError, Scene
-from ..values.seen_lines import extended, margins, valid_ranges
-from .certain_range import MAX_SIGMA, certain_ranges, check_max_sigma
-from .in_c import CycleInC
-from .refit import MAX_MISFIT, Refit
+from .paths import REASONS, Paths, check_misfit, checked_window, numbers_of, paths_near
+from .quadrature import Quadrature
+from .refit import MAX_MISFIT, Refits, refits_memory
 from .sigma_points import SigmaPoints
 from .splitting import Mixture
-from .stretches import MAX_TURN, Stretches, stretches
-from .transform import Transform
+from .transform import Rule, Transform
 
 #: Parameters of a line.
 N = len(PARAMETERS)
-#: Standard deviations of the heading for which the turn of a line leaves room.
-TURN_MARGIN = 3.0
-#: Least limit of the turn of a line, however uncertain the heading is [rad].
-MIN_TURN = np.radians(20.0)
-#: Lateral distance for which the window is widened, so that the margins do not shorten it [m].
-ASIDE = 10.0
-#: The ends of the ranges in which the cubics of a scene are fitted are multiples of this, so that a
-#: message can state them exactly [m].
-STEP = 1.0
-#: Most times that a line of a scene is fitted again in a shorter range, since it is uncertain at
-#: its end.
-TRIALS = 8
+#: Default of the largest standard deviation of the lateral position of a line [m]. A line that is
+#: less certain tells no lane from the next but one, and its band is that of the first order only
+#: in name.
+MAX_SIGMA = 10.0
 #: The default transform.
 SIGMA_POINTS = SigmaPoints()
+#: Rules of transforms that are kept for the next query.
+KEPT = 16
 
 
 def map_lines(
@@ -104,26 +95,15 @@ def map_lines(
     >>> lines.left_out
     {<Slot.EGO_RIGHT: 1>: <LeftOut.ACROSS: "the line is across the car's x axis">}
     """
-    lines, window = _checked(lines, ego, window, max_sigma)
-    asked = (lines, ego, window, map_error, max_misfit, max_sigma)
-    if components == 1 and (cycle := CycleInC.of(*asked)) is not None:
-        in_c = cycle.map_lines(transform or SIGMA_POINTS)
-        if in_c is not None:
-            return in_c
-    view = View.of(*asked)
-    counts = _counts(lines, components)
-    # Lines of one component share the calls; each mixture has a direction of its own to cut along.
-    singles = [slot for slot, k in counts.items() if k == 1]
-    groups = [singles] * bool(singles) + [[slot] for slot, k in counts.items() if k > 1]
-    found: dict[Slot, MapLine | LeftOut] = {}
-    for slots in groups:
-        found |= _lines(view, slots, counts[slots[0]], transform)
-    found |= _as_far_as_certain([x for x in found.values() if isinstance(x, MapLine)], max_sigma)
-    in_order = [(slot, found[slot]) for slot in counts]
-    return MapLineList(
-        [line for _, line in in_order if isinstance(line, MapLine)],
-        {slot: reason for slot, reason in in_order if isinstance(reason, LeftOut)},
-    )
+    query = Query.of(lines, ego, window, map_error, max_misfit, max_sigma)
+    counts = _counts(query.lines, components)
+    if not counts:
+        return MapLineList()
+    if set(counts.values()) == {1}:
+        found = query.propagated_lines(transform or SIGMA_POINTS)
+        if found is not None:
+            return found
+    return _lines_by(query, counts, transform)
 
 
 def map_scene(
@@ -172,66 +152,26 @@ def map_scene(
     (np.float64(0.2), np.float64(0.024))
     """
     transform = transform or SIGMA_POINTS
-    lines, window = _checked(lines, ego, window, max_sigma)
-    asked = (lines, ego, window, map_error, max_misfit, max_sigma)
-    if (cycle := CycleInC.of(*asked)) is not None:
-        in_c = cycle.map_scene(transform, correlation_time)
-        if in_c is not None:
-            return in_c
-    view = View.of(*asked)
-    pose_error = PoseError(view.pose_cov, correlation_time)
-    slots = [Slot(slot) for slot in lines]
-    without = Scene((), np.zeros((0, 0)), pose_error, np.zeros((0, 2)), map_error)
-    if not lines:
-        return without
-    seen = view.stretches(slots)
-    left_out = {slots[i]: reason for i, reason in sorted(seen.left_out.items())}
-    if not len(seen.given):
-        return replace(without, left_out=left_out)
-    joint = _joint(view, seen, pose_error.cov, transform)
-    kept, refit = joint.kept, joint.refit
-    left_out |= {slots[i]: LeftOut.TOO_SHORT for i in seen.given[~kept]}
-    left_out |= {slots[i]: LeftOut.UNCERTAIN for i in seen.given[joint.is_shorter & ~kept]}
-    left_out = {slot: left_out[slot] for slot in slots if slot in left_out}
-    if not kept.any():
-        return replace(without, left_out=left_out)
-    # The scene checks the joint covariance, and so those of its lines.
-    gaussians = map(Gaussian.trusted, joint.means, diagonal_blocks(joint.cov, N))
-    given = [slots[i] for i in seen.given[kept]]
-    return Scene(
-        tuple(
-            MapLine(slot, gaussian, kind=lines[slot].kind, x_min=low, x_max=high)
-            for slot, gaussian, (low, high) in zip(
-                given, gaussians, joint.x_ranges.tolist(), strict=True
-            )
-        ),
-        joint.cov,
-        pose_error,
-        refit.x_range[kept],
-        map_error,
-        left_out,
-        refit.quartic[kept],
-        joint.specific_covs[kept],
-    )
+    query = Query.of(lines, ego, window, map_error, max_misfit, max_sigma)
+    pose_error = PoseError(query.pose_cov(), correlation_time)
+    if not query.lines:
+        return Scene((), np.zeros((0, 0)), pose_error, np.zeros((0, 2)), map_error)
+    found = query.propagated_scene(transform, pose_error)
+    return _scene_by(query, transform, pose_error) if found is None else found
 
 
-# ---- what both share ------------------------------------------------------------------
+# ---- what is asked --------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class View:
-    """Lines of a map around an uncertain pose, and how far they are used."""
+class Query(NamedTuple):
+    """Checked arguments of ``map_lines`` and ``map_scene``, and as the core reads them."""
 
-    lines: Mapping[Slot, Polyline]
+    lines: dict[Slot, Polyline]
     ego: Gaussian
-    x_range: tuple[float, float]  #: that the ranges may extend to [m]
     map_error: MapError | None
-    max_misfit: float  #: of a cubic [m]
-    max_sigma: float  #: of the lateral position [m]
-    pose_cov: NDArray[np.float64]  #: (3, 3) in the ego frame: along [m], across [m], heading [rad]
-    cov: NDArray[np.float64]  #: the same with what of the map error acts as a pose error
-    room: float  #: that the ranges leave at their ends, at most [m]
-    max_turn: float  #: largest angle between a line and the x axis [rad]
+    has_noise: bool  #: whether lines have a covariance of map error and misfit
+    max_sigma: float
+    values: Any
 
     @classmethod
     def of(
@@ -239,223 +179,261 @@ class View:
         lines: Mapping[Slot, Polyline],
         ego: Gaussian,
         window: tuple[float, float],
-        map_error: MapError | None = None,
-        max_misfit: float = MAX_MISFIT,
-        max_sigma: float = MAX_SIGMA,
-    ) -> View:
-        """Return the view of the checked arguments of ``map_lines``."""
-        x_min, x_max = window
-        s, c = sin_cos_one(ego.mean.item(2))
-        R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        pose_cov = cov = congruence(R, ego.cov)
-        turn = max(MAX_TURN - TURN_MARGIN * float(np.sqrt(cov[2, 2])), MIN_TURN)
-        if map_error is not None:  # moves the ends of a line as the pose error does
-            shift = map_error.offset_sigma**2 + map_error.point_sigma**2
-            cov = cov + np.diag([shift, shift, map_error.heading_sigma**2])
-        farthest = max(abs(x_min), abs(x_max))
-        corners = np.array([[[farthest, -ASIDE], [farthest, ASIDE]]])
-        room = float(margins(cov, corners).max())
-        ends = x_min, x_max
-        return cls(lines, ego, ends, map_error, max_misfit, max_sigma, pose_cov, cov, room, turn)
+        map_error: MapError | None,
+        max_misfit: float,
+        max_sigma: float,
+    ) -> Query:
+        if not isinstance(lines, Mapping):
+            raise TypeError(
+                "lines must be a mapping from slots to polylines, such as "
+                f"{{Slot.EGO_LEFT: Polyline(points)}}, got {type(lines).__name__}"
+            )
+        own = {  # other threads may change theirs
+            slot if type(slot) is Slot else Slot(slot): line for slot, line in dict(lines).items()
+        }
+        for slot, line in own.items():
+            if not isinstance(line, Polyline):
+                raise TypeError(
+                    f"the line of {slot.name} must be a Polyline, got {type(line).__name__}"
+                )
+        if ego.mean.size != 3:
+            raise ValueError(
+                f"ego must be over the pose (e_x [m], e_y [m], e_h [rad]), got {ego.mean.size}-D"
+            )
+        if not max_sigma > 0:
+            raise ValueError(
+                f"max_sigma must be more than 0 m, or infinite for no limit, got {max_sigma!r}"
+            )
+        check_misfit(max_misfit)
+        pose = (*ego.mean.tolist(), *ego.cov.ravel().tolist())
+        settings = (*checked_window(window), max_misfit, max_sigma, *numbers_of(map_error))
+        values = ffi.new("double[20]", pose + settings)
+        has_noise = map_error is not None or max_misfit < math.inf
+        return cls(own, ego, map_error, has_noise, float(max_sigma), values)
 
-    def stretches(self, slots: Sequence[Slot]) -> Stretches:
-        """Return what is seen of the lines of some slots, with room at both ends."""
-        window = self.x_range[0] - self.room, self.x_range[1] + self.room
-        return stretches([self.lines[slot] for slot in slots], self.ego.mean, window, self.max_turn)
+    def pose_cov(self) -> NDArray[np.float64]:
+        """Return the (3, 3) covariance of the pose in the ego frame."""
+        view = np.empty(12)
+        lib.maplines_query_view(self.values, pointer(view))
+        return view[3:].reshape(3, 3)
 
-    def refit(self, seen: Stretches, step: float = 0.0) -> Refit:
-        """Return the cubics of some stretches; their ranges may end at multiples of a step [m]."""
-        return Refit(
-            seen,
-            self.ego.mean,
-            map_error=self.map_error,
-            max_misfit=self.max_misfit,
-            room=self.room,
-            step=step,
+    def paths(self) -> Paths:
+        """Return the lines as the core has them."""
+        return paths_near([*self.lines.values()], lib.maplines_query_view, self.values)
+
+    def propagated_lines(self, transform: Transform) -> MapLineList | None:
+        """Return the lines of ``map_lines``, each of one component.
+
+        None for a transform that the core does not know, and if it finds a line that is no
+        Gaussian: step by step, the one that is wrong is found and said.
+        """
+        count = len(self.lines)
+        found = np.empty(22 * count)
+        reasons = self._reasons(lib.maplines_propagate_lines, transform, self.ego, 1, found)
+        if reasons is None:
+            return None
+        given = reasons.count(0)
+        means = found[: 4 * given].reshape(given, 4)
+        covs = found[4 * count :][: 16 * given].reshape(given, 4, 4)
+        x_ranges = found[20 * count :][: 2 * given].reshape(given, 2)
+        return MapLineList(self.made(reasons, means, covs, x_ranges), self.left_out(reasons))
+
+    def propagated_scene(self, transform: Transform, pose_error: PoseError) -> Scene | None:
+        """Return the scene of ``map_scene``; None as above."""
+        displacement = Gaussian.trusted(np.zeros(3), pose_error.cov)
+        count = len(self.lines)
+        found = np.empty(25 * count + (4 * count) ** 2)
+        function = lib.maplines_propagate_scene
+        reasons = self._reasons(function, transform, displacement, count, found)
+        if reasons is None:
+            return None
+        k, left_out = reasons.count(0), self.left_out(reasons)
+        found.setflags(write=False)
+        means, x_ranges, fit_ranges, quartics, specific_covs, cov = (
+            found[begin : begin + size].reshape(shape) for begin, size, shape in _parts(count, k)
+        )
+        if not k:
+            return Scene((), cov, pose_error, fit_ranges, self.map_error, left_out)
+        covs = [cov[i : i + 4, i : i + 4] for i in range(0, 4 * k, 4)]
+        made = tuple(self.made(reasons, means, covs, x_ranges))
+        return Scene.trusted(
+            made, cov, pose_error, fit_ranges, self.map_error, left_out, quartics, specific_covs
         )
 
+    def _reasons(
+        self,
+        function: Callable[..., bool],
+        transform: Transform,
+        gaussian: Gaussian,
+        together: int,
+        found: NDArray[np.float64],
+    ) -> bytes | None:
+        """Return why lines are left out, or 0, and set what else a function of the core finds."""
+        if type(transform) not in (SigmaPoints, Quadrature):
+            return None
+        points = _points_of(transform.rule(gaussian))  # type: ignore[attr-defined]
+        paths = self.paths()
+        left_out = ffi.new("uint8_t[]", paths.lines)
+        work = paths.work(together, points[0])
+        if not function(paths.memory, self.values, *points, work, left_out, pointer(found)):
+            return None
+        return bytes(ffi.buffer(left_out))
 
-class ExtendedRefit:
-    """Some lines of a refit, with values also at poses from which they are not functions of x."""
+    def fitted_lines(self) -> FittedLines:
+        """Return the lines that ``map_lines`` gives, before their moments are known."""
+        paths = self.paths()
+        memory, reasons = refits_memory(paths.lines), ffi.new("uint8_t[]", paths.lines)
+        x_ranges = np.empty((paths.lines, 2))
+        arrays = reasons, pointer(x_ranges), pointer(memory)
+        count = lib.maplines_fit_lines(paths.memory, self.values, paths.work(), *arrays)
+        slots = [slot for slot, reason in zip(self.lines, reasons, strict=True) if not reason]
+        refits = Refits(memory, count, has_noise=self.has_noise)
+        left_out = self.left_out(bytes(ffi.buffer(reasons)))
+        return FittedLines(slots, refits, x_ranges[:count], left_out)
 
-    def __init__(self, refit: Refit, lines: NDArray[np.bool_]) -> None:
-        self._refit, self._lines = refit, lines
-        self.noise_cov = None if refit.noise_cov is None else refit.noise_cov[lines]
+    def made(
+        self,
+        reasons: bytes,
+        means: NDArray[np.float64],
+        covs: NDArray[np.float64] | Sequence[NDArray[np.float64]],
+        x_ranges: NDArray[np.float64],
+    ) -> list[MapLine]:
+        """Return the lines that are given, which are checked."""
+        given = [
+            (slot, line.kind)
+            for (slot, line), reason in zip(self.lines.items(), reasons, strict=True)
+            if not reason
+        ]
+        rows = zip(given, means, covs, x_ranges.tolist(), strict=True)
+        return [
+            MapLine.trusted(slot, Gaussian.trusted(mean, cov), kind, low, high)
+            for (slot, kind), mean, cov, (low, high) in rows
+        ]
+
+    def left_out(self, reasons: bytes) -> dict[Slot, LeftOut]:
+        """Return the reasons of the lines that are left out."""
+        if not any(reasons):
+            return {}
+        pairs = zip(self.lines, map(REASONS.__getitem__, reasons), strict=True)
+        return {slot: reason for slot, reason in pairs if reason is not None}
+
+
+class FittedLines(NamedTuple):
+    """Lines as functions of the pose, and the ranges that leave room for the pose error."""
+
+    slots: list[Slot]
+    refits: Refits
+    x_ranges: NDArray[np.float64]  #: (L, 2) [m]
+    left_out: dict[Slot, LeftOut]
+
+
+@lru_cache(maxsize=KEPT)
+def _points_of(rule: Rule) -> tuple[Any, ...]:
+    """Return the points of a transform of a pose as arguments of the core."""
+    arrays = (rule.z, rule.mean_weights, rule.cov_weights)
+    return (len(rule.z), *(pointer(np.ascontiguousarray(array)) for array in arrays))
+
+
+@lru_cache(maxsize=128)
+def _parts(lines: int, k: int) -> tuple[tuple[int, int, tuple[int, ...]], ...]:
+    """Return begin, size and shape of the arrays that the core sets of a scene of k lines."""
+    shapes = [(k, 4), (k, 2), (k, 2), (k,), (k, 4, 4), (4 * k, 4 * k)]
+    begins = accumulate((4, 2, 2, 1, 16), lambda begin, row: begin + row * lines, initial=0)
+    return tuple(
+        (begin, int(np.prod(shape)), shape) for begin, shape in zip(begins, shapes, strict=True)
+    )
+
+
+def _counts(lines: Sequence[Slot] | Mapping[Slot, Any], components: Any) -> dict[Slot, int]:
+    """Return the number of components of each line, in order."""
+    if isinstance(components, Mapping):
+        if missing := [slot.name for slot in lines if slot not in components]:
+            raise ValueError(f"components must have a number for each line, but not {missing[0]}")
+        return {slot: components[slot] for slot in lines}
+    return dict.fromkeys(lines, components)
+
+
+# ---- step by step ---------------------------------------------------------------------
+
+
+class _Function:
+    """Lines as a function of the pose, with values also where they are no functions of x."""
+
+    def __init__(self, refits: Refits, lines: list[int]) -> None:
+        self._refits, self._lines = refits, lines
+        self.noise_cov = None if refits.noise_cov is None else refits.noise_cov[lines]
 
     def __call__(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (N, L, 4) lines for (N, 3) poses."""
-        found = self._refit(poses)[:, self._lines]
-        if not np.isnan(found).any():
-            return found
-        return extended(lambda at: self._refit(at)[:, self._lines], poses, self._refit.pose)
+        return self._refits.extended(poses)[:, self._lines]
 
 
-def _checked(
-    lines: Mapping[Slot, Polyline], ego: Gaussian, window: tuple[float, float], max_sigma: float
-) -> tuple[dict[Slot, Polyline], tuple[float, float]]:
-    """Return the lines, of any mapping, and the window as floats; the others are checked."""
-    if not isinstance(lines, Mapping):
-        raise TypeError(
-            "lines must be a mapping from slots to polylines, such as "
-            f"{{Slot.EGO_LEFT: Polyline(points)}}, got {type(lines).__name__}"
-        )
-    lines = dict(lines)  # other threads may change theirs
-    for slot, line in lines.items():
-        if not isinstance(line, Polyline):
-            raise TypeError(
-                f"the line of {Slot(slot).name} must be a Polyline, got {type(line).__name__}"
-            )
-    if ego.mean.size != 3:
-        raise ValueError(
-            f"ego must be over the pose (e_x [m], e_y [m], e_h [rad]), got {ego.mean.size}-D"
-        )
-    check_max_sigma(max_sigma)
-    x_min, x_max = floats(window, "window").tolist()
-    return lines, (x_min, x_max)
-
-
-def _counts(
-    lines: Mapping[Slot, Polyline], components: int | Mapping[Slot, int]
-) -> dict[Slot, int]:
-    """Return the number of components of each line, in order."""
-    if isinstance(components, Mapping):
-        if missing := [Slot(slot).name for slot in lines if slot not in components]:
-            raise ValueError(f"components must have a number for each line, but not {missing[0]}")
-        return {Slot(slot): components[slot] for slot in lines}
-    return dict.fromkeys(map(Slot, lines), components)
-
-
-# ---- lines one by one -----------------------------------------------------------------
-
-
-def _lines(
-    view: View, slots: Sequence[Slot], k: int, transform: Transform | None
-) -> dict[Slot, MapLine | LeftOut]:
-    """Return by slot some lines as k components each, or why they are left out."""
-    seen = view.stretches(slots)
-    found: dict[Slot, MapLine | LeftOut] = {slots[i]: why for i, why in seen.left_out.items()}
-    if not len(seen.given):
-        return found
-    refit = view.refit(seen)
-    margin = margins(view.cov, refit.points[:, [0, -1]])
-    x_range = (refit.x_range + margin * [1, -1]).clip(*view.x_range)
-    wide = (x_range[:, 1] - x_range[:, 0] >= MIN_RANGE) & ~refit.is_across
-    found |= {slots[i]: LeftOut.TOO_SHORT for i in seen.given[~wide]}
-    if not wide.any():
-        return found
-    function = ExtendedRefit(refit, wide)
-    weights = None
-    if k == 1:
-        mean, cov = (transform or SIGMA_POINTS).moments(function, view.ego)
-        means, covs = mean[None], cov[None]
-    else:
-        weights, means, covs = Mixture(k, transform).moments(function, view.ego)
-    variances = np.diagonal(covs, axis1=-2, axis2=-1)
-    # Checked all at once; else the constructor says what is wrong.
-    make = Gaussian.trusted if (variances > 0).all() and is_covariance(covs) else Gaussian
-    for i, (low, high) in enumerate(x_range[wide].tolist()):
-        slot = slots[seen.given[wide][i]]
-        gaussians = tuple(map(make, means[:, i], covs[:, i]))
-        rest: dict[str, Any] = {"kind": view.lines[slot].kind, "x_min": low, "x_max": high}
-        if weights is None:
-            found[slot] = MapLine(slot, gaussians[0], **rest)
+def _lines_by(
+    query: Query, counts: Mapping[Slot, int], transform: Transform | None
+) -> MapLineList:
+    """Return the lines of ``map_lines`` by any transform, and as mixtures."""
+    fitted = query.fitted_lines()
+    left_out = fitted.left_out
+    # Lines of one component share the calls; each mixture has a direction of its own to cut along.
+    singles = [i for i, slot in enumerate(fitted.slots) if counts[slot] == 1]
+    mixtures = [[i] for i, slot in enumerate(fitted.slots) if counts[slot] != 1]
+    found: dict[Slot, MapLine] = {}
+    for places in [singles] * bool(singles) + mixtures:
+        function, k = _Function(fitted.refits, places), counts[fitted.slots[places[0]]]
+        if k == 1:
+            mean, cov = (transform or SIGMA_POINTS).moments(function, query.ego)
+            weights, means, covs = np.ones(1), mean[None], cov[None]
         else:
-            found[slot] = MapLine.of_mixture(slot, GaussianMixture(weights, gaussians), **rest)
-    return found
+            weights, means, covs = Mixture(k, transform).moments(function, query.ego)
+        for i, place in enumerate(places):
+            slot = fitted.slots[place]
+            gaussians = tuple(map(Gaussian, means[:, i], covs[:, i]))
+            mixture = GaussianMixture(weights, gaussians) if k > 1 else None
+            gaussian = gaussians[0] if mixture is None else mixture.overall
+            arrays = map(pointer, (gaussian.mean, gaussian.cov))
+            ends = pointer(fitted.x_ranges[place])
+            if not lib.maplines_shorten_line(*arrays, query.max_sigma, ends):
+                left_out[slot] = LeftOut.UNCERTAIN
+                continue
+            low, high = fitted.x_ranges[place].tolist()
+            kind = query.lines[slot].kind
+            found[slot] = MapLine(slot, gaussian, kind, low, high, mixture=mixture)
+    return MapLineList(
+        [found[slot] for slot in query.lines if slot in found],
+        {slot: left_out[slot] for slot in query.lines if slot in left_out},
+    )
 
 
-def _as_far_as_certain(lines: Sequence[MapLine], max_sigma: float) -> dict[Slot, MapLine | LeftOut]:
-    """Return by slot the lines whose ranges are to be shortened, or why they are left out."""
-    if not lines:
-        return {}
-    means = np.array([line.gaussian.mean for line in lines])
-    covs = np.array([line.gaussian.cov for line in lines])
-    x_ranges = np.array([[line.x_min, line.x_max] for line in lines])
-    certain = certain_ranges(means, covs, x_ranges, max_sigma)
-    found: dict[Slot, MapLine | LeftOut] = {}
-    for i in np.flatnonzero((certain != x_ranges).any(axis=1)).tolist():
-        low, high = certain[i].tolist()
-        is_long = high - low >= MIN_RANGE  # not if it is NaN
-        shorter = replace(lines[i], x_min=low, x_max=high) if is_long else LeftOut.UNCERTAIN
-        found[lines[i].slot] = shorter
-    return found
-
-
-# ---- lines of a scene -----------------------------------------------------------------
-
-
-class _Joint(NamedTuple):
-    """Lines of a scene as fitted, and the moments of those that are kept."""
-
-    refit: Refit
-    specific_covs: NDArray[np.float64]  #: (L, 4, 4)
-    kept: NDArray[np.bool_]  #: (L,) whether a line is in the scene
-    is_shorter: NDArray[np.bool_]  #: (L,) whether it was fitted again, since it was uncertain
-    means: NDArray[np.float64] = np.zeros((0, N))  #: (K, 4) of the lines that are kept
-    cov: NDArray[np.float64] = np.zeros((0, 0))  #: (4 K, 4 K)
-    x_ranges: NDArray[np.float64] = np.zeros((0, 2))  #: (K, 2) in which they are valid [m]
-
-
-def _joint(view: View, seen: Stretches, P: NDArray[np.float64], transform: Transform) -> _Joint:
-    """Return the lines of a scene in the ranges in which they are valid and certain enough.
-
-    Where a line is uncertain at an end, it is fitted again in a shorter range, at most ``TRIALS``
-    times. A line whose range turns out too short is dropped, and the others are propagated again.
-    """
-    heading_sigma = 0.0 if view.map_error is None else view.map_error.heading_sigma
-    is_shorter, dropped = np.zeros((2, len(seen.given)), dtype=bool)
-    trials = np.zeros(len(seen.given), dtype=int)
-    while True:
-        refit = view.refit(seen, STEP)
-        specific = refit.noise_cov
-        if specific is None:
-            specific = np.zeros((len(seen.given), N, N))
-        x_ranges = valid_ranges(
-            refit(view.ego.mean[None])[0], refit.x_range, P, specific, heading_sigma
-        )
-        kept = (_length(x_ranges) >= MIN_RANGE) & ~refit.is_across & ~dropped
-        kept &= (refit.x_range % STEP == 0).all(axis=1)
-        if not kept.any():
-            return _Joint(refit, specific, kept, is_shorter)
-        mean, cov = transform.moments(
-            _Flat(ExtendedRefit(refit, kept), view.ego.mean), Gaussian.trusted(np.zeros(3), P)
-        )
-        means, places = mean.reshape(-1, N), np.flatnonzero(kept)
-        # From the means that are sent, as a receiver does.
-        x_ranges = valid_ranges(means, refit.x_range[kept], P, specific[kept], heading_sigma)
-        ended = _length(x_ranges) < MIN_RANGE
-        if ended.any():
-            dropped[places[ended]] = True
-            continue
-        certain = certain_ranges(means, diagonal_blocks(cov, N), x_ranges, view.max_sigma)
-        long = (certain != x_ranges).any(axis=1)
-        if not long.any():
-            return _Joint(refit, specific, kept, is_shorter, means, cov, x_ranges)
-        places = places[long]
-        shorter = _shorter(refit.x_range[places], x_ranges[long], certain[long])
-        is_shorter[places] = True
-        dropped[places] = (trials[places] >= TRIALS) | (_length(shorter) < MIN_RANGE)
-        trials[places] += 1
-        ends = refit.x_range.copy()
-        ends[places] = np.where(dropped[places, None], ends[places], shorter)
-        seen = replace(seen, x_range=ends)
-
-
-def _length(x_ranges: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (L,) lengths of (L, 2) ranges [m]."""
-    return np.asarray(x_ranges[:, 1] - x_ranges[:, 0])
-
-
-def _shorter(
-    fit_ranges: NDArray[np.float64], x_ranges: NDArray[np.float64], certain: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the (L, 2) ranges to be fitted for lines to be valid where they are certain.
-
-    A line that is certain nowhere may be so if less of it is fitted: half of what is ahead.
-    """
-    car = np.clip(0.0, fit_ranges[:, 0], fit_ranges[:, 1])[:, None]
-    half = car + (fit_ranges - car) / 2
-    return np.where(np.isnan(certain), half, certain + (fit_ranges - x_ranges))
+def _scene_by(query: Query, transform: Transform, pose_error: PoseError) -> Scene:
+    """Return the scene of ``map_scene`` by any transform."""
+    paths = query.paths()
+    work, search = paths.work(paths.lines), new("double[]", lib.maplines_search_size())
+    memory, left_out = refits_memory(paths.lines), ffi.new("uint8_t[]", paths.lines)
+    lib.maplines_search_scene(paths.memory, query.values, work, search)
+    displacement = Gaussian.trusted(np.zeros(3), pose_error.cov)
+    while k := lib.maplines_search_fit(search, left_out, pointer(memory)):
+        refits = Refits(memory, k, has_noise=query.has_noise)
+        mean, cov = transform.moments(_Flat(refits), displacement)
+        means, x_ranges = np.ascontiguousarray(mean.reshape(k, N)), np.empty((k, 2))
+        arrays = (means, np.ascontiguousarray(cov), x_ranges)
+        if lib.maplines_search_settle(search, *map(pointer, arrays)):
+            break
+    reasons = bytes(ffi.buffer(left_out))
+    if not k:
+        shapes = np.zeros((0, 0)), pose_error, np.zeros((0, 2))
+        return Scene((), *shapes, query.map_error, query.left_out(reasons))
+    covs = [cov[i : i + N, i : i + N] for i in range(0, N * k, N)]
+    specific = np.zeros((k, N, N)) if refits.noise_cov is None else refits.noise_cov
+    return Scene(  # which checks the joint covariance, and so those of its lines
+        tuple(query.made(reasons, means, covs, x_ranges)),
+        cov,
+        pose_error,
+        refits.x_range,
+        query.map_error,
+        query.left_out(reasons),
+        refits.quartic,
+        specific,
+    )
 
 
 class _Flat:
@@ -465,13 +443,11 @@ class _Flat:
     sigma points.
     """
 
-    def __init__(self, function: ExtendedRefit, pose: NDArray[np.float64]) -> None:
-        self._function, self._pose = function, pose
-        s, c = sin_cos_one(pose.item(2))
-        self._to_map = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        own = function.noise_cov
+    def __init__(self, refits: Refits) -> None:
+        self._refits = refits
+        own = refits.noise_cov
         self.noise_cov = None if own is None else block_diagonal(own)
 
     def __call__(self, displacements: NDArray[np.float64]) -> NDArray[np.float64]:
-        poses = self._pose + product(displacements, self._to_map)
-        return self._function(poses).reshape(len(poses), -1)
+        found = self._refits.extended(displacements, are_displacements=True)
+        return found.reshape(len(found), -1)

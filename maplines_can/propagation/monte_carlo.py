@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..values.errors import IllPosedError
 from ..values.gaussian import Gaussian
 from ..values.linalg import square_root
-from .transform import Moments, Transform, weighted_products
+from .transform import Moments, Transform, weighted_moments
 
 
 class Samples(NamedTuple):
@@ -82,7 +82,5 @@ class MonteCarlo(Transform):
 
     def _moments(self, function: Callable[..., Any], gaussian: Gaussian) -> Moments:
         values = self._exact_samples(function, gaussian).values
-        mean = values.mean(axis=0)
-        return Moments(
-            mean, weighted_products(values - mean, np.full(len(values), 1 / len(values)))
-        )
+        weights = np.full(len(values), 1 / len(values))
+        return weighted_moments(values, weights, weights)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..values.gaussian import Gaussian
-from .transform import Moments, Rule, Transform, own_moments, values_at, weighted_moments
+from .transform import Moments, Rule, Transform, values_at, weighted_moments
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,6 @@ class SigmaPoints(Transform):
 
     def _moments(self, function: Callable[..., Any], gaussian: Gaussian) -> Moments:
         rule = self.rule(gaussian)
-        found = own_moments(function, gaussian, rule)
-        if found is not None:
-            return found
         values = values_at(function, self.points(gaussian))
         return weighted_moments(values, rule.mean_weights, rule.cov_weights)
 

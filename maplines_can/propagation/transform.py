@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,16 +11,10 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core import lib
+from ..core.memory import pointer
 from ..values.errors import IllPosedError
-from ..values.fixed_order import product
 from ..values.gaussian import Gaussian
-
-#: Points of one product: so few that BLAS computes it in the calling thread, even of eight lines.
-BLOCK = 128
-
-
-#: Up to this number of points, the products are added one after the other.
-FEW = 16
 
 
 class Moments(NamedTuple):
@@ -83,12 +78,6 @@ class Transform(ABC):
         """Return the moments without ``noise_cov``."""
 
 
-def own_moments(function: Callable[..., Any], gaussian: Gaussian, rule: Rule) -> Moments | None:
-    """Return the moments of a function that computes them itself, as a ``Refit`` may; else None."""
-    own = getattr(function, "weighted_moments", None)
-    return None if own is None else own(gaussian, rule)
-
-
 def values_at(function: Callable[..., Any], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the values of a function at points, all of which must have one.
 
@@ -121,21 +110,10 @@ def weighted_moments(
     point near it, whose weight may be large and negative. This avoids cancellation. The (N,)
     weights of the mean have the sum 1.
     """
-    d = values[1:] - values[0]
-    shift = np.add.reduce(mean_weights[1:].reshape(-1, *[1] * (d.ndim - 1)) * d, axis=0)
-    d -= shift
-    cov = weighted_products(d, cov_weights[1:])
-    cov += cov_weights[0] * shift[..., :, None] * shift[..., None, :]
-    return Moments(values[0] + shift, cov)
-
-
-def weighted_products(d: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (..., m, m) sums of weights times d d^T over (N, ..., m) differences d."""
-    d = d.transpose(*range(1, d.ndim), 0)  # (..., m, N)
-    if 0 < len(weights) <= FEW:
-        return product(d * weights, d.mT)
-    total = np.zeros((*d.shape[:-1], d.shape[-2]))
-    for start in range(0, len(weights), BLOCK):
-        block = d[..., start : start + BLOCK]
-        total += (block * weights[start : start + BLOCK]) @ block.swapaxes(-1, -2)
-    return total
+    given = np.array(values, order="C")  # the core overwrites them
+    n, *outputs, m = given.shape
+    mean, cov = np.empty((*outputs, m)), np.empty((*outputs, m, m))
+    weights = (pointer(np.ascontiguousarray(w)) for w in (mean_weights, cov_weights))
+    arrays = map(pointer, (given, mean, cov))
+    lib.maplines_moments_of(n, math.prod(outputs), m, *weights, *arrays)
+    return Moments(mean, cov)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..propagation import MapError, map_lines, map_scene
-from ..propagation.certain_range import MAX_SIGMA
+from ..propagation.from_map import MAX_SIGMA
 from ..values.gaussian import Gaussian
 from ..values.line import MapLineList, Slot
 from ..values.scene import Scene

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..propagation.stretches import stretches
+from ..propagation.paths import stretches
 from ..values.errors import DriveFileError
 from ..values.input_files import checked_path, lines_of
 from ..values.line import Slot
@@ -91,15 +91,15 @@ def true_lines(lines: Mapping[Slot, Polyline], slots: Sequence[Slot], pose: Arra
     if not rows:
         return values
     seen = stretches([lines[slots[i]] for i in rows], pose, (_GRID[0], _GRID[-1]))
-    if not len(seen.given):
+    if not seen:
         return values
-    low, high = seen.x_range.T[:, :, None]
-    y = seen.lateral(np.tile(_GRID, (len(seen.given), 1)))
+    low, high = np.array([stretch.x_range for stretch in seen]).T[:, :, None]
+    y = np.array([stretch.lateral(_GRID) for stretch in seen])
     y[(low > _GRID + 1e-9) | (high < _GRID - 1e-9)] = np.nan
     around = np.stack([y[:, x : x + 2 * HALF + 1] for x in PLACES], axis=1)  # (L, 4, n)
     slope, bend = np.moveaxis(around @ _DERIVATIVES.T, -1, 0)
     shape = [y[:, HALF::10][:, : len(Y_PLACES)], np.arctan(slope), bend / np.hypot(1, slope) ** 3]
-    values[np.array(rows)[seen.given]] = np.concatenate(shape, axis=1)
+    values[[rows[stretch.line] for stretch in seen]] = np.concatenate(shape, axis=1)
     return values
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..propagation import MapError, Refit, SigmaPoints
 from ..propagation.refit import MAX_MISFIT
-from ..propagation.stretches import MAX_TURN
+from ..propagation.paths import MAX_TURN
 from ..values.errors import IllPosedError
 from ..values.gaussian import Gaussian
 from ..values.polyline import Polyline

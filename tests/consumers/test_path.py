@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from numpy.polynomial import Chebyshev
 
 from maplines_can import Gaussian, MapError, MapLine, Polyline, Scene, Slot, map_scene
-from maplines_can.consumers.path import Path, lane_path, mean_path, path_beside, width_of
-from maplines_can.propagation.cubic_fit import MIN_SIGMA
+from maplines_can.consumers.path import MIN_SIGMA, Path, lane_path, mean_path, path_beside, width_of
 from maplines_can.simulation import STREETS
 
 LEFT, RIGHT = Slot.EGO_LEFT, Slot.EGO_RIGHT

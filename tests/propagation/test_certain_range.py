@@ -12,7 +12,8 @@ from scene_streams import CONDITIONAL, feed, new_codec
 from strategies import covariances
 
 from maplines_can import Gaussian, LeftOut, MapError, MapLine, Polyline, Slot, map_lines, map_scene
-from maplines_can.propagation.certain_range import certain_ranges
+from maplines_can.core import lib
+from maplines_can.core.memory import pointer
 from maplines_can.simulation import scenario
 
 WINDOW = (-20.0, 80.0)
@@ -44,7 +45,8 @@ def test_the_range_is_the_longest_one_about_the_car(
     car = np.clip(0.0, low, high)
     largest = sigma_of(mean, cov, np.linspace(low, high, 100)).max()
     limit = 10.0**decades * max(largest, 1e-9)
-    (found,) = certain_ranges(mean[None], cov[None], np.array([[low, high]]), limit)
+    found = np.array([low, high])
+    lib.maplines_shorten_line(pointer(mean), pointer(np.array(cov)), limit, pointer(found))
     if np.isnan(found).any():
         assert sigma_of(mean, cov, np.array([car]))[0] >= limit * (1 - 1e-6)
         return

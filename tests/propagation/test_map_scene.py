@@ -20,7 +20,6 @@ from maplines_can import (
     map_lines,
 )
 from maplines_can.propagation import map_scene
-from maplines_can.propagation.from_map import View
 from maplines_can.values.line import lateral, lateral_jacobian
 
 LEFT, RIGHT = Slot.EGO_LEFT, Slot.EGO_RIGHT
@@ -52,19 +51,18 @@ def test_the_joint_is_that_of_drawn_poses(shape: str, pose: str) -> None:
     the lines are taken off the joint.
     """
     lines, ego, scene = drawn_scene(shape, pose, 1)
-    refit = refit_of(lines, ego, scene, None)
+    refits = refits_of(lines, ego, scene, None)
     poses = ego.sample(DRAWS, seed=4)
     places = np.linspace(0.1, 0.9, 3)
     x = scene.fit_ranges @ [1 - places, places]  # (L, X)
-    drawn = refit(poses)[:, [*lines].index(LEFT) :]
+    drawn = seen_by(refits, poses)[:, [*lines].index(LEFT) :]
     y = lateral(drawn[:, :, None], x).reshape(DRAWS, -1)
     k = x.shape[1]
     J = np.zeros((y.shape[1], len(scene.cov)))
     for i, mean in enumerate(scene.means):
         J[k * i : k * i + k, 4 * i : 4 * i + 4] = lateral_jacobian(mean, x[i])
     own = np.zeros_like(scene.cov)
-    assert refit.noise_cov is not None
-    for i, noise in enumerate(refit.noise_cov):
+    for i, noise in enumerate(scene.specific_covs):
         own[4 * i : 4 * i + 4, 4 * i : 4 * i + 4] = noise
     cov, sampled = J @ (scene.cov - own) @ J.T, np.cov(y.T)
     scale = np.sqrt(sampled.diagonal())
@@ -74,13 +72,24 @@ def test_the_joint_is_that_of_drawn_poses(shape: str, pose: str) -> None:
     assert np.abs(values - y.mean(axis=0)).max() <= 5 * scale.max() / DRAWS**0.5 + 2e-3
 
 
-def refit_of(lines: Any, ego: Gaussian, scene: Any, error: MapError | None) -> Refit:
-    """The refit of a scene of which no line is left out."""
+def refits_of(lines: Any, ego: Gaussian, scene: Any, error: MapError | None) -> list[Refit]:
+    """The refits of a scene of which no line is left out, each in the fit range of its line."""
     assert not scene.left_out
-    view = View.of(lines, ego, (-20.0, 80.0), error)
-    refit = view.refit(view.stretches([*lines]), step=1.0)
-    assert np.array_equal(refit.x_range, scene.fit_ranges)
-    return refit
+    ranges = map(tuple, scene.fit_ranges.tolist())
+    refits = [
+        Refit(line, ego.mean, window, error)
+        for line, window in zip(lines.values(), ranges, strict=True)
+    ]
+    for refit, fit_range, own in zip(refits, scene.fit_ranges, scene.specific_covs, strict=True):
+        assert refit.x_range == pytest.approx(fit_range, abs=1e-9)
+        scale = np.sqrt(own.diagonal())
+        assert (np.abs(own - refit.noise_cov) <= 1e-6 * scale[:, None] * scale).all()
+    return refits
+
+
+def seen_by(refits: list[Refit], poses: Any) -> Any:
+    """The (N, L, 4) lines of refits from poses."""
+    return np.stack([refit(poses) for refit in refits], axis=1)
 
 
 @pytest.mark.parametrize("transform", [None, Linear(), SigmaPoints(), Quadrature()], ids=repr)
@@ -181,11 +190,8 @@ def test_wrong_arguments_are_refused() -> None:
 def test_own_covariances_are_the_difference_of_what_the_pose_does(error: Any) -> None:
     """The joint covariance without them is that of a scene without misfit and map error."""
     lines, ego, scene = drawn_scene("s-bend", "production", 2, map_error=error)
-    refit = refit_of(lines, ego, scene, error)
-    assert scene.specific_covs is not None
-    assert refit.noise_cov is not None
-    assert np.array_equal(scene.specific_covs, refit.noise_cov)
-    values = SigmaPoints().moments(lambda poses: refit(poses).reshape(len(poses), -1), ego)
+    refits = refits_of(lines, ego, scene, error)
+    values = SigmaPoints().moments(lambda at: seen_by(refits, at).reshape(len(at), -1), ego)
     blocks = [np.s_[4 * i : 4 * i + 4, 4 * i : 4 * i + 4] for i in range(len(lines))]
     for block, own in zip(blocks, scene.specific_covs, strict=True):
         scale = np.sqrt(scene.cov[block].diagonal())

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from maplines_can import Gaussian, MapError, Polyline, Refit, Slot, map_lines
-from maplines_can.propagation.cubic_fit import MIN_SIGMA, second_difference_variance
+from maplines_can.consumers.path import MIN_SIGMA
 from maplines_can.simulation.street_shapes import Street, StreetPiece
 from maplines_can.values.line import lateral, lateral_jacobian
 
@@ -119,18 +119,6 @@ def test_errors_that_are_stated_and_not_there_change_little() -> None:
         refit = Refit(line, ORIGIN, map_error=error)
         for spacing in (5.0, 10.0, 20.0):
             assert np.mean(np.abs(second_differences(line, refit, spacing)) > 3) <= 0.04
-
-
-def test_errors_of_interpolated_points_have_the_second_differences_of_draws() -> None:
-    """At places between points, two of them between the same points, and on points."""
-    position = np.array([[0.3, 1.0, 2.0], [0.6, 3.5, 2.25], [0.9, 6.0, 2.5]])
-    rng = np.random.default_rng(1)
-    points = rng.standard_normal((8, 100_000))
-    below = np.floor(position).astype(int)
-    share = (position - below)[..., None]
-    y = (1 - share) * points[below] + share * points[below + 1]
-    expected = (y[0] - 2 * y[1] + y[2]).var(axis=-1)
-    assert second_difference_variance(position) == pytest.approx(expected, rel=0.03, abs=1e-12)
 
 
 def test_the_fit_of_the_paper_has_no_such_covariance() -> None:

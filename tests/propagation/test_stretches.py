@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can.propagation.stretches import points_in_window, stretches
-from maplines_can.values.line import LeftOut
+from maplines_can import IllPosedError, LeftOut, Refit
+from maplines_can.propagation.paths import points_in_window, stretches
 from maplines_can.values.polyline import INDEXED, Polyline, to_ego
 
 STRAIGHT = Polyline([[x, 0.0] for x in range(101)])
@@ -56,11 +56,12 @@ def test_two_points_are_a_line() -> None:
     ],
 )
 def test_a_line_that_is_not_seen_gives_an_empty_window(points: Any, reason: Any) -> None:
-    """No error is raised: the caller decides; the reason is that of ``stretches``."""
+    """No error is raised: the caller decides; the reason is that of ``Refit``."""
     line = Polyline(points)
 
     assert points_in_window(line, [0.0, 0.0, 0.0], (-20, 80)).shape == (0, 2)
-    assert stretches([line], [0.0, 0.0, 0.0], (-20, 80)).left_out == {0: reason}
+    with pytest.raises(IllPosedError, match=reason):
+        Refit(line, [0.0, 0.0, 0.0], (-20, 80))
 
 
 @pytest.mark.parametrize(
@@ -117,14 +118,14 @@ def test_points_of_several_lines_are_selected_independently(count: int) -> None:
     pose, window = [20.0, 1.0, 0.1], (-10.0, 60.0)
     together = stretches(lines, pose, window)
 
-    assert together.left_out == {2: LeftOut.ACROSS}
-    assert together.given.tolist() == [0, 1, 3, 4]
-    for row, i in enumerate(together.given):
-        alone = stretches([lines[i]], pose, window)
-        at = np.linspace(alone.x_range[0, 0], alone.x_range[0, 1], 50)
-        assert np.allclose(together.x_range[row], alone.x_range[0], rtol=0, atol=1e-9)
-        at_all = np.linspace(together.x_range[:, 0], together.x_range[:, 1], 50).T
-        assert np.allclose(together.lateral(at_all)[row], alone.lateral(at[None])[0], atol=1e-9)
+    assert [stretch.line for stretch in together] == [0, 1, 3, 4]
+    for stretch in together:
+        (alone,) = stretches([lines[stretch.line]], pose, window)
+        assert stretch.x_range == pytest.approx(alone.x_range, abs=1e-9)
+        x = np.linspace(*alone.x_range, 50)
+        assert stretch.lateral(x) == pytest.approx(alone.lateral(x), abs=1e-9)
+        if stretch.points.shape[1] > 50:
+            assert alone.lateral(x) == pytest.approx(np.interp(x, *alone.points), abs=1e-9)
 
 
 @pytest.mark.parametrize("spacing", [0.5, 45.0])
