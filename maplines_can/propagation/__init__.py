@@ -7,13 +7,13 @@ from .linear import Linear
 from .monte_carlo import MonteCarlo, Samples
 from .motion import Motion
 from .nonlinearity import Nonlinearity, nonlinearity
+from .paths import points_in_window
 from .prediction import pose_time_ns, predict, predict_to
 from .quadrature import Quadrature
 from .refit import Refit
 from .scene_mixture import scene_mixture
 from .sigma_points import SigmaPoints
 from .splitting import Mixture
-from .paths import points_in_window
 from .transform import Moments, Transform
 
 __all__ = [

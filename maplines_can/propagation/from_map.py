@@ -183,6 +183,7 @@ class Query(NamedTuple):
         max_misfit: float,
         max_sigma: float,
     ) -> Query:
+        """Check the arguments of ``map_lines``, of any mapping."""
         if not isinstance(lines, Mapping):
             raise TypeError(
                 "lines must be a mapping from slots to polylines, such as "
@@ -368,9 +369,7 @@ class _Function:
         return self._refits.extended(poses)[:, self._lines]
 
 
-def _lines_by(
-    query: Query, counts: Mapping[Slot, int], transform: Transform | None
-) -> MapLineList:
+def _lines_by(query: Query, counts: Mapping[Slot, int], transform: Transform | None) -> MapLineList:
     """Return the lines of ``map_lines`` by any transform, and as mixtures."""
     fitted = query.fitted_lines()
     left_out = fitted.left_out

@@ -166,8 +166,7 @@ def stretches(
     ends = np.cumsum([0, *count[0 : len(given)]]).tolist()
     rows = zip(given, x_ranges.tolist(), pairwise(ends), strict=False)
     return [
-        Stretch(line, (low, high), points[:, begin:end])
-        for line, (low, high), (begin, end) in rows
+        Stretch(line, (low, high), points[:, begin:end]) for line, (low, high), (begin, end) in rows
     ]
 
 

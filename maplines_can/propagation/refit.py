@@ -198,7 +198,9 @@ class Refits:
     def __call__(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (N, L, 4) lines for (N, 3) poses; NaN where they are no functions of x."""
         values, given = np.empty((len(poses), self.count, 4)), np.ascontiguousarray(poses)
-        lib.maplines_refit_values(pointer(self._memory), len(poses), pointer(given), pointer(values))
+        lib.maplines_refit_values(
+            pointer(self._memory), len(poses), pointer(given), pointer(values)
+        )
         return values
 
     def extended(

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..propagation import MapError, Refit, SigmaPoints
-from ..propagation.refit import MAX_MISFIT
 from ..propagation.paths import MAX_TURN
+from ..propagation.refit import MAX_MISFIT
 from ..values.errors import IllPosedError
 from ..values.gaussian import Gaussian
 from ..values.polyline import Polyline

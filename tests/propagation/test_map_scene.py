@@ -82,8 +82,8 @@ def refits_of(lines: Any, ego: Gaussian, scene: Any, error: MapError | None) -> 
     ]
     for refit, fit_range, own in zip(refits, scene.fit_ranges, scene.specific_covs, strict=True):
         assert refit.x_range == pytest.approx(fit_range, abs=1e-9)
-        scale = np.sqrt(own.diagonal())
-        assert (np.abs(own - refit.noise_cov) <= 1e-6 * scale[:, None] * scale).all()
+        scale = np.sqrt(own.diagonal())  # long lines are sampled, in another window at other points
+        assert (np.abs(own - refit.noise_cov) <= 5e-3 * scale[:, None] * scale).all()
     return refits
 
 
