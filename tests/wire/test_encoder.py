@@ -50,11 +50,11 @@ def lines_of(layout: Layout, n: int, seed: int) -> Iterator[MapLine]:
         yield MapLine(
             Slot(rng.choice([*layout.messages])),
             Gaussian(means[i] * rng.choice([1, 1, 10]), covs[i] * rng.choice([1, 1, 0, 1e9])),
-            Kind(rng.integers(8)),
+            Kind(int(rng.integers(8))),
             x_min,
             x_min + rng.choice([0, rng.uniform(0, 150)]),
             rng.choice([0.02, np.inf]),
-            Status(rng.integers(6)),
+            Status(int(rng.integers(6))),
         )
 
 
