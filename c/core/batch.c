@@ -5,6 +5,36 @@
 #define BLOCK 128 // records that are decoded together: their raw values stay in the cache
 #define PAGES MAPLINES_MAX_PAGES
 
+void maplines_pack(size_t count, const maplines_signal_t *signals, size_t n, size_t length,
+                   const int64_t *raw, uint8_t *records)
+{
+    for (size_t i = 0; i < count; i++)
+    {
+        for (size_t row = 0; row < n; row++)
+        {
+            maplines_put(&signals[i], records + length * row, raw[n * i + row]);
+        }
+    }
+}
+
+void maplines_unpack(size_t count, const maplines_signal_t *signals, size_t n, size_t length,
+                     const uint8_t *records, int64_t *raw)
+{
+    for (size_t i = 0; i < count; i++)
+    {
+        for (size_t row = 0; row < n; row++)
+        {
+            raw[n * i + row] = maplines_get(&signals[i], records + length * row);
+        }
+    }
+}
+
+void maplines_seal_record(const maplines_dbc_t *dbc, int owner, size_t length, uint32_t counter,
+                          uint8_t *record)
+{
+    maplines_seal(dbc, owner, record, length, counter);
+}
+
 void maplines_powers_of_two(size_t n, const double *exponents, double *powers)
 {
     for (size_t i = 0; i < n; i++)
@@ -275,8 +305,8 @@ static void check_block(const maplines_dbc_t *dbc, const block_t *block, const u
     }
 }
 
-/// Powers of 2 of a signal, times a share: from its table, or computed if there is none, or if a raw
-/// value is beyond the range of the DBC.
+/// Powers of 2 of a signal, times a share: from its table, or computed if there is none, or if a
+/// raw value is beyond the range of the DBC.
 static void get_powers(const block_t *block, const maplines_signal_t *signal, const double *powers,
                        double share, double *values)
 {

@@ -38,6 +38,16 @@ void maplines_straight_levels(const maplines_dbc_t *dbc, float *straight);
 /* ---- batch.c: complete records, and back ------------------------------------------------------
  */
 
+/// Put raw values (count, n) of signals into n records of `length` bytes, which are zero there.
+void maplines_pack(size_t count, const maplines_signal_t *signals, size_t n, size_t length,
+                   const int64_t *raw, uint8_t *records);
+/// Get raw values (count, n) of signals from n records of `length` bytes.
+void maplines_unpack(size_t count, const maplines_signal_t *signals, size_t n, size_t length,
+                     const uint8_t *records, int64_t *raw);
+/// Add page numbers, transfer IDs, counter and checksum to a record that is zero there.
+void maplines_seal_record(const maplines_dbc_t *dbc, int owner, size_t length, uint32_t counter,
+                          uint8_t *record);
+
 /* Values beside mean and covariance are rows of two arrays:
  *
  *   integers (5, n)  counter, kind, status, component index and count

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..wire.layout.message_layout import Layout
-from ..wire.layout.signals import Signal
-from ..wire.tables import Members, Value, content_of, limits_of, signal_values
+from ..wire.layout.signal import Signal, signal_values
+from ..wire.tables import Members, Value, content_of, limits_of
 
 
 class Tables(NamedTuple):

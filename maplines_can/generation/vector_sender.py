@@ -8,17 +8,26 @@ from __future__ import annotations
 import random
 from collections.abc import Mapping, Sequence
 
+from ..core import ffi, lib
 from ..values.elementary import log2
 from ..values.errors import LayoutError
 from ..values.line import MapLine, Slot
 from ..wire.layout.message_layout import Layout
+from ..wire.layout.packing import Packing
 from ..wire.layout.pose_layout import POSE, Owner, PoseLayout
-from ..wire.layout.signals import PAGE, PARAMETER_SIGNALS, TRANSFER_ID, Signal, slot_title
+from ..wire.layout.signals import (
+    PAGE,
+    PAGE_BYTES,
+    PARAMETER_SIGNALS,
+    TRANSFER_ID,
+    Signal,
+    slot_title,
+)
 from ..wire.protection.key import Key
 from ..wire.protection.secoc import Authenticator
 from ..wire.reasons import Reason
 from ..wire.records.frames import Frame, FrameWriter
-from ..wire.records.packer import RecordPacker
+from ..wire.tables import number_of, tables_of
 from .vectors import Case, VectorKey
 
 #: Key of the cases, which is that of RFC 4493.
@@ -45,9 +54,7 @@ class VectorSender:
     def __init__(self, layout: Layout) -> None:
         self.layout = layout
         self.slots = list(layout.messages)
-        self._packers: dict[bool, RecordPacker] = {False: RecordPacker(layout)}
-        if layout.pose is not None:
-            self._packers[True] = RecordPacker(layout.pose)
+        self._tables = tables_of(layout)
         self._writer = FrameWriter(layout, None)
 
     def key_of(self, owner: Owner | None = None) -> VectorKey | None:
@@ -77,9 +84,16 @@ class VectorSender:
         """Return a record, whose other raw values are ordinary ones."""
         layout = self.of(owner)
         values = {**self.ordinary(owner), **(raw or {})}
-        values["Counter"] = counter % 2 ** layout["Counter"].length
-        data_id = self.layout.messages_of[owner].data_id
-        return self._packers[owner == POSE].pack_one(values, data_id)
+        length = PAGE_BYTES * (
+            layout.pages if values.get("HasCovariance", 1) else layout.short_pages
+        )
+        signals = [layout[name] for name in values if layout[name].start < 8 * length]
+        record = bytearray(Packing(signals, length).pack_one(values))
+        number = counter % 2 ** layout["Counter"].length
+        lib.maplines_seal_record(
+            self._tables, number_of(owner), length, number, ffi.from_buffer("uint8_t[]", record)
+        )
+        return bytes(record)
 
     def random_raw(
         self, owner: Owner, rng: random.Random, *, is_ordinary: bool = False

@@ -20,6 +20,7 @@ from .covariance import CholeskyCode
 from .layout.message_layout import PAGE, POSE_CONDITIONAL, TRANSFER_ID, Layout
 from .layout.pose_layout import OWNERS, POSE, Owner, PoseLayout
 from .layout.record_layout import RecordLayout, bits_of
+from .layout.signal import signal_values
 from .layout.signals import (
     FINE,
     FINE_SIGNALS,
@@ -357,20 +358,3 @@ def _in_page(signal: Signal) -> Signal:
 
 def _indexed(values: Iterable[Value]) -> Members:
     return dict(enumerate(values))
-
-
-def signal_values(signal: Signal) -> tuple[float, float, int, int, int, int, bool, bool]:
-    """Return the members of ``maplines_signal_t``, in order."""
-    first = signal.start
-    if signal.big_endian:
-        first = first // 8 * 8 + 7 - first % 8
-    return (
-        signal.factor,
-        signal.offset,
-        signal.raw_min,
-        signal.raw_max,
-        first,
-        signal.length,
-        signal.big_endian,
-        signal.signed,
-    )

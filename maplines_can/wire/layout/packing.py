@@ -1,4 +1,4 @@
-"""Packing of raw values into bytes and back, for any layout that a DBC can describe."""
+"""Raw values of signals as the bits of records, and back."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .signals import Signal
-
-#: Records processed at a time, so that one signal of a block stays in the first-level cache.
-BLOCK = 4096
+from ...core import ffi, lib
+from ...core.memory import pointer, shaped
+from .signal import Signal, first_bit, signal_values
+from .signals import PAGE_BYTES
 
 
 class Piece(NamedTuple):
@@ -24,97 +24,54 @@ class Piece(NamedTuple):
 
 
 class Packing:
-    """Signals of a record as shifts and masks of 64-bit words."""
+    """Raw values of signals as the bits of records, and back.
+
+    Args:
+        signals: of the records.
+        record_bytes: length of a record: whole pages.
+
+    Raises:
+        ValueError: the length is another one, or a signal is not within a record.
+    """
 
     def __init__(self, signals: Sequence[Signal], record_bytes: int) -> None:
-        self.signals = tuple(signals)
-        self.record_bytes = record_bytes
-        self._words = -(-record_bytes // 8)
-        self._pieces = [list(pieces_of(signal)) for signal in signals]
-        self._orders = sorted({signal.big_endian for signal in signals})
-        self._shifts = [
-            (s.name, s.big_endian, _shift(s, record_bytes), 2**s.length, s.signed) for s in signals
-        ]
+        if record_bytes % PAGE_BYTES:
+            raise ValueError(f"record_bytes must be those of whole pages, got {record_bytes}")
+        for signal in signals:
+            if signal.length > 64 or first_bit(signal) + signal.length > 8 * record_bytes:
+                raise ValueError(f"signal {signal.name} is not within {record_bytes} bytes")
+        self._names, self._bytes = [signal.name for signal in signals], record_bytes
+        self._signals = ffi.new("maplines_signal_t[]", [*map(signal_values, signals)])
 
     def pack(self, raw: Mapping[str, NDArray[np.int64]], n: int) -> NDArray[np.uint8]:
         """Return (n, record_bytes) records of (n,) raw values by name; one without values is 0.
 
         Of each value only the signal's low bits are written.
         """
-        out = np.zeros((n, 8 * self._words), dtype=np.uint8)
-        for start in range(0, n, BLOCK):
-            block = out[start : start + BLOCK]
-            for big_endian in self._orders:
-                words = np.zeros((self._words, len(block)), dtype=np.uint64)
-                for signal, pieces in zip(self.signals, self._pieces, strict=True):
-                    if signal.big_endian != big_endian or signal.name not in raw:
-                        continue
-                    value = raw[signal.name][start : start + BLOCK].view(np.uint64)
-                    for word, shift, bits, signal_shift in pieces:
-                        piece = value >> np.uint64(signal_shift) if signal_shift else value.copy()
-                        piece &= np.uint64(2**bits - 1)
-                        piece <<= np.uint64(shift)
-                        words[word] |= piece
-                block.view(">u8" if big_endian else "<u8")[...] |= words.T
-        return out[:, : self.record_bytes]
+        values = np.zeros((len(self._names), n), dtype=np.int64)
+        for row, name in zip(values, self._names, strict=True):
+            row[:] = raw.get(name, 0)
+        records = np.zeros((n, self._bytes), dtype=np.uint8)
+        given = len(self._names), self._signals, n, self._bytes
+        lib.maplines_pack(*given, pointer(values), pointer(records))
+        return records
 
-    def unpack(self, payloads: NDArray[np.uint8]) -> dict[str, NDArray[np.int64]]:
-        """Return the (N,) raw values of each signal, by name, of (N, record_bytes) records."""
-        n = len(payloads)
-        out = {signal.name: np.empty(n, dtype=np.int64) for signal in self.signals}
-        for start in range(0, n, BLOCK):
-            rows = slice(start, start + BLOCK)
-            block = np.ascontiguousarray(payloads[rows])
-            if self.record_bytes % 8:
-                block = np.pad(block, ((0, 0), (0, -self.record_bytes % 8)))
-            words = {
-                order: np.ascontiguousarray(block.view(">u8" if order else "<u8").T, np.uint64)
-                for order in self._orders
-            }
-            for signal, pieces in zip(self.signals, self._pieces, strict=True):
-                word, shift, bits, signal_shift = pieces[0]
-                # Shifted to the top of the word and down again, which extends the sign.
-                raw = words[signal.big_endian][word] << np.uint64(64 - bits - shift)
-                if signal.signed and signal_shift + bits == signal.length:
-                    raw = raw.view(np.int64)
-                raw >>= raw.dtype.type(64 - bits)
-                raw = raw.view(np.int64)
-                if signal_shift:
-                    raw <<= signal_shift
-                for word, shift, bits, signal_shift in pieces[1:]:
-                    low = words[signal.big_endian][word] >> np.uint64(shift)
-                    low &= np.uint64(2**bits - 1)
-                    raw |= low.view(np.int64) << signal_shift
-                out[signal.name][rows] = raw
-        return out
+    def unpack(self, records: NDArray[np.uint8]) -> dict[str, NDArray[np.int64]]:
+        """Return the (n,) raw values of each signal, by name, of (n, record_bytes) records."""
+        n = len(records)
+        values = np.empty((len(self._names), n), dtype=np.int64)
+        given = len(self._names), self._signals, n, self._bytes
+        lib.maplines_unpack(*given, shaped(records, (n, self._bytes)), pointer(values))
+        return dict(zip(self._names, values, strict=True))
 
     def pack_one(self, raw: Mapping[str, int]) -> bytes:
-        """Return one record: as ``pack``, without the cost of arrays."""
-        words = [0, 0]
-        for name, big_endian, shift, span, _ in self._shifts:
-            words[big_endian] |= (raw.get(name, 0) & span - 1) << shift
-        little = words[0].to_bytes(self.record_bytes, "little")
-        if not words[1]:
-            return little
-        big = words[1].to_bytes(self.record_bytes, "big")
-        return bytes(a | b for a, b in zip(little, big, strict=True))
+        """Return one record: see ``pack``."""
+        return self.pack({name: np.array([value]) for name, value in raw.items()}, 1).tobytes()
 
-    def unpack_one(self, payload: bytes) -> dict[str, int]:
-        """Return the raw values of one record: as ``unpack``, without the cost of arrays."""
-        words = int.from_bytes(payload, "little"), int.from_bytes(payload, "big")
-        out = {}
-        for name, big_endian, shift, span, signed in self._shifts:
-            raw = words[big_endian] >> shift & span - 1
-            out[name] = raw - span if signed and 2 * raw >= span else raw
-        return out
-
-
-def _shift(signal: Signal, record_bytes: int) -> int:
-    """Return the bits below a signal in the record, read as one integer of its byte order."""
-    if not signal.big_endian:
-        return signal.start
-    first = signal.start // 8 * 8 + 7 - signal.start % 8
-    return 8 * record_bytes - first - signal.length
+    def unpack_one(self, record: bytes) -> dict[str, int]:
+        """Return the raw values of one record: see ``unpack``."""
+        raw = self.unpack(np.frombuffer(record, np.uint8)[None])
+        return {name: values.item() for name, values in raw.items()}
 
 
 def pieces_of(signal: Signal) -> Iterator[Piece]:

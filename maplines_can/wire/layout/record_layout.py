@@ -11,7 +11,7 @@ from typing import ClassVar
 
 from ...values.errors import LayoutError
 from ...values.line import Slot
-from .packing import pieces_of
+from .signal import first_bit
 from .signals import (
     EXACT_BITS,
     FINE,
@@ -138,12 +138,9 @@ def pages_of(names: Iterable[str]) -> list[int]:
 
 def bits_of(signal: Signal) -> set[int]:
     """Return the bits of a signal in the record, numbered from the first byte's lowest bit."""
-    bits = set()
-    for word, shift, n, _ in pieces_of(signal):
-        for bit in range(shift, shift + n):
-            byte, place = divmod(bit, 8)
-            bits.add(64 * word + 8 * (7 - byte if signal.big_endian else byte) + place)
-    return bits
+    first = first_bit(signal)
+    bits = range(first, first + signal.length)
+    return {i // 8 * 8 + 7 - i % 8 for i in bits} if signal.big_endian else {*bits}
 
 
 def _of_pages(signals: Signals, name: str) -> list[Signal]:

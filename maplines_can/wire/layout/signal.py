@@ -225,3 +225,23 @@ def all_raw(length: int, signed: bool) -> tuple[int, int]:
     """Return the least and the greatest integer of a number of bits."""
     least = -(2 ** (length - 1)) if signed else 0
     return least, least + 2**length - 1
+
+
+def first_bit(signal: Signal) -> int:
+    """Return the first bit of a signal, counted from the lowest of each byte; Motorola: highest."""
+    start = signal.start
+    return start // 8 * 8 + 7 - start % 8 if signal.big_endian else start
+
+
+def signal_values(signal: Signal) -> tuple[float, float, int, int, int, int, bool, bool]:
+    """Return the members of ``maplines_signal_t``, in order, such as for the core."""
+    return (
+        signal.factor,
+        signal.offset,
+        signal.raw_min,
+        signal.raw_max,
+        first_bit(signal),
+        signal.length,
+        signal.big_endian,
+        signal.signed,
+    )

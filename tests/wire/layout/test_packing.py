@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import cantools
 import numpy as np
 import pytest
 from cantools.database.can import Message
@@ -14,7 +13,7 @@ from hypothesis import strategies as st
 from maplines_can.wire.layout.packing import Packing
 from maplines_can.wire.layout.signals import Signal
 
-LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
+LENGTHS = (8, 16, 24, 32, 48, 64)
 
 
 @st.composite
@@ -59,7 +58,7 @@ def message_of(length: Any, signals: Any) -> Any:
     return Message(1, "M", length, signals, is_fd=length > 8)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(layouts(), st.integers(0, 2**32))
 def test_any_layout_agrees_with_cantools(layout: Any, seed: int) -> None:
     """Random bytes give the same raw values, and raw values the same bytes."""
@@ -75,17 +74,6 @@ def test_any_layout_agrees_with_cantools(layout: Any, seed: int) -> None:
         assert packing.unpack_one(payload.tobytes()) == expected
         assert packed[i].tobytes() == message.encode(expected)
         assert packing.pack_one(expected) == packed[i].tobytes()
-
-
-def test_blocks_do_not_matter() -> None:
-    """With more records than a block, each is packed and unpacked as if it were alone."""
-    signal = Signal("A", 5, 13, False, True, 0.5, 1.0, "", -4096, 4095)
-    packing = Packing([signal], 8)
-    raw = np.random.default_rng(0).integers(-4096, 4096, 10_000)
-    payloads = packing.pack({"A": raw}, len(raw))
-    assert (packing.unpack(payloads)["A"] == raw).all()
-    assert (signal.physical(packing.unpack(payloads)["A"]) == raw * 0.5 + 1.0).all()
-    assert packing.pack({"A": raw[9_999:]}, 1).tobytes() == payloads[9_999].tobytes()
 
 
 @pytest.mark.parametrize("n", [0, 1])
@@ -107,6 +95,11 @@ def test_too_large_values_do_not_change_other_signals() -> None:
     assert packing.pack_one({"A": 0x1F, "B": 2}) == payload[0].tobytes()
 
 
-def test_the_version_of_cantools_is_supported() -> None:
-    """The rounding and bit order are those of this version and later ones."""
-    assert int(cantools.__version__.split(".")[0]) >= 45
+@pytest.mark.parametrize(
+    ("start", "big_endian", "length"), [(60, False, 8), (59, True, 5), (0, False, 12)]
+)
+def test_a_signal_beyond_a_record_is_refused(start: int, big_endian: bool, length: int) -> None:
+    """Its bits would be those of the next one."""
+    signal = Signal("A", start, 5, big_endian, False, 1.0, 0.0, "", 0, 31)
+    with pytest.raises(ValueError, match="record_bytes must|signal A is not within 8 bytes"):
+        Packing([signal], length)
