@@ -34,13 +34,14 @@ import tempfile
 import threading
 import time
 from collections import Counter, defaultdict
+from collections.abc import Sequence
 from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
 
 from build_core import FOLDERS, LIBRARY, LIMITS, OPTIONS, compiler
 from c_mutants import Mutant, mutants
-from c_mutation_streams import record, replay
+from c_mutation_streams import DIFFERS, record, replay
 from mutation import LEFT_OUT, PRELOAD, ROOT, Outcome, reasons, run_task, summary
 from mutation_worker import run_files
 from reporting import bar, parser_of, report
@@ -72,6 +73,9 @@ def main() -> int:
         folder = Path(name)
         core = Core(folder / "core", arguments.recordings or folder / "recordings")
         if not core.recordings and not core.record(arguments.frames):
+            return 1
+        if core.replay(core.tree, core.recordings, folder / "said") != 0:
+            print("c_mutation.py: the core that is not changed differs", file=sys.stderr)
             return 1
         recorded = time.monotonic()
         wanted = [file for file in core.files if any(fnmatch(file, p) for p in arguments.files)]
@@ -164,6 +168,10 @@ class Core:
         """Record the streams; return whether core and model agree."""
         return run_task(self.context, partial(record, self.tree, self._recordings, frames)) == 0
 
+    def replay(self, tree: Path, files: Sequence[Path], said: Path) -> int | None:
+        """Replay recordings in a tree; return the exit status, None if it does not end."""
+        return run_task(self.context, partial(replay, tree, files, FIRST, said), STREAM_LIMIT)
+
     @property
     def recordings(self) -> list[Path]:
         """Files of the recordings."""
@@ -232,9 +240,7 @@ class Run:
         said.write_text("")
         total = sum(self._kills.values(), Counter[str]())
         files = sorted(self._core.recordings, key=lambda p: (-kills[p.name], -total[p.name], p))
-        status = run_task(
-            self._core.context, partial(replay, tree, files, FIRST, said), STREAM_LIMIT
-        )
+        status = self._core.replay(tree, files, said)
         if status != 0:
             kills[said.read_text()] += 1
             return self._killed("streams", status)
@@ -242,10 +248,13 @@ class Run:
             return "survived"
         tests = next(tests for pattern, tests in TESTS.items() if fnmatch(file, pattern))
         status = run_task(self._core.context, partial(run_files, tree, tests), TEST_LIMIT)
-        return self._killed(" ".join(tests), status) if status != 0 else "survived"
+        if status == 0:
+            return "survived"
+        return self._killed(" ".join(tests), DIFFERS if status == 1 else status)
 
     def _killed(self, by: str, status: int | None) -> str:
-        how = "time limit" if status is None else "crash" if status < 0 else "other answers"
+        ends = {None: "time limit", DIFFERS: "other answers"}
+        how = ends.get(status, "crash" if status is not None and status < 0 else "error")
         self.killed_by[f"{by}, {how}"] += 1
         return "timeout" if status is None else "killed"
 

@@ -18,6 +18,9 @@ from typing import Any, NamedTuple
 #: Seeds of the random DBCs; those from 1000 on are at the limits of the core.
 RANDOM_DBCS = (3, 5, 1001)
 SEED = 1
+MAP_STREAMS = 6
+#: Exit status of a mutant with another answer; any other than 0 is an error of the process.
+DIFFERS = 3
 
 
 class _Receiver(NamedTuple):
@@ -46,11 +49,20 @@ class _Sender(NamedTuple):
         return lambda given: STREAMS[self.stream].core(codec, given)
 
 
+class _Maps:
+    """Makes what answers the queries of a stream of maps by the core."""
+
+    def __call__(self) -> Callable[[Any], Any]:
+        from maplines_can.testing.map_streams import core_answer
+
+        return core_answer
+
+
 class Recording(NamedTuple):
     """Steps of a stream, and a digest of the answers to each."""
 
     name: str
-    make: _Receiver | _Sender  #: makes what answers a step
+    make: _Receiver | _Sender | _Maps  #: makes what answers a step
     steps: list[Any]
     digests: list[bytes]
 
@@ -91,9 +103,14 @@ def _recordings(frames: int) -> Iterator[tuple[Recording, list[bytes]]]:
 
     from maplines_can.testing.back_to_back import START_US, ModelSide, Pair, profiles_of
     from maplines_can.testing.hostile_streams import Stream, traffics_of
+    from maplines_can.testing.map_streams import model_answer, queries
     from maplines_can.testing.sender_streams import STREAMS, streams_of
     from maplines_can.wire import SHIPPED, Layout, default_dbc_path
 
+    for seed in range(MAP_STREAMS):
+        steps: list[Any] = [*islice(queries(SEED + seed), frames // 20)]
+        answers = [digest(model_answer(query)) for query in steps]
+        yield Recording(f"maps, {seed}", _Maps(), steps, []), answers
     shipped = [default_dbc_path(name) for name in SHIPPED]
     paths = [*shipped]
     for seed in RANDOM_DBCS:
@@ -125,7 +142,7 @@ def _recordings(frames: int) -> Iterator[tuple[Recording, list[bytes]]]:
 
 
 def replay(tree: Path, files: Sequence[Path], first: int, said: Path) -> None:
-    """Take the steps of recordings; end the process with status 1 at the first other answer.
+    """Take the steps of recordings; end the process with ``DIFFERS`` at the first other answer.
 
     Args:
         tree: has the package, with the core that is tested.
@@ -144,7 +161,7 @@ def replay(tree: Path, files: Sequence[Path], first: int, said: Path) -> None:
                 zip(recording.steps, recording.digests, strict=True), steps
             ):
                 if digest(answers(step)) != expected:
-                    os._exit(1)
+                    os._exit(DIFFERS)
     os._exit(0)
 
 
