@@ -17,19 +17,18 @@ from ..values.linalg import nearest_covariance
 from ..values.line import VAGUE_SIGMA, Kind, MapLine, Status
 from ..wire import CODES as CORE_CODES
 from ..wire import Batch, Codec, Decoder, E2EConfig, Encoder, Layout, Owner, Reason
-from ..wire.covariance.nearest_line import slope_error
 from ..wire.layout.pose_layout import slot_of
 from ..wire.layout.signals import PARAMETER_SIGNALS, SignalRow
 from ..wire.layout.validation import CheckedGaussians, checked_gaussians
 from ..wire.reception.python_decoder import PythonDecoder
 from ..wire.reception.settings import decoder_settings
-from ..wire.records.components import deficit, quantized_weights
 from ..wire.records.counters import packed, unpacked
 from ..wire.records.frames import FrameWriter, Records
 from ..wire.records.packer import RecordPacker
 from ..wire.records.record import CompleteRecord, RecordReader
 from ..wire.scene_writer import SceneWriter
-from .codes import CODES
+from .codes import CODES, COMPARED
+from .components import deficit, quantized_weights, slope_error
 
 Array = NDArray[np.float64]
 
@@ -81,13 +80,13 @@ class ComparisonCodec:
     authenticator = None
 
     def __init__(self, layout: Layout) -> None:
-        if layout.covariance_code not in CODES:
+        if layout.covariance_code not in COMPARED:
             raise LayoutError(
                 f"{layout.source}: the covariance code {layout.covariance_code!r} is not known; "
                 f"there are {', '.join(CODES)}"
             )
         self.layout = replace(layout, pose=None)
-        self.covariance = CODES[layout.covariance_code](layout)
+        self.covariance = COMPARED[layout.covariance_code](layout)
         #: Signals of the mean.
         self.mean = SignalRow(layout[name] for name in PARAMETER_SIGNALS)
 

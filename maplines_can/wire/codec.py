@@ -22,7 +22,6 @@ from .reception.decoder import Decoder
 from .reception.native_decoder import NativeDecoder
 from .reception.settings import decoder_settings
 from .records.complete_format import CompleteFormat
-from .records.complete_writer import CompleteWriter
 from .records.frames import FrameWriter
 from .records.raw_format import RawFormat
 from .records.record import CompleteRecord, RawRecord, RecordFormat, RecordReader
@@ -115,9 +114,6 @@ class Codec:
         #: Code of the covariance.
         self.covariance = CholeskyCode(layout)
         self._tables = LineTables.of(layout, self.covariance)
-        self._complete: CompleteWriter | None = None
-        if not layout.is_conditional:
-            self._complete = CompleteWriter(layout, CompleteFormat(layout, self.covariance))
         #: Reader of the records of each slot and of the pose error.
         self.reader: RecordReader[CompleteRecord | RawRecord] = RecordReader(*self._formats())
         self._frame_writer = FrameWriter(layout, authenticator)
@@ -195,7 +191,10 @@ class Codec:
         )
 
     def _formats(self) -> Iterator[RecordFormat[CompleteRecord | RawRecord]]:
-        yield RawFormat.of_lines(self.layout) if self._complete is None else self._complete.format
+        if self.layout.is_conditional:
+            yield RawFormat.of_lines(self.layout)
+        else:
+            yield CompleteFormat(self.layout, self.covariance)
         if self.layout.pose is not None:
             yield RawFormat.of_pose(self.layout.pose)
 

@@ -4,15 +4,33 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...values.line import Status
-from ...wire.covariance.code import Array, Coded
 from ...wire.layout.message_layout import Layout
-from ...wire.layout.signals import Bounds, Signal
+from ...wire.layout.signals import OCTAVES, Bounds, Signal
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Coded:
+    """Covariances as raw values.
+
+    Args:
+        raw: (N,) values by signal.
+        saturated: (N,) whether a value is at the end of its range.
+        covered: (N,) for a covering code, whether the decoded covariance covers the target; for
+            another code, whether no value was clipped. If False, the line must not be used.
+    """
+
+    raw: dict[str, NDArray[np.int64]]
+    saturated: NDArray[np.bool_]
+    covered: NDArray[np.bool_]
 
 
 class CovarianceCode(ABC):
@@ -65,6 +83,16 @@ def check_linear(layout: Layout, signals: Iterable[Signal]) -> None:
     """Raise ``LayoutError`` unless the signals are within ``ENTRY``."""
     for signal in signals:
         ENTRY.check(signal, layout.source)
+
+
+def check_octaves(layout: Layout, signals: Iterable[Signal]) -> None:
+    """Check that no bits of these signals, which hold exponents of 2, can overflow a float.
+
+    Raises:
+        LayoutError: a signal is not within ``OCTAVES``.
+    """
+    for signal in signals:
+        OCTAVES.check(signal, layout.source)
 
 
 def nearest_raw(signal: Signal, physical: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

@@ -13,9 +13,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ...wire.covariance.code import Array, Coded, check_octaves
 from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
-from .code import CovarianceCode, check_linear
+from .code import Array, Coded, CovarianceCode, check_linear, check_octaves
 
 #: States in the order of the factor, and the unit of each.
 ORDER = (2, 1, 0, 3)

@@ -7,14 +7,15 @@ cover the true one: an error in one entry propagates to all entries that depend 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...wire.covariance.code import Array, Coded
+from ...values.elementary import exp2
 from ...wire.covariance.factor import CholeskyFactor
 from ...wire.layout.message_layout import Layout
-from .code import CovarianceCode, nearest_raw
+from .code import Array, Coded, CovarianceCode, nearest_raw
 
 
 class LogCholesky(CovarianceCode):
@@ -50,7 +51,21 @@ class LogCholesky(CovarianceCode):
         return Coded(raw, cut, ~cut)
 
     def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
-        return self.factor.decode(raw)
+        F: list[list[Array]] = []  # rows, in the order of the DBC
+        cov = np.empty((len(raw[self.signals[0].name]), 4, 4))
+        order = self.factor.order
+        for i, pivot in enumerate(self.factor.pivots):
+            sigma = exp2(pivot.physical(raw[pivot.name]))
+            ratios = (ratio.physical(raw[ratio.name]) for ratio in self.factor.ratios[i])
+            F.append([*(ratio * sigma for ratio in ratios), sigma])
+            for j, row in enumerate(F):
+                value = F[i][0] * row[0]
+                for k in range(1, j + 1):
+                    value = value + F[i][k] * row[k]
+                cov[:, order[i], order[j]] = cov[:, order[j], order[i]] = value
+        return cov
 
     def widest(self) -> dict[str, int]:
-        return self.factor.widest()
+        pivots = {pivot.name: pivot.raw_max for pivot in self.factor.pivots}
+        none = {ratio.name: ratio.nearest_one(0.0).raw for ratio in chain(*self.factor.ratios)}
+        return pivots | none

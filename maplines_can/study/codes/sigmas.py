@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...values.line import VAGUE_SIGMA, Status
-from ...wire.covariance.code import Array, Coded, check_octaves
 from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
 from ...wire.layout.signals import Signal
-from .code import CovarianceCode, check_linear, nearest_raw
+from .code import Array, Coded, CovarianceCode, check_linear, check_octaves, nearest_raw
 
 
 def _rounded_up(

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...values.errors import LayoutError
-from ...wire.covariance.code import Array, Coded
 from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
-from .code import CovarianceCode, check_linear, nearest_raw
+from .code import Array, Coded, CovarianceCode, check_linear, nearest_raw
 
 #: The upper triangle, row by row, as in the paper.
 PAIRS = tuple((i, j) for i in range(4) for j in range(i, 4))

@@ -24,11 +24,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...wire.covariance.cholesky_one import MARGIN
-
 Array = NDArray[np.float64]
 Bits = NDArray[np.signedinteger[Any]]
 
+#: Margin of the inflation of the core: ``INFLATION_MARGIN``.
+MARGIN = 1e-6
 #: Cost of rounding with its inflation over that of rounding alone, in the limit of small steps.
 PIVOT_WEIGHT, RATIO_WEIGHT = 2.0, 2.6
 #: Least and most bits of pivots and ratios that are tried.

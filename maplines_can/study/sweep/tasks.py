@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from ...engines import Result, Task
 from ...values.line import Status
 from ...wire import Codec
-from ...wire.covariance.cholesky import CholeskyCode
 from ...wire.layout.packing import Packing
 from ..comparison import transmit
 from ..metrics import Figure, Score, evaluate, kl_terms
@@ -135,9 +134,9 @@ class _Trial:
         For the default code, over the rows where nothing saturates. The figure "kl" is the sum of
         all terms; the count of a ratio's name is the number of those that are rounded to zero.
         """
+        if not isinstance(self.codec, Codec):
+            raise TypeError(f"only {DEFAULT_CODE} is inflated, not {self.codec.covariance.name}")
         layout, code = self.codec.layout, self.codec.covariance
-        if not isinstance(self.codec, Codec) or not isinstance(code, CholeskyCode):
-            raise TypeError(f"only {CholeskyCode.name} is inflated, not {code.name}")
         rows = self.batch.status == Status.FULL
         payloads = self.codec.batch.encode(*self.given)
         inflation = Packing([layout["Inflation"]], layout.record_bytes).unpack(payloads)

@@ -18,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from ...values.elementary import exp2
 from ...values.errors import LayoutError
 from ..layout.record_layout import RecordLayout
-from ..layout.signals import PARAMETER_SIGNALS, RATIO, Signal, SignalRow
-from .code import Array, check_octaves
+from ..layout.signals import OCTAVES, PARAMETER_SIGNALS, RATIO, Signal, SignalRow
+
+Array = NDArray[np.float64]
 
 #: Rows processed at a time: all arrays of a block stay in the cache.
 BLOCK = 2048
@@ -65,7 +66,8 @@ class CholeskyFactor:
             [layout[f"Ratio{row}{column}"] for column in names[:i]] for i, row in enumerate(names)
         ]
         self.signals: tuple[Signal, ...] = (*self.pivots, *chain(*self.ratios))
-        check_octaves(layout, self.pivots)
+        for pivot in self.pivots:
+            OCTAVES.check(pivot, layout.source)
         for ratio in chain(*self.ratios):
             RATIO.check(ratio, layout.source)
         if (condition := self._largest_condition()) > MAX_CONDITION:

@@ -41,9 +41,10 @@ from ..layout.signals import (
     slot_title,
 )
 from .cholesky import CholeskyCode
-from .code import Array
 from .factor import PowersOfTwo
 from .specific_levels import SpecificLevels
+
+Array = NDArray[np.float64]
 
 #: Signal that says whether a record has all entries of D_i.
 FORM = "HasCovariance"

@@ -32,7 +32,8 @@ from ...values.elementary import exp2, tan
 from ...values.fixed_order import inverse, product, total
 from ...values.seen_lines import NODES, SHAPE
 from ..layout.signals import OCTAVE, Signal
-from .code import Array
+
+Array = NDArray[np.float64]
 
 #: log2 of the level b of the shape [m]: that of the raw value 0, which means b = 0, and by how much
 #: that of the greatest raw value exceeds it.

@@ -101,5 +101,5 @@ def test_too_large_values_do_not_change_other_signals() -> None:
 def test_a_signal_beyond_a_record_is_refused(start: int, big_endian: bool, length: int) -> None:
     """Its bits would be those of the next one."""
     signal = Signal("A", start, 5, big_endian, False, 1.0, 0.0, "", 0, 31)
-    with pytest.raises(ValueError, match="record_bytes must|signal A is not within 8 bytes"):
+    with pytest.raises(ValueError, match=r"record_bytes must|signal A is not within 8 bytes"):
         Packing([signal], length)

@@ -1,12 +1,13 @@
-"""Weights of the components of a mixture as a record has them, and what their rounding leaves."""
+"""What the codes for comparison add to a covariance: for clipped means, and for mixtures."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...values import fixed_order
-from ...values.mixture import moments
+from ..values import fixed_order
+from ..values.elementary import sin_cos, tan
+from ..values.mixture import moments
 
 Array = NDArray[np.float64]
 
@@ -68,3 +69,15 @@ def deficit(
     values = np.where(values > 0, values * (1 + 1e-6), 0.0)
     lifted = fixed_order.product(vectors * values[:, None, :], vectors.mT)
     return (lifted + lifted.mT) / 2 * scale2
+
+
+def slope_error(mean: Array, near: Array) -> Array:
+    """Return the (..., 4) errors of lines whose first-order effect is that of their slopes.
+
+    The lateral position depends on beta by its tangent, so that the error of a line is another one
+    than the difference of the parameters if that of beta is large.
+    """
+    error = mean - near
+    sine, cosine = sin_cos(near[..., 1])
+    error[..., 1] = (tan(mean[..., 1]) - sine / cosine) * (cosine * cosine)
+    return np.asarray(error)
