@@ -5,16 +5,11 @@
  *   1  slot, kind, status, is_fd (u8 each), counter (u32), x_min, x_max, age (f64), count (u8);
  *      for each of count components, or for a line if it is 255: weight, 4 of the mean, 16 of the
  *      covariance (f64)
- *   2  4 of the mean, 2 of the range, the least length (f64): the nearest line
- *   3  count (u8); for each component weight, 4 of the mean, 16 of the factor (f64): the mixture
  * Output:
  *   0  reason, kind, status, index, count (u8), counter (u32), mean, factor, x_min, x_max, age and
  *      weight (24 f64); zeros after the reason if the record is rejected
  *   1  refusal, status, frames (u8), next counter (u32); of each frame CAN ID (u32), is_extended,
  *      is_fd, length (u8), data
- *      the reason alone if records are conditional on the pose error
- *   2  whether there is one (u8), its mean and range (6 f64)
- *   3  mean and factor (20 f64)
  */
 #include "binary.h"
 #include "harness_dbc.h"
@@ -36,16 +31,6 @@ static void read_record(void)
     const size_t length = read_u8();
     read_bytes(record, length);
     maplines_reason_t reason = maplines_check_record(&harness_dbc, slot, record, length);
-    if (harness_dbc.is_conditional)
-    {
-        const bool is_line = slot != (int)MAPLINES_POSE;
-        if (reason == MAPLINES_COMPLETE && is_line)
-        {
-            reason = maplines_check_conditional(&harness_dbc, record);
-        }
-        write_u8((uint8_t)reason);
-        return;
-    }
     if (reason == MAPLINES_COMPLETE)
     {
         reason = maplines_read_complete(&harness_dbc, slot, record, 0, &content);
@@ -134,73 +119,17 @@ static void encode(void)
     }
 }
 
-static void nearest(void)
-{
-    double numbers[7];
-    double near[4] = {0};
-    double near_range[2] = {0};
-    double reach[4];
-    for (int i = 0; i < 7; ++i)
-    {
-        numbers[i] = read_f64();
-    }
-    for (int i = 0; i < 4; ++i)
-    {
-        reach[i] = sqrt(harness_dbc.covariance.reachable[i]);
-    }
-    const bool is_found = maplines_nearest_line(harness_dbc.mean, numbers, numbers + 4, numbers[6],
-                                                reach, near, near_range);
-    write_u8(is_found);
-    for (int i = 0; i < 6; ++i)
-    {
-        const double value = i < 4 ? near[i] : near_range[i - 4];
-        write_f64(is_found ? value : 0.0);
-    }
-}
-
-static void mix(void)
-{
-    static double weights[MAPLINES_MAX_COMPONENTS];
-    static maplines_gaussian_t components[MAPLINES_MAX_COMPONENTS];
-    maplines_gaussian_t overall;
-    const int count = read_u8();
-    for (int k = 0; k < count; ++k)
-    {
-        weights[k] = read_f64();
-        for (int i = 0; i < 4; ++i)
-        {
-            components[k].mean[i] = (maplines_real_t)read_f64();
-        }
-        for (int i = 0; i < 16; ++i)
-        {
-            components[k].factor[i / 4][i % 4] = (maplines_real_t)read_f64();
-        }
-    }
-    maplines_mixture_gaussian(count, weights, components, harness_dbc.covariance.order, &overall);
-    for (int i = 0; i < 20; ++i)
-    {
-        write_f64((double)(i < 4 ? overall.mean[i] : overall.factor[(i - 4) / 4][i % 4]));
-    }
-}
-
 int main(void)
 {
     while (!at_end())
     {
-        switch (read_u8())
+        if (read_u8() == 0)
         {
-        case 0:
             read_record();
-            break;
-        case 1:
+        }
+        else
+        {
             encode();
-            break;
-        case 2:
-            nearest();
-            break;
-        default:
-            mix();
-            break;
         }
     }
     return 0;

@@ -4,15 +4,15 @@ import shutil
 from typing import Any
 
 import make_declarations
+import numpy as np
 import pytest
 from scene_streams import COMPLETE, CONDITIONAL, new_codec
 
-from maplines_can import native
-from maplines_can.core.memory import structure
+from maplines_can.core import lib
+from maplines_can.core.memory import pointer, structure
+from maplines_can.model import elementary
 from maplines_can.values.errors import LayoutError
 from maplines_can.wire import tables
-
-pytestmark = pytest.mark.skipif(not native.is_active, reason="there is no C path")
 
 
 def is_accepted(dbc: str, change: dict[str, Any]) -> bool:
@@ -21,8 +21,8 @@ def is_accepted(dbc: str, change: dict[str, Any]) -> bool:
     for name, value in change.items():
         before = content[name]
         content[name] = {**before, **value} if isinstance(value, dict) else value  # type: ignore[dict-item]
-    tables = structure("maplines_dbc_t", tables._plain(content))
-    return bool(native.lib.maplines_check_tables(tables))
+    made = structure("maplines_dbc_t", tables._plain(content))
+    return bool(lib.maplines_check_tables(made))
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no cc")
@@ -67,3 +67,12 @@ def test_a_layout_whose_tables_are_refused(monkeypatch: pytest.MonkeyPatch) -> N
 
     with pytest.raises(LayoutError, match=r"maplines\.dbc: the core takes its tables"):
         tables.tables_of(new_codec(COMPLETE).layout)
+
+
+def test_powers_of_two() -> None:
+    """At the ends of the numbers, too, those of the model."""
+    ends = [-2001, -1074.6, -1074, -1022, -0.0, 1023, 1023.9]
+    exponents = np.array([*ends, *np.random.default_rng(1).uniform(-200, 200, 1000)])
+    powers = np.empty_like(exponents)
+    lib.maplines_powers_of_two(len(powers), pointer(exponents), pointer(powers))
+    assert powers.tolist() == [elementary.exp2(x) for x in exponents.tolist()]
