@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from maplines_can import Gaussian, MapLine, Slot, Status
 from maplines_can.propagation.splitting import SPLITS, Mixture
 from maplines_can.study import adversarial, evaluate
+from maplines_can.study.components import deficit, quantized_weights
 from maplines_can.values.fixed_order import is_definite
 from maplines_can.values.mixture import GaussianMixture
 from maplines_can.wire import Codec, E2EConfig, Reason
 from maplines_can.wire.reception.mixtures import MixtureAssembler, ReceivedLine
-from maplines_can.wire.records.components import deficit, quantized_weights
 from maplines_can.wire.records.record import CompleteRecord
 
 
