@@ -54,14 +54,7 @@ class Waiting(NamedTuple, Generic[Member]):
 
 
 class Epochs(Generic[Pose, Member]):
-    """Epochs of a receiver; all times in ns.
-
-    Args:
-        moduli: by slot, of the counters that a pose error states.
-        cycle_ns: time between pose errors.
-        has_mixtures: lines may be mixtures.
-        counts: dropped frames by reason.
-    """
+    """Epochs of a receiver; all times in ns."""
 
     def __init__(
         self,
@@ -71,7 +64,8 @@ class Epochs(Generic[Pose, Member]):
         *,
         has_mixtures: bool,
     ) -> None:
-        self._moduli, self._cycle_ns, self._counts = moduli, cycle_ns, counts
+        self._moduli = moduli  # by slot, of the counters that a pose error states
+        self._cycle_ns, self._counts = cycle_ns, counts  # between pose errors; dropped frames
         self._early, self._late = MIXTURE_WINDOW if has_mixtures else WINDOW
         self._open: deque[Epoch[Pose, Member]] = deque(maxlen=MAX_EPOCHS)
         self._waiting: dict[Slot, Waiting[Member]] = {}

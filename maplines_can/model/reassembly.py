@@ -39,14 +39,7 @@ class _Transfer:
 
 
 class Reassembly:
-    """Reassembly of the records of one owner.
-
-    Args:
-        layout: of the records.
-        content: function that reads a record that was received at a time.
-        timeout_ns: longest time between the first and the last page of a transfer.
-        counts: dropped frames by reason.
-    """
+    """Reassembly of the records of one owner; ``content`` reads one that came at a time."""
 
     def __init__(
         self,
@@ -56,7 +49,8 @@ class Reassembly:
         counts: Counter[str],
     ) -> None:
         self._layout, self._content = layout, content
-        self._timeout_ns, self._counts = timeout_ns, counts
+        self._timeout_ns = timeout_ns  # longest time between the first and the last page
+        self._counts = counts  # dropped frames by reason
         self._ids = 2 ** layout["TransferId0"].length
         self._counter_page = layout["Counter"].start // (8 * PAGE_BYTES)
         self._incomplete: dict[int, _Transfer] = {}  # by transfer ID, in the order of beginning
@@ -91,12 +85,12 @@ class Reassembly:
             else:
                 self._counts["REPLACED"] += 1
         transfer.pages[page] = data
-        needed = self._needed(transfer.pages)
-        if any(page not in transfer.pages for page in range(needed)):
+        needed = range(self._needed(transfer.pages))
+        if any(page not in transfer.pages for page in needed):
             return "PENDING"
-        payload = b"".join(transfer.pages[page] for page in range(needed))
-        record = self.complete(payload, transfer.t_ns, needed)
-        self._counts["INCOMPLETE"] += len(transfer.pages) - needed  # they belong to no record
+        payload = b"".join(transfer.pages[page] for page in needed)
+        record = self.complete(payload, transfer.t_ns, len(needed))
+        self._counts["INCOMPLETE"] += len(transfer.pages) - len(needed)  # they belong to no record
         del self._incomplete[own]
         return record
 
@@ -158,11 +152,10 @@ class Reassembly:
 
         It is newer if it is ahead by less than half of the modulus; only one page has it.
         """
-        if page != self._counter_page:
-            return 0
-        modulus = 2 ** self._layout["Counter"].length
-        one, other = (self._read("Counter", page, of_page) for of_page in (data, before))
-        ahead = (one - other) % modulus
+        modulus, ahead = 2 ** self._layout["Counter"].length, 0
+        if page == self._counter_page:
+            one, other = (self._read("Counter", page, of_page) for of_page in (data, before))
+            ahead = (one - other) % modulus
         return 0 if ahead == 0 else 1 if 2 * ahead < modulus else -1
 
     def _read(self, name: str, page: int, data: bytes) -> int:

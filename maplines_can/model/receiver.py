@@ -38,41 +38,25 @@ CLOCK_JITTER_NS = 1_000_000
 MAX_TIME_NS = 4 * 10**18
 
 
-class LineView(NamedTuple):
-    """The newest line of a slot, and whether it may be used now."""
+class View(NamedTuple):
+    """The newest line of a slot, or the newest scene, and whether it may be used now."""
 
-    line: Line | None
-    age: float  #: from its pose to now [s]; infinite if too old, unknown, or without a line
+    content: Line | Scene | None
+    age: float  #: from its pose to now [s]; infinite if too old, unknown, or without content
     is_stale: bool
-    state: str  #: of the slot; if the line is conditional on the pose error, of both
-    status: str | None  #: of the last check of the slot
+    state: str  #: of the slot, and of the pose error if the line depends on it; or of that
+    status: str | None  #: of the last check of the slot, or of the pose error
     may_be_two: bool  #: senders
+    slot_states: dict[Slot, str]  #: of the lines of a scene
 
     @property
     def is_usable(self) -> bool:
-        """Whether a controller may use the line."""
-        is_sent = self.line is not None and self.line.status is not Status.OUT_OF_RANGE
-        is_good = self.state == "VALID" and math.isfinite(self.age)
-        return is_sent and is_good and not self.is_stale and not self.may_be_two
-
-
-class SceneView(NamedTuple):
-    """The newest scene, and whether it may be used now."""
-
-    scene: Scene | None
-    age: float  #: from its pose to now [s]; infinite if too old, unknown, or without a scene
-    is_stale: bool
-    state: str  #: of the pose error
-    status: str | None  #: of the last check of the pose error
-    slot_states: dict[Slot, str]  #: of the lines of the scene
-    may_be_two: bool  #: senders, of the pose error or of a line
-
-    @property
-    def is_usable(self) -> bool:
-        """Whether a controller may use the scene."""
+        """Whether a controller may use it."""
+        is_line = isinstance(self.content, Line)
+        is_sent = not is_line or self.content.status is not Status.OUT_OF_RANGE
         are_valid = {self.state, *self.slot_states.values()} == {"VALID"}
-        is_good = are_valid and math.isfinite(self.age)
-        return is_good and not self.is_stale and not self.may_be_two
+        is_new = math.isfinite(self.age) and not self.is_stale
+        return is_sent and are_valid and is_new and not self.may_be_two
 
 
 class _Owner:
@@ -86,21 +70,18 @@ class _Owner:
         counts: Counter[str],
         keys: Keys | None,
     ) -> None:
+        timeout_ns, cycle_ns, windows = settings
         self.owner, self._lines = owner, layout
         self.layout: AnyLayout = layout.pose if owner == POSE and layout.pose else layout
         self.messages = layout.messages_of[owner]
         #: Layout of its authenticated message; None if its frames are not authenticated.
         self.secured = None if keys is None else self.layout.secured
         modulus, is_authentic = 2 ** self.layout["Counter"].length, self.secured is not None
-        self.reassembly = Reassembly(self.layout, self._content, settings.timeout_ns, counts)
+        self.reassembly = Reassembly(self.layout, self._content, timeout_ns, counts)
         self.check = SequenceCheck(
-            settings.windows,
-            modulus,
-            self.layout.pages,
-            settings.cycle_ns,
-            is_authentic=is_authentic,
+            windows, modulus, self.layout.pages, cycle_ns, is_authentic=is_authentic
         )
-        self.mixtures = Mixtures(modulus, settings.timeout_ns, counts)
+        self.mixtures = Mixtures(modulus, timeout_ns, counts)
         self.newest: Line | None = None
 
     def _content(self, payload: bytes, t_ns: int) -> Content | str:
@@ -123,8 +104,7 @@ class Receiver:
     Args:
         layout: of the DBC.
         settings: of each owner; None for what the DBC implies.
-        keys: with them, only authenticated frames are accepted of each owner that has such a
-            message.
+        keys: with them, frames of each owner with such a message must be authenticated.
 
     >>> receiver = Receiver(Layout.from_dbc())
     >>> receiver.feed(0x340, bytes(8), t_ns=0), receiver.feed(0x123, bytes(8), t_ns=0)
@@ -174,12 +154,12 @@ class Receiver:
         self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
     ) -> list[Line] | str:
         """Return the lines that a frame completes, or the reason why none."""
-        t_ns = limited(t_ns)
+        t_ns, key = limited(t_ns), (can_id, is_extended)
         self.frames += 1
-        own = self._owner_of(can_id, is_extended)
+        own = next((own for own in self._owners.values() if key in own.messages.ids), None)
         if own is None:
             return self._dropped("FOREIGN", 1)
-        record = self._reassembled(own, can_id, data, t_ns, is_extended=is_extended)
+        record = self._reassembled(own, key, data, t_ns)
         if isinstance(record, Record):
             return self._checked(own, record)
         if record != "PENDING":
@@ -187,28 +167,23 @@ class Receiver:
             own.check.frame_dropped(record, t_ns)
         return record
 
-    def _owner_of(self, can_id: int, is_extended: bool) -> _Owner | None:
-        key = can_id, is_extended
-        return next((own for own in self._owners.values() if key in own.messages.ids), None)
-
     def _reassembled(
-        self, own: _Owner, can_id: int, data: bytes, t_ns: int, *, is_extended: bool
+        self, own: _Owner, key: tuple[int, bool], data: bytes, t_ns: int
     ) -> Record | str:
         """Return the record that a frame completes, or why none."""
-        key, reassembly = (can_id, is_extended), own.reassembly
-        data_id = own.messages.secured_ids.get(key)
-        if data_id is not None and (own.secured is None or self._keys is None):
-            return "KEY"
-        if data_id is not None and own.secured is not None and self._keys is not None:
+        reassembly, data_id = own.reassembly, own.messages.secured_ids.get(key)
+        if data_id is not None:
+            if own.secured is None or self._keys is None:
+                return "KEY"
             payload = verified(self._keys, own.secured, data, data_id)
             if isinstance(payload, str):
                 return payload
-            return reassembly.complete(reassembly.whole(payload), t_ns, 1)
-        if own.secured is not None:
+            data = payload
+        elif own.secured is not None:
             return "UNAUTHENTICATED"
-        if not own.messages.ids[key]:
+        elif not own.messages.ids[key]:
             return reassembly.add_page(data, t_ns)
-        if len(data) < own.layout.record_bytes:
+        elif len(data) < own.layout.record_bytes:
             return "LENGTH"
         return reassembly.complete(reassembly.whole(data), t_ns, 1)
 
@@ -261,12 +236,10 @@ class Receiver:
         self.pose_errors += 1
         self.pose_frames += record.frames
         self._pose_is_too_old = math.isinf(pose.age)
-        signals = pose.layout.counters
-        counters = {slot: pose.raw[signal.name] for slot, signal in signals.items()}
+        counters = {slot: pose.raw[one.name] for slot, one in pose.layout.counters.items()}
         lines: list[Line] = []
-        for epoch, slot, frames in self._epochs.add_pose(
-            pose, counters, record.t_ns, own.check.ahead
-        ):
+        joined = self._epochs.add_pose(pose, counters, record.t_ns, own.check.ahead)
+        for epoch, slot, frames in joined:
             if isinstance(epoch.lines[slot].content, RawRecord):
                 found = self._rebuilt(epoch, slot, frames)
                 lines += [] if isinstance(found, str) else found
@@ -306,27 +279,26 @@ class Receiver:
         for own in self._owners.values():
             own.check.elapse(limited(now_ns))
 
-    def latest(self, slot: Slot, now_ns: int, stale_cycles: float = STALE_CYCLES) -> LineView:
+    def latest(self, slot: Slot, now_ns: int, stale_cycles: float = STALE_CYCLES) -> View:
         """Return the newest line of a slot, and whether it may be used now."""
-        now_ns = limited(now_ns)
+        now_ns, line = limited(now_ns), self._owners[slot].newest
         owners: list[Owner] = [slot, POSE] if self._layout.is_conditional else [slot]
         checks = [self._owners[owner].check for owner in owners]
-        line, age, is_stale, waited = self._owners[slot].newest, math.inf, True, 0.0
+        age, is_stale, waited = math.inf, True, 0.0
         if line is not None:
             waited, is_stale = _waited(line.t_ns, now_ns, stale_cycles * checks[0].cycle_ns)
             age = line.age + waited
         states = [_state(check, now_ns, waited) for check in checks]
         state = next((one for one in states if one != "VALID"), "VALID")
         may_be_two = any(check.senders.may_be_two(now_ns) for check in checks)
-        return LineView(line, age, is_stale, state, checks[0].status, may_be_two)
+        return View(line, age, is_stale, state, checks[0].status, may_be_two, {})
 
-    def latest_scene(self, now_ns: int, stale_cycles: float = STALE_CYCLES) -> SceneView:
+    def latest_scene(self, now_ns: int, stale_cycles: float = STALE_CYCLES) -> View:
         """Return the newest scene that waits for no line, and whether it may be used now."""
-        now_ns, check = limited(now_ns), self._owners[POSE].check
-        epoch = self._epochs.latest
+        now_ns, check, epoch = limited(now_ns), self._owners[POSE].check, self._epochs.latest
         if epoch is None:
             state = check.elapse(now_ns)
-            return SceneView(None, math.inf, True, state, check.status, {}, may_be_two=False)
+            return View(None, math.inf, True, state, check.status, False, {})
         members = [member for _, member in sorted(epoch.lines.items())]
         found = [scene_line(self._layout, epoch.pose, member) for member in members]
         scene = scene_of(epoch.pose, [line for line in found if line is not None])
@@ -336,7 +308,7 @@ class Receiver:
         states = {slot: _state(one, now_ns, waited) for slot, one in checks.items()}
         may_be_two = any(one.senders.may_be_two(now_ns) for one in (check, *checks.values()))
         age = math.inf if self._pose_is_too_old else epoch.pose.age + waited
-        return SceneView(scene, age, is_stale, state, status, states, may_be_two)
+        return View(scene, age, is_stale, state, status, may_be_two, states)
 
 
 def limited(t_ns: int) -> int:

@@ -20,11 +20,7 @@ NEVER = math.inf
 
 
 class Senders:
-    """What is known of the number of senders; all times in ns.
-
-    Args:
-        cycle_ns: time between records.
-    """
+    """What is known of the number of senders; all times in ns."""
 
     def __init__(self, cycle_ns: int) -> None:
         self._cycle_ns = cycle_ns

@@ -44,20 +44,12 @@ HISTORY = 256
 
 
 class SequenceCheck:
-    """Checks of the records of one owner; all times in ns.
-
-    Args:
-        windows: of the state machine.
-        modulus: of the counter.
-        pages: frames of a classic record.
-        cycle_ns: time between records, or lines.
-        is_authentic: each record is known to be newer than those before.
-    """
+    """Checks of the records of one owner; all times in ns."""
 
     def __init__(
         self, windows: Windows, modulus: int, pages: int, cycle_ns: int, *, is_authentic: bool
     ) -> None:
-        self.cycle_ns = cycle_ns
+        self.cycle_ns = cycle_ns  #: time between records, or lines
         self.statuses: Counter[str] = Counter()  #: checks by outcome
         self.status: str | None = None  #: of the last check
         self.lost = 0  #: records missing between those received
@@ -65,8 +57,9 @@ class SequenceCheck:
         #: By how much that was ahead of the one before; None after a break.
         self.ahead: int | None = None
         self.senders = Senders(cycle_ns)
-        self._windows, self._modulus, self._pages = windows, modulus, pages
-        self._is_authentic = is_authentic
+        self._windows, self._modulus = windows, modulus
+        self._pages = pages  # frames of a classic record
+        self._is_authentic = is_authentic  # each record is known to be newer than those before
         self._machine, self._deadline = StateMachine(windows), Deadline(cycle_ns)
         self._history, self._pace = History(modulus), Pace(cycle_ns, modulus)
         self._new_ns = 0  # time of the last new record
@@ -164,7 +157,7 @@ class SequenceCheck:
             self.senders.conflict(t_ns)  # back to the sequence before the gap
         self._left = last
         is_gap = status == "OKSOMELOST"
-        if is_gap and self._pace.is_ahead(ahead, waited_ns, records):
+        if is_gap and ahead > self._pace.lines(waited_ns) * self._pace.longest_with(records):
             self.senders.ahead(t_ns)
         if is_gap or (is_newer and counter != 0):  # a sender restarts at 0: nothing is lost then
             self.lost += ahead - 1
@@ -181,19 +174,21 @@ class SequenceCheck:
 
     def _most_ahead(self, waited_ns: int, records: int) -> int:
         """Return ``most``; with keys it is not limited by time."""
-        half = self._modulus // 2 - 1
-        if self._is_authentic:
-            return half
-        return min(half, max(self._windows.max_delta_counter, self._pace.most(waited_ns, records)))
+        half, lines = self._modulus // 2 - 1, math.ceil(self._pace.lines(waited_ns, least=0.0))
+        by_time = lines * self._pace.longest_with(records)
+        is_any = self._is_authentic
+        return half if is_any else min(half, max(self._windows.max_delta_counter, by_time))
 
     def _why_not_new(self, counter: int, content: bytes, behind: int, t_ns: int) -> str | None:
         """Return why a record behind the last new one is not delivered; None if it is new."""
         before = self._history.at(counter, behind)
         is_duplicate = before is not None and before.content == content
-        if not is_duplicate:
+        if before is None or not is_duplicate:
             self.senders.late(t_ns)
-        elif behind <= self._windows.max_delta_counter and self._history.mark_duplicated(before):
-            self.senders.duplicate(t_ns)
+        elif behind <= self._windows.max_delta_counter and before.is_new:
+            if not before.is_duplicated:
+                self.senders.duplicate(t_ns)
+            before.is_duplicated = True
         if behind < self._span:
             if not is_duplicate:
                 self.senders.counter_reused(t_ns)
@@ -209,8 +204,7 @@ class SequenceCheck:
             self.senders.counter_reused(t_ns)
         elif behind > self._windows.max_delta_counter * self._pace.longest and not fills_gap:
             self.senders.conflict(t_ns)  # too far behind to be merely delayed
-        is_other = before is not None
-        return None if self._is_restart(counter, t_ns, is_other=is_other) else "STALE"
+        return None if self._is_restart(counter, t_ns, is_other=before is not None) else "STALE"
 
     def _is_restart(self, counter: int, t_ns: int, *, is_other: bool) -> bool:
         """Return whether consecutive records behind the last new one are of a restarted sender.
@@ -224,14 +218,15 @@ class SequenceCheck:
                                STALE    STALE    new      new
         """
         run = self._history.run_with(counter, t_ns, is_other=is_other)
-        if run.records < RESTART_RECORDS:
-            return False
-        if abs(t_ns - run.since_ns) < int(GRACE_CYCLES * self.cycle_ns):
-            return False
-        if not (run.is_other and run.first < self._windows.max_delta_counter):
-            return False
-        self.senders.retract()
-        return True
+        is_restart = (
+            run.records >= RESTART_RECORDS
+            and abs(t_ns - run.since_ns) >= int(GRACE_CYCLES * self.cycle_ns)
+            and run.is_other
+            and run.first < self._windows.max_delta_counter
+        )
+        if is_restart:
+            self.senders.retract()
+        return is_restart
 
 
 class Deadline:
@@ -318,13 +313,6 @@ class History:
             fills_gap = self.fills_gap(counter, behind)
             self._entries[counter % self._length] = Entry(content, False, fills_gap)
 
-    def mark_duplicated(self, entry: Entry | None) -> bool:
-        """Return whether a record that has come again was new, and has come once so far."""
-        if entry is None or not entry.is_new or entry.is_duplicated:
-            return False
-        entry.is_duplicated = True
-        return True
-
     def fills_gap(self, counter: int, behind: int) -> bool:
         """Return whether a record directly follows one in sequence, as if they came late."""
         before = self.at(counter - 1, behind + 1)
@@ -351,20 +339,16 @@ class Pace:
 
     def delivered(self, counter: int, t_ns: int, records: int) -> None:
         """Add a line by the counter and the time of its last record."""
-        self.longest = max(self.longest, records)
+        self.longest = self.longest_with(records)
         if self._line is not None and (counter - self._line[0]) % self._modulus == records:
             self._line_ns += (abs(t_ns - self._line[1]) - self._line_ns) / MEAN_LINES
         self._line = counter, t_ns
 
-    def most(self, waited_ns: int, records: int) -> int:
-        """Return how many records the sender can have sent in a time."""
-        return math.ceil(self._lines(waited_ns)) * max(self.longest, records)
+    def longest_with(self, records: int) -> int:
+        """Return the records of the longest line, of those so far and one more."""
+        return max(self.longest, records)
 
-    def is_ahead(self, ahead: int, waited_ns: int, records: int) -> bool:
-        """Return whether a record is ahead of what the sender should have sent by now."""
-        return ahead > max(1.0, self._lines(waited_ns)) * max(self.longest, records)
-
-    def _lines(self, waited_ns: int) -> float:
+    def lines(self, waited_ns: int, least: float = 1.0) -> float:
         """Return how many lines the sender can have sent in a time: 1.3 is 1 or 2."""
         line_ns = min(max(self._line_ns, self._cycle_ns / FASTEST), self._cycle_ns)
-        return float(waited_ns) / line_ns + JITTER_CYCLES
+        return max(least, float(waited_ns) / line_ns + JITTER_CYCLES)

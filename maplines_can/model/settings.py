@@ -31,13 +31,19 @@ def settings_of(
 ) -> dict[Owner, Settings]:
     """Return the settings of all slots and of the pose error; None for what the DBC implies."""
     of_lines = limited(Windows(), layout) if windows is None else windows
+
+    def of_messages(layout: AnyLayout, messages: RecordMessages, windows: Windows) -> Settings:
+        implied_ms = messages.cycle_ms or DEFAULT_CYCLE_MS
+        cycle = cycle_ms or implied_ms
+        timeout = min(max(implied_ms / 2, timeout_cycles(layout) * cycle), MAX_MS)
+        times = (max(1, int(1e6 * ms)) for ms in (timeout_ms or timeout, cycle))
+        return Settings(*times, windows)
+
     of_all: dict[Owner, Settings] = {
-        slot: Settings(*_times_ns(layout, messages, timeout_ms, cycle_ms), of_lines)
-        for slot, messages in layout.messages.items()
+        slot: of_messages(layout, messages, of_lines) for slot, messages in layout.messages.items()
     }
     if (pose := layout.pose) is not None:
-        times = _times_ns(pose, pose.messages, timeout_ms, cycle_ms)
-        of_all[POSE] = Settings(*times, limited(of_lines, pose))
+        of_all[POSE] = of_messages(pose, pose.messages, limited(of_lines, pose))
     return of_all
 
 
@@ -53,25 +59,7 @@ def timeout_cycles(layout: AnyLayout) -> float:
     A transfer ID is used again after (transfer IDs / most components) cycles; half a cycle is for
     jitter. It is at most 1.5, since a cycle counts as missed then.
     """
-    components = 1.0
-    if "ComponentCount" in layout.signals:
-        components = max(1.0, layout["ComponentCount"].physical_range[1])
+    has_count = "ComponentCount" in layout.signals
+    components = max(1.0, layout["ComponentCount"].physical_range[1]) if has_count else 1.0
     ids = 2 ** layout["TransferId0"].length
     return max(0.5, min(ids / components - 0.5, GRACE_CYCLES))
-
-
-def _times_ns(
-    layout: AnyLayout,
-    messages: RecordMessages,
-    timeout_ms: float | None,
-    cycle_ms: float | None,
-) -> tuple[int, int]:
-    """Return the time-out and the cycle time [ns]."""
-    of_dbc_ms = messages.cycle_ms or DEFAULT_CYCLE_MS
-    chosen_ms = cycle_ms or of_dbc_ms
-    implied_ms = min(max(of_dbc_ms / 2, timeout_cycles(layout) * chosen_ms), MAX_MS)
-    return _whole_ns(timeout_ms or implied_ms), _whole_ns(chosen_ms)
-
-
-def _whole_ns(ms: float) -> int:
-    return max(1, int(1e6 * ms))

@@ -14,11 +14,11 @@ from itertools import count, zip_longest
 from typing import Any, NamedTuple
 
 from ..model.e2e import Windows
-from ..model.receiver import LineView as ModelLineView
 from ..model.receiver import Receiver as Model
-from ..model.receiver import SceneView as ModelSceneView
+from ..model.receiver import View
 from ..model.records import Component
 from ..model.records import Line as ModelLine
+from ..model.scenes import Scene
 from ..model.secoc import Keys
 from ..model.sequence import SequenceCheck as ModelCheck
 from ..model.settings import settings_of
@@ -200,7 +200,7 @@ class CoreSide:
         if step.kind == "latest":
             return _view(core.latest(step.slot, step.t_ns, stale_cycles=self._stale_cycles))
         if step.kind == "scene" and self._layout.pose is not None:
-            return _scene(core.latest_scene(step.t_ns, stale_cycles=self._stale_cycles))
+            return _view(core.latest_scene(step.t_ns, stale_cycles=self._stale_cycles))
         if step.kind == "expire":
             core.expire(step.t_ns)
         elif step.kind == "statistics":
@@ -263,7 +263,7 @@ class ModelSide:
             return _model_view(self.answer)
         if step.kind == "scene" and self._layout.pose is not None:
             self.answer = model.latest_scene(step.t_ns, self._stale_cycles)
-            return _model_scene(self.answer)
+            return _model_view(self.answer)
         if step.kind == "expire":
             model.expire(step.t_ns)
         elif step.kind == "statistics":
@@ -413,59 +413,37 @@ def _named(*values: Any) -> dict[str, Any]:
     return dict(zip(names, numbers, strict=True))
 
 
-def _view(view: LineView) -> dict[str, Any]:
-    return {
-        "line": _line(view.line),
-        "age": float(view.age),
-        "stale": bool(view.stale),
-        "state": view.state.name,
-        "status": None if view.status is None else view.status.name,
-        "two senders": bool(view.two_senders),
-        "usable": bool(view.usable),
-    }
-
-
-def _model_view(view: ModelLineView) -> dict[str, Any]:
-    return {
-        "line": _model_line(view.line),
-        "age": view.age,
-        "stale": view.is_stale,
-        "state": view.state,
-        "status": view.status,
-        "two senders": view.may_be_two,
-        "usable": view.is_usable,
-    }
-
-
-def _scene(view: SceneView) -> dict[str, Any]:
+def _view(view: LineView | SceneView) -> dict[str, Any]:
     found: dict[str, Any] = {
         "age": float(view.age),
         "stale": bool(view.stale),
         "state": view.state.name,
         "status": None if view.status is None else view.status.name,
-        "states": {slot.name: state.name for slot, state in view.slot_states.items()},
         "two senders": bool(view.two_senders),
         "usable": bool(view.usable),
     }
+    if not isinstance(view, SceneView):
+        return found | {"line": _line(view.line), "states": {}}
+    found["states"] = {slot.name: state.name for slot, state in view.slot_states.items()}
     scene = view.scene
-    if scene is not None and view.received is not None:
-        error = scene.map_error
-        found |= {
-            "counter": view.received.counter,
-            "t_ns": view.received.t_ns,
-            "lines": [_line(line) for line in scene.lines],
-            "cov": scene.cov.tolist(),
-            "pose": scene.pose_error.cov.tolist(),
-            "correlation time": float(scene.pose_error.correlation_time),
-            "map error": None if error is None else [error.offset_sigma, error.heading_sigma],
-            "fit ranges": scene.fit_ranges.tolist(),
-            "quartics": scene.quartics.tolist(),
-            "specific": [] if scene.specific_covs is None else scene.specific_covs.tolist(),
-        }
-    return found
+    if scene is None or view.received is None:
+        return found | {"line": None}
+    error = scene.map_error
+    return found | {
+        "counter": view.received.counter,
+        "t_ns": view.received.t_ns,
+        "lines": [_line(line) for line in scene.lines],
+        "cov": scene.cov.tolist(),
+        "pose": scene.pose_error.cov.tolist(),
+        "correlation time": float(scene.pose_error.correlation_time),
+        "map error": None if error is None else [error.offset_sigma, error.heading_sigma],
+        "fit ranges": scene.fit_ranges.tolist(),
+        "quartics": scene.quartics.tolist(),
+        "specific": [] if scene.specific_covs is None else scene.specific_covs.tolist(),
+    }
 
 
-def _model_scene(view: ModelSceneView) -> dict[str, Any]:
+def _model_view(view: View) -> dict[str, Any]:
     found: dict[str, Any] = {
         "age": view.age,
         "stale": view.is_stale,
@@ -475,22 +453,22 @@ def _model_scene(view: ModelSceneView) -> dict[str, Any]:
         "two senders": view.may_be_two,
         "usable": view.is_usable,
     }
-    scene = view.scene
-    if scene is not None:
-        pose = scene.pose
-        found |= {
-            "counter": pose.counter,
-            "t_ns": pose.t_ns,
-            "lines": [_model_line(line) for line in scene.lines],
-            "cov": scene.cov,
-            "pose": pose.cov,
-            "correlation time": pose.correlation_time,
-            "map error": [pose.offset_sigma, pose.heading_sigma],
-            "fit ranges": [[*ends] for ends in scene.fit_ranges],
-            "quartics": scene.quartics,
-            "specific": scene.own,
-        }
-    return found
+    scene = view.content
+    if not isinstance(scene, Scene):
+        return found | {"line": _model_line(scene)}
+    pose = scene.pose
+    return found | {
+        "counter": pose.counter,
+        "t_ns": pose.t_ns,
+        "lines": [_model_line(line) for line in scene.lines],
+        "cov": scene.cov,
+        "pose": pose.cov,
+        "correlation time": pose.correlation_time,
+        "map error": [pose.offset_sigma, pose.heading_sigma],
+        "fit ranges": [[*ends] for ends in scene.fit_ranges],
+        "quartics": scene.quartics,
+        "specific": scene.own,
+    }
 
 
 def _numbers(decoder: Decoder) -> dict[str, Any]:
