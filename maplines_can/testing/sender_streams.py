@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import cache
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -24,7 +26,7 @@ from ..values.line import Kind, Slot
 from ..values.map_error import MapError
 from ..values.polyline import Polyline
 from ..values.scene import Scene
-from ..wire import POSE, Codec, Layout, Owner
+from ..wire import Codec, Layout
 from .back_to_back import Difference
 
 #: Range of the parameters of a random line.
@@ -216,75 +218,110 @@ def _record_by_model(layout: Layout, given: Any) -> Any:
 
 
 def random_scene(rng: np.random.Generator, slots: Sequence[Slot]) -> Scene:
-    """Return a scene of lines of a map, some of which exceed the message."""
+    """Return a scene of lines of a map; its pose error may be singular."""
     x = np.arange(-60.0, 160.0, float(_choice(rng, 2, 5, 10, 20)))
     bend, twist = rng.uniform(-3e-3, 3e-3), rng.uniform(-2e-5, 2e-5)
-    chosen = rng.permutation([*slots])[: rng.integers(1, 5)]
-    roads = {
-        Slot(int(slot)): Polyline(
-            np.column_stack(
-                [
-                    x,
-                    _choice(rng, 3.5, 3.5, 12.0) * k
-                    - 5
-                    + rng.uniform(-1, 1)
-                    + bend * x**2
-                    + twist * x**3,
-                ]
-            )
-        )
-        for k, slot in enumerate(chosen)
-    }
+    roads = {}
+    for k, slot in enumerate(rng.permutation([*slots])[: rng.integers(1, 5)]):
+        y = _choice(rng, 3.5, 3.5, 12.0) * k - 5 + rng.uniform(-1, 1) + bend * x**2 + twist * x**3
+        roads[Slot(int(slot))] = Polyline(np.column_stack([x, y]))
     B = rng.normal(size=(3, 3)) * 10.0 ** rng.uniform([-2, -2, -4], [0, 0, -1.5])[:, None]
-    pose = Gaussian(np.zeros(3), B @ B.T)
+    B[:, : rng.choice([0, 0, 0, 1, 2, 3])] = 0
+    B[rng.choice(3) :] *= _choice(rng, 1, 1, 1, 0)
     error = MapError(
         point_sigma=float(_choice(rng, 0.0, 0.03, 0.1)),
         offset_sigma=float(_choice(rng, 0.0, 0.05, 0.5)),
         heading_sigma=float(_choice(rng, 0.0, 1e-3)),
     )
     window = _choice(rng, (-20.0, 80.0), (-8.0, 60.0), (-30.0, 130.0), (0.0, 15.0))
-    return map_scene(roads, pose, map_error=_choice(rng, None, error, error), window=window)
+    found = map_scene(
+        roads,
+        Gaussian(np.zeros(3), B @ B.T),
+        map_error=_choice(rng, None, error, error),
+        window=window,
+        correlation_time=float(_choice(rng, math.inf, 10.0 ** rng.uniform(-3, 4))),
+    )
+    return _altered(rng, found) if rng.random() < 0.3 and found.lines else found
+
+
+def _altered(rng: np.random.Generator, scene: Scene) -> Scene:
+    """Return a scene with a line, or with its range or covariance, that no map has."""
+    i, n = int(rng.integers(len(scene.lines))), 4 * len(scene.lines)
+    scale, means = np.ones(n), [line.gaussian.mean for line in scene.lines]
+    ranges, specific = scene.fit_ranges + 0.0, scene.specific_covs
+    pose = scene.pose_error
+    match rng.integers(5):
+        case 0:
+            scale[4 * i : 4 * i + 4] = 10.0 ** rng.uniform(0, _choice(rng, 2, 5, 60))
+        case 1:
+            means[i] = means[i] * 10.0 ** rng.uniform(0, _choice(rng, 1, 2, 60))
+        case 2:
+            ranges[i] += rng.uniform(-200, 200, 2)
+        case 3:
+            pose = replace(pose, cov=pose.cov * 10.0 ** rng.uniform(0, 20))
+        case _:
+            specific = None
+    cov = scene.cov * np.outer(scale, scale)
+    if specific is not None:
+        specific = specific * scale.reshape(-1, 4, 1) * scale.reshape(-1, 1, 4)
+    blocks = (cov[k : k + 4, k : k + 4] for k in range(0, n, 4))
+    lines = [
+        replace(line, gaussian=Gaussian(mean, block))
+        for line, mean, block in zip(scene.lines, means, blocks, strict=True)
+    ]
+    return replace(
+        scene, lines=lines, cov=cov, fit_ranges=ranges, specific_covs=specific, pose_error=pose
+    )
 
 
 def _scenes(layout: Layout, rng: np.random.Generator) -> Iterator[Any]:
     """Yield scenes with their counters, ages, and whether they are sent as CAN FD."""
     has_fd = all(own.fd_can_id is not None for own in layout.messages_of.values())
+    owners = [*layout.messages_of]
     while True:
         try:
             scene = random_scene(rng, [*layout.messages])
-        except MaplinesError:  # a line is no function of x
+        except (MaplinesError, ValueError):  # a line is no function of x, or a range is empty
             continue
-        owners: list[Owner] = [POSE, *layout.messages]
         counters = {owner: int(rng.integers(256)) for owner in owners}
-        ages = {owner: float(rng.uniform(0, 0.1)) for owner in owners}
+        ages = {owner: float(_choice(rng, rng.uniform(0, 0.1), math.inf)) for owner in owners}
         yield scene, counters, ages, bool(rng.random() < 0.3) and has_fd
 
 
 def _scene_by_core(codec: Codec, given: Any) -> Any:
     scene, counters, ages, fd = given
     try:
-        frames = codec.encoder().encode_scene(scene, age=ages, fd=fd, counters=counters)
+        prepared = codec.encoder().prepare_scene(scene, fd=fd)
+        frames = codec.encoder().encode_scene(prepared, age=ages, fd=fd, counters=counters)
     except EncodeError:
         return None
-    return {str(o): b"".join(bytes(f.data) for f in of) for o, of in frames.items()}
+    sent = {str(o): b"".join(bytes(f.data) for f in of) for o, of in frames.items()}
+    return sent, {slot.name: why.name for slot, why in prepared.left_out.items()}
+
+
+@cache
+def _scene_sender(layout: Layout) -> SceneSender:
+    assert layout.pose is not None  # noqa: S101 - else it has no scenes
+    return SceneSender(layout, layout.pose)
 
 
 def _scene_by_model(layout: Layout, given: Any) -> Any:
-    """Return the records; those of CAN FD with their padding."""
+    """Return the records, those of CAN FD with their padding, and why lines have none."""
     scene, counters, ages, fd = given
-    assert layout.pose is not None  # noqa: S101 - else it has no scenes
-    sender = SceneSender(layout, layout.pose)
-    found = sender.send(_scene_draft(scene), counters, ages, full=fd)
+    found = _scene_sender(layout).send(_scene_draft(scene), counters, ages, full=fd)
     if found is None:
         return None
-    return {
+    sent = {
         str(owner): record.ljust(layout.messages_of[owner].fd_length if fd else 0, b"\0")
         for owner, record in found.records.items()
     }
+    reasons = {slot.name: why.name for slot, why in scene.left_out.items()}
+    without = found.left_out if layout.is_conditional else {}
+    return sent, reasons | {slot.name: why for slot, why in without.items()}
 
 
 def _scene_draft(scene: Scene) -> SceneDraft:
-    known = scene.map_error or MapError()
+    known, specific = scene.map_error or MapError(), scene.specific_covs
     drafts = [
         writer.Draft(
             line.slot, line.gaussian.mean.tolist(), line.gaussian.cov.tolist(), int(line.kind),
@@ -292,7 +329,6 @@ def _scene_draft(scene: Scene) -> SceneDraft:
         )
         for line in scene.lines
     ]  # fmt: skip
-    specific = scene.specific_covs
     return SceneDraft(
         drafts, scene.cov.tolist(), scene.pose_error.cov.tolist(),
         float(scene.pose_error.correlation_time), float(known.offset_sigma or 0.0),
