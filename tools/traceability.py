@@ -15,7 +15,8 @@ G-1 is a safety goal, A-1 an assumption of use, F-1 a fault, R-1 a requirement. 
 - a requirement has no goal, no code or no test;
 - a module, symbol or test does not exist, or a test is skipped.
 
-Code is `module:symbol`, relative to maplines_can; a test is `file::test`, relative to tests.
+Code is `module:symbol`, relative to maplines_can, or a function of the core, `c/src/file.c:function`;
+a test is `file::test`, relative to tests.
 
 Run it in the environment of the project: python3 tools/run.py python tools/traceability.py
 
@@ -138,6 +139,12 @@ def _gaps_of_names(item: Item, column: str) -> Iterator[str]:
 def code_problem(name: str) -> str | None:
     """Return what is wrong with ``module:symbol``; None if the symbol is defined there."""
     module, _, symbol = name.partition(":")
+    if module.endswith(".c"):
+        path = ROOT / module
+        text = path.read_text(encoding="utf-8") if path.is_file() else ""
+        # A definition begins a line, and the body follows its arguments.
+        is_defined = re.search(rf"^\w[\w *]*\b{re.escape(symbol)}\([^;{{]*\)\s*\{{", text, re.M)
+        return None if is_defined else f"{module} does not define {symbol!r}"
     base = ROOT.joinpath("maplines_can", *module.split("."))
     path = base / "__init__.py" if base.is_dir() else base.with_suffix(".py")
     if not path.is_file():
