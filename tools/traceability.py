@@ -15,7 +15,7 @@ G-1 is a safety goal, A-1 an assumption of use, F-1 a fault, R-1 a requirement. 
 - a requirement has no goal, no code or no test;
 - a module, symbol or test does not exist, or a test is skipped.
 
-Code is `module:symbol`, relative to maplines_can, or a function of the core, `c/src/file.c:function`;
+Code is `module:symbol`, relative to maplines_can, or `c/src/file.c:function`, of the core;
 a test is `file::test`, relative to tests.
 
 Run it in the environment of the project: python3 tools/run.py python tools/traceability.py
