@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from ..wire.layout.signals import Signal
 from .elementary import atan, sin_cos, tan
-from .matrices import Matrix, Row, dot
+from .matrices import Matrix, Row, diagonal, dot, transposed
 
 #: Largest deviation of such a line from the given one in its range [m]: as much as a cubic may
 #: deviate from the line of the map.
@@ -92,7 +92,7 @@ def nearest_line(
 def bounds(signal: Signal) -> tuple[float, float]:
     """Return the least and the greatest value of a parameter, some steps within its range."""
     low, high = signal.physical_range
-    step = STEPS * abs(signal.factor)
+    step = STEPS * signal.factor
     return low + step, high - step
 
 
@@ -118,18 +118,13 @@ def _basis(start: float, end: float, scale: Row) -> Matrix:
 
 def _triangular(A: Matrix) -> Matrix:
     """Return the upper triangular (n, n) R with R^T R = A^T A, by modified Gram-Schmidt."""
-    columns = [list(column) for column in zip(*A, strict=True)]
-    n = len(columns)
-    R = [[0.0] * n for _ in range(n)]
+    columns, R = transposed(A), diagonal([0.0] * len(A[0]))
     for j, column in enumerate(columns):
         R[j][j] = math.sqrt(dot(column, column))
-        if R[j][j] > 0:
-            unit = [value / R[j][j] for value in column]
-            for k in range(j + 1, n):
-                R[j][k] = dot(unit, columns[k])
-                columns[k] = [
-                    value - R[j][k] * u for value, u in zip(columns[k], unit, strict=True)
-                ]
+        for k in range(j + 1, len(columns) if R[j][j] > 0 else 0):
+            unit = [x / R[j][j] for x in column]
+            R[j][k] = dot(unit, columns[k])
+            columns[k] = [x - R[j][k] * u for x, u in zip(columns[k], unit, strict=True)]
     return R
 
 
@@ -140,54 +135,45 @@ def _box_solution(R: Matrix, low: Row, high: Row) -> Row:
     one reaches a limit, and is fixed there. If none does, the fixed one whose gradient points most
     into the box becomes free (Stark and Parker, Computational Statistics 10, 1995).
     """
-    n = len(low)
-    u = [min(max(0.0, low[i]), high[i]) for i in range(n)]
-    is_free = [u[i] == 0.0 for i in range(n)]
+    u = [min(max(0.0, a), b) for a, b in zip(low, high, strict=True)]
+    free = [i for i, x in enumerate(u) if x == 0.0]
     for _ in range(BOX_STEPS):
-        free = [i for i in range(n) if is_free[i]]
         target = _free_solution(R, free, u)
         share, limit = 1.0, -1
         for i in free:
-            end = low[i] if target[i] < low[i] else high[i]
-            if not low[i] <= target[i] <= high[i]:
-                part = (end - u[i]) / (target[i] - u[i])
-                if part < share:
-                    share, limit = part, i
+            end = min(max(target[i], low[i]), high[i])
+            if end != target[i] and (end - u[i]) / (target[i] - u[i]) < share:
+                share, limit = (end - u[i]) / (target[i] - u[i]), i
         for i in free:
-            u[i] = target[i] if limit < 0 else u[i] + share * (target[i] - u[i])
-            u[i] = min(max(u[i], low[i]), high[i])
+            moved = target[i] if limit < 0 else u[i] + share * (target[i] - u[i])
+            u[i] = min(max(moved, low[i]), high[i])
         if limit >= 0:
             u[limit] = low[limit] if target[limit] < low[limit] else high[limit]
-            is_free[limit] = False
+            free.remove(limit)
             continue
         rest = [dot(row, u) for row in R]
         size = math.sqrt(dot(rest, rest))
         steepest, released = 0.0, -1
-        for i in range(n):
-            if is_free[i]:
-                continue
-            column = [row[i] for row in R]
-            gradient = dot(column, rest)
+        for i, column in enumerate(transposed(R)):
+            gradient, norm = dot(column, rest), math.sqrt(dot(column, column))
             inwards = -gradient if u[i] == low[i] else gradient
-            norm = math.sqrt(dot(column, column))
-            if inwards > FLAT * norm * size and inwards / norm > steepest:
+            is_inwards = i not in free and inwards > FLAT * norm * size
+            if is_inwards and inwards / norm > steepest:
                 steepest, released = inwards / norm, i
         if released < 0:
             break
-        is_free[released] = True
+        free = sorted([*free, released])
     return u
 
 
 def _free_solution(R: Matrix, free: list[int], u: Row) -> Row:
     """Return u with its free entries replaced by those of the least |R u|."""
-    n = len(u)
-    fixed = [0.0 if i in free else u[i] for i in range(n)]
-    m = len(free)
+    fixed = [0.0 if i in free else x for i, x in enumerate(u)]
     T = _triangular([[*(row[i] for i in free), -dot(row, fixed)] for row in R])
-    solution = list(u)
+    solution, m = list(u), len(free)
     for j in reversed(range(m)):
         rest = T[j][m]
         for k in range(j + 1, m):
-            rest = rest - T[j][k] * solution[free[k]]
+            rest -= T[j][k] * solution[free[k]]
         solution[free[j]] = rest / T[j][j] if T[j][j] > 0 else u[free[j]]
     return solution
