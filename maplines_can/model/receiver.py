@@ -52,8 +52,8 @@ class View(NamedTuple):
     @property
     def is_usable(self) -> bool:
         """Whether a controller may use it."""
-        is_line = isinstance(self.content, Line)
-        is_sent = not is_line or self.content.status is not Status.OUT_OF_RANGE
+        line = self.content
+        is_sent = not isinstance(line, Line) or line.status is not Status.OUT_OF_RANGE
         are_valid = {self.state, *self.slot_states.values()} == {"VALID"}
         is_new = math.isfinite(self.age) and not self.is_stale
         return is_sent and are_valid and is_new and not self.may_be_two

@@ -217,7 +217,7 @@ class SceneSender:
         pose_raw["Age"] = limited(signal, above(signal, 1000 * ages[POSE]))
         pose_raw["Counter"] = counters.get(POSE, 0)
         data_id = self.layout.messages_of[POSE].data_id
-        return SentScene({POSE: written(self.pose, pose_raw, data_id)} | records, left_out)
+        return SentScene({POSE: written(self.pose, pose_raw, data_id), **records}, left_out)
 
     def _raw_pose(self, scene: SceneDraft) -> dict[str, int] | None:
         """Return the raw values of the pose error that hold its covariance and its levels."""

@@ -36,8 +36,8 @@ def settings_of(
         implied_ms = messages.cycle_ms or DEFAULT_CYCLE_MS
         cycle = cycle_ms or implied_ms
         timeout = min(max(implied_ms / 2, timeout_cycles(layout) * cycle), MAX_MS)
-        times = (max(1, int(1e6 * ms)) for ms in (timeout_ms or timeout, cycle))
-        return Settings(*times, windows)
+        timeout_ns, cycle_ns = (max(1, int(1e6 * ms)) for ms in (timeout_ms or timeout, cycle))
+        return Settings(timeout_ns, cycle_ns, windows)
 
     of_all: dict[Owner, Settings] = {
         slot: of_messages(layout, messages, of_lines) for slot, messages in layout.messages.items()

@@ -265,10 +265,10 @@ def _altered(rng: np.random.Generator, scene: Scene) -> Scene:
     if specific is not None:
         specific = specific * scale.reshape(-1, 4, 1) * scale.reshape(-1, 1, 4)
     blocks = (cov[k : k + 4, k : k + 4] for k in range(0, n, 4))
-    lines = [
+    lines = tuple(
         replace(line, gaussian=Gaussian(mean, block))
         for line, mean, block in zip(scene.lines, means, blocks, strict=True)
-    ]
+    )
     return replace(
         scene, lines=lines, cov=cov, fit_ranges=ranges, specific_covs=specific, pose_error=pose
     )
