@@ -122,7 +122,7 @@ def test_tests_of_a_class_and_attributes_are_known(
 def test_a_function_of_the_core_is_one_that_is_defined() -> None:
     assert tool.code_problem("c/src/mixtures.c:maplines_add_component") is None
     for name in ("c/src/decoder.c:maplines_add_component", "c/src/none.c:maplines_add_component"):
-        assert "does not define 'maplines_add_component'" in tool.code_problem(name)
+        assert "does not define 'maplines_add_component'" in str(tool.code_problem(name))
 
 
 def test_run_tells_failed_skipped_and_missing_from_passed(tmp_path: Path) -> None:

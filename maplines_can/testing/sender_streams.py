@@ -165,8 +165,8 @@ def _mixture_by_core(codec: Codec, given: Any) -> Any:
 
 
 def _mixture_by_model(layout: Layout, given: Any) -> Any:
-    line, counter, *mixture = given
-    return writer.write_mixture(layout, line, *mixture, counter)
+    line, counter, weights, means, covs = given
+    return writer.write_mixture(layout, line, weights, means, covs, counter)
 
 
 def _records(layout: Layout, rng: np.random.Generator) -> Iterator[Any]:
