@@ -166,7 +166,11 @@ class Core:
 
     def record(self, frames: int) -> bool:
         """Record the streams; return whether core and model agree."""
-        return run_task(self.context, partial(record, self.tree, self._recordings, frames)) == 0
+        status = run_task(self.context, partial(record, self.tree, self._recordings, frames))
+        if status != 0:  # they are not all of them
+            for file in self.recordings:
+                file.unlink()
+        return status == 0
 
     def replay(self, tree: Path, files: Sequence[Path], said: Path) -> int | None:
         """Replay recordings in a tree; return the exit status, None if it does not end."""
