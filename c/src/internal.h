@@ -434,10 +434,10 @@ typedef struct {
 } maplines_level_target_t;
 
 /// Raw levels (lateral, points, shape) that cover a target at the least cost, of those with the
-/// spacings of a line; false if none do. The first time, these spacings are chosen. The covariance
-/// of the levels becomes that of the line.
+/// spacings of a line; false if none do. If it has none yet, these spacings are chosen. The
+/// covariance of the levels becomes that of the line.
 MAPLINES_INTERNAL bool maplines_search_levels(const maplines_dbc_t *dbc,
-                                              const maplines_level_target_t *target, bool is_first,
+                                              const maplines_level_target_t *target,
                                               maplines_level_squares_t *squares,
                                               maplines_sent_line_t *line, int64_t raw[3]);
 /// Whether the covariance of levels covers a target; its true covariance is not used.

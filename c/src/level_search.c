@@ -466,7 +466,7 @@ static void begin(search_t *search, const maplines_dbc_t *dbc,
 }
 
 MAPLINES_INTERNAL bool maplines_search_levels(const maplines_dbc_t *dbc,
-                                              const maplines_level_target_t *target, bool is_first,
+                                              const maplines_level_target_t *target,
                                               maplines_level_squares_t *squares,
                                               maplines_sent_line_t *line, int64_t raw[3])
 {
@@ -475,7 +475,7 @@ MAPLINES_INTERNAL bool maplines_search_levels(const maplines_dbc_t *dbc,
     candidate_t best;
     memset(&best, 0, sizeof best);
     best.cost = (double)INFINITY;
-    if (is_first)
+    if (line->spacing_count == 0)
     {
         choose_spacings(&search, line);
     }

@@ -297,6 +297,7 @@ static void leave_out(maplines_scene_workspace_t *space, maplines_left_out_t rea
         if (space->lines[i].is_covered)
         {
             space->places[count] = place;
+            space->lines[count] = space->lines[i]; // with its spacings
             ++count;
         }
         else

@@ -54,8 +54,9 @@ static void known_part(const maplines_scene_member_t *member, const maplines_sen
 }
 
 /// Choose levels that cover a line alone plus `more`; whether there are any. `line->cost` is more
-/// than 1 if they cost too much. The first time, without `more`, its spacings are chosen; later the
-/// levels stay as they are if they still cover, since what covers more is no better.
+/// than 1 if they cost too much. Levels with less `more` stay as they are if they still cover,
+/// since what covers more is no better. Spacings are chosen once: what they are chosen for is the
+/// same in each pass.
 static bool encode_levels(const maplines_dbc_t *dbc, maplines_scene_workspace_t *space, int i,
                           bool is_first)
 {
@@ -83,7 +84,7 @@ static bool encode_levels(const maplines_dbc_t *dbc, maplines_scene_workspace_t 
         return true;
     }
     const bool is_covered =
-        maplines_search_levels(dbc, &target, is_first, &space->squares, line, member->raw_levels);
+        maplines_search_levels(dbc, &target, &space->squares, line, member->raw_levels);
     sum_of_two(line->levels, line->common, decoded);
     maplines_inverse(line->J, inverse);
     sum_of_two(member->specific, resolution, sum);
