@@ -1,4 +1,4 @@
-"""Codes of scenes of the project's DBCs."""
+"""Layouts of the project's DBCs, and records of any raw values."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from functools import lru_cache
 from maplines_can import Slot
 from maplines_can.model.records import written
 from maplines_can.wire import POSE, Layout
-from maplines_can.wire.covariance import SceneCode
 from maplines_can.wire.layout.dbc_reader import default_dbc_path
 from maplines_can.wire.layout.pose_layout import Owner, PoseLayout
 from maplines_can.wire.records.record import RawRecord
@@ -30,12 +29,6 @@ def pose_layout_of(dbc: str) -> PoseLayout:
     if pose is None:
         raise ValueError(f"{dbc} has no Pose message")
     return pose
-
-
-@lru_cache
-def scene_code(dbc: str = CONDITIONAL) -> SceneCode:
-    """Return the code of the scenes of one of the project's DBCs."""
-    return SceneCode(pose_layout_of(dbc), layout_of(dbc))
 
 
 def raw_record(

@@ -10,6 +10,7 @@ import pytest
 from maplines_can import Gaussian, MapError, Polyline, Slot, map_scene
 from maplines_can.study.scenes import source
 from maplines_can.study.scenes.source import (
+    RESOLUTION,
     box,
     information,
     joint_limit,
@@ -19,7 +20,6 @@ from maplines_can.study.scenes.source import (
     unit_point_cov,
 )
 from maplines_can.values.seen_lines import SeenLines
-from maplines_can.wire.covariance.scene_code import RESOLUTION
 
 LINES = 3
 
