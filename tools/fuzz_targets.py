@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from maplines_can.bus import read_log
+from maplines_can.model.records import written
 from maplines_can.study.comparison import AnyCodec, codec_for
 from maplines_can.study.dbc.record_spec import dbc_writer_for
 from maplines_can.values.errors import EncodeError, LayoutError, LogError
@@ -26,7 +27,6 @@ from maplines_can.values.line import MapLine, Slot, Status
 from maplines_can.wire import Authenticator, Codec, Decoder, Key, Layout, Reason
 from maplines_can.wire.layout.message_layout import PAGE_BYTES, TRANSFER_ID
 from maplines_can.wire.layout.packing import Packing
-from maplines_can.wire.records.packer import RecordPacker
 
 MS = 1_000_000
 #: DBCs for the decoder: a code that is positive definite by construction, others that are not,
@@ -91,8 +91,7 @@ def valid_record(
     """Return a record with any content that passes all checks of the protection."""
     raw = packing.unpack_one(content) | signals | {"Counter": counter}
     raw["Status"] %= len(Status)
-    packer = RecordPacker(codec.layout)
-    return packer.pack_one(raw, codec.layout.messages[slot].data_id)
+    return written(codec.layout, raw, codec.layout.messages[slot].data_id)
 
 
 class Sender:

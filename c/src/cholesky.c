@@ -1,5 +1,5 @@
-/* A covariance as pivots, ratios and an inflation: the operations of wire/covariance/cholesky.py,
- * which explains them, in the same order.
+/* A covariance as pivots, ratios and an inflation. maplines_can/wire/covariance/cholesky.py says
+ * why it is coded so.
  */
 #include "internal.h"
 

@@ -1,4 +1,4 @@
-/* Records with a covariance of their own: the operations of wire/records/complete_format.py. */
+/* Lines from records with a covariance of their own. */
 #include "internal.h"
 
 /// Standard deviations of a line whose covariance was not sent.

@@ -1,6 +1,4 @@
-/* Records with a covariance of their own, from lines: the operations of
- * wire/records/complete_writer.py, in the same order. No value is clipped silently.
- */
+/* Records with a covariance of their own, from lines. No value is clipped silently. */
 #include "internal.h"
 
 #define DIVISION_SLACK 1e-9  // of the division before directed rounding [steps]

@@ -1,5 +1,10 @@
-/* Weights of the components of a mixture as records have them, and what their rounding leaves: the
- * operations of wire/records/components.py, which explains them, in the same order.
+/* Weights of the components of a mixture as records have them, and what their rounding leaves.
+ *
+ * Weights are rounded to steps by their largest remainders (Hamilton's method), at least to one.
+ * Each decoded component covers its own covariance, so the covariance of the decoded mixture is at
+ * least B = sum w'_i (S_i + d_i d_i^T + (m'_i - m')(m'_i - m')^T). It must cover the true one about
+ * the decoded mean, T = S + (m - m')(m - m')^T. The positive part of T - B, added to each
+ * component, closes the gap.
  */
 #include "internal.h"
 

@@ -1,5 +1,8 @@
-/* The line within the ranges of a message that is nearest to one that exceeds them: the operations
- * of wire/covariance/nearest_line.py, which explains them, in the same order.
+/* The line within the ranges of a message that is nearest to one that exceeds them.
+ *
+ * To clip one parameter alone moves the line by up to tens of metres: the others have to make up
+ * for it. In a short range they do so to a few centimetres, since there the parameters of a cubic
+ * can be told apart only poorly.
  */
 #include "internal.h"
 

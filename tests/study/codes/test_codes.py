@@ -9,6 +9,7 @@ import pytest
 from example_lines import lines_timed_out, scenario_lines
 
 from maplines_can import Gaussian, MapLine, Slot, Status
+from maplines_can.model.records import written
 from maplines_can.simulation.scenarios import SCENARIOS
 from maplines_can.study import adversarial, evaluate, paper, road
 from maplines_can.study.codes import CODES
@@ -19,7 +20,6 @@ from maplines_can.study.dbc.record_spec import SERVICE, dbc_writer_for
 from maplines_can.study.round_trip import round_trip
 from maplines_can.values.errors import LayoutError
 from maplines_can.wire import Layout, Reason
-from maplines_can.wire.records.packer import RecordPacker
 
 MS = 1_000_000
 WITH_WIDTHS = [name for name in CODES if name not in ("Float16", "Float32", "MeanOnly")]
@@ -90,7 +90,7 @@ def test_a_covering_code_covers_adversarial_covariances_or_says_that_it_cannot(n
 def test_any_bits_decode_to_a_definite_line_or_a_reason(name: Any) -> None:
     """One by one, as in a receiver: an indefinite covariance is repaired or refused."""
     codec, rng = codec_of(name), np.random.default_rng(3)
-    decoder, packer = codec.decoder(), RecordPacker(codec.layout)
+    decoder = codec.decoder()
     messages = codec.layout.messages[Slot.EGO_LEFT]
     answers = []
     for counter in range(300):
@@ -99,7 +99,7 @@ def test_any_bits_decode_to_a_definite_line_or_a_reason(name: Any) -> None:
             for signal in codec.layout.signals.values()
         }
         raw |= {"Status": Status.FULL, "ComponentIndex": 0, "ComponentCount": 0, "Kind": 0}
-        record = packer.pack_one(raw | {"Counter": counter % 256}, messages.data_id)
+        record = written(codec.layout, raw | {"Counter": counter % 256}, messages.data_id)
         for start in range(0, len(record), 8):
             answer = decoder.feed(messages.can_id, record[start : start + 8], counter * 50 * MS)
         answers.append(answer)
