@@ -18,7 +18,8 @@ from c_mutants import mutants
                                     "(2.0 / 10.0)", "1", ""}),
         ("for (int i = 1; i < n; ++i) { }", {"<=", ">=", "2", "0", "--"}),
         ('const char *s = "a < 1"; // b < 2', {"/"}),
-        ("double a[4];", set()),
+        ("double a[4], b[4][3];", set()),
+        ("x = a[4];", {"", "5", "3"}),
         ("assert(a < 3);", set()),
     ],
 )  # fmt: skip

@@ -121,7 +121,7 @@ def _changes(tokens: list[_Token], i: int, *, is_head: bool) -> Iterator[tuple[i
     """
     token, before = tokens[i], tokens[i - 1]
     if token.kind == "number":
-        if before.text == "[" and tokens[i - 2].kind == "name" and tokens[i - 3].kind == "name":
+        if before.text == "[" and _is_declared(tokens, i):
             return  # the size of an array
         for text in _other_numbers(token.text):
             yield token.start, token.end, text
@@ -138,6 +138,18 @@ def _changes(tokens: list[_Token], i: int, *, is_head: bool) -> Iterator[tuple[i
             yield first, last, "1"
     if not is_head and before.text in (";", "{", "}") and token.kind == "name":
         yield from _left_out(tokens, i)
+
+
+def _is_declared(tokens: list[_Token], i: int) -> bool:
+    """Return whether a token is in a declaration, before any value."""
+    first = i
+    while tokens[first - 1].text not in (";", "{", "}"):
+        first -= 1
+        if tokens[first].text == "=":
+            return False
+    kinds = tokens[first].kind, tokens[first + 1].kind
+    is_type = kinds == ("name", "name") or tokens[first + 1].text == "*"
+    return is_type and tokens[first].text not in ("return", "else", "case")
 
 
 def _left_out(tokens: list[_Token], i: int) -> Iterator[tuple[int, int, str]]:

@@ -110,7 +110,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--jobs", type=int, default=1, help="mutants at a time (default: 1)")
     parser.add_argument("--tests", action="store_true", help="survivors also meet the tests")
     parser.add_argument(
-        "--frames", type=int, default=800, help="steps of a stream of a receiver (default: 800)"
+        "--frames", type=int, default=500, help="steps of a stream of a receiver (default: 500)"
     )
     parser.add_argument(
         "--recordings",

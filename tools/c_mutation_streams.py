@@ -80,7 +80,7 @@ def record(tree: Path, folder: Path, frames: int) -> None:
     Args:
         tree: has the package, with the core that is not changed.
         folder: of the files.
-        frames: of a stream of a receiver; one of a sender has a quarter of that.
+        frames: of a stream of a receiver; one of a sender has twice as many lines.
     """
     _begin(tree)
     sys.dont_write_bytecode = False  # the processes of mutants need not compile it again
@@ -108,7 +108,7 @@ def _recordings(frames: int) -> Iterator[tuple[Recording, list[bytes]]]:
     from maplines_can.wire import SHIPPED, Layout, default_dbc_path
 
     for seed in range(MAP_STREAMS):
-        steps: list[Any] = [*islice(queries(SEED + seed), frames // 20)]
+        steps: list[Any] = [*islice(queries(SEED + seed), frames // 4)]
         answers = [digest(model_answer(query)) for query in steps]
         yield Recording(f"maps, {seed}", _Maps(), steps, []), answers
     shipped = [default_dbc_path(name) for name in SHIPPED]
@@ -120,7 +120,7 @@ def _recordings(frames: int) -> Iterator[tuple[Recording, list[bytes]]]:
         layout = Layout.from_dbc(path)
         for stream in streams_of(layout):
             inputs = STREAMS[stream].inputs(layout, np.random.default_rng(SEED))
-            count = frames // 4 if stream != "scenes" else frames // 20
+            count = 2 * frames if stream != "scenes" else frames // 2
             steps = [*islice(inputs, count)]
             name = f"{path.stem}, {stream}"
             yield (
