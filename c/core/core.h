@@ -370,6 +370,31 @@ bool maplines_check_gaussian(size_t n, double rounding, const double *mean, doub
 double maplines_line_y(double y_off, double beta, double c0, double c1, double x);
 double maplines_line_sigma(double beta, const double cov[16], double x);
 
+/// Values of an elementary function by its number: exp2, log2, tan, atan, or sine and cosine.
+void maplines_elementary(int function, size_t n, const double *x, double *y, double *cosine);
+
+/// Lines seen from other poses. Curves (lines, 7) are means (4), fit ranges (2) [m] and
+/// coefficients of T_4 [m]. Functions that return a boolean return false if a line is no function
+/// of x where it must be one.
+bool maplines_are_functions(size_t lines, const double *curves);
+/// Derivatives (lines, 4, 4) with respect to the coefficients of T_0 .. T_3.
+void maplines_bases_of(size_t lines, const double *means, const double *fit_ranges, double *J);
+/// Lines (n, lines, 4) after displacements (n, 3).
+bool maplines_see_curves(size_t lines, const double *curves, size_t n, const double *poses,
+                         double *found);
+/// Derivatives (lines, 4, 3) with respect to the displacement.
+bool maplines_curve_jacobians(size_t lines, const double *curves, double *J);
+/// Move lines so that they are the means over a pose error with covariance P.
+bool maplines_centre_curves(size_t lines, double *curves, const double P[9]);
+/// Joint covariance (4 lines, 4 lines) for a pose error, and its factor A (4 lines, 7).
+bool maplines_spread_curves(size_t lines, const double *curves, const double P[9], double *A,
+                            double *cov);
+/// Valid ranges (lines, 2) [m] for a pose error, line-specific covariances (lines, 4, 4), and
+/// errors of the heading of the map (lines) [rad].
+void maplines_valid_curves(size_t lines, const double *curves, const double P[9],
+                           const double *specific_covs, const double *heading_sigmas,
+                           double *x_ranges);
+
 /* ---- send.c: lines and scenes to records ------------------------------------------------------
  */
 

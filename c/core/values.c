@@ -1,4 +1,6 @@
-/* Gaussians of any size, and places of a line. */
+/* Elementary functions of arrays, Gaussians of any size, places of a line, and lines seen from
+ * other poses.
+ */
 #include "core.h"
 #include "internal.h"
 
@@ -111,4 +113,135 @@ double maplines_line_sigma(double beta, const double cov[16], double x)
         variance += J[i] * (row[0] + J[1] * row[1] + J[2] * row[2] + J[3] * row[3]);
     }
     return sqrt(variance < 0.0 ? 0.0 : variance);
+}
+
+/* ---- elementary functions -------------------------------------------------------------------- */
+
+void maplines_elementary(int function, size_t n, const double *x, double *y, double *cosine)
+{
+    for (size_t i = 0; i < n; i++)
+    {
+        switch (function)
+        {
+        case 0:
+            y[i] = maplines_exp2(x[i]);
+            break;
+        case 1:
+            y[i] = maplines_log2(x[i]);
+            break;
+        case 2:
+            y[i] = maplines_tan(x[i]);
+            break;
+        case 3:
+            y[i] = maplines_atan(x[i]);
+            break;
+        default:
+            maplines_sin_cos(x[i], &y[i], &cosine[i]);
+            break;
+        }
+    }
+}
+
+/* ---- lines seen from other poses ------------------------------------------------------------- */
+
+/// Line of rows of 7: mean (4), fit range (2) [m], and coefficient of T_4 [m]; and its points.
+static maplines_curve_t curve_of(const double row[7], maplines_points_t *points)
+{
+    const maplines_curve_t curve = {{row[0], row[1], row[2], row[3]}, {row[4], row[5]}, row[6]};
+    maplines_points_of(&curve, points);
+    return curve;
+}
+
+bool maplines_are_functions(size_t lines, const double *curves)
+{
+    bool are_functions = true;
+    for (size_t i = 0; i < lines; i++)
+    {
+        maplines_points_t points;
+        (void)curve_of(curves + 7 * i, &points);
+        are_functions = are_functions && maplines_is_function(&points);
+    }
+    return are_functions;
+}
+
+void maplines_bases_of(size_t lines, const double *means, const double *fit_ranges, double *J)
+{
+    for (size_t i = 0; i < lines; i++)
+    {
+        maplines_bases(means + 4 * i, fit_ranges + 2 * i, J + 16 * i);
+    }
+}
+
+bool maplines_see_curves(size_t lines, const double *curves, size_t n, const double *poses,
+                         double *found)
+{
+    bool is_right = true;
+    for (size_t i = 0; i < lines; i++)
+    {
+        maplines_points_t points;
+        (void)curve_of(curves + 7 * i, &points);
+        for (size_t k = 0; k < n; k++)
+        {
+            is_right &= maplines_seen(&points, poses + 3 * k, found + 4 * (k * lines + i));
+        }
+    }
+    return is_right;
+}
+
+bool maplines_curve_jacobians(size_t lines, const double *curves, double *J)
+{
+    bool is_right = true;
+    for (size_t i = 0; i < lines; i++)
+    {
+        maplines_points_t points;
+        (void)curve_of(curves + 7 * i, &points);
+        is_right &= maplines_pose_jacobian(&points, (double(*)[3])(J + 12 * i));
+    }
+    return is_right;
+}
+
+bool maplines_centre_curves(size_t lines, double *curves, const double P[9])
+{
+    double poses[MAPLINES_POSES][3];
+    bool is_right = true;
+    maplines_pose_points(P, poses);
+    for (size_t i = 0; i < lines; i++)
+    {
+        maplines_points_t points;
+        maplines_curve_t curve = curve_of(curves + 7 * i, &points);
+        is_right &= maplines_centre_line(&curve, &points, poses);
+        memcpy(curves + 7 * i, curve.mean, sizeof curve.mean);
+    }
+    return is_right;
+}
+
+bool maplines_spread_curves(size_t lines, const double *curves, const double P[9], double *A,
+                            double *cov)
+{
+    double poses[MAPLINES_POSES][3];
+    const int rows = (int)(4 * lines);
+    bool is_right = true;
+    maplines_pose_points(P, poses);
+    for (size_t i = 0; i < lines; i++)
+    {
+        maplines_points_t points;
+        const maplines_curve_t curve = curve_of(curves + 7 * i, &points);
+        double(*own)[MAPLINES_POSES] = (double(*)[MAPLINES_POSES])A + 4 * i;
+        is_right &= maplines_spread(&curve, poses, own);
+    }
+    maplines_product_transposed(rows, MAPLINES_POSES, rows, A, A, cov);
+    return is_right;
+}
+
+void maplines_valid_curves(size_t lines, const double *curves, const double P[9],
+                           const double *specific_covs, const double *heading_sigmas,
+                           double *x_ranges)
+{
+    for (size_t i = 0; i < lines; i++)
+    {
+        maplines_points_t points;
+        const maplines_curve_t curve = curve_of(curves + 7 * i, &points);
+        maplines_valid_range(&curve, P, specific_covs + 16 * i, heading_sigmas[i],
+                             x_ranges + 2 * i);
+    }
 }

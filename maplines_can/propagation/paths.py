@@ -23,7 +23,7 @@ from ..values.polyline import INDEXED, Polyline, to_map
 KEPT = 16
 #: Largest angle between the car's x axis and a line that it sees [rad]; farther along, the line
 #: is nearly parallel to the y axis, and no function y(x).
-MAX_TURN = math.radians(65.0)
+MAX_TURN: float = math.radians(65.0)
 #: Reasons by their numbers in the core, of which 0 is that a line is given.
 REASONS = (None, LeftOut.NOT_IN_WINDOW, LeftOut.ACROSS, LeftOut.TOO_SHORT, LeftOut.UNCERTAIN)
 

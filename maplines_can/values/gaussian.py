@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,8 +15,8 @@ from ..core.memory import new, pointer
 from .arrays import floats
 from .linalg import (
     MAX_COV,
-    is_asymmetric,
-    is_indefinite,
+    asymmetric,
+    indefinite,
     rounding_of,
     scale_of,
     solve_lower,
@@ -64,7 +64,7 @@ matrix is -1; use nearest_covariance(cov), which covers it
                 raise ValueError(f"mean must be finite with shape (n,), got {mean!r}")
             if cov.shape != (mean.size, mean.size):
                 raise ValueError(f"cov must be finite with shape {(mean.size,) * 2}, got {cov!r}")
-            cov = _checked(cov, rounding)
+            _raise_fault(cov, rounding)
         mean.setflags(write=False)
         cov.setflags(write=False)
         self.__dict__.update(mean=mean, cov=cov)
@@ -216,35 +216,29 @@ def _is_checked(mean: NDArray[np.float64], cov: NDArray[np.float64], rounding: f
     return bool(lib.maplines_check_gaussian(n, rounding, pointer(mean), pointer(cov), memory))
 
 
-def _checked(cov: NDArray[np.float64], rounding: float) -> NDArray[np.float64]:
-    """Return an (n, n) covariance, exactly symmetric; raises as ``Gaussian``.
-
-    It is checked in plain numbers: for such small matrices, arrays cost many times as much.
-    """
-    rows, n = cov.tolist(), len(cov)
-    diagonal = [row[i] for i, row in enumerate(rows)]
-    if not all(abs(value) <= MAX_COV for row in rows for value in row):  # or NaN
-        raise ValueError(f"cov must be finite with shape {(n, n)}, got {cov!r}")
-    if min(diagonal) < 0:
-        raise ValueError(f"cov must have variances of 0 or more, got {cov.diagonal()!r}")
-    if any(any(row) for row, variance in zip(rows, diagonal, strict=True) if variance == 0):
+def _raise_fault(cov: NDArray[np.float64], rounding: float) -> NoReturn:
+    """Raise what is wrong with an (n, n) covariance that the core refuses, as ``Gaussian``."""
+    variances = cov.diagonal()
+    if not (np.abs(cov) <= MAX_COV).all():  # or NaN
+        raise ValueError(f"cov must be finite with shape {cov.shape}, got {cov!r}")
+    if (variances < 0).any():
+        raise ValueError(f"cov must have variances of 0 or more, got {variances!r}")
+    if cov[variances == 0].any():
         raise ValueError(
             f"cov must be 0 in the row and column of a zero variance, got {cov!r}; "
             "use nearest_covariance(cov)"
         )
-    if rows != [*map(list, zip(*rows, strict=True))]:
-        if is_asymmetric(rows, rounding):
-            raise ValueError(f"cov must be symmetric, got {cov!r}; use (cov + cov.T) / 2")
-        cov = (cov + cov.T) / 2
-        rows = cov.tolist()
-    if is_indefinite(rows, rounding):
+    if asymmetric(cov, rounding).any():
+        raise ValueError(f"cov must be symmetric, got {cov!r}; use (cov + cov.T) / 2")
+    cov = (cov + cov.T) / 2
+    if indefinite(cov, rounding).any():
         scale = scale_of(cov)
         smallest = np.linalg.eigvalsh(cov / scale / scale[:, None])[0]
         raise ValueError(
             "cov must be positive semidefinite, but the smallest eigenvalue of its "
             f"correlation matrix is {smallest:g}; use nearest_covariance(cov), which covers it"
         )
-    return cov
+    raise ValueError(f"cov is no covariance for the core, got {cov!r}")
 
 
 def independent(first: Gaussian, second: Gaussian) -> Gaussian:

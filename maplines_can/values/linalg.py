@@ -7,7 +7,6 @@ coordinates of one unit that the caller names (``positive_part``).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -46,8 +45,6 @@ def indefinite(cov: NDArray[np.float64], rounding: float = ROUNDING) -> NDArray[
     A matrix counts as indefinite if the Cholesky recursion on its correlation
     matrix, with ``rounding`` added to the diagonal, has a pivot of 0 or less.
     """
-    if cov.ndim == 2:
-        return np.array(is_indefinite(cov.tolist(), rounding))
     S = np.moveaxis(cov, (-2, -1), (0, 1))
     scale = np.moveaxis(scale_of(cov), -1, 0)
     bad = np.zeros(cov.shape[:-2], dtype=bool)
@@ -62,37 +59,6 @@ def indefinite(cov: NDArray[np.float64], rounding: float = ROUNDING) -> NDArray[
             bad |= ~(pivot > 0)
             L.append([*row, np.sqrt(pivot)])
     return bad
-
-
-def is_indefinite(rows: list[list[float]], rounding: float = ROUNDING) -> bool:
-    """Return ``indefinite`` of the rows of one matrix, of which the lower part is read."""
-    scale = _scales(rows)
-    L: list[list[float]] = []
-    for i, entries in enumerate(rows):
-        sigma, row, squares = scale[i], list[float](), 0.0
-        for j, column in enumerate(L):
-            products = 0.0
-            for k in range(j):
-                products += row[k] * column[k]
-            root = (entries[j] / (sigma * scale[j]) - products) / column[j]
-            squares += root * root
-            row.append(root)
-        pivot = entries[i] / (sigma * sigma) + rounding - squares
-        if not pivot > 0:  # or NaN
-            return True
-        row.append(math.sqrt(pivot))
-        L.append(row)
-    return False
-
-
-def is_asymmetric(rows: list[list[float]], rounding: float = ROUNDING) -> bool:
-    """Return ``asymmetric`` of the rows of one matrix."""
-    scale = _scales(rows)
-    return any(
-        abs(row[j] - rows[j][i]) > rounding * scale[i] * scale[j]
-        for i, row in enumerate(rows)
-        for j in range(len(rows))
-    )
 
 
 def is_covariance(cov: NDArray[np.float64]) -> bool:
@@ -278,11 +244,6 @@ def scale_of(cov: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (..., n) standard deviations, with 1 in place of 0."""
     variance = np.diagonal(cov, axis1=-2, axis2=-1)
     return np.sqrt(np.where(variance > 0, variance, 1.0))
-
-
-def _scales(rows: list[list[float]]) -> list[float]:
-    """Return ``scale_of`` the rows of one matrix."""
-    return [math.sqrt(row[i]) if row[i] > 0 else 1.0 for i, row in enumerate(rows)]
 
 
 def _scale_of_any(S: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -16,7 +16,6 @@ from maplines_can import map_lines
 from maplines_can.simulation.scenarios import STREETS, scenario
 from maplines_can.simulation.street_shapes import LANES, Street, StreetPiece, lanes, widening
 from maplines_can.values.line import Slot
-from maplines_can.values.seen_lines import MARGIN
 
 PIECES = st.lists(
     st.builds(StreetPiece, st.floats(1, 80), st.floats(-0.07, 0.07), st.floats(-0.07, 0.07)),
@@ -170,7 +169,7 @@ def test_every_line_of_a_street_is_given(name: str) -> None:
     assert min(line.x_max - line.x_min for line in lines) > 8
     right = next(line for line in lines if line.slot == Slot.EGO_RIGHT)
     if name == "lane-ends":
-        assert right.x_max == pytest.approx(40 - MARGIN * 0.1, abs=0.01)
+        assert right.x_max == pytest.approx(40 - 3 * 0.1, abs=0.01)
 
 
 def centre(name: str) -> Any:

@@ -27,7 +27,7 @@ def excess_covs(
     for i, slot in enumerate(fitted.slots):
         window = tuple(fitted.refits.x_range[i].tolist())
         of_map = Refit(lines[slot], ego.mean, window, error, max_misfit=np.inf).noise_cov
-        cov = fitted.refits.noise_cov[i] - (0.0 if of_map is None else of_map)
+        cov = np.asarray(fitted.refits.noise_cov)[i] - (0.0 if of_map is None else of_map)
         cov[0, 0] -= fitted.refits.misfit[i] ** 2
         covs[slot] = cov
     return covs

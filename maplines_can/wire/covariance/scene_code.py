@@ -30,7 +30,7 @@ from ...values.errors import IllPosedError
 from ...values.fixed_order import cholesky, product, upper_solution
 from ...values.linalg import block_diagonal
 from ...values.line import Slot
-from ...values.seen_lines import PoseSpread, SeenLines, bases
+from ...values.seen_lines import SeenLines, bases
 from ..layout.record_layout import RecordLayout
 from ..layout.signals import (
     FINE_SIGNALS,
@@ -65,7 +65,6 @@ class DecodedPose(NamedTuple):
     correlation_time: float  #: [s]
     offset_sigma: float  #: common offset of the points of a line of the map [m]
     heading_sigma: float  #: common rotation of the points of a line of the map [rad]
-    points: PoseSpread  #: sigma points of P'
 
 
 class DecodedLines(NamedTuple):
@@ -164,7 +163,7 @@ class SceneCode:
         )
         time = self.correlation_time(raw[self.time.name])
         cov = self.pose_code.decode_one(raw)
-        return DecodedPose(cov, time, offset, heading, PoseSpread.of(cov))
+        return DecodedPose(cov, time, offset, heading)
 
     def correlation_time(self, raw: int) -> float:
         """Return the correlation time of a raw value [s]; infinite for 0, which means unknown."""
@@ -201,11 +200,8 @@ class SceneCode:
             raise IllPosedError("the range of a line is empty")
         seen = SeenLines(means, fit_ranges, quartics)
         J = bases(means, fit_ranges)
-        if _has_map_error(pose):
-            A, by_pose = seen.spread_and_jacobian(pose.points)
-            common = _common(J, pose, by_pose)
-        else:
-            A, common = seen.spread_factor(pose.points), _common(J, pose)
+        A = seen.spread_factor(pose.cov)
+        common = _common(J, pose, seen.jacobian() if _has_map_error(pose) else None)
         F = self._specific_factors(raw, means, fit_ranges, common, J)
         return DecodedLines(means, fit_ranges, product(F, F.mT), quartics, A, F)
 
