@@ -39,7 +39,6 @@ from maplines_can.values.seen_lines import (
     END_WEIGHT,
     NODES,
     POINTS,
-    PoseSpread,
     SeenLines,
     bases,
     valid_ranges,
@@ -220,7 +219,7 @@ def of_a_line(
     for values in (
         lambda: seen(pose[None])[0, 0],
         lambda: seen.jacobian()[0],
-        lambda: seen.spread_factor(PoseSpread.of(P)),
+        lambda: seen.spread_factor(P),
     ):
         try:
             out += [b"\1" + doubles(values())]
