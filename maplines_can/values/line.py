@@ -20,7 +20,7 @@ from .gaussian import Gaussian, variances
 from .mixture import GaussianMixture
 
 #: The line's parameters, in the order of every mean and covariance.
-PARAMETERS = ("y_off", "beta", "c0", "c1")
+PARAMETERS: tuple[str, ...] = ("y_off", "beta", "c0", "c1")
 
 #: Standard deviations of an unknown covariance [m, rad, 1/m, 1/m^2].
 #: They are so large that a fusion gives the line practically no weight.

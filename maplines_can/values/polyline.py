@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,7 +33,7 @@ MAX_NEAR = 1000
 KEPT = 16
 
 #: A kind, or pairs of the arc length from which a kind applies [m], ascending from 0, and the kind.
-Kinds = Kind | Sequence[tuple[float, Kind]]
+Kinds: TypeAlias = Kind | Sequence[tuple[float, Kind]]
 
 
 @dataclass(frozen=True, eq=False)
