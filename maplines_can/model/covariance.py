@@ -165,7 +165,8 @@ def quantized(
         for j in range(i):
             row.append((scale * M[i][j] - dot(row, L[j][:j])) / L[j][j])
         exact = math.sqrt(max(scale * M[i][i] + floor[i] - dot(row, row), floor[i]))
-        own = chosen = nearest_limited(pivot, log2(exact))
+        own = nearest(pivot, log2(exact))  # it may be below the range, and then it is lifted
+        chosen = limited(pivot, own)
         for lifts in range(LIFTS + 1):
             sigma = exp2(value(pivot, chosen))
             raw_ratios, of_row, overflow = rounded_row(ratios, row, sigma, A)
