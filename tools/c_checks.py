@@ -49,7 +49,7 @@ WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Wstr
 #: Least share of the branches that the tests take [%].
 MIN_BRANCHES = 98.0
 #: Tests of streams, which compare the library with the model.
-STREAM_TESTS = ("tests/model", "tests/test_sender_streams.py", "tests/test_map_streams.py")
+STREAM_TESTS = ("tests/model", "tests/test_map_streams.py")
 #: Others that run the library.
 CORE_TESTS = (
     "tests/wire", "tests/propagation", "tests/bus/test_candump_logs.py",
