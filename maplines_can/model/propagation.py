@@ -27,7 +27,7 @@ from .matrices import (
     symmetric,
 )
 from .refits import MapError, Refit, is_across, line_at, line_or_extended, quartic, refit
-from .stretches import Look, Path, Stretch, Stretches, is_possible, limited, stretch_of
+from .stretches import Look, Path, Stretch, Stretches, limited, stretch_of
 
 #: Largest and least limit of the angle between a line and the x axis, 65 and 20 degrees, and
 #: standard deviations of the heading for which it leaves room.
@@ -170,12 +170,8 @@ def pose_view(query: Query) -> PoseView:
     return PoseView(Look(query.mean, low - room, high + room, turn), pose_cov, cov, room)
 
 
-def seen_of(
-    paths: Sequence[Path], look: Look
-) -> tuple[list[Stretch], list[int], dict[int, str]] | None:
+def seen_of(paths: Sequence[Path], look: Look) -> tuple[list[Stretch], list[int], dict[int, str]]:
     """Return what is seen of lines, of which ones, and why nothing of the others."""
-    if not all(map(is_possible, paths)):
-        return None
     found = [stretch_of(path, look) for path in paths]
     given = [i for i, one in enumerate(found) if isinstance(one, Stretch)]
     left_out = {i: one for i, one in enumerate(found) if isinstance(one, str)}
@@ -190,15 +186,13 @@ def map_lines(
 ) -> tuple[dict[int, MapLine], dict[int, str]] | None:
     """Return lines by their index, and why others are left out; None if one is refused."""
     view = pose_view(query)
-    seen = seen_of(paths, view.look)
-    if seen is None:
-        return None
-    stretches, given, left_out = Stretches(seen[0]), seen[1], seen[2]
+    stretches, given, left_out = seen_of(paths, view.look)
+    seen = Stretches(stretches)
     points = rule_points(rule, query.mean, query.cov)
     found: dict[int, MapLine] = {}
     for i, path in enumerate(given):
         limits = Limits(query.max_misfit, view.room)
-        one = refit(stretches, i, query.mean, limits, query.error)
+        one = refit(seen, i, query.mean, limits, query.error)
         line = "TOO_SHORT" if one is None else _line(query, view, rule, one, points)
         if line is None:
             return None
@@ -224,6 +218,8 @@ def _line(
     mean, cov = weighted_moments(rule, known)
     cov = symmetric(added(cov, one.noise))
     if not all(map(math.isfinite, mean)) or not is_covariance(cov):
+        return None
+    if any(any(row) for i, row in enumerate(cov) if row[i] == 0):
         return None
     certain = certain_range(mean, cov, begin, end, query.max_sigma)
     if certain is None or (certain != (begin, end) and certain[1] - certain[0] < MIN_RANGE):
@@ -255,19 +251,18 @@ def map_scene(
     too short is dropped, and the others are propagated again.
     """
     view = pose_view(query)
-    seen = seen_of(paths, view.look)
-    if seen is None or len(paths) > MOST_LINES:
+    if len(paths) > MOST_LINES:
         return None
-    stretches, given, left_out = seen
+    stretches, given, left_out = seen_of(paths, view.look)
     trials = [_Trial(stretch) for stretch in stretches]
     points = [_moved(query.mean, d) for d in rule_points(rule, [0.0] * 3, view.pose_cov)]
     limits = Limits(query.max_misfit, view.room, WHOLE_STEP)
-    seen_lines = Stretches(stretches)
+    seen = Stretches(stretches)
     for _ in range(MOST_LINES * (TRIALS + 3)):
         for i, trial in enumerate(trials):
-            seen_lines.ranges[i] = trial.stretch.begin, trial.stretch.end
+            seen.ranges[i] = trial.stretch.begin, trial.stretch.end
             if trial.is_new:
-                trial.refit = refit(seen_lines, i, query.mean, limits, query.error)
+                trial.refit = refit(seen, i, query.mean, limits, query.error)
                 trial.is_new = False
         kept = [trial for trial in trials if _is_kept(query, view, trial)]
         why = {

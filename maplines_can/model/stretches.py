@@ -17,8 +17,6 @@ from .matrices import Row
 
 #: Length over which the direction of a line is taken [m].
 DIRECTION_BASE = 0.5
-#: Longest line, and farthest first point of one [m]; squares of larger numbers overflow.
-MOST_LENGTH = 1e100
 #: The least normal number: a step of no length has the square of this one.
 LEAST_SQUARE = 2.0**-1022
 
@@ -47,11 +45,6 @@ class Stretch(NamedTuple):
     y: Row
     begin: float  #: of the range [m]
     end: float
-
-
-def is_possible(path: Path) -> bool:
-    """Return whether squares of the coordinates do not overflow."""
-    return all(abs(v) < MOST_LENGTH for v in (path.x[0], path.y[0], path.distance[-1]))
 
 
 def start_of(look: Look) -> tuple[float, float, float]:
@@ -106,7 +99,7 @@ def nearest_step(path: Path, look: Look, direction: Sequence[int]) -> int | None
         share = (to_x * dx + to_y * dy) / max(LEAST_SQUARE, dx * dx + dy * dy)
         shares.append(limited(share, 0.0, 1.0))
         to_x, to_y = to_x - shares[i] * dx, to_y - shares[i] * dy
-        squares.append(to_x * to_x + to_y * to_y)
+        squares.append(min(math.inf, to_x * to_x + to_y * to_y))  # NaN by overflow, too
     nearest = min(steps, key=squares.__getitem__)  # the first one
     if direction[nearest]:
         return nearest

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from maplines_can.testing import back_to_back, map_streams, sender_streams
+from maplines_can.testing import back_to_back, hostile_streams, map_streams, sender_streams
 from maplines_can.wire import SHIPPED, Codec, Layout, default_dbc_path
 
 from .harness import bar, evidence
@@ -44,13 +44,13 @@ def frames(n: int = 1_000_000, random: int = 0, seed: int = 1) -> dict[str, Any]
 
 
 def _received(name: str, layout: Layout, n: int, seed: int) -> dict[str, int]:
-    profiles, traffics = back_to_back.profiles_of(layout), back_to_back.traffics_of(layout, seed)
+    profiles, traffics = back_to_back.profiles_of(layout), hostile_streams.traffics_of(layout, seed)
     frames = records = streams = 0
     with bar(n, name) as shown:
         while frames < n:
             profile = profiles[streams % len(profiles)]
             if streams and streams % len(profiles) == 0:
-                traffics = back_to_back.traffics_of(layout, seed + streams)
+                traffics = hostile_streams.traffics_of(layout, seed + streams)
             size = min(back_to_back.FRAMES, n)
             found = back_to_back.compare(traffics, profile, size, seed + streams)
             if found.difference is not None:
