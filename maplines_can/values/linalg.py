@@ -234,12 +234,6 @@ def block_diagonal(blocks: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]
     return matrix
 
 
-def diagonal_blocks(matrix: NDArray[np.float64], n: int) -> NDArray[np.float64]:
-    """Return the (L, n, n) blocks on the diagonal of an (L n, L n) matrix."""
-    L = len(matrix) // n
-    return matrix.reshape(L, n, L, n)[range(L), :, range(L)]
-
-
 def scale_of(cov: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (..., n) standard deviations, with 1 in place of 0."""
     variance = np.diagonal(cov, axis1=-2, axis2=-1)
