@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core import ffi
 from ..values.errors import LayoutError
 from ..values.gaussian import Gaussian
 from ..values.linalg import nearest_covariance
-from ..values.line import VAGUE_SIGMA, Kind, MapLine, Status
+from ..values.line import VAGUE_SIGMA, MapLine, Slot, Status
+from ..values.mixture import GaussianMixture
 from ..wire import CODES as CORE_CODES
-from ..wire import Batch, Codec, Decoder, E2EConfig, Encoder, Layout, Owner, Reason
-from ..wire.layout.pose_layout import slot_of
-from ..wire.layout.signals import PARAMETER_SIGNALS, SignalRow
+from ..wire import Batch, Codec, Decoder, E2EConfig, Encoder, Layout, Owner
+from ..wire.layout.packing import Packing
+from ..wire.layout.signals import PAGE, PARAMETER_SIGNALS, TRANSFER_ID, SignalRow
 from ..wire.layout.validation import CheckedGaussians, checked_gaussians
-from ..wire.reception.python_decoder import PythonDecoder
-from ..wire.reception.settings import decoder_settings
+from ..wire.protection.e2e import CRC_BYTES, record_crc_one
+from ..wire.reception.settings import RecordSettings, decoder_settings
 from ..wire.records.counters import packed, unpacked
-from ..wire.records.frames import FrameWriter, Records
-from ..wire.records.packer import RecordPacker
-from ..wire.records.record import CompleteRecord, RecordReader
+from ..wire.records.frames import Frame, FrameWriter
 from ..wire.scene_writer import SceneWriter
+from ..wire.tables import tables_of
 from .codes import CODES, COMPARED
 from .components import deficit, quantized_weights, slope_error
 
@@ -34,6 +35,15 @@ Array = NDArray[np.float64]
 
 #: Least eigenvalue of a correlation matrix that is not repaired, and of one that is.
 DEFINITE, REPAIRED = 1e-12, 1e-9
+#: The status of a mixture is that of its worst component; from best to worst.
+SEVERITY = (
+    Status.FULL,
+    Status.REPAIRED,
+    Status.SATURATED,
+    Status.DIAGONAL,
+    Status.UNKNOWN,
+    Status.OUT_OF_RANGE,
+)
 _VAGUE = np.diag(np.square(VAGUE_SIGMA))
 
 
@@ -166,53 +176,60 @@ class ComparisonCodec:
         e2e: E2EConfig | None = None,
     ) -> Decoder:
         """Return a new decoder, as ``Codec.decoder``; it repairs indefinite covariances."""
-        settings = decoder_settings(self.layout, timeout_ms, cycle_ms, e2e)
-        return PythonDecoder(self.layout, RecordReader(_Records(self)), {}, settings, None)
+        return ComparisonDecoder(self, decoder_settings(self.layout, timeout_ms, cycle_ms, e2e))
 
 
 class ComparisonEncoder(Encoder):
-    """Encoder of lines with a covariance code for comparison."""
+    """Encoder of lines whose covariances have a code for comparison.
+
+    Args:
+        codec: of the lines.
+    """
 
     def __init__(self, codec: ComparisonCodec) -> None:
         no_tables: Any = None
         layout = codec.layout
         frames, scenes = FrameWriter(layout, None), SceneWriter(layout, no_tables)
         super().__init__(codec.encoder, layout, no_tables, frames, scenes)
-        self._writer = _Records(codec)
-
-    def _write_lines(self, lines: Sequence[MapLine], counters: bytes) -> tuple[Records, bytes]:
-        of_lines, following = self._writer.write_lines(lines, unpacked(counters))
-        pairs = zip(lines, of_lines, strict=True)
-        return Records.of((line.slot, one) for line, own in pairs for one in own), packed(following)
-
-
-class _Records:
-    """Writer and format of the records of lines, one by one."""
-
-    def __init__(self, codec: ComparisonCodec) -> None:
         self._codec, self._signals = codec, codec.layout.signals
-        self.packer = RecordPacker(codec.layout)
-        self.data_ids: dict[Owner, int]
-        self.data_ids = {slot: own.data_id for slot, own in codec.layout.messages.items()}
+        self._packing = _packing_of(codec.layout)
+        self._modulus = 2 ** self._signals["Counter"].length
 
-    def write_lines(
-        self, lines: Sequence[MapLine], counters: Mapping[Owner, int]
-    ) -> tuple[list[list[bytes]], Counter[Owner]]:
-        """Return the records of each line, and the counters that follow them."""
-        following: Counter[Owner] = Counter(counters)
-        modulus = 2 ** self._signals["Counter"].length
-        written = []
-        for line in lines:
-            (data_id,) = self._codec.layout.data_ids(line.slot, 1).tolist()
-            records = []
-            for raw in self._components(line):
-                raw["Counter"] = following[line.slot] % modulus
-                following[line.slot] = (raw["Counter"] + 1) % modulus
-                records.append(self.packer.pack_one(raw, data_id))
-            written.append(records)
-        return written, following
+    def encode_lines(
+        self,
+        lines: Sequence[MapLine],
+        *,
+        fd: bool = False,
+        counters: Mapping[Owner, int] | None = None,
+    ) -> list[list[Frame]]:
+        """Return the frames of each line; see ``Encoder.encode_lines``."""
+        with self._lock:
+            own = unpacked(self._counters) if counters is None else counters
+            following: Counter[Owner] = Counter(own)
+            frames = [
+                [*chain(*(self._frames(raw, line.slot, fd, following) for raw in self._raw(line)))]
+                for line in lines
+            ]
+            if counters is None:
+                self._counters = packed(following)
+        return frames
 
-    def _components(self, line: MapLine) -> Iterator[dict[str, int]]:
+    def _frames(
+        self, raw: Mapping[str, int], slot: Slot, fd: bool, following: Counter[Owner]
+    ) -> list[Frame]:
+        """Return the frames of a record, and advance the counter of its slot."""
+        layout = self._codec.layout
+        counter = following[slot] % self._modulus
+        following[slot] = (counter + 1) % self._modulus
+        of_pages = {f"{PAGE}{page}": page for page in range(layout.pages)}
+        of_pages |= {f"{TRANSFER_ID}{page}": counter for page in range(layout.pages)}
+        payload = self._packing.pack_one({**raw, **of_pages, "Counter": counter})
+        crc_at, (data_id,) = layout.crc_offset, layout.data_ids(slot, 1).tolist()
+        crc = record_crc_one(payload, data_id, crc_at).to_bytes(CRC_BYTES, "little")
+        record = payload[:crc_at] + crc + payload[crc_at + CRC_BYTES :]
+        return self._frame_writer.write(record, slot, fd)
+
+    def _raw(self, line: MapLine) -> Iterator[dict[str, int]]:
         """Yield the raw values of each component of a line, all but the counter."""
         weights, means = np.ones(1), line.gaussian.mean[None]
         covs = line.gaussian.cov[None]
@@ -243,38 +260,98 @@ class _Records:
             place = {"ComponentIndex": i, "ComponentWeight": weight.nearest_one(weights[i]).raw}
             yield of_line | of_component | place
 
-    def content(
-        self, raw: Mapping[str, int], owner: Owner, t_ns: int | None
-    ) -> CompleteRecord | Reason:
-        """Return the content of an intact record, or CONTENT if no sender may send its values."""
-        names = ("XMin", "XMax", "Age", "ComponentCount", "ComponentWeight")
-        x_min, x_max, age_ms, count, weight = (
-            self._signals[name].physical_one(raw[name]) for name in names
+
+class ComparisonDecoder(Decoder):
+    """Decoder of lines whose covariances have a code for comparison.
+
+    The core receives their records, without covariances; those are read from the records that it
+    holds. One that is indefinite is repaired. A line with one that is no covariance is
+    OUT_OF_RANGE, and so not usable.
+
+    Args:
+        codec: of the lines.
+        settings: of each slot.
+    """
+
+    def __init__(self, codec: ComparisonCodec, settings: Mapping[Owner, RecordSettings]) -> None:
+        layout = codec.layout
+        super().__init__(layout, tables_of(layout), {}, settings)
+        self._codec = codec
+        self._packing = _packing_of(layout)
+        self._transfer_ids = 2 ** layout[f"{TRANSFER_ID}0"].length
+
+    def feed_arrays(
+        self,
+        can_id: NDArray[np.uint32],
+        is_extended: NDArray[np.bool_],
+        t_ns: NDArray[np.int64],
+        length: NDArray[np.uint8],
+        data: NDArray[np.uint8],
+        places: NDArray[np.int64],
+        reasons: NDArray[np.uint8],
+        scenes: int,
+    ) -> tuple[NDArray[np.void], NDArray[np.void], NDArray[np.void]]:
+        """Decode frames of a block, one by one; see ``Decoder.feed_arrays``."""
+        frames = can_id, is_extended, t_ns, length, data
+        one_by_one = [places[i : i + 1] for i in range(len(places))] or [places]
+        feed = super().feed_arrays
+        found = [feed(*frames, place, reasons, scenes) for place in one_by_one]
+        lines, components, seen = (np.concatenate(each) for each in zip(*found, strict=True))
+        components["line"] = np.repeat(
+            np.cumsum([len(own) for own, *_ in found]) - 1, [len(own) for _, own, _ in found]
         )
-        if raw["Status"] > max(Status) or raw["Kind"] > max(Kind):
-            return Reason.CONTENT
-        if raw["ComponentIndex"] >= count or not 0 < weight <= 1:
-            return Reason.CONTENT
-        status = Status(raw["Status"])
-        one = self._codec.decode({name: np.array([value]) for name, value in raw.items()})
-        if not one.accepted[0] or (x_min > x_max and status != Status.OUT_OF_RANGE):
-            return Reason.CONTENT
-        cov = one.cov[0]
-        if not (self._codec.covariance.positive_definite or _is_definite(cov)):
-            cov = nearest_covariance(cov)
-            cov += np.diag(np.maximum(self._codec.resolution, REPAIRED * cov.diagonal()))
-            status = Status.REPAIRED
-        line = MapLine(
-            slot=slot_of(owner),
-            gaussian=Gaussian.trusted(one.mean[0], cov),
-            kind=Kind(raw["Kind"]),
-            x_min=min(x_min, x_max),
-            x_max=x_max,
-            age=age_ms / 1000 if raw["Age"] < self._signals["Age"].raw_max else math.inf,
-            status=status,
-            t_ns=t_ns,
-        )
-        return CompleteRecord(line, raw["ComponentIndex"], int(count), weight, raw["Counter"])
+        return lines, components, seen
+
+    def _completed(self, count: int) -> list[MapLine]:
+        return [self._with_covariance(line) for line in super()._completed(count)]
+
+    def _renew(self, rows: Any, lines: NDArray[np.void], components: NDArray[np.void]) -> None:
+        super()._renew(rows, lines, components)
+        for row in lines:  # at most one
+            line = self._with_covariance(self._newest[Slot(row["slot"])])
+            row["mean"], row["cov"] = line.gaussian.mean, line.gaussian.cov
+            row["status"], row["usable"] = line.status, row["usable"] and line.is_usable
+            if line.mixture is not None:
+                components["mean"], components["cov"] = line.mixture.means, line.mixture.covs
+
+    def _with_covariance(self, line: MapLine) -> MapLine:
+        """Return a line that was just completed with its covariance, the newest of its slot."""
+        mixture = line.mixture
+        n = 1 if mixture is None else len(mixture.components)
+        decoder = self._c.decoder
+        last, held = decoder.checks[line.slot].last, decoder.inboxes[line.slot].complete
+        size = self._packing.record_bytes
+        records = [
+            ffi.buffer(held[(last - n + 1 + i) % self._transfer_ids].record, size)[:]
+            for i in range(n)
+        ]
+        payloads = np.frombuffer(b"".join(records), np.uint8).reshape(n, size)
+        decoded = self._codec.decode(self._packing.unpack(payloads))
+        covs, statuses = zip(*map(self._covariance, *decoded[1:]), strict=True)
+        parts = [Gaussian.trusted(*one) for one in zip(decoded.mean, covs, strict=True)]
+        status = max(statuses, key=SEVERITY.index)
+        if mixture is None:
+            line = replace(line, gaussian=parts[0], status=status)
+        else:
+            mixture = GaussianMixture(mixture.weights, parts)
+            line = replace(line, gaussian=mixture.overall, mixture=mixture, status=status)
+        self._newest[line.slot] = line
+        return line
+
+    def _covariance(self, cov: Array, number: int, is_covariance: bool) -> tuple[Array, Status]:
+        """Return a covariance that is positive definite, and the status of its line."""
+        status = Status(number)
+        if not is_covariance:
+            return _VAGUE, Status.OUT_OF_RANGE
+        if self._codec.covariance.positive_definite or _is_definite(cov):
+            return cov, status
+        cov = nearest_covariance(cov)
+        cov += np.diag(np.maximum(self._codec.resolution, REPAIRED * cov.diagonal()))
+        return cov, Status.REPAIRED
+
+
+def _packing_of(layout: Layout) -> Packing:
+    return Packing([*layout.signals.values()], layout.record_bytes)
 
 
 def _is_definite(cov: Array) -> bool:

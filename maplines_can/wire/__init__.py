@@ -10,10 +10,9 @@ from .protection.e2e_state import E2EConfig, E2EState, ProfileStatus
 from .protection.key import Key
 from .protection.secoc import Authenticator, Verifier
 from .reasons import Reason
+from .reception.check import Check, SlotStats
 from .reception.decoder import Decoder, ReceivedFrame
-from .reception.scenes import ReceivedScene
-from .reception.sequence import SequenceCheck, SlotStats
-from .reception.views import SceneView, SlotView
+from .reception.views import ReceivedScene, SceneView, SlotView
 from .records.frames import Frame
 from .scene_writer import PreparedScene
 from .tables import CODES
@@ -25,6 +24,7 @@ __all__ = [
     "Authenticator",
     "Batch",
     "BatchCodec",
+    "Check",
     "Codec",
     "Decoder",
     "E2EConfig",
@@ -41,7 +41,6 @@ __all__ = [
     "ReceivedFrame",
     "ReceivedScene",
     "SceneView",
-    "SequenceCheck",
     "SlotStats",
     "SlotView",
     "Verifier",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -19,14 +18,11 @@ from .layout.pose_layout import POSE, Owner, PoseLayout
 from .protection.e2e_state import E2EConfig
 from .protection.secoc import Authenticator, Verifier
 from .reception.decoder import Decoder
-from .reception.native_decoder import NativeDecoder
 from .reception.settings import decoder_settings
 from .records.complete_format import CompleteFormat
 from .records.frames import FrameWriter
-from .records.raw_format import RawFormat
-from .records.record import CompleteRecord, RawRecord, RecordFormat, RecordReader
 from .scene_writer import SceneWriter
-from .tables import LineTables, check_code, number_of
+from .tables import LineTables, check_code
 
 if TYPE_CHECKING:
     from cantools.database.can import Database
@@ -114,8 +110,6 @@ class Codec:
         #: Code of the covariance.
         self.covariance = CholeskyCode(layout)
         self._tables = LineTables.of(layout, self.covariance)
-        #: Reader of the records of each slot and of the pose error.
-        self.reader: RecordReader[CompleteRecord | RawRecord] = RecordReader(*self._formats())
         self._frame_writer = FrameWriter(layout, authenticator)
         self._scene_code = None if layout.pose is None else SceneCode(layout.pose, layout)
 
@@ -190,21 +184,9 @@ class Codec:
             self._scene_writer,
         )
 
-    def _formats(self) -> Iterator[RecordFormat[CompleteRecord | RawRecord]]:
-        if self.layout.is_conditional:
-            yield RawFormat.of_lines(self.layout)
-        else:
-            yield CompleteFormat(self.layout, self.covariance)
-        if self.layout.pose is not None:
-            yield RawFormat.of_pose(self.layout.pose)
-
     @cached_property
     def _scene_writer(self) -> SceneWriter:
         return SceneWriter(self.layout, self._tables.dbc)
-
-    def verifier(self) -> Verifier | None:
-        """Return a verifier of received frames of lines; None without an authenticator."""
-        return self._verifier_of(self.layout)
 
     def _verifier_of(self, layout: Layout | PoseLayout) -> Verifier | None:
         if self.authenticator is None or layout.secured is None:
@@ -224,8 +206,8 @@ class Codec:
             timeout_ms: longest time between the frames of a transfer, and between the components
                 of a mixture [ms]. The default is shorter than the time after which transfer IDs
                 repeat: (transfer IDs / greatest ComponentCount - 0.5) cycles, at least 0.5 and at
-                most 1.5 cycles, and at most an hour; 75 ms with ``maplines.dbc``. ``Reassembler``
-                describes the effect of a longer one.
+                most 1.5 cycles, and at most an hour; 75 ms with ``maplines.dbc``.
+                ``model/reassembly.py`` describes the effect of a longer one.
             cycle_ms: cycle time of the lines of a slot [ms], for the E2E state, stale and late
                 lines, and the default of ``timeout_ms``; by default the slot's cycle time in the
                 DBC, or 100 ms.
@@ -242,5 +224,4 @@ class Codec:
         if pose is not None and (of_pose := self._verifier_of(pose)) is not None:
             verifiers[POSE] = of_pose
         settings = decoder_settings(layout, timeout_ms, cycle_ms, e2e)
-        numbers = {owner: number_of(owner) for owner in settings}
-        return NativeDecoder(layout, self._tables.dbc, verifiers, settings, numbers)
+        return Decoder(layout, self._tables.dbc, verifiers, settings)

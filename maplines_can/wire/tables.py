@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from enum import IntEnum
 from itertools import chain, count
 from pathlib import PurePath
 from typing import Any, NamedTuple, TypeAlias
@@ -15,10 +14,9 @@ from numpy.typing import NDArray
 from ..core import lib
 from ..core.memory import pointer, pointers, structure
 from ..values.errors import LayoutError
-from ..values.line import Slot
 from .covariance import CholeskyCode
 from .layout.message_layout import PAGE, POSE_CONDITIONAL, TRANSFER_ID, Layout
-from .layout.pose_layout import OWNERS, POSE, Owner, PoseLayout
+from .layout.pose_layout import PoseLayout, number_of
 from .layout.record_layout import RecordLayout, bits_of
 from .layout.signal import signal_values
 from .layout.signals import (
@@ -45,12 +43,6 @@ MAX_MEAN_BITS = 62
 MAX_TABLE = 1 << 16
 
 
-class PoseOwner(IntEnum):
-    """The pose error as an owner in C."""
-
-    POSE = len(OWNERS) - 1
-
-
 class Limits(NamedTuple):
     """What sets the sizes of the structures in C: ``MAPLINES_MAX_PAGES`` and so on."""
 
@@ -66,11 +58,6 @@ class Limits(NamedTuple):
 
 #: Largest limits of a DBC that has C.
 MAX_LIMITS = Limits(pages=16, transfer_ids=256, components=64)
-
-
-def number_of(owner: Owner) -> Slot | PoseOwner:
-    """Return the number of an owner in C: ``maplines_owner_t``."""
-    return PoseOwner.POSE if owner == POSE else Slot(owner)
 
 
 def limits_of(layouts: Sequence[Layout]) -> Limits:
@@ -106,6 +93,11 @@ def check(layout: Layout) -> None:
             or counters than the C can hold.
     """
     check_code(layout)
+    _check_sizes(layout)
+
+
+def _check_sizes(layout: Layout) -> None:
+    """Raise LayoutError if a DBC has more of something than the C can hold."""
     for record in _records(layout):
         if record.pages > MAX_LIMITS.pages:
             raise LayoutError(
@@ -132,6 +124,8 @@ Value: TypeAlias = Members | Signal | NDArray[np.float64] | bool | int | float |
 
 def tables_of(layout: Layout) -> Any:
     """Return the tables of a DBC, a ``maplines_dbc_t *``.
+
+    If the core does not have the covariance code of the DBC, decoded covariances mean nothing.
 
     Raises:
         LayoutError: the core cannot hold the DBC; see ``check``.
@@ -183,12 +177,13 @@ def _plain(value: Any) -> Any:
 
 
 def content_of(layout: Layout) -> dict[str, Value]:
-    """Return the members of ``maplines_dbc_t``.
+    """Return the members of ``maplines_dbc_t``; see ``tables_of``.
 
     Raises:
-        LayoutError: the DBC has no C; see ``check``.
+        LayoutError: the DBC has more of something than the C can hold.
     """
-    limits, pose = limits_of([layout]), layout.pose
+    _check_sizes(layout)
+    limits, pose = _own_limits(layout), layout.pose
     content: dict[str, Value] = {
         "name": PurePath(layout.source).name,
         "max_components": limits.components,
@@ -199,7 +194,11 @@ def content_of(layout: Layout) -> dict[str, Value]:
         "pose": None if pose is None else _record(pose),
         "mean": _indexed(layout[name] for name in PARAMETER_SIGNALS),
         **{member: layout[name] for member, name in _SIGNALS.items()},
-        "covariance": _cholesky(CholeskyCode(layout)),
+        "covariance": (
+            _cholesky(CholeskyCode(layout))
+            if layout.covariance_code in CODES
+            else _any_covariance(layout["Status"])
+        ),
     }
     own = _CONDITIONAL_SIGNALS if layout.is_conditional else _COMPLETE_SIGNALS
     content |= {member: layout[name] for member, name in own.items()}
@@ -317,6 +316,17 @@ def _cholesky(code: CholeskyCode) -> Members:
         "ratio": _indexed(chain(*factor.ratios)),
         "inflation": code.inflation,
         "reachable": _indexed(map(float, code.reachable)),
+    }
+
+
+def _any_covariance(signal: Signal) -> Members:
+    """Return the code of a positive definite covariance of the bits of another signal."""
+    return {
+        "rows": 4,
+        "order": dict(enumerate(range(4))),
+        "pivot": _indexed([signal] * 4),
+        "ratio": _indexed([signal] * 6),
+        "inflation": signal,
     }
 
 

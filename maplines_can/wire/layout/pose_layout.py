@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import IntEnum
 from functools import cached_property
 from typing import ClassVar, Literal, TypeAlias
 
@@ -18,6 +19,17 @@ POSE: Literal["pose"] = "pose"
 Owner: TypeAlias = Slot | Literal["pose"]
 #: Owners by their numbers in the core: ``maplines_owner_t``.
 OWNERS: tuple[Owner, ...] = (*Slot, POSE)
+
+
+class PoseOwner(IntEnum):
+    """The pose error as an owner in C: it follows the slots."""
+
+    POSE = len(Slot)
+
+
+def number_of(owner: Owner) -> Slot | PoseOwner:
+    """Return the number of an owner in C: ``maplines_owner_t``."""
+    return PoseOwner.POSE if owner == POSE else Slot(owner)
 
 
 def slot_of(owner: Owner) -> Slot:

@@ -1,8 +1,9 @@
-"""AUTOSAR's E2E check of a record's counter, and E2E state machine of a slot.
+"""States and results of AUTOSAR's E2E checks, and the settings of the state machine of a slot.
 
 As in PRS_E2EProtocol (document 849, R20-11): the check of profile 5 (E2E_P05Check), and the state
 machine (E2E_SMCheck) with a window size for each state. The option transitToInvalidExtended of that
-release is not implemented: only errors cause the transition from INIT to INVALID.
+release is not implemented: only errors cause the transition from INIT to INVALID. Both are in the
+core; ``model/e2e.py`` is to be read.
 """
 
 from __future__ import annotations
@@ -35,10 +36,6 @@ class E2EState(IntEnum):
     NODATA = 2  #: no record has been received yet
     INIT = 3  #: too few records have been received yet
     INVALID = 4  #: too few of the last checks were OK, or too many errors: do not use the line
-
-
-OK, NONEWDATA, ERROR, REPEATED, OKSOMELOST, WRONGSEQUENCE = ProfileStatus
-VALID, NODATA, INIT, INVALID = E2EState
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,108 +120,7 @@ got 9 + 2 > 10
                 f"got {', '.join(map(str, errors))}"
             )
 
-    def of(self, state: E2EState) -> tuple[int, int, int]:
-        """Return window size, least OKs and most errors in a state; in NODATA, those of INIT."""
-        return self._of("init" if state is E2EState.NODATA else state.name.lower())
-
     def _of(self, state: str) -> tuple[int, int, int]:
         names = (f"window_size_{state}", f"min_ok_state_{state}", f"max_error_state_{state}")
         size, ok, error = (getattr(self, name) for name in names)
         return size, ok, error
-
-
-def check(
-    counter: int, last_counter: int | None, max_delta_counter: int, modulus: int = COUNTERS
-) -> ProfileStatus:
-    """Check the counter of a record whose checksum is correct (E2E_P05Check).
-
-    Args:
-        counter: of the record.
-        last_counter: of the previous record with a correct checksum. None if there is none; the
-            result is then OK. (AUTOSAR compares with the initial value 255, so a receiver that
-            joins late starts with WRONGSEQUENCE.)
-        max_delta_counter: see ``E2EConfig``.
-        modulus: counter modulus.
-
-    >>> [check(c, 254, 2).name for c in (255, 0, 1, 254, 253)]
-    ['OK', 'OKSOMELOST', 'WRONGSEQUENCE', 'REPEATED', 'WRONGSEQUENCE']
-    """
-    delta = 1 if last_counter is None else (counter - last_counter) % modulus
-    if delta == 1:
-        return OK
-    if delta == 0:
-        return REPEATED
-    return OKSOMELOST if delta <= max_delta_counter else WRONGSEQUENCE
-
-
-class StateMachine:
-    """State machine of one slot, driven by its last checks (E2E_SMCheck). It has no clock.
-
-    ======== ============================================================ =======
-    in       when                                                         becomes
-    ======== ============================================================ =======
-    NODATA   a check other than ERROR and NONEWDATA; it does not count    INIT
-    INIT     errors <= max_error_state_init, OKs >= min_ok_state_init     VALID
-    INIT     errors > max_error_state_init                                INVALID
-    VALID    errors > max_error_state_valid or OKs < min_ok_state_valid   INVALID
-    INVALID  errors <= max_error_state_invalid, OKs >= min_ok_..._invalid VALID
-    ======== ============================================================ =======
-
-    Errors and OKs are counted in the window of the state: the last checks since the window was
-    cleared. OK and OKSOMELOST are OKs, and ERROR is an error. REPEATED, WRONGSEQUENCE and NONEWDATA
-    are neither, but fill the window. At a transition to a larger window, the checks in the smaller
-    one are kept, and older checks do not return.
-
-    >>> machine = StateMachine(E2EConfig())
-    >>> [machine.step(ProfileStatus.OK).name for _ in range(7)]
-    ['INIT', 'INIT', 'INIT', 'INIT', 'INIT', 'INIT', 'VALID']
-    >>> [machine.step(ProfileStatus.NONEWDATA).name for _ in range(5)]
-    ['VALID', 'VALID', 'VALID', 'VALID', 'INVALID']
-    """
-
-    def __init__(self, config: E2EConfig) -> None:
-        self.config = config
-        self._bounds = {state: config.of(state) for state in E2EState}
-        # The window as bits, the last check lowest: one bit each for OK and for ERROR.
-        self._oks = self._errors = 0
-        self._enter(E2EState.NODATA)
-
-    @property
-    def ok_count(self) -> int:
-        """OKs in the window."""
-        return self._oks.bit_count()
-
-    @property
-    def error_count(self) -> int:
-        """Errors in the window."""
-        return self._errors.bit_count()
-
-    def step(self, status: ProfileStatus) -> E2EState:
-        """Return the state after the check of one record, or NONEWDATA for a cycle without one."""
-        state = self.state
-        if state is NODATA:
-            if status is not ERROR and status is not NONEWDATA:
-                self._enter(INIT)
-            return self.state
-        self._oks = (self._oks << 1 | (status is OK or status is OKSOMELOST)) & self._mask
-        self._errors = (self._errors << 1 | (status is ERROR)) & self._mask
-        errors = self._errors.bit_count()
-        if errors <= self._max_error and self._oks.bit_count() >= self._min_ok:
-            if state is not VALID:
-                self._enter(VALID)
-        elif state is VALID or (state is INIT and errors > self._max_error):
-            if self.config.clear_to_invalid:
-                self.clear()
-            self._enter(INVALID)
-        return self.state
-
-    def clear(self) -> None:
-        """Clear the window, and keep the state (E2E_SMClearStatus)."""
-        self._oks = self._errors = 0
-
-    def _enter(self, state: E2EState) -> None:
-        self.state = state  #: of the slot
-        size, self._min_ok, self._max_error = self._bounds[state]
-        self._mask = 2**size - 1
-        self._oks &= self._mask
-        self._errors &= self._mask

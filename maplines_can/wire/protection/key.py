@@ -120,10 +120,6 @@ or AES-256), got 4 characters
         cmac.update(data)
         return bytes(cmac.finalize())
 
-    def verify(self, mac: bytes, data: bytes) -> bool:
-        """Whether ``mac`` is the truncated MAC of the data; in constant time."""
-        return hmac.compare_digest(self.mac(data)[: len(mac)], mac)
-
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Key):
             return NotImplemented

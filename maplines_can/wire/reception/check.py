@@ -1,57 +1,119 @@
-"""What can be read of the checks of the records of a slot or of the pose error."""
+"""Checks of the records of a slot or of the pose error, to be read."""
 
 from __future__ import annotations
 
 from collections import Counter
-from typing import Protocol
+from typing import Any, NamedTuple
 
+from ...core import Lock, lib
 from ..protection.e2e_state import E2EState, ProfileStatus
-from .sequence import SlotStats
+from .times import limited_ns
+
+STATES = {int(state): state for state in E2EState}
+STATUSES: dict[int, ProfileStatus | None] = {0xFF: None}
+STATUSES |= {int(status): status for status in ProfileStatus}
+#: Members of ``maplines_check_t`` with the numbers of checks, in the order of `ProfileStatus`.
+_NUMBERS = ("ok", "no_new_data", "errors", "repeated", "some_lost", "wrong_sequence")
 
 
-class Check(Protocol):
-    """Checks of the records of one owner, as ``SequenceCheck`` makes them."""
+class SlotStats(NamedTuple):
+    """Snapshot of the checks of a slot."""
 
-    @property
-    def cycle_ns(self) -> int:
-        """Time between records [ns]."""
+    state: E2EState
+    status: ProfileStatus | None  #: of the last check; None before the first
+    ok: int  #: records accepted in sequence (OK or OKSOMELOST)
+    lost: int  #: records missing between those, according to their counters
+    repeated: int
+    wrong_sequence: int
+    errors: int
+    no_new_data: int  #: cycles without a record
+    two_senders: bool  #: detected in the last 256 cycles
+
+
+class Check:
+    """Checks of the records of one owner of a decoder, to be read; time is an argument.
+
+    Each record is one check of its counter, and so is each cycle without one; ``model/sequence.py``
+    has the rules.
+
+    Args:
+        receiver: a ``maplines_receiver_t *``.
+        number: of the owner in C.
+        cycle_ns: time between records [ns].
+        lock: of the decoder.
+    """
+
+    def __init__(self, receiver: Any, number: int, cycle_ns: int, lock: Lock) -> None:
+        self.cycle_ns = cycle_ns  #: time between records [ns]
+        self._c, self._number, self._lock = receiver, number, lock
+        self._check = receiver.decoder.checks[number]
 
     @property
     def state(self) -> E2EState:
         """State of the owner, as far as time has elapsed."""
+        return STATES[self._check.machine.state]
 
     @property
     def status(self) -> ProfileStatus | None:
         """Status of the last check; None before the first."""
-
-    @property
-    def statuses(self) -> Counter[ProfileStatus]:
-        """Checks by outcome."""
+        return STATUSES[self._check.status]
 
     @property
     def lost(self) -> int:
         """Records missing between those received, according to their counters."""
-
-    @property
-    def counter(self) -> int | None:
-        """Counter of the last new record; None before the first."""
+        return int(self._check.lost)
 
     @property
     def ahead(self) -> int | None:
         """By how much the last new record is ahead of the one before; None after a break."""
+        return self._check.ahead or None
+
+    @property
+    def counter(self) -> int | None:
+        """Counter of the last new record; None before the first."""
+        return int(self._check.last) if self._check.has_last else None
 
     @property
     def two_senders(self) -> bool:
         """Whether two senders were detected in the last 256 cycles."""
+        return bool(self._check.conflict.is_confirmed)
+
+    @property
+    def statuses(self) -> Counter[ProfileStatus]:
+        """Checks by outcome."""
+        with self._lock:
+            numbers = [getattr(self._check, name) for name in _NUMBERS]
+        each = zip(ProfileStatus, numbers, strict=True)
+        return Counter({status: number for status, number in each if number})
 
     def has_one_sender(self, t_ns: int) -> bool:
         """Return whether no second sender is detected or suspected at ``t_ns`` [ns]."""
+        return bool(self._asked(lib.maplines_receiver_has_one_sender, t_ns))
 
     def counter_was_reused(self, t_ns: int) -> bool:
         """Return whether a counter came with two contents in the last cycles: two senders."""
+        return bool(self._asked(lib.maplines_receiver_reused, t_ns))
 
     def elapse(self, t_ns: int) -> E2EState:
         """Step with NONEWDATA for each cycle missed up to ``t_ns`` [ns]; return the state."""
+        return STATES[self._asked(lib.maplines_receiver_elapse, t_ns)]
 
     def stats(self) -> SlotStats:
         """Return a snapshot of all counters."""
+        n = self.statuses
+        return SlotStats(
+            state=self.state,
+            status=self.status,
+            ok=n[ProfileStatus.OK] + n[ProfileStatus.OKSOMELOST],
+            lost=self.lost,
+            repeated=n[ProfileStatus.REPEATED],
+            wrong_sequence=n[ProfileStatus.WRONGSEQUENCE],
+            errors=n[ProfileStatus.ERROR],
+            no_new_data=n[ProfileStatus.NONEWDATA],
+            two_senders=self.two_senders,
+        )
+
+    def _asked(self, ask: Any, t_ns: int) -> Any:
+        t_ns = limited_ns(t_ns, "t_ns")
+        with self._lock:
+            return ask(self._c, self._number, t_ns)

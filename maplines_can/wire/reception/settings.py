@@ -12,10 +12,12 @@ from ..layout.record_layout import RecordLayout
 from ..layout.signals import TRANSFER_ID
 from ..layout.slot_messages import MAX_MS, RecordMessages
 from ..protection.e2e_state import E2EConfig
-from .history import GRACE_CYCLES
 
 #: Cycle time if the DBC has none [ms].
 DEFAULT_CYCLE_MS = 100.0
+#: The first cycle without a record is declared missed this many cycles after the last record,
+#: since the time of a record may jitter by half a cycle.
+GRACE_CYCLES = 1.5
 
 
 class RecordSettings(NamedTuple):

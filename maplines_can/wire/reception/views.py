@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
 from ...values.line import MapLine, Slot
 from ...values.scene import Scene
 from ..protection.e2e_state import E2EState, ProfileStatus
-from .scenes import ReceivedScene
-from .sequence import SequenceCheck
 
 #: A line is stale when nothing newer has come for this many cycle times: two consecutive lines
 #: may be lost. At 20 Hz the last one is then 150 ms old. The E2E state follows at 275 ms.
@@ -57,6 +55,15 @@ class SlotView(NamedTuple):
         return vouched and self.state is E2EState.VALID and not self.stale and not self.two_senders
 
 
+class ReceivedScene(NamedTuple):
+    """A scene as received."""
+
+    scene: Scene
+    counter: int  #: of the pose error, which with ``t_ns`` tells a scene from the one before
+    t_ns: int  #: time of the first frame of the pose error [ns]
+    age: float  #: from the pose to the sending of the pose error [s]; infinite if it is too old
+
+
 class SceneView(NamedTuple):
     """The newest scene at the consumer's call."""
 
@@ -97,69 +104,3 @@ def check_stale_cycles(stale_cycles: float) -> None:
         raise ValueError(
             f"stale_cycles must be 0 or more, or infinite for never, got {stale_cycles!r}"
         )
-
-
-def slot_view(
-    slot: Slot,
-    line: MapLine | None,
-    checks: Sequence[SequenceCheck],
-    now_ns: int,
-    stale_cycles: float,
-) -> SlotView:
-    """Return the state of a slot at ``now_ns``, with the checks of all that its line is made of.
-
-    The first check is that of the slot. The arguments are those of ``Decoder.latest``.
-    """
-    check, age, stale, waited = checks[0], math.inf, True, 0.0
-    if line is not None and line.t_ns is not None:
-        waited, stale = _waited(line.t_ns, now_ns, stale_cycles * check.cycle_ns)
-        age = line.age + waited
-    states = [_state(one, now_ns, waited) for one in checks]
-    state = next((one for one in states if one is not E2EState.VALID), E2EState.VALID)
-    two_senders = _two_senders(checks, now_ns)
-    return SlotView(slot, line, age, stale, state, check.status, two_senders)
-
-
-def scene_view(
-    received: ReceivedScene | None,
-    is_too_old: bool,
-    pose_check: SequenceCheck,
-    slot_checks: Mapping[Slot, SequenceCheck],
-    now_ns: int,
-    stale_cycles: float,
-) -> SceneView:
-    """Return the newest scene at ``now_ns``, with the checks of its pose error and its lines.
-
-    It has no age if the newest pose error is too old. The arguments are those of
-    ``Decoder.latest_scene``.
-    """
-    if received is None:
-        return SceneView(None, math.inf, True, pose_check.elapse(now_ns), pose_check.status)
-    waited, stale = _waited(received.t_ns, now_ns, stale_cycles * pose_check.cycle_ns)
-    return SceneView(
-        received.scene,
-        math.inf if is_too_old else received.age + waited,
-        stale,
-        _state(pose_check, now_ns, waited),
-        pose_check.status,
-        received,
-        {slot: _state(check, now_ns, waited) for slot, check in slot_checks.items()},
-        _two_senders((pose_check, *slot_checks.values()), now_ns),
-    )
-
-
-def _waited(t_ns: int, now_ns: int, longest_ns: float) -> tuple[float, bool]:
-    """Return the time since a reception [s], infinite if unknown, and whether it is too long."""
-    waited_ns = now_ns - t_ns
-    if waited_ns < -CLOCK_JITTER_NS:
-        return math.inf, True
-    return max(waited_ns, 0) / 1e9, waited_ns > longest_ns
-
-
-def _state(check: SequenceCheck, now_ns: int, waited: float) -> E2EState:
-    """Return the state at ``now_ns`` [ns]; if this clock was set back, no cycles have passed."""
-    return check.state if math.isinf(waited) else check.elapse(now_ns)
-
-
-def _two_senders(checks: Iterable[SequenceCheck], now_ns: int) -> bool:
-    return not all(check.has_one_sender(now_ns) for check in checks)

@@ -20,7 +20,6 @@ from ..layout.signals import (
     SignalRow,
     slot_title,
 )
-from ..reasons import Reason
 from .packer import RecordPacker
 from .record import RawRecord
 
@@ -92,16 +91,6 @@ class RawFormat:
         if (problem := self._problem(raw)) is not None:
             raise EncodeError(problem)
         return self.packer.pack_one(raw, data_id)
-
-    def content(
-        self, raw: Mapping[str, int], owner: Owner, t_ns: int | None = None
-    ) -> RawRecord | Reason:
-        """Return the content of an intact record, or CONTENT."""
-        del t_ns  # the line is made when its pose error is there
-        if self._problem(raw) is not None:
-            return Reason.CONTENT
-        names = self._all_names if raw.get("HasCovariance") else self._names
-        return RawRecord(owner, raw["Counter"], {name: raw[name] for name in names})
 
     def _problem(self, raw: Mapping[str, int]) -> str | None:
         """Return what is wrong with raw values of a line; None if nothing is."""
