@@ -9,6 +9,7 @@ from dbcs import default_codec
 from random_lines import random_lines
 
 from maplines_can import Slot
+from maplines_can.wire import Reason
 
 MS = 1_000_000
 CYCLE = 50 * MS
@@ -96,3 +97,41 @@ def two_senders(
         if rng.random() >= loss:
             feed(decoder, transfer, t_ns)
     return decoder.checks[SLOT]
+
+
+class Received:
+    """Records of a slot by counter and content, as a decoder receives them."""
+
+    def __init__(self) -> None:
+        self.decoder = default_codec().decoder()
+        self.check = self.decoder.checks[SLOT]
+
+    def received(self, counter: int, content: int, t_ns: int, records: int = 1) -> Reason | None:
+        """Return why a record is not new; None if it is.
+
+        Args:
+            counter: of the record.
+            content: what tells it from others with its counter, -20 000 to 20 000.
+            t_ns: time of reception [ns].
+            records: of its line, whose first one has a content that is a multiple of this.
+        """
+        (frame,) = content_frames(counter % 256, content, records)
+        answer = self.decoder.feed(frame.can_id, frame.data, t_ns)
+        return None if answer is Reason.PENDING or not isinstance(answer, Reason) else answer
+
+    def has_one_sender(self, t_ns: int) -> bool:
+        return self.check.has_one_sender(t_ns)
+
+
+@cache
+def content_frames(counter: int, content: int, records: int) -> Any:
+    """Return the CAN FD frame of a record with a content."""
+    record = default_codec().batch.encode(
+        [[content / 1024, 0, 0, 0]],
+        slot=SLOT,
+        counter=[counter],
+        component_index=[content % records],
+        component_count=[records],
+        component_weight=[1 / records],
+    )[0]
+    return default_codec().encoder().frames(record, SLOT, fd=True)

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, NamedTuple
 
-import pytest
 from scene_streams import FRAME_NS, PERIOD_NS, codec_of, road_scene
 
 from maplines_can import MapLine, Scene, Slot
 from maplines_can.wire import POSE, Frame, PreparedScene
 from maplines_can.wire.layout.pose_layout import Owner
-from maplines_can.wire.records.record import RawRecord
-from maplines_can.wire.records.scene_reader import Member, SceneLine, ScenePose, SceneReader
 
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
 #: Radius of the bend [m] and standard deviation of the pose error across [m] of each sender.
@@ -78,25 +75,3 @@ def merged(dbc: str, senders: Sequence[Sender], cycles: float) -> list[Event]:
     """Return the frames of all senders in the order of time."""
     events = [event for sender in senders for event in sender.events(dbc, cycles)]
     return sorted(events, key=lambda event: event[:2])
-
-
-def build_each_scene_once(patch: pytest.MonkeyPatch) -> None:
-    """Let the reader of scenes decode each line once: they are a few, thousands of times."""
-    decode, decoded = SceneReader.lines, dict[Any, SceneLine]()
-
-    def lines(self: SceneReader, pose: ScenePose, members: Sequence[Member]) -> list[SceneLine]:
-        found = []
-        for member in members:
-            content = member.content
-            if isinstance(content, RawRecord):
-                values = content.owner, *content.raw.values()
-            else:
-                values = content.slot, *content.gaussian.mean
-            key = id(self), values, *pose.record.raw.values()
-            if key not in decoded:
-                [decoded[key]] = decode(self, pose, [member])
-            line, part = decoded[key]
-            found.append(SceneLine(replace(line, t_ns=member.t_ns), part))
-        return found
-
-    patch.setattr(SceneReader, "lines", lines)

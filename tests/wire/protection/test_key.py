@@ -77,7 +77,13 @@ def test_no_text_of_an_object_contains_the_key(clock: Any, lines: Any) -> None:
     """Not repr, str, vars, pickle, or a traceback with all locals."""
     key = Key(SECRET)
     codec = codec_of(key, clock=clock)
-    for thing in (key, codec.authenticator, codec, codec.decoder(), codec.verifier()):
+    for thing in (
+        key,
+        codec.authenticator,
+        codec,
+        codec.decoder(),
+        *codec.decoder().verifiers.values(),
+    ):
         check_no_secret(f"{thing!r} {thing} {getattr(thing, '__dict__', '')} {dir(thing)}")
     assert repr(key) == f"Key(key_id=1, fingerprint='{key.fingerprint}')"
     with pytest.raises(TypeError, match="cannot be pickled"):
@@ -218,15 +224,6 @@ def test_two_keys_are_equal_if_secret_and_key_id_are() -> None:
     assert key == Key(bytearray(SECRET), 7)  # type: ignore[arg-type]
     assert hash(key) == hash(Key(SECRET, 7))
     assert key not in (Key(SECRET, 8), Key(AES_256[:16], 7), SECRET)
-
-
-def test_a_truncated_mac_is_verified() -> None:
-    """Its first bytes; any other is refused."""
-    key = Key(SECRET)
-    mac = key.mac(b"record")
-    assert key.verify(mac[:8], b"record")
-    assert not key.verify(mac[8:], b"record")
-    assert not key.verify(mac[:8], b"other")
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -12,11 +12,10 @@ from e2e_streams import CYCLE, MS, SLOT, check_accounts, frames
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maplines_can import MapLine, Slot
+from maplines_can import MapLine
 from maplines_can.study import road
-from maplines_can.wire import POSE, Reason
+from maplines_can.wire import Reason
 from maplines_can.wire.layout.message_layout import Layout
-from maplines_can.wire.reception.reassembly import Reassembler
 from maplines_can.wire.reception.settings import decoder_settings, timeout_cycles
 
 CAN_ID, PAGES, RECORDS = 0x340, 4, 1024
@@ -104,28 +103,20 @@ def pages() -> Any:
 
 
 class Mixing:
-    """A reassembler without a checksum: it counts records whose pages are of two transfers."""
+    """A decoder of pages whose records are all intact: a wrong checksum is of two transfers."""
 
-    def __init__(self, timeout_ms: float = 75) -> None:
-        self.mixed, self.complete = 0, list[int]()
-        timeouts = dict.fromkeys((POSE, *Slot), MS) | {SLOT: round(timeout_ms * MS)}
-        reader: Any = self
-        self.reassembler: Reassembler[Any] = Reassembler(default_codec().layout, reader, timeouts)
-        self.origin = [{row[page]: i for i, row in enumerate(pages())} for page in range(PAGES)]
-        assert all(len(origin) == RECORDS for origin in self.origin)
+    def __init__(self) -> None:
+        self.decoder, self.complete = default_codec().decoder(), list[int]()
 
-    def read(self, payload: bytes, _slot: Any, _t_ns: int) -> Any:
-        """Reject a mixed record; without a checksum, it would pass."""
-        records = {self.origin[i].get(payload[8 * i : 8 * i + 8]) for i in range(PAGES)}
-        if len(records) > 1:
-            self.mixed += 1
-            return Reason.CRC
-        self.complete += records  # type: ignore[arg-type]
-        return None
+    @property
+    def mixed(self) -> int:
+        return self.decoder.counts[Reason.CRC] // PAGES
 
-    def feed(self, record: int, page: int, t_ms: float = 0.0) -> Any:
+    def feed(self, record: int, page: int, t_ms: float = 0.0) -> None:
         data = pages()[record % RECORDS][page]
-        return self.reassembler.feed(CAN_ID, data, round(t_ms * MS))
+        answer = self.decoder.feed(CAN_ID, data, round(t_ms * MS))
+        if not isinstance(answer, Reason):
+            self.complete += [round(64 * (line.gaussian.mean[0] + 8)) for line in answer]
 
 
 def test_a_page_0_with_a_newer_counter_starts_anew() -> None:
@@ -133,8 +124,8 @@ def test_a_page_0_with_a_newer_counter_starts_anew() -> None:
     mixing = Mixing()
     for record, page in [(3, 0), (3, 1), (19, 0), (19, 2), (19, 3)]:
         mixing.feed(record, page)
-    assert mixing.reassembler.counts == {Reason.REPLACED: 2}
-    assert (mixing.mixed, mixing.reassembler.pending) == (0, 3)
+    assert mixing.decoder.counts == {Reason.REPLACED: 2}
+    assert (mixing.mixed, mixing.decoder.pending) == (0, 3)
     mixing.feed(19, 1)
     assert mixing.complete == [19]
 
@@ -144,7 +135,7 @@ def test_a_late_page_0_of_an_older_transfer_does_no_harm() -> None:
     mixing = Mixing()
     for record, page in [(19, 0), (19, 1), (3, 0), (19, 2), (19, 3)]:
         mixing.feed(record, page)
-    assert mixing.reassembler.counts == {Reason.REPLACED: 1}
+    assert mixing.decoder.counts == {Reason.REPLACED: 1}
     assert (mixing.mixed, mixing.complete) == (0, [19])
 
 
@@ -157,7 +148,7 @@ def test_of_two_counters_half_a_round_apart_the_first_is_kept(later: int, newest
         mixing.feed(record, 0)
     for page in range(1, PAGES):
         mixing.feed(records[newest], page)
-    assert mixing.reassembler.counts == {Reason.REPLACED: 1}
+    assert mixing.decoder.counts == {Reason.REPLACED: 1}
     assert mixing.complete == [records[newest]]
 
 
@@ -170,8 +161,8 @@ def test_a_good_record_ends_transfers_of_the_previous_round(later: int) -> None:
     for page in range(PAGES):
         mixing.feed(3 + later, page)
     is_ended = later >= 8
-    assert mixing.reassembler.pending == (0 if is_ended else 3)
-    assert mixing.reassembler.counts == ({Reason.INCOMPLETE: 3} if is_ended else {})
+    assert mixing.decoder.pending == (0 if is_ended else 3)
+    assert mixing.decoder.counts == ({Reason.INCOMPLETE: 3} if is_ended else {})
 
 
 def test_a_transfer_that_begins_after_a_record_is_not_ended_by_it() -> None:
@@ -180,7 +171,7 @@ def test_a_transfer_that_begins_after_a_record_is_not_ended_by_it() -> None:
     for record, page in [(3, 0), (4, 0), (3, 1), (11, 0), (3, 2), (3, 3)]:
         mixing.feed(record, page)
     assert mixing.complete == [3]
-    assert mixing.reassembler.pending == 2
+    assert mixing.decoder.pending == 2
 
 
 def schedule(

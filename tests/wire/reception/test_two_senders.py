@@ -21,14 +21,15 @@ from sender_pairs import (
     SLOTS,
     Event,
     Sender,
-    build_each_scene_once,
     merged,
     senders_of,
     senders_of_line,
 )
 
 from maplines_can import SceneView, Slot, SlotView
-from maplines_can.wire import POSE, E2EConfig, E2EState, SequenceCheck
+from maplines_can.model.e2e import Windows
+from maplines_can.model.sequence import SequenceCheck
+from maplines_can.wire import POSE, E2EConfig, E2EState
 
 VALID = E2EState.VALID
 MAX_DELTA = E2EConfig().max_delta_counter
@@ -102,10 +103,8 @@ def test_two_senders_are_soon_unusable(
     """Whatever their rates, phases and counters; and they are mixed for a cycle at most."""
     begin, end = start + phase, start + phase + detection(every)
     second = Sender(1, every, begin, counters=first_counters(ahead, start))
-    with pytest.MonkeyPatch.context() as patch:
-        build_each_scene_once(patch)
-        events = merged(dbc, [Sender(0), second], end + 2 * every + 2)
-        seen = [(one[0], used(one)) for one in views(dbc, events)]
+    events = merged(dbc, [Sender(0), second], end + 2 * every + 2)
+    seen = [(one[0], used(one)) for one in views(dbc, events)]
     assert not [t for t, senders in seen if t > end and senders]
     for is_of_second, group in groupby(seen, lambda one: any(1 in senders for senders in one[1])):
         times = [t for t, _ in group]  # until the last record of the first sender's next scene
@@ -121,7 +120,7 @@ def test_the_time_of_detection(every: int, start: int) -> None:
     No record of the second sender is usable for longer than until that of the first.
     """
     for ahead, phase in product(range(256), [0.2, 0.9]):
-        check = SequenceCheck(E2EConfig(), 256, 2, PERIOD_NS)
+        check = SequenceCheck(Windows(), 256, 2, PERIOD_NS, is_authentic=False)
         begin, until = start + phase, start + detection(every) + 1
         records = [(float(n), 0, n) for n in range(int(until) + 1)]
         times = np.arange(begin, until + 1, every)
@@ -129,24 +128,22 @@ def test_the_time_of_detection(every: int, start: int) -> None:
         newest, since = 0, 0.0
         for t, sender, counter in sorted(records):
             t_ns = round(t * PERIOD_NS)
-            is_usable = check.elapse(t_ns - 1) is VALID and check.has_one_sender(t_ns - 1)
+            is_valid = check.elapse(t_ns - 1) == "VALID"
+            is_usable = is_valid and not check.senders.may_be_two(t_ns - 1)
             if is_usable and newest == 1:
                 assert t - since <= 1 + 1e-6, (ahead, phase, t)
             assert not (is_usable and t > begin + detection(every)), (ahead, phase)
-            if check.received(counter % 256, hash((sender, counter)), t_ns) is None:
+            if check.received(counter % 256, b"%d %d" % (sender, counter), t_ns, 1) is None:
                 check.delivered(1)
                 since = since if sender and newest else t
                 newest = sender
-        assert check.two_senders, (ahead, phase)
+        assert check.senders.are_two, (ahead, phase)
 
 
 @pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
 @pytest.mark.parametrize(("every", "stops"), [(1, 0), (1, 1), (3, 1), (10, 1)])
-def test_the_other_sender_is_usable_again(
-    monkeypatch: pytest.MonkeyPatch, dbc: str, every: int, stops: int
-) -> None:
+def test_the_other_sender_is_usable_again(dbc: str, every: int, stops: int) -> None:
     """When one of the two has stopped; the one that goes on is usable until the end."""
-    build_each_scene_once(monkeypatch)
     stop = 20 + detection(every)
     senders = [
         Sender(0, stop=stop if stops == 0 else np.inf),
@@ -164,10 +161,9 @@ def test_the_other_sender_is_usable_again(
     ("pause", "first"), [(0.5, 0), (2, 0), (4, 0), (6, 0), (11, 0), (11, 77), (40, 200)]
 )
 def test_the_scenes_of_a_sender_that_restarts_are_usable_again(
-    monkeypatch: pytest.MonkeyPatch, dbc: str, pause: float, first: int
+    dbc: str, pause: float, first: int
 ) -> None:
     """Soon: two cycles to recognise a restart at counter 0, eight until VALID, and one to spare."""
-    build_each_scene_once(monkeypatch)
     restart = 40 + pause
     again = Sender(1, start=restart, counters=dict.fromkeys((POSE, *SLOTS), first))
     events = merged(dbc, [Sender(0, stop=40), again], restart + 20)
@@ -177,11 +173,8 @@ def test_the_scenes_of_a_sender_that_restarts_are_usable_again(
 
 
 @pytest.mark.parametrize("sends_pose", [True, False])
-def test_what_shares_a_pose_error_with_two_senders_is_not_usable(
-    monkeypatch: pytest.MonkeyPatch, sends_pose: bool
-) -> None:
+def test_what_shares_a_pose_error_with_two_senders_is_not_usable(sends_pose: bool) -> None:
     """A line that is conditional on it, though its own slot has one sender; no other line."""
-    build_each_scene_once(monkeypatch)
     end = 20 + detection(1)
     for dbc in (CONDITIONAL, COMPLETE):
         second = Sender(1, start=20.3, slots=SLOTS[1:], counters={POSE: 7}, sends_pose=sends_pose)
