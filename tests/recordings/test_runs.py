@@ -13,12 +13,9 @@ import can
 import pytest
 from log_frames import frames_of
 
-from maplines_can import native
 from maplines_can.bus import LogFrame, read_log
 from maplines_can.recordings.blocks import read_blocks
 from maplines_can.values.errors import LogError
-
-pytestmark = pytest.mark.skipif(not native.is_active, reason="there is no C path")
 
 LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 #: Rows of candump that are not of the strict form, and rows that are wrong.

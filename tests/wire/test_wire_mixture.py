@@ -14,11 +14,8 @@ from maplines_can import Gaussian, MapLine, Slot, Status
 from maplines_can.propagation.splitting import SPLITS, Mixture
 from maplines_can.study import adversarial, evaluate
 from maplines_can.study.components import deficit, quantized_weights
-from maplines_can.values.fixed_order import is_definite
 from maplines_can.values.mixture import GaussianMixture
 from maplines_can.wire import Codec, E2EConfig, Reason
-from maplines_can.wire.reception.mixtures import MixtureAssembler, ReceivedLine
-from maplines_can.wire.records.record import CompleteRecord
 
 
 def test_weights_of_a_split_are_multiples_of_the_step() -> None:
@@ -318,23 +315,3 @@ def test_a_rejected_record_ends_only_the_mixture_that_its_counter_is_in(
     assert answers[7] is Reason.STALE
     assert isinstance(answers[-1], MapLine) is not is_given_up
     assert decoder.counts[Reason.INCOMPLETE] == (4 if is_given_up else 0)
-
-
-def test_the_covariance_of_a_mixture_is_definite_in_spite_of_rounding() -> None:
-    """Two narrow components far apart: the sum rounds to a singular matrix, or one below that."""
-    narrow, widened = np.diag([1e-10, 1e-14, 1e-16, 1e-20]), 0
-    rng = np.random.default_rng(3)
-    for _ in range(50):
-        apart = rng.normal(size=4) * [1e3, 1, 1, 1]
-        parts = [Gaussian(sign * apart, narrow) for sign in (-1, 1)]
-        assembler, answer = MixtureAssembler(256, {Slot.ROUTE: 10**9}), None
-        for i, part in enumerate(parts):
-            line = MapLine(Slot.ROUTE, part, t_ns=0)
-            answer = assembler.add(CompleteRecord(line, i, 2, 0.5, i), 4, 0)
-        assert isinstance(answer, ReceivedLine)
-        assert answer.line.mixture is not None
-        overall, cov = answer.line.mixture.overall, answer.line.gaussian.cov
-        assert is_definite(cov[None])[0]
-        np.testing.assert_allclose(cov, overall.cov, rtol=2.0**-39)
-        widened += not is_definite(overall.cov[None])[0]
-    assert 0 < widened < 50

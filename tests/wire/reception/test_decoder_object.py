@@ -1,0 +1,302 @@
+"""A decoder as an object: threads, unusual arguments, memory, and the lines that it returns."""
+
+import gc
+import pickle
+import threading
+import tracemalloc
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from copy import deepcopy
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scene_streams import COMPLETE, CONDITIONAL, PERIOD_NS, new_codec, road_scene
+
+from maplines_can import MapLine, Slot
+from maplines_can.wire import POSE, Decoder, Reason, ReceivedFrame
+
+THREADS, BLOCKS = 3, 4
+
+
+def recorded(dbc: str, scenes: int) -> tuple[Any, list[Any]]:
+    """Return a decoder, and the arrays of ``feed_arrays`` of so many scenes."""
+    codec = new_codec(dbc)
+    encoder = codec.encoder()
+    prepared = encoder.prepare_scene(road_scene())
+    frames = [
+        frame
+        for _ in range(scenes)
+        for own in encoder.encode_scene(prepared).values()
+        for frame in own
+    ]
+    n = len(frames)
+    return codec.decoder(), [
+        np.array([frame.can_id for frame in frames], np.uint32),
+        np.zeros(n, bool),
+        np.arange(n) * 10**6,
+        np.full(n, 8, np.uint8),
+        np.array([list(frame.data) for frame in frames], np.uint8),
+        np.arange(n),
+        np.zeros(n, np.uint8),
+        2,
+    ]
+
+
+@pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
+def test_threads_wait_for_each_other(dbc: str) -> None:
+    """No frame and no line is lost, and each line is that of its frame."""
+    decoder, arrays = recorded(dbc, 200)
+    can_ids, data = arrays[0].tolist(), arrays[4]
+    asked: list[Callable[[], Any]] = [
+        lambda: decoder.expire(0),
+        lambda: decoder.latest(Slot.EGO_LEFT, 0),
+        lambda: decoder.latest_scene(0),
+        decoder.scene,
+        lambda: decoder.slots(0),
+        lambda: decoder.pending,
+        lambda: decoder.counts,
+    ]
+    of_id = new_codec(dbc).layout.message_of_id
+    done, fed = threading.Event(), Counter[str]()
+    failed: list[BaseException] = []
+
+    def watched(work: Callable[[], None]) -> None:
+        try:
+            work()
+        except BaseException as error:  # noqa: BLE001
+            failed.append(error)
+
+    def feed_block() -> None:
+        for _ in range(BLOCKS):
+            lines, *_ = decoder.feed_arrays(*arrays[:6], np.zeros_like(arrays[6]), 2)
+            fed["lines of blocks"] += len(lines)
+
+    def feed_frames() -> None:
+        for i, can_id in enumerate(can_ids):
+            found = decoder.feed(can_id, data[i].tobytes(), i * 10**6)
+            if not isinstance(found, Reason):
+                fed["lines"] += len(found)
+                own = of_id.get((can_id, False))
+                assert own is None or [line.slot for line in found] == [own[0]]
+
+    def ask() -> None:
+        while not done.is_set():
+            for one in asked:
+                one()
+
+    feeding = [
+        threading.Thread(target=watched, args=(work,))
+        for work in (*[feed_block] * THREADS, feed_frames)
+    ]
+    asking = threading.Thread(target=watched, args=(ask,))
+    for thread in (asking, *feeding):
+        thread.start()
+    for thread in feeding:
+        thread.join()
+    done.set()
+    asking.join()
+    assert failed == []
+    assert decoder.frames == (THREADS * BLOCKS + 1) * len(can_ids)
+    assert decoder.lines == fed["lines"] + fed["lines of blocks"] > 0
+    counted = decoder.line_frames + decoder.pose_frames + decoder.counts.total() + decoder.pending
+    assert decoder.frames == counted
+
+
+def test_an_argument_may_use_the_decoder_itself() -> None:
+    """What runs while arguments are read is in the same thread: it is decoded first."""
+    decoder, arrays = recorded(COMPLETE, 1)
+    first = int(arrays[0][0]), arrays[4][0].tobytes()
+
+    class Time:
+        def __index__(self) -> int:
+            decoder.feed_arrays(*arrays)
+            return 0
+
+    decoder.feed(*first, Time())
+    assert decoder.frames == 1 + len(arrays[0])
+
+
+def scene_frames(dbc: str, cycles: int = 6) -> list[ReceivedFrame]:
+    """Return the frames of scenes."""
+    encoder, scene = new_codec(dbc).encoder(), road_scene(Slot)
+    return [
+        ReceivedFrame(frame.can_id, frame.data, PERIOD_NS * cycle + 250_000 * i, frame.is_extended)
+        for cycle in range(cycles)
+        for i, frame in enumerate(
+            frame for own in encoder.encode_scene(scene, age=0.02).values() for frame in own
+        )
+    ]
+
+
+@pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
+def test_frames_that_have_arrived_together(dbc: str) -> None:
+    """As one after the other; what is no frame ends it."""
+    frames = scene_frames(dbc)
+    alone, together = new_codec(dbc).decoder(), new_codec(dbc).decoder()
+    one_by_one = [alone.feed(*frame[:3], is_extended=frame[3]) for frame in frames]
+    assert pickle.dumps(together.feed_all(iter(frames))) == pickle.dumps(one_by_one)
+    assert pickle.dumps(together.scene()) == pickle.dumps(alone.scene())
+    for wrong in (5, [frames[0][:3]], [5]):
+        with pytest.raises((TypeError, ValueError)):
+            together.feed_all(wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
+def test_lines_and_scenes_are_objects_as_any(dbc: str) -> None:
+    """They can be copied, pickled, printed and changed as others; arrays are read-only."""
+    decoder = new_codec(dbc).decoder()
+    decoder.feed_all(scene_frames(dbc))
+    line, scene = decoder.latest(Slot.CENTRE, 0).line, decoder.scene()
+    assert isinstance(line, MapLine)
+    for one in (line, scene):
+        assert repr(pickle.loads(pickle.dumps(one))) == repr(deepcopy(one)) == repr(one)  # noqa: S301
+    assert [*vars(line)] == [field.name for field in fields(MapLine)]
+    assert replace(line, age=1.0).age == 1.0
+    with pytest.raises(AttributeError, match="cannot assign to field"):
+        line.age = 2.0  # type: ignore[misc]
+    with pytest.raises(ValueError, match="read-only"):
+        line.gaussian.cov[0, 0] = 1.0
+
+
+class Eight:
+    """What has a length and bytes, but is no buffer."""
+
+    def __len__(self) -> int:
+        return 8
+
+    def __bytes__(self) -> bytes:
+        return bytes(8)
+
+
+KNOWN, WHOLE = 0x340, 0x348
+#: Calls with unusual arguments, and what comes of them: a reason, a value, or an error.
+CALLS: dict[str, tuple[Callable[[Any], Any], Any]] = {
+    "bytearray": (lambda one: one.feed(KNOWN, bytearray(8), 0), Reason.PENDING),
+    "memoryview": (lambda one: one.feed(KNOWN, memoryview(bytes(16))[::2], 0), Reason.PENDING),
+    "list": (lambda one: one.feed(KNOWN, [0] * 8, 0), Reason.PENDING),
+    "array": (
+        lambda one: one.feed(np.int64(KNOWN), np.zeros(8, np.uint8), np.int64(5)), Reason.PENDING,
+    ),
+    "bytes by a method": (lambda one: one.feed(KNOWN, Eight(), 0), Reason.PENDING),
+    "no payload": (lambda one: one.feed(KNOWN, b"", 0), Reason.LENGTH),
+    "text": (lambda one: one.feed(KNOWN, "12345678", 0), TypeError),
+    "a number": (lambda one: one.feed(KNOWN, 8, 0), TypeError),
+    "none": (lambda one: one.feed(KNOWN, None, 0), TypeError),
+    "large bytes": (lambda one: one.feed(KNOWN, [256] * 8, 0), ValueError),
+    "a payload longer than any": (lambda one: one.feed(WHOLE, bytes(200), 0), Reason.MIXED),
+    "a page longer than any": (lambda one: one.feed(KNOWN, bytes(300), 0), Reason.LENGTH),
+    "foreign, whatever it has": (lambda one: one.feed(0x7FF, None, None), Reason.FOREIGN),
+    "negative": (lambda one: one.feed(-1, None, 0), Reason.FOREIGN),
+    "beyond 32 bits": (lambda one: one.feed(KNOWN + 2**32, bytes(8), 0), Reason.FOREIGN),
+    "beyond 64 bits": (lambda one: one.feed(2**80, bytes(8), 0), Reason.FOREIGN),
+    "text for an ID": (lambda one: one.feed("340", bytes(8), 0), Reason.FOREIGN),
+    "a float for an ID": (lambda one: one.feed(float(KNOWN), bytes(8), 0), Reason.PENDING),
+    "a list for an ID": (lambda one: one.feed([KNOWN], bytes(8), 0), TypeError),
+    "extended": (lambda one: one.feed(KNOWN, bytes(8), 0, is_extended=True), Reason.FOREIGN),
+    "one for true": (lambda one: one.feed(KNOWN, bytes(8), 0, is_extended=1), Reason.FOREIGN),
+    "numpy's false": (
+        lambda one: one.feed(KNOWN, bytes(8), 0, is_extended=np.False_), Reason.PENDING,
+    ),
+    "none for false": (
+        lambda one: one.feed(KNOWN, bytes(8), 0, is_extended=None), Reason.FOREIGN,
+    ),
+    "keywords": (lambda one: one.feed(t_ns=0, data=bytes(8), can_id=KNOWN), Reason.PENDING),
+    "a large time": (lambda one: one.feed(KNOWN, bytes(8), 10**30), Reason.PENDING),
+    "a whole float": (lambda one: one.feed(KNOWN, bytes(8), 5e9), Reason.PENDING),
+    "too few": (lambda one: one.feed(KNOWN, bytes(8)), TypeError),
+    "too many": (lambda one: one.feed(KNOWN, bytes(8), 0, True), TypeError),
+    "latest": (lambda one: one.latest(np.int64(2), np.int64(3)).line, None),
+    "latest of no slot": (lambda one: one.latest(88, 0), ValueError),
+    "latest of the pose error": (lambda one: one.latest(POSE, 0), ValueError),
+    "latest at half a nanosecond": (lambda one: one.latest(0, 0.5), ValueError),
+    "latest at no time": (lambda one: one.latest(0, "now"), TypeError),
+    "latest, never stale": (lambda one: one.latest(0, 0, stale_cycles=float("inf")).line, None),
+    "a scene": (lambda one: one.latest_scene(10**40, stale_cycles=1).scene, None),
+    "no scene yet": (
+        lambda one: (one.scene(), one.slots(0), one.pose_error(0)), (None, {}, None),
+    ),
+    "expire": (lambda one: one.expire(-(10**40)), None),
+    "a check": (lambda one: one.checks[88], KeyError),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("call", CALLS)
+def test_unusual_arguments(call: str) -> None:
+    """What has numbers is taken as such; all else is an error, and changes nothing."""
+    decoder, (ask, expected) = new_codec(COMPLETE).decoder(), CALLS[call]
+    if isinstance(expected, type):
+        with pytest.raises(expected):
+            ask(decoder)
+        assert (decoder.frames, decoder.pending) == (0, 0)
+    else:
+        assert ask(decoder) == expected
+
+
+@pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
+def test_nothing_leaks(dbc: str) -> None:
+    """Thousands of frames, scenes and errors leave no object behind."""
+    frames = scene_frames(dbc, cycles=256)
+    decoder = new_codec(dbc).decoder()
+
+    def repeat(turn: int) -> None:
+        for can_id, data, t_ns, is_extended in frames:
+            now_ns = t_ns + turn * 256 * PERIOD_NS
+            decoder.feed(can_id, data, now_ns, is_extended=is_extended)
+        for slot in Slot:
+            decoder.latest(slot, now_ns)
+        for ask, _ in CALLS.values():
+            with suppress(TypeError, ValueError, KeyError):
+                ask(decoder)
+        assert decoder.latest_scene(now_ns).scene is not None
+        gc.collect()
+
+    repeat(0)
+    tracemalloc.start()
+    try:
+        repeat(1)
+        before = tracemalloc.get_traced_memory()[0]
+        for turn in range(2, 5):
+            repeat(turn)
+        grown = tracemalloc.get_traced_memory()[0] - before
+    finally:
+        tracemalloc.stop()
+    assert grown < 20_000  # of 30 000 frames, each of which has a line or a page
+
+
+def test_a_decoder_is_freed() -> None:
+    """Without the collector of cycles: it holds nothing that holds it."""
+    gc.disable()
+    try:
+        before = len([one for one in gc.get_objects() if isinstance(one, Decoder)])
+        decoder = new_codec(COMPLETE).decoder()
+        assert decoder.checks[Slot.CENTRE].lost == 0
+        del decoder
+        left = len([one for one in gc.get_objects() if isinstance(one, Decoder)])
+    finally:
+        gc.enable()
+    assert left == before
+
+
+@pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
+def test_memory_that_ends(dbc: str) -> None:
+    """MemoryError, wherever it is, and no crash; the decoder goes on."""
+    testcapi = pytest.importorskip("_testcapi")
+    frames, decoder = scene_frames(dbc, cycles=40), new_codec(dbc).decoder()
+    failed, feed, scene, remove = 0, decoder.feed, decoder.scene, testcapi.remove_mem_hooks
+    gc.disable()  # what the collector calls must not be what lacks memory
+    for i, (can_id, data, t_ns, _) in enumerate(frames):
+        testcapi.set_nomemory(i % 61, i % 61 + 1)  # one of them fails
+        try:
+            feed(can_id, data, t_ns)
+            scene()
+        except MemoryError:
+            failed += 1
+        finally:
+            remove()
+    gc.enable()
+    assert failed > 20
+    assert decoder.frames > len(frames) - failed
+    assert decoder.scene() is not None
