@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from evidence import checksum as tool
 
-from maplines_can.wire import E2EConfig, E2EState, ProfileStatus
+from maplines_can.model.e2e import StateMachine, Windows
 from maplines_can.wire.protection.e2e import record_crc
 
 PAGE = Path(__file__).parents[1] / "docs" / "assurance.md"

@@ -12,8 +12,7 @@ from maplines_can.consumers import LaneFusion, scene_view
 from maplines_can.consumers.lane_filter import LaneFilter, move_lines
 from maplines_can.propagation import predict
 from maplines_can.values.seen_lines import SeenLines
-from maplines_can.wire import SceneView
-from maplines_can.wire.reception.scenes import ReceivedScene
+from maplines_can.wire import ReceivedScene, SceneView
 
 LANE = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
 P = np.diag([0.3, 0.2, 0.003]) ** 2

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from both_senders import codecs_of
 from dbcs import default_codec, edited
 
 from maplines_can.values.line import MapLine, Slot
@@ -21,7 +20,6 @@ from maplines_can.wire import (
 from maplines_can.wire.reception.settings import decoder_settings, timeout_cycles
 
 
-@pytest.mark.parametrize("in_c", [True, False])
 @pytest.mark.parametrize(
     ("given", "timeout_ms", "cycle_ms"),
     [
@@ -31,14 +29,12 @@ from maplines_can.wire.reception.settings import decoder_settings, timeout_cycle
         pytest.param((None, 2_000_000), 3_000_000, 2_000_000, id="below"),
     ],
 )
-def test_a_time_of_an_hour_is_allowed(
-    given: Any, timeout_ms: int, cycle_ms: int, in_c: bool
-) -> None:
+def test_a_time_of_an_hour_is_allowed(given: Any, timeout_ms: int, cycle_ms: int) -> None:
     """The upper bound is part of the range, and of the time-out that follows from the cycle."""
     layout = default_codec().layout
     settings = decoder_settings(layout, *given)
     assert {one[:2] for one in settings.values()} == {(timeout_ms * 10**6, cycle_ms * 10**6)}
-    decoder = codecs_of(layout)[not in_c].decoder(timeout_ms=given[0], cycle_ms=given[1])
+    decoder = Codec(layout).decoder(timeout_ms=given[0], cycle_ms=given[1])
     first, *rest = default_codec().encoder().encode(MapLine.mean_only(Slot.EGO_LEFT, np.zeros(4)))
     decoder.feed(first.can_id, first.data, 0)
     for frame in rest:  # as late as it may be
@@ -48,7 +44,6 @@ def test_a_time_of_an_hour_is_allowed(
     assert decoder.latest(Slot.EGO_LEFT, 3 * cycle_ms * 10**6 + 1).stale
 
 
-@pytest.mark.parametrize("in_c", [True, False])
 @pytest.mark.parametrize(
     ("wrong", "error", "message"),
     [
@@ -59,10 +54,10 @@ def test_a_time_of_an_hour_is_allowed(
     ],
 )
 def test_a_wrong_number_of_stale_cycles_raises(
-    wrong: Any, error: type[Exception], message: str, in_c: bool
+    wrong: Any, error: type[Exception], message: str
 ) -> None:
     """NaN would never be stale; so for the scene, before the first one."""
-    decoder = codecs_of(default_codec().layout)[not in_c].decoder()
+    decoder = default_codec().decoder()
     with pytest.raises(error, match=message):
         decoder.latest(Slot.EGO_LEFT, 0, stale_cycles=wrong)
     with pytest.raises(error, match=message):
@@ -73,7 +68,6 @@ def test_a_wrong_number_of_stale_cycles_raises(
 LATEST_NS = 4 * 10**18
 
 
-@pytest.mark.parametrize("in_c", [True, False])
 @pytest.mark.parametrize(
     ("given", "t_ns"),
     [
@@ -89,9 +83,9 @@ LATEST_NS = 4 * 10**18
         pytest.param(1e30, LATEST_NS, id="huge-float"),
     ],
 )
-def test_times_are_integers_within_a_range(given: Any, t_ns: int, in_c: bool) -> None:
-    """Of frames, of questions and of the end of a time-out, in C and in Python."""
-    decoder = codecs_of(default_codec().layout)[not in_c].decoder()
+def test_times_are_integers_within_a_range(given: Any, t_ns: int) -> None:
+    """Of frames, of questions and of the end of a time-out."""
+    decoder = default_codec().decoder()
     line = MapLine.mean_only(Slot.EGO_LEFT, np.zeros(4), age=0.01)
     frames = default_codec().encoder().encode(line)
     *_, answer = [decoder.feed(frame.can_id, frame.data, given) for frame in frames]
@@ -106,7 +100,6 @@ def test_times_are_integers_within_a_range(given: Any, t_ns: int, in_c: bool) ->
     assert decoder.pending == (t_ns == -LATEST_NS)
 
 
-@pytest.mark.parametrize("in_c", [True, False])
 @pytest.mark.parametrize(
     ("wrong", "error", "message"),
     [
@@ -117,11 +110,9 @@ def test_times_are_integers_within_a_range(given: Any, t_ns: int, in_c: bool) ->
         pytest.param(None, TypeError, "'NoneType' object cannot be interpreted", id="none"),
     ],
 )
-def test_what_is_no_time_raises(
-    wrong: Any, error: type[Exception], message: str, in_c: bool
-) -> None:
+def test_what_is_no_time_raises(wrong: Any, error: type[Exception], message: str) -> None:
     """Wherever a time is an argument, and nothing is counted."""
-    decoder = codecs_of(default_codec().layout)[not in_c].decoder()
+    decoder = default_codec().decoder()
     (frame, *_) = default_codec().encoder().encode(MapLine.mean_only(Slot.EGO_LEFT, np.zeros(4)))
     for ask in (
         lambda: decoder.feed(frame.can_id, frame.data, wrong),
