@@ -7,10 +7,9 @@ from functools import lru_cache
 
 from maplines_can import Slot
 from maplines_can.model.records import written
-from maplines_can.wire import POSE, Layout
+from maplines_can.wire import Layout
 from maplines_can.wire.layout.dbc_reader import default_dbc_path
 from maplines_can.wire.layout.pose_layout import Owner, PoseLayout
-from maplines_can.wire.records.record import RawRecord
 
 #: DBC with records that are conditional on the pose, and DBC with complete records beside it.
 CONDITIONAL, COMPLETE = "maplines-pose.dbc", "maplines.dbc"
@@ -37,11 +36,3 @@ def raw_record(
     """Return the record of raw values, which the specification writes."""
     own = layout.messages if isinstance(layout, PoseLayout) else layout.messages[Slot(owner)]
     return written(layout, {**raw, "Counter": counter}, own.data_id)
-
-
-def pose_record(
-    layout: PoseLayout, counter: int, raw: Mapping[str, int], counters: Mapping[Slot, int]
-) -> RawRecord:
-    """Return a record of the pose error that states the low bits of counters of slots."""
-    stated = {s.name: counters[slot] % 2**s.length for slot, s in layout.counters.items()}
-    return RawRecord(POSE, counter, {**raw, **stated})

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .batch import BatchCodec
-from .covariance import CholeskyCode, SceneCode
+from .covariance import CholeskyCode
 from .encoder import Encoder, conditional_error
 from .layout.dbc_reader import default_dbc_path
 from .layout.message_layout import Layout
@@ -19,7 +19,6 @@ from .protection.e2e_state import E2EConfig
 from .protection.secoc import Authenticator, Verifier
 from .reception.decoder import Decoder
 from .reception.settings import decoder_settings
-from .records.complete_format import CompleteFormat
 from .records.frames import FrameWriter
 from .scene_writer import SceneWriter
 from .tables import LineTables, check_code
@@ -111,7 +110,6 @@ class Codec:
         self.covariance = CholeskyCode(layout)
         self._tables = LineTables.of(layout, self.covariance)
         self._frame_writer = FrameWriter(layout, authenticator)
-        self._scene_code = None if layout.pose is None else SceneCode(layout.pose, layout)
 
     @classmethod
     def from_dbc(

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scene_layouts import pose_record
+from scene_layouts import raw_record
 from scene_streams import (
     COMPLETE,
     CONDITIONAL,
@@ -35,8 +35,6 @@ from maplines_can.wire import (
 )
 from maplines_can.wire.layout.signals import OWN_SIGNALS, PARAMETER_SIGNALS
 from maplines_can.wire.records.frames import FrameWriter
-from maplines_can.wire.records.raw_format import RawFormat
-from maplines_can.wire.records.record import RawRecord
 
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT)
 
@@ -295,10 +293,6 @@ class Forger:
         codec = codec_of(CONDITIONAL)
         assert codec.layout.pose is not None
         self.pose_layout, self.layout = codec.layout.pose, codec.layout
-        self.poses, self.records = (
-            RawFormat.of_pose(self.pose_layout),
-            RawFormat.of_lines(self.layout),
-        )
         self.writer = FrameWriter(self.layout, None)
         prepared = codec.encoder().prepare_scene(road_scene(SLOTS), fd=True)
         sent = codec.encoder().encode_scene(prepared, fd=True)
@@ -320,15 +314,17 @@ class Forger:
         self, pose: dict[str, int], lines: dict[Slot, dict[str, int]], counter: int = 0
     ) -> dict[Any, list[Frame]]:
         """Return the frames of a pose error and lines with these raw values."""
-        counters, raw = dict.fromkeys(Slot, counter), self.pose_raw | pose
-        record = pose_record(self.pose_layout, counter % 256, raw, counters)
-        frames: dict[Any, list[Frame]] = {
-            POSE: self.writer.write(self.poses.write(record), POSE, fd=False)
+        stated = {
+            signal.name: counter % 2**signal.length for signal in self.pose_layout.counters.values()
         }
+        record = raw_record(self.pose_layout, POSE, counter % 256, self.pose_raw | pose | stated)
+        frames: dict[Any, list[Frame]] = {POSE: self.writer.write(record, POSE, fd=False)}
         for slot, raw in lines.items():
-            whole = (self.long_raw if raw.keys() - self.line_raw.keys() else self.line_raw) | raw
-            line = RawRecord(slot, counter % 256, whole | {"Kind": Kind.SOLID})
-            frames[slot] = self.writer.write(self.records.write(line), slot, False)
+            is_long = bool(raw.keys() - self.line_raw.keys())
+            whole = (self.long_raw if is_long else self.line_raw) | raw
+            whole |= {"Kind": Kind.SOLID, "HasCovariance": is_long}
+            record = raw_record(self.layout, slot, counter % 256, whole)
+            frames[slot] = self.writer.write(record, slot, False)
         return frames
 
 

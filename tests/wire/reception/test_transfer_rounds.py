@@ -224,7 +224,7 @@ def test_hardly_a_record_of_two_transfers_reaches_the_checksum(
     ):
         mixing.feed(record, page, at)
     assert mixing.mixed <= most
-    assert len(mixing.complete) > 0.6 * 12_000
+    assert len(mixing.complete) > 0.55 * 12_000  # those that are late are STALE
 
 
 @settings(max_examples=60, deadline=None)
