@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..core import lib
 from ..core.memory import pointer, pointers, structure
 from ..values.errors import LayoutError
+from ..values.line import Slot
 from .covariance import CholeskyCode
 from .layout.message_layout import PAGE, POSE_CONDITIONAL, TRANSFER_ID, Layout
 from .layout.pose_layout import PoseLayout, number_of
