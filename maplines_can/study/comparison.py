@@ -320,7 +320,7 @@ class ComparisonDecoder(Decoder):
         n = 1 if mixture is None else len(mixture.components)
         decoder = self._c.decoder
         last, held = decoder.checks[line.slot].last, decoder.inboxes[line.slot].complete
-        size = self._packing.record_bytes
+        size = self._codec.layout.record_bytes
         records = [
             ffi.buffer(held[(last - n + 1 + i) % self._transfer_ids].record, size)[:]
             for i in range(n)
