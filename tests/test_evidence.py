@@ -32,7 +32,7 @@ from evidence.roads import SLOTS, maps_of, random_map
 from maplines_can import Gaussian, map_lines
 from maplines_can.consumers.integrity import multiplier
 from maplines_can.maps import Map, load
-from maplines_can.testing import back_to_back, map_streams, sender_streams
+from maplines_can.testing import back_to_back, map_streams
 from maplines_can.wire import Encoder
 
 for _name in harness.modules():
@@ -350,14 +350,14 @@ def test_a_map_is_read_for_its_roads(tmp_path: Path) -> None:
 
 def test_a_core_that_differs_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """A record with another byte and a frame with another reason end the evidence with a line."""
-    written = sender_streams.writer.write
+    written = writer.write
 
     def other_byte(*arguments: Any) -> bytes:
         record = written(*arguments)
         return bytes([record[0] ^ 1]) + record[1:]
 
     with monkeypatch.context() as patch:
-        patch.setattr(sender_streams.writer, "write", other_byte)
+        patch.setattr(writer, "write", other_byte)
         with pytest.raises(SystemExit, match=r"is .* by the core, .* by the model"):
             core.senders(40)
     monkeypatch.setattr(back_to_back, "_answer", lambda _: "PENDING")

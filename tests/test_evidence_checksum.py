@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from evidence import checksum as tool
 
-from maplines_can.model.e2e import StateMachine, Windows
-from maplines_can.wire.protection.e2e import record_crc
+from maplines_can.model.e2e import StateMachine, Windows, checksum
 
 PAGE = Path(__file__).parents[1] / "docs" / "assurance.md"
 
@@ -25,7 +24,8 @@ def weights_by_enumeration(record: int) -> list[int]:
     """Weights of all changes of a record that keep its checksum right: every data word once."""
     data = words(8 * (record - 2))
     records = np.concatenate([np.zeros((len(data), 2), np.uint8), data], axis=1)
-    crc = record_crc(records, 0) ^ record_crc(np.zeros((1, record), np.uint8), 0)
+    clean = checksum(bytes(record), 0, 0)
+    crc = np.array([checksum(one.tobytes(), 0, 0) ^ clean for one in records])
     flips = np.bitwise_count(data).sum(axis=1) + np.bitwise_count(crc)
     return list(np.bincount(flips, minlength=8 * record + 1))
 
@@ -53,10 +53,10 @@ def test_few_flips_agree_with_enumeration() -> None:
 
 def test_a_flip_of_the_data_id_is_that_of_the_protocol() -> None:
     """The last 16 syndromes are those of the data ID as the package puts it into the checksum."""
-    zeros = np.zeros((16, 32), np.uint8)
+    zeros = bytes(32)
     ids = [(0x80 >> bit % 8) << bit // 8 * 8 for bit in range(16)]
-    expected = record_crc(zeros, np.array(ids)) ^ record_crc(zeros, 0)
-    assert list(tool.syndromes(with_id=True)[256:]) == list(expected)
+    expected = [checksum(zeros, 0, data_id) ^ checksum(zeros, 0, 0) for data_id in ids]
+    assert list(tool.syndromes(with_id=True)[256:]) == expected
 
 
 def test_the_residual_agrees_with_exact_arithmetic() -> None:

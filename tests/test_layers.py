@@ -16,7 +16,7 @@ PACKAGE = Path(__file__).parents[1] / "maplines_can"
 #: the core is what stands before the maps.
 ROOMS = (
     "core", "values", "propagation",
-    "wire.layout", "wire.covariance", "wire.protection", "wire.records", "wire.reception", "wire",
+    "wire.layout", "wire.protection", "wire.records", "wire.reception", "wire",
     "generation",
     "bus", "recordings", "cosimulation",
     "maps", "maps.formats", "localisation", "consumers", "simulation", "restbus", "cli",
@@ -185,7 +185,7 @@ def test_there_is_no_circle() -> None:
             id="up-in-wire",
         ),
         pytest.param("maps/model.py", "from .formats.load import load", id="map-imports-format"),
-        pytest.param("wire/protection/e2e.py", "from ..codec import Codec", id="to-the-facade"),
+        pytest.param("wire/protection/key.py", "from ..codec import Codec", id="to-the-facade"),
         pytest.param("bus/link.py", "from ..testing import FaultyBus", id="product-imports-faults"),
         pytest.param("wire/codec.py", "from ..study import metrics", id="product-imports-study"),
         pytest.param(

@@ -94,7 +94,7 @@ AREAS = {
         [
             *("tests/wire", "tests/bus", "tests/test_fuzz_corpus.py"),
             *(f"tests/bad_input/test_bad_{what}.py" for what in ("bus", "values", "wire")),
-            *("tests/study/codes", "tests/study/test_guarantee.py"),  # of wire/covariance
+            *("tests/study/codes", "tests/study/test_guarantee.py"),
             *("maplines_can/wire", "maplines_can/bus"),
         ],
     ),

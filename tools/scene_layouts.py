@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import lru_cache
 
-from maplines_can import Slot
 from maplines_can.model.records import written
 from maplines_can.wire import Layout
 from maplines_can.wire.layout.dbc_reader import default_dbc_path
-from maplines_can.wire.layout.pose_layout import Owner, PoseLayout
+from maplines_can.wire.layout.pose_layout import Owner, PoseLayout, slot_of
 
 #: DBC with records that are conditional on the pose, and DBC with complete records beside it.
 CONDITIONAL, COMPLETE = "maplines-pose.dbc", "maplines.dbc"
@@ -34,5 +33,5 @@ def raw_record(
     layout: Layout | PoseLayout, owner: Owner, counter: int, raw: Mapping[str, int]
 ) -> bytes:
     """Return the record of raw values, which the specification writes."""
-    own = layout.messages if isinstance(layout, PoseLayout) else layout.messages[Slot(owner)]
+    own = layout.messages if isinstance(layout, PoseLayout) else layout.messages[slot_of(owner)]
     return written(layout, {**raw, "Counter": counter}, own.data_id)

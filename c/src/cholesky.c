@@ -1,4 +1,4 @@
-/* A covariance as pivots, ratios and an inflation. maplines_can/wire/covariance/cholesky.py says
+/* A covariance as pivots, ratios and an inflation. maplines_can/wire/layout/cholesky.py says
  * why it is coded so.
  */
 #include "internal.h"

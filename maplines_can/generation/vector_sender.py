@@ -14,7 +14,7 @@ from ..values.errors import LayoutError
 from ..values.line import MapLine, Slot
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.packing import Packing
-from ..wire.layout.pose_layout import POSE, Owner, PoseLayout
+from ..wire.layout.pose_layout import POSE, Owner, PoseLayout, number_of
 from ..wire.layout.signals import (
     PAGE,
     PAGE_BYTES,
@@ -27,7 +27,7 @@ from ..wire.protection.key import Key
 from ..wire.protection.secoc import Authenticator
 from ..wire.reasons import Reason
 from ..wire.records.frames import Frame, FrameWriter
-from ..wire.tables import number_of, tables_of
+from ..wire.tables import tables_of
 from .vectors import Case, VectorKey
 
 #: Key of the cases, which is that of RFC 4493.

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core import ffi
+from ..core import ffi, lib
 from ..values.errors import LayoutError
 from ..values.gaussian import Gaussian
 from ..values.linalg import nearest_covariance
@@ -20,9 +20,8 @@ from ..values.mixture import GaussianMixture
 from ..wire import CODES as CORE_CODES
 from ..wire import Batch, Codec, Decoder, E2EConfig, Encoder, Layout, Owner
 from ..wire.layout.packing import Packing
-from ..wire.layout.signals import PAGE, PARAMETER_SIGNALS, TRANSFER_ID, SignalRow
+from ..wire.layout.signals import PARAMETER_SIGNALS, TRANSFER_ID, SignalRow
 from ..wire.layout.validation import CheckedGaussians, checked_gaussians
-from ..wire.protection.e2e import CRC_BYTES, record_crc_one
 from ..wire.reception.settings import RecordSettings, decoder_settings
 from ..wire.records.counters import packed, unpacked
 from ..wire.records.frames import Frame, FrameWriter
@@ -192,7 +191,7 @@ class ComparisonEncoder(Encoder):
         frames, scenes = FrameWriter(layout, None), SceneWriter(layout, no_tables)
         super().__init__(codec.encoder, layout, no_tables, frames, scenes)
         self._codec, self._signals = codec, codec.layout.signals
-        self._packing = _packing_of(codec.layout)
+        self._packing, self._sealed_by = _packing_of(codec.layout), tables_of(codec.layout)
         self._modulus = 2 ** self._signals["Counter"].length
 
     def encode_lines(
@@ -221,13 +220,11 @@ class ComparisonEncoder(Encoder):
         layout = self._codec.layout
         counter = following[slot] % self._modulus
         following[slot] = (counter + 1) % self._modulus
-        of_pages = {f"{PAGE}{page}": page for page in range(layout.pages)}
-        of_pages |= {f"{TRANSFER_ID}{page}": counter for page in range(layout.pages)}
-        payload = self._packing.pack_one({**raw, **of_pages, "Counter": counter})
-        crc_at, (data_id,) = layout.crc_offset, layout.data_ids(slot, 1).tolist()
-        crc = record_crc_one(payload, data_id, crc_at).to_bytes(CRC_BYTES, "little")
-        record = payload[:crc_at] + crc + payload[crc_at + CRC_BYTES :]
-        return self._frame_writer.write(record, slot, fd)
+        layout.data_ids(slot, 1)  # there is a message for it
+        record = bytearray(self._packing.pack_one(raw))
+        given = ffi.from_buffer("uint8_t[]", record)
+        lib.maplines_seal_record(self._sealed_by, slot, len(record), counter, given)
+        return self._frame_writer.write(bytes(record), slot, fd)
 
     def _raw(self, line: MapLine) -> Iterator[dict[str, int]]:
         """Yield the raw values of each component of a line, all but the counter."""

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .batch import BatchCodec
-from .covariance import CholeskyCode
 from .encoder import Encoder, conditional_error
+from .layout.cholesky import CholeskyCode
 from .layout.dbc_reader import default_dbc_path
 from .layout.message_layout import Layout
 from .layout.pose_layout import POSE, Owner, PoseLayout

@@ -15,7 +15,7 @@ from ..core import lib
 from ..core.memory import pointer, pointers, structure
 from ..values.errors import LayoutError
 from ..values.line import Slot
-from .covariance import CholeskyCode
+from .layout.cholesky import CholeskyCode
 from .layout.message_layout import PAGE, POSE_CONDITIONAL, TRANSFER_ID, Layout
 from .layout.pose_layout import PoseLayout, number_of
 from .layout.record_layout import RecordLayout, bits_of
@@ -207,7 +207,7 @@ def content_of(layout: Layout) -> dict[str, Value]:
         content["fine"] = _indexed(layout[name] for name in FINE_SIGNALS)
         content["levels"] = _levels(layout, "")
     if pose is not None:
-        content |= _pose_content(pose) | _spacings(layout, pose)
+        content |= {**_pose_content(pose), **_spacings(layout, pose)}
         content["straight"] = _straight(content)
     return content
 

@@ -28,13 +28,13 @@ from maplines_can import (
     Status,
     map_scene,
 )
+from maplines_can.model.records import intact
 from maplines_can.values.errors import EncodeError, IllPosedError
 from maplines_can.values.line import LeftOut
 from maplines_can.values.seen_lines import SeenLines
-from maplines_can.wire import POSE, Layout, Reason
+from maplines_can.wire import POSE, Layout
 from maplines_can.wire.layout.signals import PARAMETER_SIGNALS
 from maplines_can.wire.records.frames import Frame
-from maplines_can.wire.records.packer import RecordPacker
 
 CONDITIONAL, COMPLETE = "maplines-pose.dbc", "maplines.dbc"
 OWNERS = (*Slot, POSE)
@@ -146,8 +146,8 @@ def status_of(codec: Codec, slot: Slot, frames: Iterable[Frame]) -> int:
     if layout.is_conditional:
         return Status.FULL
     payload = b"".join(frame.data for frame in frames)[: layout.record_bytes]
-    raw = RecordPacker(layout).unpack_one(payload, layout.messages[slot].data_id)
-    assert not isinstance(raw, Reason)
+    raw = intact(layout, payload, layout.messages[slot].data_id)
+    assert not isinstance(raw, str)
     return raw["Status"]
 
 

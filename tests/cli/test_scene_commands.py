@@ -194,8 +194,8 @@ def test_a_line_that_does_not_belong_to_the_pose_error_is_not_joined() -> None:
     scene = scene_of()
     first, *others = scene.lines
     beside = Gaussian([40.0, *first.gaussian.mean[1:]], first.gaussian.cov)
-    lines = (replace(first, gaussian=beside), *others)
-    prepared = encoder.prepare_scene(replace(scene, lines=lines))
+    with_it = replace(scene, lines=(replace(first, gaussian=beside), *others))
+    prepared = encoder.prepare_scene(with_it)
     assert len(prepared.sent_slots) == 4
     decoder, lines = codec.decoder(), 0
     for cycle in range(300):

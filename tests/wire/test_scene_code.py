@@ -334,7 +334,7 @@ def test_a_scene_within_the_limits_of_the_message_loses_no_line(seed: int) -> No
     found = passed(CONDITIONAL, scene)
     assert {*found.prepared.members} | found.prepared.unfit.keys() == {*scene.index}
     for slot in found.prepared.unfit:
-        x = np.linspace(*ranges[slot], 50)
+        x = np.linspace(ranges[slot, 0], ranges[slot, 1], 50)
         slope = np.tan(means[slot, 1]) + means[slot, 2] * x + means[slot, 3] * x**2 / 2
         assert np.abs(slope).max() >= 3  # lines of a map rise by less
     check_covered(scene, found)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maplines_can.bus import frame_bits
-from maplines_can.wire.protection.e2e import record_crc_one
+from maplines_can.model import e2e
 from maplines_can.wire.protection.e2e_state import E2EConfig
 
 from .harness import evidence, table
@@ -66,17 +66,17 @@ def syndromes(record: int = RECORD, *, with_id: bool = False) -> NDArray[np.uint
         with_id: append the bits of the data ID, low byte first.
     """
     zeros = bytes(record)
-    clean = record_crc_one(zeros, 0)
+    clean = e2e.checksum(zeros, 0, 0)
 
     def of_bit(bit: int) -> int:
         if bit >= 8 * record:
             place = bit - 8 * record
-            return clean ^ record_crc_one(zeros, (0x80 >> place % 8) << place // 8 * 8)
+            return clean ^ e2e.checksum(zeros, 0, (0x80 >> place % 8) << place // 8 * 8)
         if bit < CRC_BITS:  # the checksum itself, low byte first
             return (0x80 >> bit % 8) << bit // 8 * 8
         flipped = bytearray(zeros)
         flipped[bit // 8] ^= 0x80 >> bit % 8
-        return clean ^ record_crc_one(bytes(flipped), 0)
+        return clean ^ e2e.checksum(bytes(flipped), 0, 0)
 
     return np.array([of_bit(bit) for bit in range(8 * record + ID_BITS * with_id)], np.uint16)
 

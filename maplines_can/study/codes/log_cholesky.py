@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...values.elementary import exp2
-from ...wire.covariance.factor import CholeskyFactor
+from ...wire.layout.cholesky import CholeskyFactor
 from ...wire.layout.message_layout import Layout
 from .code import Array, Coded, CovarianceCode, nearest_raw
 

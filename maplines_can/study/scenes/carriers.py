@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...values.linalg import block_diagonal
 from ...values.line import Status, lateral_jacobian
 from ...values.scene import Scene
-from ...wire.covariance import CholeskyCode
+from ...wire.layout.cholesky import CholeskyCode
 from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
 from ...wire.layout.signals import FINE_SIGNALS, OWN_SIGNALS, POSE_ROWS
 from ..comparison import AnyCodec, codec_for, transmit

@@ -159,7 +159,7 @@ def theory(codec: AnyCodec) -> dict[str, float]:
     """Return the expected KL [nat] of the rounding of each field, before inflation.
 
     A ratio of step D costs D^2 / 24, a pivot of D octaves (D ln 2)^2 / 12 (see
-    ``wire/covariance/cholesky.py``), if its values spread over several steps; less if most of them
+    ``wire/layout/cholesky.py``), if its values spread over several steps; less if most of them
     lie within one. Saturation is left out, and that without feedback an error in one entry
     propagates to those that depend on it. Empty for codes other than Cholesky and LogCholesky.
     """

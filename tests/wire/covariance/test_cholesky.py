@@ -14,8 +14,8 @@ from maplines_can import Slot, Status
 from maplines_can.model.covariance import code_of, decoded
 from maplines_can.model.records import intact
 from maplines_can.values.errors import LayoutError
-from maplines_can.wire import Codec
-from maplines_can.wire.covariance.cholesky import CholeskyCode
+from maplines_can.wire import Codec, Reason
+from maplines_can.wire.layout.cholesky import CholeskyCode
 from maplines_can.wire.layout.packing import Packing
 from maplines_can.wire.layout.record_layout import RecordLayout
 from maplines_can.wire.layout.signals import Signal, all_raw
@@ -36,7 +36,7 @@ def with_raw(raw: dict[str, Any]) -> Any:
     n = len(raw["Inflation"])
     rows = [{name: int(values[i]) for name, values in raw.items()} for i in range(n)]
     record = CODEC.batch.encode(np.zeros((1, 4)), np.eye(4)[None] * 1e-6)[0].tobytes()
-    data = b"".join(changed_record(CODEC, record, Status=1, **row) for row in rows)
+    data = b"".join(changed_record(CODEC, record, **{"Status": 1, **row}) for row in rows)
     return CODEC.batch.decode(np.frombuffer(data, np.uint8).reshape(len(rows), -1)).cov
 
 
@@ -100,7 +100,9 @@ def test_signals_of_many_values_have_no_table() -> None:
         assert isinstance(raw, dict)
         assert decoded(code_of(codec.layout), raw) == batch.cov[i].tolist()
         decoder, frame = codec.decoder(), codec.encoder().frames(record, Slot.EGO_LEFT, fd=True)[0]
-        (line,) = decoder.feed(frame.can_id, frame.data, 0)
+        answer = decoder.feed(frame.can_id, frame.data, 0)
+        assert not isinstance(answer, Reason)
+        (line,) = answer
         assert line.gaussian.cov.tolist() == batch.cov[i].tolist()
 
 

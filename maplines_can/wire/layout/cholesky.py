@@ -1,0 +1,135 @@
+"""Default covariance code: a Cholesky factor that is quantized with feedback.
+
+Let ``S = L L^T`` be the covariance in the order of the rows, with L lower triangular, and
+``S' = L' L'^T`` the decoded covariance. With ``A = L'^-1 L``,
+
+    KL(N(0, S) || N(0, S')) = sum_i ((a_ii^2 - 1) / 2 - ln a_ii) + 1/2 sum_{i>j} a_ij^2,
+
+so each entry of A contributes to the divergence by itself. The signals are the pivots
+``log2 L'_ii`` and the ratios ``L'_ij / L'_ii``. Row by row, from the diagonal outwards, each ratio
+is chosen such that its a_ij is closest to zero *given the entries that are already quantized*. So
+every |a_ij| is at most half a step, for any covariance, and the expected divergence is a constant
+of the code: a ratio of step D costs D^2 / 24, and a pivot of step D (in octaves) costs
+(D ln 2)^2 / 12.
+
+The decoded covariance covers the target, for two reasons. First, if a ratio is out of range, its
+pivot is lifted until the ratio fits. This adds variance only in the one direction that is narrower
+than the code can represent. Second, the matrix is multiplied by 2^inflation, the least one for
+which S' minus the mean square error about the decoded mean is positive definite: for which it has a
+Cholesky factor, in units of the decoded one. All operations are in a fixed order, that of
+``c/src/cholesky.c``, so that the raw values are the same on any machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import chain, combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...values.elementary import exp2
+from ...values.errors import LayoutError
+from .record_layout import RecordLayout
+from .signals import OCTAVES, PARAMETER_SIGNALS, RATIO, Signal
+
+#: Largest condition number of a decoded correlation matrix that double precision holds.
+MAX_CONDITION = 1e13
+
+
+class CholeskyFactor:
+    """Cholesky factor as the signals ``Pivot<row>`` and ``Ratio<row><column>`` of a layout.
+
+    The pivots are ``log2 L_ii``, and the ratios ``L_ij / L_ii`` (Pinheiro and Bates, Statistics and
+    Computing 6, 1996, with each row divided by its pivot). Any bits decode to a positive definite
+    matrix.
+
+    The names give the order of the rows: with ``RatioC0Beta``, C0 comes after Beta.
+
+    Args:
+        layout: has the signals.
+        rows: names of the rows, in the order of the states of the covariance.
+
+    Raises:
+        LayoutError: a signal is missing, the ratios do not define an order of the rows, a factor
+            is not positive, or a decoded matrix could be too ill-conditioned.
+    """
+
+    def __init__(self, layout: RecordLayout, rows: Sequence[str] = PARAMETER_SIGNALS) -> None:
+        below = {
+            row: [column for column in rows if f"Ratio{row}{column}" in layout.signals]
+            for row in rows
+        }
+        names = sorted(rows, key=lambda state: len(below[state]))
+        if [len(below[name]) for name in names] != list(range(len(rows))):
+            missing = [
+                f"Ratio{a}{b} or Ratio{b}{a}"
+                for a, b in combinations(rows, 2)
+                if a not in below[b] and b not in below[a]
+            ]
+            raise LayoutError(
+                f"{layout.source}: the ratios must order the rows, Ratio<row><column> for each "
+                f"pair of {', '.join(rows)}, but there are {below}"
+                f"{'; add ' if missing else ''}{' and '.join(missing)}"
+            )
+        #: Order of the rows, as indices into the states.
+        self.order = [rows.index(name) for name in names]
+        self.pivots = [layout[f"Pivot{name}"] for name in names]
+        self.ratios = [
+            [layout[f"Ratio{row}{column}"] for column in names[:i]] for i, row in enumerate(names)
+        ]
+        self.signals: tuple[Signal, ...] = (*self.pivots, *chain(*self.ratios))
+        for pivot in self.pivots:
+            OCTAVES.check(pivot, layout.source)
+        for ratio in chain(*self.ratios):
+            RATIO.check(ratio, layout.source)
+        if (condition := self._largest_condition()) > MAX_CONDITION:
+            raise LayoutError(
+                f"{layout.source}: with {', '.join(ratio.name for ratio in chain(*self.ratios))} a "
+                f"matrix could have the condition number {condition:.0e}, too large for double "
+                "precision; give them smaller factors or fewer bits"
+            )
+
+    def _largest_condition(self) -> float:
+        """Return the largest trace of the inverse correlation matrix of any bits.
+
+        The condition number is at most this times the number of rows.
+        """
+        reach = np.zeros((len(self.ratios), len(self.ratios)))
+        for i, ratios in enumerate(self.ratios):
+            reach[i, :i] = [max(map(abs, ratio.reach)) for ratio in ratios]
+        inverse = np.eye(len(reach))  # of I - reach, which has the worst signs; no term cancels
+        for i in range(1, len(reach)):
+            inverse[i] += reach[i, :i] @ inverse[:i]
+        norm = np.sqrt(1 + (reach**2).sum(axis=1))
+        return float(((inverse * norm) ** 2).sum())
+
+
+class CholeskyCode:
+    """Pivots and ratios that are quantized with feedback, and an inflation.
+
+    Args:
+        layout: has the signals.
+        rows: names of the k rows, in the order of the states of the covariance.
+
+    Raises:
+        LayoutError: a signal is missing, or has an unsuitable factor or range.
+    """
+
+    #: Name in the DBC's attribute CovarianceCode.
+    name = "Cholesky"
+
+    def __init__(self, layout: RecordLayout, rows: Sequence[str] = PARAMETER_SIGNALS) -> None:
+        self.factor = CholeskyFactor(layout, rows)
+        self.inflation = layout["Inflation"]
+        #: Signals that hold the covariance.
+        self.signals = (*self.factor.signals, self.inflation)
+        OCTAVES.check(self.inflation, layout.source)
+        #: (k,) variances beyond which no pivot and ratios can cover: encoding them may overflow.
+        self.reachable: NDArray[np.float64] = np.empty(len(rows))
+        factor = self.factor
+        for state, pivot, ratios in zip(factor.order, factor.pivots, factor.ratios, strict=True):
+            reach = 1.0
+            for ratio in ratios:
+                reach += max(map(abs, ratio.physical_range)) ** 2
+            self.reachable[state] = exp2(2 * pivot.physical_range[1]) * reach
