@@ -34,9 +34,9 @@ def coded(covs: Any) -> tuple[Any, dict[str, Any]]:
 def with_raw(raw: dict[str, Any]) -> Any:
     """Return the covariances of other raw values."""
     n = len(raw["Inflation"])
-    rows = [{name: int(values[i]) for name, values in raw.items()} for i in range(n)]
+    rows: list[Any] = [{name: int(v[i]) for name, v in raw.items()} for i in range(n)]
     record = CODEC.batch.encode(np.zeros((1, 4)), np.eye(4)[None] * 1e-6)[0].tobytes()
-    data = b"".join(changed_record(CODEC, record, **{"Status": 1, **row}) for row in rows)
+    data = b"".join(changed_record(CODEC, record, **row, Status=1) for row in rows)
     return CODEC.batch.decode(np.frombuffer(data, np.uint8).reshape(len(rows), -1)).cov
 
 

@@ -35,8 +35,8 @@ def test_records_of_the_core_agree_with_autosar_e2e(slot: Slot) -> None:
     """Their checksum is that of their bytes and of the data ID of their slot."""
     codec = default_codec()
     means = np.random.default_rng(1).normal(0, [2, 0.02, 1e-3, 1e-5], (256, 4))
-    records = codec.batch.encode(means, np.diag([0.1, 0.01, 1e-3, 1e-5]) ** 2 + 0 * means[:, :, None],
-                                 slot=slot)  # fmt: skip
+    covs = np.tile(np.diag([0.1, 0.01, 1e-3, 1e-5]) ** 2, (256, 1, 1))
+    records = codec.batch.encode(means, covs, slot=slot)
     for record in records:
         protected = bytearray(record.tobytes())
         data_id, offset = codec.layout.messages[slot].data_id, codec.layout.crc_offset
