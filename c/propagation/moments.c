@@ -3,6 +3,7 @@
 
 #define MAX_COV 1e307 ///< largest variance or covariance
 #define ROUNDING 1e-9 ///< of a covariance, relative to the standard deviations
+#define N 4U          ///< parameters of a line
 
 void maplines_rule_points(const maplines_rule_t *rule, const double mean[3], const double root[9],
                           double *points)
@@ -20,8 +21,8 @@ void maplines_rule_points(const maplines_rule_t *rule, const double mean[3], con
     }
 }
 
-void maplines_weighted_moments(const maplines_rule_t *rule, size_t m, size_t stride, double *values,
-                               double *mean, double *cov)
+static inline void moments(const maplines_rule_t *rule, size_t m, size_t stride, double *values,
+                           double *mean, double *cov)
 {
     // The sums are over differences from the first point: this avoids cancellation.
     for (size_t i = 0; i < m; ++i)
@@ -70,6 +71,24 @@ void maplines_weighted_moments(const maplines_rule_t *rule, size_t m, size_t str
     for (size_t i = 0; i < m; ++i)
     {
         mean[i] = values[i] + mean[i];
+    }
+}
+
+void maplines_weighted_moments(const maplines_rule_t *rule, size_t m, size_t stride, double *values,
+                               double *mean, double *cov)
+{
+    if (m == N)
+    {
+        // Nothing else points to these sums, so that they stay in registers.
+        double own_mean[N];
+        double own_cov[N * N];
+        moments(rule, N, stride, values, own_mean, own_cov);
+        (void)memcpy(mean, own_mean, sizeof(own_mean));
+        (void)memcpy(cov, own_cov, sizeof(own_cov));
+    }
+    else
+    {
+        moments(rule, m, stride, values, mean, cov);
     }
 }
 
