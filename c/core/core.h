@@ -269,7 +269,6 @@ void maplines_receiver_count(maplines_receiver_t *receiver);
 /// State of an owner at a time; whether it has one sender; whether a counter was reused.
 int maplines_receiver_elapse(maplines_receiver_t *receiver, int owner, int64_t t_ns);
 bool maplines_receiver_has_one_sender(const maplines_receiver_t *receiver, int owner, int64_t t_ns);
-bool maplines_receiver_reused(const maplines_receiver_t *receiver, int owner, int64_t t_ns);
 
 /* ---- propagate.c: lines of a map --------------------------------------------------------------
  *

@@ -476,10 +476,3 @@ bool maplines_receiver_has_one_sender(const maplines_receiver_t *receiver, int o
 {
     return maplines_has_one_sender(&receiver->decoder.checks[owner], maplines_limited_time(t_ns));
 }
-
-bool maplines_receiver_reused(const maplines_receiver_t *receiver, int owner, int64_t t_ns)
-{
-    const maplines_check_t *check = &receiver->decoder.checks[owner];
-    return maplines_conflict_was_reused(&check->conflict, check->cycle_ns,
-                                        maplines_limited_time(t_ns));
-}

@@ -90,10 +90,6 @@ class Check:
         """Return whether no second sender is detected or suspected at ``t_ns`` [ns]."""
         return bool(self._asked(lib.maplines_receiver_has_one_sender, t_ns))
 
-    def counter_was_reused(self, t_ns: int) -> bool:
-        """Return whether a counter came with two contents in the last cycles: two senders."""
-        return bool(self._asked(lib.maplines_receiver_reused, t_ns))
-
     def elapse(self, t_ns: int) -> E2EState:
         """Step with NONEWDATA for each cycle missed up to ``t_ns`` [ns]; return the state."""
         return STATES[self._asked(lib.maplines_receiver_elapse, t_ns)]
