@@ -27,7 +27,8 @@ LINE = np.dtype(
 
 def frames_of_scenes(dbc: str, n: int) -> list[bytes]:
     """Frames of scenes of bends with random pose errors, as the harness reads them."""
-    rng, codec, given = np.random.default_rng(7), new_codec(dbc), []
+    rng, codec = np.random.default_rng(7), new_codec(dbc)
+    given: list[bytes] = []
     while len(given) < n:
         sigma = np.array([0.3, 0.2, 0.005]) * 10.0 ** rng.uniform(-1.5, 1, 3)
         slots = rng.permutation([*Slot])[: rng.integers(1, 9)]
