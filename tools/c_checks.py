@@ -232,7 +232,7 @@ def check_sanitizers() -> Findings:
 
 def findings_of_library(flags: str, tests: Sequence[str], folder: Path, **more: str) -> Findings:
     """Run tests with a library that is built with other flags, into a copy of the checkout."""
-    skipped = shutil.ignore_patterns(".*", "maplines.so", "__pycache__", "build", "docs")
+    skipped = shutil.ignore_patterns(".*", "maplines.so", "__pycache__", "build")
     copy = folder / "copy"
     shutil.copytree(ROOT, copy, ignore=skipped)
     settings = os.environ | {"PYTHONPATH": str(copy), "CFLAGS": flags, "LDFLAGS": flags}

@@ -50,7 +50,7 @@ class Curve(NamedTuple):
 Points = tuple[Row, Row]
 
 
-def cubic_fit(w: Row, values: Row, end_weight: float = END_WEIGHT) -> tuple[Row, Row]:
+def cubic_fit(w: Row, values: Row, end_weight: float) -> tuple[Row, Row]:
     """Return the coefficients of w^0 .. w^3 of a cubic that is fitted to points, and the rest.
 
     It is fitted by polynomials that are orthogonal on the points (Forsythe 1957). Each of them is w
@@ -105,7 +105,7 @@ def _t_4(w: float) -> float:
 
 
 #: What a fitted cubic leaves of T_4.
-BEND = cubic_fit(NODES, [_t_4(w) for w in NODES])[1]
+BEND = cubic_fit(NODES, [_t_4(w) for w in NODES], END_WEIGHT)[1]
 
 
 def y_of(mean: Row, slope: float, x: float) -> float:
@@ -140,7 +140,7 @@ def refitted(points: Points, pose: Row) -> Row | None:
     if not is_function((u, v)):
         return None
     centre, half = (u[0] + u[-1]) / 2, abs(u[0] - u[-1]) / 2
-    coefficients, _ = cubic_fit([(x - centre) / half for x in u], v)
+    coefficients, _ = cubic_fit([(x - centre) / half for x in u], v, END_WEIGHT)
     line = derivatives(coefficients, centre, half)
     line[1] = atan(line[1])
     return line
