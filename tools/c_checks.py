@@ -54,6 +54,7 @@ STREAM_TESTS = ("tests/model", "tests/test_map_streams.py")
 DOOR_TESTS = (
     "tests/wire/test_encoder.py", "tests/wire/test_encoder_arguments.py",
     "tests/wire/reception/test_decoder_object.py", "tests/propagation/test_map_scene.py",
+    "tests/wire/layout/test_packing.py",
     "tests/bus/test_candump_logs.py", "tests/bus/test_asc_logs.py", "tests/bus/test_blf_logs.py",
 )  # fmt: skip
 #: All that run the library.

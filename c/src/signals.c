@@ -75,7 +75,7 @@ MAPLINES_INTERNAL int64_t maplines_get(const maplines_signal_t *signal, const ui
     const uint64_t sign = (uint64_t)1 << (signal->length - 1U);
     if (signal->is_signed && (raw & sign) != 0U)
     {
-        return (int64_t)(raw - sign) - (int64_t)sign;
+        return (int64_t)(raw - sign) - (int64_t)(sign - 1U) - 1; // in range also for 64 bits
     }
     return (int64_t)raw;
 }
