@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +11,6 @@ from ...core import ffi, lib
 from ...core.memory import pointer, shaped
 from .signal import Signal, first_bit, signal_values
 from .signals import PAGE_BYTES
-
-
-class Piece(NamedTuple):
-    """Bits of a signal that lie within one 64-bit word of the record."""
-
-    word: int
-    shift: int  #: of the piece within the word
-    bits: int
-    signal_shift: int  #: of the piece within the signal
 
 
 class Packing:
@@ -72,27 +62,3 @@ class Packing:
         """Return the raw values of one record: see ``unpack``."""
         raw = self.unpack(np.frombuffer(record, np.uint8)[None])
         return {name: values.item() for name, values in raw.items()}
-
-
-def pieces_of(signal: Signal) -> Iterator[Piece]:
-    """Yield the pieces of a signal, the most significant first.
-
-    The start of an Intel signal is its least significant bit, and bits count upwards. The start of
-    a Motorola signal is its most significant bit; bytes count upwards, but bits downwards within
-    a byte. In words that are read big-endian its bits are contiguous too.
-    """
-    left = signal.length
-    if signal.big_endian:
-        position = signal.start // 8 * 8 + 7 - signal.start % 8  # from the most significant end
-        while left:
-            bits = min(left, 64 - position % 64)
-            left -= bits
-            yield Piece(position // 64, 64 - position % 64 - bits, bits, left)
-            position += bits
-    else:
-        end = signal.start + signal.length
-        while left:
-            bits = min(left, (end - 1) % 64 + 1)
-            left -= bits
-            end -= bits
-            yield Piece(end // 64, end % 64, bits, left)
