@@ -5,21 +5,21 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..localisation import LocalisationLayer
-from ..localisation.scan_matching import ScanReference
 from ..maps import Map
 from ..simulation.pose_source import PoseSource
 from ..simulation.recorded import RecordedDrive
-from ..simulation.simulated_localisation import SimulatedLocalisation
 from ..simulation.trajectory import SimulatedDrive
 from ..values.gaussian import Gaussian
 from .parsing import number, option_group
 from .stderr import note
+
+if TYPE_CHECKING:
+    from ..simulation.simulated_localisation import SimulatedLocalisation
 
 #: Standard deviations of the reported pose: along [m], across [m], heading [deg].
 SIGMA = (0.3, 0.1, 0.2)
@@ -91,6 +91,11 @@ def reported_pose_of(
 ) -> ReportedPose:
     """Return the pose that the car knows, by the options."""
     if arguments.localise:
+        # Imported here: the localisation loads scipy.
+        from ..localisation import LocalisationLayer
+        from ..localisation.scan_matching import ScanReference
+        from ..simulation.simulated_localisation import SimulatedLocalisation
+
         surfaces = ScanReference(road_map) if arguments.scan else None
         layer = LocalisationLayer(road_map)
         source = SimulatedLocalisation(way, layer, seed=arguments.seed, surfaces=surfaces)

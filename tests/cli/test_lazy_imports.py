@@ -112,6 +112,12 @@ def test_help_of_a_command_loads_neither_study_nor_bus(name: str) -> None:
     assert not among(modules, *HEAVY)
 
 
+def test_help_of_no_command_loads_scipy() -> None:
+    """Commands that compute with it load it when they run."""
+    code = "\n".join(MAIN.format([name, "--help"]) for name in COMMANDS)
+    assert not among(modules_after(code), "scipy")
+
+
 @pytest.mark.parametrize(
     "command",
     [

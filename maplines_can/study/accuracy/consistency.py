@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from ...simulation.truth import PLACES
 from .evaluation import REQUIREMENTS, Accuracy
@@ -80,6 +79,8 @@ class SenderConsistency(NamedTuple):
 
 def consistency_of(accuracy: Accuracy) -> SenderConsistency | None:
     """Return whether the lateral errors are as large as stated; None without errors."""
+    from scipy.special import chdtrc
+
     found: list[tuple[float, int, float, float]] = []
     stated: list[float] = []
     for i, x in enumerate(PLACES):
@@ -89,7 +90,7 @@ def consistency_of(accuracy: Accuracy) -> SenderConsistency | None:
         errors = accuracy.sigmas[known, i]
         n = independent_errors(_by_cycle(accuracy.time[known], errors))
         mean = float(np.mean(errors**2))
-        found.append((float(chi2.sf(mean * n, n)), x, float(np.sqrt(mean)), n))
+        found.append((float(chdtrc(n, mean * n)), x, float(np.sqrt(mean)), n))
         moved = known & (accuracy.sigmas[:, i] != 0)
         sigma = accuracy.errors["lateral"][moved, i] / accuracy.sigmas[moved, i]
         stated += [float(np.sqrt(np.mean(sigma**2)))] if len(sigma) else []

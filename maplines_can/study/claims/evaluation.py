@@ -10,7 +10,6 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincinv
 
 from ...values.gaussian import Gaussian
 from ...values.line import PARAMETERS, lateral, lateral_jacobian
@@ -249,6 +248,8 @@ def _outside(
     The edge of the region is found from the draws of the mixture, unless that is one Gaussian. If
     a component is singular, all samples are outside.
     """
+    from scipy.special import gammaincinv
+
     marginal = mixture.marginal(columns)
     whiteners = [W for cov in marginal.covs if (W := _whitener(cov)) is not None]
     k = len(marginal.weights)

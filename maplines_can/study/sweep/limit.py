@@ -31,8 +31,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
-from scipy.special import digamma, gammaln, ndtri
 
 Array = NDArray[np.float64]
 
@@ -288,6 +286,9 @@ def _neighbours(x: Array, k: int, shaped: bool) -> tuple[float, float]:
     The dimension is that of Levina and Bickel (2004), averaged as by MacKay and Ghahramani.
     ``shaped`` distances are in the metric of the covariance of the neighbours.
     """
+    from scipy.spatial import cKDTree
+    from scipy.special import digamma, gammaln
+
     samples, n = x.shape
     near = NEIGHBOURS * n if shaped else k
     tree = cKDTree(x)
@@ -314,5 +315,7 @@ def _neighbours(x: Array, k: int, shaped: bool) -> tuple[float, float]:
 
 def _normal_scores(theta: Array) -> Array:
     """Map each of (N, n) coordinates to a standard normal distribution, by ranks."""
+    from scipy.special import ndtri
+
     rank = np.argsort(np.argsort(theta, axis=0), axis=0)
     return np.asarray(ndtri((rank + 0.5) / len(theta)), dtype=float)
