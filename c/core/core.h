@@ -381,6 +381,8 @@ void maplines_bases_of(size_t lines, const double *means, const double *fit_rang
 /// Lines (n, lines, 4) after displacements (n, 3).
 bool maplines_see_curves(size_t lines, const double *curves, size_t n, const double *poses,
                          double *found);
+/// Lines (n, 4), each after a displacement of its own (n, 3); NaN where they are no functions of x.
+void maplines_transform_curves(size_t n, const double *curves, const double *poses, double *found);
 /// Derivatives (lines, 4, 3) with respect to the displacement.
 bool maplines_curve_jacobians(size_t lines, const double *curves, double *J);
 /// Move lines so that they are the means over a pose error with covariance P.
@@ -388,11 +390,6 @@ bool maplines_centre_curves(size_t lines, double *curves, const double P[9]);
 /// Joint covariance (4 lines, 4 lines) for a pose error, and its factor A (4 lines, 7).
 bool maplines_spread_curves(size_t lines, const double *curves, const double P[9], double *A,
                             double *cov);
-/// Valid ranges (lines, 2) [m] for a pose error, line-specific covariances (lines, 4, 4), and
-/// errors of the heading of the map (lines) [rad].
-void maplines_valid_curves(size_t lines, const double *curves, const double P[9],
-                           const double *specific_covs, const double *heading_sigmas,
-                           double *x_ranges);
 
 /* ---- send.c: lines and scenes to records ------------------------------------------------------
  */

@@ -188,6 +188,16 @@ bool maplines_see_curves(size_t lines, const double *curves, size_t n, const dou
     return is_right;
 }
 
+void maplines_transform_curves(size_t n, const double *curves, const double *poses, double *found)
+{
+    for (size_t i = 0; i < n; i++)
+    {
+        maplines_points_t points;
+        (void)curve_of(curves + 7 * i, &points);
+        maplines_refitted(&points, poses + 3 * i, found + 4 * i);
+    }
+}
+
 bool maplines_curve_jacobians(size_t lines, const double *curves, double *J)
 {
     bool is_right = true;
@@ -231,17 +241,4 @@ bool maplines_spread_curves(size_t lines, const double *curves, const double P[9
     }
     maplines_product_transposed(rows, MAPLINES_POSES, rows, A, A, cov);
     return is_right;
-}
-
-void maplines_valid_curves(size_t lines, const double *curves, const double P[9],
-                           const double *specific_covs, const double *heading_sigmas,
-                           double *x_ranges)
-{
-    for (size_t i = 0; i < lines; i++)
-    {
-        maplines_points_t points;
-        const maplines_curve_t curve = curve_of(curves + 7 * i, &points);
-        maplines_valid_range(&curve, P, specific_covs + 16 * i, heading_sigmas[i],
-                             x_ranges + 2 * i);
-    }
 }

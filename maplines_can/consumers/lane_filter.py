@@ -46,8 +46,6 @@ BIAS_SIGMA, BIAS_TIME = (0.05, 0.003, 5e-5, 0.002), 100.0
 #: deviations of its offset [m] and heading [rad] in ``CORNER_LENGTH`` [m], reached at this rate of
 #: the curvature [1/m^2].
 CORNER, CORNER_LENGTH, CORNER_RATE = (0.1, 0.05), 5.0, 0.001
-#: Points of a line that is moved to the next ego frame.
-POINTS = 8
 
 Handling = Literal["state", "consider"]
 
@@ -294,7 +292,7 @@ def move_lines(lines: Array, displacement: Array, windows: Array) -> tuple[Array
         new frame is NaN.
     """
     window = (windows[..., 0], windows[..., 1])
-    moved = transform_line_or_nan(lines, displacement[..., None, :], window, POINTS)
+    moved = transform_line_or_nan(lines, displacement[..., None, :], window)
     x = displacement[..., None, 0]
     cos2 = np.cos(moved[..., 1]) ** 2
     J = np.zeros((*lines.shape, 4))

@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core import lib
 from ..core.memory import pointer
-from .arrays import floats, is_plain, number_text
-from .cubics import Poses, fit_points, points_of, refitted
+from .arrays import floats, is_plain
 from .errors import IllPosedError
 from .gaussian import Gaussian, variances
 from .mixture import GaussianMixture
@@ -30,8 +29,6 @@ VAGUE_SIGMA = (1000.0, 10.0, 10.0, 10.0)
 MIN_RANGE = 1.0
 #: Largest finite age [s]; still finite as a float in nanoseconds.
 MAX_AGE = 1e99
-#: Most points to which ``transform_line`` fits a line; more need memory and change little.
-MAX_POINTS = 10_000
 
 
 class Slot(IntEnum):
@@ -307,34 +304,32 @@ def _rows(parameters: ArrayLike) -> NDArray[np.float64]:
 
 
 def transform_line(
-    parameters: ArrayLike, displacement: ArrayLike, window: tuple[float, float], points: int = 32
+    parameters: ArrayLike, displacement: ArrayLike, window: tuple[ArrayLike, ArrayLike]
 ) -> NDArray[np.float64]:
     """Transform lines to the ego frame of another pose (Map Line Interface, section III-A-1).
 
-    Points of the line are transformed to the new frame, and a cubic is fitted to them. With 4
-    points these are Chebyshev points, and the cubic interpolates them. More points are spaced
-    like those of ``Refit`` and fitted by least squares. The result then agrees with a refit of the
-    line of the map from the new pose within 1 mm over the same window, for displacements up to 5 m
-    and 10 deg, on 100 m of road with radius >= 200 m. It does not hold in a street turn.
+    Points of the line are transformed to the new frame, and a cubic is fitted to them by least
+    squares. The result agrees with a refit of the line of the map from the new pose within 1 mm
+    over the same window, for displacements up to 5 m and 10 deg, on 100 m of road with radius
+    >= 200 m. It does not hold in a street turn.
 
     Args:
         parameters: (..., 4) lines in the old ego frame.
         displacement: (..., 3) the new pose in the old ego frame (x [m], y [m], heading [rad]).
-        window: (x_min, x_max) valid range of the line in the old ego frame [m].
-        points: number of points, 4 to 10 000.
+        window: (x_min, x_max) valid range of the line in the old ego frame, or of each [m].
 
     Returns:
         (..., 4) lines in the new ego frame.
 
     Raises:
-        ValueError: fewer than 4 points or more than 10 000, an empty window, or a wrong shape.
+        ValueError: an empty window, or a wrong shape.
         IllPosedError: in the new frame a line is not a function of x or is nearly
             perpendicular to the x axis (80 deg or more), or an input is NaN.
 
     >>> transform_line([2.0, 0.0, 0.0, 0.0], [10.0, 0.5, 0.0], window=(0, 80)).round(9) + 0.0
     array([1.5, 0. , 0. , 0. ])
     """
-    lines = transform_line_or_nan(parameters, displacement, window, points)
+    lines = transform_line_or_nan(parameters, displacement, window)
     ill_posed = np.isnan(lines).any(axis=-1)
     if ill_posed.any():
         given = np.broadcast_to(np.asarray(displacement, dtype=float), (*ill_posed.shape, 3))
@@ -347,67 +342,30 @@ def transform_line(
     return lines
 
 
-def check_window(x_min: NDArray[np.float64], x_max: NDArray[np.float64], points: int) -> None:
-    """Check the window and the number of points of ``transform_line_or_nan``.
-
-    Raises:
-        ValueError: the window is empty or not finite, or there are too few or too many points.
-    """
-    if points < 4 or not (np.isfinite(x_min) & np.isfinite(x_max) & (x_min < x_max)).all():
-        raise ValueError(
-            "points must be 4 or more in a window of x_min < x_max, "
-            f"got {number_text(points)} points in ({_ends_text(x_min)}, {_ends_text(x_max)}) m"
-        )
-    if points > MAX_POINTS:
-        raise ValueError(f"points must be {MAX_POINTS} or fewer, got {number_text(points)}")
-
-
-def _ends_text(ends: NDArray[np.float64]) -> str:
-    return f"{ends:g}" if ends.ndim == 0 else str(ends)
-
-
-@np.errstate(over="ignore", invalid="ignore")
 def transform_line_or_nan(
-    parameters: ArrayLike,
-    displacement: ArrayLike,
-    window: tuple[ArrayLike, ArrayLike],
-    points: int = 32,
-    *,
-    quartic: ArrayLike = 0.0,
-    end_weight: float = 1.0,
+    parameters: ArrayLike, displacement: ArrayLike, window: tuple[ArrayLike, ArrayLike]
 ) -> NDArray[np.float64]:
-    """Transform lines as ``transform_line`` does, with a row of NaN in place of IllPosedError.
-
-    The ends of the window may be (...,) arrays.
-
-    Args:
-        parameters: see ``transform_line``.
-        displacement: see ``transform_line``.
-        window: see ``transform_line``.
-        points: see ``transform_line``.
-        quartic: (...,) coefficients of the Chebyshev polynomial T_4 over the window that the lines
-            have beside their cubics [m]. What of T_4 is itself a cubic is not meant.
-        end_weight: weight of each end in the fit; that of the other points is 1.
-    """
+    """Transform lines as ``transform_line`` does, with a row of NaN in place of IllPosedError."""
     x_min, x_max = (floats(end, "window") for end in window)
-    check_window(x_min, x_max, points)
+    check_window(x_min, x_max)
     lines, poses = np.moveaxis(_rows(parameters), 0, -1), floats(displacement, "displacement")
     if poses.shape[-1:] != (3,):
         raise ValueError(f"displacement must have shape (..., 3), got {poses.shape}")
-    return transformed(lines, poses, (x_min, x_max), points, floats(quartic, "quartic"), end_weight)
+    shape = np.broadcast_shapes(lines.shape[:-1], poses.shape[:-1], x_min.shape, x_max.shape)
+    curves = np.zeros((*shape, 7))
+    curves[..., :4], curves[..., 4], curves[..., 5] = lines, x_min, x_max
+    given, found = np.broadcast_to(poses, (*shape, 3)), np.empty((*shape, 4))
+    arrays = map(pointer, (curves, np.ascontiguousarray(given), found))
+    lib.maplines_transform_curves(math.prod(shape), *arrays)
+    return found
 
 
-@np.errstate(over="ignore", invalid="ignore")
-def transformed(
-    lines: NDArray[np.float64],
-    poses: NDArray[np.float64],
-    window: tuple[NDArray[np.float64], NDArray[np.float64]],
-    points: int,
-    quartic: NDArray[np.float64],
-    end_weight: float,
-) -> NDArray[np.float64]:
-    """Transform lines as ``transform_line_or_nan`` does; the arguments are not checked."""
-    fit = fit_points(points, end_weight)
-    axes = max(lines.ndim, poses.ndim, window[0].ndim + 1, window[1].ndim + 1, quartic.ndim + 1) - 1
-    x, y = points_of(lines, window, quartic, fit, axes)
-    return refitted(x, y, Poses.of(poses), fit.weights)
+def check_window(x_min: NDArray[np.float64], x_max: NDArray[np.float64]) -> None:
+    """Check the windows of ``transform_line``.
+
+    Raises:
+        ValueError: a window is empty or not finite.
+    """
+    if not ((-math.inf < x_min) & (x_min < x_max) & (x_max < math.inf)).all():
+        ends = ", ".join(f"{end:g}" if end.ndim == 0 else str(end) for end in (x_min, x_max))
+        raise ValueError(f"window must have finite x_min < x_max [m], got ({ends})")

@@ -12,15 +12,10 @@ from .elementary import sin_cos
 from .errors import IllPosedError
 from .line import check_window
 
-#: Points of a line to which a cubic is fitted from another pose, and the weight of both ends.
-POINTS, END_WEIGHT = 16, 0.62
 #: Points of a line of the map to which a cubic is fitted, in the normalised variable w. They are
 #: denser near the ends of the range, as the extrema of a Chebyshev polynomial, so that the largest
 #: deviation of the least-squares fit is near the least possible one.
 NODES = sin_cos(np.pi * np.arange(64) / 63)[1][::-1]
-#: Variances of the coefficients of T_0 .. T_3, up to a common factor, for a line of uncertain
-#: shape.
-SHAPE = np.array([0.0, 0.25, 1.0, 2.0])
 
 
 def bases(means: NDArray[np.float64], fit_ranges: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -75,7 +70,7 @@ class SeenLines:
         quartics = floats(np.zeros(lines) if quartics is None else quartics, "quartics")
         if quartics.shape != (lines,):
             raise ValueError(f"quartics must be (L,), got {quartics.shape}")
-        check_window(self.fit_ranges[:, 0], self.fit_ranges[:, 1], POINTS)
+        check_window(self.fit_ranges[:, 0], self.fit_ranges[:, 1])
         self._curves = np.column_stack([self.means, self.fit_ranges, quartics])  # (L, 7)
         self._lines = lines, pointer(self._curves)
         if not lib.maplines_are_functions(*self._lines):
@@ -134,32 +129,3 @@ def _check(is_right: bool) -> None:
     """Raise IllPosedError if the core has no value."""
     if not is_right:
         raise IllPosedError("a line is not a function of x, seen from the mean pose")
-
-
-def valid_ranges(
-    means: NDArray[np.float64],
-    fit_ranges: NDArray[np.float64],
-    P: NDArray[np.float64],
-    specific_covs: NDArray[np.float64],
-    heading_sigma: ArrayLike,
-) -> NDArray[np.float64]:
-    """Return the (L, 2) ranges in which lines are valid, within those in which they were fitted.
-
-    A range leaves room for the errors of the pose and of the map: the line seen from the true pose
-    does not end before it.
-
-    Args:
-        means: (L, 4) lines.
-        fit_ranges: (L, 2) [m].
-        P: (3, 3) covariance of the pose in the ego frame.
-        specific_covs: (L, 4, 4) line-specific covariances; the variance of the lateral position in
-            the middle of the range is taken to act along the line, too.
-        heading_sigma: of the map, (L,) or one for all [rad].
-    """
-    n = len(means)
-    curves = np.column_stack([means, fit_ranges, np.zeros(n)])
-    sigmas = np.array(np.broadcast_to(floats(heading_sigma, "heading_sigma"), n))
-    found = np.empty((n, 2))
-    given = shaped(P, (3, 3)), shaped(specific_covs, (n, 4, 4)), pointer(sigmas)
-    lib.maplines_valid_curves(n, pointer(curves), *given, pointer(found))
-    return found

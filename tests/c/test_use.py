@@ -3,7 +3,6 @@
 import math
 import struct
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import c_core
@@ -22,9 +21,7 @@ from maplines_can import (
     Status,
     predict_to,
 )
-from maplines_can.propagation import prediction
-from maplines_can.values.line import lateral_jacobian, transform_line_or_nan
-from maplines_can.values.seen_lines import END_WEIGHT, POINTS
+from maplines_can.values.line import lateral_jacobian
 
 FLOAT = pytest.param(("-O2", "-DMAPLINES_FLOAT"), id="float")
 DOUBLE = pytest.param(("-O2",), id="double")
@@ -437,18 +434,9 @@ def predicted_or_none(*args: Any, **options: Any) -> MapLine | None:
         return None
 
 
-@pytest.fixture
-def as_scenes(monkeypatch: Any) -> None:
-    """Python predicts with the points and weights of scenes, as C does."""
-    fit = partial(transform_line_or_nan, points=POINTS, end_weight=END_WEIGHT)
-    monkeypatch.setattr(prediction, "transform_line_or_nan", fit)
-    monkeypatch.setattr(prediction, "transform_line", fit)
-
-
-@pytest.mark.usefixtures("as_scenes")
 @pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
 def test_prediction_by_a_displacement(flags: Any) -> None:
-    """Predicted lines are those of ``predict_to``, if that fits cubics to the same points."""
+    """Predicted lines are those of ``predict_to``."""
     rng = np.random.default_rng(6)
     cases, data = [], b""
     for k in range(300):
@@ -464,7 +452,6 @@ def test_prediction_by_a_displacement(flags: Any) -> None:
     check_predictions(cases, data, flags, 1e-8)
 
 
-@pytest.mark.usefixtures("as_scenes")
 @pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
 def test_prediction_by_a_motion(flags: Any) -> None:
     """The same; Python forms the covariance of the displacement, which is nearly singular, and so

@@ -47,7 +47,7 @@ def test_the_derivatives_of_a_moved_line(x: float, y: float, turn: float, c0: fl
     lines = LANE.reshape(2, 4) + np.array([0, 0, c0, 0])
     at, places = np.array([x, y, turn]), np.array([0.0, 20.0, 40.0])
     moved, J, G = move_lines(lines, at, WINDOWS)
-    assert moved[0] == pytest.approx(transform_line(lines[0], at, (-20, 60), 8), abs=1e-12)
+    assert moved[0] == pytest.approx(transform_line(lines[0], at, (-20, 60)), abs=1e-12)
     here = lateral_jacobian(moved[:, None], places)  # (2, 3, 4)
 
     def positions(lines: Any, at: Any) -> Any:
@@ -62,7 +62,7 @@ def test_the_derivatives_of_a_moved_line(x: float, y: float, turn: float, c0: fl
         d = np.eye(3)[i] * step
         change = (positions(lines, at + d) - positions(lines, at - d)) / (2 * step)
         expected = (here @ G[..., i, None])[..., 0]
-        assert change == pytest.approx(expected, abs=0.05 * np.abs(expected).max() + 0.01)
+        assert change == pytest.approx(expected, abs=0.07 * np.abs(expected).max() + 0.01)
 
 
 def test_equal_scenes_with_a_constant_pose_error_say_nothing_new() -> None:

@@ -248,7 +248,7 @@ def test_an_ill_posed_line_raises() -> None:
     [
         (NO_DISPLACEMENT, NO_DISPLACEMENT, WINDOW, r"gaussian must be over .*'y_off', .* got 3-D"),
         (LINE, LINE, WINDOW, r"displacement must be over \(x \[m\], .* got 4-D"),
-        (LINE, NO_DISPLACEMENT, (80.0, 80.0), "points must be 4 or more in a window"),
+        (LINE, NO_DISPLACEMENT, (80.0, 80.0), "window must have finite x_min < x_max"),
     ],
 )
 def test_invalid_arguments_of_predict_raise(

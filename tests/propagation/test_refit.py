@@ -177,7 +177,7 @@ def test_a_refit_of_a_line_is_transform_line(line: Any, motion: Any) -> None:
 
     assert np.allclose(
         lateral(refit(motion), u),
-        lateral(transform_line(line, motion, (0.0, 80.0), 64), u),
+        lateral(transform_line(line, motion, (0.0, 80.0)), u),
         rtol=0,
         atol=5 * chords_of(line, x) + 1e-9,
     )

@@ -11,7 +11,7 @@ from maplines_can.propagation import SigmaPoints
 from maplines_can.values.errors import IllPosedError
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import lateral, lateral_jacobian, transform_line_or_nan
-from maplines_can.values.seen_lines import END_WEIGHT, SeenLines, valid_ranges
+from maplines_can.values.seen_lines import SeenLines
 
 RANGES = np.array([[-20.0, 80.0], [-10.0, 60.0]])
 MEANS = np.array([[1.75, 0.02, 1e-3, 1e-6], [-1.75, 0.0, -1e-3, 0.0]])
@@ -24,7 +24,7 @@ def test_each_line_is_transformed_by_itself(first: Any, second: Any, motion: Any
     """As ``transform_line_or_nan`` transforms it in its range."""
     seen = SeenLines([first, second], RANGES)(motion[None])[0]
     for line, mean, window in zip(seen, (first, second), RANGES, strict=True):
-        expected = transform_line_or_nan(mean, motion, tuple(window), 16, end_weight=END_WEIGHT)
+        expected = transform_line_or_nan(mean, motion, tuple(window))
         assert np.allclose(line, expected, rtol=0, atol=1e-12)
 
 
@@ -68,7 +68,7 @@ def test_a_line_across_the_car_is_extrapolated_from_the_mean_pose(turn: float) -
 
         def at(share: float, line: Any = MEANS[i], window: Any = window) -> Any:
             pose = share * displacements[1]
-            return transform_line_or_nan(line, pose, tuple(window), 16, end_weight=END_WEIGHT)
+            return transform_line_or_nan(line, pose, tuple(window))
 
         assert np.isnan(at(1.0)).all()
         expected = at(0.0) + (at(0.5) - at(0.0)) / 0.5
@@ -168,29 +168,3 @@ def test_centred_lines_have_the_means_given(sigma: Any) -> None:
         np.abs(lines(points).mean(axis=0) - bends).max(axis=0) for lines in (seen, centred)
     )
     assert (error <= 0.01 * shift).all()
-
-
-@pytest.mark.parametrize("heading", [0.0, 0.01, 0.05])
-def test_valid_ranges_hold_the_ends_of_lines(heading: float) -> None:
-    """Of 10^5 poses, at most 0.6 % see the end of a line within the shortened range."""
-    P = np.diag([0.3, 0.2, heading]) ** 2
-    P[0, 2] = P[2, 0] = 0.5 * 0.3 * heading
-    mean = np.array([[3.6, np.arctan(-0.12), 0.0, 0.0]])
-    ends = np.array([[-20.0, 6.0], [80.0, -6.0]])
-    ((low, high),) = valid_ranges(mean, ends[None, :, 0], P, np.zeros((1, 4, 4)), 0.0)
-    poses = Gaussian(np.zeros(3), P).sample(100_000, seed=2)
-    c, d = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    u = [c * (x - poses[:, 0]) + d * (y - poses[:, 1]) for x, y in ends]
-    assert (u[0] > low).mean() <= 0.006
-    assert (u[1] < high).mean() <= 0.006
-
-
-def test_valid_ranges_leave_room_for_the_pose_and_for_the_map() -> None:
-    """Of straight lines at y = 0: three sigmas along and of the lines' own offset."""
-    P, own = np.diag([0.3, 1.0, 0.0]) ** 2, np.zeros((2, 4, 4))
-    own[:, 0, 0] = 0.4**2, 0
-    got = valid_ranges(np.zeros((2, 4)), RANGES, P, own, 0.0)
-    assert np.allclose(got, RANGES + 3 * np.array([[0.5], [0.3]]) * [1, -1])
-    turned = valid_ranges(np.zeros((2, 4)), RANGES, P, own, 0.1)
-    shortening = (1 - np.cos(0.3)) * np.abs(RANGES)
-    assert np.allclose(turned, got + shortening * [1, -1])

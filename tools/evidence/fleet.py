@@ -114,9 +114,8 @@ class Simulation:
                 continue
             windows = np.broadcast_to(view.fit_ranges[k], (S, 2, 2))
             lines = np.broadcast_to(view.lines[k], (S, 2, 4))
-            sent = transform_line_or_nan(
-                lines + own, delta[:, None], (windows[..., 0], windows[..., 1]), 8
-            )
+            ends = windows[..., 0], windows[..., 1]
+            sent = transform_line_or_nan(lines + own, delta[:, None], ends)
             loading = move_lines(sent, np.zeros((S, 3)), windows)[2].reshape(S, 8, 3) @ L
             lane_filter.update_scene(
                 sent.reshape(S, 8), loading, np.broadcast_to(view.own[k], (S, 8, 8))

@@ -101,7 +101,7 @@ def tail_probability(
     L = np.diag(errors.pose_sigma)
 
     def centre(u: Array) -> Array:
-        lines = transform_line_or_nan(view.lines[k], (u @ L)[:, None], window, 8)
+        lines = transform_line_or_nan(view.lines[k], (u @ L)[:, None], window)
         return np.asarray(lateral(lines, x).mean(axis=1))
 
     step = 1e-3

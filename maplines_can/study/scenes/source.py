@@ -23,11 +23,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from ...propagation import MapError, map_scene
 from ...simulation.street_shapes import Street, StreetPiece
-from ...values.cubics import line_of_cubic
 from ...values.gaussian import Gaussian
 from ...values.linalg import block_diagonal
 from ...values.line import Slot, lateral_jacobian
@@ -165,8 +165,9 @@ def unit_point_cov(mean: Array, fit_range: Array, spacing: float) -> Array:
         points = np.arange(math.ceil(position[-1]) + 1)
         W = np.maximum(0, 1 - np.abs(position[:, None] - points))
         N += V @ W @ W.T @ V.T / len(PHASES)
-    J = line_of_cubic(np.eye(4), np.full(4, centre), np.full(4, half)).T
-    J[1] = np.tan(J[1]) * np.cos(mean[1]) ** 2
+    cubics = (Polynomial(q, fit_range).convert().coef for q in np.eye(4))
+    J = np.column_stack([np.resize([*q, 0, 0, 0], 4) for q in cubics]) * [[1], [1], [2], [6]]
+    J[1] *= np.cos(mean[1]) ** 2
     cov = J @ N @ J.T
     g = lateral_jacobian(mean, centre + half * NODES)
     cov[0, 0] += max(0.0, 1 - np.einsum("ki,ij,kj->k", g, cov, g).min())
