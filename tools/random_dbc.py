@@ -33,14 +33,16 @@ from maplines_can.study.dbc.record_spec import DEFAULT, SECURED
 from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import Slot
 from maplines_can.wire import Codec
-from maplines_can.wire.layout.message_layout import PARAMETER_SIGNALS, Layout, slot_title
+from maplines_can.wire.layout.message_layout import Layout
 from maplines_can.wire.layout.signals import (
     FINE,
     OF_SLOT,
     PAGE,
+    PARAMETER_SIGNALS,
     POSE_PREFIX,
     POSE_ROWS,
     TRANSFER_ID,
+    slot_title,
 )
 
 BASES = (DEFAULT, CONDITIONAL, SECURED)

@@ -20,7 +20,7 @@ from ..values.mixture import GaussianMixture
 from ..wire import CODES as CORE_CODES
 from ..wire import Batch, Codec, Decoder, E2EConfig, Encoder, Layout, Owner
 from ..wire.layout.packing import Packing
-from ..wire.layout.signals import PARAMETER_SIGNALS, TRANSFER_ID, SignalRow
+from ..wire.layout.signals import PARAMETER_SIGNALS, TRANSFER_ID
 from ..wire.layout.validation import CheckedGaussians, checked_gaussians
 from ..wire.reception.settings import RecordSettings, decoder_settings
 from ..wire.records.counters import packed, unpacked
@@ -29,6 +29,7 @@ from ..wire.scene_writer import SceneWriter
 from ..wire.tables import tables_of
 from .codes import CODES, COMPARED
 from .components import deficit, quantized_weights, slope_error
+from .rounding import SignalRow, raw_above, raw_below, raw_nearest
 
 Array = NDArray[np.float64]
 
@@ -240,7 +241,7 @@ class ComparisonEncoder(Encoder):
         gaussians = CheckedGaussians(means, covs, np.zeros(n, dtype=bool))
         raw = self._codec.encode(gaussians, np.full(n, line.status))
         first, last = self._signals["XMin"], self._signals["XMax"]
-        raw_range = first.above_one(float(line.x_min))[0], last.below_one(float(line.x_max))[0]
+        raw_range = raw_above(first, float(line.x_min)), raw_below(last, float(line.x_max))
         start, end = first.physical_one(raw_range[0]), last.physical_one(raw_range[1])
         if not line.x_min <= start <= end <= line.x_max:
             raw["Status"][:] = Status.OUT_OF_RANGE
@@ -248,13 +249,13 @@ class ComparisonEncoder(Encoder):
             "XMin": raw_range[0],
             "XMax": raw_range[1],
             "Kind": int(line.kind),
-            "Age": self._signals["Age"].above_one(1000 * float(line.age))[0],
-            "ComponentCount": self._signals["ComponentCount"].nearest_one(n).raw,
+            "Age": raw_above(self._signals["Age"], 1000 * float(line.age)),
+            "ComponentCount": raw_nearest(self._signals["ComponentCount"], n),
         }
         weight = self._signals["ComponentWeight"]
         for i in range(n):
             of_component = {name: int(values[i]) for name, values in raw.items()}
-            place = {"ComponentIndex": i, "ComponentWeight": weight.nearest_one(weights[i]).raw}
+            place = {"ComponentIndex": i, "ComponentWeight": raw_nearest(weight, weights[i])}
             yield of_line | of_component | place
 
 

@@ -15,8 +15,9 @@ from ..values.errors import EncodeError
 from ..values.line import MapLine, Slot
 from ..values.scene import Scene
 from .layout.attributes import RecordAttributes
-from .layout.message_layout import PAGE_BYTES, Layout
+from .layout.message_layout import Layout
 from .layout.pose_layout import Owner
+from .layout.signals import PAGE_BYTES
 from .layout.validation import checked_gaussians
 from .records.counters import packed
 from .records.frames import Frame, FrameWriter, Records

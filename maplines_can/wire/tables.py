@@ -16,7 +16,7 @@ from ..core.memory import pointer, pointers, structure
 from ..values.errors import LayoutError
 from ..values.line import Slot
 from .layout.cholesky import CholeskyCode
-from .layout.message_layout import PAGE, POSE_CONDITIONAL, TRANSFER_ID, Layout
+from .layout.message_layout import POSE_CONDITIONAL, Layout
 from .layout.pose_layout import PoseLayout, number_of
 from .layout.record_layout import RecordLayout, bits_of
 from .layout.signal import signal_values
@@ -24,9 +24,11 @@ from .layout.signals import (
     FINE,
     FINE_SIGNALS,
     OCTAVE,
+    PAGE,
     PAGE_BYTES,
     PARAMETER_SIGNALS,
     POSE_ROWS,
+    TRANSFER_ID,
     Signal,
     slot_title,
 )

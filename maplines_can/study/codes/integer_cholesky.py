@@ -13,7 +13,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
+from ...wire.layout.message_layout import Layout
+from ...wire.layout.signals import PARAMETER_SIGNALS
 from .code import Array, Coded, CovarianceCode, check_linear, check_octaves
 
 #: States in the order of the factor, and the unit of each.

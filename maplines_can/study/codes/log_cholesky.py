@@ -67,5 +67,7 @@ class LogCholesky(CovarianceCode):
 
     def widest(self) -> dict[str, int]:
         pivots = {pivot.name: pivot.raw_max for pivot in self.factor.pivots}
-        none = {ratio.name: ratio.nearest_one(0.0).raw for ratio in chain(*self.factor.ratios)}
+        none = {
+            ratio.name: int(ratio.limited(ratio.raw(0.0))) for ratio in chain(*self.factor.ratios)
+        }
         return pivots | none

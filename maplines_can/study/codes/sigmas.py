@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...values.line import VAGUE_SIGMA, Status
-from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
-from ...wire.layout.signals import Signal
+from ...wire.layout.message_layout import Layout
+from ...wire.layout.signals import PARAMETER_SIGNALS, Signal
 from .code import Array, Coded, CovarianceCode, check_linear, check_octaves, nearest_raw
 
 

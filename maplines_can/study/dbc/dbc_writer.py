@@ -16,7 +16,8 @@ from cantools.database.can.formats.dbc.dbc_attribute_definition import DbcAttrib
 from cantools.database.can.formats.dbc.dbc_specifics import DbcSpecifics
 
 from ...values.line import Slot
-from ...wire.layout.message_layout import POSE_PREFIX, SECURED_SIGNALS, fd_length, slot_title
+from ...wire.layout.signals import POSE_PREFIX, SECURED_SIGNALS, slot_title
+from ...wire.layout.slot_messages import fd_length
 from .record_pages import PAGE_BYTES, RecordPages, SignalSpec, dbc_signal
 
 __all__ = ["TRANSFER_ID_BITS", "DbcWriter", "PoseSpec", "SignalSpec", "paged"]

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from ...values.line import Kind, Slot
-from ...wire.layout.message_layout import slot_title
+from ...wire.layout.signals import slot_title
 from .covariance_spec import covariance_signals, pivot_signal, ratio_signal
 from .dbc_writer import DbcWriter, PoseSpec
 from .record_pages import SignalSpec

@@ -12,8 +12,7 @@ from cantools.database.can import Signal
 from cantools.database.conversion import BaseConversion
 
 from ...values.line import Slot
-from ...wire.layout.message_layout import PAGE, PAGE_BYTES, TRANSFER_ID
-from ...wire.layout.signals import slot_title
+from ...wire.layout.signals import PAGE, PAGE_BYTES, TRANSFER_ID, slot_title
 
 #: A slot in the name of a signal, and in a sentence about it.
 _SLOT = re.compile("|".join(rf"\b{slot_title(slot)}(?=[A-Z]|\b)" for slot in Slot))

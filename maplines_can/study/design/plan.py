@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...values.line import PARAMETERS
-from ...wire.layout.message_layout import PARAMETER_SIGNALS
+from ...wire.layout.signals import PARAMETER_SIGNALS
 from .sensitivity import Width, inflation_width
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ...values.output_files import whole_file
-from ...wire.layout.message_layout import PARAMETER_SIGNALS
+from ...wire.layout.signals import PARAMETER_SIGNALS
 from ..dbc.dbc_writer import DbcWriter
 from ..text_table import aligned, markdown
 from .plan import Prediction, Targets

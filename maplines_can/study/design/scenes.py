@@ -23,8 +23,8 @@ from ...values.line import Slot
 from ...values.output_files import whole_file
 from ...values.scene import Scene
 from ...wire import Codec
-from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
-from ...wire.layout.signals import FINE, FINE_SIGNALS, OWN_SIGNALS
+from ...wire.layout.message_layout import Layout
+from ...wire.layout.signals import FINE, FINE_SIGNALS, OWN_SIGNALS, PARAMETER_SIGNALS
 from ..dbc.dbc_writer import DbcWriter, SignalSpec
 from ..dbc.pose_spec import CONDITIONAL, POSE
 from ..scenes.carriers import with_pose

@@ -18,7 +18,7 @@ import numpy as np
 from ...values.errors import LayoutError
 from ...values.line import Slot, Status
 from ...wire import Codec, Layout
-from ...wire.layout.message_layout import PARAMETER_SIGNALS
+from ...wire.layout.signals import PARAMETER_SIGNALS
 from ..dbc.dbc_writer import DbcWriter
 from ..metrics import LATERAL_X, evaluate
 from ..sets import Gaussians, paper, road

@@ -20,8 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...values.line import PARAMETERS
 from ...wire import Layout
-from ...wire.layout.message_layout import PARAMETER_SIGNALS
-from ...wire.layout.signals import Signal
+from ...wire.layout.signals import PARAMETER_SIGNALS, Signal
 from ..dbc.covariance_spec import covariance_signals
 
 Array = NDArray[np.float64]

@@ -20,8 +20,8 @@ from ...values.linalg import block_diagonal
 from ...values.line import Status, lateral_jacobian
 from ...values.scene import Scene
 from ...wire.layout.cholesky import CholeskyCode
-from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
-from ...wire.layout.signals import FINE_SIGNALS, OWN_SIGNALS, POSE_ROWS
+from ...wire.layout.message_layout import Layout
+from ...wire.layout.signals import FINE_SIGNALS, OWN_SIGNALS, PARAMETER_SIGNALS, POSE_ROWS
 from ..comparison import AnyCodec, codec_for, transmit
 from ..dbc.pose_spec import CONDITIONAL
 from ..dbc.record_spec import DEFAULT, dbc_writer_for

@@ -12,7 +12,8 @@ import numpy as np
 
 from ...values.errors import StudyError
 from ...values.line import Slot
-from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
+from ...wire.layout.message_layout import Layout
+from ...wire.layout.signals import PARAMETER_SIGNALS
 from ..codes import CODES
 from ..comparison import AnyCodec, codec_for
 from ..dbc.covariance_spec import covariance_signals

@@ -9,7 +9,8 @@ from enum import Enum
 
 from ...values.errors import LayoutError
 from .dbc_tables import Attribute, DbcMessage, DbcSignal
-from .signals import PAGE_BYTES, TRAILER, Signal, all_raw
+from .signal import all_raw
+from .signals import PAGE_BYTES, TRAILER, Signal
 from .slot_messages import FD_LENGTHS, MAX_MS, RecordMessages, SecuredLayout
 
 

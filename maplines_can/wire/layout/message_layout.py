@@ -28,36 +28,17 @@ from .signals import (
     PAGE,
     PAGE_BYTES,
     PARAMETER_SIGNALS,
-    POSE_PREFIX,
-    SECURED_SIGNALS,
     TRANSFER_ID,
-    slot_title,
 )
 from .slot_messages import (
     RecordMessages,
     Room,
     SecuredLayout,
     check_messages,
-    fd_length,
 )
 
 if TYPE_CHECKING:
     from cantools.database.can import Database
-
-__all__ = [
-    "PAGE",
-    "PAGE_BYTES",
-    "PARAMETER_SIGNALS",
-    "POSE_CONDITIONAL",
-    "POSE_PREFIX",
-    "SECURED_SIGNALS",
-    "TRANSFER_ID",
-    "Layout",
-    "default_dbc_path",
-    "fd_length",
-    "slot_title",
-]
-
 
 #: Covariance code of records whose covariance is conditional on the pose error.
 POSE_CONDITIONAL = "PoseConditional"

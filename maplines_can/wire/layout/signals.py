@@ -13,43 +13,7 @@ from typing import NamedTuple
 
 from ...values.errors import LayoutError
 from ...values.line import Slot
-from .signal import Nearest, Signal, SignalRow, all_raw
-
-__all__ = [
-    "COMPLETE_RECORD",
-    "CONDITIONAL_RECORD",
-    "EXACT_BITS",
-    "FARTHEST",
-    "FARTHEST_OCTAVE",
-    "FINE",
-    "FINE_SIGNALS",
-    "MIN_FACTOR",
-    "OCTAVE",
-    "OCTAVES",
-    "OF_SLOT",
-    "OWN_SIGNALS",
-    "PAGE",
-    "PAGE_BYTES",
-    "PARAMETER_SIGNALS",
-    "POSE_PREFIX",
-    "POSE_RECORD",
-    "POSE_ROWS",
-    "POSE_SIGNALS",
-    "RATIO",
-    "SECURED_SIGNALS",
-    "SLOT_COUNTER",
-    "SLOT_SIGNALS",
-    "TRAILER",
-    "TRANSFER_ID",
-    "Bounds",
-    "Nearest",
-    "Property",
-    "Signal",
-    "SignalRow",
-    "all_raw",
-    "of_slot",
-    "slot_title",
-]
+from .signal import Signal as Signal
 
 #: Bytes of a page, the payload of one classic CAN frame.
 PAGE_BYTES = 8
@@ -274,8 +238,6 @@ def of_slot(slot: Slot) -> dict[str, Bounds]:
 #: Signals of the mean, in the order of the line's parameters.
 PARAMETER_SIGNALS = tuple(_MEAN)
 FINE_SIGNALS, OWN_SIGNALS, SLOT_SIGNALS = tuple(_FINE), tuple(_OWN), tuple(OF_SLOT)
-#: Signals of a record of the pose error in addition to page numbers, slots and covariance.
-POSE_SIGNALS = tuple(name for name in POSE_RECORD if name not in _PAGES)
 #: Rows of the covariance of the pose error.
 POSE_ROWS = ("Along", "Across", "Heading")
 #: Largest size of the signals of ``TRAILER`` [byte].

@@ -18,7 +18,7 @@ from maplines_can.wire import Codec, Reason
 from maplines_can.wire.layout.cholesky import CholeskyCode
 from maplines_can.wire.layout.packing import Packing
 from maplines_can.wire.layout.record_layout import RecordLayout
-from maplines_can.wire.layout.signals import Signal, all_raw
+from maplines_can.wire.layout.signal import Signal, all_raw
 
 CODEC = Codec.from_dbc()
 LAYOUT = CODEC.layout
@@ -50,7 +50,7 @@ def test_a_covariance_that_cannot_be_covered_is_encoded_as_the_widest() -> None:
     signals = {signal.name: signal for signal in CODEC.covariance.signals}
     for name, values in raw.items():
         signal = signals[name]
-        widest = signal.nearest_one(0.0).raw if name.startswith("Ratio") else signal.raw_max
+        widest = signal.raw(0.0) if name.startswith("Ratio") else signal.raw_max
         assert values[1:].tolist() == [widest] * 3
     assert (np.diagonal(batch.cov[0]) < 1e-2).all()
 

@@ -10,6 +10,7 @@ from scene_layouts import layout_of, pose_layout_of
 from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import Slot
 from maplines_can.wire.layout.record_layout import RecordLayout
+from maplines_can.wire.layout.signal import all_raw
 from maplines_can.wire.layout.signals import (
     COMPLETE_RECORD,
     CONDITIONAL_RECORD,
@@ -17,7 +18,6 @@ from maplines_can.wire.layout.signals import (
     TRAILER,
     Bounds,
     Signal,
-    all_raw,
     of_slot,
 )
 
