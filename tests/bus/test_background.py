@@ -72,14 +72,6 @@ def test_an_error_is_raised_until_stop_by_wait_and_once_by_stop() -> None:
     seen.stop()
 
 
-def test_a_thread_that_never_started_has_ended() -> None:
-    """Neither wait nor stop blocks."""
-    thread = Waiting()
-    assert thread.wait()
-    thread.stop()
-    assert thread.wait()
-
-
 def test_a_thread_that_the_system_refuses_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     """There are too many threads; nobody waits for one that does not exist."""
 
@@ -97,13 +89,6 @@ def test_a_thread_that_the_system_refuses_has_ended(monkeypatch: pytest.MonkeyPa
     thread.stop()
 
 
-def test_a_thread_does_not_keep_a_program_from_ending() -> None:
-    thread = Waiting().start()
-    assert thread._thread.daemon
-    thread.go.set()
-    assert thread.wait(LONG)
-
-
 def test_a_thread_starts_once() -> None:
     """Also after its end; if the system refused it, it may be started again."""
     thread = Waiting().start()
@@ -112,15 +97,6 @@ def test_a_thread_starts_once() -> None:
             thread.start()
         thread.go.set()
         assert thread.wait(LONG)
-
-
-def test_a_thread_that_was_stopped_before_its_start_has_ended() -> None:
-    """Nobody waits for it: what it was to do is not wanted any more."""
-    thread = Waiting()
-    thread.stop()
-    thread.start()
-    assert thread.wait(0.0)
-    thread.go.set()
 
 
 class Finishing(BackgroundThread):
@@ -176,8 +152,3 @@ def test_after_a_fork_every_condition_is_free(monkeypatch: pytest.MonkeyPatch) -
     (hook,) = hooks
     hook["after_in_child"]()
     assert condition.acquire(blocking=False)
-
-
-def test_a_system_without_fork_needs_nothing_of_this(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr(os, "register_at_fork", raising=False)
-    assert new_module().ForkSafeCondition().acquire(blocking=False)

@@ -6,7 +6,6 @@ The bytes are put together by hand, after the objects of the C++ library Vector 
 import gzip
 import struct
 import zlib
-from collections import Counter
 from datetime import UTC, datetime
 from itertools import cycle
 from pathlib import Path
@@ -151,15 +150,6 @@ def test_an_object_that_is_split_around_another(tmp_path: Path) -> None:
     assert ([frame.data for frame in frames], error) == ([b"beside", b"split"], "")
 
 
-def test_many_objects_beside_containers(tmp_path: Path) -> None:
-    """More than are read together, and blocks that are full."""
-    many = [thing(CLASSIC, classic(k.to_bytes(3, "big"))) for k in range(70_000)]
-    path = tmp_path / "a.blf"
-    path.write_bytes(head_of(b"".join(many)))
-    frames, *_, error = read(path)
-    assert ([int.from_bytes(f.data, "big") for f in frames], error) == ([*range(70_000)], "")
-
-
 @pytest.mark.parametrize(
     ("kind", "body", "what"),
     [
@@ -209,15 +199,6 @@ def test_what_is_no_frame_on_the_bus_is_counted(
     assert skipped == ({what: 3} if what else {})
     assert len(frames) == (2 if what else 5)
     assert [frames[0].data, frames[-1].data] == [b"frame"] * 2
-
-
-def test_requests_beside_each_frame(tmp_path: Path) -> None:
-    """The counts are those of the whole log."""
-    both = thing(CLASSIC, classic(b"a", flags=2)) + thing(CLASSIC, classic(b"a", flags=1))
-    path = tmp_path / "a.blf"
-    path.write_bytes(head_of(container(both * 100) + container(both * 200)))
-    frames, skipped, *_ = read(path)
-    assert (len(frames), skipped) == (300, Counter({Skipped.REQUEST: 300}))
 
 
 @pytest.mark.parametrize(
@@ -308,12 +289,6 @@ def test_containers_that_say_they_are_compressed(tmp_path: Path, level: int) -> 
     else:
         assert frames == []
         assert "not a valid .blf file (error: Error -3 while decompressing data" in error
-
-
-def test_compressed_containers_under_a_header_without_a_level(tmp_path: Path) -> None:
-    path = tmp_path / "a.blf"
-    path.write_bytes(head_of(container(thing(CLASSIC, classic(b"ab")) * 20), level=0))
-    assert len(read(path)[0]) == 20
 
 
 @pytest.mark.parametrize("level", [0, 6])

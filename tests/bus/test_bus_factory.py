@@ -86,18 +86,6 @@ def test_the_virtual_interface_has_can_fd_whatever_the_opener_makes_of_it(
         assert link.fd is fd
 
 
-def test_an_interface_without_a_channel_is_named_by_itself() -> None:
-    with Link(FakeOpener(), interface="virtual") as link:
-        assert link.name == "virtual"
-
-
-def test_an_opener_without_settings_gets_none() -> None:
-    opener = FakeOpener()
-    with Link(opener) as link:
-        assert link.name == "fake"
-    assert opener.settings == {}
-
-
 @pytest.mark.parametrize("source", ["environment", "file", "context"])
 def test_settings_are_read_from_the_configuration_of_python_can(
     source: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, channel: str

@@ -112,13 +112,6 @@ def test_time_differences_are_added_up(tmp_path: Path) -> None:
     ]
 
 
-def test_the_date_and_time_of_a_row_are_exact_to_a_microsecond(tmp_path: Path) -> None:
-    path, stamp = tmp_path / "drive.txt", "2023-11-14 22:13:20.123457"
-    path.write_text(f" ({stamp})  can0  340   [1]  00\n")
-    (frame,) = read_log(path)
-    assert frame.t_ns == round(datetime.fromisoformat(stamp).timestamp() * 1e6) * 1000
-
-
 @pytest.mark.parametrize("fraction", ["", ".", ".5", ".000000001", ".0000000019"])
 def test_the_fraction_of_a_stamp_may_have_any_length(tmp_path: Path, fraction: str) -> None:
     """More digits than nanoseconds are cut off."""
@@ -127,25 +120,6 @@ def test_the_fraction_of_a_stamp_may_have_any_length(tmp_path: Path, fraction: s
     (frame,) = read_log(path)
     expected = {"": 0, ".": 0, ".5": 500_000_000}.get(fraction, 1)
     assert frame.t_ns == 1_700_000_000 * 10**9 + expected
-
-
-@pytest.mark.parametrize("length", [8, 12, 62, 63, 64])
-def test_rows_of_up_to_64_bytes_are_read(tmp_path: Path, length: int) -> None:
-    """CAN FD has no more."""
-    path = tmp_path / "drive.log"
-    path.write_text(f"  can0  340   [{length:02d}] {' 2A' * length}\n")
-    assert [frame.data for frame in read_log(path)] == [b"*" * length]
-
-
-@pytest.mark.parametrize(
-    ("can_id", "is_extended"), [("7FF", False), ("000007FF", True), ("1FFFFFFF", True)]
-)
-def test_the_greatest_ids(tmp_path: Path, can_id: str, is_extended: bool) -> None:
-    """The number of digits distinguishes 11 and 29 bits."""
-    path = tmp_path / "drive.log"
-    path.write_text(f"(1.5) can0 {can_id}#2A\n")
-    (frame,) = read_log(path)
-    assert (frame.can_id, frame.is_extended) == (int(can_id, 16), is_extended)
 
 
 def test_a_log_that_begins_anew_is_no_list_of_differences(tmp_path: Path) -> None:
@@ -157,14 +131,6 @@ def test_a_log_that_begins_anew_is_no_list_of_differences(tmp_path: Path) -> Non
         1_700_000_000_500_000_000,
         1_600_000_000_500_000_000,
     ]
-
-
-def test_times_are_exact_to_the_nanosecond(tmp_path: Path) -> None:
-    """A float of seconds since 1970 is not."""
-    path = tmp_path / "drive.log"
-    path.write_text("(1700000000.123456789) can0 340#00\n")
-
-    assert [f.t_ns for f in read_log(path)] == [1_700_000_000_123_456_789]
 
 
 #: Rows of what is no data frame, by the tool that writes them.
@@ -212,14 +178,6 @@ def test_error_frames_of_python_can_are_none_of_data(tmp_path: Path) -> None:
 
     assert [*log] == []
     assert log.summary.skipped == {Skipped.ERROR: 1, Skipped.REMOTE: 1}
-
-
-@pytest.mark.parametrize("code", ["8", "E"])
-def test_raw_data_length_codes_are_8_bytes(tmp_path: Path, code: str) -> None:
-    """candump -8 prints them in other brackets."""
-    path = tmp_path / "drive.log"
-    path.write_text(f"  can0  340   {{{code}}}  00 11 22 33 44 55 66 77\n")
-    assert [len(f.data) for f in read_log(path)] == [8]
 
 
 @pytest.mark.parametrize("row", ["(1.5) can0 340#11", "  can0  340   [1]  11", *OTHER_ROWS])
@@ -344,12 +302,6 @@ def test_a_stream_in_small_parts_is_the_same(row: str, size: int) -> None:
     parts = [data[place : place + size] for place in range(0, len(data), size)]
     stream: Any = io.BufferedReader(Terminal(*parts, b""))
     assert [(f.can_id, f.data) for f in read_log(stream)] == [(0x340, b"*")] * 3
-
-
-def test_nothing_is_read_after_the_end_of_a_stream() -> None:
-    row = b"  can0  340   [1]  2A\n"
-    stream: Any = io.BufferedReader(Terminal(row, row, b"", row, b""))
-    assert len(list(read_log(stream))) == 2
 
 
 def test_standard_input_stays_open(monkeypatch: pytest.MonkeyPatch) -> None:

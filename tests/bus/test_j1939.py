@@ -127,24 +127,6 @@ def test_which_messages_are_groups(
     assert (decoder.can_ids is None) == is_group
 
 
-def test_other_messages_of_the_dbc_have_their_identifiers(dbc: Path) -> None:
-    """An extended frame format is no group; a standard frame has none."""
-    decoder = SignalDecoder(dbc, {"x": "Speed", "level": "Level"})
-
-    assert decoder.decode(0x18FEFD00, SPEED, is_extended=True) == {"level": 255.0}
-    assert decoder.decode(0x18FEFD27, SPEED, is_extended=True) == {}
-    assert decoder.decode(0x7F1, SPEED) == {}
-    assert not decoder.senders
-    dbc.write_text(DBC.replace("BO_ 2566847744", "BO_ 257").replace("BO_ 257 1;", "BO_ 257 0;"))
-    standard = SignalDecoder(dbc, {"level": "Level"})
-    assert standard.can_ids == frozenset({257})
-    assert standard.decode(257, SPEED) == {"level": 255.0}
-    dbc.write_text(
-        DBC.replace("BO_ 2566847744", "BO_ 257").replace('BA_ "VFrameFormat" BO_ 257 1;', "")
-    )
-    assert SignalDecoder(dbc, {"level": "Level"}).decode(257, SPEED) == {"level": 255.0}
-
-
 def test_several_messages_of_one_group(dbc: Path) -> None:
     """The one with the sender of the frame has it; a frame of a third one is counted."""
     decoder = SignalDecoder(dbc, {"zero": "Rpm0", "three": "Rpm3"})
@@ -269,15 +251,6 @@ def test_a_message_of_whole_packets(dbc: Path) -> None:
     assert [w.can_id for w in whole if w] == [0x1CEF0527]
 
 
-def test_another_announcement_ends_a_transfer(dbc: Path) -> None:
-    """Also one of a group of no signal, which is not counted itself."""
-    reassembler = Reassembler([0xFECA])
-    other = BAM[0].replace("CAFE00", "CBFE00")
-
-    assert not any(feed(reassembler, frame) for frame in [BAM[0], other, *BAM[1:]])
-    assert reassembler.incomplete == {0xFECA: 1}
-
-
 @pytest.mark.parametrize("answer", ["1CEC2705#FF01FFFFFF00EF00", "18EC0527#FF01FFFFFF00EF00"])
 def test_an_abort_ends_a_transfer(answer: str) -> None:
     """Of the receiver or of the sender; one of another group does not."""
@@ -286,19 +259,6 @@ def test_an_abort_ends_a_transfer(answer: str) -> None:
         whole = [feed(reassembler, f) for f in [*RTS[:4], other, *RTS[4:]]]
         assert [w for w in whole if w] == ([bytes(range(21, 41))] if other != answer else [])
     assert reassembler.incomplete == {0xEF00: 1}
-
-
-def test_an_answer_that_skips_packets_is_ignored() -> None:
-    """A CTS that asks for a packet beyond the next, of no packet, or of another group."""
-    reassembler = Reassembler([0xEF00])
-    answers = [
-        "1CEC2705#110103FFFF00EF00",
-        "1CEC2705#110001FFFF00EF00",
-        "1CEC2705#110101FFFF00EE00",
-    ]
-    whole = [feed(reassembler, f) for f in [*RTS[:4], *answers, *RTS[4:]]]
-
-    assert [w for w in whole if w] == [bytes(range(21, 41))]
 
 
 def feed(reassembler: Reassembler, frame: str) -> bytes | None:

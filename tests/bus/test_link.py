@@ -217,12 +217,6 @@ def test_a_bus_that_cannot_be_filtered_counts_as_lost() -> None:
     ]  # fmt: skip
 
 
-def test_a_wrong_value_from_a_driver_is_no_mistake_of_the_caller() -> None:
-    """recv takes no message that could be wrong."""
-    with Link(FakeOpener(ValueError("odd"))) as link:
-        assert link.recv(0.0) is None
-
-
 @pytest.mark.socketcan
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("how", ["down", "delete"])
@@ -367,25 +361,6 @@ def test_a_link_survives_random_outages(vcan: str) -> None:
     gc.collect()
 
 
-def test_a_filter_may_be_set_during_an_outage() -> None:
-    """It is that of the bus that is opened next."""
-    opener, clock = FakeOpener(GONE), Clock()
-    with Link(opener, clock=clock) as link:
-        assert link.send(FRAME) is Sent.DOWN
-        link.accept_only([0x348])
-        clock.now += 2.0
-        assert link.send(FRAME) is Sent.OK
-        assert [each["can_id"] for each in opener.opened[-1].filters] == [0x348]
-
-
-def test_all_frames_pass_again_without_a_filter() -> None:
-    opener = FakeOpener()
-    with Link(opener) as link:
-        link.accept_only([0x348])
-        link.accept_only(None)
-        assert opener.opened[0].filters is None
-
-
 def test_after_a_reconnect_the_pauses_start_anew() -> None:
     """Reopening is tried at the end of the first pause, not after it."""
     opener, clock = FakeOpener(), Clock()
@@ -401,51 +376,6 @@ def test_after_a_reconnect_the_pauses_start_anew() -> None:
                 clock.now += 2**-10
             assert link.send(FRAME) is Sent.OK
         assert link.outages == 3
-
-
-def test_another_thread_may_reopen_the_bus_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Then it is not opened twice."""
-    opener, clock = FakeOpener(GONE), Clock()
-    with Link(opener, clock=clock) as link:
-        link.send(FRAME)
-        clock.now += 1.0
-        lock, reopened = link._lock, FakeBus()
-
-        class Slow:
-            """A lock that is held by the other thread at first."""
-
-            def __enter__(self) -> None:
-                link._bus, link._lock = reopened, lock
-                lock.acquire()
-
-            def __exit__(self, *exception: object) -> None:
-                lock.release()
-
-        monkeypatch.setattr(link, "_lock", Slow())
-        assert link.send(FRAME) is Sent.OK
-        assert reopened.sent.qsize() == 1
-        assert len(opener.opened) == 1
-
-
-def test_a_bus_that_is_lost_is_not_back_because_of_a_late_success() -> None:
-    """Another thread was still receiving from it when this one failed to send."""
-    opener, clock = FakeOpener(GONE), Clock()
-    with Link(opener, clock=clock) as link:
-        old = link._bus
-        assert old is not None
-        link.send(FRAME)
-        link._worked(old, "recv")
-        assert not link.up
-
-
-def test_errors_before_an_outage_do_not_count_after_it() -> None:
-    """An error without a number is then the first one again."""
-    opener, clock = FakeOpener(NO_NUMBER, GONE, NO_NUMBER), Clock()
-    with Link(opener, clock=clock) as link:
-        for expected in (Sent.FULL, Sent.DOWN, Sent.FULL, Sent.OK):
-            assert link.send(FRAME) is expected
-            clock.now += 5.0
-        assert (link.up, link.outages) == (True, 1)
 
 
 @pytest.mark.parametrize("error", [
@@ -466,60 +396,6 @@ def test_a_stream_that_was_closed_is_lost() -> None:
     with Link(FakeOpener(io.UnsupportedOperation("not writable"))) as link:
         assert link.send(FRAME) is Sent.DOWN
         assert link.outages == 1
-
-
-def test_a_closed_link_is_not_up() -> None:
-    link = Link(FakeOpener())
-    assert link.up
-    link.close()
-    assert not link.up
-
-
-class Pauses:
-    """Lock of a link that records how long it would have waited [s]."""
-
-    def __init__(self, link: Link) -> None:
-        self.lock, self.found = link._lock, list[float]()
-        link._lock = self  # type: ignore[assignment]
-
-    def __enter__(self) -> None:
-        self.lock.acquire()
-
-    def __exit__(self, *exception: object) -> None:
-        self.lock.release()
-
-    def notify_all(self) -> None: ...
-
-    def wait_for(self, condition: Any, seconds: float) -> None:
-        assert not condition()
-        self.found.append(seconds)
-
-
-def test_receiving_waits_during_an_outage() -> None:
-    """Until the next attempt to reopen, or for the time-out if that is sooner."""
-    opener, clock = FakeOpener(GONE), Clock()
-    with Link(opener, clock=clock, backoff=(0.25, 0.25)) as link:
-        link.send(FRAME)
-        opener.cannot_open = True
-        pauses = Pauses(link)
-        for timeout in (10.0, 0.125):
-            assert link.recv(timeout) is None
-        clock.now += 0.125
-        assert link.recv(10.0) is None
-        assert pauses.found == [0.25, 0.125, 0.125]
-
-
-def test_receiving_never_waits_for_nothing_at_all() -> None:
-    """Not even if there are no pauses, or the driver fails at once: that would load the CPU."""
-    opener = FakeOpener(NO_NUMBER, GONE)
-    with Link(opener, backoff=(0.0, 0.0), clock=Clock()) as link:
-        pauses = Pauses(link)
-        for _ in range(2):
-            link.recv(10.0)
-        opener.cannot_open = True
-        link.recv(10.0)
-        assert len(pauses.found) == 3
-        assert all(0 < pause < 0.01 for pause in pauses.found)
 
 
 @pytest.mark.parametrize("settings", [{}, {"interface": "virtual", "channel": "x"}])
@@ -583,3 +459,14 @@ def test_a_frame_that_is_sent_before_an_outage_shows_that_the_interface_was_back
         clock.now += 1.0
         assert link.send_all([FRAME, FRAME]) == (Sent.DOWN, 1)
         assert (events, link.outages) == ([False, True, False], 2)
+
+
+def test_a_filter_may_be_set_during_an_outage() -> None:
+    """It is that of the bus that is opened next."""
+    opener, clock = FakeOpener(GONE), Clock()
+    with Link(opener, clock=clock) as link:
+        assert link.send(FRAME) is Sent.DOWN
+        link.accept_only([0x348])
+        clock.now += 2.0
+        assert link.send(FRAME) is Sent.OK
+        assert [each["can_id"] for each in opener.opened[-1].filters] == [0x348]

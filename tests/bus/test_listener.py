@@ -149,28 +149,6 @@ def test_the_error_of_a_bus_is_raised_by_get() -> None:
     notifier.stop()
 
 
-def test_an_error_that_another_listener_handles_ends_nothing(buses: Any) -> None:
-    """The messages that come after it show that the notifier runs."""
-
-    class Handler(can.Listener):
-        def on_message_received(self, msg: can.Message) -> None: ...
-
-        def on_error(self, exc: Exception) -> None: ...
-
-    out, back = buses
-    codec = FakeCodec()
-    encoder = codec.encoder()
-    listener = LineListener(codec.decoder())
-    with can.Notifier(back, [listener, Handler()], timeout=POLL) as notifier:
-        assert notifier._on_error(KeyError("handled"))
-        with pytest.raises(KeyError):
-            listener.get()
-        send(out, encoder, map_line())
-        wait_until(lambda: listener.stats().lines)
-        assert listener.get() is not None
-        assert listener.get(0.0) is None
-
-
 def test_the_messages_of_a_log_become_lines(tmp_path: Path) -> None:
     """With python-can's readers, and at the pace of the log with its ``MessageSync``."""
     codec, path = new_codec(), tmp_path / "drive.asc"
@@ -212,26 +190,6 @@ def test_no_message_raises(messages: list[can.Message]) -> None:
         listener(message)
     stats = listener.stats()
     assert stats.frames + stats.error_frames + stats.remote_frames == len(messages)
-
-
-def test_a_queue_size_of_0_raises_here_too() -> None:
-    with pytest.raises(ValueError, match="queue_size must be 1 line or more, got 0"):
-        LineListener(FakeCodec().decoder(), queue_size=0)
-
-
-def test_by_default_256_lines_wait() -> None:
-    """One more, and the oldest is dropped."""
-    codec = FakeCodec()
-    encoder = codec.encoder()
-    listener = LineListener(codec.decoder())
-    for n in range(257):
-        assert listener.stats().overflowed == 0
-        for frame in encoder.encode(map_line(y=n / 10)):
-            listener(message_of(frame))
-    assert listener.stats().overflowed == 1
-    assert [line.gaussian.mean[0] for line in collect(listener, 256)] == [
-        n / 10 for n in range(1, 257)
-    ]
 
 
 @pytest.mark.parametrize("how", ["error", "stop"])

@@ -92,12 +92,6 @@ def test_no_frame_is_longer_than_its_bound(
         assert nominal + fast / speed <= bound.nominal + bound.data / speed
 
 
-def test_the_bound_is_reached_by_alternating_runs() -> None:
-    """The bits 0 0000 1111 0000 ... have a stuff bit for each four after the first."""
-    bits = [0] + [bit for k in range(20) for bit in [k % 2] * 4]
-    assert len(stuffed(bits)) == (len(bits) - 1) // 4
-
-
 def test_bus_load_of_lines() -> None:
     """Eight lines every 50 ms at 500 kbit/s: four classic frames or one of CAN FD each."""
     classic = [Frame(0x100, bytes(8))] * 32
@@ -123,22 +117,6 @@ def test_wrong_rates_and_periods_are_refused() -> None:
     for period in (0, -1, math.inf):
         with pytest.raises(ValueError, match="period must be positive"):
             bus_load([], period, 500e3)
-
-
-def test_rates_and_periods_may_be_as_small_as_you_like() -> None:
-    empty = Frame(1, b"", is_fd=True)
-    assert frame_time(empty, 0.5, 0.25) == 34 / 0.5 + (5 + 1 + 27) / 0.25
-    assert bus_load([Frame(1, b"")], 0.5, 110) == 1.0
-
-
-@pytest.mark.parametrize("length", [0, 1, 2, 3, 8, 12, 24, 64])
-def test_bits_of_can_fd_frames_with_29_bits(length: int) -> None:
-    """Against the sum of the stuff bits of both phases: one for each 4 bits after the first."""
-    bits = frame_bits(length, is_extended=True, is_fd=True)
-    unstuffed = 36 + 1 + 4 + 8 * length
-    crc = 4 + 17 + 6 if length <= 16 else 4 + 21 + 7
-    assert bits.nominal + bits.data == unstuffed + (unstuffed - 1) // 4 + crc + 13
-    assert bits.nominal == 36 + 35 // 4 + 13
 
 
 def test_can_fd_has_exactly_the_lengths_of_its_dlcs() -> None:

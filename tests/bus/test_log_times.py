@@ -79,8 +79,8 @@ def test_the_kind_of_stamps(stamps: list[float], kind: str) -> None:
     assert kind == kind_of(ns(stamps))
 
 
-@pytest.mark.parametrize("seed", range(20))
-@pytest.mark.parametrize("count", [20, 40, 100])
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("count", [20, 100])
 def test_random_gaps_are_differences_and_their_sums_are_times(count: int, seed: int) -> None:
     """Whatever the gaps are: of 400 streams of 10 rows, 5 are taken wrongly, of 20 rows 1."""
     rng = random.Random(seed)  # noqa: S311

@@ -1,7 +1,5 @@
 """Log files that the project writes, read by its own reader and by python-can."""
 
-import re
-import zlib
 from datetime import datetime
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,7 +15,6 @@ from hypothesis import strategies as st
 
 from maplines_can import Link, MapLine, Slot, Transmitter, read_log
 from maplines_can.bus import LogWriter
-from maplines_can.bus.log_writer import message_of
 from maplines_can.values.errors import LogError, MissingExtraError
 from maplines_can.wire import Frame
 
@@ -108,12 +105,6 @@ def test_frames_are_logged_as_sent_ones(tmp_path: Path) -> None:
     assert [message.bitrate_switch for message in messages] == [False, False, True]
 
 
-def test_a_message_without_a_time_has_the_stamp_0() -> None:
-    """For python-can that means "none"."""
-    assert message_of(FRAMES[0]).timestamp == 0
-    assert message_of(FRAMES[0], 2.5).timestamp == 2.5
-
-
 #: Times from the start [us], the last of which are no multiples of a power of two.
 STAMPS_US = [0, 10_000, 290_000, 1_234_567, 5_000_001, 3_600_000_003]
 
@@ -177,16 +168,6 @@ def test_blf_logs_are_read_by_vblf(tmp_path: Path) -> None:
     lengths = [getattr(each, "valid_data_bytes", each.dlc) for each in objects]
     data = [each.data[:n] for each, n in zip(objects, lengths, strict=True)]
     assert data == [frame.data for frame in FRAMES]
-
-
-def test_objects_of_a_blf_log_have_their_whole_size(tmp_path: Path) -> None:
-    """48 bytes, or 120 of CAN FD, of which python-can writes 116."""
-    path = tmp_path / "drive.blf"
-    write(path, FRAMES)
-    content = zlib.decompress(path.read_bytes()[144 + 32 :])
-    places = [match.start() for match in re.finditer(b"LOBJ", content)]
-    assert places == [0, 48, 96]
-    assert len(content) == 96 + 120
 
 
 def test_a_blf_log_knows_the_number_of_its_objects(tmp_path: Path) -> None:

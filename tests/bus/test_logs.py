@@ -223,17 +223,6 @@ def test_a_blf_object_that_is_shorter_than_its_header_ends_the_file(
     assert "damaged after 30 good records (BLFParseError: an object is shorter" in text
 
 
-@pytest.mark.parametrize("version", ["2.0", "9.9"])
-def test_a_trc_log_of_unknown_columns_is_one_clear_error(tmp_path: Path, version: str) -> None:
-    """A version that is not known, or one whose header must have the columns and has none."""
-    path = tmp_path / "drive.trc"
-    path.write_text(f";$FILEVERSION={version}\n   1   1059.9 DT 0300 Rx 1 00\n")
-    frames, text = read_until_error(path)
-
-    assert frames == []
-    assert f"(line 2: the columns of version '{version}' of TRC are not known)" in text
-
-
 @pytest.mark.parametrize(
     ("name", "words"),
     [
@@ -282,17 +271,18 @@ def test_random_content_raises_log_error_at_worst(
         list(read_log(path))
 
 
-def test_empty_lines_of_a_trc_log_are_no_records(tmp_path: Path) -> None:
-    """An editor may have left them."""
-    path = written(tmp_path / "drive.trc", LOGGED)
-    frames = list(read_log(path))
-    lines = path.read_text().splitlines()
-    path.write_text("\n".join([*lines[:-1], "", lines[-1], "", ""]))
-    assert list(read_log(path)) == frames
-    assert len(frames) == 3
-
-
 @pytest.mark.parametrize("suffix", ["asc", "blf", "csv", "log", "trc"])
 def test_a_log_without_frames_is_no_error(tmp_path: Path, suffix: str) -> None:
     """A recording of a silent bus has no good and no damaged record."""
     assert list(read_log(written(tmp_path / f"silent.{suffix}", []))) == []
+
+
+@pytest.mark.parametrize("version", ["2.0", "9.9"])
+def test_a_trc_log_of_unknown_columns_is_one_clear_error(tmp_path: Path, version: str) -> None:
+    """A version that is not known, or one whose header must have the columns and has none."""
+    path = tmp_path / "drive.trc"
+    path.write_text(f";$FILEVERSION={version}\n   1   1059.9 DT 0300 Rx 1 00\n")
+    frames, text = read_until_error(path)
+
+    assert frames == []
+    assert f"(line 2: the columns of version '{version}' of TRC are not known)" in text

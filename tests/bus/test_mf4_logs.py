@@ -271,13 +271,6 @@ def test_groups_that_say_less(tmp_path: Path, missing: str) -> None:
     assert len(frames) == 3
 
 
-def test_error_frames_that_say_less(tmp_path: Path) -> None:
-    """They are counted by the name of their channel."""
-    errors = signal("CAN_ErrorFrame", [0, 1], {"BusChannel": np.ones(2, np.uint8)})
-    _, summary = read(written(tmp_path / "a.mf4", errors, change=without("flags")))
-    assert summary.skipped == {Skipped.ERROR: 2}
-
-
 @pytest.mark.skipif(not hasattr(time, "tzset"), reason="the zone of a process cannot be set here")
 @pytest.mark.parametrize(("zone", "hours"), [("JST-9", 9), ("EST5", -5)])
 def test_a_start_without_a_zone_is_local_time(
@@ -360,15 +353,6 @@ def test_times_are_exact(tmp_path: Path, start: datetime, start_ns: int, times: 
     frames, summary = read(written(tmp_path / "a.mf4", group, start=start))
     assert [f.t_ns - start_ns for f in frames] == [0, 10_000_000, 86_400_000_000_001]
     assert summary.times == times
-
-
-@pytest.mark.parametrize("kind", ["bytes", "text"])
-def test_data_of_variable_length(tmp_path: Path, kind: str) -> None:
-    """Byte arrays of a length of their own, as an MF4 may hold them."""
-    data = [b"", b"\1\2\3", bytes(range(1, 9))]
-    group = fields(DataLength=np.array([0, 3, 8], np.uint8), DataBytes=np.array(data, "S8"))
-    frames, _ = read(written(tmp_path / "a.mf4", signal("CAN_DataFrame", [0, 1, 2], group)))
-    assert [frame.data for frame in frames] == data
 
 
 def test_signals_are_no_log_of_a_bus(tmp_path: Path) -> None:

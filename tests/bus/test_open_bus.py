@@ -101,15 +101,6 @@ def test_a_given_bus_is_never_shut_down_and_tried_again_after_an_outage() -> Non
     ]  # fmt: skip
 
 
-def test_a_line_that_a_given_bus_does_not_take_is_counted_as_down() -> None:
-    bus = FakeBus([None, GONE])
-    transmitter = Transmitter(bus, FakeCodec(), period=3600.0, count=1)  # type: ignore[arg-type]
-    transmitter.publish(map_line())
-    with transmitter:
-        assert transmitter.wait(LONG)
-    assert transmitter.stats()[:2] == (0, 1)
-
-
 def test_a_bus_that_its_owner_shuts_down_is_reported_once(channel: str) -> None:
     """Neither thread ends with an error, and nothing is raised."""
     bus, clock, events = can.Bus(interface="virtual", channel=channel), Clock(), []

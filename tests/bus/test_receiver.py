@@ -70,11 +70,6 @@ def test_iteration_ends_with_stop(link: Any, other: Any) -> None:
     receiver.stop()
 
 
-def test_get_has_a_timeout(other: Any) -> None:
-    with Receiver(other, FakeCodec().decoder()) as receiver:
-        assert receiver.get(0.0) is None
-
-
 def test_stop_wakes_waiting_threads(other: Any) -> None:
     receiver = Receiver(other, FakeCodec().decoder()).start()
     waiting = threading.Thread(target=receiver.get)
@@ -173,10 +168,6 @@ def test_item_10_only_the_ids_of_the_decoder_pass_by_default(
         assert receiver.stats().frames == PAGES + foreign
 
 
-def test_the_ids_of_the_decoder_are_those_of_the_dbc(codec: Codec) -> None:
-    assert codec.decoder().can_ids == codec.can_ids
-
-
 @pytest.mark.parametrize("can_ids", [(), set(), "all"])
 def test_wrong_can_ids_raise(other: Any, can_ids: Any) -> None:
     with pytest.raises(ValueError, match="can_ids must be 1 CAN ID or more, 'decoder' for"):
@@ -237,18 +228,6 @@ def test_the_latest_line_of_a_backlog_is_not_new(
                 assert k < 100
             assert k >= 24
             assert view.age < 10.0
-
-
-def test_a_queue_of_one_line_holds_the_newest(link: Any, other: Any) -> None:
-    """1 is the least size."""
-    codec = FakeCodec()
-    encoder = codec.encoder()
-    with Receiver(other, codec.decoder(), queue_size=1) as receiver:
-        for y in (1.0, 2.0, 3.0):
-            send_frames(link, *encoder.encode(map_line(y=y)))
-        wait_until(lambda: receiver.stats().lines == 3)
-        assert receiver.get(LONG).gaussian.mean[0] == 3.0  # type: ignore[union-attr]
-        assert receiver.stats().overflowed == 2
 
 
 def test_lines_received_before_an_error_come_before_it(link: Any, other: Any) -> None:

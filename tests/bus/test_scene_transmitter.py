@@ -16,13 +16,11 @@ from scene_streams import (
     CONDITIONAL,
     authenticated_codec,
     codec_of,
-    new_codec,
     road_scene,
 )
 
 from maplines_can import (
     Codec,
-    EncodeError,
     Gaussian,
     LeftOut,
     Link,
@@ -31,7 +29,6 @@ from maplines_can import (
     Slot,
     Transmitter,
 )
-from maplines_can.bus import LineListener
 from maplines_can.bus.tx_queue import AHEAD, ALLOWANCE
 from maplines_can.wire import POSE, E2EState, Encoder, ProfileStatus, SceneView
 from maplines_can.wire.reception.views import STALE_CYCLES
@@ -231,21 +228,6 @@ def test_slots_leave_and_come_back_at_any_time(make_bench: Any, dbc: str) -> Non
     assert decoder.checks[POSE].lost == 0
 
 
-def test_a_line_that_was_left_out_is_retracted(make_bench: Any) -> None:
-    bench = make_bench(CONDITIONAL)
-    bench.transmitter.publish(scene_of())
-    bench.run(1.95 * PERIOD)
-    part = scene_of(SLOTS[:1])
-    left_out = {Slot.EGO_RIGHT: LeftOut.TOO_SHORT}
-    scene = Scene(part.lines, part.cov, part.pose_error, part.fit_ranges, left_out=left_out)
-    bench.transmitter.publish(scene)
-    bench.run(3.95 * PERIOD)
-    view = bench.view()
-    assert view.scene is not None
-    assert tuple(view.scene.index) == SLOTS[:1]
-    assert bench.transmitter.stats().left_out == {LeftOut.TOO_SHORT: 1}
-
-
 def test_lines_that_do_not_fit_the_message_are_retracted_and_counted(make_bench: Any) -> None:
     """By their reasons, each time that they are published; also of a scene that is prepared."""
     bench = make_bench(CONDITIONAL)
@@ -291,14 +273,6 @@ def test_scenes_then_plain_lines_and_back(make_bench: Any) -> None:
             assert line is not None
             assert line.gaussian.mean[0] == 9.0 + round_
     assert bench.lost == 0
-
-
-def test_plain_lines_do_not_fit_a_dbc_of_scenes(make_bench: Any) -> None:
-    """Refused at the call, not in the thread."""
-    bench = make_bench(CONDITIONAL)
-    with pytest.raises(EncodeError, match="publish the result of map_scene"):
-        bench.transmitter.publish(map_line())
-    bench.transmitter.publish([])  # nothing to send
 
 
 @BOTH
@@ -460,22 +434,6 @@ def test_only_what_is_sent_with_all_its_frames_is_counted(
     assert (stats.pose_errors, stats.lines, stats.down) == counts
 
 
-def test_a_scene_may_be_prepared_by_the_caller(make_bench: Any) -> None:
-    """It is the same as without; the lines left out are counted, too."""
-    part = scene_of(SLOTS[:1])
-    left_out = {Slot.EGO_RIGHT: LeftOut.TOO_SHORT}
-    scene = Scene(part.lines, part.cov, part.pose_error, part.fit_ranges, left_out=left_out)
-    benches = [make_bench(CONDITIONAL), make_bench(CONDITIONAL)]
-    benches[0].transmitter.publish(scene)
-    benches[1].transmitter.publish(benches[1].codec.encoder().prepare_scene(scene))
-    for bench in benches:
-        bench.run(0.95 * PERIOD)
-        assert bench.transmitter.stats().left_out == {LeftOut.TOO_SHORT: 1}
-    first, second = ([bytes(message.data) for message in bench.messages] for bench in benches)
-    assert first == second
-    assert benches[1].view().scene.index == {Slot.EGO_LEFT: 0}
-
-
 def test_the_age_of_a_scene_counts_from_the_pose(
     make_bench: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -485,65 +443,3 @@ def test_the_age_of_a_scene_counts_from_the_pose(
     bench.transmitter.publish(scene_of(), t_pose_ns=now.ns - 100_000_000)
     bench.run(0.95 * PERIOD)
     assert bench.view().age == pytest.approx(0.1 + 0.004 + bench.time, abs=0.0081)
-
-
-def test_a_count_of_deadlines_ends(make_bench: Any) -> None:
-    bench = make_bench(CONDITIONAL, settings={"count": 3})
-    bench.transmitter.publish(scene_of())
-    bench.run(10 * PERIOD)
-    assert [owner for _, owner in bench.owners] == [POSE, *SLOTS] * 3
-    assert bench.transmitter._tx_queue.over
-
-
-def test_the_scene_of_a_listener() -> None:
-    """By the clock of the frames' time stamps, or at the given time."""
-    codec = new_codec(CONDITIONAL)
-    encoder = codec.encoder()
-    listener = LineListener(codec.decoder())
-    prepared = encoder.prepare_scene(scene_of())
-    t = 1000.0
-    for cycle in range(16):
-        t = 1000.0 + cycle * PERIOD
-        for own in encoder.encode_scene(prepared, age=0.02).values():
-            for frame in own:
-                t += 0.00025
-                listener(
-                    can.Message(
-                        timestamp=t,
-                        arbitration_id=frame.can_id,
-                        data=frame.data,
-                        is_extended_id=False,
-                    )
-                )
-    view = listener.latest_scene(round(t * 1e9))
-    assert view.usable
-    assert view.scene is not None
-    assert tuple(view.scene.index) == SLOTS
-    assert not listener.latest_scene(round((t + 1) * 1e9)).usable
-    lines = [listener.get(0) for _ in range(48)]
-    assert [line.slot for line in lines if line] == [*SLOTS] * 16
-
-
-def test_lines_that_waited_reach_the_consumer() -> None:
-    """All lines that a late pose error completes go to the queue of a listener, or its callback."""
-    codec = new_codec(CONDITIONAL)
-    frames = codec.encoder().encode_scene(scene_of())
-    late = [frame for slot in SLOTS for frame in frames[slot]] + frames[POSE]
-    got: list[MapLine] = []
-    for listener in (
-        LineListener(codec.decoder()),
-        LineListener(codec.decoder(), on_line=got.append),
-    ):
-        for i, frame in enumerate(late):
-            listener(
-                can.Message(
-                    timestamp=1000 + i / 4000,
-                    arbitration_id=frame.can_id,
-                    data=frame.data,
-                    is_extended_id=False,
-                )
-            )
-        assert listener.stats().lines == 3
-        if not got:
-            assert [getattr(listener.get(0), "slot", None) for _ in SLOTS] == list(SLOTS)
-    assert [line.slot for line in got] == list(SLOTS)

@@ -1,6 +1,5 @@
 """Deadlines do not drift, and lateness is counted."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -58,17 +57,6 @@ def test_lateness_is_within_5_percent(values: Any) -> None:
     assert summary.max == max(values)
 
 
-def test_a_key_that_is_unknown_or_removed_has_no_deadline() -> None:
-    schedule = Schedule[Any](1.0)
-    assert schedule.deadline("a") == math.inf
-    schedule.add("a", 0.0, now=5.0)
-    assert schedule.deadline("a") == 5.0
-    schedule.remove("a")
-    schedule.remove("a")
-    assert schedule.deadline("a") == math.inf
-    assert schedule.wait(now=5.0) is None
-
-
 @pytest.mark.parametrize(
     ("now", "expected"),
     [(9.0, 9.5), (10.0, 10.5), (10.4, 10.5), (10.5, 10.5), (10.6, 11.5),
@@ -81,25 +69,6 @@ def test_the_first_deadline_is_the_next_one(now: float, expected: float) -> None
     schedule.remove("a")
     schedule.add("b", 0.75, now=now)
     assert schedule.deadline("b") == expected
-
-
-def test_a_schedule_is_over_when_all_keys_are() -> None:
-    """Without a key it has not begun."""
-    schedule = Schedule[Any](1.0, count=1)
-    assert not schedule.over
-    schedule.add("a", 0.0, now=5.0)
-    schedule.add("b", 0.5, now=5.0)
-    assert schedule.take(5.0) == ("a", 5.0, 0)
-    assert not schedule.over
-    assert schedule.take(5.25) is None
-    assert schedule.take(5.5) == ("b", 5.5, 0)
-    assert schedule.over
-
-
-def test_there_is_no_wait_for_a_deadline_that_has_passed() -> None:
-    schedule = Schedule[Any](1.0)
-    schedule.add("a", 0.0, now=5.0)
-    assert (schedule.wait(4.5), schedule.wait(5.0), schedule.wait(7.5)) == (0.5, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 
 from maplines_can import LayoutError
 from maplines_can.bus import read_signals
-from maplines_can.bus.signals import SignalDecoder, read_table
+from maplines_can.bus.signals import read_table
 from maplines_can.simulation import DriveFileError, RecordedDrive
 from maplines_can.values.errors import LogError
 
@@ -218,15 +218,6 @@ def test_a_damaged_log_without_all_signals_is_an_error(tmp_path: Path, dbc: Path
         read_signals(log, dbc, {**NAMES, "second": "Second"})
 
 
-def test_frames_that_do_not_fit_explain_a_missing_signal(tmp_path: Path, dbc: Path) -> None:
-    """With how many there are."""
-    short = can.Message(1.0, arbitration_id=256, is_extended_id=False, data=b"123")
-    log = log_of(tmp_path / "drive.log", dbc, short, short, n=0)
-    words = r"channel \(2 times: the data do not fit the message Position\)$"
-    with pytest.raises(LogError, match=words):
-        read_signals(log, dbc, {"x": "Position.X"})
-
-
 def test_signals_of_frames_with_the_same_number(tmp_path: Path, dbc: Path) -> None:
     """One of 11 and one of 29 bits are different messages; times are those of the frames."""
     dbc.write_text(DBC.replace("BO_ 259 Other", "BO_ 512 Other").replace("Overlap : 8|", "Z : 16|"))
@@ -237,23 +228,6 @@ def test_signals_of_frames_with_the_same_number(tmp_path: Path, dbc: Path) -> No
     np.testing.assert_allclose(signals["speed"][0], [100.02, 100.12, 100.22])
     np.testing.assert_allclose(signals["speed"][1], 36.0)
     assert (len(signals), list(signals)) == (2, ["speed", "other"])
-
-
-def test_signals_frame_by_frame(dbc: Path) -> None:
-    """An extended identifier is another one; of multiplexed signals, those in the frame count."""
-    decoder = SignalDecoder(dbc, NAMES | {"first": "First", "which": "Which"})
-    assert decoder.can_ids == frozenset({256, 512, 258})
-    motion = b"\x8c\xa0\x0e\x10\x01\x00"
-    assert decoder.decode(512, motion, is_extended=True) == {
-        "heading_deg": pytest.approx(360.0),
-        "speed_kmh": pytest.approx(36.0),
-    }
-    assert decoder.decode(512, motion) == {}
-    assert decoder.decode(258, b"\x00\x07\x00ABCDE") == {"first": 7.0, "which": 0.0}
-    assert decoder.decode(258, b"\x01\x07\x00ABCDE") == {"which": 1.0}
-    assert not decoder.skipped
-    assert decoder.decode(256, b"\x01") == {}
-    assert decoder.skipped == {"the data do not fit the message Position": 1}
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from maplines_can.bus import Link, Sent
 from maplines_can.bus.bus_factory import (
     BusFactory,
     UnsuitableInterfaceError,
-    interface_index,
     interface_problem,
 )
 from maplines_can.values.errors import BusError
@@ -93,12 +92,6 @@ def test_what_prevents_the_use_of_an_interface(
         assert found.is_outage is is_outage
 
 
-def test_the_index_of_an_interface(kernel: dict[str, Interface]) -> None:
-    """None if there is none."""
-    kernel["can0"] = Interface(number=7)
-    assert (interface_index("can0"), interface_index("can1")) == (7, None)
-
-
 @pytest.mark.parametrize(
     ("interface", "error"),
     [(None, BusError), (Interface(mtu=CLASSIC), UnsuitableInterfaceError)],
@@ -137,13 +130,6 @@ def test_a_deleted_interface_is_noticed_within_a_second(kernel: dict[str, Interf
         clock.now += 10.0
         assert link.recv(0.0) is None
         assert link.up
-
-
-def test_another_interface_is_never_taken_for_a_deleted_socketcan_one() -> None:
-    """Its channel is none of the kernel's interfaces."""
-    factory = BusFactory(FakeOpener(), {"interface": "virtual", "channel": "lo"})
-    factory.open()
-    assert not factory.is_deleted()
 
 
 def test_only_an_error_without_a_number_means_that_no_node_acknowledges(
@@ -222,28 +208,6 @@ def test_an_interface_that_comes_back_without_can_fd_is_reported_once_an_outage(
         assert ["has no CAN FD" in text for _, text in events] == [False, True, False] * 2
 
 
-def test_attempts_to_open_an_interface_without_can_fd_back_off(
-    kernel: dict[str, Interface], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As with one that is gone."""
-    kernel["can0"] = Interface()
-    clock, opener = Clock(), FakeOpener(GONE)
-    settings = {"interface": "socketcan", "channel": "can0", "fd": True}
-    with Link(opener, clock=clock, backoff=(0.25, 1.0), **settings) as link:  # type: ignore[arg-type]
-        link.send(FRAME)
-        attempts = []
-
-        def refuse(*_: Any) -> None:
-            attempts.append(clock.now - 1000.0)
-            raise UnsuitableInterfaceError("no CAN FD")
-
-        monkeypatch.setattr(link._factory, "open", refuse)
-        for step in range(64):
-            clock.now = 1000.0 + step / 16
-            link.send(FRAME)
-    assert attempts == [0.25, 0.75, 1.75, 2.75, 3.75]
-
-
 class GivenSocket(FakeBus):
     """A SocketCAN bus of the caller, without a socket."""
 
@@ -278,17 +242,6 @@ def test_a_given_socket_is_not_used_again_after_its_interface_was_deleted(
         assert bus.sent.qsize() == 1
         with pytest.raises(BusError, match="fake was deleted, and a bus of the caller is not"):
             link._factory.open()
-
-
-def test_that_no_node_acknowledges_a_given_socket_is_no_outage(
-    given_socket: type[GivenSocket],
-) -> None:
-    """As with a socket that the link opened."""
-    clock = Clock()
-    with Link(given_socket([NO_NUMBER] * 3), clock=clock) as link:
-        for _ in range(3):
-            assert link.send(FRAME) is Sent.FULL
-            clock.now += 5.0
 
 
 def test_other_systems_have_no_socketcan(

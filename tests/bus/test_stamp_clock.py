@@ -86,10 +86,6 @@ def test_how_much_less_waiting_shows_a_backlog(gain_ns: int, settled: bool) -> N
     assert clock.is_settled is settled
 
 
-def test_before_the_first_frame_there_is_only_our_clock() -> None:
-    assert StampClock().now(5) == 5
-
-
 @pytest.mark.parametrize(("late_ns", "set_back"), [(20 * MS, True), (20 * MS - 1, False)])
 @pytest.mark.parametrize(("after_ns", "over"), [(1000 * MS, False), (1000 * MS + 1, True)])
 def test_a_clock_is_set_back_if_all_frames_are_late_for_more_than_a_second(

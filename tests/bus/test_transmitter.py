@@ -293,27 +293,6 @@ def test_lines_of_the_real_codec(link: Any, other: Any, fd: bool) -> None:
     assert (stats.lost, {k: n for k, n in stats.counts.items() if n}) == (0, {})
 
 
-def test_a_full_queue_is_not_retried_beyond_the_period(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The line of the next deadline would be late."""
-    clock, opener = Clock(), FakeOpener(*[FULL] * 100_000)
-
-    def sleep(seconds: float) -> None:
-        clock.now += seconds
-
-    monkeypatch.setattr("maplines_can.bus.transmitter.time", SimpleNamespace(sleep=sleep))
-    with Link(opener) as link:
-        transmitter = Transmitter(link, FakeCodec(), period=0.05, clock=clock)  # type: ignore[arg-type]
-        transmitter.publish(map_line())
-        clock.now += transmitter._tx_queue.wait(clock.now) or 0.0
-        start = clock.now
-        transmitter._send(transmitter._next_transfer())  # type: ignore[arg-type]
-        stats = transmitter.stats()
-
-    assert clock.now - start == pytest.approx(0.05, abs=0.0025)
-    assert (stats.lines, stats.full, stats.frames) == (0, 1, 0)
-    assert 45 <= stats.retries <= 52
-
-
 @pytest.mark.parametrize(("ago_s", "allowed"), [
     (-1.0, True), (-1.5, False), (0.0, True), (3600.0, True), (3600.5, False),
 ])  # fmt: skip
@@ -409,14 +388,6 @@ def test_lines_for_a_dbc_of_scenes_are_refused() -> None:
             with pytest.raises(EncodeError, match=r"pose\.dbc: .* publish the result of map_scene"):
                 transmitter.publish(lines)
         transmitter.publish([])
-
-
-def test_what_is_no_codec_is_refused() -> None:
-    with (
-        Link(FakeOpener()) as link,
-        pytest.raises(TypeError, match=r"codec must be a Codec, such as Codec\.from_dbc"),
-    ):
-        Transmitter(link, "maplines.dbc")  # type: ignore[arg-type]
 
 
 def test_a_transmitter_sends_at_20_hz_by_default() -> None:
@@ -521,3 +492,11 @@ def test_a_line_that_is_too_old_counts_as_expired_only_if_it_is_sent(
     assert stats.expired == 0
     transmitter, _, _ = sent_late(monkeypatch, late=0.25, max_age=0.1)
     assert (transmitter.stats().lines, transmitter.stats().expired) == (1, 1)
+
+
+def test_what_is_no_codec_is_refused() -> None:
+    with (
+        Link(FakeOpener()) as link,
+        pytest.raises(TypeError, match=r"codec must be a Codec, such as Codec\.from_dbc"),
+    ):
+        Transmitter(link, "maplines.dbc")  # type: ignore[arg-type]

@@ -25,20 +25,10 @@ from maplines_can.bus import (
     Link,
     Transmitter,
 )
-from maplines_can.bus.tx_queue import AHEAD, ALLOWANCE, Published, PublishedScene, Transfer, TxQueue
+from maplines_can.bus.tx_queue import AHEAD, ALLOWANCE, Transfer, TxQueue
 from maplines_can.values.line import Slot
 from maplines_can.values.mixture import GaussianMixture
 from maplines_can.wire import POSE, Frame, default_dbc_path
-
-
-def test_a_retracted_line_is_not_sent_again(link: Any) -> None:
-    """The line of another slot stays."""
-    transmitter = Transmitter(link, FakeCodec(), period=0.02)  # type: ignore[arg-type]
-    transmitter.publish(map_line())
-    transmitter.retract(Slot.NEXT_LEFT)
-    assert transmitter._tx_queue.wait(0.0) is not None
-    transmitter.retract(Slot.EGO_LEFT)
-    assert transmitter._tx_queue.wait(0.0) is None
 
 
 class Recorder(FakeCodec):
@@ -230,23 +220,6 @@ def counters(transfers: Sequence[Transfer], owner: Any) -> list[int]:
     return [transfer.frames[0].can_id for transfer in transfers if transfer.owner == owner]
 
 
-def test_a_scene_is_encoded_once_a_period_for_the_deadlines_of_its_lines() -> None:
-    """The ages refer to the deadlines and the 4 ms of lateness that the class promises."""
-    tx_queue = queue_of(codec := SceneCodec())
-    put(tx_queue, ("scene", LEFT, RIGHT, ROUTE), 0)
-    transfers = taken(tx_queue, 0, 2)
-
-    assert owners(transfers) == [POSE, LEFT, RIGHT, ROUTE] * 2
-    assert codec.calls == [{POSE, LEFT, RIGHT, ROUTE}] * 2
-    due = [T * (cycle + phase / 8) for cycle in range(2) for phase in (0, LEFT, RIGHT, ROUTE)]
-    assert [transfer.deadline - T0 for transfer in transfers] == due
-    assert [transfer.latest - T0 for transfer in transfers] == pytest.approx(
-        [t + 0.004 for t in due]
-    )
-    assert [age_of(transfer) for transfer in transfers] == pytest.approx([t + 0.004 for t in due])
-    assert counters(transfers, POSE) == counters(transfers, ROUTE) == [0, 1]
-
-
 @pytest.mark.parametrize("kind", ["scene", "lines"])
 def test_what_is_published_again_has_no_more_deadlines(kind: str) -> None:
     """The count is of the slot, not of its value; nor is a deadline lost that has passed."""
@@ -259,89 +232,6 @@ def test_what_is_published_again_has_no_more_deadlines(kind: str) -> None:
     assert sorted(map(str, owners(transfers))) == sorted(map(str, [*first, LEFT, ROUTE] * 3))
     assert tx_queue.over
     assert {transfer.skipped for transfer in transfers} == {0}
-
-
-@pytest.mark.parametrize("kind", ["scene", "lines"])
-def test_a_deadline_that_has_passed_is_met_after_publishing(kind: str) -> None:
-    """Although the thread has not come to it before."""
-    tx_queue = queue_of()
-    put(tx_queue, (kind, LEFT, ROUTE), 0)
-    assert len(taken(tx_queue, 0, 1)) == (3 if kind == "scene" else 2)
-    put(tx_queue, (kind, LEFT, ROUTE), 1 + 1 / 16)  # deadlines of the pose error and of the left
-    transfer = tx_queue.take(T0 + T * (1 + 1 / 16))
-    assert transfer is not None
-    assert transfer.deadline == T0 + T
-
-
-@pytest.mark.parametrize("how", ["dropped", "not in the next scene"])
-def test_a_line_that_leaves_the_scene_is_not_sent_any_more(how: str) -> None:
-    """Although it belongs to the pose error that was sent; its counter goes on with the next."""
-    tx_queue = queue_of()
-    put(tx_queue, ("scene", LEFT, ROUTE), 0)
-    assert owners(taken(tx_queue, 0, 0.5)) == [POSE, LEFT]
-    if how == "dropped":
-        tx_queue.drop(ROUTE)
-    else:
-        put(tx_queue, ("scene", LEFT), 0.5)
-    assert owners(taken(tx_queue, 0.5, 2)) == [POSE, LEFT]
-    put(tx_queue, ("scene", LEFT, ROUTE), 2)
-    transfers = taken(tx_queue, 2, 4)
-    assert owners(transfers) == [POSE, LEFT, ROUTE] * 2
-    assert counters(transfers, POSE) == counters(transfers, LEFT) == [2, 3]
-    assert counters(transfers, ROUTE) == [1, 2]
-
-
-def test_a_scene_replaces_lines_and_lines_replace_a_scene() -> None:
-    """Slots that the other does not have are not sent any more; no counter is used again."""
-    tx_queue = queue_of()
-    transfers = []
-    plan: list[tuple[Any, list[Any]]] = [
-        (("lines", LEFT, ROUTE), [LEFT, ROUTE]),
-        (("scene", LEFT, RIGHT), [POSE, LEFT, RIGHT]),
-        (("lines", RIGHT, ROUTE), [RIGHT, ROUTE]),
-        (("scene", ROUTE), [POSE, ROUTE]),
-        (("lines", LEFT), [LEFT]),
-    ]
-    for k, (what, expected) in enumerate(plan):
-        put(tx_queue, what, 2 * k)
-        found = taken(tx_queue, 2 * k, 2 * k + 2)
-        assert owners(found) == expected * 2
-        transfers += found
-    for owner, n in ((POSE, 4), (LEFT, 6), (RIGHT, 4), (ROUTE, 6)):
-        assert counters(transfers, owner) == list(range(n))
-
-
-def test_a_line_of_a_scene_that_was_replaced_is_not_sent() -> None:
-    """It was encoded with its pose error, and would be taken for the new line of its slot."""
-    tx_queue = queue_of()
-    put(tx_queue, ("scene", LEFT, ROUTE), 0)
-    assert owners(taken(tx_queue, 0, 0.5)) == [POSE, LEFT]
-    tx_queue.put([map_line(ROUTE, age=0.1)], T0 + 0.5 * T)
-    (transfer,) = taken(tx_queue, 0.5, 1)
-    assert transfer.owner == ROUTE
-    assert age_of(transfer) == pytest.approx(0.1 + 0.375 * T + 0.004)
-
-
-@pytest.mark.parametrize(
-    ("ages", "given", "expected"),
-    [((0.01, 0.03, 0.02), None, 0.03), ((), None, 0.0), ((0.03,), 0.05, 0.05)],
-)
-def test_the_age_of_a_scene(ages: tuple[float, ...], given: float | None, expected: float) -> None:
-    """The one given, or that of the oldest line."""
-    tx_queue = queue_of()
-    tx_queue.put_scene(FakeScene((), ages), T0, given)  # type: ignore[arg-type]
-    (transfer,) = taken(tx_queue, 0, 1)
-    assert age_of(transfer) == pytest.approx(expected + 0.004)
-
-
-@pytest.mark.parametrize(
-    ("age", "expected"), [(-1.0, 0.0), (0.25, 0.375), (0.375, 0.5), (0.376, math.inf)]
-)
-def test_an_age_is_stated_up_to_the_greatest_one(age: float, expected: float) -> None:
-    """0.125 s after publishing, with 0.5 s as the greatest; it is never less than 0."""
-    scene = PublishedScene(FakeScene((LEFT,)), age, at=T0)  # type: ignore[arg-type]
-    line = Published(map_line(), age, at=T0)
-    assert scene.age_at(T0 + 0.125, 0.5) == line.with_age(T0 + 0.125, 0.5).age == expected
 
 
 @pytest.mark.parametrize("kind", ["scene", "lines"])
@@ -411,18 +301,6 @@ def test_a_line_that_missed_its_deadlines_is_sent_if_its_pose_error_was() -> Non
     assert age_of(tx_queue.renew(late, now)) == pytest.approx(now - T0 + now - late.deadline)
     assert owners(taken(tx_queue, 1.9375, 3)) == [POSE, LEFT]
     assert tx_queue.over
-
-
-def test_a_skipped_pose_error_takes_its_lines_with_it() -> None:
-    """Until the next one, they have nothing to belong to; the thread is not blocked by them."""
-    tx_queue = queue_of()
-    put(tx_queue, ("scene", LEFT, ROUTE), 0)
-    assert owners(taken(tx_queue, 0, 1)) == [POSE, LEFT, ROUTE]
-    tx_queue._schedule.take(T0 + T)  # that of the pose error
-    assert taken(tx_queue, 1, 2) == []
-    found = taken(tx_queue, 2, 3)
-    assert owners(found) == [POSE, LEFT, ROUTE]
-    assert [frame.can_id for transfer in found for frame in transfer.frames] == [1, 1, 1]
 
 
 @pytest.mark.parametrize(("period", "calls"), [(0.8, 2), (0.5, 2), (0.0625, 1)])

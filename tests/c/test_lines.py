@@ -136,17 +136,16 @@ def awkward_lines(codec: Codec, n: int, seed: int) -> Lines:
     return Lines(means, covs.clip(-1e307, 1e307), rng, codec)
 
 
-@pytest.mark.parametrize("flags", [("-O2",), ("-O0",)])
-@pytest.mark.parametrize("is_fd", [False, True])
+@pytest.mark.parametrize(("is_fd", "flags"), [(False, ("-O2",)), (True, ("-O0",))])
 def test_lines_have_the_frames_of_the_library(is_fd: bool, flags: tuple[str, ...]) -> None:
     """Frames, statuses and counters; every status occurs."""
     codec = Codec(layout_of("maplines.dbc"))
-    lines = awkward_lines(codec, 1000, seed=is_fd)
+    lines = awkward_lines(codec, 600, seed=is_fd)
     statuses = check_encode(codec, lines, is_fd=is_fd, flags=flags)
     assert (statuses > 10).all(), statuses
 
 
-@pytest.mark.parametrize("k", [1, 3, 8])
+@pytest.mark.parametrize("k", [1, 8])
 def test_mixtures_have_the_frames_of_the_library(k: int) -> None:
     """Weights between the steps; means of the components some sigmas apart, some out of range."""
     codec = Codec(layout_of("maplines.dbc"))
@@ -155,118 +154,34 @@ def test_mixtures_have_the_frames_of_the_library(k: int) -> None:
     apart = np.array([0.05, 0.5, 1.0, 0.0]).repeat(50)[:, None, None]
     means = means[:, :1] + (means - means[:, :1]) * apart
     covs = lines.covs.reshape(200, k, 4, 4)
-    check_encode(codec, Lines(means, covs, np.random.default_rng(k), codec, k=k), is_fd=k == 3)
+    check_encode(codec, Lines(means, covs, np.random.default_rng(k), codec, k=k), is_fd=k == 8)
 
 
-GOOD: dict[str, Any] = {
-    "slot": 0,
-    "kind": 1,
-    "status": 1,
-    "x_min": -8.0,
-    "x_max": 64.0,
-    "age": 0.04,
-}
 COV = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
-RNG = np.random.default_rng(0)
-NAN, INF = float("nan"), float("inf")
 
 
-def entry(i: int, j: int, value: float) -> Any:
-    cov = COV.copy()
-    cov[i, j] = value
-    return cov
+@pytest.mark.parametrize("dbc", ["maplines.dbc", "maplines-pose.dbc"])
+def test_a_mistake_of_the_caller_has_its_name(dbc: str) -> None:
+    """Of lines, mixtures and scenes: nothing is sent, and no counter advances."""
+    assert c_core.run(c_core.harness("refusals", layout_of(dbc)), b"") == b""
 
 
-@pytest.mark.parametrize(
-    ("refusal", "changes"),
-    [
-        pytest.param(0, {}, id="sent"),
-        pytest.param(1, {"slot": 9}, id="no-slot"),
-        pytest.param(1, {"slot": 8}, id="pose"),
-        pytest.param(3, {"mean": [NAN, 0, 0, 0]}, id="mean-nan"),
-        pytest.param(3, {"mean": [0, 0, -INF, 0]}, id="mean-infinite"),
-        pytest.param(4, {"cov": entry(1, 1, NAN)}, id="cov-nan"),
-        pytest.param(4, {"cov": entry(3, 0, 2e307)}, id="cov-huge"),
-        pytest.param(5, {"cov": entry(2, 2, -1e-300)}, id="negative"),
-        pytest.param(6, {"cov": entry(0, 1, 1e-3 * 2e-9)}, id="asymmetric"),
-        pytest.param(0, {"cov": entry(0, 1, 1e-3 * 9e-10)}, id="nearly-symmetric"),
-        pytest.param(7, {"x_min": NAN}, id="range-nan"),
-        pytest.param(7, {"x_max": INF}, id="range-infinite"),
-        pytest.param(7, {"x_min": 64.1}, id="range-reversed"),
-        pytest.param(0, {"x_min": 64.0}, id="range-empty"),
-        pytest.param(8, {"age": -1e-9}, id="age-negative"),
-        pytest.param(8, {"age": NAN}, id="age-nan"),
-        pytest.param(0, {"age": INF}, id="age-infinite"),
-        pytest.param(9, {"kind": 8}, id="kind"),
-        pytest.param(10, {"status": 6}, id="status"),
-        pytest.param(0, {"status": 0, "cov": entry(1, 1, NAN)}, id="cov-not-read"),
-        pytest.param(11, {"weights": [0.5, 0.6]}, id="weights-sum"),
-        pytest.param(11, {"weights": [1.5, -0.5]}, id="weight-negative"),
-        pytest.param(11, {"weights": [NAN, 0.5]}, id="weight-nan"),
-        pytest.param(0, {"weights": [0.5, 0.5]}, id="mixture"),
-        pytest.param(11, {"weights": [2.0, -1.0]}, id="weight-2"),
-        pytest.param(12, {"weights": [1 / 9] * 9}, id="components"),
-        pytest.param(12, {"weights": []}, id="no-components"),
-        pytest.param(1, {"weights": [0.5, 0.5], "slot": 8}, id="mixture-of-no-slot"),
-        pytest.param(4, {"weights": [0.5, 0.5], "cov": entry(1, 1, INF)}, id="component"),
-    ],
-)
-def test_a_mistake_of_the_caller_has_its_name(refusal: int, changes: dict[str, Any]) -> None:
-    """Nothing is sent, and the counter does not advance."""
-    given: dict[str, Any] = GOOD | {"mean": np.zeros(4), "cov": COV, "weights": None} | changes
-    head = struct.pack(
-        "<BBBBBI3d", 1, given["slot"], given["kind"], given["status"], 0, 255,
-        given["x_min"], given["x_max"], given["age"],
-    )  # fmt: skip
-    weights = [1.0] if given["weights"] is None else given["weights"]
-    data = head + bytes([LINE if given["weights"] is None else len(weights)])
-    for weight in weights:
-        data += np.concatenate([[weight], given["mean"], np.ravel(given["cov"])]).tobytes()
-    out = c_core.run(c_core.harness("lines"), data)
-    number, _, frames, counter = struct.unpack_from("<BBBI", out)
-    assert number == refusal
-    k = len(weights)
-    assert frames == (0 if refusal else 4 * k)
-    assert counter == (255 if refusal else (255 + k) % 256)
-    assert len(out) == 7 + frames * (7 + 8)
-
-
-@pytest.mark.parametrize("k", [0, 2])
 @pytest.mark.parametrize(
     ("layout", "slot", "is_fd", "refusal"),
     [
-        pytest.param(layout_of("maplines.dbc"), Slot.ROUTE, True, 0, id="sent"),
-        pytest.param(with_slots(layout_of("maplines.dbc"), Slot.ROUTE), 0, False, 1, id="slot"),
-        pytest.param(
-            with_messages(layout_of("maplines.dbc"), can_id=None), 0, False, 1, id="no-classic"
-        ),
-        pytest.param(with_messages(layout_of("maplines.dbc"), can_id=None), 0, True, 0, id="FD"),
-        pytest.param(
-            with_messages(layout_of("maplines.dbc"), fd_can_id=None), 0, True, 1, id="no-FD"
-        ),
-        pytest.param(
-            with_messages(layout_of("maplines.dbc"), fd_can_id=None), 0, False, 0, id="classic"
-        ),
+        (with_slots(layout_of("maplines.dbc"), Slot.ROUTE), 0, False, 1),
+        (with_messages(layout_of("maplines.dbc"), can_id=None), 0, False, 1),
+        (with_messages(layout_of("maplines.dbc"), can_id=None), 0, True, 0),
+        (with_messages(layout_of("maplines.dbc"), fd_can_id=None), 0, True, 1),
     ],
+    ids=["slot", "no-classic", "FD", "no-FD"],
 )
-def test_a_line_without_a_message(
-    layout: Layout, slot: int, is_fd: bool, refusal: int, k: int
-) -> None:
+def test_a_line_without_a_message(layout: Layout, slot: int, is_fd: bool, refusal: int) -> None:
     """In the frame format that is wanted."""
-    means, covs = np.zeros((1, max(k, 1), 4)), np.tile(COV, (1, max(k, 1), 1, 1))
-    lines = Lines(means if k else means[0], covs if k else covs[0], RNG, Codec(layout), k=k)
+    lines = Lines(np.zeros((1, 4)), COV[None], np.random.default_rng(0), Codec(layout))
     lines.slot, lines.status = np.array([slot]), np.array([1])
     out = c_core.run(c_core.harness("lines", layout), lines.cases(is_fd=is_fd))
     assert (out[0], out[2] > 0) == (refusal, refusal == 0)
-
-
-def test_a_line_of_a_conditional_dbc_is_sent_as_a_scene() -> None:
-    """A DBC whose records have no covariance of their own."""
-    codec = Codec(layout_of("maplines.dbc"))
-    case = Lines(np.zeros((1, 4)), COV[None], np.random.default_rng(0), codec).cases(is_fd=False)
-    out = c_core.run(c_core.harness("lines", layout_of("maplines-pose.dbc")), case)
-    assert out[0] == 2
-    assert out[2] == 0
 
 
 # ---- single precision ---------------------------------------------------------------------------
@@ -327,11 +242,11 @@ def test_a_factor_in_single_precision_covers_what_double_precision_covers() -> N
     Of records of random bits: the narrowest pivots with the most extreme ratios and means, too.
     """
     codec = Codec(layout_of("maplines.dbc"))
-    double, single = read_both(codec, *random_records(codec, 400, np.random.default_rng(5)))
+    double, single = read_both(codec, *random_records(codec, 150, np.random.default_rng(5)))
     assert np.array_equal(single["reason"], double["reason"])
     assert np.array_equal(single["status"], double["status"])
     accepted = double["reason"] == ACCEPTED
-    assert accepted.sum() > 300
+    assert accepted.sum() > 100
     for one, wide in zip(single[accepted], double[accepted], strict=True):
         cov, given = squared(one["factor"]), squared(wide["factor"])
         e = np.array(exact([one["mean"]])[0]) - np.array(exact([wide["mean"]])[0])

@@ -15,7 +15,7 @@ from random_lines import random_lines
 from maplines_can.values.errors import EncodeError
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import VAGUE_SIGMA, Kind, MapLine, Slot, Status
-from maplines_can.wire import Codec, Frame, Reason
+from maplines_can.wire import Codec, Reason
 from maplines_can.wire.layout.signals import PARAMETER_SIGNALS
 
 
@@ -52,15 +52,6 @@ def test_a_mean_alone_may_be_sent_with_a_status_that_claims_no_covariance(
     """UNKNOWN is what it would get anyway; OUT_OF_RANGE is the caller's to say."""
     payloads = codec.batch.encode([[1.75, 0, 0, 0]], status=status)
     assert codec.batch.decode(payloads).status[0] == status
-
-
-def test_diagonal_stays_diagonal_when_a_value_is_clipped(codec: Any) -> None:
-    """A line without correlations never gets a status that implies correlations."""
-    cov = np.diag([0.09, 4e-4, 1e-6, 1e-10])[None]
-    payload = codec.batch.encode(
-        [[33.0, 0, 0, 0]], cov, status=Status.DIAGONAL, x_min=5.0, x_max=80.0
-    )
-    assert codec.batch.decode(payload).status[0] == Status.DIAGONAL
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -168,7 +159,7 @@ def test_a_record_of_another_length_is_rejected(length: int) -> None:
     assert default_codec().batch.decode_one(bytes(length), Slot.ROUTE) is Reason.LENGTH
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100)
 @given(st.binary(min_size=32, max_size=32), st.booleans(), st.sampled_from(list(Slot)))
 def test_both_readers_agree_on_any_bytes(data: bytes, valid: bool, slot: Any) -> None:
     """batch.decode_one and batch.decode agree to the last bit, or on the reason."""
@@ -189,46 +180,6 @@ def test_both_readers_agree_on_any_bytes(data: bytes, valid: bool, slot: Any) ->
     if valid:
         assert batch.rejects.keys() <= {Reason.CONTENT}
     np.linalg.cholesky(batch.cov)  # whatever the bytes, a definite matrix
-
-
-def test_all_writers_agree(codec: Any) -> None:
-    """encode, encode_lines and batch.encode give the same bytes."""
-    means, covs = random_lines(50, seed=5)
-    lines = [
-        MapLine(Slot(i % 8), Gaussian(m, S), Kind(i % 8), -20, 60 + i, 0.008 * (i % 9))
-        for i, (m, S) in enumerate(zip(means, covs, strict=True))
-    ]
-    payloads = codec.batch.encode(
-        means,
-        covs,
-        slot=[line.slot for line in lines],
-        counter=np.arange(50) // 8,
-        kind=[line.kind for line in lines],
-        x_min=-20,
-        x_max=[line.x_max for line in lines],
-        age=[line.age for line in lines],
-    )
-    fresh = Codec.from_dbc()
-    fresh_encoder = fresh.encoder()
-    one_by_one = [b"".join(frame.data for frame in fresh_encoder.encode(line)) for line in lines]
-    together = [
-        b"".join(f.data for f in frames)
-        for frames in Codec.from_dbc().encoder().encode_lines(lines)
-    ]
-    assert one_by_one == together == [payload.tobytes() for payload in payloads]
-
-
-def test_the_valid_range_is_rounded_inwards(codec: Any) -> None:
-    """x_min is rounded up and x_max down."""
-    cov = np.diag([1e-2, 1e-4, 1e-8, 1e-12])[None]
-    ends = np.array([[-20.0, 80.0], [-19.9, 83.9], [8.0, 252.0], [-31.0, 3.9], [0.1, 400.0]])
-    for x_min, x_max in ends:
-        batch = codec.batch.decode(
-            codec.batch.encode(np.zeros((1, 4)), cov, x_min=x_min, x_max=x_max)
-        )
-        assert batch.x_min[0] >= x_min
-        assert batch.x_max[0] <= x_max
-        assert batch.status[0] == Status.FULL
 
 
 @pytest.mark.parametrize(
@@ -382,14 +333,3 @@ def test_every_kind_and_status_is_accepted(codec: Any, fd: bool) -> None:
         assert codec.batch.decode(payloads).accepted.all()
         assert codec.batch.decode(payloads).status[0] == status
         assert codec.batch.decode_one(payloads[0].tobytes(), Slot.EGO_LEFT).status is status
-
-
-def test_a_frame_is_classic_with_11_bits_by_default() -> None:
-    assert Frame(0x340, b"") == (0x340, b"", False, False)
-
-
-def test_a_valid_range_may_be_one_point_but_not_reversed(codec: Any) -> None:
-    cov = np.diag([1e-2, 1e-4, 1e-8, 1e-12])[None]
-    assert codec.batch.encode(np.zeros((1, 4)), cov, x_min=12.0, x_max=12.0).shape == (1, 32)
-    with pytest.raises(EncodeError, match="x_min must be x_max or less"):
-        codec.batch.encode(np.zeros((1, 4)), cov, x_min=12.001, x_max=12.0)

@@ -2,7 +2,6 @@
 
 from collections import Counter, UserDict
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
@@ -15,7 +14,7 @@ from random_lines import random_lines
 from scene_layouts import layout_of
 
 from maplines_can import Codec, EncodeError, Gaussian, GaussianMixture, Kind, MapLine, Slot, Status
-from maplines_can.wire import POSE, Frame, Layout
+from maplines_can.wire import POSE, Layout
 
 MEAN, COV = np.array([1.75, 0.01, 1e-3, 1e-6]), np.diag([0.1, 0.01, 1e-3, 1e-5]) ** 2
 DEFAULT = layout_of("maplines.dbc")
@@ -148,15 +147,6 @@ def test_what_is_unusual_is_converted(line: MapLine) -> None:
     assert CODEC.encoder().encode(line) == CODEC.encoder().encode(ordinary(x_max=20.0))
 
 
-def test_frames_are_ordinary() -> None:
-    """They can be compared, hashed and replaced."""
-    for frame in CODEC.encoder().encode(ordinary()):
-        assert type(frame) is Frame
-        assert frame == Frame(frame.can_id, frame.data, frame.is_fd, frame.is_extended)
-        assert hash(frame) == hash(tuple(frame))
-        assert frame._replace(is_fd=True).is_fd
-
-
 # ---- what is refused ---------------------------------------------------------------------------
 
 
@@ -218,22 +208,6 @@ def test_counters_that_are_no_integers(counters: Any) -> None:
 
 
 # ---- code of others that runs meanwhile --------------------------------------------------------
-
-
-def test_an_encoder_in_several_threads() -> None:
-    """Each record has another counter, as if one thread had sent all."""
-    encoder, alone = CODEC.encoder(), CODEC.encoder()
-    repetitions, threads = 300, 3
-
-    def send(_: int) -> list[Frame]:
-        return [frame for _ in range(repetitions) for frame in encoder.encode(ordinary())]
-
-    with ThreadPoolExecutor(threads) as pool:
-        sent = [frame for frames in pool.map(send, range(threads)) for frame in frames]
-
-    expected = [frame for _ in range(repetitions * threads) for frame in alone.encode(ordinary())]
-    assert Counter(sent) == Counter(expected)
-    assert encoder.encode(ordinary()) == alone.encode(ordinary())
 
 
 def test_a_line_that_changes_the_list_of_lines() -> None:

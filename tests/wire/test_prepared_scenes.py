@@ -3,7 +3,6 @@
 import copy
 import pickle
 import re
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -185,16 +184,3 @@ def test_arrays_of_any_order_and_type_are_those_of_the_scene() -> None:
     assert encoder.encode_scene(changed(SCENE, "cov", narrow), counters={}) == (
         encoder.encode_scene(rounded, counters={})
     )
-
-
-def test_threads_prepare_at_the_same_time() -> None:
-    """They share nothing that is written to."""
-    codec = new_codec(CONDITIONAL)
-    scenes = [road_scene(OFFSETS, radius=radius) for radius in (50.0, 200.0, 1e3, 1e4)]
-
-    def frames_of(scene: Scene) -> Any:
-        return codec.encoder().encode_scene(scene)
-
-    one_by_one = [*map(frames_of, scenes)]
-    with ThreadPoolExecutor(4) as pool:
-        assert [*pool.map(frames_of, scenes * 3)] == one_by_one * 3

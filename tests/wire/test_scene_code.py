@@ -32,7 +32,6 @@ from maplines_can import (
     Slot,
     map_scene,
 )
-from maplines_can.model.lines import Curve, is_function, points_of
 from maplines_can.study.scenes.source import RESOLUTION, noise_floor
 from maplines_can.values.elementary import exp2
 from maplines_can.values.errors import LayoutError
@@ -160,40 +159,6 @@ def test_scenes_of_roads_are_covered(lines: int, pose: str, error: MapError | No
         check_covered(scene, passed(dbc, scene, fd=fd))
 
 
-@pytest.mark.parametrize("pose", [0.0, 1e-30, 1.0, 1e4])
-def test_zero_and_large_pose_errors_are_covered(pose: float) -> None:
-    """The pose is not what the lines say: they have all of it of their own, or too little."""
-    lanes = straight_lanes()
-    scene = scene_of(lanes.means, lanes.cov, pose * PRODUCTION)
-    found = passed(CONDITIONAL, scene)
-    assert len(found.prepared.members) == 3
-    check_covered(scene, found)
-
-
-def test_singular_covariances_are_covered() -> None:
-    """None at all, only the pose's, and one that is common to all lines but not the pose's."""
-    lanes, u = straight_lanes(), np.tile(SIGMA, 3)
-    for cov in (np.zeros((12, 12)), lanes.cov - straight_lanes(scale=0.0).cov, np.outer(u, u)):
-        scene = scene_of(lanes.means, cov)
-        found = passed(CONDITIONAL, scene)
-        assert len(found.prepared.members) == 3
-        check_covered(scene, found)
-
-
-def test_a_scene_that_states_its_own_covariances_is_covered() -> None:
-    """Even if they are wrong, and with less for a poor pose: they are not to be inferred."""
-    known = road_scene(5, 4, "poor", None)
-    assert known.specific_covs is not None
-    sizes = []
-    for own in (known.specific_covs, None, 0 * known.specific_covs):
-        scene = replace(known, specific_covs=own)
-        found = passed(CONDITIONAL, scene)
-        check_covered(scene, found)
-        sizes.append(np.linalg.slogdet(found.scene.cov)[1])
-    assert sizes[0] <= sizes[1]
-    check_covered(known, passed(COMPLETE, known))
-
-
 @pytest.mark.parametrize("full", [False, True])
 def test_a_received_scene_is_sent_again_and_covered(full: bool) -> None:
     """Its fit ranges are kept, and all levels of the pose error."""
@@ -241,25 +206,6 @@ def test_lines_that_do_not_fit_do_not_affect_the_others(
     assert [*found.prepared.members] == others
     assert found.frames == alone.frames
     assert Slot(place) not in codec_of(COMPLETE).encoder().prepare_scene(scene).members
-
-
-@BOTH
-@pytest.mark.parametrize("size", [1e20, 1e160, 1e306])
-def test_own_covariances_beyond_all_codes_do_not_affect_the_others(size: float, dbc: str) -> None:
-    """The line is left out of the scene."""
-    own = np.array([size * np.eye(4), np.diag(SIGMA**2)])
-    scene = replace(straight_lanes(2), specific_covs=own)
-    assert codec_of(dbc).encoder().prepare_scene(scene).members == (Slot(1),)
-
-
-def test_a_complete_record_without_a_range_is_not_in_the_scene() -> None:
-    """Its valid range is too short for the steps of 4 m, and was rounded inwards to none."""
-    scene = road_scene(0, 2, "production", MapError(0.05, 0.05))
-    first = replace(scene.lines[0], x_min=5.0, x_max=7.0)
-    found = passed(COMPLETE, replace(scene, lines=(first, *scene.lines[1:])))
-    assert found.prepared.sent_slots == (Slot(0), Slot(1))
-    assert found.prepared.members == (Slot(1),)
-    assert [*found.scene.index] == [Slot(1)]
 
 
 @BOTH
@@ -340,28 +286,6 @@ def test_a_scene_within_the_limits_of_the_message_loses_no_line(seed: int) -> No
     check_covered(scene, found)
 
 
-@pytest.mark.parametrize("full", [False, True])
-def test_a_line_at_the_limit_is_sent_or_left_out(full: bool) -> None:
-    """Some become steeper by the rounding; the others of the scene are sent as without them."""
-    rng, left_out, n = np.random.default_rng(1), 0, 10
-    others = [Slot(1), Slot(2)]
-    for _ in range(n):
-        low = rng.uniform(-1, 1, 4) * [3, 0.1, 5e-3, 0]
-        high = low + np.array([0, 0, 0, 0.03])
-        while low[3] < (middle := (low[3] + high[3]) / 2) < high[3]:
-            at = np.append(low[:3], middle)
-            is_good = is_function(points_of(Curve(at.tolist(), -20.0, 60.0, 0.0)))
-            low, high = (at, high) if is_good else (low, at)
-        others_of = [[1.75, 0.0, 1e-3, 0.0], [-1.75, 0.0, 1e-3, 0.0]]
-        scene = scene_of([low, *others_of], ranges=(-20.0, 60.0))
-        found = passed(CONDITIONAL, scene, fd=full)
-        assert [*found.prepared.members][-2:] == others
-        if Slot(0) not in found.prepared.members:
-            left_out += 1
-            assert found.frames == passed(CONDITIONAL, scene.subset(others), fd=full).frames
-    assert 0 < left_out < n
-
-
 # ---- what it costs -----------------------------------------------------------------------------
 
 
@@ -369,7 +293,7 @@ def test_a_line_at_the_limit_is_sent_or_left_out(full: bool) -> None:
 def test_means_are_near_all_over_the_range(full: bool, most: float) -> None:
     """Though half a step of C1 alone is 2 cm at 80 m: each rounding allows for those before it."""
     rng, x = np.random.default_rng(2), np.linspace(-20, 80, 101)
-    for _ in range(100):
+    for _ in range(30):
         mean = rng.uniform(-1, 1, 4) * [5, 0.2, 2e-3, 1e-5]
         received = passed(CONDITIONAL, scene_of(mean[None]), fd=full).scene
         assert np.abs(lateral(received.means[0], x) - lateral(mean, x)).max() <= most
@@ -401,15 +325,9 @@ def test_joint_quantities_are_as_uncertain_as_at_the_sender(
             assert g @ received.cov[:8, :8] @ g <= 1.12**2 * (g @ true @ g)
 
 
-def test_lines_of_a_map_error_take_two_frames_and_others_four() -> None:
-    """Levels hold what a map error is; nothing they have suits a line without any error."""
-    scene = road_scene(0, 4, "production", MapError(0.05, 0.05))
-    assert len(passed(CONDITIONAL, scene).full) <= 1
-
-
 @pytest.mark.parametrize("error", [None, MapError(0.05, 0.05, 0.001)])
-@pytest.mark.parametrize("radius", [30.0, 150.0, 1e6])
-@pytest.mark.parametrize("count", [1, 2, 4])
+@pytest.mark.parametrize("radius", [30.0, 1e6])
+@pytest.mark.parametrize("count", [1, 4])
 def test_a_scene_takes_no_more_frames_than_complete_records(
     count: int, radius: float, error: MapError | None
 ) -> None:
@@ -433,28 +351,6 @@ def test_a_scene_takes_no_more_frames_than_complete_records(
 # ---- the pose error ----------------------------------------------------------------------------
 
 
-@BOTH
-@pytest.mark.parametrize(
-    ("time", "decoded"),
-    [
-        (math.inf, math.inf),
-        (5e-324, level(-1.5)),
-        (level(-1.5), level(-1.5)),
-        (math.nextafter(level(-1.5), 1), 0.5),
-        (1.0, 1.0),
-        (math.nextafter(1.0, 2), level(0.5)),
-        (8.1, level(3.5)),
-        (level(5.5), level(5.5)),
-        (math.nextafter(level(5.5), 99), math.inf),
-        (1.7e308, math.inf),
-    ],
-)
-def test_the_correlation_time_is_rounded_up(time: float, decoded: float, dbc: str) -> None:
-    """To the next level, below the least one to that, and beyond the greatest one to unknown."""
-    scene = replace(straight_lanes(1), pose_error=PoseError(PRODUCTION, time))
-    assert passed(dbc, scene).scene.pose_error.correlation_time == decoded
-
-
 TIME = re.compile(r'(CorrelationTime (?:m1 )?: \d+\|4@1\+) \(0.5,-2\) \[-2\|5.5\] "octave"')
 
 
@@ -475,7 +371,7 @@ def altered(law: str) -> Codec:
         ('(12,20) [20|200] "octave"', 2.0**200),
     ],
 )
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(octaves=st.floats(-40, 210))
 def test_no_decoded_correlation_time_is_too_short(
     law: str, greatest: float, octaves: float

@@ -115,32 +115,6 @@ def test_an_authenticated_scene(dbc: str) -> None:
     assert decoder.lines == 0
 
 
-def test_a_line_has_the_covariance_that_it_has_in_the_scene() -> None:
-    """Of conditional records; each line that the decoder returns is that of the scene, too."""
-    codec = codec_of(CONDITIONAL)
-    decoder = codec.decoder()
-    answers, _ = feed(decoder, codec.encoder().encode_scene(road_scene(SLOTS), counters={}), 0)
-    lines = [answer for answer in answers if isinstance(answer, MapLine)]
-    scene = decoder.scene()
-    assert scene is not None
-    assert [line.slot for line in lines] == list(SLOTS)
-    for i, line in enumerate(lines):
-        joint = scene.scene.joint([line.slot])
-        assert (line.gaussian.mean == joint.mean).all()
-        np.testing.assert_allclose(line.gaussian.cov, joint.cov, rtol=1e-9)
-        assert (scene.scene.lines[i].gaussian.cov == joint.cov).all()
-
-
-def test_a_line_of_a_full_record_covers_at_least_what_the_scene_says() -> None:
-    codec = codec_of(COMPLETE)
-    sent = road_scene(SLOTS)
-    decoded = received(codec, sent)
-    for line in decoded.lines:
-        margin = line.gaussian.cov - sent.joint([line.slot]).cov
-        scale = 1 / np.sqrt(line.gaussian.cov.diagonal())
-        assert np.linalg.eigvalsh(margin * np.outer(scale, scale)).min() > -1e-9
-
-
 def beside(scene: Scene) -> Scene:
     """Return a scene whose second line is beyond YOff."""
     first, second, *others = scene.lines
@@ -208,19 +182,6 @@ def test_an_absent_slot_is_not_in_the_scene(dbc: str) -> None:
     assert not decoder.counts
 
 
-def test_counters_of_the_codec_have_no_gap() -> None:
-    """Each slot and the pose error counts by itself, modulo 256."""
-    codec = new_codec(CONDITIONAL)
-    encoder = codec.encoder()
-    prepared = encoder.prepare_scene(road_scene(SLOTS[:1]))
-    seen: dict[Any, list[int]] = {POSE: [], Slot.EGO_LEFT: []}
-    for _ in range(260):
-        for owner, frames in encoder.encode_scene(prepared).items():
-            seen[owner].append(frames[0].data[2])
-    expected = [n % 256 for n in range(260)]
-    assert seen == {POSE: expected, Slot.EGO_LEFT: expected}
-
-
 def test_counters_of_plain_lines_and_scenes_go_on() -> None:
     """They wrap around, too."""
     codec = new_codec(COMPLETE)
@@ -272,17 +233,6 @@ def test_a_decoded_range_is_within_the_one_sent(radius: float, sigma: Any, noise
     for line in decoded.scene.lines if decoded else ():
         sent = scene.line(line.slot)
         assert sent.x_min <= line.x_min <= line.x_max <= sent.x_max
-
-
-def test_a_decoded_range_is_hardly_shorter_than_the_one_sent() -> None:
-    """Its ends are multiples of 0.1 m, moved inwards, and the levels cost little."""
-    scene = road_scene(SLOTS[:2], radius=100.0)
-    for line in received(codec_of(CONDITIONAL), scene).lines:
-        sent = scene.line(line.slot)
-        assert sent.x_min <= line.x_min < sent.x_min + 0.15
-        assert sent.x_max - 0.15 < line.x_max <= sent.x_max
-        for end in (line.x_min, line.x_max):
-            assert 10 * end == pytest.approx(round(10 * end), abs=1e-9)
 
 
 def without_pose(dbc: str) -> str:
@@ -354,15 +304,13 @@ def faulty_stream(codec: Codec, faults: str, cycles: int, fd: bool) -> Iterator[
                 t_ns += FRAME_NS
 
 
-@pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
 @pytest.mark.parametrize("dbc", ALL)
 @pytest.mark.parametrize(
-    "faults",
+    ("faults", "fd"),
     [
-        "loss=0.1,seed=1",
-        "dup=0.1,reorder=0.1,depth=5,seed=2",
-        "flip=0.1,garbage=0.05,wrong_id=0.05,truncate=0.05,seed=3",
-        "loss=0.1,late=0.2,delay=0.02,jitter=0.1,seed=4",
+        ("dup=0.1,reorder=0.1,depth=5,seed=2", False),
+        ("flip=0.1,garbage=0.05,wrong_id=0.05,truncate=0.05,seed=3", True),
+        ("loss=0.1,late=0.2,delay=0.02,jitter=0.1,seed=4", False),
     ],
 )
 def test_every_frame_is_accounted_for(dbc: str, fd: bool, faults: str) -> None:

@@ -25,6 +25,7 @@ def test_threads_share_an_encoder_and_a_decoder(dbc: str) -> None:
         for own in encoder.encode_scene(prepared).values()
         for frame in own
     ]
+    first = codec.encoder().encode_scene(prepared)
     sent: list[Any] = []
     failed: list[BaseException] = []
 
@@ -33,17 +34,29 @@ def test_threads_share_an_encoder_and_a_decoder(dbc: str) -> None:
 
     def prepare() -> None:
         for _ in range(5):
-            codec.encoder().prepare_scene(road_scene())
+            frames_of = codec.encoder().encode_scene(road_scene())
+            assert frames_of == first
 
     def feed() -> None:
         for i, frame in enumerate(frames):
             decoder.feed(frame.can_id, bytes(frame.data), i * 10**6)
 
+    def feed_block() -> None:
+        n = len(frames)
+        data = np.array([list(frame.data) for frame in frames], np.uint8)
+        numbers = np.array([frame.can_id for frame in frames], np.uint32)
+        decoder.feed_arrays(
+            numbers, np.zeros(n, bool), np.arange(n) * 10**6, np.full(n, 8, np.uint8), data,
+            np.arange(n), np.zeros(n, np.uint8), 2,
+        )  # fmt: skip
+
     def ask() -> None:
         for _ in range(5 * SCENES):
             decoder.latest(Slot.EGO_LEFT, 0)
             decoder.latest_scene(0)
+            decoder.scene()
             decoder.slots(0)
+            decoder.expire(0)
 
     def batch() -> Any:
         cov = np.tile(np.diag([0.1, 1e-3, 1e-7, 1e-11]), (50, 1, 1))
@@ -61,13 +74,15 @@ def test_threads_share_an_encoder_and_a_decoder(dbc: str) -> None:
         except BaseException as error:  # noqa: BLE001 - the test shows it
             failed.append(error)
 
-    works = (feed, feed, ask, send, send, prepare, encode_batches, encode_batches)
+    works = (feed, feed, feed_block, ask, send, send, prepare, encode_batches, encode_batches)
     threads = [threading.Thread(target=watched, args=(work,)) for work in works]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
     assert failed == []
-    assert decoder.frames == 2 * len(frames)
+    assert decoder.frames == 3 * len(frames)
+    counted = decoder.line_frames + decoder.pose_frames + decoder.counts.total() + decoder.pending
+    assert decoder.frames == counted
     scenes = {tuple(bytes(frame.data) for own in one.values() for frame in own) for one in sent}
     assert len(scenes) == len(sent) == 2 * SCENES

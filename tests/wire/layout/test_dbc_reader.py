@@ -7,7 +7,7 @@ from typing import Any
 import cantools
 import pytest
 from answers import one
-from dbc_alterations import original, pose_original
+from dbc_alterations import original
 from dbcs import edited
 from random_lines import random_lines
 
@@ -70,12 +70,6 @@ def test_an_unsuitable_dbc_is_rejected_with_the_reason(
     with pytest.raises(LayoutError, match=words) as error:
         Codec.from_dbc(path)
     assert "edited.dbc" in str(error.value)
-
-
-def test_every_data_id_of_16_bits_is_accepted(tmp_path: Path) -> None:
-    """The greatest one included."""
-    path = edited(tmp_path, (r'("E2EDataId" BO_ (832|840)) \d+', r"\1 65535"))
-    assert Layout.from_dbc(path).messages[Slot.EGO_LEFT].data_id == 65535
 
 
 @pytest.mark.parametrize(
@@ -152,7 +146,7 @@ def test_a_dbc_with_another_secured_format_is_rejected(
 
 
 #: A DBC of two slots: five pages, a CAN FD message with padding, and an authenticated one.
-ORIGINAL, WITH_POSE = original(), pose_original()
+ORIGINAL = original()
 
 
 def edit(text: str, *edits: tuple[str, str]) -> str:
@@ -248,30 +242,6 @@ def test_a_whole_number_at_the_ends_of_its_range() -> None:
     assert (left.cycle_ms, right.cycle_ms) == (3_600_000, 0)
 
 
-def test_each_message_has_its_own_length_of_the_can_id() -> None:
-    """Classic and authenticated with 29 bits, CAN FD with 11."""
-    extended = [(rf"\b{n}\b", str(0x80000000 | 0x18FF0000 | n)) for n in (832, 848)]
-    messages = Layout.from_text(edit(ORIGINAL, *extended)).messages
-    left, right = (messages[slot] for slot in (Slot.EGO_LEFT, Slot.EGO_RIGHT))
-    assert (right.is_extended, right.fd_is_extended, right.secured_is_extended) == (False,) * 3
-    assert (left.can_id, left.is_extended) == (0x18FF0000 | 832, True)
-    assert (left.fd_can_id, left.fd_is_extended) == (840, False)
-    assert (left.secured_can_id, left.secured_is_extended) == (0x18FF0000 | 848, True)
-
-
-def test_a_key_id_and_a_mac_of_one_byte_may_be_intel() -> None:
-    """One byte is the same in both byte orders."""
-    text = edit(
-        ORIGINAL,
-        (r" SG_ KeyId : 391\|8@0", " SG_ KeyId : 440|8@1"),
-        (r" SG_ Freshness : 399\|56", " SG_ Freshness : 455|56"),
-        (r" SG_ Mac : 455\|64@0", " SG_ Mac : 504|8@1"),
-    )
-    secured = Layout.from_text(text).secured
-    assert secured is not None
-    assert (secured.authentic_bytes, secured.freshness_bytes, secured.mac_bytes) == (56, 7, 1)
-
-
 def test_can_fd_alone_with_a_foreign_signal_in_the_padding() -> None:
     """A DBC without classic messages; the record ends where the padding begins."""
     text = edit(
@@ -331,13 +301,6 @@ def test_only_messages_of_map_lines_need_their_own_can_id() -> None:
     database.add_dbc_string(foreign.format(832, "D"))
     with pytest.raises(LayoutError, match="EgoLeft and D have the same CAN ID, 832"):
         Layout.from_dbc(database)
-
-
-def test_a_message_with_map_line_pose_0_has_no_pose_error() -> None:
-    """As a message without the attribute."""
-    text = edit(WITH_POSE, (r'("MapLinePose" BO_ \d+) 1', r"\1 0"))
-    assert Layout.from_text(text).pose is None
-    assert Layout.from_text(WITH_POSE).pose is not None
 
 
 @pytest.mark.parametrize(

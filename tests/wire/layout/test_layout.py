@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from secoc_streams import LAYOUT
 
-from maplines_can import Codec, MapLine, Slot
+from maplines_can import Codec, Slot
 from maplines_can.values.errors import EncodeError, LayoutError
 from maplines_can.wire import Layout
 
@@ -57,17 +57,3 @@ def test_a_slot_without_messages_is_refused_in_a_batch() -> None:
     ):
         with pytest.raises(EncodeError, match="no message for slot 1"):
             use()
-
-
-@pytest.mark.parametrize(("fd", "kind"), [(True, "CAN FD"), (False, "classic")])
-def test_a_frame_format_without_a_message_is_refused(fd: bool, kind: str) -> None:
-    """A DBC may have only one of the two messages; the other format cannot be sent."""
-    layout = Layout.from_dbc()
-    left = layout.messages[Slot.EGO_LEFT]
-    only = replace(left, fd_can_id=None) if fd else replace(left, can_id=None)
-    codec = Codec(replace(layout, messages={Slot.EGO_LEFT: only}))
-    encoder = codec.encoder()
-    line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0])
-    with pytest.raises(EncodeError, match=f"no {kind} message for slot"):
-        encoder.encode(line, fd=fd)
-    assert len(encoder.encode(line, fd=not fd)) == (layout.pages if fd else 1)

@@ -2,6 +2,7 @@
 
 import random
 from collections import defaultdict
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from maplines_can.values.errors import LayoutError
 from maplines_can.wire import SHIPPED, Layout, default_dbc_path
 
 
+@cache
 def texts() -> dict[str, str]:
     shipped = {name: default_dbc_path(name).read_text("utf-8") for name in SHIPPED}
     return shipped | {code: dbc_writer_for(code).dbc() for code in CODES}

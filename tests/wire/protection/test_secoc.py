@@ -87,17 +87,6 @@ def test_replay_reordering_and_loss(clock: Any, lines: Any) -> None:
     assert decoder.counts == {Reason.REPLAY: 5}
 
 
-def test_an_old_frame_is_late_or_a_replay(clock: Any, lines: Any) -> None:
-    """Late before the window and not yet overtaken, and a replay if a newer one was accepted."""
-    codec = codec_of(clock=clock)
-    encoder, decoder = codec.encoder(), codec.decoder()
-    old = encoder.encode(lines[0], fd=True)
-    clock.now += 2 * S
-    assert names(feed(decoder, old)) == ["AGE"]
-    assert names(feed(decoder, encoder.encode(lines[0], fd=True))) == ["line"]
-    assert names(feed(decoder, old)) == ["REPLAY"]
-
-
 def test_each_slot_has_its_own_freshness(clock: Any, lines: Any) -> None:
     """Frames of two slots may be reordered, and none is accepted for the other slot."""
     codec = codec_of(clock=clock)
@@ -151,7 +140,7 @@ def test_a_sender_that_restarts(clock: Any, lines: Any) -> None:
     assert "line" in names(feed(decoder, frames, NOW + 10 * S))
 
 
-@pytest.mark.parametrize("apart", [3, 77, 128, 200])
+@pytest.mark.parametrize("apart", [3, 128])
 def test_two_senders_with_the_same_key(clock: Any, lines: Any, apart: int) -> None:
     """Both are authentic and always newer: all lines are delivered, but not VALID, and reported."""
     first, second = codec_of(clock=clock).encoder(), codec_of(clock=clock).encoder()
@@ -236,10 +225,8 @@ def test_a_freshness_value_that_could_not_be_completed_is_refused(
         Verifier(keys, SecuredLayout(41 + n, n, 8))
 
 
-@pytest.mark.parametrize(
-    ("n", "window_ns"), [(3, S), (3, 8_388_607_000), (4, S), (5, 30 * S), (7, S), (7, 600 * S)]
-)
-@pytest.mark.parametrize("offset", [-1, -0.5, 0, 0.999, 1])
+@pytest.mark.parametrize(("n", "window_ns"), [(3, S), (3, 8_388_607_000), (7, 600 * S)])
+@pytest.mark.parametrize("offset", [-1, 0, 1])
 @pytest.mark.parametrize(
     "gaps_s",
     [
@@ -315,7 +302,7 @@ def test_every_flipped_bit_is_rejected(clock: Any, lines: Any) -> None:
     assert names(feed(decoder, [frame])) == ["line"]
 
 
-@pytest.mark.parametrize("length", [0, 8, 32, 33, 47, 49, 64])
+@pytest.mark.parametrize("length", [0, 32, 47, 49])
 def test_another_length_is_rejected(clock: Any, lines: Any, length: int) -> None:
     """Truncated or longer; a frame of 32 bytes is the record without its MAC."""
     codec = codec_of(clock=clock)
@@ -368,7 +355,7 @@ def test_classic_can_with_a_key_raises(clock: Any, lines: Any) -> None:
         codec_of().encoder().encode(lines[0], fd=True)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100)
 @given(st.binary(max_size=64), st.sampled_from([0x340, 0x348, 0x350, 0x7FF]), st.booleans())
 def test_no_bytes_from_the_bus_can_raise(data: bytes, can_id: Any, is_extended: bool) -> None:
     """Any frame is rejected with a reason."""
@@ -423,28 +410,6 @@ def test_a_key_that_the_receiver_does_not_have(clock: Any, lines: Any) -> None:
     twice = codec_of(Key(SECRET, 1), Key(SECRET, 3), clock=clock).decoder()
     renumbered = frames[0]._replace(data=frames[0].data[:32] + b"\x03" + frames[0].data[33:])
     assert names(feed(twice, [renumbered, *frames])) == ["MAC", "line"]
-
-
-def test_the_steps_of_a_key_change(clock: Any, lines: Any) -> None:
-    """As in docs/security.md: no line is lost, and the old key is no longer accepted."""
-    old, new = Key(SECRET, 1), Key(OTHER, 2)
-    sender, receiver = codec_of(old, clock=clock), codec_of(old, clock=clock)
-    decoder, encoder = receiver.decoder(), sender.encoder()
-    answers = feed(decoder, sent(encoder, clock, lines[0], 2))
-    receiver.authenticator.add(new)
-    sender.authenticator.add(new)
-    late = sent(encoder, clock, lines[0], 1)
-    sender.authenticator.use(2)
-    answers += feed(decoder, late + sent(encoder, clock, lines[0], 2), clock.now)
-    receiver.authenticator.retire(1)
-    sender.authenticator.retire(1)
-    answers += feed(decoder, sent(encoder, clock, lines[0], 1), clock.now)
-    forged = sent(codec_of(old, clock=clock).encoder(), clock, lines[0], 1)
-
-    assert names(answers) == ["line"] * 6
-    assert names(feed(decoder, forged)) == ["KEY"]
-    assert [a.authenticator.keys for a in (sender, receiver)] == [(new,), (new,)]
-    assert receiver.authenticator.active == new
 
 
 def test_the_code_of_a_key_change_in_the_docs_runs() -> None:

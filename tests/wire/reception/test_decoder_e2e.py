@@ -22,14 +22,14 @@ from e2e_streams import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maplines_can import MapLine, Slot
+from maplines_can import MapLine
 from maplines_can.wire import E2EState, ProfileStatus, Reason
 
 OK, NONEWDATA, ERROR, REPEATED, OKSOMELOST, WRONGSEQUENCE = ProfileStatus
-VALID, NODATA, INIT, INVALID = E2EState
+VALID, INVALID = E2EState.VALID, E2EState.INVALID
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(st.integers(0, 32 * 8 - 1), max_size=4), st.integers(0, 254))
 def test_errors_agree_with_autosar_e2e(bits: Any, counter: int) -> None:
     """That package writes the counter and the checksum, and checks the damaged record."""
@@ -46,18 +46,6 @@ def test_errors_agree_with_autosar_e2e(bits: Any, counter: int) -> None:
     decoder.feed(0x348, bytes(damaged), CYCLE)
     good = e2e.p05.e2e_p05_check(bytes(damaged), data_id)
     assert decoder.checks[SLOT].status is (OK if good else ERROR)
-
-
-def test_a_slot_becomes_valid() -> None:
-    """With the seventh line: the first one leaves NODATA, then six count."""
-    decoder = default_codec().decoder()
-    states = []
-    for counter in range(8):
-        run(decoder, [counter], counter * CYCLE)
-        states.append(decoder.checks[SLOT].state)
-    assert states == [INIT] * 6 + [VALID] * 2
-    assert decoder.checks[Slot.ROUTE].state is NODATA
-    assert decoder.checks[Slot.ROUTE].stats().status is None
 
 
 @pytest.mark.parametrize("fd", [False, True])
@@ -100,17 +88,6 @@ def test_a_sender_that_restarts(at: int, silence: int) -> None:
     check_accounts(decoder)
 
 
-@pytest.mark.parametrize("fd", [False, True])
-def test_a_sender_that_restarts_with_the_same_lines(fd: bool) -> None:
-    """Bit for bit they are duplicates of old ones, until no line was new for ten cycles."""
-    decoder = default_codec().decoder()
-    _, t_ns = run(decoder, range(60), fd=fd)
-    answers, _ = run(decoder, range(60), t_ns, fd=fd)
-    assert answers[:10] == [Reason.DUPLICATE] * 10
-    assert all(isinstance(answer, MapLine) for answer in answers[10:])
-    assert not decoder.checks[SLOT].two_senders
-
-
 def test_repeated_restarts_are_not_two_senders() -> None:
     """Each time two lines are held back, as with a second sender, but not for long."""
     decoder, t_ns = default_codec().decoder(), 0
@@ -121,8 +98,8 @@ def test_repeated_restarts_are_not_two_senders() -> None:
 
 
 @pytest.mark.parametrize("fd", [False, True])
-@pytest.mark.parametrize("back", [1, 2, 7, 16, 100, 127])
-@pytest.mark.parametrize("later_ms", [1, 24, 26, 40])
+@pytest.mark.parametrize("back", [1, 7, 127])
+@pytest.mark.parametrize("later_ms", [1, 26])
 def test_a_late_line_is_not_delivered(later_ms: int, back: int, fd: bool) -> None:
     """Whether it was delivered before or not; later lines are."""
     decoder = default_codec().decoder()
@@ -150,7 +127,7 @@ def test_a_queue_of_old_lines_is_not_delivered(fd: bool) -> None:
 
 
 @pytest.mark.parametrize("fd", [False, True])
-@pytest.mark.parametrize("later_ms", [1, 24, 30, 500, 10**7])
+@pytest.mark.parametrize("later_ms", [1, 30, 10**7])
 def test_a_repeated_transfer_is_never_delivered_twice(later_ms: int, fd: bool) -> None:
     """Within the time-out the reassembly drops it; after that the counter check does."""
     decoder = default_codec().decoder()
@@ -165,17 +142,8 @@ def test_a_repeated_transfer_is_never_delivered_twice(later_ms: int, fd: bool) -
     check_accounts(decoder)
 
 
-def test_a_sender_that_restarts_at_the_last_counter_loses_one_line() -> None:
-    """It cannot be distinguished from a delayed transfer, so its first line is rejected."""
-    decoder = default_codec().decoder()
-    run(decoder, [0])
-    answers, _ = run(decoder, [0, 1, 2], t_ns=100 * CYCLE)
-    assert answers[0] is Reason.DUPLICATE
-    assert all(isinstance(answer, MapLine) for answer in answers[1:])
-
-
 @pytest.mark.parametrize("fd", [False, True])
-@pytest.mark.parametrize("lines", [20, 31, 32, 33, 64])
+@pytest.mark.parametrize("lines", [20, 32, 64])
 def test_a_sender_that_is_stuck(lines: int, fd: bool) -> None:
     """The same record forever is one line, INVALID after a while, and not two senders."""
     decoder = default_codec().decoder()
@@ -206,16 +174,6 @@ def test_damaged_records_end_valid(fd: bool) -> None:
     assert (slot.statuses[ERROR], slot.statuses[NONEWDATA], slot.lost) == (3, 0, 3)
 
 
-def test_a_frame_of_the_wrong_length_is_an_error() -> None:
-    """With a CAN ID of the slot; a frame of another ID counts for no slot."""
-    decoder = default_codec().decoder()
-    run(decoder, range(10))
-    decoder.feed(0x348, b"short", 10 * CYCLE)
-    decoder.feed(0x123, b"short", 10 * CYCLE)
-    assert decoder.checks[SLOT].statuses[ERROR] == 1
-    assert sum(check.statuses[ERROR] for check in decoder.checks.values()) == 1
-
-
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("k", [2, 3, 8])
 def test_each_component_of_a_mixture_is_a_check(k: int, fd: bool) -> None:
@@ -243,8 +201,8 @@ def test_each_component_of_a_mixture_is_a_check(k: int, fd: bool) -> None:
 
 
 @pytest.mark.parametrize("fd", [False, True])
-@pytest.mark.parametrize("offset_ms", [5, 20, 30, 45])
-@pytest.mark.parametrize("apart", [0, 1, 2, 5, 8, 16, 100, 128, 200, 255])
+@pytest.mark.parametrize("offset_ms", [5, 30])
+@pytest.mark.parametrize("apart", [0, 1, 8, 100, 255])
 def test_two_senders_on_a_slot(apart: int, offset_ms: int, fd: bool) -> None:
     """With any difference of counters and times: reported, and not VALID."""
     decoder = default_codec().decoder()
@@ -254,25 +212,7 @@ def test_two_senders_on_a_slot(apart: int, offset_ms: int, fd: bool) -> None:
     check_accounts(decoder)
 
 
-@pytest.mark.parametrize(
-    "how",
-    [
-        pytest.param({"every": 4}, id="the-second-is-slower"),
-        pytest.param({"every": 20, "cycles": 400}, id="the-second-is-much-slower"),
-        pytest.param({"loss": 0.1}, id="lines-are-lost"),
-        pytest.param({"k": 3}, id="mixtures"),
-        pytest.param({"k": 8}, id="mixtures-of-eight"),
-    ],
-)
-@pytest.mark.parametrize("offset_ms", [15, 30])
-@pytest.mark.parametrize("apart", [2, 77])
-def test_two_senders_are_found_under_other_conditions(apart: int, offset_ms: int, how: Any) -> None:
-    """Other rates, losses, and lines of many records."""
-    how = {"cycles": 80} | how
-    assert two_senders(default_codec().decoder(), offset_ms, apart, **how).two_senders
-
-
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=20)
 @given(
     st.integers(0, 2**32), st.booleans(), st.sampled_from([1, 1, 3]), st.sampled_from([0.05, 0.3])
 )
@@ -304,39 +244,3 @@ def test_one_sender_is_not_taken_for_two(seed: int, fd: bool, k: Any, bad: Any) 
         decoder.feed(frame.can_id, frame.data, at)
     assert not decoder.checks[SLOT].two_senders
     check_accounts(decoder)
-
-
-@pytest.mark.parametrize("fd", [False, True])
-@pytest.mark.parametrize("gap_ms", [0, 150, 300, 10_000])
-@pytest.mark.parametrize("late_ms", [60, 160, 300, 450])
-def test_a_slower_path_repeats_nothing(late_ms: int, gap_ms: int, fd: bool) -> None:
-    """All frames come over two gateways; when the faster one fails, no line is repeated."""
-    arrivals = []
-    for k in range(120):
-        for i, frame in enumerate(frames(k, fd)):
-            at = k * CYCLE + i * MS // 4
-            if not 40 * CYCLE <= at < 40 * CYCLE + gap_ms * MS:
-                arrivals.append((at, k, frame))
-            arrivals.append((at + late_ms * MS, k, frame))
-    decoder = default_codec().decoder()
-    delivered = [
-        k
-        for at, k, frame in sorted(arrivals, key=lambda arrival: arrival[:2])
-        if isinstance(one(decoder.feed(frame.can_id, frame.data, at)), MapLine)
-    ]
-    assert delivered == sorted(set(delivered))
-    assert len(delivered) >= 120 - (gap_ms + late_ms) // 50
-
-
-def test_a_second_sender_that_has_gone_is_forgotten() -> None:
-    """After 256 cycles."""
-    decoder = default_codec().decoder()
-    slot = two_senders(decoder, 20, 40)
-    assert slot.two_senders
-    counter, t_ns = 40 + 40, 40 * CYCLE
-    for _ in range(254):
-        _, t_ns = run(decoder, [counter % 256], t_ns)
-        counter += 1
-    assert slot.two_senders
-    run(decoder, [c % 256 for c in range(counter, counter + 4)], t_ns)
-    assert not slot.two_senders

@@ -5,7 +5,6 @@ import pickle
 from functools import cache
 from typing import Any
 
-import numpy as np
 import pytest
 from answers import one
 from dbcs import default_codec
@@ -18,8 +17,7 @@ from maplines_can.wire import E2EConfig, E2EState, Reason
 
 VALID, INVALID = E2EState.VALID, E2EState.INVALID
 MAX_DELTA = E2EConfig().max_delta_counter
-COMPONENTS = [1, 2, 4, 8]
-PHASES = [0.0, 0.02, 0.3, 0.5, 0.51, 0.9, 1.0, 1.4, 2.2, 4.0]
+PHASES = [0.0, 0.5, 0.51, 1.4, 4.0]
 
 
 def most_ahead(phase: float, components: int) -> int:
@@ -49,7 +47,7 @@ def slot_of(records: int) -> Received:
 
 
 @pytest.mark.parametrize("history", [8, 40])
-@pytest.mark.parametrize("components", COMPONENTS)
+@pytest.mark.parametrize("components", [1, 8])
 def test_a_late_line_is_delivered_only_if_it_cannot_be_told_from_a_newer_one(
     components: int, history: int
 ) -> None:
@@ -150,10 +148,8 @@ SPILLS: dict[str, Any] = {
 
 @pytest.mark.parametrize("sender", ["goes on", "silent"])
 @pytest.mark.parametrize("spill", SPILLS)
-@pytest.mark.parametrize(
-    ("components", "held"), [(1, 1), (1, 3), (1, 8), (1, 16), (1, 32), (8, 3), (8, 8), (8, 10)]
-)
-@pytest.mark.parametrize("first_counter", [0, 8, 104])
+@pytest.mark.parametrize(("components", "held"), [(1, 1), (1, 16), (1, 32), (8, 3), (8, 10)])
+@pytest.mark.parametrize("first_counter", [0, 104])
 def test_a_gateway_that_spills_held_back_lines_gets_none_delivered(
     first_counter: int, components: int, held: int, spill: str, sender: str
 ) -> None:
@@ -181,22 +177,6 @@ def test_a_gateway_that_spills_held_back_lines_gets_none_delivered(
     assert len(delivered) == (19 if sender == "goes on" else 0)
 
 
-def test_a_backlog_after_a_silent_window_is_delivered_but_not_usable() -> None:
-    """It looks like a sender that restarted: eight lines are not usable, those after them are."""
-    stream = Stream()
-    stream.run(range(40))
-    stream.t_ns += 20 * CYCLE
-    stream.run(range(60, 70))
-    assert stream.decoder.latest(SLOT, stream.t_ns).usable
-    stream.t_ns += 10 * CYCLE
-    states = []
-    for line in range(40, 49):
-        assert isinstance(stream.receive(line), MapLine)
-        states.append(stream.decoder.latest(SLOT, stream.t_ns).state)
-        stream.t_ns += MS
-    assert states == [INVALID] * 8 + [VALID]
-
-
 @pytest.mark.parametrize("last", [9, 60, 130, 200])
 def test_a_restart_within_the_window_costs_two_lines(last: int) -> None:
     """If its first lines are lost, up to 15, it is the same."""
@@ -222,43 +202,3 @@ def test_another_sender_takes_over_after_the_window(counter: int) -> None:
         if taken_over and valid is None and slot.check.state is VALID:
             valid = k
     assert (taken_over, valid) == (11, 19)
-
-
-@pytest.mark.parametrize("lost", [0, 1, 15, 16, 60, 100])
-def test_a_clock_that_stands_still_does_not_silence_a_slot(lost: int) -> None:
-    """Up to 15 lost records do no harm; with more, none is new until the counter comes round."""
-    slot = Received()
-    for i in range(10):
-        slot.received(i, i, 7, 1)
-    dropped = 0
-    while slot.received((10 + lost + dropped) % 256, -dropped, 7, 1) is not None:
-        dropped += 1
-        assert dropped < 256
-    assert dropped == (0 if lost < MAX_DELTA else 256 - lost)
-
-
-@pytest.mark.parametrize("back", [1, 50, 3600_000])
-def test_a_clock_that_is_set_back_does_not_silence_a_slot(back: int) -> None:
-    """The next line is new."""
-    slot = slot_of(100)
-    assert slot.received(100, -1, 99 * CYCLE - back * MS, 1) is None
-    assert slot.received(103, -2, 100 * CYCLE - back * MS, 1) is None
-
-
-@pytest.mark.parametrize("faster", [2, 5])
-@pytest.mark.parametrize("components", COMPONENTS)
-def test_a_sender_faster_than_the_cycle_loses_only_what_the_bus_loses(
-    components: int, faster: int
-) -> None:
-    """Its rate is learnt; a cycle time that is too long does not make its lines late ones."""
-    slot, dropped = Received(), list[int]()
-    rng = np.random.default_rng(5)
-    most_lost = 120 // components - 2  # beyond, nothing tells a newer record from an older one
-    first = 0
-    for _ in range(100):
-        for line in range(first, first + 20):
-            for i in range(line * components, (line + 1) * components):
-                reason = slot.received(i % 256, i, line * CYCLE // faster, components)
-                dropped += [] if reason is None else [line]
-        first += 20 + int(rng.integers(1, min(most_lost, 8)))
-    assert dropped == []

@@ -1,6 +1,5 @@
 """Frames of the pose error and of conditional records: all pages of one, and their checks."""
 
-from itertools import permutations
 from typing import Any
 
 import pytest
@@ -13,8 +12,6 @@ from maplines_can.wire import (
     POSE,
     Authenticator,
     Codec,
-    Decoder,
-    E2EConfig,
     E2EState,
     Frame,
     Key,
@@ -33,36 +30,6 @@ def sent(dbc: str, counter: int, owner: Any = POSE, *, fd: bool = False) -> list
     counters = dict.fromkeys((POSE, *Slot), counter % 256)
     codec = new_codec(dbc)
     return codec.encoder().encode_scene(road_scene(), counters=counters, fd=fd)[owner]
-
-
-def receive(state: Decoder, counter: int, t_ns: int) -> None:
-    """Feed a pose error with this counter, which must be new."""
-    (frame,) = sent(CONDITIONAL, counter, fd=True)
-    before = state.pose_errors
-    assert state.feed(frame.can_id, frame.data, t_ns) is Reason.PENDING
-    assert state.pose_errors == before + 1
-
-
-@pytest.mark.parametrize("slot", [SLOT, Slot.EGO_RIGHT])
-def test_a_record_is_complete_with_its_last_page(slot: Slot) -> None:
-    """In any order of the pages; it waits for its pose error."""
-    for order in permutations(sent(CONDITIONAL, 5, slot)):
-        state = new_codec(CONDITIONAL).decoder()
-        for i, frame in enumerate(order):
-            assert state.checks[slot].counter is None
-            assert state.feed(frame.can_id, frame.data, i) is Reason.PENDING
-        assert (state.checks[slot].counter, state.pending) == (5, len(order))
-
-
-def test_pages_of_another_record_are_counted() -> None:
-    """Pages 2 and 3 of a long record that lost its first pages, then a short one of the same ID."""
-    (whole,) = sent(CONDITIONAL, 4, SLOT, fd=True)
-    short = sent(CONDITIONAL, 4, SLOT)
-    assert len(short) == 2
-    state = new_codec(CONDITIONAL).decoder()
-    for data in (whole.data[16:24], whole.data[24:32], *(frame.data for frame in short)):
-        assert state.feed(short[0].can_id, data, 0) is Reason.PENDING
-    assert (state.counts, state.pending) == ({Reason.INCOMPLETE: 2}, 2)
 
 
 @pytest.mark.parametrize("fd", [False, True])
@@ -99,16 +66,6 @@ def test_a_damaged_pose_error_is_rejected() -> None:
     assert state.feed(frame.can_id, frame.data[:15], 0) is Reason.LENGTH
 
 
-def test_after_a_restart_the_records_follow_a_break() -> None:
-    """A receiver must not join lines of before the restart."""
-    state, ahead = new_codec(CONDITIONAL).decoder(), list[int | None]()
-    for i, counter in [*enumerate(range(100, 110)), *enumerate(range(5), 30)]:
-        (frame,) = sent(CONDITIONAL, counter, fd=True)
-        state.feed(frame.can_id, frame.data, i * CYCLE)
-        ahead.append(state.checks[POSE].ahead)
-    assert ahead == [1] * 10 + [None] + [1] * 4
-
-
 @pytest.mark.parametrize("dbc", [SECURED, CONDITIONAL])
 def test_pose_errors_and_lines_are_authenticated(dbc: str) -> None:
     """With SecOC; without a key, or with a wrong MAC, nothing is accepted."""
@@ -128,26 +85,6 @@ def test_pose_errors_and_lines_are_authenticated(dbc: str) -> None:
     assert state.feed(plain.can_id, plain.data, 0) is Reason.UNAUTHENTICATED
     with pytest.raises(EncodeError, match="classic CAN is not authenticated"):
         codec.encoder().encode_scene(road_scene())
-
-
-@pytest.mark.parametrize(
-    ("max_delta", "in_sequence"), [(16, 16), (40, 40), (100, 64)], ids=["default", "40", "most"]
-)
-def test_pose_errors_may_be_lost(max_delta: int, in_sequence: int) -> None:
-    """As records of a slot, up to a quarter of the counters; more is a sequence break."""
-    for ahead in (in_sequence, in_sequence + 1):
-        state = new_codec(CONDITIONAL).decoder(e2e=E2EConfig(max_delta_counter=max_delta))
-        receive(state, 9, 0)
-        receive(state, 9 + ahead, ahead * CYCLE)
-        assert state.checks[POSE].ahead == (ahead if ahead == in_sequence else None)
-
-
-def test_a_fast_sender_of_pose_errors_may_lose_many() -> None:
-    """Its rate is learnt, so that those after 40 lost ones are new: 8 cycles of the DBC."""
-    state = new_codec(CONDITIONAL).decoder()
-    for i in range(40):
-        receive(state, i, i * CYCLE // 5)
-    receive(state, 80, 80 * CYCLE // 5)
 
 
 def test_damaged_pose_errors_are_checks() -> None:

@@ -50,16 +50,6 @@ def check_accounts(decoder: Any, frames: Any) -> None:
     assert Reason.PENDING not in decoder.counts
 
 
-def test_a_transfer_becomes_a_line(codec: Any) -> None:
-    """Three pages wait, the fourth delivers; the line has the time of the first."""
-    decoder = codec.decoder()
-    *waiting, line = feed(decoder, transfers()[0], t_ns=7)
-    assert waiting == [Reason.PENDING] * 3
-    assert isinstance(line, MapLine)
-    assert line.t_ns == 7
-    check_accounts(decoder, 4)
-
-
 @pytest.mark.parametrize("order", [(3, 2, 1, 0), (1, 0, 3, 2), (2, 3, 0, 1)])
 def test_pages_in_any_order(codec: Any, order: Any) -> None:
     """Reordering within a transfer does not matter."""
@@ -104,14 +94,6 @@ def test_an_fd_frame_twice_is_delivered_once(codec: Any) -> None:
     check_accounts(decoder, 2)
 
 
-def test_a_late_transfer_is_not_delivered_after_a_newer_one(codec: Any) -> None:
-    """A consumer never sees an older line after a newer one."""
-    decoder = codec.decoder()
-    answers = feed(decoder, [*transfers()[5], *transfers()[4], *transfers()[6]])
-    assert sum(isinstance(a, MapLine) for a in answers) == 2
-    assert decoder.counts == {Reason.STALE: 4}
-
-
 def test_a_slow_transfer_times_out(codec: Any) -> None:
     """Pages further apart than the time-out are not one transfer."""
     decoder = codec.decoder(timeout_ms=10)
@@ -124,16 +106,6 @@ def test_a_slow_transfer_times_out(codec: Any) -> None:
     assert decoder.counts == {Reason.TIMEOUT: 3}
     assert decoder.feed(d.can_id, d.data, 41 * MS) is Reason.PENDING
     check_accounts(decoder, 4)
-
-
-def test_a_restarted_sender_is_received_after_two_lines(codec: Any) -> None:
-    """A step back is taken for an old line, until the lines after it have come for a while."""
-    decoder = codec.decoder(timeout_ms=50)
-    for transfer in transfers(6, Slot.EGO_LEFT, seed=3):
-        assert isinstance(feed(decoder, transfer)[-1], MapLine)
-    assert feed(decoder, transfers()[0], t_ns=20 * MS)[-1] is Reason.STALE
-    assert feed(decoder, transfers()[1], t_ns=70 * MS)[-1] is Reason.STALE
-    assert isinstance(feed(decoder, transfers()[2], t_ns=120 * MS)[-1], MapLine)
 
 
 def test_a_clock_that_is_set_back_does_not_stop_the_lines(codec: Any) -> None:
@@ -182,49 +154,17 @@ def test_an_fd_frame_may_be_padded(codec: Any) -> None:
     assert isinstance(one(codec.decoder().feed(frame.can_id, frame.data + bytes(16), 0)), MapLine)
 
 
-def test_a_gateway_repacks_without_decoding(codec: Any) -> None:
-    """Four pages laid end to end are the FD payload, and the other way round."""
-    for pages, (fd,) in zip(transfers(), transfers(fd=True), strict=True):
-        assert b"".join(frame.data for frame in pages) == fd.data
-
-
 @pytest.mark.parametrize("fd", [False, True])
-@pytest.mark.parametrize("bit", range(0, 256, 5))
-def test_a_flipped_bit_never_becomes_a_line(codec: Any, fd: bool, bit: Any) -> None:
-    """Wherever it is, the transfer is dropped and the next one delivered."""
-    decoder = codec.decoder()
-    broken = with_a_flipped_bit(transfers(fd=fd)[0], bit)
-    assert not any(isinstance(a, MapLine) for a in feed(decoder, broken))
-    later = feed(decoder, transfers(fd=fd)[1], t_ns=100 * MS)
-    assert isinstance(later[-1], MapLine)
-    check_accounts(decoder, 2 * len(broken))
-
-
-@pytest.mark.parametrize("fd", [False, True])
-@pytest.mark.parametrize("bit", range(0, 256, 3))
-def test_a_damaged_record_does_not_cost_the_good_one_after_it(
-    codec: Any, fd: bool, bit: Any
-) -> None:
-    """The same record, first with a flipped bit and at once whole: it is delivered."""
-    decoder = codec.decoder()
-    broken = with_a_flipped_bit(transfers(fd=fd)[3], bit)
-    feed(decoder, broken)
-    answers = feed(decoder, [*transfers(fd=fd)[3], *transfers(fd=fd)[4]], t_ns=10_000)
-    assert sum(isinstance(answer, MapLine) for answer in answers) == 2
-
-
-@pytest.mark.parametrize("fd", [False, True])
-def test_random_frames_on_its_id_do_not_silence_a_line(codec: Any, fd: bool) -> None:
-    """A frame of random bytes after each line, at 50 Hz: nearly all lines come through."""
-    rng = np.random.default_rng(6)
-    decoder = codec.decoder()
-    delivered = 0
-    for k in range(400):
-        transfer = transfers(256, fd=fd)[k % 256]
-        t_ns = k * 20 * MS
-        delivered += isinstance(feed(decoder, transfer, t_ns)[-1], MapLine)
-        decoder.feed(transfer[0].can_id, rng.bytes(32 if fd else 8), t_ns + 10 * MS)
-    assert delivered >= 380
+def test_a_flipped_bit_never_becomes_a_line(codec: Any, fd: bool) -> None:
+    """Wherever it is, the record is dropped; the same one, whole, and the next are delivered."""
+    first, second = transfers(fd=fd)[3:5]
+    for bit in range(0, 256, 3):
+        decoder = codec.decoder()
+        broken = with_a_flipped_bit(first, bit)
+        assert not any(isinstance(answer, MapLine) for answer in feed(decoder, broken))
+        answers = feed(decoder, [*first, *second], t_ns=10_000)
+        assert sum(isinstance(answer, MapLine) for answer in answers) == 2, bit
+        check_accounts(decoder, 3 * len(first))
 
 
 def test_pages_of_two_transfers_with_one_id_fail_the_checksum(codec: Any) -> None:
@@ -235,7 +175,7 @@ def test_pages_of_two_transfers_with_one_id_fail_the_checksum(codec: Any) -> Non
     check_accounts(decoder, 4)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32), st.booleans())
 def test_whatever_the_bus_does_each_line_is_a_sent_one_and_comes_once(seed: int, fd: bool) -> None:
     """Loss, duplication, local reordering, corruption and foreign frames at random."""
@@ -271,7 +211,7 @@ def test_whatever_the_bus_does_each_line_is_a_sent_one_and_comes_once(seed: int,
     assert numbers == sorted(set(numbers))  # each one sent, none twice, never backwards
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(st.tuples(st.integers(0x33F, 0x351), st.binary(max_size=64), st.integers(-9, 9))))
 def test_no_bytes_from_the_bus_can_raise(frames: Any) -> None:
     """Whatever arrives is read or dropped with a reason, at any time."""
@@ -327,28 +267,6 @@ def test_a_page_of_a_recent_transfer_is_a_duplicate(codec: Any) -> None:
             assert answer is Reason.DUPLICATE, back
         assert decoder.pending == 0
     assert decoder.lines == 60
-
-
-def test_a_line_that_stands_still_is_received_after_a_loss(codec: Any) -> None:
-    """Of less than half a round of IDs: the next pages are not those of the round before."""
-    ids = 2 ** codec.layout["TransferId0"].length
-    for gap in range(1, ids // 2):
-        decoder = codec.decoder(timeout_ms=200)
-        for i in [*range(ids), ids - 1 + gap]:
-            line = feed(decoder, standing(2 * ids)[i][::-1], t_ns=2 * i * MS)[-1]
-            assert isinstance(line, MapLine), gap
-        assert decoder.counts == {}
-
-
-def test_a_page_of_an_old_transfer_begins_a_new_one(codec: Any) -> None:
-    """After as many transfers lost as there are IDs, a line that stands still has equal pages."""
-    decoder = codec.decoder(timeout_ms=50)
-    ids = 2 ** codec.layout["TransferId0"].length
-    for i in (0, ids):
-        *waiting, line = feed(decoder, standing(ids + 1)[i][::-1], t_ns=50 * i * MS)
-        assert waiting == [Reason.PENDING] * 3
-        assert isinstance(line, MapLine)
-    assert decoder.counts == {}
 
 
 def test_a_counter_in_two_pages_is_refused(codec: Any) -> None:

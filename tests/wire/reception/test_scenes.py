@@ -29,7 +29,6 @@ from maplines_can.wire import (
     Decoder,
     E2EState,
     Frame,
-    ProfileStatus,
     Reason,
     ReceivedFrame,
 )
@@ -76,22 +75,6 @@ def test_lines_wait_for_their_pose_error() -> None:
         assert (line.gaussian.mean == of_scene.gaussian.mean).all()
         assert line.t_ns < scene.t_ns
         assert line.age == max(0.0, scene.age + (line.t_ns - scene.t_ns) / 1e9)
-    assert accounted(decoder)
-
-
-def test_full_records_are_delivered_before_their_pose_error() -> None:
-    """They join the scene when it comes."""
-    (frames,) = cycles(COMPLETE, 1)
-    pose = {POSE: frames.pop(POSE)}
-    decoder = codec_of(COMPLETE).decoder()
-    answers, t_ns = feed(decoder, frames, 0)
-    assert sum(isinstance(one, MapLine) for one in answers) == 3
-    assert decoder.scene() is None
-    answers, _ = feed(decoder, pose, t_ns)
-    assert set(answers) == {Reason.PENDING}
-    scene = decoder.scene()
-    assert scene is not None
-    assert len(scene.scene.lines) == 3
     assert accounted(decoder)
 
 
@@ -251,18 +234,6 @@ def bits(found: object) -> Any:
     return [*map(bits, found)] if isinstance(found, tuple | list) else found
 
 
-def test_the_last_scene_of_a_sender_that_stops_has_waited_for_long_enough() -> None:
-    one, two = cycles(CONDITIONAL, 2)
-    decoder = codec_of(CONDITIONAL).decoder()
-    feed(decoder, one, 0)
-    feed(decoder, {owner: two[owner] for owner in (POSE, *SLOTS[1:])}, PERIOD_NS)
-    for t_ns, newest, lines in ((4 * PERIOD_NS, 0, 3), (7 * PERIOD_NS, PERIOD_NS, 2)):
-        decoder.expire(t_ns)
-        scene = decoder.scene()
-        assert scene is not None
-        assert (scene.t_ns, len(scene.scene.lines)) == (newest, lines)
-
-
 def test_no_scene_is_usable_while_the_newest_pose_error_is_too_old() -> None:
     """Also that of the cycle before is not, of which the age remains what it was."""
     codec = codec_of(CONDITIONAL)
@@ -326,24 +297,6 @@ class Forger:
             record = raw_record(self.layout, slot, counter % 256, whole)
             frames[slot] = self.writer.write(record, slot, False)
         return frames
-
-
-def test_a_line_that_is_no_function_of_x_is_dropped() -> None:
-    """By its content; the other lines of its scene are there, whether it comes early or late."""
-    forger = Forger()
-    x, c0 = forger.layout["XMax"].raw_max, forger.layout["C0"].raw_max
-    bad = {"XMax": x, "C0": c0, "C1": forger.layout["C1"].raw_max}
-    frames = forger.frames({}, {Slot.EGO_LEFT: bad, Slot.EGO_RIGHT: {}})
-    pages = len(frames[Slot.EGO_LEFT])
-    for order in ([POSE, *SLOTS[:2]], [*SLOTS[:2], POSE], [Slot.EGO_LEFT, POSE, Slot.EGO_RIGHT]):
-        decoder = codec_of(CONDITIONAL).decoder()
-        feed(decoder, {owner: frames[owner] for owner in order}, 0)
-        assert decoder.counts == {Reason.CONTENT: pages}
-        assert decoder.lines == 1
-        scene = decoder.scene()
-        assert scene is not None
-        assert [line.slot for line in scene.scene.lines] == [Slot.EGO_RIGHT]
-        assert accounted(decoder)
 
 
 def test_a_full_line_that_is_no_function_of_x_is_in_no_scene() -> None:
@@ -430,127 +383,3 @@ def test_a_scene_that_is_too_old_is_not_usable() -> None:
     assert (view.state, view.stale, view.age, view.usable) == (E2EState.VALID, False, np.inf, False)
     assert view.scene is not None
     assert not any(decoder.latest(slot, t_ns).usable for slot in SLOTS)
-
-
-def test_lines_that_waited_are_the_newest_of_their_slots() -> None:
-    """All that a pose error completes."""
-    decoder = codec_of(CONDITIONAL).decoder()
-    (frames,) = cycles(CONDITIONAL, 1)
-    pose = {POSE: frames.pop(POSE)}
-    _, t_ns = feed(decoder, frames, 0)
-    feed(decoder, pose, t_ns)
-    assert all(decoder.latest(slot, t_ns).line is not None for slot in SLOTS)
-
-
-@pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
-def test_the_statistics_of_the_pose_error(dbc: str) -> None:
-    """None before the first; those of now, although nothing was received since."""
-    decoder = codec_of(dbc).decoder()
-    assert decoder.pose_error(0) is None
-    for n, frames in enumerate(cycles(dbc, 10)):
-        feed(decoder, frames, n * PERIOD_NS)
-    for silent, no_new_data, state in ((0, 0, E2EState.VALID), (10, 9, E2EState.INVALID)):
-        stats = decoder.pose_error((9 + silent) * PERIOD_NS)
-        assert stats is not None
-        assert (stats.ok, stats.no_new_data, stats.state) == (10, no_new_data, state)
-
-
-def test_a_scene_is_not_usable_before_the_state_is_valid() -> None:
-    """After the first pose error it is INIT, whatever the age."""
-    decoder = codec_of(CONDITIONAL).decoder()
-    _, t_ns = feed(decoder, cycles(CONDITIONAL, 1, age=0.02)[0], 0)
-    view = decoder.latest_scene(t_ns)
-    assert (view.state, view.stale, view.usable) == (E2EState.INIT, False, False)
-    assert view.age < 0.1
-
-
-def test_a_line_without_a_valid_range_is_in_no_scene() -> None:
-    """It is delivered, but begins no scene; the scene has the other lines."""
-    codec, (frames,) = codec_of(COMPLETE), cycles(COMPLETE, 1)
-    empty = MapLine.with_sigma(
-        Slot.EGO_RIGHT, [0, 0, 0, 0], [0.1, 0.01, 1e-3, 1e-4], x_min=0, x_max=0
-    )
-    frames[Slot.EGO_RIGHT] = codec.encoder().encode_lines([empty], counters={})[0]
-    decoder = codec.decoder()
-    answers, t_ns = feed(decoder, {owner: frames.pop(owner) for owner in (POSE, empty.slot)}, 0)
-    assert isinstance(answers[-1], MapLine)
-    assert decoder.scene() is None
-    answers, _ = feed(decoder, frames, t_ns)
-    assert sum(isinstance(one, MapLine) for one in answers) == 2
-    received = decoder.scene()
-    assert received is not None
-    assert [line.slot for line in received.scene.lines] == [Slot.EGO_LEFT, Slot.NEXT_LEFT]
-
-
-def test_a_fast_sender_of_scenes_may_lose_many() -> None:
-    """Its rate is learnt, so that the line after 40 lost ones is new: 8 cycles of the DBC."""
-    forger, decoder = Forger(), codec_of(CONDITIONAL).decoder()
-    for counter in [*range(40), 80, 81]:
-        frames = forger.frames({}, {Slot.EGO_LEFT: {}}, counter)
-        answers, _ = feed(decoder, frames, counter * PERIOD_NS // 5)
-        # After a sequence break a line joins later pose errors only.
-        assert isinstance(answers[-1], MapLine) is (counter != 80)
-    assert decoder.counts == {Reason.POSE: len(frames[Slot.EGO_LEFT])}
-
-
-def test_after_a_sequence_break_of_a_slot_its_lines_wait_for_a_later_pose_error() -> None:
-    """Of conditional and of full records; those of the other slots join."""
-    for dbc in (CONDITIONAL, COMPLETE):
-        codec, (first,) = codec_of(dbc), cycles(dbc, 1)
-        counters: dict[Any, int] = dict.fromkeys([POSE, *SLOTS], 1) | {Slot.EGO_RIGHT: 41}
-        far = codec.encoder().encode_scene(road_scene(SLOTS), counters=counters)
-        decoder = codec.decoder()
-        feed(decoder, first, 0)
-        feed(decoder, far, 40 * PERIOD_NS)
-        assert decoder.checks[Slot.EGO_RIGHT].status is ProfileStatus.WRONGSEQUENCE
-        scene = decoder.scene()
-        assert scene is not None
-        assert scene.t_ns == 40 * PERIOD_NS
-        assert [line.slot for line in scene.scene.lines] == [Slot.EGO_LEFT, Slot.NEXT_LEFT]
-
-
-@pytest.mark.parametrize("components", [1, 2])
-def test_a_mixture_is_in_no_scene(components: int) -> None:
-    """Even if a sender states the counter of its last component in the pose error."""
-    codec = codec_of(COMPLETE)
-    counters: dict[Any, int] = {POSE: 0, Slot.EGO_LEFT: components - 1}
-    (line,) = road_scene(SLOTS[:1]).lines
-    weights = np.full((1, components), 1 / components)
-    payloads = codec.batch.encode_mixtures(
-        weights,
-        np.tile(line.gaussian.mean, (1, components, 1)),
-        np.tile(line.gaussian.cov, (1, components, 1, 1)),
-        slot=line.slot,
-        counter=[0],
-        x_min=line.x_min,
-        x_max=line.x_max,
-    )[0]
-    frames = codec.encoder().encode_scene(road_scene(SLOTS[:1]), counters=counters)
-    frames[line.slot] = [
-        f for payload in payloads for f in codec.encoder().frames(payload, line.slot)
-    ]
-    decoder = codec.decoder()
-    answers, _ = feed(decoder, frames, 0)
-    assert isinstance(answers[-1], MapLine)
-    assert (decoder.scene() is not None) is (components == 1)
-
-
-@pytest.mark.parametrize(("ahead", "is_new"), [(16, True), (17, False)])
-def test_a_line_of_a_scene_is_one_record(ahead: int, is_new: bool) -> None:
-    """After 9 cycles it may be ahead by max_delta_counter, as a line that is no mixture."""
-    forger, decoder = Forger(), codec_of(CONDITIONAL).decoder()
-    first, later = (forger.frames({}, {Slot.EGO_LEFT: {}}, n)[Slot.EGO_LEFT] for n in (0, ahead))
-    feed(decoder, {Slot.EGO_LEFT: first}, 0)
-    answers, _ = feed(decoder, {Slot.EGO_LEFT: later}, 9 * PERIOD_NS)
-    assert answers[-1] is (Reason.PENDING if is_new else Reason.STALE)
-
-
-def test_a_pose_error_that_is_not_complete_times_out() -> None:
-    """After 1.5 cycles; its frames are counted with those of lines."""
-    decoder = codec_of(CONDITIONAL).decoder()
-    (frames,) = cycles(CONDITIONAL, 1)
-    feed(decoder, {POSE: frames[POSE][:1]}, 0)
-    decoder.expire(3 * PERIOD_NS // 2)
-    assert (decoder.pending, decoder.counts) == (1, {})
-    decoder.expire(3 * PERIOD_NS // 2 + 1)
-    assert (decoder.pending, decoder.counts) == (0, {Reason.TIMEOUT: 1})

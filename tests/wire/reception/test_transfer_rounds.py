@@ -66,30 +66,6 @@ def test_the_default_follows_from_the_dbc(edits: Any, cycles: float, tmp_path: P
         assert {one.timeout_ns for one in settings.values()} == {timeout_ms * MS}
 
 
-class FewIds:
-    """A layout with other numbers of transfer IDs and components."""
-
-    signals = ("ComponentCount",)
-
-    def __init__(self, bits: int, components: float) -> None:
-        self.bits, self.components = bits, components
-
-    def __getitem__(self, name: str) -> Any:
-        class Signal:
-            length, physical_range = self.bits, (1.0, self.components)
-
-        return Signal
-
-
-@pytest.mark.parametrize(
-    ("bits", "components", "cycles"),
-    [(4, 8, 1.5), (4, 16, 0.5), (3, 8, 0.5), (5, 24, 5 / 6), (4, 1, 1.5)],
-)
-def test_fewer_transfer_ids_shorten_the_time_out(bits: int, components: Any, cycles: Any) -> None:
-    """To half a cycle at least."""
-    assert timeout_cycles(FewIds(bits, components)) == pytest.approx(cycles)  # type: ignore[arg-type]
-
-
 # -- two transfers of one ID ------------------------------------------------------------------
 
 
@@ -100,78 +76,6 @@ def pages() -> Any:
     means[:, 0] = np.arange(RECORDS) / 64 - 8
     payloads = default_codec().batch.encode(means, covs, slot=SLOT)
     return [[row[8 * i : 8 * i + 8].tobytes() for i in range(PAGES)] for row in payloads]
-
-
-class Mixing:
-    """A decoder of pages whose records are all intact: a wrong checksum is of two transfers."""
-
-    def __init__(self) -> None:
-        self.decoder, self.complete = default_codec().decoder(), list[int]()
-
-    @property
-    def mixed(self) -> int:
-        return self.decoder.counts[Reason.CRC] // PAGES
-
-    def feed(self, record: int, page: int, t_ms: float = 0.0) -> None:
-        data = pages()[record % RECORDS][page]
-        answer = self.decoder.feed(CAN_ID, data, round(t_ms * MS))
-        if not isinstance(answer, Reason):
-            self.complete += [round(64 * (line.gaussian.mean[0] + 8)) for line in answer]
-
-
-def test_a_page_0_with_a_newer_counter_starts_anew() -> None:
-    """Of the older transfer nothing is left, so a page that is lost is not replaced by its own."""
-    mixing = Mixing()
-    for record, page in [(3, 0), (3, 1), (19, 0), (19, 2), (19, 3)]:
-        mixing.feed(record, page)
-    assert mixing.decoder.counts == {Reason.REPLACED: 2}
-    assert (mixing.mixed, mixing.decoder.pending) == (0, 3)
-    mixing.feed(19, 1)
-    assert mixing.complete == [19]
-
-
-def test_a_late_page_0_of_an_older_transfer_does_no_harm() -> None:
-    """The newer transfer is complete without it."""
-    mixing = Mixing()
-    for record, page in [(19, 0), (19, 1), (3, 0), (19, 2), (19, 3)]:
-        mixing.feed(record, page)
-    assert mixing.decoder.counts == {Reason.REPLACED: 1}
-    assert (mixing.mixed, mixing.complete) == (0, [19])
-
-
-@pytest.mark.parametrize(("later", "newest"), [(16, 1), (112, 1), (128, 0), (240, 0)])
-def test_of_two_counters_half_a_round_apart_the_first_is_kept(later: int, newest: int) -> None:
-    """A counter is newer if it is ahead by less than half of the counter modulus."""
-    mixing = Mixing()
-    records = (3, 3 + later)
-    for record in records:
-        mixing.feed(record, 0)
-    for page in range(1, PAGES):
-        mixing.feed(records[newest], page)
-    assert mixing.decoder.counts == {Reason.REPLACED: 1}
-    assert mixing.complete == [records[newest]]
-
-
-@pytest.mark.parametrize("later", range(1, 16))
-def test_a_good_record_ends_transfers_of_the_previous_round(later: int) -> None:
-    """Whatever the time: half of the IDs later at the latest, and so before its ID comes again."""
-    mixing = Mixing()
-    for page in (0, 1, 3):
-        mixing.feed(3, page)
-    for page in range(PAGES):
-        mixing.feed(3 + later, page)
-    is_ended = later >= 8
-    assert mixing.decoder.pending == (0 if is_ended else 3)
-    assert mixing.decoder.counts == ({Reason.INCOMPLETE: 3} if is_ended else {})
-
-
-def test_a_transfer_that_begins_after_a_record_is_not_ended_by_it() -> None:
-    """The next records may overtake the last pages of one."""
-    mixing = Mixing()
-    for record, page in [(3, 0), (4, 0), (3, 1), (11, 0), (3, 2), (3, 3)]:
-        mixing.feed(record, page)
-    assert mixing.complete == [3]
-    assert mixing.decoder.pending == 2
 
 
 def schedule(
@@ -208,26 +112,27 @@ def schedule(
 
 @pytest.mark.parametrize(
     ("components", "late_ms", "most"),
-    [(1, 0, 0), (1, 25, 0), (4, 0, 0), (4, 25, 0), (8, 0, 1), (8, 2, 1), (8, 25, 25)],
+    [(1, 25, 0), (4, 25, 0), (8, 2, 1)],
 )
 def test_hardly_a_record_of_two_transfers_reaches_the_checksum(
     components: int, late_ms: float, most: int
 ) -> None:
-    """Of 12 000 records; 10 % of the frames lost, 5 % doubled, 5 % late, a sender held up.
+    """Of 4000 records; 10 % of the frames lost, 5 % doubled, 5 % late, a sender held up.
 
     With 8 components a transfer ID comes again after 100 ms, or 40 ms if the first of the two lines
     is held up for 60 ms: more than the jitter of half a cycle. The checksum misses one in 65 536.
     """
-    mixing = Mixing()
+    decoder, lines = default_codec().decoder(), 0
     for at, record, page in schedule(
-        np.random.default_rng(3), 12_000 // components, components, late_ms=late_ms
+        np.random.default_rng(3), 4000 // components, components, late_ms=late_ms
     ):
-        mixing.feed(record, page, at)
-    assert mixing.mixed <= most
-    assert len(mixing.complete) > 0.55 * 12_000  # those that are late are STALE
+        answer = decoder.feed(CAN_ID, pages()[record % RECORDS][page], round(at * MS))
+        lines += not isinstance(answer, Reason)
+    assert decoder.counts[Reason.CRC] <= most * PAGES  # each record is intact
+    assert lines > 0.55 * 4000  # those that are late are STALE
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 2**32),
     components=st.integers(1, 8),

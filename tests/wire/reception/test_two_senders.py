@@ -85,7 +85,7 @@ AHEAD = st.one_of(
 
 
 @pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
-@settings(max_examples=15, phases=[Phase.explicit, Phase.generate])
+@settings(max_examples=6, phases=[Phase.explicit, Phase.generate])
 @given(
     every=st.sampled_from([1, 3, 10]),
     phase=st.floats(0.01, 0.99),
@@ -112,14 +112,14 @@ def test_two_senders_are_soon_unusable(
     assert all(senders for t, senders in seen if 8 < t < begin)  # it was all usable before
 
 
-@pytest.mark.parametrize("every", [1, 2, 3, 5, 10])
-@pytest.mark.parametrize("start", [0, 20, 300])
+@pytest.mark.parametrize("every", [1, 3, 10])
+@pytest.mark.parametrize("start", [0, 300])
 def test_the_time_of_detection(every: int, start: int) -> None:
-    """Of the check of one slot or pose error, for all differences of the counters.
+    """Of the check of one slot or pose error, for near and some far differences of the counters.
 
     No record of the second sender is usable for longer than until that of the first.
     """
-    for ahead, phase in product(range(256), [0.2, 0.9]):
+    for ahead, phase in product([*range(-6, 24), *range(24, 250, 15)], [0.2, 0.9]):
         check = SequenceCheck(Windows(), 256, 2, PERIOD_NS, is_authentic=False)
         begin, until = start + phase, start + detection(every) + 1
         records = [(float(n), 0, n) for n in range(int(until) + 1)]
