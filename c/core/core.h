@@ -365,6 +365,11 @@ void maplines_moments_of(size_t n, size_t outputs, size_t m, const double *mean_
 /// error. It makes the covariance exactly symmetric; memory is n (n + 1) doubles.
 bool maplines_check_gaussian(size_t n, double rounding, const double *mean, double *cov,
                              double *memory);
+/// Lower triangular factor of an (n, n) matrix, n up to 32; false if a pivot is not positive.
+bool maplines_factor_of(size_t n, const double *S, double *L);
+/// Eigenvalues (count, n) and eigenvectors of symmetric matrices (count, n, n), n up to 32. The
+/// matrices are overwritten.
+void maplines_eigen_of(size_t count, size_t n, double *S, double *values, double *V);
 /// Lateral position of a line at x, and its standard deviation to first order [m].
 double maplines_line_y(double y_off, double beta, double c0, double c1, double x);
 double maplines_line_sigma(double beta, const double cov[16], double x);

@@ -56,7 +56,7 @@ static bool make_symmetric(size_t n, double *S, double rounding, const double *s
 }
 
 /// Whether Cholesky's recursion on the correlation matrix, with the rounding on its diagonal, has
-/// pivots of more than 0 only: values/linalg.py, is_indefinite.
+/// pivots of more than 0 only: values/linalg.py, indefinite.
 static bool is_semidefinite(size_t n, const double *S, double rounding, const double *scale,
                             double *L)
 {
@@ -95,6 +95,19 @@ bool maplines_check_gaussian(size_t n, double rounding, const double *mean, doub
     }
     return is_valid && scale_of(n, cov, memory) && make_symmetric(n, cov, rounding, memory) &&
            is_semidefinite(n, cov, rounding, memory, memory + n);
+}
+
+bool maplines_factor_of(size_t n, const double *S, double *L)
+{
+    return maplines_cholesky_factor((int)n, S, L);
+}
+
+void maplines_eigen_of(size_t count, size_t n, double *S, double *values, double *V)
+{
+    for (size_t i = 0; i < count; i++)
+    {
+        maplines_eigen((int)n, S + n * n * i, values + n * i, V + n * n * i);
+    }
 }
 
 double maplines_line_y(double y_off, double beta, double c0, double c1, double x)

@@ -1,6 +1,6 @@
 /* Cubics as lines: from their coefficients, through points by least squares, from another pose.
  *
- * It has the operations of values/cubics.py in the same order.
+ * It has the operations of model/lines.py in the same order.
  */
 #include "internal.h"
 

@@ -240,7 +240,7 @@ MAPLINES_INTERNAL void maplines_cover_mixture(const maplines_dbc_t *dbc,
                                               double *decoded_weights, double cover[16]);
 /// MAPLINES_SENT, or what is wrong with kind, status, range and age of a line.
 MAPLINES_INTERNAL maplines_refusal_t maplines_check_input(const maplines_input_t *line);
-/* ---- cubics.c: as values/cubics.py
+/* ---- cubics.c: as model/lines.py
  * --------------------------------------------------------------- */
 
 #define MAPLINES_FIT_POINTS 16 ///< points of a line to which a cubic is fitted from another pose
@@ -269,7 +269,7 @@ MAPLINES_INTERNAL bool maplines_is_function(const maplines_points_t *points);
 MAPLINES_INTERNAL void maplines_refitted(const maplines_points_t *points, const double pose[3],
                                          double line[4]);
 
-/* ---- seen_lines.c: lines as functions of the pose, as values/seen_lines.py
+/* ---- seen_lines.c: lines as functions of the pose, as model/lines.py
  * ------------------------ */
 
 #define MAPLINES_POSES 7 ///< sigma points of a pose error, the first of which is 0
@@ -277,7 +277,7 @@ MAPLINES_INTERNAL void maplines_refitted(const maplines_points_t *points, const 
 /// Derivatives of a line with respect to its coefficients of T_0 .. T_3; upper triangular.
 MAPLINES_INTERNAL void maplines_bases(const double mean[4], const double fit_range[2],
                                       double J[16]);
-/// Square root of an (n, n) positive semidefinite matrix, n up to 4; as values/linalg.py.
+/// Square root of an (n, n) positive semidefinite matrix, n up to 4; as model/matrices.py.
 MAPLINES_INTERNAL void maplines_square_root(int n, const double *cov, double *L);
 /// Sigma points of a pose error with covariance P.
 MAPLINES_INTERNAL void maplines_pose_points(const double P[9], double (*poses)[3]);

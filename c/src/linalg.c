@@ -1,4 +1,4 @@
-/* Linear algebra with a fixed order of operations: that of values/fixed_order.py.
+/* Linear algebra with a fixed order of operations: that of model/matrices.py.
  *
  * Matrices are arrays of their rows. Where there are n of something, n is at most MAPLINES_STATES.
  */

@@ -1,5 +1,5 @@
 /* Covariances of a caller: what is wrong with one, and the nearest one if it is indefinite. The
- * operations are those of values/linalg.py in the same order.
+ * operations are those of model/covariance.py in the same order.
  */
 #include "internal.h"
 

@@ -1,6 +1,6 @@
 /* Lines as functions of the pose from which they are seen.
  *
- * It has the operations of values/seen_lines.py and values/linalg.py in the same order.
+ * It has the operations of model/lines.py and model/matrices.py in the same order.
  */
 #include "internal.h"
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..values import fixed_order
 from ..values.elementary import sin_cos, tan
 from ..values.mixture import moments
 
@@ -64,10 +63,10 @@ def deficit(
     gap /= scale2
     # On overflow some component is so far out of range that its own record is OUT_OF_RANGE.
     gap[~np.isfinite(gap).all(axis=(1, 2))] = 0.0
-    values, vectors = fixed_order.eigen(gap)
+    values, vectors = np.linalg.eigh(gap)
     # A little more than the gap, so that a check with another algorithm's rounding passes.
     values = np.where(values > 0, values * (1 + 1e-6), 0.0)
-    lifted = fixed_order.product(vectors * values[:, None, :], vectors.mT)
+    lifted = (vectors * values[:, None, :]) @ vectors.mT
     return (lifted + lifted.mT) / 2 * scale2
 
 

@@ -7,20 +7,23 @@ coordinates of one unit that the caller names (``positive_part``).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import fixed_order
+from ..core import lib
+from ..core.memory import pointer
 from .arrays import floats
-from .fixed_order import cholesky, eigen, total
 
 #: Asymmetry and negative eigenvalues up to this, relative to the standard
 #: deviations, count as rounding errors; larger ones are the caller's mistake.
 ROUNDING = 1e-9
 #: Largest variance or covariance; sums of such values stay within the floats.
 MAX_COV = 1e307
+#: Most rows of a matrix that the core takes: the parameters of all lines of a scene.
+MAX_ROWS = 32
 
 
 def rounding_of(cov: object) -> float:
@@ -42,40 +45,18 @@ def asymmetric(cov: NDArray[np.float64], rounding: float = ROUNDING) -> NDArray[
 def indefinite(cov: NDArray[np.float64], rounding: float = ROUNDING) -> NDArray[np.bool_]:
     """Return (...,) which of (..., n, n) symmetric matrices are not positive semidefinite.
 
-    A matrix counts as indefinite if the Cholesky recursion on its correlation
-    matrix, with ``rounding`` added to the diagonal, has a pivot of 0 or less.
+    These are the ones whose correlation matrix has an eigenvalue of ``-rounding`` or less.
     """
-    S = np.moveaxis(cov, (-2, -1), (0, 1))
-    scale = np.moveaxis(scale_of(cov), -1, 0)
-    bad = np.zeros(cov.shape[:-2], dtype=bool)
-    L: list[list[NDArray[np.float64]]] = []
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        for i in range(len(S)):
-            row: list[NDArray[np.float64]] = []
-            for j in range(i):
-                rest = S[i, j] / (scale[i] * scale[j]) - sum(row[k] * L[j][k] for k in range(j))
-                row.append(rest / L[j][j])
-            pivot = S[i, i] / (scale[i] * scale[i]) + rounding - sum(x * x for x in row)
-            bad |= ~(pivot > 0)
-            L.append([*row, np.sqrt(pivot)])
-    return bad
+    scale = scale_of(cov)
+    values = np.linalg.eigvalsh(cov / (scale[..., :, None] * scale[..., None, :]))
+    return np.asarray(~(values > -rounding).all(axis=-1))
 
 
 def is_covariance(cov: NDArray[np.float64]) -> bool:
-    """Return whether (..., n, n) matrices are covariances up to rounding, as ``Gaussian`` demands.
-
-    The Cholesky factors of their correlation matrices exist with ``ROUNDING`` on the diagonals.
-    """
+    """Return whether (..., n, n) matrices are covariances up to rounding, as of a ``Gaussian``."""
     variance = np.diagonal(cov, axis1=-2, axis2=-1)
-    if not ((np.abs(cov) <= MAX_COV).all() and (variance >= 0).all()) or asymmetric(cov).any():
-        return False
-    scale = scale_of(cov)
-    correlation = cov / scale[..., None, :] / scale[..., :, None]
-    try:
-        np.linalg.cholesky(correlation + ROUNDING * np.eye(cov.shape[-1]))
-    except np.linalg.LinAlgError:
-        return False
-    return True
+    is_valid = (np.abs(cov) <= MAX_COV).all() and (variance >= 0).all()
+    return bool(is_valid and not asymmetric(cov).any() and not indefinite(cov).any())
 
 
 def nearest_covariance(cov: ArrayLike) -> NDArray[np.float64]:
@@ -115,15 +96,16 @@ def nearest_covariance(cov: ArrayLike) -> NDArray[np.float64]:
         return nearest
     # Variances that rounding hides beside covariances many times larger than they admit: sums of
     # absolute values cover any row.
-    sums = fixed_order.total(np.abs(S))[..., None] * np.eye(S.shape[-1])
+    sums = np.abs(S).sum(axis=-1)[..., None] * np.eye(S.shape[-1])
     return np.asarray(np.where(np.asarray(lost.any(axis=-1))[..., None, None], sums, nearest))
 
 
 def _nearest(S: NDArray[np.float64], scale: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return ``nearest_covariance`` of (..., n, n) matrices, nearest in units of a scale."""
     scale2 = scale[..., :, None] * scale[..., None, :]
-    values, vectors = fixed_order.eigen(S / scale2)  # an encoder sends what this returns
-    lifted = fixed_order.product(vectors * values.clip(0)[..., None, :], vectors.mT)
+    values, vectors = eigen(S / scale2)
+    positive = vectors * values.clip(0)[..., None, :]
+    lifted = (positive[..., :, None, :] * vectors[..., None, :, :]).sum(axis=-1)
     lifted = (lifted + lifted.mT) / 2 * scale2
     return np.where(values.min(axis=-1)[..., None, None] < 0, lifted, S)
 
@@ -177,11 +159,12 @@ def square_root(cov: NDArray[np.float64]) -> NDArray[np.float64]:
            [1., 0.]])
     """
     tiny = 8 * len(cov) * np.finfo(float).eps
-    L = cholesky(np.asarray(cov, dtype=float))
-    pivots = L.diagonal()
-    if (pivots * pivots > tiny * np.diagonal(cov)).all():
-        return L
-    return _semidefinite_root(cov, tiny)
+    given, L = np.ascontiguousarray(cov, dtype=float), np.empty(cov.shape)
+    if len(cov) <= MAX_ROWS and lib.maplines_factor_of(len(cov), pointer(given), pointer(L)):
+        pivots = L.diagonal()
+        if (pivots * pivots > tiny * given.diagonal()).all():
+            return L
+    return _semidefinite_root(given, tiny)
 
 
 def _semidefinite_root(cov: NDArray[np.float64], tiny: float) -> NDArray[np.float64]:
@@ -193,14 +176,32 @@ def _semidefinite_root(cov: NDArray[np.float64], tiny: float) -> NDArray[np.floa
     k = 0
     for j in range(len(M)):
         v = M[j, k:].copy()
-        norm = np.sqrt(total(v * v))
+        norm = np.sqrt((v * v).sum())
         if norm > tiny:  # reflect the remainder of row j onto column k
             v[0] += np.copysign(norm, v[0])
-            share = total(M[:, k:] * v) * (2 / total(v * v))
+            share = (M[:, k:] * v).sum(axis=1) * (2 / (v * v).sum())
             M[:, k:] -= share[:, None] * v
             L[j:, j] = M[j:, k] * np.sign(M[j, k])
             k += 1
     return L * np.sqrt(cov.diagonal().clip(0))[:, None]  # zero variance: zero row
+
+
+def eigen(S: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the (..., n) eigenvalues and (..., n, n) eigenvectors of symmetric matrices.
+
+    They are in no order. Those of up to 32 rows have the same bits on any machine, and small
+    eigenvalues of a scaled matrix are relatively exact: by Jacobi's method, in the core.
+
+    >>> values, _ = eigen(np.array([[2.0, 1.0], [1.0, 2.0]]))
+    >>> np.sort(values).round(12)
+    array([1., 3.])
+    """
+    n = S.shape[-1]
+    if n > MAX_ROWS:
+        return np.linalg.eigh(S)
+    rest, values, vectors = np.array(S, order="C"), np.empty(S.shape[:-1]), np.empty(S.shape)
+    lib.maplines_eigen_of(math.prod(S.shape[:-2]), n, *map(pointer, (rest, values, vectors)))
+    return values, vectors
 
 
 def solve_lower(L: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
