@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
-from itertools import accumulate
+from dataclasses import dataclass
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +27,7 @@ from ..values.polyline import Polyline
 from ..values.scene import PoseError, Scene
 from .paths import REASONS, Paths, check_misfit, checked_window, numbers_of, paths_near
 from .quadrature import Quadrature
-from .refit import MAX_MISFIT, Refits, refits_memory
+from .refit import MAX_MISFIT, Refit, refits_memory
 from .sigma_points import SigmaPoints
 from .splitting import Mixture
 from .transform import Rule, Transform
@@ -131,12 +131,11 @@ def map_scene(
         lines: the line of the map for each slot.
         ego: Gaussian over the pose (e_x [m], e_y [m], e_h [rad]) in the map frame.
         correlation_time: of the pose error [s]; infinite if it is unknown.
-        window: (x_min, x_max) ahead of the mean pose that the ranges may extend to [m].
+        window: as of ``map_lines``.
         transform: for the moments; None for ``SigmaPoints()``.
-        map_error: error of the map, in addition to the error of the pose.
-        max_misfit: largest deviation of a cubic from its line [m].
-        max_sigma: largest standard deviation of the lateral position of a line [m]; its range ends
-            where it passes this. Infinite for no limit.
+        map_error: as of ``map_lines``.
+        max_misfit: as of ``map_lines``.
+        max_sigma: as of ``map_lines``.
 
     Returns:
         The lines in the order of ``lines``; ``left_out`` has the reasons of the others by slot.
@@ -250,9 +249,13 @@ class Query(NamedTuple):
             return None
         k, left_out = reasons.count(0), self.left_out(reasons)
         found.setflags(write=False)
-        means, x_ranges, fit_ranges, quartics, specific_covs, cov = (
-            found[begin : begin + size].reshape(shape) for begin, size, shape in _parts(count, k)
-        )
+        arrays, begin = [], 0
+        for row in ((4,), (2,), (2,), (), (4, 4)):
+            size = math.prod(row)
+            arrays.append(found[begin : begin + size * k].reshape(k, *row))
+            begin += size * count
+        means, x_ranges, fit_ranges, quartics, specific_covs = arrays
+        cov = found[begin : begin + (4 * k) ** 2].reshape(4 * k, 4 * k)
         if not k:
             return Scene((), cov, pose_error, fit_ranges, self.map_error, left_out)
         covs = [cov[i : i + 4, i : i + 4] for i in range(0, 4 * k, 4)]
@@ -279,18 +282,6 @@ class Query(NamedTuple):
         if not function(paths.memory, self.values, *points, work, left_out, pointer(found)):
             return None
         return bytes(ffi.buffer(left_out))
-
-    def fitted_lines(self) -> FittedLines:
-        """Return the lines that ``map_lines`` gives, before their moments are known."""
-        paths = self.paths()
-        memory, reasons = refits_memory(paths.lines), ffi.new("uint8_t[]", paths.lines)
-        x_ranges = np.empty((paths.lines, 2))
-        arrays = reasons, pointer(x_ranges), pointer(memory)
-        count = lib.maplines_fit_lines(paths.memory, self.values, paths.work(), *arrays)
-        slots = [slot for slot, reason in zip(self.lines, reasons, strict=True) if not reason]
-        refits = Refits(memory, count, has_noise=self.has_noise)
-        left_out = self.left_out(bytes(ffi.buffer(reasons)))
-        return FittedLines(slots, refits, x_ranges[:count], left_out)
 
     def made(
         self,
@@ -319,30 +310,11 @@ class Query(NamedTuple):
         return {slot: reason for slot, reason in pairs if reason is not None}
 
 
-class FittedLines(NamedTuple):
-    """Lines as functions of the pose, and the ranges that leave room for the pose error."""
-
-    slots: list[Slot]
-    refits: Refits
-    x_ranges: NDArray[np.float64]  #: (L, 2) [m]
-    left_out: dict[Slot, LeftOut]
-
-
 @lru_cache(maxsize=KEPT)
 def _points_of(rule: Rule) -> tuple[Any, ...]:
     """Return the points of a transform of a pose as arguments of the core."""
     arrays = (rule.z, rule.mean_weights, rule.cov_weights)
     return (len(rule.z), *(pointer(np.ascontiguousarray(array)) for array in arrays))
-
-
-@lru_cache(maxsize=128)
-def _parts(lines: int, k: int) -> tuple[tuple[int, int, tuple[int, ...]], ...]:
-    """Return begin, size and shape of the arrays that the core sets of a scene of k lines."""
-    shapes = [(k, 4), (k, 2), (k, 2), (k,), (k, 4, 4), (4 * k, 4 * k)]
-    begins = accumulate((4, 2, 2, 1, 16), lambda begin, row: begin + row * lines, initial=0)
-    return tuple(
-        (begin, int(np.prod(shape)), shape) for begin, shape in zip(begins, shapes, strict=True)
-    )
 
 
 def _counts(lines: Sequence[Slot] | Mapping[Slot, Any], components: Any) -> dict[Slot, int]:
@@ -357,44 +329,56 @@ def _counts(lines: Sequence[Slot] | Mapping[Slot, Any], components: Any) -> dict
 # ---- step by step ---------------------------------------------------------------------
 
 
+@dataclass(frozen=True, eq=False)
 class _Function:
     """Lines as a function of the pose, with values also where they are no functions of x."""
 
-    def __init__(self, refits: Refits, lines: list[int]) -> None:
-        self._refits, self._lines = refits, lines
-        self.noise_cov = None if refits.noise_cov is None else refits.noise_cov[lines]
+    values: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    noise_cov: NDArray[np.float64] | None
 
     def __call__(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the (N, L, 4) lines for (N, 3) poses."""
-        return self._refits.extended(poses)[:, self._lines]
+        return self.values(poses)
+
+
+def _values_of(refit: Refit, places: list[int], poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    return refit.extended(poses)[:, places]
 
 
 def _lines_by(query: Query, counts: Mapping[Slot, int], transform: Transform | None) -> MapLineList:
     """Return the lines of ``map_lines`` by any transform, and as mixtures."""
-    fitted = query.fitted_lines()
-    left_out = fitted.left_out
+    paths = query.paths()
+    memory, reasons = refits_memory(paths.lines), ffi.new("uint8_t[]", paths.lines)
+    x_ranges = np.empty((paths.lines, 2))
+    arrays = reasons, pointer(x_ranges), pointer(memory)
+    count = lib.maplines_fit_lines(paths.memory, query.values, paths.work(), *arrays)
+    refit = Refit.of_memory(memory, count, has_noise=query.has_noise)
+    slots = [slot for slot, reason in zip(query.lines, reasons, strict=True) if not reason]
+    left_out = query.left_out(bytes(ffi.buffer(reasons)))
     # Lines of one component share the calls; each mixture has a direction of its own to cut along.
-    singles = [i for i, slot in enumerate(fitted.slots) if counts[slot] == 1]
-    mixtures = [[i] for i, slot in enumerate(fitted.slots) if counts[slot] != 1]
+    singles = [i for i, slot in enumerate(slots) if counts[slot] == 1]
+    mixtures = [[i] for i, slot in enumerate(slots) if counts[slot] != 1]
     found: dict[Slot, MapLine] = {}
     for places in [singles] * bool(singles) + mixtures:
-        function, k = _Function(fitted.refits, places), counts[fitted.slots[places[0]]]
+        function = _Function(
+            partial(_values_of, refit, places),
+            None if refit.noise_cov is None else refit.noise_cov[places],
+        )
+        k = counts[slots[places[0]]]
         if k == 1:
             mean, cov = (transform or SIGMA_POINTS).moments(function, query.ego)
             weights, means, covs = np.ones(1), mean[None], cov[None]
         else:
             weights, means, covs = Mixture(k, transform).moments(function, query.ego)
         for i, place in enumerate(places):
-            slot = fitted.slots[place]
+            slot, ends = slots[place], x_ranges[place]
             gaussians = tuple(map(Gaussian, means[:, i], covs[:, i]))
             mixture = GaussianMixture(weights, gaussians) if k > 1 else None
             gaussian = gaussians[0] if mixture is None else mixture.overall
-            arrays = map(pointer, (gaussian.mean, gaussian.cov))
-            ends = pointer(fitted.x_ranges[place])
-            if not lib.maplines_shorten_line(*arrays, query.max_sigma, ends):
+            moments = map(pointer, (gaussian.mean, gaussian.cov))
+            if not lib.maplines_shorten_line(*moments, query.max_sigma, pointer(ends)):
                 left_out[slot] = LeftOut.UNCERTAIN
                 continue
-            low, high = fitted.x_ranges[place].tolist()
+            low, high = ends.tolist()
             kind = query.lines[slot].kind
             found[slot] = MapLine(slot, gaussian, kind, low, high, mixture=mixture)
     return MapLineList(
@@ -411,42 +395,37 @@ def _scene_by(query: Query, transform: Transform, pose_error: PoseError) -> Scen
     lib.maplines_search_scene(paths.memory, query.values, work, search)
     displacement = Gaussian.trusted(np.zeros(3), pose_error.cov)
     while k := lib.maplines_search_fit(search, left_out, pointer(memory)):
-        refits = Refits(memory, k, has_noise=query.has_noise)
-        mean, cov = transform.moments(_Flat(refits), displacement)
+        refit = Refit.of_memory(memory, k, has_noise=query.has_noise)
+        own = refit.noise_cov
+        function = _Function(
+            partial(_joint_values, refit), None if own is None else block_diagonal(own)
+        )
+        mean, cov = transform.moments(function, displacement)
         means, x_ranges = np.ascontiguousarray(mean.reshape(k, N)), np.empty((k, 2))
         arrays = (means, np.ascontiguousarray(cov), x_ranges)
         if lib.maplines_search_settle(search, *map(pointer, arrays)):
             break
     reasons = bytes(ffi.buffer(left_out))
     if not k:
-        shapes = np.zeros((0, 0)), pose_error, np.zeros((0, 2))
-        return Scene((), *shapes, query.map_error, query.left_out(reasons))
+        nothing = np.zeros((0, 0)), pose_error, np.zeros((0, 2))
+        return Scene((), *nothing, query.map_error, query.left_out(reasons))
     covs = [cov[i : i + N, i : i + N] for i in range(0, N * k, N)]
-    specific = np.zeros((k, N, N)) if refits.noise_cov is None else refits.noise_cov
     return Scene(  # which checks the joint covariance, and so those of its lines
         tuple(query.made(reasons, means, covs, x_ranges)),
         cov,
         pose_error,
-        refits.x_range,
+        refit.x_range,
         query.map_error,
         query.left_out(reasons),
-        refits.quartic,
-        specific,
+        refit.quartic,
+        np.zeros((k, N, N)) if own is None else own,
     )
 
 
-class _Flat:
-    """The parameters of all lines as one output, so that a transform gives their joint moments.
+def _joint_values(refit: Refit, displacements: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the parameters of all lines as one output, whose moments are the joint ones.
 
     They are functions of the displacement in the ego frame, as at a receiver: so both take the same
     sigma points.
     """
-
-    def __init__(self, refits: Refits) -> None:
-        self._refits = refits
-        own = refits.noise_cov
-        self.noise_cov = None if own is None else block_diagonal(own)
-
-    def __call__(self, displacements: NDArray[np.float64]) -> NDArray[np.float64]:
-        found = self._refits.extended(displacements, are_displacements=True)
-        return found.reshape(len(found), -1)
+    return refit.extended(displacements, are_displacements=True).reshape(len(displacements), -1)

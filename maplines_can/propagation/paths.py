@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from ..core import ffi, lib
 from ..core.memory import new, pointer, pointers
 from ..values.arrays import floats
-from ..values.errors import IllPosedError
 from ..values.line import LeftOut
 from ..values.map_error import MapError
 from ..values.polyline import INDEXED, Polyline, to_map
@@ -103,20 +102,6 @@ def check_misfit(max_misfit: float) -> None:
     """
     if not max_misfit > 0:
         raise ValueError(f"max_misfit must be more than 0 m, got {max_misfit!r}")
-
-
-def check_given(left_out: Sequence[int], window: tuple[float, float]) -> None:
-    """Check by the numbers of their reasons that all lines are given in a window.
-
-    Raises:
-        IllPosedError: one is left out.
-    """
-    for i, reason in enumerate(left_out):
-        if reason:
-            which = "the line" if len(left_out) == 1 else f"line {i} of {len(left_out)}"
-            raise IllPosedError(
-                f"{which} cannot be given: {REASONS[reason]}; the window is {window} m"
-            )
 
 
 class Stretch(NamedTuple):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,12 +11,11 @@ from ..core import ffi, lib
 from ..core.memory import pointer
 from ..values.arrays import floats
 from ..values.errors import IllPosedError
-from ..values.line import PARAMETERS
 from ..values.map_error import MapError
 from ..values.polyline import Polyline
 from .paths import (
     MAX_TURN,
-    check_given,
+    REASONS,
     check_misfit,
     checked_pose,
     checked_window,
@@ -94,55 +92,61 @@ class Refit:
             if not 0 <= value < np.inf:
                 raise ValueError(f"{name} must be 0 m or more and finite, got {value!r}")
         lines = _lines(polyline)
-        self.pose = np.array(checked_pose(pose))
-        look = [*self.pose.tolist(), *checked_window(window), max_turn]
+        look = [*checked_pose(pose).tolist(), *checked_window(window), max_turn]
         settings = [max_misfit, room, step, *numbers_of(map_error)]
         paths = paths_near(lines, lib.maplines_look_from, look)
         memory, left_out = refits_memory(len(lines)), ffi.new("uint8_t[]", len(lines))
-        place = pointer(memory)
-        count = lib.maplines_refit_lines(
-            paths.memory, look, settings, paths.work(), left_out, place
-        )
-        check_given(list(left_out), window)
+        arguments = paths.memory, look, settings, paths.work(), left_out, pointer(memory)
+        count = lib.maplines_refit_lines(*arguments)
+        for i, reason in enumerate(left_out):
+            if reason:
+                which = "the line" if len(lines) == 1 else f"line {i} of {len(lines)}"
+                raise IllPosedError(
+                    f"{which} cannot be given: {REASONS[reason]}; the window is {window} m"
+                )
         if count < len(lines):
             raise IllPosedError(
                 f"no cubic follows line {count} of {len(lines)} within {max_misfit:g} m in the "
                 f"window {window} m; its coordinates are too large, or max_misfit is too small"
             )
         has_noise = map_error is not None or max_misfit < np.inf
-        self._lines = Refits(memory, count, has_noise=has_noise)
-        self._trailing = () if isinstance(polyline, Polyline) else (count,)
+        self._set(memory, count, () if isinstance(polyline, Polyline) else (count,), has_noise)
+        self.pose = np.array(look[:3])
 
-    @property
-    def x_range(self) -> NDArray[np.float64]:
-        """(2,), or (L, 2): range that the cubics describe, in the frame of the mean pose [m]."""
-        return self._lines.x_range.reshape(*self._trailing, 2)
+    @classmethod
+    def of_memory(cls, memory: NDArray[np.float64], lines: int, *, has_noise: bool) -> Refit:
+        """Return the refits of lines that the core has set in ``refits_memory``; without a pose.
 
-    @property
-    def misfit(self) -> NDArray[np.float64]:
-        """(), or (L,): largest deviation of the cubic from the line in its range [m]."""
-        return self._lines.misfit.reshape(self._trailing)
+        Args:
+            memory: as of ``refits_memory``.
+            lines: number of lines in it.
+            has_noise: whether they have a covariance of map error and misfit.
+        """
+        refit = object.__new__(cls)
+        refit._set(memory, lines, (lines,), has_noise)
+        return refit
 
-    @property
-    def points(self) -> NDArray[np.float64]:
-        """(L, K, 2) points to which the cubics are fitted, in the frame of the mean pose [m]."""
-        return self._lines.points
-
-    @property
-    def is_across(self) -> NDArray[np.bool_]:
-        """(), or (L,): whether the line is nearly perpendicular to the x axis of the mean pose."""
-        return self._lines.is_across.reshape(self._trailing)
-
-    @property
-    def noise_cov(self) -> NDArray[np.float64] | None:
-        """(4, 4), or (L, 4, 4): covariance of map error and misfit; None without both."""
-        found = self._lines.noise_cov
-        return None if found is None else found.reshape(*self._trailing, 4, 4)
-
-    @property
-    def quartic(self) -> NDArray[np.float64]:
-        """(), or (L,): coefficient of the polynomial T_4 that the cubic leaves of the line [m]."""
-        return self._lines.quartic.reshape(self._trailing)
+    def _set(
+        self, memory: NDArray[np.float64], n: int, trailing: tuple[int, ...], has_noise: bool
+    ) -> None:
+        self._memory, self._count, self._trailing = memory, n, trailing
+        fields = np.empty((21 + 2 * POINTS) * n)
+        lib.maplines_refit_fields(pointer(memory), pointer(fields))
+        fields.setflags(write=False)
+        x_range, one, noise_cov, points = np.split(fields, [2 * n, 5 * n, 21 * n])
+        misfit, is_across, quartic = one.reshape(3, *trailing)
+        #: (2,), or (L, 2): range that the cubics describe, in the frame of the mean pose [m].
+        self.x_range = x_range.reshape(*trailing, 2)
+        #: (), or (L,): largest deviation of the cubic from the line in its range [m].
+        self.misfit = np.asarray(misfit)
+        #: (), or (L,): whether the line is nearly perpendicular to the x axis of the mean pose.
+        self.is_across = np.asarray(is_across, dtype=bool)
+        #: (), or (L,): coefficient of the polynomial T_4 that the cubic leaves of the line [m].
+        self.quartic = np.asarray(quartic)
+        #: (4, 4), or (L, 4, 4): covariance of map error and misfit; None without both.
+        self.noise_cov = noise_cov.reshape(*trailing, 4, 4) if has_noise else None
+        #: (L, K, 2) points to which the cubics are fitted, in the frame of the mean pose [m].
+        self.points = points.reshape(n, POINTS, 2)
 
     def __call__(self, poses: ArrayLike) -> NDArray[np.float64]:
         """Return the lines (y_off, beta, c0, c1) for poses.
@@ -161,46 +165,19 @@ class Refit:
         if poses.ndim == 1:
             line = self(poses[None])[0]
             if np.isnan(line).any():
-                _raise_ill_posed(poses)
+                raise IllPosedError(
+                    "the points of the line are not a function of x, or are nearly perpendicular "
+                    f"to the x axis, at the pose ({poses[0]:g} m, {poses[1]:g} m, "
+                    f"{np.degrees(poses[2]):g} deg), so no cubic y(x) describes them; shorten the "
+                    "window or check the heading"
+                )
             return line
         if poses.ndim != 2 or poses.shape[1] != 3:
             raise ValueError(f"poses must have shape (N, 3) or (3,), got {poses.shape}")
-        return self._lines(poses).reshape(len(poses), *self._trailing, len(PARAMETERS))
-
-
-def refits_memory(lines: int) -> NDArray[np.float64]:
-    """Return memory for the refits of lines: numbers without pointers, so it may be copied."""
-    return np.empty(lib.maplines_refits_size(lines))
-
-
-class Refits:
-    """Lines as functions of the pose: a view of the memory that the core has set.
-
-    Args:
-        memory: as of ``refits_memory``.
-        count: number of lines L in it.
-        has_noise: whether they have a covariance of map error and misfit.
-    """
-
-    def __init__(self, memory: NDArray[np.float64], count: int, *, has_noise: bool) -> None:
-        self._memory, self.count = memory, n = memory, count
-        fields = np.empty((21 + 2 * POINTS) * n)
-        lib.maplines_refit_fields(pointer(memory), pointer(fields))
-        fields.setflags(write=False)
-        self.x_range = fields[: 2 * n].reshape(n, 2)  #: (L, 2)
-        self.misfit = fields[2 * n : 3 * n]  #: (L,)
-        self.is_across = fields[3 * n : 4 * n].astype(bool)  #: (L,)
-        self.quartic = fields[4 * n : 5 * n]  #: (L,)
-        #: (L, 4, 4), or None
-        self.noise_cov = fields[5 * n : 21 * n].reshape(n, 4, 4) if has_noise else None
-        self.points = fields[21 * n :].reshape(n, POINTS, 2)  #: (L, K, 2)
-
-    def __call__(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the (N, L, 4) lines for (N, 3) poses; NaN where they are no functions of x."""
-        values, given = np.empty((len(poses), self.count, 4)), np.ascontiguousarray(poses)
-        lib.maplines_refit_values(
-            pointer(self._memory), len(poses), pointer(given), pointer(values)
-        )
+        values = np.empty((len(poses), *self._trailing, 4))
+        given = np.ascontiguousarray(poses)
+        arguments = len(poses), pointer(given), pointer(values)
+        lib.maplines_refit_values(pointer(self._memory), *arguments)
         return values
 
     def extended(
@@ -208,27 +185,23 @@ class Refits:
     ) -> NDArray[np.float64]:
         """Return the (N, L, 4) lines, extrapolated from the mean pose where they are none.
 
-        Poses are (N, 3) in the frame of the map, or displacements in that of the car.
-        The value is that of the farthest pose with one that halving the distance finds, extended
-        linearly, so that a transform keeps the spread in that direction.
+        Poses are (N, 3) in the frame of the map, or displacements in that of the car. The value is
+        that of the farthest pose with one that halving the distance finds, extended linearly, so
+        that a transform keeps the spread in that direction.
 
         Raises:
             IllPosedError: a line is no function of x next to the mean pose.
         """
-        values, given = np.empty((len(poses), self.count, 4)), np.ascontiguousarray(poses)
-        asked = len(poses), pointer(given), are_displacements, pointer(values)
-        if not lib.maplines_refit_extended_values(pointer(self._memory), *asked):
+        values, given = np.empty((len(poses), self._count, 4)), np.ascontiguousarray(poses)
+        arguments = len(poses), pointer(given), are_displacements, pointer(values)
+        if not lib.maplines_refit_extended_values(pointer(self._memory), *arguments):
             raise IllPosedError("a line is not a function of x, seen from the mean pose")
         return values
 
 
-def _raise_ill_posed(pose: NDArray[np.float64]) -> NoReturn:
-    raise IllPosedError(
-        "the points of the line are not a function of x, or are nearly perpendicular "
-        f"to the x axis, at the pose ({pose[0]:g} m, {pose[1]:g} m, "
-        f"{np.degrees(pose[2]):g} deg), so no cubic y(x) describes them; shorten the window "
-        "or check the heading"
-    )
+def refits_memory(lines: int) -> NDArray[np.float64]:
+    """Return memory for the refits of lines: numbers without pointers, so it may be copied."""
+    return np.empty(lib.maplines_refits_size(lines))
 
 
 def _lines(polyline: Polyline | Sequence[Polyline]) -> list[Polyline]:
