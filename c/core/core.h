@@ -399,6 +399,17 @@ bool maplines_spread_curves(size_t lines, const double *curves, const double P[9
 /* ---- send.c: lines and scenes to records ------------------------------------------------------
  */
 
+/// Secured I-PDU to be sent.
+typedef struct {
+    maplines_record_t layout; ///< its fields of secured I-PDUs
+    uint16_t data_id;
+    maplines_signer_t signer;        ///< with key ID and last freshness value
+    uint8_t size;                    ///< of the data [byte]
+    uint8_t data[MAPLINES_MAC_DATA]; ///< that need a MAC
+    const uint8_t *mac;              ///< that was given for the data; NULL: it is asked for
+    uint8_t pdu[64];
+} maplines_signing_t;
+
 /// Line to be sent, but for its Gaussian.
 typedef struct {
     int32_t slot, kind, status;
@@ -433,6 +444,10 @@ typedef struct {
     maplines_scene_workspace_t space;
 } maplines_prepared_t;
 
+/// Write the secured I-PDU of a record and return its length; without a MAC, write the data that it
+/// is asked for of, and return 0. 0 with a MAC: there is no further freshness value.
+size_t maplines_sign(maplines_signing_t *signing, size_t length, const uint8_t *record,
+                     int64_t now_us, const uint8_t *mac);
 /// Write the records of n lines, m in all, and advance the counters of their slots. False if a line
 /// cannot be sent; records and counters are then of no use.
 ///

@@ -333,3 +333,29 @@ bool maplines_write_scene(const maplines_dbc_t *dbc, const maplines_prepared_t *
     }
     return is_good;
 }
+
+/// MAC that was given; without one its data is kept.
+static bool given_mac(void *context, uint8_t key_id, const uint8_t *data, size_t length,
+                      uint8_t mac[16])
+{
+    maplines_signing_t *signing = context;
+    (void)key_id;
+    if (signing->mac != NULL)
+    {
+        memcpy(mac, signing->mac, 16);
+        return true;
+    }
+    signing->size = (uint8_t)length;
+    memcpy(signing->data, data, length);
+    return false;
+}
+
+size_t maplines_sign(maplines_signing_t *signing, size_t length, const uint8_t *record,
+                     int64_t now_us, const uint8_t *mac)
+{
+    signing->signer.mac = given_mac;
+    signing->signer.context = signing;
+    signing->mac = mac;
+    return maplines_secured_pdu(&signing->layout, signing->data_id, record, length, now_us,
+                                &signing->signer, signing->pdu);
+}

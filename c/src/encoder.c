@@ -32,9 +32,14 @@ MAPLINES_INTERNAL size_t maplines_frames(const maplines_encoder_t *encoder, int 
     const maplines_messages_t *messages = &encoder->dbc->messages[owner];
     if (encoder->signer != NULL)
     {
-        return maplines_secure(encoder->dbc, owner, record, length, now_us, encoder->signer, frames)
-                   ? 1U
-                   : 0U;
+        memset(frames, 0, sizeof *frames);
+        frames->can_id = messages->secured_can_id;
+        frames->is_extended = messages->secured_is_extended;
+        frames->is_fd = true;
+        frames->length = (uint8_t)maplines_secured_pdu(maplines_layout(encoder->dbc, owner),
+                                                       messages->secured_data_id, record, length,
+                                                       now_us, encoder->signer, frames->data);
+        return frames->length > 0U ? 1U : 0U;
     }
     if (is_fd)
     {

@@ -530,12 +530,11 @@ MAPLINES_INTERNAL maplines_reason_t maplines_verify(const maplines_dbc_t *dbc, i
                                                     const maplines_authenticator_t *authenticator,
                                                     const maplines_frame_t *frame,
                                                     int64_t *last_us);
-/// Frame of the authenticated message of an owner, which it has, with a sealed record, the next
-/// freshness value and a MAC. False without a key or a further freshness value; then nothing
-/// changes.
-MAPLINES_INTERNAL bool maplines_secure(const maplines_dbc_t *dbc, int owner, const uint8_t *record,
-                                       size_t length, int64_t now_us, maplines_signer_t *signer,
-                                       maplines_frame_t *frame);
+/// Write the secured I-PDU of a sealed record, with the next freshness value and a MAC, and return
+/// its length. 0 without a key or a further freshness value; the signer does not change then.
+MAPLINES_INTERNAL size_t maplines_secured_pdu(const maplines_record_t *layout, uint16_t data_id,
+                                              const uint8_t *record, size_t length, int64_t now_us,
+                                              maplines_signer_t *signer, uint8_t pdu[64]);
 
 /* reassembly.c */
 

@@ -127,41 +127,32 @@ MAPLINES_INTERNAL maplines_reason_t maplines_verify(const maplines_dbc_t *dbc, i
     return freshness_us <= (uint64_t)*last_us ? MAPLINES_REPLAY : MAPLINES_AGE;
 }
 
-MAPLINES_INTERNAL bool maplines_secure(const maplines_dbc_t *dbc, int owner, const uint8_t *record,
-                                       size_t length, int64_t now_us, maplines_signer_t *signer,
-                                       maplines_frame_t *frame)
+MAPLINES_INTERNAL size_t maplines_secured_pdu(const maplines_record_t *layout, uint16_t data_id,
+                                              const uint8_t *record, size_t length, int64_t now_us,
+                                              maplines_signer_t *signer, uint8_t pdu[64])
 {
-    const maplines_record_t *layout = maplines_layout(dbc, owner);
-    const maplines_messages_t *messages = &dbc->messages[owner];
     const unsigned authentic = layout->fd_authentic;
     if (signer->last_us == INT64_MAX)
     {
-        return false;
+        return 0;
     }
     const int64_t next_us = signer->last_us + 1;
     const int64_t freshness_us = now_us > next_us ? now_us : next_us;
-    maplines_frame_t secured;
-    memset(&secured, 0, sizeof(secured));
-    secured.can_id = messages->secured_can_id;
-    secured.is_extended = messages->secured_is_extended;
-    secured.is_fd = true;
-    secured.length = (uint8_t)(authentic + layout->fd_freshness + layout->fd_mac);
-    memcpy(secured.data, record, length);
-    secured.data[authentic - 1U] = signer->key_id;
-    uint8_t *trailer = secured.data + authentic;
+    memset(pdu, 0, authentic);
+    memcpy(pdu, record, length);
+    pdu[authentic - 1U] = signer->key_id;
+    uint8_t *trailer = pdu + authentic;
     for (unsigned i = 0; i < layout->fd_freshness; ++i)
     {
         const unsigned shift = 8U * (layout->fd_freshness - 1U - i);
         trailer[i] = (uint8_t)((uint64_t)freshness_us >> shift & 0xFFU);
     }
     uint8_t mac[MAC_BYTES];
-    if (!mac_of(signer->mac, signer->context, messages->secured_data_id, secured.data, authentic,
-                (uint64_t)freshness_us, mac))
+    if (!mac_of(signer->mac, signer->context, data_id, pdu, authentic, (uint64_t)freshness_us, mac))
     {
-        return false;
+        return 0;
     }
     memcpy(trailer + layout->fd_freshness, mac, layout->fd_mac);
     signer->last_us = freshness_us;
-    *frame = secured;
-    return true;
+    return (size_t)authentic + layout->fd_freshness + layout->fd_mac;
 }

@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from ...core import ffi, lib
 from ...values.errors import EncodeError, LayoutError
 from ..layout.slot_messages import SecuredLayout
 from .key import Key, shown
@@ -181,15 +182,30 @@ class Authenticator:
         now = self.now()
         if now is None:
             raise EncodeError("an authenticator that sends needs a clock, such as time.time_ns")
-        freshness = max(self.last_sent + 1, now)
-        if freshness > MAX_FRESHNESS:
-            raise EncodeError(f"freshness must be 2^63 - 1 us at most, got {freshness}")
-        self.last_sent = freshness
+        if (least := max(self.last_sent + 1, now)) > MAX_FRESHNESS:
+            raise EncodeError(f"freshness must be 2^63 - 1 us at most, got {least}")
+        if len(record) >= layout.authentic_bytes:
+            raise EncodeError(
+                f"a record must have {layout.authentic_bytes - 1} bytes at most, got {len(record)}"
+            )
         key = self._active
-        authentic = record.ljust(layout.authentic_bytes - 1, b"\0") + bytes([key.key_id])
-        truncated = freshness.to_bytes(FRESHNESS_BYTES, "big")[-layout.freshness_bytes :]
-        mac = key.mac(_data_to_authenticator(data_id, authentic, freshness))
-        return authentic + truncated + mac[: layout.mac_bytes]
+        signing = ffi.new(
+            "maplines_signing_t *",
+            {
+                "layout": {
+                    "fd_authentic": layout.authentic_bytes,
+                    "fd_freshness": layout.freshness_bytes,
+                    "fd_mac": layout.mac_bytes,
+                },
+                "data_id": data_id,
+                "signer": {"key_id": key.key_id, "last_us": self.last_sent},
+            },
+        )
+        lib.maplines_sign(signing, len(record), record, max(now, 0), ffi.NULL)
+        mac = key.mac(ffi.buffer(signing.data, signing.size)[:])
+        size = lib.maplines_sign(signing, len(record), record, max(now, 0), mac)
+        self.last_sent = signing.signer.last_us
+        return bytes(ffi.buffer(signing.pdu, size))
 
 
 class Verifier:
@@ -262,12 +278,3 @@ def check_freshness(authenticator: Authenticator, layout: SecuredLayout) -> None
             f"{authenticator.window / 1e6:.6g} s to either side; widen Freshness in the DBC, or "
             f"use a window_ns of {1000 * (span // 2 - 1)} at most"
         )
-
-
-def _data_to_authenticator(data_id: int, authentic: bytes, freshness: int) -> bytes:
-    """Return the data that the MAC covers, AUTOSAR's DataToAuthenticator."""
-    return (
-        data_id.to_bytes(DATA_ID_BYTES, "big")
-        + authentic
-        + freshness.to_bytes(FRESHNESS_BYTES, "big")
-    )
