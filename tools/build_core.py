@@ -35,8 +35,8 @@ LIMITS = {"PAGES": 16, "TRANSFER_IDS": 256, "COMPONENTS": 64}
 #: Options of compilers that take those of GCC. A fused multiplication would give other bits.
 #: Without errno, a square root is one instruction.
 OPTIONS = shlex.split(
-    "-std=c99 -O3 -fPIC -shared -fvisibility=hidden -ffp-contract=off -fno-math-errno -g0 "
-    "-Wall -Wextra"
+    "-std=c99 -O3 -fPIC -shared -fvisibility=hidden -ffp-contract=off -fno-math-errno "
+    "-fno-semantic-interposition -g0 -Wall -Wextra"
 )
 #: Those of Microsoft C, which leaves out no operation and fuses none with /fp:precise.
 CL_OPTIONS = ["/nologo", "/LD", "/O2", "/fp:precise"]
@@ -124,7 +124,9 @@ def build(path: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         # One file of all sources of an ECU: compilers inline functions of one in another.
         joined, made = Path(folder) / "joined.c", Path(folder) / path.name
-        joined.write_text("".join(f'#include "{one.name}"\n' for one in sorted(src.glob("*.c"))))
+        # What maplines.h declares is exported, too, as core.h includes it.
+        names = ["core.h", *(one.name for one in sorted(src.glob("*.c")))]
+        joined.write_text("".join(f'#include "{name}"\n' for name in names))
         sources = [joined, *(one for place in others for one in sorted(place.glob("*.c")))]
         macros = [f"-DMAPLINES_MAX_{name}={limit}" for name, limit in LIMITS.items()]
         include = [f"-I{place}" for place in (C / "include", *FOLDERS)]
@@ -149,7 +151,8 @@ def build(path: Path) -> None:
 
 def functions() -> list[str]:
     """Return the names of the functions that the library exports."""
-    return re.findall(r"^[a-z].*\b(maplines_\w+)\(", (C / "core" / "core.h").read_text(), re.M)
+    declarations = ROOT / "maplines_can" / "core" / "declarations.py"
+    return re.findall(r"\\x23(maplines_\w+)", declarations.read_text())
 
 
 def wheel_tag() -> str:

@@ -11,14 +11,14 @@
 #ifndef MAPLINES_CORE_H
 #define MAPLINES_CORE_H
 
+#ifdef __GNUC__
+#pragma GCC visibility push(default)
+#endif
+
 #include "maplines.h"
 
 #ifdef MAPLINES_FLOAT
 #error "the library computes in double precision"
-#endif
-
-#ifdef __GNUC__
-#pragma GCC visibility push(default)
 #endif
 
 /* ---- tables.c: what both sides agree on -------------------------------------------------------
@@ -118,10 +118,10 @@ size_t maplines_parse_asc(maplines_log_t *log, size_t size, const char *text, in
 size_t maplines_parse_blf(maplines_log_t *log, size_t size, const uint8_t *data, int64_t start_ns);
 
 /* ---- receive.c: a decoder ---------------------------------------------------------------------
- * A row is a structure whose members are those of a dtype of wire/reception/rows.py.
+ * wire/reception/rows.py makes dtypes of the rows.
  */
 
-/// Line that a frame has completed: `LINE_ROW`.
+/// Line that a frame has completed.
 typedef struct {
     int64_t frame; ///< place of the frame
     int64_t t_ns;
@@ -129,13 +129,14 @@ typedef struct {
     double mean[4];
     double cov[16];
     uint32_t counter; ///< of its last record
-    uint32_t ahead;   ///< of the record before; 0 after a sequence break
+    uint32_t ahead;   ///< by which it is ahead of the record before; 0 after a sequence break
     uint8_t slot, kind, status, components;
-    uint8_t state, e2e_status;
-    uint8_t two_senders, is_usable;
+    uint8_t state;      ///< E2E state of the slot after it; if VALID, of its pose error
+    uint8_t e2e_status; ///< of the last check
+    bool two_senders, usable;
 } maplines_line_row_t;
 
-/// Component of a mixture: `COMPONENT_ROW`.
+/// Component of the mixture of a line.
 typedef struct {
     int64_t line; ///< place of its line among the rows
     double weight;
@@ -143,13 +144,14 @@ typedef struct {
     double cov[16];
 } maplines_component_row_t;
 
-/// Scene: `SCENE_ROW`.
+/// Scene: of `count` lines, the first ones of each array.
 typedef struct {
     int64_t frame; ///< place of the last frame that has changed it; -1: there is none
     int64_t t_ns;
     double age, correlation_time;
     uint32_t counter;
-    uint8_t count, state, two_senders, is_usable;
+    uint8_t count, state;
+    bool two_senders, usable;
     uint8_t slots[MAPLINES_SLOTS];
     double x_min[MAPLINES_SLOTS], x_max[MAPLINES_SLOTS];
     double mean[MAPLINES_SLOTS][4];
@@ -223,18 +225,13 @@ typedef struct {
     maplines_line_row_t lines[MAPLINES_SLOTS];
     maplines_component_row_t components[MAPLINES_MAX_COMPONENTS];
     maplines_scene_row_t shown; ///< newest scene of a block: a row when another follows
-    maplines_view_t view;
-    maplines_scene_view_t scene_view;
     maplines_seen_scene_t seen;
-    maplines_statistics_t numbers;
     maplines_authentication_t secoc;
 } maplines_receiver_t;
 
 /// Answer of a function that waits for the MAC of `secoc.data[secoc.answered]`.
 #define MAPLINES_ASKS_MAC MAPLINES_REASONS
 
-/// Default settings of a decoder of a DBC.
-void maplines_receiver_settings(const maplines_dbc_t *dbc, maplines_settings_t *settings);
 /// Start; return NULL, or what is wrong with the settings. A window of 1 us or more, about a clock
 /// or without one, is that of authenticated frames; with 0, those are dropped.
 const char *maplines_receiver_start(maplines_receiver_t *receiver, const maplines_dbc_t *dbc,
@@ -256,16 +253,8 @@ int maplines_receiver_give_mac(maplines_receiver_t *receiver, const uint8_t *mac
 /// one.
 size_t maplines_receiver_feed_block(maplines_receiver_t *receiver, const maplines_block_t *block,
                                     size_t first, maplines_rows_t *rows, bool has_scenes);
-void maplines_receiver_expire(maplines_receiver_t *receiver, int64_t t_ns);
-/// Write the view of a slot of the DBC, or of the newest scene.
-void maplines_receiver_see(maplines_receiver_t *receiver, int slot, int64_t now_ns,
-                           double stale_cycles);
-void maplines_receiver_see_scene(maplines_receiver_t *receiver, int64_t now_ns,
-                                 double stale_cycles);
 /// Write the newest scene: false if there is none, or it is as in the last call and `is_known`.
 bool maplines_receiver_scene(maplines_receiver_t *receiver, bool is_known);
-/// Write the numbers of frames and lines.
-void maplines_receiver_count(maplines_receiver_t *receiver);
 /// State of an owner at a time; whether it has one sender; whether a counter was reused.
 int maplines_receiver_elapse(maplines_receiver_t *receiver, int owner, int64_t t_ns);
 bool maplines_receiver_has_one_sender(const maplines_receiver_t *receiver, int owner, int64_t t_ns);

@@ -120,8 +120,8 @@ static void add_line(const maplines_decoder_t *decoder, int slot, const maplines
     row->state = (uint8_t)state_of(decoder, slot);
     row->e2e_status = (uint8_t)check->status;
     row->two_senders = has_two_senders(decoder, slot, t_ns);
-    row->is_usable = line->status != MAPLINES_OUT_OF_RANGE && isfinite(line->age) &&
-                     row->state == (uint8_t)MAPLINES_E2E_VALID && row->two_senders == 0;
+    row->usable = line->status != MAPLINES_OUT_OF_RANGE && isfinite(line->age) &&
+                  row->state == (uint8_t)MAPLINES_E2E_VALID && !row->two_senders;
     ++rows->line_count;
     rows->newest[slot] = rows->line_count;
 }
@@ -169,9 +169,9 @@ static void read_scene_row(const maplines_decoder_t *decoder, const maplines_sce
         row->x_max[place] = line->x_max;
         memcpy(row->mean[place], line->gaussian.mean, sizeof row->mean[place]);
         are_valid = are_valid && check->machine.state == MAPLINES_E2E_VALID;
-        row->two_senders = row->two_senders != 0 || !maplines_has_one_sender(check, t_ns);
+        row->two_senders = row->two_senders || !maplines_has_one_sender(check, t_ns);
     }
-    row->is_usable = are_valid && isfinite(row->age) && row->two_senders == 0;
+    row->usable = are_valid && isfinite(row->age) && !row->two_senders;
 }
 
 /// Show the newest scene, which a frame may have changed; the one before is complete.
@@ -198,11 +198,6 @@ static void see_scene(maplines_decoder_t *decoder, int64_t frame, int64_t t_ns,
 /* ---- frames ---------------------------------------------------------------------------------- */
 
 #define IS_EXTENDED UINT32_C(0x80000000)
-
-void maplines_receiver_settings(const maplines_dbc_t *dbc, maplines_settings_t *settings)
-{
-    maplines_default_settings(dbc, settings);
-}
 
 /// MAC that was given for data; without one it is asked for, if there is room.
 static bool given_mac(void *context, uint8_t key_id, const uint8_t *data, size_t length,
@@ -400,25 +395,8 @@ size_t maplines_receiver_feed_block(maplines_receiver_t *receiver, const mapline
     return k;
 }
 
-void maplines_receiver_expire(maplines_receiver_t *receiver, int64_t t_ns)
-{
-    maplines_expire(&receiver->decoder, t_ns);
-}
-
-/* ---- views ----------------------------------------------------------------------------------- */
-
-void maplines_receiver_see(maplines_receiver_t *receiver, int slot, int64_t now_ns,
-                           double stale_cycles)
-{
-    receiver->decoder.settings.stale_cycles = stale_cycles;
-    maplines_latest(&receiver->decoder, (maplines_owner_t)slot, now_ns, &receiver->view);
-}
-
-void maplines_receiver_see_scene(maplines_receiver_t *receiver, int64_t now_ns, double stale_cycles)
-{
-    receiver->decoder.settings.stale_cycles = stale_cycles;
-    maplines_latest_scene(&receiver->decoder, now_ns, &receiver->scene_view);
-}
+/* ---- scenes and checks -------------------------------------------------------------------------
+ */
 
 bool maplines_receiver_scene(maplines_receiver_t *receiver, bool is_known)
 {
@@ -456,14 +434,6 @@ bool maplines_receiver_scene(maplines_receiver_t *receiver, bool is_known)
         scene->are_newest[place] = decoder->dbc->is_conditional && is_copy;
     }
     return true;
-}
-
-/* ---- checks and numbers -----------------------------------------------------------------------
- */
-
-void maplines_receiver_count(maplines_receiver_t *receiver)
-{
-    maplines_statistics(&receiver->decoder, &receiver->numbers);
 }
 
 int maplines_receiver_elapse(maplines_receiver_t *receiver, int owner, int64_t t_ns)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from . import ffi
 
-__all__ = ["new", "pointer", "pointers", "shaped", "structure"]
+__all__ = ["dtype_of", "new", "pointer", "pointers", "shaped", "structure"]
 
 #: Type that cffi takes for any pointer.
 _ANY = ffi.typeof("void *")
@@ -22,6 +22,10 @@ _TYPES = {
         "f8": "double", "f4": "float", "i8": "int64_t", "u4": "uint32_t", "u2": "uint16_t",
         "u1": "uint8_t", "i1": "int8_t", "b1": "uint8_t",
     }.items()
+}  # fmt: skip
+#: Types of the members of structures; cffi says bool where C has _Bool.
+_DTYPES = {
+    "_Bool": "?", "uint8_t": "u1", "uint32_t": "u4", "int64_t": "i8", "double": "f8",
 }  # fmt: skip
 #: Allocate memory that is not cleared, by the name of its type and a length.
 new: Callable[..., Any] = ffi.new_allocator(should_clear_after_alloc=False)
@@ -66,6 +70,18 @@ def structure(name: str, content: Mapping[Any, Any]) -> Any:
     made = ffi.new(f"{name} *", _plain(content, kept))
     _kept[made] = kept
     return made
+
+
+def dtype_of(name: str, **shapes: tuple[int, ...]) -> np.dtype[np.void]:
+    """Return the dtype of a structure of numbers and arrays; ``shapes`` of some are as given."""
+    members = []
+    for member, field in ffi.typeof(name).fields:
+        kind, shape = field.type, []
+        while kind.kind == "array":
+            shape.append(kind.length)
+            kind = kind.item
+        members.append((member, _DTYPES[kind.cname], shapes.get(member, tuple(shape))))
+    return np.dtype(members, align=True)
 
 
 _kept: WeakKeyDictionary[Any, list[Any]] = WeakKeyDictionary()

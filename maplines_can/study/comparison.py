@@ -22,7 +22,7 @@ from ..wire import Batch, Codec, Decoder, E2EConfig, Encoder, Layout, Owner
 from ..wire.layout.packing import Packing
 from ..wire.layout.signals import PARAMETER_SIGNALS, TRANSFER_ID
 from ..wire.layout.validation import CheckedGaussians, checked_gaussians
-from ..wire.reception.settings import RecordSettings, decoder_settings
+from ..wire.reception.settings import decoder_settings
 from ..wire.records.counters import packed, unpacked
 from ..wire.records.frames import Frame, FrameWriter
 from ..wire.scene_writer import SceneWriter
@@ -176,7 +176,7 @@ class ComparisonCodec:
         e2e: E2EConfig | None = None,
     ) -> Decoder:
         """Return a new decoder, as ``Codec.decoder``; it repairs indefinite covariances."""
-        return ComparisonDecoder(self, decoder_settings(self.layout, timeout_ms, cycle_ms, e2e))
+        return ComparisonDecoder(self, timeout_ms, cycle_ms, e2e)
 
 
 class ComparisonEncoder(Encoder):
@@ -268,12 +268,12 @@ class ComparisonDecoder(Decoder):
 
     Args:
         codec: of the lines.
-        settings: of each slot.
+        *settings: those of ``decoder_settings``.
     """
 
-    def __init__(self, codec: ComparisonCodec, settings: Mapping[Owner, RecordSettings]) -> None:
-        layout = codec.layout
-        super().__init__(layout, tables_of(layout), {}, settings)
+    def __init__(self, codec: ComparisonCodec, *settings: Any) -> None:
+        layout, tables = codec.layout, tables_of(codec.layout)
+        super().__init__(layout, tables, {}, decoder_settings(layout, tables, *settings))
         self._codec = codec
         self._packing = _packing_of(layout)
         self._transfer_ids = 2 ** layout[f"{TRANSFER_ID}0"].length

@@ -203,8 +203,8 @@ class Codec:
         Args:
             timeout_ms: longest time between the frames of a transfer, and between the components
                 of a mixture [ms]. The default is shorter than the time after which transfer IDs
-                repeat: (transfer IDs / greatest ComponentCount - 0.5) cycles, at least 0.5 and at
-                most 1.5 cycles, and at most an hour; 75 ms with ``maplines.dbc``.
+                repeat: 1.5 cycles, at least half a cycle of the DBC, and at most an hour; 75 ms
+                with ``maplines.dbc``.
                 ``model/reassembly.py`` describes the effect of a longer one.
             cycle_ms: cycle time of the lines of a slot [ms], for the E2E state, stale and late
                 lines, and the default of ``timeout_ms``; by default the slot's cycle time in the
@@ -221,5 +221,5 @@ class Codec:
             verifiers |= dict.fromkeys(layout.messages, of_lines)
         if pose is not None and (of_pose := self._verifier_of(pose)) is not None:
             verifiers[POSE] = of_pose
-        settings = decoder_settings(layout, timeout_ms, cycle_ms, e2e)
+        settings = decoder_settings(layout, self._tables.dbc, timeout_ms, cycle_ms, e2e)
         return Decoder(layout, self._tables.dbc, verifiers, settings)

@@ -17,7 +17,16 @@ from maplines_can.wire import (
     Reason,
     default_dbc_path,
 )
-from maplines_can.wire.reception.settings import decoder_settings, timeout_cycles
+from maplines_can.wire.layout.pose_layout import number_of
+from maplines_can.wire.reception.settings import decoder_settings
+from maplines_can.wire.tables import tables_of
+
+
+def times_of(layout: Layout, *given: Any) -> set[tuple[int, int]]:
+    """Return the time-outs and cycle times of all owners [ns]."""
+    settings = decoder_settings(layout, tables_of(layout), *given)
+    owners = map(number_of, layout.messages_of)
+    return {(settings.timeout_ns[owner], settings.cycle_ns[owner]) for owner in owners}
 
 
 @pytest.mark.parametrize(
@@ -32,8 +41,7 @@ from maplines_can.wire.reception.settings import decoder_settings, timeout_cycle
 def test_a_time_of_an_hour_is_allowed(given: Any, timeout_ms: int, cycle_ms: int) -> None:
     """The upper bound is part of the range, and of the time-out that follows from the cycle."""
     layout = default_codec().layout
-    settings = decoder_settings(layout, *given)
-    assert {one[:2] for one in settings.values()} == {(timeout_ms * 10**6, cycle_ms * 10**6)}
+    assert times_of(layout, *given) == {(timeout_ms * 10**6, cycle_ms * 10**6)}
     decoder = Codec(layout).decoder(timeout_ms=given[0], cycle_ms=given[1])
     first, *rest = default_codec().encoder().encode(MapLine.mean_only(Slot.EGO_LEFT, np.zeros(4)))
     decoder.feed(first.can_id, first.data, 0)
@@ -179,16 +187,8 @@ def test_the_times_of_lines_and_of_the_pose_error(
         ((7, None), 7, 50 * factor),
     ):
         times = timeout_ms * 1_000_000, cycle_ms * 1_000_000
-        settings = decoder_settings(layout, *given)
-        assert settings.keys() == {POSE, *Slot}
-        assert {one[:2] for one in settings.values()} == {times}
-
-
-def test_a_record_without_components_is_one_for_each_transfer_id() -> None:
-    """The transfer IDs of the pose error come again after as many cycles."""
-    layout = Layout.from_dbc(default_dbc_path("maplines-pose.dbc"))
-    assert "ComponentCount" not in layout.signals
-    assert timeout_cycles(layout) == 1.5
+        assert layout.messages_of.keys() == {POSE, *Slot}
+        assert times_of(layout, *given) == {times}
 
 
 def test_a_time_is_a_nanosecond_or_more() -> None:

@@ -39,12 +39,12 @@ class Check:
     Args:
         receiver: a ``maplines_receiver_t *``.
         number: of the owner in C.
-        cycle_ns: time between records [ns].
         lock: of the decoder.
     """
 
-    def __init__(self, receiver: Any, number: int, cycle_ns: int, lock: Lock) -> None:
-        self.cycle_ns = cycle_ns  #: time between records [ns]
+    def __init__(self, receiver: Any, number: int, lock: Lock) -> None:
+        #: Time between records [ns].
+        self.cycle_ns = int(receiver.decoder.settings.cycle_ns[number])
         self._c, self._number, self._lock = receiver, number, lock
         self._check = receiver.decoder.checks[number]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import astuple
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +26,6 @@ from .rows import (
     line_of,
     scene_of,
 )
-from .settings import RecordSettings
 from .times import MAX_TIME_NS, limited_ns
 from .views import STALE_CYCLES, ReceivedScene, SceneView, SlotView, check_stale_cycles
 
@@ -107,9 +105,9 @@ class Decoder:
 
     Args:
         layout: of the records and their messages.
-        tables: of the same DBC, from ``c_tables.tables_of``.
+        tables: of the same DBC, from ``tables_of``.
         verifiers: of the owners whose frames are authenticated.
-        settings: of each owner.
+        settings: from ``decoder_settings``.
     """
 
     def __init__(
@@ -117,7 +115,7 @@ class Decoder:
         layout: Layout,
         tables: Any,
         verifiers: Mapping[Owner, Verifier],
-        settings: Mapping[Owner, RecordSettings],
+        settings: Any,
     ) -> None:
         #: CAN IDs of all messages, for filters.
         self.can_ids = layout.can_ids
@@ -125,22 +123,16 @@ class Decoder:
         self.verifiers = verifiers
         #: Whether lines are conditional on the pose error.
         self.is_conditional = layout.is_conditional
-        self._slots = [owner for owner in settings if owner != POSE]
+        self._slots = [*layout.messages]
         #: CAN IDs as the core takes them: bit 31 says that one has 29 bits.
         self._routes: dict[tuple[int, bool], int] = {}
         self._secured: dict[tuple[int, bool], _SecuredRoute] = {}
         self._tables, self._c = tables, ffi.new("maplines_receiver_t *")
-        chosen = ffi.new("maplines_settings_t *")
-        lib.maplines_receiver_settings(tables, chosen)
-        for owner, own in settings.items():
-            number = number_of(owner)
-            chosen.timeout_ns[number], chosen.cycle_ns[number] = own.timeout_ns, own.cycle_ns
-            chosen.e2e[number] = astuple(own.e2e)
         window_us, has_clock = 0, False
         for verifier in verifiers.values():
             window_us = min(verifier.authenticator.window, _MAX_WINDOW_US)
             has_clock = verifier.authenticator.now() is not None
-        problem = lib.maplines_receiver_start(self._c, tables, chosen, window_us, has_clock)
+        problem = lib.maplines_receiver_start(self._c, tables, settings, window_us, has_clock)
         if problem != ffi.NULL:
             raise ValueError(ffi.string(problem).decode())
         for records in (layout, layout.pose):
@@ -155,13 +147,15 @@ class Decoder:
                     self._secured[key] = _SecuredRoute(number_of(owner), data_id, verifier, asked)
                 else:
                     self._routes[key] = key[0] | key[1] << 31
+        self._decoder, self._settings = ffi.addressof(self._c, "decoder"), self._c.decoder.settings
+        self._view = ffi.new("maplines_view_t *")
+        self._scene_view = ffi.new("maplines_scene_view_t *")
         self._freshness_us = self._c.decoder.freshness_us
         #: Held around each call of the core, and until its result is read.
         self._lock = Lock()
         #: Checks of the records of each slot of the DBC, and of the pose error if it has that.
         self.checks: Mapping[Owner, Check] = {
-            owner: Check(self._c, number_of(owner), own.cycle_ns, self._lock)
-            for owner, own in settings.items()
+            owner: Check(self._c, number_of(owner), self._lock) for owner in layout.messages_of
         }
         self._feed = lib.maplines_receiver_feed
         self._feed_mac = lib.maplines_receiver_feed_secured
@@ -399,7 +393,7 @@ class Decoder:
         """Drop the transfers, mixtures and waiting lines that have timed out at ``t_ns`` [ns]."""
         t_ns = limited_ns(t_ns, "t_ns")
         with self._lock:
-            lib.maplines_receiver_expire(self._c, t_ns)
+            lib.maplines_expire(self._decoder, t_ns)
 
     def latest(self, slot: Slot, now_ns: int, *, stale_cycles: float = STALE_CYCLES) -> SlotView:
         """Return the newest line of a slot with its state.
@@ -423,8 +417,9 @@ class Decoder:
         check_stale_cycles(stale_cycles)
         slot, now_ns = Slot(slot), limited_ns(now_ns, "now_ns")
         with self._lock:
-            lib.maplines_receiver_see(self._c, slot, now_ns, stale_cycles)
-            view = self._c.view
+            view = self._view
+            self._settings.stale_cycles = stale_cycles
+            lib.maplines_latest(self._decoder, slot, now_ns, view)
             return SlotView(
                 slot,
                 self._newest.get(slot),
@@ -455,8 +450,9 @@ class Decoder:
         check_stale_cycles(stale_cycles)
         now_ns = limited_ns(now_ns, "now_ns")
         with self._lock:
-            received, view = self._newest_scene(), self._c.scene_view
-            lib.maplines_receiver_see_scene(self._c, now_ns, stale_cycles)
+            received, view = self._newest_scene(), self._scene_view
+            self._settings.stale_cycles = stale_cycles
+            lib.maplines_latest_scene(self._decoder, now_ns, view)
             known = STATES[view.state], STATUSES[view.status]
             if received is None:
                 return SceneView(None, view.age, view.is_stale, *known)
@@ -504,8 +500,9 @@ class Decoder:
 
     def _counted(self, name: str) -> int:
         with self._lock:
-            lib.maplines_receiver_count(self._c)
-            return int(getattr(self._c.numbers, name))
+            numbers = ffi.new("maplines_statistics_t *")
+            lib.maplines_statistics(self._decoder, numbers)
+            return int(getattr(numbers, name))
 
 
 class _SecuredRoute:

@@ -13,10 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from maplines_can import MapLine
+from maplines_can.model.settings import timeout_cycles
 from maplines_can.study import road
 from maplines_can.wire import Reason
 from maplines_can.wire.layout.message_layout import Layout
-from maplines_can.wire.reception.settings import decoder_settings, timeout_cycles
+from maplines_can.wire.reception.settings import decoder_settings
+from maplines_can.wire.tables import tables_of
 
 CAN_ID, PAGES, RECORDS = 0x340, 4, 1024
 
@@ -62,8 +64,8 @@ def test_the_default_follows_from_the_dbc(edits: Any, cycles: float, tmp_path: P
     layout = Layout.from_dbc(edited(tmp_path, *edits) if edits else DBC)
     assert timeout_cycles(layout) == cycles
     for cycle_ms, timeout_ms in ((None, 75), (20, 30), (10, 25), (500, 750)):
-        settings = decoder_settings(layout, cycle_ms=cycle_ms)
-        assert {one.timeout_ns for one in settings.values()} == {timeout_ms * MS}
+        settings = decoder_settings(layout, tables_of(layout), cycle_ms=cycle_ms)
+        assert {settings.timeout_ns[slot] for slot in layout.messages} == {timeout_ms * MS}
 
 
 # -- two transfers of one ID ------------------------------------------------------------------
