@@ -27,7 +27,7 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 ROOT = Path(__file__).resolve().parents[1]
 C = ROOT / "c"
-FOLDERS = [C / name for name in ("src", "propagation", "core")]
+FOLDERS = [C / name for name in ("src", "propagation", "core", "logs")]
 #: The library in the package.
 LIBRARY = f"core/maplines.{'dll' if os.name == 'nt' else 'so'}"
 #: Structures have the size of the largest DBC that has C.

@@ -43,7 +43,7 @@ from maplines_can.wire.layout.message_layout import Layout
 
 ROOT = Path(__file__).resolve().parents[1]
 C = ROOT / "c"
-INCLUDE = [f"-I{C / name}" for name in ("include", "src", "propagation", "core")]
+INCLUDE = [f"-I{C / name}" for name in ("include", "src", "propagation", "core", "logs")]
 WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Wstrict-prototypes",
             "-Wmissing-prototypes", "-Wdouble-promotion", "-Wundef", "-Werror"]  # fmt: skip
 #: Least share of the branches that the tests take [%].
@@ -81,8 +81,8 @@ def sources_of_package() -> list[str]:
 
 
 def library_sources() -> list[str]:
-    """Return what only the shared library has: loops over arrays, for the Python package."""
-    return [str(path) for path in sorted((C / "core").glob("*.c"))]
+    """Return what only the shared library has: loops over arrays, and readers of logs."""
+    return [str(path) for name in ("core", "logs") for path in sorted((C / name).glob("*.c"))]
 
 
 def all_files() -> list[str]:

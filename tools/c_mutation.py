@@ -2,7 +2,7 @@
 """Mutation test of the C core: change one place at a time; core and model must differ.
 
     c_mutation.py                             a sample of 300 mutants of all of the core
-    c_mutation.py --files c/src/sequence.c --sample 0      all of a file; patterns as c/core/*log*
+    c_mutation.py --files c/src/sequence.c --sample 0      all of a file; patterns as c/logs/*
     c_mutation.py --tests                     survivors of the streams also meet the tests
 
 A mutant has one change to a comparison, an operator, a number, a condition or a statement (see
@@ -48,7 +48,7 @@ from reporting import bar, parser_of, report
 
 #: Tests that concern files of the core, by a pattern of their names; the first one that fits.
 TESTS = {
-    "c/core/*log*": ["tests/bus"],
+    "c/logs/*": ["tests/bus"],
     "c/propagation/*": ["tests/propagation"],
     "c/core/propagate.c": ["tests/propagation"],
     "*": ["tests/wire", "tests/c"],
@@ -101,7 +101,7 @@ def _arguments() -> argparse.Namespace:
         nargs="+",
         default=["c/*"],
         metavar="PATTERN",
-        help="files that are changed (default: all of c/src, c/propagation and c/core)",
+        help="files that are changed (default: all of the library)",
     )
     parser.add_argument(
         "--sample", type=int, default=300, help="number of mutants; 0: all (default: 300)"

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Write maplines_can/core/declarations.py: what cffi makes of c/core/core.h, with a C compiler.
 
-python3 tools/run.py python tools/make_declarations.py     after a change of maplines.h or core.h
+python3 tools/run.py python tools/make_declarations.py     after a change of maplines.h, core.h or logs.h
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ def declarations() -> str:
             (Path(folder) / name).write_text(text)
         command = [os.environ.get("CC", "cc"), "-E", "-P", "-nostdinc", f"-I{folder}"]
         command += [f"-DMAPLINES_MAX_{name}={limit}" for name, limit in LIMITS.items()]
-        command += [f"-I{ROOT / 'c' / 'include'}", str(ROOT / "c" / "core" / "core.h")]
+        command += [f"-I{ROOT / 'c' / name}" for name in ("include", "logs")]
+        command += [str(ROOT / "c" / "core" / "core.h")]
         text = subprocess.run(command, check=True, capture_output=True, text=True).stdout
         ffi = FFI()
         ffi.cdef("\n".join(line for line in text.splitlines() if not line.startswith("#")))

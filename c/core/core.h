@@ -15,6 +15,7 @@
 #pragma GCC visibility push(default)
 #endif
 
+#include "logs.h"
 #include "maplines.h"
 
 #ifdef MAPLINES_FLOAT
@@ -77,45 +78,6 @@ bool maplines_cover_mixtures(const maplines_dbc_t *dbc, size_t n, size_t k, int6
 void maplines_decode_lines(const maplines_dbc_t *dbc, const double *const powers[5], size_t n,
                            const uint8_t *records, const uint16_t *data_ids, double *mean,
                            double *cov, int8_t *verdict, int64_t *integers, double *reals);
-
-/* ---- text_logs.c, blf_log.c: the ordinary records of logs -------------------------------------
- */
-
-#define MAPLINES_LOG_DATA 64      // bytes of data of a frame
-#define MAPLINES_LOG_CHANNELS 256 // of a log
-#define MAPLINES_LOG_NAME 64      // characters of the name of a channel
-
-/// Reader of a log: the frames of one call, and what it knows from one call to the next.
-typedef struct {
-    size_t capacity;      ///< of the arrays [frame]
-    uint32_t *can_id;     ///< of each frame
-    uint8_t *is_extended; ///< 0 or 1
-    int64_t *t_ns;
-    uint16_t *channel; ///< index in `names`
-    uint8_t *length;   ///< bytes of data
-    uint8_t *data;     ///< `MAPLINES_LOG_DATA` bytes of each frame, zero from its length on
-    size_t frames;     ///< of the last call
-    size_t rows;       ///< of text, of the last call
-    size_t skipped[5]; ///< objects of BLF that are no frames, of the last call, by kind
-    int32_t times;     ///< kind of the stamps: 0 absolute, 1 from the start, 2 differences
-    int64_t sum;       ///< of the stamps [ns]
-    int64_t high;      ///< highest stamp of the recording [ns]
-    size_t channels;   ///< number of `names`
-    size_t last;       ///< channel of the last frame
-    uint32_t number;   ///< of that channel, from 1; 0 if it was found by its name
-    char names[MAPLINES_LOG_CHANNELS][MAPLINES_LOG_NAME + 1];
-} maplines_log_t;
-
-/* Each reads records up to one that is not of its ordinary form, which is for the reader that
- * knows all forms and what is an error, and returns the place of that record: the number of bytes
- * that were read. */
-
-/// Read rows of candump -L.
-size_t maplines_parse_candump(maplines_log_t *log, size_t size, const char *text);
-/// Read rows of ASC, whose numbers have the radix 10 or 16.
-size_t maplines_parse_asc(maplines_log_t *log, size_t size, const char *text, int radix);
-/// Read the objects in a container of BLF; the log starts at `start_ns`, of at most 2^62.
-size_t maplines_parse_blf(maplines_log_t *log, size_t size, const uint8_t *data, int64_t start_ns);
 
 /* ---- receive.c: a decoder ---------------------------------------------------------------------
  * wire/reception/rows.py makes dtypes of the rows.
