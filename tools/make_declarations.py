@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Write maplines_can/core/declarations.py: what cffi makes of c/core/core.h, with a C compiler.
+"""Write maplines_can/core/declarations.py: what cffi makes of core.h and what it includes.
 
-python3 tools/run.py python tools/make_declarations.py     after a change of maplines.h, core.h or logs.h
+python3 tools/run.py python tools/make_declarations.py     after a change of these headers
 """
 
 from __future__ import annotations

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -24,9 +23,8 @@ from ..wire.layout.signals import PARAMETER_SIGNALS, TRANSFER_ID
 from ..wire.layout.validation import CheckedGaussians, checked_gaussians
 from ..wire.reception.settings import decoder_settings
 from ..wire.records.counters import packed, unpacked
-from ..wire.records.frames import Frame, FrameWriter
-from ..wire.scene_writer import SceneWriter
-from ..wire.tables import tables_of
+from ..wire.records.frames import FrameWriter, Records
+from ..wire.tables import LineTables, tables_of
 from .codes import CODES, COMPARED
 from .components import deficit, quantized_weights, slope_error
 from .rounding import SignalRow, raw_above, raw_below, raw_nearest
@@ -187,45 +185,28 @@ class ComparisonEncoder(Encoder):
     """
 
     def __init__(self, codec: ComparisonCodec) -> None:
-        no_tables: Any = None
         layout = codec.layout
-        frames, scenes = FrameWriter(layout, None), SceneWriter(layout, no_tables)
-        super().__init__(codec.encoder, layout, no_tables, frames, scenes)
+        tables = LineTables(tables_of(layout), ffi.NULL, ffi.NULL)
+        super().__init__(codec.encoder, layout, tables, FrameWriter(layout, None))
         self._codec, self._signals = codec, codec.layout.signals
-        self._packing, self._sealed_by = _packing_of(codec.layout), tables_of(codec.layout)
+        self._packing = _packing_of(codec.layout)
         self._modulus = 2 ** self._signals["Counter"].length
 
-    def encode_lines(
-        self,
-        lines: Sequence[MapLine],
-        *,
-        fd: bool = False,
-        counters: Mapping[Owner, int] | None = None,
-    ) -> list[list[Frame]]:
-        """Return the frames of each line; see ``Encoder.encode_lines``."""
-        with self._lock:
-            own = unpacked(self._counters) if counters is None else counters
-            following: Counter[Owner] = Counter(own)
-            frames = [
-                [*chain(*(self._frames(raw, line.slot, fd, following) for raw in self._raw(line)))]
-                for line in lines
-            ]
-            if counters is None:
-                self._counters = packed(following)
-        return frames
+    def _write_lines(self, lines: Sequence[MapLine], counters: bytes) -> tuple[Records, bytes]:
+        following: Counter[Owner] = Counter(unpacked(counters))
+        each = ((line.slot, raw) for line in lines for raw in self._raw(line))
+        records = Records.of([(slot, self._record(raw, slot, following)) for slot, raw in each])
+        return records, packed(following)
 
-    def _frames(
-        self, raw: Mapping[str, int], slot: Slot, fd: bool, following: Counter[Owner]
-    ) -> list[Frame]:
-        """Return the frames of a record, and advance the counter of its slot."""
-        layout = self._codec.layout
+    def _record(self, raw: Mapping[str, int], slot: Slot, following: Counter[Owner]) -> bytes:
+        """Return a record, and advance the counter of its slot."""
         counter = following[slot] % self._modulus
         following[slot] = (counter + 1) % self._modulus
-        layout.data_ids(slot, 1)  # there is a message for it
+        self._layout.data_ids(slot, 1)  # there is a message for it
         record = bytearray(self._packing.pack_one(raw))
         given = ffi.from_buffer("uint8_t[]", record)
-        lib.maplines_seal_record(self._sealed_by, slot, len(record), counter, given)
-        return self._frame_writer.write(bytes(record), slot, fd)
+        lib.maplines_seal_record(self._tables.dbc, slot, len(record), counter, given)
+        return bytes(record)
 
     def _raw(self, line: MapLine) -> Iterator[dict[str, int]]:
         """Yield the raw values of each component of a line, all but the counter."""

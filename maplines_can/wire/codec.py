@@ -20,7 +20,6 @@ from .protection.secoc import Authenticator, Verifier
 from .reception.decoder import Decoder
 from .reception.settings import decoder_settings
 from .records.frames import FrameWriter
-from .scene_writer import SceneWriter
 from .tables import LineTables, check_code
 
 if TYPE_CHECKING:
@@ -174,17 +173,7 @@ class Codec:
 
     def encoder(self) -> Encoder:
         """Return a new encoder, which holds the counters of a sender."""
-        return Encoder(
-            self.encoder,
-            self.layout,
-            self._tables,
-            self._frame_writer,
-            self._scene_writer,
-        )
-
-    @cached_property
-    def _scene_writer(self) -> SceneWriter:
-        return SceneWriter(self.layout, self._tables.dbc)
+        return Encoder(self.encoder, self.layout, self._tables, self._frame_writer)
 
     def _verifier_of(self, layout: Layout | PoseLayout) -> Verifier | None:
         if self.authenticator is None or layout.secured is None:

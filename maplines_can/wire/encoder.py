@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from itertools import islice
+from functools import partial
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from .layout.validation import checked_gaussians
 from .records.counters import packed
 from .records.frames import Frame, FrameWriter, Records
 from .records.given import GAUSSIAN_BYTES, given_lines
-from .scene_writer import PreparedScene, SceneWriter
+from .scene_writer import PreparedScene, prepare_scene, write_scene
 from .tables import LineTables
 
 _LINES, _DOUBLES, _INTS, _COUNTERS, _BYTES = map(
@@ -41,7 +42,6 @@ class Encoder:
         layout: of the records.
         tables: of the same DBC.
         frame_writer: writes the frames of a record.
-        scene_writer: writes scenes.
     """
 
     def __init__(
@@ -50,10 +50,9 @@ class Encoder:
         layout: Layout,
         tables: LineTables,
         frame_writer: FrameWriter,
-        scene_writer: SceneWriter,
     ) -> None:
-        self._again, self._layout, self._frame_writer = again, layout, frame_writer
-        self._tables, self._scenes = tables, scene_writer
+        self._again, self._layout = again, layout
+        self._tables, self._frame_writer = tables, frame_writer
         self._counters = packed({})
         self._lock = Lock()  # of the counters: threads send different ones
 
@@ -91,19 +90,31 @@ class Encoder:
         if not lines:
             return []
         lines = [*lines]  # reading one of a subclass may change the list
+        _, frames = self._written(partial(self._write_lines, lines), fd, counters)
+        if len(frames) != len(lines):  # mixtures have a record of each component
+            ordered = iter(frames)
+            frames = [[*chain(*islice(ordered, _parts(line)))] for line in lines]
+        return frames
+
+    def _written(
+        self,
+        write: Callable[[bytes], tuple[Records, bytes]],
+        fd: bool,
+        counters: Mapping[Owner, int] | None,
+    ) -> tuple[tuple[Owner, ...], list[list[Frame]]]:
+        """Return the owners and the frames of records; without counters, those here advance.
+
+        Args:
+            write: returns the records from these counters on, and those that follow.
+            fd: see ``encode``.
+            counters: see ``encode_lines``.
+        """
         with self._lock:
-            first = self._counters if counters is None else packed(counters)
-            records, following = self._write_lines(lines, first)
+            records, following = write(self._counters if counters is None else packed(counters))
             frames = self._frame_writer.write_all(records, fd)
-            if len(frames) != len(lines):  # mixtures have a record of each component
-                ordered = iter(frames)
-                frames = [
-                    [frame for own in islice(ordered, _parts(line)) for frame in own]
-                    for line in lines
-                ]
             if counters is None:
                 self._counters = following
-        return frames
+        return records.owners, frames
 
     def prepare_scene(self, scene: Scene | PreparedScene, *, fd: bool = False) -> PreparedScene:
         """Encode a scene but for counters and age, which takes most of the time.
@@ -130,7 +141,8 @@ class Encoder:
                 "scene must be a Scene, such as from map_scene, or one from prepare_scene, got a "
                 f"{type(scene).__name__}"
             )
-        return self._scenes.prepare(scene, full=fd and self._layout.is_conditional)
+        full = fd and self._layout.is_conditional
+        return prepare_scene(self._layout, self._tables.dbc, scene, full=full)
 
     def encode_scene(
         self,
@@ -166,15 +178,8 @@ class Encoder:
         >>> {owner: len(frames) for owner, frames in codec.encoder().encode_scene(scene).items()}
         {'pose': 2, <Slot.EGO_LEFT: 0>: 2}
         """
-        prepared = self.prepare_scene(scene, fd=fd)
-        with self._lock:
-            first = self._counters if counters is None else packed(counters)
-            records, following = self._scenes.write(prepared, first, age)
-            each = self._frame_writer.write_all(records, fd)
-            frames = dict(zip(records.owners, each, strict=True))
-            if counters is None:
-                self._counters = following
-        return frames
+        write = partial(write_scene, self.prepare_scene(scene, fd=fd), self._tables.dbc, age=age)
+        return dict(zip(*self._written(write, fd, counters), strict=True))
 
     def frames(self, payload: NDArray[np.uint8], slot: Slot, *, fd: bool = False) -> list[Frame]:
         """Return the frames of one record; each authenticated frame has its own freshness value.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -87,12 +87,14 @@ class PreparedScene:
 def _prepared_again(
     scene: Scene, layout: Layout, full: bool, slots: tuple[Slot, ...]
 ) -> PreparedScene:
-    prepared = SceneWriter(layout, tables_of(layout)).prepare(scene, full=full)
+    prepared = prepare_scene(layout, tables_of(layout), scene, full=full)
     return replace(prepared, sent_slots=tuple(s for s in prepared.sent_slots if s in slots))
 
 
-class SceneWriter:
-    """Writer of scenes of a DBC.
+def prepare_scene(
+    layout: Layout, tables: Any, scene: Scene, *, full: bool = False
+) -> PreparedScene:
+    """Encode a scene; this takes most of the time.
 
     If the records of lines are conditional on the pose, a line that does not fit is not sent.
     Other records have a covariance of their own: the line is sent, but does not belong to the pose
@@ -101,108 +103,102 @@ class SceneWriter:
     Args:
         layout: of the DBC.
         tables: of the same; see ``tables_of``.
+        scene: the scene.
+        full: send all entries of line-specific covariances, as CAN FD records do.
+
+    Raises:
+        EncodeError: the DBC has no message of the pose error or for a slot, or the pose error
+            does not fit.
+        IllPosedError: a line is not a function of x, seen from the mean pose.
+        ValueError: a value is none that a scene has, which its constructor does not take.
     """
+    if layout.pose is None:
+        raise EncodeError(
+            f"{layout.source} has no message of the pose error (MapLinePose), so lines "
+            "cannot be sent as a scene; take maplines.dbc or maplines-pose.dbc"
+        )
+    core = ffi.new("maplines_prepared_t *")
+    try:
+        given, kept = _given_scene(scene)
+    except _WRONG as error:
+        raise _fault(layout, scene, lib.MAPLINES_SENT) from error
+    refusal = lib.maplines_prepare_scene(tables, given, full, core)
+    del kept
+    if refusal != lib.MAPLINES_SENT:
+        raise _fault(layout, scene, refusal)
+    records = zip(scene.lines, core.records, strict=False)
+    sent = tuple(line.slot for line, record in records if record.is_there)
+    return PreparedScene(scene, layout, full, sent, core)
 
-    def __init__(self, layout: Layout, tables: Any) -> None:
-        self._layout, self._tables = layout, tables
 
-    def prepare(self, scene: Scene, *, full: bool = False) -> PreparedScene:
-        """Encode a scene; this takes most of the time.
+def write_scene(
+    prepared: PreparedScene, tables: Any, counters: bytes, age: float | Mapping[Owner, float]
+) -> tuple[Records, bytes]:
+    """Return the records of the pose error and of each line, and the counters that follow.
 
-        Args:
-            scene: the scene.
-            full: send all entries of line-specific covariances, as CAN FD records do.
+    Args:
+        prepared: the scene.
+        tables: of its DBC.
+        counters: next counter of each slot and of the pose error; see ``packed``.
+        age: time from the pose to the sending of each record, or one for all [s]; infinite if it is
+            too old.
 
-        Raises:
-            EncodeError: the DBC has no message of the pose error or for a slot, or the pose error
-                does not fit.
-            IllPosedError: a line is not a function of x, seen from the mean pose.
-            ValueError: a value is none that a scene has, which its constructor does not take.
-        """
-        if self._layout.pose is None:
-            raise EncodeError(
-                f"{self._layout.source} has no message of the pose error (MapLinePose), so lines "
-                "cannot be sent as a scene; take maplines.dbc or maplines-pose.dbc"
-            )
-        core = ffi.new("maplines_prepared_t *")
-        try:
-            given, kept = _given_scene(scene)
-        except _WRONG as error:
-            raise self._fault(scene, lib.MAPLINES_SENT) from error
-        refusal = lib.maplines_prepare_scene(self._tables, given, full, core)
-        del kept
-        if refusal != lib.MAPLINES_SENT:
-            raise self._fault(scene, refusal)
-        records = zip(scene.lines, core.records, strict=False)
-        sent = tuple(line.slot for line, record in records if record.is_there)
-        return PreparedScene(scene, self._layout, full, sent, core)
+    Raises:
+        ValueError: an age is less than 0 or NaN, or that of a record is missing.
+    """
+    slots = [line.slot for line in prepared.scene.lines if line.slot in prepared.sent_slots]
+    ages = _ages(age, () if prepared.layout.is_conditional else slots)
+    following, lengths = bytearray(counters), bytearray(len(OWNERS))
+    records = bytearray(len(OWNERS) * _MAX_RECORD)
+    if not lib.maplines_write_scene(
+        tables,
+        prepared.core,
+        len(slots),
+        bytes(slots),
+        ffi.from_buffer(_DOUBLES, ages),
+        ffi.from_buffer(_COUNTERS, following),
+        ffi.from_buffer(_BYTES, lengths),
+        ffi.from_buffer(_BYTES, records),
+    ):
+        raise EncodeError("the core refuses sent_slots of the scene: one of them has no record")
+    own = tuple(lengths[: len(slots) + 1])
+    return Records(bytes(records[: sum(own)]), (POSE, *slots), own), bytes(following)
 
-    def write(
-        self, prepared: PreparedScene, counters: bytes, age: float | Mapping[Owner, float]
-    ) -> tuple[Records, bytes]:
-        """Return the records of the pose error and of each line, and the counters that follow.
 
-        Args:
-            prepared: the scene.
-            counters: next counter of each slot and of the pose error; see ``packed``.
-            age: time from the pose to the sending of each record, or one for all [s]; infinite if
-                it is too old.
+def _ages(age: float | Mapping[Owner, float], slots: Iterable[Slot]) -> bytes:
+    """Return the ages of all owners, of which the pose error and these slots need one; or 0."""
+    if not isinstance(age, Mapping):
+        return _AGES.pack(*[_checked_age(age)] * len(OWNERS))
+    aged: tuple[Owner, ...] = (POSE, *slots)
+    if missing := [owner for owner in aged if owner not in age]:
+        raise ValueError(
+            f"age must be one for all [s], or have that of each record, but {missing[0]!r} has none"
+        )
+    checked = {owner: _checked_age(age[owner]) for owner in aged}
+    return _AGES.pack(*[checked.get(owner, 0.0) for owner in OWNERS])
 
-        Raises:
-            ValueError: an age is less than 0 or NaN, or that of a record is missing.
-        """
-        slots = [line.slot for line in prepared.scene.lines if line.slot in prepared.sent_slots]
-        ages = self._ages(age, slots)
-        following, lengths = bytearray(counters), bytearray(len(OWNERS))
-        records = bytearray(len(OWNERS) * _MAX_RECORD)
-        if not lib.maplines_write_scene(
-            self._tables,
-            prepared.core,
-            len(slots),
-            bytes(slots),
-            ffi.from_buffer(_DOUBLES, ages),
-            ffi.from_buffer(_COUNTERS, following),
-            ffi.from_buffer(_BYTES, lengths),
-            ffi.from_buffer(_BYTES, records),
-        ):
-            raise EncodeError("the core refuses sent_slots of the scene: one of them has no record")
-        own = tuple(lengths[: len(slots) + 1])
-        return Records(bytes(records[: sum(own)]), (POSE, *slots), own), bytes(following)
 
-    def _ages(self, age: float | Mapping[Owner, float], slots: list[Slot]) -> bytes:
-        """Return the ages of all owners; 0 for records without one."""
-        if not isinstance(age, Mapping):
-            return _AGES.pack(*[_checked_age(age)] * len(OWNERS))
-        aged: tuple[Owner, ...] = (POSE,) if self._layout.is_conditional else (POSE, *slots)
-        if missing := [owner for owner in aged if owner not in age]:
-            raise ValueError(
-                f"age must be one for all [s], or have that of each record, but {missing[0]!r} "
-                "has none"
-            )
-        checked = {owner: _checked_age(age[owner]) for owner in aged}
-        return _AGES.pack(*[checked.get(owner, 0.0) for owner in OWNERS])
-
-    def _fault(self, scene: Scene, refusal: int) -> Exception:
-        """Return the error of a scene that the core refuses, or that cannot be given to it."""
+def _fault(layout: Layout, scene: Scene, refusal: int) -> Exception:
+    """Return the error of a scene that the core refuses, or that cannot be given to it."""
+    for line in scene.lines:
+        if line.slot not in layout.messages:
+            return EncodeError(f"{layout.source} has no message for slot {line.slot!r}")
+    try:
         for line in scene.lines:
-            if line.slot not in self._layout.messages:
-                return EncodeError(f"{self._layout.source} has no message for slot {line.slot!r}")
-        try:
-            for line in scene.lines:
-                replace(line)  # its constructor checks all values
-            PoseError(scene.pose_error.cov, scene.pose_error.correlation_time)
-            Scene(**{one.name: getattr(scene, one.name) for one in fields(Scene)})
-        except ValueError as error:
-            return error
-        if refusal == lib.MAPLINES_BAD_POSE:
-            sigma = np.sqrt(scene.pose_error.cov.diagonal())
-            return EncodeError(
-                "the pose error does not fit the Pose message: its standard deviations are "
-                f"{sigma[0]:g} m along, {sigma[1]:g} m across and {sigma[2]:g} rad"
-            )
-        if refusal == lib.MAPLINES_UNSEEN:
-            return IllPosedError("a line is not a function of x, seen from the mean pose")
-        return EncodeError(f"the core refuses the scene ({refusal}): it has a value of no scene")
+            replace(line)  # its constructor checks all values
+        PoseError(scene.pose_error.cov, scene.pose_error.correlation_time)
+        Scene(**{one.name: getattr(scene, one.name) for one in fields(Scene)})
+    except ValueError as error:
+        return error
+    if refusal == lib.MAPLINES_BAD_POSE:
+        sigma = np.sqrt(scene.pose_error.cov.diagonal())
+        return EncodeError(
+            "the pose error does not fit the Pose message: its standard deviations are "
+            f"{sigma[0]:g} m along, {sigma[1]:g} m across and {sigma[2]:g} rad"
+        )
+    if refusal == lib.MAPLINES_UNSEEN:
+        return IllPosedError("a line is not a function of x, seen from the mean pose")
+    return EncodeError(f"the core refuses the scene ({refusal}): it has a value of no scene")
 
 
 def _checked_age(age: float) -> float:

@@ -62,11 +62,6 @@ class FrameWriter:
         #: Of what was written before, by owners, lengths and whether it is CAN FD.
         self._forms: dict[tuple[Any, ...], _Form] = {}
 
-    @property
-    def is_authenticated(self) -> bool:
-        """Whether all frames are authenticated."""
-        return self._authenticator is not None
-
     def write(self, record: bytes, owner: Owner, fd: bool) -> list[Frame]:
         """Return the frames of a record of a line, or of the pose error.
 
