@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
+from statistics import median
 from typing import NamedTuple
 
+from .elementary import clipped
 from .levels import NODES, SHAPE
-from .lines import cubic_fit, extrema
-from .matrices import Matrix, Row, diagonal, dot_by_halves, total, transposed
-from .stretches import Stretches, limited
+from .lines import cubic_fit, extrema, places
+from .matrices import Matrix, Vector, diagonal, dot_by_halves, total
+from .stretches import Stretches
 
 #: Nodes of the fits in the search for the longest range.
-COARSE = extrema(32)[::-1]
+COARSE = Vector(extrema(32)[::-1])
 #: Starts of the ranges that are tried, as shares of the way from the car back to the window's end;
 #: ends that are tried in a round, as shares of what is left; rounds.
 STARTS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)
@@ -44,10 +46,10 @@ SHOWN, MAX_SHOWN = 4.0, 2.0
 MIN_POINTS, MEDIAN = 8, 0.455
 
 
-def _fit_rows(nodes: Row) -> Matrix:
+def _fit_rows(nodes: Vector) -> Matrix:
     """Return the (4, n) matrix from values at nodes to the coefficients of w^0 .. w^3."""
     units = diagonal([1.0] * len(nodes))
-    return transposed([cubic_fit(nodes, unit, end_weight=1.0)[0] for unit in units])
+    return Matrix(cubic_fit(nodes, unit, end_weight=1.0)[0] for unit in units).T
 
 
 FIT, COARSE_FIT = _fit_rows(NODES), _fit_rows(COARSE)
@@ -58,9 +60,9 @@ class Fitted(NamedTuple):
 
     begin: float  #: of the range [m]
     end: float
-    x: Row  #: nodes, and the line there [m]
-    y: Row
-    q: Row  #: coefficients of w^0 .. w^3, before the shift [m]
+    x: Vector  #: nodes, and the line there [m]
+    y: Vector
+    q: Vector  #: coefficients of w^0 .. w^3, before the shift [m]
     shift: float  #: [m]
     misfit: float  #: the largest deviation [m]
 
@@ -73,20 +75,9 @@ class Limits(NamedTuple):
     step: float = 0.0  #: of which the ends of ranges are multiples; 0 for any [m]
 
 
-def cubic_through(rows: Matrix, y: Row) -> Row:
-    """Return the coefficients of the cubic through values at the nodes of a fit."""
-    return [dot_by_halves(row, y) for row in rows]
-
-
-def cubic_at(q: Row, w: float) -> float:
+def cubic_at(q: Vector, w: float) -> float:
     """Return the value of a cubic."""
     return q[0] + w * (q[1] + w * (q[2] + w * q[3]))
-
-
-def places(begin: float, end: float, nodes: Iterable[float]) -> Row:
-    """Return the places of nodes in a range."""
-    centre, half = (begin + end) / 2, (end - begin) / 2
-    return [centre + half * node for node in nodes]
 
 
 # ---- the longest range ------------------------------------------------------------------------
@@ -95,8 +86,8 @@ def places(begin: float, end: float, nodes: Iterable[float]) -> Row:
 def fitted_in(seen: Stretches, line: int, begin: float, end: float) -> Fitted:
     """Return the cubic in a range. Its misfit counts at the nodes and at all points within."""
     x = places(begin, end, NODES)
-    y = [seen.lateral(line, u) for u in x]
-    q = cubic_through(FIT, y)
+    y = Vector(seen.lateral(line, u) for u in x)
+    q = Vector(dot_by_halves(row, y) for row in FIT)
     rest = [v - cubic_at(q, w) for v, w in zip(y, NODES, strict=True)]
     centre, half = (begin + end) / 2, (end - begin) / 2
     for u, v in seen.points(line):
@@ -107,19 +98,18 @@ def fitted_in(seen: Stretches, line: int, begin: float, end: float) -> Fitted:
 
 
 def longest_range(seen: Stretches, line: int, limits: Limits) -> Fitted | None:
-    """Return the cubic in the longest range with at most the greatest misfit; None without one."""
+    """Return the cubic in the longest range with at most the greatest misfit; None without one.
+
+    It is the whole range, the one that is found by search, or that one, shortened to the car.
+    """
     ends = _whole(seen.ranges[line], limits.step)
     found = fitted_in(seen, line, *ends)
-    if found.misfit > limits.max_misfit:
-        ends = _whole(_search(seen, line, limits), limits.step)
-        if ends[0] == ends[1]:
-            return None
-        found = fitted_in(seen, line, *ends)
-    for _ in range(SHRINKS):
+    for trial in range(SHRINKS + 1):
         if not found.misfit > limits.max_misfit:
             break
-        car = limited(0.0, *ends)
-        ends = _whole((car + SHRINK * (ends[0] - car), car + SHRINK * (ends[1] - car)), limits.step)
+        car = clipped(0.0, *ends)
+        shorter = car + SHRINK * (ends[0] - car), car + SHRINK * (ends[1] - car)
+        ends = _whole(shorter if trial else _search(seen, line, limits), limits.step)
         if ends[0] == ends[1]:
             return None
         found = fitted_in(seen, line, *ends)
@@ -139,7 +129,7 @@ def _whole(ends: tuple[float, float], step: float) -> tuple[float, float]:
 def follows(seen: Stretches, line: int, begin: float, end: float, span: float) -> bool:
     """Return whether the deviations of a line from its cubic span no more than this."""
     y = [seen.lateral(line, x) for x in places(begin, end, COARSE)]
-    q = cubic_through(COARSE_FIT, y)
+    q = Vector(dot_by_halves(row, y) for row in COARSE_FIT)
     rest = [v - cubic_at(q, w) for v, w in zip(y, COARSE, strict=True)]
     return max(rest) - min(rest) <= span
 
@@ -156,23 +146,23 @@ class _Candidate(NamedTuple):
         return end - BEHIND * self.begin if self.is_found else -math.inf
 
 
-def _narrowed(seen: Stretches, line: int, span: float, candidate: _Candidate) -> _Candidate:
-    begin, inner, outer, is_found = candidate
-    ends = [inner + (outer - inner) * share for share in ENDS]
-    good = [i for i, end in enumerate(ends) if follows(seen, line, begin, end, span)]
-    if not good:
-        return _Candidate(begin, inner, ends[0], is_found)
-    return _Candidate(begin, ends[good[-1]], ends[min(good[-1] + 1, len(ends) - 1)], True)
-
-
 def _search(seen: Stretches, line: int, limits: Limits) -> tuple[float, float]:
     """Return the range with the longest reach, about the room behind the car."""
+
+    def narrowed(candidate: _Candidate) -> _Candidate:
+        begin, inner, outer, is_found = candidate
+        ends, span = [inner + (outer - inner) * share for share in ENDS], 2 * limits.max_misfit
+        good = [i for i, end in enumerate(ends) if follows(seen, line, begin, end, span)]
+        if not good:
+            return _Candidate(begin, inner, ends[0], is_found)
+        return _Candidate(begin, ends[good[-1]], [*ends, ends[-1]][good[-1] + 1], True)
+
     low, high = seen.ranges[line]
-    car = limited(-limits.room, low, high)
+    car = clipped(-limits.room, low, high)
     starts = [car + (low - car) * share for share in STARTS]
     candidates = [_Candidate(start, car, high, start == car) for start in starts]
     for _ in range(ROUNDS):
-        candidates = [_narrowed(seen, line, 2 * limits.max_misfit, one) for one in candidates]
+        candidates = [narrowed(one) for one in candidates]
         best = max(one.reach(one.inner) for one in candidates)
         candidates = [one for one in candidates if one.outer - BEHIND * one.begin >= best]
     chosen = max(reversed(candidates), key=lambda one: one.reach(one.inner))  # the last one
@@ -182,7 +172,7 @@ def _search(seen: Stretches, line: int, limits: Limits) -> tuple[float, float]:
 # ---- what a cubic misses ----------------------------------------------------------------------
 
 
-def coefficient_variances(seen: Stretches, line: int, cubic: Fitted, point_sigma: float) -> Row:
+def coefficient_variances(seen: Stretches, line: int, cubic: Fitted, point_sigma: float) -> Vector:
     """Return the variances of the coefficients of T_0 .. T_3 that cover what a cubic misses [m^2].
 
     T_0 has a share of the misfit. T_1 .. T_3 have ``SHAPE`` times a level, the least one with which
@@ -202,20 +192,18 @@ def coefficient_variances(seen: Stretches, line: int, cubic: Fitted, point_sigma
     noise, stated = 0.0, point_sigma * point_sigma
     if point_sigma > 0:
         shown = shown_noise(seen.points(line), x, fit)
-        if shown <= MAX_SHOWN * stated:
-            noise = min(stated, SHOWN * shown)
-    position = [seen.position(line, u) for u in x] if noise > 0 else None
-    squared = cubic.misfit * cubic.misfit
-    level = max(MIN_SIGMA * MIN_SIGMA, MIN_SHAPE * squared)
+        noise = min(stated, SHOWN * shown) if shown <= MAX_SHOWN * stated else 0.0
+    position = [seen.position(line, u) for u in x] if noise > 0 else []
+    squared, floor = cubic.misfit * cubic.misfit, MIN_SIGMA * MIN_SIGMA
+    level = max(floor, MIN_SHAPE * squared)
     for spacing in SPACINGS:
         steps = max(1, round((GRID - 1) * spacing / (cubic.end - cubic.begin)))
         if 2 * steps <= GRID - 1:
             level = max(level, least_level(rest, steps, position, noise))
-    lateral = LATERAL_SHARE * squared + MIN_SIGMA * MIN_SIGMA
-    return [lateral, *(share * level for share in SHAPE[1:])]
+    return Vector([LATERAL_SHARE * squared + floor, *(level * SHAPE.diagonal())[1:]])
 
 
-def least_level(rest: Row, steps: int, position: Row | None, noise: float) -> float:
+def least_level(rest: list[float], steps: int, position: list[float], noise: float) -> float:
     """Return the least squared level for second differences over steps of the grid [m^2]."""
     count = GRID - 2 * steps
     h = steps * 2 / (GRID - 1)
@@ -223,19 +211,19 @@ def least_level(rest: Row, steps: int, position: Row | None, noise: float) -> fl
     for i in range(count):
         # Second differences of T_2 are 4 h^2, those of T_3 are 24 w h^2, with w in the middle.
         of_cubic = 24 * ((i * (2 / (GRID - 1)) - 1) + h)
-        variance = h * h * (h * h) * (16 * SHAPE[2] + of_cubic * of_cubic * SHAPE[3])
-        second = rest[i] - 2 * rest[i + steps] + rest[i + 2 * steps]
-        explained = 0.0
-        if position is not None:
-            around = position[i], position[i + steps], position[i + 2 * steps]
-            explained = noise * second_difference_variance(around)
-        terms[i] = (second * second - explained) / variance
-        beyond.append((second * second - NOISE_LIMIT * NOISE_LIMIT * explained) / variance)
+        variance = h * h * (h * h) * (16 * SHAPE[2][2] + of_cubic * of_cubic * SHAPE[3][3])
+        places = i, i + steps, i + 2 * steps
+        a, b, c = (rest[k] for k in places)
+        squared, explained = (a - 2 * b + c) * (a - 2 * b + c), 0.0
+        if noise > 0:
+            explained = noise * second_difference_variance([position[k] for k in places])
+        terms[i] = (squared - explained) / variance
+        beyond.append((squared - NOISE_LIMIT * NOISE_LIMIT * explained) / variance)
     far = sorted(beyond)[math.ceil(SHARE * count) - 1] / (LIMIT * LIMIT)
     return max(far, total(terms) / count)
 
 
-def shown_noise(points: Sequence[tuple[float, float]], x: Row, fit: Row) -> float:
+def shown_noise(points: Sequence[tuple[float, float]], x: Vector, fit: list[float]) -> float:
     """Return the variance of errors of the map's points that a line shows [m^2].
 
     It is that of white noise with the same median of the squared third differences.
@@ -252,9 +240,7 @@ def shown_noise(points: Sequence[tuple[float, float]], x: Row, fit: Row) -> floa
         return 0.0
     for _ in range(3):
         rest = [b - a for a, b in pairwise(rest)]
-    squares, half = sorted(d * d for d in rest), len(rest) // 2
-    median = squares[half] if len(rest) % 2 else (squares[half - 1] + squares[half]) / 2
-    return median / (20 * MEDIAN)
+    return median([d * d for d in rest]) / (20 * MEDIAN)
 
 
 def second_difference_variance(position: Sequence[float]) -> float:
@@ -262,13 +248,13 @@ def second_difference_variance(position: Sequence[float]) -> float:
 
     Each of the three places has the weighted mean of the errors of two points.
     """
-    below = [math.floor(place) for place in position]
-    shares = [place - i for place, i in zip(position, below, strict=True)]
-    weights = [f * (1 - share) for f, share in zip((1, -2, 1), shares, strict=True)]
-    weights += [f * share for f, share in zip((1, -2, 1), shares, strict=True)]
-    points = [*below, *(i + 1 for i in below)]
+    behind, ahead = [], []  # points, and the weights of their errors
+    for place, factor in zip(position, (1, -2, 1), strict=True):
+        point = math.floor(place)
+        behind.append((point, factor * (1 - (place - point))))
+        ahead.append((point + 1, factor * (place - point)))
     variance = 0.0
-    for i, a in zip(points, weights, strict=True):
-        for j, b in zip(points, weights, strict=True):
+    for i, a in (*behind, *ahead):
+        for j, b in (*behind, *ahead):
             variance += a * b if i == j else 0.0
     return variance

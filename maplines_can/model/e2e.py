@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 #: Statuses that count as OK in a window.
 OKS = ("OK", "OKSOMELOST")
-#: Names of the statuses of a check, and of the states of an owner.
+#: Names of the statuses of a check.
 STATUSES = ("OK", "NONEWDATA", "ERROR", "REPEATED", "OKSOMELOST", "WRONGSEQUENCE")
-STATES = ("VALID", "NODATA", "INIT", "INVALID")
 
 
 class Windows(NamedTuple):
@@ -83,9 +82,9 @@ class StateMachine:
         if not has_errors and oks >= of("min_ok_state", state):
             self.state = "VALID"
         elif state == "VALID" or (state == "INIT" and has_errors):
+            self.state = "INVALID"
             if self._windows.clear_to_invalid:
                 self.clear()
-            self.state = "INVALID"
         self._checks = self._checks[-of("window_size", self.state) :]
 
     def clear(self) -> None:

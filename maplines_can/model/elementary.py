@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 
-def _numbers(text: str) -> tuple[float, ...]:
-    return tuple(map(float.fromhex, text.split()))
+def _numbers(text: str) -> list[float]:
+    return [*map(float.fromhex, text.split())]
 
 
 #: Coefficients of 2^f, ln(2)^k / k!, the highest power last.
@@ -27,28 +27,12 @@ _LOG2 = _numbers("""
     0x1.5b9ac9b743f0dp-3 0x1.3703c1f4d0ffep-3 0x1.1964ec6fc9491p-3 0x1.00ecd7e080215p-3
 """)
 #: Coefficients of (sin r - r) / r^3 and (cos r - 1) / r^2 in powers of r^2.
-_SIN = _numbers("""
-    -0x1.5555555555555p-3 0x1.1111111111111p-7 -0x1.a01a01a01a01ap-13 0x1.71de3a556c734p-19
-    -0x1.ae64567f544e4p-26 0x1.6124613a86d09p-33 -0x1.ae7f3e733b81fp-41 0x1.952c77030ad4ap-49
-""")
-_COS = _numbers("""
-    -0x1.0000000000000p-1 0x1.5555555555555p-5 -0x1.6c16c16c16c17p-10 0x1.a01a01a01a01ap-16
-    -0x1.27e4fb7789f5cp-22 0x1.1eed8eff8d898p-29 -0x1.93974a8c07c9dp-37 0x1.ae7f3e733b81fp-45
-    -0x1.6827863b97d97p-53
-""")
-#: Coefficients of atan(t) / t in powers of t^2: (-1)^k / (2 k + 1).
-_ATAN = _numbers("""
-    0x1.0000000000000p+0 -0x1.5555555555555p-2 0x1.999999999999ap-3 -0x1.2492492492492p-3
-    0x1.c71c71c71c71cp-4 -0x1.745d1745d1746p-4 0x1.3b13b13b13b14p-4 -0x1.1111111111111p-4
-    0x1.e1e1e1e1e1e1ep-5 -0x1.af286bca1af28p-5 0x1.8618618618618p-5 -0x1.642c8590b2164p-5
-    0x1.47ae147ae147bp-5
-""")
+_SIN = [(-1) ** (k + 1) / math.factorial(2 * k + 3) for k in range(8)]
+_COS = [(-1) ** (k + 1) / math.factorial(2 * k + 2) for k in range(9)]
+#: Coefficients of atan(t) / t in powers of t^2.
+_ATAN = [(-1) ** k / (2 * k + 1) for k in range(13)]
 #: pi / 2 in three parts; a product of the first two with up to 20 bits is exact.
 _HALF_PI = _numbers("0x1.921fb54400000p+0 0x1.0b4611a600000p-34 0x1.3198a2e037073p-69")
-_TWO_BY_PI, PI_BY_2, _TWO_PI = _numbers(
-    "0x1.45f306dc9c883p-1 0x1.921fb54442d18p+0 0x1.921fb54442d18p+2"
-)
-_SQRT_HALF = float.fromhex("0x1.6a09e667f3bcdp-1")
 #: Angles beyond this are first reduced by whole turns [rad].
 _FAR = 1e5
 
@@ -72,7 +56,7 @@ def log2(x: float) -> float:
     if not 0 < x < math.inf:
         return -math.inf if x <= 0 else x
     m, e = math.frexp(x)
-    if m < _SQRT_HALF:
+    if m < math.sqrt(0.5):
         m, e = 2 * m, e - 1
     s = (m - 1) / (m + 1)
     return e + s * _polynomial(s * s, _LOG2)
@@ -86,23 +70,14 @@ def sin_cos(x: float) -> tuple[float, float]:
     """
     if not math.isfinite(x):
         return math.nan, math.nan
-    angle = math.fmod(x, _TWO_PI) if abs(x) > _FAR else x
-    quarters = round(angle * _TWO_BY_PI)
+    angle = math.fmod(x, math.tau) if abs(x) > _FAR else x
+    quarters = round(angle * (2 / math.pi))
     angle += 0.0  # without -0.0
     r = ((angle - quarters * _HALF_PI[0]) - quarters * _HALF_PI[1]) - quarters * _HALF_PI[2]
     square = r * r
     s = r + (r * square) * _polynomial(square, _SIN)
     c = 1 + square * _polynomial(square, _COS)
     return ((s, c), (c, -s), (-s, -c), (-c, s))[quarters & 3]
-
-
-def hypot(x: float, y: float) -> float:
-    """Return the length of a vector.
-
-    >>> hypot(3.0, 4.0)
-    5.0
-    """
-    return math.sqrt(x * x + y * y)
 
 
 def tan(x: float) -> float:
@@ -121,10 +96,20 @@ def atan(x: float) -> float:
     for _ in range(2):  # tan(a / 2) = tan a / (1 + sqrt(1 + tan^2 a))
         t = t / (1 + math.sqrt(1 + t * t))
     angle = 4 * (t * _polynomial(t * t, _ATAN))
-    return math.copysign(PI_BY_2 - angle if abs(x) > 1 else angle, x)
+    return math.copysign(math.pi / 2 - angle if abs(x) > 1 else angle, x)
 
 
-def _polynomial(x: float, coefficients: tuple[float, ...]) -> float:
+def hypot(x: float, y: float) -> float:
+    """Return the length of a vector."""
+    return math.sqrt(x * x + y * y)
+
+
+def clipped(x: float, low: float, high: float) -> float:
+    """Return the number in an interval that is nearest to another one."""
+    return min(high, max(low, x))
+
+
+def _polynomial(x: float, coefficients: list[float]) -> float:
     """Return the value of a polynomial by Horner's scheme, the highest power last."""
     *lower, value = coefficients
     for coefficient in reversed(lower):

@@ -15,15 +15,11 @@ If it fits two, or the pose error has a line of the slot already, it joins none.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from statistics import median
-from typing import Generic, NamedTuple, TypeVar
 
 from ..values.line import Slot
-
-Pose = TypeVar("Pose")
-Member = TypeVar("Member")
+from .scenes import Member, Pose
 
 #: By how much a line may come before and after its pose error [cycles]; if slots may have mixtures,
 #: whose counters come again sooner, the second pair.
@@ -35,124 +31,95 @@ MAX_EPOCHS, INTERVALS = 8, 5
 
 
 @dataclass(eq=False)
-class Epoch(Generic[Pose, Member]):
+class Epoch:
     """A pose error, and the lines that have joined it."""
 
     pose: Pose
-    counters: Mapping[Slot, int]  #: low bits of the counters of its lines
-    t_ns: int  #: time of its first frame
     lines: dict[Slot, Member] = field(default_factory=dict)
 
 
-class Waiting(NamedTuple, Generic[Member]):
-    """A line whose pose error has not come."""
-
-    member: Member
-    counter: int
-    t_ns: int
-    frames: int
-
-
-class Epochs(Generic[Pose, Member]):
+class Epochs:
     """Epochs of a receiver; all times in ns."""
 
-    def __init__(
-        self,
-        moduli: Mapping[Slot, int],
-        cycle_ns: int,
-        counts: Counter[str],
-        *,
-        has_mixtures: bool,
-    ) -> None:
-        self._moduli = moduli  # by slot, of the counters that a pose error states
+    def __init__(self, cycle_ns: int, counts: Counter[str], *, has_mixtures: bool) -> None:
         self._cycle_ns, self._counts = cycle_ns, counts  # between pose errors; dropped frames
         self._early, self._late = MIXTURE_WINDOW if has_mixtures else WINDOW
-        self._open: deque[Epoch[Pose, Member]] = deque(maxlen=MAX_EPOCHS)
-        self._waiting: dict[Slot, Waiting[Member]] = {}
+        self._open: deque[Epoch] = deque(maxlen=MAX_EPOCHS)
+        self._waiting: dict[Slot, Member] = {}  # lines whose pose error has not come
         self._since_ns: dict[Slot, int] = {}  # break of a slot: no older epoch has its lines
         self._pose_ns: int | None = None  # time of the last pose error
         self._intervals_ns: deque[float] = deque(maxlen=INTERVALS)
         #: The newest epoch with lines that waits for no more.
-        self.latest: Epoch[Pose, Member] | None = None
+        self.latest: Epoch | None = None
 
     @property
     def pending(self) -> int:
         """Frames of lines that wait for their pose error."""
-        return sum(waiting.frames for waiting in self._waiting.values())
+        return sum(member.frames for member in self._waiting.values())
 
-    def add_pose(
-        self, pose: Pose, counters: Mapping[Slot, int], t_ns: int, ahead: int | None
-    ) -> list[tuple[Epoch[Pose, Member], Slot, int]]:
-        """Add a pose error; return its epoch, slot and frames of each line that waited for it.
+    def add_pose(self, pose: Pose, ahead: int | None) -> list[Member]:
+        """Add a pose error; return the lines that waited for it.
 
         Its counter is ``ahead`` of the last one; after a break (None) all before it is forgotten.
         """
-        self.expire(t_ns)
+        self.expire(pose.t_ns)
         if ahead is None:
             self._open.clear()
             self._intervals_ns.clear()
             for slot in [*self._waiting]:
                 self._drop(slot)
         elif self._pose_ns is not None:
-            self._intervals_ns.append(float(abs(t_ns - self._pose_ns)) / ahead)
-        self._pose_ns = t_ns
-        epoch = Epoch[Pose, Member](pose, counters, t_ns)
+            self._intervals_ns.append(float(abs(pose.t_ns - self._pose_ns)) / ahead)
+        self._pose_ns = pose.t_ns
+        epoch = Epoch(pose)
         self._open.append(epoch)
-        joined = []
-        for slot, waiting in [*self._waiting.items()]:
-            if self._epoch_of(slot, waiting.counter, waiting.t_ns) is epoch:
-                del self._waiting[slot]
-                epoch.lines[slot] = waiting.member
-                joined.append((epoch, slot, waiting.frames))
+        joined = [one for one in self._waiting.values() if self._epoch_of(one) is epoch]
+        for member in joined:
+            epoch.lines[member.slot] = self._waiting.pop(member.slot)
         self._choose_latest()
         return joined
 
-    def add_line(
-        self, member: Member, slot: Slot, counter: int, t_ns: int, frames: int, *, is_break: bool
-    ) -> Epoch[Pose, Member] | None:
-        """Add a line; return its epoch, or None if it waits, in place of an older one (POSE)."""
-        self.expire(t_ns)
+    def add_line(self, member: Member, *, is_break: bool) -> Pose | None:
+        """Add a line; return its pose error, or None if it waits, in place of an older one."""
+        self.expire(member.t_ns)
         if is_break:
-            self._since_ns[slot] = t_ns
-        self._drop(slot)
-        epoch = self._epoch_of(slot, counter, t_ns)
+            self._since_ns[member.slot] = member.t_ns
+        self._drop(member.slot)
+        epoch = self._epoch_of(member)
         if epoch is None:
-            self._waiting[slot] = Waiting(member, counter, t_ns, frames)
+            self._waiting[member.slot] = member
             return None
-        epoch.lines[slot] = member
+        epoch.lines[member.slot] = member
         self._choose_latest()
-        return epoch
+        return epoch.pose
 
     def expire(self, t_ns: int) -> None:
         """Drop the lines and close the epochs that are too old, or far ahead of a time."""
-        for slot, waiting in [*self._waiting.items()]:
-            if abs(t_ns - waiting.t_ns) > HOLD_CYCLES * self._cycle_ns:
+        for slot, member in [*self._waiting.items()]:
+            if abs(t_ns - member.t_ns) > HOLD_CYCLES * self._cycle_ns:
                 self._drop(slot)
-        while self._open and abs(t_ns - self._open[0].t_ns) > KEEP_CYCLES * self._cycle_ns:
+        while self._open and abs(t_ns - self._open[0].pose.t_ns) > KEEP_CYCLES * self._cycle_ns:
             old = self._open.popleft()
             if old.lines and old is not self.latest and self.latest not in self._open:
                 self.latest = old  # it has waited for long enough
 
-    def _epoch_of(self, slot: Slot, counter: int, t_ns: int) -> Epoch[Pose, Member] | None:
+    def _epoch_of(self, member: Member) -> Epoch | None:
         """Return the only epoch that a line fits."""
-        if slot not in self._moduli:
-            return None
-        low, since_ns = counter % self._moduli[slot], self._since_ns.get(slot)
-        fitting = [
-            epoch
-            for epoch in self._open
-            if epoch.counters.get(slot) == low
-            and self._fits_window(t_ns - epoch.t_ns)
-            and (since_ns is None or epoch.t_ns >= since_ns)
-        ]
-        return fitting[0] if len(fitting) == 1 and slot not in fitting[0].lines else None
+        fitting = [epoch for epoch in self._open if self._fits(member, epoch.pose)]
+        is_free = len(fitting) == 1 and member.slot not in fitting[0].lines
+        return fitting[0] if is_free else None
 
-    def _fits_window(self, late_ns: int) -> bool:
-        """Return whether a line may be so much later than its pose error."""
+    def _fits(self, member: Member, pose: Pose) -> bool:
+        """Return whether a line may belong to a pose error, by its counter and its time."""
+        stated = pose.layout.counters.get(member.slot)
+        if stated is None or member.counter % 2**stated.length != pose.raw[stated.name]:
+            return False
         cycle_ns: float = self._cycle_ns
         if self._intervals_ns:
             cycle_ns = min(cycle_ns, median(self._intervals_ns))  # the sender may be faster
-        return -self._early * cycle_ns <= late_ns <= self._late * cycle_ns
+        late_ns = member.t_ns - pose.t_ns
+        is_near = -self._early * cycle_ns <= late_ns <= self._late * cycle_ns
+        return is_near and pose.t_ns >= self._since_ns.get(member.slot, pose.t_ns)
 
     def _choose_latest(self) -> None:
         """Take the newest epoch that waits for no line.

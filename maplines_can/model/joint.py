@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import reduce
+from operator import add
 
 from .elementary import log2
 from .matrices import (
     Matrix,
-    Row,
-    added,
+    Vector,
     cholesky,
     congruence,
     diagonal,
     dot_by_halves,
     inverse,
     is_definite,
+    is_finite,
     lower_solution,
+    matrix,
     norm,
     outer,
-    product,
-    scaled,
-    subtracted,
     symmetric,
     total,
-    transposed,
     upper_solution,
 )
 
@@ -37,33 +36,31 @@ FACTORIZATIONS, PRECISION, LEAST = 64, 2.0**-14, 2.0**-40
 #: bracket, from the Rayleigh quotient up, at which the next factorization is tried.
 FIRST, FARTHER, NEARER = 2.0**-4, 16.0, 2.0**-6
 LN_2 = float.fromhex("0x1.62e42fefa39efp-1")
-#: Entries of the lower triangle, row by row.
-TRIANGLE = [(i, j) for i in range(4) for j in range(i + 1)]
 PLACES = [k / 4 - 1 for k in range(9)]
 #: Values of T_0 .. T_3 at places of the range, then those of their derivatives; all are exact.
 VALUES = [[1.0, w, 2 * w * w - 1, 4 * w * w * w - 3 * w] for w in PLACES]
 VALUES += [[0.0, 1.0, 4 * w, 12 * w * w - 3] for w in PLACES]
+#: Entries of the lower triangle, row by row, and their weights in the variances of these values.
+TRIANGLE = [(i, j) for i in range(4) for j in range(i + 1)]
+WEIGHTS = matrix([v[i] * v[j] * (1 if i == j else 2) for i, j in TRIANGLE] for v in VALUES)
 
 
 # ---- one line ---------------------------------------------------------------------------------
 
 
-def variances(S: Matrix) -> Row:
-    """Return the variances of lateral position and direction of a line at the places."""
-    found = []
-    for values in VALUES:
-        variance = 0.0
-        for i, j in TRIANGLE:
-            variance += values[i] * values[j] * (1 if i == j else 2) * S[i][j]
-        found.append(variance)
-    return found
-
-
 def largest_ratio(decoded: Matrix, true: Matrix) -> float:
-    """Return the largest ratio of these variances; NaN if one is."""
-    pairs = zip(variances(decoded), variances(true), strict=True)
+    """Return the largest ratio of the variances of lateral position and direction of a line.
+
+    At the places; NaN if one is.
+    """
+    pairs = zip(_variances(decoded), _variances(true), strict=True)
     ratios = [a / b if b else math.nan for a, b in pairs]
     return math.nan if any(map(math.isnan, ratios)) else max(ratios)
+
+
+def _variances(S: Matrix) -> list[float]:
+    entries = [S[i][j] for i, j in TRIANGLE]
+    return [weights @ entries for weights in WEIGHTS]
 
 
 def compared(true: Matrix, decoded: Matrix) -> tuple[float, float]:
@@ -72,17 +69,10 @@ def compared(true: Matrix, decoded: Matrix) -> tuple[float, float]:
     The divergence is the first one plus the logarithm of the other.
     """
     G, L = cholesky(true), cholesky(decoded)
-    trace, ratio, n = 0.0, 1.0, len(true)
-    for j in range(n):
-        Y: Row = []  # column j of L^-1 G, from the diagonal on
-        for i in range(j, n):
-            rest = G[i][j]
-            for k, y in enumerate(Y, start=j):
-                rest -= L[i][k] * y
-            Y.append(rest / L[i][i])
-            trace += Y[-1] * Y[-1]
-        ratio *= L[j][j] / G[j][j]
-    return (trace - n) / 2, ratio
+    trace, ratio = reduce(add, (y * y for column in lower_solution(L, G).T for y in column)), 1.0
+    for x, y in zip(L.diagonal(), G.diagonal(), strict=True):
+        ratio *= x / y
+    return (trace - len(true)) / 2, ratio
 
 
 def divergence(true: Matrix, decoded: Matrix) -> float:
@@ -90,11 +80,6 @@ def divergence(true: Matrix, decoded: Matrix) -> float:
     by_trace, ratio = compared(true, decoded)
     kl = by_trace + LN_2 * log2(ratio)
     return kl if math.isfinite(kl) else math.inf
-
-
-def is_finite(S: Matrix) -> bool:
-    """Whether all entries are numbers."""
-    return all(math.isfinite(x) for row in S for x in row)
 
 
 def factor_or_identity(S: Matrix) -> Matrix:
@@ -108,7 +93,7 @@ def factor_or_identity(S: Matrix) -> Matrix:
 
 def block(S: Matrix, i: int, j: int) -> Matrix:
     """Return the block of two lines."""
-    return [row[4 * j : 4 * j + 4] for row in S[4 * i : 4 * i + 4]]
+    return matrix(row[4 * j : 4 * j + 4] for row in S[4 * i : 4 * i + 4])
 
 
 def uncovered(
@@ -124,51 +109,47 @@ def uncovered(
     The weights are the sizes of u_i against the whole covariance of their lines. What is added is
     NaN for lines that cannot be compared.
     """
-    lines, nan, bound = range(len(J)), [[math.nan] * 4] * 4, 1 - SLACK
+    lines, unknown, bound = range(len(J)), matrix([[math.nan] * 4] * 4), 1 - SLACK
     to_metres = [inverse(one) for one in J]
     factors = [cholesky(congruence(to_metres[i], own[i])) for i in lines]
+    lacking = [diagonal([0.0] * 4) for _ in lines]
     if not all(map(is_finite, factors)):
-        return [diagonal([0.0] * 4) if is_finite(L) else nan for L in factors]
+        return [none if is_finite(L) else unknown for none, L in zip(lacking, factors, strict=True)]
     W = [lower_solution(factors[i], to_metres[i]) for i in lines]
-    excess = whitened(W, subtracted(true, spread))
-    if is_definite(less_than(bound, excess)):
+    excess = whitened(W, true - spread)
+    if is_definite(_less_than(bound, excess)):
         return None
     wholes = [congruence(W[i], block(spread, i, i)) for i in lines]
-    sizes = [factor_or_identity(added(diagonal([1.0] * 4), whole)) for whole in wholes]
-    lacking = [diagonal([0.0] * 4) for _ in lines]
+    sizes = [factor_or_identity(diagonal([1.0] * 4) + whole) for whole in wholes]
     guess = FIRST
     for _ in range(4 * len(J)):
         found = largest(excess, bound, guess)
         if found is None:
-            return [nan for _ in lines]
+            return [unknown for _ in lines]
         guess, v = found  # the next one is hardly larger
         amount = guess + SLACK
-        parts = [v[4 * i : 4 * i + 4] for i in lines]
-        weights = [norm(solved(lower_solution, sizes[i], parts[i])) + 1e-9 for i in lines]
+        parts = [Vector(v[4 * i : 4 * i + 4]) for i in lines]
+        weights = [norm(_solved(lower_solution, sizes[i], parts[i])) + 1e-9 for i in lines]
         for i in lines:
-            u = [x for (x,) in product(factors[i], [[x] for x in parts[i]])]
-            share = amount * total(weights) / weights[i]
-            lacking[i] = added(lacking[i], scaled(share, outer(u)))
-        excess = [
-            [x - amount * a * b for x, b in zip(row, v, strict=True)]
-            for row, a in zip(excess, v, strict=True)
-        ]
-        if is_definite(less_than(bound, excess)):
+            u = Vector(row @ parts[i] for row in factors[i])
+            lacking[i] += amount * total(weights) / weights[i] * outer(u)
+        excess -= Matrix(amount * a * v for a in v)
+        if is_definite(_less_than(bound, excess)):
             break
     return [congruence(J[i], lacking[i]) for i in lines]
 
 
-def less_than(bound: float, S: Matrix) -> Matrix:
+def _less_than(bound: float, S: Matrix) -> Matrix:
     """Return bound I - S."""
-    return subtracted(diagonal([bound] * len(S)), S)
+    return diagonal([bound] * len(S)) - S
 
 
-def solved(solution: Callable[[Matrix, Matrix], Matrix], A: Matrix, b: Row) -> Row:
+def _solved(solution: Callable[[Matrix, Matrix], Matrix], A: Matrix, b: Vector) -> Vector:
     """Return the solution of a triangular system with one right-hand side."""
-    return [x for (x,) in solution(A, [[x] for x in b])]
+    return solution(A, Matrix([b]).T).T[0]
 
 
-def largest(S: Matrix, bound: float, guess: float) -> tuple[float, Row] | None:
+def largest(S: Matrix, bound: float, guess: float) -> tuple[float, Vector] | None:
     """Return by how much the largest eigenvalue of S exceeds a bound, and an eigenvector.
 
     A factorization of s I - S decides whether s exceeds all eigenvalues. If it does, a step of
@@ -177,42 +158,33 @@ def largest(S: Matrix, bound: float, guess: float) -> tuple[float, Row] | None:
     """
     low, high = 0.0, math.inf
     for _ in range(FACTORIZATIONS):
-        L = cholesky(less_than(bound + guess, S))
+        L = cholesky(_less_than(bound + guess, S))
         if math.isnan(L[-1][-1]):
             low = guess
             guess = FARTHER * guess if math.isinf(high) else (low + high) / 2
             continue
         high = guess
         # The column of the inverse with the largest diagonal entry is nearest to the eigenvector.
-        X = transposed(lower_solution(L, diagonal([1.0] * len(S))))
-        U, v = transposed(L), max(X, key=norm_squared)
-        v = unit(solved(upper_solution, U, v))
-        v = unit(solved(upper_solution, U, solved(lower_solution, L, v)))
-        images = [dot_by_halves(row, v) for row in S]
-        low = max(low, dot_by_halves(v, images) - bound)
+        X = lower_solution(L, diagonal([1.0] * len(S))).T
+        v = max(X, key=lambda column: dot_by_halves(column, column))
+        v = _unit(_solved(upper_solution, L.T, v))
+        v = _unit(_solved(upper_solution, L.T, _solved(lower_solution, L, v)))
+        low = max(low, dot_by_halves(v, [dot_by_halves(row, v) for row in S]) - bound)
         if high - low <= PRECISION * high or high <= LEAST:
             return high, v
         guess = low + NEARER * (high - low)
     return None
 
 
-def norm_squared(v: Row) -> float:
-    """Return the square of the length."""
-    return dot_by_halves(v, v)
-
-
-def unit(v: Row) -> Row:
+def _unit(v: Vector) -> Vector:
     """Return the vector of length 1."""
-    length = norm(v)
-    return [x / length for x in v]
+    return v / norm(v)
 
 
 def whitened(W: Sequence[Matrix], S: Matrix) -> Matrix:
     """Return blockdiag(W) S blockdiag(W)^T, exactly symmetric."""
-    rows: Matrix = []
+    rows = Matrix()
     for i, one in enumerate(W):
-        blocks = [
-            product(product(one, block(S, i, j)), transposed(other)) for j, other in enumerate(W)
-        ]
-        rows += [[x for b in blocks for x in b[k]] for k in range(4)]
+        blocks = [one @ block(S, i, j) @ other.T for j, other in enumerate(W)]
+        rows.extend(Vector(x for b in blocks for x in b[k]) for k in range(4))
     return symmetric(rows)

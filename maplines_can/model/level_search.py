@@ -10,7 +10,8 @@ import math
 import struct
 from bisect import bisect_left
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import add
 from typing import NamedTuple
 
 from .elementary import log2
@@ -26,23 +27,22 @@ from .levels import (
     point_noise,
     shape_level,
     spacing_of,
-    with_shape,
 )
 from .lines import Curve
-from .matrices import Matrix, Row, added, congruence, diagonal, inverse, scaled, subtracted
+from .matrices import Matrix, Vector, congruence, diagonal, inverse, matrix
 from .signals import level
 
 #: Raw values above the least one of the level of the points, or of the shape, that are tried.
 TRIED = (0, 1, 2, 3, 5)
 #: Spacings for which the second of them is tried, at most, and those of the best of these for which
-#: all are. The first ones for which it is tried; of the others, only those that may be better.
-SPACINGS, CHOSEN, FIRST = 256, 16, 24
+#: all are.
+SPACINGS, CHOSEN = 256, 16
 #: More than any level squared [m^2].
 BEYOND = 1e100
 #: Added to the variances that errors of points cause: those of points far apart may be singular.
-SINGULAR = 1e-6
-#: Entries without those of T_0, of the lower triangle, column by column.
-LOWER = ((1, 1), (2, 1), (3, 1), (2, 2), (3, 2), (3, 3))
+SINGULAR = diagonal([1e-6] * 4)
+#: Entries without those of T_0, of the lower triangle, column by column; and those of T_0.
+LOWER = ((1, 1), (2, 1), (3, 1), (2, 2), (3, 2), (3, 3), (1, 0), (2, 0), (3, 0))
 
 
 class Wanted(NamedTuple):
@@ -56,8 +56,7 @@ class Wanted(NamedTuple):
 def wanted_of(target: Matrix, common: Matrix, true: Matrix, J: Matrix) -> Wanted:
     """Return what levels have to cover, of covariances of the parameters; J is of ``bases``."""
     to_metres = inverse(J)
-    covered = subtracted(congruence(to_metres, target), common)
-    return Wanted(covered, common, congruence(to_metres, true))
+    return Wanted(congruence(to_metres, target) - common, common, congruence(to_metres, true))
 
 
 class LevelSearch:
@@ -67,86 +66,76 @@ class LevelSearch:
         self.signals = signals
 
     @cached_property
-    def squares(self) -> tuple[Row, Row, Row]:
+    def squares(self) -> list[list[float]]:
         """Squares of the levels a, p and b of all raw values."""
         of_signals = zip((level, level, shape_level), self.signals, strict=True)
-        a, p, b = ([of(one, raw) for raw in range(one.raw_max + 1)] for of, one in of_signals)
-        return [x * x for x in a], [x * x for x in p], [x * x for x in b]
+        return [
+            [of(signal, raw) * of(signal, raw) for raw in range(signal.raw_max + 1)]
+            for of, signal in of_signals
+        ]
 
     @cached_property
-    def searched(self) -> list[int]:
-        """Raw values of the shape that are tried: all, or at equal distances."""
-        first, last = self.signals.shape.raw_min, self.signals.shape.raw_max
-        step = -(-(last + 1 - first) // SPACINGS)
+    def straight(self) -> dict[int, tuple[Matrix, float]]:
+        """N of a straight line, and r^2 d, of all raw values of the shape that are tried.
+
+        These are all, or at equal distances. N has single precision, as in the tables of the core.
+        """
+        shape, line = self.signals.shape, Curve(Vector([0.0] * 4), 0.0, 1.0)
+        step = -(-(shape.raw_max + 1 - shape.raw_min) // SPACINGS)
         while math.gcd(step, len(RATIOS)) != 1:
             step += 1
-        return list(range(first, last + 1, step))
-
-    @cached_property
-    def straight(self) -> list[tuple[Matrix, float]]:
-        """N of a straight line, and r^2 d, of all raw values that are tried.
-
-        They have single precision, as in the tables of the core.
-        """
-        line, found = Curve([0.0] * 4, 0.0, 1.0, 0.0), []
-        for raw in self.searched:
-            spacing = spacing_of(self.signals.shape, raw)
-            N = [[_single(x) for x in row] for row in point_noise(line, spacing)]
-            found.append((N, _single(spacing.uncertainty)))
+        found = {}
+        for raw in range(shape.raw_min, shape.raw_max + 1, step):
+            spacing = spacing_of(shape, raw)
+            N = matrix(map(_single, row) for row in point_noise(line, spacing))
+            found[raw] = N, _single(spacing.uncertainty)
         return found
 
     def spacings(self, wanted: Wanted, curve: Curve) -> list[int]:
         """Return the raw values of the shape that suit the errors of points best.
 
-        Of all that are searched, they have the least cost with one level of the points. Straight
-        lines that are stretched as the line is on average choose the same ones, or nearly so.
+        Of all that are tried, they have the least cost with one level of the points. Straight lines
+        that are stretched as the line is on average choose the same ones, or nearly so.
         """
-        stretch, squared = arc_of(curve).stretch, self.squares[1]
+        stretch, squared = arc_of(curve)[0], self.squares[1]
         mean = min(stretch) * max(stretch)
-        near = [with_shape(scaled(mean, N), amount) for N, amount in self.straight]
-        least = [least_by_variances(squared, S, wanted.target) for S in near]
-        bound = []
-        for S, raw in zip(near, least, strict=True):
-            bound.append(least_cost(scaled(_at(squared, raw + TRIED[1]), S), wanted))
-        cost = [math.inf] * len(near)
-
-        def assess(k: int) -> None:
+        near = {raw: N * mean + amount * SHAPE for raw, (N, amount) in self.straight.items()}
+        least = {raw: least_by_variances(squared, S, wanted.target) for raw, S in near.items()}
+        bound = {
+            raw: least_cost(_at(squared, least[raw] + TRIED[1]) * S, wanted)
+            for raw, S in near.items()
+        }
+        costs: dict[int, float] = {}
+        for k in sorted(near, key=lambda k: (math.isnan(bound[k]), bound[k])):
+            chosen = sorted(costs.values())[:CHOSEN]
+            if len(chosen) == CHOSEN and bound[k] > chosen[-1]:
+                continue  # it cannot be one of the best
             raw = least_raw(squared, near[k], wanted.target, least[k]) + TRIED[1]
-            _, found = self.cost(scaled(_at(squared, raw), near[k]), wanted)
-            found = math.inf if raw > self.signals.points.raw_max else found
-            cost[k] = bound[k] if bound[k] > found else found
-
-        places = range(len(near))
-        first = sorted(places, key=lambda k: (math.isnan(bound[k]), bound[k]))[:FIRST]
-        for k in first:
-            assess(k)
-        limit = sorted(cost)[min(CHOSEN, len(cost)) - 1]
-        for k in places:
-            if k not in first and not bound[k] > limit:
-                assess(k)
-        return [self.searched[k] for k in sorted(places, key=lambda k: cost[k])[:CHOSEN]]
+            cost = self.cost(_at(squared, raw) * near[k], wanted)[1]
+            cost = math.inf if raw > self.signals.points.raw_max else cost
+            costs[k] = bound[k] if bound[k] > cost else cost
+        return sorted(costs, key=lambda k: (costs[k], k))[:CHOSEN]
 
     def encode(self, wanted: Wanted, curve: Curve, spacings: Sequence[int]) -> tuple[Levels, bool]:
         """Return the levels with the least cost, and whether they cover the line.
 
         Of some spacings with some levels of the points, and of some levels of the shape alone.
         """
-        tried: list[tuple[int, int, Matrix]] = []  # raw values of the points and the shape
-        _, squared, of_shape = self.squares
+        _, of_points, of_shape = self.squares
 
-        def least(squares: Row, S: Matrix) -> int:
-            begin = least_by_variances(squares, S, wanted.target)
-            return least_raw(squares, S, wanted.target, begin)
+        def tried(squared: list[float], S: Matrix) -> list[tuple[int, Matrix]]:
+            begin = least_by_variances(squared, S, wanted.target)
+            least = least_raw(squared, S, wanted.target, begin)
+            return [(least + n, _at(squared, least + n) * S) for n in TRIED]
 
-        for k in spacings:
-            S = noise(self.signals.shape, k, curve)
-            raws = [least(squared, S) + n for n in TRIED]
-            tried += [(raw, k, scaled(_at(squared, raw), S)) for raw in raws]
-        S = diagonal(SHAPE)
-        raws = [least(of_shape, S) + n for n in TRIED]
-        tried += [(0, raw, scaled(_at(of_shape, raw), S)) for raw in raws]
-        best, best_cost = (0, *tried[0][:2]), math.nan
-        for points, k, own in tried:
+        candidates = [
+            (points, k, own)
+            for k in spacings
+            for points, own in tried(of_points, noise(self.signals.shape, k, curve))
+        ]
+        candidates += [(0, shape, own) for shape, own in tried(of_shape, SHAPE)]
+        best, best_cost = (0, *candidates[0][:2]), math.nan
+        for points, k, own in candidates:
             lateral, cost = self.cost(own, wanted)
             bound = least_cost(own, wanted)
             cost = bound if bound > cost else cost
@@ -159,14 +148,13 @@ class LevelSearch:
 
     def covered(self, raw: Levels, wanted: Wanted, curve: Curve) -> bool:
         """Whether levels cover what is wanted."""
-        own = level_covariance(self.signals, raw, curve)
-        return shortfall(subtracted(own, wanted.target)) <= 0
+        return shortfall(level_covariance(self.signals, raw, curve) - wanted.target) <= 0
 
     def cost(self, own: Matrix, wanted: Wanted) -> tuple[int, float]:
         """Return the lateral level with which a covariance covers the target, and its cost."""
         squared = self.squares[0]
-        raw = bisect_left(squared, shortfall(subtracted(own, wanted.target)))
-        decoded = added(wanted.common, own)
+        raw = bisect_left(squared, shortfall(own - wanted.target))
+        decoded = wanted.common + own
         decoded[0][0] += _at(squared, raw)
         by_trace, ratio = compared(wanted.true, decoded)
         cost = by_trace + LN_2 * log2(ratio * largest_ratio(decoded, wanted.true))
@@ -186,8 +174,8 @@ def _at(squared: Sequence[float], raw: int) -> float:
 
 def least_by_variances(squared: Sequence[float], S: Matrix, E: Matrix) -> int:
     """Return the least raw value, 1 or more, whose multiple of S covers all variances but one."""
-    needed = max(0.0, *(E[i][i] / (S[i][i] + SINGULAR) for i in range(1, 4)))
-    return max(bisect_left(squared, needed), 1)
+    shares = E.diagonal() / (S + SINGULAR).diagonal()
+    return max(bisect_left(squared, max(0.0, *shares[1:])), 1)
 
 
 def least_raw(squared: Sequence[float], S: Matrix, E: Matrix, begin: int) -> int:
@@ -197,10 +185,9 @@ def least_raw(squared: Sequence[float], S: Matrix, E: Matrix, begin: int) -> int
     double until the bracket is shorter, and are halved then.
     """
     low, high, step = begin - 1, len(squared), 1
-    regular = added(S, diagonal([SINGULAR] * 4))
     while high - low > 1:
         middle = low + min(step, (high - low) // 2)
-        if pivots(subtracted(scaled(_at(squared, middle), regular), E)) is not None:
+        if pivots(_at(squared, middle) * (S + SINGULAR) - E) is not None:
             high = middle
         else:
             low = middle
@@ -208,13 +195,12 @@ def least_raw(squared: Sequence[float], S: Matrix, E: Matrix, begin: int) -> int
     return high
 
 
-def pivots(M: Matrix) -> tuple[Row, Row] | None:
-    """Return the pivots of a matrix without T_0, and what is left of the entries of T_0 then.
+def pivots(M: Matrix) -> list[tuple[float, float]] | None:
+    """Return the pivots of a matrix without T_0, each with what is left of the entry of T_0 then.
 
     None if a pivot is not positive: the rest of the matrix is not definite.
     """
-    a, b, c, d, e, f = (M[i][j] for i, j in LOWER)
-    g, h, i = M[1][0], M[2][0], M[3][0]
+    a, b, c, d, e, f, g, h, i = (M[row][column] for row, column in LOWER)
     if not a > 0:
         return None
     d1 = d - b * b / a
@@ -223,7 +209,7 @@ def pivots(M: Matrix) -> tuple[Row, Row] | None:
         return None
     f2 = f - c * c / a - e1 * e1 / d1
     i2 = i - c * g / a - e1 * h1 / d1
-    return ([a, d1, f2], [g, h1, i2]) if f2 > 0 else None
+    return [(a, g), (d1, h1), (f2, i2)] if f2 > 0 else None
 
 
 def shortfall(M: Matrix) -> float:
@@ -231,8 +217,7 @@ def shortfall(M: Matrix) -> float:
     found = pivots(M)
     if found is None:
         return BEYOND
-    (a, d, f), (g, h, i) = found
-    short = g * g / a + h * h / d + i * i / f - M[0][0]
+    short = reduce(add, (x * x / pivot for pivot, x in found)) - M[0][0]
     return short if math.isfinite(short) else BEYOND
 
 
@@ -242,15 +227,12 @@ def least_cost(own: Matrix, wanted: Wanted) -> float:
     With r > 1 the largest ratio of the variances of the direction, at five places, to the true
     ones, the divergence is (1 / r - 1 + ln r) / 2 at least, and ln r is 2 (r - 1) / (r + 1).
     """
-    r = 1.0
-    decoded = added(own, wanted.common)
-    for variance, true in zip(directions(decoded), directions(wanted.true), strict=True):
-        if true and variance / true > r:
-            r = variance / true
+    pairs = zip(directions(own + wanted.common), directions(wanted.true), strict=True)
+    r = max(1.0, *(variance / true if true else 1.0 for variance, true in pairs))
     return (r - 1) * (5 * r - 1) / (2 * r * (r + 1))
 
 
-def directions(S: Matrix) -> Row:
+def directions(S: Matrix) -> list[float]:
     """Return variances of the derivative with respect to w at -1, 1, -1/2, 1/2 and 0."""
     at_ends = S[1][1] + 16 * S[2][2] + 81 * S[3][3] + 18 * S[3][1]
     end = 8 * S[2][1] + 72 * S[3][2]

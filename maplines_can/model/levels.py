@@ -17,26 +17,26 @@ from typing import NamedTuple
 
 from ..wire.layout.signals import OCTAVE, Signal
 from .elementary import exp2, tan
-from .lines import Curve, extrema
-from .matrices import Matrix, Row, diagonal, dot_by_halves, inverse, product, scaled, square
+from .lines import Curve, extrema, places
+from .matrices import Matrix, Vector, diagonal, dot_by_halves, inverse, matrix
 from .signals import level, value
 
 #: Shape of a line that is uncertain, in coefficients of T_0 .. T_3.
-SHAPE = (0.0, 0.25, 1.0, 2.0)
+SHAPE = diagonal([0.0, 0.25, 1.0, 2.0])
 #: log2 of the level b [m] for the raw value 0, and by how much that of the greatest exceeds it.
 SHAPE_OFFSET, SHAPE_OCTAVES = -10.0, 10.2
 #: r by the remainder of the raw value of ``OwnShape`` modulo 6.
 RATIOS = (0.0, 0.5, 0.5 * 1.8, 0.5 * 1.8 * 1.8, 0.5 * 1.8 * 1.8 * 1.8, 0.5 * 1.8 * 1.8 * 1.8 * 1.8)
 GOLDEN_RATIO = (1 + math.sqrt(5)) / 2
 #: Places at which a cubic is fitted to the points, from -1 to 1.
-NODES = extrema(64)[::-1]
+NODES = Vector(extrema(64)[::-1])
 
 
 def _fit_matrix() -> Matrix:
     """Return the (4, 64) matrix from values at the nodes to the coefficients of T_0 .. T_3."""
-    T = [[1.0] * len(NODES), NODES, [2 * w * w - 1 for w in NODES]]
-    T.append([2 * w * t - w for w, t in zip(NODES, T[2], strict=True)])
-    return product(inverse([[dot_by_halves(a, b) for b in T] for a in T]), T)
+    T = matrix([[1.0] * len(NODES), NODES, [2 * w * w - 1 for w in NODES]])
+    T.append(2.0 * NODES * T[2] - NODES)
+    return inverse(matrix([dot_by_halves(a, b) for b in T] for a in T)) @ T
 
 
 FIT = _fit_matrix()
@@ -62,10 +62,10 @@ def level_covariance(signals: LevelSignals, raw: Levels, curve: Curve) -> Matrix
     """Return the covariance of the coefficients of T_0 .. T_3."""
     if raw.points == 0:
         b = shape_level(signals.shape, raw.shape)
-        cov = diagonal(b * b * share for share in SHAPE)
+        cov = b * b * SHAPE
     else:
         p = level(signals.points, raw.points)
-        cov = scaled(p * p, noise(signals.shape, raw.shape, curve))
+        cov = p * p * noise(signals.shape, raw.shape, curve)
     a = level(signals.lateral, raw.lateral)
     cov[0][0] += a * a
     return cov
@@ -94,37 +94,24 @@ def spacing_of(signal: Signal, raw: int) -> Spacing:
 
 
 def noise(signal: Signal, raw: int, curve: Curve) -> Matrix:
-    """Return N(d, phase) + r^2 d diag(SHAPE)."""
+    """Return N(d, phase) + r^2 d diag(0, 1/4, 1, 2)."""
     spacing = spacing_of(signal, raw)
-    return with_shape(point_noise(curve, spacing), spacing.uncertainty)
+    return point_noise(curve, spacing) + spacing.uncertainty * SHAPE
 
 
-def with_shape(cov: Matrix, amount: float) -> Matrix:
-    """Return a covariance plus an amount of an uncertain shape."""
-    return [
-        [x + amount * SHAPE[i] if i == j else x for j, x in enumerate(row)]
-        for i, row in enumerate(cov)
-    ]
+def arc_of(curve: Curve) -> tuple[Vector, Vector]:
+    """Return the length of a line at the nodes of its range, by trapezoids.
 
-
-class Arc(NamedTuple):
-    """Length of a line at the nodes of its range."""
-
-    stretch: Row  #: derivative of the length with respect to x
-    place: Row  #: length up to the node, in halves of the whole length
-
-
-def arc_of(curve: Curve) -> Arc:
-    """Return the length of a line, by trapezoids."""
+    Its derivatives with respect to x; and the length up to each node, in halves of all of it.
+    """
     _, beta, c0, c1 = curve.mean
-    middle, half = (curve.begin + curve.end) / 2, (curve.end - curve.begin) / 2
-    x = [middle + half * node for node in NODES]
+    x = places(curve.begin, curve.end, NODES)
     slopes = [tan(beta) + u * (c0 + u * c1 / 2) for u in x]
-    stretch = [math.sqrt(1 + slope * slope) for slope in slopes]
-    along = [0.0]
+    stretch = Vector(math.sqrt(1 + slope * slope) for slope in slopes)
+    along = Vector([0.0])
     for k in range(1, len(x)):
         along.append(along[-1] + (x[k] - x[k - 1]) * (stretch[k] + stretch[k - 1]))
-    return Arc(stretch, [2 * place / along[-1] for place in along])
+    return stretch, Vector(2 * place / along[-1] for place in along)
 
 
 def point_noise(curve: Curve, spacing: Spacing) -> Matrix:
@@ -133,16 +120,14 @@ def point_noise(curve: Curve, spacing: Spacing) -> Matrix:
     The points are at equal distances along the line. Between two of them, the line has shares of
     both of their errors; one across the line acts on y by the factor ``stretch``.
     """
-    arc = arc_of(curve)
-    behind: dict[int, Row] = defaultdict(lambda: [0.0] * 4)  # weights of the errors of each point
-    ahead: dict[int, Row] = defaultdict(lambda: [0.0] * 4)
-    for k, (stretch, along) in enumerate(zip(arc.stretch, arc.place, strict=True)):
+    behind: dict[int, Vector] = defaultdict(lambda: Vector([0.0] * 4))  # weights of each error
+    ahead: dict[int, Vector] = defaultdict(lambda: Vector([0.0] * 4))
+    for stretch, along, column in zip(*arc_of(curve), FIT.T, strict=True):
         place = along / spacing.distance + spacing.phase
         point = int(place)
         share = place - point
-        for i, row in enumerate(FIT):
-            weight = row[k] * stretch
-            behind[point][i] += weight * (1 - share)
-            ahead[point + 1][i] += weight * share
-    points = range(max(ahead) + 1)
-    return square([[behind[point][i] + ahead[point][i] for point in points] for i in range(4)])
+        weights = column * stretch
+        behind[point] += weights * (1 - share)
+        ahead[point + 1] += weights * share
+    effects = Matrix(behind[point] + ahead[point] for point in range(max(ahead) + 1)).T
+    return effects @ effects.T

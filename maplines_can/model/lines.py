@@ -11,18 +11,8 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from .elementary import PI_BY_2, atan, sin_cos, tan
-from .matrices import (
-    Matrix,
-    Row,
-    diagonal,
-    dot,
-    dot_by_halves,
-    entrywise,
-    square_root,
-    total,
-    transposed,
-)
+from .elementary import atan, sin_cos, tan
+from .matrices import Matrix, Vector, diagonal, dot_by_halves, matrix, quadratic, square_root, total
 
 #: Points of a line, and the weight of both ends in a fit; that of the others is 1.
 POINTS, END_WEIGHT = 16, 0.62
@@ -40,42 +30,40 @@ MARGIN = 3.0
 class Curve(NamedTuple):
     """A line."""
 
-    mean: Row  #: y_off [m], beta [rad], c0 [1/m], c1 [1/m^2]
+    mean: Vector  #: y_off [m], beta [rad], c0 [1/m], c1 [1/m^2]
     begin: float  #: of the range to which it was fitted [m]
     end: float
-    quartic: float  #: coefficient of T_4 [m]
+    quartic: float = 0.0  #: coefficient of T_4 [m]
 
 
 #: Points: their x, and their y [m].
-Points = tuple[Row, Row]
+Points = tuple[Vector, Vector]
 
 
-def cubic_fit(w: Row, values: Row, end_weight: float) -> tuple[Row, Row]:
+def cubic_fit(w: Vector, values: Vector, end_weight: float) -> tuple[Vector, Vector]:
     """Return the coefficients of w^0 .. w^3 of a cubic that is fitted to points, and the rest.
 
     It is fitted by polynomials that are orthogonal on the points (Forsythe 1957). Each of them is w
     times the one before, less its shares of the two before.
     """
-    q, rest = [0.0] * 4, values
-    p, p_before = [1.0] * len(w), [0.0] * len(w)
-    c, c_before = [1.0, 0.0, 0.0, 0.0], [0.0] * 4  # coefficients of p
+    q, rest = Vector([0.0] * 4), values
+    p, p_before = Vector([1.0] * len(w)), Vector([0.0] * len(w))
+    c, c_before = Vector([1.0, 0.0, 0.0, 0.0]), Vector([0.0] * 4)  # coefficients of p
     norm_before = math.inf
     for _ in range(4):
-        weighted = [end_weight * p[0], *p[1:-1], end_weight * p[-1]]
+        weighted = Vector([end_weight * p[0], *p[1:-1], end_weight * p[-1]])
         norm = dot_by_halves(weighted, p)
         share = dot_by_halves(weighted, rest) / norm
-        q = [x + share * y for x, y in zip(q, c, strict=True)]
-        rest = [x - share * y for x, y in zip(rest, p, strict=True)]
-        a = dot_by_halves(weighted, [x * y for x, y in zip(w, p, strict=True)]) / norm
-        b = norm / norm_before
-        p, p_before = [(x - a) * y - b * z for x, y, z in zip(w, p, p_before, strict=True)], p
-        raised = [0.0, *c[:3]]
-        c, c_before = [r - a * x - b * z for r, x, z in zip(raised, c, c_before, strict=True)], c
+        q += share * c
+        rest -= share * p
+        a, b = dot_by_halves(weighted, w * p) / norm, norm / norm_before
+        p, p_before = Vector(x - a for x in w) * p - b * p_before, p
+        c, c_before = Vector([0.0, *c[:3]]) - a * c - b * c_before, c
         norm_before = norm
     return q, rest
 
 
-def derivatives(q: Row, centre: float, half: float) -> Row:
+def derivatives(q: Vector, centre: float, half: float) -> Vector:
     """Return value and derivatives at x = 0 of a cubic in w = (x - centre) / half."""
     r = 1 / half
     r2, w = 2 * r * r, -centre * r
@@ -83,20 +71,19 @@ def derivatives(q: Row, centre: float, half: float) -> Row:
     value2 = q[2] + q3_w
     value1 = q[1] + w * value2
     slope2 = value2 + q3_w
-    return [
-        q[0] + w * value1,
-        (value1 + w * slope2) * r,
-        (slope2 + q3_w) * r2,
-        q[3] * (3 * r2 * r),
-    ]
+    value = q[0] + w * value1
+    return Vector([value, (value1 + w * slope2) * r, (slope2 + q3_w) * r2, q[3] * (3 * r2 * r)])
 
 
-def extrema(n: int) -> Row:
+def extrema(n: int) -> Vector:
     """Return the n extrema of a Chebyshev polynomial, from 1 to -1."""
-    return [sin_cos(math.pi * k / (n - 1))[1] for k in range(n)]
+    return Vector(sin_cos(math.pi * k / (n - 1))[1] for k in range(n))
 
 
-NODES = extrema(POINTS)
+def places(begin: float, end: float, nodes: Sequence[float]) -> Vector:
+    """Return the places of nodes from -1 to 1 in a range [m]."""
+    centre, half = (begin + end) / 2, (end - begin) / 2
+    return Vector(centre + half * node for node in nodes)
 
 
 def _t_4(w: float) -> float:
@@ -104,23 +91,32 @@ def _t_4(w: float) -> float:
     return 8 * (square * square) - 8 * square + 1
 
 
+NODES = extrema(POINTS)
 #: What a fitted cubic leaves of T_4.
-BEND = cubic_fit(NODES, [_t_4(w) for w in NODES], END_WEIGHT)[1]
+BEND = cubic_fit(NODES, Vector(map(_t_4, NODES)), END_WEIGHT)[1]
 
 
-def y_of(mean: Row, slope: float, x: float) -> float:
+def y_of(mean: Vector, slope: float, x: float) -> float:
     """Return the lateral position of a line with tan(beta) at x [m]."""
     return mean[0] + x * (slope + x * (mean[2] / 2 + x * mean[3] / 6))
+
+
+def lateral_row(slope: float, x: float) -> Vector:
+    """Return the derivatives of the lateral position at x with respect to the parameters."""
+    return Vector([1.0, (1 + slope * slope) * x, x * x / 2, x * x * x / 6])
+
+
+def lateral_variance(slope: float, cov: Matrix, x: float) -> float:
+    """Return the variance of the lateral position of a line with tan(beta) at x [m^2]."""
+    return quadratic(lateral_row(slope, x), cov)
 
 
 def points_of(curve: Curve) -> Points:
     """Return 16 points of a line; y is NaN if it points backwards."""
     beta = curve.mean[1]
-    slope = tan(beta) if abs(beta) < PI_BY_2 else math.nan
-    middle, half = (curve.begin + curve.end) / 2, (curve.end - curve.begin) / 2
-    x = [middle + half * node for node in NODES]
-    bends = [curve.quartic * bend for bend in BEND]
-    return x, [y_of(curve.mean, slope, u) + bend for u, bend in zip(x, bends, strict=True)]
+    slope = tan(beta) if abs(beta) < math.pi / 2 else math.nan
+    x = places(curve.begin, curve.end, NODES)
+    return x, Vector(y_of(curve.mean, slope, u) for u in x) + curve.quartic * BEND
 
 
 def is_function(points: Points) -> bool:
@@ -131,22 +127,26 @@ def is_function(points: Points) -> bool:
     return all(abs(t1 - t0) < STEEPEST * ((s1 - s0) * sign) for s0, s1, t0, t1 in pairs)
 
 
-def refitted(points: Points, pose: Row) -> Row | None:
+def is_line(curve: Curve) -> bool:
+    """Return whether a line has a range, and is a function of x there."""
+    return curve.begin < curve.end and is_function(points_of(curve))
+
+
+def refitted(points: Points, pose: Sequence[float]) -> Vector | None:
     """Return the line of points from a pose (x, y, heading); None if it is no function of x."""
     d, c = sin_cos(pose[2])
-    s, t = [x - pose[0] for x in points[0]], [y - pose[1] for y in points[1]]
-    u = [c * x + d * y for x, y in zip(s, t, strict=True)]
-    v = [c * y - d * x for x, y in zip(s, t, strict=True)]
+    s, t = Vector(x - pose[0] for x in points[0]), Vector(y - pose[1] for y in points[1])
+    u, v = c * s + d * t, c * t - d * s
     if not is_function((u, v)):
         return None
     centre, half = (u[0] + u[-1]) / 2, abs(u[0] - u[-1]) / 2
-    coefficients, _ = cubic_fit([(x - centre) / half for x in u], v, END_WEIGHT)
+    coefficients, _ = cubic_fit(Vector((x - centre) / half for x in u), v, END_WEIGHT)
     line = derivatives(coefficients, centre, half)
     line[1] = atan(line[1])
     return line
 
 
-def seen(points: Points, pose: Row) -> Row | None:
+def seen(points: Points, pose: Vector) -> Vector | None:
     """Return the line from a pose; where it is no function of x, it is extrapolated.
 
     From the mean pose through the farthest one, by halves, from where it is.
@@ -157,47 +157,50 @@ def seen(points: Points, pose: Row) -> Row | None:
     mean, share = refitted(points, [0.0] * 3), 1.0
     for _ in range(HALVINGS if mean is not None else 0):
         share /= 2
-        line = refitted(points, [share * x for x in pose])
+        line = refitted(points, share * pose)
         if mean is not None and line is not None:
-            return [m + (x - m) / share for x, m in zip(line, mean, strict=True)]
+            return mean + (line - mean) / share
     return None
 
 
-def seen_from(points: Points, poses: Sequence[Row]) -> list[Row] | None:
+def seen_from(points: Points, poses: Sequence[Vector]) -> Matrix | None:
     """Return the lines from some poses; None if there is none from one of them."""
-    found = [line for pose in poses if (line := seen(points, pose)) is not None]
+    found = Matrix(line for pose in poses if (line := seen(points, pose)) is not None)
     return found if len(found) == len(poses) else None
 
 
 def pose_jacobian(points: Points) -> Matrix | None:
     """Return the (4, 3) derivatives of a line with respect to the pose."""
     steps = diagonal([STEP] * 3)
-    ahead, back = seen_from(points, steps), seen_from(points, [[-x for x in d] for d in steps])
-    if ahead is None or back is None:
-        return None
-    return transposed(entrywise(lambda a, b: (a - b) / (2 * STEP), ahead, back))
+    ahead, back = seen_from(points, steps), seen_from(points, -1.0 * steps)
+    return None if ahead is None or back is None else ((ahead - back) / (2 * STEP)).T
 
 
 def bases(curve: Curve) -> Matrix:
     """Return the derivatives of a line with respect to its coefficients of T_0 .. T_3."""
-    chebyshev = ([1.0, 0, 0, 0], [0.0, 1, 0, 0], [-1.0, 0, 2, 0], [0.0, -3, 0, 4])
+    chebyshev = matrix([[1.0, 0, 0, 0], [0.0, 1, 0, 0], [-1.0, 0, 2, 0], [0.0, -3, 0, 4]])
     centre, half = (curve.begin + curve.end) / 2, (curve.end - curve.begin) / 2
-    J = transposed([derivatives(q, centre, half) for q in chebyshev])
-    _, cosine = sin_cos(curve.mean[1])
-    J[1] = [x * (cosine * cosine) for x in J[1]]
+    return line_derivatives(chebyshev, centre, half, curve.mean[1])
+
+
+def line_derivatives(polynomials: Matrix, centre: float, half: float, beta: float) -> Matrix:
+    """Return the derivatives of a line with respect to coefficients of cubics in its range."""
+    J = Matrix(derivatives(q, centre, half) for q in polynomials).T
+    _, cosine = sin_cos(beta)
+    J[1] *= cosine * cosine
     return J
 
 
-def sigma_points(P: Matrix) -> list[Row]:
+def sigma_points(P: Matrix) -> Matrix:
     """Return the six displaced sigma points of a pose error: columns of sqrt(3) L, then less them.
 
     P may be singular.
     """
-    root = [[math.sqrt(3) * x for x in column] for column in transposed(square_root(P))]
-    return root + [[-x for x in column] for column in root]
+    root = math.sqrt(3) * square_root(P).T
+    return Matrix([*root, *(-1.0 * root)])
 
 
-def centred(curve: Curve, poses: list[Row]) -> Curve | None:
+def centred(curve: Curve, poses: Matrix) -> Curve | None:
     """Return the line whose mean over the pose error is the given one, as seen from the mean pose.
 
     Twice, the mean over the sigma points is computed, and by how much it exceeds the line so far is
@@ -208,32 +211,27 @@ def centred(curve: Curve, poses: list[Row]) -> Curve | None:
         found = seen_from(points_of(line), poses)
         if found is None:
             return None
-        means = [total(column) / len(poses) for column in zip(*found, strict=True)]
-        moved = [
-            given - (mean - x) for given, mean, x in zip(curve.mean, means, line.mean, strict=True)
-        ]
-        candidate = curve._replace(mean=moved)
-        line = candidate if is_function(points_of(candidate)) else line
+        mean = Vector(total(column) / len(poses) for column in found.T)
+        candidate = curve._replace(mean=curve.mean - (mean - line.mean))
+        line = candidate if is_line(candidate) else line
     return line
 
 
-def spread(curve: Curve, poses: list[Row]) -> Matrix | None:
+def spread(curve: Curve, poses: Matrix) -> Matrix | None:
     """Return the (4, 7) factor A of the covariance that the pose error causes.
 
     Its columns are the deviations of the sigma points. The centre has the weights 0 in the mean and
     2 in the covariance. None if the line is no function of x near the mean pose.
     """
     line = centred(curve, poses)
-    if line is None:
+    lines = line and seen_from(points_of(line), [Vector([0.0] * 3), *poses])
+    if not lines:
         return None
-    lines = seen_from(points_of(line), [[0.0] * 3, *poses])
-    if lines is None:
-        return None
-    A = []
-    for first, *others in zip(*lines, strict=True):
+    A = Matrix()
+    for first, *others in lines.T:
         d = [x - first for x in others]
         mean = total(d) / len(d)
-        A.append([*((value - mean) / math.sqrt(len(d)) for value in d), math.sqrt(2) * mean])
+        A.append(Vector([*((x - mean) / math.sqrt(len(d)) for x in d), math.sqrt(2) * mean]))
     return A
 
 
@@ -247,18 +245,17 @@ def valid_range(curve: Curve, P: Matrix, own: Matrix, heading_sigma: float) -> t
             range is taken to act along the line, too.
         heading_sigma: of the map [rad].
     """
-    slope = tan(curve.mean[1])
-    middle = (curve.begin + curve.end) / 2
-    square = middle * middle
-    J = [1.0, (1 + slope * slope) * middle, square / 2, square * middle / 6]
-    shift = dot([dot(J, column) for column in zip(*own, strict=True)], J)
-    heading = P[2][2] + heading_sigma * heading_sigma
+    mean, begin, end, _ = curve
+    slope = tan(mean[1])
+    shift = lateral_variance(slope, own, (begin + end) / 2)
+    P += diagonal([shift, 0.0, heading_sigma * heading_sigma])
+    margins = [margin_at(P, x, y_of(mean, slope, x)) for x in (begin, end)]
+    return begin + margins[0], end - margins[1]
+
+
+def margin_at(P: Matrix, x: float, y: float) -> float:
+    """Return by how much pose errors with a covariance shorten a range at its end [m]."""
+    variance = P[0][0] - 2 * y * P[0][2] + y * y * P[2][2]
     # A turned car sees the end of a line at x at about x cos(turn), which is nearer.
-    shortening = 1 - sin_cos(min(MARGIN * math.sqrt(heading), PI_BY_2))[1]
-
-    def margin(x: float) -> float:
-        y = y_of(curve.mean, slope, x)
-        variance = P[0][0] + shift - 2 * y * P[0][2] + y * y * heading
-        return MARGIN * math.sqrt(max(variance, 0.0)) + shortening * abs(x)
-
-    return curve.begin + margin(curve.begin), curve.end - margin(curve.end)
+    shortening = 1 - sin_cos(min(MARGIN * math.sqrt(P[2][2]), math.pi / 2))[1]
+    return MARGIN * math.sqrt(max(variance, 0.0)) + shortening * abs(x)

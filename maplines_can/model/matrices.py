@@ -1,17 +1,20 @@
-"""Linear algebra of lists of rows, with the order of operations of the core (``c/src/linalg.c``).
+"""Linear algebra of plain numbers, with the order of operations of the core (``c/src/linalg.c``).
 
-BLAS and LAPACK choose the order of sums by the processor; here it is part of the rule.
+BLAS and LAPACK choose the order of sums by the processor; here it is part of the rule. ``+``, ``-``
+and, with a number, ``*`` and ``/`` are entrywise, and so is ``*`` of two vectors. ``@`` adds the
+first terms first.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial, reduce
-from operator import add, sub, truediv
+from functools import reduce
+from itertools import repeat
+from operator import add, mul, sub, truediv
+from typing import Any, Self, TypeVar
 
-Row = list[float]
-Matrix = list[Row]
+T = TypeVar("T")
 
 #: Most sweeps of Jacobi's method; it converges in 5 to 8.
 SWEEPS = 16
@@ -19,24 +22,71 @@ SWEEPS = 16
 NEGLIGIBLE = 2.0**-60
 
 
-def product(A: Sequence[Sequence[float]], B: Sequence[Sequence[float]]) -> Matrix:
-    """Return A B; the terms are added one after the other, the first one first."""
-    columns = [*zip(*B, strict=True)]
-    return [[dot(row, column) for column in columns] for row in A]
+class _Entries(list[T]):
+    """Entries with entrywise arithmetic: with those of another one, or with a number."""
+
+    def _with(self, operation: Callable[[Any, Any], Any], other: Any) -> Self:
+        return type(self)(map(operation, self, other if isinstance(other, list) else repeat(other)))
+
+    def __add__(self, other: Self) -> Self:  # type: ignore[override]
+        return self._with(add, other)
+
+    __iadd__ = __add__  # type: ignore[assignment]
+
+    def __sub__(self, other: Self) -> Self:
+        return self._with(sub, other)
+
+    def __mul__(self, other: Self | float) -> Self:  # type: ignore[override]
+        return self._with(mul, other)
+
+    __rmul__ = __imul__ = __mul__  # type: ignore[assignment]
+
+    def __truediv__(self, other: Self | float) -> Self:
+        return self._with(truediv, other)
 
 
-def square(A: Sequence[Sequence[float]]) -> Matrix:
-    """Return A A^T."""
-    return [[dot(row, other) for other in A] for row in A]
+class Vector(_Entries[float]):
+    """Numbers.
+
+    >>> Vector([1.0, 2.0]) + 3 * Vector([1.0, 1.0]), Vector([1.0, 2.0]) @ Vector([3.0, 4.0])
+    ([4.0, 5.0], 11.0)
+    """
+
+    def __matmul__(self, other: Sequence[float]) -> float:
+        return reduce(add, map(mul, self, other)) if self else 0.0
 
 
-def dot(a: Sequence[float], b: Sequence[float]) -> float:
-    """Return the scalar product, the first terms first; 0 of none."""
-    products = [x * y for x, y in zip(a, b, strict=True)] or [0.0]
-    found = products[0]
-    for term in products[1:]:
-        found += term
-    return found
+class Matrix(_Entries[Vector]):
+    """Rows."""
+
+    @property
+    def T(self) -> Matrix:  # noqa: N802 - as in the literature
+        """The transposed matrix."""
+        return matrix(zip(*self, strict=True))
+
+    def __matmul__(self, other: Matrix) -> Matrix:
+        columns = other.T
+        return Matrix(Vector(row @ column for column in columns) for row in self)
+
+    def diagonal(self) -> Vector:
+        """Return the entries on the diagonal."""
+        return Vector(row[i] for i, row in enumerate(self))
+
+    def block(self, rows: Iterable[int], columns: Iterable[int]) -> Matrix:
+        """Return some rows and columns."""
+        chosen = [*columns]
+        return matrix([self[i][j] for j in chosen] for i in rows)
+
+
+def matrix(rows: Iterable[Iterable[float]]) -> Matrix:
+    """Return the matrix of some rows."""
+    return Matrix(map(Vector, rows))
+
+
+def diagonal(values: Iterable[float]) -> Matrix:
+    """Return the matrix with these values on its diagonal."""
+    x = [*values]
+    return matrix([x[i] if i == j else 0.0 for j in range(len(x))] for i in range(len(x)))
 
 
 def total(values: Sequence[float]) -> float:
@@ -48,75 +98,66 @@ def total(values: Sequence[float]) -> float:
     terms = [*values]
     while (n := len(terms)) > 1:
         half = (n + 1) // 2
-        terms = [terms[i] + terms[i + half] for i in range(n - half)] + terms[n - half : half]
+        terms = [*map(add, terms, terms[half:]), *terms[n - half : half]]
     return terms[0]
 
 
 def dot_by_halves(a: Sequence[float], b: Sequence[float]) -> float:
     """Return the scalar product, with the sum of ``total``."""
-    return total([x * y for x, y in zip(a, b, strict=True)])
+    return total([*map(mul, a, b)])
 
 
-def norm(a: Sequence[float]) -> float:
+def norm(a: Vector) -> float:
     """Return the length, with the sum of ``total``."""
     return math.sqrt(dot_by_halves(a, a))
 
 
-def entrywise(operation: Callable[[float, float], float], A: Matrix, B: Matrix) -> Matrix:
-    """Return the results of an operation on the entries of two matrices."""
-    return [[operation(a, b) for a, b in zip(x, y, strict=True)] for x, y in zip(A, B, strict=True)]
-
-
-def added(*matrices: Matrix) -> Matrix:
-    """Return A + B, or of more matrices, the first ones first."""
-    return reduce(partial(entrywise, add), matrices)
-
-
-def subtracted(A: Matrix, B: Matrix) -> Matrix:
-    """Return A - B."""
-    return entrywise(sub, A, B)
-
-
-def scaled(factor: float, A: Matrix) -> Matrix:
-    """Return a multiple of A."""
-    return [[factor * x for x in row] for row in A]
-
-
-def outer(d: Sequence[float]) -> Matrix:
-    """Return d d^T."""
-    return [[x * y for y in d] for x in d]
+def outer(a: Vector, b: Vector | None = None) -> Matrix:
+    """Return a b^T, or a a^T."""
+    return Matrix((a if b is None else b) * x for x in a)
 
 
 def symmetric(A: Matrix) -> Matrix:
     """Return the mean of A and A^T."""
-    n = range(len(A))
-    return [[(A[i][j] + A[j][i]) / 2 for j in n] for i in n]
-
-
-def diagonal(values: Iterable[float]) -> Matrix:
-    """Return the matrix with these values on its diagonal."""
-    entries = [*values]
-    return [[x if i == j else 0.0 for j in range(len(entries))] for i, x in enumerate(entries)]
-
-
-def transposed(A: Matrix) -> Matrix:
-    """Return A^T."""
-    return [list(column) for column in zip(*A, strict=True)]
+    return (A + A.T) / 2
 
 
 def congruence(A: Matrix, S: Matrix) -> Matrix:
     """Return A S A^T, exactly symmetric."""
-    return symmetric(product(product(A, S), transposed(A)))
+    return symmetric(A @ S @ A.T)
+
+
+def quadratic(row: Vector, S: Matrix) -> float:
+    """Return row S row^T, for a symmetric S."""
+    return Vector(row @ column for column in S.T) @ row
+
+
+def with_blocks(S: Matrix, blocks: Iterable[Matrix]) -> Matrix:
+    """Return S + blkdiag(blocks), of blocks of 4 rows."""
+    found = matrix(S)
+    for i, block in enumerate(blocks):
+        own = slice(4 * i, 4 * i + 4)
+        for row, more in zip(found[own], block, strict=True):
+            row[own] = Vector(row[own]) + more
+    return found
+
+
+def is_finite(S: Iterable[Iterable[float]]) -> bool:
+    """Return whether all entries are numbers."""
+    return all(math.isfinite(x) for row in S for x in row)
+
+
+# ---- factors and solutions ----------------------------------------------------------------------
 
 
 def cholesky(S: Matrix) -> Matrix:
     """Return the lower triangular factor; NaN from the first pivot on that is not positive.
 
-    >>> cholesky([[4.0, 2.0], [2.0, 5.0]])
+    >>> cholesky(matrix([[4.0, 2.0], [2.0, 5.0]]))
     [[2.0, 0.0], [1.0, 2.0]]
     """
-    n, rest = len(S), [[*row] for row in S]
-    L = [[0.0] * n for _ in range(n)]
+    n, rest = len(S), matrix(S)
+    L = diagonal([0.0] * n)
     for j in range(n):
         L[j][j] = math.sqrt(rest[j][j]) if rest[j][j] > 0 else math.nan
         for i in range(j + 1, n):
@@ -134,83 +175,88 @@ def is_definite(S: Matrix) -> bool:
 def lower_solution(L: Matrix, B: Matrix) -> Matrix:
     """Return X with L X = B for a lower triangular L.
 
-    >>> lower_solution([[2.0, 0.0], [1.0, 2.0]], [[2.0], [5.0]])
+    >>> lower_solution(matrix([[2.0, 0.0], [1.0, 2.0]]), matrix([[2.0], [5.0]]))
     [[1.0], [2.0]]
     """
-    X = [list(row) for row in B]
-    for i, row in enumerate(X):
-        X[i] = [x / L[i][i] for x in row]
-        for k in range(i + 1, len(L)):
-            X[k] = [x - L[k][i] * y for x, y in zip(X[k], X[i], strict=True)]
+    X = matrix(B)
+    for i in range(len(X)):
+        X[i] /= L[i][i]
+        for k in range(i + 1, len(X)):
+            X[k] -= L[k][i] * X[i]
     return X
 
 
 def upper_solution(U: Matrix, B: Matrix) -> Matrix:
-    """Return X of U X = B, with U upper triangular."""
-    n, X = len(U), [[*row] for row in B]
-    for i in reversed(range(n)):
-        X[i] = [x / U[i][i] for x in X[i]]
+    """Return X with U X = B for an upper triangular U."""
+    X = matrix(B)
+    for i in reversed(range(len(U))):
+        X[i] /= U[i][i]
         for k in range(i):
-            X[k] = [x - U[k][i] * solved for x, solved in zip(X[k], X[i], strict=True)]
+            X[k] -= U[k][i] * X[i]
     return X
 
 
 def inverse(A: Matrix) -> Matrix:
     """Return the inverse, by the elimination of Gauss and Jordan with partial pivoting.
 
-    >>> inverse([[0.0, 2.0], [4.0, 0.0]])
+    >>> inverse(matrix([[0.0, 2.0], [4.0, 0.0]]))
     [[0.0, 0.25], [0.5, 0.0]]
     """
     n = len(A)
-    M = [[*row, *unit] for row, unit in zip(A, diagonal([1.0] * n), strict=True)]
+    M = matrix([*row, *unit] for row, unit in zip(A, diagonal([1.0] * n), strict=True))
     for k in range(n):
         chosen = max(range(k, n), key=lambda i: abs(M[i][k]))  # the first largest
         M[k], M[chosen] = M[chosen], M[k]
-        M[k] = [x / M[k][k] for x in M[k]]
+        M[k] /= M[k][k]
         for i in range(n):
             if i != k:
-                M[i] = [x - M[i][k] * pivot for x, pivot in zip(M[i], M[k], strict=True)]
-    return [row[n:] for row in M]
+                M[i] -= M[i][k] * M[k]
+    return matrix(row[n:] for row in M)
 
 
-def eigen(S: Matrix) -> tuple[Row, Matrix]:
+# ---- eigenvalues --------------------------------------------------------------------------------
+
+#: Rotations of pairs of rows: their indices, cosine and sine.
+_Turns = list[tuple[int, int, float, float]]
+
+
+def eigen(S: Matrix) -> tuple[Vector, Matrix]:
     """Return the eigenvalues of a symmetric matrix, in no order, and the eigenvectors as columns.
 
-    By Jacobi's method. Each round rotates disjoint pairs of rows: all columns, then all rows.
+    By Jacobi's method. Each round rotates disjoint pairs: all columns, then all rows.
     """
-    n = len(S)
-    A, V = [list(row) for row in S], diagonal([1.0] * n)
+    A, V = S, diagonal([1.0] * len(S))
     for _ in range(SWEEPS):
         is_done = True
-        for pairs in rounds(n):
-            turns = [_rotation(A[p][p], A[q][q], A[p][q]) for p, q in pairs]
-            if any(turn is not None for turn in turns):
+        for pairs in rounds(len(S)):
+            turns = [(p, q, *_rotation(A[p][p], A[q][q], A[p][q])) for p, q in pairs]
+            if any(sine != 0 for _, _, _, sine in turns):
                 is_done = False
-                for (p, q), turn in zip(pairs, turns, strict=True):
-                    c, s = turn or (1.0, 0.0)
-                    for row in (*A, *V):
-                        row[p], row[q] = c * row[p] - s * row[q], s * row[p] + c * row[q]
-                for (p, q), turn in zip(pairs, turns, strict=True):
-                    c, s = turn or (1.0, 0.0)
-                    upper, lower = A[p], A[q]
-                    A[p] = [c * x - s * y for x, y in zip(upper, lower, strict=True)]
-                    A[q] = [s * x + c * y for x, y in zip(upper, lower, strict=True)]
+                A, V = _rotated(_rotated(A.T, turns).T, turns), _rotated(V, turns)
             for p, q in pairs:
                 A[p][q] = A[q][p] = 0.0
         if is_done:
             break
-    return [A[i][i] for i in range(n)], V
+    return A.diagonal(), V.T
 
 
-def _rotation(a: float, b: float, off: float) -> tuple[float, float] | None:
-    """Return cosine and sine of the rotation that makes an entry 0; None if that is negligible."""
+def _rotation(a: float, b: float, off: float) -> tuple[float, float]:
+    """Return cosine and sine of the rotation that makes an entry 0, unless that is negligible."""
     if not abs(off) > NEGLIGIBLE * math.sqrt(abs(a * b)):
-        return None
+        return 1.0, 0.0
     theta = (b - a) / (2 * off)
     t = 1 / (abs(theta) + math.sqrt(theta * theta + 1))
     t = -t if theta < 0 else t
     c = 1 / math.sqrt(t * t + 1)
     return c, t * c
+
+
+def _rotated(A: Matrix, turns: _Turns) -> Matrix:
+    """Return a matrix with its rows rotated."""
+    rows = Matrix(A)
+    for p, q, c, s in turns:
+        rows[p], rows[q] = c * A[p] - s * A[q], s * A[p] + c * A[q]
+    return rows
 
 
 def rounds(n: int) -> list[list[tuple[int, int]]]:
@@ -229,6 +275,9 @@ def rounds(n: int) -> list[list[tuple[int, int]]]:
     return found
 
 
+# ---- covariances --------------------------------------------------------------------------------
+
+
 def positive_part(S: Matrix, more: float = 0.0) -> Matrix:
     """Return a symmetric matrix with 0 in place of its negative eigenvalues.
 
@@ -237,43 +286,39 @@ def positive_part(S: Matrix, more: float = 0.0) -> Matrix:
         more: what is added to the others, as a share of each.
     """
     values, V = eigen(S)
-    kept = [value * (1 + more) if value > 0 else 0.0 for value in values]
-    kept_V = [[v * value for v, value in zip(row, kept, strict=True)] for row in V]
-    return symmetric(product(kept_V, transposed(V)))
+    kept = Vector(value * (1 + more) if value > 0 else 0.0 for value in values)
+    return symmetric(Matrix(row * kept for row in V) @ V.T)
 
 
-def scale_of(S: Matrix) -> Row:
+def scale_of(S: Matrix) -> Vector:
     """Return the standard deviations of a covariance, with 1 in place of 0."""
-    return [math.sqrt(row[i] if row[i] > 0 else 1.0) for i, row in enumerate(S)]
+    return Vector(math.sqrt(x if x > 0 else 1.0) for x in S.diagonal())
 
 
 def square_root(S: Matrix) -> Matrix:
-    """Return a lower triangular L with L L^T = S, which may be singular."""
-    tiny, L = 8 * len(S) * 2.0**-52, cholesky(S)
-    is_regular = all(L[i][i] * L[i][i] > tiny * row[i] for i, row in enumerate(S))
-    return L if is_regular else _semidefinite_root(S, tiny)
+    """Return a lower triangular L with L L^T = S, which may be singular.
 
-
-def _semidefinite_root(S: Matrix, tiny: float) -> Matrix:
-    """Return ``square_root`` by the eigenvalues above ``tiny`` of the correlations.
-
-    Rows are reflected to be lower triangular (Householder). One that depends on those before it
-    takes no column.
+    That of a singular one is by the eigenvalues of the correlations that are not tiny: rows are
+    reflected to be lower triangular (Householder). One that depends on those before it takes no
+    column.
     """
-    values, V = eigen(entrywise(truediv, S, outer(scale_of(S))))
-    roots = [math.sqrt(value if value > tiny else 0.0) for value in values]
-    M = [[x * root for x, root in zip(row, roots, strict=True)] for row in V]
+    tiny, L = 8 * len(S) * 2.0**-52, cholesky(S)
+    if all(L[i][i] * L[i][i] > tiny * x for i, x in enumerate(S.diagonal())):
+        return L
+    values, V = eigen(S / outer(scale_of(S)))
+    roots = Vector(math.sqrt(value if value > tiny else 0.0) for value in values)
+    M = Matrix(row * roots for row in V)
     L, k = diagonal([0.0] * len(S)), 0
     for j in range(len(S)):
-        v = M[j][k:]
+        v = Vector(M[j][k:])
         length = norm(v)
         if length > tiny:
             v[0] += math.copysign(length, v[0])
             twice = 2 / dot_by_halves(v, v)
             for row in M:
-                share = dot_by_halves(row[k:], v) * twice
-                row[k:] = [x - share * y for x, y in zip(row[k:], v, strict=True)]
+                rest = Vector(row[k:])
+                row[k:] = rest - dot_by_halves(rest, v) * twice * v
             for i in range(j, len(S)):
                 L[i][j] = M[i][k] * (1.0 if M[j][k] > 0 else -1.0)
             k += 1
-    return [[x * math.sqrt(max(S[i][i], 0.0)) for x in row] for i, row in enumerate(L)]
+    return Matrix(row * math.sqrt(max(x, 0.0)) for row, x in zip(L, S.diagonal(), strict=True))

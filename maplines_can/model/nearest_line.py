@@ -11,8 +11,8 @@ import math
 from collections.abc import Sequence
 
 from ..wire.layout.signals import Signal
-from .elementary import atan, sin_cos, tan
-from .matrices import Matrix, Row, diagonal, dot, transposed
+from .elementary import atan, clipped, sin_cos, tan
+from .matrices import Matrix, Vector, diagonal, matrix
 
 #: Largest deviation of such a line from the given one in its range [m]: as much as a cubic may
 #: deviate from the line of the map.
@@ -37,11 +37,11 @@ FLAT = 1e-10
 
 def nearest_line(
     signals: Sequence[Signal],
-    mean: Row,
+    mean: Vector,
     x_range: Sequence[float],
     least: float,
-    reach: Sequence[float],
-) -> tuple[Row, Row] | None:
+    reach: Vector,
+) -> tuple[Vector, list[float]] | None:
     """Return the nearest line, and where it deviates by at most ``MAX_DEVIATION``.
 
     By least squares in the longest range, which is shortened towards the car as far as necessary.
@@ -51,38 +51,32 @@ def nearest_line(
         mean: of the given line.
         x_range: of the given line [m].
         least: least length of the range [m].
-        reach: standard deviations that a covariance can have: it has to cover the deviation.
+        reach: variances that a covariance can have: it has to cover the deviation.
 
     Returns:
         None if no line within the ranges of the signals is near enough in any range that is long
         enough.
     """
-    away = [SHARE * sigma for sigma in reach]
-    low, high, line = list[float](), list[float](), list(mean)
-    for signal, value, most in zip(signals, mean, away, strict=True):
-        first, last = bounds(signal)
-        low.append(max(first, value - most))
-        high.append(min(last, value + most))
-    low[1], high[1] = (tan(min(max(x, -STEEPEST), STEEPEST)) for x in (low[1], high[1]))
+    low, high, line = Vector(), Vector(), Vector(mean)
+    for signal, x, variance in zip(signals, mean, reach, strict=True):
+        (first, last), away = bounds(signal), SHARE * math.sqrt(variance)
+        low.append(max(first, x - away))
+        high.append(min(last, x + away))
+    low[1], high[1] = (tan(clipped(x, -STEEPEST, STEEPEST)) for x in (low[1], high[1]))
     line[1] = tan(mean[1])
-    scale = [max(abs(a), abs(b)) for a, b in zip(low, high, strict=True)]
+    scale = Vector(max(abs(a), abs(b)) for a, b in zip(low, high, strict=True))
     if not all(b - a > 1e-9 * s for a, b, s in zip(low, high, scale, strict=True)):
         return None
-    room = [
-        [(end - x) / s for end, x, s in zip(ends, line, scale, strict=True)] for ends in (low, high)
-    ]
     first, last = x_range
-    car = min(max(0.0, first), last)
-    share = 1.0
+    car, share = clipped(0.0, first, last), 1.0
     for _ in range(TRIALS):
         start, end = car + share * (first - car), car + share * (last - car)
         if end - start < least:
             return None
         A = _basis(start, end, scale)
-        step = _box_solution(_triangular(A), *room)
-        if all(abs(dot(row, step)) <= MAX_DEVIATION for row in A):
-            near = [line[i] + step[i] * scale[i] for i in range(4)]
-            near = [min(max(x, a), b) for x, a, b in zip(near, low, high, strict=True)]
+        step = _box_solution(_triangular(A), (low - line) / scale, (high - line) / scale)
+        if all(abs(row @ step) <= MAX_DEVIATION for row in A):
+            near = Vector(map(clipped, line + step * scale, low, high))
             near[1] = atan(near[1])
             return near, [start, end]
         share *= SHORTER
@@ -105,57 +99,53 @@ def slope_error(beta: float, near: float) -> float:
 # ---- least squares in a box -------------------------------------------------------------------
 
 
-def _basis(start: float, end: float, scale: Row) -> Matrix:
+def _basis(start: float, end: float, scale: Vector) -> Matrix:
     """Return the lateral positions [m] at the nodes of a range, for parameters of a scale each."""
     middle, half = (start + end) / 2, (end - start) / 2
-    rows = []
-    for node in NODES:
-        x = middle + half * node
-        square = x * x
-        rows.append([scale[0], x * scale[1], square / 2 * scale[2], square * x / 6 * scale[3]])
-    return rows
+    places = [middle + half * node for node in NODES]
+    return Matrix(Vector([1.0, x, x * x / 2, x * x * x / 6]) * scale for x in places)
 
 
 def _triangular(A: Matrix) -> Matrix:
     """Return the upper triangular (n, n) R with R^T R = A^T A, by modified Gram-Schmidt."""
-    columns, R = transposed(A), diagonal([0.0] * len(A[0]))
+    columns, R = A.T, diagonal([0.0] * len(A[0]))
     for j, column in enumerate(columns):
-        R[j][j] = math.sqrt(dot(column, column))
+        R[j][j] = math.sqrt(column @ column)
         for k in range(j + 1, len(columns) if R[j][j] > 0 else 0):
-            unit = [x / R[j][j] for x in column]
-            R[j][k] = dot(unit, columns[k])
-            columns[k] = [x - R[j][k] * u for x, u in zip(columns[k], unit, strict=True)]
+            unit = column / R[j][j]
+            R[j][k] = unit @ columns[k]
+            columns[k] -= R[j][k] * unit
     return R
 
 
-def _box_solution(R: Matrix, low: Row, high: Row) -> Row:
+def _box_solution(R: Matrix, low: Vector, high: Vector) -> Vector:
     """Return the u between ``low`` and ``high`` with the least |R u|: by active sets.
 
     A parameter is fixed at a limit or free. The free ones move towards their least squares until
     one reaches a limit, and is fixed there. If none does, the fixed one whose gradient points most
     into the box becomes free (Stark and Parker, Computational Statistics 10, 1995).
     """
-    u = [min(max(0.0, a), b) for a, b in zip(low, high, strict=True)]
+    u = Vector(map(clipped, [0.0] * len(R), low, high))
     free = [i for i, x in enumerate(u) if x == 0.0]
     for _ in range(BOX_STEPS):
         target = _free_solution(R, free, u)
         share, limit = 1.0, -1
         for i in free:
-            end = min(max(target[i], low[i]), high[i])
+            end = clipped(target[i], low[i], high[i])
             if end != target[i] and (end - u[i]) / (target[i] - u[i]) < share:
                 share, limit = (end - u[i]) / (target[i] - u[i]), i
         for i in free:
             moved = target[i] if limit < 0 else u[i] + share * (target[i] - u[i])
-            u[i] = min(max(moved, low[i]), high[i])
+            u[i] = clipped(moved, low[i], high[i])
         if limit >= 0:
             u[limit] = low[limit] if target[limit] < low[limit] else high[limit]
             free.remove(limit)
             continue
-        rest = [dot(row, u) for row in R]
-        size = math.sqrt(dot(rest, rest))
+        rest = Vector(row @ u for row in R)
+        size = math.sqrt(rest @ rest)
         steepest, released = 0.0, -1
-        for i, column in enumerate(transposed(R)):
-            gradient, norm = dot(column, rest), math.sqrt(dot(column, column))
+        for i, column in enumerate(R.T):
+            gradient, norm = column @ rest, math.sqrt(column @ column)
             inwards = -gradient if u[i] == low[i] else gradient
             is_inwards = i not in free and inwards > FLAT * norm * size
             if is_inwards and inwards / norm > steepest:
@@ -166,11 +156,11 @@ def _box_solution(R: Matrix, low: Row, high: Row) -> Row:
     return u
 
 
-def _free_solution(R: Matrix, free: list[int], u: Row) -> Row:
+def _free_solution(R: Matrix, free: list[int], u: Vector) -> Vector:
     """Return u with its free entries replaced by those of the least |R u|."""
-    fixed = [0.0 if i in free else x for i, x in enumerate(u)]
-    T = _triangular([[*(row[i] for i in free), -dot(row, fixed)] for row in R])
-    solution, m = list(u), len(free)
+    fixed = Vector(0.0 if i in free else x for i, x in enumerate(u))
+    T = _triangular(matrix([*(row[i] for i in free), -(row @ fixed)] for row in R))
+    solution, m = Vector(u), len(free)
     for j in reversed(range(m)):
         rest = T[j][m]
         for k in range(j + 1, m):

@@ -52,7 +52,6 @@ class Reassembly:
         self._timeout_ns = timeout_ns  # longest time between the first and the last page
         self._counts = counts  # dropped frames by reason
         self._ids = 2 ** layout["TransferId0"].length
-        self._counter_page = layout["Counter"].start // (8 * PAGE_BYTES)
         self._incomplete: dict[int, _Transfer] = {}  # by transfer ID, in the order of beginning
         self._complete: dict[int, Record] = {}  # good records, likewise
 
@@ -86,7 +85,7 @@ class Reassembly:
                 self._counts["REPLACED"] += 1
         transfer.pages[page] = data
         needed = range(self._needed(transfer.pages))
-        if any(page not in transfer.pages for page in needed):
+        if not transfer.pages.keys() >= {*needed}:
             return "PENDING"
         payload = b"".join(transfer.pages[page] for page in needed)
         record = self.complete(payload, transfer.t_ns, len(needed))
@@ -108,7 +107,7 @@ class Reassembly:
         record = Record(payload, t_ns, frames, self._content(payload, t_ns))
         if isinstance(record.content, str):
             return record
-        own = self._read("TransferId0", 0, payload[:PAGE_BYTES])
+        own = record.content.counter % self._ids
         self._complete[own] = record
         for other in [*self._complete]:
             if 0 < (other - own) % self._ids < self._ids // 2:
@@ -123,8 +122,7 @@ class Reassembly:
     def whole(self, payload: bytes) -> bytes:
         """Return the record at the beginning of a payload with room for the longest one."""
         pages = range(self._layout.pages)
-        parts = {page: payload[PAGE_BYTES * page : PAGE_BYTES * (page + 1)] for page in pages}
-        return payload[: PAGE_BYTES * self._needed(parts)]
+        return payload[: PAGE_BYTES * self._needed({i: _page(payload, i) for i in pages})]
 
     def expire(self, t_ns: int) -> None:
         """Drop what has timed out at a time; if the clock was set back, that is everything."""
@@ -143,19 +141,19 @@ class Reassembly:
     def _is_known(self, own: int, page: int, data: bytes, t_ns: int) -> bool:
         """Return whether a page is one of a good record that is not older than the time-out."""
         record = self._complete.get(own)
-        if record is None or abs(t_ns - record.t_ns) > self._timeout_ns:
-            return False
-        return record.payload[PAGE_BYTES * page : PAGE_BYTES * (page + 1)] == data
+        is_recent = record is not None and abs(t_ns - record.t_ns) <= self._timeout_ns
+        return record is not None and is_recent and _page(record.payload, page) == data
 
     def _ahead(self, page: int, data: bytes, before: bytes) -> int:
         """Return whether the counter of a page is newer (1) or older (-1) than that of another.
 
         It is newer if it is ahead by less than half of the modulus; only one page has it.
         """
-        modulus, ahead = 2 ** self._layout["Counter"].length, 0
-        if page == self._counter_page:
-            one, other = (self._read("Counter", page, of_page) for of_page in (data, before))
-            ahead = (one - other) % modulus
+        counter = self._layout["Counter"]
+        if page != counter.start // (8 * PAGE_BYTES):
+            return 0
+        one, other = (self._read("Counter", page, of_page) for of_page in (data, before))
+        ahead, modulus = (one - other) % 2**counter.length, 2**counter.length
         return 0 if ahead == 0 else 1 if 2 * ahead < modulus else -1
 
     def _read(self, name: str, page: int, data: bytes) -> int:
@@ -164,3 +162,7 @@ class Reassembly:
 
     def _drop(self, transfer_id: int, reason: str) -> None:
         self._counts[reason] += len(self._incomplete.pop(transfer_id).pages)
+
+
+def _page(payload: bytes, page: int) -> bytes:
+    return payload[PAGE_BYTES * page : PAGE_BYTES * (page + 1)]

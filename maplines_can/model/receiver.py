@@ -21,7 +21,7 @@ from typing import NamedTuple
 from ..values.line import Slot, Status
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import POSE, Owner, PoseLayout, slot_of
-from .epochs import Epoch, Epochs
+from .epochs import Epochs
 from .mixtures import Mixtures, Received
 from .reassembly import Content, Reassembly, Record
 from .records import AnyLayout, Component, Line, RawRecord, complete, conditional, intact
@@ -63,19 +63,14 @@ class _Owner:
     """What there is of the records of a slot, or of the pose error."""
 
     def __init__(
-        self,
-        layout: Layout,
-        owner: Owner,
-        settings: Settings,
-        counts: Counter[str],
-        keys: Keys | None,
+        self, layout: Layout, owner: Owner, settings: Settings, counts: Counter[str], *, keys: bool
     ) -> None:
         timeout_ns, cycle_ns, windows = settings
         self.owner, self._lines = owner, layout
         self.layout: AnyLayout = layout.pose if owner == POSE and layout.pose else layout
         self.messages = layout.messages_of[owner]
         #: Layout of its authenticated message; None if its frames are not authenticated.
-        self.secured = None if keys is None else self.layout.secured
+        self.secured = self.layout.secured if keys else None
         modulus, is_authentic = 2 ** self.layout["Counter"].length, self.secured is not None
         self.reassembly = Reassembly(self.layout, self._content, timeout_ns, counts)
         self.check = SequenceCheck(
@@ -124,16 +119,12 @@ class Receiver:
         self._layout, self._keys = layout, keys
         of_owners = settings_of(layout) if settings is None else settings
         self._owners = {
-            owner: _Owner(layout, owner, own, self.counts, keys) for owner, own in of_owners.items()
+            owner: _Owner(layout, owner, own, self.counts, keys=keys is not None)
+            for owner, own in of_owners.items()
         }
         self._pose_is_too_old = False
-        stated = {} if layout.pose is None else layout.pose.counters
-        self._epochs = Epochs[Pose, Member](
-            {slot: 2**signal.length for slot, signal in stated.items()},
-            of_owners[POSE].cycle_ns if POSE in of_owners else 1,
-            self.counts,
-            has_mixtures=not layout.is_conditional,
-        )
+        cycle_ns = of_owners[POSE].cycle_ns if POSE in of_owners else 1
+        self._epochs = Epochs(cycle_ns, self.counts, has_mixtures=not layout.is_conditional)
 
     @property
     def checks(self) -> dict[Owner, SequenceCheck]:
@@ -143,10 +134,9 @@ class Receiver:
     @property
     def pending(self) -> int:
         """Frames of transfers, mixtures and lines that are not complete yet."""
-        of_owners = (
-            one.pending for own in self._owners.values() for one in (own.reassembly, own.mixtures)
-        )
-        return sum(of_owners) + self._epochs.pending
+        owners = self._owners.values()
+        of_owners = sum(own.reassembly.pending + own.mixtures.pending for own in owners)
+        return of_owners + self._epochs.pending
 
     # ---- stations of a frame ------------------------------------------------------------------
 
@@ -202,7 +192,9 @@ class Receiver:
             return self._add_component(own, content, record)
         if isinstance(own.layout, PoseLayout):
             return self._add_pose(pose_of(own.layout, content, record.t_ns), own, record)
-        return self._add_conditional(slot_of(own.owner), content, own.check.ahead is None, record)
+        member = Member(slot_of(own.owner), content.counter, content, record.t_ns, record.frames)
+        pose = self._epochs.add_line(member, is_break=check.ahead is None)
+        return "PENDING" if pose is None else self._rebuilt(pose, member)
 
     def _add_component(self, own: _Owner, content: Component, record: Record) -> list[Line] | str:
         """Add a new record with a covariance of its own to its line, and that to a scene."""
@@ -214,21 +206,9 @@ class Receiver:
             return received
         line = received.line
         if received.records == 1 and line.x_min < line.x_max:
-            member, is_break = Member(line.slot, line, record.t_ns), own.check.ahead is None
-            self._epochs.add_line(
-                member, line.slot, content.counter, record.t_ns, 0, is_break=is_break
-            )
+            member = Member(line.slot, content.counter, line, record.t_ns, 0)
+            self._epochs.add_line(member, is_break=own.check.ahead is None)
         return [self._delivered(received)]
-
-    def _add_conditional(
-        self, slot: Slot, content: RawRecord, is_break: bool, record: Record
-    ) -> list[Line] | str:
-        """Add a new record that is conditional on a pose error; it may have to wait for that."""
-        member, t_ns = Member(slot, content, record.t_ns), record.t_ns
-        epoch = self._epochs.add_line(
-            member, slot, content.counter, t_ns, record.frames, is_break=is_break
-        )
-        return "PENDING" if epoch is None else self._rebuilt(epoch, slot, record.frames)
 
     def _add_pose(self, pose: Pose, own: _Owner, record: Record) -> list[Line] | str:
         """Add a new pose error; return the lines that waited for it."""
@@ -236,21 +216,19 @@ class Receiver:
         self.pose_errors += 1
         self.pose_frames += record.frames
         self._pose_is_too_old = math.isinf(pose.age)
-        counters = {slot: pose.raw[one.name] for slot, one in pose.layout.counters.items()}
         lines: list[Line] = []
-        joined = self._epochs.add_pose(pose, counters, record.t_ns, own.check.ahead)
-        for epoch, slot, frames in joined:
-            if isinstance(epoch.lines[slot].content, RawRecord):
-                found = self._rebuilt(epoch, slot, frames)
+        for member in self._epochs.add_pose(pose, own.check.ahead):
+            if isinstance(member.content, RawRecord):
+                found = self._rebuilt(pose, member)
                 lines += [] if isinstance(found, str) else found
         return lines or "PENDING"
 
-    def _rebuilt(self, epoch: Epoch[Pose, Member], slot: Slot, frames: int) -> list[Line] | str:
+    def _rebuilt(self, pose: Pose, member: Member) -> list[Line] | str:
         """Return the line of a conditional record that has joined its pose error."""
-        found = scene_line(self._layout, epoch.pose, epoch.lines[slot])
+        found = scene_line(self._layout, pose, member)
         if found is None:
-            return self._dropped("CONTENT", frames)
-        return [self._delivered(Received(found.line, frames))]
+            return self._dropped("CONTENT", member.frames)
+        return [self._delivered(Received(found.line, member.frames))]
 
     def _delivered(self, received: Received) -> Line:
         line, frames, records = received
@@ -299,15 +277,15 @@ class Receiver:
         if epoch is None:
             state = check.elapse(now_ns)
             return View(None, math.inf, True, state, check.status, False, {})
-        members = [member for _, member in sorted(epoch.lines.items())]
-        found = [scene_line(self._layout, epoch.pose, member) for member in members]
-        scene = scene_of(epoch.pose, [line for line in found if line is not None])
-        waited, is_stale = _waited(epoch.t_ns, now_ns, stale_cycles * check.cycle_ns)
+        pose, members = epoch.pose, [member for _, member in sorted(epoch.lines.items())]
+        found = [scene_line(self._layout, pose, member) for member in members]
+        scene = scene_of(pose, [line for line in found if line is not None])
+        waited, is_stale = _waited(pose.t_ns, now_ns, stale_cycles * check.cycle_ns)
         state, status = _state(check, now_ns, waited), check.status
         checks = {line.slot: self._owners[line.slot].check for line in scene.lines}
         states = {slot: _state(one, now_ns, waited) for slot, one in checks.items()}
         may_be_two = any(one.senders.may_be_two(now_ns) for one in (check, *checks.values()))
-        age = math.inf if self._pose_is_too_old else epoch.pose.age + waited
+        age = math.inf if self._pose_is_too_old else pose.age + waited
         return View(scene, age, is_stale, state, status, may_be_two, states)
 
 

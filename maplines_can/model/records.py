@@ -11,7 +11,7 @@ from ..wire.layout.pose_layout import PoseLayout
 from ..wire.layout.signals import OWN_SIGNALS, PAGE_BYTES, PARAMETER_SIGNALS, Signal
 from .covariance import code_of, decoded
 from .e2e import checksum
-from .matrices import Matrix, diagonal
+from .matrices import Matrix, Vector, diagonal
 from .signals import Raw, packed, physical, read
 
 #: Layout of the records of lines, or of the pose error.
@@ -24,7 +24,7 @@ class Line(NamedTuple):
     """A line: a Gaussian over y_off [m], beta [rad], c0 [1/m] and c1 [1/m^2]."""
 
     slot: Slot
-    mean: list[float]
+    mean: Vector
     cov: Matrix
     kind: Kind
     x_min: float  #: [m]
@@ -53,9 +53,6 @@ class RawRecord(NamedTuple):
     size: int = 1  #: such a line is no mixture
 
 
-# ---- is a record intact -----------------------------------------------------------------------
-
-
 def signals_of(layout: AnyLayout, pages: int) -> list[Signal]:
     """Return the signals of the first pages of a record."""
     return [s for s in layout.signals.values() if s.start < 8 * PAGE_BYTES * pages]
@@ -78,7 +75,7 @@ def intact(layout: AnyLayout, record: bytes, data_id: int) -> dict[str, int] | s
     raw = {signal.name: read(signal, record) for signal in signals_of(layout, pages)}
     transfer = raw["Counter"] % 2 ** layout["TransferId0"].length
     for page in range(pages):
-        if raw[f"Page{page}"] != page or raw[f"TransferId{page}"] != transfer:
+        if (raw[f"Page{page}"], raw[f"TransferId{page}"]) != (page, transfer):
             return "MIXED"
     if raw["Crc"] != checksum(record, layout.crc_offset, data_id):
         return "CRC"
@@ -96,9 +93,6 @@ def written(layout: AnyLayout, raw: Raw, data_id: int) -> bytes:
     return record[:place] + crc + record[place + 2 :]
 
 
-# ---- what the values mean ---------------------------------------------------------------------
-
-
 def age_of(layout: AnyLayout, raw: Raw) -> float:
     """Return the age [s]: infinite for the greatest raw value, which means too old or unknown."""
     is_too_old = raw["Age"] >= layout["Age"].raw_max
@@ -113,17 +107,15 @@ def complete(layout: Layout, slot: Slot, raw: Raw, t_ns: int) -> Component | str
     """
     x_min, x_max = physical(layout, raw, "XMin", "XMax")
     count, weight = physical(layout, raw, "ComponentCount", "ComponentWeight")
-    if raw["Status"] > max(Status) or raw["Kind"] > max(Kind):
+    is_known = raw["Status"] <= max(Status) and raw["Kind"] <= max(Kind)
+    is_component = raw["ComponentIndex"] < count and 0 < weight <= 1
+    if not (is_known and is_component and (x_min <= x_max or raw["Status"] == Status.OUT_OF_RANGE)):
         return "CONTENT"
-    if raw["ComponentIndex"] >= count or not 0 < weight <= 1:
-        return "CONTENT"
-    status = Status(raw["Status"])
-    if x_min > x_max and status is not Status.OUT_OF_RANGE:
-        return "CONTENT"
+    status, kind = Status(raw["Status"]), Kind(raw["Kind"])
     vague = diagonal(sigma * sigma for sigma in VAGUE_SIGMA)
     cov = vague if status in WITHOUT else decoded(code_of(layout), raw)
     mean, age = physical(layout, raw, *PARAMETER_SIGNALS), age_of(layout, raw)
-    line = Line(slot, mean, cov, Kind(raw["Kind"]), min(x_min, x_max), x_max, age, status, t_ns)
+    line = Line(slot, mean, cov, kind, min(x_min, x_max), x_max, age, status, t_ns)
     return Component(line, raw["ComponentIndex"], int(count), weight, raw["Counter"])
 
 

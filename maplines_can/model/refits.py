@@ -11,27 +11,26 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 from fractions import Fraction
-from itertools import pairwise
+from itertools import accumulate, pairwise, repeat
+from operator import mul
 from typing import NamedTuple
 
 from .cubic_ranges import FIT, Limits, coefficient_variances, longest_range
 from .elementary import atan, hypot, sin_cos, tan
 from .levels import NODES
-from .lines import HALVINGS, MIN_ADVANCE, STEP, Curve, bases, cubic_fit, derivatives, y_of
-from .matrices import (
-    Matrix,
-    Row,
-    added,
-    congruence,
-    diagonal,
-    dot_by_halves,
-    outer,
-    product,
-    scaled,
-    square,
-    total,
-    transposed,
+from .lines import (
+    HALVINGS,
+    MIN_ADVANCE,
+    STEP,
+    Curve,
+    bases,
+    cubic_fit,
+    derivatives,
+    lateral_row,
+    line_derivatives,
+    y_of,
 )
+from .matrices import Matrix, Vector, congruence, diagonal, dot_by_halves, matrix, outer, total
 from .stretches import Stretches
 
 #: Share of the advance of the chords that must not run backwards.
@@ -58,81 +57,82 @@ class Refit(NamedTuple):
     begin: float  #: of the range that the cubic describes, seen from the mean pose [m]
     end: float
     misfit: float  #: largest deviation of the cubic from the line [m]
-    x: Row  #: points to which cubics are fitted [m]
-    y: Row
-    pose: Row  #: the mean pose
+    x: Vector  #: points to which cubics are fitted [m]
+    y: Vector
+    pose: Vector  #: the mean pose
     centre: tuple[float, float]  #: of the points [m]
     half: float  #: of their range [m]
-    of_u: Matrix  #: coefficients of mean(u^k) for k of 1 .. 6, see ``turned``
-    of_v: Matrix  #: those of mean(v u^k) for k of 0 .. 3
+    of_u: list[Vector]  #: coefficients of mean(u^k) for k of 1 .. 6, see ``turned``
+    of_v: list[Vector]  #: those of mean(v u^k) for k of 0 .. 3
     chords: list[tuple[float, float]]  #: [m]
     noise: Matrix  #: covariance of the map's error and of the misfit
 
 
 def refit(
-    seen: Stretches, line: int, pose: Row, limits: Limits, error: MapError | None
+    seen: Stretches, line: int, pose: Sequence[float], limits: Limits, error: MapError | None
 ) -> Refit | None:
     """Return a stretch as a function of the pose; None if a cubic follows it nowhere."""
     fitted = longest_range(seen, line, limits)
     if fitted is None:
         return None
+    begin, end, x, y, _, shift, misfit = fitted
     is_covered = math.isfinite(limits.max_misfit)
-    x, y = fitted.x, [v + fitted.shift for v in fitted.y] if is_covered else fitted.y
+    if is_covered:
+        y = Vector(v + shift for v in y)
     centre, half = ((x[0] + x[-1]) / 2, (min(y) + max(y)) / 2), (x[-1] - x[0]) / 2
-    of_u, of_v = sums_of([(v - centre[1]) / half for v in y])
-    points = [*zip(x, y, strict=True)][::CHORD]
+    of_u, of_v = sums_of(Vector((v - centre[1]) / half for v in y))
+    points, none = [*zip(x, y, strict=True)][::CHORD], diagonal([0.0] * 4)
     chords = [(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(points)]
     found = Refit(
-        *(fitted.begin, fitted.end, fitted.misfit, x, y, pose, centre, half, of_u, of_v, chords),
-        noise=[[0.0] * 4 for _ in range(4)],
-    )
-    mean = line_at(found, pose) or [math.nan] * 4
-    noise = found.noise
+        begin, end, misfit, x, y, Vector(pose), centre, half, of_u, of_v, chords, none
+    )  # fmt: skip
+    mean, noise = line_at(found, pose) or UNKNOWN, none
     if error is not None:
         noise = map_noise(found, mean, [seen.position(line, u) for u in x], error)
     if is_covered:
-        J = bases(Curve(mean, fitted.begin, fitted.end, 0.0))
+        J = bases(Curve(mean, begin, end))
         cover = coefficient_variances(seen, line, fitted, 0.0 if error is None else error.points)
-        wide = [[a * variance for a, variance in zip(row, cover, strict=True)] for row in J]
-        noise = added(noise, product(wide, transposed(J)))
+        noise += Matrix(row * cover for row in J) @ J.T
     return found._replace(noise=noise)
 
 
 # ---- the line seen from a pose ----------------------------------------------------------------
 
 
-def sums_of(b: Row) -> tuple[Matrix, Matrix]:
+#: A line that is no function of x.
+UNKNOWN = Vector([math.nan] * 4)
+
+
+def sums_of(b: Vector) -> tuple[list[Vector], list[Vector]]:
     """Return the coefficients of c^(d - j) s^j in the sums of degree d of turned points.
 
     The points (a, b), with the nodes as a, become u = c a + s b and v = c b - s a.
     """
-    powers_a, powers_b = ([[1.0] * len(NODES)] for _ in range(2))
-    for _ in range(DEGREE):
-        powers_a.append([x * y for x, y in zip(powers_a[-1], NODES, strict=True)])
-        powers_b.append([x * y for x, y in zip(powers_b[-1], b, strict=True)])
+    ones = Vector([1.0] * len(NODES))
+    powers_a, powers_b = ([*accumulate(repeat(x, DEGREE), mul, initial=ones)] for x in (NODES, b))
 
     def moment(i: int, j: int) -> float:
         return dot_by_halves(powers_a[i], powers_b[j]) / len(NODES)
 
-    of_u = [[math.comb(k, j) * moment(k - j, j) for j in range(k + 1)] for k in range(1, 7)]
+    of_u = [
+        Vector(math.comb(k, j) * moment(k - j, j) for j in range(k + 1))
+        for k in range(1, DEGREE + 1)
+    ]
     of_v = []
     for k in range(4):
         ahead = [math.comb(k, j) * moment(k - j, j + 1) for j in range(k + 1)]
         aside = [math.comb(k, j) * moment(k + 1 - j, j) for j in range(k + 1)]
-        of_v.append([x - y for x, y in zip([*ahead, 0.0], [0.0, *aside], strict=True)])
+        of_v.append(Vector([*ahead, 0.0]) - Vector([0.0, *aside]))
     return of_u, of_v
 
 
-def turned(coefficients: Row, c: Row, s: Row) -> float:
+def turned(coefficients: Vector, c: list[float], s: list[float]) -> float:
     """Return a sum of turned points, from the powers of the cosine and sine."""
     d = len(coefficients) - 1
-    value = coefficients[0] * c[d]
-    for j in range(1, d + 1):
-        value += coefficients[j] * (c[d - j] * s[j])
-    return value
+    return coefficients @ [c[d - j] * s[j] for j in range(d + 1)]
 
 
-def normal_solution(m: Row, r: Row) -> Row | None:
+def normal_solution(m: Sequence[float], r: Sequence[float]) -> Vector | None:
     """Return the cubic v(u) from mean(u^k) and mean(v u^k); None for too few distinct points."""
     m1, m2, m3, m4, m5, m6 = m
     a11, a12, a13 = m2 - m1 * m1, m3 - m1 * m2, m4 - m1 * m3
@@ -152,13 +152,12 @@ def normal_solution(m: Row, r: Row) -> Row | None:
     q3 = r3 / a33
     q2 = r2 / a22 - f * q3
     q1 = r1 / a11 - f2 * q2 - f3 * q3
-    return [r[0] - (m1 * q1 + m2 * q2 + m3 * q3), q1, q2, q3]
+    return Vector([r[0] - (m1 * q1 + m2 * q2 + m3 * q3), q1, q2, q3])
 
 
 def is_function_after(chords: Sequence[tuple[float, float]], c: float, s: float) -> bool:
     """Return whether points are a function of x after a turn, and not nearly across it."""
-    xs, ys = [x for x, _ in chords], [y for _, y in chords]
-    net = abs(c * total(xs) + s * total(ys))
+    net = abs(c * total([x for x, _ in chords]) + s * total([y for _, y in chords]))
     if not net >= least_advance(chords):
         return False
     slopes = [y / x for x, y in chords]
@@ -177,13 +176,10 @@ def is_across(line: Refit) -> bool:
     return 2 * line.half < least_advance(line.chords)
 
 
-def line_at(line: Refit, pose: Sequence[float]) -> Row | None:
+def line_at(line: Refit, pose: Sequence[float]) -> Vector | None:
     """Return the line from a pose in the frame of the map; None if it is no function of x there."""
     s, c = sin_cos(pose[2] - line.pose[2])
-    of_c, of_s = [1.0], [1.0]
-    for _ in range(DEGREE):
-        of_c.append(of_c[-1] * c)
-        of_s.append(of_s[-1] * s)
+    of_c, of_s = ([*accumulate(repeat(x, DEGREE), mul, initial=1.0)] for x in (c, s))
     m, r = ([turned(row, of_c, of_s) for row in rows] for rows in (line.of_u, line.of_v))
     q = normal_solution(m, r)
     if q is None or not is_function_after(line.chords, c, s):
@@ -192,35 +188,34 @@ def line_at(line: Refit, pose: Sequence[float]) -> Row | None:
     sine, cosine = sin_cos(line.pose[2])
     x = line.centre[0] - (cosine * east + sine * north)
     y = line.centre[1] - (cosine * north - sine * east)
-    q = [a * line.half for a in q]
+    q *= line.half
     q[0] += c * y - s * x
     found = derivatives(q, c * x + s * y, line.half)
     found[1] = atan(found[1])
     return found
 
 
-def line_or_extended(line: Refit, pose: Sequence[float]) -> Row | None:
+def line_or_extended(line: Refit, pose: Sequence[float]) -> Vector | None:
     """Return the line from a pose, extrapolated from the mean pose where it is no function."""
     found = line_at(line, pose)
     if found is not None:
         return found
-    mean, share = line_at(line, line.pose) or [math.nan] * 4, 1.0
+    mean, share = line_at(line, line.pose) or UNKNOWN, 1.0
     for _ in range(HALVINGS):
         share /= 2
-        nearer = [m + share * (x - m) for x, m in zip(pose, line.pose, strict=True)]
-        found = line_at(line, nearer)
+        found = line_at(line, line.pose + share * (Vector(pose) - line.pose))
         if found is not None:
-            found = [m + (x - m) / share for x, m in zip(found, mean, strict=True)]
+            found = mean + (found - mean) / share
             return None if math.isnan(found[0]) else found
     return None
 
 
-def _quartic_row() -> Row:
+def _quartic_row() -> Vector:
     """Return the row from values at the nodes to the coefficient of T_4 in their fit."""
     fourth = [float(Fraction(w) ** 4) for w in NODES]  # rounded once
-    T_4 = [8 * p - 8 * (w * w) + 1 for p, w in zip(fourth, NODES, strict=True)]
+    T_4 = Vector(8 * p - 8 * (w * w) + 1 for p, w in zip(fourth, NODES, strict=True))
     _, rest = cubic_fit(NODES, T_4, end_weight=1.0)
-    return [x / dot_by_halves(rest, rest) for x in rest]
+    return rest / dot_by_halves(rest, rest)
 
 
 QUARTIC = _quartic_row()
@@ -234,7 +229,7 @@ def quartic(line: Refit) -> float:
 # ---- errors of the map ------------------------------------------------------------------------
 
 
-def map_noise(line: Refit, mean: Row, position: Row, error: MapError) -> Matrix:
+def map_noise(line: Refit, mean: Vector, position: list[float], error: MapError) -> Matrix:
     """Return the covariance of a line due to the error of the map, to first order.
 
     Args:
@@ -243,57 +238,47 @@ def map_noise(line: Refit, mean: Row, position: Row, error: MapError) -> Matrix:
         position: indices of its points among those of the map, with fractions.
         error: of the map.
     """
-    columns = []
-    for k, sigma in enumerate((error.offset, error.offset, error.heading)):
-        ahead, back = (
-            line_at(line, [p + sign * STEP if i == k else p for i, p in enumerate(line.pose)])
-            or [math.nan] * 4
-            for sign in (1, -1)
-        )
-        columns.append([(a - b) / (2 * STEP) * sigma for a, b in zip(ahead, back, strict=True)])
-    of_pose = square(transposed(columns))
+    columns, sigmas = Matrix(), (error.offset, error.offset, error.heading)
+    for step, sigma in zip(diagonal([STEP] * 3), sigmas, strict=True):
+        ahead, back = (line_at(line, one) for one in (line.pose + step, line.pose - step))
+        columns.append(((ahead or UNKNOWN) - (back or UNKNOWN)) / (2 * STEP) * sigma)
     unit = unit_covariance(line, mean, position)
-    return added(of_pose, scaled(error.points * error.points, unit))
+    return columns.T @ columns + error.points * error.points * unit
 
 
-def unit_covariance(line: Refit, mean: Row, position: Row) -> Matrix:
+def unit_covariance(line: Refit, mean: Vector, position: list[float]) -> Matrix:
     """Return the covariance of a line for unit errors of the points of the map."""
-    J = transposed([derivatives(q, line.centre[0], line.half) for q in diagonal([1.0] * 4)])
-    _, cosine = sin_cos(mean[1])
-    J[1] = [x * (cosine * cosine) for x in J[1]]
+    J = line_derivatives(diagonal([1.0] * 4), line.centre[0], line.half, mean[1])
     unit = congruence(J, fit_covariance(line, mean, position))
     # The fit averages the errors of the points, but the line itself has them in full.
-    slope, least = tan(mean[1]), math.inf
-    for x in line.x:
-        lateral = [1.0, (1 + slope * slope) * x, x * x / 2, x * x * x / 6]
-        (products,) = product([lateral], unit)
-        least = min(least, dot_by_halves(products, lateral))
+    rows = [lateral_row(tan(mean[1]), x) for x in line.x]
+    least = min(dot_by_halves((Matrix([row]) @ unit)[0], row) for row in rows)
     unit[0][0] += 1 - least if least < 1 else 0.0
     return unit
 
 
-def fit_covariance(line: Refit, mean: Row, position: Row) -> Matrix:
+def fit_covariance(line: Refit, mean: Vector, position: list[float]) -> Matrix:
     """Return the covariance of the coefficients of a fit for unit errors of the map's points.
 
     A fitted point has the weighted mean of the errors of its two neighbours. An error in x acts
     twice: by the slope of the line, and by the change of the place in the range.
     """
-    inverse = [[dot_by_halves(a, b) for b in FIT] for a in FIT]
+    inverse = matrix([dot_by_halves(a, b) for b in FIT] for a in FIT)
     slope = tan(mean[1])
-    of_y: dict[int, Row] = defaultdict(lambda: [0.0] * 4)  # effects of the errors of each point
-    of_x: dict[int, Row] = defaultdict(lambda: [0.0] * 4)
-    for k, (u, v, w) in enumerate(zip(line.x, line.y, NODES, strict=True)):
+    of_y: dict[int, Vector] = defaultdict(lambda: Vector([0.0] * 4))  # effects of the errors
+    of_x: dict[int, Vector] = defaultdict(lambda: Vector([0.0] * 4))  # of each point
+    points = zip(line.x, line.y, NODES, FIT.T, position, strict=True)
+    for u, v, w, by_y, place in points:
         along = slope + u * (mean[2] + u * mean[3] / 2)
         rest = v - y_of(mean, slope, u)
-        (by_place,) = product([[0.0, 1.0, 2 * w, 3 * w * w]], inverse)
-        by_y = [row[k] for row in FIT]
-        by_x = [a / line.half * rest - b * along for a, b in zip(by_place, by_y, strict=True)]
-        below = math.floor(position[k])
-        share = position[k] - below
-        for point, weight in ((below, 1 - share), (below + 1, share)):
-            of_y[point] = [a + weight * b for a, b in zip(of_y[point], by_y, strict=True)]
-            of_x[point] = [a + weight * b for a, b in zip(of_x[point], by_x, strict=True)]
-    S = [[0.0] * 4 for _ in range(4)]
+        by_place = (Matrix([Vector([0.0, 1.0, 2 * w, 3 * w * w])]) @ inverse)[0]
+        by_x = by_place / line.half * rest - by_y * along
+        below = math.floor(place)
+        for point, weight in ((below, 1 - (place - below)), (below + 1, place - below)):
+            of_y[point] += weight * by_y
+            of_x[point] += weight * by_x
+    S = diagonal([0.0] * 4)
     for point in sorted(of_y):
-        S = added(S, outer(of_y[point]), outer(of_x[point]))
+        S += outer(of_y[point])
+        S += outer(of_x[point])
     return S

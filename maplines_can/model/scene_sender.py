@@ -17,38 +17,28 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from ..values.line import MIN_RANGE, Slot
+from ..wire.layout import signals as names
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import POSE, Owner, PoseLayout
-from ..wire.layout.signals import (
-    FINE,
-    FINE_SIGNALS,
-    OWN_SIGNALS,
-    PARAMETER_SIGNALS,
-    POSE_ROWS,
-    SLOT_SIGNALS,
-    Signal,
-)
+from ..wire.layout.signals import PARAMETER_SIGNALS, Signal
 from .covariance import code_of, encode, least_variances, reachable
 from .elementary import exp2, log2
-from .joint import block, divergence, factor_or_identity, is_finite, largest_ratio, uncovered
+from .joint import block, divergence, factor_or_identity, largest_ratio, uncovered
 from .level_search import LevelSearch, Wanted, wanted_of
 from .levels import Levels, level_covariance
-from .lines import Curve, bases, is_function, points_of, sigma_points, spread
+from .lines import Curve, bases, is_line, sigma_points, spread
 from .matrices import (
     Matrix,
-    Row,
-    added,
+    Vector,
     congruence,
     diagonal,
     eigen,
     inverse,
+    is_finite,
     lower_solution,
+    matrix,
     outer,
-    product,
-    scaled,
-    square,
-    subtracted,
-    transposed,
+    with_blocks,
 )
 from .nearest_line import bounds, nearest_line, slope_error
 from .records import RawRecord, written
@@ -63,7 +53,7 @@ from .scenes import (
     signals_of_slot,
 )
 from .signals import above, below, limited, nearest, nearest_limited, of_slot, value
-from .writer import Draft, clipped_mean, stated_range, write
+from .writer import Draft, clipped_mean, mean_signals, physical_range, stated_range, write
 
 #: Factor on the covariance of the pose error that is covered: a line that is rounded depends on the
 #: pose a little differently.
@@ -80,6 +70,7 @@ ORDER = (3, 2, 0, 1)
 LARGEST_OWN = 2.0**-8
 #: Largest mean and standard deviation of a line that is encoded: no D covers more.
 LARGEST = 1e50
+IDENTITY = diagonal([1.0] * 4)
 
 
 @dataclass(frozen=True)
@@ -116,7 +107,7 @@ class _Member:
     place: int  #: in the scene
     with_levels: dict[str, int]  #: raw values but for D, if that is sent as levels
     with_entries: dict[str, int]  #: and if all entries are sent
-    mean: Row  #: of the scene
+    mean: Vector  #: of the scene
     due_to_pose: Matrix
     excess: Matrix  #: square of the error of a mean that exceeds the message
     specific: Matrix  #: with the excess
@@ -125,12 +116,12 @@ class _Member:
     cost: float = 0.0  #: of levels; more than 1 is too much
     # What a receiver decodes, in the present form:
     curve: Curve = field(init=False)
-    J: Matrix = field(default_factory=list)
-    common: Matrix = field(default_factory=list)
-    known: Matrix = field(default_factory=list)  #: what D has to cover, of this line alone
-    least: Matrix = field(default_factory=list)  #: covariance of the resolution of the mean
-    more: Matrix = field(default_factory=list)  #: by which D is enlarged
-    spacings: list[int] = field(default_factory=list)
+    J: Matrix = field(init=False)
+    common: Matrix = field(init=False)
+    known: Matrix = field(init=False)  #: what D has to cover, of this line alone
+    least: Matrix = field(init=False)  #: covariance of the resolution of the mean
+    more: Matrix = field(init=False)  #: by which D is enlarged
+    spacings: list[int] = field(init=False)
     raw_own: dict[str, int] = field(default_factory=dict)  #: of D
     is_covered: bool = True
 
@@ -140,9 +131,10 @@ class _Member:
         return (self.with_entries if self.is_full else self.with_levels) | self.raw_own
 
     @property
-    def levels(self) -> Levels:
-        """Raw values of its levels."""
-        return Levels(*(self.raw_own[name] for name in OWN_SIGNALS))
+    def wanted(self) -> Wanted:
+        """What levels have to cover."""
+        known = self.known
+        return wanted_of(known + self.more, self.common, known + self.least, self.J)
 
 
 class SceneSender:
@@ -153,8 +145,7 @@ class SceneSender:
         self.own = signals_of_slot(layout, next(iter(layout.messages)))
         self.signals = levels_of(self.own)
         self.search = LevelSearch(self.signals)
-        self.mean = [layout[name] for name in PARAMETER_SIGNALS]
-        self.range = layout["XMin"], layout["XMax"]
+        self.mean = mean_signals(layout)
 
     # ---- records -------------------------------------------------------------------------------
 
@@ -180,6 +171,9 @@ class SceneSender:
         Returns:
             None if the pose error does not fit, or a line is no function of x near the mean pose.
         """
+        specific = None if scene.specific is None else [*map(matrix, scene.specific)]
+        cov, pose_cov = matrix(scene.cov), matrix(scene.pose_cov)
+        scene = replace(scene, cov=cov, pose_cov=pose_cov, specific=specific)
         left_out: dict[Slot, str] = {}
         try:
             members = self._members(scene, left_out)
@@ -212,28 +206,26 @@ class SceneSender:
             )
             if not self.layout.is_conditional:
                 levels = sent[slot].raw if is_member else {}
-                pose_raw |= {of_slot(slot, name): levels.get(name, 0) for name in SLOT_SIGNALS}
-        signal = self.pose["Age"]
-        pose_raw["Age"] = limited(signal, above(signal, 1000 * ages[POSE]))
+                pose_raw |= {
+                    of_slot(slot, name): levels.get(name, 0) for name in names.SLOT_SIGNALS
+                }
+        age = self.pose["Age"]
+        pose_raw["Age"] = limited(age, above(age, 1000 * ages[POSE]))
         pose_raw["Counter"] = counters.get(POSE, 0)
         data_id = self.layout.messages_of[POSE].data_id
         return SentScene({POSE: written(self.pose, pose_raw, data_id), **records}, left_out)
 
     def _raw_pose(self, scene: SceneDraft) -> dict[str, int] | None:
         """Return the raw values of the pose error that hold its covariance and its levels."""
-        code = code_of(self.pose, POSE_ROWS)
-        coded = encode(code, scaled(POSE_SLACK, scene.pose_cov), least_variances(code))
+        code, time = code_of(self.pose, names.POSE_ROWS), self.pose["CorrelationTime"]
+        coded = encode(code, POSE_SLACK * scene.pose_cov, least_variances(code))
         if not coded.is_covered:
             return None
-        raw, time = coded.raw, self.pose["CorrelationTime"]
         sigmas = {"MapOffset": scene.offset_sigma, "MapHeading": scene.heading_sigma}
-        raw |= {name: level_above(self.pose[name], sigma) for name, sigma in sigmas.items()}
-        long_enough = (
-            raw
-            for raw in range(1, time.raw_max + 1)
-            if exp2(value(time, raw)) >= scene.correlation_time
-        )
-        return raw | {time.name: next(long_enough, 0)}
+        levels = {name: level_above(self.pose[name], sigma) for name, sigma in sigmas.items()}
+        times = range(1, time.raw_max + 1)
+        long_enough = (raw for raw in times if exp2(value(time, raw)) >= scene.correlation_time)
+        return coded.raw | levels | {time.name: next(long_enough, 0)}
 
     # ---- lines that can be stated --------------------------------------------------------------
 
@@ -242,7 +234,7 @@ class SceneSender:
         members = []
         of_form = self._conditional if self.layout.is_conditional else self._complete
         for place, line in enumerate(scene.lines):
-            curve = Curve([*line.mean], *scene.fit_ranges[place], scene.quartics[place])
+            curve = Curve(Vector(line.mean), *scene.fit_ranges[place], scene.quartics[place])
             found = of_form(scene, place, curve) if is_possible(scene, place, curve) else "ACROSS"
             if isinstance(found, str):
                 left_out[line.slot] = found
@@ -255,10 +247,10 @@ class SceneSender:
 
         The levels are for the mean and the range as sent, without anything that is clipped.
         """
-        line, (first, last) = scene.lines[place], self.range
-        raw_mean, is_clipped = clipped_mean(self.mean, line.mean)
+        line, first, last = scene.lines[place], self.layout["XMin"], self.layout["XMax"]
+        raw_mean, is_clipped = clipped_mean(self.layout, line.mean)
         ends, _ = stated_range(self.layout, line.x_min, line.x_max)
-        low, high = value(first, ends[0]), value(last, ends[1])
+        low, high = physical_range(self.layout, ends)
         is_cut = ends != (above(first, line.x_min), below(last, line.x_max)) or not low < high
         if is_clipped or is_cut:
             return "RANGE"
@@ -273,30 +265,24 @@ class SceneSender:
         stated = self._stated(scene.lines[place], curve)
         if isinstance(stated, str):
             return stated
-        ends = dict(zip(("XMin", "XMax"), (stated.begin, stated.end), strict=True))
+        ends = {"XMin": stated.begin, "XMax": stated.end}
         common = {name: int(nearest(self.layout[name], x)) for name, x in ends.items()}
         common["Quartic"] = nearest_limited(self.own["Quartic"], stated.quartic)
         member = self._member(scene, place, stated, common)
         factor = rounding_factor(member.specific, bases(stated))
         coarse = rounded_mean(self.mean, stated.mean, factor)
-        refined_mean = [refined(s, self.layout[f"{s.name}{FINE}"]) for s in self.mean]
-        fine = rounded_mean(refined_mean, stated.mean, factor)
+        fines = [self.layout[name] for name in names.FINE_SIGNALS]
+        fine = rounded_mean(list(map(refined, self.mean, fines)), stated.mean, factor)
         if coarse is None or fine is None:
             return "MEAN"
-        no_levels = dict.fromkeys(OWN_SIGNALS, 0)
+        for signal, of_fine in zip(self.mean, fines, strict=True):  # raw values of both
+            steps = of_fine.raw_max - of_fine.raw_min + 1
+            fine[signal.name], rest = divmod(fine[signal.name] - of_fine.raw_min, steps)
+            fine[of_fine.name] = rest + of_fine.raw_min
+        no_levels = dict.fromkeys(names.OWN_SIGNALS, 0)
         member.with_levels = coarse | common | {"HasCovariance": 0}
-        member.with_entries = self._split(fine) | common | no_levels | {"HasCovariance": 1}
+        member.with_entries = fine | common | no_levels | {"HasCovariance": 1}
         return member
-
-    def _split(self, refined_raw: Mapping[str, int]) -> dict[str, int]:
-        """Return raw values of both signals of each parameter."""
-        raw = {}
-        for name, fine_name in zip(PARAMETER_SIGNALS, FINE_SIGNALS, strict=True):
-            fine = self.layout[fine_name]
-            steps = fine.raw_max - fine.raw_min + 1
-            raw[name], rest = divmod(refined_raw[name] - fine.raw_min, steps)
-            raw[fine_name] = rest + fine.raw_min
-        return raw
 
     def _stated(self, line: Draft, curve: Curve) -> Curve | str:
         """Return the part of a line that the message can state.
@@ -308,12 +294,12 @@ class SceneSender:
         limits = [bounds(signal) for signal in self.mean]
         if not all(low <= x <= high for x, (low, high) in zip(mean, limits, strict=True)):
             least = MIN_RANGE + (max(line.x_min - begin, 0.0) + max(end - line.x_max, 0.0))
-            reach = [math.sqrt(x) for x in reachable(code_of(self.layout))]
+            reach = reachable(code_of(self.layout))
             near = nearest_line(self.mean, mean, (begin, end), least, reach)
             if near is None:
                 return "MEAN"
             mean, (begin, end) = near
-        first, last = (signal.physical_range for signal in self.range)
+        first, last = (self.layout[name].physical_range for name in ("XMin", "XMax"))
         begin, end = max(float(math.ceil(begin)), first[0]), min(float(math.floor(end)), last[1])
         if begin > first[1] or end < last[0] or begin >= end or end - begin < least:
             return "RANGE"
@@ -323,24 +309,22 @@ class SceneSender:
 
     def _member(self, scene: SceneDraft, place: int, curve: Curve, raw: dict[str, int]) -> _Member:
         """Return a line with the parts of its covariance."""
-        line = scene.lines[place]
-        A, J = spread(curve._replace(mean=line.mean), sigma_points(scene.pose_cov)), bases(curve)
+        line, mean, J = scene.lines[place], Vector(scene.lines[place].mean), bases(curve)
+        A = spread(curve._replace(mean=mean), sigma_points(scene.pose_cov))
         if A is None:
             raise UnseenError
-        error = [x - y for x, y in zip(line.mean, curve.mean, strict=True)]
-        error[1] = slope_error(line.mean[1], curve.mean[1])
-        due_to_pose, excess = square(A), outer(error)
+        error = mean - curve.mean
+        error[1] = slope_error(mean[1], curve.mean[1])
+        due_to_pose, excess = A @ A.T, outer(error)
         if scene.specific is not None:
             specific = scene.specific[place]
         else:
-            values, V = eigen(
-                congruence(inverse(J), subtracted(block(scene.cov, place, place), due_to_pose))
-            )
-            roots = [math.sqrt(max(x, 0.0)) for x in values]
-            root = [[v * r for v, r in zip(row, roots, strict=True)] for row in V]
-            specific = square(product(J, root))
-        specific = added(specific, excess)
-        return _Member(line.slot, place, raw, raw, line.mean, due_to_pose, excess, specific)
+            rest = block(scene.cov, place, place) - due_to_pose
+            values, V = eigen(congruence(inverse(J), rest))
+            roots = Vector(math.sqrt(max(x, 0.0)) for x in values)
+            root = J @ Matrix(row * roots for row in V)
+            specific = root @ root.T
+        return _Member(line.slot, place, raw, raw, mean, due_to_pose, excess, specific + excess)
 
     # ---- line-specific covariances -------------------------------------------------------------
 
@@ -354,7 +338,7 @@ class SceneSender:
                 cheapest.is_full, cheapest.is_spared = False, True
             for one in members:
                 one.curve = curve_of(self.layout, self.own, one.raw)
-                one.is_covered = _is_function(one.curve)
+                one.is_covered = is_line(one.curve)
             if not all(one.is_covered for one in members):
                 members = _kept(members, left_out, "ACROSS")
                 continue
@@ -364,13 +348,12 @@ class SceneSender:
                     one.cost = cost if math.isnan(cost) or cost > one.cost else one.cost
                     one.is_full |= cost > 1
                 continue
-            uncovered_ones = [one for one in members if not one.is_covered]
-            if not uncovered_ones:
+            if all(one.is_covered for one in members):
                 return members
             by_levels = [
                 one
-                for one in uncovered_ones
-                if one.is_full and not one.is_spared and math.isfinite(one.cost)
+                for one in members
+                if not (one.is_covered or one.is_spared) and one.is_full and one.cost < math.inf
             ]
             for one in by_levels:  # entries have ranges; what levels stand for has none
                 one.is_full, one.is_spared = False, True
@@ -384,9 +367,7 @@ class SceneSender:
         costs = [0.0] * len(members)
         for trial in range(TRIALS):
             for n, one in enumerate(members):
-                if trial > 0 and not one.is_full and self._stays(one):
-                    one.is_covered = True
-                else:
+                if trial == 0 or one.is_full or not self._stays(one):
                     costs[n] = self._choose(one)
             if any(cost > 1 for cost in costs) or not all(one.is_covered for one in members):
                 return costs
@@ -399,10 +380,9 @@ class SceneSender:
                 return costs
             for one, lack in zip(members, lacking, strict=True):
                 one.is_covered = is_finite(lack)
+                one.more += FIRST_SHARE * 2.0**trial * lack
             if not all(one.is_covered for one in members):
                 return costs
-            for one, lack in zip(members, lacking, strict=True):
-                one.more = added(one.more, scaled(FIRST_SHARE * 2.0**trial, lack))
         for one in members:
             one.is_covered = False
         return [
@@ -417,41 +397,31 @@ class SceneSender:
         Returns:
             The joint covariance that the pose error causes, and the one that is to be covered.
         """
-        poses, A, d = sigma_points(pose.cov), list[Row](), list[float]()
+        poses, A, errors = sigma_points(pose.cov), Matrix(), Vector()
         for one in members:
-            error = [x - y for x, y in zip(one.mean, one.curve.mean, strict=True)]
+            error = one.mean - one.curve.mean
             rows, common = spread(one.curve, poses), common_covariance(pose, one.curve)
             if rows is None or common is None:
                 raise UnseenError
-            one.J, one.common, one.known = (
-                bases(one.curve),
-                common,
-                added(one.specific, outer(error)),
-            )
-            one.least, one.more = scaled(RESOLUTION**2, square(one.J)), diagonal([0.0] * 4)
+            one.J, one.common, one.known = bases(one.curve), common, one.specific + outer(error)
+            one.least, one.more = RESOLUTION**2 * (one.J @ one.J.T), diagonal([0.0] * 4)
             if not one.is_full:
-                one.spacings = self.search.spacings(self._wanted(one), one.curve)
-            A, d = A + rows, d + error
+                one.spacings = self.search.spacings(one.wanted, one.curve)
+            A.extend(rows)
+            errors.extend(error)
         keep = [4 * one.place + i for one in members for i in range(4)]
-        true = added([[scene.cov[i][j] for j in keep] for i in keep], outer(d))
-        for n, one in enumerate(members):
-            for i, row in enumerate(one.excess):
-                for j, x in enumerate(row):
-                    true[4 * n + i][4 * n + j] += x
-        return square(A), true
-
-    def _wanted(self, one: _Member) -> Wanted:
-        return wanted_of(added(one.known, one.more), one.common, added(one.known, one.least), one.J)
+        true = scene.cov.block(keep, keep) + outer(errors)
+        return A @ A.T, with_blocks(true, [one.excess for one in members])
 
     def _choose(self, one: _Member) -> float:
         """Set the raw values of D of a line; return what levels cost."""
         if one.is_full:
-            code, target = code_of(self.layout), added(one.known, one.least, one.more)
-            coded = encode(code, target, least_variances(code))
+            code = code_of(self.layout)
+            coded = encode(code, one.known + one.least + one.more, least_variances(code))
             one.raw_own, one.is_covered = coded.raw, coded.is_covered
             return 0.0
-        levels, one.is_covered = self.search.encode(self._wanted(one), one.curve, one.spacings)
-        one.raw_own = dict(zip(OWN_SIGNALS, levels, strict=True))
+        levels, one.is_covered = self.search.encode(one.wanted, one.curve, one.spacings)
+        one.raw_own = dict(zip(names.OWN_SIGNALS, levels, strict=True))
         if not self.layout.is_conditional:
             return 0.0
         if not one.is_covered:
@@ -459,15 +429,16 @@ class SceneSender:
         if one.is_spared:
             return 0.0
         to_metres = inverse(one.J)
-        decoded = added(level_covariance(self.signals, levels, one.curve), one.common)
-        true = congruence(to_metres, added(one.specific, one.least))
-        whole = congruence(to_metres, added(one.due_to_pose, one.known, one.least))
-        kl = divergence(whole, added(congruence(to_metres, one.due_to_pose), decoded))
+        decoded = level_covariance(self.signals, levels, one.curve) + one.common
+        true = congruence(to_metres, one.specific + one.least)
+        whole = congruence(to_metres, one.due_to_pose + one.known + one.least)
+        kl = divergence(whole, congruence(to_metres, one.due_to_pose) + decoded)
         return max(largest_ratio(decoded, true) / LEVELS_RATIO, kl / LEVELS_KL)  # NaN stays
 
     def _stays(self, one: _Member) -> bool:
         """Whether the levels of a line still cover it."""
-        return self.search.covered(one.levels, self._wanted(one), one.curve)
+        levels = Levels(*(one.raw_own[name] for name in names.OWN_SIGNALS))
+        return self.search.covered(levels, one.wanted, one.curve)
 
 
 def _kept(members: list[_Member], left_out: dict[Slot, str], reason: str) -> list[_Member]:
@@ -476,16 +447,12 @@ def _kept(members: list[_Member], left_out: dict[Slot, str], reason: str) -> lis
     return [one for one in members if one.is_covered]
 
 
-def _is_function(curve: Curve) -> bool:
-    return curve.begin < curve.end and is_function(points_of(curve))
-
-
 def is_possible(scene: SceneDraft, place: int, curve: Curve) -> bool:
     """Whether a line is a function of x, with covariances that do not overflow."""
     covs = [block(scene.cov, place, place)]
     covs += [] if scene.specific is None else [scene.specific[place]]
-    is_small = all(row[i] <= LARGEST * LARGEST for cov in covs for i, row in enumerate(cov))
-    return is_small and all(abs(x) <= LARGEST for x in curve.mean) and _is_function(curve)
+    is_small = all(x <= LARGEST * LARGEST for cov in covs for x in cov.diagonal())
+    return is_small and all(abs(x) <= LARGEST for x in curve.mean) and is_line(curve)
 
 
 def level_above(signal: Signal, sigma: float) -> int:
@@ -521,30 +488,28 @@ def rounding_factor(own: Matrix, J: Matrix) -> Matrix:
     cover the error, which would enlarge it most there. In metres, eigenvalues x of D are limited to
     x / (1 + x / LARGEST_OWN^2).
     """
-    identity, most = diagonal([1.0] * 4), LARGEST_OWN**2
-    shares = scaled(1 / most, congruence(inverse(J), own))
-    root = lower_solution(factor_or_identity(added(identity, shares)), identity)
-    limit = scaled(most + RESOLUTION**2, identity)
-    cov = congruence(J, subtracted(limit, scaled(most, product(transposed(root), root))))
-    return factor_or_identity([[cov[i][j] for j in ORDER] for i in ORDER])
+    most = LARGEST_OWN**2
+    shares = 1 / most * congruence(inverse(J), own)
+    root = lower_solution(factor_or_identity(IDENTITY + shares), IDENTITY)
+    limit = (most + RESOLUTION**2) * IDENTITY - most * (root.T @ root)
+    return factor_or_identity(congruence(J, limit).block(ORDER, ORDER))
 
 
-def rounded_mean(signals: Sequence[Signal], mean: Row, L: Matrix) -> dict[str, int] | None:
+def rounded_mean(signals: Sequence[Signal], mean: Vector, L: Matrix) -> dict[str, int] | None:
     """Return the raw values of a mean; None if they do not fit.
 
     Each parameter is rounded to its conditional mean given the errors of those before it, so the
     error of the lateral position is small all over the range.
     """
-    raw, errors = dict[str, int](), list[float]()
-    for row, state in enumerate(ORDER):
-        signal, expected = signals[state], 0.0
-        for column, error in enumerate(errors):
-            expected += L[row][column] * error
+    raw, errors = dict[str, int](), Vector()
+    for row, state in zip(L, ORDER, strict=True):
+        signal, expected = signals[state], errors @ row
         wanted = nearest(signal, mean[state] + expected)
         raw[signal.name] = limited(signal, wanted)
         if wanted != raw[signal.name]:
             return None
-        errors.append((value(signal, raw[signal.name]) - mean[state] - expected) / L[row][row])
+        rest = value(signal, raw[signal.name]) - mean[state] - expected
+        errors.append(rest / row[len(errors)])
     return raw
 
 

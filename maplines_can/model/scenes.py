@@ -15,30 +15,24 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from ..values.line import Kind, Slot, Status
+from ..wire.layout import signals as names
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import PoseLayout
-from ..wire.layout.signals import (
-    FINE_SIGNALS,
-    OWN_SIGNALS,
-    PARAMETER_SIGNALS,
-    POSE_ROWS,
-    SLOT_SIGNALS,
-    Signal,
-)
+from ..wire.layout.signals import Signal
 from .covariance import code_of, decoded
 from .elementary import exp2
 from .levels import Levels, LevelSignals, level_covariance
 from .lines import (
     Curve,
     bases,
-    is_function,
+    is_line,
     points_of,
     pose_jacobian,
     sigma_points,
     spread,
     valid_range,
 )
-from .matrices import Matrix, added, cholesky, diagonal, product, square, upper_solution
+from .matrices import Matrix, Vector, cholesky, diagonal, matrix, upper_solution, with_blocks
 from .records import Line, RawRecord, age_of
 from .signals import Raw, level, nearest, of_slot, physical, value
 
@@ -70,8 +64,10 @@ class Member(NamedTuple):
     """What was received of a line of a scene."""
 
     slot: Slot
+    counter: int
     content: RawRecord | Line  #: conditional on the pose error, or with a covariance of its own
     t_ns: int  #: time of its first frame
+    frames: int  #: that belong to the scene alone
 
 
 class SceneLine(NamedTuple):
@@ -96,13 +92,11 @@ class Scene(NamedTuple):
 
 def pose_of(layout: PoseLayout, record: RawRecord, t_ns: int) -> Pose:
     """Return the content of a record of the pose error. All bits mean something."""
-    raw, cov = record.raw, decoded(code_of(layout, POSE_ROWS), record.raw)
-    names = ("CorrelationTime", "MapOffset", "MapHeading")
-    time, offset, heading = (level(layout[name], raw[name]) for name in names)
-    return Pose(
-        layout, raw, record.counter, t_ns, age_of(layout, raw), cov, time or math.inf, offset,
-        heading,
-    )  # fmt: skip
+    raw, cov = record.raw, decoded(code_of(layout, names.POSE_ROWS), record.raw)
+    levels = ("CorrelationTime", "MapOffset", "MapHeading")
+    time, *sigmas = (level(layout[name], raw[name]) for name in levels)
+    age = age_of(layout, raw)
+    return Pose(layout, raw, record.counter, t_ns, age, cov, time or math.inf, *sigmas)
 
 
 def scene_line(layout: Layout, pose: Pose, member: Member) -> SceneLine | None:
@@ -113,13 +107,13 @@ def scene_line(layout: Layout, pose: Pose, member: Member) -> SceneLine | None:
     content, slot_signals = member.content, signals_of_slot(layout, member.slot)
     raw = content.raw if isinstance(content, RawRecord) else _sent(layout, pose, content)
     curve = curve_of(layout, slot_signals, raw)
-    if not curve.begin < curve.end or not is_function(points_of(curve)):
+    if not is_line(curve):
         return None
     A, common = spread(curve, sigma_points(pose.cov)), common_covariance(pose, curve)
     if A is None or common is None:
         return None
     own = own_covariance(layout, slot_signals, raw, curve, common)
-    cov = enlarged(added(square(A), own))
+    cov = enlarged(A @ A.T + own)
     if isinstance(content, RawRecord):
         x_min, x_max = _valid_range(pose, curve, own)
         kind, age = Kind(raw["Kind"]), later(pose.age, member.t_ns - pose.t_ns)
@@ -132,25 +126,23 @@ def scene_line(layout: Layout, pose: Pose, member: Member) -> SceneLine | None:
 
 def scene_of(pose: Pose, lines: Sequence[SceneLine]) -> Scene:
     """Return the scene of a pose error and its lines."""
-    cov = square([row for line in lines for row in line.spread])
-    for i, line in enumerate(lines):
-        for j, row in enumerate(line.own):
-            for k, x in enumerate(row):
-                cov[4 * i + j][4 * i + k] += x
+    A, own = Matrix(row for line in lines for row in line.spread), [line.own for line in lines]
     return Scene(
         [line.line for line in lines],
-        enlarged(cov),
+        enlarged(with_blocks(A @ A.T, own)),
         pose,
         [(line.curve.begin, line.curve.end) for line in lines],
         [line.curve.quartic for line in lines],
-        [line.own for line in lines],
+        own,
     )
 
 
 def enlarged(cov: Matrix) -> Matrix:
     """Return a covariance that is definite in double precision, whatever its parts are."""
-    places = range(len(cov))
-    return [[cov[i][j] * (1 + ROUNDING) if i == j else cov[i][j] for j in places] for i in places]
+    found = matrix(cov)
+    for i, row in enumerate(found):
+        row[i] *= 1 + ROUNDING
+    return found
 
 
 def common_covariance(pose: Pose, curve: Curve) -> Matrix | None:
@@ -165,9 +157,9 @@ def common_covariance(pose: Pose, curve: Curve) -> Matrix | None:
     G = pose_jacobian(points_of(curve))
     if G is None:
         return None
-    sigmas = pose.offset_sigma, pose.offset_sigma, pose.heading_sigma
-    scaled = [[x * sigma for x, sigma in zip(row, sigmas, strict=True)] for row in G]
-    return added(cov, square(upper_solution(bases(curve), scaled)))  # T_k has k derivatives
+    sigmas = Vector([pose.offset_sigma, pose.offset_sigma, pose.heading_sigma])
+    B = upper_solution(bases(curve), Matrix(row * sigmas for row in G))  # T_k has k derivatives
+    return cov + B @ B.T
 
 
 def later(age: float, passed_ns: int) -> float:
@@ -185,16 +177,16 @@ def later(age: float, passed_ns: int) -> float:
 def signals_of_slot(layout: Layout, slot: Slot) -> dict[str, Signal]:
     """Return the signals of levels, quartic and fit range: of the record, or of the pose error."""
     if layout.is_conditional or layout.pose is None:
-        return {name: layout[name] for name in SLOT_SIGNALS if name in layout.signals}
-    return {name: layout.pose[of_slot(slot, name)] for name in SLOT_SIGNALS}
+        return {name: layout[name] for name in names.SLOT_SIGNALS if name in layout.signals}
+    return {name: layout.pose[of_slot(slot, name)] for name in names.SLOT_SIGNALS}
 
 
 def _sent(layout: Layout, pose: Pose, line: Line) -> dict[str, int]:
     """Return the raw values of a complete record, and those in the record of the pose error."""
-    names = (*PARAMETER_SIGNALS, "XMin", "XMax")
-    values = zip(names, (*line.mean, line.x_min, line.x_max), strict=True)
+    of_line = (*names.PARAMETER_SIGNALS, "XMin", "XMax")
+    values = zip(of_line, (*line.mean, line.x_min, line.x_max), strict=True)
     raw = {name: int(nearest(layout[name], x)) for name, x in values}
-    return raw | {name: pose.raw[of_slot(line.slot, name)] for name in SLOT_SIGNALS}
+    return raw | {name: pose.raw[of_slot(line.slot, name)] for name in names.SLOT_SIGNALS}
 
 
 def curve_of(layout: Layout, slot_signals: Mapping[str, Signal], raw: Raw) -> Curve:
@@ -202,10 +194,9 @@ def curve_of(layout: Layout, slot_signals: Mapping[str, Signal], raw: Raw) -> Cu
 
     That of a complete record was fitted beyond its valid range, by FitBehind and FitAhead.
     """
-    mean = physical(layout, raw, *PARAMETER_SIGNALS)
+    mean = physical(layout, raw, *names.PARAMETER_SIGNALS)
     if raw.get("HasCovariance"):
-        fine = physical(layout, raw, *FINE_SIGNALS)
-        mean = [x + more for x, more in zip(mean, fine, strict=True)]
+        mean += physical(layout, raw, *names.FINE_SIGNALS)
     begin, end = physical(layout, raw, "XMin", "XMax")
     if "FitBehind" in slot_signals:
         begin -= value(slot_signals["FitBehind"], raw["FitBehind"])
@@ -215,7 +206,7 @@ def curve_of(layout: Layout, slot_signals: Mapping[str, Signal], raw: Raw) -> Cu
 
 def levels_of(slot_signals: Mapping[str, Signal]) -> LevelSignals:
     """Return the signals of the levels."""
-    return LevelSignals(*(slot_signals[name] for name in OWN_SIGNALS))
+    return LevelSignals(*(slot_signals[name] for name in names.OWN_SIGNALS))
 
 
 def own_covariance(
@@ -224,9 +215,10 @@ def own_covariance(
     """Return D: all of its entries, or levels and what is common to all lines."""
     if raw.get("HasCovariance"):
         return decoded(code_of(layout), raw)
-    levels = Levels(*(raw[name] for name in OWN_SIGNALS))
-    cov = added(level_covariance(levels_of(slot_signals), levels, curve), common)
-    return square(product(bases(curve), cholesky(enlarged(cov))))
+    levels = Levels(*(raw[name] for name in names.OWN_SIGNALS))
+    cov = level_covariance(levels_of(slot_signals), levels, curve) + common
+    root = bases(curve) @ cholesky(enlarged(cov))
+    return root @ root.T
 
 
 def _valid_range(pose: Pose, curve: Curve, own: Matrix) -> tuple[float, float]:

@@ -26,7 +26,6 @@ class Keys:
     mac: Callable[[int, bytes], bytes | None]
     clock_us: Callable[[], int] | None = None  #: returns the time
     window_us: int = 1_000_000  #: greatest difference between a freshness value and the clock
-    not_before_us: int = 0  #: freshness values up to this one are not accepted
     last_us: dict[int, int] = field(default_factory=dict)
 
 
@@ -40,9 +39,11 @@ def verified(keys: Keys, layout: SecuredLayout, data: bytes, data_id: int) -> by
         return "LENGTH"
     authentic, trailer = data[: layout.authentic_bytes], data[layout.authentic_bytes :]
     low, mac = trailer[: layout.freshness_bytes], trailer[layout.freshness_bytes :]
-    last = keys.last_us.get(data_id, keys.not_before_us)
-    now = None if keys.clock_us is None else keys.clock_us()
-    freshness = completed(low, last if now is None else max(last, now - keys.window_us - 1))
+    last, floor, latest = keys.last_us.get(data_id, 0), 0, MAX_FRESHNESS
+    if keys.clock_us is not None:
+        now = keys.clock_us()
+        floor, latest = now - keys.window_us - 1, min(now + keys.window_us, MAX_FRESHNESS)
+    freshness = completed(low, max(last, floor))
 
     def is_valid(value: int) -> bool:
         covered = data_id.to_bytes(2, "big") + authentic + value.to_bytes(8, "big")
@@ -52,7 +53,6 @@ def verified(keys: Keys, layout: SecuredLayout, data: bytes, data_id: int) -> by
     if keys.mac(authentic[-1], b"") is None:
         return "KEY"
     if is_valid(freshness):
-        latest = MAX_FRESHNESS if now is None else min(now + keys.window_us, MAX_FRESHNESS)
         if freshness > latest:
             return "AGE"
         keys.last_us[data_id] = freshness

@@ -62,6 +62,7 @@ class SequenceCheck:
         self._is_authentic = is_authentic  # each record is known to be newer than those before
         self._machine, self._deadline = StateMachine(windows), Deadline(cycle_ns)
         self._history, self._pace = History(modulus), Pace(cycle_ns, modulus)
+        self._run: list[_Late] = []  # consecutive records behind the last new one
         self._new_ns = 0  # time of the last new record
         self._span = 1  # records of the line delivered last, while no later one has come
         self._left: int | None = None  # last counter before the last gap
@@ -169,15 +170,17 @@ class SequenceCheck:
 
     def _accept(self, counter: int, content: bytes, t_ns: int, ahead: int) -> None:
         self._history.add_new(counter, content, ahead)
+        self._run.clear()
         self.senders.new()
         self.last, self._new_ns, self._span, self._duplicated_frames = counter, t_ns, 1, 0
 
     def _most_ahead(self, waited_ns: int, records: int) -> int:
         """Return ``most``; with keys it is not limited by time."""
-        half, lines = self._modulus // 2 - 1, math.ceil(self._pace.lines(waited_ns, least=0.0))
+        half, lines = self._modulus // 2 - 1, math.ceil(self._pace.lines(waited_ns))
+        if self._is_authentic:
+            return half
         by_time = lines * self._pace.longest_with(records)
-        is_any = self._is_authentic
-        return half if is_any else min(half, max(self._windows.max_delta_counter, by_time))
+        return min(half, max(self._windows.max_delta_counter, by_time))
 
     def _why_not_new(self, counter: int, content: bytes, behind: int, t_ns: int) -> str | None:
         """Return why a record behind the last new one is not delivered; None if it is new."""
@@ -198,12 +201,12 @@ class SequenceCheck:
             return None  # a restart
         if is_duplicate:
             return "DUPLICATE"
-        fills_gap = self._history.fills_gap(counter, behind)
-        self._history.add_late(counter, content, behind)
         if before is not None:
             self.senders.counter_reused(t_ns)
-        elif behind > self._windows.max_delta_counter * self._pace.longest and not fills_gap:
-            self.senders.conflict(t_ns)  # too far behind to be merely delayed
+        else:
+            is_delayed = self._history.add_late(counter, content, behind)
+            if behind > self._windows.max_delta_counter * self._pace.longest and not is_delayed:
+                self.senders.conflict(t_ns)  # too far behind to be merely delayed
         return None if self._is_restart(counter, t_ns, is_other=before is not None) else "STALE"
 
     def _is_restart(self, counter: int, t_ns: int, *, is_other: bool) -> bool:
@@ -217,16 +220,27 @@ class SequenceCheck:
             |--------|--------|--------|--------|--------|-----> time
                                STALE    STALE    new      new
         """
-        run = self._history.run_with(counter, t_ns, is_other=is_other)
+        if self._run and (counter - self._run[-1].counter) % self._modulus != 1:
+            self._run.clear()
+        self._run.append(_Late(counter, t_ns, is_other))
+        first = self._run[0]
         is_restart = (
-            run.records >= RESTART_RECORDS
-            and abs(t_ns - run.since_ns) >= int(GRACE_CYCLES * self.cycle_ns)
-            and run.is_other
-            and run.first < self._windows.max_delta_counter
+            len(self._run) >= RESTART_RECORDS
+            and abs(t_ns - first.t_ns) >= int(GRACE_CYCLES * self.cycle_ns)
+            and any(late.is_other for late in self._run)
+            and first.counter < self._windows.max_delta_counter
         )
         if is_restart:
             self.senders.retract()
         return is_restart
+
+
+class _Late(NamedTuple):
+    """A record behind the last new one."""
+
+    counter: int
+    t_ns: int
+    is_other: bool  #: the counter had another content before
 
 
 class Deadline:
@@ -278,23 +292,12 @@ class Entry:
     is_duplicated: bool = False  #: it has come again
 
 
-class Run(NamedTuple):
-    """Consecutive records behind the last new one."""
-
-    first: int  #: counter of the first
-    since_ns: int  #: its time
-    last: int  #: counter of the last
-    records: int
-    is_other: bool  #: one of the counters had another content before
-
-
 class History:
     """Records of the last counters. What a new record has skipped is forgotten."""
 
     def __init__(self, modulus: int) -> None:
-        self._modulus, self._length = modulus, min(modulus, HISTORY)
+        self._length = min(modulus, HISTORY)
         self._entries: dict[int, Entry] = {}  # by the low bits of the counter
-        self._run: Run | None = None
 
     def at(self, counter: int, behind: int) -> Entry | None:
         """Return the record with a counter that is so far behind the last new one."""
@@ -304,28 +307,15 @@ class History:
         """Add a new record, which is ahead of the last one by so much."""
         for skipped in range(1, min(ahead, self._length)):
             self._entries.pop((counter - skipped) % self._length, None)
-        self._run = None
         self._entries[counter % self._length] = Entry(content, is_new=True, is_in_sequence=True)
 
-    def add_late(self, counter: int, content: bytes, behind: int) -> None:
-        """Add a record that was not accepted, unless there is one with its counter."""
-        if behind < self._length and self.at(counter, behind) is None:
-            fills_gap = self.fills_gap(counter, behind)
-            self._entries[counter % self._length] = Entry(content, False, fills_gap)
-
-    def fills_gap(self, counter: int, behind: int) -> bool:
-        """Return whether a record directly follows one in sequence, as if they came late."""
+    def add_late(self, counter: int, content: bytes, behind: int) -> bool:
+        """Add a record that is not accepted; return whether it directly follows one in sequence."""
         before = self.at(counter - 1, behind + 1)
-        return before is not None and before.is_in_sequence
-
-    def run_with(self, counter: int, t_ns: int, *, is_other: bool) -> Run:
-        """Add a record behind the last new one to the run of its counters; return that."""
-        run = self._run
-        if run is None or (counter - run.last) % self._modulus != 1:
-            run = Run(counter, t_ns, counter, 0, is_other=False)
-        is_other = run.is_other or is_other
-        self._run = run._replace(last=counter, records=run.records + 1, is_other=is_other)
-        return self._run
+        is_in_sequence = before is not None and before.is_in_sequence
+        if behind < self._length:
+            self._entries[counter % self._length] = Entry(content, False, is_in_sequence)
+        return is_in_sequence
 
 
 class Pace:
@@ -348,7 +338,7 @@ class Pace:
         """Return the records of the longest line, of those so far and one more."""
         return max(self.longest, records)
 
-    def lines(self, waited_ns: int, least: float = 1.0) -> float:
+    def lines(self, waited_ns: int) -> float:
         """Return how many lines the sender can have sent in a time: 1.3 is 1 or 2."""
         line_ns = min(max(self._line_ns, self._cycle_ns / FASTEST), self._cycle_ns)
-        return max(least, float(waited_ns) / line_ns + JITTER_CYCLES)
+        return max(1.0, float(waited_ns) / line_ns + JITTER_CYCLES)

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import POSE, Owner
-from ..wire.layout.slot_messages import RecordMessages
 from .e2e import Windows
 from .records import AnyLayout
 from .sequence import GRACE_CYCLES
@@ -31,20 +30,16 @@ def settings_of(
 ) -> dict[Owner, Settings]:
     """Return the settings of all slots and of the pose error; None for what the DBC implies."""
     of_lines = limited(Windows(), layout) if windows is None else windows
-
-    def of_messages(layout: AnyLayout, messages: RecordMessages, windows: Windows) -> Settings:
+    found: dict[Owner, Settings] = {}
+    for owner, messages in layout.messages_of.items():
+        own = layout.pose if owner == POSE and layout.pose is not None else layout
         implied_ms = messages.cycle_ms or DEFAULT_CYCLE_MS
         cycle = cycle_ms or implied_ms
-        timeout = min(max(implied_ms / 2, timeout_cycles(layout) * cycle), MAX_MS)
+        timeout = min(max(implied_ms / 2, timeout_cycles(own) * cycle), MAX_MS)
         timeout_ns, cycle_ns = (max(1, int(1e6 * ms)) for ms in (timeout_ms or timeout, cycle))
-        return Settings(timeout_ns, cycle_ns, windows)
-
-    of_all: dict[Owner, Settings] = {
-        slot: of_messages(layout, messages, of_lines) for slot, messages in layout.messages.items()
-    }
-    if (pose := layout.pose) is not None:
-        of_all[POSE] = of_messages(pose, pose.messages, limited(of_lines, pose))
-    return of_all
+        bounds = of_lines if own is layout else limited(of_lines, own)
+        found[owner] = Settings(timeout_ns, cycle_ns, bounds)
+    return found
 
 
 def limited(windows: Windows, layout: AnyLayout) -> Windows:

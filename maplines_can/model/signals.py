@@ -10,13 +10,12 @@ from ..values.line import Slot
 from ..wire.layout.record_layout import RecordLayout
 from ..wire.layout.signals import Signal, slot_title
 from .elementary import exp2
+from .matrices import Vector
 
 #: Raw values by the name of the signal.
 Raw = Mapping[str, int]
 #: Tolerance for the floating-point error of the division before directed rounding [steps].
 SLACK = 1e-9
-
-# ---- bits -------------------------------------------------------------------------------------
 
 
 def read(signal: Signal, record: bytes) -> int:
@@ -56,17 +55,14 @@ def _shift(signal: Signal, length: int) -> int:
     return 8 * length - first - signal.length
 
 
-# ---- physical values ----------------------------------------------------------------------------
-
-
 def value(signal: Signal, raw: float) -> float:
     """Return the physical value of a signal."""
     return raw * signal.factor + signal.offset
 
 
-def physical(layout: RecordLayout, raw: Raw, *names: str) -> list[float]:
+def physical(layout: RecordLayout, raw: Raw, *names: str) -> Vector:
     """Return the physical values of signals."""
-    return [value(layout[name], raw[name]) for name in names]
+    return Vector(value(layout[name], raw[name]) for name in names)
 
 
 def level(signal: Signal, raw: int) -> float:
@@ -80,11 +76,6 @@ def of_slot(slot: Slot, name: str) -> str:
 
 
 # ---- rounding: a raw value may be out of range, or infinite, until it is limited ----------------
-
-
-def whole(function: Callable[[float], float], x: float) -> float:
-    """Return a number rounded by a function; infinite numbers and NaN as they are."""
-    return float(function(x)) if math.isfinite(x) else x
 
 
 def nearest(signal: Signal, x: float) -> float:
@@ -102,6 +93,11 @@ def below(signal: Signal, x: float) -> float:
     """Return the greatest raw value that is not above a value."""
     raw = whole(math.floor, (x - signal.offset) / signal.factor + SLACK)
     return raw - 1 if value(signal, raw) > x else raw
+
+
+def whole(function: Callable[[float], float], x: float) -> float:
+    """Return a number rounded by a function; infinite numbers and NaN as they are."""
+    return float(function(x)) if math.isfinite(x) else x
 
 
 def limited(signal: Signal, raw: float) -> int:

@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
-from .elementary import hypot, sin_cos
-from .matrices import Row
+from .elementary import clipped, hypot, sin_cos
 
 #: Length over which the direction of a line is taken [m].
 DIRECTION_BASE = 0.5
@@ -24,15 +23,15 @@ LEAST_SQUARE = 2.0**-1022
 class Path(NamedTuple):
     """A line of the map."""
 
-    x: Row  #: of its points [m]
-    y: Row
-    distance: Row  #: arc length from the first point to each [m]
+    x: list[float]  #: of its points [m]
+    y: list[float]
+    distance: list[float]  #: arc length from the first point to each [m]
 
 
 class Look(NamedTuple):
     """Where the car is, and what it looks at."""
 
-    pose: Row  #: x, y [m] and heading [rad] in the frame of the map
+    pose: Sequence[float]  #: x, y [m] and heading [rad] in the frame of the map
     low: float  #: window, in the frame of the car [m]
     high: float
     max_turn: float  #: largest angle between a line and the x axis [rad]
@@ -41,8 +40,8 @@ class Look(NamedTuple):
 class Stretch(NamedTuple):
     """What is seen of a line."""
 
-    x: Row  #: of the points, which include those next to both ends [m]
-    y: Row
+    x: list[float]  #: of the points, which include those next to both ends [m]
+    y: list[float]
     begin: float  #: of the range [m]
     end: float
 
@@ -50,14 +49,9 @@ class Stretch(NamedTuple):
 def start_of(look: Look) -> tuple[float, float, float]:
     """Return the place from which lines are followed, and how far along them [m]."""
     s, c = sin_cos(look.pose[2])
-    ahead = limited(0.0, look.low, look.high)
+    ahead = clipped(0.0, look.low, look.high)
     reach = (look.high - look.low + abs(ahead)) / sin_cos(look.max_turn)[1]
     return look.pose[0] + ahead * c, look.pose[1] + ahead * s, reach
-
-
-def limited(value: float, low: float, high: float) -> float:
-    """Return the value nearest to another one in an interval."""
-    return min(high, max(low, value))
 
 
 def directions(path: Path, look: Look) -> list[int]:
@@ -69,13 +63,12 @@ def directions(path: Path, look: Look) -> list[int]:
     x, y, distance = path
     s, c = sin_cos(look.pose[2])
     cosine = sin_cos(look.max_turn)[1]
-    steps = range(len(x) - 1)
-    has_short_steps = any(distance[i + 1] - distance[i] < DIRECTION_BASE for i in steps)
+    has_short_steps = any(b - a < DIRECTION_BASE for a, b in pairwise(distance))
     found = []
-    for i in steps:
+    for i in range(len(x) - 1):
         begin, end = i, i + 1
         if has_short_steps:
-            middle = (distance[i + 1] + distance[i]) / 2
+            middle = (distance[end] + distance[begin]) / 2
             begin = max(bisect_right(distance, middle - DIRECTION_BASE / 2) - 1, 0)
             end = min(bisect_left(distance, middle + DIRECTION_BASE / 2), len(x) - 1)
         dx, dy = x[end] - x[begin], y[end] - y[begin]
@@ -91,21 +84,20 @@ def nearest_step(path: Path, look: Look, direction: Sequence[int]) -> int | None
     """
     x, y, distance = path
     start_x, start_y, reach = start_of(look)
-    steps = range(len(x) - 1)
-    shares, squares = [], []
+    steps, squares, places = range(len(x) - 1), [], []
     for i in steps:
         dx, dy = x[i + 1] - x[i], y[i + 1] - y[i]
         to_x, to_y = start_x - x[i], start_y - y[i]
         share = (to_x * dx + to_y * dy) / max(LEAST_SQUARE, dx * dx + dy * dy)
-        shares.append(limited(share, 0.0, 1.0))
-        to_x, to_y = to_x - shares[i] * dx, to_y - shares[i] * dy
+        share = clipped(share, 0.0, 1.0)
+        to_x, to_y = to_x - share * dx, to_y - share * dy
         squares.append(min(math.inf, to_x * to_x + to_y * to_y))  # NaN by overflow, too
+        places.append(distance[i] + share * (distance[i + 1] - distance[i]))
     nearest = min(steps, key=squares.__getitem__)  # the first one
     if direction[nearest]:
         return nearest
-    place = distance[nearest] + shares[nearest] * (distance[nearest + 1] - distance[nearest])
-    near = [i for i in steps if direction[i] and abs(distance[i] - place) <= reach]
-    return min(near, key=squares.__getitem__) if near else None
+    near = [i for i in steps if direction[i] and abs(distance[i] - places[nearest]) <= reach]
+    return min(near, key=squares.__getitem__, default=None)
 
 
 def stretch_of(path: Path, look: Look) -> Stretch | str:
@@ -120,10 +112,11 @@ def stretch_of(path: Path, look: Look) -> Stretch | str:
     while last < len(direction) and direction[last] == direction[nearest]:
         last += 1
     s, c = sin_cos(look.pose[2])
-    to_x = [v - look.pose[0] for v in path.x[first : last + 1]]
-    to_y = [v - look.pose[1] for v in path.y[first : last + 1]]
-    x = [c * u + s * v for u, v in zip(to_x, to_y, strict=True)]
-    y = [c * v - s * u for u, v in zip(to_x, to_y, strict=True)]
+    x, y = [], []
+    for i in range(first, last + 1):
+        to_x, to_y = path.x[i] - look.pose[0], path.y[i] - look.pose[1]
+        x.append(c * to_x + s * to_y)
+        y.append(c * to_y - s * to_x)
     inside = [
         i
         for i, (u, v) in enumerate(pairwise(x))
@@ -145,42 +138,30 @@ class Stretches:
 
     def __init__(self, stretches: Sequence[Stretch]) -> None:
         self.ranges = [(one.begin, one.end) for one in stretches]
-        self.first = [0]  #: point of each, and the number of all
-        for one in stretches:
-            self.first.append(self.first[-1] + len(one.x))
-        self.x = [x for one in stretches for x in one.x]
-        self.y = [y for one in stretches for y in one.y]
-        self._step = 2 * max((abs(x) for x in self.x), default=0.0) + 1
-        self._keys: Row = []
-        greatest = -math.inf
-        for line, one in enumerate(stretches):
-            for x in one.x:  # close points may run back a little
-                greatest = max(greatest, x + line * self._step)
-                self._keys.append(greatest)
+        self._stretches = stretches
+        self._y = [y for one in stretches for y in one.y]
+        self._step = 2 * max((abs(x) for one in stretches for x in one.x), default=0.0) + 1
+        keys = (x + line * self._step for line, one in enumerate(stretches) for x in one.x)
+        self._keys = [*accumulate(keys, max)]  # close points may run back a little
 
     def points(self, line: int) -> list[tuple[float, float]]:
         """Return the points of a line."""
-        part = slice(self.first[line], self.first[line + 1])
-        return [*zip(self.x[part], self.y[part], strict=True)]
+        return [*zip(self._stretches[line].x, self._stretches[line].y, strict=True)]
 
     def lateral(self, line: int, x: float) -> float:
         """Return the lateral position of a line [m], between two of its points."""
-        i, beyond = self._place(line, x)
-        if not (beyond > 0 and i + 1 < len(self.y)):
-            return self.y[i]
-        slope = (self.y[i + 1] - self.y[i]) / (self._keys[i + 1] - self._keys[i])
-        return slope * beyond + self.y[i]
+        return self._between(self._y, line, x)
 
     def position(self, line: int, x: float) -> float:
         """Return the index of a point, with a fraction between it and the next one."""
-        i, beyond = self._place(line, x)
-        if not (beyond > 0 and i + 1 < len(self.y)):
-            return float(i)
-        return 1 / (self._keys[i + 1] - self._keys[i]) * beyond + i
+        return self._between(range(len(self._y)), line, x)
 
-    def _place(self, line: int, x: float) -> tuple[int, float]:
-        """Return the last point whose key is not greater, and by how much it is less."""
-        key = x + line * self._step
-        first = max(self.first[line] - 1, 0)  # rounding may take an end to the line before
-        i = max(bisect_right(self._keys, key) - 1, first)
-        return i, key - self._keys[i]
+    def _between(self, values: Sequence[float], line: int, x: float) -> float:
+        """Return the value at a place, by a straight line between the values of two points."""
+        key, keys = x + line * self._step, self._keys
+        first = sum(len(one.x) for one in self._stretches[:line])
+        # The last point whose key is not greater; rounding may take an end to the line before.
+        i = max(bisect_right(keys, key) - 1, first - 1, 0)
+        if not (key > keys[i] and i + 1 < len(keys)):
+            return float(values[i])
+        return (values[i + 1] - values[i]) / (keys[i + 1] - keys[i]) * (key - keys[i]) + values[i]

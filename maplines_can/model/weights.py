@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from operator import mul, truediv
+from functools import reduce
+from operator import add, mul
 
-from .matrices import Matrix, Row, added, diagonal, entrywise, outer, positive_part, subtracted
+from .matrices import Matrix, Vector, diagonal, is_finite, outer, positive_part
 
 #: More than the gap, so that a check with another algorithm's rounding passes.
 MORE = 1e-6
@@ -21,47 +22,38 @@ def quantized_weights(weights: Sequence[float], steps: int) -> list[int]:
     >>> quantized_weights([0.005, 0.335, 0.66], 32)
     [1, 10, 21]
     """
-    exact = [weight * steps for weight in weights]
+    exact, places = [weight * steps for weight in weights], range(len(weights))
     multiples = [max(1, math.floor(x)) for x in exact]
     for _ in weights:
-        missing = steps - sum(multiples)
-        if missing > 0:
-            multiples[_first_largest([x - m for x, m in zip(exact, multiples, strict=True)])] += 1
-        if missing < 0:
-            excess = [m - x if m > 1 else -math.inf for x, m in zip(exact, multiples, strict=True)]
-            multiples[_first_largest(excess)] -= 1
+        excess = [multiples[i] - exact[i] for i in places]
+        if sum(multiples) < steps:
+            multiples[min(places, key=excess.__getitem__)] += 1
+        elif sum(multiples) > steps:
+            multiples[max((i for i in places if multiples[i] > 1), key=excess.__getitem__)] -= 1
     return multiples
 
 
-def _first_largest(values: Sequence[float]) -> int:
-    return max(range(len(values)), key=lambda i: values[i])
-
-
 def moments(
-    weights: Sequence[float], means: Sequence[Row], covs: Sequence[Matrix]
-) -> tuple[Row, Matrix]:
+    weights: Sequence[float], means: Sequence[Vector], covs: Sequence[Matrix]
+) -> tuple[Vector, Matrix]:
     """Return mean and covariance of a mixture; the components are added one after the other."""
-    mean = _weighted(weights, [[m] for m in means])[0]
-    return mean, _weighted(weights, about(means, [mean] * len(means), covs))
+    mean = reduce(add, map(mul, means, weights))
+    return mean, reduce(add, map(mul, about(means, [mean] * len(means), covs), weights))
 
 
-def _weighted(weights: Sequence[float], matrices: Sequence[Matrix]) -> Matrix:
-    shares = zip(weights, matrices, strict=True)
-    return added(*([[weight * x for x in row] for row in A] for weight, A in shares))
-
-
-def about(means: Sequence[Row], points: Sequence[Row], covs: Sequence[Matrix]) -> list[Matrix]:
+def about(
+    means: Sequence[Vector], points: Sequence[Vector], covs: Sequence[Matrix]
+) -> list[Matrix]:
     """Return the mean squares about a point of each component."""
-    d = [[x - y for x, y in zip(*pair, strict=True)] for pair in zip(means, points, strict=True)]
-    return [added(cov, outer(one)) for cov, one in zip(covs, d, strict=True)]
+    return [S + outer(m - point) for m, point, S in zip(means, points, covs, strict=True)]
 
 
 def deficit(
     weights: Sequence[float],
-    means: Sequence[Row],
+    means: Sequence[Vector],
     covs: Sequence[Matrix],
     decoded_weights: Sequence[float],
-    decoded_means: Sequence[Row],
+    decoded_means: Sequence[Vector],
 ) -> Matrix:
     """Return what to add to the covariance of each component, so that the mixture is covered.
 
@@ -73,10 +65,9 @@ def deficit(
     own = about(means, decoded_means, covs)
     decoded_mean, B = moments(decoded_weights, decoded_means, own)
     (T,) = about([mean], [decoded_mean], [cov])
-    sigmas = [math.sqrt(row[i]) for i, row in enumerate(T)]
-    units = outer([sigma if 0 < sigma < math.inf else 1.0 for sigma in sigmas])
-    gap = entrywise(truediv, subtracted(T, B), units)
-    if not all(math.isfinite(x) for row in gap for x in row):
-        # A component is so far out of range that its own record is OUT_OF_RANGE.
+    sigmas = map(math.sqrt, T.diagonal())
+    units = outer(Vector(sigma if 0 < sigma < math.inf else 1.0 for sigma in sigmas))
+    gap = (T - B) / units
+    if not is_finite(gap):  # a component is so far out of range that its record is OUT_OF_RANGE
         gap = diagonal([0.0] * len(gap))
-    return entrywise(mul, positive_part(gap, MORE), units)
+    return positive_part(gap, MORE) * units

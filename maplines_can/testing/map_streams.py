@@ -17,7 +17,7 @@ import numpy as np
 
 from ..model import propagation as model
 from ..model.cubic_ranges import Limits
-from ..model.matrices import added, symmetric
+from ..model.matrices import symmetric
 from ..model.refits import MapError as ModelError
 from ..model.refits import Refit as ModelRefit
 from ..model.refits import is_across, line_at, quartic, refit
@@ -303,7 +303,7 @@ def _moments(refits: list[ModelRefit], rule: model.Rule, values: Any) -> Any:
     for one, lines in zip(refits, zip(*values, strict=True), strict=True):
         mean, cov = model.weighted_moments(rule, [*lines])
         means.append(mean)
-        covs.append(symmetric(added(cov, one.noise)))
+        covs.append(symmetric(cov + one.noise))
     return [means, covs]
 
 
