@@ -22,7 +22,6 @@ from fake_bus import (
     FakeOpener,
     collect,
     map_line,
-    send_frames,
 )
 from fake_codec import PAGES, FakeCodec
 from kernel_can import Events, ip, set_up
@@ -280,46 +279,6 @@ def test_no_transfer_is_resumed_after_an_outage(vcan: str) -> None:
             ip(f"link set {vcan} up")
             events.expect(True, "back")
     raw.shutdown()
-
-
-@pytest.mark.socketcan
-def test_a_socket_of_a_deleted_interface_is_detected(vcan: str) -> None:
-    """It reports no error any more, and there is a new interface of its name."""
-    events = Events()
-    codec = FakeCodec()
-    with (
-        Link(interface="socketcan", channel=vcan, on_event=events) as other,
-        Receiver(other, codec.decoder()) as receiver,
-    ):
-        other._factory._index = -1  # as if opened before the present interface was created
-        events.expect(False, "it was deleted")
-        events.expect(True, "is back")
-        with Link(interface="socketcan", channel=vcan) as link:
-            send_frames(link, *codec.encoder().encode(map_line()))
-            assert receiver.get(LONG)
-
-
-@pytest.mark.socketcan
-def test_an_interface_that_returns_without_can_fd_is_reported_once(vcan: str) -> None:
-    """It is up again, so the user must know why no line arrives."""
-    events = Events()
-    ip("link set vcan1 up")
-    try:
-        with (
-            Link(interface="socketcan", channel="vcan1", fd=True, on_event=events) as link,
-            Receiver(link, FakeCodec().decoder()),
-        ):
-            ip("link set vcan1 down")
-            events.expect(False, "is lost")
-            ip("link set vcan1 mtu 16 up")
-            events.expect(False, "the interface has no CAN FD (its MTU is 16")
-            ip("link set vcan1 down")
-            ip("link set vcan1 mtu 72 up")
-            events.expect(True, "is back")
-            assert link.outages == 1
-    finally:
-        ip("link set vcan1 down")
-        ip("link set vcan1 mtu 72 up")
 
 
 @pytest.mark.socketcan

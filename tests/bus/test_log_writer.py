@@ -170,17 +170,6 @@ def test_blf_logs_are_read_by_vblf(tmp_path: Path) -> None:
     assert data == [frame.data for frame in FRAMES]
 
 
-def test_a_blf_log_knows_the_number_of_its_objects(tmp_path: Path) -> None:
-    path = tmp_path / "drive.blf"
-    write(path, FRAMES)
-    with can.BLFReader(path) as log:
-        assert (log.object_count, log.start_timestamp, log.stop_timestamp) == (
-            3,
-            START,
-            START + 1.75,
-        )
-
-
 def test_a_frame_before_the_start_of_a_blf_log(tmp_path: Path) -> None:
     """It has the stamp of the start: the format has no earlier ones."""
     path = tmp_path / "drive.blf"

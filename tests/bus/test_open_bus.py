@@ -178,20 +178,6 @@ def test_a_given_socket_works_again_unless_its_interface_was_deleted(vcan: str) 
         assert (link.up, link.outages) == (False, 2)
 
 
-@pytest.mark.socketcan
-def test_a_socket_that_its_owner_closes_is_lost(vcan: str) -> None:
-    """Receiving from it fails with a ValueError, which is no mistake of the receiver."""
-    clock, events = Clock(), Events()
-    bus = can.Bus(interface="socketcan", channel=vcan)
-    with Link(bus, on_event=events, clock=clock) as link:
-        bus.shutdown()
-        assert link.recv(0.0) is None
-        clock.now += 2.0
-        assert link.recv(0.0) is None
-        events.expect(False, "is lost (")
-        assert link.send(FRAME) is Sent.DOWN
-
-
 def test_a_given_bus_gets_its_own_filters_back(channel: str) -> None:
     """After stop, and also if it had filters of its own."""
     for own in (None, [{"can_id": 1, "can_mask": 0x7FF}]):

@@ -146,15 +146,6 @@ def test_the_error_of_a_callback_is_raised_by_stop(link: Any, other: Any) -> Non
     receiver.stop()
 
 
-def test_an_error_of_the_thread_is_raised_by_the_iteration(channel: str) -> None:
-    link = Link(interface="virtual", channel=channel)
-    receiver = Receiver(link, FakeCodec().decoder()).start()
-    link.close()
-    with pytest.raises(BusError, match="is closed"):
-        list(receiver)
-    receiver.stop()
-
-
 @pytest.mark.parametrize(
     ("settings", "foreign"), [({}, 0), ({"can_ids": {0x100}}, 0), ({"can_ids": None}, 1)]
 )

@@ -15,7 +15,6 @@ from evidence.witness import POSES, Poses
 from fuzz_scenes import line_frames, parts_of, pose_frames
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
-from pose_bits import PRODUCTION
 from scene_streams import COMPLETE, CONDITIONAL, Passed, codec_of, passed
 from strategies import covariances
 
@@ -38,6 +37,8 @@ from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import lateral, lateral_jacobian
 from maplines_can.wire import POSE, Layout, default_dbc_path
 
+#: Covariance of a production pose: 0.1 m, 0.2 m and 0.2 deg.
+PRODUCTION = np.diag([0.1, 0.2, np.radians(0.2)]) ** 2
 #: Standard deviations of the parameters of a line of a map [m, rad, 1/m, 1/m^2].
 SIGMA = np.array([0.05, 2e-3, 1e-4, 3e-6])
 WINDOW = (-20.0, 80.0)

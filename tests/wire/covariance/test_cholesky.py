@@ -1,24 +1,20 @@
 """The covariance code at the ends of its signals, and what it needs of a DBC."""
 
-from dataclasses import replace
 from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
 from dbcs import changed_record
-from random_lines import random_lines
 from scipy.optimize import brentq
 
-from maplines_can import Slot, Status
-from maplines_can.model.covariance import code_of, decoded
-from maplines_can.model.records import intact
+from maplines_can import Status
 from maplines_can.values.errors import LayoutError
-from maplines_can.wire import Codec, Reason
+from maplines_can.wire import Codec
 from maplines_can.wire.layout.cholesky import CholeskyCode
 from maplines_can.wire.layout.packing import Packing
 from maplines_can.wire.layout.record_layout import RecordLayout
-from maplines_can.wire.layout.signal import Signal, all_raw
+from maplines_can.wire.layout.signal import Signal
 
 CODEC = Codec.from_dbc()
 LAYOUT = CODEC.layout
@@ -77,41 +73,6 @@ def test_the_inflation_is_the_least_that_covers() -> None:
     assert checked.sum() > 1000
     assert (largest_ratio(0) <= 1 - 1e-6).all()
     assert (largest_ratio(1) > 1 - 4e-6).all()
-
-
-def test_signals_of_many_values_have_no_table() -> None:
-    """A pivot of 18 bits and an inflation of 17: as covering as any, and read alike by all."""
-    places = {
-        "PivotC1": (128, 18), "PivotC0": (146, 9), "RatioC0C1": (155, 3),
-        "RatioBetaC0": (225, 4), "RatioBetaYOff": (229, 4), "Inflation": (233, 17),
-    }  # fmt: skip
-    changed = {name: fine(LAYOUT[name], *place) for name, place in places.items()}
-    codec = Codec(replace(LAYOUT, signals={**LAYOUT.signals, **changed}))
-    means, covs = random_lines(200, 4)
-    records = codec.batch.encode(means, covs)
-    batch = codec.batch.decode(records)
-    assert np.isin(batch.status, [Status.FULL, Status.SATURATED]).all()
-    d = means - batch.mean
-    excess = batch.cov - covs - d[:, :, None] * d[:, None, :]
-    sigma = np.sqrt(np.einsum("nii->ni", batch.cov))
-    assert np.linalg.eigvalsh(excess / (sigma[:, :, None] * sigma[:, None, :])).min() > 0
-    for i, record in enumerate(records[:20]):
-        raw = intact(codec.layout, record.tobytes(), codec.layout.messages[Slot.EGO_LEFT].data_id)
-        assert isinstance(raw, dict)
-        assert decoded(code_of(codec.layout), raw) == batch.cov[i].tolist()
-        decoder, frame = codec.decoder(), codec.encoder().frames(record, Slot.EGO_LEFT, fd=True)[0]
-        answer = decoder.feed(frame.can_id, frame.data, 0)
-        assert not isinstance(answer, Reason)
-        (line,) = answer
-        assert line.gaussian.cov.tolist() == batch.cov[i].tolist()
-
-
-def fine(signal: Signal, start: int, length: int) -> Signal:
-    """Return a signal of other bits for the same values."""
-    more = 2.0 ** (length - signal.length)
-    low, high = all_raw(length, signal.signed)
-    factor = signal.factor / more
-    return replace(signal, start=start, length=length, factor=factor, raw_min=low, raw_max=high)
 
 
 def pose_signal(name: str, length: int, factor: float, offset: float, unit: str) -> Signal:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scene_streams import COMPLETE, codec_of
 
-from maplines_can.values.errors import EncodeError
 from maplines_can.values.line import Kind, Slot, Status
 
 COV = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
@@ -29,20 +28,6 @@ def test_the_defaults() -> None:
         (batch.component_weight, 1),
     ):
         assert values.tolist() == [wanted] * 3
-
-
-@pytest.mark.parametrize("slot", [0.0, 7.0, np.array([7.0])])
-def test_a_slot_may_be_a_float(slot: Any) -> None:
-    """As of a table of numbers."""
-    codec = codec_of(COMPLETE)
-    batch = codec.batch.decode(codec.batch.encode(np.zeros((1, 4)), [COV], slot=slot), slot)
-    assert batch.accepted.all()
-
-
-@pytest.mark.parametrize("slot", [-0.5, 7.5, 1e30])
-def test_a_float_beyond_the_slots_is_refused(slot: float) -> None:
-    with pytest.raises(EncodeError, match="slot must be from 0 to 7, got"):
-        codec_of(COMPLETE).batch.encode(np.zeros((1, 4)), [COV], slot=slot)
 
 
 @pytest.mark.parametrize(

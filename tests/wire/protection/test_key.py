@@ -219,13 +219,6 @@ def test_hex_digits_may_have_space_around_them_and_not_within() -> None:
         Key.from_hex(f"{SECRET.hex()[:15]} {SECRET.hex()[16:]}")
 
 
-def test_two_keys_are_equal_if_secret_and_key_id_are() -> None:
-    key = Key(SECRET, 7)
-    assert key == Key(bytearray(SECRET), 7)  # type: ignore[arg-type]
-    assert hash(key) == hash(Key(SECRET, 7))
-    assert key not in (Key(SECRET, 8), Key(AES_256[:16], 7), SECRET)
-
-
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_number_that_may_be_a_secret_is_not_shown(sign: int) -> None:
     """64 bits and more."""

@@ -171,13 +171,3 @@ def scenes_until(age: float) -> Decoder:
     for k in range(10):
         scene_streams.feed(decoder, encoder.encode_scene(scene, age=age), k * CYCLE, apart_ns=0)
     return decoder
-
-
-def test_a_clock_that_was_set_back_for_a_moment_leaves_the_state() -> None:
-    """Cycles are not counted as missed once more when it is right again."""
-    decoder = scenes_until(0.0)
-    for _ in range(20):
-        assert not decoder.latest(SLOT, 5 * CYCLE).usable
-        assert not decoder.latest_scene(5 * CYCLE).usable
-        assert decoder.latest(SLOT, 9 * CYCLE).usable
-        assert decoder.latest_scene(9 * CYCLE).usable

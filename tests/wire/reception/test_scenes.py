@@ -234,29 +234,6 @@ def bits(found: object) -> Any:
     return [*map(bits, found)] if isinstance(found, tuple | list) else found
 
 
-def test_no_scene_is_usable_while_the_newest_pose_error_is_too_old() -> None:
-    """Also that of the cycle before is not, of which the age remains what it was."""
-    codec = codec_of(CONDITIONAL)
-    encoder = codec.encoder()
-    decoder, decoder = codec.decoder(), codec.decoder()
-    prepared = encoder.prepare_scene(road_scene(SLOTS))
-    t_ns = 0
-    for cycle in range(20):
-        old = cycle == 16
-        for owner, frames in encoder.encode_scene(prepared, age=1.0 if old else 0.02).items():
-            for frame in frames:
-                decoder.feed(frame.can_id, frame.data, t_ns)
-                t_ns += 100_000
-            scene, view = decoder.scene(), decoder.latest_scene(t_ns)
-            if cycle > 14 and owner is POSE:
-                assert scene is not None
-                assert scene.counter == cycle - 1
-                assert np.isinf(scene.age) == (cycle == 17)
-                assert np.isinf(view.age) == (cycle in {16, 17})
-                assert view.usable == (cycle not in {16, 17})
-        t_ns = (cycle + 1) * PERIOD_NS
-
-
 class Forger:
     """Sender of any raw values of conditional records with right checksums."""
 

@@ -1,24 +1,19 @@
 """Transfers of one ID are told apart by time and counter, and intact ones are not lost."""
 
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from answers import one
-from dbcs import DBC, default_codec, edited
+from dbcs import default_codec
 from e2e_streams import CYCLE, MS, SLOT, check_accounts, frames
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from maplines_can import MapLine
-from maplines_can.model.settings import timeout_cycles
 from maplines_can.study import road
 from maplines_can.wire import Reason
-from maplines_can.wire.layout.message_layout import Layout
-from maplines_can.wire.reception.settings import decoder_settings
-from maplines_can.wire.tables import tables_of
 
 CAN_ID, PAGES, RECORDS = 0x340, 4, 1024
 
@@ -48,24 +43,6 @@ def test_the_time_out_is_one_and_a_half_cycles(apart_ms: int, reason: Any) -> No
         answer = one(decoder.feed(last.can_id, last.data, factor * apart_ms * MS))
         assert isinstance(answer, MapLine) is (reason is None)
         assert decoder.counts == ({reason: 3} if reason else {})
-
-
-@pytest.mark.parametrize(
-    ("edits", "cycles"),
-    [
-        pytest.param([], 1.5, id="16-ids-8-components"),
-        pytest.param(
-            [(r"(ComponentCount.*\|)3(@.*)\[1\|8\]", r"\g<1>2\2[1|4]")], 1.5, id="at-most-1.5"
-        ),
-    ],
-)
-def test_the_default_follows_from_the_dbc(edits: Any, cycles: float, tmp_path: Path) -> None:
-    """(transfer IDs / components - 0.5) cycles, 0.5 to 1.5, and half the DBC's cycle at least."""
-    layout = Layout.from_dbc(edited(tmp_path, *edits) if edits else DBC)
-    assert timeout_cycles(layout) == cycles
-    for cycle_ms, timeout_ms in ((None, 75), (20, 30), (10, 25), (500, 750)):
-        settings = decoder_settings(layout, tables_of(layout), cycle_ms=cycle_ms)
-        assert {settings.timeout_ns[slot] for slot in layout.messages} == {timeout_ms * MS}
 
 
 # -- two transfers of one ID ------------------------------------------------------------------
