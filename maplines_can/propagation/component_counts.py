@@ -24,7 +24,7 @@ def remaining_nonlinearity(amount: float, k: int) -> float:
     the total standard deviation, here within a component, with variances averaged over the
     components. Let the output have the variance 1 and the function be quadratic, with a
     second-order term of variance a^2 and a squared slope of 1 - a^2 at the mean. A component
-    N(m_i, v_i) of ``Mixture.split`` has a second-order term of the variance v_i^2 a^2. At its mean
+    N(m_i, v_i) of ``standard_split`` has a second-order term of the variance v_i^2 a^2. At its mean
     the squared slope is larger by 2 a^2 m_i^2, averaged over +m_i and -m_i. The result is
 
         a_k^2 = a^2 sum w_i v_i^2 / sum w_i (a^2 v_i^2 + (1 - a^2 + 2 a^2 m_i^2) v_i).

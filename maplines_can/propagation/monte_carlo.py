@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..values.errors import IllPosedError
 from ..values.gaussian import Gaussian
 from ..values.linalg import square_root
-from .transform import Moments, Transform, weighted_moments
+from .transform import Moments, Transform, weighted_moments, without_value
 
 
 class Samples(NamedTuple):
@@ -69,7 +69,7 @@ class MonteCarlo(Transform):
         """Return draws and values without errors of ``noise_cov``."""
         inputs = gaussian.sample(self.n, self.seed)
         values = np.asarray(function(inputs), dtype=float)
-        excluded = np.isnan(values.reshape(self.n, -1)).any(axis=1)
+        excluded = without_value(values)
         ill_posed = int(excluded.sum())
         if ill_posed > self.n - 2:
             raise IllPosedError(

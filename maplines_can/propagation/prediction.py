@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..values.arrays import number_text
-from ..values.elementary import sin_cos_one
+from ..values.elementary import sin_cos
 from ..values.gaussian import Gaussian, independent
 from ..values.line import (
     PARAMETERS,
@@ -207,7 +207,7 @@ def _valid_range(
 ) -> tuple[float, float]:
     """Return (x_min, x_max) of the mean line in the new frame, less the uncertainty [m]."""
     dx, dy, heading = displacement.mean
-    d, c = sin_cos_one(float(heading))
+    d, c = sin_cos(heading)
     x = np.array(window)
     s, t = x - dx, lateral(mean, x) - dy
     u = c * s + d * t

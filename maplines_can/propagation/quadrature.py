@@ -13,7 +13,7 @@ import numpy as np
 
 from ..values.errors import IllPosedError
 from ..values.gaussian import Gaussian
-from .transform import Moments, Rule, Transform, weighted_moments
+from .transform import Moments, Rule, Transform, weighted_moments, without_value
 
 #: Largest total weight of points that may be excluded.
 NEGLIGIBLE = 1e-3
@@ -51,11 +51,9 @@ class Quadrature(Transform):
 
     def _moments(self, function: Callable[..., Any], gaussian: Gaussian) -> Moments:
         rule = self.rule(gaussian)
-        z, w = rule.z, rule.mean_weights
-        # The terms are added one after the other, on any machine.
-        points = gaussian.mean + np.add.reduce(z.T[:, :, None] * gaussian.root.T[:, None], axis=0)
+        points, w = rule.points(gaussian), rule.mean_weights
         values = np.asarray(function(points), dtype=float)
-        excluded = np.isnan(values.reshape(len(points), -1)).any(axis=1)
+        excluded = without_value(values)
         if excluded.any():
             if excluded[0] or w[excluded].sum() > NEGLIGIBLE:
                 raise IllPosedError(

@@ -9,7 +9,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..values.gaussian import Gaussian
 from .transform import Moments, Rule, Transform, values_at, weighted_moments
@@ -44,41 +43,24 @@ class SigmaPoints(Transform):
             if not np.isfinite(getattr(self, name)):
                 raise ValueError(f"{name} must be finite, got {getattr(self, name)!r}")
 
-    def _scale(self, n: int) -> float:
-        """Return the sum of n and lambda (eq. 4)."""
-        if not n + self.kappa > 0:
-            raise ValueError(f"kappa must be more than -{n} for {n} variables, got {self.kappa!r}")
-        return self.alpha**2 * (n + self.kappa)
-
-    def points(self, gaussian: Gaussian) -> NDArray[np.float64]:
-        """Return the (2n + 1, n) sigma points, the mean first (eq. 8 to 10)."""
-        n = gaussian.mean.size
-        spread = math.sqrt(self._scale(n)) * gaussian.root.T
-        points = np.empty((2 * n + 1, n))
-        points[0] = gaussian.mean
-        points[1 : n + 1] = gaussian.mean + spread
-        points[n + 1 :] = gaussian.mean - spread
-        return points
-
-    def weights(self, n: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the (2n + 1,) weights of the mean and of the covariance (eq. 4 to 7)."""
-        n_plus_lambda = self._scale(n)
-        mean = np.full(2 * n + 1, 1 / (2 * n_plus_lambda))
-        mean[0] = 1 - n / n_plus_lambda
-        cov = mean.copy()
-        cov[0] += 1 - self.alpha**2 + self.beta
-        return mean, cov
-
     def rule(self, gaussian: Gaussian) -> Rule:
-        """Return the points in units of the root of the covariance, and their weights."""
+        """Return the points, the mean first, and their weights (eq. 4 to 10)."""
         return _rule(self, gaussian.mean.size)
 
     def _moments(self, function: Callable[..., Any], gaussian: Gaussian) -> Moments:
         rule = self.rule(gaussian)
-        values = values_at(function, self.points(gaussian))
+        values = values_at(function, rule.points(gaussian))
         return weighted_moments(values, rule.mean_weights, rule.cov_weights)
 
 
 @lru_cache(maxsize=16)
 def _rule(transform: SigmaPoints, n: int) -> Rule:
-    return Rule(transform.points(Gaussian.trusted(np.zeros(n), np.eye(n))), *transform.weights(n))
+    if not n + transform.kappa > 0:
+        raise ValueError(f"kappa must be more than -{n} for {n} variables, got {transform.kappa!r}")
+    n_plus_lambda = transform.alpha**2 * (n + transform.kappa)
+    steps = math.sqrt(n_plus_lambda) * np.eye(n)
+    mean = np.full(2 * n + 1, 1 / (2 * n_plus_lambda))
+    mean[0] = 1 - n / n_plus_lambda
+    cov = mean.copy()
+    cov[0] += 1 - transform.alpha**2 + transform.beta
+    return Rule(np.vstack([np.zeros(n), steps, -steps]), mean, cov)

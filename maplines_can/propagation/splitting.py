@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from statistics import NormalDist
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..values.errors import IllPosedError
 from ..values.gaussian import Gaussian
@@ -17,7 +17,7 @@ from ..values.mixture import GaussianMixture
 from .nonlinearity import nonlinearity
 from .quadrature import NEGLIGIBLE, Quadrature
 from .sigma_points import SigmaPoints
-from .transform import Transform
+from .transform import Transform, without_value
 
 #: Cuts of N(0, 1) into 1 to 8 intervals, as probabilities in units of 1/32: those of the lower
 #: half and of the middle interval; the others follow by symmetry. The intervals cover the whole
@@ -39,16 +39,6 @@ SPLITS: dict[int, tuple[int, ...]] = {
 #: Points without a function value are moved inwards if they are farther out than this [standard
 #: deviations]. Their probability is 0.001, as of the points that ``Quadrature`` may exclude.
 TAIL = -NormalDist().inv_cdf(NEGLIGIBLE / 2)
-#: Number of weight steps that add up to 1.
-WEIGHT_STEPS = 32
-
-
-class StandardSplit(NamedTuple):
-    """Components of N(0, 1) cut into k intervals, in ascending order."""
-
-    weights: NDArray[np.float64]  #: (k,) probabilities of the intervals
-    means: NDArray[np.float64]  #: (k,) means within the intervals
-    variances: NDArray[np.float64]  #: (k,) variances within the intervals
 
 
 @dataclass(frozen=True)
@@ -112,7 +102,7 @@ class Mixture:
             mean, cov = (self.transform or SigmaPoints()).moments(function, gaussian)
             return np.ones(1), mean[None], cov[None]
         transform = self.transform or Quadrature(7)
-        weights = standard_split(self.k).weights
+        weights, _, _ = standard_split(self.k)
         direction = nonlinearity(function, gaussian).direction
         moments = []
         for i in range(self.k):
@@ -126,37 +116,12 @@ class Mixture:
         mean, cov = (np.array(values) for values in zip(*moments, strict=True))
         return weights, mean, cov
 
-    def split(
-        self,
-        gaussian: Gaussian,
-        function: Callable[..., Any] | None = None,
-        direction: ArrayLike | None = None,
-    ) -> GaussianMixture:
-        """Split a Gaussian into a mixture of the same mean and covariance.
-
-        Each component has the mean and covariance of its part of the Gaussian.
-
-        Args:
-            gaussian: the Gaussian to split.
-            function: split along the direction in which it is most nonlinear.
-            direction: (n,) split along this direction of the standardised variables instead.
-        """
-        if direction is None and function is not None and self.k > 1:
-            direction = nonlinearity(function, gaussian).direction
-        weights, means, variances = standard_split(self.k)
-        u = np.zeros(gaussian.dimension) if direction is None else np.asarray(direction, float)
-        norm = np.linalg.norm(u)
-        step = gaussian.root @ (u / norm if norm else u)
-        components = tuple(
-            Gaussian(gaussian.mean + mean * step, gaussian.cov - (1 - v) * np.outer(step, step))
-            for mean, v in zip(means, variances, strict=True)
-        )
-        return GaussianMixture(weights, components)
-
 
 @cache
-def standard_split(k: int) -> StandardSplit:
-    """Return the components of N(0, 1): weights, means and variances, in ascending order.
+def standard_split(
+    k: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return (k,) weights, means and variances of N(0, 1) cut into k intervals, in ascending order.
 
     >>> weights, means, variances = standard_split(2)
     >>> weights, means.round(3), variances.round(3)
@@ -165,14 +130,14 @@ def standard_split(k: int) -> StandardSplit:
     from scipy.special import ndtri  # loads scipy, which the start of a program does not need
 
     half = SPLITS[k]
-    weights = np.array(half + half[: k // 2][::-1]) / WEIGHT_STEPS
+    weights = np.array(half + half[: k // 2][::-1]) / 32
     edges = ndtri(np.cumsum(weights)[:-1])
     density = np.exp(-(edges**2) / 2) / np.sqrt(2 * np.pi)
     means = -np.diff(density, prepend=0, append=0) / weights
     variances = 1 - np.diff(edges * density, prepend=0, append=0) / weights - means**2
     for array in (weights, means, variances):
         array.flags.writeable = False
-    return StandardSplit(weights, means, variances)
+    return weights, means, variances
 
 
 class _Part:
@@ -213,14 +178,10 @@ class _Part:
         p, q = self._below + self._weight * ndtr(y), self._above + self._weight * ndtr(-y)
         z = np.where(p < q, ndtri(p), -ndtri(q))  # both tails to full precision
         values = np.array(self._at(points, z))
-        while (move := self._without_value(values) & (np.abs(z) > TAIL)).any():
+        while (move := without_value(values) & (np.abs(z) > TAIL)).any():
             z[move] = np.copysign(np.maximum(0.97 * np.abs(z[move]), TAIL), z[move])
             values[move] = self._at(points[move], z[move])
         return values
-
-    @staticmethod
-    def _without_value(values: NDArray[np.float64]) -> NDArray[np.bool_]:
-        return np.asarray(np.isnan(values.reshape(len(values), -1)).any(axis=1))
 
     def _at(self, points: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the values at points, with z in place of the variable of the cut."""

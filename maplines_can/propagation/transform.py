@@ -35,6 +35,12 @@ class Rule:
     mean_weights: NDArray[np.float64]  #: (N,)
     cov_weights: NDArray[np.float64]  #: (N,)
 
+    def points(self, gaussian: Gaussian) -> NDArray[np.float64]:
+        """Return the (N, n) points of a Gaussian."""
+        # The terms are added one after the other, on any machine.
+        terms = self.z.T[:, :, None] * gaussian.root.T[:, None]
+        return gaussian.mean + np.add.reduce(terms, axis=0)
+
 
 class Transform(ABC):
     """Moment transform: mean and covariance of ``function(x)`` for a Gaussian ``x``.
@@ -78,6 +84,11 @@ class Transform(ABC):
         """Return the moments without ``noise_cov``."""
 
 
+def without_value(values: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return the (N,) points at which a function has no value, by its (N, ...) values."""
+    return np.asarray(np.isnan(values.reshape(len(values), -1)).any(axis=1))
+
+
 def values_at(function: Callable[..., Any], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the values of a function at points, all of which must have one.
 
@@ -91,8 +102,8 @@ def values_at(function: Callable[..., Any], points: NDArray[np.float64]) -> NDAr
             "the function must return one row per point, "
             f"got shape {values.shape} for points of shape {points.shape}"
         )
-    if np.isnan(values).any():
-        missing = np.isnan(values.reshape(len(points), -1)).any(axis=1)
+    missing = without_value(values)
+    if missing.any():
         raise IllPosedError(
             f"the function has no value at {points[missing][0]}, {missing.sum()} of the "
             f"{len(points)} points of the transform; narrow the Gaussian or use MonteCarlo, "

@@ -16,7 +16,8 @@ from .arrays import floats
 
 Array = NDArray[np.float64]
 
-_EXP2, _LOG2, _TAN, _ATAN, _SIN_COS = range(5)
+#: Numbers of the functions in the core.
+_EXP2, _LOG2, _TAN, _SIN_COS = 0, 1, 2, 4
 
 
 def exp2(x: ArrayLike) -> Array:
@@ -46,15 +47,6 @@ def tan(x: ArrayLike) -> Array:
     return _values(_TAN, x)
 
 
-def atan(x: ArrayLike) -> Array:
-    """Return the (...,) angles of tangents, from -pi/2 to pi/2 [rad].
-
-    >>> atan([1.0, -np.inf])
-    array([ 0.78539816, -1.57079633])
-    """
-    return _values(_ATAN, x)
-
-
 def sin_cos(x: ArrayLike) -> tuple[Array, Array]:
     """Return the (...,) sines and cosines of angles [rad]; NaN for those that are not finite.
 
@@ -65,13 +57,6 @@ def sin_cos(x: ArrayLike) -> tuple[Array, Array]:
     sine, cosine = np.empty(angle.shape), np.empty(angle.shape)
     lib.maplines_elementary(_SIN_COS, angle.size, *map(pointer, (angle, sine, cosine)))
     return sine, cosine
-
-
-def sin_cos_one(x: float) -> tuple[float, float]:
-    """Return sine and cosine of one angle."""
-    values = ffi.new("double[3]", [x, 0.0, 0.0])
-    lib.maplines_elementary(_SIN_COS, 1, values, values + 1, values + 2)
-    return values[1], values[2]
 
 
 def _values(function: int, x: ArrayLike) -> Array:

@@ -204,14 +204,15 @@ class MapLine:
 
     def y(self, x: ArrayLike) -> NDArray[np.float64]:
         """Return the (...,) lateral position of the mean line at x [m]."""
-        if is_plain(x):
-            return _lateral_one(self.gaussian.mean, float(x))
+        if is_plain(x):  # without arrays
+            return np.float64(lib.maplines_line_y(*self.gaussian.mean.tolist(), x))  # type: ignore[return-value]
         return lateral(self.gaussian.mean, x)
 
     def y_sigma(self, x: ArrayLike) -> NDArray[np.float64]:
         """Return the (...,) standard deviation of the lateral position at x [m], to first order."""
         if is_plain(x):
-            return _sigma_one(self.gaussian, float(x))
+            cov = pointer(np.ascontiguousarray(self.gaussian.cov))
+            return np.float64(lib.maplines_line_sigma(self.gaussian.mean.item(1), cov, x))  # type: ignore[return-value]
         J = lateral_jacobian(self.gaussian.mean, x)
         with np.errstate(over="ignore", invalid="ignore"):
             return np.sqrt(np.einsum("...i,ij,...j->...", J, self.gaussian.cov, J).clip(0))
@@ -266,21 +267,6 @@ def lateral(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
     """
     (y_off, beta, c0, c1), x = _rows(parameters), floats(x, "x")
     return y_off + x * (np.tan(beta) + x * (c0 / 2 + x * c1 / 6))
-
-
-def _lateral_one(parameters: NDArray[np.float64], x: float) -> Any:
-    """Return the lateral position of one line at one x: as ``lateral``, without arrays.
-
-    It is a number of NumPy's class, as NumPy returns it of arrays without axes.
-    """
-    y_off, beta, c0, c1 = parameters.tolist()
-    return np.float64(lib.maplines_line_y(y_off, beta, c0, c1, x))
-
-
-def _sigma_one(gaussian: Gaussian, x: float) -> Any:
-    """Return the standard deviation of one line at one x: as ``MapLine.y_sigma``."""
-    cov = pointer(np.ascontiguousarray(gaussian.cov))
-    return np.float64(lib.maplines_line_sigma(gaussian.mean.item(1), cov, x))
 
 
 @np.errstate(over="ignore", invalid="ignore")

@@ -33,13 +33,8 @@ def moments(weights: Array, means: Array, covs: Array) -> tuple[Array, Array]:
 
 def _weighted_sum(weights: Array, values: Array) -> Array:
     """Return the (..., ...) sums of (..., k, ...) values, the first one first."""
-    axis = weights.ndim - 1
     w = weights.reshape(*weights.shape, *[1] * (values.ndim - weights.ndim))
-    terms = np.moveaxis(w * values, axis, 0)
-    total = terms[0]
-    for term in terms[1:]:
-        total = total + term
-    return total
+    return np.add.reduce(w * values, axis=weights.ndim - 1)
 
 
 @dataclass(frozen=True, eq=False)

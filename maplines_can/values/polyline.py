@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats, number_text
-from .elementary import hypot, sin_cos_one
+from .elementary import hypot, sin_cos
 from .line import Kind
 from .pieces import Pieces, extents, longest, merged, value_at
 
@@ -21,8 +21,9 @@ from .pieces import Pieces, extents, longest, merged, value_at
 MAX_POINTS = 10**7
 #: Largest rounding error of single-precision coordinates [m].
 MAX_ROUNDING = 1e-3
-#: Lines of more points keep a search tree, so that a query does not visit all points.
-INDEXED = 2048
+#: Lines of more points keep bounding boxes of so many segments each, so that a query does not visit
+#: all points.
+INDEXED, RUN = 2048, 64
 #: Parts of such a line begin and end at multiples of this length along it [m], so that the next
 #: query uses the same part.
 BLOCK = 100.0
@@ -40,8 +41,8 @@ Kinds: TypeAlias = Kind | Sequence[tuple[float, Kind]]
 class Polyline:
     """Points of one map line, in or against the driving direction.
 
-    Its length is computed once. A line of more than 2048 points also keeps a search tree from its
-    first window query on, so that the time of a query hardly depends on the number of points.
+    Its length is computed once. A line of more than 2048 points also keeps an index from its first
+    window query on, so that the time of a query hardly depends on the number of points.
 
     Args:
         points: (n, 2) finite, n >= 2, in the map frame [m]. Coordinates in single precision
@@ -115,8 +116,12 @@ class Polyline:
         vars(self).update(points=points, distance=distance, kind=kind, kinds=kinds)
 
     @cached_property
-    def _tree(self) -> SearchTree | None:
-        return SearchTree(self.points, self.distance) if len(self.points) > INDEXED else None
+    def _boxes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lower and upper (runs, 2) corners around ``RUN`` successive segments each."""
+        starts = np.arange(0, len(self.points) - 1, RUN)
+        rows = np.minimum(starts[:, None] + np.arange(RUN + 1), len(self.points) - 1)
+        runs = self.points[rows]
+        return runs.min(axis=1), runs.max(axis=1)
 
     @property
     def length(self) -> float:
@@ -169,54 +174,32 @@ class Polyline:
     def near(self, point: NDArray[np.float64], reach: float) -> Polyline:
         """Return the part of the line up to ``reach`` [m] from its point nearest to a point.
 
-        It may be longer. A line without a search tree is returned as a whole.
+        It may be longer. A line of few points is returned as a whole.
         """
-        if self._tree is None:
+        if len(self.points) <= INDEXED:
             return self
-        low, high = self._tree.around_nearest(point, BLOCK)
-        return _part(self, math.floor((low - reach) / BLOCK), math.ceil((high + reach) / BLOCK))
+        s = self._nearest(point)
+        return _part(self, math.floor((s - reach) / BLOCK), math.ceil((s + reach) / BLOCK))
 
+    @np.errstate(over="ignore", invalid="ignore")
+    def _nearest(self, point: NDArray[np.float64]) -> float:
+        """Return the arc length of the point of the line nearest to a point [m]."""
+        low, high = self._boxes
+        away = np.maximum(np.maximum(low - point, point - high), 0.0)
+        least = away[:, 0] ** 2 + away[:, 1] ** 2  # squared distance of each box
+        most, _ = self._in_runs(least.argmin()[None], point)
+        return self._in_runs(np.flatnonzero(~(least > most)), point)[1]
 
-class SearchTree:
-    """Search tree over points of a line at most a few mean spacings apart."""
-
-    def __init__(self, points: NDArray[np.float64], distance: NDArray[np.float64]) -> None:
-        from scipy.spatial import KDTree  # loads scipy, which short lines do not need
-
-        spacing = 4 * distance[-1] / len(points)
-        count = np.ceil(np.diff(distance) / spacing).astype(int) if spacing > 0 else None
-        if count is not None and (count > 1).any():
-            long = np.flatnonzero(count > 1)
-            between = [
-                np.linspace(distance[i], distance[i + 1], int(count[i]) + 1)[1:-1] for i in long
-            ]
-            s = np.sort(np.concatenate([distance, *between]))
-            points = np.column_stack([np.interp(s, distance, p) for p in points.T])
-            distance = s
-        self._points, self._distance = points, distance
-        self._tree = KDTree(points, balanced_tree=False)
-        #: Farthest that any point of the line is from the nearest point in the tree.
-        self._gap = float(np.diff(distance).max()) / 2
-
-    def around_nearest(self, point: NDArray[np.float64], most: float) -> tuple[float, float]:
-        """Return two arc lengths with the point of the line nearest to a point between them [m].
-
-        They differ by at most ``most`` [m], or are equal.
-        """
-        bound, _ = self._tree.query(point)
-        rows = np.array(self._tree.query_ball_point(point, (bound + self._gap) * (1 + 1e-9)))
-        first, last = max(0, rows.min() - 1), min(rows.max() + 1, len(self._points) - 1)
-        low, high = self._distance[first], self._distance[last]
-        if high - low <= most:
-            return float(low), float(high)
-        first = np.concatenate([rows, rows - 1]).clip(0, len(self._points) - 2)
-        begin = self._points[first].T
-        step = self._points[first + 1].T - begin
+    def _in_runs(self, runs: NDArray[np.intp], point: NDArray[np.float64]) -> tuple[float, float]:
+        """Return the least squared distance of runs of segments to a point, and where it is."""
+        i = (RUN * runs[:, None] + np.arange(RUN)).ravel()
+        i = i[i < len(self.points) - 1]
+        begin = self.points[i].T
+        step = self.points[i + 1].T - begin
         share, squared = nearest_share(begin, step, squared_length(step), point[:, None])
         best = squared.argmin()
-        i = first[best]
-        s = self._distance[i] + share[best] * (self._distance[i + 1] - self._distance[i])
-        return float(s), float(s)
+        first, last = self.distance[i[best]], self.distance[i[best] + 1]
+        return float(squared[best]), float(first + share[best] * (last - first))
 
 
 def nearest_share(
@@ -291,7 +274,7 @@ def to_ego(points: ArrayLike, pose: ArrayLike) -> NDArray[np.float64]:
     array([[5., 0.]])
     """
     e_x, e_y, e_h = floats(pose, "pose").tolist()
-    s, c = sin_cos_one(e_h)
+    s, c = sin_cos(e_h)
     return (floats(points, "points") - [e_x, e_y]) @ np.array([[c, -s], [s, c]])
 
 
@@ -302,7 +285,7 @@ def to_map(points: ArrayLike, pose: ArrayLike) -> NDArray[np.float64]:
     array([[0., 5.]])
     """
     e_x, e_y, e_h = floats(pose, "pose").tolist()
-    s, c = sin_cos_one(e_h)
+    s, c = sin_cos(e_h)
     return floats(points, "points") @ np.array([[c, s], [-s, c]]) + [e_x, e_y]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats
-from .elementary import sin_cos_one
+from .elementary import sin_cos
 from .line import Slot
 from .polyline import Polyline, nearest_share, squared_length
 
@@ -71,7 +71,7 @@ class RouteLines:
         begin, distance = self.path.points[:-1].T, self.path.distance
         step = self.path.points[1:].T - begin
         share, squared = nearest_share(begin, step, squared_length(step), pose[:2, None])
-        sine, cosine = sin_cos_one(pose.item(2))
+        sine, cosine = sin_cos(pose[2])
         is_along = step[0] * cosine + step[1] * sine > 0
         is_candidate = is_along & (squared <= MAX_OFFSET**2)
         if last is not None:

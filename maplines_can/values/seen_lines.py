@@ -105,24 +105,15 @@ class SeenLines:
     def spread(self, P: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (4 L, 4 L) joint covariance of the lines for a pose error with covariance P.
 
-        It is positive semidefinite: A A^T with the factor A of ``spread_factor``.
+        It is positive semidefinite: A A^T, where the columns of A are deviations of 7 sigma points,
+        which go through all lines at once. The lines of this object are the means over the pose
+        error, see ``centred``.
         """
-        return self._spread(P)[1]
-
-    def spread_factor(self, P: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the (4 L, 7) factor of the joint covariance for a pose error with covariance P.
-
-        Its columns are deviations of 7 sigma points, which go through all lines at once. The lines
-        of this object are the means over the pose error, see ``centred``.
-        """
-        return self._spread(P)[0]
-
-    def _spread(self, P: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         n = 4 * len(self.means)
         A, cov = np.empty((n, 7)), np.empty((n, n))
         given = shaped(floats(P, "P"), (3, 3))
         _check(lib.maplines_spread_curves(*self._lines, given, pointer(A), pointer(cov)))
-        return A, cov
+        return cov
 
 
 def _check(is_right: bool) -> None:

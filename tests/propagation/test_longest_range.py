@@ -4,13 +4,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from maplines_can import Gaussian, MapError, Polyline, Refit, SigmaPoints, Slot
+from maplines_can import Polyline, Refit, Slot
 from maplines_can.propagation import points_in_window
-from maplines_can.study.paper_refit import PAPER
 from maplines_can.study.random_scenarios import curve, random_scenarios
 from maplines_can.values.line import lateral
 
@@ -67,15 +64,14 @@ SHAPES = {
 }
 
 
-@pytest.mark.parametrize("max_misfit", [0.03, 0.1, 0.3])
 @pytest.mark.parametrize("name", SHAPES)
-def test_the_misfit_is_as_stated_and_within_its_limit(name: str, max_misfit: float) -> None:
+def test_the_misfit_is_as_stated_and_within_its_limit(name: str) -> None:
     """It is the largest deviation on dense points."""
-    refit = Refit(SHAPES[name], ORIGIN, WINDOW, max_misfit=max_misfit)
+    refit = Refit(SHAPES[name], ORIGIN, WINDOW, max_misfit=0.1)
     found = deviation(SHAPES[name], refit.x_range, refit(ORIGIN))
 
-    assert refit.misfit <= max_misfit
-    assert found == pytest.approx(float(refit.misfit), abs=0.02 * max_misfit)
+    assert refit.misfit <= 0.1
+    assert found == pytest.approx(float(refit.misfit), abs=2e-3)
 
 
 def test_item_2_the_range_is_near_the_chebyshev_limit() -> None:
@@ -117,44 +113,10 @@ def test_a_smaller_misfit_gives_a_shorter_range() -> None:
     assert paper.noise_cov is None
 
 
-@pytest.mark.parametrize("max_misfit", [0.0, -0.1, np.nan])
-def test_a_misfit_of_zero_is_refused(max_misfit: float) -> None:
-    """The message has the unit."""
-    with pytest.raises(ValueError, match="max_misfit must be more than 0 m, got"):
-        Refit(bend(100.0), ORIGIN, WINDOW, max_misfit=max_misfit)
-
-
 def with_points(line: Any, s: Any) -> Any:
     """The same line with more points at arc lengths s [m]."""
     s = np.unique(np.round(np.concatenate([line.distance, s]), 9))
     return Polyline(np.column_stack([np.interp(s, line.distance, p) for p in line.points.T]))
-
-
-@given(
-    st.lists(st.tuples(st.floats(0.3, 30.0), st.floats(-0.12, 0.12)), min_size=3, max_size=12),
-    st.integers(0, 1000),
-)
-@settings(max_examples=50)
-def test_the_result_depends_on_the_line_and_not_on_its_points(steps: Any, seed: int) -> None:
-    """More points on the same segments, anywhere, give the same cubic.
-
-    The deviations are also taken at the points, so that a range may differ by the accuracy of its
-    search, 0.5 % of the window, and a shift by a hundredth of the largest misfit.
-    """
-    length, turn = np.array(steps).T
-    heading = np.cumsum(turn)
-    chords = length[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
-    few = Polyline(np.cumsum(np.vstack([[-5.0, 1.0], chords]), axis=0))
-    many = with_points(few, np.random.default_rng(seed).uniform(0, few.length, 40))
-    one, other = (Refit(line, ORIGIN, WINDOW, max_misfit=0.1) for line in (few, many))
-    x = np.linspace(max(one.x_range[0], other.x_range[0]), min(one.x_range[1], other.x_range[1]), 9)
-
-    pose = [0.3, -0.2, 0.02]
-    if np.allclose(other.x_range, one.x_range, atol=0.5):
-        assert np.allclose(lateral(other(pose), x), lateral(one(pose), x), rtol=0, atol=0.02)
-    assert np.abs(lateral(other(pose), x) - lateral(one(pose), x)).max() <= 0.2
-    same = [Refit(line, ORIGIN, WINDOW, **PAPER)(pose) for line in (few, many)]
-    assert np.allclose(lateral(same[0], x), lateral(same[1], x), rtol=0, atol=1e-6)
 
 
 def test_item_2_vertices_10_m_or_20_cm_apart_give_the_same_line() -> None:
@@ -168,16 +130,3 @@ def test_item_2_vertices_10_m_or_20_cm_apart_give_the_same_line() -> None:
     lines = [Refit(each, ORIGIN, WINDOW)(ORIGIN) for each in (coarse, *fine)]
 
     assert np.ptp([lateral(line, np.linspace(0, 10, 5)) for line in lines], axis=0).max() < 0.02
-
-
-def test_the_point_errors_do_not_depend_on_the_fitted_points() -> None:
-    """A map with a point each metre averages its errors more than one with a point each 10 m."""
-    ego = Gaussian(ORIGIN, np.zeros((3, 3)))
-    error = MapError(point_sigma=0.1)
-    sigmas = []
-    for spacing in (1.0, 10.0):
-        x = np.arange(-40.0, 120.0, spacing)
-        line = Polyline(np.column_stack([x, 0 * x]))
-        sigmas.append(SigmaPoints()(Refit(line, ORIGIN, WINDOW, error), ego).sigma)
-
-    assert (sigmas[0][1:] < 0.6 * sigmas[1][1:]).all()

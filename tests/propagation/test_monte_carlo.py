@@ -57,25 +57,3 @@ def test_samples_include_errors_of_noise_cov() -> None:
         assert (np.abs(np.cov(added[:, i].T) - cov) <= bound).all()
     independent = np.column_stack([plain.inputs, added[:, 0, 0], added[:, 1, 0]])
     assert np.abs(np.tril(np.corrcoef(independent.T), -1)).max() < 5 / np.sqrt(N)
-
-
-def test_the_seed_determines_the_errors() -> None:
-    """The same seed repeats them, and another seed gives others."""
-    noisy = paper_refit(TURN, map_error=MapError(0.5))
-    known = Gaussian(TURN.ego.mean, np.zeros((3, 3)))
-    first, again, other = (MonteCarlo(9, seed).samples(noisy, known).values for seed in (1, 1, 2))
-
-    assert np.array_equal(first, again)
-    assert not np.isclose(first, other).any()
-
-
-def test_errors_are_independent_of_the_draws() -> None:
-    """In one dimension the variances add up, not the standard deviations."""
-
-    def identity(x: Any) -> Any:
-        return x
-
-    identity.noise_cov = np.eye(1)  # type: ignore[attr-defined]
-    values = MonteCarlo(N, seed=3).samples(identity, Gaussian([0.0], [[1.0]])).values
-
-    assert abs(values.var() - 2.0) <= 5 * 2.0 * np.sqrt(2 / N)

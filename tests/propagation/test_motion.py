@@ -70,15 +70,6 @@ def test_over_agrees_with_monte_carlo(motion: Any, dt: float, time_sigma: float)
     assert (np.abs(got.sigma / want.sigma - 1) <= 5 / np.sqrt(2 * N) + 0.005).all()
 
 
-def test_speed_and_yaw_rate_may_correlate_exactly() -> None:
-    """An unknown wheel radius affects both: the covariance is singular."""
-    scale = np.array([20.0, 0.1])
-    displacement = Motion(*scale, 1e-4 * np.outer(scale, scale)).over(0.1)  # type: ignore[call-arg]
-
-    assert displacement.sigma[0] == pytest.approx(0.02, rel=1e-3)
-    assert displacement.correlation[0, 2] == pytest.approx(1.0, abs=1e-6)
-
-
 @pytest.mark.parametrize(
     ("make", "words"),
     [

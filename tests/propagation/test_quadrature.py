@@ -50,14 +50,6 @@ def test_quadrature_is_exact_up_to_its_degree_and_not_beyond(order: int) -> None
     assert np.isclose(missing, factorial(order), rtol=1e-6)
 
 
-def test_quadrature_is_exact_for_mixed_powers() -> None:
-    """Also for correlated variables: E[x^2 y^2] = P00 P11 + 2 P01^2."""
-    gaussian = Gaussian([0.0, 0.0], [[2.0, 0.6], [0.6, 1.0]])
-    mean = Quadrature(3).moments(lambda x: x[:, :1] ** 2 * x[:, 1:] ** 2, gaussian).mean
-
-    assert np.isclose(mean[0], 2.0 * 1.0 + 2 * 0.6**2, rtol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("cov", "points"),
     [(np.eye(3), 125), (np.diag([1, 1, 0]), 25), (np.ones((3, 3)), 5), (np.zeros((3, 3)), 1)],

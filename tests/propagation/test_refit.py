@@ -11,14 +11,12 @@ from strategies import mild_lines, motions
 from maplines_can.propagation import MapError, MonteCarlo, Refit
 from maplines_can.simulation.scenarios import SCENARIOS, scenario
 from maplines_can.study.paper_refit import PAPER
-from maplines_can.study.random_scenarios import random_scenarios
 from maplines_can.values.errors import IllPosedError
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import Slot, lateral, lateral_jacobian, transform_line
 from maplines_can.values.polyline import Polyline, to_ego, to_map
 
 HIGHWAY, TURN = scenario("highway"), scenario("street-turn-10deg")
-CHEBYSHEV = np.cos(np.pi * np.array([7, 5, 3, 1]) / 8)
 
 
 def qr_lines(u: Any, v: Any) -> Any:
@@ -91,21 +89,6 @@ def test_all_lines_of_all_scenarios_agree_with_qr(scene: Any, settings: Any) -> 
         assert (difference <= 1e-9 * reference.std(axis=0)).all()
 
 
-def test_random_roads_agree_with_qr() -> None:
-    """From motorway to street turn the lateral position at any x agrees within a nanometre."""
-    for road in random_scenarios(200, seed=2):
-        poses = road.ego.sample(50, seed=1)
-        refit = refit_of(road, **PAPER)
-        lines = refit(poses)[:, 0]
-        points = resampled(road.lines[Slot.EGO_LEFT], road.ego.mean, refit.x_range[0])
-        x = np.linspace(*refit.x_range[0], 9)  # type: ignore[call-overload]
-        well_posed = ~np.isnan(lines[:, 0])
-        reference = lateral(qr_refit(points, poses)[well_posed, None], x)
-
-        assert well_posed.mean() > 0.9
-        assert np.abs(lateral(lines[well_posed, None], x) - reference).max() <= 1e-9
-
-
 def test_large_map_coordinates_lose_no_precision() -> None:
     """At a thousand kilometres the error is that of the coordinates themselves."""
     shift, heading = np.array([4e5, 5e6]), 2.0
@@ -133,17 +116,6 @@ def test_several_lines_in_one_call(scene: Any) -> None:
         assert alone.shape == (3000, 4)
         assert (np.abs(alone - together[:, i]).max(axis=0) <= 1e-10 * alone.std(axis=0)).all()
         assert np.array_equal(np.isnan(alone), np.isnan(together[:, i]))
-
-
-def test_several_poses_in_one_call() -> None:
-    """Each row is that of a single pose, also at the end of a block."""
-    poses = HIGHWAY.ego.sample(2050, seed=1)
-    refit = refit_of(HIGHWAY)
-    lines = refit(poses)
-
-    for i in (0, 2047, 2048, 2049):
-        assert np.allclose(refit(poses[i]), lines[i], rtol=1e-12, atol=1e-15)
-    assert refit(poses[:0]).shape == (0, 8, 4)
 
 
 def chords_of(line: Any, x: Any) -> float:
@@ -196,26 +168,6 @@ def test_the_order_of_the_points_does_not_matter(scene: Any) -> None:
         assert (np.abs(ahead - against).max(axis=0) <= 1e-10 * ahead.std(axis=0)).all()
 
 
-@pytest.mark.parametrize("scene", [HIGHWAY, TURN], ids=["highway", "turn"])
-def test_a_rotation_by_180_deg(scene: Any) -> None:
-    """u and v change their signs: so do y_off and c0, while beta and c1 stay."""
-    refit, poses = refit_of(scene), scene.ego.sample(500, seed=1)
-    ahead, back = refit(poses), refit(poses + np.array([0, 0, np.pi]))
-
-    assert (np.abs(back + ahead * [1, -1, 1, -1]) <= 1e-10 * ahead.std(axis=(0, 1))).all()
-
-
-@pytest.mark.parametrize("scene", [HIGHWAY, TURN], ids=["highway", "turn"])
-def test_the_refit_is_continuous(scene: Any) -> None:
-    """Half the step between poses halves each step of the lines: there is no discontinuity."""
-
-    def largest_step(count: Any) -> Any:
-        poses = np.linspace([-2, -1, -0.5], [2, 1, 0.35], count)
-        return np.abs(np.diff(refit_of(scene)(poses), axis=0)).max(axis=0)
-
-    assert (largest_step(2001) <= 0.55 * largest_step(1001)).all()
-
-
 @pytest.mark.parametrize(
     ("points", "pose", "words"),
     [
@@ -264,12 +216,6 @@ def test_invalid_arguments_raise(pose: Any, window: Any, words: str) -> None:
         Refit(list(HIGHWAY.lines.values()), pose, window)
 
 
-def test_no_line_raises() -> None:
-    """At least one line is needed."""
-    with pytest.raises(ValueError, match="a Polyline or a sequence of at least one"):
-        Refit([], np.zeros(3), (0, 80))
-
-
 def test_ill_posed_poses_give_nan() -> None:
     """Their rows are NaN; MonteCarlo counts them and warns."""
     road = Polyline([[x, 2.0] for x in range(-20, 81, 2)])
@@ -291,15 +237,6 @@ def test_ill_posed_poses_give_nan() -> None:
     with pytest.raises(IllPosedError, match="90 deg"):
         refit([0.0, 0.0, np.pi / 2])
     assert np.isfinite(refit([0.0, 0.0, np.radians(80.1)])).all()
-
-
-def test_only_ill_posed_draws_raise() -> None:
-    """Without values there are no moments."""
-    refit = refit_of(HIGHWAY)
-    ill_posed = Gaussian([0, 0, np.pi / 2], np.diag([1, 1, 1e-6]))
-
-    with pytest.raises(IllPosedError, match="no value at 1000 of 1000 draws; narrow the Gaussian"):
-        MonteCarlo(1000).samples(refit, ill_posed)
 
 
 def errors_of_points(error: Any, points: Any, n: Any, rng: Any) -> Any:
@@ -350,9 +287,3 @@ def test_noise_cov_is_the_covariance_of_fits_to_erroneous_maps(name: str, error:
         assert (np.abs(difference) <= 5 * np.sqrt((1 + correlation**2) / n)).all()
         J = lateral_jacobian(refit(pose)[i], fitted[:, 0])
         assert (np.einsum("ki,ij,kj->k", J, cov, J) >= 0.999 * error.point_sigma**2).all()
-
-
-def test_no_map_error_gives_no_noise() -> None:
-    """noise_cov is None for an exact map, and zero for map errors of zero."""
-    assert refit_of(HIGHWAY, **PAPER).noise_cov is None
-    assert not refit_of(HIGHWAY, map_error=MapError(), **PAPER).noise_cov.any()

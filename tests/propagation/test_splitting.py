@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm, truncnorm
 
-from maplines_can.propagation import MapError, MonteCarlo, Quadrature, SigmaPoints
+from maplines_can.propagation import MonteCarlo, Quadrature, SigmaPoints
 from maplines_can.propagation.splitting import SPLITS, Mixture, standard_split
 from maplines_can.simulation.scenarios import pose, scenario
 from maplines_can.study.paper_refit import paper_refit
@@ -76,16 +76,6 @@ def test_a_mixture_has_the_moments_of_the_normal_distribution(k: Any) -> None:
     assert weights @ means == pytest.approx(np.array([1.0, 3.0, 15.0, 105.0]), rel=1e-3)
 
 
-@pytest.mark.parametrize("k", SPLITS)
-def test_a_split_keeps_mean_and_covariance(k: Any) -> None:
-    """For any direction, and for a singular Gaussian."""
-    gaussian = Gaussian([1.0, 2.0, 3.0], np.diag([0.25, 0.0, 0.01]))
-    split = Mixture(k).split(gaussian, direction=[1.0, 2.0, -1.0])
-    assert len(split.weights) == k
-    assert split.overall.mean == pytest.approx(gaussian.mean, abs=1e-9)
-    assert split.overall.cov == pytest.approx(gaussian.cov, abs=1e-9)
-
-
 def test_one_component_is_the_result_of_the_transform() -> None:
     """Mixture(1) gives the result of SigmaPoints; moments() and a call of Mixture(3) agree."""
     scene = scenario("street-turn")
@@ -130,17 +120,6 @@ def test_variables_without_variance(sigma: Any) -> None:
     overall, expected = Mixture(3)(refit, ego).overall, Quadrature(13)(refit, ego)
     assert overall.mean == pytest.approx(expected.mean, abs=1e-3 * max(expected.sigma[0], 1e-9))
     assert overall.sigma == pytest.approx(expected.sigma, rel=2e-3, abs=1e-12)
-
-
-def test_the_error_of_the_map_is_added_once() -> None:
-    """To each component, and so to the whole."""
-    scene = scenario("street-turn")
-    exact, erring = (
-        paper_refit(scene, Slot.EGO_RIGHT, error) for error in (None, MapError(0.1, 0.1))
-    )
-    added = Mixture(3)(erring, scene.ego).covs - Mixture(3)(exact, scene.ego).covs
-    for each in added:
-        assert each == pytest.approx(np.asarray(erring.noise_cov), rel=1e-6, abs=1e-12)
 
 
 def test_tails_without_a_value_are_moved_inwards() -> None:

@@ -138,7 +138,10 @@ def test_transforms_are_values(transform: Any) -> None:
         (lambda: Linear(step=np.nan), "step must be more than 0"),
         (lambda: SigmaPoints(alpha=0.0), "alpha must be more than 0, got 0.0"),
         (lambda: SigmaPoints(alpha=np.inf), "alpha must be more than 0, got inf"),
-        (lambda: SigmaPoints(kappa=-3.0).weights(3), "kappa must be more than -3 for 3 variables"),
+        (
+            lambda: SigmaPoints(kappa=-3.0).rule(TURN.ego),
+            "kappa must be more than -3 for 3",
+        ),
         (lambda: Quadrature(0), "order must be a whole number from 1 to 64, got 0"),
         (lambda: Quadrature(65), "order must be a whole number from 1 to 64, got 65"),
         (lambda: Quadrature(3.0), "order must be a whole number"),  # type: ignore[arg-type]

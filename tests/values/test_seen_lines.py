@@ -122,7 +122,7 @@ def test_the_spread_is_that_of_sigma_points_about_the_means(P: Any) -> None:
     assert np.linalg.eigvalsh(cov / scale / scale[:, None])[0] >= -1e-9
 
     pose = Gaussian(np.zeros(3), P)
-    shift = seen(SigmaPoints().points(pose))[1:].mean(axis=0) - MEANS
+    shift = seen(SigmaPoints().rule(pose).points(pose))[1:].mean(axis=0) - MEANS
     centred = SeenLines(MEANS - shift, RANGES)
     moments = SigmaPoints().moments(lambda p: centred(p).reshape(len(p), -1), pose)
     x = np.array([-10.0, 0.0, 30.0, 60.0])

@@ -54,7 +54,7 @@ def case_of(scenario: Scenario, samples: int, seed: int) -> Case:
         warnings.simplefilter("ignore")  # the figure prints the number of draws left out
         draws = MonteCarlo(samples, seed).samples(refit, ego)
     transform = SigmaPoints()
-    sigma_poses = transform.points(ego)
+    sigma_poses = transform.rule(ego).points(ego)
 
     def in_ego_frame(poses: Array) -> Array:
         return np.column_stack([to_ego(poses[:, :2], ego.mean), poses[:, 2] - ego.mean[2]])
