@@ -4,6 +4,7 @@
     c_mutation.py                             a sample of 300 mutants of all of the core
     c_mutation.py --files c/src/sequence.c --sample 0      all of a file; patterns as c/logs/*
     c_mutation.py --tests                     survivors of the streams also meet the tests
+    c_mutation.py --minutes 30                as many of a sample as there is time for
 
 A mutant has one change to a comparison, an operator, a number, a condition or a statement (see
 c_mutants.py). Only its file is compiled, and the library is built into a copy of the tree: the
@@ -11,8 +12,8 @@ checkout is not changed. What does not compile, or gives the same object code, i
 
 First the streams of core and model (maplines_can/testing) are recorded: three DBCs that are
 shipped, and some random ones. A mutant takes the same inputs. It is killed if an answer differs
-from the model's, or it crashes or does not end. With --tests, those of the folders of TESTS run for
-what survives.
+from the model's, or it crashes or does not end. With --tests, what survives also meets the tests
+that TESTS names for its file.
 
 Tools that mutate C (Mull, universalmutator) are not used: Mull has a package for each version of
 LLVM, in no distribution, and runs programs rather than libraries; of universalmutator only the
@@ -25,6 +26,7 @@ The exit status is 1 if less than --least of the mutants are killed.
 from __future__ import annotations
 
 import argparse
+import math
 import multiprocessing
 import random
 import shutil
@@ -46,12 +48,21 @@ from mutation import LEFT_OUT, PRELOAD, ROOT, Outcome, reasons, run_task, summar
 from mutation_worker import run_files
 from reporting import bar, parser_of, report
 
-#: Tests that concern files of the core, by a pattern of their names; the first one that fits.
-TESTS = {
-    "c/logs/*": ["tests/bus"],
+#: Tests that concern files of the core: those of the first pattern that fits.
+TESTS: dict[str, list[str]] = {
+    "c/logs/text_logs.c": ["tests/bus/test_candump_logs.py", "tests/bus/test_asc_logs.py"],
+    "c/logs/blf_log.c": ["tests/bus/test_blf_logs.py"],
+    "c/core/tables.c": ["tests/core"],
+    "c/src/names.c": ["tests/c/test_names.py"],
+    "c/src/use.c": ["tests/c/test_use.py"],
+    "c/src/predict.c": ["tests/c/test_use.py"],
+    "c/src/sigma_points.c": ["tests/c/test_use.py"],
+    "c/src/secoc.c": ["tests/wire/protection", "tests/c/test_run_vectors.py"],
+    "c/src/scene_*": ["tests/wire/test_prepared_scenes.py", "tests/wire/test_scenes_on_wire.py"],
     "c/propagation/*": ["tests/propagation"],
     "c/core/propagate.c": ["tests/propagation"],
-    "*": ["tests/wire", "tests/c"],
+    "c/core/values.c": ["tests/values", "tests/propagation/test_transform_line.py"],
+    "*": ["tests/core", "tests/wire/reception", "tests/c/test_run_vectors.py"],
 }
 #: Time limits of a mutant [s]: of the streams, and of the tests.
 STREAM_LIMIT, TEST_LIMIT = 120, 600
@@ -78,10 +89,11 @@ def main() -> int:
             print("c_mutation.py: the core that is not changed differs", file=sys.stderr)
             return 1
         recorded = time.monotonic()
+        until = recorded + 60 * arguments.minutes
         wanted = [file for file in core.files if any(fnmatch(file, p) for p in arguments.files)]
         every = [(file, m) for file in wanted for m in mutants((ROOT / file).read_text())]
         random.Random(arguments.seed).shuffle(every)  # noqa: S311 - no secret
-        run = Run(core, every, arguments.sample or len(every), is_tested=arguments.tests)
+        run = Run(core, every, arguments.sample or len(every), until, is_tested=arguments.tests)
         outcomes = run.outcomes(folder, arguments.jobs)
     result = summary(outcomes, reasons(arguments.survivors), arguments.least)
     result |= {
@@ -108,6 +120,12 @@ def _arguments() -> argparse.Namespace:
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of the sample (default: 0)")
     parser.add_argument("--jobs", type=int, default=1, help="mutants at a time (default: 1)")
+    parser.add_argument(
+        "--minutes",
+        type=float,
+        default=math.inf,
+        help="time after which no further mutant begins; the sample is then smaller",
+    )
     parser.add_argument("--tests", action="store_true", help="survivors also meet the tests")
     parser.add_argument(
         "--frames", type=int, default=500, help="steps of a stream of a receiver (default: 500)"
@@ -186,9 +204,15 @@ class Run:
     """Mutants in the order of their sample, each of which is compiled and tested."""
 
     def __init__(
-        self, core: Core, every: list[tuple[str, Mutant]], size: int, *, is_tested: bool
+        self,
+        core: Core,
+        every: list[tuple[str, Mutant]],
+        size: int,
+        until: float,
+        *,
+        is_tested: bool,
     ) -> None:
-        self._core, self._size, self._is_tested = core, size, is_tested
+        self._core, self._size, self._until, self._is_tested = core, size, until, is_tested
         self._next = iter(enumerate(every))
         self._found: dict[int, Outcome] = {}
         self._lock = threading.Lock()
@@ -214,7 +238,8 @@ class Run:
         while True:
             with self._lock:
                 number, (file, mutant) = next(self._next, (0, ("", None)))
-                if mutant is None or len(self._found) >= self._size:
+                is_over = len(self._found) >= self._size or time.monotonic() >= self._until
+                if mutant is None or is_over:
                     return
             source = (tree / file).read_text()
             try:
@@ -228,6 +253,10 @@ class Run:
                 else:
                     self._found[number] = Outcome(file, mutant, how)
                     self._bar.update()
+                    if how == "survived":
+                        self._bar.write(
+                            f"{file}:{mutant.line} {mutant.original} -> {mutant.mutated}"
+                        )
 
     def _outcome(self, folder: Path, tree: Path, file: str) -> str:
         out = folder / "mutant.o"

@@ -42,7 +42,7 @@ class _Sender(NamedTuple):
     stream: str
 
     def __call__(self) -> Callable[[Any], Any]:
-        from maplines_can.testing.sender_streams import STREAMS
+        from maplines_can.testing.sender_comparison import STREAMS
         from maplines_can.wire import Codec
 
         codec = Codec(self.layout)
@@ -58,11 +58,20 @@ class _Maps:
         return core_answer
 
 
+class _Logs:
+    """Makes what parses the logs of a stream by the core."""
+
+    def __call__(self) -> Callable[[Any], Any]:
+        from maplines_can.testing.log_streams import core_answer
+
+        return core_answer
+
+
 class Recording(NamedTuple):
     """Steps of a stream, and a digest of the answers to each."""
 
     name: str
-    make: _Receiver | _Sender | _Maps  #: makes what answers a step
+    make: _Receiver | _Sender | _Maps | _Logs  #: makes what answers a step
     steps: list[Any]
     digests: list[bytes]
 
@@ -103,12 +112,16 @@ def _recordings(frames: int) -> Iterator[tuple[Recording, list[bytes]]]:
 
     from maplines_can.testing.back_to_back import START_US, ModelSide, Pair, profiles_of
     from maplines_can.testing.hostile_streams import Stream, traffics_of
+    from maplines_can.testing.log_streams import logs
+    from maplines_can.testing.log_streams import model_answer as parsed_by_model
     from maplines_can.testing.map_streams import model_answer, queries
-    from maplines_can.testing.sender_streams import STREAMS, streams_of
+    from maplines_can.testing.sender_comparison import STREAMS, streams_of
     from maplines_can.wire import SHIPPED, Layout, default_dbc_path
 
+    steps: list[Any] = [*islice(logs(SEED), 2 * frames)]
+    yield Recording("logs", _Logs(), steps, []), [digest(parsed_by_model(step)) for step in steps]
     for seed in range(MAP_STREAMS):
-        steps: list[Any] = [*islice(queries(SEED + seed), frames // 4)]
+        steps = [*islice(queries(SEED + seed), frames // 4)]
         answers = [digest(model_answer(query)) for query in steps]
         yield Recording(f"maps, {seed}", _Maps(), steps, []), answers
     shipped = [default_dbc_path(name) for name in SHIPPED]
@@ -120,7 +133,7 @@ def _recordings(frames: int) -> Iterator[tuple[Recording, list[bytes]]]:
         layout = Layout.from_dbc(path)
         for stream in streams_of(layout):
             inputs = STREAMS[stream].inputs(layout, np.random.default_rng(SEED))
-            count = 2 * frames if stream != "scenes" else frames // 2
+            count = frames // 2 if stream.startswith("scenes") else 2 * frames
             steps = [*islice(inputs, count)]
             name = f"{path.stem}, {stream}"
             yield (

@@ -33,7 +33,6 @@ bool maplines_name_channel(maplines_log_t *log, const char *name, size_t length)
         log->channels++;
     }
     log->last = i;
-    log->number = 0;
     return true;
 }
 

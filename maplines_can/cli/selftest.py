@@ -9,8 +9,9 @@ import time
 from typing import Any
 
 from ..testing.back_to_back import HAS_MAC, Comparison, compare_all
+from ..testing.log_streams import LogComparison, compare_logs
 from ..testing.map_streams import MapComparison, compare_maps
-from ..testing.sender_streams import SenderComparison, compare_senders
+from ..testing.sender_comparison import SenderComparison, compare_senders
 from ..values.errors import missing_extra
 from ..wire import SHIPPED, default_dbc_path
 from .options import add_encoding, layout_from
@@ -23,9 +24,9 @@ Compare the core with the model of maplines_can.model, which has the rules of db
 Python. Both get the frames of a faulty, hostile bus: lost, repeated, reordered, damaged and late
 ones, two senders, restarts, wrong keys and jumping clocks. Every decoded number, reason, counter
 and state is compared to the last bit, after each frame. Then both encode random lines, many of
-which exceed the message, and the records must be equal. At last both propagate random poses through
-random maps to lines and scenes, which must be equal to the last bit. The status is 1 if one
-differs."""
+which exceed the message, and the records must be equal. Both propagate random poses through random
+maps to lines and scenes, which must be equal to the last bit. At last both parse damaged logs. The
+status is 1 if one differs."""
 
 
 def add_selftest(commands: Any) -> None:
@@ -71,15 +72,16 @@ def _selftest(arguments: argparse.Namespace) -> int:
 
     found = compare_all(layouts, arguments.seed, lambda: passed(0.4))
     senders = compare_senders(layouts, arguments.seed, lambda: passed(0.7))
-    maps = compare_maps(arguments.seed, lambda: passed(1.0))
+    maps = compare_maps(arguments.seed, lambda: passed(0.95))
+    logs = compare_logs(arguments.seed, lambda: passed(1.0))
     if arguments.json:
-        row = _row(found) | {"senders": _row(senders), "maps": _row(maps)}
+        row = _row(found) | {"senders": _row(senders), "maps": _row(maps), "logs": _row(logs)}
         print(json.dumps(row, indent=2))
     else:
-        print(found, senders, maps, sep="\n")
-    return 0 if all(x.difference is None for x in (found, senders, maps)) else 1
+        print(found, senders, maps, logs, sep="\n")
+    return 0 if all(x.difference is None for x in (found, senders, maps, logs)) else 1
 
 
-def _row(found: Comparison | SenderComparison | MapComparison) -> dict[str, Any]:
+def _row(found: Comparison | SenderComparison | MapComparison | LogComparison) -> dict[str, Any]:
     difference = found.difference
     return found._asdict() | {"difference": None if difference is None else difference._asdict()}

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
-from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +26,6 @@ from ..values.map_error import MapError
 from ..values.polyline import Polyline
 from ..values.scene import Scene
 from ..wire import Codec, Layout
-from .back_to_back import Difference
 
 #: Range of the parameters of a random line.
 SIZES = (32.0, 0.5, 0.125, 0.03125)
@@ -45,19 +43,6 @@ class SenderStream(NamedTuple):
     core: Callable[[Codec, Any], Any]
     model: Callable[[Layout, Any], Any]
     steps: int  #: in a turn
-
-
-class SenderComparison(NamedTuple):
-    """Result of the comparison of streams."""
-
-    records: int  #: that were equal
-    difference: Difference | None  #: the first one, which ended it
-
-    def __str__(self) -> str:
-        """Return the result as text."""
-        if self.difference is not None:
-            return f"core and model differ: {self.difference}"
-        return f"bit-identical on {self.records} records of senders"
 
 
 def bits(value: Any) -> Any:
@@ -308,7 +293,7 @@ def _scene_sender(layout: Layout) -> SceneSender:
 def _scene_by_model(layout: Layout, given: Any) -> Any:
     """Return the records, those of CAN FD with their padding, and why lines have none."""
     scene, counters, ages, fd = given
-    found = _scene_sender(layout).send(_scene_draft(scene), counters, ages, full=fd)
+    found = _scene_sender(layout).send(scene_draft(scene), counters, ages, full=fd)
     if found is None:
         return None
     sent = {
@@ -320,7 +305,8 @@ def _scene_by_model(layout: Layout, given: Any) -> Any:
     return sent, reasons | {slot.name: why for slot, why in without.items()}
 
 
-def _scene_draft(scene: Scene) -> SceneDraft:
+def scene_draft(scene: Scene) -> SceneDraft:
+    """Return a scene for the sender of the model."""
     known, specific = scene.map_error or MapError(), scene.specific_covs
     drafts = [
         writer.Draft(
@@ -337,56 +323,10 @@ def _scene_draft(scene: Scene) -> SceneDraft:
     )  # fmt: skip
 
 
-#: Streams by name.
-STREAMS = {
+#: Streams of the package, by name.
+PACKAGE_STREAMS = {
     "lines": SenderStream(_lines, _line_by_core, _line_by_model, 200),
     "mixtures": SenderStream(_mixtures, _mixture_by_core, _mixture_by_model, 200),
     "records": SenderStream(_records, _record_by_core, _record_by_model, 200),
     "scenes": SenderStream(_scenes, _scene_by_core, _scene_by_model, 10),
 }
-
-
-def streams_of(layout: Layout) -> list[str]:
-    """Return the names of the streams that a DBC can have."""
-    if layout.is_conditional:  # its lines have no covariance of their own
-        return ["scenes"]
-    return [name for name in STREAMS if name != "scenes" or layout.pose is not None]
-
-
-def compare_senders(
-    layouts: Sequence[Layout], seed: int, is_over: Callable[[], bool]
-) -> SenderComparison:
-    """Compare core and model on the streams of DBCs, in turn, until it is over.
-
-    Args:
-        layouts: of the DBCs.
-        seed: of all streams, which are the same ones on any machine.
-        is_over: asked after a turn of each stream.
-    """
-    streams = [
-        (codec, name, STREAMS[name].inputs(codec.layout, np.random.default_rng(seed)))
-        for codec in map(Codec, layouts)
-        for name in streams_of(codec.layout)
-    ]
-    done = turn = 0
-    while True:
-        for codec, name, inputs in streams:
-            count = STREAMS[name].steps
-            title = f"{codec.layout.source}, {name}, seed {seed}"
-            found = compare_steps(title, codec, STREAMS[name], inputs, turn * count, count)
-            done += found.records
-            if found.difference is not None or is_over():
-                return SenderComparison(done, found.difference)
-        turn += 1
-
-
-def compare_steps(
-    title: str, codec: Codec, stream: SenderStream, inputs: Iterator[Any], first: int, count: int
-) -> SenderComparison:
-    """Compare some steps of a stream, numbered from ``first`` on, up to the first difference."""
-    for done, given in enumerate(islice(inputs, count)):
-        core, model = bits(stream.core(codec, given)), bits(stream.model(codec.layout, given))
-        if core != model:
-            shown = str(given), "the answer", str(core), str(model)
-            return SenderComparison(done, Difference(title, first + done, *shown))
-    return SenderComparison(count, None)

@@ -21,10 +21,11 @@ SHORT = ["selftest", "--seconds", "0.001"]
 def test_core_and_model_are_equal(capsys: pytest.CaptureFixture[str]) -> None:
     """One stream at least is compared, however short the time is."""
     assert main(SHORT) == 0
-    receivers, senders, maps = capsys.readouterr().out.splitlines()
+    receivers, senders, maps, logs = capsys.readouterr().out.splitlines()
     found = re.fullmatch(r"bit-identical on (\d+) records \(2000 frames in 1 streams\)", receivers)
     assert senders.startswith("bit-identical on ")
     assert maps == "bit-identical on 10 queries of maps"
+    assert logs == "bit-identical on 50 damaged logs"
     assert found is not None
     assert int(found[1]) > 100
 
@@ -36,7 +37,8 @@ def test_the_streams_of_a_seed_are_the_same_ones(capsys: pytest.CaptureFixture[s
         assert main([*SHORT, "--seed", seed, "--json"]) == 0
         rows.append(json.loads(capsys.readouterr().out))
     assert rows[0] == rows[1] != rows[2]
-    assert rows[0].keys() == {"frames", "records", "streams", "difference", "senders", "maps"}
+    keys = {"frames", "records", "streams", "difference", "senders", "maps", "logs"}
+    assert rows[0].keys() == keys
     assert rows[0]["difference"] is None
     assert rows[0]["maps"] == {"queries": 10, "difference": None}
 

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from maplines_can import Status
+from maplines_can.core import ffi, lib
 from maplines_can.model import covariance, nearest_line, scene_sender, weights
 from maplines_can.model.signals import read
-from maplines_can.testing.sender_streams import STREAMS, bits, compare_senders
+from maplines_can.testing.sender_comparison import STREAMS, compare_senders
+from maplines_can.testing.sender_streams import bits
 from maplines_can.wire import POSE, SHIPPED, Codec, Layout, default_dbc_path
 
 LAYOUT = Layout.from_dbc()
@@ -28,7 +30,7 @@ def test_core_and_model_write_and_read_the_same_records() -> None:
 
     found = compare_senders(layouts, 1, after(8))
 
-    assert str(found) == "bit-identical on 1230 records of senders"
+    assert str(found) == "bit-identical on 1320 records of senders"
 
 
 def answers(dbc: str, name: str, steps: int) -> Iterator[tuple[Layout, Any]]:
@@ -38,6 +40,28 @@ def answers(dbc: str, name: str, steps: int) -> Iterator[tuple[Layout, Any]]:
         answer = stream.model(codec.layout, given)
         assert bits(stream.core(codec, given)) == bits(answer)
         yield codec.layout, answer
+
+
+def test_the_streams_of_an_ecu_reach_every_refusal() -> None:
+    """Each mistake of a caller, also of settings; and frames with and without a MAC."""
+    met = Counter[str]()
+    for dbc, name, steps in (
+        ("maplines-secoc.dbc", "lines of an ECU", 500),
+        ("maplines-secoc.dbc", "mixtures of an ECU", 300),
+        ("maplines-secoc.dbc", "scenes of an ECU", 120),
+        ("maplines.dbc", "settings", 300),
+        ("maplines-secoc.dbc", "settings", 300),
+    ):
+        for _, answer in answers(dbc, name, steps):
+            what = answer[3] if name == "settings" else answer[0]
+            met[what if isinstance(what, str) else "sent"] += 1
+            if name != "settings" and not isinstance(what, str):
+                met["sent, authenticated"] += answer[1] is not None
+    refusals = {ffi.string(lib.maplines_refusal_name(i)).decode() for i in range(1, 16)}
+    problems = {name for name in met if " must " in name}
+    assert refusals - {"NO_COVARIANCE"} <= met.keys()  # a conditional DBC has no such stream
+    assert {"sent", "sent, authenticated", "UNSENT"} <= met.keys()
+    assert len(problems) >= 10
 
 
 def test_the_streams_of_a_seed_reach_every_rule() -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from maplines_can.testing import back_to_back, hostile_streams, map_streams, sender_streams
+from maplines_can.testing import back_to_back, hostile_streams, map_streams, sender_comparison
 from maplines_can.wire import SHIPPED, Codec, Layout, default_dbc_path
 
 from .harness import bar, evidence
@@ -66,15 +66,16 @@ def senders(n: int = 100_000, random: int = 0, seed: int = 1) -> dict[str, Any]:
     rows: dict[str, Any] = {}
     for name, layout in layouts(random):
         rows[name] = {"different": 0}
-        most = max(stream.steps for stream in sender_streams.STREAMS.values())
-        for kind in sender_streams.streams_of(layout):
-            stream, title, done = sender_streams.STREAMS[kind], f"{name}, {kind}", 0
+        most = max(stream.steps for stream in sender_comparison.STREAMS.values())
+        for kind in sender_comparison.streams_of(layout):
+            stream, title, done = sender_comparison.STREAMS[kind], f"{name}, {kind}", 0
             count = max(1, round(n * max(stream.steps / most, 0.1)))
             codec, inputs = Codec(layout), stream.inputs(layout, np.random.default_rng(seed))
             with bar(count, title) as shown:
                 while done < count:
                     size = min(STEPS, count - done)
-                    found = sender_streams.compare_steps(title, codec, stream, inputs, done, size)
+                    steps = codec, stream, inputs, done, size
+                    found = sender_comparison.compare_steps(title, *steps)
                     if found.difference is not None:
                         sys.exit(str(found.difference))
                     done += size
