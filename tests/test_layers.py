@@ -31,7 +31,7 @@ STUDY_COMMANDS = {f"cli.{name}" for name in (
 OF_MODEL = ("values.errors", "values.line", "wire.layout")
 #: Who may import the model: the comparison of core and model, which ``maplines selftest`` runs.
 MODEL_USERS = {f"testing.{name}" for name in (
-    "hostile_streams", "back_to_back", "sender_streams", "map_streams",
+    "hostile_streams", "back_to_back", "sender_streams", "ecu_streams", "map_streams",
 )}  # fmt: skip
 #: Imports inside functions of the product: what and where from. They run when an option asks.
 LAZY = {
