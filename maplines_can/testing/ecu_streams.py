@@ -18,7 +18,7 @@ from ..core import ffi, lib
 from ..model import settings as model
 from ..model import writer
 from ..model.e2e import Windows
-from ..model.matrices import Matrix, is_definite, symmetric
+from ..model.matrices import is_definite, matrix, symmetric
 from ..model.records import WITHOUT
 from ..model.scene_sender import SceneDraft, SceneSender
 from ..model.signals import read
@@ -29,6 +29,8 @@ from ..wire.layout.slot_messages import RecordMessages, SecuredLayout
 from ..wire.tables import tables_of
 from .sender_streams import SenderStream, random_draft, random_scene, scene_draft
 
+#: Rows of a matrix, as lists.
+Rows = Any
 #: All owners, in the order of the core.
 OWNERS: tuple[Owner, ...] = (*Slot, POSE)
 #: Key IDs that the signer has; others are refused.
@@ -54,7 +56,7 @@ class Components(NamedTuple):
 
     weights: list[float]
     means: list[list[float]]
-    covs: list[Matrix]
+    covs: list[Rows]
 
 
 def _choice(rng: np.random.Generator, *values: Any) -> Any:
@@ -142,13 +144,13 @@ def _of_line(line: Any) -> str | None:
     return None if line.age >= 0 else "BAD_AGE"
 
 
-def _of_gaussian(status: int, mean: Sequence[float], cov: Matrix) -> str | None:
+def _of_gaussian(status: int, mean: Sequence[float], cov: Rows) -> str | None:
     if not all(map(math.isfinite, mean)):
         return "BAD_MEAN"
     return None if status in WITHOUT else _of_covariance(cov)
 
 
-def _of_covariance(cov: Matrix) -> str | None:
+def _of_covariance(cov: Rows) -> str | None:
     n, variances = len(cov), [row[i] for i, row in enumerate(cov)]
     if not all(abs(x) <= MOST for row in cov for x in row):
         return "BAD_COVARIANCE"
@@ -162,7 +164,7 @@ def _of_covariance(cov: Matrix) -> str | None:
     return None
 
 
-def _of_joint(cov: Matrix) -> str | None:
+def _of_joint(cov: Rows) -> str | None:
     """Return what is wrong with a covariance that must be positive semidefinite."""
     found = _of_covariance(cov)
     if found is not None or not cov:
@@ -171,7 +173,7 @@ def _of_joint(cov: Matrix) -> str | None:
     S = [[x / (scale[i] * scale[j]) for j, x in enumerate(row)] for i, row in enumerate(cov)]
     for i, row in enumerate(S):
         row[i] += ROUNDING
-    return None if is_definite(S) else "INDEFINITE"
+    return None if is_definite(matrix(S)) else "INDEFINITE"
 
 
 # ---- faults -----------------------------------------------------------------------------------
@@ -309,7 +311,7 @@ def _line_by_model(layout: Layout, given: Any) -> Any:
         return _refused(way, fault)
     slot = Slot(line.slot)
     record = writer.write(
-        layout, replace(line, slot=slot, cov=symmetric(line.cov)), way.counters[slot]
+        layout, replace(line, slot=slot, cov=symmetric(matrix(line.cov))), way.counters[slot]
     )
     return _sent(layout, way, [(slot, record)], read(layout["Status"], record))
 
@@ -370,7 +372,7 @@ def _mixture_by_model(layout: Layout, given: Any) -> Any:
         fault = fault or _of_gaussian(line.status, mean, cov)
     if fault is not None:
         return _refused(way, fault)
-    slot, covs = Slot(line.slot), [symmetric(cov) for cov in parts.covs]
+    slot, covs = Slot(line.slot), [symmetric(matrix(cov)) for cov in parts.covs]
     own = replace(line, slot=slot), parts.weights, parts.means, covs, way.counters[slot]
     records = writer.write_mixture(layout, *own)
     status = max((read(layout["Status"], one) for one in records), key=WORST.index)
@@ -449,7 +451,7 @@ def _faulty_scene(rng: np.random.Generator, draft: SceneDraft) -> SceneDraft:
     return replace(draft, cov=_faulty_matrix(rng, draft.cov))
 
 
-def _faulty_matrix(rng: np.random.Generator, cov: Matrix) -> Matrix:
+def _faulty_matrix(rng: np.random.Generator, cov: Rows) -> Rows:
     """Return a matrix that is no covariance, or hardly one."""
     changed = [[*row] for row in cov]
     i, j = map(int, rng.integers(len(cov), size=2))
@@ -504,7 +506,7 @@ def _scene_by_model(layout: Layout, given: _SceneGiven) -> Any:
     S = draft.cov
     blocks = [[row[i : i + 4] for row in S[i : i + 4]] for i in range(0, len(S), 4)]
     lines = [
-        replace(line, slot=Slot(line.slot), cov=symmetric(block))
+        replace(line, slot=Slot(line.slot), cov=symmetric(matrix(block)))
         for line, block in zip(draft.lines, blocks, strict=True)
     ]
     is_full = way.is_fd and layout.is_conditional
