@@ -96,10 +96,12 @@ def map_lines(
     {<Slot.EGO_RIGHT: 1>: <LeftOut.ACROSS: "the line is across the car's x axis">}
     """
     query = Query.of(lines, ego, window, map_error, max_misfit, max_sigma)
-    counts = _counts(query.lines, components)
-    if not counts:
-        return MapLineList()
-    if set(counts.values()) == {1}:
+    if not isinstance(components, Mapping):
+        components = dict.fromkeys(query.lines, components)
+    if missing := [slot.name for slot in query.lines if slot not in components]:
+        raise ValueError(f"components must have a number for each line, but not {missing[0]}")
+    counts = {slot: components[slot] for slot in query.lines}
+    if set(counts.values()) <= {1}:
         found = query.propagated_lines(transform or SIGMA_POINTS)
         if found is not None:
             return found
@@ -153,8 +155,6 @@ def map_scene(
     transform = transform or SIGMA_POINTS
     query = Query.of(lines, ego, window, map_error, max_misfit, max_sigma)
     pose_error = PoseError(query.pose_cov(), correlation_time)
-    if not query.lines:
-        return Scene((), np.zeros((0, 0)), pose_error, np.zeros((0, 2)), map_error)
     found = query.propagated_scene(transform, pose_error)
     return _scene_by(query, transform, pose_error) if found is None else found
 
@@ -304,10 +304,8 @@ class Query(NamedTuple):
 
     def left_out(self, reasons: bytes) -> dict[Slot, LeftOut]:
         """Return the reasons of the lines that are left out."""
-        if not any(reasons):
-            return {}
-        pairs = zip(self.lines, map(REASONS.__getitem__, reasons), strict=True)
-        return {slot: reason for slot, reason in pairs if reason is not None}
+        pairs = zip(self.lines, reasons, strict=True)
+        return {slot: REASONS[reason - 1] for slot, reason in pairs if reason}
 
 
 @lru_cache(maxsize=KEPT)
@@ -315,15 +313,6 @@ def _points_of(rule: Rule) -> tuple[Any, ...]:
     """Return the points of a transform of a pose as arguments of the core."""
     arrays = (rule.z, rule.mean_weights, rule.cov_weights)
     return (len(rule.z), *(pointer(np.ascontiguousarray(array)) for array in arrays))
-
-
-def _counts(lines: Sequence[Slot] | Mapping[Slot, Any], components: Any) -> dict[Slot, int]:
-    """Return the number of components of each line, in order."""
-    if isinstance(components, Mapping):
-        if missing := [slot.name for slot in lines if slot not in components]:
-            raise ValueError(f"components must have a number for each line, but not {missing[0]}")
-        return {slot: components[slot] for slot in lines}
-    return dict.fromkeys(lines, components)
 
 
 # ---- step by step ---------------------------------------------------------------------

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,8 +22,8 @@ KEPT = 16
 #: Largest angle between the car's x axis and a line that it sees [rad]; farther along, the line
 #: is nearly parallel to the y axis, and no function y(x).
 MAX_TURN: float = math.radians(65.0)
-#: Reasons by their numbers in the core, of which 0 is that a line is given.
-REASONS = (None, LeftOut.NOT_IN_WINDOW, LeftOut.ACROSS, LeftOut.TOO_SHORT, LeftOut.UNCERTAIN)
+#: Reasons by their numbers in the core, from 1 on; 0 is that a line is given.
+REASONS = (LeftOut.NOT_IN_WINDOW, LeftOut.ACROSS, LeftOut.TOO_SHORT, LeftOut.UNCERTAIN)
 
 
 class Paths(NamedTuple):
@@ -71,11 +70,7 @@ def numbers_of(map_error: MapError | None) -> tuple[float, ...]:
 
 
 def checked_pose(pose: ArrayLike) -> NDArray[np.float64]:
-    """Return a pose as an array of floats.
-
-    Raises:
-        ValueError: it is not finite or not of shape (3,).
-    """
+    """Return a pose as an array of floats, or raise ValueError."""
     pose = floats(pose, "pose")
     if pose.shape != (3,) or not all(map(math.isfinite, pose.tolist())):
         raise ValueError(f"pose must be finite with shape (3,), got {pose!r}")
@@ -83,11 +78,7 @@ def checked_pose(pose: ArrayLike) -> NDArray[np.float64]:
 
 
 def checked_window(window: tuple[float, float]) -> tuple[float, float]:
-    """Return the ends of a window as floats [m].
-
-    Raises:
-        ValueError: it is empty, or not of two finite numbers.
-    """
+    """Return the ends of a window as floats [m], or raise ValueError."""
     x_min, x_max = floats(window, "window").tolist()
     if not -np.inf < x_min < x_max < np.inf:
         raise ValueError(f"window must have finite x_min < x_max [m], got {window}")
@@ -95,11 +86,7 @@ def checked_window(window: tuple[float, float]) -> tuple[float, float]:
 
 
 def check_misfit(max_misfit: float) -> None:
-    """Check the largest deviation of a cubic from its line [m].
-
-    Raises:
-        ValueError: it is 0 or less, or no number.
-    """
+    """Check the largest deviation of a cubic from its line [m], or raise ValueError."""
     if not max_misfit > 0:
         raise ValueError(f"max_misfit must be more than 0 m, got {max_misfit!r}")
 
@@ -128,18 +115,9 @@ def stretches(
 ) -> list[Stretch]:
     """Return the stretches of lines that a car sees in a window.
 
-    A line is followed along its arc length in both directions from the point nearest to the car,
-    until it leaves the window, turns more than ``max_turn`` away from the car's x axis, or ends. If
-    it returns to the car's surroundings, as in a hairpin or a roundabout, that part is excluded.
-
-    Args:
-        lines: the lines of the map.
-        pose: (3,) e_x [m], e_y [m], e_h [rad] of the car in the map frame.
-        window: (x_min, x_max) in the ego frame [m].
-        max_turn: largest angle between a line and the car's x axis [rad].
-
-    Raises:
-        ValueError: ``pose`` is not finite or not of shape (3,), or the window is empty.
+    As for ``points_in_window``, but with a largest angle between a line and the car's x axis [rad].
+    If a line returns to the car's surroundings, as in a hairpin or a roundabout, that part is
+    excluded.
     """
     look = [*checked_pose(pose).tolist(), *checked_window(window), max_turn]
     paths = paths_near(lines, lib.maplines_look_from, look)
@@ -148,11 +126,9 @@ def stretches(
     arrays = pointer(x_ranges), pointer(points[0]), pointer(points[1])
     lib.maplines_see_lines(paths.memory, look, paths.work(), left_out, count, *arrays)
     given = [i for i in range(paths.lines) if not left_out[i]]
-    ends = np.cumsum([0, *count[0 : len(given)]]).tolist()
-    rows = zip(given, x_ranges.tolist(), pairwise(ends), strict=False)
-    return [
-        Stretch(line, (low, high), points[:, begin:end]) for line, (low, high), (begin, end) in rows
-    ]
+    parts = np.split(points, np.cumsum([*count[0 : len(given)]], dtype=int), axis=1)
+    rows = zip(given, x_ranges.tolist(), parts, strict=False)
+    return [Stretch(line, (low, high), part) for line, (low, high), part in rows]
 
 
 def points_in_window(

@@ -102,7 +102,7 @@ class Refit:
             if reason:
                 which = "the line" if len(lines) == 1 else f"line {i} of {len(lines)}"
                 raise IllPosedError(
-                    f"{which} cannot be given: {REASONS[reason]}; the window is {window} m"
+                    f"{which} cannot be given: {REASONS[reason - 1]}; the window is {window} m"
                 )
         if count < len(lines):
             raise IllPosedError(

@@ -121,14 +121,15 @@ class MapLine:
                 object.__setattr__(self, name, enum(value))
         if not isinstance(self.gaussian, Gaussian):
             raise TypeError(
-                f"gaussian must be a Gaussian over {PARAMETERS}, got {_class_name(self.gaussian)}; "
-                "use MapLine.mean_only(slot, mean) for a mean without a covariance"
+                f"gaussian must be a Gaussian over {PARAMETERS}, got "
+                f"{type(self.gaussian).__name__}; use MapLine.mean_only(slot, mean) for a mean "
+                "without a covariance"
             )
         if self.gaussian.mean.size != len(PARAMETERS):
             raise ValueError(f"gaussian must be over {PARAMETERS}, got {self.gaussian.mean.size}-D")
         if not isinstance(self.mixture, GaussianMixture | None):
             raise TypeError(
-                f"mixture must be a GaussianMixture, or None, got {_class_name(self.mixture)}; "
+                f"mixture must be a GaussianMixture, or None, got {type(self.mixture).__name__}; "
                 "use MapLine.of_mixture(slot, mixture)"
             )
         given: tuple[Any, ...] = self.x_min, self.x_max, self.age
@@ -246,10 +247,6 @@ def age_error(age: object) -> ValueError:
         f"age must be 0 s or more (up to {MAX_AGE:g}), or infinite if it is too old or unknown, "
         f"got {age!r}"
     )
-
-
-def _class_name(value: object) -> str:
-    return type(value).__name__
 
 
 @np.errstate(over="ignore", invalid="ignore")

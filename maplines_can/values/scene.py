@@ -71,7 +71,8 @@ class Scene:
     quantity of several lines, such as the width of the lane, needs their joint covariance. Scenes
     of successive cycles share it, too, for ``pose_error.correlation_time``.
 
-    ``map_scene`` makes a scene at the sender, ``Receiver.latest_scene`` at the receiver.
+    ``map_scene`` makes a scene at the sender, ``Receiver.latest_scene`` at the receiver. Methods
+    raise ValueError if the scene has no line of a slot that they are asked for.
 
     Args:
         lines: the lines, each of another slot, without mixtures. Their covariances are the blocks
@@ -134,9 +135,8 @@ class Scene:
         if self.specific_covs is not None:
             shapes["specific_covs"] = (len(lines), N, N)
         for name, shape in shapes.items():
-            values = np.array(floats(getattr(self, name), name)).reshape(
-                shape if not lines else np.shape(getattr(self, name))
-            )
+            values = np.array(floats(getattr(self, name), name))
+            values = values if lines else values.reshape(shape)
             if values.shape != shape:
                 raise ValueError(
                     f"{name} must be {shape} for {len(lines)} lines, got {values.shape}"
@@ -148,12 +148,12 @@ class Scene:
                 "cov must be finite, symmetric and positive semidefinite; for rounding errors, use "
                 f"nearest_covariance(cov); got {self.cov!r}"
             )
-        if self.specific_covs is not None and not is_covariance(self.specific_covs):
-            bad = next(cov for cov in self.specific_covs if not is_covariance(cov))
-            raise ValueError(
-                "each of specific_covs must be finite, symmetric and positive semidefinite, "
-                f"got {bad!r}"
-            )
+        for cov in () if self.specific_covs is None else self.specific_covs:
+            if not is_covariance(cov):
+                raise ValueError(
+                    "each of specific_covs must be finite, symmetric and positive semidefinite, "
+                    f"got {cov!r}"
+                )
         if not all(-math.inf < low < high < math.inf for low, high in self.fit_ranges.tolist()):
             raise ValueError(f"fit_ranges must be finite and not empty, got {self.fit_ranges!r} m")
         if not np.isfinite(self.quartics).all():
@@ -200,30 +200,18 @@ class Scene:
         return np.array([line.gaussian.mean for line in self.lines]).reshape(-1, N)
 
     def line(self, slot: Slot) -> MapLine:
-        """Return the line of a slot.
-
-        Raises:
-            ValueError: the scene has no such line.
-        """
+        """Return the line of a slot."""
         return self.lines[self._place(slot)]
 
     def joint(self, slots: Iterable[Slot] | None = None) -> Gaussian:
-        """Return the Gaussian over the parameters of some lines in this order; None for all.
-
-        Raises:
-            ValueError: the scene has no line of a slot, or no line at all.
-        """
+        """Return the Gaussian over the parameters of some lines in this order; None for all."""
         places = [*range(len(self.lines))] if slots is None else [*map(self._place, slots)]
         if not places:
             raise ValueError("the scene has no lines")
         return Gaussian.trusted(self.means[places].ravel(), self._joint_cov(places))
 
     def subset(self, slots: Iterable[Slot]) -> Scene:
-        """Return the scene with only the lines of these slots, in this order.
-
-        Raises:
-            ValueError: the scene has no line of a slot, or a slot is given twice.
-        """
+        """Return the scene with only the lines of these slots, in this order."""
         places = [*map(self._place, slots)]
         return replace(
             self,
@@ -253,11 +241,7 @@ class Scene:
         return Conditional(J, positive_part(rest, in_metres))
 
     def x_range(self, slots: Iterable[Slot]) -> tuple[float, float]:
-        """Return the range in which all lines of these slots are valid [m]; it may be empty.
-
-        Raises:
-            ValueError: the scene has no line of a slot, or there is no slot.
-        """
+        """Return the range in which all lines of these slots are valid [m]; it may be empty."""
         lines = [self.line(slot) for slot in slots]
         if not lines:
             raise ValueError("slots must be one slot or more, got none")
@@ -267,9 +251,6 @@ class Scene:
         """Return the weighted sum of the lateral positions of lines at (...,) x [m].
 
         The standard deviation is to first order. x should be in the valid ranges of the lines.
-
-        Raises:
-            ValueError: the scene has no line of a slot.
         """
         x = floats(x, "x")
         value = np.zeros(x.shape)
@@ -285,21 +266,13 @@ class Scene:
     def width(
         self, x: ArrayLike, left: Slot = Slot.EGO_LEFT, right: Slot = Slot.EGO_RIGHT
     ) -> Estimate:
-        """Return the lateral distance of two lines at (...,) x [m], by default the lane's width.
-
-        Raises:
-            ValueError: the scene has no line of a slot.
-        """
+        """Return the lateral distance of two lines at (...,) x [m], by default the lane's width."""
         return self.lateral({left: 1.0, right: -1.0}, x)
 
     def centre(
         self, x: ArrayLike, left: Slot = Slot.EGO_LEFT, right: Slot = Slot.EGO_RIGHT
     ) -> Estimate:
-        """Return the lateral position of the middle between two lines at (...,) x [m].
-
-        Raises:
-            ValueError: the scene has no line of a slot.
-        """
+        """Return the lateral position of the middle between two lines at (...,) x [m]."""
         return self.lateral({left: 0.5, right: 0.5}, x)
 
     def _joint_cov(self, places: list[int]) -> NDArray[np.float64]:
