@@ -184,19 +184,6 @@ matrix is -1; use nearest_covariance(cov), which covers it
             log_det = np.log(np.abs(A.diagonal())).sum()
         return float(((A**2).sum() + z @ z - self.dimension) / 2 - log_det)
 
-    def wasserstein(self, other: Gaussian) -> float:
-        """Return the 2-Wasserstein distance, in the units of the mean (Gelbrich 1990).
-
-        It adds the squares of all variables: use it on marginals whose variables
-        have the same unit.
-        """
-        values, vectors = np.linalg.eigh(self.cov)
-        root = (vectors * np.sqrt(values.clip(0))) @ vectors.T
-        cross = np.sqrt(np.linalg.eigvalsh(root @ other.cov @ root).clip(0)).sum()
-        d = self.mean - other.mean
-        squared = d @ d + np.trace(self.cov) + np.trace(other.cov) - 2 * cross
-        return float(np.sqrt(max(squared, 0.0)))
-
     def _factor(self) -> NDArray[np.float64]:
         """Return ``root``; raises LinAlgError if the covariance is singular."""
         if not self.root.diagonal().all():

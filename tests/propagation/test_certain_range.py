@@ -108,18 +108,6 @@ def test_a_range_ends_where_the_limit_is_passed() -> None:
     assert min(line.x_max for line in free) > 60
 
 
-def test_a_mixture_ends_where_it_is_uncertain_as_a_whole() -> None:
-    case = scenario("highway")
-    single, mixture = (
-        map_lines(case.lines, case.ego, window=case.window, components=k, max_sigma=2.0)
-        for k in (1, 3)
-    )
-    for one, other in zip(single, mixture, strict=True):
-        assert other.mixture is not None
-        assert other.x_max == pytest.approx(one.x_max, abs=1.0)
-        assert is_certain(other, 2.0)
-
-
 @pytest.mark.parametrize("max_sigma", [0.0, -1.0, np.nan])
 def test_a_wrong_limit_is_refused(max_sigma: float) -> None:
     lines = {Slot.EGO_LEFT: Polyline([[-50, 1.75], [100, 1.75]])}

@@ -58,18 +58,6 @@ def test_remaining_nonlinearity_of_a_parabola(slope: float, k: Any) -> None:
     assert remaining == pytest.approx(pooled(parabola, gaussian, k), rel=1e-6)
 
 
-def test_remaining_nonlinearity_is_less_if_another_variable_contributes() -> None:
-    """A linear variable is not narrowed by the split."""
-
-    def saddle(x: Any) -> Any:
-        return x[:, :1] ** 2 + x[:, 1:]
-
-    gaussian = Gaussian([0.0, 0.0], np.eye(2))
-    for k in range(2, 9):
-        predicted = remaining_nonlinearity(nonlinearity(saddle, gaussian).amount, k)
-        assert pooled(saddle, gaussian, k) < predicted
-
-
 @pytest.mark.parametrize(
     ("values", "settings", "counts"),
     [
@@ -90,23 +78,6 @@ def test_remaining_nonlinearity_is_less_if_another_variable_contributes() -> Non
 def test_component_counts(values: Any, settings: Any, counts: Any) -> None:
     """Values one step from each bound."""
     assert component_counts(values, **settings) == counts
-
-
-@given(amounts, tolerances, tolerances)
-def test_a_larger_tolerance_never_needs_more_components(values: Any, one: Any, other: Any) -> None:
-    """Without a budget each line gets the fewest components that meet the tolerance.
-
-    Components of a mixture meet three quarters of it.
-    """
-    wide, narrow = (
-        component_counts(values, tolerance=t) for t in sorted([one, other], reverse=True)
-    )
-    assert all(w <= n for w, n in zip(wide, narrow, strict=True))
-    tolerance = min(one, other)
-    for value, k in zip(values, narrow, strict=True):
-        limit = [tolerance, 0.75 * tolerance]
-        assert k == 8 or remaining_nonlinearity(value, k) <= limit[k > 1]
-        assert k == 1 or remaining_nonlinearity(value, k - 1) > limit[k > 2]
 
 
 @given(amounts, tolerances, st.integers(0, 64), st.integers(0, 64))

@@ -126,13 +126,6 @@ def test_the_pose_error_moves_the_lines_together() -> None:
     assert scene.centre(40.0).sigma == pytest.approx(np.hypot(0.2, 40 * 0.003), rel=1e-2)
 
 
-def test_the_map_error_moves_each_line_by_itself() -> None:
-    """The width has twice the variance of the offset, the centre half of it."""
-    scene = map_scene(ROADS, EGO, map_error=MapError(offset_sigma=0.1))
-    assert scene.width(0.0).sigma == pytest.approx(np.sqrt(2) * 0.1, rel=2e-2)
-    assert scene.centre(0.0).sigma == pytest.approx(np.hypot(0.2, 0.1 / np.sqrt(2)), rel=2e-2)
-
-
 def test_the_pose_error_is_in_the_frame_of_the_car() -> None:
     """Of a car that heads north, what is along is the variance of y of the map."""
     ego = Gaussian([5.0, 7.0, np.pi / 2], np.diag([0.2, 0.1, 0.003]) ** 2)

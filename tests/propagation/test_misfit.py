@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maplines_can import Gaussian, MapError, Polyline, Refit, Slot, map_lines
+from maplines_can import Polyline, Refit
 from maplines_can.consumers.path import MIN_SIGMA
 from maplines_can.simulation.street_shapes import Street, StreetPiece
 from maplines_can.values.line import lateral, lateral_jacobian
@@ -55,24 +55,6 @@ def test_second_differences_of_clothoids_are_within_three_sigma(curvatures: list
     J = lateral_jacobian(refit(ORIGIN), x)
     sigma = np.sqrt(np.einsum("ki,ij,kj->k", J, np.asarray(refit.noise_cov), J))
     assert np.all(np.abs(true_lateral(line, x) - lateral(refit(ORIGIN), x)) <= 2.3 * sigma)
-
-
-def test_the_curvature_of_a_straight_road_before_a_bend_is_within_three_sigma() -> None:
-    """40 m before a clothoid to a radius of 150 m the road is straight, and its cubic is not."""
-    street = Street(
-        [StreetPiece(100), StreetPiece(20, 0, 1 / 150), StreetPiece(100, 1 / 150, 1 / 150)],
-        behind=60,
-    )
-    ego = Gaussian(ORIGIN, np.diag([0.3, 0.1, 0.003]) ** 2)
-    lines = {Slot.EGO_LEFT: polyline(street)}
-    (line,) = map_lines(lines, ego, map_error=MapError(point_sigma=0.05))
-    x = np.array([-5.0, 0.0, 5.0])
-    weights = np.array([1.0, -2.0, 1.0]) / 25  # mean curvature over 10 m at the car
-    J = weights @ lateral_jacobian(line.gaussian.mean, x)
-
-    assert weights @ lateral(line.gaussian.mean, x) < -0.002
-    z = weights @ lateral(line.gaussian.mean, x) / np.sqrt(J @ line.gaussian.cov @ J)
-    assert abs(z) < 3
 
 
 def test_the_variances_are_those_of_chebyshev_polynomials_of_the_range() -> None:

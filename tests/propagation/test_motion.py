@@ -34,14 +34,6 @@ def test_a_yaw_rate_of_almost_zero(yaw_rate: float) -> None:
     assert heading == yaw_rate / 2
 
 
-def test_no_time_is_no_displacement() -> None:
-    """Mean and covariance are exactly zero, for any covariance of the motion."""
-    displacement = Motion.with_sigma(30.0, 0.5, (3.0, 0.5)).over(0.0)
-
-    assert not displacement.mean.any()
-    assert not displacement.cov.any()
-
-
 def test_uncertainties_of_speed_yaw_rate_and_time_add_up() -> None:
     """Straight ahead: x by speed and time, heading by yaw rate, y by half the heading times x."""
     displacement = Motion.with_sigma(20.0, 0.0, (0.5, 0.02)).over(0.1, time_sigma=0.005)

@@ -50,24 +50,6 @@ def test_quadrature_is_exact_up_to_its_degree_and_not_beyond(order: int) -> None
     assert np.isclose(missing, factorial(order), rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("cov", "points"),
-    [(np.eye(3), 125), (np.diag([1, 1, 0]), 25), (np.ones((3, 3)), 5), (np.zeros((3, 3)), 1)],
-    ids=["full", "known-heading", "rank-one", "zero"],
-)
-def test_directions_without_variance_get_one_point(cov: Any, points: int) -> None:
-    """There are order^rank points, and the first is the mean."""
-    mean, seen = np.array([1.0, -2.0, 0.3]), []
-
-    def watch(x: Any) -> Any:
-        seen.extend(x)
-        return x
-
-    Quadrature(5)(watch, Gaussian(mean, cov))
-    assert len(seen) == points
-    assert np.allclose(seen[0], mean, atol=1e-15)
-
-
 def test_points_of_small_weight_without_a_value_are_excluded() -> None:
     """They are excluded with a warning; points of larger weight raise."""
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from maplines_can import IllPosedError, LeftOut, Refit
-from maplines_can.propagation.paths import points_in_window, stretches
+from maplines_can.propagation.paths import points_in_window
 from maplines_can.values.polyline import INDEXED, Polyline, to_ego
 
 STRAIGHT = Polyline([[x, 0.0] for x in range(101)])
@@ -78,31 +78,6 @@ def test_item_1_a_line_ends_where_it_turns_away() -> None:
     end = points_in_window(line, [0, 0, 0], (-20, 80))[-1]
 
     assert end == pytest.approx(arc[65], abs=0.15)
-
-
-@pytest.mark.parametrize("count", [50, INDEXED + 1, 20_000])
-def test_points_of_several_lines_are_selected_independently(count: int) -> None:
-    """The stretches of several lines are those of each line alone."""
-    x = np.linspace(-100, 200, count)
-    wave = Polyline(np.column_stack([x, 3 * np.sin(x / 40)]))
-    lines = [
-        STRAIGHT,
-        wave,
-        Polyline([[20, -90], [20, 90]]),
-        hairpin(),
-        Polyline(wave.points[::-1]),
-    ]
-    pose, window = [20.0, 1.0, 0.1], (-10.0, 60.0)
-    together = stretches(lines, pose, window)
-
-    assert [stretch.line for stretch in together] == [0, 1, 3, 4]
-    for stretch in together:
-        (alone,) = stretches([lines[stretch.line]], pose, window)
-        assert stretch.x_range == pytest.approx(alone.x_range, abs=1e-9)
-        x = np.linspace(*alone.x_range, 50)
-        assert stretch.lateral(x) == pytest.approx(alone.lateral(x), abs=1e-9)
-        if stretch.points.shape[1] > 50:
-            assert alone.lateral(x) == pytest.approx(np.interp(x, *alone.points), abs=1e-9)
 
 
 @pytest.mark.parametrize("spacing", [0.5, 45.0])

@@ -277,27 +277,6 @@ def test_a_singular_gaussian_has_no_density() -> None:
             ask()
 
 
-def test_wasserstein_without_correlation_is_the_euclidean_distance() -> None:
-    """Without correlation it is the Euclidean distance of (mean, sigma)."""
-    p, q = Gaussian([0, 0], np.diag([1.0, 9.0])), Gaussian([3, 4], np.diag([4.0, 0.0]))
-
-    assert np.isclose(p.wasserstein(q), np.sqrt(3**2 + 4**2 + 1**2 + 3**2), rtol=1e-14)
-    assert p.wasserstein(p) <= 1e-7
-
-
-@given(gaussians(n=2), gaussians(n=2))
-def test_wasserstein_agrees_with_its_closed_form_in_two_dimensions(p: Any, q: Any) -> None:
-    """The trace of the matrix root is sqrt(trace + 2 sqrt(determinant)), in both directions."""
-    unit = np.sqrt(max(np.trace(p.cov), np.trace(q.cov)))
-    P, Q = p.cov / unit**2, q.cov / unit**2
-    d = (p.mean - q.mean) / unit
-    cross = np.sqrt(np.trace(P @ Q) + 2 * np.sqrt(np.linalg.det(P) * np.linalg.det(Q)))
-    squared = d @ d + np.trace(P + Q) - 2 * cross
-
-    assert np.isclose((p.wasserstein(q) / unit) ** 2, squared, atol=1e-7)
-    assert np.isclose((q.wasserstein(p) / unit) ** 2, squared, atol=1e-7)
-
-
 @pytest.mark.parametrize(
     ("make", "words"),
     [
