@@ -1027,6 +1027,7 @@ typedef struct {
     bool is_covered;
     uint8_t spacing_count;
     uint16_t spacings[MAPLINES_CHOSEN_SPACINGS]; ///< raw values of the shape that suit it best
+    double noise[MAPLINES_CHOSEN_SPACINGS][10];  ///< lower triangles for unit errors of points
     double levels[16];                           ///< covariance of the levels that are sent
 } maplines_sent_line_t;
 
@@ -1037,7 +1038,7 @@ typedef struct {
     double shape[MAPLINES_KEPT_SHAPES];
 } maplines_level_squares_t;
 
-/// Memory in which a scene is encoded: 51 kB. It takes up to 12 kB of stack besides.
+/// Memory in which a scene is encoded: 54 kB. It takes up to 12 kB of stack besides.
 typedef struct {
     maplines_scene_member_t members[MAPLINES_SLOTS];
     int count;                  ///< of the lines that are not left out so far
@@ -1051,8 +1052,8 @@ typedef struct {
     double J[MAPLINES_SLOTS][16];
     double more[MAPLINES_SLOTS][16];
     double lacking[MAPLINES_SLOTS][16];
-    double target[16 * MAPLINES_SLOTS * MAPLINES_SLOTS];
-    double spread[16 * MAPLINES_SLOTS * MAPLINES_SLOTS];
+    double spread[MAPLINES_SLOTS][16];                 ///< of each line, due to the pose error
+    double rest[16 * MAPLINES_SLOTS * MAPLINES_SLOTS]; ///< what the lines must cover besides
     maplines_level_squares_t squares;
     maplines_joint_space_t joint;
 } maplines_scene_workspace_t;

@@ -325,6 +325,11 @@ MAPLINES_INTERNAL void maplines_level_noise(const maplines_levels_t *levels,
                                             double cov[16]);
 /// Level of a raw value of the lateral level or that of the points [m].
 MAPLINES_INTERNAL double maplines_level(const maplines_signal_t *signal, int64_t raw);
+/// Binary logarithm of the level of the shape for the raw value 0 [m]; by how much it is more for
+/// the greatest one, and from one to the next.
+#define MAPLINES_SHAPE_OFFSET (-10.0)
+#define MAPLINES_SHAPE_OCTAVES 10.2
+MAPLINES_INTERNAL double maplines_shape_step(const maplines_levels_t *levels);
 /// Level of a raw value of the shape, where there are no errors of points [m].
 MAPLINES_INTERNAL double maplines_shape_level(const maplines_levels_t *levels, int64_t raw);
 /// Variance of the coefficient of T_k of a line of uncertain shape, up to a common factor.
@@ -378,10 +383,11 @@ MAPLINES_INTERNAL bool maplines_decode_scene(const maplines_dbc_t *dbc, const ui
 
 /// Cholesky factor of a (4, 4) matrix, or the identity if it has none that is finite.
 MAPLINES_INTERNAL void maplines_factor_or_identity(const double S[16], double L[16]);
-/// What to add to D_i (own) so that diag(D_1, ...) + spread covers the target, all of them of
-/// 4 `lines` rows; false if nothing is. J are derivatives of lines with respect to T_0 .. T_3. It
-/// is NaN for a line whose D_i is not definite, or for all lines if the sum cannot be compared.
-MAPLINES_INTERNAL bool maplines_uncovered(int lines, const double *target, const double *spread,
+/// What to add to D_i (own) so that diag(D_1, ...) covers what a spread leaves of a target, a rest
+/// of 4 `lines` rows; false if nothing is. Of the spread, blocks of the lines are given. J are
+/// derivatives of lines with respect to T_0 .. T_3. It is NaN for a line whose D_i is not definite,
+/// or for all lines if the sum cannot be compared.
+MAPLINES_INTERNAL bool maplines_uncovered(int lines, const double *rest, double (*spread)[16],
                                           double (*own)[16], double (*J)[16],
                                           maplines_joint_space_t *space, double (*lacking)[16]);
 
@@ -459,7 +465,8 @@ MAPLINES_INTERNAL maplines_left_out_t maplines_state_member(const maplines_dbc_t
 /// Find the parts of its covariance; false if it cannot be seen from other poses.
 MAPLINES_INTERNAL bool maplines_find_parts(const maplines_scene_input_t *scene, int place,
                                            maplines_scene_member_t *member);
-/// Joint covariance of the lines that are left, with the errors of their means.
+/// What the spread of the lines that are left, which is in `space->rest` before, leaves of their
+/// joint covariance with the errors of their means.
 MAPLINES_INTERNAL void maplines_joint_target(const maplines_scene_input_t *scene,
                                              maplines_scene_workspace_t *space);
 /// Encode D_i of the lines that are left, so that they cover the joint target. Sets which lines are

@@ -15,7 +15,7 @@ static const double first_excess = 0x1p-4;
 static const double least_excess = 0x1p-40;
 static const double farther = 16.0;
 static const double nearer = 0x1p-6;
-static const double joint_precision = 0x1p-14;
+static const double joint_precision = 0x1p-8;
 static const double ln_2 = 0x1.62e42fefa39efp-1;
 
 static bool is_finite(int n, const double *values)
@@ -166,17 +166,8 @@ static bool largest_eigenvalue(int n, const double *S, double bound, double *L, 
     return false;
 }
 
-/// Block (i, j) of an (n, n) matrix of (4, 4) blocks.
-static void block_of(int n, const double *S, int i, int j, double block[16])
-{
-    for (int row = 0; row < 4; ++row)
-    {
-        memcpy(block + 4 * row, S + (4 * i + row) * n + 4 * j, 4 * sizeof block[0]);
-    }
-}
-
-/// diag(W) (S - T) diag(W)^T, exactly symmetric.
-static void whitened(int lines, double (*W)[16], const double *S, const double *T, double *out)
+/// diag(W) S diag(W)^T, exactly symmetric.
+static void whitened(int lines, double (*W)[16], const double *S, double *out)
 {
     const int n = 4 * lines;
     for (int i = 0; i < lines; ++i)
@@ -186,11 +177,9 @@ static void whitened(int lines, double (*W)[16], const double *S, const double *
             double A[16];
             double B[16];
             double C[16];
-            block_of(n, S, i, j, A);
-            block_of(n, T, i, j, B);
-            for (int k = 0; k < 16; ++k)
+            for (int row = 0; row < 4; ++row)
             {
-                A[k] = A[k] - B[k];
+                memcpy(A + 4 * row, S + (4 * i + row) * n + 4 * j, 4 * sizeof A[0]);
             }
             maplines_product(4, 4, 4, W[i], A, C);
             maplines_product_transposed(4, 4, 4, C, W[j], B);
@@ -265,7 +254,7 @@ static bool add_directions(int lines, double (*L)[16], double (*sizes)[16], doub
     return true;
 }
 
-MAPLINES_INTERNAL bool maplines_uncovered(int lines, const double *target, const double *spread,
+MAPLINES_INTERNAL bool maplines_uncovered(int lines, const double *rest, double (*spread)[16],
                                           double (*own)[16], double (*J)[16],
                                           maplines_joint_space_t *space, double (*lacking)[16])
 {
@@ -294,17 +283,15 @@ MAPLINES_INTERNAL bool maplines_uncovered(int lines, const double *target, const
     {
         maplines_lower_solution(4, 4, L[i], W[i]);
     }
-    whitened(lines, W, target, spread, space->excess);
+    whitened(lines, W, rest, space->excess);
     if (is_below(n, space->excess, 1.0 - joint_slack, space->factor))
     {
         return false;
     }
     for (int i = 0; i < lines; ++i)
     {
-        double block[16];
         double whole[16];
-        block_of(n, spread, i, i, block);
-        maplines_congruence(W[i], block, whole);
+        maplines_congruence(W[i], spread[i], whole);
         for (int k = 0; k < 16; k += 5)
         {
             whole[k] = 1.0 + whole[k];

@@ -2,11 +2,11 @@
  *
  * The cost is the divergence from the true covariance plus the logarithm of the largest ratio of
  * variances of the lateral position or the direction of the line. For each spacing of the points
- * the least level of the points is searched; one above it is tried. There the line is taken for a
- * straight one, since the covariances of a straight line are in the tables. For the best spacings
- * some more are tried, with the covariances of the line itself, and some levels of the shape alone.
- * Of candidates of equal cost the first one is taken, in the order of
- * maplines_can/model/level_search.py.
+ * the least level of the points is searched; the cost of one above it, without the lateral
+ * position, tells the best spacings. There the line is taken for a straight one, since the
+ * covariances of a straight line are in the tables. For the best spacings some levels are tried,
+ * with the covariances of the line itself, and some levels of the shape alone. Of candidates of
+ * equal cost the first one is taken, in the order of maplines_can/model/level_search.py.
  *
  * A cost is no less than a bound by the variances of the direction, by definition. So what the
  * bound rules out need not be tried.
@@ -21,6 +21,8 @@
 #define BUCKETS_PER_NAT 32.0
 
 static const int64_t tried[TRIED] = {0, 1, 2, 3, 5};
+/// Lower triangle of a (4, 4) matrix, row by row.
+static const int places[10] = {0, 4, 5, 8, 9, 10, 12, 13, 14, 15};
 
 /// More than any level squared [m^2].
 static const double beyond = 1e100;
@@ -34,6 +36,8 @@ typedef struct {
     const maplines_signal_t *signal;
     double *squares; ///< 0 until they are computed
     int64_t kept;    ///< number of them
+    double factor;   ///< of the logarithm to base 2 of levels
+    double offset;
 } squares_t;
 
 /// What levels are to cover, in coefficients of T_0 .. T_3. Only lower triangles are used.
@@ -41,9 +45,11 @@ typedef struct {
     const maplines_dbc_t *dbc;
     const maplines_levels_t *levels;
     maplines_arc_t arc;
-    double lacking[16];            ///< what the levels are to cover
-    double common[16];             ///< what is added to their covariance
-    double directions[DIRECTIONS]; ///< variances of the true covariance
+    double lacking[16]; ///< what the levels are to cover
+    double common[16];  ///< what is added to their covariance
+    double true_cov[16];
+    double determinant;            ///< of the true covariance without row and column 0
+    double directions[DIRECTIONS]; ///< inverse variances of the true covariance
     double shapes[4];
     maplines_reference_t reference;
     squares_t lateral;
@@ -87,20 +93,36 @@ static inline double level_squared(const squares_t *of, int64_t raw)
     return raw < of->kept && of->squares[raw] > 0.0 ? of->squares[raw] : compute_square(of, raw);
 }
 
+/// Logarithm to base 2 of a positive number, linear between powers of two: up to 0.09 less.
+static double rough_log2(double x)
+{
+    uint64_t bits;
+    memcpy(&bits, &x, sizeof bits);
+    return (double)bits * 0x1p-52 - 1023.0;
+}
+
 /// Least raw value of which the square of the level is not less; one more than the greatest if
-/// none is.
+/// none is. Levels are powers of two at equal distances, so that there is nearly no search.
 static int64_t raw_of_square(const squares_t *of, double square)
 {
-    int64_t low = -1;
-    int64_t high = of->signal->raw_max + 1;
-    while (high - low > 1)
+    const int64_t beyond_all = of->signal->raw_max + 1;
+    if (!(square > 0.0))
     {
-        const int64_t middle = (low + high) / 2;
-        const bool is_enough = level_squared(of, middle) >= square;
-        high = is_enough ? middle : high;
-        low = is_enough ? low : middle;
+        return square <= 0.0 ? 0 : beyond_all;
     }
-    return high;
+    const double place = (rough_log2(square) / 2.0 - of->offset) / of->factor;
+    const double most = (double)beyond_all;
+    const double limited = place < most ? place : most;
+    int64_t raw = limited > 1.0 ? (int64_t)limited : 1;
+    while (raw > 1 && level_squared(of, raw - 1) >= square)
+    {
+        --raw;
+    }
+    while (raw < beyond_all && !(level_squared(of, raw) >= square))
+    {
+        ++raw;
+    }
+    return raw;
 }
 
 /// Least raw level, 1 or more, whose multiple of a covariance covers all variances but that of T_0.
@@ -220,6 +242,33 @@ static void directions_of(const double S[16], double variances[DIRECTIONS])
     variances[4] = centre + 9.0 * S[15];
 }
 
+/// What a multiple of a covariance decodes to, without row and column 0: the lower triangle.
+static void decoded_rest(const search_t *search, double square, const double covariance[16],
+                         double decoded[16])
+{
+    const double *common = search->common;
+    decoded[5] = square * covariance[5] + common[5];
+    decoded[9] = square * covariance[9] + common[9];
+    decoded[10] = square * covariance[10] + common[10];
+    decoded[13] = square * covariance[13] + common[13];
+    decoded[14] = square * covariance[14] + common[14];
+    decoded[15] = square * covariance[15] + common[15];
+}
+
+/// Largest ratio of variances of the direction to the true ones, if it is more than 1; else 1.
+static double largest_direction(const search_t *search, const double decoded[16])
+{
+    double variances[DIRECTIONS];
+    double r = 1.0;
+    directions_of(decoded, variances);
+    for (int i = 0; i < DIRECTIONS; ++i)
+    {
+        const double ratio = variances[i] * search->directions[i];
+        r = ratio > r ? ratio : r;
+    }
+    return r;
+}
+
 /// Lower bound of the cost of a multiple of a covariance; 0 or NaN if there is none.
 ///
 /// Let r be the largest ratio of its variances of the direction to the true ones. If it is more
@@ -227,23 +276,46 @@ static void directions_of(const double S[16], double variances[DIRECTIONS])
 /// least.
 static double least_cost(const search_t *search, double square, const double covariance[16])
 {
-    const double *common = search->common;
     double decoded[16];
-    double variances[DIRECTIONS];
-    double r = 1.0;
-    decoded[5] = square * covariance[5] + common[5];
-    decoded[9] = square * covariance[9] + common[9];
-    decoded[10] = square * covariance[10] + common[10];
-    decoded[13] = square * covariance[13] + common[13];
-    decoded[14] = square * covariance[14] + common[14];
-    decoded[15] = square * covariance[15] + common[15];
-    directions_of(decoded, variances);
-    for (int i = 0; i < DIRECTIONS; ++i)
-    {
-        const double ratio = variances[i] / search->directions[i];
-        r = ratio > r ? ratio : r;
-    }
+    decoded_rest(search, square, covariance, decoded);
+    const double r = largest_direction(search, decoded);
     return (r - 1.0) * (5.0 * r - 1.0) / (2.0 * r * (r + 1.0));
+}
+
+/// Cofactors of a symmetric matrix without row and column 0, of its lower triangle row by row;
+/// returns its determinant.
+static double cofactors_of(const double M[16], double cofactors[6])
+{
+    cofactors[0] = M[10] * M[15] - M[14] * M[14];
+    cofactors[1] = M[13] * M[14] - M[9] * M[15];
+    cofactors[2] = M[5] * M[15] - M[13] * M[13];
+    cofactors[3] = M[9] * M[14] - M[13] * M[10];
+    cofactors[4] = M[9] * M[13] - M[5] * M[14];
+    cofactors[5] = M[5] * M[10] - M[9] * M[9];
+    const double two = M[5] * cofactors[0] + M[9] * cofactors[1];
+    return two + M[13] * cofactors[3];
+}
+
+/// Cost of a multiple of a covariance for the direction of the line, whatever its lateral position:
+/// the cost without T_0. It is `bound` at least.
+static double direction_cost(const search_t *search, double square, const double covariance[16],
+                             double bound)
+{
+    const double *T = search->true_cov;
+    double decoded[16];
+    double C[6];
+    decoded_rest(search, square, covariance, decoded);
+    const double determinant = cofactors_of(decoded, C);
+    const double two = T[5] * C[0] + T[10] * C[2];
+    const double diagonal = two + T[15] * C[5];
+    const double other = T[9] * C[1] + T[13] * C[3];
+    const double trace = diagonal + 2.0 * (other + T[14] * C[4]);
+    const double r = largest_direction(search, decoded);
+    const double ratio = determinant / search->determinant * r * r;
+    const double by_trace = (trace / determinant - 3.0) / 2.0;
+    const double cost = by_trace + natural_log_of_2 * maplines_log2(ratio) / 2.0;
+    const double least = bound > cost ? bound : cost;
+    return fabs(cost) < (double)INFINITY ? least : (double)INFINITY;
 }
 
 /// Find the lateral level with which a multiple of a covariance covers, and the cost of both, which
@@ -287,7 +359,6 @@ static void assess(const search_t *search, double square, const double covarianc
 /// stretched as this one is on average.
 static void near_noise(const search_t *search, double stretch_squared, int spacing, double cov[16])
 {
-    static const int places[10] = {0, 4, 5, 8, 9, 10, 12, 13, 14, 15};
     const float *straight = search->dbc->straight[spacing];
     const double of_shape = (double)straight[10];
     for (int i = 0; i < 10; ++i)
@@ -333,20 +404,18 @@ static void insert(spacing_t best[CHOSEN], int *count, const spacing_t *spacing)
     }
 }
 
-/// Assess one level of the points at a spacing, and keep it if it is among the best so far.
+/// Compute the cost of one level of the points at a spacing, and keep it if it is among the best.
 static void try_spacing(const search_t *search, double stretch_squared, int i, double bound,
                         spacing_t best[CHOSEN], int *count)
 {
-    double noise[16] = {0.0};
-    candidate_t candidate;
+    double noise[16];
     near_noise(search, stretch_squared, i, noise);
     const int64_t points = least_level(search, &search->points, noise) + tried[1];
     spacing_t spacing = {(double)INFINITY,
                          search->levels->shape.raw_min + (int64_t)i * search->dbc->spacing_step};
     if (points <= search->levels->points.raw_max)
     {
-        assess(search, level_squared(&search->points, points), noise, bound, &candidate);
-        spacing.cost = candidate.cost;
+        spacing.cost = direction_cost(search, level_squared(&search->points, points), noise, bound);
     }
     insert(best, count, &spacing);
 }
@@ -406,7 +475,13 @@ static void choose_spacings(const search_t *search, maplines_sent_line_t *line)
     }
     for (int i = 0; i < count; ++i)
     {
+        double noise[16];
+        maplines_level_noise(search->levels, &search->arc, best[i].raw, noise);
         line->spacings[i] = (uint16_t)best[i].raw;
+        for (int k = 0; k < 10; ++k)
+        {
+            line->noise[i][k] = noise[places[k]];
+        }
     }
     line->spacing_count = (uint8_t)count;
 }
@@ -423,13 +498,14 @@ static void try_levels(const search_t *search, const squares_t *of, int64_t shap
         const int64_t raw = least + tried[k];
         const double square = level_squared(of, raw);
         const double bound = least_cost(search, square, covariance);
-        if (raw <= of->signal->raw_max && !(bound >= best->cost))
+        if (raw > of->signal->raw_max || bound >= best->cost)
         {
-            assess(search, square, covariance, bound, &candidate);
-            candidate.points = is_shape ? 0 : raw;
-            candidate.shape = is_shape ? raw : shape;
-            *best = candidate.cost < best->cost ? candidate : *best;
+            break; // higher levels cost no less
         }
+        assess(search, square, covariance, bound, &candidate);
+        candidate.points = is_shape ? 0 : raw;
+        candidate.shape = is_shape ? raw : shape;
+        *best = candidate.cost < best->cost ? candidate : *best;
     }
 }
 
@@ -439,16 +515,25 @@ static void begin(search_t *search, const maplines_dbc_t *dbc,
 {
     double inverse[16];
     double matrix[16];
+    double cofactors[6];
     const maplines_levels_t *levels = maplines_levels_of(dbc);
-    const squares_t lateral = {levels, &levels->lateral, squares->lateral, MAPLINES_KEPT_LEVELS};
-    const squares_t points = {levels, &levels->points, squares->points, MAPLINES_KEPT_LEVELS};
-    const squares_t shape = {levels, &levels->shape, squares->shape, MAPLINES_KEPT_SHAPES};
+    const maplines_signal_t *a = &levels->lateral;
+    const maplines_signal_t *p = &levels->points;
+    const squares_t lateral = {levels,    a,        squares->lateral, MAPLINES_KEPT_LEVELS,
+                               a->factor, a->offset};
+    const squares_t points = {levels,    p,        squares->points, MAPLINES_KEPT_LEVELS,
+                              p->factor, p->offset};
+    const squares_t shape = {levels,
+                             &levels->shape,
+                             squares->shape,
+                             MAPLINES_KEPT_SHAPES,
+                             maplines_shape_step(levels),
+                             MAPLINES_SHAPE_OFFSET};
     search->dbc = dbc;
     search->levels = levels;
     search->lateral = lateral;
     search->points = points;
     search->shape = shape;
-    maplines_arc_of(target->curve, &search->arc);
     maplines_inverse(target->J, inverse);
     maplines_congruence(inverse, target->target, matrix);
     for (int i = 0; i < 4; ++i)
@@ -463,6 +548,12 @@ static void begin(search_t *search, const maplines_dbc_t *dbc,
     maplines_congruence(inverse, target->true_cov, matrix);
     maplines_compare_with(matrix, &search->reference);
     directions_of(matrix, search->directions);
+    for (int i = 0; i < DIRECTIONS; ++i)
+    {
+        search->directions[i] = 1.0 / search->directions[i];
+    }
+    memcpy(search->true_cov, matrix, sizeof matrix);
+    search->determinant = cofactors_of(matrix, cofactors);
 }
 
 MAPLINES_INTERNAL bool maplines_search_levels(const maplines_dbc_t *dbc,
@@ -477,14 +568,18 @@ MAPLINES_INTERNAL bool maplines_search_levels(const maplines_dbc_t *dbc,
     best.cost = (double)INFINITY;
     if (line->spacing_count == 0)
     {
+        maplines_arc_of(target->curve, &search.arc);
         choose_spacings(&search, line);
     }
     for (int i = 0; i < (int)line->spacing_count; ++i)
     {
         double noise[16];
-        const int64_t shape_raw = line->spacings[i];
-        maplines_level_noise(search.levels, &search.arc, shape_raw, noise);
-        try_levels(&search, &search.points, shape_raw, noise, &best);
+        for (int k = 0; k < 10; ++k)
+        {
+            noise[4 * (places[k] % 4) + places[k] / 4] = line->noise[i][k];
+            noise[places[k]] = line->noise[i][k];
+        }
+        try_levels(&search, &search.points, line->spacings[i], noise, &best);
     }
     double shape[16] = {0.0};
     for (int i = 0; i < 4; ++i)

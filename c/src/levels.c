@@ -4,8 +4,6 @@
  */
 #include "internal.h"
 
-#define MAPLINES_SHAPE_OFFSET (-10.0) ///< log2 of the level of the shape for the raw value 0 [m]
-#define MAPLINES_SHAPE_OCTAVES 10.2   ///< by which that of the greatest raw value exceeds it
 #define MAPLINES_GOLDEN_RATIO 0x1.9e3779b97f4a8p+0
 
 // From values at the nodes to the coefficients of T_0 .. T_3 of their cubic fit.
@@ -216,11 +214,15 @@ MAPLINES_INTERNAL double maplines_level(const maplines_signal_t *signal, int64_t
     return raw == 0 ? 0.0 : maplines_exp2(maplines_physical(signal, clipped(signal, raw)));
 }
 
-MAPLINES_INTERNAL double maplines_shape_level(const maplines_levels_t *levels, int64_t raw)
+MAPLINES_INTERNAL double maplines_shape_step(const maplines_levels_t *levels)
 {
     const int64_t most = levels->shape.raw_max;
-    const double step = MAPLINES_SHAPE_OCTAVES / (double)(most > 1 ? most : 1);
-    const double exponent = step * (double)clipped(&levels->shape, raw);
+    return MAPLINES_SHAPE_OCTAVES / (double)(most > 1 ? most : 1);
+}
+
+MAPLINES_INTERNAL double maplines_shape_level(const maplines_levels_t *levels, int64_t raw)
+{
+    const double exponent = maplines_shape_step(levels) * (double)clipped(&levels->shape, raw);
     return raw == 0 ? 0.0 : maplines_exp2(MAPLINES_SHAPE_OFFSET + exponent);
 }
 

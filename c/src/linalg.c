@@ -111,7 +111,7 @@ static bool factor_of_four(const double S[16], double L[16])
 /// Returns whether all pivots are positive; if not, the rest of L is undefined.
 MAPLINES_INTERNAL bool maplines_cholesky_factor(int n, const double *S, double *L)
 {
-    double column[MAPLINES_STATES];
+    double columns[4][MAPLINES_STATES]; // of L, four at a time: each entry is read once for them
     if (n == 4)
     {
         return factor_of_four(S, L);
@@ -123,25 +123,41 @@ MAPLINES_INTERNAL bool maplines_cholesky_factor(int n, const double *S, double *
             L[i * n + j] = j <= i ? S[i * n + j] : 0.0;
         }
     }
-    for (int k = 0; k < n; ++k)
+    for (int begin = 0; begin < n; begin += 4)
     {
-        const double pivot = L[k * n + k];
-        if (!(pivot > 0.0))
+        const int end = begin + 4 < n ? begin + 4 : n;
+        for (int k = begin; k < end; ++k)
         {
-            return false;
-        }
-        column[k] = sqrt(pivot);
-        L[k * n + k] = column[k];
-        for (int i = k + 1; i < n; ++i)
-        {
-            const double factor = L[i * n + k] / column[k];
-            double *row = L + i * n;
-            row[k] = factor;
-            column[i] = factor;
-            for (int j = k + 1; j <= i; ++j)
+            double *column = columns[k - begin];
+            const double pivot = L[k * n + k];
+            if (!(pivot > 0.0))
             {
-                const double term = factor * column[j];
-                row[j] = row[j] - term;
+                return false;
+            }
+            const double root = sqrt(pivot);
+            L[k * n + k] = root;
+            for (int i = k + 1; i < n; ++i)
+            {
+                double *row = L + i * n;
+                column[i] = row[k] / root;
+                row[k] = column[i];
+                for (int j = k + 1; j <= i && j < end; ++j)
+                {
+                    const double term = column[i] * column[j];
+                    row[j] = row[j] - term;
+                }
+            }
+        }
+        for (int i = end; i < n; ++i)
+        {
+            double *row = L + i * n;
+            const double factor[4] = {row[begin], row[begin + 1], row[begin + 2], row[begin + 3]};
+            for (int j = end; j <= i; ++j)
+            {
+                const double one = row[j] - factor[0] * columns[0][j];
+                const double two = one - factor[1] * columns[1][j];
+                const double three = two - factor[2] * columns[2][j];
+                row[j] = three - factor[3] * columns[3][j];
             }
         }
     }
@@ -169,17 +185,16 @@ MAPLINES_INTERNAL void maplines_lower_solution(int n, int m, const double *L, do
 /// Solution X of L^T X = B, in place of the (n, m) matrix B, for a lower triangular (n, n) matrix.
 MAPLINES_INTERNAL void maplines_upper_solution(int n, int m, const double *L, double *B)
 {
-    for (int i = n - 1; i >= 0; --i)
+    for (int k = n - 1; k >= 0; --k)
     {
         for (int j = 0; j < m; ++j)
         {
-            double rest = B[i * m + j];
-            for (int k = n - 1; k > i; --k)
+            B[k * m + j] = B[k * m + j] / L[k * n + k];
+            for (int i = 0; i < k; ++i)
             {
                 const double term = L[k * n + i] * B[k * m + j];
-                rest = rest - term;
+                B[i * m + j] = B[i * m + j] - term;
             }
-            B[i * m + j] = rest / L[i * n + i];
         }
     }
 }

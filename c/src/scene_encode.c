@@ -224,7 +224,7 @@ static bool find_spread(maplines_scene_workspace_t *space)
         }
     }
     const int n = 4 * space->count;
-    maplines_product_transposed(n, MAPLINES_POSES, n, A[0], A[0], space->spread);
+    maplines_product_transposed(n, MAPLINES_POSES, n, A[0], A[0], space->rest);
     return true;
 }
 

@@ -195,12 +195,14 @@ MAPLINES_INTERNAL void maplines_joint_target(const maplines_scene_input_t *scene
             const int of_j = space->places[j / 4];
             const double square =
                 space->lines[i / 4].error[i % 4] * space->lines[j / 4].error[j % 4];
+            const double common = space->rest[n * i + j];
             double entry = scene->cov[4 * of_i + i % 4][4 * of_j + j % 4] + square;
             if (of_i == of_j)
             {
+                space->spread[i / 4][4 * (i % 4) + j % 4] = common;
                 entry = entry + space->members[of_i].excess[4 * (i % 4) + j % 4];
             }
-            space->target[n * i + j] = entry;
+            space->rest[n * i + j] = entry - common;
         }
     }
 }

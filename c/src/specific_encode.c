@@ -211,7 +211,7 @@ MAPLINES_INTERNAL void maplines_cover(const maplines_dbc_t *dbc, maplines_scene_
             decode_specific(dbc, member, &space->lines[i], space->own[i]);
             memcpy(space->J[i], space->lines[i].J, sizeof space->J[i]);
         }
-        if (!maplines_uncovered(space->count, space->target, space->spread, space->own, space->J,
+        if (!maplines_uncovered(space->count, space->rest, space->spread, space->own, space->J,
                                 &space->joint, space->lacking) ||
             !are_comparable(space))
         {

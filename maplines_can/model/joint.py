@@ -31,7 +31,7 @@ from .matrices import (
 SLACK = 1e-6
 #: Most factorizations for one direction that lacks; the share of the excess to which its eigenvalue
 #: is found, and the least excess that counts.
-FACTORIZATIONS, PRECISION, LEAST = 64, 2.0**-14, 2.0**-40
+FACTORIZATIONS, PRECISION, LEAST = 64, 2.0**-8, 2.0**-40
 #: First guess of an excess, the factor to the next one while it is too small, and the share of the
 #: bracket, from the Rayleigh quotient up, at which the next factorization is tried.
 FIRST, FARTHER, NEARER = 2.0**-4, 16.0, 2.0**-6

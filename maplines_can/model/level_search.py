@@ -94,26 +94,21 @@ class LevelSearch:
     def spacings(self, wanted: Wanted, curve: Curve) -> list[int]:
         """Return the raw values of the shape that suit the errors of points best.
 
-        Of all that are tried, they have the least cost with one level of the points. Straight lines
-        that are stretched as the line is on average choose the same ones, or nearly so.
+        Of all that are tried, they have the least cost without T_0, with one level of the points.
+        Straight lines that are stretched as the line is on average choose the same ones, or nearly
+        so.
         """
         stretch, squared = arc_of(curve)[0], self.squares[1]
         mean = min(stretch) * max(stretch)
         near = {raw: N * mean + amount * SHAPE for raw, (N, amount) in self.straight.items()}
-        least = {raw: least_by_variances(squared, S, wanted.target) for raw, S in near.items()}
-        bound = {
-            raw: least_cost(_at(squared, least[raw] + TRIED[1]) * S, wanted)
-            for raw, S in near.items()
-        }
         costs: dict[int, float] = {}
-        for k in sorted(near, key=lambda k: (math.isnan(bound[k]), bound[k])):
-            chosen = sorted(costs.values())[:CHOSEN]
-            if len(chosen) == CHOSEN and bound[k] > chosen[-1]:
-                continue  # it cannot be one of the best
-            raw = least_raw(squared, near[k], wanted.target, least[k]) + TRIED[1]
-            cost = self.cost(_at(squared, raw) * near[k], wanted)[1]
+        for k, S in near.items():
+            least = least_by_variances(squared, S, wanted.target)
+            bound = least_cost(_at(squared, least + TRIED[1]) * S, wanted)
+            raw = least_raw(squared, S, wanted.target, least) + TRIED[1]
+            cost = direction_cost(_at(squared, raw) * S, wanted)
             cost = math.inf if raw > self.signals.points.raw_max else cost
-            costs[k] = bound[k] if bound[k] > cost else cost
+            costs[k] = bound if bound > cost else cost
         return sorted(costs, key=lambda k: (costs[k], k))[:CHOSEN]
 
     def encode(self, wanted: Wanted, curve: Curve, spacings: Sequence[int]) -> tuple[Levels, bool]:
@@ -122,29 +117,22 @@ class LevelSearch:
         Of some spacings with some levels of the points, and of some levels of the shape alone.
         """
         _, of_points, of_shape = self.squares
-
-        def tried(squared: list[float], S: Matrix) -> list[tuple[int, Matrix]]:
+        levels, least_so_far = Levels(0, 0, 0), math.inf
+        tried = [(noise(self.signals.shape, k, curve), of_points, k) for k in spacings]
+        for S, squared, k in [*tried, (SHAPE, of_shape, None)]:
             begin = least_by_variances(squared, S, wanted.target)
             least = least_raw(squared, S, wanted.target, begin)
-            return [(least + n, _at(squared, least + n) * S) for n in TRIED]
-
-        candidates = [
-            (points, k, own)
-            for k in spacings
-            for points, own in tried(of_points, noise(self.signals.shape, k, curve))
-        ]
-        candidates += [(0, shape, own) for shape, own in tried(of_shape, SHAPE)]
-        best, best_cost = (0, *candidates[0][:2]), math.nan
-        for points, k, own in candidates:
-            lateral, cost = self.cost(own, wanted)
-            bound = least_cost(own, wanted)
-            cost = bound if bound > cost else cost
-            if points > self.signals.points.raw_max or k > self.signals.shape.raw_max:
-                cost = math.inf
-            if not cost >= best_cost:  # the first one with the least cost
-                best, best_cost = (lateral, points, k), cost
-        raw = [min(x, signal.raw_max) for x, signal in zip(best, self.signals, strict=True)]
-        return Levels(*raw), math.isfinite(best_cost)
+            for raw in (least + n for n in TRIED):
+                own = _at(squared, raw) * S
+                bound = least_cost(own, wanted)
+                if raw >= len(squared) or bound >= least_so_far:
+                    break  # higher levels cost no less
+                lateral, cost = self.cost(own, wanted)
+                cost = bound if bound > cost else cost
+                if cost < least_so_far:  # the first one with the least cost
+                    levels = Levels(lateral, 0, raw) if k is None else Levels(lateral, raw, k)
+                    least_so_far = cost
+        return levels, math.isfinite(least_so_far)
 
     def covered(self, raw: Levels, wanted: Wanted, curve: Curve) -> bool:
         """Whether levels cover what is wanted."""
@@ -227,9 +215,36 @@ def least_cost(own: Matrix, wanted: Wanted) -> float:
     With r > 1 the largest ratio of the variances of the direction, at five places, to the true
     ones, the divergence is (1 / r - 1 + ln r) / 2 at least, and ln r is 2 (r - 1) / (r + 1).
     """
-    pairs = zip(directions(own + wanted.common), directions(wanted.true), strict=True)
-    r = max(1.0, *(variance / true if true else 1.0 for variance, true in pairs))
+    r = largest_direction(own + wanted.common, wanted.true)
     return (r - 1) * (5 * r - 1) / (2 * r * (r + 1))
+
+
+def direction_cost(own: Matrix, wanted: Wanted) -> float:
+    """Return the cost without T_0: for the direction of the line, whatever its lateral position."""
+    decoded = own + wanted.common
+    (C11, C21, C31, C22, C32, C33), determinant = cofactors(decoded)
+    T11, T21, T31, T22, T32, T33 = (wanted.true[i][j] for i, j in LOWER[:6])
+    of_true = cofactors(wanted.true)[1]
+    if not (determinant and of_true):
+        return math.inf
+    trace = T11 * C11 + T22 * C22 + T33 * C33 + 2 * (T21 * C21 + T31 * C31 + T32 * C32)
+    r = largest_direction(decoded, wanted.true)
+    by_trace = (trace / determinant - 3) / 2
+    cost = by_trace + LN_2 * log2(determinant / of_true * r * r) / 2
+    return cost if math.isfinite(cost) else math.inf
+
+
+def cofactors(M: Matrix) -> tuple[tuple[float, ...], float]:
+    """Return the cofactors of a matrix without T_0, of its lower triangle, and its determinant."""
+    a, b, c, d, e, f = (M[i][j] for i, j in LOWER[:6])
+    C = d * f - e * e, c * e - b * f, b * e - c * d, a * f - c * c, b * c - a * e, a * d - b * b
+    return C, a * C[0] + b * C[1] + c * C[2]
+
+
+def largest_direction(decoded: Matrix, true: Matrix) -> float:
+    """Return the largest ratio of variances of the direction, at five places; 1 if it is less."""
+    pairs = zip(directions(decoded), directions(true), strict=True)
+    return max(1.0, *(variance * (1 / x) if x else 1.0 for variance, x in pairs))
 
 
 def directions(S: Matrix) -> list[float]:
