@@ -329,8 +329,7 @@ def _keys() -> dict[int, Key]:
 
 def _owners_of(layout: Layout) -> Callable[[Step], list[Owner]]:
     """Return a function of those whose checks a step may change: of a question, any."""
-    of_id = layout.message_of_id | (layout.pose.message_of_id if layout.pose else {})
-    owner_of = {key: owner for key, (owner, _) in of_id.items()}
+    owner_of = {key: owner for key, (owner, _) in layout.message_of_id.items()}
     everyone = [*layout.messages_of]
 
     def owners(step: Step) -> list[Owner]:

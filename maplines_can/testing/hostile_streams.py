@@ -293,7 +293,7 @@ class Stream:
         self._cycle = 0
         self._slots = [*self._traffic.layout.messages]
         of_id = self._traffic.layout.message_of_id
-        self._owner_of: dict[tuple[int, bool], Owner] = {key: of_id[key][0] for key in of_id}
+        self._owner_of = {key: owner for key, (owner, _) in of_id.items()}
 
     def steps(self) -> Iterator[Step]:
         """Yield frames and questions without end."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from ...values.errors import LayoutError
 from ...values.input_files import checked_path
@@ -23,10 +23,10 @@ from .dbc_messages import (
     to_signal,
 )
 from .dbc_tables import DbcMessage, DbcSignal, DbcTables
-from .pose_layout import POSE, Owner, PoseLayout
+from .pose_layout import POSE, Owner, PoseLayout, owner_name
 from .record_layout import bits_of, pages_of
 from .signals import PAGE, PAGE_BYTES, POSE_PREFIX, SECURED_SIGNALS, TRANSFER_ID, Signal
-from .slot_messages import RecordMessages, SecuredLayout
+from .slot_messages import SecuredLayout
 
 if TYPE_CHECKING:  # cantools is loaded if it parses a DBC; these are for the modules of bus, too
     from cantools.database.can import Database as Database
@@ -34,16 +34,6 @@ if TYPE_CHECKING:  # cantools is loaded if it parses a DBC; these are for the mo
 
 #: Covariance code of a DBC without the attribute CovarianceCode.
 DEFAULT_CODE = "Cholesky"
-
-
-class DbcContent(NamedTuple):
-    """Content of a DBC that matters to map lines; see ``Layout``."""
-
-    signals: Mapping[str, Signal]
-    messages: Mapping[Slot, RecordMessages]
-    covariance_code: str
-    secured: SecuredLayout | None
-    pose: PoseLayout | None
 
 
 #: DBCs of this package; their names stand for them where there is no such file.
@@ -106,8 +96,8 @@ def parse_database(text: str, source: str, *, strict: bool = True) -> Database:
     return database
 
 
-def content_of(tables: DbcTables, source: str) -> DbcContent:
-    """Return the record and its messages that the tables of a DBC describe.
+def content_of(tables: DbcTables, source: str) -> dict[str, Any]:
+    """Return the record and its messages that the tables of a DBC describe; see ``Layout``.
 
     Raises:
         LayoutError: it does not describe a map line.
@@ -120,7 +110,7 @@ def content_of(tables: DbcTables, source: str) -> DbcContent:
             continue
         kind = format_of(message)
         if messages.setdefault(owner, {}).setdefault(kind, message) is not message:
-            raise LayoutError(f"{source}: {_name(owner)} has two messages in one frame format")
+            raise LayoutError(f"{source}: {owner_name(owner)} has two messages in one frame format")
         check_frame(message, kind, source)
         for signal in message.signals:
             _check_choices(signal, f"{source}: message {message.name}")
@@ -136,20 +126,21 @@ def content_of(tables: DbcTables, source: str) -> DbcContent:
     _check_can_ids(tables.messages, [name for own in records.values() for name in own], source)
     lines = {name: record for slot in slots for name, record in records[slot].items()}
     code = tables.covariance_code
-    return DbcContent(
-        signals=_shared_signals(lines, source),
-        messages={s: record_messages(_name(s), messages[s], source) for s in slots},
-        covariance_code=DEFAULT_CODE if code is None else str(code),
-        secured=_secured([messages[slot] for slot in slots], source),
-        pose=PoseLayout(
+    pose = None
+    if POSE in records:
+        pose = PoseLayout(
             signals=_shared_signals(records[POSE], source),
-            source=f"{source}: {_name(POSE)}",
-            messages=record_messages(_name(POSE), messages[POSE], source),
+            source=f"{source}: {owner_name(POSE)}",
+            messages=record_messages(owner_name(POSE), messages[POSE], source),
             secured=_secured([messages[POSE]], source),
         )
-        if POSE in records
-        else None,
-    )
+    return {
+        "signals": _shared_signals(lines, source),
+        "messages": {s: record_messages(owner_name(s), messages[s], source) for s in slots},
+        "covariance_code": DEFAULT_CODE if code is None else str(code),
+        "secured": _secured([messages[slot] for slot in slots], source),
+        "pose": pose,
+    }
 
 
 def _owner(message: DbcMessage, source: str) -> Owner | None:
@@ -165,10 +156,6 @@ def _owner(message: DbcMessage, source: str) -> Owner | None:
             "the pose error; remove one of them"
         )
     return Slot(integer(number, f"{where}: MapLineSlot", len(Slot) - 1))
-
-
-def _name(owner: Owner) -> str:
-    return f"slot {owner.name}" if isinstance(owner, Slot) else "the pose error"
 
 
 def _secured(

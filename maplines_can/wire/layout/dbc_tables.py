@@ -87,6 +87,22 @@ def tables_of(database: Database) -> DbcTables:
     return DbcTables(None if code is None else _plain(code.value), messages)
 
 
+def database_tables(database: object) -> DbcTables:
+    """Return the tables of what a caller gives as a database.
+
+    Raises:
+        TypeError: it is none of cantools.
+    """
+    from cantools.database.can import Database
+
+    if isinstance(database, Database):
+        return tables_of(database)
+    raise TypeError(
+        "dbc must be a path, or a Database that cantools has loaded from a DBC, got a "
+        f"{type(database).__name__}"
+    )
+
+
 def _message(message: Message) -> DbcMessage:
     attributes = message.dbc.attributes if message.dbc else {}
     slot, pose, e2e, secoc = (

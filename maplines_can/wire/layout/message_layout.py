@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -18,8 +18,8 @@ from ...values.line import Slot
 from .dbc_encoding import say
 from .dbc_file import DbcFile, parsed_tables
 from .dbc_reader import content_of, default_dbc_path
-from .dbc_tables import DbcTables, tables_of
-from .pose_layout import POSE, Owner, PoseLayout
+from .dbc_tables import DbcTables, database_tables
+from .pose_layout import POSE, Owner, PoseLayout, owner_name
 from .record_layout import RecordLayout, bits_of
 from .signals import (
     COMPLETE_RECORD,
@@ -30,12 +30,7 @@ from .signals import (
     PARAMETER_SIGNALS,
     TRANSFER_ID,
 )
-from .slot_messages import (
-    RecordMessages,
-    Room,
-    SecuredLayout,
-    check_messages,
-)
+from .slot_messages import RecordMessages, Room, SecuredLayout, check_messages
 
 if TYPE_CHECKING:
     from cantools.database.can import Database
@@ -76,7 +71,7 @@ class Layout(RecordLayout):
 
     def __post_init__(self) -> None:
         self.check(CONDITIONAL_RECORD if self.is_conditional else COMPLETE_RECORD)
-        check_messages(self._rooms(), self.source)
+        check_messages(map(self._room, self.messages_of), self.source)
         if self.pose is not None:
             counters = dict.fromkeys(self.messages, self["Counter"])
             self.pose.check_slots(counters, levels=not self.is_conditional)
@@ -86,12 +81,9 @@ class Layout(RecordLayout):
                 "message of the pose error; add one with the attribute MapLinePose 1"
             )
 
-    def _rooms(self) -> Iterator[Room]:
-        for slot, messages in self.messages.items():
-            yield Room(f"slot {slot.name}", messages, self.secured, self.record_bytes)
-        if self.pose is not None:
-            pose = self.pose
-            yield Room("the pose error", pose.messages, pose.secured, pose.record_bytes)
+    def _room(self, owner: Owner) -> Room:
+        layout = self.pose if owner == POSE and self.pose else self
+        return Room(owner_name(owner), self.messages_of[owner], layout.secured, layout.record_bytes)
 
     @classmethod
     def from_dbc(
@@ -114,7 +106,7 @@ class Layout(RecordLayout):
             TypeError: it is neither a path nor a ``cantools.database.can.Database``.
         """
         if not isinstance(dbc, str | Path | None):
-            return cls.from_tables(_loaded_tables(dbc), "the cantools database")
+            return cls.from_tables(database_tables(dbc), "the cantools database")
         file = DbcFile(default_dbc_path() if dbc is None else Path(dbc), encoding)
         with suppress(LayoutError):  # such tables were not kept by `DbcFile.keep`
             if (tables := file.kept()) is not None:
@@ -142,8 +134,7 @@ class Layout(RecordLayout):
         Raises:
             LayoutError: they do not describe a map line.
         """
-        content = content_of(tables, source)
-        return cls(source=source, sha256=tables.sha256, **content._asdict())
+        return cls(source=source, sha256=tables.sha256, **content_of(tables, source))
 
     def is_same_as(self, other: Layout) -> bool:
         """Whether records and messages are the same, as those of a DBC that was read twice."""
@@ -188,33 +179,22 @@ class Layout(RecordLayout):
     @cached_property
     def messages_of(self) -> dict[Owner, RecordMessages]:
         """Messages of each slot and of the pose error, as far as the DBC has them, by owner."""
-        owned: dict[Owner, RecordMessages]
-        owned = {slot: messages for slot, messages in self.messages.items()}  # noqa: C416 - wider
+        owned: dict[Owner, RecordMessages] = dict(self.messages.items())
         return owned if self.pose is None else owned | {POSE: self.pose.messages}
 
     @cached_property
-    def message_of_id(self) -> dict[tuple[int, bool], tuple[Slot, bool]]:
-        """Map from (CAN ID, extended) to (slot, is_whole_record)."""
+    def message_of_id(self) -> dict[tuple[int, bool], tuple[Owner, bool]]:
+        """Map from (CAN ID, extended) to (owner, is_whole_record)."""
         return {
-            key: (slot, is_whole)
-            for slot, messages in self.messages.items()
+            key: (owner, is_whole)
+            for owner, messages in self.messages_of.items()
             for key, is_whole in messages.ids.items()
         }
 
     @property
     def can_ids(self) -> frozenset[int]:
         """CAN IDs of all lines and of the pose error, for filters."""
-        pose = self.pose.messages.ids if self.pose else {}
-        return frozenset(can_id for can_id, _ in (*self.message_of_id, *pose))
-
-    @cached_property
-    def data_id_of_secured(self) -> dict[tuple[int, bool], int]:
-        """Map from (CAN ID, extended) to the SecOC data ID."""
-        return {
-            key: data_id
-            for messages in self.messages.values()
-            for key, data_id in messages.secured_ids.items()
-        }
+        return frozenset(can_id for can_id, _ in self.message_of_id)
 
     def data_ids(self, slot: ArrayLike, n: int) -> NDArray[np.uint16]:
         """Return the (n,) E2E data IDs of slots, (n,) or one for all.
@@ -232,15 +212,3 @@ class Layout(RecordLayout):
         if bad.any():
             raise EncodeError(f"{self.source} has no message for slot {given[bad][0]}")
         return np.broadcast_to(table[slots].astype(np.uint16), n)
-
-
-def _loaded_tables(database: object) -> DbcTables:
-    """Return the tables of a database of cantools; raises as ``Layout.from_dbc``."""
-    from cantools.database.can import Database
-
-    if isinstance(database, Database):
-        return tables_of(database)
-    raise TypeError(
-        "dbc must be a path, or a Database that cantools has loaded from a DBC, got a "
-        f"{type(database).__name__}"
-    )

@@ -43,6 +43,11 @@ def slot_of(owner: Owner) -> Slot:
     return owner
 
 
+def owner_name(owner: Owner) -> str:
+    """Return the name of an owner as errors have it."""
+    return f"slot {owner.name}" if isinstance(owner, Slot) else "the pose error"
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PoseLayout(RecordLayout):
     """Layout of a record of the pose error and its messages, as a DBC describes them.
@@ -73,24 +78,10 @@ class PoseLayout(RecordLayout):
         names = {slot: f"{slot_title(slot)}Counter" for slot in Slot}
         return {slot: self[name] for slot, name in names.items() if name in self.signals}
 
-    def slot_counters(self, raw: Mapping[str, int]) -> dict[Slot, int]:
-        """Return the low bits of the counters that raw values state, by slot."""
-        return {slot: raw[signal.name] for slot, signal in self.counters.items()}
-
     @property
     def short_pages(self) -> int:
         """Number of pages: all records have all of them."""
         return self.pages
-
-    @cached_property
-    def message_of_id(self) -> dict[tuple[int, bool], tuple[Literal["pose"], bool]]:
-        """Map from (CAN ID, extended) to (POSE, is_whole_record)."""
-        return {key: (POSE, is_whole) for key, is_whole in self.messages.ids.items()}
-
-    @property
-    def data_id_of_secured(self) -> dict[tuple[int, bool], int]:
-        """Map from (CAN ID, extended) to the SecOC data ID."""
-        return self.messages.secured_ids
 
     def check_slots(self, slots: Mapping[Slot, Signal], *, levels: bool) -> None:
         """Check the signals of slots: a slot has all of them, or none if it has no messages.

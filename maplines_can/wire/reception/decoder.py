@@ -135,18 +135,15 @@ class Decoder:
         problem = lib.maplines_receiver_start(self._c, tables, settings, window_us, has_clock)
         if problem != ffi.NULL:
             raise ValueError(ffi.string(problem).decode())
-        for records in (layout, layout.pose):
-            if records is None:
+        for key, (owner, _) in layout.message_of_id.items():
+            own = verifiers.get(owner)
+            data_id = layout.messages_of[owner].secured_ids.get(key)
+            if own is None or data_id is None:
+                self._routes[key] = key[0] | key[1] << 31
                 continue
-            for key, (owner, _) in records.message_of_id.items():
-                data_id = records.data_id_of_secured.get(key)
-                if data_id is not None and owner in verifiers:
-                    verifier, data = verifiers[owner], self._c.secoc.data
-                    size = DATA_ID_BYTES + verifier.layout.authentic_bytes + FRESHNESS_BYTES
-                    asked = [ffi.buffer(one, size) for one in data]
-                    self._secured[key] = _SecuredRoute(number_of(owner), data_id, verifier, asked)
-                else:
-                    self._routes[key] = key[0] | key[1] << 31
+            size = DATA_ID_BYTES + own.layout.authentic_bytes + FRESHNESS_BYTES
+            asked = [ffi.buffer(one, size) for one in self._c.secoc.data]
+            self._secured[key] = _SecuredRoute(number_of(owner), data_id, own, asked)
         self._decoder, self._settings = ffi.addressof(self._c, "decoder"), self._c.decoder.settings
         self._view = ffi.new("maplines_view_t *")
         self._scene_view = ffi.new("maplines_scene_view_t *")

@@ -287,7 +287,7 @@ def test_classic_can_alone() -> None:
     assert (left.fd_can_id, left.fd_is_extended, left.fd_length) == (None, False, 0)
     assert (left.secured_can_id, left.secured_is_extended, layout.secured) == (None, False, None)
     assert left.ids == {(832, False): False}
-    assert left.secured_ids == layout.data_id_of_secured == {}
+    assert left.secured_ids == {}
 
 
 def test_only_messages_of_map_lines_need_their_own_can_id() -> None:
