@@ -305,9 +305,10 @@ size_t maplines_search_fit(double *search, uint8_t *left_out, double *refits);
 bool maplines_search_settle(double *search, double *means, double *cov, double *x_ranges);
 
 /// Moments of values (n, outputs, m) at weighted points, of which the first is at the mean or next
-/// to it: means (outputs, m) and covariances (outputs, m, m). The values are overwritten.
+/// to it: means (outputs, m) and covariances (outputs, m, m). The scratch is (m).
 void maplines_moments_of(size_t n, size_t outputs, size_t m, const double *mean_weights,
-                         const double *cov_weights, double *values, double *means, double *covs);
+                         const double *cov_weights, const double *values, double *scratch,
+                         double *means, double *covs);
 
 /* ---- values.c: Gaussians, and places of a line ------------------------------------------------
  */

@@ -419,12 +419,13 @@ bool maplines_search_settle(double *search, double *means, double *cov, double *
 /* ---- moments --------------------------------------------------------------------------------- */
 
 void maplines_moments_of(size_t n, size_t outputs, size_t m, const double *mean_weights,
-                         const double *cov_weights, double *values, double *means, double *covs)
+                         const double *cov_weights, const double *values, double *scratch,
+                         double *means, double *covs)
 {
     const maplines_rule_t rule = {n, NULL, mean_weights, cov_weights};
     for (size_t i = 0; i < outputs; i++)
     {
-        maplines_weighted_moments(&rule, m, outputs * m, values + m * i, means + m * i,
+        maplines_weighted_moments(&rule, m, outputs * m, values + m * i, scratch, means + m * i,
                                   covs + m * m * i);
     }
 }

@@ -160,7 +160,8 @@ static bool set_line(const maplines_pose_view_t *view, const maplines_rule_t *ru
     {
         return false;
     }
-    maplines_weighted_moments(rule, 4, 4, work->values, mean, cov);
+    double scratch[4];
+    maplines_weighted_moments(rule, 4, 4, work->values, scratch, mean, cov);
     for (int i = 0; i < 16; ++i)
     {
         cov[i] += refit->noise_cov[i];
@@ -253,7 +254,7 @@ static bool set_moments(const maplines_pose_view_t *view, const maplines_rule_t 
     {
         return false;
     }
-    maplines_weighted_moments(rule, n, n, work->values, joint->means, joint->cov);
+    maplines_weighted_moments(rule, n, n, work->values, work->matrix, joint->means, joint->cov);
     for (size_t i = 0; i < n; ++i)
     {
         const double *own = work->refits[places[i / 4]].noise_cov + 4 * (i % 4);

@@ -21,8 +21,8 @@ void maplines_rule_points(const maplines_rule_t *rule, const double mean[3], con
     }
 }
 
-static inline void moments(const maplines_rule_t *rule, size_t m, size_t stride, double *values,
-                           double *mean, double *cov)
+static inline void moments(const maplines_rule_t *rule, size_t m, size_t stride,
+                           const double *values, double *d, double *mean, double *cov)
 {
     // The sums are over differences from the first point: this avoids cancellation.
     for (size_t i = 0; i < m; ++i)
@@ -31,11 +31,10 @@ static inline void moments(const maplines_rule_t *rule, size_t m, size_t stride,
     }
     for (size_t k = 1; k < rule->count; ++k)
     {
-        double *d = values + k * stride;
+        const double *value = values + k * stride;
         for (size_t i = 0; i < m; ++i)
         {
-            d[i] = d[i] - values[i];
-            const double term = rule->mean_weights[k] * d[i];
+            const double term = rule->mean_weights[k] * (value[i] - values[i]);
             mean[i] = mean[i] + term;
         }
     }
@@ -45,10 +44,10 @@ static inline void moments(const maplines_rule_t *rule, size_t m, size_t stride,
     }
     for (size_t k = 1; k < rule->count; ++k)
     {
-        double *d = values + k * stride;
+        const double *value = values + k * stride;
         for (size_t i = 0; i < m; ++i)
         {
-            d[i] = d[i] - mean[i];
+            d[i] = value[i] - values[i] - mean[i];
         }
         for (size_t i = 0; i < m; ++i)
         {
@@ -74,21 +73,22 @@ static inline void moments(const maplines_rule_t *rule, size_t m, size_t stride,
     }
 }
 
-void maplines_weighted_moments(const maplines_rule_t *rule, size_t m, size_t stride, double *values,
-                               double *mean, double *cov)
+void maplines_weighted_moments(const maplines_rule_t *rule, size_t m, size_t stride,
+                               const double *values, double *scratch, double *mean, double *cov)
 {
     if (m == N)
     {
-        // Nothing else points to these sums, so that they stay in registers.
+        // Nothing else points to these, so that they stay in registers.
+        double d[N];
         double own_mean[N];
         double own_cov[N * N];
-        moments(rule, N, stride, values, own_mean, own_cov);
+        moments(rule, N, stride, values, d, own_mean, own_cov);
         (void)memcpy(mean, own_mean, sizeof(own_mean));
         (void)memcpy(cov, own_cov, sizeof(own_cov));
     }
     else
     {
-        moments(rule, m, stride, values, mean, cov);
+        moments(rule, m, stride, values, scratch, mean, cov);
     }
 }
 

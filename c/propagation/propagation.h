@@ -186,9 +186,9 @@ typedef struct {
 void maplines_rule_points(const maplines_rule_t *rule, const double mean[3], const double root[9],
                           double *points);
 /// Mean (m) and covariance (m, m), symmetric but for rounding, of the (count, m) values at the
-/// points of a rule, of which row i begins at values + i * stride. The values are overwritten.
-void maplines_weighted_moments(const maplines_rule_t *rule, size_t m, size_t stride, double *values,
-                               double *mean, double *cov);
+/// points of a rule, of which row i begins at values + i * stride; scratch is (m).
+void maplines_weighted_moments(const maplines_rule_t *rule, size_t m, size_t stride,
+                               const double *values, double *scratch, double *mean, double *cov);
 /// Covariances (n, n) up to rounding; scratch is (n, n).
 bool maplines_is_covariance(size_t n, const double *cov, double *scratch);
 /// Part of a range where the standard deviation of the lateral position is at most max_sigma: the

@@ -86,6 +86,8 @@ class Transform(ABC):
 
 def without_value(values: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return the (N,) points at which a function has no value, by its (N, ...) values."""
+    if not np.isnan(values.max(initial=0.0)):  # the most frequent case, in one pass
+        return np.zeros(len(values), bool)
     return np.asarray(np.isnan(values.reshape(len(values), -1)).any(axis=1))
 
 
@@ -121,10 +123,9 @@ def weighted_moments(
     point near it, whose weight may be large and negative. This avoids cancellation. The (N,)
     weights of the mean have the sum 1.
     """
-    given = np.array(values, order="C")  # the core overwrites them
-    n, *outputs, m = given.shape
+    n, *outputs, m = values.shape
+    given = map(np.ascontiguousarray, (mean_weights, cov_weights, values))
     mean, cov = np.empty((*outputs, m)), np.empty((*outputs, m, m))
-    weights = (pointer(np.ascontiguousarray(w)) for w in (mean_weights, cov_weights))
-    arrays = map(pointer, (given, mean, cov))
-    lib.maplines_moments_of(n, math.prod(outputs), m, *weights, *arrays)
+    arrays = map(pointer, (*given, np.empty(m), mean, cov))
+    lib.maplines_moments_of(n, math.prod(outputs), m, *arrays)
     return Moments(mean, cov)
