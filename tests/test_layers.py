@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).parents[1] / "maplines_can"
 #: Folders of the product, from the binding of C up. A folder imports only those before it:
 #: the core is what stands before the maps.
 ROOMS = (
-    "core", "values", "propagation",
+    "core", "values", "propagation", "dbc_files",
     "wire.layout", "wire.protection", "wire.records", "wire.reception", "wire",
     "generation",
     "bus", "recordings", "cosimulation",
@@ -44,7 +44,7 @@ LAZY = {
 #: Packages that may import a big dependency.
 DOORS = {
     "can": {"bus", "testing", "restbus"},
-    "cantools": {"wire", "study", "restbus"},
+    "cantools": {"dbc_files", "study", "restbus"},
     "cryptography": {"wire"},
     "tqdm": {"cli"},
     "matplotlib": {"study", "recordings"},
@@ -214,7 +214,7 @@ def test_an_upward_import_is_found(tmp_path: Path, file: str, line: str) -> None
 
 
 def test_big_dependencies_have_one_door() -> None:
-    """can is imported in bus, cantools in wire, matplotlib where figures are drawn."""
+    """can is imported in bus, cantools in dbc_files, matplotlib where figures are drawn."""
     used: dict[str, set[str]] = {door: set() for door in DOORS}
     for importer, target, is_own, _ in imports():
         if not is_own and (top := target.split(".")[0]) in DOORS:

@@ -29,9 +29,9 @@ from dbc_alterations import ALTERATIONS, EDITS, ORIGINALS, SLOTS, altered, edite
 from dbc_witness import check_codec
 from reporting import parser_of, progress
 
+from maplines_can.dbc_files.parser import parse_database
 from maplines_can.values.errors import LayoutError
 from maplines_can.wire import Codec, Layout
-from maplines_can.wire.layout.dbc_reader import parse_database
 
 MESSAGES = "messages"
 

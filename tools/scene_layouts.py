@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import lru_cache
 
+from maplines_can.dbc_files.parser import default_dbc_path
 from maplines_can.model.records import written
 from maplines_can.wire import Layout
-from maplines_can.wire.layout.dbc_reader import default_dbc_path
 from maplines_can.wire.layout.pose_layout import Owner, PoseLayout, slot_of
 
 #: DBC with records that are conditional on the pose, and DBC with complete records beside it.

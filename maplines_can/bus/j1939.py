@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from ..wire.layout.dbc_reader import Database, Message
+    from ..dbc_files.parser import Database, Message
 
 #: Parameter groups of the transport protocol: connection management, and data.
 TP_CM, TP_DT = 0xEC00, 0xEB00

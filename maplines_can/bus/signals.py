@@ -15,16 +15,16 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..dbc_files.parser import parse_database, read_text
 from ..values.errors import DriveFileError, LogError
 from ..values.input_files import checked_path, toml_of
-from ..wire.layout.dbc_reader import parse_database, read_text
 from .first_frames import FirstFrames, ids_text
 from .j1939 import Reassembler, j1939_messages, nearest, pgn_of, source_of
 from .log_summary import LogSummary, Times
 from .logs import read_log
 
 if TYPE_CHECKING:
-    from ..wire.layout.dbc_reader import Database, Message
+    from ..dbc_files.parser import Database, Message
 
 #: Largest table of signal names [B].
 MAX_TABLE = 10**6

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..bus.j1939 import ANY_SOURCE, j1939_messages, source_of
+from ..dbc_files.parser import parse_database, read_text
 from ..values.errors import LayoutError, RestbusError
 from ..values.input_files import toml_of
 from ..wire import Codec
-from ..wire.layout.dbc_reader import parse_database, read_text
 from .fields import with_exact_starts
 from .lines import Lines, codec_of, lines_of
 from .messages import MAX_MS, DbcMessage

@@ -1,9 +1,9 @@
 """Map lines and their Gaussians as messages on a CAN bus, as a DBC describes them."""
 
+from ..dbc_files.parser import SHIPPED, default_dbc_path
 from .batch import Batch, BatchCodec
 from .codec import Codec, LineCodec
 from .encoder import Encoder
-from .layout.dbc_reader import SHIPPED, default_dbc_path
 from .layout.message_layout import Layout
 from .layout.pose_layout import POSE, Owner
 from .protection.e2e_state import E2EConfig, E2EState, ProfileStatus

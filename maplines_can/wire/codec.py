@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from ..dbc_files.parser import default_dbc_path
 from .batch import BatchCodec
 from .encoder import Encoder, conditional_error
 from .layout.cholesky import CholeskyCode
-from .layout.dbc_reader import default_dbc_path
 from .layout.message_layout import Layout
 from .layout.pose_layout import POSE, Owner, PoseLayout
 from .protection.e2e_state import E2EConfig
@@ -23,7 +23,7 @@ from .records.frames import FrameWriter
 from .tables import LineTables, check_code
 
 if TYPE_CHECKING:
-    from cantools.database.can import Database
+    from ..dbc_files.parser import Database
 
 
 @runtime_checkable

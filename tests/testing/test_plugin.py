@@ -6,7 +6,7 @@ from textwrap import dedent
 
 import pytest
 
-from maplines_can.wire.layout.dbc_reader import default_dbc_path
+from maplines_can.dbc_files.parser import default_dbc_path
 
 pytest_plugins = ["pytester"]
 

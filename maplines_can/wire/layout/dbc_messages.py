@@ -7,8 +7,8 @@ import sys
 from dataclasses import replace
 from enum import Enum
 
+from ...dbc_files.tables import Attribute, DbcMessage, DbcSignal
 from ...values.errors import LayoutError
-from .dbc_tables import Attribute, DbcMessage, DbcSignal
 from .signal import all_raw
 from .signals import PAGE_BYTES, TRAILER, Signal
 from .slot_messages import FD_LENGTHS, MAX_MS, RecordMessages, SecuredLayout

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...dbc_files.encoding import say
+from ...dbc_files.kept import DbcFile, parsed_tables
+from ...dbc_files.parser import default_dbc_path
+from ...dbc_files.tables import DbcTables, database_tables
 from ...values.arrays import row_values
 from ...values.errors import EncodeError, LayoutError
 from ...values.line import Slot
-from .dbc_encoding import say
-from .dbc_file import DbcFile, parsed_tables
-from .dbc_reader import content_of, default_dbc_path
-from .dbc_tables import DbcTables, database_tables
+from .dbc_reader import content_of
 from .pose_layout import POSE, Owner, PoseLayout, owner_name
 from .record_layout import RecordLayout, bits_of
 from .signals import (
@@ -33,7 +34,7 @@ from .signals import (
 from .slot_messages import RecordMessages, Room, SecuredLayout, check_messages
 
 if TYPE_CHECKING:
-    from cantools.database.can import Database
+    from ...dbc_files.parser import Database
 
 #: Covariance code of records whose covariance is conditional on the pose error.
 POSE_CONDITIONAL = "PoseConditional"

@@ -10,11 +10,11 @@ from dbcs import DBC
 from maplines_can import Codec, LayoutError
 from maplines_can.bus import SignalDecoder, read_signals
 from maplines_can.cli import main
+from maplines_can.dbc_files.encoding import text_of
+from maplines_can.dbc_files.parser import parse_database, read_text
 from maplines_can.recordings.fitting import fits
 from maplines_can.recordings.read_lines import read_lines
 from maplines_can.restbus import Config
-from maplines_can.wire.layout.dbc_encoding import text_of
-from maplines_can.wire.layout.dbc_reader import parse_database, read_text
 
 CAR = """VERSION ""
 NS_ :

@@ -1,7 +1,7 @@
 """A DBC file and its tables, which are kept, so that a known DBC is not parsed again.
 
-Those of the DBCs of this package are in the folder ``tables``, which ``tools/make_dbc.py`` writes;
-those of others in the user's cache. What is kept is known by the bytes of the file, the encoding
+Those of the DBCs of this package are in the folder ``packaged``, which ``tools/make_dbc.py``
+writes; those of others in the user's cache. What is kept is known by the bytes of the file, the encoding
 that the user states, our version, and the cantools that is installed.
 """
 
@@ -14,13 +14,13 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
-from ...values.cache_files import read_cached, write_cached
-from .dbc_encoding import decoded, say
-from .dbc_reader import parse_database, read_bytes
-from .dbc_tables import DbcTables, from_json, tables_of, to_json
+from ..values.cache_files import read_cached, write_cached
+from .encoding import decoded, say
+from .parser import parse_database, read_bytes
+from .tables import DbcTables, from_json, tables_of, to_json
 
 #: Folder with the tables of the DBCs of this package.
-PACKAGED = Path(__file__).with_name("tables")
+PACKAGED = Path(__file__).with_name("packaged")
 
 
 class DbcFile:

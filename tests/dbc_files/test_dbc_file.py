@@ -11,13 +11,13 @@ from typing import Any
 import pytest
 from random_dbc import random_dbc
 
+from maplines_can.dbc_files import kept
+from maplines_can.dbc_files.kept import PACKAGED, key_of, parsed_tables
+from maplines_can.dbc_files.parser import parse_database
+from maplines_can.dbc_files.tables import _checksum, from_json, to_json
 from maplines_can.values import cache_files
 from maplines_can.values.errors import LayoutError
 from maplines_can.wire import SHIPPED, Layout, default_dbc_path
-from maplines_can.wire.layout import dbc_file
-from maplines_can.wire.layout.dbc_file import PACKAGED, key_of, parsed_tables
-from maplines_can.wire.layout.dbc_reader import parse_database
-from maplines_can.wire.layout.dbc_tables import _checksum, from_json, to_json
 
 TEXT = default_dbc_path().read_text()
 
@@ -44,7 +44,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Cache:
         return parse_database(*args)
 
     monkeypatch.setattr(cache_files, "cache_folder", lambda: found.folder)
-    monkeypatch.setattr(dbc_file, "parse_database", counted)
+    monkeypatch.setattr(kept, "parse_database", counted)
     return found
 
 

@@ -14,7 +14,7 @@ import codecs
 import re
 import warnings
 
-from ...values.errors import LayoutError
+from ..values.errors import LayoutError
 
 __all__ = ["decoded", "say", "text_of"]
 

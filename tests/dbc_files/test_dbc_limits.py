@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from maplines_can.dbc_files.parser import default_dbc_path, read_text
 from maplines_can.values.errors import LayoutError
 from maplines_can.wire import Layout
-from maplines_can.wire.layout.dbc_reader import default_dbc_path, read_text
 
 MESSAGE = "BO_ 0 M: 8 E\n"
 SIGNAL = '@1+ (1,0) [0|15] "" E\n'

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import re
 
-from ...values.errors import LayoutError
+from ..values.errors import LayoutError
 
 #: Largest size of a DBC file [byte]; the DBC of a whole car has a few million.
 MAX_DBC = 16_000_000

@@ -1,0 +1,1 @@
+"""DBC files of any kind: their encoding, what cantools makes of them, and tables that are kept."""
