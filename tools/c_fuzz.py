@@ -39,7 +39,7 @@ TARGETS = ("frames", "encoder")
 PROJECT = ("maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc")
 SANITIZERS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 #: With clang also conversions of numbers out of range, which gcc does not check with the others.
-CLANG = ("-fsanitize=fuzzer,float-cast-overflow",)
+CLANG = ("-DFUZZER", "-fsanitize=fuzzer,float-cast-overflow",)
 #: Longest input [byte].
 MAX_LENGTH = 4096
 
@@ -76,7 +76,7 @@ def fuzz(target: str, name: str, layout: Layout, seconds: int, corpus: Path) -> 
 
 def replay(target: str, name: str, layout: Layout, count: int, seed: int, cc: str) -> bool:
     """Draw inputs at random; return whether nothing was found."""
-    command = [str(program(target, layout, cc, ["-DREPLAY"])), str(count), str(seed)]
+    command = [str(program(target, layout, cc, [])), str(count), str(seed)]
     status = subprocess.run(command, check=False).returncode
     print(f"{target}, {name}: {count} inputs, status {status}", flush=True)
     return status == 0

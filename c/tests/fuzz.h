@@ -1,7 +1,7 @@
 /* What the fuzzers share: the input as values, what holds for any line, and programs that replay.
  *
- * With libFuzzer: clang -fsanitize=fuzzer,address,undefined,float-cast-overflow. With -DREPLAY, the
- * program takes the names of files, or draws inputs at random: replay COUNT SEED.
+ * With libFuzzer: clang -DFUZZER -fsanitize=fuzzer,address,undefined,float-cast-overflow. Without
+ * it, the program takes the names of files, or draws inputs at random: replay COUNT SEED.
  */
 #ifndef FUZZ_H
 #define FUZZ_H
@@ -153,7 +153,7 @@ static inline bool fuzz_mac(void *context, uint8_t key_id, const uint8_t *data, 
 
 /* ---- the program without libFuzzer ---- */
 
-#ifdef REPLAY
+#ifndef FUZZER
 static void replay(const char *name)
 {
     static uint8_t data[1 << 20];

@@ -122,10 +122,12 @@ static void sealed_record(maplines_decoder_t *decoder, input_t *input, int64_t t
         feed(decoder, &frame, t_ns);
         return;
     }
-    if ((form & 8U) != 0 && dbc->messages[owner].has_secured)
+    if ((form & 8U) != 0 && address(dbc, owner, 2, &frame))
     {
         maplines_signer_t signer = {fuzz_mac, NULL, form >> 6U, next_time(input, 0) / 1000};
-        if (maplines_secure(dbc, owner, record, 8 * pages, 0, &signer, &frame))
+        frame.length = (uint8_t)maplines_secured_pdu(layout, dbc->messages[owner].secured_data_id,
+                                                     record, 8 * pages, 0, &signer, frame.data);
+        if (frame.length > 0)
         {
             feed(decoder, &frame, t_ns);
         }

@@ -160,12 +160,6 @@ def test_mixtures_have_the_frames_of_the_library(k: int) -> None:
 COV = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
 
 
-@pytest.mark.parametrize("dbc", ["maplines.dbc", "maplines-pose.dbc"])
-def test_a_mistake_of_the_caller_has_its_name(dbc: str) -> None:
-    """Of lines, mixtures and scenes: nothing is sent, and no counter advances."""
-    assert c_core.run(c_core.harness("refusals", layout_of(dbc)), b"") == b""
-
-
 @pytest.mark.parametrize(
     ("layout", "slot", "is_fd", "refusal"),
     [

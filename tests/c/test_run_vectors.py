@@ -51,7 +51,7 @@ def runner(layout: Layout, **options: Any) -> Path:
     "flags",
     [
         pytest.param(("-O2",), id="double"),
-        pytest.param(("-O1", "-DMAPLINES_FLOAT"), id="float"),
+        pytest.param(("-O2", "-DMAPLINES_FLOAT"), id="float"),
         pytest.param(("-O3", "-std=gnu99", *c_core.NATIVE), id="fused"),
     ],
 )
