@@ -39,7 +39,7 @@ TARGETS = ("frames", "encoder")
 PROJECT = ("maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc")
 SANITIZERS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 #: With clang also conversions of numbers out of range, which gcc does not check with the others.
-CLANG = ("-DFUZZER", "-fsanitize=fuzzer,float-cast-overflow",)
+CLANG = ("-DFUZZER", "-fsanitize=fuzzer,float-cast-overflow")
 #: Longest input [byte].
 MAX_LENGTH = 4096
 

@@ -429,3 +429,11 @@ def test_a_filter_may_be_set_during_an_outage() -> None:
         clock.now += 2.0
         assert link.send(FRAME) is Sent.OK
         assert [each["can_id"] for each in opener.opened[-1].filters] == [0x348]
+
+
+def test_all_frames_pass_again_without_a_filter() -> None:
+    opener = FakeOpener()
+    with Link(opener) as link:
+        link.accept_only([0x348])
+        link.accept_only(None)
+        assert opener.opened[0].filters is None

@@ -1,5 +1,6 @@
 """Deadlines do not drift, and lateness is counted."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -93,3 +94,14 @@ def test_a_lateness_below_a_tenth_of_a_microsecond_counts_as_that() -> None:
     for value in (-1e-9, 0.0, 1.0):
         histogram.add(value)
     assert histogram.summary() == pytest.approx((1e-7, 1.0, 1.0), rel=0.05)
+
+
+def test_a_key_that_is_unknown_or_removed_has_no_deadline() -> None:
+    schedule = Schedule[Any](1.0)
+    assert schedule.deadline("a") == math.inf
+    schedule.add("a", 0.0, now=5.0)
+    assert schedule.deadline("a") == 5.0
+    schedule.remove("a")
+    schedule.remove("a")
+    assert schedule.deadline("a") == math.inf
+    assert schedule.wait(now=5.0) is None

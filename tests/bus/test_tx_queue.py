@@ -25,7 +25,7 @@ from maplines_can.bus import (
     Link,
     Transmitter,
 )
-from maplines_can.bus.tx_queue import AHEAD, ALLOWANCE, Transfer, TxQueue
+from maplines_can.bus.tx_queue import AHEAD, ALLOWANCE, Published, PublishedScene, Transfer, TxQueue
 from maplines_can.values.line import Slot
 from maplines_can.values.mixture import GaussianMixture
 from maplines_can.wire import POSE, Frame, default_dbc_path
@@ -333,3 +333,13 @@ def test_no_lines_in_place_of_a_scene_end_its_pose_error() -> None:
     queue.put([], 0.02)
     assert queue.wait(0.02) is None
     assert queue.take(1.0) is None
+
+
+@pytest.mark.parametrize(
+    ("age", "expected"), [(-1.0, 0.0), (0.25, 0.375), (0.375, 0.5), (0.376, math.inf)]
+)
+def test_an_age_is_stated_up_to_the_greatest_one(age: float, expected: float) -> None:
+    """0.125 s after publishing, with 0.5 s as the greatest; it is never less than 0."""
+    scene = PublishedScene(FakeScene((LEFT,)), age, at=T0)  # type: ignore[arg-type]
+    line = Published(map_line(), age, at=T0)
+    assert scene.age_at(T0 + 0.125, 0.5) == line.with_age(T0 + 0.125, 0.5).age == expected
