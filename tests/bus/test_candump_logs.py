@@ -140,13 +140,9 @@ OTHER_ROWS = {
     "  can0  20000004   [8]  00 04 00 00 00 00 00 00   '........'": Skipped.ERROR,
     "(1.5) can0 20000004#0004000000000000": Skipped.ERROR,
     "(1.5) can0 20000080#": Skipped.ERROR,  # python-can's writer, whatever the class was
-    "(1.5) can0 20000080##0": Skipped.ERROR,
-    "(1.5) can0 3FFFFFFF#0004000000000000 R": Skipped.ERROR,
-    "  can0  123   [0]  remote request": Skipped.REMOTE,
     "  can0  123   [4]  remote request": Skipped.REMOTE,
     "  can0  TX - -  00000123   [4]  remote request": Skipped.REMOTE,
     "(1.5) can0 123#R": Skipped.REMOTE,
-    "(1.5) can0 123#R8 T": Skipped.REMOTE,
     "(1.5) can0 123#r8": Skipped.REMOTE,
     "(1.5) can0 00000123#R8_E": Skipped.REMOTE,
     "(1.5) can0 123#81:00:12345678#11223344": Skipped.OTHER,  # CAN XL
