@@ -282,9 +282,6 @@ bool maplines_refit_extended_values(const double *refits, size_t n, const double
 /// (2) [m], and the points [m], which stand one after the other.
 size_t maplines_see_lines(const double *paths, const double look[6], double *memory,
                           uint8_t *left_out, size_t *count, double *x_range, double *x, double *y);
-/// Lateral positions of a stretch at n ascending places [m]. Memory is 4 doubles for each point.
-void maplines_lateral_of(size_t points, const double *x, const double *y, double *memory, size_t n,
-                         const double *at, double *found);
 
 /// Lines one by one for a caller that computes the moments: refits of the lines that are given, and
 /// their ranges (lines, 2) [m]; their number.

@@ -305,25 +305,6 @@ size_t maplines_see_lines(const double *paths, const double look[6], double *mem
     return work.seen.lines;
 }
 
-void maplines_lateral_of(size_t points, const double *x, const double *y, double *memory, size_t n,
-                         const double *at, double *found)
-{
-    maplines_stretch_t stretch = {0, points, {0.0, 0.0}, 0};
-    maplines_stretches_t seen;
-    memset(&seen, 0, sizeof seen);
-    seen.lines = 1;
-    seen.points = points;
-    seen.x = memory;
-    seen.y = memory + points;
-    seen.key = memory + 2 * points;
-    seen.slope = memory + 3 * points;
-    seen.stretch = &stretch;
-    memcpy(seen.x, x, points * sizeof *x);
-    memcpy(seen.y, y, points * sizeof *y);
-    maplines_index_stretches(&seen);
-    maplines_lateral(&seen, 0, n, at, found);
-}
-
 /* ---- lines and scenes step by step ----------------------------------------------------------- */
 
 size_t maplines_fit_lines(const double *paths, const double query[20], double *memory,

@@ -89,8 +89,6 @@ void maplines_look_start(const maplines_look_t *look, double start[2], double *r
 /// the reason of each line, or MAPLINES_GIVEN.
 void maplines_see(const maplines_path_t *paths, size_t count, const maplines_look_t *look,
                   maplines_stretches_t *seen, maplines_omission_t *left_out);
-/// Set keys and slopes of stretches, of which all else is set.
-void maplines_index_stretches(maplines_stretches_t *seen);
 /// Lateral positions of a stretch at ascending x [m].
 void maplines_lateral(const maplines_stretches_t *seen, size_t line, size_t count, const double *x,
                       double *y);

@@ -251,6 +251,33 @@ static bool stretch_around(const maplines_path_t *path, const frame_t *frame, si
     return stretch->x_range[0] < stretch->x_range[1];
 }
 
+/// Set keys and slopes of stretches, of which all else is set.
+static void index_stretches(maplines_stretches_t *seen)
+{
+    double farthest = 0.0;
+    for (size_t i = 0; i < seen->points; ++i)
+    {
+        farthest = fabs(seen->x[i]) > farthest ? fabs(seen->x[i]) : farthest;
+    }
+    seen->step = 2.0 * farthest + 1.0;
+    double greatest = -(double)INFINITY;
+    for (size_t line = 0; line < seen->lines; ++line)
+    {
+        const maplines_stretch_t *stretch = &seen->stretch[line];
+        const double shift = (double)line * seen->step;
+        for (size_t i = stretch->first; i < stretch->first + stretch->count; ++i)
+        {
+            const double key = seen->x[i] + shift;
+            greatest = key > greatest ? key : greatest; // close points may run back a little
+            seen->key[i] = greatest;
+        }
+    }
+    for (size_t i = 0; i + 1 < seen->points; ++i)
+    {
+        seen->slope[i] = (seen->y[i + 1] - seen->y[i]) / (seen->key[i + 1] - seen->key[i]);
+    }
+}
+
 void maplines_see(const maplines_path_t *paths, size_t count, const maplines_look_t *look,
                   maplines_stretches_t *seen, maplines_omission_t *left_out)
 {
@@ -279,37 +306,11 @@ void maplines_see(const maplines_path_t *paths, size_t count, const maplines_loo
             ++seen->lines;
         }
     }
-    maplines_index_stretches(seen);
+    index_stretches(seen);
 }
 
 /* ---- values of stretches ----------------------------------------------------------------------
  */
-
-void maplines_index_stretches(maplines_stretches_t *seen)
-{
-    double farthest = 0.0;
-    for (size_t i = 0; i < seen->points; ++i)
-    {
-        farthest = fabs(seen->x[i]) > farthest ? fabs(seen->x[i]) : farthest;
-    }
-    seen->step = 2.0 * farthest + 1.0;
-    double greatest = -(double)INFINITY;
-    for (size_t line = 0; line < seen->lines; ++line)
-    {
-        const maplines_stretch_t *stretch = &seen->stretch[line];
-        const double shift = (double)line * seen->step;
-        for (size_t i = stretch->first; i < stretch->first + stretch->count; ++i)
-        {
-            const double key = seen->x[i] + shift;
-            greatest = key > greatest ? key : greatest; // close points may run back a little
-            seen->key[i] = greatest;
-        }
-    }
-    for (size_t i = 0; i + 1 < seen->points; ++i)
-    {
-        seen->slope[i] = (seen->y[i + 1] - seen->y[i]) / (seen->key[i + 1] - seen->key[i]);
-    }
-}
 
 /// Index of the last point whose key is not greater, from one of which that is known.
 static size_t next_point(const maplines_stretches_t *seen, double key, size_t i)

@@ -227,16 +227,12 @@ class Query(NamedTuple):
         None for a transform that the core does not know, and if it finds a line that is no
         Gaussian: step by step, the one that is wrong is found and said.
         """
-        count = len(self.lines)
-        found = np.empty(22 * count)
+        found = np.empty(22 * len(self.lines))
         reasons = self._reasons(lib.maplines_propagate_lines, transform, self.ego, 1, found)
         if reasons is None:
             return None
-        given = reasons.count(0)
-        means = found[: 4 * given].reshape(given, 4)
-        covs = found[4 * count :][: 16 * given].reshape(given, 4, 4)
-        x_ranges = found[20 * count :][: 2 * given].reshape(given, 2)
-        return MapLineList(self.made(reasons, means, covs, x_ranges), self.left_out(reasons))
+        arrays = _rows(found, reasons, ((4,), (4, 4), (2,)))
+        return MapLineList(self.made(reasons, *arrays), self.left_out(reasons))
 
     def propagated_scene(self, transform: Transform, pose_error: PoseError) -> Scene | None:
         """Return the scene of ``map_scene``; None as above."""
@@ -249,13 +245,10 @@ class Query(NamedTuple):
             return None
         k, left_out = reasons.count(0), self.left_out(reasons)
         found.setflags(write=False)
-        arrays, begin = [], 0
-        for row in ((4,), (2,), (2,), (), (4, 4)):
-            size = math.prod(row)
-            arrays.append(found[begin : begin + size * k].reshape(k, *row))
-            begin += size * count
-        means, x_ranges, fit_ranges, quartics, specific_covs = arrays
-        cov = found[begin : begin + (4 * k) ** 2].reshape(4 * k, 4 * k)
+        means, x_ranges, fit_ranges, quartics, specific_covs = _rows(
+            found, reasons, ((4,), (2,), (2,), (), (4, 4))
+        )
+        cov = found[25 * count :][: (4 * k) ** 2].reshape(4 * k, 4 * k)
         if not k:
             return Scene((), cov, pose_error, fit_ranges, self.map_error, left_out)
         covs = [cov[i : i + 4, i : i + 4] for i in range(0, 4 * k, 4)]
@@ -306,6 +299,18 @@ class Query(NamedTuple):
         """Return the reasons of the lines that are left out."""
         pairs = zip(self.lines, reasons, strict=True)
         return {slot: REASONS[reason - 1] for slot, reason in pairs if reason}
+
+
+def _rows(
+    found: NDArray[np.float64], reasons: bytes, rows: Sequence[tuple[int, ...]]
+) -> list[NDArray[np.float64]]:
+    """Return arrays of rows of these shapes, one row for each line, of which the given are set."""
+    begins = len(reasons) * np.cumsum([0, *map(math.prod, rows)])
+    k = reasons.count(0)
+    return [
+        found[begin:][: k * math.prod(row)].reshape(k, *row)
+        for begin, row in zip(begins.tolist(), rows, strict=False)
+    ]
 
 
 @lru_cache(maxsize=KEPT)

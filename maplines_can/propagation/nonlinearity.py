@@ -13,8 +13,6 @@ from .transform import values_at
 
 #: Distance of the evaluation points from the mean [standard deviations], that of sigma points.
 SIGMA_SPREAD = np.sqrt(3.0)
-
-
 #: Outputs of less spread than this share of the largest value have rounding errors only, such as
 #: the curvature of a straight line.
 MIN_SPREAD = 1e-9
@@ -42,21 +40,20 @@ def nonlinearity(function: Callable[..., Any], gaussian: Gaussian) -> Nonlineari
     n = gaussian.dimension
     axes = np.eye(n)
     pairs = [(i, j) for i in range(n) for j in range(i)]
-    places = [np.zeros(n), *axes, *-axes]
-    for i, j in pairs:
-        places += [(axes[i] + s * axes[j]) * t / np.sqrt(2) for s in (1, -1) for t in (1, -1)]
-    points = gaussian.mean + SIGMA_SPREAD * np.array(places) @ gaussian.root.T
+    diagonals = [(axes[i] + sign * axes[j]) / np.sqrt(2) for i, j in pairs for sign in (1, -1)]
+    directions = np.array([*axes, *diagonals])
+    places = np.vstack([np.zeros(n), directions, -directions])
+    points = gaussian.mean + SIGMA_SPREAD * places @ gaussian.root.T
     values = values_at(function, points).reshape(len(points), -1)  # (P, outputs)
-    middle, ahead, behind = values[0], values[1 : n + 1], values[n + 1 : 2 * n + 1]
+    middle, ahead, behind = np.split(values, [1, 1 + len(directions)])
+    bends = (ahead + behind - 2 * middle) / SIGMA_SPREAD**2
     H = np.zeros((values.shape[1], n, n))
     for i in range(n):
-        H[:, i, i] = (ahead[i] + behind[i] - 2 * middle) / SIGMA_SPREAD**2
-    for (i, j), (pp, pm, mp, mm) in zip(
-        pairs, values[2 * n + 1 :].reshape(len(pairs), 4, values.shape[1]), strict=True
-    ):
+        H[:, i, i] = bends[i]
+    for k, (i, j) in enumerate(pairs):
         # Along (e_i + e_j) / sqrt(2) and (e_i - e_j) / sqrt(2): half their difference is H_ij.
-        H[:, i, j] = H[:, j, i] = ((pp + pm) - (mp + mm)) / (2 * SIGMA_SPREAD**2)
-    slopes = (ahead - behind) / (2 * SIGMA_SPREAD)
+        H[:, i, j] = H[:, j, i] = (bends[n + 2 * k] - bends[n + 2 * k + 1]) / 2
+    slopes = (ahead - behind)[:n] / (2 * SIGMA_SPREAD)
     variance = (slopes**2).sum(axis=0) + (H**2).sum(axis=(1, 2)) / 2
     spread = np.sqrt(variance)
     varies = spread > MIN_SPREAD * np.abs(values).max(initial=0.0)

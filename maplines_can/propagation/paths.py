@@ -99,12 +99,9 @@ class Stretch(NamedTuple):
     points: NDArray[np.float64]  #: (2, n) x, ascending but for close points, and y [m]
 
     def lateral(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the (k,) lateral positions at (k,) ascending x; beyond, those of the ends [m]."""
-        given, found = np.ascontiguousarray(x), np.empty(len(x))
-        count = self.points.shape[1]
-        arrays = pointer(self.points[0]), pointer(self.points[1]), new("double[]", 4 * count)
-        lib.maplines_lateral_of(count, *arrays, len(x), pointer(given), pointer(found))
-        return found
+        """Return the (k,) lateral positions at (k,) x; beyond, those of the ends [m]."""
+        ascending, y = np.maximum.accumulate(self.points[0]), self.points[1]
+        return np.asarray(np.interp(x, ascending, y))
 
 
 def stretches(

@@ -39,9 +39,7 @@ class Refit:
     cubic ``v = p0 + p1 u + p2 u^2 + p3 u^3`` is fitted by least squares (Map Line Interface,
     section III-A) at 64 Chebyshev nodes of the range, interpolated on the line. The result
     therefore depends on the line and not on the spacing of its points, and deviates little more
-    than the best cubic. A rotation mixes u and v linearly. Each sum of the normal equations is
-    therefore a polynomial in the cosine and sine of the rotation, whose coefficients are computed
-    once: the cost per pose does not depend on the number of points.
+    than the best cubic. The cost per pose does not depend on the number of points.
 
     Args:
         polyline: the line; or several lines, for which each call returns parameters.
@@ -117,10 +115,7 @@ class Refit:
     def of_memory(cls, memory: NDArray[np.float64], lines: int, *, has_noise: bool) -> Refit:
         """Return the refits of lines that the core has set in ``refits_memory``; without a pose.
 
-        Args:
-            memory: as of ``refits_memory``.
-            lines: number of lines in it.
-            has_noise: whether they have a covariance of map error and misfit.
+        ``has_noise`` is whether they have a covariance of map error and misfit.
         """
         refit = object.__new__(cls)
         refit._set(memory, lines, (lines,), has_noise)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..values.gaussian import Gaussian
 from ..values.linalg import nearest_covariance
@@ -50,7 +49,10 @@ def scene_mixture(
     seen = SeenLines(scene.means[line], scene.fit_ranges[line], scene.quartics[line])
     block = slice(N * i, N * i + N)
     P = scene.pose_error.cov
-    own = nearest_covariance(_symmetric(scene.cov[block, block] - seen.spread(P)))
+    own = scene.cov[block, block] - seen.spread(P)
+    own = (own + own.T) / 2
+    own[np.diag_indices(N)] = own.diagonal().clip(0)  # rounding may have made one negative
+    own = nearest_covariance(own)
     weights, means, covs = Mixture(components, transform).moments(
         seen.centred(P), Gaussian(np.zeros(3), P)
     )
@@ -60,10 +62,3 @@ def scene_mixture(
         Gaussian(mean + shift, cov + own) for mean, cov in zip(means[:, 0], covs[:, 0], strict=True)
     )
     return GaussianMixture(weights, tuple(gaussians))
-
-
-def _symmetric(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a matrix with variances of 0 or more, which rounding may have made negative."""
-    matrix = (matrix + matrix.T) / 2
-    matrix[np.diag_indices(N)] = matrix.diagonal().clip(0)
-    return np.asarray(matrix)

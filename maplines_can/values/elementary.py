@@ -64,15 +64,3 @@ def _values(function: int, x: ArrayLike) -> Array:
     found = np.empty(given.shape)
     lib.maplines_elementary(function, given.size, pointer(given), pointer(found), ffi.NULL)
     return found
-
-
-def hypot(x: Array, y: Array) -> Array:
-    """Return the (...,) lengths of vectors (x, y); NaN if x or y is one.
-
-    The relative error is at most 2^-52 from 1e-150 to 1e154; squares of what is longer overflow.
-
-    >>> hypot(np.array([3.0, 1e200]), np.array([4.0, 0.0]))
-    array([ 5., inf])
-    """
-    with np.errstate(over="ignore"):  # infinite then, as in C
-        return np.asarray(np.sqrt(x * x + y * y))

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -59,12 +58,11 @@ matrix is -1; use nearest_covariance(cov), which covers it
         mean = floats(self.mean, "mean").copy()
         cov = floats(self.cov, "cov").copy()
         rounding = rounding_of(self.cov)
-        if not _is_checked(mean, cov, rounding):
-            if mean.ndim != 1 or mean.size == 0 or not all(map(math.isfinite, mean.tolist())):
-                raise ValueError(f"mean must be finite with shape (n,), got {mean!r}")
-            if cov.shape != (mean.size, mean.size):
-                raise ValueError(f"cov must be finite with shape {(mean.size,) * 2}, got {cov!r}")
-            _raise_fault(cov, rounding)
+        n = mean.size
+        fits = n > 0 and mean.shape == (n,) and cov.shape == (n, n)
+        arrays = (pointer(mean), pointer(cov), new("double[]", n * (n + 1))) if fits else ()
+        if not fits or not lib.maplines_check_gaussian(n, rounding, *arrays):
+            raise _fault(mean, cov, rounding)
         mean.setflags(write=False)
         cov.setflags(write=False)
         self.__dict__.update(mean=mean, cov=cov)
@@ -194,38 +192,31 @@ matrix is -1; use nearest_covariance(cov), which covers it
         return self.root
 
 
-def _is_checked(mean: NDArray[np.float64], cov: NDArray[np.float64], rounding: float) -> bool:
-    """Return whether the core finds nothing wrong, and make the covariance exactly symmetric."""
-    n = mean.size
-    if n == 0 or mean.shape != (n,) or cov.shape != (n, n):
-        return False
-    memory = new("double[]", n * (n + 1))
-    return bool(lib.maplines_check_gaussian(n, rounding, pointer(mean), pointer(cov), memory))
-
-
-def _raise_fault(cov: NDArray[np.float64], rounding: float) -> NoReturn:
-    """Raise what is wrong with an (n, n) covariance that the core refuses, as ``Gaussian``."""
+def _fault(mean: NDArray[np.float64], cov: NDArray[np.float64], rounding: float) -> ValueError:
+    """Return what is wrong with a mean and a covariance that the core refuses."""
+    if mean.ndim != 1 or mean.size == 0 or not np.isfinite(mean).all():
+        return ValueError(f"mean must be finite with shape (n,), got {mean!r}")
+    if cov.shape != (mean.size, mean.size) or not (np.abs(cov) <= MAX_COV).all():  # or NaN
+        return ValueError(f"cov must be finite with shape {(mean.size,) * 2}, got {cov!r}")
     variances = cov.diagonal()
-    if not (np.abs(cov) <= MAX_COV).all():  # or NaN
-        raise ValueError(f"cov must be finite with shape {cov.shape}, got {cov!r}")
     if (variances < 0).any():
-        raise ValueError(f"cov must have variances of 0 or more, got {variances!r}")
+        return ValueError(f"cov must have variances of 0 or more, got {variances!r}")
     if cov[variances == 0].any():
-        raise ValueError(
+        return ValueError(
             f"cov must be 0 in the row and column of a zero variance, got {cov!r}; "
             "use nearest_covariance(cov)"
         )
     if asymmetric(cov, rounding).any():
-        raise ValueError(f"cov must be symmetric, got {cov!r}; use (cov + cov.T) / 2")
+        return ValueError(f"cov must be symmetric, got {cov!r}; use (cov + cov.T) / 2")
     cov = (cov + cov.T) / 2
     if indefinite(cov, rounding).any():
         scale = scale_of(cov)
         smallest = np.linalg.eigvalsh(cov / scale / scale[:, None])[0]
-        raise ValueError(
+        return ValueError(
             "cov must be positive semidefinite, but the smallest eigenvalue of its "
             f"correlation matrix is {smallest:g}; use nearest_covariance(cov), which covers it"
         )
-    raise ValueError(f"cov is no covariance for the core, got {cov!r}")
+    return ValueError(f"cov is no covariance for the core, got {cov!r}")
 
 
 def independent(first: Gaussian, second: Gaussian) -> Gaussian:

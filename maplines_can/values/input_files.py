@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, TextIO
@@ -40,12 +40,7 @@ def checked_path(path: str | PathLike[str], error: type[Exception]) -> Path:
 
 
 def lines_of(file: TextIO, source: str, error: type[Exception]) -> Iterator[str]:
-    """Yield the lines of a text, with their line breaks.
-
-    Args:
-        file: the text.
-        source: its name, for messages.
-        error: type of the error.
+    """Yield the lines of a text, with their line breaks; the source is its name, for messages.
 
     Raises:
         error: a line has more than ``MAX_LINE`` characters.
@@ -59,12 +54,7 @@ def lines_of(file: TextIO, source: str, error: type[Exception]) -> Iterator[str]
 
 
 def toml_of(text: str, source: str, error: type[Exception]) -> dict[str, Any]:
-    """Return the values of a text in TOML.
-
-    Args:
-        text: the text.
-        source: its name, for messages.
-        error: type of the error.
+    """Return the values of a text in TOML; the source is its name, for messages.
 
     Raises:
         error: it is not TOML, or is nested deeper than ``MAX_NESTING``.
@@ -74,15 +64,7 @@ def toml_of(text: str, source: str, error: type[Exception]) -> dict[str, Any]:
     ...
     ValueError: car.toml: is not valid TOML: Invalid value (at end of document)
     """
-    if _LONG_KEY.search(text):
-        raise _too_deep(source, error)
-    try:
-        values = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as wrong:
-        raise error(f"{source}: is not valid TOML: {wrong}") from wrong
-    except RecursionError:
-        raise _too_deep(source, error) from None
-    _check_nesting(values, source, error)
+    values: dict[str, Any] = _parsed("TOML", tomllib.loads, text, source, error)
     return values
 
 
@@ -94,17 +76,21 @@ def json_of(text: str, source: str, error: type[Exception]) -> Any:
     ...
     ValueError: log.json: values must be nested at most 32 deep
     """
+    return _parsed("JSON", json.loads, text, source, error)
+
+
+def _parsed(
+    kind: str, parse: Callable[[str], Any], text: str, source: str, error: type[Exception]
+) -> Any:
+    too_deep = error(f"{source}: values must be nested at most {MAX_NESTING} deep")
+    if kind == "TOML" and _LONG_KEY.search(text):
+        raise too_deep
     try:
-        value = json.loads(text)
+        value = parse(text)
     except ValueError as wrong:
-        raise error(f"{source}: is not valid JSON: {wrong}") from wrong
+        raise error(f"{source}: is not valid {kind}: {wrong}") from wrong
     except RecursionError:
-        raise _too_deep(source, error) from None
-    _check_nesting(value, source, error)
-    return value
-
-
-def _check_nesting(value: Any, source: str, error: type[Exception]) -> None:
+        raise too_deep from None
     level = [value]
     for _ in range(MAX_NESTING + 1):
         level = [
@@ -114,8 +100,5 @@ def _check_nesting(value: Any, source: str, error: type[Exception]) -> None:
             for item in (each.values() if isinstance(each, dict) else each)
         ]
     if level:
-        raise _too_deep(source, error)
-
-
-def _too_deep(source: str, error: type[Exception]) -> Exception:
-    return error(f"{source}: values must be nested at most {MAX_NESTING} deep")
+        raise too_deep
+    return value

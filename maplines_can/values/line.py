@@ -344,11 +344,7 @@ def transform_line_or_nan(
 
 
 def check_window(x_min: NDArray[np.float64], x_max: NDArray[np.float64]) -> None:
-    """Check the windows of ``transform_line``.
-
-    Raises:
-        ValueError: a window is empty or not finite.
-    """
+    """Raise ValueError if a window of ``transform_line`` is empty or not finite."""
     if not ((-math.inf < x_min) & (x_min < x_max) & (x_max < math.inf)).all():
         ends = ", ".join(f"{end:g}" if end.ndim == 0 else str(end) for end in (x_min, x_max))
         raise ValueError(f"window must have finite x_min < x_max [m], got ({ends})")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats, number_text
-from .elementary import hypot, sin_cos
+from .elementary import sin_cos
 from .line import Kind
 from .pieces import Pieces, extents, longest, merged, value_at
 
@@ -94,13 +94,9 @@ class Polyline:
     ) -> Polyline:
         """Return a line of the given arrays without copying or checking them.
 
-        The arrays become read-only. For points that are computed from those of other lines, or
-        checked together; otherwise call ``Polyline(points, kind)``.
-
-        Args:
-            points: (n, 2) finite, n >= 2 [m].
-            kind: kind of marking or boundary, or pairs as of the constructor.
-            distance: (n,) arc lengths from the first point [m], if they are known.
+        The arrays, also of (n,) arc lengths if they are known [m], become read-only. For points
+        that are computed from those of other lines, or checked together; otherwise call
+        ``Polyline``.
         """
         line = object.__new__(cls)
         line._set(points, _arc_lengths(points) if distance is None else distance, kind)
@@ -109,10 +105,11 @@ class Polyline:
     def _set(self, points: NDArray[np.float64], distance: NDArray[np.float64], kind: Kinds) -> None:
         points.setflags(write=False)
         distance.setflags(write=False)
-        kinds = () if isinstance(kind, Kind) else merged(kind)
+        kinds: Pieces[Kind] = ()
         if not isinstance(kind, Kind):
+            kinds = merged(kind)
             kind = longest(kinds, float(distance[-1]))
-        kinds = kinds if len(kinds) > 1 else ()
+            kinds = kinds if len(kinds) > 1 else ()
         vars(self).update(points=points, distance=distance, kind=kind, kinds=kinds)
 
     @cached_property
@@ -208,10 +205,9 @@ def nearest_share(
     squared: NDArray[np.float64],
     point: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return where each of (2, n) segments is nearest to a point, and the squared distances.
+    """Return where (2, n) segments are nearest to a (2, 1) point, and the squared distances.
 
-    The places are shares of the segments from 0 to 1. ``squared`` are the (n,) squared lengths of
-    the segments, and the point is (2, 1).
+    The places are shares of the segments, of (n,) squared lengths, from 0 to 1.
     """
     offset = point - begin
     share = offset[0] * step[0] + offset[1] * step[1]
@@ -228,11 +224,7 @@ def squared_length(steps: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _checked(kind: Kinds, length: float) -> Kinds:
-    """Return a kind, or pairs.
-
-    Raises:
-        ValueError: it is no kind, or the arc lengths do not increase from 0 to less than a length.
-    """
+    """Return a kind, or pairs, of a line of a length; raise ValueError for others."""
     if not isinstance(kind, Sequence):
         return Kind(kind)
     pairs = [(float(s), Kind(one)) for s, one in kind]
@@ -247,9 +239,9 @@ def _checked(kind: Kinds, length: float) -> Kinds:
 
 def _arc_lengths(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (n,) arc lengths of (n, 2) points from the first one."""
-    step = points[1:] - points[:-1]
+    x, y = (points[1:] - points[:-1]).T
     found = np.zeros(len(points))
-    hypot(step[:, 0], step[:, 1]).cumsum(out=found[1:])
+    np.sqrt(x * x + y * y).cumsum(out=found[1:])  # as in C; hypot of NumPy depends on the machine
     return found
 
 

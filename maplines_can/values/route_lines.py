@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .arrays import floats
 from .elementary import sin_cos
@@ -81,10 +81,6 @@ class RouteLines:
             is_candidate = is_near if is_near.any() else is_candidate
         if not is_candidate.any():
             return None
-        return self._place(int(np.where(is_candidate, squared, np.inf).argmin()), share)
-
-    def _place(self, i: int, share: NDArray[np.float64]) -> RoutePlace:
-        """Return the place at a share of step i."""
-        distance = self.path.distance
+        i = int(np.where(is_candidate, squared, np.inf).argmin())
         s = float(distance[i] + share[i] * (distance[i + 1] - distance[i]))
         return RoutePlace(max(0, bisect_right(self.starts, s) - 1), s)

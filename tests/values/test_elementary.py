@@ -134,49 +134,6 @@ def test_sine_and_cosine_of_any_angle(x: Any) -> None:
         assert error <= 3 * Fraction(math.ulp(scale)) + Fraction(off)
 
 
-# ---- lengths --------------------------------------------------------------------------
-
-SIZES = st.floats(-1e8, 1e8) | st.floats(-1e160, 1e160)
-
-
-@given(x=SIZES, y=SIZES)
-@example(x=0.0, y=-0.0)
-@example(x=9e153, y=-9e153)
-@example(x=1e-150, y=5e-324)
-@example(x=5e-324, y=5e-324)
-def test_a_length_has_a_small_error(x: Any, y: Any) -> None:
-    """Relative to it, or to what no map has; it is infinite if the square is."""
-    with np.errstate(over="ignore"):
-        length = elementary.hypot(np.array([x]), np.array([y])).item()
-    with localcontext(Context(prec=60)):
-        exact = (Decimal(x) ** 2 + Decimal(y) ** 2).sqrt()
-    if exact > Decimal(2) ** 512 * (1 - Decimal(2) ** -53):
-        assert length == math.inf
-    else:
-        bound = max(Fraction(exact) / 2**52, Fraction(1e-160))
-        assert abs(Fraction(length) - Fraction(exact)) <= bound
-
-
-@pytest.mark.parametrize(
-    ("x", "y", "length"),
-    [(3.0, -4.0, 5.0), (0.0, 1.75, 1.75), (math.inf, 1.0, math.inf), (-math.inf, 0.0, math.inf)],
-)
-def test_lengths(x: Any, y: Any, length: Any) -> None:
-    """Of one vector and of many, whose arrays do not change."""
-    rows = np.tile([x, y], (20, 1))
-    assert elementary.hypot(*rows.T).tolist() == [length] * 20
-    assert elementary.hypot(*rows[:1].T).item() == length
-    assert (rows == [x, y]).all()
-
-
-@pytest.mark.parametrize("other", [0.0, 1e300, math.inf])
-def test_a_length_of_what_is_no_number_is_none(other: Any) -> None:
-    """NaN, also with an infinite coordinate."""
-    with np.errstate(over="ignore"):
-        found = elementary.hypot(np.array([math.nan, other]), np.array([other, math.nan]))
-    assert np.isnan(found).all()
-
-
 # ---- who uses the library --------------------------------------------------------------
 
 PACKAGE = Path(elementary.__file__).parents[1]
