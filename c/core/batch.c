@@ -35,14 +35,6 @@ void maplines_seal_record(const maplines_dbc_t *dbc, int owner, size_t length, u
     maplines_seal(dbc, owner, record, length, counter);
 }
 
-void maplines_powers_of_two(size_t n, const double *exponents, double *powers)
-{
-    for (size_t i = 0; i < n; i++)
-    {
-        powers[i] = maplines_exp2(exponents[i]);
-    }
-}
-
 /* ---- encode ---------------------------------------------------------------------------------- */
 
 bool maplines_check_gaussians(size_t n, const double *mean, const double *cov, double *symmetric,
@@ -111,38 +103,23 @@ void maplines_encode_lines(const maplines_dbc_t *dbc, const double *const powers
     }
 }
 
-static void cover_one(const maplines_dbc_t *dbc, int k, int64_t steps, const double *weights,
-                      const double *means, const double *covs, double *decoded, double *cover)
+bool maplines_cover_mixtures(const maplines_dbc_t *dbc, size_t n, size_t k, const double *weights,
+                             const double *means, const double *covs, double *decoded,
+                             double *cover)
 {
-    double own_means[MAPLINES_MAX_COMPONENTS][4];
-    double own_covs[MAPLINES_MAX_COMPONENTS][16];
-    double decoded_means[MAPLINES_MAX_COMPONENTS][4];
-    memcpy(own_means, means, 32U * (size_t)k);
-    memcpy(own_covs, covs, 128U * (size_t)k);
-    for (int i = 0; i < 4 * k; i++)
+    maplines_component_t components[MAPLINES_MAX_COMPONENTS];
+    for (size_t i = 0; k <= MAPLINES_MAX_COMPONENTS && i < n; i++)
     {
-        const maplines_signal_t *signal = &dbc->mean[i % 4];
-        const double raw = maplines_nearest_raw(signal, means[i]);
-        decoded_means[i / 4][i % 4] = maplines_physical(signal, maplines_limited(signal, raw));
+        for (size_t one = 0; one < k; one++)
+        {
+            const size_t place = k * i + one;
+            components[one].weight = weights[place];
+            memcpy(components[one].mean, means + 4 * place, sizeof components[one].mean);
+            memcpy(components[one].cov, covs + 16 * place, sizeof components[one].cov);
+        }
+        maplines_cover_mixture(dbc, components, (int)k, decoded + k * i, cover + 16 * i);
     }
-    maplines_quantize_weights(k, weights, steps, decoded);
-    maplines_deficit(k, weights, own_means, own_covs, decoded, decoded_means, cover);
-}
-
-bool maplines_cover_mixtures(const maplines_dbc_t *dbc, size_t n, size_t k, int64_t steps,
-                             const double *weights, const double *means, const double *covs,
-                             double *decoded, double *cover)
-{
-    if (k > MAPLINES_MAX_COMPONENTS)
-    {
-        return false;
-    }
-    for (size_t i = 0; i < n; i++)
-    {
-        cover_one(dbc, (int)k, steps, weights + k * i, means + 4 * k * i, covs + 16 * k * i,
-                  decoded + k * i, cover + 16 * i);
-    }
-    return true;
+    return k <= MAPLINES_MAX_COMPONENTS;
 }
 
 /* ---- decode ------------------------------------------------------------------------------------

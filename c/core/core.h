@@ -55,8 +55,6 @@ void maplines_seal_record(const maplines_dbc_t *dbc, int owner, size_t length, u
  *   reals (4, n)     component weight, start and end of the valid range [m], age [s]
  */
 
-/// Powers of 2.
-void maplines_powers_of_two(size_t n, const double *exponents, double *powers);
 /// Whether all of n Gaussians may be sent: finite, symmetric but for rounding, and without negative
 /// variances. It sets `symmetric` (n, 4, 4), and which are `indefinite` beyond rounding.
 bool maplines_check_gaussians(size_t n, const double *mean, const double *cov, double *symmetric,
@@ -70,9 +68,9 @@ void maplines_encode_lines(const maplines_dbc_t *dbc, const double *const powers
                            const double *reals, uint8_t *records);
 /// Decoded weights (n, k) of mixtures, and the deficit (n, 4, 4) that they leave. False if there
 /// are more components than the core can hold.
-bool maplines_cover_mixtures(const maplines_dbc_t *dbc, size_t n, size_t k, int64_t steps,
-                             const double *weights, const double *means, const double *covs,
-                             double *decoded, double *cover);
+bool maplines_cover_mixtures(const maplines_dbc_t *dbc, size_t n, size_t k, const double *weights,
+                             const double *means, const double *covs, double *decoded,
+                             double *cover);
 /// Read n records. The last of the powers are those of the square roots of the inflation; verdicts
 /// are 0, or 1 for mixed pages, 2 for the checksum, and 3 for values that no sender sends.
 void maplines_decode_lines(const maplines_dbc_t *dbc, const double *const powers[5], size_t n,

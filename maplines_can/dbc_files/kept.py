@@ -1,8 +1,8 @@
 """A DBC file and its tables, which are kept, so that a known DBC is not parsed again.
 
 Those of the DBCs of this package are in the folder ``packaged``, which ``tools/make_dbc.py``
-writes; those of others in the user's cache. What is kept is known by the bytes of the file, the encoding
-that the user states, our version, and the cantools that is installed.
+writes; those of others in the user's cache. What is kept is known by the bytes of the file, the
+encoding that the user states, our version, and the cantools that is installed.
 """
 
 from __future__ import annotations

@@ -71,7 +71,6 @@ class BatchCodec:
 
     def __init__(self, again: Callable[[], BatchCodec], layout: Layout, tables: LineTables) -> None:
         self._again, self._layout, self._tables = again, layout, tables
-        self._weight_steps = round(1 / layout["ComponentWeight"].factor)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return self._again, ()
@@ -147,7 +146,7 @@ class BatchCodec:
         given = shaped(weights, (n, k)), shaped(means, (n, k, 4))
         of_cov = shaped(gaussians.cov.reshape(covs.shape), covs.shape)
         arrays = (*given, of_cov, pointer(decoded), pointer(cover))
-        if not lib.maplines_cover_mixtures(self._tables.dbc, n, k, self._weight_steps, *arrays):
+        if not lib.maplines_cover_mixtures(self._tables.dbc, n, k, *arrays):
             raise EncodeError(f"the core refuses mixtures of {k} components")
         records = self._encode(
             gaussians, values.of_components(decoded), np.repeat(cover, k, axis=0)

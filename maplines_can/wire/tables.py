@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import chain, count
 from pathlib import PurePath
 from typing import Any, NamedTuple, TypeAlias
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..core import lib
 from ..core.memory import pointer, pointers, structure
+from ..values.elementary import exp2
 from ..values.errors import LayoutError
 from ..values.line import Slot
 from .layout.cholesky import CholeskyCode
@@ -164,10 +166,7 @@ def _powers_of_two(signal: Signal, share: float = 1.0) -> NDArray[np.float64] | 
     """Return the powers of 2 of all values of a signal; None if there are too many."""
     if signal.raw_max - signal.raw_min >= MAX_TABLE:
         return None
-    exponents = signal.physical(np.arange(signal.raw_min, signal.raw_max + 1)) * share
-    powers = np.empty_like(exponents)
-    lib.maplines_powers_of_two(len(powers), pointer(exponents), pointer(powers))
-    return powers
+    return exp2(signal.physical(np.arange(signal.raw_min, signal.raw_max + 1)) * share)
 
 
 def _plain(value: Any) -> Any:
@@ -296,16 +295,7 @@ def _messages(messages: RecordMessages) -> Members:
         "has_classic": messages.can_id is not None,
         "has_fd": messages.fd_can_id is not None,
         "has_secured": messages.secured_can_id is not None,
-        "is_extended": messages.is_extended,
-        "fd_is_extended": messages.fd_is_extended,
-        "secured_is_extended": messages.secured_is_extended,
-        "fd_length": messages.fd_length,
-        "data_id": messages.data_id,
-        "secured_data_id": messages.secured_data_id,
-        "can_id": messages.can_id,
-        "fd_can_id": messages.fd_can_id,
-        "secured_can_id": messages.secured_can_id,
-        "cycle_ms": messages.cycle_ms,
+        **{name: value for name, value in vars(messages).items() if name != "name"},
     }
 
 
@@ -335,11 +325,8 @@ def _any_covariance(signal: Signal) -> Members:
 
 def _levels(layout: RecordLayout, prefix: str) -> Members:
     """Return the members of ``maplines_levels_t``."""
-    signals: dict[str, Value] = {
-        member: layout.signals.get(prefix + name) for member, name in _LEVELS.items()
-    }
     return {
-        **signals,
+        **{member: layout.signals.get(prefix + name) for member, name in _LEVELS.items()},
         "shape_is_octave": layout[f"{prefix}OwnShape"].unit == OCTAVE,
     }
 
@@ -366,7 +353,7 @@ def _check_bits(layout: RecordLayout, name: str, most: int) -> None:
 def _in_page(signal: Signal) -> Signal:
     """Return a signal of a later page with its place in the page."""
     page = signal.start // (8 * PAGE_BYTES)
-    return Signal(**{**vars(signal), "start": signal.start - 8 * PAGE_BYTES * page})
+    return replace(signal, start=signal.start - 8 * PAGE_BYTES * page)
 
 
 def _indexed(values: Iterable[Value]) -> Members:

@@ -1,23 +1,8 @@
-"""Default covariance code: a Cholesky factor that is quantized with feedback.
+"""Default covariance code: the signals of a Cholesky factor, and what a DBC may make of them.
 
-Let ``S = L L^T`` be the covariance in the order of the rows, with L lower triangular, and
-``S' = L' L'^T`` the decoded covariance. With ``A = L'^-1 L``,
-
-    KL(N(0, S) || N(0, S')) = sum_i ((a_ii^2 - 1) / 2 - ln a_ii) + 1/2 sum_{i>j} a_ij^2,
-
-so each entry of A contributes to the divergence by itself. The signals are the pivots
-``log2 L'_ii`` and the ratios ``L'_ij / L'_ii``. Row by row, from the diagonal outwards, each ratio
-is chosen such that its a_ij is closest to zero *given the entries that are already quantized*. So
-every |a_ij| is at most half a step, for any covariance, and the expected divergence is a constant
-of the code: a ratio of step D costs D^2 / 24, and a pivot of step D (in octaves) costs
-(D ln 2)^2 / 12.
-
-The decoded covariance covers the target, for two reasons. First, if a ratio is out of range, its
-pivot is lifted until the ratio fits. This adds variance only in the one direction that is narrower
-than the code can represent. Second, the matrix is multiplied by 2^inflation, the least one for
-which S' minus the mean square error about the decoded mean is positive definite: for which it has a
-Cholesky factor, in units of the decoded one. All operations are in a fixed order, that of
-``c/src/cholesky.c``, so that the raw values are the same on any machine.
+The signals are the pivots ``log2 L_ii``, the ratios ``L_ij / L_ii``, and the inflation, an exponent
+of 2 by which the matrix is multiplied. ``c/src/cholesky.c`` writes and reads them;
+``model/covariance.py`` says how, and why the decoded covariance covers the target.
 """
 
 from __future__ import annotations
@@ -40,11 +25,9 @@ MAX_CONDITION = 1e13
 class CholeskyFactor:
     """Cholesky factor as the signals ``Pivot<row>`` and ``Ratio<row><column>`` of a layout.
 
-    The pivots are ``log2 L_ii``, and the ratios ``L_ij / L_ii`` (Pinheiro and Bates, Statistics and
-    Computing 6, 1996, with each row divided by its pivot). Any bits decode to a positive definite
-    matrix.
-
-    The names give the order of the rows: with ``RatioC0Beta``, C0 comes after Beta.
+    Any bits decode to a positive definite matrix (Pinheiro and Bates, Statistics and Computing 6,
+    1996, with each row divided by its pivot). The names give the order of the rows: with
+    ``RatioC0Beta``, C0 comes after Beta.
 
     Args:
         layout: has the signals.

@@ -335,19 +335,30 @@ class Decoder:
             ValueError: a place or a length is beyond the arrays, or an array is not in C order.
             TypeError: an array is of another type.
         """
-        _check_block(can_id, is_extended, t_ns, length, data, places, reasons)
-        arrays: list[NDArray[Any]] = [places, can_id, is_extended, t_ns, length, data]
-        given = [len(places), len(can_id), data.shape[1], *map(pointer, arrays)]
+        n, width = data.shape
+        rows: dict[str, NDArray[Any]] = {
+            "can_id": can_id, "is_extended": is_extended, "t_ns": t_ns, "length": length,
+        }  # fmt: skip
+        for name, array in (*rows.items(), ("reasons", reasons)):
+            if array.shape != (n,):
+                raise ValueError(f"{name} must be ({n},) as the rows of data, got {array.shape}")
+        if width > 64:
+            raise ValueError(f"data must be (n, up to 64) bytes, got {data.shape}")
+        if len(places) and not (places.min() >= 0 and places.max() < n):
+            raise ValueError(f"places must be those of {n} frames, got up to {places.max()}")
+        if (length[places] > width).any():
+            raise ValueError(f"length must be {width} at most as data has, got {length.max()}")
+        given = [len(places), n, width, *map(pointer, (places, *rows.values(), data))]
         given.append(pointer(reasons, written=True))
         block, place = ffi.new("maplines_block_t *", given), 0
         found: list[list[Rows]] = []
         with self._lock:
             while place < len(places) or not found:
-                rows, arrays_of_rows = _new_rows(len(places) - place)
-                place = self._feed_block(block, place, rows, scenes > 0)
-                counts = rows.line_count, rows.component_count, rows.scene_count
-                part = [array[:n] for array, n in zip(arrays_of_rows, counts, strict=True)]
-                self._renew(rows, part[0], part[1])
+                room, arrays = _new_rows(len(places) - place)
+                place = self._feed_block(block, place, room, scenes > 0)
+                counts = room.line_count, room.component_count, room.scene_count
+                part = [one[:count] for one, count in zip(arrays, counts, strict=True)]
+                self._renew(room, part[0], part[1])
                 part[1]["line"] += sum(len(lines) for lines, *_ in found)
                 found.append(part)
             shown = self._c.shown
@@ -536,28 +547,3 @@ def _new_rows(frames: int) -> tuple[Any, tuple[Rows, Rows, Rows]]:
     )
     memory = [ffi.from_buffer(f"{name}[]", a) for name, a in zip(_ROWS, arrays, strict=True)]
     return ffi.new("maplines_rows_t *", [*memory, *map(len, memory)]), arrays
-
-
-def _check_block(
-    can_id: NDArray[np.uint32],
-    is_extended: NDArray[np.bool_],
-    t_ns: NDArray[np.int64],
-    length: NDArray[np.uint8],
-    data: NDArray[np.uint8],
-    places: NDArray[np.int64],
-    reasons: NDArray[np.uint8],
-) -> None:
-    """Check the sizes of the arrays of a block; see ``Decoder.feed_arrays``."""
-    n, width = data.shape
-    for name, array in (
-        ("can_id", can_id), ("is_extended", is_extended), ("t_ns", t_ns), ("length", length),
-        ("reasons", reasons),
-    ):  # fmt: skip
-        if array.shape != (n,):
-            raise ValueError(f"{name} must be ({n},) as the rows of data, got {array.shape}")
-    if width > 64:
-        raise ValueError(f"data must be (n, up to 64) bytes, got {data.shape}")
-    if len(places) and not (places.min() >= 0 and places.max() < n):
-        raise ValueError(f"places must be those of {n} frames, got up to {places.max()}")
-    if (length[places] > width).any():
-        raise ValueError(f"length must be {width} at most as data has, got {length.max()}")
