@@ -28,7 +28,7 @@ STUDY_COMMANDS = {f"cli.{name}" for name in (
     "demo", "study", "report", "production", "design", "accuracy", "claims", "figures", "selftest",
 )}  # fmt: skip
 #: What the model may import of the package: the types of lines, and what a DBC says.
-OF_MODEL = ("values.errors", "values.line", "wire.layout")
+OF_MODEL = ("values.errors", "values.line", "values.map_error", "wire.layout")
 #: Who may import the model: the comparison of core and model, which ``maplines selftest`` runs.
 MODEL_USERS = {f"testing.{name}" for name in (
     "hostile_streams", "back_to_back", "sender_streams", "ecu_streams", "map_streams",

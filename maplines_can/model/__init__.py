@@ -2,13 +2,12 @@
 
 It is for people: to study a record step by step, to port the project to another language, and as
 the witness of the core in C. The product never calls it; ``maplines selftest`` compares both on the
-machine at hand, to the last bit. All numbers are floats and ints, all matrices lists of rows, and
-nothing is written for speed. It imports nothing of the package but the types of lines
-(``values``) and what a DBC says (``wire.layout``). Reasons, statuses and states are strings: the
-names of those of the product.
+machine at hand, to the last bit. All numbers are floats and ints, all matrices lists of rows
+(``matrices.py``), and nothing is written for speed. It imports nothing of the package but the types
+of lines (``values``) and what a DBC says (``wire.layout``). Reasons, statuses and states are
+strings: the names of those of the product. Read the receiver in this order::
 
-Read the receiver in this order::
-
+    elementary.py    functions with the same bits on any machine
     signals.py       bits of a signal to a raw value and back; raw values to physical ones
     records.py       a record from its signals: pages, transfer ID, checksum; what no sender sends
     secoc.py         is a frame authentic
@@ -16,7 +15,7 @@ Read the receiver in this order::
     e2e.py           checksum, status of a counter, state machine
     sequence.py      is a record new; lost, late and repeated ones; a sender that restarts
     senders.py       signs of a second sender
-    mixtures.py      the components of a line, or none
+    mixtures.py      the components of a line, or none; their weights
     epochs.py        which lines belong to which pose error
     lines.py         cubics seen from another pose
     levels.py        line-specific covariance of levels
@@ -24,31 +23,20 @@ Read the receiver in this order::
     settings.py      time-outs and cycle times
     receiver.py      all of it: class ``Receiver``
 
-``elementary.py`` and ``matrices.py`` have the arithmetic, in the order of operations of the core.
-Its comparison with the core is above it: ``testing/hostile_streams.py`` draws what a faulty,
-hostile bus delivers, and ``testing/back_to_back.py`` feeds it to both.
+the sender, which shares some of them, since it decodes what it has encoded::
 
-The sender, in this order::
-
-    rounding.py      physical values to raw ones: nearest, up, down
     covariance.py    a covariance as pivots, ratios and an inflation that covers it
     nearest_line.py  the line within the ranges of a message that is nearest to another one
-    weights.py       weights of a mixture, and what their rounding leaves to be covered
     writer.py        a line, or a mixture, as complete records
     joint.py         what two joint covariances lack to cover a third
     level_search.py  which levels of the line-specific covariance tell the least wrong
     scene_sender.py  a scene as records
 
-It shares ``lines.py``, ``levels.py`` and ``scenes.py`` with the receiver: a sender decodes what it
-has encoded. ``testing/sender_streams.py`` compares it.
-
-The propagation, from map lines and an uncertain pose to lines with covariances, in this order::
+and the propagation, from map lines and an uncertain pose to lines with covariances::
 
     stretches.py     what a car sees of a line, as a function y(x) in its frame
     cubic_ranges.py  the longest range in which a cubic follows a line, and what it misses there
     refits.py        the cubic that a line is, as a function of the pose; errors of the map
     certain_range.py where the lateral position of a line is known well enough
     propagation.py   moments over the pose: lines one by one, and scenes
-
-``testing/map_streams.py`` compares it.
 """

@@ -16,18 +16,7 @@ from typing import NamedTuple
 from ..wire.layout.record_layout import RecordLayout
 from ..wire.layout.signals import PARAMETER_SIGNALS, Signal
 from .elementary import exp2, log2
-from .matrices import (
-    Matrix,
-    Vector,
-    diagonal,
-    eigen,
-    is_definite,
-    matrix,
-    outer,
-    positive_part,
-    scale_of,
-    total,
-)
+from .matrices import Matrix, Vector, diagonal, matrix, total
 from .signals import Raw, limited, nearest, nearest_limited, value, whole
 
 #: Rounding that a covariance may have, as a share of the variances.
@@ -122,15 +111,11 @@ class Coded(NamedTuple):
 
 
 def encode(code: Code, target: Matrix, resolution: Sequence[float]) -> Coded:
-    """Return the raw values of a covariance that covers a target.
+    """Return the raw values of a covariance that covers a target, which is semidefinite.
 
     If the greatest inflation does not cover it, the target is encoded again, wider by what was
-    missing. That happens if a value was clipped, or if a DBC has coarse steps.
-
-    Args:
-        code: of the covariance.
-        target: positive semidefinite, in the order of the states.
-        resolution: variances of the rounding of the mean: least squares of the pivots.
+    missing. That happens if a value was clipped, or if a DBC has coarse steps. The variances of the
+    rounding of the mean are the least squares of the pivots.
     """
     scale, is_lifted, order = 1.0, False, [row.state for row in code.rows]
     most, M = 4 * reachable(code), target.block(order, order)
@@ -141,7 +126,7 @@ def encode(code: Code, target: Matrix, resolution: Sequence[float]) -> Coded:
         raw["Inflation"], is_covered = least_inflation(code.inflation, W, margin)
         if is_covered:
             return Coded(raw, is_lifted, True)
-        needed = max(*eigen(W)[0], 0.0) * (1 + MARGIN) + margin
+        needed = max(*W.eigen()[0], 0.0) * (1 + MARGIN) + margin
         greatest = exp2(value(code.inflation, code.inflation.raw_max))
         scale = WIDER * scale * max(needed / greatest, 1.0)
     return Coded(widest(code), is_lifted, False)
@@ -197,9 +182,7 @@ def rounded_row(
 ) -> tuple[dict[str, int], Vector, float]:
     """Round a row left of its pivot, from the diagonal outwards.
 
-    Returns:
-        The raw ratios, the decoded entries, and the factor by which sigma is too small for the
-        ratios; 1 if they fit.
+    The third result is the factor by which sigma is too small for the ratios; 1 if they fit.
     """
     raw, row, overflow = dict[str, int](), Vector(target), 1.0
     for j, ratio in reversed([*enumerate(ratios)]):
@@ -236,7 +219,7 @@ def least_inflation(inflation: Signal, W: Matrix, margin: float) -> tuple[int, b
 
     def covers(raw: int) -> bool:
         most = (exp2(value(inflation, raw)) - margin) / (1 + MARGIN)
-        return is_definite(diagonal([most] * len(W)) - W)
+        return (diagonal([most] * len(W)) - W).is_definite()
 
     exponent = log2(max(W.diagonal()) * (1 + MARGIN) + margin)
     high = limited(inflation, whole(math.ceil, (exponent - inflation.offset) / inflation.factor))
@@ -255,7 +238,7 @@ def least_inflation(inflation: Signal, W: Matrix, margin: float) -> tuple[int, b
 def is_indefinite(S: Matrix) -> bool:
     """Whether a matrix is no covariance beyond rounding: its correlations have no factor."""
     L = Matrix()
-    for i, entries in enumerate(S / outer(scale_of(S))):
+    for i, entries in enumerate(S / S.scale().outer()):
         row = _factor_row(entries, L)
         pivot = entries[i] + ROUNDING - row @ row
         if not pivot > 0:
@@ -266,7 +249,7 @@ def is_indefinite(S: Matrix) -> bool:
 
 def nearest_covariance(S: Matrix) -> Matrix:
     """Return the nearest covariance that covers a symmetric matrix, in units of its sigmas."""
-    found = _nearest(S, scale_of(S))
+    found = _nearest(S, S.scale())
     if any(row[i] == 0 and any(row) for i, row in enumerate(found)):
         # Covariances of a zero variance that are so small that rounding hides them.
         found = _nearest(S, _scale_of_any(S))
@@ -278,13 +261,13 @@ def nearest_covariance(S: Matrix) -> Matrix:
 
 def _nearest(S: Matrix, scale: Vector) -> Matrix:
     """Return the matrix without negative eigenvalues, in units of a scale."""
-    E = S / outer(scale)
-    return positive_part(E) * outer(scale) if min(eigen(E)[0]) < 0 else S
+    E = S / scale.outer()
+    return E.positive_part() * scale.outer() if min(E.eigen()[0]) < 0 else S
 
 
 def _scale_of_any(S: Matrix) -> Vector:
     """Return ``scale_of``, but with a variable of zero variance in the scale of its covariances."""
-    scale, found = scale_of(S), Vector()
+    scale, found = S.scale(), Vector()
     for i, row in enumerate(S):
         others = [scale[j] if S[j][j] > 0 else math.sqrt(abs(x)) for j, x in enumerate(row)]
         shares = [abs(x) / other for x, other in zip(row, others, strict=True) if other > 0]

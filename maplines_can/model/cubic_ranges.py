@@ -177,13 +177,8 @@ def coefficient_variances(seen: Stretches, line: int, cubic: Fitted, point_sigma
 
     T_0 has a share of the misfit. T_1 .. T_3 have ``SHAPE`` times a level, the least one with which
     second differences of the rest over 5, 10 and 20 m have an rms of one standard deviation, and
-    nearly all are at most 2.9. What errors of the map's points explain of them is taken off.
-
-    Args:
-        seen: the stretches.
-        line: which of them.
-        cubic: its cubic.
-        point_sigma: stated error of the map's points [m].
+    nearly all are at most 2.9. What errors of the map's points explain of them is taken off, up to
+    the stated one.
     """
     nodes = [i * (2 / (GRID - 1)) - 1 for i in range(GRID)]
     x = places(cubic.begin, cubic.end, nodes)

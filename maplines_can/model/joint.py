@@ -8,24 +8,7 @@ from functools import reduce
 from operator import add
 
 from .elementary import log2
-from .matrices import (
-    Matrix,
-    Vector,
-    cholesky,
-    congruence,
-    diagonal,
-    dot_by_halves,
-    inverse,
-    is_definite,
-    is_finite,
-    lower_solution,
-    matrix,
-    norm,
-    outer,
-    symmetric,
-    total,
-    upper_solution,
-)
+from .matrices import Matrix, Vector, diagonal, dot_by_halves, matrix, total
 
 #: Share of D by which a sum must exceed what it covers, so that another rounding passes.
 SLACK = 1e-6
@@ -68,8 +51,8 @@ def compared(true: Matrix, decoded: Matrix) -> tuple[float, float]:
 
     The divergence is the first one plus the logarithm of the other.
     """
-    G, L = cholesky(true), cholesky(decoded)
-    trace, ratio = reduce(add, (y * y for column in lower_solution(L, G).T for y in column)), 1.0
+    G, L = true.cholesky(), decoded.cholesky()
+    trace, ratio = reduce(add, (y * y for column in L.lower_solution(G).T for y in column)), 1.0
     for x, y in zip(L.diagonal(), G.diagonal(), strict=True):
         ratio *= x / y
     return (trace - len(true)) / 2, ratio
@@ -84,8 +67,8 @@ def divergence(true: Matrix, decoded: Matrix) -> float:
 
 def factor_or_identity(S: Matrix) -> Matrix:
     """Return the Cholesky factor, or 1 if there is none."""
-    L = cholesky(S)
-    return L if is_finite(L) else diagonal([1.0] * len(S))
+    L = S.cholesky()
+    return L if L.is_finite() else diagonal([1.0] * len(S))
 
 
 # ---- all lines --------------------------------------------------------------------------------
@@ -110,16 +93,16 @@ def uncovered(
     NaN for lines that cannot be compared.
     """
     lines, unknown, bound = range(len(J)), matrix([[math.nan] * 4] * 4), 1 - SLACK
-    to_metres = [inverse(one) for one in J]
-    factors = [cholesky(congruence(to_metres[i], own[i])) for i in lines]
+    to_metres = [one.inverse() for one in J]
+    factors = [to_metres[i].congruence(own[i]).cholesky() for i in lines]
     lacking = [diagonal([0.0] * 4) for _ in lines]
-    if not all(map(is_finite, factors)):
-        return [none if is_finite(L) else unknown for none, L in zip(lacking, factors, strict=True)]
-    W = [lower_solution(factors[i], to_metres[i]) for i in lines]
+    if not all(L.is_finite() for L in factors):
+        return [lacking[i] if factors[i].is_finite() else unknown for i in lines]
+    W = [factors[i].lower_solution(to_metres[i]) for i in lines]
     excess = whitened(W, true - spread)
-    if is_definite(_less_than(bound, excess)):
+    if _less_than(bound, excess).is_definite():
         return None
-    wholes = [congruence(W[i], block(spread, i, i)) for i in lines]
+    wholes = [W[i].congruence(block(spread, i, i)) for i in lines]
     sizes = [factor_or_identity(diagonal([1.0] * 4) + whole) for whole in wholes]
     guess = FIRST
     for _ in range(4 * len(J)):
@@ -129,14 +112,14 @@ def uncovered(
         guess, v = found  # the next one is hardly larger
         amount = guess + SLACK
         parts = [Vector(v[4 * i : 4 * i + 4]) for i in lines]
-        weights = [norm(_solved(lower_solution, sizes[i], parts[i])) + 1e-9 for i in lines]
+        weights = [_solved(sizes[i].lower_solution, parts[i]).norm() + 1e-9 for i in lines]
         for i in lines:
             u = Vector(row @ parts[i] for row in factors[i])
-            lacking[i] += amount * total(weights) / weights[i] * outer(u)
+            lacking[i] += amount * total(weights) / weights[i] * u.outer()
         excess -= Matrix(amount * a * v for a in v)
-        if is_definite(_less_than(bound, excess)):
+        if _less_than(bound, excess).is_definite():
             break
-    return [congruence(J[i], lacking[i]) for i in lines]
+    return [J[i].congruence(lacking[i]) for i in lines]
 
 
 def _less_than(bound: float, S: Matrix) -> Matrix:
@@ -144,9 +127,9 @@ def _less_than(bound: float, S: Matrix) -> Matrix:
     return diagonal([bound] * len(S)) - S
 
 
-def _solved(solution: Callable[[Matrix, Matrix], Matrix], A: Matrix, b: Vector) -> Vector:
-    """Return the solution of a triangular system with one right-hand side."""
-    return solution(A, Matrix([b]).T).T[0]
+def _solved(solution: Callable[[Matrix], Matrix], b: Vector) -> Vector:
+    """Return the solution of a system with one right-hand side."""
+    return solution(Matrix([b]).T).T[0]
 
 
 def largest(S: Matrix, bound: float, guess: float) -> tuple[float, Vector] | None:
@@ -158,17 +141,17 @@ def largest(S: Matrix, bound: float, guess: float) -> tuple[float, Vector] | Non
     """
     low, high = 0.0, math.inf
     for _ in range(FACTORIZATIONS):
-        L = cholesky(_less_than(bound + guess, S))
+        L = _less_than(bound + guess, S).cholesky()
         if math.isnan(L[-1][-1]):
             low = guess
             guess = FARTHER * guess if math.isinf(high) else (low + high) / 2
             continue
         high = guess
         # The column of the inverse with the largest diagonal entry is nearest to the eigenvector.
-        X = lower_solution(L, diagonal([1.0] * len(S))).T
+        X = L.lower_solution(diagonal([1.0] * len(S))).T
         v = max(X, key=lambda column: dot_by_halves(column, column))
-        v = _unit(_solved(upper_solution, L.T, v))
-        v = _unit(_solved(upper_solution, L.T, _solved(lower_solution, L, v)))
+        v = _unit(_solved(L.T.upper_solution, v))
+        v = _unit(_solved(L.T.upper_solution, _solved(L.lower_solution, v)))
         low = max(low, dot_by_halves(v, [dot_by_halves(row, v) for row in S]) - bound)
         if high - low <= PRECISION * high or high <= LEAST:
             return high, v
@@ -178,7 +161,7 @@ def largest(S: Matrix, bound: float, guess: float) -> tuple[float, Vector] | Non
 
 def _unit(v: Vector) -> Vector:
     """Return the vector of length 1."""
-    return v / norm(v)
+    return v / v.norm()
 
 
 def whitened(W: Sequence[Matrix], S: Matrix) -> Matrix:
@@ -187,4 +170,4 @@ def whitened(W: Sequence[Matrix], S: Matrix) -> Matrix:
     for i, one in enumerate(W):
         blocks = [one @ block(S, i, j) @ other.T for j, other in enumerate(W)]
         rows.extend(Vector(x for b in blocks for x in b[k]) for k in range(4))
-    return symmetric(rows)
+    return rows.symmetric()

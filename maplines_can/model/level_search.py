@@ -9,27 +9,17 @@ from __future__ import annotations
 import math
 import struct
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property, reduce
 from operator import add
 from typing import NamedTuple
 
+from ..wire.layout.signals import OWN_SIGNALS, Signal
 from .elementary import log2
 from .joint import LN_2, compared, largest_ratio
-from .levels import (
-    RATIOS,
-    SHAPE,
-    Levels,
-    LevelSignals,
-    arc_of,
-    level_covariance,
-    noise,
-    point_noise,
-    shape_level,
-    spacing_of,
-)
+from .levels import RATIOS, SHAPE, arc_of, noise, point_noise, shape_level, spacing_of
 from .lines import Curve
-from .matrices import Matrix, Vector, congruence, diagonal, inverse, matrix
+from .matrices import Matrix, Vector, diagonal, matrix
 from .signals import level
 
 #: Raw values above the least one of the level of the points, or of the shape, that are tried.
@@ -53,22 +43,16 @@ class Wanted(NamedTuple):
     true: Matrix  #: T: to which the sum is to be close
 
 
-def wanted_of(target: Matrix, common: Matrix, true: Matrix, J: Matrix) -> Wanted:
-    """Return what levels have to cover, of covariances of the parameters; J is of ``bases``."""
-    to_metres = inverse(J)
-    return Wanted(congruence(to_metres, target) - common, common, congruence(to_metres, true))
-
-
 class LevelSearch:
     """Search for the levels of a line."""
 
-    def __init__(self, signals: LevelSignals) -> None:
-        self.signals = signals
+    def __init__(self, signals: Mapping[str, Signal]) -> None:
+        self.lateral, self.points, self.shape = (signals[name] for name in OWN_SIGNALS)
 
     @cached_property
     def squares(self) -> list[list[float]]:
         """Squares of the levels a, p and b of all raw values."""
-        of_signals = zip((level, level, shape_level), self.signals, strict=True)
+        of_signals = (level, self.lateral), (level, self.points), (shape_level, self.shape)
         return [
             [of(signal, raw) * of(signal, raw) for raw in range(signal.raw_max + 1)]
             for of, signal in of_signals
@@ -80,7 +64,7 @@ class LevelSearch:
 
         These are all, or at equal distances. N has single precision, as in the tables of the core.
         """
-        shape, line = self.signals.shape, Curve(Vector([0.0] * 4), 0.0, 1.0)
+        shape, line = self.shape, Curve(Vector([0.0] * 4), 0.0, 1.0)
         step = -(-(shape.raw_max + 1 - shape.raw_min) // SPACINGS)
         while math.gcd(step, len(RATIOS)) != 1:
             step += 1
@@ -107,18 +91,20 @@ class LevelSearch:
             bound = least_cost(_at(squared, least + TRIED[1]) * S, wanted)
             raw = least_raw(squared, S, wanted.target, least) + TRIED[1]
             cost = direction_cost(_at(squared, raw) * S, wanted)
-            cost = math.inf if raw > self.signals.points.raw_max else cost
+            cost = math.inf if raw > self.points.raw_max else cost
             costs[k] = bound if bound > cost else cost
         return sorted(costs, key=lambda k: (costs[k], k))[:CHOSEN]
 
-    def encode(self, wanted: Wanted, curve: Curve, spacings: Sequence[int]) -> tuple[Levels, bool]:
+    def encode(
+        self, wanted: Wanted, curve: Curve, spacings: Sequence[int]
+    ) -> tuple[dict[str, int], bool]:
         """Return the levels with the least cost, and whether they cover the line.
 
         Of some spacings with some levels of the points, and of some levels of the shape alone.
         """
         _, of_points, of_shape = self.squares
-        levels, least_so_far = Levels(0, 0, 0), math.inf
-        tried = [(noise(self.signals.shape, k, curve), of_points, k) for k in spacings]
+        levels, least_so_far = (0, 0, 0), math.inf
+        tried = [(noise(self.shape, k, curve), of_points, k) for k in spacings]
         for S, squared, k in [*tried, (SHAPE, of_shape, None)]:
             begin = least_by_variances(squared, S, wanted.target)
             least = least_raw(squared, S, wanted.target, begin)
@@ -130,13 +116,9 @@ class LevelSearch:
                 lateral, cost = self.cost(own, wanted)
                 cost = bound if bound > cost else cost
                 if cost < least_so_far:  # the first one with the least cost
-                    levels = Levels(lateral, 0, raw) if k is None else Levels(lateral, raw, k)
+                    levels = (lateral, 0, raw) if k is None else (lateral, raw, k)
                     least_so_far = cost
-        return levels, math.isfinite(least_so_far)
-
-    def covered(self, raw: Levels, wanted: Wanted, curve: Curve) -> bool:
-        """Whether levels cover what is wanted."""
-        return shortfall(level_covariance(self.signals, raw, curve) - wanted.target) <= 0
+        return dict(zip(OWN_SIGNALS, levels, strict=True)), math.isfinite(least_so_far)
 
     def cost(self, own: Matrix, wanted: Wanted) -> tuple[int, float]:
         """Return the lateral level with which a covariance covers the target, and its cost."""
@@ -146,7 +128,7 @@ class LevelSearch:
         decoded[0][0] += _at(squared, raw)
         by_trace, ratio = compared(wanted.true, decoded)
         cost = by_trace + LN_2 * log2(ratio * largest_ratio(decoded, wanted.true))
-        is_possible = raw <= self.signals.lateral.raw_max and math.isfinite(cost)
+        is_possible = raw <= self.lateral.raw_max and math.isfinite(cost)
         return raw, cost if is_possible else math.inf
 
 

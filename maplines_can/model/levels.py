@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from ..wire.layout.signals import OCTAVE, Signal
 from .elementary import exp2, tan
 from .lines import Curve, extrema, places
-from .matrices import Matrix, Vector, diagonal, dot_by_halves, inverse, matrix
-from .signals import level, value
+from .matrices import Matrix, Vector, diagonal, dot_by_halves, matrix
+from .signals import Raw, level, value
 
 #: Shape of a line that is uncertain, in coefficients of T_0 .. T_3.
 SHAPE = diagonal([0.0, 0.25, 1.0, 2.0])
@@ -30,43 +31,21 @@ RATIOS = (0.0, 0.5, 0.5 * 1.8, 0.5 * 1.8 * 1.8, 0.5 * 1.8 * 1.8 * 1.8, 0.5 * 1.8
 GOLDEN_RATIO = (1 + math.sqrt(5)) / 2
 #: Places at which a cubic is fitted to the points, from -1 to 1.
 NODES = Vector(extrema(64)[::-1])
+#: Values of T_0 .. T_3 at the nodes, and the (4, 64) matrix of the fit from values there.
+_T = matrix([[1.0] * len(NODES), NODES, [2 * w * w - 1 for w in NODES]])
+_T.append(2.0 * NODES * _T[2] - NODES)
+FIT = matrix([dot_by_halves(a, b) for b in _T] for a in _T).inverse() @ _T
 
 
-def _fit_matrix() -> Matrix:
-    """Return the (4, 64) matrix from values at the nodes to the coefficients of T_0 .. T_3."""
-    T = matrix([[1.0] * len(NODES), NODES, [2 * w * w - 1 for w in NODES]])
-    T.append(2.0 * NODES * T[2] - NODES)
-    return inverse(matrix([dot_by_halves(a, b) for b in T] for a in T)) @ T
-
-
-FIT = _fit_matrix()
-
-
-class LevelSignals(NamedTuple):
-    """Signals of the levels of a line."""
-
-    lateral: Signal  #: OwnLateral
-    points: Signal  #: OwnPoints
-    shape: Signal  #: OwnShape
-
-
-class Levels(NamedTuple):
-    """Raw values of the levels of a line."""
-
-    lateral: int
-    points: int
-    shape: int
-
-
-def level_covariance(signals: LevelSignals, raw: Levels, curve: Curve) -> Matrix:
+def level_covariance(signals: Mapping[str, Signal], raw: Raw, curve: Curve) -> Matrix:
     """Return the covariance of the coefficients of T_0 .. T_3."""
-    if raw.points == 0:
-        b = shape_level(signals.shape, raw.shape)
+    if raw["OwnPoints"] == 0:
+        b = shape_level(signals["OwnShape"], raw["OwnShape"])
         cov = b * b * SHAPE
     else:
-        p = level(signals.points, raw.points)
-        cov = p * p * noise(signals.shape, raw.shape, curve)
-    a = level(signals.lateral, raw.lateral)
+        p = level(signals["OwnPoints"], raw["OwnPoints"])
+        cov = p * p * noise(signals["OwnShape"], raw["OwnShape"], curve)
+    a = level(signals["OwnLateral"], raw["OwnLateral"])
     cov[0][0] += a * a
     return cov
 

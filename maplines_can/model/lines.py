@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from .elementary import atan, sin_cos, tan
-from .matrices import Matrix, Vector, diagonal, dot_by_halves, matrix, quadratic, square_root, total
+from .matrices import Matrix, Vector, diagonal, dot_by_halves, matrix, total
 
 #: Points of a line, and the weight of both ends in a fit; that of the others is 1.
 POINTS, END_WEIGHT = 16, 0.62
@@ -86,14 +86,10 @@ def places(begin: float, end: float, nodes: Sequence[float]) -> Vector:
     return Vector(centre + half * node for node in nodes)
 
 
-def _t_4(w: float) -> float:
-    square = w * w
-    return 8 * (square * square) - 8 * square + 1
-
-
 NODES = extrema(POINTS)
+_T_4 = Vector(8 * (w * w * (w * w)) - 8 * (w * w) + 1 for w in NODES)
 #: What a fitted cubic leaves of T_4.
-BEND = cubic_fit(NODES, Vector(map(_t_4, NODES)), END_WEIGHT)[1]
+BEND = cubic_fit(NODES, _T_4, END_WEIGHT)[1]
 
 
 def y_of(mean: Vector, slope: float, x: float) -> float:
@@ -108,7 +104,8 @@ def lateral_row(slope: float, x: float) -> Vector:
 
 def lateral_variance(slope: float, cov: Matrix, x: float) -> float:
     """Return the variance of the lateral position of a line with tan(beta) at x [m^2]."""
-    return quadratic(lateral_row(slope, x), cov)
+    row = lateral_row(slope, x)
+    return Vector(row @ column for column in cov.T) @ row
 
 
 def points_of(curve: Curve) -> Points:
@@ -196,7 +193,7 @@ def sigma_points(P: Matrix) -> Matrix:
 
     P may be singular.
     """
-    root = math.sqrt(3) * square_root(P).T
+    root = math.sqrt(3) * P.square_root().T
     return Matrix([*root, *(-1.0 * root)])
 
 
@@ -238,12 +235,8 @@ def spread(curve: Curve, poses: Matrix) -> Matrix | None:
 def valid_range(curve: Curve, P: Matrix, own: Matrix, heading_sigma: float) -> tuple[float, float]:
     """Return the range of a line that is valid [m]: it does not end there from the true pose.
 
-    Args:
-        curve: the line with its fit range.
-        P: covariance of the pose.
-        own: line-specific covariance; the variance of the lateral position in the middle of the
-            range is taken to act along the line, too.
-        heading_sigma: of the map [rad].
+    Beside the pose error P, the map has an error of its heading [rad], and the line its own: the
+    variance of the lateral position in the middle of the range is taken to act along the line, too.
     """
     mean, begin, end, _ = curve
     slope = tan(mean[1])

@@ -31,18 +31,17 @@ class _Entries(list[T]):
     def __add__(self, other: Self) -> Self:  # type: ignore[override]
         return self._with(add, other)
 
-    __iadd__ = __add__  # type: ignore[assignment]
-
     def __sub__(self, other: Self) -> Self:
         return self._with(sub, other)
 
     def __mul__(self, other: Self | float) -> Self:  # type: ignore[override]
         return self._with(mul, other)
 
-    __rmul__ = __imul__ = __mul__  # type: ignore[assignment]
-
     def __truediv__(self, other: Self | float) -> Self:
         return self._with(truediv, other)
+
+    __iadd__ = __add__  # type: ignore[assignment]
+    __rmul__ = __imul__ = __mul__  # type: ignore[assignment]
 
 
 class Vector(_Entries[float]):
@@ -54,6 +53,14 @@ class Vector(_Entries[float]):
 
     def __matmul__(self, other: Sequence[float]) -> float:
         return reduce(add, map(mul, self, other)) if self else 0.0
+
+    def norm(self) -> float:
+        """Return the length, with the sum of ``total``."""
+        return math.sqrt(dot_by_halves(self, self))
+
+    def outer(self, other: Vector | None = None) -> Matrix:
+        """Return a b^T, or a a^T."""
+        return Matrix((self if other is None else other) * x for x in self)
 
 
 class Matrix(_Entries[Vector]):
@@ -76,6 +83,160 @@ class Matrix(_Entries[Vector]):
         """Return some rows and columns."""
         chosen = [*columns]
         return matrix([self[i][j] for j in chosen] for i in rows)
+
+    def with_blocks(self, blocks: Iterable[Matrix]) -> Matrix:
+        """Return S + blkdiag(blocks), of blocks of 4 rows."""
+        found = matrix(self)
+        for i, block in enumerate(blocks):
+            own = slice(4 * i, 4 * i + 4)
+            for row, more in zip(found[own], block, strict=True):
+                row[own] = Vector(row[own]) + more
+        return found
+
+    def is_finite(self) -> bool:
+        """Return whether all entries are numbers."""
+        return all(math.isfinite(x) for row in self for x in row)
+
+    def symmetric(self) -> Matrix:
+        """Return the mean of S and S^T."""
+        return (self + self.T) / 2
+
+    def congruence(self, S: Matrix) -> Matrix:
+        """Return A S A^T, exactly symmetric."""
+        return (self @ S @ self.T).symmetric()
+
+    # ---- factors and solutions ------------------------------------------------------------------
+
+    def cholesky(self) -> Matrix:
+        """Return the lower triangular factor; NaN from the first pivot on that is not positive.
+
+        >>> matrix([[4.0, 2.0], [2.0, 5.0]]).cholesky()
+        [[2.0, 0.0], [1.0, 2.0]]
+        """
+        n, rest = len(self), matrix(self)
+        L = diagonal([0.0] * n)
+        for j in range(n):
+            L[j][j] = math.sqrt(rest[j][j]) if rest[j][j] > 0 else math.nan
+            for i in range(j + 1, n):
+                L[i][j] = rest[i][j] / L[j][j]
+                for k in range(j + 1, i + 1):
+                    rest[i][k] -= L[i][j] * L[k][j]
+        return L
+
+    def is_definite(self) -> bool:
+        """Return whether the Cholesky factor exists."""
+        return not math.isnan(self.cholesky()[-1][-1])
+
+    def lower_solution(self, B: Matrix) -> Matrix:
+        """Return X with L X = B for a lower triangular L.
+
+        >>> matrix([[2.0, 0.0], [1.0, 2.0]]).lower_solution(matrix([[2.0], [5.0]]))
+        [[1.0], [2.0]]
+        """
+        X = matrix(B)
+        for i in range(len(X)):
+            X[i] /= self[i][i]
+            for k in range(i + 1, len(X)):
+                X[k] -= self[k][i] * X[i]
+        return X
+
+    def upper_solution(self, B: Matrix) -> Matrix:
+        """Return X with U X = B for an upper triangular U."""
+        X = matrix(B)
+        for i in reversed(range(len(X))):
+            X[i] /= self[i][i]
+            for k in range(i):
+                X[k] -= self[k][i] * X[i]
+        return X
+
+    def inverse(self) -> Matrix:
+        """Return the inverse, by the elimination of Gauss and Jordan with partial pivoting.
+
+        >>> matrix([[0.0, 2.0], [4.0, 0.0]]).inverse()
+        [[0.0, 0.25], [0.5, 0.0]]
+        """
+        n = len(self)
+        M = matrix([*row, *unit] for row, unit in zip(self, diagonal([1.0] * n), strict=True))
+        for k in range(n):
+            chosen = max(range(k, n), key=lambda i: abs(M[i][k]))  # the first largest
+            M[k], M[chosen] = M[chosen], M[k]
+            M[k] /= M[k][k]
+            for i in range(n):
+                if i != k:
+                    M[i] -= M[i][k] * M[k]
+        return matrix(row[n:] for row in M)
+
+    # ---- eigenvalues ----------------------------------------------------------------------------
+
+    def eigen(self) -> tuple[Vector, Matrix]:
+        """Return the eigenvalues of a symmetric matrix, in no order, and the vectors as columns.
+
+        By Jacobi's method. Each round rotates disjoint pairs: all columns, then all rows.
+        """
+        A, V = self, diagonal([1.0] * len(self))
+        for _ in range(SWEEPS):
+            is_done = True
+            for pairs in rounds(len(self)):
+                turns = [(p, q, *_rotation(A[p][p], A[q][q], A[p][q])) for p, q in pairs]
+                if any(sine != 0 for _, _, _, sine in turns):
+                    is_done = False
+                    A, V = A.T.rotated(turns).T.rotated(turns), V.rotated(turns)
+                for p, q in pairs:
+                    A[p][q] = A[q][p] = 0.0
+            if is_done:
+                break
+        return A.diagonal(), V.T
+
+    def rotated(self, turns: Iterable[tuple[int, int, float, float]]) -> Matrix:
+        """Return a matrix with pairs of its rows rotated, by their indices, cosine and sine."""
+        rows = Matrix(self)
+        for p, q, c, s in turns:
+            rows[p], rows[q] = c * self[p] - s * self[q], s * self[p] + c * self[q]
+        return rows
+
+    # ---- covariances ----------------------------------------------------------------------------
+
+    def scale(self) -> Vector:
+        """Return the standard deviations of a covariance, with 1 in place of 0."""
+        return Vector(math.sqrt(x if x > 0 else 1.0) for x in self.diagonal())
+
+    def positive_part(self, more: float = 0.0) -> Matrix:
+        """Return a symmetric matrix with 0 in place of its negative eigenvalues.
+
+        To the others a share of each is added.
+        """
+        values, V = self.eigen()
+        kept = Vector(value * (1 + more) if value > 0 else 0.0 for value in values)
+        return (Matrix(row * kept for row in V) @ V.T).symmetric()
+
+    def square_root(self) -> Matrix:
+        """Return a lower triangular L with L L^T = S, which may be singular.
+
+        That of a singular one is by the eigenvalues of the correlations that are not tiny: rows are
+        reflected to be lower triangular (Householder). One that depends on those before it takes no
+        column.
+        """
+        n, variances, L = range(len(self)), self.diagonal(), self.cholesky()
+        tiny = 8 * len(self) * 2.0**-52
+        if all(L[i][i] * L[i][i] > tiny * variances[i] for i in n):
+            return L
+        values, V = (self / self.scale().outer()).eigen()
+        roots = Vector(math.sqrt(value if value > tiny else 0.0) for value in values)
+        M = Matrix(row * roots for row in V)
+        L, k = diagonal([0.0] * len(self)), 0
+        for j in n:
+            v = Vector(M[j][k:])
+            length = v.norm()
+            if length > tiny:
+                v[0] += math.copysign(length, v[0])
+                twice = 2 / dot_by_halves(v, v)
+                for row in M:
+                    rest = Vector(row[k:])
+                    row[k:] = rest - dot_by_halves(rest, v) * twice * v
+                for i in n[j:]:
+                    L[i][j] = M[i][k] * (1.0 if M[j][k] > 0 else -1.0)
+                k += 1
+        return Matrix(L[i] * math.sqrt(max(variances[i], 0.0)) for i in n)
 
 
 def matrix(rows: Iterable[Iterable[float]]) -> Matrix:
@@ -107,139 +268,6 @@ def dot_by_halves(a: Sequence[float], b: Sequence[float]) -> float:
     return total([*map(mul, a, b)])
 
 
-def norm(a: Vector) -> float:
-    """Return the length, with the sum of ``total``."""
-    return math.sqrt(dot_by_halves(a, a))
-
-
-def outer(a: Vector, b: Vector | None = None) -> Matrix:
-    """Return a b^T, or a a^T."""
-    return Matrix((a if b is None else b) * x for x in a)
-
-
-def symmetric(A: Matrix) -> Matrix:
-    """Return the mean of A and A^T."""
-    return (A + A.T) / 2
-
-
-def congruence(A: Matrix, S: Matrix) -> Matrix:
-    """Return A S A^T, exactly symmetric."""
-    return symmetric(A @ S @ A.T)
-
-
-def quadratic(row: Vector, S: Matrix) -> float:
-    """Return row S row^T, for a symmetric S."""
-    return Vector(row @ column for column in S.T) @ row
-
-
-def with_blocks(S: Matrix, blocks: Iterable[Matrix]) -> Matrix:
-    """Return S + blkdiag(blocks), of blocks of 4 rows."""
-    found = matrix(S)
-    for i, block in enumerate(blocks):
-        own = slice(4 * i, 4 * i + 4)
-        for row, more in zip(found[own], block, strict=True):
-            row[own] = Vector(row[own]) + more
-    return found
-
-
-def is_finite(S: Iterable[Iterable[float]]) -> bool:
-    """Return whether all entries are numbers."""
-    return all(math.isfinite(x) for row in S for x in row)
-
-
-# ---- factors and solutions ----------------------------------------------------------------------
-
-
-def cholesky(S: Matrix) -> Matrix:
-    """Return the lower triangular factor; NaN from the first pivot on that is not positive.
-
-    >>> cholesky(matrix([[4.0, 2.0], [2.0, 5.0]]))
-    [[2.0, 0.0], [1.0, 2.0]]
-    """
-    n, rest = len(S), matrix(S)
-    L = diagonal([0.0] * n)
-    for j in range(n):
-        L[j][j] = math.sqrt(rest[j][j]) if rest[j][j] > 0 else math.nan
-        for i in range(j + 1, n):
-            L[i][j] = rest[i][j] / L[j][j]
-            for k in range(j + 1, i + 1):
-                rest[i][k] -= L[i][j] * L[k][j]
-    return L
-
-
-def is_definite(S: Matrix) -> bool:
-    """Return whether the Cholesky factor exists."""
-    return not math.isnan(cholesky(S)[-1][-1])
-
-
-def lower_solution(L: Matrix, B: Matrix) -> Matrix:
-    """Return X with L X = B for a lower triangular L.
-
-    >>> lower_solution(matrix([[2.0, 0.0], [1.0, 2.0]]), matrix([[2.0], [5.0]]))
-    [[1.0], [2.0]]
-    """
-    X = matrix(B)
-    for i in range(len(X)):
-        X[i] /= L[i][i]
-        for k in range(i + 1, len(X)):
-            X[k] -= L[k][i] * X[i]
-    return X
-
-
-def upper_solution(U: Matrix, B: Matrix) -> Matrix:
-    """Return X with U X = B for an upper triangular U."""
-    X = matrix(B)
-    for i in reversed(range(len(U))):
-        X[i] /= U[i][i]
-        for k in range(i):
-            X[k] -= U[k][i] * X[i]
-    return X
-
-
-def inverse(A: Matrix) -> Matrix:
-    """Return the inverse, by the elimination of Gauss and Jordan with partial pivoting.
-
-    >>> inverse(matrix([[0.0, 2.0], [4.0, 0.0]]))
-    [[0.0, 0.25], [0.5, 0.0]]
-    """
-    n = len(A)
-    M = matrix([*row, *unit] for row, unit in zip(A, diagonal([1.0] * n), strict=True))
-    for k in range(n):
-        chosen = max(range(k, n), key=lambda i: abs(M[i][k]))  # the first largest
-        M[k], M[chosen] = M[chosen], M[k]
-        M[k] /= M[k][k]
-        for i in range(n):
-            if i != k:
-                M[i] -= M[i][k] * M[k]
-    return matrix(row[n:] for row in M)
-
-
-# ---- eigenvalues --------------------------------------------------------------------------------
-
-#: Rotations of pairs of rows: their indices, cosine and sine.
-_Turns = list[tuple[int, int, float, float]]
-
-
-def eigen(S: Matrix) -> tuple[Vector, Matrix]:
-    """Return the eigenvalues of a symmetric matrix, in no order, and the eigenvectors as columns.
-
-    By Jacobi's method. Each round rotates disjoint pairs: all columns, then all rows.
-    """
-    A, V = S, diagonal([1.0] * len(S))
-    for _ in range(SWEEPS):
-        is_done = True
-        for pairs in rounds(len(S)):
-            turns = [(p, q, *_rotation(A[p][p], A[q][q], A[p][q])) for p, q in pairs]
-            if any(sine != 0 for _, _, _, sine in turns):
-                is_done = False
-                A, V = _rotated(_rotated(A.T, turns).T, turns), _rotated(V, turns)
-            for p, q in pairs:
-                A[p][q] = A[q][p] = 0.0
-        if is_done:
-            break
-    return A.diagonal(), V.T
-
-
 def _rotation(a: float, b: float, off: float) -> tuple[float, float]:
     """Return cosine and sine of the rotation that makes an entry 0, unless that is negligible."""
     if not abs(off) > NEGLIGIBLE * math.sqrt(abs(a * b)):
@@ -249,14 +277,6 @@ def _rotation(a: float, b: float, off: float) -> tuple[float, float]:
     t = -t if theta < 0 else t
     c = 1 / math.sqrt(t * t + 1)
     return c, t * c
-
-
-def _rotated(A: Matrix, turns: _Turns) -> Matrix:
-    """Return a matrix with its rows rotated."""
-    rows = Matrix(A)
-    for p, q, c, s in turns:
-        rows[p], rows[q] = c * A[p] - s * A[q], s * A[p] + c * A[q]
-    return rows
 
 
 def rounds(n: int) -> list[list[tuple[int, int]]]:
@@ -273,52 +293,3 @@ def rounds(n: int) -> list[list[tuple[int, int]]]:
         found.append([(p, q) for p, q in pairs if q < n])
         ring = [ring[-1], *ring[:-1]]
     return found
-
-
-# ---- covariances --------------------------------------------------------------------------------
-
-
-def positive_part(S: Matrix, more: float = 0.0) -> Matrix:
-    """Return a symmetric matrix with 0 in place of its negative eigenvalues.
-
-    Args:
-        S: the matrix.
-        more: what is added to the others, as a share of each.
-    """
-    values, V = eigen(S)
-    kept = Vector(value * (1 + more) if value > 0 else 0.0 for value in values)
-    return symmetric(Matrix(row * kept for row in V) @ V.T)
-
-
-def scale_of(S: Matrix) -> Vector:
-    """Return the standard deviations of a covariance, with 1 in place of 0."""
-    return Vector(math.sqrt(x if x > 0 else 1.0) for x in S.diagonal())
-
-
-def square_root(S: Matrix) -> Matrix:
-    """Return a lower triangular L with L L^T = S, which may be singular.
-
-    That of a singular one is by the eigenvalues of the correlations that are not tiny: rows are
-    reflected to be lower triangular (Householder). One that depends on those before it takes no
-    column.
-    """
-    tiny, L = 8 * len(S) * 2.0**-52, cholesky(S)
-    if all(L[i][i] * L[i][i] > tiny * x for i, x in enumerate(S.diagonal())):
-        return L
-    values, V = eigen(S / outer(scale_of(S)))
-    roots = Vector(math.sqrt(value if value > tiny else 0.0) for value in values)
-    M = Matrix(row * roots for row in V)
-    L, k = diagonal([0.0] * len(S)), 0
-    for j in range(len(S)):
-        v = Vector(M[j][k:])
-        length = norm(v)
-        if length > tiny:
-            v[0] += math.copysign(length, v[0])
-            twice = 2 / dot_by_halves(v, v)
-            for row in M:
-                rest = Vector(row[k:])
-                row[k:] = rest - dot_by_halves(rest, v) * twice * v
-            for i in range(j, len(S)):
-                L[i][j] = M[i][k] * (1.0 if M[j][k] > 0 else -1.0)
-            k += 1
-    return Matrix(row * math.sqrt(max(x, 0.0)) for row, x in zip(L, S.diagonal(), strict=True))

@@ -45,17 +45,8 @@ def nearest_line(
     """Return the nearest line, and where it deviates by at most ``MAX_DEVIATION``.
 
     By least squares in the longest range, which is shortened towards the car as far as necessary.
-
-    Args:
-        signals: of y_off, beta, c0 and c1.
-        mean: of the given line.
-        x_range: of the given line [m].
-        least: least length of the range [m].
-        reach: variances that a covariance can have: it has to cover the deviation.
-
-    Returns:
-        None if no line within the ranges of the signals is near enough in any range that is long
-        enough.
+    None if no line is near enough in any range of the least length. A covariance, whose variances
+    reach so far, has to cover the deviation.
     """
     low, high, line = Vector(), Vector(), Vector(mean)
     for signal, x, variance in zip(signals, mean, reach, strict=True):

@@ -8,28 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import NamedTuple
 
+from ..values.map_error import MapError
 from .certain_range import certain_range
 from .cubic_ranges import Limits
 from .elementary import clipped, sin_cos
 from .lines import Curve, margin_at, valid_range
-from .matrices import (
-    Matrix,
-    Vector,
-    congruence,
-    diagonal,
-    is_definite,
-    is_finite,
-    matrix,
-    outer,
-    scale_of,
-    square_root,
-    symmetric,
-    with_blocks,
-)
-from .refits import UNKNOWN, MapError, Refit, is_across, line_at, line_or_extended, quartic, refit
+from .matrices import Matrix, Vector, diagonal, matrix
+from .refits import UNKNOWN, Refit, is_across, line_at, line_or_extended, quartic, refit
 from .stretches import Look, Path, Stretch, Stretches, stretch_of
 
 #: Largest and least limit of the angle between a line and the x axis, 65 and 20 degrees, and
@@ -94,7 +82,7 @@ def sigma_points(alpha: float = 1.0, kappa: float = 0.0, beta: float = 2.0) -> R
 
 def rule_points(rule: Rule, mean: Sequence[float], cov: Sequence[Sequence[float]]) -> list[Vector]:
     """Return the points of a Gaussian."""
-    root = square_root(matrix(cov))
+    root = matrix(cov).square_root()
     return [Vector(m + row @ z for m, row in zip(mean, root, strict=True)) for z in rule.z]
 
 
@@ -110,18 +98,18 @@ def weighted_moments(rule: Rule, values: Sequence[Vector]) -> tuple[Vector, Matr
         shift += weight * one
     cov = diagonal([0.0] * len(first))
     for weight, one in zip(rule.cov_weights[1:], d, strict=True):
-        cov += outer(weight * (one - shift), one - shift)
-    return first + shift, cov + outer(rule.cov_weights[0] * shift, shift)
+        cov += (weight * (one - shift)).outer(one - shift)
+    return first + shift, cov + (rule.cov_weights[0] * shift).outer(shift)
 
 
 def is_covariance(S: Matrix) -> bool:
     """Return whether a matrix is a covariance up to rounding."""
     if not all(abs(x) <= MAX_COV for row in S for x in row) or min(S.diagonal()) < 0:
         return False
-    R = S / outer(scale_of(S))
+    R = S / S.scale().outer()
     for i, variance in enumerate(S.diagonal()):
         R[i][i] = (1.0 if variance > 0 else 0.0) + ROUNDING
-    return is_definite(R)
+    return R.is_definite()
 
 
 # ---- what both share --------------------------------------------------------------------------
@@ -140,10 +128,10 @@ def pose_view(query: Query) -> PoseView:
     """Return what follows from the pose of a query."""
     s, c = sin_cos(query.mean[2])
     R = matrix([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    cov = pose_cov = congruence(R, matrix(query.cov))
+    cov = pose_cov = R.congruence(matrix(query.cov))
     turn = max(MIN_TURN, MAX_TURN - TURN_MARGIN * math.sqrt(pose_cov[2][2]))
     if query.error is not None:  # it moves the ends of a line as the pose error does
-        points, offset, heading = query.error
+        points, offset, heading = astuple(query.error)
         shift = offset * offset + points * points
         cov = cov + diagonal([shift, shift, heading * heading])
     low, high = query.window
@@ -193,7 +181,7 @@ def _line(
         return "TOO_SHORT"
     values = [line_or_extended(one, point) or UNKNOWN for point in points]
     mean, cov = weighted_moments(rule, values)
-    cov = symmetric(cov + one.noise)
+    cov = (cov + one.noise).symmetric()
     if not all(map(math.isfinite, mean)) or not is_covariance(cov):
         return None
     if any(any(row) for i, row in enumerate(cov) if row[i] == 0):
@@ -274,7 +262,7 @@ def _moved(pose: Sequence[float], d: Vector) -> Vector:
 
 
 def _valid_range(query: Query, view: PoseView, one: Refit, mean: Vector) -> tuple[float, float]:
-    heading_sigma = 0.0 if query.error is None else query.error.heading
+    heading_sigma = 0.0 if query.error is None else query.error.heading_sigma
     return valid_range(Curve(mean, one.begin, one.end), view.pose_cov, one.noise, heading_sigma)
 
 
@@ -296,8 +284,8 @@ def _joint(
         for point in points
     ]
     mean, cov = weighted_moments(rule, values)
-    cov = symmetric(with_blocks(cov, [one.noise for one in refits]))
-    if not is_finite([mean, *cov]):
+    cov = cov.with_blocks([one.noise for one in refits]).symmetric()
+    if not Matrix([mean, *cov]).is_finite():
         return None
     means = matrix(mean[i : i + 4] for i in range(0, len(mean), 4))
     ranges = [_valid_range(query, view, *pair) for pair in zip(refits, means, strict=True)]

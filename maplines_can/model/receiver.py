@@ -22,7 +22,7 @@ from ..values.line import Slot, Status
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import POSE, Owner, PoseLayout, slot_of
 from .epochs import Epochs
-from .mixtures import Mixtures, Received
+from .mixtures import Mixtures
 from .reassembly import Content, Reassembly, Record
 from .records import AnyLayout, Component, Line, RawRecord, complete, conditional, intact
 from .scenes import Member, Pose, Scene, pose_of, scene_line, scene_of
@@ -204,11 +204,11 @@ class Receiver:
         received = own.mixtures.add(content, record.frames, record.t_ns)
         if isinstance(received, str):
             return received
-        line = received.line
-        if received.records == 1 and line.x_min < line.x_max:
+        line, frames = received
+        if content.size == 1 and line.x_min < line.x_max:
             member = Member(line.slot, content.counter, line, record.t_ns, 0)
             self._epochs.add_line(member, is_break=own.check.ahead is None)
-        return [self._delivered(received)]
+        return [self._delivered(line, frames)]
 
     def _add_pose(self, pose: Pose, own: _Owner, record: Record) -> list[Line] | str:
         """Add a new pose error; return the lines that waited for it."""
@@ -228,11 +228,10 @@ class Receiver:
         found = scene_line(self._layout, pose, member)
         if found is None:
             return self._dropped("CONTENT", member.frames)
-        return [self._delivered(Received(found.line, member.frames))]
+        return [self._delivered(found.line, member.frames)]
 
-    def _delivered(self, received: Received) -> Line:
-        line, frames, records = received
-        self._owners[line.slot].check.delivered(records)
+    def _delivered(self, line: Line, frames: int) -> Line:
+        self._owners[line.slot].check.delivered(len(line.components) or 1)
         self._owners[line.slot].newest = line
         self.lines += 1
         self.line_frames += frames

@@ -15,6 +15,7 @@ from itertools import accumulate, pairwise, repeat
 from operator import mul
 from typing import NamedTuple
 
+from ..values.map_error import MapError
 from .cubic_ranges import FIT, Limits, coefficient_variances, longest_range
 from .elementary import atan, hypot, sin_cos, tan
 from .levels import NODES
@@ -30,7 +31,7 @@ from .lines import (
     line_derivatives,
     y_of,
 )
-from .matrices import Matrix, Vector, congruence, diagonal, dot_by_halves, matrix, outer, total
+from .matrices import Matrix, Vector, diagonal, dot_by_halves, matrix, total
 from .stretches import Stretches
 
 #: Share of the advance of the chords that must not run backwards.
@@ -43,12 +44,11 @@ CHORD = 3
 DEGREE = 6
 
 
-class MapError(NamedTuple):
-    """Standard deviations of the error of a map."""
-
-    points: float  #: of each point, independently [m]
-    offset: float  #: of all of it [m]
-    heading: float  #: of all of it [rad]
+#: A line that is no function of x.
+UNKNOWN = Vector([math.nan] * 4)
+#: What a fit leaves of T_4, whose w^4 is rounded once, and of which a line has a multiple.
+_T_4 = Vector(8 * float(Fraction(w) ** 4) - 8 * (w * w) + 1 for w in NODES)
+BEND = cubic_fit(NODES, _T_4, end_weight=1.0)[1]
 
 
 class Refit(NamedTuple):
@@ -91,16 +91,14 @@ def refit(
         noise = map_noise(found, mean, [seen.position(line, u) for u in x], error)
     if is_covered:
         J = bases(Curve(mean, begin, end))
-        cover = coefficient_variances(seen, line, fitted, 0.0 if error is None else error.points)
+        cover = coefficient_variances(
+            seen, line, fitted, 0.0 if error is None else error.point_sigma
+        )
         noise += Matrix(row * cover for row in J) @ J.T
     return found._replace(noise=noise)
 
 
 # ---- the line seen from a pose ----------------------------------------------------------------
-
-
-#: A line that is no function of x.
-UNKNOWN = Vector([math.nan] * 4)
 
 
 def sums_of(b: Vector) -> tuple[list[Vector], list[Vector]]:
@@ -210,20 +208,9 @@ def line_or_extended(line: Refit, pose: Sequence[float]) -> Vector | None:
     return None
 
 
-def _quartic_row() -> Vector:
-    """Return the row from values at the nodes to the coefficient of T_4 in their fit."""
-    fourth = [float(Fraction(w) ** 4) for w in NODES]  # rounded once
-    T_4 = Vector(8 * p - 8 * (w * w) + 1 for p, w in zip(fourth, NODES, strict=True))
-    _, rest = cubic_fit(NODES, T_4, end_weight=1.0)
-    return rest / dot_by_halves(rest, rest)
-
-
-QUARTIC = _quartic_row()
-
-
 def quartic(line: Refit) -> float:
     """Return the coefficient of T_4 that the cubic leaves of the line [m]."""
-    return dot_by_halves(QUARTIC, line.y)
+    return dot_by_halves(BEND / dot_by_halves(BEND, BEND), line.y)
 
 
 # ---- errors of the map ------------------------------------------------------------------------
@@ -232,24 +219,20 @@ def quartic(line: Refit) -> float:
 def map_noise(line: Refit, mean: Vector, position: list[float], error: MapError) -> Matrix:
     """Return the covariance of a line due to the error of the map, to first order.
 
-    Args:
-        line: the line.
-        mean: it, seen from the mean pose.
-        position: indices of its points among those of the map, with fractions.
-        error: of the map.
+    The positions of its points are indices among those of the map, with fractions.
     """
-    columns, sigmas = Matrix(), (error.offset, error.offset, error.heading)
+    columns, sigmas = Matrix(), (error.offset_sigma, error.offset_sigma, error.heading_sigma)
     for step, sigma in zip(diagonal([STEP] * 3), sigmas, strict=True):
         ahead, back = (line_at(line, one) for one in (line.pose + step, line.pose - step))
         columns.append(((ahead or UNKNOWN) - (back or UNKNOWN)) / (2 * STEP) * sigma)
     unit = unit_covariance(line, mean, position)
-    return columns.T @ columns + error.points * error.points * unit
+    return columns.T @ columns + error.point_sigma * error.point_sigma * unit
 
 
 def unit_covariance(line: Refit, mean: Vector, position: list[float]) -> Matrix:
     """Return the covariance of a line for unit errors of the points of the map."""
     J = line_derivatives(diagonal([1.0] * 4), line.centre[0], line.half, mean[1])
-    unit = congruence(J, fit_covariance(line, mean, position))
+    unit = J.congruence(fit_covariance(line, mean, position))
     # The fit averages the errors of the points, but the line itself has them in full.
     rows = [lateral_row(tan(mean[1]), x) for x in line.x]
     least = min(dot_by_halves((Matrix([row]) @ unit)[0], row) for row in rows)
@@ -279,6 +262,6 @@ def fit_covariance(line: Refit, mean: Vector, position: list[float]) -> Matrix:
             of_x[point] += weight * by_x
     S = diagonal([0.0] * 4)
     for point in sorted(of_y):
-        S += outer(of_y[point])
-        S += outer(of_x[point])
+        S += of_y[point].outer()
+        S += of_x[point].outer()
     return S

@@ -24,22 +24,10 @@ from ..wire.layout.signals import PARAMETER_SIGNALS, Signal
 from .covariance import code_of, encode, least_variances, reachable
 from .elementary import exp2, log2
 from .joint import block, divergence, factor_or_identity, largest_ratio, uncovered
-from .level_search import LevelSearch, Wanted, wanted_of
-from .levels import Levels, level_covariance
+from .level_search import LevelSearch, Wanted, shortfall
+from .levels import level_covariance
 from .lines import Curve, bases, is_line, sigma_points, spread
-from .matrices import (
-    Matrix,
-    Vector,
-    congruence,
-    diagonal,
-    eigen,
-    inverse,
-    is_finite,
-    lower_solution,
-    matrix,
-    outer,
-    with_blocks,
-)
+from .matrices import Matrix, Vector, diagonal, matrix
 from .nearest_line import bounds, nearest_line, slope_error
 from .records import RawRecord, written
 from .scenes import (
@@ -47,7 +35,6 @@ from .scenes import (
     Pose,
     common_covariance,
     curve_of,
-    levels_of,
     own_covariance,
     pose_of,
     signals_of_slot,
@@ -133,8 +120,9 @@ class _Member:
     @property
     def wanted(self) -> Wanted:
         """What levels have to cover."""
-        known = self.known
-        return wanted_of(known + self.more, self.common, known + self.least, self.J)
+        to_metres = self.J.inverse()
+        covered = to_metres.congruence(self.known + self.more) - self.common
+        return Wanted(covered, self.common, to_metres.congruence(self.known + self.least))
 
 
 class SceneSender:
@@ -143,8 +131,7 @@ class SceneSender:
     def __init__(self, layout: Layout, pose: PoseLayout) -> None:
         self.layout, self.pose = layout, pose
         self.own = signals_of_slot(layout, next(iter(layout.messages)))
-        self.signals = levels_of(self.own)
-        self.search = LevelSearch(self.signals)
+        self.search = LevelSearch(self.own)
         self.mean = mean_signals(layout)
 
     # ---- records -------------------------------------------------------------------------------
@@ -157,19 +144,11 @@ class SceneSender:
         *,
         full: bool = False,
     ) -> SentScene | None:
-        """Return the records of the pose error and of the lines.
+        """Return the records of the pose error and of the lines, with these counters and ages [s].
 
         A conditional line that does not fit is not sent. A complete one is, but belongs to no pose
-        error.
-
-        Args:
-            scene: to be sent.
-            counters: of the next records.
-            ages: from the pose to the sending [s].
-            full: all entries of conditional lines are sent.
-
-        Returns:
-            None if the pose error does not fit, or a line is no function of x near the mean pose.
+        error. None if the pose error does not fit, or a line is no function of x near the mean
+        pose. If ``full``, all entries of conditional lines are sent.
         """
         specific = None if scene.specific is None else [*map(matrix, scene.specific)]
         cov, pose_cov = matrix(scene.cov), matrix(scene.pose_cov)
@@ -315,12 +294,12 @@ class SceneSender:
             raise UnseenError
         error = mean - curve.mean
         error[1] = slope_error(mean[1], curve.mean[1])
-        due_to_pose, excess = A @ A.T, outer(error)
+        due_to_pose, excess = A @ A.T, error.outer()
         if scene.specific is not None:
             specific = scene.specific[place]
         else:
             rest = block(scene.cov, place, place) - due_to_pose
-            values, V = eigen(congruence(inverse(J), rest))
+            values, V = J.inverse().congruence(rest).eigen()
             roots = Vector(math.sqrt(max(x, 0.0)) for x in values)
             root = J @ Matrix(row * roots for row in V)
             specific = root @ root.T
@@ -367,7 +346,7 @@ class SceneSender:
         costs = [0.0] * len(members)
         for trial in range(TRIALS):
             for n, one in enumerate(members):
-                if trial == 0 or one.is_full or not self._stays(one):
+                if trial == 0 or one.is_full or not self._is_enough(one):
                     costs[n] = self._choose(one)
             if any(cost > 1 for cost in costs) or not all(one.is_covered for one in members):
                 return costs
@@ -379,7 +358,7 @@ class SceneSender:
             if lacking is None:
                 return costs
             for one, lack in zip(members, lacking, strict=True):
-                one.is_covered = is_finite(lack)
+                one.is_covered = lack.is_finite()
                 one.more += FIRST_SHARE * 2.0**trial * lack
             if not all(one.is_covered for one in members):
                 return costs
@@ -394,8 +373,7 @@ class SceneSender:
     ) -> tuple[Matrix, Matrix]:
         """Set what a receiver decodes of lines without D.
 
-        Returns:
-            The joint covariance that the pose error causes, and the one that is to be covered.
+        Return the joint covariance that the pose error causes, and the one that is to be covered.
         """
         poses, A, errors = sigma_points(pose.cov), Matrix(), Vector()
         for one in members:
@@ -403,15 +381,15 @@ class SceneSender:
             rows, common = spread(one.curve, poses), common_covariance(pose, one.curve)
             if rows is None or common is None:
                 raise UnseenError
-            one.J, one.common, one.known = bases(one.curve), common, one.specific + outer(error)
+            one.J, one.common, one.known = bases(one.curve), common, one.specific + error.outer()
             one.least, one.more = RESOLUTION**2 * (one.J @ one.J.T), diagonal([0.0] * 4)
             if not one.is_full:
                 one.spacings = self.search.spacings(one.wanted, one.curve)
             A.extend(rows)
             errors.extend(error)
         keep = [4 * one.place + i for one in members for i in range(4)]
-        true = scene.cov.block(keep, keep) + outer(errors)
-        return A @ A.T, with_blocks(true, [one.excess for one in members])
+        true = scene.cov.block(keep, keep) + errors.outer()
+        return A @ A.T, true.with_blocks([one.excess for one in members])
 
     def _choose(self, one: _Member) -> float:
         """Set the raw values of D of a line; return what levels cost."""
@@ -420,25 +398,24 @@ class SceneSender:
             coded = encode(code, one.known + one.least + one.more, least_variances(code))
             one.raw_own, one.is_covered = coded.raw, coded.is_covered
             return 0.0
-        levels, one.is_covered = self.search.encode(one.wanted, one.curve, one.spacings)
-        one.raw_own = dict(zip(names.OWN_SIGNALS, levels, strict=True))
+        one.raw_own, one.is_covered = self.search.encode(one.wanted, one.curve, one.spacings)
         if not self.layout.is_conditional:
             return 0.0
         if not one.is_covered:
             return math.inf
         if one.is_spared:
             return 0.0
-        to_metres = inverse(one.J)
-        decoded = level_covariance(self.signals, levels, one.curve) + one.common
-        true = congruence(to_metres, one.specific + one.least)
-        whole = congruence(to_metres, one.due_to_pose + one.known + one.least)
-        kl = divergence(whole, congruence(to_metres, one.due_to_pose) + decoded)
+        to_metres = one.J.inverse()
+        decoded = level_covariance(self.own, one.raw_own, one.curve) + one.common
+        true = to_metres.congruence(one.specific + one.least)
+        whole = to_metres.congruence(one.due_to_pose + one.known + one.least)
+        kl = divergence(whole, to_metres.congruence(one.due_to_pose) + decoded)
         return max(largest_ratio(decoded, true) / LEVELS_RATIO, kl / LEVELS_KL)  # NaN stays
 
-    def _stays(self, one: _Member) -> bool:
+    def _is_enough(self, one: _Member) -> bool:
         """Whether the levels of a line still cover it."""
-        levels = Levels(*(one.raw_own[name] for name in names.OWN_SIGNALS))
-        return self.search.covered(levels, one.wanted, one.curve)
+        own = level_covariance(self.own, one.raw_own, one.curve)
+        return shortfall(own - one.wanted.target) <= 0
 
 
 def _kept(members: list[_Member], left_out: dict[Slot, str], reason: str) -> list[_Member]:
@@ -459,8 +436,7 @@ def level_above(signal: Signal, sigma: float) -> int:
     """Return the raw value of the least level from sigma on, or the greatest; 0 for 0."""
     if sigma <= 0:
         return 0
-    raw = math.ceil((log2(sigma) - signal.offset) / signal.factor - 1e-9)
-    return min(max(raw, 1), signal.raw_max)
+    return limited(signal, max(math.ceil((log2(sigma) - signal.offset) / signal.factor - 1e-9), 1))
 
 
 def absent(last: int, following: int, modulus: int) -> int:
@@ -489,10 +465,10 @@ def rounding_factor(own: Matrix, J: Matrix) -> Matrix:
     x / (1 + x / LARGEST_OWN^2).
     """
     most = LARGEST_OWN**2
-    shares = 1 / most * congruence(inverse(J), own)
-    root = lower_solution(factor_or_identity(IDENTITY + shares), IDENTITY)
+    shares = 1 / most * J.inverse().congruence(own)
+    root = factor_or_identity(IDENTITY + shares).lower_solution(IDENTITY)
     limit = (most + RESOLUTION**2) * IDENTITY - most * (root.T @ root)
-    return factor_or_identity(congruence(J, limit).block(ORDER, ORDER))
+    return factor_or_identity(J.congruence(limit).block(ORDER, ORDER))
 
 
 def rounded_mean(signals: Sequence[Signal], mean: Vector, L: Matrix) -> dict[str, int] | None:

@@ -21,7 +21,7 @@ from ..wire.layout.pose_layout import PoseLayout
 from ..wire.layout.signals import Signal
 from .covariance import code_of, decoded
 from .elementary import exp2
-from .levels import Levels, LevelSignals, level_covariance
+from .levels import level_covariance
 from .lines import (
     Curve,
     bases,
@@ -32,7 +32,7 @@ from .lines import (
     spread,
     valid_range,
 )
-from .matrices import Matrix, Vector, cholesky, diagonal, matrix, upper_solution, with_blocks
+from .matrices import Matrix, Vector, diagonal, matrix
 from .records import Line, RawRecord, age_of
 from .signals import Raw, level, nearest, of_slot, physical, value
 
@@ -129,7 +129,7 @@ def scene_of(pose: Pose, lines: Sequence[SceneLine]) -> Scene:
     A, own = Matrix(row for line in lines for row in line.spread), [line.own for line in lines]
     return Scene(
         [line.line for line in lines],
-        enlarged(with_blocks(A @ A.T, own)),
+        enlarged((A @ A.T).with_blocks(own)),
         pose,
         [(line.curve.begin, line.curve.end) for line in lines],
         [line.curve.quartic for line in lines],
@@ -158,7 +158,7 @@ def common_covariance(pose: Pose, curve: Curve) -> Matrix | None:
     if G is None:
         return None
     sigmas = Vector([pose.offset_sigma, pose.offset_sigma, pose.heading_sigma])
-    B = upper_solution(bases(curve), Matrix(row * sigmas for row in G))  # T_k has k derivatives
+    B = bases(curve).upper_solution(Matrix(row * sigmas for row in G))  # T_k has k derivatives
     return cov + B @ B.T
 
 
@@ -204,20 +204,14 @@ def curve_of(layout: Layout, slot_signals: Mapping[str, Signal], raw: Raw) -> Cu
     return Curve(mean, begin, end, value(slot_signals["Quartic"], raw["Quartic"]))
 
 
-def levels_of(slot_signals: Mapping[str, Signal]) -> LevelSignals:
-    """Return the signals of the levels."""
-    return LevelSignals(*(slot_signals[name] for name in names.OWN_SIGNALS))
-
-
 def own_covariance(
     layout: Layout, slot_signals: Mapping[str, Signal], raw: Raw, curve: Curve, common: Matrix
 ) -> Matrix:
     """Return D: all of its entries, or levels and what is common to all lines."""
     if raw.get("HasCovariance"):
         return decoded(code_of(layout), raw)
-    levels = Levels(*(raw[name] for name in names.OWN_SIGNALS))
-    cov = level_covariance(levels_of(slot_signals), levels, curve) + common
-    root = bases(curve) @ cholesky(enlarged(cov))
+    cov = level_covariance(slot_signals, raw, curve) + common
+    root = bases(curve) @ enlarged(cov).cholesky()
     return root @ root.T
 
 

@@ -9,11 +9,11 @@ from ..values.line import MIN_RANGE, Slot, Status
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.signals import PARAMETER_SIGNALS, Signal
 from .covariance import code_of, encode, is_indefinite, nearest_covariance, reachable, widest
-from .matrices import Matrix, Vector, diagonal, matrix, outer
+from .matrices import Matrix, Vector, diagonal, matrix
+from .mixtures import deficit, quantized_weights
 from .nearest_line import nearest_line, slope_error
 from .records import WITHOUT, written
 from .signals import above, below, limited, nearest, nearest_limited, physical, value
-from .weights import deficit, quantized_weights
 
 #: Largest distance of a mean from the one that is sent without a covariance [steps].
 FAR = 0.51
@@ -24,8 +24,8 @@ class Draft:
     """A line to be sent, or one component of its mixture."""
 
     slot: Slot
-    mean: Sequence[float]
-    cov: Sequence[Sequence[float]]
+    mean: Vector
+    cov: Matrix
     kind: int = 0
     status: int = Status.FULL  #: as requested
     x_min: float = 0.0  #: [m]
@@ -41,13 +41,8 @@ def write(layout: Layout, line: Draft, counter: int, cover: Matrix | None = None
 
     No value is clipped silently: the status says what became of the line. If it exceeds the
     message, the nearest line within is sent instead, in the part of the range where it is near, if
-    enough of that can be stated.
-
-    Args:
-        layout: of the record.
-        line: to be sent.
-        counter: of the record.
-        cover: what the decoded covariance must cover besides its own target.
+    enough of that can be stated. ``cover`` is what the decoded covariance must cover besides its
+    own target.
     """
     raw_mean, is_clipped = clipped_mean(layout, line.mean)
     ends, is_outside = stated_range(layout, line.x_min, line.x_max)
@@ -113,7 +108,7 @@ def _covariance_and_status(
         is_far = any(abs(d) > FAR * step for d, step in zip(error, steps, strict=True))
         return widest(code), Status.OUT_OF_RANGE if is_far else line.status
     # The decoded covariance must cover the mean square error of the decoded mean.
-    target, is_repaired = cov + outer(error), is_indefinite(cov)
+    target, is_repaired = cov + error.outer(), is_indefinite(cov)
     if is_repaired:
         target += nearest_covariance(cov) - cov
     if line.status == Status.DIAGONAL:  # the variances only
@@ -143,13 +138,7 @@ def write_mixture(
 ) -> list[bytes]:
     """Return the records of a mixture, one for each component, with consecutive counters.
 
-    Args:
-        layout: of the records.
-        line: what all components have alike; its mean and covariance are not read.
-        weights: of the components.
-        means: likewise.
-        covs: likewise.
-        counter: of the first record.
+    The line has what all components have alike.
     """
     means, covs = [*map(Vector, means)], [*map(matrix, covs)]
     steps = round(1 / layout["ComponentWeight"].factor)

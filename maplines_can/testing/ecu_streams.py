@@ -18,7 +18,7 @@ from ..core import ffi, lib
 from ..model import settings as model
 from ..model import writer
 from ..model.e2e import Windows
-from ..model.matrices import is_definite, matrix, symmetric
+from ..model.matrices import Matrix, Vector, matrix
 from ..model.records import WITHOUT
 from ..model.scene_sender import SceneDraft, SceneSender
 from ..model.signals import read
@@ -173,7 +173,7 @@ def _of_joint(cov: Rows) -> str | None:
     S = [[x / (scale[i] * scale[j]) for j, x in enumerate(row)] for i, row in enumerate(cov)]
     for i, row in enumerate(S):
         row[i] += ROUNDING
-    return None if is_definite(matrix(S)) else "INDEFINITE"
+    return None if matrix(S).is_definite() else "INDEFINITE"
 
 
 # ---- faults -----------------------------------------------------------------------------------
@@ -181,7 +181,7 @@ def _of_joint(cov: Rows) -> str | None:
 
 def _faulty(rng: np.random.Generator, line: writer.Draft) -> writer.Draft:
     """Return a line with a value that no line has, or with one at the edge of that."""
-    mean, cov = [*line.mean], [[*row] for row in line.cov]
+    mean, cov = Vector(line.mean), matrix(line.cov)
     i, j = map(int, rng.integers(4, size=2))
     edge = ROUNDING * math.sqrt(cov[i][i] or 1.0) * math.sqrt(cov[j][j] or 1.0)
     kinds = ("kind", "status", "x_min", "x_max", "age", "slot", "mean", "entry", "entry", "skew")
@@ -311,7 +311,7 @@ def _line_by_model(layout: Layout, given: Any) -> Any:
         return _refused(way, fault)
     slot = Slot(line.slot)
     record = writer.write(
-        layout, replace(line, slot=slot, cov=symmetric(matrix(line.cov))), way.counters[slot]
+        layout, replace(line, slot=slot, cov=matrix(line.cov).symmetric()), way.counters[slot]
     )
     return _sent(layout, way, [(slot, record)], read(layout["Status"], record))
 
@@ -372,7 +372,7 @@ def _mixture_by_model(layout: Layout, given: Any) -> Any:
         fault = fault or _of_gaussian(line.status, mean, cov)
     if fault is not None:
         return _refused(way, fault)
-    slot, covs = Slot(line.slot), [symmetric(matrix(cov)) for cov in parts.covs]
+    slot, covs = Slot(line.slot), [matrix(cov).symmetric() for cov in parts.covs]
     own = replace(line, slot=slot), parts.weights, parts.means, covs, way.counters[slot]
     records = writer.write_mixture(layout, *own)
     status = max((read(layout["Status"], one) for one in records), key=WORST.index)
@@ -453,7 +453,7 @@ def _faulty_scene(rng: np.random.Generator, draft: SceneDraft) -> SceneDraft:
 
 def _faulty_matrix(rng: np.random.Generator, cov: Rows) -> Rows:
     """Return a matrix that is no covariance, or hardly one."""
-    changed = [[*row] for row in cov]
+    changed = matrix(cov)
     i, j = map(int, rng.integers(len(cov), size=2))
     sigma = [math.sqrt(abs(row[k]) or 1.0) for k, row in enumerate(cov)]
     match rng.integers(4):
@@ -506,7 +506,7 @@ def _scene_by_model(layout: Layout, given: _SceneGiven) -> Any:
     S = draft.cov
     blocks = [[row[i : i + 4] for row in S[i : i + 4]] for i in range(0, len(S), 4)]
     lines = [
-        replace(line, slot=Slot(line.slot), cov=symmetric(matrix(block)))
+        replace(line, slot=Slot(line.slot), cov=matrix(block).symmetric())
         for line, block in zip(draft.lines, blocks, strict=True)
     ]
     is_full = way.is_fd and layout.is_conditional

@@ -17,8 +17,6 @@ import numpy as np
 
 from ..model import propagation as model
 from ..model.cubic_ranges import Limits
-from ..model.matrices import symmetric
-from ..model.refits import MapError as ModelError
 from ..model.refits import Refit as ModelRefit
 from ..model.refits import is_across, line_at, quartic, refit
 from ..model.stretches import Look, Path, Stretches, start_of
@@ -213,9 +211,8 @@ def _names(left_out: Mapping[Slot, LeftOut]) -> Any:
 
 def model_answer(query: MapQuery) -> Any:
     """Return the answer of the model; None if it refuses the query."""
-    error = None if query.error is None else ModelError(*_sigmas(query.error))
     pose, cov = query.pose.mean.tolist(), query.pose.cov.tolist()
-    asked = model.Query(pose, cov, query.window, query.max_misfit, query.max_sigma, error)
+    asked = model.Query(pose, cov, query.window, query.max_misfit, query.max_sigma, query.error)
     if query.question == "refit":
         return _refits(query, asked)
     view = model.pose_view(asked)
@@ -253,10 +250,6 @@ def paths_of(lines: Sequence[Polyline], look: Look) -> list[Path]:
         Path(line.points[:, 0].tolist(), line.points[:, 1].tolist(), line.distance.tolist())
         for line in near
     ]
-
-
-def _sigmas(error: MapError) -> tuple[float, float, float]:
-    return error.point_sigma, error.offset_sigma, error.heading_sigma
 
 
 def _rule_of(transform: Any, cov: Any) -> model.Rule:
@@ -303,7 +296,7 @@ def _moments(refits: list[ModelRefit], rule: model.Rule, values: Any) -> Any:
     for one, lines in zip(refits, zip(*values, strict=True), strict=True):
         mean, cov = model.weighted_moments(rule, [*lines])
         means.append(mean)
-        covs.append(symmetric(cov + one.noise))
+        covs.append((cov + one.noise).symmetric())
     return [means, covs]
 
 

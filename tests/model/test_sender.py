@@ -10,7 +10,7 @@ import pytest
 
 from maplines_can import Status
 from maplines_can.core import ffi, lib
-from maplines_can.model import covariance, nearest_line, scene_sender, weights
+from maplines_can.model import covariance, mixtures, nearest_line, scene_sender
 from maplines_can.model.signals import read
 from maplines_can.testing.sender_comparison import STREAMS, compare_senders
 from maplines_can.testing.sender_streams import bits
@@ -106,7 +106,7 @@ def test_streams_are_the_same_on_any_machine(name: str) -> None:
         (covariance, "ROUNDING", 1e-2),
         (nearest_line, "SHORTER", 0.7),
         (nearest_line, "MAX_DEVIATION", 0.2),
-        (weights, "MORE", 1e-2),
+        (mixtures, "MORE", 1e-2),
         (scene_sender, "POSE_SLACK", 1.02),
     ],
 )
