@@ -18,7 +18,7 @@ from ..core import ffi, lib
 from ..model import settings as model
 from ..model import writer
 from ..model.e2e import Windows
-from ..model.matrices import Matrix, Vector, matrix
+from ..model.matrices import Vector, matrix
 from ..model.records import WITHOUT
 from ..model.scene_sender import SceneDraft, SceneSender
 from ..model.signals import read
