@@ -89,7 +89,8 @@ def valid_record(
     codec: AnyCodec, packing: Packing, content: bytes, slot: Slot, counter: int, **signals: int
 ) -> bytes:
     """Return a record with any content that passes all checks of the protection."""
-    raw = packing.unpack_one(content) | signals | {"Counter": counter}
+    read = packing.unpack(np.frombuffer(content, np.uint8)[None])
+    raw = {name: one.item() for name, one in read.items()} | signals | {"Counter": counter}
     raw["Status"] %= len(Status)
     return written(codec.layout, raw, codec.layout.messages[slot].data_id)
 

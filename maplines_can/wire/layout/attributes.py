@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -106,8 +106,10 @@ class RecordAttributes:
             component_weight=weights.ravel(),
         )
 
-    def rows(self, layout: Layout, n: int) -> RecordRows:
-        """Return the attributes of n records as the core takes them.
+    def rows(
+        self, layout: Layout, n: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+        """Return the attributes of n records: slots (n,), INTEGERS (5, n) and REALS (4, n).
 
         Raises:
             EncodeError: one cannot be encoded, such as a slot that the DBC does not have.
@@ -124,10 +126,11 @@ class RecordAttributes:
         weight = _finite("component_weight", self.component_weight, n)
         if ((weight <= 0) | (weight > 1)).any():
             raise EncodeError(f"component_weight must be in (0, 1], got {weight.min():g}")
-        return RecordRows(
-            _rows([self.slot], n, np.int64)[0],
-            _rows(integers, n, np.int64),
-            _rows([weight, x_min, x_max, age], n, np.float64),
+        slot = np.broadcast_to(self.slot, n).astype(np.int64)
+        return (
+            slot,
+            _stacked(integers, n, np.int64),
+            _stacked([weight, x_min, x_max, age], n, float),
         )
 
     def _integers(self, layout: Layout, n: int) -> list[ArrayLike]:
@@ -147,21 +150,9 @@ class RecordAttributes:
         return [raw_counter, raw_kind, raw_status, index, count]
 
 
-class RecordRows(NamedTuple):
-    """Attributes of n records as the core takes them."""
-
-    slot: NDArray[np.int64]  #: (n,)
-    integers: NDArray[np.int64]  #: (5, n) of INTEGERS
-    reals: NDArray[np.float64]  #: (4, n) of REALS
-
-
-def _rows(values: Iterable[ArrayLike], n: int, kind: type) -> NDArray[Any]:
+def _stacked(rows: Iterable[ArrayLike], n: int, kind: type) -> NDArray[Any]:
     """Return (K, n) values of K rows, each of (n,) or one for all."""
-    given = tuple(values)
-    rows: NDArray[Any] = np.empty((len(given), n), dtype=kind)
-    for row, value in zip(rows, given, strict=True):
-        row[:] = value
-    return rows
+    return np.stack([np.broadcast_to(row, n) for row in rows]).astype(kind)
 
 
 def _finite(name: str, value: ArrayLike, n: int) -> NDArray[np.float64]:

@@ -56,9 +56,7 @@ class Packing:
 
     def pack_one(self, raw: Mapping[str, int]) -> bytes:
         """Return one record: see ``pack``."""
-        return self.pack({name: np.array([value]) for name, value in raw.items()}, 1).tobytes()
-
-    def unpack_one(self, record: bytes) -> dict[str, int]:
-        """Return the raw values of one record: see ``unpack``."""
-        raw = self.unpack(np.frombuffer(record, np.uint8)[None])
-        return {name: values.item() for name, values in raw.items()}
+        values, record = [int(raw.get(name, 0)) for name in self._names], bytearray(self._bytes)
+        given = len(values), self._signals, 1, self._bytes, values
+        lib.maplines_pack(*given, ffi.from_buffer("uint8_t[]", record))
+        return bytes(record)

@@ -232,15 +232,21 @@ class Decoder:
         Raises:
             ValueError: ``t_ns`` is not a whole number.
         """
-        known = self._routes.get((can_id, is_extended))
-        if known is None:
-            return self._feed_secured((can_id, is_extended), data, t_ns)
+        known, secured = self._routes.get((can_id, is_extended)), None
+        if known is None and (secured := self._secured.get((can_id, is_extended))) is None:
+            with self._lock:
+                self._foreign += 1
+            return _FOREIGN
         if type(data) is not bytes:
             data = _payload(data)
         if type(t_ns) is not int or not _MIN_NS <= t_ns <= _MAX_NS:
             t_ns = limited_ns(t_ns, "t_ns")
+        now_us = None if secured is None else secured.authenticator.now()
         with self._lock:
-            found = self._feed(self._c, known, t_ns, data, len(data))
+            if secured is None:
+                found = self._feed(self._c, known, t_ns, data, len(data))
+            else:
+                found = self._verified(secured, now_us, data, t_ns)
             return _REASONS[found] if found >= 0 else self._completed(-found)
 
     def feed_all(self, frames: Iterable[ReceivedFrame]) -> list[Sequence[MapLine] | Reason]:
@@ -249,24 +255,6 @@ class Decoder:
             self.feed(can_id, data, t_ns, is_extended=is_extended)
             for can_id, data, t_ns, is_extended in frames
         ]
-
-    def _feed_secured(
-        self, key: tuple[int, bool], data: bytes, t_ns: int
-    ) -> Sequence[MapLine] | Reason:
-        """Decode a frame whose ID is not that of a message without a MAC."""
-        route = self._secured.get(key)
-        if route is None:
-            with self._lock:
-                self._foreign += 1
-            return _FOREIGN
-        if type(data) is not bytes:
-            data = _payload(data)
-        if type(t_ns) is not int or not _MIN_NS <= t_ns <= _MAX_NS:
-            t_ns = limited_ns(t_ns, "t_ns")
-        now_us = route.authenticator.now()
-        with self._lock:
-            found = self._verified(route, now_us, data, t_ns)
-            return _REASONS[found] if found >= 0 else self._completed(-found)
 
     def _verified(self, route: _SecuredRoute, now_us: int | None, data: bytes, t_ns: int) -> int:
         """Return the answer of the core to a frame, whose MACs it gets.

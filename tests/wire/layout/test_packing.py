@@ -71,7 +71,6 @@ def test_any_layout_agrees_with_cantools(layout: Any, seed: int) -> None:
     for i, payload in enumerate(payloads):
         expected = message.decode(payload.tobytes())
         assert {name: int(raw[name][i]) for name in raw} == expected
-        assert packing.unpack_one(payload.tobytes()) == expected
         assert packed[i].tobytes() == message.encode(expected)
         assert packing.pack_one(expected) == packed[i].tobytes()
 
