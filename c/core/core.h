@@ -321,6 +321,11 @@ void maplines_eigen_of(size_t count, size_t n, double *S, double *values, double
 double maplines_line_y(double y_off, double beta, double c0, double c1, double x);
 double maplines_line_sigma(double beta, const double cov[16], double x);
 
+/// Arc length [m] of the point of a line nearest to another one, if nothing overflows. Boxes
+/// (runs, 4) are lower and upper corners around `length` successive segments each.
+double maplines_nearest_place(size_t count, const double *points, const double *distance,
+                              size_t length, const double *boxes, double x, double y);
+
 /// Values of an elementary function by its number: exp2, log2, tan, atan, or sine and cosine.
 void maplines_elementary(int function, size_t n, const double *x, double *y, double *cosine);
 

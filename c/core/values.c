@@ -130,6 +130,69 @@ double maplines_line_sigma(double beta, const double cov[16], double x)
 
 /* ---- elementary functions -------------------------------------------------------------------- */
 
+/// Distance from an interval, 0 in it.
+static double outside(double value, double low, double high)
+{
+    const double beyond = value > high ? value - high : 0.0;
+    return value < low ? low - value : beyond;
+}
+
+static double squared_to_box(const double box[4], double x, double y)
+{
+    const double across = outside(x, box[0], box[2]);
+    const double along = outside(y, box[1], box[3]);
+    return across * across + along * along;
+}
+
+/// Place where a segment is nearest to a point, as a share of it, and its squared distance.
+static double squared_to_segment(const double *begin, double x, double y, double *share)
+{
+    const double step[2] = {begin[2] - begin[0], begin[3] - begin[1]};
+    const double offset[2] = {x - begin[0], y - begin[1]};
+    const double length = step[0] * step[0] + step[1] * step[1];
+    const double along = offset[0] * step[0] + offset[1] * step[1];
+    const double ratio = along > 0.0 ? along / length : 0.0;
+    *share = ratio < 1.0 ? ratio : 1.0;
+    const double aside[2] = {offset[0] - *share * step[0], offset[1] - *share * step[1]};
+    return aside[0] * aside[0] + aside[1] * aside[1];
+}
+
+double maplines_nearest_place(size_t count, const double *points, const double *distance,
+                              size_t length, const double *boxes, double x, double y)
+{
+    const size_t runs = (count - 2U) / length + 1U;
+    double least = (double)INFINITY;
+    double place = distance[0];
+    size_t nearest = 0;
+    for (size_t run = 0; run < runs; run++)
+    {
+        const double squared = squared_to_box(boxes + 4 * run, x, y);
+        nearest = squared < least ? run : nearest;
+        least = squared < least ? squared : least;
+    }
+    least = (double)INFINITY;
+    for (size_t next = 0; next <= runs; next++) // the nearest box first: it excludes most others
+    {
+        const size_t run = next == 0 ? nearest : next - 1U;
+        const size_t begin = run * length;
+        const size_t end = begin + length < count - 1U ? begin + length : count - 1U;
+        if (squared_to_box(boxes + 4 * run, x, y) < least)
+        {
+            for (size_t i = begin; i < end; i++)
+            {
+                double share;
+                const double squared = squared_to_segment(points + 2 * i, x, y, &share);
+                if (squared < least)
+                {
+                    least = squared;
+                    place = distance[i] + share * (distance[i + 1U] - distance[i]);
+                }
+            }
+        }
+    }
+    return place;
+}
+
 void maplines_elementary(int function, size_t n, const double *x, double *y, double *cosine)
 {
     for (size_t i = 0; i < n; i++)

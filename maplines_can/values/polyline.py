@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core import lib
+from ..core.memory import pointer
 from .arrays import floats, number_text
 from .elementary import sin_cos
 from .line import Kind
@@ -23,7 +25,7 @@ MAX_POINTS = 10**7
 MAX_ROUNDING = 1e-3
 #: Lines of more points keep bounding boxes of so many segments each, so that a query does not visit
 #: all points.
-INDEXED, RUN = 2048, 64
+INDEXED, RUN = 2048, 512
 #: Parts of such a line begin and end at multiples of this length along it [m], so that the next
 #: query uses the same part.
 BLOCK = 100.0
@@ -113,12 +115,12 @@ class Polyline:
         vars(self).update(points=points, distance=distance, kind=kind, kinds=kinds)
 
     @cached_property
-    def _boxes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Lower and upper (runs, 2) corners around ``RUN`` successive segments each."""
+    def _boxes(self) -> NDArray[np.float64]:
+        """(runs, 4) lower and upper corners around ``RUN`` successive segments each."""
         starts = np.arange(0, len(self.points) - 1, RUN)
         rows = np.minimum(starts[:, None] + np.arange(RUN + 1), len(self.points) - 1)
         runs = self.points[rows]
-        return runs.min(axis=1), runs.max(axis=1)
+        return np.hstack([runs.min(axis=1), runs.max(axis=1)])
 
     @property
     def length(self) -> float:
@@ -175,52 +177,10 @@ class Polyline:
         """
         if len(self.points) <= INDEXED:
             return self
-        s = self._nearest(point)
+        points, distance = map(np.ascontiguousarray, (self.points, self.distance))
+        arrays = pointer(points), pointer(distance), RUN, pointer(self._boxes)
+        s = lib.maplines_nearest_place(len(points), *arrays, *point.tolist())
         return _part(self, math.floor((s - reach) / BLOCK), math.ceil((s + reach) / BLOCK))
-
-    @np.errstate(over="ignore", invalid="ignore")
-    def _nearest(self, point: NDArray[np.float64]) -> float:
-        """Return the arc length of the point of the line nearest to a point [m]."""
-        low, high = self._boxes
-        away = np.maximum(np.maximum(low - point, point - high), 0.0)
-        least = away[:, 0] ** 2 + away[:, 1] ** 2  # squared distance of each box
-        most, _ = self._in_runs(least.argmin()[None], point)
-        return self._in_runs(np.flatnonzero(~(least > most)), point)[1]
-
-    def _in_runs(self, runs: NDArray[np.intp], point: NDArray[np.float64]) -> tuple[float, float]:
-        """Return the least squared distance of runs of segments to a point, and where it is."""
-        i = (RUN * runs[:, None] + np.arange(RUN)).ravel()
-        i = i[i < len(self.points) - 1]
-        begin = self.points[i].T
-        step = self.points[i + 1].T - begin
-        share, squared = nearest_share(begin, step, squared_length(step), point[:, None])
-        best = squared.argmin()
-        first, last = self.distance[i[best]], self.distance[i[best] + 1]
-        return float(squared[best]), float(first + share[best] * (last - first))
-
-
-def nearest_share(
-    begin: NDArray[np.float64],
-    step: NDArray[np.float64],
-    squared: NDArray[np.float64],
-    point: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return where (2, n) segments are nearest to a (2, 1) point, and the squared distances.
-
-    The places are shares of the segments, of (n,) squared lengths, from 0 to 1.
-    """
-    offset = point - begin
-    share = offset[0] * step[0] + offset[1] * step[1]
-    share /= squared
-    share = np.minimum(np.maximum(share, 0.0), 1.0)
-    offset -= share * step
-    offset *= offset
-    return share, offset[0] + offset[1]
-
-
-def squared_length(steps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (n,) squared lengths of (2, n) steps, a tiny number in place of 0."""
-    return np.maximum(steps[0] ** 2 + steps[1] ** 2, np.finfo(float).tiny)
 
 
 def _checked(kind: Kinds, length: float) -> Kinds:

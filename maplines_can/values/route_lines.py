@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats
 from .elementary import sin_cos
 from .line import Slot
-from .polyline import Polyline, nearest_share, squared_length
+from .polyline import Polyline
 
 #: A car farther from the line of the route is not on it [m].
 MAX_OFFSET = 10.0
@@ -70,7 +70,7 @@ class RouteLines:
             return None
         begin, distance = self.path.points[:-1].T, self.path.distance
         step = self.path.points[1:].T - begin
-        share, squared = nearest_share(begin, step, squared_length(step), pose[:2, None])
+        share, squared = _nearest_share(begin, step, _squared_length(step), pose[:2, None])
         sine, cosine = sin_cos(pose[2])
         is_along = step[0] * cosine + step[1] * sine > 0
         is_candidate = is_along & (squared <= MAX_OFFSET**2)
@@ -84,3 +84,27 @@ class RouteLines:
         i = int(np.where(is_candidate, squared, np.inf).argmin())
         s = float(distance[i] + share[i] * (distance[i + 1] - distance[i]))
         return RoutePlace(max(0, bisect_right(self.starts, s) - 1), s)
+
+
+def _nearest_share(
+    begin: NDArray[np.float64],
+    step: NDArray[np.float64],
+    squared: NDArray[np.float64],
+    point: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return where (2, n) segments are nearest to a (2, 1) point, and the squared distances.
+
+    The places are shares of the segments, of (n,) squared lengths, from 0 to 1.
+    """
+    offset = point - begin
+    share = offset[0] * step[0] + offset[1] * step[1]
+    share /= squared
+    share = np.minimum(np.maximum(share, 0.0), 1.0)
+    offset -= share * step
+    offset *= offset
+    return share, offset[0] + offset[1]
+
+
+def _squared_length(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (n,) squared lengths of (2, n) steps, a tiny number in place of 0."""
+    return np.maximum(steps[0] ** 2 + steps[1] ** 2, np.finfo(float).tiny)
