@@ -143,17 +143,12 @@ typedef struct {
     uint8_t *reasons;       ///< of each frame; 255 if it has completed lines
 } maplines_block_t;
 
-/// The newest scene, with all that a receiver knows of it.
+/// The newest scene, and covariances that follow from its factors.
 typedef struct {
-    int64_t t_ns;
-    double age, correlation_time, offset_sigma, heading_sigma;
-    uint32_t counter;
-    uint8_t count;                      ///< n
+    const maplines_scene_t *scene;      ///< of n lines; valid until the next frame
     uint8_t are_newest[MAPLINES_SLOTS]; ///< the line is the newest of its slot
     maplines_line_row_t lines[MAPLINES_SLOTS];
     double pose_cov[9];
-    double fit_ranges[MAPLINES_SLOTS][2];
-    double quartics[MAPLINES_SLOTS];
     double specific[MAPLINES_SLOTS][16];
     double cov[16 * MAPLINES_SLOTS * MAPLINES_SLOTS]; ///< (4 n, 4 n)
 } maplines_seen_scene_t;

@@ -409,18 +409,10 @@ bool maplines_receiver_scene(maplines_receiver_t *receiver, bool is_known)
     {
         return false;
     }
-    scene->t_ns = newest->t_ns;
-    scene->age = newest->age;
-    scene->correlation_time = newest->correlation_time;
-    scene->offset_sigma = newest->offset_sigma;
-    scene->heading_sigma = newest->heading_sigma;
-    scene->counter = newest->counter;
-    scene->count = newest->count;
+    scene->scene = newest;
     maplines_product_transposed(3, 3, 3, newest->pose_factor[0], newest->pose_factor[0],
                                 scene->pose_cov);
     joint_covariance(newest, 0, newest->count, scene->cov);
-    memcpy(scene->fit_ranges, newest->fit_range, sizeof scene->fit_ranges);
-    memcpy(scene->quartics, newest->quartic, sizeof scene->quartics);
     for (int place = 0; place < newest->count; ++place)
     {
         const maplines_line_t *line = &newest->lines[place];

@@ -467,7 +467,7 @@ class Decoder:
     def _newest_scene(self) -> ReceivedScene | None:
         if lib.maplines_receiver_scene(self._c, self._received is not None):
             seen = self._c.seen
-            rows = ffi.buffer(seen.lines)[: seen.count * LINE_BYTES]
+            rows = ffi.buffer(seen.lines)[: seen.scene.count * LINE_BYTES]
             lines = [line_of(rows, begin) for begin in range(0, len(rows), LINE_BYTES)]
             for i, line in enumerate(lines):
                 if seen.are_newest[i]:

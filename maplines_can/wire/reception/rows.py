@@ -75,19 +75,19 @@ def scene_of(seen: Any, lines: tuple[MapLine, ...]) -> ReceivedScene:
         seen: a ``maplines_seen_scene_t``.
         lines: of the scene.
     """
-    n = len(lines)
-    pose_error = {"cov": _doubles(seen.pose_cov, 3, 3), "correlation_time": seen.correlation_time}
+    n, known = len(lines), seen.scene
+    pose_error = {"cov": _doubles(seen.pose_cov, 3, 3), "correlation_time": known.correlation_time}
     scene = Scene.trusted(
         lines,
         _doubles(seen.cov, 4 * n, 4 * n),
         _made(PoseError, pose_error),
-        _doubles(seen.fit_ranges, n, 2),
-        MapError(0.0, seen.offset_sigma, seen.heading_sigma),
+        _doubles(known.fit_range, n, 2),
+        MapError(0.0, known.offset_sigma, known.heading_sigma),
         {},
-        _doubles(seen.quartics, n),
+        _doubles(known.quartic, n),
         _doubles(seen.specific, n, 4, 4) if n else None,
     )
-    return ReceivedScene(scene, seen.counter, seen.t_ns, seen.age)
+    return ReceivedScene(scene, known.counter, known.t_ns, known.age)
 
 
 def _gaussian(row: bytes, begin: int) -> Gaussian:
