@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ from ..values.scene import PoseError, Scene
 from .paths import REASONS, Paths, check_misfit, checked_window, numbers_of, paths_near
 from .quadrature import Quadrature
 from .refit import MAX_MISFIT, Refit, refits_memory
-from .sigma_points import SigmaPoints
+from .sigma_points import SIGMA_POINTS, SigmaPoints
 from .splitting import Mixture
 from .transform import Rule, Transform
 
@@ -38,8 +38,6 @@ N = len(PARAMETERS)
 #: less certain tells no lane from the next but one, and its band is that of the first order only
 #: in name.
 MAX_SIGMA = 10.0
-#: The default transform.
-SIGMA_POINTS = SigmaPoints()
 #: Rules of transforms that are kept for the next query.
 KEPT = 16
 
@@ -95,7 +93,7 @@ def map_lines(
     >>> lines.left_out
     {<Slot.EGO_RIGHT: 1>: <LeftOut.ACROSS: "the line is across the car's x axis">}
     """
-    query = Query.of(lines, ego, window, map_error, max_misfit, max_sigma)
+    query = Query(lines, ego, window, map_error, max_misfit, max_sigma)
     if not isinstance(components, Mapping):
         components = dict.fromkeys(query.lines, components)
     if missing := [slot.name for slot in query.lines if slot not in components]:
@@ -153,7 +151,7 @@ def map_scene(
     (np.float64(0.2), np.float64(0.024))
     """
     transform = transform or SIGMA_POINTS
-    query = Query.of(lines, ego, window, map_error, max_misfit, max_sigma)
+    query = Query(lines, ego, window, map_error, max_misfit, max_sigma)
     pose_error = PoseError(query.pose_cov(), correlation_time)
     found = query.propagated_scene(transform, pose_error)
     return _scene_by(query, transform, pose_error) if found is None else found
@@ -162,36 +160,27 @@ def map_scene(
 # ---- what is asked --------------------------------------------------------------------
 
 
-class Query(NamedTuple):
+class Query:
     """Checked arguments of ``map_lines`` and ``map_scene``, and as the core reads them."""
 
-    lines: dict[Slot, Polyline]
-    ego: Gaussian
-    map_error: MapError | None
-    has_noise: bool  #: whether lines have a covariance of map error and misfit
-    max_sigma: float
-    values: Any
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         lines: Mapping[Slot, Polyline],
         ego: Gaussian,
         window: tuple[float, float],
         map_error: MapError | None,
         max_misfit: float,
         max_sigma: float,
-    ) -> Query:
-        """Check the arguments of ``map_lines``, of any mapping."""
+    ) -> None:
         if not isinstance(lines, Mapping):
             raise TypeError(
                 "lines must be a mapping from slots to polylines, such as "
                 f"{{Slot.EGO_LEFT: Polyline(points)}}, got {type(lines).__name__}"
             )
-        own = {  # other threads may change theirs
+        self.lines = {  # other threads may change theirs
             slot if type(slot) is Slot else Slot(slot): line for slot, line in dict(lines).items()
         }
-        for slot, line in own.items():
+        for slot, line in self.lines.items():
             if not isinstance(line, Polyline):
                 raise TypeError(
                     f"the line of {slot.name} must be a Polyline, got {type(line).__name__}"
@@ -207,9 +196,9 @@ class Query(NamedTuple):
         check_misfit(max_misfit)
         pose = (*ego.mean.tolist(), *ego.cov.ravel().tolist())
         settings = (*checked_window(window), max_misfit, max_sigma, *numbers_of(map_error))
-        values = ffi.new("double[20]", pose + settings)
-        has_noise = map_error is not None or max_misfit < math.inf
-        return cls(own, ego, map_error, has_noise, float(max_sigma), values)
+        self.ego, self.map_error, self.max_sigma = ego, map_error, float(max_sigma)
+        self.has_noise = map_error is not None or max_misfit < math.inf
+        self.values: Any = ffi.new("double[20]", pose + settings)
 
     def pose_cov(self) -> NDArray[np.float64]:
         """Return the (3, 3) covariance of the pose in the ego frame."""

@@ -10,11 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..values.arrays import floats
 from ..values.elementary import sin_cos
 from ..values.gaussian import Gaussian, independent, variances
-from .sigma_points import SigmaPoints
+from .sigma_points import SIGMA_POINTS
 from .transform import Transform
-
-#: The default transform: 7 points over speed, yaw rate and time.
-SIGMA_POINTS = SigmaPoints()
 
 
 @dataclass(frozen=True, eq=False)

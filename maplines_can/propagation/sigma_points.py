@@ -53,6 +53,10 @@ class SigmaPoints(Transform):
         return weighted_moments(values, rule.mean_weights, rule.cov_weights)
 
 
+#: The default transform of lines, motions and predictions.
+SIGMA_POINTS = SigmaPoints()
+
+
 @lru_cache(maxsize=16)
 def _rule(transform: SigmaPoints, n: int) -> Rule:
     if not n + transform.kappa > 0:

@@ -8,14 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..core import lib
 from ..core.memory import pointer, shaped
 from .arrays import floats
-from .elementary import sin_cos
 from .errors import IllPosedError
 from .line import check_window
-
-#: Points of a line of the map to which a cubic is fitted, in the normalised variable w. They are
-#: denser near the ends of the range, as the extrema of a Chebyshev polynomial, so that the largest
-#: deviation of the least-squares fit is near the least possible one.
-NODES = sin_cos(np.pi * np.arange(64) / 63)[1][::-1]
 
 
 def bases(means: NDArray[np.float64], fit_ranges: NDArray[np.float64]) -> NDArray[np.float64]:
