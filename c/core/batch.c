@@ -37,8 +37,8 @@ void maplines_seal_record(const maplines_dbc_t *dbc, int owner, size_t length, u
 
 /* ---- encode ---------------------------------------------------------------------------------- */
 
-bool maplines_check_gaussians(size_t n, const double *mean, const double *cov, double *symmetric,
-                              uint8_t *indefinite)
+bool maplines_check_gaussians(size_t n, double rounding, const double *mean, const double *cov,
+                              double *symmetric, uint8_t *indefinite)
 {
     bool is_good = true;
     for (size_t i = 0; i < n && is_good; i++)
@@ -47,8 +47,8 @@ bool maplines_check_gaussians(size_t n, const double *mean, const double *cov, d
         {
             is_good = is_good && isfinite(mean[4 * i + k]);
         }
-        is_good = is_good && maplines_check_covariance(cov + 16 * i) == MAPLINES_SENT;
-        indefinite[i] = maplines_is_indefinite(cov + 16 * i);
+        is_good = is_good && maplines_check_covariance(cov + 16 * i, rounding) == MAPLINES_SENT;
+        indefinite[i] = maplines_is_indefinite(cov + 16 * i, rounding);
         memcpy(symmetric + 16 * i, cov + 16 * i, 128);
         maplines_symmetric(4, symmetric + 16 * i);
     }

@@ -57,8 +57,8 @@ void maplines_seal_record(const maplines_dbc_t *dbc, int owner, size_t length, u
 
 /// Whether all of n Gaussians may be sent: finite, symmetric but for rounding, and without negative
 /// variances. It sets `symmetric` (n, 4, 4), and which are `indefinite` beyond rounding.
-bool maplines_check_gaussians(size_t n, const double *mean, const double *cov, double *symmetric,
-                              uint8_t *indefinite);
+bool maplines_check_gaussians(size_t n, double rounding, const double *mean, const double *cov,
+                              double *symmetric, uint8_t *indefinite);
 /// Write n records of lines whose values were checked. `powers` are those of 2 of all values of the
 /// pivots, by row, and of the inflation, each from the least raw value on, or NULL; `cover`
 /// (n, 4, 4), or NULL, is what the decoded covariances must cover besides.

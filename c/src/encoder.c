@@ -99,7 +99,8 @@ static maplines_refusal_t check_gaussian(const double mean[4], const double cov[
             return MAPLINES_BAD_MEAN;
         }
     }
-    return has_covariance(status) ? maplines_check_covariance(cov[0]) : MAPLINES_SENT;
+    return has_covariance(status) ? maplines_check_covariance(cov[0], MAPLINES_COVARIANCE_ROUNDING)
+                                  : MAPLINES_SENT;
 }
 
 /// Draft of a record of a line with a Gaussian that was checked.
@@ -115,7 +116,7 @@ static void draft_record(const maplines_input_t *line, const double mean[4], con
     {
         memcpy(draft->cov, cov[0], sizeof draft->cov);
         maplines_symmetric(4, draft->cov);
-        draft->is_indefinite = maplines_is_indefinite(draft->cov);
+        draft->is_indefinite = maplines_is_indefinite(draft->cov, MAPLINES_COVARIANCE_ROUNDING);
     }
 }
 

@@ -170,10 +170,11 @@ MAPLINES_INTERNAL double maplines_slope_error(double beta, double near);
 /* ---- repair.c: covariances of a caller
  * ------------------------------------------------------------ */
 
+#define MAPLINES_COVARIANCE_ROUNDING 1e-9 ///< relative to the standard deviations
 /// MAPLINES_SENT, or what is wrong with a (4, 4) covariance. One that is indefinite is not wrong.
-MAPLINES_INTERNAL maplines_refusal_t maplines_check_covariance(const double S[16]);
+MAPLINES_INTERNAL maplines_refusal_t maplines_check_covariance(const double S[16], double rounding);
 /// A symmetric matrix is not positive semidefinite, up to rounding.
-MAPLINES_INTERNAL bool maplines_is_indefinite(const double S[16]);
+MAPLINES_INTERNAL bool maplines_is_indefinite(const double S[16], double rounding);
 /// Nearest positive semidefinite matrix that covers a symmetric one.
 MAPLINES_INTERNAL void maplines_nearest_covariance(const double S[16], double nearest[16]);
 

@@ -3,7 +3,6 @@
  */
 #include "internal.h"
 
-#define COVARIANCE_ROUNDING 1e-9
 #define MAX_COVARIANCE 1e307
 
 /// Standard deviations, with 1 in place of 0.
@@ -15,7 +14,7 @@ static void scale_of(const double S[16], double scale[4])
     }
 }
 
-MAPLINES_INTERNAL maplines_refusal_t maplines_check_covariance(const double S[16])
+MAPLINES_INTERNAL maplines_refusal_t maplines_check_covariance(const double S[16], double rounding)
 {
     double scale[4];
     for (int i = 0; i < 16; ++i)
@@ -37,7 +36,7 @@ MAPLINES_INTERNAL maplines_refusal_t maplines_check_covariance(const double S[16
     {
         for (int j = 0; j < 4; ++j)
         {
-            if (fabs(S[4 * i + j] - S[4 * j + i]) > COVARIANCE_ROUNDING * scale[i] * scale[j])
+            if (fabs(S[4 * i + j] - S[4 * j + i]) > rounding * scale[i] * scale[j])
             {
                 return MAPLINES_ASYMMETRIC;
             }
@@ -46,7 +45,7 @@ MAPLINES_INTERNAL maplines_refusal_t maplines_check_covariance(const double S[16
     return MAPLINES_SENT;
 }
 
-MAPLINES_INTERNAL bool maplines_is_indefinite(const double S[16])
+MAPLINES_INTERNAL bool maplines_is_indefinite(const double S[16], double rounding)
 {
     double scale[4];
     double L[4][4];
@@ -72,7 +71,7 @@ MAPLINES_INTERNAL bool maplines_is_indefinite(const double S[16])
             squares = squares + square;
         }
         const double variance = S[5 * i] / (scale[i] * scale[i]);
-        const double pivot = variance + COVARIANCE_ROUNDING - squares;
+        const double pivot = variance + rounding - squares;
         is_bad = is_bad || !(pivot > 0.0);
         L[i][i] = sqrt(pivot);
     }

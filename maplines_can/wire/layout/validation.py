@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...core import lib
 from ...core.memory import pointer
 from ...values.arrays import floats
-from ...values.linalg import MAX_COV, ROUNDING, asymmetric, indefinite, rounding_of
+from ...values.linalg import MAX_COV, asymmetric, rounding_of
 from .signals import PARAMETER_SIGNALS
 
 #: Greatest difference of the sum of weights from 1.
@@ -35,18 +35,17 @@ def checked_gaussians(means: ArrayLike, covs: ArrayLike | None) -> CheckedGaussi
     cov = np.zeros((n, 4, 4)) if covs is None else floats(covs, "covs")
     if cov.shape != (n, 4, 4):
         raise ValueError(f"covs must have shape ({n}, 4, 4), as the means, got {cov.shape}")
-    if rounding == ROUNDING:
-        symmetric, strange = np.empty((n, 4, 4)), np.empty(n, dtype=bool)
-        given = np.ascontiguousarray(mean), np.ascontiguousarray(cov), symmetric, strange
-        if lib.maplines_check_gaussians(n, *map(pointer, given)):
-            return CheckedGaussians(mean, symmetric, strange)
+    symmetric, strange = np.empty((n, 4, 4)), np.empty(n, dtype=bool)
+    given = np.ascontiguousarray(mean), np.ascontiguousarray(cov), symmetric, strange
+    if lib.maplines_check_gaussians(n, rounding, *map(pointer, given)):
+        return CheckedGaussians(mean, symmetric, strange)
     _refuse("means must be finite", np.asarray(~np.isfinite(mean).all(axis=1)), mean)
     too_large = np.asarray(~(np.abs(cov) <= MAX_COV).all(axis=(1, 2)))  # or NaN
     _refuse("covs must be finite", too_large, cov)
     negative = (np.einsum("nii->ni", cov) < 0).any(axis=1)
     _refuse("covs must have variances of 0 or more", negative, cov)
     _refuse("covs must be symmetric", asymmetric(cov, rounding), cov)
-    return CheckedGaussians(mean, (cov + cov.transpose(0, 2, 1)) / 2, indefinite(cov, rounding))
+    raise ValueError("the core refuses the Gaussians: one of them has a value that is none")
 
 
 def checked_mixtures(
