@@ -74,11 +74,6 @@ def factor_or_identity(S: Matrix) -> Matrix:
 # ---- all lines --------------------------------------------------------------------------------
 
 
-def block(S: Matrix, i: int, j: int) -> Matrix:
-    """Return the block of two lines."""
-    return matrix(row[4 * j : 4 * j + 4] for row in S[4 * i : 4 * i + 4])
-
-
 def uncovered(
     true: Matrix, spread: Matrix, own: Sequence[Matrix], J: Sequence[Matrix]
 ) -> list[Matrix] | None:
@@ -102,7 +97,7 @@ def uncovered(
     excess = whitened(W, true - spread)
     if _less_than(bound, excess).is_definite():
         return None
-    wholes = [W[i].congruence(block(spread, i, i)) for i in lines]
+    wholes = [W[i].congruence(spread.block_of(i, i)) for i in lines]
     sizes = [factor_or_identity(diagonal([1.0] * 4) + whole) for whole in wholes]
     guess = FIRST
     for _ in range(4 * len(J)):
@@ -168,6 +163,6 @@ def whitened(W: Sequence[Matrix], S: Matrix) -> Matrix:
     """Return blockdiag(W) S blockdiag(W)^T, exactly symmetric."""
     rows = Matrix()
     for i, one in enumerate(W):
-        blocks = [one @ block(S, i, j) @ other.T for j, other in enumerate(W)]
+        blocks = [one @ S.block_of(i, j) @ other.T for j, other in enumerate(W)]
         rows.extend(Vector(x for b in blocks for x in b[k]) for k in range(4))
     return rows.symmetric()

@@ -84,6 +84,10 @@ class Matrix(_Entries[Vector]):
         chosen = [*columns]
         return matrix([self[i][j] for j in chosen] for i in rows)
 
+    def block_of(self, i: int, j: int) -> Matrix:
+        """Return the block of two lines, of 4 rows and columns."""
+        return matrix(row[4 * j : 4 * j + 4] for row in self[4 * i : 4 * i + 4])
+
     def with_blocks(self, blocks: Iterable[Matrix]) -> Matrix:
         """Return S + blkdiag(blocks), of blocks of 4 rows."""
         found = matrix(self)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 from ..wire.layout.signals import Signal
 from .elementary import atan, clipped, sin_cos, tan
+from .lines import lateral_row, places
 from .matrices import Matrix, Vector, diagonal, matrix
 
 #: Largest deviation of such a line from the given one in its range [m]: as much as a cubic may
@@ -64,7 +65,8 @@ def nearest_line(
         start, end = car + share * (first - car), car + share * (last - car)
         if end - start < least:
             return None
-        A = _basis(start, end, scale)
+        # The lateral positions [m] at the nodes, for parameters of a scale each:
+        A = Matrix(lateral_row(0.0, x) * scale for x in places(start, end, NODES))
         step = _box_solution(_triangular(A), (low - line) / scale, (high - line) / scale)
         if all(abs(row @ step) <= MAX_DEVIATION for row in A):
             near = Vector(map(clipped, line + step * scale, low, high))
@@ -88,13 +90,6 @@ def slope_error(beta: float, near: float) -> float:
 
 
 # ---- least squares in a box -------------------------------------------------------------------
-
-
-def _basis(start: float, end: float, scale: Vector) -> Matrix:
-    """Return the lateral positions [m] at the nodes of a range, for parameters of a scale each."""
-    middle, half = (start + end) / 2, (end - start) / 2
-    places = [middle + half * node for node in NODES]
-    return Matrix(Vector([1.0, x, x * x / 2, x * x * x / 6]) * scale for x in places)
 
 
 def _triangular(A: Matrix) -> Matrix:

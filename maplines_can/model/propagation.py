@@ -296,8 +296,8 @@ def _certain_ranges(query: Query, scene: Scene) -> list[tuple[float, float] | No
     """Return the parts of the ranges of a scene in which its lines are certain enough."""
     found = []
     for i, (mean, ends) in enumerate(zip(scene.means, scene.ranges, strict=True)):
-        own = range(4 * i, 4 * i + 4)
-        found.append(certain_range(mean, scene.cov.block(own, own), *ends, query.max_sigma))
+        cov = scene.cov.block_of(i, i)
+        found.append(certain_range(mean, cov, *ends, query.max_sigma))
     return found
 
 

@@ -94,12 +94,9 @@ class _Owner:
 class Receiver:
     """Receiver of frames; time is an argument [ns].
 
-    At any time ``frames == line_frames + pose_frames + sum(counts.values()) + pending``.
-
-    Args:
-        layout: of the DBC.
-        settings: of each owner; None for what the DBC implies.
-        keys: with them, frames of each owner with such a message must be authenticated.
+    At any time ``frames == line_frames + pose_frames + sum(counts.values()) + pending``. Settings
+    of the owners are those that the DBC implies, unless they are given. With keys, frames of each
+    owner with such a message must be authenticated.
 
     >>> receiver = Receiver(Layout.from_dbc())
     >>> receiver.feed(0x340, bytes(8), t_ns=0), receiver.feed(0x123, bytes(8), t_ns=0)

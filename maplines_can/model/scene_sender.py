@@ -23,7 +23,7 @@ from ..wire.layout.pose_layout import POSE, Owner, PoseLayout
 from ..wire.layout.signals import PARAMETER_SIGNALS, Signal
 from .covariance import code_of, encode, least_variances, reachable
 from .elementary import exp2, log2
-from .joint import block, divergence, factor_or_identity, largest_ratio, uncovered
+from .joint import divergence, factor_or_identity, largest_ratio, uncovered
 from .level_search import LevelSearch, Wanted, shortfall
 from .levels import level_covariance
 from .lines import Curve, bases, is_line, sigma_points, spread
@@ -298,7 +298,7 @@ class SceneSender:
         if scene.specific is not None:
             specific = scene.specific[place]
         else:
-            rest = block(scene.cov, place, place) - due_to_pose
+            rest = scene.cov.block_of(place, place) - due_to_pose
             values, V = J.inverse().congruence(rest).eigen()
             roots = Vector(math.sqrt(max(x, 0.0)) for x in values)
             root = J @ Matrix(row * roots for row in V)
@@ -426,7 +426,7 @@ def _kept(members: list[_Member], left_out: dict[Slot, str], reason: str) -> lis
 
 def is_possible(scene: SceneDraft, place: int, curve: Curve) -> bool:
     """Whether a line is a function of x, with covariances that do not overflow."""
-    covs = [block(scene.cov, place, place)]
+    covs = [scene.cov.block_of(place, place)]
     covs += [] if scene.specific is None else [scene.specific[place]]
     is_small = all(x <= LARGEST * LARGEST for cov in covs for x in cov.diagonal())
     return is_small and all(abs(x) <= LARGEST for x in curve.mean) and is_line(curve)
