@@ -49,7 +49,7 @@ WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Wstr
 #: Least share of the branches that the tests take [%].
 MIN_BRANCHES = 98.0
 #: Tests of streams, which compare the library with the model.
-STREAM_TESTS = ("tests/model", "tests/test_map_streams.py")
+STREAM_TESTS = ("tests/model", "tests/test_map_streams.py", "tests/test_log_streams.py")
 #: Tests of what callers give the library: sizes, arrays, objects and files of any kind.
 DOOR_TESTS = (
     "tests/wire/test_encoder.py", "tests/wire/test_encoder_arguments.py",
@@ -59,7 +59,7 @@ DOOR_TESTS = (
 )  # fmt: skip
 #: All that run the library.
 CORE_TESTS = (
-    "tests/wire", "tests/propagation", "tests/bus/test_candump_logs.py",
+    "tests/core", "tests/values", "tests/wire", "tests/propagation", "tests/bus/test_candump_logs.py",
     "tests/bus/test_asc_logs.py", "tests/bus/test_blf_logs.py",
 )  # fmt: skip
 THREAD_TESTS = ("tests/wire/test_threads.py",)

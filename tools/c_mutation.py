@@ -37,6 +37,7 @@ import threading
 import time
 from collections import Counter, defaultdict
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
@@ -73,7 +74,7 @@ STREAM_LIMIT, TEST_LIMIT = 120, 600
 #: Steps of each recording that are taken before all of any.
 FIRST = 100
 FLAGS = [
-    *(option for option in OPTIONS if option not in ("-O3", "-shared")),
+    *(option for option in OPTIONS if option not in ("-O3", "-shared", "-fvisibility=hidden")),
     *("-O1", "-Werror=return-type"),
     *(f"-DMAPLINES_MAX_{name}={limit}" for name, limit in LIMITS.items()),
     *(f"-I{place.relative_to(ROOT)}" for place in (ROOT / "c" / "include", *FOLDERS)),
@@ -87,7 +88,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="c-mutation-") as name:
         folder = Path(name)
         core = Core(folder / "core", arguments.recordings or folder / "recordings")
-        if not core.recordings and not core.record(arguments.frames):
+        if not core.recordings and not core.record(arguments.frames, arguments.jobs):
             return 1
         if core.replay(core.tree, core.recordings, folder / "said") != 0:
             print("c_mutation.py: the core that is not changed differs", file=sys.stderr)
@@ -123,7 +124,7 @@ def _arguments() -> argparse.Namespace:
         "--sample", type=int, default=300, help="number of mutants; 0: all (default: 300)"
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of the sample (default: 0)")
-    parser.add_argument("--jobs", type=int, default=1, help="mutants at a time (default: 1)")
+    parser.add_argument("--jobs", type=int, default=1, help="processes at a time (default: 1)")
     parser.add_argument(
         "--minutes",
         type=float,
@@ -186,13 +187,16 @@ class Core:
         self.context = multiprocessing.get_context("forkserver")
         self.context.set_forkserver_preload([*PRELOAD, "cryptography.hazmat.primitives.cmac"])
 
-    def record(self, frames: int) -> bool:
-        """Record the streams; return whether core and model agree."""
-        status = run_task(self.context, partial(record, self.tree, self._recordings, frames))
-        if status != 0:  # they are not all of them
+    def record(self, frames: int, jobs: int) -> bool:
+        """Record the streams in some processes; return whether core and model agree."""
+        task, own = partial(record, self.tree, self._recordings, frames, parts=jobs), range(jobs)
+        with ThreadPoolExecutor(jobs) as pool:
+            tasks = [partial(task, part=part) for part in own]
+            statuses = [*pool.map(partial(run_task, self.context), tasks)]
+        if any(statuses):  # they are not all of them
             for file in self.recordings:
                 file.unlink()
-        return status == 0
+        return not any(statuses)
 
     def replay(self, tree: Path, files: Sequence[Path], said: Path) -> int | None:
         """Replay recordings in a tree; return the exit status, None if it does not end."""

@@ -11,6 +11,7 @@ import os
 import pickle
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -83,17 +84,22 @@ def digest(answer: Any) -> bytes:
     return hashlib.blake2b(repr(bits(answer)).encode(), digest_size=8).digest()
 
 
-def record(tree: Path, folder: Path, frames: int) -> None:
+def record(tree: Path, folder: Path, frames: int, part: int, parts: int) -> None:
     """Write the recordings of all streams to files of their own, and end the process.
 
     Args:
         tree: has the package, with the core that is not changed.
         folder: of the files.
         frames: of a stream of a receiver; one of a sender has twice as many lines.
+        part: number of this process, from 0 on, of those that share the work.
+        parts: number of these processes.
     """
     _begin(tree)
     sys.dont_write_bytecode = False  # the processes of mutants need not compile it again
-    for number, (recording, model) in enumerate(_recordings(frames)):
+    for number, (recording, by_model) in enumerate(_recordings(frames)):
+        if number % parts != part:
+            continue
+        model = [digest(by_model(step)) for step in recording.steps]
         answers = recording.make()
         digests = [digest(answers(step)) for step in recording.steps]
         if digests != model:
@@ -105,8 +111,8 @@ def record(tree: Path, folder: Path, frames: int) -> None:
     os._exit(0)
 
 
-def _recordings(frames: int) -> Iterator[tuple[Recording, list[bytes]]]:
-    """Yield recordings without digests, and the digests of the answers of the model."""
+def _recordings(frames: int) -> Iterator[tuple[Recording, Callable[[Any], Any]]]:
+    """Yield recordings without digests, and what answers their steps by the model."""
     import numpy as np
     from random_dbc import random_dbc
 
@@ -119,38 +125,30 @@ def _recordings(frames: int) -> Iterator[tuple[Recording, list[bytes]]]:
     from maplines_can.wire import SHIPPED, Layout, default_dbc_path
 
     steps: list[Any] = [*islice(logs(SEED), 2 * frames)]
-    yield Recording("logs", _Logs(), steps, []), [digest(parsed_by_model(step)) for step in steps]
+    yield Recording("logs", _Logs(), steps, []), parsed_by_model
     for seed in range(MAP_STREAMS):
         steps = [*islice(queries(SEED + seed), frames // 4)]
-        answers = [digest(model_answer(query)) for query in steps]
-        yield Recording(f"maps, {seed}", _Maps(), steps, []), answers
-    shipped = [default_dbc_path(name) for name in SHIPPED]
-    paths = [*shipped]
-    for seed in RANDOM_DBCS:
-        paths.append(Path.cwd() / f"random-{seed}.dbc")
-        paths[-1].write_text(random_dbc(seed))
-    for path in paths:
-        layout = Layout.from_dbc(path)
+        yield Recording(f"maps, {seed}", _Maps(), steps, []), model_answer
+    shipped = [(name, Layout.from_dbc(default_dbc_path(name))) for name in SHIPPED]
+    others = [(f"random {one}", Layout.from_text(random_dbc(one))) for one in RANDOM_DBCS]
+    for place, (dbc, layout) in enumerate([*shipped, *others]):
         for stream in streams_of(layout):
             inputs = STREAMS[stream].inputs(layout, np.random.default_rng(SEED))
             count = frames // 2 if stream.startswith("scenes") else 2 * frames
             steps = [*islice(inputs, count)]
-            name = f"{path.stem}, {stream}"
-            yield (
-                Recording(name, _Sender(layout, stream), steps, []),
-                [digest(STREAMS[stream].model(layout, step)) for step in steps],
-            )
+            name = f"{dbc}, {stream}"
+            model = partial(STREAMS[stream].model, layout)
+            yield Recording(name, _Sender(layout, stream), steps, []), model
         traffics = traffics_of(layout, SEED)
         for number, profile in enumerate(profiles_of(layout)):
-            if path not in shipped and (number - paths.index(path)) % len(RANDOM_DBCS):
+            if place >= len(shipped) and (number - place) % len(RANDOM_DBCS):
                 continue  # all of them take some of the profiles each
             sign = Pair(layout, profile).sign if profile.is_signed else None
             stream_of = Stream(traffics, profile, SEED + number, sign, START_US)
             steps = [*islice(stream_of.steps(), frames)]
-            model = ModelSide(layout, profile)
             yield (
-                Recording(f"{path.stem}, {profile.name}", _Receiver(layout, profile), steps, []),
-                [digest(model.take(step)) for step in steps],
+                Recording(f"{dbc}, {profile.name}", _Receiver(layout, profile), steps, []),
+                ModelSide(layout, profile).take,
             )
 
 

@@ -94,7 +94,7 @@ def _frames(layout: Layout, way: Way, records: Sequence[tuple[Owner, bytes]]) ->
             if last_us == LAST_US or way.key_id not in KEY_IDS:
                 return None
             last_us = max(way.now_us, last_us + 1)
-            frames.append(_signed(secured, messages, record, way.key_id, last_us))
+            frames.append(signed(secured, messages, record, way.key_id, last_us))
         elif way.is_fd:
             data = record.ljust(messages.fd_length, b"\0")
             frames.append([messages.fd_can_id, messages.fd_is_extended, True, data])
@@ -105,9 +105,10 @@ def _frames(layout: Layout, way: Way, records: Sequence[tuple[Owner, bytes]]) ->
     return [frames, last_us]
 
 
-def _signed(
+def signed(
     secured: SecuredLayout, messages: RecordMessages, record: bytes, key_id: int, time_us: int
 ) -> Any:
+    """Return the authenticated frame of a record with a freshness value [us]."""
     authentic = record.ljust(secured.authentic_bytes - 1, b"\0") + bytes([key_id])
     freshness, data_id = time_us.to_bytes(8, "big"), messages.secured_data_id.to_bytes(2, "big")
     mac = _mac(key_id, data_id + authentic + freshness)[: secured.mac_bytes]
@@ -228,7 +229,7 @@ class _Sender:
         if way.key_id is not None:
             self._signer = ffi.new("maplines_signer_t *")
             self._call = ffi.callback(
-                "bool(void *, uint8_t, const uint8_t *, size_t, uint8_t *)", _write_mac
+                "bool(void *, uint8_t, const uint8_t *, size_t, uint8_t *)", write_mac
             )
             self._signer.mac, self._signer.key_id = self._call, way.key_id
             self._signer.last_us = way.last_us
@@ -248,7 +249,8 @@ class _Sender:
         return [frames, last_us, *more, counters]
 
 
-def _write_mac(_: Any, key_id: int, data: Any, length: int, mac: Any) -> bool:
+def write_mac(_: Any, key_id: int, data: Any, length: int, mac: Any) -> bool:
+    """Write what stands for a MAC, as ``maplines_signer_t`` asks for it."""
     if key_id not in KEY_IDS:
         return False
     ffi.buffer(mac, 16)[:] = _mac(key_id, bytes(ffi.buffer(data, length)))
@@ -590,7 +592,7 @@ def _random_windows(rng: np.random.Generator) -> Windows:
         oks[1], oks[0], oks[2], errors[1], errors[2], errors[0],
     ]  # fmt: skip
     if rng.random() < 0.6:
-        i = int(rng.integers(len(values)))
+        i = int(_choice(rng, 0, rng.integers(len(values)), rng.integers(4, len(values))))
         values[i] = int(_choice(rng, 0, 1, values[i] + 1, max(values[i] - 1, 0), 127, 128, 255))
     names = Windows._fields[:-1]
     found = dict(zip(names, (min(value, 255) for value in values), strict=True))

@@ -72,6 +72,10 @@ def random_cov(rng: np.random.Generator) -> Any:
         i, j = rng.integers(0, 4, 2)
         cov[i, j] = cov[j, i] = cov[i, j] * rng.uniform(-3, 3)
         np.fill_diagonal(cov, np.abs(np.diag(cov)))
+    if rng.random() < 0.05:  # covariances of a zero variance, or many times what variances admit
+        i, j = rng.permutation(4)[:2]
+        cov[i, i] *= rng.choice([0.0, 1.0])
+        cov[i, j] = cov[j, i] = np.sqrt(s[i] * s[j]) * 10.0 ** rng.uniform(-25, 12)
     return (cov + cov.T) / 2 * _choice(rng, 1, 1, 1, 1, 0, 10.0 ** rng.uniform(-20, 20))
 
 
