@@ -1,7 +1,12 @@
 """tools/c_mutation.py: the mutants that it makes of C, and how it tells them from the model."""
 
+from fnmatch import fnmatch
+from pathlib import Path
+
 import pytest
+from build_core import FOLDERS
 from c_mutants import mutants
+from c_mutation import TESTS
 
 
 @pytest.mark.parametrize(
@@ -37,3 +42,13 @@ def test_values_of_constants_are_changed() -> None:
     """They stand outside of functions."""
     found = mutants("static const double STEPS[2] = {1.5, 0.0};\nint f(int a);\n")
     assert [mutant.mutated for mutant in found] == ["(1.5 * 10.0)", "(1.5 / 10.0)", "1.0"]
+
+
+def test_each_file_has_tests_that_are_there() -> None:
+    """What survives the streams meets them."""
+    root = Path(__file__).parents[1]
+    for source in [path for folder in FOLDERS for path in folder.glob("*.c")]:
+        place = source.relative_to(root).as_posix()
+        tests = next(tests for pattern, tests in TESTS.items() if fnmatch(place, pattern))
+        assert tests
+        assert [name for name in tests if not (root / name).exists()] == []

@@ -59,8 +59,8 @@ DOOR_TESTS = (
 )  # fmt: skip
 #: All that run the library.
 CORE_TESTS = (
-    "tests/core", "tests/values", "tests/wire", "tests/propagation", "tests/bus/test_candump_logs.py",
-    "tests/bus/test_asc_logs.py", "tests/bus/test_blf_logs.py",
+    "tests/core", "tests/values", "tests/wire", "tests/propagation",
+    "tests/bus/test_candump_logs.py", "tests/bus/test_asc_logs.py", "tests/bus/test_blf_logs.py",
 )  # fmt: skip
 THREAD_TESTS = ("tests/wire/test_threads.py",)
 #: Variants that are compiled: flags after those of the language.

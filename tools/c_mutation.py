@@ -45,7 +45,7 @@ from pathlib import Path
 from build_core import FOLDERS, LIBRARY, LIMITS, OPTIONS, compiler
 from c_mutants import Mutant, mutants
 from c_mutation_streams import DIFFERS, record, replay
-from mutation import LEFT_OUT, PRELOAD, ROOT, Outcome, reasons, run_task, summary
+from mutation import LEFT_OUT, PRELOAD, ROOT, SLOWER, START_UP, Outcome, reasons, run_task, summary
 from mutation_worker import run_files
 from reporting import bar, parser_of, report
 
@@ -69,8 +69,8 @@ TESTS: dict[str, list[str]] = {
     "c/core/values.c": ["tests/values", "tests/propagation/test_transform_line.py"],
     "*": ["tests/core", "tests/wire/reception", "tests/c/test_run_vectors.py"],
 }
-#: Time limits of a mutant [s]: of the streams, and of the tests.
-STREAM_LIMIT, TEST_LIMIT = 120, 600
+#: Time limit of the tests of a mutant [s].
+TEST_LIMIT = 600
 #: Steps of each recording that are taken before all of any.
 FIRST = 100
 FLAGS = [
@@ -90,10 +90,12 @@ def main() -> int:
         core = Core(folder / "core", arguments.recordings or folder / "recordings")
         if not core.recordings and not core.record(arguments.frames, arguments.jobs):
             return 1
+        started_replay = time.monotonic()
         if core.replay(core.tree, core.recordings, folder / "said") != 0:
             print("c_mutation.py: the core that is not changed differs", file=sys.stderr)
             return 1
         recorded = time.monotonic()
+        core.limit = START_UP + SLOWER * (recorded - started_replay)
         until = recorded + 60 * arguments.minutes
         wanted = [file for file in core.files if any(fnmatch(file, p) for p in arguments.files)]
         every = [(file, m) for file in wanted for m in mutants((ROOT / file).read_text())]
@@ -172,6 +174,7 @@ class Core:
 
     def __init__(self, folder: Path, recordings: Path) -> None:
         self.tree, self._recordings = folder / "tree", recordings
+        self.limit: float | None = None  #: time limit of a replay [s]
         self._recordings.mkdir(parents=True, exist_ok=True)
         shutil.copytree(ROOT, self.tree, ignore=LEFT_OUT, symlinks=True)
         self.files = [
@@ -200,7 +203,7 @@ class Core:
 
     def replay(self, tree: Path, files: Sequence[Path], said: Path) -> int | None:
         """Replay recordings in a tree; return the exit status, None if it does not end."""
-        return run_task(self.context, partial(replay, tree, files, FIRST, said), STREAM_LIMIT)
+        return run_task(self.context, partial(replay, tree, files, FIRST, said), self.limit)
 
     @property
     def recordings(self) -> list[Path]:
