@@ -9,6 +9,7 @@ import pytest
 from maplines_can import Slot
 from maplines_can.core import ffi, lib
 from maplines_can.model import writer
+from maplines_can.model.matrices import Vector, matrix
 from maplines_can.testing.ecu_streams import KEY_IDS, signed, write_mac
 from maplines_can.wire import Layout, default_dbc_path
 from maplines_can.wire.tables import tables_of
@@ -60,7 +61,7 @@ class Ecu:
         """Return the reason of an authenticated frame of a line, with a freshness value."""
         slot = Slot.EGO_LEFT
         cov = [[float(i == j) * 1e-6 for j in range(4)] for i in range(4)]
-        line = writer.Draft(slot, [0.0] * 4, cov, x_max=50.0)
+        line = writer.Draft(slot, Vector([0.0] * 4), matrix(cov), x_max=50.0)
         messages = self.layout.messages[slot]
         assert self.layout.secured is not None
         record = writer.write(self.layout, line, 0)
