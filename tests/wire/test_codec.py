@@ -283,3 +283,12 @@ def test_every_kind_and_status_is_accepted(codec: Any, fd: bool) -> None:
         assert codec.batch.decode(payloads).accepted.all()
         assert codec.batch.decode(payloads).status[0] == status
         assert codec.batch.decode_one(payloads[0].tobytes(), Slot.EGO_LEFT).status is status
+
+
+@pytest.mark.parametrize("status", [Status.UNKNOWN, Status.OUT_OF_RANGE])
+def test_a_mean_alone_may_be_sent_with_a_status_that_claims_no_covariance(
+    codec: Any, status: Status
+) -> None:
+    """UNKNOWN is what it would get anyway; OUT_OF_RANGE is the caller's to say."""
+    payloads = codec.batch.encode([[1.75, 0, 0, 0]], status=status)
+    assert codec.batch.decode(payloads).status[0] == status

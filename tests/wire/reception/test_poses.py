@@ -38,6 +38,7 @@ def test_the_pose_error_is_received(dbc: str, fd: bool) -> None:
     """In classic frames or one CAN FD frame; duplicates and lost records as for a slot."""
     decoder, pose = new_codec(dbc).decoder(), layout_of(dbc).pose
     assert pose is not None
+    assert decoder.checks[POSE].counter is None
     check, ahead = decoder.checks[POSE], list[int | None]()
     counters = [*range(250, 260), 262]
     for i, counter in enumerate(counters):
@@ -47,7 +48,7 @@ def test_the_pose_error_is_received(dbc: str, fd: bool) -> None:
             assert decoder.feed(frame.can_id, frame.data, i * CYCLE) in QUIET
         ahead.append(check.ahead)
     assert ahead == [1] * 10 + [3]
-    assert (check.state, check.lost) == (E2EState.VALID, 2)
+    assert (check.state, check.lost, check.counter) == (E2EState.VALID, 2, counters[-1] % 256)
     assert decoder.counts == {Reason.DUPLICATE: 1}
     assert decoder.pose_errors == len(counters)
     assert decoder.frames == decoder.pose_frames + 1
