@@ -265,8 +265,9 @@ class Run:
                     self._found[number] = Outcome(file, mutant, how)
                     self._bar.update()
                     if how == "survived":
+                        place = f"{file}:{mutant.line}"
                         self._bar.write(
-                            f"{file}:{mutant.line} {mutant.original} -> {mutant.mutated}"
+                            f"{place} {mutant.original} -> {mutant.mutated}", file=sys.stderr
                         )
 
     def _outcome(self, folder: Path, tree: Path, file: str) -> str:
