@@ -126,7 +126,7 @@ class RecordAttributes:
         weight = _finite("component_weight", self.component_weight, n)
         if ((weight <= 0) | (weight > 1)).any():
             raise EncodeError(f"component_weight must be in (0, 1], got {weight.min():g}")
-        slot = np.broadcast_to(self.slot, n).astype(np.int64)
+        slot = np.full(n, self.slot, np.int64)
         return (
             slot,
             _stacked(integers, n, np.int64),
@@ -150,9 +150,12 @@ class RecordAttributes:
         return [raw_counter, raw_kind, raw_status, index, count]
 
 
-def _stacked(rows: Iterable[ArrayLike], n: int, kind: type) -> NDArray[Any]:
+def _stacked(rows: list[ArrayLike], n: int, kind: type) -> NDArray[Any]:
     """Return (K, n) values of K rows, each of (n,) or one for all."""
-    return np.stack([np.broadcast_to(row, n) for row in rows]).astype(kind)
+    stacked: NDArray[Any] = np.empty((len(rows), n), kind)
+    for row, values in zip(stacked, rows, strict=True):
+        row[:] = values
+    return stacked
 
 
 def _finite(name: str, value: ArrayLike, n: int) -> NDArray[np.float64]:
