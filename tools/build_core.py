@@ -28,6 +28,7 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 ROOT = Path(__file__).resolve().parents[1]
 C = ROOT / "c"
 FOLDERS = [C / name for name in ("src", "propagation", "core", "logs")]
+DECLARATIONS = ROOT / "maplines_can" / "core" / "declarations.py"
 #: The library in the package.
 LIBRARY = f"core/maplines.{'dll' if os.name == 'nt' else 'so'}"
 #: Structures have the size of the largest DBC that has C.
@@ -129,6 +130,7 @@ def build(path: Path) -> None:
         joined.write_text("".join(f'#include "{name}"\n' for name in names))
         sources = [joined, *(one for place in others for one in sorted(place.glob("*.c")))]
         macros = [f"-DMAPLINES_MAX_{name}={limit}" for name, limit in LIMITS.items()]
+        macros.append(f"-DMAPLINES_DECLARATIONS={checksum()}")
         include = [f"-I{place}" for place in (C / "include", *FOLDERS)]
         command, flags = compiler(), shlex.split(os.environ.get("CFLAGS", ""))
         is_microsoft = Path(command[0]).stem.lower() == "cl"
@@ -151,8 +153,12 @@ def build(path: Path) -> None:
 
 def functions() -> list[str]:
     """Return the names of the functions that the library exports."""
-    declarations = ROOT / "maplines_can" / "core" / "declarations.py"
-    return re.findall(r"\\x23(maplines_\w+)", declarations.read_text())
+    return re.findall(r"\\x23(maplines_\w+)", DECLARATIONS.read_text())
+
+
+def checksum() -> str:
+    """Return the checksum of the declarations, by which a library of others is found."""
+    return DECLARATIONS.read_text().split()[-1]
 
 
 def wheel_tag() -> str:

@@ -10,6 +10,7 @@ import os
 import subprocess
 import tempfile
 from pathlib import Path
+from zlib import crc32
 
 from build_core import LIMITS
 from cffi import FFI
@@ -35,7 +36,8 @@ def declarations() -> str:
         ffi.set_source("maplines_can.core.declarations", None)
         path = Path(folder) / "declarations.py"
         ffi.emit_python_code(str(path))
-        return path.read_text()
+        made = path.read_text()
+        return f"{made}\n# Of all above; the library has it, too.\nCHECKSUM = {crc32(made.encode()):#010x}\n"
 
 
 if __name__ == "__main__":

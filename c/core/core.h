@@ -31,6 +31,8 @@ const char *maplines_core_version(void);
 const char *maplines_core_compiler(void);
 /// Sizes of the structures that the Python package makes, in its order.
 size_t maplines_core_size(size_t i);
+/// Checksum of declarations.py, with which the library was built.
+uint32_t maplines_core_declarations(void);
 /// Whether tables are those of a DBC: no signal, page or index is beyond its record.
 bool maplines_check_tables(const maplines_dbc_t *dbc);
 /// Compute the covariances of a straight line at the spacings of a DBC: its table `straight`.

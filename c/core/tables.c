@@ -22,6 +22,15 @@ const char *maplines_core_version(void)
     return MAPLINES_VERSION;
 }
 
+#ifndef MAPLINES_DECLARATIONS
+#define MAPLINES_DECLARATIONS 0U // not a build of the package
+#endif
+
+uint32_t maplines_core_declarations(void)
+{
+    return MAPLINES_DECLARATIONS;
+}
+
 size_t maplines_core_size(size_t i)
 {
     static const size_t sizes[] = {sizeof(maplines_dbc_t),      sizeof(maplines_receiver_t),

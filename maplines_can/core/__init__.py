@@ -1,7 +1,7 @@
 """The core in C as a shared library: ``lib`` has its functions, and ``ffi`` their types.
 
 ``declarations.py`` is what cffi makes of ``c/core/core.h``. Nothing at run time compares the two
-but what is done here, once: the version, and the sizes of the structures. Arguments of functions
+but what is done here, once: version, checksum of the declarations, and sizes of structures. Arguments of functions
 are as their callers have checked them. A call lets other threads run: an object with a state has a
 ``Lock``, which it holds around its calls.
 """
@@ -15,7 +15,7 @@ from typing import Any
 
 from .. import __version__
 from ..values.errors import CoreError
-from .declarations import ffi
+from .declarations import CHECKSUM, ffi
 
 __all__ = ["PATH", "Lock", "compiler", "ffi", "lib"]
 
@@ -31,13 +31,14 @@ def _load() -> tuple[Any, str]:
         raise CoreError(f"the library of the core, {PATH.name}, is missing; {_CURE}")
     try:
         lib = ffi.dlopen(str(PATH))
-        found = ffi.string(lib.maplines_core_version()).decode()
+        found = ffi.string(lib.maplines_core_version()).decode(), lib.maplines_core_declarations()
         sizes = [lib.maplines_core_size(i) for i in range(len(_STRUCTURES))]
         compiler = ffi.string(lib.maplines_core_compiler()).decode()
     except (OSError, ffi.error) as error:
         raise CoreError(f"the library of the core cannot be loaded: {error}; {_CURE}") from error
-    if (found, sizes) != (__version__, [ffi.sizeof(f"maplines_{name}_t") for name in _STRUCTURES]):
-        raise CoreError(f"the library of the core is of version {found}; {_CURE}")
+    expected = [ffi.sizeof(f"maplines_{name}_t") for name in _STRUCTURES]
+    if (found, sizes) != ((__version__, CHECKSUM), expected):
+        raise CoreError(f"the library of the core is another build, {found[0]}; {_CURE}")
     return lib, compiler
 
 

@@ -16,14 +16,16 @@ ROOT = Path(__file__).parents[2]
 #: A library of another version.
 STALE = """
 #include <stddef.h>
+#include <stdint.h>
 const char *maplines_core_version(void) { return "0.0.1"; }
+uint32_t maplines_core_declarations(void) { return 0; }
 const char *maplines_core_compiler(void) { return "any"; }
 size_t maplines_core_size(size_t i) { return i; }
 """
 #: What is there in place of the library (C, bytes or nothing), and what the error says.
 UNUSABLE = {
     "missing": (None, f"the library of the core, {PATH.name}, is missing; "),
-    "stale": (STALE, "the library of the core is of version 0.0.1; "),
+    "stale": (STALE, "the library of the core is another build, 0.0.1; "),
     "another": ("int other;", "the library of the core cannot be loaded: "),
     "no-library": (b"text", "the library of the core cannot be loaded: "),
 }
