@@ -37,7 +37,8 @@ def declarations() -> str:
         path = Path(folder) / "declarations.py"
         ffi.emit_python_code(str(path))
         made = path.read_text()
-        return f"{made}\n# Of all above; the library has it, too.\nCHECKSUM = {crc32(made.encode()):#010x}\n"
+        checksum = f"{crc32(made.encode()):#010x}"
+        return f"{made}\n# Of all above; the library has it, too.\nCHECKSUM = {checksum}\n"
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 """The core in C as a shared library: ``lib`` has its functions, and ``ffi`` their types.
 
 ``declarations.py`` is what cffi makes of ``c/core/core.h``. Nothing at run time compares the two
-but what is done here, once: version, checksum of the declarations, and sizes of structures. Arguments of functions
-are as their callers have checked them. A call lets other threads run: an object with a state has a
-``Lock``, which it holds around its calls.
+but what is done here, once: version, checksum of the declarations, and sizes of structures.
+Arguments of functions are as their callers have checked them. A call lets other threads run: an
+object with a state has a ``Lock``, which it holds around its calls.
 """
 
 from __future__ import annotations
