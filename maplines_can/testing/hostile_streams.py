@@ -209,19 +209,14 @@ class Traffic:
             ends[-1] -= 1  # the sum of the weights is less than 1
         common = self._values()
         status = rng.choices(range(6), (1, 20, 1, 1, 1, 1))[0]
-        other = rng.randrange(size) if rng.random() < 0.1 else -1  # it does not belong to the rest
         for place in range(size):
-            record = self._values() | {
+            yield self._values() | {
                 **{name: common[name] for name in ("Kind", "XMin", "XMax", "Age")},
                 "Status": status if rng.random() < 0.9 else 1,
                 "ComponentIndex": place,
                 "ComponentCount": size - 1,
                 "ComponentWeight": max(ends[place + 1] - ends[place] - 1, 0),
             }
-            if place == other:
-                name = rng.choice(["Kind", "XMin", "XMax", "Age", "ComponentCount"])
-                record[name] = (place + 1) % size if name == "ComponentCount" else record[name] ^ 1
-            yield record
 
     def _values(self) -> dict[str, int]:
         """Return any raw values of a line, but a mean that a road may have."""
