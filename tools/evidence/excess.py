@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from maplines_can import Gaussian, MapError, Polyline
-from maplines_can.propagation.from_map import MAX_SIGMA, Query
+from maplines_can import Gaussian, MapError, Polyline, map_lines
 from maplines_can.propagation.refit import MAX_MISFIT, Refit
 
 from .witness import WINDOW, Array
@@ -22,12 +21,12 @@ def excess_covs(
     A refit without a limit of the misfit has the part of the covariance that is due to the map
     alone.
     """
-    fitted = Query.of(lines, ego, WINDOW, error, MAX_MISFIT, MAX_SIGMA).fitted_lines()
     covs = {}
-    for i, slot in enumerate(fitted.slots):
-        window = tuple(fitted.refits.x_range[i].tolist())
+    for slot in (line.slot for line in map_lines(lines, ego, window=WINDOW, map_error=error)):
+        fitted = Refit(lines[slot], ego.mean, WINDOW, error, max_misfit=MAX_MISFIT)
+        window = tuple(fitted.x_range.tolist())
         of_map = Refit(lines[slot], ego.mean, window, error, max_misfit=np.inf).noise_cov
-        cov = np.asarray(fitted.refits.noise_cov)[i] - (0.0 if of_map is None else of_map)
-        cov[0, 0] -= fitted.refits.misfit[i] ** 2
+        cov = np.asarray(fitted.noise_cov) - (0.0 if of_map is None else of_map)
+        cov[0, 0] -= fitted.misfit**2
         covs[slot] = cov
     return covs
