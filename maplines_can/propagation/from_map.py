@@ -210,6 +210,17 @@ class Query:
         """Return the lines as the core has them."""
         return paths_near([*self.lines.values()], lib.maplines_query_view, self.values)
 
+    def fitted(self) -> tuple[list[Slot], Refit, NDArray[np.float64], dict[Slot, LeftOut]]:
+        """Return the slots of n lines, their refits and (n, 2) ranges, and what is left out."""
+        paths = self.paths()
+        memory, reasons = refits_memory(paths.lines), ffi.new("uint8_t[]", paths.lines)
+        x_ranges = np.empty((paths.lines, 2))
+        arrays = reasons, pointer(x_ranges), pointer(memory)
+        count = lib.maplines_fit_lines(paths.memory, self.values, paths.work(), *arrays)
+        slots = [slot for slot, reason in zip(self.lines, reasons, strict=True) if not reason]
+        refit = Refit.of_memory(memory, count, has_noise=self.has_noise)
+        return slots, refit, x_ranges, self.left_out(bytes(ffi.buffer(reasons)))
+
     def propagated_lines(self, transform: Transform) -> MapLineList | None:
         """Return the lines of ``map_lines``, each of one component.
 
@@ -329,14 +340,7 @@ def _values_of(refit: Refit, places: list[int], poses: NDArray[np.float64]) -> N
 
 def _lines_by(query: Query, counts: Mapping[Slot, int], transform: Transform | None) -> MapLineList:
     """Return the lines of ``map_lines`` by any transform, and as mixtures."""
-    paths = query.paths()
-    memory, reasons = refits_memory(paths.lines), ffi.new("uint8_t[]", paths.lines)
-    x_ranges = np.empty((paths.lines, 2))
-    arrays = reasons, pointer(x_ranges), pointer(memory)
-    count = lib.maplines_fit_lines(paths.memory, query.values, paths.work(), *arrays)
-    refit = Refit.of_memory(memory, count, has_noise=query.has_noise)
-    slots = [slot for slot, reason in zip(query.lines, reasons, strict=True) if not reason]
-    left_out = query.left_out(bytes(ffi.buffer(reasons)))
+    slots, refit, x_ranges, left_out = query.fitted()
     # Lines of one component share the calls; each mixture has a direction of its own to cut along.
     singles = [i for i, slot in enumerate(slots) if counts[slot] == 1]
     mixtures = [[i] for i, slot in enumerate(slots) if counts[slot] != 1]

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from maplines_can import Gaussian, MapError, Polyline, map_lines
+from maplines_can import Gaussian, MapError, Polyline
+from maplines_can.propagation.from_map import MAX_SIGMA, Query
 from maplines_can.propagation.refit import MAX_MISFIT, Refit
 
 from .witness import WINDOW, Array
@@ -21,12 +22,12 @@ def excess_covs(
     A refit without a limit of the misfit has the part of the covariance that is due to the map
     alone.
     """
+    slots, refit, *_ = Query(lines, ego, WINDOW, error, MAX_MISFIT, MAX_SIGMA).fitted()
     covs = {}
-    for slot in (line.slot for line in map_lines(lines, ego, window=WINDOW, map_error=error)):
-        fitted = Refit(lines[slot], ego.mean, WINDOW, error, max_misfit=MAX_MISFIT)
-        window = tuple(fitted.x_range.tolist())
+    for i, slot in enumerate(slots):
+        window = tuple(refit.x_range[i].tolist())
         of_map = Refit(lines[slot], ego.mean, window, error, max_misfit=np.inf).noise_cov
-        cov = np.asarray(fitted.noise_cov) - (0.0 if of_map is None else of_map)
-        cov[0, 0] -= fitted.misfit**2
+        cov = np.asarray(refit.noise_cov)[i] - (0.0 if of_map is None else of_map)
+        cov[0, 0] -= refit.misfit[i] ** 2
         covs[slot] = cov
     return covs
