@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maplines_can import Polyline, Refit
+from maplines_can import Gaussian, MapError, Polyline, Refit, Slot, map_lines
 from maplines_can.consumers.path import MIN_SIGMA
 from maplines_can.simulation.street_shapes import Street, StreetPiece
 from maplines_can.values.line import lateral, lateral_jacobian
@@ -22,8 +22,9 @@ def polyline(street: Street) -> Polyline:
 
 
 def true_lateral(line: Polyline, x: Any) -> Any:
-    """Lateral positions of a line that is a function of x in the frame of the map."""
-    return np.interp(x, *line.points.T)
+    """Lateral positions of a line in the frame of the map, up to where it turns back."""
+    turned = np.flatnonzero(np.diff(line.points[:, 0]) <= 0)
+    return np.interp(x, *line.points[: turned[0] + 1 if len(turned) else None].T)
 
 
 def second_differences(line: Polyline, refit: Refit, spacing: float) -> Any:
@@ -73,3 +74,57 @@ def test_the_variances_are_those_of_chebyshev_polynomials_of_the_range() -> None
 
     assert level >= 0.1 * float(refit.misfit) ** 2
     assert rest == pytest.approx(level * shape, abs=1e-9)
+
+
+def test_the_curvature_of_a_straight_road_before_a_bend_is_within_three_sigma() -> None:
+    """40 m before a clothoid to a radius of 150 m the road is straight, and its cubic is not."""
+    street = Street(
+        [StreetPiece(100), StreetPiece(20, 0, 1 / 150), StreetPiece(100, 1 / 150, 1 / 150)],
+        behind=60,
+    )
+    ego = Gaussian(ORIGIN, np.diag([0.3, 0.1, 0.003]) ** 2)
+    lines = {Slot.EGO_LEFT: polyline(street)}
+    (line,) = map_lines(lines, ego, map_error=MapError(point_sigma=0.05))
+    x = np.array([-5.0, 0.0, 5.0])
+    weights = np.array([1.0, -2.0, 1.0]) / 25  # mean curvature over 10 m at the car
+    J = weights @ lateral_jacobian(line.gaussian.mean, x)
+
+    assert weights @ lateral(line.gaussian.mean, x) < -0.002
+    z = weights @ lateral(line.gaussian.mean, x) / np.sqrt(J @ line.gaussian.cov @ J)
+    assert abs(z) < 3
+
+
+@pytest.mark.parametrize("spacing", [0.5, 1.0, 2.0])
+def test_stated_errors_of_the_points_are_not_taken_for_the_shape_of_a_line(spacing: float) -> None:
+    """Those of a straight line bend it by decimetres over 5 m, and its band hardly grows."""
+    x = np.arange(-60.0, 120.0, spacing)
+    error, rng = MapError(point_sigma=0.05), np.random.default_rng(1)
+    ratios = []
+    for _ in range(20):
+        points = np.column_stack([x, 1.75 + 0.05 * rng.standard_normal(len(x))])
+        refit = Refit(Polyline(points), ORIGIN, map_error=error)
+        J = lateral_jacobian(refit(ORIGIN), refit.x_range.mean())
+        sigma = np.sqrt(J @ np.asarray(refit.noise_cov) @ J)
+        ratios.append(sigma / np.hypot(error.point_sigma, refit.misfit))
+    assert np.median(ratios) <= 1.1
+
+
+def test_errors_that_are_stated_and_not_there_change_little() -> None:
+    """The shape of an exact map is covered all the same."""
+    street = Street(
+        [StreetPiece(100), StreetPiece(20, 0, 1 / 150), StreetPiece(100, 1 / 150, 1 / 150)],
+        behind=60,
+    )
+    line = polyline(street)
+    for error in (None, MapError(point_sigma=0.05)):
+        refit = Refit(line, ORIGIN, map_error=error)
+        for spacing in (5.0, 10.0, 20.0):
+            assert np.mean(np.abs(second_differences(line, refit, spacing)) > 3) <= 0.04
+
+
+def test_the_fit_of_the_paper_has_no_such_covariance() -> None:
+    """Without a limit of the misfit, only the error of the map is added."""
+    street = Street(
+        [StreetPiece(60), StreetPiece(30, 0, 0.01), StreetPiece(60, 0.01, 0.01)], behind=30
+    )
+    assert Refit(polyline(street), ORIGIN, max_misfit=np.inf).noise_cov is None
