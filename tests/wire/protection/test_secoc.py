@@ -473,6 +473,15 @@ def test_a_time_of_more_than_63_bits_raises() -> None:
         Authenticator(Key(SECRET), clock=lambda: 1000 * 2**63).secure(bytes(32), 1, LAYOUT)
 
 
+def test_a_record_that_does_not_fit_raises_and_no_freshness_value_is_lost() -> None:
+    sender = Authenticator(Key(SECRET), clock=lambda: 1_000_000)
+    for length in (LAYOUT.authentic_bytes, 100):
+        with pytest.raises(EncodeError, match=f"32 bytes at most, got {length}"):
+            sender.secure(bytes(length), 1, LAYOUT)
+    assert sender.last_sent == 0
+    assert len(sender.secure(bytes(32), 1, LAYOUT)) == LAYOUT.length
+
+
 @pytest.mark.parametrize(("finer", "length"), [(1, 40), (6, 48)])
 def test_records_of_other_lengths_are_authenticated(
     tmp_path: Path, clock: Any, finer: int, length: int
