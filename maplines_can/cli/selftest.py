@@ -8,10 +8,10 @@ import sys
 import time
 from typing import Any
 
-from ..testing.back_to_back import HAS_MAC, Comparison, compare_all
-from ..testing.log_streams import LogComparison, compare_logs
-from ..testing.map_streams import MapComparison, compare_maps
-from ..testing.sender_comparison import SenderComparison, compare_senders
+from ..testing.back_to_back import HAS_MAC, Difference, compare_all
+from ..testing.log_streams import compare_logs
+from ..testing.map_streams import compare_maps
+from ..testing.sender_comparison import compare_senders
 from ..values.errors import missing_extra
 from ..wire import SHIPPED, default_dbc_path
 from .options import add_encoding, layout_from
@@ -75,13 +75,17 @@ def _selftest(arguments: argparse.Namespace) -> int:
     maps = compare_maps(arguments.seed, lambda: passed(0.95))
     logs = compare_logs(arguments.seed, lambda: passed(1.0))
     if arguments.json:
-        row = _row(found) | {"senders": _row(senders), "maps": _row(maps), "logs": _row(logs)}
+        counts = {"frames": found.frames, "records": found.records, "streams": found.streams}
+        row = _row(found.difference, **counts) | {
+            "senders": _row(senders.difference, records=senders.equal),
+            "maps": _row(maps.difference, queries=maps.equal),
+            "logs": _row(logs.difference, logs=logs.equal),
+        }
         print(json.dumps(row, indent=2))
     else:
         print(found, senders, maps, logs, sep="\n")
     return 0 if all(x.difference is None for x in (found, senders, maps, logs)) else 1
 
 
-def _row(found: Comparison | SenderComparison | MapComparison | LogComparison) -> dict[str, Any]:
-    difference = found.difference
-    return found._asdict() | {"difference": None if difference is None else difference._asdict()}
+def _row(difference: Difference | None, **counts: Any) -> dict[str, Any]:
+    return counts | {"difference": None if difference is None else difference._asdict()}

@@ -107,6 +107,20 @@ def compare(traffics: Sequence[Traffic], profile: Profile, frames: int, seed: in
     return Result(pair.model.frames, pair.records, None)
 
 
+class StreamComparison(NamedTuple):
+    """Result of the comparison of a kind of streams."""
+
+    equal: int  #: number of answers that were equal
+    what: str  #: they are, in words
+    difference: Difference | None = None  #: the first one, which ended it
+
+    def __str__(self) -> str:
+        """Return the result as text."""
+        if self.difference is not None:
+            return f"core and model differ: {self.difference}"
+        return f"bit-identical on {self.equal} {self.what}"
+
+
 class Comparison(NamedTuple):
     """Result of the comparison of many streams."""
 

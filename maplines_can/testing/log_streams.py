@@ -18,7 +18,7 @@ import numpy as np
 
 from ..core import ffi, lib
 from ..core.memory import structure
-from .back_to_back import Difference
+from .back_to_back import Difference, StreamComparison
 from .sender_streams import bits
 
 #: Records of a log, and calls of a parser for one.
@@ -42,19 +42,6 @@ class LogStep(NamedTuple):
     high: int  #: highest stamp before [ns]
     channels: int  #: number of channels that are known, whose names are "c0", "c1" ...
     start_ns: int  #: of a BLF log
-
-
-class LogComparison(NamedTuple):
-    """Result of the comparison."""
-
-    logs: int  #: whose frames were equal
-    difference: Difference | None  #: the first one, which ended it
-
-    def __str__(self) -> str:
-        """Return the result as text."""
-        if self.difference is not None:
-            return f"core and model differ: {self.difference}"
-        return f"bit-identical on {self.logs} damaged logs"
 
 
 # ---- the streams ------------------------------------------------------------------------------
@@ -513,7 +500,7 @@ _RECORDS: dict[str, Callable[[bytes, int], _Record]] = {
 # ---- the comparison ---------------------------------------------------------------------------
 
 
-def compare_logs(seed: int, is_over: Callable[[], bool]) -> LogComparison:
+def compare_logs(seed: int, is_over: Callable[[], bool]) -> StreamComparison:
     """Compare core and model until it is over.
 
     Args:
@@ -526,7 +513,9 @@ def compare_logs(seed: int, is_over: Callable[[], bool]) -> LogComparison:
             core, model = bits(core_answer(step)), bits(model_answer(step))
             if core != model:
                 shown = str(step), "the answer", str(core), str(model)
-                return LogComparison(done, Difference(f"logs, seed {seed}", done, *shown))
+                return StreamComparison(
+                    done, "damaged logs", Difference(f"logs, seed {seed}", done, *shown)
+                )
             done += 1
         if is_over():
-            return LogComparison(done, None)
+            return StreamComparison(done, "damaged logs")

@@ -27,7 +27,7 @@ from ..values.gaussian import Gaussian
 from ..values.line import LeftOut, MapLine, Slot
 from ..values.map_error import MapError
 from ..values.polyline import INDEXED, Polyline
-from .back_to_back import Difference
+from .back_to_back import Difference, StreamComparison
 from .sender_streams import bits
 
 #: What is asked, in turn.
@@ -49,19 +49,6 @@ TRANSFORMS: tuple[Transform, ...] = (
     Quadrature(2),
     Quadrature(3),
 )
-
-
-class MapComparison(NamedTuple):
-    """Result of the comparison."""
-
-    queries: int  #: whose answers were equal
-    difference: Difference | None  #: the first one, which ended it
-
-    def __str__(self) -> str:
-        """Return the result as text."""
-        if self.difference is not None:
-            return f"core and model differ: {self.difference}"
-        return f"bit-identical on {self.queries} queries of maps"
 
 
 class MapQuery(NamedTuple):
@@ -310,7 +297,7 @@ def queries(seed: int) -> Iterator[MapQuery]:
         yield random_query(rng, QUESTIONS[i % len(QUESTIONS)])
 
 
-def compare_maps(seed: int, is_over: Callable[[], bool]) -> MapComparison:
+def compare_maps(seed: int, is_over: Callable[[], bool]) -> StreamComparison:
     """Compare core and model until it is over.
 
     Args:
@@ -322,11 +309,13 @@ def compare_maps(seed: int, is_over: Callable[[], bool]) -> MapComparison:
         core, answer = bits(core_answer(query)), bits(model_answer(query))
         if core != answer:
             shown = str(query), *first_difference(core, answer)
-            return MapComparison(done, Difference(f"maps, seed {seed}", done, *shown))
+            return StreamComparison(
+                done, "queries of maps", Difference(f"maps, seed {seed}", done, *shown)
+            )
         done += 1
         if done % STEPS == 0 and is_over():
             break
-    return MapComparison(done, None)
+    return StreamComparison(done, "queries of maps")
 
 
 def first_difference(core: Any, answer: Any) -> tuple[str, str, str]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ..wire import Codec, Layout
-from .back_to_back import Difference
+from .back_to_back import Difference, StreamComparison
 from .ecu_streams import ECU_STREAMS
 from .sender_streams import PACKAGE_STREAMS, SenderStream, bits
 
@@ -17,19 +17,8 @@ from .sender_streams import PACKAGE_STREAMS, SenderStream, bits
 STREAMS = PACKAGE_STREAMS | ECU_STREAMS
 _OF_LINES = ("lines", "mixtures", "records", "lines of an ECU", "mixtures of an ECU")
 _OF_SCENES = ("scenes", "scenes of an ECU")
-
-
-class SenderComparison(NamedTuple):
-    """Result of the comparison of streams."""
-
-    records: int  #: that were equal
-    difference: Difference | None  #: the first one, which ended it
-
-    def __str__(self) -> str:
-        """Return the result as text."""
-        if self.difference is not None:
-            return f"core and model differ: {self.difference}"
-        return f"bit-identical on {self.records} records of senders"
+#: What is counted.
+_WHAT = "records of senders"
 
 
 def streams_of(layout: Layout) -> list[str]:
@@ -41,7 +30,7 @@ def streams_of(layout: Layout) -> list[str]:
 
 def compare_senders(
     layouts: Sequence[Layout], seed: int, is_over: Callable[[], bool]
-) -> SenderComparison:
+) -> StreamComparison:
     """Compare core and model on the streams of DBCs, in turn, until it is over.
 
     Args:
@@ -60,19 +49,19 @@ def compare_senders(
             count = STREAMS[name].steps
             title = f"{codec.layout.source}, {name}, seed {seed}"
             found = compare_steps(title, codec, STREAMS[name], inputs, turn * count, count)
-            done += found.records
+            done += found.equal
             if found.difference is not None or is_over():
-                return SenderComparison(done, found.difference)
+                return StreamComparison(done, _WHAT, found.difference)
         turn += 1
 
 
 def compare_steps(
     title: str, codec: Codec, stream: SenderStream, inputs: Iterator[Any], first: int, count: int
-) -> SenderComparison:
+) -> StreamComparison:
     """Compare some steps of a stream, numbered from ``first`` on, up to the first difference."""
     for done, given in enumerate(islice(inputs, count)):
         core, model = bits(stream.core(codec, given)), bits(stream.model(codec.layout, given))
         if core != model:
             shown = str(given), "the answer", str(core), str(model)
-            return SenderComparison(done, Difference(title, first + done, *shown))
-    return SenderComparison(count, None)
+            return StreamComparison(done, _WHAT, Difference(title, first + done, *shown))
+    return StreamComparison(count, _WHAT)
