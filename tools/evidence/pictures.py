@@ -75,6 +75,41 @@ def draw_ways(rows: Mapping[str, Any], path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
+# ---- the stated error of points ------------------------------------------------------------------
+
+#: Distances of the points of the panels [m].
+SPACINGS = ("2 m", "5 m", "10 m", "15 m")
+
+
+def draw_stated(rows: Mapping[str, Any], stated: Sequence[float], path: Path) -> None:
+    """Draw sigma and error of y at 20 m by the stated error, a panel for each spacing.
+
+    Args:
+        rows: of ``sharpness.monotone``.
+        stated: errors of the points [m].
+        path: of the picture; the suffix is the format.
+    """
+    figure = Figure(figsize=(10, 3.2), layout="constrained")
+    at = 100 * np.array(stated)
+    for axes, spacing in zip(figure.subplots(1, len(SPACINGS), sharey=True), SPACINGS, strict=True):
+        own = {
+            name.split(", ")[1]: row for name, row in rows.items() if name.split(", ")[0] == spacing
+        }
+        for colour, (noise, row) in zip(COLOURS, own.items(), strict=False):
+            for what, style in (("sigma", "-"), ("rms", ":")):
+                values = [np.nan if v is None else v for v in row[f"{what} at 20 m [m]"].values()]
+                label = noise if what == "sigma" else None
+                axes.plot(at, values, style, color=colour, marker=".", ms=4, label=label)
+        axes.set_title(f"a point every {spacing}", **TITLE)
+        axes.set_yscale("log")
+        axes.set_ylim(0.003, 2.0)
+        axes.set_xlabel("stated error of a point [cm]")
+        without_frame(axes)
+    figure.axes[0].set_ylabel("y at 20 m [m]")
+    figure.axes[0].legend(title="noise", frameon=False, fontsize=7, title_fontsize=7, ncols=2)
+    figure.savefig(path, dpi=90)
+
+
 # ---- Stanford diagram --------------------------------------------------------------------------
 
 

@@ -15,27 +15,54 @@ beyond 3 sigma, ratio
             shares beyond 3 sigma
 
 A line that does not cross x counts as beyond 3 sigma.
+
+falls       share of the steps from a stated error to the next larger one in which the sigma of y
+            falls, by more than rounding, at 0, 20 or 40 m, and the largest fall
+frames, left out
+            frames of a scene with its pose error over the lines sent, and share of its lines that
+            the encoder leaves out, by the error of the pose and the kind of records
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any
+from itertools import product
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
-from maplines_can import Gaussian, MapLine, map_lines
+from maplines_can import Gaussian, MapError, MapLine, Polyline, Slot, map_lines, map_scene
 from maplines_can.values.line import lateral_jacobian
 
 from .figures import Rms, Share
 from .harness import bar, evidence
 from .roads import maps_of
-from .sampled_lines import ROADS, Case, Row, TrueLine, cases_of, lasting_rows, on_map, on_road, rows
-from .witness import Array
+from .sampled_lines import (
+    LANE,
+    ROADS,
+    STATED,
+    Case,
+    Row,
+    TrueLine,
+    cases_of,
+    lasting_rows,
+    of_map,
+    on_map,
+    on_road,
+    rows,
+)
+from .scenes import RECORDS
+from .ways import as_given, codec, predicted, sent
+from .witness import POSES, Array
 
 #: A pose that is known nearly exactly.
 EGO = Gaussian(np.zeros(3), np.diag([1e-8, 1e-8, 1e-10]))
+#: How a consumer gets a line.
+WAYS = {"line": as_given, "wire": sent, "predicted": predicted}
+#: Poses that are drawn for a predicted line, and the distance of the points that they see [m].
+DRAWS, DENSE = 10, 0.2
 #: Distance of the places of y, and of second and third differences [m].
 PLACES, SECOND, THIRD = 5.0, 10.0, 5.0
 
@@ -69,8 +96,6 @@ class Errors:
     def evaluate(self, line: MapLine, true: TrueLine) -> None:
         """Add the sums of a line."""
         low, high = line.x_min, line.x_max
-        self.given += 1
-        self.reach.append(high)
         self.put("y", line, true, np.arange(low, high, PLACES), 0.0, 1.0)
         if low <= 20.0 <= high:
             self.put("20 m", line, true, [20.0], 0.0, 1.0)
@@ -123,15 +148,16 @@ def sources(paths: Sequence[str], roads: Sequence[str]) -> dict[str, Any]:
 
 
 @evidence(n=6, spacings=(1.0, 5.0, 15.0), noises=(0.0, 0.05), lasting=(), tolerances=(0.05,))
-def sharpness(
+def lines(
     n: int = 60,
     maps: tuple[str, ...] = (),
     roads: tuple[str, ...] = tuple(ROADS),
     spacings: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0, 15.0, 30.0),
     noises: tuple[float, ...] = (0.0, 0.02, 0.05, 0.1, 0.2),
-    stated: tuple[str, ...] = ("nothing", "points", "drift"),
+    stated: tuple[str, ...] = STATED,
     lasting: tuple[float, ...] = (0.05, 0.1),
     tolerances: tuple[float, ...] = (0.05, 0.1),
+    by: Literal["line", "wire", "predicted"] = "line",
     seed: int = 2,
 ) -> dict[str, Any]:
     """Compare lines of map_lines with true ones, by spacing and noise of their points.
@@ -145,6 +171,7 @@ def sharpness(
         stated: of the errors: nothing, points (the same), drift (of noise that lasts).
         lasting: noises that last for 5 m and 20 m, with points 2 m and 5 m apart [m].
         tolerances: of Douglas and Peucker's algorithm [m].
+        by: how a consumer gets lines: as given, over the wire, or predicted by 1 s and 12 m.
         seed: of the cases and of the errors.
     """
     every = [
@@ -154,11 +181,11 @@ def sharpness(
     ]
     groups, result = sources(maps, roads), dict[str, Any]()
     totals = {kind_of(name): {row: Errors() for row in every} for name in groups}
-    with bar(len(groups) * len(every), "sharpness") as shown:
+    with bar(len(groups) * len(every), "lines") as shown:
         for place, (name, draw) in enumerate(groups.items()):
             cases, result[name] = cases_of(draw, n, [seed, place]), {}
             for row in every:
-                errors = of_row(row, cases, seed)
+                errors = of_row(row, cases, by, seed)
                 totals[kind_of(name)][row].add(errors)
                 result[name][str(row)] = errors.figures()
                 shown.update()
@@ -172,13 +199,223 @@ def kind_of(name: str) -> str:
     return "closed forms" if name in ROADS else "Lanelet2" if ".osm" in name else "OpenDRIVE"
 
 
-def of_row(row: Row, cases: Sequence[Case], seed: int) -> Errors:
+def of_row(row: Row, cases: Sequence[Case], by: str, seed: int) -> Errors:
     """Return the errors of the lines of cases."""
     errors = Errors()
     for number, case in enumerate(cases):
         rng = np.random.default_rng([seed, number])
-        points = {slot: row.points(line, rng) for slot, line in case.items()}
         errors.lines += len(case)
-        for line in map_lines(points, EGO, map_error=row.error):
-            errors.evaluate(line, case[line.slot])
+        for line in map_lines(sampled(case, row, rng), EGO, map_error=row.error):
+            carry(line, case[line.slot], by, rng, errors)
     return errors
+
+
+def sampled(case: Case, row: Row, rng: np.random.Generator) -> dict[Slot, Polyline]:
+    """Return the lines of a case as a map has them."""
+    return {slot: row.points(line, rng) for slot, line in case.items()}
+
+
+def carry(line: MapLine, true: TrueLine, by: str, rng: Any, errors: Errors) -> None:
+    """Add the errors of what a consumer has of a line."""
+    got, poses = WAYS[by](line, np.zeros((DRAWS + 1, 3)), rng)
+    if got is None:
+        return
+    errors.given += 1
+    errors.reach.append(got.x_max)
+    if by != "predicted":
+        errors.evaluate(got, true)
+        return
+    points = true.places(np.arange(true.begin, true.end, DENSE))
+    for pose in poses[:-1]:
+        errors.evaluate(got, of_map(points, pose))
+
+
+# ---- the stated error --------------------------------------------------------------------------
+
+
+@evidence(n=4, spacings=(2.0, 15.0), noises=(0.05,))
+def monotone(
+    n: int = 40,
+    maps: tuple[str, ...] = (),
+    roads: tuple[str, ...] = tuple(ROADS),
+    spacings: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0, 15.0, 30.0),
+    noises: tuple[float, ...] = (0.0, 0.02, 0.05, 0.1, 0.2),
+    stated: tuple[float, ...] = (0.0, 0.02, 0.05, 0.1, 0.2),
+    plot: Path | None = None,
+    seed: int = 2,
+) -> dict[str, Any]:
+    """Compare the sigma of y of the same points with different stated errors of these.
+
+    Args:
+        n: cases of each road and map, with the two lines of a lane each.
+        maps: folders and files of maps.
+        roads: with closed forms; an empty text for none.
+        spacings: of the points [m].
+        noises: white, of the points [m].
+        stated: errors of the points [m]; 0 for none.
+        plot: picture of the sigma at 20 m to write; it needs the extra plot.
+        seed: of the cases and of the errors.
+    """
+    every = {
+        name: cases_of(draw, n, [seed, place])
+        for place, (name, draw) in enumerate(sources(maps, roads).items())
+    }
+    kinds = [*product(spacings, noises)]
+    result: dict[str, Any] = {}
+    with bar(len(kinds) * len(every), "monotone") as shown:
+        for spacing, noise in kinds:
+            found = []
+            for cases in every.values():
+                found.append(stated_pairs(Row(spacing, noise), cases, stated, seed))
+                shown.update()
+            result[str(Row(spacing, noise))] = by_stated(np.concatenate(found, axis=1), stated)
+    if plot is not None:
+        from .pictures import draw_stated
+
+        draw_stated(result, stated, plot)
+    return result
+
+
+def stated_pairs(row: Row, cases: Sequence[Case], stated: Sequence[float], seed: int) -> Array:
+    """Return the (lines, stated, 3) errors of y at 0, 20 and 40 m, and their sigmas [m].
+
+    They are NaN beyond the range, and where there is no line.
+    """
+    x = np.array([0.0, 20.0, 40.0])
+    found = np.full((2, len(cases), len(LANE), len(stated), len(x)), np.nan)
+    for number, case in enumerate(cases):
+        points = sampled(case, row, np.random.default_rng([seed, number]))
+        for k, sigma in enumerate(stated):
+            error = MapError(point_sigma=sigma) if sigma else None
+            for line in map_lines(points, EGO, map_error=error):
+                own = np.stack([line.y(x) - case[line.slot].y(x), line.y_sigma(x)])
+                own[:, (x < line.x_min) | (x > line.x_max)] = np.nan
+                found[:, number, LANE.index(line.slot), k] = own
+    return found.reshape(2, -1, len(stated), len(x))
+
+
+def by_stated(pairs: Array, stated: Sequence[float]) -> dict[str, Any]:
+    """Return sigma and error at 20 m by the stated error, and how often and far sigmas fall."""
+    names = [f"{100 * sigma:g} cm" if sigma else "nothing" for sigma in stated]
+    error, sigma = pairs
+    there = np.isfinite(sigma[:, :, 1])
+    ratio = sigma[:, 1:] / sigma[:, :-1]
+    ratio = ratio[np.isfinite(ratio)]
+    medians, errors = [], []
+    for k, have in enumerate(there.T):
+        medians.append(float(np.median(sigma[have, k, 1])) if have.any() else None)
+        errors.append(rms(error[have, k, 1]) if have.any() else None)
+    return {
+        "sigma at 20 m [m]": dict(zip(names, medians, strict=True)),
+        "rms at 20 m [m]": dict(zip(names, errors, strict=True)),
+        "falls": float((ratio < 1 - 1e-6).mean()) if ratio.size else None,
+        "largest fall": float((1 - ratio).max(initial=0.0)),
+    }
+
+
+# ---- scenes ------------------------------------------------------------------------------------
+
+
+#: Rows of which scenes are made.
+OF_SCENES = (
+    Row(1.0),
+    Row(5.0),
+    Row(15.0),
+    Row(2.0, 0.05),
+    Row(2.0, 0.05, stated="points"),
+    Row(5.0, 0.05),
+    Row(5.0, 0.05, stated="points"),
+    Row(5.0, 0.1, stated="points"),
+    Row(10.0, 0.05, stated="points"),
+    Row(5.0, 0.1, 20.0, stated="drift"),
+)
+
+
+@evidence(n=3)
+def scenes(
+    n: int = 40,
+    maps: tuple[str, ...] = (),
+    roads: tuple[str, ...] = tuple(ROADS),
+    seed: int = 2,
+) -> dict[str, Any]:
+    """Compare width and centre of the lane of map_scene with true ones, and count its frames.
+
+    Args:
+        n: scenes of each road and map.
+        maps: folders and files of maps.
+        roads: with closed forms; an empty text for none.
+        seed: of the cases and of the errors.
+    """
+    groups = sources(maps, roads)
+    result: dict[str, Any] = {}
+    every = {name: cases_of(draw, n, [seed, i]) for i, (name, draw) in enumerate(groups.items())}
+    kinds = list(dict.fromkeys(map(kind_of, every)))
+    with bar(len(OF_SCENES) * len(every), "scenes") as shown:
+        for row in OF_SCENES:
+            scenes = {kind: LaneErrors() for kind in kinds}
+            for name, cases in every.items():
+                for number, case in enumerate(cases):
+                    rng = np.random.default_rng([seed, number])
+                    scenes[kind_of(name)].measure(sampled(case, row, rng), case, row.error)
+                shown.update()
+            for kind, errors in scenes.items():
+                result.setdefault(f"all {kind}", {})[str(row)] = errors.figures()
+    return result
+
+
+def pose_of(sigma: tuple[float, float, float]) -> Gaussian:
+    """Return a pose at the origin with sigmas along [m], across [m] and of the heading [deg]."""
+    along, across, turn = sigma
+    return Gaussian(np.zeros(3), np.diag([along, across, np.radians(turn)]) ** 2)
+
+
+#: Poses of the scenes that are sent.
+POSES_SENT = {"exact pose": EGO, "production pose": pose_of(POSES["production"])}
+
+
+class LaneErrors:
+    """Errors of width and centre of the lane of scenes, and what of these scenes is sent."""
+
+    def __init__(self) -> None:
+        self.scenes = 0
+        self.pairs: dict[str, list[Array]] = {"width": [], "centre": []}
+        self.sent: dict[str, list[tuple[int, int, int]]] = {}
+
+    def measure(self, points: Mapping[Slot, Polyline], true: Case, error: MapError | None) -> None:
+        """Add a scene: errors of a pose that is known, and frames with each pose."""
+        for name, ego in POSES_SENT.items():
+            scene = map_scene(points, ego, map_error=error)
+            if not scene.lines:
+                continue
+            for records, dbc in RECORDS.items():
+                encoder = codec(dbc).encoder()
+                prepared = encoder.prepare_scene(scene)
+                count = len(prepared.sent_slots)
+                frames = sum(map(len, encoder.encode_scene(prepared).values())) if count else 0
+                counts = frames, count, len(scene.lines)
+                self.sent.setdefault(f"{name}, {records}", []).append(counts)
+            if ego is EGO and len(scene.lines) == len(LANE):
+                self.scenes += 1
+                low, high = scene.x_range(LANE)
+                x = np.arange(low, high, PLACES)
+                left, right = (true[slot].y(x) for slot in LANE)
+                for what, truth in (("width", left - right), ("centre", (left + right) / 2)):
+                    estimate = getattr(scene, what)(x)
+                    pair = np.stack([estimate.value - truth, estimate.sigma])
+                    self.pairs[what].append(pair)
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures by name."""
+        found: dict[str, Any] = {"scenes": self.scenes}
+        for what, many in self.pairs.items():
+            if many:
+                pairs = np.concatenate(many, axis=1)
+                error, sigma = pairs
+                found[f"{what}, sigma [m]"] = float(np.median(sigma))
+                found[f"{what}, beyond 3 sigma"] = beyond(pairs, self.scenes)
+                found[f"{what}, ratio"] = Rms(rms(error / sigma), self.scenes)
+        for name, counts in self.sent.items():
+            frames, count, given = np.sum(counts, axis=0)
+            found[f"{name}, frames a line"] = float(frames / max(count, 1))
+            found[f"{name}, left out"] = Share(float(1 - count / given), int(given))
+        return found
