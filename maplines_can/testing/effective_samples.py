@@ -44,7 +44,7 @@ def effective_samples(errors: NDArray[np.float64]) -> float:
     (292, 2)
     """
     n = len(errors)
-    correlation = _correlation(errors)
+    correlation = correlations(errors)
     d = correlation.shape[-1]
     if d == 0:  # there is no error at all
         return float(n)
@@ -57,7 +57,7 @@ def effective_samples(errors: NDArray[np.float64]) -> float:
     return float(n / max(1.0, short, sums[long] / (1 + noise)))
 
 
-def _correlation(errors: NDArray[np.float64]) -> NDArray[np.float64]:
+def correlations(errors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (n, d, d) autocorrelation matrices of all lags, of the variables that vary."""
     n = len(errors)
     length = 1 << (2 * n - 1).bit_length()

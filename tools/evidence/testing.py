@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from collections import Counter
@@ -90,6 +91,49 @@ def errors(
             row[f"{of}, too short"] = Share(verdicts[1.0]["too short"] / runs, runs)
             row[f"{of}, found"] = Share(verdicts[SMALL]["fails"] / runs, runs)
         result[f"{length:g} s, errors last for {name}"] = row
+    return result
+
+
+@evidence(runs=20, seconds=(60.0,))
+def named(
+    runs: int = 500, seconds: tuple[float, ...] = (60.0, 300.0), seed: int = 0
+) -> dict[str, Any]:
+    """Measure whether assert_consistent finds the bias and the scale that it says it finds.
+
+    Each is the median of those named in runs of one variable without a fault; then it is injected
+    into as many other runs. "found" is the share of the runs that fail, or are too short to pass.
+    """
+    result: dict[str, Any] = {}
+    cases = [(s, name) for s in seconds for name in LASTING]
+    for number, (length, name) in enumerate(progress(cases, "named")):
+        n = round(length / PERIOD)
+        rng = np.random.default_rng([seed, number, 2])
+        cov, truth = np.ones((n, 1, 1)), np.zeros((n, 1))
+
+        def drawn() -> Array:
+            return lasting(rng, n, 1, *LASTING[name])  # noqa: B023
+
+        seen = []
+        for _ in range(runs):
+            with contextlib.suppress(AssertionError, ValueError):
+                seen.append(assert_consistent((drawn(), cov), truth))
+        if not seen:
+            continue
+        bias, scale = (
+            float(np.median([getattr(one, of) for one in seen]))
+            for of in ("bias_found", "scale_found")
+        )
+        found = Counter[str]()
+        for _ in range(runs):
+            of_bias, of_scale = drawn() + bias, scale * drawn()
+            found["bias"] += verdict(assert_consistent, (of_bias, cov), truth) != "passes"
+            found["scale"] += verdict(assert_consistent, (of_scale, cov), truth) != "passes"
+        result[f"{length:g} s, errors last for {name}"] = {
+            "bias [sigma]": bias,
+            "bias, found": Share(found["bias"] / runs, runs),
+            "sigmas too small by": 1 - 1 / scale,
+            "scale, found": Share(found["scale"] / runs, runs),
+        }
     return result
 
 
