@@ -99,6 +99,7 @@ class ConsistencyTest:
         self._recent: dict[int, _Recent] = {}
         self._spans = SPANS if noise.heavy_tails else SINGLE
         self._windows: dict[object, _Windows] = {}
+        self._lasting = _Lasting(batch)
         self._calm = np.full(batch, np.inf)  # time since a test failed [s]
 
     def step(
@@ -124,17 +125,18 @@ class ConsistencyTest:
             kept: see ``ResidualFilter.predict``.
         """
         self._filter.predict(model, dt, correlation_time, turn, keys, kept)
-        w = self._filter.update(z, model.noise_cov)
+        w, response = self._filter.update(z, model)
         lengths = window_lengths(float(np.max(correlation_time)))
         # Lines that come and go do not begin the windows of the others anew.
         key = (w.shape[-1] if keys is None else keys), len(lengths)
         if key not in self._windows:
             self._windows[key] = _Windows(lengths, self._batch, w.shape[-1])
-        share = self._rate / (len(lengths) + len(self._spans))
+        share = self._rate / (len(lengths) + len(self._spans) + 1)
         if self._noise.heavy_tails:
             w = w * np.sqrt(outlier_weight(w))
         recent = self._recent.setdefault(w.shape[-1], _Recent(self._spans)).add(w, dt, share)
         statistic = np.maximum(recent, self._windows[key].add(w, dt, share))
+        statistic = np.maximum(statistic, self._lasting.add(w, response[1:], dt, share))
         failed = statistic > 1
         alarmed = self._calm <= lengths[-1]
         self._calm = np.where(failed, 0.0, self._calm + dt)
@@ -213,6 +215,42 @@ class _Windows:
             largest = np.maximum(largest, square)
             self._sums[i] = self._counts[i] = self._durations[i] = 0.0
         return largest
+
+
+class _Lasting:
+    """Likelihood ratios of errors across and of the heading that are constant since the beginning.
+
+    Args:
+        batch: shape of the leading axes of the innovations.
+    """
+
+    def __init__(self, batch: tuple[int, ...]) -> None:
+        self._time, self._tested, self._next = 0.0, 0.0, SHORTEST
+        self._products = np.zeros((*batch, 2))
+        self._squares = np.full(2, 1e-300)
+
+    def add(
+        self, w: NDArray[np.float64], response: NDArray[np.float64], dt: float, rate: float
+    ) -> NDArray[np.float64]:
+        """Add (..., n) innovations; return the largest statistic.
+
+        Args:
+            w: whitened innovations.
+            response: (2, n) what errors of 1 m and 1 rad add to them.
+            dt: time since the last ones [s].
+            rate: false alarms per second.
+
+        Returns:
+            (...,) in units of the threshold; 0 where nothing is tested.
+        """
+        self._time += min(dt, SHORTEST)
+        self._products += w @ response.T
+        self._squares += (response**2).sum(axis=1)
+        if self._time < self._next - 1e-9:
+            return np.zeros(w.shape[:-1])
+        limit = threshold(rate * (self._time - self._tested) / 2, 1)
+        self._tested, self._next = self._time, 2 * self._next
+        return np.asarray((self._products**2 / self._squares).max(axis=-1) / limit)
 
 
 def window_lengths(correlation_time: float) -> NDArray[np.float64]:

@@ -96,6 +96,9 @@ class ResidualFilter:
     If the noise has heavy tails, an outlier changes the state the less, the greater it is. So the
     filter does not follow what jumps, either, and the sums of innovations find it.
 
+    The innovations are linear in the residuals, but for outliers. So what a constant error of the
+    pose from the first cycle on adds to them is known: the response of the filter to ``H``.
+
     Args:
         batch: shape of the leading axes of the residuals. All of them have the same model, so the
             gain is computed once.
@@ -111,6 +114,7 @@ class ResidualFilter:
         self._pose_blocks = np.zeros((POSE_NODES, 3, 3))  # stationary covariances
         self._own_blocks = np.zeros((len(self._own_times), 0, 0))
         self._mean = np.zeros((*batch, 3 * POSE_NODES))
+        self._responses = np.zeros((3, 3 * POSE_NODES))  # of the mean to a constant error
         self._cov = np.zeros((3 * POSE_NODES,) * 2)
         self._G = np.zeros((0, 3 * POSE_NODES))
 
@@ -155,29 +159,37 @@ class ResidualFilter:
             decay[1] *= kept > 0
         F_own, Q_own, self._own_blocks = transition(self._own_blocks, own, decay, np.eye(n))
         F = block_diagonal([*F_pose, *F_own])
-        self._mean = self._mean @ F.T
+        self._mean, self._responses = self._mean @ F.T, self._responses @ F.T
         self._cov = F @ self._cov @ F.T + block_diagonal([*Q_pose, *Q_own])
         self._G = np.hstack([*[model.H] * POSE_NODES, *[np.eye(n)] * len(own)])
 
-    def update(self, z: NDArray[np.float64], noise_cov: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Update with (..., n) residuals; return their (..., n) whitened innovations.
+    def update(
+        self, z: NDArray[np.float64], model: ResidualModel
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Update with (..., n) residuals; return their whitened innovations.
 
         Args:
             z: the residuals.
-            noise_cov: (n, n) of the noise, as in the model.
+            model: of the cycle, as in the prediction.
+
+        Returns:
+            (..., n) whitened innovations, and (3, n) what a pose error of 1 m along, 1 m across and
+            1 rad, which is constant since the first cycle, adds to them.
         """
         G, cov = self._G, self._cov
-        white = noise_cov * self._weight
+        white = model.noise_cov * self._weight
         S = G @ cov @ G.T + white
-        innovation = z - self._mean @ G.T
-        w = np.asarray(innovation @ np.linalg.inv(np.linalg.cholesky(S)).T)
+        innovation, response = z - self._mean @ G.T, model.H.T - self._responses @ G.T
+        whitening = np.linalg.inv(np.linalg.cholesky(S)).T
+        w = np.asarray(innovation @ whitening)
         K = np.linalg.solve(S, G @ cov).T
         if self._noise.heavy_tails:
             innovation = innovation * outlier_weight(w)
         self._mean = self._mean + innovation @ K.T
+        self._responses = self._responses + response @ K.T
         J = np.eye(len(cov)) - K @ G
         self._cov = J @ cov @ J.T + K @ white @ K.T  # Joseph's form stays definite
-        return w
+        return w, np.asarray(response @ whitening)
 
     def _select(self, keys: tuple[object, ...]) -> None:
         """Keep the state of the residuals that remain."""
@@ -192,12 +204,14 @@ class ResidualFilter:
         of, to = places(self._keys), places(keys)
         size = 3 * POSE_NODES + len(blocks) * len(keys)
         mean, cov = np.zeros((*self._batch, size)), np.zeros((size, size))
-        mean[..., to] = self._mean[..., of]
+        responses = np.zeros((3, size))
+        mean[..., to], responses[:, to] = self._mean[..., of], self._responses[:, of]
         cov[np.ix_(to, to)] = self._cov[np.ix_(of, of)]
         own = np.zeros((len(blocks), len(keys), len(keys)))
         of, to = (np.array([all_.index(key) for key in kept], int) for all_ in (self._keys, keys))
         own[:, to[:, None], to] = self._own_blocks[:, of[:, None], of]
         self._mean, self._cov, self._own_blocks, self._keys = mean, cov, own, keys
+        self._responses = responses
 
 
 def _pose_nodes(

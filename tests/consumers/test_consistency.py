@@ -72,7 +72,7 @@ def test_the_first_innovation_has_the_marginal_covariance() -> None:
     filter_ = ResidualFilter()
     filter_.predict(MODEL, math.inf, T)
     z = np.array([0.4, -0.3])
-    w = filter_.update(z, MODEL.noise_cov)
+    w, _ = filter_.update(z, MODEL)
     assert w @ w == pytest.approx(z @ np.linalg.solve(MODEL.marginal, z))
 
 
@@ -86,7 +86,7 @@ def test_innovations_agree_with_filterpy() -> None:
     ours = ResidualFilter()
     for k, z in enumerate(drawn(50, 1)[:, 0]):
         ours.predict(MODEL, DT if k else math.inf, T)
-        w = ours.update(z, MODEL.noise_cov)
+        w, _ = ours.update(z, MODEL)
         if k:
             peer.predict()
         peer.update(z[:, None])
@@ -99,7 +99,7 @@ def test_innovations_are_white_and_standard_normal() -> None:
     found = []
     for z in drawn(60, 2000):
         filter_.predict(MODEL, DT, T)
-        found.append(filter_.update(z, MODEL.noise_cov))
+        found.append(filter_.update(z, MODEL)[0])
     w = np.array(found)
     assert kstest(w[-1].ravel(), "norm").pvalue > 1e-3
     for lag in (1, 2, 20):
@@ -116,7 +116,8 @@ def test_the_marginal_covariance_is_kept_where_it_changes() -> None:
     fresh = ResidualFilter()
     fresh.predict(MODEL, math.inf, T)
     z = np.array([0.4, -0.3])
-    assert filter_.update(z, MODEL.noise_cov) == pytest.approx(fresh.update(z, MODEL.noise_cov))
+    expected, _ = fresh.update(z, MODEL)
+    assert filter_.update(z, MODEL)[0] == pytest.approx(expected)
 
 
 def test_a_turn_rotates_the_pose_error() -> None:
@@ -131,7 +132,7 @@ def test_a_turn_rotates_the_pose_error() -> None:
         filter_ = ResidualFilter()
         for k in range(50):
             filter_.predict(isotropic, DT, 1e6, turn if k == 49 else 0.0)
-            w = filter_.update(np.array([0.3, 0.3]), isotropic.noise_cov)
+            w, _ = filter_.update(np.array([0.3, 0.3]), isotropic)
         sizes.append(float(w @ w))
     assert sizes[0] < 0.5 < 2 < sizes[1]
 
@@ -259,6 +260,29 @@ def test_wrong_rates_raise(rate: float) -> None:
         ConsistencyTest(rate)
 
 
+def test_a_lasting_error_is_found_sooner_by_its_response() -> None:
+    """Of 5 sigma from the beginning, by the first test that can show it; the time is 8 s or so."""
+    z = drawn(700, 100, seed=10) + 0.6
+    test = ConsistencyTest(0.01, (100,))
+    alarms = np.array([test.step(row, MODEL, DT, (T, SLOW)).alarm for row in z])
+    assert alarms[round(8.5 / DT)].mean() > 0.5
+    assert alarms[-1].mean() > 0.9
+
+
+@given(size=st.floats(-2.0, 2.0), steps=st.integers(1, 30), turn=st.floats(0.0, 0.02))
+def test_the_response_is_what_a_constant_error_adds(size: float, steps: int, turn: float) -> None:
+    """Two filters, one of which has the error from the beginning, differ by the response."""
+    z = drawn(steps, 1, seed=11)[:, 0]
+    for i, unit in enumerate(np.eye(3)):
+        right, wrong = ResidualFilter(), ResidualFilter()
+        for row in z:
+            right.predict(MODEL, DT, T, turn)
+            wrong.predict(MODEL, DT, T, turn)
+            w, response = right.update(row, MODEL)
+            other, _ = wrong.update(row + size * H @ unit, MODEL)
+        assert other - w == pytest.approx(size * response[i], abs=1e-9)
+
+
 def test_lines_that_come_and_go_do_not_hide_a_lasting_error() -> None:
     """The first line is always seen, the second one every other second; both are wrong for long."""
     z = drawn(3000, 1, seed=7)[:, 0] + 0.6
@@ -299,7 +323,7 @@ def test_whether_the_pose_error_turns_with_the_car_or_not(frame: str) -> None:
         error = rho * error @ R.T + math.sqrt(1 - rho**2) * new
         one.predict(model, 0.05, 5.0, turn)
         z = error @ H.T + 0.03 * rng.standard_normal((cars, 2))
-        w = one.update(z, model.noise_cov)
+        w, _ = one.update(z, model)
         total = total + w * (k >= 40)
         squares.append((w**2).mean())
     assert np.mean(squares[40:]) <= 1.05
@@ -317,7 +341,7 @@ def test_errors_of_a_new_fit_are_new(kept: float) -> None:
     one = ResidualFilter()
     for _ in range(400):
         one.predict(model, 0.05, 5.0)
-        one.update(np.zeros(2), model.noise_cov)
+        one.update(np.zeros(2), model)
     known = one._cov[9, 9]  # variance of f after an image
     one.predict(model, 0.05, 5.0, kept=np.full(2, kept))
     rho = min(kept, math.exp(-0.05 / 1.0))

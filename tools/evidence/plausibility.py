@@ -43,6 +43,7 @@ from maplines_can.consumers.residual_filter import (
 from .harness import evidence, progress
 from .plausibility_errors import (
     DT,
+    SPEED,
     WHITE,
     Array,
     Errors,
@@ -225,12 +226,69 @@ def detection(
     }
 
 
+@evidence(cars=20, longest=2.0, hours=1.0, radii=(150.0,), sizes=(1.0,))
+def shifts(
+    cars: int = 200,
+    longest: float = 150.0,
+    hours: float = 100.0,
+    radii: tuple[float, ...] = (math.inf, 500.0, 150.0, 50.0),
+    sizes: tuple[float, ...] = (0.3, 0.5, 1.0),
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Measure times until a shift of the map to the side is found, on straight roads and in bends.
+
+    As modelled and by default, with a pose error of 5 s: the shift is there from the first image on
+    (start), or begins after 60 s (later). Times are medians, infinite for more than half of the
+    cars; those of cars with an alarm before do not count. False alarms are those without a shift,
+    at 1 per hour as designed.
+
+    Args:
+        cars: number of cars.
+        longest: time from the fault to the end of a drive [s].
+        hours: for the false alarms.
+        radii: of the bends [m].
+        sizes: of the shifts [m].
+        seed: of the random numbers.
+    """
+    result: dict[str, Any] = {}
+    for radius in progress(radii, "shifts"):
+        rng = np.random.default_rng([seed, 4, round(min(radius, 1e6))])
+        lane, _ = model_of_lane(1 / radius)
+        turn = SPEED / radius * DT
+        row: dict[str, Any] = {}
+        for size, begin in product(sizes, (0.0, 60.0)):
+            errors = Errors.of_model(lane, 5.0, cars, rng)
+            tests = {
+                name: SETTINGS[name].test(DETECTION_RATE, cars) for name in (MODELLED, "default")
+            }
+            found = {name: np.full(cars, np.inf) for name in tests}
+            for k in range(round((begin + longest) / DT)):
+                since = k * DT - begin
+                z = errors.next() + size * (since >= 0)
+                for name, test in tests.items():
+                    alarm = test.step(z, lane, DT, SETTINGS[name].times(5.0), turn).alarm
+                    found[name][alarm & np.isinf(found[name])] = since + DT
+                if all(np.isfinite(times).all() for times in found.values()):
+                    break
+            for name, times in found.items():
+                of = f"{size:g} m, {'later' if begin else 'start'}, {name} [s]"
+                row[of] = float(np.median(times[times > 0]))
+        errors = Errors.of_model(lane, 5.0, CARS, rng)
+        tested = [(name, 1.0) for name in (MODELLED, "default")]
+        counted = false_alarms(lane, errors, 5.0, tested, hours, turn)
+        for (name, rate), one in zip(tested, counted, strict=True):
+            row[f"false alarms, {name} [1/h]"] = one.result(rate)["alarms per hour"]
+        result["straight" if math.isinf(radius) else f"bend of {radius:g} m"] = row
+    return result
+
+
 def false_alarms(
     model: ResidualModel,
     errors: Errors,
     stated: float,
     tests: Sequence[tuple[str, float]],
     hours: float,
+    turn: float = 0.0,
 ) -> list[FalseAlarms]:
     """Return the false alarms of cars that drive for some hours in all.
 
@@ -240,6 +298,7 @@ def false_alarms(
         stated: correlation time of the pose error [s].
         tests: their settings, by name, and designed false alarms [1/h].
         hours: of all cars together.
+        turn: of the cars from image to image [rad].
     """
     ran = [(SETTINGS[name], SETTINGS[name].test(rate, CARS)) for name, rate in tests]
     counts, calm = np.zeros((len(ran), CARS)), np.zeros(len(ran))
@@ -247,7 +306,7 @@ def false_alarms(
     for k in range(first + round(3600 * hours / CARS / DT)):
         z = errors.next()
         for i, (setting, test) in enumerate(ran):
-            verdict = test.step(z, model, DT, setting.times(stated))
+            verdict = test.step(z, model, DT, setting.times(stated), turn)
             if k >= first:
                 counts[i] += verdict.raised
                 calm[i] += int((~verdict.alarm | verdict.raised).sum())
@@ -287,7 +346,7 @@ def detections(
             since = k * DT - start
             z = errors.next() + fault(since)
             alone.predict(model, DT, time)
-            w = alone.update(z, model.noise_cov)
+            w, _ = alone.update(z, model)
             hits = {"single": (w**2).sum(axis=1) > threshold(rate * DT, n)}
             for way, (setting, test) in tests.items():
                 hits[way] = test.step(z, model, DT, setting.times(time)).alarm

@@ -23,11 +23,18 @@ SPEED = 15.0
 TAILS = 4.0
 
 
-def model_of_lane() -> tuple[ResidualModel, Array]:
-    """Return the model of the residuals of a straight lane, and their distances ahead [m]."""
+def model_of_lane(bend: float = 0.0) -> tuple[ResidualModel, Array]:
+    """Return the model of the residuals of a lane, and their distances ahead [m].
+
+    Args:
+        bend: curvature of the lane [1/m].
+    """
+    s = np.linspace(-50.0, 120.0, 341) if bend else np.array([-50.0, 150.0])
+    # sin(bend s) / bend and (1 - cos(bend s)) / bend
+    x, y = s * np.sinc(bend * s / np.pi), bend * s**2 / 2 * np.sinc(bend * s / 2 / np.pi) ** 2
     lane = {
-        slot: Polyline([[-50, y], [150, y]])
-        for slot, y in ((Slot.EGO_LEFT, 1.75), (Slot.EGO_RIGHT, -1.75))
+        slot: Polyline(np.column_stack([x - left * np.sin(bend * s), y + left * np.cos(bend * s)]))
+        for slot, left in ((Slot.EGO_LEFT, 1.75), (Slot.EGO_RIGHT, -1.75))
     }
     scene = map_scene(
         lane,
