@@ -50,7 +50,7 @@ size_t maplines_work_size(size_t lines, size_t points, size_t together, size_t p
     const size_t states = 4 * together;
     return doubles_of(lines * sizeof(maplines_stretch_t)) +
            doubles_of(lines * sizeof(maplines_omission_t)) +
-           doubles_of(together * sizeof(maplines_refit_t)) + 5 * points + (3 + states) * poses +
+           doubles_of(together * sizeof(maplines_refit_t)) + 7 * points + (3 + states) * poses +
            states * states;
 }
 
@@ -70,8 +70,10 @@ static maplines_work_t work_of(size_t lines, size_t points, size_t together, siz
     work.seen.y = work.seen.x + points;
     work.seen.key = work.seen.y + points;
     work.seen.slope = work.seen.key + points;
-    work.scratch = work.seen.slope + points;
-    work.poses = work.scratch + points;
+    work.seen.area = work.seen.slope + points;
+    work.seen.square = work.seen.area + points;
+    work.seen.cube = work.seen.square + points;
+    work.poses = work.seen.cube + points;
     work.values = work.poses + 3 * poses;
     work.matrix = work.values + 4 * together * poses;
     return work;
@@ -198,11 +200,11 @@ void maplines_refit_fields(const double *refits, double *fields)
         memcpy(x_range, refit->fitted.x_range, sizeof refit->fitted.x_range);
         one[0] = refit->fitted.misfit;
         one[lines] = refit->is_across ? 1.0 : 0.0;
-        one[2 * lines] = maplines_refit_quartic(refit);
+        one[2 * lines] = refit->fitted.modes[0];
         memcpy(noise_cov, refit->noise_cov, sizeof refit->noise_cov);
         for (size_t k = 0; k < MAPLINES_NODES; k++)
         {
-            points[2 * k] = refit->fitted.x[k];
+            points[2 * k] = refit->x[k];
             points[2 * k + 1] = refit->y[k];
         }
     }
@@ -210,7 +212,8 @@ void maplines_refit_fields(const double *refits, double *fields)
 
 static maplines_look_t look_of(const double look[6])
 {
-    const maplines_look_t own = {{look[0], look[1], look[2]}, {look[3], look[4]}, look[5]};
+    const maplines_look_t own = {
+        {look[0], look[1], look[2]}, {look[3], look[4]}, look[5], (double)INFINITY};
     return own;
 }
 
@@ -239,8 +242,7 @@ size_t maplines_refit_lines(const double *paths, const double look[6], const dou
     made->from = maplines_mean_pose(look);
     for (size_t i = 0; i < work.seen.lines; i++)
     {
-        if (!maplines_refit(&work.seen, i, &made->from, &fit, work.scratch,
-                            &made->refits[made->lines]))
+        if (!maplines_refit(&work.seen, i, &made->from, &fit, &made->refits[made->lines]))
         {
             break;
         }
@@ -324,7 +326,7 @@ size_t maplines_fit_lines(const double *paths, const double query[20], double *m
     for (size_t i = 0; i < work.seen.lines; i++)
     {
         maplines_refit_t *refit = &made->refits[made->lines];
-        if (maplines_refit(&work.seen, i, &view.from, &fit, work.scratch, refit) &&
+        if (maplines_refit(&work.seen, i, &view.from, &fit, refit) &&
             maplines_line_range(&cycle, &view, refit, x_ranges + 2 * made->lines))
         {
             made->lines++;

@@ -15,14 +15,14 @@
 #define MAX_OFFSET 10.0    /* of a car that is on the route from its path [m] */
 #define SEARCH_BEHIND 30.0 /* distances from the last place where the next one is sought [m] */
 #define SEARCH_AHEAD 100.0
-#define NO_LINE 5 /* after the reasons of maplines_omission_t: the slot has no line there */
+#define NO_LINE 6 /* after the reasons of maplines_omission_t: the slot has no line there */
 
 /* ---- parameters ------------------------------------------------------------------------------ */
 
 size_t maplines_scratch_size(void)
 {
     // Paths with distances, stretches, what a refit needs; poses of the rule and their lines.
-    return (MAPLINES_PATH_ARRAYS + 1 + 4 + 1) * maplines_route.most_points +
+    return (MAPLINES_PATH_ARRAYS + 1 + 7) * maplines_route.most_points +
            7 * maplines_route.rule.count;
 }
 
@@ -204,8 +204,10 @@ static bool compute(maplines_instance_t *instance, const maplines_cycle_t *cycle
     work.seen.y = memory + most;
     work.seen.key = memory + 2 * most;
     work.seen.slope = memory + 3 * most;
-    work.scratch = memory + 4 * most;
-    work.poses = memory + 5 * most;
+    work.seen.area = memory + 4 * most;
+    work.seen.square = memory + 5 * most;
+    work.seen.cube = memory + 6 * most;
+    work.poses = memory + 7 * most;
     work.values = work.poses + 3 * route->rule.count;
     work.refits = &refit;
     return maplines_map_lines(paths, around->count, cycle, &route->rule, &work, around->left_out,

@@ -1,98 +1,163 @@
-/* Longest ranges in which cubics follow lines. */
+/* Cubics of lines, and the longest ranges in which they follow them. */
 #include "nodes.h"
 
-#define STARTS 9 ///< of ranges that are tried
-#define ENDS 4   ///< that are tried in a round of the search
-#define ROUNDS 4
-#define BEHIND 0.5    ///< a metre behind the car counts this share of a metre ahead
-#define SHRINK 0.97   ///< of a range whose misfit is still too large
-#define SHRINKS 10000 ///< most times; a range of 100 km is then shorter than a nanometre
+#define DAMPING 0.05 ///< of the inverse of M; the curvature of cubics is right to 0.1 %
+#define BULGE 0.5    ///< of the sagittas that points show: most of a cubic between points
+#define AVERAGE 4.0  ///< length over which what a cubic leaves is averaged [m]
+#define NOISE_LIMIT 14.0
+#define SHARED_POINTS 20.0
+#define STARTS 5 ///< of ranges that are tried
+#define ENDS 6   ///< and ends of each
+#define SOFT 0.1
+#define BEHIND 0.5      ///< a metre behind the car counts this share of a metre ahead
+#define LEAST_STEP 1e-6 ///< of the root of the misfit
+#define NEARLY 4.0      ///< ranges whose reach is less than the best by up to this count, too [m]
+#define SHRINK 0.998    ///< least shortening of a range whose misfit is still too large
+#define SHRINKS 200     ///< most times
 
-/// Sum over values whose number is a power of 2; halves are added to each other.
-static double sum_of_halves(size_t count, double *values)
+/// Cells of a range, and the rows of a fit to them.
+typedef struct {
+    size_t count;
+    const double (*rows)[MAPLINES_TERMS];
+} grid_t;
+
+/// Coefficients of the terms from means in cells.
+static void coefficients_of(const grid_t *grid, const double *means, double sums[MAPLINES_TERMS])
 {
-    for (size_t half = count / 2; half > 0; half /= 2)
+    for (size_t j = 0; j < MAPLINES_TERMS; ++j)
     {
-        for (size_t i = 0; i < half; ++i)
+        sums[j] = grid->rows[0][j] * means[0];
+    }
+    for (size_t k = 1; k < grid->count; ++k)
+    {
+        for (size_t j = 0; j < MAPLINES_TERMS; ++j)
         {
-            values[i] = values[i] + values[half + i];
+            const double term = grid->rows[k][j] * means[k];
+            sums[j] = sums[j] + term;
         }
     }
-    return values[0];
 }
 
-/// Coefficients of w^0 .. w^3 of the cubic through values at nodes, by the rows of their fit.
-static void cubic_of(size_t count, const double *rows, const double *y, double q[4])
+/// Linear map from the coefficients of the chords of a line to those of its cubic: the chords of
+/// w^2 and w^3 exceed them by what has these coefficients.
+///
+/// The curvature (q2, q3) solves M q = that of the chords. M is 1 for close points. Where few
+/// points cannot tell the curvature, M is nearly singular, and the least curvature is taken.
+static void set_fit(const double squares[MAPLINES_TERMS], const double cubes[MAPLINES_TERMS],
+                    double fit[16])
 {
-    double terms[MAPLINES_NODES];
-    for (size_t j = 0; j < 4; ++j)
+    const double a = 1.0 + squares[2];
+    const double b = cubes[2];
+    const double c = squares[3];
+    const double d = 1.0 + cubes[3];
+    const double weight = DAMPING * DAMPING;
+    const double aa = a * a + c * c + weight;
+    const double ab = a * b + c * d;
+    const double bb = b * b + d * d + weight;
+    const double scale = (1.0 + weight) / (aa * bb - ab * ab);
+    const double by_square[2] = {(bb * a - ab * b) * scale, (bb * c - ab * d) * scale};
+    const double by_cube[2] = {(aa * b - ab * a) * scale, (aa * d - ab * c) * scale};
+    for (int j = 0; j < 2; ++j)
     {
-        const double *row = rows + j * count;
-        for (size_t i = 0; i < count; ++i)
+        for (int i = 0; i < 2; ++i)
         {
-            terms[i] = row[i] * y[i];
+            fit[4 * i + j] = i == j ? 1.0 : 0.0;
+            fit[4 * i + 2 + j] = -(squares[i] * by_square[j] + cubes[i] * by_cube[j]);
+            fit[4 * (2 + i) + j] = 0.0;
         }
-        q[j] = sum_of_halves(count, terms);
+        fit[8 + 2 + j] = by_square[j];
+        fit[12 + 2 + j] = by_cube[j];
     }
 }
 
-/// Value of a cubic.
-static double cubic_at(const double q[4], double w)
+/// Cubic in a range by least squares, and what it leaves of the line in each cell.
+///
+/// Its chords between the points are fitted to those of the line. So it is exact where the points
+/// lie on a cubic, however far apart they are.
+static void fit_cells(const maplines_stretches_t *seen, size_t line, const grid_t *grid,
+                      maplines_fitted_t *fitted, maplines_cells_t *cells, double *rest)
 {
-    const double third = w * q[3];
-    const double second = w * (q[2] + third);
-    const double first = w * (q[1] + second);
-    return q[0] + first;
-}
-
-static void include(double value, double *least, double *greatest)
-{
-    *least = value < *least ? value : *least;
-    *greatest = value > *greatest ? value : *greatest;
-}
-
-/// Positions of nodes in a range.
-static void at_nodes(double low, double high, size_t count, const double *nodes, double *x)
-{
-    const double centre = (low + high) / 2.0;
-    const double half = (high - low) / 2.0;
-    for (size_t i = 0; i < count; ++i)
+    double of_chords[MAPLINES_TERMS];
+    double squares[MAPLINES_TERMS];
+    double cubes[MAPLINES_TERMS];
+    double *q = fitted->q;
+    maplines_divide(seen, line, fitted->x_range, grid->count, cells);
+    coefficients_of(grid, cells->y, of_chords);
+    coefficients_of(grid, cells->square, squares);
+    coefficients_of(grid, cells->cube, cubes);
+    set_fit(squares, cubes, fitted->fit);
+    maplines_product(4, 4, 1, fitted->fit, of_chords, q);
+    for (int m = 0; m < 2; ++m)
     {
-        const double offset = half * nodes[i];
-        x[i] = centre + offset;
+        const double by_curvature = q[2] * squares[4 + m] + q[3] * cubes[4 + m];
+        fitted->modes[m] = of_chords[4 + m] - by_curvature;
+    }
+    const double shown = BULGE * sqrt(seen->stretch[line].sagitta);
+    const double half_cell = 1.0 / (double)grid->count;
+    for (size_t k = 0; k < grid->count; ++k)
+    {
+        const double w = (double)(2 * k + 1) * half_cell - 1.0;
+        const double square = w * w + half_cell * half_cell / 3.0;
+        const double cube = w * (w * w + half_cell * half_cell);
+        const double bulge = q[2] * cells->square[k] + q[3] * cells->cube[k];
+        const double cubic = q[0] + q[1] * w + (q[2] * square + q[3] * cube);
+        const double more = fabs(bulge) > shown ? fabs(bulge) - shown : 0.0;
+        rest[k] = cells->y[k] - (cubic + bulge) + (bulge > 0.0 ? more : -more);
     }
 }
 
-/// Cubic in a range of a stretch.
-static void fit_range(const maplines_stretches_t *seen, size_t line, const double x_range[2],
-                      maplines_fitted_t *fitted)
+double maplines_noise_share(double points)
 {
-    const maplines_stretch_t *stretch = &seen->stretch[line];
-    const double low = x_range[0];
-    const double high = x_range[1];
-    const double centre = (low + high) / 2.0;
-    const double half = (high - low) / 2.0;
-    const double *nodes = maplines_nodes();
-    double least = (double)INFINITY;
-    double greatest = -(double)INFINITY;
-    fitted->x_range[0] = low;
-    fitted->x_range[1] = high;
-    at_nodes(low, high, MAPLINES_NODES, nodes, fitted->x);
-    maplines_lateral(seen, line, MAPLINES_NODES, fitted->x, fitted->y);
-    cubic_of(MAPLINES_NODES, maplines_fit_rows, fitted->y, fitted->q);
-    for (int i = 0; i < MAPLINES_NODES; ++i)
-    {
-        include(fitted->y[i] - cubic_at(fitted->q, nodes[i]), &least, &greatest);
-    }
-    for (size_t i = stretch->first; i < stretch->first + stretch->count; ++i)
-    {
-        const double w = (seen->x[i] - centre) / half;
-        const double rest = seen->y[i] - cubic_at(fitted->q, w);
-        include(fabs(w) >= 1.0 ? 0.0 : rest, &least, &greatest);
-    }
-    fitted->shift = (greatest + least) / 2.0;
-    fitted->misfit = (greatest - least) / 2.0;
+    const double square = points * points;
+    return square / (square + SHARED_POINTS * SHARED_POINTS);
 }
+
+/// Squared misfit of a cubic: the greatest mean over some metres, without what errors of the points
+/// explain of it, or the modes.
+static double squared_misfit(const maplines_stretch_t *stretch, const grid_t *grid,
+                             const maplines_fitted_t *fitted, const maplines_cells_t *cells,
+                             const double *rest)
+{
+    const size_t count = grid->count;
+    const double *position = cells->position;
+    const double share = maplines_noise_share(position[count] - position[0]);
+    const double noise = NOISE_LIMIT * share * stretch->error;
+    const double cell = (fitted->x_range[1] - fitted->x_range[0]) / (double)count;
+    const double most = (double)(count / 4);
+    const double wanted = rint(AVERAGE / cell);
+    const size_t width = wanted > 1.0 ? (size_t)(wanted < most ? wanted : most) : 1;
+    const double *modes = fitted->modes;
+    double greatest = modes[0] * modes[0] + modes[1] * modes[1];
+    double sum = 0.0;
+    for (size_t k = 0; k < width; ++k)
+    {
+        sum = sum + rest[k];
+    }
+    for (size_t k = 0; k + width <= count; ++k)
+    {
+        const double mean = sum / (double)width;
+        const double points = position[k + width] - position[k];
+        const double excess = mean * mean - noise / (1.0 + points);
+        greatest = excess > greatest ? excess : greatest;
+        if (k + width < count)
+        {
+            sum = sum + (rest[k + width] - rest[k]);
+        }
+    }
+    return greatest;
+}
+
+/// Cubic in its range.
+static void fit_range(const maplines_stretches_t *seen, size_t line, maplines_fitted_t *fitted,
+                      maplines_cells_t *cells, double rest[MAPLINES_CELLS])
+{
+    static const grid_t grid = {MAPLINES_CELLS, maplines_cell_rows};
+    fit_cells(seen, line, &grid, fitted, cells, rest);
+    fitted->misfit = sqrt(squared_misfit(&seen->stretch[line], &grid, fitted, cells, rest));
+}
+
+/* ---- the longest range ------------------------------------------------------------------------
+ */
 
 /// Move the ends of a range inwards to multiples of a step, if it is not 0 and the range is long.
 static void make_whole(double step, double x_range[2])
@@ -116,132 +181,118 @@ static double limited(double value, double low, double high)
     return raised < high ? raised : high;
 }
 
-/// Range that is tried: its start, and the interval that contains the end of the longest one.
-typedef struct {
-    double begin, inner, outer; ///< [m]
-    double reach;               ///< of the longest range that was found; -infinity if none was
-    bool is_found;
-} candidate_t;
-
-/// The deviations of a line from its cubic span at most `span` in a range.
-static bool follows(const maplines_stretches_t *seen, size_t line, double low, double high,
-                    double span)
+/// Root of the misfit in a range, in units of the greatest one; it grows as the square of the
+/// range.
+static double root_misfit(const maplines_stretches_t *seen, size_t line, double low, double high,
+                          double max_misfit)
 {
-    double x[MAPLINES_COARSE];
-    double y[MAPLINES_COARSE];
-    double q[4];
-    double least = (double)INFINITY;
-    double greatest = -(double)INFINITY;
-    at_nodes(low, high, MAPLINES_COARSE, maplines_coarse_nodes, x);
-    maplines_lateral(seen, line, MAPLINES_COARSE, x, y);
-    cubic_of(MAPLINES_COARSE, maplines_coarse_rows, y, q);
-    for (int i = 0; i < MAPLINES_COARSE; ++i)
+    static const grid_t grid = {MAPLINES_COARSE, maplines_coarse_rows};
+    maplines_fitted_t fitted;
+    maplines_cells_t cells;
+    double rest[MAPLINES_COARSE];
+    if (!(low < high))
     {
-        include(y[i] - cubic_at(q, maplines_coarse_nodes[i]), &least, &greatest);
+        return 0.0;
     }
-    return greatest - least <= span;
+    fitted.x_range[0] = low;
+    fitted.x_range[1] = high;
+    fit_cells(seen, line, &grid, &fitted, &cells, rest);
+    const double square = squared_misfit(&seen->stretch[line], &grid, &fitted, &cells, rest);
+    return sqrt(sqrt(square)) / sqrt(max_misfit);
 }
 
-/// Narrow the interval of a candidate to the part that has the end of its longest range.
-static void narrow(const maplines_stretches_t *seen, size_t line, double span,
-                   candidate_t *candidate)
+/// Integral from 0 of how good a range is: 1, and 0 if the root of its misfit is 1 or more.
+static double goodness_to(double root)
 {
-    static const double shares[ENDS] = {0.25, 0.5, 0.75, 1.0};
-    double ends[ENDS] = {0.0};
-    const double length = candidate->outer - candidate->inner;
-    for (int i = 0; i < ENDS; ++i)
-    {
-        const double part = length * shares[i];
-        ends[i] = candidate->inner + part;
-    }
-    int farthest = ENDS - 1; // that is good
-    while (farthest >= 0 && !follows(seen, line, candidate->begin, ends[farthest], span))
-    {
-        --farthest;
-    }
-    candidate->outer = ends[farthest + 1 < ENDS ? farthest + 1 : ENDS - 1];
-    if (farthest >= 0)
-    {
-        candidate->inner = ends[farthest];
-        candidate->is_found = true;
-    }
-    const double behind = BEHIND * candidate->begin;
-    candidate->reach = candidate->is_found ? candidate->inner - behind : -(double)INFINITY;
+    const double v = root - (1.0 - SOFT);
+    const double w = v < SOFT ? v : SOFT;
+    return v > 0.0 ? 1.0 - SOFT + (w - w * w / (2.0 * SOFT)) : root;
 }
 
-/// Range of a stretch with the longest reach, about `room` behind the car.
+/// Mean goodness while the root of the misfit goes from one value to another.
+static double goodness(double from, double to)
+{
+    const double step = to - from;
+    const double at = limited((1.0 - from) / SOFT, 0.0, 1.0);
+    return fabs(step) > LEAST_STEP ? (goodness_to(to) - goodness_to(from)) / step : at;
+}
+
+/// Range of a stretch with the longest reach.
+///
+/// All ends from the car on count by how good they are, and all starts by their reach. So the range
+/// moves with the car.
 static void search_range(const maplines_stretches_t *seen, size_t line, const maplines_fit_t *fit,
                          double x_range[2])
 {
-    static const double starts[STARTS] = {0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0};
+    static const double starts[STARTS] = {0.0, 0.15, 0.35, 0.65, 1.0};
     const double low = seen->stretch[line].x_range[0];
     const double high = seen->stretch[line].x_range[1];
     const double car = limited(-fit->room, low, high);
-    candidate_t candidates[STARTS];
-    int count = STARTS;
+    double begins[STARTS];
+    double ends[STARTS];
+    double weights[STARTS];
+    double best = -(double)INFINITY;
     for (int i = 0; i < STARTS; ++i)
     {
-        const double back = (low - car) * starts[i];
-        candidates[i].begin = car + back;
-        candidates[i].inner = car;
-        candidates[i].outer = high;
-        candidates[i].is_found = candidates[i].begin == car;
-    }
-    for (int round = 0; round < ROUNDS; ++round)
-    {
-        double best = -(double)INFINITY;
-        int kept = 0;
-        for (int i = 0; i < count; ++i)
+        const double begin = car + (low - car) * starts[i];
+        double root = root_misfit(seen, line, begin, car, fit->max_misfit);
+        begins[i] = begin;
+        ends[i] = car;
+        weights[i] = goodness(root, root);
+        for (int k = 1; k <= ENDS; ++k)
         {
-            narrow(seen, line, 2.0 * fit->max_misfit, &candidates[i]);
-            best = candidates[i].reach > best ? candidates[i].reach : best;
+            const double end = k < ENDS ? car + (high - car) * ((double)k / ENDS) : high;
+            const double next = root_misfit(seen, line, begin, end, fit->max_misfit);
+            ends[i] = ends[i] + (high - car) / ENDS * goodness(root, next);
+            root = next;
         }
-        for (int i = 0; i < count; ++i) // those that may become the best
-        {
-            const double behind = BEHIND * candidates[i].begin;
-            if (candidates[i].outer - behind >= best)
-            {
-                candidates[kept] = candidates[i];
-                ++kept;
-            }
-        }
-        count = kept;
+        const double reach = ends[i] - BEHIND * begin;
+        best = weights[i] > 0.0 && reach > best ? reach : best;
     }
-    int chosen = 0; // the last one of the best
-    for (int i = 1; i < count; ++i)
+    double begin = 0.0;
+    double end = 0.0;
+    double sum = 0.0;
+    for (int i = 0; i < STARTS; ++i)
     {
-        chosen = candidates[i].reach >= candidates[chosen].reach ? i : chosen;
+        const double lack = (best - (ends[i] - BEHIND * begins[i])) / NEARLY;
+        const double nearness = lack < 1.0 ? 1.0 - lack : 0.0;
+        const double weight = weights[i] > 0.0 ? weights[i] * (nearness * nearness) : 0.0;
+        begin = begin + weight * begins[i];
+        end = end + weight * ends[i];
+        sum = sum + weight;
     }
-    x_range[0] = candidates[chosen].begin;
-    x_range[1] = candidates[chosen].inner;
+    x_range[0] = begin / sum;
+    x_range[1] = end / sum;
 }
 
 bool maplines_longest_range(const maplines_stretches_t *seen, size_t line,
-                            const maplines_fit_t *fit, maplines_fitted_t *fitted)
+                            const maplines_fit_t *fit, maplines_fitted_t *fitted,
+                            maplines_cells_t *cells, double rest[MAPLINES_CELLS])
 {
     const maplines_stretch_t *stretch = &seen->stretch[line];
-    double x_range[2] = {stretch->x_range[0], stretch->x_range[1]};
+    double *x_range = fitted->x_range;
+    memcpy(x_range, stretch->x_range, sizeof fitted->x_range);
     make_whole(fit->step, x_range);
-    fit_range(seen, line, x_range, fitted);
+    fit_range(seen, line, fitted, cells, rest);
     if (fitted->misfit > fit->max_misfit)
     {
         search_range(seen, line, fit, x_range);
         make_whole(fit->step, x_range);
-        fit_range(seen, line, x_range, fitted);
+        fit_range(seen, line, fitted, cells, rest);
     }
     for (int i = 0; fitted->misfit > fit->max_misfit; ++i)
     {
+        // What a cubic misses grows with the fourth power of a range.
+        const double share = SHRINK * sqrt(sqrt(fit->max_misfit / fitted->misfit));
         const double car = limited(0.0, x_range[0], x_range[1]);
-        const double behind = SHRINK * (x_range[0] - car);
-        const double ahead = SHRINK * (x_range[1] - car);
         if (i == SHRINKS)
         {
             return false;
         }
-        x_range[0] = car + behind;
-        x_range[1] = car + ahead;
+        x_range[0] = car + share * (x_range[0] - car);
+        x_range[1] = car + share * (x_range[1] - car);
         make_whole(fit->step, x_range);
-        fit_range(seen, line, x_range, fitted);
+        fit_range(seen, line, fitted, cells, rest);
     }
-    return fabs(fitted->misfit) < (double)INFINITY && fitted->x_range[0] < fitted->x_range[1];
+    return fabs(fitted->misfit) < (double)INFINITY && x_range[0] < x_range[1];
 }

@@ -56,6 +56,7 @@ void maplines_pose_view(const maplines_cycle_t *cycle, maplines_pose_view_t *vie
     const double left = margin_at(view->cov, farthest, ASIDE);
     view->room = right > left ? right : left;
     view->look.max_turn = turn > MIN_TURN ? turn : MIN_TURN;
+    view->look.max_unseen = cycle->fit.max_misfit;
     view->look.window[0] = cycle->window[0] - view->room;
     view->look.window[1] = cycle->window[1] + view->room;
     memcpy(view->look.pose, cycle->mean, sizeof view->look.pose);
@@ -116,7 +117,7 @@ bool maplines_line_range(const maplines_cycle_t *cycle, const maplines_pose_view
     for (int end = 0; end < 2; ++end)
     {
         const int node = end == 0 ? 0 : MAPLINES_NODES - 1;
-        const double margin = margin_at(view->cov, refit->fitted.x[node], refit->y[node]);
+        const double margin = margin_at(view->cov, refit->x[node], refit->y[node]);
         const double x = refit->fitted.x_range[end] + (end == 0 ? margin : -margin);
         x_range[end] = clipped(x, cycle->window);
     }
@@ -186,7 +187,7 @@ bool maplines_map_lines(const maplines_path_t *paths, size_t count, const maplin
     {
         const size_t line = work->seen.stretch[i].line;
         maplines_refit_t *refit = &work->refits[0];
-        if (!maplines_refit(&work->seen, i, &view.from, &fit, work->scratch, refit) ||
+        if (!maplines_refit(&work->seen, i, &view.from, &fit, refit) ||
             !maplines_line_range(cycle, &view, refit, x_ranges[line]))
         {
             left_out[line] = MAPLINES_TOO_SHORT;
@@ -320,7 +321,7 @@ static bool set_scene(const size_t *places, maplines_work_t *work, maplines_join
         const maplines_refit_t *refit = &work->refits[places[i]];
         memcpy(joint->fit_ranges[i], refit->fitted.x_range, sizeof joint->fit_ranges[i]);
         memcpy(joint->specific_covs + 16 * i, refit->noise_cov, sizeof refit->noise_cov);
-        joint->quartics[i] = maplines_refit_quartic(refit);
+        joint->quartics[i] = refit->fitted.modes[0];
         if (!maplines_is_covariance(4, joint->specific_covs + 16 * i, scratch))
         {
             return false;
@@ -355,7 +356,7 @@ bool maplines_fit_scene(const maplines_cycle_t *cycle, maplines_work_t *work,
         maplines_trial_t *trial = &search->trials[i];
         maplines_refit_t *refit = &work->refits[i];
         if (trial->is_new && !trial->is_dropped &&
-            !maplines_refit(&work->seen, i, &search->view.from, &search->fit, work->scratch, refit))
+            !maplines_refit(&work->seen, i, &search->view.from, &search->fit, refit))
         {
             trial->is_dropped = true;
         }

@@ -1,167 +1,17 @@
-/* Variances that cover what a cubic misses of its line: the operations of propagation/cubic_fit.py.
- */
-#include "propagation.h"
+/* Variances that cover what a cubic misses of its line. */
+#include "nodes.h"
 
-#define GRID 129             ///< places of a range at which the rest is evaluated
-#define INTERVALS (GRID - 1) ///< between them
-#define MIN_SIGMA 0.01       ///< least level of the shape, and sigma of T_0 beside the misfit [m]
-#define LATERAL_SHARE 0.2    ///< variance of T_0, in units of the squared misfit
-#define MIN_SHAPE 0.1        ///< least level of the shape squared, in units of the squared misfit
-#define SPACINGS 3           ///< distances over which second differences are covered
-#define LIMIT 2.9            ///< standard deviations within which ...
-#define SHARE 0.97           ///< ... this share of the second differences lies
-#define NOISE_LIMIT 2.17     ///< the same for what errors of the points explain
-#define SHOWN 4.0     ///< times the variance that points show is taken for that of their errors
-#define MAX_SHOWN 2.0 ///< times the stated variance; beyond it is the shape of the road
-#define MIN_POINTS 8  ///< that show a variance
-#define MEDIAN 0.455  ///< of a squared standard normal variable
-#define SHAPE_2 1.0   ///< variances of T_2 and T_3 by the level of the shape
+#define MIN_SIGMA 0.004   ///< least level of the shape, and sigma of T_0 beside the misfit [m]
+#define LATERAL_SHARE 0.2 ///< variance of T_0, in units of the squared misfit
+#define MIN_SHAPE 0.1     ///< least level of the shape squared, in units of the squared misfit
+#define SPACINGS 3        ///< distances over which second differences are covered
+#define LIMIT 2.9         ///< standard deviations within which ...
+#define SHARE 0.97        ///< ... this share of the second differences lies
+#define MEAN_SQUARE 1.4   ///< of second differences, in units of their variances, at most
+#define SHAPE_2 1.0       ///< variances of T_2 and T_3 by the level of the shape
 #define SHAPE_3 2.0
-#define MOST_BEYOND 5 ///< second differences beyond the share, of GRID
-
-/* ---- errors of the points ---------------------------------------------------------------------
- */
-
-/// The k-th smallest of values, which are reordered (Hoare's selection).
-static double kth_smallest(size_t count, double *values, size_t k)
-{
-    size_t low = 0;
-    size_t high = count - 1;
-    while (low < high)
-    {
-        const double pivot = values[low + (high - low) / 2];
-        size_t i = low;
-        size_t j = high;
-        while (i <= j)
-        {
-            while (values[i] < pivot)
-            {
-                ++i;
-            }
-            while (values[j] > pivot)
-            {
-                --j;
-            }
-            if (i <= j)
-            {
-                const double value = values[i];
-                values[i] = values[j];
-                values[j] = value;
-                ++i;
-                if (j == 0)
-                {
-                    break;
-                }
-                --j;
-            }
-        }
-        if (k <= j)
-        {
-            high = j;
-        }
-        else if (k >= i)
-        {
-            low = i;
-        }
-        else
-        {
-            break;
-        }
-    }
-    return values[k];
-}
-
-static double median_of(size_t count, double *values)
-{
-    const double upper = kth_smallest(count, values, count / 2);
-    if (count % 2 == 1)
-    {
-        return upper;
-    }
-    double lower = values[0]; // the values before are not greater
-    for (size_t i = 1; i < count / 2; ++i)
-    {
-        lower = values[i] > lower ? values[i] : lower;
-    }
-    return (lower + upper) / 2.0;
-}
-
-/// Variance of errors of the map's points that a line shows [m^2]: that of white noise with the
-/// same median of the squared third differences of what the cubic leaves.
-static double shown_noise(const maplines_stretches_t *seen, size_t line, const double x[GRID],
-                          const double cubic[GRID], double *rest)
-{
-    const maplines_stretch_t *stretch = &seen->stretch[line];
-    size_t count = 0;
-    for (size_t i = stretch->first; i < stretch->first + stretch->count; ++i)
-    {
-        const double at = seen->x[i];
-        if (at >= x[0] && at <= x[GRID - 1])
-        {
-            size_t low = 0;
-            size_t high = GRID;
-            while (high - low > 1)
-            {
-                const size_t middle = (low + high) / 2;
-                low = x[middle] <= at ? middle : low;
-                high = x[middle] <= at ? high : middle;
-            }
-            double value = cubic[low];
-            if (low + 1 < GRID && at > x[low])
-            {
-                const double slope = (cubic[low + 1] - cubic[low]) / (x[low + 1] - x[low]);
-                value = slope * (at - x[low]) + cubic[low];
-            }
-            rest[count] = seen->y[i] - value;
-            ++count;
-        }
-    }
-    if (count < MIN_POINTS)
-    {
-        return 0.0;
-    }
-    for (int order = 0; order < 3; ++order)
-    {
-        --count;
-        for (size_t i = 0; i < count; ++i)
-        {
-            rest[i] = rest[i + 1] - rest[i];
-        }
-    }
-    for (size_t i = 0; i < count; ++i)
-    {
-        rest[i] = rest[i] * rest[i];
-    }
-    return median_of(count, rest) / (20.0 * MEDIAN);
-}
-
-/// Variance of a second difference for unit errors of the points, of which each place has the
-/// weighted mean of two.
-static double second_difference_variance(const double place[3])
-{
-    static const double factors[3] = {1.0, -2.0, 1.0};
-    double index[6];
-    double weight[6];
-    double variance = 0.0;
-    for (int i = 0; i < 3; ++i)
-    {
-        index[i] = floor(place[i]);
-        index[3 + i] = index[i] + 1.0;
-        weight[i] = factors[i] * (1.0 - (place[i] - index[i]));
-        weight[3 + i] = factors[i] * (place[i] - index[i]);
-    }
-    for (int i = 0; i < 6; ++i)
-    {
-        for (int j = 0; j < 6; ++j)
-        {
-            variance += index[i] == index[j] ? weight[i] * weight[j] : 0.0;
-        }
-    }
-    return variance;
-}
-
-/* ---- the level of the shape -------------------------------------------------------------------
- */
+#define MODES 2
+#define MOST_BEYOND 3 ///< second differences beyond the share, of all cells
 
 /// Keep the greatest values of those that were inserted, the greatest first.
 static void insert(double greatest[MOST_BEYOND], double value)
@@ -177,105 +27,104 @@ static void insert(double greatest[MOST_BEYOND], double value)
     }
 }
 
-/// Least squared level for second differences over `steps` of the grid [m^2].
-static double least_level(const double rest[GRID], int steps, const double *position, double noise)
+/// Least squared level for second differences over `steps` cells [m^2].
+static double least_level(const double *rest, const double *position, size_t steps, double variance,
+                          double far_noise, double mean_noise)
 {
+    const size_t width = (steps + 1) / 2;
+    const size_t means = MAPLINES_CELLS + 1 - width;
+    const size_t count = means - 2 * steps;
+    const double h = (double)steps * 2.0 / MAPLINES_CELLS;
+    const double scale = 1.0 / (h * h * (h * h));
+    double mean[MAPLINES_CELLS];
+    double noise[MAPLINES_CELLS];
     double greatest[MOST_BEYOND];
-    double terms[GRID] = {0.0};
-    double levels[GRID];
-    double squares[GRID];
-    double variances[GRID]; // of the second differences for the level 1
-    const int count = GRID - 2 * steps;
-    const double h = steps * 2.0 / INTERVALS;
-    const double h2 = h * h;
+    double sum = 0.0;
     for (int i = 0; i < MOST_BEYOND; ++i)
     {
         greatest[i] = -(double)INFINITY;
     }
-    for (int i = 0; i < count; ++i)
+    for (size_t i = 0; i < means; ++i)
+    {
+        double part = 0.0;
+        for (size_t k = i; k < i + width; ++k)
+        {
+            part = part + rest[k];
+        }
+        mean[i] = part / (double)width;
+        noise[i] = variance / (1.0 + (position[i + width] - position[i]));
+    }
+    for (size_t i = 0; i < count; ++i)
     {
         // Second differences of T_2 are 4 h^2, those of T_3 are 24 w h^2, with w in the middle.
-        const double w = (i * (2.0 / INTERVALS) - 1.0) + h;
+        const size_t j = i + steps;
+        const size_t k = j + steps;
+        const double w = (double)(2 * j + width) / MAPLINES_CELLS - 1.0;
         const double of_cubic = 24.0 * w;
-        const double second = rest[i] - 2.0 * rest[i + steps] + rest[i + 2 * steps];
-        variances[i] = h2 * h2 * (16.0 * SHAPE_2 + of_cubic * of_cubic * SHAPE_3);
-        squares[i] = second * second;
-        terms[i] = squares[i] / variances[i];
-        levels[i] = terms[i];
-    }
-    for (int i = 0; noise > 0.0 && i < count; ++i)
-    {
-        const double place[3] = {position[i], position[i + steps], position[i + 2 * steps]};
-        const double explained = noise * second_difference_variance(place);
-        terms[i] = (squares[i] - explained) / variances[i];
-        levels[i] = (squares[i] - NOISE_LIMIT * NOISE_LIMIT * explained) / variances[i];
-    }
-    for (int i = 0; i < count; ++i)
-    {
-        if (levels[i] > greatest[MOST_BEYOND - 1])
+        const double unit = scale / (16.0 * SHAPE_2 + of_cubic * of_cubic * SHAPE_3);
+        const double second = mean[i] - 2.0 * mean[j] + mean[k];
+        const double explained = noise[i] + 4.0 * noise[j] + noise[k];
+        const double level = (second * second - far_noise * explained) * unit;
+        sum = sum + (second * second - mean_noise * explained) * unit;
+        if (level > greatest[MOST_BEYOND - 1])
         {
-            insert(greatest, levels[i]);
+            insert(greatest, level);
         }
     }
-    const int place = (int)ceil(SHARE * count) - 1;
+    const size_t place = (size_t)ceil(SHARE * (double)count) - 1;
     const double far = greatest[count - 1 - place] / (LIMIT * LIMIT);
-    const double mean = maplines_total(GRID, terms) / count;
-    return mean > far ? mean : far;
+    const double near = sum / ((double)count * MEAN_SQUARE);
+    return near > far ? near : far;
 }
 
-void maplines_coefficient_variances(const maplines_stretches_t *seen, size_t line,
-                                    const maplines_fitted_t *fitted, double point_sigma,
-                                    double *scratch, double variances[4])
+/// Least squared level for T_4 and T_5, which tell what is smooth from noise better [m^2].
+static double level_of_modes(const maplines_fitted_t *fitted, double variance)
+{
+    // Mean squares of second derivatives of T_4 and T_5, each in units of its variance.
+    static const double levels[MODES] = {2.6, 6.5};
+    static const double explained[MODES] = {0.1, 0.8};   // variances of noise
+    static const double variances[MODES] = {3.80, 3.62}; // of a mode, by errors of one point
+    double level = 0.0;
+    for (int m = 0; m < MODES; ++m)
+    {
+        const double noise = explained[m] * variances[m] * variance;
+        const double square = fitted->modes[m] * fitted->modes[m] - noise;
+        level = level + (square > 0.0 ? levels[m] * square / MEAN_SQUARE : 0.0);
+    }
+    return level;
+}
+
+void maplines_coefficient_variances(const maplines_stretch_t *stretch,
+                                    const maplines_fitted_t *fitted, const maplines_cells_t *cells,
+                                    const double rest[MAPLINES_CELLS], double variances[4])
 {
     static const double spacings[SPACINGS] = {5.0, 10.0, 20.0};
-    double x[GRID];
-    double cubic[GRID];
-    double rest[GRID];
-    double position[GRID];
-    const double centre = (fitted->x_range[0] + fitted->x_range[1]) / 2.0;
-    const double half = (fitted->x_range[1] - fitted->x_range[0]) / 2.0;
-    const double *q = fitted->q;
-    for (int i = 0; i < GRID; ++i)
-    {
-        const double w = i * (2.0 / INTERVALS) - 1.0;
-        const double offset = half * w;
-        const double third = w * q[3];
-        const double second = w * (q[2] + third);
-        const double first = w * (q[1] + second);
-        x[i] = centre + offset;
-        cubic[i] = q[0] + first;
-    }
-    maplines_lateral(seen, line, GRID, x, rest);
-    for (int i = 0; i < GRID; ++i)
-    {
-        rest[i] = rest[i] - cubic[i];
-    }
-    double noise = 0.0;
-    if (point_sigma > 0.0)
-    {
-        const double stated = point_sigma * point_sigma;
-        const double shown = shown_noise(seen, line, x, cubic, scratch);
-        if (shown <= MAX_SHOWN * stated)
-        {
-            noise = SHOWN * shown < stated ? SHOWN * shown : stated;
-        }
-        maplines_positions(seen, line, GRID, x, position);
-    }
+    // Variances of noise that explain the largest second differences, and their mean square. Those
+    // over short distances, which tell least of the shape, are hardest to tell from noise.
+    static const double far_noise[SPACINGS] = {25.0, 12.0, 7.0};
+    static const double mean_noise[SPACINGS] = {8.0, 6.0, 4.0};
+    const double length = fitted->x_range[1] - fitted->x_range[0];
+    const double points = cells->position[MAPLINES_CELLS] - cells->position[0];
+    const double noise = maplines_noise_share(points) * stretch->error;
     const double squared = fitted->misfit * fitted->misfit;
-    double level = MIN_SHAPE * squared;
+    double level = level_of_modes(fitted, noise / points);
+    level = level > MIN_SHAPE * squared ? level : MIN_SHAPE * squared;
     level = level > MIN_SIGMA * MIN_SIGMA ? level : MIN_SIGMA * MIN_SIGMA;
     for (int k = 0; k < SPACINGS; ++k)
     {
-        const double share = INTERVALS * spacings[k] / (fitted->x_range[1] - fitted->x_range[0]);
-        if (2.0 * share <= INTERVALS + 2.0)
+        const double apart = length / points; // less is not seen
+        const double spacing = spacings[k] > apart ? spacings[k] : apart;
+        const double share = rint(MAPLINES_CELLS * spacing / length);
+        if (5.0 * share <= 2.0 * MAPLINES_CELLS)
         {
-            const int steps = (int)rint(share) > 1 ? (int)rint(share) : 1;
+            const size_t steps = share > 1.0 ? (size_t)share : 1;
             const double least =
-                2 * steps <= INTERVALS ? least_level(rest, steps, position, noise) : 0.0;
+                least_level(rest, cells->position, steps, noise, far_noise[k], mean_noise[k]);
             level = least > level ? least : level;
         }
     }
-    variances[0] = LATERAL_SHARE * squared + MIN_SIGMA * MIN_SIGMA;
+    level = level + 2.0 * stretch->unseen;
+    variances[0] = LATERAL_SHARE * (squared + stretch->unseen) + MIN_SIGMA * MIN_SIGMA;
     variances[1] = 0.25 * level;
     variances[2] = SHAPE_2 * level;
     variances[3] = SHAPE_3 * level;

@@ -1,17 +1,16 @@
-/* Matrices from values at the nodes of fits to the coefficients, and the nodes of coarse fits. */
+/* Matrices from the means of a line in cells of a range to its cubic. */
 #ifndef MAPLINES_PROPAGATION_NODES_H
 #define MAPLINES_PROPAGATION_NODES_H
 
 #include "propagation.h"
 
-#define MAPLINES_COARSE 32 ///< nodes of a fit in the search for the longest range
+#define MAPLINES_COARSE 16 ///< cells of a range in the search for the longest one
+#define MAPLINES_TERMS 6   ///< of a fit: w^0 .. w^3, and T_4 and T_5 of what these leave
 
-/// Rows: from the values at maplines_nodes to the coefficients of w^0 .. w^3.
-extern const double maplines_fit_rows[4 * MAPLINES_NODES];
-/// From the values at the nodes to the coefficient of T_4.
-extern const double maplines_quartic_row[MAPLINES_NODES];
-/// Extrema of a Chebyshev polynomial of lower degree, and the rows of their fit.
-extern const double maplines_coarse_nodes[MAPLINES_COARSE];
-extern const double maplines_coarse_rows[4 * MAPLINES_COARSE];
+/// Share of the mean in each cell in the coefficient of each term.
+extern const double maplines_cell_rows[MAPLINES_CELLS][MAPLINES_TERMS];
+extern const double maplines_coarse_rows[MAPLINES_COARSE][MAPLINES_TERMS];
+/// What a cubic leaves of T_4 at maplines_nodes.
+extern const double maplines_bend[MAPLINES_NODES];
 
 #endif

@@ -18,6 +18,7 @@
 
 #include "internal.h"
 
+#define MAPLINES_CELLS 64  ///< of a range
 #define MAPLINES_CHORDS 21 ///< that check the shape of a line
 #define MAPLINES_DEGREE 6  ///< of the sums of the normal equations
 #define MAPLINES_SUMS 10   ///< mean(u^k), k = 1 .. 6, and mean(v u^k), k = 0 .. 3
@@ -29,6 +30,7 @@ typedef enum {
     MAPLINES_ACROSS = 2,
     MAPLINES_TOO_SHORT = 3,
     MAPLINES_UNCERTAIN = 4,
+    MAPLINES_FEW_POINTS = 5,
 } maplines_omission_t;
 
 /// Length of a vector. The relative error is at most 2^-52
@@ -41,7 +43,7 @@ static inline double maplines_hypot(double x, double y)
 /* ---- stretches.c: what is seen of lines -------------------------------------------------------
  */
 
-#define MAPLINES_PATH_ARRAYS 9 ///< arrays of a path, each of as many doubles as it has points
+#define MAPLINES_PATH_ARRAYS 11 ///< arrays of a path, each of as many doubles as it has points
 
 /// Line of a map, with what a query needs of it and does not depend on the pose.
 typedef struct {
@@ -52,13 +54,17 @@ typedef struct {
     const double *squared;  ///< length of the step [m^2], more than 0
     const double *cx, *cy;  ///< chord that gives the direction of the step [m]
     const double *chord;    ///< its length [m]
+    /// Sums over the points before each: of the squared errors that the points show, and of their
+    /// squared distances from the chords of their neighbours [m^2].
+    const double *errors, *sagittas;
 } maplines_path_t;
 
 /// Where the car is, and what it looks at.
 typedef struct {
-    double pose[3];   ///< x, y [m] and heading [rad] in the frame of the map
-    double window[2]; ///< ends of what is looked at, in the frame of the car [m]
-    double max_turn;  ///< largest angle between a line and the x axis [rad]
+    double pose[3];    ///< x, y [m] and heading [rad] in the frame of the map
+    double window[2];  ///< ends of what is looked at, in the frame of the car [m]
+    double max_turn;   ///< largest angle between a line and the x axis [rad]
+    double max_unseen; ///< most that a line may bend between its points unseen, as a sigma [m]
 } maplines_look_t;
 
 /// Stretch of a line within a window: a function y(x) in the frame of the car.
@@ -66,6 +72,11 @@ typedef struct {
     size_t first, count; ///< points, which include those next to both ends of the range
     double x_range[2];   ///< [m]
     size_t line;         ///< of which line it is
+    double error;        ///< variance of the errors of its points, as they show it [m^2]
+    double widened;      ///< the same, as far as these points can tell it [m^2]
+    double sagitta;      ///< mean square of the distances of points from chords [m^2]
+    double bends;        ///< variance of the line between points, by the bends that they show [m^2]
+    double unseen;       ///< the same in all [m^2]
 } maplines_stretch_t;
 
 /// Stretches of lines. The points of all of them stand one after the other.
@@ -75,6 +86,8 @@ typedef struct {
     double *x, *y;               ///< (points) in the frame of the car [m]
     double *key;                 ///< (points) x, ascending over all stretches
     double *slope;               ///< (points) dy / dkey to the next point
+    double *area;                ///< (points) integral of y from the first point of the stretch
+    double *square, *cube;       ///< (points) those of what chords of x^2 and x^3 exceed them by
     double step;                 ///< by which the keys of a stretch exceed those of the one before
     maplines_stretch_t *stretch; ///< (lines)
 } maplines_stretches_t;
@@ -89,12 +102,18 @@ void maplines_look_start(const maplines_look_t *look, double start[2], double *r
 /// the reason of each line, or MAPLINES_GIVEN.
 void maplines_see(const maplines_path_t *paths, size_t count, const maplines_look_t *look,
                   maplines_stretches_t *seen, maplines_omission_t *left_out);
-/// Lateral positions of a stretch at ascending x [m].
-void maplines_lateral(const maplines_stretches_t *seen, size_t line, size_t count, const double *x,
-                      double *y);
-/// Indices of points at ascending x [m], with fractions between them.
-void maplines_positions(const maplines_stretches_t *seen, size_t line, size_t count,
-                        const double *x, double *position);
+
+/// Cells of equal length in a range of a stretch.
+typedef struct {
+    double y[MAPLINES_CELLS];            ///< means of the line [m]
+    double square[MAPLINES_CELLS];       ///< of what chords between its points exceed w^2 by
+    double cube[MAPLINES_CELLS];         ///< and w^3, w is -1 to 1 in the range
+    double position[MAPLINES_CELLS + 1]; ///< of their ends: indices of points, with fractions
+} maplines_cells_t;
+
+/// Cells of a range of a stretch; up to MAPLINES_CELLS.
+void maplines_divide(const maplines_stretches_t *seen, size_t line, const double x_range[2],
+                     size_t count, maplines_cells_t *cells);
 
 /* ---- cubic_range.c, misfit.c: the cubic of a line, and what it misses -------------------------
  */
@@ -110,22 +129,25 @@ typedef struct {
 
 /// Cubic of a line by least squares, in w = (x - centre) / half of its range.
 typedef struct {
-    double x_range[2];                           ///< [m]
-    double x[MAPLINES_NODES], y[MAPLINES_NODES]; ///< points of the line [m]
-    double q[4];   ///< coefficients of w^0 .. w^3, before the shift [m]
-    double shift;  ///< that makes the largest deviation least [m]
-    double misfit; ///< the largest deviation [m]
+    double x_range[2]; ///< [m]
+    double q[4];       ///< coefficients of w^0 .. w^3 [m]
+    double modes[2];   ///< of T_4 and T_5, which it leaves of the line [m]
+    double misfit;     ///< what it misses of the line at most, beside errors of its points [m]
+    double fit[16];    ///< (4, 4): from the coefficients of chords between the points to q
 } maplines_fitted_t;
 
-/// Cubic in the longest range of a stretch with at most the greatest misfit; false if there is
-/// none.
+/// Cubic in the longest range of a stretch with at most the greatest misfit, and what it leaves of
+/// the line in cells; false if there is none.
 bool maplines_longest_range(const maplines_stretches_t *seen, size_t line,
-                            const maplines_fit_t *fit, maplines_fitted_t *fitted);
-/// Variances of the coefficients of T_0 .. T_3 that cover what a cubic misses [m^2]. Scratch is one
-/// double for each point of the stretch.
-void maplines_coefficient_variances(const maplines_stretches_t *seen, size_t line,
-                                    const maplines_fitted_t *fitted, double point_sigma,
-                                    double *scratch, double variances[4]);
+                            const maplines_fit_t *fit, maplines_fitted_t *fitted,
+                            maplines_cells_t *cells, double rest[MAPLINES_CELLS]);
+/// Share of what the points show of their errors that is taken for errors. The rest, and all of it
+/// where points are few, may be the shape of the road.
+double maplines_noise_share(double points);
+/// Variances of the coefficients of T_0 .. T_3 that cover what a cubic misses [m^2].
+void maplines_coefficient_variances(const maplines_stretch_t *stretch,
+                                    const maplines_fitted_t *fitted, const maplines_cells_t *cells,
+                                    const double rest[MAPLINES_CELLS], double variances[4]);
 
 /* ---- refit.c: the line as a function of the pose ----------------------------------------------
  */
@@ -133,7 +155,7 @@ void maplines_coefficient_variances(const maplines_stretches_t *seen, size_t lin
 /// Line as a function of the pose, about the one from which it was selected; 5 kB.
 typedef struct {
     maplines_fitted_t fitted;
-    double y[MAPLINES_NODES];                        ///< of the points, with the shift [m]
+    double x[MAPLINES_NODES], y[MAPLINES_NODES];     ///< points of the line [m]
     double centre[2], half;                          ///< of the points [m]
     double sums[MAPLINES_DEGREE + 1][MAPLINES_SUMS]; ///< coefficients of c^(d - j) s^j
     double chords[2][MAPLINES_CHORDS];               ///< [m]
@@ -154,10 +176,9 @@ typedef struct {
 maplines_mean_pose_t maplines_mean_pose(const double pose[3]);
 /// From a displacement in the frame of the car to the pose in the frame of the map.
 void maplines_displace(const maplines_mean_pose_t *from, double pose[3]);
-/// Refit of a stretch; false if no cubic follows it in any range. Scratch as of
-/// maplines_coefficient_variances.
+/// Refit of a stretch; false if no cubic follows it in any range.
 bool maplines_refit(const maplines_stretches_t *seen, size_t line, const maplines_mean_pose_t *from,
-                    const maplines_fit_t *fit, double *scratch, maplines_refit_t *refit);
+                    const maplines_fit_t *fit, maplines_refit_t *refit);
 /// Line (y_off, beta, c0, c1) seen from a pose in the frame of the map; false, and NaN, if it is no
 /// function of x there.
 bool maplines_refit_at(const maplines_refit_t *refit, const maplines_mean_pose_t *from,
@@ -166,8 +187,6 @@ bool maplines_refit_at(const maplines_refit_t *refit, const maplines_mean_pose_t
 /// none next to the mean pose.
 bool maplines_refit_extended(const maplines_refit_t *refit, const maplines_mean_pose_t *from,
                              const double pose[3], double line[4]);
-/// Coefficient of T_4 that the cubic leaves of the line [m].
-double maplines_refit_quartic(const maplines_refit_t *refit);
 
 /* ---- moments.c, certain_range.c ----------------------------------------------------------------
  */
@@ -219,7 +238,6 @@ typedef struct {
 typedef struct {
     maplines_stretches_t seen;
     maplines_refit_t *refits; ///< (lines)
-    double *scratch;          ///< (points)
     double *poses;            ///< (rule->count, 3)
     double *values;           ///< (rule->count, 4 lines)
     double *matrix;           ///< (4 lines, 4 lines), of scenes only

@@ -259,16 +259,6 @@ bool maplines_refit_extended(const maplines_refit_t *refit, const maplines_mean_
     return false;
 }
 
-double maplines_refit_quartic(const maplines_refit_t *refit)
-{
-    double terms[MAPLINES_NODES];
-    for (int i = 0; i < MAPLINES_NODES; ++i)
-    {
-        terms[i] = maplines_quartic_row[i] * refit->y[i];
-    }
-    return maplines_total(MAPLINES_NODES, terms);
-}
-
 /* ---- errors of the map and of the fit ---------------------------------------------------------
  */
 
@@ -285,100 +275,63 @@ static void add_square(const double v[4], double S[16])
     }
 }
 
-/// Products of the rows of the fit with themselves: the inverse of the normal equations.
-static void inverse_gram(double inverse[16])
+/// Covariance of the coefficients of a cubic for independent errors of 1 m of the points, in any
+/// direction. A cell has the errors of its chords, and a chord those of its two ends.
+static void coefficient_covariance(const maplines_stretches_t *seen, const maplines_refit_t *refit,
+                                   const maplines_cells_t *cells, double cov[16])
 {
-    for (int i = 0; i < 4; ++i)
+    const maplines_fitted_t *fitted = &refit->fitted;
+    const double length = 2.0 * refit->half / MAPLINES_CELLS;
+    double S[16] = {0.0};
+    double before[4] = {0.0}; // effects of the errors of the point behind
+    double after[4] = {0.0};  // and of the one ahead
+    size_t i = (size_t)cells->position[0];
+    for (size_t k = 0; k < MAPLINES_CELLS; ++k)
     {
-        for (int j = 0; j < 4; ++j)
+        const double w = (double)(2 * k + 1) / MAPLINES_CELLS - 1.0;
+        const double bend = 2.0 * fitted->q[2] + 3.0 * fitted->q[3] * w;
+        const double slope = (fitted->q[1] + bend * w) / refit->half;
+        const double factor = sqrt(1.0 + slope * slope); // errors in x act by the slope
+        double from = cells->position[k];
+        const double to = cells->position[k + 1];
+        while (from < to)
         {
-            double terms[MAPLINES_NODES];
-            for (int k = 0; k < MAPLINES_NODES; ++k)
+            const double next = (double)(i + 1);
+            const double until = to < next ? to : next;
+            const double step = seen->key[i + 1] - seen->key[i];
+            const double share = (until - from) * step / length * factor;
+            const double ahead = share * ((from + until) / 2.0 - (double)i);
+            for (size_t j = 0; j < 4; ++j)
             {
-                terms[k] = maplines_fit_rows[MAPLINES_NODES * i + k] *
-                           maplines_fit_rows[MAPLINES_NODES * j + k];
+                const double row = maplines_cell_rows[k][j];
+                before[j] = before[j] + row * (share - ahead);
+                after[j] = after[j] + row * ahead;
             }
-            inverse[4 * i + j] = maplines_total(MAPLINES_NODES, terms);
+            from = until;
+            if (until == next)
+            {
+                add_square(before, S);
+                memcpy(before, after, sizeof before);
+                memset(after, 0, sizeof after);
+                ++i;
+            }
         }
     }
+    add_square(before, S);
+    add_square(after, S);
+    maplines_congruence(fitted->fit, S, cov);
 }
 
-/// Sums of the errors of one point of the map in the coefficients, by its error in y and in x.
-typedef struct {
-    double of_y[4], of_x[4];
-} point_effect_t;
-
-/// Covariance of the coefficients of a fit for unit errors of the points of the map. A fitted point
-/// has the weighted mean of the errors of its two neighbours.
-static void coefficient_covariance(const maplines_refit_t *refit,
-                                   const double position[MAPLINES_NODES], double S[16])
-{
-    double inverse[16];
-    point_effect_t before = {{0.0}, {0.0}}; // of the point that the position has passed
-    point_effect_t after = {{0.0}, {0.0}};
-    double passed = floor(position[0]);
-    const double *mean = refit->mean;
-    const double tangent = maplines_tan(mean[1]);
-    const double *nodes = maplines_nodes();
-    inverse_gram(inverse);
-    memset(S, 0, 16 * sizeof *S);
-    for (int k = 0; k < MAPLINES_NODES; ++k)
-    {
-        const double u = refit->fitted.x[k];
-        const double w = nodes[k];
-        const double bend = mean[2] + u * mean[3] / 2.0;
-        const double half_bend = mean[2] / 2.0 + u * mean[3] / 6.0;
-        const double slope = tangent + u * bend;
-        const double rise = tangent + u * half_bend;
-        const double rest = refit->y[k] - (mean[0] + u * rise);
-        const double row[4] = {0.0, 1.0, 2.0 * w, 3.0 * w * w};
-        double by_place[4];
-        double by_y[4];
-        double by_x[4];
-        maplines_product(1, 4, 4, row, inverse, by_place);
-        for (int i = 0; i < 4; ++i)
-        {
-            // An error in x acts twice: via the slope, and via the change of the place.
-            by_y[i] = maplines_fit_rows[MAPLINES_NODES * i + k];
-            const double moved = by_place[i] / refit->half * rest;
-            const double raised = by_y[i] * slope;
-            by_x[i] = moved - raised;
-        }
-        const double below = floor(position[k]);
-        const double share = position[k] - below;
-        for (int shift = 0; shift < 2 && passed < below; ++shift)
-        {
-            add_square(before.of_y, S);
-            add_square(before.of_x, S);
-            before = after;
-            memset(&after, 0, sizeof after);
-            passed = shift == 0 ? passed + 1.0 : below;
-        }
-        for (int i = 0; i < 4; ++i)
-        {
-            before.of_y[i] += (1.0 - share) * by_y[i];
-            before.of_x[i] += (1.0 - share) * by_x[i];
-            after.of_y[i] += share * by_y[i];
-            after.of_x[i] += share * by_x[i];
-        }
-    }
-    add_square(before.of_y, S);
-    add_square(before.of_x, S);
-    add_square(after.of_y, S);
-    add_square(after.of_x, S);
-}
-
-/// Covariance of the line for unit errors of the points of the map.
-static void unit_covariance(const maplines_refit_t *refit, const double position[MAPLINES_NODES],
-                            double unit[16])
+/// Covariance of the line for independent errors of 1 m of the points of the map.
+static void unit_covariance(const maplines_stretches_t *seen, const maplines_refit_t *refit,
+                            const maplines_cells_t *cells, double unit[16])
 {
     double S[16];
     double J[16];
-    double least = (double)INFINITY;
     double sine;
     double cosine;
     maplines_sin_cos(refit->mean[1], &sine, &cosine);
-    coefficient_covariance(refit, position, S);
+    coefficient_covariance(seen, refit, cells, S);
     for (int k = 0; k < 4; ++k)
     {
         double q[4] = {0.0};
@@ -392,33 +345,13 @@ static void unit_covariance(const maplines_refit_t *refit, const double position
         }
     }
     maplines_congruence(J, S, unit);
-    // The fit averages the errors of the points, but the line itself has them in full.
-    const double tangent = maplines_tan(refit->mean[1]);
-    for (int k = 0; k < MAPLINES_NODES; ++k)
-    {
-        const double x = refit->fitted.x[k];
-        const double lateral[4] = {1.0, (1.0 + tangent * tangent) * x, x * x / 2.0,
-                                   x * x * x / 6.0};
-        double products[4];
-        maplines_product(1, 4, 4, lateral, unit, products);
-        for (int i = 0; i < 4; ++i)
-        {
-            products[i] = products[i] * lateral[i];
-        }
-        const double variance = maplines_total(4, products);
-        least = variance < least ? variance : least;
-    }
-    unit[0] += least < 1.0 ? 1.0 - least : 0.0;
 }
 
-/// Add the covariance due to the error of the map, to first order.
-static void add_map_error(const maplines_stretches_t *seen, size_t line,
-                          const maplines_mean_pose_t *from, const maplines_fit_t *fit,
-                          maplines_refit_t *refit)
+/// Add the covariance due to what of the error of the map acts as a pose error, to first order.
+static void add_drift(const maplines_mean_pose_t *from, const maplines_fit_t *fit,
+                      maplines_refit_t *refit)
 {
     const double sigmas[3] = {fit->offset_sigma, fit->offset_sigma, fit->heading_sigma};
-    double position[MAPLINES_NODES];
-    double unit[16];
     double J[12]; // (4, 3)
     for (int k = 0; k < 3; ++k)
     {
@@ -435,26 +368,31 @@ static void add_map_error(const maplines_stretches_t *seen, size_t line,
         }
     }
     maplines_product_transposed(4, 3, 4, J, J, refit->noise_cov);
-    maplines_positions(seen, line, MAPLINES_NODES, refit->fitted.x, position);
-    unit_covariance(refit, position, unit);
+}
+
+/// Add the covariance due to independent errors of the points.
+static void add_noise(const maplines_stretches_t *seen, const maplines_cells_t *cells,
+                      double variance, maplines_refit_t *refit)
+{
+    double unit[16];
+    unit_covariance(seen, refit, cells, unit);
     for (int i = 0; i < 16; ++i)
     {
-        const double own = fit->point_sigma * fit->point_sigma * unit[i];
+        const double own = variance * unit[i];
         refit->noise_cov[i] = refit->noise_cov[i] + own;
     }
 }
 
 /// Add the covariance that covers what the cubic misses.
-static void add_misfit(const maplines_stretches_t *seen, size_t line, const maplines_fit_t *fit,
-                       double *scratch, maplines_refit_t *refit)
+static void add_misfit(const maplines_stretch_t *stretch, const maplines_cells_t *cells,
+                       const double rest[MAPLINES_CELLS], maplines_refit_t *refit)
 {
     double J[16];
     double scaled[16];
     double cover[16];
     double variances[4];
-    const double point_sigma = fit->has_map_error ? fit->point_sigma : 0.0;
     maplines_bases(refit->mean, refit->fitted.x_range, J);
-    maplines_coefficient_variances(seen, line, &refit->fitted, point_sigma, scratch, variances);
+    maplines_coefficient_variances(stretch, &refit->fitted, cells, rest, variances);
     for (int i = 0; i < 16; ++i)
     {
         scaled[i] = J[i] * variances[i % 4];
@@ -478,7 +416,7 @@ static void set_chords_of(maplines_refit_t *refit)
     for (int i = 0; i < MAPLINES_CHORDS; ++i)
     {
         const int begin = CHORD_NODES * i;
-        const double dx = refit->fitted.x[begin + CHORD_NODES] - refit->fitted.x[begin];
+        const double dx = refit->x[begin + CHORD_NODES] - refit->x[begin];
         const double dy = refit->y[begin + CHORD_NODES] - refit->y[begin];
         const double slope = dy / dx;
         refit->chords[0][i] = dx;
@@ -497,28 +435,46 @@ static void set_chords_of(maplines_refit_t *refit)
     refit->is_across = 2.0 * refit->half < refit->least_advance;
 }
 
-bool maplines_refit(const maplines_stretches_t *seen, size_t line, const maplines_mean_pose_t *from,
-                    const maplines_fit_t *fit, double *scratch, maplines_refit_t *refit)
+/// Set the points of the line: those of its cubic, and of T_4.
+static void set_points(maplines_refit_t *refit)
 {
-    double scaled[MAPLINES_NODES];
-    double moments[MOMENTS][MOMENTS];
-    const bool is_covered = fit->max_misfit < (double)INFINITY;
-    if (!maplines_longest_range(seen, line, fit, &refit->fitted))
-    {
-        return false;
-    }
-    const double *x = refit->fitted.x;
+    const double *nodes = maplines_nodes();
+    const maplines_fitted_t *fitted = &refit->fitted;
+    const double *q = fitted->q;
     double low = (double)INFINITY;
     double high = -(double)INFINITY;
+    refit->half = (fitted->x_range[1] - fitted->x_range[0]) / 2.0;
+    refit->centre[0] = (fitted->x_range[0] + fitted->x_range[1]) / 2.0;
     for (int i = 0; i < MAPLINES_NODES; ++i)
     {
-        refit->y[i] = is_covered ? refit->fitted.y[i] + refit->fitted.shift : refit->fitted.y[i];
+        const double w = nodes[i];
+        const double offset = refit->half * w;
+        const double third = w * q[3];
+        const double second = w * (q[2] + third);
+        const double first = w * (q[1] + second);
+        const double bend = fitted->modes[0] * maplines_bend[i];
+        refit->x[i] = refit->centre[0] + offset;
+        refit->y[i] = (q[0] + first) + bend;
         low = refit->y[i] < low ? refit->y[i] : low;
         high = refit->y[i] > high ? refit->y[i] : high;
     }
-    refit->half = (x[MAPLINES_NODES - 1] - x[0]) / 2.0;
-    refit->centre[0] = (x[0] + x[MAPLINES_NODES - 1]) / 2.0;
     refit->centre[1] = (low + high) / 2.0;
+}
+
+bool maplines_refit(const maplines_stretches_t *seen, size_t line, const maplines_mean_pose_t *from,
+                    const maplines_fit_t *fit, maplines_refit_t *refit)
+{
+    const maplines_stretch_t *stretch = &seen->stretch[line];
+    const bool is_covered = fit->max_misfit < (double)INFINITY;
+    maplines_cells_t cells;
+    double rest[MAPLINES_CELLS];
+    double scaled[MAPLINES_NODES];
+    double moments[MOMENTS][MOMENTS];
+    if (!maplines_longest_range(seen, line, fit, &refit->fitted, &cells, rest))
+    {
+        return false;
+    }
+    set_points(refit);
     for (int i = 0; i < MAPLINES_NODES; ++i)
     {
         scaled[i] = (refit->y[i] - refit->centre[1]) / refit->half;
@@ -528,13 +484,20 @@ bool maplines_refit(const maplines_stretches_t *seen, size_t line, const mapline
     set_chords_of(refit);
     (void)maplines_refit_at(refit, from, from->pose, refit->mean);
     memset(refit->noise_cov, 0, sizeof refit->noise_cov);
+    const double stated = fit->point_sigma * fit->point_sigma;
+    double variance = fit->has_map_error ? stated : 0.0;
     if (fit->has_map_error)
     {
-        add_map_error(seen, line, from, fit, refit);
+        add_drift(from, fit, refit);
     }
     if (is_covered)
     {
-        add_misfit(seen, line, fit, scratch, refit);
+        variance = stretch->widened > variance ? stretch->widened : variance;
+        add_misfit(stretch, &cells, rest, refit);
+    }
+    if (variance > 0.0)
+    {
+        add_noise(seen, &cells, variance, refit);
     }
     return true;
 }

@@ -4,6 +4,20 @@
 #include <float.h>
 
 #define DIRECTION_BASE 0.5 ///< over which the direction of a line is taken [m]
+#define MOST_ERROR 1.0     ///< that points show; more is a corner of the line [m]
+#define MOST_SAGITTA 3.0   ///< the same for their distances from chords [m]
+#define ERRORS 30.0        ///< points of which errors are taken, if the line has so many
+#define SAGITTAS 8.0       ///< and distances from chords
+#define PER_FREEDOM 2.63   ///< squared fourth differences for a degree of freedom
+#define TYPICAL 1.8e-4     ///< error that is typical by the squared spacing of points [1/m] ...
+#define MOST_TYPICAL 0.06  ///< ... at most [m] ...
+#define TYPICAL_COUNT 1.5  ///< ... and the degrees of freedom for which it counts
+#define STUDENT 1.3    ///< of the widening by Student's t, which holds 3 sigma from 3 degrees on
+#define BETWEEN 7e-4   ///< variance of a line between its points by the squared sagitta, if many
+#define FEW_POINTS 9.0 ///< with which it is twice as much
+#define BY_TYPICAL 0.3 ///< the same by the square of the typical error
+#define BY_ERROR 0.1   ///< and by that of the errors that points show, if they are far apart
+#define FAR_APART 10.0 ///< spacing at which half of that counts [m]
 
 /* ---- paths ------------------------------------------------------------------------------------
  */
@@ -30,6 +44,47 @@ static void set_chords(const double *x, const double *y, const double *distance,
     }
 }
 
+/// Square of a length up to the square of another one; 0 if it is not a number.
+static double capped(double square, double most)
+{
+    const double positive = square > 0.0 ? square : 0.0;
+    return positive < most * most ? positive : most * most;
+}
+
+/// Squared error that a point shows: the fourth divided difference of the points about it, in
+/// standard deviations for independent errors of 1 m. Errors along the line cancel.
+static double shown_error(const maplines_path_t *path, size_t i)
+{
+    double sum_x = 0.0;
+    double sum_y = 0.0;
+    double squares = 0.0;
+    for (size_t j = i - 2; j <= i + 2; ++j)
+    {
+        double product = 1.0;
+        for (size_t k = i - 2; k <= i + 2; ++k)
+        {
+            const double gap = path->distance[j] - path->distance[k];
+            product = j == k ? product : product * gap;
+        }
+        const double weight = 1.0 / product;
+        const double by_x = weight * (path->x[j] - path->x[i]);
+        const double by_y = weight * (path->y[j] - path->y[i]);
+        sum_x = sum_x + by_x;
+        sum_y = sum_y + by_y;
+        squares = squares + weight * weight;
+    }
+    return capped((sum_x * sum_x + sum_y * sum_y) / squares, MOST_ERROR);
+}
+
+/// Squared distance of a point from the chord of its neighbours.
+static double sagitta_of(const maplines_path_t *path, size_t i)
+{
+    const double chord_x = path->dx[i - 1] + path->dx[i];
+    const double chord_y = path->dy[i - 1] + path->dy[i];
+    const double across = path->dx[i - 1] * path->dy[i] - path->dy[i - 1] * path->dx[i];
+    return capped(across * across / (chord_x * chord_x + chord_y * chord_y), MOST_SAGITTA);
+}
+
 void maplines_prepare_path(const double *points, const double *distance, size_t count,
                            double *memory, maplines_path_t *path)
 {
@@ -42,7 +97,10 @@ void maplines_prepare_path(const double *points, const double *distance, size_t 
     double *cx = squared + count;
     double *cy = cx + count;
     double *chord = cy + count;
-    const maplines_path_t made = {count, x, y, own_distance, dx, dy, squared, cx, cy, chord};
+    double *errors = chord + count;
+    double *sagittas = errors + count;
+    const maplines_path_t made = {count,   x,  y,  own_distance, dx,     dy,
+                                  squared, cx, cy, chord,        errors, sagittas};
     *path = made;
     bool has_short_steps = false;
     for (size_t i = 0; i < count; ++i)
@@ -66,10 +124,44 @@ void maplines_prepare_path(const double *points, const double *distance, size_t 
     {
         set_chords(x, y, distance, count, cx, cy);
     }
+    double error = 0.0;
+    double sagitta = 0.0;
     for (size_t i = 0; i < count; ++i)
     {
         chord[i] = maplines_hypot(cx[i], cy[i]);
+        errors[i] = error;
+        sagittas[i] = sagitta;
+        error = error + (i >= 2 && i + 2 < count ? shown_error(path, i) : 0.0);
+        sagitta = sagitta + (i >= 1 && i + 1 < count ? sagitta_of(path, i) : 0.0);
     }
+}
+
+/// Mean of the terms of points, of which `sums` has the sums before each, from one place among the
+/// points to another. A term extends half a point to both sides. Those of `margin` points at both
+/// ends of the line are not known. If there are less than `least`, those around count, too.
+static double mean_of(size_t count, const double *sums, double margin, double low, double high,
+                      double least, double *terms)
+{
+    const double first = margin;
+    const double last = (double)count - margin;
+    const double wider = (least - (high - low)) / 2.0;
+    double begin = low + 0.5 - (wider > 0.0 ? wider : 0.0);
+    double end = high + 0.5 + (wider > 0.0 ? wider : 0.0);
+    *terms = 0.0;
+    if (!(last > first))
+    {
+        return 0.0;
+    }
+    begin = begin < last - least ? begin : last - least;
+    begin = begin > first ? begin : first;
+    end = end > first + least ? end : first + least;
+    end = end < last ? end : last;
+    const size_t i = (size_t)begin;
+    const size_t j = (size_t)end;
+    const double of_begin = (begin - (double)i) * (sums[i + 1] - sums[i]);
+    const double of_end = j + 1 < count ? (end - (double)j) * (sums[j + 1] - sums[j]) : 0.0;
+    *terms = end - begin;
+    return ((sums[j] - sums[i]) + (of_end - of_begin)) / (end - begin);
 }
 
 /* ---- the nearest step -------------------------------------------------------------------------
@@ -116,30 +208,68 @@ static int direction_of(const maplines_path_t *path, const frame_t *frame, size_
     return (advance >= least ? 1 : 0) - (advance <= -least ? 1 : 0);
 }
 
+static inline double clipped_share(double share)
+{
+    const double raised = share > 0.0 ? share : 0.0;
+    return raised < 1.0 ? raised : 1.0;
+}
+
 /// Where a step is nearest to the start, as a share of it.
 static double share_of(const maplines_path_t *path, const frame_t *frame, size_t i)
 {
     const double x = frame->start[0] - path->x[i];
     const double y = frame->start[1] - path->y[i];
     const double along = x * path->dx[i] + y * path->dy[i];
-    double share = along / path->squared[i];
-    share = share > 0.0 ? share : 0.0;
-    return share < 1.0 ? share : 1.0;
+    return clipped_share(along / path->squared[i]);
 }
 
-/// Squared distances of the steps from the start.
-static void squared_distances(const maplines_path_t *path, const frame_t *frame, double *squared)
+/// Squared distances of the steps from the start. Most of a query of a long line is this loop,
+/// which processors do two or four steps at a time.
+static void squared_distances(const maplines_path_t *path, const frame_t *frame,
+                              double *restrict squared)
 {
-    for (size_t i = 0; i + 1 < path->count; ++i)
+    const double *restrict x = path->x;
+    const double *restrict y = path->y;
+    const double *restrict dx = path->dx;
+    const double *restrict dy = path->dy;
+    const double *restrict length = path->squared;
+    const double start_x = frame->start[0];
+    const double start_y = frame->start[1];
+    const size_t steps = path->count - 1;
+    for (size_t i = 0; i < steps; ++i)
     {
-        const double share = share_of(path, frame, i);
-        const double along_x = share * path->dx[i];
-        const double along_y = share * path->dy[i];
-        const double x = frame->start[0] - path->x[i] - along_x;
-        const double y = frame->start[1] - path->y[i] - along_y;
-        const double square = x * x + y * y;
+        const double to_x = start_x - x[i];
+        const double to_y = start_y - y[i];
+        const double along = to_x * dx[i] + to_y * dy[i];
+        const double share = clipped_share(along / length[i]);
+        const double along_x = share * dx[i];
+        const double along_y = share * dy[i];
+        const double rest_x = to_x - along_x;
+        const double rest_y = to_y - along_y;
+        const double square = rest_x * rest_x + rest_y * rest_y;
         squared[i] = square < (double)INFINITY ? square : (double)INFINITY; // NaN by overflow, too
     }
+}
+
+/// Least of values; four at a time, as processors have them.
+static double least_of(size_t count, const double *values)
+{
+    double least[4] = {values[0], values[0], values[0], values[0]};
+    size_t i = 0;
+    for (; i + 4 <= count; i += 4)
+    {
+        for (size_t j = 0; j < 4; ++j)
+        {
+            least[j] = values[i + j] < least[j] ? values[i + j] : least[j];
+        }
+    }
+    for (; i < count; ++i)
+    {
+        least[0] = values[i] < least[0] ? values[i] : least[0];
+    }
+    const double first = least[1] < least[0] ? least[1] : least[0];
+    const double second = least[3] < least[2] ? least[3] : least[2];
+    return second < first ? second : first;
 }
 
 /// The nearest step that is not across the x axis of the car; false if there is none within reach.
@@ -149,9 +279,10 @@ static bool nearest_step(const maplines_path_t *path, const frame_t *frame, doub
     const size_t steps = path->count - 1;
     size_t found = 0;
     squared_distances(path, frame, squared);
-    for (size_t i = 1; i < steps; ++i)
+    const double least = least_of(steps, squared);
+    while (squared[found] > least)
     {
-        found = squared[i] < squared[found] ? i : found;
+        ++found;
     }
     *nearest = found;
     if (direction_of(path, frame, found) != 0)
@@ -192,6 +323,46 @@ static void reverse(size_t count, double *values)
         values[i] = values[count - 1 - i];
         values[count - 1 - i] = value;
     }
+}
+
+/// Share of a step that lies outside of a window; a step of no length has none.
+static double share_outside(double outside, double step)
+{
+    return step > 0.0 ? outside / step : 0.0;
+}
+
+/// Set what the points of a stretch show of their errors, and of the line between them. `first` is
+/// the first of them in the path.
+///
+/// A typical error stands for what a line of few points cannot show. Two points are a straight
+/// line.
+static void set_errors(const maplines_path_t *path, size_t first, int direction, const double *x,
+                       maplines_stretch_t *stretch)
+{
+    const size_t last = stretch->count - 1;
+    const double behind = share_outside(stretch->x_range[0] - x[0], x[1] - x[0]);
+    const double ahead = share_outside(x[last] - stretch->x_range[1], x[last] - x[last - 1]);
+    const double low = (double)first + (direction > 0 ? behind : ahead);
+    const double high = (double)(first + last) - (direction > 0 ? ahead : behind);
+    double errors;
+    double sagittas;
+    const double error = mean_of(path->count, path->errors, 2.0, low, high, ERRORS, &errors);
+    const double square =
+        mean_of(path->count, path->sagittas, 1.0, low, high, SAGITTAS, &sagittas) - 1.5 * error;
+    const double spacing = (stretch->x_range[1] - stretch->x_range[0]) / (high - low);
+    const double usual = TYPICAL * spacing * spacing;
+    const double typical = path->count == 2 ? 0.0 : usual < MOST_TYPICAL ? usual : MOST_TYPICAL;
+    const double freedom = errors / PER_FREEDOM;
+    const double all = freedom + TYPICAL_COUNT;
+    const double share = TYPICAL_COUNT / all * (typical * typical);
+    const double ratio = (all + 2.0) / (all + 2.0 - STUDENT);
+    const double few = FEW_POINTS / (sagittas + 2.0);
+    const double apart = 1.0 / (1.0 + FAR_APART / spacing);
+    stretch->error = error;
+    stretch->widened = (freedom / all * error + share) * (ratio * ratio) * (ratio * ratio);
+    stretch->sagitta = square > 0.0 ? square : 0.0;
+    stretch->bends = BETWEEN * stretch->sagitta * (1.0 + few * few * few * (few * few * few));
+    stretch->unseen = stretch->bends + BY_TYPICAL * share + BY_ERROR * error * apart;
 }
 
 /// Stretch around a step: the run of steps in its direction, and of these the ones in the window.
@@ -248,7 +419,12 @@ static bool stretch_around(const maplines_path_t *path, const frame_t *frame, si
     const double high = x[stretch->count - 1];
     stretch->x_range[0] = low > frame->low ? low : frame->low;
     stretch->x_range[1] = high < frame->high ? high : frame->high;
-    return stretch->x_range[0] < stretch->x_range[1];
+    if (!(stretch->x_range[0] < stretch->x_range[1]))
+    {
+        return false;
+    }
+    set_errors(path, first + begin, direction, x, stretch);
+    return true;
 }
 
 /// Set keys and slopes of stretches, of which all else is set.
@@ -276,6 +452,25 @@ static void index_stretches(maplines_stretches_t *seen)
     {
         seen->slope[i] = (seen->y[i + 1] - seen->y[i]) / (seen->key[i + 1] - seen->key[i]);
     }
+    for (size_t line = 0; line < seen->lines; ++line)
+    {
+        const maplines_stretch_t *stretch = &seen->stretch[line];
+        const double shift = (double)line * seen->step;
+        size_t i = stretch->first;
+        seen->area[i] = 0.0;
+        seen->square[i] = 0.0;
+        seen->cube[i] = 0.0;
+        for (; i + 1 < stretch->first + stretch->count; ++i)
+        {
+            const double low = seen->key[i] - shift;
+            const double high = seen->key[i + 1] - shift;
+            const double length = high - low;
+            const double square = length * length * length / 6.0;
+            seen->area[i + 1] = seen->area[i] + (seen->y[i] + seen->y[i + 1]) / 2.0 * length;
+            seen->square[i + 1] = seen->square[i] + square;
+            seen->cube[i + 1] = seen->cube[i] + square * (1.5 * (low + high));
+        }
+    }
 }
 
 void maplines_see(const maplines_path_t *paths, size_t count, const maplines_look_t *look,
@@ -299,6 +494,10 @@ void maplines_see(const maplines_path_t *paths, size_t count, const maplines_loo
         {
             left_out[i] = MAPLINES_NOT_IN_WINDOW;
         }
+        else if (stretch->bends > look->max_unseen * look->max_unseen)
+        {
+            left_out[i] = MAPLINES_FEW_POINTS;
+        }
         else
         {
             left_out[i] = MAPLINES_GIVEN;
@@ -312,22 +511,11 @@ void maplines_see(const maplines_path_t *paths, size_t count, const maplines_loo
 /* ---- values of stretches ----------------------------------------------------------------------
  */
 
-/// Index of the last point whose key is not greater, from one of which that is known.
-static size_t next_point(const maplines_stretches_t *seen, double key, size_t i)
-{
-    while (i + 1 < seen->points && seen->key[i + 1] <= key)
-    {
-        ++i;
-    }
-    return i;
-}
-
-/// The same from the points of a stretch.
+/// Index of the last point of a stretch whose key is not greater.
 static size_t first_point(const maplines_stretches_t *seen, size_t line, double key)
 {
     size_t low = seen->stretch[line].first;
     size_t high = low + seen->stretch[line].count;
-    low = low > 0 ? low - 1 : 0; // rounding may take the end of a range to the stretch before
     while (high - low > 1)
     {
         const size_t middle = low + (high - low) / 2;
@@ -343,35 +531,53 @@ static size_t first_point(const maplines_stretches_t *seen, size_t line, double 
     return low;
 }
 
-void maplines_lateral(const maplines_stretches_t *seen, size_t line, size_t count, const double *x,
-                      double *y)
+void maplines_divide(const maplines_stretches_t *seen, size_t line, const double x_range[2],
+                     size_t count, maplines_cells_t *cells)
 {
     const double shift = (double)line * seen->step;
-    size_t i = first_point(seen, line, x[0] + shift);
-    for (size_t k = 0; k < count; ++k)
+    const double centre = (x_range[0] + x_range[1]) / 2.0;
+    const double half = (x_range[1] - x_range[0]) / 2.0;
+    const double length = (x_range[1] - x_range[0]) / (double)count;
+    const double scale = 1.0 / (half * half * length);
+    const size_t last = seen->stretch[line].first + seen->stretch[line].count - 1;
+    size_t i = first_point(seen, line, x_range[0] + shift);
+    double area = 0.0;
+    double square = 0.0;
+    double cube = 0.0;
+    for (size_t k = 0; k <= count; ++k)
     {
-        const double key = x[k] + shift;
-        i = next_point(seen, key, i);
-        const double beyond = key - seen->key[i];
-        const bool is_between = beyond > 0.0 && i + 1 < seen->points;
-        y[k] = is_between ? seen->slope[i] * beyond + seen->y[i] : seen->y[i];
-    }
-}
-
-void maplines_positions(const maplines_stretches_t *seen, size_t line, size_t count,
-                        const double *x, double *position)
-{
-    const double shift = (double)line * seen->step;
-    size_t i = first_point(seen, line, x[0] + shift);
-    for (size_t k = 0; k < count; ++k)
-    {
-        const double key = x[k] + shift;
-        i = next_point(seen, key, i);
-        position[k] = (double)i;
-        if (key > seen->key[i] && i + 1 < seen->points)
+        const double offset = (double)k * length;
+        const double x = k < count ? x_range[0] + offset : x_range[1];
+        while (i < last && seen->key[i + 1] <= x + shift)
         {
-            const double slope = 1.0 / (seen->key[i + 1] - seen->key[i]);
-            position[k] = slope * (key - seen->key[i]) + (double)i;
+            ++i;
         }
+        const double low = seen->key[i] - shift;
+        const double beyond = x - low;
+        double next_area = seen->area[i];
+        double next_square = seen->square[i];
+        double next_cube = seen->cube[i];
+        cells->position[k] = (double)i;
+        if (beyond > 0.0 && i < last)
+        {
+            const double step = seen->key[i + 1] - seen->key[i];
+            const double beyond2 = beyond * beyond;
+            const double by_two = step * beyond2 / 2.0 - beyond2 * beyond / 3.0;
+            const double by_three = step * (beyond2 * beyond) / 3.0 - beyond2 * beyond2 / 4.0;
+            next_area += beyond * (seen->y[i] + seen->slope[i] * beyond / 2.0);
+            next_square += by_two;
+            next_cube += by_three + (2.0 * low + seen->key[i + 1] - shift) * by_two;
+            cells->position[k] += beyond / step;
+        }
+        if (k > 0)
+        {
+            cells->y[k - 1] = (next_area - area) / length;
+            cells->square[k - 1] = (next_square - square) * scale;
+            cells->cube[k - 1] =
+                ((next_cube - cube) - 3.0 * centre * (next_square - square)) * scale / half;
+        }
+        area = next_area;
+        square = next_square;
+        cube = next_cube;
     }
 }

@@ -1,58 +1,101 @@
 """Cubics of map lines: the longest range in which one follows its line, and what it misses there.
 
-A line is sampled at 64 places of a range, denser near its ends, and a cubic is fitted by least
-squares. In terms of w, -1 to 1 in the range, the coefficients are products of fixed rows with the
-samples. The cubic is then shifted, so that its largest deviation from the line is least.
+The points of a line are samples of the road, each with an error. A range is divided into cells, and
+a cubic is fitted by least squares so that the means of its chords between the points are those of
+the line: it is exact where the points lie on a cubic, however far apart they are. Weights of the
+cells are their shares of the measure of Chebyshev, so that the fit is best near the ends, too. What
+is left of the line after averages over some metres is compared with what errors of the points
+leave; the rest is the shape of the road that the cubic misses.
 """
 
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
-from collections.abc import Sequence
 from itertools import pairwise
-from statistics import median
 from typing import NamedTuple
 
-from .elementary import clipped
-from .levels import NODES, SHAPE
-from .lines import cubic_fit, extrema, places
-from .matrices import Matrix, Vector, diagonal, dot_by_halves, total
-from .stretches import Stretches
+from .elementary import atan, clipped
+from .levels import SHAPE
+from .matrices import Matrix, Vector, dot_by_halves, matrix
+from .stretches import Cells, Stretches
 
-#: Nodes of the fits in the search for the longest range.
-COARSE = Vector(extrema(32)[::-1])
+#: Cells of a range, and of a range that is tried.
+CELLS, COARSE_CELLS = 64, 16
+#: Damping of the inverse that takes curvatures of chords to those of a cubic.
+DAMPING = 0.05
+#: A cubic may differ from its chords by this share of the sagittas that points show.
+BULGE = 0.5
+#: Length over which what a cubic leaves is averaged [m].
+AVERAGE = 4.0
+#: Variances of a mean that errors of the points explain in the greatest one.
+NOISE_LIMIT = 14.0
+#: Points in a range of which half of what they show is taken for their errors.
+SHARED_POINTS = 20.0
 #: Starts of the ranges that are tried, as shares of the way from the car back to the window's end;
-#: ends that are tried in a round, as shares of what is left; rounds.
-STARTS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)
-ENDS, ROUNDS = (0.25, 0.5, 0.75, 1.0), 4
-#: A metre behind the car counts this share of a metre ahead.
-BEHIND = 0.5
-#: Share of a range that is kept if its misfit is still too large, and how often at most.
-SHRINK, SHRINKS = 0.97, 10_000
-#: Places of a range at which second differences are taken, and over which distances [m].
-GRID, SPACINGS = 129, (5.0, 10.0, 20.0)
+#: ends of each, evenly from the car to the window's end.
+STARTS, ENDS = (0.0, 0.15, 0.35, 0.65, 1.0), 6
+#: Width of the root of the misfit in which a range becomes bad; least step of the root.
+SOFT, LEAST_STEP = 0.1, 1e-6
+#: A metre behind the car counts this share of a metre ahead; ranges whose reach is less than the
+#: best by up to this length count, too [m].
+BEHIND, NEARLY = 0.5, 4.0
+#: Share of a range that is kept at most if its misfit is still too large, and how often at most.
+SHRINK, SHRINKS = 0.998, 200
+#: Distances over which second differences are covered [m]. For each of these, variances of noise
+#: that explain the largest second differences, and their mean square. Those over short distances,
+#: which tell least of the shape, are hardest to tell from noise.
+SPACINGS, FAR_NOISE, MEAN_NOISE = (5.0, 10.0, 20.0), (25.0, 12.0, 7.0), (8.0, 6.0, 4.0)
 #: Least level of the shape, and standard deviation of T_0 beside the misfit [m].
-MIN_SIGMA = 0.01
+MIN_SIGMA = 0.004
 #: Variance of T_0, and least one of the level of the shape, in units of the squared misfit.
 LATERAL_SHARE, MIN_SHAPE = 0.2, 0.1
-#: Standard deviations within which this share of the second differences lies; those within which it
-#: lies of what errors of the points explain.
-LIMIT, SHARE, NOISE_LIMIT = 2.9, 0.97, 2.17
-#: Times the variance that points show is taken for that of their errors, up to the stated one; if
-#: they show more than so many times the stated one, it is the shape of the road.
-SHOWN, MAX_SHOWN = 4.0, 2.0
-#: Least number of points that show a variance; median of a squared standard normal variable.
-MIN_POINTS, MEDIAN = 8, 0.455
+#: Standard deviations within which this share of the second differences lies; mean square of these,
+#: in units of their variances, at most.
+LIMIT, SHARE, MEAN_SQUARE = 2.9, 0.97, 1.4
+#: For T_4 and T_5: mean squares of second derivatives, in units of the variance that they need;
+#: variances of noise that explain them; and these by the errors of one point.
+MODE_LEVELS, MODE_NOISE, MODE_VARIANCES = (2.6, 6.5), (0.1, 0.8), (3.8, 3.62)
 
 
-def _fit_rows(nodes: Vector) -> Matrix:
-    """Return the (4, n) matrix from values at nodes to the coefficients of w^0 .. w^3."""
-    units = diagonal([1.0] * len(nodes))
-    return Matrix(cubic_fit(nodes, unit, end_weight=1.0)[0] for unit in units).T
+def cell_means(n: int) -> Matrix:
+    """Return the (6, n) means of w^0 .. w^5 in n cells of equal length, from -1 to 1."""
+    h = 1 / n
+    w = Vector((2 * k + 1) * h - 1 for k in range(n))
+    ones, square, h2 = Vector([1.0] * n), w * w, h * h
+    fourth = square * square + 2 * h2 * square + h2 * h2 / 5 * ones
+    fifth = (fourth + 4 / 3 * h2 * square + 4 / 5 * h2 * h2 * ones) * w
+    return Matrix([ones, w, square + h2 / 3 * ones, (square + h2 * ones) * w, fourth, fifth])
 
 
-FIT, COARSE_FIT = _fit_rows(NODES), _fit_rows(COARSE)
+def cell_weights(n: int) -> Vector:
+    """Return the shares of the cells of the measure of Chebyshev, times pi."""
+    ends = [2 * k / n - 1 for k in range(n + 1)]
+    angles = [atan(w / math.sqrt(1 - w * w)) if abs(w) < 1 else w * math.pi / 2 for w in ends]
+    return Vector(b - a for a, b in pairwise(angles))
+
+
+def cell_rows(n: int) -> Matrix:
+    """Return the (6, n) matrix from means in cells to the coefficients of a fit.
+
+    They are those of w^0 .. w^3, and of T_4 and T_5 in what these leave.
+    """
+    means, weights = cell_means(n), cell_weights(n)
+    weighted = Matrix(weights * row for row in means[:4])
+    gram = matrix([dot_by_halves(a, b) for b in means[:4]] for a in weighted)
+    rows = gram.inverse() @ weighted
+    for mode in (
+        8 * means[4] - 8 * means[2] + means[0],
+        16 * means[5] - 20 * means[3] + 5 * means[1],
+    ):
+        rest = mode
+        for row, mean in zip(rows[:4], means[:4], strict=True):
+            rest = rest - dot_by_halves(row, mode) * mean
+        own = weights * rest
+        rows.append(own / dot_by_halves(own, rest))
+    return rows
+
+
+ROWS = {n: cell_rows(n) for n in (CELLS, COARSE_CELLS)}
 
 
 class Fitted(NamedTuple):
@@ -60,11 +103,17 @@ class Fitted(NamedTuple):
 
     begin: float  #: of the range [m]
     end: float
-    x: Vector  #: nodes, and the line there [m]
-    y: Vector
-    q: Vector  #: coefficients of w^0 .. w^3, before the shift [m]
-    shift: float  #: [m]
-    misfit: float  #: the largest deviation [m]
+    q: Vector  #: coefficients of w^0 .. w^3 [m]
+    modes: tuple[float, float]  #: of T_4 and T_5, which it leaves of the line [m]
+    cells: Cells
+    rest: Vector  #: what it leaves in the cells [m]
+    fit: Matrix  #: (4, 4), from the coefficients of chords between the points to q
+    square: float  #: of the misfit, what it misses beside errors of the points at most [m^2]
+
+    @property
+    def misfit(self) -> float:
+        """What the cubic misses of the line at most, beside errors of its points [m]."""
+        return math.sqrt(self.square)
 
 
 class Limits(NamedTuple):
@@ -80,21 +129,86 @@ def cubic_at(q: Vector, w: float) -> float:
     return q[0] + w * (q[1] + w * (q[2] + w * q[3]))
 
 
+# ---- the cubic of a range ---------------------------------------------------------------------
+
+
+def chord_fit(squares: Vector, cubes: Vector) -> Matrix:
+    """Return the (4, 4) matrix from the coefficients of chords to those of their cubic.
+
+    The chords of w^2 and w^3 exceed these by what has the given coefficients. The curvature
+    (q2, q3) solves M q = that of the chords. M is 1 for close points. Where few points cannot tell
+    the curvature, M is nearly singular, and the least curvature is taken.
+    """
+    a, b, c, d = 1 + squares[2], cubes[2], squares[3], 1 + cubes[3]
+    weight = DAMPING * DAMPING
+    aa, ab, bb = a * a + c * c + weight, a * b + c * d, b * b + d * d + weight
+    scale = (1 + weight) / (aa * bb - ab * ab)
+    by_square = (bb * a - ab * b) * scale, (bb * c - ab * d) * scale
+    by_cube = (aa * b - ab * a) * scale, (aa * d - ab * c) * scale
+    fit = [[float(i == j) for j in range(2)] for i in range(2)] + [[0.0, 0.0], [0.0, 0.0]]
+    for i in range(2):
+        fit[i] += [
+            -(squares[i] * s + cubes[i] * c) for s, c in zip(by_square, by_cube, strict=True)
+        ]
+    fit[2] += by_square
+    fit[3] += by_cube
+    return matrix(fit)
+
+
+def fitted_in(seen: Stretches, line: int, begin: float, end: float, count: int = CELLS) -> Fitted:
+    """Return the cubic in a range."""
+    cells, shown = seen.cells(line, begin, end, count), seen.shown[line]
+    of_chords, squares, cubes = (
+        Vector(row @ means for row in ROWS[count]) for means in (cells.y, cells.square, cells.cube)
+    )
+    fit = chord_fit(squares, cubes)
+    q = Vector(row @ of_chords[:4] for row in fit)
+    quartic, quintic = (of_chords[m] - (q[2] * squares[m] + q[3] * cubes[m]) for m in (4, 5))
+    usual, h, rest = BULGE * math.sqrt(shown.sagitta), 1 / count, []
+    for k in range(count):
+        w = (2 * k + 1) * h - 1
+        square, cube = w * w + h * h / 3, w * (w * w + h * h)
+        bulge = q[2] * cells.square[k] + q[3] * cells.cube[k]
+        cubic = q[0] + q[1] * w + (q[2] * square + q[3] * cube)
+        more = abs(bulge) - usual if abs(bulge) > usual else 0.0
+        rest.append(cells.y[k] - (cubic + bulge) + (more if bulge > 0 else -more))
+    found = Fitted(begin, end, q, (quartic, quintic), cells, Vector(rest), fit, 0.0)
+    return found._replace(square=squared_misfit(found, shown.error))
+
+
+def noise_share(points: float) -> float:
+    """Return the share of what points show of their errors that is taken for errors.
+
+    The rest, and all of it where points are few, may be the shape of the road.
+    """
+    square = points * points
+    return square / (square + SHARED_POINTS * SHARED_POINTS)
+
+
+def squared_misfit(fitted: Fitted, error: float) -> float:
+    """Return the square of the greatest mean over some metres, or of the modes [m^2].
+
+    What errors of the points explain of a mean is taken off.
+    """
+    rest, position = fitted.rest, fitted.cells.position
+    count = len(rest)
+    noise = NOISE_LIMIT * noise_share(position[-1] - position[0]) * error
+    wanted = round(AVERAGE / ((fitted.end - fitted.begin) / count))
+    width = min(wanted, count // 4) if wanted > 1 else 1
+    quartic, quintic = fitted.modes
+    greatest, part = quartic * quartic + quintic * quintic, 0.0
+    for value in rest[:width]:
+        part += value
+    for k in range(count - width + 1):
+        mean = part / width
+        excess = mean * mean - noise / (1 + (position[k + width] - position[k]))
+        greatest = excess if excess > greatest else greatest
+        if k + width < count:
+            part += rest[k + width] - rest[k]
+    return greatest
+
+
 # ---- the longest range ------------------------------------------------------------------------
-
-
-def fitted_in(seen: Stretches, line: int, begin: float, end: float) -> Fitted:
-    """Return the cubic in a range. Its misfit counts at the nodes and at all points within."""
-    x = places(begin, end, NODES)
-    y = Vector(seen.lateral(line, u) for u in x)
-    q = Vector(dot_by_halves(row, y) for row in FIT)
-    rest = [v - cubic_at(q, w) for v, w in zip(y, NODES, strict=True)]
-    centre, half = (begin + end) / 2, (end - begin) / 2
-    for u, v in seen.points(line):
-        w = (u - centre) / half
-        rest.append(0.0 if abs(w) >= 1 else v - cubic_at(q, w))
-    least, greatest = min(rest), max(rest)
-    return Fitted(begin, end, x, y, q, (greatest + least) / 2, (greatest - least) / 2)
 
 
 def longest_range(seen: Stretches, line: int, limits: Limits) -> Fitted | None:
@@ -104,16 +218,22 @@ def longest_range(seen: Stretches, line: int, limits: Limits) -> Fitted | None:
     """
     ends = _whole(seen.ranges[line], limits.step)
     found = fitted_in(seen, line, *ends)
-    for trial in range(SHRINKS + 1):
+    if found.misfit > limits.max_misfit:
+        ends = _whole(_search(seen, line, limits), limits.step)
+        found = fitted_in(seen, line, *ends)
+    for _ in range(SHRINKS):
         if not found.misfit > limits.max_misfit:
             break
+        # What a cubic misses grows with the fourth power of a range.
+        share = SHRINK * math.sqrt(math.sqrt(limits.max_misfit / found.misfit))
         car = clipped(0.0, *ends)
-        shorter = car + SHRINK * (ends[0] - car), car + SHRINK * (ends[1] - car)
-        ends = _whole(shorter if trial else _search(seen, line, limits), limits.step)
+        shorter = car + share * (ends[0] - car), car + share * (ends[1] - car)
+        ends = _whole(shorter, limits.step)
         if ends[0] == ends[1]:
             return None
         found = fitted_in(seen, line, *ends)
-    return found if found.misfit <= limits.max_misfit and math.isfinite(found.misfit) else None
+    is_found = found.misfit <= limits.max_misfit and math.isfinite(found.misfit)
+    return found if is_found and ends[0] < ends[1] else None
 
 
 def _whole(ends: tuple[float, float], step: float) -> tuple[float, float]:
@@ -126,130 +246,120 @@ def _whole(ends: tuple[float, float], step: float) -> tuple[float, float]:
     return (low, high) if low + step <= high else ends
 
 
-def follows(seen: Stretches, line: int, begin: float, end: float, span: float) -> bool:
-    """Return whether the deviations of a line from its cubic span no more than this."""
-    y = [seen.lateral(line, x) for x in places(begin, end, COARSE)]
-    q = Vector(dot_by_halves(row, y) for row in COARSE_FIT)
-    rest = [v - cubic_at(q, w) for v, w in zip(y, COARSE, strict=True)]
-    return max(rest) - min(rest) <= span
+def _goodness_to(root: float) -> float:
+    """Return the integral from 0 of how good a range is: 1, and 0 from the root 1 on."""
+    v = root - (1 - SOFT)
+    w = min(v, SOFT)
+    return 1 - SOFT + (w - w * w / (2 * SOFT)) if v > 0 else root
 
 
-class _Candidate(NamedTuple):
-    """A range that is tried: its start, and the interval with the end of the longest one."""
-
-    begin: float
-    inner: float
-    outer: float
-    is_found: bool
-
-    def reach(self, end: float) -> float:
-        return end - BEHIND * self.begin if self.is_found else -math.inf
+def goodness(begin: float, end: float) -> float:
+    """Return the mean goodness while the root of the misfit goes from one value to another."""
+    step = end - begin
+    if abs(step) > LEAST_STEP:
+        return (_goodness_to(end) - _goodness_to(begin)) / step
+    return clipped((1 - begin) / SOFT, 0.0, 1.0)
 
 
 def _search(seen: Stretches, line: int, limits: Limits) -> tuple[float, float]:
-    """Return the range with the longest reach, about the room behind the car."""
+    """Return the range with the longest reach.
 
-    def narrowed(candidate: _Candidate) -> _Candidate:
-        begin, inner, outer, is_found = candidate
-        ends, span = [inner + (outer - inner) * share for share in ENDS], 2 * limits.max_misfit
-        good = [i for i, end in enumerate(ends) if follows(seen, line, begin, end, span)]
-        if not good:
-            return _Candidate(begin, inner, ends[0], is_found)
-        return _Candidate(begin, ends[good[-1]], [*ends, ends[-1]][good[-1] + 1], True)
-
+    All ends from the car on count by how good they are, and all starts by their reach. So the range
+    moves with the car.
+    """
     low, high = seen.ranges[line]
     car = clipped(-limits.room, low, high)
-    starts = [car + (low - car) * share for share in STARTS]
-    candidates = [_Candidate(start, car, high, start == car) for start in starts]
-    for _ in range(ROUNDS):
-        candidates = [narrowed(one) for one in candidates]
-        best = max(one.reach(one.inner) for one in candidates)
-        candidates = [one for one in candidates if one.outer - BEHIND * one.begin >= best]
-    chosen = max(reversed(candidates), key=lambda one: one.reach(one.inner))  # the last one
-    return chosen.begin, chosen.inner
+
+    def root(begin: float, end: float) -> float:
+        if not begin < end:
+            return 0.0
+        square = fitted_in(seen, line, begin, end, COARSE_CELLS).square
+        return math.sqrt(math.sqrt(square)) / math.sqrt(limits.max_misfit)
+
+    tried, best = [], -math.inf
+    for share in STARTS:
+        begin, end = car + (low - car) * share, car
+        before = root(begin, car)
+        weight = goodness(before, before)
+        for k in range(1, ENDS + 1):
+            after = root(begin, car + (high - car) * (k / ENDS) if k < ENDS else high)
+            end += (high - car) / ENDS * goodness(before, after)
+            before = after
+        reach = end - BEHIND * begin
+        best = reach if weight > 0 and reach > best else best
+        tried.append((begin, end, weight))
+    begin = end = total = 0.0
+    for one_begin, one_end, weight in tried:
+        lack = (best - (one_end - BEHIND * one_begin)) / NEARLY
+        nearness = 1 - lack if lack < 1 else 0.0
+        weight = weight * (nearness * nearness) if weight > 0 else 0.0
+        begin += weight * one_begin
+        end += weight * one_end
+        total += weight
+    return begin / total, end / total
 
 
 # ---- what a cubic misses ----------------------------------------------------------------------
 
 
-def coefficient_variances(seen: Stretches, line: int, cubic: Fitted, point_sigma: float) -> Vector:
+def coefficient_variances(seen: Stretches, line: int, fitted: Fitted) -> Vector:
     """Return the variances of the coefficients of T_0 .. T_3 that cover what a cubic misses [m^2].
 
-    T_0 has a share of the misfit. T_1 .. T_3 have ``SHAPE`` times a level, the least one with which
-    second differences of the rest over 5, 10 and 20 m have an rms of one standard deviation, and
-    nearly all are at most 2.9. What errors of the map's points explain of them is taken off, up to
-    the stated one.
+    T_0 has a share of the misfit. T_1 .. T_3 have ``SHAPE`` times a level: the least one with which
+    second differences of means of the rest, over 5, 10 and 20 m, have a mean square of 1.4
+    variances, and nearly all are at most 2.9 standard deviations. What errors of the points explain
+    of them is taken off. T_4 and T_5 tell what is smooth from noise better, so the level is at
+    least what they need. Both have what a line may do between its points in addition.
     """
-    nodes = [i * (2 / (GRID - 1)) - 1 for i in range(GRID)]
-    x = places(cubic.begin, cubic.end, nodes)
-    fit = [cubic_at(cubic.q, w) for w in nodes]
-    rest = [seen.lateral(line, u) - v for u, v in zip(x, fit, strict=True)]
-    noise, stated = 0.0, point_sigma * point_sigma
-    if point_sigma > 0:
-        shown = shown_noise(seen.points(line), x, fit)
-        noise = min(stated, SHOWN * shown) if shown <= MAX_SHOWN * stated else 0.0
-    position = [seen.position(line, u) for u in x] if noise > 0 else []
-    squared, floor = cubic.misfit * cubic.misfit, MIN_SIGMA * MIN_SIGMA
-    level = max(floor, MIN_SHAPE * squared)
-    for spacing in SPACINGS:
-        steps = max(1, round((GRID - 1) * spacing / (cubic.end - cubic.begin)))
-        if 2 * steps <= GRID - 1:
-            level = max(level, least_level(rest, steps, position, noise))
-    return Vector([LATERAL_SHARE * squared + floor, *(level * SHAPE.diagonal())[1:]])
+    shown, cells = seen.shown[line], fitted.cells
+    length, points = fitted.end - fitted.begin, cells.position[-1] - cells.position[0]
+    noise, squared = noise_share(points) * shown.error, fitted.misfit * fitted.misfit
+    floor, level = MIN_SIGMA * MIN_SIGMA, level_of_modes(fitted, noise / points)
+    level = max(floor, MIN_SHAPE * squared, level)
+    for spacing, *noises in zip(SPACINGS, FAR_NOISE, MEAN_NOISE, strict=True):
+        share = round(CELLS * max(spacing, length / points) / length)  # less is not seen
+        if 5 * share <= 2 * CELLS:
+            level = max(level, least_level(fitted, max(1, share), noise, *noises))
+    level += 2 * shown.unseen
+    lateral = LATERAL_SHARE * (squared + shown.unseen) + floor
+    return Vector([lateral, *(level * SHAPE.diagonal())[1:]])
 
 
-def least_level(rest: list[float], steps: int, position: list[float], noise: float) -> float:
-    """Return the least squared level for second differences over steps of the grid [m^2]."""
-    count = GRID - 2 * steps
-    h = steps * 2 / (GRID - 1)
-    terms, beyond = [0.0] * GRID, []
+def level_of_modes(fitted: Fitted, variance: float) -> float:
+    """Return the least squared level for T_4 and T_5 [m^2]."""
+    level = 0.0
+    for mode, scale, explained, of_point in zip(
+        fitted.modes, MODE_LEVELS, MODE_NOISE, MODE_VARIANCES, strict=True
+    ):
+        square = mode * mode - explained * of_point * variance
+        level += scale * square / MEAN_SQUARE if square > 0 else 0.0
+    return level
+
+
+def least_level(
+    fitted: Fitted, steps: int, variance: float, far_noise: float, mean_noise: float
+) -> float:
+    """Return the least squared level for second differences over steps of cells [m^2]."""
+    rest, position, width = fitted.rest, fitted.cells.position, (steps + 1) // 2
+    count = CELLS + 1 - width - 2 * steps
+    h = steps * 2 / CELLS
+    scale = 1 / (h * h * (h * h))
+    means, noises = [], []
+    for i in range(CELLS + 1 - width):
+        part = 0.0
+        for value in rest[i : i + width]:
+            part += value
+        means.append(part / width)
+        noises.append(variance / (1 + (position[i + width] - position[i])))
+    near, levels = 0.0, []
     for i in range(count):
         # Second differences of T_2 are 4 h^2, those of T_3 are 24 w h^2, with w in the middle.
-        of_cubic = 24 * ((i * (2 / (GRID - 1)) - 1) + h)
-        variance = h * h * (h * h) * (16 * SHAPE[2][2] + of_cubic * of_cubic * SHAPE[3][3])
-        places = i, i + steps, i + 2 * steps
-        a, b, c = (rest[k] for k in places)
-        squared, explained = (a - 2 * b + c) * (a - 2 * b + c), 0.0
-        if noise > 0:
-            explained = noise * second_difference_variance([position[k] for k in places])
-        terms[i] = (squared - explained) / variance
-        beyond.append((squared - NOISE_LIMIT * NOISE_LIMIT * explained) / variance)
-    far = sorted(beyond)[math.ceil(SHARE * count) - 1] / (LIMIT * LIMIT)
-    return max(far, total(terms) / count)
-
-
-def shown_noise(points: Sequence[tuple[float, float]], x: Vector, fit: list[float]) -> float:
-    """Return the variance of errors of the map's points that a line shows [m^2].
-
-    It is that of white noise with the same median of the squared third differences.
-    """
-    rest = []
-    for u, v in points:
-        if x[0] <= u <= x[-1]:
-            i = bisect_right(x, u) - 1
-            value = fit[i]
-            if i + 1 < len(x) and u > x[i]:
-                value = (fit[i + 1] - fit[i]) / (x[i + 1] - x[i]) * (u - x[i]) + fit[i]
-            rest.append(v - value)
-    if len(rest) < MIN_POINTS:
-        return 0.0
-    for _ in range(3):
-        rest = [b - a for a, b in pairwise(rest)]
-    return median([d * d for d in rest]) / (20 * MEDIAN)
-
-
-def second_difference_variance(position: Sequence[float]) -> float:
-    """Return the variance of a second difference for unit errors of the map's points.
-
-    Each of the three places has the weighted mean of the errors of two points.
-    """
-    behind, ahead = [], []  # points, and the weights of their errors
-    for place, factor in zip(position, (1, -2, 1), strict=True):
-        point = math.floor(place)
-        behind.append((point, factor * (1 - (place - point))))
-        ahead.append((point + 1, factor * (place - point)))
-    variance = 0.0
-    for i, a in (*behind, *ahead):
-        for j, b in (*behind, *ahead):
-            variance += a * b if i == j else 0.0
-    return variance
+        j, k = i + steps, i + 2 * steps
+        of_cubic = 24 * ((2 * j + width) / CELLS - 1)
+        unit = scale / (16 * SHAPE[2][2] + of_cubic * of_cubic * SHAPE[3][3])
+        second = means[i] - 2 * means[j] + means[k]
+        explained = noises[i] + 4 * noises[j] + noises[k]
+        levels.append((second * second - far_noise * explained) * unit)
+        near += (second * second - mean_noise * explained) * unit
+    far = sorted(levels)[math.ceil(SHARE * count) - 1] / (LIMIT * LIMIT)
+    return max(far, near / (count * MEAN_SQUARE))

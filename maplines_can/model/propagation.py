@@ -17,7 +17,7 @@ from .cubic_ranges import Limits
 from .elementary import clipped, sin_cos
 from .lines import Curve, margin_at, valid_range
 from .matrices import Matrix, Vector, diagonal, matrix
-from .refits import UNKNOWN, Refit, is_across, line_at, line_or_extended, quartic, refit
+from .refits import UNKNOWN, Refit, is_across, line_at, line_or_extended, refit
 from .stretches import Look, Path, Stretch, Stretches, stretch_of
 
 #: Largest and least limit of the angle between a line and the x axis, 65 and 20 degrees, and
@@ -137,7 +137,8 @@ def pose_view(query: Query) -> PoseView:
     low, high = query.window
     farthest = max(abs(low), abs(high))
     room = max(margin_at(cov, farthest, y) for y in (ASIDE, -ASIDE))
-    return PoseView(Look(query.mean, low - room, high + room, turn), pose_cov, cov, room)
+    look = Look(query.mean, low - room, high + room, turn, query.max_misfit)
+    return PoseView(look, pose_cov, cov, room)
 
 
 def seen_of(paths: Sequence[Path], look: Look) -> tuple[list[Stretch], list[int], dict[int, str]]:
@@ -289,7 +290,7 @@ def _joint(
         return None
     means = matrix(mean[i : i + 4] for i in range(0, len(mean), 4))
     ranges = [_valid_range(query, view, *pair) for pair in zip(refits, means, strict=True)]
-    return Scene(means, cov, ranges, refits, [quartic(one) for one in refits])
+    return Scene(means, cov, ranges, refits, [one.quartic for one in refits])
 
 
 def _certain_ranges(query: Query, scene: Scene) -> list[tuple[float, float] | None]:

@@ -1,14 +1,14 @@
 """A map line as a function of the pose: the cubic that it is, seen from there.
 
-The points of its longest range are turned, and a cubic is fitted to them by least squares. As a
-rotation mixes u and v linearly, each sum of the normal equations is a polynomial in the cosine and
-sine of the turn. What the map's error and the misfit add to the covariance is independent of it.
+Points of its cubic in the longest range, and of the T_4 that it leaves, are turned, and a cubic is
+fitted to them by least squares. As a rotation mixes u and v linearly, each sum of the normal
+equations is a polynomial in the cosine and sine of the turn. What the map's error and the misfit
+add to the covariance is independent of it.
 """
 
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Sequence
 from fractions import Fraction
 from itertools import accumulate, pairwise, repeat
@@ -16,8 +16,16 @@ from operator import mul
 from typing import NamedTuple
 
 from ..values.map_error import MapError
-from .cubic_ranges import FIT, Limits, coefficient_variances, longest_range
-from .elementary import atan, hypot, sin_cos, tan
+from .cubic_ranges import (
+    CELLS,
+    ROWS,
+    Fitted,
+    Limits,
+    coefficient_variances,
+    cubic_at,
+    longest_range,
+)
+from .elementary import atan, hypot, sin_cos
 from .levels import NODES
 from .lines import (
     HALVINGS,
@@ -27,11 +35,10 @@ from .lines import (
     bases,
     cubic_fit,
     derivatives,
-    lateral_row,
     line_derivatives,
-    y_of,
+    places,
 )
-from .matrices import Matrix, Vector, diagonal, dot_by_halves, matrix, total
+from .matrices import Matrix, Vector, diagonal, dot_by_halves, total
 from .stretches import Stretches
 
 #: Share of the advance of the chords that must not run backwards.
@@ -57,6 +64,7 @@ class Refit(NamedTuple):
     begin: float  #: of the range that the cubic describes, seen from the mean pose [m]
     end: float
     misfit: float  #: largest deviation of the cubic from the line [m]
+    quartic: float  #: coefficient of T_4 that the cubic leaves of the line [m]
     x: Vector  #: points to which cubics are fitted [m]
     y: Vector
     pose: Vector  #: the mean pose
@@ -75,26 +83,31 @@ def refit(
     fitted = longest_range(seen, line, limits)
     if fitted is None:
         return None
-    begin, end, x, y, _, shift, misfit = fitted
-    is_covered = math.isfinite(limits.max_misfit)
-    if is_covered:
-        y = Vector(v + shift for v in y)
-    centre, half = ((x[0] + x[-1]) / 2, (min(y) + max(y)) / 2), (x[-1] - x[0]) / 2
+    begin, end = fitted.begin, fitted.end
+    x = places(begin, end, NODES)
+    y = Vector(
+        cubic_at(fitted.q, w) + fitted.modes[0] * b for w, b in zip(NODES, BEND, strict=True)
+    )
+    centre, half = ((begin + end) / 2, (min(y) + max(y)) / 2), (end - begin) / 2
     of_u, of_v = sums_of(Vector((v - centre[1]) / half for v in y))
-    points, none = [*zip(x, y, strict=True)][::CHORD], diagonal([0.0] * 4)
+    points, noise = [*zip(x, y, strict=True)][::CHORD], diagonal([0.0] * 4)
     chords = [(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(points)]
     found = Refit(
-        begin, end, misfit, x, y, Vector(pose), centre, half, of_u, of_v, chords, none
+        begin, end, fitted.misfit, fitted.modes[0], x, y, Vector(pose), centre, half, of_u, of_v,
+        chords, noise,
     )  # fmt: skip
-    mean, noise = line_at(found, pose) or UNKNOWN, none
+    mean, variance = line_at(found, pose) or UNKNOWN, 0.0
     if error is not None:
-        noise = map_noise(found, mean, [seen.position(line, u) for u in x], error)
-    if is_covered:
+        variance = error.point_sigma * error.point_sigma
+        noise = drift_noise(found, error)
+    if math.isfinite(limits.max_misfit):
+        widened = seen.shown[line].widened
+        variance = widened if widened > variance else variance
         J = bases(Curve(mean, begin, end))
-        cover = coefficient_variances(
-            seen, line, fitted, 0.0 if error is None else error.point_sigma
-        )
-        noise += Matrix(row * cover for row in J) @ J.T
+        noise += Matrix(row * coefficient_variances(seen, line, fitted) for row in J) @ J.T
+    if variance > 0:
+        J = line_derivatives(diagonal([1.0] * 4), centre[0], half, mean[1])
+        noise += variance * J.congruence(fit_covariance(seen, fitted))
     return found._replace(noise=noise)
 
 
@@ -208,60 +221,43 @@ def line_or_extended(line: Refit, pose: Sequence[float]) -> Vector | None:
     return None
 
 
-def quartic(line: Refit) -> float:
-    """Return the coefficient of T_4 that the cubic leaves of the line [m]."""
-    return dot_by_halves(BEND / dot_by_halves(BEND, BEND), line.y)
-
-
 # ---- errors of the map ------------------------------------------------------------------------
 
 
-def map_noise(line: Refit, mean: Vector, position: list[float], error: MapError) -> Matrix:
-    """Return the covariance of a line due to the error of the map, to first order.
-
-    The positions of its points are indices among those of the map, with fractions.
-    """
+def drift_noise(line: Refit, error: MapError) -> Matrix:
+    """Return the covariance due to what of the error of the map acts as a pose error."""
     columns, sigmas = Matrix(), (error.offset_sigma, error.offset_sigma, error.heading_sigma)
     for step, sigma in zip(diagonal([STEP] * 3), sigmas, strict=True):
         ahead, back = (line_at(line, one) for one in (line.pose + step, line.pose - step))
         columns.append(((ahead or UNKNOWN) - (back or UNKNOWN)) / (2 * STEP) * sigma)
-    unit = unit_covariance(line, mean, position)
-    return columns.T @ columns + error.point_sigma * error.point_sigma * unit
+    return columns.T @ columns
 
 
-def unit_covariance(line: Refit, mean: Vector, position: list[float]) -> Matrix:
-    """Return the covariance of a line for unit errors of the points of the map."""
-    J = line_derivatives(diagonal([1.0] * 4), line.centre[0], line.half, mean[1])
-    unit = J.congruence(fit_covariance(line, mean, position))
-    # The fit averages the errors of the points, but the line itself has them in full.
-    rows = [lateral_row(tan(mean[1]), x) for x in line.x]
-    least = min(dot_by_halves((Matrix([row]) @ unit)[0], row) for row in rows)
-    unit[0][0] += 1 - least if least < 1 else 0.0
-    return unit
+def fit_covariance(seen: Stretches, fitted: Fitted) -> Matrix:
+    """Return the covariance of the coefficients of a cubic for independent errors of 1 m.
 
-
-def fit_covariance(line: Refit, mean: Vector, position: list[float]) -> Matrix:
-    """Return the covariance of the coefficients of a fit for unit errors of the map's points.
-
-    A fitted point has the weighted mean of the errors of its two neighbours. An error in x acts
-    twice: by the slope of the line, and by the change of the place in the range.
+    They are those of the points, in any direction. A cell has the errors of its chords, and a chord
+    those of its two ends.
     """
-    inverse = matrix([dot_by_halves(a, b) for b in FIT] for a in FIT)
-    slope = tan(mean[1])
-    of_y: dict[int, Vector] = defaultdict(lambda: Vector([0.0] * 4))  # effects of the errors
-    of_x: dict[int, Vector] = defaultdict(lambda: Vector([0.0] * 4))  # of each point
-    points = zip(line.x, line.y, NODES, FIT.T, position, strict=True)
-    for u, v, w, by_y, place in points:
-        along = slope + u * (mean[2] + u * mean[3] / 2)
-        rest = v - y_of(mean, slope, u)
-        by_place = (Matrix([Vector([0.0, 1.0, 2 * w, 3 * w * w])]) @ inverse)[0]
-        by_x = by_place / line.half * rest - by_y * along
-        below = math.floor(place)
-        for point, weight in ((below, 1 - (place - below)), (below + 1, place - below)):
-            of_y[point] += weight * by_y
-            of_x[point] += weight * by_x
-    S = diagonal([0.0] * 4)
-    for point in sorted(of_y):
-        S += of_y[point].outer()
-        S += of_x[point].outer()
-    return S
+    position, q, rows = fitted.cells.position, fitted.q, ROWS[CELLS][:4]
+    half = (fitted.end - fitted.begin) / 2
+    length = 2 * half / CELLS
+    before, after, S = Vector([0.0] * 4), Vector([0.0] * 4), diagonal([0.0] * 4)
+    i = int(position[0])
+    for k, (start, to) in enumerate(pairwise(position)):
+        w = (2 * k + 1) / CELLS - 1
+        slope = (q[1] + (2 * q[2] + 3 * q[3] * w) * w) / half
+        factor = math.sqrt(1 + slope * slope)  # errors in x act by the slope
+        row = Vector(one[k] for one in rows)
+        while start < to:
+            until = min(to, i + 1.0)
+            share = (until - start) * (seen.keys[i + 1] - seen.keys[i]) / length * factor
+            ahead = share * ((start + until) / 2 - i)
+            before, after = before + row * (share - ahead), after + row * ahead
+            start = until
+            if until == i + 1:
+                S += before.outer()
+                before, after, i = after, Vector([0.0] * 4), i + 1
+    S += before.outer()
+    S += after.outer()
+    return fitted.fit.congruence(S)

@@ -9,23 +9,58 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 from .elementary import clipped, hypot, sin_cos
+from .matrices import Vector
 
 #: Length over which the direction of a line is taken [m].
 DIRECTION_BASE = 0.5
 #: The least normal number: a step of no length has the square of this one.
 LEAST_SQUARE = 2.0**-1022
+#: Largest error that a point shows, and largest distance from a chord [m]; more is a corner.
+MOST_ERROR, MOST_SAGITTA = 1.0, 3.0
+#: Points of which errors, and distances from chords, are taken, if the line has so many.
+ERRORS, SAGITTAS = 30.0, 8.0
+#: Squared fourth differences for a degree of freedom.
+PER_FREEDOM = 2.63
+#: Error that is typical by the squared spacing of points [1/m], at most [m], and the degrees of
+#: freedom for which it counts.
+TYPICAL, MOST_TYPICAL, TYPICAL_COUNT = 1.8e-4, 0.06, 1.5
+#: Of the widening by Student's t, which holds 3 sigma from 3 degrees of freedom on.
+STUDENT = 1.3
+#: Variance of a line between its points by the squared sagitta, if there are many; number of points
+#: with which it is twice as much.
+BETWEEN, FEW_POINTS = 7e-4, 9.0
+#: The same by the square of the typical error, by that of the errors that points show if they are
+#: far apart, and the spacing at which half of that counts [m].
+BY_TYPICAL, BY_ERROR, FAR_APART = 0.3, 0.1, 10.0
 
 
-class Path(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Path:
     """A line of the map."""
 
     x: list[float]  #: of its points [m]
     y: list[float]
     distance: list[float]  #: arc length from the first point to each [m]
+
+    @cached_property
+    def errors(self) -> list[float]:
+        """Sums of the squared errors that points show, before each point [m^2]."""
+        known = range(2, len(self.x) - 2)
+        terms = (shown_error(self, i) if i in known else 0.0 for i in range(len(self.x)))
+        return [*accumulate(terms, initial=0.0)][:-1]
+
+    @cached_property
+    def sagittas(self) -> list[float]:
+        """Sums of their squared distances from the chords of their neighbours [m^2]."""
+        known = range(1, len(self.x) - 1)
+        terms = (squared_sagitta(self, i) if i in known else 0.0 for i in range(len(self.x)))
+        return [*accumulate(terms, initial=0.0)][:-1]
 
 
 class Look(NamedTuple):
@@ -35,6 +70,17 @@ class Look(NamedTuple):
     low: float  #: window, in the frame of the car [m]
     high: float
     max_turn: float  #: largest angle between a line and the x axis [rad]
+    max_unseen: float = math.inf  #: most that a line may bend between points, as a sigma [m]
+
+
+class Shown(NamedTuple):
+    """What the points of a line show of their errors, and of the line between them [m^2]."""
+
+    error: float = 0.0  #: variance of the errors of the points
+    widened: float = 0.0  #: the same, as far as so many points can tell it
+    sagitta: float = 0.0  #: mean square of the distances of points from chords
+    bends: float = 0.0  #: variance of the line between points, by the bends that they show
+    unseen: float = 0.0  #: the same in all
 
 
 class Stretch(NamedTuple):
@@ -44,6 +90,16 @@ class Stretch(NamedTuple):
     y: list[float]
     begin: float  #: of the range [m]
     end: float
+    shown: Shown
+
+
+class Cells(NamedTuple):
+    """Cells of equal length in a range of a stretch, which is -1 to 1 in w."""
+
+    y: Vector  #: means of the line [m]
+    square: Vector  #: of what the chords between its points exceed w^2 by
+    cube: Vector  #: and w^3
+    position: list[float]  #: of their ends: indices of points, with fractions
 
 
 def start_of(look: Look) -> tuple[float, float, float]:
@@ -60,7 +116,7 @@ def directions(path: Path, look: Look) -> list[int]:
     It is that of a chord, which extends half a base to both sides of the middle of the step, if any
     step is shorter than that.
     """
-    x, y, distance = path
+    x, y, distance = path.x, path.y, path.distance
     s, c = sin_cos(look.pose[2])
     cosine = sin_cos(look.max_turn)[1]
     has_short_steps = any(b - a < DIRECTION_BASE for a, b in pairwise(distance))
@@ -82,7 +138,7 @@ def nearest_step(path: Path, look: Look, direction: Sequence[int]) -> int | None
 
     If the very nearest is across it, others are sought up to the reach along the line.
     """
-    x, y, distance = path
+    x, y, distance = path.x, path.y, path.distance
     start_x, start_y, reach = start_of(look)
     steps, squares, places = range(len(x) - 1), [], []
     for i in steps:
@@ -127,7 +183,115 @@ def stretch_of(path: Path, look: Look) -> Stretch | str:
     part = slice(inside[0], inside[-1] + 2)
     x, y = x[part][:: direction[nearest]], y[part][:: direction[nearest]]
     begin, end = max(look.low, x[0]), min(look.high, x[-1])
-    return Stretch(x, y, begin, end) if begin < end else "NOT_IN_WINDOW"
+    if not begin < end:
+        return "NOT_IN_WINDOW"
+    shown = shown_by(path, first + inside[0], direction[nearest], x, (begin, end))
+    if shown.bends > look.max_unseen * look.max_unseen:
+        return "FEW_POINTS"
+    return Stretch(x, y, begin, end, shown)
+
+
+# ---- errors of points -------------------------------------------------------------------------
+
+
+def capped(square: float, most: float) -> float:
+    """Return the square of a length up to the square of another one; 0 if it is not a number."""
+    positive = square if square > 0 else 0.0
+    return positive if positive < most * most else most * most
+
+
+def quotient(a: float, b: float) -> float:
+    """Return a / b as IEEE 754 has it, also for b = 0."""
+    if b == 0:
+        is_negative = math.copysign(1.0, a) * math.copysign(1.0, b) < 0
+        return math.nan if a == 0 or math.isnan(a) else math.copysign(math.inf, -is_negative or 1)
+    return a / b
+
+
+def shown_error(path: Path, i: int) -> float:
+    """Return the squared error that a point shows [m^2].
+
+    It is the fourth divided difference of the points about it, in standard deviations for
+    independent errors of 1 m. Errors along the line cancel.
+    """
+    x, y, distance = path.x, path.y, path.distance
+    sum_x = sum_y = squares = 0.0
+    for j in range(i - 2, i + 3):
+        product = 1.0
+        for k in range(i - 2, i + 3):
+            if k != j:
+                product *= distance[j] - distance[k]
+        weight = quotient(1.0, product)
+        sum_x += weight * (x[j] - x[i])
+        sum_y += weight * (y[j] - y[i])
+        squares += weight * weight
+    return capped(quotient(sum_x * sum_x + sum_y * sum_y, squares), MOST_ERROR)
+
+
+def squared_sagitta(path: Path, i: int) -> float:
+    """Return the squared distance of a point from the chord of its neighbours [m^2]."""
+    x, y = path.x, path.y
+    before, after = (x[i] - x[i - 1], y[i] - y[i - 1]), (x[i + 1] - x[i], y[i + 1] - y[i])
+    chord_x, chord_y = before[0] + after[0], before[1] + after[1]
+    across = before[0] * after[1] - before[1] * after[0]
+    return capped(quotient(across * across, chord_x * chord_x + chord_y * chord_y), MOST_SAGITTA)
+
+
+def mean_of(
+    sums: Sequence[float], margin: float, low: float, high: float, least: float
+) -> tuple[float, float]:
+    """Return the mean of terms of points from one place among them to another, and their number.
+
+    There are sums before each point. A term extends half a point to both sides. Those of some
+    points at both ends of the line are not known. If there are too few, those around count, too.
+    """
+    first, last = margin, len(sums) - margin
+    wider = max(0.0, (least - (high - low)) / 2)
+    if not last > first:
+        return 0.0, 0.0
+    begin, end = low + 0.5 - wider, high + 0.5 + wider
+    begin = begin if begin < last - least else last - least
+    begin = begin if begin > first else first
+    end = end if end > first + least else first + least
+    end = end if end < last else last
+    i, j = int(begin), int(end)
+    of_begin = (begin - i) * (sums[i + 1] - sums[i])
+    of_end = (end - j) * (sums[j + 1] - sums[j]) if j + 1 < len(sums) else 0.0
+    return ((sums[j] - sums[i]) + (of_end - of_begin)) / (end - begin), end - begin
+
+
+def shown_by(
+    path: Path, first: int, direction: int, x: Sequence[float], ends: tuple[float, float]
+) -> Shown:
+    """Return what the points of a stretch show; ``first`` is the first of them in the path.
+
+    A typical error stands for what a line of few points cannot show. Two points are a straight
+    line.
+    """
+    behind = (ends[0] - x[0]) / (x[1] - x[0]) if x[1] > x[0] else 0.0
+    ahead = (x[-1] - ends[1]) / (x[-1] - x[-2]) if x[-1] > x[-2] else 0.0
+    low = first + (behind if direction > 0 else ahead)
+    high = (first + (len(x) - 1)) - (ahead if direction > 0 else behind)
+    error, errors = mean_of(path.errors, 2.0, low, high, ERRORS)
+    square, sagittas = mean_of(path.sagittas, 1.0, low, high, SAGITTAS)
+    sagitta = square - 1.5 * error
+    sagitta = sagitta if sagitta > 0 else 0.0
+    spacing = quotient(ends[1] - ends[0], high - low)
+    usual = TYPICAL * spacing * spacing
+    typical = 0.0 if len(path.x) == 2 else usual if usual < MOST_TYPICAL else MOST_TYPICAL
+    freedom = errors / PER_FREEDOM
+    full = freedom + TYPICAL_COUNT
+    share = TYPICAL_COUNT / full * (typical * typical)
+    ratio = (full + 2.0) / (full + 2.0 - STUDENT)
+    widened = (freedom / full * error + share) * (ratio * ratio) * (ratio * ratio)
+    few = FEW_POINTS / (sagittas + 2.0)
+    bends = BETWEEN * sagitta * (1.0 + few * few * few * (few * few * few))
+    apart = 1 / (1 + quotient(FAR_APART, spacing))
+    unseen = bends + BY_TYPICAL * share + BY_ERROR * error * apart
+    return Shown(error, widened, sagitta, bends, unseen)
+
+
+# ---- values of stretches ----------------------------------------------------------------------
 
 
 class Stretches:
@@ -138,30 +302,63 @@ class Stretches:
 
     def __init__(self, stretches: Sequence[Stretch]) -> None:
         self.ranges = [(one.begin, one.end) for one in stretches]
-        self._stretches = stretches
+        self.shown = [one.shown for one in stretches]
         self._y = [y for one in stretches for y in one.y]
+        self._first = [*accumulate((len(one.x) for one in stretches), initial=0)]
         self._step = 2 * max((abs(x) for one in stretches for x in one.x), default=0.0) + 1
         keys = (x + line * self._step for line, one in enumerate(stretches) for x in one.x)
-        self._keys = [*accumulate(keys, max)]  # close points may run back a little
+        self.keys = [*accumulate(keys, max)]  # close points may run back a little
+        self._integrals = [self._integrals_of(line) for line in range(len(stretches))]
 
-    def points(self, line: int) -> list[tuple[float, float]]:
-        """Return the points of a line."""
-        return [*zip(self._stretches[line].x, self._stretches[line].y, strict=True)]
+    def _integrals_of(self, line: int) -> list[tuple[float, float, float]]:
+        """Return, for each point, integrals from the first one.
 
-    def lateral(self, line: int, x: float) -> float:
-        """Return the lateral position of a line [m], between two of its points."""
-        return self._between(self._y, line, x)
+        They are of y, and of what the chords of x^2 and x^3 exceed these by.
+        """
+        found, shift = [(0.0, 0.0, 0.0)], line * self._step
+        for i in range(self._first[line], self._first[line + 1] - 1):
+            low, high = self.keys[i] - shift, self.keys[i + 1] - shift
+            length = high - low
+            more = length * length * length / 6
+            area, square, cube = found[-1]
+            found.append(
+                (
+                    area + (self._y[i] + self._y[i + 1]) / 2 * length,
+                    square + more,
+                    cube + more * (1.5 * (low + high)),
+                )
+            )
+        return found
 
-    def position(self, line: int, x: float) -> float:
-        """Return the index of a point, with a fraction between it and the next one."""
-        return self._between(range(len(self._y)), line, x)
-
-    def _between(self, values: Sequence[float], line: int, x: float) -> float:
-        """Return the value at a place, by a straight line between the values of two points."""
-        key, keys = x + line * self._step, self._keys
-        first = sum(len(one.x) for one in self._stretches[:line])
-        # The last point whose key is not greater; rounding may take an end to the line before.
-        i = max(bisect_right(keys, key) - 1, first - 1, 0)
-        if not (key > keys[i] and i + 1 < len(keys)):
-            return float(values[i])
-        return (values[i + 1] - values[i]) / (keys[i + 1] - keys[i]) * (key - keys[i]) + values[i]
+    def cells(self, line: int, begin: float, end: float, count: int) -> Cells:
+        """Return the cells of a range."""
+        first, last, shift = self._first[line], self._first[line + 1] - 1, line * self._step
+        centre, half, length = (begin + end) / 2, (end - begin) / 2, (end - begin) / count
+        scale = 1 / (half * half * length)
+        integrals, position = [], []
+        for k in range(count + 1):
+            x = begin + k * length if k < count else end
+            # The last point of the stretch whose key is not greater.
+            i = max(bisect_right(self.keys, x + shift, first, last + 1) - 1, first)
+            low = self.keys[i] - shift
+            beyond = x - low
+            area, square, cube = self._integrals[line][i - first]
+            place = float(i)
+            if beyond > 0 and i < last:
+                step = self.keys[i + 1] - self.keys[i]
+                slope = (self._y[i + 1] - self._y[i]) / step
+                beyond2 = beyond * beyond
+                by_two = step * beyond2 / 2 - beyond2 * beyond / 3
+                by_three = step * (beyond2 * beyond) / 3 - beyond2 * beyond2 / 4
+                area += beyond * (self._y[i] + slope * beyond / 2)
+                square += by_two
+                cube += by_three + (2 * low + self.keys[i + 1] - shift) * by_two
+                place += beyond / step
+            integrals.append((area, square, cube))
+            position.append(place)
+        found = []
+        for before, after in pairwise(integrals):
+            area, square, cube = (b - a for a, b in zip(before, after, strict=True))
+            cube = (cube - 3 * centre * square) * scale / half
+            found.append((area / length, square * scale, cube))
+        return Cells(*map(Vector, zip(*found, strict=True)), position)

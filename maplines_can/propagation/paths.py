@@ -23,7 +23,13 @@ KEPT = 16
 #: is nearly parallel to the y axis, and no function y(x).
 MAX_TURN: float = math.radians(65.0)
 #: Reasons by their numbers in the core, from 1 on; 0 is that a line is given.
-REASONS = (LeftOut.NOT_IN_WINDOW, LeftOut.ACROSS, LeftOut.TOO_SHORT, LeftOut.UNCERTAIN)
+REASONS = (
+    LeftOut.NOT_IN_WINDOW,
+    LeftOut.ACROSS,
+    LeftOut.TOO_SHORT,
+    LeftOut.UNCERTAIN,
+    LeftOut.FEW_POINTS,
+)
 
 
 class Paths(NamedTuple):

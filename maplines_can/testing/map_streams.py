@@ -18,7 +18,7 @@ import numpy as np
 from ..model import propagation as model
 from ..model.cubic_ranges import Limits
 from ..model.refits import Refit as ModelRefit
-from ..model.refits import is_across, line_at, quartic, refit
+from ..model.refits import is_across, line_at, refit
 from ..model.stretches import Look, Path, Stretches, start_of
 from ..propagation import Quadrature, Refit, SigmaPoints, map_lines, map_scene
 from ..propagation.transform import Transform
@@ -272,7 +272,7 @@ def _refits(query: MapQuery, asked: model.Query) -> Any:
         [[[u, v] for u, v in zip(one.x, one.y, strict=True)] for one in refits],
         [is_across(one) for one in refits],
         [one.noise for one in refits] if has_noise else None,
-        [quartic(one) for one in refits],
+        [one.quartic for one in refits],
         [[line_at(one, pose) or [math.nan] * 4 for one in refits] for pose in query.poses.tolist()],
         moments,
     ]

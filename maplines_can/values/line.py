@@ -75,6 +75,7 @@ class LeftOut(StrEnum):
     ACROSS = "the line is across the car's x axis"
     TOO_SHORT = "the range of the line is shorter than the pose error"
     UNCERTAIN = "the line is less certain than the limit"
+    FEW_POINTS = "the points of the line are too few to tell how it bends"
     RANGE = "the message cannot state the range of the line"
     MEAN = "the message cannot state the parameters of the line"
     COVARIANCE = "no covariance of the message covers the line"

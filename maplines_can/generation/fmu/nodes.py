@@ -65,7 +65,8 @@ class Omission(IntEnum):
     ACROSS = 2
     TOO_SHORT = 3
     UNCERTAIN = 4
-    NO_LINE = 5
+    FEW_POINTS = 5
+    NO_LINE = 6
 
 
 class CanState(IntEnum):
