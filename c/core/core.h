@@ -311,6 +311,8 @@ bool maplines_check_gaussian(size_t n, double rounding, const double *mean, doub
                              double *memory);
 /// Lower triangular factor of an (n, n) matrix, n up to 32; false if a pivot is not positive.
 bool maplines_factor_of(size_t n, const double *S, double *L);
+/// Lower triangular square root of an (n, n) covariance, which may be singular, n <= 4.
+void maplines_root_of(size_t n, const double *cov, double *L);
 /// Eigenvalues (count, n) and eigenvectors of symmetric matrices (count, n, n), n up to 32. The
 /// matrices are overwritten.
 void maplines_eigen_of(size_t count, size_t n, double *S, double *values, double *V);

@@ -102,6 +102,11 @@ bool maplines_factor_of(size_t n, const double *S, double *L)
     return maplines_cholesky_factor((int)n, S, L);
 }
 
+void maplines_root_of(size_t n, const double *cov, double *L)
+{
+    maplines_square_root((int)n, cov, L);
+}
+
 void maplines_eigen_of(size_t count, size_t n, double *S, double *values, double *V)
 {
     for (size_t i = 0; i < count; i++)

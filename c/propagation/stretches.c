@@ -4,6 +4,8 @@
 #include <float.h>
 
 #define DIRECTION_BASE 0.5 ///< over which the direction of a line is taken [m]
+#define STRIDE 32          ///< points from one of which the distance is taken to the next
+#define ROUNDING 1e-9      ///< of distances, relative
 #define MOST_ERROR 1.0     ///< that points show; more is a corner of the line [m]
 #define MOST_SAGITTA 3.0   ///< the same for their distances from chords [m]
 #define ERRORS 30.0        ///< points of which errors are taken, if the line has so many
@@ -208,82 +210,72 @@ static int direction_of(const maplines_path_t *path, const frame_t *frame, size_
     return (advance >= least ? 1 : 0) - (advance <= -least ? 1 : 0);
 }
 
-static inline double clipped_share(double share)
-{
-    const double raised = share > 0.0 ? share : 0.0;
-    return raised < 1.0 ? raised : 1.0;
-}
-
 /// Where a step is nearest to the start, as a share of it.
 static double share_of(const maplines_path_t *path, const frame_t *frame, size_t i)
 {
     const double x = frame->start[0] - path->x[i];
     const double y = frame->start[1] - path->y[i];
     const double along = x * path->dx[i] + y * path->dy[i];
-    return clipped_share(along / path->squared[i]);
+    double share = along / path->squared[i];
+    share = share > 0.0 ? share : 0.0;
+    return share < 1.0 ? share : 1.0;
 }
 
-/// Squared distances of the steps from the start. Most of a query of a long line is this loop,
-/// which processors do two or four steps at a time.
-static void squared_distances(const maplines_path_t *path, const frame_t *frame,
-                              double *restrict squared)
+/// Squared distance of a step from the start.
+static double squared_distance(const maplines_path_t *path, const frame_t *frame, size_t i)
 {
-    const double *restrict x = path->x;
-    const double *restrict y = path->y;
-    const double *restrict dx = path->dx;
-    const double *restrict dy = path->dy;
-    const double *restrict length = path->squared;
-    const double start_x = frame->start[0];
-    const double start_y = frame->start[1];
+    const double share = share_of(path, frame, i);
+    const double along_x = share * path->dx[i];
+    const double along_y = share * path->dy[i];
+    const double x = frame->start[0] - path->x[i] - along_x;
+    const double y = frame->start[1] - path->y[i] - along_y;
+    const double square = x * x + y * y;
+    return square < (double)INFINITY ? square : (double)INFINITY; // NaN by overflow, too
+}
+
+/// The first of the nearest steps. What is nearer than some point by more than the way along the
+/// line from there cannot be the nearest, and is not visited.
+static size_t nearest_of_all(const maplines_path_t *path, const frame_t *frame)
+{
     const size_t steps = path->count - 1;
-    for (size_t i = 0; i < steps; ++i)
+    const double *distance = path->distance;
+    double bound = (double)INFINITY;
+    for (size_t i = 0; i < path->count; i += STRIDE)
     {
-        const double to_x = start_x - x[i];
-        const double to_y = start_y - y[i];
-        const double along = to_x * dx[i] + to_y * dy[i];
-        const double share = clipped_share(along / length[i]);
-        const double along_x = share * dx[i];
-        const double along_y = share * dy[i];
-        const double rest_x = to_x - along_x;
-        const double rest_y = to_y - along_y;
-        const double square = rest_x * rest_x + rest_y * rest_y;
-        squared[i] = square < (double)INFINITY ? square : (double)INFINITY; // NaN by overflow, too
+        const double x = frame->start[0] - path->x[i];
+        const double y = frame->start[1] - path->y[i];
+        const double square = x * x + y * y;
+        bound = square < bound ? square : bound;
     }
-}
-
-/// Least of values; four at a time, as processors have them.
-static double least_of(size_t count, const double *values)
-{
-    double least[4] = {values[0], values[0], values[0], values[0]};
+    bound = sqrt(bound);
+    double least = (double)INFINITY;
+    size_t nearest = 0;
     size_t i = 0;
-    for (; i + 4 <= count; i += 4)
+    while (i < steps)
     {
-        for (size_t j = 0; j < 4; ++j)
+        const double square = squared_distance(path, frame, i);
+        const double own = sqrt(square);
+        const double end = distance[i] + (own - bound) - ROUNDING * (distance[steps] + own);
+        nearest = square < least ? i : nearest;
+        least = square < least ? square : least;
+        ++i;
+        while (i + STRIDE <= steps && distance[i + STRIDE] < end)
         {
-            least[j] = values[i + j] < least[j] ? values[i + j] : least[j];
+            i += STRIDE;
+        }
+        while (i < steps && distance[i + 1] < end)
+        {
+            ++i;
         }
     }
-    for (; i < count; ++i)
-    {
-        least[0] = values[i] < least[0] ? values[i] : least[0];
-    }
-    const double first = least[1] < least[0] ? least[1] : least[0];
-    const double second = least[3] < least[2] ? least[3] : least[2];
-    return second < first ? second : first;
+    return nearest;
 }
 
 /// The nearest step that is not across the x axis of the car; false if there is none within reach.
-static bool nearest_step(const maplines_path_t *path, const frame_t *frame, double *squared,
-                         size_t *nearest)
+static bool nearest_step(const maplines_path_t *path, const frame_t *frame, size_t *nearest)
 {
     const size_t steps = path->count - 1;
-    size_t found = 0;
-    squared_distances(path, frame, squared);
-    const double least = least_of(steps, squared);
-    while (squared[found] > least)
-    {
-        ++found;
-    }
+    const size_t found = nearest_of_all(path, frame);
     *nearest = found;
     if (direction_of(path, frame, found) != 0)
     {
@@ -292,14 +284,19 @@ static bool nearest_step(const maplines_path_t *path, const frame_t *frame, doub
     const double length = path->distance[found + 1] - path->distance[found];
     const double along = share_of(path, frame, found) * length;
     const double place = path->distance[found] + along;
+    double least = (double)INFINITY;
     bool is_near = false;
     for (size_t i = 0; i < steps; ++i)
     {
-        if (direction_of(path, frame, i) != 0 && fabs(path->distance[i] - place) <= frame->reach &&
-            (!is_near || squared[i] < squared[*nearest]))
+        if (direction_of(path, frame, i) != 0 && fabs(path->distance[i] - place) <= frame->reach)
         {
-            *nearest = i;
-            is_near = true;
+            const double square = squared_distance(path, frame, i);
+            if (!is_near || square < least)
+            {
+                *nearest = i;
+                least = square;
+                is_near = true;
+            }
         }
     }
     return is_near;
@@ -485,7 +482,7 @@ void maplines_see(const maplines_path_t *paths, size_t count, const maplines_loo
         maplines_stretch_t *stretch = &seen->stretch[seen->lines];
         stretch->first = seen->points;
         stretch->line = i;
-        if (!nearest_step(&paths[i], &frame, seen->key + seen->points, &nearest))
+        if (!nearest_step(&paths[i], &frame, &nearest))
         {
             left_out[i] = MAPLINES_ACROSS;
         }

@@ -218,22 +218,20 @@ def longest_range(seen: Stretches, line: int, limits: Limits) -> Fitted | None:
     """
     ends = _whole(seen.ranges[line], limits.step)
     found = fitted_in(seen, line, *ends)
-    if found.misfit > limits.max_misfit:
-        ends = _whole(_search(seen, line, limits), limits.step)
-        found = fitted_in(seen, line, *ends)
-    for _ in range(SHRINKS):
+    for trial in range(SHRINKS + 2):
         if not found.misfit > limits.max_misfit:
             break
-        # What a cubic misses grows with the fourth power of a range.
-        share = SHRINK * math.sqrt(math.sqrt(limits.max_misfit / found.misfit))
-        car = clipped(0.0, *ends)
-        shorter = car + share * (ends[0] - car), car + share * (ends[1] - car)
-        ends = _whole(shorter, limits.step)
-        if ends[0] == ends[1]:
+        if trial == 0:
+            ends = _search(seen, line, limits)
+        else:  # what a cubic misses grows with the fourth power of a range
+            share = SHRINK * math.sqrt(math.sqrt(limits.max_misfit / found.misfit))
+            car = clipped(0.0, *ends)
+            ends = car + share * (ends[0] - car), car + share * (ends[1] - car)
+        ends = _whole(ends, limits.step)
+        if not ends[0] < ends[1]:
             return None
         found = fitted_in(seen, line, *ends)
-    is_found = found.misfit <= limits.max_misfit and math.isfinite(found.misfit)
-    return found if is_found and ends[0] < ends[1] else None
+    return found if found.misfit <= limits.max_misfit and math.isfinite(found.misfit) else None
 
 
 def _whole(ends: tuple[float, float], step: float) -> tuple[float, float]:

@@ -334,7 +334,7 @@ class Stretches:
         """Return the cells of a range."""
         first, last, shift = self._first[line], self._first[line + 1] - 1, line * self._step
         centre, half, length = (begin + end) / 2, (end - begin) / 2, (end - begin) / count
-        scale = 1 / (half * half * length)
+        scale = quotient(1.0, half * half * length)
         integrals, position = [], []
         for k in range(count + 1):
             x = begin + k * length if k < count else end

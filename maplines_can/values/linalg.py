@@ -24,6 +24,8 @@ ROUNDING = 1e-9
 MAX_COV = 1e307
 #: Most rows of a matrix that the core takes: the parameters of all lines of a scene.
 MAX_ROWS = 32
+#: Most rows of a covariance whose root the core has, also of a singular one.
+ROOT_ROWS = 4
 
 
 def rounding_of(cov: object) -> float:
@@ -160,6 +162,9 @@ def square_root(cov: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     tiny = 8 * len(cov) * np.finfo(float).eps
     given, L = np.ascontiguousarray(cov, dtype=float), np.empty(cov.shape)
+    if len(cov) <= ROOT_ROWS:
+        lib.maplines_root_of(len(cov), pointer(given), pointer(L))
+        return L
     if len(cov) <= MAX_ROWS and lib.maplines_factor_of(len(cov), pointer(given), pointer(L)):
         pivots = L.diagonal()
         if (pivots * pivots > tiny * given.diagonal()).all():
