@@ -43,8 +43,7 @@ void maplines_pose_view(const maplines_cycle_t *cycle, maplines_pose_view_t *vie
     memcpy(view->cov, view->pose_cov, sizeof view->cov);
     if (cycle->fit.has_map_error) // it moves the ends of a line as the pose error does
     {
-        const double offset = cycle->fit.offset_sigma * cycle->fit.offset_sigma;
-        const double shift = offset + cycle->fit.point_sigma * cycle->fit.point_sigma;
+        const double shift = cycle->fit.offset_sigma * cycle->fit.offset_sigma;
         view->cov[0] += shift;
         view->cov[4] += shift;
         view->cov[8] += cycle->fit.heading_sigma * cycle->fit.heading_sigma;

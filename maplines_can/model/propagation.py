@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from ..values.map_error import MapError
@@ -131,8 +131,10 @@ def pose_view(query: Query) -> PoseView:
     cov = pose_cov = R.congruence(matrix(query.cov))
     turn = max(MIN_TURN, MAX_TURN - TURN_MARGIN * math.sqrt(pose_cov[2][2]))
     if query.error is not None:  # it moves the ends of a line as the pose error does
-        points, offset, heading = astuple(query.error)
-        shift = offset * offset + points * points
+        shift, heading = (
+            query.error.offset_sigma * query.error.offset_sigma,
+            query.error.heading_sigma,
+        )
         cov = cov + diagonal([shift, shift, heading * heading])
     low, high = query.window
     farthest = max(abs(low), abs(high))
