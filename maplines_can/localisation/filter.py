@@ -18,6 +18,7 @@ from .admission import admitted, is_covariance
 from .association import Verdict
 from .consistency import unsuspicious, widening
 from .correlation import ErrorCorrelation
+from .drift import growth
 from .gnss_hypotheses import bank
 from .localisation_layer import LocalisationLayer
 from .measurements import Measurement, Observation, Odometry
@@ -191,6 +192,8 @@ class Localisation:
                 known = known & (t - last.latest <= self._odometry.limits.gap)
         nis, position, heading = widening(point.trust)
         cov = cov[:, POSE, POSE] * nis[:, None, None]
+        if point.bank.weight.shape[1] == 1:  # else the hypotheses say how large the error may be
+            cov += growth(point.ramps.best(point.t))
         widen(cov, position, heading)
         return Poses(mean[:, POSE], cov, known)
 
@@ -265,7 +268,7 @@ class Localisation:
             self._count_dropped(one, Verdict.NO_ODOMETRY)
         self._observations.clear()
         last = self._points[-1]
-        held = last.bank._replace(at=np.full(self.cars, t))
+        held = last.bank._replace(at=np.full(self.cars, t), drift_at=t)
         point = first(t, last.mean, last.cov, held, last.trust)
         self._points = [missed(point, np.full(self.cars, True))]
         self.correlation = ErrorCorrelation(t, last.mixture[1])
@@ -288,7 +291,7 @@ class Localisation:
         for event in sorted(events, key=_time):
             point = predicted(self._points[-1], event.t, self._odometry, self.errors)
             if not isinstance(event, Sample):
-                point = updated(point, event, self._layer, self.errors)
+                point = updated(point, event, self._layer, self.errors, self._odometry)
             elif event.broken.any():
                 point = missed(point, event.broken)
             self._points.append(point)

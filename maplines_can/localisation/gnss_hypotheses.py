@@ -36,6 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .association import Verdict
+from .drift import GOES_ON
 from .motion_model import ERRORS, GNSS, SPEED, YAW_RATE, N
 from .observation_models import Innovation
 from .sensor_errors import GaussMarkov, SensorErrors
@@ -83,6 +84,8 @@ class Bank(NamedTuple):
     #: (n, K, 2, N - 3) standard deviations and correlation times [s] of the errors, as at present
     processes: Array
     at: Array  #: (n,) time of the last fix [s]
+    drift: Array  #: (n,) standard deviation of what GNSS may be off by a drift [m]
+    drift_at: float  #: time of it [s]
 
     @property
     def rows(self) -> Array:
@@ -117,7 +120,7 @@ def bank(n: int, t: float, errors: SensorErrors) -> Bank:
     """
     processes = hypotheses(errors)
     weight = np.tile(first_weight(len(processes)), (n, 1))
-    return Bank(weight, np.tile(processes, (n, 1, 1, 1)), np.full(n, t))
+    return Bank(weight, np.tile(processes, (n, 1, 1, 1)), np.full(n, t), np.zeros(n), t)
 
 
 def hypotheses(errors: SensorErrors) -> Array:
@@ -185,6 +188,11 @@ def stated(
     new = np.tile(known, (len(error), 1, 1, 1))
     is_stated = ~np.isnan(error[:, 0])
     new[is_stated, :, :, _OF_GNSS] = error[is_stated, None, :, None]
+    drifts = held.drift > 0
+    new[drifts, :, 0, _OF_GNSS] = np.hypot(
+        new[drifts, :, 0, _OF_GNSS], held.drift[drifts, None, None]
+    )
+    new[drifts, :, 1, _OF_GNSS] = new[drifts, :, 1, _OF_GNSS].clip(min=GOES_ON)
     before = held.gnss_sigma**2
     held = held._replace(processes=new)
     after = held.gnss_sigma**2

@@ -17,6 +17,7 @@ from .alignment import MAX_TIME, Alignment, Position, aligned
 from .association import Verdict
 from .confirmation import Sightings, confirmed
 from .consistency import (
+    SOURCES,
     Consistency,
     agreeing,
     compared,
@@ -26,6 +27,20 @@ from .consistency import (
     lost,
     may_align,
     vouched,
+)
+from .drift import (
+    FORGOTTEN,
+    GOES_ON,
+    SEEN,
+    SURE,
+    BestRamps,
+    Ramps,
+    carried,
+    doubted,
+    forgotten,
+    measured,
+    no_ramps,
+    opened,
 )
 from .gnss_hypotheses import (
     Bank,
@@ -60,6 +75,8 @@ from .sensor_errors import GaussMarkov, SensorErrors
 Array = NDArray[np.float64]
 Cars = NDArray[np.bool_]
 
+#: Probability below which a hypothesis need not see the drift of GNSS.
+UNLIKELY = 0.01
 #: Error states of each source, which are forgotten when it contradicts the pose.
 _BIASES = {"gnss": GNSS, "line": CAMERA, "landmark": slice(0, 0), "pose": FIX}
 
@@ -82,6 +99,7 @@ class Point(NamedTuple):
     transition: Array  #: (n K, N, N) of the error since the point before
     bank: Bank
     trust: Consistency
+    ramps: Ramps
     positions: tuple[Position, ...] = ()  #: of the cars whose pose is lost
     outcome: BlockOutcome | None = None
     is_new: Cars | None = None  #: (n,) cars whose pose does not follow from the point before
@@ -102,7 +120,8 @@ class Point(NamedTuple):
 
 def first(t: float, mean: Array, cov: Array, held: Bank, trust: Consistency) -> Point:
     """Return the point with which a filter starts."""
-    return Point(t, mean, cov, np.eye(N) + np.zeros_like(cov), held, trust)
+    ramps = no_ramps(len(mean))
+    return Point(t, mean, cov, np.eye(N) + np.zeros_like(cov), held, trust, ramps)
 
 
 def predicted(last: Point, t: float, stream: OdometryStream, errors: SensorErrors) -> Point:
@@ -117,7 +136,15 @@ def predicted(last: Point, t: float, stream: OdometryStream, errors: SensorError
     speed, rate, position, heading = (np.repeat(one, last.bank.weight.shape[1]) for one in both)
     mean, cov, F = predict(last.mean, last.cov, speed, rate, dt, errors, last.bank.rows)
     widen(cov, position, heading)
-    return last._replace(t=t, mean=mean, cov=cov, transition=F, outcome=None, is_new=None)
+    return last._replace(
+        t=t,
+        mean=mean,
+        cov=cov,
+        transition=F,
+        ramps=carried(last.ramps, F),
+        outcome=None,
+        is_new=None,
+    )
 
 
 def widen(cov: Array, position: Array, heading: Array) -> None:
@@ -128,13 +155,19 @@ def widen(cov: Array, position: Array, heading: Array) -> None:
 
 
 def updated(
-    point: Point, observation: Observation, layer: LocalisationLayer | None, errors: SensorErrors
+    point: Point,
+    observation: Observation,
+    layer: LocalisationLayer | None,
+    errors: SensorErrors,
+    stream: OdometryStream,
 ) -> Point:
     """Return the point after an observation at its time."""
-    t, mean, cov, transition, held, trust, *_ = point
+    t, mean, cov, transition, held, trust, ramps, *_ = point
     K = held.weight.shape[1]
     if isinstance(observation, GnssFix):
-        mean, cov, transition, held = _gnss_error(point, observation, errors)
+        mean, cov, factor, held = _gnss_error(point, observation, errors)
+        transition = factor[:, :, None] * transition
+        ramps = ramps._replace(response=ramps.response * factor[:, None, None])
     found, sightings = innovation(_repeated(observation, K), mean, cov, layer), point.sightings
     if isinstance(observation, CameraLines | SeenLandmarks):
         found, images = confirmed(found, cov, sightings.get(found.source), t)
@@ -144,14 +177,26 @@ def updated(
     was_known = trust.known
     trust, contradicted, drifts = compared(trust, _predicted_fixes(seen, found, K), t)
     is_gnss = found.source == "gnss"
-    if is_gnss and K > 1:
-        held = discarded(held, drifts)
-        trust, contradicted = forgiven(trust, drifts, "gnss"), contradicted & ~drifts
+    is_ramp = np.zeros(len(trust.known), dtype=bool)
+    if is_gnss:
+        best = ramps.best(t)
+        own_ramp = BestRamps(*(one[likeliest] for one in best))
+        # A drift is smooth: a fix beyond the gate says that something else is wrong. One that a
+        # hypothesis explains is none.
+        is_smooth = trust.known & (trust.rejected[:, SOURCES.index("gnss")] == 0)
+        all_see = (best.beyond(SURE).reshape(-1, K) | (held.weight < UNLIKELY)).all(axis=1)
+        is_ramp = own_ramp.beyond(SURE) & is_smooth & all_see
+        explained = drifts & (own_ramp.beyond(SEEN) | (K > 1))
+        held = discarded(held, drifts) if K > 1 else held
+        trust, contradicted = forgiven(trust, explained, "gnss"), contradicted & ~explained
     trust = _contradicted(trust, contradicted, found.source, t, drifts)
     used = (found.verdict == Verdict.USED) & np.repeat(trust.known, K)[:, None]
     if used.any():
         mean, cov, reduction = update(mean, cov, found.residual, found.H, found.R, used)
         transition = reduction @ transition
+    else:
+        reduction = np.eye(N) + np.zeros_like(cov)
+    ramps = measured(ramps, found, reduction, t) if is_gnss else carried(ramps, reduction)
     if is_gnss:
         given = (seen.verdict[:, 0] != Verdict.MISSING) & trust.known
         held = weighed(held, found, given, t)
@@ -167,24 +212,50 @@ def updated(
     if biases.any():
         states = np.repeat(biases, K, axis=0)
         mean, cov, transition = _forgotten(mean, cov, transition, states, held)
+        ramps = forgotten(ramps, np.asarray(states.any(axis=1)))
     trust = found_again(trust, agreeing(trust))
     own = used[likeliest]
     verdict = np.where((seen.verdict == Verdict.USED) & ~own, Verdict.LOST, seen.verdict)
     outcome = BlockOutcome(t, seen.source, verdict, seen.squared)
-    after = Point(t, mean, cov, transition, held, trust, point.positions, outcome, None, sightings)
+    after = Point(
+        t, mean, cov, transition, held, trust, ramps, point.positions, outcome, None, sightings
+    )
+    if is_ramp.any():
+        after = _drifting(after, is_ramp & trust.known, stream)
     return after if trust.known.all() else _sought(after, observation, seen, errors)
+
+
+def _drifting(point: Point, sure: Cars, stream: OdometryStream) -> Point:
+    """Return the point after a fix, in which a drift of GNSS is possible.
+
+    Args:
+        point: after the fix.
+        sure: (n,) cars whose GNSS has a ramp.
+        stream: of the odometry.
+    """
+    t, mean, cov, _, held, trust, ramps, *_ = point
+    K = held.weight.shape[1]
+    best = ramps.best(t)
+    # What vouches for the pose says that the odometry is right.
+    wide = np.repeat(sure & ~vouched(trust, "gnss", t), K)[:, None, None]
+    speed = np.repeat(stream.at(t)[0], K)
+    cov = np.where(wide, opened(cov, mean[:, HEADING], best, speed), cov)
+    rate = np.hypot(*best.rate[held.likeliest].T)
+    held = held._replace(drift=np.where(sure, GOES_ON * rate, held.drift))
+    return point._replace(cov=cov, bank=held, ramps=forgotten(ramps, np.repeat(sure, K)))
 
 
 def _gnss_error(
     point: Point, fix: GnssFix, errors: SensorErrors
 ) -> tuple[Array, Array, Array, Bank]:
-    """Return means, covariances, transitions and the bank with the GNSS error of a fix."""
-    t, mean, cov, transition, held, trust, *_ = point
+    """Return means, covariances, factors of the states and the bank with the error of a fix."""
+    t, mean, cov, _, held, trust, *_ = point
     error = np.full((len(trust.known), 2), np.nan) if fix.error is None else np.asarray(fix.error)
+    held = held._replace(drift=held.drift * np.exp(-(t - held.drift_at) / FORGOTTEN), drift_at=t)
     mean, cov, share, held = stated(mean, cov, held, error, hypotheses(errors))
     given = np.isfinite(fix.position).all(axis=1) & trust.known & np.isnan(error[:, 0])
     mean, cov, factor, held = renewed(mean, cov, held, given, t)
-    return mean, cov, (share * factor)[:, :, None] * transition, held
+    return mean, cov, share * factor, held
 
 
 def _repeated(observation: Observation, K: int) -> Observation:
@@ -296,7 +367,13 @@ def _placed(
         transition[rows] = 0.0
         weight[car] = first_weight(K)
     held = held._replace(weight=weight, at=at)
-    return point._replace(mean=mean, cov=cov, transition=transition, bank=held)
+    best = point.ramps.best(point.t)
+    drifts = ready & is_gnss & best.beyond(SURE)[held.likeliest]
+    cov = np.where(np.repeat(drifts, K)[:, None, None], doubted(cov, best), cov)
+    rate = np.hypot(*best.rate[held.likeliest].T)
+    held = held._replace(drift=np.where(drifts, GOES_ON * rate, held.drift))
+    ramps = forgotten(point.ramps, np.repeat(ready, K))
+    return point._replace(mean=mean, cov=cov, transition=transition, bank=held, ramps=ramps)
 
 
 def missed(point: Point, cars: Cars) -> Point:
