@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can.model import cubic_ranges, propagation, refits
+from maplines_can.model import cubic_ranges, propagation, refits, stretches
 from maplines_can.testing import map_streams
 from maplines_can.testing.map_streams import compare_maps, core_answer, queries
 
@@ -33,7 +33,7 @@ def test_the_stream_has_all_kinds_of_answers() -> None:
         kinds.add((query.question, bool(answer[0])))
         reasons |= set(answer[-1].values())
 
-    assert reasons == {"NOT_IN_WINDOW", "ACROSS", "TOO_SHORT", "UNCERTAIN"}
+    assert reasons == {"NOT_IN_WINDOW", "ACROSS", "TOO_SHORT", "UNCERTAIN", "FEW_POINTS"}
     assert kinds == {(kind, some) for kind in map_streams.QUESTIONS for some in (True, False)}
 
 
@@ -47,9 +47,35 @@ def test_the_queries_of_a_seed_are_the_same_ones() -> None:
 @pytest.mark.parametrize(
     ("module", "name", "value"),
     [
+        (stretches, "ERRORS", 31.0),
+        (stretches, "SAGITTAS", 9.0),
+        (stretches, "MOST_ERROR", 1.01),
+        (stretches, "PER_FREEDOM", 2.64),
+        (stretches, "TYPICAL", 1.9e-4),
+        (stretches, "MOST_TYPICAL", 0.061),
+        (stretches, "TYPICAL_COUNT", 1.6),
+        (stretches, "STUDENT", 1.31),
+        (stretches, "BETWEEN", 7.1e-4),
+        (stretches, "FEW_POINTS", 9.1),
+        (stretches, "BY_TYPICAL", 0.31),
+        (stretches, "BY_ERROR", 0.11),
+        (stretches, "FAR_APART", 10.1),
+        (cubic_ranges, "DAMPING", 0.051),
+        (cubic_ranges, "BULGE", 0.51),
+        (cubic_ranges, "AVERAGE", 4.5),
+        (cubic_ranges, "NOISE_LIMIT", 14.1),
+        (cubic_ranges, "SHARED_POINTS", 21.0),
+        (cubic_ranges, "SOFT", 0.11),
         (cubic_ranges, "BEHIND", 0.4),
-        (cubic_ranges, "ROUNDS", 3),
-        (cubic_ranges, "SHRINK", 0.96),
+        (cubic_ranges, "NEARLY", 4.1),
+        (cubic_ranges, "SHRINK", 0.997),
+        (cubic_ranges, "FAR_NOISE", (26.0, 12.0, 7.0)),
+        (cubic_ranges, "MEAN_NOISE", (8.0, 6.0, 4.1)),
+        (cubic_ranges, "MIN_SIGMA", 0.005),
+        (cubic_ranges, "LATERAL_SHARE", 0.21),
+        (cubic_ranges, "MEAN_SQUARE", 1.41),
+        (cubic_ranges, "MODE_LEVELS", (2.6, 6.6)),
+        (cubic_ranges, "MODE_VARIANCES", (3.8, 3.63)),
         (cubic_ranges, "LIMIT", 2.91),
         (cubic_ranges, "SHARE", 0.98),
         (cubic_ranges, "MIN_SHAPE", 0.11),

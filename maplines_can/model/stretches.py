@@ -361,4 +361,5 @@ class Stretches:
             area, square, cube = (b - a for a, b in zip(before, after, strict=True))
             cube = (cube - 3 * centre * square) * scale / half
             found.append((area / length, square * scale, cube))
-        return Cells(*map(Vector, zip(*found, strict=True)), position)
+        of_y, of_square, of_cube = zip(*found, strict=True)
+        return Cells(Vector(of_y), Vector(of_square), Vector(of_cube), position)

@@ -456,9 +456,9 @@ def _faulty_scene(rng: np.random.Generator, draft: SceneDraft) -> SceneDraft:
 def _faulty_matrix(rng: np.random.Generator, cov: Rows) -> Rows:
     """Return a matrix that is no covariance, or hardly one."""
     changed = matrix(cov)
-    i, j = map(int, rng.integers(len(cov), size=2))
+    i, j = map(int, rng.choice(len(cov), 2, replace=False))
     sigma = [math.sqrt(abs(row[k]) or 1.0) for k, row in enumerate(cov)]
-    match rng.integers(4):
+    match rng.integers(5):
         case 0:
             changed[i][j] = _choice(rng, NAN, INF, 1.01 * MOST)
         case 1:
@@ -467,7 +467,7 @@ def _faulty_matrix(rng: np.random.Generator, cov: Rows) -> Rows:
             changed[i][j] += 1.1 * ROUNDING * sigma[i] * sigma[j] * _choice(rng, 1, -1)
         case _:
             more = _choice(rng, 1.0, 1.5, 1 + 1e-8) * sigma[i] * sigma[j]
-            changed[i][j] = changed[j][i] = more if i != j else changed[i][j]
+            changed[i][j] = changed[j][i] = more
     return changed
 
 

@@ -177,7 +177,7 @@ def test_without_a_pose_on_the_route_nothing_is_sent(
         why == "off_route", why == "not_computed"
     ]  # fmt: skip
     assert not node.get("route.is_on")
-    assert node.get("EGO_LEFT.left_out") == 5
+    assert node.get("EGO_LEFT.left_out") == 6
     assert len(node.messages) == (why == "not_computed")
     node.set(at(1.0))
     assert sent_slots(node) == {Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT}

@@ -82,16 +82,17 @@ def test_item_7_a_mixture_is_not_overconfident(name: str, k: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("k", "worst", "in_turn", "least"),
-    [(3, 1.53, 2.02, 0.95), (5, 1.16, 1.75, 0.99), (8, 1.09, 1.55, 0.99)],
+    ("k", "worst", "in_turn", "least", "least_in_turn"),
+    [(3, 1.53, 2.02, 0.95, 0.93), (5, 1.16, 1.75, 0.99, 0.97), (8, 1.09, 1.55, 0.99, 0.97)],
 )
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_item_7_with_sigma_points(
-    name: str, k: int, worst: float, in_turn: float, least: float
+    name: str, k: int, worst: float, in_turn: float, least: float, least_in_turn: float
 ) -> None:
     """The documented error of the cheap transform, largest in street-turn-10deg."""
     _, cov = overall(*Mixture(k, SigmaPoints()).moments(refit_of(name), SCENARIOS[name].ego))
-    worst = in_turn if name == "street-turn-10deg" else worst
+    if name == "street-turn-10deg":
+        worst, least = in_turn, least_in_turn
     assert_not_overconfident(cov, truth_of(name), worst, least)
 
 

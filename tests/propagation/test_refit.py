@@ -14,7 +14,7 @@ from maplines_can.study.paper_refit import PAPER
 from maplines_can.values.errors import IllPosedError
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import Slot, lateral, lateral_jacobian
-from maplines_can.values.polyline import Polyline, to_ego, to_map
+from maplines_can.values.polyline import Polyline, to_map
 
 HIGHWAY, TURN = scenario("highway"), scenario("street-turn-10deg")
 
@@ -46,21 +46,6 @@ def qr_refit(points: Any, poses: Any) -> Any:
     return qr_lines(z.real, z.imag)
 
 
-def resampled(polyline: Any, pose: Any, x_range: Any) -> Any:
-    """(64, 2) points of a line at the Chebyshev nodes of a range in the ego frame.
-
-    The line must be a function of x in the range; the part of it nearest to the car is meant.
-    """
-    x, y = to_ego(polyline.points, pose).T
-    if x[-1] < x[0]:
-        x, y = x[::-1], y[::-1]
-    ahead = slice(0, x.argmax() + 1)
-    x, y = x[ahead], y[ahead]
-    low, high = x_range
-    at = (low + high) / 2 + (high - low) / 2 * np.cos(np.pi * np.arange(64) / 63)
-    return to_map(np.column_stack([at, np.interp(at, x, y)]), pose)
-
-
 def refit_of(scene: Any, **rest: Any) -> Any:
     return Refit(list(scene.lines.values()), scene.ego.mean, scene.window, **rest)
 
@@ -70,8 +55,7 @@ def refit_of(scene: Any, **rest: Any) -> Any:
 def test_all_lines_of_all_scenarios_agree_with_qr(scene: Any, settings: Any) -> None:
     """At 2000 sampled poses, within 1e-9 of each parameter's standard deviation.
 
-    An honest fit is shifted, by at most its misfit, which is the same for each pose to the shift
-    of the points.
+    The points are those of a cubic, and of a T_4 in addition.
     """
     poses = scene.ego.sample(2000, seed=1)
     refit = refit_of(scene, **settings)
@@ -79,12 +63,12 @@ def test_all_lines_of_all_scenarios_agree_with_qr(scene: Any, settings: Any) -> 
     good = ~np.isnan(lines).any(axis=(1, 2))
     assert good.mean() > 0.99
 
-    for i, polyline in enumerate(scene.lines.values()):
-        points = resampled(polyline, scene.ego.mean, refit.x_range[i])
-        shift = refit.points[i][::-1] - to_ego(points, scene.ego.mean)
-        assert np.allclose(shift, [0.0, shift[0, 1]], rtol=0, atol=1e-9)
-        assert np.abs(shift[0, 1]) <= (0.0 if settings else refit.misfit[i]) + 1e-9
-        reference = qr_refit(points + shift[0], poses[good])
+    for i, (points, (low, high)) in enumerate(zip(refit.points, refit.x_range, strict=True)):
+        w = np.cos(np.pi * np.arange(len(points)) / (len(points) - 1))
+        assert np.allclose(np.sort(points[:, 0]), np.sort((low + high + (high - low) * w) / 2))
+        of_chebyshev = np.polynomial.Chebyshev.fit(points[:, 0], points[:, 1], 5).coef
+        assert of_chebyshev[4:] == pytest.approx([refit.quartic[i], 0.0], abs=1e-9)
+        reference = qr_refit(to_map(points, scene.ego.mean), poses[good])
         difference = np.abs(lines[good, i] - reference).max(axis=0)
         assert (difference <= 1e-9 * reference.std(axis=0)).all()
 
@@ -210,13 +194,12 @@ def test_ill_posed_poses_give_nan() -> None:
     assert np.isfinite(refit([0.0, 0.0, np.radians(80.1)])).all()
 
 
-def errors_of_points(error: Any, points: Any, n: Any, rng: Any) -> Any:
-    """(n, 2, k) errors of k map points in the ego frame, drawn as MapError defines them."""
-    local = error.point_sigma * rng.standard_normal((n, 2, len(points)))
-    common = error.offset_sigma * rng.standard_normal((n, 2, 1))
-    turn = error.heading_sigma * rng.standard_normal((n, 1))
-    turned = np.exp(1j * turn) * (points @ [1, 1j])
-    return local + common + np.stack([turned.real, turned.imag], axis=1) - points.T
+def errors_of_points(error: Any, points: Any, rng: Any) -> Any:
+    """(k, 2) points with errors, drawn as MapError defines them, about the origin."""
+    turned = np.exp(1j * error.heading_sigma * rng.standard_normal()) * (points @ [1, 1j])
+    common = error.offset_sigma * rng.standard_normal(2)
+    local = error.point_sigma * rng.standard_normal(points.shape)
+    return np.column_stack([turned.real, turned.imag]) + common + local
 
 
 @pytest.mark.parametrize(
@@ -228,33 +211,33 @@ def errors_of_points(error: Any, points: Any, n: Any, rng: Any) -> Any:
         pytest.param(MapError(0.02, 0.01, 5e-4), id="all"),
     ],
 )
-@pytest.mark.parametrize("name", ["highway", "street-turn"])
-def test_noise_cov_is_the_covariance_of_fits_to_erroneous_maps(name: str, error: Any) -> None:
-    """QR fits of 20,000 erroneous maps have that covariance, within 5 standard errors.
+@pytest.mark.parametrize(
+    ("name", "window"),
+    [("highway", (-15.0, 60.0)), ("street-turn", (-8.0, 14.0))],
+    ids=["highway", "street-turn"],
+)
+def test_noise_cov_is_the_covariance_of_fits_to_erroneous_maps(
+    name: str, window: Any, error: Any
+) -> None:
+    """Lateral positions in 1000 erroneous maps have it, within 5 standard errors and 3 %.
 
-    The variance of y_off may be larger: the fit averages the errors of the points, but the line
-    itself has them in full, at every x.
+    The latter is what the linearization leaves out.
     """
-    scene, n, rng = scenario(name), 20_000, np.random.default_rng(4)
-    lines, pose = [scene.lines[slot] for slot in (Slot.EGO_LEFT, Slot.EGO_RIGHT)], [0.3, -0.2, 0.01]
-    refit = Refit(lines, pose, scene.window, error, **PAPER)
-    for i, (line, fitted, cov) in enumerate(zip(lines, refit.points, refit.noise_cov, strict=True)):  # type: ignore[arg-type]
-        of_map = to_ego(line.points, pose)
-        of_map = of_map[: of_map[:, 0].argmax() + 1]
-        place = np.interp(fitted[:, 0], of_map[:, 0], np.arange(len(of_map)))
-        W = (1 - np.abs(place[:, None] - np.arange(len(of_map)))).clip(0)
-        assert np.allclose(W @ of_map, fitted, atol=1e-9)
-        errors = errors_of_points(error, of_map, n, rng) @ W.T
-        u, v = (fitted.T + errors).swapaxes(0, 1)
-        # An offset does not change c1; the minimum avoids a division by its zero sigma.
-        sigma = np.maximum(np.sqrt(cov.diagonal()), [1e-9, 1e-9, 1e-12, 1e-12])
+    lines, pose = (
+        [scenario(name).lines[slot] for slot in (Slot.EGO_LEFT, Slot.EGO_RIGHT)],
+        [0.0] * 3,
+    )
+    refit, rng, n = Refit(lines, pose, window, error, **PAPER), np.random.default_rng(4), 1000
+
+    def drawn() -> Any:
+        wrong = [Polyline(errors_of_points(error, line.points, rng)) for line in lines]
+        return Refit(wrong, pose, window, **PAPER)(pose)
+
+    fits, x = np.array([drawn() for _ in range(n)]), np.linspace(window[0], window[1], 4)
+    for i, cov in enumerate(refit.noise_cov):  # type: ignore[arg-type]
+        J = lateral_jacobian(refit(pose)[i], x)
+        cov = J @ cov @ J.T
+        sigma = np.sqrt(cov.diagonal())
         correlation = cov / np.outer(sigma, sigma)
-        drawn = np.cov((qr_lines(u, v) / sigma).T)
-        difference = drawn - correlation
-        assert difference[0, 0] <= 5 * np.sqrt(2 / n)
-        if not error.point_sigma:
-            assert difference[0, 0] >= -5 * np.sqrt(2 / n)
-        difference[0, 0] = 0.0
-        assert (np.abs(difference) <= 5 * np.sqrt((1 + correlation**2) / n)).all()
-        J = lateral_jacobian(refit(pose)[i], fitted[:, 0])
-        assert (np.einsum("ki,ij,kj->k", J, cov, J) >= 0.999 * error.point_sigma**2).all()
+        difference = np.abs(np.cov((lateral(fits[:, None, i], x) / sigma).T) - correlation)
+        assert (difference <= 5 * np.sqrt((1 + correlation**2) / n) + 0.03).all()
