@@ -8,10 +8,10 @@
 #define SHARED_POINTS 20.0
 #define STARTS 5 ///< of ranges that are tried
 #define ENDS 6   ///< and ends of each
-#define SOFT 0.1
+#define SOFT 0.2
 #define BEHIND 0.5      ///< a metre behind the car counts this share of a metre ahead
 #define LEAST_STEP 1e-6 ///< of the root of the misfit
-#define NEARLY 4.0      ///< ranges whose reach is less than the best by up to this count, too [m]
+#define NEARLY 8.0      ///< ranges whose reach is less than the best by up to this count, too [m]
 #define SHRINK 0.998    ///< least shortening of a range whose misfit is still too large
 #define SHRINKS 200     ///< most times
 
@@ -20,6 +20,12 @@ typedef struct {
     size_t count;
     const double (*rows)[MAPLINES_TERMS];
 } grid_t;
+
+static double limited(double value, double low, double high)
+{
+    const double raised = value > low ? value : low;
+    return raised < high ? raised : high;
+}
 
 /// Coefficients of the terms from means in cells.
 static void coefficients_of(const grid_t *grid, const double *means, double sums[MAPLINES_TERMS])
@@ -112,37 +118,41 @@ double maplines_noise_share(double points)
     return square / (square + SHARED_POINTS * SHARED_POINTS);
 }
 
+void maplines_sum_cells(size_t count, const double *rest, double *sums)
+{
+    sums[0] = 0.0;
+    for (size_t k = 0; k < count; ++k)
+    {
+        sums[k + 1] = sums[k] + rest[k];
+    }
+    sums[count + 1] = sums[count]; // of a place at the end
+}
+
 /// Squared misfit of a cubic: the greatest mean over some metres, without what errors of the points
 /// explain of it, or the modes.
 static double squared_misfit(const maplines_stretch_t *stretch, const grid_t *grid,
                              const maplines_fitted_t *fitted, const maplines_cells_t *cells,
                              const double *rest)
 {
-    const size_t count = grid->count;
-    const double *position = cells->position;
-    const double share = maplines_noise_share(position[count] - position[0]);
-    const double noise = NOISE_LIMIT * share * stretch->error;
-    const double cell = (fitted->x_range[1] - fitted->x_range[0]) / (double)count;
-    const double most = (double)(count / 4);
-    const double wanted = rint(AVERAGE / cell);
-    const size_t width = wanted > 1.0 ? (size_t)(wanted < most ? wanted : most) : 1;
+    double sums[MAPLINES_CELLS + 2];
+    const double count = (double)grid->count;
+    const double points = cells->position[grid->count] - cells->position[0];
+    const double length = fitted->x_range[1] - fitted->x_range[0];
+    const double width = limited(AVERAGE * count / length, 1.0, count / 4.0);
+    const double noise = NOISE_LIMIT * maplines_noise_share(points) * stretch->error /
+                         (1.0 + width * points / count);
+    const double step = (count - width) / (count - 1.0);
+    const double scale = 1.0 / width;
     const double *modes = fitted->modes;
     double greatest = modes[0] * modes[0] + modes[1] * modes[1];
-    double sum = 0.0;
-    for (size_t k = 0; k < width; ++k)
+    maplines_sum_cells(grid->count, rest, sums);
+    for (size_t k = 0; k < grid->count; ++k)
     {
-        sum = sum + rest[k];
-    }
-    for (size_t k = 0; k + width <= count; ++k)
-    {
-        const double mean = sum / (double)width;
-        const double points = position[k + width] - position[k];
-        const double excess = mean * mean - noise / (1.0 + points);
+        const double begin = (double)k * step;
+        const double mean =
+            (maplines_sum_to(sums, begin + width) - maplines_sum_to(sums, begin)) * scale;
+        const double excess = mean * mean - noise;
         greatest = excess > greatest ? excess : greatest;
-        if (k + width < count)
-        {
-            sum = sum + (rest[k + width] - rest[k]);
-        }
     }
     return greatest;
 }
@@ -173,12 +183,6 @@ static void make_whole(double step, double x_range[2])
         x_range[0] = low;
         x_range[1] = high;
     }
-}
-
-static double limited(double value, double low, double high)
-{
-    const double raised = value > low ? value : low;
-    return raised < high ? raised : high;
 }
 
 /// Root of the misfit in a range, in units of the greatest one; it grows as the square of the

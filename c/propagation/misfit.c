@@ -5,75 +5,54 @@
 #define LATERAL_SHARE 0.2 ///< variance of T_0, in units of the squared misfit
 #define MIN_SHAPE 0.1     ///< least level of the shape squared, in units of the squared misfit
 #define SPACINGS 3        ///< distances over which second differences are covered
-#define LIMIT 2.9         ///< standard deviations within which ...
-#define SHARE 0.97        ///< ... this share of the second differences lies
+#define LIMIT 2.9         ///< standard deviations within which second differences lie
 #define MEAN_SQUARE 1.4   ///< of second differences, in units of their variances, at most
 #define SHAPE_2 1.0       ///< variances of T_2 and T_3 by the level of the shape
 #define SHAPE_3 2.0
 #define MODES 2
-#define MOST_BEYOND 3 ///< second differences beyond the share, of all cells
+#define PLACES 32   ///< of second differences in a range
+#define LONGEST 0.4 ///< distance of second differences, as a share of the range
 
-/// Keep the greatest values of those that were inserted, the greatest first.
-static void insert(double greatest[MOST_BEYOND], double value)
-{
-    for (int i = 0; i < MOST_BEYOND; ++i)
-    {
-        if (value > greatest[i])
-        {
-            const double next = greatest[i];
-            greatest[i] = value;
-            value = next;
-        }
-    }
-}
-
-/// Least squared level for second differences over `steps` cells [m^2].
-static double least_level(const double *rest, const double *position, size_t steps, double variance,
+/// Least squared level for second differences over a distance in cells [m^2], of means over half of
+/// it, of which errors of the points give each difference a variance of `noise`.
+static double least_level(const double sums[MAPLINES_CELLS + 2], double distance, double noise,
                           double far_noise, double mean_noise)
 {
-    const size_t width = (steps + 1) / 2;
-    const size_t means = MAPLINES_CELLS + 1 - width;
-    const size_t count = means - 2 * steps;
-    const double h = (double)steps * 2.0 / MAPLINES_CELLS;
+    const double width = distance / 2.0;
+    const double step = (MAPLINES_CELLS - width - 2.0 * distance) / (PLACES - 1);
+    const double h = distance * 2.0 / MAPLINES_CELLS;
     const double scale = 1.0 / (h * h * (h * h));
-    double mean[MAPLINES_CELLS];
-    double noise[MAPLINES_CELLS];
-    double greatest[MOST_BEYOND];
+    const double shrink = 1.0 / (width * width);
+    double greatest[2] = {-(double)INFINITY, -(double)INFINITY};
     double sum = 0.0;
-    for (int i = 0; i < MOST_BEYOND; ++i)
-    {
-        greatest[i] = -(double)INFINITY;
-    }
-    for (size_t i = 0; i < means; ++i)
-    {
-        double part = 0.0;
-        for (size_t k = i; k < i + width; ++k)
-        {
-            part = part + rest[k];
-        }
-        mean[i] = part / (double)width;
-        noise[i] = variance / (1.0 + (position[i + width] - position[i]));
-    }
-    for (size_t i = 0; i < count; ++i)
+    for (size_t i = 0; i < PLACES; ++i)
     {
         // Second differences of T_2 are 4 h^2, those of T_3 are 24 w h^2, with w in the middle.
-        const size_t j = i + steps;
-        const size_t k = j + steps;
-        const double w = (double)(2 * j + width) / MAPLINES_CELLS - 1.0;
+        const double begin = (double)i * step;
+        const double middle = begin + distance;
+        const double end = middle + distance;
+        const double w = (2.0 * middle + width) / MAPLINES_CELLS - 1.0;
         const double of_cubic = 24.0 * w;
         const double unit = scale / (16.0 * SHAPE_2 + of_cubic * of_cubic * SHAPE_3);
-        const double second = mean[i] - 2.0 * mean[j] + mean[k];
-        const double explained = noise[i] + 4.0 * noise[j] + noise[k];
-        const double level = (second * second - far_noise * explained) * unit;
-        sum = sum + (second * second - mean_noise * explained) * unit;
-        if (level > greatest[MOST_BEYOND - 1])
+        const double first = maplines_sum_to(sums, begin + width) - maplines_sum_to(sums, begin);
+        const double second = maplines_sum_to(sums, middle + width) - maplines_sum_to(sums, middle);
+        const double third = maplines_sum_to(sums, end + width) - maplines_sum_to(sums, end);
+        const double difference = first - 2.0 * second + third;
+        const double square = difference * difference * shrink;
+        const double level = (square - far_noise * noise) * unit;
+        sum = sum + (square - mean_noise * noise) * unit;
+        if (level > greatest[0])
         {
-            insert(greatest, level);
+            greatest[1] = greatest[0];
+            greatest[0] = level;
+        }
+        else if (level > greatest[1])
+        {
+            greatest[1] = level;
         }
     }
-    const size_t place = (size_t)ceil(SHARE * (double)count) - 1;
-    const double far = greatest[count - 1 - place] / (LIMIT * LIMIT);
-    const double near = sum / ((double)count * MEAN_SQUARE);
+    const double far = greatest[1] / (LIMIT * LIMIT); // one of 32 may be beyond
+    const double near = sum / (PLACES * MEAN_SQUARE);
     return near > far ? near : far;
 }
 
@@ -110,18 +89,18 @@ void maplines_coefficient_variances(const maplines_stretch_t *stretch,
     double level = level_of_modes(fitted, noise / points);
     level = level > MIN_SHAPE * squared ? level : MIN_SHAPE * squared;
     level = level > MIN_SIGMA * MIN_SIGMA ? level : MIN_SIGMA * MIN_SIGMA;
+    double sums[MAPLINES_CELLS + 2];
+    maplines_sum_cells(MAPLINES_CELLS, rest, sums);
     for (int k = 0; k < SPACINGS; ++k)
     {
         const double apart = length / points; // less is not seen
         const double spacing = spacings[k] > apart ? spacings[k] : apart;
-        const double share = rint(MAPLINES_CELLS * spacing / length);
-        if (5.0 * share <= 2.0 * MAPLINES_CELLS)
-        {
-            const size_t steps = share > 1.0 ? (size_t)share : 1;
-            const double least =
-                least_level(rest, cells->position, steps, noise, far_noise[k], mean_noise[k]);
-            level = least > level ? least : level;
-        }
+        const double most = LONGEST * length;
+        const double distance = MAPLINES_CELLS * (spacing < most ? spacing : most) / length;
+        const double kept = 1.0 / (1.0 + distance / 2.0 * points / MAPLINES_CELLS);
+        const double least =
+            least_level(sums, distance, 6.0 * kept * noise, far_noise[k], mean_noise[k]);
+        level = least > level ? least : level;
     }
     level = level + 2.0 * stretch->unseen;
     variances[0] = LATERAL_SHARE * (squared + stretch->unseen) + MIN_SIGMA * MIN_SIGMA;

@@ -144,6 +144,14 @@ bool maplines_longest_range(const maplines_stretches_t *seen, size_t line,
 /// Share of what the points show of their errors that is taken for errors. The rest, and all of it
 /// where points are few, may be the shape of the road.
 double maplines_noise_share(double points);
+/// Sums (count + 2) of what a cubic leaves, from the first cell to the begin of each.
+void maplines_sum_cells(size_t count, const double *rest, double *sums);
+/// The sum up to a place between cells.
+static inline double maplines_sum_to(const double *sums, double place)
+{
+    const size_t k = (size_t)place;
+    return sums[k] + (place - (double)k) * (sums[k + 1] - sums[k]);
+}
 /// Variances of the coefficients of T_0 .. T_3 that cover what a cubic misses [m^2].
 void maplines_coefficient_variances(const maplines_stretch_t *stretch,
                                     const maplines_fitted_t *fitted, const maplines_cells_t *cells,

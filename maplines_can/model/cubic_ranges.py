@@ -11,7 +11,8 @@ leave; the rest is the shape of the road that the cubic misses.
 from __future__ import annotations
 
 import math
-from itertools import pairwise
+from collections.abc import Sequence
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 from .elementary import atan, clipped
@@ -35,10 +36,10 @@ SHARED_POINTS = 20.0
 #: ends of each, evenly from the car to the window's end.
 STARTS, ENDS = (0.0, 0.15, 0.35, 0.65, 1.0), 6
 #: Width of the root of the misfit in which a range becomes bad; least step of the root.
-SOFT, LEAST_STEP = 0.1, 1e-6
+SOFT, LEAST_STEP = 0.2, 1e-6
 #: A metre behind the car counts this share of a metre ahead; ranges whose reach is less than the
 #: best by up to this length count, too [m].
-BEHIND, NEARLY = 0.5, 4.0
+BEHIND, NEARLY = 0.5, 8.0
 #: Share of a range that is kept at most if its misfit is still too large, and how often at most.
 SHRINK, SHRINKS = 0.998, 200
 #: Distances over which second differences are covered [m]. For each of these, variances of noise
@@ -49,9 +50,11 @@ SPACINGS, FAR_NOISE, MEAN_NOISE = (5.0, 10.0, 20.0), (25.0, 12.0, 7.0), (8.0, 6.
 MIN_SIGMA = 0.004
 #: Variance of T_0, and least one of the level of the shape, in units of the squared misfit.
 LATERAL_SHARE, MIN_SHAPE = 0.2, 0.1
-#: Standard deviations within which this share of the second differences lies; mean square of these,
-#: in units of their variances, at most.
-LIMIT, SHARE, MEAN_SQUARE = 2.9, 0.97, 1.4
+#: Places of second differences in a range; their greatest distance, as a share of it.
+PLACES, LONGEST = 32, 0.4
+#: Standard deviations within which second differences lie, but for one; mean square of these, in
+#: units of their variances, at most.
+LIMIT, MEAN_SQUARE = 2.9, 1.4
 #: For T_4 and T_5: mean squares of second derivatives, in units of the variance that they need;
 #: variances of noise that explain them; and these by the errors of one point.
 MODE_LEVELS, MODE_NOISE, MODE_VARIANCES = (2.6, 6.5), (0.1, 0.8), (3.8, 3.62)
@@ -185,26 +188,35 @@ def noise_share(points: float) -> float:
     return square / (square + SHARED_POINTS * SHARED_POINTS)
 
 
+def sums_of(rest: Vector) -> list[float]:
+    """Return the sums of what a cubic leaves, from the first cell to the begin of each."""
+    sums = [*accumulate(rest, initial=0.0)]
+    return [*sums, sums[-1]]  # of a place at the end
+
+
+def sum_between(sums: Sequence[float], begin: float, end: float) -> float:
+    """Return the sum between two places, which may lie within cells."""
+    i, j = int(begin), int(end)
+    to_end = sums[j] + (end - j) * (sums[j + 1] - sums[j])
+    return to_end - (sums[i] + (begin - i) * (sums[i + 1] - sums[i]))
+
+
 def squared_misfit(fitted: Fitted, error: float) -> float:
     """Return the square of the greatest mean over some metres, or of the modes [m^2].
 
     What errors of the points explain of a mean is taken off.
     """
-    rest, position = fitted.rest, fitted.cells.position
-    count = len(rest)
-    noise = NOISE_LIMIT * noise_share(position[-1] - position[0]) * error
-    wanted = round(AVERAGE / ((fitted.end - fitted.begin) / count))
-    width = min(wanted, count // 4) if wanted > 1 else 1
+    position, count = fitted.cells.position, len(fitted.rest)
+    points = position[-1] - position[0]
+    width = clipped(AVERAGE * count / (fitted.end - fitted.begin), 1.0, count / 4)
+    noise = NOISE_LIMIT * noise_share(points) * error / (1 + width * points / count)
+    step, scale, sums = (count - width) / (count - 1), 1 / width, sums_of(fitted.rest)
     quartic, quintic = fitted.modes
-    greatest, part = quartic * quartic + quintic * quintic, 0.0
-    for value in rest[:width]:
-        part += value
-    for k in range(count - width + 1):
-        mean = part / width
-        excess = mean * mean - noise / (1 + (position[k + width] - position[k]))
+    greatest = quartic * quartic + quintic * quintic
+    for k in range(count):
+        mean = sum_between(sums, k * step, k * step + width) * scale
+        excess = mean * mean - noise
         greatest = excess if excess > greatest else greatest
-        if k + width < count:
-            part += rest[k + width] - rest[k]
     return greatest
 
 
@@ -314,10 +326,12 @@ def coefficient_variances(seen: Stretches, line: int, fitted: Fitted) -> Vector:
     noise, squared = noise_share(points) * shown.error, fitted.misfit * fitted.misfit
     floor, level = MIN_SIGMA * MIN_SIGMA, level_of_modes(fitted, noise / points)
     level = max(floor, MIN_SHAPE * squared, level)
+    sums = sums_of(fitted.rest)
     for spacing, *noises in zip(SPACINGS, FAR_NOISE, MEAN_NOISE, strict=True):
-        share = round(CELLS * max(spacing, length / points) / length)  # less is not seen
-        if 5 * share <= 2 * CELLS:
-            level = max(level, least_level(fitted, max(1, share), noise, *noises))
+        seen_spacing = max(spacing, length / points)  # less is not seen
+        distance = CELLS * min(seen_spacing, LONGEST * length) / length
+        kept = 1 / (1 + distance / 2 * points / CELLS)
+        level = max(level, least_level(sums, distance, 6 * kept * noise, *noises))
     level += 2 * shown.unseen
     lateral = LATERAL_SHARE * (squared + shown.unseen) + floor
     return Vector([lateral, *(level * SHAPE.diagonal())[1:]])
@@ -335,29 +349,29 @@ def level_of_modes(fitted: Fitted, variance: float) -> float:
 
 
 def least_level(
-    fitted: Fitted, steps: int, variance: float, far_noise: float, mean_noise: float
+    sums: Sequence[float], distance: float, noise: float, far_noise: float, mean_noise: float
 ) -> float:
-    """Return the least squared level for second differences over steps of cells [m^2]."""
-    rest, position, width = fitted.rest, fitted.cells.position, (steps + 1) // 2
-    count = CELLS + 1 - width - 2 * steps
-    h = steps * 2 / CELLS
-    scale = 1 / (h * h * (h * h))
-    means, noises = [], []
-    for i in range(CELLS + 1 - width):
-        part = 0.0
-        for value in rest[i : i + width]:
-            part += value
-        means.append(part / width)
-        noises.append(variance / (1 + (position[i + width] - position[i])))
+    """Return the least squared level for second differences over a distance in cells [m^2].
+
+    They are those of means over half of it. Errors of the points give each a variance of ``noise``.
+    """
+    width = distance / 2
+    step = (CELLS - width - 2 * distance) / (PLACES - 1)
+    h = distance * 2 / CELLS
+    scale, shrink = 1 / (h * h * (h * h)), 1 / (width * width)
     near, levels = 0.0, []
-    for i in range(count):
+    for i in range(PLACES):
         # Second differences of T_2 are 4 h^2, those of T_3 are 24 w h^2, with w in the middle.
-        j, k = i + steps, i + 2 * steps
-        of_cubic = 24 * ((2 * j + width) / CELLS - 1)
+        begin = i * step
+        middle = begin + distance
+        of_cubic = 24 * ((2 * middle + width) / CELLS - 1)
         unit = scale / (16 * SHAPE[2][2] + of_cubic * of_cubic * SHAPE[3][3])
-        second = means[i] - 2 * means[j] + means[k]
-        explained = noises[i] + 4 * noises[j] + noises[k]
-        levels.append((second * second - far_noise * explained) * unit)
-        near += (second * second - mean_noise * explained) * unit
-    far = sorted(levels)[math.ceil(SHARE * count) - 1] / (LIMIT * LIMIT)
-    return max(far, near / (count * MEAN_SQUARE))
+        first, second, third = (
+            sum_between(sums, place, place + width) for place in (begin, middle, middle + distance)
+        )
+        difference = first - 2 * second + third
+        square = difference * difference * shrink
+        levels.append((square - far_noise * noise) * unit)
+        near += (square - mean_noise * noise) * unit
+    far = sorted(levels)[-2] / (LIMIT * LIMIT)  # one of 32 may be beyond
+    return max(far, near / (PLACES * MEAN_SQUARE))
