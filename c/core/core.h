@@ -233,6 +233,8 @@ size_t maplines_paths_size(size_t lines, size_t points);
 /// Prepare lines of (count, 2) points with their arc lengths [m].
 void maplines_prepare_paths(size_t lines, const size_t *count, const double *const *points,
                             const double *const *distance, double *memory);
+/// Squared errors that the points of all lines show [m^2]; 0 for two at both ends of each line.
+void maplines_point_errors(const double *paths, double *squares);
 /// Size of the memory of the functions below, of so many lines that are propagated together: all of
 /// a scene, 1 of those one by one, 0 of refits.
 size_t maplines_work_size(size_t lines, size_t points, size_t together, size_t poses);

@@ -45,6 +45,16 @@ void maplines_prepare_paths(size_t lines, const size_t *count, const double *con
     }
 }
 
+void maplines_point_errors(const double *paths, double *squares)
+{
+    const paths_t *own = (const paths_t *)(const void *)paths;
+    for (size_t i = 0; i < own->lines; i++)
+    {
+        maplines_shown_errors(&own->paths[i], squares);
+        squares += own->paths[i].count;
+    }
+}
+
 size_t maplines_work_size(size_t lines, size_t points, size_t together, size_t poses)
 {
     const size_t states = 4 * together;

@@ -96,6 +96,8 @@ typedef struct {
 /// path uses. A step whose square overflows is far away from any car.
 void maplines_prepare_path(const double *points, const double *distance, size_t count,
                            double *memory, maplines_path_t *path);
+/// Squared errors (count) that the points of a line show [m^2]; 0 for two at each of its ends.
+void maplines_shown_errors(const maplines_path_t *path, double *squares);
 /// Place on the map from which lines are followed, and how far along them [m].
 void maplines_look_start(const maplines_look_t *look, double start[2], double *reach);
 /// Stretches of lines; the arrays of `seen` have room for all points of the lines, and left_out has

@@ -138,6 +138,14 @@ void maplines_prepare_path(const double *points, const double *distance, size_t 
     }
 }
 
+void maplines_shown_errors(const maplines_path_t *path, double *squares)
+{
+    for (size_t i = 0; i < path->count; ++i)
+    {
+        squares[i] = i >= 2 && i + 2 < path->count ? shown_error(path, i) : 0.0;
+    }
+}
+
 /// Mean of the terms of points, of which `sums` has the sums before each, from one place among the
 /// points to another. A term extends half a point to both sides. Those of `margin` points at both
 /// ends of the line are not known. If there are less than `least`, those around count, too.

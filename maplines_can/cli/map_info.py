@@ -12,14 +12,18 @@ import numpy as np
 
 from ..maps import Map, Skipped, link_gaps, load, town_path
 from ..maps.formats.load import SHIPPED
+from ..maps.point_quality import EVERY, MAX_PLACES, PointQuality, point_quality
 from .overwriting import add_force, check_new
-from .parsing import add_command, add_json, option_group
+from .parsing import add_command, add_json, number, option_group
+from .stderr import progress_bar
 
 __all__ = ["add_map"]
 
 DESCRIPTION = """\
 Print what is in a map: roads, lanes by type, extent, projection, and what is not used of the file
-and why. The map is OpenDRIVE, Lanelet2, CommonRoad, GeoJSON or CSV, also compressed by gzip."""
+and why. Then how good the points of the lines are: how far they stand apart, how noisy they look,
+and how certain a line would be for a car that knows its pose exactly. The map is OpenDRIVE,
+Lanelet2, CommonRoad, GeoJSON or CSV, also compressed by gzip."""
 #: What distinguishes reasons of the same kind: quoted text, and numbers with ids around them.
 _VALUES = re.compile(r"'[^']*'|[-+]?\b[\d.:e+-]*\d\b")
 
@@ -42,6 +46,13 @@ def add_map(commands: Any) -> None:
         help="PROJ string of the frame for a map in WGS84, such as '+proj=utm +zone=32' "
         "(default: that of the file, or else one around the map)",
     )
+    add(
+        "--seed",
+        type=number(int, 0, 2**32),
+        default=0,
+        help=f"seed of the {MAX_PLACES} places for the certainty of lines on a map with more than "
+        f"{EVERY * MAX_PLACES / 1000:g} km of lanes (default: 0)",
+    )
     output = option_group(parser, "output")
     output.add_argument(
         "--plot",
@@ -57,14 +68,16 @@ def _map(arguments: argparse.Namespace) -> int:
     check_new(arguments, arguments.plot)
     road_map = load(arguments.file or town_path(), arguments.projection)
     summary = summary_of(road_map)
+    with progress_bar(" places", leave=False) as progress:
+        quality = point_quality(road_map, arguments.seed, progress)
     if arguments.plot:
         from ..study.figures.map_picture import draw_map
 
         draw_map(road_map, arguments.plot)
     if arguments.json:
-        print(json.dumps(summary | {"plot": arguments.plot}, indent=2))
+        print(json.dumps(summary | {"points": quality.as_dict(), "plot": arguments.plot}, indent=2))
     else:
-        print("\n".join(text_lines(summary)))
+        print("\n".join([*text_lines(summary), "", *quality_lines(quality)]))
         if arguments.plot:
             print(f"\n{arguments.plot}: the picture")
     return 0
@@ -160,3 +173,43 @@ def text_lines(summary: dict[str, Any]) -> list[str]:
         for group in summary[key]:
             lines.append(f"  {group['count']:>6} x {group['why']}\n{'':>11}first: {group['where']}")
     return lines
+
+
+def quality_lines(quality: PointQuality) -> list[str]:
+    """Return what the points of a map tell as lines of text."""
+    low, median, high = (_length(value) for value in quality.spacing)
+    rows = [
+        f"  points of the lines: {quality.points}",
+        f"    one every {median}; {low} to {high} over 90 % of the length",
+    ]
+    if quality.noise is None:
+        rows.append("    noise: not known, as no line has five points")
+    else:
+        low, median, high = (_length(value) for value in quality.noise)
+        rows.append(f"    noise as they show it: {median}; {low} to {high} over 90 % of the length")
+    if not quality.places:
+        return rows
+    rows += [
+        "",
+        f"  lines for a car that knows its pose exactly, at {quality.places} places on the lanes",
+        f"    given: {quality.lines}"
+        + ("" if quality.reach is None else f", {quality.reach:.0f} m ahead (median)"),
+    ]
+    rows += [f"    left out: {n}, {why}" for why, n in quality.left_out.items()]
+    rows += ["", f"    {'ahead':<8}{'lines':>7}{'sigma: median':>16}{'95 % are within':>18}"]
+    for at in quality.sigmas:
+        cells = ["-" if value is None else _length(value) for value in (at.median, at.high)]
+        rows.append(f"    {at.x:>3} m   {at.lines:>7}{cells[0]:>16}{cells[1]:>18}")
+    return rows
+
+
+def _length(metres: float) -> str:
+    """Return a length in a unit that suits it.
+
+    >>> _length(0.0004), _length(0.0312), _length(1.21), _length(140)
+    ('0.4 mm', '3.1 cm', '1.2 m', '140 m')
+    """
+    for unit, factor, most in (("mm", 1e3, 0.00995), ("cm", 1e2, 0.995)):
+        if metres < most:
+            return f"{metres * factor:.2g} {unit}" if metres * factor >= 0.1 else f"< 0.1 {unit}"
+    return f"{metres:.2g} m" if metres < 99.5 else f"{metres:.0f} m"

@@ -7,7 +7,7 @@ from .linear import Linear
 from .monte_carlo import MonteCarlo, Samples
 from .motion import Motion
 from .nonlinearity import Nonlinearity, nonlinearity
-from .paths import points_in_window
+from .paths import point_errors, points_in_window
 from .prediction import pose_time_ns, predict, predict_to
 from .quadrature import Quadrature
 from .refit import Refit
@@ -33,6 +33,7 @@ __all__ = [
     "map_lines",
     "map_scene",
     "nonlinearity",
+    "point_errors",
     "points_in_window",
     "pose_time_ns",
     "predict",

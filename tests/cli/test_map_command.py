@@ -53,6 +53,30 @@ def test_json_agrees_with_the_map(capsys: pytest.CaptureFixture[str]) -> None:
     assert summary["plot"] is None
 
 
+def test_how_good_the_points_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Points of 5 cm every 2 m, in text and in JSON."""
+    rng = np.random.default_rng(2)
+    rows = ["line,lane,side,x,y"]
+    for side, y in (("left", 3.5), ("right", 0.0)):
+        for x in np.arange(0.0, 401.0, 2.0):
+            dx, dy = rng.normal(0, 0.05, 2)
+            rows.append(f"{side},1,{side},{x + dx:.3f},{y + dy:.3f}")
+    path = tmp_path / "noisy.csv"
+    path.write_text("\n".join(rows) + "\n")
+    assert main(["map", str(path)]) == 0
+    text = capsys.readouterr().out
+    assert main(["map", str(path), "--json"]) == 0
+    points = json.loads(capsys.readouterr().out)["points"]
+
+    assert points["spacing"]["median"] == pytest.approx(2.0, abs=0.1)
+    assert points["noise"]["median"] == pytest.approx(0.05, rel=0.25)
+    assert [one["x"] for one in points["sigmas"]] == [0, 20, 40, 60]
+    assert all(0 < one["median"] <= one["high"] < 0.2 for one in points["sigmas"])
+    assert "points of the lines: 402\n    one every 2 m; " in text
+    assert re.search(r"noise as they show it: [3-6]\.?\d* cm; ", text)
+    assert f"given: {points['lines']}, {points['reach']:.0f} m ahead (median)" in text
+
+
 def test_what_is_not_used_is_counted_by_reason_with_an_example(
     partly: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
