@@ -56,12 +56,13 @@ def map_lines(
     """Return lines of the map as seen from an uncertain pose, ready for ``Transmitter``.
 
     Each line is given in the range in which a cubic follows it (see ``Refit``), and its covariance
-    covers what the cubic misses there. So, at each x from x_min to x_max, the line of the map, as
-    seen from a pose drawn from ``ego``, lies within the band of the Gaussian as often as its
-    standard deviation says. The range leaves room for the pose error: the line seen from the true
+    covers what the cubic misses there, and the errors that the points of the map show. So, at each
+    x from x_min to x_max, the road, as seen from a pose drawn from ``ego``, lies within the band of
+    the Gaussian as often as its standard deviation says. The range leaves room for the pose error: the line seen from the true
     pose does not end before it. It ends where the line is less certain than ``max_sigma``.
 
-    A line that cannot be given is left out, with a reason, and does not affect the others. A pose
+    A line that cannot be given is left out, with a reason, and does not affect the others; one that
+    bends, of few points far apart, is such a line. A pose
     from which a line is not a function of x does not lose the line either: the parameters are
     extrapolated from the mean pose.
 
@@ -71,7 +72,8 @@ def map_lines(
         window: (x_min, x_max) ahead of the mean pose that the ranges may extend to [m].
         transform: for the moments of each component; None for ``SigmaPoints()``, and for the
             default of ``Mixture`` if there are several components.
-        map_error: error of the map, in addition to the error of the pose.
+        map_error: error of the map, in addition to the error of the pose. Of independent errors of
+            its points, the larger of the stated and of what they show counts.
         max_misfit: largest deviation of a cubic from its line [m].
         max_sigma: largest standard deviation of the lateral position of a line [m]; its range ends
             where it passes this. Infinite for no limit.

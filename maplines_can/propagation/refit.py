@@ -35,20 +35,22 @@ class Refit:
     The stretch of each line is selected once, in a window relative to ``pose``, so that the
     function is smooth, and shortened to the range that a cubic follows within ``max_misfit``. It is
     the line around the point nearest to the car, until it leaves the window, turns away or ends.
-    For each pose the stretch is transformed to the ego frame (u, v), and a
-    cubic ``v = p0 + p1 u + p2 u^2 + p3 u^3`` is fitted by least squares (Map Line Interface,
-    section III-A) at 64 Chebyshev nodes of the range, interpolated on the line. The result
-    therefore depends on the line and not on the spacing of its points, and deviates little more
-    than the best cubic. The cost per pose does not depend on the number of points.
+    Its cubic ``v = p0 + p1 u + p2 u^2 + p3 u^3`` (Map Line Interface, section III-A) is fitted by
+    weighted least squares, so that its chords between the points of the map are those of the line:
+    points are samples of a road, and the result depends little on their spacing. For each pose the
+    cubic, and the T_4 that it leaves of the line, are transformed to the ego frame, and a cubic is
+    fitted to them at 64 Chebyshev nodes. The cost per pose does not depend on the number of points.
 
     Args:
         polyline: the line; or several lines, for which each call returns parameters.
         pose: (3,) mean pose (e_x [m], e_y [m], e_h [rad]) in the map frame.
         window: (x_min, x_max) in the ego frame of ``pose``; the line in it is used [m].
-        map_error: error of the map points; transforms add its effect to the covariance.
-        max_misfit: largest deviation of the cubic from the line within ``x_range`` [m]. What
-            remains of it is covered by ``noise_cov``. Infinite for a fit to all of the window
-            without that cover, as in the paper.
+        map_error: error of the map points; transforms add its effect to the covariance. Of their
+            independent errors, the larger of the stated and of what the points show counts.
+        max_misfit: largest deviation of the cubic from the line within ``x_range``, after averages
+            over some metres and without what errors of the points explain [m]. What remains of it,
+            and the errors that the points show, are covered by ``noise_cov``. Infinite for a fit to
+            all of the window without that cover, as in the paper.
         max_turn: largest angle between a line and the x axis of ``pose`` [rad]; the line is not
             used farther along.
         room: distance behind the car at which a range begins at least, if the line does [m].

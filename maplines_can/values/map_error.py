@@ -15,7 +15,8 @@ class MapError:
     2020, tables 3, 5 and 6). Some are common to a section of a road, some are local.
 
     Args:
-        point_sigma: independent error of each map point, in any direction [m].
+        point_sigma: independent error of each map point, in any direction [m]. What the points
+            show of it counts, if that is more.
         offset_sigma: common offset of all points of a line, in any direction [m].
         heading_sigma: common rotation of all points of a line about the car [rad].
 
