@@ -39,7 +39,8 @@ Targets, one of them or both:
 for lines like those of a set:
   paper        uncertainty from the pose alone: nearly singular covariances
   road         uncertainty from pose and map, as a car would send them
-  both         both sets, with equal weights
+  survey       the same as road, of maps that were thinned to a point each 1 to 15 m, with errors
+  both         paper and road, with equal weights
   LOG          a log of lines, as for 'decode', or the .parquet that 'decode -o' wrote
   FILE         your own Gaussians, .npz, .csv or .parquet: mean (N, 4) and cov (N, 4, 4)
 

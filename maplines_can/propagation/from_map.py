@@ -58,8 +58,9 @@ def map_lines(
     Each line is given in the range in which a cubic follows it (see ``Refit``), and its covariance
     covers what the cubic misses there, and the errors that the points of the map show. So, at each
     x from x_min to x_max, the road, as seen from a pose drawn from ``ego``, lies within the band of
-    the Gaussian as often as its standard deviation says. The range leaves room for the pose error: the line seen from the true
-    pose does not end before it. It ends where the line is less certain than ``max_sigma``.
+    the Gaussian as often as its standard deviation says. The range leaves room for the pose error:
+    the line seen from the true pose does not end before it. It ends where the line is less certain
+    than ``max_sigma``.
 
     A line that cannot be given is left out, with a reason, and does not affect the others; one that
     bends, of few points far apart, is such a line. A pose

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -45,7 +45,7 @@ def paper(n: int, seed: int = 0) -> Gaussians:
 
     They are fitted as in the paper (see ``paper_refit``). Their covariances are nearly singular.
     """
-    return _small_set(n, seed, with_map_error=False)
+    return _small_set(n, seed, None)
 
 
 def road(n: int, seed: int = 0) -> Gaussians:
@@ -54,7 +54,16 @@ def road(n: int, seed: int = 0) -> Gaussians:
     Their covariances cover what the cubic misses (see ``Refit``). Point errors and offsets of the
     map are 2 to 20 cm, its heading error is 0.05 deg.
     """
-    return _small_set(n, seed, with_map_error=True)
+    return _small_set(n, seed, _stated)
+
+
+def survey(n: int, seed: int = 0) -> Gaussians:
+    """Return n lines of the same roads as a map has them that was thinned, and has errors.
+
+    It has a point each 1 to 15 m, with an independent error of 1 to 20 cm; half of these maps state
+    it, and offset and heading as those of ``road``. Lines that cannot be given are not of the set.
+    """
+    return _small_set(n, seed, _surveyed)
 
 
 def adversarial(n: int, seed: int | Sequence[int] = 0, at_limit_share: float = 0.1) -> Gaussians:
@@ -85,28 +94,50 @@ def adversarial(n: int, seed: int | Sequence[int] = 0, at_limit_share: float = 0
     return Gaussians(mean, (cov + np.swapaxes(cov, 1, 2)) / 2)
 
 
-def _small_set(n: int, seed: int, with_map_error: bool) -> Gaussians:
+Lines = Sequence[Polyline]
+#: Lines of a road as a map has them, and the error of the map.
+_Mapped = Callable[[Lines, np.random.Generator], tuple[Lines, MapError]]
+
+
+def _stated(lines: Lines, rng: np.random.Generator) -> tuple[Lines, MapError]:
+    point_sigma, offset_sigma = 10 ** rng.uniform(np.log10(0.02), np.log10(0.2), size=2)
+    return lines, MapError(point_sigma, offset_sigma, heading_sigma=np.radians(0.05))
+
+
+def _surveyed(lines: Lines, rng: np.random.Generator) -> tuple[Lines, MapError]:
+    spacing, sigma = 10 ** rng.uniform([0.0, -2.0], np.log10([15.0, 0.2]))
+    thinned = [line.resampled(spacing) for line in lines]
+    noisy = [
+        Polyline(line.points + rng.normal(0.0, sigma, line.points.shape), line.kind)
+        for line in thinned
+    ]
+    stated = sigma if rng.random() < 0.5 else 0.0
+    return noisy, replace(_stated(lines, rng)[1], point_sigma=stated)
+
+
+def _small_set(n: int, seed: int, mapped: _Mapped | None) -> Gaussians:
     scenarios = chain(SCENARIOS.values(), random_scenarios(2 * n, seed))
-    return _lines_of_scenarios(scenarios, n, np.random.default_rng([seed, 1]), with_map_error)
+    return _lines_of_scenarios(scenarios, n, np.random.default_rng([seed, 1]), mapped)
 
 
 def _lines_of_scenarios(
-    scenarios: Iterable[Scenario], n: int, rng: np.random.Generator, with_map_error: bool
+    scenarios: Iterable[Scenario], n: int, rng: np.random.Generator, mapped: _Mapped | None
 ) -> Gaussians:
-    """Return the first n lines of scenarios; a scenario with a line across the car is skipped."""
+    """Return the first n lines of scenarios; a scenario with a line across the car is skipped.
+
+    They are fitted as in the paper, without a map error, if nothing says how a map has them.
+    """
     means: list[Array] = []
     covs: list[Array] = []
     for scenario in scenarios:
         if len(means) >= n:
             break
         try:
-            if with_map_error:
-                point_sigma, offset_sigma = 10 ** rng.uniform(np.log10(0.02), np.log10(0.2), size=2)
-                error = MapError(point_sigma, offset_sigma, heading_sigma=np.radians(0.05))
-                lines = list(scenario.lines.values())
-                refit = Refit(lines, scenario.ego.mean, scenario.window, error)
-            else:
+            if mapped is None:
                 refit = paper_refit(scenario)
+            else:
+                lines, error = mapped(list(scenario.lines.values()), rng)
+                refit = Refit(lines, scenario.ego.mean, scenario.window, error)
             mean, cov = SigmaPoints().moments(refit, scenario.ego)
         except IllPosedError:
             continue
@@ -137,7 +168,7 @@ def drawn_chunk(name: str, seed: int, index: int, size: int) -> Gaussians:
     rng = np.random.default_rng(rng_seed)
     with_map_error = name == "road"
     fixed = SCENARIOS.values() if index == 0 else ()
-    means, covs = _lines_of_scenarios(fixed, size, rng, with_map_error)
+    means, covs = _lines_of_scenarios(fixed, size, rng, _stated if with_map_error else None)
     while len(means) < size:
         missing = size - len(means)
         roads = random_roads(missing, rng, with_map_error=with_map_error)

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from maplines_can.study import adversarial, evaluate, paper, road
+from maplines_can.study.sets import survey
 from maplines_can.values.line import VAGUE_SIGMA, Status
 from maplines_can.wire import Codec
 from maplines_can.wire.layout.packing import Packing
@@ -54,9 +55,9 @@ def test_any_covariance_is_covered_or_out_of_range(
     check_guarantee(default_codec(), np.array([mean]) * LIMITS / 32, ((cov + cov.T) / 2)[None])
 
 
-@pytest.mark.parametrize("make", [paper, road])
+@pytest.mark.parametrize("make", [paper, road, survey])
 def test_the_sets_stay_within_the_bounds_of_the_design(codec: Any, make: Any) -> None:
-    """KL, saturation, lateral error and sigma ratio, for pose error alone and with map error."""
+    """KL, saturation, lateral error and sigma ratio, without and with the error of a map."""
     means, covs = make(500, seed=11)
     batch, evaluation = check_guarantee(codec, means, covs)
     assert evaluation.kl_covered.mean() <= 5e-3

@@ -21,13 +21,13 @@ from ...wire import Codec, Layout
 from ...wire.layout.signals import PARAMETER_SIGNALS
 from ..dbc.dbc_writer import DbcWriter
 from ..metrics import LATERAL_X, evaluate
-from ..sets import Gaussians, paper, road
+from ..sets import Gaussians, paper, road, survey
 from .plan import MAX_FRAMES, Targets, WidthPlan
 from .planner import ENDS_AIM, MIN_GAIN, PRICES, Planner
 from .result import Design, LayoutFigures
 
 #: Sets of lines to design for, by the name of the choice.
-SETS = {"paper": (paper,), "road": (road,), "both": (paper, road)}
+SETS = {"paper": (paper,), "road": (road,), "survey": (survey,), "both": (paper, road)}
 #: Fewer lines do not represent a set.
 MIN_LINES = 100
 #: Number of orders of the rows that are measured.
