@@ -102,11 +102,11 @@ def draw_stated(rows: Mapping[str, Any], stated: Sequence[float], path: Path) ->
                 axes.plot(at, values, style, color=colour, marker=".", ms=4, label=label)
         axes.set_title(f"a point every {spacing}", **TITLE)
         axes.set_yscale("log")
-        axes.set_ylim(0.003, 2.0)
+        axes.set_ylim(0.005, 0.5)
         axes.set_xlabel("stated error of a point [cm]")
         without_frame(axes)
     figure.axes[0].set_ylabel("y at 20 m [m]")
-    figure.axes[0].legend(title="noise", frameon=False, fontsize=7, title_fontsize=7, ncols=2)
+    figure.axes[0].legend(title="noise", frameon=False, fontsize=7, title_fontsize=7, ncols=3)
     figure.savefig(path, dpi=90)
 
 
