@@ -90,6 +90,7 @@ class Drive:
         cars: "map", "no map" or "lidar".
         seeds: number of cars.
         errors: that the filters know of the sensors.
+        longest: time after the begin of a fault [s].
     """
 
     def __init__(
@@ -99,11 +100,12 @@ class Drive:
         cars: str,
         seeds: int,
         errors: SensorErrors = SETUP.errors,
+        longest: float = max(DURATIONS) + AFTER,
     ) -> None:
         self.way, self._layer = way, layer
         self.begin = START + WARM_UP
         setup, rng = SETUP, np.random.default_rng([seeds, len(cars)])
-        span = START, self.begin + max(DURATIONS) + AFTER
+        span = START, self.begin + longest
         arrivals = simulated_measurements(way, layer, setup, rng, seeds, span)
         if cars != "map":
             camera = CameraLines | SeenLandmarks
@@ -165,11 +167,16 @@ def poses_of(
     ]
 
 
-def drive_of(cars: str, seeds: int, errors: SensorErrors = SETUP.errors) -> Drive:
+def drive_of(
+    cars: str,
+    seeds: int,
+    errors: SensorErrors = SETUP.errors,
+    longest: float = max(DURATIONS) + AFTER,
+) -> Drive:
     """Return the drive of cars with what ``CARS`` says, through the town or on a straight road."""
     if cars == "straight road":
         way = SimulatedDrive(Polyline([[0.0, 0.0], [4000.0, 0.0]]))
-        return Drive(way, LocalisationLayer(Map({}, {})), "no map", seeds, errors)
+        return Drive(way, LocalisationLayer(Map({}, {})), "no map", seeds, errors, longest)
     town = load(town_path())
     way, layer = drive_along(town, town_tour(town)), LocalisationLayer(town)
     return Drive(way, layer, cars, seeds, errors)
