@@ -173,6 +173,7 @@ def stated(
 
     An error of another size keeps what the two have in common: the smaller one is a part of the
     larger one, so that their covariance is the smaller variance.
+    What a drift may add (``Bank.drift``) is in the error, too.
 
     Args:
         mean: (n K, N).
