@@ -13,6 +13,7 @@ from ..bus.first_frames import FirstFrames
 from ..simulation.truth import Truth, read_truth, truth_paths
 from ..study.accuracy.consistency import consistency_of
 from ..study.accuracy.evaluation import Accuracy, accuracy_of
+from ..study.accuracy.map_part import map_consistency_of
 from ..study.accuracy.text import as_text
 from ..values.errors import DriveFileError, LogError
 from ..values.line import MapLine
@@ -30,7 +31,8 @@ Compare the lines in the log of a drive with the true ones: the lateral, heading
 errors at 0, 20, 40 and 80 m ahead, and the absolute and the relative accuracy as EDMap defines
 them; and compare these with the requirements that a survey of HD maps lists. First, a sentence says
 whether the errors are as large as the sender states, by a chi-square test of the lateral errors in
-stated standard deviations.
+stated standard deviations; and a second one whether what it states for its map is right, by the
+part of the errors that the pose does not explain.
 
 TRUTH and LOG are what 'maplines drive --record' writes; TRUTH is the one beside LOG, if it is not
 given. Each line is compared with the truth at the time of its pose, within its range."""
@@ -119,6 +121,8 @@ def _print(
         consistency = consistency_of(accuracy)
         rest: dict[str, Any] = {"lane_changes": truth.lane_changes, "log": summary.as_dict()}
         rest["consistency"] = None if consistency is None else consistency.as_dict()
+        of_map = map_consistency_of(accuracy)
+        rest["map"] = None if of_map is None else of_map.as_dict()
         print(json.dumps(accuracy.as_dict() | rest, indent=2))
     else:
         print(as_text(accuracy))

@@ -208,6 +208,9 @@ class Truth(NamedTuple):
     lane_changes: int
     speed: Array  #: (n,) [m/s]
     lines: Mapping[Slot, Array]  #: (n, 17) by slot, as of ``true_lines``
+    #: (n, 3) reported pose as seen from the true one [m, m, rad]; NaN without a reported pose.
+    pose_errors: Array
+    pose_covs: Array  #: (n, 3, 3) covariance of the reported pose, in the same frame
 
 
 def read_truth(path: str | PathLike[str]) -> Truth:
@@ -235,7 +238,27 @@ def read_truth(path: str | PathLike[str]) -> Truth:
         raise DriveFileError(f"{path}: the times must increase from row to row, of one row or more")
     same = np.array([a == b for a, b in zip(table["lane"], table["stated_lane"], strict=True)])
     changes = int(np.nansum(np.asarray(table["lane_changed"], dtype=float)))
-    return Truth(time, same, changes, np.asarray(table["speed"], dtype=float), numbers)
+    speed = np.asarray(table["speed"], dtype=float)
+    return Truth(time, same, changes, speed, numbers, *_pose_errors(table))
+
+
+def _pose_errors(table: Mapping[str, Any]) -> tuple[Array, Array]:
+    """Return the errors of the reported poses and their covariances, as of ``Truth``."""
+    names = ("x", "y", "heading")
+    true = np.column_stack([np.asarray(table[name], dtype=float) for name in names])
+    stated = np.column_stack([np.asarray(table[f"stated_{name}"], dtype=float) for name in names])
+    xx, xy, yy, xh, yh, hh = (
+        np.asarray(table[f"stated_cov_{pair}"], dtype=float)
+        for pair in ("xx", "xy", "yy", "xh", "yh", "hh")
+    )
+    cov = np.array([[xx, xy, xh], [xy, yy, yh], [xh, yh, hh]]).transpose(2, 0, 1)
+    to_car = np.zeros_like(cov)
+    c, s = np.cos(true[:, 2]), np.sin(true[:, 2])
+    to_car[:, 0, 0], to_car[:, 0, 1], to_car[:, 1, 0], to_car[:, 1, 1] = c, s, -s, c
+    to_car[:, 2, 2] = 1.0
+    error = stated - true
+    error[:, 2] = (error[:, 2] + math.pi) % (2 * math.pi) - math.pi
+    return np.einsum("nij,nj->ni", to_car, error), to_car @ cov @ to_car.transpose(0, 2, 1)
 
 
 def _parquet_table(path: Path) -> dict[str, Any]:

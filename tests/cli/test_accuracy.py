@@ -67,6 +67,16 @@ def test_a_constant_error_of_the_pose_is_an_error_of_the_lines(
     assert max(result["beyond 3 sigma"].values()) < 0.05
 
 
+def test_the_stated_map_error_is_judged(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In text and JSON: without a pose error, nothing hides it; the map of the truth is the same."""
+    found = accuracy(capsys, folder, "exact.blf")["map"]
+    assert found["verdict"] in ("RIGHT", "TOO_LARGE")
+    assert found["error"] <= found["sigma"]
+    assert found["pose_sigma"] < 1e-3
+    assert main(["accuracy", str(folder / "exact.blf.csv"), str(folder / "exact.blf")]) == 0
+    assert "without the pose error, the lateral errors are" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("has_pyarrow", [True, False])
 def test_the_truth_is_found_beside_the_log(
     tmp_path: Path,

@@ -63,6 +63,18 @@ REQUIREMENTS = (
 )
 
 
+#: Least sigma of the map's part [m]; it is known no better from what the truth has.
+MIN_SIGMA = 0.01
+
+
+class MapPart(NamedTuple):
+    """Part of the lateral errors that the pose does not explain; each (n, 4) at ``PLACES`` [m]."""
+
+    error: Array
+    sigma: Array  #: standard deviation that is stated for it
+    pose_sigma: Array  #: that of the part of the pose
+
+
 @dataclass(frozen=True, eq=False)
 class Accuracy:
     """Errors of the received lines of a drive.
@@ -79,6 +91,7 @@ class Accuracy:
         other_lane: of these, lines of cycles in which the car was on another lane than it believed.
         saturated: lines compared that are wider than necessary, because a value reached the end of
             its range in the message.
+        of_map: part of the lateral errors that the pose does not explain.
     """
 
     errors: Mapping[str, Array]
@@ -90,6 +103,7 @@ class Accuracy:
     unknown: int
     other_lane: int
     saturated: int
+    of_map: MapPart
 
     @property
     def lines(self) -> int:
@@ -198,6 +212,32 @@ def accuracy_of(truth: Truth, lines: Iterable[MapLine]) -> Accuracy:
         int((~known & (same | ~is_timed)).sum()),
         int((is_timed & ~truth.same_lane[rows]).sum()),
         int(np.array(saturated, dtype=bool)[known].sum()),
+        _map_part(errors["lateral"], table[known, 8:], true[known], truth, rows[known]),
+    )
+
+
+def _map_part(
+    lateral: Array, sigma: Array, true: Array, truth: Truth, rows: NDArray[np.intp]
+) -> MapPart:
+    """Return the part of (n, 4) lateral errors that the pose errors do not explain.
+
+    From a pose at (dx, dy), turned by dh, the line y(x) is y(x + u) - dy - x dh at x, with
+    u = dx - y dh; y(x + u) up to the second order. ``sigma`` is that of the lines, (n, 4).
+    """
+    x = np.array(PLACES, dtype=float)
+    y = true[:, [Y_PLACES.index(place) for place in PLACES]]
+    heading, curvature = np.split(true[:, len(Y_PLACES) :], 2, axis=1)
+    slope = np.tan(heading)
+    dx, dy, dh = (column[:, None] for column in truth.pose_errors[rows].T)
+    along = dx - (y - dy) * dh
+    bend = curvature * np.hypot(1, slope) ** 3
+    of_pose = slope * along + bend * along**2 / 2 - dy - (x - dx) * dh
+    J = np.stack([slope, np.full_like(y, -1.0), -(x + slope * y)], axis=-1)  # (n, 4, 3)
+    variance = np.einsum("nki,nij,nkj->nk", J, truth.pose_covs[rows], J)
+    return MapPart(
+        lateral - of_pose,
+        np.sqrt(np.maximum(sigma**2 - variance, MIN_SIGMA**2)),
+        np.sqrt(np.maximum(variance, 0.0)),
     )
 
 

@@ -6,6 +6,7 @@ from ...simulation.truth import PLACES
 from ..text_table import aligned
 from .consistency import consistency_of
 from .evaluation import MIN_CURVATURE, REQUIREMENTS, Accuracy
+from .map_part import map_consistency_of
 
 #: Headings of the errors, with their units, and the factors from the unit of the error.
 _SHOWN = {
@@ -20,9 +21,10 @@ _SHOWN = {
 def as_text(accuracy: Accuracy) -> str:
     """Return the errors and the requirements of the survey as tables.
 
-    The first sentence says whether the errors are as large as the sender states.
+    The first sentence says whether the errors are as large as the sender states, and the second
+    one whether those of its map are.
     """
-    consistency = consistency_of(accuracy)
+    consistency, of_map = consistency_of(accuracy), map_consistency_of(accuracy)
     blank = [""] * (len(PLACES) + 1)
     rows = [["error", "", *(f"{x} m" for x in PLACES), "whole line"]]
     for quantity, (heading, factor) in _SHOWN.items():
@@ -44,6 +46,7 @@ def as_text(accuracy: Accuracy) -> str:
     return "\n".join(
         [
             *([] if consistency is None else [consistency.text(accuracy), ""]),
+            *([] if of_map is None else [of_map.text(), ""]),
             f"{accuracy.received} lines received, {accuracy.lines} compared with the truth, "
             f"{accuracy.saturated} of these saturated; not compared: {accuracy.not_usable} too old "
             f"or out of range, {accuracy.other_lane} while the car was on another lane than it "

@@ -30,7 +30,9 @@ def truth_of(curvature: float = TRUE[2], n: int = N) -> Truth:
     line = {SLOT: Polyline(np.column_stack([x, TRUE[0] + curvature * x**2 / 2]))}
     values = true_lines(line, [SLOT], np.zeros(3))
     time = np.array([START + PERIOD * i for i in range(n)])
-    return Truth(time, np.full(n, True), 0, np.full(n, 10.0), {SLOT: np.tile(values, (n, 1))})
+    lines = {SLOT: np.tile(values, (n, 1))}
+    poses = np.zeros((n, 3)), np.zeros((n, 3, 3))
+    return Truth(time, np.full(n, True), 0, np.full(n, 10.0), lines, *poses)
 
 
 def lines_of(errors: Any, n: int = N, sigma: Any = (0.1, 1e-3, 1e-4, 1e-6), **rest: Any) -> Any:

@@ -14,7 +14,7 @@ from maplines_can.study.accuracy.consistency import (
     consistency_of,
     independent_errors,
 )
-from maplines_can.study.accuracy.evaluation import Accuracy
+from maplines_can.study.accuracy.evaluation import Accuracy, MapPart
 
 Array = NDArray[np.float64]
 PERIOD, SLOTS = 0.05, 4
@@ -42,6 +42,7 @@ def accuracy_of_errors(errors: Array, sigma: float = 0.1) -> Accuracy:
         np.repeat(PERIOD * np.arange(n), SLOTS),
         sigmas,
         *(SLOTS * n, 0, 0, 0, 0),
+        MapPart(sigmas, sigmas, sigmas),
     )
 
 
