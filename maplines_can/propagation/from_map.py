@@ -151,7 +151,7 @@ def map_scene(
     ...          Slot.EGO_RIGHT: Polyline([[-100, -1.75], [200, -1.75]])}
     >>> scene = map_scene(lines, Gaussian([0, 0, 0], np.diag([0.1, 0.2, 0.01]) ** 2))
     >>> scene.centre(0.0).sigma.round(3), scene.width(0.0).sigma.round(3)
-    (np.float64(0.2), np.float64(0.024))
+    (np.float64(0.2), np.float64(0.01))
     """
     transform = transform or SIGMA_POINTS
     query = Query(lines, ego, window, map_error, max_misfit, max_sigma)

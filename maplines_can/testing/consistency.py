@@ -106,7 +106,7 @@ def assert_consistent(
     >>> round(found.nees, 2), round(found.most, 2)
     (0.99, 1.2)
     >>> found.finds
-    '90% of such runs find standard deviations that are 13% too small, or a bias of 1.3 of them'
+    '90% of such runs find standard deviations that are 13% too small, or a bias of 1.4 of them'
     >>> assert_consistent((error, np.full(400, 0.08**2)), np.zeros(400))
     Traceback (most recent call last):
     ...
