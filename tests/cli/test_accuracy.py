@@ -68,7 +68,7 @@ def test_a_constant_error_of_the_pose_is_an_error_of_the_lines(
 
 
 def test_the_stated_map_error_is_judged(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """In text and JSON: without a pose error, nothing hides it; the map of the truth is the same."""
+    """In text and JSON. Without a pose error, nothing hides it, and the map is the true one."""
     found = accuracy(capsys, folder, "exact.blf")["map"]
     assert found["verdict"] in ("RIGHT", "TOO_LARGE")
     assert found["error"] <= found["sigma"]
