@@ -308,9 +308,9 @@ def test_joint_quantities_are_as_uncertain_as_at_the_sender(
 ) -> None:
     """Width and difference of directions of conditional records, within 12 %.
 
-    In a hairpin with a poor pose within 80 %. Beyond the resolution of the means, at the ends of the common range and between them. Nothing is
-    common to a lane's boundaries but the pose error, which these quantities do not see: they show
-    what the lines have of their own.
+    In a hairpin with a poor pose within 80 %. Beyond the resolution of the means, at the ends of
+    the common range and between them. Nothing is common to a lane's boundaries but the pose error,
+    which these quantities do not see: they show what the lines have of their own.
     """
     scene = road_scene([*SHAPES].index(shape) + 14, 4, pose, error)
     received = passed(CONDITIONAL, scene).scene
