@@ -191,15 +191,13 @@ static double root_misfit(const maplines_stretches_t *seen, size_t line, double 
                           double max_misfit)
 {
     static const grid_t grid = {MAPLINES_COARSE, maplines_coarse_rows};
-    maplines_fitted_t fitted;
+    maplines_fitted_t fitted = {{low, high}, {0.0}, {0.0}, 0.0, {0.0}};
     maplines_cells_t cells;
     double rest[MAPLINES_COARSE];
     if (!(low < high))
     {
         return 0.0;
     }
-    fitted.x_range[0] = low;
-    fitted.x_range[1] = high;
     fit_cells(seen, line, &grid, &fitted, &cells, rest);
     const double square = squared_misfit(&seen->stretch[line], &grid, &fitted, &cells, rest);
     return sqrt(sqrt(square)) / sqrt(max_misfit);
