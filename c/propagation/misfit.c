@@ -5,7 +5,7 @@
 #define LATERAL_SHARE 0.2 ///< variance of T_0, in units of the squared misfit
 #define MIN_SHAPE 0.1     ///< least level of the shape squared, in units of the squared misfit
 #define SPACINGS 3        ///< distances over which second differences are covered
-#define LIMIT 2.9         ///< standard deviations within which second differences lie
+#define LIMIT 2.3         ///< standard deviations within which second differences lie
 #define MEAN_SQUARE 1.4   ///< of second differences, in units of their variances, at most
 #define SHAPE_2 1.0       ///< variances of T_2 and T_3 by the level of the shape
 #define SHAPE_3 2.0

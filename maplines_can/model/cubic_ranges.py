@@ -54,7 +54,7 @@ LATERAL_SHARE, MIN_SHAPE = 0.2, 0.1
 PLACES, LONGEST = 32, 0.4
 #: Standard deviations within which second differences lie, but for one; mean square of these, in
 #: units of their variances, at most.
-LIMIT, MEAN_SQUARE = 2.9, 1.4
+LIMIT, MEAN_SQUARE = 2.3, 1.4
 #: For T_4 and T_5: mean squares of second derivatives, in units of the variance that they need;
 #: variances of noise that explain them; and these by the errors of one point.
 MODE_LEVELS, MODE_NOISE, MODE_VARIANCES = (2.6, 6.5), (0.1, 0.8), (3.8, 3.62)
@@ -317,7 +317,7 @@ def coefficient_variances(seen: Stretches, line: int, fitted: Fitted) -> Vector:
 
     T_0 has a share of the misfit. T_1 .. T_3 have ``SHAPE`` times a level: the least one with which
     second differences of means of the rest, over 5, 10 and 20 m, have a mean square of 1.4
-    variances, and nearly all are at most 2.9 standard deviations. What errors of the points explain
+    variances, and nearly all are at most 2.3 standard deviations. What errors of the points explain
     of them is taken off. T_4 and T_5 tell what is smooth from noise better, so the level is at
     least what they need. Both have what a line may do between its points in addition.
     """
