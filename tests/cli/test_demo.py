@@ -228,7 +228,7 @@ def test_item_11_lines_are_compared_within_their_valid_range(
         assert line["y_sigma"] < 10
     assert main(arguments) == 0
     text = capsys.readouterr().out
-    assert "80 m" not in text
+    assert " 80 m" not in text
     assert f"± {lines[0]['y_sigma']:.3f} at {lines[0]['x']:g} m" in text
     drawn = [
         curve.get_xdata() for curve in figures[0].axes[0].lines if curve.get_linestyle() == "--"

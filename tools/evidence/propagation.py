@@ -38,7 +38,9 @@ def propagation(samples: int = 10**6, order: int = 13, seed: int = 1) -> dict[st
         mixtures = np.array([compare_mixture(example, refit, true_cov, k) for k in range(2, 9)])
         result[name] = {
             "lines": len(example.lines),
-            "refit": float(compare_refit(example, refit, example.ego.sample(POSES, seed)).max()),
+            "refit": float(
+                compare_refit(refit, refit.points, example.ego.sample(POSES, seed)).max()
+            ),
             "sigma points": float(compare_sigma_points(example, refit)),
             "mean": float(mean.max()),
             "sigma": float(sigma.max()),
@@ -62,21 +64,14 @@ def qr_refit(points: Any, poses: Any) -> Any:
     return np.stack([y_off, np.arctan(slope), c0, 6 * d / half**3], axis=-1)
 
 
-def compare_refit(example: Any, refit: Any, poses: Any) -> Any:
+def compare_refit(refit: Any, points: Any, poses: Any) -> Any:
     """Return the (4,) largest differences from QR, in standard deviations of the parameters.
 
-    QR fits the points of the lines at 64 Chebyshev nodes of their ranges. The frame of the mean
-    pose is that of the map, in which all lines of the scenarios begin in the direction of x. They
-    are functions of x until they turn back, as the street turn does beyond 90 deg.
+    QR fits the (L, 64, 2) points: those of each line's cubic, and of its T_4, at Chebyshev nodes of
+    its range. The frame of the mean pose is that of the map.
     """
     lines = refit(poses)  # (N, L, 4)
-    nodes, reference = np.cos(np.pi * np.arange(64) / 63), []
-    for line, (low, high) in zip(example.lines.values(), refit.x_range, strict=True):
-        x = (low + high) / 2 + (high - low) / 2 * nodes
-        advances = np.append(True, np.diff(line.points[:, 0]) > 0)
-        function = line.points[np.logical_and.accumulate(advances)]
-        points = np.column_stack([x, np.interp(x, *function.T)])
-        reference.append(qr_refit(points, poses))
+    reference = [qr_refit(each, poses) for each in points]
     difference = np.nanmax(np.abs(lines - np.stack(reference, axis=1)), axis=0)
     return (difference / np.nanstd(lines, axis=0)).max(axis=0)
 

@@ -30,7 +30,7 @@ from ...propagation import MapError, map_scene
 from ...simulation.street_shapes import Street, StreetPiece
 from ...values.gaussian import Gaussian
 from ...values.linalg import block_diagonal
-from ...values.line import Slot, lateral_jacobian
+from ...values.line import Slot
 from ...values.polyline import Polyline
 from ...values.scene import Scene
 from ...values.seen_lines import SeenLines, bases
@@ -155,9 +155,9 @@ def information(drawn: RandomScene, resolution: float) -> Array:
 def unit_point_cov(mean: Array, fit_range: Array, spacing: float) -> Array:
     """Return the (4, 4) covariance of a line for unit errors of points with a spacing [m].
 
-    The errors are averaged by the fit, but the line itself has them in full (see ``Refit``).
+    The errors are averaged by the fit.
     """
-    centre, half = fit_range.mean(), (fit_range[1] - fit_range[0]) / 2
+    half = (fit_range[1] - fit_range[0]) / 2
     V = np.linalg.pinv(np.vander(NODES, 4, increasing=True))
     N = np.zeros((4, 4))
     for phase in PHASES:
@@ -168,10 +168,7 @@ def unit_point_cov(mean: Array, fit_range: Array, spacing: float) -> Array:
     cubics = (Polynomial(q, fit_range).convert().coef for q in np.eye(4))
     J = np.column_stack([np.resize([*q, 0, 0, 0], 4) for q in cubics]) * [[1], [1], [2], [6]]
     J[1] *= np.cos(mean[1]) ** 2
-    cov = J @ N @ J.T
-    g = lateral_jacobian(mean, centre + half * NODES)
-    cov[0, 0] += max(0.0, 1 - np.einsum("ki,ij,kj->k", g, cov, g).min())
-    return np.asarray(cov)
+    return np.asarray(J @ N @ J.T)
 
 
 def joint_limit(informations: Array, kl: float) -> Limit:
