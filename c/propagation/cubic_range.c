@@ -5,6 +5,7 @@
 #define BULGE 0.5    ///< of the sagittas that points show: most of a cubic between points
 #define AVERAGE 4.0  ///< length over which what a cubic leaves is averaged [m]
 #define NOISE_LIMIT 14.0
+#define NARROW_LIMIT 25.0 ///< the same in the greatest rest of a cell
 #define SHARED_POINTS 20.0
 #define STARTS 5 ///< of ranges that are tried
 #define ENDS 6   ///< and ends of each
@@ -128,8 +129,8 @@ void maplines_sum_cells(size_t count, const double *rest, double *sums)
     sums[count + 1] = sums[count]; // of a place at the end
 }
 
-/// Squared misfit of a cubic: the greatest mean over some metres, without what errors of the points
-/// explain of it, or the modes.
+/// Squared misfit of a cubic: the greatest mean over some metres or a cell, without what errors of
+/// the points explain of it, or the modes.
 static double squared_misfit(const maplines_stretch_t *stretch, const grid_t *grid,
                              const maplines_fitted_t *fitted, const maplines_cells_t *cells,
                              const double *rest)
@@ -141,6 +142,8 @@ static double squared_misfit(const maplines_stretch_t *stretch, const grid_t *gr
     const double width = limited(AVERAGE * count / length, 1.0, count / 4.0);
     const double noise = NOISE_LIMIT * maplines_noise_share(points) * stretch->error /
                          (1.0 + width * points / count);
+    const double narrow =
+        NARROW_LIMIT * maplines_noise_share(points) * stretch->error / (1.0 + points / count);
     const double step = (count - width) / (count - 1.0);
     const double scale = 1.0 / width;
     const double *modes = fitted->modes;
@@ -152,7 +155,9 @@ static double squared_misfit(const maplines_stretch_t *stretch, const grid_t *gr
         const double mean =
             (maplines_sum_to(sums, begin + width) - maplines_sum_to(sums, begin)) * scale;
         const double excess = mean * mean - noise;
+        const double own = rest[k] * rest[k] - narrow;
         greatest = excess > greatest ? excess : greatest;
+        greatest = own > greatest ? own : greatest;
     }
     return greatest;
 }

@@ -28,8 +28,9 @@ DAMPING = 0.05
 BULGE = 0.5
 #: Length over which what a cubic leaves is averaged [m].
 AVERAGE = 4.0
-#: Variances of a mean that errors of the points explain in the greatest one.
-NOISE_LIMIT = 14.0
+#: Variances of a mean that errors of the points explain in the greatest one, and of the rest in a
+#: cell.
+NOISE_LIMIT, NARROW_LIMIT = 14.0, 25.0
 #: Points in a range of which half of what they show is taken for their errors.
 SHARED_POINTS = 20.0
 #: Starts of the ranges that are tried, as shares of the way from the car back to the window's end;
@@ -202,21 +203,21 @@ def sum_between(sums: Sequence[float], begin: float, end: float) -> float:
 
 
 def squared_misfit(fitted: Fitted, error: float) -> float:
-    """Return the square of the greatest mean over some metres, or of the modes [m^2].
+    """Return the square of the greatest mean over some metres or a cell, or of the modes [m^2].
 
-    What errors of the points explain of a mean is taken off.
+    What errors of the points explain of it is taken off.
     """
     position, count = fitted.cells.position, len(fitted.rest)
     points = position[-1] - position[0]
     width = clipped(AVERAGE * count / (fitted.end - fitted.begin), 1.0, count / 4)
     noise = NOISE_LIMIT * noise_share(points) * error / (1 + width * points / count)
+    narrow = NARROW_LIMIT * noise_share(points) * error / (1 + points / count)
     step, scale, sums = (count - width) / (count - 1), 1 / width, sums_of(fitted.rest)
     quartic, quintic = fitted.modes
     greatest = quartic * quartic + quintic * quintic
     for k in range(count):
         mean = sum_between(sums, k * step, k * step + width) * scale
-        excess = mean * mean - noise
-        greatest = excess if excess > greatest else greatest
+        greatest = max(greatest, mean * mean - noise, fitted.rest[k] * fitted.rest[k] - narrow)
     return greatest
 
 
