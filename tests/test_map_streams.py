@@ -64,6 +64,7 @@ def test_the_queries_of_a_seed_are_the_same_ones() -> None:
         (cubic_ranges, "BULGE", 0.51),
         (cubic_ranges, "AVERAGE", 4.5),
         (cubic_ranges, "NOISE_LIMIT", 14.1),
+        (cubic_ranges, "NARROW_LIMIT", 20.0),
         (cubic_ranges, "SHARED_POINTS", 21.0),
         (cubic_ranges, "SOFT", 0.11),
         (cubic_ranges, "BEHIND", 0.4),
