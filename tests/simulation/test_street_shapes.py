@@ -166,7 +166,7 @@ def test_every_line_of_a_street_is_given(name: str) -> None:
 
     assert [line.slot for line in lines] == list(Slot)
     assert lines.left_out == {}
-    assert min(line.x_max - line.x_min for line in lines) > 7.5
+    assert min(line.x_max - line.x_min for line in lines) > 7
     right = next(line for line in lines if line.slot == Slot.EGO_RIGHT)
     if name == "lane-ends":
         assert right.x_max == pytest.approx(40 - 3 * 0.1, abs=0.01)
