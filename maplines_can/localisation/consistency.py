@@ -158,7 +158,9 @@ def compared(trust: Consistency, found: Innovation, t: float) -> tuple[Consisten
     trust = trust._replace(
         rejected=rejected, agreed=agreed, at=at, mean=mean, nis=nis, residual=residual, turn=turn
     )
-    drifts = trust.known & ((mean[:, s] ** 2).sum(axis=-1) > MAX_MEAN[found.source])
+    # The mean of noise that is larger than stated is so, too.
+    noise = np.where(nis[:, s] > MAX_NIS, nis[:, s], 1.0)
+    drifts = trust.known & ((mean[:, s] ** 2).sum(axis=-1) > MAX_MEAN[found.source] * noise)
     too_many = rejected[:, s] >= REJECTED[s]
     return trust, any_judged & (too_many | drifts), any_judged & drifts & ~too_many
 

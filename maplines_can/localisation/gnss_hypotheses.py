@@ -24,6 +24,7 @@ The weights are those of Bayes, by the likelihoods of innovations. Four things m
 
 ``Localisation`` has the K filters of each of n cars as n K rows, those of a car in a row. A filter
 that has been told the error has K = 1. A fix that states its own error overrides all hypotheses.
+An error that is told is not renewed, but may change at once (``changed``).
 """
 
 from __future__ import annotations
@@ -34,8 +35,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
-from .association import Verdict
+from ..values.linalg import squared_distance
+from .association import GATES, Verdict
 from .drift import GOES_ON
 from .motion_model import ERRORS, GNSS, SPEED, YAW_RATE, N
 from .observation_models import Innovation
@@ -73,6 +76,8 @@ INDEPENDENT = 3.0
 DISCARDED = 1e-9
 #: Least weight before a renewal, so that there is one.
 LEAST = 1e-100
+#: Squared distance from which on an error that is told may have changed, of 1e-5 in a right filter.
+CHANGED = float(chdtri(2, 1e-5))
 #: Density of a fix that is an outlier [1/m^2]: a tenth of the fixes, with a sigma of 200 m.
 OUTLIER = 0.1 / (2 * math.pi * 200.0**2)
 
@@ -205,6 +210,36 @@ def stated(
     rows = range(GNSS.start, GNSS.stop)
     cov[:, rows, rows] += (after - share**2 * before)[:, None]
     return mean, cov, factor, held
+
+
+def changed(
+    cov: Array, held: Bank, found: Innovation, told: NDArray[np.bool_]
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return covariances in which an error that is told may have changed at once.
+
+    Another satellite, another reflection: a fix that is far beyond the gate, but by no more than
+    two errors of the size that is told may differ, is no outlier. The error has changed then. What
+    the pose and the error before have in common is kept, so a change says nothing about the pose,
+    however often there is one.
+
+    Args:
+        cov: (n K, N, N).
+        held: the bank.
+        found: innovations of the n K rows, before.
+        told: (n,) cars that know the error.
+
+    Returns:
+        (n K, N, N) covariances, and (n K,) whether they are others.
+    """
+    variance = np.where(np.repeat(told, held.weight.shape[1]), 2 * held.gnss_sigma**2, 0.0)
+    S = found.S[:, 0] + variance[:, None, None] * np.eye(2)
+    inside = squared_distance(found.residual[:, 0], S) <= GATES[2]
+    is_other = (found.squared[:, 0] > CHANGED) & (variance > 0) & inside
+    is_other &= found.verdict[:, 0] == Verdict.OUTLIER
+    rows = range(GNSS.start, GNSS.stop)
+    cov = cov.copy()
+    cov[:, rows, rows] += np.where(is_other, variance, 0.0)[:, None]
+    return cov, is_other
 
 
 def renewed(

@@ -44,6 +44,7 @@ from .drift import (
 )
 from .gnss_hypotheses import (
     Bank,
+    changed,
     discarded,
     first_weight,
     hypotheses,
@@ -168,14 +169,26 @@ def updated(
         mean, cov, factor, held = _gnss_error(point, observation, errors)
         transition = factor[:, :, None] * transition
         ramps = ramps._replace(response=ramps.response * factor[:, None, None])
-    found, sightings = innovation(_repeated(observation, K), mean, cov, layer), point.sightings
+    repeated, sightings = _repeated(observation, K), point.sightings
+    found = innovation(repeated, mean, cov, layer)
+    expected = found
+    if isinstance(observation, GnssFix):
+        told = np.full(len(trust.known), K == 1) | _is_stated(observation, len(trust.known))
+        cov, is_other = changed(cov, held, found, told & trust.known)
+        if is_other.any():
+            found = innovation(repeated, mean, cov, layer)
+            expected = expected._replace(verdict=found.verdict)
+            ramps = forgotten(ramps, is_other)  # a ramp does not jump
     if isinstance(observation, CameraLines | SeenLandmarks):
         found, images = confirmed(found, cov, sightings.get(found.source), t)
+        expected = found
         sightings = {**sightings, found.source: images}
     likeliest = held.likeliest
     seen = _rows(found, likeliest)
     was_known = trust.known
-    trust, contradicted, drifts = compared(trust, _predicted_fixes(seen, found, K), t)
+    trust, contradicted, drifts = compared(
+        trust, _predicted_fixes(_rows(expected, likeliest), found, K), t
+    )
     is_gnss = found.source == "gnss"
     is_ramp = np.zeros(len(trust.known), dtype=bool)
     if is_gnss:
@@ -256,6 +269,11 @@ def _gnss_error(
     given = np.isfinite(fix.position).all(axis=1) & trust.known & np.isnan(error[:, 0])
     mean, cov, factor, held = renewed(mean, cov, held, given, t)
     return mean, cov, share * factor, held
+
+
+def _is_stated(fix: GnssFix, n: int) -> Cars:
+    """Return (n,) whether a fix states its error."""
+    return np.full(n, False) if fix.error is None else ~np.isnan(np.asarray(fix.error)[:, 0])
 
 
 def _repeated(observation: Observation, K: int) -> Observation:

@@ -123,6 +123,55 @@ def test_a_jump_leaves_the_pose_alone() -> None:
     assert max(worst) < 25
 
 
+@pytest.mark.parametrize("by_fix", [False, True], ids=["by the caller", "by the fix"])
+def test_an_error_that_is_told_may_change_at_once(by_fix: bool) -> None:
+    """A step process of 20 m and 20 s has the autocorrelation that is told, but not its increments.
+
+    Five fixes after a step come within a second. 12 cars of 100 s have 60 steps.
+    """
+    rng = np.random.default_rng(21)
+    off = 20.0 * rng.standard_normal((500, CARS, 2))
+    stays = rng.random((500, CARS)) > -math.expm1(-0.2 / 20.0)
+    for k in range(1, len(off)):
+        off[k] = np.where(stays[k, :, None], off[k - 1], off[k])
+    assert (~stays[1:]).sum() > 30
+    told, found = GaussMarkov(20.0, 20.0), list[Array]()
+
+    def then(t: float, localisation: Localisation) -> None:
+        if t > 10.0:
+            found.append(nees(t, localisation))
+
+    errors = SensorErrors(gnss=SensorErrors.UNKNOWN_GNSS if by_fix else told)
+    drive(off, then, errors=errors, error=np.tile(told, (CARS, 1)) if by_fix else None)
+    assert 0.7 < np.mean(found) < 4.0
+
+
+def test_a_change_of_the_error_is_none_of_the_pose() -> None:
+    """It moves the estimated error, and the pose by a small part of its sigma."""
+    told = SensorErrors(gnss=GaussMarkov(20.0, 20.0))
+    off = np.zeros((150, CARS, 2))
+    off[100:] = [45.0, 0.0]
+    before, after = list[Any](), list[Any]()
+
+    def then(t: float, localisation: Localisation) -> None:
+        if 19.85 < t < 19.95 or 20.05 < t < 20.15:
+            mean, cov, _ = localisation.poses()
+            one = mean[:, :2] - place(t), np.sqrt(cov[:, 0, 0]), localisation.gnss_bias()
+            (before if t < 20.0 else after).append(one)
+
+    drive(off, then, errors=told)
+    (e0, sigma, bias0), (e1, _, bias1) = before[0], after[0]
+    assert (np.abs(e1 - e0)[:, 0] < 0.25 * sigma).all()
+    assert (bias1 - bias0)[:, 0] == pytest.approx(45.0, abs=8.0)
+
+
+def test_a_jump_beyond_what_is_told_contradicts_the_pose() -> None:
+    off = np.zeros((100, CARS, 2))
+    off[50:] = [30.0, 0.0]
+    drive_told = drive(off, lambda *_: None, errors=SensorErrors(gnss=GaussMarkov(1.5, 60.0)))
+    assert not drive_told.known.any()
+
+
 def test_many_outliers_are_no_evidence() -> None:
     """A tenth of the fixes is 200 m off: the open road remains the likeliest."""
     off, rng = errors_of(1.5, 60.0, 40.0, 9), np.random.default_rng(2)
