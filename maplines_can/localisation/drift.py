@@ -21,6 +21,10 @@ covariances S, the rate and its information are
                       or the odometry is off by as much. What vouches for the pose, as a landmark
                       does, says that it is GNSS.
 
+Along a straight road, no test tells a slow ramp from an error of the wheel scale or of the heading.
+If GNSS is said to drift (``SensorErrors.gnss_drift``), the stated covariance has what such a ramp
+may have changed unnoticed (``possible``).
+
 The ramps begin every ``EVERY`` seconds; the older they are, the farther apart are those kept.
 """
 
@@ -179,6 +183,27 @@ def growth(best: BestRamps) -> Array:
     share = (1 - SEEN / best.squared.clip(min=SEEN))[:, None, None]
     pose = best.change[:, POSE]
     return np.asarray(share * pose[:, :, None] * pose[:, None])
+
+
+def possible(ramps: Ramps, sigma: float) -> Array:
+    """Return the (R, 3, 3) covariances of what a ramp that is not seen has changed of the poses.
+
+    A rate r of standard deviation sigma, of which the innovations have the information J, has the
+    covariance (J + sigma^-2 I)^-1; the pose has changed by r times the response. As with the
+    parameters that a filter considers, but does not estimate (Schmidt 1966; Tapley, Schutz and
+    Born, Statistical Orbit Determination, chapter 6). Of all begins, that of the greatest change.
+
+    Args:
+        ramps: of R rows.
+        sigma: standard deviation of the rate, to the east and to the north alike [m/s].
+    """
+    if not len(ramps.begin):
+        return np.zeros((len(ramps.score), 3, 3))
+    cov = np.linalg.inv(ramps.information + np.eye(2) / sigma**2)
+    pose = ramps.response[..., POSE]  # (R, J, 2, 3)
+    change = np.where(ramps.valid[..., None, None], pose.mT @ cov @ pose, 0.0)
+    place = change[..., X, X] + change[..., Y, Y]
+    return np.asarray(change[np.arange(len(place)), place.argmax(axis=1)])
 
 
 def opened(cov: Array, heading: Array, best: BestRamps, speed: Array) -> Array:

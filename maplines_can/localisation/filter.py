@@ -18,7 +18,7 @@ from .admission import admitted, is_covariance
 from .association import Verdict
 from .consistency import unsuspicious, widening
 from .correlation import ErrorCorrelation
-from .drift import growth
+from .drift import growth, possible
 from .gnss_hypotheses import bank
 from .localisation_layer import LocalisationLayer
 from .measurements import Measurement, Observation, Odometry
@@ -194,6 +194,8 @@ class Localisation:
         cov = cov[:, POSE, POSE] * nis[:, None, None]
         if point.bank.weight.shape[1] == 1:  # else the hypotheses say how large the error may be
             cov += growth(point.ramps.best(point.t))
+        if self.errors.gnss_drift:
+            cov += possible(point.ramps, self.errors.gnss_drift)[point.bank.likeliest]
         widen(cov, position, heading)
         return Poses(mean[:, POSE], cov, known)
 

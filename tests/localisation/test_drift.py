@@ -1,6 +1,7 @@
 """Drift of GNSS: the response of the filter to a ramp, and what is stated while GNSS has one."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,9 +19,14 @@ TOLD = SensorErrors(gnss=GaussMarkov(1.5, 60.0))
 
 
 def drive(
-    seconds: float, rate: tuple[float, float], begin: float, seed: int = 0, cars: int = CARS
+    seconds: float,
+    rate: tuple[float, float] | Array,
+    begin: float,
+    seed: int = 0,
+    cars: int = CARS,
+    errors: SensorErrors = TOLD,
 ) -> tuple[Localisation, Array, Array]:
-    """Drive straight on, with a ramp of GNSS from a time on.
+    """Drive straight on, with a ramp of GNSS from a time on, of all cars or (n, 2).
 
     Returns:
         The filter, and (k, n) normalised errors of the position and whether they are known, twice a
@@ -28,7 +34,7 @@ def drive(
     """
     rng, found, known = np.random.default_rng(seed), [], []
     start = np.sqrt(START.diagonal()) * rng.standard_normal((cars, 3))
-    localisation = Localisation(start, errors=TOLD, cov=START)
+    localisation = Localisation(start, errors=errors, cov=START)
     scale, bias = 0.01 * rng.standard_normal(cars), math.radians(0.2) * rng.standard_normal(cars)
     off, phi = rng.standard_normal((cars, 2)), math.exp(-0.2 / 60.0)
     for i in range(round(seconds * 10)):
@@ -57,6 +63,29 @@ def test_a_ramp_of_1_m_a_second_is_covered(rate: tuple[float, float]) -> None:
     worst = np.where(known, sigmas, 0.0).max(axis=0)
     assert np.median(worst) < 4.0
     assert (worst < 5.0).mean() >= 0.75
+
+
+@pytest.mark.parametrize("rate", [(0.1, 0.0), (0.0, -0.1)], ids=["along", "across"])
+def test_a_slow_ramp_is_covered_if_it_is_stated(rate: tuple[float, float]) -> None:
+    """Of 0.1 m/s, up to 9 m: nothing tells it from the wheel scale, or from the heading."""
+    _, denied, _ = drive(100.0, rate, 10.0, cars=4)
+    _, stated, known = drive(100.0, rate, 10.0, cars=4, errors=replace(TOLD, gnss_drift=0.04))
+    assert known.all()
+    assert (denied.max(axis=0) > 4.0).all()
+    assert (stated.max(axis=0) < 4.0).all()
+
+
+def test_what_a_stated_ramp_adds_is_right() -> None:
+    """100 cars, each with a rate of its own of that size: the mean NEES of two values is 2."""
+    sigma, cars = 0.05, 100
+    rates = sigma * np.random.default_rng(7).standard_normal((cars, 2))
+    _, sigmas, known = drive(60.0, rates, 0.0, 5, cars, replace(TOLD, gnss_drift=sigma))
+    assert (sigmas[-1, known[-1]] ** 2).mean() == pytest.approx(2.0, abs=4 * 2 / math.sqrt(cars))
+
+
+def test_a_ramp_that_cannot_be_is_refused() -> None:
+    with pytest.raises(ValueError, match="gnss_drift"):
+        SensorErrors(gnss_drift=-0.1)
 
 
 def test_without_a_ramp_nothing_grows() -> None:

@@ -16,6 +16,9 @@ from .sensor_faults import SETUP, STEP, drive_of
 
 Array = NDArray[np.float64]
 
+#: Rate that filters are told, which know that GNSS drifts [m/s].
+STATED = 0.04
+
 
 @evidence(seeds=2, rates=(1.0,), seconds=20.0)
 def gnss_drifts(
@@ -35,7 +38,13 @@ def gnss_drifts(
         seconds: its duration [s].
     """
     result: dict[str, Any] = {}
-    for told, errors in (("known", SETUP.errors), ("found out", replace(SETUP.errors, gnss=None))):
+    unknown = replace(SETUP.errors, gnss=None)
+    for told, errors in (
+        ("known", SETUP.errors),
+        ("known, and its drift", replace(SETUP.errors, gnss_drift=STATED)),
+        ("found out", unknown),
+        ("found out, and its drift known", replace(unknown, gnss_drift=STATED)),
+    ):
         drive = drive_of("straight road", seeds, errors, seconds + 1.0)
         cases = [(0.0, "none"), *((rate, axis) for rate in rates for axis in ("along", "across"))]
         for rate, axis in progress(cases, "drifts"):
