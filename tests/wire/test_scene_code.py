@@ -308,13 +308,13 @@ def test_joint_quantities_are_as_uncertain_as_at_the_sender(
 ) -> None:
     """Width and difference of directions of conditional records, within 12 %.
 
-    In a hairpin with a poor pose within 80 %. Beyond the resolution of the means, at the ends of
+    In a hairpin with a poor pose within 100 %. Beyond the resolution of the means, at the ends of
     the common range and between them. Nothing is common to a lane's boundaries but the pose error,
     which these quantities do not see: they show what the lines have of their own.
     """
     scene = road_scene([*SHAPES].index(shape) + 14, 4, pose, error)
     received = passed(CONDITIONAL, scene).scene
-    most = 1.8 if (shape, pose) == ("hairpin", "poor") else 1.12
+    most = 2.0 if (shape, pose) == ("hairpin", "poor") else 1.12
     assert [*received.index][:2] == [Slot(0), Slot(1)]
     floor = noise_floor(received.means, received.fit_ranges, RESOLUTION)[:8, :8]
     true, ranges = scene.cov[:8, :8] + floor, received.fit_ranges[:2]
