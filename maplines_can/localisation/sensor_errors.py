@@ -35,15 +35,15 @@ class SensorErrors:
         gnss: of the GNSS position, to the east and to the north alike [m]; None if it is not
             known, so that the filter finds it out: see ``gnss_hypotheses``. A fix may state its
             own, see ``GnssFix``.
-        gnss_drift: standard deviation of a rate at which the error of GNSS may drift for up to
-            150 s, to the east and to the north alike [m/s]; 0 for none. What such a drift may have
-            changed of the pose unnoticed is in the stated covariance, see ``drift.possible``.
         camera_offset: common to the lateral positions of all lines that the camera sees [m].
         camera_heading: common to their directions [rad].
         fix_distance: way of the car over which the autocorrelation of the error that successive
             pose fixes share falls to 1/e [m]; see ``PoseFix``.
         yaw_rate_noise: density of the white noise of the yaw rate (angle random walk)
             [rad/s / sqrt(Hz)].
+        gnss_drift: standard deviation of a rate at which the error of GNSS may drift for up to
+            150 s, to the east and to the north alike [m/s]; 0 for none. What such a drift may have
+            changed of the pose unnoticed is in the stated covariance, see ``drift.possible``.
 
     Raises:
         ValueError: a standard deviation is negative, or a correlation time is not positive.
@@ -53,11 +53,11 @@ class SensorErrors:
     yaw_rate: GaussMarkov = GaussMarkov(math.radians(0.2), 1000.0)
     wheel_scale: GaussMarkov = GaussMarkov(0.01, 3600.0)
     gnss: GaussMarkov | None = None
-    gnss_drift: float = 0.0
     camera_offset: GaussMarkov = GaussMarkov(0.05, 20.0)
     camera_heading: GaussMarkov = GaussMarkov(math.radians(0.1), 100.0)
     fix_distance: float = 20.0
     yaw_rate_noise: float = math.radians(0.02)
+    gnss_drift: float = 0.0
 
     #: Error of a single-frequency GNSS receiver on an open road [m].
     UNKNOWN_GNSS: ClassVar[GaussMarkov] = GaussMarkov(1.5, 60.0)
