@@ -31,8 +31,13 @@ FOLDERS = [C / name for name in ("src", "propagation", "core", "logs")]
 DECLARATIONS = ROOT / "maplines_can" / "core" / "declarations.py"
 #: The library in the package.
 LIBRARY = f"core/maplines.{'dll' if os.name == 'nt' else 'so'}"
-#: Structures have the size of the largest DBC that has C.
-LIMITS = {"PAGES": 16, "TRANSFER_IDS": 256, "COMPONENTS": 64}
+#: Structures have the size of the largest DBC that has C. There is one build, so names are plain.
+MACROS = (
+    "-DMAPLINES_MAX_PAGES=16",
+    "-DMAPLINES_MAX_TRANSFER_IDS=256",
+    "-DMAPLINES_MAX_COMPONENTS=64",
+    "-DMAPLINES_NAME(name)=maplines_##name",
+)
 #: Options of compilers that take those of GCC. A fused multiplication would give other bits.
 #: Without errno, a square root is one instruction.
 OPTIONS = shlex.split(
@@ -129,8 +134,7 @@ def build(path: Path) -> None:
         names = ["core.h", *(one.name for one in sorted(src.glob("*.c")))]
         joined.write_text("".join(f'#include "{name}"\n' for name in names))
         sources = [joined, *(one for place in others for one in sorted(place.glob("*.c")))]
-        macros = [f"-DMAPLINES_MAX_{name}={limit}" for name, limit in LIMITS.items()]
-        macros.append(f"-DMAPLINES_DECLARATIONS={checksum()}")
+        macros = [*MACROS, f"-DMAPLINES_DECLARATIONS={checksum()}"]
         include = [f"-I{place}" for place in (C / "include", *FOLDERS)]
         command, flags = compiler(), shlex.split(os.environ.get("CFLAGS", ""))
         is_microsoft = Path(command[0]).stem.lower() == "cl"

@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 from zlib import crc32
 
-from build_core import LIMITS
+from build_core import MACROS
 from cffi import FFI
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -27,7 +27,7 @@ def declarations() -> str:
         for name, text in HEADERS.items():
             (Path(folder) / name).write_text(text)
         command = [os.environ.get("CC", "cc"), "-E", "-P", "-nostdinc", f"-I{folder}"]
-        command += [f"-DMAPLINES_MAX_{name}={limit}" for name, limit in LIMITS.items()]
+        command += MACROS
         command += [f"-I{ROOT / 'c' / name}" for name in ("include", "logs")]
         command += [str(ROOT / "c" / "core" / "core.h")]
         text = subprocess.run(command, check=True, capture_output=True, text=True).stdout

@@ -18,7 +18,7 @@
 #include "logs.h"
 #include "maplines.h"
 
-#ifdef MAPLINES_FLOAT
+#if MAPLINES_FLOAT
 #error "the library computes in double precision"
 #endif
 

@@ -46,11 +46,14 @@ extern "C" {
 
 #define MAPLINES_VERSION "0.1.0"
 
-/* ---- limits ------------------------------------------------------------------------------------
- * They set the sizes of the structures. `maplines generate c` writes those of the DBC here; all
- * files of a program need the same ones, and tables that exceed them do not compile.
+/* ---- build -------------------------------------------------------------------------------------
+ * What the library has, and the sizes of its structures. `maplines generate c` writes here what the
+ * DBC and its options ask for. All files of a program need the same; others do not link.
  */
-/* limits: begin */
+/* build: begin */
+#ifndef MAPLINES_FLOAT
+#define MAPLINES_FLOAT 0 ///< a receiver computes with float, for CPUs without double precision
+#endif
 #ifndef MAPLINES_MAX_PAGES
 #define MAPLINES_MAX_PAGES 8 ///< pages of 8 bytes of a record
 #endif
@@ -60,7 +63,7 @@ extern "C" {
 #ifndef MAPLINES_MAX_COMPONENTS
 #define MAPLINES_MAX_COMPONENTS 8 ///< components of a mixture
 #endif
-/* limits: end */
+/* build: end */
 
 #define MAPLINES_SLOTS 8                     ///< lines around the car
 #define MAPLINES_OWNERS (MAPLINES_SLOTS + 1) ///< owners of records: the slots and the pose error
@@ -70,32 +73,74 @@ extern "C" {
 #define MAPLINES_HISTORY 256 ///< records of a slot that are remembered
 #define MAPLINES_EPOCHS 8    ///< pose errors that are remembered
 
-/* The names of the functions that begin with a structure have its sizes, so that files which do not
- * agree on MAPLINES_FLOAT and on the limits do not link.
+/* The names of all functions have the build, so that files which do not agree on it do not link.
+ * Define MAPLINES_NAMESPACE to have two libraries of one build in a program.
  */
-#ifdef MAPLINES_FLOAT
+#ifndef MAPLINES_NAMESPACE
+#define MAPLINES_NAMESPACE maplines
+#endif
+#if MAPLINES_FLOAT
 #define MAPLINES_REAL float
 #else
 #define MAPLINES_REAL double
 #endif
-#define MAPLINES_JOIN(name, real, pages, ids, parts) name##_##real##_##pages##_##ids##_##parts
-#define MAPLINES_SIZED(name, real, pages, ids, parts) MAPLINES_JOIN(name, real, pages, ids, parts)
-#define maplines_decoder_init                                                                      \
-    MAPLINES_SIZED(maplines_decoder_init, MAPLINES_REAL, MAPLINES_MAX_PAGES,                       \
+#ifndef MAPLINES_NAME
+#define MAPLINES_NAME(name)                                                                        \
+    MAPLINES_NAMED(MAPLINES_NAMESPACE, name, MAPLINES_REAL, MAPLINES_MAX_PAGES,                    \
                    MAPLINES_MAX_TRANSFER_IDS, MAPLINES_MAX_COMPONENTS)
-#define maplines_encoder_init                                                                      \
-    MAPLINES_SIZED(maplines_encoder_init, MAPLINES_REAL, MAPLINES_MAX_PAGES,                       \
-                   MAPLINES_MAX_TRANSFER_IDS, MAPLINES_MAX_COMPONENTS)
+#define MAPLINES_NAMED(space, name, real, pages, ids, parts)                                       \
+    MAPLINES_JOINED(space, name, real, pages, ids, parts)
+#define MAPLINES_JOINED(space, name, real, pages, ids, parts)                                      \
+    space##_##name##_##real##_##pages##_##ids##_##parts
+#endif
+#define maplines_decoder_init MAPLINES_NAME(decoder_init)
+#define maplines_feed MAPLINES_NAME(feed)
+#define maplines_latest MAPLINES_NAME(latest)
+#define maplines_newest MAPLINES_NAME(newest)
+#define maplines_component MAPLINES_NAME(component)
+#define maplines_expire MAPLINES_NAME(expire)
+#define maplines_y MAPLINES_NAME(y)
+#define maplines_y_sigma MAPLINES_NAME(y_sigma)
+#define maplines_slope MAPLINES_NAME(slope)
+#define maplines_curvature MAPLINES_NAME(curvature)
+#define maplines_covariance MAPLINES_NAME(covariance)
+#define maplines_mahalanobis MAPLINES_NAME(mahalanobis)
+#define maplines_latest_scene MAPLINES_NAME(latest_scene)
+#define maplines_scene_line MAPLINES_NAME(scene_line)
+#define maplines_sum MAPLINES_NAME(sum)
+#define maplines_width MAPLINES_NAME(width)
+#define maplines_centre MAPLINES_NAME(centre)
+#define maplines_common_range MAPLINES_NAME(common_range)
+#define maplines_joint_covariance MAPLINES_NAME(joint_covariance)
+#define maplines_displacement MAPLINES_NAME(displacement)
+#define maplines_predict_gaussian MAPLINES_NAME(predict_gaussian)
+#define maplines_predict MAPLINES_NAME(predict)
+#define maplines_overall MAPLINES_NAME(overall)
+#define maplines_predict_to MAPLINES_NAME(predict_to)
+#define maplines_slot_stats MAPLINES_NAME(slot_stats)
+#define maplines_statistics MAPLINES_NAME(statistics)
+#define maplines_default_e2e MAPLINES_NAME(default_e2e)
+#define maplines_default_settings MAPLINES_NAME(default_settings)
+#define maplines_settings_for MAPLINES_NAME(settings_for)
+#define maplines_encoder_init MAPLINES_NAME(encoder_init)
+#define maplines_encode_line MAPLINES_NAME(encode_line)
+#define maplines_encode_mixture MAPLINES_NAME(encode_mixture)
+#define maplines_encode_scene MAPLINES_NAME(encode_scene)
+#define maplines_owner_name MAPLINES_NAME(owner_name)
+#define maplines_kind_name MAPLINES_NAME(kind_name)
+#define maplines_status_name MAPLINES_NAME(status_name)
+#define maplines_reason_name MAPLINES_NAME(reason_name)
+#define maplines_e2e_state_name MAPLINES_NAME(e2e_state_name)
+#define maplines_e2e_status_name MAPLINES_NAME(e2e_status_name)
+#define maplines_prediction_name MAPLINES_NAME(prediction_name)
+#define maplines_refusal_name MAPLINES_NAME(refusal_name)
+#define maplines_left_out_name MAPLINES_NAME(left_out_name)
 
 /* ---- values ---------------------------------------------------------------------------------- */
 
-/// Number of the build: float with MAPLINES_FLOAT, for CPUs without double precision, else double.
-/// Only what a receiver computes with lines is in this type; a sender is exact in either build.
-#ifdef MAPLINES_FLOAT
-typedef float maplines_real_t;
-#else
-typedef double maplines_real_t;
-#endif
+/// Number of the build, float or double. Only what a receiver computes with lines is in this type;
+/// a sender is exact in either build.
+typedef MAPLINES_REAL maplines_real_t;
 
 /// Identity of a line around the car, and owner of records.
 typedef enum {
@@ -206,96 +251,14 @@ typedef struct {
     uint8_t components; ///< 1, or the number of components of a mixture: see maplines_component
 } maplines_line_t;
 
-/* ---- tables of a DBC ---------------------------------------------------------------------------
- * `maplines generate c` writes them. Nothing else needs to read them.
+/* Structures that stand further below, or in maplines_state.h: the tables of a DBC, the state and
+ * the settings of a receiver, and memory of a sender. Their sizes are known there; the caller owns
+ * them.
  */
-
-/// One signal of a record.
-typedef struct {
-    double factor; ///< physical = raw * factor + offset
-    double offset;
-    int64_t raw_min; ///< of any bits
-    int64_t raw_max;
-    uint16_t first; ///< lowest bit from that of byte 0; Motorola: highest from that of byte 0
-    uint8_t length; ///< [bit]; 0: the DBC has no such signal
-    bool is_motorola;
-    bool is_signed;
-} maplines_signal_t;
-
-/// Cholesky code of a covariance of up to 4 states.
-typedef struct {
-    uint8_t rows;
-    uint8_t order[4];            ///< state of each row
-    maplines_signal_t pivot[4];  ///< log2 of L_ii, by row
-    maplines_signal_t ratio[6];  ///< L_ij / L_ii: (1, 0), (2, 0), (2, 1), (3, 0), ...
-    maplines_signal_t inflation; ///< log2 of a factor on the covariance
-    double reachable[4];         ///< variance of each state beyond which nothing covers
-} maplines_cholesky_t;
-
-/// What all records of a layout share.
-typedef struct {
-    uint8_t pages;
-    uint8_t short_pages;    ///< of a record without a covariance; fewer only if it is conditional
-    uint16_t crc_byte;      ///< first byte of the checksum
-    uint8_t fd_authentic;   ///< authentic bytes of the authenticated message; 0: there is none
-    uint8_t fd_freshness;   ///< bytes of the truncated freshness value
-    uint8_t fd_mac;         ///< bytes of the truncated MAC
-    maplines_signal_t page; ///< in each page of 8 bytes
-    maplines_signal_t transfer_id[2]; ///< in page 0, and in each other page of 8 bytes
-    maplines_signal_t counter;        ///< in the record
-} maplines_record_t;
-
-/// Levels of a line-specific covariance.
-typedef struct {
-    maplines_signal_t lateral;
-    maplines_signal_t points;
-    maplines_signal_t shape;
-    maplines_signal_t quartic;
-    maplines_signal_t fit_behind; ///< only beside complete records
-    maplines_signal_t fit_ahead;
-    bool shape_is_octave; ///< the shape is an exponent of 2 of the spacing
-} maplines_levels_t;
-
-/// Messages of an owner.
-typedef struct {
-    bool is_present;
-    bool has_classic, has_fd, has_secured;
-    bool is_extended, fd_is_extended, secured_is_extended;
-    uint8_t fd_length;        ///< [byte]
-    uint16_t data_id;         ///< E2E data ID
-    uint16_t secured_data_id; ///< SecOC data ID
-    uint32_t can_id, fd_can_id, secured_can_id;
-    uint32_t cycle_ms; ///< 0: the DBC has none
-} maplines_messages_t;
-
-/// Tables of a DBC.
-typedef struct {
-    const char *name; ///< of the DBC
-    uint8_t max_components;
-    bool is_conditional; ///< records of lines are conditional on the pose error
-    bool has_pose;
-    maplines_messages_t messages[MAPLINES_OWNERS];
-    maplines_record_t line;
-    maplines_record_t pose;
-    /* records of lines */
-    maplines_signal_t mean[4];
-    maplines_signal_t kind, x_min, x_max;
-    maplines_cholesky_t covariance;
-    maplines_signal_t status, age;                                        // complete
-    maplines_signal_t component_index, component_count, component_weight; // complete
-    maplines_signal_t has_covariance, fine[4];                            // conditional
-    maplines_levels_t levels;                                             // conditional
-    /* records of the pose error */
-    maplines_signal_t pose_age, correlation_time, map_offset, map_heading;
-    maplines_cholesky_t pose_covariance;
-    maplines_signal_t slot_counter[MAPLINES_SLOTS];
-    maplines_levels_t slot_levels[MAPLINES_SLOTS]; // beside complete records
-    uint16_t spacings;                             ///< raw values of the shape that a sender tries
-    uint16_t spacing_step;                         ///< from one of them to the next
-    /// At each of them: covariance of a straight line for errors of points of 1 m, its lower
-    /// triangle by rows, and by how much the shape adds to it [m^2]. 11 kB for 256 of them.
-    const float (*straight)[11];
-} maplines_dbc_t;
+typedef struct maplines_dbc maplines_dbc_t;
+typedef struct maplines_decoder maplines_decoder_t;
+typedef struct maplines_settings maplines_settings_t;
+typedef struct maplines_scene_workspace maplines_scene_workspace_t;
 
 /* ---- receive ---------------------------------------------------------------------------------
  * Every record passes the same stations; each may drop it, with a counted reason:
@@ -325,259 +288,12 @@ typedef struct {
  *     E2E        OK       OK     OKSOMELOST WRONGSEQ. REPEATED OK
  */
 
-/// Windows and bounds of an E2E state machine, with AUTOSAR's names.
-typedef struct {
-    uint8_t max_delta_counter; ///< greatest step of the counter that counts as lost records
-    uint8_t window_size_init, window_size_valid, window_size_invalid;
-    uint8_t min_ok_state_init, min_ok_state_valid, min_ok_state_invalid;
-    uint8_t max_error_state_init, max_error_state_valid, max_error_state_invalid;
-    bool clear_to_invalid;
-} maplines_e2e_config_t;
-
-/// Verifier of authenticated frames: an HSM computes the MAC.
-typedef struct {
-    /// Write the 16 bytes of AES-CMAC(key of key_id, data) to mac; return false without such a key.
-    bool (*mac)(void *context, uint8_t key_id, const uint8_t *data, size_t length, uint8_t mac[16]);
-    /// Time since 1970, or of any clock that increases over restarts [us]; NULL: there is no clock.
-    int64_t (*now_us)(void *context);
-    void *context;
-    int64_t window_us;     ///< greatest difference from that clock, 1 or more
-    int64_t not_before_us; ///< freshness values up to this one are not accepted; 0 or more
-} maplines_authenticator_t;
-
-/// Key of a sender of authenticated frames, and its freshness values.
-typedef struct {
-    bool (*mac)(void *context, uint8_t key_id, const uint8_t *data, size_t length, uint8_t mac[16]);
-    void *context;
-    uint8_t key_id;
-    int64_t last_us; ///< last freshness value that was sent: start with a stored one, or 0
-} maplines_signer_t;
-
-/// Settings of a decoder. Start from maplines_default_settings().
-typedef struct {
-    int64_t timeout_ns[MAPLINES_OWNERS]; ///< longest time between the frames of a transfer
-    int64_t cycle_ns[MAPLINES_OWNERS];   ///< time between records
-    maplines_e2e_config_t e2e[MAPLINES_OWNERS];
-    double stale_cycles; ///< cycles without a newer line after which one is stale: 3
-    const maplines_authenticator_t *authenticator; ///< NULL: frames without a MAC only
-} maplines_settings_t;
-
 /// Result of maplines_feed.
 typedef struct {
     maplines_reason_t reason; ///< MAPLINES_COMPLETE, or why the frame completes no line
     uint8_t count;            ///< number of lines that it completes
     maplines_owner_t slots[MAPLINES_SLOTS]; ///< of these, in this order: see maplines_newest
 } maplines_fed_t;
-
-/// Lines of one pose, with a square root of their joint covariance.
-///
-/// The covariance of the 4 n parameters of n lines is A A^T + diag(F_0 F_0^T, F_1 F_1^T, ...) with
-/// A the rows of `spread`, and F_i those of `specific`. The factor of each line is a root of its
-/// block, with variances that are larger by a share of 2^-42, as all of them are in Python's
-/// matrix: more than the rounding errors of a sum. In single precision A and F_i cover those in
-/// double precision, with standard deviations that are 0.05 % larger.
-typedef struct {
-    uint8_t count; ///< n
-    maplines_line_t lines[MAPLINES_SLOTS];
-    maplines_real_t spread[4 * MAPLINES_SLOTS][7];  ///< due to the pose error
-    maplines_real_t specific[MAPLINES_SLOTS][4][4]; ///< line-specific
-    maplines_real_t fit_range[MAPLINES_SLOTS][2];   ///< [m]
-    maplines_real_t quartic[MAPLINES_SLOTS];        ///< coefficient of T_4 in this range [m]
-    maplines_real_t pose_factor[3][3]; ///< square root of the covariance: along, across, heading
-    maplines_real_t correlation_time;  ///< of the pose error [s]; infinite if unknown
-    maplines_real_t offset_sigma;      ///< of the map [m]
-    maplines_real_t heading_sigma;     ///< of the map [rad]
-    maplines_real_t age;               ///< from the pose to the sending of the pose error [s]
-    int64_t t_ns;                      ///< reception of the first frame of the pose error [ns]
-    uint32_t counter;                  ///< of the pose error
-} maplines_scene_t;
-
-/* decoder: begin */
-
-/* State of a receiver. Its fields are no part of the interface: they stand here because the caller
- * owns the memory.
- */
-
-/// Frames of one transfer that were received, or the last good record with its transfer ID.
-typedef struct {
-    uint8_t record[MAPLINES_MAX_RECORD];
-    int64_t t_ns;   ///< of the first frame
-    uint32_t pages; ///< one bit each; 0: none
-} maplines_transfer_t;
-
-/// What was received of the records of one owner.
-typedef struct {
-    maplines_transfer_t incomplete[MAPLINES_MAX_TRANSFER_IDS]; ///< by transfer ID
-    maplines_transfer_t complete[MAPLINES_MAX_TRANSFER_IDS];   ///< good ones, likewise
-    uint16_t began[MAPLINES_MAX_TRANSFER_IDS]; ///< transfer IDs of incomplete ones, as they began
-    uint16_t count;                            ///< of these
-} maplines_inbox_t;
-
-/// Cycles without a record.
-typedef struct {
-    int64_t due_ns; ///< when the next cycle is missed
-    bool is_running;
-    bool is_counted; ///< cycles up to due_ns were counted before a record came
-} maplines_deadline_t;
-
-/// E2E state machine. The window is in bits, the last check lowest.
-typedef struct {
-    uint32_t oks[(MAPLINES_WINDOW + 31) / 32];
-    uint32_t errors[(MAPLINES_WINDOW + 31) / 32];
-    maplines_e2e_state_t state;
-} maplines_machine_t;
-
-/// Records of the last counters, by the low bits of their counter.
-typedef struct {
-    uint64_t content[MAPLINES_HISTORY]; ///< hash of the record
-    uint8_t flags[MAPLINES_HISTORY];    ///< 0: no record
-    int64_t run_since_ns; ///< records behind the last new one: time of the first of the run
-    uint32_t run_first;   ///< its counter
-    uint32_t run_last;    ///< counter of the last
-    uint32_t run_records; ///< 0: there is no run
-    bool run_is_other;    ///< a counter of the run came before with different content
-} maplines_history_t;
-
-/// Signs of a second sender. INT64_MIN is the time of what has not happened.
-typedef struct {
-    int64_t conflict_ns, confirmed_ns, reused_ns, ahead_ns;
-    uint32_t conflicts, new_records, duplicates;
-    bool is_followed;  ///< other records came since the one that was ahead
-    bool is_blocked;   ///< no new record since the last conflict
-    bool is_confirmed; ///< there are two senders
-} maplines_conflict_t;
-
-/// Rate of the records of a sender, as far as it is known.
-typedef struct {
-    double line_ns;  ///< mean time between two lines in sequence
-    int64_t last_ns; ///< time and counter of the last line
-    uint32_t counter;
-    uint32_t longest; ///< greatest number of records of a line so far
-    bool has_line;
-} maplines_pace_t;
-
-/// Checks of the records of one owner.
-typedef struct {
-    maplines_e2e_config_t e2e;
-    int64_t cycle_ns;
-    uint64_t modulus; ///< of the counter
-    uint8_t pages;
-    bool is_authentic;
-    maplines_machine_t machine;
-    maplines_deadline_t deadline;
-    maplines_history_t history;
-    maplines_conflict_t conflict;
-    maplines_pace_t pace;
-    int64_t new_ns; ///< time of the last new record
-    uint32_t last;  ///< its counter
-    uint32_t left;  ///< last counter before that, if there was a gap
-    bool has_last, has_left;
-    uint32_t span;  ///< records of the line delivered last; 1 while a later line is incomplete
-    uint32_t ahead; ///< of the last new record against the one before; 0: a sequence break
-    uint8_t duplicated_frames; ///< since the last new record, or since the last REPEATED check
-    bool is_duplicated;        ///< there was such a check since the last new record
-    maplines_e2e_status_t status;
-    uint64_t ok, some_lost; ///< checks by outcome
-    uint64_t repeated, wrong_sequence, errors, no_new_data;
-    uint64_t lost; ///< records
-} maplines_check_t;
-
-/// Components of a mixture, as records.
-typedef struct {
-    uint8_t records[MAPLINES_MAX_COMPONENTS][MAPLINES_MAX_RECORD];
-    int64_t t_ns[MAPLINES_MAX_COMPONENTS];
-    uint64_t received; ///< one bit each
-    int64_t last_ns;   ///< time of the component that came last
-    uint32_t first;    ///< counter of the first component
-    uint32_t frames;
-    maplines_real_t x_min, x_max, age; ///< of all components
-    maplines_kind_t kind;
-    uint8_t count; ///< of components; 0: there is no mixture
-} maplines_mixture_t;
-
-/// Record of a line that waits for its pose error, or belongs to one.
-typedef struct {
-    uint8_t record[MAPLINES_MAX_RECORD];
-    int64_t t_ns; ///< of its first frame
-    uint32_t counter;
-    uint8_t frames; ///< that count as pending while it waits
-} maplines_joining_t;
-
-/// Pose error, and the lines that belong to it.
-typedef struct {
-    uint8_t record[MAPLINES_MAX_RECORD];
-    int64_t t_ns;   ///< of its first frame
-    uint32_t slots; ///< one bit for each line
-    maplines_joining_t lines[MAPLINES_SLOTS];
-} maplines_epoch_t;
-
-/// Pose errors that lines may still join, lines that wait for theirs, and the newest scene.
-typedef struct {
-    maplines_epoch_t epochs[MAPLINES_EPOCHS + 1]; ///< one more, since the latest may be closed
-    uint8_t open[MAPLINES_EPOCHS];                ///< those that lines may join, the oldest first
-    uint8_t open_count;
-    int8_t latest;                              ///< newest epoch that waits for no line; -1: none
-    maplines_joining_t waiting[MAPLINES_SLOTS]; ///< by slot
-    uint8_t waits[MAPLINES_SLOTS];              ///< slots of these lines, as they came
-    uint8_t wait_count;
-    int64_t since_ns[MAPLINES_SLOTS]; ///< sequence break of a slot; INT64_MIN: none
-    double intervals_ns[5];           ///< between the last pose errors, the oldest first
-    uint8_t interval_count;
-    bool has_pose;
-    int64_t pose_ns; ///< time of the last pose error
-    bool is_too_old; ///< so is that
-    bool is_built;   ///< the scene is that of `latest`
-    maplines_scene_t scene;
-} maplines_epochs_t;
-
-/// Numbers of frames, records and lines, each modulo 2^64.
-///
-/// At any time, frames == line_frames + pose_frames + sum of counts + pending.
-typedef struct {
-    uint64_t counts[MAPLINES_REASONS]; ///< dropped frames by reason; none is MAPLINES_PENDING
-    uint64_t frames;                   ///< received
-    uint64_t lines;                    ///< delivered
-    uint64_t line_frames;              ///< of the lines delivered
-    uint64_t pose_errors;              ///< received
-    uint64_t pose_frames;              ///< of the pose errors received
-    uint64_t lost;    ///< records of lines missing between those received, by their counters
-    uint32_t pending; ///< frames of transfers, mixtures and scenes that are not complete yet
-} maplines_statistics_t;
-
-/// State of a receiver.
-typedef struct {
-    const maplines_dbc_t *dbc;
-    bool is_ready; ///< the settings are right; otherwise every frame is FOREIGN
-    maplines_settings_t settings;
-    maplines_statistics_t statistics; ///< without `lost` and `pending`
-    maplines_inbox_t inboxes[MAPLINES_OWNERS];
-    maplines_check_t checks[MAPLINES_OWNERS];
-    int64_t freshness_us[MAPLINES_OWNERS]; ///< last accepted freshness value
-    maplines_mixture_t incomplete[MAPLINES_SLOTS];
-    maplines_epochs_t epochs;
-    maplines_line_t newest[MAPLINES_SLOTS];
-    maplines_mixture_t mixtures[MAPLINES_SLOTS]; ///< of the newest lines that are mixtures
-    uint32_t has_newest;                         ///< one bit for each slot
-} maplines_decoder_t;
-
-/* Functions of a receiver. */
-
-/// Longest time from 0 [ns], 126 years. A time beyond it is limited to it, so that no difference
-/// of two times overflows.
-#define MAPLINES_MAX_TIME INT64_C(4000000000000000000)
-
-/// E2E checks of an owner.
-typedef struct {
-    maplines_e2e_state_t state;
-    maplines_e2e_status_t status; ///< of the last check
-    uint64_t ok;                  ///< records accepted in sequence (OK or OKSOMELOST)
-    uint64_t lost;                ///< records missing between those, according to their counters
-    uint64_t repeated;
-    uint64_t wrong_sequence;
-    uint64_t errors;
-    uint64_t no_new_data; ///< cycles without a record
-    bool two_senders;     ///< detected in the last 256 cycles
-} maplines_slot_stats_t;
 
 /// State of a slot when the consumer asks.
 typedef struct {
@@ -595,34 +311,6 @@ typedef struct {
                       ///< age, and not OUT_OF_RANGE
 } maplines_view_t;
 
-/// The newest scene when the consumer asks.
-typedef struct {
-    const maplines_scene_t *scene; ///< NULL before the first. Valid until the next call
-    maplines_real_t age;           ///< from the pose to now [s]; infinite if too old or unknown
-    maplines_e2e_state_t state;    ///< of the pose error
-    maplines_e2e_status_t status;  ///< of the last check of the pose error
-    maplines_e2e_state_t slot_states[MAPLINES_SLOTS]; ///< of the slot of each line of the scene
-    bool is_stale;    ///< its pose error came some cycles ago, or comes after now
-    bool two_senders; ///< on the pose error, or on the slot of a line
-    bool is_usable;   ///< all states are VALID, not stale, one sender each, and a finite age
-} maplines_scene_view_t;
-
-/// AUTOSAR's windows as this project has them, for lines at 20 Hz.
-maplines_e2e_config_t maplines_default_e2e(void);
-
-/// Settings with the cycle times of the DBC and the time-outs that follow from them.
-void maplines_default_settings(const maplines_dbc_t *dbc, maplines_settings_t *settings);
-
-/// Settings with other times or windows; 0 and NULL are the default.
-///
-/// @param timeout_ms longest time between the frames of a transfer, and between the components of a
-///        mixture; by default 1.5 cycles, and half a cycle of the DBC at least.
-/// @param cycle_ms time between the lines of a slot; by default that of the DBC, or 100 ms.
-/// @param e2e windows; for the pose error, limited to the counters of its record.
-/// @return NULL, or what is wrong (then the settings are the default ones).
-const char *maplines_settings_for(const maplines_dbc_t *dbc, double timeout_ms, double cycle_ms,
-                                  const maplines_e2e_config_t *e2e, maplines_settings_t *settings);
-
 /// Start a receiver of the messages of a DBC.
 ///
 /// @param settings NULL for the default. They are copied; the authenticator that they point to is
@@ -639,8 +327,15 @@ const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_db
 maplines_fed_t maplines_feed(maplines_decoder_t *decoder, const maplines_frame_t *frame,
                              int64_t t_ns);
 
-/// Drop the transfers, mixtures and waiting lines that have timed out.
-void maplines_expire(maplines_decoder_t *decoder, int64_t t_ns);
+/// The newest line of a slot, and whether it may be used.
+///
+/// @param now_ns current time on the clock of the frames' times. If it is before the reception of
+///        the line by more than 1 ms, this clock was set back: the line is stale, and has no age.
+///        The E2E state moves on to this time: cycles up to it without a record count as missed.
+///
+/// A slot that the DBC does not have is a caller's mistake; it has no line and no state.
+void maplines_latest(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t now_ns,
+                     maplines_view_t *view);
 
 /// The newest line of a slot, whatever its age; NULL before the first. Valid until the next frame.
 const maplines_line_t *maplines_newest(const maplines_decoder_t *decoder, maplines_owner_t slot);
@@ -652,57 +347,16 @@ const maplines_line_t *maplines_newest(const maplines_decoder_t *decoder, maplin
 bool maplines_component(const maplines_decoder_t *decoder, maplines_owner_t slot, uint8_t i,
                         maplines_gaussian_t *gaussian, maplines_real_t *weight);
 
-/// The newest line of a slot, and whether it may be used.
-///
-/// @param now_ns current time on the clock of the frames' times. If it is before the reception of
-///        the line by more than 1 ms, this clock was set back: the line is stale, and has no age.
-///        The E2E state moves on to this time: cycles up to it without a record count as missed.
-/// A slot that the DBC does not have is a caller's mistake; it has no line and no state.
-void maplines_latest(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t now_ns,
-                     maplines_view_t *view);
+/// Drop the transfers, mixtures and waiting lines that have timed out.
+void maplines_expire(maplines_decoder_t *decoder, int64_t t_ns);
 
-/// The newest scene: lines of one pose, with their joint covariance.
-///
-/// The lines of a cycle come one after the other. The scene before remains the newest until lines
-/// of all slots of the last two scenes have come, or the next pose error. Without a message of the
-/// pose error there is none.
-void maplines_latest_scene(maplines_decoder_t *decoder, int64_t now_ns,
-                           maplines_scene_view_t *view);
+/* ---- use a line ------------------------------------------------------------------------------ */
 
-/// E2E checks of a slot, or of MAPLINES_POSE; false if nothing was received.
-bool maplines_slot_stats(maplines_decoder_t *decoder, maplines_owner_t owner, int64_t now_ns,
-                         maplines_slot_stats_t *stats);
-
-/// Numbers of frames, records and lines.
-void maplines_statistics(const maplines_decoder_t *decoder, maplines_statistics_t *statistics);
-
-/* decoder: end */
-
-/* ---- use ---------------------------------------------------------------------------------------
- */
-
-/* use: begin */
 /// A quantity and its standard deviation, in the same unit.
 typedef struct {
     maplines_real_t value;
     maplines_real_t sigma; ///< 0 or more; infinite if nothing is known
 } maplines_estimate_t;
-
-/// One term of a weighted sum of lateral positions: weight * y(x) of the line of a slot.
-typedef struct {
-    maplines_owner_t slot;
-    maplines_real_t x; ///< [m], in the valid range of the line
-    maplines_real_t weight;
-} maplines_term_t;
-
-/// A lateral position that another sensor measures, with an independent error.
-typedef struct {
-    maplines_real_t x;     ///< [m]
-    maplines_real_t y;     ///< [m]
-    maplines_real_t sigma; ///< more than 0 [m]
-} maplines_position_t;
-
-#define MAPLINES_MAX_POSITIONS 8 ///< positions of maplines_mahalanobis
 
 /* A standard deviation is computed as the norm of F^T J, to first order in the parameters, and is
  * not less than the exact norm: what single or double precision rounds is added. With float this
@@ -730,15 +384,76 @@ maplines_estimate_t maplines_curvature(const maplines_line_t *line, maplines_rea
 /// Covariance of the four parameters.
 void maplines_covariance(const maplines_gaussian_t *gaussian, maplines_real_t covariance[4][4]);
 
+/// A lateral position that another sensor measures, with an independent error.
+typedef struct {
+    maplines_real_t x;     ///< [m]
+    maplines_real_t y;     ///< [m]
+    maplines_real_t sigma; ///< more than 0 [m]
+} maplines_position_t;
+
+#define MAPLINES_MAX_POSITIONS 8 ///< positions of maplines_mahalanobis
+
 /// Mahalanobis distance of up to MAPLINES_MAX_POSITIONS measured lateral positions from a line. Its
 /// square has a chi-square distribution of `count` degrees of freedom if line and measurement are
 /// of the same thing. Infinite if a sigma is 0 or a value is not finite.
 maplines_real_t maplines_mahalanobis(const maplines_line_t *line, size_t count,
                                      const maplines_position_t *positions);
 
+/* ---- lines of one pose: a scene -------------------------------------------------------------- */
+
+/// Lines of one pose, with a square root of their joint covariance.
+///
+/// The covariance of the 4 n parameters of n lines is A A^T + diag(F_0 F_0^T, F_1 F_1^T, ...) with
+/// A the rows of `spread`, and F_i those of `specific`. The factor of each line is a root of its
+/// block, with variances that are larger by a share of 2^-42, as all of them are in Python's
+/// matrix: more than the rounding errors of a sum. In single precision A and F_i cover those in
+/// double precision, with standard deviations that are 0.05 % larger.
+typedef struct {
+    uint8_t count; ///< n
+    maplines_line_t lines[MAPLINES_SLOTS];
+    maplines_real_t spread[4 * MAPLINES_SLOTS][7];  ///< due to the pose error
+    maplines_real_t specific[MAPLINES_SLOTS][4][4]; ///< line-specific
+    maplines_real_t fit_range[MAPLINES_SLOTS][2];   ///< [m]
+    maplines_real_t quartic[MAPLINES_SLOTS];        ///< coefficient of T_4 in this range [m]
+    maplines_real_t pose_factor[3][3]; ///< square root of the covariance: along, across, heading
+    maplines_real_t correlation_time;  ///< of the pose error [s]; infinite if unknown
+    maplines_real_t offset_sigma;      ///< of the map [m]
+    maplines_real_t heading_sigma;     ///< of the map [rad]
+    maplines_real_t age;               ///< from the pose to the sending of the pose error [s]
+    int64_t t_ns;                      ///< reception of the first frame of the pose error [ns]
+    uint32_t counter;                  ///< of the pose error
+} maplines_scene_t;
+
+/// The newest scene when the consumer asks.
+typedef struct {
+    const maplines_scene_t *scene; ///< NULL before the first. Valid until the next call
+    maplines_real_t age;           ///< from the pose to now [s]; infinite if too old or unknown
+    maplines_e2e_state_t state;    ///< of the pose error
+    maplines_e2e_status_t status;  ///< of the last check of the pose error
+    maplines_e2e_state_t slot_states[MAPLINES_SLOTS]; ///< of the slot of each line of the scene
+    bool is_stale;    ///< its pose error came some cycles ago, or comes after now
+    bool two_senders; ///< on the pose error, or on the slot of a line
+    bool is_usable;   ///< all states are VALID, not stale, one sender each, and a finite age
+} maplines_scene_view_t;
+
+/// The newest scene: lines of one pose, with their joint covariance.
+///
+/// The lines of a cycle come one after the other. The scene before remains the newest until lines
+/// of all slots of the last two scenes have come, or the next pose error. Without a message of the
+/// pose error there is none.
+void maplines_latest_scene(maplines_decoder_t *decoder, int64_t now_ns,
+                           maplines_scene_view_t *view);
+
 /// Line of a slot of a scene; NULL if the scene has none. For the functions above, and for those
 /// below, which need the joint covariance: lines of one pose are not independent.
 const maplines_line_t *maplines_scene_line(const maplines_scene_t *scene, maplines_owner_t slot);
+
+/// One term of a weighted sum of lateral positions: weight * y(x) of the line of a slot.
+typedef struct {
+    maplines_owner_t slot;
+    maplines_real_t x; ///< [m], in the valid range of the line
+    maplines_real_t weight;
+} maplines_term_t;
 
 /// Weighted sum of lateral positions of lines of a scene. False if the scene lacks one of them; the
 /// sum is then 0 with an infinite standard deviation. So it is with the next two functions.
@@ -764,7 +479,7 @@ bool maplines_common_range(const maplines_scene_t *scene, size_t count,
 bool maplines_joint_covariance(const maplines_scene_t *scene, size_t count,
                                const maplines_owner_t *slots, maplines_real_t *covariance);
 
-/* ---- prediction by the motion of the car ---- */
+/* ---- predict by the motion of the car -------------------------------------------------------- */
 
 /// Motion of the car at constant speed and yaw rate: an arc, tangent to the x axis at each point.
 /// This is so if the origin is the centre of the rear axle.
@@ -827,12 +542,104 @@ void maplines_overall(size_t count, const maplines_gaussian_t *components,
 maplines_prediction_t maplines_predict_to(const maplines_line_t *line, int64_t t_ns,
                                           const maplines_motion_t *motion,
                                           maplines_real_t time_sigma, maplines_line_t *predicted);
-/* use: end */
+
+/* ---- what was received, and what was dropped ------------------------------------------------- */
+
+/// Numbers of frames, records and lines, each modulo 2^64.
+///
+/// At any time, frames == line_frames + pose_frames + sum of counts + pending.
+typedef struct {
+    uint64_t counts[MAPLINES_REASONS]; ///< dropped frames by reason; none is MAPLINES_PENDING
+    uint64_t frames;                   ///< received
+    uint64_t lines;                    ///< delivered
+    uint64_t line_frames;              ///< of the lines delivered
+    uint64_t pose_errors;              ///< received
+    uint64_t pose_frames;              ///< of the pose errors received
+    uint64_t lost;    ///< records of lines missing between those received, by their counters
+    uint32_t pending; ///< frames of transfers, mixtures and scenes that are not complete yet
+} maplines_statistics_t;
+
+/// E2E checks of an owner.
+typedef struct {
+    maplines_e2e_state_t state;
+    maplines_e2e_status_t status; ///< of the last check
+    uint64_t ok;                  ///< records accepted in sequence (OK or OKSOMELOST)
+    uint64_t lost;                ///< records missing between those, according to their counters
+    uint64_t repeated;
+    uint64_t wrong_sequence;
+    uint64_t errors;
+    uint64_t no_new_data; ///< cycles without a record
+    bool two_senders;     ///< detected in the last 256 cycles
+} maplines_slot_stats_t;
+
+/// E2E checks of a slot, or of MAPLINES_POSE; false if nothing was received.
+bool maplines_slot_stats(maplines_decoder_t *decoder, maplines_owner_t owner, int64_t now_ns,
+                         maplines_slot_stats_t *stats);
+
+/// Numbers of frames, records and lines.
+void maplines_statistics(const maplines_decoder_t *decoder, maplines_statistics_t *statistics);
+
+/* ---- settings of a receiver ------------------------------------------------------------------ */
+
+/// Longest time from 0 [ns], 126 years. A time beyond it is limited to it, so that no difference
+/// of two times overflows.
+#define MAPLINES_MAX_TIME INT64_C(4000000000000000000)
+
+/// Windows and bounds of an E2E state machine, with AUTOSAR's names.
+typedef struct {
+    uint8_t max_delta_counter; ///< greatest step of the counter that counts as lost records
+    uint8_t window_size_init, window_size_valid, window_size_invalid;
+    uint8_t min_ok_state_init, min_ok_state_valid, min_ok_state_invalid;
+    uint8_t max_error_state_init, max_error_state_valid, max_error_state_invalid;
+    bool clear_to_invalid;
+} maplines_e2e_config_t;
+
+/// Verifier of authenticated frames: an HSM computes the MAC.
+typedef struct {
+    /// Write the 16 bytes of AES-CMAC(key of key_id, data) to mac; return false without such a key.
+    bool (*mac)(void *context, uint8_t key_id, const uint8_t *data, size_t length, uint8_t mac[16]);
+    /// Time since 1970, or of any clock that increases over restarts [us]; NULL: there is no clock.
+    int64_t (*now_us)(void *context);
+    void *context;
+    int64_t window_us;     ///< greatest difference from that clock, 1 or more
+    int64_t not_before_us; ///< freshness values up to this one are not accepted; 0 or more
+} maplines_authenticator_t;
+
+/// Settings of a decoder. Start from maplines_default_settings().
+struct maplines_settings {
+    int64_t timeout_ns[MAPLINES_OWNERS]; ///< longest time between the frames of a transfer
+    int64_t cycle_ns[MAPLINES_OWNERS];   ///< time between records
+    maplines_e2e_config_t e2e[MAPLINES_OWNERS];
+    double stale_cycles; ///< cycles without a newer line after which one is stale: 3
+    const maplines_authenticator_t *authenticator; ///< NULL: frames without a MAC only
+};
+
+/// AUTOSAR's windows as this project has them, for lines at 20 Hz.
+maplines_e2e_config_t maplines_default_e2e(void);
+
+/// Settings with the cycle times of the DBC and the time-outs that follow from them.
+void maplines_default_settings(const maplines_dbc_t *dbc, maplines_settings_t *settings);
+
+/// Settings with other times or windows; 0 and NULL are the default.
+///
+/// @param timeout_ms longest time between the frames of a transfer, and between the components of a
+///        mixture; by default 1.5 cycles, and half a cycle of the DBC at least.
+/// @param cycle_ms time between the lines of a slot; by default that of the DBC, or 100 ms.
+/// @param e2e windows; for the pose error, limited to the counters of its record.
+/// @return NULL, or what is wrong (then the settings are the default ones).
+const char *maplines_settings_for(const maplines_dbc_t *dbc, double timeout_ms, double cycle_ms,
+                                  const maplines_e2e_config_t *e2e, maplines_settings_t *settings);
 
 /* ---- send --------------------------------------------------------------------------------------
  */
 
-/* send: begin */
+/// Key of a sender of authenticated frames, and its freshness values.
+typedef struct {
+    bool (*mac)(void *context, uint8_t key_id, const uint8_t *data, size_t length, uint8_t mac[16]);
+    void *context;
+    uint8_t key_id;
+    int64_t last_us; ///< last freshness value that was sent: start with a stored one, or 0
+} maplines_signer_t;
 
 /// Why nothing was sent: a caller's mistake. The counters have not changed then.
 typedef enum {
@@ -979,85 +786,6 @@ typedef struct {
     uint16_t count; ///< number of frames; 0 if the scene was refused
 } maplines_sent_scene_t;
 
-/* structures of the memory in which a scene is encoded: see the sources */
-
-/// Memory for a comparison of joint covariances.
-typedef struct {
-    double excess[16 * MAPLINES_SLOTS * MAPLINES_SLOTS];
-    double factor[16 * MAPLINES_SLOTS * MAPLINES_SLOTS];
-} maplines_joint_space_t;
-
-/// Line of a scene while it is encoded: what can be stated of it, and its form.
-typedef struct {
-    int slot;
-    maplines_left_out_t left_out;
-    bool is_full;   ///< all entries of the line-specific covariance are sent, not levels
-    bool is_spared; ///< levels are sent, whatever they cost
-    double cost;    ///< of levels; more than 1 is too much
-    double mean[4]; ///< that is stated
-    double range[2];
-    double quartic;
-    double stated_J[16];
-    double due_to_pose[16]; ///< parts of its covariance
-    double specific[16];
-    double excess[16]; ///< squares of the error of a mean that exceeds the message
-    int64_t raw_mean[4];
-    int64_t raw_refined[4]; ///< with all entries
-    int64_t raw_fine[4];
-    int64_t raw_range[2];
-    int64_t raw_quartic;
-    int64_t raw_fit[2];
-    int64_t raw_levels[3];
-    int64_t raw_covariance[11];
-} maplines_scene_member_t;
-
-#define MAPLINES_CHOSEN_SPACINGS 16
-#define MAPLINES_KEPT_LEVELS 64
-#define MAPLINES_KEPT_SHAPES 256
-
-/// Line of a scene as a receiver decodes it.
-typedef struct {
-    double mean[4];
-    double fit_range[2];
-    double quartic;
-    double error[4];   ///< of the mean
-    double J[16];      ///< derivatives with respect to coefficients of T_0 .. T_3
-    double common[16]; ///< covariance of these that all lines have
-    double cost;       ///< of levels; more than 1 is too much
-    bool is_covered;
-    uint8_t spacing_count;
-    uint16_t spacings[MAPLINES_CHOSEN_SPACINGS]; ///< raw values of the shape that suit it best
-    double noise[MAPLINES_CHOSEN_SPACINGS][10];  ///< lower triangles for unit errors of points
-    double levels[16];                           ///< covariance of the levels that are sent
-} maplines_sent_line_t;
-
-/// Squares of the first levels of a DBC [m^2]; 0 until they are computed.
-typedef struct {
-    double lateral[MAPLINES_KEPT_LEVELS];
-    double points[MAPLINES_KEPT_LEVELS];
-    double shape[MAPLINES_KEPT_SHAPES];
-} maplines_level_squares_t;
-
-/// Memory in which a scene is encoded: 54 kB. It takes up to 12 kB of stack besides.
-typedef struct {
-    maplines_scene_member_t members[MAPLINES_SLOTS];
-    int count;                  ///< of the lines that are not left out so far
-    int places[MAPLINES_SLOTS]; ///< of these in the scene
-    maplines_sent_line_t lines[MAPLINES_SLOTS];
-    int64_t raw_pose[11];
-    int64_t raw_offset, raw_heading, raw_time;
-    double decoded_pose[9];
-    double offset_sigma, heading_sigma;
-    double own[MAPLINES_SLOTS][16];
-    double J[MAPLINES_SLOTS][16];
-    double more[MAPLINES_SLOTS][16];
-    double lacking[MAPLINES_SLOTS][16];
-    double spread[MAPLINES_SLOTS][16];                 ///< of each line, due to the pose error
-    double rest[16 * MAPLINES_SLOTS * MAPLINES_SLOTS]; ///< what the lines must cover besides
-    maplines_level_squares_t squares;
-    maplines_joint_space_t joint;
-} maplines_scene_workspace_t;
-
 /// Frames of a scene at most.
 #define MAPLINES_MAX_SCENE_FRAMES (MAPLINES_MAX_PAGES * MAPLINES_OWNERS)
 
@@ -1088,8 +816,6 @@ maplines_sent_scene_t maplines_encode_scene(maplines_encoder_t *encoder,
                                             int64_t now_us, maplines_scene_workspace_t *workspace,
                                             maplines_frame_t *frames);
 
-/* send: end */
-
 /* ---- names --------------------------------------------------------------------------------------
  * Names of values for a log, as the Python package has them, such as "EGO_LEFT" or "CRC"; "?" of a
  * number that is no value. MAPLINES_NO_POSE is "POSE" there.
@@ -1104,6 +830,8 @@ const char *maplines_e2e_status_name(maplines_e2e_status_t status);
 const char *maplines_prediction_name(maplines_prediction_t prediction);
 const char *maplines_refusal_name(maplines_refusal_t refusal);
 const char *maplines_left_out_name(maplines_left_out_t left_out);
+
+#include "maplines_state.h" // sizes of the structures; nothing there is to be called
 
 #ifdef __cplusplus
 }

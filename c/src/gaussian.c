@@ -1,7 +1,7 @@
 /* A decoded Gaussian as numbers of the build. */
 #include "internal.h"
 
-#ifdef MAPLINES_FLOAT
+#if MAPLINES_FLOAT
 
 /* In single precision a receiver has another mean m + e and another factor than the sender allowed
  * for. Let T be the factor in double precision, whose T T^T covers the covariance S of the sender

@@ -1,7 +1,7 @@
 /* Factors of the joint covariance of a scene as numbers of the build. */
 #include "internal.h"
 
-#ifdef MAPLINES_FLOAT
+#if MAPLINES_FLOAT
 
 /* In single precision the rows A_i of a line become s A_i + E_i, and its mean m_i + e_i. For any
  * share d between 0 and 1,

@@ -5,7 +5,7 @@
  */
 #include "internal.h"
 
-#ifdef MAPLINES_FLOAT
+#if MAPLINES_FLOAT
 #define UNIT_ROUNDOFF 0x1p-24F
 #define ROOT_OF sqrtf
 #else

@@ -79,7 +79,7 @@ static inline double next_number(input_t *input, double scale)
 static inline maplines_real_t next_real(input_t *input, double scale)
 {
     const double number = next_number(input, scale);
-#ifdef MAPLINES_FLOAT
+#if MAPLINES_FLOAT
     return fabs(number) > (double)FLT_MAX ? (float)INFINITY : (float)number;
 #else
     return number;

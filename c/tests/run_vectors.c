@@ -47,7 +47,7 @@
 
 /// Greatest relative difference of numbers; of variances, relative to those of the parameters. The
 /// core has each bit in double precision. For a receiver of your own, give -DTOLERANCE=1e-9.
-#ifdef MAPLINES_FLOAT
+#if MAPLINES_FLOAT
 #define TOLERANCE 1e-6
 #elif !defined(TOLERANCE)
 #define TOLERANCE 0.0
@@ -56,7 +56,7 @@
 /// mixtures and of scenes, which are computed from factors.
 #define SUM_TOLERANCE (TOLERANCE > 1e-9 ? TOLERANCE : 1e-9)
 /// A covariance in single precision covers that in double precision, and may be wider.
-#ifdef MAPLINES_FLOAT
+#if MAPLINES_FLOAT
 #define MAX_WIDENING 4.0
 #else
 #define MAX_WIDENING 0.0

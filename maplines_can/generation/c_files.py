@@ -36,7 +36,7 @@ def c_files(dbcs: Mapping[str, Layout]) -> dict[str, str]:
     for name in dbcs:
         check_name(name)
     limits = limits_of(list(dbcs.values()))
-    files = {"maplines.h": header(limits), "maplines.c": source()}
+    files = headers(limits) | {"maplines.c": source()}
     for name, layout in dbcs.items():
         tables = tables_of(layout, name)
         files |= {f"{name}_dbc.h": tables.header, f"{name}_dbc.c": tables.source}
@@ -70,12 +70,15 @@ def core_folder() -> Path:
     raise FileNotFoundError(f"the C core is neither at {packaged} nor at {checkout}; reinstall")
 
 
-def header(limits: Limits) -> str:
-    """Return ``maplines.h`` with limits; a program may still define larger ones."""
+def headers(limits: Limits) -> dict[str, str]:
+    """Return ``maplines.h`` with limits, and what it includes; a program may define larger ones."""
     text = _text("include/maplines.h")
     for macro, value in limits.macros.items():
         text = re.sub(rf"(?<=#define {macro} )\d+", str(value), text)
-    return _MARKER.sub("", text)
+    return {
+        "maplines.h": _MARKER.sub("", text),
+        "maplines_state.h": _text("include/maplines_state.h"),
+    }
 
 
 def source(internal: str = "static") -> str:
@@ -130,7 +133,7 @@ def _apart(name: str, text: str, shared: set[str]) -> str:
 def cmake(names: list[str]) -> str:
     """Return ``CMakeLists.txt`` of a static library with the tables of these names."""
     sources = ["maplines.c", *(f"{name}_dbc.c" for name in names)]
-    headers = ["maplines.h", *(f"{name}_dbc.h" for name in names)]
+    headers = ["maplines.h", "maplines_state.h", *(f"{name}_dbc.h" for name in names)]
     version = re.findall(r'#define MAPLINES_VERSION "(.+)"', _text("include/maplines.h"))[0]
     return CMAKE.format(version=version, sources=" ".join(sources), headers=" ".join(headers))
 

@@ -650,8 +650,7 @@ def _settings_by_core(dbc: Any, asked: _Asked) -> Any:
         authenticator.mac, authenticator.now_us = mac, clock
         authenticator.window_us, authenticator.not_before_us = window_us, not_before_us
     decoder = ffi.new("maplines_decoder_t *")
-    start = next(getattr(lib, one) for one in dir(lib) if one.startswith("maplines_decoder_init"))
-    refused = start(decoder, dbc, found)
+    refused = lib.maplines_decoder_init(decoder, dbc, found)
     is_ready = decoder.is_ready
     return [_text(problem), settings, is_standard, _text(refused), bool(is_ready)]
 

@@ -18,7 +18,7 @@ from scene_layouts import layout_of
 import maplines_can
 from maplines_can import Kind, Slot, Status
 from maplines_can.cli import main
-from maplines_can.generation.c_files import c_files, header, source
+from maplines_can.generation.c_files import c_files, headers, source
 from maplines_can.study.design.scenes import fields, writer_of
 from maplines_can.wire import E2EState, ProfileStatus, Reason
 from maplines_can.wire.tables import MAX_LIMITS, limits_of
@@ -130,9 +130,10 @@ def test_nothing_but_the_interface_is_visible(compiled: Path) -> None:
         check=True, cwd=compiled, capture_output=True, text=True,
     )  # fmt: skip
     sizes = r"_(?:float|double)(?:_\d+){3}$"  # what the linker sees of the sizes of structures
-    names = {re.sub(sizes, "", line.split()[2]) for line in done.stdout.splitlines()}
+    names = [line.split()[2] for line in done.stdout.splitlines()]
+    assert all(re.search(sizes, name) for name in names)
     interface = (compiled / "maplines.h").read_text()
-    assert all(re.search(rf"\b{name}\(", interface) for name in names)
+    assert all(re.search(rf"\b{re.sub(sizes, '', name)}\(", interface) for name in names)
 
 
 @pytest.mark.parametrize("kind", ["double", "float"])
@@ -178,7 +179,7 @@ def test_two_dbcs_in_one_program(tmp_path: Path) -> None:
 def test_tables_that_exceed_the_header_do_not_compile(tmp_path: Path) -> None:
     """A header of another DBC would give arrays that are too short."""
     assert generate("--dbc", "maplines.dbc", "--out", tmp_path) == 0
-    small = header(limits_of([layout_of("maplines-pose.dbc")]))
+    small = headers(limits_of([layout_of("maplines-pose.dbc")]))["maplines.h"]
     (tmp_path / "maplines.h").write_text(small)
     done = subprocess.run(
         ["cc", "-std=c99", "-c", "maplines_dbc.c"],
@@ -204,7 +205,8 @@ def test_the_files_do_not_depend_on_folder_or_time(tmp_path: Path) -> None:
         contents.append({p.name: p.read_bytes() for p in (tmp_path / folder).iterdir()})
     assert contents[0] == contents[1]
     assert set(contents[0]) == {
-        "my.dbc", "maplines.h", "maplines.c", "my_dbc.h", "my_dbc.c", "CMakeLists.txt",
+        "my.dbc", "maplines.h", "maplines_state.h", "maplines.c", "my_dbc.h", "my_dbc.c",
+        "CMakeLists.txt",
     }  # fmt: skip
 
 
@@ -222,7 +224,7 @@ def test_markers_of_developers_are_not_in_the_files() -> None:
 
 def enumerators(prefix: str, names: type[IntEnum], **others: str) -> None:
     """Check that the header gives each name its number in Python."""
-    text = header(MAX_LIMITS)
+    text = headers(MAX_LIMITS)["maplines.h"]
     for member in names:
         name = others.get(member.name, prefix + member.name)
         assert re.search(rf"\b{name} = (0x)?0*{member.value:X}\b", text), name
@@ -237,7 +239,7 @@ def test_numbers_of_the_enumerations_are_those_of_python() -> None:
 
 
 def test_reasons_have_the_order_of_python() -> None:
-    text = header(MAX_LIMITS)
+    text = headers(MAX_LIMITS)["maplines.h"]
     for i, reason in enumerate(Reason):
         name = "NO_POSE" if reason is Reason.POSE else reason.name  # MAPLINES_POSE is an owner
         assert re.search(rf"\bMAPLINES_{name} = {i},", text), reason
@@ -245,7 +247,8 @@ def test_reasons_have_the_order_of_python() -> None:
 
 
 def test_the_version_is_that_of_the_package() -> None:
-    assert f'#define MAPLINES_VERSION "{maplines_can.__version__}"' in header(MAX_LIMITS)
+    interface = headers(MAX_LIMITS)["maplines.h"]
+    assert f'#define MAPLINES_VERSION "{maplines_can.__version__}"' in interface
 
 
 # ---- the command ----------------------------------------------------------------------------

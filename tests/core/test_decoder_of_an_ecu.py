@@ -45,8 +45,7 @@ class Ecu:
 
     def start(self) -> str | None:
         """Start the decoder; return what is wrong."""
-        names = (name for name in dir(lib) if name.startswith("maplines_decoder_init"))
-        problem = getattr(lib, next(names))(self.decoder, self._dbc, self._settings)
+        problem = lib.maplines_decoder_init(self.decoder, self._dbc, self._settings)
         return ffi.string(problem).decode() if problem else None
 
     def feed(self, can_id: int, data: bytes, *, is_extended: bool = False) -> str:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from ...values.errors import LayoutError, missing_extra
 from ...wire.layout.message_layout import Layout
 from ...wire.tables import limits_of
-from ..c_files import core_folder, header, propagation_sources, source
+from ..c_files import core_folder, headers, propagation_sources, source
 from ..tables import tables_of
 from . import variables as code
 from .compilers import binaries
@@ -148,7 +148,7 @@ def sources_of(
     tables = tables_of(layout, TABLES)
     folder = core_folder() / "fmu"
     sources = {
-        "maplines.h": header(limits_of([layout])),
+        **headers(limits_of([layout])),
         "maplines.c": source() if route is None else source(internal=""),
         f"{TABLES}_dbc.h": tables.header,
         f"{TABLES}_dbc.c": tables.source,
