@@ -5,12 +5,16 @@
 #include "maplines.h"
 
 #include <assert.h>
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
 #if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ != 0) ||      \
     defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) || defined(__NO_SIGNED_ZEROS__)
 #error "maplines needs IEEE 754 arithmetic: compile it without -ffast-math and its parts"
+#endif
+#if FLT_RADIX != 2 || FLT_MANT_DIG != 24 || DBL_MANT_DIG != 53
+#error "maplines needs float of 24 and double of 53 binary digits: compile with a 64-bit double"
 #endif
 /* An array of negative size is an error: so with -fsingle-precision-constant. */
 typedef char maplines_constants_are_double[sizeof(1.0) == sizeof(double) ? 1 : -1];

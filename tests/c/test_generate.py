@@ -72,6 +72,45 @@ def test_arithmetic_that_rounds_otherwise_is_refused(compiled: Path, cc: str, fl
     assert "maplines needs IEEE 754 arithmetic" in done.stderr
 
 
+SHORT_DOUBLE = "maplines needs float of 24 and double of 53 binary digits"
+
+
+@pytest.mark.parametrize(
+    ("macro", "digits"), [("DBL_MANT_DIG", 24), ("FLT_MANT_DIG", 53), ("FLT_RADIX", 16)]
+)
+def test_types_of_other_digits_are_refused(
+    compiled: Path, tmp_path: Path, macro: str, digits: int
+) -> None:
+    """Compilers for small controllers have a double of 4 bytes, and say so in <float.h>."""
+    changed = f"#include_next <float.h>\n#undef {macro}\n#define {macro} {digits}\n"
+    (tmp_path / "float.h").write_text(changed)
+    command = ["cc", "-std=c99", f"-I{tmp_path}", "-fsyntax-only", "maplines.c"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=compiled)
+    assert done.returncode != 0
+    assert SHORT_DOUBLE in done.stderr
+
+
+def test_the_header_refuses_a_double_of_4_bytes(compiled: Path) -> None:
+    """Where double is the type float: in a file of the program, too, whose structures differ."""
+    command = ["cc", "-std=c99", "-Ddouble=float", "-fsyntax-only", "maplines_dbc.c"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=compiled)
+    assert done.returncode != 0
+    assert "maplines_double_has_64_bits" in done.stderr
+
+
+@pytest.mark.skipif(not shutil.which("avr-gcc"), reason="there is no avr-gcc")
+@pytest.mark.parametrize(
+    ("name", "message"), [("maplines.c", SHORT_DOUBLE), ("maplines_dbc.c", "_has_64_bits")]
+)
+def test_a_compiler_with_a_double_of_4_bytes_is_refused(
+    compiled: Path, name: str, message: str
+) -> None:
+    command = ["avr-gcc", "-mmcu=atmega2560", "-std=c99", "-fsyntax-only", name]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=compiled)
+    assert done.returncode != 0
+    assert message in done.stderr
+
+
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="counts the FMA instructions of x86-64")
 @pytest.mark.skipif(not shutil.which("gcc"), reason="there is no gcc")
 def test_no_multiplication_is_fused(tmp_path: Path) -> None:
