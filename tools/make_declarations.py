@@ -18,7 +18,12 @@ from cffi import FFI
 ROOT = Path(__file__).resolve().parents[1]
 PATH = ROOT / "maplines_can" / "core" / "declarations.py"
 #: Standard headers, whose types cffi knows.
-HEADERS = {"stdbool.h": "", "stddef.h": "", "stdint.h": "#define INT64_C(value) value\n"}
+HEADERS = {
+    "float.h": "#define FLT_RADIX 2\n#define FLT_MANT_DIG 24\n#define DBL_MANT_DIG 53\n",
+    "stdbool.h": "",
+    "stddef.h": "",
+    "stdint.h": "#define INT64_C(value) value\n",
+}
 
 
 def declarations() -> str:

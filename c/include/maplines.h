@@ -36,9 +36,15 @@
 #ifndef MAPLINES_H
 #define MAPLINES_H
 
+#include <float.h>
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
+
+/* Some compilers for small controllers have a double of 4 bytes, and an option for one of 8. */
+#if FLT_RADIX != 2 || FLT_MANT_DIG != 24 || DBL_MANT_DIG != 53
+#error "maplines needs float of 24 and double of 53 binary digits: compile with a 64-bit double"
+#endif
 
 #ifdef __cplusplus
 extern "C" {

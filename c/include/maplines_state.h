@@ -6,9 +6,6 @@
 #ifndef MAPLINES_STATE_H
 #define MAPLINES_STATE_H
 
-/// An array of negative size is an error: structures and functions are of a 64-bit double.
-typedef char maplines_double_has_64_bits[sizeof(double) == 8 && sizeof(float) == 4 ? 1 : -1];
-
 /* ---- tables of a DBC ---------------------------------------------------------------------------
  * `maplines generate c` writes them. Nothing else needs to read them.
  */

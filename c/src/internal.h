@@ -5,7 +5,6 @@
 #include "maplines.h"
 
 #include <assert.h>
-#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -13,10 +12,8 @@
     defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) || defined(__NO_SIGNED_ZEROS__)
 #error "maplines needs IEEE 754 arithmetic: compile it without -ffast-math and its parts"
 #endif
-#if FLT_RADIX != 2 || FLT_MANT_DIG != 24 || DBL_MANT_DIG != 53
-#error "maplines needs float of 24 and double of 53 binary digits: compile with a 64-bit double"
-#endif
 /* An array of negative size is an error: so with -fsingle-precision-constant. */
+typedef char maplines_types_have_32_and_64_bits[sizeof(float) == 4 && sizeof(double) == 8 ? 1 : -1];
 typedef char maplines_constants_are_double[sizeof(1.0) == sizeof(double) ? 1 : -1];
 /* 1 is that of s390x: float is computed as double, and double is as everywhere. 16 is that of CPUs
  * with half precision, which is not used here. 2 is the x87, which keeps more bits than double has.

@@ -174,22 +174,42 @@ if(NOT MSVC)
   target_link_libraries(maplines PUBLIC m)
 endif()
 
-install(TARGETS maplines EXPORT maplines ARCHIVE DESTINATION ${{CMAKE_INSTALL_LIBDIR}})
-install(FILES {headers} DESTINATION ${{CMAKE_INSTALL_INCLUDEDIR}})
+install(TARGETS maplines EXPORT maplines ARCHIVE DESTINATION "${{CMAKE_INSTALL_LIBDIR}}")
+install(FILES {headers} DESTINATION "${{CMAKE_INSTALL_INCLUDEDIR}}")
+set(MAPLINES_PACKAGE "${{CMAKE_INSTALL_LIBDIR}}/cmake/maplines")
 install(
   EXPORT maplines
   NAMESPACE maplines::
   FILE maplinesConfig.cmake
-  DESTINATION ${{CMAKE_INSTALL_LIBDIR}}/cmake/maplines)
-file(
-  WRITE ${{CMAKE_CURRENT_BINARY_DIR}}/maplines.pc
-  "prefix=${{CMAKE_INSTALL_PREFIX}}
+  DESTINATION "${{MAPLINES_PACKAGE}}")
+include(CMakePackageConfigHelpers)
+write_basic_package_version_file(maplinesConfigVersion.cmake COMPATIBILITY SameMinorVersion)
+install(FILES "${{CMAKE_CURRENT_BINARY_DIR}}/maplinesConfigVersion.cmake"
+        DESTINATION "${{MAPLINES_PACKAGE}}")
+
+# For pkg-config, with paths from its own place on, so that all can be moved. From a folder that is
+# absolute none is known: the prefix is then that of the installation, which may have its own.
+if(IS_ABSOLUTE "${{CMAKE_INSTALL_LIBDIR}}")
+  set(prefix "@PREFIX@")
+else()
+  file(RELATIVE_PATH up "/${{CMAKE_INSTALL_LIBDIR}}/pkgconfig" /)
+  string(REGEX REPLACE "/$" "" prefix "\\${{pcfiledir}}/${{up}}")
+endif()
+foreach(folder IN ITEMS LIBDIR INCLUDEDIR)
+  string(REPLACE " " "\\\\ " ${{folder}} "${{CMAKE_INSTALL_${{folder}}}}")
+  if(NOT IS_ABSOLUTE "${{${{folder}}}}")
+    string(PREPEND ${{folder}} "\\${{prefix}}/")
+  endif()
+endforeach()
+set(pc "${{CMAKE_CURRENT_BINARY_DIR}}/maplines.pc")
+file(WRITE "${{pc}}.in" "prefix=${{prefix}}
 Name: maplines
 Description: The lines of a digital map on a CAN bus, with their uncertainty
 Version: ${{PROJECT_VERSION}}
-Cflags: -I\\${{prefix}}/${{CMAKE_INSTALL_INCLUDEDIR}} ${{MAPLINES_CFLAGS}}
-Libs: -L\\${{prefix}}/${{CMAKE_INSTALL_LIBDIR}} -lmaplines -lm
+Cflags: -I${{INCLUDEDIR}} ${{MAPLINES_CFLAGS}}
+Libs: -L${{LIBDIR}} -lmaplines -lm
 ")
-install(FILES ${{CMAKE_CURRENT_BINARY_DIR}}/maplines.pc
-        DESTINATION ${{CMAKE_INSTALL_LIBDIR}}/pkgconfig)
+install(CODE [[string(REPLACE " " "\\\\ " PREFIX "${{CMAKE_INSTALL_PREFIX}}")]])
+install(CODE "configure_file(\\"${{pc}}.in\\" \\"${{pc}}\\" @ONLY)")
+install(FILES "${{pc}}" DESTINATION "${{CMAKE_INSTALL_LIBDIR}}/pkgconfig")
 """

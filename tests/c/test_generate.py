@@ -4,6 +4,7 @@ import json
 import os
 import platform
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -75,40 +76,29 @@ def test_arithmetic_that_rounds_otherwise_is_refused(compiled: Path, cc: str, fl
 SHORT_DOUBLE = "maplines needs float of 24 and double of 53 binary digits"
 
 
+@pytest.mark.parametrize("name", ["maplines.c", "maplines_dbc.c"])
 @pytest.mark.parametrize(
     ("macro", "digits"), [("DBL_MANT_DIG", 24), ("FLT_MANT_DIG", 53), ("FLT_RADIX", 16)]
 )
 def test_types_of_other_digits_are_refused(
-    compiled: Path, tmp_path: Path, macro: str, digits: int
+    compiled: Path, tmp_path: Path, name: str, macro: str, digits: int
 ) -> None:
-    """Compilers for small controllers have a double of 4 bytes, and say so in <float.h>."""
+    """By the header, so also in other files of a program."""
     changed = f"#include_next <float.h>\n#undef {macro}\n#define {macro} {digits}\n"
     (tmp_path / "float.h").write_text(changed)
-    command = ["cc", "-std=c99", f"-I{tmp_path}", "-fsyntax-only", "maplines.c"]
+    command = ["cc", "-std=c99", f"-I{tmp_path}", "-fsyntax-only", name]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=compiled)
     assert done.returncode != 0
     assert SHORT_DOUBLE in done.stderr
 
 
-def test_the_header_refuses_a_double_of_4_bytes(compiled: Path) -> None:
-    """Where double is the type float: in a file of the program, too, whose structures differ."""
-    command = ["cc", "-std=c99", "-Ddouble=float", "-fsyntax-only", "maplines_dbc.c"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=compiled)
-    assert done.returncode != 0
-    assert "maplines_double_has_64_bits" in done.stderr
-
-
 @pytest.mark.skipif(not shutil.which("avr-gcc"), reason="there is no avr-gcc")
-@pytest.mark.parametrize(
-    ("name", "message"), [("maplines.c", SHORT_DOUBLE), ("maplines_dbc.c", "_has_64_bits")]
-)
-def test_a_compiler_with_a_double_of_4_bytes_is_refused(
-    compiled: Path, name: str, message: str
-) -> None:
+@pytest.mark.parametrize("name", ["maplines.c", "maplines_dbc.c"])
+def test_a_compiler_with_a_double_of_4_bytes_is_refused(compiled: Path, name: str) -> None:
     command = ["avr-gcc", "-mmcu=atmega2560", "-std=c99", "-fsyntax-only", name]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=compiled)
     assert done.returncode != 0
-    assert message in done.stderr
+    assert SHORT_DOUBLE in done.stderr
 
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="counts the FMA instructions of x86-64")
@@ -351,32 +341,100 @@ def check_dbc(folder: Path, dbc: Path) -> None:
 # ---- the build ------------------------------------------------------------------------------
 
 
-@pytest.mark.skipif(not shutil.which("cmake"), reason="there is no cmake")
-def test_cmake_installs_a_library_that_pkg_config_finds(tmp_path: Path) -> None:
-    assert generate("--out", tmp_path / "c") == 0
-    build, target = tmp_path / "build", tmp_path / "installed"
-    commands: list[list[str | Path]] = [
-        ["cmake", "-S", tmp_path / "c", "-B", build, f"-DCMAKE_INSTALL_PREFIX={target}"],
-        ["cmake", "--build", build],
-        ["cmake", "--install", build],
-    ]
-    for command in commands:
-        subprocess.run(command, check=True, capture_output=True)
-    (pc,) = target.rglob("maplines.pc")
-    flags = ["-I" + str(target / "include"), "-lmaplines", "-lm"]
+needs_cmake = pytest.mark.skipif(not shutil.which("cmake"), reason="there is no cmake")
+PROGRAM = """\
+#include "maplines_dbc.h"
+int main(void) { return maplines_dbc.max_components == 8 ? 0 : 1; }
+"""
+CONSUMER = """\
+cmake_minimum_required(VERSION 3.13)
+project(consumer C)
+find_package(maplines REQUIRED)
+add_executable(program main.c)
+target_link_libraries(program maplines::maplines)
+"""
+
+
+def cmake(*words: str | Path) -> str:
+    """Run CMake; return what it prints."""
+    done = subprocess.run(["cmake", *words], check=True, capture_output=True, text=True)
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The build folder of the library, which is configured for a prefix that does not exist."""
+    folder = tmp_path_factory.mktemp("built library")
+    assert generate("--out", folder / "c") == 0
+    cmake("-S", folder / "c", "-B", folder / "build", "-DCMAKE_INSTALL_PREFIX=/configured")
+    cmake("--build", folder / "build")
+    return folder / "build"
+
+
+#: Folders of an installation: its prefix, those of the library and the headers, and where the
+#: prefix is moved to. They are in a temporary folder, and some are below the prefix.
+INSTALLATIONS = [
+    pytest.param("other", "lib", "include", "other", id="prefix-at-installation"),
+    pytest.param("with space", "lib", "include", "with space", id="space"),
+    pytest.param("one", "lib/x86_64-linux-gnu", "include/maplines", "two/in here", id="moved"),
+    pytest.param("out", "{}/out/lib", "{}/dev of it/include", "out", id="absolute"),
+    pytest.param("out of it", "{}/li b", "include", "out of it", id="absolute-library-only"),
+]
+
+
+@needs_cmake
+@pytest.mark.parametrize(("prefix", "library", "include", "moved"), INSTALLATIONS)
+def test_an_installed_library_is_found(
+    built: Path, tmp_path: Path, prefix: str, library: str, include: str, moved: str
+) -> None:
+    """By pkg-config and by CMake, wherever it is: also where the prefix has a space."""
+    place = tmp_path.resolve()
+    library, include = library.format(place), include.format(place)
+    cmake(f"-DCMAKE_INSTALL_LIBDIR={library}", f"-DCMAKE_INSTALL_INCLUDEDIR={include}", built)
+    cmake("--install", built, "--prefix", place / prefix)
+    (place / moved).parent.mkdir(exist_ok=True)
+    (place / prefix).rename(place / moved)
+    libraries, headers = place / moved / library, place / moved / include
+    assert (headers / "maplines_dbc.h").exists()
+    (place / "main.c").write_text(PROGRAM)
     if shutil.which("pkg-config"):
-        flags = subprocess.run(
-            ["pkg-config", "--cflags", "--libs", pc], check=True, capture_output=True, text=True
-        ).stdout.split()
-    (tmp_path / "main.c").write_text(
-        '#include "maplines_dbc.h"\n'
-        "int main(void) { return maplines_dbc.max_components == 8 ? 0 : 1; }\n"
+        ask = ["pkg-config", "--cflags", "--libs", "maplines"]
+        there = os.environ | {"PKG_CONFIG_PATH": str(libraries / "pkgconfig")}
+        printed = subprocess.run(ask, check=True, stdout=-1, text=True, env=there).stdout
+        found = {Path(flag[2:]).resolve() for flag in shlex.split(printed) if flag[1] in "IL"}
+        assert found == {libraries, headers}
+        command = ["cc", "main.c", *shlex.split(printed), "-o", "by_pkg_config"]
+        subprocess.run(command, check=True, cwd=place)
+        subprocess.run([place / "by_pkg_config"], check=True)
+    if Path(library).is_absolute() > Path(include).is_absolute():
+        return  # the package of CMake has the prefix of the configuration then
+    (place / "CMakeLists.txt").write_text(CONSUMER)
+    config = f"-Dmaplines_DIR={libraries / 'cmake' / 'maplines'}"
+    cmake("-S", place, "-B", place / "consumer", config)
+    cmake("--build", place / "consumer")
+    subprocess.run([place / "consumer" / "program"], check=True)
+
+
+@needs_cmake
+@pytest.mark.parametrize(
+    ("version", "is_found"),
+    [("", True), ("0.1", True), ("0.1.0", True), ("0.1.0 EXACT", True),
+     ("0.1.99", False), ("0.0.9", False), ("0.2", False), ("1", False)],
+)  # fmt: skip
+def test_cmake_finds_the_version_that_is_asked_for(
+    built: Path, tmp_path: Path, version: str, is_found: bool
+) -> None:
+    """Another minor version may have another interface, as long as the major one is 0."""
+    assert maplines_can.__version__ == "0.1.0", "change the versions above"
+    cmake("-DCMAKE_INSTALL_LIBDIR=lib", "-DCMAKE_INSTALL_INCLUDEDIR=include", built)
+    cmake("--install", built, "--prefix", tmp_path / "installed")
+    (tmp_path / "CMakeLists.txt").write_text(
+        "cmake_minimum_required(VERSION 3.13)\nproject(consumer NONE)\n"
+        f"find_package(maplines {version})\nmessage(STATUS found=${{maplines_FOUND}})\n"
     )
-    subprocess.run(
-        ["cc", tmp_path / "main.c", "-L" + str(pc.parents[1]), *flags, "-o", tmp_path / "program"],
-        check=True,
-    )
-    subprocess.run([tmp_path / "program"], check=True)
+    prefix = f"-DCMAKE_PREFIX_PATH={tmp_path / 'installed'}"
+    printed = cmake("-S", tmp_path, "-B", tmp_path / "consumer", prefix)
+    assert f"-- found={int(is_found)}" in printed
 
 
 def test_the_command_works_without_the_study(tmp_path: Path) -> None:
