@@ -57,8 +57,23 @@ extern "C" {
  * DBC and its options ask for. All files of a program need the same; others do not link.
  */
 /* build: begin */
+#ifndef MAPLINES_RECEIVER
+#define MAPLINES_RECEIVER 1 ///< frames to lines
+#endif
+#ifndef MAPLINES_SENDER
+#define MAPLINES_SENDER 1 ///< lines to frames
+#endif
+#ifndef MAPLINES_SCENES
+#define MAPLINES_SCENES 1 ///< lines with the error of their pose
+#endif
+#ifndef MAPLINES_SECOC
+#define MAPLINES_SECOC 1 ///< authenticated frames
+#endif
 #ifndef MAPLINES_FLOAT
 #define MAPLINES_FLOAT 0 ///< a receiver computes with float, for CPUs without double precision
+#endif
+#ifndef MAPLINES_SLOTS
+#define MAPLINES_SLOTS 8 ///< lines around the car: the first ones of maplines_owner_t
 #endif
 #ifndef MAPLINES_MAX_PAGES
 #define MAPLINES_MAX_PAGES 8 ///< pages of 8 bytes of a record
@@ -67,17 +82,27 @@ extern "C" {
 #define MAPLINES_MAX_TRANSFER_IDS 16
 #endif
 #ifndef MAPLINES_MAX_COMPONENTS
-#define MAPLINES_MAX_COMPONENTS 8 ///< components of a mixture
+#define MAPLINES_MAX_COMPONENTS 8 ///< components of a mixture; 1: there are no mixtures
+#endif
+#ifndef MAPLINES_TRANSFERS
+#define MAPLINES_TRANSFERS MAPLINES_MAX_TRANSFER_IDS ///< of a slot that are remembered
+#endif
+#ifndef MAPLINES_HISTORY
+#define MAPLINES_HISTORY 256 ///< records of a slot that are remembered, a power of 2
+#endif
+#ifndef MAPLINES_EPOCHS
+#define MAPLINES_EPOCHS 8 ///< pose errors that lines may still join
+#endif
+#ifndef MAPLINES_WINDOW
+#define MAPLINES_WINDOW 255 ///< longest window of an E2E state machine [checks]
 #endif
 /* build: end */
 
-#define MAPLINES_SLOTS 8                     ///< lines around the car
-#define MAPLINES_OWNERS (MAPLINES_SLOTS + 1) ///< owners of records: the slots and the pose error
-#define MAPLINES_MAX_RECORD (8 * MAPLINES_MAX_PAGES)                       ///< [byte]
+#define MAPLINES_OWNERS                                                                            \
+    (MAPLINES_SLOTS + MAPLINES_SCENES)               ///< of records: slots, and the pose error
+#define MAPLINES_MAX_RECORD (8 * MAPLINES_MAX_PAGES) ///< [byte]
 #define MAPLINES_MAX_FRAMES (MAPLINES_MAX_PAGES * MAPLINES_MAX_COMPONENTS) ///< of a line
-#define MAPLINES_WINDOW 255  ///< longest window of an E2E state machine [checks]
-#define MAPLINES_HISTORY 256 ///< records of a slot that are remembered
-#define MAPLINES_EPOCHS 8    ///< pose errors that are remembered
+#define MAPLINES_MIXTURES (MAPLINES_MAX_COMPONENTS > 1)
 
 /* The names of all functions have the build, so that files which do not agree on it do not link.
  * Define MAPLINES_NAMESPACE to have two libraries of one build in a program.
@@ -92,12 +117,14 @@ extern "C" {
 #endif
 #ifndef MAPLINES_NAME
 #define MAPLINES_NAME(name)                                                                        \
-    MAPLINES_NAMED(MAPLINES_NAMESPACE, name, MAPLINES_REAL, MAPLINES_MAX_PAGES,                    \
-                   MAPLINES_MAX_TRANSFER_IDS, MAPLINES_MAX_COMPONENTS)
-#define MAPLINES_NAMED(space, name, real, pages, ids, parts)                                       \
-    MAPLINES_JOINED(space, name, real, pages, ids, parts)
-#define MAPLINES_JOINED(space, name, real, pages, ids, parts)                                      \
-    space##_##name##_##real##_##pages##_##ids##_##parts
+    MAPLINES_NAMED(MAPLINES_NAMESPACE, name, MAPLINES_REAL, MAPLINES_RECEIVER, MAPLINES_SENDER,    \
+                   MAPLINES_SCENES, MAPLINES_SECOC, MAPLINES_SLOTS, MAPLINES_MAX_PAGES,            \
+                   MAPLINES_MAX_TRANSFER_IDS, MAPLINES_MAX_COMPONENTS, MAPLINES_TRANSFERS,         \
+                   MAPLINES_HISTORY, MAPLINES_EPOCHS, MAPLINES_WINDOW)
+#define MAPLINES_NAMED(a, name, b, c, d, e, f, g, h, i, j, k, l, m, n)                             \
+    MAPLINES_JOINED(a, name, b, c, d, e, f, g, h, i, j, k, l, m, n)
+#define MAPLINES_JOINED(a, name, b, c, d, e, f, g, h, i, j, k, l, m, n)                            \
+    a##_##name##_##b##_##c##d##e##f##_##g##_##h##_##i##_##j##_##k##_##l##_##m##_##n
 #endif
 #define maplines_decoder_init MAPLINES_NAME(decoder_init)
 #define maplines_feed MAPLINES_NAME(feed)
@@ -151,14 +178,28 @@ typedef MAPLINES_REAL maplines_real_t;
 /// Identity of a line around the car, and owner of records.
 typedef enum {
     MAPLINES_EGO_LEFT = 0,
+#if MAPLINES_SLOTS > 1
     MAPLINES_EGO_RIGHT = 1,
+#endif
+#if MAPLINES_SLOTS > 2
     MAPLINES_NEXT_LEFT = 2,
+#endif
+#if MAPLINES_SLOTS > 3
     MAPLINES_NEXT_RIGHT = 3,
+#endif
+#if MAPLINES_SLOTS > 4
     MAPLINES_CENTRE = 4,
+#endif
+#if MAPLINES_SLOTS > 5
     MAPLINES_EDGE_LEFT = 5,
+#endif
+#if MAPLINES_SLOTS > 6
     MAPLINES_EDGE_RIGHT = 6,
+#endif
+#if MAPLINES_SLOTS > 7
     MAPLINES_ROUTE = 7,
-    MAPLINES_POSE = 8, ///< the pose error, which is no slot
+#endif
+    MAPLINES_POSE = MAPLINES_SLOTS, ///< the pose error, which is no slot
 } maplines_owner_t;
 
 /// Kind of marking or boundary.
@@ -257,6 +298,25 @@ typedef struct {
     uint8_t components; ///< 1, or the number of components of a mixture: see maplines_component
 } maplines_line_t;
 
+/// Verifier of authenticated frames: an HSM computes the MAC.
+typedef struct {
+    /// Write the 16 bytes of AES-CMAC(key of key_id, data) to mac; return false without such a key.
+    bool (*mac)(void *context, uint8_t key_id, const uint8_t *data, size_t length, uint8_t mac[16]);
+    /// Time since 1970, or of any clock that increases over restarts [us]; NULL: there is no clock.
+    int64_t (*now_us)(void *context);
+    void *context;
+    int64_t window_us;     ///< greatest difference from that clock, 1 or more
+    int64_t not_before_us; ///< freshness values up to this one are not accepted; 0 or more
+} maplines_authenticator_t;
+
+/// Key of a sender of authenticated frames, and its freshness values.
+typedef struct {
+    bool (*mac)(void *context, uint8_t key_id, const uint8_t *data, size_t length, uint8_t mac[16]);
+    void *context;
+    uint8_t key_id;
+    int64_t last_us; ///< last freshness value that was sent: start with a stored one, or 0
+} maplines_signer_t;
+
 /* Structures that stand further below, or in maplines_state.h: the tables of a DBC, the state and
  * the settings of a receiver, and memory of a sender. Their sizes are known there; the caller owns
  * them.
@@ -264,8 +324,10 @@ typedef struct {
 typedef struct maplines_dbc maplines_dbc_t;
 typedef struct maplines_decoder maplines_decoder_t;
 typedef struct maplines_settings maplines_settings_t;
+typedef struct maplines_scene maplines_scene_t;
 typedef struct maplines_scene_workspace maplines_scene_workspace_t;
 
+#if MAPLINES_RECEIVER
 /* ---- receive ---------------------------------------------------------------------------------
  * Every record passes the same stations; each may drop it, with a counted reason:
  *
@@ -390,6 +452,13 @@ maplines_estimate_t maplines_curvature(const maplines_line_t *line, maplines_rea
 /// Covariance of the four parameters.
 void maplines_covariance(const maplines_gaussian_t *gaussian, maplines_real_t covariance[4][4]);
 
+/// One term of a weighted sum of lateral positions: weight * y(x) of the line of a slot.
+typedef struct {
+    maplines_owner_t slot;
+    maplines_real_t x; ///< [m], in the valid range of the line
+    maplines_real_t weight;
+} maplines_term_t;
+
 /// A lateral position that another sensor measures, with an independent error.
 typedef struct {
     maplines_real_t x;     ///< [m]
@@ -404,7 +473,9 @@ typedef struct {
 /// of the same thing. Infinite if a sigma is 0 or a value is not finite.
 maplines_real_t maplines_mahalanobis(const maplines_line_t *line, size_t count,
                                      const maplines_position_t *positions);
+#endif // MAPLINES_RECEIVER
 
+#if MAPLINES_RECEIVER && MAPLINES_SCENES
 /* ---- lines of one pose: a scene -------------------------------------------------------------- */
 
 /// Lines of one pose, with a square root of their joint covariance.
@@ -414,7 +485,7 @@ maplines_real_t maplines_mahalanobis(const maplines_line_t *line, size_t count,
 /// block, with variances that are larger by a share of 2^-42, as all of them are in Python's
 /// matrix: more than the rounding errors of a sum. In single precision A and F_i cover those in
 /// double precision, with standard deviations that are 0.05 % larger.
-typedef struct {
+struct maplines_scene {
     uint8_t count; ///< n
     maplines_line_t lines[MAPLINES_SLOTS];
     maplines_real_t spread[4 * MAPLINES_SLOTS][7];  ///< due to the pose error
@@ -428,7 +499,7 @@ typedef struct {
     maplines_real_t age;               ///< from the pose to the sending of the pose error [s]
     int64_t t_ns;                      ///< reception of the first frame of the pose error [ns]
     uint32_t counter;                  ///< of the pose error
-} maplines_scene_t;
+};
 
 /// The newest scene when the consumer asks.
 typedef struct {
@@ -454,13 +525,6 @@ void maplines_latest_scene(maplines_decoder_t *decoder, int64_t now_ns,
 /// below, which need the joint covariance: lines of one pose are not independent.
 const maplines_line_t *maplines_scene_line(const maplines_scene_t *scene, maplines_owner_t slot);
 
-/// One term of a weighted sum of lateral positions: weight * y(x) of the line of a slot.
-typedef struct {
-    maplines_owner_t slot;
-    maplines_real_t x; ///< [m], in the valid range of the line
-    maplines_real_t weight;
-} maplines_term_t;
-
 /// Weighted sum of lateral positions of lines of a scene. False if the scene lacks one of them; the
 /// sum is then 0 with an infinite standard deviation. So it is with the next two functions.
 bool maplines_sum(const maplines_scene_t *scene, size_t count, const maplines_term_t *terms,
@@ -484,7 +548,9 @@ bool maplines_common_range(const maplines_scene_t *scene, size_t count,
 /// (4 count)^2 entries by rows. False if the scene lacks a line.
 bool maplines_joint_covariance(const maplines_scene_t *scene, size_t count,
                                const maplines_owner_t *slots, maplines_real_t *covariance);
+#endif // MAPLINES_RECEIVER && MAPLINES_SCENES
 
+#if MAPLINES_RECEIVER
 /* ---- predict by the motion of the car -------------------------------------------------------- */
 
 /// Motion of the car at constant speed and yaw rate: an arc, tangent to the x axis at each point.
@@ -600,17 +666,6 @@ typedef struct {
     bool clear_to_invalid;
 } maplines_e2e_config_t;
 
-/// Verifier of authenticated frames: an HSM computes the MAC.
-typedef struct {
-    /// Write the 16 bytes of AES-CMAC(key of key_id, data) to mac; return false without such a key.
-    bool (*mac)(void *context, uint8_t key_id, const uint8_t *data, size_t length, uint8_t mac[16]);
-    /// Time since 1970, or of any clock that increases over restarts [us]; NULL: there is no clock.
-    int64_t (*now_us)(void *context);
-    void *context;
-    int64_t window_us;     ///< greatest difference from that clock, 1 or more
-    int64_t not_before_us; ///< freshness values up to this one are not accepted; 0 or more
-} maplines_authenticator_t;
-
 /// Settings of a decoder. Start from maplines_default_settings().
 struct maplines_settings {
     int64_t timeout_ns[MAPLINES_OWNERS]; ///< longest time between the frames of a transfer
@@ -635,17 +690,11 @@ void maplines_default_settings(const maplines_dbc_t *dbc, maplines_settings_t *s
 /// @return NULL, or what is wrong (then the settings are the default ones).
 const char *maplines_settings_for(const maplines_dbc_t *dbc, double timeout_ms, double cycle_ms,
                                   const maplines_e2e_config_t *e2e, maplines_settings_t *settings);
+#endif // MAPLINES_RECEIVER
 
+#if MAPLINES_SENDER
 /* ---- send --------------------------------------------------------------------------------------
  */
-
-/// Key of a sender of authenticated frames, and its freshness values.
-typedef struct {
-    bool (*mac)(void *context, uint8_t key_id, const uint8_t *data, size_t length, uint8_t mac[16]);
-    void *context;
-    uint8_t key_id;
-    int64_t last_us; ///< last freshness value that was sent: start with a stored one, or 0
-} maplines_signer_t;
 
 /// Why nothing was sent: a caller's mistake. The counters have not changed then.
 typedef enum {
@@ -729,6 +778,7 @@ void maplines_encoder_init(maplines_encoder_t *encoder, const maplines_dbc_t *db
 maplines_sent_t maplines_encode_line(maplines_encoder_t *encoder, const maplines_input_t *line,
                                      bool is_fd, int64_t now_us, maplines_frame_t *frames);
 
+#if MAPLINES_MIXTURES
 /// Encode a line that is a Gaussian mixture: one record for each component.
 ///
 /// The decoded mixture covers each component and the overall covariance of the mixture.
@@ -738,7 +788,10 @@ maplines_sent_t maplines_encode_line(maplines_encoder_t *encoder, const maplines
 maplines_sent_t maplines_encode_mixture(maplines_encoder_t *encoder, const maplines_input_t *line,
                                         const maplines_component_t *components, size_t count,
                                         bool is_fd, int64_t now_us, maplines_frame_t *frames);
+#endif
+#endif // MAPLINES_SENDER
 
+#if MAPLINES_SENDER && MAPLINES_SCENES
 /* ---- send a scene ---------------------------------------------------------------------------- */
 
 /// Line of a scene to be sent.
@@ -821,6 +874,7 @@ maplines_sent_scene_t maplines_encode_scene(maplines_encoder_t *encoder,
                                             const maplines_scene_input_t *scene, bool is_fd,
                                             int64_t now_us, maplines_scene_workspace_t *workspace,
                                             maplines_frame_t *frames);
+#endif // MAPLINES_SENDER && MAPLINES_SCENES
 
 /* ---- names --------------------------------------------------------------------------------------
  * Names of values for a log, as the Python package has them, such as "EGO_LEFT" or "CRC"; "?" of a
@@ -833,9 +887,15 @@ const char *maplines_status_name(maplines_status_t status);
 const char *maplines_reason_name(maplines_reason_t reason);
 const char *maplines_e2e_state_name(maplines_e2e_state_t state);
 const char *maplines_e2e_status_name(maplines_e2e_status_t status);
+#if MAPLINES_RECEIVER
 const char *maplines_prediction_name(maplines_prediction_t prediction);
+#endif
+#if MAPLINES_SENDER
 const char *maplines_refusal_name(maplines_refusal_t refusal);
+#endif
+#if MAPLINES_SENDER && MAPLINES_SCENES
 const char *maplines_left_out_name(maplines_left_out_t left_out);
+#endif
 
 #include "maplines_state.h" // sizes of the structures; nothing there is to be called
 

@@ -76,27 +76,32 @@ struct maplines_dbc {
     bool has_pose;
     maplines_messages_t messages[MAPLINES_OWNERS];
     maplines_record_t line;
-    maplines_record_t pose;
     /* records of lines */
     maplines_signal_t mean[4];
     maplines_signal_t kind, x_min, x_max;
     maplines_cholesky_t covariance;
     maplines_signal_t status, age;                                        // complete
     maplines_signal_t component_index, component_count, component_weight; // complete
-    maplines_signal_t has_covariance, fine[4];                            // conditional
-    maplines_levels_t levels;                                             // conditional
+#if MAPLINES_SCENES
+    maplines_signal_t has_covariance, fine[4]; // conditional
+    maplines_levels_t levels;                  // conditional
     /* records of the pose error */
+    maplines_record_t pose;
     maplines_signal_t pose_age, correlation_time, map_offset, map_heading;
     maplines_cholesky_t pose_covariance;
     maplines_signal_t slot_counter[MAPLINES_SLOTS];
     maplines_levels_t slot_levels[MAPLINES_SLOTS]; // beside complete records
-    uint16_t spacings;                             ///< raw values of the shape that a sender tries
-    uint16_t spacing_step;                         ///< from one of them to the next
+#if MAPLINES_SENDER
+    uint16_t spacings;     ///< raw values of the shape that a sender tries
+    uint16_t spacing_step; ///< from one of them to the next
     /// At each of them: covariance of a straight line for errors of points of 1 m, its lower
     /// triangle by rows, and by how much the shape adds to it [m^2]. 11 kB for 256 of them.
     const float (*straight)[11];
+#endif
+#endif
 };
 
+#if MAPLINES_RECEIVER
 /* ---- state of a receiver ----------------------------------------------------------------------
  */
 
@@ -105,14 +110,15 @@ typedef struct {
     uint8_t record[MAPLINES_MAX_RECORD];
     int64_t t_ns;   ///< of the first frame
     uint32_t pages; ///< one bit each; 0: none
+    uint16_t id;
 } maplines_transfer_t;
 
 /// What was received of the records of one owner.
 typedef struct {
-    maplines_transfer_t incomplete[MAPLINES_MAX_TRANSFER_IDS]; ///< by transfer ID
-    maplines_transfer_t complete[MAPLINES_MAX_TRANSFER_IDS];   ///< good ones, likewise
-    uint16_t began[MAPLINES_MAX_TRANSFER_IDS]; ///< transfer IDs of incomplete ones, as they began
-    uint16_t count;                            ///< of these
+    maplines_transfer_t incomplete[MAPLINES_TRANSFERS]; ///< each at its ID modulo their number
+    maplines_transfer_t complete[MAPLINES_TRANSFERS];   ///< good ones, likewise
+    uint16_t began[MAPLINES_TRANSFERS]; ///< places of incomplete ones, as they began
+    uint16_t count;                     ///< of these
 } maplines_inbox_t;
 
 /// Cycles without a record.
@@ -131,7 +137,7 @@ typedef struct {
 
 /// Records of the last counters, by the low bits of their counter.
 typedef struct {
-    uint64_t content[MAPLINES_HISTORY]; ///< hash of the record
+    uint32_t content[MAPLINES_HISTORY]; ///< hash of the record
     uint8_t flags[MAPLINES_HISTORY];    ///< 0: no record
     int64_t run_since_ns; ///< records behind the last new one: time of the first of the run
     uint32_t run_first;   ///< its counter
@@ -184,6 +190,7 @@ typedef struct {
     uint64_t lost; ///< records
 } maplines_check_t;
 
+#if MAPLINES_MIXTURES
 /// Components of a mixture, as records.
 typedef struct {
     uint8_t records[MAPLINES_MAX_COMPONENTS][MAPLINES_MAX_RECORD];
@@ -196,7 +203,9 @@ typedef struct {
     maplines_kind_t kind;
     uint8_t count; ///< of components; 0: there is no mixture
 } maplines_mixture_t;
+#endif
 
+#if MAPLINES_SCENES
 /// Record of a line that waits for its pose error, or belongs to one.
 typedef struct {
     uint8_t record[MAPLINES_MAX_RECORD];
@@ -231,6 +240,7 @@ typedef struct {
     bool is_built;   ///< the scene is that of `latest`
     maplines_scene_t scene;
 } maplines_epochs_t;
+#endif
 
 /// State of a receiver.
 struct maplines_decoder {
@@ -240,14 +250,23 @@ struct maplines_decoder {
     maplines_statistics_t statistics; ///< without `lost` and `pending`
     maplines_inbox_t inboxes[MAPLINES_OWNERS];
     maplines_check_t checks[MAPLINES_OWNERS];
+#if MAPLINES_SECOC
     int64_t freshness_us[MAPLINES_OWNERS]; ///< last accepted freshness value
+#endif
+#if MAPLINES_MIXTURES
     maplines_mixture_t incomplete[MAPLINES_SLOTS];
-    maplines_epochs_t epochs;
-    maplines_line_t newest[MAPLINES_SLOTS];
     maplines_mixture_t mixtures[MAPLINES_SLOTS]; ///< of the newest lines that are mixtures
-    uint32_t has_newest;                         ///< one bit for each slot
+#endif
+#if MAPLINES_SCENES
+    maplines_epochs_t epochs;
+#endif
+    maplines_line_t newest[MAPLINES_SLOTS];
+    uint32_t has_newest; ///< one bit for each slot
 };
 
+#endif // MAPLINES_RECEIVER
+
+#if MAPLINES_SENDER && MAPLINES_SCENES
 /* ---- memory in which a scene is encoded ---------------------------------------------------------
  */
 
@@ -327,5 +346,6 @@ struct maplines_scene_workspace {
     maplines_level_squares_t squares;
     maplines_joint_space_t joint;
 };
+#endif // MAPLINES_SENDER && MAPLINES_SCENES
 
 #endif

@@ -1,6 +1,8 @@
 /* Lines from records with a covariance of their own. */
 #include "internal.h"
 
+#if MAPLINES_RECEIVER
+
 /// Standard deviations of a line whose covariance was not sent.
 static const double vague_sigma[4] = {1000.0, 10.0, 10.0, 10.0};
 
@@ -50,7 +52,7 @@ MAPLINES_INTERNAL maplines_reason_t maplines_read_complete(const maplines_dbc_t 
     {
         return MAPLINES_CONTENT;
     }
-    if ((double)index >= count)
+    if ((double)index >= count || count > (double)MAPLINES_MAX_COMPONENTS)
     {
         return MAPLINES_CONTENT;
     }
@@ -76,3 +78,5 @@ MAPLINES_INTERNAL maplines_reason_t maplines_read_complete(const maplines_dbc_t 
     content->counter = (uint32_t)maplines_get(&dbc->line.counter, record);
     return MAPLINES_COMPLETE;
 }
+
+#endif

@@ -1,6 +1,8 @@
 /* Records with a covariance of their own, from lines. No value is clipped silently. */
 #include "internal.h"
 
+#if MAPLINES_SENDER
+
 #define DIVISION_SLACK 1e-9  // of the division before directed rounding [steps]
 #define MIN_STATED_RANGE 1.0 // least length of a range that is sent for a replaced line [m]
 
@@ -223,3 +225,5 @@ MAPLINES_INTERNAL maplines_status_t maplines_write_complete(const maplines_dbc_t
                  nearest_within(&dbc->component_weight, draft->weight));
     return status;
 }
+
+#endif

@@ -15,6 +15,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_RECEIVER
+
 #define CONFLICTS 8U      ///< confirm two senders
 #define NEAR_CYCLES 32    ///< longest time between consecutive conflicts
 #define NEW_RECORDS 32U   ///< of so many consecutive new records,
@@ -156,3 +158,5 @@ MAPLINES_INTERNAL void maplines_conflict_elapse(maplines_conflict_t *conflict, i
         conflict->conflicts = 0;
     }
 }
+
+#endif

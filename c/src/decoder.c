@@ -1,18 +1,20 @@
 /* Decoder of received frames: frames in, lines and scenes out, everything else counted. */
 #include "internal.h"
 
+#if MAPLINES_RECEIVER
+
 /// The caller's time may be before a reception by this much [ns]: clocks that are synchronised
 /// differ by less. By more, the caller's clock was set back, and no age is known.
 #define CLOCK_JITTER_NS 1000000
 
 /// Hash of a record (FNV-1a), to recognise duplicates.
-static uint64_t hash_of(const uint8_t *record, size_t length)
+static uint32_t hash_of(const uint8_t *record, size_t length)
 {
-    uint64_t hash = UINT64_C(0xCBF29CE484222325);
+    uint32_t hash = 0x811C9DC5U;
     for (size_t i = 0; i < length; ++i)
     {
         hash ^= record[i];
-        hash *= UINT64_C(0x100000001B3);
+        hash *= 0x01000193U;
     }
     return hash;
 }
@@ -26,7 +28,7 @@ static bool is_slot(const maplines_decoder_t *decoder, int owner)
 /// Records of an owner are authenticated.
 static bool is_authentic(const maplines_decoder_t *decoder, int owner)
 {
-    return decoder->settings.authenticator != NULL &&
+    return MAPLINES_SECOC && decoder->settings.authenticator != NULL &&
            maplines_layout(decoder->dbc, owner)->fd_authentic > 0;
 }
 
@@ -44,7 +46,6 @@ const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_db
     }
     decoder->settings = *wanted;
     decoder->is_ready = true;
-    const maplines_authenticator_t *authenticator = decoder->settings.authenticator;
     for (int owner = 0; owner < MAPLINES_OWNERS; ++owner)
     {
         if (!dbc->messages[owner].is_present)
@@ -56,10 +57,15 @@ const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_db
                             decoder->settings.cycle_ns[owner],
                             (uint64_t)1 << layout->counter.length, layout->pages,
                             is_authentic(decoder, owner));
+#if MAPLINES_SECOC
+        const maplines_authenticator_t *authenticator = decoder->settings.authenticator;
         decoder->freshness_us[owner] =
             authenticator != NULL ? authenticator->not_before_us : INT64_C(0);
+#endif
     }
+#if MAPLINES_SCENES
     maplines_epochs_init(&decoder->epochs);
+#endif
     return NULL;
 }
 
@@ -91,20 +97,26 @@ static void feed_component(maplines_decoder_t *decoder, const maplines_arrival_t
                            maplines_fed_t *fed)
 {
     const maplines_complete_t *content = &arrival->content;
-    const maplines_check_t *check = &decoder->checks[arrival->owner];
+    uint32_t frames = arrival->frames;
+#if MAPLINES_MIXTURES
+    const maplines_check_t *own = &decoder->checks[arrival->owner];
     if (content->count > 1 &&
-        maplines_conflict_was_reused(&check->conflict, check->cycle_ns, arrival->t_ns))
+        maplines_conflict_was_reused(&own->conflict, own->cycle_ns, arrival->t_ns))
     {
         maplines_drop_mixture(decoder, arrival->owner); // its components may come from two senders
         fed->reason = dropped_record(decoder, MAPLINES_INCOMPLETE, arrival->frames);
         return;
     }
-    uint32_t frames = 0;
+    frames = 0;
     fed->reason = maplines_add_component(decoder, arrival, &frames);
     if (fed->reason != MAPLINES_COMPLETE)
     {
         return;
     }
+#else
+    decoder->newest[arrival->owner] = content->line;
+#endif
+#if MAPLINES_SCENES
     if (decoder->dbc->has_pose && content->count == 1 && content->line.x_min < content->line.x_max)
     {
         maplines_joining_t line;
@@ -113,11 +125,14 @@ static void feed_component(maplines_decoder_t *decoder, const maplines_arrival_t
         line.t_ns = arrival->t_ns;
         line.counter = content->counter;
         line.frames = 0; // they are counted as those of the line
-        (void)maplines_add_line(decoder, arrival->owner, &line, check->ahead == 0, &joined);
+        const bool is_break = decoder->checks[arrival->owner].ahead == 0;
+        (void)maplines_add_line(decoder, arrival->owner, &line, is_break, &joined);
     }
+#endif
     deliver(decoder, arrival->owner, frames, content->count, fed);
 }
 
+#if MAPLINES_SCENES
 /// Deliver the lines of conditional records that have joined one pose error, decoded into `scene`.
 /// What is no function of x is counted instead.
 static void deliver_joined(maplines_decoder_t *decoder, const maplines_joined_t *joined, int count,
@@ -189,6 +204,7 @@ static void feed_conditional(maplines_decoder_t *decoder, const maplines_arrival
         feed_joined(decoder, &joined, 1, fed, scene);
     }
 }
+#endif
 
 maplines_fed_t maplines_feed(maplines_decoder_t *decoder, const maplines_frame_t *frame,
                              int64_t t_ns)
@@ -230,19 +246,22 @@ MAPLINES_INTERNAL maplines_fed_t maplines_feed_with(maplines_decoder_t *decoder,
     const bool is_complete = !decoder->dbc->is_conditional && arrival.owner != MAPLINES_POSE;
     const maplines_record_t *layout = maplines_layout(decoder->dbc, arrival.owner);
     const uint32_t counter = (uint32_t)maplines_get(&layout->counter, arrival.record);
-    const uint64_t content = hash_of(arrival.record, arrival.length);
+    const uint32_t content = hash_of(arrival.record, arrival.length);
     const uint32_t records = is_complete ? arrival.content.count : 1U;
     fed.reason = maplines_check_received(check, counter, content, arrival.t_ns, records);
     if (fed.reason != MAPLINES_COMPLETE)
     {
+#if MAPLINES_MIXTURES
         if (fed.reason == MAPLINES_STALE && is_complete)
         {
             maplines_drop_mixture_with(decoder, arrival.owner, counter);
         }
+#endif
         (void)dropped_record(decoder, fed.reason, arrival.frames);
         return fed;
     }
     fed.reason = MAPLINES_PENDING;
+#if MAPLINES_SCENES
     if (arrival.owner == MAPLINES_POSE)
     {
         feed_pose(decoder, &arrival, &fed, scene);
@@ -255,6 +274,10 @@ MAPLINES_INTERNAL maplines_fed_t maplines_feed_with(maplines_decoder_t *decoder,
     {
         feed_component(decoder, &arrival, &fed);
     }
+#else
+    (void)scene;
+    feed_component(decoder, &arrival, &fed);
+#endif
     return fed;
 }
 
@@ -262,11 +285,15 @@ void maplines_expire(maplines_decoder_t *decoder, int64_t t_ns)
 {
     const int64_t now_ns = maplines_limited_time(t_ns);
     maplines_expire_transfers(decoder, now_ns);
+#if MAPLINES_MIXTURES
     maplines_expire_mixtures(decoder, now_ns);
+#endif
+#if MAPLINES_SCENES
     if (decoder->dbc->has_pose)
     {
         maplines_expire_epochs(decoder, now_ns);
     }
+#endif
 }
 
 /* ---- views -------------------------------------------------------------------------------------
@@ -316,6 +343,7 @@ bool maplines_component(const maplines_decoder_t *decoder, maplines_owner_t slot
     }
     *gaussian = line->gaussian;
     *weight = (maplines_real_t)1.0;
+#if MAPLINES_MIXTURES
     if (line->components > 1)
     {
         maplines_complete_t content;
@@ -325,6 +353,7 @@ bool maplines_component(const maplines_decoder_t *decoder, maplines_owner_t slot
         *gaussian = content.line.gaussian;
         *weight = (maplines_real_t)content.weight;
     }
+#endif
     return true;
 }
 
@@ -357,6 +386,7 @@ void maplines_latest(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t
     view->state = state_at(check, t_ns, waited);
     view->status = check->status;
     view->two_senders = !maplines_has_one_sender(check, t_ns);
+#if MAPLINES_SCENES
     if (decoder->dbc->is_conditional)
     {
         maplines_check_t *of_pose = &decoder->checks[MAPLINES_POSE];
@@ -364,11 +394,13 @@ void maplines_latest(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t
         view->state = view->state == MAPLINES_E2E_VALID ? pose_state : view->state;
         view->two_senders = view->two_senders || !maplines_has_one_sender(of_pose, t_ns);
     }
+#endif
     view->is_usable = line != NULL && line->status != MAPLINES_OUT_OF_RANGE &&
                       line->age < (maplines_real_t)HUGE_VAL && view->state == MAPLINES_E2E_VALID &&
                       !view->is_stale && !view->two_senders;
 }
 
+#if MAPLINES_SCENES
 void maplines_latest_scene(maplines_decoder_t *decoder, int64_t now_ns, maplines_scene_view_t *view)
 {
     const int64_t t_ns = maplines_limited_time(now_ns);
@@ -410,12 +442,14 @@ void maplines_latest_scene(maplines_decoder_t *decoder, int64_t now_ns, maplines
     view->is_usable =
         are_valid && view->age < (maplines_real_t)HUGE_VAL && !view->is_stale && !view->two_senders;
 }
+#endif
 
 bool maplines_slot_stats(maplines_decoder_t *decoder, maplines_owner_t owner, int64_t now_ns,
                          maplines_slot_stats_t *stats)
 {
-    const bool is_known = is_slot(decoder, (int)owner) ||
-                          (owner == MAPLINES_POSE && decoder->is_ready && decoder->dbc->has_pose);
+    const bool is_known =
+        is_slot(decoder, (int)owner) ||
+        (MAPLINES_SCENES && owner == MAPLINES_POSE && decoder->is_ready && decoder->dbc->has_pose);
     memset(stats, 0, sizeof(*stats));
     stats->state = MAPLINES_E2E_NODATA;
     stats->status = MAPLINES_E2E_NONE;
@@ -444,6 +478,13 @@ void maplines_statistics(const maplines_decoder_t *decoder, maplines_statistics_
     {
         statistics->lost += decoder->checks[slot].lost;
     }
-    statistics->pending = maplines_pending_transfers(decoder) + maplines_pending_mixtures(decoder) +
-                          maplines_pending_lines(decoder);
+    statistics->pending = maplines_pending_transfers(decoder);
+#if MAPLINES_MIXTURES
+    statistics->pending += maplines_pending_mixtures(decoder);
+#endif
+#if MAPLINES_SCENES
+    statistics->pending += maplines_pending_lines(decoder);
+#endif
 }
+
+#endif

@@ -2,6 +2,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_RECEIVER
+
 #define WORDS ((MAPLINES_WINDOW + 31) / 32)
 
 /// Window size, least OKs and most errors in a state.
@@ -156,3 +158,5 @@ MAPLINES_INTERNAL void maplines_machine_step(maplines_machine_t *machine,
         enter(machine, config, MAPLINES_E2E_INVALID);
     }
 }
+
+#endif

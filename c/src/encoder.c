@@ -1,6 +1,8 @@
 /* A sender: lines and mixtures to frames, with the counters of each slot. */
 #include "internal.h"
 
+#if MAPLINES_SENDER
+
 #define WEIGHT_TOLERANCE 1e-5 // of the sum of weights
 
 void maplines_encoder_init(maplines_encoder_t *encoder, const maplines_dbc_t *dbc,
@@ -20,7 +22,7 @@ MAPLINES_INTERNAL bool maplines_can_send(const maplines_encoder_t *encoder, int 
     }
     if (encoder->signer != NULL)
     {
-        return is_fd && messages->has_secured;
+        return MAPLINES_SECOC && is_fd && messages->has_secured;
     }
     return is_fd ? messages->has_fd : messages->has_classic;
 }
@@ -30,6 +32,7 @@ MAPLINES_INTERNAL size_t maplines_frames(const maplines_encoder_t *encoder, int 
                                          int64_t now_us, maplines_frame_t *frames)
 {
     const maplines_messages_t *messages = &encoder->dbc->messages[owner];
+#if MAPLINES_SECOC
     if (encoder->signer != NULL)
     {
         memset(frames, 0, sizeof *frames);
@@ -41,6 +44,9 @@ MAPLINES_INTERNAL size_t maplines_frames(const maplines_encoder_t *encoder, int 
                                                        now_us, encoder->signer, frames->data);
         return frames->length > 0U ? 1U : 0U;
     }
+#else
+    (void)now_us;
+#endif
     if (is_fd)
     {
         memset(frames, 0, sizeof *frames);
@@ -178,6 +184,7 @@ maplines_sent_t maplines_encode_line(maplines_encoder_t *encoder, const maplines
     return sent.count > 0U ? sent : refused(MAPLINES_NO_SIGNATURE);
 }
 
+#if MAPLINES_MIXTURES
 /// MAPLINES_SENT, or what is wrong with the components of a mixture.
 static maplines_refusal_t check_components(const maplines_encoder_t *encoder,
                                            const maplines_input_t *line,
@@ -277,3 +284,7 @@ maplines_sent_t maplines_encode_mixture(maplines_encoder_t *encoder, const mapli
     }
     return sent;
 }
+
+#endif
+
+#endif

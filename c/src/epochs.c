@@ -15,6 +15,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_RECEIVER && MAPLINES_SCENES
+
 #define HOLD_CYCLES 3 ///< a line waits for its pose error for so long
 #define KEEP_CYCLES 5 ///< an epoch waits for lines for so long
 #define INTERVALS 5   ///< between pose errors, whose median is the cycle of a sender that is fast
@@ -409,3 +411,5 @@ MAPLINES_INTERNAL const maplines_scene_t *maplines_newest_scene(maplines_decoder
     }
     return &epochs->scene;
 }
+
+#endif

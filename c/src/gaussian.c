@@ -1,6 +1,7 @@
 /* A decoded Gaussian as numbers of the build. */
 #include "internal.h"
 
+#if MAPLINES_RECEIVER
 #if MAPLINES_FLOAT
 
 /* In single precision a receiver has another mean m + e and another factor than the sender allowed
@@ -112,6 +113,7 @@ MAPLINES_INTERNAL void maplines_set_gaussian(const double mean[4], double (*fact
 }
 
 #endif
+#endif
 
 MAPLINES_INTERNAL void maplines_moments(int count, const double *weights, double (*means)[4],
                                         double (*covs)[16], double mean[4], double cov[16])
@@ -141,6 +143,7 @@ MAPLINES_INTERNAL void maplines_moments(int count, const double *weights, double
     }
 }
 
+#if MAPLINES_RECEIVER
 /// Factor of a covariance with its rows in this order of the states.
 static void factor_in_order(const double cov[16], const uint8_t order[4], double factor[4][4])
 {
@@ -192,3 +195,4 @@ MAPLINES_INTERNAL void maplines_mixture_gaussian(int count, const double *weight
     factor_in_order(cov, order, factor);
     maplines_set_gaussian(mean, factor, order, overall);
 }
+#endif

@@ -1,6 +1,8 @@
 /* What the check of an owner remembers: its deadline, and its records. */
 #include "internal.h"
 
+#if MAPLINES_RECEIVER
+
 /* ---- deadline ----------------------------------------------------------------------------------
  *
  *     record                  missed        missed       record
@@ -97,7 +99,7 @@ static size_t entry_of(const maplines_history_t *history, uint64_t modulus, uint
 }
 
 MAPLINES_INTERNAL void maplines_history_add_new(maplines_history_t *history, uint64_t modulus,
-                                                uint32_t counter, uint64_t content, uint64_t ahead)
+                                                uint32_t counter, uint32_t content, uint64_t ahead)
 {
     const uint64_t length = history_length(modulus);
     const uint64_t newer = ahead < length ? ahead : length;
@@ -112,7 +114,7 @@ MAPLINES_INTERNAL void maplines_history_add_new(maplines_history_t *history, uin
 }
 
 MAPLINES_INTERNAL void maplines_history_add_late(maplines_history_t *history, uint64_t modulus,
-                                                 uint32_t counter, uint64_t content,
+                                                 uint32_t counter, uint32_t content,
                                                  uint64_t behind)
 {
     const uint64_t length = history_length(modulus);
@@ -149,7 +151,7 @@ MAPLINES_INTERNAL bool maplines_history_has(const maplines_history_t *history, u
 
 MAPLINES_INTERNAL bool maplines_history_is_duplicate(const maplines_history_t *history,
                                                      uint64_t modulus, uint32_t counter,
-                                                     uint64_t content, uint64_t behind)
+                                                     uint32_t content, uint64_t behind)
 {
     const size_t place = entry_of(history, modulus, counter, behind);
     return place < MAPLINES_HISTORY && history->content[place] == content;
@@ -174,3 +176,5 @@ MAPLINES_INTERNAL bool maplines_history_fills_gap(const maplines_history_t *hist
     const size_t place = entry_of(history, modulus, (uint64_t)counter - 1U, behind + 1U);
     return place < MAPLINES_HISTORY && (history->flags[place] & IS_IN_SEQUENCE) != 0;
 }
+
+#endif

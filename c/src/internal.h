@@ -86,12 +86,16 @@ MAPLINES_INTERNAL const maplines_record_t *maplines_layout(const maplines_dbc_t 
 /// Counter of the record of an owner that follows the one with a counter.
 MAPLINES_INTERNAL uint32_t maplines_next_counter(const maplines_dbc_t *dbc, int owner,
                                                  uint32_t counter);
+/// How bad a status is: a mixture has that of its worst component.
+MAPLINES_INTERNAL int maplines_severity(maplines_status_t status);
 /// MAPLINES_COMPLETE if a record of this length is intact; else LENGTH, MIXED or CRC.
 MAPLINES_INTERNAL maplines_reason_t maplines_check_record(const maplines_dbc_t *dbc, int owner,
                                                           const uint8_t *record, size_t length);
+#if MAPLINES_SCENES
 /// CONTENT if a record that is conditional on the pose error holds a value that no sender sends.
 MAPLINES_INTERNAL maplines_reason_t maplines_check_conditional(const maplines_dbc_t *dbc,
                                                                const uint8_t *record);
+#endif
 /// Write page numbers, transfer IDs, counter and checksum into a record that has all else.
 MAPLINES_INTERNAL void maplines_seal(const maplines_dbc_t *dbc, int owner, uint8_t *record,
                                      size_t length, uint32_t counter);
@@ -122,22 +126,27 @@ MAPLINES_INTERNAL void maplines_widest_covariance(const maplines_cholesky_t *cod
 /* ---- gaussian.c: decoded Gaussians
  * --------------------------------------------------------------- */
 
+#if MAPLINES_RECEIVER
 /// Gaussian of a receiver with a mean and a factor, whose rows are triangular in this order of the
 /// states. In single precision the factor is widened so that it covers what the rounding loses.
 MAPLINES_INTERNAL void maplines_set_gaussian(const double mean[4], double (*factor)[4],
                                              const uint8_t order[4], maplines_gaussian_t *gaussian);
+#endif
 /// Share of the variances that is added to a covariance of a mixture that rounding has made
 /// indefinite; that of 64 components errs by less.
 #define MAPLINES_DEFINITE_SHARE 0x1p-40
 /// Mean and covariance of a mixture; covs are (4, 4) and symmetric.
 MAPLINES_INTERNAL void maplines_moments(int count, const double *weights, double (*means)[4],
                                         double (*covs)[16], double mean[4], double cov[16]);
+#if MAPLINES_RECEIVER
 /// Gaussian of a receiver with the mean and covariance of a mixture.
 MAPLINES_INTERNAL void maplines_mixture_gaussian(int count, const double *weights,
                                                  const maplines_gaussian_t *components,
                                                  const uint8_t order[4],
                                                  maplines_gaussian_t *overall);
+#endif
 
+#if MAPLINES_RECEIVER
 /* ---- complete.c: records with a covariance of their own -----------------------------------------
  */
 
@@ -154,7 +163,9 @@ typedef struct {
 MAPLINES_INTERNAL maplines_reason_t maplines_read_complete(const maplines_dbc_t *dbc, int slot,
                                                            const uint8_t *record, int64_t t_ns,
                                                            maplines_complete_t *content);
+#endif // MAPLINES_RECEIVER
 
+#if MAPLINES_SENDER
 /* ---- nearest_line.c
  * ------------------------------------------------------------------------------ */
 
@@ -179,6 +190,7 @@ MAPLINES_INTERNAL bool maplines_is_indefinite(const double S[16], double roundin
 /// Nearest positive semidefinite matrix that covers a symmetric one.
 MAPLINES_INTERNAL void maplines_nearest_covariance(const double S[16], double nearest[16]);
 
+#if MAPLINES_MIXTURES
 /* ---- mixture_weights.c
  * ---------------------------------------------------------------------------- */
 
@@ -189,6 +201,7 @@ MAPLINES_INTERNAL void maplines_quantize_weights(int count, const double *weight
 MAPLINES_INTERNAL void maplines_deficit(int count, const double *weights, double (*means)[4],
                                         double (*covs)[16], const double *decoded_weights,
                                         double (*decoded_means)[4], double cover[16]);
+#endif
 
 /* ---- complete_write.c
  * ----------------------------------------------------------------------------- */
@@ -235,13 +248,17 @@ MAPLINES_INTERNAL bool maplines_can_send(const maplines_encoder_t *encoder, int 
 MAPLINES_INTERNAL size_t maplines_frames(const maplines_encoder_t *encoder, int owner,
                                          const uint8_t *record, size_t length, bool is_fd,
                                          int64_t now_us, maplines_frame_t *frames);
+#if MAPLINES_MIXTURES
 /// Decoded weights of the components of a mixture, and what each of them must cover besides its own
 /// covariance.
 MAPLINES_INTERNAL void maplines_cover_mixture(const maplines_dbc_t *dbc,
                                               const maplines_component_t *components, int count,
                                               double *decoded_weights, double cover[16]);
+#endif
 /// MAPLINES_SENT, or what is wrong with kind, status, range and age of a line.
 MAPLINES_INTERNAL maplines_refusal_t maplines_check_input(const maplines_input_t *line);
+#endif // MAPLINES_SENDER
+
 /* ---- cubics.c: as model/lines.py
  * --------------------------------------------------------------- */
 
@@ -271,6 +288,7 @@ MAPLINES_INTERNAL bool maplines_is_function(const maplines_points_t *points);
 MAPLINES_INTERNAL void maplines_refitted(const maplines_points_t *points, const double pose[3],
                                          double line[4]);
 
+#if MAPLINES_SCENES
 /* ---- seen_lines.c: lines as functions of the pose, as model/lines.py
  * ------------------------ */
 
@@ -351,6 +369,8 @@ typedef struct {
     uint8_t record[MAPLINES_MAX_RECORD];
 } maplines_member_t;
 
+/// Standard deviation that the coefficients of T_0 .. T_3 of a line with levels have at least [m].
+#define MAPLINES_RESOLUTION 0x1p-9
 /// Covariance of the coefficients of T_0 .. T_3 that all lines of a scene have: of the resolution
 /// of the means, and of the map error. False if the line is no function of x next to its pose.
 MAPLINES_INTERNAL bool maplines_common(const maplines_curve_t *curve,
@@ -360,13 +380,14 @@ MAPLINES_INTERNAL bool maplines_common(const maplines_curve_t *curve,
 MAPLINES_INTERNAL void maplines_specific_factor(const maplines_curve_t *curve,
                                                 const double levels[16], const double common[16],
                                                 double factor[4][4]);
+/// Levels by which the record of a line, or of the pose error, is decoded.
+MAPLINES_INTERNAL const maplines_levels_t *maplines_levels_of(const maplines_dbc_t *dbc);
+#if MAPLINES_RECEIVER
 /// Set the factors of the line at a place of a scene: A due to the pose error, F line-specific. In
 /// single precision they are widened so that they cover what the rounding loses.
 MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, const double mean[4],
                                             double A[4][MAPLINES_POSES], double F[4][4],
                                             maplines_scene_t *scene);
-/// Levels by which the record of a line, or of the pose error, is decoded.
-MAPLINES_INTERNAL const maplines_levels_t *maplines_levels_of(const maplines_dbc_t *dbc);
 /// Scene of a record of the pose error and records of lines, all of them intact and checked.
 /// False if a line is no function of x in its range; no sender sends such a line. The times are
 /// limited ones. It needs 5 kB of stack.
@@ -374,12 +395,13 @@ MAPLINES_INTERNAL bool maplines_decode_scene(const maplines_dbc_t *dbc, const ui
                                              int64_t t_ns, int count,
                                              const maplines_member_t *members,
                                              maplines_scene_t *scene);
+#endif
+#endif // MAPLINES_SCENES
 
+#if MAPLINES_SENDER && MAPLINES_SCENES
 /* ---- joint.c: joint covariances of lines
  * ---------------------------------------------------------- */
 
-/// Standard deviation that the coefficients of T_0 .. T_3 of a line with levels have at least [m].
-#define MAPLINES_RESOLUTION 0x1p-9
 /// Variances of lateral position and direction of a line that are compared.
 #define MAPLINES_VARIANCES 18
 
@@ -502,7 +524,30 @@ MAPLINES_INTERNAL size_t maplines_write_conditional(const maplines_dbc_t *dbc, m
 MAPLINES_INTERNAL size_t maplines_write_pose(const maplines_dbc_t *dbc,
                                              const maplines_scene_workspace_t *space,
                                              const maplines_pose_cycle_t *cycle, uint8_t *record);
+#endif // MAPLINES_SENDER && MAPLINES_SCENES
 
+#if MAPLINES_SECOC
+/* ---- secoc.c ----------------------------------------------------------------------------------
+ */
+
+#if MAPLINES_RECEIVER
+/// Check an authenticated frame: MAPLINES_COMPLETE if its MAC is valid and its freshness value is
+/// new, which then becomes `last_us`; else LENGTH, KEY, MAC, REPLAY or AGE.
+MAPLINES_INTERNAL maplines_reason_t maplines_verify(const maplines_dbc_t *dbc, int owner,
+                                                    const maplines_authenticator_t *authenticator,
+                                                    const maplines_frame_t *frame,
+                                                    int64_t *last_us);
+#endif
+#if MAPLINES_SENDER
+/// Write the secured I-PDU of a sealed record, with the next freshness value and a MAC, and return
+/// its length. 0 without a key or a further freshness value; the signer does not change then.
+MAPLINES_INTERNAL size_t maplines_secured_pdu(const maplines_record_t *layout, uint16_t data_id,
+                                              const uint8_t *record, size_t length, int64_t now_us,
+                                              maplines_signer_t *signer, uint8_t pdu[64]);
+#endif
+#endif
+
+#if MAPLINES_RECEIVER
 /* ---- reception ---------------------------------------------------------------------------------
  *
  * What a receiver can hold; the generator refuses other DBCs by name:
@@ -530,20 +575,6 @@ MAPLINES_INTERNAL int64_t maplines_distance(int64_t a_ns, int64_t b_ns);
 /// NULL, or what is wrong with settings for a DBC.
 MAPLINES_INTERNAL const char *maplines_settings_problem(const maplines_dbc_t *dbc,
                                                         const maplines_settings_t *settings);
-
-/* secoc.c */
-
-/// Check an authenticated frame: MAPLINES_COMPLETE if its MAC is valid and its freshness value is
-/// new, which then becomes `last_us`; else LENGTH, KEY, MAC, REPLAY or AGE.
-MAPLINES_INTERNAL maplines_reason_t maplines_verify(const maplines_dbc_t *dbc, int owner,
-                                                    const maplines_authenticator_t *authenticator,
-                                                    const maplines_frame_t *frame,
-                                                    int64_t *last_us);
-/// Write the secured I-PDU of a sealed record, with the next freshness value and a MAC, and return
-/// its length. 0 without a key or a further freshness value; the signer does not change then.
-MAPLINES_INTERNAL size_t maplines_secured_pdu(const maplines_record_t *layout, uint16_t data_id,
-                                              const uint8_t *record, size_t length, int64_t now_us,
-                                              maplines_signer_t *signer, uint8_t pdu[64]);
 
 /* reassembly.c */
 
@@ -588,9 +619,9 @@ MAPLINES_INTERNAL int64_t maplines_deadline_elapse(maplines_deadline_t *deadline
                                                    int64_t t_ns);
 
 MAPLINES_INTERNAL void maplines_history_add_new(maplines_history_t *history, uint64_t modulus,
-                                                uint32_t counter, uint64_t content, uint64_t ahead);
+                                                uint32_t counter, uint32_t content, uint64_t ahead);
 MAPLINES_INTERNAL void maplines_history_add_late(maplines_history_t *history, uint64_t modulus,
-                                                 uint32_t counter, uint64_t content,
+                                                 uint32_t counter, uint32_t content,
                                                  uint64_t behind);
 /// Add a record behind the last new one to the run of its counters.
 MAPLINES_INTERNAL void maplines_history_run(maplines_history_t *history, uint64_t modulus,
@@ -600,7 +631,7 @@ MAPLINES_INTERNAL bool maplines_history_has(const maplines_history_t *history, u
                                             uint32_t counter, uint64_t behind);
 MAPLINES_INTERNAL bool maplines_history_is_duplicate(const maplines_history_t *history,
                                                      uint64_t modulus, uint32_t counter,
-                                                     uint64_t content, uint64_t behind);
+                                                     uint32_t content, uint64_t behind);
 /// Mark a record that there is as duplicated; true the first time a new record is duplicated.
 MAPLINES_INTERNAL bool maplines_history_mark_duplicated(maplines_history_t *history,
                                                         uint64_t modulus, uint32_t counter);
@@ -636,7 +667,7 @@ MAPLINES_INTERNAL void maplines_check_init(maplines_check_t *check,
                                            uint64_t modulus, uint8_t pages, bool is_authentic);
 /// Check a record whose checksum is correct: MAPLINES_COMPLETE if it is new, DUPLICATE or STALE.
 MAPLINES_INTERNAL maplines_reason_t maplines_check_received(maplines_check_t *check,
-                                                            uint32_t counter, uint64_t content,
+                                                            uint32_t counter, uint32_t content,
                                                             int64_t t_ns, uint32_t records);
 /// The last new record completed a line of so many records.
 MAPLINES_INTERNAL void maplines_check_delivered(maplines_check_t *check, uint32_t records);
@@ -649,10 +680,9 @@ MAPLINES_INTERNAL void maplines_check_dropped(maplines_check_t *check, maplines_
 MAPLINES_INTERNAL maplines_e2e_state_t maplines_check_elapse(maplines_check_t *check, int64_t t_ns);
 MAPLINES_INTERNAL bool maplines_has_one_sender(const maplines_check_t *check, int64_t t_ns);
 
+#if MAPLINES_MIXTURES
 /* mixtures.c */
 
-/// How bad a status is: a mixture has that of its worst component.
-MAPLINES_INTERNAL int maplines_severity(maplines_status_t status);
 /// Add a new record with a covariance of its own to the mixture of its slot. MAPLINES_COMPLETE if
 /// it completes a line: that is the newest then; else PENDING, DUPLICATE or CONTENT.
 MAPLINES_INTERNAL maplines_reason_t maplines_add_component(maplines_decoder_t *decoder,
@@ -666,7 +696,9 @@ MAPLINES_INTERNAL void maplines_drop_mixture_with(maplines_decoder_t *decoder, i
 MAPLINES_INTERNAL void maplines_expire_mixtures(maplines_decoder_t *decoder, int64_t t_ns);
 /// Frames of incomplete mixtures.
 MAPLINES_INTERNAL uint32_t maplines_pending_mixtures(const maplines_decoder_t *decoder);
+#endif
 
+#if MAPLINES_SCENES
 /* epochs.c */
 
 /// Line that has joined a pose error.
@@ -696,6 +728,7 @@ MAPLINES_INTERNAL void maplines_decode_epoch(const maplines_dbc_t *dbc,
                                              const int *slots, maplines_scene_t *scene);
 /// The newest scene that waits for no line; NULL before the first.
 MAPLINES_INTERNAL const maplines_scene_t *maplines_newest_scene(maplines_decoder_t *decoder);
+#endif
 
 /* decoder.c */
 
@@ -721,5 +754,7 @@ MAPLINES_INTERNAL void maplines_lower_root(int m, int n, double *A, double *R);
 MAPLINES_INTERNAL bool maplines_unscented(maplines_function_t function, const void *context, int n,
                                           const double *mean, const double *root, int m,
                                           double *value, double *value_root);
+
+#endif // MAPLINES_RECEIVER
 
 #endif

@@ -6,6 +6,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_SENDER && MAPLINES_SCENES
+
 /// Share of D_i by which a sum must exceed what it covers.
 static const double joint_slack = 1e-6;
 #ifndef MAPLINES_FACTORIZATIONS    // a test has fewer, to see what follows
@@ -420,3 +422,5 @@ MAPLINES_INTERNAL double maplines_largest_ratio(const maplines_reference_t *refe
     }
     return largest;
 }
+
+#endif

@@ -13,6 +13,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_SENDER && MAPLINES_SCENES
+
 #define CHOSEN MAPLINES_CHOSEN_SPACINGS
 #define TRIED 5      // levels that are tried, from the least one on
 #define SEARCHED 256 // most spacings
@@ -608,3 +610,5 @@ MAPLINES_INTERNAL bool maplines_levels_cover(const maplines_level_target_t *targ
     }
     return shortfall(wanted) <= 0.0;
 }
+
+#endif

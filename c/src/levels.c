@@ -4,6 +4,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_SCENES
+
 #define MAPLINES_GOLDEN_RATIO 0x1.9e3779b97f4a8p+0
 
 // From values at the nodes to the coefficients of T_0 .. T_3 of their cubic fit.
@@ -288,3 +290,5 @@ MAPLINES_INTERNAL void maplines_decode_levels(const maplines_levels_t *levels,
     const double square = a * a;
     cov[0] = cov[0] + square;
 }
+
+#endif

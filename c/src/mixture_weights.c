@@ -8,6 +8,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_SENDER && MAPLINES_MIXTURES
+
 #define MORE_THAN_GAP 1e-6 // of what is added, so that a check with another rounding passes
 
 MAPLINES_INTERNAL void maplines_quantize_weights(int count, const double *weights, int64_t steps,
@@ -111,3 +113,5 @@ MAPLINES_INTERNAL void maplines_deficit(int count, const double *weights, double
         cover[i] = cover[i] * (scale[i / 4] * scale[i % 4]);
     }
 }
+
+#endif

@@ -5,6 +5,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_RECEIVER && MAPLINES_MIXTURES
+
 #define MAX_WEIGHT_ERROR 1e-9
 static void drop_incomplete(maplines_decoder_t *decoder, int slot, maplines_reason_t reason)
 {
@@ -40,13 +42,6 @@ static void read_component(const maplines_dbc_t *dbc, int slot, const maplines_m
                            unsigned i, maplines_complete_t *content)
 {
     (void)maplines_read_complete(dbc, slot, mixture->records[i], mixture->t_ns[i], content);
-}
-
-MAPLINES_INTERNAL int maplines_severity(maplines_status_t status)
-{
-    // UNKNOWN, FULL, DIAGONAL, REPAIRED, SATURATED, OUT_OF_RANGE
-    static const int order[6] = {4, 0, 3, 1, 2, 5};
-    return order[status];
 }
 
 /// Line of all components of a mixture; false if their weights do not add up to 1.
@@ -195,3 +190,5 @@ MAPLINES_INTERNAL uint32_t maplines_pending_mixtures(const maplines_decoder_t *d
     }
     return pending;
 }
+
+#endif

@@ -7,9 +7,8 @@
 #define COUNT(names) ((int)(sizeof(names) / sizeof((names)[0])))
 #define NAME_SIZE 16 // of the longest, UNAUTHENTICATED
 
-static const char owner_names[][NAME_SIZE] = {"EGO_LEFT",   "EGO_RIGHT", "NEXT_LEFT",
-                                              "NEXT_RIGHT", "CENTRE",    "EDGE_LEFT",
-                                              "EDGE_RIGHT", "ROUTE",     "POSE"};
+static const char slot_names[][NAME_SIZE] = {"EGO_LEFT", "EGO_RIGHT", "NEXT_LEFT",  "NEXT_RIGHT",
+                                             "CENTRE",   "EDGE_LEFT", "EDGE_RIGHT", "ROUTE"};
 static const char kind_names[][NAME_SIZE] = {"UNKNOWN",   "SOLID", "DASHED",  "DOUBLE",
                                              "ROAD_EDGE", "KERB",  "BARRIER", "VIRTUAL"};
 static const char status_names[][NAME_SIZE] = {"UNKNOWN",  "FULL",      "DIAGONAL",
@@ -32,14 +31,20 @@ static const struct {
     {MAPLINES_E2E_WRONGSEQUENCE, "WRONGSEQUENCE"},
     {MAPLINES_E2E_NONE, "NONE"},
 };
+#if MAPLINES_RECEIVER
 static const char prediction_names[][NAME_SIZE] = {"PREDICTED", "NOT_USABLE", "TOO_FAR",
                                                    "BAD_MOTION", "ILL_POSED"};
+#endif
+#if MAPLINES_SENDER
 static const char refusal_names[][NAME_SIZE] = {
     "SENT",       "NO_MESSAGE",   "NO_COVARIANCE", "BAD_MEAN",  "BAD_COVARIANCE", "BAD_VARIANCE",
     "ASYMMETRIC", "BAD_RANGE",    "BAD_AGE",       "BAD_KIND",  "BAD_STATUS",     "BAD_WEIGHTS",
     "BAD_COUNT",  "NO_SIGNATURE", "INDEFINITE",    "SAME_SLOT", "BAD_POSE",       "UNSEEN"};
+#endif
+#if MAPLINES_SENDER && MAPLINES_SCENES
 static const char left_out_names[][NAME_SIZE] = {"IN_SCENE", "ACROSS", "RANGE", "MEAN",
                                                  "COVARIANCE"};
+#endif
 
 /// The name at place i; "?" if there is none.
 static const char *name_at(const char (*names)[NAME_SIZE], int count, int i)
@@ -49,7 +54,7 @@ static const char *name_at(const char (*names)[NAME_SIZE], int count, int i)
 
 const char *maplines_owner_name(maplines_owner_t owner)
 {
-    return name_at(owner_names, COUNT(owner_names), (int)owner);
+    return owner == MAPLINES_POSE ? "POSE" : name_at(slot_names, MAPLINES_SLOTS, (int)owner);
 }
 
 const char *maplines_kind_name(maplines_kind_t kind)
@@ -85,17 +90,23 @@ const char *maplines_e2e_status_name(maplines_e2e_status_t status)
     return name;
 }
 
+#if MAPLINES_RECEIVER
 const char *maplines_prediction_name(maplines_prediction_t prediction)
 {
     return name_at(prediction_names, COUNT(prediction_names), (int)prediction);
 }
+#endif
 
+#if MAPLINES_SENDER
 const char *maplines_refusal_name(maplines_refusal_t refusal)
 {
     return name_at(refusal_names, COUNT(refusal_names), (int)refusal);
 }
+#endif
 
+#if MAPLINES_SENDER && MAPLINES_SCENES
 const char *maplines_left_out_name(maplines_left_out_t left_out)
 {
     return name_at(left_out_names, COUNT(left_out_names), (int)left_out);
 }
+#endif

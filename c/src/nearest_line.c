@@ -6,6 +6,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_SENDER
+
 #define MAX_DEVIATION 0.1 // [m]
 #define SHORTER_RANGE 0.8
 #define MAX_SHORTENED 24
@@ -304,3 +306,5 @@ MAPLINES_INTERNAL double maplines_slope_error(double beta, double near)
     maplines_sin_cos(near, &sine, &cosine);
     return (maplines_tan(beta) - sine / cosine) * (cosine * cosine);
 }
+
+#endif

@@ -5,6 +5,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_RECEIVER
+
 #define MAX_PREDICTION_NS 1e10 ///< longest time between pose and prediction [ns]
 #define RANGE_MARGIN 3.0       ///< standard deviations by which the range is shortened at each end
 #define MIN_FIT_WINDOW 1.0     ///< least length of the window in which a cubic is fitted [m]
@@ -295,3 +297,5 @@ maplines_prediction_t maplines_predict_to(const maplines_line_t *line, int64_t t
     }
     return maplines_predict(line, t_ns, &displacement, predicted);
 }
+
+#endif

@@ -9,6 +9,9 @@
  *            transfer 7 is complete: |           duplicates
  *            transfer 8 waits for page 3; it is dropped after the time-out
  *
+ * A build may remember fewer transfers than there are IDs. Each then has its place at its ID modulo
+ * their number, so it is the last ones that are remembered; one that is older is dropped.
+ *
  * A transfer ID is used again after as many records as there are IDs. Of two transfers with one ID,
  * that with the newer counter is kept; and when a good record is complete, an incomplete transfer
  * whose ID is ahead of it by up to half of the IDs, but which began before, is of the last round:
@@ -20,11 +23,19 @@
  */
 #include "internal.h"
 
+#if MAPLINES_RECEIVER
+
 #define PAGE_BYTES 8U
 
 static uint32_t transfer_ids(const maplines_record_t *layout)
 {
     return (uint32_t)1 << layout->transfer_id[0].length;
+}
+
+/// Transfers that are remembered.
+static uint32_t places_of(uint32_t ids)
+{
+    return ids < MAPLINES_TRANSFERS ? ids : MAPLINES_TRANSFERS;
 }
 
 static uint32_t pages_mask(uint32_t pages)
@@ -65,11 +76,11 @@ static void drop_transfer(maplines_decoder_t *decoder, int owner, unsigned i,
     }
 }
 
-/// Place of a transfer among those that began.
-static unsigned transfer_place(const maplines_inbox_t *inbox, uint32_t id)
+/// Which of the transfers that began is at a place.
+static unsigned began_at(const maplines_inbox_t *inbox, uint32_t place)
 {
     unsigned i = 0;
-    while (i < inbox->count && inbox->began[i] != id)
+    while (i < inbox->count && inbox->began[i] != place)
     {
         ++i;
     }
@@ -103,10 +114,12 @@ static maplines_reason_t read_record(const maplines_dbc_t *dbc, maplines_arrival
     {
         return reason;
     }
+#if MAPLINES_SCENES
     if (dbc->is_conditional)
     {
         return maplines_check_conditional(dbc, arrival->record);
     }
+#endif
     return maplines_read_complete(dbc, owner, arrival->record, arrival->t_ns, &arrival->content);
 }
 
@@ -122,18 +135,23 @@ static void complete_record(maplines_decoder_t *decoder, maplines_arrival_t *arr
     }
     const uint32_t ids = transfer_ids(layout);
     const uint32_t own = (uint32_t)maplines_get(&layout->transfer_id[0], arrival->record);
-    maplines_transfer_t *known = &inbox->complete[own];
+    for (uint32_t place = 0; place < places_of(ids); ++place)
+    {
+        const uint32_t ahead = (inbox->complete[place].id - own) % ids;
+        if (ahead > 0 && ahead < ids / 2U)
+        {
+            inbox->complete[place].pages = 0;
+        }
+    }
+    maplines_transfer_t *known = &inbox->complete[own % MAPLINES_TRANSFERS];
     memcpy(known->record, arrival->record, arrival->length);
     known->t_ns = arrival->t_ns;
     known->pages = pages_mask(arrival->length / PAGE_BYTES);
-    for (uint32_t ahead = 1; ahead < ids / 2U; ++ahead)
-    {
-        inbox->complete[(own + ahead) % ids].pages = 0;
-    }
+    known->id = (uint16_t)own;
     unsigned i = 0;
-    while (i < inbox->count && inbox->began[i] != own)
+    while (i < inbox->count && inbox->incomplete[inbox->began[i]].id != own)
     {
-        if ((inbox->began[i] - own) % ids <= ids / 2U)
+        if ((inbox->incomplete[inbox->began[i]].id - own) % ids <= ids / 2U)
         {
             drop_transfer(decoder, arrival->owner, i, MAPLINES_INCOMPLETE);
         }
@@ -148,6 +166,7 @@ static void complete_record(maplines_decoder_t *decoder, maplines_arrival_t *arr
 static uint32_t needed_pages(const maplines_dbc_t *dbc, const maplines_record_t *layout,
                              const maplines_transfer_t *transfer)
 {
+#if MAPLINES_SCENES
     if (layout->short_pages < layout->pages)
     {
         const uint32_t form = dbc->has_covariance.first / (8U * PAGE_BYTES);
@@ -157,6 +176,10 @@ static uint32_t needed_pages(const maplines_dbc_t *dbc, const maplines_record_t 
             return layout->short_pages;
         }
     }
+#else
+    (void)dbc;
+    (void)transfer;
+#endif
     return layout->pages;
 }
 
@@ -181,8 +204,9 @@ static uint64_t counter_ahead(const maplines_record_t *layout, uint32_t page, co
 static bool is_known_page(const maplines_decoder_t *decoder, int owner, uint32_t id, uint32_t page,
                           const uint8_t *data, int64_t t_ns)
 {
-    const maplines_transfer_t *known = &decoder->inboxes[owner].complete[id];
-    if ((known->pages >> page & 1U) == 0 || is_timed_out(decoder, owner, known->t_ns, t_ns))
+    const maplines_transfer_t *known = &decoder->inboxes[owner].complete[id % MAPLINES_TRANSFERS];
+    if (known->id != id || (known->pages >> page & 1U) == 0 ||
+        is_timed_out(decoder, owner, known->t_ns, t_ns))
     {
         return false;
     }
@@ -191,10 +215,12 @@ static bool is_known_page(const maplines_decoder_t *decoder, int owner, uint32_t
 
 static maplines_transfer_t *begin_transfer(maplines_inbox_t *inbox, uint32_t id, int64_t t_ns)
 {
-    maplines_transfer_t *transfer = &inbox->incomplete[id];
+    const uint32_t place = id % MAPLINES_TRANSFERS;
+    maplines_transfer_t *transfer = &inbox->incomplete[place];
     memset(transfer, 0, sizeof(*transfer));
     transfer->t_ns = t_ns;
-    inbox->began[inbox->count] = (uint16_t)id;
+    transfer->id = (uint16_t)id;
+    inbox->began[inbox->count] = (uint16_t)place;
     ++inbox->count;
     return transfer;
 }
@@ -219,7 +245,17 @@ static maplines_reason_t feed_page(maplines_decoder_t *decoder, const uint8_t *d
     const uint32_t page = (uint32_t)maplines_get(&layout->page, data);
     const uint32_t id = (uint32_t)maplines_get(&layout->transfer_id[page == 0 ? 0 : 1], data);
     expire_inbox(decoder, owner, t_ns);
-    maplines_transfer_t *transfer = &inbox->incomplete[id];
+    const uint32_t place = id % MAPLINES_TRANSFERS;
+    maplines_transfer_t *transfer = &inbox->incomplete[place];
+    if (transfer->pages != 0 && transfer->id != id)
+    {
+        const uint32_t ids = transfer_ids(layout);
+        if ((id - transfer->id) % ids > ids / 2U) // older than what is at its place
+        {
+            return dropped_frame(decoder, MAPLINES_INCOMPLETE);
+        }
+        drop_transfer(decoder, owner, began_at(inbox, place), MAPLINES_INCOMPLETE);
+    }
     if (transfer->pages == 0)
     {
         if (is_known_page(decoder, owner, id, page, data, t_ns))
@@ -242,7 +278,7 @@ static maplines_reason_t feed_page(maplines_decoder_t *decoder, const uint8_t *d
         }
         if (ahead > 0)
         {
-            drop_transfer(decoder, owner, transfer_place(inbox, id), MAPLINES_REPLACED);
+            drop_transfer(decoder, owner, began_at(inbox, place), MAPLINES_REPLACED);
             transfer = begin_transfer(inbox, id, t_ns);
         }
         else
@@ -267,7 +303,7 @@ static maplines_reason_t feed_page(maplines_decoder_t *decoder, const uint8_t *d
     memcpy(arrival->record, transfer->record, arrival->length);
     complete_record(decoder, arrival);
     transfer->pages &= ~pages_mask(needed); // what is left is of another record
-    drop_transfer(decoder, owner, transfer_place(inbox, id), MAPLINES_INCOMPLETE);
+    drop_transfer(decoder, owner, began_at(inbox, place), MAPLINES_INCOMPLETE);
     return MAPLINES_COMPLETE;
 }
 
@@ -277,11 +313,13 @@ static maplines_reason_t feed_whole(maplines_decoder_t *decoder, const uint8_t *
 {
     const maplines_record_t *layout = maplines_layout(decoder->dbc, arrival->owner);
     uint32_t pages = layout->pages;
+#if MAPLINES_SCENES
     if (layout->short_pages < layout->pages &&
         maplines_get(&decoder->dbc->has_covariance, data) == 0)
     {
         pages = layout->short_pages;
     }
+#endif
     arrival->t_ns = t_ns;
     arrival->frames = 1;
     arrival->length = pages * PAGE_BYTES;
@@ -322,6 +360,7 @@ static route_t route_of(const maplines_messages_t *messages, const maplines_fram
     return ROUTE_NONE;
 }
 
+#if MAPLINES_SECOC
 /// Check an authenticated frame, and take its record.
 static maplines_reason_t feed_secured(maplines_decoder_t *decoder, const maplines_frame_t *frame,
                                       int64_t t_ns, maplines_arrival_t *arrival)
@@ -340,6 +379,7 @@ static maplines_reason_t feed_secured(maplines_decoder_t *decoder, const mapline
     }
     return feed_whole(decoder, frame->data, t_ns, arrival);
 }
+#endif
 
 MAPLINES_INTERNAL maplines_reason_t maplines_reassemble(maplines_decoder_t *decoder,
                                                         const maplines_frame_t *frame, int64_t t_ns,
@@ -362,6 +402,7 @@ MAPLINES_INTERNAL maplines_reason_t maplines_reassemble(maplines_decoder_t *deco
     }
     arrival->owner = owner;
     const maplines_record_t *layout = maplines_layout(decoder->dbc, owner);
+#if MAPLINES_SECOC
     if (route == ROUTE_SECURED)
     {
         return feed_secured(decoder, frame, t_ns, arrival);
@@ -370,6 +411,12 @@ MAPLINES_INTERNAL maplines_reason_t maplines_reassemble(maplines_decoder_t *deco
     {
         return dropped_frame(decoder, MAPLINES_UNAUTHENTICATED);
     }
+#else
+    if (route == ROUTE_SECURED)
+    {
+        return dropped_frame(decoder, MAPLINES_KEY);
+    }
+#endif
     if (route == ROUTE_WHOLE)
     {
         if (frame->length < layout->pages * PAGE_BYTES || frame->length > sizeof(frame->data))
@@ -406,3 +453,5 @@ MAPLINES_INTERNAL uint32_t maplines_pending_transfers(const maplines_decoder_t *
     }
     return pending;
 }
+
+#endif

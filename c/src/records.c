@@ -3,18 +3,28 @@
 
 MAPLINES_INTERNAL const maplines_record_t *maplines_layout(const maplines_dbc_t *dbc, int owner)
 {
+#if MAPLINES_SCENES
     return owner == (int)MAPLINES_POSE ? &dbc->pose : &dbc->line;
+#else
+    (void)owner;
+    return &dbc->line;
+#endif
 }
 
 /// Number of pages of a record, by its content.
 static unsigned pages_of_content(const maplines_dbc_t *dbc, int owner, const uint8_t *record)
 {
     const maplines_record_t *layout = maplines_layout(dbc, owner);
-    if (owner == (int)MAPLINES_POSE || !dbc->is_conditional)
+#if MAPLINES_SCENES
+    if (owner != (int)MAPLINES_POSE && dbc->is_conditional &&
+        maplines_get(&dbc->has_covariance, record) == 0)
     {
-        return layout->pages;
+        return layout->short_pages;
     }
-    return maplines_get(&dbc->has_covariance, record) != 0 ? layout->pages : layout->short_pages;
+#else
+    (void)record;
+#endif
+    return layout->pages;
 }
 
 MAPLINES_INTERNAL uint32_t maplines_next_counter(const maplines_dbc_t *dbc, int owner,
@@ -23,6 +33,13 @@ MAPLINES_INTERNAL uint32_t maplines_next_counter(const maplines_dbc_t *dbc, int 
     const unsigned bits = maplines_layout(dbc, owner)->counter.length;
     const uint64_t mask = ((uint64_t)1 << bits) - 1U;
     return (uint32_t)(((uint64_t)counter + 1U) & mask);
+}
+
+MAPLINES_INTERNAL int maplines_severity(maplines_status_t status)
+{
+    // UNKNOWN, FULL, DIAGONAL, REPAIRED, SATURATED, OUT_OF_RANGE
+    static const int order[6] = {4, 0, 3, 1, 2, 5};
+    return order[status];
 }
 
 MAPLINES_INTERNAL maplines_reason_t maplines_check_record(const maplines_dbc_t *dbc, int owner,
@@ -57,6 +74,7 @@ MAPLINES_INTERNAL maplines_reason_t maplines_check_record(const maplines_dbc_t *
     return pages_of_content(dbc, owner, record) == pages ? MAPLINES_COMPLETE : MAPLINES_LENGTH;
 }
 
+#if MAPLINES_SCENES
 MAPLINES_INTERNAL maplines_reason_t maplines_check_conditional(const maplines_dbc_t *dbc,
                                                                const uint8_t *record)
 {
@@ -77,6 +95,7 @@ MAPLINES_INTERNAL maplines_reason_t maplines_check_conditional(const maplines_db
     }
     return MAPLINES_COMPLETE;
 }
+#endif
 
 MAPLINES_INTERNAL void maplines_seal(const maplines_dbc_t *dbc, int owner, uint8_t *record,
                                      size_t length, uint32_t counter)

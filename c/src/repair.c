@@ -3,6 +3,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_SENDER
+
 #define MAX_COVARIANCE 1e307
 
 /// Standard deviations, with 1 in place of 0.
@@ -166,3 +168,5 @@ MAPLINES_INTERNAL void maplines_nearest_covariance(const double S[16], double ne
         }
     }
 }
+
+#endif

@@ -6,6 +6,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_SENDER && MAPLINES_SCENES
+
 /// Order in which the parameters are rounded: C1, C0, YOff, Beta.
 static const int rounding_order[4] = {3, 2, 0, 1};
 
@@ -91,3 +93,5 @@ MAPLINES_INTERNAL int64_t maplines_split(const maplines_signal_t *fine, int64_t 
     *rest = remainder + fine->raw_min;
     return (above - remainder) / values;
 }
+
+#endif

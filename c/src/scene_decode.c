@@ -6,6 +6,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_SCENES
+
 #define MAPLINES_ROUNDING 0x1p-42 ///< share by which variances are enlarged, so that it is definite
 #define MAPLINES_RANGE_STEPS 10.0 ///< steps of the ends of the valid range [1/m]
 #define MAPLINES_MIN_TURN 0.1     ///< least derivative of beta with respect to the heading
@@ -107,6 +109,7 @@ MAPLINES_INTERNAL void maplines_specific_factor(const maplines_curve_t *curve,
     maplines_product(4, 4, 4, J, own, factor[0]);
 }
 
+#if MAPLINES_RECEIVER
 /// Value of a level, 0 for the raw value 0.
 static double level_of(const maplines_signal_t *signal, const uint8_t *record)
 {
@@ -356,3 +359,7 @@ MAPLINES_INTERNAL bool maplines_decode_scene(const maplines_dbc_t *dbc, const ui
     }
     return true;
 }
+
+#endif
+
+#endif

@@ -7,6 +7,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_SENDER && MAPLINES_SCENES
+
 /// Factor on the covariance of the pose error that is covered: a line that is rounded depends on
 /// the pose a little differently.
 static const double pose_slack = 1.002;
@@ -373,3 +375,5 @@ MAPLINES_INTERNAL maplines_refusal_t maplines_encode_members(const maplines_dbc_
     }
     return encode_lines(dbc, scene, space) ? MAPLINES_SENT : MAPLINES_UNSEEN;
 }
+
+#endif

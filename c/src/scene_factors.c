@@ -1,6 +1,8 @@
 /* Factors of the joint covariance of a scene as numbers of the build. */
 #include "internal.h"
 
+#if MAPLINES_RECEIVER && MAPLINES_SCENES
+
 #if MAPLINES_FLOAT
 
 /* In single precision the rows A_i of a line become s A_i + E_i, and its mean m_i + e_i. For any
@@ -65,5 +67,7 @@ MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, c
     memcpy(scene->spread[4 * place], A, sizeof scene->spread[0] * 4);
     memcpy(scene->specific[place], F, sizeof scene->specific[0]);
 }
+
+#endif
 
 #endif

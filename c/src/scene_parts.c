@@ -4,6 +4,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_SENDER && MAPLINES_SCENES
+
 /// Largest standard deviation of a line that is encoded: no D_i covers more, and none overflows.
 static const double largest_sigma = 1e50;
 /// Least valid range of a line that is sent in part [m].
@@ -206,3 +208,5 @@ MAPLINES_INTERNAL void maplines_joint_target(const maplines_scene_input_t *scene
         }
     }
 }
+
+#endif

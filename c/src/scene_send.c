@@ -1,6 +1,8 @@
 /* A sender of scenes: the record of the pose error and those of the lines, with their counters. */
 #include "internal.h"
 
+#if MAPLINES_SENDER && MAPLINES_SCENES
+
 /// Largest variance or covariance; sums of such values stay within the floats.
 static const double largest_entry = 1e307;
 /// Asymmetry and indefiniteness up to this, relative to the standard deviations, are rounding.
@@ -317,3 +319,5 @@ maplines_sent_scene_t maplines_encode_scene(maplines_encoder_t *encoder,
     }
     return sent;
 }
+
+#endif

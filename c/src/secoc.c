@@ -15,6 +15,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_SECOC
+
 #define MAC_BYTES 16
 #define DATA_ID_BYTES 2U
 #define FRESHNESS_BYTES 8U
@@ -156,3 +158,5 @@ MAPLINES_INTERNAL size_t maplines_secured_pdu(const maplines_record_t *layout, u
     signer->last_us = freshness_us;
     return (size_t)authentic + layout->fd_freshness + layout->fd_mac;
 }
+
+#endif

@@ -4,6 +4,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_SCENES
+
 #define MAPLINES_MARGIN 3.0  ///< standard deviations of the pose error at an end of a range
 #define MAPLINES_HALVINGS 60 ///< of the distance to a pose from which a line is no function of x
 #define MAPLINES_STEP 1e-4   ///< of the pose, for derivatives [m, rad]
@@ -311,3 +313,5 @@ MAPLINES_INTERNAL void maplines_valid_range(const maplines_curve_t *curve, const
         range[end] = end == 0 ? x + margin : x - margin;
     }
 }
+
+#endif

@@ -28,6 +28,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_RECEIVER
+
 #define RESTART_RECORDS 3U ///< consecutive records behind the last new one that indicate it
 #define JITTER_CYCLES 0.5  ///< a sender may be early by this much
 #define MEAN_LINES 8.0     ///< the time between two lines is a mean over about this many
@@ -119,7 +121,7 @@ static bool is_restart(maplines_check_t *check, uint32_t counter, int64_t t_ns, 
 }
 
 /// Why a record `behind` the last new one is not delivered; MAPLINES_COMPLETE if it is new.
-static maplines_reason_t why_not_new(maplines_check_t *check, uint32_t counter, uint64_t content,
+static maplines_reason_t why_not_new(maplines_check_t *check, uint32_t counter, uint32_t content,
                                      uint64_t behind, int64_t t_ns)
 {
     maplines_history_t *history = &check->history;
@@ -178,7 +180,7 @@ static maplines_reason_t why_not_new(maplines_check_t *check, uint32_t counter, 
     return is_restart(check, counter, t_ns, has_other) ? MAPLINES_COMPLETE : MAPLINES_STALE;
 }
 
-static void accept_record(maplines_check_t *check, uint32_t counter, uint64_t content, int64_t t_ns,
+static void accept_record(maplines_check_t *check, uint32_t counter, uint32_t content, int64_t t_ns,
                           uint64_t ahead)
 {
     maplines_history_add_new(&check->history, check->modulus, counter, content, ahead);
@@ -190,7 +192,7 @@ static void accept_record(maplines_check_t *check, uint32_t counter, uint64_t co
 }
 
 /// Check the counter of a record; remember a new one.
-static maplines_reason_t check_counter(maplines_check_t *check, uint32_t counter, uint64_t content,
+static maplines_reason_t check_counter(maplines_check_t *check, uint32_t counter, uint32_t content,
                                        int64_t t_ns, uint32_t records,
                                        maplines_e2e_status_t *status)
 {
@@ -287,7 +289,7 @@ MAPLINES_INTERNAL void maplines_check_init(maplines_check_t *check,
 }
 
 MAPLINES_INTERNAL maplines_reason_t maplines_check_received(maplines_check_t *check,
-                                                            uint32_t counter, uint64_t content,
+                                                            uint32_t counter, uint32_t content,
                                                             int64_t t_ns, uint32_t records)
 {
     maplines_e2e_status_t status = MAPLINES_E2E_NONE;
@@ -379,3 +381,5 @@ MAPLINES_INTERNAL bool maplines_has_one_sender(const maplines_check_t *check, in
     return !check->conflict.is_confirmed &&
            !maplines_conflict_is_suspected(&check->conflict, check->cycle_ns, t_ns);
 }
+
+#endif

@@ -1,6 +1,8 @@
 /* Times of reception: their range, and the time-outs, cycle times and E2E windows of a decoder. */
 #include "internal.h"
 
+#if MAPLINES_RECEIVER
+
 #define DEFAULT_CYCLE_MS 100.0
 /// Default time-out of a transfer. A DBC has transfer IDs for two lines of the most components, so
 /// one is used again after two cycles at the earliest. The sender may be early by half a cycle.
@@ -108,6 +110,10 @@ static const char *e2e_problem(const maplines_e2e_config_t *e2e)
     {
         return "max_delta_counter must be from 1 to 127";
     }
+    if (2U * e2e->max_delta_counter > MAPLINES_HISTORY)
+    {
+        return "max_delta_counter must be at most half of MAPLINES_HISTORY of the build";
+    }
     for (int state = 0; state < 3; ++state)
     {
         if (size[state] < 1 || ok[state] < 1)
@@ -122,6 +128,12 @@ static const char *e2e_problem(const maplines_e2e_config_t *e2e)
         {
             return "no window_size may exceed window_size_valid";
         }
+#if MAPLINES_WINDOW < UINT8_MAX
+        if (size[state] > MAPLINES_WINDOW)
+        {
+            return "no window_size may exceed MAPLINES_WINDOW of the build";
+        }
+#endif
     }
     if (ok[1] > ok[0] || ok[0] > ok[2])
     {
@@ -134,6 +146,7 @@ static const char *e2e_problem(const maplines_e2e_config_t *e2e)
     return NULL;
 }
 
+#if MAPLINES_SECOC
 static const char *authenticator_problem(const maplines_dbc_t *dbc,
                                          const maplines_authenticator_t *authenticator)
 {
@@ -153,7 +166,8 @@ static const char *authenticator_problem(const maplines_dbc_t *dbc,
     {
         return "authenticator: not_before_us must be 0 or more";
     }
-    const maplines_record_t *const layouts[2] = {&dbc->line, &dbc->pose};
+    const maplines_record_t *const layouts[2] = {&dbc->line,
+                                                 maplines_layout(dbc, (int)MAPLINES_POSE)};
     for (int i = 0; i < 2; ++i)
     {
         const unsigned bytes = layouts[i]->fd_freshness;
@@ -173,6 +187,7 @@ static const char *authenticator_problem(const maplines_dbc_t *dbc,
     }
     return NULL;
 }
+#endif
 
 MAPLINES_INTERNAL const char *maplines_settings_problem(const maplines_dbc_t *dbc,
                                                         const maplines_settings_t *settings)
@@ -207,8 +222,15 @@ MAPLINES_INTERNAL const char *maplines_settings_problem(const maplines_dbc_t *db
             return "max_delta_counter must be less than half the modulus of the DBC's Counter";
         }
     }
-    return settings->authenticator == NULL ? NULL
-                                           : authenticator_problem(dbc, settings->authenticator);
+    if (settings->authenticator == NULL)
+    {
+        return NULL;
+    }
+#if MAPLINES_SECOC
+    return authenticator_problem(dbc, settings->authenticator);
+#else
+    return "authenticator: this build has no SecOC";
+#endif
 }
 
 const char *maplines_settings_for(const maplines_dbc_t *dbc, double timeout_ms, double cycle_ms,
@@ -232,3 +254,5 @@ const char *maplines_settings_for(const maplines_dbc_t *dbc, double timeout_ms, 
     }
     return problem;
 }
+
+#endif

@@ -6,6 +6,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_RECEIVER
+
 /// Square lower triangular root R of A A^T, for an (m, n) matrix A, which is overwritten.
 ///
 /// Householder's reflections from the right. They do not depend on the units of the rows.
@@ -152,3 +154,5 @@ void maplines_overall(size_t count, const maplines_gaussian_t *components,
     }
     maplines_set_gaussian(mean, root, natural_order, overall);
 }
+
+#endif

@@ -6,6 +6,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_SENDER && MAPLINES_SCENES
+
 /// Largest divergence that levels may cost a line; beyond it all entries are sent [nat].
 static const double levels_divergence = 0.01;
 /// Largest ratio of a line-specific variance, with levels to without.
@@ -234,3 +236,5 @@ MAPLINES_INTERNAL void maplines_cover(const maplines_dbc_t *dbc, maplines_scene_
         space->lines[i].cost = has_entries ? (double)INFINITY : 0.0;
     }
 }
+
+#endif

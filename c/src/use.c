@@ -5,6 +5,8 @@
  */
 #include "internal.h"
 
+#if MAPLINES_RECEIVER
+
 #if MAPLINES_FLOAT
 #define UNIT_ROUNDOFF 0x1p-24F
 #define ROOT_OF sqrtf
@@ -217,6 +219,7 @@ maplines_real_t maplines_mahalanobis(const maplines_line_t *line, size_t count,
     return sum >= 0 ? (maplines_real_t)sqrt(sum) : (maplines_real_t)INFINITY; // also of a NaN
 }
 
+#if MAPLINES_SCENES
 /* ---- lines of a scene ------------------------------------------------------------------------ */
 
 /// Place of the line of a slot in a scene; its count if it has none.
@@ -339,3 +342,6 @@ bool maplines_joint_covariance(const maplines_scene_t *scene, size_t count,
     }
     return true;
 }
+#endif
+
+#endif

@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from ..generation.c_build import Features, build_of
 from ..generation.c_files import c_files
 from ..generation.tables import identifier_of
+from ..values.line import Slot
 from ..wire import SHIPPED
-from ..wire.tables import limits_of
 from .generated_files import add_out, check_new_files, write_files
 from .options import add_encoding, layout_from
 from .parsing import option_group
@@ -19,7 +20,7 @@ ABOUT = """\
 Generate C for an ECU from a DBC: a sender and a receiver of its lines, in C99, without allocation
 and without dependencies but the C library.
 
-  maplines.h         the interface; its first comment is the manual
+  maplines.h         the interface; its first comment is the manual. It includes maplines_state.h
   maplines.c         the core: the same for each DBC
   NAME_dbc.h, .c     the constant NAME_dbc with all bits, factors and CAN IDs of the DBC
   CMakeLists.txt     a static library of them, for CMake and pkg-config
@@ -30,6 +31,11 @@ the compiler fuses no multiplication with an addition: give gcc and clang -ffp-c
 The files depend on the DBC and on the version of this package only: the same DBC gives the same
 files. maplines.h sets the sizes of its structures for the DBC. With several DBCs in one program,
 give --dbc for each of them in one call, so that the sizes suffice for all.
+
+Leave out what the program does not need: --receiver --no-scenes --no-mixtures --slots 4 is the
+smallest receiver, of a quarter of the code and an eighth of the memory. A receiver remembers the
+records of two lines of the most components, and twice as many as may be lost in a row. So a
+duplicate that comes later than that is STALE and not DUPLICATE, as Python has it.
 """
 EXAMPLES = """\
 examples:
@@ -38,7 +44,41 @@ examples:
   maplines generate c --dbc maplines-pose.dbc --out ecu
   maplines generate c --dbc short.dbc --name lines --out ecu --force
   maplines generate c --dbc maplines.dbc --dbc maplines-pose.dbc --out both
+  maplines generate c --receiver --no-scenes --no-mixtures --slots 4 --float --out small
 """
+
+
+def add_features(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the features of a library in C; ``features_from`` reads them."""
+    add = parser.add_argument_group("library").add_argument
+    add("--receiver", action="store_true", help="only a receiver (default: and a sender)")
+    add("--sender", action="store_true", help="only a sender (default: and a receiver)")
+    add("--no-scenes", action="store_true", help="no lines with the error of their pose")
+    add("--no-mixtures", action="store_true", help="a line of several Gaussians is dropped")
+    add("--no-secoc", action="store_true", help="no authenticated frames")
+    add(
+        "--slots",
+        type=int,
+        default=len(Slot),
+        metavar="N",
+        help="the first N lines: 1 is EGO_LEFT, 2 has EGO_RIGHT, too, 4 has NEXT_LEFT and "
+        "NEXT_RIGHT (default: 8, all)",
+    )
+    add("--float", action="store_true", help="a receiver computes with float, not with double")
+
+
+def features_from(arguments: argparse.Namespace) -> Features:
+    """Return the features that the options ask for."""
+    only_one = arguments.receiver != arguments.sender
+    return Features(
+        receiver=arguments.receiver or not only_one,
+        sender=arguments.sender or not only_one,
+        scenes=not arguments.no_scenes,
+        mixtures=not arguments.no_mixtures,
+        secoc=not arguments.no_secoc,
+        slots=arguments.slots,
+        single=arguments.float,
+    )
 
 
 def add_c(subparsers: Any) -> argparse.ArgumentParser:
@@ -67,7 +107,8 @@ def add_c(subparsers: Any) -> argparse.ArgumentParser:
         help="name of the tables, NAME_dbc; with several DBCs, one for each (default: that of the "
         "file, such as maplines_pose of maplines-pose.dbc)",
     )
-    add_out(parser, "the names of the files and the limits")
+    add_features(parser)
+    add_out(parser, "the names of the files, the features and the sizes")
     parser.set_defaults(run=_run)
     return parser
 
@@ -83,7 +124,8 @@ def _run(arguments: argparse.Namespace) -> int:
     layouts = {
         name: layout_from(dbc, arguments.encoding) for name, dbc in zip(names, dbcs, strict=True)
     }
-    files = c_files(layouts)
+    features = features_from(arguments)
+    files = c_files(layouts, features)
     check_new_files(arguments, files)
-    write_files(arguments, files, {"limits": limits_of(list(layouts.values()))._asdict()})
+    write_files(arguments, files, {"build": build_of(layouts, features)._asdict()})
     return 0

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ..values.errors import LayoutError
 from ..wire.layout.message_layout import Layout
-from ..wire.tables import Limits, limits_of
+from .c_build import ALL, Build, Features, build_of
 from .tables import tables_of
 
 #: A section of internal.h that declares what a source defines: its title gives the order.
@@ -19,26 +19,33 @@ _SYSTEM_INCLUDE = re.compile(r"^#include <\w+\.h>\n", re.MULTILINE)
 _MACRO = re.compile(r"^ *# *define (\w+)", re.MULTILINE)
 #: Where the sources of the header are edited by section.
 _MARKER = re.compile(r"^/\* \w+: (?:begin|end) \*/\n", re.MULTILINE)
+#: Storage class in a library that lacks a feature, which may leave functions without a caller.
+UNUSED = " MAPLINES_UNUSED"
+#: What a source is for: all of it is within this condition.
+_CONDITION = re.compile(r'^#include "internal.h"\n\n#if (.+)\n\n', re.MULTILINE)
 _GUARD = re.compile(r"^#ifndef (\w+_H)\n#define \1\n(.*)^#endif\n\Z", re.MULTILINE | re.DOTALL)
 
 
-def c_files(dbcs: Mapping[str, Layout]) -> dict[str, str]:
+def c_files(dbcs: Mapping[str, Layout], features: Features = ALL) -> dict[str, str]:
     """Return the files of the C core for one or more DBCs, by their names.
 
-    They depend on nothing but the DBCs and the version of this package.
+    They depend on nothing but the DBCs, the features and the version of this package.
 
     Args:
         dbcs: layouts by the start of the names of their tables, a C identifier.
+        features: that the program needs.
 
     Raises:
-        LayoutError: a DBC has no C, or a name is not an identifier; the message has the cure.
+        LayoutError: a DBC has no C, needs a feature that is left out, or a name is not an
+            identifier; the message has the cure.
+        ValueError: the features make no library; see ``build_of``.
     """
     for name in dbcs:
         check_name(name)
-    limits = limits_of(list(dbcs.values()))
-    files = headers(limits) | {"maplines.c": source()}
+    build = build_of(dbcs, features)
+    files = headers(build) | {"maplines.c": source(build)}
     for name, layout in dbcs.items():
-        tables = tables_of(layout, name)
+        tables = tables_of(layout, name, build)
         files |= {f"{name}_dbc.h": tables.header, f"{name}_dbc.c": tables.source}
     return files | {"CMakeLists.txt": cmake(list(dbcs))}
 
@@ -70,26 +77,31 @@ def core_folder() -> Path:
     raise FileNotFoundError(f"the C core is neither at {packaged} nor at {checkout}; reinstall")
 
 
-def headers(limits: Limits) -> dict[str, str]:
-    """Return ``maplines.h`` with limits, and what it includes; a program may define larger ones."""
+def headers(build: Build) -> dict[str, str]:
+    """Return ``maplines.h`` of a build, and what it includes; a program may define larger sizes."""
     text = _text("include/maplines.h")
-    for macro, value in limits.macros.items():
-        text = re.sub(rf"(?<=#define {macro} )\d+", str(value), text)
+    for macro, value in build.macros.items():
+        text = re.sub(rf"(?<=#define {macro} )\w+", str(value), text)
     return {
         "maplines.h": _MARKER.sub("", text),
         "maplines_state.h": _text("include/maplines_state.h"),
     }
 
 
-def source(internal: str = "static") -> str:
+def source(build: Build | None = None, internal: str = "static") -> str:
     """Return ``maplines.c``: all sources in one, where what the header does not name is static.
 
     Args:
+        build: what the library has; everything if there is none.
         internal: storage class of those; nothing, if other sources call them.
     """
     found = {path.name for path in (core_folder() / "src").glob("*.c")}
     order = [name for name in _SECTION.findall(_text("src/internal.h")) if name in found]
     sources = {name: _text(f"src/{name}") for name in [*order, *sorted(found.difference(order))]}
+    if build is not None:
+        sources = {name: text for name, text in sources.items() if _belongs(text, build)}
+    if len(sources) < len(found):
+        internal += UNUSED
     headers: dict[str, str] = {}
     for text in sources.values():
         _add_headers(text, headers)
@@ -101,7 +113,9 @@ def source(internal: str = "static") -> str:
             "/* The C core of maplines in one file; maplines.h is its manual. */\n",
             '#include "maplines.h"\n\n',
             *sorted(set(_SYSTEM_INCLUDE.findall(body))),
-            f"\n#define MAPLINES_INTERNAL {internal}".rstrip() + "\n\n",
+            "\n",
+            _UNUSED_MACRO if UNUSED in internal else "",
+            f"#define MAPLINES_INTERNAL {internal}".rstrip() + "\n\n",
             re.sub(r"\n{3,}", "\n\n", _SYSTEM_INCLUDE.sub("", body)),
         )
     )
@@ -112,6 +126,12 @@ def propagation_sources() -> dict[str, str]:
     folder = core_folder() / "propagation"
     files = {path.name: path.read_text(encoding="utf-8") for path in sorted(folder.iterdir())}
     return {"internal.h": _text("src/internal.h")} | files
+
+
+def _belongs(text: str, build: Build) -> bool:
+    """Return whether a library has anything of a source."""
+    condition = _CONDITION.search(text)
+    return condition is None or build.has(condition[1])
 
 
 def _add_headers(text: str, headers: dict[str, str]) -> None:
@@ -142,14 +162,19 @@ def _text(name: str) -> str:
     return (core_folder() / name).read_text(encoding="utf-8")
 
 
+_UNUSED_MACRO = """\
+#ifdef __GNUC__
+#define MAPLINES_UNUSED __attribute__((unused)) // the feature that calls it was left out
+#else
+#define MAPLINES_UNUSED
+#endif
+"""
 CMAKE = """\
 # The library maplines: in a project of yours, add_subdirectory() and link maplines::maplines.
 # Installed, find_package(maplines) and pkg-config find it.
 cmake_minimum_required(VERSION 3.13)
 project(maplines VERSION {version} LANGUAGES C)
 include(GNUInstallDirs)
-
-option(MAPLINES_FLOAT "A receiver computes with float instead of double" OFF)
 
 add_library(maplines STATIC {sources})
 add_library(maplines::maplines ALIAS maplines)
@@ -164,11 +189,6 @@ include(CheckCCompilerFlag)
 check_c_compiler_flag(-ffp-contract=off MAPLINES_HAS_FP_CONTRACT)
 if(MAPLINES_HAS_FP_CONTRACT)
   target_compile_options(maplines PRIVATE -ffp-contract=off)
-endif()
-set(MAPLINES_CFLAGS "")
-if(MAPLINES_FLOAT)
-  target_compile_definitions(maplines PUBLIC MAPLINES_FLOAT)
-  set(MAPLINES_CFLAGS "-DMAPLINES_FLOAT")
 endif()
 if(NOT MSVC)
   target_link_libraries(maplines PUBLIC m)
@@ -206,7 +226,7 @@ file(WRITE "${{pc}}.in" "prefix=${{prefix}}
 Name: maplines
 Description: The lines of a digital map on a CAN bus, with their uncertainty
 Version: ${{PROJECT_VERSION}}
-Cflags: -I${{INCLUDEDIR}} ${{MAPLINES_CFLAGS}}
+Cflags: -I${{INCLUDEDIR}}
 Libs: -L${{LIBDIR}} -lmaplines -lm
 ")
 install(CODE [[string(REPLACE " " "\\\\ " PREFIX "${{CMAKE_INSTALL_PREFIX}}")]])

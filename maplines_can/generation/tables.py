@@ -12,7 +12,8 @@ import numpy as np
 
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.signal import Signal, signal_values
-from ..wire.tables import Members, Value, content_of, limits_of
+from ..wire.tables import Members, Value, limits_of
+from .c_build import Build, build_of
 
 
 class Tables(NamedTuple):
@@ -32,15 +33,23 @@ def identifier_of(dbc: str) -> str:
     return name if name[:1].isalpha() else f"dbc_{name.lstrip('_')}"
 
 
-def tables_of(layout: Layout, name: str = "maplines") -> Tables:
+def tables_of(layout: Layout, name: str = "maplines", build: Build | None = None) -> Tables:
     """Return the tables of a DBC: the constant ``<name>_dbc``.
 
     They do not depend on the folder of the DBC or on the machine.
 
+    Args:
+        layout: of the DBC.
+        name: start of the names.
+        build: of the library; that of this DBC with all features if there is none.
+
     Raises:
         LayoutError: the DBC has no C; see ``check``.
     """
-    limits, content = limits_of([layout]), content_of(layout)
+    build = build_of({name: layout}) if build is None else build
+    limits, content = limits_of([layout]), build.content(layout)
+    if build.max_components == 1:  # mixtures are refused, not held
+        limits = limits._replace(components=1)
     guard = f"{name.upper()}_DBC_H"
     header = [
         "/* Tables of a DBC for maplines.h, written by maplines generate c. */",

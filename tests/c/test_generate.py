@@ -19,10 +19,11 @@ from scene_layouts import layout_of
 import maplines_can
 from maplines_can import Kind, Slot, Status
 from maplines_can.cli import main
+from maplines_can.generation.c_build import build_of
 from maplines_can.generation.c_files import c_files, headers, source
 from maplines_can.study.design.scenes import fields, writer_of
 from maplines_can.wire import E2EState, ProfileStatus, Reason
-from maplines_can.wire.tables import MAX_LIMITS, limits_of
+from maplines_can.wire.tables import MAX_LIMITS
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc")
@@ -158,7 +159,7 @@ def test_nothing_but_the_interface_is_visible(compiled: Path) -> None:
         ["nm", "--defined-only", "--extern-only", "maplines.o"],
         check=True, cwd=compiled, capture_output=True, text=True,
     )  # fmt: skip
-    sizes = r"_(?:float|double)(?:_\d+){3}$"  # what the linker sees of the sizes of structures
+    sizes = r"_(?:float|double)(?:_\d+){9}$"  # what the linker sees of the build
     names = [line.split()[2] for line in done.stdout.splitlines()]
     assert all(re.search(sizes, name) for name in names)
     interface = (compiled / "maplines.h").read_text()
@@ -208,7 +209,7 @@ def test_two_dbcs_in_one_program(tmp_path: Path) -> None:
 def test_tables_that_exceed_the_header_do_not_compile(tmp_path: Path) -> None:
     """A header of another DBC would give arrays that are too short."""
     assert generate("--dbc", "maplines.dbc", "--out", tmp_path) == 0
-    small = headers(limits_of([layout_of("maplines-pose.dbc")]))["maplines.h"]
+    small = headers(build_of({"x": layout_of("maplines-pose.dbc")}))["maplines.h"]
     (tmp_path / "maplines.h").write_text(small)
     done = subprocess.run(
         ["cc", "-std=c99", "-c", "maplines_dbc.c"],
@@ -253,7 +254,7 @@ def test_markers_of_developers_are_not_in_the_files() -> None:
 
 def enumerators(prefix: str, names: type[IntEnum], **others: str) -> None:
     """Check that the header gives each name its number in Python."""
-    text = headers(MAX_LIMITS)["maplines.h"]
+    text = headers(build_of({"x": layout_of("maplines.dbc")}))["maplines.h"]
     for member in names:
         name = others.get(member.name, prefix + member.name)
         assert re.search(rf"\b{name} = (0x)?0*{member.value:X}\b", text), name
@@ -268,7 +269,7 @@ def test_numbers_of_the_enumerations_are_those_of_python() -> None:
 
 
 def test_reasons_have_the_order_of_python() -> None:
-    text = headers(MAX_LIMITS)["maplines.h"]
+    text = headers(build_of({"x": layout_of("maplines.dbc")}))["maplines.h"]
     for i, reason in enumerate(Reason):
         name = "NO_POSE" if reason is Reason.POSE else reason.name  # MAPLINES_POSE is an owner
         assert re.search(rf"\bMAPLINES_{name} = {i},", text), reason
@@ -276,18 +277,19 @@ def test_reasons_have_the_order_of_python() -> None:
 
 
 def test_the_version_is_that_of_the_package() -> None:
-    interface = headers(MAX_LIMITS)["maplines.h"]
+    interface = headers(build_of({"x": layout_of("maplines.dbc")}))["maplines.h"]
     assert f'#define MAPLINES_VERSION "{maplines_can.__version__}"' in interface
 
 
 # ---- the command ----------------------------------------------------------------------------
 
 
-def test_json_names_the_files_and_the_limits(tmp_path: Path, capsys: Any) -> None:
+def test_json_names_the_files_and_the_build(tmp_path: Path, capsys: Any) -> None:
     assert generate("--out", tmp_path / "new" / "folder", "--json") == 0
     printed = json.loads(capsys.readouterr().out)
     assert all(Path(path).is_file() for path in printed["files"])
-    assert printed["limits"] == {"pages": 6, "transfer_ids": 16, "components": 8}
+    sizes = {"max_pages": 6, "max_transfer_ids": 16, "max_components": 8, "slots": 8}
+    assert printed["build"].items() >= sizes.items()
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,8 @@ def of_header(enumeration: str) -> dict[int, str]:
     body = re.search(rf"typedef enum {{([^}}]*)}} maplines_{enumeration}_t;", HEADER)
     assert body
     found = re.findall(r"^    MAPLINES_(\w+) = (-?\w+),", body[1], re.MULTILINE)
-    return {int(number, 0): name for name, number in found}
+    numbers = {"MAPLINES_SLOTS": len(Slot)}
+    return {numbers.get(number) or int(number, 0): name for name, number in found}
 
 
 def of_python() -> dict[str, dict[int, str]]:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from ...values.errors import LayoutError, missing_extra
 from ...wire.layout.message_layout import Layout
-from ...wire.tables import limits_of
+from ..c_build import roomy_build
 from ..c_files import core_folder, headers, propagation_sources, source
 from ..tables import tables_of
 from . import variables as code
@@ -145,11 +145,12 @@ def sources_of(
 
     The token is a hash of what the files contain.
     """
-    tables = tables_of(layout, TABLES)
+    build = roomy_build(layout)
+    tables = tables_of(layout, TABLES, build)
     folder = core_folder() / "fmu"
     sources = {
-        **headers(limits_of([layout])),
-        "maplines.c": source() if route is None else source(internal=""),
+        **headers(build),
+        "maplines.c": source(build, "static" if route is None else ""),
         f"{TABLES}_dbc.h": tables.header,
         f"{TABLES}_dbc.c": tables.source,
     }
