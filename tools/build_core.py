@@ -32,11 +32,13 @@ DECLARATIONS = ROOT / "maplines_can" / "core" / "declarations.py"
 #: The library in the package.
 LIBRARY = f"core/maplines.{'dll' if os.name == 'nt' else 'so'}"
 #: Structures have the size of the largest DBC that has C. There is one build, so names are plain.
+#: Python checks what its callers give, and raises: no assertion ends the process.
 MACROS = (
     "-DMAPLINES_MAX_PAGES=16",
     "-DMAPLINES_MAX_TRANSFER_IDS=256",
     "-DMAPLINES_MAX_COMPONENTS=64",
     "-DMAPLINES_NAME(name)=maplines_##name",
+    "-DMAPLINES_ASSERT(condition)=((void)0)",
 )
 #: Options of compilers that take those of GCC. A fused multiplication would give other bits.
 #: Without errno, a square root is one instruction.

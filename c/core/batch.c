@@ -85,6 +85,7 @@ void maplines_encode_lines(const maplines_dbc_t *dbc, const double *const powers
         line.x_min = reals[X_MIN * n + i];
         line.x_max = reals[X_MAX * n + i];
         line.age = reals[AGE * n + i];
+        line.has_age = true;
         draft.line = &line;
         draft.mean = mean + 4 * i;
         draft.is_indefinite = indefinite[i] != 0U;

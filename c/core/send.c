@@ -45,6 +45,7 @@ static bool read_line(const maplines_dbc_t *dbc, const maplines_given_line_t *gi
     line->x_min = given->x_min;
     line->x_max = given->x_max;
     line->age = given->age;
+    line->has_age = true;
     return maplines_check_input(line) == MAPLINES_SENT;
 }
 

@@ -83,8 +83,8 @@ static void see(double t)
 static int encode_line(const maplines_scene_line_t *line, bool is_fd)
 {
     const int first = 4 * (int)line->slot;
-    maplines_input_t input = {line->slot,  line->kind, line->status, line->x_min,
-                              line->x_max, line->age,  {0},          {{0}}};
+    maplines_input_t input = {line->slot, line->kind, line->status, line->x_min, line->x_max,
+                              line->age,  true,       {0},          {{0}}};
     memcpy(input.mean, line->mean, sizeof input.mean);
     for (int i = 0; i < 4; ++i)
     {

@@ -45,6 +45,7 @@ static void read_line(const maplines_values_t *values, int slot, maplines_input_
     line->x_min = reals[SLOT_REAL_X_MIN];
     line->x_max = reals[SLOT_REAL_X_MAX];
     line->age = reals[SLOT_REAL_AGE];
+    line->has_age = true;
     for (int i = 0; i < 4; i++)
     {
         line->mean[i] = reals[SLOT_REAL_MEAN + i];

@@ -225,6 +225,7 @@ static void publish(maplines_instance_t *instance, const maplines_around_t *arou
     line.x_min = around->x_ranges[i][0];
     line.x_max = around->x_ranges[i][1];
     line.age = instance->state.values.reals[REAL_POSE_AGE];
+    line.has_age = true;
     memcpy(line.mean, around->means[i], sizeof line.mean);
     memcpy(line.cov, around->covs[i], sizeof line.cov);
     maplines_publish(&instance->state.node.queue, &line, instance->state.now);

@@ -25,11 +25,17 @@
  *          decoder or an encoder.
  * Time     is an argument [ns], of any clock that runs steadily.
  * Loops    are bounded by the constants below. There is no recursion.
- * Errors   What the bus sends is counted, and never asserted. A caller's mistake is an assertion
- *          unless NDEBUG is defined; what happens then is said with the function.
+ * Errors   What the bus sends is counted, and never asserted. A caller's mistake is asserted: NULL,
+ *          a decoder or encoder that is not initialised, a frame of more than 64 bytes, a number
+ *          that is no value of its enumeration. Numbers have a refusal of their own where a
+ *          function has one; where not, NaN is a mistake, too. The assertion is
+ *          MAPLINES_ASSERT(condition), by default assert(); define it as another expression for
+ *          all sources, such as -D'MAPLINES_ASSERT(c)=((c) ? (void)0 : on_mistake())'. Where it
+ *          returns, or is off by NDEBUG, the function refuses: it returns NULL, false, NaN or a
+ *          reason, or does nothing; a result that it can write to says that nothing is usable.
  * Needs    <math.h>: sqrt, fabs, floor, ceil, rint, ldexp, frexp, copysign, and sqrtf with
  *          MAPLINES_FLOAT, all of which are exact: IEEE 754 defines each bit of them. <string.h>:
- * memcpy, memset, memcmp. <assert.h> unless NDEBUG is defined.
+ *          memcpy, memset, memcmp. <assert.h> unless MAPLINES_ASSERT is defined.
  *
  * Lengths are in metres, angles in radians, x points ahead and y to the left (ISO 8855).
  */
@@ -719,9 +725,11 @@ typedef enum {
     MAPLINES_BAD_POSE = 16, ///< the pose error does not fit the message, or its correlation time
                             ///< is not positive, or the error of the map is negative
     MAPLINES_UNSEEN = 17,   ///< a line of a scene is no function of x, seen from the mean pose
+    MAPLINES_BAD_CALL = 18, ///< an argument is NULL, or the encoder is not initialised, or its
+                            ///< signer has no function or a negative time
 } maplines_refusal_t;
 
-/// Line to be sent. All zeros is a line whose covariance is not sent.
+/// Line to be sent. All zeros is a line whose covariance is not sent, and whose age is unknown.
 typedef struct {
     maplines_owner_t slot;
     maplines_kind_t kind;
@@ -731,6 +739,7 @@ typedef struct {
     double x_min;   ///< start of the valid range [m]
     double x_max;   ///< end of the valid range [m], x_min or more
     double age;     ///< from the pose to the sending [s]; infinite if too old or unknown
+    bool has_age;   ///< false: `age` is not read, and is sent as unknown, so nobody uses the line
     double mean[4]; ///< y_off [m], beta [rad], c0 [1/m], c1 [1/m^2]
     /// May be singular. An indefinite one is replaced by the nearest that covers it (REPAIRED). It
     /// is not read if the status is UNKNOWN or OUT_OF_RANGE.
@@ -753,9 +762,11 @@ typedef struct {
 
 /// State of a sender.
 typedef struct {
+    uint32_t magic; ///< it is initialised
     const maplines_dbc_t *dbc;
     maplines_signer_t *signer;         ///< NULL: frames have no MAC
-    uint32_t counter[MAPLINES_OWNERS]; ///< of the next record; a restarted sender may set it
+    uint32_t counter[MAPLINES_OWNERS]; ///< of the next record, modulo its range; a restarted sender
+                                       ///< may set it
 } maplines_encoder_t;
 
 /// Start a sender whose counters begin with 0.

@@ -244,6 +244,7 @@ typedef struct {
 
 /// State of a receiver.
 struct maplines_decoder {
+    uint32_t magic; ///< it is initialised
     const maplines_dbc_t *dbc;
     bool is_ready; ///< the settings are right; otherwise every frame is FOREIGN
     maplines_settings_t settings;

@@ -215,8 +215,9 @@ MAPLINES_INTERNAL maplines_status_t maplines_write_complete(const maplines_dbc_t
     maplines_put(&dbc->x_max, record, stated.ends[1]);
     maplines_put(&dbc->status, record, (int64_t)status);
     maplines_put(&dbc->kind, record, (int64_t)line->kind);
+    const double age = line->has_age ? line->age : (double)INFINITY;
     maplines_put(&dbc->age, record,
-                 maplines_limited(&dbc->age, maplines_raw_above(&dbc->age, 1000.0 * line->age)));
+                 maplines_limited(&dbc->age, maplines_raw_above(&dbc->age, 1000.0 * age)));
     maplines_put(&dbc->component_index, record,
                  nearest_within(&dbc->component_index, (double)draft->index));
     maplines_put(&dbc->component_count, record,

@@ -6,6 +6,8 @@
 /// The caller's time may be before a reception by this much [ns]: clocks that are synchronised
 /// differ by less. By more, the caller's clock was set back, and no age is known.
 #define CLOCK_JITTER_NS 1000000
+#define MAX_ID UINT32_C(0x7FF) ///< greatest CAN ID of 11 bits, and of 29
+#define MAX_EXTENDED_ID UINT32_C(0x1FFFFFFF)
 
 /// Hash of a record (FNV-1a), to recognise duplicates.
 static uint32_t hash_of(const uint8_t *record, size_t length)
@@ -17,6 +19,11 @@ static uint32_t hash_of(const uint8_t *record, size_t length)
         hash *= 0x01000193U;
     }
     return hash;
+}
+
+static bool is_initialised(const maplines_decoder_t *decoder)
+{
+    return decoder != NULL && decoder->magic == MAPLINES_DECODER_MAGIC;
 }
 
 static bool is_slot(const maplines_decoder_t *decoder, int owner)
@@ -35,7 +42,16 @@ static bool is_authentic(const maplines_decoder_t *decoder, int owner)
 const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_dbc_t *dbc,
                                   const maplines_settings_t *settings)
 {
+    if (!MAPLINES_REQUIRE(decoder != NULL))
+    {
+        return "decoder must not be NULL";
+    }
     memset(decoder, 0, sizeof(*decoder));
+    if (!MAPLINES_REQUIRE(dbc != NULL))
+    {
+        return "dbc must not be NULL";
+    }
+    decoder->magic = MAPLINES_DECODER_MAGIC;
     decoder->dbc = dbc;
     maplines_default_settings(dbc, &decoder->settings);
     const maplines_settings_t *wanted = settings != NULL ? settings : &decoder->settings;
@@ -209,6 +225,25 @@ static void feed_conditional(maplines_decoder_t *decoder, const maplines_arrival
 maplines_fed_t maplines_feed(maplines_decoder_t *decoder, const maplines_frame_t *frame,
                              int64_t t_ns)
 {
+    maplines_fed_t fed;
+    memset(&fed, 0, sizeof(fed));
+    fed.reason = MAPLINES_FOREIGN;
+    if (!MAPLINES_REQUIRE(is_initialised(decoder)) || !MAPLINES_REQUIRE(frame != NULL))
+    {
+        return fed;
+    }
+    if (!MAPLINES_REQUIRE(frame->can_id <= (frame->is_extended ? MAX_EXTENDED_ID : MAX_ID)))
+    {
+        ++decoder->statistics.frames;
+        (void)dropped_record(decoder, MAPLINES_FOREIGN, 1);
+        return fed;
+    }
+    if (!MAPLINES_REQUIRE(frame->length <= sizeof(frame->data)))
+    {
+        ++decoder->statistics.frames;
+        fed.reason = dropped_record(decoder, MAPLINES_LENGTH, 1);
+        return fed;
+    }
     return maplines_feed_with(decoder, frame, t_ns, NULL);
 }
 
@@ -284,6 +319,10 @@ MAPLINES_INTERNAL maplines_fed_t maplines_feed_with(maplines_decoder_t *decoder,
 void maplines_expire(maplines_decoder_t *decoder, int64_t t_ns)
 {
     const int64_t now_ns = maplines_limited_time(t_ns);
+    if (!MAPLINES_REQUIRE(is_initialised(decoder)) || !decoder->is_ready)
+    {
+        return;
+    }
     maplines_expire_transfers(decoder, now_ns);
 #if MAPLINES_MIXTURES
     maplines_expire_mixtures(decoder, now_ns);
@@ -328,6 +367,11 @@ static maplines_e2e_state_t state_at(maplines_check_t *check, int64_t now_ns, do
 
 const maplines_line_t *maplines_newest(const maplines_decoder_t *decoder, maplines_owner_t slot)
 {
+    if (!MAPLINES_REQUIRE(is_initialised(decoder)) ||
+        !MAPLINES_REQUIRE((unsigned)slot < MAPLINES_SLOTS))
+    {
+        return NULL;
+    }
     const bool is_known = is_slot(decoder, (int)slot);
     const bool has_line = is_known && (decoder->has_newest >> (unsigned)slot & 1U) != 0;
     return has_line ? &decoder->newest[slot] : NULL;
@@ -337,7 +381,8 @@ bool maplines_component(const maplines_decoder_t *decoder, maplines_owner_t slot
                         maplines_gaussian_t *gaussian, maplines_real_t *weight)
 {
     const maplines_line_t *line = maplines_newest(decoder, slot);
-    if (line == NULL || i >= line->components)
+    if (!MAPLINES_REQUIRE(gaussian != NULL) || !MAPLINES_REQUIRE(weight != NULL) || line == NULL ||
+        i >= line->components)
     {
         return false;
     }
@@ -361,15 +406,19 @@ void maplines_latest(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t
                      maplines_view_t *view)
 {
     const int64_t t_ns = maplines_limited_time(now_ns);
+    if (!MAPLINES_REQUIRE(view != NULL))
+    {
+        return;
+    }
     memset(view, 0, sizeof(*view));
     view->slot = slot;
     view->age = (maplines_real_t)HUGE_VAL;
     view->is_stale = true;
     view->state = MAPLINES_E2E_NODATA;
     view->status = MAPLINES_E2E_NONE;
-    if (!is_slot(decoder, (int)slot))
+    if (!MAPLINES_REQUIRE(is_initialised(decoder)) || !decoder->is_ready ||
+        !MAPLINES_REQUIRE(is_slot(decoder, (int)slot)))
     {
-        assert(!decoder->is_ready && "slot must be one of the DBC's");
         return;
     }
     const maplines_line_t *line = maplines_newest(decoder, slot);
@@ -404,12 +453,16 @@ void maplines_latest(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t
 void maplines_latest_scene(maplines_decoder_t *decoder, int64_t now_ns, maplines_scene_view_t *view)
 {
     const int64_t t_ns = maplines_limited_time(now_ns);
+    if (!MAPLINES_REQUIRE(view != NULL))
+    {
+        return;
+    }
     memset(view, 0, sizeof(*view));
     view->age = (maplines_real_t)HUGE_VAL;
     view->is_stale = true;
     view->state = MAPLINES_E2E_NODATA;
     view->status = MAPLINES_E2E_NONE;
-    if (!decoder->is_ready || !decoder->dbc->has_pose)
+    if (!MAPLINES_REQUIRE(is_initialised(decoder)) || !decoder->is_ready || !decoder->dbc->has_pose)
     {
         return;
     }
@@ -447,13 +500,16 @@ void maplines_latest_scene(maplines_decoder_t *decoder, int64_t now_ns, maplines
 bool maplines_slot_stats(maplines_decoder_t *decoder, maplines_owner_t owner, int64_t now_ns,
                          maplines_slot_stats_t *stats)
 {
-    const bool is_known =
-        is_slot(decoder, (int)owner) ||
-        (MAPLINES_SCENES && owner == MAPLINES_POSE && decoder->is_ready && decoder->dbc->has_pose);
+    if (!MAPLINES_REQUIRE(stats != NULL))
+    {
+        return false;
+    }
     memset(stats, 0, sizeof(*stats));
     stats->state = MAPLINES_E2E_NODATA;
     stats->status = MAPLINES_E2E_NONE;
-    if (!is_known)
+    if (!MAPLINES_REQUIRE(is_initialised(decoder)) ||
+        !MAPLINES_REQUIRE((unsigned)owner < MAPLINES_OWNERS) || !decoder->is_ready ||
+        !decoder->dbc->messages[owner].is_present)
     {
         return false;
     }
@@ -472,6 +528,15 @@ bool maplines_slot_stats(maplines_decoder_t *decoder, maplines_owner_t owner, in
 
 void maplines_statistics(const maplines_decoder_t *decoder, maplines_statistics_t *statistics)
 {
+    if (!MAPLINES_REQUIRE(statistics != NULL))
+    {
+        return;
+    }
+    memset(statistics, 0, sizeof(*statistics));
+    if (!MAPLINES_REQUIRE(is_initialised(decoder)))
+    {
+        return;
+    }
     *statistics = decoder->statistics;
     statistics->lost = 0;
     for (int slot = 0; slot < MAPLINES_SLOTS; ++slot)

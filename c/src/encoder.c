@@ -5,10 +5,31 @@
 
 #define WEIGHT_TOLERANCE 1e-5 // of the sum of weights
 
+/// There is none, or it can sign.
+static bool is_signer(const maplines_signer_t *signer)
+{
+    return signer == NULL || (signer->mac != NULL && signer->last_us >= 0);
+}
+
+MAPLINES_INTERNAL bool maplines_is_sender(const maplines_encoder_t *encoder)
+{
+    return encoder != NULL && encoder->magic == MAPLINES_ENCODER_MAGIC &&
+           is_signer(encoder->signer);
+}
+
 void maplines_encoder_init(maplines_encoder_t *encoder, const maplines_dbc_t *dbc,
                            maplines_signer_t *signer)
 {
+    if (!MAPLINES_REQUIRE(encoder != NULL))
+    {
+        return;
+    }
     memset(encoder, 0, sizeof *encoder);
+    if (!MAPLINES_REQUIRE(dbc != NULL) || !MAPLINES_REQUIRE(is_signer(signer)))
+    {
+        return;
+    }
+    encoder->magic = MAPLINES_ENCODER_MAGIC;
     encoder->dbc = dbc;
     encoder->signer = signer;
 }
@@ -85,7 +106,7 @@ MAPLINES_INTERNAL maplines_refusal_t maplines_check_input(const maplines_input_t
     {
         return MAPLINES_BAD_RANGE;
     }
-    return line->age >= 0.0 ? MAPLINES_SENT : MAPLINES_BAD_AGE;
+    return !line->has_age || line->age >= 0.0 ? MAPLINES_SENT : MAPLINES_BAD_AGE;
 }
 
 /// Whether a covariance is sent with this status.
@@ -170,6 +191,11 @@ maplines_sent_t maplines_encode_line(maplines_encoder_t *encoder, const maplines
 {
     maplines_draft_t draft;
     maplines_sent_t sent = {MAPLINES_SENT, MAPLINES_OUT_OF_RANGE, 0};
+    if (!MAPLINES_REQUIRE(maplines_is_sender(encoder)) || !MAPLINES_REQUIRE(line != NULL) ||
+        !MAPLINES_REQUIRE(frames != NULL))
+    {
+        return refused(MAPLINES_BAD_CALL);
+    }
     maplines_refusal_t refusal = check_line(encoder, line, is_fd);
     if (refusal == MAPLINES_SENT)
     {
@@ -251,6 +277,11 @@ maplines_sent_t maplines_encode_mixture(maplines_encoder_t *encoder, const mapli
     double weights[MAPLINES_MAX_COMPONENTS];
     double cover[16];
     maplines_sent_t sent = {MAPLINES_SENT, MAPLINES_FULL, 0};
+    if (!MAPLINES_REQUIRE(maplines_is_sender(encoder)) || !MAPLINES_REQUIRE(line != NULL) ||
+        !MAPLINES_REQUIRE(components != NULL) || !MAPLINES_REQUIRE(frames != NULL))
+    {
+        return refused(MAPLINES_BAD_CALL);
+    }
     maplines_refusal_t refusal = check_line(encoder, line, is_fd);
     if (refusal == MAPLINES_SENT)
     {

@@ -4,7 +4,10 @@
 
 #include "maplines.h"
 
+#ifndef MAPLINES_ASSERT
 #include <assert.h>
+#define MAPLINES_ASSERT(condition) assert(condition)
+#endif
 #include <math.h>
 #include <string.h>
 
@@ -33,6 +36,15 @@ typedef char maplines_constants_are_double[sizeof(1.0) == sizeof(double) ? 1 : -
 #ifndef MAPLINES_INTERNAL
 #define MAPLINES_INTERNAL
 #endif
+
+/* What the caller must see to: it is asserted, and is the value of the macro where the assertion
+ * returns or is off. The condition is evaluated twice. What the bus sends is never required.
+ */
+#define MAPLINES_REQUIRE(condition) (MAPLINES_ASSERT(condition), (condition))
+
+/* A decoder and an encoder have these numbers once they are initialised. */
+#define MAPLINES_DECODER_MAGIC UINT32_C(0x6D6C6465)
+#define MAPLINES_ENCODER_MAGIC UINT32_C(0x6D6C656E)
 
 /* ---- elementary.c: functions whose results are the same to the last bit on any machine ---------
  */
@@ -256,6 +268,8 @@ MAPLINES_INTERNAL void maplines_cover_mixture(const maplines_dbc_t *dbc,
                                               double *decoded_weights, double cover[16]);
 #endif
 /// MAPLINES_SENT, or what is wrong with kind, status, range and age of a line.
+/// Whether an encoder is initialised, and can sign if it has to.
+MAPLINES_INTERNAL bool maplines_is_sender(const maplines_encoder_t *encoder);
 MAPLINES_INTERNAL maplines_refusal_t maplines_check_input(const maplines_input_t *line);
 #endif // MAPLINES_SENDER
 

@@ -458,7 +458,7 @@ static void choose_spacings(const search_t *search, maplines_sent_line_t *line)
     uint16_t order[SEARCHED];
     spacing_t best[CHOSEN];
     int count = 0;
-    assert(spacings <= SEARCHED);
+    MAPLINES_ASSERT(spacings <= SEARCHED);
     for (int i = 0; i < spacings; ++i)
     {
         double noise[16];

@@ -37,9 +37,10 @@ static const char prediction_names[][NAME_SIZE] = {"PREDICTED", "NOT_USABLE", "T
 #endif
 #if MAPLINES_SENDER
 static const char refusal_names[][NAME_SIZE] = {
-    "SENT",       "NO_MESSAGE",   "NO_COVARIANCE", "BAD_MEAN",  "BAD_COVARIANCE", "BAD_VARIANCE",
-    "ASYMMETRIC", "BAD_RANGE",    "BAD_AGE",       "BAD_KIND",  "BAD_STATUS",     "BAD_WEIGHTS",
-    "BAD_COUNT",  "NO_SIGNATURE", "INDEFINITE",    "SAME_SLOT", "BAD_POSE",       "UNSEEN"};
+    "SENT",         "NO_MESSAGE",  "NO_COVARIANCE", "BAD_MEAN",     "BAD_COVARIANCE",
+    "BAD_VARIANCE", "ASYMMETRIC",  "BAD_RANGE",     "BAD_AGE",      "BAD_KIND",
+    "BAD_STATUS",   "BAD_WEIGHTS", "BAD_COUNT",     "NO_SIGNATURE", "INDEFINITE",
+    "SAME_SLOT",    "BAD_POSE",    "UNSEEN",        "BAD_CALL"};
 #endif
 #if MAPLINES_SENDER && MAPLINES_SCENES
 static const char left_out_names[][NAME_SIZE] = {"IN_SCENE", "ACROSS", "RANGE", "MEAN",

@@ -61,6 +61,7 @@ static maplines_input_t input_of(const maplines_scene_line_t *line)
     input.x_min = line->x_min;
     input.x_max = line->x_max;
     input.age = line->age;
+    input.has_age = true;
     memcpy(input.mean, line->mean, sizeof input.mean);
     return input;
 }
@@ -301,9 +302,15 @@ maplines_sent_scene_t maplines_encode_scene(maplines_encoder_t *encoder,
                                             int64_t now_us, maplines_scene_workspace_t *workspace,
                                             maplines_frame_t *frames)
 {
-    const maplines_encoder_t before = *encoder;
     maplines_sent_scene_t sent;
     memset(&sent, 0, sizeof sent);
+    if (!MAPLINES_REQUIRE(maplines_is_sender(encoder)) || !MAPLINES_REQUIRE(scene != NULL) ||
+        !MAPLINES_REQUIRE(workspace != NULL) || !MAPLINES_REQUIRE(frames != NULL))
+    {
+        sent.refusal = MAPLINES_BAD_CALL;
+        return sent;
+    }
+    const maplines_encoder_t before = *encoder;
     sent.refusal = check_scene(encoder, scene, is_fd, workspace->joint.factor);
     if (sent.refusal == MAPLINES_SENT)
     {

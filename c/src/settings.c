@@ -94,6 +94,15 @@ static void set_all(const maplines_dbc_t *dbc, double timeout_ms, double cycle_m
 
 void maplines_default_settings(const maplines_dbc_t *dbc, maplines_settings_t *settings)
 {
+    if (!MAPLINES_REQUIRE(settings != NULL))
+    {
+        return;
+    }
+    memset(settings, 0, sizeof(*settings));
+    if (!MAPLINES_REQUIRE(dbc != NULL))
+    {
+        return;
+    }
     set_all(dbc, 0.0, 0.0, NULL, settings);
 }
 
@@ -236,6 +245,10 @@ MAPLINES_INTERNAL const char *maplines_settings_problem(const maplines_dbc_t *db
 const char *maplines_settings_for(const maplines_dbc_t *dbc, double timeout_ms, double cycle_ms,
                                   const maplines_e2e_config_t *e2e, maplines_settings_t *settings)
 {
+    if (!MAPLINES_REQUIRE(dbc != NULL) || !MAPLINES_REQUIRE(settings != NULL))
+    {
+        return "dbc and settings must not be NULL";
+    }
     maplines_default_settings(dbc, settings);
     if (!(timeout_ms >= 0.0 && timeout_ms <= MAX_MS))
     {

@@ -49,7 +49,7 @@ static void add_to_motorola_word(uint8_t *bytes, uint64_t bits)
 
 MAPLINES_INTERNAL int64_t maplines_get(const maplines_signal_t *signal, const uint8_t *record)
 {
-    assert(signal->length > 0U);
+    MAPLINES_ASSERT(signal->length > 0U);
     const uint8_t *bytes = record + (size_t)(signal->first / 64U) * 8U;
     const unsigned place = signal->first % 64U;
     const unsigned unused = 64U - signal->length;

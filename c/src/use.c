@@ -179,7 +179,7 @@ maplines_real_t maplines_mahalanobis(const maplines_line_t *line, size_t count,
     double G[MAPLINES_MAX_POSITIONS][4] = {{0}}; // deviations of the line at the positions
     double S[MAPLINES_MAX_POSITIONS * MAPLINES_MAX_POSITIONS] = {0};
     double z[MAPLINES_MAX_POSITIONS] = {0};
-    assert(count <= MAPLINES_MAX_POSITIONS);
+    MAPLINES_ASSERT(count <= MAPLINES_MAX_POSITIONS);
     if (count > MAPLINES_MAX_POSITIONS)
     {
         return (maplines_real_t)INFINITY;

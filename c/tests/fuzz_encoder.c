@@ -82,6 +82,7 @@ static maplines_input_t next_line(input_t *input)
     line.x_min = next_number(input, 10);
     line.x_max = line.x_min + fabs(next_number(input, 20));
     line.age = fabs(next_number(input, 0.05));
+    line.has_age = true;
     next_mean(input, line.mean);
     return line;
 }

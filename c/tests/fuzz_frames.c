@@ -84,8 +84,8 @@ static void any_frame(maplines_decoder_t *decoder, input_t *input, int64_t t_ns)
         frame.is_extended = where > 200;
     }
     const uint8_t length = next(input);
-    frame.length = length < 192 ? 8 : length % 80;
-    for (int i = 0; i < 64 && i < frame.length; ++i)
+    frame.length = length < 192 ? 8 : length % 65;
+    for (int i = 0; i < frame.length; ++i)
     {
         frame.data[i] = next(input);
     }

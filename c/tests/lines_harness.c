@@ -81,6 +81,7 @@ static void encode(void)
     line.x_min = read_f64();
     line.x_max = read_f64();
     line.age = read_f64();
+    line.has_age = true;
     const size_t count = read_u8();
     const bool is_line = count == 255U;
     for (size_t k = 0; k < (is_line ? 1U : count); ++k)

@@ -222,7 +222,8 @@ class _Sender:
 
     def __init__(self, dbc: Any, way: Way, room: int) -> None:
         self.frames = ffi.new("maplines_frame_t[]", room)
-        self.encoder = ffi.new("maplines_encoder_t *", {"dbc": dbc})
+        self.encoder = ffi.new("maplines_encoder_t *")
+        lib.maplines_encoder_init(self.encoder, dbc, ffi.NULL)
         for place, owner in enumerate(OWNERS):
             self.encoder.counter[place] = way.counters[owner]
         self._signer: Any = ffi.NULL
@@ -259,7 +260,7 @@ def write_mac(_: Any, key_id: int, data: Any, length: int, mac: Any) -> bool:
 
 def _given(line: writer.Draft) -> dict[str, Any]:
     names = ("slot", "kind", "status", "x_min", "x_max", "age", "mean", "cov")
-    given = {name: getattr(line, name) for name in names}
+    given = {name: getattr(line, name) for name in names} | {"has_age": line.age != INF}
     return given | {name: given[name] % 2**32 for name in names[:3]}  # as an enumeration
 
 
@@ -479,7 +480,7 @@ def _scene_by_core(dbc: Any, given: _SceneGiven) -> Any:
     for i, line in enumerate(draft.lines):
         own = scene.lines[i]
         for name, value in _given(line).items():
-            if name != "cov":
+            if name not in ("cov", "has_age"):
                 setattr(own, name, value)
         own.fit_range, own.quartic = draft.fit_ranges[i], draft.quartics[i]
         if draft.specific is not None:

@@ -24,7 +24,8 @@ def table(dbc: str) -> Any:
 def check(dbc: str, refusal: str, function: Any, *given: Any) -> None:
     """Call a function of a sender, and check what it says."""
     encoder, frames = ffi.new("maplines_encoder_t *"), ffi.new("maplines_frame_t[1024]")
-    encoder.dbc, encoder.counter = table(dbc), COUNTERS
+    lib.maplines_encoder_init(encoder, table(dbc), ffi.NULL)
+    encoder.counter = COUNTERS
 
     sent = function(encoder, *given, frames)
 
@@ -45,7 +46,9 @@ def put(structure: Any, *place: Any) -> None:
 
 
 def good_line() -> Any:
-    line = ffi.new("maplines_input_t *", {"kind": 1, "status": 1, "x_min": -8, "x_max": 64})
+    line = ffi.new(
+        "maplines_input_t *", {"kind": 1, "status": 1, "x_min": -8, "x_max": 64, "has_age": True}
+    )
     for i, variance in enumerate(VARIANCES):
         line.cov[i][i] = variance
     return line

@@ -61,6 +61,7 @@ static void send_line(maplines_owner_t slot)
         .x_min = (double)line->x_min,
         .x_max = (double)line->x_max,
         .age = (double)line->age,
+        .has_age = true,
     };
     for (int i = 0; i < 4; ++i)
     {
