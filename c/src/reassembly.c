@@ -137,7 +137,7 @@ static void complete_record(maplines_decoder_t *decoder, maplines_arrival_t *arr
     const uint32_t own = (uint32_t)maplines_get(&layout->transfer_id[0], arrival->record);
     for (uint32_t place = 0; place < places_of(ids); ++place)
     {
-        const uint32_t ahead = (inbox->complete[place].id - own) % ids;
+        const uint32_t ahead = (inbox->complete[place].id - own) & (ids - 1U);
         if (ahead > 0 && ahead < ids / 2U)
         {
             inbox->complete[place].pages = 0;
@@ -151,7 +151,7 @@ static void complete_record(maplines_decoder_t *decoder, maplines_arrival_t *arr
     unsigned i = 0;
     while (i < inbox->count && inbox->incomplete[inbox->began[i]].id != own)
     {
-        if ((inbox->incomplete[inbox->began[i]].id - own) % ids <= ids / 2U)
+        if (((inbox->incomplete[inbox->began[i]].id - own) & (ids - 1U)) <= ids / 2U)
         {
             drop_transfer(decoder, arrival->owner, i, MAPLINES_INCOMPLETE);
         }
@@ -250,7 +250,7 @@ static maplines_reason_t feed_page(maplines_decoder_t *decoder, const uint8_t *d
     if (transfer->pages != 0 && transfer->id != id)
     {
         const uint32_t ids = transfer_ids(layout);
-        if ((id - transfer->id) % ids > ids / 2U) // older than what is at its place
+        if (((id - transfer->id) & (ids - 1U)) > ids / 2U) // older than what is at its place
         {
             return dropped_frame(decoder, MAPLINES_INCOMPLETE);
         }
