@@ -113,8 +113,8 @@ static void feed_component(maplines_decoder_t *decoder, const maplines_arrival_t
                            maplines_fed_t *fed)
 {
     const maplines_complete_t *content = &arrival->content;
-    uint32_t frames = arrival->frames;
 #if MAPLINES_MIXTURES
+    uint32_t frames = 0;
     const maplines_check_t *own = &decoder->checks[arrival->owner];
     if (content->count > 1 &&
         maplines_conflict_was_reused(&own->conflict, own->cycle_ns, arrival->t_ns))
@@ -123,13 +123,13 @@ static void feed_component(maplines_decoder_t *decoder, const maplines_arrival_t
         fed->reason = dropped_record(decoder, MAPLINES_INCOMPLETE, arrival->frames);
         return;
     }
-    frames = 0;
     fed->reason = maplines_add_component(decoder, arrival, &frames);
     if (fed->reason != MAPLINES_COMPLETE)
     {
         return;
     }
 #else
+    const uint32_t frames = arrival->frames;
     decoder->newest[arrival->owner] = content->line;
 #endif
 #if MAPLINES_SCENES
