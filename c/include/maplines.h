@@ -251,7 +251,8 @@ typedef enum {
     MAPLINES_MAC = 15,             ///< its MAC is wrong
     MAPLINES_REPLAY = 16,          ///< its freshness value is not newer than the last accepted one
     MAPLINES_AGE = 17,             ///< its freshness value is outside the window about now
-    MAPLINES_REASONS = 18,         ///< number of reasons
+    MAPLINES_SPACING = 18, ///< records of its owner follow each other far faster than its cycle
+    MAPLINES_REASONS = 19, ///< number of reasons
 } maplines_reason_t;
 
 /// Result of the E2E check of one record, numbered as in AUTOSAR E2E profile 5.
@@ -633,7 +634,11 @@ typedef struct {
     uint64_t line_frames;              ///< of the lines delivered
     uint64_t pose_errors;              ///< received
     uint64_t pose_frames;              ///< of the pose errors received
-    uint64_t lost;    ///< records of lines missing between those received, by their counters
+    uint64_t lost; ///< records of lines missing between those received, by their counters
+    /// Positive times between two lines of a slot, or two pose errors, below a hundredth of the
+    /// cycle. If there are almost as many as lines, times are in us or ms instead of ns; a few are
+    /// of a gateway that held frames back.
+    uint64_t short_spacings;
     uint32_t pending; ///< frames of transfers, mixtures and scenes that are not complete yet
 } maplines_statistics_t;
 
@@ -679,6 +684,10 @@ struct maplines_settings {
     maplines_e2e_config_t e2e[MAPLINES_OWNERS];
     double stale_cycles; ///< cycles without a newer line after which one is stale: 3
     const maplines_authenticator_t *authenticator; ///< NULL: frames without a MAC only
+    /// After eight short spacings in a row (see maplines_statistics_t), records of the owner are
+    /// dropped (MAPLINES_SPACING), and are errors of its E2E check, until a spacing is longer. A
+    /// time that is equal to the last or before it, such as 0 of all frames, is no spacing.
+    bool refuses_short_spacings;
 };
 
 /// AUTOSAR's windows as this project has them, for lines at 20 Hz.

@@ -176,9 +176,11 @@ typedef struct {
     maplines_history_t history;
     maplines_conflict_t conflict;
     maplines_pace_t pace;
-    int64_t new_ns; ///< time of the last new record
-    uint32_t last;  ///< its counter
-    uint32_t left;  ///< last counter before that, if there was a gap
+    int64_t spaced_ns;      ///< time of the last line or pose error; INT64_MIN: none
+    uint8_t short_spacings; ///< in a row up to it, at most eight
+    int64_t new_ns;         ///< time of the last new record
+    uint32_t last;          ///< its counter
+    uint32_t left;          ///< last counter before that, if there was a gap
     bool has_last, has_left;
     uint32_t span;  ///< records of the line delivered last; 1 while a later line is incomplete
     uint32_t ahead; ///< of the last new record against the one before; 0: a sequence break

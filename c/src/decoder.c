@@ -283,6 +283,17 @@ MAPLINES_INTERNAL maplines_fed_t maplines_feed_with(maplines_decoder_t *decoder,
     const uint32_t counter = (uint32_t)maplines_get(&layout->counter, arrival.record);
     const uint32_t content = hash_of(arrival.record, arrival.length);
     const uint32_t records = is_complete ? arrival.content.count : 1U;
+    if (!is_complete || arrival.content.index == 0) // components follow each other at once
+    {
+        const bool is_short = maplines_check_spacing(check, arrival.t_ns);
+        decoder->statistics.short_spacings += is_short ? 1U : 0U;
+    }
+    if (decoder->settings.refuses_short_spacings && check->short_spacings >= MAPLINES_SHORT_ROW)
+    {
+        maplines_check_failed(check, arrival.t_ns);
+        fed.reason = dropped_record(decoder, MAPLINES_SPACING, arrival.frames);
+        return fed;
+    }
     fed.reason = maplines_check_received(check, counter, content, arrival.t_ns, records);
     if (fed.reason != MAPLINES_COMPLETE)
     {

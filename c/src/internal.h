@@ -680,6 +680,9 @@ MAPLINES_INTERNAL void maplines_check_init(maplines_check_t *check,
                                            const maplines_e2e_config_t *e2e, int64_t cycle_ns,
                                            uint64_t modulus, uint8_t pages, bool is_authentic);
 /// Check a record whose checksum is correct: MAPLINES_COMPLETE if it is new, DUPLICATE or STALE.
+#define MAPLINES_SHORT_ROW 8 ///< short spacings in a row that mean times in another unit
+/// Whether a line or pose error comes far sooner after the last than the cycle.
+MAPLINES_INTERNAL bool maplines_check_spacing(maplines_check_t *check, int64_t t_ns);
 MAPLINES_INTERNAL maplines_reason_t maplines_check_received(maplines_check_t *check,
                                                             uint32_t counter, uint32_t content,
                                                             int64_t t_ns, uint32_t records);

@@ -17,7 +17,7 @@ static const char status_names[][NAME_SIZE] = {"UNKNOWN",  "FULL",      "DIAGONA
 static const char reason_names[][NAME_SIZE] = {
     "COMPLETE",        "PENDING",    "FOREIGN", "LENGTH", "PAGE", "DUPLICATE", "REPLACED",
     "STALE",           "INCOMPLETE", "TIMEOUT", "MIXED",  "CRC",  "CONTENT",   "POSE",
-    "UNAUTHENTICATED", "KEY",        "MAC",     "REPLAY", "AGE"};
+    "UNAUTHENTICATED", "KEY",        "MAC",     "REPLAY", "AGE",  "SPACING"};
 static const char e2e_state_names[][NAME_SIZE] = {"VALID", "?", "NODATA", "INIT", "INVALID"};
 static const struct {
     maplines_e2e_status_t status;

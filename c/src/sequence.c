@@ -30,6 +30,7 @@
 
 #if MAPLINES_RECEIVER
 
+#define SHORT_PART 100     ///< a spacing below this part of the cycle is short
 #define RESTART_RECORDS 3U ///< consecutive records behind the last new one that indicate it
 #define JITTER_CYCLES 0.5  ///< a sender may be early by this much
 #define MEAN_LINES 8.0     ///< the time between two lines is a mean over about this many
@@ -284,8 +285,26 @@ MAPLINES_INTERNAL void maplines_check_init(maplines_check_t *check,
     check->span = 1;
     check->pace.line_ns = (double)cycle_ns;
     check->pace.longest = 1;
+    check->spaced_ns = MAPLINES_NEVER;
     maplines_machine_init(&check->machine);
     maplines_conflict_init(&check->conflict);
+}
+
+MAPLINES_INTERNAL bool maplines_check_spacing(maplines_check_t *check, int64_t t_ns)
+{
+    const bool is_first = check->spaced_ns == MAPLINES_NEVER;
+    const int64_t spacing_ns = is_first ? 0 : t_ns - check->spaced_ns;
+    const bool is_short = spacing_ns > 0 && spacing_ns < check->cycle_ns / SHORT_PART;
+    check->spaced_ns = t_ns;
+    if (is_short && check->short_spacings < MAPLINES_SHORT_ROW)
+    {
+        ++check->short_spacings;
+    }
+    if (spacing_ns > 0 && !is_short)
+    {
+        check->short_spacings = 0;
+    }
+    return is_short;
 }
 
 MAPLINES_INTERNAL maplines_reason_t maplines_check_received(maplines_check_t *check,

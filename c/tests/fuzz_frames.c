@@ -338,6 +338,7 @@ static void begin(maplines_decoder_t *decoder, input_t *input)
                                     (choice & 4U) != 0 ? &e2e : NULL, &settings);
         settings.stale_cycles = next_number(input, 1);
     }
+    settings.refuses_short_spacings = (choice & 8U) != 0;
     settings.authenticator = choice >= 64 ? NULL : &authenticators[choice & 1U];
     const char *problem = maplines_decoder_init(decoder, &harness_dbc, &settings);
     if (problem != NULL)

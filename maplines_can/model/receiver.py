@@ -27,7 +27,7 @@ from .reassembly import Content, Reassembly, Record
 from .records import AnyLayout, Component, Line, RawRecord, complete, conditional, intact
 from .scenes import Member, Pose, Scene, pose_of, scene_line, scene_of
 from .secoc import Keys, verified
-from .sequence import SequenceCheck
+from .sequence import SHORT_ROW, SequenceCheck
 from .settings import Settings, settings_of
 
 #: A line is stale if nothing newer has come for so many cycles.
@@ -108,7 +108,11 @@ class Receiver:
         layout: Layout,
         settings: Mapping[Owner, Settings] | None = None,
         keys: Keys | None = None,
+        *,
+        refuses_short_spacings: bool = False,
     ) -> None:
+        self.short_spacings = 0  #: of lines of a slot, and pose errors, below 1 % of the cycle
+        self._refuses_short_spacings = refuses_short_spacings
         self.counts: Counter[str] = Counter()  #: dropped frames by reason
         self.frames = 0  #: received
         self.lines = self.line_frames = 0  #: delivered
@@ -180,6 +184,11 @@ class Receiver:
         if isinstance(content, str):
             check.failed(record.t_ns)
             return self._dropped(content, record.frames)
+        if not isinstance(content, Component) or content.place == 0:
+            self.short_spacings += check.is_spaced_short(record.t_ns)
+        if self._refuses_short_spacings and check.short_row >= SHORT_ROW:
+            check.failed(record.t_ns)
+            return self._dropped("SPACING", record.frames)
         reason = check.received(content.counter, record.payload, record.t_ns, content.size)
         if reason is not None:
             if reason == "STALE":

@@ -33,6 +33,8 @@ from .senders import Senders
 
 #: The first cycle without a record is missed so many cycles after the last record.
 GRACE_CYCLES = 1.5
+#: A spacing below this part of the cycle is short, and so many in a row are refused.
+SHORT_PART, SHORT_ROW = 100, 8
 #: Consecutive records behind the last new one that may be a restart.
 RESTART_RECORDS = 3
 #: A sender may be early by this [cycles], and faster than the cycle time by this factor.
@@ -56,6 +58,7 @@ class SequenceCheck:
         self.last: int | None = None  #: counter of the last new record
         #: By how much that was ahead of the one before; None after a break.
         self.ahead: int | None = None
+        self.short_row = 0  #: short spacings in a row up to the last line
         self.senders = Senders(cycle_ns)
         self._windows, self._modulus = windows, modulus
         self._pages = pages  # frames of a classic record
@@ -64,6 +67,7 @@ class SequenceCheck:
         self._history, self._pace = History(modulus), Pace(cycle_ns, modulus)
         self._run: list[_Late] = []  # consecutive records behind the last new one
         self._new_ns = 0  # time of the last new record
+        self._spaced_ns: int | None = None  # time of the last line
         self._span = 1  # records of the line delivered last, while no later one has come
         self._left: int | None = None  # last counter before the last gap
         self._duplicated_frames = 0  # since the last new record
@@ -74,6 +78,15 @@ class SequenceCheck:
         return self._machine.state
 
     # ---- what happens ---------------------------------------------------------------------
+
+    def is_spaced_short(self, t_ns: int) -> bool:
+        """Return whether a line comes far sooner after the last one than the cycle."""
+        last_ns, self._spaced_ns = self._spaced_ns, t_ns
+        if last_ns is None or t_ns <= last_ns:  # no spacing: the row goes on
+            return False
+        is_short = t_ns - last_ns < self.cycle_ns // SHORT_PART
+        self.short_row = min(self.short_row + 1, SHORT_ROW) if is_short else 0
+        return is_short
 
     def received(self, counter: int, content: bytes, t_ns: int, records: int) -> str | None:
         """Check an intact record of a line of so many; return None if it is new, or why not."""

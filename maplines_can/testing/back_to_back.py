@@ -187,6 +187,7 @@ class CoreSide:
         self.now_us = START_US  #: time of the clock of freshness values
         self._layout, self._stale_cycles = layout, profile.stale_cycles
         self._decoder = self._codec(profile).decoder(**profile.settings)
+        self._decoder._settings.refuses_short_spacings = profile.refuses  # noqa: SLF001
         self._checks = self._decoder.checks
         self._owners_of = _owners_of(layout)
 
@@ -234,7 +235,10 @@ class ModelSide:
         e2e = settings.pop("e2e", None)
         windows = None if e2e is None else Windows(*astuple(e2e))
         self.receiver = Model(
-            layout, settings_of(layout, windows=windows, **settings), self._keys(profile)
+            layout,
+            settings_of(layout, windows=windows, **settings),
+            self._keys(profile),
+            refuses_short_spacings=profile.refuses,
         )
         self._checks = self.receiver.checks
         self._owners_of = _owners_of(layout)
@@ -493,7 +497,9 @@ def _model_numbers(model: Model) -> dict[str, Any]:
 
 
 def _counted(receiver: Decoder | Model, counts: Any) -> dict[str, Any]:
-    names = ("frames", "lines", "line_frames", "pose_errors", "pose_frames", "pending")
+    names = (
+        "frames", "lines", "line_frames", "pose_errors", "pose_frames", "pending", "short_spacings",
+    )  # fmt: skip
     found: dict[str, Any] = {name: getattr(receiver, name) for name in names}
     return found | {"counts": {reason: n for reason, n in counts.items() if n}}
 

@@ -71,6 +71,8 @@ class Profile:
     pause: float = 0.0  #: of a cycle: a sender pauses for up to 15 cycles
     restart: float = 0.0  #: of a cycle: the sender begins again
     jump: float = 0.0  #: of a cycle: the clock jumps, or stands still
+    hasty: float = 0.0  #: of a cycle: the clock is slower by 1000 for up to 40 cycles
+    refuses: bool = False  #: the receiver refuses short spacings
     senders: int = 1
     is_same: bool = False  #: two senders have the same counters
     ask: float = 0.05
@@ -95,6 +97,8 @@ PROFILES = (
     Profile("hostile", hostile=0.5, sealed=0.1, loss=0.05),
     Profile("any content", sealed=0.5, fd=0.5),
     Profile("clock", jump=0.1, loss=0.05, duplicate=0.05, silence=0.02),
+    Profile("clock of another unit", hasty=0.05, fd=0.5, loss=0.02, refuses=True),
+    Profile("clock of another unit, faults", **_FAULTS, hasty=0.1, jump=0.02, silence=0.02),
     Profile("two senders", senders=2, loss=0.02, pause=0.05, fd=0.8),
     Profile("two senders, same counters", senders=2, is_same=True, restart=0.01, jump=0.02,
             pause=0.02),
@@ -288,6 +292,7 @@ class Stream:
         self._paused = [0] * profile.senders  # cycles
         start = [0, 0, 10**18, -4 * 10**18, 4 * 10**18 - 3 * 10**11, 2**53 - 10**9]
         self._t_ns, self._now_us = self._random.choice(start), start_us
+        self._hasty = 0  # cycles with a slow clock
         self._still = 0  # frames for which the clock stands still
         self._held: list[tuple[int, _Sent]] = []  # until this cycle
         self._cycle = 0
@@ -300,6 +305,8 @@ class Stream:
         rng = self._random
         while True:
             begin_ns, apart_ns = self._t_ns, APART_NS * rng.choice([1, 1, 1, 1, 1, 1, 10, 20])
+            slow = self._slowness()
+            apart_ns //= slow
             for sent in self._frames_of_cycle():
                 if self._still > 0:
                     self._still -= 1
@@ -310,12 +317,19 @@ class Stream:
                     yield self._question(sent)
             if self._still == 0:
                 cycles = 1.0 if rng.random() < 0.7 else rng.uniform(0.5, 3.5)
-                self._t_ns = max(self._t_ns, begin_ns + round(cycles * PERIOD_NS))
+                self._t_ns = max(self._t_ns, begin_ns + round(cycles * PERIOD_NS / slow))
             self._now_us += PERIOD_NS // 1000
             self._cycle += 1
             if rng.random() < self._profile.outage:
                 self._lose_cycles()
             self._jump()
+
+    def _slowness(self) -> int:
+        """Return the factor by which the clock is slower in this cycle."""
+        if self._profile.hasty and self._random.random() < self._profile.hasty:
+            self._hasty = self._random.randrange(40)
+        self._hasty -= 1
+        return 1000 if self._hasty >= 0 else 1
 
     def _lose_cycles(self) -> None:
         """Lose some cycles; the counters may go on faster or slower than the time."""

@@ -27,3 +27,4 @@ class Reason(Enum):
     MAC = "its MAC is wrong"
     REPLAY = "its MAC is valid, but its freshness value is not newer than the last accepted one"
     AGE = "its MAC is valid, but its freshness value is outside the window about the current time"
+    SPACING = "records of its slot follow each other far faster than its cycle"

@@ -112,14 +112,25 @@ def met_by(pair: Pair, step: Any, states: dict[Any, str]) -> Iterator[str]:
 STREAMS = {
     COMPLETE: [
         "faults", "hostile", "any content", "two senders, same counters",
-        "restarts", "narrow windows",
+        "restarts", "narrow windows", "clock of another unit",
     ],
     CONDITIONAL: ["faults", "any content", "late"],
     SECURED: ["authenticated, faults", "authenticated, without a key", "not authenticated"],
 }  # fmt: skip
 REACHED = {
     *("FOREIGN", "LENGTH", "PAGE", "DUPLICATE", "REPLACED", "STALE", "INCOMPLETE", "TIMEOUT"),
-    *("MIXED", "CRC", "CONTENT", "POSE", "UNAUTHENTICATED", "KEY", "MAC", "REPLAY", "AGE"),
+    *(
+        "MIXED",
+        "CRC",
+        "CONTENT",
+        "POSE",
+        "UNAUTHENTICATED",
+        "KEY",
+        "MAC",
+        "REPLAY",
+        "AGE",
+        "SPACING",
+    ),
     *e2e.STATUSES,
     *("NODATA to INIT", "INIT to VALID", "INIT to INVALID", "VALID to INVALID"),
     *("INVALID to VALID", "wrapped", "counted", "break", "lost"),

@@ -209,6 +209,15 @@ class Decoder:
         return self._counted("lost")
 
     @property
+    def short_spacings(self) -> int:
+        """Positive times between two lines of a slot, or two pose errors, below 1 % of the cycle.
+
+        If there are almost as many as lines, times are in us or ms instead of ns; a few are of a
+        gateway that held frames back.
+        """
+        return int(self._c.decoder.statistics.short_spacings)
+
+    @property
     def pending(self) -> int:
         """Frames of transfers, mixtures and scenes that are not complete yet."""
         return self._counted("pending")
