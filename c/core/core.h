@@ -321,6 +321,9 @@ void maplines_eigen_of(size_t count, size_t n, double *S, double *values, double
 /// Lateral position of a line at x, and its standard deviation to first order [m].
 double maplines_line_y(double y_off, double beta, double c0, double c1, double x);
 double maplines_line_sigma(double beta, const double cov[16], double x);
+/// maplines_y_extrapolated at n places.
+void maplines_extrapolate(const maplines_line_t *line, size_t n, const double *x, double *y,
+                          double *sigma);
 
 /// Arc length [m] of the point of a line nearest to another one, if nothing overflows. Boxes
 /// (runs, 4) are lower and upper corners around `length` successive segments each.

@@ -133,6 +133,17 @@ double maplines_line_sigma(double beta, const double cov[16], double x)
     return sqrt(variance < 0.0 ? 0.0 : variance);
 }
 
+void maplines_extrapolate(const maplines_line_t *line, size_t n, const double *x, double *y,
+                          double *sigma)
+{
+    for (size_t i = 0; i < n; i++)
+    {
+        const maplines_estimate_t estimate = maplines_y_extrapolated(line, x[i]);
+        y[i] = estimate.value;
+        sigma[i] = estimate.sigma;
+    }
+}
+
 /* ---- elementary functions -------------------------------------------------------------------- */
 
 /// Distance from an interval, 0 in it.

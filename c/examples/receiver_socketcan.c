@@ -21,7 +21,7 @@ static void print_line(maplines_decoder_t *decoder, maplines_owner_t slot, int64
     maplines_view_t view;
     maplines_latest(decoder, slot, t_ns, &view);
     printf("%-10s %-7s ", maplines_owner_name(slot), maplines_e2e_state_name(view.state));
-    if (view.line->status == MAPLINES_OUT_OF_RANGE || X < view.line->x_min || view.line->x_max < X)
+    if (view.line->status == MAPLINES_OUT_OF_RANGE || !maplines_is_valid_at(view.line, X))
     {
         printf("nothing at %d m\n", X);
         return;
@@ -42,10 +42,9 @@ static void print_scene(void)
 /// Write the row with the width and the centre of the ego lane.
 static void write_scene(maplines_decoder_t *decoder, int64_t t_ns, int64_t *last_ns)
 {
-    static const maplines_owner_t ego[2] = {MAPLINES_EGO_LEFT, MAPLINES_EGO_RIGHT};
+    static const maplines_owner_t left = MAPLINES_EGO_LEFT, right = MAPLINES_EGO_RIGHT;
     maplines_scene_view_t view;
     maplines_estimate_t width, centre;
-    maplines_real_t x_min, x_max;
     maplines_latest_scene(decoder, t_ns, &view);
     if (view.scene == NULL)
     {
@@ -56,9 +55,8 @@ static void write_scene(maplines_decoder_t *decoder, int64_t t_ns, int64_t *last
         print_scene();
         *last_ns = view.scene->t_ns;
     }
-    if (maplines_common_range(view.scene, 2, ego, &x_min, &x_max) && x_min <= X_SCENE &&
-        X_SCENE <= x_max && maplines_width(view.scene, ego[0], ego[1], X_SCENE, &width) &&
-        maplines_centre(view.scene, ego[0], ego[1], X_SCENE, &centre))
+    if (maplines_width(view.scene, left, right, X_SCENE, &width) &&
+        maplines_centre(view.scene, left, right, X_SCENE, &centre))
     {
         snprintf(row, sizeof row,
                  "scene      %-7s width %.6f m, sigma %.6f m; centre %.6f m, sigma %.6f m\n",

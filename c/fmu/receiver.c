@@ -101,9 +101,9 @@ static void show_line(const maplines_line_t *line, const double *x, double *real
     }
     for (int k = 0; k < MAPLINES_POSITIONS; k++)
     {
-        const bool is_inside = x[k] >= line->x_min && x[k] <= line->x_max;
-        reals[SLOT_REAL_Y + k] = maplines_y(line, x[k]);
-        reals[SLOT_REAL_Y_SIGMA + k] = is_inside ? maplines_y_sigma(line, x[k]) : unknown;
+        const bool is_valid = maplines_is_valid_at(line, x[k]);
+        reals[SLOT_REAL_Y + k] = is_valid ? maplines_y(line, x[k]) : 0.0;
+        reals[SLOT_REAL_Y_SIGMA + k] = is_valid ? maplines_y_sigma(line, x[k]) : unknown;
     }
 }
 
@@ -162,14 +162,6 @@ static void show_slot(maplines_instance_t *instance, int slot, int64_t now_ns)
     counts[SLOT_COUNT_NO_NEW_DATA] = stats.no_new_data;
 }
 
-/// Whether both lines of the lane are valid at x [m].
-static bool is_lane_at(const maplines_scene_t *scene, const maplines_owner_t sides[2], double x)
-{
-    maplines_real_t x_min = 0;
-    maplines_real_t x_max = 0;
-    return maplines_common_range(scene, 2, sides, &x_min, &x_max) && x >= x_min && x <= x_max;
-}
-
 /// Show the scene, and the lane between two of its lines.
 static void show_scene(maplines_instance_t *instance, int64_t now_ns)
 {
@@ -185,12 +177,12 @@ static void show_scene(maplines_instance_t *instance, int64_t now_ns)
     for (int k = 0; k < MAPLINES_POSITIONS; k++)
     {
         const double x = values->reals[REAL_X + k];
-        maplines_estimate_t width = {0, unknown};
-        maplines_estimate_t centre = {0, unknown};
-        if (view.scene != NULL && is_lane_at(view.scene, sides, x))
+        maplines_estimate_t width;
+        maplines_estimate_t centre;
+        if (view.scene == NULL || !maplines_width(view.scene, sides[0], sides[1], x, &width) ||
+            !maplines_centre(view.scene, sides[0], sides[1], x, &centre))
         {
-            (void)maplines_width(view.scene, sides[0], sides[1], x, &width);
-            (void)maplines_centre(view.scene, sides[0], sides[1], x, &centre);
+            width = centre = (maplines_estimate_t){0, unknown};
         }
         values->reals[REAL_WIDTH + k] = width.value;
         values->reals[REAL_WIDTH_SIGMA + k] = width.sigma;

@@ -755,6 +755,12 @@ MAPLINES_INTERNAL maplines_fed_t maplines_feed_with(maplines_decoder_t *decoder,
                                                     const maplines_frame_t *frame, int64_t t_ns,
                                                     maplines_scene_t *scene);
 
+/* ---- use.c: what the range of a line does not limit */
+
+/// Lateral position of the mean cubic at any x [m]: also where the line says nothing.
+MAPLINES_INTERNAL maplines_real_t maplines_cubic_at(const maplines_gaussian_t *gaussian,
+                                                    maplines_real_t x);
+
 /* ---- sigma_points.c
  * ------------------------------------------------------------------------------ */
 

@@ -164,7 +164,7 @@ static double end_of(const maplines_line_t *line, const maplines_displacement_t 
     double sine;
     double cosine;
     maplines_sin_cos((double)displacement->mean[2], &sine, &cosine);
-    const double y = (double)maplines_y(line, (maplines_real_t)x);
+    const double y = (double)maplines_cubic_at(&line->gaussian, (maplines_real_t)x);
     const double s = x - (double)displacement->mean[0];
     const double t = y - (double)displacement->mean[1];
     const double J[3] = {-cosine, -sine, cosine * t - sine * s};

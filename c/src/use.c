@@ -1,5 +1,8 @@
 /* What a function of the car does with lines: lateral positions, sums of them, covariances.
  *
+ * A line says nothing of what is outside of its valid range: there, values are NaN. Only
+ * maplines_y_extrapolated says what can be said.
+ *
  * Standard deviations are norms of F^T J, with F a square root of the covariance and J the gradient
  * of what is asked for. A sum of squares is never negative; J^T P J in single precision may be.
  */
@@ -15,6 +18,9 @@
 #define ROOT_OF sqrt
 #endif
 
+#define RANGE_TOLERANCE ((maplines_real_t)0x1p-10) ///< of x, for its rounding [m]
+#define TIGHTEST_RADIUS 5                          ///< of a line: a car turns on 5 m [m]
+
 /// Gradient of a sum of lateral positions of one line with respect to its four parameters.
 typedef struct {
     maplines_real_t J[4];
@@ -27,6 +33,9 @@ typedef struct {
     maplines_real_t size[7 + 4 * MAPLINES_SLOTS];
     size_t count;
 } deviation_t;
+
+/// Nothing is known.
+static const maplines_estimate_t nothing = {(maplines_real_t)NAN, (maplines_real_t)NAN};
 
 static maplines_real_t slope_of(const maplines_gaussian_t *gaussian)
 {
@@ -109,20 +118,37 @@ static maplines_real_t sigma_of(const deviation_t *deviation, size_t n)
     return sigma >= 0 ? sigma : (maplines_real_t)INFINITY;
 }
 
-maplines_real_t maplines_y(const maplines_line_t *line, maplines_real_t x)
+bool maplines_is_valid_at(const maplines_line_t *line, maplines_real_t x)
 {
-    return lateral_of(&line->gaussian, slope_of(&line->gaussian), x);
+    return x >= line->x_min - RANGE_TOLERANCE && x <= line->x_max + RANGE_TOLERANCE;
 }
 
-static maplines_estimate_t sum_of(const maplines_gaussian_t *gaussian, size_t count,
+MAPLINES_INTERNAL maplines_real_t maplines_cubic_at(const maplines_gaussian_t *gaussian,
+                                                    maplines_real_t x)
+{
+    return lateral_of(gaussian, slope_of(gaussian), x);
+}
+
+maplines_real_t maplines_y(const maplines_line_t *line, maplines_real_t x)
+{
+    return maplines_is_valid_at(line, x) ? maplines_cubic_at(&line->gaussian, x) : nothing.value;
+}
+
+/// Sum of lateral positions of a line; its slot in the terms does not matter.
+static maplines_estimate_t sum_of(const maplines_line_t *line, size_t count,
                                   const maplines_term_t *terms)
 {
+    const maplines_gaussian_t *gaussian = &line->gaussian;
     maplines_estimate_t sum = {0, 0};
     gradient_t gradient = {{0}, {0}};
     deviation_t deviation = {{0}, {0}, 4};
     const maplines_real_t slope = slope_of(gaussian);
     for (size_t i = 0; i < count; ++i)
     {
+        if (!maplines_is_valid_at(line, terms[i].x))
+        {
+            return nothing;
+        }
         sum.value += terms[i].weight * lateral_of(gaussian, slope, terms[i].x);
         add_gradient(slope, terms[i].x, terms[i].weight, &gradient);
     }
@@ -134,7 +160,7 @@ static maplines_estimate_t sum_of(const maplines_gaussian_t *gaussian, size_t co
 maplines_real_t maplines_y_sigma(const maplines_line_t *line, maplines_real_t x)
 {
     const maplines_term_t term = {line->slot, x, 1};
-    return sum_of(&line->gaussian, 1, &term).sigma;
+    return sum_of(line, 1, &term).sigma;
 }
 
 maplines_estimate_t maplines_slope(const maplines_line_t *line, maplines_real_t x,
@@ -143,7 +169,7 @@ maplines_estimate_t maplines_slope(const maplines_line_t *line, maplines_real_t 
     const maplines_real_t weight = 1 / distance;
     const maplines_term_t terms[2] = {{line->slot, x - distance / 2, -weight},
                                       {line->slot, x + distance / 2, weight}};
-    return sum_of(&line->gaussian, 2, terms);
+    return sum_of(line, 2, terms);
 }
 
 maplines_estimate_t maplines_curvature(const maplines_line_t *line, maplines_real_t x,
@@ -154,7 +180,68 @@ maplines_estimate_t maplines_curvature(const maplines_line_t *line, maplines_rea
     const maplines_term_t terms[3] = {{line->slot, x - half, weight},
                                       {line->slot, x, -2 * weight},
                                       {line->slot, x + half, weight}};
-    return sum_of(&line->gaussian, 3, terms);
+    return sum_of(line, 3, terms);
+}
+
+/// Standard deviation of J^T p, with p the parameters.
+static maplines_real_t sigma_along(const maplines_gaussian_t *gaussian, const maplines_real_t J[4])
+{
+    gradient_t gradient;
+    deviation_t deviation = {{0}, {0}, 4};
+    for (int i = 0; i < 4; ++i)
+    {
+        gradient.J[i] = J[i];
+        gradient.size[i] = J[i] < 0 ? -J[i] : J[i];
+    }
+    add_rows(&gaussian->factor[0][0], 4, &gradient, deviation.g, deviation.size);
+    return sigma_of(&deviation, 1);
+}
+
+/// Lateral position at x beyond an end of the range.
+///
+/// The mean goes on with the second derivative that it has at the end. The standard deviations of
+/// position, slope and second derivative at the end add up, whatever their correlations, so that
+/// the sum increases with the distance d. The shape of a cubic says nothing of what comes: a road
+/// may turn at once. A curvature that differs by k moves the line by k (1 + slope^2)^(3/2) d^2 / 2;
+/// the tightest turn of a car counts as three standard deviations.
+static maplines_estimate_t position_beyond(const maplines_gaussian_t *gaussian, maplines_real_t end,
+                                           maplines_real_t x)
+{
+    const maplines_real_t *mean = gaussian->mean;
+    const maplines_real_t tangent = slope_of(gaussian);
+    const maplines_real_t square = 1 + tangent * tangent;
+    const maplines_real_t J[3][4] = {
+        {1, square * end, end * end / 2, end * end * end / 6}, // position
+        {0, square, end, end * end / 2},                       // slope
+        {0, 0, 1, end},                                        // second derivative
+    };
+    const maplines_real_t slope = tangent + end * (mean[2] + end * mean[3] / 2);
+    const maplines_real_t bend = mean[2] + end * mean[3];
+    const maplines_real_t step = x - end;
+    const maplines_real_t d = step < 0 ? -step : step;
+    const maplines_real_t steeper = 1 + slope * slope;
+    const maplines_real_t turn = steeper * ROOT_OF(steeper) / (3 * TIGHTEST_RADIUS);
+    const maplines_real_t value =
+        lateral_of(gaussian, tangent, end) + step * (slope + step * bend / 2);
+    const maplines_real_t sigma =
+        sigma_along(gaussian, J[0]) +
+        d * (sigma_along(gaussian, J[1]) + d / 2 * (sigma_along(gaussian, J[2]) + turn));
+    return (maplines_estimate_t){value, sigma >= 0 ? sigma : (maplines_real_t)INFINITY};
+}
+
+maplines_estimate_t maplines_y_extrapolated(const maplines_line_t *line, maplines_real_t x)
+{
+    const bool is_finite = x - x == 0;
+    const maplines_term_t term = {line->slot, x, 1};
+    if (is_finite && x < line->x_min)
+    {
+        return position_beyond(&line->gaussian, line->x_min, x);
+    }
+    if (is_finite && x > line->x_max)
+    {
+        return position_beyond(&line->gaussian, line->x_max, x);
+    }
+    return sum_of(line, 1, &term);
 }
 
 void maplines_covariance(const maplines_gaussian_t *gaussian, maplines_real_t covariance[4][4])
@@ -189,6 +276,10 @@ maplines_real_t maplines_mahalanobis(const maplines_line_t *line, size_t count,
     {
         gradient_t gradient = {{0}, {0}};
         deviation_t deviation = {{0}, {0}, 4};
+        if (!maplines_is_valid_at(line, positions[i].x))
+        {
+            return nothing.value;
+        }
         add_gradient(slope, positions[i].x, 1, &gradient);
         add_rows(&line->gaussian.factor[0][0], 4, &gradient, deviation.g, deviation.size);
         for (size_t k = 0; k < 4; ++k)
@@ -244,11 +335,11 @@ bool maplines_sum(const maplines_scene_t *scene, size_t count, const maplines_te
 {
     gradient_t gradients[MAPLINES_SLOTS] = {{{0}, {0}}};
     maplines_real_t value = 0;
-    *sum = (maplines_estimate_t){0, (maplines_real_t)INFINITY};
+    *sum = nothing;
     for (size_t i = 0; i < count; ++i)
     {
         const size_t place = place_in_scene(scene, terms[i].slot);
-        if (place == scene->count)
+        if (place == scene->count || !maplines_is_valid_at(&scene->lines[place], terms[i].x))
         {
             return false;
         }

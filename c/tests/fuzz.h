@@ -128,8 +128,10 @@ static inline void check_line(const maplines_line_t *line)
         }
         REQUIRE(!is_zero); // each variance is positive
     }
+    const maplines_real_t y = maplines_y(line, 40);
     const maplines_real_t sigma = maplines_y_sigma(line, 40);
-    REQUIRE(sigma > 0 || !is_a_number(maplines_y(line, 40)));
+    REQUIRE(sigma > 0 || !is_a_number(y));
+    REQUIRE(maplines_is_valid_at(line, 40) || (y != y && sigma != sigma));
 }
 
 /* ---- a MAC for DBCs with an authenticated message ---- */

@@ -151,9 +151,11 @@ static void sealed_record(maplines_decoder_t *decoder, input_t *input, int64_t t
 
 /* ---- what a function of the car computes with lines ---- */
 
-static void check_estimate(maplines_estimate_t estimate)
+/// What is known has a standard deviation; what a line says nothing of is NaN.
+static void check_estimate(maplines_estimate_t estimate, bool is_known)
 {
-    REQUIRE(estimate.sigma >= 0);
+    REQUIRE(is_known ? estimate.sigma >= 0
+                     : estimate.value != estimate.value && estimate.sigma != estimate.sigma);
 }
 
 /// What holds for a Gaussian that is predicted, however far: rounding may leave no variance.
@@ -230,19 +232,26 @@ static void use_line(const maplines_decoder_t *decoder, input_t *input, const ma
 {
     maplines_position_t positions[MAPLINES_MAX_POSITIONS];
     const size_t count = next(input) % (MAPLINES_MAX_POSITIONS + 1U);
+    bool are_inside = true;
     const maplines_real_t x = next_real(input, 20);
     const maplines_real_t distance = next_real(input, 20);
-    check_estimate((maplines_estimate_t){maplines_y(line, x), maplines_y_sigma(line, x)});
-    check_estimate(maplines_slope(line, x, distance));
-    check_estimate(maplines_curvature(line, x, distance));
+    const bool are_valid = maplines_is_valid_at(line, x - distance / 2) &&
+                           maplines_is_valid_at(line, x + distance / 2);
+    check_estimate((maplines_estimate_t){maplines_y(line, x), maplines_y_sigma(line, x)},
+                   maplines_is_valid_at(line, x));
+    check_estimate(maplines_y_extrapolated(line, x), is_a_number(x));
+    check_estimate(maplines_slope(line, x, distance), are_valid);
+    check_estimate(maplines_curvature(line, x, distance), are_valid);
     check_gaussian(&line->gaussian);
     for (size_t i = 0; i < count; ++i)
     {
         positions[i].x = next_real(input, 20);
         positions[i].y = next_real(input, 2);
         positions[i].sigma = next_real(input, 0.1);
+        are_inside = are_inside && maplines_is_valid_at(line, positions[i].x);
     }
-    REQUIRE(maplines_mahalanobis(line, count, positions) >= 0);
+    const maplines_real_t away = maplines_mahalanobis(line, count, positions);
+    REQUIRE(are_inside ? away >= 0 : away != away);
     predict(decoder, input, line, t_ns);
 }
 
@@ -264,7 +273,8 @@ static void use_scene(const maplines_decoder_t *decoder, input_t *input,
             is_any ? (maplines_owner_t)(place % 12U) : scene->lines[place % scene->count].slot;
         terms[i] = (maplines_term_t){slots[i], next_real(input, 20), next_real(input, 0.5)};
     }
-    check_estimate((maplines_sum(scene, count, terms, &estimate), estimate));
+    const bool is_known = maplines_sum(scene, count, terms, &estimate);
+    check_estimate(estimate, is_known);
     if (maplines_joint_covariance(scene, count, slots, covariance))
     {
         for (size_t i = 0; i < 4 * count; ++i)
@@ -277,9 +287,9 @@ static void use_scene(const maplines_decoder_t *decoder, input_t *input,
         REQUIRE(x_min <= x_max);
         const maplines_owner_t last = slots[count - 1];
         REQUIRE(maplines_width(scene, slots[0], last, x_min, &estimate));
-        check_estimate(estimate);
+        check_estimate(estimate, true);
         REQUIRE(maplines_centre(scene, slots[0], last, x_max, &estimate));
-        check_estimate(estimate);
+        check_estimate(estimate, true);
         use_line(decoder, input, maplines_scene_line(scene, last), t_ns);
     }
 }

@@ -95,7 +95,7 @@ static int64_t integer(const row_t *row, size_t i)
     return (int64_t)strtoll(word(row, i), NULL, 10);
 }
 
-/// Floating-point number, such as 0x1.8p+0 or inf.
+/// Floating-point number, such as 0x1.8p+0, inf or nan.
 static double number(const row_t *row, size_t i)
 {
     return strtod(word(row, i), NULL);
@@ -125,8 +125,10 @@ static void check_number(run_t *run, double got, double scale, double tolerance,
                          size_t i, const char *what)
 {
     const double expected = number(row, i);
-    const bool is_right =
-        isinf(expected) ? isinf(got) : fabs(got - expected) <= tolerance * (fabs(expected) + scale);
+    const bool is_right = isfinite(expected)
+                              ? fabs(got - expected) <= tolerance * (fabs(expected) + scale)
+                              : (isnan(expected) != 0) == (isnan(got) != 0) &&
+                                    (isinf(expected) != 0) == (isinf(got) != 0);
     check(run, is_right, what, word(row, i));
 }
 
@@ -378,12 +380,14 @@ static void check_sigma(run_t *run, double x, double spread, const row_t *row, s
     const double expected = number(row, i);
     const double more = (got - expected) * (got + expected);
     const double scale = spread * spread;
-    const bool is_right =
-        more >= -SUM_TOLERANCE * scale && more <= (SUM_TOLERANCE + MAX_WIDENING) * scale;
+    const bool is_right = isnan(expected) ? isnan(got) != 0
+                                          : more >= -SUM_TOLERANCE * scale &&
+                                                more <= (SUM_TOLERANCE + MAX_WIDENING) * scale;
     check(run, is_right, "a sigma", word(row, i));
 }
 
-/// The lateral positions, or their standard deviations, at 0, 20, 40 and 80 m.
+/// The lateral positions, or their standard deviations, at 0, 20, 40 and 80 m; NaN outside of the
+/// range.
 static void lateral(run_t *run, const row_t *row, bool is_sigma)
 {
     static const double places[] = {0, 20, 40, 80};

@@ -67,6 +67,8 @@ static void use_line(void)
         write_f64((double)maplines_y_sigma(&line, x));
         write_estimate(maplines_slope(&line, x, 10));
         write_estimate(maplines_curvature(&line, x, 10));
+        write_estimate(maplines_y_extrapolated(&line, x));
+        write_u8(maplines_is_valid_at(&line, x));
     }
     maplines_real_t covariance[4][4];
     maplines_covariance(&line.gaussian, covariance);

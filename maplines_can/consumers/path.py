@@ -10,7 +10,7 @@ from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 
 from ..values.gaussian import Gaussian
-from ..values.line import MapLine, Slot, lateral_jacobian
+from ..values.line import MapLine, Slot, lateral, lateral_jacobian
 from ..values.map_error import MapError
 from ..values.scene import Scene
 from ..values.seen_lines import SeenLines, bases
@@ -117,7 +117,7 @@ def path_beside(
     norm = np.hypot(1.0, slope)
     rest_bend = np.where(inside == x, rest.deriv(2)(inside), 0.0)
     bend = (c0 + c1 * x + rest_bend) / norm**3
-    y = line.y(x) + rest(inside) + rest_slope * (x - inside)
+    y = lateral(line.gaussian.mean, x) + rest(inside) + rest_slope * (x - inside)
     tangent = np.column_stack([1 / norm, slope / norm])
     normal = tangent[:, ::-1] * [-1.0, 1.0]
     points = np.column_stack([x, y]) + distance * normal
@@ -168,7 +168,8 @@ def lane_path(
     Args:
         scene: lines.
         displacement: of the car since the scene, see ``path_beside``.
-        width: of the lane, if it is known from an earlier scene with both boundaries [m].
+        width: of the lane, if it is known from an earlier scene with both boundaries [m]. It counts
+            where this one has not both at one place.
         route: slot of a line to follow itself, instead of the lane.
 
     Returns:
@@ -188,7 +189,8 @@ def lane_path(
         return (beside(route, 0.0) if route in given else None), width
     ego = [slot for slot in (Slot.EGO_LEFT, Slot.EGO_RIGHT) if slot in given]
     if len(ego) == 2:
-        width = width_of(scene)
+        here = width_of(scene)
+        width = width if here is None else here
     if width is None or not WIDTHS[0] <= width <= WIDTHS[1]:
         return None, None
     sides = {Slot.EGO_LEFT: -width / 2, Slot.EGO_RIGHT: width / 2}
@@ -205,10 +207,15 @@ def _offset_and_heading(scene: Scene, i: int) -> NDArray[np.float64]:
     return np.asarray(J @ J.T)
 
 
-def width_of(scene: Scene) -> float:
-    """Return the width of the ego lane where both boundaries are seen, nearest to the car [m]."""
+def width_of(scene: Scene) -> float | None:
+    """Return the width of the ego lane where both boundaries are seen, nearest to the car [m].
+
+    It is None if their ranges have nothing in common.
+    """
     low, high = scene.x_range((Slot.EGO_LEFT, Slot.EGO_RIGHT))
-    x = min(max(low, 0.0), max(high, 0.0))
+    if low > high:
+        return None
+    x = min(max(low, 0.0), high)
     across = float(scene.width(x).value)
     means = [scene.line(slot).gaussian.mean for slot in (Slot.EGO_LEFT, Slot.EGO_RIGHT)]
     slope = np.mean([np.tan(beta) + x * (c0 + x * c1 / 2) for _, beta, c0, c1 in means])

@@ -238,13 +238,20 @@ def _line(line: MapLine) -> dict[str, Any]:
 
 
 def _lateral(line: MapLine, x: float) -> float:
-    """Return the lateral position at x: ``MapLine.y``, the same on any machine."""
+    """Return the lateral position at x: ``MapLine.y``, the same on any machine.
+
+    It is NaN outside of the range, as is its standard deviation.
+    """
+    if not line.is_valid_at(x):
+        return math.nan
     y_off, beta, c0, c1 = line.gaussian.mean.tolist()
     return float(y_off + x * float(tan(beta)) + x * x / 2 * c0 + x * x * x / 6 * c1)
 
 
 def _lateral_sigma(line: MapLine, x: float) -> float:
     """Return the standard deviation of it: ``MapLine.y_sigma``, the same on any machine."""
+    if not line.is_valid_at(x):
+        return math.nan
     slope = float(tan(line.gaussian.mean[1]))
     J = (1.0, x * (1 + slope * slope), x * x / 2, x * x * x / 6)
     variance = 0.0
@@ -260,7 +267,7 @@ def _upper(cov: Any) -> list[float]:
 
 
 def _numbers(values: Iterable[float]) -> dict[str, list[Any]]:
-    """Return floating-point numbers in both notations; JSON has no infinite decimal."""
+    """Return floating-point numbers in both notations; JSON has only finite decimals."""
     numbers = [float(value) for value in values]
     return {
         "hex": [_hex(value) for value in numbers],
@@ -271,8 +278,8 @@ def _numbers(values: Iterable[float]) -> dict[str, list[Any]]:
 def _hex(value: float) -> str:
     """Return a number as C reads and writes it, without zeros at its end.
 
-    >>> _hex(1.5), _hex(0.0), _hex(math.inf), _hex(-1.0)
-    ('0x1.8p+0', '0x0p+0', 'inf', '-0x1p+0')
+    >>> _hex(1.5), _hex(0.0), _hex(math.inf), _hex(-1.0), _hex(math.nan)
+    ('0x1.8p+0', '0x0p+0', 'inf', '-0x1p+0', 'nan')
     """
     mantissa, p, exponent = value.hex().partition("p")
     return f"{mantissa.rstrip('0').rstrip('.') if '.' in mantissa else mantissa}{p}{exponent}"

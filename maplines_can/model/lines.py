@@ -108,6 +108,31 @@ def lateral_variance(slope: float, cov: Matrix, x: float) -> float:
     return Vector(row @ column for column in cov.T) @ row
 
 
+#: Radius of the tightest turn of a car: a line may turn so beyond its range [m].
+TIGHTEST_RADIUS = 5.0
+
+
+def y_beyond(mean: Vector, cov: Matrix, end: float, x: float) -> tuple[float, float]:
+    """Return the lateral position at x beyond an end of the range, and its standard deviation [m].
+
+    The mean goes on with its second derivative at the end. The standard deviations of position,
+    slope and second derivative there add up; a turn of ``TIGHTEST_RADIUS`` counts as three.
+    """
+    tangent = tan(mean[1])
+    position = lateral_row(tangent, end)
+    slope = Vector([0.0, 1 + tangent * tangent, end, end * end / 2])
+    bend = Vector([0.0, 0.0, 1.0, end])
+    s_y, s_m, s_k = (
+        math.sqrt(max(0.0, Vector(row @ column for column in cov.T) @ row))
+        for row in (position, slope, bend)
+    )
+    m, k = tangent + end * mean[2] + end * end / 2 * mean[3], bend @ mean
+    y, d = y_of(mean, tangent, end), abs(x - end)
+    turn = (1 + m * m) ** 1.5 / TIGHTEST_RADIUS / 3
+    value = y + (x - end) * m + (x - end) ** 2 / 2 * k
+    return value, s_y + s_m * d + (s_k + turn) * d * d / 2
+
+
 def points_of(curve: Curve) -> Points:
     """Return 16 points of a line; y is NaN if it points backwards."""
     beta = curve.mean[1]

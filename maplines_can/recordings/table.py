@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..bus.log_summary import LogSummary
 from ..values.errors import MissingExtraError, missing_extra
-from ..values.line import PARAMETERS, Kind, Slot, Status, lateral, lateral_jacobian
+from ..values.line import PARAMETERS, Kind, Slot, Status, are_within, lateral, lateral_jacobian
 from ..wire import E2EState
 from ..wire.reasons import Reason
 from .blocks import FrameBlock
@@ -179,7 +179,7 @@ def line_table(
         columns[f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}"] = cov[:, i, j]
     for x in xs:
         y, sigma = position(mean, cov, x)
-        is_in = (columns["x_min"] <= x) & (x <= columns["x_max"])
+        is_in = are_within(columns["x_min"], columns["x_max"], x)
         columns[f"y{x:g}"] = np.where(is_in, y, np.nan)
         columns[f"sigma{x:g}"] = np.where(is_in, sigma, np.nan)
     of_scenes = _scene_table(block, xs, named) if scenes else Table({})
@@ -248,7 +248,10 @@ def _is_at(name: str) -> bool:
 
 
 def position(mean: Array, cov: Array, x: float) -> tuple[Array, Array]:
-    """Return the positions of lines at x [m] and their standard deviations, to first order."""
+    """Return the positions of cubics at x [m] and their standard deviations, to first order.
+
+    Those of lines are valid in the range of each.
+    """
     J = lateral_jacobian(mean, x)
     return lateral(mean, x), np.sqrt(np.einsum("ni,nij,nj->n", J, cov, J).clip(0))
 
@@ -319,5 +322,5 @@ def _combined(
         [weight * lateral_jacobian(mean[:, i], x) for i, weight in enumerate(weights)], axis=1
     )
     sigma = np.sqrt(np.einsum("ni,nij,nj->n", J, cov, J).clip(0))
-    is_in = (x_min <= x) & (x <= x_max)
+    is_in = are_within(x_min, x_max, x)
     return np.where(is_in, value, np.nan), np.where(is_in, sigma, np.nan)

@@ -6,12 +6,12 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core import lib
+from ..core import ffi, lib
 from ..core.memory import pointer
 from .arrays import floats, is_plain
 from .errors import IllPosedError
@@ -29,6 +29,8 @@ VAGUE_SIGMA = (1000.0, 10.0, 10.0, 10.0)
 MIN_RANGE = 1.0
 #: Largest finite age [s]; still finite as a float in nanoseconds.
 MAX_AGE = 1e99
+#: Distance from the valid range at which x still counts as in it, for its rounding [m].
+RANGE_TOLERANCE = 2.0**-10
 
 
 class Slot(IntEnum):
@@ -81,12 +83,20 @@ class LeftOut(StrEnum):
     COVARIANCE = "no covariance of the message covers the line"
 
 
+class Estimate(NamedTuple):
+    """A quantity with its standard deviation, in the same unit."""
+
+    value: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+
+
 @dataclass(frozen=True, eq=False)
 class MapLine:
     """One map line in the ego frame: a Gaussian over the parameters of a cubic.
 
     The line is ``l(x) = y_off + tan(beta) x + c0/2 x^2 + c1/6 x^3`` (Map Line Interface, eq. 1), x
-    forward and y to the left (ISO 8855), for x in [x_min, x_max].
+    forward and y to the left (ISO 8855), for x in [x_min, x_max]. Outside of this range the line
+    says nothing: ``y`` and ``y_sigma`` are NaN. 1 mm is allowed for the rounding of x.
 
     Args:
         slot: identity of the line around the car.
@@ -204,20 +214,74 @@ class MapLine:
         """
         return self.status is not Status.OUT_OF_RANGE and math.isfinite(self.age)
 
+    def is_valid_at(self, x: ArrayLike) -> NDArray[np.bool_]:
+        """Return the (...,) answers whether x is in the valid range [m]; False for NaN.
+
+        >>> line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0], x_max=12.0)
+        >>> line.is_valid_at([0.0, 12.0, 40.0])
+        array([ True,  True, False])
+        """
+        return are_within(self.x_min, self.x_max, floats(x, "x"))
+
     def y(self, x: ArrayLike) -> NDArray[np.float64]:
-        """Return the (...,) lateral position of the mean line at x [m]."""
+        """Return the (...,) lateral position of the mean line at x [m]; NaN outside of its range.
+
+        >>> line = MapLine.with_sigma(Slot.EGO_LEFT, [1.75, 0, 0, 0], [0.1, 0, 0, 0], x_max=12.0)
+        >>> line.y([12.0, 40.0]), line.y_sigma(40.0)
+        (array([1.75,  nan]), np.float64(nan))
+        """
         if is_plain(x):  # without arrays
+            if not are_within(self.x_min, self.x_max, x):
+                return np.float64(math.nan)  # type: ignore[return-value]
             return np.float64(lib.maplines_line_y(*self.gaussian.mean.tolist(), x))  # type: ignore[return-value]
-        return lateral(self.gaussian.mean, x)
+        return np.where(self.is_valid_at(x), lateral(self.gaussian.mean, x), math.nan)[()]
 
     def y_sigma(self, x: ArrayLike) -> NDArray[np.float64]:
-        """Return the (...,) standard deviation of the lateral position at x [m], to first order."""
+        """Return the (...,) standard deviation of the lateral position at x [m], to first order.
+
+        It is NaN outside of the valid range.
+        """
         if is_plain(x):
+            if not are_within(self.x_min, self.x_max, x):
+                return np.float64(math.nan)  # type: ignore[return-value]
             cov = pointer(np.ascontiguousarray(self.gaussian.cov))
             return np.float64(lib.maplines_line_sigma(self.gaussian.mean.item(1), cov, x))  # type: ignore[return-value]
         J = lateral_jacobian(self.gaussian.mean, x)
         with np.errstate(over="ignore", invalid="ignore"):
-            return np.sqrt(np.einsum("...i,ij,...j->...", J, self.gaussian.cov, J).clip(0))
+            sigma = np.sqrt(np.einsum("...i,ij,...j->...", J, self.gaussian.cov, J).clip(0))
+        return np.where(self.is_valid_at(x), sigma, math.nan)[()]
+
+    def y_extrapolated(self, x: ArrayLike) -> Estimate:
+        """Return the (...,) lateral position at any finite x [m], and what is known of it.
+
+        In the valid range it is ``y`` with its standard deviation. At a distance of d beyond an
+        end, the mean goes on with its second derivative at the end. The standard deviations there
+        of position, slope and second derivative, s_y, s_m and s_k, add up, and the road may turn as
+        tightly as a car can, on a radius of 5 m, which counts as three standard deviations:
+
+            sigma = s_y + s_m d + (s_k + (1 + slope^2)^(3/2) / (3 * 5 m)) d^2 / 2
+
+        It increases with d. Of lines of real maps, 0.2 % are more than three of it off, and 1.0 %
+        of those that end where a cubic no longer follows the road, as before a corner: up to 2 % at
+        5 m. A line that turns to the side and is no function of x there is not counted. It is NaN
+        if x is not finite.
+
+        >>> line = MapLine.with_sigma(Slot.EGO_LEFT, [1.75, 0, 0, 0], [0.1, 0, 0, 0], x_max=12.0)
+        >>> line.y_extrapolated([0.0, 12.0, 22.0, 40.0]).sigma.round(2)
+        array([ 0.1 ,  0.1 ,  3.43, 26.23])
+        """
+        given = floats(x, "x")
+        mean, root = self.gaussian.mean.tolist(), self.gaussian.root.tolist()
+        ends = {"x_min": self.x_min, "x_max": self.x_max}
+        line = ffi.new("maplines_line_t *", {"gaussian": {"mean": mean, "factor": root}, **ends})
+        y, sigma = np.empty(given.shape), np.empty(given.shape)
+        arrays = map(pointer, (np.ascontiguousarray(given), y, sigma))
+        lib.maplines_extrapolate(line, given.size, *arrays)
+        is_inside = (self.x_min <= given) & (given <= self.x_max)
+        return Estimate(
+            np.where(is_inside, self.y(given), y)[()],
+            np.where(is_inside, self.y_sigma(given), sigma)[()],
+        )
 
 
 def aged(line: MapLine, age: float) -> MapLine:
@@ -250,11 +314,17 @@ def age_error(age: object) -> ValueError:
     )
 
 
+def are_within(x_min: Any, x_max: Any, x: Any) -> Any:
+    """Return whether x is in a range, up to ``RANGE_TOLERANCE`` [m]; for floats or arrays."""
+    return (x >= x_min - RANGE_TOLERANCE) & (x <= x_max + RANGE_TOLERANCE)
+
+
 @np.errstate(over="ignore", invalid="ignore")
 def lateral(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
-    """Return the lateral position l(x) of lines [m] (Map Line Interface, eq. 1).
+    """Return the value l(x) of cubics at any x [m] (Map Line Interface, eq. 1).
 
-    The result is infinite or NaN where x is, and on overflow; there is no warning.
+    They have no range, unlike a ``MapLine``: for fits, and for places known to be in it. The result
+    is infinite or NaN where x is, and on overflow; there is no warning.
 
     Args:
         parameters: (..., 4) lines [m, rad, 1/m, 1/m^2].

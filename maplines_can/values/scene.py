@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from .arrays import floats
 from .gaussian import Gaussian
 from .linalg import block_diagonal, is_covariance, positive_part
-from .line import PARAMETERS, LeftOut, MapLine, Slot, lateral, lateral_jacobian
+from .line import PARAMETERS, Estimate, LeftOut, MapLine, Slot, lateral, lateral_jacobian
 from .map_error import MapError
 from .seen_lines import SeenLines, bases
 
@@ -54,13 +54,6 @@ class Conditional(NamedTuple):
 
     J: NDArray[np.float64]  #: (4 L, 3) derivatives with respect to along, across and heading
     cov: NDArray[np.float64]  #: (4 L, 4 L) of the lines if the pose error is known
-
-
-class Estimate(NamedTuple):
-    """A quantity with its standard deviation, in the same unit."""
-
-    value: NDArray[np.float64]
-    sigma: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,18 +243,25 @@ class Scene:
     def lateral(self, weights: Mapping[Slot, float], x: ArrayLike) -> Estimate:
         """Return the weighted sum of the lateral positions of lines at (...,) x [m].
 
-        The standard deviation is to first order. x should be in the valid ranges of the lines.
+        The standard deviation is to first order. Both are NaN where x is not in the valid ranges of
+        all of these lines.
         """
         x = floats(x, "x")
         value = np.zeros(x.shape)
+        is_valid = np.full(x.shape, True)
         J = np.zeros((*x.shape, N * len(self.lines)))
         for slot, weight in weights.items():
             i = self._place(slot)
             mean = self.lines[i].gaussian.mean
+            is_valid &= self.lines[i].is_valid_at(x)
             value = value + weight * lateral(mean, x)
             J[..., N * i : N * i + N] = weight * lateral_jacobian(mean, x)
         variance = np.einsum("...i,ij,...j->...", J, self.cov, J)
-        return Estimate(np.asarray(value), np.sqrt(variance.clip(0)))
+        sigma = np.sqrt(variance.clip(0))
+        nothing = math.nan
+        return Estimate(
+            np.where(is_valid, value, nothing)[()], np.where(is_valid, sigma, nothing)[()]
+        )
 
     def width(
         self, x: ArrayLike, left: Slot = Slot.EGO_LEFT, right: Slot = Slot.EGO_RIGHT

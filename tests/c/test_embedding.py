@@ -74,6 +74,7 @@ def test_the_receiver_prints_what_python_receives(folder: Any, capsys: Any, more
         next_ns = frame.t_ns + 50_000_000
         left, lane = decoder.latest(Slot.EGO_LEFT, frame.t_ns), decoder.latest_scene(frame.t_ns)
         if left.usable and left.line:
+            assert left.line.is_valid_at(40.0)
             expected.append([40, left.line.y(40.0), left.line.y_sigma(40.0)])
         if lane.usable and lane.scene:
             expected.append([20, *lane.scene.width(20.0)])
@@ -113,6 +114,21 @@ def test_the_receiver_prints_from_the_seventh_record_on(built: Any, sent: Any) -
     """In the cycle after it, at 0.35 s."""
     rows, _ = received(built, sent)
     assert len(rows) == 20 - 7
+
+
+def test_the_receiver_says_where_a_line_ends(folder: Path) -> None:
+    """As the page says, of a line that ends at 12 m: no value at 40 m."""
+    source = folder / "sender.c"
+    given = source.read_text()
+    assert given.count(".x_max = 80") == 1
+    source.write_text(given.replace(".x_max = 80", ".x_max = 12"))
+    assert main(["generate", "c"]) == 0
+    build("sender")
+    build("receiver")
+    log = subprocess.run(["./sender"], stdout=-1, check=True, text=True).stdout
+    rows, _ = received(folder, log)
+    assert len(rows) == 20 - 7
+    assert set(rows) == set(re.findall(r"(?m)^(nothing at .*)$", PAGE))
 
 
 @pytest.mark.parametrize(

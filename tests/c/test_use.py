@@ -21,6 +21,8 @@ from maplines_can import (
     Status,
     predict_to,
 )
+from maplines_can.model.lines import y_beyond
+from maplines_can.model.matrices import Matrix, Vector, matrix
 from maplines_can.values.line import lateral_jacobian
 
 FLOAT = pytest.param(("-O2", "-DMAPLINES_FLOAT"), id="float")
@@ -121,6 +123,25 @@ def check_root(F: np.ndarray, expected: Gaussian, flags: tuple[str, ...], tolera
         assert values[0] <= 1 + rounding + 2.0**-24 * (3 * K + q)
 
 
+def places_of(line: MapLine) -> np.ndarray:
+    """Places in and about the range of a line: its ends, those of differences over 10 m, beyond."""
+    low, high = line.x_min, line.x_max
+    return np.array(
+        [
+            *X,
+            low,
+            high,
+            low + 5,
+            high - 5,
+            low - 0.0005,
+            high + 0.0005,
+            low - 3,
+            high + 28,
+            math.nan,
+        ]
+    )
+
+
 def exact_sigma(mean: np.ndarray, factor: np.ndarray, x: np.ndarray, weights: np.ndarray) -> float:
     """Standard deviation of a weighted sum in extended precision."""
     J = (weights[:, None] * lateral_jacobian(mean, x)).astype(np.longdouble).sum(axis=0)
@@ -134,22 +155,34 @@ def rounding(n: int, flags: tuple[str, ...]) -> float:
 
 @pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
 def test_quantities_of_a_line(flags: Any) -> None:
-    """Values are Python's; a sigma is not less than the exact one, and more by rounding only."""
+    """Values are Python's; a sigma is not less than the exact one, and more by rounding only.
+
+    Both are NaN if a place of the difference is outside of the range.
+    """
     rng = np.random.default_rng(1)
     lines = [random_line(rng) for _ in range(1000)]
-    data = b"".join(b"\0" + packed_line(line, F) + bytes([len(X)]) + packed(X) for line, F in lines)
+    data = b"".join(
+        b"\0" + packed_line(line, F) + bytes([len(places_of(line))]) + packed(places_of(line))
+        for line, F in lines
+    )
     out = ran(data, flags)
     tolerance = 1e-12 if flags == DOUBLE.values[0] else 3e-6
     sums = [(np.array([0.0]), np.array([1.0])), (np.array([-5.0, 5.0]), np.array([-0.1, 0.1]))]
     sums.append((np.array([-5.0, 0.0, 5.0]), np.array([0.04, -0.08, 0.04])))
     for line, F in lines:
         mean = line.gaussian.mean
-        for x in X:
+        for x in places_of(line):
             y, y_sigma, *rest = out.floats(6)
+            check_extrapolated(line, x, (y, y_sigma), out.floats(2), tolerance)
+            assert out.byte() == line.is_valid_at(x)
             for (value, sigma), (steps, weights) in zip(
                 [(y, y_sigma), rest[:2], rest[2:]], sums, strict=True
             ):
                 at = x + steps
+                if not line.is_valid_at(at).all():
+                    assert math.isnan(value)
+                    assert math.isnan(sigma)
+                    continue
                 J = np.abs(weights[:, None] * lateral_jacobian(mean, at)).sum(axis=0)
                 largest = np.abs(weights) @ np.abs(line.y(at)) + J @ np.abs(mean)
                 assert abs(value - weights @ line.y(at)) <= tolerance * largest
@@ -162,29 +195,45 @@ def test_quantities_of_a_line(flags: Any) -> None:
     assert out.ends()
 
 
+def check_extrapolated(line: MapLine, x: float, known: Any, found: Any, tolerance: float) -> None:
+    """In the range it is what the line says, beyond what the model says, to a share of its size."""
+    if not x < line.x_min and not x > line.x_max:
+        assert np.array_equal(found, known, equal_nan=True)
+        return
+    end = line.x_min if x < line.x_min else line.x_max
+    mean, cov = Vector(line.gaussian.mean.tolist()), matrix(line.gaussian.cov)
+    value, sigma = y_beyond(mean, cov, end, x)
+    none = Matrix([Vector([0.0] * 4)] * 4)
+    d = abs(x - end)
+    size = np.abs(mean) @ np.abs(
+        [1, abs(end) + d, (abs(end) + d) ** 2 / 2, (abs(end) + d) ** 3 / 6]
+    )
+    assert abs(found[0] - value) <= 10 * tolerance * size
+    assert sigma >= y_beyond(mean, none, end, x)[1]
+    assert found[1] == pytest.approx(sigma, rel=0.05 if tolerance > 1e-9 else 1e-6)
+
+
 @pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
 @pytest.mark.parametrize(
     ("mean", "factor", "x", "expected"),
     [
         pytest.param([0, 0, 0, 0], np.zeros((4, 4)), 40.0, 0.0, id="no-error"),
         pytest.param([0, 0, 0, 0], np.eye(4), 1e30, math.inf, id="beyond-single-precision"),
-        pytest.param([0, 0, 0, 0], np.eye(4), math.nan, math.inf, id="no-number"),
-        pytest.param([0, 0, 0, 0], np.eye(4), math.inf, math.inf, id="infinite"),
+        pytest.param([0, 0, 0, 0], np.eye(4), math.nan, math.nan, id="no-number"),
+        pytest.param([0, 0, 0, 0], np.eye(4), math.inf, math.nan, id="infinite"),
         pytest.param([0, 0, 0, 0], np.full((4, 4), math.inf), 40.0, math.inf, id="unknown"),
         pytest.param([0, 0, 0, 0], np.diag([1, 0, 0, 0]), 40.0, 1.0, id="offset-only"),
         pytest.param([math.nan, 0, 0, 0], np.eye(4), 0.0, 1.0, id="mean-is-no-number"),
     ],
 )
-def test_sigma_is_never_negative_and_always_a_number(
-    flags: Any, mean: Any, factor: Any, x: Any, expected: Any
-) -> None:
-    """Whatever is given: what is not known has an infinite sigma."""
-    head = bytes([0, 0, 1, 1]) + struct.pack("<q", 0) + packed(0, 0, 80, mean, factor)
+def test_sigma_is_never_negative(flags: Any, mean: Any, factor: Any, x: Any, expected: Any) -> None:
+    """Whatever is given: in the range, what is not known has an infinite sigma."""
+    head = bytes([0, 0, 1, 1]) + struct.pack("<q", 0) + packed(0, 0, 1e31, mean, factor)
     out = ran(head + b"\1" + packed(x), flags)
     sigma = out.floats(6)[1]
     if math.isinf(expected) and x == 1e30 and flags == DOUBLE.values[0]:
         expected = 1e90 / 6
-    assert sigma == pytest.approx(expected, rel=1e-5)
+    assert sigma == pytest.approx(expected, rel=1e-5, nan_ok=True)
 
 
 @pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
@@ -195,7 +244,8 @@ def test_mahalanobis_distance(flags: Any) -> None:
     for _ in range(300):
         line, F = random_line(rng)
         n = int(rng.integers(0, 9))
-        x, sigma = rng.uniform(0, 60, n), 10.0 ** rng.uniform(-2, 0, n)
+        x, sigma = rng.uniform(line.x_min, line.x_max, n), 10.0 ** rng.uniform(-2, 0, n)
+        x = single(x).clip(line.x_min, line.x_max)
         y = line.y(x) + rng.normal(size=n) * (sigma + line.y_sigma(x))
         cases.append((line, x, y, sigma))
         data += b"\1" + packed_line(line, F) + bytes([n]) + packed(np.column_stack([x, y, sigma]))
@@ -217,7 +267,10 @@ def test_mahalanobis_distance(flags: Any) -> None:
         pytest.param([(0, 0.5, 0.5)] * 8, np.zeros((4, 4)), math.sqrt(8), id="eight"),
         pytest.param([(0, 0.5, 0.5)] * 9, np.zeros((4, 4)), math.inf, id="too-many"),
         pytest.param([(0, math.nan, 0.5)], np.zeros((4, 4)), math.inf, id="no-number"),
-        pytest.param([(math.inf, 1, 0.5)], np.eye(4), math.inf, id="infinitely-far"),
+        pytest.param([(math.inf, 1, 0.5)], np.eye(4), math.nan, id="infinitely-far"),
+        pytest.param([(10, 0, 1), (81, 0, 1)], np.eye(4), math.nan, id="beyond-the-end"),
+        pytest.param([(-1, 0, 1), (10, 0, 1)], np.eye(4), math.nan, id="before-the-start"),
+        pytest.param([(math.nan, 0, 0)], np.eye(4), math.nan, id="nowhere"),
         pytest.param([(0, 1, math.nan)], np.eye(4), math.inf, id="sigma-no-number"),
         pytest.param([(0, 1, 1e-30)] * 2, np.eye(4), math.inf, id="one-position-twice"),
     ],
@@ -228,7 +281,7 @@ def test_mahalanobis_distance_of_some_positions(
     """From the line y = 0; without assertions, the result for too many is defined."""
     head = bytes([1, 0, 1, 1]) + struct.pack("<q", 0) + packed(0, 0, 80, np.zeros(4), factor)
     out = ran(head + bytes([len(positions)]) + packed(positions), ("-O0", "-DNDEBUG"))
-    assert out.floats(1)[0] == pytest.approx(expected, rel=1e-6)
+    assert out.floats(1)[0] == pytest.approx(expected, rel=1e-6, nan_ok=True)
 
 
 def random_scene(
@@ -265,7 +318,7 @@ def test_quantities_of_a_scene(flags: Any) -> None:
         for line, F, spread, specific in zip(scene.lines, factors, A, own, strict=True):
             data += packed_line(line, F) + packed(spread, specific)
         slots = [scene.lines[i].slot for i in rng.permutation(n)[: 1 + k % n]]
-        terms = [(slots[0], 10.0, 0.3), (slots[-1], 60.0, -1.5), (slots[0], 50.0, -0.2)]
+        terms = [(slots[0], 10.0, 0.3), (slots[-1], 30.0, -1.5), (slots[0], 25.0, -0.2)]
         data += bytes([len(terms)])
         for slot, x, weight in terms:
             data += bytes([slot]) + packed(x, weight)
@@ -273,24 +326,29 @@ def test_quantities_of_a_scene(flags: Any) -> None:
         cases.append((scene, slots, terms))
     out = ran(data, flags)
     tolerance = 1e-9 if flags == DOUBLE.values[0] else 1e-4
+    known = 0
     for scene, slots, terms in cases:
-        assert out.byte() == 1
+        is_known = all(scene.line(slot).is_valid_at(x) for slot, x, _ in terms)
+        assert out.byte() == is_known
+        known += is_known
         joint = scene.joint()
         J = np.zeros(len(joint.mean))
         value = np.zeros(())
         for slot, x, weight in terms:
             i = scene.index[slot]
-            value = value + weight * scene.line(slot).y(x)
+            value = value + weight * scene.line(slot).y(x)  # NaN beyond its range
             J[4 * i : 4 * i + 4] += weight * lateral_jacobian(scene.means[i], x)
-        sigma = math.sqrt(J @ scene.cov @ J)
+        sigma = math.sqrt(J @ scene.cov @ J) if is_known else math.nan
         assert out.floats(2) == pytest.approx(
-            [float(value), sigma], rel=tolerance, abs=tolerance * 10
+            [float(value), sigma], rel=tolerance, abs=tolerance * 10, nan_ok=True
         )
         for estimate in (scene.width, scene.centre):
             has_both = {Slot.EGO_LEFT, Slot.EGO_RIGHT} <= set(scene.index)
-            assert out.byte() == has_both
-            expected = map(float, estimate(40.0)) if has_both else (0.0, math.inf)
-            assert out.floats(2) == pytest.approx([*expected], rel=tolerance, abs=tolerance)
+            expected = [*map(float, estimate(40.0))] if has_both else [math.nan] * 2
+            assert out.byte() == math.isfinite(expected[1])
+            assert out.floats(2) == pytest.approx(
+                expected, rel=tolerance, abs=tolerance, nan_ok=True
+            )
         low, high = scene.x_range(slots)
         assert out.byte() == (low <= high)
         assert tuple(out.floats(2)) == (low, high)
@@ -301,16 +359,17 @@ def test_quantities_of_a_scene(flags: Any) -> None:
         assert (np.abs(covariance - joint_cov) <= tolerance * np.outer(scale, scale)).all()
         assert [out.byte() for _ in range(8)] == [slot in scene.index for slot in Slot]
     assert out.ends()
+    assert 20 < known < 180
 
 
 def test_a_scene_without_the_line() -> None:
-    """No quantity of a line that the scene does not have; its sigma says that nothing is known."""
+    """No quantity of a line that the scene does not have."""
     line = bytes([3, 1, 1]) + struct.pack("<q", 0) + packed(0, 0, 80, np.zeros(20), np.zeros(44))
     query = b"\1" + b"\0" + packed(0.0, 1.0) + b"\2\3\0" + packed(0.0)
     out = ran(b"\2\1" + line + query, ("-O2",))
     for _ in range(3):
         assert out.byte() == 0
-        assert tuple(out.floats(2)) == (0.0, math.inf)
+        assert np.isnan(out.floats(2)).all()
     assert out.byte() == 0
     out.floats(2)
     assert out.byte() == 0

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import re
 from collections import Counter
 from dataclasses import replace
@@ -135,7 +136,7 @@ def test_hexadecimal_and_decimal_numbers_are_the_same(dbc: str) -> None:
         for name in set(VALUES) & item.keys():
             pairs = zip(item[name]["hex"], item[name]["decimal"], strict=True)
             assert all(
-                float.fromhex(text) == (float("inf") if value is None else value)
+                text in ("inf", "nan") if value is None else float.fromhex(text) == value
                 for text, value in pairs
             )
 
@@ -163,9 +164,14 @@ def test_lateral_positions_are_those_of_the_line(dbc: str) -> None:
             mean, upper = (row[name]["decimal"] for name in ("mean", "cov"))
             cov = np.zeros((4, 4))
             cov[np.triu_indices(4)] = upper
-            line = MapLine(Slot.ROUTE, Gaussian(mean, cov + np.triu(cov, 1).T))
-            assert row["y"]["decimal"] == pytest.approx(line.y(PLACES), rel=1e-12)
-            assert row["sigma"]["decimal"] == pytest.approx(line.y_sigma(PLACES), rel=1e-6)
+            x_min, x_max = row["range"]["decimal"]
+            gaussian = Gaussian(mean, cov + np.triu(cov, 1).T)
+            line = MapLine(Slot.ROUTE, gaussian, x_min=x_min, x_max=x_max)
+            is_inside = [x_min <= x <= x_max for x in PLACES]
+            for name, values in (("y", line.y(PLACES)), ("sigma", line.y_sigma(PLACES))):
+                assert [text != "nan" for text in row[name]["hex"]] == is_inside
+                given = [math.nan if one is None else one for one in row[name]["decimal"]]
+                assert given == pytest.approx(values.tolist(), rel=1e-6, nan_ok=True)
 
 
 @pytest.mark.parametrize("dbc", SHIPPED)

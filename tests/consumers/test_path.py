@@ -13,6 +13,7 @@ from numpy.polynomial import Chebyshev
 from maplines_can import Gaussian, MapError, MapLine, Polyline, Scene, Slot, map_scene
 from maplines_can.consumers.path import MIN_SIGMA, Path, lane_path, mean_path, path_beside, width_of
 from maplines_can.simulation import STREETS
+from maplines_can.values.line import lateral
 
 LEFT, RIGHT = Slot.EGO_LEFT, Slot.EGO_RIGHT
 STILL = Gaussian(np.zeros(3), np.zeros((3, 3)))
@@ -200,7 +201,7 @@ class Parallel:
         slope = np.tan(beta) + c0 * x + c1 * x**2 / 2
         angle = np.arctan(slope)
         n = np.column_stack([-np.sin(angle), np.cos(angle)])
-        points = np.column_stack([x, given.y(x)]) + distance * n
+        points = np.column_stack([x, lateral(given.gaussian.mean, x)]) + distance * n
         dx, dy, turn = displacement.mean
         arm = points - [dx, dy]
         c, d = math.cos(turn), math.sin(turn)
@@ -330,7 +331,7 @@ def test_the_widths_of_lanes(width: float, found: bool) -> None:
 
 @given(st.floats(-0.3, 0.3), st.floats(-10, 40), st.floats(0, 10))
 def test_the_width_is_across_the_lane(angle: float, low: float, length: float) -> None:
-    """At the place where both lines are seen that is nearest to the car."""
+    """At the place where both lines are seen that is nearest to the car, also behind it."""
     high = low + length
     pair = (
         line([2.0, angle, 0.01, 0], LEFT, x_min=low, x_max=100.0),
@@ -339,9 +340,25 @@ def test_the_width_is_across_the_lane(angle: float, low: float, length: float) -
     scene = Scene(
         pair, np.kron(np.eye(2), COV), seen("exit").pose_error, np.array([[-100.0, 100.0]] * 2)
     )
-    x = min(max(low, 0.0), max(high, 0.0))
+    x = min(max(low, 0.0), high)
     slope = math.tan(angle) + 0.01 * x / 2
     assert width_of(scene) == pytest.approx((4 + 0.005 * x**2) / math.hypot(1, slope))
+
+
+def test_lines_that_are_nowhere_seen_together_have_no_width() -> None:
+    """That of an earlier scene counts: each line is followed in its own range."""
+    pair = (
+        line([1.75, 0, 0, 0], LEFT, x_min=-4.0, x_max=5.0),
+        line([-1.75, 0, 0, 0], RIGHT, x_min=5.5, x_max=40.0),
+    )
+    ranges, pose = np.array([[-4.0, 80.0]] * 2), seen("exit").pose_error
+    scene = Scene(pair, np.kron(np.eye(2), COV), pose, ranges)
+    assert width_of(scene) is None
+    assert lane_path(scene, STILL) == (None, None)
+    path, width = lane_path(scene, STILL, 3.5)
+    assert width == 3.5
+    assert path is not None
+    assert path.offset == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("name", ["roundabout-12m", "s-bend", "exit"])

@@ -100,7 +100,7 @@ def test_each_line_is_that_of_map_lines(transform: Any, error: Any) -> None:
     for line, expected in zip(scene.lines, map_lines(ROADS, EGO, **arguments), strict=True):
         assert line.slot is expected.slot
         assert np.allclose(line.gaussian.mean, expected.gaussian.mean, rtol=0, atol=1e-9)
-        x = np.linspace(-20, 80, 9)
+        x = np.linspace(-18.5, 78.5, 9)
         assert np.allclose(line.y_sigma(x), expected.y_sigma(x), rtol=2e-3)
         assert line.x_min == pytest.approx(expected.x_min, abs=1.5)
         assert line.x_max == pytest.approx(expected.x_max, abs=1.5)

@@ -58,7 +58,7 @@ def known(*displacement: Any) -> Any:
 
 
 def y_sigma(gaussian: Any, x: Any = X) -> Any:
-    return MapLine(Slot.EGO_LEFT, gaussian).y_sigma(x)
+    return MapLine(Slot.EGO_LEFT, gaussian, x_min=-100.0, x_max=200.0).y_sigma(x)
 
 
 def line_of_scene(name: Any, i: int = 0) -> Any:

@@ -10,9 +10,12 @@ from numpy.polynomial import Polynomial
 from scipy.optimize import brentq
 from strategies import covariances, mild_lines, motions
 
+from maplines_can.model.lines import y_beyond
+from maplines_can.model.matrices import Vector, matrix
 from maplines_can.values.errors import IllPosedError
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import (
+    RANGE_TOLERANCE,
     VAGUE_SIGMA,
     Kind,
     MapLine,
@@ -83,7 +86,7 @@ def test_y_sigma_is_the_spread_of_lines() -> None:
     R[0, 1] = R[1, 0] = -0.6
     R[2, 3] = R[3, 2] = 0.3
     gaussian = Gaussian([1.75, 0.1, 1e-3, 1e-6], R * np.outer(sigma, sigma))
-    line = MapLine(Slot.EGO_LEFT, gaussian)
+    line = MapLine(Slot.EGO_LEFT, gaussian, x_min=-20.0)
     drawn = lateral(gaussian.sample(n, seed=1)[:, None], X)
 
     assert (np.abs(drawn.std(axis=0) / line.y_sigma(X) - 1) <= 5 / np.sqrt(2 * n)).all()
@@ -93,7 +96,7 @@ def test_y_sigma_is_the_spread_of_lines() -> None:
 @given(mild_lines(), covariances(), st.floats(-200, 200) | st.integers(-200, 200))
 def test_one_x_is_as_one_of_many(mean: Any, cov: Any, x: float) -> None:
     """One number is computed without arrays; the result is of the same class as that of NumPy."""
-    line = MapLine(Slot.EGO_LEFT, Gaussian(mean, cov))
+    line = MapLine(Slot.EGO_LEFT, Gaussian(mean, cov), x_min=-200.0, x_max=200.0)
     J = lateral_jacobian(mean, x)
     rounding = 1e-14 * (np.abs(J) @ np.abs(cov) @ np.abs(J))
 
@@ -108,10 +111,79 @@ def test_y_sigma_is_zero_at_a_fixed_point(root: Any, x: float) -> None:
     """A line that rotates about one of its points: rounding gives no negative variance there."""
     u = np.array([0.0, *root * np.array([0.1, 1e-3, 1e-5])])
     u[0] = -lateral_jacobian(np.zeros(4), x) @ u
-    line = MapLine(Slot.EGO_LEFT, Gaussian(np.zeros(4), np.outer(u, u)))
+    line = MapLine(Slot.EGO_LEFT, Gaussian(np.zeros(4), np.outer(u, u)), x_min=-20.0)
 
     assert line.y_sigma(x) <= 1e-6
     assert np.allclose(line.y_sigma(X), np.abs(lateral_jacobian(np.zeros(4), X) @ u), atol=1e-6)
+
+
+RANGES = st.tuples(st.floats(-100, 100), st.floats(0, 100)).map(lambda r: (r[0], r[0] + r[1]))
+
+
+@given(mild_lines(), covariances(), RANGES, st.floats(-300, 300))
+def test_a_line_says_nothing_outside_of_its_range(mean: Any, cov: Any, ends: Any, x: float) -> None:
+    """In it, values are those of the cubic, bit for bit; both ends are in it."""
+    gaussian, places = Gaussian(mean, cov), np.array([x, *ends])
+    line = MapLine(Slot.EGO_LEFT, gaussian, x_min=ends[0], x_max=ends[1])
+    whole = MapLine(Slot.EGO_LEFT, gaussian, x_min=-400.0, x_max=400.0)
+    is_in = ends[0] - RANGE_TOLERANCE <= x <= ends[1] + RANGE_TOLERANCE
+
+    assert line.is_valid_at(places).tolist() == [is_in, True, True]
+    for name in ("y", "y_sigma"):
+        of_line, of_whole = getattr(line, name), getattr(whole, name)
+        expected = np.where([is_in, True, True], of_whole(places), np.nan)
+        assert np.array_equal(of_line(places), expected, equal_nan=True)
+        for one, inside in zip(places.tolist(), (is_in, True, True), strict=True):
+            assert np.array_equal(of_line(one), of_whole(one) if inside else np.nan, equal_nan=True)
+
+
+@pytest.mark.parametrize("x", [np.nan, np.inf, -np.inf, 12.002, -0.002])
+def test_nothing_is_said_of_what_is_no_place(x: float) -> None:
+    """Alone, and among others."""
+    line = map_line(x_max=12.0)
+
+    assert not line.is_valid_at(x)
+    assert np.isnan([line.y(x), line.y_sigma(x)]).all()
+    assert np.isnan(line.y([[6.0], [x]])).ravel().tolist() == [False, True]
+    assert np.isnan(line.y_extrapolated(x)).all() == (not np.isfinite(x))
+
+
+@given(mild_lines(), covariances(), RANGES, st.sampled_from([-1, 1]))
+def test_what_is_extrapolated_is_less_certain_with_the_distance(
+    mean: Any, cov: Any, ends: Any, side: int
+) -> None:
+    """It is that of the line in the range, goes on without a jump, and is that of the model."""
+    gaussian, end = Gaussian(mean, cov), ends[(side + 1) // 2]
+    line = MapLine(Slot.EGO_LEFT, gaussian, x_min=ends[0], x_max=ends[1])
+    inside, d = np.linspace(ends[0], ends[1], 5), np.array([1e-6, 1e-3, 0.1, 1.0, 10.0, 100.0])
+    known, beyond = line.y_extrapolated(inside), line.y_extrapolated(end + side * d)
+    at_end = line.y_extrapolated(end)
+
+    assert np.array_equal(known.value, line.y(inside))
+    assert np.array_equal(known.sigma, line.y_sigma(inside))
+    assert (np.diff(beyond.sigma) > 0).all()
+    size = np.abs(lateral_jacobian(mean, end)) @ [1, 0.1, 0.1, 0.01]
+    assert abs(beyond.value[0] - at_end.value) <= 1e-4 * size
+    s = np.array([gaussian.sigma @ np.abs(lateral_jacobian(mean, abs(end) + 1.0))])
+    assert abs(beyond.sigma[0] - at_end.sigma) <= 1e-4 * (1 + s)
+    for k, x in enumerate((end + side * d).tolist()):
+        value, sigma = y_beyond(Vector(gaussian.mean.tolist()), matrix(gaussian.cov), end, x)
+        assert beyond.value[k] == pytest.approx(value, rel=1e-9, abs=1e-9)
+        assert beyond.sigma[k] == pytest.approx(sigma, rel=1e-5, abs=1e-6 * (1 + s[0]))
+
+
+def test_the_extrapolated_sigma_of_a_straight_line() -> None:
+    """s_y + s_m d + (s_k + 1 / 15 m) d^2 / 2, of independent parameters, from both ends."""
+    sigma = [0.1, 0.01, 1e-3, 1e-5]
+    line = MapLine.with_sigma(Slot.EGO_LEFT, [1.75, 0, 0, 0], sigma, x_min=-10.0, x_max=10.0)
+    s_y = np.linalg.norm([0.1, 0.1, 0.05, 1e-5 * 1000 / 6])
+    s_m = np.linalg.norm([0.01, 0.01, 5e-4])
+    s_k = np.linalg.norm([1e-3, 1e-4])
+    expected = s_y + s_m * 20 + (s_k + 1 / 15) * 200
+
+    for x in (-30.0, 30.0):
+        value, found = line.y_extrapolated(x)
+        assert (value, found) == pytest.approx((1.75, expected))
 
 
 @given(mild_lines())
@@ -310,7 +382,7 @@ def test_single_precision_is_accepted() -> None:
 @pytest.mark.filterwarnings("error")
 def test_a_line_beyond_the_floats_is_infinite_or_nan() -> None:
     """No warning is issued."""
-    line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0.01, 1e-3, 1e-6])
+    line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0.01, 1e-3, 1e-6], x_min=-1.5e308, x_max=1.5e308)
 
     assert not np.isfinite(line.y([np.inf, -np.inf, np.nan, -1e308])).any()
     assert not np.isfinite(line.y_sigma([np.inf, 1e308])).any()

@@ -1,5 +1,6 @@
 """Scenes: quantities of several lines have the variance of their joint covariance."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ COV = np.kron(np.ones((3, 3)), np.diag(COMMON**2)) + np.kron(np.eye(3), np.diag(
 def lines(means: Any = MEANS, cov: Any = COV) -> list[MapLine]:
     """Lines of the first slots, with the blocks of a joint covariance."""
     return [
-        MapLine(Slot(i), Gaussian(mean, cov[4 * i : 4 * i + 4, 4 * i : 4 * i + 4]))
+        MapLine(Slot(i), Gaussian(mean, cov[4 * i : 4 * i + 4, 4 * i : 4 * i + 4]), x_min=-20.0)
         for i, mean in enumerate(means)
     ]
 
@@ -57,6 +58,20 @@ def test_width_and_centre_have_the_shape_of_x() -> None:
     x = np.array([[0.0, 10.0, 20.0], [30.0, 40.0, 50.0]])
     assert scene().width(x).value.shape == scene().centre(x).sigma.shape == (2, 3)
     assert scene().width(x, NEXT, LEFT).value[0, 0] == pytest.approx(3.5)
+
+
+def test_a_sum_is_known_where_all_of_its_lines_are() -> None:
+    """Where one of them ends, it is NaN; another pair of lines goes on."""
+    first, *rest = lines()
+    made = Scene((replace(first, x_max=30.0), *rest), COV, POSE, np.tile([-20.0, 80.0], (3, 1)))
+    x = np.array([-21.0, -20.0, 30.0, 31.0, np.nan])
+    for estimate in (made.width(x), made.centre(x), made.lateral({LEFT: 0.0, NEXT: 1.0}, x)):
+        for values in estimate:
+            assert np.isnan(values).tolist() == [True, False, False, True, True]
+    assert np.isfinite(made.width(31.0, NEXT, RIGHT)).all()
+    whole = scene().width(x)
+    assert np.array_equal(made.width(x).sigma[1:3], whole.sigma[1:3])
+    assert np.isnan(made.centre(31.0)).all()
 
 
 @given(covariances(8), st.floats(-20, 80))
