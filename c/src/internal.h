@@ -757,9 +757,11 @@ MAPLINES_INTERNAL maplines_fed_t maplines_feed_with(maplines_decoder_t *decoder,
 
 /* ---- use.c: what the range of a line does not limit */
 
+#if MAPLINES_RECEIVER
 /// Lateral position of the mean cubic at any x [m]: also where the line says nothing.
 MAPLINES_INTERNAL maplines_real_t maplines_cubic_at(const maplines_gaussian_t *gaussian,
                                                     maplines_real_t x);
+#endif
 
 /* ---- sigma_points.c
  * ------------------------------------------------------------------------------ */
