@@ -143,6 +143,7 @@ extern "C" {
 #define maplines_decoder_init MAPLINES_NAME(decoder_init)
 #define maplines_feed MAPLINES_NAME(feed)
 #define maplines_latest MAPLINES_NAME(latest)
+#define maplines_copy_line MAPLINES_NAME(copy_line)
 #define maplines_newest MAPLINES_NAME(newest)
 #define maplines_component MAPLINES_NAME(component)
 #define maplines_expire MAPLINES_NAME(expire)
@@ -155,6 +156,7 @@ extern "C" {
 #define maplines_covariance MAPLINES_NAME(covariance)
 #define maplines_mahalanobis MAPLINES_NAME(mahalanobis)
 #define maplines_latest_scene MAPLINES_NAME(latest_scene)
+#define maplines_copy_scene MAPLINES_NAME(copy_scene)
 #define maplines_scene_line MAPLINES_NAME(scene_line)
 #define maplines_sum MAPLINES_NAME(sum)
 #define maplines_width MAPLINES_NAME(width)
@@ -422,6 +424,23 @@ maplines_fed_t maplines_feed(maplines_decoder_t *decoder, const maplines_frame_t
 void maplines_latest(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t now_ns,
                      maplines_view_t *view);
 
+/// What maplines_latest gives, with the line itself: nothing in it points into the decoder, so that
+/// another task can have it. The components of a mixture stay in the decoder.
+typedef struct {
+    maplines_line_t line; ///< all zeros if there is none
+    bool has_line;
+    bool is_stale, two_senders, is_usable; ///< as in maplines_view_t, at `now_ns`
+    maplines_owner_t slot;
+    maplines_e2e_state_t state;
+    maplines_e2e_status_t status;
+    maplines_real_t age; ///< from the pose of the line to `now_ns` [s]; it grows from then on
+    int64_t now_ns;      ///< time of the copy: a reader must not use an old one
+} maplines_line_copy_t;
+
+/// Copy the newest line of a slot with its state; see maplines_latest, and docs/isr.md.
+void maplines_copy_line(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t now_ns,
+                        maplines_line_copy_t *copy);
+
 /// The newest line of a slot, whatever its age; NULL before the first. Valid until the next frame.
 const maplines_line_t *maplines_newest(const maplines_decoder_t *decoder, maplines_owner_t slot);
 
@@ -560,6 +579,21 @@ typedef struct {
 /// pose error there is none.
 void maplines_latest_scene(maplines_decoder_t *decoder, int64_t now_ns,
                            maplines_scene_view_t *view);
+
+/// What maplines_latest_scene gives, with the scene itself; see maplines_line_copy_t.
+typedef struct {
+    maplines_scene_t scene; ///< all zeros if there is none
+    bool has_scene;
+    bool is_stale, two_senders, is_usable; ///< as in maplines_scene_view_t, at `now_ns`
+    maplines_e2e_state_t state;
+    maplines_e2e_status_t status;
+    maplines_e2e_state_t slot_states[MAPLINES_SLOTS];
+    maplines_real_t age; ///< from the pose to `now_ns` [s]; it grows from then on
+    int64_t now_ns;      ///< time of the copy: a reader must not use an old one
+} maplines_scene_copy_t;
+
+/// Copy the newest scene with its state; see maplines_latest_scene, and docs/isr.md.
+void maplines_copy_scene(maplines_decoder_t *decoder, int64_t now_ns, maplines_scene_copy_t *copy);
 
 /// Line of a slot of a scene; NULL if the scene has none. For the functions above, and for those
 /// below, which need the joint covariance: lines of one pose are not independent.

@@ -460,6 +460,31 @@ void maplines_latest(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t
                       !view->is_stale && !view->two_senders;
 }
 
+void maplines_copy_line(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t now_ns,
+                        maplines_line_copy_t *copy)
+{
+    maplines_view_t view;
+    if (!MAPLINES_REQUIRE(copy != NULL))
+    {
+        return;
+    }
+    memset(copy, 0, sizeof(*copy));
+    maplines_latest(decoder, slot, now_ns, &view);
+    if (view.line != NULL)
+    {
+        copy->line = *view.line;
+        copy->has_line = true;
+    }
+    copy->is_stale = view.is_stale;
+    copy->two_senders = view.two_senders;
+    copy->is_usable = view.is_usable;
+    copy->slot = view.slot;
+    copy->state = view.state;
+    copy->status = view.status;
+    copy->age = view.age;
+    copy->now_ns = now_ns;
+}
+
 #if MAPLINES_SCENES
 void maplines_latest_scene(maplines_decoder_t *decoder, int64_t now_ns, maplines_scene_view_t *view)
 {
@@ -505,6 +530,30 @@ void maplines_latest_scene(maplines_decoder_t *decoder, int64_t now_ns, maplines
     }
     view->is_usable =
         are_valid && view->age < (maplines_real_t)HUGE_VAL && !view->is_stale && !view->two_senders;
+}
+
+void maplines_copy_scene(maplines_decoder_t *decoder, int64_t now_ns, maplines_scene_copy_t *copy)
+{
+    maplines_scene_view_t view;
+    if (!MAPLINES_REQUIRE(copy != NULL))
+    {
+        return;
+    }
+    memset(copy, 0, sizeof(*copy));
+    maplines_latest_scene(decoder, now_ns, &view);
+    if (view.scene != NULL)
+    {
+        copy->scene = *view.scene;
+        copy->has_scene = true;
+    }
+    copy->is_stale = view.is_stale;
+    copy->two_senders = view.two_senders;
+    copy->is_usable = view.is_usable;
+    copy->state = view.state;
+    copy->status = view.status;
+    memcpy(copy->slot_states, view.slot_states, sizeof(copy->slot_states));
+    copy->age = view.age;
+    copy->now_ns = now_ns;
 }
 #endif
 

@@ -1,0 +1,62 @@
+"""A line goes from one thread to another by the buffer of c/examples/isr, whole and at once."""
+
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import c_core
+import pytest
+from scene_layouts import layout_of
+
+HARNESS = c_core.C / "tests" / "isr_harness.c"
+BUFFER = c_core.C / "examples" / "isr" / "line_buffer.h"
+THREADS = ("-O1", "-std=c11", "-pthread")
+SANITIZER = ("-g", "-fsanitize=thread")
+
+
+def run(main: Path, *flags: str) -> subprocess.CompletedProcess[str]:
+    program = c_core.program([main], [layout_of("maplines.dbc")], [c_core.NAME], flags=flags)
+    return subprocess.run([str(program)], capture_output=True, text=True, check=False)
+
+
+@pytest.fixture
+def has_sanitizer(tmp_path: Path) -> None:
+    """Skip where the thread sanitizer does not work."""
+    if c_core.OWN_FLAGS or c_core.EMULATOR:
+        pytest.skip("another compiler or processor is tested")
+    (tmp_path / "empty.c").write_text("int main(void) { return 0; }")
+    command = [c_core.CC, *SANITIZER, "empty.c", "-o", "empty"]
+    if subprocess.run(command, cwd=tmp_path, check=False).returncode:
+        pytest.skip("no thread sanitizer")
+    if subprocess.run(["./empty"], cwd=tmp_path, check=False).returncode:
+        pytest.skip("the thread sanitizer does not run here")
+
+
+def check(done: Any) -> None:
+    assert (done.returncode, done.stderr) == (0, "")
+    seen, usable = map(int, done.stdout.split())
+    assert 30 <= seen <= 3000  # the writer has waited for the reader 30 times
+    assert usable >= seen - 10  # of the first ones, the E2E state is INIT
+
+
+def test_no_line_is_torn_and_the_newest_is_seen() -> None:
+    """3000 lines, of which each says its number three times."""
+    check(run(HARNESS, *THREADS))
+
+
+@pytest.mark.usefixtures("has_sanitizer")
+def test_the_thread_sanitizer_finds_no_race() -> None:
+    check(run(HARNESS, *THREADS, *SANITIZER))
+
+
+@pytest.mark.usefixtures("has_sanitizer")
+def test_the_thread_sanitizer_finds_a_weaker_order(tmp_path: Path) -> None:
+    """With a relaxed exchange, nothing orders the bytes of a line: so the test above can fail."""
+    main, buffer = tmp_path / "tests" / HARNESS.name, tmp_path / "examples" / "isr" / BUFFER.name
+    for path in (main, buffer):
+        path.parent.mkdir(parents=True)
+    buffer.write_text(BUFFER.read_text().replace("memory_order_acq_rel", "memory_order_relaxed"))
+    main.write_text(f"{HARNESS.read_text()}/* with a relaxed exchange */\n")
+    done = run(main, *THREADS, *SANITIZER)
+    assert done.returncode != 0
+    assert "data race" in done.stderr
