@@ -105,6 +105,10 @@ class BestRamps(NamedTuple):
         """Return (R,) whether a ramp that GNSS may have has a squared distance of more."""
         return np.asarray((self.squared > squared) & (np.hypot(*self.rate.T) <= FASTEST))
 
+    def repeated(self, K: int) -> BestRamps:
+        """Return those of K rows for each of these."""
+        return BestRamps(*(np.repeat(one, K, axis=0) for one in self))
+
 
 def no_ramps(rows: int) -> Ramps:
     """Return the ramps of R rows before the first fix."""

@@ -192,10 +192,9 @@ class Localisation:
                 known = known & (t - last.latest <= self._odometry.limits.gap)
         nis, position, heading = widening(point.trust)
         cov = cov[:, POSE, POSE] * nis[:, None, None]
-        if point.bank.weight.shape[1] == 1:  # else the hypotheses say how large the error may be
-            cov += growth(point.ramps.best(point.t))
+        cov += growth(point.ramps.best(point.t))
         if self.errors.gnss_drift:
-            cov += possible(point.ramps, self.errors.gnss_drift)[point.bank.likeliest]
+            cov += possible(point.ramps, self.errors.gnss_drift)
         widen(cov, position, heading)
         return Poses(mean[:, POSE], cov, known)
 

@@ -109,6 +109,11 @@ class Bank(NamedTuple):
         return np.arange(n) * K + self.weight.argmax(axis=1)
 
     @property
+    def of_open_road(self) -> slice:
+        """Rows of the hypotheses of the open road, or of the error that is told: one of each car."""
+        return slice(None, None, self.weight.shape[1])
+
+    @property
     def blames_odometry(self) -> NDArray[np.bool_]:
         """(n,) cars of which it is likelier than not that the odometry is wrong."""
         n, K = self.weight.shape

@@ -33,7 +33,6 @@ from .drift import (
     GOES_ON,
     SEEN,
     SURE,
-    BestRamps,
     Ramps,
     carried,
     doubted,
@@ -76,8 +75,8 @@ from .sensor_errors import GaussMarkov, SensorErrors
 Array = NDArray[np.float64]
 Cars = NDArray[np.bool_]
 
-#: Probability below which a hypothesis need not see the drift of GNSS.
-UNLIKELY = 0.01
+#: Probability of the open road from which on a ramp is one, not a canyon.
+OPEN = 0.7
 #: Error states of each source, which are forgotten when it contradicts the pose.
 _BIASES = {"gnss": GNSS, "line": CAMERA, "landmark": slice(0, 0), "pose": FIX}
 
@@ -121,7 +120,7 @@ class Point(NamedTuple):
 
 def first(t: float, mean: Array, cov: Array, held: Bank, trust: Consistency) -> Point:
     """Return the point with which a filter starts."""
-    ramps = no_ramps(len(mean))
+    ramps = no_ramps(len(trust.known))
     return Point(t, mean, cov, np.eye(N) + np.zeros_like(cov), held, trust, ramps)
 
 
@@ -142,7 +141,7 @@ def predicted(last: Point, t: float, stream: OdometryStream, errors: SensorError
         mean=mean,
         cov=cov,
         transition=F,
-        ramps=carried(last.ramps, F),
+        ramps=carried(last.ramps, F[last.bank.of_open_road]),
         outcome=None,
         is_new=None,
     )
@@ -168,7 +167,8 @@ def updated(
     if isinstance(observation, GnssFix):
         mean, cov, factor, held = _gnss_error(point, observation, errors)
         transition = factor[:, :, None] * transition
-        ramps = ramps._replace(response=ramps.response * factor[:, None, None])
+        share = factor[held.of_open_road, None, None]
+        ramps = ramps._replace(response=ramps.response * share)
     repeated, sightings = _repeated(observation, K), point.sightings
     found = innovation(repeated, mean, cov, layer)
     expected = found
@@ -178,7 +178,7 @@ def updated(
         if is_other.any():
             found = innovation(repeated, mean, cov, layer)
             expected = expected._replace(verdict=found.verdict)
-            ramps = forgotten(ramps, is_other)  # a ramp does not jump
+            ramps = forgotten(ramps, is_other[held.of_open_road])  # a ramp does not jump
     if isinstance(observation, CameraLines | SeenLandmarks):
         found, images = confirmed(found, cov, sightings.get(found.source), t)
         expected = found
@@ -192,15 +192,16 @@ def updated(
     is_gnss = found.source == "gnss"
     is_ramp = np.zeros(len(trust.known), dtype=bool)
     if is_gnss:
+        # Of a canyon, another hypothesis is likelier.
+        ramps = forgotten(ramps, likeliest != np.arange(len(ramps.score)) * K)
         best = ramps.best(t)
-        own_ramp = BestRamps(*(one[likeliest] for one in best))
-        # A drift is smooth: a fix beyond the gate says that something else is wrong. One that a
-        # hypothesis explains is none.
+        # A drift is smooth: a fix beyond the gate says that something else is wrong.
         is_smooth = trust.known & (trust.rejected[:, SOURCES.index("gnss")] == 0)
-        all_see = (best.beyond(SURE).reshape(-1, K) | (held.weight < UNLIKELY)).all(axis=1)
-        is_ramp = own_ramp.beyond(SURE) & is_smooth & all_see
-        explained = drifts & (own_ramp.beyond(SEEN) | (K > 1))
-        held = discarded(held, drifts) if K > 1 else held
+        is_open = held.weight[:, 0] > OPEN
+        is_ramp = best.beyond(SURE) & is_smooth & is_open
+        is_seen = drifts & best.beyond(SEEN) & is_open
+        explained = is_seen | (drifts & (K > 1))
+        held = discarded(held, drifts & ~is_seen) if K > 1 else held
         trust, contradicted = forgiven(trust, explained, "gnss"), contradicted & ~explained
     trust = _contradicted(trust, contradicted, found.source, t, drifts)
     used = (found.verdict == Verdict.USED) & np.repeat(trust.known, K)[:, None]
@@ -209,7 +210,11 @@ def updated(
         transition = reduction @ transition
     else:
         reduction = np.eye(N) + np.zeros_like(cov)
-    ramps = measured(ramps, found, reduction, t) if is_gnss else carried(ramps, reduction)
+    open_road = held.of_open_road
+    if is_gnss:
+        ramps = measured(ramps, _rows(found, open_road), reduction[open_road], t)
+    else:
+        ramps = carried(ramps, reduction[open_road])
     if is_gnss:
         given = (seen.verdict[:, 0] != Verdict.MISSING) & trust.known
         held = weighed(held, found, given, t)
@@ -225,7 +230,7 @@ def updated(
     if biases.any():
         states = np.repeat(biases, K, axis=0)
         mean, cov, transition = _forgotten(mean, cov, transition, states, held)
-        ramps = forgotten(ramps, np.asarray(states.any(axis=1)))
+        ramps = forgotten(ramps, biases.any(axis=1))
     trust = found_again(trust, agreeing(trust))
     own = used[likeliest]
     verdict = np.where((seen.verdict == Verdict.USED) & ~own, Verdict.LOST, seen.verdict)
@@ -252,10 +257,9 @@ def _drifting(point: Point, sure: Cars, stream: OdometryStream) -> Point:
     # What vouches for the pose says that the odometry is right.
     wide = np.repeat(sure & ~vouched(trust, "gnss", t), K)[:, None, None]
     speed = np.repeat(stream.at(t)[0], K)
-    cov = np.where(wide, opened(cov, mean[:, HEADING], best, speed), cov)
-    rate = np.hypot(*best.rate[held.likeliest].T)
-    held = held._replace(drift=np.where(sure, GOES_ON * rate, held.drift))
-    return point._replace(cov=cov, bank=held, ramps=forgotten(ramps, np.repeat(sure, K)))
+    cov = np.where(wide, opened(cov, mean[:, HEADING], best.repeated(K), speed), cov)
+    held = held._replace(drift=np.where(sure, GOES_ON * np.hypot(*best.rate.T), held.drift))
+    return point._replace(cov=cov, bank=held, ramps=forgotten(ramps, sure))
 
 
 def _gnss_error(
@@ -284,7 +288,7 @@ def _repeated(observation: Observation, K: int) -> Observation:
     return type(observation)(observation.t, *rows)  # type: ignore[arg-type]
 
 
-def _rows(found: Innovation, rows: NDArray[np.intp]) -> Innovation:
+def _rows(found: Innovation, rows: NDArray[np.intp] | slice) -> Innovation:
     """Return the innovations of some rows."""
     source, residual, H, R, S, verdict = found
     return Innovation(source, residual[rows], H[rows], R[rows], S[rows], verdict[rows])
@@ -386,11 +390,10 @@ def _placed(
         weight[car] = first_weight(K)
     held = held._replace(weight=weight, at=at)
     best = point.ramps.best(point.t)
-    drifts = ready & is_gnss & best.beyond(SURE)[held.likeliest]
-    cov = np.where(np.repeat(drifts, K)[:, None, None], doubted(cov, best), cov)
-    rate = np.hypot(*best.rate[held.likeliest].T)
-    held = held._replace(drift=np.where(drifts, GOES_ON * rate, held.drift))
-    ramps = forgotten(point.ramps, np.repeat(ready, K))
+    drifts = ready & is_gnss & best.beyond(SURE)
+    cov = np.where(np.repeat(drifts, K)[:, None, None], doubted(cov, best.repeated(K)), cov)
+    held = held._replace(drift=np.where(drifts, GOES_ON * np.hypot(*best.rate.T), held.drift))
+    ramps = forgotten(point.ramps, ready)
     return point._replace(mean=mean, cov=cov, transition=transition, bank=held, ramps=ramps)
 
 
