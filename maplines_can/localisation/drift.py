@@ -25,6 +25,10 @@ Along a straight road, no test tells a slow ramp from an error of the wheel scal
 If GNSS is said to drift (``SensorErrors.gnss_drift``), the stated covariance has what such a ramp
 may have changed unnoticed (``possible``).
 
+If the error of GNSS is found out (``gnss_hypotheses``), a ramp is sought with the hypothesis of the
+open road, as long as that is the likeliest one, and believed as long as it is likelier than
+``step.OPEN``. The other hypotheses are not asked: the errors of a canyon may change as fast.
+
 The ramps begin every ``EVERY`` seconds; the older they are, the farther apart are those kept.
 """
 

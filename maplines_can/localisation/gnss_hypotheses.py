@@ -20,7 +20,8 @@ The weights are those of Bayes, by the likelihoods of innovations. Four things m
                   all filters reject says nothing about them, and a hypothesis that rejects what
                   another one predicts soon has no weight.
     discarding    The likeliest one loses its weight if its innovations have a mean that they cannot
-                  have: a drift (``consistency``). The least bad one need not be good.
+                  have (``consistency``), unless it is a ramp on an open road (``drift``). The least
+                  bad one need not be good.
 
 ``Localisation`` has the K filters of each of n cars as n K rows, those of a car in a row. A filter
 that has been told the error has K = 1. A fix that states its own error overrides all hypotheses.
@@ -110,7 +111,7 @@ class Bank(NamedTuple):
 
     @property
     def of_open_road(self) -> slice:
-        """Rows of the hypotheses of the open road, or of the error that is told: one of each car."""
+        """Rows of the first hypotheses: the open road, or the error that is told."""
         return slice(None, None, self.weight.shape[1])
 
     @property

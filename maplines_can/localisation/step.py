@@ -192,8 +192,6 @@ def updated(
     is_gnss = found.source == "gnss"
     is_ramp = np.zeros(len(trust.known), dtype=bool)
     if is_gnss:
-        # Of a canyon, another hypothesis is likelier.
-        ramps = forgotten(ramps, likeliest != np.arange(len(ramps.score)) * K)
         best = ramps.best(t)
         # A drift is smooth: a fix beyond the gate says that something else is wrong.
         is_smooth = trust.known & (trust.rejected[:, SOURCES.index("gnss")] == 0)
@@ -230,7 +228,8 @@ def updated(
     if biases.any():
         states = np.repeat(biases, K, axis=0)
         mean, cov, transition = _forgotten(mean, cov, transition, states, held)
-        ramps = forgotten(ramps, biases.any(axis=1))
+        ramps = forgotten(ramps, np.asarray(biases.any(axis=1)))
+    ramps = forgotten(ramps, held.weight.argmax(axis=1) != 0)  # in a canyon, it is no open road
     trust = found_again(trust, agreeing(trust))
     own = used[likeliest]
     verdict = np.where((seen.verdict == Verdict.USED) & ~own, Verdict.LOST, seen.verdict)
