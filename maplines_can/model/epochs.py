@@ -26,8 +26,8 @@ from .scenes import Member, Pose
 WINDOW, MIXTURE_WINDOW = (1.0, 3.0), (0.5, 1.5)
 #: Time for which a line waits for its pose error, and an epoch for lines [cycles].
 HOLD_CYCLES, KEEP_CYCLES = 3.0, 5.0
-#: Most epochs that are open, and intervals between pose errors whose median is the cycle.
-MAX_EPOCHS, INTERVALS = 8, 5
+#: Intervals between pose errors whose median is the cycle.
+INTERVALS = 5
 
 
 @dataclass(eq=False)
@@ -41,10 +41,12 @@ class Epoch:
 class Epochs:
     """Epochs of a receiver; all times in ns."""
 
-    def __init__(self, cycle_ns: int, counts: Counter[str], *, has_mixtures: bool) -> None:
+    def __init__(
+        self, cycle_ns: int, counts: Counter[str], most: int, *, has_mixtures: bool
+    ) -> None:
         self._cycle_ns, self._counts = cycle_ns, counts  # between pose errors; dropped frames
         self._early, self._late = MIXTURE_WINDOW if has_mixtures else WINDOW
-        self._open: deque[Epoch] = deque(maxlen=MAX_EPOCHS)
+        self._open: deque[Epoch] = deque(maxlen=most)
         self._waiting: dict[Slot, Member] = {}  # lines whose pose error has not come
         self._since_ns: dict[Slot, int] = {}  # break of a slot: no older epoch has its lines
         self._pose_ns: int | None = None  # time of the last pose error

@@ -47,11 +47,13 @@ class Reassembly:
         content: Callable[[bytes, int], Content | str],
         timeout_ns: int,
         counts: Counter[str],
+        transfers: int,
     ) -> None:
         self._layout, self._content = layout, content
         self._timeout_ns = timeout_ns  # longest time between the first and the last page
         self._counts = counts  # dropped frames by reason
         self._ids = 2 ** layout["TransferId0"].length
+        self._places = min(self._ids, transfers)  # of transfers that are remembered
         self._incomplete: dict[int, _Transfer] = {}  # by transfer ID, in the order of beginning
         self._complete: dict[int, Record] = {}  # good records, likewise
 
@@ -71,6 +73,11 @@ class Reassembly:
         self.expire(t_ns)
         if own not in self._incomplete and self._is_known(own, page, data, t_ns):
             return "DUPLICATE"
+        for other in [*self._incomplete]:
+            if other != own and (other - own) % self._places == 0:
+                if 2 * ((own - other) % self._ids) > self._ids:
+                    return "INCOMPLETE"  # older than what has its place
+                self._drop(other, "INCOMPLETE")
         transfer = self._incomplete.setdefault(own, _Transfer(t_ns))
         if page in transfer.pages:
             ahead = self._ahead(page, data, transfer.pages[page])
@@ -110,7 +117,8 @@ class Reassembly:
         own = record.content.counter % self._ids
         self._complete[own] = record
         for other in [*self._complete]:
-            if 0 < (other - own) % self._ids < self._ids // 2:
+            ahead = (other - own) % self._ids
+            if 0 < ahead < self._ids // 2 or (ahead > 0 and ahead % self._places == 0):
                 del self._complete[other]
         for other in [*self._incomplete]:
             if other == own:

@@ -28,7 +28,7 @@ from .records import AnyLayout, Component, Line, RawRecord, complete, conditiona
 from .scenes import Member, Pose, Scene, pose_of, scene_line, scene_of
 from .secoc import Keys, verified
 from .sequence import SHORT_ROW, SequenceCheck
-from .settings import Settings, settings_of
+from .settings import ALL, Settings, Sizes, settings_of
 
 #: A line is stale if nothing newer has come for so many cycles.
 STALE_CYCLES = 3.0
@@ -63,18 +63,32 @@ class _Owner:
     """What there is of the records of a slot, or of the pose error."""
 
     def __init__(
-        self, layout: Layout, owner: Owner, settings: Settings, counts: Counter[str], *, keys: bool
+        self,
+        layout: Layout,
+        owner: Owner,
+        settings: Settings,
+        counts: Counter[str],
+        sizes: Sizes,
+        *,
+        keys: bool,
     ) -> None:
         timeout_ns, cycle_ns, windows = settings
-        self.owner, self._lines = owner, layout
+        self.owner, self._lines, self._components = owner, layout, sizes.components
         self.layout: AnyLayout = layout.pose if owner == POSE and layout.pose else layout
         self.messages = layout.messages_of[owner]
         #: Layout of its authenticated message; None if its frames are not authenticated.
         self.secured = self.layout.secured if keys else None
         modulus, is_authentic = 2 ** self.layout["Counter"].length, self.secured is not None
-        self.reassembly = Reassembly(self.layout, self._content, timeout_ns, counts)
+        self.reassembly = Reassembly(
+            self.layout, self._content, timeout_ns, counts, sizes.transfers
+        )
         self.check = SequenceCheck(
-            windows, modulus, self.layout.pages, cycle_ns, is_authentic=is_authentic
+            windows,
+            modulus,
+            self.layout.pages,
+            cycle_ns,
+            is_authentic=is_authentic,
+            history=sizes.history,
         )
         self.mixtures = Mixtures(modulus, timeout_ns, counts)
         self.newest: Line | None = None
@@ -88,15 +102,17 @@ class _Owner:
             return RawRecord(raw["Counter"], raw)
         if self._lines.is_conditional:
             return conditional(self._lines, raw)
-        return complete(self._lines, self.owner, raw, t_ns)
+        found = complete(self._lines, self.owner, raw, t_ns)
+        is_held = isinstance(found, str) or found.size <= self._components
+        return found if is_held else "CONTENT"
 
 
 class Receiver:
     """Receiver of frames; time is an argument [ns].
 
     At any time ``frames == line_frames + pose_frames + sum(counts.values()) + pending``. Settings
-    of the owners are those that the DBC implies, unless they are given. With keys, frames of each
-    owner with such a message must be authenticated.
+    of the owners are those that the DBC implies, unless they are given, and sizes those of the
+    Python package. With keys, frames of each owner with such a message must be authenticated.
 
     >>> receiver = Receiver(Layout.from_dbc())
     >>> receiver.feed(0x340, bytes(8), t_ns=0), receiver.feed(0x123, bytes(8), t_ns=0)
@@ -108,6 +124,7 @@ class Receiver:
         layout: Layout,
         settings: Mapping[Owner, Settings] | None = None,
         keys: Keys | None = None,
+        sizes: Sizes = ALL,
         *,
         refuses_short_spacings: bool = False,
     ) -> None:
@@ -120,12 +137,15 @@ class Receiver:
         self._layout, self._keys = layout, keys
         of_owners = settings_of(layout) if settings is None else settings
         self._owners = {
-            owner: _Owner(layout, owner, own, self.counts, keys=keys is not None)
+            owner: _Owner(layout, owner, own, self.counts, sizes, keys=keys is not None)
             for owner, own in of_owners.items()
+            if sizes.has(owner)
         }
         self._pose_is_too_old = False
         cycle_ns = of_owners[POSE].cycle_ns if POSE in of_owners else 1
-        self._epochs = Epochs(cycle_ns, self.counts, has_mixtures=not layout.is_conditional)
+        self._epochs = Epochs(
+            cycle_ns, self.counts, sizes.epochs, has_mixtures=not layout.is_conditional
+        )
 
     @property
     def checks(self) -> dict[Owner, SequenceCheck]:

@@ -41,15 +41,20 @@ RESTART_RECORDS = 3
 JITTER_CYCLES, FASTEST = 0.5, 10
 #: The time between two lines is a mean over about this many.
 MEAN_LINES = 8
-#: Counters whose records are remembered.
-HISTORY = 256
 
 
 class SequenceCheck:
     """Checks of the records of one owner; all times in ns."""
 
     def __init__(
-        self, windows: Windows, modulus: int, pages: int, cycle_ns: int, *, is_authentic: bool
+        self,
+        windows: Windows,
+        modulus: int,
+        pages: int,
+        cycle_ns: int,
+        *,
+        is_authentic: bool,
+        history: int = 256,
     ) -> None:
         self.cycle_ns = cycle_ns  #: time between records, or lines
         self.statuses: Counter[str] = Counter()  #: checks by outcome
@@ -64,7 +69,7 @@ class SequenceCheck:
         self._pages = pages  # frames of a classic record
         self._is_authentic = is_authentic  # each record is known to be newer than those before
         self._machine, self._deadline = StateMachine(windows), Deadline(cycle_ns)
-        self._history, self._pace = History(modulus), Pace(cycle_ns, modulus)
+        self._history, self._pace = History(min(modulus, history)), Pace(cycle_ns, modulus)
         self._run: list[_Late] = []  # consecutive records behind the last new one
         self._new_ns = 0  # time of the last new record
         self._spaced_ns: int | None = None  # time of the last line
@@ -308,8 +313,8 @@ class Entry:
 class History:
     """Records of the last counters. What a new record has skipped is forgotten."""
 
-    def __init__(self, modulus: int) -> None:
-        self._length = min(modulus, HISTORY)
+    def __init__(self, length: int) -> None:
+        self._length = length  # counters whose records are remembered, a power of 2
         self._entries: dict[int, Entry] = {}  # by the low bits of the counter
 
     def at(self, counter: int, behind: int) -> Entry | None:

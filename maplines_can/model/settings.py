@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from ..values.line import Slot
 from ..wire.layout.message_layout import Layout
-from ..wire.layout.pose_layout import POSE, Owner
+from ..wire.layout.pose_layout import POSE, Owner, slot_of
 from .e2e import Windows
 from .records import AnyLayout
 from .sequence import GRACE_CYCLES
@@ -20,6 +21,25 @@ class Settings(NamedTuple):
     timeout_ns: int  #: longest time between the frames of a transfer
     cycle_ns: int  #: time between records
     windows: Windows
+
+
+class Sizes(NamedTuple):
+    """What a receiver has room for: by default, as much as the Python package."""
+
+    slots: int = len(Slot)  #: the first ones
+    scenes: bool = True  #: lines of one pose
+    components: int = 64  #: of a mixture
+    transfers: int = 256  #: of a slot that are remembered; those with more IDs share places
+    history: int = 256  #: counters whose records are remembered
+    epochs: int = 8  #: that lines may join
+
+    def has(self, owner: Owner) -> bool:
+        """Return whether the receiver has an owner of records."""
+        return self.scenes if owner == POSE else int(slot_of(owner)) < self.slots
+
+
+#: Those of the Python package.
+ALL = Sizes()
 
 
 def settings_of(

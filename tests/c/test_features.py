@@ -1,0 +1,232 @@
+"""Libraries in C that lack features: they compile, and receive as the model with their sizes."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import c_core
+import numpy as np
+import pytest
+from scene_layouts import layout_of
+
+from maplines_can import Slot
+from maplines_can.generation.c_build import ALL, Features, build_of
+from maplines_can.generation.c_files import c_files
+from maplines_can.model.receiver import Receiver
+from maplines_can.model.records import Line
+from maplines_can.model.settings import Sizes
+from maplines_can.testing.hostile_streams import PROFILES, Question, Step, Stream, traffics_of
+from maplines_can.values.errors import LayoutError
+from maplines_can.wire import Layout, Reason
+
+SMALL = Features(sender=False, scenes=False, mixtures=False, secoc=False, slots=4)
+#: DBC and features of each library.
+LIBRARIES = {
+    "all": ("maplines.dbc", ALL),
+    "conditional": ("maplines-pose.dbc", ALL),
+    "receiver": ("maplines.dbc", Features(sender=False)),
+    "sender": ("maplines.dbc", Features(receiver=False)),
+    "sender of lines": ("maplines.dbc", Features(receiver=False, scenes=False, mixtures=False)),
+    "no secoc": ("maplines-secoc.dbc", Features(secoc=False)),
+    "no mixtures": ("maplines.dbc", Features(sender=False, mixtures=False)),
+    "two slots": ("maplines-pose.dbc", Features(sender=False, slots=2)),
+    "small": ("maplines.dbc", SMALL),
+    "small, float": ("maplines.dbc", SMALL._replace(single=True)),
+    "one slot": ("maplines.dbc", SMALL._replace(slots=1)),
+}  # fmt: skip
+RECEIVERS = [name for name, (_, features) in LIBRARIES.items() if features.receiver]
+#: Profiles with the default settings, which a library for an ECU has.
+STANDARD = [profile for profile in PROFILES if not profile.settings and profile.stale_cycles == 3]
+#: Frames of each stream.
+FRAMES = 400
+
+
+def written(name: str, folder: Path) -> None:
+    dbc, features = LIBRARIES[name]
+    for file, text in c_files({"harness": layout_of(dbc)}, features).items():
+        (folder / file).write_text(text)
+
+
+@pytest.mark.parametrize("cc", ["gcc", "clang"])
+@pytest.mark.parametrize("name", LIBRARIES)
+def test_a_library_compiles_without_a_warning(name: str, cc: str, tmp_path: Path) -> None:
+    written(name, tmp_path)
+    flags = [*c_core.WARNINGS, "-std=c99", "-O1", "-ffp-contract=off", "-c"]
+    subprocess.run([cc, *flags, "maplines.c", "harness_dbc.c"], check=True, cwd=tmp_path)
+
+
+def test_what_is_left_out_is_not_there(tmp_path: Path) -> None:
+    """Neither in the interface nor in the tables."""
+    written("small", tmp_path)
+    tables = (tmp_path / "harness_dbc.c").read_text()
+    assert "straight" not in tables
+    assert "slot_levels" not in tables
+    assert "MAPLINES_CENTRE" not in tables
+    call = '#include "maplines.h"\nint main(void) { return sizeof(%s) > 0; }\n'
+    for name, is_there in (("&maplines_latest", True), ("&maplines_encode_line", False),
+                           ("&maplines_latest_scene", False), ("maplines_encoder_t", False),
+                           ("MAPLINES_NEXT_RIGHT", True), ("MAPLINES_CENTRE", False)):  # fmt: skip
+        (tmp_path / "program.c").write_text(call % name)
+        command = ["gcc", "-std=c99", "-Werror", "-fsyntax-only", "program.c"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False)
+        assert (done.returncode == 0) == is_there, name
+
+
+def test_files_of_different_builds_do_not_link(tmp_path: Path) -> None:
+    """Whichever function they call."""
+    written("small", tmp_path)
+    (tmp_path / "program.c").write_text(
+        '#include "harness_dbc.h"\n'
+        "int main(void) { maplines_line_t line = {0}; return maplines_y(&line, 0) > 0; }\n"
+    )
+    compile_ = ["gcc", "-std=c99", "-ffp-contract=off"]
+    subprocess.run([*compile_, "-c", "maplines.c"], check=True, cwd=tmp_path)
+    for macro in ("MAPLINES_FLOAT=1", "MAPLINES_SLOTS=3", "MAPLINES_HISTORY=64",
+                  "MAPLINES_WINDOW=64", "MAPLINES_SECOC=1"):  # fmt: skip
+        command = [*compile_, f"-D{macro}", "program.c", "maplines.o", "-lm", "-o", "program"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert "undefined reference" in done.stderr, macro
+    subprocess.run([*compile_, "program.c", "maplines.o", "-lm"], check=True, cwd=tmp_path)
+
+
+# ---- beside the model -------------------------------------------------------------------------
+
+
+def steps_of(layout: Layout, seed: int, frames: int) -> Iterator[Step]:
+    """Yield a stream of each profile, one after the other, a day apart."""
+    traffics = traffics_of(layout, seed)
+    for i, profile in enumerate(STANDARD):
+        left = frames
+        for step in Stream(traffics, profile, 100 * seed + i).steps():
+            yield step
+            left -= not isinstance(step, Question)
+            if not left:
+                break
+
+
+def asked(step: Step) -> str:
+    """Return a step as the harness reads it."""
+    if not isinstance(step, Question):
+        return f"F {step.t_ns} {step.can_id:x} {int(step.is_extended)} {step.data.hex()}"
+    if step.kind == "latest":
+        return f"L {int(step.slot)} {step.t_ns}"
+    return f"{'E' if step.kind == 'expire' else 'S'} {step.t_ns}"
+
+
+def real(value: float) -> str:
+    return struct.pack(">d", value).hex()
+
+
+def of_line(line: Line) -> str:
+    head = f"line {int(line.slot)} {int(line.kind)} {int(line.status)} {line.t_ns}"
+    numbers = map(real, (line.x_min, line.x_max, line.age, *line.mean))
+    return " ".join([head, *numbers, "cov", *(real(x) for row in line.cov for x in row)])
+
+
+def without_covariances(row: str) -> tuple[str, list[np.ndarray]]:
+    """Return an answer without its covariances, and these."""
+    words, covs = row.split(" "), []
+    while "cov" in words:
+        at = words.index("cov")
+        numbers = [struct.unpack(">d", bytes.fromhex(word))[0] for word in words[at + 1 : at + 17]]
+        covs.append(np.array(numbers).reshape(4, 4))
+        del words[at : at + 17]
+    return " ".join(words), covs
+
+
+def answered(model: Receiver, step: Step, slots: list[Slot]) -> str:
+    """Return what the harness prints for a step."""
+    if not isinstance(step, Question):
+        found = model.feed(step.can_id, step.data, step.t_ns, is_extended=step.is_extended)
+        text = found if isinstance(found, str) else "".join(f" {of_line(one)}" for one in found)
+    elif step.kind == "latest":
+        view = model.latest(step.slot, step.t_ns)
+        flags = (view.is_stale, view.may_be_two, view.is_usable)
+        words = ["view", view.state, view.status or "NONE", *(str(int(flag)) for flag in flags)]
+        line = [of_line(view.content)] if isinstance(view.content, Line) else []
+        text = " ".join([*words, real(view.age), *line])
+    elif step.kind == "expire":
+        model.expire(step.t_ns)
+        text = ""
+    else:
+        model.elapse(step.t_ns)
+        text = "".join(of_check(model, slot) for slot in slots)
+    lost = sum(check.lost for owner, check in model.checks.items() if owner in slots)
+    numbers = [model.frames, model.lines, model.line_frames, lost, model.pending]
+    return f"{text} | {' '.join(map(str, [*numbers, *(model.counts[r.name] for r in Reason)]))}"
+
+
+def of_check(model: Receiver, slot: Slot) -> str:
+    check = model.checks[slot]
+    if check.status is None:
+        return ""
+    counts = check.statuses
+    numbers = (
+        counts["OK"] + counts["OKSOMELOST"], check.lost, counts["REPEATED"], counts["ERROR"],
+        counts["WRONGSEQUENCE"], counts["NONEWDATA"],
+    )  # fmt: skip
+    words = [check.state, check.status, int(check.senders.are_two), *numbers]
+    return f" check {int(slot)} {' '.join(map(str, words))}"
+
+
+def receives_as_the_model(name: str, folder: Path, seed: int, frames: int) -> int:
+    """Check that a library answers every step as the model with its sizes; return how many."""
+    dbc, features = LIBRARIES[name]
+    layout = layout_of(dbc)
+    build = build_of({"harness": layout}, features)
+    sizes = Sizes(
+        build.slots, bool(build.scenes), build.max_components, build.transfers, build.history,
+        build.epochs,
+    )  # fmt: skip
+    written(name, folder)
+    main = c_core.C / "tests" / "stream_harness.c"
+    flags = ["-std=c99", "-O2", "-ffp-contract=off", *c_core.WARNINGS, "-I."]
+    sources = [main, "maplines.c", "harness_dbc.c", "-lm"]
+    subprocess.run(["cc", *flags, *sources, "-o", "program"], check=True, cwd=folder)
+    slots = [slot for slot in Slot if sizes.has(slot) and slot in layout.messages_of]
+    steps = [
+        step
+        for step in steps_of(layout, seed, frames)
+        if not isinstance(step, Question)
+        or step.kind in ("expire", "statistics")
+        or (step.kind == "latest" and step.slot in slots)
+    ]
+    done = subprocess.run(
+        [folder / "program"], input="\n".join(map(asked, steps)) + "\n", capture_output=True,
+        text=True, check=True,
+    )  # fmt: skip
+    model = Receiver(layout, sizes=sizes)
+    rows = done.stdout.splitlines()
+    for i, (step, row) in enumerate(zip(steps, rows, strict=True)):
+        expected = answered(model, step, slots)
+        if features.single:  # numbers are rounded, what becomes of frames is the same
+            row, expected = (text.split("|")[1] for text in (row, expected))
+        same, covs = without_covariances(row)
+        assert (same, len(covs)) == (without_covariances(expected)[0], len(covs)), (i, asked(step))
+        for cov, other in zip(covs, without_covariances(expected)[1], strict=True):
+            # A program sums the products of the factor; the model may have them from a sum.
+            scale = np.sqrt(np.outer(other.diagonal(), other.diagonal()))
+            assert (np.abs(cov - other) <= 1e-11 * scale).all(), (i, asked(step))
+    return len(steps)
+
+
+@pytest.mark.parametrize("name", RECEIVERS)
+def test_a_library_receives_as_the_model_with_its_sizes(name: str, tmp_path: Path) -> None:
+    assert receives_as_the_model(name, tmp_path, seed=1, frames=FRAMES) > FRAMES * len(STANDARD)
+
+
+# ---- what cannot be ---------------------------------------------------------------------------
+
+
+def test_what_makes_no_library_is_refused() -> None:
+    complete, conditional = (layout_of(f"maplines{name}.dbc") for name in ("", "-pose"))
+    with pytest.raises(ValueError, match="a receiver, a sender or both"):
+        build_of({"x": complete}, Features(receiver=False, sender=False))
+    for slots in (0, 9):
+        with pytest.raises(ValueError, match=f"from 1 to 8, got {slots}"):
+            build_of({"x": complete}, Features(slots=slots))
+    with pytest.raises(LayoutError, match="conditional on the pose error"):
+        build_of({"x": conditional}, SMALL)
