@@ -171,7 +171,7 @@ def _findings_of_node(node: str, route: SentRoute | None) -> Iterator[str]:
             )
             command = ["cppcheck", "--quiet", "--enable=all", "--inconclusive", "--std=c99",
                        "--template={file}:{line}: {severity}: {message} [{id}]",
-                       *(f"--suppress={name}" for name in suppressed), *own]  # fmt: skip
+                       *(f"--suppress={name}" for name in suppressed), *FLOATS, *own]  # fmt: skip
             yield from (line for line in run(command)[1] if FINDING.search(line))
         if shutil.which("clang-tidy"):
             config = f"--config-file={C / '.clang-tidy'}"

@@ -11,7 +11,8 @@
  *     pose_input.c   a pose, from which it computes the lines of a map along a route
  *
  * `maplines generate fmu` adds variables.h and .c, which list the variables of a node with their
- * start values, as modelDescription.xml does; the C core; the tables of a DBC; the headers of FMI.
+ * start values, as modelDescription.xml does; the C core; the tables of a DBC; the headers of FMI;
+ * and names.h, which each source includes first: it gives all global names a prefix.
  *
  * Memory   Only fmi3Instantiate... and fmi3GetFMUState allocate. All that changes is one structure
  *          of constant size, maplines_state_t: a copy of it is the state of an FMU. There is no
@@ -24,9 +25,6 @@
 #ifndef MAPLINES_FMU_H
 #define MAPLINES_FMU_H
 
-#ifndef FMI3_OVERRIDE_FUNCTION_PREFIX
-#define FMI3_OVERRIDE_FUNCTION_PREFIX // functions have no prefix in a shared library
-#endif
 #include "bus.h"
 #include "fmi3Functions.h"
 #include "node.h"

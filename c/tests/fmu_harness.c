@@ -3,6 +3,8 @@
  * stored and restored. Printed are the number of bytes that the node sends, and a hash of these and
  * of its real variables: it is the same on each platform.
  */
+#include "names.h"
+
 #include "fmu.h"
 
 #include <stdio.h>

@@ -4,12 +4,13 @@ import re
 import shutil
 import subprocess
 import zipfile
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
 import pytest
-from fmu_nodes import Node
+from fmu_nodes import Node, generate
 from scene_layouts import layout_of
 
 from maplines_can import LayoutError
@@ -19,6 +20,7 @@ from maplines_can.generation.fmu.description import BUS
 from maplines_can.maps import town_path
 
 fmpy = pytest.importorskip("fmpy", reason="the headers of FMI and the importer come from fmpy")
+C = Path(__file__).parents[2] / "c"
 LS_BUS = Path(__file__).parents[3] / "shared" / "fmi" / "ls-bus"
 NODES = [
     ("receiver", "maplines.dbc"),
@@ -103,20 +105,71 @@ def test_it_builds_from_its_sources(fmu: Path, tmp_path: Path) -> None:
     out = str(library / f"{build.modelIdentifier}.so")
     command = ["cc", "-std=c99", "-fPIC", "-shared", *flags, *files.sourceFiles, "-lm", "-o", out]
     subprocess.run(command, check=True, cwd=folder)
+    others = global_names(Path(out), options=["-D"]) - functions_of_fmi(fmu)
+    assert all(name.startswith(f"{build.modelIdentifier}_") for name in others)
     node = Node(fmu, tmp_path / "fmu")
     assert node.get("CAN.state") == 1
     node.close()
 
 
+def global_names(*files: Path, options: Sequence[str] = ()) -> set[str]:
+    """Return the global names that object files or libraries define."""
+    command = ["nm", "-g", "--defined-only", "--format=posix", *options, *map(str, files)]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    return {row.split()[0] for row in printed.splitlines() if " " in row}
+
+
+def functions_of_fmi(fmu: Path) -> set[str]:
+    header = content(fmu, "sources/fmi3Functions.h")
+    return set(re.findall(r"^#define (fmi3\w+) +fmi3FullName", header, re.MULTILINE))
+
+
 def test_a_library_exports_the_functions_of_fmi_only(fmu: Path, tmp_path: Path) -> None:
     fmpy.extract(str(fmu), str(tmp_path))
     library = next(tmp_path.glob("binaries/*-linux/*.so"))
-    printed = subprocess.run(
-        ["nm", "-D", "--defined-only", str(library)], capture_output=True, text=True, check=True
-    ).stdout
-    names = {row.split()[-1] for row in printed.splitlines()}
-    header = content(fmu, "sources/fmi3Functions.h")
-    assert names == set(re.findall(r"^#define (fmi3\w+) +fmi3FullName", header, re.MULTILINE))
+    assert global_names(library, options=["-D"]) == functions_of_fmi(fmu)
+
+
+def test_source_fmus_are_linked_into_one_program(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All their global names begin with the model identifier, or with a prefix that is stated."""
+    monkeypatch.setattr(archive, "binaries", lambda *_: {})
+    objects: list[Path] = []
+    words: list[str] = []
+    references: dict[str, str] = {}
+    for node, prefix in (("sender", ""), ("receiver", "stated_")):
+        path = tmp_path / f"{node}.fmu"
+        generate(node, path)
+        description = fmpy.read_model_description(str(path))
+        fmpy.extract(str(path), str(tmp_path / node))
+        folder = tmp_path / node / "sources"
+        files = description.buildConfigurations[0].sourceFileSets[0]
+        needed = [each for each in files.preprocessorDefinitions if not each.optional]
+        flags = [f"-D{each.name}={each.value}" for each in needed]
+        flags += [f"-DFMI3_FUNCTION_PREFIX={prefix}"] if prefix else []
+        command = ["cc", "-std=c99", "-O0", *flags, "-c", *files.sourceFiles]
+        subprocess.run(command, check=True, cwd=folder)
+        own = sorted(folder.glob("*.o"))
+        names = global_names(*own)
+        prefix = prefix or f"{description.coSimulation.modelIdentifier}_"
+        assert {prefix + name for name in functions_of_fmi(path)} < names
+        assert all(name.startswith(prefix) for name in names)
+        objects += own
+        words.append(description.guid)
+        references |= {
+            f"{node} {each.name}": str(each.valueReference) for each in description.modelVariables
+        }
+    inputs = ("valid", "mean[1]", "cov[1,1]", "cov[2,2]", "cov[3,3]", "cov[4,4]", "x_max")
+    words += [references[f"sender EGO_LEFT.{name}"] for name in inputs]
+    words += [references[f"receiver EGO_LEFT.{name}"] for name in ("y[1]", "usable")]
+    program = tmp_path / "program"
+    include = f"-I{tmp_path / 'sender' / 'sources'}"
+    main = C / "tests" / "static_fmus.c"
+    command = ["cc", "-std=c99", include, main, *objects, "-lm", "-o", program]
+    subprocess.run(command, check=True)
+    printed = subprocess.run([program, *words], check=True, capture_output=True, text=True).stdout
+    assert printed == "1.75 1\n"
 
 
 @pytest.mark.skipif(shutil.which("x86_64-w64-mingw32-gcc") is None, reason="there is no MinGW")

@@ -22,6 +22,7 @@ from ..tables import tables_of
 from . import variables as code
 from .compilers import binaries
 from .description import BUS, build_description, manifest, model_description, terminals
+from .names import names_header
 from .nodes import POSITIONS, controller_rows, line_rows, pose_rows, receiver_rows, sender_rows
 from .route import SentRoute, route_source
 from .variables import Row, Variable, variables_of
@@ -66,7 +67,7 @@ def fmu_of(node: str, layout: Layout, route: SentRoute | None = None) -> Fmu:
     """
     check(node, layout)
     kind = kind_of(node, route)
-    identifier = f"maplines_{kind}"
+    identifier = identifier_of(kind)
     variables = described(variables_of(rows_of(node, layout, route)), layout)
     sources, token = sources_of(node, layout, route)
     version = re.findall(r'#define MAPLINES_VERSION "(.+)"', sources["maplines.h"])[0]
@@ -88,6 +89,11 @@ def fmu_of(node: str, layout: Layout, route: SentRoute | None = None) -> Fmu:
 def kind_of(node: str, route: SentRoute | None) -> str:
     """Return the kind of a node: "receiver", "sender", or "map_sender"."""
     return node if route is None else f"map_{node}"
+
+
+def identifier_of(kind: str) -> str:
+    """Return the model identifier of a kind of node."""
+    return f"maplines_{kind}"
 
 
 def check(node: str, layout: Layout) -> None:
@@ -163,12 +169,18 @@ def sources_of(
     for name in HEADERS:
         sources[name] = (_fmpy() / "c-code" / name).read_text(encoding="utf-8")
     listed = variables_of(rows_of(node, layout, route))
+    declared = [text for name, text in sources.items() if name.endswith(".h")]
+    declared.append(code.header(listed, len(POSITIONS), "", TABLES))
+    sources["names.h"] = names_header(identifier_of(kind_of(node, route)), declared)
     digest = hashlib.sha256(code.source(listed, "").encode())
     for name, text in sorted(sources.items()):
         digest.update(f"{name}\n{text}\n".encode())
     token = _token(digest.digest())
     sources["variables.h"] = code.header(listed, len(POSITIONS), token, TABLES)
     sources["variables.c"] = code.source(listed, token)
+    for name in sources:
+        if name.endswith(".c"):
+            sources[name] = '#include "names.h"\n' + sources[name]
     return sources, token
 
 

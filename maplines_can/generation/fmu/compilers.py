@@ -13,7 +13,8 @@ from pathlib import Path
 COMPILERS = (("cc", "gcc", "clang"), ("x86_64-w64-mingw32-gcc",))
 #: Endings of a shared library.
 ENDINGS = {"linux": ".so", "windows": ".dll", "darwin": ".dylib"}
-OPTIONS = ["-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-DNDEBUG", "-shared"]
+OPTIONS = ["-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-DNDEBUG", "-shared",
+           "-DFMI3_OVERRIDE_FUNCTION_PREFIX"]  # fmt: skip
 #: Options of a system: no time stamp and no library of the compiler in a DLL.
 MORE = {
     "linux": ["-fPIC", "-s"],

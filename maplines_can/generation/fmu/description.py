@@ -5,7 +5,6 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 from enum import IntEnum
-from typing import Any
 
 from .variables import RX_CLOCK, RX_DATA, TIME, TX_CLOCK, TX_DATA, Role, Row, Store, Variable
 
@@ -234,9 +233,10 @@ def build_description(identifier: str, sources: Iterable[str]) -> bytes:
     files = ET.SubElement(configuration, "SourceFileSet", language="C99")
     for name in sources:
         ET.SubElement(files, "SourceFile", name=name)
-    definitions: dict[str, Any] = {"NDEBUG": "1", "FMI3_OVERRIDE_FUNCTION_PREFIX": "1"}
-    for name, value in definitions.items():
-        ET.SubElement(files, "PreprocessorDefinition", name=name, value=value)
+    ET.SubElement(files, "PreprocessorDefinition", name="NDEBUG", value="1")
+    description = "for a shared library: functions of FMI have no prefix"
+    override = {"name": "FMI3_OVERRIDE_FUNCTION_PREFIX", "value": "1", "optional": "true"}
+    ET.SubElement(files, "PreprocessorDefinition", override, description=description)
     return _written(root)
 
 
