@@ -30,8 +30,8 @@
  * Loops    are bounded by the constants below. There is no recursion.
  * Errors   What the bus sends is counted, and never asserted. A caller's mistake is asserted: NULL,
  *          a decoder or encoder that is not initialised, a frame of more than 64 bytes, a number
- *          that is no value of its enumeration. Numbers have a refusal of their own where a
- *          function has one; where not, NaN is a mistake, too. The assertion is
+ *          that is no value of its enumeration. A number that is not finite or out of its range
+ *          is refused by the result, and asserted only where no result can say so. The assertion is
  *          MAPLINES_ASSERT(condition), by default assert(); define it as another expression for
  *          all sources, such as -D'MAPLINES_ASSERT(c)=((c) ? (void)0 : on_mistake())'. Where it
  *          returns, or is off by NDEBUG, the function refuses: it returns NULL, false, NaN or a
@@ -647,9 +647,10 @@ typedef struct {
 /// Result of a prediction.
 typedef enum {
     MAPLINES_PREDICTED = 0,
-    MAPLINES_NOT_USABLE = 1, ///< the line has the status OUT_OF_RANGE, or its age is infinite
+    MAPLINES_NOT_USABLE = 1, ///< the line has the status OUT_OF_RANGE, or its age is infinite; NULL
     MAPLINES_TOO_FAR = 2,    ///< the time is more than 10 s from the pose of the line
-    MAPLINES_BAD_MOTION = 3, ///< a value is not finite, a sigma negative, a correlation beyond 1
+    MAPLINES_BAD_MOTION = 3, ///< a value is not finite, a sigma negative, a correlation beyond 1,
+                             ///< or the motion is NULL
     MAPLINES_ILL_POSED = 4,  ///< the line would not be a function of x in the new frame
 } maplines_prediction_t;
 

@@ -31,6 +31,10 @@ static bool arc_of(const double *state, const void *context, double *value)
 bool maplines_displacement(const maplines_motion_t *motion, maplines_real_t dt,
                            maplines_real_t time_sigma, maplines_displacement_t *displacement)
 {
+    if (!MAPLINES_REQUIRE(motion != NULL) || !MAPLINES_REQUIRE(displacement != NULL))
+    {
+        return false;
+    }
     // A speed without an error correlates with nothing.
     const double correlation = motion->speed_sigma > 0 ? (double)motion->correlation : 0.0;
     const double rate_sigma = (double)motion->yaw_rate_sigma;
@@ -122,7 +126,13 @@ maplines_prediction_t maplines_predict_gaussian(const maplines_gaussian_t *gauss
     double line[4];
     static const uint8_t natural_order[4] = {0, 1, 2, 3};
     double window[2];
-    if (!is_finite_displacement(displacement))
+    const double infinity = (double)INFINITY;
+    if (!MAPLINES_REQUIRE(gaussian != NULL) || !MAPLINES_REQUIRE(predicted != NULL) ||
+        !MAPLINES_REQUIRE(fabs((double)x_min) < infinity && fabs((double)x_max) < infinity))
+    {
+        return MAPLINES_NOT_USABLE;
+    }
+    if (!MAPLINES_REQUIRE(displacement != NULL) || !is_finite_displacement(displacement))
     {
         return MAPLINES_BAD_MOTION;
     }
@@ -227,17 +237,18 @@ maplines_prediction_t maplines_predict(const maplines_line_t *line, int64_t t_ns
                                        maplines_line_t *predicted)
 {
     int64_t away_ns;
-    maplines_line_t result = *line;
     maplines_prediction_t prediction = MAPLINES_PREDICTED;
-    if (!is_predictable(line))
+    if (!MAPLINES_REQUIRE(line != NULL) || !MAPLINES_REQUIRE(predicted != NULL) ||
+        !is_predictable(line))
     {
         return MAPLINES_NOT_USABLE;
     }
+    maplines_line_t result = *line;
     if (!time_from_pose(line, t_ns, &away_ns))
     {
         return MAPLINES_TOO_FAR;
     }
-    if (!is_finite_displacement(displacement))
+    if (!MAPLINES_REQUIRE(displacement != NULL) || !is_finite_displacement(displacement))
     {
         return MAPLINES_BAD_MOTION;
     }
@@ -282,7 +293,8 @@ maplines_prediction_t maplines_predict_to(const maplines_line_t *line, int64_t t
 {
     int64_t away_ns;
     maplines_displacement_t displacement;
-    if (!is_predictable(line))
+    if (!MAPLINES_REQUIRE(line != NULL) || !MAPLINES_REQUIRE(predicted != NULL) ||
+        !is_predictable(line))
     {
         return MAPLINES_NOT_USABLE;
     }

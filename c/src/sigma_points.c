@@ -125,6 +125,21 @@ void maplines_overall(size_t count, const maplines_gaussian_t *components,
     double mean[4] = {0};
     double root[4][4] = {{0}};
     double total = 0.0;
+    if (!MAPLINES_REQUIRE(overall != NULL))
+    {
+        return;
+    }
+    if (!MAPLINES_REQUIRE(count > 0) || !MAPLINES_REQUIRE(components != NULL) ||
+        !MAPLINES_REQUIRE(weights != NULL))
+    {
+        const maplines_real_t nan = (maplines_real_t)NAN;
+        *overall = (maplines_gaussian_t){{nan, nan, nan, nan},
+                                         {{nan, nan, nan, nan},
+                                          {nan, nan, nan, nan},
+                                          {nan, nan, nan, nan},
+                                          {nan, nan, nan, nan}}};
+        return;
+    }
     for (size_t k = 0; k < count; ++k)
     {
         total += (double)weights[k];

@@ -120,6 +120,10 @@ static maplines_real_t sigma_of(const deviation_t *deviation, size_t n)
 
 bool maplines_is_valid_at(const maplines_line_t *line, maplines_real_t x)
 {
+    if (!MAPLINES_REQUIRE(line != NULL))
+    {
+        return false;
+    }
     return x >= line->x_min - RANGE_TOLERANCE && x <= line->x_max + RANGE_TOLERANCE;
 }
 
@@ -138,10 +142,14 @@ maplines_real_t maplines_y(const maplines_line_t *line, maplines_real_t x)
 static maplines_estimate_t sum_of(const maplines_line_t *line, size_t count,
                                   const maplines_term_t *terms)
 {
-    const maplines_gaussian_t *gaussian = &line->gaussian;
     maplines_estimate_t sum = {0, 0};
     gradient_t gradient = {{0}, {0}};
     deviation_t deviation = {{0}, {0}, 4};
+    if (!MAPLINES_REQUIRE(line != NULL))
+    {
+        return nothing;
+    }
+    const maplines_gaussian_t *gaussian = &line->gaussian;
     const maplines_real_t slope = slope_of(gaussian);
     for (size_t i = 0; i < count; ++i)
     {
@@ -159,7 +167,7 @@ static maplines_estimate_t sum_of(const maplines_line_t *line, size_t count,
 
 maplines_real_t maplines_y_sigma(const maplines_line_t *line, maplines_real_t x)
 {
-    const maplines_term_t term = {line->slot, x, 1};
+    const maplines_term_t term = {MAPLINES_EGO_LEFT, x, 1};
     return sum_of(line, 1, &term).sigma;
 }
 
@@ -167,8 +175,12 @@ maplines_estimate_t maplines_slope(const maplines_line_t *line, maplines_real_t 
                                    maplines_real_t distance)
 {
     const maplines_real_t weight = 1 / distance;
-    const maplines_term_t terms[2] = {{line->slot, x - distance / 2, -weight},
-                                      {line->slot, x + distance / 2, weight}};
+    const maplines_term_t terms[2] = {{MAPLINES_EGO_LEFT, x - distance / 2, -weight},
+                                      {MAPLINES_EGO_LEFT, x + distance / 2, weight}};
+    if (!MAPLINES_REQUIRE(distance > 0))
+    {
+        return nothing;
+    }
     return sum_of(line, 2, terms);
 }
 
@@ -177,9 +189,13 @@ maplines_estimate_t maplines_curvature(const maplines_line_t *line, maplines_rea
 {
     const maplines_real_t half = distance / 2;
     const maplines_real_t weight = 1 / (half * half);
-    const maplines_term_t terms[3] = {{line->slot, x - half, weight},
-                                      {line->slot, x, -2 * weight},
-                                      {line->slot, x + half, weight}};
+    const maplines_term_t terms[3] = {{MAPLINES_EGO_LEFT, x - half, weight},
+                                      {MAPLINES_EGO_LEFT, x, -2 * weight},
+                                      {MAPLINES_EGO_LEFT, x + half, weight}};
+    if (!MAPLINES_REQUIRE(distance > 0))
+    {
+        return nothing;
+    }
     return sum_of(line, 3, terms);
 }
 
@@ -232,7 +248,11 @@ static maplines_estimate_t position_beyond(const maplines_gaussian_t *gaussian, 
 maplines_estimate_t maplines_y_extrapolated(const maplines_line_t *line, maplines_real_t x)
 {
     const bool is_finite = x - x == 0;
-    const maplines_term_t term = {line->slot, x, 1};
+    const maplines_term_t term = {MAPLINES_EGO_LEFT, x, 1};
+    if (!MAPLINES_REQUIRE(line != NULL))
+    {
+        return nothing;
+    }
     if (is_finite && x < line->x_min)
     {
         return position_beyond(&line->gaussian, line->x_min, x);
@@ -246,12 +266,17 @@ maplines_estimate_t maplines_y_extrapolated(const maplines_line_t *line, mapline
 
 void maplines_covariance(const maplines_gaussian_t *gaussian, maplines_real_t covariance[4][4])
 {
+    if (!MAPLINES_REQUIRE(covariance != NULL))
+    {
+        return;
+    }
+    const bool is_given = MAPLINES_REQUIRE(gaussian != NULL);
     for (int i = 0; i < 4; ++i)
     {
         for (int j = 0; j < 4; ++j)
         {
-            maplines_real_t sum = 0;
-            for (int k = 0; k < 4; ++k)
+            maplines_real_t sum = is_given ? 0 : nothing.value;
+            for (int k = 0; is_given && k < 4; ++k)
             {
                 sum += gaussian->factor[i][k] * gaussian->factor[j][k];
             }
@@ -266,8 +291,11 @@ maplines_real_t maplines_mahalanobis(const maplines_line_t *line, size_t count,
     double G[MAPLINES_MAX_POSITIONS][4] = {{0}}; // deviations of the line at the positions
     double S[MAPLINES_MAX_POSITIONS * MAPLINES_MAX_POSITIONS] = {0};
     double z[MAPLINES_MAX_POSITIONS] = {0};
-    MAPLINES_ASSERT(count <= MAPLINES_MAX_POSITIONS);
-    if (count > MAPLINES_MAX_POSITIONS)
+    if (!MAPLINES_REQUIRE(line != NULL) || !MAPLINES_REQUIRE(positions != NULL || count == 0))
+    {
+        return nothing.value;
+    }
+    if (!MAPLINES_REQUIRE(count <= MAPLINES_MAX_POSITIONS))
     {
         return (maplines_real_t)INFINITY;
     }
@@ -313,6 +341,11 @@ maplines_real_t maplines_mahalanobis(const maplines_line_t *line, size_t count,
 #if MAPLINES_SCENES
 /* ---- lines of a scene ------------------------------------------------------------------------ */
 
+static bool is_scene(const maplines_scene_t *scene)
+{
+    return scene != NULL && scene->count <= MAPLINES_SLOTS;
+}
+
 /// Place of the line of a slot in a scene; its count if it has none.
 static size_t place_in_scene(const maplines_scene_t *scene, maplines_owner_t slot)
 {
@@ -326,6 +359,10 @@ static size_t place_in_scene(const maplines_scene_t *scene, maplines_owner_t slo
 
 const maplines_line_t *maplines_scene_line(const maplines_scene_t *scene, maplines_owner_t slot)
 {
+    if (!MAPLINES_REQUIRE(is_scene(scene)))
+    {
+        return NULL;
+    }
     const size_t place = place_in_scene(scene, slot);
     return place < scene->count ? &scene->lines[place] : NULL;
 }
@@ -335,9 +372,21 @@ bool maplines_sum(const maplines_scene_t *scene, size_t count, const maplines_te
 {
     gradient_t gradients[MAPLINES_SLOTS] = {{{0}, {0}}};
     maplines_real_t value = 0;
+    if (!MAPLINES_REQUIRE(sum != NULL))
+    {
+        return false;
+    }
     *sum = nothing;
+    if (!MAPLINES_REQUIRE(is_scene(scene)) || !MAPLINES_REQUIRE(terms != NULL || count == 0))
+    {
+        return false;
+    }
     for (size_t i = 0; i < count; ++i)
     {
+        if (!MAPLINES_REQUIRE(terms[i].weight - terms[i].weight == 0)) // it is finite
+        {
+            return false;
+        }
         const size_t place = place_in_scene(scene, terms[i].slot);
         if (place == scene->count || !maplines_is_valid_at(&scene->lines[place], terms[i].x))
         {
@@ -383,6 +432,11 @@ bool maplines_common_range(const maplines_scene_t *scene, size_t count,
                            const maplines_owner_t *slots, maplines_real_t *x_min,
                            maplines_real_t *x_max)
 {
+    if (!MAPLINES_REQUIRE(is_scene(scene)) || !MAPLINES_REQUIRE(slots != NULL || count == 0) ||
+        !MAPLINES_REQUIRE(x_min != NULL) || !MAPLINES_REQUIRE(x_max != NULL))
+    {
+        return false;
+    }
     *x_min = -(maplines_real_t)INFINITY;
     *x_max = (maplines_real_t)INFINITY;
     bool is_valid = count > 0;
@@ -403,6 +457,11 @@ bool maplines_common_range(const maplines_scene_t *scene, size_t count,
 bool maplines_joint_covariance(const maplines_scene_t *scene, size_t count,
                                const maplines_owner_t *slots, maplines_real_t *covariance)
 {
+    if (!MAPLINES_REQUIRE(is_scene(scene)) || !MAPLINES_REQUIRE(slots != NULL || count == 0) ||
+        !MAPLINES_REQUIRE(covariance != NULL || count == 0))
+    {
+        return false;
+    }
     for (size_t a = 0; a < count; ++a)
     {
         const size_t place = place_in_scene(scene, slots[a]);

@@ -1,0 +1,756 @@
+/* Each public function with what its caller must not give: a row each, which prints
+ *
+ *     function | mistake | what came of it | assertions that failed
+ *
+ * With an argument, only the row of this number. A row ends with "wrong" if the result is not the
+ * one that the header promises. Assertions are counted with count_assertions.h.
+ */
+#include "lines_dbc.h"
+#include "pose_dbc.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define ROUNDS 20
+#define CYCLE_NS INT64_C(50000000)
+#define BAD_SLOT ((maplines_owner_t)99)
+
+static int failures; ///< assertions
+
+#ifdef MAPLINES_ASSERT
+void count_assertion(int holds)
+{
+    failures += holds == 0 ? 1 : 0;
+}
+#endif
+
+/* ---- a good receiver and a good sender, of lines and of scenes --------------------------------
+ */
+
+static const maplines_decoder_t zeroed;
+static maplines_decoder_t decoder, scenes;
+static maplines_encoder_t encoder, scene_encoder;
+static const maplines_encoder_t zeroed_encoder;
+static maplines_frame_t frames[MAPLINES_MAX_SCENE_FRAMES + MAPLINES_MAX_FRAMES];
+static maplines_frame_t frame;
+static maplines_scene_workspace_t workspace;
+static maplines_input_t input;
+static maplines_component_t components[MAPLINES_MAX_COMPONENTS];
+static maplines_scene_input_t scene_input;
+static maplines_view_t view;
+static maplines_scene_view_t scene_view;
+static maplines_line_t line;
+static maplines_scene_t scene;
+static maplines_displacement_t displacement;
+static maplines_motion_t motion;
+static maplines_slot_stats_t stats;
+static maplines_statistics_t numbers;
+static maplines_settings_t settings;
+static maplines_estimate_t estimate;
+static maplines_real_t weight, low, high;
+static maplines_real_t weights[2] = {1, 0};
+static maplines_gaussian_t gaussian;
+static maplines_line_t predicted;
+static maplines_real_t covariance[4][4];
+static maplines_real_t joint[64];
+static maplines_position_t positions[MAPLINES_MAX_POSITIONS + 1];
+static maplines_term_t terms[2];
+static const maplines_owner_t both[2] = {MAPLINES_EGO_LEFT, MAPLINES_EGO_RIGHT};
+static maplines_signer_t signer; // without a function
+static maplines_line_copy_t copy;
+static maplines_scene_copy_t scene_copy;
+static const maplines_real_t nan_value = (maplines_real_t)NAN;
+static const maplines_real_t infinity = (maplines_real_t)INFINITY;
+
+static void set_inputs(void)
+{
+    static const double variances[4] = {0.01, 1e-4, 1e-8, 1e-12};
+    memset(&input, 0, sizeof input);
+    input.slot = MAPLINES_EGO_LEFT;
+    input.kind = MAPLINES_SOLID;
+    input.status = MAPLINES_FULL;
+    input.x_max = 80;
+    input.age = 0.02;
+    input.has_age = true;
+    memset(&scene_input, 0, sizeof scene_input);
+    scene_input.count = 2;
+    scene_input.pose_age = 0.02;
+    scene_input.correlation_time = 10;
+    scene_input.has_specific = true;
+    for (int i = 0; i < 3; ++i)
+    {
+        scene_input.pose_cov[i][i] = i < 2 ? 0.01 : 1e-6;
+    }
+    for (int k = 0; k < 2; ++k)
+    {
+        maplines_scene_line_t *one = &scene_input.lines[k];
+        one->slot = both[k];
+        one->kind = MAPLINES_SOLID;
+        one->status = MAPLINES_FULL;
+        one->x_max = 80;
+        one->age = 0.02;
+        one->mean[0] = k == 0 ? 1.75 : -1.75;
+        one->fit_range[1] = 80;
+        for (int i = 0; i < 4; ++i)
+        {
+            one->specific[i][i] = variances[i];
+            scene_input.cov[4 * k + i][4 * k + i] = 2 * variances[i];
+            // of the pose error: the lines move together
+            scene_input.cov[i % 4][4 + i % 4] = 0;
+        }
+    }
+    for (int i = 0; i < 4; ++i)
+    {
+        input.cov[i][i] = variances[i];
+    }
+    for (int k = 0; k < MAPLINES_MAX_COMPONENTS; ++k)
+    {
+        memset(&components[k], 0, sizeof components[k]);
+        components[k].weight = k < 2 ? 0.5 : 0;
+        memcpy(components[k].cov, input.cov, sizeof input.cov);
+    }
+}
+
+static void feed_all(maplines_decoder_t *of, int count, int64_t t_ns)
+{
+    for (int i = 0; i < count; ++i)
+    {
+        (void)maplines_feed(of, &frames[i], t_ns);
+    }
+}
+
+/// Feed lines each so many units of time, which the caller takes for nanoseconds.
+static void feed_lines(int64_t begin, int64_t spacing)
+{
+    maplines_encoder_init(&encoder, &lines_dbc, NULL);
+    (void)maplines_decoder_init(&decoder, &lines_dbc, &settings);
+    for (int k = 0; k < ROUNDS; ++k)
+    {
+        feed_all(&decoder, maplines_encode_line(&encoder, &input, false, 0, frames).count,
+                 begin + spacing * k);
+    }
+    maplines_latest(&decoder, MAPLINES_EGO_LEFT, begin + spacing * (ROUNDS - 1), &view);
+    maplines_statistics(&decoder, &numbers);
+}
+
+static void begin(void)
+{
+    set_inputs();
+    (void)maplines_default_settings(&lines_dbc, &settings);
+    feed_lines(0, CYCLE_NS);
+    frame = frames[0];
+    line = *maplines_newest(&decoder, MAPLINES_EGO_LEFT);
+    maplines_encoder_init(&scene_encoder, &pose_dbc, NULL);
+    (void)maplines_decoder_init(&scenes, &pose_dbc, NULL);
+    for (int k = 0; k < ROUNDS; ++k)
+    {
+        feed_all(
+            &scenes,
+            maplines_encode_scene(&scene_encoder, &scene_input, false, 0, &workspace, frames).count,
+            CYCLE_NS * k);
+    }
+    maplines_latest_scene(&scenes, CYCLE_NS * (ROUNDS - 1), &scene_view);
+    if (scene_view.scene == NULL || !scene_view.is_usable || !view.is_usable)
+    {
+        (void)printf("the good calls fail\n");
+        exit(2);
+    }
+    scene = *scene_view.scene;
+    motion.speed = 20;
+    (void)maplines_displacement(&motion, (maplines_real_t)0.1, 0, &displacement);
+    for (int i = 0; i < MAPLINES_MAX_POSITIONS + 1; ++i)
+    {
+        positions[i] = (maplines_position_t){10, 0, 1};
+    }
+    terms[0] = (maplines_term_t){MAPLINES_EGO_LEFT, 10, 1};
+    terms[1] = (maplines_term_t){MAPLINES_EGO_RIGHT, 10, -1};
+    failures = 0;
+}
+
+/* ---- results ----------------------------------------------------------------------------------
+ */
+
+static char text[200];
+
+static const char *number(double value, bool is_promised)
+{
+    (void)snprintf(text, sizeof text, "%g%s", value, is_promised ? "" : " wrong");
+    return text;
+}
+
+static const char *said(const char *what, bool is_promised)
+{
+    (void)snprintf(text, sizeof text, "%s%s", what, is_promised ? "" : " wrong");
+    return text;
+}
+
+static const char *nan_of(maplines_real_t value)
+{
+    return number((double)value, value != value);
+}
+
+static const char *unknown(maplines_estimate_t of)
+{
+    (void)snprintf(text, sizeof text, "%g, sigma %g%s", (double)of.value, (double)of.sigma,
+                   of.value != of.value && !(of.sigma < infinity) ? "" : " wrong");
+    return text;
+}
+
+static const char *refused(bool result)
+{
+    return said(result ? "true" : "false", !result);
+}
+
+static const char *nothing(void)
+{
+    return said("nothing", true);
+}
+
+static const char *problem(const char *what)
+{
+    return what != NULL ? said(what, true) : said("no problem", false);
+}
+
+static const char *fed_is(maplines_fed_t fed, maplines_reason_t reason)
+{
+    return said(maplines_reason_name(fed.reason), fed.reason == reason && fed.count == 0);
+}
+
+static const char *no_line(const maplines_line_t *found)
+{
+    return said(found == NULL ? "NULL" : "a line", found == NULL);
+}
+
+static const char *not_usable(bool has, bool is_usable)
+{
+    return said(has || is_usable ? "a line" : "no line, not usable", !has && !is_usable);
+}
+
+static const char *sent_is(maplines_sent_t sent, maplines_refusal_t refusal)
+{
+    return said(maplines_refusal_name(sent.refusal), sent.refusal == refusal && sent.count == 0);
+}
+
+static const char *scene_is(maplines_sent_scene_t sent, maplines_refusal_t refusal)
+{
+    return said(maplines_refusal_name(sent.refusal), sent.refusal == refusal && sent.count == 0);
+}
+
+static const char *prediction_is(maplines_prediction_t result, maplines_prediction_t expected)
+{
+    return said(maplines_prediction_name(result), result == expected);
+}
+
+/* ---- rows -------------------------------------------------------------------------------------
+ */
+
+static int row_number, only;
+
+static bool begins(void)
+{
+    ++row_number;
+    set_inputs();
+    failures = 0;
+    return only == 0 || only == row_number;
+}
+
+/// The assertions must have counted the mistake, or must not count what has a refusal of its own.
+static void ends(const char *function, const char *mistake, bool is_asserted, const char *outcome)
+{
+#ifdef MAPLINES_ASSERT
+    const bool is_right = is_asserted ? failures > 0 : failures == 0;
+#else
+    const bool is_right = true;
+#endif
+    (void)printf("%s | %s | %s | %s%s\n", function, mistake, outcome,
+                 is_asserted ? "asserted" : "refused", is_right ? "" : " wrong");
+    (void)fflush(stdout);
+}
+
+/// A row: what `call` gives after the mistake.
+#define ROW(function, mistake, is_asserted, call)                                                  \
+    if (begins())                                                                                  \
+    {                                                                                              \
+        ends(#function, mistake, is_asserted, call);                                               \
+    }
+/// The same for a function that returns nothing.
+#define VOID_ROW(function, mistake, call)                                                          \
+    if (begins())                                                                                  \
+    {                                                                                              \
+        call;                                                                                      \
+        ends(#function, mistake, true, nothing());                                                 \
+    }
+/// The same after a statement.
+#define ROW_AFTER(function, mistake, is_asserted, statement, call)                                 \
+    if (begins())                                                                                  \
+    {                                                                                              \
+        statement;                                                                                 \
+        ends(#function, mistake, is_asserted, call);                                               \
+    }
+
+static maplines_frame_t *with_length(uint8_t length)
+{
+    static maplines_frame_t long_frame;
+    long_frame = frame;
+    long_frame.length = length;
+    return &long_frame;
+}
+
+static maplines_frame_t *with_id(uint32_t can_id)
+{
+    static maplines_frame_t other;
+    other = frame;
+    other.can_id = can_id;
+    return &other;
+}
+
+static maplines_decoder_t *copy_of_zeroed(void)
+{
+    static maplines_decoder_t of;
+    of = zeroed;
+    return &of;
+}
+
+static maplines_encoder_t *encoder_of_zeroed(void)
+{
+    static maplines_encoder_t of;
+    of = zeroed_encoder;
+    return &of;
+}
+
+static void receiver_rows(void)
+{
+    ROW(decoder_init, "decoder NULL", true, problem(maplines_decoder_init(NULL, &lines_dbc, NULL)))
+    ROW(decoder_init, "dbc NULL", true,
+        problem(maplines_decoder_init(copy_of_zeroed(), NULL, NULL)))
+    ROW_AFTER(decoder_init, "stale_cycles NaN", false, settings.stale_cycles = NAN,
+              problem(maplines_decoder_init(copy_of_zeroed(), &lines_dbc, &settings)))
+    maplines_default_settings(&lines_dbc, &settings);
+    ROW_AFTER(decoder_init, "cycle_ns negative", false, settings.cycle_ns[0] = -1,
+              problem(maplines_decoder_init(copy_of_zeroed(), &lines_dbc, &settings)))
+    maplines_default_settings(&lines_dbc, &settings);
+    ROW(feed, "decoder NULL", true, fed_is(maplines_feed(NULL, &frame, 0), MAPLINES_FOREIGN))
+    ROW(feed, "decoder zeroed", true,
+        fed_is(maplines_feed(copy_of_zeroed(), &frame, 0), MAPLINES_FOREIGN))
+    ROW(feed, "frame NULL", true, fed_is(maplines_feed(&decoder, NULL, 0), MAPLINES_FOREIGN))
+    ROW(feed, "frame of 65 bytes", true,
+        fed_is(maplines_feed(&decoder, with_length(65), 0), MAPLINES_LENGTH))
+    ROW(feed, "frame of 255 bytes", true,
+        fed_is(maplines_feed(&decoder, with_length(255), 0), MAPLINES_LENGTH))
+    ROW(feed, "CAN ID with the flag of SocketCAN", true,
+        fed_is(maplines_feed(&decoder, with_id(0x80000340U), 0), MAPLINES_FOREIGN))
+    ROW(latest, "decoder NULL", true,
+        (maplines_latest(NULL, MAPLINES_EGO_LEFT, 0, &view),
+         not_usable(view.line != NULL, view.is_usable)))
+    ROW(latest, "decoder zeroed", true,
+        (maplines_latest(copy_of_zeroed(), MAPLINES_EGO_LEFT, 0, &view),
+         not_usable(view.line != NULL, view.is_usable)))
+    ROW(latest, "slot 99", true,
+        (maplines_latest(&decoder, BAD_SLOT, 0, &view),
+         not_usable(view.line != NULL, view.is_usable)))
+    VOID_ROW(latest, "view NULL", maplines_latest(&decoder, MAPLINES_EGO_LEFT, 0, NULL))
+    ROW(copy_line, "decoder NULL", true,
+        (maplines_copy_line(NULL, MAPLINES_EGO_LEFT, 0, &copy),
+         not_usable(copy.has_line, copy.is_usable)))
+    ROW(copy_line, "decoder zeroed", true,
+        (maplines_copy_line(copy_of_zeroed(), MAPLINES_EGO_LEFT, 0, &copy),
+         not_usable(copy.has_line, copy.is_usable)))
+    ROW(copy_line, "slot 99", true,
+        (maplines_copy_line(&decoder, BAD_SLOT, 0, &copy),
+         not_usable(copy.has_line, copy.is_usable)))
+    VOID_ROW(copy_line, "copy NULL", maplines_copy_line(&decoder, MAPLINES_EGO_LEFT, 0, NULL))
+    ROW(newest, "decoder NULL", true, no_line(maplines_newest(NULL, MAPLINES_EGO_LEFT)))
+    ROW(newest, "decoder zeroed", true, no_line(maplines_newest(&zeroed, MAPLINES_EGO_LEFT)))
+    ROW(newest, "slot 99", true, no_line(maplines_newest(&decoder, BAD_SLOT)))
+    ROW(component, "decoder NULL", true,
+        refused(maplines_component(NULL, MAPLINES_EGO_LEFT, 0, &gaussian, &weight)))
+    ROW(component, "decoder zeroed", true,
+        refused(maplines_component(&zeroed, MAPLINES_EGO_LEFT, 0, &gaussian, &weight)))
+    ROW(component, "gaussian NULL", true,
+        refused(maplines_component(&decoder, MAPLINES_EGO_LEFT, 0, NULL, &weight)))
+    ROW(component, "weight NULL", true,
+        refused(maplines_component(&decoder, MAPLINES_EGO_LEFT, 0, &gaussian, NULL)))
+    ROW(component, "i beyond the components", false,
+        refused(maplines_component(&decoder, MAPLINES_EGO_LEFT, 7, &gaussian, &weight)))
+    VOID_ROW(expire, "decoder NULL", maplines_expire(NULL, 0))
+    VOID_ROW(expire, "decoder zeroed", maplines_expire(copy_of_zeroed(), 0))
+    ROW(slot_stats, "decoder NULL", true,
+        refused(maplines_slot_stats(NULL, MAPLINES_EGO_LEFT, 0, &stats)))
+    ROW(slot_stats, "decoder zeroed", true,
+        refused(maplines_slot_stats(copy_of_zeroed(), MAPLINES_EGO_LEFT, 0, &stats)))
+    ROW(slot_stats, "owner 99", true, refused(maplines_slot_stats(&decoder, BAD_SLOT, 0, &stats)))
+    ROW(slot_stats, "stats NULL", true,
+        refused(maplines_slot_stats(&decoder, MAPLINES_EGO_LEFT, 0, NULL)))
+    ROW(statistics, "decoder NULL", true,
+        (maplines_statistics(NULL, &numbers), number((double)numbers.frames, numbers.frames == 0)))
+    ROW(statistics, "decoder zeroed", true,
+        (maplines_statistics(&zeroed, &numbers),
+         number((double)numbers.frames, numbers.frames == 0)))
+    VOID_ROW(statistics, "statistics NULL", maplines_statistics(&decoder, NULL))
+    VOID_ROW(default_settings, "dbc NULL", maplines_default_settings(NULL, &settings))
+    VOID_ROW(default_settings, "settings NULL", maplines_default_settings(&lines_dbc, NULL))
+    ROW(settings_for, "dbc NULL", true, problem(maplines_settings_for(NULL, 0, 0, NULL, &settings)))
+    ROW(settings_for, "settings NULL", true,
+        problem(maplines_settings_for(&lines_dbc, 0, 0, NULL, NULL)))
+    ROW(settings_for, "timeout_ms NaN", false,
+        problem(maplines_settings_for(&lines_dbc, NAN, 0, NULL, &settings)))
+    ROW(settings_for, "cycle_ms infinite", false,
+        problem(maplines_settings_for(&lines_dbc, 0, INFINITY, NULL, &settings)))
+    ROW(settings_for, "cycle_ms negative", false,
+        problem(maplines_settings_for(&lines_dbc, 0, -50, NULL, &settings)))
+}
+
+static void line_rows(void)
+{
+    ROW(y, "line NULL", true, nan_of(maplines_y(NULL, 10)))
+    ROW(y, "x NaN", false, nan_of(maplines_y(&line, nan_value)))
+    ROW(y, "x infinite", false, nan_of(maplines_y(&line, infinity)))
+    ROW(y, "x beyond the range", false, nan_of(maplines_y(&line, 1000)))
+    ROW(is_valid_at, "line NULL", true, refused(maplines_is_valid_at(NULL, 10)))
+    ROW(is_valid_at, "x NaN", false, refused(maplines_is_valid_at(&line, nan_value)))
+    ROW(y_extrapolated, "line NULL", true, unknown(maplines_y_extrapolated(NULL, 10)))
+    ROW(y_extrapolated, "x NaN", false, unknown(maplines_y_extrapolated(&line, nan_value)))
+    ROW(y_extrapolated, "x infinite", false, unknown(maplines_y_extrapolated(&line, infinity)))
+    ROW(y_sigma, "line NULL", true, nan_of(maplines_y_sigma(NULL, 10)))
+    ROW(y_sigma, "x NaN", false, nan_of(maplines_y_sigma(&line, nan_value)))
+    ROW(y_sigma, "x infinite", false, nan_of(maplines_y_sigma(&line, infinity)))
+    ROW(slope, "line NULL", true, unknown(maplines_slope(NULL, 20, 10)))
+    ROW(slope, "x NaN", false, unknown(maplines_slope(&line, nan_value, 10)))
+    ROW(slope, "distance 0", true, unknown(maplines_slope(&line, 20, 0)))
+    ROW(slope, "distance negative", true, unknown(maplines_slope(&line, 20, -10)))
+    ROW(slope, "distance NaN", true, unknown(maplines_slope(&line, 20, nan_value)))
+    ROW(curvature, "line NULL", true, unknown(maplines_curvature(NULL, 20, 10)))
+    ROW(curvature, "x NaN", false, unknown(maplines_curvature(&line, nan_value, 10)))
+    ROW(curvature, "distance 0", true, unknown(maplines_curvature(&line, 20, 0)))
+    ROW(curvature, "distance negative", true, unknown(maplines_curvature(&line, 20, -10)))
+    ROW(curvature, "distance NaN", true, unknown(maplines_curvature(&line, 20, nan_value)))
+    ROW(covariance, "gaussian NULL", true,
+        (maplines_covariance(NULL, covariance), nan_of(covariance[0][0])))
+    VOID_ROW(covariance, "covariance NULL", maplines_covariance(&line.gaussian, NULL))
+    ROW(mahalanobis, "line NULL", true, nan_of(maplines_mahalanobis(NULL, 1, positions)))
+    ROW(mahalanobis, "positions NULL", true, nan_of(maplines_mahalanobis(&line, 1, NULL)))
+    ROW(mahalanobis, "9 positions", true,
+        number((double)maplines_mahalanobis(&line, MAPLINES_MAX_POSITIONS + 1, positions),
+               !(maplines_mahalanobis(&line, MAPLINES_MAX_POSITIONS + 1, positions) < infinity)))
+    ROW_AFTER(mahalanobis, "sigma 0", false, positions[0].sigma = 0,
+              number((double)maplines_mahalanobis(&line, 1, positions),
+                     !(maplines_mahalanobis(&line, 1, positions) < infinity)))
+    ROW_AFTER(mahalanobis, "y NaN", false, (positions[0].sigma = 1, positions[0].y = nan_value),
+              number((double)maplines_mahalanobis(&line, 1, positions),
+                     !(maplines_mahalanobis(&line, 1, positions) < infinity)))
+    positions[0].y = 0;
+}
+
+static void scene_rows(void)
+{
+    ROW(latest_scene, "decoder NULL", true,
+        (maplines_latest_scene(NULL, 0, &scene_view),
+         not_usable(scene_view.scene != NULL, scene_view.is_usable)))
+    ROW(latest_scene, "decoder zeroed", true,
+        (maplines_latest_scene(copy_of_zeroed(), 0, &scene_view),
+         not_usable(scene_view.scene != NULL, scene_view.is_usable)))
+    VOID_ROW(latest_scene, "view NULL", maplines_latest_scene(&scenes, 0, NULL))
+    ROW(copy_scene, "decoder NULL", true,
+        (maplines_copy_scene(NULL, 0, &scene_copy),
+         not_usable(scene_copy.has_scene, scene_copy.is_usable)))
+    ROW(copy_scene, "decoder zeroed", true,
+        (maplines_copy_scene(copy_of_zeroed(), 0, &scene_copy),
+         not_usable(scene_copy.has_scene, scene_copy.is_usable)))
+    VOID_ROW(copy_scene, "copy NULL", maplines_copy_scene(&scenes, 0, NULL))
+    ROW(scene_line, "scene NULL", true, no_line(maplines_scene_line(NULL, MAPLINES_EGO_LEFT)))
+    ROW(scene_line, "slot 99", false, no_line(maplines_scene_line(&scene, BAD_SLOT)))
+    ROW(sum, "scene NULL", true,
+        (maplines_sum(NULL, 2, terms, &estimate) ? said("true", false) : unknown(estimate)))
+    ROW(sum, "terms NULL", true,
+        (maplines_sum(&scene, 2, NULL, &estimate) ? said("true", false) : unknown(estimate)))
+    ROW(sum, "sum NULL", true, refused(maplines_sum(&scene, 2, terms, NULL)))
+    ROW_AFTER(sum, "slot 99", false, terms[0].slot = BAD_SLOT,
+              (maplines_sum(&scene, 2, terms, &estimate) ? said("true", false) : unknown(estimate)))
+    terms[0].slot = MAPLINES_EGO_LEFT;
+    ROW_AFTER(sum, "x NaN", false, terms[0].x = nan_value,
+              (maplines_sum(&scene, 2, terms, &estimate) ? said("true", false) : unknown(estimate)))
+    terms[0].x = 10;
+    ROW_AFTER(sum, "weight NaN", true, terms[0].weight = nan_value,
+              (maplines_sum(&scene, 2, terms, &estimate) ? said("true", false) : unknown(estimate)))
+    terms[0].weight = 1;
+    ROW(width, "scene NULL", true, refused(maplines_width(NULL, both[0], both[1], 10, &estimate)))
+    ROW(width, "width NULL", true, refused(maplines_width(&scene, both[0], both[1], 10, NULL)))
+    ROW(width, "x NaN", false,
+        refused(maplines_width(&scene, both[0], both[1], nan_value, &estimate)))
+    ROW(centre, "scene NULL", true, refused(maplines_centre(NULL, both[0], both[1], 10, &estimate)))
+    ROW(centre, "centre NULL", true, refused(maplines_centre(&scene, both[0], both[1], 10, NULL)))
+    ROW(centre, "x NaN", false,
+        refused(maplines_centre(&scene, both[0], both[1], nan_value, &estimate)))
+    ROW(common_range, "scene NULL", true,
+        refused(maplines_common_range(NULL, 2, both, &low, &high)))
+    ROW(common_range, "slots NULL", true,
+        refused(maplines_common_range(&scene, 2, NULL, &low, &high)))
+    ROW(common_range, "x_min NULL", true,
+        refused(maplines_common_range(&scene, 2, both, NULL, &high)))
+    ROW(common_range, "x_max NULL", true,
+        refused(maplines_common_range(&scene, 2, both, &low, NULL)))
+    ROW(joint_covariance, "scene NULL", true,
+        refused(maplines_joint_covariance(NULL, 2, both, joint)))
+    ROW(joint_covariance, "slots NULL", true,
+        refused(maplines_joint_covariance(&scene, 2, NULL, joint)))
+    ROW(joint_covariance, "covariance NULL", true,
+        refused(maplines_joint_covariance(&scene, 2, both, NULL)))
+}
+
+static void prediction_rows(void)
+{
+    maplines_displacement_t bad = displacement;
+    maplines_motion_t bad_motion = motion;
+    bad.mean[0] = nan_value;
+    bad_motion.yaw_rate = nan_value;
+    ROW(displacement, "motion NULL", true, refused(maplines_displacement(NULL, 1, 0, &bad)))
+    ROW(displacement, "displacement NULL", true,
+        refused(maplines_displacement(&motion, 1, 0, NULL)))
+    ROW(displacement, "dt NaN", false, refused(maplines_displacement(&motion, nan_value, 0, &bad)))
+    ROW(displacement, "dt infinite", false,
+        refused(maplines_displacement(&motion, infinity, 0, &bad)))
+    ROW(displacement, "time_sigma negative", false,
+        refused(maplines_displacement(&motion, 1, -1, &bad)))
+    ROW(displacement, "yaw rate NaN", false,
+        refused(maplines_displacement(&bad_motion, 1, 0, &bad)))
+    ROW(predict_gaussian, "gaussian NULL", true,
+        prediction_is(maplines_predict_gaussian(NULL, &displacement, 0, 80, &gaussian),
+                      MAPLINES_NOT_USABLE))
+    ROW(predict_gaussian, "displacement NULL", true,
+        prediction_is(maplines_predict_gaussian(&line.gaussian, NULL, 0, 80, &gaussian),
+                      MAPLINES_BAD_MOTION))
+    ROW(predict_gaussian, "predicted NULL", true,
+        prediction_is(maplines_predict_gaussian(&line.gaussian, &displacement, 0, 80, NULL),
+                      MAPLINES_NOT_USABLE))
+    ROW(predict_gaussian, "x_min NaN", true,
+        prediction_is(
+            maplines_predict_gaussian(&line.gaussian, &displacement, nan_value, 80, &gaussian),
+            MAPLINES_NOT_USABLE))
+    ROW(predict_gaussian, "x_max infinite", true,
+        prediction_is(
+            maplines_predict_gaussian(&line.gaussian, &displacement, 0, infinity, &gaussian),
+            MAPLINES_NOT_USABLE))
+    ROW(predict_gaussian, "displacement NaN", false,
+        prediction_is(maplines_predict_gaussian(&line.gaussian, &bad, 0, 80, &gaussian),
+                      MAPLINES_BAD_MOTION))
+    ROW(predict, "line NULL", true,
+        prediction_is(maplines_predict(NULL, 0, &displacement, &predicted), MAPLINES_NOT_USABLE))
+    ROW(predict, "displacement NULL", true,
+        prediction_is(maplines_predict(&line, line.t_ns, NULL, &predicted), MAPLINES_BAD_MOTION))
+    ROW(predict, "predicted NULL", true,
+        prediction_is(maplines_predict(&line, line.t_ns, &displacement, NULL), MAPLINES_NOT_USABLE))
+    ROW(predict, "displacement NaN", false,
+        prediction_is(maplines_predict(&line, line.t_ns, &bad, &predicted), MAPLINES_BAD_MOTION))
+    VOID_ROW(overall, "components NULL", maplines_overall(1, NULL, weights, &gaussian))
+    VOID_ROW(overall, "weights NULL", maplines_overall(1, &line.gaussian, NULL, &gaussian))
+    VOID_ROW(overall, "overall NULL", maplines_overall(1, &line.gaussian, weights, NULL))
+    ROW(overall, "no component", true,
+        (maplines_overall(0, &line.gaussian, weights, &gaussian), nan_of(gaussian.mean[0])))
+    ROW(predict_to, "line NULL", true,
+        prediction_is(maplines_predict_to(NULL, 0, &motion, 0, &predicted), MAPLINES_NOT_USABLE))
+    ROW(predict_to, "motion NULL", true,
+        prediction_is(maplines_predict_to(&line, line.t_ns, NULL, 0, &predicted),
+                      MAPLINES_BAD_MOTION))
+    ROW(predict_to, "predicted NULL", true,
+        prediction_is(maplines_predict_to(&line, line.t_ns, &motion, 0, NULL), MAPLINES_NOT_USABLE))
+    ROW(predict_to, "time_sigma NaN", false,
+        prediction_is(maplines_predict_to(&line, line.t_ns, &motion, nan_value, &predicted),
+                      MAPLINES_BAD_MOTION))
+    ROW(predict_to, "time in us", false,
+        prediction_is(maplines_predict_to(&line, line.t_ns + 20000000000, &motion, 0, &predicted),
+                      MAPLINES_TOO_FAR))
+}
+
+static maplines_sent_t encode(void)
+{
+    return maplines_encode_line(&encoder, &input, false, 0, frames);
+}
+
+static maplines_sent_t encode_two(void)
+{
+    return maplines_encode_mixture(&encoder, &input, components, 2, false, 0, frames);
+}
+
+static maplines_sent_scene_t encode_scene(void)
+{
+    return maplines_encode_scene(&scene_encoder, &scene_input, false, 0, &workspace, frames);
+}
+
+/// Age of a line that is sent and received [s].
+static double received_age(void)
+{
+    feed_lines(0, CYCLE_NS);
+    return (double)view.age;
+}
+
+static void sender_rows(void)
+{
+    VOID_ROW(encoder_init, "encoder NULL", maplines_encoder_init(NULL, &lines_dbc, NULL))
+    ROW(encoder_init, "dbc NULL", true,
+        (maplines_encoder_init(&encoder, NULL, NULL), sent_is(encode(), MAPLINES_BAD_CALL)))
+    ROW(encoder_init, "signer without a function", true,
+        (maplines_encoder_init(&encoder, &lines_dbc, &signer),
+         sent_is(encode(), MAPLINES_BAD_CALL)))
+    maplines_encoder_init(&encoder, &lines_dbc, NULL);
+    ROW(encode_line, "encoder NULL", true,
+        sent_is(maplines_encode_line(NULL, &input, false, 0, frames), MAPLINES_BAD_CALL))
+    ROW(encode_line, "encoder zeroed", true,
+        sent_is(maplines_encode_line(encoder_of_zeroed(), &input, false, 0, frames),
+                MAPLINES_BAD_CALL))
+    ROW(encode_line, "line NULL", true,
+        sent_is(maplines_encode_line(&encoder, NULL, false, 0, frames), MAPLINES_BAD_CALL))
+    ROW(encode_line, "frames NULL", true,
+        sent_is(maplines_encode_line(&encoder, &input, false, 0, NULL), MAPLINES_BAD_CALL))
+    ROW_AFTER(encode_line, "line {0}: age of what is received", false,
+              memset(&input, 0, sizeof input), number(received_age(), isinf(view.age) != 0))
+    ROW_AFTER(encode_line, "age -1", false, input.age = -1, sent_is(encode(), MAPLINES_BAD_AGE))
+    ROW_AFTER(encode_line, "age NaN", false, input.age = NAN, sent_is(encode(), MAPLINES_BAD_AGE))
+    ROW_AFTER(encode_line, "mean NaN", false, input.mean[0] = NAN,
+              sent_is(encode(), MAPLINES_BAD_MEAN))
+    ROW_AFTER(encode_line, "mean infinite", false, input.mean[3] = INFINITY,
+              sent_is(encode(), MAPLINES_BAD_MEAN))
+    ROW_AFTER(encode_line, "covariance NaN", false, input.cov[1][1] = NAN,
+              sent_is(encode(), MAPLINES_BAD_COVARIANCE))
+    ROW_AFTER(encode_line, "variance negative", false, input.cov[1][1] = -1,
+              sent_is(encode(), MAPLINES_BAD_VARIANCE))
+    ROW_AFTER(encode_line, "x_max NaN", false, input.x_max = NAN,
+              sent_is(encode(), MAPLINES_BAD_RANGE))
+    ROW_AFTER(encode_line, "x_min beyond x_max", false, input.x_min = 81,
+              sent_is(encode(), MAPLINES_BAD_RANGE))
+    ROW_AFTER(encode_line, "slot 99", false, input.slot = BAD_SLOT,
+              sent_is(encode(), MAPLINES_NO_MESSAGE))
+    ROW_AFTER(encode_line, "kind 99", false, input.kind = (maplines_kind_t)99,
+              sent_is(encode(), MAPLINES_BAD_KIND))
+    ROW_AFTER(encode_line, "status 99", false, input.status = (maplines_status_t)99,
+              sent_is(encode(), MAPLINES_BAD_STATUS))
+    ROW(encode_mixture, "encoder NULL", true,
+        sent_is(maplines_encode_mixture(NULL, &input, components, 2, false, 0, frames),
+                MAPLINES_BAD_CALL))
+    ROW(encode_mixture, "encoder zeroed", true,
+        sent_is(
+            maplines_encode_mixture(encoder_of_zeroed(), &input, components, 2, false, 0, frames),
+            MAPLINES_BAD_CALL))
+    ROW(encode_mixture, "line NULL", true,
+        sent_is(maplines_encode_mixture(&encoder, NULL, components, 2, false, 0, frames),
+                MAPLINES_BAD_CALL))
+    ROW(encode_mixture, "components NULL", true,
+        sent_is(maplines_encode_mixture(&encoder, &input, NULL, 2, false, 0, frames),
+                MAPLINES_BAD_CALL))
+    ROW(encode_mixture, "frames NULL", true,
+        sent_is(maplines_encode_mixture(&encoder, &input, components, 2, false, 0, NULL),
+                MAPLINES_BAD_CALL))
+    ROW(encode_mixture, "no component", false,
+        sent_is(maplines_encode_mixture(&encoder, &input, components, 0, false, 0, frames),
+                MAPLINES_BAD_COUNT))
+    ROW(encode_mixture, "9 components", false,
+        sent_is(maplines_encode_mixture(&encoder, &input, components, 9, false, 0, frames),
+                MAPLINES_BAD_COUNT))
+    ROW_AFTER(encode_mixture, "weight NaN", false, components[0].weight = NAN,
+              sent_is(encode_two(), MAPLINES_BAD_WEIGHTS))
+    ROW_AFTER(encode_mixture, "weight negative", false, components[0].weight = -0.5,
+              sent_is(encode_two(), MAPLINES_BAD_WEIGHTS))
+    ROW_AFTER(encode_mixture, "mean NaN", false, components[1].mean[2] = NAN,
+              sent_is(encode_two(), MAPLINES_BAD_MEAN))
+    ROW(encode_scene, "encoder NULL", true,
+        scene_is(maplines_encode_scene(NULL, &scene_input, false, 0, &workspace, frames),
+                 MAPLINES_BAD_CALL))
+    ROW(encode_scene, "encoder zeroed", true,
+        scene_is(
+            maplines_encode_scene(encoder_of_zeroed(), &scene_input, false, 0, &workspace, frames),
+            MAPLINES_BAD_CALL))
+    ROW(encode_scene, "scene NULL", true,
+        scene_is(maplines_encode_scene(&scene_encoder, NULL, false, 0, &workspace, frames),
+                 MAPLINES_BAD_CALL))
+    ROW(encode_scene, "workspace NULL", true,
+        scene_is(maplines_encode_scene(&scene_encoder, &scene_input, false, 0, NULL, frames),
+                 MAPLINES_BAD_CALL))
+    ROW(encode_scene, "frames NULL", true,
+        scene_is(maplines_encode_scene(&scene_encoder, &scene_input, false, 0, &workspace, NULL),
+                 MAPLINES_BAD_CALL))
+    ROW_AFTER(encode_scene, "scene {0}", false, memset(&scene_input, 0, sizeof scene_input),
+              scene_is(encode_scene(), MAPLINES_BAD_POSE))
+    ROW_AFTER(encode_scene, "pose_age -1", false, scene_input.pose_age = -1,
+              scene_is(encode_scene(), MAPLINES_BAD_AGE))
+    ROW_AFTER(encode_scene, "pose_age NaN", false, scene_input.pose_age = NAN,
+              scene_is(encode_scene(), MAPLINES_BAD_AGE))
+    ROW_AFTER(encode_scene, "age of a line -1", false, scene_input.lines[1].age = -1,
+              scene_is(encode_scene(), MAPLINES_BAD_AGE))
+    ROW_AFTER(encode_scene, "age of a line NaN", false, scene_input.lines[1].age = NAN,
+              scene_is(encode_scene(), MAPLINES_BAD_AGE))
+    ROW_AFTER(encode_scene, "correlation_time NaN", false, scene_input.correlation_time = NAN,
+              scene_is(encode_scene(), MAPLINES_BAD_POSE))
+    ROW_AFTER(encode_scene, "offset_sigma negative", false, scene_input.offset_sigma = -1,
+              scene_is(encode_scene(), MAPLINES_BAD_POSE))
+    ROW_AFTER(encode_scene, "pose_cov NaN", false, scene_input.pose_cov[0][0] = NAN,
+              scene_is(encode_scene(), MAPLINES_BAD_COVARIANCE))
+    ROW_AFTER(encode_scene, "cov infinite", false, scene_input.cov[0][0] = INFINITY,
+              scene_is(encode_scene(), MAPLINES_BAD_COVARIANCE))
+    ROW_AFTER(encode_scene, "mean NaN", false, scene_input.lines[0].mean[0] = NAN,
+              scene_is(encode_scene(), MAPLINES_BAD_MEAN))
+    ROW_AFTER(encode_scene, "9 lines", false, scene_input.count = 9,
+              scene_is(encode_scene(), MAPLINES_BAD_COUNT))
+    ROW_AFTER(encode_scene, "slot 99", false, scene_input.lines[0].slot = BAD_SLOT,
+              scene_is(encode_scene(), MAPLINES_NO_MESSAGE))
+}
+
+static const char *name(const char *what)
+{
+    return said(what, strcmp(what, "?") == 0);
+}
+
+static void name_rows(void)
+{
+    ROW(owner_name, "99", false, name(maplines_owner_name(BAD_SLOT)))
+    ROW(kind_name, "99", false, name(maplines_kind_name((maplines_kind_t)99)))
+    ROW(status_name, "99", false, name(maplines_status_name((maplines_status_t)99)))
+    ROW(reason_name, "-2", false, name(maplines_reason_name((maplines_reason_t)-2)))
+    ROW(e2e_state_name, "99", false, name(maplines_e2e_state_name((maplines_e2e_state_t)99)))
+    ROW(e2e_status_name, "99", false, name(maplines_e2e_status_name((maplines_e2e_status_t)99)))
+    ROW(prediction_name, "99", false, name(maplines_prediction_name((maplines_prediction_t)99)))
+    ROW(refusal_name, "99", false, name(maplines_refusal_name((maplines_refusal_t)99)))
+    ROW(left_out_name, "99", false, name(maplines_left_out_name((maplines_left_out_t)99)))
+}
+
+/* ---- times ------------------------------------------------------------------------------------
+ */
+
+/// What became of 20 lines at so many units of time from each other.
+static const char *lines_each(int64_t spacing, bool refuses, unsigned expected, bool is_usable)
+{
+    settings.refuses_short_spacings = refuses;
+    feed_lines(INT64_C(1000000000000), spacing);
+    settings.refuses_short_spacings = false;
+    const bool is_promised =
+        numbers.lines == expected && view.is_usable == is_usable &&
+        (numbers.short_spacings == ROUNDS - 1) == (spacing > 0 && spacing < CYCLE_NS / 100);
+    (void)snprintf(text, sizeof text, "%u lines, %u short spacings, %s%s", (unsigned)numbers.lines,
+                   (unsigned)numbers.short_spacings, view.is_usable ? "usable" : "not usable",
+                   is_promised ? "" : " wrong");
+    return text;
+}
+
+static void time_rows(void)
+{
+    ROW(feed, "times in ns, refused if short", false, lines_each(CYCLE_NS, true, ROUNDS, true))
+    ROW(feed, "times in us", false, lines_each(CYCLE_NS / 1000, false, ROUNDS, true))
+    ROW(feed, "times in us, refused", false, lines_each(CYCLE_NS / 1000, true, 8, false))
+    ROW(feed, "times in ms", false, lines_each(CYCLE_NS / 1000000, false, ROUNDS, true))
+    ROW(feed, "times in ms, refused", false, lines_each(CYCLE_NS / 1000000, true, 8, false))
+    ROW(feed, "no times, refused if short", false, lines_each(0, true, ROUNDS, true))
+}
+
+int main(int count, char **arguments)
+{
+    only = count > 1 ? atoi(arguments[1]) : 0;
+    begin();
+    receiver_rows();
+    line_rows();
+    scene_rows();
+    prediction_rows();
+    sender_rows();
+    name_rows();
+    time_rows();
+    return only > row_number ? 3 : 0;
+}

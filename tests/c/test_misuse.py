@@ -1,0 +1,59 @@
+"""What a caller must not give: each public function refuses it, asserted or not.
+
+The rows, and what is promised of each, are in ``c/tests/misuse_harness.c``.
+"""
+
+import re
+import subprocess
+
+import c_core
+import pytest
+from scene_layouts import layout_of
+
+TESTS = c_core.C / "tests"
+MAIN = TESTS / "misuse_harness.c"
+#: Assertions are counted and return; are off; abort.
+COUNTED = ("-include", str(TESTS / "count_assertions.h"))
+CHECKED = ("-DNDEBUG", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+#: Functions for which there is nothing to give.
+WITHOUT_ARGUMENTS = {"default_e2e"}
+
+
+def run(*flags: str, row: str = "") -> subprocess.CompletedProcess[str]:
+    """Return what the harness prints, or one row of it."""
+    layouts = [layout_of("maplines.dbc"), layout_of("maplines-pose.dbc")]
+    program = c_core.program([MAIN], layouts, ["lines", "pose"], flags=flags)
+    command = [str(program), *([row] if row else [])]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def check(done: subprocess.CompletedProcess[str]) -> list[list[str]]:
+    """Return the rows, all of which are as promised."""
+    assert (done.returncode, done.stderr) == (0, "")
+    rows = [line.split(" | ") for line in done.stdout.splitlines()]
+    assert [row for row in rows if "wrong" in " ".join(row)] == []
+    return rows
+
+
+def test_each_mistake_is_asserted_or_refused() -> None:
+    """Each function of the header has its rows: the assertions of those that assert are counted."""
+    rows = check(run("-O2", *COUNTED))
+    header = (c_core.C / "include" / "maplines.h").read_text()
+    public = set(re.findall(r"^#define maplines_(\w+) MAPLINES_NAME", header, re.MULTILINE))
+    assert public - {function for function, *_ in rows} == WITHOUT_ARGUMENTS
+
+
+def test_each_mistake_is_refused_without_assertions() -> None:
+    """The address sanitizer finds nothing, and the results are the same ones."""
+    if c_core.OWN_FLAGS or c_core.EMULATOR:
+        check(run("-DNDEBUG", "-O1"))
+        return
+    assert check(run(*CHECKED)) == check(run("-O2", *COUNTED))
+
+
+@pytest.mark.parametrize("row", ["1", "5", "20"])
+def test_the_default_is_assert(row: str) -> None:
+    """It says which condition does not hold, and where."""
+    done = run(row=row)
+    assert done.returncode != 0
+    assert "Assertion" in done.stderr
