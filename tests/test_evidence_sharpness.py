@@ -7,7 +7,7 @@ import pytest
 from evidence import smoothness
 from evidence.harness import bounds_of, missed
 from evidence.sampled_lines import LANE, ROADS, Row, TrueLine, of_map, on_road, thinned
-from evidence.sharpness import Errors, by_stated, sampled
+from evidence.sharpness import Errors, add_beyond, by_stated, sampled
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -133,3 +133,23 @@ def test_a_place_is_followed_along_a_bend() -> None:
     assert drive.poses[-1, 2] == pytest.approx(2.99 / 200, rel=1e-3)
     jumps, _ = drive.jumps(40.0)
     assert jumps.max() < 0.01  # and 0.06 without the turn
+
+
+@pytest.mark.parametrize(("radius", "beyond"), [(5.0, False), (4.0, True)])
+def test_a_turn_at_the_end_is_three_sigma_if_a_car_can_drive_it(
+    radius: float, beyond: bool
+) -> None:
+    """2 m beyond the end of a line that is known exactly; nothing where the turn leads back."""
+    line = MapLine(Slot.EGO_LEFT, Gaussian(np.zeros(4), np.zeros((4, 4))), x_max=12.0)
+
+    def turns(x: np.ndarray) -> np.ndarray:
+        with np.errstate(invalid="ignore"):
+            return np.where(x <= 12.0, 0.0, radius - np.sqrt(radius**2 - (x - 12.0) ** 2))
+
+    pairs: dict[str, list[np.ndarray]] = {}
+    add_beyond(line, TrueLine(-50.0, 17.0, lambda s: s, turns), (-20.0, 80.0), pairs)
+    start, end = (float(z[0] / s[0]) for z, s in pairs["2 m beyond"])
+    assert start == 0.0  # it goes on straight
+    assert (abs(end) > 3.2) == beyond
+    assert len(pairs["40 m beyond"]) == 1
+    assert [one.shape[1] for one in pairs["cut ends"]] == [6, 2 if beyond else 3]

@@ -66,7 +66,7 @@ static void sigma(const maplines_dbc_t *dbc)
     (void)dbc;
     for (int i = 0; i < LINES; ++i)
     {
-        sink += (double)maplines_y_sigma(&contents[i].line, (maplines_real_t)40);
+        sink += (double)maplines_y_sigma(&contents[i].line, contents[i].line.x_max);
     }
 }
 

@@ -261,10 +261,10 @@ class MapLine:
 
             sigma = s_y + s_m d + (s_k + (1 + slope^2)^(3/2) / (3 * 5 m)) d^2 / 2
 
-        It increases with d. Of lines of real maps, 0.2 % are more than three of it off, and 1.0 %
-        of those that end where a cubic no longer follows the road, as before a corner: up to 2 % at
-        5 m. A line that turns to the side and is no function of x there is not counted. It is NaN
-        if x is not finite.
+        It increases with d. On maps of others, 0.15 % (OpenDRIVE) and 0.4 % (Lanelet2) of places
+        up to 40 m beyond an end are more than three of it off; 1.7 % and 0.5 % where the range ends
+        before the window, as in front of a corner (``tools/evidence sharpness.extrapolated``). What
+        turns back, and is no function of x there, is not counted. NaN if x is not finite.
 
         >>> line = MapLine.with_sigma(Slot.EGO_LEFT, [1.75, 0, 0, 0], [0.1, 0, 0, 0], x_max=12.0)
         >>> line.y_extrapolated([0.0, 12.0, 22.0, 40.0]).sigma.round(2)

@@ -419,3 +419,72 @@ class LaneErrors:
             found[f"{name}, frames a line"] = float(frames / max(count, 1))
             found[f"{name}, left out"] = Share(float(1 - count / given), int(given))
         return found
+
+
+# ---- beyond the range --------------------------------------------------------------------------
+
+
+#: Distances beyond an end of the range at which an extrapolated line is compared [m].
+BEYOND = (1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
+#: Windows of the lines: their ranges end with them, or before [m].
+WINDOWS = ((-20.0, 80.0), (-20.0, 30.0), (-10.0, 12.0))
+
+
+@evidence(n=4)
+def extrapolated(
+    n: int = 100,
+    maps: tuple[str, ...] = (),
+    roads: tuple[str, ...] = tuple(ROADS),
+    seed: int = 2,
+) -> dict[str, Any]:
+    """Compare MapLine.y_extrapolated with true lines beyond both ends of the range.
+
+    "cut" are ends that are not those of the window: the map, or what a cubic follows, ends there.
+    Where a true line ends or turns back, nothing is compared.
+
+    Args:
+        n: cases of each road and map, with the two lines of a lane each.
+        maps: folders and files of maps.
+        roads: with closed forms; an empty text for none.
+        seed: of the cases and of the errors.
+    """
+    groups = sources(maps, roads)
+    found: dict[str, dict[str, list[Array]]] = {}
+    counts: dict[str, int] = {}
+    with bar(len(groups), "extrapolated") as shown:
+        for place, (name, draw) in enumerate(groups.items()):
+            for number, case in enumerate(cases_of(draw, n, [seed, place])):
+                points = sampled(case, Row(1.0), np.random.default_rng([seed, number]))
+                counts[kind_of(name)] = counts.get(kind_of(name), 0) + 1
+                for window in WINDOWS:
+                    for line in map_lines(points, EGO, window=window):
+                        of_kind = found.setdefault(kind_of(name), {})
+                        add_beyond(line, case[line.slot], window, of_kind)
+            shown.update()
+    return {
+        f"all {kind}": {
+            ends: beyond(np.concatenate(pairs, axis=1), counts[kind])
+            for ends, pairs in of_kind.items()
+        }
+        for kind, of_kind in found.items()
+    }
+
+
+def add_beyond(
+    line: MapLine, true: TrueLine, window: tuple[float, float], pairs: dict[str, list[Array]]
+) -> None:
+    """Add the errors beyond both ends of a line, and their standard deviations."""
+    d = np.array(BEYOND)
+    for x, is_cut in (
+        (line.x_min - d, line.x_min > window[0]),
+        (line.x_max + d, line.x_max < window[1]),
+    ):
+        value, sigma = line.y_extrapolated(x)
+        error = value - true.y(x)
+        known = np.isfinite(error)
+        pair = np.stack([error, sigma])
+        pairs.setdefault("all ends", []).append(pair[:, known])
+        if is_cut:
+            pairs.setdefault("cut ends", []).append(pair[:, known])
+        for k in np.flatnonzero(known):
+            pairs.setdefault(f"{d[k]:g} m beyond", []).append(pair[:, [k]])
