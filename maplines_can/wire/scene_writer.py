@@ -174,7 +174,7 @@ def _ages(age: float | Mapping[Owner, float], slots: Iterable[Slot]) -> bytes:
         raise ValueError(
             f"age must be one for all [s], or have that of each record, but {missing[0]!r} has none"
         )
-    checked = {owner: _checked_age(age[owner]) for owner in aged}
+    checked = {owner: _checked_age(one) for owner, one in age.items()}
     return _AGES.pack(*[checked.get(owner, 0.0) for owner in OWNERS])
 
 
