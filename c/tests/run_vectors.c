@@ -246,6 +246,7 @@ static void view(run_t *run, const row_t *row)
     check_count(run, seen.is_usable, row, 8, "is_usable");
 }
 
+#if MAPLINES_SCENES
 static void scene(run_t *run, const row_t *row)
 {
     maplines_scene_view_t seen;
@@ -264,6 +265,8 @@ static void scene(run_t *run, const row_t *row)
         check_word(run, maplines_owner_name(seen.scene->lines[i].slot), row, 8 + i, "the slot");
     }
 }
+
+#endif
 
 static void stats(run_t *run, const row_t *row)
 {
@@ -328,8 +331,10 @@ static double sigma_of(const maplines_line_t *line, int i)
 static void line(run_t *run, const row_t *row)
 {
     const maplines_owner_t slot = (maplines_owner_t)owner_of(word(row, 1));
-    run->line = run->scene != NULL ? maplines_scene_line(run->scene, slot)
-                                   : maplines_newest(&run->decoder, slot);
+    run->line = maplines_newest(&run->decoder, slot);
+#if MAPLINES_SCENES
+    run->line = run->scene != NULL ? maplines_scene_line(run->scene, slot) : run->line;
+#endif
     check(run, run->line != NULL, "the line", "there");
     if (run->line == NULL)
     {
@@ -416,6 +421,7 @@ static void lateral(run_t *run, const row_t *row, bool is_sigma)
     }
 }
 
+#if MAPLINES_SCENES
 static void joint(run_t *run, const row_t *row)
 {
     const size_t n = 4U * run->scene->count;
@@ -440,6 +446,8 @@ static void joint(run_t *run, const row_t *row)
     }
 }
 
+#endif
+
 /* ---- the file ----------------------------------------------------------------------------------
  */
 
@@ -462,10 +470,16 @@ static void step(run_t *run, const row_t *row)
     {
         view(run, row);
     }
+#if MAPLINES_SCENES
     else if (strcmp(kind, "scene") == 0)
     {
         scene(run, row);
     }
+    else if (run->scene != NULL && strcmp(kind, "joint") == 0)
+    {
+        joint(run, row);
+    }
+#endif
     else if (strcmp(kind, "stats") == 0)
     {
         stats(run, row);
@@ -477,10 +491,6 @@ static void step(run_t *run, const row_t *row)
     else if (strcmp(kind, "line") == 0)
     {
         line(run, row);
-    }
-    else if (run->scene != NULL && strcmp(kind, "joint") == 0)
-    {
-        joint(run, row);
     }
     else if (run->line != NULL && strcmp(kind, "mean") == 0)
     {

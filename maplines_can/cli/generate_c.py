@@ -5,12 +5,11 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from ..generation.c_build import Features, build_of
+from ..generation.c_build import build_of
 from ..generation.c_files import c_files
 from ..generation.tables import identifier_of
-from ..values.line import Slot
 from ..wire import SHIPPED
-from .generated_files import add_out, check_new_files, write_files
+from .generated_files import add_features, add_out, check_new_files, features_from, write_files
 from .options import add_encoding, layout_from
 from .parsing import option_group
 
@@ -48,39 +47,6 @@ examples:
 """
 
 
-def add_features(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the features of a library in C; ``features_from`` reads them."""
-    add = parser.add_argument_group("library").add_argument
-    add("--receiver", action="store_true", help="only a receiver (default: and a sender)")
-    add("--sender", action="store_true", help="only a sender (default: and a receiver)")
-    add("--no-scenes", action="store_true", help="no lines with the error of their pose")
-    add("--no-mixtures", action="store_true", help="a line of several Gaussians is dropped")
-    add("--no-secoc", action="store_true", help="no authenticated frames")
-    add(
-        "--slots",
-        type=int,
-        default=len(Slot),
-        metavar="N",
-        help="the first N lines: 1 is EGO_LEFT, 2 has EGO_RIGHT, too, 4 has NEXT_LEFT and "
-        "NEXT_RIGHT (default: 8, all)",
-    )
-    add("--float", action="store_true", help="a receiver computes with float, not with double")
-
-
-def features_from(arguments: argparse.Namespace) -> Features:
-    """Return the features that the options ask for."""
-    only_one = arguments.receiver != arguments.sender
-    return Features(
-        receiver=arguments.receiver or not only_one,
-        sender=arguments.sender or not only_one,
-        scenes=not arguments.no_scenes,
-        mixtures=not arguments.no_mixtures,
-        secoc=not arguments.no_secoc,
-        slots=arguments.slots,
-        single=arguments.float,
-    )
-
-
 def add_c(subparsers: Any) -> argparse.ArgumentParser:
     """Add the subcommand ``c`` to those of ``maplines generate`` and return its parser."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
@@ -107,7 +73,7 @@ def add_c(subparsers: Any) -> argparse.ArgumentParser:
         help="name of the tables, NAME_dbc; with several DBCs, one for each (default: that of the "
         "file, such as maplines_pose of maplines-pose.dbc)",
     )
-    add_features(parser)
+    add_features(parser, sides=True)
     add_out(parser, "the names of the files, the features and the sizes")
     parser.set_defaults(run=_run)
     return parser

@@ -11,7 +11,7 @@ from ..generation.tables import identifier_of
 from ..generation.vector_files import vector_files
 from ..generation.vectors import SCHEMA
 from ..wire import SHIPPED
-from .generated_files import add_out, check_new_files, write_files
+from .generated_files import add_features, add_out, check_new_files, features_from, write_files
 from .options import add_encoding, layout_from
 from .parsing import option_group
 
@@ -33,7 +33,9 @@ them. Whoever writes a receiver from the DBC proves it with them.
 
 There are cases for both ends of each signal, random bits, each reason that the DBC can have, each
 status and each E2E state. The same DBC gives the same files. They have the hash of the DBC and that
-of the cases, which is the hash of all lines of NAME.txt after the one that states it.
+of the cases, which is the hash of all lines of NAME.txt after the one that states it. For a library
+that lacks something, give the options of "maplines generate c" here, too: there are no cases for
+what it has not.
 
 A DBC with authenticated messages, such as maplines-pose.dbc and maplines-secoc.dbc, needs the extra
 secoc of this package (cryptography).
@@ -69,6 +71,7 @@ def add_vectors(subparsers: Any) -> argparse.ArgumentParser:
         help="name of the files and of the tables in C, as with 'maplines generate c' (default: "
         "that of the DBC)",
     )
+    add_features(parser, sides=False)
     add_out(parser, "the names of the files, the number of cases and the hashes")
     parser.set_defaults(run=_run)
     return parser
@@ -80,7 +83,7 @@ def _run(arguments: argparse.Namespace) -> int:
     layout = layout_from(arguments.dbc, arguments.encoding)
     names = (f"{name}.json", SCHEMA, f"{name}.txt", "run_vectors.c", "aes_cmac.h")
     check_new_files(arguments, names)
-    files = vector_files(layout, name)
+    files = vector_files(layout, name, features_from(arguments))
     content = json.loads(files[f"{name}.json"])
     figures = {"cases": len(content["cases"]), "dbc": content["dbc"], "sha256": content["sha256"]}
     write_files(arguments, files, figures)

@@ -11,6 +11,7 @@ from ..wire.layout.pose_layout import POSE, Owner
 from ..wire.layout.record_layout import bits_of
 from ..wire.layout.signals import PAGE, PAGE_BYTES, PARAMETER_SIGNALS, slot_title
 from ..wire.records.frames import Frame
+from .c_build import ALL, Features
 from .vector_sender import KEY, MS, START_NS, VectorSender
 from .vectors import Case, VectorKey
 
@@ -18,17 +19,17 @@ from .vectors import Case, VectorKey
 RANDOM_RECORDS = 24
 
 
-def cases_of(layout: Layout) -> list[Case]:
-    """Return the cases of a DBC, always the same ones.
+def cases_of(layout: Layout, features: Features = ALL) -> list[Case]:
+    """Return the cases of a DBC for a receiver with these features, always the same ones.
 
     Raises:
         MissingExtraError: the DBC has authenticated messages, and cryptography is not installed.
     """
-    cases = _Cases(layout)
+    cases = _Cases(layout, features)
     found = [*cases.values(), *cases.reception(), *cases.states()]
-    if layout.pose is not None:
+    if layout.pose is not None and features.scenes:
         found += cases.scenes()
-    if layout.secured is not None:
+    if layout.secured is not None and features.secoc:
         found += cases.authentication()
     return found
 
@@ -36,10 +37,14 @@ def cases_of(layout: Layout) -> list[Case]:
 class _Cases:
     """Makers of cases, which share the ordinary messages of a DBC."""
 
-    def __init__(self, layout: Layout) -> None:
-        self.layout, self.sender = layout, VectorSender(layout)
+    def __init__(self, layout: Layout, features: Features) -> None:
+        self.layout, self.sender = layout, VectorSender(layout, features.slots)
+        self.has_mixtures = features.mixtures
         self.slot = self.sender.slots[0]
         self.messages = layout.messages[self.slot]
+        has_pose = layout.pose is not None and features.scenes
+        #: Owners whose records are damaged.
+        self.owners: list[Owner] = [self.slot, POSE] if has_pose else [self.slot]
         self.is_conditional = layout.is_conditional
         #: One frame a record is enough where the frames do not matter.
         self.is_fd = None if self.messages.fd_can_id is None else True
@@ -67,7 +72,8 @@ class _Cases:
             for status in Status:
                 about = f"The status {status.name}."
                 yield self._one(f"status-{status.name}", about, {"Status": status})
-            yield from self._mixtures()
+            if self.has_mixtures:
+                yield from self._mixtures()
         rng = random.Random(1)  # noqa: S311 - the same ones each time
         for i in range(RANDOM_RECORDS):
             raw = self.sender.random_raw(self.slot, rng, is_ordinary=self.is_conditional)
@@ -153,9 +159,7 @@ class _Cases:
         case.stats(self.slot, START_NS)
         case.counts()
         yield case
-        for owner in self.layout.messages_of:
-            if owner not in (self.slot, POSE):
-                continue
+        for owner in self.owners:
             title = "line" if owner == self.slot else "pose"
             case = self._case(f"crc-{title}", "A bit of a record is wrong.", owner=owner)
             frames = self._frames(owner, 0)
@@ -186,12 +190,11 @@ class _Cases:
 
     def _strange_pages(self) -> Iterator[Case]:
         """Yield pages whose number is not in the DBC."""
-        for owner, messages in self.layout.messages_of.items():
+        for owner in self.owners:
             layout = self.sender.of(owner)
             page = layout[f"{PAGE}0"]
-            if layout.pages == 2**page.length or owner not in (self.slot, POSE):
-                continue
-            if messages.can_id is None:
+            has_pages = self.layout.messages_of[owner].can_id is not None
+            if layout.pages == 2**page.length or not has_pages:
                 continue
             title = "line" if owner == self.slot else "pose"
             case = self._case(f"page-{title}", "A page number is not in the DBC.")

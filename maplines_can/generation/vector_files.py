@@ -6,20 +6,25 @@ import hashlib
 from pathlib import Path, PurePath
 
 from ..wire.layout.message_layout import Layout
-from ..wire.tables import check
+from .c_build import ALL, Features, build_of
 from .c_files import core_folder
 from .vector_cases import cases_of
 from .vectors import SCHEMA, Vectors, vectors_of
 
 
-def vector_files(layout: Layout, name: str) -> dict[str, str]:
-    """Return the files of the vectors of a DBC by their names; ``name`` is that of its tables.
+def vector_files(layout: Layout, name: str, features: Features = ALL) -> dict[str, str]:
+    """Return the files of the vectors of a DBC by their names.
+
+    Args:
+        layout: of the DBC.
+        name: of its tables in C.
+        features: of the receiver.
 
     Raises:
-        LayoutError: the DBC has no C; see ``tables.check``.
+        LayoutError: the DBC has no C, or needs a feature that is left out; see ``build_of``.
         MissingExtraError: it has authenticated messages, and cryptography is not installed.
     """
-    vectors = vectors_from(layout)
+    vectors = vectors_from(layout, features)
     tests = core_folder() / "tests"
     runner = (tests / "run_vectors.c").read_text(encoding="utf-8")
     return {
@@ -33,8 +38,8 @@ def vector_files(layout: Layout, name: str) -> dict[str, str]:
     }
 
 
-def vectors_from(layout: Layout) -> Vectors:
-    """Return the vectors of a DBC file."""
-    check(layout)
+def vectors_from(layout: Layout, features: Features = ALL) -> Vectors:
+    """Return the vectors of a DBC file for a receiver with these features."""
+    build_of({"": layout}, features)  # it has C
     digest = hashlib.sha256(Path(layout.source).read_bytes()).hexdigest()
-    return vectors_of(cases_of(layout), PurePath(layout.source).name, digest)
+    return vectors_of(cases_of(layout, features), PurePath(layout.source).name, digest)

@@ -49,11 +49,12 @@ class VectorSender:
 
     Args:
         layout: of the DBC.
+        slots: number of slots that the receiver has.
     """
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: Layout, slots: int) -> None:
         self.layout = layout
-        self.slots = list(layout.messages)
+        self.slots = [slot for slot in layout.messages if slot < slots]
         self._tables = tables_of(layout)
         self._writer = FrameWriter(layout, None)
 

@@ -15,6 +15,7 @@ from scene_layouts import layout_of
 from maplines_can import Slot
 from maplines_can.generation.c_build import ALL, Features, build_of
 from maplines_can.generation.c_files import c_files
+from maplines_can.generation.vector_files import vector_files
 from maplines_can.model.receiver import Receiver
 from maplines_can.model.records import Line
 from maplines_can.model.settings import Sizes
@@ -184,7 +185,7 @@ def receives_as_the_model(name: str, folder: Path, seed: int, frames: int) -> in
     written(name, folder)
     main = c_core.C / "tests" / "stream_harness.c"
     flags = ["-std=c99", "-O2", "-ffp-contract=off", *c_core.WARNINGS, "-I."]
-    sources = [main, "maplines.c", "harness_dbc.c", "-lm"]
+    sources = [str(main), "maplines.c", "harness_dbc.c", "-lm"]
     subprocess.run(["cc", *flags, *sources, "-o", "program"], check=True, cwd=folder)
     slots = [slot for slot in Slot if sizes.has(slot) and slot in layout.messages_of]
     steps = [
@@ -230,3 +231,20 @@ def test_what_makes_no_library_is_refused() -> None:
             build_of({"x": complete}, Features(slots=slots))
     with pytest.raises(LayoutError, match="conditional on the pose error"):
         build_of({"x": conditional}, SMALL)
+
+
+@pytest.mark.parametrize("name", RECEIVERS)
+def test_its_vectors_pass(name: str, tmp_path: Path) -> None:
+    """There are no cases for what the library has not."""
+    dbc, features = LIBRARIES[name]
+    pytest.importorskip("cryptography")
+    written(name, tmp_path)
+    for file, text in vector_files(layout_of(dbc), "harness", features).items():
+        (tmp_path / file).write_text(text)
+    flags = ["-std=c99", "-O2", "-ffp-contract=off", *c_core.WARNINGS]
+    sources = ["run_vectors.c", "maplines.c", "harness_dbc.c", "-lm"]
+    subprocess.run(["cc", *flags, *sources, "-o", "program"], check=True, cwd=tmp_path)
+    done = subprocess.run(
+        ["./program", "harness.txt"], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert " 0 failed" in done.stdout
