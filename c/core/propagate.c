@@ -60,7 +60,8 @@ size_t maplines_work_size(size_t lines, size_t points, size_t together, size_t p
     const size_t states = 4 * together;
     return doubles_of(lines * sizeof(maplines_stretch_t)) +
            doubles_of(lines * sizeof(maplines_omission_t)) +
-           doubles_of(together * sizeof(maplines_refit_t)) + 7 * points + (3 + states) * poses +
+           doubles_of(together * sizeof(maplines_refit_t)) +
+           doubles_of(poses * sizeof(maplines_other_pose_t)) + 7 * points + states * poses +
            states * states;
 }
 
@@ -76,6 +77,8 @@ static maplines_work_t work_of(size_t lines, size_t points, size_t together, siz
     memory += doubles_of(lines * sizeof(maplines_omission_t));
     work.refits = (maplines_refit_t *)(void *)memory;
     memory += doubles_of(together * sizeof(maplines_refit_t));
+    work.poses = (maplines_other_pose_t *)(void *)memory;
+    memory += doubles_of(poses * sizeof(maplines_other_pose_t));
     work.seen.x = memory;
     work.seen.y = work.seen.x + points;
     work.seen.key = work.seen.y + points;
@@ -83,8 +86,7 @@ static maplines_work_t work_of(size_t lines, size_t points, size_t together, siz
     work.seen.area = work.seen.slope + points;
     work.seen.square = work.seen.area + points;
     work.seen.cube = work.seen.square + points;
-    work.poses = work.seen.cube + points;
-    work.values = work.poses + 3 * poses;
+    work.values = work.seen.cube + points;
     work.matrix = work.values + 4 * together * poses;
     return work;
 }
@@ -266,10 +268,10 @@ void maplines_refit_values(const double *refits, size_t n, const double *poses, 
     const refits_t *own = (const refits_t *)(const void *)refits;
     for (size_t k = 0; k < n; k++)
     {
+        const maplines_other_pose_t pose = maplines_other_pose(&own->from, poses + 3 * k);
         for (size_t i = 0; i < own->lines; i++)
         {
-            (void)maplines_refit_at(&own->refits[i], &own->from, poses + 3 * k,
-                                    values + 4 * (k * own->lines + i));
+            (void)maplines_refit_at(&own->refits[i], &pose, values + 4 * (k * own->lines + i));
         }
     }
 }
@@ -281,14 +283,15 @@ bool maplines_refit_extended_values(const double *refits, size_t n, const double
     bool is_right = true;
     for (size_t k = 0; k < n; k++)
     {
-        double pose[3] = {poses[3 * k], poses[3 * k + 1], poses[3 * k + 2]};
+        double place[3] = {poses[3 * k], poses[3 * k + 1], poses[3 * k + 2]};
         if (are_displacements)
         {
-            maplines_displace(&own->from, pose);
+            maplines_displace(&own->from, place);
         }
+        const maplines_other_pose_t pose = maplines_other_pose(&own->from, place);
         for (size_t i = 0; i < own->lines; i++)
         {
-            is_right &= maplines_refit_extended(&own->refits[i], &own->from, pose,
+            is_right &= maplines_refit_extended(&own->refits[i], &own->from, &pose,
                                                 values + 4 * (k * own->lines + i));
         }
     }

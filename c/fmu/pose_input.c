@@ -23,7 +23,7 @@ size_t maplines_scratch_size(void)
 {
     // Paths with distances, stretches, what a refit needs; poses of the rule and their lines.
     return (MAPLINES_PATH_ARRAYS + 1 + 7) * maplines_route.most_points +
-           7 * maplines_route.rule.count;
+           (sizeof(maplines_other_pose_t) / sizeof(double) + 4) * maplines_route.rule.count;
 }
 
 const char *maplines_start_input(maplines_instance_t *instance)
@@ -207,8 +207,8 @@ static bool compute(maplines_instance_t *instance, const maplines_cycle_t *cycle
     work.seen.area = memory + 4 * most;
     work.seen.square = memory + 5 * most;
     work.seen.cube = memory + 6 * most;
-    work.poses = memory + 7 * most;
-    work.values = work.poses + 3 * route->rule.count;
+    work.values = memory + 7 * most;
+    work.poses = (maplines_other_pose_t *)(void *)(work.values + 4 * route->rule.count);
     work.refits = &refit;
     return maplines_map_lines(paths, around->count, cycle, &route->rule, &work, around->left_out,
                               around->means, around->covs, around->x_ranges);

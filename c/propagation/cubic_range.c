@@ -16,33 +16,10 @@
 #define SHRINK 0.998    ///< least shortening of a range whose misfit is still too large
 #define SHRINKS 200     ///< most times
 
-/// Cells of a range, and the rows of a fit to them.
-typedef struct {
-    size_t count;
-    const double (*rows)[MAPLINES_TERMS];
-} grid_t;
-
 static double limited(double value, double low, double high)
 {
     const double raised = value > low ? value : low;
     return raised < high ? raised : high;
-}
-
-/// Coefficients of the terms from means in cells.
-static void coefficients_of(const grid_t *grid, const double *means, double sums[MAPLINES_TERMS])
-{
-    for (size_t j = 0; j < MAPLINES_TERMS; ++j)
-    {
-        sums[j] = grid->rows[0][j] * means[0];
-    }
-    for (size_t k = 1; k < grid->count; ++k)
-    {
-        for (size_t j = 0; j < MAPLINES_TERMS; ++j)
-        {
-            const double term = grid->rows[k][j] * means[k];
-            sums[j] = sums[j] + term;
-        }
-    }
 }
 
 /// Linear map from the coefficients of the chords of a line to those of its cubic: the chords of
@@ -77,33 +54,47 @@ static void set_fit(const double squares[MAPLINES_TERMS], const double cubes[MAP
     }
 }
 
-/// Cubic in a range by least squares, and what it leaves of the line in each cell.
+/// Cubic in a range by least squares.
 ///
 /// Its chords between the points are fitted to those of the line. So it is exact where the points
 /// lie on a cubic, however far apart they are.
-static void fit_cells(const maplines_stretches_t *seen, size_t line, const grid_t *grid,
-                      maplines_fitted_t *fitted, maplines_cells_t *cells, double *rest)
+static void fit_cells(const maplines_stretches_t *seen, size_t line, int count,
+                      maplines_fitted_t *fitted, maplines_cells_t *cells)
 {
-    double of_chords[MAPLINES_TERMS];
-    double squares[MAPLINES_TERMS];
-    double cubes[MAPLINES_TERMS];
-    double *q = fitted->q;
-    maplines_divide(seen, line, fitted->x_range, grid->count, cells);
-    coefficients_of(grid, cells->y, of_chords);
-    coefficients_of(grid, cells->square, squares);
-    coefficients_of(grid, cells->cube, cubes);
+    maplines_divide(seen, line, fitted->x_range, count, cells);
+    maplines_set_terms(count, cells);
+    const double *of_chords = cells->terms[0];
+    const double *squares = cells->terms[1];
+    const double *cubes = cells->terms[2];
     set_fit(squares, cubes, fitted->fit);
-    maplines_product(4, 4, 1, fitted->fit, of_chords, q);
+    double q[4];
+    for (int i = 0; i < 4; ++i)
+    {
+        const double *row = fitted->fit + 4 * i;
+        const double first = row[0] * of_chords[0];
+        const double second = row[1] * of_chords[1];
+        const double third = row[2] * of_chords[2];
+        const double fourth = row[3] * of_chords[3];
+        q[i] = first + second + third + fourth;
+    }
+    memcpy(fitted->q, q, sizeof q);
     for (int m = 0; m < 2; ++m)
     {
         const double by_curvature = q[2] * squares[4 + m] + q[3] * cubes[4 + m];
         fitted->modes[m] = of_chords[4 + m] - by_curvature;
     }
-    const double shown = BULGE * sqrt(seen->stretch[line].sagitta);
-    const double half_cell = 1.0 / (double)grid->count;
-    for (size_t k = 0; k < grid->count; ++k)
+}
+
+/// What a cubic leaves of its line in each cell.
+static void set_rest(const maplines_stretch_t *stretch, int count, const maplines_fitted_t *fitted,
+                     const maplines_cells_t *cells, double *rest)
+{
+    const double *q = fitted->q;
+    const double shown = BULGE * sqrt(stretch->sagitta);
+    const double half_cell = 1.0 / count;
+    for (int k = 0; k < count; ++k)
     {
-        const double w = (double)(2 * k + 1) * half_cell - 1.0;
+        const double w = (2 * k + 1) * half_cell - 1.0;
         const double square = w * w + half_cell * half_cell / 3.0;
         const double cube = w * (w * w + half_cell * half_cell);
         const double bulge = q[2] * cells->square[k] + q[3] * cells->cube[k];
@@ -119,25 +110,14 @@ double maplines_noise_share(double points)
     return square / (square + SHARED_POINTS * SHARED_POINTS);
 }
 
-void maplines_sum_cells(size_t count, const double *rest, double *sums)
-{
-    sums[0] = 0.0;
-    for (size_t k = 0; k < count; ++k)
-    {
-        sums[k + 1] = sums[k] + rest[k];
-    }
-    sums[count + 1] = sums[count]; // of a place at the end
-}
-
 /// Squared misfit of a cubic: the greatest mean over some metres or a cell, without what errors of
-/// the points explain of it, or the modes.
-static double squared_misfit(const maplines_stretch_t *stretch, const grid_t *grid,
+/// the points explain of it, or the modes. Sets the sums (count + 2) of what the cubic leaves.
+static double squared_misfit(const maplines_stretch_t *stretch, int count,
                              const maplines_fitted_t *fitted, const maplines_cells_t *cells,
-                             const double *rest)
+                             double *sums)
 {
-    double sums[MAPLINES_CELLS + 2];
-    const double count = (double)grid->count;
-    const double points = cells->position[grid->count] - cells->position[0];
+    double rest[MAPLINES_CELLS];
+    const double points = cells->position[count] - cells->position[0];
     const double length = fitted->x_range[1] - fitted->x_range[0];
     const double width = limited(AVERAGE * count / length, 1.0, count / 4.0);
     const double noise = NOISE_LIMIT * maplines_noise_share(points) * stretch->error /
@@ -146,29 +126,36 @@ static double squared_misfit(const maplines_stretch_t *stretch, const grid_t *gr
         NARROW_LIMIT * maplines_noise_share(points) * stretch->error / (1.0 + points / count);
     const double step = (count - width) / (count - 1.0);
     const double scale = 1.0 / width;
+    double widest = 0.0; // of sums over the width
+    double own = 0.0;    // of rests of a cell
+    set_rest(stretch, count, fitted, cells, rest);
+    sums[0] = 0.0;
+    for (int k = 0; k < count; ++k)
+    {
+        sums[k + 1] = sums[k] + rest[k];
+    }
+    sums[count + 1] = sums[count]; // of a place at the end
+    for (int k = 0; k < count; ++k)
+    {
+        const double begin = k * step;
+        const double sum = maplines_sum_to(sums, begin + width) - maplines_sum_to(sums, begin);
+        widest = fabs(sum) > widest ? fabs(sum) : widest;
+        own = fabs(rest[k]) > own ? fabs(rest[k]) : own;
+    }
+    const double mean = widest * scale;
     const double *modes = fitted->modes;
     double greatest = modes[0] * modes[0] + modes[1] * modes[1];
-    maplines_sum_cells(grid->count, rest, sums);
-    for (size_t k = 0; k < grid->count; ++k)
-    {
-        const double begin = (double)k * step;
-        const double mean =
-            (maplines_sum_to(sums, begin + width) - maplines_sum_to(sums, begin)) * scale;
-        const double excess = mean * mean - noise;
-        const double own = rest[k] * rest[k] - narrow;
-        greatest = excess > greatest ? excess : greatest;
-        greatest = own > greatest ? own : greatest;
-    }
-    return greatest;
+    greatest = mean * mean - noise > greatest ? mean * mean - noise : greatest;
+    return own * own - narrow > greatest ? own * own - narrow : greatest;
 }
 
-/// Cubic in its range.
+/// Cubic in its range, and the sums of what it leaves.
 static void fit_range(const maplines_stretches_t *seen, size_t line, maplines_fitted_t *fitted,
-                      maplines_cells_t *cells, double rest[MAPLINES_CELLS])
+                      maplines_cells_t *cells, double sums[MAPLINES_CELLS + 2])
 {
-    static const grid_t grid = {MAPLINES_CELLS, maplines_cell_rows};
-    fit_cells(seen, line, &grid, fitted, cells, rest);
-    fitted->misfit = sqrt(squared_misfit(&seen->stretch[line], &grid, fitted, cells, rest));
+    const maplines_stretch_t *stretch = &seen->stretch[line];
+    fit_cells(seen, line, MAPLINES_CELLS, fitted, cells);
+    fitted->misfit = sqrt(squared_misfit(stretch, MAPLINES_CELLS, fitted, cells, sums));
 }
 
 /* ---- the longest range ------------------------------------------------------------------------
@@ -195,16 +182,16 @@ static void make_whole(double step, double x_range[2])
 static double root_misfit(const maplines_stretches_t *seen, size_t line, double low, double high,
                           double max_misfit)
 {
-    static const grid_t grid = {MAPLINES_COARSE, maplines_coarse_rows};
     maplines_fitted_t fitted = {{low, high}, {0.0}, {0.0}, 0.0, {0.0}};
     maplines_cells_t cells;
-    double rest[MAPLINES_COARSE];
+    double sums[MAPLINES_COARSE + 2];
     if (!(low < high))
     {
         return 0.0;
     }
-    fit_cells(seen, line, &grid, &fitted, &cells, rest);
-    const double square = squared_misfit(&seen->stretch[line], &grid, &fitted, &cells, rest);
+    fit_cells(seen, line, MAPLINES_COARSE, &fitted, &cells);
+    const double square =
+        squared_misfit(&seen->stretch[line], MAPLINES_COARSE, &fitted, &cells, sums);
     return sqrt(sqrt(square)) / sqrt(max_misfit);
 }
 
@@ -274,18 +261,18 @@ static void search_range(const maplines_stretches_t *seen, size_t line, const ma
 
 bool maplines_longest_range(const maplines_stretches_t *seen, size_t line,
                             const maplines_fit_t *fit, maplines_fitted_t *fitted,
-                            maplines_cells_t *cells, double rest[MAPLINES_CELLS])
+                            maplines_cells_t *cells, double sums[MAPLINES_CELLS + 2])
 {
     const maplines_stretch_t *stretch = &seen->stretch[line];
     double *x_range = fitted->x_range;
     memcpy(x_range, stretch->x_range, sizeof fitted->x_range);
     make_whole(fit->step, x_range);
-    fit_range(seen, line, fitted, cells, rest);
+    fit_range(seen, line, fitted, cells, sums);
     if (fitted->misfit > fit->max_misfit)
     {
         search_range(seen, line, fit, x_range);
         make_whole(fit->step, x_range);
-        fit_range(seen, line, fitted, cells, rest);
+        fit_range(seen, line, fitted, cells, sums);
     }
     for (int i = 0; fitted->misfit > fit->max_misfit; ++i)
     {
@@ -299,7 +286,7 @@ bool maplines_longest_range(const maplines_stretches_t *seen, size_t line,
         x_range[0] = car + share * (x_range[0] - car);
         x_range[1] = car + share * (x_range[1] - car);
         make_whole(fit->step, x_range);
-        fit_range(seen, line, fitted, cells, rest);
+        fit_range(seen, line, fitted, cells, sums);
     }
     return fabs(fitted->misfit) < (double)INFINITY && x_range[0] < x_range[1];
 }

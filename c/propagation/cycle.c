@@ -71,8 +71,7 @@ static bool values_at(const maplines_pose_view_t *view, const maplines_rule_t *r
         for (size_t i = 0; i < lines; ++i)
         {
             double *line = work->values + 4 * (k * lines + i);
-            if (!maplines_refit_extended(&refits[places[i]], &view->from, work->poses + 3 * k,
-                                         line))
+            if (!maplines_refit_extended(&refits[places[i]], &view->from, &work->poses[k], line))
             {
                 return false;
             }
@@ -180,7 +179,12 @@ bool maplines_map_lines(const maplines_path_t *paths, size_t count, const maplin
     maplines_pose_view(cycle, &view);
     const maplines_fit_t fit = maplines_line_fit(cycle, &view);
     maplines_square_root(3, cycle->cov, root);
-    maplines_rule_points(rule, cycle->mean, root, work->poses);
+    for (size_t k = 0; k < rule->count; ++k)
+    {
+        double pose[3];
+        maplines_rule_point(rule, k, cycle->mean, root, pose);
+        work->poses[k] = maplines_other_pose(&view.from, pose);
+    }
     maplines_see(paths, count, &view.look, &work->seen, left_out);
     for (size_t i = 0; i < work->seen.lines; ++i)
     {
@@ -399,10 +403,12 @@ bool maplines_map_scene(const maplines_path_t *paths, size_t count, const maplin
     double root[9];
     maplines_begin_scene(paths, count, cycle, work, left_out, &search);
     maplines_square_root(3, search.view.pose_cov, root);
-    maplines_rule_points(rule, origin, root, work->poses);
     for (size_t k = 0; k < rule->count; ++k)
     {
-        maplines_displace(&search.view.from, work->poses + 3 * k);
+        double pose[3];
+        maplines_rule_point(rule, k, origin, root, pose);
+        maplines_displace(&search.view.from, pose);
+        work->poses[k] = maplines_other_pose(&search.view.from, pose);
     }
     // Each round but the last drops a line or is one of the trials of a line.
     for (int round = 0; round < MAPLINES_SCENE_LINES * (TRIALS + 3); ++round)

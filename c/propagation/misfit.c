@@ -23,33 +23,32 @@ static double least_level(const double sums[MAPLINES_CELLS + 2], double distance
     const double h = distance * 2.0 / MAPLINES_CELLS;
     const double scale = 1.0 / (h * h * (h * h));
     const double shrink = 1.0 / (width * width);
+    double unit[PLACES];
     double greatest[2] = {-(double)INFINITY, -(double)INFINITY};
     double sum = 0.0;
-    for (size_t i = 0; i < PLACES; ++i)
+    for (int i = 0; i < PLACES; ++i)
     {
         // Second differences of T_2 are 4 h^2, those of T_3 are 24 w h^2, with w in the middle.
-        const double begin = (double)i * step;
-        const double middle = begin + distance;
-        const double end = middle + distance;
+        const double middle = i * step + distance;
         const double w = (2.0 * middle + width) / MAPLINES_CELLS - 1.0;
         const double of_cubic = 24.0 * w;
-        const double unit = scale / (16.0 * SHAPE_2 + of_cubic * of_cubic * SHAPE_3);
+        unit[i] = scale / (16.0 * SHAPE_2 + of_cubic * of_cubic * SHAPE_3);
+    }
+    for (int i = 0; i < PLACES; ++i)
+    {
+        const double begin = i * step;
+        const double middle = begin + distance;
+        const double end = middle + distance;
         const double first = maplines_sum_to(sums, begin + width) - maplines_sum_to(sums, begin);
         const double second = maplines_sum_to(sums, middle + width) - maplines_sum_to(sums, middle);
         const double third = maplines_sum_to(sums, end + width) - maplines_sum_to(sums, end);
         const double difference = first - 2.0 * second + third;
         const double square = difference * difference * shrink;
-        const double level = (square - far_noise * noise) * unit;
-        sum = sum + (square - mean_noise * noise) * unit;
-        if (level > greatest[0])
-        {
-            greatest[1] = greatest[0];
-            greatest[0] = level;
-        }
-        else if (level > greatest[1])
-        {
-            greatest[1] = level;
-        }
+        const double level = (square - far_noise * noise) * unit[i];
+        const double less = level > greatest[0] ? greatest[0] : level;
+        sum = sum + (square - mean_noise * noise) * unit[i];
+        greatest[0] = level > greatest[0] ? level : greatest[0];
+        greatest[1] = less > greatest[1] ? less : greatest[1];
     }
     const double far = greatest[1] / (LIMIT * LIMIT); // one of 32 may be beyond
     const double near = sum / (PLACES * MEAN_SQUARE);
@@ -75,7 +74,7 @@ static double level_of_modes(const maplines_fitted_t *fitted, double variance)
 
 void maplines_coefficient_variances(const maplines_stretch_t *stretch,
                                     const maplines_fitted_t *fitted, const maplines_cells_t *cells,
-                                    const double rest[MAPLINES_CELLS], double variances[4])
+                                    const double sums[MAPLINES_CELLS + 2], double variances[4])
 {
     static const double spacings[SPACINGS] = {5.0, 10.0, 20.0};
     // Variances of noise that explain the largest second differences, and their mean square. Those
@@ -89,8 +88,6 @@ void maplines_coefficient_variances(const maplines_stretch_t *stretch,
     double level = level_of_modes(fitted, noise / points);
     level = level > MIN_SHAPE * squared ? level : MIN_SHAPE * squared;
     level = level > MIN_SIGMA * MIN_SIGMA ? level : MIN_SIGMA * MIN_SIGMA;
-    double sums[MAPLINES_CELLS + 2];
-    maplines_sum_cells(MAPLINES_CELLS, rest, sums);
     for (int k = 0; k < SPACINGS; ++k)
     {
         const double apart = length / points; // less is not seen

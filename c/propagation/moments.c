@@ -5,19 +5,16 @@
 #define ROUNDING 1e-9 ///< of a covariance, relative to the standard deviations
 #define N 4U          ///< parameters of a line
 
-void maplines_rule_points(const maplines_rule_t *rule, const double mean[3], const double root[9],
-                          double *points)
+void maplines_rule_point(const maplines_rule_t *rule, size_t k, const double mean[3],
+                         const double root[9], double point[3])
 {
-    for (size_t k = 0; k < rule->count; ++k)
+    const double *z = rule->z + 3 * k;
+    for (size_t i = 0; i < 3; ++i)
     {
-        const double *z = rule->z + 3 * k;
-        for (size_t i = 0; i < 3; ++i)
-        {
-            const double first = root[3 * i] * z[0];
-            const double second = root[3 * i + 1] * z[1];
-            const double third = root[3 * i + 2] * z[2];
-            points[3 * k + i] = mean[i] + (first + second + third);
-        }
+        const double first = root[3 * i] * z[0];
+        const double second = root[3 * i + 1] * z[1];
+        const double third = root[3 * i + 2] * z[2];
+        point[i] = mean[i] + (first + second + third);
     }
 }
 

@@ -132,7 +132,7 @@ const double maplines_cell_rows[MAPLINES_CELLS][MAPLINES_TERMS] = {
      0x1.16cdb2c9930fbp-3, 0x1.022a0ecd65e58p-3},
 };
 
-const double maplines_coarse_rows[MAPLINES_COARSE][MAPLINES_TERMS] = {
+static const double coarse_rows[MAPLINES_COARSE][MAPLINES_TERMS] = {
     {-0x1.d3dfa83ec30a8p-4, 0x1.95854abbc8888p-2, 0x1.21a16074d8231p-1, -0x1.f6d3b879ee600p-1,
      0x1.a1f8953192390p-3, -0x1.4c9379947ce2ap-3},
     {0x1.0f92e05403028p-6, -0x1.a639847936b80p-3, 0x1.bb2f7512d3970p-4, 0x1.00c0b4b96bf40p-3,
@@ -185,3 +185,34 @@ const double maplines_bend[MAPLINES_NODES] = {
     0x1.150f5b020de44p-3,  0x1.4cf4a35fd0991p-2,  0x1.00667eaf7b754p-1,  0x1.4f715d711582bp-1,
     0x1.907368ed9bfdep-1,  0x1.c0d4aa11e2587p-1,  0x1.dea7165983bd1p-1,  0x1.e8ba2e8ba2e8bp-1,
 };
+
+void maplines_set_terms(int count, maplines_cells_t *cells)
+{
+    const double(*rows)[MAPLINES_TERMS] =
+        count == MAPLINES_COARSE ? coarse_rows : maplines_cell_rows;
+    double line[MAPLINES_TERMS] = {0.0};
+    double square[MAPLINES_TERMS] = {0.0};
+    double cube[MAPLINES_TERMS] = {0.0};
+    for (int k = 0; k < count; ++k)
+    {
+        const double *row = rows[k];
+        for (int j = 0; j < MAPLINES_TERMS; ++j)
+        {
+            const double term = row[j] * cells->y[k];
+            line[j] = line[j] + term;
+        }
+        for (int j = 0; j < MAPLINES_TERMS; ++j)
+        {
+            const double term = row[j] * cells->square[k];
+            square[j] = square[j] + term;
+        }
+        for (int j = 0; j < MAPLINES_TERMS; ++j)
+        {
+            const double term = row[j] * cells->cube[k];
+            cube[j] = cube[j] + term;
+        }
+    }
+    memcpy(cells->terms[0], line, sizeof line);
+    memcpy(cells->terms[1], square, sizeof square);
+    memcpy(cells->terms[2], cube, sizeof cube);
+}

@@ -5,12 +5,12 @@
 #include "propagation.h"
 
 #define MAPLINES_COARSE 16 ///< cells of a range in the search for the longest one
-#define MAPLINES_TERMS 6   ///< of a fit: w^0 .. w^3, and T_4 and T_5 of what these leave
 
 /// Share of the mean in each cell in the coefficient of each term.
 extern const double maplines_cell_rows[MAPLINES_CELLS][MAPLINES_TERMS];
-extern const double maplines_coarse_rows[MAPLINES_COARSE][MAPLINES_TERMS];
 /// What a cubic leaves of T_4 at maplines_nodes.
 extern const double maplines_bend[MAPLINES_NODES];
+/// Set the coefficients of the terms of cells, whose number is MAPLINES_CELLS or MAPLINES_COARSE.
+void maplines_set_terms(int count, maplines_cells_t *cells);
 
 #endif

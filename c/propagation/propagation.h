@@ -19,6 +19,7 @@
 #include "internal.h"
 
 #define MAPLINES_CELLS 64  ///< of a range
+#define MAPLINES_TERMS 6   ///< of a fit: w^0 .. w^3, and T_4 and T_5 of what these leave
 #define MAPLINES_CHORDS 21 ///< that check the shape of a line
 #define MAPLINES_DEGREE 6  ///< of the sums of the normal equations
 #define MAPLINES_SUMS 10   ///< mean(u^k), k = 1 .. 6, and mean(v u^k), k = 0 .. 3
@@ -111,11 +112,12 @@ typedef struct {
     double square[MAPLINES_CELLS];       ///< of what chords between its points exceed w^2 by
     double cube[MAPLINES_CELLS];         ///< and w^3, w is -1 to 1 in the range
     double position[MAPLINES_CELLS + 1]; ///< of their ends: indices of points, with fractions
+    double terms[3][MAPLINES_TERMS];     ///< of a fit to the means of y, square and cube
 } maplines_cells_t;
 
 /// Cells of a range of a stretch; up to MAPLINES_CELLS.
 void maplines_divide(const maplines_stretches_t *seen, size_t line, const double x_range[2],
-                     size_t count, maplines_cells_t *cells);
+                     int count, maplines_cells_t *cells);
 
 /* ---- cubic_range.c, misfit.c: the cubic of a line, and what it misses -------------------------
  */
@@ -138,26 +140,24 @@ typedef struct {
     double fit[16];    ///< (4, 4): from the coefficients of chords between the points to q
 } maplines_fitted_t;
 
-/// Cubic in the longest range of a stretch with at most the greatest misfit, and what it leaves of
-/// the line in cells; false if there is none.
+/// Cubic in the longest range of a stretch with at most the greatest misfit, and the sums of what
+/// it leaves of the line, from the first cell to the begin of each; false if there is none.
 bool maplines_longest_range(const maplines_stretches_t *seen, size_t line,
                             const maplines_fit_t *fit, maplines_fitted_t *fitted,
-                            maplines_cells_t *cells, double rest[MAPLINES_CELLS]);
+                            maplines_cells_t *cells, double sums[MAPLINES_CELLS + 2]);
 /// Share of what the points show of their errors that is taken for errors. The rest, and all of it
 /// where points are few, may be the shape of the road.
 double maplines_noise_share(double points);
-/// Sums (count + 2) of what a cubic leaves, from the first cell to the begin of each.
-void maplines_sum_cells(size_t count, const double *rest, double *sums);
 /// The sum up to a place between cells.
 static inline double maplines_sum_to(const double *sums, double place)
 {
-    const size_t k = (size_t)place;
+    const int k = (int)place;
     return sums[k] + (place - (double)k) * (sums[k + 1] - sums[k]);
 }
 /// Variances of the coefficients of T_0 .. T_3 that cover what a cubic misses [m^2].
 void maplines_coefficient_variances(const maplines_stretch_t *stretch,
                                     const maplines_fitted_t *fitted, const maplines_cells_t *cells,
-                                    const double rest[MAPLINES_CELLS], double variances[4]);
+                                    const double sums[MAPLINES_CELLS + 2], double variances[4]);
 
 /* ---- refit.c: the line as a function of the pose ----------------------------------------------
  */
@@ -183,20 +183,27 @@ typedef struct {
     double cosine, sine; ///< of the heading
 } maplines_mean_pose_t;
 
+/// Another pose, and how it differs from the one from which lines are selected.
+typedef struct {
+    double pose[3];      ///< x, y [m] and heading [rad] in the frame of the map
+    double cosine, sine; ///< of its turn
+    double ahead, aside; ///< of its displacement in the frame of the car [m]
+} maplines_other_pose_t;
+
 maplines_mean_pose_t maplines_mean_pose(const double pose[3]);
+maplines_other_pose_t maplines_other_pose(const maplines_mean_pose_t *from, const double pose[3]);
 /// From a displacement in the frame of the car to the pose in the frame of the map.
 void maplines_displace(const maplines_mean_pose_t *from, double pose[3]);
 /// Refit of a stretch; false if no cubic follows it in any range.
 bool maplines_refit(const maplines_stretches_t *seen, size_t line, const maplines_mean_pose_t *from,
                     const maplines_fit_t *fit, maplines_refit_t *refit);
-/// Line (y_off, beta, c0, c1) seen from a pose in the frame of the map; false, and NaN, if it is no
-/// function of x there.
-bool maplines_refit_at(const maplines_refit_t *refit, const maplines_mean_pose_t *from,
-                       const double pose[3], double line[4]);
+/// Line (y_off, beta, c0, c1) seen from a pose; false, and NaN, if it is no function of x there.
+bool maplines_refit_at(const maplines_refit_t *refit, const maplines_other_pose_t *pose,
+                       double line[4]);
 /// The same, extrapolated from the mean pose where the line is no function of x; false if it is
 /// none next to the mean pose.
 bool maplines_refit_extended(const maplines_refit_t *refit, const maplines_mean_pose_t *from,
-                             const double pose[3], double line[4]);
+                             const maplines_other_pose_t *pose, double line[4]);
 
 /* ---- moments.c, certain_range.c ----------------------------------------------------------------
  */
@@ -209,9 +216,9 @@ typedef struct {
     const double *mean_weights, *cov_weights;
 } maplines_rule_t;
 
-/// Points (rule->count, 3) of a Gaussian with a lower triangular root.
-void maplines_rule_points(const maplines_rule_t *rule, const double mean[3], const double root[9],
-                          double *points);
+/// Point k of a rule, of a Gaussian with a lower triangular root.
+void maplines_rule_point(const maplines_rule_t *rule, size_t k, const double mean[3],
+                         const double root[9], double point[3]);
 /// Mean (m) and covariance (m, m), symmetric but for rounding, of the (count, m) values at the
 /// points of a rule, of which row i begins at values + i * stride; scratch is (m).
 void maplines_weighted_moments(const maplines_rule_t *rule, size_t m, size_t stride,
@@ -247,10 +254,10 @@ typedef struct {
 /// Memory of a cycle.
 typedef struct {
     maplines_stretches_t seen;
-    maplines_refit_t *refits; ///< (lines)
-    double *poses;            ///< (rule->count, 3)
-    double *values;           ///< (rule->count, 4 lines)
-    double *matrix;           ///< (4 lines, 4 lines), of scenes only
+    maplines_refit_t *refits;     ///< (lines)
+    maplines_other_pose_t *poses; ///< (rule->count)
+    double *values;               ///< (rule->count, 4 lines)
+    double *matrix;               ///< (4 lines, 4 lines), of scenes only
 } maplines_work_t;
 
 /// Lines of a scene, one after the other without those that are left out.

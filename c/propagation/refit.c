@@ -7,17 +7,32 @@
 #define POSE_STEP 1e-4           ///< for derivatives [m, rad]
 #define CHORD_NODES 3            ///< nodes from the begin of a chord to its end
 #define MOMENTS (MAPLINES_DEGREE + 1)
+#define HALF (MAPLINES_NODES / 2)
 #define HALVINGS 60 ///< of the distance to a pose from which a line is no function of x
 
 /// Places of mean(u^k) and mean(v u^k) among the sums, which are in the order of their degrees.
 static const int place_of_u[MAPLINES_DEGREE + 1] = {-1, 0, 2, 4, 6, 8, 9};
 static const int place_of_v[4] = {1, 3, 5, 7};
+/// Means of the powers of the nodes.
+static const double moments_of_nodes[MOMENTS] = {1.0,        0x1.04p-54, 0x1.04p-1, 0x1.20p-54,
+                                                 0x1.8a0p-2, 0x1.30p-54, 0x1.4b0p-2};
 
 maplines_mean_pose_t maplines_mean_pose(const double pose[3])
 {
     maplines_mean_pose_t from = {{pose[0], pose[1], pose[2]}, 0.0, 0.0};
     maplines_sin_cos(pose[2], &from.sine, &from.cosine);
     return from;
+}
+
+maplines_other_pose_t maplines_other_pose(const maplines_mean_pose_t *from, const double pose[3])
+{
+    const double east = pose[0] - from->pose[0];
+    const double north = pose[1] - from->pose[1];
+    maplines_other_pose_t other = {{pose[0], pose[1], pose[2]}, 0.0, 0.0, 0.0, 0.0};
+    maplines_sin_cos(pose[2] - from->pose[2], &other.sine, &other.cosine);
+    other.ahead = from->cosine * east + from->sine * north;
+    other.aside = from->cosine * north - from->sine * east;
+    return other;
 }
 
 void maplines_displace(const maplines_mean_pose_t *from, double pose[3])
@@ -32,41 +47,58 @@ void maplines_displace(const maplines_mean_pose_t *from, double pose[3])
 /* ---- sums of the normal equations -------------------------------------------------------------
  */
 
+/// Mean of products at the nodes, in the order of maplines_total.
+static double mean_of_products(const double a[MAPLINES_NODES], const double b[MAPLINES_NODES])
+{
+    double terms[HALF];
+    for (int k = 0; k < HALF; ++k)
+    {
+        const double first = a[k] * b[k];
+        const double second = a[HALF + k] * b[HALF + k];
+        terms[k] = first + second;
+    }
+    for (int k = 0; k < HALF / 2; ++k)
+    {
+        terms[k] = terms[k] + terms[HALF / 2 + k];
+    }
+    for (int k = 0; k < HALF / 4; ++k)
+    {
+        terms[k] = terms[k] + terms[HALF / 4 + k];
+    }
+    for (int k = 0; k < HALF / 8; ++k)
+    {
+        terms[k] = terms[k] + terms[HALF / 8 + k];
+    }
+    return (terms[0] + terms[2] + (terms[1] + terms[3])) / MAPLINES_NODES;
+}
+
 /// Moments mean(a^i b^j) of the points, at [i][j] with i + j up to the degree; a are the nodes.
 static void moments_of(const double b[MAPLINES_NODES], double moments[MOMENTS][MOMENTS])
 {
     const double *nodes = maplines_nodes();
-    double of_a[MOMENTS][MAPLINES_NODES];
+    double of_a[MAPLINES_DEGREE][MAPLINES_NODES];
     double of_b[MAPLINES_NODES];
-    double terms[MAPLINES_NODES];
     for (int k = 0; k < MAPLINES_NODES; ++k)
     {
         of_a[0][k] = 1.0;
-        of_b[k] = 1.0;
+        of_b[k] = b[k];
     }
-    for (int i = 1; i < MOMENTS; ++i)
+    for (int i = 1; i < MAPLINES_DEGREE; ++i)
     {
         for (int k = 0; k < MAPLINES_NODES; ++k)
         {
             of_a[i][k] = of_a[i - 1][k] * nodes[k];
         }
     }
-    for (int j = 0; j < MOMENTS; ++j)
+    for (int i = 0; i < MOMENTS; ++i)
+    {
+        moments[i][0] = moments_of_nodes[i];
+    }
+    for (int j = 1; j < MOMENTS; ++j)
     {
         for (int i = 0; i + j < MOMENTS; ++i)
         {
-            for (int k = 0; k < MAPLINES_NODES; ++k)
-            {
-                terms[k] = of_a[i][k] * of_b[k];
-            }
-            for (int half = MAPLINES_NODES / 2; half > 0; half /= 2)
-            {
-                for (int k = 0; k < half; ++k)
-                {
-                    terms[k] = terms[k] + terms[half + k];
-                }
-            }
-            moments[i][j] = terms[0] / MAPLINES_NODES;
+            moments[i][j] = mean_of_products(of_a[i], of_b);
         }
         for (int k = 0; k < MAPLINES_NODES; ++k)
         {
@@ -194,16 +226,13 @@ static bool is_function_after(const maplines_refit_t *refit, double c, double s)
 /* ---- the line seen from a pose ----------------------------------------------------------------
  */
 
-bool maplines_refit_at(const maplines_refit_t *refit, const maplines_mean_pose_t *from,
-                       const double pose[3], double line[4])
+bool maplines_refit_at(const maplines_refit_t *refit, const maplines_other_pose_t *pose,
+                       double line[4])
 {
-    const double east = pose[0] - from->pose[0];
-    const double north = pose[1] - from->pose[1];
-    double c;
-    double s;
+    const double c = pose->cosine;
+    const double s = pose->sine;
     double q[4];
     double sums[MAPLINES_SUMS];
-    maplines_sin_cos(pose[2] - from->pose[2], &s, &c);
     rotate_sums(refit, c, s, sums);
     if (!solve_normal(sums, q) || !is_function_after(refit, c, s))
     {
@@ -214,10 +243,8 @@ bool maplines_refit_at(const maplines_refit_t *refit, const maplines_mean_pose_t
         return false;
     }
     // Centre of the points as seen from the pose.
-    const double ahead = from->cosine * east + from->sine * north;
-    const double aside = from->cosine * north - from->sine * east;
-    const double x = refit->centre[0] - ahead;
-    const double y = refit->centre[1] - aside;
+    const double x = refit->centre[0] - pose->ahead;
+    const double y = refit->centre[1] - pose->aside;
     for (int i = 0; i < 4; ++i)
     {
         q[i] = q[i] * refit->half;
@@ -230,23 +257,24 @@ bool maplines_refit_at(const maplines_refit_t *refit, const maplines_mean_pose_t
 }
 
 bool maplines_refit_extended(const maplines_refit_t *refit, const maplines_mean_pose_t *from,
-                             const double pose[3], double line[4])
+                             const maplines_other_pose_t *pose, double line[4])
 {
-    if (maplines_refit_at(refit, from, pose, line))
+    if (maplines_refit_at(refit, pose, line))
     {
         return true;
     }
     double share = 1.0;
     for (int halving = 0; halving < HALVINGS; ++halving)
     {
-        double nearer[3];
+        double place[3];
         share = share / 2.0;
         for (int i = 0; i < 3; ++i)
         {
-            const double part = share * (pose[i] - from->pose[i]);
-            nearer[i] = from->pose[i] + part;
+            const double part = share * (pose->pose[i] - from->pose[i]);
+            place[i] = from->pose[i] + part;
         }
-        if (maplines_refit_at(refit, from, nearer, line))
+        const maplines_other_pose_t nearer = maplines_other_pose(from, place);
+        if (maplines_refit_at(refit, &nearer, line))
         {
             for (int i = 0; i < 4; ++i)
             {
@@ -282,16 +310,20 @@ static void coefficient_covariance(const maplines_stretches_t *seen, const mapli
 {
     const maplines_fitted_t *fitted = &refit->fitted;
     const double length = 2.0 * refit->half / MAPLINES_CELLS;
+    double factors[MAPLINES_CELLS]; // of errors in x, which act by the slope
     double S[16] = {0.0};
     double before[4] = {0.0}; // effects of the errors of the point behind
     double after[4] = {0.0};  // and of the one ahead
     size_t i = (size_t)cells->position[0];
-    for (size_t k = 0; k < MAPLINES_CELLS; ++k)
+    for (int k = 0; k < MAPLINES_CELLS; ++k)
     {
-        const double w = (double)(2 * k + 1) / MAPLINES_CELLS - 1.0;
+        const double w = (2 * k + 1) / (double)MAPLINES_CELLS - 1.0;
         const double bend = 2.0 * fitted->q[2] + 3.0 * fitted->q[3] * w;
         const double slope = (fitted->q[1] + bend * w) / refit->half;
-        const double factor = sqrt(1.0 + slope * slope); // errors in x act by the slope
+        factors[k] = sqrt(1.0 + slope * slope);
+    }
+    for (size_t k = 0; k < MAPLINES_CELLS; ++k)
+    {
         double from = cells->position[k];
         const double to = cells->position[k + 1];
         while (from < to)
@@ -299,7 +331,7 @@ static void coefficient_covariance(const maplines_stretches_t *seen, const mapli
             const double next = (double)(i + 1);
             const double until = to < next ? to : next;
             const double step = seen->key[i + 1] - seen->key[i];
-            const double share = (until - from) * step / length * factor;
+            const double share = (until - from) * step / length * factors[k];
             const double ahead = share * ((from + until) / 2.0 - (double)i);
             for (size_t j = 0; j < 4; ++j)
             {
@@ -357,11 +389,13 @@ static void add_drift(const maplines_mean_pose_t *from, const maplines_fit_t *fi
     {
         double ahead[4];
         double behind[4];
-        double pose[3] = {from->pose[0], from->pose[1], from->pose[2]};
-        pose[k] = from->pose[k] + POSE_STEP;
-        (void)maplines_refit_at(refit, from, pose, ahead); // NaN is found later
-        pose[k] = from->pose[k] - POSE_STEP;
-        (void)maplines_refit_at(refit, from, pose, behind);
+        double place[3] = {from->pose[0], from->pose[1], from->pose[2]};
+        place[k] = from->pose[k] + POSE_STEP;
+        const maplines_other_pose_t one = maplines_other_pose(from, place);
+        place[k] = from->pose[k] - POSE_STEP;
+        const maplines_other_pose_t other = maplines_other_pose(from, place);
+        (void)maplines_refit_at(refit, &one, ahead); // NaN is found later
+        (void)maplines_refit_at(refit, &other, behind);
         for (int i = 0; i < 4; ++i)
         {
             J[3 * i + k] = (ahead[i] - behind[i]) / (2.0 * POSE_STEP) * sigmas[k];
@@ -385,14 +419,14 @@ static void add_noise(const maplines_stretches_t *seen, const maplines_cells_t *
 
 /// Add the covariance that covers what the cubic misses.
 static void add_misfit(const maplines_stretch_t *stretch, const maplines_cells_t *cells,
-                       const double rest[MAPLINES_CELLS], maplines_refit_t *refit)
+                       const double sums[MAPLINES_CELLS + 2], maplines_refit_t *refit)
 {
     double J[16];
     double scaled[16];
     double cover[16];
     double variances[4];
     maplines_bases(refit->mean, refit->fitted.x_range, J);
-    maplines_coefficient_variances(stretch, &refit->fitted, cells, rest, variances);
+    maplines_coefficient_variances(stretch, &refit->fitted, cells, sums, variances);
     for (int i = 0; i < 16; ++i)
     {
         scaled[i] = J[i] * variances[i % 4];
@@ -467,10 +501,10 @@ bool maplines_refit(const maplines_stretches_t *seen, size_t line, const mapline
     const maplines_stretch_t *stretch = &seen->stretch[line];
     const bool is_covered = fit->max_misfit < (double)INFINITY;
     maplines_cells_t cells;
-    double rest[MAPLINES_CELLS];
+    double sums[MAPLINES_CELLS + 2];
     double scaled[MAPLINES_NODES];
     double moments[MOMENTS][MOMENTS];
-    if (!maplines_longest_range(seen, line, fit, &refit->fitted, &cells, rest))
+    if (!maplines_longest_range(seen, line, fit, &refit->fitted, &cells, sums))
     {
         return false;
     }
@@ -482,7 +516,8 @@ bool maplines_refit(const maplines_stretches_t *seen, size_t line, const mapline
     moments_of(scaled, moments);
     set_sums(moments, refit);
     set_chords_of(refit);
-    (void)maplines_refit_at(refit, from, from->pose, refit->mean);
+    const maplines_other_pose_t same = maplines_other_pose(from, from->pose);
+    (void)maplines_refit_at(refit, &same, refit->mean);
     memset(refit->noise_cov, 0, sizeof refit->noise_cov);
     const double stated = fit->point_sigma * fit->point_sigma;
     double variance = fit->has_map_error ? stated : 0.0;
@@ -493,7 +528,7 @@ bool maplines_refit(const maplines_stretches_t *seen, size_t line, const mapline
     if (is_covered)
     {
         variance = stretch->widened > variance ? stretch->widened : variance;
-        add_misfit(stretch, &cells, rest, refit);
+        add_misfit(stretch, &cells, sums, refit);
     }
     if (variance > 0.0)
     {

@@ -5,6 +5,7 @@
 
 #define DIRECTION_BASE 0.5 ///< over which the direction of a line is taken [m]
 #define STRIDE 32          ///< points from one of which the distance is taken to the next
+#define LEAP 8             ///< the same to the begin of a cell
 #define ROUNDING 1e-9      ///< of distances, relative
 #define MOST_ERROR 1.0     ///< that points show; more is a corner of the line [m]
 #define MOST_SAGITTA 3.0   ///< the same for their distances from chords [m]
@@ -319,6 +320,115 @@ static bool is_inside(const frame_t *frame, double x, double next)
     return !((x <= frame->low && next <= frame->low) || (x >= frame->high && next >= frame->high));
 }
 
+/// An x is beyond the window: at its high end in the direction 1, at its low one in -1.
+static bool is_beyond(const frame_t *frame, double x, int direction)
+{
+    return direction > 0 ? x >= frame->high : x <= frame->low;
+}
+
+/// Place of a point along the x axis of the car.
+static double x_of(const maplines_path_t *path, const frame_t *frame, size_t i)
+{
+    const double c_east = frame->c * (path->x[i] - frame->x);
+    const double s_north = frame->s * (path->y[i] - frame->y);
+    return c_east + s_north;
+}
+
+/// How far a step from a point is outside of the window; negative if it is inside, at least in
+/// part. The way along the line to the window is not shorter.
+static double distance_outside(const maplines_path_t *path, const frame_t *frame, size_t from,
+                               size_t to)
+{
+    const double x = x_of(path, frame, from);
+    const double outside = x <= frame->low ? frame->low - x : x - frame->high;
+    const double error = ROUNDING * (path->distance[path->count - 1] + fabs(x));
+    const double way = outside > error ? outside - error : 0.0;
+    return is_inside(frame, x, x_of(path, frame, to)) ? -1.0 : way;
+}
+
+/// No step from a point on is in the window.
+static bool is_outside_after(const maplines_path_t *path, const frame_t *frame, size_t i)
+{
+    const size_t last = path->count - 1;
+    double way = 0.0;
+    while (i < last && way >= 0.0)
+    {
+        way = distance_outside(path, frame, i, i + 1);
+        const double end = path->distance[i] + way;
+        ++i;
+        while (i + STRIDE <= last && path->distance[i + STRIDE] < end)
+        {
+            i += STRIDE;
+        }
+        while (i < last && path->distance[i + 1] < end)
+        {
+            ++i;
+        }
+    }
+    return way >= 0.0;
+}
+
+/// No step to a point is in the window, nor one before.
+static bool is_outside_before(const maplines_path_t *path, const frame_t *frame, size_t i)
+{
+    double way = 0.0;
+    while (i > 0 && way >= 0.0)
+    {
+        way = distance_outside(path, frame, i, i - 1);
+        const double end = path->distance[i] - way;
+        --i;
+        while (i >= STRIDE && path->distance[i - STRIDE] > end)
+        {
+            i -= STRIDE;
+        }
+        while (i > 0 && path->distance[i - 1] > end)
+        {
+            --i;
+        }
+    }
+    return way >= 0.0;
+}
+
+/// First point of the run of steps in the direction of one, as far as it may be in the window.
+static size_t begin_of_run(const maplines_path_t *path, const frame_t *frame, size_t step)
+{
+    const int direction = direction_of(path, frame, step);
+    size_t first = step;
+    while (first > 0 && direction_of(path, frame, first - 1) == direction &&
+           !is_beyond(frame, x_of(path, frame, first), -direction))
+    {
+        --first;
+    }
+    if (!is_outside_before(path, frame, first))
+    {
+        while (first > 0 && direction_of(path, frame, first - 1) == direction)
+        {
+            --first;
+        }
+    }
+    return first;
+}
+
+/// Last point of it.
+static size_t end_of_run(const maplines_path_t *path, const frame_t *frame, size_t step)
+{
+    const int direction = direction_of(path, frame, step);
+    size_t last = step + 1;
+    while (last + 1 < path->count && direction_of(path, frame, last) == direction &&
+           !is_beyond(frame, x_of(path, frame, last), direction))
+    {
+        ++last;
+    }
+    if (!is_outside_after(path, frame, last))
+    {
+        while (last + 1 < path->count && direction_of(path, frame, last) == direction)
+        {
+            ++last;
+        }
+    }
+    return last;
+}
+
 /// Reverse an array.
 static void reverse(size_t count, double *values)
 {
@@ -376,16 +486,8 @@ static bool stretch_around(const maplines_path_t *path, const frame_t *frame, si
                            double *x, double *y, maplines_stretch_t *stretch)
 {
     const int direction = direction_of(path, frame, nearest);
-    size_t first = nearest;
-    size_t last = nearest + 1; // point
-    while (first > 0 && direction_of(path, frame, first - 1) == direction)
-    {
-        --first;
-    }
-    while (last + 1 < path->count && direction_of(path, frame, last) == direction)
-    {
-        ++last;
-    }
+    const size_t first = begin_of_run(path, frame, nearest);
+    const size_t last = end_of_run(path, frame, nearest);
     const size_t points = last - first + 1;
     for (size_t i = 0; i < points; ++i)
     {
@@ -516,73 +618,80 @@ void maplines_see(const maplines_path_t *paths, size_t count, const maplines_loo
 /* ---- values of stretches ----------------------------------------------------------------------
  */
 
-/// Index of the last point of a stretch whose key is not greater.
-static size_t first_point(const maplines_stretches_t *seen, size_t line, double key)
+/// Index of the last of ascending keys, from one of which that is known, that is not greater.
+static inline size_t next_point(const double *keys, size_t i, size_t last, double key)
 {
-    size_t low = seen->stretch[line].first;
-    size_t high = low + seen->stretch[line].count;
-    while (high - low > 1)
+    while (i + LEAP <= last && keys[i + LEAP] <= key)
     {
-        const size_t middle = low + (high - low) / 2;
-        if (seen->key[middle] <= key)
-        {
-            low = middle;
-        }
-        else
-        {
-            high = middle;
-        }
+        i += LEAP;
     }
-    return low;
+    while (i < last && keys[i + 1] <= key)
+    {
+        ++i;
+    }
+    return i;
 }
 
-void maplines_divide(const maplines_stretches_t *seen, size_t line, const double x_range[2],
-                     size_t count, maplines_cells_t *cells)
+/// Integrals of a stretch from its first point to the ends of cells: as those of its points.
+typedef struct {
+    double area[MAPLINES_CELLS + 1];
+    double square[MAPLINES_CELLS + 1];
+    double cube[MAPLINES_CELLS + 1];
+} integrals_t;
+
+/// Integrals to the ends of cells, and the positions of these.
+static void integrate(const maplines_stretches_t *seen, size_t line, const double x_range[2],
+                      int count, double *position, integrals_t *to)
 {
+    const double *key = seen->key;
     const double shift = (double)line * seen->step;
-    const double centre = (x_range[0] + x_range[1]) / 2.0;
-    const double half = (x_range[1] - x_range[0]) / 2.0;
-    const double length = (x_range[1] - x_range[0]) / (double)count;
-    const double scale = 1.0 / (half * half * length);
+    const double begin = x_range[0];
+    const double length = (x_range[1] - begin) / count;
     const size_t last = seen->stretch[line].first + seen->stretch[line].count - 1;
-    size_t i = first_point(seen, line, x_range[0] + shift);
-    double area = 0.0;
-    double square = 0.0;
-    double cube = 0.0;
-    for (size_t k = 0; k <= count; ++k)
+    size_t i = seen->stretch[line].first;
+    for (int k = 0; k <= count; ++k)
     {
-        const double offset = (double)k * length;
-        const double x = k < count ? x_range[0] + offset : x_range[1];
-        while (i < last && seen->key[i + 1] <= x + shift)
-        {
-            ++i;
-        }
-        const double low = seen->key[i] - shift;
+        const double offset = k * length;
+        const double x = k < count ? begin + offset : x_range[1];
+        i = next_point(key, i, last, x + shift);
+        const double low = key[i] - shift;
         const double beyond = x - low;
-        double next_area = seen->area[i];
-        double next_square = seen->square[i];
-        double next_cube = seen->cube[i];
-        cells->position[k] = (double)i;
+        double area = seen->area[i];
+        double square = seen->square[i];
+        double cube = seen->cube[i];
+        double place = (double)i;
         if (beyond > 0.0 && i < last)
         {
-            const double step = seen->key[i + 1] - seen->key[i];
+            const double step = key[i + 1] - key[i];
             const double beyond2 = beyond * beyond;
             const double by_two = step * beyond2 / 2.0 - beyond2 * beyond / 3.0;
             const double by_three = step * (beyond2 * beyond) / 3.0 - beyond2 * beyond2 / 4.0;
-            next_area += beyond * (seen->y[i] + seen->slope[i] * beyond / 2.0);
-            next_square += by_two;
-            next_cube += by_three + (2.0 * low + seen->key[i + 1] - shift) * by_two;
-            cells->position[k] += beyond / step;
+            area += beyond * (seen->y[i] + seen->slope[i] * beyond / 2.0);
+            square += by_two;
+            cube += by_three + (2.0 * low + key[i + 1] - shift) * by_two;
+            place += beyond / step;
         }
-        if (k > 0)
-        {
-            cells->y[k - 1] = (next_area - area) / length;
-            cells->square[k - 1] = (next_square - square) * scale;
-            cells->cube[k - 1] =
-                ((next_cube - cube) - 3.0 * centre * (next_square - square)) * scale / half;
-        }
-        area = next_area;
-        square = next_square;
-        cube = next_cube;
+        to->area[k] = area;
+        to->square[k] = square;
+        to->cube[k] = cube;
+        position[k] = place;
+    }
+}
+
+void maplines_divide(const maplines_stretches_t *seen, size_t line, const double x_range[2],
+                     int count, maplines_cells_t *cells)
+{
+    const double centre = (x_range[0] + x_range[1]) / 2.0;
+    const double half = (x_range[1] - x_range[0]) / 2.0;
+    const double length = (x_range[1] - x_range[0]) / count;
+    const double scale = 1.0 / (half * half * length);
+    integrals_t to;
+    integrate(seen, line, x_range, count, cells->position, &to);
+    for (int k = 0; k < count; ++k)
+    {
+        const double square = to.square[k + 1] - to.square[k];
+        cells->y[k] = (to.area[k + 1] - to.area[k]) / length;
+        cells->square[k] = square * scale;
+        cells->cube[k] = ((to.cube[k + 1] - to.cube[k]) - 3.0 * centre * square) * scale / half;
     }
 }
