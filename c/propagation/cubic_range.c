@@ -7,8 +7,9 @@
 #define NOISE_LIMIT 14.0
 #define NARROW_LIMIT 25.0 ///< the same in the greatest rest of a cell
 #define SHARED_POINTS 20.0
-#define STARTS 5 ///< of ranges that are tried
-#define ENDS 6   ///< and ends of each
+#define BY_KINKS 3e-4 ///< squared misfit of hidden kinks, by their intensity and the cubed length
+#define STARTS 5      ///< of ranges that are tried
+#define ENDS 6        ///< and ends of each
 #define SOFT 0.2
 #define BEHIND 0.5      ///< a metre behind the car counts this share of a metre ahead
 #define LEAST_STEP 1e-6 ///< of the root of the misfit
@@ -111,7 +112,8 @@ double maplines_noise_share(double points)
 }
 
 /// Squared misfit of a cubic: the greatest mean over some metres or a cell, without what errors of
-/// the points explain of it, or the modes. Sets the sums (count + 2) of what the cubic leaves.
+/// the points explain of it, or the modes; and that of kinks which these errors hide. Sets the sums
+/// (count + 2) of what the cubic leaves.
 static double squared_misfit(const maplines_stretch_t *stretch, int count,
                              const maplines_fitted_t *fitted, const maplines_cells_t *cells,
                              double *sums)
@@ -146,7 +148,8 @@ static double squared_misfit(const maplines_stretch_t *stretch, int count,
     const double *modes = fitted->modes;
     double greatest = modes[0] * modes[0] + modes[1] * modes[1];
     greatest = mean * mean - noise > greatest ? mean * mean - noise : greatest;
-    return own * own - narrow > greatest ? own * own - narrow : greatest;
+    greatest = own * own - narrow > greatest ? own * own - narrow : greatest;
+    return greatest + BY_KINKS * stretch->kinks * (length * length * length);
 }
 
 /// Cubic in its range, and the sums of what it leaves.

@@ -9,6 +9,7 @@
 #define MEAN_SQUARE 1.4   ///< of second differences, in units of their variances, at most
 #define SHAPE_2 1.0       ///< variances of T_2 and T_3 by the level of the shape
 #define SHAPE_3 2.0
+#define SHAPE_BY_KINKS 7e-4 ///< of hidden kinks, by their intensity and the cubed length
 #define MODES 2
 #define PLACES 32   ///< of second differences in a range
 #define LONGEST 0.4 ///< distance of second differences, as a share of the range
@@ -100,6 +101,7 @@ void maplines_coefficient_variances(const maplines_stretch_t *stretch,
         level = least > level ? least : level;
     }
     level = level + 2.0 * stretch->unseen;
+    level = level + SHAPE_BY_KINKS * stretch->kinks * (length * length * length);
     variances[0] = LATERAL_SHARE * (squared + stretch->unseen) + MIN_SIGMA * MIN_SIGMA;
     variances[1] = 0.25 * level;
     variances[2] = SHAPE_2 * level;

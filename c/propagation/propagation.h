@@ -44,7 +44,7 @@ static inline double maplines_hypot(double x, double y)
 /* ---- stretches.c: what is seen of lines -------------------------------------------------------
  */
 
-#define MAPLINES_PATH_ARRAYS 11 ///< arrays of a path, each of as many doubles as it has points
+#define MAPLINES_PATH_ARRAYS 13 ///< arrays of a path, each of as many doubles as it has points
 
 /// Line of a map, with what a query needs of it and does not depend on the pose.
 typedef struct {
@@ -58,6 +58,9 @@ typedef struct {
     /// Sums over the points before each: of the squared errors that the points show, and of their
     /// squared distances from the chords of their neighbours [m^2].
     const double *errors, *sagittas;
+    /// The same of the squared errors that points far apart show [m^2], and of their distances [m].
+    const double *coarse_errors, *coarse_distances;
+    size_t coarse_ends[2]; ///< the first point of which they are known, and the one after the last
 } maplines_path_t;
 
 /// Where the car is, and what it looks at.
@@ -78,6 +81,7 @@ typedef struct {
     double sagitta;      ///< mean square of the distances of points from chords [m^2]
     double bends;        ///< variance of the line between points, by the bends that they show [m^2]
     double unseen;       ///< the same in all [m^2]
+    double kinks;        ///< that errors of its points hide: variance of its direction by length
 } maplines_stretch_t;
 
 /// Stretches of lines. The points of all of them stand one after the other.

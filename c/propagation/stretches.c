@@ -21,6 +21,12 @@
 #define BY_TYPICAL 0.3 ///< the same by the square of the typical error
 #define BY_ERROR 0.1   ///< and by that of the errors that points show, if they are far apart
 #define FAR_APART 10.0 ///< spacing at which half of that counts [m]
+#define COARSE 12.0    ///< distance of points that show kinks, at least [m]
+#define PER_KINK 26.2  ///< intensity of kinks by their squared error and distance to the power -3
+#define AS_ERRORS 1.4  ///< of the errors of close points, what explains those of far points ...
+#define AS_ERRORS_FAR 0.5 ///< ... and of points that are no closer
+#define HIDING 0.04       ///< kinks that errors can hide, by their variance [1/m^3]
+#define AVERAGED 5.0      ///< distance over which they are averaged [m]
 
 /* ---- paths ------------------------------------------------------------------------------------
  */
@@ -54,29 +60,91 @@ static double capped(double square, double most)
     return positive < most * most ? positive : most * most;
 }
 
-/// Squared error that a point shows: the fourth divided difference of the points about it, in
-/// standard deviations for independent errors of 1 m. Errors along the line cancel.
-static double shown_error(const maplines_path_t *path, size_t i)
+/// Squared error that five points show: their fourth divided difference, in standard deviations for
+/// independent errors of 1 m. Errors along the line cancel.
+static double error_of(const maplines_path_t *path, const size_t at[5])
 {
     double sum_x = 0.0;
     double sum_y = 0.0;
     double squares = 0.0;
-    for (size_t j = i - 2; j <= i + 2; ++j)
+    for (size_t j = 0; j < 5; ++j)
     {
         double product = 1.0;
-        for (size_t k = i - 2; k <= i + 2; ++k)
+        for (size_t k = 0; k < 5; ++k)
         {
-            const double gap = path->distance[j] - path->distance[k];
+            const double gap = path->distance[at[j]] - path->distance[at[k]];
             product = j == k ? product : product * gap;
         }
         const double weight = 1.0 / product;
-        const double by_x = weight * (path->x[j] - path->x[i]);
-        const double by_y = weight * (path->y[j] - path->y[i]);
+        const double by_x = weight * (path->x[at[j]] - path->x[at[2]]);
+        const double by_y = weight * (path->y[at[j]] - path->y[at[2]]);
         sum_x = sum_x + by_x;
         sum_y = sum_y + by_y;
         squares = squares + weight * weight;
     }
     return capped((sum_x * sum_x + sum_y * sum_y) / squares, MOST_ERROR);
+}
+
+/// Squared error that a point and the two next to it on each side show.
+static double shown_error(const maplines_path_t *path, size_t i)
+{
+    const size_t at[5] = {i - 2, i - 1, i, i + 1, i + 2};
+    return error_of(path, at);
+}
+
+/// Move two points behind the middle one of five, and two ahead, to the nearest that are not closer
+/// to each other than `COARSE`. They never move back, as the middle one moves on. False if there
+/// are none.
+static bool spread(const maplines_path_t *path, size_t at[5])
+{
+    for (size_t k = 2; k > 0; --k)
+    {
+        const double least = path->distance[at[k]] - COARSE;
+        if (path->distance[0] > least)
+        {
+            return false;
+        }
+        while (at[k - 1] + 1 < at[k] && path->distance[at[k - 1] + 1] <= least)
+        {
+            ++at[k - 1];
+        }
+    }
+    for (size_t k = 2; k < 4; ++k)
+    {
+        const double least = path->distance[at[k]] + COARSE;
+        while (at[k + 1] < path->count && path->distance[at[k + 1]] < least)
+        {
+            ++at[k + 1];
+        }
+        if (at[k + 1] == path->count)
+        {
+            return false;
+        }
+    }
+    return true;
+}
+
+/// Set the sums of the squared errors that points far apart show, and of their distances.
+static void set_coarse(maplines_path_t *path, double *errors, double *distances)
+{
+    size_t at[5] = {0, 0, 0, 0, 0};
+    double error = 0.0;
+    double distance = 0.0;
+    path->coarse_ends[0] = 0;
+    path->coarse_ends[1] = 0;
+    for (size_t i = 0; i < path->count; ++i)
+    {
+        errors[i] = error;
+        distances[i] = distance;
+        at[2] = i;
+        if (spread(path, at))
+        {
+            path->coarse_ends[0] = path->coarse_ends[1] == 0 ? i : path->coarse_ends[0];
+            path->coarse_ends[1] = i + 1;
+            error = error + error_of(path, at);
+            distance = distance + (path->distance[at[4]] - path->distance[at[0]]) / 4.0;
+        }
+    }
 }
 
 /// Squared distance of a point from the chord of its neighbours.
@@ -102,8 +170,23 @@ void maplines_prepare_path(const double *points, const double *distance, size_t 
     double *chord = cy + count;
     double *errors = chord + count;
     double *sagittas = errors + count;
-    const maplines_path_t made = {count,   x,  y,  own_distance, dx,     dy,
-                                  squared, cx, cy, chord,        errors, sagittas};
+    double *coarse_errors = sagittas + count;
+    double *coarse_distances = coarse_errors + count;
+    const maplines_path_t made = {count,
+                                  x,
+                                  y,
+                                  own_distance,
+                                  dx,
+                                  dy,
+                                  squared,
+                                  cx,
+                                  cy,
+                                  chord,
+                                  errors,
+                                  sagittas,
+                                  coarse_errors,
+                                  coarse_distances,
+                                  {0, 0}};
     *path = made;
     bool has_short_steps = false;
     for (size_t i = 0; i < count; ++i)
@@ -137,6 +220,7 @@ void maplines_prepare_path(const double *points, const double *distance, size_t 
         error = error + (i >= 2 && i + 2 < count ? shown_error(path, i) : 0.0);
         sagitta = sagitta + (i >= 1 && i + 1 < count ? sagitta_of(path, i) : 0.0);
     }
+    set_coarse(path, coarse_errors, coarse_distances);
 }
 
 void maplines_shown_errors(const maplines_path_t *path, double *squares)
@@ -148,13 +232,13 @@ void maplines_shown_errors(const maplines_path_t *path, double *squares)
 }
 
 /// Mean of the terms of points, of which `sums` has the sums before each, from one place among the
-/// points to another. A term extends half a point to both sides. Those of `margin` points at both
-/// ends of the line are not known. If there are less than `least`, those around count, too.
-static double mean_of(size_t count, const double *sums, double margin, double low, double high,
-                      double least, double *terms)
+/// points to another. A term extends half a point to both sides. Those from `ends[0]` to before
+/// `ends[1]` are known. If there are less than `least`, those around count, too.
+static double mean_of(size_t count, const double *sums, const size_t ends[2], double low,
+                      double high, double least, double *terms)
 {
-    const double first = margin;
-    const double last = (double)count - margin;
+    const double first = (double)ends[0];
+    const double last = (double)ends[1];
     const double wider = (least - (high - low)) / 2.0;
     double begin = low + 0.5 - (wider > 0.0 ? wider : 0.0);
     double end = high + 0.5 + (wider > 0.0 ? wider : 0.0);
@@ -446,6 +530,30 @@ static double share_outside(double outside, double step)
     return step > 0.0 ? outside / step : 0.0;
 }
 
+/// Kinks of a line that errors of its points hide: variance of what its direction changes in a
+/// metre, if it changes at random [1/m].
+///
+/// Fourth differences of points h apart have a variance of 8/3 h^3 by kinks, and of 70 by errors.
+/// So those are kinks that points far apart show beside the errors of close ones, up to what these
+/// can hide.
+static double hidden_kinks(const maplines_path_t *path, double low, double high, double error,
+                           double typical, double spacing)
+{
+    double terms;
+    const double coarse =
+        mean_of(path->count, path->coarse_errors, path->coarse_ends, low, high, ERRORS, &terms);
+    const double distance =
+        mean_of(path->count, path->coarse_distances, path->coarse_ends, low, high, ERRORS, &terms);
+    const double ratio = spacing / distance;
+    const double closeness = ratio < 1.0 ? 1.0 - ratio * ratio : 0.0;
+    const double explained = (AS_ERRORS_FAR + (AS_ERRORS - AS_ERRORS_FAR) * closeness) * error;
+    const double rest = coarse - explained - typical * typical;
+    const double kinks = PER_KINK * rest / (distance * distance * distance);
+    const double most = HIDING * error / (1.0 + AVERAGED / spacing);
+    const double product = kinks * most;
+    return product > 0.0 ? product / (kinks + most) : 0.0;
+}
+
 /// Set what the points of a stretch show of their errors, and of the line between them. `first` is
 /// the first of them in the path.
 ///
@@ -455,15 +563,17 @@ static void set_errors(const maplines_path_t *path, size_t first, int direction,
                        maplines_stretch_t *stretch)
 {
     const size_t last = stretch->count - 1;
+    const size_t inner[2] = {1, path->count - 1};
+    const size_t innermost[2] = {2, path->count - 2};
     const double behind = share_outside(stretch->x_range[0] - x[0], x[1] - x[0]);
     const double ahead = share_outside(x[last] - stretch->x_range[1], x[last] - x[last - 1]);
     const double low = (double)first + (direction > 0 ? behind : ahead);
     const double high = (double)(first + last) - (direction > 0 ? ahead : behind);
     double errors;
     double sagittas;
-    const double error = mean_of(path->count, path->errors, 2.0, low, high, ERRORS, &errors);
+    const double error = mean_of(path->count, path->errors, innermost, low, high, ERRORS, &errors);
     const double square =
-        mean_of(path->count, path->sagittas, 1.0, low, high, SAGITTAS, &sagittas) - 1.5 * error;
+        mean_of(path->count, path->sagittas, inner, low, high, SAGITTAS, &sagittas) - 1.5 * error;
     const double spacing = (stretch->x_range[1] - stretch->x_range[0]) / (high - low);
     const double usual = TYPICAL * spacing * spacing;
     const double typical = path->count == 2 ? 0.0 : usual < MOST_TYPICAL ? usual : MOST_TYPICAL;
@@ -477,6 +587,7 @@ static void set_errors(const maplines_path_t *path, size_t first, int direction,
     stretch->widened = (freedom / all * error + share) * (ratio * ratio) * (ratio * ratio);
     stretch->sagitta = square > 0.0 ? square : 0.0;
     stretch->bends = BETWEEN * stretch->sagitta * (1.0 + few * few * few * (few * few * few));
+    stretch->kinks = hidden_kinks(path, low, high, error, typical, spacing);
     stretch->unseen = stretch->bends + BY_TYPICAL * share + BY_ERROR * error * apart;
 }
 

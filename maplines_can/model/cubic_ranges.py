@@ -18,7 +18,7 @@ from typing import NamedTuple
 from .elementary import atan, clipped
 from .levels import SHAPE
 from .matrices import Matrix, Vector, dot_by_halves, matrix
-from .stretches import Cells, Stretches
+from .stretches import Cells, Shown, Stretches
 
 #: Cells of a range, and of a range that is tried.
 CELLS, COARSE_CELLS = 64, 16
@@ -33,6 +33,9 @@ AVERAGE = 4.0
 NOISE_LIMIT, NARROW_LIMIT = 14.0, 25.0
 #: Points in a range of which half of what they show is taken for their errors.
 SHARED_POINTS = 20.0
+#: Squared misfit of kinks that errors hide, by their intensity and the cubed length; level of the
+#: shape for them.
+BY_KINKS, SHAPE_BY_KINKS = 3e-4, 7e-4
 #: Starts of the ranges that are tried, as shares of the way from the car back to the window's end;
 #: ends of each, evenly from the car to the window's end.
 STARTS, ENDS = (0.0, 0.15, 0.35, 0.65, 1.0), 6
@@ -177,7 +180,7 @@ def fitted_in(seen: Stretches, line: int, begin: float, end: float, count: int =
         more = abs(bulge) - usual if abs(bulge) > usual else 0.0
         rest.append(cells.y[k] - (cubic + bulge) + (more if bulge > 0 else -more))
     found = Fitted(begin, end, q, (quartic, quintic), cells, Vector(rest), fit, 0.0)
-    return found._replace(square=squared_misfit(found, shown.error))
+    return found._replace(square=squared_misfit(found, shown))
 
 
 def noise_share(points: float) -> float:
@@ -202,14 +205,15 @@ def sum_between(sums: Sequence[float], begin: float, end: float) -> float:
     return to_end - (sums[i] + (begin - i) * (sums[i + 1] - sums[i]))
 
 
-def squared_misfit(fitted: Fitted, error: float) -> float:
+def squared_misfit(fitted: Fitted, shown: Shown) -> float:
     """Return the square of the greatest mean over some metres or a cell, or of the modes [m^2].
 
-    What errors of the points explain of it is taken off.
+    What errors of the points explain of it is taken off, and kinks that they hide are added.
     """
     position, count = fitted.cells.position, len(fitted.rest)
     points = position[-1] - position[0]
-    width = clipped(AVERAGE * count / (fitted.end - fitted.begin), 1.0, count / 4)
+    length, error = fitted.end - fitted.begin, shown.error
+    width = clipped(AVERAGE * count / length, 1.0, count / 4)
     noise = NOISE_LIMIT * noise_share(points) * error / (1 + width * points / count)
     narrow = NARROW_LIMIT * noise_share(points) * error / (1 + points / count)
     step, scale, sums = (count - width) / (count - 1), 1 / width, sums_of(fitted.rest)
@@ -218,7 +222,7 @@ def squared_misfit(fitted: Fitted, error: float) -> float:
     for k in range(count):
         mean = sum_between(sums, k * step, k * step + width) * scale
         greatest = max(greatest, mean * mean - noise, fitted.rest[k] * fitted.rest[k] - narrow)
-    return greatest
+    return greatest + BY_KINKS * shown.kinks * (length * length * length)
 
 
 # ---- the longest range ------------------------------------------------------------------------
@@ -320,7 +324,8 @@ def coefficient_variances(seen: Stretches, line: int, fitted: Fitted) -> Vector:
     second differences of means of the rest, over 5, 10 and 20 m, have a mean square of 1.4
     variances, and nearly all are at most 2.3 standard deviations. What errors of the points explain
     of them is taken off. T_4 and T_5 tell what is smooth from noise better, so the level is at
-    least what they need. Both have what a line may do between its points in addition.
+    least what they need. Both have what a line may do between its points in addition, and the level
+    what kinks may that errors hide.
     """
     shown, cells = seen.shown[line], fitted.cells
     length, points = fitted.end - fitted.begin, cells.position[-1] - cells.position[0]
@@ -334,6 +339,7 @@ def coefficient_variances(seen: Stretches, line: int, fitted: Fitted) -> Vector:
         kept = 1 / (1 + distance / 2 * points / CELLS)
         level = max(level, least_level(sums, distance, 6 * kept * noise, *noises))
     level += 2 * shown.unseen
+    level += SHAPE_BY_KINKS * shown.kinks * (length * length * length)
     lateral = LATERAL_SHARE * (squared + shown.unseen) + floor
     return Vector([lateral, *(level * SHAPE.diagonal())[1:]])
 

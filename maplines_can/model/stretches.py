@@ -38,6 +38,15 @@ BETWEEN, FEW_POINTS = 7e-4, 9.0
 #: The same by the square of the typical error, by that of the errors that points show if they are
 #: far apart, and the spacing at which half of that counts [m].
 BY_TYPICAL, BY_ERROR, FAR_APART = 0.3, 0.1, 10.0
+#: Distance of points that show kinks, at least [m]; intensity of kinks by their squared error and
+#: distance to the power -3.
+COARSE, PER_KINK = 12.0, 26.2
+#: Of the errors of close points, what explains those of points far apart, and of points that are no
+#: closer.
+AS_ERRORS, AS_ERRORS_FAR = 1.4, 0.5
+#: Kinks that errors can hide, by their variance [1/m^3], and over which distance these are averaged
+#: [m].
+HIDING, AVERAGED = 0.04, 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +71,24 @@ class Path:
         terms = (squared_sagitta(self, i) if i in known else 0.0 for i in range(len(self.x)))
         return [*accumulate(terms, initial=0.0)][:-1]
 
+    @cached_property
+    def coarse(self) -> tuple[list[float], list[float], tuple[int, int]]:
+        """Sums of the squared errors that points far apart show, before each point [m^2].
+
+        And those of their distances [m], and between which points they are known.
+        """
+        errors, distances, known = [0.0], [0.0], []
+        for i in range(len(self.x)):
+            at, error, distance = far_points(self.distance, i), 0.0, 0.0
+            if at is not None:
+                known.append(i)
+                error = error_of(self, at)
+                distance = (self.distance[at[4]] - self.distance[at[0]]) / 4
+            errors.append(errors[-1] + error)
+            distances.append(distances[-1] + distance)
+        ends = (known[0], known[-1] + 1) if known else (0, 0)
+        return errors[:-1], distances[:-1], ends
+
 
 class Look(NamedTuple):
     """Where the car is, and what it looks at."""
@@ -81,6 +108,7 @@ class Shown(NamedTuple):
     sagitta: float = 0.0  #: mean square of the distances of points from chords
     bends: float = 0.0  #: variance of the line between points, by the bends that they show
     unseen: float = 0.0  #: the same in all
+    kinks: float = 0.0  #: that errors hide: variance of the direction by length [1/m]
 
 
 class Stretch(NamedTuple):
@@ -209,23 +237,46 @@ def quotient(a: float, b: float) -> float:
 
 
 def shown_error(path: Path, i: int) -> float:
-    """Return the squared error that a point shows [m^2].
+    """Return the squared error that a point and the two next to it on each side show [m^2]."""
+    return error_of(path, range(i - 2, i + 3))
 
-    It is the fourth divided difference of the points about it, in standard deviations for
-    independent errors of 1 m. Errors along the line cancel.
+
+def error_of(path: Path, at: Sequence[int]) -> float:
+    """Return the squared error that five points show [m^2].
+
+    It is their fourth divided difference, in standard deviations for independent errors of 1 m.
+    Errors along the line cancel.
     """
     x, y, distance = path.x, path.y, path.distance
     sum_x = sum_y = squares = 0.0
-    for j in range(i - 2, i + 3):
+    for n, j in enumerate(at):
         product = 1.0
-        for k in range(i - 2, i + 3):
-            if k != j:
+        for m, k in enumerate(at):
+            if m != n:
                 product *= distance[j] - distance[k]
         weight = quotient(1.0, product)
-        sum_x += weight * (x[j] - x[i])
-        sum_y += weight * (y[j] - y[i])
+        sum_x += weight * (x[j] - x[at[2]])
+        sum_y += weight * (y[j] - y[at[2]])
         squares += weight * weight
     return capped(quotient(sum_x * sum_x + sum_y * sum_y, squares), MOST_ERROR)
+
+
+def far_points(distance: Sequence[float], i: int) -> list[int] | None:
+    """Return a point and the two nearest on each side that are not closer than ``COARSE``.
+
+    None if there are none.
+    """
+    at = [i]
+    for _ in range(2):
+        least = distance[at[0]] - COARSE
+        if distance[0] > least:
+            return None
+        at.insert(0, min(bisect_right(distance, least), at[0]) - 1)
+    for _ in range(2):
+        at.append(bisect_left(distance, distance[at[-1]] + COARSE))
+        if at[-1] == len(distance):
+            return None
+    return at
 
 
 def squared_sagitta(path: Path, i: int) -> float:
@@ -238,14 +289,14 @@ def squared_sagitta(path: Path, i: int) -> float:
 
 
 def mean_of(
-    sums: Sequence[float], margin: float, low: float, high: float, least: float
+    sums: Sequence[float], ends: tuple[int, int], low: float, high: float, least: float
 ) -> tuple[float, float]:
     """Return the mean of terms of points from one place among them to another, and their number.
 
-    There are sums before each point. A term extends half a point to both sides. Those of some
-    points at both ends of the line are not known. If there are too few, those around count, too.
+    There are sums before each point. A term extends half a point to both sides. Those from the
+    first end to before the other are known. If there are too few, those around count, too.
     """
-    first, last = margin, len(sums) - margin
+    first, last = (float(end) for end in ends)
     wider = max(0.0, (least - (high - low)) / 2)
     if not last > first:
         return 0.0, 0.0
@@ -260,6 +311,28 @@ def mean_of(
     return ((sums[j] - sums[i]) + (of_end - of_begin)) / (end - begin), end - begin
 
 
+def hidden_kinks(
+    path: Path, low: float, high: float, error: float, typical: float, spacing: float
+) -> float:
+    """Return the kinks of a line that errors of its points hide [1/m].
+
+    They are the variance of what its direction changes in a metre, if it changes at random. Fourth
+    differences of points h apart have a variance of 8/3 h^3 by kinks, and of 70 by errors. So those
+    are kinks that points far apart show beside the errors of close ones, up to what these can hide.
+    """
+    errors, distances, ends = path.coarse
+    coarse, _ = mean_of(errors, ends, low, high, ERRORS)
+    distance, _ = mean_of(distances, ends, low, high, ERRORS)
+    ratio = quotient(spacing, distance)
+    closeness = 1 - ratio * ratio if ratio < 1 else 0.0
+    explained = (AS_ERRORS_FAR + (AS_ERRORS - AS_ERRORS_FAR) * closeness) * error
+    rest = coarse - explained - typical * typical
+    kinks = quotient(PER_KINK * rest, distance * distance * distance)
+    most = HIDING * error / (1 + quotient(AVERAGED, spacing))
+    product = kinks * most
+    return product / (kinks + most) if product > 0 else 0.0
+
+
 def shown_by(
     path: Path, first: int, direction: int, x: Sequence[float], ends: tuple[float, float]
 ) -> Shown:
@@ -272,8 +345,8 @@ def shown_by(
     ahead = (x[-1] - ends[1]) / (x[-1] - x[-2]) if x[-1] > x[-2] else 0.0
     low = first + (behind if direction > 0 else ahead)
     high = (first + (len(x) - 1)) - (ahead if direction > 0 else behind)
-    error, errors = mean_of(path.errors, 2.0, low, high, ERRORS)
-    square, sagittas = mean_of(path.sagittas, 1.0, low, high, SAGITTAS)
+    error, errors = mean_of(path.errors, (2, len(path.x) - 2), low, high, ERRORS)
+    square, sagittas = mean_of(path.sagittas, (1, len(path.x) - 1), low, high, SAGITTAS)
     sagitta = square - 1.5 * error
     sagitta = sagitta if sagitta > 0 else 0.0
     spacing = quotient(ends[1] - ends[0], high - low)
@@ -288,7 +361,8 @@ def shown_by(
     bends = BETWEEN * sagitta * (1.0 + few * few * few * (few * few * few))
     apart = 1 / (1 + quotient(FAR_APART, spacing))
     unseen = bends + BY_TYPICAL * share + BY_ERROR * error * apart
-    return Shown(error, widened, sagitta, bends, unseen)
+    kinks = hidden_kinks(path, low, high, error, typical, spacing)
+    return Shown(error, widened, sagitta, bends, unseen, kinks)
 
 
 # ---- values of stretches ----------------------------------------------------------------------
