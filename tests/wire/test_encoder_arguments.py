@@ -25,7 +25,9 @@ from maplines_can.wire import POSE, Frame
         pytest.param({}, "age must be one for all .*'pose' has none", id="no-record"),
         pytest.param(dict.fromkeys((POSE, *Slot), -1.0), "0 s or more", id="of-the-pose"),
         pytest.param(
-            {POSE: 0.1, **dict.fromkeys(Slot, -1.0)}, "0 s or more", id="of-lines-not-of-the-pose"
+            dict.fromkeys((POSE, *Slot), -1.0) | {POSE: 0.1},
+            "0 s or more",
+            id="of-lines-not-of-the-pose",
         ),
     ],
 )
