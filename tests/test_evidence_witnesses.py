@@ -373,12 +373,25 @@ def test_hours_of_white_noise_are_those_of_independent_samples() -> None:
     assert np.median(found) == pytest.approx(4.42, abs=0.1)
 
 
+def test_reflections_jump_and_the_stated_covariance_is_that_of_the_noise() -> None:
+    """Between changes of the satellites, two errors differ by two noises; else, by metres."""
+    off, cov = canyon.least_squares(600, 4, 5.0, np.random.default_rng(8))
+    step = np.diff(off, axis=0)
+    same = (cov[1:] == cov[:-1]).all(axis=(2, 3))
+    squared = np.einsum("kni,knij,knj->kn", step, np.linalg.inv(2 * cov[1:]), step)
+    n = same.sum()  # the median has a standard error of 2 / sqrt(n)
+    # A reflection may change in length while the same satellites are seen.
+    assert np.median(squared[same]) == pytest.approx(2 * np.log(2), abs=8 / np.sqrt(n))
+    assert squared[~same].mean() > 20.0
+    assert 10.0 < np.sqrt((off**2).mean()) < 30.0
+
+
 def test_the_errors_are_those_that_are_told() -> None:
     """In a canyon, (fix - pose) / sigma has a variance of 1 and the correlation time."""
     n = 200
     course = canyon.made(canyon.Kind("canyon"), n, np.random.default_rng(3))
     row = np.searchsorted(course.t, course.fix_t)
-    white = course.cov[0, 0]
+    white = course.cov[0, 0, 0, 0]
     off = (course.fixes - course.pose[row, :, :2]) / course.error[..., :1]
     share = white / course.canyon[:, 0] ** 2
     assert (off**2).mean(axis=(0, 2)).mean() == pytest.approx(1 + share.mean(), rel=0.1)

@@ -85,7 +85,8 @@ class Ramps(NamedTuple):
         if not len(old):
             none = np.zeros(len(every))
             return BestRamps(none, np.zeros((len(every), 2)), np.zeros((len(every), N)), none)
-        rate, squared = self.rate[:, old], self.squared[:, old]
+        rate = self.rate[:, old]
+        squared = np.where(self.valid[:, old], (rate * self.score[:, old]).sum(axis=-1), 0.0)
         j = squared.argmax(axis=1)
         rate = rate[every, j]
         change = (rate[:, None] @ self.response[every, old[j]])[:, 0]

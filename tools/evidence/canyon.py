@@ -7,6 +7,10 @@ their logarithms; on an open road they are 1.5 m and 60 s. In a transition, the 
 road for 80 s, in a canyon for 80 s, and on an open road again, where its error is another one at
 once. Beside that, an outlier is 200 m off, a gap is without fixes for 30 s, a jump is 100 m for
 10 s, and a ramp grows by 1 m/s for 30 s, all in random directions.
+
+With reflections, a fix is the least squares of ten pseudoranges, some of which are reflected or
+blocked, so that its error jumps. It states the covariance of their white noise only, as receivers
+do, and its error is told as one of 20 m for 20 s.
 """
 
 from __future__ import annotations
@@ -33,6 +37,13 @@ OPEN = 1.5, 60.0
 WHITE_OPEN, WHITE_CITY = 0.4, 1.0
 #: Sizes of the outliers and of the jump [m], share of outliers, and growth of the ramp [m/s].
 OUTLIER, SHARE, JUMPED, GROWTH = 200.0, 0.1, 100.0, 1.0
+#: Satellites, lowest and highest one [rad], standard deviation of the white noise of a pseudorange
+#: and mean of what a reflection adds [m], mean time between two changes of a satellite [s].
+SATELLITES, LOW, HIGH, PSEUDORANGE, REFLECTED, CHANGE = 10, 0.26, 1.40, 2.0, 17.0, 10.0
+#: Shares of satellites that are seen directly, reflected, and blocked; least number for a fix.
+SIGHTS, FEWEST = (0.5, 0.3, 0.2), 5
+#: Error of such fixes that is told: standard deviation [m], correlation time [s].
+TOLD = 20.0, 20.0
 #: Standard deviations of the pose at the start: x, y [m], heading [rad].
 START = np.array([2.0, 2.0, 0.02])
 
@@ -46,7 +57,7 @@ class Kind(NamedTuple):
     """Kind of a course."""
 
     place: str  #: "open", "canyon" or "transition"
-    event: str = ""  #: "outliers", "gap", "jump" or "ramp"
+    event: str = ""  #: "outliers", "gap", "jump", "ramp" or "reflections"
     rate: float = 5.0  #: of GNSS [Hz]
     stated: float = (
         0.0  #: standard deviation that a fix states for its white noise [m]; 0: true one
@@ -65,6 +76,7 @@ COURSES = {
     "canyon, gap": Kind("canyon", "gap"),
     "canyon, jump": Kind("canyon", "jump"),
     "canyon, ramp": Kind("canyon", "ramp"),
+    "canyon, reflections": Kind("canyon", "reflections"),
     "transition": Kind("transition"),
     "transition, 1 Hz": Kind("transition", rate=1.0),
     "transition, outliers": Kind("transition", "outliers"),
@@ -83,7 +95,7 @@ class Course(NamedTuple):
     fix_t: Array  #: (m,) [s]
     fixes: Array  #: (m, n, 2) [m]; NaN for none
     error: Array  #: (m, n, 2) true standard deviation [m] and correlation time [s]
-    cov: Array  #: (2, 2) that the fixes state for their white noise [m^2]
+    cov: Array  #: (m, n, 2, 2) that the fixes state for their white noise [m^2]
     canyon: Array  #: (n, 2) standard deviation and correlation time of the canyon
 
 
@@ -122,6 +134,7 @@ def canyon(
         beyond     longest time for which a car is beyond 5 sigmas: a squared error of more than 25
         cars       share of the cars for which that is longer than 5 s
         RMS        of the position, and how many times that of the filter that is told
+        NEES       normalised error squared of the position, 2 if the covariance is right
         sigma      median of the stated standard deviation of the position, in each axis
         known      share of times at which a pose is stated; the others are not in the figures
         raised     median time after the begin of a canyon of 6 m or more until the filter takes
@@ -180,10 +193,42 @@ def made(kind: Kind, n: int, rng: np.random.Generator) -> Course:
         fixes += np.where(is_far[..., None], OUTLIER * directions(rng, is_far.shape), 0.0)
     if kind.event == "gap":
         fixes[(at >= GAP[0]) & (at < GAP[1])] = np.nan
-    cov = (kind.stated or sigma) ** 2 * np.eye(2)
+    cov = np.tile((kind.stated or sigma) ** 2 * np.eye(2), (len(at), n, 1, 1))
+    if kind.event == "reflections":
+        off, cov = least_squares(len(at), n, kind.rate, rng)
+        fixes, error = pose[rows, :, :2] + off, np.tile(TOLD, (len(at), n, 1))
     return Course(
         t, pose, (speed + slip) / (1 + scale), rate + bias + white, at, fixes, error, cov, canyon
     )
+
+
+def least_squares(m: int, n: int, rate: float, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return (m, n, 2) errors and (m, n, 2, 2) covariances of fixes among reflecting houses [Hz].
+
+    A satellite is seen directly, reflected, which adds an exponential length, or blocked, for an
+    exponential time each. The fix is x = P H' y with P = (H' H)^-1 and the pseudoranges y; its
+    covariance is that of their white noise.
+    """
+    off, cov = np.zeros((m, n, 2)), np.zeros((m, n, 2, 2))
+    for car in range(n):
+        azimuth = rng.uniform(0, 2 * np.pi, SATELLITES)
+        elevation = rng.uniform(LOW, HIGH, SATELLITES)
+        c, s = np.cos(elevation), np.sin(elevation)
+        H = np.column_stack([-c * np.sin(azimuth), -c * np.cos(azimuth), -s, np.ones(SATELLITES)])
+        changes = rng.random((m, SATELLITES)) < -np.expm1(-1 / (rate * CHANGE))
+        changes[0] = True
+        sight, added = np.zeros((2, SATELLITES))
+        for k in range(m):
+            if changes[k].any():
+                new = rng.choice(3, SATELLITES, p=SIGHTS), rng.exponential(REFLECTED, SATELLITES)
+                sight, added = np.where(changes[k], new, (sight, added))
+                # Those that are seen directly come first.
+                seen = np.argsort(sight, kind="stable")[: max(FEWEST, (sight < 2).sum())]
+                P = np.linalg.inv(H[seen].T @ H[seen])
+                gain, bias = (P @ H[seen].T)[:2], np.where(sight == 1, added, 0.0)[seen]
+            off[k, car] = gain @ (bias + PSEUDORANGE * rng.standard_normal(len(seen)))
+            cov[k, car] = PSEUDORANGE**2 * P[:2, :2]
+    return off, cov
 
 
 def city(t: Array, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -245,7 +290,7 @@ def driven(course: Course, start: Array, *, is_told: bool) -> Run:
     for k, t in enumerate(course.t):
         while due < len(course.fix_t) and course.fix_t[due] <= t:
             error = course.error[due] if is_told else None
-            localisation.add(GnssFix(course.fix_t[due], course.fixes[due], course.cov, error))
+            localisation.add(GnssFix(course.fix_t[due], course.fixes[due], course.cov[due], error))
             due += 1
         localisation.add(Odometry(t, course.wheel_speed[k], course.yaw_rate[k]))
         if k % every == 0:
@@ -269,7 +314,11 @@ def figures(course: Course, told: Run, run: Run, *, is_transition: bool) -> dict
         "RMS, ratio": run.rms / told.rms,
         "sigma [m]": float(np.sqrt(np.median(variance[run.known]))),
         "known": float(run.known.mean()),
+        "NEES": float(run.nees[run.known].mean()),
+        "NEES, median": float(np.median(run.nees[run.known])),
         "told: inside": float(told_inside),
+        "told: known": float(told.known.mean()),
+        "told: NEES": float(told.nees[told.known].mean()),
         "told: beyond [s]": EVALUATED_STEP * float(longest(told.nees > 25.0).max()),
     }
     if is_transition:
