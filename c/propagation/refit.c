@@ -489,6 +489,9 @@ static void set_points(maplines_refit_t *refit)
         const double bend = fitted->modes[0] * maplines_bend[i];
         refit->x[i] = refit->centre[0] + offset;
         refit->y[i] = (q[0] + first) + bend;
+    }
+    for (int i = 0; i < MAPLINES_NODES; ++i)
+    {
         low = refit->y[i] < low ? refit->y[i] : low;
         high = refit->y[i] > high ? refit->y[i] : high;
     }

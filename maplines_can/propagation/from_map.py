@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -308,11 +309,11 @@ def _rows(
     found: NDArray[np.float64], reasons: bytes, rows: Sequence[tuple[int, ...]]
 ) -> list[NDArray[np.float64]]:
     """Return arrays of rows of these shapes, one row for each line, of which the given are set."""
-    begins = len(reasons) * np.cumsum([0, *map(math.prod, rows)])
-    k = reasons.count(0)
+    k, sizes = reasons.count(0), [math.prod(row) for row in rows]
+    begins = accumulate((len(reasons) * size for size in sizes), initial=0)
     return [
-        found[begin:][: k * math.prod(row)].reshape(k, *row)
-        for begin, row in zip(begins.tolist(), rows, strict=False)
+        found[begin : begin + k * size].reshape(k, *row)
+        for begin, size, row in zip(begins, sizes, rows, strict=False)
     ]
 
 
