@@ -5,7 +5,8 @@
     cortex_m4.py --dbc my.dbc --float  one of them
     cortex_m4.py --cpu cortex-m7       with an FPU of double precision
     cortex_m4.py --json
-    cortex_m4.py --write               the table of docs/embedding.md
+    cortex_m4.py --sizes               bytes of libraries that lack features, linked with -Os
+    cortex_m4.py --write               the tables of docs/embedding.md
 
 The program of c/examples/cortex_m4 receives frames that Python has encoded, without an operating
 system; what it prints of the lines is what the same program prints on this host. It needs
@@ -30,6 +31,7 @@ from reporting import fill_tables, parser_of, print_table
 
 from maplines_can import Codec, MapError, Scene
 from maplines_can.cli.options import layout_from
+from maplines_can.generation.c_build import ALL, Features
 from maplines_can.generation.c_files import c_files
 from maplines_can.simulation import scenario
 from maplines_can.simulation.scenario_lines import ScenarioLines, weaving_ego
@@ -78,6 +80,20 @@ def recorded(codec: Codec, cycles: int, lines: int) -> str:
         "static const struct {\n    int64_t t_ns;\n    bool is_last;\n    maplines_frame_t frame;\n"
         "} recorded[] = {\n" + "".join(rows) + "};\n"
     )
+
+
+SMALL = Features(sender=False, scenes=False, mixtures=False, secoc=False, slots=4)
+#: Libraries whose sizes are measured: what they are for, their DBC and their features.
+LIBRARIES = {
+    "all": (DBCS[0], ALL),
+    "receiver": (DBCS[0], Features(sender=False)),
+    "receiver without mixtures and SecOC": (DBCS[0], SMALL._replace(scenes=True, slots=8)),
+    "the same, `maplines-pose.dbc`": (DBCS[1], SMALL._replace(scenes=True, slots=8)),
+    "receiver of lines, 8 slots": (DBCS[0], SMALL._replace(slots=8)),
+    "receiver of lines, 4 slots": (DBCS[0], SMALL),
+    "the same, float": (DBCS[0], SMALL._replace(single=True)),
+    "sender of lines, 4 slots": (DBCS[0], SMALL._replace(sender=True, receiver=False)),
+}
 
 
 class Target(NamedTuple):
@@ -170,6 +186,47 @@ def measure(target: Target) -> dict[str, Any]:
         return found
 
 
+def linked_size(dbc: str, features: Features) -> dict[str, int]:
+    """Return the bytes of a node that is linked for a Cortex-M4 with -Os, without an FPU.
+
+    Returns:
+        Code and constants that are read only: those of the library with its tables, and those of
+        the compiler and the C library; the state of a receiver or of a sender.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for file, text in c_files({"maplines": layout_from(dbc)}, features).items():
+            (folder / file).write_text(text, encoding="utf-8")
+        cpu = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=soft"]
+        flags = [*FLAGS, "-Os", f"-I{folder}"]
+        sources = [EXAMPLE / "smallest.c", folder / "maplines.c", folder / "maplines_dbc.c"]
+        objects = [folder / f"{source.stem}.o" for source in sources]
+        for source, made in zip(sources, objects, strict=True):
+            run([CC, *cpu, *flags, "-c", source, "-o", made])
+        listing, board = folder / "board.map", folder / "board.elf"
+        link = ["-nostartfiles", "--specs=nano.specs", "-Wl,--gc-sections,--entry=main"]
+        run([CC, *cpu, *link, f"-Wl,-Map={listing}", *objects, "-lm", "-o", board])
+        kept = listing.read_text().partition("Linker script and memory map")[2]
+        own = rf"^ \.(?:text|rodata)\S*\s+0x\w+\s+(0x\w+) {folder}/\w+\.o$"
+        library = sum(int(size, 16) for size in re.findall(own, kept, re.MULTILINE))
+        words = run(["arm-none-eabi-size", board]).splitlines()[1].split()
+        symbols = run(["arm-none-eabi-nm", "-S", board])
+        state = re.findall(r"^\w+ (\w+) \w (?:decoder|encoder)$", symbols, re.MULTILINE)
+        return {
+            "library and tables": library,
+            "compiler and C library": int(words[0]) - library,
+            "state": sum(int(size, 16) for size in state),
+        }
+
+
+def size_table() -> str:
+    """Return the table of the sizes of libraries."""
+    found = {name: linked_size(*library) for name, library in LIBRARIES.items()}
+    columns = [*found["all"]]
+    rows = ["| [byte] | " + " | ".join(columns) + " |", "|---|" + "---:|" * len(columns)]
+    return "\n".join([*rows, *(_row(name, [*sizes.values()]) for name, sizes in found.items())])
+
+
 def difference(board: str, host: str) -> float:
     """Return the greatest relative difference of numbers that a program prints on both.
 
@@ -222,13 +279,18 @@ def main() -> int:
     parser.add_argument("--cpu", choices=list(BOARDS), default="cortex-m4", help="CPU of the board")
     parser.add_argument("--optimize", default="-O2", help="option of the compiler (default: -O2)")
     parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--write", action="store_true", help="write the table of docs/embedding.md")
+    parser.add_argument("--sizes", action="store_true", help="bytes of libraries without features")
+    parser.add_argument("--write", action="store_true", help="write the tables of the page")
     options = parser.parse_args()
     if not is_installed():
         sys.exit(f"install {CC} with newlib, and {QEMU}: gcc-arm-none-eabi, qemu-system-arm")
     if options.write:
         text = PAGE.read_text(encoding="utf-8")
-        PAGE.write_text(fill_tables(text, "cortex_m4.py", {"cortex": table()}), encoding="utf-8")
+        tables = {"cortex": table(), "sizes": size_table()}
+        PAGE.write_text(fill_tables(text, "cortex_m4.py", tables), encoding="utf-8")
+        return 0
+    if options.sizes:
+        print(size_table())
         return 0
     types = [False] * (not options.float) + [True] * (not options.double)
     result = {

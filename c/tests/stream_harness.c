@@ -4,7 +4,7 @@
  *     F t_ns can_id is_extended hex     a frame: its reason, and the lines that it completes
  *     L slot t_ns                       the newest line of a slot, and whether it may be used
  *     E t_ns                            expire
- *     S t_ns                            the checks of all slots
+ *     S t_ns                            the checks of all owners
  *
  * After each step come all numbers of frames. Real numbers are printed as their bits.
  */
@@ -90,12 +90,12 @@ static void latest(const char *row)
 
 static void checks(int64_t t_ns)
 {
-    for (int slot = 0; slot < MAPLINES_SLOTS; ++slot)
+    for (int owner = 0; owner < MAPLINES_OWNERS; ++owner)
     {
         maplines_slot_stats_t stats;
-        if (maplines_slot_stats(&decoder, (maplines_owner_t)slot, t_ns, &stats))
+        if (maplines_slot_stats(&decoder, (maplines_owner_t)owner, t_ns, &stats))
         {
-            printf(" check %d %s %s %d", slot, maplines_e2e_state_name(stats.state),
+            printf(" check %d %s %s %d", owner, maplines_e2e_state_name(stats.state),
                    maplines_e2e_status_name(stats.status), stats.two_senders);
             const uint64_t counts[] = {stats.ok,     stats.lost,           stats.repeated,
                                        stats.errors, stats.wrong_sequence, stats.no_new_data};

@@ -13,8 +13,8 @@ from ..wire.tables import Members, Value, content_of, limits_of
 
 #: Greatest step of a counter that counts as lost records, by default.
 MAX_DELTA_COUNTER = 16
-#: Epochs that are remembered: those of the 5 cycles for which one waits for lines, and one more.
-EPOCHS = 6
+#: Epochs that lines may join: those of the 3 cycles by which one may be late, and one more.
+EPOCHS = 4
 #: Longest window of an E2E state machine that has room in a word.
 WINDOW = 32
 #: Members of ``maplines_dbc_t`` that a library without scenes, or without a sender, has not.

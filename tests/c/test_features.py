@@ -21,7 +21,8 @@ from maplines_can.model.records import Line
 from maplines_can.model.settings import Sizes
 from maplines_can.testing.hostile_streams import PROFILES, Question, Step, Stream, traffics_of
 from maplines_can.values.errors import LayoutError
-from maplines_can.wire import Layout, Reason
+from maplines_can.wire import POSE, Layout, Owner, Reason
+from maplines_can.wire.layout.pose_layout import number_of
 
 SMALL = Features(sender=False, scenes=False, mixtures=False, secoc=False, slots=4)
 #: DBC and features of each library.
@@ -138,7 +139,7 @@ def without_covariances(row: str) -> tuple[str, list[np.ndarray]]:
     return " ".join(words), covs
 
 
-def answered(model: Receiver, step: Step, slots: list[Slot]) -> str:
+def answered(model: Receiver, step: Step) -> str:
     """Return what the harness prints for a step."""
     if not isinstance(step, Question):
         found = model.feed(step.can_id, step.data, step.t_ns, is_extended=step.is_extended)
@@ -154,14 +155,14 @@ def answered(model: Receiver, step: Step, slots: list[Slot]) -> str:
         text = ""
     else:
         model.elapse(step.t_ns)
-        text = "".join(of_check(model, slot) for slot in slots)
-    lost = sum(check.lost for owner, check in model.checks.items() if owner in slots)
+        text = "".join(of_check(model, owner) for owner in model.checks)
+    lost = sum(check.lost for owner, check in model.checks.items() if owner != POSE)
     numbers = [model.frames, model.lines, model.line_frames, lost, model.pending]
     return f"{text} | {' '.join(map(str, [*numbers, *(model.counts[r.name] for r in Reason)]))}"
 
 
-def of_check(model: Receiver, slot: Slot) -> str:
-    check = model.checks[slot]
+def of_check(model: Receiver, owner: Owner) -> str:
+    check = model.checks[owner]
     if check.status is None:
         return ""
     counts = check.statuses
@@ -170,7 +171,7 @@ def of_check(model: Receiver, slot: Slot) -> str:
         counts["WRONGSEQUENCE"], counts["NONEWDATA"],
     )  # fmt: skip
     words = [check.state, check.status, int(check.senders.are_two), *numbers]
-    return f" check {int(slot)} {' '.join(map(str, words))}"
+    return f" check {int(number_of(owner))} {' '.join(map(str, words))}"
 
 
 def receives_as_the_model(name: str, folder: Path, seed: int, frames: int) -> int:
@@ -202,7 +203,7 @@ def receives_as_the_model(name: str, folder: Path, seed: int, frames: int) -> in
     model = Receiver(layout, sizes=sizes)
     rows = done.stdout.splitlines()
     for i, (step, row) in enumerate(zip(steps, rows, strict=True)):
-        expected = answered(model, step, slots)
+        expected = answered(model, step)
         if features.single:  # numbers are rounded, what becomes of frames is the same
             row, expected = (text.split("|")[1] for text in (row, expected))
         same, covs = without_covariances(row)
