@@ -234,7 +234,8 @@ static void use_line(const maplines_decoder_t *decoder, input_t *input, const ma
     const size_t count = next(input) % (MAPLINES_MAX_POSITIONS + 1U);
     bool are_inside = true;
     const maplines_real_t x = next_real(input, 20);
-    const maplines_real_t distance = next_real(input, 20);
+    const maplines_real_t any = next_real(input, 20);
+    const maplines_real_t distance = any > 0 ? any : 10; // others are a mistake of the caller
     const bool are_valid = maplines_is_valid_at(line, x - distance / 2) &&
                            maplines_is_valid_at(line, x + distance / 2);
     check_estimate((maplines_estimate_t){maplines_y(line, x), maplines_y_sigma(line, x)},
@@ -271,7 +272,9 @@ static void use_scene(const maplines_decoder_t *decoder, input_t *input,
         const bool is_any = place >= 240 || scene->count == 0;
         slots[i] =
             is_any ? (maplines_owner_t)(place % 12U) : scene->lines[place % scene->count].slot;
-        terms[i] = (maplines_term_t){slots[i], next_real(input, 20), next_real(input, 0.5)};
+        const maplines_real_t x = next_real(input, 20);
+        const maplines_real_t weight = next_real(input, 0.5);
+        terms[i] = (maplines_term_t){slots[i], x, is_a_number(weight) ? weight : 1};
     }
     const bool is_known = maplines_sum(scene, count, terms, &estimate);
     check_estimate(estimate, is_known);
