@@ -177,6 +177,7 @@ extern "C" {
 #define maplines_encode_line MAPLINES_NAME(encode_line)
 #define maplines_encode_mixture MAPLINES_NAME(encode_mixture)
 #define maplines_encode_scene MAPLINES_NAME(encode_scene)
+#define maplines_self_test MAPLINES_NAME(self_test)
 #define maplines_owner_name MAPLINES_NAME(owner_name)
 #define maplines_kind_name MAPLINES_NAME(kind_name)
 #define maplines_status_name MAPLINES_NAME(status_name)
@@ -964,6 +965,18 @@ maplines_sent_scene_t maplines_encode_scene(maplines_encoder_t *encoder,
                                             int64_t now_us, maplines_scene_workspace_t *workspace,
                                             maplines_frame_t *frames);
 #endif // MAPLINES_SENDER && MAPLINES_SCENES
+
+/* ---- self-test --------------------------------------------------------------------------------
+ */
+
+/// Test the arithmetic of this build and of the CPU in its present mode: quotients, sums and
+/// products in their order, square roots, subnormal numbers, the elementary functions of the core,
+/// and single precision. Call it once at start. It finds what no macro of the compiler tells, such
+/// as clang's -freciprocal-math, fused multiplications, or a CPU that flushes subnormals to zero.
+///
+/// @return NULL, or the first operation that gives other bits than IEEE 754 defines, such as
+///         "quotient": frames and lines then differ from those of other machines in last bits.
+const char *maplines_self_test(void);
 
 /* ---- names --------------------------------------------------------------------------------------
  * Names of values for a log, as the Python package has them, such as "EGO_LEFT" or "CRC"; "?" of a

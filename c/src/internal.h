@@ -55,6 +55,9 @@ MAPLINES_INTERNAL void maplines_sin_cos(double x, double *sine, double *cosine);
 MAPLINES_INTERNAL double maplines_tan(double x);
 MAPLINES_INTERNAL double maplines_atan(double x);
 
+/* ---- self_test.c -------------------------------------------------------------------------------
+ */
+
 /* ---- linalg.c: in the order of operations of values/fixed_order.py -----------------------------
  */
 
