@@ -16,7 +16,7 @@ MAIN = TESTS / "misuse_harness.c"
 COUNTED = ("-include", str(TESTS / "count_assertions.h"))
 CHECKED = ("-DNDEBUG", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 #: Functions for which there is nothing to give.
-WITHOUT_ARGUMENTS = {"default_e2e"}
+WITHOUT_ARGUMENTS = {"default_e2e", "self_test"}
 
 
 def run(*flags: str, row: str = "") -> subprocess.CompletedProcess[str]:
