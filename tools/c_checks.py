@@ -36,6 +36,7 @@ from typing import Any
 from reporting import parser_of
 
 from maplines_can import MapError, Polyline, Slot
+from maplines_can.generation.c_files import c_files
 from maplines_can.generation.fmu import SentRoute
 from maplines_can.generation.fmu.archive import sources_of as fmu_sources
 from maplines_can.values.route_lines import RouteLines
@@ -107,7 +108,7 @@ def check_format() -> Findings:
 
 
 def check_compile() -> Findings:
-    """Gcc and clang compile all C as C99 and the header as C++17 without a warning."""
+    """Gcc and clang compile all C as C99 and the headers as C++17 and C++20 without a warning."""
     findings = []
     for compiler in ("gcc", "clang"):
         if shutil.which(compiler) is None:
@@ -120,20 +121,28 @@ def check_compile() -> Findings:
                 findings += [f"{compiler}: {line}" for line in lines if FINDING.search(line)]
                 if status and not findings:
                     findings.append(f"{compiler}: {source} does not compile")
-    return findings + list(_header_as_cpp())
+    return findings + list(_headers_as_cpp())
 
 
-def _header_as_cpp() -> Iterator[str]:
-    """Yield what C++ compilers say of the header."""
+def _headers_as_cpp() -> Iterator[str]:
+    """Yield what C++ compilers say of all headers that are generated for two DBCs."""
+    dbcs = {
+        name: Layout.from_dbc(ROOT / "dbc" / f"{name}.dbc")
+        for name in ("maplines", "maplines-pose")
+    }
+    files = c_files({name.replace("-", "_"): layout for name, layout in dbcs.items()})
+    headers = [name for name in files if name.endswith(".h")]
     with tempfile.TemporaryDirectory() as folder:
-        source = Path(folder) / "header.cpp"
-        source.write_text('#include "maplines.h"\nint main() { return 0; }\n')
-        flags = ["-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Werror"]
-        for compiler in filter(shutil.which, ("g++", "clang++")):
-            status, lines = run(
-                [compiler, "-std=c++17", *flags, *INCLUDE, str(source), "-fsyntax-only"]
-            )
-            yield from (f"{compiler}: {line}" for line in lines if status and line)
+        for name in headers:
+            (Path(folder) / name).write_text(files[name])
+        source = Path(folder) / "headers.cpp"
+        source.write_text("".join(f'#include "{name}"\n' for name in headers))
+        flags = ["-Wall", "-Wextra", "-Wconversion", "-Wold-style-cast", "-Wpedantic", "-Wshadow",
+                 "-Werror", "-fsyntax-only", str(source)]  # fmt: skip
+        for compiler in filter(shutil.which, ("g++", "clang++", "arm-none-eabi-g++")):
+            for standard in ("-std=c++17", "-std=c++20"):
+                status, lines = run([compiler, standard, *flags])
+                yield from (f"{compiler} {standard}: {line}" for line in lines if status and line)
 
 
 def check_fmu() -> Findings:

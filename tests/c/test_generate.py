@@ -138,16 +138,20 @@ def test_the_files_compile_without_a_warning(
     assert c_core.library_functions(*tmp_path.glob("*.o")) <= c_core.EXACT | {"sqrtf"}
 
 
-@pytest.mark.skipif(not shutil.which("g++"), reason="there is no g++")
-def test_a_cpp_program_takes_the_headers_and_links(compiled: Path) -> None:
+@pytest.mark.parametrize("standard", ["c++17", "c++20"])
+@pytest.mark.parametrize("compiler", ["g++", "clang++"])
+def test_a_cpp_program_takes_the_headers_and_links(
+    compiled: Path, compiler: str, standard: str
+) -> None:
+    if not shutil.which(compiler):
+        pytest.skip(f"there is no {compiler}")
     (compiled / "main.cpp").write_text(
         '#include "maplines_dbc.h"\n'
         "int main() { return maplines_dbc.messages[MAPLINES_EGO_LEFT].can_id == 0x340 ? 0 : 1; }\n"
     )
-    subprocess.run(
-        ["g++", "-std=c++17", *c_core.WARNINGS, "main.cpp", "maplines.o",
-         "maplines_dbc.o", "-lm", "-o", "program"], check=True, cwd=compiled,
-    )  # fmt: skip
+    flags = [f"-std={standard}", *c_core.WARNINGS, "-Wold-style-cast"]
+    objects = ["maplines.o", "maplines_dbc.o", "-lm", "-o", "program"]
+    subprocess.run([compiler, *flags, "main.cpp", *objects], check=True, cwd=compiled)
     subprocess.run([compiled / "program"], check=True)
 
 
