@@ -95,8 +95,9 @@ static void checks(int64_t t_ns)
         maplines_slot_stats_t stats;
         if (maplines_slot_stats(&decoder, (maplines_owner_t)owner, t_ns, &stats))
         {
-            printf(" check %d %s %s %d", owner, maplines_e2e_state_name(stats.state),
-                   maplines_e2e_status_name(stats.status), stats.two_senders);
+            printf(" check %s %s %s %d", maplines_owner_name((maplines_owner_t)owner),
+                   maplines_e2e_state_name(stats.state), maplines_e2e_status_name(stats.status),
+                   stats.two_senders);
             const uint64_t counts[] = {stats.ok,     stats.lost,           stats.repeated,
                                        stats.errors, stats.wrong_sequence, stats.no_new_data};
             for (size_t i = 0; i < sizeof counts / sizeof counts[0]; ++i)

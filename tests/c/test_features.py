@@ -171,7 +171,7 @@ def of_check(model: Receiver, owner: Owner) -> str:
         counts["WRONGSEQUENCE"], counts["NONEWDATA"],
     )  # fmt: skip
     words = [check.state, check.status, int(check.senders.are_two), *numbers]
-    return f" check {int(number_of(owner))} {' '.join(map(str, words))}"
+    return f" check {number_of(owner).name} {' '.join(map(str, words))}"
 
 
 def receives_as_the_model(name: str, folder: Path, seed: int, frames: int) -> int:
