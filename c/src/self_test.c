@@ -23,12 +23,14 @@ typedef enum {
     CASE_ARC_TANGENT,
     CASE_FLOAT,
     CASES,
-} case_t;
+} number_t;
 
-static const struct {
+typedef struct {
     char name[20];
     uint64_t bits;
-} cases[CASES] = {
+} case_t;
+
+static const case_t cases[CASES] = {
     {"quotient", UINT64_C(0x21BB4775BAB8EEA4)},
     {"sum", UINT64_C(0xBC82129A6A732DC5)},
     {"product and sum", UINT64_C(0x0A69059142CEFEEE)},
@@ -42,12 +44,12 @@ static const struct {
     {"float", UINT64_C(0xA93C971CA0000000)},
 };
 
-/// Fold the bits of a number into those of others.
-static void fold(uint64_t *folded, double value)
+/// Fold the bits of a number into those of others of a case.
+static void fold(uint64_t folded[CASES], number_t number, double value)
 {
     uint64_t bits;
     memcpy(&bits, &value, sizeof bits);
-    *folded = (*folded ^ bits) * UINT64_C(0x100000001B3);
+    folded[number] = (folded[number] ^ bits) * UINT64_C(0x100000001B3);
 }
 
 /// Next number of a generator, from 1 to 2.
@@ -64,10 +66,10 @@ static void fold_operations(double x, double y, double z, const double quotients
     const double ratio = x / z; // three of one divisor, and one of a constant
     const double other = y / z;
     const double third = ratio / 3.0;
-    fold(&folded[CASE_QUOTIENT], ratio);
-    fold(&folded[CASE_QUOTIENT], other);
-    fold(&folded[CASE_QUOTIENT], 1.0 / z);
-    fold(&folded[CASE_QUOTIENT], third);
+    fold(folded, CASE_QUOTIENT, ratio);
+    fold(folded, CASE_QUOTIENT, other);
+    fold(folded, CASE_QUOTIENT, 1.0 / z);
+    fold(folded, CASE_QUOTIENT, third);
     double total = 0.0;
     for (int i = 0; i < 8; ++i)
     {
@@ -75,20 +77,20 @@ static void fold_operations(double x, double y, double z, const double quotients
     }
     const double sum = x + ratio;
     const double back = sum - x;
-    fold(&folded[CASE_SUM], total);
-    fold(&folded[CASE_SUM], back);
+    fold(folded, CASE_SUM, total);
+    fold(folded, CASE_SUM, back);
     const double product = ratio * other;
     const double shifted = product - third;
-    fold(&folded[CASE_PRODUCT], shifted);
+    fold(folded, CASE_PRODUCT, shifted);
     const double root = sqrt(other);
-    fold(&folded[CASE_ROOT], root);
-    fold(&folded[CASE_ROOT], x / root);
+    fold(folded, CASE_ROOT, root);
+    fold(folded, CASE_ROOT, x / root);
     const double small = ratio * 0x1p-1000;
-    fold(&folded[CASE_SMALL], small * (other * 0x1p-40));
+    fold(folded, CASE_SMALL, small * (other * 0x1p-40));
 }
 
 /// The same in single precision, with which a receiver of the build with float computes.
-static void fold_floats(float x, float y, float z, uint64_t *folded)
+static void fold_floats(float x, float y, float z, uint64_t folded[CASES])
 {
     const float ratio = x / z;
     const float other = y / z;
@@ -97,15 +99,16 @@ static void fold_floats(float x, float y, float z, uint64_t *folded)
     const float back = sum - x;
     const float product = ratio * other;
     const float shifted = product - third;
-    fold(folded, (double)ratio);
-    fold(folded, (double)other);
-    fold(folded, (double)third);
-    fold(folded, (double)back);
-    fold(folded, (double)shifted);
+    fold(folded, CASE_FLOAT, (double)ratio);
+    fold(folded, CASE_FLOAT, (double)other);
+    fold(folded, CASE_FLOAT, (double)third);
+    fold(folded, CASE_FLOAT, (double)back);
+    fold(folded, CASE_FLOAT, (double)shifted);
 #if MAPLINES_FLOAT
-    fold(folded, (double)sqrtf(other));
+    fold(folded, CASE_FLOAT, (double)sqrtf(other));
 #else
-    fold(folded, (double)(float)sqrt((double)other)); // of a float, that rounds to the same
+    fold(folded, CASE_FLOAT,
+         (double)(float)sqrt((double)other)); // of a float, that rounds to the same
 #endif
 }
 
@@ -113,12 +116,12 @@ static void fold_functions(double x, double y, double z, uint64_t folded[CASES])
 {
     double sine, cosine;
     maplines_sin_cos(16.0 * y - 24.0, &sine, &cosine);
-    fold(&folded[CASE_EXP2], maplines_exp2(64.0 * x - 96.0));
-    fold(&folded[CASE_LOG2], maplines_log2(x * x - 0.5));
-    fold(&folded[CASE_SINE], sine);
-    fold(&folded[CASE_SINE], cosine);
-    fold(&folded[CASE_TANGENT], maplines_tan(y - 1.5));
-    fold(&folded[CASE_ARC_TANGENT], maplines_atan(4.0 * z - 6.0));
+    fold(folded, CASE_EXP2, maplines_exp2(64.0 * x - 96.0));
+    fold(folded, CASE_LOG2, maplines_log2(x * x - 0.5));
+    fold(folded, CASE_SINE, sine);
+    fold(folded, CASE_SINE, cosine);
+    fold(folded, CASE_TANGENT, maplines_tan(y - 1.5));
+    fold(folded, CASE_ARC_TANGENT, maplines_atan(4.0 * z - 6.0));
 }
 
 const char *maplines_self_test(void)
@@ -133,7 +136,7 @@ const char *maplines_self_test(void)
         const double z = next(&state);
         quotients[i % 8] = x / y;
         fold_operations(x, y, z, quotients, folded);
-        fold_floats((float)x, (float)y, (float)z, &folded[CASE_FLOAT]);
+        fold_floats((float)x, (float)y, (float)z, folded);
         if (i % STRIDE == 0)
         {
             fold_functions(x, y, z, folded);
