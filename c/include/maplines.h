@@ -112,14 +112,49 @@ extern "C" {
 #endif
 /* build: end */
 
+#if MAPLINES_RECEIVER < 0 || MAPLINES_RECEIVER > 1 || MAPLINES_SENDER < 0 ||                       \
+    MAPLINES_SENDER > 1 || MAPLINES_SCENES < 0 || MAPLINES_SCENES > 1 || MAPLINES_SECOC < 0 ||     \
+    MAPLINES_SECOC > 1 || MAPLINES_FLOAT < 0 || MAPLINES_FLOAT > 1
+#error "MAPLINES_RECEIVER, _SENDER, _SCENES, _SECOC and _FLOAT must be 0 or 1"
+#endif
+#if MAPLINES_RECEIVER + MAPLINES_SENDER == 0
+#error "maplines without MAPLINES_RECEIVER and MAPLINES_SENDER has nothing: set one to 1"
+#endif
+#if MAPLINES_SLOTS < 1 || MAPLINES_SLOTS > 8
+#error "MAPLINES_SLOTS must be from 1 to 8"
+#endif
+#if MAPLINES_MAX_PAGES < 1 || MAPLINES_MAX_PAGES > 16
+#error "MAPLINES_MAX_PAGES must be from 1 to 16"
+#endif
+#if MAPLINES_MAX_TRANSFER_IDS < 1 || MAPLINES_MAX_TRANSFER_IDS > 256
+#error "MAPLINES_MAX_TRANSFER_IDS must be from 1 to 256"
+#endif
+#if MAPLINES_MAX_COMPONENTS < 1 || MAPLINES_MAX_COMPONENTS > 64
+#error "MAPLINES_MAX_COMPONENTS must be from 1 to 64"
+#endif
+#if MAPLINES_TRANSFERS < 1 || MAPLINES_TRANSFERS > 256 ||                                          \
+    (MAPLINES_TRANSFERS & (MAPLINES_TRANSFERS - 1)) != 0
+#error "MAPLINES_TRANSFERS must be a power of 2 from 1 to 256"
+#endif
+#if MAPLINES_HISTORY < 2 || MAPLINES_HISTORY > 65536 ||                                            \
+    (MAPLINES_HISTORY & (MAPLINES_HISTORY - 1)) != 0
+#error "MAPLINES_HISTORY must be a power of 2 from 2 to 65536"
+#endif
+#if MAPLINES_EPOCHS < 1 || MAPLINES_EPOCHS > 126
+#error "MAPLINES_EPOCHS must be from 1 to 126"
+#endif
+#if MAPLINES_WINDOW < 1 || MAPLINES_WINDOW > 255
+#error "MAPLINES_WINDOW must be from 1 to 255"
+#endif
+
 #define MAPLINES_OWNERS                                                                            \
     (MAPLINES_SLOTS + MAPLINES_SCENES)               ///< of records: slots, and the pose error
 #define MAPLINES_MAX_RECORD (8 * MAPLINES_MAX_PAGES) ///< [byte]
 #define MAPLINES_MAX_FRAMES (MAPLINES_MAX_PAGES * MAPLINES_MAX_COMPONENTS) ///< of a line
 #define MAPLINES_MIXTURES (MAPLINES_MAX_COMPONENTS > 1)
 
-/* The names of all functions have the build, so that files which do not agree on it do not link.
- * Define MAPLINES_NAMESPACE to have two libraries of one build in a program.
+/* The names of all functions and tables have the build, so that files which do not agree on it do
+ * not link. Define MAPLINES_NAMESPACE to have two libraries of one build in a program.
  */
 #ifndef MAPLINES_NAMESPACE
 #define MAPLINES_NAMESPACE maplines

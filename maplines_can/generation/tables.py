@@ -62,6 +62,8 @@ def tables_of(layout: Layout, name: str = "maplines", build: Build | None = None
         'extern "C" {',
         "#endif",
         "",
+        "/* The build is in its name, too: files that do not agree on it do not link. */",
+        f"#define {name}_dbc MAPLINES_NAME({name}_dbc)",
         f"extern const maplines_dbc_t {name}_dbc;",
         "",
         "#ifdef __cplusplus",

@@ -94,6 +94,35 @@ def test_files_of_different_builds_do_not_link(tmp_path: Path) -> None:
     subprocess.run([*compile_, "program.c", "maplines.o", "-lm"], check=True, cwd=tmp_path)
 
 
+def test_tables_of_another_build_do_not_link(tmp_path: Path) -> None:
+    """They have other members, so a decoder would read beyond them."""
+    written("small", tmp_path)
+    (tmp_path / "program.c").write_text(
+        '#include "harness_dbc.h"\nint main(void) { return harness_dbc.has_pose; }\n'
+    )
+    compile_ = ["gcc", "-std=c99", "-ffp-contract=off"]
+    for macro in ("MAPLINES_SLOTS=5", "MAPLINES_SCENES=1", "MAPLINES_SLOTS=4"):
+        subprocess.run([*compile_, f"-D{macro}", "-c", "harness_dbc.c"], check=True, cwd=tmp_path)
+        command = [*compile_, "program.c", "harness_dbc.o", "-o", "program"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        is_same = macro == "MAPLINES_SLOTS=4"
+        assert (done.returncode == 0) == is_same, macro
+        assert ("undefined reference" in done.stderr) != is_same, macro
+
+
+@pytest.mark.parametrize("macro", [
+    "RECEIVER=2", "RECEIVER=0 -DMAPLINES_SENDER=0", "SCENES=-1", "SLOTS=0", "SLOTS=9",
+    "MAX_PAGES=17", "MAX_TRANSFER_IDS=0", "MAX_COMPONENTS=65", "TRANSFERS=3", "HISTORY=100",
+    "EPOCHS=0", "WINDOW=256",
+])  # fmt: skip
+def test_a_size_that_the_code_does_not_have_is_refused(macro: str, tmp_path: Path) -> None:
+    written("small", tmp_path)
+    command = ["gcc", "-std=c99", "-fsyntax-only", *f"-DMAPLINES_{macro}".split(), "maplines.h"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert f'#error "{"maplines without " if " " in macro else ""}MAPLINES_' in done.stderr
+    assert done.returncode != 0
+
+
 # ---- beside the model -------------------------------------------------------------------------
 
 
