@@ -716,8 +716,8 @@ maplines_prediction_t maplines_predict(const maplines_line_t *line, int64_t t_ns
                                        const maplines_displacement_t *displacement,
                                        maplines_line_t *predicted);
 
-/// Gaussian with the mean and covariance of a mixture. Weights are positive; `overall` may be one
-/// of the components.
+/// Gaussian with the mean and covariance of a mixture. Weights are positive and finite; otherwise
+/// it is NaN. `overall` may be one of the components.
 void maplines_overall(size_t count, const maplines_gaussian_t *components,
                       const maplines_real_t *weights, maplines_gaussian_t *overall);
 

@@ -118,6 +118,19 @@ MAPLINES_INTERNAL bool maplines_unscented(maplines_function_t function, const vo
     return true;
 }
 
+/// Whether all weights are positive and finite: the sum of other ones is no probability.
+static bool are_weights(size_t count, const maplines_real_t *weights)
+{
+    for (size_t k = 0; k < count; ++k)
+    {
+        if (!(weights[k] > 0 && weights[k] < (maplines_real_t)INFINITY))
+        {
+            return false;
+        }
+    }
+    return true;
+}
+
 void maplines_overall(size_t count, const maplines_gaussian_t *components,
                       const maplines_real_t *weights, maplines_gaussian_t *overall)
 {
@@ -130,7 +143,7 @@ void maplines_overall(size_t count, const maplines_gaussian_t *components,
         return;
     }
     if (!MAPLINES_REQUIRE(count > 0) || !MAPLINES_REQUIRE(components != NULL) ||
-        !MAPLINES_REQUIRE(weights != NULL))
+        !MAPLINES_REQUIRE(weights != NULL) || !MAPLINES_REQUIRE(are_weights(count, weights)))
     {
         const maplines_real_t nan = (maplines_real_t)NAN;
         *overall = (maplines_gaussian_t){{nan, nan, nan, nan},

@@ -546,6 +546,13 @@ static void prediction_rows(void)
     VOID_ROW(overall, "components NULL", maplines_overall(1, NULL, weights, &gaussian))
     VOID_ROW(overall, "weights NULL", maplines_overall(1, &line.gaussian, NULL, &gaussian))
     VOID_ROW(overall, "overall NULL", maplines_overall(1, &line.gaussian, weights, NULL))
+    ROW(overall, "weight 0", true,
+        (maplines_overall(1, &line.gaussian, &weights[1], &gaussian),
+         nan_of(gaussian.factor[0][0])))
+    ROW(overall, "weight NaN", true,
+        (maplines_overall(1, &line.gaussian, &nan_value, &gaussian), nan_of(gaussian.factor[0][0])))
+    ROW(overall, "weight infinite", true,
+        (maplines_overall(1, &line.gaussian, &infinity, &gaussian), nan_of(gaussian.factor[0][0])))
     ROW(overall, "no component", true,
         (maplines_overall(0, &line.gaussian, weights, &gaussian), nan_of(gaussian.mean[0])))
     ROW(predict_to, "line NULL", true,
