@@ -46,21 +46,27 @@ const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_db
     {
         return "decoder must not be NULL";
     }
-    memset(decoder, 0, sizeof(*decoder));
     if (!MAPLINES_REQUIRE(dbc != NULL))
     {
+        memset(decoder, 0, sizeof(*decoder));
         return "dbc must not be NULL";
     }
+    maplines_settings_t wanted;
+    maplines_default_settings(dbc, &wanted);
+    if (settings != NULL)
+    {
+        wanted = *settings; // before the decoder is cleared: they may be its own
+    }
+    memset(decoder, 0, sizeof(*decoder));
     decoder->magic = MAPLINES_DECODER_MAGIC;
     decoder->dbc = dbc;
     maplines_default_settings(dbc, &decoder->settings);
-    const maplines_settings_t *wanted = settings != NULL ? settings : &decoder->settings;
-    const char *problem = maplines_settings_problem(dbc, wanted);
+    const char *problem = maplines_settings_problem(dbc, &wanted);
     if (problem != NULL)
     {
         return problem;
     }
-    decoder->settings = *wanted;
+    decoder->settings = wanted;
     decoder->is_ready = true;
     for (int owner = 0; owner < MAPLINES_OWNERS; ++owner)
     {

@@ -9,8 +9,8 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from ..values.line import PARAMETERS, LeftOut, MapLine, Slot, Status
-from ..values.scene import Estimate, Scene
+from ..values.line import PARAMETERS, Estimate, LeftOut, MapLine, Slot, Status
+from ..values.scene import Scene
 from ..wire import E2EState, ProfileStatus, SceneView, SlotStats
 
 #: Name of the pose error among those of the slots.

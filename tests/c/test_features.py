@@ -43,7 +43,7 @@ RECEIVERS = [name for name, (_, features) in LIBRARIES.items() if features.recei
 #: Profiles with the default settings, which a library for an ECU has.
 STANDARD = [profile for profile in PROFILES if not profile.settings and profile.stale_cycles == 3]
 #: Frames of each stream.
-FRAMES = 400
+FRAMES = 200
 
 
 def written(name: str, folder: Path) -> None:
@@ -52,8 +52,10 @@ def written(name: str, folder: Path) -> None:
         (folder / file).write_text(text)
 
 
-@pytest.mark.parametrize("cc", ["gcc", "clang"])
-@pytest.mark.parametrize("name", LIBRARIES)
+@pytest.mark.parametrize(
+    ("name", "cc"),
+    [*((name, "gcc") for name in LIBRARIES), ("small", "clang"), ("sender", "clang")],
+)
 def test_a_library_compiles_without_a_warning(name: str, cc: str, tmp_path: Path) -> None:
     written(name, tmp_path)
     flags = [*c_core.WARNINGS, "-std=c99", "-O1", "-ffp-contract=off", "-c"]
@@ -263,7 +265,7 @@ def test_what_makes_no_library_is_refused() -> None:
         build_of({"x": conditional}, SMALL)
 
 
-@pytest.mark.parametrize("name", RECEIVERS)
+@pytest.mark.parametrize("name", ["two slots", "no secoc", "small", "small, float"])
 def test_its_vectors_pass(name: str, tmp_path: Path) -> None:
     """There are no cases for what the library has not."""
     dbc, features = LIBRARIES[name]

@@ -99,6 +99,17 @@ def test_a_decoder_with_wrong_settings_takes_no_frame(wrong: Ecu) -> None:
     assert lib.maplines_newest(wrong.decoder, 0) == ffi.NULL
 
 
+def test_a_decoder_restarts_with_its_own_settings() -> None:
+    """They are copied before it is cleared."""
+    decoder, dbc = ffi.new("maplines_decoder_t *"), tables_of(Layout.from_dbc())
+    settings = ffi.new("maplines_settings_t *")
+    lib.maplines_default_settings(dbc, settings)
+    settings.stale_cycles = 7.0
+    for given in (settings, ffi.addressof(decoder, "settings")):
+        assert not lib.maplines_decoder_init(decoder, dbc, given)
+        assert decoder.settings.stale_cycles == 7.0
+
+
 @pytest.mark.parametrize("slot", [8, 9, 2**32 - 1])
 def test_a_number_that_is_no_slot_has_no_line(slot: int) -> None:
     ecu = Ecu(Layout.from_dbc())

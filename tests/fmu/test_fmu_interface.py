@@ -307,8 +307,8 @@ def test_operations_are_those_of_the_official_header(tmp_path: Path) -> None:
     for name, text in sources.items():
         (tmp_path / name).write_text(text)
     shutil.copy(C / "tests" / "bus_harness.c", tmp_path)
-    command = ["cc", "-std=gnu11", f"-I{LS_BUS}", "-I.", "bus_harness.c", "bus.c",
-               "-lm", "-o", "harness"]  # fmt: skip
+    command = ["cc", "-std=gnu11", f"-I{LS_BUS}", "-I.", "-include", "names.h",
+               "bus_harness.c", "bus.c", "-lm", "-o", "harness"]  # fmt: skip
     subprocess.run(command, check=True, cwd=tmp_path)
     done = subprocess.run([str(tmp_path / "harness")], capture_output=True, text=True, check=False)
     assert done.stdout == "7 written and 13 read operations agree\n"
