@@ -68,8 +68,8 @@ MAPLINES_INTERNAL int64_t maplines_deadline_record(maplines_deadline_t *deadline
 /* ---- records of the last counters --------------------------------------------------------------
  *
  * Each of the last MAPLINES_HISTORY counters has an entry, by its low bits; fewer if the counter
- * wraps around earlier. What a new record has skipped is forgotten, so that no entry is mistaken for
- * one of an earlier round of the counter.
+ * wraps around earlier. What a new record has skipped is forgotten, so that no entry is mistaken
+ * for one of an earlier round of the counter.
  */
 
 #define IS_TAKEN 1U
