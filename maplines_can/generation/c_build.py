@@ -9,10 +9,9 @@ from ..values.errors import LayoutError
 from ..values.line import Slot
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import POSE, number_of
+from ..wire.protection.e2e_state import E2EConfig
 from ..wire.tables import Members, Value, content_of, limits_of
 
-#: Greatest step of a counter that counts as lost records, by default.
-MAX_DELTA_COUNTER = 16
 #: Epochs that lines may join: those of the 3 cycles by which one may be late, and one more.
 EPOCHS = 4
 #: Longest window of an E2E state machine that has room in a word.
@@ -129,7 +128,7 @@ def build_of(layouts: Mapping[str, Layout], features: Features = ALL) -> Build:
         max_transfer_ids=limits.transfer_ids,
         max_components=components,
         transfers=min(limits.transfer_ids, 2 * _power_of_two(components)),
-        history=2 * MAX_DELTA_COUNTER * _power_of_two(components),
+        history=2 * E2EConfig().max_delta_counter * _power_of_two(components),
         epochs=EPOCHS,
         window=WINDOW,
     )

@@ -88,18 +88,17 @@ def headers(build: Build) -> dict[str, str]:
     }
 
 
-def source(build: Build | None = None, internal: str = "static") -> str:
+def source(build: Build, internal: str = "static") -> str:
     """Return ``maplines.c``: all sources in one, where what the header does not name is static.
 
     Args:
-        build: what the library has; everything if there is none.
+        build: what the library has.
         internal: storage class of those; nothing, if other sources call them.
     """
     found = {path.name for path in (core_folder() / "src").glob("*.c")}
     order = [name for name in _SECTION.findall(_text("src/internal.h")) if name in found]
     sources = {name: _text(f"src/{name}") for name in [*order, *sorted(found.difference(order))]}
-    if build is not None:
-        sources = {name: text for name, text in sources.items() if _belongs(text, build)}
+    sources = {name: text for name, text in sources.items() if _belongs(text, build)}
     if len(sources) < len(found):
         internal += UNUSED
     headers: dict[str, str] = {}

@@ -85,8 +85,8 @@ class Ramps(NamedTuple):
         if not len(old):
             none = np.zeros(len(every))
             return BestRamps(none, np.zeros((len(every), 2)), np.zeros((len(every), N)), none)
-        rate = self.rate[:, old]
-        squared = np.where(self.valid[:, old], (rate * self.score[:, old]).sum(axis=-1), 0.0)
+        rate = self.rate
+        squared, rate = self._squared(rate)[:, old], rate[:, old]
         j = squared.argmax(axis=1)
         rate = rate[every, j]
         change = (rate[:, None] @ self.response[every, old[j]])[:, 0]
@@ -95,7 +95,10 @@ class Ramps(NamedTuple):
     @property
     def squared(self) -> Array:
         """(R, J) squared distances; 0 where the filter has started again since."""
-        return np.where(self.valid, (self.rate * self.score).sum(axis=-1), 0.0)
+        return self._squared(self.rate)
+
+    def _squared(self, rate: Array) -> Array:
+        return np.where(self.valid, (rate * self.score).sum(axis=-1), 0.0)
 
 
 class BestRamps(NamedTuple):

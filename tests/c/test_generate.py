@@ -249,8 +249,9 @@ def test_markers_of_developers_are_not_in_the_files() -> None:
     for text in c_files({"x": layout}).values():
         assert not re.search(r"(?m)^/\* \w+: (begin|end) \*/", text)
         assert text.endswith("\n")
-    assert '#include "internal.h"' not in source()
-    assert source().count("#include <math.h>") == 1
+    joined = source(build_of({"x": layout}))
+    assert '#include "internal.h"' not in joined
+    assert joined.count("#include <math.h>") == 1
 
 
 # ---- the interface and Python --------------------------------------------------------------
