@@ -206,8 +206,8 @@ static void get_raw(const block_t *block, int page, const maplines_signal_t *sig
 static void put_physical(const maplines_signal_t *signal, int n, const int64_t *raw, double *values,
                          int stride)
 {
-    const double factor = signal->factor;
-    const double offset = signal->offset;
+    const double factor = signal->scale->factor;
+    const double offset = signal->scale->offset;
     for (int row = 0; row < n; row++)
     {
         const double scaled = (double)raw[row] * factor;
@@ -283,8 +283,7 @@ static void check_block(const maplines_dbc_t *dbc, const block_t *block, const u
     }
 }
 
-/// Powers of 2 of a signal, times a share: from its table, or computed if there is none, or if a
-/// raw value is beyond the range of the DBC.
+/// Powers of 2 of a signal, times a share: from its table, or computed if there is none.
 static void get_powers(const block_t *block, const maplines_signal_t *signal, const double *powers,
                        double share, double *values)
 {
@@ -292,10 +291,8 @@ static void get_powers(const block_t *block, const maplines_signal_t *signal, co
     get_raw(block, 0, signal, raw);
     for (int row = 0; row < block->n; row++)
     {
-        const bool is_tabled =
-            powers != NULL && raw[row] >= signal->raw_min && raw[row] <= signal->raw_max;
-        values[row] = is_tabled ? powers[raw[row] - signal->raw_min]
-                                : maplines_exp2(maplines_physical(signal, raw[row]) * share);
+        values[row] = powers != NULL ? powers[raw[row] - maplines_raw_min(signal)]
+                                     : maplines_exp2(maplines_physical(signal, raw[row]) * share);
     }
 }
 
@@ -380,7 +377,8 @@ static void put_values(const maplines_dbc_t *dbc, const block_t *block, const de
     for (int row = 0; row < block->n; row++)
     {
         to->count[row] = (int64_t)values[row];
-        to->age[row] = raw[row] < dbc->age.raw_max ? to->age[row] / 1000.0 : (double)INFINITY;
+        to->age[row] =
+            raw[row] < maplines_raw_max(&dbc->age) ? to->age[row] / 1000.0 : (double)INFINITY;
         const bool is_turned = to->x_min[row] > to->x_max[row];
         const bool is_bad = to->status[row] > MAPLINES_OUT_OF_RANGE ||
                             to->kind[row] > MAPLINES_VIRTUAL || to->index[row] >= to->count[row] ||

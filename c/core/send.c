@@ -68,7 +68,7 @@ static bool read_mixture(const maplines_dbc_t *dbc, int count, const double *gau
     maplines_component_t components[MAPLINES_MAX_COMPONENTS];
     double total = 0.0;
     bool is_good = count >= 1 && count <= dbc->max_components && count <= MAPLINES_MAX_COMPONENTS &&
-                   count - 1 <= dbc->component_index.raw_max;
+                   count - 1 <= maplines_raw_max(&dbc->component_index);
     for (int i = 0; is_good && i < count; i++)
     {
         const double *gaussian = &gaussians[GAUSSIAN * i];

@@ -47,8 +47,9 @@ static bool are_within(size_t count, const maplines_signal_t *signals, int pages
     for (size_t i = 0; i < count; i++)
     {
         const maplines_signal_t *signal = &signals[i];
-        is_within = is_within && signal->length <= 64 && signal->raw_min <= signal->raw_max &&
-                    (signal->length == 0 || signal->first + signal->length <= 64 * pages);
+        is_within =
+            is_within && (signal->length == 0 || (signal->length < 64 && signal->scale != NULL &&
+                                                  signal->first + signal->length <= 64 * pages));
     }
     return is_within;
 }
@@ -120,7 +121,7 @@ void maplines_straight_levels(const maplines_dbc_t *dbc, float *straight)
     maplines_arc_of(&curve, &arc);
     for (int k = 0; k < (int)dbc->spacings; k++)
     {
-        const int64_t raw = levels->shape.raw_min + (int64_t)k * dbc->spacing_step;
+        const int64_t raw = maplines_raw_min(&levels->shape) + (int64_t)k * dbc->spacing_step;
         double cov[16];
         straight[10] = (float)maplines_point_noise(levels, &arc, raw, cov);
         for (int i = 0; i < 4; i++)

@@ -10,16 +10,19 @@
  * `maplines generate c` writes them. Nothing else needs to read them.
  */
 
-/// One signal of a record.
+/// Conversion of the raw values of signals: physical = raw * factor + offset.
 typedef struct {
-    double factor; ///< physical = raw * factor + offset
+    double factor;
     double offset;
-    int64_t raw_min; ///< of any bits
-    int64_t raw_max;
+} maplines_scale_t;
+
+/// One signal of a record. Any bits are a raw value.
+typedef struct {
+    const maplines_scale_t *scale;
     uint16_t first; ///< lowest bit from that of byte 0; Motorola: highest from that of byte 0
     uint8_t length; ///< [bit]; 0: the DBC has no such signal
-    bool is_motorola;
-    bool is_signed;
+    bool is_motorola : 1;
+    bool is_signed : 1;
 } maplines_signal_t;
 
 /// Cholesky code of a covariance of up to 4 states.

@@ -24,7 +24,7 @@ static double power_of(const maplines_signal_t *signal, const double *table, int
 {
     if (table != NULL)
     {
-        return table[raw - signal->raw_min];
+        return table[raw - maplines_raw_min(signal)];
     }
     return maplines_exp2(maplines_physical(signal, raw));
 }
@@ -61,7 +61,7 @@ MAPLINES_INTERNAL void maplines_widest_covariance(const maplines_cholesky_t *cod
     memset(raw, 0, 11 * sizeof(int64_t));
     for (int i = 0; i < (int)code->rows; ++i)
     {
-        raw[i] = code->pivot[i].raw_max;
+        raw[i] = maplines_raw_max(&code->pivot[i]);
         for (int j = 0; j < i; ++j)
         {
             const maplines_signal_t *ratio = &code->ratio[ratio_index(i, j)];
@@ -69,7 +69,7 @@ MAPLINES_INTERNAL void maplines_widest_covariance(const maplines_cholesky_t *cod
                 maplines_limited(ratio, maplines_nearest_raw(ratio, 0.0));
         }
     }
-    raw[INFLATION_PLACE] = code->inflation.raw_max;
+    raw[INFLATION_PLACE] = maplines_raw_max(&code->inflation);
 }
 
 MAPLINES_INTERNAL void maplines_put_covariance(const maplines_cholesky_t *code, uint8_t *record,
@@ -126,7 +126,7 @@ static double choose_ratios(const maplines_cholesky_t *code, int i, double sigma
         const double decoded = maplines_physical(ratio, limited);
         if ((double)limited != nearest)
         {
-            const double end = fabs(decoded) + ratio->factor / 2.0;
+            const double end = fabs(decoded) + ratio->scale->factor / 2.0;
             const double excess = fabs(wanted) / end;
             overflow = excess > overflow ? excess : overflow;
         }
@@ -167,7 +167,7 @@ static bool quantize_row(const maplines_cholesky_t *code, const double *const po
     double overflow = choose_ratios(code, i, sigma, q);
     for (int trial = 0; trial < MAX_LIFTS && overflow > 1.0; ++trial)
     {
-        const double lift = ceil(maplines_log2(overflow) / pivot->factor + LIFT_SLACK);
+        const double lift = ceil(maplines_log2(overflow) / pivot->scale->factor + LIFT_SLACK);
         chosen = maplines_limited(pivot, (double)chosen + (lift > 1.0 ? lift : 1.0));
         sigma = power_of(pivot, powers[i], chosen);
         overflow = choose_ratios(code, i, sigma, q);
@@ -258,7 +258,7 @@ static double missing_inflation(const maplines_signal_t *inflation, const double
         largest = values[i] > largest ? values[i] : largest;
     }
     const double needed = (largest > 0.0 ? largest : 0.0) * (1.0 + INFLATION_MARGIN) + margin;
-    const double excess = needed / power_of(inflation, table, inflation->raw_max);
+    const double excess = needed / power_of(inflation, table, maplines_raw_max(inflation));
     return excess > 1.0 ? excess : 1.0;
 }
 
@@ -266,14 +266,14 @@ static double missing_inflation(const maplines_signal_t *inflation, const double
 static bool least_inflation(const maplines_signal_t *inflation, const double *table, int n,
                             const double *W, double margin, int64_t *raw)
 {
-    const double most = (double)inflation->raw_max;
+    const double most = (double)maplines_raw_max(inflation);
     double bound = W[0];
     for (int i = 1; i < n; ++i)
     {
         bound = W[(n + 1) * i] > bound ? W[(n + 1) * i] : bound;
     }
     const double exponent = maplines_log2(bound * (1.0 + INFLATION_MARGIN) + margin);
-    const double steps = ceil((exponent - inflation->offset) / inflation->factor);
+    const double steps = ceil((exponent - inflation->scale->offset) / inflation->scale->factor);
     double high = (double)maplines_limited(inflation, steps);
     double low = high - 1.0; // the highest raw value that is known not to cover
     double step = 1.0;

@@ -62,7 +62,7 @@ MAPLINES_INTERNAL maplines_reason_t maplines_read_complete(const maplines_dbc_t 
     }
     maplines_line_t *line = &content->line;
     const double age = maplines_physical(&dbc->age, raw_age) / 1000.0;
-    const bool is_too_old = raw_age >= dbc->age.raw_max;
+    const bool is_too_old = raw_age >= maplines_raw_max(&dbc->age);
     read_gaussian(dbc, record, status, &line->gaussian);
     line->x_min = (maplines_real_t)(x_max < x_min ? x_max : x_min);
     line->x_max = (maplines_real_t)x_max;

@@ -8,20 +8,20 @@
 
 static double value_of(const maplines_signal_t *signal, double raw)
 {
-    const double scaled = raw * signal->factor;
-    return scaled + signal->offset;
+    const double scaled = raw * signal->scale->factor;
+    return scaled + signal->scale->offset;
 }
 
 MAPLINES_INTERNAL double maplines_raw_above(const maplines_signal_t *signal, double physical)
 {
-    const double steps = (physical - signal->offset) / signal->factor;
+    const double steps = (physical - signal->scale->offset) / signal->scale->factor;
     const double raw = ceil(steps - DIVISION_SLACK);
     return value_of(signal, raw) < physical ? raw + 1.0 : raw;
 }
 
 static double raw_below(const maplines_signal_t *signal, double physical)
 {
-    const double steps = (physical - signal->offset) / signal->factor;
+    const double steps = (physical - signal->scale->offset) / signal->scale->factor;
     const double raw = floor(steps + DIVISION_SLACK);
     return value_of(signal, raw) > physical ? raw - 1.0 : raw;
 }
@@ -151,7 +151,7 @@ static maplines_status_t encode_error(const maplines_dbc_t *dbc, const maplines_
     bool is_saturated;
     for (int i = 0; i < 4; ++i)
     {
-        resolution[i] = dbc->mean[i].factor * dbc->mean[i].factor / 12.0;
+        resolution[i] = dbc->mean[i].scale->factor * dbc->mean[i].scale->factor / 12.0;
     }
     target_of(draft, decoded, is_clipped, error);
     if (!maplines_encode_covariance(&dbc->covariance, draft->powers, error, resolution, raw,
@@ -175,7 +175,7 @@ static maplines_status_t status_of_mean(const maplines_dbc_t *dbc, const mapline
     maplines_status_t status = draft->line->status;
     for (int i = 0; i < 4; ++i)
     {
-        if (fabs(draft->mean[i] - decoded[i]) > 0.51 * fabs(dbc->mean[i].factor))
+        if (fabs(draft->mean[i] - decoded[i]) > 0.51 * fabs(dbc->mean[i].scale->factor))
         {
             status = MAPLINES_OUT_OF_RANGE;
         }

@@ -218,7 +218,7 @@ static void restart_epochs(maplines_decoder_t *decoder)
 /// Whether the age of a pose error is greater than it can state.
 static bool is_pose_too_old(const maplines_dbc_t *dbc, const uint8_t *record)
 {
-    return maplines_get(&dbc->pose_age, record) >= dbc->pose_age.raw_max;
+    return maplines_get(&dbc->pose_age, record) >= maplines_raw_max(&dbc->pose_age);
 }
 
 MAPLINES_INTERNAL void maplines_epochs_init(maplines_epochs_t *epochs)

@@ -83,10 +83,16 @@ MAPLINES_INTERNAL void maplines_eigen(int n, double *A, double *values, double *
 MAPLINES_INTERNAL int64_t maplines_get(const maplines_signal_t *signal, const uint8_t *record);
 /// Write the low bits of a raw value; these bits of the record must be 0.
 MAPLINES_INTERNAL void maplines_put(const maplines_signal_t *signal, uint8_t *record, int64_t raw);
+/// Least raw value of a signal.
+MAPLINES_INTERNAL int64_t maplines_raw_min(const maplines_signal_t *signal);
+/// Greatest raw value of a signal; 0 if the DBC has no such signal.
+MAPLINES_INTERNAL int64_t maplines_raw_max(const maplines_signal_t *signal);
 /// Physical value of a raw value.
 MAPLINES_INTERNAL double maplines_physical(const maplines_signal_t *signal, int64_t raw);
 /// Nearest raw value of a physical value, halves to even; not limited to the range.
 MAPLINES_INTERNAL double maplines_nearest_raw(const maplines_signal_t *signal, double physical);
+/// A whole number, limited to a range.
+MAPLINES_INTERNAL int64_t maplines_within(int64_t least, int64_t most, double raw);
 /// A raw value, limited to the range.
 MAPLINES_INTERNAL int64_t maplines_limited(const maplines_signal_t *signal, double raw);
 /// Checksum of a record as in AUTOSAR E2E profile 5.
@@ -459,12 +465,11 @@ MAPLINES_INTERNAL double maplines_largest_ratio(const maplines_reference_t *refe
 /// Factor of what rounding errors of a line with D_i `own` are to be like.
 MAPLINES_INTERNAL void maplines_rounding_factor(const double own[16], const double J[16],
                                                 double L[16]);
-/// Raw values of a mean, and whether they are within their ranges.
-MAPLINES_INTERNAL bool maplines_round_mean(const maplines_signal_t signals[4], const double mean[4],
+/// Raw values of a mean, and whether they are within their ranges. With finer signals, they are
+/// those of the sums of each signal and its finer one, in steps of the latter.
+MAPLINES_INTERNAL bool maplines_round_mean(const maplines_signal_t signals[4],
+                                           const maplines_signal_t *fine, const double mean[4],
                                            const double L[16], int64_t raw[4]);
-/// One signal for the sum of two, with the steps of the finer one.
-MAPLINES_INTERNAL maplines_signal_t maplines_refined(const maplines_signal_t *signal,
-                                                     const maplines_signal_t *fine);
 /// Raw value of a signal, and of the finer one (`rest`), of their sum.
 MAPLINES_INTERNAL int64_t maplines_split(const maplines_signal_t *fine, int64_t raw, int64_t *rest);
 

@@ -107,7 +107,7 @@ static double rough_log2(double x)
 /// none is. Levels are powers of two at equal distances, so that there is nearly no search.
 static int64_t raw_of_square(const squares_t *of, double square)
 {
-    const int64_t beyond_all = of->signal->raw_max + 1;
+    const int64_t beyond_all = maplines_raw_max(of->signal) + 1;
     if (!(square > 0.0))
     {
         return square <= 0.0 ? 0 : beyond_all;
@@ -206,7 +206,7 @@ static bool covers_rest(const search_t *search, double square, const double cova
 static int64_t least_level(const search_t *search, const squares_t *of, const double covariance[16])
 {
     int64_t low = least_by_variances(search, of, covariance) - 1;
-    int64_t high = of->signal->raw_max + 1;
+    int64_t high = maplines_raw_max(of->signal) + 1;
     int64_t step = 1;
     while (high - low > 1)
     {
@@ -335,7 +335,7 @@ static void assess(const search_t *search, double square, const double covarianc
     }
     candidate->cost = (double)INFINITY;
     candidate->lateral = raw_of_square(&search->lateral, shortfall(decoded));
-    if (candidate->lateral > search->levels->lateral.raw_max)
+    if (candidate->lateral > maplines_raw_max(&search->levels->lateral))
     {
         return;
     }
@@ -413,9 +413,9 @@ static void try_spacing(const search_t *search, double stretch_squared, int i, d
     double noise[16];
     near_noise(search, stretch_squared, i, noise);
     const int64_t points = least_level(search, &search->points, noise) + tried[1];
-    spacing_t spacing = {(double)INFINITY,
-                         search->levels->shape.raw_min + (int64_t)i * search->dbc->spacing_step};
-    if (points <= search->levels->points.raw_max)
+    spacing_t spacing = {(double)INFINITY, maplines_raw_min(&search->levels->shape) +
+                                               (int64_t)i * search->dbc->spacing_step};
+    if (points <= maplines_raw_max(&search->levels->points))
     {
         spacing.cost = direction_cost(search, level_squared(&search->points, points), noise, bound);
     }
@@ -500,7 +500,7 @@ static void try_levels(const search_t *search, const squares_t *of, int64_t shap
         const int64_t raw = least + tried[k];
         const double square = level_squared(of, raw);
         const double bound = least_cost(search, square, covariance);
-        if (raw > of->signal->raw_max || bound >= best->cost)
+        if (raw > maplines_raw_max(of->signal) || bound >= best->cost)
         {
             break; // higher levels cost no less
         }
@@ -521,10 +521,10 @@ static void begin(search_t *search, const maplines_dbc_t *dbc,
     const maplines_levels_t *levels = maplines_levels_of(dbc);
     const maplines_signal_t *a = &levels->lateral;
     const maplines_signal_t *p = &levels->points;
-    const squares_t lateral = {levels,    a,        squares->lateral, MAPLINES_KEPT_LEVELS,
-                               a->factor, a->offset};
-    const squares_t points = {levels,    p,        squares->points, MAPLINES_KEPT_LEVELS,
-                              p->factor, p->offset};
+    const squares_t lateral = {
+        levels, a, squares->lateral, MAPLINES_KEPT_LEVELS, a->scale->factor, a->scale->offset};
+    const squares_t points = {
+        levels, p, squares->points, MAPLINES_KEPT_LEVELS, p->scale->factor, p->scale->offset};
     const squares_t shape = {levels,
                              &levels->shape,
                              squares->shape,

@@ -208,7 +208,7 @@ MAPLINES_INTERNAL double maplines_shape(int k)
 /// Raw value within the range of a signal that is not negative.
 static int64_t clipped(const maplines_signal_t *signal, int64_t raw)
 {
-    return raw < signal->raw_max ? raw : signal->raw_max;
+    return raw < maplines_raw_max(signal) ? raw : maplines_raw_max(signal);
 }
 
 MAPLINES_INTERNAL double maplines_level(const maplines_signal_t *signal, int64_t raw)
@@ -218,7 +218,7 @@ MAPLINES_INTERNAL double maplines_level(const maplines_signal_t *signal, int64_t
 
 MAPLINES_INTERNAL double maplines_shape_step(const maplines_levels_t *levels)
 {
-    const int64_t most = levels->shape.raw_max;
+    const int64_t most = maplines_raw_max(&levels->shape);
     return MAPLINES_SHAPE_OCTAVES / (double)(most > 1 ? most : 1);
 }
 

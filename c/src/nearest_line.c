@@ -235,9 +235,9 @@ static bool is_near(double start, double end, const double scale[4], const doubl
 /// Least and greatest value of a parameter, some steps within its range.
 static void limits_of(const maplines_signal_t *signal, double *low, double *high)
 {
-    const double first = maplines_physical(signal, signal->raw_min);
-    const double last = maplines_physical(signal, signal->raw_max);
-    const double room = LIMIT_STEPS * signal->factor;
+    const double first = maplines_physical(signal, maplines_raw_min(signal));
+    const double last = maplines_physical(signal, maplines_raw_max(signal));
+    const double room = LIMIT_STEPS * signal->scale->factor;
     *low = first + room;
     *high = last - room;
 }

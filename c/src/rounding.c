@@ -48,7 +48,30 @@ MAPLINES_INTERNAL void maplines_rounding_factor(const double own[16], const doub
     maplines_factor_or_identity(A, L);
 }
 
-MAPLINES_INTERNAL bool maplines_round_mean(const maplines_signal_t signals[4], const double mean[4],
+/// Raw values that a number is rounded to.
+typedef struct {
+    maplines_scale_t scale;
+    int64_t least, most;
+} steps_t;
+
+static steps_t steps_of(const maplines_signal_t *signal)
+{
+    return (steps_t){*signal->scale, maplines_raw_min(signal), maplines_raw_max(signal)};
+}
+
+/// Raw values of the sum of two signals, in steps of the finer one.
+static steps_t refined(const maplines_signal_t *signal, const maplines_signal_t *fine)
+{
+    const int64_t least = maplines_raw_min(fine);
+    const int64_t most = maplines_raw_max(fine);
+    const int64_t values = most - least + 1;
+    return (steps_t){{fine->scale->factor, signal->scale->offset + fine->scale->offset},
+                     values * maplines_raw_min(signal) + least,
+                     values * maplines_raw_max(signal) + most};
+}
+
+MAPLINES_INTERNAL bool maplines_round_mean(const maplines_signal_t signals[4],
+                                           const maplines_signal_t *fine, const double mean[4],
                                            const double L[16], int64_t raw[4])
 {
     double errors[4] = {0.0, 0.0, 0.0, 0.0}; // so far, in terms of L
@@ -57,40 +80,32 @@ MAPLINES_INTERNAL bool maplines_round_mean(const maplines_signal_t signals[4], c
     {
         const int state = rounding_order[row];
         const maplines_signal_t *signal = &signals[state];
+        const steps_t steps = fine == NULL ? steps_of(signal) : refined(signal, &fine[state]);
         double expected = 0.0;
         for (int column = 0; column < row; ++column)
         {
             const double term = L[4 * row + column] * errors[column];
             expected = expected + term;
         }
-        const double nearest = maplines_nearest_raw(signal, mean[state] + expected);
-        raw[state] = maplines_limited(signal, nearest);
+        const double nearest =
+            rint((mean[state] + expected - steps.scale.offset) / steps.scale.factor);
+        raw[state] = maplines_within(steps.least, steps.most, nearest);
         fits = fits && (double)raw[state] == nearest;
-        const double error = maplines_physical(signal, raw[state]) - mean[state];
+        const double scaled = (double)raw[state] * steps.scale.factor;
+        const double error = scaled + steps.scale.offset - mean[state];
         errors[row] = (error - expected) / L[5 * row];
     }
     return fits;
 }
 
-MAPLINES_INTERNAL maplines_signal_t maplines_refined(const maplines_signal_t *signal,
-                                                     const maplines_signal_t *fine)
-{
-    const int64_t values = fine->raw_max - fine->raw_min + 1;
-    maplines_signal_t refined = *signal;
-    refined.factor = fine->factor;
-    refined.offset = signal->offset + fine->offset;
-    refined.raw_min = values * signal->raw_min + fine->raw_min;
-    refined.raw_max = values * signal->raw_max + fine->raw_max;
-    return refined;
-}
-
 MAPLINES_INTERNAL int64_t maplines_split(const maplines_signal_t *fine, int64_t raw, int64_t *rest)
 {
-    const int64_t values = fine->raw_max - fine->raw_min + 1;
-    const int64_t above = raw - fine->raw_min;
+    const int64_t least = maplines_raw_min(fine);
+    const int64_t values = maplines_raw_max(fine) - least + 1;
+    const int64_t above = raw - least;
     int64_t remainder = above % values;
     remainder = remainder < 0 ? remainder + values : remainder;
-    *rest = remainder + fine->raw_min;
+    *rest = remainder + least;
     return (above - remainder) / values;
 }
 

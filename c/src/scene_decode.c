@@ -134,13 +134,15 @@ static void read_pose(const maplines_dbc_t *dbc, const uint8_t *record, pose_err
     const int64_t raw_age = maplines_get(&dbc->pose_age, record);
     const int64_t raw_time = maplines_get(&dbc->correlation_time, record);
     const double time = maplines_level(&dbc->correlation_time, raw_time);
-    const bool is_too_old = raw_age >= dbc->pose_age.raw_max;
+    const bool is_too_old = raw_age >= maplines_raw_max(&dbc->pose_age);
     const double infinity = (double)INFINITY;
     pose->age = is_too_old ? infinity : maplines_physical(&dbc->pose_age, raw_age) / 1000.0;
     pose->offset_sigma = level_of(&dbc->map_offset, record);
     pose->heading_sigma = level_of(&dbc->map_heading, record);
-    pose->largest_heading_sigma = pose->heading_sigma * maplines_exp2(dbc->map_heading.factor);
-    pose->is_heading_limited = maplines_get(&dbc->map_heading, record) == dbc->map_heading.raw_max;
+    pose->largest_heading_sigma =
+        pose->heading_sigma * maplines_exp2(dbc->map_heading.scale->factor);
+    pose->is_heading_limited =
+        maplines_get(&dbc->map_heading, record) == maplines_raw_max(&dbc->map_heading);
 
     scene->age = (maplines_real_t)pose->age;
     scene->correlation_time = (maplines_real_t)(raw_time == 0 ? infinity : time);
@@ -175,8 +177,8 @@ static void read_conditional(const maplines_dbc_t *dbc, const uint8_t *record, m
 /// Physical value of a signal, as a scene has it that is rebuilt from a decoded line.
 static double rebuilt(const maplines_signal_t *signal, double physical)
 {
-    const double raw = maplines_nearest_raw(signal, physical) * signal->factor;
-    return raw + signal->offset;
+    const double raw = maplines_nearest_raw(signal, physical) * signal->scale->factor;
+    return raw + signal->scale->offset;
 }
 
 /// Read a complete record, whose levels are in the record of the pose error.

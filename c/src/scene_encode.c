@@ -22,9 +22,9 @@ static int64_t level_above(const maplines_signal_t *signal, double sigma)
     {
         return 0;
     }
-    const double exact = (maplines_log2(sigma) - signal->offset) / signal->factor;
+    const double exact = (maplines_log2(sigma) - signal->scale->offset) / signal->scale->factor;
     const double raw = ceil(exact - 1e-9);
-    const double most = (double)signal->raw_max;
+    const double most = (double)maplines_raw_max(signal);
     const double least = raw > 1.0 ? raw : 1.0;
     return (int64_t)(least < most ? least : most);
 }
@@ -34,7 +34,7 @@ static int64_t level_above(const maplines_signal_t *signal, double sigma)
 static int64_t raw_time(const maplines_signal_t *signal, double time)
 {
     int64_t low = 0;
-    int64_t high = signal->raw_max + 1;
+    int64_t high = maplines_raw_max(signal) + 1;
     while (high - low > 1)
     {
         const int64_t middle = (low + high) / 2;
@@ -47,7 +47,7 @@ static int64_t raw_time(const maplines_signal_t *signal, double time)
             low = middle;
         }
     }
-    return high <= signal->raw_max ? high : 0;
+    return high <= maplines_raw_max(signal) ? high : 0;
 }
 
 /// Encode the pose error, and decode it as a receiver does; false if it does not fit.
@@ -89,16 +89,11 @@ static bool encode_pose(const maplines_dbc_t *dbc, const maplines_scene_input_t 
 /// entries.
 static bool round_means(const maplines_dbc_t *dbc, maplines_scene_member_t *member)
 {
-    maplines_signal_t refined[4];
     int64_t raw[4];
     double L[16];
-    for (int i = 0; i < 4; ++i)
-    {
-        refined[i] = maplines_refined(&dbc->mean[i], &dbc->fine[i]);
-    }
     maplines_rounding_factor(member->specific, member->stated_J, L);
-    if (!maplines_round_mean(dbc->mean, member->mean, L, member->raw_mean) ||
-        !maplines_round_mean(refined, member->mean, L, raw))
+    if (!maplines_round_mean(dbc->mean, NULL, member->mean, L, member->raw_mean) ||
+        !maplines_round_mean(dbc->mean, dbc->fine, member->mean, L, raw))
     {
         return false;
     }

@@ -75,9 +75,9 @@ static bool is_within(const maplines_signal_t signals[4], const double mean[4])
     bool is_inside = true;
     for (int i = 0; i < 4; ++i)
     {
-        const double step = kept_steps * signals[i].factor;
-        const double low = maplines_physical(&signals[i], signals[i].raw_min) + step;
-        const double high = maplines_physical(&signals[i], signals[i].raw_max) - step;
+        const double step = kept_steps * signals[i].scale->factor;
+        const double low = maplines_physical(&signals[i], maplines_raw_min(&signals[i])) + step;
+        const double high = maplines_physical(&signals[i], maplines_raw_max(&signals[i])) - step;
         is_inside = is_inside && low <= mean[i] && mean[i] <= high;
     }
     return is_inside;
@@ -105,10 +105,10 @@ static maplines_left_out_t state_part(const maplines_dbc_t *dbc, const maplines_
             return MAPLINES_LEFT_OUT_MEAN;
         }
     }
-    const double first_min = maplines_physical(&dbc->x_min, dbc->x_min.raw_min);
-    const double first_max = maplines_physical(&dbc->x_min, dbc->x_min.raw_max);
-    const double last_min = maplines_physical(&dbc->x_max, dbc->x_max.raw_min);
-    const double last_max = maplines_physical(&dbc->x_max, dbc->x_max.raw_max);
+    const double first_min = maplines_physical(&dbc->x_min, maplines_raw_min(&dbc->x_min));
+    const double first_max = maplines_physical(&dbc->x_min, maplines_raw_max(&dbc->x_min));
+    const double last_min = maplines_physical(&dbc->x_max, maplines_raw_min(&dbc->x_max));
+    const double last_max = maplines_physical(&dbc->x_max, maplines_raw_max(&dbc->x_max));
     const double begin = ceil(member->range[0]);
     const double end = floor(member->range[1]);
     member->range[0] = begin > first_min ? begin : first_min;

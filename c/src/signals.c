@@ -108,24 +108,40 @@ MAPLINES_INTERNAL void maplines_put(const maplines_signal_t *signal, uint8_t *re
     }
 }
 
+MAPLINES_INTERNAL int64_t maplines_raw_min(const maplines_signal_t *signal)
+{
+    return signal->is_signed ? -((int64_t)1 << (signal->length - 1U)) : 0;
+}
+
+MAPLINES_INTERNAL int64_t maplines_raw_max(const maplines_signal_t *signal)
+{
+    const unsigned bits = signal->is_signed ? signal->length - 1U : signal->length;
+    return ((int64_t)1 << bits) - 1;
+}
+
 MAPLINES_INTERNAL double maplines_physical(const maplines_signal_t *signal, int64_t raw)
 {
-    const double scaled = (double)raw * signal->factor;
-    return scaled + signal->offset;
+    const double scaled = (double)raw * signal->scale->factor;
+    return scaled + signal->scale->offset;
 }
 
 MAPLINES_INTERNAL double maplines_nearest_raw(const maplines_signal_t *signal, double physical)
 {
-    return rint((physical - signal->offset) / signal->factor);
+    return rint((physical - signal->scale->offset) / signal->scale->factor);
+}
+
+MAPLINES_INTERNAL int64_t maplines_within(int64_t least, int64_t most, double raw)
+{
+    if (!(raw > (double)least)) // or NaN
+    {
+        return least;
+    }
+    return raw < (double)most ? (int64_t)raw : most;
 }
 
 MAPLINES_INTERNAL int64_t maplines_limited(const maplines_signal_t *signal, double raw)
 {
-    if (!(raw > (double)signal->raw_min)) // or NaN
-    {
-        return signal->raw_min;
-    }
-    return raw < (double)signal->raw_max ? (int64_t)raw : signal->raw_max;
+    return maplines_within(maplines_raw_min(signal), maplines_raw_max(signal), raw);
 }
 
 /* The remainder of v x^16 is r = v x^16 - q P, for the polynomial P = x^16 + x^12 + x^5 + 1 of the

@@ -131,7 +131,8 @@ MAPLINES_INTERNAL void maplines_least_variances(const maplines_cholesky_t *code,
     for (int row = 0; row < (int)code->rows; ++row)
     {
         const maplines_signal_t *pivot = &code->pivot[row];
-        least[code->order[row]] = maplines_exp2(2.0 * maplines_physical(pivot, pivot->raw_min));
+        least[code->order[row]] =
+            maplines_exp2(2.0 * maplines_physical(pivot, maplines_raw_min(pivot)));
     }
 }
 

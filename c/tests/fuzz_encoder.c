@@ -117,7 +117,7 @@ static void require_line(const maplines_gaussian_t *gaussian, maplines_status_t 
         error[i] = mean[i] - gaussian->mean[i];
         if (status == MAPLINES_FULL || status == MAPLINES_UNKNOWN)
         {
-            REQUIRE(fabs(error[i]) <= 0.51 * fabs(harness_dbc.mean[i].factor));
+            REQUIRE(fabs(error[i]) <= 0.51 * fabs(harness_dbc.mean[i].scale->factor));
         }
         if (status == MAPLINES_DIAGONAL)
         {

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..wire.layout.message_layout import Layout
-from ..wire.layout.signal import Signal, signal_values
+from ..wire.layout.signal import Signal, place_of
 from ..wire.tables import Members, Value, limits_of
 from .c_build import Build, build_of
 
@@ -50,6 +50,7 @@ def tables_of(layout: Layout, name: str = "maplines", build: Build | None = None
     limits, content = limits_of([layout]), build.content(layout)
     if build.max_components == 1:  # mixtures are refused, not held
         limits = limits._replace(components=1)
+    scales = list(dict.fromkeys(map(_scale, _signals(content))))
     guard = f"{name.upper()}_DBC_H"
     header = [
         "/* Tables of a DBC for maplines.h, written by maplines generate c. */",
@@ -75,7 +76,7 @@ def tables_of(layout: Layout, name: str = "maplines", build: Build | None = None
     source = [
         "/* Tables of a DBC for maplines.h, written by maplines generate c.",
         " *",
-        " * A signal is {factor, offset, raw_min, raw_max, first, length, is_motorola, is_signed}.",
+        " * A scale is {factor, offset}, and a signal {scale, first, length, is_motorola, is_signed}.",
         " */",
         f'#include "{name}_dbc.h"',
         "",
@@ -86,8 +87,12 @@ def tables_of(layout: Layout, name: str = "maplines", build: Build | None = None
         ),
         "",
         *_straight(content),
+        "static const maplines_scale_t scales[] = {",
+        *(f"    {{{_literal(factor)}, {_literal(offset)}}}," for factor, offset in scales),
+        "};",
+        "",
         f"const maplines_dbc_t {name}_dbc =",
-        *_initializer(content),
+        *_initializer(content, scales),
     ]
     source[-1] += ";"
     return Tables("\n".join([*header, ""]), "\n".join([*source, ""]))
@@ -102,22 +107,38 @@ def _straight(content: Mapping[str, Value]) -> Iterator[str]:
         yield from ("};", "")
 
 
-def _initializer(members: Members, indent: str = "") -> Iterator[str]:
-    """Yield the lines of an initializer."""
-    yield f"{indent}{{"
+def _signals(members: Members) -> Iterator[Signal]:
+    """Yield all signals, in their order."""
+    for value in members.values():
+        if isinstance(value, Signal):
+            yield value
+        elif isinstance(value, Mapping):
+            yield from _signals(value)
+
+
+def _scale(signal: Signal) -> tuple[float, float]:
+    """Return the values of ``maplines_scale_t``."""
+    return float(signal.factor), float(signal.offset)
+
+
+def _initializer(members: Members, scales: list[tuple[float, float]]) -> Iterator[str]:
+    """Yield the lines of an initializer, whose signals have these scales."""
+    yield "{"
     for key, value in members.items():
         name = _designator(key)
         if isinstance(value, Mapping) and all(type(one) is int for one in value.values()):
-            yield f"{indent}    {name} = {{{', '.join(map(_literal, value.values()))}}},"
+            yield f"    {name} = {{{', '.join(map(_literal, value.values()))}}},"
         elif isinstance(value, Mapping):
-            yield f"{indent}    {name} ="
-            *lines, last = _initializer(value, f"{indent}    ")
-            yield from [*lines, f"{last},"]
+            yield f"    {name} ="
+            *lines, last = _initializer(value, scales)
+            yield from (f"    {line}" for line in [*lines, f"{last},"])
         elif isinstance(value, Signal):
-            yield f"{indent}    {name} = {_signal(value)}, // {value.name}"
+            place = ", ".join(map(_literal, place_of(value).values()))
+            scale = scales.index(_scale(value))
+            yield f"    {name} = {{&scales[{scale}], {place}}}, // {value.name}"
         elif value is not None:
-            yield f"{indent}    {name} = {_literal(value)},"
-    yield f"{indent}}}"
+            yield f"    {name} = {_literal(value)},"
+    yield "}"
 
 
 def _designator(key: object) -> str:
@@ -125,11 +146,6 @@ def _designator(key: object) -> str:
     if isinstance(key, IntEnum):
         return f"[MAPLINES_{key.name}]"
     return f".{key}" if isinstance(key, str) else f"[{key}]"
-
-
-def _signal(signal: Signal) -> str:
-    """Return the initializer of ``maplines_signal_t``."""
-    return f"{{{', '.join(map(_literal, signal_values(signal)))}}}"
 
 
 def _literal(value: object) -> str:

@@ -21,7 +21,7 @@ from .layout.cholesky import CholeskyCode
 from .layout.message_layout import POSE_CONDITIONAL, Layout
 from .layout.pose_layout import PoseLayout, number_of
 from .layout.record_layout import RecordLayout, bits_of
-from .layout.signal import signal_values
+from .layout.signal import place_of
 from .layout.signals import (
     FINE,
     FINE_SIGNALS,
@@ -164,17 +164,21 @@ class LineTables(NamedTuple):
 
 def _powers_of_two(signal: Signal, share: float = 1.0) -> NDArray[np.float64] | None:
     """Return the powers of 2 of all values of a signal; None if there are too many."""
-    if signal.raw_max - signal.raw_min >= MAX_TABLE:
-        return None
-    return exp2(signal.physical(np.arange(signal.raw_min, signal.raw_max + 1)) * share)
+    low, high = signal.all_raw
+    return (
+        exp2(signal.physical(np.arange(low, high + 1)) * share) if high - low < MAX_TABLE else None
+    )
 
 
 def _plain(value: Any) -> Any:
-    """Return content as C has it: signals by their members, arrays in single precision."""
+    """Return content as C has it: signals by their members, arrays in single precision.
+
+    Each signal has a scale of its own.
+    """
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, Signal):
-        return signal_values(value)
+        return {"scale": np.array((value.factor, value.offset)), **place_of(value)}
     return np.ascontiguousarray(value, np.float32) if isinstance(value, np.ndarray) else value
 
 

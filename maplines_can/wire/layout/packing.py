@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...core import ffi, lib
 from ...core.memory import pointer, shaped
-from .signal import Signal, first_bit, signal_values
+from .signal import Signal, first_bit, place_of
 from .signals import PAGE_BYTES
 
 
@@ -31,7 +31,7 @@ class Packing:
             if signal.length > 64 or first_bit(signal) + signal.length > 8 * record_bytes:
                 raise ValueError(f"signal {signal.name} is not within {record_bytes} bytes")
         self._names, self._bytes = [signal.name for signal in signals], record_bytes
-        self._signals = ffi.new("maplines_signal_t[]", [*map(signal_values, signals)])
+        self._signals = ffi.new("maplines_signal_t[]", [*map(place_of, signals)])
 
     def pack(self, raw: Mapping[str, NDArray[np.int64]], n: int) -> NDArray[np.uint8]:
         """Return (n, record_bytes) records of (n,) raw values by name; one without values is 0.

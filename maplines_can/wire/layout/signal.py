@@ -128,15 +128,11 @@ def first_bit(signal: Signal) -> int:
     return start // 8 * 8 + 7 - start % 8 if signal.big_endian else start
 
 
-def signal_values(signal: Signal) -> tuple[float, float, int, int, int, int, bool, bool]:
-    """Return the members of ``maplines_signal_t``, in order, such as for the core."""
-    return (
-        signal.factor,
-        signal.offset,
-        signal.raw_min,
-        signal.raw_max,
-        first_bit(signal),
-        signal.length,
-        signal.big_endian,
-        signal.signed,
-    )
+def place_of(signal: Signal) -> dict[str, int]:
+    """Return the members of ``maplines_signal_t``, in order, but for its scale, which is first."""
+    return {
+        "first": first_bit(signal),
+        "length": signal.length,
+        "is_motorola": signal.big_endian,
+        "is_signed": signal.signed,
+    }
