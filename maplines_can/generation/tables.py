@@ -76,7 +76,7 @@ def tables_of(layout: Layout, name: str = "maplines", build: Build | None = None
     source = [
         "/* Tables of a DBC for maplines.h, written by maplines generate c.",
         " *",
-        " * A scale is {factor, offset}, and a signal {scale, first, length, is_motorola, is_signed}.",
+        " * A scale is {factor, offset}, a signal {scale, first, length, is_motorola, is_signed}.",
         " */",
         f'#include "{name}_dbc.h"',
         "",
