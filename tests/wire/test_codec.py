@@ -40,7 +40,7 @@ def test_the_three_data_structures_of_the_paper(codec: Any) -> None:
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.floats(0.5, 1.5), st.sampled_from([-1, 1]), st.floats(-20, 20))
 def test_a_clipped_beta_is_covered_at_each_x(codec: Any, beta: float, sign: int, x: float) -> None:
-    """By the first-order sigma of the lateral position, or the line is OUT_OF_RANGE or ends before."""
+    """By the first-order sigma of the lateral position, where it is valid."""
     encoder = codec.encoder()
     cov = np.diag([1e-2, 1e-6, 1e-10, 1e-14])
     line = MapLine(0, Gaussian([0.0, sign * beta, 0.0, 0.0], cov), x_min=-20, x_max=20)  # type: ignore[arg-type]
