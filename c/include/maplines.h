@@ -112,116 +112,13 @@ extern "C" {
 #endif
 /* build: end */
 
-#if MAPLINES_RECEIVER < 0 || MAPLINES_RECEIVER > 1 || MAPLINES_SENDER < 0 ||                       \
-    MAPLINES_SENDER > 1 || MAPLINES_SCENES < 0 || MAPLINES_SCENES > 1 || MAPLINES_SECOC < 0 ||     \
-    MAPLINES_SECOC > 1 || MAPLINES_FLOAT < 0 || MAPLINES_FLOAT > 1
-#error "MAPLINES_RECEIVER, _SENDER, _SCENES, _SECOC and _FLOAT must be 0 or 1"
-#endif
-#if MAPLINES_RECEIVER + MAPLINES_SENDER == 0
-#error "maplines without MAPLINES_RECEIVER and MAPLINES_SENDER has nothing: set one to 1"
-#endif
-#if MAPLINES_SLOTS < 1 || MAPLINES_SLOTS > 8
-#error "MAPLINES_SLOTS must be from 1 to 8"
-#endif
-#if MAPLINES_MAX_PAGES < 1 || MAPLINES_MAX_PAGES > 16
-#error "MAPLINES_MAX_PAGES must be from 1 to 16"
-#endif
-#if MAPLINES_MAX_TRANSFER_IDS < 1 || MAPLINES_MAX_TRANSFER_IDS > 256
-#error "MAPLINES_MAX_TRANSFER_IDS must be from 1 to 256"
-#endif
-#if MAPLINES_MAX_COMPONENTS < 1 || MAPLINES_MAX_COMPONENTS > 64
-#error "MAPLINES_MAX_COMPONENTS must be from 1 to 64"
-#endif
-#if MAPLINES_TRANSFERS < 1 || MAPLINES_TRANSFERS > 256 ||                                          \
-    (MAPLINES_TRANSFERS & (MAPLINES_TRANSFERS - 1)) != 0
-#error "MAPLINES_TRANSFERS must be a power of 2 from 1 to 256"
-#endif
-#if MAPLINES_HISTORY < 2 || MAPLINES_HISTORY > 65536 ||                                            \
-    (MAPLINES_HISTORY & (MAPLINES_HISTORY - 1)) != 0
-#error "MAPLINES_HISTORY must be a power of 2 from 2 to 65536"
-#endif
-#if MAPLINES_EPOCHS < 1 || MAPLINES_EPOCHS > 126
-#error "MAPLINES_EPOCHS must be from 1 to 126"
-#endif
-#if MAPLINES_WINDOW < 1 || MAPLINES_WINDOW > 255
-#error "MAPLINES_WINDOW must be from 1 to 255"
-#endif
+#include "maplines_build.h" // checks these sizes, and puts the build into the names of functions
 
 #define MAPLINES_OWNERS                                                                            \
     (MAPLINES_SLOTS + MAPLINES_SCENES)               ///< of records: slots, and the pose error
 #define MAPLINES_MAX_RECORD (8 * MAPLINES_MAX_PAGES) ///< [byte]
 #define MAPLINES_MAX_FRAMES (MAPLINES_MAX_PAGES * MAPLINES_MAX_COMPONENTS) ///< of a line
 #define MAPLINES_MIXTURES (MAPLINES_MAX_COMPONENTS > 1)
-
-/* The names of all functions and tables have the build, so that files which do not agree on it do
- * not link. Define MAPLINES_NAMESPACE to have two libraries of one build in a program.
- */
-#ifndef MAPLINES_NAMESPACE
-#define MAPLINES_NAMESPACE maplines
-#endif
-#if MAPLINES_FLOAT
-#define MAPLINES_REAL float
-#else
-#define MAPLINES_REAL double
-#endif
-#ifndef MAPLINES_NAME
-#define MAPLINES_NAME(name)                                                                        \
-    MAPLINES_NAMED(MAPLINES_NAMESPACE, name, MAPLINES_REAL, MAPLINES_RECEIVER, MAPLINES_SENDER,    \
-                   MAPLINES_SCENES, MAPLINES_SECOC, MAPLINES_SLOTS, MAPLINES_MAX_PAGES,            \
-                   MAPLINES_MAX_TRANSFER_IDS, MAPLINES_MAX_COMPONENTS, MAPLINES_TRANSFERS,         \
-                   MAPLINES_HISTORY, MAPLINES_EPOCHS, MAPLINES_WINDOW)
-#define MAPLINES_NAMED(a, name, b, c, d, e, f, g, h, i, j, k, l, m, n)                             \
-    MAPLINES_JOINED(a, name, b, c, d, e, f, g, h, i, j, k, l, m, n)
-#define MAPLINES_JOINED(a, name, b, c, d, e, f, g, h, i, j, k, l, m, n)                            \
-    a##_##name##_##b##_##c##d##e##f##_##g##_##h##_##i##_##j##_##k##_##l##_##m##_##n
-#endif
-#define maplines_decoder_init MAPLINES_NAME(decoder_init)
-#define maplines_feed MAPLINES_NAME(feed)
-#define maplines_latest MAPLINES_NAME(latest)
-#define maplines_copy_line MAPLINES_NAME(copy_line)
-#define maplines_newest MAPLINES_NAME(newest)
-#define maplines_component MAPLINES_NAME(component)
-#define maplines_expire MAPLINES_NAME(expire)
-#define maplines_is_valid_at MAPLINES_NAME(is_valid_at)
-#define maplines_y MAPLINES_NAME(y)
-#define maplines_y_sigma MAPLINES_NAME(y_sigma)
-#define maplines_y_extrapolated MAPLINES_NAME(y_extrapolated)
-#define maplines_slope MAPLINES_NAME(slope)
-#define maplines_curvature MAPLINES_NAME(curvature)
-#define maplines_covariance MAPLINES_NAME(covariance)
-#define maplines_mahalanobis MAPLINES_NAME(mahalanobis)
-#define maplines_latest_scene MAPLINES_NAME(latest_scene)
-#define maplines_copy_scene MAPLINES_NAME(copy_scene)
-#define maplines_scene_line MAPLINES_NAME(scene_line)
-#define maplines_sum MAPLINES_NAME(sum)
-#define maplines_width MAPLINES_NAME(width)
-#define maplines_centre MAPLINES_NAME(centre)
-#define maplines_common_range MAPLINES_NAME(common_range)
-#define maplines_joint_covariance MAPLINES_NAME(joint_covariance)
-#define maplines_displacement MAPLINES_NAME(displacement)
-#define maplines_predict_gaussian MAPLINES_NAME(predict_gaussian)
-#define maplines_predict MAPLINES_NAME(predict)
-#define maplines_overall MAPLINES_NAME(overall)
-#define maplines_predict_to MAPLINES_NAME(predict_to)
-#define maplines_slot_stats MAPLINES_NAME(slot_stats)
-#define maplines_statistics MAPLINES_NAME(statistics)
-#define maplines_default_e2e MAPLINES_NAME(default_e2e)
-#define maplines_default_settings MAPLINES_NAME(default_settings)
-#define maplines_settings_for MAPLINES_NAME(settings_for)
-#define maplines_encoder_init MAPLINES_NAME(encoder_init)
-#define maplines_encode_line MAPLINES_NAME(encode_line)
-#define maplines_encode_mixture MAPLINES_NAME(encode_mixture)
-#define maplines_encode_scene MAPLINES_NAME(encode_scene)
-#define maplines_self_test MAPLINES_NAME(self_test)
-#define maplines_owner_name MAPLINES_NAME(owner_name)
-#define maplines_kind_name MAPLINES_NAME(kind_name)
-#define maplines_status_name MAPLINES_NAME(status_name)
-#define maplines_reason_name MAPLINES_NAME(reason_name)
-#define maplines_e2e_state_name MAPLINES_NAME(e2e_state_name)
-#define maplines_e2e_status_name MAPLINES_NAME(e2e_status_name)
-#define maplines_prediction_name MAPLINES_NAME(prediction_name)
-#define maplines_refusal_name MAPLINES_NAME(refusal_name)
-#define maplines_left_out_name MAPLINES_NAME(left_out_name)
 
 /* ---- values ---------------------------------------------------------------------------------- */
 
@@ -278,50 +175,6 @@ typedef enum {
     MAPLINES_OUT_OF_RANGE = 5, ///< use neither mean nor covariance
 } maplines_status_t;
 
-/// Reason why a received frame does not complete a line, in the order of the Python package.
-typedef enum {
-    MAPLINES_COMPLETE = -1,        ///< none: it completes one line or more
-    MAPLINES_PENDING = 0,          ///< held until the other pages of its transfer arrive
-    MAPLINES_FOREIGN = 1,          ///< its CAN ID carries no map line
-    MAPLINES_LENGTH = 2,           ///< its payload has the wrong length
-    MAPLINES_PAGE = 3,             ///< its page number is not in the DBC
-    MAPLINES_DUPLICATE = 4,        ///< its page or its line was already received
-    MAPLINES_REPLACED = 5,         ///< another frame with its transfer ID was kept in its place
-    MAPLINES_STALE = 6,            ///< a line of its slot that is as new or newer was delivered
-    MAPLINES_INCOMPLETE = 7,       ///< a frame of another record came before its own was complete
-    MAPLINES_TIMEOUT = 8,          ///< the rest of its transfer or line was not received in time
-    MAPLINES_MIXED = 9,            ///< the pages of its record belong to different transfers
-    MAPLINES_CRC = 10,             ///< the checksum of its record is wrong
-    MAPLINES_CONTENT = 11,         ///< its record holds a value that no sender may send
-    MAPLINES_NO_POSE = 12,         ///< the pose error of its record was not received in time
-    MAPLINES_UNAUTHENTICATED = 13, ///< its message has no MAC, and this receiver requires one
-    MAPLINES_KEY = 14,             ///< its MAC is of a key that this receiver does not have
-    MAPLINES_MAC = 15,             ///< its MAC is wrong
-    MAPLINES_REPLAY = 16,          ///< its freshness value is not newer than the last accepted one
-    MAPLINES_AGE = 17,             ///< its freshness value is outside the window about now
-    MAPLINES_SPACING = 18, ///< records of its owner follow each other far faster than its cycle
-    MAPLINES_REASONS = 19, ///< number of reasons
-} maplines_reason_t;
-
-/// Result of the E2E check of one record, numbered as in AUTOSAR E2E profile 5.
-typedef enum {
-    MAPLINES_E2E_OK = 0x00,
-    MAPLINES_E2E_NONEWDATA = 0x01,
-    MAPLINES_E2E_ERROR = 0x07,
-    MAPLINES_E2E_REPEATED = 0x08,
-    MAPLINES_E2E_OKSOMELOST = 0x20,
-    MAPLINES_E2E_WRONGSEQUENCE = 0x40,
-    MAPLINES_E2E_NONE = 0xFF, ///< no check yet
-} maplines_e2e_status_t;
-
-/// State of the records of an owner, numbered as in AUTOSAR.
-typedef enum {
-    MAPLINES_E2E_VALID = 0,
-    MAPLINES_E2E_NODATA = 2,
-    MAPLINES_E2E_INIT = 3,
-    MAPLINES_E2E_INVALID = 4,
-} maplines_e2e_state_t;
-
 /// CAN frame.
 typedef struct {
     uint32_t can_id;
@@ -330,47 +183,6 @@ typedef struct {
     uint8_t length;   ///< [byte]
     uint8_t data[64];
 } maplines_frame_t;
-
-/// Gaussian over (y_off [m], beta [rad], c0 [1/m], c1 [1/m^2]).
-typedef struct {
-    maplines_real_t mean[4];
-    /// Square root F of the covariance: F F^T. Row i belongs to parameter i. F is lower triangular
-    /// with its rows in the order of the DBC (see maplines_cholesky_t); of a mixture, in this
-    /// order.
-    maplines_real_t factor[4][4];
-} maplines_gaussian_t;
-
-/// Line l(x) = y_off + tan(beta) x + c0/2 x^2 + c1/6 x^3, valid from x_min to x_max.
-typedef struct {
-    maplines_gaussian_t gaussian; ///< of a mixture: its mean and covariance
-    maplines_real_t x_min;        ///< start of the valid range [m]
-    maplines_real_t x_max;        ///< end of the valid range [m]
-    maplines_real_t age;          ///< from the pose to the sending [s]; infinite if too old
-    int64_t t_ns;                 ///< reception of the first frame [ns]
-    maplines_owner_t slot;
-    maplines_kind_t kind;
-    maplines_status_t status;
-    uint8_t components; ///< 1, or the number of components of a mixture: see maplines_component
-} maplines_line_t;
-
-/// Verifier of authenticated frames: an HSM computes the MAC.
-typedef struct {
-    /// Write the 16 bytes of AES-CMAC(key of key_id, data) to mac; return false without such a key.
-    bool (*mac)(void *context, uint8_t key_id, const uint8_t *data, size_t length, uint8_t mac[16]);
-    /// Time since 1970, or of any clock that increases over restarts [us]; NULL: there is no clock.
-    int64_t (*now_us)(void *context);
-    void *context;
-    int64_t window_us;     ///< greatest difference from that clock, 1 or more
-    int64_t not_before_us; ///< freshness values up to this one are not accepted; 0 or more
-} maplines_authenticator_t;
-
-/// Key of a sender of authenticated frames, and its freshness values.
-typedef struct {
-    bool (*mac)(void *context, uint8_t key_id, const uint8_t *data, size_t length, uint8_t mac[16]);
-    void *context;
-    uint8_t key_id;
-    int64_t last_us; ///< last freshness value that was sent: start with a stored one, or 0
-} maplines_signer_t;
 
 /* Structures that stand further below, or in maplines_state.h: the tables of a DBC, the state and
  * the settings of a receiver, and memory of a sender. Their sizes are known there; the caller owns
@@ -411,12 +223,94 @@ typedef struct maplines_scene_workspace maplines_scene_workspace_t;
  *     E2E        OK       OK     OKSOMELOST WRONGSEQ. REPEATED OK
  */
 
+/// Start a receiver of the messages of a DBC.
+///
+/// @param settings NULL for the default. They are copied; the authenticator that they point to is
+///        the caller's, and is read with each authenticated frame.
+/// @return NULL, or which setting is wrong: then every frame is FOREIGN.
+const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_dbc_t *dbc,
+                                  const maplines_settings_t *settings);
+
+/// Reason why a received frame does not complete a line, in the order of the Python package.
+typedef enum {
+    MAPLINES_COMPLETE = -1,        ///< none: it completes one line or more
+    MAPLINES_PENDING = 0,          ///< held until the other pages of its transfer arrive
+    MAPLINES_FOREIGN = 1,          ///< its CAN ID carries no map line
+    MAPLINES_LENGTH = 2,           ///< its payload has the wrong length
+    MAPLINES_PAGE = 3,             ///< its page number is not in the DBC
+    MAPLINES_DUPLICATE = 4,        ///< its page or its line was already received
+    MAPLINES_REPLACED = 5,         ///< another frame with its transfer ID was kept in its place
+    MAPLINES_STALE = 6,            ///< a line of its slot that is as new or newer was delivered
+    MAPLINES_INCOMPLETE = 7,       ///< a frame of another record came before its own was complete
+    MAPLINES_TIMEOUT = 8,          ///< the rest of its transfer or line was not received in time
+    MAPLINES_MIXED = 9,            ///< the pages of its record belong to different transfers
+    MAPLINES_CRC = 10,             ///< the checksum of its record is wrong
+    MAPLINES_CONTENT = 11,         ///< its record holds a value that no sender may send
+    MAPLINES_NO_POSE = 12,         ///< the pose error of its record was not received in time
+    MAPLINES_UNAUTHENTICATED = 13, ///< its message has no MAC, and this receiver requires one
+    MAPLINES_KEY = 14,             ///< its MAC is of a key that this receiver does not have
+    MAPLINES_MAC = 15,             ///< its MAC is wrong
+    MAPLINES_REPLAY = 16,          ///< its freshness value is not newer than the last accepted one
+    MAPLINES_AGE = 17,             ///< its freshness value is outside the window about now
+    MAPLINES_SPACING = 18, ///< records of its owner follow each other far faster than its cycle
+    MAPLINES_REASONS = 19, ///< number of reasons
+} maplines_reason_t;
+
 /// Result of maplines_feed.
 typedef struct {
     maplines_reason_t reason; ///< MAPLINES_COMPLETE, or why the frame completes no line
     uint8_t count;            ///< number of lines that it completes
     maplines_owner_t slots[MAPLINES_SLOTS]; ///< of these, in this order: see maplines_newest
 } maplines_fed_t;
+
+/// Take a data frame that was received. Any one may come at any time; remote frames and error
+/// frames are not for this function.
+///
+/// The reason is MAPLINES_PENDING, too, if the frame completes a pose error, a component of a
+/// mixture, or a line that waits for its pose error.
+maplines_fed_t maplines_feed(maplines_decoder_t *decoder, const maplines_frame_t *frame,
+                             int64_t t_ns);
+
+/// Result of the E2E check of one record, numbered as in AUTOSAR E2E profile 5.
+typedef enum {
+    MAPLINES_E2E_OK = 0x00,
+    MAPLINES_E2E_NONEWDATA = 0x01,
+    MAPLINES_E2E_ERROR = 0x07,
+    MAPLINES_E2E_REPEATED = 0x08,
+    MAPLINES_E2E_OKSOMELOST = 0x20,
+    MAPLINES_E2E_WRONGSEQUENCE = 0x40,
+    MAPLINES_E2E_NONE = 0xFF, ///< no check yet
+} maplines_e2e_status_t;
+
+/// State of the records of an owner, numbered as in AUTOSAR.
+typedef enum {
+    MAPLINES_E2E_VALID = 0,
+    MAPLINES_E2E_NODATA = 2,
+    MAPLINES_E2E_INIT = 3,
+    MAPLINES_E2E_INVALID = 4,
+} maplines_e2e_state_t;
+
+/// Gaussian over (y_off [m], beta [rad], c0 [1/m], c1 [1/m^2]).
+typedef struct {
+    maplines_real_t mean[4];
+    /// Square root F of the covariance: F F^T. Row i belongs to parameter i. F is lower triangular
+    /// with its rows in the order of the DBC (see maplines_cholesky_t); of a mixture, in this
+    /// order.
+    maplines_real_t factor[4][4];
+} maplines_gaussian_t;
+
+/// Line l(x) = y_off + tan(beta) x + c0/2 x^2 + c1/6 x^3, valid from x_min to x_max.
+typedef struct {
+    maplines_gaussian_t gaussian; ///< of a mixture: its mean and covariance
+    maplines_real_t x_min;        ///< start of the valid range [m]
+    maplines_real_t x_max;        ///< end of the valid range [m]
+    maplines_real_t age;          ///< from the pose to the sending [s]; infinite if too old
+    int64_t t_ns;                 ///< reception of the first frame [ns]
+    maplines_owner_t slot;
+    maplines_kind_t kind;
+    maplines_status_t status;
+    uint8_t components; ///< 1, or the number of components of a mixture: see maplines_component
+} maplines_line_t;
 
 /// State of a slot when the consumer asks.
 typedef struct {
@@ -433,22 +327,6 @@ typedef struct {
     bool is_usable;   ///< a controller may use the line: VALID, not stale, one sender, a finite
                       ///< age, and not OUT_OF_RANGE
 } maplines_view_t;
-
-/// Start a receiver of the messages of a DBC.
-///
-/// @param settings NULL for the default. They are copied; the authenticator that they point to is
-///        the caller's, and is read with each authenticated frame.
-/// @return NULL, or which setting is wrong: then every frame is FOREIGN.
-const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_dbc_t *dbc,
-                                  const maplines_settings_t *settings);
-
-/// Take a data frame that was received. Any one may come at any time; remote frames and error
-/// frames are not for this function.
-///
-/// The reason is MAPLINES_PENDING, too, if the frame completes a pose error, a component of a
-/// mixture, or a line that waits for its pose error.
-maplines_fed_t maplines_feed(maplines_decoder_t *decoder, const maplines_frame_t *frame,
-                             int64_t t_ns);
 
 /// The newest line of a slot, and whether it may be used.
 ///
@@ -782,6 +660,17 @@ typedef struct {
     bool clear_to_invalid;
 } maplines_e2e_config_t;
 
+/// Verifier of authenticated frames: an HSM computes the MAC.
+typedef struct {
+    /// Write the 16 bytes of AES-CMAC(key of key_id, data) to mac; return false without such a key.
+    bool (*mac)(void *context, uint8_t key_id, const uint8_t *data, size_t length, uint8_t mac[16]);
+    /// Time since 1970, or of any clock that increases over restarts [us]; NULL: there is no clock.
+    int64_t (*now_us)(void *context);
+    void *context;
+    int64_t window_us;     ///< greatest difference from that clock, 1 or more
+    int64_t not_before_us; ///< freshness values up to this one are not accepted; 0 or more
+} maplines_authenticator_t;
+
 /// Settings of a decoder. Start from maplines_default_settings().
 struct maplines_settings {
     int64_t timeout_ns[MAPLINES_OWNERS]; ///< longest time between the frames of a transfer
@@ -873,6 +762,14 @@ typedef struct {
     maplines_status_t status; ///< of the line; of a mixture, that of the worst component
     uint16_t count;           ///< number of frames; 0 if it was refused
 } maplines_sent_t;
+
+/// Key of a sender of authenticated frames, and its freshness values.
+typedef struct {
+    bool (*mac)(void *context, uint8_t key_id, const uint8_t *data, size_t length, uint8_t mac[16]);
+    void *context;
+    uint8_t key_id;
+    int64_t last_us; ///< last freshness value that was sent: start with a stored one, or 0
+} maplines_signer_t;
 
 /// State of a sender.
 typedef struct {
@@ -1021,10 +918,10 @@ const char *maplines_self_test(void);
 const char *maplines_owner_name(maplines_owner_t owner);
 const char *maplines_kind_name(maplines_kind_t kind);
 const char *maplines_status_name(maplines_status_t status);
+#if MAPLINES_RECEIVER
 const char *maplines_reason_name(maplines_reason_t reason);
 const char *maplines_e2e_state_name(maplines_e2e_state_t state);
 const char *maplines_e2e_status_name(maplines_e2e_status_t status);
-#if MAPLINES_RECEIVER
 const char *maplines_prediction_name(maplines_prediction_t prediction);
 #endif
 #if MAPLINES_SENDER

@@ -109,6 +109,7 @@ MAPLINES_INTERNAL uint32_t maplines_next_counter(const maplines_dbc_t *dbc, int 
                                                  uint32_t counter);
 /// How bad a status is: a mixture has that of its worst component.
 MAPLINES_INTERNAL int maplines_severity(maplines_status_t status);
+#if MAPLINES_RECEIVER
 /// MAPLINES_COMPLETE if a record of this length is intact; else LENGTH, MIXED or CRC.
 MAPLINES_INTERNAL maplines_reason_t maplines_check_record(const maplines_dbc_t *dbc, int owner,
                                                           const uint8_t *record, size_t length);
@@ -116,6 +117,7 @@ MAPLINES_INTERNAL maplines_reason_t maplines_check_record(const maplines_dbc_t *
 /// CONTENT if a record that is conditional on the pose error holds a value that no sender sends.
 MAPLINES_INTERNAL maplines_reason_t maplines_check_conditional(const maplines_dbc_t *dbc,
                                                                const uint8_t *record);
+#endif
 #endif
 /// Write page numbers, transfer IDs, counter and checksum into a record that has all else.
 MAPLINES_INTERNAL void maplines_seal(const maplines_dbc_t *dbc, int owner, uint8_t *record,

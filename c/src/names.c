@@ -13,6 +13,7 @@ static const char kind_names[][NAME_SIZE] = {"UNKNOWN",   "SOLID", "DASHED",  "D
                                              "ROAD_EDGE", "KERB",  "BARRIER", "VIRTUAL"};
 static const char status_names[][NAME_SIZE] = {"UNKNOWN",  "FULL",      "DIAGONAL",
                                                "REPAIRED", "SATURATED", "OUT_OF_RANGE"};
+#if MAPLINES_RECEIVER
 /// From MAPLINES_COMPLETE on, which is -1.
 static const char reason_names[][NAME_SIZE] = {
     "COMPLETE",        "PENDING",    "FOREIGN", "LENGTH", "PAGE", "DUPLICATE", "REPLACED",
@@ -31,7 +32,6 @@ static const struct {
     {MAPLINES_E2E_WRONGSEQUENCE, "WRONGSEQUENCE"},
     {MAPLINES_E2E_NONE, "NONE"},
 };
-#if MAPLINES_RECEIVER
 static const char prediction_names[][NAME_SIZE] = {"PREDICTED", "NOT_USABLE", "TOO_FAR",
                                                    "BAD_MOTION", "ILL_POSED"};
 #endif
@@ -68,6 +68,7 @@ const char *maplines_status_name(maplines_status_t status)
     return name_at(status_names, COUNT(status_names), (int)status);
 }
 
+#if MAPLINES_RECEIVER
 const char *maplines_reason_name(maplines_reason_t reason)
 {
     return name_at(reason_names, COUNT(reason_names), (int)reason - (int)MAPLINES_COMPLETE);
@@ -91,7 +92,6 @@ const char *maplines_e2e_status_name(maplines_e2e_status_t status)
     return name;
 }
 
-#if MAPLINES_RECEIVER
 const char *maplines_prediction_name(maplines_prediction_t prediction)
 {
     return name_at(prediction_names, COUNT(prediction_names), (int)prediction);

@@ -11,6 +11,22 @@ MAPLINES_INTERNAL const maplines_record_t *maplines_layout(const maplines_dbc_t 
 #endif
 }
 
+MAPLINES_INTERNAL uint32_t maplines_next_counter(const maplines_dbc_t *dbc, int owner,
+                                                 uint32_t counter)
+{
+    const unsigned bits = maplines_layout(dbc, owner)->counter.length;
+    const uint64_t mask = ((uint64_t)1 << bits) - 1U;
+    return (uint32_t)(((uint64_t)counter + 1U) & mask);
+}
+
+MAPLINES_INTERNAL int maplines_severity(maplines_status_t status)
+{
+    // UNKNOWN, FULL, DIAGONAL, REPAIRED, SATURATED, OUT_OF_RANGE
+    static const int order[6] = {4, 0, 3, 1, 2, 5};
+    return order[status];
+}
+
+#if MAPLINES_RECEIVER
 /// Number of pages of a record, by its content.
 static unsigned pages_of_content(const maplines_dbc_t *dbc, int owner, const uint8_t *record)
 {
@@ -25,21 +41,6 @@ static unsigned pages_of_content(const maplines_dbc_t *dbc, int owner, const uin
     (void)record;
 #endif
     return layout->pages;
-}
-
-MAPLINES_INTERNAL uint32_t maplines_next_counter(const maplines_dbc_t *dbc, int owner,
-                                                 uint32_t counter)
-{
-    const unsigned bits = maplines_layout(dbc, owner)->counter.length;
-    const uint64_t mask = ((uint64_t)1 << bits) - 1U;
-    return (uint32_t)(((uint64_t)counter + 1U) & mask);
-}
-
-MAPLINES_INTERNAL int maplines_severity(maplines_status_t status)
-{
-    // UNKNOWN, FULL, DIAGONAL, REPAIRED, SATURATED, OUT_OF_RANGE
-    static const int order[6] = {4, 0, 3, 1, 2, 5};
-    return order[status];
 }
 
 MAPLINES_INTERNAL maplines_reason_t maplines_check_record(const maplines_dbc_t *dbc, int owner,
@@ -95,6 +96,7 @@ MAPLINES_INTERNAL maplines_reason_t maplines_check_conditional(const maplines_db
     }
     return MAPLINES_COMPLETE;
 }
+#endif
 #endif
 
 MAPLINES_INTERNAL void maplines_seal(const maplines_dbc_t *dbc, int owner, uint8_t *record,

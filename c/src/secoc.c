@@ -41,6 +41,7 @@ static bool mac_of(mac_function_t function, void *context, uint16_t data_id,
                     mac);
 }
 
+#if MAPLINES_RECEIVER
 /// Whether two MACs are the same; it takes the same time whatever they are.
 static bool is_same_mac(const uint8_t *a, const uint8_t *b, unsigned length)
 {
@@ -128,7 +129,9 @@ MAPLINES_INTERNAL maplines_reason_t maplines_verify(const maplines_dbc_t *dbc, i
     }
     return freshness_us <= (uint64_t)*last_us ? MAPLINES_REPLAY : MAPLINES_AGE;
 }
+#endif
 
+#if MAPLINES_SENDER
 MAPLINES_INTERNAL size_t maplines_secured_pdu(const maplines_record_t *layout, uint16_t data_id,
                                               const uint8_t *record, size_t length, int64_t now_us,
                                               maplines_signer_t *signer, uint8_t pdu[64])
@@ -158,5 +161,6 @@ MAPLINES_INTERNAL size_t maplines_secured_pdu(const maplines_record_t *layout, u
     signer->last_us = freshness_us;
     return (size_t)authentic + layout->fd_freshness + layout->fd_mac;
 }
+#endif
 
 #endif

@@ -19,7 +19,8 @@ ABOUT = """\
 Generate C for an ECU from a DBC: a sender and a receiver of its lines, in C99, without allocation
 and without dependencies but the C library.
 
-  maplines.h         the interface; its first comment is the manual. It includes maplines_state.h
+  maplines.h         the interface; its first comment is the manual. It includes maplines_build.h
+                     and maplines_state.h
   maplines.c         the core: the same for each DBC
   NAME_dbc.h, .c     the constant NAME_dbc with all bits, factors and CAN IDs of the DBC
   CMakeLists.txt     a static library of them, for CMake and pkg-config

@@ -12,6 +12,8 @@ from ..wire.layout.message_layout import Layout
 from .c_build import ALL, Build, Features, build_of
 from .tables import tables_of
 
+#: The interface, and what it includes.
+HEADERS = ("maplines.h", "maplines_build.h", "maplines_state.h")
 #: A section of internal.h that declares what a source defines: its title gives the order.
 _SECTION = re.compile(r"^/\* -+ (\w+\.c)\b", re.MULTILINE)
 _LOCAL_INCLUDE = re.compile(r'^#include "(\w+\.h)"\n', re.MULTILINE)
@@ -82,10 +84,8 @@ def headers(build: Build) -> dict[str, str]:
     text = _text("include/maplines.h")
     for macro, value in build.macros.items():
         text = re.sub(rf"(?<=#define {macro} )\w+", str(value), text)
-    return {
-        "maplines.h": _MARKER.sub("", text),
-        "maplines_state.h": _text("include/maplines_state.h"),
-    }
+    included = {name: _text(f"include/{name}") for name in HEADERS if name != "maplines.h"}
+    return {"maplines.h": _MARKER.sub("", text)} | included
 
 
 def source(build: Build, internal: str = "static") -> str:
@@ -152,7 +152,7 @@ def _apart(name: str, text: str, shared: set[str]) -> str:
 def cmake(names: list[str]) -> str:
     """Return ``CMakeLists.txt`` of a static library with the tables of these names."""
     sources = ["maplines.c", *(f"{name}_dbc.c" for name in names)]
-    headers = ["maplines.h", "maplines_state.h", *(f"{name}_dbc.h" for name in names)]
+    headers = [*HEADERS, *(f"{name}_dbc.h" for name in names)]
     version = re.findall(r'#define MAPLINES_VERSION "(.+)"', _text("include/maplines.h"))[0]
     return CMAKE.format(version=version, sources=" ".join(sources), headers=" ".join(headers))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import subprocess
 from collections.abc import Iterator
@@ -77,6 +78,28 @@ def test_what_is_left_out_is_not_there(tmp_path: Path) -> None:
         command = ["gcc", "-std=c99", "-Werror", "-fsyntax-only", "program.c"]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False)
         assert (done.returncode == 0) == is_there, name
+
+
+def test_the_linker_says_which_size_differs(tmp_path: Path) -> None:
+    """As docs/embedding.md has it: the name that is missing and the one that is there."""
+    page = (c_core.C.parent / "docs" / "embedding.md").read_text(encoding="utf-8")
+    (printed,) = re.findall(r"(?m)^undefined reference to `(\w+)'$", page)
+    assert printed.count("slots3") == 1
+    written("small", tmp_path)
+    (tmp_path / "program.c").write_text(
+        '#include "harness_dbc.h"\n'
+        "int main(void) { maplines_line_t line = {0}; return maplines_y(&line, 0) > 0; }\n"
+    )
+    for name in ("program", "maplines"):
+        slots = ["-DMAPLINES_SLOTS=3"] if name == "program" else []
+        command = ["gcc", "-std=c99", "-ffp-contract=off", *slots, "-c", f"{name}.c"]
+        subprocess.run(command, check=True, cwd=tmp_path)
+    symbols = [
+        subprocess.check_output(["nm", f"{name}.o"], cwd=tmp_path, text=True).splitlines()
+        for name in ("program", "maplines")
+    ]
+    assert any(line.endswith(f" U {printed}") for line in symbols[0])
+    assert any(line.endswith(f" T {printed.replace('slots3', 'slots4')}") for line in symbols[1])
 
 
 def test_files_of_different_builds_do_not_link(tmp_path: Path) -> None:

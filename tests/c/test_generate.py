@@ -163,7 +163,7 @@ def test_nothing_but_the_interface_is_visible(compiled: Path) -> None:
         ["nm", "--defined-only", "--extern-only", "maplines.o"],
         check=True, cwd=compiled, capture_output=True, text=True,
     )  # fmt: skip
-    sizes = r"_(?:float|double)(?:_\d+){9}$"  # what the linker sees of the build
+    sizes = r"_(?:float|double)(?:_[a-z]+\d+){12}$"  # what the linker sees of the build
     names = [line.split()[2] for line in done.stdout.splitlines()]
     assert all(re.search(sizes, name) for name in names)
     interface = (compiled / "maplines.h").read_text()
@@ -239,8 +239,8 @@ def test_the_files_do_not_depend_on_folder_or_time(tmp_path: Path) -> None:
         contents.append({p.name: p.read_bytes() for p in (tmp_path / folder).iterdir()})
     assert contents[0] == contents[1]
     assert set(contents[0]) == {
-        "my.dbc", "maplines.h", "maplines_state.h", "maplines.c", "my_dbc.h", "my_dbc.c",
-        "CMakeLists.txt",
+        "my.dbc", "maplines.h", "maplines_build.h", "maplines_state.h", "maplines.c", "my_dbc.h",
+        "my_dbc.c", "CMakeLists.txt",
     }  # fmt: skip
 
 
@@ -271,6 +271,16 @@ def test_numbers_of_the_enumerations_are_those_of_python() -> None:
     enumerators("MAPLINES_", Status)
     enumerators("MAPLINES_E2E_", E2EState)
     enumerators("MAPLINES_E2E_", ProfileStatus)
+
+
+def test_the_interface_begins_with_what_a_receiver_calls() -> None:
+    """Before its first function is only what this one, or a sender, needs, too."""
+    text = headers(build_of({"x": layout_of("maplines.dbc")}))["maplines.h"]
+    functions = re.findall(r"(?m)^(?!#| |\*|/)[\w *]*?\bmaplines_(\w+)\(", text)
+    assert functions[:3] == ["decoder_init", "feed", "latest"]
+    before = text[: text.index("maplines_decoder_init(maplines_decoder_t")]
+    types = set(re.findall(r"(?m)^} maplines_(\w+)_t;", before))
+    assert types == {"owner", "kind", "status", "frame"}
 
 
 def test_reasons_have_the_order_of_python() -> None:

@@ -38,7 +38,7 @@ def check(done: subprocess.CompletedProcess[str]) -> list[list[str]]:
 def test_each_mistake_is_asserted_or_refused() -> None:
     """Each function of the header has its rows: the assertions of those that assert are counted."""
     rows = check(run("-O2", *COUNTED))
-    header = (c_core.C / "include" / "maplines.h").read_text()
+    header = (c_core.C / "include" / "maplines_build.h").read_text()
     public = set(re.findall(r"^#define maplines_(\w+) MAPLINES_NAME", header, re.MULTILINE))
     assert public - {function for function, *_ in rows} == WITHOUT_ARGUMENTS
 
