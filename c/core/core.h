@@ -345,9 +345,9 @@ bool maplines_see_curves(size_t lines, const double *curves, size_t n, const dou
 /// Lines (n, 4), each after a displacement of its own (n, 3); NaN where they are no functions of x.
 void maplines_transform_curves(size_t n, const double *curves, const double *poses, double *found);
 /// Derivatives (lines, 4, 3) with respect to the displacement.
-bool maplines_curve_jacobians(size_t lines, const double *curves, double *J);
+void maplines_curve_jacobians(size_t lines, const double *curves, double *J);
 /// Move lines so that they are the means over a pose error with covariance P.
-bool maplines_centre_curves(size_t lines, double *curves, const double P[9]);
+void maplines_centre_curves(size_t lines, double *curves, const double P[9]);
 /// Joint covariance (4 lines, 4 lines) for a pose error, and its factor A (4 lines, 7).
 bool maplines_spread_curves(size_t lines, const double *curves, const double P[9], double *A,
                             double *cov);

@@ -2,10 +2,12 @@
  * other poses.
  */
 #include "core.h"
-#include "internal.h"
+#include "propagation.h"
 
 /// Largest variance or covariance: values/linalg.py.
 #define MAX_COV 1e307
+/// Most halvings of the distance to a pose from which a line is no function of x.
+#define HALVINGS 60
 
 /// Values are finite, variances are 0 or more, and there is no covariance of a variance of 0. The
 /// scale is the standard deviations, or 1 instead of 0.
@@ -236,12 +238,17 @@ void maplines_elementary(int function, size_t n, const double *x, double *y, dou
 
 /* ---- lines seen from other poses ------------------------------------------------------------- */
 
-/// Line of rows of 7: mean (4), fit range (2) [m], and coefficient of T_4 [m]; and its points.
-static maplines_curve_t curve_of(const double row[7], maplines_points_t *points)
+/// Line of a row: mean (4), fit range (2) [m], and coefficient of T_4 [m].
+static maplines_curve_t curve_of(const double row[7])
 {
     const maplines_curve_t curve = {{row[0], row[1], row[2], row[3]}, {row[4], row[5]}, row[6]};
-    maplines_points_of(&curve, points);
     return curve;
+}
+
+static void points_of(const double row[7], maplines_points_t *points)
+{
+    const maplines_curve_t curve = curve_of(row);
+    maplines_points_of(&curve, points);
 }
 
 bool maplines_are_functions(size_t lines, const double *curves)
@@ -250,7 +257,7 @@ bool maplines_are_functions(size_t lines, const double *curves)
     for (size_t i = 0; i < lines; i++)
     {
         maplines_points_t points;
-        (void)curve_of(curves + 7 * i, &points);
+        points_of(curves + 7 * i, &points);
         are_functions = are_functions && maplines_is_function(&points);
     }
     return are_functions;
@@ -264,6 +271,36 @@ void maplines_bases_of(size_t lines, const double *means, const double *fit_rang
     }
 }
 
+/// Line seen from a pose; extrapolated if it is no function of x there. False if that fails.
+static bool seen_from(const maplines_points_t *points, const double pose[3], double line[4])
+{
+    static const double origin[3] = {0.0, 0.0, 0.0};
+    maplines_refitted(points, pose, line);
+    if (line[0] == line[0])
+    {
+        return true;
+    }
+    double mean[4];
+    maplines_refitted(points, origin, mean);
+    double share = 1.0;
+    for (int i = 0; i < HALVINGS; ++i)
+    {
+        share = share / 2.0;
+        const double nearer[3] = {share * pose[0], share * pose[1], share * pose[2]};
+        maplines_refitted(points, nearer, line);
+        for (int j = 0; j < 4; ++j)
+        {
+            const double slope = (line[j] - mean[j]) / share;
+            line[j] = mean[j] + slope;
+        }
+        if (line[0] == line[0])
+        {
+            return true;
+        }
+    }
+    return false;
+}
+
 bool maplines_see_curves(size_t lines, const double *curves, size_t n, const double *poses,
                          double *found)
 {
@@ -271,10 +308,10 @@ bool maplines_see_curves(size_t lines, const double *curves, size_t n, const dou
     for (size_t i = 0; i < lines; i++)
     {
         maplines_points_t points;
-        (void)curve_of(curves + 7 * i, &points);
+        points_of(curves + 7 * i, &points);
         for (size_t k = 0; k < n; k++)
         {
-            is_right &= maplines_seen(&points, poses + 3 * k, found + 4 * (k * lines + i));
+            is_right &= seen_from(&points, poses + 3 * k, found + 4 * (k * lines + i));
         }
     }
     return is_right;
@@ -285,52 +322,63 @@ void maplines_transform_curves(size_t n, const double *curves, const double *pos
     for (size_t i = 0; i < n; i++)
     {
         maplines_points_t points;
-        (void)curve_of(curves + 7 * i, &points);
+        points_of(curves + 7 * i, &points);
         maplines_refitted(&points, poses + 3 * i, found + 4 * i);
     }
 }
 
-bool maplines_curve_jacobians(size_t lines, const double *curves, double *J)
+/// How a line of a row changes with the pose.
+static void line_changes(const double row[7], double W[7][4])
 {
-    bool is_right = true;
-    for (size_t i = 0; i < lines; i++)
-    {
-        maplines_points_t points;
-        (void)curve_of(curves + 7 * i, &points);
-        is_right &= maplines_pose_jacobian(&points, (double(*)[3])(J + 12 * i));
-    }
-    return is_right;
+    const maplines_curve_t curve = curve_of(row);
+    maplines_changes_t changes;
+    maplines_changes_of(&curve, &changes);
+    maplines_line_changes(&changes, W);
 }
 
-bool maplines_centre_curves(size_t lines, double *curves, const double P[9])
+void maplines_curve_jacobians(size_t lines, const double *curves, double *J)
 {
-    double poses[MAPLINES_POSES][3];
-    bool is_right = true;
-    maplines_pose_points(P, poses);
     for (size_t i = 0; i < lines; i++)
     {
-        maplines_points_t points;
-        maplines_curve_t curve = curve_of(curves + 7 * i, &points);
-        is_right &= maplines_centre_line(&curve, &points, poses);
-        memcpy(curves + 7 * i, curve.mean, sizeof curve.mean);
+        double W[7][4];
+        line_changes(curves + 7 * i, W);
+        for (int k = 0; k < 4; ++k)
+        {
+            const double row[3] = {W[1][k], W[2][k], W[0][k]}; // along, across, heading
+            memcpy(J + 12 * i + 3 * k, row, sizeof row);
+        }
     }
-    return is_right;
+}
+
+void maplines_centre_curves(size_t lines, double *curves, const double P[9])
+{
+    for (size_t i = 0; i < lines; i++)
+    {
+        double W[7][4];
+        double *mean = curves + 7 * i;
+        line_changes(mean, W);
+        for (int k = 0; k < 4; ++k)
+        {
+            mean[k] -= W[3][k] * P[8] + W[4][k] * P[2] + W[5][k] * P[5] + W[6][k] * P[0];
+        }
+    }
 }
 
 bool maplines_spread_curves(size_t lines, const double *curves, const double P[9], double *A,
                             double *cov)
 {
-    double poses[MAPLINES_POSES][3];
+    maplines_pose_root_t root;
     const int rows = (int)(4 * lines);
     bool is_right = true;
-    maplines_pose_points(P, poses);
+    maplines_pose_root(P, &root);
     for (size_t i = 0; i < lines; i++)
     {
-        maplines_points_t points;
-        const maplines_curve_t curve = curve_of(curves + 7 * i, &points);
-        double(*own)[MAPLINES_POSES] = (double(*)[MAPLINES_POSES])A + 4 * i;
-        is_right &= maplines_spread(&curve, poses, own);
+        const maplines_curve_t curve = curve_of(curves + 7 * i);
+        maplines_changes_t changes;
+        double(*own)[MAPLINES_COLUMNS] = (double(*)[MAPLINES_COLUMNS])A + 4 * i;
+        maplines_changes_of(&curve, &changes);
+        is_right &= maplines_spread(&changes, &root, own);
     }
-    maplines_product_transposed(rows, MAPLINES_POSES, rows, A, A, cov);
+    maplines_product_transposed(rows, MAPLINES_COLUMNS, rows, A, A, cov);
     return is_right;
 }

@@ -41,6 +41,12 @@ static inline double maplines_hypot(double x, double y)
     return sqrt(x * x + y * y);
 }
 
+/* ---- square_root.c ----------------------------------------------------------------------------
+ */
+
+/// Square root of an (n, n) positive semidefinite matrix, n up to 4.
+void maplines_square_root(int n, const double *cov, double *L);
+
 /* ---- stretches.c: what is seen of lines -------------------------------------------------------
  */
 

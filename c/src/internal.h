@@ -317,26 +317,46 @@ MAPLINES_INTERNAL void maplines_refitted(const maplines_points_t *points, const 
 /* ---- seen_lines.c: lines as functions of the pose, as model/lines.py
  * ------------------------ */
 
-#define MAPLINES_POSES 7 ///< sigma points of a pose error, the first of which is 0
-
 /// Derivatives of a line with respect to its coefficients of T_0 .. T_3; upper triangular.
 MAPLINES_INTERNAL void maplines_bases(const double mean[4], const double fit_range[2],
                                       double J[16]);
-/// Square root of an (n, n) positive semidefinite matrix, n up to 4; as model/matrices.py.
-MAPLINES_INTERNAL void maplines_square_root(int n, const double *cov, double *L);
-/// Sigma points of a pose error with covariance P.
-MAPLINES_INTERNAL void maplines_pose_points(const double P[9], double (*poses)[3]);
-/// Line seen from a pose; extrapolated if it is no function of x there. False if that fails.
-MAPLINES_INTERNAL bool maplines_seen(const maplines_points_t *points, const double pose[3],
-                                     double line[4]);
-/// Derivatives of a line with respect to the pose. False if it is no function of x next to it.
-MAPLINES_INTERNAL bool maplines_pose_jacobian(const maplines_points_t *points, double J[4][3]);
-/// Move a line so that it is the mean over the sigma points of a pose error; points are its own.
-MAPLINES_INTERNAL bool maplines_centre_line(maplines_curve_t *curve, maplines_points_t *points,
-                                            double (*poses)[3]);
-/// Rows A of a factor of the covariance of a line due to a pose error with these sigma points.
-MAPLINES_INTERNAL bool maplines_spread(const maplines_curve_t *curve, double (*poses)[3],
-                                       double A[4][MAPLINES_POSES]);
+
+/// How a line changes with the pose from which it is seen, to second order.
+typedef struct {
+    double J[16];   ///< derivatives of the line with respect to its coefficients of T_0 .. T_3
+    double tangent; ///< of beta
+    /// Changes of these coefficients by heading, along, across, and by heading^2, heading along,
+    /// heading across and along^2.
+    double rows[7][4];
+} maplines_changes_t;
+
+MAPLINES_INTERNAL void maplines_changes_of(const maplines_curve_t *curve,
+                                           maplines_changes_t *changes);
+/// The same changes of the line itself, by rows.
+MAPLINES_INTERNAL void maplines_line_changes(const maplines_changes_t *changes, double W[7][4]);
+
+/// Lower triangular roots of the covariance of a pose error, in the order heading, along, across,
+/// and of that of its products heading^2, heading along, heading across and along^2.
+typedef struct {
+    double first[9];
+    double second[16];
+} maplines_pose_root_t;
+
+/// Roots for a positive semidefinite covariance P.
+MAPLINES_INTERNAL void maplines_pose_root(const double P[9], maplines_pose_root_t *root);
+
+#define MAPLINES_COLUMNS 7 ///< of the factor of a line due to the pose error
+
+/// Rows A of a factor of the covariance of a line due to the pose error. False if it overflows.
+MAPLINES_INTERNAL bool maplines_spread(const maplines_changes_t *changes,
+                                       const maplines_pose_root_t *root,
+                                       double A[4][MAPLINES_COLUMNS]);
+/// Standard deviation that the coefficients of T_0 .. T_3 of a line with levels have at least [m].
+#define MAPLINES_RESOLUTION 0x1p-9
+/// Covariance of the coefficients of T_0 .. T_3 that all lines of a scene have: of the resolution
+/// of the means, and of the map error.
+MAPLINES_INTERNAL void maplines_common(const maplines_changes_t *changes, double offset_sigma,
+                                       double heading_sigma, double cov[16]);
 /// Valid range of a line, within its fit range [m].
 MAPLINES_INTERNAL void maplines_valid_range(const maplines_curve_t *curve, const double P[9],
                                             const double specific_cov[16], double heading_sigma,
@@ -394,28 +414,20 @@ typedef struct {
     uint8_t record[MAPLINES_MAX_RECORD];
 } maplines_member_t;
 
-/// Standard deviation that the coefficients of T_0 .. T_3 of a line with levels have at least [m].
-#define MAPLINES_RESOLUTION 0x1p-9
-/// Covariance of the coefficients of T_0 .. T_3 that all lines of a scene have: of the resolution
-/// of the means, and of the map error. False if the line is no function of x next to its pose.
-MAPLINES_INTERNAL bool maplines_common(const maplines_curve_t *curve,
-                                       const maplines_points_t *points, double offset_sigma,
-                                       double heading_sigma, double cov[16]);
 /// Factor of a line-specific covariance: that of levels, and what is common to all lines.
-MAPLINES_INTERNAL void maplines_specific_factor(const maplines_curve_t *curve,
-                                                const double levels[16], const double common[16],
-                                                double factor[4][4]);
+MAPLINES_INTERNAL void maplines_specific_factor(const double J[16], const double levels[16],
+                                                const double common[16], double factor[4][4]);
 /// Levels by which the record of a line, or of the pose error, is decoded.
 MAPLINES_INTERNAL const maplines_levels_t *maplines_levels_of(const maplines_dbc_t *dbc);
 #if MAPLINES_RECEIVER
 /// Set the factors of the line at a place of a scene: A due to the pose error, F line-specific. In
 /// single precision they are widened so that they cover what the rounding loses.
 MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, const double mean[4],
-                                            double A[4][MAPLINES_POSES], double F[4][4],
+                                            double A[4][MAPLINES_COLUMNS], double F[4][4],
                                             maplines_scene_t *scene);
 /// Scene of a record of the pose error and records of lines, all of them intact and checked.
 /// False if a line is no function of x in its range; no sender sends such a line. The times are
-/// limited ones. It needs 5 kB of stack.
+/// limited ones.
 MAPLINES_INTERNAL bool maplines_decode_scene(const maplines_dbc_t *dbc, const uint8_t *pose_record,
                                              int64_t t_ns, int count,
                                              const maplines_member_t *members,

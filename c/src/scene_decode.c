@@ -15,7 +15,7 @@
 /// Pose error, in double precision.
 typedef struct {
     double P[9];
-    double poses[MAPLINES_POSES][3]; ///< its sigma points
+    maplines_pose_root_t root;
     double offset_sigma;
     double heading_sigma;
     double largest_heading_sigma; ///< for which the level of the heading may stand
@@ -29,17 +29,6 @@ typedef struct {
     int64_t lateral, points, shape; ///< levels of the line-specific covariance
     bool is_full;                   ///< the record has all entries of it instead
 } member_t;
-
-/// C = C + A A^T for an (n, k) matrix A.
-static void add_square(int n, int k, const double *A, double *C)
-{
-    double square[16];
-    maplines_product_transposed(n, k, n, A, A, square);
-    for (int i = 0; i < n * n; ++i)
-    {
-        C[i] = C[i] + square[i];
-    }
-}
 
 MAPLINES_INTERNAL const maplines_levels_t *maplines_levels_of(const maplines_dbc_t *dbc)
 {
@@ -55,57 +44,16 @@ MAPLINES_INTERNAL const maplines_levels_t *maplines_levels_of(const maplines_dbc
     return &dbc->slot_levels[slot];
 }
 
-MAPLINES_INTERNAL bool maplines_common(const maplines_curve_t *curve,
-                                       const maplines_points_t *points, double offset_sigma,
-                                       double heading_sigma, double cov[16])
-{
-    for (int i = 0; i < 16; ++i)
-    {
-        cov[i] = i % 5 == 0 ? MAPLINES_RESOLUTION * MAPLINES_RESOLUTION : 0.0;
-    }
-    if (offset_sigma <= 0.0 && heading_sigma <= 0.0)
-    {
-        return true;
-    }
-    double by_pose[4][3];
-    if (!maplines_pose_jacobian(points, by_pose))
-    {
-        return false;
-    }
-    double J[16];
-    double K[12] = {0.0};
-    maplines_bases(curve->mean, curve->fit_range, J);
-    for (int j = 0; j < 3; ++j)
-    {
-        const double sigma = j < 2 ? offset_sigma : heading_sigma;
-        for (int i = 3; i >= 0; --i) // J is upper triangular
-        {
-            double rest = by_pose[i][j] * sigma;
-            for (int k = 3; k > i; --k)
-            {
-                const double term = J[4 * i + k] * K[3 * k + j];
-                rest = rest - term;
-            }
-            K[3 * i + j] = rest / J[5 * i];
-        }
-    }
-    add_square(4, 3, K, cov);
-    return true;
-}
-
-MAPLINES_INTERNAL void maplines_specific_factor(const maplines_curve_t *curve,
-                                                const double levels[16], const double common[16],
-                                                double factor[4][4])
+MAPLINES_INTERNAL void maplines_specific_factor(const double J[16], const double levels[16],
+                                                const double common[16], double factor[4][4])
 {
     double own[16];
-    double J[16];
     for (int i = 0; i < 16; ++i)
     {
         own[i] = levels[i] + common[i];
         own[i] = i % 5 == 0 ? own[i] * (1.0 + MAPLINES_ROUNDING) : own[i];
     }
     (void)maplines_cholesky_factor(4, own, own); // definite for any bits
-    maplines_bases(curve->mean, curve->fit_range, J);
     maplines_product(4, 4, 4, J, own, factor[0]);
 }
 
@@ -129,7 +77,7 @@ static void read_pose(const maplines_dbc_t *dbc, const uint8_t *record, pose_err
         scene->pose_factor[i / 3][i % 3] = (maplines_real_t)F[i];
     }
     maplines_product_transposed(3, 3, 3, F, F, pose->P);
-    maplines_pose_points(pose->P, pose->poses);
+    maplines_pose_root(pose->P, &pose->root);
 
     const int64_t raw_age = maplines_get(&dbc->pose_age, record);
     const int64_t raw_time = maplines_get(&dbc->correlation_time, record);
@@ -221,16 +169,16 @@ static double later(double age, int64_t passed_ns)
 
 /// Set the valid range of a line that is conditional on the pose error.
 static void set_valid_range(const pose_error_t *pose, const maplines_curve_t *curve,
-                            const maplines_points_t *points, const double specific_cov[16],
+                            const maplines_changes_t *changes, const double specific_cov[16],
                             maplines_line_t *line)
 {
     double heading_sigma = pose->largest_heading_sigma;
     if (pose->is_heading_limited)
     {
         // It may be beyond the levels, but no more than the variance of beta has room for.
-        double J[4][3];
-        (void)maplines_pose_jacobian(points, J); // maplines_common has found that there is one
-        const double size = fabs(J[1][2]);
+        double W[7][4];
+        maplines_line_changes(changes, W);
+        const double size = fabs(W[0][1]);
         const double turn = size > MAPLINES_MIN_TURN ? size : MAPLINES_MIN_TURN;
         const double possible = sqrt(specific_cov[5]) / turn;
         heading_sigma = possible > heading_sigma ? possible : heading_sigma;
@@ -291,11 +239,11 @@ static bool decode_member(const maplines_dbc_t *dbc, pose_error_t *pose, const u
         return false;
     }
 
-    double A[4][MAPLINES_POSES];
+    double A[4][MAPLINES_COLUMNS];
     double F[4][4];
-    double common[16];
-    if (!maplines_common(curve, &points, pose->offset_sigma, pose->heading_sigma, common) ||
-        !maplines_spread(curve, pose->poses, A))
+    maplines_changes_t changes;
+    maplines_changes_of(curve, &changes);
+    if (!maplines_spread(&changes, &pose->root, A))
     {
         return false;
     }
@@ -306,14 +254,16 @@ static bool decode_member(const maplines_dbc_t *dbc, pose_error_t *pose, const u
     else
     {
         double levels[16];
+        double common[16];
+        maplines_common(&changes, pose->offset_sigma, pose->heading_sigma, common);
         maplines_decode_levels(maplines_levels_of(dbc), curve, member.lateral, member.points,
                                member.shape, levels);
-        maplines_specific_factor(curve, levels, common, F);
+        maplines_specific_factor(changes.J, levels, common, F);
     }
     double specific_cov[16];
     double cov[16];
     maplines_product_transposed(4, 4, 4, F[0], F[0], specific_cov);
-    maplines_product_transposed(4, MAPLINES_POSES, 4, A[0], A[0], cov);
+    maplines_product_transposed(4, MAPLINES_COLUMNS, 4, A[0], A[0], cov);
     for (int i = 0; i < 16; ++i)
     {
         cov[i] = cov[i] + specific_cov[i];
@@ -338,7 +288,7 @@ static bool decode_member(const maplines_dbc_t *dbc, pose_error_t *pose, const u
     line->components = 1;
     line->t_ns = given->t_ns;
     line->age = (maplines_real_t)later(pose->age, given->t_ns - pose_ns);
-    set_valid_range(pose, curve, &points, specific_cov, line);
+    set_valid_range(pose, curve, &changes, specific_cov, line);
     return true;
 }
 

@@ -202,26 +202,25 @@ static bool decode_lines(const maplines_dbc_t *dbc, const maplines_scene_input_t
 /// Compute what the lines have in common; false if one of them cannot be seen from other poses.
 static bool find_spread(maplines_scene_workspace_t *space)
 {
-    double A[4 * MAPLINES_SLOTS][MAPLINES_POSES];
-    double poses[MAPLINES_POSES][3];
-    maplines_pose_points(space->decoded_pose, poses);
+    double A[4 * MAPLINES_SLOTS][MAPLINES_COLUMNS];
+    maplines_pose_root_t root;
+    maplines_pose_root(space->decoded_pose, &root);
     for (int i = 0; i < space->count; ++i)
     {
         maplines_sent_line_t *line = &space->lines[i];
         const maplines_curve_t curve =
             maplines_curve_of(line->mean, line->fit_range, line->quartic);
-        maplines_points_t points;
-        maplines_points_of(&curve, &points);
-        maplines_bases(line->mean, line->fit_range, line->J);
-        if (!maplines_spread(&curve, poses, &A[4 * i]) ||
-            !maplines_common(&curve, &points, space->offset_sigma, space->heading_sigma,
-                             line->common))
+        maplines_changes_t changes;
+        maplines_changes_of(&curve, &changes);
+        maplines_common(&changes, space->offset_sigma, space->heading_sigma, line->common);
+        memcpy(line->J, changes.J, sizeof line->J);
+        if (!maplines_spread(&changes, &root, &A[4 * i]))
         {
             return false;
         }
     }
     const int n = 4 * space->count;
-    maplines_product_transposed(n, MAPLINES_POSES, n, A[0], A[0], space->rest);
+    maplines_product_transposed(n, MAPLINES_COLUMNS, n, A[0], A[0], space->rest);
     return true;
 }
 

@@ -21,10 +21,10 @@
 
 #define ROUNDED_SHARE 0x1p-10 // d
 #define ROUNDED_SCALE 1.00049 // s, rounded up
-#define ROUNDED_COLUMNS (4 + MAPLINES_POSES + 1)
+#define ROUNDED_COLUMNS (4 + MAPLINES_COLUMNS + 1)
 
 MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, const double mean[4],
-                                            double A[4][MAPLINES_POSES], double F[4][4],
+                                            double A[4][MAPLINES_COLUMNS], double F[4][4],
                                             maplines_scene_t *scene)
 {
     const double n = (double)scene->count;
@@ -38,14 +38,14 @@ MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, c
         const int state = order[i];
         double *row = columns + i * ROUNDED_COLUMNS;
         memcpy(row, F[state], 4 * sizeof(double));
-        for (int k = 0; k < MAPLINES_POSES; ++k)
+        for (int k = 0; k < MAPLINES_COLUMNS; ++k)
         {
             const double exact = ROUNDED_SCALE * A[state][k];
             const float rounded = (float)exact;
             scene->spread[4 * place + state][k] = rounded;
             row[4 + k] = by_error * ((double)rounded - exact);
         }
-        row[4 + MAPLINES_POSES] = sqrt(n) * ((double)(float)mean[state] - mean[state]);
+        row[4 + MAPLINES_COLUMNS] = sqrt(n) * ((double)(float)mean[state] - mean[state]);
     }
     maplines_lower_root(4, ROUNDED_COLUMNS, columns, root);
     for (int i = 0; i < 4; ++i)
@@ -59,7 +59,7 @@ MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, c
 #else
 
 MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, const double mean[4],
-                                            double A[4][MAPLINES_POSES], double F[4][4],
+                                            double A[4][MAPLINES_COLUMNS], double F[4][4],
                                             maplines_scene_t *scene)
 {
     (void)order;

@@ -147,16 +147,18 @@ MAPLINES_INTERNAL bool maplines_find_parts(const maplines_scene_input_t *scene, 
     const maplines_scene_line_t *line = &scene->lines[place];
     const maplines_curve_t curve = maplines_curve_of(line->mean, member->range, member->quartic);
     double P[9];
-    double poses[MAPLINES_POSES][3];
-    double A[4][MAPLINES_POSES];
+    maplines_pose_root_t root;
+    maplines_changes_t changes;
+    double A[4][MAPLINES_COLUMNS];
     double error[4];
     memcpy(P, scene->pose_cov, sizeof P);
-    maplines_pose_points(P, poses);
-    if (!maplines_spread(&curve, poses, A))
+    maplines_pose_root(P, &root);
+    maplines_changes_of(&curve, &changes);
+    if (!maplines_spread(&changes, &root, A))
     {
         return false;
     }
-    maplines_product_transposed(4, MAPLINES_POSES, 4, A[0], A[0], member->due_to_pose);
+    maplines_product_transposed(4, MAPLINES_COLUMNS, 4, A[0], A[0], member->due_to_pose);
     maplines_bases(member->mean, member->range, member->stated_J);
     if (scene->has_specific)
     {

@@ -1,14 +1,12 @@
 /* Lines as functions of the pose from which they are seen.
  *
- * It has the operations of model/lines.py and model/matrices.py in the same order.
+ * It has the operations of model/lines.py in the same order.
  */
 #include "internal.h"
 
 #if MAPLINES_SCENES
 
-#define MAPLINES_MARGIN 3.0  ///< standard deviations of the pose error at an end of a range
-#define MAPLINES_HALVINGS 60 ///< of the distance to a pose from which a line is no function of x
-#define MAPLINES_STEP 1e-4   ///< of the pose, for derivatives [m, rad]
+#define MAPLINES_MARGIN 3.0 ///< standard deviations of the pose error at an end of a range
 
 MAPLINES_INTERNAL void maplines_bases(const double mean[4], const double fit_range[2], double J[16])
 {
@@ -32,246 +30,221 @@ MAPLINES_INTERNAL void maplines_bases(const double mean[4], const double fit_ran
     }
 }
 
-/* ---- square roots of matrices that may be singular ------------------------------------------- */
-
-/// Reflect an (n, n) matrix M from column k on, so that a row v of it ends in column k.
-static void reflect(int n, double *M, int k, double *v, double norm)
-{
-    double squares[4];
-    v[k] = v[k] + copysign(norm, v[k]);
-    for (int l = k; l < n; ++l)
-    {
-        squares[l - k] = v[l] * v[l];
-    }
-    const double twice = 2.0 / maplines_total(n - k, squares);
-    for (int i = 0; i < n; ++i)
-    {
-        double along[4];
-        for (int l = k; l < n; ++l)
-        {
-            along[l - k] = M[i * n + l] * v[l];
-        }
-        const double share = maplines_total(n - k, along) * twice;
-        for (int l = k; l < n; ++l)
-        {
-            const double term = share * v[l];
-            M[i * n + l] = M[i * n + l] - term;
-        }
-    }
-}
-
-/// Square root of a singular matrix, from the eigenvalues above `tiny` of the correlation matrix.
-static void semidefinite_root(int n, const double *cov, double tiny, double *L)
-{
-    double scale[4];
-    double correlation[16];
-    double values[4];
-    double M[16];
-    for (int i = 0; i < n; ++i)
-    {
-        scale[i] = cov[i * (n + 1)] > 0.0 ? sqrt(cov[i * (n + 1)]) : 1.0;
-    }
-    for (int i = 0; i < n * n; ++i)
-    {
-        correlation[i] = cov[i] / (scale[i / n] * scale[i % n]);
-        L[i] = 0.0;
-    }
-    maplines_eigen(n, correlation, values, M);
-    for (int i = 0; i < n * n; ++i)
-    {
-        M[i] = M[i] * sqrt(values[i % n] > tiny ? values[i % n] : 0.0);
-    }
-    int k = 0; // column for the next row that does not depend on those before it; k <= j
-    for (int j = 0; j < n; ++j)
-    {
-        double v[4];
-        double squares[4] = {0.0};
-        for (int l = k; l < n; ++l)
-        {
-            v[l] = M[j * n + l];
-            squares[l - k] = v[l] * v[l];
-        }
-        const double norm = sqrt(maplines_total(n - k, squares));
-        if (norm > tiny)
-        {
-            reflect(n, M, k, v, norm);
-            const double sign = M[j * n + k] > 0.0 ? 1.0 : -1.0;
-            for (int i = j; i < n; ++i)
-            {
-                L[i * n + j] = M[i * n + k] * sign;
-            }
-            ++k;
-        }
-    }
-    for (int i = 0; i < n * n; ++i)
-    {
-        const double variance = cov[i / n * (n + 1)];
-        L[i] = L[i] * sqrt(variance > 0.0 ? variance : 0.0); // zero variance: zero row
-    }
-}
-
-MAPLINES_INTERNAL void maplines_square_root(int n, const double *cov, double *L)
-{
-    const double tiny = 8.0 * n * 0x1p-52;
-    bool is_regular = maplines_cholesky_factor(n, cov, L);
-    for (int i = 0; is_regular && i < n; ++i)
-    {
-        const double pivot = L[i * (n + 1)];
-        is_regular = pivot * pivot > tiny * cov[i * (n + 1)];
-    }
-    if (!is_regular)
-    {
-        semidefinite_root(n, cov, tiny, L);
-    }
-}
-
 /* ---- lines seen from other poses --------------------------------------------------------------
+ *
+ * A car that is a further along, b further across and turned by t sees the point (x, y) of a line
+ * at (x + u1 + u2, y + v1 + v2), with the terms of first and of second order
+ *
+ *     u1 = t y - a,     u2 = -t b - t^2 x / 2
+ *     v1 = -t x - b,    v2 =  t a - t^2 y / 2
+ *
+ * The line is a cubic p, with the slope m and the second derivative k, and a rest r. From there,
+ * the cubic is p + p1 + p2. With F the fit of a cubic to values at the points of the line,
+ *
+ *     p1 = F(v1 - m u1) + what moving the points by u1 does to the fit of r
+ *     p2 = F(v2 - m u2 - k u1^2 / 2 - p1' u1)
+ *
+ * F is the projection that is orthogonal on the roots of T_8.
  */
 
-MAPLINES_INTERNAL void maplines_pose_points(const double P[9], double (*poses)[3])
+#define MAPLINES_ROOTS 8
+
+/// Those of T_8 that are positive, from the greatest on; and T_2 and T_3 there.
+static const double roots[3][MAPLINES_ROOTS / 2] = {
+    {0x1.f6297cff75cb0p-1, 0x1.a9b66290ea1a3p-1, 0x1.1c73b39ae68c9p-1, 0x1.8f8b83c69a60cp-3},
+    {0x1.d906bcf328d46p-1, 0x1.87de2a6aea964p-2, -0x1.87de2a6aea960p-2, -0x1.d906bcf328d46p-1},
+    {0x1.a9b66290ea1a2p-1, -0x1.8f8b83c69a608p-3, -0x1.f6297cff75cb0p-1, -0x1.1c73b39ae68cap-1},
+};
+
+/// Coefficients of T_0 .. T_3 of the cubic that is fitted to values at the roots, from 1 to -1.
+static void project(const double values[MAPLINES_ROOTS], double coefficients[4])
 {
-    double L[9];
-    maplines_square_root(3, P, L);
-    memset(poses, 0, MAPLINES_POSES * sizeof *poses);
-    const double length = sqrt(3.0);
-    for (int k = 0; k < 3; ++k)
+    double sums[4];
+    for (int i = 0; i < MAPLINES_ROOTS / 2; ++i)
     {
-        for (int i = 0; i < 3; ++i)
+        const double even = values[i] + values[MAPLINES_ROOTS - 1 - i];
+        const double odd = values[i] - values[MAPLINES_ROOTS - 1 - i];
+        const double terms[4] = {even, odd * roots[0][i], even * roots[1][i], odd * roots[2][i]};
+        for (int k = 0; k < 4; ++k)
         {
-            poses[1 + k][i] = length * L[3 * i + k];
-            poses[4 + k][i] = -poses[1 + k][i];
+            sums[k] = i == 0 ? terms[k] : sums[k] + terms[k];
         }
+    }
+    for (int k = 0; k < 4; ++k)
+    {
+        coefficients[k] = sums[k] / (k == 0 ? 8.0 : 4.0);
     }
 }
 
-MAPLINES_INTERNAL bool maplines_seen(const maplines_points_t *points, const double pose[3],
-                                     double line[4])
+MAPLINES_INTERNAL void maplines_changes_of(const maplines_curve_t *curve,
+                                           maplines_changes_t *changes)
 {
-    static const double origin[3] = {0.0, 0.0, 0.0};
-    maplines_refitted(points, pose, line);
-    if (line[0] == line[0])
+    const double centre = (curve->fit_range[0] + curve->fit_range[1]) / 2.0;
+    const double half = (curve->fit_range[1] - curve->fit_range[0]) / 2.0;
+    const double *mean = curve->mean;
+    const double tangent = maplines_tan(mean[1]);
+    double along[MAPLINES_ROOTS];
+    double heading[MAPLINES_ROOTS];
+    double moved[MAPLINES_ROOTS];
+    double heading_squared[MAPLINES_ROOTS];
+    double heading_along[MAPLINES_ROOTS];
+    double along_squared[MAPLINES_ROOTS];
+    for (int i = 0; i < MAPLINES_ROOTS; ++i)
     {
-        return true;
+        const int place = i < MAPLINES_ROOTS / 2 ? i : MAPLINES_ROOTS - 1 - i;
+        const double offset = half * roots[0][place];
+        const double x = i == place ? centre + offset : centre - offset;
+        const double bend = x * mean[3];
+        const double k = mean[2] + bend;
+        const double to_m = x * (mean[2] + bend / 2.0);
+        const double m = tangent + to_m;
+        const double to_slope = x * (mean[2] / 2.0 + bend / 6.0);
+        const double to_p = x * (tangent + to_slope);
+        const double p = mean[0] + to_p;
+        const double square = roots[1][place] * roots[1][place];
+        const double r = curve->quartic * (2.0 * square - 1.0); // T_4 = 2 T_2^2 - 1
+        const double y = p + r;
+        const double m_y = m * y;
+        const double m_m = m * m;
+        const double k_y = k * y;
+        const double m_x = m * x;
+        const double k_y_y = k_y * y;
+        const double m_m_y = m_m * y;
+        along[i] = m;
+        heading[i] = -(x + m_y);
+        moved[i] = r * y;
+        heading_squared[i] = (y + m_x + k_y_y) / 2.0 + m_m_y;
+        heading_along[i] = -(m_m + k_y);
+        along_squared[i] = k / 2.0;
     }
-    double mean[4];
-    maplines_refitted(points, origin, mean);
-    double share = 1.0;
-    for (int i = 0; i < MAPLINES_HALVINGS; ++i)
-    {
-        share = share / 2.0;
-        const double nearer[3] = {share * pose[0], share * pose[1], share * pose[2]};
-        maplines_refitted(points, nearer, line);
-        for (int j = 0; j < 4; ++j)
-        {
-            const double slope = (line[j] - mean[j]) / share;
-            line[j] = mean[j] + slope;
-        }
-        if (line[0] == line[0])
-        {
-            return true;
-        }
-    }
-    return false;
-}
-
-MAPLINES_INTERNAL bool maplines_pose_jacobian(const maplines_points_t *points, double J[4][3])
-{
-    for (int k = 0; k < 3; ++k)
-    {
-        double pose[3] = {0.0, 0.0, 0.0};
-        double ahead[4];
-        double behind[4];
-        pose[k] = MAPLINES_STEP;
-        if (!maplines_seen(points, pose, ahead))
-        {
-            return false;
-        }
-        pose[k] = -MAPLINES_STEP;
-        if (!maplines_seen(points, pose, behind))
-        {
-            return false;
-        }
-        for (int i = 0; i < 4; ++i)
-        {
-            J[i][k] = (ahead[i] - behind[i]) / (2.0 * MAPLINES_STEP);
-        }
-    }
-    return true;
-}
-
-MAPLINES_INTERNAL bool maplines_centre_line(maplines_curve_t *curve, maplines_points_t *points,
-                                            double (*poses)[3])
-{
-    double given[4];
-    memcpy(given, curve->mean, sizeof given);
-    for (int trial = 0; trial < 2; ++trial)
-    {
-        double values[4][MAPLINES_POSES - 1];
-        for (int k = 1; k < MAPLINES_POSES; ++k)
-        {
-            double line[4];
-            if (!maplines_seen(points, poses[k], line))
-            {
-                return false;
-            }
-            for (int i = 0; i < 4; ++i)
-            {
-                values[i][k - 1] = line[i];
-            }
-        }
-        maplines_curve_t centred = *curve;
-        for (int i = 0; i < 4; ++i)
-        {
-            const double mean = maplines_total(MAPLINES_POSES - 1, values[i]) / 6.0;
-            centred.mean[i] = given[i] - (mean - curve->mean[i]);
-        }
-        maplines_points_t moved;
-        maplines_points_of(&centred, &moved);
-        if (maplines_is_function(&moved)) // else it stays as it is: the pose error is so large
-        {
-            *curve = centred;
-            *points = moved;
-        }
-    }
-    return true;
-}
-
-MAPLINES_INTERNAL bool maplines_spread(const maplines_curve_t *curve, double (*poses)[3],
-                                       double A[4][MAPLINES_POSES])
-{
-    maplines_curve_t centred = *curve;
-    maplines_points_t points;
-    maplines_points_of(&centred, &points);
-    double first[4];
-    if (!maplines_centre_line(&centred, &points, poses) || !maplines_seen(&points, poses[0], first))
-    {
-        return false;
-    }
-    for (int k = 1; k < MAPLINES_POSES; ++k)
-    {
-        double line[4];
-        if (!maplines_seen(&points, poses[k], line))
-        {
-            return false;
-        }
-        for (int i = 0; i < 4; ++i)
-        {
-            A[i][k - 1] = line[i] - first[i];
-        }
-    }
+    double rest[4];
+    double(*rows)[4] = changes->rows;
+    project(heading, rows[0]);
+    project(along, rows[1]);
+    project(heading_squared, rows[3]);
+    project(heading_along, rows[4]);
+    project(along_squared, rows[6]);
+    // T_1' = T_0, T_2' = 4 T_1 and T_3' = 6 T_2 + 3 T_0; T_0 has twice the norm of the others.
+    project(moved, rest);
+    rows[0][1] = rows[0][1] + 2.0 * rest[0] / half;
+    rows[0][2] = rows[0][2] + 4.0 * rest[1] / half;
+    rows[0][3] = rows[0][3] + 6.0 * (rest[2] + rest[0]) / half;
     for (int i = 0; i < 4; ++i)
     {
-        double d[MAPLINES_POSES - 1];
-        memcpy(d, A[i], sizeof d);
-        const double mean = maplines_total(MAPLINES_POSES - 1, d) / 6.0;
-        for (int k = 0; k < MAPLINES_POSES - 1; ++k)
-        {
-            A[i][k] = (A[i][k] - mean) / sqrt(6.0);
-        }
-        // The centre has the weights 0 in the mean and 2 in the covariance.
-        A[i][MAPLINES_POSES - 1] = sqrt(2.0) * mean;
+        rows[2][i] = i == 0 ? -1.0 : 0.0;
+        rows[5][i] = rows[1][i];
     }
-    return true;
+    maplines_bases(mean, curve->fit_range, changes->J);
+    changes->tangent = tangent;
+}
+
+MAPLINES_INTERNAL void maplines_line_changes(const maplines_changes_t *changes, double W[7][4])
+{
+    for (int j = 0; j < 7; ++j)
+    {
+        for (int i = 0; i < 4; ++i)
+        {
+            double sum = changes->J[5 * i] * changes->rows[j][i];
+            for (int k = i + 1; k < 4; ++k) // J is upper triangular
+            {
+                const double term = changes->J[4 * i + k] * changes->rows[j][k];
+                sum = sum + term;
+            }
+            W[j][i] = sum;
+        }
+    }
+    // The second derivative of atan, by the direction; it does not change with the place across.
+    const double by_heading = changes->tangent * W[0][1];
+    const double by_along = changes->tangent * W[1][1];
+    const double squares[3] = {by_heading * W[0][1], by_heading * W[1][1], by_along * W[1][1]};
+    W[3][1] = W[3][1] - squares[0];
+    W[4][1] = W[4][1] - 2.0 * squares[1];
+    W[6][1] = W[6][1] - squares[2];
+}
+
+/// Root of a value that is not negative but for rounding.
+static double root_of(double square)
+{
+    return square > 0.0 ? sqrt(square) : 0.0;
+}
+
+MAPLINES_INTERNAL void maplines_pose_root(const double P[9], maplines_pose_root_t *root)
+{
+    const double a = root_of(P[8]);
+    const double b = a > 0.0 ? P[2] / a : 0.0;
+    const double c = a > 0.0 ? P[5] / a : 0.0;
+    const double b_b = b * b;
+    const double d = root_of(P[0] - b_b);
+    const double b_c = b * c;
+    const double e = d > 0.0 ? (P[1] - b_c) / d : 0.0;
+    const double c_c = c * c;
+    const double e_e = e * e;
+    const double f = root_of(P[4] - c_c - e_e);
+    const double two = sqrt(2.0);
+    const double first[9] = {a, 0.0, 0.0, b, d, 0.0, c, e, f};
+    const double second[16] = {two * (a * a), 0.0,           0.0,   0.0, //
+                               two * (a * b), a * d,         0.0,   0.0, //
+                               two * (a * c), a * e,         a * f, 0.0, //
+                               two * b_b,     2.0 * (b * d), 0.0,   two * (d * d)};
+    memcpy(root->first, first, sizeof first);
+    memcpy(root->second, second, sizeof second);
+}
+
+/// Columns of A from `begin` on: W^T L, for n rows of W and a lower triangular (n, n) matrix L.
+static void add_columns(int n, double (*W)[4], const double *L, int begin,
+                        double A[4][MAPLINES_COLUMNS])
+{
+    for (int i = 0; i < 4; ++i)
+    {
+        for (int k = 0; k < n; ++k)
+        {
+            double sum = W[k][i] * L[n * k + k];
+            for (int j = k + 1; j < n; ++j)
+            {
+                const double term = W[j][i] * L[n * j + k];
+                sum = sum + term;
+            }
+            A[i][begin + k] = sum;
+        }
+    }
+}
+
+MAPLINES_INTERNAL bool maplines_spread(const maplines_changes_t *changes,
+                                       const maplines_pose_root_t *root,
+                                       double A[4][MAPLINES_COLUMNS])
+{
+    double W[7][4];
+    maplines_line_changes(changes, W);
+    add_columns(3, W, root->first, 0, A);
+    add_columns(4, W + 3, root->second, 3, A);
+    bool is_finite = true;
+    for (int i = 0; i < 4; ++i)
+    {
+        for (int k = 0; k < MAPLINES_COLUMNS; ++k)
+        {
+            is_finite = is_finite && fabs(A[i][k]) < (double)INFINITY;
+        }
+    }
+    return is_finite;
+}
+
+MAPLINES_INTERNAL void maplines_common(const maplines_changes_t *changes, double offset_sigma,
+                                       double heading_sigma, double cov[16])
+{
+    const double sigmas[3] = {heading_sigma, offset_sigma, offset_sigma};
+    double K[12];
+    for (int i = 0; i < 4; ++i)
+    {
+        for (int j = 0; j < 3; ++j)
+        {
+            K[3 * i + j] = changes->rows[j][i] * sigmas[j];
+        }
+    }
+    maplines_product_transposed(4, 3, 4, K, K, cov);
+    for (int i = 0; i < 16; i += 5)
+    {
+        cov[i] = cov[i] + MAPLINES_RESOLUTION * MAPLINES_RESOLUTION;
+    }
 }
 
 /* ---- valid ranges -----------------------------------------------------------------------------

@@ -149,9 +149,7 @@ static void decode_specific(const maplines_dbc_t *dbc, const maplines_scene_memb
     }
     else
     {
-        const maplines_curve_t curve =
-            maplines_curve_of(line->mean, line->fit_range, line->quartic);
-        maplines_specific_factor(&curve, line->levels, line->common, F);
+        maplines_specific_factor(line->J, line->levels, line->common, F);
     }
     maplines_product_transposed(4, 4, 4, F[0], F[0], own);
 }

@@ -1,8 +1,7 @@
-"""Cubics as lines, and what they are if they are seen from another pose.
+"""Cubics as lines, and how they change with the pose from which they are seen.
 
 A line is y(x) = y_off + tan(beta) x + c0/2 x^2 + c1/6 x^3 in a range, plus a multiple of what the
-Chebyshev polynomial T_4 over that range is beside a cubic. To see it from another pose, transform
-16 points of it, and fit a cubic to them.
+Chebyshev polynomial T_4 over that range is beside a cubic.
 """
 
 from __future__ import annotations
@@ -11,18 +10,14 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from .elementary import atan, sin_cos, tan
-from .matrices import Matrix, Vector, diagonal, dot_by_halves, matrix, total
+from .elementary import sin_cos, tan
+from .matrices import Matrix, Vector, diagonal, dot_by_halves, matrix
 
 #: Points of a line, and the weight of both ends in a fit; that of the others is 1.
 POINTS, END_WEIGHT = 16, 0.62
 #: A line that advances along x by less than this share of its length is no function of x.
 MIN_ADVANCE = 0.17
 STEEPEST = math.sqrt(1 / (MIN_ADVANCE * MIN_ADVANCE) - 1)
-#: Halvings of the distance to a pose from which a line is no function of x.
-HALVINGS = 60
-#: Displacement for derivatives with respect to the pose [m, rad].
-STEP = 1e-4
 #: Standard deviations of the pose error by which a valid range is shortened.
 MARGIN = 3.0
 
@@ -154,50 +149,6 @@ def is_line(curve: Curve) -> bool:
     return curve.begin < curve.end and is_function(points_of(curve))
 
 
-def refitted(points: Points, pose: Sequence[float]) -> Vector | None:
-    """Return the line of points from a pose (x, y, heading); None if it is no function of x."""
-    d, c = sin_cos(pose[2])
-    s, t = Vector(x - pose[0] for x in points[0]), Vector(y - pose[1] for y in points[1])
-    u, v = c * s + d * t, c * t - d * s
-    if not is_function((u, v)):
-        return None
-    centre, half = (u[0] + u[-1]) / 2, abs(u[0] - u[-1]) / 2
-    coefficients, _ = cubic_fit(Vector((x - centre) / half for x in u), v, END_WEIGHT)
-    line = derivatives(coefficients, centre, half)
-    line[1] = atan(line[1])
-    return line
-
-
-def seen(points: Points, pose: Vector) -> Vector | None:
-    """Return the line from a pose; where it is no function of x, it is extrapolated.
-
-    From the mean pose through the farthest one, by halves, from where it is.
-    """
-    line = refitted(points, pose)
-    if line is not None:
-        return line
-    mean, share = refitted(points, [0.0] * 3), 1.0
-    for _ in range(HALVINGS if mean is not None else 0):
-        share /= 2
-        line = refitted(points, share * pose)
-        if mean is not None and line is not None:
-            return mean + (line - mean) / share
-    return None
-
-
-def seen_from(points: Points, poses: Sequence[Vector]) -> Matrix | None:
-    """Return the lines from some poses; None if there is none from one of them."""
-    found = Matrix(line for pose in poses if (line := seen(points, pose)) is not None)
-    return found if len(found) == len(poses) else None
-
-
-def pose_jacobian(points: Points) -> Matrix | None:
-    """Return the (4, 3) derivatives of a line with respect to the pose."""
-    steps = diagonal([STEP] * 3)
-    ahead, back = seen_from(points, steps), seen_from(points, -1.0 * steps)
-    return None if ahead is None or back is None else ((ahead - back) / (2 * STEP)).T
-
-
 def bases(curve: Curve) -> Matrix:
     """Return the derivatives of a line with respect to its coefficients of T_0 .. T_3."""
     chebyshev = matrix([[1.0, 0, 0, 0], [0.0, 1, 0, 0], [-1.0, 0, 2, 0], [0.0, -3, 0, 4]])
@@ -213,48 +164,115 @@ def line_derivatives(polynomials: Matrix, centre: float, half: float, beta: floa
     return J
 
 
-def sigma_points(P: Matrix) -> Matrix:
-    """Return the six displaced sigma points of a pose error: columns of sqrt(3) L, then less them.
+class Changes(NamedTuple):
+    """How a line changes with the pose from which it is seen, to second order.
 
-    P may be singular.
+    From a pose that is ``a`` further along, ``b`` further across and turned by ``t``, the points of
+    the line move by u1 + u2 along x and by v1 + v2 along y, with
+
+        u1 = t y - a,  u2 = -t b - t^2 x / 2,  v1 = -t x - b,  v2 = t a - t^2 y / 2
+
+    and the cubic that is fitted to them by p1 + p2:
+
+        p1 = F(v1 - m u1) + what moving the points by u1 does to the fit of the rest
+        p2 = F(v2 - m u2 - k u1^2 / 2 - p1' u1)
+
+    with F a fit, and m and k the slope and the second derivative of the cubic.
     """
-    root = math.sqrt(3) * P.square_root().T
-    return Matrix([*root, *(-1.0 * root)])
+
+    bases: Matrix  #: derivatives of the line with respect to its coefficients of T_0 .. T_3
+    tangent: float  #: tan(beta)
+    first: Matrix  #: changes of these coefficients by t, a, b
+    second: Matrix  #: by t^2, t a, t b, a^2
+
+    def of_line(self) -> tuple[Matrix, Matrix]:
+        """Return the changes of the line itself."""
+        first, second = (self._in_line(rows) for rows in (self.first, self.second))
+        t, a = (row[1] for row in first[:2])
+        second[0][1] -= self.tangent * t * t  # the second derivative of atan
+        second[1][1] -= 2 * (self.tangent * t * a)
+        second[3][1] -= self.tangent * a * a
+        return first, second
+
+    def _in_line(self, rows: Matrix) -> Matrix:
+        upper = [Vector(row[i:]) for i, row in enumerate(self.bases)]
+        return matrix([each @ row[i:] for i, each in enumerate(upper)] for row in rows)
 
 
-def centred(curve: Curve, poses: Matrix) -> Curve | None:
-    """Return the line whose mean over the pose error is the given one, as seen from the mean pose.
+#: Roots of T_8 that are positive, from the greatest on; and T_2 and T_3 there.
+ROOTS = Vector(sin_cos(math.pi * (2 * k + 1) / 16)[1] for k in range(4))
+_T_2 = 2.0 * ROOTS * ROOTS - Vector([1.0] * 4)
+_T_3 = 2.0 * ROOTS * _T_2 - ROOTS
 
-    Twice, the mean over the sigma points is computed, and by how much it exceeds the line so far is
-    subtracted from the given line. What is no function of x then is not taken.
+
+def _fitted(values: Sequence[float]) -> Vector:
+    """Return the coefficients of T_0 .. T_3 of the cubic nearest to values at the roots of T_8."""
+    first, last = Vector(values[:4]), Vector(values[:3:-1])
+    even, odd = first + last, first - last
+    ones = Vector([1.0] * 4)
+    return Vector([even @ ones / 8, odd @ ROOTS / 4, even @ _T_2 / 4, odd @ _T_3 / 4])
+
+
+def changes_of(curve: Curve) -> Changes:
+    """Return how a line changes with the pose from which it is seen."""
+    y_off, beta, c0, c1 = curve.mean
+    centre, half = (curve.begin + curve.end) / 2, (curve.end - curve.begin) / 2
+    tangent, rows = tan(beta), Matrix()
+    signed = [*zip([1] * 4, ROOTS, _T_2, strict=True), *zip([-1] * 4, ROOTS, _T_2, strict=True)]
+    for sign, w, t2 in [*signed[:4], *signed[:3:-1]]:
+        x = centre + sign * (half * w)
+        bend = x * c1
+        m, k = tangent + x * (c0 + bend / 2), c0 + bend
+        rest = curve.quartic * (2 * (t2 * t2) - 1)
+        y = y_off + x * (tangent + x * (c0 / 2 + bend / 6)) + rest
+        by_heading_twice = (y + m * x + k * y * y) / 2 + m * m * y
+        rows.append(Vector([-(x + m * y), m, by_heading_twice, -(m * m + k * y), k / 2, rest * y]))
+    t, a, tt, ta, aa, moved = (_fitted(column) for column in rows.T)
+    # T_1' = T_0, T_2' = 4 T_1 and T_3' = 6 T_2 + 3 T_0; T_0 has twice the norm of the others.
+    t += Vector([0.0, 2 * moved[0], 4 * moved[1], 6 * (moved[2] + moved[0])]) / half
+    across = Vector([-1.0, 0.0, 0.0, 0.0])
+    return Changes(bases(curve), tangent, Matrix([t, a, across]), Matrix([tt, ta, a, aa]))
+
+
+def pose_roots(P: Matrix) -> tuple[Matrix, Matrix]:
+    """Return the lower triangular root of P in the order t, a, b, and of that of t^2, ta, tb, a^2.
+
+    P may be singular. With z of three independent standard normal variables, t = r z_0,
+    a = p z_0 + q z_1 and so on; (z_0^2 - 1) / sqrt(2), z_0 z_1, z_0 z_2 and (z_1^2 - 1) / sqrt(2)
+    are not correlated, and each of them has the variance 1.
     """
-    line = curve
-    for _ in range(2):
-        found = seen_from(points_of(line), poses)
-        if found is None:
-            return None
-        mean = Vector(total(column) / len(poses) for column in found.T)
-        candidate = curve._replace(mean=curve.mean - (mean - line.mean))
-        line = candidate if is_line(candidate) else line
-    return line
+    r = _root(P[2][2])
+    p, s = (P[0][2] / r, P[1][2] / r) if r > 0 else (0.0, 0.0)
+    q = _root(P[0][0] - p * p)
+    u = (P[0][1] - p * s) / q if q > 0 else 0.0
+    v = _root(P[1][1] - s * s - u * u)
+    two = math.sqrt(2)
+    second = [
+        [two * (r * r), 0.0, 0.0, 0.0],
+        [two * (r * p), r * q, 0.0, 0.0],
+        [two * (r * s), r * u, r * v, 0.0],
+        [two * (p * p), 2 * (p * q), 0.0, two * (q * q)],
+    ]
+    return matrix([[r, 0.0, 0.0], [p, q, 0.0], [s, u, v]]), matrix(second)
 
 
-def spread(curve: Curve, poses: Matrix) -> Matrix | None:
-    """Return the (4, 7) factor A of the covariance that the pose error causes.
+def _root(square: float) -> float:
+    """Return the root of a square, which rounding may have made negative."""
+    return math.sqrt(square) if square > 0 else 0.0
 
-    Its columns are the deviations of the sigma points. The centre has the weights 0 in the mean and
-    2 in the covariance. None if the line is no function of x near the mean pose.
+
+def spread(curve: Curve, P: Matrix) -> Matrix | None:
+    """Return the (4, 7) factor A of the covariance that a pose error with covariance P causes.
+
+    It is exact to second order: with the changes W1, W2 and the roots L1, L2 of the pose error and
+    of its products, A = [W1^T L1, W2^T L2]. None if it overflows.
     """
-    line = centred(curve, poses)
-    lines = line and seen_from(points_of(line), [Vector([0.0] * 3), *poses])
-    if not lines:
-        return None
-    A = Matrix()
-    for first, *others in lines.T:
-        d = [x - first for x in others]
-        mean = total(d) / len(d)
-        A.append(Vector([*((x - mean) / math.sqrt(len(d)) for x in d), math.sqrt(2) * mean]))
-    return A
+    A = Matrix(Vector() for _ in range(4))
+    for W, L in zip(changes_of(curve).of_line(), pose_roots(P), strict=True):
+        columns = L.T
+        for row, changes in zip(A, W.T, strict=True):
+            row.extend(Vector(changes[k:]) @ column[k:] for k, column in enumerate(columns))
+    return A if A.is_finite() else None
 
 
 def valid_range(curve: Curve, P: Matrix, own: Matrix, heading_sigma: float) -> tuple[float, float]:

@@ -28,9 +28,7 @@ from .cubic_ranges import (
 from .elementary import atan, hypot, sin_cos
 from .levels import NODES
 from .lines import (
-    HALVINGS,
     MIN_ADVANCE,
-    STEP,
     Curve,
     bases,
     cubic_fit,
@@ -53,6 +51,10 @@ DEGREE = 6
 
 #: A line that is no function of x.
 UNKNOWN = Vector([math.nan] * 4)
+#: Most halvings of the distance to a pose from which a line is no function of x.
+HALVINGS = 60
+#: Displacement for derivatives with respect to the pose [m, rad].
+STEP = 1e-4
 #: What a fit leaves of T_4, whose w^4 is rounded once, and of which a line has a multiple.
 _T_4 = Vector(8 * float(Fraction(w) ** 4) - 8 * (w * w) + 1 for w in NODES)
 BEND = cubic_fit(NODES, _T_4, end_weight=1.0)[1]

@@ -25,10 +25,8 @@ from .levels import level_covariance
 from .lines import (
     Curve,
     bases,
+    changes_of,
     is_line,
-    points_of,
-    pose_jacobian,
-    sigma_points,
     spread,
     valid_range,
 )
@@ -102,17 +100,17 @@ def pose_of(layout: PoseLayout, record: RawRecord, t_ns: int) -> Pose:
 def scene_line(layout: Layout, pose: Pose, member: Member) -> SceneLine | None:
     """Return a line with the pose error that it belongs to.
 
-    None if it is no function of x in its range; no sender sends such a line.
+    None if it is no function of x in its range, or overflows; no sender sends such a line.
     """
     content, slot_signals = member.content, signals_of_slot(layout, member.slot)
     raw = content.raw if isinstance(content, RawRecord) else _sent(layout, pose, content)
     curve = curve_of(layout, slot_signals, raw)
     if not is_line(curve):
         return None
-    A, common = spread(curve, sigma_points(pose.cov)), common_covariance(pose, curve)
-    if A is None or common is None:
+    A = spread(curve, pose.cov)
+    if A is None:
         return None
-    own = own_covariance(layout, slot_signals, raw, curve, common)
+    own = own_covariance(layout, slot_signals, raw, curve, common_covariance(pose, curve))
     cov = enlarged(A @ A.T + own)
     if isinstance(content, RawRecord):
         x_min, x_max = _valid_range(pose, curve, own)
@@ -145,21 +143,15 @@ def enlarged(cov: Matrix) -> Matrix:
     return found
 
 
-def common_covariance(pose: Pose, curve: Curve) -> Matrix | None:
+def common_covariance(pose: Pose, curve: Curve) -> Matrix:
     """Return what of D all lines have, in coefficients of T_0 .. T_3.
 
     It is the resolution of the means, and the errors of each line on the map, which act as errors
-    of the pose. None if the line is no function of x near the mean pose.
+    of the pose.
     """
-    cov = diagonal([RESOLUTION * RESOLUTION] * 4)
-    if pose.offset_sigma == 0 and pose.heading_sigma == 0:
-        return cov
-    G = pose_jacobian(points_of(curve))
-    if G is None:
-        return None
-    sigmas = Vector([pose.offset_sigma, pose.offset_sigma, pose.heading_sigma])
-    B = bases(curve).upper_solution(Matrix(row * sigmas for row in G))  # T_k has k derivatives
-    return cov + B @ B.T
+    sigmas = Vector([pose.heading_sigma, pose.offset_sigma, pose.offset_sigma])
+    K = Matrix(row * sigmas for row in changes_of(curve).first.T)
+    return K @ K.T + diagonal([RESOLUTION * RESOLUTION] * 4)
 
 
 def later(age: float, passed_ns: int) -> float:
@@ -225,8 +217,9 @@ def _valid_range(pose: Pose, curve: Curve, own: Matrix) -> tuple[float, float]:
     signal = pose.layout["MapHeading"]
     heading = pose.heading_sigma * exp2(signal.factor)
     is_greatest = pose.raw["MapHeading"] == signal.raw_max
-    if is_greatest and (G := pose_jacobian(points_of(curve))) is not None:
-        heading = max(heading, math.sqrt(own[1][1]) / max(abs(G[1][2]), MIN_TURN))
+    if is_greatest:
+        turn = abs(changes_of(curve).of_line()[0][0][1])
+        heading = max(heading, math.sqrt(own[1][1]) / max(turn, MIN_TURN))
     x_min, x_max = valid_range(curve, pose.cov, own, heading)
     low, high = math.ceil(x_min * STEPS) / STEPS, math.floor(x_max * STEPS) / STEPS
     middle = (x_min + x_max) / 2

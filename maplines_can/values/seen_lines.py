@@ -81,7 +81,7 @@ class SeenLines:
     def jacobian(self) -> NDArray[np.float64]:
         """Return the (L, 4, 3) derivatives of the lines with respect to the displacement."""
         J = np.empty((len(self.means), 4, 3))
-        _check(lib.maplines_curve_jacobians(*self._lines, pointer(J)))
+        lib.maplines_curve_jacobians(*self._lines, pointer(J))
         return J
 
     def centred(self, P: NDArray[np.float64]) -> SeenLines:
@@ -93,7 +93,7 @@ class SeenLines:
         that an iteration makes no function of x, since the pose error is so large, stays as it is.
         """
         curves = self._curves.copy()
-        _check(lib.maplines_centre_curves(len(curves), pointer(curves), shaped(P, (3, 3))))
+        lib.maplines_centre_curves(len(curves), pointer(curves), shaped(P, (3, 3)))
         return SeenLines(curves[:, :4], self.fit_ranges, curves[:, 6])
 
     def spread(self, P: NDArray[np.float64]) -> NDArray[np.float64]:
