@@ -87,10 +87,8 @@ class SeenLines:
     def centred(self, P: NDArray[np.float64]) -> SeenLines:
         """Return the lines as seen from the mean pose, if these are their means over pose errors.
 
-        The means over a pose error with the (3, 3) covariance P differ a little from the lines that
-        are seen from the mean pose. These are found in two iterations: each takes off the means
-        given by how much the mean of what the sigma points see exceeds the lines so far. A line
-        that an iteration makes no function of x, since the pose error is so large, stays as it is.
+        The means over a pose error with the (3, 3) covariance P differ from the lines that are
+        seen from the mean pose, by half the trace of P times their second derivatives.
         """
         curves = self._curves.copy()
         lib.maplines_centre_curves(len(curves), pointer(curves), shaped(P, (3, 3)))
@@ -99,9 +97,8 @@ class SeenLines:
     def spread(self, P: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (4 L, 4 L) joint covariance of the lines for a pose error with covariance P.
 
-        It is positive semidefinite: A A^T, where the columns of A are deviations of 7 sigma points,
-        which go through all lines at once. The lines of this object are the means over the pose
-        error, see ``centred``.
+        It is positive semidefinite, and exact to second order: with the derivatives J and H_i of
+        the parameters, J P J^T + trace(H_i P H_j P) / 2.
         """
         n = 4 * len(self.means)
         A, cov = np.empty((n, 7)), np.empty((n, n))

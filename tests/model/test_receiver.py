@@ -17,7 +17,6 @@ from scene_layouts import layout_of
 from maplines_can import Kind, Slot, Status
 from maplines_can.model import (
     e2e,
-    elementary,
     epochs,
     levels,
     lines,
@@ -184,11 +183,10 @@ FAULTS = [
     pytest.param(scenes, "ROUNDING", 2.0**-43, CONDITIONAL, "clean", id="rounding"),
     pytest.param(scenes, "RESOLUTION", 2.0**-8, CONDITIONAL, "clean", id="resolution"),
     pytest.param(scenes, "STEPS", 20, CONDITIONAL, "clean", id="valid-range"),
-    pytest.param(lines, "END_WEIGHT", 0.63, CONDITIONAL, "clean", id="end-weight"),
+    pytest.param(lines, "ROOTS", 0.99 * lines.ROOTS, CONDITIONAL, "clean", id="roots"),
     pytest.param(lines, "MARGIN", 2.9, CONDITIONAL, "clean", id="margin"),
     pytest.param(levels, "GOLDEN_RATIO", 1.618, CONDITIONAL, "clean", id="phase"),
     pytest.param(levels, "SHAPE_OCTAVES", 10.3, CONDITIONAL, "clean", id="shape"),
-    pytest.param(elementary, "_ATAN", elementary._ATAN[:-3], CONDITIONAL, "clean", id="arc"),
     pytest.param(receiver, "CLOCK_JITTER_NS", 2 * MS, COMPLETE, "clock", id="clock-jitter"),
     pytest.param(settings, "GRACE_CYCLES", 1.4, COMPLETE, "many faults", id="time-out"),
     pytest.param(secoc, "MAX_FRESHNESS", 0, SECURED, "authenticated", id="freshness"),

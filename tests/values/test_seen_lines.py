@@ -7,9 +7,7 @@ import pytest
 from hypothesis import given
 from strategies import covariances, mild_lines, motions
 
-from maplines_can.propagation import SigmaPoints
 from maplines_can.values.errors import IllPosedError
-from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import lateral, lateral_jacobian, transform_line_or_nan
 from maplines_can.values.seen_lines import SeenLines
 
@@ -112,31 +110,35 @@ def test_the_spread_is_that_of_samples(sigma: Any) -> None:
 
 
 @given(covariances(3))
-def test_the_spread_is_that_of_sigma_points_about_the_means(P: Any) -> None:
-    """Symmetric and positive semidefinite, and as the transform of the package has it."""
+def test_the_spread_is_exact_to_second_order(P: Any) -> None:
+    """J P J^T + tr(H_i P H_j P) / 2, with derivatives by differences of lines that are seen."""
     P = P * 1e-3 / max(1e-3, np.abs(P).max())
-    seen = SeenLines(MEANS, RANGES)
+    bends = np.array([[1.75, 0.1, 8e-3, 0.0], [-1.75, -0.2, 0.02, 1e-5]])
+    seen = SeenLines(bends, [[-20, 60], [0, 40]], [0.2, 0.0])
+    step = 1e-3 * np.eye(3)
+    first = [(seen([d])[0] - seen([-d])[0]).ravel() / 2e-3 for d in step]
+    second = [
+        [seen([d + e, d - e, e - d, -d - e]).reshape(4, 8).T @ [1, -1, -1, 1] / 4e-6 for e in step]
+        for d in step
+    ]
+    J, H = np.array(first).T, np.moveaxis(np.array(second), 2, 0)
+    expected = J @ P @ J.T + np.einsum("iab,bc,jcd,da->ij", H, P, H, P) / 2
     cov = seen.spread(P)
     assert np.allclose(cov, cov.T, rtol=1e-12, atol=1e-18)
     scale = np.sqrt(cov.diagonal().clip(1e-30))
     assert np.linalg.eigvalsh(cov / scale / scale[:, None])[0] >= -1e-9
 
-    pose = Gaussian(np.zeros(3), P)
-    shift = seen(SigmaPoints().rule(pose).points(pose))[1:].mean(axis=0) - MEANS
-    centred = SeenLines(MEANS - shift, RANGES)
-    moments = SigmaPoints().moments(lambda p: centred(p).reshape(len(p), -1), pose)
     x = np.array([-10.0, 0.0, 30.0, 60.0])
-    J = np.zeros((8, 8))
+    rows = np.zeros((8, 8))
     for i in range(2):
-        J[4 * i : 4 * i + 4, 4 * i : 4 * i + 4] = lateral_jacobian(MEANS[i], x)
-    lateral_covs = [J @ matrix @ J.T for matrix in (cov, moments.cov)]
-    size = np.abs(lateral_covs[0]).max()
-    assert np.abs(lateral_covs[0] - lateral_covs[1]).max() <= 1e-6 * size + 1e-15
+        rows[4 * i : 4 * i + 4, 4 * i : 4 * i + 4] = lateral_jacobian(bends[i], x)
+    found, wanted = (rows @ each @ rows.T for each in (cov, expected))
+    assert np.abs(found - wanted).max() <= 2e-3 * np.abs(wanted).max() + 1e-12
 
 
 @pytest.mark.parametrize("heading", [0.3, 0.65, 2.0, 5.0])
 def test_the_spread_of_a_huge_pose_error_is_a_covariance(heading: float) -> None:
-    """Even where the lines, moved by the mean shift, are no functions of x."""
+    """Even where the lines are no functions of x from poses that are likely."""
     P = np.diag([300.0, 300.0, heading]) ** 2
     P[0, 1] = P[1, 0] = 0.999 * 300**2
     cov = SeenLines(MEANS, RANGES).spread(P)
@@ -144,20 +146,9 @@ def test_the_spread_of_a_huge_pose_error_is_a_covariance(heading: float) -> None
     assert np.linalg.eigvalsh(cov / scale / scale[:, None])[0] >= -1e-12
 
 
-def test_the_means_of_the_spread_are_those_given() -> None:
-    """With a poor heading, the mean of the seen lines is farther from the car than they are."""
-    sigma = np.array(POSES["poor"])
-    root = np.sqrt(3) * np.diag(sigma)
-    points = np.vstack([np.zeros(3), root, -root])
-    shift = SeenLines(MEANS, RANGES)(points)[1:].mean(axis=0) - MEANS
-    values = SeenLines(MEANS - shift, RANGES)(points)
-    assert np.abs(shift[:, 0]).max() > 5e-4
-    assert np.abs(values[1:].mean(axis=0) - MEANS)[:, 0].max() < 2e-5
-
-
 @pytest.mark.parametrize("sigma", POSES.values(), ids=POSES)
 def test_centred_lines_have_the_means_given(sigma: Any) -> None:
-    """Seen from the sigma points, to a hundredth of what the mean differs by, in bends too."""
+    """Seen from the sigma points, to 2 % of what the mean differs by, in bends too."""
     P = np.diag(np.square(sigma))
     root = np.sqrt(3) * np.diag(sigma)
     points = np.vstack([root, -root])
@@ -167,4 +158,4 @@ def test_centred_lines_have_the_means_given(sigma: Any) -> None:
     shift, error = (
         np.abs(lines(points).mean(axis=0) - bends).max(axis=0) for lines in (seen, centred)
     )
-    assert (error <= 0.01 * shift).all()
+    assert (error <= 0.02 * shift).all()
