@@ -371,8 +371,6 @@ MAPLINES_INTERNAL void maplines_valid_range(const maplines_curve_t *curve, const
 typedef struct {
     double stretch[MAPLINES_NODES]; ///< derivative of the length with respect to x
     double place[MAPLINES_NODES];   ///< length up to the node, in halves of the whole length
-    /// coefficients of T_0 .. T_3 for an error of 1 m across the line at the node
-    double weight[MAPLINES_NODES][4];
 } maplines_arc_t;
 
 /// Nodes: the extrema of a Chebyshev polynomial, from -1 to 1.

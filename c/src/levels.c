@@ -8,77 +8,48 @@
 
 #define MAPLINES_GOLDEN_RATIO 0x1.9e3779b97f4a8p+0
 
-// From values at the nodes to the coefficients of T_0 .. T_3 of their cubic fit.
-static const double fit_matrix[4 * MAPLINES_NODES] = {
-    0x1.f07c1f07c1f0ap-7,   0x1.f0902bf1cbb72p-7,  0x1.f0cc1fac87798p-7,   0x1.f12f61af9ac21p-7,
-    0x1.f1b8f571c6b64p-7,   0x1.f2677ceb6b7aep-7,  0x1.f3393c1117c6dp-7,   0x1.f42c1d3d4ad61p-7,
-    0x1.f53db67e2e5d3p-7,   0x1.f66b4fb9ca1a0p-7,  0x1.f7b1e99910f12p-7,   0x1.f90e45282d9d2p-7,
-    0x1.fa7cec18a7cebp-7,   0x1.fbfa39905ed81p-7,  0x1.fd82636ef0acfp-7,   0x1.ff1183f1f6b30p-7,
-    0x1.0051d1cfc84bfp-6,   0x1.011a61af01405p-6,  0x1.01e0734f5c9d7p-6,   0x1.02a20ec16adb2p-6,
-    0x1.035d476fb8c74p-6,   0x1.041041041040fp-6,  0x1.04b9342362d77p-6,   0x1.055672f452e26p-6,
-    0x1.05e66d64d77bcp-6,   0x1.0667b5241cdecp-6,  0x1.06d9014683710p-6,   0x1.0739318a7a3d7p-6,
-    0x1.07875135e3b8dp-6,   0x1.07c29984badfbp-6,  0x1.07ea73a2c8860p-6,   0x1.07fe7a2b62333p-6,
-    0x1.07fe7a2b62333p-6,   0x1.07ea73a2c8860p-6,  0x1.07c29984badfbp-6,   0x1.07875135e3b8dp-6,
-    0x1.0739318a7a3d7p-6,   0x1.06d9014683710p-6,  0x1.0667b5241cdeep-6,   0x1.05e66d64d77bep-6,
-    0x1.055672f452e27p-6,   0x1.04b9342362d79p-6,  0x1.0410410410411p-6,   0x1.035d476fb8c76p-6,
-    0x1.02a20ec16adb4p-6,   0x1.01e0734f5c9d8p-6,  0x1.011a61af01407p-6,   0x1.0051d1cfc84bfp-6,
-    0x1.ff1183f1f6b32p-7,   0x1.fd82636ef0ad1p-7,  0x1.fbfa39905ed81p-7,   0x1.fa7cec18a7ceap-7,
-    0x1.f90e45282d9d2p-7,   0x1.f7b1e99910f12p-7,  0x1.f66b4fb9ca1a0p-7,   0x1.f53db67e2e5d3p-7,
-    0x1.f42c1d3d4ad5fp-7,   0x1.f3393c1117c6ap-7,  0x1.f2677ceb6b7acp-7,   0x1.f1b8f571c6b62p-7,
-    0x1.f12f61af9ac1fp-7,   0x1.f0cc1fac87796p-7,  0x1.f0902bf1cbb70p-7,   0x1.f07c1f07c1f08p-7,
-    -0x1.e9131abf0b769p-6,  -0x1.e89eeba0c7884p-6, -0x1.e741c699f0afep-6,  -0x1.e4f9ea11275efp-6,
-    -0x1.e1c47a9fb76c0p-6,  -0x1.dd9d9d86c0e9fp-6, -0x1.d8809cdbcc0e7p-6,  -0x1.d2681494ebea0p-6,
-    -0x1.cb4e27674d7cap-6,  -0x1.c32cba3bd4e64p-6, -0x1.b9fdb4d548c29p-6,  -0x1.afbb46236b3ddp-6,
-    -0x1.a4602aa6fa6a1p-6,  -0x1.97e7f33c6d0fbp-6, -0x1.8a4f4a9eb1104p-6,  -0x1.7b9437f84ffb3p-6,
-    -0x1.6bb65ce811b2cp-6,  -0x1.5ab72d7629632p-6, -0x1.489a2097a6bfep-6,  -0x1.3564d8069300dp-6,
-    -0x1.211f3e64e6f08p-6,  -0x1.0bd39ad65583fp-6, -0x1.eb1d32ef14a6dp-7,  -0x1.bcbe90af4d114p-7,
-    -0x1.8cae11b22dc6ap-7,  -0x1.5b12eb3fc708ap-7, -0x1.28187ae7c6164p-7,  -0x1.e7dbceed5e53ep-8,
-    -0x1.7d8b5db42a88ep-8,  -0x1.11aa463aba9c0p-8, -0x1.494f641f7c0e9p-9,  -0x1.b7b0b363c9b0ap-11,
-    0x1.b7b0b363c9b5fp-11,  0x1.494f641f7c0fbp-9,  0x1.11aa463aba9c9p-8,   0x1.7d8b5db42a896p-8,
-    0x1.e7dbceed5e546p-8,   0x1.28187ae7c6168p-7,  0x1.5b12eb3fc708ep-7,   0x1.8cae11b22dc6ep-7,
-    0x1.bcbe90af4d11bp-7,   0x1.eb1d32ef14a76p-7,  0x1.0bd39ad65583dp-6,   0x1.211f3e64e6f0ap-6,
-    0x1.3564d80693010p-6,   0x1.489a2097a6c00p-6,  0x1.5ab72d7629635p-6,   0x1.6bb65ce811b2dp-6,
-    0x1.7b9437f84ffb3p-6,   0x1.8a4f4a9eb1106p-6,  0x1.97e7f33c6d0fbp-6,   0x1.a4602aa6fa6a3p-6,
-    0x1.afbb46236b3dbp-6,   0x1.b9fdb4d548c26p-6,  0x1.c32cba3bd4e62p-6,   0x1.cb4e27674d7c7p-6,
-    0x1.d2681494ebe9fp-6,   0x1.d8809cdbcc0e7p-6,  0x1.dd9d9d86c0e9ep-6,   0x1.e1c47a9fb76bep-6,
-    0x1.e4f9ea11275edp-6,   0x1.e741c699f0afcp-6,  0x1.e89eeba0c7882p-6,   0x1.e9131abf0b767p-6,
-    0x1.f07c1f07c1f0ap-6,   0x1.edfa81c689216p-6,  0x1.e67c0a6f10d43p-6,   0x1.da13ca0ca7c25p-6,
-    0x1.c8e151c7293d5p-6,   0x1.b310629290a8dp-6,  0x1.98d87ddd072b4p-6,   0x1.7a7c5856a5432p-6,
-    0x1.5849303a345d4p-6,   0x1.329608c6bcc19p-6,  0x1.09c2ccdde1dd5p-6,   0x1.bc6eb5f498baap-7,
-    0x1.60c4f9d60c58ap-7,   0x1.01719be849ffbp-7,  0x1.3ece4887a986ep-8,   0x1.dcf81c1299eabp-10,
-    -0x1.47473f212fbc0p-10, -0x1.1a61af0140644p-8, -0x1.e0734f5c9d76bp-8,  -0x1.510760b56d96dp-7,
-    -0x1.aea3b7dc63a63p-7,  -0x1.041041041040dp-6, -0x1.2e4d08d8b5e03p-6,  -0x1.559cbd14b89aap-6,
-    -0x1.799b5935def67p-6,  -0x1.99ed490737b60p-6, -0x1.b64051a0dc3edp-6,  -0x1.ce4c629e8f5b8p-6,
-    -0x1.e1d44d78ee36ap-6,  -0x1.f0a6612eb7ee2p-6, -0x1.fa9ce8b2217fbp-6,  -0x1.ff9e8ad88ccbbp-6,
-    -0x1.ff9e8ad88ccbbp-6,  -0x1.fa9ce8b2217fcp-6, -0x1.f0a6612eb7ee2p-6,  -0x1.e1d44d78ee36ap-6,
-    -0x1.ce4c629e8f5b8p-6,  -0x1.b64051a0dc3edp-6, -0x1.99ed490737b60p-6,  -0x1.799b5935def67p-6,
-    -0x1.559cbd14b89a6p-6,  -0x1.2e4d08d8b5dfcp-6, -0x1.0410410410412p-6,  -0x1.aea3b7dc63a5bp-7,
-    -0x1.510760b56d95fp-7,  -0x1.e0734f5c9d759p-8, -0x1.1a61af0140628p-8,  -0x1.47473f212fba2p-10,
-    0x1.dcf81c1299e97p-10,  0x1.3ece4887a9881p-8,  0x1.01719be849ff7p-7,   0x1.60c4f9d60c591p-7,
-    0x1.bc6eb5f498baep-7,   0x1.09c2ccdde1dcfp-6,  0x1.329608c6bcc1ap-6,   0x1.5849303a345cdp-6,
-    0x1.7a7c5856a5433p-6,   0x1.98d87ddd072b9p-6,  0x1.b310629290a8ep-6,   0x1.c8e151c7293d2p-6,
-    0x1.da13ca0ca7c22p-6,   0x1.e67c0a6f10d40p-6,  0x1.edfa81c689213p-6,   0x1.f07c1f07c1f07p-6,
-    -0x1.e9131abf0b769p-6,  -0x1.e3753c6928e1dp-6, -0x1.d2bbd9224045ep-6,  -0x1.b746dfccf8a95p-6,
-    -0x1.91b3d1a91d762p-6,  -0x1.62da3d4e2129fp-6, -0x1.2bc6ed8bb1b53p-6,  -0x1.db6bcf78ce089p-7,
-    -0x1.5416b7c892a77p-7,  -0x1.892ebbf8c69fap-8, -0x1.812ccfd568054p-10, 0x1.97a85ecd5674ep-9,
-    0x1.f473466b564e3p-8,   0x1.8974a1cac5839p-7,  0x1.0831b386da205p-6,   0x1.45feb514309a6p-6,
-    0x1.7cbd50d3823b1p-6,   0x1.ab31b75324610p-6,  0x1.d04f5e28cfbe2p-6,   0x1.eb3f0175f58e4p-6,
-    0x1.fb6374d79c86fp-6,   0x1.002e941aed9f9p-5,  0x1.fa0c4c5246f83p-6,   0x1.e8918ad309d91p-6,
-    0x1.cc4d4daccb50dp-6,   0x1.a5dd9a099861bp-6,  0x1.761a8aef710a6p-6,   0x1.3e117fc77baafp-6,
-    0x1.fdfe34a43fab5p-7,   0x1.74905cc404a0dp-7,  0x1.c5c72f0490085p-8,   0x1.30c47e2dc18c2p-9,
-    -0x1.30c47e2dc18dfp-9,  -0x1.c5c72f0490092p-8, -0x1.74905cc404a13p-7,  -0x1.fdfe34a43fabcp-7,
-    -0x1.3e117fc77bab2p-6,  -0x1.761a8aef710a9p-6, -0x1.a5dd9a099861ep-6,  -0x1.cc4d4daccb50dp-6,
-    -0x1.e8918ad309d95p-6,  -0x1.fa0c4c5246f86p-6, -0x1.002e941aed9f9p-5,  -0x1.fb6374d79c86fp-6,
-    -0x1.eb3f0175f58e1p-6,  -0x1.d04f5e28cfbe0p-6, -0x1.ab31b7532460bp-6,  -0x1.7cbd50d3823b0p-6,
-    -0x1.45feb514309a7p-6,  -0x1.0831b386da1fep-6, -0x1.8974a1cac583cp-7,  -0x1.f473466b564c2p-8,
-    -0x1.97a85ecd56723p-9,  0x1.812ccfd567fccp-10, 0x1.892ebbf8c6a0fp-8,   0x1.5416b7c892a65p-7,
-    0x1.db6bcf78ce098p-7,   0x1.2bc6ed8bb1b61p-6,  0x1.62da3d4e212a6p-6,   0x1.91b3d1a91d760p-6,
-    0x1.b746dfccf8a93p-6,   0x1.d2bbd9224045cp-6,  0x1.e3753c6928e1bp-6,   0x1.e9131abf0b767p-6,
+#define MAPLINES_HALF (MAPLINES_NODES / 2)
+
+// From values at the first half of the nodes to the coefficients of T_0 .. T_3 of their cubic fit;
+// those of the other half are the same, less the odd ones, in the opposite order.
+static const double fit_columns[MAPLINES_HALF][4] = {
+    {0x1.f07c1f07c1f0ap-7, -0x1.e9131abf0b769p-6, 0x1.f07c1f07c1f0ap-6, -0x1.e9131abf0b769p-6},
+    {0x1.f0902bf1cbb72p-7, -0x1.e89eeba0c7884p-6, 0x1.edfa81c689216p-6, -0x1.e3753c6928e1dp-6},
+    {0x1.f0cc1fac87798p-7, -0x1.e741c699f0afep-6, 0x1.e67c0a6f10d43p-6, -0x1.d2bbd9224045ep-6},
+    {0x1.f12f61af9ac21p-7, -0x1.e4f9ea11275efp-6, 0x1.da13ca0ca7c25p-6, -0x1.b746dfccf8a95p-6},
+    {0x1.f1b8f571c6b64p-7, -0x1.e1c47a9fb76c0p-6, 0x1.c8e151c7293d5p-6, -0x1.91b3d1a91d762p-6},
+    {0x1.f2677ceb6b7aep-7, -0x1.dd9d9d86c0e9fp-6, 0x1.b310629290a8dp-6, -0x1.62da3d4e2129fp-6},
+    {0x1.f3393c1117c6dp-7, -0x1.d8809cdbcc0e7p-6, 0x1.98d87ddd072b4p-6, -0x1.2bc6ed8bb1b53p-6},
+    {0x1.f42c1d3d4ad61p-7, -0x1.d2681494ebea0p-6, 0x1.7a7c5856a5432p-6, -0x1.db6bcf78ce089p-7},
+    {0x1.f53db67e2e5d3p-7, -0x1.cb4e27674d7cap-6, 0x1.5849303a345d4p-6, -0x1.5416b7c892a77p-7},
+    {0x1.f66b4fb9ca1a0p-7, -0x1.c32cba3bd4e64p-6, 0x1.329608c6bcc19p-6, -0x1.892ebbf8c69fap-8},
+    {0x1.f7b1e99910f12p-7, -0x1.b9fdb4d548c29p-6, 0x1.09c2ccdde1dd5p-6, -0x1.812ccfd568054p-10},
+    {0x1.f90e45282d9d2p-7, -0x1.afbb46236b3ddp-6, 0x1.bc6eb5f498baap-7, 0x1.97a85ecd5674ep-9},
+    {0x1.fa7cec18a7cebp-7, -0x1.a4602aa6fa6a1p-6, 0x1.60c4f9d60c58ap-7, 0x1.f473466b564e3p-8},
+    {0x1.fbfa39905ed81p-7, -0x1.97e7f33c6d0fbp-6, 0x1.01719be849ffbp-7, 0x1.8974a1cac5839p-7},
+    {0x1.fd82636ef0acfp-7, -0x1.8a4f4a9eb1104p-6, 0x1.3ece4887a986ep-8, 0x1.0831b386da205p-6},
+    {0x1.ff1183f1f6b30p-7, -0x1.7b9437f84ffb3p-6, 0x1.dcf81c1299eabp-10, 0x1.45feb514309a6p-6},
+    {0x1.0051d1cfc84bfp-6, -0x1.6bb65ce811b2cp-6, -0x1.47473f212fbc0p-10, 0x1.7cbd50d3823b1p-6},
+    {0x1.011a61af01405p-6, -0x1.5ab72d7629632p-6, -0x1.1a61af0140644p-8, 0x1.ab31b75324610p-6},
+    {0x1.01e0734f5c9d7p-6, -0x1.489a2097a6bfep-6, -0x1.e0734f5c9d76bp-8, 0x1.d04f5e28cfbe2p-6},
+    {0x1.02a20ec16adb2p-6, -0x1.3564d8069300dp-6, -0x1.510760b56d96dp-7, 0x1.eb3f0175f58e4p-6},
+    {0x1.035d476fb8c74p-6, -0x1.211f3e64e6f08p-6, -0x1.aea3b7dc63a63p-7, 0x1.fb6374d79c86fp-6},
+    {0x1.041041041040fp-6, -0x1.0bd39ad65583fp-6, -0x1.041041041040dp-6, 0x1.002e941aed9f9p-5},
+    {0x1.04b9342362d77p-6, -0x1.eb1d32ef14a6dp-7, -0x1.2e4d08d8b5e03p-6, 0x1.fa0c4c5246f83p-6},
+    {0x1.055672f452e26p-6, -0x1.bcbe90af4d114p-7, -0x1.559cbd14b89aap-6, 0x1.e8918ad309d91p-6},
+    {0x1.05e66d64d77bcp-6, -0x1.8cae11b22dc6ap-7, -0x1.799b5935def67p-6, 0x1.cc4d4daccb50dp-6},
+    {0x1.0667b5241cdecp-6, -0x1.5b12eb3fc708ap-7, -0x1.99ed490737b60p-6, 0x1.a5dd9a099861bp-6},
+    {0x1.06d9014683710p-6, -0x1.28187ae7c6164p-7, -0x1.b64051a0dc3edp-6, 0x1.761a8aef710a6p-6},
+    {0x1.0739318a7a3d7p-6, -0x1.e7dbceed5e53ep-8, -0x1.ce4c629e8f5b8p-6, 0x1.3e117fc77baafp-6},
+    {0x1.07875135e3b8dp-6, -0x1.7d8b5db42a88ep-8, -0x1.e1d44d78ee36ap-6, 0x1.fdfe34a43fab5p-7},
+    {0x1.07c29984badfbp-6, -0x1.11aa463aba9c0p-8, -0x1.f0a6612eb7ee2p-6, 0x1.74905cc404a0dp-7},
+    {0x1.07ea73a2c8860p-6, -0x1.494f641f7c0e9p-9, -0x1.fa9ce8b2217fbp-6, 0x1.c5c72f0490085p-8},
+    {0x1.07fe7a2b62333p-6, -0x1.b7b0b363c9b0ap-11, -0x1.ff9e8ad88ccbbp-6, 0x1.30c47e2dc18c2p-9},
 };
 
 /// Errors of the points of a map at equal distances, one point after the other.
 typedef struct {
-    double cov[16];  ///< sum of the squares of the points before this one
+    double cov[16];  ///< sum of the squares of the points before this one; its lower triangle
     double below[4]; ///< weights of errors of this point, by what is ahead of it
     double above[4]; ///< by what is behind it
     int64_t point;   ///< number of this point
@@ -94,7 +65,7 @@ static void add_point(noise_t *noise)
     }
     for (int i = 0; i < 4; ++i)
     {
-        for (int j = 0; j < 4; ++j) // all of them, which is faster than the lower triangle
+        for (int j = 0; j <= i; ++j)
         {
             const double term = weight[i] * weight[j];
             noise->cov[4 * i + j] = noise->cov[4 * i + j] + term;
@@ -130,13 +101,14 @@ MAPLINES_INTERNAL void maplines_arc_of(const maplines_curve_t *curve, maplines_a
     const double centre = (curve->fit_range[0] + curve->fit_range[1]) / 2.0;
     const double half = (curve->fit_range[1] - curve->fit_range[0]) / 2.0;
     const double tangent = maplines_tan(curve->mean[1]);
+    const double half_c1 = curve->mean[3] / 2.0;
     const double *nodes = maplines_nodes();
     double x_before = 0.0;
     for (int k = 0; k < MAPLINES_NODES; ++k)
     {
         const double offset = half * nodes[k];
         const double x = centre + offset;
-        const double cubic = x * curve->mean[3] / 2.0;
+        const double cubic = x * half_c1;
         const double quadratic = x * (curve->mean[2] + cubic);
         const double slope = tangent + quadratic;
         const double square = slope * slope;
@@ -149,14 +121,10 @@ MAPLINES_INTERNAL void maplines_arc_of(const maplines_curve_t *curve, maplines_a
         }
         x_before = x;
     }
-    const double whole = arc->place[MAPLINES_NODES - 1];
+    const double scale = 2.0 / arc->place[MAPLINES_NODES - 1];
     for (int k = 0; k < MAPLINES_NODES; ++k)
     {
-        arc->place[k] = 2.0 * arc->place[k] / whole;
-        for (int i = 0; i < 4; ++i)
-        {
-            arc->weight[k][i] = fit_matrix[MAPLINES_NODES * i + k] * arc->stretch[k];
-        }
+        arc->place[k] = arc->place[k] * scale;
     }
 }
 
@@ -166,9 +134,11 @@ static void point_noise(const maplines_arc_t *arc, double spacing, double phase,
     noise_t noise;
     memset(&noise, 0, sizeof noise);
     double above[4] = {0.0, 0.0, 0.0, 0.0}; // weights of errors of the next point
+    const double density = 1.0 / spacing;
     for (int k = 0; k < MAPLINES_NODES; ++k)
     {
-        const double place = arc->place[k] / spacing + phase;
+        const double distance = arc->place[k] * density;
+        const double place = distance + phase;
         const int64_t below = (int64_t)place;
         const double share = place - (double)below;
         if (below != noise.point)
@@ -184,19 +154,27 @@ static void point_noise(const maplines_arc_t *arc, double spacing, double phase,
             memset(above, 0, sizeof above);
             noise.point = below;
         }
+        const bool is_behind = k >= MAPLINES_HALF;
+        const double *column = fit_columns[is_behind ? MAPLINES_NODES - 1 - k : k];
+        const double behind = arc->stretch[k] * share;
+        const double before = arc->stretch[k] - behind;
         for (int i = 0; i < 4; ++i)
         {
-            const double before = arc->weight[k][i] * (1.0 - share);
-            const double behind = arc->weight[k][i] * share;
-            noise.below[i] = noise.below[i] + before;
-            above[i] = above[i] + behind;
+            const double weight = is_behind && i % 2 == 1 ? -column[i] : column[i];
+            const double of_before = weight * before;
+            const double of_behind = weight * behind;
+            noise.below[i] = noise.below[i] + of_before;
+            above[i] = above[i] + of_behind;
         }
     }
     add_point(&noise);
     memset(noise.below, 0, sizeof noise.below);
     memcpy(noise.above, above, sizeof noise.above);
     add_point(&noise);
-    memcpy(cov, noise.cov, sizeof noise.cov);
+    for (int i = 0; i < 16; ++i)
+    {
+        cov[i] = noise.cov[i % 4 > i / 4 ? 4 * (i % 4) + i / 4 : i];
+    }
 }
 
 MAPLINES_INTERNAL double maplines_shape(int k)

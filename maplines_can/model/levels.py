@@ -35,6 +35,8 @@ NODES = Vector(extrema(64)[::-1])
 _T = matrix([[1.0] * len(NODES), NODES, [2 * w * w - 1 for w in NODES]])
 _T.append(2.0 * NODES * _T[2] - NODES)
 FIT = matrix([dot_by_halves(a, b) for b in _T] for a in _T).inverse() @ _T
+for _k, _row in enumerate(FIT):  # the second half is the first one, less the odd ones
+    _row[32:] = [-x if _k % 2 else x for x in _row[31::-1]]
 
 
 def level_covariance(signals: Mapping[str, Signal], raw: Raw, curve: Curve) -> Matrix:
@@ -85,12 +87,13 @@ def arc_of(curve: Curve) -> tuple[Vector, Vector]:
     """
     _, beta, c0, c1 = curve.mean
     x = places(curve.begin, curve.end, NODES)
-    slopes = [tan(beta) + u * (c0 + u * c1 / 2) for u in x]
+    half_c1 = c1 / 2
+    slopes = [tan(beta) + u * (c0 + u * half_c1) for u in x]
     stretch = Vector(math.sqrt(1 + slope * slope) for slope in slopes)
     along = Vector([0.0])
     for k in range(1, len(x)):
         along.append(along[-1] + (x[k] - x[k - 1]) * (stretch[k] + stretch[k - 1]))
-    return stretch, Vector(2 * place / along[-1] for place in along)
+    return stretch, along * (2 / along[-1])
 
 
 def point_noise(curve: Curve, spacing: Spacing) -> Matrix:
@@ -101,12 +104,12 @@ def point_noise(curve: Curve, spacing: Spacing) -> Matrix:
     """
     behind: dict[int, Vector] = defaultdict(lambda: Vector([0.0] * 4))  # weights of each error
     ahead: dict[int, Vector] = defaultdict(lambda: Vector([0.0] * 4))
+    density = 1 / spacing.distance
     for stretch, along, column in zip(*arc_of(curve), FIT.T, strict=True):
-        place = along / spacing.distance + spacing.phase
+        place = along * density + spacing.phase
         point = int(place)
-        share = place - point
-        weights = column * stretch
-        behind[point] += weights * (1 - share)
-        ahead[point + 1] += weights * share
+        of_next = stretch * (place - point)
+        behind[point] += column * (stretch - of_next)
+        ahead[point + 1] += column * of_next
     effects = Matrix(behind[point] + ahead[point] for point in range(max(ahead) + 1)).T
     return effects @ effects.T
