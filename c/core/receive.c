@@ -73,9 +73,8 @@ static maplines_e2e_state_t state_of(const maplines_decoder_t *decoder, int slot
 
 static bool has_two_senders(const maplines_decoder_t *decoder, int slot, int64_t t_ns)
 {
-    return !maplines_has_one_sender(&decoder->checks[slot], t_ns) ||
-           (decoder->dbc->is_conditional &&
-            !maplines_has_one_sender(&decoder->checks[MAPLINES_POSE], t_ns));
+    return !maplines_has_one_sender(decoder, slot, t_ns) ||
+           (decoder->dbc->is_conditional && !maplines_has_one_sender(decoder, MAPLINES_POSE, t_ns));
 }
 
 /// Members of a row that the line itself has, but its covariance.
@@ -153,7 +152,7 @@ static void read_scene_row(const maplines_decoder_t *decoder, const maplines_sce
     row->counter = scene->counter;
     row->count = scene->count;
     row->state = (uint8_t)of_pose->machine.state;
-    row->two_senders = !maplines_has_one_sender(of_pose, t_ns);
+    row->two_senders = !maplines_has_one_sender(decoder, MAPLINES_POSE, t_ns);
     joint_covariance(scene, 0, scene->count, cov);
     const int n = 4 * scene->count;
     for (int i = 0; i < n; ++i)
@@ -169,7 +168,8 @@ static void read_scene_row(const maplines_decoder_t *decoder, const maplines_sce
         row->x_max[place] = line->x_max;
         memcpy(row->mean[place], line->gaussian.mean, sizeof row->mean[place]);
         are_valid = are_valid && check->machine.state == MAPLINES_E2E_VALID;
-        row->two_senders = row->two_senders || !maplines_has_one_sender(check, t_ns);
+        row->two_senders =
+            row->two_senders || !maplines_has_one_sender(decoder, (int)line->slot, t_ns);
     }
     row->usable = are_valid && isfinite(row->age) && !row->two_senders;
 }
@@ -430,11 +430,10 @@ bool maplines_receiver_scene(maplines_receiver_t *receiver, bool is_known)
 
 int maplines_receiver_elapse(maplines_receiver_t *receiver, int owner, int64_t t_ns)
 {
-    return (int)maplines_check_elapse(&receiver->decoder.checks[owner],
-                                      maplines_limited_time(t_ns));
+    return (int)maplines_check_elapse(&receiver->decoder, owner, maplines_limited_time(t_ns));
 }
 
 bool maplines_receiver_has_one_sender(const maplines_receiver_t *receiver, int owner, int64_t t_ns)
 {
-    return maplines_has_one_sender(&receiver->decoder.checks[owner], maplines_limited_time(t_ns));
+    return maplines_has_one_sender(&receiver->decoder, owner, maplines_limited_time(t_ns));
 }

@@ -145,7 +145,7 @@ typedef struct {
     int64_t run_since_ns; ///< records behind the last new one: time of the first of the run
     uint32_t run_first;   ///< its counter
     uint32_t run_last;    ///< counter of the last
-    uint32_t run_records; ///< 0: there is no run
+    uint8_t run_records;  ///< 0: there is no run
     bool run_is_other;    ///< a counter of the run came before with different content
 } maplines_history_t;
 
@@ -163,36 +163,31 @@ typedef struct {
     double line_ns;  ///< mean time between two lines in sequence
     int64_t last_ns; ///< time and counter of the last line
     uint32_t counter;
-    uint32_t longest; ///< greatest number of records of a line so far
+    uint8_t longest; ///< greatest number of records of a line so far
     bool has_line;
 } maplines_pace_t;
 
 /// Checks of the records of one owner.
 typedef struct {
-    maplines_e2e_config_t e2e;
-    int64_t cycle_ns;
-    uint64_t modulus; ///< of the counter
-    uint8_t pages;
-    bool is_authentic;
-    maplines_machine_t machine;
     maplines_deadline_t deadline;
     maplines_history_t history;
     maplines_conflict_t conflict;
     maplines_pace_t pace;
-    int64_t spaced_ns;      ///< time of the last line or pose error; INT64_MIN: none
-    uint8_t short_spacings; ///< in a row up to it, at most eight
-    int64_t new_ns;         ///< time of the last new record
-    uint32_t last;          ///< its counter
-    uint32_t left;          ///< last counter before that, if there was a gap
-    bool has_last, has_left;
-    uint32_t span;  ///< records of the line delivered last; 1 while a later line is incomplete
-    uint32_t ahead; ///< of the last new record against the one before; 0: a sequence break
-    uint8_t duplicated_frames; ///< since the last new record, or since the last REPEATED check
-    bool is_duplicated;        ///< there was such a check since the last new record
-    maplines_e2e_status_t status;
     uint64_t ok, some_lost; ///< checks by outcome
     uint64_t repeated, wrong_sequence, errors, no_new_data;
-    uint64_t lost; ///< records
+    uint64_t lost;     ///< records
+    int64_t spaced_ns; ///< time of the last line or pose error; INT64_MIN: none
+    int64_t new_ns;    ///< time of the last new record
+    uint32_t last;     ///< its counter
+    uint32_t left;     ///< last counter before that, if there was a gap
+    maplines_machine_t machine;
+    maplines_e2e_status_t status;
+    bool has_last, has_left;
+    uint8_t ahead; ///< of the last new record against the one before; 0: a sequence break
+    uint8_t span;  ///< records of the line delivered last; 1 while a later line is incomplete
+    uint8_t short_spacings;    ///< in a row, at most eight
+    uint8_t duplicated_frames; ///< since the last new record, or since the last REPEATED check
+    bool is_duplicated;        ///< there was such a check since the last new record
 } maplines_check_t;
 
 #if MAPLINES_MIXTURES
@@ -211,10 +206,15 @@ typedef struct {
 #endif
 
 #if MAPLINES_SCENES
-/// Record of a line that waits for its pose error, or belongs to one.
+/// Record of a line that is conditional on a pose error.
 typedef struct {
     uint8_t record[MAPLINES_MAX_RECORD];
     int64_t t_ns; ///< of its first frame
+} maplines_line_record_t;
+
+/// Line that waits for its pose error.
+typedef struct {
+    maplines_line_record_t line;
     uint32_t counter;
     uint8_t frames; ///< that count as pending while it waits
 } maplines_joining_t;
@@ -224,7 +224,7 @@ typedef struct {
     uint8_t record[MAPLINES_MAX_RECORD];
     int64_t t_ns;   ///< of its first frame
     uint32_t slots; ///< one bit for each line
-    maplines_joining_t lines[MAPLINES_SLOTS];
+    maplines_line_record_t lines[MAPLINES_SLOTS];
 } maplines_epoch_t;
 
 /// Pose errors that lines may still join, lines that wait for theirs, and the newest scene.

@@ -32,13 +32,6 @@ static bool is_slot(const maplines_decoder_t *decoder, int owner)
            decoder->dbc->messages[owner].is_present;
 }
 
-/// Records of an owner are authenticated.
-static bool is_authentic(const maplines_decoder_t *decoder, int owner)
-{
-    return MAPLINES_SECOC && decoder->settings.authenticator != NULL &&
-           maplines_layout(decoder->dbc, owner)->fd_authentic > 0;
-}
-
 const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_dbc_t *dbc,
                                   const maplines_settings_t *settings)
 {
@@ -74,11 +67,7 @@ const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_db
         {
             continue;
         }
-        const maplines_record_t *layout = maplines_layout(dbc, owner);
-        maplines_check_init(&decoder->checks[owner], &decoder->settings.e2e[owner],
-                            decoder->settings.cycle_ns[owner],
-                            (uint64_t)1 << layout->counter.length, layout->pages,
-                            is_authentic(decoder, owner));
+        maplines_check_init(&decoder->checks[owner], decoder->settings.cycle_ns[owner]);
 #if MAPLINES_SECOC
         const maplines_authenticator_t *authenticator = decoder->settings.authenticator;
         decoder->freshness_us[owner] =
@@ -102,10 +91,10 @@ static maplines_reason_t dropped_record(maplines_decoder_t *decoder, maplines_re
 }
 
 /// Count a line that a frame has completed, which is the newest of its slot.
-static void deliver(maplines_decoder_t *decoder, int slot, uint32_t frames, uint32_t records,
+static void deliver(maplines_decoder_t *decoder, int slot, uint32_t frames, uint8_t records,
                     maplines_fed_t *fed)
 {
-    maplines_check_delivered(&decoder->checks[slot], records);
+    maplines_check_delivered(decoder, slot, records);
     ++decoder->statistics.lines;
     decoder->statistics.line_frames += frames;
     decoder->has_newest |= (uint32_t)1 << (unsigned)slot;
@@ -121,9 +110,9 @@ static void feed_component(maplines_decoder_t *decoder, const maplines_arrival_t
     const maplines_complete_t *content = &arrival->content;
 #if MAPLINES_MIXTURES
     uint32_t frames = 0;
-    const maplines_check_t *own = &decoder->checks[arrival->owner];
     if (content->count > 1 &&
-        maplines_conflict_was_reused(&own->conflict, own->cycle_ns, arrival->t_ns))
+        maplines_conflict_was_reused(&decoder->checks[arrival->owner].conflict,
+                                     decoder->settings.cycle_ns[arrival->owner], arrival->t_ns))
     {
         maplines_drop_mixture(decoder, arrival->owner); // its components may come from two senders
         fed->reason = dropped_record(decoder, MAPLINES_INCOMPLETE, arrival->frames);
@@ -143,8 +132,8 @@ static void feed_component(maplines_decoder_t *decoder, const maplines_arrival_t
     {
         maplines_joining_t line;
         maplines_joined_t joined;
-        memcpy(line.record, arrival->record, MAPLINES_MAX_RECORD);
-        line.t_ns = arrival->t_ns;
+        memcpy(line.line.record, arrival->record, MAPLINES_MAX_RECORD);
+        line.line.t_ns = arrival->t_ns;
         line.counter = content->counter;
         line.frames = 0; // they are counted as those of the line
         const bool is_break = decoder->checks[arrival->owner].ahead == 0;
@@ -196,13 +185,12 @@ static void feed_joined(maplines_decoder_t *decoder, const maplines_joined_t *jo
 static void feed_pose(maplines_decoder_t *decoder, const maplines_arrival_t *arrival,
                       maplines_fed_t *fed, maplines_scene_t *scene)
 {
-    maplines_check_t *check = &decoder->checks[MAPLINES_POSE];
+    const uint32_t ahead = decoder->checks[MAPLINES_POSE].ahead;
     maplines_joined_t joined[MAPLINES_SLOTS];
-    maplines_check_delivered(check, 1);
+    maplines_check_delivered(decoder, MAPLINES_POSE, 1);
     ++decoder->statistics.pose_errors;
     decoder->statistics.pose_frames += arrival->frames;
-    const int count =
-        maplines_add_pose(decoder, arrival->record, arrival->t_ns, check->ahead, joined);
+    const int count = maplines_add_pose(decoder, arrival->record, arrival->t_ns, ahead, joined);
     if (decoder->dbc->is_conditional && count > 0)
     {
         feed_joined(decoder, joined, count, fed, scene);
@@ -217,8 +205,8 @@ static void feed_conditional(maplines_decoder_t *decoder, const maplines_arrival
     const bool is_break = decoder->checks[arrival->owner].ahead == 0;
     maplines_joining_t line;
     maplines_joined_t joined;
-    memcpy(line.record, arrival->record, MAPLINES_MAX_RECORD);
-    line.t_ns = arrival->t_ns;
+    memcpy(line.line.record, arrival->record, MAPLINES_MAX_RECORD);
+    line.line.t_ns = arrival->t_ns;
     line.counter = counter;
     line.frames = (uint8_t)arrival->frames;
     if (maplines_add_line(decoder, arrival->owner, &line, is_break, &joined))
@@ -269,38 +257,40 @@ MAPLINES_INTERNAL maplines_fed_t maplines_feed_with(maplines_decoder_t *decoder,
     }
     const int64_t now_ns = maplines_limited_time(t_ns);
     fed.reason = maplines_reassemble(decoder, frame, now_ns, &arrival);
-    maplines_check_t *check = &decoder->checks[arrival.owner];
+    const int owner = arrival.owner;
     if (fed.reason != MAPLINES_COMPLETE)
     {
         if (fed.reason != MAPLINES_FOREIGN)
         {
-            maplines_check_dropped(check, fed.reason, now_ns);
+            maplines_check_dropped(decoder, owner, fed.reason, now_ns);
         }
         return fed;
     }
     if (arrival.reason != MAPLINES_COMPLETE)
     {
-        maplines_check_failed(check, arrival.t_ns);
+        maplines_check_failed(decoder, owner, arrival.t_ns);
         fed.reason = dropped_record(decoder, arrival.reason, arrival.frames);
         return fed;
     }
-    const bool is_complete = !decoder->dbc->is_conditional && arrival.owner != MAPLINES_POSE;
-    const maplines_record_t *layout = maplines_layout(decoder->dbc, arrival.owner);
+    const bool is_complete = !decoder->dbc->is_conditional && owner != MAPLINES_POSE;
+    const maplines_record_t *layout = maplines_layout(decoder->dbc, owner);
     const uint32_t counter = (uint32_t)maplines_get(&layout->counter, arrival.record);
     const uint32_t content = hash_of(arrival.record, arrival.length);
-    const uint32_t records = is_complete ? arrival.content.count : 1U;
+    maplines_check_t *check = &decoder->checks[owner];
+    const uint8_t records = is_complete ? arrival.content.count : 1U;
     if (!is_complete || arrival.content.index == 0) // components follow each other at once
     {
-        const bool is_short = maplines_check_spacing(check, arrival.t_ns);
+        const bool is_short =
+            maplines_check_spacing(check, decoder->settings.cycle_ns[owner], arrival.t_ns);
         decoder->statistics.short_spacings += is_short ? 1U : 0U;
     }
     if (decoder->settings.refuses_short_spacings && check->short_spacings >= MAPLINES_SHORT_ROW)
     {
-        maplines_check_failed(check, arrival.t_ns);
+        maplines_check_failed(decoder, owner, arrival.t_ns);
         fed.reason = dropped_record(decoder, MAPLINES_SPACING, arrival.frames);
         return fed;
     }
-    fed.reason = maplines_check_received(check, counter, content, arrival.t_ns, records);
+    fed.reason = maplines_check_received(decoder, owner, counter, content, arrival.t_ns, records);
     if (fed.reason != MAPLINES_COMPLETE)
     {
 #if MAPLINES_MIXTURES
@@ -377,9 +367,11 @@ static waited_t waited_since(const maplines_decoder_t *decoder, int owner, int64
 }
 
 /// State at a time; if this clock was set back, no cycles have passed.
-static maplines_e2e_state_t state_at(maplines_check_t *check, int64_t now_ns, double waited)
+static maplines_e2e_state_t state_at(maplines_decoder_t *decoder, int owner, int64_t now_ns,
+                                     double waited)
 {
-    return waited < HUGE_VAL ? maplines_check_elapse(check, now_ns) : check->machine.state;
+    return waited < HUGE_VAL ? maplines_check_elapse(decoder, owner, now_ns)
+                             : decoder->checks[owner].machine.state;
 }
 
 const maplines_line_t *maplines_newest(const maplines_decoder_t *decoder, maplines_owner_t slot)
@@ -448,17 +440,16 @@ void maplines_latest(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t
         view->age = line->age + (maplines_real_t)waited;
         view->is_stale = since.is_long;
     }
-    maplines_check_t *check = &decoder->checks[slot];
-    view->state = state_at(check, t_ns, waited);
-    view->status = check->status;
-    view->two_senders = !maplines_has_one_sender(check, t_ns);
+    view->state = state_at(decoder, (int)slot, t_ns, waited);
+    view->status = decoder->checks[slot].status;
+    view->two_senders = !maplines_has_one_sender(decoder, (int)slot, t_ns);
 #if MAPLINES_SCENES
     if (decoder->dbc->is_conditional)
     {
-        maplines_check_t *of_pose = &decoder->checks[MAPLINES_POSE];
-        const maplines_e2e_state_t pose_state = state_at(of_pose, t_ns, waited);
+        const maplines_e2e_state_t pose_state = state_at(decoder, MAPLINES_POSE, t_ns, waited);
         view->state = view->state == MAPLINES_E2E_VALID ? pose_state : view->state;
-        view->two_senders = view->two_senders || !maplines_has_one_sender(of_pose, t_ns);
+        view->two_senders =
+            view->two_senders || !maplines_has_one_sender(decoder, MAPLINES_POSE, t_ns);
     }
 #endif
     view->is_usable = line != NULL && line->status != MAPLINES_OUT_OF_RANGE &&
@@ -508,12 +499,11 @@ void maplines_latest_scene(maplines_decoder_t *decoder, int64_t now_ns, maplines
     {
         return;
     }
-    maplines_check_t *of_pose = &decoder->checks[MAPLINES_POSE];
     const maplines_scene_t *scene = maplines_newest_scene(decoder);
     if (scene == NULL)
     {
-        view->state = maplines_check_elapse(of_pose, t_ns);
-        view->status = of_pose->status;
+        view->state = maplines_check_elapse(decoder, MAPLINES_POSE, t_ns);
+        view->status = decoder->checks[MAPLINES_POSE].status;
         return;
     }
     const waited_t since = waited_since(decoder, MAPLINES_POSE, scene->t_ns, t_ns);
@@ -523,16 +513,16 @@ void maplines_latest_scene(maplines_decoder_t *decoder, int64_t now_ns, maplines
     {
         view->age = scene->age + (maplines_real_t)since.waited;
     }
-    view->state = state_at(of_pose, t_ns, since.waited);
-    view->status = of_pose->status;
-    view->two_senders = !maplines_has_one_sender(of_pose, t_ns);
+    view->state = state_at(decoder, MAPLINES_POSE, t_ns, since.waited);
+    view->status = decoder->checks[MAPLINES_POSE].status;
+    view->two_senders = !maplines_has_one_sender(decoder, MAPLINES_POSE, t_ns);
     bool are_valid = view->state == MAPLINES_E2E_VALID;
     for (unsigned i = 0; i < scene->count; ++i)
     {
-        maplines_check_t *check = &decoder->checks[scene->lines[i].slot];
-        view->slot_states[i] = state_at(check, t_ns, since.waited);
+        const int slot = (int)scene->lines[i].slot;
+        view->slot_states[i] = state_at(decoder, slot, t_ns, since.waited);
         are_valid = are_valid && view->slot_states[i] == MAPLINES_E2E_VALID;
-        view->two_senders = view->two_senders || !maplines_has_one_sender(check, t_ns);
+        view->two_senders = view->two_senders || !maplines_has_one_sender(decoder, slot, t_ns);
     }
     view->is_usable =
         are_valid && view->age < (maplines_real_t)HUGE_VAL && !view->is_stale && !view->two_senders;
@@ -579,8 +569,8 @@ bool maplines_slot_stats(maplines_decoder_t *decoder, maplines_owner_t owner, in
     {
         return false;
     }
-    maplines_check_t *check = &decoder->checks[owner];
-    stats->state = maplines_check_elapse(check, maplines_limited_time(now_ns));
+    const maplines_check_t *check = &decoder->checks[owner];
+    stats->state = maplines_check_elapse(decoder, (int)owner, maplines_limited_time(now_ns));
     stats->status = check->status;
     stats->ok = check->ok + check->some_lost;
     stats->lost = check->lost;

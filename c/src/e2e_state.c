@@ -13,7 +13,7 @@ typedef struct {
     unsigned max_error;
 } bounds_t;
 
-MAPLINES_INTERNAL maplines_e2e_status_t maplines_e2e_check(uint64_t delta, uint64_t max_delta)
+MAPLINES_INTERNAL maplines_e2e_status_t maplines_e2e_check(uint32_t delta, uint32_t max_delta)
 {
     if (delta == 1)
     {

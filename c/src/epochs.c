@@ -182,7 +182,7 @@ static int epoch_of(const maplines_decoder_t *decoder, int slot, uint32_t counte
 static void join_line(maplines_epochs_t *epochs, int epoch, int slot,
                       const maplines_joining_t *line, maplines_joined_t *joined)
 {
-    epochs->epochs[epoch].lines[slot] = *line;
+    epochs->epochs[epoch].lines[slot] = line->line;
     epochs->epochs[epoch].slots |= (uint32_t)1 << (unsigned)slot;
     if (epoch == epochs->latest)
     {
@@ -268,7 +268,7 @@ MAPLINES_INTERNAL int maplines_add_pose(maplines_decoder_t *decoder, const uint8
     {
         const int slot = epochs->waits[i];
         const maplines_joining_t *line = &epochs->waiting[slot];
-        if (epoch_of(decoder, slot, line->counter, line->t_ns) == epoch)
+        if (epoch_of(decoder, slot, line->counter, line->line.t_ns) == epoch)
         {
             (void)stop_waiting(epochs, slot);
             join_line(epochs, epoch, slot, line, &joined[count]);
@@ -288,13 +288,13 @@ MAPLINES_INTERNAL bool maplines_add_line(maplines_decoder_t *decoder, int slot,
                                          maplines_joined_t *joined)
 {
     maplines_epochs_t *epochs = &decoder->epochs;
-    maplines_expire_epochs(decoder, line->t_ns);
+    maplines_expire_epochs(decoder, line->line.t_ns);
     if (is_break)
     {
-        epochs->since_ns[slot] = line->t_ns;
+        epochs->since_ns[slot] = line->line.t_ns;
     }
     drop_waiting(decoder, slot);
-    const int epoch = epoch_of(decoder, slot, line->counter, line->t_ns);
+    const int epoch = epoch_of(decoder, slot, line->counter, line->line.t_ns);
     if (epoch != NO_EPOCH)
     {
         join_line(epochs, epoch, slot, line, joined);
@@ -315,7 +315,7 @@ MAPLINES_INTERNAL void maplines_expire_epochs(maplines_decoder_t *decoder, int64
     while (i < epochs->wait_count)
     {
         const int slot = epochs->waits[i];
-        if (maplines_distance(t_ns, epochs->waiting[slot].t_ns) > HOLD_CYCLES * cycle_ns)
+        if (maplines_distance(t_ns, epochs->waiting[slot].line.t_ns) > HOLD_CYCLES * cycle_ns)
         {
             drop_waiting(decoder, slot);
         }

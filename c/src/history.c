@@ -79,58 +79,57 @@ MAPLINES_INTERNAL int64_t maplines_deadline_record(maplines_deadline_t *deadline
 /// Records of a run that indicate a restart; more are not counted.
 #define MAX_RUN 3U
 
-static uint64_t history_length(uint64_t modulus)
+static uint32_t history_length(uint32_t mask)
 {
-    return modulus < MAPLINES_HISTORY ? modulus : MAPLINES_HISTORY;
+    return mask < MAPLINES_HISTORY ? mask + 1U : MAPLINES_HISTORY;
 }
 
-static size_t place_of(uint64_t modulus, uint64_t counter)
+static size_t place_of(uint32_t mask, uint32_t counter)
 {
-    return (size_t)(counter & (MAPLINES_HISTORY - 1U) & (modulus - 1U));
+    return counter & (MAPLINES_HISTORY - 1U) & mask;
 }
 
 /// Place of a counter `behind` the last new one, or MAPLINES_HISTORY if there is no record of it.
-static size_t entry_of(const maplines_history_t *history, uint64_t modulus, uint64_t counter,
-                       uint64_t behind)
+static size_t entry_of(const maplines_history_t *history, uint32_t mask, uint32_t counter,
+                       uint32_t behind)
 {
-    const size_t place = place_of(modulus, counter);
-    const bool is_taken = behind < history_length(modulus) && history->flags[place] != 0;
+    const size_t place = place_of(mask, counter);
+    const bool is_taken = behind < history_length(mask) && history->flags[place] != 0;
     return is_taken ? place : MAPLINES_HISTORY;
 }
 
-MAPLINES_INTERNAL void maplines_history_add_new(maplines_history_t *history, uint64_t modulus,
-                                                uint32_t counter, uint32_t content, uint64_t ahead)
+MAPLINES_INTERNAL void maplines_history_add_new(maplines_history_t *history, uint32_t mask,
+                                                uint32_t counter, uint32_t content,
+                                                uint32_t skipped)
 {
-    const uint64_t length = history_length(modulus);
-    const uint64_t newer = ahead < length ? ahead : length;
-    for (uint64_t behind = 1; behind < newer; ++behind)
+    const uint32_t length = history_length(mask);
+    for (uint32_t behind = 1; behind < length && behind <= skipped; ++behind)
     {
-        history->flags[(counter - behind) & (length - 1U)] = 0;
+        history->flags[place_of(mask, counter - behind)] = 0;
     }
-    const size_t place = (size_t)(counter & (length - 1U));
+    const size_t place = place_of(mask, counter);
     history->content[place] = content;
     history->flags[place] = IS_TAKEN | IS_NEW | IS_IN_SEQUENCE;
     history->run_records = 0;
 }
 
-MAPLINES_INTERNAL void maplines_history_add_late(maplines_history_t *history, uint64_t modulus,
+MAPLINES_INTERNAL void maplines_history_add_late(maplines_history_t *history, uint32_t mask,
                                                  uint32_t counter, uint32_t content,
-                                                 uint64_t behind)
+                                                 uint32_t behind)
 {
-    const uint64_t length = history_length(modulus);
-    const size_t place = (size_t)(counter & (length - 1U));
-    if (behind < length && history->flags[place] == 0)
+    const size_t place = place_of(mask, counter);
+    if (behind < history_length(mask) && history->flags[place] == 0)
     {
-        const bool fills = maplines_history_fills_gap(history, modulus, counter, behind);
+        const bool fills = maplines_history_fills_gap(history, mask, counter, behind);
         history->content[place] = content;
         history->flags[place] = fills ? IS_TAKEN | IS_IN_SEQUENCE : IS_TAKEN;
     }
 }
 
-MAPLINES_INTERNAL void maplines_history_run(maplines_history_t *history, uint64_t modulus,
+MAPLINES_INTERNAL void maplines_history_run(maplines_history_t *history, uint32_t mask,
                                             uint32_t counter, int64_t t_ns, bool is_other)
 {
-    const uint64_t step = ((uint64_t)counter - history->run_last) & (modulus - 1U);
+    const uint32_t step = (counter - history->run_last) & mask;
     if (history->run_records == 0 || step != 1)
     {
         history->run_first = counter;
@@ -139,28 +138,31 @@ MAPLINES_INTERNAL void maplines_history_run(maplines_history_t *history, uint64_
         history->run_is_other = false;
     }
     history->run_last = counter;
-    history->run_records += history->run_records < MAX_RUN ? 1U : 0U;
+    if (history->run_records < MAX_RUN)
+    {
+        ++history->run_records;
+    }
     history->run_is_other = history->run_is_other || is_other;
 }
 
-MAPLINES_INTERNAL bool maplines_history_has(const maplines_history_t *history, uint64_t modulus,
-                                            uint32_t counter, uint64_t behind)
+MAPLINES_INTERNAL bool maplines_history_has(const maplines_history_t *history, uint32_t mask,
+                                            uint32_t counter, uint32_t behind)
 {
-    return entry_of(history, modulus, counter, behind) < MAPLINES_HISTORY;
+    return entry_of(history, mask, counter, behind) < MAPLINES_HISTORY;
 }
 
 MAPLINES_INTERNAL bool maplines_history_is_duplicate(const maplines_history_t *history,
-                                                     uint64_t modulus, uint32_t counter,
-                                                     uint32_t content, uint64_t behind)
+                                                     uint32_t mask, uint32_t counter,
+                                                     uint32_t content, uint32_t behind)
 {
-    const size_t place = entry_of(history, modulus, counter, behind);
+    const size_t place = entry_of(history, mask, counter, behind);
     return place < MAPLINES_HISTORY && history->content[place] == content;
 }
 
-MAPLINES_INTERNAL bool maplines_history_mark_duplicated(maplines_history_t *history,
-                                                        uint64_t modulus, uint32_t counter)
+MAPLINES_INTERNAL bool maplines_history_mark_duplicated(maplines_history_t *history, uint32_t mask,
+                                                        uint32_t counter)
 {
-    const size_t place = place_of(modulus, counter);
+    const size_t place = place_of(mask, counter);
     if ((history->flags[place] & (IS_NEW | IS_DUPLICATED)) != IS_NEW)
     {
         return false;
@@ -169,11 +171,10 @@ MAPLINES_INTERNAL bool maplines_history_mark_duplicated(maplines_history_t *hist
     return true;
 }
 
-MAPLINES_INTERNAL bool maplines_history_fills_gap(const maplines_history_t *history,
-                                                  uint64_t modulus, uint32_t counter,
-                                                  uint64_t behind)
+MAPLINES_INTERNAL bool maplines_history_fills_gap(const maplines_history_t *history, uint32_t mask,
+                                                  uint32_t counter, uint32_t behind)
 {
-    const size_t place = entry_of(history, modulus, (uint64_t)counter - 1U, behind + 1U);
+    const size_t place = entry_of(history, mask, counter - 1U, behind + 1U);
     return place < MAPLINES_HISTORY && (history->flags[place] & IS_IN_SEQUENCE) != 0;
 }
 

@@ -635,7 +635,7 @@ MAPLINES_INTERNAL uint32_t maplines_pending_transfers(const maplines_decoder_t *
 /* e2e_state.c */
 
 /// E2E_P05Check of a counter `delta` after the last one, modulo its modulus.
-MAPLINES_INTERNAL maplines_e2e_status_t maplines_e2e_check(uint64_t delta, uint64_t max_delta);
+MAPLINES_INTERNAL maplines_e2e_status_t maplines_e2e_check(uint32_t delta, uint32_t max_delta);
 MAPLINES_INTERNAL void maplines_machine_init(maplines_machine_t *machine);
 /// E2E_SMCheck: one step with the check of a record, or NONEWDATA.
 MAPLINES_INTERNAL void maplines_machine_step(maplines_machine_t *machine,
@@ -652,26 +652,28 @@ MAPLINES_INTERNAL int64_t maplines_deadline_record(maplines_deadline_t *deadline
 MAPLINES_INTERNAL int64_t maplines_deadline_elapse(maplines_deadline_t *deadline, int64_t cycle_ns,
                                                    int64_t t_ns);
 
-MAPLINES_INTERNAL void maplines_history_add_new(maplines_history_t *history, uint64_t modulus,
-                                                uint32_t counter, uint32_t content, uint64_t ahead);
-MAPLINES_INTERNAL void maplines_history_add_late(maplines_history_t *history, uint64_t modulus,
+/// Add a new record; those of the counters that it has skipped are forgotten. A counter is modulo
+/// a power of two, of which `mask` has the bits.
+MAPLINES_INTERNAL void maplines_history_add_new(maplines_history_t *history, uint32_t mask,
+                                                uint32_t counter, uint32_t content,
+                                                uint32_t skipped);
+MAPLINES_INTERNAL void maplines_history_add_late(maplines_history_t *history, uint32_t mask,
                                                  uint32_t counter, uint32_t content,
-                                                 uint64_t behind);
+                                                 uint32_t behind);
 /// Add a record behind the last new one to the run of its counters.
-MAPLINES_INTERNAL void maplines_history_run(maplines_history_t *history, uint64_t modulus,
+MAPLINES_INTERNAL void maplines_history_run(maplines_history_t *history, uint32_t mask,
                                             uint32_t counter, int64_t t_ns, bool is_other);
 /// There is a record with a counter.
-MAPLINES_INTERNAL bool maplines_history_has(const maplines_history_t *history, uint64_t modulus,
-                                            uint32_t counter, uint64_t behind);
+MAPLINES_INTERNAL bool maplines_history_has(const maplines_history_t *history, uint32_t mask,
+                                            uint32_t counter, uint32_t behind);
 MAPLINES_INTERNAL bool maplines_history_is_duplicate(const maplines_history_t *history,
-                                                     uint64_t modulus, uint32_t counter,
-                                                     uint32_t content, uint64_t behind);
+                                                     uint32_t mask, uint32_t counter,
+                                                     uint32_t content, uint32_t behind);
 /// Mark a record that there is as duplicated; true the first time a new record is duplicated.
-MAPLINES_INTERNAL bool maplines_history_mark_duplicated(maplines_history_t *history,
-                                                        uint64_t modulus, uint32_t counter);
-MAPLINES_INTERNAL bool maplines_history_fills_gap(const maplines_history_t *history,
-                                                  uint64_t modulus, uint32_t counter,
-                                                  uint64_t behind);
+MAPLINES_INTERNAL bool maplines_history_mark_duplicated(maplines_history_t *history, uint32_t mask,
+                                                        uint32_t counter);
+MAPLINES_INTERNAL bool maplines_history_fills_gap(const maplines_history_t *history, uint32_t mask,
+                                                  uint32_t counter, uint32_t behind);
 
 /* conflict.c; `cycle_ns` is the time between records */
 
@@ -696,26 +698,29 @@ MAPLINES_INTERNAL void maplines_conflict_elapse(maplines_conflict_t *conflict, i
 
 /* sequence.c */
 
-MAPLINES_INTERNAL void maplines_check_init(maplines_check_t *check,
-                                           const maplines_e2e_config_t *e2e, int64_t cycle_ns,
-                                           uint64_t modulus, uint8_t pages, bool is_authentic);
-/// Check a record whose checksum is correct: MAPLINES_COMPLETE if it is new, DUPLICATE or STALE.
 #define MAPLINES_SHORT_ROW 8 ///< short spacings in a row that mean times in another unit
+
+MAPLINES_INTERNAL void maplines_check_init(maplines_check_t *check, int64_t cycle_ns);
 /// Whether a line or pose error comes far sooner after the last than the cycle.
-MAPLINES_INTERNAL bool maplines_check_spacing(maplines_check_t *check, int64_t t_ns);
-MAPLINES_INTERNAL maplines_reason_t maplines_check_received(maplines_check_t *check,
-                                                            uint32_t counter, uint32_t content,
-                                                            int64_t t_ns, uint32_t records);
-/// The last new record completed a line of so many records.
-MAPLINES_INTERNAL void maplines_check_delivered(maplines_check_t *check, uint32_t records);
-/// A damaged record or frame is an ERROR check.
-MAPLINES_INTERNAL void maplines_check_failed(maplines_check_t *check, int64_t t_ns);
-/// Check a frame that is in no record, by the reason why it was dropped.
-MAPLINES_INTERNAL void maplines_check_dropped(maplines_check_t *check, maplines_reason_t reason,
+MAPLINES_INTERNAL bool maplines_check_spacing(maplines_check_t *check, int64_t cycle_ns,
                                               int64_t t_ns);
+/// Check a record whose checksum is correct: MAPLINES_COMPLETE if it is new, DUPLICATE or STALE.
+MAPLINES_INTERNAL maplines_reason_t maplines_check_received(maplines_decoder_t *decoder, int owner,
+                                                            uint32_t counter, uint32_t content,
+                                                            int64_t t_ns, uint8_t records);
+/// The last new record completed a line of so many records.
+MAPLINES_INTERNAL void maplines_check_delivered(maplines_decoder_t *decoder, int owner,
+                                                uint8_t records);
+/// A damaged record or frame is an ERROR check.
+MAPLINES_INTERNAL void maplines_check_failed(maplines_decoder_t *decoder, int owner, int64_t t_ns);
+/// Check a frame that is in no record, by the reason why it was dropped.
+MAPLINES_INTERNAL void maplines_check_dropped(maplines_decoder_t *decoder, int owner,
+                                              maplines_reason_t reason, int64_t t_ns);
 /// State at a time: a NONEWDATA check for each cycle missed up to then.
-MAPLINES_INTERNAL maplines_e2e_state_t maplines_check_elapse(maplines_check_t *check, int64_t t_ns);
-MAPLINES_INTERNAL bool maplines_has_one_sender(const maplines_check_t *check, int64_t t_ns);
+MAPLINES_INTERNAL maplines_e2e_state_t maplines_check_elapse(maplines_decoder_t *decoder, int owner,
+                                                             int64_t t_ns);
+MAPLINES_INTERNAL bool maplines_has_one_sender(const maplines_decoder_t *decoder, int owner,
+                                               int64_t t_ns);
 
 #if MAPLINES_MIXTURES
 /* mixtures.c */

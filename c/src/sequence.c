@@ -1,7 +1,7 @@
 /* Checks of the records of an owner: E2E state, lost records, late records and duplicates.
  *
  * Each record is one check, and so is each cycle without a record. The counter decides whether a
- * record with a correct checksum is new; counters are modulo `modulus`:
+ * record with a correct checksum is new; counters are modulo a power of two:
  *
  *     counter                                content for this counter  decision    E2E status
  *     last + 1                               any                       new         OK
@@ -36,10 +36,32 @@
 #define MEAN_LINES 8.0     ///< the time between two lines is a mean over about this many
 #define FASTEST 10.0       ///< a sender may be faster than the cycle time by this factor
 
+/// What the records of an owner are checked by.
+typedef struct {
+    const maplines_e2e_config_t *e2e;
+    int64_t cycle_ns;
+    uint32_t mask; ///< bits of the counter
+    uint8_t pages;
+    bool is_authentic;
+} rules_t;
+
+static rules_t rules_of(const maplines_decoder_t *decoder, int owner)
+{
+    const maplines_record_t *layout = maplines_layout(decoder->dbc, owner);
+    rules_t rules;
+    rules.e2e = &decoder->settings.e2e[owner];
+    rules.cycle_ns = decoder->settings.cycle_ns[owner];
+    rules.mask = UINT32_MAX >> (32U - layout->counter.length);
+    rules.pages = layout->pages;
+    rules.is_authentic =
+        MAPLINES_SECOC && decoder->settings.authenticator != NULL && layout->fd_authentic > 0;
+    return rules;
+}
+
 /* ---- rate of a sender --------------------------------------------------------------------------
  */
 
-static uint32_t most_records(const maplines_pace_t *pace, uint32_t records)
+static uint8_t most_records(const maplines_pace_t *pace, uint8_t records)
 {
     return pace->longest > records ? pace->longest : records;
 }
@@ -55,11 +77,11 @@ static double lines_within(const maplines_pace_t *pace, int64_t cycle_ns, int64_
 }
 
 /// A line of so many records, by the counter and the time of the last one.
-static void pace_delivered(maplines_pace_t *pace, uint64_t modulus, uint32_t counter, int64_t t_ns,
-                           uint32_t records)
+static void pace_delivered(maplines_pace_t *pace, uint32_t mask, uint32_t counter, int64_t t_ns,
+                           uint8_t records)
 {
     pace->longest = most_records(pace, records);
-    const uint64_t step = ((uint64_t)counter - pace->counter) & (modulus - 1U);
+    const uint32_t step = (counter - pace->counter) & mask;
     if (pace->has_line && step == records)
     {
         const double interval_ns = (double)maplines_distance(t_ns, pace->last_ns);
@@ -76,44 +98,46 @@ static void pace_delivered(maplines_pace_t *pace, uint64_t modulus, uint32_t cou
 
 /// Greatest difference of the counter of a newer record from the last new one. With authentication
 /// it is not limited by time: the freshness value excludes older records.
-static uint64_t most_ahead(const maplines_check_t *check, int64_t waited_ns, uint32_t records)
+static uint32_t most_ahead(const maplines_check_t *check, const rules_t *rules, int64_t waited_ns,
+                           uint8_t records)
 {
-    const uint64_t half = check->modulus / 2U - 1U;
-    if (check->is_authentic)
+    const uint32_t half = rules->mask / 2U; // half of the counters, less one
+    if (rules->is_authentic)
     {
         return half;
     }
-    const double lines = ceil(lines_within(&check->pace, check->cycle_ns, waited_ns));
+    const double lines = ceil(lines_within(&check->pace, rules->cycle_ns, waited_ns));
     const double most = lines * (double)most_records(&check->pace, records);
     if (most >= (double)half)
     {
         return half;
     }
-    const uint64_t by_time = (uint64_t)most;
-    return by_time > check->e2e.max_delta_counter ? by_time : check->e2e.max_delta_counter;
+    const uint32_t by_time = (uint32_t)most;
+    return by_time > rules->e2e->max_delta_counter ? by_time : rules->e2e->max_delta_counter;
 }
 
 /// Whether a newer record is ahead of what its sender should have sent by now.
-static bool is_too_far_ahead(const maplines_check_t *check, uint64_t ahead, int64_t waited_ns,
-                             uint32_t records)
+static bool is_too_far_ahead(const maplines_check_t *check, const rules_t *rules, uint32_t ahead,
+                             int64_t waited_ns, uint8_t records)
 {
-    double lines = lines_within(&check->pace, check->cycle_ns, waited_ns);
+    double lines = lines_within(&check->pace, rules->cycle_ns, waited_ns);
     lines = lines > 1.0 ? lines : 1.0;
     return (double)ahead > lines * (double)most_records(&check->pace, records);
 }
 
 /// Whether the records behind the last new one are those of a restarted sender.
-static bool is_restart(maplines_check_t *check, uint32_t counter, int64_t t_ns, bool is_other)
+static bool is_restart(maplines_check_t *check, const rules_t *rules, uint32_t counter,
+                       int64_t t_ns, bool is_other)
 {
     maplines_history_t *history = &check->history;
-    maplines_history_run(history, check->modulus, counter, t_ns, is_other);
-    const int64_t grace = check->cycle_ns + check->cycle_ns / 2;
+    maplines_history_run(history, rules->mask, counter, t_ns, is_other);
+    const int64_t grace = rules->cycle_ns + rules->cycle_ns / 2;
     if (history->run_records < RESTART_RECORDS ||
         maplines_distance(t_ns, history->run_since_ns) < grace)
     {
         return false;
     }
-    if (!history->run_is_other || history->run_first >= check->e2e.max_delta_counter)
+    if (!history->run_is_other || history->run_first >= rules->e2e->max_delta_counter)
     {
         return false;
     }
@@ -122,22 +146,23 @@ static bool is_restart(maplines_check_t *check, uint32_t counter, int64_t t_ns, 
 }
 
 /// Why a record `behind` the last new one is not delivered; MAPLINES_COMPLETE if it is new.
-static maplines_reason_t why_not_new(maplines_check_t *check, uint32_t counter, uint32_t content,
-                                     uint64_t behind, int64_t t_ns)
+static maplines_reason_t why_not_new(maplines_check_t *check, const rules_t *rules,
+                                     uint32_t counter, uint32_t content, uint32_t behind,
+                                     int64_t t_ns)
 {
     maplines_history_t *history = &check->history;
     maplines_conflict_t *conflict = &check->conflict;
-    const uint64_t modulus = check->modulus;
-    const int64_t cycle_ns = check->cycle_ns;
-    const uint64_t max_delta = check->e2e.max_delta_counter;
+    const uint32_t mask = rules->mask;
+    const int64_t cycle_ns = rules->cycle_ns;
+    const uint32_t max_delta = rules->e2e->max_delta_counter;
     const bool is_duplicate =
-        maplines_history_is_duplicate(history, modulus, counter, content, behind);
+        maplines_history_is_duplicate(history, mask, counter, content, behind);
     if (!is_duplicate)
     {
         maplines_conflict_late(conflict, cycle_ns, t_ns);
     }
     // Farther back, it may be of a sender that restarted in a car that stands.
-    else if (behind <= max_delta && maplines_history_mark_duplicated(history, modulus, counter))
+    else if (behind <= max_delta && maplines_history_mark_duplicated(history, mask, counter))
     {
         maplines_conflict_duplicate(conflict, t_ns);
     }
@@ -153,8 +178,8 @@ static maplines_reason_t why_not_new(maplines_check_t *check, uint32_t counter, 
         }
         return is_duplicate ? MAPLINES_DUPLICATE : MAPLINES_STALE;
     }
-    const int64_t window_ns = check->e2e.window_size_valid * cycle_ns;
-    if (check->is_authentic || maplines_distance(t_ns, check->new_ns) > window_ns)
+    const int64_t window_ns = rules->e2e->window_size_valid * cycle_ns;
+    if (rules->is_authentic || maplines_distance(t_ns, check->new_ns) > window_ns)
     {
         return MAPLINES_COMPLETE;
     }
@@ -162,15 +187,15 @@ static maplines_reason_t why_not_new(maplines_check_t *check, uint32_t counter, 
     {
         return MAPLINES_DUPLICATE;
     }
-    const bool has_other = maplines_history_has(history, modulus, counter, behind);
-    maplines_history_add_late(history, modulus, counter, content, behind);
+    const bool has_other = maplines_history_has(history, mask, counter, behind);
+    maplines_history_add_late(history, mask, counter, content, behind);
     if (has_other)
     {
         maplines_conflict_reused(conflict, cycle_ns, t_ns);
     }
     // too far behind to be merely delayed, and it fills no gap
     else if (behind > max_delta * check->pace.longest &&
-             !maplines_history_fills_gap(history, modulus, counter, behind))
+             !maplines_history_fills_gap(history, mask, counter, behind))
     {
         maplines_conflict_count(conflict, cycle_ns, t_ns);
     }
@@ -178,13 +203,14 @@ static maplines_reason_t why_not_new(maplines_check_t *check, uint32_t counter, 
     {
         // it is delayed
     }
-    return is_restart(check, counter, t_ns, has_other) ? MAPLINES_COMPLETE : MAPLINES_STALE;
+    return is_restart(check, rules, counter, t_ns, has_other) ? MAPLINES_COMPLETE : MAPLINES_STALE;
 }
 
-static void accept_record(maplines_check_t *check, uint32_t counter, uint32_t content, int64_t t_ns,
-                          uint64_t ahead)
+/// Take a new record, which has skipped so many counters.
+static void accept_record(maplines_check_t *check, const rules_t *rules, uint32_t counter,
+                          uint32_t content, int64_t t_ns, uint32_t skipped)
 {
-    maplines_history_add_new(&check->history, check->modulus, counter, content, ahead);
+    maplines_history_add_new(&check->history, rules->mask, counter, content, skipped);
     maplines_conflict_new(&check->conflict);
     check->has_last = true;
     check->last = counter;
@@ -193,94 +219,88 @@ static void accept_record(maplines_check_t *check, uint32_t counter, uint32_t co
 }
 
 /// Check the counter of a record; remember a new one.
-static maplines_reason_t check_counter(maplines_check_t *check, uint32_t counter, uint32_t content,
-                                       int64_t t_ns, uint32_t records,
-                                       maplines_e2e_status_t *status)
+static maplines_reason_t check_counter(maplines_check_t *check, const rules_t *rules,
+                                       uint32_t counter, uint32_t content, int64_t t_ns,
+                                       uint8_t records, maplines_e2e_status_t *status)
 {
-    const uint64_t mask = check->modulus - 1U;
-    const uint64_t delta = check->has_last ? ((uint64_t)counter - check->last) & mask : 1U;
-    *status = maplines_e2e_check(delta, check->e2e.max_delta_counter);
+    const uint32_t mask = rules->mask;
+    const uint32_t delta = check->has_last ? (counter - check->last) & mask : 1U;
+    *status = maplines_e2e_check(delta, rules->e2e->max_delta_counter);
     if (*status == MAPLINES_E2E_OK)
     {
         maplines_conflict_next(&check->conflict);
-        accept_record(check, counter, content, t_ns, 1);
+        accept_record(check, rules, counter, content, t_ns, 0);
         check->ahead = 1;
         return MAPLINES_COMPLETE;
     }
     const int64_t waited_ns = maplines_distance(t_ns, check->new_ns);
-    const bool is_newer = delta > 0 && delta <= most_ahead(check, waited_ns, records);
-    uint64_t ahead = delta;
+    const bool is_newer = delta > 0 && delta <= most_ahead(check, rules, waited_ns, records);
+    uint32_t skipped = delta - 1U;
     if (!is_newer)
     {
-        const uint64_t behind = (check->last - (uint64_t)counter) & mask;
-        const uint32_t span = check->span;
-        const maplines_reason_t reason = why_not_new(check, counter, content, behind, t_ns);
+        const uint32_t behind = (check->last - counter) & mask;
+        const uint8_t span = check->span;
+        const maplines_reason_t reason = why_not_new(check, rules, counter, content, behind, t_ns);
         if (reason != MAPLINES_COMPLETE)
         {
             *status = behind < span ? MAPLINES_E2E_REPEATED : MAPLINES_E2E_WRONGSEQUENCE;
             return reason;
         }
-        ahead = check->modulus; // the history is that of another sequence
+        skipped = mask; // the history is that of another sequence
     }
-    if (check->has_left && (((uint64_t)counter - check->left) & mask) == 1U)
+    if (check->has_left && ((counter - check->left) & mask) == 1U)
     {
         // back to the sequence before the break
-        maplines_conflict_count(&check->conflict, check->cycle_ns, t_ns);
+        maplines_conflict_count(&check->conflict, rules->cycle_ns, t_ns);
     }
     check->has_left = true;
     check->left = check->last;
     const bool is_gap = *status == MAPLINES_E2E_OKSOMELOST;
-    if (is_gap && is_too_far_ahead(check, ahead, waited_ns, records))
+    if (is_gap && is_too_far_ahead(check, rules, delta, waited_ns, records))
     {
         maplines_conflict_ahead(&check->conflict, t_ns);
     }
-    accept_record(check, counter, content, t_ns, ahead);
-    check->ahead = is_gap ? (uint32_t)ahead : 0U;
+    accept_record(check, rules, counter, content, t_ns, skipped);
+    check->ahead = is_gap ? (uint8_t)delta : 0U; // a gap is at most max_delta_counter
     // A sender restarts at 0: nothing is lost then.
-    check->lost += is_gap || (is_newer && counter != 0) ? ahead - 1U : 0U;
+    check->lost += is_gap || (is_newer && counter != 0) ? skipped : 0U;
     return MAPLINES_COMPLETE;
 }
 
 /* ---- the checks of an owner --------------------------------------------------------------------
  */
 
-static void step_with(maplines_check_t *check, maplines_e2e_status_t status)
+static void step_with(maplines_check_t *check, const rules_t *rules, maplines_e2e_status_t status)
 {
     check->status = status;
-    maplines_machine_step(&check->machine, &check->e2e, status);
+    maplines_machine_step(&check->machine, rules->e2e, status);
 }
 
-static void step_without_data(maplines_check_t *check, int64_t cycles)
+static void step_without_data(maplines_check_t *check, const rules_t *rules, int64_t cycles)
 {
     if (cycles == 0)
     {
         return;
     }
     check->no_new_data += (uint64_t)cycles;
-    const int64_t window = check->e2e.window_size_valid;
+    const int64_t window = rules->e2e->window_size_valid;
     const int64_t steps = cycles < window ? cycles : window;
     for (int64_t i = 0; i < steps; ++i)
     {
-        step_with(check, MAPLINES_E2E_NONEWDATA);
+        step_with(check, rules, MAPLINES_E2E_NONEWDATA);
     }
 }
 
-static void record_arrived(maplines_check_t *check, int64_t t_ns)
+static void record_arrived(maplines_check_t *check, const rules_t *rules, int64_t t_ns)
 {
-    maplines_conflict_elapse(&check->conflict, check->cycle_ns, t_ns);
-    step_without_data(check, maplines_deadline_record(&check->deadline, check->cycle_ns, t_ns));
+    maplines_conflict_elapse(&check->conflict, rules->cycle_ns, t_ns);
+    step_without_data(check, rules,
+                      maplines_deadline_record(&check->deadline, rules->cycle_ns, t_ns));
 }
 
-MAPLINES_INTERNAL void maplines_check_init(maplines_check_t *check,
-                                           const maplines_e2e_config_t *e2e, int64_t cycle_ns,
-                                           uint64_t modulus, uint8_t pages, bool is_authentic)
+MAPLINES_INTERNAL void maplines_check_init(maplines_check_t *check, int64_t cycle_ns)
 {
     memset(check, 0, sizeof(*check));
-    check->e2e = *e2e;
-    check->cycle_ns = cycle_ns;
-    check->modulus = modulus;
-    check->pages = pages;
-    check->is_authentic = is_authentic;
     check->status = MAPLINES_E2E_NONE;
     check->span = 1;
     check->pace.line_ns = (double)cycle_ns;
@@ -290,11 +310,12 @@ MAPLINES_INTERNAL void maplines_check_init(maplines_check_t *check,
     maplines_conflict_init(&check->conflict);
 }
 
-MAPLINES_INTERNAL bool maplines_check_spacing(maplines_check_t *check, int64_t t_ns)
+MAPLINES_INTERNAL bool maplines_check_spacing(maplines_check_t *check, int64_t cycle_ns,
+                                              int64_t t_ns)
 {
     const bool is_first = check->spaced_ns == MAPLINES_NEVER;
     const int64_t spacing_ns = is_first ? 0 : t_ns - check->spaced_ns;
-    const bool is_short = spacing_ns > 0 && spacing_ns < check->cycle_ns / SHORT_PART;
+    const bool is_short = spacing_ns > 0 && spacing_ns < cycle_ns / SHORT_PART;
     check->spaced_ns = t_ns;
     if (is_short && check->short_spacings < MAPLINES_SHORT_ROW)
     {
@@ -307,13 +328,16 @@ MAPLINES_INTERNAL bool maplines_check_spacing(maplines_check_t *check, int64_t t
     return is_short;
 }
 
-MAPLINES_INTERNAL maplines_reason_t maplines_check_received(maplines_check_t *check,
+MAPLINES_INTERNAL maplines_reason_t maplines_check_received(maplines_decoder_t *decoder, int owner,
                                                             uint32_t counter, uint32_t content,
-                                                            int64_t t_ns, uint32_t records)
+                                                            int64_t t_ns, uint8_t records)
 {
+    maplines_check_t *check = &decoder->checks[owner];
+    const rules_t rules = rules_of(decoder, owner);
     maplines_e2e_status_t status = MAPLINES_E2E_NONE;
-    record_arrived(check, t_ns);
-    const maplines_reason_t reason = check_counter(check, counter, content, t_ns, records, &status);
+    record_arrived(check, &rules, t_ns);
+    const maplines_reason_t reason =
+        check_counter(check, &rules, counter, content, t_ns, records, &status);
     if (reason == MAPLINES_COMPLETE)
     {
         check->duplicated_frames = 0;
@@ -338,34 +362,45 @@ MAPLINES_INTERNAL maplines_reason_t maplines_check_received(maplines_check_t *ch
         ++check->ok;
         break;
     }
-    step_with(check, status);
+    step_with(check, &rules, status);
     return reason;
 }
 
-MAPLINES_INTERNAL void maplines_check_delivered(maplines_check_t *check, uint32_t records)
+MAPLINES_INTERNAL void maplines_check_delivered(maplines_decoder_t *decoder, int owner,
+                                                uint8_t records)
 {
+    maplines_check_t *check = &decoder->checks[owner];
     check->span = records;
     if (check->has_last)
     {
-        pace_delivered(&check->pace, check->modulus, check->last, check->new_ns, records);
+        pace_delivered(&check->pace, rules_of(decoder, owner).mask, check->last, check->new_ns,
+                       records);
     }
 }
 
-MAPLINES_INTERNAL void maplines_check_failed(maplines_check_t *check, int64_t t_ns)
+static void count_error(maplines_check_t *check, const rules_t *rules, int64_t t_ns)
 {
-    record_arrived(check, t_ns);
+    record_arrived(check, rules, t_ns);
     ++check->errors;
-    step_with(check, MAPLINES_E2E_ERROR);
+    step_with(check, rules, MAPLINES_E2E_ERROR);
+}
+
+MAPLINES_INTERNAL void maplines_check_failed(maplines_decoder_t *decoder, int owner, int64_t t_ns)
+{
+    const rules_t rules = rules_of(decoder, owner);
+    count_error(&decoder->checks[owner], &rules, t_ns);
 }
 
 /// A frame with a wrong page or length is an ERROR check, and `pages` duplicated frames are one
 /// REPEATED check. What is not authentic does not reach the check.
-MAPLINES_INTERNAL void maplines_check_dropped(maplines_check_t *check, maplines_reason_t reason,
-                                              int64_t t_ns)
+MAPLINES_INTERNAL void maplines_check_dropped(maplines_decoder_t *decoder, int owner,
+                                              maplines_reason_t reason, int64_t t_ns)
 {
-    if (reason == MAPLINES_PAGE || (reason == MAPLINES_LENGTH && !check->is_authentic))
+    maplines_check_t *check = &decoder->checks[owner];
+    const rules_t rules = rules_of(decoder, owner);
+    if (reason == MAPLINES_PAGE || (reason == MAPLINES_LENGTH && !rules.is_authentic))
     {
-        maplines_check_failed(check, t_ns);
+        count_error(check, &rules, t_ns);
         return;
     }
     if (reason != MAPLINES_DUPLICATE)
@@ -373,11 +408,11 @@ MAPLINES_INTERNAL void maplines_check_dropped(maplines_check_t *check, maplines_
         return;
     }
     ++check->duplicated_frames;
-    if (check->duplicated_frames < check->pages)
+    if (check->duplicated_frames < rules.pages)
     {
         return;
     }
-    record_arrived(check, t_ns);
+    record_arrived(check, &rules, t_ns);
     if (!check->is_duplicated)
     {
         maplines_conflict_duplicate(&check->conflict, t_ns);
@@ -385,20 +420,26 @@ MAPLINES_INTERNAL void maplines_check_dropped(maplines_check_t *check, maplines_
     check->duplicated_frames = 0;
     check->is_duplicated = true;
     ++check->repeated;
-    step_with(check, MAPLINES_E2E_REPEATED);
+    step_with(check, &rules, MAPLINES_E2E_REPEATED);
 }
 
-MAPLINES_INTERNAL maplines_e2e_state_t maplines_check_elapse(maplines_check_t *check, int64_t t_ns)
+MAPLINES_INTERNAL maplines_e2e_state_t maplines_check_elapse(maplines_decoder_t *decoder, int owner,
+                                                             int64_t t_ns)
 {
-    maplines_conflict_elapse(&check->conflict, check->cycle_ns, t_ns);
-    step_without_data(check, maplines_deadline_elapse(&check->deadline, check->cycle_ns, t_ns));
+    maplines_check_t *check = &decoder->checks[owner];
+    const rules_t rules = rules_of(decoder, owner);
+    maplines_conflict_elapse(&check->conflict, rules.cycle_ns, t_ns);
+    step_without_data(check, &rules,
+                      maplines_deadline_elapse(&check->deadline, rules.cycle_ns, t_ns));
     return check->machine.state;
 }
 
-MAPLINES_INTERNAL bool maplines_has_one_sender(const maplines_check_t *check, int64_t t_ns)
+MAPLINES_INTERNAL bool maplines_has_one_sender(const maplines_decoder_t *decoder, int owner,
+                                               int64_t t_ns)
 {
-    return !check->conflict.is_confirmed &&
-           !maplines_conflict_is_suspected(&check->conflict, check->cycle_ns, t_ns);
+    const maplines_conflict_t *conflict = &decoder->checks[owner].conflict;
+    const int64_t cycle_ns = decoder->settings.cycle_ns[owner];
+    return !conflict->is_confirmed && !maplines_conflict_is_suspected(conflict, cycle_ns, t_ns);
 }
 
 #endif
