@@ -243,11 +243,12 @@ const char *maplines_receiver_start(maplines_receiver_t *receiver, const mapline
     return maplines_decoder_init(&receiver->decoder, dbc, settings);
 }
 
-/// Copy a payload; of one that is longer than any frame, its beginning: its length is wrong, too.
+/// Copy a payload; of one that is longer than any frame, its beginning, and a length that is wrong.
 static void set_data(maplines_frame_t *frame, const uint8_t *data, size_t length)
 {
-    frame->length = (uint8_t)(length < sizeof frame->data ? length : sizeof frame->data);
-    memcpy(frame->data, data, frame->length);
+    const size_t room = sizeof frame->data;
+    frame->length = (uint8_t)(length <= room ? length : room + 1U);
+    memcpy(frame->data, data, length <= room ? length : room);
 }
 
 /// Take a frame; its lines become the rows of the receiver.

@@ -385,11 +385,13 @@ typedef struct {
  *
  * Outside of the valid range a line says nothing: a road that bends there is no mistake of the
  * sender. So values and standard deviations are NaN if they need the line at an x that is not
- * from x_min to x_max, or NaN; 1 mm is allowed for the rounding of x. A comparison with NaN is
- * false, so ask maplines_is_valid_at first, or write tests that a NaN fails.
+ * from x_min to x_max, or NaN; 1 mm is allowed for the rounding of x. So they are if the value is
+ * not finite, as of a line that is made by hand. A comparison with NaN is false, so ask
+ * maplines_is_valid_at first, or write tests that a NaN fails.
  */
 
-/// Whether x is in the valid range of a line, x_min to x_max, and no NaN.
+/// Whether x is in the valid range of a line, x_min to x_max, and no NaN. No x is in a range that
+/// ends before it starts.
 bool maplines_is_valid_at(const maplines_line_t *line, maplines_real_t x);
 
 /// Lateral position of the mean line at x [m]; NaN outside of its range.
@@ -398,7 +400,8 @@ maplines_real_t maplines_y(const maplines_line_t *line, maplines_real_t x);
 /// Standard deviation of the lateral position at x [m]; NaN outside of the range.
 maplines_real_t maplines_y_sigma(const maplines_line_t *line, maplines_real_t x);
 
-/// Lateral position at any finite x [m], and what is known of it.
+/// Lateral position at any finite x [m], and what is known of it; NaN if the range of the line ends
+/// before it starts.
 ///
 /// In the range it is maplines_y with its standard deviation. At a distance of d [m] beyond an end,
 /// the mean goes on with its second derivative at the end. The standard deviations there of
@@ -561,7 +564,8 @@ typedef struct {
 /// Result of a prediction.
 typedef enum {
     MAPLINES_PREDICTED = 0,
-    MAPLINES_NOT_USABLE = 1, ///< the line has the status OUT_OF_RANGE, or its age is infinite; NULL
+    MAPLINES_NOT_USABLE = 1, ///< the line has the status OUT_OF_RANGE, a number of it is not
+                             ///< finite, such as its age, or its range ends before it starts; NULL
     MAPLINES_TOO_FAR = 2,    ///< the time is more than 10 s from the pose of the line
     MAPLINES_BAD_MOTION = 3, ///< a value is not finite, a sigma negative, a correlation beyond 1,
                              ///< or the motion is NULL
@@ -676,7 +680,9 @@ struct maplines_settings {
     int64_t timeout_ns[MAPLINES_OWNERS]; ///< longest time between the frames of a transfer
     int64_t cycle_ns[MAPLINES_OWNERS];   ///< time between records
     maplines_e2e_config_t e2e[MAPLINES_OWNERS];
-    double stale_cycles; ///< cycles without a newer line after which one is stale: 3
+    /// Cycles without a newer line after which one is stale: 3, or another number from 0 on.
+    /// Infinite: never, so that only the E2E state tells of a slot without lines.
+    double stale_cycles;
     const maplines_authenticator_t *authenticator; ///< NULL: frames without a MAC only
     /// After eight short spacings in a row (see maplines_statistics_t), records of the owner are
     /// dropped (MAPLINES_SPACING), and are errors of its E2E check, until a spacing is longer. A

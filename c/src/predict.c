@@ -88,6 +88,24 @@ static bool displaced(const double *state, const void *context, double *line)
     return line[0] == line[0];
 }
 
+/// Whether a line says something: its numbers are finite, and its range does not end before it
+/// starts. One that is made by hand may be otherwise.
+static bool is_finite_line(const maplines_gaussian_t *gaussian, maplines_real_t x_min,
+                           maplines_real_t x_max)
+{
+    const double infinity = (double)INFINITY;
+    bool is_finite = fabs((double)x_min) < infinity && fabs((double)x_max) < infinity;
+    for (int i = 0; i < 4; ++i)
+    {
+        is_finite = is_finite && fabs((double)gaussian->mean[i]) < infinity;
+        for (int j = 0; j < 4; ++j)
+        {
+            is_finite = is_finite && fabs((double)gaussian->factor[i][j]) < infinity;
+        }
+    }
+    return is_finite && x_min <= x_max;
+}
+
 /// Set the window in which a line is fitted: its valid range, and 1 m or more.
 static void set_window(double x_min, double x_max, double window[2])
 {
@@ -126,9 +144,8 @@ maplines_prediction_t maplines_predict_gaussian(const maplines_gaussian_t *gauss
     double line[4];
     static const uint8_t natural_order[4] = {0, 1, 2, 3};
     double window[2];
-    const double infinity = (double)INFINITY;
     if (!MAPLINES_REQUIRE(gaussian != NULL) || !MAPLINES_REQUIRE(predicted != NULL) ||
-        !MAPLINES_REQUIRE(fabs((double)x_min) < infinity && fabs((double)x_max) < infinity))
+        !is_finite_line(gaussian, x_min, x_max))
     {
         return MAPLINES_NOT_USABLE;
     }
@@ -229,7 +246,8 @@ static bool time_from_pose(const maplines_line_t *line, int64_t t_ns, int64_t *a
 
 static bool is_predictable(const maplines_line_t *line)
 {
-    return line->status != MAPLINES_OUT_OF_RANGE && (double)line->age < (double)INFINITY;
+    return line->status != MAPLINES_OUT_OF_RANGE && fabs((double)line->age) < (double)INFINITY &&
+           is_finite_line(&line->gaussian, line->x_min, line->x_max);
 }
 
 maplines_prediction_t maplines_predict(const maplines_line_t *line, int64_t t_ns,

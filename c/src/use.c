@@ -118,13 +118,32 @@ static maplines_real_t sigma_of(const deviation_t *deviation, size_t n)
     return sigma >= 0 ? sigma : (maplines_real_t)INFINITY;
 }
 
+/// Whether a line has a range: one that is made by hand may end before it starts, or be NaN.
+static bool has_range(const maplines_line_t *line)
+{
+    return line->x_min <= line->x_max;
+}
+
+static bool is_number(maplines_real_t value)
+{
+    return value - value == 0;
+}
+
+/// A value with its standard deviation. A value that is not finite, as of a line of NaN or of one
+/// that overflows, says nothing; neither does its standard deviation then.
+static maplines_estimate_t estimate_of(maplines_real_t value, maplines_real_t sigma)
+{
+    return is_number(value) ? (maplines_estimate_t){value, sigma} : nothing;
+}
+
 bool maplines_is_valid_at(const maplines_line_t *line, maplines_real_t x)
 {
     if (!MAPLINES_REQUIRE(line != NULL))
     {
         return false;
     }
-    return x >= line->x_min - RANGE_TOLERANCE && x <= line->x_max + RANGE_TOLERANCE;
+    return has_range(line) && x >= line->x_min - RANGE_TOLERANCE &&
+           x <= line->x_max + RANGE_TOLERANCE;
 }
 
 MAPLINES_INTERNAL maplines_real_t maplines_cubic_at(const maplines_gaussian_t *gaussian,
@@ -135,14 +154,18 @@ MAPLINES_INTERNAL maplines_real_t maplines_cubic_at(const maplines_gaussian_t *g
 
 maplines_real_t maplines_y(const maplines_line_t *line, maplines_real_t x)
 {
-    return maplines_is_valid_at(line, x) ? maplines_cubic_at(&line->gaussian, x) : nothing.value;
+    if (!maplines_is_valid_at(line, x))
+    {
+        return nothing.value;
+    }
+    return estimate_of(maplines_cubic_at(&line->gaussian, x), 0).value;
 }
 
 /// Sum of lateral positions of a line; its slot in the terms does not matter.
 static maplines_estimate_t sum_of(const maplines_line_t *line, size_t count,
                                   const maplines_term_t *terms)
 {
-    maplines_estimate_t sum = {0, 0};
+    maplines_real_t value = 0;
     gradient_t gradient = {{0}, {0}};
     deviation_t deviation = {{0}, {0}, 4};
     if (!MAPLINES_REQUIRE(line != NULL))
@@ -157,12 +180,11 @@ static maplines_estimate_t sum_of(const maplines_line_t *line, size_t count,
         {
             return nothing;
         }
-        sum.value += terms[i].weight * lateral_of(gaussian, slope, terms[i].x);
+        value += terms[i].weight * lateral_of(gaussian, slope, terms[i].x);
         add_gradient(slope, terms[i].x, terms[i].weight, &gradient);
     }
     add_rows(&gaussian->factor[0][0], 4, &gradient, deviation.g, deviation.size);
-    sum.sigma = sigma_of(&deviation, count);
-    return sum;
+    return estimate_of(value, sigma_of(&deviation, count));
 }
 
 maplines_real_t maplines_y_sigma(const maplines_line_t *line, maplines_real_t x)
@@ -242,22 +264,21 @@ static maplines_estimate_t position_beyond(const maplines_gaussian_t *gaussian, 
     const maplines_real_t sigma =
         sigma_along(gaussian, J[0]) +
         d * (sigma_along(gaussian, J[1]) + d / 2 * (sigma_along(gaussian, J[2]) + turn));
-    return (maplines_estimate_t){value, sigma >= 0 ? sigma : (maplines_real_t)INFINITY};
+    return estimate_of(value, sigma >= 0 ? sigma : (maplines_real_t)INFINITY);
 }
 
 maplines_estimate_t maplines_y_extrapolated(const maplines_line_t *line, maplines_real_t x)
 {
-    const bool is_finite = x - x == 0;
     const maplines_term_t term = {MAPLINES_EGO_LEFT, x, 1};
-    if (!MAPLINES_REQUIRE(line != NULL))
+    if (!MAPLINES_REQUIRE(line != NULL) || !has_range(line) || !is_number(x))
     {
         return nothing;
     }
-    if (is_finite && x < line->x_min)
+    if (x < line->x_min)
     {
         return position_beyond(&line->gaussian, line->x_min, x);
     }
-    if (is_finite && x > line->x_max)
+    if (x > line->x_max)
     {
         return position_beyond(&line->gaussian, line->x_max, x);
     }
@@ -383,7 +404,7 @@ bool maplines_sum(const maplines_scene_t *scene, size_t count, const maplines_te
     }
     for (size_t i = 0; i < count; ++i)
     {
-        if (!MAPLINES_REQUIRE(terms[i].weight - terms[i].weight == 0)) // it is finite
+        if (!MAPLINES_REQUIRE(is_number(terms[i].weight)))
         {
             return false;
         }
@@ -409,8 +430,8 @@ bool maplines_sum(const maplines_scene_t *scene, size_t count, const maplines_te
             deviation.count += 4;
         }
     }
-    *sum = (maplines_estimate_t){value, sigma_of(&deviation, count)};
-    return true;
+    *sum = estimate_of(value, sigma_of(&deviation, count));
+    return is_number(value);
 }
 
 bool maplines_width(const maplines_scene_t *scene, maplines_owner_t left, maplines_owner_t right,
@@ -443,7 +464,7 @@ bool maplines_common_range(const maplines_scene_t *scene, size_t count,
     for (size_t i = 0; i < count; ++i)
     {
         const maplines_line_t *line = maplines_scene_line(scene, slots[i]);
-        if (line == NULL)
+        if (line == NULL || !has_range(line))
         {
             return false;
         }

@@ -63,6 +63,8 @@ static maplines_line_copy_t copy;
 static maplines_scene_copy_t scene_copy;
 static const maplines_real_t nan_value = (maplines_real_t)NAN;
 static const maplines_real_t infinity = (maplines_real_t)INFINITY;
+/// A distance whose inverse overflows [m].
+static const maplines_real_t too_small = (maplines_real_t)(MAPLINES_FLOAT ? 1e-40 : 1e-320);
 
 static void set_inputs(void)
 {
@@ -298,6 +300,16 @@ static maplines_frame_t *with_length(uint8_t length)
     return &long_frame;
 }
 
+/// A CAN FD frame with a line, of which the first bytes are sent.
+static maplines_frame_t *with_fd(uint8_t length)
+{
+    static maplines_frame_t of_fd;
+    maplines_encoder_init(&encoder, &lines_dbc, NULL);
+    (void)maplines_encode_line(&encoder, &input, true, 0, &of_fd);
+    of_fd.length = length;
+    return &of_fd;
+}
+
 static maplines_frame_t *with_id(uint32_t can_id)
 {
     static maplines_frame_t other;
@@ -337,6 +349,8 @@ static void receiver_rows(void)
     ROW(feed, "frame NULL", true, fed_is(maplines_feed(&decoder, NULL, 0), MAPLINES_FOREIGN))
     ROW(feed, "frame of 65 bytes", true,
         fed_is(maplines_feed(&decoder, with_length(65), 0), MAPLINES_LENGTH))
+    ROW(feed, "CAN FD frame of 65 bytes", true,
+        fed_is(maplines_feed(&decoder, with_fd(65), 0), MAPLINES_LENGTH))
     ROW(feed, "frame of 255 bytes", true,
         fed_is(maplines_feed(&decoder, with_length(255), 0), MAPLINES_LENGTH))
     ROW(feed, "CAN ID with the flag of SocketCAN", true,
@@ -402,27 +416,66 @@ static void receiver_rows(void)
         problem(maplines_settings_for(&lines_dbc, 0, -50, NULL, &settings)))
 }
 
+/// Lines that nobody receives: of no numbers, or of a range that ends before it starts.
+static maplines_line_t wrong_mean, wrong_factor, wrong_range, barely_wrong_range, no_range;
+
+static void make_wrong_lines(void)
+{
+    wrong_mean = line;
+    wrong_mean.gaussian.mean[0] = nan_value;
+    wrong_factor = line;
+    wrong_factor.gaussian.factor[0][0] = nan_value;
+    wrong_range = line;
+    wrong_range.x_min = 80;
+    wrong_range.x_max = 0;
+    barely_wrong_range = line;
+    barely_wrong_range.x_min = 40 + (maplines_real_t)0.0005;
+    barely_wrong_range.x_max = 40;
+    no_range = line;
+    no_range.x_min = nan_value;
+}
+
 static void line_rows(void)
 {
     ROW(y, "line NULL", true, nan_of(maplines_y(NULL, 10)))
     ROW(y, "x NaN", false, nan_of(maplines_y(&line, nan_value)))
     ROW(y, "x infinite", false, nan_of(maplines_y(&line, infinity)))
     ROW(y, "x beyond the range", false, nan_of(maplines_y(&line, 1000)))
+    ROW(y, "mean NaN", false, nan_of(maplines_y(&wrong_mean, 10)))
+    ROW(y, "x_min beyond x_max", false, nan_of(maplines_y(&wrong_range, 40)))
+    ROW(is_valid_at, "x_min beyond x_max by less than 1 mm", false,
+        refused(maplines_is_valid_at(&barely_wrong_range, 40)))
     ROW(is_valid_at, "line NULL", true, refused(maplines_is_valid_at(NULL, 10)))
     ROW(is_valid_at, "x NaN", false, refused(maplines_is_valid_at(&line, nan_value)))
     ROW(y_extrapolated, "line NULL", true, unknown(maplines_y_extrapolated(NULL, 10)))
     ROW(y_extrapolated, "x NaN", false, unknown(maplines_y_extrapolated(&line, nan_value)))
     ROW(y_extrapolated, "x infinite", false, unknown(maplines_y_extrapolated(&line, infinity)))
+    ROW(y_extrapolated, "mean NaN", false, unknown(maplines_y_extrapolated(&wrong_mean, 10)))
+    ROW(y_extrapolated, "mean NaN, beyond the range", false,
+        unknown(maplines_y_extrapolated(&wrong_mean, 90)))
+    ROW(y_extrapolated, "x_min beyond x_max", false,
+        unknown(maplines_y_extrapolated(&wrong_range, 40)))
+    ROW(y_extrapolated, "x_min NaN", false, unknown(maplines_y_extrapolated(&no_range, 90)))
+    ROW(y_sigma, "mean NaN", false, nan_of(maplines_y_sigma(&wrong_mean, 10)))
+    ROW(y_sigma, "factor NaN", false,
+        number((double)maplines_y_sigma(&wrong_factor, 10),
+               !(maplines_y_sigma(&wrong_factor, 10) < infinity)))
     ROW(y_sigma, "line NULL", true, nan_of(maplines_y_sigma(NULL, 10)))
     ROW(y_sigma, "x NaN", false, nan_of(maplines_y_sigma(&line, nan_value)))
     ROW(y_sigma, "x infinite", false, nan_of(maplines_y_sigma(&line, infinity)))
     ROW(slope, "line NULL", true, unknown(maplines_slope(NULL, 20, 10)))
     ROW(slope, "x NaN", false, unknown(maplines_slope(&line, nan_value, 10)))
+    ROW(slope, "mean NaN", false, unknown(maplines_slope(&wrong_mean, 20, 10)))
+    ROW(slope, "distance too small to divide by", false,
+        unknown(maplines_slope(&line, 20, too_small)))
     ROW(slope, "distance 0", true, unknown(maplines_slope(&line, 20, 0)))
     ROW(slope, "distance negative", true, unknown(maplines_slope(&line, 20, -10)))
     ROW(slope, "distance NaN", true, unknown(maplines_slope(&line, 20, nan_value)))
     ROW(curvature, "line NULL", true, unknown(maplines_curvature(NULL, 20, 10)))
     ROW(curvature, "x NaN", false, unknown(maplines_curvature(&line, nan_value, 10)))
+    ROW(curvature, "mean NaN", false, unknown(maplines_curvature(&wrong_mean, 20, 10)))
+    ROW(curvature, "distance too small to divide by", false,
+        unknown(maplines_curvature(&line, 20, too_small)))
     ROW(curvature, "distance 0", true, unknown(maplines_curvature(&line, 20, 0)))
     ROW(curvature, "distance negative", true, unknown(maplines_curvature(&line, 20, -10)))
     ROW(curvature, "distance NaN", true, unknown(maplines_curvature(&line, 20, nan_value)))
@@ -434,6 +487,9 @@ static void line_rows(void)
     ROW(mahalanobis, "9 positions", true,
         number((double)maplines_mahalanobis(&line, MAPLINES_MAX_POSITIONS + 1, positions),
                !(maplines_mahalanobis(&line, MAPLINES_MAX_POSITIONS + 1, positions) < infinity)))
+    ROW(mahalanobis, "mean NaN", false,
+        number((double)maplines_mahalanobis(&wrong_mean, 1, positions),
+               !(maplines_mahalanobis(&wrong_mean, 1, positions) < infinity)))
     ROW_AFTER(mahalanobis, "sigma 0", false, positions[0].sigma = 0,
               number((double)maplines_mahalanobis(&line, 1, positions),
                      !(maplines_mahalanobis(&line, 1, positions) < infinity)))
@@ -445,6 +501,7 @@ static void line_rows(void)
 
 static void scene_rows(void)
 {
+    const maplines_line_t good = scene.lines[0];
     ROW(latest_scene, "decoder NULL", true,
         (maplines_latest_scene(NULL, 0, &scene_view),
          not_usable(scene_view.scene != NULL, scene_view.is_usable)))
@@ -475,6 +532,17 @@ static void scene_rows(void)
     ROW_AFTER(sum, "weight NaN", true, terms[0].weight = nan_value,
               (maplines_sum(&scene, 2, terms, &estimate) ? said("true", false) : unknown(estimate)))
     terms[0].weight = 1;
+    scene.lines[0].gaussian.mean[0] = nan_value;
+    ROW(sum, "a mean NaN", false,
+        (maplines_sum(&scene, 2, terms, &estimate) ? said("true", false) : unknown(estimate)))
+    ROW(width, "a mean NaN", false,
+        (maplines_width(&scene, both[0], both[1], 10, &estimate) ? said("true", false)
+                                                                 : unknown(estimate)))
+    scene.lines[0] = good;
+    scene.lines[0].x_min = nan_value;
+    ROW(common_range, "an x_min NaN", false,
+        refused(maplines_common_range(&scene, 2, both, &low, &high)))
+    scene.lines[0] = good;
     ROW(width, "scene NULL", true, refused(maplines_width(NULL, both[0], both[1], 10, &estimate)))
     ROW(width, "width NULL", true, refused(maplines_width(&scene, both[0], both[1], 10, NULL)))
     ROW(width, "x NaN", false,
@@ -524,11 +592,18 @@ static void prediction_rows(void)
     ROW(predict_gaussian, "predicted NULL", true,
         prediction_is(maplines_predict_gaussian(&line.gaussian, &displacement, 0, 80, NULL),
                       MAPLINES_NOT_USABLE))
-    ROW(predict_gaussian, "x_min NaN", true,
+    ROW(predict_gaussian, "x_min NaN", false,
         prediction_is(
             maplines_predict_gaussian(&line.gaussian, &displacement, nan_value, 80, &gaussian),
             MAPLINES_NOT_USABLE))
-    ROW(predict_gaussian, "x_max infinite", true,
+    ROW(predict_gaussian, "x_min beyond x_max", false,
+        prediction_is(maplines_predict_gaussian(&line.gaussian, &displacement, 81, 80, &gaussian),
+                      MAPLINES_NOT_USABLE))
+    ROW(predict_gaussian, "mean NaN", false,
+        prediction_is(
+            maplines_predict_gaussian(&wrong_mean.gaussian, &displacement, 0, 80, &gaussian),
+            MAPLINES_NOT_USABLE))
+    ROW(predict_gaussian, "x_max infinite", false,
         prediction_is(
             maplines_predict_gaussian(&line.gaussian, &displacement, 0, infinity, &gaussian),
             MAPLINES_NOT_USABLE))
@@ -541,6 +616,12 @@ static void prediction_rows(void)
         prediction_is(maplines_predict(&line, line.t_ns, NULL, &predicted), MAPLINES_BAD_MOTION))
     ROW(predict, "predicted NULL", true,
         prediction_is(maplines_predict(&line, line.t_ns, &displacement, NULL), MAPLINES_NOT_USABLE))
+    ROW(predict, "mean NaN", false,
+        prediction_is(maplines_predict(&wrong_mean, line.t_ns, &displacement, &predicted),
+                      MAPLINES_NOT_USABLE))
+    ROW(predict, "x_min beyond x_max", false,
+        prediction_is(maplines_predict(&wrong_range, line.t_ns, &displacement, &predicted),
+                      MAPLINES_NOT_USABLE))
     ROW(predict, "displacement NaN", false,
         prediction_is(maplines_predict(&line, line.t_ns, &bad, &predicted), MAPLINES_BAD_MOTION))
     VOID_ROW(overall, "components NULL", maplines_overall(1, NULL, weights, &gaussian))
@@ -562,6 +643,9 @@ static void prediction_rows(void)
                       MAPLINES_BAD_MOTION))
     ROW(predict_to, "predicted NULL", true,
         prediction_is(maplines_predict_to(&line, line.t_ns, &motion, 0, NULL), MAPLINES_NOT_USABLE))
+    ROW(predict_to, "factor NaN", false,
+        prediction_is(maplines_predict_to(&wrong_factor, line.t_ns, &motion, 0, &predicted),
+                      MAPLINES_NOT_USABLE))
     ROW(predict_to, "time_sigma NaN", false,
         prediction_is(maplines_predict_to(&line, line.t_ns, &motion, nan_value, &predicted),
                       MAPLINES_BAD_MOTION))
@@ -738,6 +822,19 @@ static const char *lines_each(int64_t spacing, bool refuses, unsigned expected, 
     return text;
 }
 
+/// A line that never is stale, a second after the last one: the E2E state says so nevertheless.
+static const char *never_stale(void)
+{
+    settings.stale_cycles = (double)INFINITY;
+    feed_lines(0, CYCLE_NS);
+    const bool was_usable = view.is_usable;
+    maplines_latest(&decoder, MAPLINES_EGO_LEFT, CYCLE_NS * (ROUNDS + 20), &view);
+    settings.stale_cycles = 3;
+    return said(view.is_usable ? "usable" : maplines_e2e_state_name(view.state),
+                was_usable && !view.is_stale && view.state == MAPLINES_E2E_INVALID &&
+                    !view.is_usable);
+}
+
 static void time_rows(void)
 {
     ROW(feed, "times in ns, refused if short", false, lines_each(CYCLE_NS, true, ROUNDS, true))
@@ -746,12 +843,14 @@ static void time_rows(void)
     ROW(feed, "times in ms", false, lines_each(CYCLE_NS / 1000000, false, ROUNDS, true))
     ROW(feed, "times in ms, refused", false, lines_each(CYCLE_NS / 1000000, true, 8, false))
     ROW(feed, "no times, refused if short", false, lines_each(0, true, ROUNDS, true))
+    ROW(latest, "stale_cycles infinite, and a second without a line", false, never_stale())
 }
 
 int main(int count, char **arguments)
 {
     only = count > 1 ? atoi(arguments[1]) : 0;
     begin();
+    make_wrong_lines();
     receiver_rows();
     line_rows();
     scene_rows();

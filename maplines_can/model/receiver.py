@@ -34,6 +34,8 @@ from .settings import ALL, Settings, Sizes, settings_of
 STALE_CYCLES = 3.0
 #: The time of a question may be before a reception by this [ns]; by more, the clock was set back.
 CLOCK_JITTER_NS = 1_000_000
+#: Longest payload of a CAN FD frame.
+FRAME_BYTES = 64
 #: Times are limited to this [ns].
 MAX_TIME_NS = 4 * 10**18
 
@@ -194,7 +196,7 @@ class Receiver:
             return "UNAUTHENTICATED"
         elif not own.messages.ids[key]:
             return reassembly.add_page(data, t_ns)
-        elif len(data) < own.layout.record_bytes:
+        elif not own.layout.record_bytes <= len(data) <= FRAME_BYTES:
             return "LENGTH"
         return reassembly.complete(reassembly.whole(data), t_ns, 1)
 

@@ -223,14 +223,18 @@ def check_extrapolated(line: MapLine, x: float, known: Any, found: Any, toleranc
         pytest.param([0, 0, 0, 0], np.eye(4), math.inf, math.nan, id="infinite"),
         pytest.param([0, 0, 0, 0], np.full((4, 4), math.inf), 40.0, math.inf, id="unknown"),
         pytest.param([0, 0, 0, 0], np.diag([1, 0, 0, 0]), 40.0, 1.0, id="offset-only"),
-        pytest.param([math.nan, 0, 0, 0], np.eye(4), 0.0, 1.0, id="mean-is-no-number"),
+        pytest.param([math.nan, 0, 0, 0], np.eye(4), 0.0, math.nan, id="mean-is-no-number"),
+        pytest.param([math.inf, 0, 0, 0], np.eye(4), 0.0, math.nan, id="mean-is-infinite"),
     ],
 )
 def test_sigma_is_never_negative(flags: Any, mean: Any, factor: Any, x: Any, expected: Any) -> None:
-    """Whatever is given: in the range, what is not known has an infinite sigma."""
+    """Whatever is given: in the range, what is not known has an infinite sigma, and what is no
+    number has none."""
     head = bytes([0, 0, 1, 1]) + struct.pack("<q", 0) + packed(0, 0, 1e31, mean, factor)
     out = ran(head + b"\1" + packed(x), flags)
-    sigma = out.floats(6)[1]
+    values = out.floats(8)
+    sigma = values[1]
+    assert (np.isnan(values[1::2]) == np.isnan(values[::2])).all()
     if math.isinf(expected) and x == 1e30 and flags == DOUBLE.values[0]:
         expected = 1e90 / 6
     assert sigma == pytest.approx(expected, rel=1e-5, nan_ok=True)
@@ -550,7 +554,7 @@ NOT_USABLE, TOO_FAR, BAD_MOTION, ILL_POSED = 1, 2, 3, 4
         pytest.param(1, 0.0, 10**9, 0, [0, 0, 0, 0], (5, 1.6), ILL_POSED, id="across"),
         pytest.param(0, 0.0, 10**9, 0, [0, 0, 0, 0], (5, 1.6), ILL_POSED, id="mean-across"),
         pytest.param(1, 0.0, 10**9, 0, [0, 1.6, 0, 0], (5, 0), ILL_POSED, id="steep"),
-        pytest.param(1, 0.0, 10**9, 0, [math.nan, 0, 0, 0], (5, 0), ILL_POSED, id="no-number"),
+        pytest.param(1, 0.0, 10**9, 0, [math.nan, 0, 0, 0], (5, 0), NOT_USABLE, id="no-number"),
     ],
 )
 def test_what_cannot_be_predicted(

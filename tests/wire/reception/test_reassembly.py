@@ -136,6 +136,9 @@ def test_slots_interleave(codec: Any) -> None:
         pytest.param(0x340, bytes(64), False, Reason.LENGTH, id="long-page"),
         pytest.param(0x348, bytes(24), False, Reason.LENGTH, id="short-fd"),
         pytest.param(0x348, bytes(32), False, Reason.MIXED, id="zero-fd"),
+        pytest.param(0x348, bytes(64), False, Reason.MIXED, id="longest-fd"),
+        pytest.param(0x348, bytes(65), False, Reason.LENGTH, id="longer-than-any-frame"),
+        pytest.param(0x348, bytes(256), False, Reason.LENGTH, id="length-of-a-byte-more"),
     ],
 )
 def test_frames_that_are_no_pages(
