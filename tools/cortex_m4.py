@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
-"""Measure the C core on a Cortex-M4: memory, instructions and stack, in QEMU.
+"""Measure the C core on a Cortex-M: memory, instructions and stack, in QEMU.
 
     cortex_m4.py                       maplines.dbc and maplines-pose.dbc, double and float
     cortex_m4.py --dbc my.dbc --float  one of them
     cortex_m4.py --cpu cortex-m7       with an FPU of double precision
     cortex_m4.py --json
-    cortex_m4.py --sizes               bytes of libraries that lack features, linked with -Os
+    cortex_m4.py --libraries           libraries that lack features: bytes, stack and instructions
     cortex_m4.py --write               the tables of docs/embedding.md
+    cortex_m4.py --check               which numbers are not those of the tables within 10 %
 
 The program of c/examples/cortex_m4 receives frames that Python has encoded, without an operating
 system; what it prints of the lines is what the same program prints on this host. It needs
@@ -19,43 +20,41 @@ from __future__ import annotations
 import json
 import math
 import re
-import shutil
-import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
+from arm import (
+    BOARDS,
+    CC,
+    EXAMPLE,
+    FLAGS,
+    QEMU,
+    START,
+    gcc_version,
+    is_installed,
+    on_board,
+    run,
+)
+from cortex_libraries import DBCS, FUNCTIONS, LIBRARIES, Measured, measured
 from reporting import fill_tables, parser_of, print_table
 
 from maplines_can import Codec, MapError, Scene
 from maplines_can.cli.options import layout_from
-from maplines_can.generation.c_build import ALL, Features
 from maplines_can.generation.c_files import c_files
 from maplines_can.simulation import scenario
 from maplines_can.simulation.scenario_lines import ScenarioLines, weaving_ego
 
-EXAMPLE = Path(__file__).resolve().parents[1] / "c" / "examples" / "cortex_m4"
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "embedding.md"
-CC, QEMU = "arm-none-eabi-gcc", "qemu-system-arm"
-#: Boards: options of the compiler, machine of QEMU. The second one has an FPU of double precision.
-BOARDS = {
-    "cortex-m4": (["-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16"], "mps2-an386"),
-    "cortex-m7": (["-mcpu=cortex-m7", "-mfpu=fpv5-d16"], "mps2-an500"),
-}
+#: Greatest relative difference of a number from that of the page.
+GROWTH = 0.1
 #: Greatest relative difference of a number that is printed on the board and on this host. It is 0
 #: but for double precision without an FPU: GCC's addition of doubles on ARM rounds some differences
 #: of 1 and a number of about 2^-33 wrongly.
 TOLERANCE = 1e-11
-FLAGS = ["-std=gnu99", "-ffp-contract=off", "-ffunction-sections", "-fdata-sections", "-DNDEBUG"]
-DBCS = ("maplines.dbc", "maplines-pose.dbc")
 MEASUREMENT = re.compile(r"# (.+): (\d+) instructions, (\d+) bytes of stack, (\d+) calls")
-
-
-def is_installed() -> bool:
-    """Return whether the compiler and the emulator are here."""
-    return shutil.which(CC) is not None and shutil.which(QEMU) is not None
 
 
 def recorded(codec: Codec, cycles: int, lines: int) -> str:
@@ -80,20 +79,6 @@ def recorded(codec: Codec, cycles: int, lines: int) -> str:
         "static const struct {\n    int64_t t_ns;\n    bool is_last;\n    maplines_frame_t frame;\n"
         "} recorded[] = {\n" + "".join(rows) + "};\n"
     )
-
-
-SMALL = Features(sender=False, scenes=False, mixtures=False, secoc=False, slots=4)
-#: Libraries whose sizes are measured: what they are for, their DBC and their features.
-LIBRARIES = {
-    "all": (DBCS[0], ALL),
-    "receiver": (DBCS[0], Features(sender=False)),
-    "receiver without mixtures and SecOC": (DBCS[0], SMALL._replace(scenes=True, slots=8)),
-    "the same, `maplines-pose.dbc`": (DBCS[1], SMALL._replace(scenes=True, slots=8)),
-    "receiver of lines, 8 slots": (DBCS[0], SMALL._replace(slots=8)),
-    "receiver of lines, 4 slots": (DBCS[0], SMALL),
-    "the same, float": (DBCS[0], SMALL._replace(single=True)),
-    "sender of lines, 4 slots": (DBCS[0], SMALL._replace(sender=True, receiver=False)),
-}
 
 
 class Target(NamedTuple):
@@ -125,32 +110,10 @@ def build(folder: Path, target: Target, mains: Sequence[Path], name: str) -> dic
         run([CC, *cpu, *flags, "-c", source, "-o", source.with_suffix(".o")])
     objects = [source.with_suffix(".o") for source in core]
     board, host = folder / "board.elf", folder / "host"
-    start = ["-nostartfiles", "--specs=rdimon.specs", f"-T{EXAMPLE / 'link.ld'}",
-             "-Wl,--gc-sections,--no-warn-rwx-segments", EXAMPLE / "startup.c"]  # fmt: skip
-    run([CC, *cpu, *flags, *start, *mains, *objects, "-lm", "-o", board])
+    link = [*START, "-Wl,--gc-sections"]
+    run([CC, *cpu, *flags, *link, *mains, *objects, "-lm", "-o", board])
     run(["cc", *flags, *mains, *core, "-lm", "-o", host])
     return {"board": board, "host": host}
-
-
-def on_board(program: Path, cpu: str, *arguments: object) -> str:
-    """Return what a program prints on the board; one instruction takes 1 ns there."""
-    words = ",".join(f"arg={word}" for word in (program.name, *arguments))
-    semihosting = ["-semihosting-config", f"enable=on,target=native,{words}"]
-    machine = ["-M", BOARDS[cpu][1], "-nographic", "-monitor", "none", "-serial", "null"]
-    return run([QEMU, *machine, "-icount", "shift=0", *semihosting, "-kernel", program])
-
-
-def run(command: Sequence[object]) -> str:
-    """Return the output of a command.
-
-    Raises:
-        SystemExit: it failed.
-    """
-    words = [str(word) for word in command]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise SystemExit(f"{' '.join(words)} ended with {done.returncode}:\n{done.stderr}")
-    return done.stdout
 
 
 def sizes(folder: Path) -> dict[str, int]:
@@ -186,47 +149,6 @@ def measure(target: Target) -> dict[str, Any]:
         return found
 
 
-def linked_size(dbc: str, features: Features) -> dict[str, int]:
-    """Return the bytes of a node that is linked for a Cortex-M4 with -Os, without an FPU.
-
-    Returns:
-        Code and constants that are read only: those of the library with its tables, and those of
-        the compiler and the C library; the state of a receiver or of a sender.
-    """
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        for file, text in c_files({"maplines": layout_from(dbc)}, features).items():
-            (folder / file).write_text(text, encoding="utf-8")
-        cpu = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=soft"]
-        flags = [*FLAGS, "-Os", f"-I{folder}"]
-        sources = [EXAMPLE / "smallest.c", folder / "maplines.c", folder / "maplines_dbc.c"]
-        objects = [folder / f"{source.stem}.o" for source in sources]
-        for source, made in zip(sources, objects, strict=True):
-            run([CC, *cpu, *flags, "-c", source, "-o", made])
-        listing, board = folder / "board.map", folder / "board.elf"
-        link = ["-nostartfiles", "--specs=nano.specs", "-Wl,--gc-sections,--entry=main"]
-        run([CC, *cpu, *link, f"-Wl,-Map={listing}", *objects, "-lm", "-o", board])
-        kept = listing.read_text().partition("Linker script and memory map")[2]
-        own = rf"^ \.(?:text|rodata)\S*\s+0x\w+\s+(0x\w+) {folder}/\w+\.o$"
-        library = sum(int(size, 16) for size in re.findall(own, kept, re.MULTILINE))
-        words = run(["arm-none-eabi-size", board]).splitlines()[1].split()
-        symbols = run(["arm-none-eabi-nm", "-S", board])
-        state = re.findall(r"^\w+ (\w+) \w (?:decoder|encoder)$", symbols, re.MULTILINE)
-        return {
-            "library and tables": library,
-            "compiler and C library": int(words[0]) - library,
-            "state": sum(int(size, 16) for size in state),
-        }
-
-
-def size_table() -> str:
-    """Return the table of the sizes of libraries."""
-    found = {name: linked_size(*library) for name, library in LIBRARIES.items()}
-    columns = [*found["all"]]
-    rows = ["| [byte] | " + " | ".join(columns) + " |", "|---|" + "---:|" * len(columns)]
-    return "\n".join([*rows, *(_row(name, [*sizes.values()]) for name, sizes in found.items())])
-
-
 def difference(board: str, host: str) -> float:
     """Return the greatest relative difference of numbers that a program prints on both.
 
@@ -242,33 +164,107 @@ def difference(board: str, host: str) -> float:
     return max(abs(a - b) / max(abs(a), abs(b), 1e-300) for a, b in pairs)
 
 
-def table() -> str:
-    """Return the table of docs/embedding.md."""
-    columns = {
-        "Cortex-M4, double": Target(),
-        "Cortex-M4, float": Target(single=True),
-        "Cortex-M7, double": Target(cpu="cortex-m7"),
-        "Cortex-M4, double, `maplines-pose.dbc`": Target(DBCS[1]),
+#: Columns of the table of whole libraries.
+TARGETS = {
+    "Cortex-M4, double": Target(),
+    "Cortex-M4, float": Target(single=True),
+    "Cortex-M7, double": Target(cpu="cortex-m7"),
+    "Cortex-M4, double, `maplines-pose.dbc`": Target(DBCS[1]),
+}
+
+
+def target_table(found: dict[str, dict[str, Any]]) -> str:
+    """Return the table of what `measure` has found, by columns."""
+    first, *_ = found.values()
+    rows: list[tuple[str, Sequence[Any]]] = [
+        (f"{what} [byte]", [each["bytes"][what] for each in found.values()])
+        for what in first["bytes"]
+    ]
+    for what in first["instructions"]:
+        counts = [
+            (each["instructions"].get(what), each["stack"].get(what)) for each in found.values()
+        ]
+        rows.append((f"{what} [instructions, byte of stack]", [_cell(*each) for each in counts]))
+    return _table("-O2", [*found], rows)
+
+
+def libraries() -> dict[str, Measured]:
+    """Return what each library of the tables takes."""
+    return {name: measured(*library) for name, library in LIBRARIES.items()}
+
+
+def library_tables(found: Mapping[str, Measured]) -> dict[str, str]:
+    """Return the tables of libraries that lack features: their bytes, and what calls take."""
+    first, *_ = found.values()
+    sizes = [(name, [*library.sizes.values()]) for name, library in found.items()]
+    calls = []
+    for name, library in found.items():
+        of_kind = (library.calls.get(kind) for kind in FUNCTIONS)
+        cells = [_cell(*(call or (None,))) for call in of_kind]
+        calls.append((name, cells))
+    return {
+        "sizes": _table("-Os, [byte]", [*first.sizes], sizes),
+        "calls": _table(
+            "-Os, [instructions, byte of stack that was written, deepest stack]",
+            [*FUNCTIONS],
+            calls,
+        ),
     }
-    found = [measure(target) for target in columns.values()]
-    rows = ["| | " + " | ".join(columns) + " |", "|---|" + "---:|" * len(columns)]
-    rows += [_row(f"{w} [byte]", [each["bytes"][w] for each in found]) for w in found[0]["bytes"]]
-    for what in found[0]["instructions"]:
-        cells = []
-        for each in found:
-            n, stack = each["instructions"].get(what), each["stack"].get(what)
-            cells.append("-" if n is None else f"{_thousands(n)}, {_thousands(stack)}")
-        rows.append(_row(f"{what} [instructions, byte of stack]", cells))
-    return "\n".join(rows)
 
 
-def _row(head: str, cells: Sequence[object]) -> str:
-    words = [_thousands(cell) if isinstance(cell, int) else str(cell) for cell in cells]
-    return f"| {head} | {' | '.join(words)} |"
+def _table(unit: str, columns: Sequence[str], rows: Iterable[tuple[str, Sequence[Any]]]) -> str:
+    head = f"gcc {gcc_version()} {unit}"
+    lines = [f"| {head} | {' | '.join(columns)} |", "|---|" + "---:|" * len(columns)]
+    lines += [f"| {name} | {' | '.join(map(_cell, cells))} |" for name, cells in rows]
+    return "\n".join(lines)
 
 
-def _thousands(number: int) -> str:
-    return f"{number:,}".replace(",", " ")
+def _cell(*numbers: object) -> str:
+    words = [f"{n:,}".replace(",", " ") if isinstance(n, int) else str(n) for n in numbers]
+    return "-" if None in numbers else ", ".join(words)
+
+
+def changes(now: str, page: str) -> list[str]:
+    """Return what a table has that is not on the page, or another number by more than `GROWTH`.
+
+    Args:
+        now: a table of some of the rows and columns.
+        page: the table on the page.
+    """
+    known = _cells(page)
+    return [
+        f"{', '.join(place)}: {cell} now, {known.get(place, 'nothing')} on the page"
+        for place, cell in _cells(now).items()
+        if not _is_near(_numbers(cell), _numbers(known.get(place, "")))
+    ]
+
+
+def table_of_page(name: str) -> str:
+    """Return a table of docs/embedding.md."""
+    text = PAGE.read_text(encoding="utf-8")
+    return text.split(f"<!-- {name}: written by tools/cortex_m4.py -->\n")[1].split("\n<!--")[0]
+
+
+def is_of_this_compiler(table: str) -> bool:
+    """Return whether the numbers of a table are those of the compiler that is here."""
+    return table.startswith(f"| gcc {gcc_version()} ")
+
+
+def _cells(table: str) -> dict[tuple[str, str], str]:
+    """Return the cells of a table by the heads of their row and column."""
+    head, _, *rows = ([cell.strip() for cell in row.split("|")[1:-1]] for row in table.splitlines())
+    return {(row[0], column): cell for row in rows
+            for column, cell in zip(head[1:], row[1:], strict=True)}  # fmt: skip
+
+
+def _numbers(cell: str) -> list[int]:
+    return [int(number.replace(" ", "")) for number in re.findall(r"\d[\d ]*", cell)]
+
+
+def _is_near(some: Sequence[int], others: Sequence[int]) -> bool:
+    return len(some) == len(others) and all(
+        abs(a - b) <= GROWTH * b for a, b in zip(some, others, strict=True)
+    )
 
 
 def main() -> int:
@@ -279,19 +275,25 @@ def main() -> int:
     parser.add_argument("--cpu", choices=list(BOARDS), default="cortex-m4", help="CPU of the board")
     parser.add_argument("--optimize", default="-O2", help="option of the compiler (default: -O2)")
     parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--sizes", action="store_true", help="bytes of libraries without features")
+    parser.add_argument("--libraries", action="store_true", help="libraries without features")
     parser.add_argument("--write", action="store_true", help="write the tables of the page")
+    parser.add_argument("--check", action="store_true", help="compare the tables of the page")
     options = parser.parse_args()
     if not is_installed():
         sys.exit(f"install {CC} with newlib, and {QEMU}: gcc-arm-none-eabi, qemu-system-arm")
-    if options.write:
-        text = PAGE.read_text(encoding="utf-8")
-        tables = {"cortex": table(), "sizes": size_table()}
-        PAGE.write_text(fill_tables(text, "cortex_m4.py", tables), encoding="utf-8")
+    if options.libraries:
+        print("\n\n".join(library_tables(libraries()).values()))
         return 0
-    if options.sizes:
-        print(size_table())
-        return 0
+    if options.write or options.check:
+        found = {name: measure(target) for name, target in TARGETS.items()}
+        tables = {"cortex": target_table(found), **library_tables(libraries())}
+        if options.write:
+            text = PAGE.read_text(encoding="utf-8")
+            PAGE.write_text(fill_tables(text, "cortex_m4.py", tables), encoding="utf-8")
+            return 0
+        differences = [row for name in tables for row in changes(tables[name], table_of_page(name))]
+        print("\n".join(differences))
+        return bool(differences)
     types = [False] * (not options.float) + [True] * (not options.double)
     result = {
         f"{dbc}, {'float' if single else 'double'}": measure(
