@@ -21,10 +21,8 @@
 /// Lateral positions of the lines from the middle of the lane [m], by slot.
 static const double positions[MAPLINES_SLOTS] = {1.75, -1.75, 5.25, -5.25, 0.0, 7.0, -7.0, 0.4};
 
-/// Standard deviations of the pose: along [m], across [m], heading [rad].
+/// Standard deviations of the pose (along [m], across [m], heading [rad]), and of each line alone.
 static const double pose_sigma[3] = {0.3, 0.1, 0.005};
-
-/// Standard deviations that each line has of its own, by the error of the map.
 static const double own_sigma[4] = {0.03, 0.001, 1e-4, 1e-6};
 
 /* All memory of the sender. */
@@ -44,6 +42,7 @@ static void see(double t)
     scene.count = MAPLINES_SLOTS;
     scene.has_specific = true;
     scene.pose_age = 0.01;
+    scene.has_pose_age = true;
     scene.correlation_time = 10;
     for (int k = 0; k < 3; ++k)
     {
@@ -58,6 +57,7 @@ static void see(double t)
             .x_min = -8,
             .x_max = 80,
             .age = 0.01,
+            .has_age = true,
             .mean = {positions[slot] - offset, -slope, CURVATURE, 0},
             .fit_range = {-8, 80},
         };
@@ -83,8 +83,8 @@ static void see(double t)
 static int encode_line(const maplines_scene_line_t *line, bool is_fd)
 {
     const int first = 4 * (int)line->slot;
-    maplines_input_t input = {line->slot, line->kind, line->status, line->x_min, line->x_max,
-                              line->age,  true,       {0},          {{0}}};
+    maplines_input_t input = {line->slot, line->kind,    line->status, line->x_min, line->x_max,
+                              line->age,  line->has_age, {0},          {{0}}};
     memcpy(input.mean, line->mean, sizeof input.mean);
     for (int i = 0; i < 4; ++i)
     {

@@ -63,8 +63,9 @@ extern "C" {
 
 /* Number of the interface; a change that a program must know of increases it.
  * 2: functions of x give NaN outside of the valid range of a line.
+ * 3: an age of a scene to be sent counts only if has_age, or has_pose_age, says so.
  */
-#define MAPLINES_INTERFACE 2
+#define MAPLINES_INTERFACE 3
 
 /* ---- build -------------------------------------------------------------------------------------
  * What the library has, and the sizes of its structures. `maplines generate c` writes here what the
@@ -829,24 +830,30 @@ typedef struct {
     maplines_status_t status; ///< requested, of a record with a covariance of its own: FULL
     double x_min;             ///< start of the valid range [m]
     double x_max;             ///< end of the valid range [m], x_min or more
-    double age;               ///< from the pose to the sending of such a record [s]
-    double mean[4];           ///< y_off [m], beta [rad], c0 [1/m], c1 [1/m^2]
-    double fit_range[2];      ///< in which the cubic was fitted; contains the valid range [m]
-    double quartic;           ///< coefficient of T_4 that the cubic leaves in this range, or 0 [m]
+    double age;   ///< from the pose to the sending of such a record [s]; infinite if too old or
+                  ///< unknown
+    bool has_age; ///< false: `age` is not read, and is sent as unknown, so nobody uses such a line
+    double mean[4];      ///< y_off [m], beta [rad], c0 [1/m], c1 [1/m^2]
+    double fit_range[2]; ///< in which the cubic was fitted; contains the valid range [m]
+    double quartic;      ///< coefficient of T_4 that the cubic leaves in this range, or 0 [m]
     /// Part of the covariance that is not due to the pose error, and independent of other lines. It
     /// is read if `has_specific`.
     double specific[4][4];
 } maplines_scene_line_t;
 
-/// Lines that are seen from one pose, to be sent.
+/// Lines that are seen from one pose, to be sent. All zeros have no correlation time, and are
+/// refused.
 typedef struct {
     uint8_t count;
     maplines_scene_line_t lines[MAPLINES_SLOTS]; ///< each of another slot
     /// Joint covariance: the rows and columns 4 i to 4 i + 3 are of line i.
     double cov[4 * MAPLINES_SLOTS][4 * MAPLINES_SLOTS];
-    bool has_specific;       ///< the line-specific covariances are known
-    double pose_cov[3][3];   ///< of the pose error: along [m], across [m], heading [rad]
-    double pose_age;         ///< from the pose to the sending of the pose error [s]
+    bool has_specific;     ///< the line-specific covariances are known
+    double pose_cov[3][3]; ///< of the pose error: along [m], across [m], heading [rad]
+    double pose_age;       ///< from the pose to the sending of the pose error [s]; infinite if too
+                           ///< old or unknown
+    bool has_pose_age;     ///< false: `pose_age` is not read, and is sent as unknown, so nobody
+                           ///< uses the scene
     double correlation_time; ///< of the pose error [s]; infinite if unknown
     double offset_sigma;     ///< common offset of the points of a line of the map, or 0 [m]
     double heading_sigma;    ///< common rotation of the points of a line of the map, or 0 [rad]

@@ -61,7 +61,7 @@ static maplines_input_t input_of(const maplines_scene_line_t *line)
     input.x_min = line->x_min;
     input.x_max = line->x_max;
     input.age = line->age;
-    input.has_age = true;
+    input.has_age = line->has_age;
     memcpy(input.mean, line->mean, sizeof input.mean);
     return input;
 }
@@ -96,7 +96,7 @@ static maplines_refusal_t check_pose(const maplines_scene_input_t *scene, double
     {
         return MAPLINES_BAD_POSE;
     }
-    if (!(scene->pose_age >= 0.0))
+    if (scene->has_pose_age && !(scene->pose_age >= 0.0))
     {
         return MAPLINES_BAD_AGE;
     }
@@ -259,7 +259,7 @@ static bool send_records(maplines_encoder_t *encoder, const maplines_scene_input
     maplines_pose_cycle_t cycle;
     const uint32_t *first = cycle.first;
     memset(&cycle, 0, sizeof cycle);
-    cycle.age = scene->pose_age;
+    cycle.age = scene->has_pose_age ? scene->pose_age : (double)INFINITY;
     memcpy(cycle.first, encoder->counter, sizeof cycle.first);
     for (int place = 0; place < (int)scene->count; ++place)
     {

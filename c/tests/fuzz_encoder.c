@@ -267,6 +267,7 @@ static void next_scene(input_t *input, maplines_scene_input_t *scene)
     scene->has_specific = first < 128;
     next_covariance(input, 3, pose_scales, scene->pose_cov[0]);
     scene->pose_age = fabs(next_number(input, 0.05));
+    scene->has_pose_age = true;
     scene->correlation_time = fabs(next_number(input, 5));
     scene->offset_sigma = fabs(next_number(input, 0.02));
     scene->heading_sigma = fabs(next_number(input, 1e-3));
@@ -280,6 +281,7 @@ static void next_scene(input_t *input, maplines_scene_input_t *scene)
         line->x_min = any.x_min;
         line->x_max = any.x_max;
         line->age = any.age;
+        line->has_age = any.has_age;
         memcpy(line->mean, any.mean, sizeof line->mean);
         line->fit_range[0] = line->x_min - fabs(next_number(input, 1));
         line->fit_range[1] = line->x_max + fabs(next_number(input, 1));

@@ -79,6 +79,7 @@ static void set_inputs(void)
     memset(&scene_input, 0, sizeof scene_input);
     scene_input.count = 2;
     scene_input.pose_age = 0.02;
+    scene_input.has_pose_age = true;
     scene_input.correlation_time = 10;
     scene_input.has_specific = true;
     for (int i = 0; i < 3; ++i)
@@ -93,14 +94,14 @@ static void set_inputs(void)
         one->status = MAPLINES_FULL;
         one->x_max = 80;
         one->age = 0.02;
+        one->has_age = true;
         one->mean[0] = k == 0 ? 1.75 : -1.75;
         one->fit_range[1] = 80;
-        for (int i = 0; i < 4; ++i)
+        one->specific[0][0] = 0.01;
+        for (int m = 0; m < 2; ++m) // straight lines move with the pose: across, and by the heading
         {
-            one->specific[i][i] = variances[i];
-            scene_input.cov[4 * k + i][4 * k + i] = 2 * variances[i];
-            // of the pose error: the lines move together
-            scene_input.cov[i % 4][4 + i % 4] = 0;
+            scene_input.cov[4 * k][4 * m] = k == m ? 0.02 : 0.01;
+            scene_input.cov[4 * k + 1][4 * m + 1] = 1e-6;
         }
     }
     for (int i = 0; i < 4; ++i)
@@ -137,6 +138,24 @@ static void feed_lines(int64_t begin, int64_t spacing)
     maplines_statistics(&decoder, &numbers);
 }
 
+static maplines_sent_scene_t encode_scene(void)
+{
+    return maplines_encode_scene(&scene_encoder, &scene_input, false, 0, &workspace, frames);
+}
+
+/// A scene that is sent in some cycles and received, by the tables of a DBC.
+static void feed_scenes(const maplines_dbc_t *dbc)
+{
+    maplines_encoder_init(&scene_encoder, dbc, NULL);
+    (void)maplines_decoder_init(&scenes, dbc, NULL);
+    for (int k = 0; k < ROUNDS; ++k)
+    {
+        feed_all(&scenes, encode_scene().count, CYCLE_NS * k);
+    }
+    maplines_latest(&scenes, both[0], CYCLE_NS * (ROUNDS - 1), &view);
+    maplines_latest_scene(&scenes, CYCLE_NS * (ROUNDS - 1), &scene_view);
+}
+
 static void begin(void)
 {
     set_inputs();
@@ -144,16 +163,7 @@ static void begin(void)
     feed_lines(0, CYCLE_NS);
     frame = frames[0];
     line = *maplines_newest(&decoder, MAPLINES_EGO_LEFT);
-    maplines_encoder_init(&scene_encoder, &pose_dbc, NULL);
-    (void)maplines_decoder_init(&scenes, &pose_dbc, NULL);
-    for (int k = 0; k < ROUNDS; ++k)
-    {
-        feed_all(
-            &scenes,
-            maplines_encode_scene(&scene_encoder, &scene_input, false, 0, &workspace, frames).count,
-            CYCLE_NS * k);
-    }
-    maplines_latest_scene(&scenes, CYCLE_NS * (ROUNDS - 1), &scene_view);
+    feed_scenes(&pose_dbc);
     if (scene_view.scene == NULL || !scene_view.is_usable || !view.is_usable)
     {
         (void)printf("the good calls fail\n");
@@ -664,16 +674,30 @@ static maplines_sent_t encode_two(void)
     return maplines_encode_mixture(&encoder, &input, components, 2, false, 0, frames);
 }
 
-static maplines_sent_scene_t encode_scene(void)
-{
-    return maplines_encode_scene(&scene_encoder, &scene_input, false, 0, &workspace, frames);
-}
-
 /// Age of a line that is sent and received [s].
 static double received_age(void)
 {
     feed_lines(0, CYCLE_NS);
     return (double)view.age;
+}
+
+/// Ages of a scene, of which some are not set, and of a line of it [s], as they are received. What
+/// has no age is not used; of lines that are conditional on the pose error, all of them.
+static const char *scene_ages(const maplines_dbc_t *dbc, bool has_pose_age, bool has_age)
+{
+    scene_input.has_pose_age = has_pose_age;
+    scene_input.lines[0].has_age = has_age;
+    scene_input.pose_age = has_pose_age ? 0.02 : (double)NAN; // not read
+    scene_input.lines[0].age = has_age ? 0.02 : (double)NAN;
+    feed_scenes(dbc);
+    const bool is_line_known = dbc->is_conditional ? has_pose_age : has_age;
+    const bool is_promised =
+        scene_view.scene != NULL && view.line != NULL && scene_view.is_usable == has_pose_age &&
+        (isinf(scene_view.age) != 0) != has_pose_age && view.is_usable == is_line_known &&
+        (isinf(view.age) != 0) != is_line_known;
+    (void)snprintf(text, sizeof text, "scene %g, line %g%s", (double)scene_view.age,
+                   (double)view.age, is_promised ? "" : " wrong");
+    return text;
 }
 
 static void sender_rows(void)
@@ -766,6 +790,10 @@ static void sender_rows(void)
               scene_is(encode_scene(), MAPLINES_BAD_AGE))
     ROW_AFTER(encode_scene, "pose_age NaN", false, scene_input.pose_age = NAN,
               scene_is(encode_scene(), MAPLINES_BAD_AGE))
+    ROW(encode_scene, "pose_age not set", false, scene_ages(&pose_dbc, false, true))
+    ROW(encode_scene, "age of a line not set", false, scene_ages(&lines_dbc, true, false))
+    ROW(encode_scene, "no age set", false, scene_ages(&lines_dbc, false, false))
+    ROW(encode_scene, "all ages set", false, scene_ages(&lines_dbc, true, true))
     ROW_AFTER(encode_scene, "age of a line -1", false, scene_input.lines[1].age = -1,
               scene_is(encode_scene(), MAPLINES_BAD_AGE))
     ROW_AFTER(encode_scene, "age of a line NaN", false, scene_input.lines[1].age = NAN,

@@ -37,6 +37,7 @@ static void read_scene(void)
         line->x_min = read_f64();
         line->x_max = read_f64();
         line->age = read_f64();
+        line->has_age = true;
         read_f64s(line->mean, 4);
         read_f64s(line->fit_range, 2);
         line->quartic = read_f64();
@@ -58,6 +59,7 @@ static void read_scene(void)
         read_f64s(scene.pose_cov[row], 3);
     }
     scene.pose_age = read_f64();
+    scene.has_pose_age = true;
     scene.correlation_time = read_f64();
     scene.offset_sigma = read_f64();
     scene.heading_sigma = read_f64();

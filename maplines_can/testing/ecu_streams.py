@@ -480,7 +480,7 @@ def _scene_by_core(dbc: Any, given: _SceneGiven) -> Any:
     for i, line in enumerate(draft.lines):
         own = scene.lines[i]
         for name, value in _given(line).items():
-            if name not in ("cov", "has_age"):
+            if name != "cov":
                 setattr(own, name, value)
         own.fit_range, own.quartic = draft.fit_ranges[i], draft.quartics[i]
         if draft.specific is not None:
@@ -489,6 +489,7 @@ def _scene_by_core(dbc: Any, given: _SceneGiven) -> Any:
         scene.cov[i][0 : len(row)] = row
     scene.has_specific, scene.pose_cov = draft.specific is not None, draft.pose_cov
     scene.pose_age, scene.correlation_time = given.ages[POSE], draft.correlation_time
+    scene.has_pose_age = scene.pose_age != INF
     scene.offset_sigma, scene.heading_sigma = draft.offset_sigma, draft.heading_sigma
     space = ffi.new("maplines_scene_workspace_t *")
     sent = lib.maplines_encode_scene(

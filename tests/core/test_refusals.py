@@ -140,6 +140,9 @@ SCENES: list[tuple[str, tuple[Any, ...]]] = [
     ("BAD_POSE", ("correlation_time", 0.0)),
     ("BAD_AGE", ("pose_age", -1e-9)),
     ("BAD_AGE", ("pose_age", NAN)),
+    ("SENT", ("pose_age", INF)),
+    ("BAD_AGE", ("lines", 1, "age", -1e-9)),
+    ("SENT", ("lines", 1, "age", INF)),
     ("SAME_SLOT", ("lines", 0, "slot", 1)),
     ("NO_MESSAGE", ("lines", 0, "slot", 8)),
     ("BAD_KIND", ("lines", 1, "kind", 8)),
@@ -150,11 +153,11 @@ SCENES: list[tuple[str, tuple[Any, ...]]] = [
 @pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
 @pytest.mark.parametrize(("refusal", "change"), SCENES, ids=str)
 def test_a_mistake_in_a_scene(dbc: str, refusal: str, change: Any) -> None:
-    members = {"count": 2, "has_specific": True, "correlation_time": 4.0}
+    members = {"count": 2, "has_specific": True, "correlation_time": 4.0, "has_pose_age": True}
     scene = ffi.new("maplines_scene_input_t *", members)
     for i in range(2):
         line = scene.lines[i]
-        line.slot, line.kind, line.status = i, 1, 1
+        line.slot, line.kind, line.status, line.has_age = i, 1, 1, True
         line.x_max, line.mean[0], line.fit_range = 80, 1.75 - 3.5 * i, [-4, 84]
         for k, variance in enumerate(VARIANCES):
             line.specific[k][k], scene.cov[4 * i + k][4 * i + k] = variance, 4 * variance
