@@ -53,7 +53,7 @@ static bool read_line(const maplines_dbc_t *dbc, const maplines_given_line_t *gi
 static void seal(const maplines_dbc_t *dbc, int owner, uint8_t *record, size_t length,
                  int64_t *counter)
 {
-    const uint64_t mask = ((uint64_t)1 << maplines_layout(dbc, owner)->counter.length) - 1U;
+    const uint32_t mask = maplines_counter_mask(maplines_layout(dbc, owner));
     const uint32_t number = (uint32_t)((uint64_t)*counter & mask);
     maplines_seal(dbc, owner, record, length, number);
     *counter = (int64_t)maplines_next_counter(dbc, owner, number);

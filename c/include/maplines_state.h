@@ -32,7 +32,9 @@ typedef struct {
     maplines_signal_t pivot[4];  ///< log2 of L_ii, by row
     maplines_signal_t ratio[6];  ///< L_ij / L_ii: (1, 0), (2, 0), (2, 1), (3, 0), ...
     maplines_signal_t inflation; ///< log2 of a factor on the covariance
-    double reachable[4];         ///< variance of each state beyond which nothing covers
+#if MAPLINES_SENDER
+    double reachable[4]; ///< variance of each state beyond which nothing covers
+#endif
 } maplines_cholesky_t;
 
 /// What all records of a layout share.

@@ -56,6 +56,8 @@ MAPLINES_INTERNAL void maplines_decode_factor(const maplines_cholesky_t *code,
     }
 }
 
+#if MAPLINES_SENDER
+
 MAPLINES_INTERNAL void maplines_widest_covariance(const maplines_cholesky_t *code, int64_t raw[11])
 {
     memset(raw, 0, 11 * sizeof(int64_t));
@@ -385,3 +387,5 @@ MAPLINES_INTERNAL bool maplines_encode_covariance(const maplines_cholesky_t *cod
     }
     return is_covered;
 }
+
+#endif

@@ -366,12 +366,19 @@ static waited_t waited_since(const maplines_decoder_t *decoder, int owner, int64
     return since;
 }
 
-/// State at a time; if this clock was set back, no cycles have passed.
+/// State of an owner at a time; if this clock was set back, no cycles have passed. `two_senders` is
+/// set if there is a second one, or seems to be.
 static maplines_e2e_state_t state_at(maplines_decoder_t *decoder, int owner, int64_t now_ns,
-                                     double waited)
+                                     double waited, bool *two_senders)
 {
-    return waited < HUGE_VAL ? maplines_check_elapse(decoder, owner, now_ns)
-                             : decoder->checks[owner].machine.state;
+    const maplines_e2e_state_t state = waited < HUGE_VAL
+                                           ? maplines_check_elapse(decoder, owner, now_ns)
+                                           : decoder->checks[owner].machine.state;
+    if (!maplines_has_one_sender(decoder, owner, now_ns))
+    {
+        *two_senders = true;
+    }
+    return state;
 }
 
 const maplines_line_t *maplines_newest(const maplines_decoder_t *decoder, maplines_owner_t slot)
@@ -440,16 +447,14 @@ void maplines_latest(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t
         view->age = line->age + (maplines_real_t)waited;
         view->is_stale = since.is_long;
     }
-    view->state = state_at(decoder, (int)slot, t_ns, waited);
+    view->state = state_at(decoder, (int)slot, t_ns, waited, &view->two_senders);
     view->status = decoder->checks[slot].status;
-    view->two_senders = !maplines_has_one_sender(decoder, (int)slot, t_ns);
 #if MAPLINES_SCENES
     if (decoder->dbc->is_conditional)
     {
-        const maplines_e2e_state_t pose_state = state_at(decoder, MAPLINES_POSE, t_ns, waited);
+        const maplines_e2e_state_t pose_state =
+            state_at(decoder, MAPLINES_POSE, t_ns, waited, &view->two_senders);
         view->state = view->state == MAPLINES_E2E_VALID ? pose_state : view->state;
-        view->two_senders =
-            view->two_senders || !maplines_has_one_sender(decoder, MAPLINES_POSE, t_ns);
     }
 #endif
     view->is_usable = line != NULL && line->status != MAPLINES_OUT_OF_RANGE &&
@@ -513,16 +518,14 @@ void maplines_latest_scene(maplines_decoder_t *decoder, int64_t now_ns, maplines
     {
         view->age = scene->age + (maplines_real_t)since.waited;
     }
-    view->state = state_at(decoder, MAPLINES_POSE, t_ns, since.waited);
+    view->state = state_at(decoder, MAPLINES_POSE, t_ns, since.waited, &view->two_senders);
     view->status = decoder->checks[MAPLINES_POSE].status;
-    view->two_senders = !maplines_has_one_sender(decoder, MAPLINES_POSE, t_ns);
     bool are_valid = view->state == MAPLINES_E2E_VALID;
     for (unsigned i = 0; i < scene->count; ++i)
     {
         const int slot = (int)scene->lines[i].slot;
-        view->slot_states[i] = state_at(decoder, slot, t_ns, since.waited);
+        view->slot_states[i] = state_at(decoder, slot, t_ns, since.waited, &view->two_senders);
         are_valid = are_valid && view->slot_states[i] == MAPLINES_E2E_VALID;
-        view->two_senders = view->two_senders || !maplines_has_one_sender(decoder, slot, t_ns);
     }
     view->is_usable =
         are_valid && view->age < (maplines_real_t)HUGE_VAL && !view->is_stale && !view->two_senders;

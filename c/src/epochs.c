@@ -360,7 +360,7 @@ MAPLINES_INTERNAL void maplines_decode_epoch(const maplines_dbc_t *dbc,
     {
         members[i].slot = slots[i];
         members[i].t_ns = epoch->lines[slots[i]].t_ns;
-        memcpy(members[i].record, epoch->lines[slots[i]].record, MAPLINES_MAX_RECORD);
+        members[i].record = epoch->lines[slots[i]].record;
     }
     if (maplines_decode_scene(dbc, epoch->record, epoch->t_ns, count, members, scene))
     {

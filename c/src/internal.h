@@ -104,6 +104,8 @@ MAPLINES_INTERNAL uint16_t maplines_crc(const uint8_t *record, size_t length, ui
 
 /// Layout of the records of an owner.
 MAPLINES_INTERNAL const maplines_record_t *maplines_layout(const maplines_dbc_t *dbc, int owner);
+/// Bits of the counters of records.
+MAPLINES_INTERNAL uint32_t maplines_counter_mask(const maplines_record_t *layout);
 /// Counter of the record of an owner that follows the one with a counter.
 MAPLINES_INTERNAL uint32_t maplines_next_counter(const maplines_dbc_t *dbc, int owner,
                                                  uint32_t counter);
@@ -129,6 +131,8 @@ MAPLINES_INTERNAL void maplines_seal(const maplines_dbc_t *dbc, int owner, uint8
 /// Square root of a decoded covariance; row i belongs to state i.
 MAPLINES_INTERNAL void maplines_decode_factor(const maplines_cholesky_t *code,
                                               const uint8_t *record, double factor[4][4]);
+
+#if MAPLINES_SENDER
 /// Raw values (pivots, ratios, inflation) of a covariance that covers a (rows, rows) target, whose
 /// states have the variances `resolution` at least. `powers` are those of 2 of all values of the
 /// pivots, by row, and of the inflation, each from the least raw value on; where one is NULL, it is
@@ -145,6 +149,7 @@ MAPLINES_INTERNAL void maplines_put_covariance(const maplines_cholesky_t *code, 
                                                const int64_t raw[11]);
 /// Raw values of the widest covariance.
 MAPLINES_INTERNAL void maplines_widest_covariance(const maplines_cholesky_t *code, int64_t raw[11]);
+#endif
 
 /* ---- gaussian.c: decoded Gaussians
  * --------------------------------------------------------------- */
@@ -409,7 +414,7 @@ MAPLINES_INTERNAL void maplines_decode_levels(const maplines_levels_t *levels,
 typedef struct {
     int slot;
     int64_t t_ns; ///< of its first frame
-    uint8_t record[MAPLINES_MAX_RECORD];
+    const uint8_t *record;
 } maplines_member_t;
 
 /// Factor of a line-specific covariance: that of levels, and what is common to all lines.

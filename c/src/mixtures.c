@@ -23,8 +23,7 @@ static bool is_mixture_old(const maplines_decoder_t *decoder, int slot, int64_t 
 /// Counter of the first component of the line of a record.
 static uint32_t first_counter(const maplines_decoder_t *decoder, const maplines_complete_t *content)
 {
-    const uint64_t modulus = (uint64_t)1 << decoder->dbc->line.counter.length;
-    return (uint32_t)(((uint64_t)content->counter - content->index) & (modulus - 1U));
+    return (content->counter - content->index) & maplines_counter_mask(&decoder->dbc->line);
 }
 
 /// Whether a record may be of the same line as those of a mixture.
@@ -162,8 +161,8 @@ MAPLINES_INTERNAL void maplines_drop_mixture_with(maplines_decoder_t *decoder, i
                                                   uint32_t counter)
 {
     const maplines_mixture_t *mixture = &decoder->incomplete[slot];
-    const uint64_t modulus = (uint64_t)1 << decoder->dbc->line.counter.length;
-    if ((((uint64_t)counter - mixture->first) & (modulus - 1U)) < mixture->count)
+    const uint32_t mask = maplines_counter_mask(&decoder->dbc->line);
+    if (((counter - mixture->first) & mask) < mixture->count)
     {
         drop_incomplete(decoder, slot, MAPLINES_INCOMPLETE); // two senders, or out of order
     }

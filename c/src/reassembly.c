@@ -185,7 +185,7 @@ static uint32_t needed_pages(const maplines_dbc_t *dbc, const maplines_record_t 
 
 /// By how much the counter in a page is ahead of that of a transfer, modulo the counters; 0 if the
 /// page has no counter.
-static uint64_t counter_ahead(const maplines_record_t *layout, uint32_t page, const uint8_t *data,
+static uint32_t counter_ahead(const maplines_record_t *layout, uint32_t page, const uint8_t *data,
                               const maplines_transfer_t *transfer)
 {
     if (page != layout->counter.first / (8U * PAGE_BYTES))
@@ -195,9 +195,9 @@ static uint64_t counter_ahead(const maplines_record_t *layout, uint32_t page, co
     uint8_t record[MAPLINES_MAX_RECORD];
     memcpy(record, transfer->record, sizeof(record));
     memcpy(record + PAGE_BYTES * page, data, PAGE_BYTES);
-    const uint64_t counter = (uint64_t)maplines_get(&layout->counter, record);
-    const uint64_t before = (uint64_t)maplines_get(&layout->counter, transfer->record);
-    return (counter - before) & (((uint64_t)1 << layout->counter.length) - 1U);
+    const uint32_t counter = (uint32_t)maplines_get(&layout->counter, record);
+    const uint32_t before = (uint32_t)maplines_get(&layout->counter, transfer->record);
+    return (counter - before) & maplines_counter_mask(layout);
 }
 
 /// Whether a page is one of a good record that is not older than the time-out.
@@ -238,11 +238,11 @@ static maplines_reason_t feed_page(maplines_decoder_t *decoder, const uint8_t *d
     const int owner = arrival->owner;
     const maplines_record_t *layout = maplines_layout(decoder->dbc, owner);
     maplines_inbox_t *inbox = &decoder->inboxes[owner];
-    if (maplines_get(&layout->page, data) >= layout->pages)
+    const uint32_t page = (uint32_t)maplines_get(&layout->page, data);
+    if (page >= layout->pages)
     {
         return dropped_frame(decoder, MAPLINES_PAGE);
     }
-    const uint32_t page = (uint32_t)maplines_get(&layout->page, data);
     const uint32_t id = (uint32_t)maplines_get(&layout->transfer_id[page == 0 ? 0 : 1], data);
     expire_inbox(decoder, owner, t_ns);
     const uint32_t place = id % MAPLINES_TRANSFERS;
@@ -270,9 +270,8 @@ static maplines_reason_t feed_page(maplines_decoder_t *decoder, const uint8_t *d
         {
             return dropped_frame(decoder, MAPLINES_DUPLICATE);
         }
-        const uint64_t half = (uint64_t)1 << (layout->counter.length - 1U);
-        const uint64_t ahead = counter_ahead(layout, page, data, transfer);
-        if (ahead >= half) // of an older transfer
+        const uint32_t ahead = counter_ahead(layout, page, data, transfer);
+        if (ahead > maplines_counter_mask(layout) / 2U) // of an older transfer
         {
             return dropped_frame(decoder, MAPLINES_REPLACED);
         }

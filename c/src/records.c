@@ -11,12 +11,15 @@ MAPLINES_INTERNAL const maplines_record_t *maplines_layout(const maplines_dbc_t 
 #endif
 }
 
+MAPLINES_INTERNAL uint32_t maplines_counter_mask(const maplines_record_t *layout)
+{
+    return UINT32_MAX >> (32U - layout->counter.length);
+}
+
 MAPLINES_INTERNAL uint32_t maplines_next_counter(const maplines_dbc_t *dbc, int owner,
                                                  uint32_t counter)
 {
-    const unsigned bits = maplines_layout(dbc, owner)->counter.length;
-    const uint64_t mask = ((uint64_t)1 << bits) - 1U;
-    return (uint32_t)(((uint64_t)counter + 1U) & mask);
+    return (counter + 1U) & maplines_counter_mask(maplines_layout(dbc, owner));
 }
 
 MAPLINES_INTERNAL int maplines_severity(maplines_status_t status)

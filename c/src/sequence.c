@@ -51,7 +51,7 @@ static rules_t rules_of(const maplines_decoder_t *decoder, int owner)
     rules_t rules;
     rules.e2e = &decoder->settings.e2e[owner];
     rules.cycle_ns = decoder->settings.cycle_ns[owner];
-    rules.mask = UINT32_MAX >> (32U - layout->counter.length);
+    rules.mask = maplines_counter_mask(layout);
     rules.pages = layout->pages;
     rules.is_authentic =
         MAPLINES_SECOC && decoder->settings.authenticator != NULL && layout->fd_authentic > 0;
@@ -98,7 +98,7 @@ static void pace_delivered(maplines_pace_t *pace, uint32_t mask, uint32_t counte
 
 /// Greatest difference of the counter of a newer record from the last new one. With authentication
 /// it is not limited by time: the freshness value excludes older records.
-static uint32_t most_ahead(const maplines_check_t *check, const rules_t *rules, int64_t waited_ns,
+static uint32_t most_ahead(const maplines_check_t *check, const rules_t *rules, double lines,
                            uint8_t records)
 {
     const uint32_t half = rules->mask / 2U; // half of the counters, less one
@@ -106,8 +106,7 @@ static uint32_t most_ahead(const maplines_check_t *check, const rules_t *rules, 
     {
         return half;
     }
-    const double lines = ceil(lines_within(&check->pace, rules->cycle_ns, waited_ns));
-    const double most = lines * (double)most_records(&check->pace, records);
+    const double most = ceil(lines) * (double)most_records(&check->pace, records);
     if (most >= (double)half)
     {
         return half;
@@ -117,12 +116,11 @@ static uint32_t most_ahead(const maplines_check_t *check, const rules_t *rules, 
 }
 
 /// Whether a newer record is ahead of what its sender should have sent by now.
-static bool is_too_far_ahead(const maplines_check_t *check, const rules_t *rules, uint32_t ahead,
-                             int64_t waited_ns, uint8_t records)
+static bool is_too_far_ahead(const maplines_check_t *check, double lines, uint32_t ahead,
+                             uint8_t records)
 {
-    double lines = lines_within(&check->pace, rules->cycle_ns, waited_ns);
-    lines = lines > 1.0 ? lines : 1.0;
-    return (double)ahead > lines * (double)most_records(&check->pace, records);
+    const double most = lines > 1.0 ? lines : 1.0;
+    return (double)ahead > most * (double)most_records(&check->pace, records);
 }
 
 /// Whether the records behind the last new one are those of a restarted sender.
@@ -233,8 +231,9 @@ static maplines_reason_t check_counter(maplines_check_t *check, const rules_t *r
         check->ahead = 1;
         return MAPLINES_COMPLETE;
     }
-    const int64_t waited_ns = maplines_distance(t_ns, check->new_ns);
-    const bool is_newer = delta > 0 && delta <= most_ahead(check, rules, waited_ns, records);
+    const double lines =
+        lines_within(&check->pace, rules->cycle_ns, maplines_distance(t_ns, check->new_ns));
+    const bool is_newer = delta > 0 && delta <= most_ahead(check, rules, lines, records);
     uint32_t skipped = delta - 1U;
     if (!is_newer)
     {
@@ -256,7 +255,7 @@ static maplines_reason_t check_counter(maplines_check_t *check, const rules_t *r
     check->has_left = true;
     check->left = check->last;
     const bool is_gap = *status == MAPLINES_E2E_OKSOMELOST;
-    if (is_gap && is_too_far_ahead(check, rules, delta, waited_ns, records))
+    if (is_gap && is_too_far_ahead(check, lines, delta, records))
     {
         maplines_conflict_ahead(&check->conflict, t_ns);
     }

@@ -55,8 +55,9 @@ static maplines_e2e_config_t within_counters(const maplines_dbc_t *dbc, int owne
                                              const maplines_e2e_config_t *e2e)
 {
     maplines_e2e_config_t within = *e2e;
-    const double most = ldexp(1.0, maplines_layout(dbc, owner)->counter.length) / 4.0;
-    if ((double)within.max_delta_counter > most)
+    const uint32_t half = maplines_counter_mask(maplines_layout(dbc, owner)) / 2U + 1U;
+    const uint32_t most = half / 2U;
+    if (within.max_delta_counter > most)
     {
         within.max_delta_counter = (uint8_t)most;
     }
@@ -225,8 +226,7 @@ MAPLINES_INTERNAL const char *maplines_settings_problem(const maplines_dbc_t *db
         {
             return problem;
         }
-        const double half = ldexp(0.5, maplines_layout(dbc, owner)->counter.length);
-        if ((double)e2e->max_delta_counter >= half)
+        if (e2e->max_delta_counter > maplines_counter_mask(maplines_layout(dbc, owner)) / 2U)
         {
             return "max_delta_counter must be less than half the modulus of the DBC's Counter";
         }

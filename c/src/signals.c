@@ -71,13 +71,9 @@ MAPLINES_INTERNAL int64_t maplines_get(const maplines_signal_t *signal, const ui
         }
         top <<= unused;
     }
-    const uint64_t raw = top >> unused;
-    const uint64_t sign = (uint64_t)1 << (signal->length - 1U);
-    if (signal->is_signed && (raw & sign) != 0U)
-    {
-        return (int64_t)(raw - sign) - (int64_t)(sign - 1U) - 1; // in range also for 64 bits
-    }
-    return (int64_t)raw;
+    const bool is_negative = signal->is_signed && top >> 63U != 0U;
+    const int64_t rest = (int64_t)((is_negative ? ~top : top) >> unused);
+    return is_negative ? -rest - 1 : rest; // as two's complement
 }
 
 MAPLINES_INTERNAL void maplines_put(const maplines_signal_t *signal, uint8_t *record, int64_t raw)

@@ -75,6 +75,9 @@ class Build(NamedTuple):
         found = {name: value for name, value in content.items() if name not in without}
         found["max_components"] = min(cast(int, content["max_components"]), self.max_components)
         found["has_pose"] = bool(self.scenes and content["has_pose"])
+        for name in () if self.sender else ("covariance", "pose_covariance"):
+            if isinstance(members := found.get(name), Mapping):
+                found[name] = {key: value for key, value in members.items() if key != "reachable"}
         for name in ("messages", "slot_counter", "slot_levels"):
             members = found.get(name)
             if isinstance(members, Mapping):
