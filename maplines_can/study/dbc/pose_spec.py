@@ -197,11 +197,11 @@ _FIT_RANGE = (
         name="XMin", bits=6, offset=-32, unit="m",
         about="Start of the range to which the cubic was fitted, exact. It is wider than the range "
               "where the line is valid, which follows from the pose error.",
-        why="-32 to 31 m; the receiver refits the line over this range, to 1 m"),
+        why="-32 to 31 m; the pose error acts on the line over this range, to 1 m"),
     SignalSpec(
         name="XMax", bits=7, unit="m",
         about="End of the range to which the cubic was fitted, exact.",
-        why="0 to 127 m; the receiver refits the line over this range, to 1 m"),
+        why="0 to 127 m; the pose error acts on the line over this range, to 1 m"),
 )
 _COVARIANCE = covariance_signals("Cholesky")
 
