@@ -59,7 +59,7 @@ static const double roots[3][MAPLINES_ROOTS / 2] = {
 /// Coefficients of T_0 .. T_3 of the cubic that is fitted to values at the roots, from 1 to -1.
 static void project(const double values[MAPLINES_ROOTS], double coefficients[4])
 {
-    double sums[4];
+    double sums[4] = {0.0, 0.0, 0.0, 0.0};
     for (int i = 0; i < MAPLINES_ROOTS / 2; ++i)
     {
         const double even = values[i] + values[MAPLINES_ROOTS - 1 - i];
@@ -67,7 +67,7 @@ static void project(const double values[MAPLINES_ROOTS], double coefficients[4])
         const double terms[4] = {even, odd * roots[0][i], even * roots[1][i], odd * roots[2][i]};
         for (int k = 0; k < 4; ++k)
         {
-            sums[k] = i == 0 ? terms[k] : sums[k] + terms[k];
+            sums[k] = sums[k] + terms[k];
         }
     }
     for (int k = 0; k < 4; ++k)
@@ -118,24 +118,25 @@ MAPLINES_INTERNAL void maplines_changes_of(const maplines_curve_t *curve,
         along_squared[i] = k / 2.0;
     }
     double rest[4];
-    double(*rows)[4] = changes->rows;
-    project(heading, rows[0]);
-    project(along, rows[1]);
-    project(heading_squared, rows[3]);
-    project(heading_along, rows[4]);
-    project(along_squared, rows[6]);
-    // T_1' = T_0, T_2' = 4 T_1 and T_3' = 6 T_2 + 3 T_0; T_0 has twice the norm of the others.
-    project(moved, rest);
-    rows[0][1] = rows[0][1] + 2.0 * rest[0] / half;
-    rows[0][2] = rows[0][2] + 4.0 * rest[1] / half;
-    rows[0][3] = rows[0][3] + 6.0 * (rest[2] + rest[0]) / half;
-    for (int i = 0; i < 4; ++i)
-    {
-        rows[2][i] = i == 0 ? -1.0 : 0.0;
-        rows[5][i] = rows[1][i];
-    }
     maplines_bases(mean, curve->fit_range, changes->J);
     changes->tangent = tangent;
+    project(heading, changes->rows[0]);
+    project(along, changes->rows[1]);
+    project(heading_squared, changes->rows[3]);
+    project(heading_along, changes->rows[4]);
+    project(along_squared, changes->rows[6]);
+    for (int i = 0; i < 4; ++i)
+    {
+        changes->rows[2][i] = i == 0 ? -1.0 : 0.0;
+        changes->rows[5][i] = changes->rows[1][i];
+    }
+    // T_1' = T_0, T_2' = 4 T_1 and T_3' = 6 T_2 + 3 T_0; T_0 has twice the norm of the others.
+    project(moved, rest);
+    const double more[4] = {0.0, 2.0 * rest[0], 4.0 * rest[1], 6.0 * (rest[2] + rest[0])};
+    for (int i = 1; i < 4; ++i)
+    {
+        changes->rows[0][i] = changes->rows[0][i] + more[i] / half;
+    }
 }
 
 MAPLINES_INTERNAL void maplines_line_changes(const maplines_changes_t *changes, double W[7][4])
