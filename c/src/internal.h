@@ -374,8 +374,8 @@ MAPLINES_INTERNAL void maplines_valid_range(const maplines_curve_t *curve, const
 
 /// Length of a line, at the nodes of its range.
 typedef struct {
-    double stretch[MAPLINES_NODES]; ///< derivative of the length with respect to x
-    double place[MAPLINES_NODES];   ///< length up to the node, in halves of the whole length
+    float stretch[MAPLINES_NODES]; ///< derivative of the length with respect to x
+    float place[MAPLINES_NODES];   ///< length up to the node, in halves of the whole length
 } maplines_arc_t;
 
 /// Nodes: the extrema of a Chebyshev polynomial, from -1 to 1.

@@ -375,14 +375,14 @@ static void near_noise(const search_t *search, double stretch_squared, int spaci
 /// Square of the stretch of a line, the geometric mean of the extremes.
 static double mean_stretch_squared(const maplines_arc_t *arc)
 {
-    double least = arc->stretch[0];
-    double most = least;
+    float least = arc->stretch[0];
+    float most = least;
     for (int k = 1; k < MAPLINES_NODES; ++k)
     {
         least = arc->stretch[k] < least ? arc->stretch[k] : least;
         most = arc->stretch[k] > most ? arc->stretch[k] : most;
     }
-    return least * most;
+    return (double)least * (double)most;
 }
 
 /// Insert a spacing into the best so far; of those that cost as much, the least raw value is first.

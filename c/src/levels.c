@@ -12,53 +12,62 @@
 
 // From values at the first half of the nodes to the coefficients of T_0 .. T_3 of their cubic fit;
 // those of the other half are the same, less the odd ones, in the opposite order.
-static const double fit_columns[MAPLINES_HALF][4] = {
-    {0x1.f07c1f07c1f0ap-7, -0x1.e9131abf0b769p-6, 0x1.f07c1f07c1f0ap-6, -0x1.e9131abf0b769p-6},
-    {0x1.f0902bf1cbb72p-7, -0x1.e89eeba0c7884p-6, 0x1.edfa81c689216p-6, -0x1.e3753c6928e1dp-6},
-    {0x1.f0cc1fac87798p-7, -0x1.e741c699f0afep-6, 0x1.e67c0a6f10d43p-6, -0x1.d2bbd9224045ep-6},
-    {0x1.f12f61af9ac21p-7, -0x1.e4f9ea11275efp-6, 0x1.da13ca0ca7c25p-6, -0x1.b746dfccf8a95p-6},
-    {0x1.f1b8f571c6b64p-7, -0x1.e1c47a9fb76c0p-6, 0x1.c8e151c7293d5p-6, -0x1.91b3d1a91d762p-6},
-    {0x1.f2677ceb6b7aep-7, -0x1.dd9d9d86c0e9fp-6, 0x1.b310629290a8dp-6, -0x1.62da3d4e2129fp-6},
-    {0x1.f3393c1117c6dp-7, -0x1.d8809cdbcc0e7p-6, 0x1.98d87ddd072b4p-6, -0x1.2bc6ed8bb1b53p-6},
-    {0x1.f42c1d3d4ad61p-7, -0x1.d2681494ebea0p-6, 0x1.7a7c5856a5432p-6, -0x1.db6bcf78ce089p-7},
-    {0x1.f53db67e2e5d3p-7, -0x1.cb4e27674d7cap-6, 0x1.5849303a345d4p-6, -0x1.5416b7c892a77p-7},
-    {0x1.f66b4fb9ca1a0p-7, -0x1.c32cba3bd4e64p-6, 0x1.329608c6bcc19p-6, -0x1.892ebbf8c69fap-8},
-    {0x1.f7b1e99910f12p-7, -0x1.b9fdb4d548c29p-6, 0x1.09c2ccdde1dd5p-6, -0x1.812ccfd568054p-10},
-    {0x1.f90e45282d9d2p-7, -0x1.afbb46236b3ddp-6, 0x1.bc6eb5f498baap-7, 0x1.97a85ecd5674ep-9},
-    {0x1.fa7cec18a7cebp-7, -0x1.a4602aa6fa6a1p-6, 0x1.60c4f9d60c58ap-7, 0x1.f473466b564e3p-8},
-    {0x1.fbfa39905ed81p-7, -0x1.97e7f33c6d0fbp-6, 0x1.01719be849ffbp-7, 0x1.8974a1cac5839p-7},
-    {0x1.fd82636ef0acfp-7, -0x1.8a4f4a9eb1104p-6, 0x1.3ece4887a986ep-8, 0x1.0831b386da205p-6},
-    {0x1.ff1183f1f6b30p-7, -0x1.7b9437f84ffb3p-6, 0x1.dcf81c1299eabp-10, 0x1.45feb514309a6p-6},
-    {0x1.0051d1cfc84bfp-6, -0x1.6bb65ce811b2cp-6, -0x1.47473f212fbc0p-10, 0x1.7cbd50d3823b1p-6},
-    {0x1.011a61af01405p-6, -0x1.5ab72d7629632p-6, -0x1.1a61af0140644p-8, 0x1.ab31b75324610p-6},
-    {0x1.01e0734f5c9d7p-6, -0x1.489a2097a6bfep-6, -0x1.e0734f5c9d76bp-8, 0x1.d04f5e28cfbe2p-6},
-    {0x1.02a20ec16adb2p-6, -0x1.3564d8069300dp-6, -0x1.510760b56d96dp-7, 0x1.eb3f0175f58e4p-6},
-    {0x1.035d476fb8c74p-6, -0x1.211f3e64e6f08p-6, -0x1.aea3b7dc63a63p-7, 0x1.fb6374d79c86fp-6},
-    {0x1.041041041040fp-6, -0x1.0bd39ad65583fp-6, -0x1.041041041040dp-6, 0x1.002e941aed9f9p-5},
-    {0x1.04b9342362d77p-6, -0x1.eb1d32ef14a6dp-7, -0x1.2e4d08d8b5e03p-6, 0x1.fa0c4c5246f83p-6},
-    {0x1.055672f452e26p-6, -0x1.bcbe90af4d114p-7, -0x1.559cbd14b89aap-6, 0x1.e8918ad309d91p-6},
-    {0x1.05e66d64d77bcp-6, -0x1.8cae11b22dc6ap-7, -0x1.799b5935def67p-6, 0x1.cc4d4daccb50dp-6},
-    {0x1.0667b5241cdecp-6, -0x1.5b12eb3fc708ap-7, -0x1.99ed490737b60p-6, 0x1.a5dd9a099861bp-6},
-    {0x1.06d9014683710p-6, -0x1.28187ae7c6164p-7, -0x1.b64051a0dc3edp-6, 0x1.761a8aef710a6p-6},
-    {0x1.0739318a7a3d7p-6, -0x1.e7dbceed5e53ep-8, -0x1.ce4c629e8f5b8p-6, 0x1.3e117fc77baafp-6},
-    {0x1.07875135e3b8dp-6, -0x1.7d8b5db42a88ep-8, -0x1.e1d44d78ee36ap-6, 0x1.fdfe34a43fab5p-7},
-    {0x1.07c29984badfbp-6, -0x1.11aa463aba9c0p-8, -0x1.f0a6612eb7ee2p-6, 0x1.74905cc404a0dp-7},
-    {0x1.07ea73a2c8860p-6, -0x1.494f641f7c0e9p-9, -0x1.fa9ce8b2217fbp-6, 0x1.c5c72f0490085p-8},
-    {0x1.07fe7a2b62333p-6, -0x1.b7b0b363c9b0ap-11, -0x1.ff9e8ad88ccbbp-6, 0x1.30c47e2dc18c2p-9},
+static const float fit_columns[MAPLINES_HALF][4] = {
+    {0x1.f07c20p-7F, -0x1.e9131ap-6F, 0x1.f07c20p-6F, -0x1.e9131ap-6F},
+    {0x1.f0902cp-7F, -0x1.e89eecp-6F, 0x1.edfa82p-6F, -0x1.e3753cp-6F},
+    {0x1.f0cc20p-7F, -0x1.e741c6p-6F, 0x1.e67c0ap-6F, -0x1.d2bbdap-6F},
+    {0x1.f12f62p-7F, -0x1.e4f9eap-6F, 0x1.da13cap-6F, -0x1.b746e0p-6F},
+    {0x1.f1b8f6p-7F, -0x1.e1c47ap-6F, 0x1.c8e152p-6F, -0x1.91b3d2p-6F},
+    {0x1.f2677cp-7F, -0x1.dd9d9ep-6F, 0x1.b31062p-6F, -0x1.62da3ep-6F},
+    {0x1.f3393cp-7F, -0x1.d8809cp-6F, 0x1.98d87ep-6F, -0x1.2bc6eep-6F},
+    {0x1.f42c1ep-7F, -0x1.d26814p-6F, 0x1.7a7c58p-6F, -0x1.db6bd0p-7F},
+    {0x1.f53db6p-7F, -0x1.cb4e28p-6F, 0x1.584930p-6F, -0x1.5416b8p-7F},
+    {0x1.f66b50p-7F, -0x1.c32cbap-6F, 0x1.329608p-6F, -0x1.892ebcp-8F},
+    {0x1.f7b1eap-7F, -0x1.b9fdb4p-6F, 0x1.09c2ccp-6F, -0x1.812cd0p-10F},
+    {0x1.f90e46p-7F, -0x1.afbb46p-6F, 0x1.bc6eb6p-7F, 0x1.97a85ep-9F},
+    {0x1.fa7cecp-7F, -0x1.a4602ap-6F, 0x1.60c4fap-7F, 0x1.f47346p-8F},
+    {0x1.fbfa3ap-7F, -0x1.97e7f4p-6F, 0x1.01719cp-7F, 0x1.8974a2p-7F},
+    {0x1.fd8264p-7F, -0x1.8a4f4ap-6F, 0x1.3ece48p-8F, 0x1.0831b4p-6F},
+    {0x1.ff1184p-7F, -0x1.7b9438p-6F, 0x1.dcf81cp-10F, 0x1.45feb6p-6F},
+    {0x1.0051d2p-6F, -0x1.6bb65cp-6F, -0x1.474740p-10F, 0x1.7cbd50p-6F},
+    {0x1.011a62p-6F, -0x1.5ab72ep-6F, -0x1.1a61b0p-8F, 0x1.ab31b8p-6F},
+    {0x1.01e074p-6F, -0x1.489a20p-6F, -0x1.e07350p-8F, 0x1.d04f5ep-6F},
+    {0x1.02a20ep-6F, -0x1.3564d8p-6F, -0x1.510760p-7F, 0x1.eb3f02p-6F},
+    {0x1.035d48p-6F, -0x1.211f3ep-6F, -0x1.aea3b8p-7F, 0x1.fb6374p-6F},
+    {0x1.041042p-6F, -0x1.0bd39ap-6F, -0x1.041042p-6F, 0x1.002e94p-5F},
+    {0x1.04b934p-6F, -0x1.eb1d32p-7F, -0x1.2e4d08p-6F, 0x1.fa0c4cp-6F},
+    {0x1.055672p-6F, -0x1.bcbe90p-7F, -0x1.559cbep-6F, 0x1.e8918ap-6F},
+    {0x1.05e66ep-6F, -0x1.8cae12p-7F, -0x1.799b5ap-6F, 0x1.cc4d4ep-6F},
+    {0x1.0667b6p-6F, -0x1.5b12ecp-7F, -0x1.99ed4ap-6F, 0x1.a5dd9ap-6F},
+    {0x1.06d902p-6F, -0x1.28187ap-7F, -0x1.b64052p-6F, 0x1.761a8ap-6F},
+    {0x1.073932p-6F, -0x1.e7dbcep-8F, -0x1.ce4c62p-6F, 0x1.3e1180p-6F},
+    {0x1.078752p-6F, -0x1.7d8b5ep-8F, -0x1.e1d44ep-6F, 0x1.fdfe34p-7F},
+    {0x1.07c29ap-6F, -0x1.11aa46p-8F, -0x1.f0a662p-6F, 0x1.74905cp-7F},
+    {0x1.07ea74p-6F, -0x1.494f64p-9F, -0x1.fa9ce8p-6F, 0x1.c5c730p-8F},
+    {0x1.07fe7ap-6F, -0x1.b7b0b4p-11F, -0x1.ff9e8ap-6F, 0x1.30c47ep-9F},
 };
+
+/* The noise of points is computed in single precision, a tenth of the time where only that is in
+ * hardware: levels are far coarser. A sum of n squares w w^T errs by less than n 2^-24 of the
+ * product of two standard deviations, and n is at most 130, so the variances are enlarged by 2^-14:
+ * it stays positive semidefinite.
+ */
+#define MAPLINES_SUM_ROUNDING 0x1p-14
+/// Least spacing of points, in halves of the length of a line.
+static const float least_spacing = 0x1p-24F;
 
 /// Errors of the points of a map at equal distances, one point after the other.
 typedef struct {
-    double cov[16];  ///< sum of the squares of the points before this one; its lower triangle
-    double below[4]; ///< weights of errors of this point, by what is ahead of it
-    double above[4]; ///< by what is behind it
-    int64_t point;   ///< number of this point
+    float cov[16];  ///< sum of the squares of the points before this one; its lower triangle
+    float below[4]; ///< weights of errors of this point, by what is ahead of it
+    float above[4]; ///< by what is behind it
+    int32_t point;  ///< number of this point
 } noise_t;
 
 /// Add the square of a point, all of whose weights are known.
 static void add_point(noise_t *noise)
 {
-    double weight[4];
+    float weight[4];
     for (int i = 0; i < 4; ++i)
     {
         weight[i] = noise->below[i] + noise->above[i];
@@ -67,7 +76,7 @@ static void add_point(noise_t *noise)
     {
         for (int j = 0; j <= i; ++j)
         {
-            const double term = weight[i] * weight[j];
+            const float term = weight[i] * weight[j];
             noise->cov[4 * i + j] = noise->cov[4 * i + j] + term;
         }
     }
@@ -98,30 +107,35 @@ MAPLINES_INTERNAL const double *maplines_nodes(void)
 
 MAPLINES_INTERNAL void maplines_arc_of(const maplines_curve_t *curve, maplines_arc_t *arc)
 {
-    const double centre = (curve->fit_range[0] + curve->fit_range[1]) / 2.0;
-    const double half = (curve->fit_range[1] - curve->fit_range[0]) / 2.0;
-    const double tangent = maplines_tan(curve->mean[1]);
-    const double half_c1 = curve->mean[3] / 2.0;
+    const float centre = (float)((curve->fit_range[0] + curve->fit_range[1]) / 2.0);
+    const float half = (float)((curve->fit_range[1] - curve->fit_range[0]) / 2.0);
+    const float tangent = (float)maplines_tan(curve->mean[1]);
+    const float c0 = (float)curve->mean[2];
+    const float half_c1 = (float)(curve->mean[3] / 2.0);
     const double *nodes = maplines_nodes();
-    double x_before = 0.0;
+    float x_before = 0.0F;
     for (int k = 0; k < MAPLINES_NODES; ++k)
     {
-        const double offset = half * nodes[k];
-        const double x = centre + offset;
-        const double cubic = x * half_c1;
-        const double quadratic = x * (curve->mean[2] + cubic);
-        const double slope = tangent + quadratic;
-        const double square = slope * slope;
-        arc->stretch[k] = sqrt(1.0 + square);
-        arc->place[k] = 0.0;
+        const float offset = half * (float)nodes[k];
+        const float x = centre + offset;
+        const float linear = x * half_c1;
+        const float turn = c0 + linear;
+        const float quadratic = x * turn;
+        const float slope = tangent + quadratic;
+        const float square = slope * slope;
+        const float sum = 1.0F + square;
+        arc->stretch[k] = sqrtf(sum);
+        arc->place[k] = 0.0F;
         if (k > 0)
         {
-            const double step = (x - x_before) * (arc->stretch[k] + arc->stretch[k - 1]);
-            arc->place[k] = k > 1 ? arc->place[k - 1] + step : step;
+            const float distance = x - x_before;
+            const float twice = arc->stretch[k] + arc->stretch[k - 1];
+            const float step = distance * twice;
+            arc->place[k] = arc->place[k - 1] + step;
         }
         x_before = x;
     }
-    const double scale = 2.0 / arc->place[MAPLINES_NODES - 1];
+    const float scale = 2.0F / arc->place[MAPLINES_NODES - 1];
     for (int k = 0; k < MAPLINES_NODES; ++k)
     {
         arc->place[k] = arc->place[k] * scale;
@@ -129,18 +143,18 @@ MAPLINES_INTERNAL void maplines_arc_of(const maplines_curve_t *curve, maplines_a
 }
 
 /// Covariance of the coefficients for unit errors of points with this spacing and phase.
-static void point_noise(const maplines_arc_t *arc, double spacing, double phase, double cov[16])
+static void point_noise(const maplines_arc_t *arc, float spacing, float phase, double cov[16])
 {
     noise_t noise;
     memset(&noise, 0, sizeof noise);
-    double above[4] = {0.0, 0.0, 0.0, 0.0}; // weights of errors of the next point
-    const double density = 1.0 / spacing;
+    float above[4] = {0.0F, 0.0F, 0.0F, 0.0F}; // weights of errors of the next point
+    const float density = 1.0F / (spacing > least_spacing ? spacing : least_spacing);
     for (int k = 0; k < MAPLINES_NODES; ++k)
     {
-        const double distance = arc->place[k] * density;
-        const double place = distance + phase;
-        const int64_t below = (int64_t)place;
-        const double share = place - (double)below;
+        const float distance = arc->place[k] * density;
+        const float place = distance + phase;
+        const int32_t below = (int32_t)place;
+        const float share = place - (float)below;
         if (below != noise.point)
         {
             add_point(&noise);
@@ -155,14 +169,14 @@ static void point_noise(const maplines_arc_t *arc, double spacing, double phase,
             noise.point = below;
         }
         const bool is_behind = k >= MAPLINES_HALF;
-        const double *column = fit_columns[is_behind ? MAPLINES_NODES - 1 - k : k];
-        const double behind = arc->stretch[k] * share;
-        const double before = arc->stretch[k] - behind;
+        const float *column = fit_columns[is_behind ? MAPLINES_NODES - 1 - k : k];
+        const float behind = arc->stretch[k] * share;
+        const float before = arc->stretch[k] - behind;
         for (int i = 0; i < 4; ++i)
         {
-            const double weight = is_behind && i % 2 == 1 ? -column[i] : column[i];
-            const double of_before = weight * before;
-            const double of_behind = weight * behind;
+            const float weight = is_behind && i % 2 == 1 ? -column[i] : column[i];
+            const float of_before = weight * before;
+            const float of_behind = weight * behind;
             noise.below[i] = noise.below[i] + of_before;
             above[i] = above[i] + of_behind;
         }
@@ -171,9 +185,15 @@ static void point_noise(const maplines_arc_t *arc, double spacing, double phase,
     memset(noise.below, 0, sizeof noise.below);
     memcpy(noise.above, above, sizeof noise.above);
     add_point(&noise);
-    for (int i = 0; i < 16; ++i)
+    for (int i = 0; i < 4; ++i)
     {
-        cov[i] = noise.cov[i % 4 > i / 4 ? 4 * (i % 4) + i / 4 : i];
+        for (int j = 0; j <= i; ++j)
+        {
+            const double entry = (double)noise.cov[4 * i + j];
+            const double whole = i == j ? entry * (1.0 + MAPLINES_SUM_ROUNDING) : entry;
+            cov[4 * i + j] = whole;
+            cov[4 * j + i] = whole;
+        }
     }
 }
 
@@ -223,7 +243,7 @@ MAPLINES_INTERNAL double maplines_point_noise(const maplines_levels_t *levels,
     const double turns = (double)raw * MAPLINES_GOLDEN_RATIO;
     const double phase = turns - floor(turns);
     const double ratio = ratios[raw % 6];
-    point_noise(arc, spacing, phase, cov);
+    point_noise(arc, (float)spacing, (float)phase, cov);
     return ratio * ratio * spacing;
 }
 

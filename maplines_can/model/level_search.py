@@ -82,7 +82,7 @@ class LevelSearch:
         Straight lines that are stretched as the line is on average choose the same ones, or nearly
         so.
         """
-        stretch, squared = arc_of(curve)[0], self.squares[1]
+        stretch, squared = [*map(float, arc_of(curve)[0])], self.squares[1]
         mean = min(stretch) * max(stretch)
         near = {raw: N * mean + amount * SHAPE for raw, (N, amount) in self.straight.items()}
         costs: dict[int, float] = {}

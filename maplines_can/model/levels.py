@@ -13,12 +13,14 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, cast
+
+import numpy as np
 
 from ..wire.layout.signals import OCTAVE, Signal
 from .elementary import exp2, tan
-from .lines import Curve, extrema, places
+from .lines import Curve, extrema
 from .matrices import Matrix, Vector, diagonal, dot_by_halves, matrix
 from .signals import Raw, level, value
 
@@ -29,6 +31,13 @@ SHAPE_OFFSET, SHAPE_OCTAVES = -10.0, 10.2
 #: r by the remainder of the raw value of ``OwnShape`` modulo 6.
 RATIOS = (0.0, 0.5, 0.5 * 1.8, 0.5 * 1.8 * 1.8, 0.5 * 1.8 * 1.8 * 1.8, 0.5 * 1.8 * 1.8 * 1.8 * 1.8)
 GOLDEN_RATIO = (1 + math.sqrt(5)) / 2
+#: Share of the variances by which sums in single precision are enlarged.
+SUM_ROUNDING = 2.0**-14
+#: Least spacing of points, in halves of the length of a line.
+LEAST_SPACING = 2.0**-24
+#: Rounds to single precision; so does each operation with such numbers.
+SINGLE = cast("Callable[[float], float]", np.float32)
+ONE = SINGLE(1)
 #: Places at which a cubic is fitted to the points, from -1 to 1.
 NODES = Vector(extrema(64)[::-1])
 #: Values of T_0 .. T_3 at the nodes, and the (4, 64) matrix of the fit from values there.
@@ -81,35 +90,43 @@ def noise(signal: Signal, raw: int, curve: Curve) -> Matrix:
 
 
 def arc_of(curve: Curve) -> tuple[Vector, Vector]:
-    """Return the length of a line at the nodes of its range, by trapezoids.
+    """Return the length of a line at the nodes of its range, by trapezoids, in single precision.
 
     Its derivatives with respect to x; and the length up to each node, in halves of all of it.
     """
     _, beta, c0, c1 = curve.mean
-    x = places(curve.begin, curve.end, NODES)
-    half_c1 = c1 / 2
-    slopes = [tan(beta) + u * (c0 + u * half_c1) for u in x]
-    stretch = Vector(math.sqrt(1 + slope * slope) for slope in slopes)
-    along = Vector([0.0])
+    given = (curve.begin + curve.end) / 2, (curve.end - curve.begin) / 2, tan(beta), c0, c1 / 2
+    centre, half, tangent, c0_, half_c1 = map(SINGLE, given)
+    x = [centre + half * SINGLE(node) for node in NODES]
+    slopes = [tangent + u * (c0_ + u * half_c1) for u in x]
+    stretch = Vector(map(np.sqrt, (ONE + slope * slope for slope in slopes)))
+    along = Vector([SINGLE(0)])
     for k in range(1, len(x)):
         along.append(along[-1] + (x[k] - x[k - 1]) * (stretch[k] + stretch[k - 1]))
-    return stretch, along * (2 / along[-1])
+    return stretch, along * (SINGLE(2) / along[-1])
 
 
 def point_noise(curve: Curve, spacing: Spacing) -> Matrix:
     """Return the covariance of the coefficients for points with independent errors of 1 m.
 
     The points are at equal distances along the line. Between two of them, the line has shares of
-    both of their errors; one across the line acts on y by the factor ``stretch``.
+    both of their errors; one across the line acts on y by the factor ``stretch``. It is computed in
+    single precision; the variances are enlarged by more than the rounding of the sums.
     """
-    behind: dict[int, Vector] = defaultdict(lambda: Vector([0.0] * 4))  # weights of each error
-    ahead: dict[int, Vector] = defaultdict(lambda: Vector([0.0] * 4))
-    density = 1 / spacing.distance
-    for stretch, along, column in zip(*arc_of(curve), FIT.T, strict=True):
-        place = along * density + spacing.phase
+    none = Vector([SINGLE(0)] * 4)
+    behind: dict[int, Vector] = defaultdict(lambda: none)  # weights of each error
+    ahead: dict[int, Vector] = defaultdict(lambda: none)
+    density = ONE / SINGLE(max(spacing.distance, LEAST_SPACING))
+    phase = SINGLE(spacing.phase)
+    columns = (Vector(map(SINGLE, column)) for column in FIT.T)
+    for stretch, along, column in zip(*arc_of(curve), columns, strict=True):
+        place = along * density + phase
         point = int(place)
-        of_next = stretch * (place - point)
+        of_next = stretch * (place - SINGLE(point))
         behind[point] += column * (stretch - of_next)
         ahead[point + 1] += column * of_next
     effects = Matrix(behind[point] + ahead[point] for point in range(max(ahead) + 1)).T
-    return effects @ effects.T
+    found = matrix(map(float, row) for row in effects @ effects.T)
+    for i, row in enumerate(found):
+        row[i] *= 1 + SUM_ROUNDING
+    return found
