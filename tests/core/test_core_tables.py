@@ -1,6 +1,7 @@
 """Tables of a DBC that the core checks, since it reads and writes where they say."""
 
 import shutil
+from dataclasses import replace
 from typing import Any
 
 import make_declarations
@@ -14,6 +15,9 @@ from maplines_can.model import elementary
 from maplines_can.values.elementary import exp2
 from maplines_can.values.errors import LayoutError
 from maplines_can.wire import tables
+from maplines_can.wire.layout.signal import Signal
+
+KIND = Signal("Kind", 0, 3, False, False, 1.0, 0.0, "", 0, 7)
 
 
 def is_accepted(dbc: str, change: dict[str, Any]) -> bool:
@@ -21,7 +25,7 @@ def is_accepted(dbc: str, change: dict[str, Any]) -> bool:
     content = tables.content_of(new_codec(dbc).layout)
     for name, value in change.items():
         before = content[name]
-        content[name] = {**before, **value} if isinstance(value, dict) else value  # type: ignore[dict-item]
+        content[name] = {**before, **value} if isinstance(before, dict) else value
     made = structure("maplines_dbc_t", tables._plain(content))
     return bool(lib.maplines_check_tables(made))
 
@@ -30,6 +34,12 @@ def is_accepted(dbc: str, change: dict[str, Any]) -> bool:
 def test_the_declarations_are_those_of_the_headers() -> None:
     """After a change of a header, tools/make_declarations.py writes them again."""
     assert make_declarations.PATH.read_text() == make_declarations.declarations()
+
+
+def test_a_signal_anywhere_in_a_record_is_accepted() -> None:
+    """What is changed below is refused for its own sake."""
+    assert is_accepted(COMPLETE, {"kind": replace(KIND, length=63)})
+    assert is_accepted(COMPLETE, {"kind": {}})  # the DBC has no such signal
 
 
 @pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
@@ -46,9 +56,9 @@ def test_tables_of_a_dbc_are_accepted(dbc: str) -> None:
         pytest.param({"line": {"crc_byte": 127}}, id="checksum"),
         pytest.param({"pose": {"pages": 0}}, id="no-pose"),
         pytest.param({"max_components": 65}, id="components"),
-        pytest.param({"kind": (1.0, 0.0, 0, 1, 1020, 5, 0, 0)}, id="end-of-a-signal"),
-        pytest.param({"kind": (1.0, 0.0, 0, 1, 0, 65, 0, 0)}, id="length"),
-        pytest.param({"kind": (1.0, 0.0, 1, 0, 0, 1, 0, 0)}, id="limits"),
+        pytest.param({"kind": replace(KIND, start=1020, length=5)}, id="end-of-a-signal"),
+        pytest.param({"kind": replace(KIND, length=64)}, id="length"),
+        pytest.param({"kind": {"first": 0, "length": 3}}, id="no-scale"),
         pytest.param({"covariance": {"rows": 5}}, id="rows"),
         pytest.param({"covariance": {"order": {0: 4, 1: 1, 2: 2, 3: 3}}}, id="order"),
         pytest.param({"straight": None}, id="no-levels"),
