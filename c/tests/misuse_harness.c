@@ -4,9 +4,14 @@
  *
  * With an argument, only the row of this number. A row ends with "wrong" if the result is not the
  * one that the header promises. Assertions are counted with count_assertions.h.
+ *
+ * The rows are those of the build. A receiver without a sender takes the frames of sent_frames.h,
+ * which a program with both writes with the argument "frames".
  */
 #include "lines_dbc.h"
+#if MAPLINES_SCENES
 #include "pose_dbc.h"
+#endif
 
 #include <math.h>
 #include <stdio.h>
@@ -26,56 +31,54 @@ void count_assertion(int holds)
 }
 #endif
 
-/* ---- a good receiver and a good sender, of lines and of scenes --------------------------------
+/* ---- a good sender: a line, and a scene of two lines ------------------------------------------
  */
 
-static const maplines_decoder_t zeroed;
-static maplines_decoder_t decoder, scenes;
-static maplines_encoder_t encoder, scene_encoder;
-static const maplines_encoder_t zeroed_encoder;
-static maplines_frame_t frames[MAPLINES_MAX_SCENE_FRAMES + MAPLINES_MAX_FRAMES];
-static maplines_frame_t frame;
-static maplines_scene_workspace_t workspace;
-static maplines_input_t input;
-static maplines_component_t components[MAPLINES_MAX_COMPONENTS];
-static maplines_scene_input_t scene_input;
-static maplines_view_t view;
-static maplines_scene_view_t scene_view;
-static maplines_line_t line;
-static maplines_scene_t scene;
-static maplines_displacement_t displacement;
-static maplines_motion_t motion;
-static maplines_slot_stats_t stats;
-static maplines_statistics_t numbers;
-static maplines_settings_t settings;
-static maplines_estimate_t estimate;
-static maplines_real_t weight, low, high;
-static maplines_real_t weights[2] = {1, 0};
-static maplines_gaussian_t gaussian;
-static maplines_line_t predicted;
-static maplines_real_t covariance[4][4];
-static maplines_real_t joint[64];
-static maplines_position_t positions[MAPLINES_MAX_POSITIONS + 1];
-static maplines_term_t terms[2];
+static const maplines_owner_t left = MAPLINES_EGO_LEFT;
+static maplines_frame_t frames[MAPLINES_MAX_FRAMES + MAPLINES_MAX_PAGES * MAPLINES_OWNERS];
+#if MAPLINES_SCENES
 static const maplines_owner_t both[2] = {MAPLINES_EGO_LEFT, MAPLINES_EGO_RIGHT};
-static maplines_signer_t signer; // without a function
-static maplines_line_copy_t copy;
-static maplines_scene_copy_t scene_copy;
-static const maplines_real_t nan_value = (maplines_real_t)NAN;
-static const maplines_real_t infinity = (maplines_real_t)INFINITY;
-/// A distance whose inverse overflows [m].
-static const maplines_real_t too_small = (maplines_real_t)(MAPLINES_FLOAT ? 1e-40 : 1e-320);
+#endif
 
-static void set_inputs(void)
+#if MAPLINES_SENDER
+static const double variances[4] = {0.01, 1e-4, 1e-8, 1e-12};
+static maplines_encoder_t encoder;
+static maplines_input_t input;
+
+static void set_line(void)
 {
-    static const double variances[4] = {0.01, 1e-4, 1e-8, 1e-12};
     memset(&input, 0, sizeof input);
-    input.slot = MAPLINES_EGO_LEFT;
+    input.slot = left;
     input.kind = MAPLINES_SOLID;
     input.status = MAPLINES_FULL;
     input.x_max = 80;
     input.age = 0.02;
     input.has_age = true;
+    for (int i = 0; i < 4; ++i)
+    {
+        input.cov[i][i] = variances[i];
+    }
+}
+#if MAPLINES_MIXTURES
+static maplines_component_t components[MAPLINES_MAX_COMPONENTS];
+
+static void set_mixture(void)
+{
+    for (int k = 0; k < MAPLINES_MAX_COMPONENTS; ++k)
+    {
+        memset(&components[k], 0, sizeof components[k]);
+        components[k].weight = k < 2 ? 0.5 : 0;
+        memcpy(components[k].cov, input.cov, sizeof input.cov);
+    }
+}
+#endif
+#if MAPLINES_SCENES
+static maplines_encoder_t scene_encoder;
+static maplines_scene_input_t scene_input;
+static maplines_scene_workspace_t workspace;
+
+static void set_scene(void)
+{
     memset(&scene_input, 0, sizeof scene_input);
     scene_input.count = 2;
     scene_input.pose_age = 0.02;
@@ -104,38 +107,6 @@ static void set_inputs(void)
             scene_input.cov[4 * k + 1][4 * m + 1] = 1e-6;
         }
     }
-    for (int i = 0; i < 4; ++i)
-    {
-        input.cov[i][i] = variances[i];
-    }
-    for (int k = 0; k < MAPLINES_MAX_COMPONENTS; ++k)
-    {
-        memset(&components[k], 0, sizeof components[k]);
-        components[k].weight = k < 2 ? 0.5 : 0;
-        memcpy(components[k].cov, input.cov, sizeof input.cov);
-    }
-}
-
-static void feed_all(maplines_decoder_t *of, int count, int64_t t_ns)
-{
-    for (int i = 0; i < count; ++i)
-    {
-        (void)maplines_feed(of, &frames[i], t_ns);
-    }
-}
-
-/// Feed lines each so many units of time, which the caller takes for nanoseconds.
-static void feed_lines(int64_t begin, int64_t spacing)
-{
-    maplines_encoder_init(&encoder, &lines_dbc, NULL);
-    (void)maplines_decoder_init(&decoder, &lines_dbc, &settings);
-    for (int k = 0; k < ROUNDS; ++k)
-    {
-        feed_all(&decoder, maplines_encode_line(&encoder, &input, false, 0, frames).count,
-                 begin + spacing * k);
-    }
-    maplines_latest(&decoder, MAPLINES_EGO_LEFT, begin + spacing * (ROUNDS - 1), &view);
-    maplines_statistics(&decoder, &numbers);
 }
 
 static maplines_sent_scene_t encode_scene(void)
@@ -143,54 +114,24 @@ static maplines_sent_scene_t encode_scene(void)
     return maplines_encode_scene(&scene_encoder, &scene_input, false, 0, &workspace, frames);
 }
 
-/// A scene that is sent in some cycles and received, by the tables of a DBC.
-static void feed_scenes(const maplines_dbc_t *dbc)
-{
-    maplines_encoder_init(&scene_encoder, dbc, NULL);
-    (void)maplines_decoder_init(&scenes, dbc, NULL);
-    for (int k = 0; k < ROUNDS; ++k)
-    {
-        feed_all(&scenes, encode_scene().count, CYCLE_NS * k);
-    }
-    maplines_latest(&scenes, both[0], CYCLE_NS * (ROUNDS - 1), &view);
-    maplines_latest_scene(&scenes, CYCLE_NS * (ROUNDS - 1), &scene_view);
-}
+#endif
 
-static void begin(void)
+static void set_inputs(void)
 {
-    set_inputs();
-    (void)maplines_default_settings(&lines_dbc, &settings);
-    feed_lines(0, CYCLE_NS);
-    frame = frames[0];
-    line = *maplines_newest(&decoder, MAPLINES_EGO_LEFT);
-    feed_scenes(&pose_dbc);
-    if (scene_view.scene == NULL || !scene_view.is_usable || !view.is_usable)
-    {
-        (void)printf("the good calls fail\n");
-        exit(2);
-    }
-    scene = *scene_view.scene;
-    motion.speed = 20;
-    (void)maplines_displacement(&motion, (maplines_real_t)0.1, 0, &displacement);
-    for (int i = 0; i < MAPLINES_MAX_POSITIONS + 1; ++i)
-    {
-        positions[i] = (maplines_position_t){10, 0, 1};
-    }
-    terms[0] = (maplines_term_t){MAPLINES_EGO_LEFT, 10, 1};
-    terms[1] = (maplines_term_t){MAPLINES_EGO_RIGHT, 10, -1};
-    failures = 0;
+    set_line();
+#if MAPLINES_MIXTURES
+    set_mixture();
+#endif
+#if MAPLINES_SCENES
+    set_scene();
+#endif
 }
+#endif // MAPLINES_SENDER
 
 /* ---- results ----------------------------------------------------------------------------------
  */
 
 static char text[200];
-
-static const char *number(double value, bool is_promised)
-{
-    (void)snprintf(text, sizeof text, "%g%s", value, is_promised ? "" : " wrong");
-    return text;
-}
 
 static const char *said(const char *what, bool is_promised)
 {
@@ -198,61 +139,9 @@ static const char *said(const char *what, bool is_promised)
     return text;
 }
 
-static const char *nan_of(maplines_real_t value)
-{
-    return number((double)value, value != value);
-}
-
-static const char *unknown(maplines_estimate_t of)
-{
-    (void)snprintf(text, sizeof text, "%g, sigma %g%s", (double)of.value, (double)of.sigma,
-                   of.value != of.value && !(of.sigma < infinity) ? "" : " wrong");
-    return text;
-}
-
-static const char *refused(bool result)
-{
-    return said(result ? "true" : "false", !result);
-}
-
 static const char *nothing(void)
 {
     return said("nothing", true);
-}
-
-static const char *problem(const char *what)
-{
-    return what != NULL ? said(what, true) : said("no problem", false);
-}
-
-static const char *fed_is(maplines_fed_t fed, maplines_reason_t reason)
-{
-    return said(maplines_reason_name(fed.reason), fed.reason == reason && fed.count == 0);
-}
-
-static const char *no_line(const maplines_line_t *found)
-{
-    return said(found == NULL ? "NULL" : "a line", found == NULL);
-}
-
-static const char *not_usable(bool has, bool is_usable)
-{
-    return said(has || is_usable ? "a line" : "no line, not usable", !has && !is_usable);
-}
-
-static const char *sent_is(maplines_sent_t sent, maplines_refusal_t refusal)
-{
-    return said(maplines_refusal_name(sent.refusal), sent.refusal == refusal && sent.count == 0);
-}
-
-static const char *scene_is(maplines_sent_scene_t sent, maplines_refusal_t refusal)
-{
-    return said(maplines_refusal_name(sent.refusal), sent.refusal == refusal && sent.count == 0);
-}
-
-static const char *prediction_is(maplines_prediction_t result, maplines_prediction_t expected)
-{
-    return said(maplines_prediction_name(result), result == expected);
 }
 
 /* ---- rows -------------------------------------------------------------------------------------
@@ -263,7 +152,9 @@ static int row_number, only;
 static bool begins(void)
 {
     ++row_number;
+#if MAPLINES_SENDER
     set_inputs();
+#endif
     failures = 0;
     return only == 0 || only == row_number;
 }
@@ -302,6 +193,180 @@ static void ends(const char *function, const char *mistake, bool is_asserted, co
         ends(#function, mistake, is_asserted, call);                                               \
     }
 
+#if MAPLINES_RECEIVER
+/* ---- a good receiver --------------------------------------------------------------------------
+ */
+
+static const maplines_decoder_t zeroed;
+static maplines_decoder_t decoder;
+static maplines_settings_t settings;
+static maplines_frame_t frame;
+static maplines_view_t view;
+static maplines_line_t line;
+static maplines_statistics_t numbers;
+static const maplines_real_t nan_value = (maplines_real_t)NAN;
+static const maplines_real_t infinity = (maplines_real_t)INFINITY;
+/// A distance whose inverse overflows [m].
+static const maplines_real_t too_small = (maplines_real_t)(MAPLINES_FLOAT ? 1e-40 : 1e-320);
+
+#if MAPLINES_SENDER
+/// Frames of the line of a cycle; their number.
+static int next_line(int cycle, bool is_fd)
+{
+    if (cycle == 0)
+    {
+        maplines_encoder_init(&encoder, &lines_dbc, NULL);
+    }
+    return maplines_encode_line(&encoder, &input, is_fd, 0, frames).count;
+}
+
+#if MAPLINES_SCENES
+/// Frames of the scene of a cycle; their number.
+static int next_scene(const maplines_dbc_t *dbc, int cycle)
+{
+    if (cycle == 0)
+    {
+        maplines_encoder_init(&scene_encoder, dbc, NULL);
+    }
+    return encode_scene().count;
+}
+#endif
+#else
+#include "sent_frames.h"
+
+static int next_line(int cycle, bool is_fd)
+{
+    const int count = is_fd ? 1 : LINE_FRAMES;
+    memcpy(frames, is_fd ? sent_fds[0] : sent_lines[cycle], (size_t)count * sizeof frames[0]);
+    return count;
+}
+
+#if MAPLINES_SCENES
+static int next_scene(const maplines_dbc_t *dbc, int cycle)
+{
+    (void)dbc;
+    memcpy(frames, sent_scenes[cycle], sizeof sent_scenes[cycle]);
+    return SCENE_FRAMES;
+}
+#endif
+#endif
+
+static void feed_all(maplines_decoder_t *of, int count, int64_t t_ns)
+{
+    for (int i = 0; i < count; ++i)
+    {
+        (void)maplines_feed(of, &frames[i], t_ns);
+    }
+}
+
+/// Feed lines each so many units of time, which the caller takes for nanoseconds.
+static void feed_lines(int64_t begin, int64_t spacing)
+{
+    (void)maplines_decoder_init(&decoder, &lines_dbc, &settings);
+    for (int k = 0; k < ROUNDS; ++k)
+    {
+        feed_all(&decoder, next_line(k, false), begin + spacing * k);
+    }
+    maplines_latest(&decoder, left, begin + spacing * (ROUNDS - 1), &view);
+    maplines_statistics(&decoder, &numbers);
+}
+
+#if MAPLINES_SCENES
+static maplines_decoder_t scenes;
+static maplines_scene_view_t scene_view;
+static maplines_scene_t scene;
+static maplines_term_t terms[2];
+
+/// A scene that is sent in some cycles and received, by the tables of a DBC.
+static void feed_scenes(const maplines_dbc_t *dbc)
+{
+    (void)maplines_decoder_init(&scenes, dbc, NULL);
+    for (int k = 0; k < ROUNDS; ++k)
+    {
+        feed_all(&scenes, next_scene(dbc, k), CYCLE_NS * k);
+    }
+    maplines_latest(&scenes, left, CYCLE_NS * (ROUNDS - 1), &view);
+    maplines_latest_scene(&scenes, CYCLE_NS * (ROUNDS - 1), &scene_view);
+}
+#endif
+
+static void require(bool is_good)
+{
+    if (!is_good)
+    {
+        (void)printf("the good calls fail\n");
+        exit(2);
+    }
+}
+
+static void begin(void)
+{
+    maplines_default_settings(&lines_dbc, &settings);
+    feed_lines(0, CYCLE_NS);
+    require(view.is_usable);
+    line = *view.line;
+    (void)next_line(0, false);
+    frame = frames[0];
+#if MAPLINES_SCENES
+    feed_scenes(&pose_dbc);
+    require(scene_view.scene != NULL && scene_view.is_usable && view.is_usable);
+    scene = *scene_view.scene;
+    terms[0] = (maplines_term_t){both[0], 10, 1};
+    terms[1] = (maplines_term_t){both[1], 10, -1};
+#endif
+}
+
+static const char *number(double value, bool is_promised)
+{
+    (void)snprintf(text, sizeof text, "%g%s", value, is_promised ? "" : " wrong");
+    return text;
+}
+
+static const char *nan_of(maplines_real_t value)
+{
+    return number((double)value, value != value);
+}
+
+static const char *unknown(maplines_estimate_t of)
+{
+    (void)snprintf(text, sizeof text, "%g, sigma %g%s", (double)of.value, (double)of.sigma,
+                   of.value != of.value && !(of.sigma < infinity) ? "" : " wrong");
+    return text;
+}
+
+static const char *refused(bool result)
+{
+    return said(result ? "true" : "false", !result);
+}
+
+static const char *problem(const char *what)
+{
+    return what != NULL ? said(what, true) : said("no problem", false);
+}
+
+static const char *fed_is(maplines_fed_t fed, maplines_reason_t reason)
+{
+    return said(maplines_reason_name(fed.reason), fed.reason == reason && fed.count == 0);
+}
+
+static const char *no_line(const maplines_line_t *found)
+{
+    return said(found == NULL ? "NULL" : "a line", found == NULL);
+}
+
+static const char *not_usable(bool has, bool is_usable)
+{
+    return said(has || is_usable ? "a line" : "no line, not usable", !has && !is_usable);
+}
+
+static const char *prediction_is(maplines_prediction_t result, maplines_prediction_t expected)
+{
+    return said(maplines_prediction_name(result), result == expected);
+}
+
+/* ---- rows of a receiver ------------------------------------------------------------------------
+ */
+
 static maplines_frame_t *with_length(uint8_t length)
 {
     static maplines_frame_t long_frame;
@@ -314,8 +379,8 @@ static maplines_frame_t *with_length(uint8_t length)
 static maplines_frame_t *with_fd(uint8_t length)
 {
     static maplines_frame_t of_fd;
-    maplines_encoder_init(&encoder, &lines_dbc, NULL);
-    (void)maplines_encode_line(&encoder, &input, true, 0, &of_fd);
+    (void)next_line(0, true);
+    of_fd = frames[0];
     of_fd.length = length;
     return &of_fd;
 }
@@ -335,15 +400,12 @@ static maplines_decoder_t *copy_of_zeroed(void)
     return &of;
 }
 
-static maplines_encoder_t *encoder_of_zeroed(void)
-{
-    static maplines_encoder_t of;
-    of = zeroed_encoder;
-    return &of;
-}
-
 static void receiver_rows(void)
 {
+    maplines_line_copy_t copy;
+    maplines_gaussian_t gaussian;
+    maplines_real_t weight;
+    maplines_slot_stats_t stats;
     ROW(decoder_init, "decoder NULL", true, problem(maplines_decoder_init(NULL, &lines_dbc, NULL)))
     ROW(decoder_init, "dbc NULL", true,
         problem(maplines_decoder_init(copy_of_zeroed(), NULL, NULL)))
@@ -447,6 +509,13 @@ static void make_wrong_lines(void)
 
 static void line_rows(void)
 {
+    maplines_real_t covariance[4][4];
+    maplines_position_t positions[MAPLINES_MAX_POSITIONS + 1];
+    for (int i = 0; i < MAPLINES_MAX_POSITIONS + 1; ++i)
+    {
+        positions[i] = (maplines_position_t){10, 0, 1};
+    }
+    make_wrong_lines();
     ROW(y, "line NULL", true, nan_of(maplines_y(NULL, 10)))
     ROW(y, "x NaN", false, nan_of(maplines_y(&line, nan_value)))
     ROW(y, "x infinite", false, nan_of(maplines_y(&line, infinity)))
@@ -509,8 +578,13 @@ static void line_rows(void)
     positions[0].y = 0;
 }
 
+#if MAPLINES_SCENES
 static void scene_rows(void)
 {
+    maplines_scene_copy_t scene_copy;
+    maplines_estimate_t estimate;
+    maplines_real_t low, high;
+    maplines_real_t joint[64];
     const maplines_line_t good = scene.lines[0];
     ROW(latest_scene, "decoder NULL", true,
         (maplines_latest_scene(NULL, 0, &scene_view),
@@ -576,11 +650,18 @@ static void scene_rows(void)
     ROW(joint_covariance, "covariance NULL", true,
         refused(maplines_joint_covariance(&scene, 2, both, NULL)))
 }
+#endif
 
 static void prediction_rows(void)
 {
-    maplines_displacement_t bad = displacement;
+    const maplines_motion_t motion = {.speed = 20};
+    const maplines_real_t weights[2] = {1, 0};
     maplines_motion_t bad_motion = motion;
+    maplines_displacement_t displacement, bad;
+    maplines_gaussian_t gaussian;
+    maplines_line_t predicted;
+    require(maplines_displacement(&motion, (maplines_real_t)0.1, 0, &displacement));
+    bad = displacement;
     bad.mean[0] = nan_value;
     bad_motion.yaw_rate = nan_value;
     ROW(displacement, "motion NULL", true, refused(maplines_displacement(NULL, 1, 0, &bad)))
@@ -664,177 +745,6 @@ static void prediction_rows(void)
                       MAPLINES_TOO_FAR))
 }
 
-static maplines_sent_t encode(void)
-{
-    return maplines_encode_line(&encoder, &input, false, 0, frames);
-}
-
-static maplines_sent_t encode_two(void)
-{
-    return maplines_encode_mixture(&encoder, &input, components, 2, false, 0, frames);
-}
-
-/// Age of a line that is sent and received [s].
-static double received_age(void)
-{
-    feed_lines(0, CYCLE_NS);
-    return (double)view.age;
-}
-
-/// Ages of a scene, of which some are not set, and of a line of it [s], as they are received. What
-/// has no age is not used; of lines that are conditional on the pose error, all of them.
-static const char *scene_ages(const maplines_dbc_t *dbc, bool has_pose_age, bool has_age)
-{
-    scene_input.has_pose_age = has_pose_age;
-    scene_input.lines[0].has_age = has_age;
-    scene_input.pose_age = has_pose_age ? 0.02 : (double)NAN; // not read
-    scene_input.lines[0].age = has_age ? 0.02 : (double)NAN;
-    feed_scenes(dbc);
-    const bool is_line_known = dbc->is_conditional ? has_pose_age : has_age;
-    const bool is_promised =
-        scene_view.scene != NULL && view.line != NULL && scene_view.is_usable == has_pose_age &&
-        (isinf(scene_view.age) != 0) != has_pose_age && view.is_usable == is_line_known &&
-        (isinf(view.age) != 0) != is_line_known;
-    (void)snprintf(text, sizeof text, "scene %g, line %g%s", (double)scene_view.age,
-                   (double)view.age, is_promised ? "" : " wrong");
-    return text;
-}
-
-static void sender_rows(void)
-{
-    VOID_ROW(encoder_init, "encoder NULL", maplines_encoder_init(NULL, &lines_dbc, NULL))
-    ROW(encoder_init, "dbc NULL", true,
-        (maplines_encoder_init(&encoder, NULL, NULL), sent_is(encode(), MAPLINES_BAD_CALL)))
-    ROW(encoder_init, "signer without a function", true,
-        (maplines_encoder_init(&encoder, &lines_dbc, &signer),
-         sent_is(encode(), MAPLINES_BAD_CALL)))
-    maplines_encoder_init(&encoder, &lines_dbc, NULL);
-    ROW(encode_line, "encoder NULL", true,
-        sent_is(maplines_encode_line(NULL, &input, false, 0, frames), MAPLINES_BAD_CALL))
-    ROW(encode_line, "encoder zeroed", true,
-        sent_is(maplines_encode_line(encoder_of_zeroed(), &input, false, 0, frames),
-                MAPLINES_BAD_CALL))
-    ROW(encode_line, "line NULL", true,
-        sent_is(maplines_encode_line(&encoder, NULL, false, 0, frames), MAPLINES_BAD_CALL))
-    ROW(encode_line, "frames NULL", true,
-        sent_is(maplines_encode_line(&encoder, &input, false, 0, NULL), MAPLINES_BAD_CALL))
-    ROW_AFTER(encode_line, "line {0}: age of what is received", false,
-              memset(&input, 0, sizeof input), number(received_age(), isinf(view.age) != 0))
-    ROW_AFTER(encode_line, "age -1", false, input.age = -1, sent_is(encode(), MAPLINES_BAD_AGE))
-    ROW_AFTER(encode_line, "age NaN", false, input.age = NAN, sent_is(encode(), MAPLINES_BAD_AGE))
-    ROW_AFTER(encode_line, "mean NaN", false, input.mean[0] = NAN,
-              sent_is(encode(), MAPLINES_BAD_MEAN))
-    ROW_AFTER(encode_line, "mean infinite", false, input.mean[3] = INFINITY,
-              sent_is(encode(), MAPLINES_BAD_MEAN))
-    ROW_AFTER(encode_line, "covariance NaN", false, input.cov[1][1] = NAN,
-              sent_is(encode(), MAPLINES_BAD_COVARIANCE))
-    ROW_AFTER(encode_line, "variance negative", false, input.cov[1][1] = -1,
-              sent_is(encode(), MAPLINES_BAD_VARIANCE))
-    ROW_AFTER(encode_line, "x_max NaN", false, input.x_max = NAN,
-              sent_is(encode(), MAPLINES_BAD_RANGE))
-    ROW_AFTER(encode_line, "x_min beyond x_max", false, input.x_min = 81,
-              sent_is(encode(), MAPLINES_BAD_RANGE))
-    ROW_AFTER(encode_line, "slot 99", false, input.slot = BAD_SLOT,
-              sent_is(encode(), MAPLINES_NO_MESSAGE))
-    ROW_AFTER(encode_line, "kind 99", false, input.kind = (maplines_kind_t)99,
-              sent_is(encode(), MAPLINES_BAD_KIND))
-    ROW_AFTER(encode_line, "status 99", false, input.status = (maplines_status_t)99,
-              sent_is(encode(), MAPLINES_BAD_STATUS))
-    ROW(encode_mixture, "encoder NULL", true,
-        sent_is(maplines_encode_mixture(NULL, &input, components, 2, false, 0, frames),
-                MAPLINES_BAD_CALL))
-    ROW(encode_mixture, "encoder zeroed", true,
-        sent_is(
-            maplines_encode_mixture(encoder_of_zeroed(), &input, components, 2, false, 0, frames),
-            MAPLINES_BAD_CALL))
-    ROW(encode_mixture, "line NULL", true,
-        sent_is(maplines_encode_mixture(&encoder, NULL, components, 2, false, 0, frames),
-                MAPLINES_BAD_CALL))
-    ROW(encode_mixture, "components NULL", true,
-        sent_is(maplines_encode_mixture(&encoder, &input, NULL, 2, false, 0, frames),
-                MAPLINES_BAD_CALL))
-    ROW(encode_mixture, "frames NULL", true,
-        sent_is(maplines_encode_mixture(&encoder, &input, components, 2, false, 0, NULL),
-                MAPLINES_BAD_CALL))
-    ROW(encode_mixture, "no component", false,
-        sent_is(maplines_encode_mixture(&encoder, &input, components, 0, false, 0, frames),
-                MAPLINES_BAD_COUNT))
-    ROW(encode_mixture, "9 components", false,
-        sent_is(maplines_encode_mixture(&encoder, &input, components, 9, false, 0, frames),
-                MAPLINES_BAD_COUNT))
-    ROW_AFTER(encode_mixture, "weight NaN", false, components[0].weight = NAN,
-              sent_is(encode_two(), MAPLINES_BAD_WEIGHTS))
-    ROW_AFTER(encode_mixture, "weight negative", false, components[0].weight = -0.5,
-              sent_is(encode_two(), MAPLINES_BAD_WEIGHTS))
-    ROW_AFTER(encode_mixture, "mean NaN", false, components[1].mean[2] = NAN,
-              sent_is(encode_two(), MAPLINES_BAD_MEAN))
-    ROW(encode_scene, "encoder NULL", true,
-        scene_is(maplines_encode_scene(NULL, &scene_input, false, 0, &workspace, frames),
-                 MAPLINES_BAD_CALL))
-    ROW(encode_scene, "encoder zeroed", true,
-        scene_is(
-            maplines_encode_scene(encoder_of_zeroed(), &scene_input, false, 0, &workspace, frames),
-            MAPLINES_BAD_CALL))
-    ROW(encode_scene, "scene NULL", true,
-        scene_is(maplines_encode_scene(&scene_encoder, NULL, false, 0, &workspace, frames),
-                 MAPLINES_BAD_CALL))
-    ROW(encode_scene, "workspace NULL", true,
-        scene_is(maplines_encode_scene(&scene_encoder, &scene_input, false, 0, NULL, frames),
-                 MAPLINES_BAD_CALL))
-    ROW(encode_scene, "frames NULL", true,
-        scene_is(maplines_encode_scene(&scene_encoder, &scene_input, false, 0, &workspace, NULL),
-                 MAPLINES_BAD_CALL))
-    ROW_AFTER(encode_scene, "scene {0}", false, memset(&scene_input, 0, sizeof scene_input),
-              scene_is(encode_scene(), MAPLINES_BAD_POSE))
-    ROW_AFTER(encode_scene, "pose_age -1", false, scene_input.pose_age = -1,
-              scene_is(encode_scene(), MAPLINES_BAD_AGE))
-    ROW_AFTER(encode_scene, "pose_age NaN", false, scene_input.pose_age = NAN,
-              scene_is(encode_scene(), MAPLINES_BAD_AGE))
-    ROW(encode_scene, "pose_age not set", false, scene_ages(&pose_dbc, false, true))
-    ROW(encode_scene, "age of a line not set", false, scene_ages(&lines_dbc, true, false))
-    ROW(encode_scene, "no age set", false, scene_ages(&lines_dbc, false, false))
-    ROW(encode_scene, "all ages set", false, scene_ages(&lines_dbc, true, true))
-    ROW_AFTER(encode_scene, "age of a line -1", false, scene_input.lines[1].age = -1,
-              scene_is(encode_scene(), MAPLINES_BAD_AGE))
-    ROW_AFTER(encode_scene, "age of a line NaN", false, scene_input.lines[1].age = NAN,
-              scene_is(encode_scene(), MAPLINES_BAD_AGE))
-    ROW_AFTER(encode_scene, "correlation_time NaN", false, scene_input.correlation_time = NAN,
-              scene_is(encode_scene(), MAPLINES_BAD_POSE))
-    ROW_AFTER(encode_scene, "offset_sigma negative", false, scene_input.offset_sigma = -1,
-              scene_is(encode_scene(), MAPLINES_BAD_POSE))
-    ROW_AFTER(encode_scene, "pose_cov NaN", false, scene_input.pose_cov[0][0] = NAN,
-              scene_is(encode_scene(), MAPLINES_BAD_COVARIANCE))
-    ROW_AFTER(encode_scene, "cov infinite", false, scene_input.cov[0][0] = INFINITY,
-              scene_is(encode_scene(), MAPLINES_BAD_COVARIANCE))
-    ROW_AFTER(encode_scene, "mean NaN", false, scene_input.lines[0].mean[0] = NAN,
-              scene_is(encode_scene(), MAPLINES_BAD_MEAN))
-    ROW_AFTER(encode_scene, "9 lines", false, scene_input.count = 9,
-              scene_is(encode_scene(), MAPLINES_BAD_COUNT))
-    ROW_AFTER(encode_scene, "slot 99", false, scene_input.lines[0].slot = BAD_SLOT,
-              scene_is(encode_scene(), MAPLINES_NO_MESSAGE))
-}
-
-static const char *name(const char *what)
-{
-    return said(what, strcmp(what, "?") == 0);
-}
-
-static void name_rows(void)
-{
-    ROW(owner_name, "99", false, name(maplines_owner_name(BAD_SLOT)))
-    ROW(kind_name, "99", false, name(maplines_kind_name((maplines_kind_t)99)))
-    ROW(status_name, "99", false, name(maplines_status_name((maplines_status_t)99)))
-    ROW(reason_name, "-2", false, name(maplines_reason_name((maplines_reason_t)-2)))
-    ROW(e2e_state_name, "99", false, name(maplines_e2e_state_name((maplines_e2e_state_t)99)))
-    ROW(e2e_status_name, "99", false, name(maplines_e2e_status_name((maplines_e2e_status_t)99)))
-    ROW(prediction_name, "99", false, name(maplines_prediction_name((maplines_prediction_t)99)))
-    ROW(refusal_name, "99", false, name(maplines_refusal_name((maplines_refusal_t)99)))
-    ROW(left_out_name, "99", false, name(maplines_left_out_name((maplines_left_out_t)99)))
-}
-
-/* ---- times ------------------------------------------------------------------------------------
- */
-
 /// What became of 20 lines at so many units of time from each other.
 static const char *lines_each(int64_t spacing, bool refuses, unsigned expected, bool is_usable)
 {
@@ -873,18 +783,305 @@ static void time_rows(void)
     ROW(feed, "no times, refused if short", false, lines_each(0, true, ROUNDS, true))
     ROW(latest, "stale_cycles infinite, and a second without a line", false, never_stale())
 }
+#endif // MAPLINES_RECEIVER
+
+#if MAPLINES_SENDER
+/* ---- rows of a sender --------------------------------------------------------------------------
+ */
+
+static const char *sent_is(maplines_sent_t sent, maplines_refusal_t refusal)
+{
+    return said(maplines_refusal_name(sent.refusal), sent.refusal == refusal && sent.count == 0);
+}
+
+static maplines_encoder_t *encoder_of_zeroed(void)
+{
+    static maplines_encoder_t of;
+    memset(&of, 0, sizeof of);
+    return &of;
+}
+
+static maplines_sent_t encode(void)
+{
+    return maplines_encode_line(&encoder, &input, false, 0, frames);
+}
+
+#if MAPLINES_RECEIVER
+/// Age of a line that is sent and received [s]: unknown.
+static const char *unknown_age(void)
+{
+    feed_lines(0, CYCLE_NS);
+    return number((double)view.age, isinf((double)view.age) != 0 && !view.is_usable);
+}
+#endif
+
+static void sender_rows(void)
+{
+    static maplines_signer_t signer; // without a function
+    VOID_ROW(encoder_init, "encoder NULL", maplines_encoder_init(NULL, &lines_dbc, NULL))
+    ROW(encoder_init, "dbc NULL", true,
+        (maplines_encoder_init(&encoder, NULL, NULL), sent_is(encode(), MAPLINES_BAD_CALL)))
+    ROW(encoder_init, "signer without a function", true,
+        (maplines_encoder_init(&encoder, &lines_dbc, &signer),
+         sent_is(encode(), MAPLINES_BAD_CALL)))
+    maplines_encoder_init(&encoder, &lines_dbc, NULL);
+    ROW(encode_line, "encoder NULL", true,
+        sent_is(maplines_encode_line(NULL, &input, false, 0, frames), MAPLINES_BAD_CALL))
+    ROW(encode_line, "encoder zeroed", true,
+        sent_is(maplines_encode_line(encoder_of_zeroed(), &input, false, 0, frames),
+                MAPLINES_BAD_CALL))
+    ROW(encode_line, "line NULL", true,
+        sent_is(maplines_encode_line(&encoder, NULL, false, 0, frames), MAPLINES_BAD_CALL))
+    ROW(encode_line, "frames NULL", true,
+        sent_is(maplines_encode_line(&encoder, &input, false, 0, NULL), MAPLINES_BAD_CALL))
+#if MAPLINES_RECEIVER
+    ROW_AFTER(encode_line, "line {0}: age of what is received", false,
+              memset(&input, 0, sizeof input), unknown_age())
+#endif
+    ROW_AFTER(encode_line, "age -1", false, input.age = -1, sent_is(encode(), MAPLINES_BAD_AGE))
+    ROW_AFTER(encode_line, "age NaN", false, input.age = NAN, sent_is(encode(), MAPLINES_BAD_AGE))
+    ROW_AFTER(encode_line, "mean NaN", false, input.mean[0] = NAN,
+              sent_is(encode(), MAPLINES_BAD_MEAN))
+    ROW_AFTER(encode_line, "mean infinite", false, input.mean[3] = INFINITY,
+              sent_is(encode(), MAPLINES_BAD_MEAN))
+    ROW_AFTER(encode_line, "covariance NaN", false, input.cov[1][1] = NAN,
+              sent_is(encode(), MAPLINES_BAD_COVARIANCE))
+    ROW_AFTER(encode_line, "variance negative", false, input.cov[1][1] = -1,
+              sent_is(encode(), MAPLINES_BAD_VARIANCE))
+    ROW_AFTER(encode_line, "x_max NaN", false, input.x_max = NAN,
+              sent_is(encode(), MAPLINES_BAD_RANGE))
+    ROW_AFTER(encode_line, "x_min beyond x_max", false, input.x_min = 81,
+              sent_is(encode(), MAPLINES_BAD_RANGE))
+    ROW_AFTER(encode_line, "slot 99", false, input.slot = BAD_SLOT,
+              sent_is(encode(), MAPLINES_NO_MESSAGE))
+    ROW_AFTER(encode_line, "kind 99", false, input.kind = (maplines_kind_t)99,
+              sent_is(encode(), MAPLINES_BAD_KIND))
+    ROW_AFTER(encode_line, "status 99", false, input.status = (maplines_status_t)99,
+              sent_is(encode(), MAPLINES_BAD_STATUS))
+}
+
+#if MAPLINES_MIXTURES
+static maplines_sent_t encode_two(void)
+{
+    return maplines_encode_mixture(&encoder, &input, components, 2, false, 0, frames);
+}
+
+static void mixture_rows(void)
+{
+    ROW(encode_mixture, "encoder NULL", true,
+        sent_is(maplines_encode_mixture(NULL, &input, components, 2, false, 0, frames),
+                MAPLINES_BAD_CALL))
+    ROW(encode_mixture, "encoder zeroed", true,
+        sent_is(
+            maplines_encode_mixture(encoder_of_zeroed(), &input, components, 2, false, 0, frames),
+            MAPLINES_BAD_CALL))
+    ROW(encode_mixture, "line NULL", true,
+        sent_is(maplines_encode_mixture(&encoder, NULL, components, 2, false, 0, frames),
+                MAPLINES_BAD_CALL))
+    ROW(encode_mixture, "components NULL", true,
+        sent_is(maplines_encode_mixture(&encoder, &input, NULL, 2, false, 0, frames),
+                MAPLINES_BAD_CALL))
+    ROW(encode_mixture, "frames NULL", true,
+        sent_is(maplines_encode_mixture(&encoder, &input, components, 2, false, 0, NULL),
+                MAPLINES_BAD_CALL))
+    ROW(encode_mixture, "no component", false,
+        sent_is(maplines_encode_mixture(&encoder, &input, components, 0, false, 0, frames),
+                MAPLINES_BAD_COUNT))
+    ROW(encode_mixture, "9 components", false,
+        sent_is(maplines_encode_mixture(&encoder, &input, components, 9, false, 0, frames),
+                MAPLINES_BAD_COUNT))
+    ROW_AFTER(encode_mixture, "weight NaN", false, components[0].weight = NAN,
+              sent_is(encode_two(), MAPLINES_BAD_WEIGHTS))
+    ROW_AFTER(encode_mixture, "weight negative", false, components[0].weight = -0.5,
+              sent_is(encode_two(), MAPLINES_BAD_WEIGHTS))
+    ROW_AFTER(encode_mixture, "mean NaN", false, components[1].mean[2] = NAN,
+              sent_is(encode_two(), MAPLINES_BAD_MEAN))
+}
+#endif
+
+#if MAPLINES_SCENES
+static const char *scene_is(maplines_sent_scene_t sent, maplines_refusal_t refusal)
+{
+    return said(maplines_refusal_name(sent.refusal), sent.refusal == refusal && sent.count == 0);
+}
+
+#if MAPLINES_RECEIVER
+/// Ages of a scene, of which some are not set, and of a line of it [s], as they are received. What
+/// has no age is not used; of lines that are conditional on the pose error, all of them.
+static const char *scene_ages(const maplines_dbc_t *dbc, bool has_pose_age, bool has_age)
+{
+    scene_input.has_pose_age = has_pose_age;
+    scene_input.lines[0].has_age = has_age;
+    scene_input.pose_age = has_pose_age ? 0.02 : (double)NAN; // not read
+    scene_input.lines[0].age = has_age ? 0.02 : (double)NAN;
+    feed_scenes(dbc);
+    const bool is_line_known = dbc->is_conditional ? has_pose_age : has_age;
+    const bool is_promised =
+        scene_view.scene != NULL && view.line != NULL && scene_view.is_usable == has_pose_age &&
+        (isinf(scene_view.age) != 0) != has_pose_age && view.is_usable == is_line_known &&
+        (isinf(view.age) != 0) != is_line_known;
+    (void)snprintf(text, sizeof text, "scene %g, line %g%s", (double)scene_view.age,
+                   (double)view.age, is_promised ? "" : " wrong");
+    return text;
+}
+#endif
+
+static void sent_scene_rows(void)
+{
+    maplines_encoder_init(&scene_encoder, &pose_dbc, NULL);
+    ROW(encode_scene, "encoder NULL", true,
+        scene_is(maplines_encode_scene(NULL, &scene_input, false, 0, &workspace, frames),
+                 MAPLINES_BAD_CALL))
+    ROW(encode_scene, "encoder zeroed", true,
+        scene_is(
+            maplines_encode_scene(encoder_of_zeroed(), &scene_input, false, 0, &workspace, frames),
+            MAPLINES_BAD_CALL))
+    ROW(encode_scene, "scene NULL", true,
+        scene_is(maplines_encode_scene(&scene_encoder, NULL, false, 0, &workspace, frames),
+                 MAPLINES_BAD_CALL))
+    ROW(encode_scene, "workspace NULL", true,
+        scene_is(maplines_encode_scene(&scene_encoder, &scene_input, false, 0, NULL, frames),
+                 MAPLINES_BAD_CALL))
+    ROW(encode_scene, "frames NULL", true,
+        scene_is(maplines_encode_scene(&scene_encoder, &scene_input, false, 0, &workspace, NULL),
+                 MAPLINES_BAD_CALL))
+    ROW_AFTER(encode_scene, "scene {0}", false, memset(&scene_input, 0, sizeof scene_input),
+              scene_is(encode_scene(), MAPLINES_BAD_POSE))
+    ROW_AFTER(encode_scene, "pose_age -1", false, scene_input.pose_age = -1,
+              scene_is(encode_scene(), MAPLINES_BAD_AGE))
+    ROW_AFTER(encode_scene, "pose_age NaN", false, scene_input.pose_age = NAN,
+              scene_is(encode_scene(), MAPLINES_BAD_AGE))
+#if MAPLINES_RECEIVER
+    ROW(encode_scene, "pose_age not set", false, scene_ages(&pose_dbc, false, true))
+    ROW(encode_scene, "age of a line not set", false, scene_ages(&lines_dbc, true, false))
+    ROW(encode_scene, "no age set", false, scene_ages(&lines_dbc, false, false))
+    ROW(encode_scene, "all ages set", false, scene_ages(&lines_dbc, true, true))
+#endif
+    ROW_AFTER(encode_scene, "age of a line -1", false, scene_input.lines[1].age = -1,
+              scene_is(encode_scene(), MAPLINES_BAD_AGE))
+    ROW_AFTER(encode_scene, "age of a line NaN", false, scene_input.lines[1].age = NAN,
+              scene_is(encode_scene(), MAPLINES_BAD_AGE))
+    ROW_AFTER(encode_scene, "correlation_time NaN", false, scene_input.correlation_time = NAN,
+              scene_is(encode_scene(), MAPLINES_BAD_POSE))
+    ROW_AFTER(encode_scene, "offset_sigma negative", false, scene_input.offset_sigma = -1,
+              scene_is(encode_scene(), MAPLINES_BAD_POSE))
+    ROW_AFTER(encode_scene, "pose_cov NaN", false, scene_input.pose_cov[0][0] = NAN,
+              scene_is(encode_scene(), MAPLINES_BAD_COVARIANCE))
+    ROW_AFTER(encode_scene, "cov infinite", false, scene_input.cov[0][0] = INFINITY,
+              scene_is(encode_scene(), MAPLINES_BAD_COVARIANCE))
+    ROW_AFTER(encode_scene, "mean NaN", false, scene_input.lines[0].mean[0] = NAN,
+              scene_is(encode_scene(), MAPLINES_BAD_MEAN))
+    ROW_AFTER(encode_scene, "9 lines", false, scene_input.count = 9,
+              scene_is(encode_scene(), MAPLINES_BAD_COUNT))
+    ROW_AFTER(encode_scene, "slot 99", false, scene_input.lines[0].slot = BAD_SLOT,
+              scene_is(encode_scene(), MAPLINES_NO_MESSAGE))
+}
+#endif
+#endif // MAPLINES_SENDER
+
+/* ---- names ----------------------------------------------------------------------------------
+ */
+
+static const char *name(const char *what)
+{
+    return said(what, strcmp(what, "?") == 0);
+}
+
+static void name_rows(void)
+{
+    ROW(owner_name, "99", false, name(maplines_owner_name(BAD_SLOT)))
+    ROW(kind_name, "99", false, name(maplines_kind_name((maplines_kind_t)99)))
+    ROW(status_name, "99", false, name(maplines_status_name((maplines_status_t)99)))
+#if MAPLINES_RECEIVER
+    ROW(reason_name, "-2", false, name(maplines_reason_name((maplines_reason_t)-2)))
+    ROW(e2e_state_name, "99", false, name(maplines_e2e_state_name((maplines_e2e_state_t)99)))
+    ROW(e2e_status_name, "99", false, name(maplines_e2e_status_name((maplines_e2e_status_t)99)))
+    ROW(prediction_name, "99", false, name(maplines_prediction_name((maplines_prediction_t)99)))
+#endif
+#if MAPLINES_SENDER
+    ROW(refusal_name, "99", false, name(maplines_refusal_name((maplines_refusal_t)99)))
+#endif
+#if MAPLINES_SENDER && MAPLINES_SCENES
+    ROW(left_out_name, "99", false, name(maplines_left_out_name((maplines_left_out_t)99)))
+#endif
+}
+
+#if MAPLINES_RECEIVER && MAPLINES_SENDER && MAPLINES_SCENES
+/* ---- sent_frames.h -----------------------------------------------------------------------------
+ */
+
+static void print_frames(int count)
+{
+    (void)printf("    {\n");
+    for (int i = 0; i < count; ++i)
+    {
+        const maplines_frame_t *sent = &frames[i];
+        (void)printf("        {%luU, %d, %d, %d, {", (unsigned long)sent->can_id, sent->is_extended,
+                     sent->is_fd, sent->length);
+        for (int k = 0; k < sent->length; ++k)
+        {
+            (void)printf("%s%d", k > 0 ? ", " : "", sent->data[k]);
+        }
+        (void)printf("}},\n");
+    }
+    (void)printf("    },\n");
+}
+
+static void print_header(void)
+{
+    const int scene_frames = next_scene(&pose_dbc, 0);
+    const int line_frames = next_line(0, false);
+    (void)printf("#define LINE_FRAMES %d\n#define SCENE_FRAMES %d\n", line_frames, scene_frames);
+    (void)printf("static const maplines_frame_t sent_fds[][1] = {\n");
+    (void)next_line(0, true);
+    print_frames(1);
+    (void)printf("};\nstatic const maplines_frame_t sent_lines[%d][LINE_FRAMES] = {\n", ROUNDS);
+    for (int k = 0; k < ROUNDS; ++k)
+    {
+        print_frames(next_line(k, false));
+    }
+    (void)printf("};\n#if MAPLINES_SCENES\n");
+    (void)printf("static const maplines_frame_t sent_scenes[%d][SCENE_FRAMES] = {\n", ROUNDS);
+    for (int k = 0; k < ROUNDS; ++k)
+    {
+        print_frames(next_scene(&pose_dbc, k));
+    }
+    (void)printf("};\n#endif\n");
+}
+#endif
 
 int main(int count, char **arguments)
 {
+#if MAPLINES_SENDER
+    set_inputs();
+#endif
+#if MAPLINES_RECEIVER && MAPLINES_SENDER && MAPLINES_SCENES
+    if (count > 1 && strcmp(arguments[1], "frames") == 0)
+    {
+        print_header();
+        return 0;
+    }
+#endif
     only = count > 1 ? atoi(arguments[1]) : 0;
+#if MAPLINES_RECEIVER
     begin();
-    make_wrong_lines();
     receiver_rows();
     line_rows();
+#if MAPLINES_SCENES
     scene_rows();
+#endif
     prediction_rows();
-    sender_rows();
-    name_rows();
     time_rows();
+#endif
+#if MAPLINES_SENDER
+    sender_rows();
+#if MAPLINES_MIXTURES
+    mixture_rows();
+#endif
+#if MAPLINES_SCENES
+    sent_scene_rows();
+#endif
+#endif
+    name_rows();
     return only > row_number ? 3 : 0;
 }

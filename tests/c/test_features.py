@@ -11,10 +11,11 @@ from pathlib import Path
 import c_core
 import numpy as np
 import pytest
+from c_libraries import LIBRARIES, SMALL
 from scene_layouts import layout_of
 
 from maplines_can import Slot
-from maplines_can.generation.c_build import ALL, Features, build_of
+from maplines_can.generation.c_build import Features, build_of
 from maplines_can.generation.c_files import c_files
 from maplines_can.generation.vector_files import vector_files
 from maplines_can.model.receiver import Receiver
@@ -25,21 +26,6 @@ from maplines_can.values.errors import LayoutError
 from maplines_can.wire import POSE, Layout, Owner, Reason
 from maplines_can.wire.layout.pose_layout import number_of
 
-SMALL = Features(sender=False, scenes=False, mixtures=False, secoc=False, slots=4)
-#: DBC and features of each library.
-LIBRARIES = {
-    "all": ("maplines.dbc", ALL),
-    "conditional": ("maplines-pose.dbc", ALL),
-    "receiver": ("maplines.dbc", Features(sender=False)),
-    "sender": ("maplines.dbc", Features(receiver=False)),
-    "sender of lines": ("maplines.dbc", Features(receiver=False, scenes=False, mixtures=False)),
-    "no secoc": ("maplines-secoc.dbc", Features(secoc=False)),
-    "no mixtures": ("maplines.dbc", Features(sender=False, mixtures=False)),
-    "two slots": ("maplines-pose.dbc", Features(sender=False, slots=2)),
-    "small": ("maplines.dbc", SMALL),
-    "small, float": ("maplines.dbc", SMALL._replace(single=True)),
-    "one slot": ("maplines.dbc", SMALL._replace(slots=1)),
-}  # fmt: skip
 RECEIVERS = [name for name, (_, features) in LIBRARIES.items() if features.receiver]
 #: Profiles with the default settings, which a library for an ECU has.
 STANDARD = [profile for profile in PROFILES if not profile.settings and profile.stale_cycles == 3]
