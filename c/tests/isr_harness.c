@@ -1,32 +1,31 @@
-/* A writer and a reader in two threads, with the buffer of c/examples/isr between them.
+/* A writer in a thread, and the reader of isr_reader.c, with the buffer of c/examples/isr between
+ * them.
  *
  * Each line says its number three times: by its time, its lateral position and the time of its
  * copy. A line that is torn does not agree with itself. The numbers never go back, and after the
  * writer has ended the reader sees the last one.
  */
-#include "../examples/isr/line_buffer.h"
+#include "isr_reader.h"
 
 #include "harness_dbc.h"
 
-#include <math.h>
 #include <pthread.h>
 #include <sched.h>
 #include <stdio.h>
 #include <stdlib.h>
 
 #define LINES 3000
-#define CYCLE_NS INT64_C(50000000)
 
-static line_buffer_t buffer;
-static atomic_uint reads; ///< lines that the reader has seen
-static int lines_read, usable;
+line_buffer_t buffer;
+atomic_uint reads;
+unsigned usable;
 
-static double position_of(int64_t number)
+double position_of(int64_t number)
 {
     return 0.05 * (double)(number % 100);
 }
 
-static void fail(const char *what, int64_t number)
+void fail(const char *what, int64_t number)
 {
     (void)fprintf(stderr, "%s at line %lld\n", what, (long long)number);
     exit(1);
@@ -60,33 +59,6 @@ static void *write_lines(void *unused)
     return unused;
 }
 
-/// Read the newest line; its number, or 0 before the first.
-static int64_t read_line(int64_t last)
-{
-    const maplines_line_copy_t *copy = line_buffer_newest(&buffer);
-    const int64_t number = copy->line.t_ns / CYCLE_NS;
-    if (!copy->has_line)
-    {
-        return last == 0 && !copy->is_usable ? 0 : (fail("no line", last), 0);
-    }
-    if (copy->now_ns != copy->line.t_ns || number * CYCLE_NS != copy->now_ns ||
-        fabs((double)copy->line.gaussian.mean[0] - position_of(number)) > 0.006)
-    {
-        fail("torn", number);
-    }
-    if (number < last)
-    {
-        fail("back in time", number);
-    }
-    if (number > last)
-    {
-        ++lines_read;
-        usable += copy->is_usable ? 1 : 0;
-        (void)atomic_fetch_add_explicit(&reads, 1U, memory_order_relaxed);
-    }
-    return number;
-}
-
 int main(void)
 {
     pthread_t writer;
@@ -105,6 +77,6 @@ int main(void)
     {
         fail("not the newest", last);
     }
-    (void)printf("%d %d\n", lines_read, usable);
+    (void)printf("%u %u\n", reads, usable);
     return 0;
 }

@@ -1,5 +1,6 @@
 """A line goes from one thread to another by the buffer of c/examples/isr, whole and at once."""
 
+import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -9,13 +10,15 @@ import pytest
 from scene_layouts import layout_of
 
 HARNESS = c_core.C / "tests" / "isr_harness.c"
+READER = HARNESS.with_name("isr_reader.c")
 BUFFER = c_core.C / "examples" / "isr" / "line_buffer.h"
 THREADS = ("-O1", "-std=c11", "-pthread")
 SANITIZER = ("-g", "-fsanitize=thread")
 
 
-def run(main: Path, *flags: str) -> subprocess.CompletedProcess[str]:
-    program = c_core.program([main], [layout_of("maplines.dbc")], [c_core.NAME], flags=flags)
+def run(main: Path, *flags: str, reader: Path = READER) -> subprocess.CompletedProcess[str]:
+    mains = [main, reader]
+    program = c_core.program(mains, [layout_of("maplines.dbc")], [c_core.NAME], flags=flags)
     return subprocess.run([str(program)], capture_output=True, text=True, check=False)
 
 
@@ -55,8 +58,33 @@ def test_the_thread_sanitizer_finds_a_weaker_order(tmp_path: Path) -> None:
     main, buffer = tmp_path / "tests" / HARNESS.name, tmp_path / "examples" / "isr" / BUFFER.name
     for path in (main, buffer):
         path.parent.mkdir(parents=True)
+    for path in (READER, READER.with_suffix(".h")):
+        shutil.copy(path, main.parent)
     buffer.write_text(BUFFER.read_text().replace("memory_order_acq_rel", "memory_order_relaxed"))
     main.write_text(f"{HARNESS.read_text()}/* with a relaxed exchange */\n")
-    done = run(main, *THREADS, *SANITIZER)
+    done = run(main, *THREADS, *SANITIZER, reader=main.with_name(READER.name))
     assert done.returncode != 0
     assert "data race" in done.stderr
+
+
+@pytest.mark.parametrize("standard", ["c++17", "c++20"])
+@pytest.mark.parametrize("cc", ["g++", "clang++"])
+def test_the_reader_may_be_in_another_language(cc: str, standard: str, tmp_path: Path) -> None:
+    """A reader in C++ gets the lines of a writer in C."""
+    if c_core.OWN_FLAGS or c_core.EMULATOR:
+        pytest.skip("another compiler or processor is tested")
+    if not shutil.which(cc):
+        pytest.skip(f"there is no {cc}")
+    flags = [*c_core.WARNINGS, "-Wold-style-cast", f"-std={standard}", "-O1", "-pthread"]
+    flags += [f"-D{macro}={value}" for macro, value in c_core.LIMITS.macros.items()]
+    reader = tmp_path / "reader.o"
+    command = [cc, "-x", "c++", *flags, f"-I{c_core.C / 'include'}", "-c", str(READER)]
+    subprocess.run([*command, "-o", str(reader)], check=True)
+    check(run(HARNESS, *THREADS, reader=reader))
+
+
+def test_a_compiler_without_atomics_is_told() -> None:
+    command = [c_core.CC, "-std=c99", "-fsyntax-only", f"-I{c_core.C / 'include'}", str(BUFFER)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    assert "line_buffer.h needs C11 with atomics, or C++11" in done.stderr
