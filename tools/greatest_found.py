@@ -5,11 +5,12 @@
     greatest_found.py --seconds 60         shorter
     greatest_found.py --dbc maplines.dbc   one of them
 
-Cases are parts of the hostile streams of maplines_can.testing, classic and CAN FD, and lines of its
-streams of senders. Those that take the most of a kind of call are changed at random (a signal to
-its limits or to any value, frames that are left out, sent twice or exchanged), and kept if they
-take more. The greatest ones are written to tools/greatest/, for the tables of docs/embedding.md:
-cortex_m4.py --write. They are the greatest that were found, not a bound.
+The search begins with the cases of the last one. Others are parts of the hostile streams of
+maplines_can.testing, classic and CAN FD, and lines of its streams of senders.
+Those that take the most of a kind of call are changed at random (a signal to its limits or to any
+value, frames that are left out, sent twice or exchanged), and kept if they take more. They are
+written to tools/greatest/, for the tables of docs/embedding.md: cortex_m4.py --write. A count of
+them is the greatest that was found, not a bound.
 
 Run it in the environment of the project: python3 tools/run.py python tools/greatest_found.py
 """
@@ -24,7 +25,7 @@ import time
 from collections.abc import Iterator, Sequence
 from itertools import chain, islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from arm import is_installed
@@ -106,7 +107,7 @@ def changed(case: Case, layout: Layout, rng: random.Random) -> Case:
             if isinstance(step, FrameStep) and (k == i or rng.random() < share):
                 steps[k] = _with_other_values(step, layout, wanted, rng)
     elif what < 0.75 and len(steps) > 1:
-        del steps[i : i + rng.choice([1, 2, 4, 8, 16, 32])]
+        del steps[i : i + 2 ** rng.randrange(len(steps).bit_length())]
     elif what < 0.85:
         steps.insert(rng.randrange(len(steps)), steps[i])
     elif what < 0.95:
@@ -170,13 +171,21 @@ class Found(NamedTuple):
 
 
 class Search:
-    """Greatest cases of the receiver of a library."""
+    """Greatest cases of a library.
 
-    def __init__(self, layout: Layout, program: Path, seed: int) -> None:
+    Args:
+        layout: of the messages.
+        program: greatest.c with the library.
+        cases: to begin with.
+        seed: of all that is drawn.
+    """
+
+    def __init__(self, layout: Layout, program: Path, cases: Sequence[Case], seed: int) -> None:
         self._layout, self._program = layout, program
         self._random = random.Random(seed)  # noqa: S311 - no secret
         self._parts, self._lines = parts(layout, self._random), lines(layout, seed)
         self.found: dict[str, Found] = {}
+        self._take(cases)
 
     def take_parts(self) -> None:
         """Take some parts of streams."""
@@ -222,11 +231,32 @@ def text_of(cases: Sequence[Case]) -> str:
     return "N\n".join("".join(f"{row}\n" for row in rows_of(case)) for case in cases)
 
 
-def searched(dbc: str, name: str, seconds: float, seed: int) -> list[Case]:
-    """Return the greatest cases of a library."""
+def read_cases(text: str) -> list[Case]:
+    """Return the cases of a file."""
+    return [tuple(step_of(row) for row in case.splitlines()) for case in text.split("N\n") if case]
+
+
+def step_of(row: str) -> Step | Draft:
+    """Return a step of a file of cases."""
+    what, *words = row.split()
+    if what == "S":
+        return Question("scene", Slot.EGO_LEFT, int(words[0]))
+    if what == "F":
+        data = bytes.fromhex("".join(words[3:]))
+        return FrameStep(int(words[1], 16), data, words[2] == "1", int(words[0]), 0)
+    x_min, x_max, age, *rest = struct.unpack(">23d", bytes.fromhex("".join(words[3:])))
+    mean: Any = rest[:4]
+    cov: Any = [rest[i : i + 4] for i in range(4, 20, 4)]
+    slot, status = Slot(int(words[0], 16)), int(words[1], 16)
+    return Draft(slot, mean, cov, status=status, x_min=x_min, x_max=x_max, age=age)
+
+
+def searched(dbc: str, name: str, seconds: float, seed: int, before: list[Case]) -> list[Case]:
+    """Return the greatest cases of a library, of these and others."""
     layout = layout_from(dbc)
     with built(*LIBRARIES[name]) as programs:
-        search, begin = Search(layout, programs.greatest, seed), time.monotonic()
+        search = Search(layout, programs.greatest, before, seed)
+        begin = time.monotonic()
         while (passed := time.monotonic() - begin) < seconds or not search.found:
             if passed < STREAMS * seconds:
                 search.take_parts()
@@ -248,8 +278,10 @@ def main() -> int:
     names = {dbc: SEARCHED[dbc] for dbc in options.dbc or DBCS}
     share = options.seconds / sum(map(len, names.values()))
     for dbc, libraries in names.items():
-        cases = [case for name in libraries for case in searched(dbc, name, share, options.seed)]
-        file = CASES / f"{Path(dbc).stem}.txt"
+        file, cases = CASES / f"{Path(dbc).stem}.txt", list[Case]()
+        before = read_cases(file.read_text(encoding="ascii") if file.exists() else "")
+        for name in libraries:
+            cases += searched(dbc, name, share, options.seed, before)
         file.write_text(text_of(cases), encoding="ascii")
     return 0
 

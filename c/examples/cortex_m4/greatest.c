@@ -17,7 +17,14 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { FEED, LATEST, FEW, MANY, ENCODE, KINDS };
+enum {
+    FEED,
+    LATEST,
+    FEW,
+    MANY,
+    ENCODE,
+    KINDS
+};
 static const char *const names[KINDS] = {"feed", "latest line", "latest scene of up to 4 lines",
                                          "latest scene of up to 8 lines", "encode a line"};
 static measurement_t measured[KINDS];
