@@ -30,6 +30,7 @@ MIN_RANGE = 1.0
 #: Largest finite age [s]; still finite as a float in nanoseconds.
 MAX_AGE = 1e99
 #: Distance from the valid range at which x still counts as in it, for its rounding [m].
+#: It is that of the core, in c/src/use.c.
 RANGE_TOLERANCE = 2.0**-10
 
 

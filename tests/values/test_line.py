@@ -10,6 +10,7 @@ from numpy.polynomial import Polynomial
 from scipy.optimize import brentq
 from strategies import covariances, mild_lines, motions
 
+from maplines_can.core import ffi, lib
 from maplines_can.model.lines import y_beyond
 from maplines_can.model.matrices import Vector, matrix
 from maplines_can.values.errors import IllPosedError
@@ -135,6 +136,18 @@ def test_a_line_says_nothing_outside_of_its_range(mean: Any, cov: Any, ends: Any
         assert np.array_equal(of_line(places), expected, equal_nan=True)
         for one, inside in zip(places.tolist(), (is_in, True, True), strict=True):
             assert np.array_equal(of_line(one), of_whole(one) if inside else np.nan, equal_nan=True)
+
+
+@given(RANGES)
+def test_the_ends_of_a_range_are_those_of_the_core(ends: tuple[float, float]) -> None:
+    """The tolerance has a place in Python and one in C: to the last bit, they agree on the ends."""
+    line = MapLine.mean_only(Slot.EGO_LEFT, np.zeros(4), x_min=ends[0], x_max=ends[1])
+    of_core = ffi.new("maplines_line_t *", {"x_min": ends[0], "x_max": ends[1]})
+    for end, beyond in ((ends[0] - RANGE_TOLERANCE, -np.inf), (ends[1] + RANGE_TOLERANCE, np.inf)):
+        for x in (end, float(np.nextafter(end, beyond))):
+            expected = x == end
+            assert line.is_valid_at(x) == expected
+            assert lib.maplines_is_valid_at(of_core, x) == expected
 
 
 @pytest.mark.parametrize("x", [np.nan, np.inf, -np.inf, 12.002, -0.002])
