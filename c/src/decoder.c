@@ -144,26 +144,24 @@ static void feed_component(maplines_decoder_t *decoder, const maplines_arrival_t
 }
 
 #if MAPLINES_SCENES
-/// Deliver the lines of conditional records that have joined one pose error, decoded into `scene`.
-/// What is no function of x is counted instead.
-static void deliver_joined(maplines_decoder_t *decoder, const maplines_joined_t *joined, int count,
-                           maplines_fed_t *fed, maplines_scene_t *scene)
+/// Deliver the lines of conditional records that have joined one pose error, decoded into `scene`,
+/// too, unless it is NULL. What is no function of x is counted instead.
+static void feed_joined(maplines_decoder_t *decoder, const maplines_joined_t *joined, int count,
+                        maplines_fed_t *fed, maplines_scene_t *scene)
 {
+    const maplines_epoch_t *epoch = &decoder->epochs.epochs[joined[0].epoch];
     int slots[MAPLINES_SLOTS] = {0};
     for (int i = 0; i < count; ++i)
     {
         slots[i] = joined[i].slot;
     }
-    maplines_decode_epoch(decoder->dbc, &decoder->epochs.epochs[joined[0].epoch], count, slots,
-                          scene);
-    unsigned place = 0;
+    const uint32_t found =
+        maplines_decode_epoch(decoder->dbc, epoch, count, slots, decoder->newest, scene);
     for (int i = 0; i < count; ++i)
     {
-        if (place < scene->count && (int)scene->lines[place].slot == slots[i])
+        if ((found >> (unsigned)slots[i] & 1U) != 0)
         {
-            decoder->newest[slots[i]] = scene->lines[place];
             deliver(decoder, slots[i], joined[i].frames, 1, fed);
-            ++place;
         }
         else
         {
@@ -171,14 +169,6 @@ static void deliver_joined(maplines_decoder_t *decoder, const maplines_joined_t 
         }
     }
     fed->reason = fed->count > 0 ? MAPLINES_COMPLETE : fed->reason;
-}
-
-/// The same with a scene of its own if there is none: only frames that need it take its stack.
-static void feed_joined(maplines_decoder_t *decoder, const maplines_joined_t *joined, int count,
-                        maplines_fed_t *fed, maplines_scene_t *scene)
-{
-    maplines_scene_t own;
-    deliver_joined(decoder, joined, count, fed, scene == NULL ? &own : scene);
 }
 
 /// Add a new pose error to the epochs, and deliver the lines that waited for it.

@@ -350,36 +350,6 @@ MAPLINES_INTERNAL uint32_t maplines_pending_lines(const maplines_decoder_t *deco
 /* ---- scenes ------------------------------------------------------------------------------------
  */
 
-MAPLINES_INTERNAL void maplines_decode_epoch(const maplines_dbc_t *dbc,
-                                             const maplines_epoch_t *epoch, int count,
-                                             const int *slots, maplines_scene_t *scene)
-{
-    maplines_member_t members[MAPLINES_SLOTS];
-    memset(members, 0, sizeof(members));
-    for (int i = 0; i < count; ++i)
-    {
-        members[i].slot = slots[i];
-        members[i].t_ns = epoch->lines[slots[i]].t_ns;
-        members[i].record = epoch->lines[slots[i]].record;
-    }
-    if (maplines_decode_scene(dbc, epoch->record, epoch->t_ns, count, members, scene))
-    {
-        return;
-    }
-    int kept = 0;
-    for (int i = 0; i < count; ++i)
-    {
-        const maplines_member_t member = members[i];
-        if (maplines_decode_scene(dbc, epoch->record, epoch->t_ns, 1, &member, scene))
-        {
-            members[kept] = member;
-            ++kept;
-        }
-    }
-    // Lines do not depend on each other, so this finds what each of them has found.
-    (void)maplines_decode_scene(dbc, epoch->record, epoch->t_ns, kept, members, scene);
-}
-
 /// Decode the scene of an epoch.
 static void build_scene(const maplines_dbc_t *dbc, const maplines_epoch_t *epoch,
                         maplines_scene_t *scene)
@@ -394,7 +364,7 @@ static void build_scene(const maplines_dbc_t *dbc, const maplines_epoch_t *epoch
             ++count;
         }
     }
-    maplines_decode_epoch(dbc, epoch, count, slots, scene);
+    (void)maplines_decode_epoch(dbc, epoch, count, slots, NULL, scene);
 }
 
 MAPLINES_INTERNAL const maplines_scene_t *maplines_newest_scene(maplines_decoder_t *decoder)

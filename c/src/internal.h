@@ -410,13 +410,6 @@ MAPLINES_INTERNAL void maplines_decode_levels(const maplines_levels_t *levels,
 /* ---- scene_decode.c: lines and their joint covariance -------------------------------------------
  */
 
-/// Record of a line of a scene.
-typedef struct {
-    int slot;
-    int64_t t_ns; ///< of its first frame
-    const uint8_t *record;
-} maplines_member_t;
-
 /// Factor of a line-specific covariance: that of levels, and what is common to all lines.
 MAPLINES_INTERNAL void maplines_specific_factor(const double J[16], const double levels[16],
                                                 const double common[16], double factor[4][4]);
@@ -428,13 +421,13 @@ MAPLINES_INTERNAL const maplines_levels_t *maplines_levels_of(const maplines_dbc
 MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, const double mean[4],
                                             double A[4][MAPLINES_COLUMNS], double F[4][4],
                                             maplines_scene_t *scene);
-/// Scene of a record of the pose error and records of lines, all of them intact and checked.
-/// False if a line is no function of x in its range; no sender sends such a line. The times are
-/// limited ones.
-MAPLINES_INTERNAL bool maplines_decode_scene(const maplines_dbc_t *dbc, const uint8_t *pose_record,
-                                             int64_t t_ns, int count,
-                                             const maplines_member_t *members,
-                                             maplines_scene_t *scene);
+/// Decode the lines of some slots of an epoch, all of them intact and checked, in this order: into
+/// `newest` by slot, and into a scene; either may be NULL. A bit for each slot that was decoded: a
+/// line that is no function of x in its range, which no sender sends, is not.
+MAPLINES_INTERNAL uint32_t maplines_decode_epoch(const maplines_dbc_t *dbc,
+                                                 const maplines_epoch_t *epoch, int count,
+                                                 const int *slots, maplines_line_t *newest,
+                                                 maplines_scene_t *scene);
 #endif
 #endif // MAPLINES_SCENES
 
@@ -769,10 +762,6 @@ MAPLINES_INTERNAL bool maplines_add_line(maplines_decoder_t *decoder, int slot,
 MAPLINES_INTERNAL void maplines_expire_epochs(maplines_decoder_t *decoder, int64_t t_ns);
 /// Frames of lines that wait for their pose error.
 MAPLINES_INTERNAL uint32_t maplines_pending_lines(const maplines_decoder_t *decoder);
-/// Decode the lines of some slots of an epoch, in this order; without one that is no function of x.
-MAPLINES_INTERNAL void maplines_decode_epoch(const maplines_dbc_t *dbc,
-                                             const maplines_epoch_t *epoch, int count,
-                                             const int *slots, maplines_scene_t *scene);
 /// The newest scene that waits for no line; NULL before the first.
 MAPLINES_INTERNAL const maplines_scene_t *maplines_newest_scene(maplines_decoder_t *decoder);
 #endif

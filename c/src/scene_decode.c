@@ -14,21 +14,31 @@
 
 /// Pose error, in double precision.
 typedef struct {
+    double F[9]; ///< root of its covariance P
     double P[9];
     maplines_pose_root_t root;
     double offset_sigma;
     double heading_sigma;
     double largest_heading_sigma; ///< for which the level of the heading may stand
     double age;                   ///< [s]
+    double correlation_time;      ///< [s]
     bool is_heading_limited;      ///< the level of the heading is the greatest one
 } pose_error_t;
 
-/// One line of a scene, in double precision.
+/// What the records say of a line.
 typedef struct {
     maplines_curve_t curve;
     int64_t lateral, points, shape; ///< levels of the line-specific covariance
     bool is_full;                   ///< the record has all entries of it instead
 } member_t;
+
+/// A line of a scene, in double precision.
+typedef struct {
+    maplines_curve_t curve;
+    double A[4][MAPLINES_COLUMNS]; ///< factor due to the pose error
+    double F[4][4];                ///< line-specific factor
+    maplines_line_t line;
+} decoded_t;
 
 MAPLINES_INTERNAL const maplines_levels_t *maplines_levels_of(const maplines_dbc_t *dbc)
 {
@@ -65,18 +75,15 @@ static double level_of(const maplines_signal_t *signal, const uint8_t *record)
 }
 
 /// Read the pose error, all of whose bits mean something.
-static void read_pose(const maplines_dbc_t *dbc, const uint8_t *record, pose_error_t *pose,
-                      maplines_scene_t *scene)
+static void read_pose(const maplines_dbc_t *dbc, const uint8_t *record, pose_error_t *pose)
 {
     double factor[4][4];
-    double F[9];
     maplines_decode_factor(&dbc->pose_covariance, record, factor);
     for (int i = 0; i < 9; ++i)
     {
-        F[i] = factor[i / 3][i % 3];
-        scene->pose_factor[i / 3][i % 3] = (maplines_real_t)F[i];
+        pose->F[i] = factor[i / 3][i % 3];
     }
-    maplines_product_transposed(3, 3, 3, F, F, pose->P);
+    maplines_product_transposed(3, 3, 3, pose->F, pose->F, pose->P);
     maplines_pose_root(pose->P, &pose->root);
 
     const int64_t raw_age = maplines_get(&dbc->pose_age, record);
@@ -85,18 +92,13 @@ static void read_pose(const maplines_dbc_t *dbc, const uint8_t *record, pose_err
     const bool is_too_old = raw_age >= maplines_raw_max(&dbc->pose_age);
     const double infinity = (double)INFINITY;
     pose->age = is_too_old ? infinity : maplines_physical(&dbc->pose_age, raw_age) / 1000.0;
+    pose->correlation_time = raw_time == 0 ? infinity : time;
     pose->offset_sigma = level_of(&dbc->map_offset, record);
     pose->heading_sigma = level_of(&dbc->map_heading, record);
     pose->largest_heading_sigma =
         pose->heading_sigma * maplines_exp2(dbc->map_heading.scale->factor);
     pose->is_heading_limited =
         maplines_get(&dbc->map_heading, record) == maplines_raw_max(&dbc->map_heading);
-
-    scene->age = (maplines_real_t)pose->age;
-    scene->correlation_time = (maplines_real_t)(raw_time == 0 ? infinity : time);
-    scene->offset_sigma = (maplines_real_t)pose->offset_sigma;
-    scene->heading_sigma = (maplines_real_t)pose->heading_sigma;
-    scene->counter = (uint32_t)maplines_get(&dbc->pose.counter, record);
 }
 
 /// Read a record that is conditional on the pose error.
@@ -213,14 +215,15 @@ static void set_gaussian(const maplines_dbc_t *dbc, const double mean[4], const 
     maplines_set_gaussian(mean, factor, order, gaussian);
 }
 
-/// Decode a line of a scene. False as for the scene.
-static bool decode_member(const maplines_dbc_t *dbc, pose_error_t *pose, const uint8_t *pose_record,
-                          int64_t pose_ns, const maplines_member_t *given, int place,
-                          maplines_scene_t *scene)
+/// Decode a line of an epoch; false if it is no function of x in its range.
+static bool decode_member(const maplines_dbc_t *dbc, const pose_error_t *pose,
+                          const maplines_epoch_t *epoch, int slot, decoded_t *decoded)
 {
+    const maplines_line_record_t *given = &epoch->lines[slot];
     member_t member;
     maplines_points_t points;
-    maplines_line_t *line = &scene->lines[place];
+    maplines_line_t *line = &decoded->line;
+    memset(line, 0, sizeof *line);
     if (dbc->is_conditional)
     {
         read_conditional(dbc, given->record, &member);
@@ -228,9 +231,9 @@ static bool decode_member(const maplines_dbc_t *dbc, pose_error_t *pose, const u
     else
     {
         maplines_complete_t content; // a receiver has read it before, and found it good
-        (void)maplines_read_complete(dbc, given->slot, given->record, given->t_ns, &content);
+        (void)maplines_read_complete(dbc, slot, given->record, given->t_ns, &content);
         *line = content.line;
-        read_with_levels(dbc, given->record, given->slot, pose_record, &member);
+        read_with_levels(dbc, given->record, slot, epoch->record, &member);
     }
     const maplines_curve_t *curve = &member.curve;
     maplines_points_of(curve, &points);
@@ -239,17 +242,15 @@ static bool decode_member(const maplines_dbc_t *dbc, pose_error_t *pose, const u
         return false;
     }
 
-    double A[4][MAPLINES_COLUMNS];
-    double F[4][4];
     maplines_changes_t changes;
     maplines_changes_of(curve, &changes);
-    if (!maplines_spread(&changes, &pose->root, A))
+    if (!maplines_spread(&changes, &pose->root, decoded->A))
     {
         return false;
     }
     if (member.is_full)
     {
-        maplines_decode_factor(&dbc->covariance, given->record, F);
+        maplines_decode_factor(&dbc->covariance, given->record, decoded->F);
     }
     else
     {
@@ -258,22 +259,18 @@ static bool decode_member(const maplines_dbc_t *dbc, pose_error_t *pose, const u
         maplines_common(&changes, pose->offset_sigma, pose->heading_sigma, common);
         maplines_decode_levels(maplines_levels_of(dbc), curve, member.lateral, member.points,
                                member.shape, levels);
-        maplines_specific_factor(changes.J, levels, common, F);
+        maplines_specific_factor(changes.J, levels, common, decoded->F);
     }
     double specific_cov[16];
     double cov[16];
-    maplines_product_transposed(4, 4, 4, F[0], F[0], specific_cov);
-    maplines_product_transposed(4, MAPLINES_COLUMNS, 4, A[0], A[0], cov);
+    maplines_product_transposed(4, 4, 4, decoded->F[0], decoded->F[0], specific_cov);
+    maplines_product_transposed(4, MAPLINES_COLUMNS, 4, decoded->A[0], decoded->A[0], cov);
     for (int i = 0; i < 16; ++i)
     {
         cov[i] = cov[i] + specific_cov[i];
         cov[i] = i % 5 == 0 ? cov[i] * (1.0 + MAPLINES_ROUNDING) : cov[i];
     }
-    maplines_set_factors(dbc->covariance.order, place, curve->mean, A, F, scene);
-    scene->fit_range[place][0] = (maplines_real_t)curve->fit_range[0];
-    scene->fit_range[place][1] = (maplines_real_t)curve->fit_range[1];
-    scene->quartic[place] = (maplines_real_t)curve->quartic;
-
+    decoded->curve = *curve;
     set_gaussian(dbc, curve->mean, cov, &line->gaussian);
     if (!dbc->is_conditional)
     {
@@ -282,34 +279,74 @@ static bool decode_member(const maplines_dbc_t *dbc, pose_error_t *pose, const u
         line->status = is_partial ? MAPLINES_FULL : line->status;
         return true;
     }
-    line->slot = (maplines_owner_t)given->slot;
+    line->slot = (maplines_owner_t)slot;
     line->kind = (maplines_kind_t)maplines_get(&dbc->kind, given->record);
     line->status = MAPLINES_FULL;
     line->components = 1;
     line->t_ns = given->t_ns;
-    line->age = (maplines_real_t)later(pose->age, given->t_ns - pose_ns);
+    line->age = (maplines_real_t)later(pose->age, given->t_ns - epoch->t_ns);
     set_valid_range(pose, curve, &changes, specific_cov, line);
     return true;
 }
 
-MAPLINES_INTERNAL bool maplines_decode_scene(const maplines_dbc_t *dbc, const uint8_t *pose_record,
-                                             int64_t t_ns, int count,
-                                             const maplines_member_t *members,
-                                             maplines_scene_t *scene)
+/// Begin a scene without lines.
+static void begin_scene(const maplines_dbc_t *dbc, const maplines_epoch_t *epoch,
+                        const pose_error_t *pose, maplines_scene_t *scene)
+{
+    memset(scene, 0, sizeof *scene);
+    scene->t_ns = epoch->t_ns;
+    for (int i = 0; i < 9; ++i)
+    {
+        scene->pose_factor[i / 3][i % 3] = (maplines_real_t)pose->F[i];
+    }
+    scene->age = (maplines_real_t)pose->age;
+    scene->correlation_time = (maplines_real_t)pose->correlation_time;
+    scene->offset_sigma = (maplines_real_t)pose->offset_sigma;
+    scene->heading_sigma = (maplines_real_t)pose->heading_sigma;
+    scene->counter = (uint32_t)maplines_get(&dbc->pose.counter, epoch->record);
+}
+
+static void add_to_scene(const maplines_dbc_t *dbc, decoded_t *decoded, maplines_scene_t *scene)
+{
+    const int place = scene->count;
+    const maplines_curve_t *curve = &decoded->curve;
+    scene->lines[place] = decoded->line;
+    maplines_set_factors(dbc->covariance.order, place, curve->mean, decoded->A, decoded->F, scene);
+    scene->fit_range[place][0] = (maplines_real_t)curve->fit_range[0];
+    scene->fit_range[place][1] = (maplines_real_t)curve->fit_range[1];
+    scene->quartic[place] = (maplines_real_t)curve->quartic;
+    ++scene->count;
+}
+
+MAPLINES_INTERNAL uint32_t maplines_decode_epoch(const maplines_dbc_t *dbc,
+                                                 const maplines_epoch_t *epoch, int count,
+                                                 const int *slots, maplines_line_t *newest,
+                                                 maplines_scene_t *scene)
 {
     pose_error_t pose;
-    memset(scene, 0, sizeof *scene);
-    scene->count = (uint8_t)count;
-    scene->t_ns = t_ns;
-    read_pose(dbc, pose_record, &pose, scene);
-    for (int place = 0; place < count; ++place)
+    uint32_t found = 0;
+    read_pose(dbc, epoch->record, &pose);
+    if (scene != NULL)
     {
-        if (!decode_member(dbc, &pose, pose_record, t_ns, &members[place], place, scene))
+        begin_scene(dbc, epoch, &pose, scene);
+    }
+    for (int i = 0; i < count; ++i)
+    {
+        decoded_t decoded;
+        if (decode_member(dbc, &pose, epoch, slots[i], &decoded))
         {
-            return false;
+            found |= (uint32_t)1 << (unsigned)slots[i];
+            if (newest != NULL)
+            {
+                newest[slots[i]] = decoded.line;
+            }
+            if (scene != NULL)
+            {
+                add_to_scene(dbc, &decoded, scene);
+            }
         }
     }
-    return true;
+    return found;
 }
 
 #endif
