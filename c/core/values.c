@@ -379,6 +379,6 @@ bool maplines_spread_curves(size_t lines, const double *curves, const double P[9
         maplines_changes_of(&curve, &changes);
         is_right &= maplines_spread(&changes, &root, own);
     }
-    maplines_product_transposed(rows, MAPLINES_COLUMNS, rows, A, A, cov);
+    maplines_square(rows, MAPLINES_COLUMNS, A, cov);
     return is_right;
 }

@@ -67,6 +67,7 @@ MAPLINES_INTERNAL void maplines_product(int n, int k, int m, const double *A, co
                                         double *C);
 MAPLINES_INTERNAL void maplines_product_transposed(int n, int k, int m, const double *A,
                                                    const double *B, double *C);
+MAPLINES_INTERNAL void maplines_square(int n, int k, const double *A, double *C);
 MAPLINES_INTERNAL void maplines_symmetric(int n, double *A);
 MAPLINES_INTERNAL void maplines_congruence(const double A[16], const double S[16], double C[16]);
 MAPLINES_INTERNAL double maplines_total(int n, double *values);

@@ -265,9 +265,9 @@ MAPLINES_INTERNAL void maplines_decode_levels(const maplines_levels_t *levels,
 {
     const double a = maplines_level(&levels->lateral, lateral);
     const double p = maplines_level(&levels->points, points);
-    const double b = maplines_shape_level(levels, shape);
     if (points == 0)
     {
+        const double b = maplines_shape_level(levels, shape);
         const double square = b * b;
         for (int i = 0; i < 16; ++i)
         {

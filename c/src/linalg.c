@@ -42,6 +42,25 @@ MAPLINES_INTERNAL void maplines_product_transposed(int n, int k, int m, const do
     }
 }
 
+/// C = A A^T for an (n, k) matrix A, exactly symmetric. C is another array than A.
+MAPLINES_INTERNAL void maplines_square(int n, int k, const double *A, double *C)
+{
+    for (int i = 0; i < n; ++i)
+    {
+        for (int j = 0; j <= i; ++j)
+        {
+            double sum = A[i * k] * A[j * k];
+            for (int l = 1; l < k; ++l)
+            {
+                const double term = A[i * k + l] * A[j * k + l];
+                sum = sum + term;
+            }
+            C[i * n + j] = sum;
+            C[j * n + i] = sum;
+        }
+    }
+}
+
 /// Mean of an (n, n) matrix and its transpose, in place.
 MAPLINES_INTERNAL void maplines_symmetric(int n, double *A)
 {

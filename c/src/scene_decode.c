@@ -83,7 +83,7 @@ static void read_pose(const maplines_dbc_t *dbc, const uint8_t *record, pose_err
     {
         pose->F[i] = factor[i / 3][i % 3];
     }
-    maplines_product_transposed(3, 3, 3, pose->F, pose->F, pose->P);
+    maplines_square(3, 3, pose->F, pose->P);
     maplines_pose_root(pose->P, &pose->root);
 
     const int64_t raw_age = maplines_get(&dbc->pose_age, record);
@@ -263,8 +263,8 @@ static bool decode_member(const maplines_dbc_t *dbc, const pose_error_t *pose,
     }
     double specific_cov[16];
     double cov[16];
-    maplines_product_transposed(4, 4, 4, decoded->F[0], decoded->F[0], specific_cov);
-    maplines_product_transposed(4, MAPLINES_COLUMNS, 4, decoded->A[0], decoded->A[0], cov);
+    maplines_square(4, 4, decoded->F[0], specific_cov);
+    maplines_square(4, MAPLINES_COLUMNS, decoded->A[0], cov);
     for (int i = 0; i < 16; ++i)
     {
         cov[i] = cov[i] + specific_cov[i];

@@ -75,7 +75,7 @@ static bool encode_pose(const maplines_dbc_t *dbc, const maplines_scene_input_t 
     uint8_t record[MAPLINES_MAX_RECORD] = {0};
     maplines_put_covariance(code, record, space->raw_pose);
     maplines_decode_factor(code, record, F);
-    maplines_product_transposed(4, 4, 4, F[0], F[0], cov);
+    maplines_square(4, 4, F[0], cov);
     for (int i = 0; i < 9; ++i)
     {
         space->decoded_pose[i] = cov[4 * (i / 3) + i % 3];
@@ -220,7 +220,7 @@ static bool find_spread(maplines_scene_workspace_t *space)
         }
     }
     const int n = 4 * space->count;
-    maplines_product_transposed(n, MAPLINES_COLUMNS, n, A[0], A[0], space->rest);
+    maplines_square(n, MAPLINES_COLUMNS, A[0], space->rest);
     return true;
 }
 

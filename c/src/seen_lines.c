@@ -83,6 +83,7 @@ MAPLINES_INTERNAL void maplines_changes_of(const maplines_curve_t *curve,
     const double half = (curve->fit_range[1] - curve->fit_range[0]) / 2.0;
     const double *mean = curve->mean;
     const double tangent = maplines_tan(mean[1]);
+    const double sixth = mean[3] / 6.0;
     double along[MAPLINES_ROOTS];
     double heading[MAPLINES_ROOTS];
     double moved[MAPLINES_ROOTS];
@@ -98,7 +99,8 @@ MAPLINES_INTERNAL void maplines_changes_of(const maplines_curve_t *curve,
         const double k = mean[2] + bend;
         const double to_m = x * (mean[2] + bend / 2.0);
         const double m = tangent + to_m;
-        const double to_slope = x * (mean[2] / 2.0 + bend / 6.0);
+        const double cubic = x * sixth;
+        const double to_slope = x * (mean[2] / 2.0 + cubic);
         const double to_p = x * (tangent + to_slope);
         const double p = mean[0] + to_p;
         const double square = roots[1][place] * roots[1][place];
@@ -241,7 +243,7 @@ MAPLINES_INTERNAL void maplines_common(const maplines_changes_t *changes, double
             K[3 * i + j] = changes->rows[j][i] * sigmas[j];
         }
     }
-    maplines_product_transposed(4, 3, 4, K, K, cov);
+    maplines_square(4, 3, K, cov);
     for (int i = 0; i < 16; i += 5)
     {
         cov[i] = cov[i] + MAPLINES_RESOLUTION * MAPLINES_RESOLUTION;

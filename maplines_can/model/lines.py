@@ -217,14 +217,14 @@ def changes_of(curve: Curve) -> Changes:
     """Return how a line changes with the pose from which it is seen."""
     y_off, beta, c0, c1 = curve.mean
     centre, half = (curve.begin + curve.end) / 2, (curve.end - curve.begin) / 2
-    tangent, rows = tan(beta), Matrix()
+    tangent, sixth, rows = tan(beta), c1 / 6, Matrix()
     signed = [*zip([1] * 4, ROOTS, _T_2, strict=True), *zip([-1] * 4, ROOTS, _T_2, strict=True)]
     for sign, w, t2 in [*signed[:4], *signed[:3:-1]]:
         x = centre + sign * (half * w)
         bend = x * c1
         m, k = tangent + x * (c0 + bend / 2), c0 + bend
         rest = curve.quartic * (2 * (t2 * t2) - 1)
-        y = y_off + x * (tangent + x * (c0 / 2 + bend / 6)) + rest
+        y = y_off + x * (tangent + x * (c0 / 2 + x * sixth)) + rest
         by_heading_twice = (y + m * x + k * y * y) / 2 + m * m * y
         rows.append(Vector([-(x + m * y), m, by_heading_twice, -(m * m + k * y), k / 2, rest * y]))
     t, a, tt, ta, aa, moved = (_fitted(column) for column in rows.T)
