@@ -33,7 +33,7 @@ static void reflect(int n, double *M, int k, double *v, double norm)
 /// Square root of a singular matrix, from the eigenvalues above `tiny` of the correlation matrix.
 static void semidefinite_root(int n, const double *cov, double tiny, double *L)
 {
-    double scale[4];
+    double scale[4] = {1.0, 1.0, 1.0, 1.0};
     double correlation[16];
     double values[4];
     double M[16];
