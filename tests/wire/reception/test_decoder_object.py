@@ -119,7 +119,7 @@ CALLS: dict[str, tuple[Callable[[Any], Any], Any]] = {
     "a number": (lambda one: one.feed(KNOWN, 8, 0), TypeError),
     "none": (lambda one: one.feed(KNOWN, None, 0), TypeError),
     "large bytes": (lambda one: one.feed(KNOWN, [256] * 8, 0), ValueError),
-    "a payload longer than any": (lambda one: one.feed(WHOLE, bytes(200), 0), Reason.MIXED),
+    "a payload longer than any": (lambda one: one.feed(WHOLE, bytes(200), 0), Reason.LENGTH),
     "a page longer than any": (lambda one: one.feed(KNOWN, bytes(300), 0), Reason.LENGTH),
     "foreign, whatever it has": (lambda one: one.feed(0x7FF, None, None), Reason.FOREIGN),
     "negative": (lambda one: one.feed(-1, None, 0), Reason.FOREIGN),
