@@ -12,34 +12,6 @@
 #define MAPLINES_RANGE_STEPS 10.0 ///< steps of the ends of the valid range [1/m]
 #define MAPLINES_MIN_TURN 0.1     ///< least derivative of beta with respect to the heading
 
-/// Pose error, in double precision.
-typedef struct {
-    double F[9]; ///< root of its covariance P
-    double P[9];
-    maplines_pose_root_t root;
-    double offset_sigma;
-    double heading_sigma;
-    double largest_heading_sigma; ///< for which the level of the heading may stand
-    double age;                   ///< [s]
-    double correlation_time;      ///< [s]
-    bool is_heading_limited;      ///< the level of the heading is the greatest one
-} pose_error_t;
-
-/// What the records say of a line.
-typedef struct {
-    maplines_curve_t curve;
-    int64_t lateral, points, shape; ///< levels of the line-specific covariance
-    bool is_full;                   ///< the record has all entries of it instead
-} member_t;
-
-/// A line of a scene, in double precision.
-typedef struct {
-    maplines_curve_t curve;
-    double A[4][MAPLINES_COLUMNS]; ///< factor due to the pose error
-    double F[4][4];                ///< line-specific factor
-    maplines_line_t line;
-} decoded_t;
-
 MAPLINES_INTERNAL const maplines_levels_t *maplines_levels_of(const maplines_dbc_t *dbc)
 {
     if (dbc->is_conditional)
@@ -68,6 +40,34 @@ MAPLINES_INTERNAL void maplines_specific_factor(const double J[16], const double
 }
 
 #if MAPLINES_RECEIVER
+/// Pose error, in double precision.
+typedef struct {
+    double F[9]; ///< root of its covariance P
+    double P[9];
+    maplines_pose_root_t root;
+    double offset_sigma;
+    double heading_sigma;
+    double largest_heading_sigma; ///< for which the level of the heading may stand
+    double age;                   ///< [s]
+    double correlation_time;      ///< [s]
+    bool is_heading_limited;      ///< the level of the heading is the greatest one
+} pose_error_t;
+
+/// What the records say of a line.
+typedef struct {
+    maplines_curve_t curve;
+    int64_t lateral, points, shape; ///< levels of the line-specific covariance
+    bool is_full;                   ///< the record has all entries of it instead
+} member_t;
+
+/// A line of a scene, in double precision.
+typedef struct {
+    maplines_curve_t curve;
+    double A[4][MAPLINES_COLUMNS]; ///< factor due to the pose error
+    double F[4][4];                ///< line-specific factor
+    maplines_line_t line;
+} decoded_t;
+
 /// Value of a level, 0 for the raw value 0.
 static double level_of(const maplines_signal_t *signal, const uint8_t *record)
 {
