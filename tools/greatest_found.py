@@ -82,12 +82,19 @@ def rows_of(case: Case) -> list[str]:
 
 
 def parts(layout: Layout, rng: random.Random) -> Iterator[Case]:
-    """Yield parts of hostile streams, in which a scene is asked for after each cycle."""
+    """Yield parts of hostile streams, of all slots or of four; each cycle ends with a scene."""
     profiles = [one for one in PROFILES if not one.settings and one.stale_cycles == 3]
     while True:
         seed = rng.randrange(10**6)
         stream = Stream(traffics_of(layout, seed), rng.choice(profiles), seed)
-        steps = (step for step in stream.steps() if isinstance(step, FrameStep))
+        slots = rng.sample([*layout.messages], rng.choice([4, len(layout.messages)]))
+        owners = {POSE, *slots}
+        steps = (
+            step
+            for step in stream.steps()
+            if isinstance(step, FrameStep)
+            and layout.message_of_id.get((step.can_id, step.is_extended), (POSE,))[0] in owners
+        )
         part: list[Step] = []
         for step in islice(steps, FRAMES):
             if part and abs(step.t_ns - part[-1].t_ns) > 5_000_000:
@@ -107,7 +114,11 @@ def changed(case: Case, layout: Layout, rng: random.Random) -> Case:
             if isinstance(step, FrameStep) and (k == i or rng.random() < share):
                 steps[k] = _with_other_values(step, layout, wanted, rng)
     elif what < 0.75 and len(steps) > 1:
-        del steps[i : i + 2 ** rng.randrange(len(steps).bit_length())]
+        chosen = steps[i]
+        if isinstance(chosen, FrameStep) and rng.random() < 0.2:
+            steps = [step for step in steps if getattr(step, "can_id", 0) != chosen.can_id]
+        else:
+            del steps[i : i + 2 ** rng.randrange(len(steps).bit_length())]
     elif what < 0.85:
         steps.insert(rng.randrange(len(steps)), steps[i])
     elif what < 0.95:
