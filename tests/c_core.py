@@ -142,7 +142,7 @@ def run(program: Path, data: bytes, *prefix: str) -> bytes:
 #: What the core takes from the mathematical library: functions that IEEE 754 defines to the last
 #: bit, or that only move bits. Those of C99 for the exponent are exact, but for subnormal numbers,
 #: which ldexp rounds once.
-EXACT = {"sqrt", "fabs", "floor", "ceil", "rint", "ldexp", "frexp", "copysign"}
+EXACT = {"sqrt", "sqrtf", "fabs", "floor", "ceil", "rint", "ldexp", "frexp", "copysign"}
 
 
 def library_functions(*files: Path) -> set[str]:

@@ -18,8 +18,9 @@
 /* An array of negative size is an error: so with -fsingle-precision-constant. */
 typedef char maplines_types_have_32_and_64_bits[sizeof(float) == 4 && sizeof(double) == 8 ? 1 : -1];
 typedef char maplines_constants_are_double[sizeof(1.0) == sizeof(double) ? 1 : -1];
-/* 1 is that of s390x: float is computed as double, and double is as everywhere. 16 is that of CPUs
- * with half precision, which is not used here. 2 is the x87, which keeps more bits than double has.
+/* 1 is that of s390x: float is computed as double and rounded by each assignment. 16 is that of
+ * CPUs with half precision, which is not used here. 2 is the x87, which keeps more bits than double
+ * has.
  */
 #if defined(__FLT_EVAL_METHOD__) && (__FLT_EVAL_METHOD__ == 2 || __FLT_EVAL_METHOD__ < 0)
 #error "maplines needs arithmetic in the precision of its types: on a 32-bit x86, -mfpmath=sse"
