@@ -344,7 +344,7 @@ void maplines_curve_jacobians(size_t lines, const double *curves, double *J)
         line_changes(curves + 7 * i, W);
         for (int k = 0; k < 4; ++k)
         {
-            const double row[3] = {W[1][k], W[2][k], W[0][k]}; // along, across, heading
+            const double row[3] = {W[0][k], W[1][k], W[2][k]};
             memcpy(J + 12 * i + 3 * k, row, sizeof row);
         }
     }

@@ -332,7 +332,7 @@ MAPLINES_INTERNAL void maplines_bases(const double mean[4], const double fit_ran
 typedef struct {
     double J[16];   ///< derivatives of the line with respect to its coefficients of T_0 .. T_3
     double tangent; ///< of beta
-    /// Changes of these coefficients by heading, along, across, and by heading^2, heading along,
+    /// Changes of these coefficients by along, across, heading, and by heading^2, heading along,
     /// heading across and along^2.
     double rows[7][4];
 } maplines_changes_t;
@@ -342,11 +342,13 @@ MAPLINES_INTERNAL void maplines_changes_of(const maplines_curve_t *curve,
 /// The same changes of the line itself, by rows.
 MAPLINES_INTERNAL void maplines_line_changes(const maplines_changes_t *changes, double W[7][4]);
 
-/// Lower triangular roots of the covariance of a pose error, in the order heading, along, across,
-/// and of that of its products heading^2, heading along, heading across and along^2.
+/// Root of the covariance of a pose error, and what sigma points sqrt(3) times its columns k, and
+/// less them, make of the products (heading^2, heading along, heading across, along^2): with s_k of
+/// one column and their sum m, the columns (3 s_k - m) / sqrt(3), and sqrt(2) m of the centre,
+/// which has the weight 0 in the mean and 2 in the covariance.
 typedef struct {
-    double first[9];
-    double second[16];
+    double first[3][3]; ///< lower triangular
+    double second[4][4];
 } maplines_pose_root_t;
 
 /// Roots for a positive semidefinite covariance P.

@@ -180,7 +180,7 @@ static void set_valid_range(const pose_error_t *pose, const maplines_curve_t *cu
         // It may be beyond the levels, but no more than the variance of beta has room for.
         double W[7][4];
         maplines_line_changes(changes, W);
-        const double size = fabs(W[0][1]);
+        const double size = fabs(W[2][1]);
         const double turn = size > MAPLINES_MIN_TURN ? size : MAPLINES_MIN_TURN;
         const double possible = sqrt(specific_cov[5]) / turn;
         heading_sigma = possible > heading_sigma ? possible : heading_sigma;

@@ -122,22 +122,22 @@ MAPLINES_INTERNAL void maplines_changes_of(const maplines_curve_t *curve,
     double rest[4];
     maplines_bases(mean, curve->fit_range, changes->J);
     changes->tangent = tangent;
-    project(heading, changes->rows[0]);
-    project(along, changes->rows[1]);
+    project(along, changes->rows[0]);
+    project(heading, changes->rows[2]);
     project(heading_squared, changes->rows[3]);
     project(heading_along, changes->rows[4]);
     project(along_squared, changes->rows[6]);
     for (int i = 0; i < 4; ++i)
     {
-        changes->rows[2][i] = i == 0 ? -1.0 : 0.0;
-        changes->rows[5][i] = changes->rows[1][i];
+        changes->rows[1][i] = i == 0 ? -1.0 : 0.0;
+        changes->rows[5][i] = changes->rows[0][i];
     }
     // T_1' = T_0, T_2' = 4 T_1 and T_3' = 6 T_2 + 3 T_0; T_0 has twice the norm of the others.
     project(moved, rest);
     const double more[4] = {0.0, 2.0 * rest[0], 4.0 * rest[1], 6.0 * (rest[2] + rest[0])};
     for (int i = 1; i < 4; ++i)
     {
-        changes->rows[0][i] = changes->rows[0][i] + more[i] / half;
+        changes->rows[2][i] = changes->rows[2][i] + more[i] / half;
     }
 }
 
@@ -157,9 +157,9 @@ MAPLINES_INTERNAL void maplines_line_changes(const maplines_changes_t *changes, 
         }
     }
     // The second derivative of atan, by the direction; it does not change with the place across.
-    const double by_heading = changes->tangent * W[0][1];
-    const double by_along = changes->tangent * W[1][1];
-    const double squares[3] = {by_heading * W[0][1], by_heading * W[1][1], by_along * W[1][1]};
+    const double by_heading = changes->tangent * W[2][1];
+    const double by_along = changes->tangent * W[0][1];
+    const double squares[3] = {by_heading * W[2][1], by_heading * W[0][1], by_along * W[0][1]};
     W[3][1] = W[3][1] - squares[0];
     W[4][1] = W[4][1] - 2.0 * squares[1];
     W[6][1] = W[6][1] - squares[2];
@@ -173,42 +173,46 @@ static double root_of(double square)
 
 MAPLINES_INTERNAL void maplines_pose_root(const double P[9], maplines_pose_root_t *root)
 {
-    const double a = root_of(P[8]);
-    const double b = a > 0.0 ? P[2] / a : 0.0;
-    const double c = a > 0.0 ? P[5] / a : 0.0;
-    const double b_b = b * b;
-    const double d = root_of(P[0] - b_b);
-    const double b_c = b * c;
-    const double e = d > 0.0 ? (P[1] - b_c) / d : 0.0;
-    const double c_c = c * c;
-    const double e_e = e * e;
-    const double f = root_of(P[4] - c_c - e_e);
-    const double two = sqrt(2.0);
-    const double first[9] = {a, 0.0, 0.0, b, d, 0.0, c, e, f};
-    const double second[16] = {two * (a * a), 0.0,           0.0,   0.0, //
-                               two * (a * b), a * d,         0.0,   0.0, //
-                               two * (a * c), a * e,         a * f, 0.0, //
-                               two * b_b,     2.0 * (b * d), 0.0,   two * (d * d)};
-    memcpy(root->first, first, sizeof first);
-    memcpy(root->second, second, sizeof second);
-}
-
-/// Columns of A from `begin` on: W^T L, for n rows of W and a lower triangular (n, n) matrix L.
-static void add_columns(int n, double (*W)[4], const double *L, int begin,
-                        double A[4][MAPLINES_COLUMNS])
-{
+    double(*L)[3] = root->first;
+    memset(root, 0, sizeof *root);
+    for (int k = 0; k < 3; ++k)
+    {
+        double pivot = P[4 * k];
+        for (int j = 0; j < k; ++j)
+        {
+            const double square = L[k][j] * L[k][j];
+            pivot = pivot - square;
+        }
+        L[k][k] = root_of(pivot);
+        for (int i = k + 1; i < 3 && L[k][k] > 0.0; ++i)
+        {
+            double rest = P[3 * i + k];
+            for (int j = 0; j < k; ++j)
+            {
+                const double term = L[i][j] * L[k][j];
+                rest = rest - term;
+            }
+            L[i][k] = rest / L[k][k];
+        }
+    }
+    double sums[4] = {0.0, 0.0, 0.0, 0.0};
+    for (int k = 0; k < 3; ++k)
+    {
+        const double products[4] = {L[2][k] * L[2][k], L[2][k] * L[0][k], L[2][k] * L[1][k],
+                                    L[0][k] * L[0][k]};
+        for (int i = 0; i < 4; ++i)
+        {
+            root->second[i][k] = products[i];
+            sums[i] = sums[i] + products[i];
+        }
+    }
     for (int i = 0; i < 4; ++i)
     {
-        for (int k = 0; k < n; ++k)
+        for (int k = 0; k < 3; ++k)
         {
-            double sum = W[k][i] * L[n * k + k];
-            for (int j = k + 1; j < n; ++j)
-            {
-                const double term = W[j][i] * L[n * j + k];
-                sum = sum + term;
-            }
-            A[i][begin + k] = sum;
+            root->second[i][k] = (3.0 * root->second[i][k] - sums[i]) / sqrt(3.0);
         }
+        root->second[i][3] = sqrt(2.0) * sums[i];
     }
 }
 
@@ -218,14 +222,21 @@ MAPLINES_INTERNAL bool maplines_spread(const maplines_changes_t *changes,
 {
     double W[7][4];
     maplines_line_changes(changes, W);
-    add_columns(3, W, root->first, 0, A);
-    add_columns(4, W + 3, root->second, 3, A);
     bool is_finite = true;
     for (int i = 0; i < 4; ++i)
     {
         for (int k = 0; k < MAPLINES_COLUMNS; ++k)
         {
-            is_finite = is_finite && fabs(A[i][k]) < (double)INFINITY;
+            const bool is_first = k < 3;
+            double sum = is_first ? W[k][i] * root->first[k][k] : W[3][i] * root->second[0][k - 3];
+            for (int j = is_first ? k + 1 : 4; j < (is_first ? 3 : 7); ++j)
+            {
+                const double entry = is_first ? root->first[j][k] : root->second[j - 3][k - 3];
+                const double term = W[j][i] * entry;
+                sum = sum + term;
+            }
+            A[i][k] = sum;
+            is_finite = is_finite && fabs(sum) < (double)INFINITY;
         }
     }
     return is_finite;
@@ -234,7 +245,7 @@ MAPLINES_INTERNAL bool maplines_spread(const maplines_changes_t *changes,
 MAPLINES_INTERNAL void maplines_common(const maplines_changes_t *changes, double offset_sigma,
                                        double heading_sigma, double cov[16])
 {
-    const double sigmas[3] = {heading_sigma, offset_sigma, offset_sigma};
+    const double sigmas[3] = {offset_sigma, offset_sigma, heading_sigma};
     double K[12];
     for (int i = 0; i < 4; ++i)
     {

@@ -182,13 +182,13 @@ class Changes(NamedTuple):
 
     bases: Matrix  #: derivatives of the line with respect to its coefficients of T_0 .. T_3
     tangent: float  #: tan(beta)
-    first: Matrix  #: changes of these coefficients by t, a, b
+    first: Matrix  #: changes of these coefficients by a, b, t
     second: Matrix  #: by t^2, t a, t b, a^2
 
     def of_line(self) -> tuple[Matrix, Matrix]:
         """Return the changes of the line itself."""
         first, second = (self._in_line(rows) for rows in (self.first, self.second))
-        t, a = (row[1] for row in first[:2])
+        a, t = first[0][1], first[2][1]
         second[0][1] -= self.tangent * t * t  # the second derivative of atan
         second[1][1] -= 2 * (self.tangent * t * a)
         second[3][1] -= self.tangent * a * a
@@ -231,47 +231,44 @@ def changes_of(curve: Curve) -> Changes:
     # T_1' = T_0, T_2' = 4 T_1 and T_3' = 6 T_2 + 3 T_0; T_0 has twice the norm of the others.
     t += Vector([0.0, 2 * moved[0], 4 * moved[1], 6 * (moved[2] + moved[0])]) / half
     across = Vector([-1.0, 0.0, 0.0, 0.0])
-    return Changes(bases(curve), tangent, Matrix([t, a, across]), Matrix([tt, ta, a, aa]))
+    return Changes(bases(curve), tangent, Matrix([a, across, t]), Matrix([tt, ta, a, aa]))
 
 
 def pose_roots(P: Matrix) -> tuple[Matrix, Matrix]:
-    """Return the lower triangular root of P in the order t, a, b, and of that of t^2, ta, tb, a^2.
+    """Return the lower triangular root L of P, and what sigma points make of t^2, ta, tb and a^2.
 
-    P may be singular. With z of three independent standard normal variables, t = r z_0,
-    a = p z_0 + q z_1 and so on; (z_0^2 - 1) / sqrt(2), z_0 z_1, z_0 z_2 and (z_1^2 - 1) / sqrt(2)
-    are not correlated, and each of them has the variance 1.
+    P may be singular. The points are sqrt(3) times the columns of L, and less them. With s_k these
+    products for a column and m their sum, the second has the columns (3 s_k - m) / sqrt(3), and
+    sqrt(2) m: the centre has the weights 0 in the mean and 2 in the covariance.
     """
-    r = _root(P[2][2])
-    p, s = (P[0][2] / r, P[1][2] / r) if r > 0 else (0.0, 0.0)
-    q = _root(P[0][0] - p * p)
-    u = (P[0][1] - p * s) / q if q > 0 else 0.0
-    v = _root(P[1][1] - s * s - u * u)
-    two = math.sqrt(2)
-    second = [
-        [two * (r * r), 0.0, 0.0, 0.0],
-        [two * (r * p), r * q, 0.0, 0.0],
-        [two * (r * s), r * u, r * v, 0.0],
-        [two * (p * p), 2 * (p * q), 0.0, two * (q * q)],
-    ]
-    return matrix([[r, 0.0, 0.0], [p, q, 0.0], [s, u, v]]), matrix(second)
-
-
-def _root(square: float) -> float:
-    """Return the root of a square, which rounding may have made negative."""
-    return math.sqrt(square) if square > 0 else 0.0
+    L = diagonal([0.0] * 3)
+    for k in range(3):
+        pivot = P[k][k]
+        for j in range(k):
+            pivot -= L[k][j] * L[k][j]
+        L[k][k] = math.sqrt(pivot) if pivot > 0 else 0.0
+        for i in range(k + 1, 3):
+            rest = P[i][k]
+            for j in range(k):
+                rest -= L[i][j] * L[k][j]
+            L[i][k] = rest / L[k][k] if pivot > 0 else 0.0
+    products = [Vector([t * t, t * a, t * b, a * a]) for a, b, t in L.T]
+    m = products[0] + products[1] + products[2]
+    columns = [*((3 * each - m) / math.sqrt(3) for each in products), math.sqrt(2) * m]
+    return L, Matrix(columns).T
 
 
 def spread(curve: Curve, P: Matrix) -> Matrix | None:
     """Return the (4, 7) factor A of the covariance that a pose error with covariance P causes.
 
-    It is exact to second order: with the changes W1, W2 and the roots L1, L2 of the pose error and
-    of its products, A = [W1^T L1, W2^T L2]. None if it overflows.
+    It is that of sigma points to second order: with the changes W1, W2 and the roots L1, L2 of the
+    pose error and of its products, A = [W1^T L1, W2^T L2]. None if it overflows.
     """
-    A = Matrix(Vector() for _ in range(4))
-    for W, L in zip(changes_of(curve).of_line(), pose_roots(P), strict=True):
-        columns = L.T
-        for row, changes in zip(A, W.T, strict=True):
-            row.extend(Vector(changes[k:]) @ column[k:] for k, column in enumerate(columns))
+    (first, second), (L, L2) = changes_of(curve).of_line(), pose_roots(P)
+    A = second.T @ L2
+    for row, more, changes in zip(A, matrix(A), first.T, strict=True):
+        row[:3] = [Vector(changes[k:]) @ column[k:] for k, column in enumerate(L.T)]
+        row[3:] = more
     return A if A.is_finite() else None
 
 

@@ -149,7 +149,7 @@ def common_covariance(pose: Pose, curve: Curve) -> Matrix:
     It is the resolution of the means, and the errors of each line on the map, which act as errors
     of the pose.
     """
-    sigmas = Vector([pose.heading_sigma, pose.offset_sigma, pose.offset_sigma])
+    sigmas = Vector([pose.offset_sigma, pose.offset_sigma, pose.heading_sigma])
     K = Matrix(row * sigmas for row in changes_of(curve).first.T)
     return K @ K.T + diagonal([RESOLUTION * RESOLUTION] * 4)
 
@@ -218,7 +218,7 @@ def _valid_range(pose: Pose, curve: Curve, own: Matrix) -> tuple[float, float]:
     heading = pose.heading_sigma * exp2(signal.factor)
     is_greatest = pose.raw["MapHeading"] == signal.raw_max
     if is_greatest:
-        turn = abs(changes_of(curve).of_line()[0][0][1])
+        turn = abs(changes_of(curve).of_line()[0][2][1])
         heading = max(heading, math.sqrt(own[1][1]) / max(turn, MIN_TURN))
     x_min, x_max = valid_range(curve, pose.cov, own, heading)
     low, high = math.ceil(x_min * STEPS) / STEPS, math.floor(x_max * STEPS) / STEPS

@@ -97,8 +97,7 @@ class SeenLines:
     def spread(self, P: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (4 L, 4 L) joint covariance of the lines for a pose error with covariance P.
 
-        It is positive semidefinite, and exact to second order: with the derivatives J and H_i of
-        the parameters, J P J^T + trace(H_i P H_j P) / 2.
+        It is positive semidefinite, and that of sigma points to second order in the pose.
         """
         n = 4 * len(self.means)
         A, cov = np.empty((n, 7)), np.empty((n, n))
