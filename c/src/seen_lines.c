@@ -173,8 +173,7 @@ static double root_of(double square)
 
 MAPLINES_INTERNAL void maplines_pose_root(const double P[9], maplines_pose_root_t *root)
 {
-    double(*L)[3] = root->first;
-    memset(root, 0, sizeof *root);
+    double L[3][3] = {{0.0}};
     for (int k = 0; k < 3; ++k)
     {
         double pivot = P[4 * k];
@@ -195,6 +194,8 @@ MAPLINES_INTERNAL void maplines_pose_root(const double P[9], maplines_pose_root_
             L[i][k] = rest / L[k][k];
         }
     }
+    memcpy(root->first, L, sizeof L);
+    double second[4][3];
     double sums[4] = {0.0, 0.0, 0.0, 0.0};
     for (int k = 0; k < 3; ++k)
     {
@@ -202,7 +203,7 @@ MAPLINES_INTERNAL void maplines_pose_root(const double P[9], maplines_pose_root_
                                     L[0][k] * L[0][k]};
         for (int i = 0; i < 4; ++i)
         {
-            root->second[i][k] = products[i];
+            second[i][k] = products[i];
             sums[i] = sums[i] + products[i];
         }
     }
@@ -210,7 +211,7 @@ MAPLINES_INTERNAL void maplines_pose_root(const double P[9], maplines_pose_root_
     {
         for (int k = 0; k < 3; ++k)
         {
-            root->second[i][k] = (3.0 * root->second[i][k] - sums[i]) / sqrt(3.0);
+            root->second[i][k] = (3.0 * second[i][k] - sums[i]) / sqrt(3.0);
         }
         root->second[i][3] = sqrt(2.0) * sums[i];
     }
@@ -221,22 +222,33 @@ MAPLINES_INTERNAL bool maplines_spread(const maplines_changes_t *changes,
                                        double A[4][MAPLINES_COLUMNS])
 {
     double W[7][4];
-    maplines_line_changes(changes, W);
     bool is_finite = true;
+    maplines_line_changes(changes, W);
     for (int i = 0; i < 4; ++i)
     {
-        for (int k = 0; k < MAPLINES_COLUMNS; ++k)
+        for (int k = 0; k < 3; ++k)
         {
-            const bool is_first = k < 3;
-            double sum = is_first ? W[k][i] * root->first[k][k] : W[3][i] * root->second[0][k - 3];
-            for (int j = is_first ? k + 1 : 4; j < (is_first ? 3 : 7); ++j)
+            double sum = W[k][i] * root->first[k][k];
+            for (int j = k + 1; j < 3; ++j)
             {
-                const double entry = is_first ? root->first[j][k] : root->second[j - 3][k - 3];
-                const double term = W[j][i] * entry;
+                const double term = W[j][i] * root->first[j][k];
                 sum = sum + term;
             }
             A[i][k] = sum;
-            is_finite = is_finite && fabs(sum) < (double)INFINITY;
+        }
+        for (int k = 0; k < 4; ++k)
+        {
+            double sum = W[3][i] * root->second[0][k];
+            for (int j = 1; j < 4; ++j)
+            {
+                const double term = W[3 + j][i] * root->second[j][k];
+                sum = sum + term;
+            }
+            A[i][3 + k] = sum;
+        }
+        for (int k = 0; k < MAPLINES_COLUMNS; ++k)
+        {
+            is_finite = is_finite && fabs(A[i][k]) < (double)INFINITY;
         }
     }
     return is_finite;
