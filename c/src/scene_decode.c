@@ -49,7 +49,6 @@ typedef struct {
     double heading_sigma;
     double largest_heading_sigma; ///< for which the level of the heading may stand
     double age;                   ///< [s]
-    double correlation_time;      ///< [s]
     bool is_heading_limited;      ///< the level of the heading is the greatest one
 } pose_error_t;
 
@@ -87,12 +86,9 @@ static void read_pose(const maplines_dbc_t *dbc, const uint8_t *record, pose_err
     maplines_pose_root(pose->P, &pose->root);
 
     const int64_t raw_age = maplines_get(&dbc->pose_age, record);
-    const int64_t raw_time = maplines_get(&dbc->correlation_time, record);
-    const double time = maplines_level(&dbc->correlation_time, raw_time);
     const bool is_too_old = raw_age >= maplines_raw_max(&dbc->pose_age);
-    const double infinity = (double)INFINITY;
-    pose->age = is_too_old ? infinity : maplines_physical(&dbc->pose_age, raw_age) / 1000.0;
-    pose->correlation_time = raw_time == 0 ? infinity : time;
+    const double age = maplines_physical(&dbc->pose_age, raw_age) / 1000.0;
+    pose->age = is_too_old ? (double)INFINITY : age;
     pose->offset_sigma = level_of(&dbc->map_offset, record);
     pose->heading_sigma = level_of(&dbc->map_heading, record);
     pose->largest_heading_sigma =
@@ -293,6 +289,7 @@ static bool decode_member(const maplines_dbc_t *dbc, const pose_error_t *pose,
 static void begin_scene(const maplines_dbc_t *dbc, const maplines_epoch_t *epoch,
                         const pose_error_t *pose, maplines_scene_t *scene)
 {
+    const double time = level_of(&dbc->correlation_time, epoch->record);
     memset(scene, 0, sizeof *scene);
     scene->t_ns = epoch->t_ns;
     for (int i = 0; i < 9; ++i)
@@ -300,7 +297,7 @@ static void begin_scene(const maplines_dbc_t *dbc, const maplines_epoch_t *epoch
         scene->pose_factor[i / 3][i % 3] = (maplines_real_t)pose->F[i];
     }
     scene->age = (maplines_real_t)pose->age;
-    scene->correlation_time = (maplines_real_t)pose->correlation_time;
+    scene->correlation_time = (maplines_real_t)(time > 0.0 ? time : (double)INFINITY);
     scene->offset_sigma = (maplines_real_t)pose->offset_sigma;
     scene->heading_sigma = (maplines_real_t)pose->heading_sigma;
     scene->counter = (uint32_t)maplines_get(&dbc->pose.counter, epoch->record);

@@ -196,6 +196,7 @@ MAPLINES_INTERNAL void maplines_pose_root(const double P[9], maplines_pose_root_
     }
     memcpy(root->first, L, sizeof L);
     double second[4][3];
+    const double share = 1.0 / sqrt(3.0);
     double sums[4] = {0.0, 0.0, 0.0, 0.0};
     for (int k = 0; k < 3; ++k)
     {
@@ -211,7 +212,7 @@ MAPLINES_INTERNAL void maplines_pose_root(const double P[9], maplines_pose_root_
     {
         for (int k = 0; k < 3; ++k)
         {
-            root->second[i][k] = (3.0 * second[i][k] - sums[i]) / sqrt(3.0);
+            root->second[i][k] = (3.0 * second[i][k] - sums[i]) * share;
         }
         root->second[i][3] = sqrt(2.0) * sums[i];
     }

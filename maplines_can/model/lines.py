@@ -254,7 +254,7 @@ def pose_roots(P: Matrix) -> tuple[Matrix, Matrix]:
             L[i][k] = rest / L[k][k] if pivot > 0 else 0.0
     products = [Vector([t * t, t * a, t * b, a * a]) for a, b, t in L.T]
     m = products[0] + products[1] + products[2]
-    columns = [*((3 * each - m) / math.sqrt(3) for each in products), math.sqrt(2) * m]
+    columns = [*((3 * each - m) * (1 / math.sqrt(3)) for each in products), math.sqrt(2) * m]
     return L, Matrix(columns).T
 
 
