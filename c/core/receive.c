@@ -13,12 +13,12 @@ static void joint_covariance(const maplines_scene_t *scene, int first, int count
 {
     const int n = 4 * count;
     const double *spread = scene->spread[4 * first];
-    maplines_square(n, 7, spread, cov);
+    maplines_gram(n, 7, spread, cov);
     for (int place = 0; place < count; ++place)
     {
         const double *factor = scene->specific[first + place][0];
         double own[16];
-        maplines_square(4, 4, factor, own);
+        maplines_gram(4, 4, factor, own);
         for (int i = 0; i < 16; ++i)
         {
             double *entry = cov + (4 * place + i / 4) * n + 4 * place + i % 4;
@@ -43,7 +43,7 @@ static void add_mixture(const maplines_decoder_t *decoder, int slot, int count,
         (void)maplines_component(decoder, (maplines_owner_t)slot, (uint8_t)i, &gaussian,
                                  &weights[i]);
         memcpy(means[i], gaussian.mean, sizeof means[i]);
-        maplines_square(4, 4, gaussian.factor[0], covs[i]);
+        maplines_gram(4, 4, gaussian.factor[0], covs[i]);
         component->line = (int64_t)rows->line_count;
         component->weight = weights[i];
         memcpy(component->mean, means[i], sizeof means[i]);
@@ -112,7 +112,7 @@ static void add_line(const maplines_decoder_t *decoder, int slot, const maplines
     else
     {
         const double *factor = line->gaussian.factor[0];
-        maplines_square(4, 4, factor, row->cov);
+        maplines_gram(4, 4, factor, row->cov);
     }
     row->counter = check->last;
     row->ahead = check->ahead;
@@ -420,7 +420,7 @@ bool maplines_receiver_scene(maplines_receiver_t *receiver, bool is_known)
         const double *factor = newest->specific[place][0];
         read_line(line, &scene->lines[place]);
         joint_covariance(newest, place, 1, scene->lines[place].cov);
-        maplines_square(4, 4, factor, scene->specific[place]);
+        maplines_gram(4, 4, factor, scene->specific[place]);
         // The newest one is a copy of a line of the scene, with all its bytes.
         const maplines_line_t *known = &decoder->newest[line->slot];
         const bool is_copy = memcmp(known, line, sizeof *line) == 0; // NOLINT(bugprone-*,cert-*)

@@ -379,6 +379,10 @@ bool maplines_spread_curves(size_t lines, const double *curves, const double P[9
         maplines_changes_of(&curve, &changes);
         is_right &= maplines_spread(&changes, &root, own);
     }
-    maplines_square(rows, MAPLINES_COLUMNS, A, cov);
+    maplines_gram(rows, MAPLINES_COLUMNS, A, cov);
+    for (int i = 0; i < rows * rows; ++i)
+    {
+        is_right = is_right && fabs(cov[i]) < (double)INFINITY;
+    }
     return is_right;
 }

@@ -10,7 +10,7 @@
  * by a pragma, which clang's -ffp-contract=fast overrules.
  *
  *     #include "maplines_dbc.h"
- *     static maplines_decoder_t decoder;  // all memory: 4 to 51 kB, by what the program needs
+ *     static maplines_decoder_t decoder;  // all memory: 3 to 51 kB, by what the program needs
  *
  *     maplines_decoder_init(&decoder, &maplines_dbc, NULL);
  *     ...
@@ -734,7 +734,7 @@ typedef enum {
     MAPLINES_SAME_SLOT = 15,    ///< two lines of a scene have the same slot
     MAPLINES_BAD_POSE = 16, ///< the pose error does not fit the message, or its correlation time
                             ///< is not positive, or the error of the map is negative
-    MAPLINES_UNSEEN = 17,   ///< a line of a scene is no function of x, seen from the mean pose
+    MAPLINES_UNSEEN = 17,   ///< what the pose error does to a line of a scene overflows
     MAPLINES_BAD_CALL = 18, ///< an argument is NULL, or the encoder is not initialised, or its
                             ///< signer has no function or a negative time
 } maplines_refusal_t;

@@ -335,7 +335,7 @@ typedef struct {
     double shape[MAPLINES_KEPT_SHAPES];
 } maplines_level_squares_t;
 
-/// Memory in which a scene is encoded: 54 kB. It takes up to 12 kB of stack besides.
+/// Memory in which a scene is encoded: 54 kB. It takes up to 8 kB of stack besides.
 struct maplines_scene_workspace {
     maplines_scene_member_t members[MAPLINES_SLOTS];
     int count;                  ///< of the lines that are not left out so far

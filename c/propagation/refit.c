@@ -401,7 +401,7 @@ static void add_drift(const maplines_mean_pose_t *from, const maplines_fit_t *fi
             J[3 * i + k] = (ahead[i] - behind[i]) / (2.0 * POSE_STEP) * sigmas[k];
         }
     }
-    maplines_square(4, 3, J, refit->noise_cov);
+    maplines_gram(4, 3, J, refit->noise_cov);
 }
 
 /// Add the covariance due to independent errors of the points.

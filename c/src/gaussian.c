@@ -189,7 +189,7 @@ MAPLINES_INTERNAL void maplines_mixture_gaussian(int count, const double *weight
         {
             F[i] = (double)components[k].factor[i / 4][i % 4];
         }
-        maplines_square(4, 4, F, covs[k]);
+        maplines_gram(4, 4, F, covs[k]);
     }
     maplines_moments(count, weights, means, covs, mean, cov);
     factor_in_order(cov, order, factor);

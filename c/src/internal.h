@@ -68,7 +68,7 @@ MAPLINES_INTERNAL void maplines_product(int n, int k, int m, const double *A, co
                                         double *C);
 MAPLINES_INTERNAL void maplines_product_transposed(int n, int k, int m, const double *A,
                                                    const double *B, double *C);
-MAPLINES_INTERNAL void maplines_square(int n, int k, const double *A, double *C);
+MAPLINES_INTERNAL void maplines_gram(int n, int k, const double *A, double *C);
 MAPLINES_INTERNAL void maplines_symmetric(int n, double *A);
 MAPLINES_INTERNAL void maplines_congruence(const double A[16], const double S[16], double C[16]);
 MAPLINES_INTERNAL double maplines_total(int n, double *values);
@@ -332,8 +332,8 @@ MAPLINES_INTERNAL void maplines_bases(const double mean[4], const double fit_ran
 typedef struct {
     double J[16];   ///< derivatives of the line with respect to its coefficients of T_0 .. T_3
     double tangent; ///< of beta
-    /// Changes of these coefficients by along, across, heading, and by heading^2, heading along,
-    /// heading across and along^2.
+    /// Factors of along, across, heading, and of heading^2, heading along, heading across and
+    /// along^2 in the changes of these coefficients.
     double rows[7][4];
 } maplines_changes_t;
 
@@ -342,10 +342,10 @@ MAPLINES_INTERNAL void maplines_changes_of(const maplines_curve_t *curve,
 /// The same changes of the line itself, by rows.
 MAPLINES_INTERNAL void maplines_line_changes(const maplines_changes_t *changes, double W[7][4]);
 
-/// Root of the covariance of a pose error, and what sigma points sqrt(3) times its columns k, and
-/// less them, make of the products (heading^2, heading along, heading across, along^2): with s_k of
-/// one column and their sum m, the columns (3 s_k - m) / sqrt(3), and sqrt(2) m of the centre,
-/// which has the weight 0 in the mean and 2 in the covariance.
+/// Root of the covariance of a pose error, and what seven sigma points make of its products
+/// (heading^2, heading along, heading across, along^2). Let s_k be these of column k of the root,
+/// and m their sum. The centre has the weights 0 in the mean and 2 in the covariance, so the
+/// columns are (3 s_k - m) / sqrt(3) and sqrt(2) m.
 typedef struct {
     double first[3][3]; ///< lower triangular
     double second[4][4];
@@ -522,7 +522,7 @@ MAPLINES_INTERNAL maplines_left_out_t maplines_state_member(const maplines_dbc_t
                                                             const maplines_scene_input_t *scene,
                                                             int place,
                                                             maplines_scene_member_t *member);
-/// Find the parts of its covariance; false if it cannot be seen from other poses.
+/// Find the parts of its covariance; false if what the pose error does to it overflows.
 MAPLINES_INTERNAL bool maplines_find_parts(const maplines_scene_input_t *scene, int place,
                                            maplines_scene_member_t *member);
 /// What the spread of the lines that are left, which is in `space->rest` before, leaves of their

@@ -11,7 +11,7 @@
 #define MAPLINES_HALF (MAPLINES_NODES / 2)
 
 // From values at the first half of the nodes to the coefficients of T_0 .. T_3 of their cubic fit;
-// those of the other half are the same, less the odd ones, in the opposite order.
+// those of the other half are the same in the opposite order, with the other sign for T_1 and T_3.
 static const float fit_columns[MAPLINES_HALF][4] = {
     {0x1.f07c20p-7F, -0x1.e9131ap-6F, 0x1.f07c20p-6F, -0x1.e9131ap-6F},
     {0x1.f0902cp-7F, -0x1.e89eecp-6F, 0x1.edfa82p-6F, -0x1.e3753cp-6F},
@@ -47,14 +47,13 @@ static const float fit_columns[MAPLINES_HALF][4] = {
     {0x1.07fe7ap-6F, -0x1.b7b0b4p-11F, -0x1.ff9e8ap-6F, 0x1.30c47ep-9F},
 };
 
-/* The noise of points is computed in single precision, a tenth of the time where only that is in
- * hardware: levels are far coarser. A sum of n squares w w^T errs by less than n 2^-24 of the
- * product of two standard deviations, and n is at most 130, so the variances are enlarged by 2^-14:
- * it stays positive semidefinite.
+/* The noise of points is computed in single precision: levels are far coarser, and some CPUs have
+ * only that in hardware. There are up to 130 points: two for each node, and two more. So an entry
+ * of the sum of their squares w w^T errs by less than 130 x 2^-24 of the product of two standard
+ * deviations, and with four rows an eigenvalue by less than four times as much, in units of the
+ * variances. These are enlarged by 2^-14, so the sum stays positive semidefinite.
  */
 #define MAPLINES_SUM_ROUNDING 0x1p-14
-/// Least spacing of points, in halves of the length of a line.
-static const float least_spacing = 0x1p-24F;
 
 /// Errors of the points of a map at equal distances, one point after the other.
 typedef struct {
@@ -148,7 +147,7 @@ static void point_noise(const maplines_arc_t *arc, float spacing, float phase, d
     noise_t noise;
     memset(&noise, 0, sizeof noise);
     float above[4] = {0.0F, 0.0F, 0.0F, 0.0F}; // weights of errors of the next point
-    const float density = 1.0F / (spacing > least_spacing ? spacing : least_spacing);
+    const float density = 1.0F / spacing;      // 2^10 at most: the DBC was checked
     for (int k = 0; k < MAPLINES_NODES; ++k)
     {
         const float distance = arc->place[k] * density;

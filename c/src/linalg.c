@@ -43,7 +43,7 @@ MAPLINES_INTERNAL void maplines_product_transposed(int n, int k, int m, const do
 }
 
 /// C = A A^T for an (n, k) matrix A, exactly symmetric. C is another array than A.
-MAPLINES_INTERNAL void maplines_square(int n, int k, const double *A, double *C)
+MAPLINES_INTERNAL void maplines_gram(int n, int k, const double *A, double *C)
 {
     for (int i = 0; i < n; ++i)
     {

@@ -1,8 +1,8 @@
 /* Scenes: lines of one pose, with a factor of their joint covariance.
  *
  * It has the operations of maplines_can/model/scenes.py in the same order. Each line
- * needs the pose error and its own record only: its rows of the factor are what the sigma points of
- * the pose error do to it, and its own block is line-specific.
+ * needs the pose error and its own record only: its rows of the factor follow from how it changes
+ * with the pose (seen_lines.c), and its own block is line-specific.
  */
 #include "internal.h"
 
@@ -82,7 +82,7 @@ static void read_pose(const maplines_dbc_t *dbc, const uint8_t *record, pose_err
     {
         pose->F[i] = factor[i / 3][i % 3];
     }
-    maplines_square(3, 3, pose->F, pose->P);
+    maplines_gram(3, 3, pose->F, pose->P);
     maplines_pose_root(pose->P, &pose->root);
 
     const int64_t raw_age = maplines_get(&dbc->pose_age, record);
@@ -259,8 +259,8 @@ static bool decode_member(const maplines_dbc_t *dbc, const pose_error_t *pose,
     }
     double specific_cov[16];
     double cov[16];
-    maplines_square(4, 4, decoded->F[0], specific_cov);
-    maplines_square(4, MAPLINES_COLUMNS, decoded->A[0], cov);
+    maplines_gram(4, 4, decoded->F[0], specific_cov);
+    maplines_gram(4, MAPLINES_COLUMNS, decoded->A[0], cov);
     for (int i = 0; i < 16; ++i)
     {
         cov[i] = cov[i] + specific_cov[i];

@@ -75,7 +75,7 @@ static bool encode_pose(const maplines_dbc_t *dbc, const maplines_scene_input_t 
     uint8_t record[MAPLINES_MAX_RECORD] = {0};
     maplines_put_covariance(code, record, space->raw_pose);
     maplines_decode_factor(code, record, F);
-    maplines_square(4, 4, F[0], cov);
+    maplines_gram(4, 4, F[0], cov);
     for (int i = 0; i < 9; ++i)
     {
         space->decoded_pose[i] = cov[4 * (i / 3) + i % 3];
@@ -110,7 +110,7 @@ static int64_t nearest_limited(const maplines_signal_t *signal, double physical)
 }
 
 /// Find what is sent of a line in either form; MAPLINES_IN_SCENE, or why nothing is. False if the
-/// line cannot be seen from other poses.
+/// line overflows by the pose error.
 static bool prepare(const maplines_dbc_t *dbc, const maplines_scene_input_t *scene, int place,
                     maplines_scene_member_t *member)
 {
@@ -199,7 +199,7 @@ static bool decode_lines(const maplines_dbc_t *dbc, const maplines_scene_input_t
     return are_functions;
 }
 
-/// Compute what the lines have in common; false if one of them cannot be seen from other poses.
+/// Compute what the lines have in common; false if the pose error makes one of them overflow.
 static bool find_spread(maplines_scene_workspace_t *space)
 {
     double A[4 * MAPLINES_SLOTS][MAPLINES_COLUMNS];
@@ -220,7 +220,7 @@ static bool find_spread(maplines_scene_workspace_t *space)
         }
     }
     const int n = 4 * space->count;
-    maplines_square(n, MAPLINES_COLUMNS, A[0], space->rest);
+    maplines_gram(n, MAPLINES_COLUMNS, A[0], space->rest);
     return true;
 }
 

@@ -47,7 +47,7 @@ static void positive_part(const double matrix[16], const double J[16], double pa
         vectors[i] = vectors[i] * sqrt(value > 0.0 ? value : 0.0);
     }
     maplines_product(4, 4, 4, J, vectors, root);
-    maplines_square(4, 4, root, part);
+    maplines_gram(4, 4, root, part);
 }
 
 /// A line is a function of x and has covariances that do not overflow.
@@ -158,7 +158,7 @@ MAPLINES_INTERNAL bool maplines_find_parts(const maplines_scene_input_t *scene, 
     {
         return false;
     }
-    maplines_square(4, MAPLINES_COLUMNS, A[0], member->due_to_pose);
+    maplines_gram(4, MAPLINES_COLUMNS, A[0], member->due_to_pose);
     maplines_bases(member->mean, member->range, member->stated_J);
     if (scene->has_specific)
     {

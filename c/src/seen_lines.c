@@ -8,26 +8,39 @@
 
 #define MAPLINES_MARGIN 3.0 ///< standard deviations of the pose error at an end of a range
 
-MAPLINES_INTERNAL void maplines_bases(const double mean[4], const double fit_range[2], double J[16])
+/// As maplines_bases, for a line with this tangent of beta.
+static void set_bases(double tangent, const double fit_range[2], double J[16])
 {
-    // Chebyshev polynomials T_0 .. T_3, in terms of w^0 .. w^3.
-    static const double chebyshev[4][4] = {
-        {1.0, 0.0, 0.0, 0.0}, {0.0, 1.0, 0.0, 0.0}, {-1.0, 0.0, 2.0, 0.0}, {0.0, -3.0, 0.0, 4.0}};
     const double centre = (fit_range[0] + fit_range[1]) / 2.0;
     const double half = (fit_range[1] - fit_range[0]) / 2.0;
-    double sine;
-    double cosine;
-    maplines_sin_cos(mean[1], &sine, &cosine);
-    for (int k = 0; k < 4; ++k)
-    {
-        double column[4];
-        maplines_derivatives(chebyshev[k], centre, half, column);
-        column[1] = column[1] * (cosine * cosine);
-        for (int i = 0; i < 4; ++i)
-        {
-            J[4 * i + k] = column[i];
-        }
-    }
+    const double by_x = 1.0 / half;
+    const double w = -centre * by_x; // at x = 0
+    const double w_w = w * w;
+    const double square = tangent * tangent;
+    const double by_slope = by_x / (1.0 + square);
+    const double twice = by_x * by_x;
+    const double rows[16] = {1.0,
+                             w,
+                             2.0 * w_w - 1.0,
+                             w * (4.0 * w_w - 3.0), // T_k
+                             0.0,
+                             by_slope,
+                             by_slope * 4.0 * w,
+                             by_slope * (12.0 * w_w - 3.0), // first derivatives
+                             0.0,
+                             0.0,
+                             4.0 * twice,
+                             24.0 * w * twice, // second
+                             0.0,
+                             0.0,
+                             0.0,
+                             24.0 * (twice * by_x)}; // third
+    memcpy(J, rows, sizeof rows);
+}
+
+MAPLINES_INTERNAL void maplines_bases(const double mean[4], const double fit_range[2], double J[16])
+{
+    set_bases(maplines_tan(mean[1]), fit_range, J);
 }
 
 /* ---- lines seen from other poses --------------------------------------------------------------
@@ -39,12 +52,13 @@ MAPLINES_INTERNAL void maplines_bases(const double mean[4], const double fit_ran
  *     v1 = -t x - b,    v2 =  t a - t^2 y / 2
  *
  * The line is a cubic p, with the slope m and the second derivative k, and a rest r. From there,
- * the cubic is p + p1 + p2. With F the fit of a cubic to values at the points of the line,
+ * the cubic is p + p1 + p2. With F(v) the fit of a cubic to values v at the points of the line, and
+ * M(v) what moving the points along x by 1 m each changes of it, if v is left by a fit,
  *
- *     p1 = F(v1 - m u1) + what moving the points by u1 does to the fit of r
- *     p2 = F(v2 - m u2 - k u1^2 / 2 - p1' u1)
+ *     f1 = v1 - m u1,                                  p1 = F(f1) + M(u1 r)
+ *     f2 = v2 - m u2 - k u1^2 / 2 - p1' u1,            p2 = F(f2) + M(u1 (f1 - p1))
  *
- * F is the projection that is orthogonal on the roots of T_8.
+ * What moves r by second order is neglected. F is orthogonal on the roots of T_8.
  */
 
 #define MAPLINES_ROOTS 8
@@ -76,20 +90,35 @@ static void project(const double values[MAPLINES_ROOTS], double coefficients[4])
     }
 }
 
+/// Add M of values at the roots; by_x is 1 over half of the length of the range [1/m].
+static void add_moved(const double values[MAPLINES_ROOTS], double by_x, double coefficients[4])
+{
+    double c[4];
+    project(values, c);
+    // T_1' = T_0, T_2' = 4 T_1 and T_3' = 6 T_2 + 3 T_0; T_0 has twice the norm of the others.
+    const double more[4] = {0.0, 2.0 * c[0], 4.0 * c[1], 6.0 * (c[2] + c[0])};
+    for (int i = 1; i < 4; ++i)
+    {
+        const double term = more[i] * by_x;
+        coefficients[i] = coefficients[i] + term;
+    }
+}
+
 MAPLINES_INTERNAL void maplines_changes_of(const maplines_curve_t *curve,
                                            maplines_changes_t *changes)
 {
     const double centre = (curve->fit_range[0] + curve->fit_range[1]) / 2.0;
     const double half = (curve->fit_range[1] - curve->fit_range[0]) / 2.0;
+    const double by_x = 1.0 / half;
     const double *mean = curve->mean;
     const double tangent = maplines_tan(mean[1]);
     const double sixth = mean[3] / 6.0;
+    double y[MAPLINES_ROOTS];
     double along[MAPLINES_ROOTS];
-    double heading[MAPLINES_ROOTS];
-    double moved[MAPLINES_ROOTS];
-    double heading_squared[MAPLINES_ROOTS];
-    double heading_along[MAPLINES_ROOTS];
+    double heading[MAPLINES_ROOTS];         // f1
+    double heading_squared[MAPLINES_ROOTS]; // f2
     double along_squared[MAPLINES_ROOTS];
+    double left[MAPLINES_ROOTS]; // by a fit, times y
     for (int i = 0; i < MAPLINES_ROOTS; ++i)
     {
         const int place = i < MAPLINES_ROOTS / 2 ? i : MAPLINES_ROOTS - 1 - i;
@@ -105,39 +134,49 @@ MAPLINES_INTERNAL void maplines_changes_of(const maplines_curve_t *curve,
         const double p = mean[0] + to_p;
         const double square = roots[1][place] * roots[1][place];
         const double r = curve->quartic * (2.0 * square - 1.0); // T_4 = 2 T_2^2 - 1
-        const double y = p + r;
-        const double m_y = m * y;
-        const double m_m = m * m;
-        const double k_y = k * y;
+        y[i] = p + r;
+        const double m_y = m * y[i];
         const double m_x = m * x;
-        const double k_y_y = k_y * y;
-        const double m_m_y = m_m * y;
+        const double k_y_y = k * y[i] * y[i];
         along[i] = m;
         heading[i] = -(x + m_y);
-        moved[i] = r * y;
-        heading_squared[i] = (y + m_x + k_y_y) / 2.0 + m_m_y;
-        heading_along[i] = -(m_m + k_y);
+        heading_squared[i] = (m_x - y[i] - k_y_y) / 2.0;
         along_squared[i] = k / 2.0;
+        left[i] = r * y[i];
     }
-    double rest[4];
-    maplines_bases(mean, curve->fit_range, changes->J);
+    set_bases(tangent, curve->fit_range, changes->J);
     changes->tangent = tangent;
+    double *c = changes->rows[2];
     project(along, changes->rows[0]);
-    project(heading, changes->rows[2]);
+    project(heading, c);
+    add_moved(left, by_x, c);
+    for (int i = 0; i < MAPLINES_ROOTS / 2; ++i)
+    {
+        const int mirrored = MAPLINES_ROOTS - 1 - i;
+        const double odd_terms[2] = {c[1] * roots[0][i], c[3] * roots[2][i]};
+        const double even_term = c[2] * roots[1][i];
+        const double odd = odd_terms[0] + odd_terms[1];
+        const double even = c[0] + even_term;
+        const double third = c[3] * (6.0 * roots[1][i] + 3.0);
+        const double slope_odd = 4.0 * c[2] * roots[0][i];
+        const double slope_even = c[1] + third;
+        const double turned = (slope_even + slope_odd) * by_x * y[i];
+        const double turned_mirrored = (slope_even - slope_odd) * by_x * y[mirrored];
+        heading_squared[i] = heading_squared[i] - turned;
+        heading_squared[mirrored] = heading_squared[mirrored] - turned_mirrored;
+        left[i] = (heading[i] - (even + odd)) * y[i];
+        left[mirrored] = (heading[mirrored] - (even - odd)) * y[mirrored];
+    }
     project(heading_squared, changes->rows[3]);
-    project(heading_along, changes->rows[4]);
+    add_moved(left, by_x, changes->rows[3]);
+    const double from_third = 3.0 * c[3];
+    const double slope[4] = {(c[1] + from_third) * by_x, 4.0 * c[2] * by_x, 6.0 * c[3] * by_x, 0.0};
     project(along_squared, changes->rows[6]);
     for (int i = 0; i < 4; ++i)
     {
         changes->rows[1][i] = i == 0 ? -1.0 : 0.0;
+        changes->rows[4][i] = i == 0 ? 1.0 + slope[0] : slope[i];
         changes->rows[5][i] = changes->rows[0][i];
-    }
-    // T_1' = T_0, T_2' = 4 T_1 and T_3' = 6 T_2 + 3 T_0; T_0 has twice the norm of the others.
-    project(moved, rest);
-    const double more[4] = {0.0, 2.0 * rest[0], 4.0 * rest[1], 6.0 * (rest[2] + rest[0])};
-    for (int i = 1; i < 4; ++i)
-    {
-        changes->rows[2][i] = changes->rows[2][i] + more[i] / half;
     }
 }
 
@@ -165,10 +204,10 @@ MAPLINES_INTERNAL void maplines_line_changes(const maplines_changes_t *changes, 
     W[6][1] = W[6][1] - squares[2];
 }
 
-/// Root of a value that is not negative but for rounding.
+/// Root of a value that is not negative but for rounding; of NaN, NaN.
 static double root_of(double square)
 {
-    return square > 0.0 ? sqrt(square) : 0.0;
+    return square < 0.0 ? 0.0 : sqrt(square);
 }
 
 MAPLINES_INTERNAL void maplines_pose_root(const double P[9], maplines_pose_root_t *root)
@@ -267,7 +306,7 @@ MAPLINES_INTERNAL void maplines_common(const maplines_changes_t *changes, double
             K[3 * i + j] = changes->rows[j][i] * sigmas[j];
         }
     }
-    maplines_square(4, 3, K, cov);
+    maplines_gram(4, 3, K, cov);
     for (int i = 0; i < 16; i += 5)
     {
         cov[i] = cov[i] + MAPLINES_RESOLUTION * MAPLINES_RESOLUTION;

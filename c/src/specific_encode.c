@@ -36,7 +36,7 @@ static double greater(double a, double b)
 /// Covariance of the resolution of the mean.
 static void resolution_of(const double J[16], double cov[16])
 {
-    maplines_square(4, 4, J, cov);
+    maplines_gram(4, 4, J, cov);
     for (int i = 0; i < 16; ++i)
     {
         cov[i] = MAPLINES_RESOLUTION * MAPLINES_RESOLUTION * cov[i];
@@ -151,7 +151,7 @@ static void decode_specific(const maplines_dbc_t *dbc, const maplines_scene_memb
     {
         maplines_specific_factor(line->J, line->levels, line->common, F);
     }
-    maplines_square(4, 4, F[0], own);
+    maplines_gram(4, 4, F[0], own);
 }
 
 /// Encode each line alone plus `more`, which is 0 the first time; whether all are covered and

@@ -33,8 +33,6 @@ RATIOS = (0.0, 0.5, 0.5 * 1.8, 0.5 * 1.8 * 1.8, 0.5 * 1.8 * 1.8 * 1.8, 0.5 * 1.8
 GOLDEN_RATIO = (1 + math.sqrt(5)) / 2
 #: Share of the variances by which sums in single precision are enlarged.
 SUM_ROUNDING = 2.0**-14
-#: Least spacing of points, in halves of the length of a line.
-LEAST_SPACING = 2.0**-24
 #: Rounds to single precision; so does each operation with such numbers.
 SINGLE = cast("Callable[[float], float]", np.float32)
 ONE = SINGLE(1)
@@ -44,7 +42,7 @@ NODES = Vector(extrema(64)[::-1])
 _T = matrix([[1.0] * len(NODES), NODES, [2 * w * w - 1 for w in NODES]])
 _T.append(2.0 * NODES * _T[2] - NODES)
 FIT = matrix([dot_by_halves(a, b) for b in _T] for a in _T).inverse() @ _T
-for _k, _row in enumerate(FIT):  # the second half is the first one, less the odd ones
+for _k, _row in enumerate(FIT):  # the second half is the first one, the odd ones negative
     _row[32:] = [-x if _k % 2 else x for x in _row[31::-1]]
 
 
@@ -116,7 +114,7 @@ def point_noise(curve: Curve, spacing: Spacing) -> Matrix:
     none = Vector([SINGLE(0)] * 4)
     behind: dict[int, Vector] = defaultdict(lambda: none)  # weights of each error
     ahead: dict[int, Vector] = defaultdict(lambda: none)
-    density = ONE / SINGLE(max(spacing.distance, LEAST_SPACING))
+    density = ONE / SINGLE(spacing.distance)
     phase = SINGLE(spacing.phase)
     columns = (Vector(map(SINGLE, column)) for column in FIT.T)
     for stretch, along, column in zip(*arc_of(curve), columns, strict=True):

@@ -150,18 +150,21 @@ def is_line(curve: Curve) -> bool:
 
 
 def bases(curve: Curve) -> Matrix:
-    """Return the derivatives of a line with respect to its coefficients of T_0 .. T_3."""
-    chebyshev = matrix([[1.0, 0, 0, 0], [0.0, 1, 0, 0], [-1.0, 0, 2, 0], [0.0, -3, 0, 4]])
-    centre, half = (curve.begin + curve.end) / 2, (curve.end - curve.begin) / 2
-    return line_derivatives(chebyshev, centre, half, curve.mean[1])
+    """Return the derivatives of a line with respect to its coefficients of T_0 .. T_3.
 
-
-def line_derivatives(polynomials: Matrix, centre: float, half: float, beta: float) -> Matrix:
-    """Return the derivatives of a line with respect to coefficients of cubics in its range."""
-    J = Matrix(derivatives(q, centre, half) for q in polynomials).T
-    _, cosine = sin_cos(beta)
-    J[1] *= cosine * cosine
-    return J
+    The rows are these polynomials and their derivatives at x = 0.
+    """
+    by_x, tangent = 1 / ((curve.end - curve.begin) / 2), tan(curve.mean[1])
+    w = -((curve.begin + curve.end) / 2) * by_x
+    slope, twice = by_x / (1 + tangent * tangent), by_x * by_x
+    return matrix(
+        [
+            [1.0, w, 2 * (w * w) - 1, w * (4 * (w * w) - 3)],
+            [0.0, slope, slope * 4 * w, slope * (12 * (w * w) - 3)],
+            [0.0, 0.0, 4 * twice, 24 * w * twice],
+            [0.0, 0.0, 0.0, 24 * (twice * by_x)],
+        ]
+    )
 
 
 class Changes(NamedTuple):
@@ -172,18 +175,18 @@ class Changes(NamedTuple):
 
         u1 = t y - a,  u2 = -t b - t^2 x / 2,  v1 = -t x - b,  v2 = t a - t^2 y / 2
 
-    and the cubic that is fitted to them by p1 + p2:
+    and the cubic that is fitted to them by p1 + p2. With F(v) a fit to values v at the points of
+    the line, M(v) what moving the points by 1 m changes of it, if v is left by a fit, m and k the
+    slope and the second derivative of the cubic, and r what it leaves of the line:
 
-        p1 = F(v1 - m u1) + what moving the points by u1 does to the fit of the rest
-        p2 = F(v2 - m u2 - k u1^2 / 2 - p1' u1)
-
-    with F a fit, and m and k the slope and the second derivative of the cubic.
+        f1 = v1 - m u1                          p1 = F(f1) + M(u1 r)
+        f2 = v2 - m u2 - k u1^2 / 2 - p1' u1    p2 = F(f2) + M(u1 (f1 - p1))
     """
 
     bases: Matrix  #: derivatives of the line with respect to its coefficients of T_0 .. T_3
     tangent: float  #: tan(beta)
     first: Matrix  #: changes of these coefficients by a, b, t
-    second: Matrix  #: by t^2, t a, t b, a^2
+    second: Matrix  #: by the products t^2, t a, t b, a^2
 
     def of_line(self) -> tuple[Matrix, Matrix]:
         """Return the changes of the line itself."""
@@ -213,23 +216,37 @@ def _fitted(values: Sequence[float]) -> Vector:
     return Vector([even @ ones / 8, odd @ ROOTS / 4, even @ _T_2 / 4, odd @ _T_3 / 4])
 
 
+def _moved(values: Sequence[float], by_x: float) -> Vector:
+    """Return M of values that a fit leaves; by_x is 1 over half of the length of the range."""
+    c = _fitted(values)
+    # T_1' = T_0, T_2' = 4 T_1 and T_3' = 6 T_2 + 3 T_0; T_0 has twice the norm of the others.
+    return Vector([0.0, 2 * c[0], 4 * c[1], 6 * (c[2] + c[0])]) * by_x
+
+
 def changes_of(curve: Curve) -> Changes:
     """Return how a line changes with the pose from which it is seen."""
     y_off, beta, c0, c1 = curve.mean
     centre, half = (curve.begin + curve.end) / 2, (curve.end - curve.begin) / 2
-    tangent, sixth, rows = tan(beta), c1 / 6, Matrix()
-    signed = [*zip([1] * 4, ROOTS, _T_2, strict=True), *zip([-1] * 4, ROOTS, _T_2, strict=True)]
-    for sign, w, t2 in [*signed[:4], *signed[:3:-1]]:
+    by_x, tangent, sixth, rows = 1 / half, tan(beta), c1 / 6, Matrix()
+    triples = [*zip(ROOTS, _T_2, _T_3, strict=True)]
+    places = [*((1, *each) for each in triples), *((-1, *each) for each in triples[::-1])]
+    for sign, w, t2, _ in places:
         x = centre + sign * (half * w)
         bend = x * c1
         m, k = tangent + x * (c0 + bend / 2), c0 + bend
         rest = curve.quartic * (2 * (t2 * t2) - 1)
         y = y_off + x * (tangent + x * (c0 / 2 + x * sixth)) + rest
-        by_heading_twice = (y + m * x + k * y * y) / 2 + m * m * y
-        rows.append(Vector([-(x + m * y), m, by_heading_twice, -(m * m + k * y), k / 2, rest * y]))
-    t, a, tt, ta, aa, moved = (_fitted(column) for column in rows.T)
-    # T_1' = T_0, T_2' = 4 T_1 and T_3' = 6 T_2 + 3 T_0; T_0 has twice the norm of the others.
-    t += Vector([0.0, 2 * moved[0], 4 * moved[1], 6 * (moved[2] + moved[0])]) / half
+        rows.append(Vector([y, -(x + m * y), m, (m * x - y - k * y * y) / 2, k / 2, rest * y]))
+    y_, f1, m_, f2, aa_, rest_y = rows.T
+    t = _fitted(f1) + _moved(rest_y, by_x)
+    left = Vector()
+    for i, (sign, w, t2, t3) in enumerate(places):
+        value = t[0] + t[2] * t2 + sign * (t[1] * w + t[3] * t3)
+        slope = (t[1] + t[3] * (6 * t2 + 3) + sign * (4 * t[2] * w)) * by_x
+        f2[i] -= slope * y_[i]
+        left.append((f1[i] - value) * y_[i])
+    a, tt, aa = _fitted(m_), _fitted(f2) + _moved(left, by_x), _fitted(aa_)
+    ta = Vector([1 + (t[1] + 3 * t[3]) * by_x, 4 * t[2] * by_x, 6 * t[3] * by_x, 0.0])
     across = Vector([-1.0, 0.0, 0.0, 0.0])
     return Changes(bases(curve), tangent, Matrix([a, across, t]), Matrix([tt, ta, a, aa]))
 
@@ -246,7 +263,7 @@ def pose_roots(P: Matrix) -> tuple[Matrix, Matrix]:
         pivot = P[k][k]
         for j in range(k):
             pivot -= L[k][j] * L[k][j]
-        L[k][k] = math.sqrt(pivot) if pivot > 0 else 0.0
+        L[k][k] = 0.0 if pivot < 0 else math.sqrt(pivot)
         for i in range(k + 1, 3):
             rest = P[i][k]
             for j in range(k):

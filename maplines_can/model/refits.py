@@ -33,7 +33,6 @@ from .lines import (
     bases,
     cubic_fit,
     derivatives,
-    line_derivatives,
     places,
 )
 from .matrices import Matrix, Vector, diagonal, dot_by_halves, total
@@ -76,6 +75,14 @@ class Refit(NamedTuple):
     of_v: list[Vector]  #: those of mean(v u^k) for k of 0 .. 3
     chords: list[tuple[float, float]]  #: [m]
     noise: Matrix  #: covariance of the map's error and of the misfit
+
+
+def line_derivatives(polynomials: Matrix, centre: float, half: float, beta: float) -> Matrix:
+    """Return the derivatives of a line with respect to coefficients of cubics in its range."""
+    J = Matrix(derivatives(q, centre, half) for q in polynomials).T
+    _, cosine = sin_cos(beta)
+    J[1] *= cosine * cosine
+    return J
 
 
 def refit(

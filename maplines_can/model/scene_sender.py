@@ -83,7 +83,7 @@ class SentScene(NamedTuple):
 
 
 class UnseenError(Exception):
-    """A line is no function of x from a pose that the pose error allows for."""
+    """What the pose error does to a line overflows."""
 
 
 @dataclass

@@ -43,8 +43,9 @@ class SeenLines:
 
     Raises:
         ValueError: a shape is wrong, or a range is empty.
-        IllPosedError: a line is nearly perpendicular to the x axis within its range; also of the
-            methods, if it is so next to the mean pose.
+        IllPosedError: a line is nearly perpendicular to the x axis within its range; also of a
+            call, if no pose nearby sees it otherwise, of ``centred``, and of ``spread`` if it
+            overflows.
 
     >>> seen = SeenLines([[1.75, 0, 0, 0], [-1.75, 0, 0, 0]], [[-20, 80], [-20, 60]])
     >>> seen([[0, 0.5, 0]]).round(9)[0, :, 0]
@@ -75,7 +76,8 @@ class SeenLines:
         poses = floats(displacements, "displacements")
         found = np.empty((len(poses), len(self.means), 4))
         asked = len(poses), shaped(poses, (len(poses), 3)), pointer(found)
-        _check(lib.maplines_see_curves(*self._lines, *asked))
+        if not lib.maplines_see_curves(*self._lines, *asked):
+            raise IllPosedError("a line is not a function of x, seen from the mean pose")
         return found
 
     def jacobian(self) -> NDArray[np.float64]:
@@ -102,11 +104,6 @@ class SeenLines:
         n = 4 * len(self.means)
         A, cov = np.empty((n, 7)), np.empty((n, n))
         given = shaped(floats(P, "P"), (3, 3))
-        _check(lib.maplines_spread_curves(*self._lines, given, pointer(A), pointer(cov)))
+        if not lib.maplines_spread_curves(*self._lines, given, pointer(A), pointer(cov)):
+            raise IllPosedError("the covariance of the lines overflows for this pose error")
         return cov
-
-
-def _check(is_right: bool) -> None:
-    """Raise IllPosedError if the core has no value."""
-    if not is_right:
-        raise IllPosedError("a line is not a function of x, seen from the mean pose")

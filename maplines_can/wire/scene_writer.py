@@ -197,7 +197,7 @@ def _fault(layout: Layout, scene: Scene, refusal: int) -> Exception:
             f"{sigma[0]:g} m along, {sigma[1]:g} m across and {sigma[2]:g} rad"
         )
     if refusal == lib.MAPLINES_UNSEEN:
-        return IllPosedError("a line is not a function of x, seen from the mean pose")
+        return IllPosedError("what the pose error does to a line overflows")
     return EncodeError(f"the core refuses the scene ({refusal}): it has a value of no scene")
 
 

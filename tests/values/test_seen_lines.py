@@ -7,11 +7,13 @@ import pytest
 from hypothesis import given
 from strategies import covariances, mild_lines, motions
 
+from maplines_can.model import lines
+from maplines_can.model.matrices import Vector
 from maplines_can.propagation import SigmaPoints
 from maplines_can.values.errors import IllPosedError
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import lateral, lateral_jacobian, transform_line_or_nan
-from maplines_can.values.seen_lines import SeenLines
+from maplines_can.values.seen_lines import SeenLines, bases
 
 RANGES = np.array([[-20.0, 80.0], [-10.0, 60.0]])
 MEANS = np.array([[1.75, 0.02, 1e-3, 1e-6], [-1.75, 0.0, -1e-3, 0.0]])
@@ -38,6 +40,44 @@ def test_a_seen_line_goes_through_the_moved_points(mean: Any, motion: Any) -> No
     u, v = c * p + d * q, c * q - d * p
     line = SeenLines(mean[None], RANGES[:1])(motion[None])[0, 0]
     assert np.abs(lateral(line, u) - v).max() <= 5e-3
+
+
+@pytest.mark.parametrize(
+    ("mean", "x_range", "quartic"),
+    [
+        ([1.75, 0.05, 0.002, 1e-5], (-5.0, 80.0), 0.09),
+        ([1.75, 0.05, 0.03, -6e-4], (-5.0, 40.0), 0.1),
+        ([10.0, 0.05, 0.1, -0.01], (0.0, 12.0), 0.0),
+    ],
+)
+def test_the_changes_by_the_pose_are_those_of_a_fit(mean: Any, x_range: Any, quartic: Any) -> None:
+    """Derivatives by differences, of cubics through the moved roots of T_8.
+
+    Of T_4, what moves by second order is neglected: 0.2 % of the greatest one here.
+    """
+    w = np.polynomial.chebyshev.chebpts1(8)
+    x = np.mean(x_range) + (x_range[1] - x_range[0]) / 2 * w
+    y = lateral(np.array(mean), x) + quartic * np.polynomial.chebyshev.chebval(w, [0, 0, 0, 0, 1])
+
+    def seen(a: float, b: float, t: float) -> Any:
+        c, d = np.cos(t), np.sin(t)
+        u, v = c * (x - a) + d * (y - b), c * (y - b) - d * (x - a)
+        fit = np.polynomial.Polynomial.fit(u, v, 3).convert().coef
+        return np.array([fit[0], np.arctan(fit[1]), 2 * fit[2], 6 * fit[3]])
+
+    e = 1e-3 * np.eye(3)
+    first = np.array([(seen(*d) - seen(*-d)) / 2e-3 for d in e])
+    second = [
+        (seen(*d + f) - seen(*d - f) - seen(*f - d) + seen(*-d - f)) / 4e-6 / (2 if i == j else 1)
+        for i, j in [(2, 2), (2, 0), (2, 1), (0, 0)]
+        for d, f in [(e[i], e[j])]
+    ]
+    line = SeenLines([mean], [x_range], [quartic])
+    to_metres = np.linalg.inv(bases(line.means, line.fit_ranges)[0])
+    assert np.abs(to_metres @ (line.jacobian()[0] - first.T)).max() <= 1e-3
+    changes = lines.changes_of(lines.Curve(Vector(mean), x_range[0], x_range[1], quartic)).of_line()
+    found, wanted = to_metres @ np.array(changes[1]).T, to_metres @ np.array(second).T
+    assert np.abs(found - wanted).max() <= 2e-3 * np.abs(wanted).max()
 
 
 @given(mild_lines())
