@@ -13,7 +13,7 @@ static void joint_covariance(const maplines_scene_t *scene, int first, int count
 {
     const int n = 4 * count;
     const double *spread = scene->spread[4 * first];
-    maplines_gram(n, 7, spread, cov);
+    maplines_gram(n, MAPLINES_COLUMNS, spread, cov);
     for (int place = 0; place < count; ++place)
     {
         const double *factor = scene->specific[first + place][0];

@@ -19,22 +19,12 @@ static void set_bases(double tangent, const double fit_range[2], double J[16])
     const double square = tangent * tangent;
     const double by_slope = by_x / (1.0 + square);
     const double twice = by_x * by_x;
-    const double rows[16] = {1.0,
-                             w,
-                             2.0 * w_w - 1.0,
-                             w * (4.0 * w_w - 3.0), // T_k
-                             0.0,
-                             by_slope,
-                             by_slope * 4.0 * w,
-                             by_slope * (12.0 * w_w - 3.0), // first derivatives
-                             0.0,
-                             0.0,
-                             4.0 * twice,
-                             24.0 * w * twice, // second
-                             0.0,
-                             0.0,
-                             0.0,
-                             24.0 * (twice * by_x)}; // third
+    const double rows[4][4] = {
+        {1.0, w, 2.0 * w_w - 1.0, w * (4.0 * w_w - 3.0)}, // T_k, and its derivatives
+        {0.0, by_slope, by_slope * 4.0 * w, by_slope * (12.0 * w_w - 3.0)},
+        {0.0, 0.0, 4.0 * twice, 24.0 * w * twice},
+        {0.0, 0.0, 0.0, 24.0 * (twice * by_x)},
+    };
     memcpy(J, rows, sizeof rows);
 }
 

@@ -337,7 +337,7 @@ maplines_real_t maplines_mahalanobis(const maplines_line_t *line, size_t count,
         }
         z[i] = (double)(positions[i].y - lateral_of(&line->gaussian, slope, positions[i].x));
     }
-    maplines_product_transposed((int)count, 4, (int)count, &G[0][0], &G[0][0], S);
+    maplines_gram((int)count, 4, &G[0][0], S);
     for (size_t i = 0; i < count; ++i)
     {
         if (!(positions[i].sigma > 0))
@@ -424,7 +424,8 @@ bool maplines_sum(const maplines_scene_t *scene, size_t count, const maplines_te
         if (gradients[i].size[0] != 0)
         {
             const size_t place = deviation.count;
-            add_rows(scene->spread[4 * i], 7, &gradients[i], deviation.g, deviation.size);
+            add_rows(scene->spread[4 * i], MAPLINES_COLUMNS, &gradients[i], deviation.g,
+                     deviation.size);
             add_rows(&scene->specific[i][0][0], 4, &gradients[i], deviation.g + place,
                      deviation.size + place);
             deviation.count += 4;

@@ -31,7 +31,7 @@ static void next_covariance(input_t *input, int n, const double *scale, double *
     {
         F[i] = i % n > i / n ? 0.0 : next_number(input, wider * scale[i / n]);
     }
-    maplines_product_transposed(n, n, n, F, F, cov);
+    maplines_gram(n, n, F, cov);
     const uint8_t damage = next(input);
     if (damage >= 224 && !input->is_ordinary)
     {

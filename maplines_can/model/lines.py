@@ -275,17 +275,17 @@ def pose_roots(P: Matrix) -> tuple[Matrix, Matrix]:
     return L, Matrix(columns).T
 
 
-def spread(curve: Curve, P: Matrix) -> Matrix | None:
+def spread(changes: Changes, P: Matrix) -> Matrix | None:
     """Return the (4, 7) factor A of the covariance that a pose error with covariance P causes.
 
     It is that of sigma points to second order: with the changes W1, W2 and the roots L1, L2 of the
     pose error and of its products, A = [W1^T L1, W2^T L2]. None if it overflows.
     """
-    (first, second), (L, L2) = changes_of(curve).of_line(), pose_roots(P)
-    A = second.T @ L2
-    for row, more, changes in zip(A, matrix(A), first.T, strict=True):
-        row[:3] = [Vector(changes[k:]) @ column[k:] for k, column in enumerate(L.T)]
-        row[3:] = more
+    (first, second), (L1, L2) = changes.of_line(), pose_roots(P)
+    A = Matrix()
+    for one, two in zip(first.T, second.T, strict=True):
+        by_pose = [Vector(one[k:]) @ column[k:] for k, column in enumerate(L1.T)]
+        A.append(Vector([*by_pose, *(two @ column for column in L2.T)]))
     return A if A.is_finite() else None
 
 

@@ -26,7 +26,7 @@ from .elementary import exp2, log2
 from .joint import divergence, factor_or_identity, largest_ratio, uncovered
 from .level_search import LevelSearch, Wanted, shortfall
 from .levels import level_covariance
-from .lines import Curve, bases, is_line, spread
+from .lines import Curve, bases, changes_of, is_line, spread
 from .matrices import Matrix, Vector, diagonal, matrix
 from .nearest_line import bounds, nearest_line, slope_error
 from .records import RawRecord, written
@@ -289,7 +289,7 @@ class SceneSender:
     def _member(self, scene: SceneDraft, place: int, curve: Curve, raw: dict[str, int]) -> _Member:
         """Return a line with the parts of its covariance."""
         line, mean, J = scene.lines[place], Vector(scene.lines[place].mean), bases(curve)
-        A = spread(curve._replace(mean=mean), scene.pose_cov)
+        A = spread(changes_of(curve._replace(mean=mean)), scene.pose_cov)
         if A is None:
             raise UnseenError
         error = mean - curve.mean
@@ -378,10 +378,11 @@ class SceneSender:
         A, errors = Matrix(), Vector()
         for one in members:
             error = one.mean - one.curve.mean
-            rows, common = spread(one.curve, pose.cov), common_covariance(pose, one.curve)
+            changes = changes_of(one.curve)
+            rows, common = spread(changes, pose.cov), common_covariance(pose, changes)
             if rows is None:
                 raise UnseenError
-            one.J, one.common, one.known = bases(one.curve), common, one.specific + error.outer()
+            one.J, one.common, one.known = changes.bases, common, one.specific + error.outer()
             one.least, one.more = RESOLUTION**2 * (one.J @ one.J.T), diagonal([0.0] * 4)
             if not one.is_full:
                 one.spacings = self.search.spacings(one.wanted, one.curve)

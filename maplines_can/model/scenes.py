@@ -23,6 +23,7 @@ from .covariance import code_of, decoded
 from .elementary import exp2
 from .levels import level_covariance
 from .lines import (
+    Changes,
     Curve,
     bases,
     changes_of,
@@ -107,13 +108,14 @@ def scene_line(layout: Layout, pose: Pose, member: Member) -> SceneLine | None:
     curve = curve_of(layout, slot_signals, raw)
     if not is_line(curve):
         return None
-    A = spread(curve, pose.cov)
+    changes = changes_of(curve)
+    A = spread(changes, pose.cov)
     if A is None:
         return None
-    own = own_covariance(layout, slot_signals, raw, curve, common_covariance(pose, curve))
+    own = own_covariance(layout, slot_signals, raw, curve, common_covariance(pose, changes))
     cov = enlarged(A @ A.T + own)
     if isinstance(content, RawRecord):
-        x_min, x_max = _valid_range(pose, curve, own)
+        x_min, x_max = _valid_range(pose, curve, changes, own)
         kind, age = Kind(raw["Kind"]), later(pose.age, member.t_ns - pose.t_ns)
         line = Line(member.slot, curve.mean, cov, kind, x_min, x_max, age, Status.FULL, member.t_ns)
     else:  # in a scene, all of its covariance is known
@@ -143,14 +145,14 @@ def enlarged(cov: Matrix) -> Matrix:
     return found
 
 
-def common_covariance(pose: Pose, curve: Curve) -> Matrix:
+def common_covariance(pose: Pose, changes: Changes) -> Matrix:
     """Return what of D all lines have, in coefficients of T_0 .. T_3.
 
     It is the resolution of the means, and the errors of each line on the map, which act as errors
     of the pose.
     """
     sigmas = Vector([pose.offset_sigma, pose.offset_sigma, pose.heading_sigma])
-    K = Matrix(row * sigmas for row in changes_of(curve).first.T)
+    K = Matrix(row * sigmas for row in changes.first.T)
     return K @ K.T + diagonal([RESOLUTION * RESOLUTION] * 4)
 
 
@@ -207,7 +209,7 @@ def own_covariance(
     return root @ root.T
 
 
-def _valid_range(pose: Pose, curve: Curve, own: Matrix) -> tuple[float, float]:
+def _valid_range(pose: Pose, curve: Curve, changes: Changes, own: Matrix) -> tuple[float, float]:
     """Return the valid range of a line that is conditional on the pose error [m].
 
     It leaves room for the errors of the pose and of the map. The heading of the map is a step
@@ -218,7 +220,7 @@ def _valid_range(pose: Pose, curve: Curve, own: Matrix) -> tuple[float, float]:
     heading = pose.heading_sigma * exp2(signal.factor)
     is_greatest = pose.raw["MapHeading"] == signal.raw_max
     if is_greatest:
-        turn = abs(changes_of(curve).of_line()[0][2][1])
+        turn = abs(changes.of_line()[0][2][1])
         heading = max(heading, math.sqrt(own[1][1]) / max(turn, MIN_TURN))
     x_min, x_max = valid_range(curve, pose.cov, own, heading)
     low, high = math.ceil(x_min * STEPS) / STEPS, math.floor(x_max * STEPS) / STEPS
