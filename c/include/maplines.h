@@ -81,6 +81,12 @@ extern "C" {
 #ifndef MAPLINES_SCENES
 #define MAPLINES_SCENES 1 ///< lines with the error of their pose
 #endif
+#ifndef MAPLINES_LINE_RECORDS
+#define MAPLINES_LINE_RECORDS 1 ///< records of a line each, and of the pose error
+#endif
+#ifndef MAPLINES_SCENE_RECORDS
+#define MAPLINES_SCENE_RECORDS MAPLINES_SCENES ///< records of a whole scene: one CAN FD frame
+#endif
 #ifndef MAPLINES_SECOC
 #define MAPLINES_SECOC 1 ///< authenticated frames
 #endif
@@ -115,11 +121,15 @@ extern "C" {
 
 #include "maplines_build.h" // checks these sizes, and puts the build into the names of functions
 
+/// Owners of records that a build has: slots and the pose error, and messages of whole scenes.
 #define MAPLINES_OWNERS                                                                            \
-    (MAPLINES_SLOTS + MAPLINES_SCENES)               ///< of records: slots, and the pose error
-#define MAPLINES_MAX_RECORD (8 * MAPLINES_MAX_PAGES) ///< [byte]
+    (MAPLINES_LINE_RECORDS * (MAPLINES_SLOTS + MAPLINES_SCENES) + 2 * MAPLINES_SCENE_RECORDS)
+/// The first of them in maplines_owner_t: the place of an owner in arrays is counted from it.
+#define MAPLINES_FIRST_OWNER (MAPLINES_LINE_RECORDS ? 0 : MAPLINES_SLOTS + 1)
+#define MAPLINES_MAX_RECORD (8 * MAPLINES_MAX_PAGES)                       ///< [byte]
 #define MAPLINES_MAX_FRAMES (MAPLINES_MAX_PAGES * MAPLINES_MAX_COMPONENTS) ///< of a line
 #define MAPLINES_MIXTURES (MAPLINES_MAX_COMPONENTS > 1)
+#define MAPLINES_MAX_PLACES 8 ///< lines in a record of a whole scene
 
 /* ---- values ---------------------------------------------------------------------------------- */
 
@@ -151,7 +161,9 @@ typedef enum {
 #if MAPLINES_SLOTS > 7
     MAPLINES_ROUTE = 7,
 #endif
-    MAPLINES_POSE = MAPLINES_SLOTS, ///< the pose error, which is no slot
+    MAPLINES_POSE = MAPLINES_SLOTS,       ///< the pose error, which is no slot
+    MAPLINES_SCENE = MAPLINES_SLOTS + 1,  ///< whole scenes: the ego lane and lines beside it
+    MAPLINES_SCENE2 = MAPLINES_SLOTS + 2, ///< the edges, and what has no place in those
 } maplines_owner_t;
 
 /// Kind of marking or boundary.
@@ -785,6 +797,11 @@ typedef struct {
     maplines_signer_t *signer;         ///< NULL: frames have no MAC
     uint32_t counter[MAPLINES_OWNERS]; ///< of the next record, modulo its range; a restarted sender
                                        ///< may set it
+#if MAPLINES_SCENE_RECORDS
+    /// By message of whole scenes and place: 1 + the slot that the last one had there; 0: none.
+    uint8_t places[2][MAPLINES_MAX_PLACES];
+    bool sends_scene2; ///< it was needed once, so it is sent in each cycle
+#endif
 } maplines_encoder_t;
 
 /// Start a sender whose counters begin with 0.
@@ -866,6 +883,7 @@ typedef enum {
     MAPLINES_LEFT_OUT_RANGE = 2,      ///< the message cannot state its range
     MAPLINES_LEFT_OUT_MEAN = 3,       ///< the message cannot state its parameters
     MAPLINES_LEFT_OUT_COVARIANCE = 4, ///< no covariance of the message covers it
+    MAPLINES_LEFT_OUT_PLACE = 5,      ///< messages of whole scenes have no place for it
 } maplines_left_out_t;
 
 /// What was sent of a scene.

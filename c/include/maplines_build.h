@@ -10,8 +10,16 @@
 
 #if MAPLINES_RECEIVER < 0 || MAPLINES_RECEIVER > 1 || MAPLINES_SENDER < 0 ||                       \
     MAPLINES_SENDER > 1 || MAPLINES_SCENES < 0 || MAPLINES_SCENES > 1 || MAPLINES_SECOC < 0 ||     \
-    MAPLINES_SECOC > 1 || MAPLINES_FLOAT < 0 || MAPLINES_FLOAT > 1
-#error "MAPLINES_RECEIVER, _SENDER, _SCENES, _SECOC and _FLOAT must be 0 or 1"
+    MAPLINES_SECOC > 1 || MAPLINES_FLOAT < 0 || MAPLINES_FLOAT > 1 || MAPLINES_LINE_RECORDS < 0 || \
+    MAPLINES_LINE_RECORDS > 1 || MAPLINES_SCENE_RECORDS < 0 || MAPLINES_SCENE_RECORDS > 1
+#error                                                                                             \
+    "MAPLINES_RECEIVER, _SENDER, _SCENES, _LINE_RECORDS, _SCENE_RECORDS, _SECOC and _FLOAT must be 0 or 1"
+#endif
+#if MAPLINES_LINE_RECORDS + MAPLINES_SCENE_RECORDS == 0
+#error "maplines without MAPLINES_LINE_RECORDS and MAPLINES_SCENE_RECORDS has nothing: set one to 1"
+#endif
+#if MAPLINES_SCENE_RECORDS && !MAPLINES_SCENES
+#error "MAPLINES_SCENE_RECORDS needs MAPLINES_SCENES"
 #endif
 #if MAPLINES_RECEIVER + MAPLINES_SENDER == 0
 #error "maplines without MAPLINES_RECEIVER and MAPLINES_SENDER has nothing: set one to 1"
@@ -61,17 +69,19 @@
 #ifndef MAPLINES_NAME
 #define MAPLINES_NAME(name)                                                                        \
     MAPLINES_NAMED(MAPLINES_NAMESPACE, name, MAPLINES_REAL, MAPLINES_RECEIVER, MAPLINES_SENDER,    \
-                   MAPLINES_SCENES, MAPLINES_SECOC, MAPLINES_SLOTS, MAPLINES_MAX_PAGES,            \
-                   MAPLINES_MAX_TRANSFER_IDS, MAPLINES_MAX_COMPONENTS, MAPLINES_TRANSFERS,         \
-                   MAPLINES_HISTORY, MAPLINES_EPOCHS, MAPLINES_WINDOW)
-#define MAPLINES_NAMED(space, name, real, receiver, sender, scenes, secoc, slots, pages, ids,      \
-                       components, transfers, history, epochs, window)                             \
-    MAPLINES_JOINED(space, name, real, receiver, sender, scenes, secoc, slots, pages, ids,         \
-                    components, transfers, history, epochs, window)
+                   MAPLINES_SCENES, MAPLINES_LINE_RECORDS, MAPLINES_SCENE_RECORDS, MAPLINES_SECOC, \
+                   MAPLINES_SLOTS, MAPLINES_MAX_PAGES, MAPLINES_MAX_TRANSFER_IDS,                  \
+                   MAPLINES_MAX_COMPONENTS, MAPLINES_TRANSFERS, MAPLINES_HISTORY, MAPLINES_EPOCHS, \
+                   MAPLINES_WINDOW)
+#define MAPLINES_NAMED(space, name, real, receiver, sender, scenes, lines, whole, secoc, slots,    \
+                       pages, ids, components, transfers, history, epochs, window)                 \
+    MAPLINES_JOINED(space, name, real, receiver, sender, scenes, lines, whole, secoc, slots,       \
+                    pages, ids, components, transfers, history, epochs, window)
 // clang-format off
-#define MAPLINES_JOINED(space, name, real, receiver, sender, scenes, secoc, slots, pages, ids,     \
+#define MAPLINES_JOINED(space, name, real, receiver, sender, scenes, lines, whole, secoc, slots, pages, ids,     \
                         components, transfers, history, epochs, window)                            \
     space##_##name##_##real##_receiver##receiver##_sender##sender##_scenes##scenes                 \
+    ##_lines##lines##_whole##whole                                                                 \
     ##_secoc##secoc##_slots##slots##_pages##pages##_ids##ids##_components##components              \
     ##_transfers##transfers##_history##history##_epochs##epochs##_window##window
 // clang-format on

@@ -55,7 +55,8 @@ typedef struct {
     maplines_signal_t lateral;
     maplines_signal_t points;
     maplines_signal_t shape;
-    maplines_signal_t quartic;
+    maplines_signal_t tilt;       ///< of the lateral level; only in whole scenes
+    maplines_signal_t quartic;    ///< not in whole scenes
     maplines_signal_t fit_behind; ///< only beside complete records
     maplines_signal_t fit_ahead;
     bool shape_is_octave; ///< the shape is an exponent of 2 of the spacing
@@ -72,6 +73,20 @@ typedef struct {
     uint32_t can_id, fd_can_id, secured_can_id;
     uint32_t cycle_ms; ///< 0: the DBC has none
 } maplines_messages_t;
+
+#if MAPLINES_SCENE_RECORDS
+/// Records of whole scenes: the pose error, and lines at equal distances. The signals of lines are
+/// those of the first place; in a record, those of place i are `stride` i bytes further on.
+typedef struct {
+    uint8_t places;         ///< lines of a record; 0: the DBC has no such records
+    uint8_t secured_places; ///< of an authenticated one, which is shorter
+    uint8_t stride;         ///< [byte]
+    /// 1 + the slot of each place of Scene and Scene2; 0: the record names it.
+    uint8_t fixed[2][MAPLINES_MAX_PLACES];
+    maplines_signal_t slot; ///< of a place without a fixed one
+    maplines_signal_t join; ///< low bits of the counter of Scene, in both messages
+} maplines_places_t;
+#endif
 
 /// Tables of a DBC.
 struct maplines_dbc {
@@ -96,6 +111,9 @@ struct maplines_dbc {
     maplines_cholesky_t pose_covariance;
     maplines_signal_t slot_counter[MAPLINES_SLOTS];
     maplines_levels_t slot_levels[MAPLINES_SLOTS]; // beside complete records
+#if MAPLINES_SCENE_RECORDS
+    maplines_places_t scene; ///< `pose` is the layout of its records
+#endif
 #if MAPLINES_SENDER
     uint16_t spacings;     ///< raw values of the shape that a sender tries
     uint16_t spacing_step; ///< from one of them to the next
@@ -304,7 +322,7 @@ typedef struct {
     int64_t raw_range[2];
     int64_t raw_quartic;
     int64_t raw_fit[2];
-    int64_t raw_levels[3];
+    int64_t raw_levels[4]; ///< lateral, points, shape, tilt
     int64_t raw_covariance[11];
 } maplines_scene_member_t;
 
