@@ -2,8 +2,8 @@
 
 Some places have a fixed slot. The others are free, and name the slot of their line: those of
 ``Scene`` go to the nearest lines without a fixed place, those of ``Scene2`` to the next ones. A
-line that has a place counts as nearer, and keeps that place as long as its message has it, so that
-a slot does not go to and fro when two lines are about as far away::
+line that had a place there, or in the message before, counts as nearer, and keeps it as long as its
+message has it. So slots do not go to and fro when two lines are about as far away::
 
     distance of ROUTE [m]         3.9     4.1     4.6     5.0
     distance of NEXT_RIGHT [m]    4.2     4.0     3.9     3.8
@@ -20,8 +20,8 @@ from ..values.line import Slot
 from .elementary import tan
 from .lines import Curve, y_of
 
-#: By how much a line counts as nearer that had a place in ``Scene``, or in ``Scene2`` [m].
-NEARER = (1.0, 0.5)
+#: By how much a line counts as nearer that had a place in the last cycle [m].
+NEARER = 1.0
 
 #: Slots by place; None: of the places of a message, a free one; of those of a cycle, an empty one.
 Slots: TypeAlias = tuple[Slot | None, ...]
@@ -41,10 +41,6 @@ class Places(NamedTuple):
     scene: Slots = ()
     scene2: Slots | None = None  #: None: it is not sent
 
-    def has(self, slot: Slot) -> bool:
-        """Return whether a slot has a place."""
-        return slot in self.scene or slot in (self.scene2 or ())
-
 
 def chosen(messages: Sequence[Slots], lines: Sequence[Candidate], last: Places) -> Places:
     """Return the places of lines.
@@ -61,17 +57,19 @@ def chosen(messages: Sequence[Slots], lines: Sequence[Candidate], last: Places) 
     is_needed = len(slots - {*first}) > first.count(None)
     sent = messages if last.scene2 is not None or is_needed else messages[:1]
     fixed = {slot for message in sent for slot in message}
-    free = sorted((line for line in lines if line.slot not in fixed), key=lambda x: rank(x, last))
-    found = list[Slots]()
+    free = [line for line in lines if line.slot not in fixed]
+    found, had = list[Slots](), set[Slot | None]()
     for message, before in zip(sent, (last.scene, last.scene2 or ()), strict=False):
+        had |= {*before}
+        free.sort(key=lambda line: rank(line, had_place=line.slot in had))
         best = [line.slot for line in free[: message.count(None)]]
         free = free[len(best) :]
         found.append(placed(message, slots, best, before))
     return Places(*found)
 
 
-def rank(line: Candidate, last: Places) -> tuple[int, float, Slot]:
-    """Return what orders lines for the free places; the least is the first.
+def rank(line: Candidate, *, had_place: bool) -> tuple[int, float, Slot]:
+    """Return what orders lines for the free places of a message; the least is the first.
 
     The distance is that of the mean line at the x of its range that is nearest to the car. The
     centre follows from both ego lines, so it comes after all others; and a line that is left out
@@ -81,10 +79,8 @@ def rank(line: Candidate, last: Places) -> tuple[int, float, Slot]:
         return 2, 0.0, line.slot
     mean, begin, end, _ = line.curve
     distance = abs(y_of(mean, tan(mean[1]), min(max(0.0, begin), end)))
-    if line.slot in last.scene:
-        distance -= NEARER[0]
-    elif line.slot in (last.scene2 or ()):
-        distance -= NEARER[1]
+    if had_place:
+        distance -= NEARER
     return int(line.slot == Slot.CENTRE), distance, line.slot
 
 
