@@ -406,10 +406,12 @@ MAPLINES_INTERNAL double maplines_shape_step(const maplines_levels_t *levels);
 MAPLINES_INTERNAL double maplines_shape_level(const maplines_levels_t *levels, int64_t raw);
 /// Variance of the coefficient of T_k of a line of uncertain shape, up to a common factor.
 MAPLINES_INTERNAL double maplines_shape(int k);
-/// Covariance of raw values.
+/// Add an uncertain position of a line with a raw tilt: it varies along the line.
+MAPLINES_INTERNAL void maplines_add_lateral(double sigma, int64_t tilt, double cov[16]);
+/// Covariance of raw levels: lateral, points, shape, tilt.
 MAPLINES_INTERNAL void maplines_decode_levels(const maplines_levels_t *levels,
-                                              const maplines_curve_t *curve, int64_t lateral,
-                                              int64_t points, int64_t shape, double cov[16]);
+                                              const maplines_curve_t *curve, const int64_t raw[4],
+                                              double cov[16]);
 
 /* ---- scene_decode.c: lines and their joint covariance -------------------------------------------
  */

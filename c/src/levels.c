@@ -258,13 +258,30 @@ MAPLINES_INTERNAL void maplines_level_noise(const maplines_levels_t *levels,
     }
 }
 
-MAPLINES_INTERNAL void maplines_decode_levels(const maplines_levels_t *levels,
-                                              const maplines_curve_t *curve, int64_t lateral,
-                                              int64_t points, int64_t shape, double cov[16])
+MAPLINES_INTERNAL void maplines_add_lateral(double sigma, int64_t tilt, double cov[16])
 {
-    const double a = maplines_level(&levels->lateral, lateral);
-    const double p = maplines_level(&levels->points, points);
-    if (points == 0)
+    // Covariance of the coefficients of T_0 and T_1: sigma^2 u u^T with u = (1, t).
+    static const double slopes[4] = {0.0, 1.5, -1.5, -3.0};
+    const double square = sigma * sigma;
+    cov[0] = cov[0] + square;
+    if (tilt > 0)
+    {
+        const double t = slopes[tilt < 4 ? tilt : 3];
+        const double product = square * t;
+        const double of_slope = product * t;
+        cov[1] = cov[1] + product;
+        cov[4] = cov[4] + product;
+        cov[5] = cov[5] + of_slope;
+    }
+}
+
+MAPLINES_INTERNAL void maplines_decode_levels(const maplines_levels_t *levels,
+                                              const maplines_curve_t *curve, const int64_t raw[4],
+                                              double cov[16])
+{
+    const int64_t shape = raw[2];
+    const double p = maplines_level(&levels->points, raw[1]);
+    if (raw[1] == 0)
     {
         const double b = maplines_shape_level(levels, shape);
         const double square = b * b;
@@ -284,8 +301,7 @@ MAPLINES_INTERNAL void maplines_decode_levels(const maplines_levels_t *levels,
             cov[i] = square * cov[i];
         }
     }
-    const double square = a * a;
-    cov[0] = cov[0] + square;
+    maplines_add_lateral(maplines_level(&levels->lateral, raw[0]), raw[3], cov);
 }
 
 #endif

@@ -55,8 +55,8 @@ typedef struct {
 /// What the records say of a line.
 typedef struct {
     maplines_curve_t curve;
-    int64_t lateral, points, shape; ///< levels of the line-specific covariance
-    bool is_full;                   ///< the record has all entries of it instead
+    int64_t levels[4]; ///< of the line-specific covariance: lateral, points, shape, tilt
+    bool is_full;      ///< the record has all entries of it instead
 } member_t;
 
 /// A line of a scene, in double precision.
@@ -66,6 +66,12 @@ typedef struct {
     double F[4][4];                ///< line-specific factor
     maplines_line_t line;
 } decoded_t;
+
+/// Raw value of a signal; 0 if the DBC has none.
+static int64_t raw_of(const maplines_signal_t *signal, const uint8_t *record)
+{
+    return signal->length > 0 ? maplines_get(signal, record) : 0;
+}
 
 /// Value of a level, 0 for the raw value 0.
 static double level_of(const maplines_signal_t *signal, const uint8_t *record)
@@ -97,12 +103,20 @@ static void read_pose(const maplines_dbc_t *dbc, const uint8_t *record, pose_err
         maplines_get(&dbc->map_heading, record) == maplines_raw_max(&dbc->map_heading);
 }
 
+static void read_levels(const maplines_levels_t *levels, const uint8_t *record, int64_t raw[4])
+{
+    raw[0] = maplines_get(&levels->lateral, record);
+    raw[1] = maplines_get(&levels->points, record);
+    raw[2] = maplines_get(&levels->shape, record);
+    raw[3] = raw_of(&levels->tilt, record);
+}
+
 /// Read a record that is conditional on the pose error.
 static void read_conditional(const maplines_dbc_t *dbc, const uint8_t *record, member_t *member)
 {
     const maplines_levels_t *levels = &dbc->levels;
     maplines_curve_t *curve = &member->curve;
-    member->is_full = maplines_get(&dbc->has_covariance, record) == 1;
+    member->is_full = raw_of(&dbc->has_covariance, record) == 1;
     for (int i = 0; i < 4; ++i)
     {
         curve->mean[i] = maplines_physical(&dbc->mean[i], maplines_get(&dbc->mean[i], record));
@@ -114,10 +128,10 @@ static void read_conditional(const maplines_dbc_t *dbc, const uint8_t *record, m
     }
     curve->fit_range[0] = maplines_physical(&dbc->x_min, maplines_get(&dbc->x_min, record));
     curve->fit_range[1] = maplines_physical(&dbc->x_max, maplines_get(&dbc->x_max, record));
-    curve->quartic = maplines_physical(&levels->quartic, maplines_get(&levels->quartic, record));
-    member->lateral = maplines_get(&levels->lateral, record);
-    member->points = maplines_get(&levels->points, record);
-    member->shape = maplines_get(&levels->shape, record);
+    curve->quartic = levels->quartic.length > 0
+                         ? maplines_physical(&levels->quartic, raw_of(&levels->quartic, record))
+                         : 0.0;
+    read_levels(levels, record, member->levels);
 }
 
 /// Physical value of a signal, as a scene has it that is rebuilt from a decoded line.
@@ -149,9 +163,7 @@ static void read_with_levels(const maplines_dbc_t *dbc, const uint8_t *record, i
     curve->fit_range[0] = rebuilt(&dbc->x_min, x_min) - behind;
     curve->fit_range[1] = rebuilt(&dbc->x_max, x_max) + ahead;
     curve->quartic = maplines_physical(&levels->quartic, maplines_get(&own->quartic, pose_record));
-    member->lateral = maplines_get(&own->lateral, pose_record);
-    member->points = maplines_get(&own->points, pose_record);
-    member->shape = maplines_get(&own->shape, pose_record);
+    read_levels(own, pose_record, member->levels);
 }
 
 /// Age of a line [s], whose first frame came some time after that of its pose error.
@@ -253,8 +265,7 @@ static bool decode_member(const maplines_dbc_t *dbc, const pose_error_t *pose,
         double levels[16];
         double common[16];
         maplines_common(&changes, pose->offset_sigma, pose->heading_sigma, common);
-        maplines_decode_levels(maplines_levels_of(dbc), curve, member.lateral, member.points,
-                               member.shape, levels);
+        maplines_decode_levels(maplines_levels_of(dbc), curve, member.levels, levels);
         maplines_specific_factor(changes.J, levels, common, decoded->F);
     }
     double specific_cov[16];
