@@ -425,6 +425,18 @@ bool maplines_write_scene(const maplines_dbc_t *dbc, const maplines_prepared_t *
                           const uint8_t *slots, const double ages[MAPLINES_OWNERS],
                           int64_t counters[MAPLINES_OWNERS], uint8_t lengths[MAPLINES_OWNERS],
                           uint8_t *records);
+/// Write the records of a whole scene, those of Scene2 and of Scene, or of Scene alone, one after
+/// the other, of up to MAPLINES_MAX_RECORD each; their number. `slots` has one bit for each line
+/// that is to be sent. Counters and places advance. 0 if an age is none; nothing has changed then.
+size_t maplines_write_whole_scene(const maplines_dbc_t *dbc, const maplines_prepared_t *prepared,
+                                  uint32_t slots, bool is_secured,
+                                  const double ages[MAPLINES_OWNERS],
+                                  int64_t counters[MAPLINES_OWNERS],
+                                  maplines_chosen_places_t *places, uint8_t lengths[2],
+                                  uint8_t *records);
+/// Choose the places of the lines of a scene, as when it is written.
+void maplines_place_lines(const maplines_dbc_t *dbc, const maplines_prepared_t *prepared,
+                          uint32_t slots, bool is_secured, maplines_chosen_places_t *places);
 
 #ifdef __GNUC__
 #pragma GCC visibility pop

@@ -35,7 +35,8 @@ static bool read_line(const maplines_dbc_t *dbc, const maplines_given_line_t *gi
                           given->kind <= (int)MAPLINES_VIRTUAL && given->status >= 0 &&
                           given->status <= (int)MAPLINES_OUT_OF_RANGE;
     memset(line, 0, sizeof *line);
-    if (!is_known || !dbc->messages[given->slot].is_present)
+    if (!is_known ||
+        !(maplines_has_whole_scenes(dbc) || dbc->messages[given->slot].is_present))
     {
         return false;
     }
@@ -218,19 +219,24 @@ static void clear_signal(const maplines_signal_t *signal, uint8_t *record, size_
     }
 }
 
-/// Write the record of a line as far as it does not change from cycle to cycle.
+/// Write the record of a line as far as it does not change from cycle to cycle. One of a whole
+/// scene has no record of its own.
 static void write_template(const maplines_dbc_t *dbc, const maplines_input_t *line,
                            const double *cov, const maplines_scene_member_t *member,
                            maplines_template_t *record)
 {
     record->slot = (uint8_t)line->slot;
+    record->length = 0;
     record->is_there = !dbc->is_conditional || member->left_out == MAPLINES_IN_SCENE;
-    if (dbc->is_conditional && record->is_there)
+    if (!record->is_there || maplines_has_whole_scenes(dbc))
     {
-        record->length =
-            (uint8_t)maplines_write_conditional(dbc, line->kind, member, record->bytes);
+        return;
     }
-    else if (record->is_there)
+    if (dbc->is_conditional)
+    {
+        record->length = (uint8_t)maplines_write_conditional(dbc, member, record->bytes);
+    }
+    else
     {
         maplines_draft_t draft;
         memset(&draft, 0, sizeof draft);
@@ -243,10 +249,6 @@ static void write_template(const maplines_dbc_t *dbc, const maplines_input_t *li
         (void)maplines_write_complete(dbc, &draft, record->bytes);
         clear_signal(&dbc->age, record->bytes, record->length);
     }
-    else
-    {
-        record->length = 0;
-    }
 }
 
 int maplines_prepare_scene(const maplines_dbc_t *dbc, const maplines_given_scene_t *scene,
@@ -258,8 +260,8 @@ int maplines_prepare_scene(const maplines_dbc_t *dbc, const maplines_given_scene
     {
         return -1;
     }
-    const maplines_refusal_t refusal =
-        maplines_encode_members(dbc, &input, is_full, &prepared->space);
+    const maplines_refusal_t refusal = maplines_encode_members(
+        dbc, &input, is_full && maplines_has_entries(dbc), &prepared->space);
     if (refusal != MAPLINES_SENT)
     {
         return (int)refusal;
@@ -333,6 +335,53 @@ bool maplines_write_scene(const maplines_dbc_t *dbc, const maplines_prepared_t *
         seal(dbc, pose, records, lengths[0], &counters[pose]);
     }
     return is_good;
+}
+
+static maplines_whole_cycle_t whole_cycle(const maplines_prepared_t *prepared, uint32_t slots,
+                                          bool is_secured)
+{
+    const maplines_whole_cycle_t cycle = {.space = &prepared->space,
+                                          .count = (int)prepared->count,
+                                          .slots = slots,
+                                          .is_secured = is_secured};
+    return cycle;
+}
+
+void maplines_place_lines(const maplines_dbc_t *dbc, const maplines_prepared_t *prepared,
+                          uint32_t slots, bool is_secured, maplines_chosen_places_t *places)
+{
+    const maplines_whole_cycle_t cycle = whole_cycle(prepared, slots, is_secured);
+    maplines_choose_places(dbc, &cycle, places);
+}
+
+size_t maplines_write_whole_scene(const maplines_dbc_t *dbc, const maplines_prepared_t *prepared,
+                                  uint32_t slots, bool is_secured,
+                                  const double ages[MAPLINES_OWNERS],
+                                  int64_t counters[MAPLINES_OWNERS],
+                                  maplines_chosen_places_t *places, uint8_t lengths[2],
+                                  uint8_t *records)
+{
+    const int first = (int)MAPLINES_SCENE;
+    maplines_whole_cycle_t cycle = whole_cycle(prepared, slots, is_secured);
+    if (!is_age(ages[first]) || !is_age(ages[first + 1]))
+    {
+        return 0;
+    }
+    size_t count = 0;
+    maplines_choose_places(dbc, &cycle, places);
+    cycle.counter = (uint32_t)counters[first];
+    for (int message = places->sends_scene2 ? 1 : 0; message >= 0; message--)
+    {
+        const int owner = first + message;
+        cycle.age = ages[owner];
+        memset(records, 0, MAPLINES_MAX_RECORD);
+        lengths[count] =
+            (uint8_t)maplines_write_whole(dbc, &cycle, places, message, records);
+        seal(dbc, owner, records, lengths[count], &counters[owner]);
+        records += lengths[count];
+        count++;
+    }
+    return count;
 }
 
 /// MAC that was given; without one its data is kept.

@@ -790,17 +790,24 @@ typedef struct {
     int64_t last_us; ///< last freshness value that was sent: start with a stored one, or 0
 } maplines_signer_t;
 
-/// State of a sender.
+#if MAPLINES_SCENE_RECORDS
+/// Places of lines in the messages of whole scenes, in the last cycle.
+typedef struct {
+    /// By message, Scene and Scene2, and place: 1 + the slot of the line; 0: none.
+    uint8_t slots[2][MAPLINES_MAX_PLACES];
+    bool sends_scene2; ///< it was needed once, so it is sent in each cycle
+} maplines_chosen_places_t;
+#endif
+
+/// State of a sender. A restarted one may go on from a copy of `counter` and `places`.
 typedef struct {
     uint32_t magic; ///< it is initialised
     const maplines_dbc_t *dbc;
-    maplines_signer_t *signer;         ///< NULL: frames have no MAC
-    uint32_t counter[MAPLINES_OWNERS]; ///< of the next record, modulo its range; a restarted sender
-                                       ///< may set it
+    maplines_signer_t *signer; ///< NULL: frames have no MAC
+    /// Of the next record of each owner, counted from MAPLINES_FIRST_OWNER, modulo its range.
+    uint32_t counter[MAPLINES_OWNERS];
 #if MAPLINES_SCENE_RECORDS
-    /// By message of whole scenes and place: 1 + the slot that the last one had there; 0: none.
-    uint8_t places[2][MAPLINES_MAX_PLACES];
-    bool sends_scene2; ///< it was needed once, so it is sent in each cycle
+    maplines_chosen_places_t places;
 #endif
 } maplines_encoder_t;
 
@@ -883,7 +890,7 @@ typedef enum {
     MAPLINES_LEFT_OUT_RANGE = 2,      ///< the message cannot state its range
     MAPLINES_LEFT_OUT_MEAN = 3,       ///< the message cannot state its parameters
     MAPLINES_LEFT_OUT_COVARIANCE = 4, ///< no covariance of the message covers it
-    MAPLINES_LEFT_OUT_PLACE = 5,      ///< messages of whole scenes have no place for it
+    MAPLINES_LEFT_OUT_PLACE = 5,      ///< the messages of whole scenes have no place for it
 } maplines_left_out_t;
 
 /// What was sent of a scene.
@@ -898,8 +905,9 @@ typedef struct {
     uint16_t count; ///< number of frames; 0 if the scene was refused
 } maplines_sent_scene_t;
 
-/// Frames of a scene at most.
-#define MAPLINES_MAX_SCENE_FRAMES (MAPLINES_MAX_PAGES * MAPLINES_OWNERS)
+/// Frames of a scene at most: pages of the records of all lines, or Scene2 and Scene.
+#define MAPLINES_MAX_SCENE_FRAMES                                                                  \
+    (MAPLINES_LINE_RECORDS ? MAPLINES_MAX_PAGES * (MAPLINES_SLOTS + 1) : 2)
 
 /// Encode the pose error and the lines of a scene into frames, and advance their counters.
 ///
@@ -907,6 +915,12 @@ typedef struct {
 /// received means, is positive semidefinite. If the records of the DBC are conditional on the pose
 /// error, lines that do not fit are not sent. Other records have a covariance of their own: such a
 /// line is sent, but does not belong to the scene.
+///
+/// With records of whole scenes, the frames are Scene2, if it is needed, and then Scene, both with
+/// the pose error. The ego lines have fixed places in Scene, and the edges in Scene2. The other
+/// lines have what is left, the nearest to the car first; the centre line, which follows from the
+/// ego lines, is the last. Once Scene2 was needed it is sent in each cycle. A line that is left out
+/// has its place, with the reason. What is left has none: MAPLINES_LEFT_OUT_PLACE.
 ///
 /// A line-specific covariance is sent as levels. They hold the sum of
 ///
@@ -916,13 +930,14 @@ typedef struct {
 /// - offset_sigma and heading_sigma, which all lines have.
 ///
 /// Any other covariance is covered by a wider one of this form; if there is none, the line is left
-/// out. Records that are conditional on the pose error can have all entries instead: on classic CAN
-/// where levels are too wide, on CAN FD unless their signals have no room.
+/// out. Records of a line that are conditional on the pose error can have all entries instead: on
+/// classic CAN where levels are too wide, on CAN FD unless their signals have no room.
 ///
-/// @param is_fd one CAN FD frame for each record instead of its pages.
+/// @param is_fd one CAN FD frame for each record instead of its pages. Whole scenes are CAN FD only.
 /// @param now_us time for the freshness value; not used without a signer.
 /// @param workspace need not be initialised.
-/// @param frames at least MAPLINES_MAX_SCENE_FRAMES. Those of the pose error come first.
+/// @param frames at least MAPLINES_MAX_SCENE_FRAMES. Those of the pose error come first; send
+///        Scene2 before Scene.
 maplines_sent_scene_t maplines_encode_scene(maplines_encoder_t *encoder,
                                             const maplines_scene_input_t *scene, bool is_fd,
                                             int64_t now_us, maplines_scene_workspace_t *workspace,

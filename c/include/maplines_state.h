@@ -305,6 +305,8 @@ typedef struct {
 /// Line of a scene while it is encoded: what can be stated of it, and its form.
 typedef struct {
     int slot;
+    maplines_kind_t kind;
+    double distance; ///< from the car, next to it or at the nearer end of the fit range [m]
     maplines_left_out_t left_out;
     bool is_full;   ///< all entries of the line-specific covariance are sent, not levels
     bool is_spared; ///< levels are sent, whatever they cost

@@ -89,9 +89,10 @@ MAPLINES_INTERNAL void maplines_put(const maplines_signal_t *signal, uint8_t *re
 MAPLINES_INTERNAL int64_t maplines_raw_min(const maplines_signal_t *signal);
 /// Greatest raw value of a signal; 0 if the DBC has no such signal.
 MAPLINES_INTERNAL int64_t maplines_raw_max(const maplines_signal_t *signal);
-/// Physical value of a raw value.
+/// Physical value of a raw value; 0 if the DBC has no such signal.
 MAPLINES_INTERNAL double maplines_physical(const maplines_signal_t *signal, int64_t raw);
-/// Nearest raw value of a physical value, halves to even; not limited to the range.
+/// Nearest raw value of a physical value, halves to even; not limited to the range. 0 if the DBC
+/// has no such signal.
 MAPLINES_INTERNAL double maplines_nearest_raw(const maplines_signal_t *signal, double physical);
 /// A whole number, limited to a range.
 MAPLINES_INTERNAL int64_t maplines_within(int64_t least, int64_t most, double raw);
@@ -104,6 +105,13 @@ MAPLINES_INTERNAL uint16_t maplines_crc(const uint8_t *record, size_t length, ui
 /* ---- records.c: pages, transfer IDs and checksum of a record ------------------------------------
  */
 
+/// Place of an owner in arrays.
+#define MAPLINES_PLACE_OF(owner) ((int)(owner) - MAPLINES_FIRST_OWNER)
+/// Kind of a place of a whole scene that has no line. That of a line that is left out follows, by
+/// its reason.
+#define MAPLINES_NO_LINE 8
+/// The records of a DBC hold whole scenes.
+MAPLINES_INTERNAL bool maplines_has_whole_scenes(const maplines_dbc_t *dbc);
 /// Layout of the records of an owner.
 MAPLINES_INTERNAL const maplines_record_t *maplines_layout(const maplines_dbc_t *dbc, int owner);
 /// Bits of the counters of records.
@@ -542,9 +550,47 @@ MAPLINES_INTERNAL maplines_refusal_t maplines_encode_members(const maplines_dbc_
                                                              bool is_full,
                                                              maplines_scene_workspace_t *space);
 
+/// Distance of a line from the car, next to it or at the nearer end of the fit range [m].
+MAPLINES_INTERNAL double maplines_distance_of(const maplines_scene_line_t *line);
+/// The records of lines can have all entries of a line-specific covariance.
+MAPLINES_INTERNAL bool maplines_has_entries(const maplines_dbc_t *dbc);
+
+#if MAPLINES_SCENE_RECORDS
+/* ---- places.c: records of whole scenes
+ * ----------------------------------------------------------- */
+
+/// One cycle of a whole scene.
+typedef struct {
+    const maplines_scene_workspace_t *space; ///< encoded
+    int count;                               ///< of its lines
+    uint32_t slots;                          ///< of the lines that are to be sent, one bit each
+    bool is_secured;
+    double age;       ///< from the pose to the sending [s]
+    uint32_t counter; ///< of Scene
+} maplines_whole_cycle_t;
+
+/// Choose the places of lines, from those of the last cycle on.
+MAPLINES_INTERNAL void maplines_choose_places(const maplines_dbc_t *dbc,
+                                              const maplines_whole_cycle_t *cycle,
+                                              maplines_chosen_places_t *places);
+/// A message has a place for the line of a slot.
+MAPLINES_INTERNAL bool maplines_has_place(const maplines_chosen_places_t *places, int slot);
+/// Write all of a record of Scene (0) or Scene2 (1) but what maplines_seal writes; returns its
+/// length.
+MAPLINES_INTERNAL size_t maplines_write_whole(const maplines_dbc_t *dbc,
+                                              const maplines_whole_cycle_t *cycle,
+                                              const maplines_chosen_places_t *places, int message,
+                                              uint8_t *record);
+#endif
+
 /* ---- scene_send.c
  * -------------------------------------------------------------------------------- */
 
+/// Write the pose error, its age and what is common to all lines into a record.
+MAPLINES_INTERNAL void maplines_put_pose(const maplines_dbc_t *dbc,
+                                         const maplines_scene_workspace_t *space, double age,
+                                         uint8_t *record);
+#if MAPLINES_LINE_RECORDS
 /// One cycle of a scene: what the record of its pose error states of it.
 typedef struct {
     double age;                          ///< from the pose to the sending of the pose error [s]
@@ -553,15 +599,16 @@ typedef struct {
     bool is_member[MAPLINES_SLOTS];      ///< lines that are sent and belong to the pose error
 } maplines_pose_cycle_t;
 
-/// Write all of a record that is conditional on the pose error but what maplines_seal writes;
-/// returns its length.
-MAPLINES_INTERNAL size_t maplines_write_conditional(const maplines_dbc_t *dbc, maplines_kind_t kind,
-                                                    const maplines_scene_member_t *member,
-                                                    uint8_t *record);
 /// Write all of the record of the pose error but what maplines_seal writes; returns its length.
 MAPLINES_INTERNAL size_t maplines_write_pose(const maplines_dbc_t *dbc,
                                              const maplines_scene_workspace_t *space,
                                              const maplines_pose_cycle_t *cycle, uint8_t *record);
+#endif
+/// Write all of a record that is conditional on the pose error but what maplines_seal writes, or a
+/// line of a whole scene as that at the first place; returns the length of such a record.
+MAPLINES_INTERNAL size_t maplines_write_conditional(const maplines_dbc_t *dbc,
+                                                    const maplines_scene_member_t *member,
+                                                    uint8_t *record);
 #endif // MAPLINES_SENDER && MAPLINES_SCENES
 
 #if MAPLINES_SECOC

@@ -4,10 +4,21 @@
 MAPLINES_INTERNAL const maplines_record_t *maplines_layout(const maplines_dbc_t *dbc, int owner)
 {
 #if MAPLINES_SCENES
-    return owner == (int)MAPLINES_POSE ? &dbc->pose : &dbc->line;
+    // Those of whole scenes have the layout of the pose error; its owner stands before theirs.
+    return owner >= (int)MAPLINES_POSE - MAPLINES_FIRST_OWNER ? &dbc->pose : &dbc->line;
 #else
     (void)owner;
     return &dbc->line;
+#endif
+}
+
+MAPLINES_INTERNAL bool maplines_has_whole_scenes(const maplines_dbc_t *dbc)
+{
+#if MAPLINES_SCENE_RECORDS && MAPLINES_LINE_RECORDS
+    return dbc->scene.places > 0U;
+#else
+    (void)dbc;
+    return MAPLINES_SCENE_RECORDS;
 #endif
 }
 

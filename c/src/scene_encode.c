@@ -86,14 +86,21 @@ static bool encode_pose(const maplines_dbc_t *dbc, const maplines_scene_input_t 
 }
 
 /// Round the mean of a line, coarsely for the form with levels and finely for that with all
-/// entries.
+/// entries, if there is one.
 static bool round_means(const maplines_dbc_t *dbc, maplines_scene_member_t *member)
 {
     int64_t raw[4];
     double L[16];
     maplines_rounding_factor(member->specific, member->stated_J, L);
-    if (!maplines_round_mean(dbc->mean, NULL, member->mean, L, member->raw_mean) ||
-        !maplines_round_mean(dbc->mean, dbc->fine, member->mean, L, raw))
+    if (!maplines_round_mean(dbc->mean, NULL, member->mean, L, member->raw_mean))
+    {
+        return false;
+    }
+    if (!maplines_has_entries(dbc))
+    {
+        return true;
+    }
+    if (!maplines_round_mean(dbc->mean, dbc->fine, member->mean, L, raw))
     {
         return false;
     }
@@ -116,6 +123,8 @@ static bool prepare(const maplines_dbc_t *dbc, const maplines_scene_input_t *sce
 {
     const maplines_scene_line_t *line = &scene->lines[place];
     member->slot = (int)line->slot;
+    member->kind = line->kind;
+    member->distance = maplines_distance_of(line);
     member->left_out = maplines_state_member(dbc, scene, place, member);
     const maplines_levels_t *levels = maplines_levels_of(dbc);
     if (!dbc->is_conditional && member->left_out == MAPLINES_IN_SCENE)

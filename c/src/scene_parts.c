@@ -30,6 +30,25 @@ MAPLINES_INTERNAL bool maplines_can_be_seen(const maplines_curve_t *curve)
     return curve->fit_range[0] < curve->fit_range[1] && maplines_is_function(&points);
 }
 
+MAPLINES_INTERNAL bool maplines_has_entries(const maplines_dbc_t *dbc)
+{
+    return dbc->has_covariance.length > 0U;
+}
+
+MAPLINES_INTERNAL double maplines_distance_of(const maplines_scene_line_t *line)
+{
+    const double begin = line->fit_range[0];
+    const double end = line->fit_range[1];
+    const double after = begin > 0.0 ? begin : 0.0;
+    const double x = end < after ? end : after;
+    const double square = x * x;
+    const double by_slope = maplines_tan(line->mean[1]) * x;
+    const double by_curvature = line->mean[2] * (square / 2.0);
+    const double by_its_rate = line->mean[3] * (square * x / 6.0);
+    const double distance = fabs(line->mean[0] + by_slope + by_curvature + by_its_rate);
+    return distance < (double)INFINITY ? distance : (double)INFINITY; // also if it overflows
+}
+
 /// The least positive semidefinite matrix that covers a symmetric one, in coefficients of T_0 ..
 /// T_3.
 static void positive_part(const double matrix[16], const double J[16], double part[16])
@@ -97,7 +116,8 @@ static maplines_left_out_t state_part(const maplines_dbc_t *dbc, const maplines_
         least = least_range + room;
         for (int i = 0; i < 4; ++i)
         {
-            reach[i] = sqrt(dbc->covariance.reachable[i]);
+            const bool has_bound = maplines_has_entries(dbc); // levels alone have none of their own
+            reach[i] = has_bound ? sqrt(dbc->covariance.reachable[i]) : (double)INFINITY;
         }
         if (!maplines_nearest_line(dbc->mean, line->mean, line->fit_range, least, reach,
                                    member->mean, member->range))

@@ -109,7 +109,9 @@ static maplines_refusal_t check_scene(const maplines_encoder_t *encoder,
                                       double *space)
 {
     bool is_used[MAPLINES_SLOTS] = {false};
-    if (!encoder->dbc->has_pose || !maplines_can_send(encoder, (int)MAPLINES_POSE, is_fd))
+    const bool is_whole = maplines_has_whole_scenes(encoder->dbc);
+    const int owner = MAPLINES_PLACE_OF(is_whole ? MAPLINES_SCENE : MAPLINES_POSE);
+    if (!encoder->dbc->has_pose || !maplines_can_send(encoder, owner, is_fd))
     {
         return MAPLINES_NO_MESSAGE;
     }
@@ -122,7 +124,8 @@ static maplines_refusal_t check_scene(const maplines_encoder_t *encoder,
     {
         const maplines_scene_line_t *line = &scene->lines[i];
         const int slot = (int)line->slot;
-        if ((unsigned)slot >= MAPLINES_SLOTS || !maplines_can_send(encoder, slot, is_fd))
+        if ((unsigned)slot >= MAPLINES_SLOTS ||
+            !(is_whole || maplines_can_send(encoder, slot, is_fd)))
         {
             return MAPLINES_NO_MESSAGE;
         }
@@ -140,14 +143,15 @@ static maplines_refusal_t check_scene(const maplines_encoder_t *encoder,
     return refusal;
 }
 
-static void put_levels(const maplines_levels_t *levels, uint8_t *record, const int64_t raw[3])
+static void put_levels(const maplines_levels_t *levels, uint8_t *record, const int64_t raw[4])
 {
     maplines_put(&levels->lateral, record, raw[0]);
     maplines_put(&levels->points, record, raw[1]);
     maplines_put(&levels->shape, record, raw[2]);
+    maplines_put(&levels->tilt, record, raw[3]);
 }
 
-MAPLINES_INTERNAL size_t maplines_write_conditional(const maplines_dbc_t *dbc, maplines_kind_t kind,
+MAPLINES_INTERNAL size_t maplines_write_conditional(const maplines_dbc_t *dbc,
                                                     const maplines_scene_member_t *member,
                                                     uint8_t *record)
 {
@@ -156,7 +160,7 @@ MAPLINES_INTERNAL size_t maplines_write_conditional(const maplines_dbc_t *dbc, m
     {
         maplines_put(&dbc->mean[i], record, mean[i]);
     }
-    maplines_put(&dbc->kind, record, (int64_t)kind);
+    maplines_put(&dbc->kind, record, (int64_t)member->kind);
     maplines_put(&dbc->x_min, record, member->raw_range[0]);
     maplines_put(&dbc->x_max, record, member->raw_range[1]);
     maplines_put(&dbc->levels.quartic, record, member->raw_quartic);
@@ -174,6 +178,19 @@ MAPLINES_INTERNAL size_t maplines_write_conditional(const maplines_dbc_t *dbc, m
     return 8U * (size_t)dbc->line.pages;
 }
 
+MAPLINES_INTERNAL void maplines_put_pose(const maplines_dbc_t *dbc,
+                                         const maplines_scene_workspace_t *space, double age,
+                                         uint8_t *record)
+{
+    const double raw_age = maplines_raw_above(&dbc->pose_age, 1000.0 * age);
+    maplines_put(&dbc->pose_age, record, maplines_limited(&dbc->pose_age, raw_age));
+    maplines_put(&dbc->correlation_time, record, space->raw_time);
+    maplines_put(&dbc->map_offset, record, space->raw_offset);
+    maplines_put(&dbc->map_heading, record, space->raw_heading);
+    maplines_put_covariance(&dbc->pose_covariance, record, space->raw_pose);
+}
+
+#if MAPLINES_LINE_RECORDS
 /// Record of a line with a covariance of its own; returns its length.
 static size_t write_line(const maplines_dbc_t *dbc, const maplines_scene_input_t *scene, int place,
                          uint8_t *record, maplines_status_t *status)
@@ -212,12 +229,7 @@ MAPLINES_INTERNAL size_t maplines_write_pose(const maplines_dbc_t *dbc,
                                              const maplines_scene_workspace_t *space,
                                              const maplines_pose_cycle_t *cycle, uint8_t *record)
 {
-    const double age = maplines_raw_above(&dbc->pose_age, 1000.0 * cycle->age);
-    maplines_put(&dbc->pose_age, record, maplines_limited(&dbc->pose_age, age));
-    maplines_put(&dbc->correlation_time, record, space->raw_time);
-    maplines_put(&dbc->map_offset, record, space->raw_offset);
-    maplines_put(&dbc->map_heading, record, space->raw_heading);
-    maplines_put_covariance(&dbc->pose_covariance, record, space->raw_pose);
+    maplines_put_pose(dbc, space, cycle->age, record);
     for (int i = 0; i < space->count; ++i)
     {
         const maplines_scene_member_t *member = &space->members[space->places[i]];
@@ -237,6 +249,13 @@ MAPLINES_INTERNAL size_t maplines_write_pose(const maplines_dbc_t *dbc,
     }
     return 8U * (size_t)dbc->pose.pages;
 }
+#endif
+
+/// Age of the pose [s]; infinite if it is unknown.
+static double pose_age_of(const maplines_scene_input_t *scene)
+{
+    return scene->has_pose_age ? scene->pose_age : (double)INFINITY;
+}
 
 /// Seal a record and append its frames; false if it was not signed.
 static bool append(maplines_encoder_t *encoder, int owner, uint8_t *record, size_t length,
@@ -250,16 +269,17 @@ static bool append(maplines_encoder_t *encoder, int owner, uint8_t *record, size
     return sent > 0U;
 }
 
-/// Write all records; false if one was not signed.
-static bool send_records(maplines_encoder_t *encoder, const maplines_scene_input_t *scene,
-                         bool is_fd, int64_t now_us, const maplines_scene_workspace_t *space,
-                         maplines_frame_t *frames, maplines_sent_scene_t *sent)
+#if MAPLINES_LINE_RECORDS
+/// Write the records of the pose error and of the lines; false if one was not signed.
+static bool send_lines(maplines_encoder_t *encoder, const maplines_scene_input_t *scene,
+                       bool is_fd, int64_t now_us, const maplines_scene_workspace_t *space,
+                       maplines_frame_t *frames, maplines_sent_scene_t *sent)
 {
     const maplines_dbc_t *dbc = encoder->dbc;
     maplines_pose_cycle_t cycle;
     const uint32_t *first = cycle.first;
     memset(&cycle, 0, sizeof cycle);
-    cycle.age = scene->has_pose_age ? scene->pose_age : (double)INFINITY;
+    cycle.age = pose_age_of(scene);
     memcpy(cycle.first, encoder->counter, sizeof cycle.first);
     for (int place = 0; place < (int)scene->count; ++place)
     {
@@ -282,19 +302,78 @@ static bool send_records(maplines_encoder_t *encoder, const maplines_scene_input
     encoder->counter[pose] = maplines_next_counter(dbc, pose, first[pose]);
     for (int place = 0; is_good && place < (int)scene->count; ++place)
     {
-        const maplines_scene_line_t *line = &scene->lines[place];
+        const int slot = (int)scene->lines[place].slot;
         if (sent->is_sent[place])
         {
             uint8_t record[MAPLINES_MAX_RECORD] = {0};
             const size_t length =
                 dbc->is_conditional
-                    ? maplines_write_conditional(dbc, line->kind, &space->members[place], record)
+                    ? maplines_write_conditional(dbc, &space->members[place], record)
                     : write_line(dbc, scene, place, record, &sent->status[place]);
-            is_good = append(encoder, (int)line->slot, record, length, first[line->slot], is_fd,
-                             now_us, frames, &sent->count);
+            is_good = append(encoder, slot, record, length, first[slot], is_fd, now_us, frames,
+                             &sent->count);
         }
     }
     return is_good;
+}
+#endif
+
+#if MAPLINES_SCENE_RECORDS
+/// Write the records of a whole scene, that of Scene last; false if one was not signed.
+static bool send_whole(maplines_encoder_t *encoder, const maplines_scene_input_t *scene,
+                       int64_t now_us, const maplines_scene_workspace_t *space,
+                       maplines_frame_t *frames, maplines_sent_scene_t *sent)
+{
+    const maplines_dbc_t *dbc = encoder->dbc;
+    const int first = MAPLINES_PLACE_OF(MAPLINES_SCENE);
+    const maplines_whole_cycle_t cycle = {.space = space,
+                                          .count = (int)scene->count,
+                                          .slots = UINT32_MAX,
+                                          .is_secured = encoder->signer != NULL,
+                                          .age = pose_age_of(scene),
+                                          .counter = encoder->counter[first]};
+    maplines_choose_places(dbc, &cycle, &encoder->places);
+    bool is_good = true;
+    for (int message = encoder->places.sends_scene2 ? 1 : 0; is_good && message >= 0; --message)
+    {
+        const int owner = first + message;
+        uint8_t record[MAPLINES_MAX_RECORD] = {0};
+        const size_t length = maplines_write_whole(dbc, &cycle, &encoder->places, message, record);
+        const uint32_t counter = encoder->counter[owner];
+        is_good = append(encoder, owner, record, length, counter, true, now_us, frames,
+                         &sent->count);
+        encoder->counter[owner] = maplines_next_counter(dbc, owner, counter);
+    }
+    for (int i = 0; i < (int)scene->count; ++i)
+    {
+        const maplines_scene_member_t *member = &space->members[i];
+        const bool has_place = maplines_has_place(&encoder->places, member->slot);
+        const bool fits = member->left_out == MAPLINES_IN_SCENE;
+        sent->left_out[i] = fits && !has_place ? MAPLINES_LEFT_OUT_PLACE : member->left_out;
+        sent->is_sent[i] = fits && has_place;
+        sent->status[i] = sent->is_sent[i] ? MAPLINES_FULL : MAPLINES_UNKNOWN;
+    }
+    return is_good;
+}
+#endif
+
+/// Write all records; false if one was not signed.
+static bool send_records(maplines_encoder_t *encoder, const maplines_scene_input_t *scene,
+                         bool is_fd, int64_t now_us, const maplines_scene_workspace_t *space,
+                         maplines_frame_t *frames, maplines_sent_scene_t *sent)
+{
+#if MAPLINES_SCENE_RECORDS
+    if (maplines_has_whole_scenes(encoder->dbc))
+    {
+        return send_whole(encoder, scene, now_us, space, frames, sent);
+    }
+#endif
+#if MAPLINES_LINE_RECORDS
+    return send_lines(encoder, scene, is_fd, now_us, space, frames, sent);
+#else
+    (void)is_fd;
+    return false;
+#endif
 }
 
 maplines_sent_scene_t maplines_encode_scene(maplines_encoder_t *encoder,
@@ -314,7 +393,7 @@ maplines_sent_scene_t maplines_encode_scene(maplines_encoder_t *encoder,
     sent.refusal = check_scene(encoder, scene, is_fd, workspace->joint.factor);
     if (sent.refusal == MAPLINES_SENT)
     {
-        const bool is_full = is_fd && encoder->dbc->is_conditional;
+        const bool is_full = is_fd && maplines_has_entries(encoder->dbc);
         sent.refusal = maplines_encode_members(encoder->dbc, scene, is_full, workspace);
     }
     if (sent.refusal == MAPLINES_SENT &&

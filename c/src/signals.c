@@ -117,12 +117,20 @@ MAPLINES_INTERNAL int64_t maplines_raw_max(const maplines_signal_t *signal)
 
 MAPLINES_INTERNAL double maplines_physical(const maplines_signal_t *signal, int64_t raw)
 {
+    if (signal->length == 0U)
+    {
+        return 0.0;
+    }
     const double scaled = (double)raw * signal->scale->factor;
     return scaled + signal->scale->offset;
 }
 
 MAPLINES_INTERNAL double maplines_nearest_raw(const maplines_signal_t *signal, double physical)
 {
+    if (signal->length == 0U)
+    {
+        return 0.0;
+    }
     return rint((physical - signal->scale->offset) / signal->scale->factor);
 }
 

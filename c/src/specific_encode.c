@@ -102,7 +102,7 @@ static bool encode_levels(const maplines_dbc_t *dbc, maplines_scene_workspace_t 
     const double divergence = maplines_divergence(&reference, decoded);
     const double cost = greater(divergence / levels_divergence, ratio / levels_ratio);
     line->cost = 0.0;
-    if (dbc->is_conditional)
+    if (maplines_has_entries(dbc))
     {
         const double counted = member->is_spared ? 0.0 : cost;
         line->cost = is_covered ? counted : (double)INFINITY;
@@ -230,9 +230,9 @@ MAPLINES_INTERNAL void maplines_cover(const maplines_dbc_t *dbc, maplines_scene_
     }
     for (int i = 0; i < space->count; ++i)
     {
-        const bool has_entries = dbc->is_conditional && !space->members[space->places[i]].is_full;
+        const bool has_levels = !space->members[space->places[i]].is_full;
         space->lines[i].is_covered = false;
-        space->lines[i].cost = has_entries ? (double)INFINITY : 0.0;
+        space->lines[i].cost = maplines_has_entries(dbc) && has_levels ? (double)INFINITY : 0.0;
     }
 }
 
