@@ -35,8 +35,7 @@ static bool read_line(const maplines_dbc_t *dbc, const maplines_given_line_t *gi
                           given->kind <= (int)MAPLINES_VIRTUAL && given->status >= 0 &&
                           given->status <= (int)MAPLINES_OUT_OF_RANGE;
     memset(line, 0, sizeof *line);
-    if (!is_known ||
-        !(maplines_has_whole_scenes(dbc) || dbc->messages[given->slot].is_present))
+    if (!is_known || !(maplines_has_whole_scenes(dbc) || dbc->messages[given->slot].is_present))
     {
         return false;
     }
@@ -375,8 +374,7 @@ size_t maplines_write_whole_scene(const maplines_dbc_t *dbc, const maplines_prep
         const int owner = first + message;
         cycle.age = ages[owner];
         memset(records, 0, MAPLINES_MAX_RECORD);
-        lengths[count] =
-            (uint8_t)maplines_write_whole(dbc, &cycle, places, message, records);
+        lengths[count] = (uint8_t)maplines_write_whole(dbc, &cycle, places, message, records);
         seal(dbc, owner, records, lengths[count], &counters[owner]);
         records += lengths[count];
         count++;

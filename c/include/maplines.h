@@ -817,6 +817,7 @@ typedef struct {
 void maplines_encoder_init(maplines_encoder_t *encoder, const maplines_dbc_t *dbc,
                            maplines_signer_t *signer);
 
+#if MAPLINES_LINE_RECORDS
 /// Encode a line into frames to be sent back to back, and advance the counter of its slot.
 ///
 /// No value is clipped silently. A mean beyond the message is covered by a wider covariance, or
@@ -842,6 +843,7 @@ maplines_sent_t maplines_encode_mixture(maplines_encoder_t *encoder, const mapli
                                         const maplines_component_t *components, size_t count,
                                         bool is_fd, int64_t now_us, maplines_frame_t *frames);
 #endif
+#endif // MAPLINES_LINE_RECORDS
 #endif // MAPLINES_SENDER
 
 #if MAPLINES_SENDER && MAPLINES_SCENES
@@ -933,7 +935,8 @@ typedef struct {
 /// out. Records of a line that are conditional on the pose error can have all entries instead: on
 /// classic CAN where levels are too wide, on CAN FD unless their signals have no room.
 ///
-/// @param is_fd one CAN FD frame for each record instead of its pages. Whole scenes are CAN FD only.
+/// @param is_fd one CAN FD frame for each record instead of its pages. Whole scenes are CAN FD
+/// only.
 /// @param now_us time for the freshness value; not used without a signer.
 /// @param workspace need not be initialised.
 /// @param frames at least MAPLINES_MAX_SCENE_FRAMES. Those of the pose error come first; send

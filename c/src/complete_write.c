@@ -19,6 +19,7 @@ MAPLINES_INTERNAL double maplines_raw_above(const maplines_signal_t *signal, dou
     return value_of(signal, raw) < physical ? raw + 1.0 : raw;
 }
 
+#if MAPLINES_LINE_RECORDS
 static double raw_below(const maplines_signal_t *signal, double physical)
 {
     const double steps = (physical - signal->scale->offset) / signal->scale->factor;
@@ -226,5 +227,7 @@ MAPLINES_INTERNAL maplines_status_t maplines_write_complete(const maplines_dbc_t
                  nearest_within(&dbc->component_weight, draft->weight));
     return status;
 }
+
+#endif
 
 #endif

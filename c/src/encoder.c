@@ -109,6 +109,7 @@ MAPLINES_INTERNAL maplines_refusal_t maplines_check_input(const maplines_input_t
     return !line->has_age || line->age >= 0.0 ? MAPLINES_SENT : MAPLINES_BAD_AGE;
 }
 
+#if MAPLINES_LINE_RECORDS
 /// Whether a covariance is sent with this status.
 static bool has_covariance(maplines_status_t status)
 {
@@ -317,5 +318,7 @@ maplines_sent_t maplines_encode_mixture(maplines_encoder_t *encoder, const mapli
 }
 
 #endif
+
+#endif // MAPLINES_LINE_RECORDS
 
 #endif

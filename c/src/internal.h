@@ -106,7 +106,7 @@ MAPLINES_INTERNAL uint16_t maplines_crc(const uint8_t *record, size_t length, ui
  */
 
 /// Place of an owner in arrays.
-#define MAPLINES_PLACE_OF(owner) ((int)(owner) - MAPLINES_FIRST_OWNER)
+#define MAPLINES_PLACE_OF(owner) ((int)(owner)-MAPLINES_FIRST_OWNER)
 /// Kind of a place of a whole scene that has no line. That of a line that is left out follows, by
 /// its reason.
 #define MAPLINES_NO_LINE 8
@@ -550,8 +550,6 @@ MAPLINES_INTERNAL maplines_refusal_t maplines_encode_members(const maplines_dbc_
                                                              bool is_full,
                                                              maplines_scene_workspace_t *space);
 
-/// Distance of a line from the car, next to it or at the nearer end of the fit range [m].
-MAPLINES_INTERNAL double maplines_distance_of(const maplines_scene_line_t *line);
 /// The records of lines can have all entries of a line-specific covariance.
 MAPLINES_INTERNAL bool maplines_has_entries(const maplines_dbc_t *dbc);
 
@@ -590,6 +588,10 @@ MAPLINES_INTERNAL size_t maplines_write_whole(const maplines_dbc_t *dbc,
 MAPLINES_INTERNAL void maplines_put_pose(const maplines_dbc_t *dbc,
                                          const maplines_scene_workspace_t *space, double age,
                                          uint8_t *record);
+/// Write a line that is conditional on the pose error, with levels if it has them; in a whole scene
+/// as that at the first place.
+MAPLINES_INTERNAL void maplines_put_line(const maplines_dbc_t *dbc,
+                                         const maplines_scene_member_t *member, uint8_t *record);
 #if MAPLINES_LINE_RECORDS
 /// One cycle of a scene: what the record of its pose error states of it.
 typedef struct {
@@ -603,12 +605,12 @@ typedef struct {
 MAPLINES_INTERNAL size_t maplines_write_pose(const maplines_dbc_t *dbc,
                                              const maplines_scene_workspace_t *space,
                                              const maplines_pose_cycle_t *cycle, uint8_t *record);
-#endif
-/// Write all of a record that is conditional on the pose error but what maplines_seal writes, or a
-/// line of a whole scene as that at the first place; returns the length of such a record.
+/// Write all of a record that is conditional on the pose error but what maplines_seal writes;
+/// returns its length.
 MAPLINES_INTERNAL size_t maplines_write_conditional(const maplines_dbc_t *dbc,
                                                     const maplines_scene_member_t *member,
                                                     uint8_t *record);
+#endif
 #endif // MAPLINES_SENDER && MAPLINES_SCENES
 
 #if MAPLINES_SECOC

@@ -1,27 +1,28 @@
 /* Records of whole scenes: the place of each line, and what the record has there.
  *
- * Some places are those of a slot. The others are for the lines that matter most:
+ * Some places are those of a slot. The others are free, for the lines that matter most:
  *
- *     Scene     EGO_LEFT   EGO_RIGHT   the nearest, the next one
+ *     Scene     EGO_LEFT   EGO_RIGHT   the nearest, and the next one
  *     Scene2    EDGE_LEFT  EDGE_RIGHT  those that follow
  *
- * A choice that changes from cycle to cycle would make lines flicker, so it has a hysteresis: Scene2
- * is sent for ever once it was needed, a line in Scene counts as nearer, and a line keeps its place.
- * The operations are those of maplines_can/model/places.py in the same order.
+ * Slots must not go to and fro, so the choice has a hysteresis: Scene2 is sent in each cycle once
+ * it was needed; a line that had a place counts as nearer, and keeps it. The operations are those
+ * of maplines_can/model/places.py in the same order.
  */
 #include "internal.h"
 
 #if MAPLINES_SENDER && MAPLINES_SCENE_RECORDS
 
-/// By how much a line counts as nearer if it had a place in Scene in the last cycle [m].
+/// By how much a line counts as nearer that had a place in the last cycle [m].
 static const double advantage = 1.0;
 
-/// Line that may have a place.
+/// Line without a fixed place, and what orders such lines: the first is that with the least group,
+/// then distance, then slot.
 typedef struct {
     int slot;
-    bool is_left_out;
-    double distance; ///< that counts [m]
-} candidate_t;
+    int group;       ///< 1: the centre, which follows from the ego lines; 2: it is left out
+    double distance; ///< that counts [m]; 0 if it is left out
+} ranked_line_t;
 
 static bool has_slot(const uint8_t slots[MAPLINES_MAX_PLACES], int slot)
 {
@@ -38,27 +39,11 @@ MAPLINES_INTERNAL bool maplines_has_place(const maplines_chosen_places_t *places
     return has_slot(places->slots[0], slot) || has_slot(places->slots[1], slot);
 }
 
-/// The centre line follows from the ego lines.
-static bool is_centre(int slot)
+static bool is_before(const ranked_line_t *a, const ranked_line_t *b)
 {
-#if MAPLINES_SLOTS > 4
-    return slot == (int)MAPLINES_CENTRE;
-#else
-    (void)slot;
-    return false;
-#endif
-}
-
-/// A line matters more than another one.
-static bool is_before(const candidate_t *a, const candidate_t *b)
-{
-    if (a->is_left_out != b->is_left_out)
+    if (a->group != b->group)
     {
-        return b->is_left_out;
-    }
-    if (is_centre(a->slot) != is_centre(b->slot))
-    {
-        return is_centre(b->slot);
+        return a->group < b->group;
     }
     if (a->distance < b->distance || a->distance > b->distance)
     {
@@ -96,23 +81,40 @@ static void fix_places(const maplines_dbc_t *dbc, const maplines_whole_cycle_t *
     }
 }
 
-/// Lines without a place, the one that matters most first; their number.
+static ranked_line_t ranked_line(const maplines_scene_member_t *member, bool had_place)
+{
+    ranked_line_t line = {member->slot, 0, member->distance};
+#if MAPLINES_SLOTS > 4
+    line.group = member->slot == (int)MAPLINES_CENTRE ? 1 : 0;
+#endif
+    if (had_place)
+    {
+        line.distance = line.distance - advantage;
+    }
+    if (member->left_out != MAPLINES_IN_SCENE)
+    {
+        line.group = 2;
+        line.distance = 0.0;
+    }
+    return line;
+}
+
+/// Lines without a place that may have one in a message, in their order; their number.
 static int rank(const maplines_whole_cycle_t *cycle, const maplines_chosen_places_t *places,
-                const maplines_chosen_places_t *last, candidate_t ranked[MAPLINES_SLOTS])
+                int message, const maplines_chosen_places_t *last,
+                ranked_line_t ranked[MAPLINES_SLOTS])
 {
     int count = 0;
     for (int i = 0; i < cycle->count; ++i)
     {
         const maplines_scene_member_t *member = &cycle->space->members[i];
-        candidate_t line = {member->slot, member->left_out != MAPLINES_IN_SCENE, member->distance};
-        if (!is_wanted(cycle, i) || maplines_has_place(places, line.slot))
+        if (!is_wanted(cycle, i) || maplines_has_place(places, member->slot))
         {
             continue;
         }
-        if (has_slot(last->slots[0], line.slot))
-        {
-            line.distance = line.distance - advantage;
-        }
+        const bool had_place = has_slot(last->slots[0], member->slot) ||
+                               (message > 0 && has_slot(last->slots[1], member->slot));
+        const ranked_line_t line = ranked_line(member, had_place);
         int at = count;
         while (at > 0 && is_before(&line, &ranked[at - 1]))
         {
@@ -138,7 +140,7 @@ static int free_places(const maplines_dbc_t *dbc, const maplines_whole_cycle_t *
 
 /// Give lines the free places of a message: that of the last cycle, else the first one.
 static void fill_places(const maplines_dbc_t *dbc, const maplines_whole_cycle_t *cycle, int message,
-                        const candidate_t *lines, int count, const maplines_chosen_places_t *last,
+                        const ranked_line_t *lines, int count, const maplines_chosen_places_t *last,
                         maplines_chosen_places_t *places)
 {
     const uint8_t *fixed = dbc->scene.fixed[message];
@@ -174,24 +176,20 @@ MAPLINES_INTERNAL void maplines_choose_places(const maplines_dbc_t *dbc,
     const maplines_messages_t *second = &dbc->messages[MAPLINES_PLACE_OF(MAPLINES_SCENE2)];
     const bool has_second =
         second->is_present && (cycle->is_secured ? second->has_secured : second->has_fd);
-    candidate_t ranked[MAPLINES_SLOTS];
+    ranked_line_t ranked[MAPLINES_SLOTS];
     memset(places, 0, sizeof *places);
     fix_places(dbc, cycle, 0, places);
-    int count = rank(cycle, places, &last, ranked);
-    int first = free_places(dbc, cycle, 0);
-    places->sends_scene2 = has_second && (last.sends_scene2 || count > first);
+    const bool is_full = rank(cycle, places, 0, &last, ranked) > free_places(dbc, cycle, 0);
+    places->sends_scene2 = has_second && (last.sends_scene2 || is_full);
     if (places->sends_scene2)
     {
         fix_places(dbc, cycle, 1, places);
-        count = rank(cycle, places, &last, ranked);
     }
-    first = count < first ? count : first;
-    fill_places(dbc, cycle, 0, ranked, first, &last, places);
-    if (places->sends_scene2)
+    for (int message = 0; message <= (places->sends_scene2 ? 1 : 0); ++message)
     {
-        const int most = free_places(dbc, cycle, 1);
-        const int rest = count - first;
-        fill_places(dbc, cycle, 1, &ranked[first], rest < most ? rest : most, &last, places);
+        const int count = rank(cycle, places, message, &last, ranked);
+        const int most = free_places(dbc, cycle, message);
+        fill_places(dbc, cycle, message, ranked, count < most ? count : most, &last, places);
     }
 }
 
@@ -206,7 +204,7 @@ static void write_place(const maplines_dbc_t *dbc, const maplines_scene_member_t
     }
     if (member->left_out == MAPLINES_IN_SCENE)
     {
-        (void)maplines_write_conditional(dbc, member, line);
+        maplines_put_line(dbc, member, line);
     }
     else
     {

@@ -3,7 +3,7 @@
  */
 #include "internal.h"
 
-#if MAPLINES_SENDER
+#if MAPLINES_SENDER && MAPLINES_LINE_RECORDS
 
 #define MAX_COVARIANCE 1e307
 

@@ -89,32 +89,59 @@ static bool encode_pose(const maplines_dbc_t *dbc, const maplines_scene_input_t 
 /// entries, if there is one.
 static bool round_means(const maplines_dbc_t *dbc, maplines_scene_member_t *member)
 {
-    int64_t raw[4];
     double L[16];
     maplines_rounding_factor(member->specific, member->stated_J, L);
-    if (!maplines_round_mean(dbc->mean, NULL, member->mean, L, member->raw_mean))
+    bool is_good = maplines_round_mean(dbc->mean, NULL, member->mean, L, member->raw_mean);
+#if MAPLINES_LINE_RECORDS
+    if (is_good && maplines_has_entries(dbc))
     {
-        return false;
+        int64_t raw[4];
+        is_good = maplines_round_mean(dbc->mean, dbc->fine, member->mean, L, raw);
+        for (int i = 0; is_good && i < 4; ++i)
+        {
+            member->raw_refined[i] = maplines_split(&dbc->fine[i], raw[i], &member->raw_fine[i]);
+        }
     }
-    if (!maplines_has_entries(dbc))
-    {
-        return true;
-    }
-    if (!maplines_round_mean(dbc->mean, dbc->fine, member->mean, L, raw))
-    {
-        return false;
-    }
-    for (int i = 0; i < 4; ++i)
-    {
-        member->raw_refined[i] = maplines_split(&dbc->fine[i], raw[i], &member->raw_fine[i]);
-    }
-    return true;
+#endif
+    return is_good;
 }
 
 static int64_t nearest_limited(const maplines_signal_t *signal, double physical)
 {
     return maplines_limited(signal, maplines_nearest_raw(signal, physical));
 }
+
+/// Distance of a line from the car, next to it or at the nearer end of the fit range [m].
+static double distance_of(const maplines_scene_line_t *line)
+{
+    const double *mean = line->mean;
+    const double after = line->fit_range[0] > 0.0 ? line->fit_range[0] : 0.0;
+    const double x = line->fit_range[1] < after ? line->fit_range[1] : after;
+    const double half_curvature = mean[2] / 2.0 + x * mean[3] / 6.0;
+    return fabs(mean[0] + x * (maplines_tan(mean[1]) + x * half_curvature));
+}
+
+#if MAPLINES_LINE_RECORDS
+/// Find mean and range of a line as its record with a covariance of its own has them;
+/// MAPLINES_IN_SCENE, or why it does not belong to the scene.
+static maplines_left_out_t state_complete(const maplines_dbc_t *dbc,
+                                          const maplines_scene_line_t *line,
+                                          maplines_scene_member_t *member)
+{
+    const maplines_levels_t *levels = maplines_levels_of(dbc);
+    const double x_range[2] = {line->x_min, line->x_max};
+    maplines_stated_t stated;
+    maplines_state_line(dbc, line->mean, x_range, false, &stated);
+    memcpy(member->raw_mean, stated.mean, sizeof member->raw_mean);
+    memcpy(member->raw_range, stated.ends, sizeof member->raw_range);
+    const double low = maplines_physical(&dbc->x_min, stated.ends[0]);
+    const double high = maplines_physical(&dbc->x_max, stated.ends[1]);
+    member->raw_fit[0] = nearest_limited(&levels->fit_behind, low - member->range[0]);
+    member->raw_fit[1] = nearest_limited(&levels->fit_ahead, member->range[1] - high);
+    return stated.is_clipped || stated.is_cut || !(low < high) ? MAPLINES_LEFT_OUT_RANGE
+                                                               : MAPLINES_IN_SCENE;
+}
+#endif
 
 /// Find what is sent of a line in either form; MAPLINES_IN_SCENE, or why nothing is. False if the
 /// line overflows by the pose error.
@@ -124,25 +151,14 @@ static bool prepare(const maplines_dbc_t *dbc, const maplines_scene_input_t *sce
     const maplines_scene_line_t *line = &scene->lines[place];
     member->slot = (int)line->slot;
     member->kind = line->kind;
-    member->distance = maplines_distance_of(line);
+    member->distance = distance_of(line);
     member->left_out = maplines_state_member(dbc, scene, place, member);
-    const maplines_levels_t *levels = maplines_levels_of(dbc);
+#if MAPLINES_LINE_RECORDS
     if (!dbc->is_conditional && member->left_out == MAPLINES_IN_SCENE)
     {
-        const double x_range[2] = {line->x_min, line->x_max};
-        maplines_stated_t stated;
-        maplines_state_line(dbc, line->mean, x_range, false, &stated);
-        memcpy(member->raw_mean, stated.mean, sizeof member->raw_mean);
-        memcpy(member->raw_range, stated.ends, sizeof member->raw_range);
-        const double low = maplines_physical(&dbc->x_min, stated.ends[0]);
-        const double high = maplines_physical(&dbc->x_max, stated.ends[1]);
-        if (stated.is_clipped || stated.is_cut || !(low < high))
-        {
-            member->left_out = MAPLINES_LEFT_OUT_RANGE;
-        }
-        member->raw_fit[0] = nearest_limited(&levels->fit_behind, low - member->range[0]);
-        member->raw_fit[1] = nearest_limited(&levels->fit_ahead, member->range[1] - high);
+        member->left_out = state_complete(dbc, line, member);
     }
+#endif
     if (member->left_out != MAPLINES_IN_SCENE)
     {
         return true;
@@ -151,7 +167,7 @@ static bool prepare(const maplines_dbc_t *dbc, const maplines_scene_input_t *sce
     {
         return false;
     }
-    member->raw_quartic = nearest_limited(&levels->quartic, member->quartic);
+    member->raw_quartic = nearest_limited(&maplines_levels_of(dbc)->quartic, member->quartic);
     if (dbc->is_conditional)
     {
         member->raw_range[0] = (int64_t)maplines_nearest_raw(&dbc->x_min, member->range[0]);
@@ -173,10 +189,12 @@ static bool decode_line(const maplines_dbc_t *dbc, const maplines_scene_line_t *
     {
         const int64_t raw = member->is_full ? member->raw_refined[i] : member->raw_mean[i];
         line->mean[i] = maplines_physical(&dbc->mean[i], raw);
+#if MAPLINES_LINE_RECORDS
         if (member->is_full)
         {
             line->mean[i] = line->mean[i] + maplines_physical(&dbc->fine[i], member->raw_fine[i]);
         }
+#endif
         line->error[i] = given->mean[i] - line->mean[i];
     }
     line->fit_range[0] = maplines_physical(&dbc->x_min, member->raw_range[0]);

@@ -32,21 +32,12 @@ MAPLINES_INTERNAL bool maplines_can_be_seen(const maplines_curve_t *curve)
 
 MAPLINES_INTERNAL bool maplines_has_entries(const maplines_dbc_t *dbc)
 {
+#if MAPLINES_LINE_RECORDS
     return dbc->has_covariance.length > 0U;
-}
-
-MAPLINES_INTERNAL double maplines_distance_of(const maplines_scene_line_t *line)
-{
-    const double begin = line->fit_range[0];
-    const double end = line->fit_range[1];
-    const double after = begin > 0.0 ? begin : 0.0;
-    const double x = end < after ? end : after;
-    const double square = x * x;
-    const double by_slope = maplines_tan(line->mean[1]) * x;
-    const double by_curvature = line->mean[2] * (square / 2.0);
-    const double by_its_rate = line->mean[3] * (square * x / 6.0);
-    const double distance = fabs(line->mean[0] + by_slope + by_curvature + by_its_rate);
-    return distance < (double)INFINITY ? distance : (double)INFINITY; // also if it overflows
+#else
+    (void)dbc;
+    return false;
+#endif
 }
 
 /// The least positive semidefinite matrix that covers a symmetric one, in coefficients of T_0 ..

@@ -151,9 +151,8 @@ static void put_levels(const maplines_levels_t *levels, uint8_t *record, const i
     maplines_put(&levels->tilt, record, raw[3]);
 }
 
-MAPLINES_INTERNAL size_t maplines_write_conditional(const maplines_dbc_t *dbc,
-                                                    const maplines_scene_member_t *member,
-                                                    uint8_t *record)
+MAPLINES_INTERNAL void maplines_put_line(const maplines_dbc_t *dbc,
+                                         const maplines_scene_member_t *member, uint8_t *record)
 {
     const int64_t *mean = member->is_full ? member->raw_refined : member->raw_mean;
     for (int i = 0; i < 4; ++i)
@@ -164,18 +163,10 @@ MAPLINES_INTERNAL size_t maplines_write_conditional(const maplines_dbc_t *dbc,
     maplines_put(&dbc->x_min, record, member->raw_range[0]);
     maplines_put(&dbc->x_max, record, member->raw_range[1]);
     maplines_put(&dbc->levels.quartic, record, member->raw_quartic);
-    maplines_put(&dbc->has_covariance, record, member->is_full ? 1 : 0);
     if (!member->is_full)
     {
         put_levels(&dbc->levels, record, member->raw_levels);
-        return 8U * (size_t)dbc->line.short_pages;
     }
-    for (int i = 0; i < 4; ++i)
-    {
-        maplines_put(&dbc->fine[i], record, member->raw_fine[i]);
-    }
-    maplines_put_covariance(&dbc->covariance, record, member->raw_covariance);
-    return 8U * (size_t)dbc->line.pages;
 }
 
 MAPLINES_INTERNAL void maplines_put_pose(const maplines_dbc_t *dbc,
@@ -191,6 +182,24 @@ MAPLINES_INTERNAL void maplines_put_pose(const maplines_dbc_t *dbc,
 }
 
 #if MAPLINES_LINE_RECORDS
+MAPLINES_INTERNAL size_t maplines_write_conditional(const maplines_dbc_t *dbc,
+                                                    const maplines_scene_member_t *member,
+                                                    uint8_t *record)
+{
+    maplines_put_line(dbc, member, record);
+    if (!member->is_full)
+    {
+        return 8U * (size_t)dbc->line.short_pages;
+    }
+    maplines_put(&dbc->has_covariance, record, 1);
+    for (int i = 0; i < 4; ++i)
+    {
+        maplines_put(&dbc->fine[i], record, member->raw_fine[i]);
+    }
+    maplines_put_covariance(&dbc->covariance, record, member->raw_covariance);
+    return 8U * (size_t)dbc->line.pages;
+}
+
 /// Record of a line with a covariance of its own; returns its length.
 static size_t write_line(const maplines_dbc_t *dbc, const maplines_scene_input_t *scene, int place,
                          uint8_t *record, maplines_status_t *status)
@@ -271,8 +280,8 @@ static bool append(maplines_encoder_t *encoder, int owner, uint8_t *record, size
 
 #if MAPLINES_LINE_RECORDS
 /// Write the records of the pose error and of the lines; false if one was not signed.
-static bool send_lines(maplines_encoder_t *encoder, const maplines_scene_input_t *scene,
-                       bool is_fd, int64_t now_us, const maplines_scene_workspace_t *space,
+static bool send_lines(maplines_encoder_t *encoder, const maplines_scene_input_t *scene, bool is_fd,
+                       int64_t now_us, const maplines_scene_workspace_t *space,
                        maplines_frame_t *frames, maplines_sent_scene_t *sent)
 {
     const maplines_dbc_t *dbc = encoder->dbc;
@@ -340,8 +349,8 @@ static bool send_whole(maplines_encoder_t *encoder, const maplines_scene_input_t
         uint8_t record[MAPLINES_MAX_RECORD] = {0};
         const size_t length = maplines_write_whole(dbc, &cycle, &encoder->places, message, record);
         const uint32_t counter = encoder->counter[owner];
-        is_good = append(encoder, owner, record, length, counter, true, now_us, frames,
-                         &sent->count);
+        is_good =
+            append(encoder, owner, record, length, counter, true, now_us, frames, &sent->count);
         encoder->counter[owner] = maplines_next_counter(dbc, owner, counter);
     }
     for (int i = 0; i < (int)scene->count; ++i)
