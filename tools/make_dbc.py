@@ -18,6 +18,7 @@ from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.covariance_spec import covariance_signals
 from maplines_can.study.dbc.pose_spec import CONDITIONAL, POSE_WITH_LEVELS
 from maplines_can.study.dbc.record_spec import DEFAULT, SECURED, dbc_name, dbc_writer_for
+from maplines_can.study.dbc.scene_spec import WHOLE_SCENES
 from maplines_can.wire.layout.record_layout import RELATIONS
 from maplines_can.wire.layout.signals import (
     COMPLETE_RECORD,
@@ -27,6 +28,10 @@ from maplines_can.wire.layout.signals import (
     OF_SLOT,
     POSE_RECORD,
     RATIO,
+    SCENE_LINE,
+    SCENE_RECORD,
+    SLOT,
+    SLOT_BOUNDS,
     SLOT_COUNTER,
     TRAILER,
     Bounds,
@@ -42,6 +47,7 @@ def wanted() -> Any:
         "fields": DEFAULT.table(),
         "pose": POSE_WITH_LEVELS.record.table(),
         "conditional": without(CONDITIONAL.table(), DEFAULT.table()),
+        "scene": WHOLE_SCENES.table(),
         "requirements": requirements_table(),
         "codes": codes_table(),
     }
@@ -50,6 +56,7 @@ def wanted() -> Any:
         "maplines.dbc": DEFAULT.dbc(),
         "maplines-secoc.dbc": SECURED.dbc(),
         "maplines-pose.dbc": CONDITIONAL.dbc(),
+        "maplines-scene.dbc": WHOLE_SCENES.dbc(),
     }
     texts = {FOLDER / name: dbc for name, dbc in dbcs.items()} | {FOLDER / "README.md": page}
     kept = {
@@ -78,6 +85,10 @@ def requirements_table() -> Any:
         bounds[name if bounds.get(name, own) == own else f"{name}` of `PoseConditional"] = own
     bounds |= {name: own for name, own in POSE_RECORD.items() if name not in bounds}
     bounds |= {"*Counter": SLOT_COUNTER} | {f"*{name}": own for name, own in OF_SLOT.items()}
+    of_scene = {**SCENE_RECORD, **SCENE_LINE, SLOT: SLOT_BOUNDS}
+    for name, own in of_scene.items():
+        if own not in (bounds.get(name), bounds.get(f"{name}` of `PoseConditional")):
+            bounds[name if name not in bounds else f"{name}` of `Scene"] = own
     bounds |= {**TRAILER, "Pivot*`, `Inflation": OCTAVES, "Ratio*": RATIO}
     for name, own in bounds.items():
         related = name.removeprefix("*") if name.removeprefix("*") in OF_SLOT else name

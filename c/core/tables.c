@@ -77,17 +77,42 @@ static bool is_record(const maplines_record_t *record)
 static bool are_levels(const maplines_levels_t *levels, int pages)
 {
     return are_within(1, &levels->lateral, pages) && are_within(1, &levels->points, pages) &&
-           are_within(1, &levels->shape, pages) && are_within(1, &levels->quartic, pages) &&
-           are_within(1, &levels->fit_behind, pages) && are_within(1, &levels->fit_ahead, pages);
+           are_within(1, &levels->shape, pages) && are_within(1, &levels->tilt, pages) &&
+           are_within(1, &levels->quartic, pages) && are_within(1, &levels->fit_behind, pages) &&
+           are_within(1, &levels->fit_ahead, pages);
+}
+
+/// Whether the lines of a whole scene are within its record, and name no other slots.
+static bool are_places(const maplines_dbc_t *dbc)
+{
+    const maplines_places_t *scene = &dbc->scene;
+    const int bits = 64 * dbc->pose.pages - 8 * scene->stride * (scene->places - 1);
+    const maplines_signal_t line[] = {dbc->kind,         dbc->x_min,          dbc->x_max,
+                                      dbc->mean[0],      dbc->mean[1],        dbc->mean[2],
+                                      dbc->mean[3],      dbc->levels.lateral, dbc->levels.points,
+                                      dbc->levels.shape, dbc->levels.tilt,    dbc->levels.quartic};
+    bool is_good = scene->places <= MAPLINES_MAX_PLACES && scene->secured_places <= scene->places;
+    for (size_t i = 0; i < sizeof line / sizeof line[0]; i++)
+    {
+        is_good = is_good && line[i].first + line[i].length <= bits;
+    }
+    for (int i = 0; i < 2 * MAPLINES_MAX_PLACES; i++)
+    {
+        is_good = is_good &&
+                  scene->fixed[i / MAPLINES_MAX_PLACES][i % MAPLINES_MAX_PLACES] <= MAPLINES_SLOTS;
+    }
+    return is_good && are_within(1, &scene->join, dbc->pose.pages) &&
+           are_within(1, &scene->slot, dbc->pose.pages);
 }
 
 bool maplines_check_tables(const maplines_dbc_t *dbc)
 {
-    const int pages = dbc->line.pages;
+    const bool is_scene = dbc->scene.places > 0;
+    const int pages = is_scene ? dbc->pose.pages : dbc->line.pages;
     const int of_pose = dbc->pose.pages;
     bool is_good = dbc->max_components <= MAPLINES_MAX_COMPONENTS && is_record(&dbc->line) &&
                    is_record(&dbc->pose) && pages > 0 && (of_pose > 0 || !dbc->has_pose) &&
-                   (dbc->spacings == 0 || dbc->straight != NULL);
+                   (dbc->spacings == 0 || dbc->straight != NULL) && (!is_scene || are_places(dbc));
     const maplines_signal_t own[] = {
         dbc->kind,          dbc->x_min,           dbc->x_max,           dbc->status,
         dbc->age,           dbc->component_index, dbc->component_count, dbc->component_weight,

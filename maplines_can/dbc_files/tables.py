@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 #: Value of an attribute; None if the message has none.
 Attribute = int | float | str | None
-#: Signals whose values have names that matter.
+#: Ends of the names of signals whose values have names that matter.
 NAMED = ("Status", "Kind")
 #: Most bits of a message, of CAN FD.
 MAX_BITS = 512
@@ -56,9 +56,10 @@ class DbcMessage(NamedTuple):
     cycle: Attribute  #: [ms]
     slot: Attribute  #: MapLineSlot
     pose: Attribute  #: MapLinePose
+    scene: Attribute  #: MapLineScene
     e2e_data_id: Attribute
     secoc_data_id: Attribute
-    signals: tuple[DbcSignal, ...]  #: none of a message without a line or the pose error
+    signals: tuple[DbcSignal, ...]  #: none of a message without a line and the pose error
 
 
 class DbcTables(NamedTuple):
@@ -105,11 +106,11 @@ def database_tables(database: object) -> DbcTables:
 
 def _message(message: Message) -> DbcMessage:
     attributes = message.dbc.attributes if message.dbc else {}
-    slot, pose, e2e, secoc = (
+    slot, pose, scene, e2e, secoc = (
         _plain(attributes[name].value) if name in attributes else None
-        for name in ("MapLineSlot", "MapLinePose", "E2EDataId", "SecOCDataId")
+        for name in ("MapLineSlot", "MapLinePose", "MapLineScene", "E2EDataId", "SecOCDataId")
     )
-    is_ours = slot is not None or pose is not None
+    is_ours = (slot, pose, scene) != (None, None, None)
     return DbcMessage(
         name=message.name,
         can_id=message.frame_id,
@@ -119,6 +120,7 @@ def _message(message: Message) -> DbcMessage:
         cycle=_plain(message.cycle_time),
         slot=slot,
         pose=pose,
+        scene=scene,
         e2e_data_id=e2e,
         secoc_data_id=secoc,
         signals=tuple(map(_signal, message.signals)) if is_ours else (),
@@ -142,7 +144,9 @@ def _signal(signal: Signal) -> DbcSignal:
         unit=signal.unit or "",
         is_multiplexer=bool(signal.is_multiplexer),
         pages=None if ids is None else tuple(ids),
-        names=tuple((int(n), str(name)) for n, name in choices.items() if signal.name in NAMED),
+        names=tuple(
+            (int(n), str(name)) for n, name in choices.items() if signal.name.endswith(NAMED)
+        ),
     )
 
 

@@ -82,6 +82,13 @@ class LeftOut(StrEnum):
     RANGE = "the message cannot state the range of the line"
     MEAN = "the message cannot state the parameters of the line"
     COVARIANCE = "no covariance of the message covers the line"
+    PLACE = "the messages have no place for the line"
+
+
+#: Reasons of a sender by their numbers, ``maplines_left_out_t``; None: the line is in the scene.
+LEFT_OUT = (
+    None, LeftOut.ACROSS, LeftOut.RANGE, LeftOut.MEAN, LeftOut.COVARIANCE, LeftOut.PLACE,
+)  # fmt: skip
 
 
 class Estimate(NamedTuple):

@@ -14,7 +14,7 @@ from ..core import ffi, lib
 from ..core.memory import shaped
 from ..values.arrays import floats
 from ..values.errors import EncodeError, IllPosedError
-from ..values.line import MAX_AGE, LeftOut, Slot, age_error
+from ..values.line import LEFT_OUT, MAX_AGE, LeftOut, Slot, age_error
 from ..values.scene import PoseError, Scene
 from .layout.message_layout import Layout
 from .layout.pose_layout import OWNERS, POSE, Owner
@@ -22,8 +22,6 @@ from .records.frames import Records
 from .records.given import given_lines
 from .tables import tables_of
 
-#: Reasons of lines that are left out by their numbers: ``maplines_left_out_t``.
-LEFT_OUT = (None, LeftOut.ACROSS, LeftOut.RANGE, LeftOut.MEAN, LeftOut.COVARIANCE)
 _MAX_RECORD = ffi.sizeof("maplines_template_t") - ffi.offsetof("maplines_template_t", "bytes")
 _LINES, _DOUBLES, _COUNTERS, _BYTES = map(
     ffi.typeof, ("maplines_given_line_t[]", "double[]", "int64_t[]", "uint8_t[]")

@@ -18,9 +18,10 @@ from ..values.elementary import exp2
 from ..values.errors import LayoutError
 from ..values.line import Slot
 from .layout.cholesky import CholeskyCode
-from .layout.message_layout import POSE_CONDITIONAL, Layout
-from .layout.pose_layout import PoseLayout, number_of
+from .layout.message_layout import POSE_CONDITIONAL, WHOLE_SCENE, Layout
+from .layout.pose_layout import SCENES, PoseLayout, number_of
 from .layout.record_layout import RecordLayout, bits_of
+from .layout.scene_layout import SceneLayout
 from .layout.signal import place_of
 from .layout.signals import (
     FINE,
@@ -30,6 +31,7 @@ from .layout.signals import (
     PAGE_BYTES,
     PARAMETER_SIGNALS,
     POSE_ROWS,
+    SLOT,
     TRANSFER_ID,
     Signal,
     slot_title,
@@ -37,7 +39,9 @@ from .layout.signals import (
 from .layout.slot_messages import RecordMessages
 
 #: Covariance codes of the core, by their names in the DBC's attribute CovarianceCode.
-CODES = (CholeskyCode.name, POSE_CONDITIONAL)
+CODES = (CholeskyCode.name, POSE_CONDITIONAL, WHOLE_SCENE)
+#: Order of the rows of the covariance of a line of a whole scene.
+ORDER = ("C1", "C0", "YOff", "Beta")
 #: Most bits of a counter in C.
 MAX_COUNTER_BITS = 32
 #: Most spacings that an encoder of scenes searches, and ratios of the shape to the points.
@@ -109,14 +113,15 @@ def _check_sizes(layout: Layout) -> None:
                 f"{layout.source}: a record has {record.pages} pages, but in C it has at most "
                 f"{MAX_LIMITS.pages}; shorten its signals"
             )
-        _check_bits(record, f"{TRANSFER_ID}0", MAX_LIMITS.transfer_ids.bit_length() - 1)
+        if record.pages:
+            _check_bits(record, f"{TRANSFER_ID}0", MAX_LIMITS.transfer_ids.bit_length() - 1)
         _check_bits(record, "Counter", MAX_COUNTER_BITS)
         if len({bit // (8 * PAGE_BYTES) for bit in bits_of(record["Counter"])}) > 1:
             raise record.error(record["Counter"], "to be within a page to have C", "move it")
-    if layout.is_conditional:
+    if layout.covariance_code == POSE_CONDITIONAL:
         for name in PARAMETER_SIGNALS:  # an encoder adds the steps of the finer signal
             _check_bits(layout, name, MAX_MEAN_BITS - layout[f"{name}{FINE}"].length)
-    else:
+    elif not layout.is_conditional:
         _check_bits(layout, "ComponentCount", MAX_LIMITS.components.bit_length() - 1)
 
 
@@ -196,28 +201,27 @@ def content_of(layout: Layout) -> dict[str, Value]:
         "is_conditional": layout.is_conditional,
         "has_pose": pose is not None,
         "messages": {number_of(owner): _messages(own) for owner, own in layout.messages_of.items()},
-        "line": _record(layout),
+        "line": None if layout.scene else _record(layout),
         "pose": None if pose is None else _record(pose),
+        "scene": None if layout.scene is None else _places(layout.scene),
         "mean": _indexed(layout[name] for name in PARAMETER_SIGNALS),
         **{member: layout[name] for member, name in _SIGNALS.items()},
-        "covariance": (
-            _cholesky(CholeskyCode(layout))
-            if layout.covariance_code in CODES
-            else _any_covariance(layout["Status"])
-        ),
+        "covariance": _covariance(layout),
     }
-    own = _CONDITIONAL_SIGNALS if layout.is_conditional else _COMPLETE_SIGNALS
-    content |= {member: layout[name] for member, name in own.items()}
-    if layout.is_conditional:
-        content["fine"] = _indexed(layout[name] for name in FINE_SIGNALS)
+    if not layout.is_conditional:
+        content |= {member: layout[name] for member, name in _COMPLETE_SIGNALS.items()}
+    else:
         content["levels"] = _levels(layout, "")
+    if layout.covariance_code == POSE_CONDITIONAL:
+        content["has_covariance"] = layout["HasCovariance"]
+        content["fine"] = _indexed(layout[name] for name in FINE_SIGNALS)
     if pose is not None:
         content |= {**_pose_content(pose), **_spacings(layout, pose)}
         content["straight"] = _straight(content)
     return content
 
 
-def _spacings(layout: Layout, pose: PoseLayout) -> Members:
+def _spacings(layout: Layout, pose: RecordLayout) -> Members:
     """Return the members of the spacings that an encoder searches: all, or at equal distances."""
     shapes = [f"{slot_title(slot)}OwnShape" for slot in Slot]
     of_first = next((name for name in shapes if name in pose.signals), shapes[0])
@@ -244,7 +248,6 @@ _COMPLETE_SIGNALS = {
     "component_count": "ComponentCount",
     "component_weight": "ComponentWeight",
 }
-_CONDITIONAL_SIGNALS = {"has_covariance": "HasCovariance"}
 _POSE_SIGNALS = {
     "pose_age": "Age",
     "correlation_time": "CorrelationTime",
@@ -255,40 +258,67 @@ _LEVELS = {
     "lateral": "OwnLateral",
     "points": "OwnPoints",
     "shape": "OwnShape",
+    "tilt": "OwnTilt",
     "quartic": "Quartic",
     "fit_behind": "FitBehind",
     "fit_ahead": "FitAhead",
 }
 
 
-def _pose_content(pose: PoseLayout) -> dict[str, Value]:
+def _pose_content(pose: PoseLayout | SceneLayout) -> dict[str, Value]:
     """Return the members of ``maplines_dbc_t`` of the records of the pose error."""
-    slots = [slot for slot in pose.counters if f"{slot_title(slot)}OwnShape" in pose.signals]
-    return {
+    content: dict[str, Value] = {
         **{member: pose[name] for member, name in _POSE_SIGNALS.items()},
         "pose_covariance": _cholesky(CholeskyCode(pose, POSE_ROWS)),
+    }
+    if isinstance(pose, SceneLayout):
+        return content
+    slots = [slot for slot in pose.counters if f"{slot_title(slot)}OwnShape" in pose.signals]
+    return content | {
         "slot_counter": {number_of(slot): signal for slot, signal in pose.counters.items()},
         "slot_levels": {number_of(slot): _levels(pose, slot_title(slot)) for slot in slots} or None,
     }
 
 
-def _record(layout: Layout | PoseLayout) -> Members:
+def _record(layout: Layout | PoseLayout | SceneLayout) -> Members:
     """Return the members of ``maplines_record_t``."""
     secured = layout.secured
-    later = f"{TRANSFER_ID}1"
-    return {
-        "pages": layout.pages,
-        "short_pages": layout.short_pages,
+    members: dict[str, Value] = {
+        "pages": eights_of(layout),
+        "short_pages": eights_of(layout) if isinstance(layout, SceneLayout) else layout.short_pages,
         "crc_byte": layout.crc_offset,
         "fd_authentic": secured.authentic_bytes if secured else 0,
         "fd_freshness": secured.freshness_bytes if secured else 0,
         "fd_mac": secured.mac_bytes if secured else 0,
-        "page": layout[f"{PAGE}0"],
-        "transfer_id": {
+        "counter": layout["Counter"],
+    }
+    if layout.pages:
+        later = f"{TRANSFER_ID}1"
+        members["page"] = layout[f"{PAGE}0"]
+        members["transfer_id"] = {
             0: layout[f"{TRANSFER_ID}0"],
             1: _in_page(layout[later]) if later in layout.signals else None,
-        },
-        "counter": layout["Counter"],
+        }
+    return members
+
+
+def eights_of(layout: RecordLayout) -> int:
+    """Return the length of a record in pages of 8 bytes, also of one that has none."""
+    return -(-layout.record_bytes // PAGE_BYTES)
+
+
+def _places(scene: SceneLayout) -> Members:
+    """Return the members of ``maplines_places_t``."""
+    fixed = [scene.fixed.get(owner, ()) for owner in SCENES]
+    return {
+        "places": scene.places,
+        "secured_places": scene.secured_places,
+        "stride": scene.stride_bytes,
+        "fixed": _indexed(
+            _indexed(0 if slot is None else slot + 1 for slot in slots) for slots in fixed if slots
+        ),
+        "slot": scene.line.get(SLOT),
+        "join": scene["SceneCounter"],
     }
 
 
@@ -316,6 +346,15 @@ def _cholesky(code: CholeskyCode) -> Members:
     }
 
 
+def _covariance(layout: Layout) -> Members:
+    """Return the members of ``maplines_cholesky_t`` of lines."""
+    if layout.covariance_code == WHOLE_SCENE:  # only the order of the rows of what is computed
+        return {"rows": len(ORDER), "order": _indexed(map(PARAMETER_SIGNALS.index, ORDER))}
+    if layout.covariance_code in CODES:
+        return _cholesky(CholeskyCode(layout))
+    return _any_covariance(layout["Status"])
+
+
 def _any_covariance(signal: Signal) -> Members:
     """Return the code of a positive definite covariance of the bits of another signal."""
     return {
@@ -335,15 +374,18 @@ def _levels(layout: RecordLayout, prefix: str) -> Members:
     }
 
 
-def _records(layout: Layout) -> list[Layout | PoseLayout]:
+def _records(layout: Layout) -> list[RecordLayout]:
+    if layout.scene is not None:
+        return [layout.scene]
     return [layout] if layout.pose is None else [layout, layout.pose]
 
 
 def _own_limits(layout: Layout) -> Limits:
     records = _records(layout)
+    ids = [record[f"{TRANSFER_ID}0"].length for record in records if record.pages]
     return Limits(
-        pages=max(record.pages for record in records),
-        transfer_ids=2 ** max(record[f"{TRANSFER_ID}0"].length for record in records),
+        pages=max(map(eights_of, records)),
+        transfer_ids=2 ** max(ids, default=0),
         components=1 if layout.is_conditional else 2 ** layout["ComponentCount"].length,
     )
 

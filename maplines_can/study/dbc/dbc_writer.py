@@ -16,11 +16,13 @@ from cantools.database.can.formats.dbc.dbc_attribute_definition import DbcAttrib
 from cantools.database.can.formats.dbc.dbc_specifics import DbcSpecifics
 
 from ...values.line import Slot
+from ...wire.layout.pose_layout import SCENE2, SCENES
 from ...wire.layout.signals import POSE_PREFIX, SECURED_SIGNALS, slot_title
-from ...wire.layout.slot_messages import fd_length
+from ...wire.layout.slot_messages import FD_LENGTHS, fd_length
 from .record_pages import PAGE_BYTES, RecordPages, SignalSpec, dbc_signal
+from .scene_pages import MESSAGES, SceneSpec
 
-__all__ = ["TRANSFER_ID_BITS", "DbcWriter", "PoseSpec", "SignalSpec", "paged"]
+__all__ = ["TRANSFER_ID_BITS", "DbcWriter", "PoseSpec", "SceneSpec", "SignalSpec", "paged"]
 
 TRANSFER_ID_BITS = 4
 #: Largest payload of CAN FD; a longer record has no FD message [byte].
@@ -43,6 +45,15 @@ _MAC = SignalSpec(
     about="First bytes of the AES-CMAC (RFC 4493).",
     why="64 bits, the minimum that NIST SP 800-38B advises without an analysis of guesses")
 # fmt: on
+_TRAILER = (
+    "the number of the key, the freshness value and the MAC over SecOCDataId, all bytes before "
+    "Freshness, and the freshness value in 64 bits."
+)
+_SCENE = "A whole scene: the pose error and the lines that are seen from this pose, jointly"
+_BESIDE = (
+    ". Its lines belong to those of Scene if both have the same SceneCounter, and the same pose "
+    "error but for Age."
+)
 
 
 @dataclass(frozen=True)
@@ -66,13 +77,13 @@ class PoseSpec:
 
 @dataclass(frozen=True)
 class DbcWriter:
-    """Writer of a DBC: pages of signals, and the slots that have messages.
+    """Writer of a DBC: pages of signals and the slots that have messages, or whole scenes.
 
     All signals are little-endian, except those that an authenticated message adds, which are
     big-endian as in AUTOSAR.
     """
 
-    pages: tuple[tuple[SignalSpec, ...], ...]  #: the signals of each page, in the order of bits
+    pages: tuple[tuple[SignalSpec, ...], ...] = ()  #: the signals of each page, in order of bits
     first_can_id: int = 0x340  #: classic message of slot 0; the other slots follow
     first_fd_can_id: int = 0x348  #: FD message of slot 0
     first_data_id: int = 0x4D40  #: E2E data ID of slot 0
@@ -86,6 +97,7 @@ class DbcWriter:
     transfer_id_bits: int = TRANSFER_ID_BITS
     optional_pages: int = 0  #: pages at the end that are sent only if HasCovariance is 1
     pose: PoseSpec | None = None  #: message of the pose error, if there is one
+    scene: SceneSpec | None = None  #: messages of whole scenes, in place of those of lines
 
     def __post_init__(self) -> None:
         _ = self.record  # which checks the pages
@@ -107,10 +119,12 @@ class DbcWriter:
             del definitions["SecOCDataId"]
         if self.pose is None:
             del definitions["MapLinePose"]
+        if self.scene is None:
+            del definitions["MapLineScene"]
         network = {"BusType": "CAN FD", "CovarianceCode": self.covariance_code}
         messages = [message for slot in self.slots for message in self._messages(slot)]
         return Database(
-            messages=[*messages, *self._pose_messages()],
+            messages=[*messages, *self._pose_messages(), *self._scene_messages()],
             nodes=[
                 Node("PositionEcu", "Knows the pose and the map, and sends the lines."),
                 Node("AdasEcu", "Fuses the lines, steers by them or checks its camera with them."),
@@ -123,7 +137,7 @@ class DbcWriter:
 
     def table(self) -> str:
         """Return the fields as a Markdown table, for the page beside the DBC."""
-        return self.record.table()
+        return self.scene.table() if self.scene else self.record.table()
 
     def _messages(self, slot: Slot) -> Iterator[Message]:
         """Yield the classic message of a slot, and the FD and authenticated ones if any."""
@@ -176,26 +190,69 @@ class DbcWriter:
             signals, length = record.end_to_end(), fd_length(size)
             yield self._message(f"{name}Fd", fd_can_id, length, signals, about, attributes, True)
         if secured_can_id is not None:
-            specs = (
-                _KEY_ID,
-                replace(_FRESHNESS, bits=8 * self.freshness_bytes),
-                replace(_MAC, bits=8 * self.mac_bytes),
+            about = f"{what}, authenticated (AUTOSAR SecOC, AES-CMAC): {name}Fd, then {_TRAILER}"
+            yield self._secured(
+                f"{name}SecOc",
+                secured_can_id,
+                record.end_to_end(),
+                size,
+                about,
+                attributes,
+                secured_data_id,
             )
-            tail = sum(spec.bits for spec in specs)
-            length = fd_length(size + tail // 8)
-            signals, start = record.end_to_end(), 8 * length - tail
-            for spec in specs:
-                signals.append(dbc_signal(spec, start + 7, byte_order="big_endian"))
-                start += spec.bits
-            about = (
-                f"{what}, authenticated (AUTOSAR SecOC, AES-CMAC): {name}Fd, then the number of "
-                "the key, the freshness value and the MAC over SecOCDataId, all bytes before "
-                "Freshness, and the freshness value in 64 bits."
-            )
-            secured = {"SecOCDataId": secured_data_id}
-            yield self._message(
-                f"{name}SecOc", secured_can_id, length, signals, about, attributes, True, secured
-            )
+
+    def _scene_messages(self) -> Iterator[Message]:
+        """Yield the messages of whole scenes, and the authenticated ones if any."""
+        if (scene := self.scene) is None:
+            return
+        for i, owner in enumerate(owner for owner in MESSAGES if owner in scene.fixed):
+            name, first = MESSAGES[owner], self.first_secured_can_id
+            attributes = {
+                "MapLineScene": SCENES.index(owner) + 1,
+                "E2EDataId": scene.first_data_id + i,
+            }
+            signals, size = scene.signals(owner, scene.places), scene.record_bytes(scene.places)
+            length = next(n for n in FD_LENGTHS if n >= size and n % PAGE_BYTES == 0)
+            about = f"{_SCENE}{_BESIDE if owner == SCENE2 else '.'}"
+            can_id = scene.first_can_id + i
+            yield self._message(name, can_id, length, signals, about, attributes, True)
+            if first is not None:
+                places = scene.secured_places
+                yield self._secured(
+                    f"{name}SecOC",
+                    first + i,
+                    scene.signals(owner, places),
+                    scene.record_bytes(places),
+                    f"{name} of {places} lines, authenticated (AUTOSAR SecOC, AES-CMAC): its first "
+                    f"bytes, then {_TRAILER}",
+                    attributes,
+                    scene.first_data_id + len(MESSAGES) + i,
+                )
+
+    def _secured(
+        self,
+        name: str,
+        can_id: int,
+        signals: list[Signal],
+        size: int,
+        about: str,
+        attributes: dict[str, int],
+        data_id: int,
+    ) -> Message:
+        """Return the authenticated message of a record of ``size`` bytes."""
+        specs = (
+            _KEY_ID,
+            replace(_FRESHNESS, bits=8 * self.freshness_bytes),
+            replace(_MAC, bits=8 * self.mac_bytes),
+        )
+        tail = sum(spec.bits for spec in specs)
+        length = fd_length(size + tail // 8)
+        start = 8 * length - tail
+        for spec in specs:
+            signals.append(dbc_signal(spec, start + 7, byte_order="big_endian"))
+            start += spec.bits
+        secured = {"SecOCDataId": data_id}
+        return self._message(name, can_id, length, signals, about, attributes, True, secured)
 
     def _message(
         self,
@@ -253,6 +310,7 @@ def _attribute_definitions() -> OrderedDict[str, Any]:
         DbcAttributeDefinition("CovarianceCode", "Cholesky", "", "STRING"),
         DbcAttributeDefinition("MapLineSlot", 0, "BO_", "INT", 0, len(Slot) - 1),
         DbcAttributeDefinition("MapLinePose", 0, "BO_", "INT", 0, 1),
+        DbcAttributeDefinition("MapLineScene", 0, "BO_", "INT", 0, len(MESSAGES)),
         DbcAttributeDefinition("E2EDataId", 0, "BO_", "INT", 0, 0xFFFF),
         DbcAttributeDefinition("SecOCDataId", 0, "BO_", "INT", 0, 0xFFFF),
         DbcAttributeDefinition("GenMsgCycleTime", 0, "BO_", "INT", 0, 65535),

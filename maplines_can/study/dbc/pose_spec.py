@@ -45,7 +45,7 @@ _PIVOTS = (
         "Heading", ("Along", "Across"), 9, 0.034, -18,
         "from 2^-18 rad to 0.65 rad in steps of 2.4 %"),
 )
-_CORRELATION_TIME = SignalSpec(
+CORRELATION_TIME = SignalSpec(
     name="CorrelationTime", bits=4, factor=0.5, offset=-2, unit="octave", choices={0: "UNKNOWN"},
     about="log2 of the time [s] after which the pose error has lost its correlation to 1/e, "
           "rounded up. The raw value 0 means unknown, or longer than the greatest value: take the "
@@ -56,12 +56,12 @@ _RATIOS = (
     ratio_signal("Heading", "Along", 7, 1 / 32, why="a correlation of 0.89"),
     ratio_signal("Heading", "Across", 8, 1 / 32, why="a correlation of 0.97: drift across a lane"),
 )
-_INFLATION = SignalSpec(
+INFLATION = SignalSpec(
     name="Inflation", bits=3, factor=0.0124, unit="octave",
     about="log2 of the factor on the whole covariance that makes up for rounding: the decoded "
           "covariance is 2^Inflation L L^T.",
     why="steps of 0.9 % of the variance, up to 6.2 %, as in a record with a covariance")
-_MAP_LEVELS = (
+MAP_LEVELS = (
     SignalSpec(
         name="MapOffset", bits=6, factor=0.125, offset=-8, unit="octave", choices={0: "NONE"},
         about="log2 of the standard deviation [m] of the offset of each line on the map, in any "
@@ -85,23 +85,35 @@ def _counter_of(slot: Slot) -> SignalSpec:
         why="tells apart the records of eight cycles; receivers look three cycles back and ahead")
 
 
-def _level(name: str, bits: int, about: str, why: str) -> SignalSpec:
+def level_signal(name: str, bits: int, factor: float, offset: float, why: str) -> SignalSpec:
+    """Return the signal of a level of what a line has of its own: OwnLateral or OwnPoints.
+
+    Args:
+        name: of the signal.
+        bits: width.
+        factor: step [octave].
+        offset: low end of the range [octave]; the raw value 0 means none.
+        why: reason for range and steps.
+    """
     return SignalSpec(
-        name=name, bits=bits, factor=0.12 if bits > 5 else 0.24, offset=-9.5, unit="octave",
-        choices={0: "NONE"}, about=f"log2 of the standard deviation [m] of {about} The raw value "
-        "0 means none.", why=f"1.4 mm to 25 cm in steps of {why}")
+        name=name, bits=bits, factor=factor, offset=offset, unit="octave", choices={0: "NONE"},
+        about=f"log2 of the standard deviation [m] of {_LEVELS[name]} The raw value 0 means none.",
+        why=why)
+
+
+_LEVELS = {
+    "OwnLateral":
+        "the lateral position that the line has of its own: it does not come from the pose error.",
+    "OwnPoints": "the points of the line, each by itself, in any direction.",
+}
 
 
 #: The line-specific covariance of a line, and how it differs from its cubic.
-_OWN = (
-    _level(
-        "OwnLateral", 6,
-        "the lateral position that the line has of its own: it does not come from the pose error.",
-        "9 %"),
-    _level(
-        "OwnPoints", 5,
-        "the points of the line, each by itself, in any direction.",
-        "18 %; with OwnShape they are finer"),
+OWN = (
+    level_signal("OwnLateral", 6, 0.12, -9.5, "1.4 mm to 25 cm in steps of 9 %"),
+    level_signal(
+        "OwnPoints", 5, 0.24, -9.5,
+        "1.4 mm to 25 cm in steps of 18 %; with OwnShape they are finer"),
     SignalSpec(
         name="OwnShape", bits=8, factor=0.025, offset=-5, unit="octave",
         about="With OwnPoints: log2 of the distance of these points along the line, in halves of "
@@ -121,8 +133,8 @@ _OWN = (
 #: OwnShape of the Pose message: complete records cannot send all entries of what a line has of
 #: its own, so points that are far apart need finer steps.
 _SHAPE = replace(
-    _OWN[2], factor=2**-7, offset=2**-5, unit="1",
-    about=_OWN[2].about.replace("log2 of the distance", "distance"),
+    OWN[2], factor=2**-7, offset=2**-5, unit="1",
+    about=OWN[2].about.replace("log2 of the distance", "distance"),
     why="1/32 to 2 half lengths; finer for points that are far apart, since the places of a few "
         "points matter most")
 #: How far the fit range exceeds the stated range, which is the valid range.
@@ -137,8 +149,8 @@ _FIT = (
         why="XMax is rounded to 4 m, and leaves room for the error of the pose"),
 )
 _POSE_PAGES = (
-    (_CRC, _COUNTER, *_PIVOTS, AGE, _MAP_LEVELS[1]),
-    (*_RATIOS, _INFLATION, _MAP_LEVELS[0], _CORRELATION_TIME, *map(_counter_of, Slot)),
+    (_CRC, _COUNTER, *_PIVOTS, AGE, MAP_LEVELS[1]),
+    (*_RATIOS, INFLATION, MAP_LEVELS[0], CORRELATION_TIME, *map(_counter_of, Slot)),
 )
 
 
@@ -147,7 +159,7 @@ def _own_page(slots: Iterable[Slot]) -> tuple[SignalSpec, ...]:
     return tuple(
         replace(spec, name=slot_title(slot) + spec.name)
         for slot in slots
-        for spec in (*_OWN[:2], _SHAPE, _OWN[3], *_FIT)
+        for spec in (*OWN[:2], _SHAPE, OWN[3], *_FIT)
     )
 
 
@@ -165,7 +177,7 @@ _LINE_COUNTER = SignalSpec(
     about="Counts the records of the slot (AUTOSAR E2E profile 5). Its low two bits are the "
           "transfer number, its low three bits those that the Pose message states.",
     why="profile 5 asks for 8 bits; 256 lines are 12.8 s at 20 Hz")
-_MEAN = (
+MEAN = (
     SignalSpec(
         name="YOff", bits=13, factor=2**-7, unit="m", signed=True,
         about="Lateral offset of the line at x = 0, positive to the left.",
@@ -192,7 +204,7 @@ _HAS_COVARIANCE = SignalSpec(
           "with finer steps of its mean. 0 if it ends before them, and OwnLateral, OwnPoints and "
           "OwnShape hold the covariance; the checksum then covers the pages before.",
     why="two values")
-_FIT_RANGE = (
+FIT_RANGE = (
     SignalSpec(
         name="XMin", bits=6, offset=-32, unit="m",
         about="Start of the range to which the cubic was fitted, exact. It is wider than the range "
@@ -215,12 +227,12 @@ def _fine(spec: SignalSpec, bits: int) -> SignalSpec:
             "and a line with little of its own would become much too uncertain")
 
 
-_FINE = tuple(map(_fine, _MEAN, (3, 3, 3, 4)))
+_FINE = tuple(map(_fine, MEAN, (3, 3, 3, 4)))
 #: The writer of ``dbc/maplines-pose.dbc``.
 CONDITIONAL = DbcWriter(
     pages=(
-        (CRC, _LINE_COUNTER, *_MEAN[:2], KIND, _HAS_COVARIANCE, _OWN[2]),
-        (*_MEAN[2:], *_FIT_RANGE, *_OWN[:2], _OWN[3]),
+        (CRC, _LINE_COUNTER, *MEAN[:2], KIND, _HAS_COVARIANCE, OWN[2]),
+        (*MEAN[2:], *FIT_RANGE, *OWN[:2], OWN[3]),
         (*_COVARIANCE[:5], *_FINE),
         _COVARIANCE[5:],
     ),

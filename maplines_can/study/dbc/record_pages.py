@@ -17,7 +17,7 @@ from ...wire.layout.signals import PAGE, PAGE_BYTES, TRANSFER_ID, slot_title
 #: A slot in the name of a signal, and in a sentence about it.
 _SLOT = re.compile("|".join(rf"\b{slot_title(slot)}(?=[A-Z]|\b)" for slot in Slot))
 
-__all__ = ["PAGE_BYTES", "RecordPages", "SignalSpec", "dbc_signal"]
+__all__ = ["PAGE_BYTES", "RecordPages", "SignalSpec", "cells_of", "dbc_signal", "table_head"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,19 +166,22 @@ class RecordPages:
         places: dict[str, dict[int, list[str]]] = {}
         for number in range(len(self.pages)):
             for spec, start in self.placed(number):
-                of_page = places.setdefault(_cells(spec), {}).setdefault(number, [])
+                of_page = places.setdefault(cells_of(spec), {}).setdefault(number, [])
                 of_page.append(f"{start}..{start + spec.bits - 1}")
-        rows = [
-            "| page: bits | signal | width | factor | range | unit | what it is | why so wide |",
-            "|---|---|---|---|---|---|---|---|",
-        ]
+        rows = [table_head("page: bits")]
         for cells, pages in places.items():
             place = "; ".join(f"{number}: {', '.join(bits)}" for number, bits in pages.items())
             rows.append(f"| {place} | {cells} |")
         return "\n".join(rows)
 
 
-def _cells(spec: SignalSpec) -> str:
+def table_head(place: str) -> str:
+    """Return the head of a table of fields, whose first column is their place."""
+    titles = [place, "signal", "width", "factor", "range", "unit", "what it is", "why so wide"]
+    return f"| {' | '.join(titles)} |\n{'|---' * len(titles)}|"
+
+
+def cells_of(spec: SignalSpec) -> str:
     """Return the cells of a signal but its place; slots and numbers of transfers become ``*``."""
     low, high = spec.range
     name = re.sub(rf"({TRANSFER_ID})\d+$", r"\1*", _SLOT.sub("*", spec.name))

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from enum import Enum
 
 from ...dbc_files.tables import Attribute, DbcMessage, DbcSignal
 from ...values.errors import LayoutError
+from .record_layout import pages_of
 from .signal import all_raw
-from .signals import PAGE_BYTES, TRAILER, Signal
+from .signals import PAGE, PAGE_BYTES, TRAILER, Signal
 from .slot_messages import FD_LENGTHS, MAX_MS, RecordMessages, SecuredLayout
 
 
@@ -49,7 +51,7 @@ def check_frame(message: DbcMessage, kind: FrameFormat, source: str) -> None:
 
 
 def record_messages(
-    owner: str, messages: dict[FrameFormat, DbcMessage], source: str
+    owner: str, messages: Mapping[FrameFormat, DbcMessage], source: str
 ) -> RecordMessages:
     """Return the messages of a record, which belong to ``owner``, as errors name it."""
     classic, fd, secured = (messages.get(kind) for kind in FrameFormat)
@@ -100,6 +102,49 @@ def secured_layout(message: DbcMessage, source: str) -> SecuredLayout:
     for name, bounds in TRAILER.items():
         bounds.check(signals[name], where)
     return SecuredLayout(message.length, sizes["Freshness"], sizes["Mac"])
+
+
+def secured_layout_of(
+    messages: Iterable[Mapping[FrameFormat, DbcMessage]], source: str
+) -> SecuredLayout | None:
+    """Return the layout that all authenticated messages have; None if there is none."""
+    secured = [own[FrameFormat.SECURED] for own in messages if FrameFormat.SECURED in own]
+    layouts = {message.name: secured_layout(message, source) for message in secured}
+    if len(set(layouts.values())) > 1:
+        raise LayoutError(f"{source}: messages {', '.join(layouts)} must have the same lengths")
+    return next(iter(layouts.values()), None)
+
+
+def shared_signals(records: Mapping[str, Mapping[str, Signal]], source: str) -> dict[str, Signal]:
+    """Return the signals that all messages have; others do not belong to the record."""
+    (first, signals), *others = records.items()
+    for name, other in others:
+        both = signals.keys() & other.keys()
+        differing = sorted(signals[s].dbc_name for s in both if signals[s] != other[s])
+        differing += [f"{PAGE}{n}" for n in {*pages_of(signals)} ^ {*pages_of(other)}]
+        if differing:
+            raise LayoutError(
+                f"{source}: messages {first} and {name} must hold the same signals at the same "
+                f"places, but {', '.join(differing)} differ"
+            )
+    shared = set(signals).intersection(*(other for _, other in others))
+    return {name: signal for name, signal in signals.items() if name in shared}
+
+
+def check_choices(signal: DbcSignal, names: Mapping[str, int], where: str) -> None:
+    """Check that VAL_ gives no name to the value of another one; new names are allowed.
+
+    Args:
+        signal: of the DBC.
+        names: values by their names.
+        where: name of the DBC and of the message.
+    """
+    for number, text in signal.names:
+        if names.get(text, number) != number:
+            raise LayoutError(
+                f"{where}: signal {signal.name}: VAL_ gives the value {number} the name {text}, "
+                f"which belongs to the value {int(names[text])}; correct VAL_"
+            )
 
 
 def integer(value: Attribute, what: str, most: int) -> int:

@@ -4,39 +4,46 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 from ...dbc_files.tables import DbcMessage, DbcSignal, DbcTables
 from ...values.errors import LayoutError
 from ...values.line import Kind, Slot, Status
 from .dbc_messages import (
     FrameFormat,
+    check_choices,
     check_frame,
     format_of,
     integer,
     low_bits,
     record_messages,
-    secured_layout,
+    secured_layout_of,
+    shared_signals,
     to_signal,
 )
-from .pose_layout import POSE, Owner, PoseLayout, owner_name
+from .pose_layout import POSE, SCENES, Owner, PoseLayout, owner_name
 from .record_layout import bits_of, pages_of
+from .scene_reader import scene_layout
 from .signals import PAGE, PAGE_BYTES, POSE_PREFIX, SECURED_SIGNALS, TRANSFER_ID, Signal
-from .slot_messages import SecuredLayout
 
 #: Covariance code of a DBC without the attribute CovarianceCode.
 DEFAULT_CODE = "Cholesky"
+#: Values of signals by their names.
+_NAMES: Mapping[str, Mapping[str, int]] = {
+    "Status": Status.__members__,
+    "Kind": Kind.__members__,
+}
+
+Content: TypeAlias = dict[str, Any]
 
 
-def content_of(tables: DbcTables, source: str) -> dict[str, Any]:
-    """Return the record and its messages that the tables of a DBC describe; see ``Layout``.
+def content_of(tables: DbcTables, source: str) -> Content:
+    """Return the records and their messages that the tables of a DBC describe; see ``Layout``.
 
     Raises:
         LayoutError: it does not describe a map line.
     """
-    records: dict[Owner, dict[str, dict[str, Signal]]] = {}
     messages: dict[Owner, dict[FrameFormat, DbcMessage]] = {}
-    known: dict[object, dict[str, Signal]] = {}  # slots have the same signals
     for message in tables.messages:
         if (owner := _owner(message, source)) is None:
             continue
@@ -44,89 +51,80 @@ def content_of(tables: DbcTables, source: str) -> dict[str, Any]:
         if messages.setdefault(owner, {}).setdefault(kind, message) is not message:
             raise LayoutError(f"{source}: {owner_name(owner)} has two messages in one frame format")
         check_frame(message, kind, source)
-        for signal in message.signals:
-            _check_choices(signal, f"{source}: message {message.name}")
-        like = owner == POSE, message.length, message.signals
-        if like not in known:
-            known[like] = _record(message, owner, source)
-        records.setdefault(owner, {})[message.name] = known[like]
-    slots = sorted(owner for owner in messages if isinstance(owner, Slot))
-    if not slots:
+    if not messages.keys() - {POSE}:
         raise LayoutError(
-            f"{source}: no message has the attribute MapLineSlot, so none carries a map line"
+            f"{source}: no message has the attribute MapLineSlot or MapLineScene, so none carries "
+            "a map line"
         )
-    _check_can_ids(tables.messages, [name for own in records.values() for name in own], source)
-    lines = {name: record for slot in slots for name, record in records[slot].items()}
+    own = [message.name for formats in messages.values() for message in formats.values()]
+    _check_can_ids(tables.messages, own, source)
     code = tables.covariance_code
+    return {
+        "covariance_code": DEFAULT_CODE if code is None else str(code),
+        **(_scene if messages.keys() & {*SCENES} else _lines)(messages, source),
+    }
+
+
+def _scene(messages: Mapping[Owner, Mapping[FrameFormat, DbcMessage]], source: str) -> Content:
+    """Return what `content_of` does of messages of whole scenes."""
+    if others := [owner_name(owner) for owner in messages if owner not in SCENES]:
+        raise LayoutError(
+            f"{source}: has messages of whole scenes (MapLineScene), and of {', '.join(others)}; "
+            "give the others a DBC of their own"
+        )
+    scene = scene_layout({owner: messages[owner] for owner in SCENES if owner in messages}, source)
+    return {"signals": scene.line, "messages": {}, "secured": scene.secured, "pose": scene}
+
+
+def _lines(messages: Mapping[Owner, Mapping[FrameFormat, DbcMessage]], source: str) -> Content:
+    """Return what `content_of` does of messages of lines and of the pose error."""
+    records: dict[Owner, dict[str, dict[str, Signal]]] = {}
+    known: dict[object, dict[str, Signal]] = {}  # slots have the same signals
+    for owner, own in messages.items():
+        for message in own.values():
+            for signal in message.signals:
+                names = _NAMES.get(signal.name, {})
+                check_choices(signal, names, f"{source}: message {message.name}")
+            like = owner == POSE, message.length, message.signals
+            if like not in known:
+                known[like] = _record(message, owner, source)
+            records.setdefault(owner, {})[message.name] = known[like]
+    slots = sorted(owner for owner in messages if isinstance(owner, Slot))
+    lines = {name: record for slot in slots for name, record in records[slot].items()}
     pose = None
     if POSE in records:
         pose = PoseLayout(
-            signals=_shared_signals(records[POSE], source),
+            signals=shared_signals(records[POSE], source),
             source=f"{source}: {owner_name(POSE)}",
             messages=record_messages(owner_name(POSE), messages[POSE], source),
-            secured=_secured([messages[POSE]], source),
+            secured=secured_layout_of([messages[POSE]], source),
         )
     return {
-        "signals": _shared_signals(lines, source),
+        "signals": shared_signals(lines, source),
         "messages": {s: record_messages(owner_name(s), messages[s], source) for s in slots},
-        "covariance_code": DEFAULT_CODE if code is None else str(code),
-        "secured": _secured([messages[slot] for slot in slots], source),
+        "secured": secured_layout_of([messages[slot] for slot in slots], source),
         "pose": pose,
     }
 
 
 def _owner(message: DbcMessage, source: str) -> Owner | None:
-    """Return the slot or the pose error whose record a message has; None if it has none."""
+    """Return the owner of the record that a message has; None if it has none."""
     where = f"{source}: message {message.name}"
-    number, pose = message.slot, message.pose
-    has_pose = pose is not None and integer(pose, f"{where}: MapLinePose", 1) == 1
-    if number is None:
-        return POSE if has_pose else None
-    if has_pose:
+    owners: dict[str, Owner] = {}
+    if message.slot is not None:
+        slot = integer(message.slot, f"{where}: MapLineSlot", len(Slot) - 1)
+        owners["MapLineSlot"] = Slot(slot)
+    if message.pose is not None and integer(message.pose, f"{where}: MapLinePose", 1):
+        owners["MapLinePose"] = POSE
+    if message.scene is not None:
+        number = integer(message.scene, f"{where}: MapLineScene", len(SCENES))
+        owners |= {"MapLineScene": SCENES[number - 1]} if number else {}
+    if len(owners) > 1:
         raise LayoutError(
-            f"{where}: has the attributes MapLineSlot and MapLinePose, but it carries a line or "
-            "the pose error; remove one of them"
+            f"{where}: has the attributes {' and '.join(owners)}, but it carries a line, the pose "
+            "error or a whole scene; remove one of them"
         )
-    return Slot(integer(number, f"{where}: MapLineSlot", len(Slot) - 1))
-
-
-def _secured(
-    messages: Iterable[Mapping[FrameFormat, DbcMessage]], source: str
-) -> SecuredLayout | None:
-    """Return the layout that all authenticated messages have; None if there is none."""
-    secured = [own[FrameFormat.SECURED] for own in messages if FrameFormat.SECURED in own]
-    layouts = {message.name: secured_layout(message, source) for message in secured}
-    if len(set(layouts.values())) > 1:
-        raise LayoutError(f"{source}: messages {', '.join(layouts)} must have the same lengths")
-    return next(iter(layouts.values()), None)
-
-
-def _shared_signals(records: Mapping[str, Mapping[str, Signal]], source: str) -> dict[str, Signal]:
-    """Return the signals that all messages have; others do not belong to the record."""
-    (first, signals), *others = records.items()
-    for name, other in others:
-        both = signals.keys() & other.keys()
-        differing = sorted(signals[s].dbc_name for s in both if signals[s] != other[s])
-        differing += [f"{PAGE}{n}" for n in {*pages_of(signals)} ^ {*pages_of(other)}]
-        if differing:
-            raise LayoutError(
-                f"{source}: messages {first} and {name} must hold the same signals at the same "
-                f"places, but {', '.join(differing)} differ"
-            )
-    shared = set(signals).intersection(*(other for _, other in others))
-    return {name: signal for name, signal in signals.items() if name in shared}
-
-
-def _check_choices(signal: DbcSignal, where: str) -> None:
-    """Check that VAL_ gives no name of a Status or Kind to another value; new names are allowed."""
-    enumeration = {"Status": Status, "Kind": Kind}.get(signal.name)
-    names = enumeration.__members__ if enumeration else {}
-    for number, text in signal.names:
-        if names.get(text, number) != number:
-            raise LayoutError(
-                f"{where}: signal {signal.name}: VAL_ gives the value {number} the name {text}, "
-                f"which belongs to the value {names[text].value}; correct VAL_"
-            )
+    return next(iter(owners.values()), None)
 
 
 def _check_can_ids(messages: Iterable[DbcMessage], own: Iterable[str], source: str) -> None:

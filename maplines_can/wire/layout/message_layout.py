@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,7 @@ from ...values.line import Slot
 from .dbc_reader import content_of
 from .pose_layout import POSE, Owner, PoseLayout, owner_name
 from .record_layout import RecordLayout, bits_of
+from .scene_layout import SceneLayout
 from .signals import (
     COMPLETE_RECORD,
     CONDITIONAL_RECORD,
@@ -29,15 +30,20 @@ from .signals import (
     PAGE,
     PAGE_BYTES,
     PARAMETER_SIGNALS,
+    SCENE_LINE,
+    SLOT,
+    SLOT_BOUNDS,
     TRANSFER_ID,
+    Bounds,
 )
 from .slot_messages import RecordMessages, Room, SecuredLayout, check_messages
 
 if TYPE_CHECKING:
     from ...dbc_files.parser import Database
 
-#: Covariance code of records whose covariance is conditional on the pose error.
-POSE_CONDITIONAL = "PoseConditional"
+#: Covariance codes of records whose covariance is conditional on the pose error: lines, and whole
+#: scenes.
+POSE_CONDITIONAL, WHOLE_SCENE = "PoseConditional", "Scene"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -49,42 +55,58 @@ class Layout(RecordLayout):
     ``Page0``, ``TransferId0``, ``Page1``, ... If the DBC has no transfer ID in the first page,
     that page's transfer ID is the low bits of ``Counter``.
 
+    In a DBC of whole scenes, a record holds the pose error and several lines: ``scene`` is its
+    layout, the signals here are those of its first line, and lines have no messages.
+
     Args:
-        signals: by name, in the order of their bits.
-        messages: by slot.
+        signals: of a line, by name, in the order of their bits.
+        messages: of lines, by slot.
         covariance_code: name of the covariance code.
         source: name of the DBC in error messages.
         secured: layout of the authenticated messages; None if there are none.
-        pose: layout of the pose error; None if there is no such message.
+        pose: layout of the records that have the pose error; None if there are none.
         sha256: of the text of the DBC in UTF-8; empty for a database of cantools.
 
     Raises:
         LayoutError: a signal is missing or is not within its bounds, two messages have
-            the same CAN ID, two records the same data ID, or a conditional record has no message
-            of the pose error.
+            the same CAN ID, two records the same data ID, or the covariance code needs other
+            messages.
     """
 
     messages: Mapping[Slot, RecordMessages]
     covariance_code: str
     secured: SecuredLayout | None = None
-    pose: PoseLayout | None = None
+    pose: PoseLayout | SceneLayout | None = None
     sha256: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
-        self.check(CONDITIONAL_RECORD if self.is_conditional else COMPLETE_RECORD)
+        if (self.covariance_code == WHOLE_SCENE) is (self.scene is None):
+            raise LayoutError(
+                f"{self.source}: the covariance code is {self.covariance_code}, but messages with "
+                f"the attribute MapLineScene need {WHOLE_SCENE}, and others need another one; "
+                "correct CovarianceCode"
+            )
+        self.check(self._bounds)
         check_messages(map(self._room, self.messages_of), self.source)
-        if self.pose is not None:
+        if isinstance(self.pose, PoseLayout):
             counters = dict.fromkeys(self.messages, self["Counter"])
             self.pose.check_slots(counters, levels=not self.is_conditional)
-        elif self.is_conditional:
+        elif self.pose is None and self.is_conditional:
             raise LayoutError(
                 f"{self.source}: records with the covariance code {POSE_CONDITIONAL} need a "
                 "message of the pose error; add one with the attribute MapLinePose 1"
             )
 
+    @property
+    def _bounds(self) -> Mapping[str, Bounds]:
+        if self.scene is not None:
+            return SCENE_LINE if SLOT not in self.signals else {**SCENE_LINE, SLOT: SLOT_BOUNDS}
+        return CONDITIONAL_RECORD if self.is_conditional else COMPLETE_RECORD
+
     def _room(self, owner: Owner) -> Room:
-        layout = self.pose if owner == POSE and self.pose else self
-        return Room(owner_name(owner), self.messages_of[owner], layout.secured, layout.record_bytes)
+        layout, messages = self.record_of(owner), self.messages_of[owner]
+        sizes = layout.record_bytes, layout.secured_bytes
+        return Room(owner_name(owner), messages, layout.secured, *sizes)
 
     @classmethod
     def from_dbc(
@@ -143,9 +165,27 @@ class Layout(RecordLayout):
 
     @cached_property
     def _content(self) -> tuple[object, ...]:
-        pose = self.pose
-        of_pose = None if pose is None else (pose.signals, pose.messages, pose.secured)
-        return self.signals, self.messages, self.covariance_code, self.secured, of_pose
+        pose = None if self.pose is None else self.pose.content
+        return self.signals, self.messages, self.covariance_code, self.secured, pose
+
+    @property
+    def scene(self) -> SceneLayout | None:
+        """Layout of records of whole scenes; None if the records are of lines."""
+        return self.pose if isinstance(self.pose, SceneLayout) else None
+
+    @property
+    def slots(self) -> tuple[Slot, ...]:
+        """Slots of the lines that the messages can have."""
+        return tuple(self.messages) if self.scene is None else self.scene.slots
+
+    def record_of(self, owner: Owner) -> AnyLayout:
+        """Return the layout of the records of an owner."""
+        return self if isinstance(owner, Slot) or self.pose is None else self.pose
+
+    @property
+    def record_bytes(self) -> int:
+        """Length of a record with a line."""
+        return super().record_bytes if self.scene is None else self.scene.record_bytes
 
     @cached_property
     def resolution(self) -> NDArray[np.float64]:
@@ -162,8 +202,8 @@ class Layout(RecordLayout):
 
     @property
     def is_conditional(self) -> bool:
-        """Whether the covariance of a record is conditional on the pose error."""
-        return self.covariance_code == POSE_CONDITIONAL
+        """Whether the covariance of a line is conditional on the pose error."""
+        return self.covariance_code in (POSE_CONDITIONAL, WHOLE_SCENE)
 
     @cached_property
     def short_pages(self) -> int:
@@ -172,16 +212,18 @@ class Layout(RecordLayout):
         They are the pages up to the last one with another signal than those of the covariance
         and of the finer mean.
         """
-        if not self.is_conditional:
+        if self.covariance_code != POSE_CONDITIONAL:
             return self.pages
         names = CONDITIONAL_RECORD.keys() - {PAGE, TRANSFER_ID, *FINE_SIGNALS}
         return max(max(bits_of(self[name])) for name in names) // (8 * PAGE_BYTES) + 1
 
     @cached_property
     def messages_of(self) -> dict[Owner, RecordMessages]:
-        """Messages of each slot and of the pose error, as far as the DBC has them, by owner."""
+        """Messages of each owner, as far as the DBC has them."""
         owned: dict[Owner, RecordMessages] = dict(self.messages.items())
-        return owned if self.pose is None else owned | {POSE: self.pose.messages}
+        if isinstance(self.pose, PoseLayout):
+            owned[POSE] = self.pose.messages
+        return owned if self.scene is None else dict(self.scene.messages.items())
 
     @cached_property
     def message_of_id(self) -> dict[tuple[int, bool], tuple[Owner, bool]]:
@@ -213,3 +255,7 @@ class Layout(RecordLayout):
         if bad.any():
             raise EncodeError(f"{self.source} has no message for slot {given[bad][0]}")
         return np.broadcast_to(table[slots].astype(np.uint16), n)
+
+
+#: Layout of the records of any owner.
+AnyLayout: TypeAlias = Layout | PoseLayout | SceneLayout

@@ -15,37 +15,46 @@ from .slot_messages import RecordMessages, SecuredLayout
 
 #: Owner of the records of the pose error, as a slot is that of its lines.
 POSE: Literal["pose"] = "pose"
-#: Owner of a record: a slot, or the pose error.
-Owner: TypeAlias = Slot | Literal["pose"]
+#: Owners of records of whole scenes: the first message, and the second one with more lines.
+SCENE: Literal["scene"] = "scene"
+SCENE2: Literal["scene2"] = "scene2"
+SceneOwner: TypeAlias = Literal["scene", "scene2"]
+#: The same by the attribute MapLineScene, from 1.
+SCENES: tuple[SceneOwner, ...] = (SCENE, SCENE2)
+#: Owner of a record: a slot, the pose error, or a message of whole scenes.
+Owner: TypeAlias = Slot | Literal["pose", "scene", "scene2"]
 #: Owners by their numbers in the core: ``maplines_owner_t``.
-OWNERS: tuple[Owner, ...] = (*Slot, POSE)
+OWNERS: tuple[Owner, ...] = (*Slot, POSE, *SCENES)
 
 
-class PoseOwner(IntEnum):
-    """The pose error as an owner in C: it follows the slots."""
+class OwnerNumber(IntEnum):
+    """Owners in C that are no slots: they follow them."""
 
-    POSE = len(Slot)
+    POSE, SCENE, SCENE2 = range(len(Slot), len(Slot) + 3)
 
 
-def number_of(owner: Owner) -> Slot | PoseOwner:
+def number_of(owner: Owner) -> Slot | OwnerNumber:
     """Return the number of an owner in C: ``maplines_owner_t``."""
-    return PoseOwner.POSE if owner == POSE else Slot(owner)
+    number = OWNERS.index(owner)
+    return Slot(number) if number < len(Slot) else OwnerNumber(number)
 
 
 def slot_of(owner: Owner) -> Slot:
     """Return the slot that is the owner of a line.
 
     Raises:
-        ValueError: the owner is the pose error.
+        ValueError: the owner is none.
     """
-    if owner == POSE:
-        raise ValueError("the pose error has no slot")
+    if owner in (POSE, SCENE, SCENE2):
+        raise ValueError(f"{owner_name(owner)} has no slot")
     return owner
 
 
 def owner_name(owner: Owner) -> str:
     """Return the name of an owner as errors have it."""
-    return f"slot {owner.name}" if isinstance(owner, Slot) else "the pose error"
+    if isinstance(owner, str):
+        return {POSE: "the pose error", SCENE: "Scene", SCENE2: "Scene2"}[owner]
+    return f"slot {owner.name}"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -60,7 +69,9 @@ class PoseLayout(RecordLayout):
         LayoutError: a signal is missing or is not within its ``Bounds``.
     """
 
-    needed_by: ClassVar[str] = "each message of the pose error (MapLinePose)"
+    needed_by: ClassVar[str] = (
+        "each message of the pose error (MapLinePose) needs it, within the pages of 8 bytes"
+    )
     prefix: ClassVar[str] = POSE_PREFIX
 
     messages: RecordMessages
@@ -77,6 +88,11 @@ class PoseLayout(RecordLayout):
         """Signals with the low bits of the counter of the record that belongs to the pose."""
         names = {slot: f"{slot_title(slot)}Counter" for slot in Slot}
         return {slot: self[name] for slot, name in names.items() if name in self.signals}
+
+    @property
+    def content(self) -> tuple[object, ...]:
+        """What two layouts of the same content have in common."""
+        return self.signals, self.messages, self.secured
 
     @property
     def short_pages(self) -> int:

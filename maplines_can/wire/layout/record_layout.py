@@ -30,13 +30,15 @@ from .signals import (
 class RecordLayout:
     """Signals of a record, which is the concatenation of the pages of its messages.
 
+    A record whose bounds have no page is the payload of a CAN FD message.
+
     Args:
         signals: by name, in the order of their bits.
         source: name of the DBC in error messages.
     """
 
     #: What needs each signal, for error messages.
-    needed_by: ClassVar[str] = "each message of a map line"
+    needed_by: ClassVar[str] = "each message of a map line needs it, within the pages of 8 bytes"
 
     #: Prefix of page and transfer ID in the DBC.
     prefix: ClassVar[str] = ""
@@ -57,19 +59,23 @@ class RecordLayout:
             return self.signals[name]
         except KeyError:
             raise LayoutError(
-                f"{self.source}: there is no signal {self._dbc_name(name)!r}; {self.needed_by} "
-                "needs it, within the pages of 8 bytes"
+                f"{self.source}: there is no signal {self._dbc_name(name)!r}; {self.needed_by}"
             ) from None
 
     @cached_property
     def pages(self) -> int:
-        """Number of pages of a record."""
+        """Number of pages of a record; 0 of one that has none."""
         return len(pages_of(self.signals))
 
     @property
     def record_bytes(self) -> int:
         """Length of a record."""
         return self.pages * PAGE_BYTES
+
+    @property
+    def secured_bytes(self) -> int:
+        """Length of an authenticated record."""
+        return self.record_bytes
 
     @property
     def crc_offset(self) -> int:
@@ -91,12 +97,16 @@ class RecordLayout:
         for name in bounds:
             if name not in (PAGE, TRANSFER_ID):
                 self[name]
+        if PAGE in bounds:
+            self._check_pages()
+        check_record(self.signals, bounds, self.source, self.record_bytes)
+
+    def _check_pages(self) -> None:
         pages = pages_of(self.signals)
         if pages != list(range(len(pages))) or not pages:
             raise LayoutError(f"{self.source}: pages must be numbered 0, 1, ..., got {pages}")
         for page in reversed(pages):  # the reader derives the first one from the second
             self[f"{TRANSFER_ID}{page}"]
-        check_record(self.signals, bounds, self.source)
 
     def error(self, signal: Signal, needs: str, cure: str) -> LayoutError:
         """Return the error that a signal does not have what it needs."""
@@ -177,15 +187,18 @@ def _begins_in_counter(signals: Signals) -> bool:
     return lengths == {first.length} and max(bits_of(first)) < PAGE_BITS
 
 
-def _count_bits(signals: Signals) -> int:
-    return signals["ComponentCount"].length if "ComponentCount" in signals else 0
+def _bits(signals: Signals, name: str) -> int:
+    """Return the length of a signal, 0 if there is none."""
+    return signals[name].length if name in signals else 0
 
 
 def _is_a_share(signals: Signals) -> bool:
     """Return whether n bits of the weight are multiples of 2^-n up to 1, enough for all."""
     weight = signals["ComponentWeight"]
     step = 2.0**-weight.length
-    return (weight.factor, weight.offset) == (step, step) and weight.length >= _count_bits(signals)
+    return (weight.factor, weight.offset) == (step, step) and weight.length >= _bits(
+        signals, "ComponentCount"
+    )
 
 
 def _refines(signals: Signals, fine: str) -> bool:
@@ -225,14 +238,20 @@ RELATIONS = (
     Relation(
         TRANSFER_ID,
         "values for two lines of the most components: a bit more than ComponentCount",
-        lambda signals: signals[f"{TRANSFER_ID}0"].length > _count_bits(signals),
+        lambda signals: signals[f"{TRANSFER_ID}0"].length > _bits(signals, "ComponentCount"),
         "widen it in each page, or shorten ComponentCount",
     ),
     Relation(
         "Counter",
         f"at least as many bits as {TRANSFER_ID}",
-        lambda signals: signals["Counter"].length >= signals[f"{TRANSFER_ID}0"].length,
+        lambda signals: signals["Counter"].length >= _bits(signals, f"{TRANSFER_ID}0"),
         f"widen it, or shorten {TRANSFER_ID}",
+    ),
+    Relation(
+        "SceneCounter",
+        "at most as many bits as Counter, whose low bits it has",
+        lambda signals: signals["SceneCounter"].length <= signals["Counter"].length,
+        "shorten it",
     ),
     Relation(
         "XMax",
@@ -243,7 +262,7 @@ RELATIONS = (
     Relation(
         "ComponentIndex",
         "at least as many bits as ComponentCount",
-        lambda signals: signals["ComponentIndex"].length >= _count_bits(signals),
+        lambda signals: signals["ComponentIndex"].length >= _bits(signals, "ComponentCount"),
         "widen it, or shorten ComponentCount",
     ),
     Relation(
@@ -274,13 +293,16 @@ RELATIONS = (
 )
 
 
-def check_record(signals: Signals, bounds: Mapping[str, Bounds], source: str) -> None:
+def check_record(
+    signals: Signals, bounds: Mapping[str, Bounds], source: str, record_bytes: int
+) -> None:
     """Check the signals of a record, one by one and together.
 
     Args:
         signals: of the record, by name.
         bounds: of those signals that the record must have.
         source: name of the DBC.
+        record_bytes: length of the record.
 
     Raises:
         LayoutError: a signal is not within its bounds, two signals overlap, or one is not in the
@@ -298,18 +320,17 @@ def check_record(signals: Signals, bounds: Mapping[str, Bounds], source: str) ->
                 f"{source}: signal {named[-1].prefix}{relation.name} needs {relation.needs}, "
                 f"but {has}; {relation.cure}"
             )
-    _check_places(signals, source)
+    _check_places(signals, source, record_bytes)
 
 
-def _check_places(signals: Signals, source: str) -> None:
+def _check_places(signals: Signals, source: str, record_bytes: int) -> None:
     """Check that no signals overlap, and that each is in the record."""
     owner: dict[int, Signal] = {}
     for name, signal in signals.items():
         bits = bits_of(signal)
-        if max(bits) >= PAGE_BITS * len(pages_of(signals)):
-            raise LayoutError(
-                f"{source}: signal {signal.dbc_name} must lie in the record's pages of 8 bytes"
-            )
+        if max(bits) >= 8 * record_bytes:
+            where = "'s pages of 8 bytes" if pages_of(signals) else f" of {record_bytes} bytes"
+            raise LayoutError(f"{source}: signal {signal.dbc_name} must lie in the record{where}")
         if name == f"{TRANSFER_ID}0" and bits <= bits_of(signals["Counter"]):
             continue  # the low bits of the counter
         for bit in bits:

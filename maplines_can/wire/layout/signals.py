@@ -1,8 +1,9 @@
 """Signals of the records, and what a DBC may change of each.
 
-``COMPLETE_RECORD``, ``CONDITIONAL_RECORD``, ``POSE_RECORD``, ``OF_SLOT`` and ``TRAILER`` list the
-signals. A record must have each signal of its list, and a DBC may change what the bounds beside it
-leave free; besides, it chooses the byte order and the place of each signal.
+``COMPLETE_RECORD``, ``CONDITIONAL_RECORD``, ``POSE_RECORD``, ``OF_SLOT``, ``SCENE_RECORD``,
+``SCENE_LINE`` and ``TRAILER`` list the signals. A record must have each signal of its list, and a
+DBC may change what the bounds beside it leave free; besides, it chooses the byte order and the
+place of each signal.
 """
 
 from __future__ import annotations
@@ -199,15 +200,10 @@ CONDITIONAL_RECORD: Mapping[str, Bounds] = {
     **_FINE,
     **_MEAN,
 }
+#: What a record of the pose error states of it besides its covariance.
+_POSE = {"Age": _AGE, "CorrelationTime": _LEVEL, "MapOffset": _LEVEL, "MapHeading": _LEVEL}
 #: Record of the pose error.
-POSE_RECORD: Mapping[str, Bounds] = {
-    **_PROTECTION,
-    **_PAGES,
-    "Age": _AGE,
-    "CorrelationTime": _LEVEL,
-    "MapOffset": _LEVEL,
-    "MapHeading": _LEVEL,
-}
+POSE_RECORD: Mapping[str, Bounds] = {**_PROTECTION, **_PAGES, **_POSE}
 #: Counter of a slot in the pose error, after the name of the slot.
 SLOT_COUNTER = _count(3, why="with fewer bits lines of other cycles look as if they belonged to it")
 #: Levels of a slot in the pose error beside complete records, after the name of the slot.
@@ -218,6 +214,26 @@ OF_SLOT: Mapping[str, Bounds] = {
     "FitBehind": _METRES,
     "FitAhead": _METRES,
 }
+#: Record of a whole scene, but for its lines; it has no pages.
+SCENE_RECORD: Mapping[str, Bounds] = {
+    **_PROTECTION,
+    **_POSE,
+    "SceneCounter": _count(3, why="with fewer bits records of other cycles look as if they joined"),
+}
+#: Line of a whole scene. The names follow the slot, or ``LINE`` and the number of the place.
+SCENE_LINE: Mapping[str, Bounds] = {
+    "Kind": _count(4, why="it has thirteen values"),
+    "XMin": _WHOLE_METRES,
+    "XMax": _WHOLE_METRES,
+    **_OWN,
+    "OwnTilt": _count(2, 2),
+    **_MEAN,
+}
+#: Start of the names of a line that names its slot, before the number of its place, from 1.
+LINE = "Line"
+#: Slot of such a line.
+SLOT = "Slot"
+SLOT_BOUNDS = _count(3, 3)
 #: Signals at the end of an authenticated message, in this order.
 TRAILER: Mapping[str, Bounds] = {
     "KeyId": _count(8, 8),

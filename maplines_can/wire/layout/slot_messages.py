@@ -95,6 +95,7 @@ class Room(NamedTuple):
     messages: RecordMessages
     secured: SecuredLayout | None
     record_bytes: int
+    secured_bytes: int  #: of an authenticated record
 
 
 #: Payload lengths of CAN FD (ISO 11898-1) [byte].
@@ -118,7 +119,7 @@ def check_messages(records: Iterable[Room], source: str) -> None:
             message is too short for a record.
     """
     owners: dict[tuple[str, object], str] = {}
-    for name, messages, secured, record_bytes in records:
+    for name, messages, secured, record_bytes, secured_bytes in records:
         rooms = []
         unique = [
             ("CAN ID", messages.can_id, messages.is_extended, "classic"),
@@ -130,7 +131,7 @@ def check_messages(records: Iterable[Room], source: str) -> None:
             rooms.append(("CAN FD", messages.fd_length, record_bytes))
         if messages.secured_can_id is not None:
             authentic_bytes = secured.authentic_bytes if secured else 0
-            rooms.append(("authenticated", authentic_bytes, record_bytes + 1))  # with the key ID
+            rooms.append(("authenticated", authentic_bytes, secured_bytes + 1))  # with the key ID
             unique.append(("SecOCDataId", messages.secured_data_id, False, ""))
         for frame, room, needed in rooms:
             if room < needed:

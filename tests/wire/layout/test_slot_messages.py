@@ -41,7 +41,7 @@ MESSAGES = RecordMessages(
     secured_data_id=7,
 )
 SECURED = SecuredLayout(length=48, freshness_bytes=7, mac_bytes=8)
-ROOM = Room("first", MESSAGES, SECURED, 32)
+ROOM = Room("first", MESSAGES, SECURED, 32, 32)
 
 
 @pytest.mark.parametrize(
