@@ -9,6 +9,7 @@
 
 static const char slot_names[][NAME_SIZE] = {"EGO_LEFT", "EGO_RIGHT", "NEXT_LEFT",  "NEXT_RIGHT",
                                              "CENTRE",   "EDGE_LEFT", "EDGE_RIGHT", "ROUTE"};
+static const char owner_names[][NAME_SIZE] = {"POSE", "SCENE", "SCENE2"}; // that are no slots
 static const char kind_names[][NAME_SIZE] = {"UNKNOWN",   "SOLID", "DASHED",  "DOUBLE",
                                              "ROAD_EDGE", "KERB",  "BARRIER", "VIRTUAL"};
 static const char status_names[][NAME_SIZE] = {"UNKNOWN",  "FULL",      "DIAGONAL",
@@ -43,8 +44,8 @@ static const char refusal_names[][NAME_SIZE] = {
     "SAME_SLOT",    "BAD_POSE",    "UNSEEN",        "BAD_CALL"};
 #endif
 #if MAPLINES_SENDER && MAPLINES_SCENES
-static const char left_out_names[][NAME_SIZE] = {"IN_SCENE", "ACROSS", "RANGE", "MEAN",
-                                                 "COVARIANCE"};
+static const char left_out_names[][NAME_SIZE] = {"IN_SCENE", "ACROSS",     "RANGE",
+                                                 "MEAN",     "COVARIANCE", "PLACE"};
 #endif
 
 /// The name at place i; "?" if there is none.
@@ -55,7 +56,11 @@ static const char *name_at(const char (*names)[NAME_SIZE], int count, int i)
 
 const char *maplines_owner_name(maplines_owner_t owner)
 {
-    return owner == MAPLINES_POSE ? "POSE" : name_at(slot_names, MAPLINES_SLOTS, (int)owner);
+    if (owner >= MAPLINES_POSE)
+    {
+        return name_at(owner_names, COUNT(owner_names), (int)owner - (int)MAPLINES_POSE);
+    }
+    return name_at(slot_names, MAPLINES_SLOTS, (int)owner);
 }
 
 const char *maplines_kind_name(maplines_kind_t kind)

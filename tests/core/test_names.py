@@ -8,8 +8,9 @@ import pytest
 
 from maplines_can import Kind, Slot, Status
 from maplines_can.core import ffi, lib
-from maplines_can.values.line import LeftOut
+from maplines_can.values.line import LEFT_OUT
 from maplines_can.wire import Reason
+from maplines_can.wire.layout.pose_layout import OWNERS, number_of
 from maplines_can.wire.protection.e2e_state import E2EState, ProfileStatus
 
 HEADER = (c_core.C / "include" / "maplines.h").read_text(encoding="utf-8")
@@ -19,22 +20,22 @@ def of_header(enumeration: str) -> dict[int, str]:
     """The enumerators without their prefix."""
     body = re.search(rf"typedef enum {{([^}}]*)}} maplines_{enumeration}_t;", HEADER)
     assert body
-    found = re.findall(r"^    MAPLINES_(\w+) = (-?\w+),", body[1], re.MULTILINE)
-    numbers = {"MAPLINES_SLOTS": len(Slot)}
-    return {numbers.get(number) or int(number, 0): name for name, number in found}
+    found = re.findall(r"^    MAPLINES_(\w+) = ([^,]+),", body[1], re.MULTILINE)
+    slots = str(len(Slot))
+    values = {name: value.replace("MAPLINES_SLOTS", slots).split(" + ") for name, value in found}
+    return {sum(int(number, 0) for number in value): name for name, value in values.items()}
 
 
 def of_python() -> dict[str, dict[int, str]]:
     """The names of the enumerations that Python has."""
-    sent = (LeftOut.ACROSS, LeftOut.RANGE, LeftOut.MEAN, LeftOut.COVARIANCE)
     return {
-        "owner": {slot: slot.name for slot in Slot} | {8: "POSE"},
+        "owner": {number: number_of(owner).name for number, owner in enumerate(OWNERS)},
         "kind": {kind: kind.name for kind in Kind},
         "status": {status: status.name for status in Status},
         "reason": {-1: "COMPLETE"} | {i: reason.name for i, reason in enumerate(Reason)},
         "e2e_state": {state: state.name for state in E2EState},
         "e2e_status": {status: status.name for status in ProfileStatus} | {0xFF: "NONE"},
-        "left_out": {0: "IN_SCENE"} | {i + 1: why.name for i, why in enumerate(sent)},
+        "left_out": {i: why.name if why else "IN_SCENE" for i, why in enumerate(LEFT_OUT)},
     }
 
 

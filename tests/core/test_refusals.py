@@ -8,10 +8,11 @@ from scene_layouts import layout_of
 from scene_streams import COMPLETE, CONDITIONAL
 
 from maplines_can.core import ffi, lib
+from maplines_can.wire.layout.pose_layout import OWNERS
 from maplines_can.wire.tables import tables_of
 
 NAN, INF = float("nan"), float("inf")
-COUNTERS = [255] * 9  #: of all owners
+COUNTERS = [255] * len(OWNERS)
 VARIANCES = [1e-2, 1e-4, 1e-8, 1e-12]
 HALVES = (0.5, 0.5)  #: weights of two components
 
