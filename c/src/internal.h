@@ -414,8 +414,12 @@ MAPLINES_INTERNAL double maplines_shape_step(const maplines_levels_t *levels);
 MAPLINES_INTERNAL double maplines_shape_level(const maplines_levels_t *levels, int64_t raw);
 /// Variance of the coefficient of T_k of a line of uncertain shape, up to a common factor.
 MAPLINES_INTERNAL double maplines_shape(int k);
-/// Add an uncertain position of a line with a raw tilt: it varies along the line.
-MAPLINES_INTERNAL void maplines_add_lateral(double sigma, int64_t tilt, double cov[16]);
+#define MAPLINES_TILTS 4
+/// By how much the lateral level of a raw tilt grows along the line: T_1 for each T_0. What is
+/// beyond the last one is the last one.
+MAPLINES_INTERNAL double maplines_tilt(int64_t raw);
+/// Add the square of a lateral level with a tilt.
+MAPLINES_INTERNAL void maplines_add_lateral(double square, double tilt, double cov[16]);
 /// Covariance of raw levels: lateral, points, shape, tilt.
 MAPLINES_INTERNAL void maplines_decode_levels(const maplines_levels_t *levels,
                                               const maplines_curve_t *curve, const int64_t raw[4],
@@ -509,13 +513,13 @@ typedef struct {
     const double *true_cov; ///< (4, 4) that to which the sum is to be close
 } maplines_level_target_t;
 
-/// Raw levels (lateral, points, shape) that cover a target at the least cost, of those with the
-/// spacings of a line; false if none do. If it has none yet, these spacings are chosen. The
+/// Raw levels (lateral, points, shape, tilt) that cover a target at the least cost, of those with
+/// the spacings of a line; false if none do. If it has none yet, these spacings are chosen. The
 /// covariance of the levels becomes that of the line.
 MAPLINES_INTERNAL bool maplines_search_levels(const maplines_dbc_t *dbc,
                                               const maplines_level_target_t *target,
                                               maplines_level_squares_t *squares,
-                                              maplines_sent_line_t *line, int64_t raw[3]);
+                                              maplines_sent_line_t *line, int64_t raw[4]);
 /// Whether the covariance of levels covers a target; its true covariance is not used.
 MAPLINES_INTERNAL bool maplines_levels_cover(const maplines_level_target_t *target,
                                              const double levels[16]);

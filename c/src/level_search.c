@@ -47,7 +47,9 @@ typedef struct {
     const maplines_dbc_t *dbc;
     const maplines_levels_t *levels;
     maplines_arc_t arc;
-    double lacking[16]; ///< what the levels are to cover
+    double target[16];  ///< what the levels are to cover
+    double tilt;        ///< of the lateral level that is tried
+    double lacking[16]; ///< the target as it is sheared for this tilt
     double common[16];  ///< what is added to their covariance
     double true_cov[16];
     double determinant;            ///< of the true covariance without row and column 0
@@ -61,9 +63,7 @@ typedef struct {
 
 /// Raw values of the levels, their cost and their covariance.
 typedef struct {
-    int64_t lateral;
-    int64_t points;
-    int64_t shape;
+    int64_t raw[4]; ///< lateral, points, shape, tilt
     double cost;
     double cov[16];
 } candidate_t;
@@ -125,6 +125,20 @@ static int64_t raw_of_square(const squares_t *of, double square)
         ++raw;
     }
     return raw;
+}
+
+/// Shear a covariance so that the lateral level with a tilt becomes one of T_0 alone: the tilt
+/// times the coefficient of T_0 is taken from that of T_1.
+static void shear(double tilt, const double cov[16], double sheared[16])
+{
+    memcpy(sheared, cov, 16 * sizeof cov[0]);
+    if (tilt != 0.0) // so that no infinite entry becomes NaN
+    {
+        sheared[4] = cov[4] - tilt * cov[0];
+        sheared[5] = cov[5] - tilt * cov[4] - tilt * sheared[4];
+        sheared[9] = cov[9] - tilt * cov[8];
+        sheared[13] = cov[13] - tilt * cov[12];
+    }
 }
 
 /// Least raw level, 1 or more, whose multiple of a covariance covers all variances but that of T_0.
@@ -322,30 +336,30 @@ static double direction_cost(const search_t *search, double square, const double
 
 /// Find the lateral level with which a multiple of a covariance covers, and the cost of both, which
 /// is `bound` at least.
-static void assess(const search_t *search, double square, const double covariance[16], double bound,
-                   candidate_t *candidate)
+static void assess(const search_t *search, double square, const double covariance[16],
+                   const double sheared[16], double bound, candidate_t *candidate)
 {
     double decoded[16];
     double by_trace;
     double ratio;
     for (int i = 0; i < 16; ++i)
     {
-        candidate->cov[i] = square * covariance[i];
-        decoded[i] = candidate->cov[i] - search->lacking[i];
+        decoded[i] = square * sheared[i] - search->lacking[i];
     }
     candidate->cost = (double)INFINITY;
-    candidate->lateral = raw_of_square(&search->lateral, shortfall(decoded));
-    if (candidate->lateral > maplines_raw_max(&search->levels->lateral))
+    candidate->raw[0] = raw_of_square(&search->lateral, shortfall(decoded));
+    if (candidate->raw[0] > maplines_raw_max(&search->levels->lateral))
     {
         return;
     }
-    const double lateral = level_squared(&search->lateral, candidate->lateral);
+    const double lateral = level_squared(&search->lateral, candidate->raw[0]);
     for (int i = 0; i < 16; ++i)
     {
+        candidate->cov[i] = square * covariance[i];
         decoded[i] = search->common[i] + candidate->cov[i];
     }
-    candidate->cov[0] = candidate->cov[0] + lateral;
-    decoded[0] = decoded[0] + lateral;
+    maplines_add_lateral(lateral, search->tilt, candidate->cov);
+    maplines_add_lateral(lateral, search->tilt, decoded);
     if (maplines_compared(&search->reference, decoded, &by_trace, &ratio))
     {
         const double both = ratio * maplines_largest_ratio(&search->reference, decoded);
@@ -489,24 +503,26 @@ static void choose_spacings(const search_t *search, maplines_sent_line_t *line)
 }
 
 /// Try some levels of a covariance for the level 1, from the least one on.
-static void try_levels(const search_t *search, const squares_t *of, int64_t shape,
+static void try_levels(const search_t *search, const squares_t *of, const int64_t raw[4],
                        const double covariance[16], candidate_t *best)
 {
-    const bool is_shape = of == &search->shape;
-    const int64_t least = least_level(search, of, covariance);
+    const int kind = of == &search->points ? 1 : 2;
+    double sheared[16];
+    shear(search->tilt, covariance, sheared);
+    const int64_t least = least_level(search, of, sheared);
     for (int k = 0; k < TRIED; ++k)
     {
         candidate_t candidate;
-        const int64_t raw = least + tried[k];
-        const double square = level_squared(of, raw);
+        const int64_t level = least + tried[k];
+        const double square = level_squared(of, level);
         const double bound = least_cost(search, square, covariance);
-        if (raw > maplines_raw_max(of->signal) || bound >= best->cost)
+        if (level > maplines_raw_max(of->signal) || bound >= best->cost)
         {
             break; // higher levels cost no less
         }
-        assess(search, square, covariance, bound, &candidate);
-        candidate.points = is_shape ? 0 : raw;
-        candidate.shape = is_shape ? raw : shape;
+        memcpy(candidate.raw, raw, sizeof candidate.raw);
+        candidate.raw[kind] = level;
+        assess(search, square, covariance, sheared, bound, &candidate);
         *best = candidate.cost < best->cost ? candidate : *best;
     }
 }
@@ -545,8 +561,9 @@ static void begin(search_t *search, const maplines_dbc_t *dbc,
     for (int i = 0; i < 16; ++i)
     {
         search->common[i] = target->common[i];
-        search->lacking[i] = matrix[i] - target->common[i];
+        search->target[i] = matrix[i] - target->common[i];
     }
+    memcpy(search->lacking, search->target, sizeof matrix); // without a tilt: to choose spacings
     maplines_congruence(inverse, target->true_cov, matrix);
     maplines_compare_with(matrix, &search->reference);
     directions_of(matrix, search->directions);
@@ -558,10 +575,34 @@ static void begin(search_t *search, const maplines_dbc_t *dbc,
     search->determinant = cofactors_of(matrix, cofactors);
 }
 
+/// Try the spacings of a line, and the shape alone, with the tilt of a search.
+static void try_tilt(const search_t *search, const maplines_sent_line_t *line, int64_t tilt,
+                     candidate_t *best)
+{
+    int64_t raw[4] = {0, 0, 0, tilt};
+    for (int i = 0; i < (int)line->spacing_count; ++i)
+    {
+        double noise[16];
+        for (int k = 0; k < 10; ++k)
+        {
+            noise[4 * (places[k] % 4) + places[k] / 4] = line->noise[i][k];
+            noise[places[k]] = line->noise[i][k];
+        }
+        raw[2] = line->spacings[i];
+        try_levels(search, &search->points, raw, noise, best);
+    }
+    double shape[16] = {0.0};
+    for (int i = 0; i < 4; ++i)
+    {
+        shape[5 * i] = search->shapes[i];
+    }
+    try_levels(search, &search->shape, raw, shape, best);
+}
+
 MAPLINES_INTERNAL bool maplines_search_levels(const maplines_dbc_t *dbc,
                                               const maplines_level_target_t *target,
                                               maplines_level_squares_t *squares,
-                                              maplines_sent_line_t *line, int64_t raw[3])
+                                              maplines_sent_line_t *line, int64_t raw[4])
 {
     search_t search;
     begin(&search, dbc, target, squares);
@@ -573,25 +614,15 @@ MAPLINES_INTERNAL bool maplines_search_levels(const maplines_dbc_t *dbc,
         maplines_arc_of(target->curve, &search.arc);
         choose_spacings(&search, line);
     }
-    for (int i = 0; i < (int)line->spacing_count; ++i)
+    const maplines_signal_t *signal = &search.levels->tilt;
+    const int64_t most = signal->length > 0 ? maplines_raw_max(signal) : 0;
+    for (int64_t tilt = 0; tilt <= most && tilt < MAPLINES_TILTS; ++tilt)
     {
-        double noise[16];
-        for (int k = 0; k < 10; ++k)
-        {
-            noise[4 * (places[k] % 4) + places[k] / 4] = line->noise[i][k];
-            noise[places[k]] = line->noise[i][k];
-        }
-        try_levels(&search, &search.points, line->spacings[i], noise, &best);
+        search.tilt = maplines_tilt(tilt);
+        shear(search.tilt, search.target, search.lacking);
+        try_tilt(&search, line, tilt, &best);
     }
-    double shape[16] = {0.0};
-    for (int i = 0; i < 4; ++i)
-    {
-        shape[5 * i] = search.shapes[i];
-    }
-    try_levels(&search, &search.shape, 0, shape, &best);
-    raw[0] = best.lateral;
-    raw[1] = best.points;
-    raw[2] = best.shape;
+    memcpy(raw, best.raw, sizeof best.raw);
     memcpy(line->levels, best.cov, sizeof line->levels);
     return best.cost < (double)INFINITY;
 }

@@ -258,21 +258,20 @@ MAPLINES_INTERNAL void maplines_level_noise(const maplines_levels_t *levels,
     }
 }
 
-MAPLINES_INTERNAL void maplines_add_lateral(double sigma, int64_t tilt, double cov[16])
+MAPLINES_INTERNAL double maplines_tilt(int64_t raw)
 {
-    // Covariance of the coefficients of T_0 and T_1: sigma^2 u u^T with u = (1, t).
-    static const double slopes[4] = {0.0, 1.5, -1.5, -3.0};
-    const double square = sigma * sigma;
+    static const double tilts[MAPLINES_TILTS] = {0.0, 1.0, -1.0, 6.0};
+    return tilts[raw < MAPLINES_TILTS ? raw : MAPLINES_TILTS - 1];
+}
+
+MAPLINES_INTERNAL void maplines_add_lateral(double square, double tilt, double cov[16])
+{
+    const double mixed = square * tilt;
+    const double of_slope = mixed * tilt;
     cov[0] = cov[0] + square;
-    if (tilt > 0)
-    {
-        const double t = slopes[tilt < 4 ? tilt : 3];
-        const double product = square * t;
-        const double of_slope = product * t;
-        cov[1] = cov[1] + product;
-        cov[4] = cov[4] + product;
-        cov[5] = cov[5] + of_slope;
-    }
+    cov[1] = cov[1] + mixed;
+    cov[4] = cov[4] + mixed;
+    cov[5] = cov[5] + of_slope;
 }
 
 MAPLINES_INTERNAL void maplines_decode_levels(const maplines_levels_t *levels,
@@ -280,6 +279,7 @@ MAPLINES_INTERNAL void maplines_decode_levels(const maplines_levels_t *levels,
                                               double cov[16])
 {
     const int64_t shape = raw[2];
+    const double a = maplines_level(&levels->lateral, raw[0]);
     const double p = maplines_level(&levels->points, raw[1]);
     if (raw[1] == 0)
     {
@@ -301,7 +301,7 @@ MAPLINES_INTERNAL void maplines_decode_levels(const maplines_levels_t *levels,
             cov[i] = square * cov[i];
         }
     }
-    maplines_add_lateral(maplines_level(&levels->lateral, raw[0]), raw[3], cov);
+    maplines_add_lateral(a * a, maplines_tilt(raw[3]), cov);
 }
 
 #endif
