@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from maplines_can import Polyline, Slot, maps
 from maplines_can.maps import MapFileError
 from maplines_can.simulation.street_shapes import Street, StreetPiece, widening
+from maplines_can.study.scenes import map_scenes
+from maplines_can.study.scenes.map_scenes import drivable
 
 Array = NDArray[np.float64]
 #: Lines around a mean pose, of a number and random numbers.
@@ -262,10 +264,6 @@ def _random_pose(rng: Any) -> tuple[_Pose, Array]:
 
 # ---- maps of others ----------------------------------------------------------------------------
 
-#: Slots of the lines around a pose on a map.
-SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT, Slot.NEXT_RIGHT)
-#: Of a random pose: largest offset from the centre line [m], standard deviation of the direction.
-OFFSET, TURN = 0.5, np.radians(3.0)
 #: Length of a route [m].
 LENGTH = 3000.0
 
@@ -292,37 +290,10 @@ def maps_of(paths: Sequence[str]) -> dict[str, maps.Map]:
     return found
 
 
-def drivable(road_map: maps.Map) -> list[maps.Lane]:
-    """Return the lanes to drive on."""
-    return [lane for lane in road_map.lanes.values() if lane.type.is_drivable and lane.length > 0]
-
-
-def random_pose(lanes: Sequence[maps.Lane], rng: np.random.Generator) -> Array:
-    """Return a pose on one of the lanes, drawn by their lengths, about in its direction."""
-    lengths = np.array([lane.length for lane in lanes])
-    lane = lanes[rng.choice(len(lanes), p=lengths / lengths.sum())]
-    points = lane.centre.points
-    s = rng.uniform(0, lane.length)
-    k = min(int(lane.centre.distance.searchsorted(s, side="right")), len(points) - 1)
-    step = points[k] - points[k - 1]
-    heading = np.arctan2(step[1], step[0])
-    x, y = (np.interp(s, lane.centre.distance, values) for values in points.T)
-    side = np.clip(rng.normal(0, OFFSET / 2), -OFFSET, OFFSET)
-    side = np.clip(side, -lane.width / 4, lane.width / 4)
-    return np.array(
-        [x - side * np.sin(heading), y + side * np.cos(heading), heading + rng.normal(0, TURN)]
-    )
-
-
 def on_map(road_map: maps.Map) -> Draw:
     """Return the drawing of lines around random poses on a map."""
-    lanes = drivable(road_map)
-
-    def draw(_: int, rng: np.random.Generator) -> tuple[Mapping[Slot, Polyline], Array]:
-        pose = random_pose(lanes, rng)
-        return {slot: x for slot, x in road_map.lines(pose).items() if slot in SLOTS}, pose
-
-    return draw
+    draw = map_scenes.on_map(road_map)
+    return lambda _, rng: draw(rng)
 
 
 def on_roads(shapes: Sequence[str], lines: int | None = None) -> Draw:

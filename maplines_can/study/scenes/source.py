@@ -20,6 +20,7 @@ raises the bound count as known, too. (On a straight road, the error along it ca
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -96,14 +97,7 @@ def random_scene(lines: int, rng: np.random.Generator) -> RandomScene:
     while True:
         low, high = box(lines).T
         theta = rng.uniform(low, high)
-        sharpest = rng.choice([-1, 1]) / np.exp(rng.uniform(*np.log(RADIUS)))
-        curvature = sharpest * rng.uniform([0, 0], 1)
-        street = Street([StreetPiece(BEHIND + AHEAD, *curvature)], BEHIND)
-        seen = {}
-        for slot, offset, spacing in zip(Slot, OFFSETS, np.exp(theta[8:]), strict=False):
-            s = np.arange(-BEHIND + spacing * rng.uniform(), AHEAD, spacing)
-            seen[slot] = Polyline(street.line(s, LANE * offset))
-        pose = rng.normal([0, 0, 0], [0, 0.3, 0.02])
+        seen, pose = random_road(np.exp(theta[8:]), rng)
         c, d = np.cos(pose[2]), np.sin(pose[2])
         R = np.array([[c, -d, 0], [d, c, 0], [0, 0, 1]])
         cov = R @ pose_cov(theta) @ R.T
@@ -111,6 +105,20 @@ def random_scene(lines: int, rng: np.random.Generator) -> RandomScene:
         scene = map_scene(seen, Gaussian(pose, (cov + cov.T) / 2), map_error=error)
         if len(scene.lines) == lines:
             return RandomScene(scene, theta)
+
+
+def random_road(
+    spacings: Sequence[float] | Array, rng: np.random.Generator
+) -> tuple[dict[Slot, Polyline], Array]:
+    """Draw the lines of a road, with the distances of their points [m], and a pose on it."""
+    sharpest = rng.choice([-1, 1]) / np.exp(rng.uniform(*np.log(RADIUS)))
+    curvature = sharpest * rng.uniform([0, 0], 1)
+    street = Street([StreetPiece(BEHIND + AHEAD, *curvature)], BEHIND)
+    seen = {}
+    for slot, offset, spacing in zip(Slot, OFFSETS, spacings, strict=False):
+        s = np.arange(-BEHIND + spacing * rng.uniform(), AHEAD, spacing)
+        seen[slot] = Polyline(street.line(s, LANE * offset))
+    return seen, rng.normal([0, 0, 0], [0, 0.3, 0.02])
 
 
 def noise_floor(means: Array, fit_ranges: Array, resolution: float) -> Array:

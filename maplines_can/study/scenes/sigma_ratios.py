@@ -1,0 +1,168 @@
+"""What a receiver of scenes is more uncertain of than its sender: ratios of standard deviations.
+
+Of the lateral position of each line, and of the width and the centre of the ego lane, decoded over
+computed. Width and centre of an exact map may be known to less than a millimetre, so 2 mm of the
+sender's own count as computed, in each coefficient of T_0 .. T_3 (``RESOLUTION``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from itertools import chain
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...values.line import Slot, lateral_jacobian
+from ...values.scene import Scene
+from ..comparison import AnyCodec
+from .map_scenes import DrawnScene
+from .source import RESOLUTION, noise_floor
+
+Array = NDArray[np.float64]
+
+#: Places where lines are compared; a line that is fitted for less ahead, at its end if that is
+#: farther than the place before [m].
+LINE_AT = (0.0, 20.0, 40.0, 80.0)
+#: Places where width and centre of the ego lane are compared [m].
+LANE_AT = (0.0, 20.0, 40.0)
+#: Median and 99 % that a layout is to reach, of what is compared.
+TARGETS = {"y": (1.01, 1.05), "width": (1.03, 1.15), "centre": (1.01, 1.05)}
+#: Share of lines left out that it is to keep to.
+MOST_LEFT_OUT = 0.01
+#: A line is sent wider if sigma of y is larger by this factor somewhere.
+WIDER = 1.05
+#: Quantiles that are averaged for the end of a tail in ``excess``.
+TAIL = (0.97, 0.98, 0.99, 0.995)
+#: Ego lane.
+LANE = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
+
+
+@dataclass
+class Ratios:
+    """Counts of lines, and ratios of standard deviations."""
+
+    lines: int = 0
+    wider: int = 0  #: of these, sent with a sigma that is larger by ``WIDER``
+    left_out: Counter[str] = field(default_factory=Counter)  #: of these, by the reason
+    #: of ``y``, ``width`` and ``centre``, with the place [m]
+    ratios: defaultdict[tuple[str, float], list[float]] = field(
+        default_factory=lambda: defaultdict(list)
+    )
+
+    @property
+    def left_out_share(self) -> float:
+        """Share of the lines that are left out."""
+        return self.left_out.total() / max(self.lines, 1)
+
+    @property
+    def wider_share(self) -> float:
+        """Share of the lines that are sent wider."""
+        return self.wider / max(self.lines, 1)
+
+    def quantile(self, what: str, x: float, share: float) -> float:
+        """Return a quantile of the ratios; NaN without any."""
+        found = self.ratios.get((what, x))
+        return float(np.quantile(found, share)) if found else np.nan
+
+    def add(self, other: Ratios) -> None:
+        """Add those of others."""
+        self.lines += other.lines
+        self.wider += other.wider
+        self.left_out += other.left_out
+        for key, values in other.ratios.items():
+            self.ratios[key] += values
+
+    def add_scene(self, codec: AnyCodec, scene: Scene, *, fd: bool = True) -> None:
+        """Send a scene, and add what is received."""
+        encoder, decoder = codec.encoder(), codec.decoder()
+        prepared = encoder.prepare_scene(scene, fd=fd)
+        self.lines += len(scene.lines)
+        self.left_out.update(reason.name for reason in prepared.unfit.values())
+        frames = encoder.encode_scene(prepared, fd=fd)
+        for frame in chain.from_iterable(frames.values()):
+            decoder.feed(frame.can_id, frame.data, 0)
+        view = decoder.scene()
+        if view is not None:
+            self._compare(scene, view.scene)
+
+    def _compare(self, scene: Scene, decoded: Scene) -> None:
+        true = scene.subset([line.slot for line in decoded.lines])
+        means, ranges = decoded.means, decoded.fit_ranges
+        for i, (mean, fit_range) in enumerate(zip(means, ranges, strict=True)):
+            names, x = places_of(*fit_range)
+            J, own = lateral_jacobian(mean, x), np.s_[4 * i : 4 * i + 4]
+            ratios = sigma_ratios(J, decoded.cov[own, own], true.cov[own, own])
+            self.wider += bool((ratios > WIDER).any())
+            for name, ratio in zip(names, ratios.tolist(), strict=True):
+                self.ratios["y", name].append(ratio)
+        if tuple(line.slot for line in decoded.lines[:2]) == LANE:
+            floor = noise_floor(means[:2], ranges[:2], RESOLUTION)
+            cov, computed = decoded.cov[:8, :8], true.cov[:8, :8] + floor
+            low, high = ranges[:2, 0].max(), ranges[:2, 1].min()
+            x = np.array([x for x in LANE_AT if low <= x <= high])
+            left, right = (lateral_jacobian(mean, x) for mean in means[:2])
+            both = {"width": np.hstack([left, -right]), "centre": np.hstack([left, right]) / 2}
+            for name, J in both.items():
+                for place, ratio in zip(x.tolist(), sigma_ratios(J, cov, computed), strict=True):
+                    self.ratios[name, place].append(float(ratio))
+
+
+def places_of(low: float, high: float) -> tuple[list[float], Array]:
+    """Return the places of ``LINE_AT`` where a line is compared, as named and as they are [m].
+
+    >>> places_of(-20.0, 65.0)
+    ([0.0, 20.0, 40.0, 80.0], array([ 0., 20., 40., 65.]))
+    """
+    names = [x for x in LINE_AT if low <= x <= high]
+    if LINE_AT[-2] < high < LINE_AT[-1]:
+        return [*names, LINE_AT[-1]], np.array([*names, high])
+    return names, np.array(names)
+
+
+def sigma_ratios(J: Array, decoded: Array, computed: Array) -> Array:
+    """Return the (K,) ratios of standard deviations of what the (K, n) rows of J are of."""
+    variances = [np.einsum("ki,ij,kj->k", J, cov, J) for cov in (decoded, computed)]
+    return np.asarray(np.sqrt(variances[0] / variances[1]))
+
+
+#: Where scenes are from, and the kinds of errors of pose and map.
+Kind = tuple[str, str, str]
+
+
+def measured(
+    codec: AnyCodec, drawn: Iterable[DrawnScene], *, fd: bool = True
+) -> dict[Kind, Ratios]:
+    """Send scenes, and return their figures by source, error of the pose and error of the map."""
+    found: dict[Kind, Ratios] = {}
+    for one in drawn:
+        found.setdefault(one[:3], Ratios()).add_scene(codec, one.scene, fd=fd)
+    return found
+
+
+def merged(found: Mapping[Kind, Ratios], place: int) -> dict[str, Ratios]:
+    """Return figures by one of the parts of their kinds: 0 source, 1 pose, 2 map."""
+    sums: dict[str, Ratios] = {}
+    for kind, ratios in found.items():
+        sums.setdefault(kind[place], Ratios()).add(ratios)
+    return sums
+
+
+def excess(ratios: Ratios) -> float:
+    """Return the mean of what figures are above 1, in units of what the targets are above it.
+
+    The end of the tail is a mean of quantiles about that of the target, so that it changes with
+    the fields and not only with the one scene that happens to be there. Lines left out count as
+    much as the medians.
+    """
+    medians, tails = [], []
+    for (name, _), values in ratios.ratios.items():
+        median, tail = TARGETS[name]
+        medians.append((float(np.median(values)) - 1) / (median - 1))
+        tails.append((float(np.quantile(values, TAIL).mean()) - 1) / (tail - 1))
+    return (float(np.mean([*medians, *tails])) if medians else math.inf) + (
+        ratios.left_out_share / MOST_LEFT_OUT
+    )
