@@ -8,8 +8,9 @@ from pathlib import Path, PurePath
 from ..wire.layout.message_layout import Layout
 from .c_build import ALL, Features, build_of
 from .c_files import core_folder
-from .vector_cases import cases_of
-from .vectors import SCHEMA, Vectors, vectors_of
+from .line_cases import LineCases
+from .scene_cases import SceneCases
+from .vectors import SCHEMA, Case, Vectors, vectors_of
 
 
 def vector_files(layout: Layout, name: str, features: Features = ALL) -> dict[str, str]:
@@ -43,3 +44,13 @@ def vectors_from(layout: Layout, features: Features = ALL) -> Vectors:
     build_of({"": layout}, features)  # it has C
     digest = hashlib.sha256(Path(layout.source).read_bytes()).hexdigest()
     return vectors_of(cases_of(layout, features), PurePath(layout.source).name, digest)
+
+
+def cases_of(layout: Layout, features: Features = ALL) -> list[Case]:
+    """Return the cases of a DBC for a receiver with these features, always the same ones.
+
+    Raises:
+        MissingExtraError: the DBC has authenticated messages, and cryptography is not installed.
+    """
+    cases = LineCases(layout, features) if layout.scene is None else SceneCases(layout, features)
+    return [*cases.all()]

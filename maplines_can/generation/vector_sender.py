@@ -6,19 +6,24 @@ It does not use the encoder: what a receiver makes of any bits is independent of
 from __future__ import annotations
 
 import random
+import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from ..core import ffi, lib
 from ..values.elementary import log2
 from ..values.errors import LayoutError
-from ..values.line import MapLine, Slot
-from ..wire.layout.message_layout import Layout
+from ..values.line import Kind, MapLine, Slot
+from ..wire.layout.message_layout import AnyLayout, Layout
 from ..wire.layout.packing import Packing
-from ..wire.layout.pose_layout import POSE, Owner, PoseLayout, number_of
+from ..wire.layout.pose_layout import SCENE, Owner, number_of
+from ..wire.layout.scene_layout import NoLine, SceneLayout
 from ..wire.layout.signals import (
+    LINE,
     PAGE,
     PAGE_BYTES,
     PARAMETER_SIGNALS,
+    SLOT,
     TRANSFER_ID,
     Signal,
     slot_title,
@@ -42,6 +47,9 @@ ORDINARY = {"YOff": 1.75, "Beta": 0.02, "C0": 1e-3, "C1": 1e-6, "XMin": -8.0, "X
 SIGMAS = {"YOff": 0.1, "Beta": 0.005, "C0": 2e-4, "C1": 4e-6, "Along": 0.3, "Across": 0.1,
           "Heading": 0.003}  # fmt: skip
 LEVELS = {"CorrelationTime": 2.0, "MapOffset": 0.03, "MapHeading": 0.001}
+#: Signal of a whole scene by which another one joins it.
+JOIN = "SceneCounter"
+_OF_PLACE = re.compile(rf"^{LINE}\d+")
 
 
 class VectorSender:
@@ -54,43 +62,98 @@ class VectorSender:
 
     def __init__(self, layout: Layout, slots: int) -> None:
         self.layout = layout
-        self.slots = [slot for slot in layout.messages if slot < slots]
+        self.slots = [slot for slot in layout.slots if slot < slots]
+        #: Owner of the records with the first line.
+        self.first: Owner = SCENE if layout.scene else self.slots[0]
         self._tables = tables_of(layout)
         self._writer = FrameWriter(layout, None)
+        self._signals = {owner: _signals_of(self.of(owner)) for owner in layout.messages_of}
 
     def key_of(self, owner: Owner | None = None) -> VectorKey | None:
         """Return the key that a receiver needs: none unless all messages are authenticated."""
-        messages = self.layout.messages_of[self.slots[0] if owner is None else owner]
-        return KEY if messages.can_id is None and messages.fd_can_id is None else None
+        return KEY if self._is_secured(self.first if owner is None else owner) else None
 
-    def of(self, owner: Owner) -> Layout | PoseLayout:
+    def of(self, owner: Owner) -> AnyLayout:
         """Return the layout of the records of an owner."""
-        if owner != POSE:
-            return self.layout
-        if self.layout.pose is None:
-            raise LayoutError(f"{self.layout.source} has no message of the pose error")
-        return self.layout.pose
+        return self.layout.record_of(owner)
+
+    def signals(self, owner: Owner) -> Mapping[str, Signal]:
+        """Return the signals of a record; in whole scenes those of its lines begin with Line1, ..."""
+        return self._signals[owner]
 
     def ordinary(self, owner: Owner) -> dict[str, int]:
         """Return the raw values of an ordinary record."""
-        layout = self.of(owner)
         repeated = (PAGE, TRANSFER_ID, "Crc", "Counter")
-        return {
+        raw = {
             name: self._ordinary(signal)
-            for name, signal in layout.signals.items()
+            for name, signal in self.signals(owner).items()
             if not name.startswith(repeated)
         }
-
-    def record(self, owner: Owner, counter: int, raw: Mapping[str, int] | None = None) -> bytes:
-        """Return a record, whose other raw values are ordinary ones."""
         layout = self.of(owner)
+        if isinstance(layout, SceneLayout):
+            for place, slot in enumerate(layout.fixed[owner]):
+                raw |= self.line_at(place, slot, None if slot in self.slots else NoLine.NONE)
+        return raw
+
+    def line_at(
+        self, place: int, slot: Slot | None, kind: Kind | NoLine | None = None
+    ) -> dict[str, int]:
+        """Return the raw values of a line of a whole scene: an ordinary one, or that there is none.
+
+        Args:
+            place: in the record, from 0.
+            slot: of the line.
+            kind: another one than that of an ordinary line.
+        """
+        start = f"{LINE}{place + 1}"
+        own = {n: s for n, s in self.signals(self.first).items() if n.startswith(start)}
+        raw = dict.fromkeys(own, 0)
+        if not isinstance(kind, NoLine):
+            raw = {name: self._ordinary(signal) for name, signal in own.items()}
+            side = own[f"{start}YOff"]
+            raw[side.name] = int(side.limited(side.raw(1.75 - 3.5 * place)))
+        if kind is not None:
+            raw[f"{start}Kind"] = kind
+        if f"{start}{SLOT}" in raw:
+            raw[f"{start}{SLOT}"] = 0 if slot is None or kind is NoLine.NONE else slot
+        return raw
+
+    def record(
+        self,
+        owner: Owner,
+        counter: int,
+        raw: Mapping[str, int] | None = None,
+        *,
+        is_secured: bool | None = None,
+    ) -> bytes:
+        """Return a record, whose other raw values are ordinary ones.
+
+        Args:
+            owner: of the record.
+            counter: of the record; in whole scenes also that which they state.
+            raw: values that are not ordinary.
+            is_secured: for an authenticated message; by default if there is no other one.
+        """
+        layout, signals = self.of(owner), self.signals(owner)
         values = {**self.ordinary(owner), **(raw or {})}
-        length = PAGE_BYTES * (
-            layout.pages if values.get("HasCovariance", 1) else layout.short_pages
-        )
-        signals = [layout[name] for name in values if layout[name].start < 8 * length]
-        record = bytearray(Packing(signals, length).pack_one(values))
-        number = counter % 2 ** layout["Counter"].length
+        if isinstance(layout, SceneLayout):
+            is_secured = self._is_secured(owner) if is_secured is None else is_secured
+            length, places = layout.record_bytes, layout.places
+            if is_secured:
+                length, places = layout.secured_bytes, layout.secured_places
+            missing = tuple(f"{LINE}{i + 1}" for i in range(places, layout.places))
+            values = {n: value for n, value in values.items() if not n.startswith(missing)}
+            values.setdefault(JOIN, 0)
+            if JOIN not in (raw or {}):
+                values[JOIN] = counter % 2 ** signals[JOIN].length
+        else:
+            length = PAGE_BYTES * (
+                layout.pages if values.get("HasCovariance", 1) else layout.short_pages
+            )
+        packed = [signals[name] for name in values if signals[name].start < 8 * length]
+        pages = -(-length // PAGE_BYTES)
+        record = bytearray(Packing(packed, PAGE_BYTES * pages).pack_one(values)[:length])
+        number = counter % 2 ** signals["Counter"].length
         lib.maplines_seal_record(
             self._tables, number_of(owner), length, number, ffi.from_buffer("uint8_t[]", record)
         )
@@ -103,7 +166,7 @@ class VectorSender:
 
         With an ordinary mean, the line is a function of x in its range, which a scene requires.
         """
-        signals = self.of(owner).signals
+        signals = self.signals(owner)
         raw = {
             name: rng.randint(*signals[name].all_raw)
             for name in self.ordinary(owner)
@@ -117,9 +180,32 @@ class VectorSender:
         if raw.get("HasCovariance"):
             raw |= {name: 0 for name in raw if name.startswith("Own")}
         if "XMin" in raw:
-            low, high = (signals[name] for name in ("XMin", "XMax"))
-            if low.physical_one(raw["XMin"]) >= high.physical_one(raw["XMax"]):
-                raw |= {"XMin": low.raw_min, "XMax": high.raw_max}
+            raw |= self._with_range(owner, raw, "")
+        return raw
+
+    def random_scene(self, owner: Owner, rng: random.Random) -> dict[str, int]:
+        """Return raw values of random bits for a whole scene, of which no receiver refuses it."""
+        signals = self.signals(owner)
+        raw = {name: rng.randint(*signals[name].all_raw) for name in self.ordinary(owner)}
+        del raw[JOIN]
+        layout = self.layout.record_of(owner)
+        fixed = layout.fixed[owner] if isinstance(layout, SceneLayout) else ()
+        free = [slot for slot in rng.sample(self.slots, len(self.slots)) if slot not in fixed]
+        for place, wanted in enumerate(fixed):
+            start = f"{LINE}{place + 1}"
+            slot = wanted if wanted is not None else free.pop() if free else None
+            kind = rng.choice([*Kind, *Kind, *NoLine])
+            if slot is None or slot not in self.slots:
+                kind = NoLine.NONE
+            ordinary = self.line_at(place, slot, kind)
+            if isinstance(kind, NoLine):
+                raw |= ordinary
+                continue
+            kept = (f"{start}Kind", f"{start}{SLOT}")
+            raw |= {name: ordinary[name] for name in kept if name in raw}
+            means = [f"{start}{name}" for name in PARAMETER_SIGNALS]
+            raw |= {name: ordinary[name] + raw[name] % 64 for name in means}
+            raw |= self._with_range(owner, raw, start)
         return raw
 
     def frames(
@@ -157,9 +243,22 @@ class VectorSender:
             for i, one in enumerate(frames)
         ]
 
+    def _is_secured(self, owner: Owner) -> bool:
+        """Return whether all messages of an owner are authenticated."""
+        messages = self.layout.messages_of[owner]
+        return messages.can_id is None and messages.fd_can_id is None
+
+    def _with_range(self, owner: Owner, raw: Mapping[str, int], start: str) -> dict[str, int]:
+        """Return the range of a line, whose signals have this start; the longest for an empty one."""
+        names = [f"{start}XMin", f"{start}XMax"]
+        low, high = (self.signals(owner)[name] for name in names)
+        given = [raw[name] for name in names]
+        is_empty = low.physical_one(given[0]) >= high.physical_one(given[1])
+        return dict(zip(names, [low.raw_min, high.raw_max] if is_empty else given, strict=True))
+
     def _ordinary(self, signal: Signal) -> int:
         """Return the raw value of a signal in an ordinary record."""
-        name, physical = signal.name, 0.0
+        name, physical = _OF_PLACE.sub("", signal.name), 0.0
         for title in map(slot_title, Slot):
             name = name.removeprefix(title) if name != title else name
         if name in ORDINARY:
@@ -175,3 +274,19 @@ class VectorSender:
             physical = float(log2([sigma])[0])
         raw = round((physical - signal.offset) / signal.factor)
         return min(max(raw, signal.raw_min), signal.raw_max)
+
+
+def _signals_of(layout: AnyLayout) -> dict[str, Signal]:
+    """Return the signals of a record; in whole scenes those of its lines begin with Line1, ..."""
+    if not isinstance(layout, SceneLayout):
+        return {**layout.signals}
+    fixed = layout.fixed[SCENE]
+    lines = {
+        f"{LINE}{place + 1}{name}": signal
+        for place, slot in enumerate(fixed)
+        for name, signal in layout.at(place).items()
+        if name != SLOT or slot is None
+    }
+    starts = {signal.start for signal in lines.values()}
+    shared = {name: s for name, s in layout.signals.items() if s.start not in starts}
+    return shared | {name: replace(s, name=name, prefix="") for name, s in lines.items()}
