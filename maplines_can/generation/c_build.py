@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, cast
 from ..values.errors import LayoutError
 from ..values.line import Slot
 from ..wire.layout.message_layout import Layout
-from ..wire.layout.pose_layout import POSE, number_of
+from ..wire.layout.pose_layout import POSE, SCENES, Owner, number_of
 from ..wire.protection.e2e_state import E2EConfig
 from ..wire.tables import Members, Value, content_of, limits_of
 
@@ -16,12 +16,18 @@ from ..wire.tables import Members, Value, content_of, limits_of
 EPOCHS = 4
 #: Longest window of an E2E state machine that has room in a word.
 WINDOW = 32
-#: Members of ``maplines_dbc_t`` that a library without scenes, or without a sender, has not.
+#: Members of ``maplines_dbc_t`` that a library has only with scenes, with a sender of them, or with
+#: records of a line each or of whole scenes.
 _OF_SCENES = {
     "has_covariance", "fine", "levels", "pose", "pose_age", "correlation_time", "map_offset",
     "map_heading", "pose_covariance", "slot_counter", "slot_levels",
 }  # fmt: skip
 _OF_SENT_SCENES = {"spacings", "spacing_step", "straight"}
+_OF_LINE_RECORDS = {
+    "line", "status", "age", "component_index", "component_count", "component_weight",
+    "has_covariance", "fine", "slot_counter", "slot_levels",
+}  # fmt: skip
+_OF_SCENE_RECORDS = {"scene"}
 
 
 class Features(NamedTuple):
@@ -46,6 +52,8 @@ class Build(NamedTuple):
     receiver: int
     sender: int
     scenes: int
+    line_records: int
+    scene_records: int
     secoc: int
     float: int
     slots: int
@@ -72,6 +80,8 @@ class Build(NamedTuple):
         content = content_of(layout)
         without = set() if self.scenes else {*_OF_SCENES, *_OF_SENT_SCENES}
         without |= set() if self.sender else _OF_SENT_SCENES
+        without |= set() if self.line_records else _OF_LINE_RECORDS
+        without |= set() if self.scene_records else _OF_SCENE_RECORDS
         found = {name: value for name, value in content.items() if name not in without}
         found["max_components"] = min(cast(int, content["max_components"]), self.max_components)
         found["has_pose"] = bool(self.scenes and content["has_pose"])
@@ -85,10 +95,17 @@ class Build(NamedTuple):
         return found
 
     def _kept(self, members: Members) -> Iterator[tuple[Any, Value]]:
-        """Yield the members of the owners that the library has; the last owner is the pose."""
-        for number, value in members.items():
-            if number < self.slots or (self.scenes and number == number_of(POSE)):
-                yield number, value
+        """Yield the members of the owners that the library has."""
+        owners = {number_of(owner) for owner in self._owners}
+        yield from ((number, value) for number, value in members.items() if number in owners)
+
+    @property
+    def _owners(self) -> Iterator[Owner]:
+        if self.line_records:
+            yield from list(Slot)[: self.slots]
+            yield from [POSE] if self.scenes else []
+        if self.scene_records:
+            yield from SCENES
 
 
 def build_of(layouts: Mapping[str, Layout], features: Features = ALL) -> Build:
@@ -113,10 +130,10 @@ def build_of(layouts: Mapping[str, Layout], features: Features = ALL) -> Build:
                 "without scenes has no line of it; leave out --no-scenes, or take a DBC with "
                 "complete records such as maplines.dbc"
             )
-        if not any(number_of(owner) < features.slots for owner in layout.messages_of):
+        if not any(slot < features.slots for slot in layout.slots):
             raise LayoutError(
-                f"{layout.source}: it has no message of the first {features.slots} slots; give "
-                "more with --slots"
+                f"{layout.source}: it has no line of the first {features.slots} slots; give more "
+                "with --slots"
             )
     limits = limits_of(list(layouts.values()))
     components = limits.components if features.mixtures else 1
@@ -124,6 +141,8 @@ def build_of(layouts: Mapping[str, Layout], features: Features = ALL) -> Build:
         receiver=int(features.receiver),
         sender=int(features.sender),
         scenes=int(features.scenes),
+        line_records=int(any(layout.scene is None for layout in layouts.values())),
+        scene_records=int(any(layout.scene is not None for layout in layouts.values())),
         secoc=int(features.secoc),
         float=int(features.single),
         slots=features.slots,

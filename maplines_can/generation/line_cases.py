@@ -172,18 +172,19 @@ class LineCases(Cases):
         yield case
         case = self._case("incomplete", "A page of a record that a later record overtakes.")
         first, *_ = self._frames(self.slot, 0)
+        transfer_ids = 2 ** self.layout["TransferId0"].length
         case.frame(first.can_id, first.data, START_NS, is_extended=first.is_extended)
-        self.sender.send(case, self.slot, 2 ** self.layout["TransferId0"].length // 2, START_NS + MS)
+        self.sender.send(case, self.slot, transfer_ids // 2, START_NS + MS)
         case.counts()
         yield case
-        if self.counters > 2 ** self.layout["TransferId0"].length:
-            yield self._replaced()
+        if self.counters > transfer_ids:
+            yield self._replaced(transfer_ids)
 
-    def _replaced(self) -> Case:
+    def _replaced(self, transfer_ids: int) -> Case:
         """Return a transfer of which the next one with the same ID takes the place."""
         case = self._case("replaced", "Pages of two records with the same transfer ID.")
         page = min(bits_of(self.layout["Counter"])) // (8 * PAGE_BYTES)
-        for i, counter in enumerate((0, 2 ** self.layout["TransferId0"].length, 0)):
+        for i, counter in enumerate((0, transfer_ids, 0)):
             frame = self._frames(self.slot, counter)[page]
             case.frame(frame.can_id, frame.data, START_NS + i, is_extended=frame.is_extended)
         case.counts()
@@ -302,7 +303,6 @@ class LineCases(Cases):
             pose = {name: counter % 2**bits}
             self.sender.send(case, POSE, counter, t_ns, pose, fd=self.is_fd)
         self.sender.send(case, self.slot, counter, t_ns + MS, raw, fd=self.is_fd)
-
 
     def of_line(self, raw: Mapping[str, int]) -> dict[str, int]:
         """Return raw values of the line by their names in its record: the same."""

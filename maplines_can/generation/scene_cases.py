@@ -8,26 +8,40 @@ from itertools import permutations
 
 from ..values.line import Kind, Slot
 from ..wire.layout.message_layout import Layout
-from ..wire.layout.pose_layout import SCENE, SCENE2, SceneOwner
+from ..wire.layout.pose_layout import SCENE, SCENE2, Owner, SceneOwner
 from ..wire.layout.scene_layout import NoLine
 from ..wire.layout.signals import LINE, SLOT
 from .c_build import Features
-from .vector_sender import JOIN, KEY, MS, START_NS
 from .vector_cases import Cases
+from .vector_sender import JOIN, KEY, MS, START_NS
 from .vectors import Case
 
 #: Records of random bits, of each message.
 RANDOM_RECORDS = 12
+#: Messages that are sent, with their counter and the cycle in which they come.
+_OTHERS: tuple[tuple[str, str, list[tuple[SceneOwner, int, int]]], ...] = (
+    ("lost-scene", "A Scene is lost.",
+     [(SCENE2, 0, 0), (SCENE, 0, 0), (SCENE2, 1, 1), (SCENE2, 2, 2), (SCENE, 2, 2)]),
+    ("lost-scene2", "A Scene2 is lost.",
+     [(SCENE2, 0, 0), (SCENE, 0, 0), (SCENE, 1, 1), (SCENE2, 2, 2), (SCENE, 2, 2)]),
+    ("doubled", "Frames come twice.",
+     [(SCENE2, 0, 0), (SCENE2, 0, 0), (SCENE, 0, 0), (SCENE, 0, 0), (SCENE2, 0, 0)]),
+    ("too-late", "Scene2 comes more than a cycle late.", [(SCENE, 0, 0), (SCENE2, 0, 2)]),
+    ("too-early", "Scene2 comes more than a cycle early.", [(SCENE2, 0, 0), (SCENE, 0, 2)]),
+    ("scene-restart", "Scene begins again, with a counter of before.",
+     [(SCENE, 8, 0), (SCENE2, 0, 1), (SCENE, 0, 1), (SCENE, 8, 2), (SCENE2, 8, 2)]),
+    ("scene2-restart", "Scene2 begins again, with a counter of before.",
+     [(SCENE2, 100, 0), (SCENE, 0, 0), (SCENE2, 0, 1), (SCENE, 1, 1)]),
+)  # fmt: skip
 
 
 class SceneCases(Cases):
     """Cases of a DBC with records of whole scenes."""
 
     def __init__(self, layout: Layout, features: Features) -> None:
-        super().__init__(layout, features, {SCENE2: "scene2"} if SCENE2 in layout.messages_of else {})
-        assert layout.scene is not None
-        self.record = layout.scene
-        self.messages_of_scenes: list[SceneOwner] = [*layout.scene.messages]
+        others: dict[Owner, str] = {SCENE2: "scene2"} if SCENE2 in layout.messages_of else {}
+        super().__init__(layout, features, others)
+        self.owners: list[SceneOwner] = [SCENE, SCENE2] if others else [SCENE]
 
     def of_line(self, raw: Mapping[str, int]) -> dict[str, int]:
         """Return raw values of the first line by their names in its record."""
@@ -55,7 +69,7 @@ class SceneCases(Cases):
             about = f"The first line has the kind {kind.name}."
             yield self._one(f"kind-{kind.name}", about, self.sender.line_at(0, self.slot, kind))
         rng = random.Random(1)  # noqa: S311 - the same ones each time
-        for owner in self.messages_of_scenes:
+        for owner in self.owners:
             for i in range(RANDOM_RECORDS):
                 raw = self.sender.random_scene(owner, rng)
                 yield self._one(f"random-{owner}-{i}", "A record of random bits.", raw, owner)
@@ -68,9 +82,8 @@ class SceneCases(Cases):
 
     def _alone(self, slot: Slot) -> tuple[SceneOwner, dict[str, int]]:
         """Return raw values of a record whose only line is that of a slot, and its message."""
-        of_fixed = (owner for owner, fixed in self.record.fixed.items() if slot in fixed)
-        owner = next(of_fixed, SCENE)
-        fixed = self.record.fixed[owner]
+        owner = next((owner for owner in self.owners if slot in self.sender.fixed(owner)), SCENE)
+        fixed = self.sender.fixed(owner)
         wanted = fixed.index(slot) if slot in fixed else fixed.index(None)
         raw: dict[str, int] = {}
         for place, own in enumerate(fixed):
@@ -96,22 +109,23 @@ class SceneCases(Cases):
     def refused(self) -> Iterator[Case]:
         """Yield records of values that no sender sends, and lines that are left out."""
         case = self._case("content", "Records of values that no sender sends.")
-        line, low, high = self.record.line, f"{LINE}1XMin", f"{LINE}1XMax"
+        low, high = f"{LINE}1XMin", f"{LINE}1XMax"
         join = self.sender.signals(SCENE)[JOIN]
-        steep = {f"{LINE}1{name}": line[name].raw_max for name in ("Beta", "C0", "C1")}
+        steep = {f"{LINE}1{name}": self.layout[name].raw_max for name in ("Beta", "C0", "C1")}
         wrong: list[dict[str, int]] = [
-            {low: line["XMin"].raw_max, high: line["XMax"].raw_min},
-            {**steep, low: line["XMin"].raw_min, high: line["XMax"].raw_max},
+            {low: self.layout["XMin"].raw_max, high: self.layout["XMax"].raw_min},
+            {**steep, low: self.layout["XMin"].raw_min, high: self.layout["XMax"].raw_max},
         ]
-        wrong += [{f"{LINE}1Kind": kind} for kind in range(max(NoLine) + 1, line["Kind"].raw_max + 1)]
-        fixed = self.record.fixed[SCENE]
+        kinds = range(max(NoLine) + 1, self.layout["Kind"].raw_max + 1)
+        wrong += [{f"{LINE}1Kind": kind} for kind in kinds]
+        fixed = self.sender.fixed(SCENE)
         free = [place for place, slot in enumerate(fixed) if slot is None]
         if free:  # the slot of another place, or of a line that is left out
             wrong.append(self.sender.line_at(free[0], fixed[0] or self.slot))
             wrong.append(self.sender.line_at(free[0], fixed[0] or self.slot, NoLine.LEFT_OUT_MEAN))
         for i, raw in enumerate(wrong):
             self.sender.send(case, SCENE, i, START_NS + i * self.cycle, raw)
-        for i, owner in enumerate(self.messages_of_scenes):  # of Scene2 any value is right
+        for i, owner in enumerate(self.owners):  # of Scene2 any value is right
             raw = {JOIN: join.raw_max}
             self.sender.send(case, owner, len(wrong), START_NS + (len(wrong) + i) * MS, raw)
             case.stats(owner, START_NS + len(wrong) * self.cycle)
@@ -131,7 +145,7 @@ class SceneCases(Cases):
     def scenes(self) -> Iterator[Case]:
         """Yield scenes of one and two messages, in any order, with what does not belong to them."""
         yield self._cycles("whole-scene", "Scene in each cycle.", (SCENE,))
-        if SCENE2 in self.messages_of_scenes:
+        if SCENE2 in self.owners:
             both = (SCENE2, SCENE)
             yield self._cycles("whole-scenes", "Scene2 and Scene in each cycle.", both)
             yield from self._orders()
@@ -152,7 +166,7 @@ class SceneCases(Cases):
 
     def _orders(self) -> Iterator[Case]:
         """Yield the four frames of two cycles in each order."""
-        frames = [(owner, counter) for counter in (0, 1) for owner in (SCENE2, SCENE)]
+        frames = [(owner, counter) for counter in (0, 1) for owner in reversed(self.owners)]
         for order in permutations(range(len(frames))):
             name = "".join(map(str, order))
             case = self._case(f"join-{name}", "Scene2 and Scene of two cycles, in an order.")
@@ -164,22 +178,7 @@ class SceneCases(Cases):
 
     def _others(self) -> Iterator[Case]:
         """Yield messages of which some are lost, come twice, or do not belong together."""
-        for name, about, steps in (
-            ("lost-scene", "A Scene is lost.", [(SCENE2, 0, 0), (SCENE, 0, 0), (SCENE2, 1, 1),
-                                                (SCENE2, 2, 2), (SCENE, 2, 2)]),
-            ("lost-scene2", "A Scene2 is lost.", [(SCENE2, 0, 0), (SCENE, 0, 0), (SCENE, 1, 1),
-                                                  (SCENE2, 2, 2), (SCENE, 2, 2)]),
-            ("doubled", "Each frame comes twice.", [(SCENE2, 0, 0), (SCENE2, 0, 0), (SCENE, 0, 0),
-                                                    (SCENE, 0, 0), (SCENE2, 0, 0)]),
-            ("too-late", "Scene2 comes more than a cycle after its Scene.", [(SCENE, 0, 0),
-                                                                             (SCENE2, 0, 2)]),
-            ("too-early", "Scene2 comes more than a cycle before Scene.", [(SCENE2, 0, 0),
-                                                                           (SCENE, 0, 2)]),
-            ("scene-restart", "Scene restarts, with counters of before.",
-             [(SCENE, 8, 0), (SCENE2, 0, 1), (SCENE, 0, 1), (SCENE, 8, 2), (SCENE2, 8, 2)]),
-            ("scene2-restart", "Scene2 begins again, with counters of before.",
-             [(SCENE2, 100, 0), (SCENE, 0, 0), (SCENE2, 0, 1), (SCENE, 1, 1)]),
-        ):  # fmt: skip
+        for name, about, steps in _OTHERS:
             case = self._case(f"join-{name}", about)
             for i, (owner, counter, cycle) in enumerate(steps):
                 self._send(case, owner, counter, cycle, i)
@@ -199,8 +198,9 @@ class SceneCases(Cases):
             self._send(case, SCENE, 0, 0, 1)
             case.scene(START_NS + 2 * MS)
             yield case
-        free = [fixed.index(None) for fixed in self.record.fixed.values() if None in fixed]
-        if len(free) == len(self.record.fixed):
+        every = [self.sender.fixed(owner) for owner in self.owners]
+        free = [fixed.index(None) for fixed in every if None in fixed]
+        if len(free) == len(self.owners):
             case = self._case("join-same-slot", "Both messages have a line of the same slot.")
             slot = next(slot for slot in self.sender.slots if not self._is_fixed(slot))
             for i, owner in enumerate((SCENE2, SCENE)):
@@ -212,12 +212,14 @@ class SceneCases(Cases):
             yield case
 
     def _is_fixed(self, slot: Slot) -> bool:
-        return any(slot in fixed for fixed in self.record.fixed.values())
+        return any(slot in self.sender.fixed(owner) for owner in self.owners)
 
     def _silences(self) -> Iterator[Case]:
         """Yield authenticated scenes after silences, also of more than Freshness can count."""
-        span_ns = 1000 * 256**self.record.secured.freshness_bytes if self.record.secured else 0
-        case = self._case("secoc-silences", "Authentic scenes after silences of any length.", key=KEY)
+        secured = self.layout.secured
+        span_ns = 1000 * 256**secured.freshness_bytes if secured else 0
+        about = "Authentic scenes after silences of any length."
+        case = self._case("secoc-silences", about, key=KEY)
         t_ns = START_NS
         frames = []
         for i, silence in enumerate((0, self.cycle, span_ns - 1000, span_ns, 3 * span_ns + 7000)):
@@ -257,6 +259,6 @@ class SceneCases(Cases):
         t_ns = START_NS + cycle * self.cycle
         case.scene(t_ns)
         case.view(self.slot, t_ns)
-        for owner in self.messages_of_scenes:
+        for owner in self.owners:
             case.stats(owner, t_ns)
         case.counts()

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..wire.layout.message_layout import Layout
+from ..wire.layout.pose_layout import OwnerNumber
 from ..wire.layout.signal import Signal, place_of
 from ..wire.tables import Members, Value, limits_of
 from .c_build import Build, build_of
@@ -143,6 +144,8 @@ def _initializer(members: Members, scales: list[tuple[float, float]]) -> Iterato
 
 def _designator(key: object) -> str:
     """Return the designator of a member, of an owner or of an index."""
+    if isinstance(key, OwnerNumber) and key.name != "POSE":
+        return f"[MAPLINES_{key.name} - MAPLINES_FIRST_OWNER]"
     if isinstance(key, IntEnum):
         return f"[MAPLINES_{key.name}]"
     return f".{key}" if isinstance(key, str) else f"[{key}]"

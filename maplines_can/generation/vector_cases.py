@@ -116,7 +116,8 @@ class Cases(ABC):
         case = self._case("late", "Records come late: lost ones, and one with another content.")
         for i, counter in enumerate((0, 1, 4, 2, 5)):
             self.send_cycle(case, counter, i)
-        self.sender.send(case, self.owner, 1, START_NS + 5 * self.cycle, self.of_line({"Kind": Kind.KERB}))
+        raw = self.of_line({"Kind": Kind.KERB})
+        self.sender.send(case, self.owner, 1, START_NS + 5 * self.cycle, raw)
         case.stats(self.owner, START_NS + 5 * self.cycle)
         case.counts()
         return case

@@ -12,11 +12,10 @@ from dataclasses import replace
 
 from ..core import ffi, lib
 from ..values.elementary import log2
-from ..values.errors import LayoutError
 from ..values.line import Kind, MapLine, Slot
 from ..wire.layout.message_layout import AnyLayout, Layout
 from ..wire.layout.packing import Packing
-from ..wire.layout.pose_layout import SCENE, Owner, number_of
+from ..wire.layout.pose_layout import SCENE, SCENE2, Owner, number_of
 from ..wire.layout.scene_layout import NoLine, SceneLayout
 from ..wire.layout.signals import (
     LINE,
@@ -78,7 +77,7 @@ class VectorSender:
         return self.layout.record_of(owner)
 
     def signals(self, owner: Owner) -> Mapping[str, Signal]:
-        """Return the signals of a record; in whole scenes those of its lines begin with Line1, ..."""
+        """Return the signals of a record; those of lines of a whole scene begin with Line1, ..."""
         return self._signals[owner]
 
     def ordinary(self, owner: Owner) -> dict[str, int]:
@@ -89,11 +88,14 @@ class VectorSender:
             for name, signal in self.signals(owner).items()
             if not name.startswith(repeated)
         }
-        layout = self.of(owner)
-        if isinstance(layout, SceneLayout):
-            for place, slot in enumerate(layout.fixed[owner]):
-                raw |= self.line_at(place, slot, None if slot in self.slots else NoLine.NONE)
+        for place, slot in enumerate(self.fixed(owner)):
+            raw |= self.line_at(place, slot, None if slot in self.slots else NoLine.NONE)
         return raw
+
+    def fixed(self, owner: Owner) -> tuple[Slot | None, ...]:
+        """Return the slots of the places of a record; None if it names them."""
+        scene = self.layout.scene
+        return () if scene is None or owner not in (SCENE, SCENE2) else scene.fixed[owner]
 
     def line_at(
         self, place: int, slot: Slot | None, kind: Kind | NoLine | None = None
@@ -188,8 +190,7 @@ class VectorSender:
         signals = self.signals(owner)
         raw = {name: rng.randint(*signals[name].all_raw) for name in self.ordinary(owner)}
         del raw[JOIN]
-        layout = self.layout.record_of(owner)
-        fixed = layout.fixed[owner] if isinstance(layout, SceneLayout) else ()
+        fixed = self.fixed(owner)
         free = [slot for slot in rng.sample(self.slots, len(self.slots)) if slot not in fixed]
         for place, wanted in enumerate(fixed):
             start = f"{LINE}{place + 1}"
@@ -249,7 +250,7 @@ class VectorSender:
         return messages.can_id is None and messages.fd_can_id is None
 
     def _with_range(self, owner: Owner, raw: Mapping[str, int], start: str) -> dict[str, int]:
-        """Return the range of a line, whose signals have this start; the longest for an empty one."""
+        """Return the range of a line of this start of names, or the longest one if it is empty."""
         names = [f"{start}XMin", f"{start}XMax"]
         low, high = (self.signals(owner)[name] for name in names)
         given = [raw[name] for name in names]
@@ -277,7 +278,7 @@ class VectorSender:
 
 
 def _signals_of(layout: AnyLayout) -> dict[str, Signal]:
-    """Return the signals of a record; in whole scenes those of its lines begin with Line1, ..."""
+    """Return the signals of a record; those of lines of a whole scene begin with Line1, ..."""
     if not isinstance(layout, SceneLayout):
         return {**layout.signals}
     fixed = layout.fixed[SCENE]

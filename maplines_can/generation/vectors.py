@@ -19,7 +19,7 @@ from ..values.elementary import tan
 from ..values.line import MapLine, Slot
 from ..wire.codec import Codec
 from ..wire.layout.message_layout import Layout
-from ..wire.layout.pose_layout import POSE, Owner
+from ..wire.layout.pose_layout import Owner, number_of
 from ..wire.protection.key import Key
 from ..wire.protection.secoc import Authenticator
 from ..wire.reasons import Reason
@@ -129,9 +129,7 @@ class Case:
 
     def stats(self, owner: Owner, now_ns: int) -> None:
         """Ask for the counters of the E2E checks of an owner."""
-        of_slots = self._decoder.slots(now_ns)
-        pose_error = self._decoder.pose_error(now_ns) if POSE in self._owners else None
-        stats = pose_error if owner == POSE else of_slots.get(owner)
+        stats = self._decoder.stats(owner, now_ns) if owner in self._owners else None
         if stats is None:
             return
         self.steps.append(
@@ -290,7 +288,7 @@ def _status(status: Any) -> str:
 
 
 def _name(owner: Owner) -> str:
-    return "POSE" if owner == POSE else Slot(owner).name
+    return number_of(owner).name
 
 
 # ---- as text and JSON -------------------------------------------------------------------------

@@ -17,8 +17,7 @@ from random_dbc import random_dbc
 from scene_layouts import layout_of
 
 from maplines_can import Gaussian, MapLine, Slot, Status
-from maplines_can.generation.vector_files import cases_of
-from maplines_can.generation.vector_files import vectors_from
+from maplines_can.generation.vector_files import cases_of, vectors_from
 from maplines_can.generation.vectors import PLACES, SCHEMA, Vectors
 from maplines_can.wire import E2EState, ProfileStatus, Reason
 from maplines_can.wire.layout.message_layout import Layout
