@@ -203,7 +203,7 @@ class SceneCases(Cases):
         if len(free) == len(self.owners):
             case = self._case("join-same-slot", "Both messages have a line of the same slot.")
             slot = next(slot for slot in self.sender.slots if not self._is_fixed(slot))
-            for i, owner in enumerate((SCENE2, SCENE)):
+            for i, owner in enumerate(reversed(self.owners)):
                 side = f"{LINE}{free[i] + 1}Kind"
                 raw = self.sender.line_at(free[i], slot) | {side: Kind(1 + i)}
                 self._send(case, owner, 0, 0, i, raw)

@@ -81,7 +81,6 @@ class Case:
                 not_before=key.not_before,
             )
         self._decoder = Codec(layout, authenticator).decoder()
-        self._owners = layout.messages_of
 
     def frame(
         self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
@@ -129,7 +128,7 @@ class Case:
 
     def stats(self, owner: Owner, now_ns: int) -> None:
         """Ask for the counters of the E2E checks of an owner."""
-        stats = self._decoder.stats(owner, now_ns) if owner in self._owners else None
+        stats = self._decoder.messages(now_ns).get(owner)
         if stats is None:
             return
         self.steps.append(

@@ -493,6 +493,11 @@ class Decoder:
         """Return the E2E statistics of the pose error; None if none was received."""
         return self._stats(POSE, now_ns) if POSE in self.checks else None
 
+    def messages(self, now_ns: int) -> dict[Owner, SlotStats]:
+        """Return the E2E statistics of each owner of records of which anything was received."""
+        stats = {owner: self._stats(owner, now_ns) for owner in self.checks}
+        return {owner: known for owner, known in stats.items() if known is not None}
+
     def _check_slot(self, slot: Slot) -> None:
         if slot not in self._slots:
             names = ", ".join(known.name for known in self._slots)
