@@ -90,10 +90,10 @@ typedef struct {
     double x_min, x_max, age;
     double mean[4];
     double cov[16];
-    uint32_t counter; ///< of its last record
+    uint32_t counter; ///< of its last record, or of its whole scene; so are the next and the checks
     uint32_t ahead;   ///< by which it is ahead of the record before; 0 after a sequence break
     uint8_t slot, kind, status, components;
-    uint8_t state;      ///< E2E state of the slot after it; if VALID, of its pose error
+    uint8_t state;      ///< E2E state after it; if VALID, of its pose error
     uint8_t e2e_status; ///< of the last check
     bool two_senders, usable;
 } maplines_line_row_t;

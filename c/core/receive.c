@@ -62,19 +62,19 @@ static void add_mixture(const maplines_decoder_t *decoder, int slot, int count,
 
 /* ---- rows ------------------------------------------------------------------------------------ */
 
-/// State after the last check: that of the slot or, if this is VALID, of the pose error.
-static maplines_e2e_state_t state_of(const maplines_decoder_t *decoder, int slot)
+/// State after the last check: that of an owner or, if this is VALID, of its pose error.
+static maplines_e2e_state_t state_of(const maplines_decoder_t *decoder, int owner)
 {
-    const maplines_e2e_state_t state = decoder->checks[slot].machine.state;
-    return state == MAPLINES_E2E_VALID && decoder->dbc->is_conditional
-               ? decoder->checks[MAPLINES_POSE].machine.state
+    const maplines_e2e_state_t state = decoder->checks[owner].machine.state;
+    return state == MAPLINES_E2E_VALID
+               ? decoder->checks[maplines_owner_of_pose(decoder, owner)].machine.state
                : state;
 }
 
-static bool has_two_senders(const maplines_decoder_t *decoder, int slot, int64_t t_ns)
+static bool has_two_senders(const maplines_decoder_t *decoder, int owner, int64_t t_ns)
 {
-    return !maplines_has_one_sender(decoder, slot, t_ns) ||
-           (decoder->dbc->is_conditional && !maplines_has_one_sender(decoder, MAPLINES_POSE, t_ns));
+    return !maplines_has_one_sender(decoder, owner, t_ns) ||
+           !maplines_has_one_sender(decoder, maplines_owner_of_pose(decoder, owner), t_ns);
 }
 
 /// Members of a row that the line itself has, but its covariance.
@@ -97,7 +97,8 @@ static void add_line(const maplines_decoder_t *decoder, int slot, const maplines
                      int place, int64_t frame, int64_t t_ns, maplines_rows_t *rows)
 {
     const maplines_line_t *line = &decoder->newest[slot];
-    const maplines_check_t *check = &decoder->checks[slot];
+    const int owner = maplines_owner_of_line(decoder, slot);
+    const maplines_check_t *check = &decoder->checks[owner];
     maplines_line_row_t *row = &rows->lines[rows->line_count];
     read_line(line, row);
     row->frame = frame;
@@ -116,9 +117,9 @@ static void add_line(const maplines_decoder_t *decoder, int slot, const maplines
     }
     row->counter = check->last;
     row->ahead = check->ahead;
-    row->state = (uint8_t)state_of(decoder, slot);
+    row->state = (uint8_t)state_of(decoder, owner);
     row->e2e_status = (uint8_t)check->status;
-    row->two_senders = has_two_senders(decoder, slot, t_ns);
+    row->two_senders = has_two_senders(decoder, owner, t_ns);
     row->usable = line->status != MAPLINES_OUT_OF_RANGE && isfinite(line->age) &&
                   row->state == (uint8_t)MAPLINES_E2E_VALID && !row->two_senders;
     ++rows->line_count;
@@ -141,7 +142,8 @@ static maplines_reason_t feed(maplines_decoder_t *decoder, const maplines_frame_
 static void read_scene_row(const maplines_decoder_t *decoder, const maplines_scene_t *scene,
                            int64_t frame, int64_t t_ns, maplines_scene_row_t *row)
 {
-    const maplines_check_t *of_pose = &decoder->checks[MAPLINES_POSE];
+    const int owner = maplines_owner_of_scene(decoder);
+    const maplines_check_t *of_pose = &decoder->checks[owner];
     bool are_valid = of_pose->machine.state == MAPLINES_E2E_VALID;
     double cov[16 * MAPLINES_SLOTS * MAPLINES_SLOTS];
     memset(row, 0, sizeof *row);
@@ -152,7 +154,7 @@ static void read_scene_row(const maplines_decoder_t *decoder, const maplines_sce
     row->counter = scene->counter;
     row->count = scene->count;
     row->state = (uint8_t)of_pose->machine.state;
-    row->two_senders = !maplines_has_one_sender(decoder, MAPLINES_POSE, t_ns);
+    row->two_senders = !maplines_has_one_sender(decoder, owner, t_ns);
     joint_covariance(scene, 0, scene->count, cov);
     const int n = 4 * scene->count;
     for (int i = 0; i < n; ++i)
@@ -162,14 +164,14 @@ static void read_scene_row(const maplines_decoder_t *decoder, const maplines_sce
     for (int place = 0; place < scene->count; ++place)
     {
         const maplines_line_t *line = &scene->lines[place];
-        const maplines_check_t *check = &decoder->checks[line->slot];
+        const int of_line = maplines_owner_in_scene(decoder, (int)line->slot);
+        const maplines_check_t *check = &decoder->checks[of_line];
         row->slots[place] = (uint8_t)line->slot;
         row->x_min[place] = line->x_min;
         row->x_max[place] = line->x_max;
         memcpy(row->mean[place], line->gaussian.mean, sizeof row->mean[place]);
         are_valid = are_valid && check->machine.state == MAPLINES_E2E_VALID;
-        row->two_senders =
-            row->two_senders || !maplines_has_one_sender(decoder, (int)line->slot, t_ns);
+        row->two_senders = row->two_senders || !maplines_has_one_sender(decoder, of_line, t_ns);
     }
     row->usable = are_valid && isfinite(row->age) && !row->two_senders;
 }
@@ -179,7 +181,7 @@ static void see_scene(maplines_decoder_t *decoder, int64_t frame, int64_t t_ns,
                       maplines_rows_t *rows, maplines_scene_row_t *shown)
 {
     const bool is_shown = shown->frame >= 0;
-    if (is_shown && decoder->epochs.is_built)
+    if (is_shown && decoder->is_built)
     {
         return;
     }
@@ -403,7 +405,7 @@ bool maplines_receiver_scene(maplines_receiver_t *receiver, bool is_known)
 {
     maplines_decoder_t *decoder = &receiver->decoder;
     maplines_seen_scene_t *scene = &receiver->seen;
-    const bool is_same = is_known && decoder->epochs.is_built;
+    const bool is_same = is_known && decoder->is_built;
     const maplines_scene_t *newest =
         is_same || !decoder->dbc->has_pose ? NULL : maplines_newest_scene(decoder);
     if (newest == NULL)

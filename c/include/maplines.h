@@ -82,10 +82,10 @@ extern "C" {
 #define MAPLINES_SCENES 1 ///< lines with the error of their pose
 #endif
 #ifndef MAPLINES_LINE_RECORDS
-#define MAPLINES_LINE_RECORDS 1 ///< records of a line each, and of the pose error
+#define MAPLINES_LINE_RECORDS 1 ///< records of one line each, and of the pose error
 #endif
 #ifndef MAPLINES_SCENE_RECORDS
-#define MAPLINES_SCENE_RECORDS MAPLINES_SCENES ///< records of a whole scene: one CAN FD frame
+#define MAPLINES_SCENE_RECORDS MAPLINES_SCENES ///< records of whole scenes, one CAN FD frame each
 #endif
 #ifndef MAPLINES_SECOC
 #define MAPLINES_SECOC 1 ///< authenticated frames
@@ -121,10 +121,11 @@ extern "C" {
 
 #include "maplines_build.h" // checks these sizes, and puts the build into the names of functions
 
-/// Owners of records that a build has: slots and the pose error, and messages of whole scenes.
-#define MAPLINES_OWNERS                                                                            \
-    (MAPLINES_LINE_RECORDS * (MAPLINES_SLOTS + MAPLINES_SCENES) + 2 * MAPLINES_SCENE_RECORDS)
-/// The first of them in maplines_owner_t: the place of an owner in arrays is counted from it.
+/// Owners of records of lines: slots, and the pose error.
+#define MAPLINES_LINE_OWNERS (MAPLINES_LINE_RECORDS * (MAPLINES_SLOTS + MAPLINES_SCENES))
+/// Owners of all records: those, and the messages of whole scenes.
+#define MAPLINES_OWNERS (MAPLINES_LINE_OWNERS + 2 * MAPLINES_SCENE_RECORDS)
+/// The first one of maplines_owner_t that the build has: arrays by owner begin with it.
 #define MAPLINES_FIRST_OWNER (MAPLINES_LINE_RECORDS ? 0 : MAPLINES_SLOTS + 1)
 #define MAPLINES_MAX_RECORD (8 * MAPLINES_MAX_PAGES)                       ///< [byte]
 #define MAPLINES_MAX_FRAMES (MAPLINES_MAX_PAGES * MAPLINES_MAX_COMPONENTS) ///< of a line
@@ -161,9 +162,9 @@ typedef enum {
 #if MAPLINES_SLOTS > 7
     MAPLINES_ROUTE = 7,
 #endif
-    MAPLINES_POSE = MAPLINES_SLOTS,       ///< the pose error, which is no slot
-    MAPLINES_SCENE = MAPLINES_SLOTS + 1,  ///< whole scenes: the ego lane and lines beside it
-    MAPLINES_SCENE2 = MAPLINES_SLOTS + 2, ///< the edges, and what has no place in those
+    MAPLINES_POSE = MAPLINES_SLOTS,       ///< no slot, but the pose error
+    MAPLINES_SCENE = MAPLINES_SLOTS + 1,  ///< whole scenes: the ego lane, and lines beside it
+    MAPLINES_SCENE2 = MAPLINES_SLOTS + 2, ///< their edges, and what has no place in the first
 } maplines_owner_t;
 
 /// Kind of marking or boundary.
@@ -187,6 +188,18 @@ typedef enum {
     MAPLINES_SATURATED = 4,    ///< as FULL, but wider than necessary
     MAPLINES_OUT_OF_RANGE = 5, ///< use neither mean nor covariance
 } maplines_status_t;
+
+#if MAPLINES_SCENES
+/// Why a line does not belong to the scene as it is sent. A record of a whole scene says so.
+typedef enum {
+    MAPLINES_IN_SCENE = 0,            ///< it does
+    MAPLINES_LEFT_OUT_ACROSS = 1,     ///< it is across the car's x axis
+    MAPLINES_LEFT_OUT_RANGE = 2,      ///< the message cannot state its range
+    MAPLINES_LEFT_OUT_MEAN = 3,       ///< the message cannot state its parameters
+    MAPLINES_LEFT_OUT_COVARIANCE = 4, ///< no covariance of the message covers it
+    MAPLINES_LEFT_OUT_PLACE = 5,      ///< records of whole scenes have no place for it
+} maplines_left_out_t;
+#endif
 
 /// CAN frame.
 typedef struct {
@@ -212,14 +225,26 @@ typedef struct maplines_scene_workspace maplines_scene_workspace_t;
  * Every record passes the same stations; each may drop it, with a counted reason:
  *
  *     frame          MAC and freshness, with a verifier
- *       |            all pages of one transfer, or none; time-outs
+ *       |            records of lines: all pages of one transfer, or none; time-outs
  *     record         length, page numbers, transfer IDs, CRC; values that no sender sends
  *       |            counter: duplicate, late or new; E2E status and state
  *     new record     mixtures: a line of all its components, or none
- *       |            scenes: lines of one pose error; records that wait for theirs
+ *       |            epochs: lines of one pose error; records that wait for theirs
+ *       |            whole scenes: two records of one pose error
  *     lines, scene   may they be used: E2E state, age, second sender
  *
- * Three pages of each line are sent one after the other, and the pose error before them:
+ * The records of a DBC are either those of lines, each with its own counter, or whole scenes: a
+ * frame with a pose error and up to MAPLINES_MAX_PLACES lines, which need nothing else. A library
+ * for whole scenes only (MAPLINES_LINE_RECORDS 0) keeps records as they came, and decodes lines
+ * when they are copied:
+ *
+ *     ask for            records of lines                         whole scenes only
+ *     a line             maplines_latest, maplines_copy_line      maplines_copy_line
+ *     a scene            maplines_latest_scene, _copy_scene       maplines_copy_scene
+ *     of a mixture       maplines_component
+ *
+ * Of records of lines, three pages of each are sent one after the other, and the pose error before
+ * them:
  *
  *     page    0 1 2    0 1 2   0 1 2   0 1 2   0   2            0 1 2
  *     of      pose     line A  line B  line C  line D           pose
@@ -273,14 +298,14 @@ typedef enum {
 typedef struct {
     maplines_reason_t reason; ///< MAPLINES_COMPLETE, or why the frame completes no line
     uint8_t count;            ///< number of lines that it completes
-    maplines_owner_t slots[MAPLINES_SLOTS]; ///< of these, in this order: see maplines_newest
+    maplines_owner_t slots[MAPLINES_SLOTS]; ///< of these, in this order
 } maplines_fed_t;
 
 /// Take a data frame that was received. Any one may come at any time; remote frames and error
 /// frames are not for this function.
 ///
 /// The reason is MAPLINES_PENDING, too, if the frame completes a pose error, a component of a
-/// mixture, or a line that waits for its pose error.
+/// mixture, or a line that waits for its pose error, or is a whole scene without a line.
 maplines_fed_t maplines_feed(maplines_decoder_t *decoder, const maplines_frame_t *frame,
                              int64_t t_ns);
 
@@ -331,16 +356,21 @@ typedef struct {
     maplines_real_t age;         ///< from the pose of the line to now [s]; infinite if too old,
                                  ///< unknown, or without a line
     maplines_owner_t slot;
-    maplines_e2e_state_t state;   ///< if the line is conditional on the pose error, VALID only if
-                                  ///< that is, too
-    maplines_e2e_status_t status; ///< of the last check of the slot
+    maplines_e2e_state_t state;   ///< of the messages that brought the line: of its slot or whole
+                                  ///< scene; if the line is conditional on a message of the pose
+                                  ///< error, VALID only if that is, too
+    maplines_e2e_status_t status; ///< of the last check of its slot or whole scene
+#if MAPLINES_SCENE_RECORDS
+    maplines_left_out_t left_out; ///< the newest whole scene that names the slot has no line of it,
+                                  ///< for this reason; then `line` is older, or NULL
+#endif
     bool is_stale;    ///< nothing newer came for some cycles, or the line comes after now
-    bool two_senders; ///< detected in the last 256 cycles, or suspected: on the slot, or on the
-                      ///< pose error if the line is conditional on that
+    bool two_senders; ///< detected in the last 256 cycles, or suspected, on these messages
     bool is_usable;   ///< a controller may use the line: VALID, not stale, one sender, a finite
                       ///< age, and not OUT_OF_RANGE
 } maplines_view_t;
 
+#if MAPLINES_LINE_RECORDS
 /// The newest line of a slot, and whether it may be used.
 ///
 /// @param now_ns current time on the clock of the frames' times. If it is before the reception of
@@ -350,8 +380,9 @@ typedef struct {
 /// A slot that the DBC does not have is a caller's mistake; it has no line and no state.
 void maplines_latest(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t now_ns,
                      maplines_view_t *view);
+#endif
 
-/// What maplines_latest gives, with the line itself: nothing in it points into the decoder, so that
+/// What maplines_view_t says, with the line itself: nothing in it points into the decoder, so that
 /// another task can have it. The components of a mixture stay in the decoder.
 typedef struct {
     maplines_line_t line; ///< all zeros if there is none
@@ -360,14 +391,20 @@ typedef struct {
     maplines_owner_t slot;
     maplines_e2e_state_t state;
     maplines_e2e_status_t status;
+#if MAPLINES_SCENE_RECORDS
+    maplines_left_out_t left_out;
+#endif
     maplines_real_t age; ///< from the pose of the line to `now_ns` [s]; it grows from then on
     int64_t now_ns;      ///< time of the copy: a reader must not use an old one
 } maplines_line_copy_t;
 
-/// Copy the newest line of a slot with its state; see maplines_latest, and docs/isr.md.
+/// Copy the newest line of a slot with its state; see maplines_latest, and docs/isr.md. In a
+/// library for whole scenes only, that is the line of the newest Scene or Scene2, the later one of
+/// the two: there is none if both have no line of the slot.
 void maplines_copy_line(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t now_ns,
                         maplines_line_copy_t *copy);
 
+#if MAPLINES_LINE_RECORDS
 /// The newest line of a slot, whatever its age; NULL before the first. Valid until the next frame.
 const maplines_line_t *maplines_newest(const maplines_decoder_t *decoder, maplines_owner_t slot);
 
@@ -380,6 +417,7 @@ bool maplines_component(const maplines_decoder_t *decoder, maplines_owner_t slot
 
 /// Drop the transfers, mixtures and waiting lines that have timed out.
 void maplines_expire(maplines_decoder_t *decoder, int64_t t_ns);
+#endif
 
 /* ---- use a line ------------------------------------------------------------------------------ */
 
@@ -487,30 +525,41 @@ struct maplines_scene {
     maplines_real_t heading_sigma;     ///< of the map [rad]
     maplines_real_t age;               ///< from the pose to the sending of the pose error [s]
     int64_t t_ns;                      ///< reception of the first frame of the pose error [ns]
-    uint32_t counter;                  ///< of the pose error
+    uint32_t counter;                  ///< of the pose error, or of the message Scene
+#if MAPLINES_SCENE_RECORDS
+    maplines_left_out_t
+        left_out[MAPLINES_SLOTS]; ///< by slot: why the whole scene has not this line
+#endif
 };
 
 /// The newest scene when the consumer asks.
 typedef struct {
     const maplines_scene_t *scene; ///< NULL before the first. Valid until the next call
     maplines_real_t age;           ///< from the pose to now [s]; infinite if too old or unknown
-    maplines_e2e_state_t state;    ///< of the pose error
-    maplines_e2e_status_t status;  ///< of the last check of the pose error
-    maplines_e2e_state_t slot_states[MAPLINES_SLOTS]; ///< of the slot of each line of the scene
+    maplines_e2e_state_t state;    ///< of the pose error, or of the message Scene
+    maplines_e2e_status_t status;  ///< of their last check
+    /// Of each line of the scene: of its slot, or of the message Scene or Scene2 that brought it.
+    maplines_e2e_state_t slot_states[MAPLINES_SLOTS];
     bool is_stale;    ///< its pose error came some cycles ago, or comes after now
-    bool two_senders; ///< on the pose error, or on the slot of a line
+    bool two_senders; ///< on the messages of the pose error, or of a line
     bool is_usable;   ///< all states are VALID, not stale, one sender each, and a finite age
 } maplines_scene_view_t;
 
+#if MAPLINES_LINE_RECORDS
 /// The newest scene: lines of one pose, with their joint covariance.
 ///
-/// The lines of a cycle come one after the other. The scene before remains the newest until lines
-/// of all slots of the last two scenes have come, or the next pose error. Without a message of the
-/// pose error there is none.
+/// The records of the lines of a cycle come one after the other. The scene before remains the
+/// newest until lines of all slots of the last two scenes have come, or the next pose error.
+/// Without a message of the pose error there is none.
+///
+/// A whole scene is the newest at once. The lines of Scene2 belong to it if they are of the same
+/// pose error; a sender sends Scene2 first. What that has of the slot of a line of Scene is not
+/// used.
 void maplines_latest_scene(maplines_decoder_t *decoder, int64_t now_ns,
                            maplines_scene_view_t *view);
+#endif
 
-/// What maplines_latest_scene gives, with the scene itself; see maplines_line_copy_t.
+/// What maplines_scene_view_t says, with the scene itself; see maplines_line_copy_t.
 typedef struct {
     maplines_scene_t scene; ///< all zeros if there is none
     bool has_scene;
@@ -631,13 +680,14 @@ typedef struct {
     uint64_t counts[MAPLINES_REASONS]; ///< dropped frames by reason; none is MAPLINES_PENDING
     uint64_t frames;                   ///< received
     uint64_t lines;                    ///< delivered
-    uint64_t line_frames;              ///< of the lines delivered
-    uint64_t pose_errors;              ///< received
-    uint64_t pose_frames;              ///< of the pose errors received
-    uint64_t lost; ///< records of lines missing between those received, by their counters
-    /// Positive times between two lines of a slot, or two pose errors, below a hundredth of the
-    /// cycle. If there are almost as many as lines, times are in us or ms instead of ns; a few are
-    /// of a gateway that held frames back.
+    uint64_t line_frames;              ///< of the lines delivered; none of whole scenes
+    uint64_t pose_errors;              ///< received, alone or in whole scenes
+    uint64_t pose_frames;              ///< of these
+    uint64_t lost; ///< records of lines or whole scenes missing between those received, by their
+                   ///< counters
+    /// Positive times between two lines of a slot, two pose errors, or two whole scenes, below a
+    /// hundredth of the cycle. If there are almost as many as lines, times are in us or ms instead
+    /// of ns; a few are of a gateway that held frames back.
     uint64_t short_spacings;
     uint32_t pending; ///< frames of transfers, mixtures and scenes that are not complete yet
 } maplines_statistics_t;
@@ -655,7 +705,8 @@ typedef struct {
     bool two_senders;     ///< detected in the last 256 cycles
 } maplines_slot_stats_t;
 
-/// E2E checks of a slot, or of MAPLINES_POSE; false if nothing was received.
+/// E2E checks of a slot, of MAPLINES_POSE, or of MAPLINES_SCENE or MAPLINES_SCENE2; false if
+/// nothing was received.
 bool maplines_slot_stats(maplines_decoder_t *decoder, maplines_owner_t owner, int64_t now_ns,
                          maplines_slot_stats_t *stats);
 
@@ -885,16 +936,6 @@ typedef struct {
     double heading_sigma;    ///< common rotation of the points of a line of the map, or 0 [rad]
 } maplines_scene_input_t;
 
-/// Why a line does not belong to the scene as it is sent.
-typedef enum {
-    MAPLINES_IN_SCENE = 0,            ///< it does
-    MAPLINES_LEFT_OUT_ACROSS = 1,     ///< it is across the car's x axis
-    MAPLINES_LEFT_OUT_RANGE = 2,      ///< the message cannot state its range
-    MAPLINES_LEFT_OUT_MEAN = 3,       ///< the message cannot state its parameters
-    MAPLINES_LEFT_OUT_COVARIANCE = 4, ///< no covariance of the message covers it
-    MAPLINES_LEFT_OUT_PLACE = 5,      ///< the messages of whole scenes have no place for it
-} maplines_left_out_t;
-
 /// What was sent of a scene.
 typedef struct {
     maplines_refusal_t refusal;
@@ -976,7 +1017,7 @@ const char *maplines_prediction_name(maplines_prediction_t prediction);
 #if MAPLINES_SENDER
 const char *maplines_refusal_name(maplines_refusal_t refusal);
 #endif
-#if MAPLINES_SENDER && MAPLINES_SCENES
+#if MAPLINES_SCENES
 const char *maplines_left_out_name(maplines_left_out_t left_out);
 #endif
 

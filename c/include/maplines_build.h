@@ -10,16 +10,22 @@
 
 #if MAPLINES_RECEIVER < 0 || MAPLINES_RECEIVER > 1 || MAPLINES_SENDER < 0 ||                       \
     MAPLINES_SENDER > 1 || MAPLINES_SCENES < 0 || MAPLINES_SCENES > 1 || MAPLINES_SECOC < 0 ||     \
-    MAPLINES_SECOC > 1 || MAPLINES_FLOAT < 0 || MAPLINES_FLOAT > 1 || MAPLINES_LINE_RECORDS < 0 || \
-    MAPLINES_LINE_RECORDS > 1 || MAPLINES_SCENE_RECORDS < 0 || MAPLINES_SCENE_RECORDS > 1
-#error                                                                                             \
-    "MAPLINES_RECEIVER, _SENDER, _SCENES, _LINE_RECORDS, _SCENE_RECORDS, _SECOC and _FLOAT must be 0 or 1"
+    MAPLINES_SECOC > 1 || MAPLINES_FLOAT < 0 || MAPLINES_FLOAT > 1
+#error "MAPLINES_RECEIVER, _SENDER, _SCENES, _SECOC and _FLOAT must be 0 or 1"
+#endif
+#if MAPLINES_LINE_RECORDS < 0 || MAPLINES_LINE_RECORDS > 1 || MAPLINES_SCENE_RECORDS < 0 ||        \
+    MAPLINES_SCENE_RECORDS > 1
+#error "MAPLINES_LINE_RECORDS and MAPLINES_SCENE_RECORDS must be 0 or 1"
 #endif
 #if MAPLINES_LINE_RECORDS + MAPLINES_SCENE_RECORDS == 0
 #error "maplines without MAPLINES_LINE_RECORDS and MAPLINES_SCENE_RECORDS has nothing: set one to 1"
 #endif
 #if MAPLINES_SCENE_RECORDS && !MAPLINES_SCENES
-#error "MAPLINES_SCENE_RECORDS needs MAPLINES_SCENES"
+#error "MAPLINES_SCENE_RECORDS 1 needs MAPLINES_SCENES 1"
+#endif
+#if !MAPLINES_LINE_RECORDS && MAPLINES_MAX_COMPONENTS > 1
+#error                                                                                             \
+    "MAPLINES_MAX_COMPONENTS must be 1 without MAPLINES_LINE_RECORDS: whole scenes have no mixtures"
 #endif
 #if MAPLINES_RECEIVER + MAPLINES_SENDER == 0
 #error "maplines without MAPLINES_RECEIVER and MAPLINES_SENDER has nothing: set one to 1"
@@ -54,8 +60,9 @@
 /* ---- names -------------------------------------------------------------------------------------
  * The names of all functions and tables have the build, so that files which do not agree on it do
  * not link. In a name, each number stands behind its macro: "maplines_y_double_receiver1_..." was
- * compiled with MAPLINES_RECEIVER 1, "pages", "ids" and "components" are of MAPLINES_MAX_PAGES,
- * _MAX_TRANSFER_IDS and _MAX_COMPONENTS. Define MAPLINES_NAMESPACE to have two libraries of one
+ * compiled with MAPLINES_RECEIVER 1, "lines" and "whole" are of MAPLINES_LINE_RECORDS and
+ * _SCENE_RECORDS, "pages", "ids" and "components" of MAPLINES_MAX_PAGES, _MAX_TRANSFER_IDS and
+ * _MAX_COMPONENTS. Define MAPLINES_NAMESPACE to have two libraries of one
  * build in a program.
  */
 #ifndef MAPLINES_NAMESPACE
@@ -78,12 +85,12 @@
     MAPLINES_JOINED(space, name, real, receiver, sender, scenes, lines, whole, secoc, slots,       \
                     pages, ids, components, transfers, history, epochs, window)
 // clang-format off
-#define MAPLINES_JOINED(space, name, real, receiver, sender, scenes, lines, whole, secoc, slots, pages, ids,     \
-                        components, transfers, history, epochs, window)                            \
+#define MAPLINES_JOINED(space, name, real, receiver, sender, scenes, lines, whole, secoc, slots,   \
+                        pages, ids, components, transfers, history, epochs, window)                \
     space##_##name##_##real##_receiver##receiver##_sender##sender##_scenes##scenes                 \
-    ##_lines##lines##_whole##whole                                                                 \
-    ##_secoc##secoc##_slots##slots##_pages##pages##_ids##ids##_components##components              \
-    ##_transfers##transfers##_history##history##_epochs##epochs##_window##window
+    ##_lines##lines##_whole##whole##_secoc##secoc##_slots##slots##_pages##pages##_ids##ids         \
+    ##_components##components##_transfers##transfers##_history##history##_epochs##epochs           \
+    ##_window##window
 // clang-format on
 #endif
 #define maplines_decoder_init MAPLINES_NAME(decoder_init)

@@ -92,27 +92,32 @@ typedef struct {
 struct maplines_dbc {
     const char *name; ///< of the DBC
     uint8_t max_components;
-    bool is_conditional; ///< records of lines are conditional on the pose error
+    bool is_conditional; ///< lines are conditional on a pose error
     bool has_pose;
-    maplines_messages_t messages[MAPLINES_OWNERS];
-    maplines_record_t line;
-    /* records of lines */
+    maplines_messages_t messages[MAPLINES_OWNERS]; ///< from MAPLINES_FIRST_OWNER on
+    /* lines */
     maplines_signal_t mean[4];
     maplines_signal_t kind, x_min, x_max;
-    maplines_cholesky_t covariance;
+    maplines_cholesky_t covariance; ///< in whole scenes, only the order of its rows
+#if MAPLINES_LINE_RECORDS
+    /* records of lines */
+    maplines_record_t line;
     maplines_signal_t status, age;                                        // complete
     maplines_signal_t component_index, component_count, component_weight; // complete
 #if MAPLINES_SCENES
     maplines_signal_t has_covariance, fine[4]; // conditional
-    maplines_levels_t levels;                  // conditional
-    /* records of the pose error */
-    maplines_record_t pose;
-    maplines_signal_t pose_age, correlation_time, map_offset, map_heading;
-    maplines_cholesky_t pose_covariance;
     maplines_signal_t slot_counter[MAPLINES_SLOTS];
     maplines_levels_t slot_levels[MAPLINES_SLOTS]; // beside complete records
+#endif
+#endif
+#if MAPLINES_SCENES
+    maplines_levels_t levels; ///< of lines that are conditional
+    /* pose error */
+    maplines_record_t pose; ///< or whole scene
+    maplines_signal_t pose_age, correlation_time, map_offset, map_heading;
+    maplines_cholesky_t pose_covariance;
 #if MAPLINES_SCENE_RECORDS
-    maplines_places_t scene; ///< `pose` is the layout of its records
+    maplines_places_t scene;
 #endif
 #if MAPLINES_SENDER
     uint16_t spacings;     ///< raw values of the shape that a sender tries
@@ -127,6 +132,10 @@ struct maplines_dbc {
 #if MAPLINES_RECEIVER
 /* ---- state of a receiver ----------------------------------------------------------------------
  */
+
+/// Bytes of a record and of its pages. Signals of the last line of a whole scene are read as those
+/// of the first one, in words that may end behind the record.
+#define MAPLINES_RECORD_ROOM (MAPLINES_MAX_RECORD + 8 * MAPLINES_SCENE_RECORDS)
 
 /// Frames of one transfer that were received, or the last good record with its transfer ID.
 typedef struct {
@@ -225,7 +234,7 @@ typedef struct {
 } maplines_mixture_t;
 #endif
 
-#if MAPLINES_SCENES
+#if MAPLINES_SCENES && MAPLINES_LINE_RECORDS
 /// Record of a line that is conditional on a pose error.
 typedef struct {
     uint8_t record[MAPLINES_MAX_RECORD];
@@ -262,9 +271,25 @@ typedef struct {
     bool has_pose;
     int64_t pose_ns; ///< time of the last pose error
     bool is_too_old; ///< so is that
-    bool is_built;   ///< the scene is that of `latest`
-    maplines_scene_t scene;
 } maplines_epochs_t;
+#endif
+
+#if MAPLINES_SCENE_RECORDS
+/// Record of a message of whole scenes.
+typedef struct {
+    uint8_t record[MAPLINES_RECORD_ROOM];
+    int64_t t_ns;   ///< of its frame
+    uint8_t places; ///< lines that it may have; 0: there is no record
+} maplines_scene_record_t;
+
+/// Newest whole scenes.
+typedef struct {
+    maplines_scene_record_t first;  ///< newest Scene
+    maplines_scene_record_t joined; ///< Scene2 of the same pose error
+    maplines_scene_record_t second; ///< newest Scene2
+    bool is_early;                  ///< it may belong to the next Scene
+    bool is_second_last;            ///< it came after that Scene
+} maplines_whole_t;
 #endif
 
 /// State of a receiver.
@@ -274,7 +299,6 @@ struct maplines_decoder {
     bool is_ready; ///< the settings are right; otherwise every frame is FOREIGN
     maplines_settings_t settings;
     maplines_statistics_t statistics; ///< without `lost` and `pending`
-    maplines_inbox_t inboxes[MAPLINES_OWNERS];
     maplines_check_t checks[MAPLINES_OWNERS];
 #if MAPLINES_SECOC
     int64_t freshness_us[MAPLINES_OWNERS]; ///< last accepted freshness value
@@ -283,11 +307,22 @@ struct maplines_decoder {
     maplines_mixture_t incomplete[MAPLINES_SLOTS];
     maplines_mixture_t mixtures[MAPLINES_SLOTS]; ///< of the newest lines that are mixtures
 #endif
+#if MAPLINES_SCENE_RECORDS
+    maplines_whole_t whole;
+#endif
+#if MAPLINES_LINE_RECORDS
+    maplines_inbox_t inboxes[MAPLINES_LINE_OWNERS];
 #if MAPLINES_SCENES
     maplines_epochs_t epochs;
+    maplines_scene_t scene;
+    bool is_built; ///< this is the newest one
 #endif
     maplines_line_t newest[MAPLINES_SLOTS];
     uint32_t has_newest; ///< one bit for each slot
+#if MAPLINES_SCENE_RECORDS
+    uint8_t brought_by[MAPLINES_SLOTS]; ///< owners of the records of these
+#endif
+#endif
 };
 
 #endif // MAPLINES_RECEIVER

@@ -1,7 +1,7 @@
 /* Lines from records with a covariance of their own. */
 #include "internal.h"
 
-#if MAPLINES_RECEIVER
+#if MAPLINES_RECEIVER && MAPLINES_LINE_RECORDS
 
 /// Standard deviations of a line whose covariance was not sent.
 static const double vague_sigma[4] = {1000.0, 10.0, 10.0, 10.0};

@@ -3,9 +3,6 @@
 
 #if MAPLINES_RECEIVER
 
-/// The caller's time may be before a reception by this much [ns]: clocks that are synchronised
-/// differ by less. By more, the caller's clock was set back, and no age is known.
-#define CLOCK_JITTER_NS 1000000
 #define MAX_ID UINT32_C(0x7FF) ///< greatest CAN ID of 11 bits, and of 29
 #define MAX_EXTENDED_ID UINT32_C(0x1FFFFFFF)
 
@@ -21,15 +18,22 @@ static uint32_t hash_of(const uint8_t *record, size_t length)
     return hash;
 }
 
-static bool is_initialised(const maplines_decoder_t *decoder)
+MAPLINES_INTERNAL bool maplines_is_decoder(const maplines_decoder_t *decoder)
 {
     return decoder != NULL && decoder->magic == MAPLINES_DECODER_MAGIC;
 }
 
-static bool is_slot(const maplines_decoder_t *decoder, int owner)
+MAPLINES_INTERNAL bool maplines_is_slot(const maplines_decoder_t *decoder, int slot)
 {
-    return decoder->is_ready && (unsigned)owner < MAPLINES_SLOTS &&
-           decoder->dbc->messages[owner].is_present;
+    if (!decoder->is_ready || (unsigned)slot >= MAPLINES_SLOTS)
+    {
+        return false;
+    }
+#if MAPLINES_LINE_RECORDS
+    return maplines_has_whole_scenes(decoder->dbc) || decoder->dbc->messages[slot].is_present;
+#else
+    return true;
+#endif
 }
 
 const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_dbc_t *dbc,
@@ -74,7 +78,7 @@ const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_db
             authenticator != NULL ? authenticator->not_before_us : INT64_C(0);
 #endif
     }
-#if MAPLINES_SCENES
+#if MAPLINES_SCENES && MAPLINES_LINE_RECORDS
     maplines_epochs_init(&decoder->epochs);
 #endif
     return NULL;
@@ -83,24 +87,30 @@ const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_db
 /* ---- frames ------------------------------------------------------------------------------------
  */
 
-static maplines_reason_t dropped_record(maplines_decoder_t *decoder, maplines_reason_t reason,
-                                        uint32_t frames)
+/// Count a line that the records of an owner have completed, which is the newest of its slot.
+static void deliver(maplines_decoder_t *decoder, int owner, int slot, maplines_fed_t *fed)
 {
-    decoder->statistics.counts[reason] += frames;
-    return reason;
-}
-
-/// Count a line that a frame has completed, which is the newest of its slot.
-static void deliver(maplines_decoder_t *decoder, int slot, uint32_t frames, uint8_t records,
-                    maplines_fed_t *fed)
-{
-    maplines_check_delivered(decoder, slot, records);
     ++decoder->statistics.lines;
-    decoder->statistics.line_frames += frames;
+#if MAPLINES_LINE_RECORDS
     decoder->has_newest |= (uint32_t)1 << (unsigned)slot;
+#if MAPLINES_SCENE_RECORDS
+    decoder->brought_by[slot] = (uint8_t)owner;
+#endif
+#endif
+    (void)owner;
     fed->reason = MAPLINES_COMPLETE;
     fed->slots[fed->count] = (maplines_owner_t)slot;
     ++fed->count;
+}
+
+#if MAPLINES_LINE_RECORDS
+/// Count a line of its own records.
+static void deliver_line(maplines_decoder_t *decoder, int slot, uint32_t frames, uint8_t records,
+                         maplines_fed_t *fed)
+{
+    maplines_check_delivered(decoder, slot, records);
+    decoder->statistics.line_frames += frames;
+    deliver(decoder, slot, slot, fed);
 }
 
 /// Add a new record with a covariance of its own to its mixture, and its line to a scene.
@@ -115,7 +125,7 @@ static void feed_component(maplines_decoder_t *decoder, const maplines_arrival_t
                                      decoder->settings.cycle_ns[arrival->owner], arrival->t_ns))
     {
         maplines_drop_mixture(decoder, arrival->owner); // its components may come from two senders
-        fed->reason = dropped_record(decoder, MAPLINES_INCOMPLETE, arrival->frames);
+        fed->reason = maplines_dropped(decoder, MAPLINES_INCOMPLETE, arrival->frames);
         return;
     }
     fed->reason = maplines_add_component(decoder, arrival, &frames);
@@ -140,7 +150,7 @@ static void feed_component(maplines_decoder_t *decoder, const maplines_arrival_t
         (void)maplines_add_line(decoder, arrival->owner, &line, is_break, &joined);
     }
 #endif
-    deliver(decoder, arrival->owner, frames, content->count, fed);
+    deliver_line(decoder, arrival->owner, frames, content->count, fed);
 }
 
 #if MAPLINES_SCENES
@@ -150,22 +160,24 @@ static void feed_joined(maplines_decoder_t *decoder, const maplines_joined_t *jo
                         maplines_fed_t *fed, maplines_scene_t *scene)
 {
     const maplines_epoch_t *epoch = &decoder->epochs.epochs[joined[0].epoch];
-    int slots[MAPLINES_SLOTS] = {0};
+    maplines_epoch_view_t view;
+    maplines_begin_view(epoch->record, epoch->t_ns, &view);
     for (int i = 0; i < count; ++i)
     {
-        slots[i] = joined[i].slot;
+        const int slot = joined[i].slot;
+        const maplines_line_record_t *line = &epoch->lines[slot];
+        maplines_add_to_view(slot, line->record, line->t_ns, &view)->line = &decoder->newest[slot];
     }
-    const uint32_t found =
-        maplines_decode_epoch(decoder->dbc, epoch, count, slots, decoder->newest, scene);
+    const uint32_t found = maplines_decode_epoch(decoder->dbc, &view, scene);
     for (int i = 0; i < count; ++i)
     {
-        if ((found >> (unsigned)slots[i] & 1U) != 0)
+        if ((found >> (unsigned)joined[i].slot & 1U) != 0)
         {
-            deliver(decoder, slots[i], joined[i].frames, 1, fed);
+            deliver_line(decoder, joined[i].slot, joined[i].frames, 1, fed);
         }
         else
         {
-            fed->reason = dropped_record(decoder, MAPLINES_CONTENT, joined[i].frames);
+            fed->reason = maplines_dropped(decoder, MAPLINES_CONTENT, joined[i].frames);
         }
     }
     fed->reason = fed->count > 0 ? MAPLINES_COMPLETE : fed->reason;
@@ -205,6 +217,34 @@ static void feed_conditional(maplines_decoder_t *decoder, const maplines_arrival
     }
 }
 #endif
+#endif
+
+#if MAPLINES_SCENE_RECORDS
+/// Take a new record of a whole scene, and deliver its lines.
+static void feed_whole(maplines_decoder_t *decoder, const maplines_arrival_t *arrival,
+                       maplines_fed_t *fed, maplines_scene_t *scene)
+{
+    maplines_epoch_view_t lines;
+    maplines_check_delivered(decoder, arrival->owner, 1);
+    ++decoder->statistics.pose_errors;
+    decoder->statistics.pose_frames += arrival->frames;
+    maplines_add_whole(decoder, arrival, &lines);
+#if MAPLINES_LINE_RECORDS
+    decoder->is_built = false;
+    for (int i = 0; i < lines.count; ++i)
+    {
+        lines.lines[i].line = &decoder->newest[lines.lines[i].slot];
+    }
+    (void)maplines_decode_epoch(decoder->dbc, &lines, scene); // each was checked
+#else
+    (void)scene;
+#endif
+    for (int i = 0; i < lines.count; ++i)
+    {
+        deliver(decoder, arrival->owner, lines.lines[i].slot, fed);
+    }
+}
+#endif
 
 maplines_fed_t maplines_feed(maplines_decoder_t *decoder, const maplines_frame_t *frame,
                              int64_t t_ns)
@@ -212,20 +252,20 @@ maplines_fed_t maplines_feed(maplines_decoder_t *decoder, const maplines_frame_t
     maplines_fed_t fed;
     memset(&fed, 0, sizeof(fed));
     fed.reason = MAPLINES_FOREIGN;
-    if (!MAPLINES_REQUIRE(is_initialised(decoder)) || !MAPLINES_REQUIRE(frame != NULL))
+    if (!MAPLINES_REQUIRE(maplines_is_decoder(decoder)) || !MAPLINES_REQUIRE(frame != NULL))
     {
         return fed;
     }
     if (!MAPLINES_REQUIRE(frame->can_id <= (frame->is_extended ? MAX_EXTENDED_ID : MAX_ID)))
     {
         ++decoder->statistics.frames;
-        (void)dropped_record(decoder, MAPLINES_FOREIGN, 1);
+        (void)maplines_dropped(decoder, MAPLINES_FOREIGN, 1);
         return fed;
     }
     if (!MAPLINES_REQUIRE(frame->length <= sizeof(frame->data)))
     {
         ++decoder->statistics.frames;
-        fed.reason = dropped_record(decoder, MAPLINES_LENGTH, 1);
+        fed.reason = maplines_dropped(decoder, MAPLINES_LENGTH, 1);
         return fed;
     }
     return maplines_feed_with(decoder, frame, t_ns, NULL);
@@ -242,11 +282,11 @@ MAPLINES_INTERNAL maplines_fed_t maplines_feed_with(maplines_decoder_t *decoder,
     ++decoder->statistics.frames;
     if (!decoder->is_ready)
     {
-        fed.reason = dropped_record(decoder, MAPLINES_FOREIGN, 1);
+        fed.reason = maplines_dropped(decoder, MAPLINES_FOREIGN, 1);
         return fed;
     }
     const int64_t now_ns = maplines_limited_time(t_ns);
-    fed.reason = maplines_reassemble(decoder, frame, now_ns, &arrival);
+    fed.reason = maplines_route(decoder, frame, now_ns, &arrival);
     const int owner = arrival.owner;
     if (fed.reason != MAPLINES_COMPLETE)
     {
@@ -259,16 +299,22 @@ MAPLINES_INTERNAL maplines_fed_t maplines_feed_with(maplines_decoder_t *decoder,
     if (arrival.reason != MAPLINES_COMPLETE)
     {
         maplines_check_failed(decoder, owner, arrival.t_ns);
-        fed.reason = dropped_record(decoder, arrival.reason, arrival.frames);
+        fed.reason = maplines_dropped(decoder, arrival.reason, arrival.frames);
         return fed;
     }
-    const bool is_complete = !decoder->dbc->is_conditional && owner != MAPLINES_POSE;
+#if MAPLINES_LINE_RECORDS
+    const bool is_complete = !decoder->dbc->is_conditional && owner < MAPLINES_SLOTS;
+    const uint8_t records = is_complete ? arrival.content.count : 1U;
+    const bool is_first = !is_complete || arrival.content.index == 0; // others follow at once
+#else
+    const uint8_t records = 1;
+    const bool is_first = true;
+#endif
     const maplines_record_t *layout = maplines_layout(decoder->dbc, owner);
     const uint32_t counter = (uint32_t)maplines_get(&layout->counter, arrival.record);
     const uint32_t content = hash_of(arrival.record, arrival.length);
     maplines_check_t *check = &decoder->checks[owner];
-    const uint8_t records = is_complete ? arrival.content.count : 1U;
-    if (!is_complete || arrival.content.index == 0) // components follow each other at once
+    if (is_first)
     {
         const bool is_short =
             maplines_check_spacing(check, decoder->settings.cycle_ns[owner], arrival.t_ns);
@@ -277,7 +323,7 @@ MAPLINES_INTERNAL maplines_fed_t maplines_feed_with(maplines_decoder_t *decoder,
     if (decoder->settings.refuses_short_spacings && check->short_spacings >= MAPLINES_SHORT_ROW)
     {
         maplines_check_failed(decoder, owner, arrival.t_ns);
-        fed.reason = dropped_record(decoder, MAPLINES_SPACING, arrival.frames);
+        fed.reason = maplines_dropped(decoder, MAPLINES_SPACING, arrival.frames);
         return fed;
     }
     fed.reason = maplines_check_received(decoder, owner, counter, content, arrival.t_ns, records);
@@ -289,12 +335,20 @@ MAPLINES_INTERNAL maplines_fed_t maplines_feed_with(maplines_decoder_t *decoder,
             maplines_drop_mixture_with(decoder, arrival.owner, counter);
         }
 #endif
-        (void)dropped_record(decoder, fed.reason, arrival.frames);
+        (void)maplines_dropped(decoder, fed.reason, arrival.frames);
         return fed;
     }
     fed.reason = MAPLINES_PENDING;
+#if MAPLINES_SCENE_RECORDS
+    if (MAPLINES_IS_WHOLE(owner))
+    {
+        feed_whole(decoder, &arrival, &fed, scene);
+        return fed;
+    }
+#endif
+#if MAPLINES_LINE_RECORDS
 #if MAPLINES_SCENES
-    if (arrival.owner == MAPLINES_POSE)
+    if (MAPLINES_IS_POSE(owner))
     {
         feed_pose(decoder, &arrival, &fed, scene);
     }
@@ -310,13 +364,15 @@ MAPLINES_INTERNAL maplines_fed_t maplines_feed_with(maplines_decoder_t *decoder,
     (void)scene;
     feed_component(decoder, &arrival, &fed);
 #endif
+#endif
     return fed;
 }
 
+#if MAPLINES_LINE_RECORDS
 void maplines_expire(maplines_decoder_t *decoder, int64_t t_ns)
 {
     const int64_t now_ns = maplines_limited_time(t_ns);
-    if (!MAPLINES_REQUIRE(is_initialised(decoder)) || !decoder->is_ready)
+    if (!MAPLINES_REQUIRE(maplines_is_decoder(decoder)) || !decoder->is_ready)
     {
         return;
     }
@@ -332,273 +388,6 @@ void maplines_expire(maplines_decoder_t *decoder, int64_t t_ns)
 #endif
 }
 
-/* ---- views -------------------------------------------------------------------------------------
- */
-
-/// Time since a reception.
-typedef struct {
-    double waited; ///< [s]; infinite if unknown
-    bool is_long;  ///< longer than a number of cycles, or unknown
-} waited_t;
-
-static waited_t waited_since(const maplines_decoder_t *decoder, int owner, int64_t t_ns,
-                             int64_t now_ns)
-{
-    const int64_t waited_ns = now_ns - t_ns;
-    const double longest_ns =
-        decoder->settings.stale_cycles * (double)decoder->settings.cycle_ns[owner];
-    waited_t since = {HUGE_VAL, true};
-    if (waited_ns >= -CLOCK_JITTER_NS)
-    {
-        since.waited = (double)(waited_ns > 0 ? waited_ns : 0) / 1e9;
-        since.is_long = (double)waited_ns > longest_ns;
-    }
-    return since;
-}
-
-/// State of an owner at a time; if this clock was set back, no cycles have passed. `two_senders` is
-/// set if there is a second one, or seems to be.
-static maplines_e2e_state_t state_at(maplines_decoder_t *decoder, int owner, int64_t now_ns,
-                                     double waited, bool *two_senders)
-{
-    const maplines_e2e_state_t state = waited < HUGE_VAL
-                                           ? maplines_check_elapse(decoder, owner, now_ns)
-                                           : decoder->checks[owner].machine.state;
-    if (!maplines_has_one_sender(decoder, owner, now_ns))
-    {
-        *two_senders = true;
-    }
-    return state;
-}
-
-const maplines_line_t *maplines_newest(const maplines_decoder_t *decoder, maplines_owner_t slot)
-{
-    if (!MAPLINES_REQUIRE(is_initialised(decoder)) ||
-        !MAPLINES_REQUIRE((unsigned)slot < MAPLINES_SLOTS))
-    {
-        return NULL;
-    }
-    const bool is_known = is_slot(decoder, (int)slot);
-    const bool has_line = is_known && (decoder->has_newest >> (unsigned)slot & 1U) != 0;
-    return has_line ? &decoder->newest[slot] : NULL;
-}
-
-bool maplines_component(const maplines_decoder_t *decoder, maplines_owner_t slot, uint8_t i,
-                        maplines_gaussian_t *gaussian, maplines_real_t *weight)
-{
-    const maplines_line_t *line = maplines_newest(decoder, slot);
-    if (!MAPLINES_REQUIRE(gaussian != NULL) || !MAPLINES_REQUIRE(weight != NULL) || line == NULL ||
-        i >= line->components)
-    {
-        return false;
-    }
-    *gaussian = line->gaussian;
-    *weight = (maplines_real_t)1.0;
-#if MAPLINES_MIXTURES
-    if (line->components > 1)
-    {
-        maplines_complete_t content;
-        const maplines_mixture_t *mixture = &decoder->mixtures[slot];
-        (void)maplines_read_complete(decoder->dbc, (int)slot, mixture->records[i], mixture->t_ns[i],
-                                     &content);
-        *gaussian = content.line.gaussian;
-        *weight = (maplines_real_t)content.weight;
-    }
 #endif
-    return true;
-}
-
-void maplines_latest(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t now_ns,
-                     maplines_view_t *view)
-{
-    const int64_t t_ns = maplines_limited_time(now_ns);
-    if (!MAPLINES_REQUIRE(view != NULL))
-    {
-        return;
-    }
-    memset(view, 0, sizeof(*view));
-    view->slot = slot;
-    view->age = (maplines_real_t)HUGE_VAL;
-    view->is_stale = true;
-    view->state = MAPLINES_E2E_NODATA;
-    view->status = MAPLINES_E2E_NONE;
-    if (!MAPLINES_REQUIRE(is_initialised(decoder)) || !decoder->is_ready ||
-        !MAPLINES_REQUIRE(is_slot(decoder, (int)slot)))
-    {
-        return;
-    }
-    const maplines_line_t *line = maplines_newest(decoder, slot);
-    double waited = 0.0;
-    if (line != NULL)
-    {
-        const waited_t since = waited_since(decoder, (int)slot, line->t_ns, t_ns);
-        waited = since.waited;
-        view->line = line;
-        view->age = line->age + (maplines_real_t)waited;
-        view->is_stale = since.is_long;
-    }
-    view->state = state_at(decoder, (int)slot, t_ns, waited, &view->two_senders);
-    view->status = decoder->checks[slot].status;
-#if MAPLINES_SCENES
-    if (decoder->dbc->is_conditional)
-    {
-        const maplines_e2e_state_t pose_state =
-            state_at(decoder, MAPLINES_POSE, t_ns, waited, &view->two_senders);
-        view->state = view->state == MAPLINES_E2E_VALID ? pose_state : view->state;
-    }
-#endif
-    view->is_usable = line != NULL && line->status != MAPLINES_OUT_OF_RANGE &&
-                      line->age < (maplines_real_t)HUGE_VAL && view->state == MAPLINES_E2E_VALID &&
-                      !view->is_stale && !view->two_senders;
-}
-
-void maplines_copy_line(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t now_ns,
-                        maplines_line_copy_t *copy)
-{
-    maplines_view_t view;
-    if (!MAPLINES_REQUIRE(copy != NULL))
-    {
-        return;
-    }
-    memset(copy, 0, sizeof(*copy));
-    maplines_latest(decoder, slot, now_ns, &view);
-    if (view.line != NULL)
-    {
-        copy->line = *view.line;
-        copy->has_line = true;
-    }
-    copy->is_stale = view.is_stale;
-    copy->two_senders = view.two_senders;
-    copy->is_usable = view.is_usable;
-    copy->slot = view.slot;
-    copy->state = view.state;
-    copy->status = view.status;
-    copy->age = view.age;
-    copy->now_ns = now_ns;
-}
-
-#if MAPLINES_SCENES
-void maplines_latest_scene(maplines_decoder_t *decoder, int64_t now_ns, maplines_scene_view_t *view)
-{
-    const int64_t t_ns = maplines_limited_time(now_ns);
-    if (!MAPLINES_REQUIRE(view != NULL))
-    {
-        return;
-    }
-    memset(view, 0, sizeof(*view));
-    view->age = (maplines_real_t)HUGE_VAL;
-    view->is_stale = true;
-    view->state = MAPLINES_E2E_NODATA;
-    view->status = MAPLINES_E2E_NONE;
-    if (!MAPLINES_REQUIRE(is_initialised(decoder)) || !decoder->is_ready || !decoder->dbc->has_pose)
-    {
-        return;
-    }
-    const maplines_scene_t *scene = maplines_newest_scene(decoder);
-    if (scene == NULL)
-    {
-        view->state = maplines_check_elapse(decoder, MAPLINES_POSE, t_ns);
-        view->status = decoder->checks[MAPLINES_POSE].status;
-        return;
-    }
-    const waited_t since = waited_since(decoder, MAPLINES_POSE, scene->t_ns, t_ns);
-    view->scene = scene;
-    view->is_stale = since.is_long;
-    if (!decoder->epochs.is_too_old)
-    {
-        view->age = scene->age + (maplines_real_t)since.waited;
-    }
-    view->state = state_at(decoder, MAPLINES_POSE, t_ns, since.waited, &view->two_senders);
-    view->status = decoder->checks[MAPLINES_POSE].status;
-    bool are_valid = view->state == MAPLINES_E2E_VALID;
-    for (unsigned i = 0; i < scene->count; ++i)
-    {
-        const int slot = (int)scene->lines[i].slot;
-        view->slot_states[i] = state_at(decoder, slot, t_ns, since.waited, &view->two_senders);
-        are_valid = are_valid && view->slot_states[i] == MAPLINES_E2E_VALID;
-    }
-    view->is_usable =
-        are_valid && view->age < (maplines_real_t)HUGE_VAL && !view->is_stale && !view->two_senders;
-}
-
-void maplines_copy_scene(maplines_decoder_t *decoder, int64_t now_ns, maplines_scene_copy_t *copy)
-{
-    maplines_scene_view_t view;
-    if (!MAPLINES_REQUIRE(copy != NULL))
-    {
-        return;
-    }
-    memset(copy, 0, sizeof(*copy));
-    maplines_latest_scene(decoder, now_ns, &view);
-    if (view.scene != NULL)
-    {
-        copy->scene = *view.scene;
-        copy->has_scene = true;
-    }
-    copy->is_stale = view.is_stale;
-    copy->two_senders = view.two_senders;
-    copy->is_usable = view.is_usable;
-    copy->state = view.state;
-    copy->status = view.status;
-    memcpy(copy->slot_states, view.slot_states, sizeof(copy->slot_states));
-    copy->age = view.age;
-    copy->now_ns = now_ns;
-}
-#endif
-
-bool maplines_slot_stats(maplines_decoder_t *decoder, maplines_owner_t owner, int64_t now_ns,
-                         maplines_slot_stats_t *stats)
-{
-    if (!MAPLINES_REQUIRE(stats != NULL))
-    {
-        return false;
-    }
-    memset(stats, 0, sizeof(*stats));
-    stats->state = MAPLINES_E2E_NODATA;
-    stats->status = MAPLINES_E2E_NONE;
-    if (!MAPLINES_REQUIRE(is_initialised(decoder)) ||
-        !MAPLINES_REQUIRE((unsigned)owner < MAPLINES_OWNERS) || !decoder->is_ready ||
-        !decoder->dbc->messages[owner].is_present)
-    {
-        return false;
-    }
-    const maplines_check_t *check = &decoder->checks[owner];
-    stats->state = maplines_check_elapse(decoder, (int)owner, maplines_limited_time(now_ns));
-    stats->status = check->status;
-    stats->ok = check->ok + check->some_lost;
-    stats->lost = check->lost;
-    stats->repeated = check->repeated;
-    stats->wrong_sequence = check->wrong_sequence;
-    stats->errors = check->errors;
-    stats->no_new_data = check->no_new_data;
-    stats->two_senders = check->conflict.is_confirmed;
-    return check->status != MAPLINES_E2E_NONE;
-}
-
-void maplines_statistics(const maplines_decoder_t *decoder, maplines_statistics_t *statistics)
-{
-    if (!MAPLINES_REQUIRE(statistics != NULL))
-    {
-        return;
-    }
-    memset(statistics, 0, sizeof(*statistics));
-    if (!MAPLINES_REQUIRE(is_initialised(decoder)))
-    {
-        return;
-    }
-    *statistics = decoder->statistics;
-    statistics->lost = 0;
-    for (int slot = 0; slot < MAPLINES_SLOTS; ++slot)
-    {
-        statistics->lost += decoder->checks[slot].lost;
-    }
-    statistics->pending = maplines_pending_transfers(decoder);
-#if MAPLINES_MIXTURES
-    statistics->pending += maplines_pending_mixtures(decoder);
-#endif
-#if MAPLINES_SCENES
-    statistics->pending += maplines_pending_lines(decoder);
-#endif
-}
 
 #endif

@@ -15,7 +15,7 @@
  */
 #include "internal.h"
 
-#if MAPLINES_RECEIVER && MAPLINES_SCENES
+#if MAPLINES_RECEIVER && MAPLINES_SCENES && MAPLINES_LINE_RECORDS
 
 #define HOLD_CYCLES 3 ///< a line waits for its pose error for so long
 #define KEEP_CYCLES 5 ///< an epoch waits for lines for so long
@@ -34,15 +34,16 @@ static bool is_open(const maplines_epochs_t *epochs, int epoch)
     return false;
 }
 
-static void set_latest(maplines_epochs_t *epochs, int epoch)
+static void set_latest(maplines_decoder_t *decoder, int epoch)
 {
-    epochs->latest = (int8_t)epoch;
-    epochs->is_built = false;
+    decoder->epochs.latest = (int8_t)epoch;
+    decoder->is_built = false;
 }
 
 /// Take the newest epoch that waits for no line as the latest one.
-static void choose_latest(maplines_epochs_t *epochs)
+static void choose_latest(maplines_decoder_t *decoder)
 {
+    const maplines_epochs_t *epochs = &decoder->epochs;
     unsigned start = 0;
     for (unsigned i = 0; i < epochs->open_count; ++i)
     {
@@ -62,7 +63,7 @@ static void choose_latest(maplines_epochs_t *epochs)
         const bool is_over = i + 1U < epochs->open_count;
         if (slots != 0 && (is_over || (expected & ~slots) == 0))
         {
-            set_latest(epochs, epochs->open[i]);
+            set_latest(decoder, epochs->open[i]);
         }
     }
 }
@@ -179,14 +180,15 @@ static int epoch_of(const maplines_decoder_t *decoder, int slot, uint32_t counte
     return is_taken ? NO_EPOCH : found;
 }
 
-static void join_line(maplines_epochs_t *epochs, int epoch, int slot,
+static void join_line(maplines_decoder_t *decoder, int epoch, int slot,
                       const maplines_joining_t *line, maplines_joined_t *joined)
 {
+    maplines_epochs_t *epochs = &decoder->epochs;
     epochs->epochs[epoch].lines[slot] = line->line;
     epochs->epochs[epoch].slots |= (uint32_t)1 << (unsigned)slot;
     if (epoch == epochs->latest)
     {
-        epochs->is_built = false;
+        decoder->is_built = false;
     }
     joined->epoch = epoch;
     joined->slot = slot;
@@ -271,7 +273,7 @@ MAPLINES_INTERNAL int maplines_add_pose(maplines_decoder_t *decoder, const uint8
         if (epoch_of(decoder, slot, line->counter, line->line.t_ns) == epoch)
         {
             (void)stop_waiting(epochs, slot);
-            join_line(epochs, epoch, slot, line, &joined[count]);
+            join_line(decoder, epoch, slot, line, &joined[count]);
             ++count;
         }
         else
@@ -279,7 +281,7 @@ MAPLINES_INTERNAL int maplines_add_pose(maplines_decoder_t *decoder, const uint8
             ++i;
         }
     }
-    choose_latest(epochs);
+    choose_latest(decoder);
     return count;
 }
 
@@ -297,8 +299,8 @@ MAPLINES_INTERNAL bool maplines_add_line(maplines_decoder_t *decoder, int slot,
     const int epoch = epoch_of(decoder, slot, line->counter, line->line.t_ns);
     if (epoch != NO_EPOCH)
     {
-        join_line(epochs, epoch, slot, line, joined);
-        choose_latest(epochs);
+        join_line(decoder, epoch, slot, line, joined);
+        choose_latest(decoder);
         return true;
     }
     epochs->waiting[slot] = *line;
@@ -332,7 +334,7 @@ MAPLINES_INTERNAL void maplines_expire_epochs(maplines_decoder_t *decoder, int64
         if (epochs->epochs[old].slots != 0 && old != epochs->latest &&
             !is_open(epochs, epochs->latest))
         {
-            set_latest(epochs, old); // it has waited for long enough
+            set_latest(decoder, old); // it has waited for long enough
         }
     }
 }
@@ -350,36 +352,25 @@ MAPLINES_INTERNAL uint32_t maplines_pending_lines(const maplines_decoder_t *deco
 /* ---- scenes ------------------------------------------------------------------------------------
  */
 
-/// Decode the scene of an epoch.
-static void build_scene(const maplines_dbc_t *dbc, const maplines_epoch_t *epoch,
-                        maplines_scene_t *scene)
+MAPLINES_INTERNAL bool maplines_latest_epoch(const maplines_decoder_t *decoder,
+                                             maplines_epoch_view_t *view)
 {
-    int slots[MAPLINES_SLOTS] = {0};
-    int count = 0;
+    const maplines_epochs_t *epochs = &decoder->epochs;
+    if (epochs->latest == NO_EPOCH)
+    {
+        return false;
+    }
+    const maplines_epoch_t *epoch = &epochs->epochs[epochs->latest];
+    maplines_begin_view(epoch->record, epoch->t_ns, view);
     for (int slot = 0; slot < MAPLINES_SLOTS; ++slot)
     {
         if ((epoch->slots >> (unsigned)slot & 1U) != 0)
         {
-            slots[count] = slot;
-            ++count;
+            const maplines_line_record_t *line = &epoch->lines[slot];
+            (void)maplines_add_to_view(slot, line->record, line->t_ns, view);
         }
     }
-    (void)maplines_decode_epoch(dbc, epoch, count, slots, NULL, scene);
-}
-
-MAPLINES_INTERNAL const maplines_scene_t *maplines_newest_scene(maplines_decoder_t *decoder)
-{
-    maplines_epochs_t *epochs = &decoder->epochs;
-    if (epochs->latest == NO_EPOCH)
-    {
-        return NULL;
-    }
-    if (!epochs->is_built)
-    {
-        build_scene(decoder->dbc, &epochs->epochs[epochs->latest], &epochs->scene);
-        epochs->is_built = true;
-    }
-    return &epochs->scene;
+    return true;
 }
 
 #endif

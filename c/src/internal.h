@@ -103,10 +103,18 @@ MAPLINES_INTERNAL uint16_t maplines_crc(const uint8_t *record, size_t length, ui
                                         uint16_t data_id);
 
 /* ---- records.c: pages, transfer IDs and checksum of a record ------------------------------------
+ *
+ * An owner of records is its place in arrays: in maplines_owner_t, less MAPLINES_FIRST_OWNER.
  */
 
 /// Place of an owner in arrays.
 #define MAPLINES_PLACE_OF(owner) ((int)(owner)-MAPLINES_FIRST_OWNER)
+/// Place of the owner Scene; that of Scene2 is the next one.
+#define MAPLINES_WHOLE_SCENE MAPLINES_LINE_OWNERS
+/// The records of an owner are whole scenes.
+#define MAPLINES_IS_WHOLE(owner) ((owner) >= MAPLINES_WHOLE_SCENE)
+/// They are those of the pose error alone.
+#define MAPLINES_IS_POSE(owner) (!MAPLINES_IS_WHOLE(owner) && (owner) == (int)MAPLINES_POSE)
 /// Kind of a place of a whole scene that has no line. That of a line that is left out follows, by
 /// its reason.
 #define MAPLINES_NO_LINE 8
@@ -121,7 +129,7 @@ MAPLINES_INTERNAL uint32_t maplines_next_counter(const maplines_dbc_t *dbc, int 
                                                  uint32_t counter);
 /// How bad a status is: a mixture has that of its worst component.
 MAPLINES_INTERNAL int maplines_severity(maplines_status_t status);
-#if MAPLINES_RECEIVER
+#if MAPLINES_RECEIVER && MAPLINES_LINE_RECORDS
 /// MAPLINES_COMPLETE if a record of this length is intact; else LENGTH, MIXED or CRC.
 MAPLINES_INTERNAL maplines_reason_t maplines_check_record(const maplines_dbc_t *dbc, int owner,
                                                           const uint8_t *record, size_t length);
@@ -184,7 +192,7 @@ MAPLINES_INTERNAL void maplines_mixture_gaussian(int count, const double *weight
                                                  maplines_gaussian_t *overall);
 #endif
 
-#if MAPLINES_RECEIVER
+#if MAPLINES_RECEIVER && MAPLINES_LINE_RECORDS
 /* ---- complete.c: records with a covariance of their own -----------------------------------------
  */
 
@@ -201,7 +209,7 @@ typedef struct {
 MAPLINES_INTERNAL maplines_reason_t maplines_read_complete(const maplines_dbc_t *dbc, int slot,
                                                            const uint8_t *record, int64_t t_ns,
                                                            maplines_complete_t *content);
-#endif // MAPLINES_RECEIVER
+#endif // MAPLINES_RECEIVER && MAPLINES_LINE_RECORDS
 
 #if MAPLINES_SENDER
 /* ---- nearest_line.c
@@ -434,18 +442,45 @@ MAPLINES_INTERNAL void maplines_specific_factor(const double J[16], const double
 /// Levels by which the record of a line, or of the pose error, is decoded.
 MAPLINES_INTERNAL const maplines_levels_t *maplines_levels_of(const maplines_dbc_t *dbc);
 #if MAPLINES_RECEIVER
+/// Line of a pose error, to be decoded.
+typedef struct {
+    int slot;
+    const uint8_t *record; ///< from which its signals are read
+    int64_t t_ns;          ///< of its first frame
+    maplines_line_t *line; ///< set to the line, unless it is NULL
+} maplines_epoch_line_t;
+
+/// Pose error and lines of it, wherever their records are.
+typedef struct {
+    const uint8_t *pose; ///< record of the pose error
+    int64_t t_ns;        ///< of its first frame
+    int count;
+    maplines_epoch_line_t lines[MAPLINES_SLOTS];
+#if MAPLINES_SCENE_RECORDS
+    maplines_left_out_t left_out[MAPLINES_SLOTS]; ///< by slot
+#endif
+} maplines_epoch_view_t;
+
+/// Begin without lines.
+MAPLINES_INTERNAL void maplines_begin_view(const uint8_t *pose, int64_t t_ns,
+                                           maplines_epoch_view_t *view);
+MAPLINES_INTERNAL maplines_epoch_line_t *
+maplines_add_to_view(int slot, const uint8_t *record, int64_t t_ns, maplines_epoch_view_t *view);
 /// Set the factors of the line at a place of a scene: A due to the pose error, F line-specific. In
 /// single precision they are widened so that they cover what the rounding loses.
 MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, const double mean[4],
                                             double A[4][MAPLINES_COLUMNS], double F[4][4],
                                             maplines_scene_t *scene);
-/// Decode the lines of some slots of an epoch, all of them intact and checked, in this order: into
-/// `newest` by slot, and into a scene; either may be NULL. A bit for each slot that was decoded: a
-/// line that is no function of x in its range, which no sender sends, is not.
+/// Decode lines of a pose error, whose records are intact and checked, and a scene of them unless
+/// it is NULL. A bit for each slot that was decoded: a line that is no function of x in its range,
+/// which no sender sends, is not.
 MAPLINES_INTERNAL uint32_t maplines_decode_epoch(const maplines_dbc_t *dbc,
-                                                 const maplines_epoch_t *epoch, int count,
-                                                 const int *slots, maplines_line_t *newest,
+                                                 const maplines_epoch_view_t *epoch,
                                                  maplines_scene_t *scene);
+#if MAPLINES_SCENE_RECORDS
+/// A line of a whole scene has a range in which it is a function of x.
+MAPLINES_INTERNAL bool maplines_is_line(const maplines_dbc_t *dbc, const uint8_t *record);
+#endif
 #endif
 #endif // MAPLINES_SCENES
 
@@ -667,27 +702,53 @@ MAPLINES_INTERNAL int64_t maplines_distance(int64_t a_ns, int64_t b_ns);
 MAPLINES_INTERNAL const char *maplines_settings_problem(const maplines_dbc_t *dbc,
                                                         const maplines_settings_t *settings);
 
-/* reassembly.c */
+/* routing.c */
 
 /// A complete record, read or rejected.
 typedef struct {
     int owner;
-    int64_t t_ns;                ///< of its first frame
-    uint32_t frames;             ///< that carried it
-    uint32_t length;             ///< [byte]
-    maplines_reason_t reason;    ///< MAPLINES_COMPLETE, or why its content is rejected
+    int64_t t_ns;             ///< of its first frame
+    uint32_t frames;          ///< that carried it
+    uint32_t length;          ///< [byte]
+    maplines_reason_t reason; ///< MAPLINES_COMPLETE, or why its content is rejected
+#if MAPLINES_LINE_RECORDS
     maplines_complete_t content; ///< of a good record with a covariance of its own
-    uint8_t record[MAPLINES_MAX_RECORD];
+#endif
+#if MAPLINES_SCENE_RECORDS
+    uint8_t places; ///< of a whole scene: lines that it may have
+#endif
+    uint8_t record[MAPLINES_RECORD_ROOM];
 } maplines_arrival_t;
 
-/// Add a frame to its transfer: MAPLINES_COMPLETE if it completes a record, else why it does not.
+/// Count dropped frames, and return the reason.
+MAPLINES_INTERNAL maplines_reason_t maplines_dropped(maplines_decoder_t *decoder,
+                                                     maplines_reason_t reason, uint32_t frames);
+/// Take a frame: MAPLINES_COMPLETE if it completes a record, else why it does not.
 /// `arrival->owner` is that of the frame unless it is FOREIGN.
-MAPLINES_INTERNAL maplines_reason_t maplines_reassemble(maplines_decoder_t *decoder,
-                                                        const maplines_frame_t *frame, int64_t t_ns,
-                                                        maplines_arrival_t *arrival);
+MAPLINES_INTERNAL maplines_reason_t maplines_route(maplines_decoder_t *decoder,
+                                                   const maplines_frame_t *frame, int64_t t_ns,
+                                                   maplines_arrival_t *arrival);
+
+/* records.c */
+
+/// Why a record of an arrival is rejected, or MAPLINES_COMPLETE.
+MAPLINES_INTERNAL maplines_reason_t maplines_read_record(const maplines_dbc_t *dbc,
+                                                         maplines_arrival_t *arrival);
+
+#if MAPLINES_LINE_RECORDS
+/* reassembly.c */
+
+/// Add a page to its transfer: as maplines_route.
+MAPLINES_INTERNAL maplines_reason_t maplines_add_page(maplines_decoder_t *decoder,
+                                                      const uint8_t *data, int64_t t_ns,
+                                                      maplines_arrival_t *arrival);
+/// Read a record; remember a good one, and forget those of the previous round of IDs.
+MAPLINES_INTERNAL void maplines_complete_record(maplines_decoder_t *decoder,
+                                                maplines_arrival_t *arrival);
 MAPLINES_INTERNAL void maplines_expire_transfers(maplines_decoder_t *decoder, int64_t t_ns);
 /// Frames of incomplete transfers.
 MAPLINES_INTERNAL uint32_t maplines_pending_transfers(const maplines_decoder_t *decoder);
+#endif
 
 /* e2e_state.c */
 
@@ -797,7 +858,7 @@ MAPLINES_INTERNAL void maplines_expire_mixtures(maplines_decoder_t *decoder, int
 MAPLINES_INTERNAL uint32_t maplines_pending_mixtures(const maplines_decoder_t *decoder);
 #endif
 
-#if MAPLINES_SCENES
+#if MAPLINES_SCENES && MAPLINES_LINE_RECORDS
 /* epochs.c */
 
 /// Line that has joined a pose error.
@@ -821,12 +882,57 @@ MAPLINES_INTERNAL bool maplines_add_line(maplines_decoder_t *decoder, int slot,
 MAPLINES_INTERNAL void maplines_expire_epochs(maplines_decoder_t *decoder, int64_t t_ns);
 /// Frames of lines that wait for their pose error.
 MAPLINES_INTERNAL uint32_t maplines_pending_lines(const maplines_decoder_t *decoder);
-/// The newest scene that waits for no line; NULL before the first.
+/// The newest epoch that waits for no line; false before the first.
+MAPLINES_INTERNAL bool maplines_latest_epoch(const maplines_decoder_t *decoder,
+                                             maplines_epoch_view_t *view);
+#endif
+
+#if MAPLINES_SCENE_RECORDS
+/* whole_scenes.c */
+
+/// CONTENT if an intact record holds a value that no sender sends.
+MAPLINES_INTERNAL maplines_reason_t maplines_check_whole(const maplines_dbc_t *dbc,
+                                                         const maplines_arrival_t *arrival);
+/// Add a new record, and return its lines in the order of their places.
+MAPLINES_INTERNAL void maplines_add_whole(maplines_decoder_t *decoder,
+                                          const maplines_arrival_t *arrival,
+                                          maplines_epoch_view_t *lines);
+/// The newest scene, whose lines are in the order of slots; false before the first.
+MAPLINES_INTERNAL bool maplines_newest_whole(const maplines_decoder_t *decoder,
+                                             maplines_epoch_view_t *view);
+/// Owner of the record that has brought a line of that scene.
+MAPLINES_INTERNAL int maplines_whole_owner(const maplines_decoder_t *decoder, int slot);
+/// Why the newest record that names a slot has no line of it; MAPLINES_IN_SCENE if it has.
+MAPLINES_INTERNAL maplines_left_out_t maplines_whole_left_out(const maplines_decoder_t *decoder,
+                                                              int slot);
+#if !MAPLINES_LINE_RECORDS
+/// Decode the line of a slot in the newest record that has one; false if none has. Sets the owner
+/// of the record.
+MAPLINES_INTERNAL bool maplines_decode_newest(const maplines_decoder_t *decoder, int slot,
+                                              int *owner, maplines_line_t *line);
+#endif
+#endif
+
+/* views.c */
+
+#if MAPLINES_SCENES && MAPLINES_LINE_RECORDS
+/// The newest scene; NULL before the first.
 MAPLINES_INTERNAL const maplines_scene_t *maplines_newest_scene(maplines_decoder_t *decoder);
 #endif
+/// Owner of the records that have brought the newest line of a slot.
+MAPLINES_INTERNAL int maplines_owner_of_line(const maplines_decoder_t *decoder, int slot);
+/// Owner of the records that have brought the pose error of lines of an owner: itself if they need
+/// none, or bring it themselves.
+MAPLINES_INTERNAL int maplines_owner_of_pose(const maplines_decoder_t *decoder, int owner);
+/// Owner of the records that have brought the pose error, or a line, of the newest scene.
+MAPLINES_INTERNAL int maplines_owner_of_scene(const maplines_decoder_t *decoder);
+MAPLINES_INTERNAL int maplines_owner_in_scene(const maplines_decoder_t *decoder, int slot);
 
 /* decoder.c */
 
+/// A decoder that is there and initialised; has a DBC a slot?
+MAPLINES_INTERNAL bool maplines_is_decoder(const maplines_decoder_t *decoder);
+MAPLINES_INTERNAL bool maplines_is_slot(const maplines_decoder_t *decoder, int slot);
 /// As maplines_feed. Lines that are conditional on the pose error are in `scene`, too, with their
 /// parts of the joint covariance; it is not written without such lines, and may be NULL.
 MAPLINES_INTERNAL maplines_fed_t maplines_feed_with(maplines_decoder_t *decoder,

@@ -43,7 +43,7 @@ static const char refusal_names[][NAME_SIZE] = {
     "BAD_STATUS",   "BAD_WEIGHTS", "BAD_COUNT",     "NO_SIGNATURE", "INDEFINITE",
     "SAME_SLOT",    "BAD_POSE",    "UNSEEN",        "BAD_CALL"};
 #endif
-#if MAPLINES_SENDER && MAPLINES_SCENES
+#if MAPLINES_SCENES
 static const char left_out_names[][NAME_SIZE] = {"IN_SCENE", "ACROSS",     "RANGE",
                                                  "MEAN",     "COVARIANCE", "PLACE"};
 #endif
@@ -110,7 +110,7 @@ const char *maplines_refusal_name(maplines_refusal_t refusal)
 }
 #endif
 
-#if MAPLINES_SENDER && MAPLINES_SCENES
+#if MAPLINES_SCENES
 const char *maplines_left_out_name(maplines_left_out_t left_out)
 {
     return name_at(left_out_names, COUNT(left_out_names), (int)left_out);

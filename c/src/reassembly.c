@@ -23,7 +23,7 @@
  */
 #include "internal.h"
 
-#if MAPLINES_RECEIVER
+#if MAPLINES_RECEIVER && MAPLINES_LINE_RECORDS
 
 #define PAGE_BYTES 8U
 
@@ -104,31 +104,12 @@ static void expire_inbox(maplines_decoder_t *decoder, int owner, int64_t t_ns)
     }
 }
 
-/// Why the content of a record is rejected, or MAPLINES_COMPLETE.
-static maplines_reason_t read_record(const maplines_dbc_t *dbc, maplines_arrival_t *arrival)
-{
-    const int owner = arrival->owner;
-    const maplines_reason_t reason =
-        maplines_check_record(dbc, owner, arrival->record, arrival->length);
-    if (reason != MAPLINES_COMPLETE || owner == MAPLINES_POSE)
-    {
-        return reason;
-    }
-#if MAPLINES_SCENES
-    if (dbc->is_conditional)
-    {
-        return maplines_check_conditional(dbc, arrival->record);
-    }
-#endif
-    return maplines_read_complete(dbc, owner, arrival->record, arrival->t_ns, &arrival->content);
-}
-
-/// Read a record; remember a good one, and forget those of the previous round of IDs.
-static void complete_record(maplines_decoder_t *decoder, maplines_arrival_t *arrival)
+MAPLINES_INTERNAL void maplines_complete_record(maplines_decoder_t *decoder,
+                                                maplines_arrival_t *arrival)
 {
     const maplines_record_t *layout = maplines_layout(decoder->dbc, arrival->owner);
     maplines_inbox_t *inbox = &decoder->inboxes[arrival->owner];
-    arrival->reason = read_record(decoder->dbc, arrival);
+    arrival->reason = maplines_read_record(decoder->dbc, arrival);
     if (arrival->reason != MAPLINES_COMPLETE)
     {
         return;
@@ -225,15 +206,9 @@ static maplines_transfer_t *begin_transfer(maplines_inbox_t *inbox, uint32_t id,
     return transfer;
 }
 
-static maplines_reason_t dropped_frame(maplines_decoder_t *decoder, maplines_reason_t reason)
-{
-    ++decoder->statistics.counts[reason];
-    return reason;
-}
-
-/// Add a page to its transfer.
-static maplines_reason_t feed_page(maplines_decoder_t *decoder, const uint8_t *data, int64_t t_ns,
-                                   maplines_arrival_t *arrival)
+MAPLINES_INTERNAL maplines_reason_t maplines_add_page(maplines_decoder_t *decoder,
+                                                      const uint8_t *data, int64_t t_ns,
+                                                      maplines_arrival_t *arrival)
 {
     const int owner = arrival->owner;
     const maplines_record_t *layout = maplines_layout(decoder->dbc, owner);
@@ -241,7 +216,7 @@ static maplines_reason_t feed_page(maplines_decoder_t *decoder, const uint8_t *d
     const uint32_t page = (uint32_t)maplines_get(&layout->page, data);
     if (page >= layout->pages)
     {
-        return dropped_frame(decoder, MAPLINES_PAGE);
+        return maplines_dropped(decoder, MAPLINES_PAGE, 1);
     }
     const uint32_t id = (uint32_t)maplines_get(&layout->transfer_id[page == 0 ? 0 : 1], data);
     expire_inbox(decoder, owner, t_ns);
@@ -252,7 +227,7 @@ static maplines_reason_t feed_page(maplines_decoder_t *decoder, const uint8_t *d
         const uint32_t ids = transfer_ids(layout);
         if (((id - transfer->id) & (ids - 1U)) > ids / 2U) // older than what is at its place
         {
-            return dropped_frame(decoder, MAPLINES_INCOMPLETE);
+            return maplines_dropped(decoder, MAPLINES_INCOMPLETE, 1);
         }
         drop_transfer(decoder, owner, began_at(inbox, place), MAPLINES_INCOMPLETE);
     }
@@ -260,7 +235,7 @@ static maplines_reason_t feed_page(maplines_decoder_t *decoder, const uint8_t *d
     {
         if (is_known_page(decoder, owner, id, page, data, t_ns))
         {
-            return dropped_frame(decoder, MAPLINES_DUPLICATE);
+            return maplines_dropped(decoder, MAPLINES_DUPLICATE, 1);
         }
         transfer = begin_transfer(inbox, id, t_ns);
     }
@@ -268,12 +243,12 @@ static maplines_reason_t feed_page(maplines_decoder_t *decoder, const uint8_t *d
     {
         if (memcmp(transfer->record + PAGE_BYTES * page, data, PAGE_BYTES) == 0)
         {
-            return dropped_frame(decoder, MAPLINES_DUPLICATE);
+            return maplines_dropped(decoder, MAPLINES_DUPLICATE, 1);
         }
         const uint32_t ahead = counter_ahead(layout, page, data, transfer);
         if (ahead > maplines_counter_mask(layout) / 2U) // of an older transfer
         {
-            return dropped_frame(decoder, MAPLINES_REPLACED);
+            return maplines_dropped(decoder, MAPLINES_REPLACED, 1);
         }
         if (ahead > 0)
         {
@@ -300,140 +275,15 @@ static maplines_reason_t feed_page(maplines_decoder_t *decoder, const uint8_t *d
     arrival->frames = needed;
     arrival->length = needed * PAGE_BYTES;
     memcpy(arrival->record, transfer->record, arrival->length);
-    complete_record(decoder, arrival);
+    maplines_complete_record(decoder, arrival);
     transfer->pages &= ~pages_mask(needed); // what is left is of another record
     drop_transfer(decoder, owner, began_at(inbox, place), MAPLINES_INCOMPLETE);
     return MAPLINES_COMPLETE;
 }
 
-/// Take the record at the beginning of a payload that has room for the longest one.
-static maplines_reason_t feed_whole(maplines_decoder_t *decoder, const uint8_t *data, int64_t t_ns,
-                                    maplines_arrival_t *arrival)
-{
-    const maplines_record_t *layout = maplines_layout(decoder->dbc, arrival->owner);
-    uint32_t pages = layout->pages;
-#if MAPLINES_SCENES
-    if (layout->short_pages < layout->pages &&
-        maplines_get(&decoder->dbc->has_covariance, data) == 0)
-    {
-        pages = layout->short_pages;
-    }
-#endif
-    arrival->t_ns = t_ns;
-    arrival->frames = 1;
-    arrival->length = pages * PAGE_BYTES;
-    memcpy(arrival->record, data, arrival->length);
-    complete_record(decoder, arrival);
-    return MAPLINES_COMPLETE;
-}
-
-/// How a message carries records.
-typedef enum {
-    ROUTE_NONE,
-    ROUTE_PAGES,
-    ROUTE_WHOLE,
-    ROUTE_SECURED,
-} route_t;
-
-static route_t route_of(const maplines_messages_t *messages, const maplines_frame_t *frame)
-{
-    const uint32_t id = frame->can_id;
-    const bool is_extended = frame->is_extended;
-    if (!messages->is_present)
-    {
-        return ROUTE_NONE;
-    }
-    if (messages->has_classic && messages->can_id == id && messages->is_extended == is_extended)
-    {
-        return ROUTE_PAGES;
-    }
-    if (messages->has_fd && messages->fd_can_id == id && messages->fd_is_extended == is_extended)
-    {
-        return ROUTE_WHOLE;
-    }
-    if (messages->has_secured && messages->secured_can_id == id &&
-        messages->secured_is_extended == is_extended)
-    {
-        return ROUTE_SECURED;
-    }
-    return ROUTE_NONE;
-}
-
-#if MAPLINES_SECOC
-/// Check an authenticated frame, and take its record.
-static maplines_reason_t feed_secured(maplines_decoder_t *decoder, const maplines_frame_t *frame,
-                                      int64_t t_ns, maplines_arrival_t *arrival)
-{
-    const int owner = arrival->owner;
-    const maplines_authenticator_t *authenticator = decoder->settings.authenticator;
-    if (authenticator == NULL)
-    {
-        return dropped_frame(decoder, MAPLINES_KEY);
-    }
-    const maplines_reason_t reason =
-        maplines_verify(decoder->dbc, owner, authenticator, frame, &decoder->freshness_us[owner]);
-    if (reason != MAPLINES_COMPLETE)
-    {
-        return dropped_frame(decoder, reason);
-    }
-    return feed_whole(decoder, frame->data, t_ns, arrival);
-}
-#endif
-
-MAPLINES_INTERNAL maplines_reason_t maplines_reassemble(maplines_decoder_t *decoder,
-                                                        const maplines_frame_t *frame, int64_t t_ns,
-                                                        maplines_arrival_t *arrival)
-{
-    route_t route = ROUTE_NONE;
-    int owner = 0;
-    while (owner < MAPLINES_OWNERS)
-    {
-        route = route_of(&decoder->dbc->messages[owner], frame);
-        if (route != ROUTE_NONE)
-        {
-            break;
-        }
-        ++owner;
-    }
-    if (route == ROUTE_NONE)
-    {
-        return dropped_frame(decoder, MAPLINES_FOREIGN);
-    }
-    arrival->owner = owner;
-    const maplines_record_t *layout = maplines_layout(decoder->dbc, owner);
-#if MAPLINES_SECOC
-    if (route == ROUTE_SECURED)
-    {
-        return feed_secured(decoder, frame, t_ns, arrival);
-    }
-    if (decoder->settings.authenticator != NULL && layout->fd_authentic > 0)
-    {
-        return dropped_frame(decoder, MAPLINES_UNAUTHENTICATED);
-    }
-#else
-    if (route == ROUTE_SECURED)
-    {
-        return dropped_frame(decoder, MAPLINES_KEY);
-    }
-#endif
-    if (route == ROUTE_WHOLE)
-    {
-        if (frame->length < layout->pages * PAGE_BYTES || frame->length > sizeof(frame->data))
-        {
-            return dropped_frame(decoder, MAPLINES_LENGTH);
-        }
-        return feed_whole(decoder, frame->data, t_ns, arrival);
-    }
-    if (frame->length != PAGE_BYTES)
-    {
-        return dropped_frame(decoder, MAPLINES_LENGTH);
-    }
-    return feed_page(decoder, frame->data, t_ns, arrival);
-}
-
 MAPLINES_INTERNAL void maplines_expire_transfers(maplines_decoder_t *decoder, int64_t t_ns)
 {
-    for (int owner = 0; owner < MAPLINES_OWNERS; ++owner)
+    for (int owner = 0; owner < MAPLINES_LINE_OWNERS; ++owner)
     {
         expire_inbox(decoder, owner, t_ns);
     }
@@ -442,7 +292,7 @@ MAPLINES_INTERNAL void maplines_expire_transfers(maplines_decoder_t *decoder, in
 MAPLINES_INTERNAL uint32_t maplines_pending_transfers(const maplines_decoder_t *decoder)
 {
     uint32_t pending = 0;
-    for (int owner = 0; owner < MAPLINES_OWNERS; ++owner)
+    for (int owner = 0; owner < MAPLINES_LINE_OWNERS; ++owner)
     {
         const maplines_inbox_t *inbox = &decoder->inboxes[owner];
         for (unsigned i = 0; i < inbox->count; ++i)

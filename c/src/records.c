@@ -3,9 +3,11 @@
 
 MAPLINES_INTERNAL const maplines_record_t *maplines_layout(const maplines_dbc_t *dbc, int owner)
 {
-#if MAPLINES_SCENES
-    // Those of whole scenes have the layout of the pose error; its owner stands before theirs.
-    return owner >= (int)MAPLINES_POSE - MAPLINES_FIRST_OWNER ? &dbc->pose : &dbc->line;
+#if MAPLINES_SCENES && MAPLINES_LINE_RECORDS
+    return owner < (int)MAPLINES_POSE ? &dbc->line : &dbc->pose;
+#elif MAPLINES_SCENES
+    (void)owner;
+    return &dbc->pose;
 #else
     (void)owner;
     return &dbc->line;
@@ -41,6 +43,13 @@ MAPLINES_INTERNAL int maplines_severity(maplines_status_t status)
 }
 
 #if MAPLINES_RECEIVER
+/// Checksum in a record.
+static unsigned received_crc(const maplines_record_t *layout, const uint8_t *record)
+{
+    return (unsigned)record[layout->crc_byte] | (unsigned)record[layout->crc_byte + 1U] << 8U;
+}
+
+#if MAPLINES_LINE_RECORDS
 /// Number of pages of a record, by its content.
 static unsigned pages_of_content(const maplines_dbc_t *dbc, int owner, const uint8_t *record)
 {
@@ -80,9 +89,7 @@ MAPLINES_INTERNAL maplines_reason_t maplines_check_record(const maplines_dbc_t *
     }
     const uint16_t crc =
         maplines_crc(record, length, layout->crc_byte, dbc->messages[owner].data_id);
-    const unsigned received =
-        (unsigned)record[layout->crc_byte] | (unsigned)record[layout->crc_byte + 1U] << 8U;
-    if (received != crc)
+    if (received_crc(layout, record) != crc)
     {
         return MAPLINES_CRC;
     }
@@ -111,6 +118,40 @@ MAPLINES_INTERNAL maplines_reason_t maplines_check_conditional(const maplines_db
     return MAPLINES_COMPLETE;
 }
 #endif
+#endif
+
+MAPLINES_INTERNAL maplines_reason_t maplines_read_record(const maplines_dbc_t *dbc,
+                                                         maplines_arrival_t *arrival)
+{
+    const int owner = arrival->owner;
+#if MAPLINES_SCENE_RECORDS
+    if (MAPLINES_IS_WHOLE(owner))
+    {
+        const maplines_record_t *layout = &dbc->pose;
+        const uint16_t crc = maplines_crc(arrival->record, arrival->length, layout->crc_byte,
+                                          dbc->messages[owner].data_id);
+        return received_crc(layout, arrival->record) == crc ? maplines_check_whole(dbc, arrival)
+                                                            : MAPLINES_CRC;
+    }
+#endif
+#if MAPLINES_LINE_RECORDS
+    const maplines_reason_t reason =
+        maplines_check_record(dbc, owner, arrival->record, arrival->length);
+    if (reason != MAPLINES_COMPLETE || MAPLINES_IS_POSE(owner))
+    {
+        return reason;
+    }
+#if MAPLINES_SCENES
+    if (dbc->is_conditional)
+    {
+        return maplines_check_conditional(dbc, arrival->record);
+    }
+#endif
+    return maplines_read_complete(dbc, owner, arrival->record, arrival->t_ns, &arrival->content);
+#else
+    return MAPLINES_COMPLETE;
+#endif
+}
 #endif
 
 MAPLINES_INTERNAL void maplines_seal(const maplines_dbc_t *dbc, int owner, uint8_t *record,

@@ -14,16 +14,18 @@
 
 MAPLINES_INTERNAL const maplines_levels_t *maplines_levels_of(const maplines_dbc_t *dbc)
 {
-    if (dbc->is_conditional)
+#if MAPLINES_LINE_RECORDS
+    if (!dbc->is_conditional)
     {
-        return &dbc->levels;
+        int slot = 0;
+        while (slot < MAPLINES_SLOTS - 1 && dbc->slot_levels[slot].lateral.length == 0)
+        {
+            ++slot; // those of all slots are the same
+        }
+        return &dbc->slot_levels[slot];
     }
-    int slot = 0;
-    while (slot < MAPLINES_SLOTS - 1 && dbc->slot_levels[slot].lateral.length == 0)
-    {
-        ++slot; // those of all slots are the same
-    }
-    return &dbc->slot_levels[slot];
+#endif
+    return &dbc->levels;
 }
 
 MAPLINES_INTERNAL void maplines_specific_factor(const double J[16], const double levels[16],
@@ -56,7 +58,9 @@ typedef struct {
 typedef struct {
     maplines_curve_t curve;
     int64_t levels[4]; ///< of the line-specific covariance: lateral, points, shape, tilt
-    bool is_full;      ///< the record has all entries of it instead
+#if MAPLINES_LINE_RECORDS
+    bool is_full; ///< the record has all entries of it instead
+#endif
 } member_t;
 
 /// A line of a scene, in double precision.
@@ -116,24 +120,25 @@ static void read_conditional(const maplines_dbc_t *dbc, const uint8_t *record, m
 {
     const maplines_levels_t *levels = &dbc->levels;
     maplines_curve_t *curve = &member->curve;
-    member->is_full = raw_of(&dbc->has_covariance, record) == 1;
     for (int i = 0; i < 4; ++i)
     {
         curve->mean[i] = maplines_physical(&dbc->mean[i], maplines_get(&dbc->mean[i], record));
-        if (member->is_full)
-        {
-            const int64_t fine = maplines_get(&dbc->fine[i], record);
-            curve->mean[i] = curve->mean[i] + maplines_physical(&dbc->fine[i], fine);
-        }
     }
+#if MAPLINES_LINE_RECORDS
+    member->is_full = raw_of(&dbc->has_covariance, record) == 1;
+    for (int i = 0; i < 4 && member->is_full; ++i)
+    {
+        const int64_t fine = maplines_get(&dbc->fine[i], record);
+        curve->mean[i] = curve->mean[i] + maplines_physical(&dbc->fine[i], fine);
+    }
+#endif
     curve->fit_range[0] = maplines_physical(&dbc->x_min, maplines_get(&dbc->x_min, record));
     curve->fit_range[1] = maplines_physical(&dbc->x_max, maplines_get(&dbc->x_max, record));
-    curve->quartic = levels->quartic.length > 0
-                         ? maplines_physical(&levels->quartic, raw_of(&levels->quartic, record))
-                         : 0.0;
+    curve->quartic = maplines_physical(&levels->quartic, raw_of(&levels->quartic, record));
     read_levels(levels, record, member->levels);
 }
 
+#if MAPLINES_LINE_RECORDS
 /// Physical value of a signal, as a scene has it that is rebuilt from a decoded line.
 static double rebuilt(const maplines_signal_t *signal, double physical)
 {
@@ -165,6 +170,7 @@ static void read_with_levels(const maplines_dbc_t *dbc, const uint8_t *record, i
     curve->quartic = maplines_physical(&levels->quartic, maplines_get(&own->quartic, pose_record));
     read_levels(own, pose_record, member->levels);
 }
+#endif
 
 /// Age of a line [s], whose first frame came some time after that of its pose error.
 static double later(double age, int64_t passed_ns)
@@ -223,29 +229,65 @@ static void set_gaussian(const maplines_dbc_t *dbc, const double mean[4], const 
     maplines_set_gaussian(mean, factor, order, gaussian);
 }
 
-/// Decode a line of an epoch; false if it is no function of x in its range.
-static bool decode_member(const maplines_dbc_t *dbc, const pose_error_t *pose,
-                          const maplines_epoch_t *epoch, int slot, decoded_t *decoded)
+/// Factor of the line-specific covariance.
+static void find_specific(const maplines_dbc_t *dbc, const pose_error_t *pose,
+                          const uint8_t *record, const member_t *member,
+                          const maplines_changes_t *changes, double F[4][4])
 {
-    const maplines_line_record_t *given = &epoch->lines[slot];
-    member_t member;
-    maplines_points_t points;
-    maplines_line_t *line = &decoded->line;
-    memset(line, 0, sizeof *line);
-    if (dbc->is_conditional)
+#if MAPLINES_LINE_RECORDS
+    if (member->is_full)
     {
-        read_conditional(dbc, given->record, &member);
+        maplines_decode_factor(&dbc->covariance, record, F);
+        return;
     }
-    else
+#else
+    (void)record;
+#endif
+    double levels[16];
+    double common[16];
+    maplines_common(changes, pose->offset_sigma, pose->heading_sigma, common);
+    maplines_decode_levels(maplines_levels_of(dbc), &member->curve, member->levels, levels);
+    maplines_specific_factor(changes->J, levels, common, F);
+}
+
+/// Whether a curve has a range, in which it is a function of x.
+static bool is_function(const maplines_curve_t *curve)
+{
+    maplines_points_t points;
+    maplines_points_of(curve, &points);
+    return curve->fit_range[0] < curve->fit_range[1] && maplines_is_function(&points);
+}
+
+/// Read the records of a line of an epoch, and what a complete one has of the line itself.
+static void read_member(const maplines_dbc_t *dbc, const maplines_epoch_view_t *epoch,
+                        const maplines_epoch_line_t *given, member_t *member, maplines_line_t *line)
+{
+#if MAPLINES_LINE_RECORDS
+    if (!dbc->is_conditional)
     {
         maplines_complete_t content; // a receiver has read it before, and found it good
-        (void)maplines_read_complete(dbc, slot, given->record, given->t_ns, &content);
+        (void)maplines_read_complete(dbc, given->slot, given->record, given->t_ns, &content);
         *line = content.line;
-        read_with_levels(dbc, given->record, slot, epoch->record, &member);
+        read_with_levels(dbc, given->record, given->slot, epoch->pose, member);
+        return;
     }
+#else
+    (void)epoch;
+#endif
+    memset(line, 0, sizeof *line);
+    read_conditional(dbc, given->record, member);
+}
+
+/// Decode a line of an epoch; false if it is no function of x in its range.
+static bool decode_member(const maplines_dbc_t *dbc, const pose_error_t *pose,
+                          const maplines_epoch_view_t *epoch, const maplines_epoch_line_t *given,
+                          decoded_t *decoded)
+{
+    member_t member;
+    maplines_line_t *line = &decoded->line;
     const maplines_curve_t *curve = &member.curve;
-    maplines_points_of(curve, &points);
-    if (!(curve->fit_range[0] < curve->fit_range[1]) || !maplines_is_function(&points))
+    read_member(dbc, epoch, given, &member, line);
+    if (!is_function(curve))
     {
         return false;
     }
@@ -256,18 +298,7 @@ static bool decode_member(const maplines_dbc_t *dbc, const pose_error_t *pose,
     {
         return false;
     }
-    if (member.is_full)
-    {
-        maplines_decode_factor(&dbc->covariance, given->record, decoded->F);
-    }
-    else
-    {
-        double levels[16];
-        double common[16];
-        maplines_common(&changes, pose->offset_sigma, pose->heading_sigma, common);
-        maplines_decode_levels(maplines_levels_of(dbc), curve, member.levels, levels);
-        maplines_specific_factor(changes.J, levels, common, decoded->F);
-    }
+    find_specific(dbc, pose, given->record, &member, &changes, decoded->F);
     double specific_cov[16];
     double cov[16];
     maplines_gram(4, 4, decoded->F[0], specific_cov);
@@ -286,7 +317,7 @@ static bool decode_member(const maplines_dbc_t *dbc, const pose_error_t *pose,
         line->status = is_partial ? MAPLINES_FULL : line->status;
         return true;
     }
-    line->slot = (maplines_owner_t)slot;
+    line->slot = (maplines_owner_t)given->slot;
     line->kind = (maplines_kind_t)maplines_get(&dbc->kind, given->record);
     line->status = MAPLINES_FULL;
     line->components = 1;
@@ -296,11 +327,30 @@ static bool decode_member(const maplines_dbc_t *dbc, const pose_error_t *pose,
     return true;
 }
 
+MAPLINES_INTERNAL void maplines_begin_view(const uint8_t *pose, int64_t t_ns,
+                                           maplines_epoch_view_t *view)
+{
+    memset(view, 0, sizeof *view);
+    view->pose = pose;
+    view->t_ns = t_ns;
+}
+
+MAPLINES_INTERNAL maplines_epoch_line_t *
+maplines_add_to_view(int slot, const uint8_t *record, int64_t t_ns, maplines_epoch_view_t *view)
+{
+    maplines_epoch_line_t *line = &view->lines[view->count];
+    line->slot = slot;
+    line->record = record;
+    line->t_ns = t_ns;
+    ++view->count;
+    return line;
+}
+
 /// Begin a scene without lines.
-static void begin_scene(const maplines_dbc_t *dbc, const maplines_epoch_t *epoch,
+static void begin_scene(const maplines_dbc_t *dbc, const maplines_epoch_view_t *epoch,
                         const pose_error_t *pose, maplines_scene_t *scene)
 {
-    const double time = level_of(&dbc->correlation_time, epoch->record);
+    const double time = level_of(&dbc->correlation_time, epoch->pose);
     memset(scene, 0, sizeof *scene);
     scene->t_ns = epoch->t_ns;
     for (int i = 0; i < 9; ++i)
@@ -311,7 +361,10 @@ static void begin_scene(const maplines_dbc_t *dbc, const maplines_epoch_t *epoch
     scene->correlation_time = (maplines_real_t)(time > 0.0 ? time : (double)INFINITY);
     scene->offset_sigma = (maplines_real_t)pose->offset_sigma;
     scene->heading_sigma = (maplines_real_t)pose->heading_sigma;
-    scene->counter = (uint32_t)maplines_get(&dbc->pose.counter, epoch->record);
+    scene->counter = (uint32_t)maplines_get(&dbc->pose.counter, epoch->pose);
+#if MAPLINES_SCENE_RECORDS
+    memcpy(scene->left_out, epoch->left_out, sizeof scene->left_out);
+#endif
 }
 
 static void add_to_scene(const maplines_dbc_t *dbc, decoded_t *decoded, maplines_scene_t *scene)
@@ -327,26 +380,26 @@ static void add_to_scene(const maplines_dbc_t *dbc, decoded_t *decoded, maplines
 }
 
 MAPLINES_INTERNAL uint32_t maplines_decode_epoch(const maplines_dbc_t *dbc,
-                                                 const maplines_epoch_t *epoch, int count,
-                                                 const int *slots, maplines_line_t *newest,
+                                                 const maplines_epoch_view_t *epoch,
                                                  maplines_scene_t *scene)
 {
     pose_error_t pose;
     uint32_t found = 0;
-    read_pose(dbc, epoch->record, &pose);
+    read_pose(dbc, epoch->pose, &pose);
     if (scene != NULL)
     {
         begin_scene(dbc, epoch, &pose, scene);
     }
-    for (int i = 0; i < count; ++i)
+    for (int i = 0; i < epoch->count; ++i)
     {
+        const maplines_epoch_line_t *given = &epoch->lines[i];
         decoded_t decoded;
-        if (decode_member(dbc, &pose, epoch, slots[i], &decoded))
+        if (decode_member(dbc, &pose, epoch, given, &decoded))
         {
-            found |= (uint32_t)1 << (unsigned)slots[i];
-            if (newest != NULL)
+            found |= (uint32_t)1 << (unsigned)given->slot;
+            if (given->line != NULL)
             {
-                newest[slots[i]] = decoded.line;
+                *given->line = decoded.line;
             }
             if (scene != NULL)
             {
@@ -356,6 +409,15 @@ MAPLINES_INTERNAL uint32_t maplines_decode_epoch(const maplines_dbc_t *dbc,
     }
     return found;
 }
+
+#if MAPLINES_SCENE_RECORDS
+MAPLINES_INTERNAL bool maplines_is_line(const maplines_dbc_t *dbc, const uint8_t *record)
+{
+    member_t member;
+    read_conditional(dbc, record, &member);
+    return is_function(&member.curve);
+}
+#endif
 
 #endif
 

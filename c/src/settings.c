@@ -69,8 +69,9 @@ static void set_all(const maplines_dbc_t *dbc, double timeout_ms, double cycle_m
                     const maplines_e2e_config_t *e2e, maplines_settings_t *settings)
 {
     const maplines_e2e_config_t standard = maplines_default_e2e();
-    const maplines_e2e_config_t of_slots =
-        e2e != NULL ? *e2e : within_counters(dbc, MAPLINES_EGO_LEFT, &standard);
+    const int first = maplines_has_whole_scenes(dbc) ? MAPLINES_WHOLE_SCENE : 0;
+    const maplines_e2e_config_t of_lines =
+        e2e != NULL ? *e2e : within_counters(dbc, first, &standard);
     memset(settings, 0, sizeof(*settings));
     settings->stale_cycles = 3.0;
     for (int owner = 0; owner < MAPLINES_OWNERS; ++owner)
@@ -89,7 +90,7 @@ static void set_all(const maplines_dbc_t *dbc, double timeout_ms, double cycle_m
         settings->timeout_ns[owner] = whole_ns(timeout_ms > 0.0 ? timeout_ms : derived_ms);
         settings->cycle_ns[owner] = whole_ns(chosen_ms);
         settings->e2e[owner] =
-            owner == MAPLINES_POSE ? within_counters(dbc, owner, &of_slots) : of_slots;
+            MAPLINES_IS_POSE(owner) ? within_counters(dbc, owner, &of_lines) : of_lines;
     }
 }
 
@@ -160,7 +161,8 @@ static const char *e2e_problem(const maplines_e2e_config_t *e2e)
 static const char *authenticator_problem(const maplines_dbc_t *dbc,
                                          const maplines_authenticator_t *authenticator)
 {
-    if (dbc->line.fd_authentic == 0)
+    const int lines = maplines_has_whole_scenes(dbc) ? MAPLINES_WHOLE_SCENE : 0;
+    if (maplines_layout(dbc, lines)->fd_authentic == 0)
     {
         return "authenticator: the DBC has no authenticated message of lines";
     }
@@ -176,7 +178,7 @@ static const char *authenticator_problem(const maplines_dbc_t *dbc,
     {
         return "authenticator: not_before_us must be 0 or more";
     }
-    const maplines_record_t *const layouts[2] = {&dbc->line,
+    const maplines_record_t *const layouts[2] = {maplines_layout(dbc, lines),
                                                  maplines_layout(dbc, (int)MAPLINES_POSE)};
     for (int i = 0; i < 2; ++i)
     {
