@@ -8,6 +8,7 @@ Every record passes the same stations. Each may drop it, with a reason that is c
       |            sequence.py     counter: duplicate, late or new; E2E status and state
     new record     mixtures.py     a line of all its components, or none
       |            epochs.py       lines of one pose error; records that wait for theirs
+      |            whole_scenes.py a scene of one record, or two
     lines, scene   scenes.py
 """
 
@@ -20,15 +21,17 @@ from typing import NamedTuple
 
 from ..values.line import Slot, Status
 from ..wire.layout.message_layout import Layout
-from ..wire.layout.pose_layout import POSE, Owner, PoseLayout, slot_of
+from ..wire.layout.pose_layout import POSE, SCENE, SCENE2, Owner, PoseLayout, SceneOwner, slot_of
+from ..wire.layout.scene_layout import SceneLayout
 from .epochs import Epochs
 from .mixtures import Mixtures
 from .reassembly import Content, Reassembly, Record
-from .records import AnyLayout, Component, Line, RawRecord, complete, conditional, intact
+from .records import Component, Line, RawRecord, complete, conditional, intact, layout_of
 from .scenes import Member, Pose, Scene, pose_of, scene_line, scene_of
 from .secoc import Keys, verified
 from .sequence import SHORT_ROW, SequenceCheck
 from .settings import ALL, Settings, Sizes, settings_of
+from .whole_scenes import SceneContent, WholeRecord, WholeScenes, whole
 
 #: A line is stale if nothing newer has come for so many cycles.
 STALE_CYCLES = 3.0
@@ -50,6 +53,7 @@ class View(NamedTuple):
     status: str | None  #: of the last check of the slot, or of the pose error
     may_be_two: bool  #: senders
     slot_states: dict[Slot, str]  #: of the lines of a scene
+    left_out: str | None = None  #: why the newest whole scene has no line of the slot
 
     @property
     def is_usable(self) -> bool:
@@ -62,7 +66,7 @@ class View(NamedTuple):
 
 
 class _Owner:
-    """What there is of the records of a slot, or of the pose error."""
+    """What there is of the records of a slot, of the pose error, or of whole scenes."""
 
     def __init__(
         self,
@@ -76,7 +80,7 @@ class _Owner:
     ) -> None:
         timeout_ns, cycle_ns, windows = settings
         self.owner, self._lines, self._components = owner, layout, sizes.components
-        self.layout: AnyLayout = layout.pose if owner == POSE and layout.pose else layout
+        self.layout = layout_of(layout, owner)
         self.messages = layout.messages_of[owner]
         #: Layout of its authenticated message; None if its frames are not authenticated.
         self.secured = self.layout.secured if keys else None
@@ -87,19 +91,20 @@ class _Owner:
         self.check = SequenceCheck(
             windows,
             modulus,
-            self.layout.pages,
+            max(self.layout.pages, 1),
             cycle_ns,
             is_authentic=is_authentic,
             history=sizes.history,
         )
         self.mixtures = Mixtures(modulus, timeout_ns, counts)
-        self.newest: Line | None = None
 
     def _content(self, payload: bytes, t_ns: int) -> Content | str:
         """Return what a record says, or why it is rejected."""
         raw = intact(self.layout, payload, self.messages.data_id)
         if isinstance(raw, str):
             return raw
+        if self.owner == SCENE or self.owner == SCENE2:
+            return whole(self._lines, self.owner, payload, raw, t_ns)
         if self.owner == POSE:
             return RawRecord(raw["Counter"], raw)
         if self._lines.is_conditional:
@@ -112,7 +117,8 @@ class _Owner:
 class Receiver:
     """Receiver of frames; time is an argument [ns].
 
-    At any time ``frames == line_frames + pose_frames + sum(counts.values()) + pending``. Settings
+    At any time ``frames == line_frames + pose_frames + sum(counts.values()) + pending``; the frames
+    of whole scenes are counted as those of pose errors. Settings
     of the owners are those that the DBC implies, unless they are given, and sizes those of the
     Python package. With keys, frames of each owner with such a message must be authenticated.
 
@@ -144,10 +150,14 @@ class Receiver:
             if sizes.has(owner)
         }
         self._pose_is_too_old = False
-        cycle_ns = of_owners[POSE].cycle_ns if POSE in of_owners else 1
+        self._newest: dict[Slot, tuple[Line, Owner]] = {}  # with the owner of its record
+        cycle_ns = {owner: own.cycle_ns for owner, own in of_owners.items()}
         self._epochs = Epochs(
-            cycle_ns, self.counts, sizes.epochs, has_mixtures=not layout.is_conditional
+            cycle_ns.get(POSE, 1), self.counts, sizes.epochs, has_mixtures=not layout.is_conditional
         )
+        self._whole: WholeScenes | None = None
+        if layout.scene is not None and sizes.scenes:
+            self._whole = WholeScenes(layout.scene, cycle_ns[SCENE])
 
     @property
     def checks(self) -> dict[Owner, SequenceCheck]:
@@ -198,6 +208,9 @@ class Receiver:
             return reassembly.add_page(data, t_ns)
         elif not own.layout.record_bytes <= len(data) <= FRAME_BYTES:
             return "LENGTH"
+        if isinstance(own.layout, SceneLayout):
+            length = own.layout.record_bytes if data_id is None else own.layout.secured_bytes
+            return reassembly.complete(data[:length], t_ns, 1)
         return reassembly.complete(reassembly.whole(data), t_ns, 1)
 
     def _checked(self, own: _Owner, record: Record) -> list[Line] | str:
@@ -218,6 +231,8 @@ class Receiver:
             return self._dropped(reason, record.frames)
         if isinstance(content, Component):
             return self._add_component(own, content, record)
+        if isinstance(content, WholeRecord):
+            return self._add_whole(own, content, record)
         if isinstance(own.layout, PoseLayout):
             return self._add_pose(pose_of(own.layout, content, record.t_ns), own, record)
         member = Member(slot_of(own.owner), content.counter, content, record.t_ns, record.frames)
@@ -251,6 +266,19 @@ class Receiver:
                 lines += [] if isinstance(found, str) else found
         return lines or "PENDING"
 
+    def _add_whole(self, own: _Owner, content: WholeRecord, record: Record) -> list[Line] | str:
+        """Add a new record of a whole scene; return its lines."""
+        assert self._whole is not None  # noqa: S101 - such a record has an owner
+        own.check.delivered(1)
+        self.pose_errors += 1
+        self.pose_frames += record.frames
+        self._whole.add(own.owner, content, is_break=own.check.ahead is None)
+        found = [scene_line(self._layout, content.pose, one) for one in content.members.values()]
+        lines = [one.line for one in found if one is not None]
+        self._newest |= {line.slot: (line, own.owner) for line in lines}
+        self.lines += len(lines)
+        return lines or "PENDING"
+
     def _rebuilt(self, pose: Pose, member: Member) -> list[Line] | str:
         """Return the line of a conditional record that has joined its pose error."""
         found = scene_line(self._layout, pose, member)
@@ -260,7 +288,7 @@ class Receiver:
 
     def _delivered(self, line: Line, frames: int) -> Line:
         self._owners[line.slot].check.delivered(len(line.components) or 1)
-        self._owners[line.slot].newest = line
+        self._newest[line.slot] = line, line.slot
         self.lines += 1
         self.line_frames += frames
         return line
@@ -286,8 +314,11 @@ class Receiver:
 
     def latest(self, slot: Slot, now_ns: int, stale_cycles: float = STALE_CYCLES) -> View:
         """Return the newest line of a slot, and whether it may be used now."""
-        now_ns, line = limited(now_ns), self._owners[slot].newest
-        owners: list[Owner] = [slot, POSE] if self._layout.is_conditional else [slot]
+        of_line: Owner = slot if self._whole is None else SCENE
+        line, of_line = self._newest.get(slot, (None, of_line))
+        now_ns, owners = limited(now_ns), [of_line]
+        if self._whole is None and self._layout.is_conditional:
+            owners.append(POSE)
         checks = [self._owners[owner].check for owner in owners]
         age, is_stale, waited = math.inf, True, 0.0
         if line is not None:
@@ -296,24 +327,35 @@ class Receiver:
         states = [_state(check, now_ns, waited) for check in checks]
         state = next((one for one in states if one != "VALID"), "VALID")
         may_be_two = any(check.senders.may_be_two(now_ns) for check in checks)
-        return View(line, age, is_stale, state, checks[0].status, may_be_two, {})
+        left_out = None if self._whole is None else self._whole.left_out_of(slot)
+        return View(line, age, is_stale, state, checks[0].status, may_be_two, {}, left_out)
 
     def latest_scene(self, now_ns: int, stale_cycles: float = STALE_CYCLES) -> View:
         """Return the newest scene that waits for no line, and whether it may be used now."""
-        now_ns, check, epoch = limited(now_ns), self._owners[POSE].check, self._epochs.latest
-        if epoch is None:
+        now_ns = limited(now_ns)
+        check = self._owners[POSE if self._whole is None else SCENE].check
+        content = self._epoch() if self._whole is None else self._whole.content
+        if content is None:
             state = check.elapse(now_ns)
             return View(None, math.inf, True, state, check.status, False, {})
-        pose, members = epoch.pose, [member for _, member in sorted(epoch.lines.items())]
+        pose, members, owners, left_out = content
         found = [scene_line(self._layout, pose, member) for member in members]
-        scene = scene_of(pose, [line for line in found if line is not None])
+        scene = scene_of(pose, [line for line in found if line is not None], left_out)
         waited, is_stale = _waited(pose.t_ns, now_ns, stale_cycles * check.cycle_ns)
         state, status = _state(check, now_ns, waited), check.status
-        checks = {line.slot: self._owners[line.slot].check for line in scene.lines}
+        checks = {line.slot: self._owners[owners[line.slot]].check for line in scene.lines}
         states = {slot: _state(one, now_ns, waited) for slot, one in checks.items()}
         may_be_two = any(one.senders.may_be_two(now_ns) for one in (check, *checks.values()))
         age = math.inf if self._pose_is_too_old else pose.age + waited
         return View(scene, age, is_stale, state, status, may_be_two, states)
+
+    def _epoch(self) -> SceneContent | None:
+        """Return the newest epoch that waits for no line."""
+        epoch = self._epochs.latest
+        if epoch is None:
+            return None
+        members = [member for _, member in sorted(epoch.lines.items())]
+        return SceneContent(epoch.pose, members, {slot: slot for slot in epoch.lines}, {})
 
 
 def limited(t_ns: int) -> int:

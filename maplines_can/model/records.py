@@ -7,15 +7,17 @@ from typing import NamedTuple
 
 from ..values.line import VAGUE_SIGMA, Kind, Slot, Status
 from ..wire.layout.message_layout import Layout
-from ..wire.layout.pose_layout import PoseLayout
+from ..wire.layout.pose_layout import Owner, PoseLayout
+from ..wire.layout.record_layout import bits_of
+from ..wire.layout.scene_layout import SceneLayout
 from ..wire.layout.signals import OWN_SIGNALS, PAGE_BYTES, PARAMETER_SIGNALS, Signal
 from .covariance import code_of, decoded
 from .e2e import checksum
 from .matrices import Matrix, Vector, diagonal
 from .signals import Raw, packed, physical, read
 
-#: Layout of the records of lines, or of the pose error.
-AnyLayout = Layout | PoseLayout
+#: Layout of the records of lines, of the pose error, or of whole scenes.
+AnyLayout = Layout | PoseLayout | SceneLayout
 #: Statuses of lines without a covariance: it was not sent, or does not exist.
 WITHOUT = (Status.UNKNOWN, Status.OUT_OF_RANGE)
 
@@ -53,42 +55,59 @@ class RawRecord(NamedTuple):
     size: int = 1  #: such a line is no mixture
 
 
-def signals_of(layout: AnyLayout, pages: int) -> list[Signal]:
-    """Return the signals of the first pages of a record."""
-    return [s for s in layout.signals.values() if s.start < 8 * PAGE_BYTES * pages]
+def layout_of(layout: Layout, owner: Owner) -> AnyLayout:
+    """Return the layout of the records of an owner: that of lines is the layout of the DBC."""
+    return layout if isinstance(owner, Slot) or layout.pose is None else layout.pose
 
 
-def pages_of(layout: AnyLayout, raw: Raw) -> int:
-    """Return the pages of a record: without a covariance, those before it."""
-    return layout.pages if raw.get("HasCovariance", 1) else layout.short_pages
+def transfer_ids(layout: AnyLayout) -> int:
+    """Return the number of transfer IDs; 1 if each frame is a record."""
+    return 2 ** layout["TransferId0"].length if layout.pages else 1
+
+
+def signals_of(layout: AnyLayout, length: int) -> list[Signal]:
+    """Return the signals of the first bytes of a record."""
+    return [s for s in layout.signals.values() if max(bits_of(s)) < 8 * length]
+
+
+def length_of(layout: Layout | PoseLayout, raw: Raw) -> int:
+    """Return the length of a record of lines: without a covariance, of the pages before it."""
+    return PAGE_BYTES * (layout.pages if raw.get("HasCovariance", 1) else layout.short_pages)
 
 
 def intact(layout: AnyLayout, record: bytes, data_id: int) -> dict[str, int] | str:
     """Return the raw values of a record, or why it is damaged.
 
     All pages have their numbers and one transfer ID, the low bits of ``Counter``; and the checksum
-    covers all other bytes and the data ID of the owner.
+    covers all other bytes and the data ID of the owner. A whole scene has no pages.
     """
+    raw = {signal.name: read(signal, record) for signal in signals_of(layout, len(record))}
+    is_intact = sealed(layout, record, data_id) == record
+    if isinstance(layout, SceneLayout):
+        return raw if is_intact else "CRC"
     pages = len(record) // PAGE_BYTES
     if len(record) % PAGE_BYTES or pages not in (layout.pages, layout.short_pages):
         return "LENGTH"
-    raw = {signal.name: read(signal, record) for signal in signals_of(layout, pages)}
-    transfer = raw["Counter"] % 2 ** layout["TransferId0"].length
+    transfer = raw["Counter"] % transfer_ids(layout)
     for page in range(pages):
         if (raw[f"Page{page}"], raw[f"TransferId{page}"]) != (page, transfer):
             return "MIXED"
-    if raw["Crc"] != checksum(record, layout.crc_offset, data_id):
+    if not is_intact:
         return "CRC"
-    return raw if pages_of(layout, raw) == pages else "LENGTH"
+    return raw if length_of(layout, raw) == len(record) else "LENGTH"
 
 
-def written(layout: AnyLayout, raw: Raw, data_id: int) -> bytes:
+def written(layout: Layout | PoseLayout, raw: Raw, data_id: int) -> bytes:
     """Return the record of raw values, with page numbers, transfer IDs and checksum."""
-    pages, place = pages_of(layout, raw), layout.crc_offset
-    all_raw = {**raw, "Crc": 0}
-    for page in range(pages):
+    all_raw, length = {**raw, "Crc": 0}, length_of(layout, raw)
+    for page in range(length // PAGE_BYTES):
         all_raw |= {f"Page{page}": page, f"TransferId{page}": raw["Counter"]}
-    record = packed(signals_of(layout, pages), all_raw, PAGE_BYTES * pages)
+    return sealed(layout, packed(signals_of(layout, length), all_raw, length), data_id)
+
+
+def sealed(layout: AnyLayout, record: bytes, data_id: int) -> bytes:
+    """Return a record with its checksum."""
+    place = layout.crc_offset
     crc = checksum(record, place, data_id).to_bytes(2, "little")
     return record[:place] + crc + record[place + 2 :]
 

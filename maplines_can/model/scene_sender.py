@@ -1,4 +1,4 @@
-"""A scene as records: the pose error once, and what is specific to each line.
+"""A scene as records: the pose error, and what is specific to each line.
 
 What a receiver decodes covers the joint covariance of the scene, and the errors of the decoded
 means: the sender decodes what it encodes. P' covers P. D covers what is specific to the line, and
@@ -6,7 +6,8 @@ the error of its mean. If together they do not cover the scene, since the errors
 one error, the D of the lines concerned are enlarged until they do.
 
 A line is sent with levels, or with all entries of D if these cost too much; but not all lines of a
-scene are if there is one that levels cover.
+scene are if there is one that levels cover. Whole scenes have levels only. They cover all lines of
+a scene together, whether these have a place in one record, in two, or none.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from typing import NamedTuple
 from ..values.line import MIN_RANGE, Slot
 from ..wire.layout import signals as names
 from ..wire.layout.message_layout import Layout
-from ..wire.layout.pose_layout import POSE, Owner, PoseLayout
+from ..wire.layout.pose_layout import POSE, SCENE, SCENE2, Owner, PoseLayout
+from ..wire.layout.scene_layout import SceneLayout
 from ..wire.layout.signals import PARAMETER_SIGNALS, Signal
 from .covariance import code_of, encode, least_variances, reachable
 from .elementary import exp2, log2
@@ -29,6 +31,7 @@ from .levels import level_covariance
 from .lines import Curve, bases, changes_of, is_line, spread
 from .matrices import Matrix, Vector, diagonal, matrix
 from .nearest_line import bounds, nearest_line, slope_error
+from .places import Candidate, Places, chosen
 from .records import RawRecord, written
 from .scenes import (
     RESOLUTION,
@@ -39,7 +42,8 @@ from .scenes import (
     pose_of,
     signals_of_slot,
 )
-from .signals import above, below, limited, nearest, nearest_limited, of_slot, value
+from .signals import Raw, above, below, limited, nearest, nearest_limited, of_slot, value
+from .whole_scenes import NONE, REASONS, joint_bits, write_whole
 from .writer import Draft, clipped_mean, mean_signals, physical_range, stated_range, write
 
 #: Factor on the covariance of the pose error that is covered: a line that is rounded depends on the
@@ -79,7 +83,9 @@ class SentScene(NamedTuple):
     """Records of a scene."""
 
     records: dict[Owner, bytes]
-    left_out: dict[Slot, str]  #: why lines belong to no pose error: ACROSS, RANGE, MEAN, COVARIANCE
+    #: Why lines belong to no pose error: ACROSS, RANGE, MEAN, COVARIANCE; or have no PLACE.
+    left_out: dict[Slot, str]
+    places: Places = Places()  #: of whole scenes
 
 
 class UnseenError(Exception):
@@ -126,13 +132,15 @@ class _Member:
 
 
 class SceneSender:
-    """Sender of scenes of a DBC with a message of the pose error."""
+    """Sender of scenes of a DBC whose records have a pose error."""
 
-    def __init__(self, layout: Layout, pose: PoseLayout) -> None:
+    def __init__(self, layout: Layout, pose: PoseLayout | SceneLayout) -> None:
         self.layout, self.pose = layout, pose
-        self.own = signals_of_slot(layout, next(iter(layout.messages)))
+        self.own = signals_of_slot(layout, next(iter(layout.messages), Slot.EGO_LEFT))
         self.search = LevelSearch(self.own)
         self.mean = mean_signals(layout)
+        #: Records of lines can have all entries of D.
+        self.has_entries = "HasCovariance" in layout.signals
 
     # ---- records -------------------------------------------------------------------------------
 
@@ -143,12 +151,15 @@ class SceneSender:
         ages: Mapping[Owner, float],
         *,
         full: bool = False,
+        last: Places | None = None,
+        secured: bool = False,
     ) -> SentScene | None:
         """Return the records of the pose error and of the lines, with these counters and ages [s].
 
         A conditional line that does not fit is not sent. A complete one is, but belongs to no pose
         error. None if the pose error does not fit, or a line is no function of x near the mean
-        pose. If ``full``, all entries of conditional lines are sent.
+        pose. If ``full``, all entries of conditional lines are sent. Of whole scenes, ``last`` are
+        the places of the last cycle, and an authenticated record has fewer.
         """
         specific = None if scene.specific is None else [*map(matrix, scene.specific)]
         cov, pose_cov = matrix(scene.cov), matrix(scene.pose_cov)
@@ -157,7 +168,7 @@ class SceneSender:
         try:
             members = self._members(scene, left_out)
             for member in members:
-                member.is_full = full and self.layout.is_conditional
+                member.is_full = full and self.has_entries
             pose_raw = self._raw_pose(scene)
             if pose_raw is None:
                 return None
@@ -165,6 +176,10 @@ class SceneSender:
             sent = {own.slot: own for own in self._encoded(scene, pose, members, left_out)}
         except UnseenError:
             return None
+        if isinstance(self.pose, SceneLayout):
+            places = self._places(scene, left_out, last or Places(), secured=secured)
+            parts = self.pose, scene, pose_raw, sent, left_out
+            return self._whole(*parts, places, counters, ages, secured=secured)
         records: dict[Owner, bytes] = {}
         following = dict(counters)
         for line in scene.lines:
@@ -188,11 +203,74 @@ class SceneSender:
                 pose_raw |= {
                     of_slot(slot, name): levels.get(name, 0) for name in names.SLOT_SIGNALS
                 }
-        age = self.pose["Age"]
-        pose_raw["Age"] = limited(age, above(age, 1000 * ages[POSE]))
+        pose_raw["Age"] = raw_age(self.pose, ages[POSE])
         pose_raw["Counter"] = counters.get(POSE, 0)
         data_id = self.layout.messages_of[POSE].data_id
         return SentScene({POSE: written(self.pose, pose_raw, data_id), **records}, left_out)
+
+    def _places(
+        self, scene: SceneDraft, left_out: Mapping[Slot, str], last: Places, *, secured: bool
+    ) -> Places:
+        """Return the places of the lines of a scene."""
+        candidates = [
+            Candidate(
+                line.slot, Curve(Vector(line.mean), *scene.fit_ranges[i]), line.slot in left_out
+            )
+            for i, line in enumerate(scene.lines)
+        ]
+        return chosen(self.messages(secured=secured), candidates, last)
+
+    def _whole(
+        self,
+        layout: SceneLayout,
+        scene: SceneDraft,
+        pose_raw: Raw,
+        sent: Mapping[Slot, _Member],
+        left_out: Mapping[Slot, str],
+        places: Places,
+        counters: Mapping[Owner, int],
+        ages: Mapping[Owner, float],
+        *,
+        secured: bool,
+    ) -> SentScene:
+        """Return the records of a whole scene: ``Scene2`` comes first, so ``Scene`` completes it."""
+        kinds = {line.slot: line.kind for line in scene.lines}
+        length = layout.secured_bytes if secured else layout.record_bytes
+        records = dict[Owner, bytes]()
+        for owner, slots in ((SCENE2, places.scene2), (SCENE, places.scene)):
+            if slots is None:
+                continue
+            lines = list[Raw]()
+            for fixed, slot in zip(layout.fixed[owner], slots, strict=False):
+                named = {} if fixed is not None or slot is None else {"Slot": int(slot)}
+                if slot is None:
+                    lines.append({"Kind": NONE})
+                elif slot in left_out:
+                    lines.append({"Kind": NONE + 1 + REASONS.index(left_out[slot])} | named)
+                else:
+                    lines.append(sent[slot].raw | {"Kind": kinds[slot]} | named)
+            raw = {
+                **pose_raw,
+                "Age": raw_age(layout, ages[owner]),
+                "Counter": counters.get(owner, 0),
+                "SceneCounter": joint_bits(layout, counters.get(SCENE, 0)),
+            }
+            data_id = layout.messages[owner].data_id
+            records[owner] = write_whole(layout, raw, lines, length, data_id)
+        placed = {*places.scene, *(places.scene2 or ())}
+        no_place = {slot: "PLACE" for slot in sent if slot not in placed}
+        return SentScene(records, {**left_out, **no_place}, places)
+
+    def messages(self, *, secured: bool) -> list[tuple[Slot | None, ...]]:
+        """Return the slots of the places of the messages of whole scenes that can be sent."""
+        layout = self.pose
+        assert isinstance(layout, SceneLayout)  # noqa: S101 - others have no places
+        count = layout.secured_places if secured else layout.places
+        return [
+            layout.fixed[owner][:count]
+            for owner, own in layout.messages.items()
+            if (own.secured_can_id if secured else own.fd_can_id) is not None
+        ]
 
     def _raw_pose(self, scene: SceneDraft) -> dict[str, int] | None:
         """Return the raw values of the pose error that hold its covariance and its levels."""
@@ -246,10 +324,14 @@ class SceneSender:
             return stated
         ends = {"XMin": stated.begin, "XMax": stated.end}
         common = {name: int(nearest(self.layout[name], x)) for name, x in ends.items()}
-        common["Quartic"] = nearest_limited(self.own["Quartic"], stated.quartic)
+        if "Quartic" in self.own:
+            common["Quartic"] = nearest_limited(self.own["Quartic"], stated.quartic)
         member = self._member(scene, place, stated, common)
         factor = rounding_factor(member.specific, bases(stated))
         coarse = rounded_mean(self.mean, stated.mean, factor)
+        if not self.has_entries:
+            member.with_levels = (coarse or {}) | common
+            return "MEAN" if coarse is None else member
         fines = [self.layout[name] for name in names.FINE_SIGNALS]
         fine = rounded_mean(list(map(refined, self.mean, fines)), stated.mean, factor)
         if coarse is None or fine is None:
@@ -364,9 +446,7 @@ class SceneSender:
                 return costs
         for one in members:
             one.is_covered = False
-        return [
-            math.inf if self.layout.is_conditional and not one.is_full else 0.0 for one in members
-        ]
+        return [math.inf if self.has_entries and not one.is_full else 0.0 for one in members]
 
     def _decoded(
         self, scene: SceneDraft, pose: Pose, members: list[_Member]
@@ -400,7 +480,7 @@ class SceneSender:
             one.raw_own, one.is_covered = coded.raw, coded.is_covered
             return 0.0
         one.raw_own, one.is_covered = self.search.encode(one.wanted, one.curve, one.spacings)
-        if not self.layout.is_conditional:
+        if not self.has_entries:
             return 0.0
         if not one.is_covered:
             return math.inf
@@ -431,6 +511,11 @@ def is_possible(scene: SceneDraft, place: int, curve: Curve) -> bool:
     covs += [] if scene.specific is None else [scene.specific[place]]
     is_small = all(x <= LARGEST * LARGEST for cov in covs for x in cov.diagonal())
     return is_small and all(abs(x) <= LARGEST for x in curve.mean) and is_line(curve)
+
+
+def raw_age(layout: PoseLayout | SceneLayout, age: float) -> int:
+    """Return the raw value of an age [s], rounded up."""
+    return limited(layout["Age"], above(layout["Age"], 1000 * age))
 
 
 def level_above(signal: Signal, sigma: float) -> int:

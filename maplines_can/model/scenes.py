@@ -18,6 +18,7 @@ from ..values.line import Kind, Slot, Status
 from ..wire.layout import signals as names
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import PoseLayout
+from ..wire.layout.scene_layout import SceneLayout
 from ..wire.layout.signals import Signal
 from .covariance import code_of, decoded
 from .elementary import exp2
@@ -46,9 +47,9 @@ MIN_TURN = 0.1
 
 
 class Pose(NamedTuple):
-    """Content of a record of the pose error."""
+    """Content of a record of the pose error, or of a whole scene."""
 
-    layout: PoseLayout
+    layout: PoseLayout | SceneLayout
     raw: Raw
     counter: int
     t_ns: int  #: time of its first frame
@@ -87,9 +88,10 @@ class Scene(NamedTuple):
     fit_ranges: list[tuple[float, float]]
     quartics: list[float]
     own: list[Matrix]
+    left_out: dict[Slot, str]  #: why it has no lines of these slots, if a record says so
 
 
-def pose_of(layout: PoseLayout, record: RawRecord, t_ns: int) -> Pose:
+def pose_of(layout: PoseLayout | SceneLayout, record: RawRecord, t_ns: int) -> Pose:
     """Return the content of a record of the pose error. All bits mean something."""
     raw, cov = record.raw, decoded(code_of(layout, names.POSE_ROWS), record.raw)
     levels = ("CorrelationTime", "MapOffset", "MapHeading")
@@ -124,7 +126,9 @@ def scene_line(layout: Layout, pose: Pose, member: Member) -> SceneLine | None:
     return SceneLine(line, curve, A, own)
 
 
-def scene_of(pose: Pose, lines: Sequence[SceneLine]) -> Scene:
+def scene_of(
+    pose: Pose, lines: Sequence[SceneLine], left_out: Mapping[Slot, str] | None = None
+) -> Scene:
     """Return the scene of a pose error and its lines."""
     A, own = Matrix(row for line in lines for row in line.spread), [line.own for line in lines]
     return Scene(
@@ -134,6 +138,7 @@ def scene_of(pose: Pose, lines: Sequence[SceneLine]) -> Scene:
         [(line.curve.begin, line.curve.end) for line in lines],
         [line.curve.quartic for line in lines],
         own,
+        dict(left_out or {}),
     )
 
 
@@ -195,7 +200,9 @@ def curve_of(layout: Layout, slot_signals: Mapping[str, Signal], raw: Raw) -> Cu
     if "FitBehind" in slot_signals:
         begin -= value(slot_signals["FitBehind"], raw["FitBehind"])
         end += value(slot_signals["FitAhead"], raw["FitAhead"])
-    return Curve(mean, begin, end, value(slot_signals["Quartic"], raw["Quartic"]))
+    has_quartic = "Quartic" in slot_signals
+    quartic = value(slot_signals["Quartic"], raw["Quartic"]) if has_quartic else 0.0
+    return Curve(mean, begin, end, quartic)
 
 
 def own_covariance(

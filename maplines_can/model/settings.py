@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 from ..values.line import Slot
 from ..wire.layout.message_layout import Layout
-from ..wire.layout.pose_layout import POSE, Owner, slot_of
+from ..wire.layout.pose_layout import Owner
 from .e2e import Windows
-from .records import AnyLayout
+from .records import AnyLayout, layout_of, transfer_ids
 from .sequence import GRACE_CYCLES
 
 #: Cycle time if the DBC has none, and the longest time-out [ms].
@@ -35,7 +35,7 @@ class Sizes(NamedTuple):
 
     def has(self, owner: Owner) -> bool:
         """Return whether the receiver has an owner of records."""
-        return self.scenes if owner == POSE else int(slot_of(owner)) < self.slots
+        return int(owner) < self.slots if isinstance(owner, Slot) else self.scenes
 
 
 #: Those of the Python package.
@@ -48,11 +48,11 @@ def settings_of(
     cycle_ms: float | None = None,
     windows: Windows | None = None,
 ) -> dict[Owner, Settings]:
-    """Return the settings of all slots and of the pose error; None for what the DBC implies."""
+    """Return the settings of all owners; None for what the DBC implies."""
     of_lines = limited(Windows(), layout) if windows is None else windows
     found: dict[Owner, Settings] = {}
     for owner, messages in layout.messages_of.items():
-        own = layout.pose if owner == POSE and layout.pose is not None else layout
+        own = layout_of(layout, owner)
         implied_ms = messages.cycle_ms or DEFAULT_CYCLE_MS
         cycle = cycle_ms or implied_ms
         timeout = min(max(implied_ms / 2, timeout_cycles(own) * cycle), MAX_MS)
@@ -76,5 +76,4 @@ def timeout_cycles(layout: AnyLayout) -> float:
     """
     has_count = "ComponentCount" in layout.signals
     components = max(1.0, layout["ComponentCount"].physical_range[1]) if has_count else 1.0
-    ids = 2 ** layout["TransferId0"].length
-    return max(0.5, min(ids / components - 0.5, GRACE_CYCLES))
+    return max(0.5, min(transfer_ids(layout) / components - 0.5, GRACE_CYCLES))

@@ -16,14 +16,14 @@ from typing import Any, NamedTuple
 from ..model.e2e import Windows
 from ..model.receiver import Receiver as Model
 from ..model.receiver import View
-from ..model.records import Component
+from ..model.records import Component, layout_of
 from ..model.records import Line as ModelLine
 from ..model.scenes import Scene
 from ..model.secoc import Keys
 from ..model.sequence import SequenceCheck as ModelCheck
 from ..model.settings import settings_of
 from ..values.line import MapLine
-from ..wire import POSE, Authenticator, Codec, Decoder, Key, Layout, Owner, Reason, SceneView
+from ..wire import Authenticator, Codec, Decoder, Key, Layout, Owner, Reason, SceneView
 from ..wire import SlotView as LineView
 from .hostile_streams import (
     PROFILES,
@@ -326,9 +326,8 @@ class Pair:
     def sign(self, owner: Owner, record: bytes, now_us: int) -> bytes:
         """Return the authenticated payload of a record."""
         messages = self._layout.messages_of[owner]
-        layout = self._layout.pose if owner == POSE else self._layout
-        assert layout is not None  # noqa: S101 - a stream has records of what the DBC has
-        assert layout.secured is not None  # noqa: S101 - likewise
+        layout = layout_of(self._layout, owner)
+        assert layout.secured is not None  # noqa: S101 - a stream has records of what the DBC has
         assert self._signing_key is not None  # noqa: S101 - likewise
         authenticator = Authenticator(self._signing_key, clock=lambda: 1000 * now_us)
         return authenticator.secure(record, messages.secured_data_id, layout.secured)
@@ -457,6 +456,7 @@ def _view(view: LineView | SceneView) -> dict[str, Any]:
         "fit ranges": scene.fit_ranges.tolist(),
         "quartics": scene.quartics.tolist(),
         "specific": [] if scene.specific_covs is None else scene.specific_covs.tolist(),
+        "left out": {slot.name: why.name for slot, why in scene.left_out.items()},
     }
 
 
@@ -485,6 +485,7 @@ def _model_view(view: View) -> dict[str, Any]:
         "fit ranges": [[*ends] for ends in scene.fit_ranges],
         "quartics": scene.quartics,
         "specific": scene.own,
+        "left out": {slot.name: why for slot, why in scene.left_out.items()},
     }
 
 

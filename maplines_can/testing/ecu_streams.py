@@ -18,12 +18,15 @@ from ..core import ffi, lib
 from ..model import settings as model
 from ..model import writer
 from ..model.e2e import Windows
+from ..model.lines import Curve
 from ..model.matrices import Vector, matrix
-from ..model.records import WITHOUT
+from ..model.places import Candidate, Places, chosen
+from ..model.records import WITHOUT, layout_of
 from ..model.scene_sender import SceneDraft, SceneSender
 from ..model.signals import read
 from ..values.line import Kind, Slot, Status
 from ..wire import POSE, Layout, Owner
+from ..wire.layout.pose_layout import OWNERS, SCENE, SCENE2
 from ..wire.layout.signals import PAGE_BYTES
 from ..wire.layout.slot_messages import RecordMessages, SecuredLayout
 from ..wire.tables import tables_of
@@ -31,8 +34,6 @@ from .sender_streams import SenderStream, random_draft, random_scene, scene_draf
 
 #: Rows of a matrix, as lists.
 Rows = Any
-#: All owners, in the order of the core.
-OWNERS: tuple[Owner, ...] = (*Slot, POSE)
 #: Key IDs that the signer has; others are refused.
 KEY_IDS = range(128)
 LAST_US = 2**63 - 1
@@ -49,6 +50,12 @@ class Way(NamedTuple):
     key_id: int | None  #: of the signer; None: there is none
     last_us: int  #: freshness value before
     now_us: int
+    last: Places  #: of the last whole scene
+
+    @property
+    def is_secured(self) -> bool:
+        """Whether frames are authenticated."""
+        return self.key_id is not None
 
 
 class Components(NamedTuple):
@@ -64,17 +71,32 @@ def _choice(rng: np.random.Generator, *values: Any) -> Any:
 
 
 def _random_way(rng: np.random.Generator, layout: Layout) -> Way:
-    counters = {o: int(rng.integers(2 ** _layout_of(layout, o)["Counter"].length)) for o in OWNERS}
+    counters = {owner: int(rng.integers(_modulus(layout, owner))) for owner in OWNERS}
     key_id = None
     if layout.secured is not None and rng.random() < 0.5:
         key_id = int(_choice(rng, 0, 1, 127, 128, 255))
     last = int(_choice(rng, 0, 10**15, 10**15, LAST_US - 1, LAST_US - 2, LAST_US))
     now = int(_choice(rng, 0, 10**15, 10**15 + 1, last, rng.integers(2**62)))
-    return Way(bool(rng.random() < 0.4) or key_id is not None, counters, key_id, last, now)
+    is_fd = bool(rng.random() < (0.4 if layout.scene is None else 0.9)) or key_id is not None
+    return Way(is_fd, counters, key_id, last, now, _random_places(rng, layout))
 
 
-def _layout_of(layout: Layout, owner: Owner) -> Any:
-    return layout.pose if owner == POSE and layout.pose is not None else layout
+def _modulus(layout: Layout, owner: Owner) -> int:
+    """Return the number of counters of an owner; 1 if the DBC has no records of it."""
+    has = owner in layout.messages_of
+    return 2 ** layout_of(layout, owner)["Counter"].length if has else 1
+
+
+def _random_places(rng: np.random.Generator, layout: Layout) -> Places:
+    """Return the places that some lines may have had in the last cycle."""
+    if layout.scene is None:
+        return Places()
+    lines = [
+        Candidate(Slot(int(slot)), Curve(Vector([float(y), 0.0, 0.0, 0.0]), 0.0, 1.0))
+        for slot, y in zip(rng.permutation(8), rng.uniform(-9, 9, rng.integers(9)), strict=False)
+    ]
+    messages = SceneSender(layout, layout.scene).messages(secured=bool(rng.random() < 0.3))
+    return chosen(messages, lines, Places()) if messages else Places()
 
 
 def _mac(key_id: int, data: bytes) -> bytes:
@@ -89,8 +111,8 @@ def _frames(layout: Layout, way: Way, records: Sequence[tuple[Owner, bytes]]) ->
     """Return the frames of records, and the last freshness value; None if one is not signed."""
     frames, last_us = list[Any](), way.last_us
     for owner, record in records:
-        messages, secured = layout.messages_of[owner], _layout_of(layout, owner).secured
-        if way.key_id is not None:
+        messages, secured = layout.messages_of[owner], layout_of(layout, owner).secured
+        if way.key_id is not None and secured is not None:
             if last_us == LAST_US or way.key_id not in KEY_IDS:
                 return None
             last_us = max(way.now_us, last_us + 1)
@@ -125,10 +147,20 @@ def _has_message(layout: Layout, owner: Owner, way: Way) -> bool:
     return (messages.fd_can_id if way.is_fd else messages.can_id) is not None
 
 
-def _following(layout: Layout, counters: dict[Owner, int], sent: Sequence[Owner]) -> dict[str, int]:
-    """Return the counters after some records."""
-    moduli = {o: 2 ** _layout_of(layout, o)["Counter"].length for o in counters}
-    return {str(o): (n + sent.count(o)) % moduli[o] for o, n in counters.items()}
+def _state(
+    layout: Layout, way: Way, sent: Sequence[Owner] = (), places: Places | None = None
+) -> Any:
+    """Return the counters after some records, and the places."""
+    counters = {
+        str(o): (n + sent.count(o)) % _modulus(layout, o) for o, n in way.counters.items()
+    }
+    return [counters, _numbers(way.last if places is None else places)]
+
+
+def _numbers(places: Places) -> Any:
+    """Return places as the core has them, and whether ``Scene2`` is sent."""
+    numbers = [[0 if slot is None else slot + 1 for slot in s or ()] for s in places]
+    return [[(own + [0] * 8)[:8] for own in numbers], places.scene2 is not None]
 
 
 # ---- refusals by the model --------------------------------------------------------------------
@@ -226,6 +258,8 @@ class _Sender:
         lib.maplines_encoder_init(self.encoder, dbc, ffi.NULL)
         for place, owner in enumerate(OWNERS):
             self.encoder.counter[place] = way.counters[owner]
+        slots, self.encoder.places.sends_scene2 = _numbers(way.last)
+        self.encoder.places.slots = slots
         self._signer: Any = ffi.NULL
         if way.key_id is not None:
             self._signer = ffi.new("maplines_signer_t *")
@@ -237,17 +271,19 @@ class _Sender:
             self.encoder.signer = self._signer
 
     def answer(self, sent: Any, *more: Any) -> Any:
-        """Return what was sent: a refusal, or frames; and the counters."""
+        """Return what was sent: a refusal, or frames; and the counters and places."""
         refusal = ffi.string(lib.maplines_refusal_name(sent.refusal)).decode()
         counters = {str(o): self.encoder.counter[i] for i, o in enumerate(OWNERS)}
+        places = self.encoder.places
+        state = [counters, [[[*slots] for slots in places.slots], places.sends_scene2]]
         if refusal != "SENT":
-            return [refusal, sent.count, counters]
+            return [refusal, sent.count, state]
         frames = [
             [one.can_id, one.is_extended, one.is_fd, bytes(one.data)[: one.length]]
             for one in self.frames[0 : sent.count]
         ]
         last_us = self._signer.last_us if self._signer else None
-        return [frames, last_us, *more, counters]
+        return [frames, last_us, *more, state]
 
 
 def write_mac(_: Any, key_id: int, data: Any, length: int, mac: Any) -> bool:
@@ -270,8 +306,8 @@ def _given(line: writer.Draft) -> dict[str, Any]:
 PAGES, COMPONENTS = 16, 64
 
 
-def _refused(way: Way, refusal: str) -> Any:
-    return [refusal, 0, {str(o): n for o, n in way.counters.items()}]
+def _refused(layout: Layout, way: Way, refusal: str) -> Any:
+    return [refusal, 0, _state(layout, way)]
 
 
 def _of_message(layout: Layout, line: writer.Draft, way: Way) -> str | None:
@@ -283,13 +319,19 @@ def _of_message(layout: Layout, line: writer.Draft, way: Way) -> str | None:
     return _of_line(line)
 
 
-def _sent(layout: Layout, way: Way, records: Sequence[tuple[Owner, bytes]], *more: Any) -> Any:
+def _sent(
+    layout: Layout,
+    way: Way,
+    records: Sequence[tuple[Owner, bytes]],
+    *more: Any,
+    places: Places | None = None,
+) -> Any:
     found = _frames(layout, way, records)
     if found is None:
-        return _refused(way, "NO_SIGNATURE")
+        return _refused(layout, way, "NO_SIGNATURE")
     frames, last_us = found
-    counters = _following(layout, way.counters, [owner for owner, _ in records])
-    return [frames, None if way.key_id is None else last_us, *more, counters]
+    state = _state(layout, way, [owner for owner, _ in records], places)
+    return [frames, last_us if way.is_secured else None, *more, state]
 
 
 def _lines(layout: Layout, rng: np.random.Generator) -> Iterator[Any]:
@@ -311,7 +353,7 @@ def _line_by_model(layout: Layout, given: Any) -> Any:
     line, way = given
     fault = _of_message(layout, line, way) or _of_gaussian(line.status, line.mean, line.cov)
     if fault is not None:
-        return _refused(way, fault)
+        return _refused(layout, way, fault)
     slot = Slot(line.slot)
     record = writer.write(
         layout, replace(line, slot=slot, cov=matrix(line.cov).symmetric()), way.counters[slot]
@@ -374,7 +416,7 @@ def _mixture_by_model(layout: Layout, given: Any) -> Any:
     for mean, cov in zip(parts.means, parts.covs, strict=True):
         fault = fault or _of_gaussian(line.status, mean, cov)
     if fault is not None:
-        return _refused(way, fault)
+        return _refused(layout, way, fault)
     slot, covs = Slot(line.slot), [matrix(cov).symmetric() for cov in parts.covs]
     own = replace(line, slot=slot), parts.weights, parts.means, covs, way.counters[slot]
     records = writer.write_mixture(layout, *own)
@@ -407,7 +449,7 @@ class _SceneGiven(NamedTuple):
 def _scenes(layout: Layout, rng: np.random.Generator) -> Iterator[Any]:
     while True:
         try:
-            scene = random_scene(rng, [*layout.messages])
+            scene = random_scene(rng, layout)
         except ValueError:  # a line is no function of x, or a range is empty
             continue
         draft = scene_draft(scene)
@@ -474,7 +516,7 @@ def _faulty_matrix(rng: np.random.Generator, cov: Rows) -> Rows:
 
 def _scene_by_core(dbc: Any, given: _SceneGiven) -> Any:
     draft, way = given.draft, given.way
-    sender = _Sender(dbc, way, PAGES * 9)
+    sender = _Sender(dbc, way, PAGES * len(OWNERS))
     scene = ffi.new("maplines_scene_input_t *")
     scene.count = given.line_count
     for i, line in enumerate(draft.lines):
@@ -505,7 +547,7 @@ def _scene_by_model(layout: Layout, given: _SceneGiven) -> Any:
     draft, way = given.draft, given.way
     fault = _of_scene(layout, given)
     if fault is not None:
-        return _refused(way, "UNSENT" if fault == "BAD_POSE" else fault)
+        return _refused(layout, way, "UNSENT" if fault == "BAD_POSE" else fault)
     assert layout.pose is not None  # noqa: S101 - else it has no message
     S = draft.cov
     blocks = [[row[i : i + 4] for row in S[i : i + 4]] for i in range(0, len(S), 4)]
@@ -513,28 +555,35 @@ def _scene_by_model(layout: Layout, given: _SceneGiven) -> Any:
         replace(line, slot=Slot(line.slot), cov=matrix(block).symmetric())
         for line, block in zip(draft.lines, blocks, strict=True)
     ]
-    is_full = way.is_fd and layout.is_conditional
+    ages = given.ages | dict.fromkeys((SCENE, SCENE2), given.ages[POSE])
     sent = SceneSender(layout, layout.pose).send(
-        replace(draft, lines=lines), way.counters, given.ages, full=is_full
+        replace(draft, lines=lines),
+        way.counters,
+        ages,
+        full=way.is_fd,
+        last=way.last,
+        secured=way.is_secured,
     )
     if sent is None:
-        return _refused(way, "UNSENT")
+        return _refused(layout, way, "UNSENT")
     names, are_sent, statuses = list[str](), list[bool](), list[int]()
     for line in lines:
-        record = sent.records.get(line.slot)
         names.append(sent.left_out.get(line.slot, "IN_SCENE"))
-        are_sent.append(record is not None)
-        status = int(Status.FULL) if record is not None else 0
-        if record is not None and not layout.is_conditional:
-            status = read(layout["Status"], record)
+        are_sent.append(not layout.is_conditional or names[-1] == "IN_SCENE")
+        status = int(Status.FULL) if are_sent[-1] else 0
+        if not layout.is_conditional:
+            status = read(layout["Status"], sent.records[line.slot])
         statuses.append(status)
-    return _sent(layout, way, [*sent.records.items()], names, are_sent, statuses)
+    records = [*sent.records.items()]
+    places = None if layout.scene is None else sent.places
+    return _sent(layout, way, records, names, are_sent, statuses, places=places)
 
 
 def _of_scene(layout: Layout, given: _SceneGiven) -> str | None:
     """Return why a scene cannot be sent, before it is encoded."""
     draft, way = given.draft, given.way
-    if layout.pose is None or not _has_message(layout, POSE, way):
+    is_whole = layout.scene is not None
+    if layout.pose is None or not _has_message(layout, SCENE if is_whole else POSE, way):
         return "NO_MESSAGE"
     if given.line_count > len(Slot):
         return "BAD_COUNT"
@@ -547,7 +596,8 @@ def _of_scene(layout: Layout, given: _SceneGiven) -> str | None:
     for i, line in enumerate(draft.lines):
         if fault is not None:
             return fault
-        if line.slot not in layout.messages or not _has_message(layout, Slot(line.slot), way):
+        is_slot = line.slot in [*Slot]
+        if not is_slot or not (is_whole or _has_message(layout, Slot(line.slot), way)):
             return "NO_MESSAGE"
         if line.slot in used:
             return "SAME_SLOT"
@@ -608,7 +658,7 @@ def _settings(layout: Layout, rng: np.random.Generator) -> Iterator[Any]:
     while True:
         changes: list[dict[int, int]] = [{}, {}]
         if rng.random() < 0.3:
-            owner = int(rng.integers(9))
+            owner = int(rng.integers(len(OWNERS)))
             changes[rng.integers(2)][owner] = int(_choice(rng, 0, 1, MAX_NS, MAX_NS + 1, -1))
         authenticator = None
         if rng.random() < 0.5:
@@ -714,7 +764,7 @@ def _of_settings(
         fault = _of_windows(own.windows)
         if fault is not None:
             return fault
-        if 2 * own.windows.max_delta_counter >= 2 ** _layout_of(layout, owner)["Counter"].length:
+        if 2 * own.windows.max_delta_counter >= _modulus(layout, owner):
             return "max_delta_counter must be less than half the modulus of the DBC's Counter"
     return None if authenticator is None else _of_authenticator(layout, *authenticator)
 

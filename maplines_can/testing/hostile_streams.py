@@ -12,11 +12,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from ..model.records import AnyLayout, written
+from ..model.records import AnyLayout, layout_of, sealed, written
 from ..model.signals import nearest_limited, of_slot
+from ..model.whole_scenes import NONE, REASONS, joint_bits, scene_of_dbc, shared, write_whole
 from ..values.line import Slot
 from ..wire import POSE, E2EConfig, Layout, Owner
-from ..wire.layout.pose_layout import slot_of
+from ..wire.layout.pose_layout import SCENE, SCENE2, SceneOwner
+from ..wire.layout.scene_layout import SceneLayout
 from ..wire.layout.signals import OWN_SIGNALS, PAGE_BYTES, PARAMETER_SIGNALS
 
 CYCLES = 256
@@ -139,15 +141,17 @@ class Traffic:
         self.layout = layout
         self._random = random.Random(seed)  # noqa: S311 - no secret
         self._counters = dict.fromkeys(layout.messages_of, 0)
+        self._silent: SceneOwner | None = None  # the one of two messages that is not sent
         self._cycles: list[list[tuple[Owner, bytes]]] = []
 
     def cycle(self, k: int) -> list[tuple[Owner, bytes]]:
         """Return the records of a cycle: a pose error, and lines with one record or more.
 
-        Some cycles have their records in another order.
+        Or whole scenes. Some cycles have their records in another order.
         """
+        is_whole = self.layout.scene is not None
         while len(self._cycles) <= k:
-            records = [*self._records()]
+            records = [*(self._whole_scenes() if is_whole else self._records())]
             if self._random.random() < 0.1:
                 self._random.shuffle(records)
             self._cycles.append(records)
@@ -157,6 +161,10 @@ class Traffic:
         """Return a record of any content that most receivers accept, with a correct checksum."""
         owner = rng.choice([*self.layout.messages_of])
         layout = self.of(owner)
+        if owner == SCENE or owner == SCENE2:
+            joint = counter + (rng.random() < 0.1)
+            return owner, self._whole(rng, owner, self._whole_pose(rng), counter, joint)
+        assert not isinstance(layout, SceneLayout)  # noqa: S101 - no other records are in a DBC
         raw = {name: rng.randint(s.raw_min, s.raw_max) for name, s in layout.signals.items()}
         for name, most in (("Kind", 7), ("Status", 5), ("ComponentIndex", 3)):
             if name in raw and rng.random() < 0.9:
@@ -170,8 +178,7 @@ class Traffic:
 
     def of(self, owner: Owner) -> AnyLayout:
         """Return the layout of the records of an owner."""
-        pose = self.layout.pose
-        return pose if owner == POSE and pose is not None else self.layout
+        return layout_of(self.layout, owner)
 
     def _records(self) -> Iterator[tuple[Owner, bytes]]:
         lines: list[tuple[Owner, dict[str, int]]] = []
@@ -187,7 +194,9 @@ class Traffic:
             yield owner, self._written(owner, raw)
 
     def _written(self, owner: Owner, raw: dict[str, int]) -> bytes:
-        return written(self.of(owner), raw, self.layout.messages_of[owner].data_id)
+        layout = self.of(owner)
+        assert not isinstance(layout, SceneLayout)  # noqa: S101 - it has no records of lines
+        return written(layout, raw, self.layout.messages_of[owner].data_id)
 
     def _next(self, owner: Owner) -> int:
         counter = self._counters[owner]
@@ -198,7 +207,7 @@ class Traffic:
         """Yield the raw values of the records of a line: one, or several components."""
         rng, layout = self._random, self.layout
         if layout.is_conditional:
-            raw = self._values()
+            raw = self._values(rng)
             if raw["HasCovariance"]:
                 raw |= dict.fromkeys(OWN_SIGNALS, 0)
             elif rng.random() < 0.4:
@@ -211,10 +220,10 @@ class Traffic:
         ends = [0, *sorted(rng.sample(range(1, weights), size - 1)), weights]
         if size > 1 and rng.random() < 0.1:
             ends[-1] -= 1  # the sum of the weights is less than 1
-        common = self._values()
+        common = self._values(rng)
         status = rng.choices(range(6), (1, 20, 1, 1, 1, 1))[0]
         for place in range(size):
-            yield self._values() | {
+            yield self._values(rng) | {
                 **{name: common[name] for name in ("Kind", "XMin", "XMax", "Age")},
                 "Status": status if rng.random() < 0.9 else 1,
                 "ComponentIndex": place,
@@ -222,9 +231,9 @@ class Traffic:
                 "ComponentWeight": max(ends[place + 1] - ends[place] - 1, 0),
             }
 
-    def _values(self) -> dict[str, int]:
+    def _values(self, rng: random.Random) -> dict[str, int]:
         """Return any raw values of a line, but a mean that a road may have."""
-        rng, layout = self._random, self.layout
+        layout = self.layout
         raw = {name: rng.randint(s.raw_min, s.raw_max) for name, s in layout.signals.items()}
         for name, sigma in zip(PARAMETER_SIGNALS, SPREAD, strict=True):
             raw[name] = nearest_limited(layout[name], rng.gauss(0, sigma))
@@ -233,14 +242,20 @@ class Traffic:
         raw["XMax"] = nearest_limited(layout["XMax"], rng.uniform(15, 110))
         return raw
 
-    def _pose(self, stated: Mapping[Slot, int]) -> dict[str, int]:
-        rng, layout = self._random, self.of(POSE)
+    def _any_pose(self, rng: random.Random) -> dict[str, int]:
+        """Return any raw values of a record with a pose error, but one that a car may have."""
+        layout = self.of(POSE)
         raw = {name: rng.randint(s.raw_min, s.raw_max) for name, s in layout.signals.items()}
         if rng.random() < 0.9:
             for name, (low, high) in PIVOTS.items():
                 raw[name] = nearest_limited(layout[name], rng.uniform(low, high))
         for name in ("MapOffset", "MapHeading"):
             raw[name] = rng.choice([0, raw[name], raw[name], layout[name].raw_max])
+        return raw
+
+    def _pose(self, stated: Mapping[Slot, int]) -> dict[str, int]:
+        rng, layout = self._random, self.of(POSE)
+        raw = self._any_pose(rng)
         for slot in self.layout.messages:
             name = of_slot(slot, "Counter")
             following = self._counters[slot]
@@ -248,6 +263,63 @@ class Traffic:
             if of_slot(slot, "OwnPoints") in raw and rng.random() < 0.4:
                 raw[of_slot(slot, "OwnPoints")] = 0
         return raw
+
+    # ---- whole scenes ---------------------------------------------------------------------
+
+    def _whole_scenes(self) -> Iterator[tuple[Owner, bytes]]:
+        """Yield the records of ``Scene2`` and ``Scene``; one of them is silent in some cycles.
+
+        Some are not of one scene, since their pose errors differ.
+        """
+        rng, owners = self._random, [*reversed(scene_of_dbc(self.layout).messages)]
+        if rng.random() < 0.1:
+            self._silent = rng.choice([None, None, SCENE, SCENE2])
+        pose, joint = self._whole_pose(rng), self._counters[SCENE]
+        for owner in owners:
+            if owner != self._silent:
+                own = pose if rng.random() < 0.95 else self._whole_pose(rng)
+                yield owner, self._whole(rng, owner, own, self._next(owner), joint)
+
+    def _whole_pose(self, rng: random.Random) -> dict[str, int]:
+        """Return raw values of the pose error of a whole scene."""
+        raw, names = self._any_pose(rng), shared(scene_of_dbc(self.layout))
+        return {name: raw[name] for name in names}
+
+    def _whole(
+        self,
+        rng: random.Random,
+        owner: SceneOwner,
+        pose: Mapping[str, int],
+        counter: int,
+        joint: int,
+    ) -> bytes:
+        """Return a record of a whole scene; where it has no line, its bits mean nothing."""
+        layout, lines = scene_of_dbc(self.layout), list[dict[str, int]]()
+        others = [slot for slot in Slot if slot not in layout.fixed[owner]]
+        slots = iter(rng.sample(others, len(others)) if rng.random() < 0.98 else [Slot.ROUTE] * 8)
+        no_line = (*[NONE] * 4, *range(NONE + 1, NONE + 1 + len(REASONS)))
+        for fixed in layout.fixed[owner]:
+            raw = self._values(rng)
+            if fixed is not None:
+                raw.pop("Slot", None)
+            else:
+                raw["Slot"] = next(slots, Slot.ROUTE)
+            if rng.random() < 0.4:
+                raw["OwnPoints"] = 0
+            if rng.random() < 0.3:
+                raw["Kind"] = rng.choice(no_line)
+            if rng.random() < 0.004:
+                raw["Kind"] = self.layout["Kind"].raw_max
+            lines.append(raw)
+        age, modulus = layout["Age"], 2 ** layout["Counter"].length
+        raw = {
+            **pose,
+            "Age": rng.randint(age.raw_min, age.raw_max),
+            "Counter": counter % modulus,
+            "SceneCounter": joint_bits(layout, joint),
+        }
+        data_id = layout.messages[owner].data_id
+        return write_whole(layout, raw, lines, layout.record_bytes, data_id)
 
 
 def traffics_of(layout: Layout, seed: int) -> tuple[Traffic, ...]:
@@ -296,7 +368,7 @@ class Stream:
         self._still = 0  # frames for which the clock stands still
         self._held: list[tuple[int, _Sent]] = []  # until this cycle
         self._cycle = 0
-        self._slots = [*self._traffic.layout.messages]
+        self._slots = [*self._traffic.layout.slots]
         of_id = self._traffic.layout.message_of_id
         self._owner_of = {key: owner for key, (owner, _) in of_id.items()}
 
@@ -344,8 +416,8 @@ class Stream:
         now_ns = max(FIRST_NS, min(self._t_ns + later, LAST_NS))
         kind = rng.choice(["latest", "latest", "scene", "statistics", "expire"])
         owner = self._owner_of.get((sent.can_id, sent.is_extended), POSE)
-        is_other = owner == POSE or rng.random() < 0.5
-        return Question(kind, rng.choice(self._slots) if is_other else slot_of(owner), now_ns)
+        is_own = isinstance(owner, Slot) and rng.random() >= 0.5
+        return Question(kind, owner if is_own else rng.choice(self._slots), now_ns)
 
     def _frames_of_cycle(self) -> list[_Sent]:
         rng, profile, frames = self._random, self._profile, list[_Sent]()
@@ -368,8 +440,10 @@ class Stream:
     def _sent(self, owner: Owner, record: bytes) -> list[_Sent]:
         """Return the frames of a record."""
         messages, rng = self._traffic.layout.messages_of[owner], self._random
-        secured, sign = self._traffic.of(owner).secured, self._sign
-        if sign is not None and secured is not None and messages.secured_can_id is not None:
+        layout, sign = self._traffic.of(owner), self._sign
+        if sign is not None and layout.secured and messages.secured_can_id is not None:
+            if isinstance(layout, SceneLayout):  # it has fewer lines
+                record = sealed(layout, record[: layout.secured_bytes], messages.data_id)
             can_id, is_extended = messages.secured_can_id, messages.secured_is_extended
             self._now_us += 1  # freshness values increase
             if rng.random() >= self._profile.forged:

@@ -17,6 +17,8 @@ from .sender_streams import PACKAGE_STREAMS, SenderStream, bits
 STREAMS = PACKAGE_STREAMS | ECU_STREAMS
 _OF_LINES = ("lines", "mixtures", "records", "lines of an ECU", "mixtures of an ECU")
 _OF_SCENES = ("scenes", "scenes of an ECU")
+#: Those of whole scenes, whose senders remember the places of lines.
+_OF_CYCLES = ("sequences",)
 #: What is counted.
 _WHAT = "records of senders"
 
@@ -25,7 +27,8 @@ def streams_of(layout: Layout) -> list[str]:
     """Return the names of the streams that a DBC can have."""
     of_lines = () if layout.is_conditional else _OF_LINES  # they have a covariance of their own
     of_scenes = () if layout.pose is None else _OF_SCENES
-    return [name for name in STREAMS if name in (*of_lines, *of_scenes, "settings")]
+    of_cycles = () if layout.scene is None else _OF_CYCLES
+    return [name for name in STREAMS if name in (*of_lines, *of_scenes, *of_cycles, "settings")]
 
 
 def compare_senders(

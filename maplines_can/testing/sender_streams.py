@@ -7,7 +7,7 @@ covariance. The records must be equal, and what is read of records to the last b
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
@@ -16,16 +16,17 @@ import numpy as np
 
 from ..model import writer
 from ..model.e2e import checksum
+from ..model.places import Places
 from ..model.records import complete, intact, written
-from ..model.scene_sender import SceneDraft, SceneSender
+from ..model.scene_sender import SceneDraft, SceneSender, SentScene
 from ..propagation import map_scene
 from ..values.errors import EncodeError, MaplinesError
 from ..values.gaussian import Gaussian
-from ..values.line import Kind, Slot
+from ..values.line import Kind, LeftOut, Slot
 from ..values.map_error import MapError
 from ..values.polyline import Polyline
 from ..values.scene import Scene
-from ..wire import Codec, Layout
+from ..wire import Codec, Frame, Layout, Owner
 
 #: Range of the parameters of a random line.
 SIZES = (32.0, 0.5, 0.125, 0.03125)
@@ -206,12 +207,13 @@ def _record_by_model(layout: Layout, given: Any) -> Any:
     ]  # fmt: skip
 
 
-def random_scene(rng: np.random.Generator, slots: Sequence[Slot]) -> Scene:
+def random_scene(rng: np.random.Generator, layout: Layout) -> Scene:
     """Return a scene of lines of a map; its pose error may be singular."""
+    slots, most = [*layout.slots], 4 if layout.scene is None else _choice(rng, 4, 4, 8)
     x = np.arange(-60.0, 160.0, float(_choice(rng, 2, 5, 10, 20)))
     bend, twist = rng.uniform(-3e-3, 3e-3), rng.uniform(-2e-5, 2e-5)
     roads = {}
-    for k, slot in enumerate(rng.permutation([*slots])[: rng.integers(1, 5)]):
+    for k, slot in enumerate(rng.permutation(slots)[: rng.integers(1, most + 1)]):
         y = _choice(rng, 3.5, 3.5, 12.0) * k - 5 + rng.uniform(-1, 1) + bend * x**2 + twist * x**3
         roads[Slot(int(slot))] = Polyline(np.column_stack([x, y]))
     B = rng.normal(size=(3, 3)) * 10.0 ** rng.uniform([-2, -2, -4], [0, 0, -1.5])[:, None]
@@ -269,23 +271,33 @@ def _scenes(layout: Layout, rng: np.random.Generator) -> Iterator[Any]:
     owners = [*layout.messages_of]
     while True:
         try:
-            scene = random_scene(rng, [*layout.messages])
+            scene = random_scene(rng, layout)
         except (MaplinesError, ValueError):  # a line is no function of x, or a range is empty
             continue
         counters = {owner: int(rng.integers(256)) for owner in owners}
         ages = {owner: float(_choice(rng, rng.uniform(0, 0.1), math.inf)) for owner in owners}
-        yield scene, counters, ages, bool(rng.random() < 0.3) and has_fd
+        is_fd = layout.scene is not None or bool(rng.random() < 0.3)
+        yield scene, counters, ages, is_fd and has_fd
 
 
 def _scene_by_core(codec: Codec, given: Any) -> Any:
     scene, counters, ages, fd = given
+    encoder = codec.encoder()
     try:
-        prepared = codec.encoder().prepare_scene(scene, fd=fd)
-        frames = codec.encoder().encode_scene(prepared, age=ages, fd=fd, counters=counters)
+        prepared = encoder.prepare_scene(scene, fd=fd)
+        frames = encoder.encode_scene(prepared, age=ages, fd=fd, counters=counters)
     except EncodeError:
         return None
-    sent = {str(o): b"".join(bytes(f.data) for f in of) for o, of in frames.items()}
-    return sent, {slot.name: why.name for slot, why in prepared.left_out.items()}
+    return _sent(frames), _names(encoder.left_out(prepared, fd=fd))
+
+
+def _sent(frames: Mapping[Owner, Sequence[Frame]]) -> list[Any]:
+    """Return the payloads of each owner in the order of sending."""
+    return [(str(o), b"".join(bytes(one.data) for one in of)) for o, of in frames.items()]
+
+
+def _names(left_out: Mapping[Slot, LeftOut]) -> dict[str, str]:
+    return {slot.name: why.name for slot, why in left_out.items()}
 
 
 @cache
@@ -298,15 +310,48 @@ def _scene_by_model(layout: Layout, given: Any) -> Any:
     """Return the records, those of CAN FD with their padding, and why lines have none."""
     scene, counters, ages, fd = given
     found = _scene_sender(layout).send(scene_draft(scene), counters, ages, full=fd)
-    if found is None:
-        return None
-    sent = {
-        str(owner): record.ljust(layout.messages_of[owner].fd_length if fd else 0, b"\0")
+    return None if found is None else _sent_by_model(layout, scene, found, fd=fd)
+
+
+def _sent_by_model(layout: Layout, scene: Scene, found: SentScene, *, fd: bool) -> Any:
+    sent = [
+        (str(owner), record.ljust(layout.messages_of[owner].fd_length if fd else 0, b"\0"))
         for owner, record in found.records.items()
-    }
-    reasons = {slot.name: why.name for slot, why in scene.left_out.items()}
+    ]
     without = found.left_out if layout.is_conditional else {}
-    return sent, reasons | {slot.name: why for slot, why in without.items()}
+    return sent, _names(scene.left_out) | {slot.name: why for slot, why in without.items()}
+
+
+def _sequences(layout: Layout, rng: np.random.Generator) -> Iterator[Any]:
+    """Yield scenes of consecutive cycles, so lines come and go, with their age."""
+    scenes = (scene for scene, *_ in _scenes(layout, rng))
+    while True:
+        yield [next(scenes) for _ in range(3)], float(rng.uniform(0, 0.1))
+
+
+def _sequence_by_core(codec: Codec, given: Any) -> Any:
+    (scenes, age), encoder, answers = given, codec.encoder(), []
+    for scene in scenes:
+        try:
+            frames = encoder.encode_scene(scene, age=age, fd=True)
+        except EncodeError:
+            answers.append(None)
+        else:
+            answers.append((_sent(frames), _names(encoder.left_out(scene, fd=True))))
+    return answers
+
+
+def _sequence_by_model(layout: Layout, given: Any) -> Any:
+    (scenes, age), answers, last = given, [], Places()
+    counters = dict.fromkeys(layout.messages_of, 0)
+    for scene in scenes:
+        ages = dict.fromkeys(counters, age)
+        found = _scene_sender(layout).send(scene_draft(scene), counters, ages, last=last)
+        answers.append(None if found is None else _sent_by_model(layout, scene, found, fd=True))
+        if found is not None:
+            counters = {owner: n + (owner in found.records) for owner, n in counters.items()}
+            last = found.places
+    return answers
 
 
 def scene_draft(scene: Scene) -> SceneDraft:
@@ -333,4 +378,5 @@ PACKAGE_STREAMS = {
     "mixtures": SenderStream(_mixtures, _mixture_by_core, _mixture_by_model, 200),
     "records": SenderStream(_records, _record_by_core, _record_by_model, 200),
     "scenes": SenderStream(_scenes, _scene_by_core, _scene_by_model, 10),
+    "sequences": SenderStream(_sequences, _sequence_by_core, _sequence_by_model, 3),
 }
