@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from statistics import median
 
 from ..values.line import Slot
+from ..wire.layout.pose_layout import PoseLayout
 from .scenes import Member, Pose
 
 #: By how much a line may come before and after its pose error [cycles]; if slots may have mixtures,
@@ -113,6 +114,7 @@ class Epochs:
 
     def _fits(self, member: Member, pose: Pose) -> bool:
         """Return whether a line may belong to a pose error, by its counter and its time."""
+        assert isinstance(pose.layout, PoseLayout)  # noqa: S101 - whole scenes have no epochs
         stated = pose.layout.counters.get(member.slot)
         if stated is None or member.counter % 2**stated.length != pose.raw[stated.name]:
             return False

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from ..wire.layout.signals import PAGE_BYTES
-from .records import AnyLayout, Component, RawRecord, transfer_ids
+from .records import Component, PagedLayout, RawRecord
 from .signals import read
 from .whole_scenes import WholeRecord
 
@@ -44,7 +44,7 @@ class Reassembly:
 
     def __init__(
         self,
-        layout: AnyLayout,
+        layout: PagedLayout,
         content: Callable[[bytes, int], Content | str],
         timeout_ns: int,
         counts: Counter[str],
@@ -53,7 +53,7 @@ class Reassembly:
         self._layout, self._content = layout, content
         self._timeout_ns = timeout_ns  # longest time between the first and the last page
         self._counts = counts  # dropped frames by reason
-        self._ids = transfer_ids(layout)
+        self._ids = 2 ** layout["TransferId0"].length
         self._places = min(self._ids, transfers)  # of transfers that are remembered
         self._incomplete: dict[int, _Transfer] = {}  # by transfer ID, in the order of beginning
         self._complete: dict[int, Record] = {}  # good records, likewise

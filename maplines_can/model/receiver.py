@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from ..values.line import Slot, Status
 from ..wire.layout.message_layout import Layout
-from ..wire.layout.pose_layout import POSE, SCENE, SCENE2, Owner, PoseLayout, SceneOwner, slot_of
+from ..wire.layout.pose_layout import POSE, SCENE, Owner, PoseLayout, slot_of
 from ..wire.layout.scene_layout import SceneLayout
 from .epochs import Epochs
 from .mixtures import Mixtures
@@ -85,9 +85,11 @@ class _Owner:
         #: Layout of its authenticated message; None if its frames are not authenticated.
         self.secured = self.layout.secured if keys else None
         modulus, is_authentic = 2 ** self.layout["Counter"].length, self.secured is not None
-        self.reassembly = Reassembly(
-            self.layout, self._content, timeout_ns, counts, sizes.transfers
-        )
+        #: None: each frame is a record.
+        self.reassembly: Reassembly | None = None
+        if not isinstance(self.layout, SceneLayout):
+            parts = self.layout, self.content, timeout_ns, counts, sizes.transfers
+            self.reassembly = Reassembly(*parts)
         self.check = SequenceCheck(
             windows,
             modulus,
@@ -98,15 +100,27 @@ class _Owner:
         )
         self.mixtures = Mixtures(modulus, timeout_ns, counts)
 
-    def _content(self, payload: bytes, t_ns: int) -> Content | str:
+    @property
+    def pending(self) -> int:
+        """Frames of transfers and mixtures that are not complete yet."""
+        transfers = 0 if self.reassembly is None else self.reassembly.pending
+        return transfers + self.mixtures.pending
+
+    def expire(self, t_ns: int) -> None:
+        """Drop what has timed out."""
+        if self.reassembly is not None:
+            self.reassembly.expire(t_ns)
+        self.mixtures.expire(t_ns)
+
+    def content(self, payload: bytes, t_ns: int) -> Content | str:
         """Return what a record says, or why it is rejected."""
         raw = intact(self.layout, payload, self.messages.data_id)
         if isinstance(raw, str):
             return raw
-        if self.owner == SCENE or self.owner == SCENE2:
-            return whole(self._lines, self.owner, payload, raw, t_ns)
         if self.owner == POSE:
             return RawRecord(raw["Counter"], raw)
+        if not isinstance(self.owner, Slot):
+            return whole(self._lines, self.owner, payload, raw, t_ns)
         if self._lines.is_conditional:
             return conditional(self._lines, raw)
         found = complete(self._lines, self.owner, raw, t_ns)
@@ -167,9 +181,7 @@ class Receiver:
     @property
     def pending(self) -> int:
         """Frames of transfers, mixtures and lines that are not complete yet."""
-        owners = self._owners.values()
-        of_owners = sum(own.reassembly.pending + own.mixtures.pending for own in owners)
-        return of_owners + self._epochs.pending
+        return sum(own.pending for own in self._owners.values()) + self._epochs.pending
 
     # ---- stations of a frame ------------------------------------------------------------------
 
@@ -194,7 +206,8 @@ class Receiver:
         self, own: _Owner, key: tuple[int, bool], data: bytes, t_ns: int
     ) -> Record | str:
         """Return the record that a frame completes, or why none."""
-        reassembly, data_id = own.reassembly, own.messages.secured_ids.get(key)
+        reassembly, layout = own.reassembly, own.layout
+        data_id = own.messages.secured_ids.get(key)
         if data_id is not None:
             if own.secured is None or self._keys is None:
                 return "KEY"
@@ -204,14 +217,14 @@ class Receiver:
             data = payload
         elif own.secured is not None:
             return "UNAUTHENTICATED"
-        elif not own.messages.ids[key]:
+        elif reassembly is not None and not own.messages.ids[key]:
             return reassembly.add_page(data, t_ns)
-        elif not own.layout.record_bytes <= len(data) <= FRAME_BYTES:
+        elif not layout.record_bytes <= len(data) <= FRAME_BYTES:
             return "LENGTH"
-        if isinstance(own.layout, SceneLayout):
-            length = own.layout.record_bytes if data_id is None else own.layout.secured_bytes
-            return reassembly.complete(data[:length], t_ns, 1)
-        return reassembly.complete(reassembly.whole(data), t_ns, 1)
+        if reassembly is not None:
+            return reassembly.complete(reassembly.whole(data), t_ns, 1)
+        record = data[: layout.record_bytes if data_id is None else layout.secured_bytes]
+        return Record(record, t_ns, 1, own.content(record, t_ns))
 
     def _checked(self, own: _Owner, record: Record) -> list[Line] | str:
         """Return the lines of a record, or why none."""
@@ -232,7 +245,7 @@ class Receiver:
         if isinstance(content, Component):
             return self._add_component(own, content, record)
         if isinstance(content, WholeRecord):
-            return self._add_whole(own, content, record)
+            return self._add_whole(own, content)
         if isinstance(own.layout, PoseLayout):
             return self._add_pose(pose_of(own.layout, content, record.t_ns), own, record)
         member = Member(slot_of(own.owner), content.counter, content, record.t_ns, record.frames)
@@ -266,13 +279,13 @@ class Receiver:
                 lines += [] if isinstance(found, str) else found
         return lines or "PENDING"
 
-    def _add_whole(self, own: _Owner, content: WholeRecord, record: Record) -> list[Line] | str:
+    def _add_whole(self, own: _Owner, content: WholeRecord) -> list[Line] | str:
         """Add a new record of a whole scene; return its lines."""
         assert self._whole is not None  # noqa: S101 - such a record has an owner
         own.check.delivered(1)
         self.pose_errors += 1
-        self.pose_frames += record.frames
-        self._whole.add(own.owner, content, is_break=own.check.ahead is None)
+        self.pose_frames += 1
+        self._whole.add(content, is_break=own.check.ahead is None)
         found = [scene_line(self._layout, content.pose, one) for one in content.members.values()]
         lines = [one.line for one in found if one is not None]
         self._newest |= {line.slot: (line, own.owner) for line in lines}
@@ -303,8 +316,7 @@ class Receiver:
         """Drop what has timed out."""
         t_ns = limited(t_ns)
         for own in self._owners.values():
-            own.reassembly.expire(t_ns)
-            own.mixtures.expire(t_ns)
+            own.expire(t_ns)
         self._epochs.expire(t_ns)
 
     def elapse(self, now_ns: int) -> None:

@@ -16,8 +16,9 @@ from .e2e import checksum
 from .matrices import Matrix, Vector, diagonal
 from .signals import Raw, packed, physical, read
 
-#: Layout of the records of lines, of the pose error, or of whole scenes.
-AnyLayout = Layout | PoseLayout | SceneLayout
+#: Layout of the records of lines, or of the pose error; and these or that of whole scenes.
+PagedLayout = Layout | PoseLayout
+AnyLayout = PagedLayout | SceneLayout
 #: Statuses of lines without a covariance: it was not sent, or does not exist.
 WITHOUT = (Status.UNKNOWN, Status.OUT_OF_RANGE)
 
@@ -60,17 +61,12 @@ def layout_of(layout: Layout, owner: Owner) -> AnyLayout:
     return layout if isinstance(owner, Slot) or layout.pose is None else layout.pose
 
 
-def transfer_ids(layout: AnyLayout) -> int:
-    """Return the number of transfer IDs; 1 if each frame is a record."""
-    return 2 ** layout["TransferId0"].length if layout.pages else 1
-
-
 def signals_of(layout: AnyLayout, length: int) -> list[Signal]:
     """Return the signals of the first bytes of a record."""
     return [s for s in layout.signals.values() if max(bits_of(s)) < 8 * length]
 
 
-def length_of(layout: Layout | PoseLayout, raw: Raw) -> int:
+def length_of(layout: PagedLayout, raw: Raw) -> int:
     """Return the length of a record of lines: without a covariance, of the pages before it."""
     return PAGE_BYTES * (layout.pages if raw.get("HasCovariance", 1) else layout.short_pages)
 
@@ -88,7 +84,7 @@ def intact(layout: AnyLayout, record: bytes, data_id: int) -> dict[str, int] | s
     pages = len(record) // PAGE_BYTES
     if len(record) % PAGE_BYTES or pages not in (layout.pages, layout.short_pages):
         return "LENGTH"
-    transfer = raw["Counter"] % transfer_ids(layout)
+    transfer = raw["Counter"] % 2 ** layout["TransferId0"].length
     for page in range(pages):
         if (raw[f"Page{page}"], raw[f"TransferId{page}"]) != (page, transfer):
             return "MIXED"
@@ -97,7 +93,7 @@ def intact(layout: AnyLayout, record: bytes, data_id: int) -> dict[str, int] | s
     return raw if length_of(layout, raw) == len(record) else "LENGTH"
 
 
-def written(layout: Layout | PoseLayout, raw: Raw, data_id: int) -> bytes:
+def written(layout: PagedLayout, raw: Raw, data_id: int) -> bytes:
     """Return the record of raw values, with page numbers, transfer IDs and checksum."""
     all_raw, length = {**raw, "Crc": 0}, length_of(layout, raw)
     for page in range(length // PAGE_BYTES):

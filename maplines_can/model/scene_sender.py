@@ -61,7 +61,7 @@ ORDER = (3, 2, 0, 1)
 LARGEST_OWN = 2.0**-8
 #: Largest mean and standard deviation of a line that is encoded: no D covers more.
 LARGEST = 1e50
-IDENTITY = diagonal([1.0] * 4)
+IDENTITY, UNBOUNDED = diagonal([1.0] * 4), Vector([math.inf] * 4)
 
 
 @dataclass(frozen=True)
@@ -233,7 +233,7 @@ class SceneSender:
         *,
         secured: bool,
     ) -> SentScene:
-        """Return the records of a whole scene: ``Scene2`` comes first, so ``Scene`` completes it."""
+        """Return the records of a whole scene, ``Scene`` last, since it completes the scene."""
         kinds = {line.slot: line.kind for line in scene.lines}
         length = layout.secured_bytes if secured else layout.record_bytes
         records = dict[Owner, bytes]()
@@ -355,7 +355,8 @@ class SceneSender:
         limits = [bounds(signal) for signal in self.mean]
         if not all(low <= x <= high for x, (low, high) in zip(mean, limits, strict=True)):
             least = MIN_RANGE + (max(line.x_min - begin, 0.0) + max(end - line.x_max, 0.0))
-            reach = reachable(code_of(self.layout))
+            # Levels alone have no bounds of their own.
+            reach = reachable(code_of(self.layout)) if self.has_entries else UNBOUNDED
             near = nearest_line(self.mean, mean, (begin, end), least, reach)
             if near is None:
                 return "MEAN"

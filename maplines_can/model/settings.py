@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 from ..values.line import Slot
 from ..wire.layout.message_layout import Layout
-from ..wire.layout.pose_layout import Owner
+from ..wire.layout.pose_layout import POSE, Owner
 from .e2e import Windows
-from .records import AnyLayout, layout_of, transfer_ids
+from .records import AnyLayout, layout_of
 from .sequence import GRACE_CYCLES
 
 #: Cycle time if the DBC has none, and the longest time-out [ms].
@@ -49,7 +49,7 @@ def settings_of(
     windows: Windows | None = None,
 ) -> dict[Owner, Settings]:
     """Return the settings of all owners; None for what the DBC implies."""
-    of_lines = limited(Windows(), layout) if windows is None else windows
+    of_lines = windows or limited(Windows(), layout.scene or layout)
     found: dict[Owner, Settings] = {}
     for owner, messages in layout.messages_of.items():
         own = layout_of(layout, owner)
@@ -57,7 +57,7 @@ def settings_of(
         cycle = cycle_ms or implied_ms
         timeout = min(max(implied_ms / 2, timeout_cycles(own) * cycle), MAX_MS)
         timeout_ns, cycle_ns = (max(1, int(1e6 * ms)) for ms in (timeout_ms or timeout, cycle))
-        bounds = of_lines if own is layout else limited(of_lines, own)
+        bounds = limited(of_lines, own) if owner == POSE else of_lines
         found[owner] = Settings(timeout_ns, cycle_ns, bounds)
     return found
 
@@ -74,6 +74,9 @@ def timeout_cycles(layout: AnyLayout) -> float:
     A transfer ID is used again after (transfer IDs / most components) cycles; half a cycle is for
     jitter. It is at most 1.5, since a cycle counts as missed then.
     """
+    if not layout.pages:
+        return GRACE_CYCLES  # each frame is a record, so nothing times out
     has_count = "ComponentCount" in layout.signals
     components = max(1.0, layout["ComponentCount"].physical_range[1]) if has_count else 1.0
-    return max(0.5, min(transfer_ids(layout) / components - 0.5, GRACE_CYCLES))
+    ids = 2 ** layout["TransferId0"].length
+    return max(0.5, min(ids / components - 0.5, GRACE_CYCLES))

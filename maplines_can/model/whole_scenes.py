@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from ..values.line import Kind, Slot
 from ..wire.layout.message_layout import Layout
-from ..wire.layout.pose_layout import SCENE, SCENE2, Owner, SceneOwner
+from ..wire.layout.pose_layout import SCENE, Owner, SceneOwner
 from ..wire.layout.scene_layout import SceneLayout
 from ..wire.layout.signals import POSE_ROWS
 from .covariance import code_of
@@ -38,6 +38,7 @@ LEVELS = ("CorrelationTime", "MapOffset", "MapHeading")
 class WholeRecord(NamedTuple):
     """Content of a record of a whole scene."""
 
+    owner: SceneOwner
     counter: int
     pose: Pose
     members: dict[Slot, Member]  #: its lines, in the order of places
@@ -75,7 +76,7 @@ def whole(
         members[slot] = Member(slot, raw["Counter"], RawRecord(raw["Counter"], own), t_ns, 0)
         if not x_min < x_max or scene_line(layout, pose, members[slot]) is None:
             return "CONTENT"
-    return WholeRecord(raw["Counter"], pose, members, left_out)
+    return WholeRecord(owner, raw["Counter"], pose, members, left_out)
 
 
 def write_whole(
@@ -128,11 +129,11 @@ class WholeScenes:
         self._early: WholeRecord | None = None  # a ``Scene2`` that has joined none
         self._newest: dict[SceneOwner, WholeRecord] = {}  # the last one at the end
 
-    def add(self, owner: SceneOwner, record: WholeRecord, *, is_break: bool) -> None:
+    def add(self, record: WholeRecord, *, is_break: bool) -> None:
         """Add a new record; after a break, what came before is of another sequence."""
-        self._newest.pop(owner, None)
-        self._newest[owner] = record
-        if owner == SCENE:
+        self._newest.pop(record.owner, None)
+        self._newest[record.owner] = record
+        if record.owner == SCENE:
             early = None if is_break else self._early
             self.scene, self._early = record, None
             self.joined = early if early is not None and self._agree(record, early) else None
@@ -152,10 +153,10 @@ class WholeScenes:
         if self.scene is None:
             return None
         members, owners, left_out = dict[Slot, Member](), dict[Slot, Owner](), dict[Slot, str]()
-        for owner, record in ((SCENE2, self.joined), (SCENE, self.scene)):
+        for record in (self.joined, self.scene):
             if record is not None:
                 members |= record.members
-                owners |= dict.fromkeys(record.members, owner)
+                owners |= dict.fromkeys(record.members, record.owner)
                 left_out |= record.left_out
         ordered = [members[slot] for slot in sorted(members)]
         reasons = {slot: why for slot, why in left_out.items() if slot not in members}

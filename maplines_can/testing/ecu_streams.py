@@ -151,9 +151,7 @@ def _state(
     layout: Layout, way: Way, sent: Sequence[Owner] = (), places: Places | None = None
 ) -> Any:
     """Return the counters after some records, and the places."""
-    counters = {
-        str(o): (n + sent.count(o)) % _modulus(layout, o) for o, n in way.counters.items()
-    }
+    counters = {str(o): (n + sent.count(o)) % _modulus(layout, o) for o, n in way.counters.items()}
     return [counters, _numbers(way.last if places is None else places)]
 
 

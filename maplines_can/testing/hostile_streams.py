@@ -161,7 +161,7 @@ class Traffic:
         """Return a record of any content that most receivers accept, with a correct checksum."""
         owner = rng.choice([*self.layout.messages_of])
         layout = self.of(owner)
-        if owner == SCENE or owner == SCENE2:
+        if not isinstance(owner, Slot) and owner != POSE:
             joint = counter + (rng.random() < 0.1)
             return owner, self._whole(rng, owner, self._whole_pose(rng), counter, joint)
         assert not isinstance(layout, SceneLayout)  # noqa: S101 - no other records are in a DBC
@@ -271,7 +271,7 @@ class Traffic:
 
         Some are not of one scene, since their pose errors differ.
         """
-        rng, owners = self._random, [*reversed(scene_of_dbc(self.layout).messages)]
+        rng, owners = self._random, [*scene_of_dbc(self.layout).messages][::-1]
         if rng.random() < 0.1:
             self._silent = rng.choice([None, None, SCENE, SCENE2])
         pose, joint = self._whole_pose(rng), self._counters[SCENE]
@@ -416,8 +416,9 @@ class Stream:
         now_ns = max(FIRST_NS, min(self._t_ns + later, LAST_NS))
         kind = rng.choice(["latest", "latest", "scene", "statistics", "expire"])
         owner = self._owner_of.get((sent.can_id, sent.is_extended), POSE)
-        is_own = isinstance(owner, Slot) and rng.random() >= 0.5
-        return Question(kind, owner if is_own else rng.choice(self._slots), now_ns)
+        if isinstance(owner, Slot) and rng.random() >= 0.5:
+            return Question(kind, owner, now_ns)
+        return Question(kind, rng.choice(self._slots), now_ns)
 
     def _frames_of_cycle(self) -> list[_Sent]:
         rng, profile, frames = self._random, self._profile, list[_Sent]()

@@ -330,7 +330,7 @@ def _sequences(layout: Layout, rng: np.random.Generator) -> Iterator[Any]:
 
 
 def _sequence_by_core(codec: Codec, given: Any) -> Any:
-    (scenes, age), encoder, answers = given, codec.encoder(), []
+    (scenes, age), encoder, answers = given, codec.encoder(), list[Any]()
     for scene in scenes:
         try:
             frames = encoder.encode_scene(scene, age=age, fd=True)
@@ -342,7 +342,7 @@ def _sequence_by_core(codec: Codec, given: Any) -> Any:
 
 
 def _sequence_by_model(layout: Layout, given: Any) -> Any:
-    (scenes, age), answers, last = given, [], Places()
+    (scenes, age), answers, last = given, list[Any](), Places()
     counters = dict.fromkeys(layout.messages_of, 0)
     for scene in scenes:
         ages = dict.fromkeys(counters, age)
