@@ -14,10 +14,20 @@ from functools import cached_property, reduce
 from operator import add
 from typing import NamedTuple
 
-from ..wire.layout.signals import OWN_SIGNALS, Signal
+from ..wire.layout.signals import OWN_SIGNALS, TILT, Signal
 from .elementary import log2
 from .joint import LN_2, compared, largest_ratio
-from .levels import RATIOS, SHAPE, arc_of, noise, point_noise, shape_level, spacing_of
+from .levels import (
+    RATIOS,
+    SHAPE,
+    TILTS,
+    add_lateral,
+    arc_of,
+    noise,
+    point_noise,
+    shape_level,
+    spacing_of,
+)
 from .lines import Curve
 from .matrices import Matrix, Vector, diagonal, matrix
 from .signals import level
@@ -48,6 +58,7 @@ class LevelSearch:
 
     def __init__(self, signals: Mapping[str, Signal]) -> None:
         self.lateral, self.points, self.shape = (signals[name] for name in OWN_SIGNALS)
+        self.tilts = TILTS[: signals[TILT].raw_max + 1] if TILT in signals else TILTS[:1]
 
     @cached_property
     def squares(self) -> list[list[float]]:
@@ -100,36 +111,51 @@ class LevelSearch:
     ) -> tuple[dict[str, int], bool]:
         """Return the levels with the least cost, and whether they cover the line.
 
-        Of some spacings with some levels of the points, and of some levels of the shape alone.
+        Of all tilts, with some spacings and some levels of the points, or some of the shape alone.
         """
         _, of_points, of_shape = self.squares
-        levels, least_so_far = (0, 0, 0), math.inf
+        levels, least_so_far = (0, 0, 0, 0), math.inf
         tried = [(noise(self.shape, k, curve), of_points, k) for k in spacings]
-        for S, squared, k in [*tried, (SHAPE, of_shape, None)]:
-            begin = least_by_variances(squared, S, wanted.target)
-            least = least_raw(squared, S, wanted.target, begin)
-            for raw in (least + n for n in TRIED):
-                own = _at(squared, raw) * S
-                bound = least_cost(own, wanted)
-                if raw >= len(squared) or bound >= least_so_far:
-                    break  # higher levels cost no less
-                lateral, cost = self.cost(own, wanted)
-                cost = bound if bound > cost else cost
-                if cost < least_so_far:  # the first one with the least cost
-                    levels = (lateral, 0, raw) if k is None else (lateral, raw, k)
-                    least_so_far = cost
-        return dict(zip(OWN_SIGNALS, levels, strict=True)), math.isfinite(least_so_far)
+        for t, tilt in enumerate(self.tilts):
+            E = sheared(wanted.target, tilt)
+            for S, squared, k in [*tried, (SHAPE, of_shape, None)]:
+                R = sheared(S, tilt)
+                least = least_raw(squared, R, E, least_by_variances(squared, R, E))
+                for raw in (least + n for n in TRIED):
+                    square = _at(squared, raw)
+                    bound = least_cost(square * S, wanted)
+                    if raw >= len(squared) or bound >= least_so_far:
+                        break  # higher levels cost no less
+                    lateral = bisect_left(self.squares[0], shortfall(square * R - E))
+                    cost = self.cost(square * S, lateral, tilt, wanted)
+                    cost = bound if bound > cost else cost
+                    if cost < least_so_far:  # the first one with the least cost
+                        levels = (lateral, 0, raw, t) if k is None else (lateral, raw, k, t)
+                        least_so_far = cost
+        names = OWN_SIGNALS if len(self.tilts) == 1 else (*OWN_SIGNALS, TILT)
+        return dict(zip(names, levels, strict=False)), math.isfinite(least_so_far)
 
-    def cost(self, own: Matrix, wanted: Wanted) -> tuple[int, float]:
-        """Return the lateral level with which a covariance covers the target, and its cost."""
-        squared = self.squares[0]
-        raw = bisect_left(squared, shortfall(own - wanted.target))
+    def cost(self, own: Matrix, lateral: int, tilt: float, wanted: Wanted) -> float:
+        """Return the cost of a covariance with a lateral level; infinite if there is no such."""
         decoded = wanted.common + own
-        decoded[0][0] += _at(squared, raw)
+        add_lateral(decoded, _at(self.squares[0], lateral), tilt)
         by_trace, ratio = compared(wanted.true, decoded)
         cost = by_trace + LN_2 * log2(ratio * largest_ratio(decoded, wanted.true))
-        is_possible = raw <= self.lateral.raw_max and math.isfinite(cost)
-        return raw, cost if is_possible else math.inf
+        return cost if lateral <= self.lateral.raw_max and math.isfinite(cost) else math.inf
+
+
+def sheared(S: Matrix, tilt: float) -> Matrix:
+    """Return a covariance for which a lateral level with a tilt is one of T_0 alone.
+
+    The tilt times the coefficient of T_0 is taken from that of T_1: of the lower triangle.
+    """
+    found = matrix(S)
+    if tilt:  # so that no infinite entry becomes NaN
+        found[1][0] -= tilt * S[0][0]
+        found[1][1] = S[1][1] - tilt * S[1][0] - tilt * found[1][0]
+        found[2][1] -= tilt * S[2][0]
+        found[3][1] -= tilt * S[3][0]
+    return found
 
 
 def _single(x: float) -> float:

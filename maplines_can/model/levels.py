@@ -2,11 +2,12 @@
 
 In the coefficients of T_0 .. T_3 it is one of
 
-    a^2 e e^T + b^2 diag(0, 1/4, 1, 2)                              OwnPoints is 0
-    a^2 e e^T + p^2 (N(d, phase) + r^2 d diag(0, 1/4, 1, 2))        otherwise
+    a^2 u u^T + b^2 diag(0, 1/4, 1, 2)                              OwnPoints is 0
+    a^2 u u^T + p^2 (N(d, phase) + r^2 d diag(0, 1/4, 1, 2))        otherwise
 
-with a, p, d and b of ``OwnLateral``, ``OwnPoints``, ``OwnShape`` and ``OwnShape``, e the direction
-of T_0, and N the covariance of a cubic through points with independent errors of 1 m.
+with a, p, d and b of ``OwnLateral``, ``OwnPoints``, ``OwnShape`` and ``OwnShape``, u = (1, t, 0, 0)
+with the tilt t of ``OwnTilt``, or 0, and N the covariance of a cubic through points with
+independent errors of 1 m.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from .signals import Raw, level, value
 
 #: Shape of a line that is uncertain, in coefficients of T_0 .. T_3.
 SHAPE = diagonal([0.0, 0.25, 1.0, 2.0])
+#: t by the raw value of ``OwnTilt``; what is beyond the last one is the last one.
+TILTS = (0.0, 1.0, -1.0, 6.0)
 #: log2 of the level b [m] for the raw value 0, and by how much that of the greatest exceeds it.
 SHAPE_OFFSET, SHAPE_OCTAVES = -10.0, 10.2
 #: r by the remainder of the raw value of ``OwnShape`` modulo 6.
@@ -55,8 +58,17 @@ def level_covariance(signals: Mapping[str, Signal], raw: Raw, curve: Curve) -> M
         p = level(signals["OwnPoints"], raw["OwnPoints"])
         cov = p * p * noise(signals["OwnShape"], raw["OwnShape"], curve)
     a = level(signals["OwnLateral"], raw["OwnLateral"])
-    cov[0][0] += a * a
+    add_lateral(cov, a * a, TILTS[min(raw.get("OwnTilt", 0), len(TILTS) - 1)])
     return cov
+
+
+def add_lateral(cov: Matrix, square: float, tilt: float) -> None:
+    """Add a lateral level with a tilt: its square times u u^T."""
+    mixed = square * tilt
+    cov[0][0] += square
+    cov[0][1] += mixed
+    cov[1][0] += mixed
+    cov[1][1] += mixed * tilt
 
 
 def shape_level(signal: Signal, raw: int) -> float:

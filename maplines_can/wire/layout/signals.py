@@ -220,13 +220,15 @@ SCENE_RECORD: Mapping[str, Bounds] = {
     **_POSE,
     "SceneCounter": _count(3, why="with fewer bits records of other cycles look as if they joined"),
 }
+#: Growth of the lateral level along the line.
+TILT = "OwnTilt"
 #: Line of a whole scene. The names follow the slot, or ``LINE`` and the number of the place.
 SCENE_LINE: Mapping[str, Bounds] = {
     "Kind": _count(4, why="it has thirteen values"),
     "XMin": _WHOLE_METRES,
     "XMax": _WHOLE_METRES,
     **_OWN,
-    "OwnTilt": _count(2, 2),
+    TILT: _count(2, 2),
     **_MEAN,
 }
 #: Start of the names of a line that names its slot, before the number of its place, from 1.
