@@ -54,9 +54,9 @@ _LINE = (
     level_signal("OwnLateral", 5, 0.28, -8.8, "2.2 mm to 0.92 m in steps of 21 %"),
     SignalSpec(
         name="OwnTilt", bits=2,
-        about="Growth t of OwnLateral along the line: its standard deviation is that of "
-              "OwnLateral times 1 + t w, w from -1 at XMin to 1 at XMax: t = 0, 1.5, -1.5, -3.",
-        why="four values"),
+        about="Tilt t of OwnLateral along the line: its standard deviation is |1 + t w| times that "
+              "of OwnLateral, with w from -1 at XMin to 1 at XMax: t = 0, 1, -1, 6 for 0 to 3.",
+        why="four values: the same all along, from 0 to twice as much, back, and mainly a turn"),
     level_signal("OwnPoints", 7, 0.066, -8.4, "3 mm to 1 m in steps of 4.7 %"),
     OWN[2],
 )
