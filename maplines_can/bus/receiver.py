@@ -11,7 +11,7 @@ from inspect import iscoroutinefunction
 from typing import TYPE_CHECKING, Literal, NamedTuple, Self
 
 from ..values.line import MapLine, Slot
-from ..wire import Decoder, Reason, ReceivedFrame, SceneView, SlotStats, SlotView
+from ..wire import Decoder, Owner, Reason, ReceivedFrame, SceneView, SlotStats, SlotView
 from ..wire.reception.views import STALE_CYCLES
 from .background import BackgroundThread, ForkSafeCondition
 from .bus_factory import can_error
@@ -33,7 +33,8 @@ class ReceiverStats(NamedTuple):
     """Counters of a receiver."""
 
     lines: int  #: complete lines received
-    lost: int  #: lines that are missing according to the sender's counters
+    #: records that are missing according to the sender's counters: lines, or whole scenes
+    lost: int
     frames: int  #: data frames given to the decoder
     error_frames: int  #: error frames of the bus, not given to the decoder
     remote_frames: int  #: remote frames, not given to the decoder
@@ -204,6 +205,15 @@ class ReceivedLines(ABC):
         """Return the statistics of the pose error; None if none came; ``now_ns`` as in `latest`."""
         with self._changed:
             return self._decoder.pose_error(self._now(now_ns))
+
+    def messages(self, now_ns: int | None = None) -> dict[Owner, SlotStats]:
+        """Return the statistics of each owner of records that came; ``now_ns`` as in `latest`.
+
+        Owners are slots and the pose error; or the messages of whole scenes, each with one counter
+        and one state for all of its lines.
+        """
+        with self._changed:
+            return self._decoder.messages(self._now(now_ns))
 
     def stats(self) -> ReceiverStats:
         """Return a consistent copy of all counters."""

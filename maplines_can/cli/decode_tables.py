@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from ..values.line import Slot
-from ..wire import POSE, SHIPPED, Decoder, default_dbc_path
+from ..wire import SCENE, SHIPPED, Decoder, default_dbc_path
 from .log_input import check_received, note_log
 from .options import check_scenes, keyed_codec
-from .output import POSE_ERROR, check_text, counts_text, pose_errors_text, slot_text
+from .output import check_text, counts_text, lost_text, owner_text, pose_errors_text
 from .overwriting import add_force, check_new
 from .parsing import number, option_group
 from .stderr import note, progress_bar
@@ -224,21 +224,18 @@ def note_slots(arguments: argparse.Namespace, received: int, kept: int) -> None:
 
 
 def note_decoders(decoders: Mapping[str, Decoder], last_ns: int) -> None:
-    """Print the counters of all frames, and the state of each slot at the end of the log."""
+    """Print the counters of all frames, and the state of each owner at the end of the log."""
     each: Sequence[Decoder] = [*decoders.values()]
     total = sum((one.counts for one in each), Counter())
+    has_scenes = any(SCENE in one.checks for one in each)
     note(
         f"{sum(one.lines for one in each)} lines"
         f"{pose_errors_text(sum(one.pose_errors for one in each))} from "
         f"{sum(one.frames for one in each)} frames; "
-        f"{sum(one.lost for one in each)} lines lost by their counters; "
+        f"{lost_text(sum(one.lost for one in each), scenes=has_scenes)}; "
         f"dropped frames: {counts_text({reason.name: n for reason, n in total.items()})}"
     )
     for channel, decoder in decoders.items():
         where = f"{channel} " if len(each) > 1 else ""
-        for owner, check in decoder.checks.items():
-            name = POSE_ERROR if owner == POSE else slot_text(owner.name)
-            check.elapse(last_ns)
-            stats = check.stats()
-            if stats.status is not None:
-                note(f"{where}{name}: {check_text(stats)}")
+        for owner, stats in decoder.messages(last_ns).items():
+            note(f"{where}{owner_text(owner)}: {check_text(stats)}")

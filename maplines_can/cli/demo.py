@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -143,17 +143,24 @@ def _scene(scene: SceneResult) -> list[str]:
             f"received {lane.value:6.3f} ± {_sigma(lane.sigma)} m{ratio}   "
             f"(if independent: ± {_sigma(lane.independent_sigma)} m)"
         )
-    of_lines = [n for owner, n in scene.frames.items() if owner != POSE]
+    if scene.unsent:
+        rows.append(left_out_text(scene.unsent))
+    rows.append(
+        f"{'frames':<12}{sum(scene.frames.values())} a cycle{_of_records(scene.frames)}; full "
+        f"records without the pose error: {scene.frames_of_full_records}"
+    )
+    return rows
+
+
+def _of_records(frames: Mapping[str, int]) -> str:
+    """Return what the frames of a cycle are for, as text."""
+    if POSE not in frames:
+        return ", each with the pose error and lines"
+    of_lines = [n for owner, n in frames.items() if owner != POSE]
     counts = " + ".join(str(n) for n in of_lines)
     if len(of_lines) > 1 and len(set(of_lines)) == 1:
         counts = f"{len(of_lines)} x {of_lines[0]}"
-    rows += [
-        *([left_out_text(scene.unsent)] if scene.unsent else []),
-        f"{'frames':<12}{sum(scene.frames.values())} a cycle: {scene.frames[POSE]} for the pose "
-        f"error, {counts or 'none'} for the lines; full records without the pose error: "
-        f"{scene.frames_of_full_records}",
-    ]
-    return rows
+    return f": {frames[POSE]} for the pose error, {counts or 'none'} for the lines"
 
 
 def _table(lines: Sequence[LineResult], notes: Sequence[str]) -> list[str]:

@@ -11,10 +11,8 @@ import numpy as np
 
 from ..values.line import PARAMETERS, Estimate, LeftOut, MapLine, Slot, Status
 from ..values.scene import Scene
-from ..wire import E2EState, ProfileStatus, SceneView, SlotStats
+from ..wire import POSE, E2EState, Owner, ProfileStatus, SceneView, SlotStats
 
-#: Name of the pose error among those of the slots.
-POSE_ERROR = "pose error"
 #: Distances at which the ego lane is printed [m], and its lines.
 LANE_X = (0.0, 20.0, 40.0)
 LANE = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
@@ -28,6 +26,26 @@ def slot_text(slot: str) -> str:
     'ego left'
     """
     return slot.replace("_", " ").lower()
+
+
+def owner_text(owner: Owner) -> str:
+    """Return the name of the owner of a record for a reader.
+
+    >>> owner_text(Slot.EGO_LEFT), owner_text("pose"), owner_text("scene2")
+    ('ego left', 'pose error', 'scene2')
+    """
+    if isinstance(owner, Slot):
+        return slot_text(owner.name)
+    return "pose error" if owner == POSE else owner
+
+
+def lost_text(records: int, *, scenes: bool) -> str:
+    """Return how many records are lost, as text.
+
+    >>> lost_text(2, scenes=False), lost_text(2, scenes=True)
+    ('2 lines lost by their counters', '2 scene messages lost by their counters')
+    """
+    return f"{records} {'scene messages' if scenes else 'lines'} lost by their counters"
 
 
 def left_out_text(left_out: Mapping[Slot, LeftOut]) -> str:

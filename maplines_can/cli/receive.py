@@ -12,7 +12,7 @@ from typing import Any
 
 from ..bus import Receiver, ReceiverStats
 from ..values.line import MapLine
-from ..wire import E2EState, LineCodec, SceneView, SlotStats
+from ..wire import E2EState, LineCodec, Owner, SceneView, SlotStats
 from .observed_link import ObservedLink, why_silent
 from .options import (
     add_bus,
@@ -29,7 +29,6 @@ from .options import (
     keyed_codec,
 )
 from .output import (
-    POSE_ERROR,
     check_dict,
     check_text,
     counts_text,
@@ -37,10 +36,11 @@ from .output import (
     is_another_scene,
     line_dict,
     line_text,
+    lost_text,
+    owner_text,
     pose_errors_text,
     scene_dict,
     scene_text,
-    slot_text,
 )
 from .parsing import add_command, add_json, natural, option_group, seconds
 from .stderr import note
@@ -114,10 +114,10 @@ def _receive(arguments: argparse.Namespace) -> int:
         has_scenes = codec.layout.pose is not None and (arguments.scenes or not arguments.json)
         why = partial(_why_nothing, link, codec, fd=arguments.fd)
         left = _print_lines(receiver, has_scenes, why, arguments)
-        stats, faults, slots = receiver.stats(), fault_counts(opener), _checks(receiver)
-    _note_stats(stats)
-    for name, check in slots.items():
-        note(f"{slot_text(name)}: {check_text(check)}")
+        stats, faults, owners = receiver.stats(), fault_counts(opener), receiver.messages()
+    _note_stats(stats, codec)
+    for owner, check in owners.items():
+        note(f"{owner_text(owner)}: {check_text(check)}")
     if faults:
         note(f"faults: {faults_text(faults)}")
     if not stats.lines:
@@ -152,11 +152,12 @@ def _print_lines(
     return left
 
 
-def _note_stats(stats: ReceiverStats) -> None:
+def _note_stats(stats: ReceiverStats, codec: LineCodec) -> None:
     dropped = {reason.name: n for reason, n in stats.counts.items()}
     note(
         f"{stats.lines} lines{pose_errors_text(stats.pose_errors)} from {stats.frames} frames; "
-        f"{stats.lost} lines lost by their counters; dropped frames: {counts_text(dropped)}; "
+        f"{lost_text(stats.lost, scenes=codec.layout.scene is not None)}; "
+        f"dropped frames: {counts_text(dropped)}; "
         f"{stats.pending} still waiting for other frames of their line"
         + "".join(
             f"; {n} {what}"
@@ -168,13 +169,6 @@ def _note_stats(stats: ReceiverStats) -> None:
             if n
         )
     )
-
-
-def _checks(receiver: Receiver) -> dict[str, SlotStats]:
-    """Return the E2E statistics by name, of the slots and of the pose error."""
-    pose_error = receiver.pose_error()
-    slots = {slot.name: check for slot, check in receiver.slots().items()}
-    return slots | ({} if pose_error is None else {POSE_ERROR: pose_error})
 
 
 def _print_scene(scene: SceneView, receiver: Receiver, arguments: argparse.Namespace) -> None:
@@ -203,21 +197,20 @@ def _arriving(
 
     Print why there is nothing if no line arrives within ``SILENCE`` from the start.
     """
-    states: dict[str, tuple[E2EState, bool]] = {}
+    states: dict[Owner, tuple[E2EState, bool]] = {}
     timeout: float | None = arguments.timeout
     last = start = time.monotonic()
     is_silent = True  # and that has not been said
     while True:
         line = receiver.get(CHECK_PERIOD if timeout is None else min(CHECK_PERIOD, timeout))
-        checks = _checks(receiver)
-        for name, check in checks.items():
+        for owner, check in receiver.messages().items():
             state = check.state, check.two_senders
-            if states.get(name) != state:
-                states[name] = state
-                note(f"{slot_text(name)}: {check_text(check)}")
+            if states.get(owner) != state:
+                states[owner] = state
+                note(f"{owner_text(owner)}: {check_text(check)}")
         if line is not None:
             last, is_silent = time.monotonic(), False
-            yield line, checks[line.slot.name]
+            yield line, receiver.slots()[line.slot]
             continue
         if is_silent and time.monotonic() - start >= SILENCE:
             is_silent = False

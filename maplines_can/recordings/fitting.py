@@ -46,8 +46,8 @@ class Fit:
         codec: of the DBC.
         frames: that have CAN IDs of it.
         intact: of these, in records with a right checksum.
-        records: such records.
-        received: lines and pose errors, which need no other record that is missing.
+        records: such records. One of a whole scene has the pose error and several lines.
+        received: of these, those that need no other record that is missing.
         chance: bound on the probability that so many checksums are right by chance, log10.
     """
 
@@ -68,12 +68,14 @@ class Fit:
             frames: that have CAN IDs of it.
         """
         decoders, counts = receiver.decoders.values(), receiver.counts
-        received = sum(one.lines + one.pose_errors for one in decoders)
+        layout = codec.layout
+        lines = 0 if layout.scene is not None else sum(one.lines for one in decoders)
+        received = lines + sum(one.pose_errors for one in decoders)
         # A record of classic CAN has as many frames as pages, one of CAN FD has fewer.
-        records = received + math.ceil(counts[Reason.POSE] / codec.layout.pages)
+        records = received + math.ceil(counts[Reason.POSE] / layout.pages)
         intact = sum(one.line_frames + one.pose_frames for one in decoders)
         intact += sum(counts[reason] for reason in _INTACT)
-        chance = _chance(frames, records, codec.layout["Crc"].length)
+        chance = _chance(frames, records, (layout.scene or layout)["Crc"].length)
         return cls(codec, frames, intact, records, received, chance)
 
     @property

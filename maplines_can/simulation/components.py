@@ -17,7 +17,9 @@ from ..values.gaussian import Gaussian
 from ..values.line import Slot
 from ..values.polyline import Polyline
 from ..values.scene import PoseError, Scene
-from ..wire import POSE, LineCodec
+from ..wire import POSE, SCENE, SCENE2, LineCodec, Owner
+from ..wire.layout.pose_layout import SceneOwner
+from ..wire.layout.scene_layout import SceneLayout
 from .scenarios import Scenario
 
 #: Limit of the bus load if the number of components is chosen.
@@ -115,7 +117,7 @@ def component_budget(
 
 
 def check_scene_load(codec: LineCodec, slots: Collection[Slot], bus: BusShare) -> None:
-    """Check the bus load of the pose error and of lines with the longest records.
+    """Check the bus load of the pose error and of lines, with the longest records.
 
     Raises:
         ValueError: it exceeds the limit.
@@ -123,11 +125,13 @@ def check_scene_load(codec: LineCodec, slots: Collection[Slot], bus: BusShare) -
     if bus.max_load is None:
         return
     blank = np.zeros(codec.layout.record_bytes, dtype=np.uint8)
-    empty = Scene((), np.zeros((0, 0)), PoseError(np.eye(3) * 0.01), np.zeros((0, 2)))
-    encoder = codec.encoder()
-    pose = encoder.encode_scene(empty, fd=bus.fd, counters={})[POSE]
-    lines = (encoder.frames(blank, slot, fd=bus.fd) for slot in slots)
-    load = bus_load([*pose, *chain(*lines)], 1 / bus.rate, *bus.bitrates)
+    encoder, scene = codec.encoder(), codec.layout.scene
+    owners: Collection[Owner] = slots if scene is None else _messages_for(scene, slots, codec)
+    frames = [*chain(*(encoder.frames(blank, owner, fd=bus.fd) for owner in owners))]
+    if scene is None:
+        empty = Scene((), np.zeros((0, 0)), PoseError(np.eye(3) * 0.01), np.zeros((0, 2)))
+        frames += encoder.encode_scene(empty, fd=bus.fd, counters={})[POSE]
+    load = bus_load(frames, 1 / bus.rate, *bus.bitrates)
     if load > bus.max_load:
         raise ValueError(
             f"{len(slots)} lines and the pose error take up to {100 * load:.3g} % of the bus at "
@@ -135,6 +139,17 @@ def check_scene_load(codec: LineCodec, slots: Collection[Slot], bus: BusShare) -
             "are allowed; use fewer lines, a lower rate, fd=True, a higher bitrate or a higher "
             "max_load"
         )
+
+
+def _messages_for(
+    scene: SceneLayout, slots: Collection[Slot], codec: LineCodec
+) -> list[SceneOwner]:
+    """Return the messages of whole scenes with places for the lines of these slots."""
+    places = scene.places if codec.authenticator is None else scene.secured_places
+    fixed = scene.fixed[SCENE][:places]
+    free = [slot for slot in slots if slot not in fixed]
+    is_enough = SCENE2 not in scene.messages or len(free) <= fixed.count(None)
+    return [SCENE] if is_enough else [SCENE2, SCENE]
 
 
 def line_nonlinearity(line: Polyline, ego: Gaussian, window: tuple[float, float]) -> float:

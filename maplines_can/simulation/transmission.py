@@ -19,7 +19,7 @@ from ..maps import LaneTracker
 from ..maps.line_source import Cycle, LineSource
 from ..values.line import MapLine, MapLineList, Slot
 from ..values.scene import Scene
-from ..wire import POSE, Frame, LineCodec, Owner, PreparedScene
+from ..wire import Frame, LineCodec, Owner, PreparedScene
 from .trajectory import CarState
 from .truth import TruthWriter, true_lines
 
@@ -120,6 +120,7 @@ class Transmission:
 
     def __post_init__(self) -> None:
         self._encoder = self.codec.encoder()
+        self._step = 0.0  # time that a record of a line takes, as soon as it is known
 
     def simulate(
         self,
@@ -152,13 +153,12 @@ class Transmission:
         self, start_ns: int, set_clock: Callable[[int], None]
     ) -> Iterator[tuple[int, Iterable[list[Frame]]]]:
         """Yield the time of each cycle, with the clock set to it, and the frames of its records."""
-        step, numbers = 0.0, Counter[Owner]()
+        numbers = Counter[Owner]()
         for t_ns, state in self._cycles(start_ns):
             set_clock(t_ns)
             cycle = self._cycle(t_ns, state)
-            step = step or self._transfer_time(cycle.lines)
             if cycle.scene is None:
-                yield t_ns, self._line_transfers(cycle.lines, step)
+                yield t_ns, self._line_transfers(cycle.lines)
             else:
                 yield t_ns, self._scene_transfers(cycle.scene, numbers)
 
@@ -257,8 +257,9 @@ class Transmission:
         """Return the time that a frame takes on the bus [s]."""
         return frame_time(frame, *self.bitrates)
 
-    def _line_transfers(self, lines: MapLineList, step: float) -> Iterator[list[Frame]]:
-        """Yield the frames of each line, of which each record takes ``step`` [s] on the bus."""
+    def _line_transfers(self, lines: MapLineList) -> Iterator[list[Frame]]:
+        """Yield the frames of each line, with the age at which it is sent."""
+        step = self._transfer_time(lines)
         ages = np.cumsum([0.0, *(step * _records(line) for line in lines)])
         aged = [replace(line, age=float(age)) for line, age in zip(lines, ages, strict=False)]
         for frames in self._encoder.encode_lines(aged, fd=self.fd):
@@ -266,22 +267,21 @@ class Transmission:
             yield frames
 
     def _scene_transfers(self, scene: Scene, numbers: Counter[Owner]) -> Iterator[list[Frame]]:
-        """Yield the frames of the pose error and of each line, each with its own age.
+        """Yield the frames of each record, the pose error first, each with its own age.
 
         Args:
             scene: the scene.
-            numbers: next counters of the pose error and of each slot, which advance.
+            numbers: next counters of the owners of records, which advance.
         """
         prepared = self._prepared(scene)
         first, age = Counter(numbers), 0.0
-        owners: tuple[Owner, ...] = (POSE, *prepared.sent_slots)
-        for owner in owners:
+        self.counters.lines += len(prepared.sent_slots)
+        for owner in prepared.owners:
             frames = self._encoder.encode_scene(prepared, age=age, fd=self.fd, counters=first)[
                 owner
             ]
             numbers[owner] += 1
-            self.counters.pose_errors += owner == POSE
-            self.counters.lines += owner != POSE
+            self.counters.pose_errors += not isinstance(owner, Slot)
             age += sum(map(self._duration, frames))
             yield frames
 
@@ -292,12 +292,12 @@ class Transmission:
         return prepared
 
     def _transfer_time(self, lines: MapLineList) -> float:
-        """Return the time that the frames of one line take on the bus [s]; 0 without lines."""
-        if not lines:
-            return 0.0
-        blank = np.zeros(self.codec.layout.record_bytes, dtype=np.uint8)
-        frames = self._encoder.frames(blank, lines[0].slot, fd=self.fd)
-        return sum(map(self._duration, frames))
+        """Return the time that a record of a line takes on the bus [s]; 0 without lines."""
+        if lines and not self._step:
+            blank = np.zeros(self.codec.layout.record_bytes, dtype=np.uint8)
+            frames = self._encoder.frames(blank, lines[0].slot, fd=self.fd)
+            self._step = sum(map(self._duration, frames))
+        return self._step
 
 
 def _records(line: MapLine) -> int:

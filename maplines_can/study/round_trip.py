@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
@@ -207,9 +207,9 @@ class _Arrivals:
         self.latest: dict[str, MapLine] = {}
         self.scene: Scene | None = None
 
-    def take(self, line: MapLine, decoder: Decoder, last: Slot | None) -> None:
-        """Take a line, in the thread of the receiver; scenes are complete with the last slot."""
-        if line.slot == last and (received := decoder.scene()) is not None:
+    def take(self, line: MapLine, decoder: Decoder, last: Container[Slot]) -> None:
+        """Take a line, in the thread of the receiver; with a last one, a scene may be complete."""
+        if line.slot in last and (received := decoder.scene()) is not None:
             known = 0 if self.scene is None else len(self.scene.lines)
             if len(received.scene.lines) >= known:
                 self.scene = received.scene
@@ -254,7 +254,7 @@ def _run(
     with Link(sending, **settings) as out, Link(receiving, **settings) as back:
         transmitter = Transmitter(out, codec, period=1 / bus.rate, fd=bus.fd, count=count)
         decoder = codec.decoder(cycle_ms=1e3 / bus.rate)
-        last = max(lines.members, default=None) if isinstance(lines, PreparedScene) else None
+        last = _last_slots(lines, codec) if isinstance(lines, PreparedScene) else ()
         take = partial(arrivals.take, decoder=decoder, last=last)
         receiver = Receiver(back, decoder, on_line=take, can_ids=can_ids)
         with receiver:
@@ -264,6 +264,12 @@ def _run(
         # Read now: closing the link releases held frames.
         fault_counts = opener.as_dict() if opener else None
     return transmitter.stats(), receiver.stats(), fault_counts, arrivals
+
+
+def _last_slots(scene: PreparedScene, codec: LineCodec) -> Collection[Slot]:
+    """Return the slots of lines with which a scene is complete; whole scenes come at once."""
+    slots = sorted(scene.members)
+    return slots[-1:] if codec.layout.scene is None else slots
 
 
 def _send(

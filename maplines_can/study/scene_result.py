@@ -9,7 +9,7 @@ from typing import Any
 from ..values.linalg import block_diagonal
 from ..values.line import LeftOut, Slot
 from ..values.scene import Scene
-from ..wire import POSE, Frame, Owner, PreparedScene
+from ..wire import Frame, Owner, PreparedScene
 
 #: Distances at which the ego lane is compared [m].
 LANE_X = (0.0, 20.0, 40.0)
@@ -36,7 +36,9 @@ class SceneResult:
     """Scene before encoding and as received; without a lane if that was not received."""
 
     lane: Sequence[LaneResult]  #: where both of its lines are valid
-    frames: Mapping[str, int]  #: of each cycle: of the pose error ("pose"), then of each line
+    #: of each cycle by the owner of the record: the pose error ("pose"), then each line; or messages
+    #: of whole scenes ("scene2", "scene")
+    frames: Mapping[str, int]
     frames_of_full_records: int  #: of a cycle, if each line had a covariance of its own
     unsent: Mapping[Slot, LeftOut]  #: reasons of the lines that do not fit the message
 
@@ -61,7 +63,7 @@ def scene_result(
 
     Args:
         sent: the scene as sent.
-        transfers: frames of the pose error and of each line.
+        transfers: frames of each record, by its owner.
         received: the scene as received; None if none was.
         frames_of_full_records: of a cycle, if each line had a covariance of its own.
     """
@@ -69,7 +71,7 @@ def scene_result(
     return SceneResult(
         lane=[] if received is None else lane_results(scene, received),
         frames={
-            POSE if owner == POSE else Slot(owner).name: len(frames)
+            owner.name if isinstance(owner, Slot) else owner: len(frames)
             for owner, frames in transfers.items()
         },
         frames_of_full_records=frames_of_full_records,

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
+from itertools import chain
 from typing import NamedTuple
 
 from ..bus import LineListener
 from ..bus.clock import TimerHandle
 from ..bus.log_writer import message_of
 from ..values.line import MapLine, Slot, aged
-from ..wire import Codec, SlotView
+from ..values.scene import Scene
+from ..wire import Codec, Frame, SceneView, SlotView
 from ..wire.reception.views import STALE_CYCLES
 from .bench import Bench
 from .faults import Faults
@@ -57,34 +59,57 @@ class SendingNode:
         """Faults injected so far, by kind."""
         return {kind.value: count for kind, count in self._bus.counts.items() if count}
 
-    def send(self, lines: MapLine | Iterable[MapLine]) -> None:
-        """Send lines now, once.
+    def send(self, lines: MapLine | Iterable[MapLine] | Scene, age: float = 0.0) -> None:
+        """Send lines now, once; or a scene, all of its records back to back.
+
+        Args:
+            lines: with ages of their own, or a scene, as from ``map_scene``.
+            age: of the pose of a scene [s].
 
         Raises:
             EncodeError: the DBC has no such message.
         """
-        for line in [lines] if isinstance(lines, MapLine) else lines:
-            for frame in self._encoder.encode(line, fd=self._fd):
-                self._bus.send(message_of(frame))
-            self.sent += 1
+        if isinstance(lines, Scene):
+            prepared = self._encoder.prepare_scene(lines, fd=self._fd)
+            transfers = self._encoder.encode_scene(prepared, age=age, fd=self._fd)
+            self._send([*chain.from_iterable(transfers.values())], len(prepared.sent_slots))
+        else:
+            for line in [lines] if isinstance(lines, MapLine) else lines:
+                self._send(self._encoder.encode(line, fd=self._fd), 1)
         self._pump()
 
-    def publish(self, lines: MapLine | Iterable[MapLine], period: float = 0.05) -> None:
-        """Send lines now, and again in each period [s], instead of those that were published.
+    def _send(self, frames: Iterable[Frame], lines: int) -> None:
+        for frame in frames:
+            self._bus.send(message_of(frame))
+        self.sent += lines
 
-        Their ages grow; an age that the DBC cannot state is sent as "too old".
+    def publish(
+        self, lines: MapLine | Iterable[MapLine] | Scene, period: float = 0.05, age: float = 0.0
+    ) -> None:
+        """Send lines or a scene now, and again in each period [s], instead of what was published.
+
+        Ages grow; an age that the DBC cannot state is sent as "too old". ``age`` is that of the
+        pose of a scene now [s].
         """
-        own = [lines] if isinstance(lines, MapLine) else list(lines)
+        own = (
+            lines
+            if isinstance(lines, Scene)
+            else [lines]
+            if isinstance(lines, MapLine)
+            else [*lines]
+        )
         self.stop()
         begin = self._bench.now
 
+        def stated(age: float) -> float:
+            return age if age <= self._max_age else math.inf
+
         def again(cycle: int) -> None:
             passed = cycle * period
-            ages = [line.age + passed for line in own]
-            self.send(
-                aged(line, age if age <= self._max_age else math.inf)
-                for line, age in zip(own, ages, strict=True)
-            )
+            if isinstance(own, Scene):
+                self.send(own, stated(age + passed))
+            else:
+                self.send(aged(line, stated(line.age + passed)) for line in own)
             then = begin + passed + period
             self._next = self._bench.call_at(then, lambda: again(cycle + 1))
 
@@ -137,6 +162,15 @@ class ReceivingNode:
         """Return the newest line of a slot, with its age and whether it may be used."""
         now_ns = self._bench.clock.now_ns
         return self.listener.latest(slot, now_ns, stale_cycles=stale_cycles)
+
+    def latest_scene(self, stale_cycles: float = STALE_CYCLES) -> SceneView:
+        """Return the newest scene, with its age and whether it may be used.
+
+        Raises:
+            ValueError: the DBC has no message of the pose error.
+        """
+        now_ns = self._bench.clock.now_ns
+        return self.listener.latest_scene(now_ns, stale_cycles=stale_cycles)
 
     def assert_received(self, slot: Slot, within: float) -> MapLine:
         """Return a line of a slot that comes now; else let the time pass until one comes.

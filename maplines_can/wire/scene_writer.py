@@ -47,6 +47,11 @@ class PreparedScene:
     core: Any = field(repr=False)  #: ``maplines_prepared_t``
 
     @property
+    def owners(self) -> tuple[Owner, ...]:
+        """Owners of the records that are sent, in this order."""
+        return (POSE, *self.sent_slots)
+
+    @property
     def members(self) -> tuple[Slot, ...]:
         """Slots of the lines that are sent and belong to the pose error."""
         sent = self.sent_slots
