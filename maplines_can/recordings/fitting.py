@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from binascii import crc_hqx
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,6 +21,7 @@ from ..bus.log_summary import LogSummary, Times, skipped_text
 from ..values.errors import LayoutError, LogError
 from ..wire import SHIPPED, Codec, LineCodec, default_dbc_path
 from ..wire.layout.message_layout import Layout
+from ..wire.layout.scene_layout import SceneLayout
 from ..wire.layout.slot_messages import RecordMessages, SecuredLayout
 from ..wire.reasons import Reason
 from .blocks import FrameBlock, read_blocks
@@ -72,7 +74,7 @@ class Fit:
         lines = 0 if layout.scene is not None else sum(one.lines for one in decoders)
         received = lines + sum(one.pose_errors for one in decoders)
         # A record of classic CAN has as many frames as pages, one of CAN FD has fewer.
-        records = received + math.ceil(counts[Reason.POSE] / layout.pages)
+        records = received + math.ceil(counts[Reason.POSE] / (layout.pages or 1))
         intact = sum(one.line_frames + one.pose_frames for one in decoders)
         intact += sum(counts[reason] for reason in _INTACT)
         chance = _chance(frames, records, (layout.scene or layout)["Crc"].length)
@@ -265,7 +267,7 @@ def _trials(first: FirstFrames, codecs: Sequence[LineCodec]) -> Iterator[_Trial]
         yield _Trial(fit, f"of {fit.name} are whole; take --dbc {fit.name}")
     for codec in (*keyless, *others):
         if codec.layout.secured is not None:
-            fit = _fit(blocks, codec.of_layout(_authentic(codec.layout)))
+            fit = _authentic_fit(blocks, codec)
             what = f"--dbc {fit.name} and the key" if codec in others else "the key"
             yield _Trial(
                 fit, f"of {fit.name} are whole, but authenticated; take {what} of the sender"
@@ -342,6 +344,32 @@ def _shifts(first: FirstFrames, layout: Layout) -> Iterator[dict[CanId, CanId]]:
 def _shipped() -> tuple[Codec, ...]:
     """Return the codecs of the package; reading a DBC takes as long as thousands of frames."""
     return tuple(Codec.from_dbc(default_dbc_path(name)) for name in SHIPPED)
+
+
+def _authentic_fit(blocks: Sequence[FrameBlock], codec: LineCodec) -> Fit:
+    """Return how well a DBC fits frames whose records are authenticated, without a key."""
+    scene = codec.layout.scene
+    if scene is None:
+        return _fit(blocks, codec.of_layout(_authentic(codec.layout)))
+    data_ids = {
+        CanId(*key).key: own.data_id for own in scene.messages.values() for key in own.secured_ids
+    }
+    verdicts = [
+        _is_intact(scene, data.tobytes()[:length], data_ids[key])
+        for block in blocks
+        for key, data, length in zip(keys_of(block).tolist(), block.data, block.length, strict=True)
+        if key in data_ids
+    ]
+    frames, intact = len(verdicts), sum(verdicts)
+    return Fit(codec, frames, intact, intact, intact, _chance(frames, intact, scene["Crc"].length))
+
+
+def _is_intact(scene: SceneLayout, data: bytes, data_id: int) -> bool:
+    """Return whether the checksum of an authenticated scene is right; its record is shorter."""
+    crc, end = scene.crc_offset, scene.secured_bytes
+    covered = data[:crc] + data[crc + 2 : end] + data_id.to_bytes(2, "little")
+    sent = int.from_bytes(data[crc : crc + 2], "big" if scene["Crc"].big_endian else "little")
+    return len(data) >= end and sent == crc_hqx(covered, 0xFFFF)
 
 
 def _authentic(layout: Layout) -> Layout:

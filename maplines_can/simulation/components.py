@@ -17,8 +17,7 @@ from ..values.gaussian import Gaussian
 from ..values.line import Slot
 from ..values.polyline import Polyline
 from ..values.scene import PoseError, Scene
-from ..wire import POSE, SCENE, SCENE2, LineCodec, Owner
-from ..wire.layout.pose_layout import SceneOwner
+from ..wire import POSE, SCENE, SCENE2, LineCodec, Owner, SceneOwner
 from ..wire.layout.scene_layout import SceneLayout
 from .scenarios import Scenario
 

@@ -5,7 +5,7 @@ from .batch import Batch, BatchCodec
 from .codec import Codec, LineCodec
 from .encoder import Encoder
 from .layout.message_layout import Layout
-from .layout.pose_layout import POSE, Owner
+from .layout.pose_layout import POSE, SCENE, SCENE2, Owner, SceneOwner
 from .protection.e2e_state import E2EConfig, E2EState, ProfileStatus
 from .protection.key import Key
 from .protection.secoc import Authenticator, Verifier
@@ -20,6 +20,8 @@ from .tables import CODES
 __all__ = [
     "CODES",
     "POSE",
+    "SCENE",
+    "SCENE2",
     "SHIPPED",
     "Authenticator",
     "Batch",
@@ -40,6 +42,7 @@ __all__ = [
     "Reason",
     "ReceivedFrame",
     "ReceivedScene",
+    "SceneOwner",
     "SceneView",
     "SlotStats",
     "SlotView",
