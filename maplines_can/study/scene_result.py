@@ -36,8 +36,8 @@ class SceneResult:
     """Scene before encoding and as received; without a lane if that was not received."""
 
     lane: Sequence[LaneResult]  #: where both of its lines are valid
-    #: of each cycle by the owner of the record: the pose error ("pose"), then each line; or messages
-    #: of whole scenes ("scene2", "scene")
+    #: of each cycle by the owner of the record: the pose error ("pose"), then each line; or the
+    #: messages of whole scenes ("scene2", "scene")
     frames: Mapping[str, int]
     frames_of_full_records: int  #: of a cycle, if each line had a covariance of its own
     unsent: Mapping[Slot, LeftOut]  #: reasons of the lines that do not fit the message
