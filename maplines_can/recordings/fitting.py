@@ -21,6 +21,7 @@ from ..bus.log_summary import LogSummary, Times, skipped_text
 from ..values.errors import LayoutError, LogError
 from ..wire import SHIPPED, Codec, LineCodec, default_dbc_path
 from ..wire.layout.message_layout import Layout
+from ..wire.layout.pose_layout import PoseLayout
 from ..wire.layout.scene_layout import SceneLayout
 from ..wire.layout.slot_messages import RecordMessages, SecuredLayout
 from ..wire.reasons import Reason
@@ -389,7 +390,7 @@ def _authentic(layout: Layout) -> Layout:
         )
 
     pose = layout.pose
-    if pose is not None:
+    if isinstance(pose, PoseLayout):
         pose = replace(pose, messages=moved(pose.messages, pose.secured), secured=None)
     messages = {slot: moved(own, layout.secured) for slot, own in layout.messages.items()}
     return replace(layout, messages=messages, pose=pose, secured=None)

@@ -17,7 +17,7 @@ from ..values.gaussian import Gaussian
 from ..values.line import Slot
 from ..values.polyline import Polyline
 from ..values.scene import PoseError, Scene
-from ..wire import POSE, SCENE, SCENE2, LineCodec, Owner, SceneOwner
+from ..wire import SCENE, SCENE2, LineCodec
 from ..wire.layout.scene_layout import SceneLayout
 from .scenarios import Scenario
 
@@ -125,11 +125,12 @@ def check_scene_load(codec: LineCodec, slots: Collection[Slot], bus: BusShare) -
         return
     blank = np.zeros(codec.layout.record_bytes, dtype=np.uint8)
     encoder, scene = codec.encoder(), codec.layout.scene
-    owners: Collection[Owner] = slots if scene is None else _messages_for(scene, slots, codec)
-    frames = [*chain(*(encoder.frames(blank, owner, fd=bus.fd) for owner in owners))]
+    empty = Scene((), np.zeros((0, 0)), PoseError(np.eye(3) * 0.01), np.zeros((0, 2)))
+    frames = [*chain(*encoder.encode_scene(empty, fd=bus.fd, counters={}).values())]
     if scene is None:
-        empty = Scene((), np.zeros((0, 0)), PoseError(np.eye(3) * 0.01), np.zeros((0, 2)))
-        frames += encoder.encode_scene(empty, fd=bus.fd, counters={})[POSE]
+        frames += chain(*(encoder.frames(blank, slot, fd=bus.fd) for slot in slots))
+    else:
+        frames *= _message_count(scene, slots, codec)
     load = bus_load(frames, 1 / bus.rate, *bus.bitrates)
     if load > bus.max_load:
         raise ValueError(
@@ -140,15 +141,13 @@ def check_scene_load(codec: LineCodec, slots: Collection[Slot], bus: BusShare) -
         )
 
 
-def _messages_for(
-    scene: SceneLayout, slots: Collection[Slot], codec: LineCodec
-) -> list[SceneOwner]:
-    """Return the messages of whole scenes with places for the lines of these slots."""
+def _message_count(scene: SceneLayout, slots: Collection[Slot], codec: LineCodec) -> int:
+    """Return how many messages of whole scenes are sent for the lines of these slots."""
     places = scene.places if codec.authenticator is None else scene.secured_places
     fixed = scene.fixed[SCENE][:places]
     free = [slot for slot in slots if slot not in fixed]
     is_enough = SCENE2 not in scene.messages or len(free) <= fixed.count(None)
-    return [SCENE] if is_enough else [SCENE2, SCENE]
+    return 1 if is_enough else 2
 
 
 def line_nonlinearity(line: Polyline, ego: Gaussian, window: tuple[float, float]) -> float:

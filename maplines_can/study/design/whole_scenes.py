@@ -14,34 +14,13 @@ covers the computed one with any widths.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from textwrap import indent
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from dataclasses import replace
 
-import numpy as np
-
-from ...values.errors import LayoutError
-from ...values.output_files import whole_file
-from ...wire import Codec
-from ...wire.layout.message_layout import Layout
-from ...wire.layout.signals import OCTAVE, PARAMETER_SIGNALS
+from ...wire.layout.signals import PARAMETER_SIGNALS
 from ..dbc.dbc_writer import DbcWriter, SceneSpec, SignalSpec
 from ..dbc.pose_spec import CONDITIONAL, POSE
 from ..dbc.scene_spec import WHOLE_SCENES
-from ..scenes.map_scenes import DrawnScene
-from ..scenes.sigma_ratios import (
-    LANE_AT,
-    LINE_AT,
-    TARGETS,
-    Ratios,
-    excess,
-    measured,
-    merged,
-)
-from ..text_table import aligned, markdown
 
 #: Least bits of a field.
 MIN_BITS = 2
