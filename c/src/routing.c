@@ -26,6 +26,7 @@ static maplines_reason_t feed_record(maplines_decoder_t *decoder, const uint8_t 
     if (MAPLINES_IS_WHOLE(arrival->owner))
     {
         arrival->places = dbc->scene.places;
+        arrival->length = dbc->messages[arrival->owner].fd_length;
         if (is_secured)
         {
             arrival->places = dbc->scene.secured_places;
@@ -142,7 +143,10 @@ MAPLINES_INTERNAL maplines_reason_t maplines_route(maplines_decoder_t *decoder,
 #endif
     if (route == ROUTE_WHOLE)
     {
-        if (frame->length < layout->pages * PAGE_BYTES || frame->length > sizeof(frame->data))
+        const uint32_t least = MAPLINES_IS_WHOLE(owner)
+                                   ? decoder->dbc->messages[owner].fd_length
+                                   : layout->pages * PAGE_BYTES;
+        if (frame->length < least || frame->length > sizeof(frame->data))
         {
             return maplines_dropped(decoder, MAPLINES_LENGTH, 1);
         }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -15,6 +16,7 @@ from .encoder import Encoder, conditional_error
 from .layout.cholesky import CholeskyCode
 from .layout.message_layout import Layout
 from .layout.pose_layout import POSE, Owner, PoseLayout
+from .layout.scene_layout import SceneLayout
 from .protection.e2e_state import E2EConfig
 from .protection.secoc import Authenticator, Verifier
 from .reception.decoder import Decoder
@@ -105,9 +107,7 @@ class Codec:
             )
         self.authenticator = authenticator
         check_code(layout)
-        #: Code of the covariance.
-        self.covariance = CholeskyCode(layout)
-        self._tables = LineTables.of(layout, self.covariance)
+        self._tables = LineTables.of(layout)
         self._frame_writer = FrameWriter(layout, authenticator)
 
     @classmethod
@@ -157,6 +157,15 @@ class Codec:
         return self.layout.resolution
 
     @cached_property
+    def covariance(self) -> CholeskyCode:
+        """Code of the covariance of a line.
+
+        Raises:
+            LayoutError: the records are whole scenes, whose lines have no code of their own.
+        """
+        return CholeskyCode(self.layout)
+
+    @cached_property
     def batch(self) -> BatchCodec:
         """Arrays of lines to records and back, without any state.
 
@@ -175,7 +184,7 @@ class Codec:
         """Return a new encoder, which holds the counters of a sender."""
         return Encoder(self.encoder, self.layout, self._tables, self._frame_writer)
 
-    def _verifier_of(self, layout: Layout | PoseLayout) -> Verifier | None:
+    def _verifier_of(self, layout: Layout | PoseLayout | SceneLayout) -> Verifier | None:
         if self.authenticator is None or layout.secured is None:
             return None
         return Verifier(self.authenticator, layout.secured)
@@ -209,6 +218,7 @@ class Codec:
         if (of_lines := self._verifier_of(layout)) is not None:
             verifiers |= dict.fromkeys(layout.messages, of_lines)
         if pose is not None and (of_pose := self._verifier_of(pose)) is not None:
-            verifiers[POSE] = of_pose
+            owners: Iterable[Owner] = [POSE] if layout.scene is None else layout.scene.messages
+            verifiers |= dict.fromkeys(owners, of_pose)
         settings = decoder_settings(layout, self._tables.dbc, timeout_ms, cycle_ms, e2e)
         return Decoder(layout, self._tables.dbc, verifiers, settings)

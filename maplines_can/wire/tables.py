@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import lib
+from ..core import ffi, lib
 from ..core.memory import pointer, pointers, structure
 from ..values.elementary import exp2
 from ..values.errors import LayoutError
@@ -156,8 +156,11 @@ class LineTables(NamedTuple):
     sigma_powers: Any  #: the same, but for the inflation: its square roots
 
     @classmethod
-    def of(cls, layout: Layout, covariance: CholeskyCode) -> LineTables:
-        """Return the tables of a DBC with this covariance code; raises as ``tables_of``."""
+    def of(cls, layout: Layout) -> LineTables:
+        """Return the tables of a DBC, for whole scenes without powers; raises as ``tables_of``."""
+        if layout.scene is not None:
+            return cls(tables_of(layout), ffi.NULL, ffi.NULL)
+        covariance = CholeskyCode(layout)
         pivots = [_powers_of_two(signal) for signal in covariance.factor.pivots]
         inflation = covariance.inflation
         return cls(

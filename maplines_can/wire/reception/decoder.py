@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from ...core import Lock, ffi, lib
 from ...core.memory import pointer
-from ...values.line import MapLine, Slot
+from ...values.line import LEFT_OUT, MapLine, Slot
 from ..layout.message_layout import Layout
-from ..layout.pose_layout import POSE, Owner, number_of
+from ..layout.pose_layout import POSE, SCENES, Owner, SceneOwner, number_of
 from ..protection.secoc import DATA_ID_BYTES, FRESHNESS_BYTES, MAX_FRESHNESS, Verifier
 from ..reasons import Reason
 from .check import STATES, STATUSES, Check, SlotStats
@@ -32,7 +32,7 @@ from .views import STALE_CYCLES, ReceivedScene, SceneView, SlotView, check_stale
 #: Message of the error of a question about scenes if there are none.
 NO_POSE = (
     "the DBC has no message of the pose error (MapLinePose), so there are no scenes; "
-    "take maplines.dbc or maplines-pose.dbc"
+    "take maplines.dbc, maplines-pose.dbc or maplines-scene.dbc"
 )
 _REASONS = tuple(Reason)
 #: Answer of the core to a frame whose MAC it needs: MAPLINES_ASKS_MAC.
@@ -63,15 +63,16 @@ class ReceivedFrame(NamedTuple):
 class Decoder:
     """Decoder of the frames of a bus: the state of a receiver, and views of it.
 
-    Every record passes the same stations, those of a slot and those of the pose error. Each may
-    drop it, with a counted reason::
+    Every record passes the same stations, whether it is of a slot, of the pose error or a whole
+    scene. Each may drop it, with a counted reason::
 
         frame          with a key: MAC and freshness, before all others
-          |            all pages of one transfer, or none; time-outs
+          |            records of lines: all pages of one transfer, or none; time-outs
         record         length, page numbers, transfer IDs, CRC; values that no sender sends
           |            counter: duplicate, late or new; E2E status and state
         new record     a line of all its components, or none
           |            lines of one pose error; records that wait for theirs
+          |            whole scenes: two records of one pose error
         lines, scene   may they be used: E2E state, age, second sender
 
     The stations are those of the core; ``maplines_can.model`` has one file for each, to be read.
@@ -123,7 +124,7 @@ class Decoder:
         self.verifiers = verifiers
         #: Whether lines are conditional on the pose error.
         self.is_conditional = layout.is_conditional
-        self._slots = [*layout.messages]
+        self._slots, self._has_scenes = [*layout.slots], layout.pose is not None
         #: CAN IDs as the core takes them: bit 31 says that one has 29 bits.
         self._routes: dict[tuple[int, bool], int] = {}
         self._secured: dict[tuple[int, bool], _SecuredRoute] = {}
@@ -150,7 +151,7 @@ class Decoder:
         self._freshness_us = self._c.decoder.freshness_us
         #: Held around each call of the core, and until its result is read.
         self._lock = Lock()
-        #: Checks of the records of each slot of the DBC, and of the pose error if it has that.
+        #: Checks of the records of each owner of the DBC: a slot, "pose", "scene" or "scene2".
         self.checks: Mapping[Owner, Check] = {
             owner: Check(self._c, number_of(owner), self._lock) for owner in layout.messages_of
         }
@@ -205,7 +206,7 @@ class Decoder:
 
     @property
     def lost(self) -> int:
-        """Records of lines missing between those received, by their counters."""
+        """Records of lines or whole scenes missing between those received, by their counters."""
         return self._counted("lost")
 
     @property
@@ -235,8 +236,8 @@ class Decoder:
             is_extended: the ID has 29 bits.
 
         Returns:
-            One line, or several if a pose error completes those that waited for it; or the reason
-            why there is none (PENDING: not yet). No frame raises.
+            One line, or several if a pose error completes those that waited for it, or those of a
+            whole scene; or the reason why there is none (PENDING: not yet). No frame raises.
 
         Raises:
             ValueError: ``t_ns`` is not a whole number.
@@ -433,6 +434,7 @@ class Decoder:
                 STATES[view.state],
                 STATUSES[view.status],
                 view.two_senders,
+                LEFT_OUT[view.left_out],
             )
 
     def latest_scene(self, now_ns: int, *, stale_cycles: float = STALE_CYCLES) -> SceneView:
@@ -443,6 +445,8 @@ class Decoder:
         next pose error. A line that was lost is not in the scene. If the newest pose error is too
         old, the age is infinite.
 
+        A whole scene is the newest at once, with the lines of Scene2 that came with its pose error.
+
         Args:
             now_ns: as in ``latest``.
             stale_cycles: number of cycle times since its pose error after which a scene is stale.
@@ -450,7 +454,7 @@ class Decoder:
         Raises:
             ValueError: the DBC has no message of the pose error; or as ``latest``.
         """
-        if POSE not in self.checks:
+        if not self._has_scenes:
             raise ValueError(NO_POSE)
         check_stale_cycles(stale_cycles)
         now_ns = limited_ns(now_ns, "now_ns")
@@ -485,9 +489,17 @@ class Decoder:
         return self._received
 
     def slots(self, now_ns: int) -> dict[Slot, SlotStats]:
-        """Return the E2E statistics of each slot on which anything was received."""
-        stats = {slot: self._stats(slot, now_ns) for slot in self._slots}
+        """Return the E2E statistics of each slot on which anything was received.
+
+        There are none of whole scenes, whose messages bring several slots.
+        """
+        stats = {slot: self._stats(slot, now_ns) for slot in self._slots if slot in self.checks}
         return {slot: known for slot, known in stats.items() if known is not None}
+
+    def scenes(self, now_ns: int) -> dict[SceneOwner, SlotStats]:
+        """Return the E2E statistics of each message of whole scenes that was received."""
+        stats = {owner: self._stats(owner, now_ns) for owner in SCENES if owner in self.checks}
+        return {owner: known for owner, known in stats.items() if known is not None}
 
     def pose_error(self, now_ns: int) -> SlotStats | None:
         """Return the E2E statistics of the pose error; None if none was received."""

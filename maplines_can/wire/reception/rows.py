@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ...core import ffi
 from ...core.memory import dtype_of
 from ...values.gaussian import Gaussian
-from ...values.line import Kind, MapLine, Slot, Status
+from ...values.line import LEFT_OUT, Kind, MapLine, Slot, Status
 from ...values.map_error import MapError
 from ...values.mixture import GaussianMixture
 from ...values.scene import PoseError, Scene
@@ -83,7 +83,11 @@ def scene_of(seen: Any, lines: tuple[MapLine, ...]) -> ReceivedScene:
         _made(PoseError, pose_error),
         _doubles(known.fit_range, n, 2),
         MapError(0.0, known.offset_sigma, known.heading_sigma),
-        {},
+        {
+            slot: reason
+            for slot, i in zip(_SLOTS, known.left_out, strict=True)
+            if (reason := LEFT_OUT[i])
+        },
         _doubles(known.quartic, n),
         _doubles(seen.specific, n, 4, 4) if n else None,
     )

@@ -26,7 +26,7 @@ def decoder_settings(
                 f"{name} must be more than 0 ms and at most an hour ({MAX_MS} ms), "
                 f"got {number_text(value)}"
             )
-    modulus = 2 ** layout["Counter"].length
+    modulus = 2 ** (layout.scene or layout)["Counter"].length
     if e2e is not None and e2e.max_delta_counter >= modulus // 2:
         raise ValueError(
             f"max_delta_counter must be less than {modulus // 2}, half the counter modulus of "

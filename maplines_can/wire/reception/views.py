@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
-from ...values.line import MapLine, Slot
+from ...values.line import LeftOut, MapLine, Slot
 from ...values.scene import Scene
 from ..protection.e2e_state import E2EState, ProfileStatus
 
@@ -29,12 +29,14 @@ class SlotView(NamedTuple):
     age: float
     #: nothing newer came for some cycle times, there is no line, or it comes after now
     stale: bool
-    #: of the slot; if the line is conditional on the pose error, VALID only if that is, too
+    #: of the messages that brought the line: of its slot or whole scene; if it is conditional on a
+    #: message of the pose error, VALID only if that is, too
     state: E2EState
-    status: ProfileStatus | None  #: of the last check; None before the first
-    #: two senders were detected in the last 256 cycles, or are suspected: on the slot or, if the
-    #: line is conditional on the pose error, on that
+    status: ProfileStatus | None  #: of the last check of its slot or whole scene; None: none yet
+    #: two senders were detected in the last 256 cycles, or are suspected, on these messages
     two_senders: bool
+    #: the newest whole scene that names the slot has no line of it, for this reason
+    left_out: LeftOut | None = None
 
     @property
     def usable(self) -> bool:
@@ -59,7 +61,8 @@ class ReceivedScene(NamedTuple):
     """A scene as received."""
 
     scene: Scene
-    counter: int  #: of the pose error, which with ``t_ns`` tells a scene from the one before
+    #: of the pose error or of Scene, which with ``t_ns`` tells a scene from the one before
+    counter: int
     t_ns: int  #: time of the first frame of the pose error [ns]
     age: float  #: from the pose to the sending of the pose error [s]; infinite if it is too old
 
@@ -71,13 +74,13 @@ class SceneView(NamedTuple):
     #: from the time of the pose to now [s]; infinite if too old, unknown, or without a scene
     age: float
     stale: bool  #: its pose error came some cycle times ago, or comes after now
-    state: E2EState  #: of the pose error
-    status: ProfileStatus | None  #: of the last check of a pose error; None before the first
+    state: E2EState  #: of the pose error, or of Scene
+    status: ProfileStatus | None  #: of their last check; None before the first
     received: ReceivedScene | None = None  #: with its time of reception, and its age then
-    #: states of the slots of its lines
+    #: of each of its lines: of its slot, or of Scene or Scene2 that brought it
     slot_states: Mapping[Slot, E2EState] = MappingProxyType({})
-    #: two senders were detected in the last 256 cycles, or are suspected, on the pose error or on
-    #: the slot of a line
+    #: two senders were detected in the last 256 cycles, or are suspected, on the messages of the
+    #: pose error or of a line
     two_senders: bool = False
 
     @property
