@@ -15,8 +15,10 @@
  *     frame T CAN_ID DATA ANSWER       T [ns]; the ID in hex, x after it: of 29 bits; the answer is
  *                                      a reason, or COMPLETE and the slots of the lines
  *     expire T                         what has timed out is dropped
- *     view T SLOT STATE STATUS AGE IS_STALE TWO_SENDERS IS_USABLE
- *     scene T STATE STATUS AGE IS_STALE TWO_SENDERS IS_USABLE SLOTS
+ *     view T SLOT STATE STATUS AGE IS_STALE TWO_SENDERS IS_USABLE LEFT_OUT
+ *     scene T STATE STATUS AGE IS_STALE TWO_SENDERS IS_USABLE SLOTS SLOT=LEFT_OUT ...
+ *                                      a line is left out of whole scenes for a reason, or NONE;
+ *                                      other DBCs do not have this word
  *     stats T OWNER STATE STATUS OK LOST REPEATED WRONG_SEQUENCE ERRORS NO_NEW_DATA TWO_SENDERS
  *     counts FRAMES LINES PENDING REASON=FRAMES ...
  *     end CASES                        the last row: the number of all cases
@@ -69,8 +71,13 @@ typedef struct {
     uint8_t key[16];
     uint8_t key_id;
     int64_t now_us;
-    const maplines_scene_t *scene; ///< of the last step; NULL if that was a frame
-    const maplines_line_t *line;   ///< of the last word `line`
+#if MAPLINES_SCENES
+    maplines_scene_copy_t scene; ///< of the last step; none if that was a frame
+#endif
+#if !MAPLINES_LINE_RECORDS
+    maplines_line_copy_t newest; ///< of the last word `line`, if it stands behind a frame
+#endif
+    const maplines_line_t *line; ///< of the last word `line`
     char name[64];
     unsigned long row; ///< of the file
     bool has_failed;
@@ -144,7 +151,7 @@ static void check_variance(run_t *run, double got, double scale, bool is_varianc
 
 static int owner_of(const char *name)
 {
-    int owner = (int)MAPLINES_POSE;
+    int owner = (int)MAPLINES_SCENE2;
     while (owner > 0 && strcmp(maplines_owner_name((maplines_owner_t)owner), name) != 0)
     {
         --owner;
@@ -189,7 +196,6 @@ static int64_t now_of(void *context)
 
 static void start(run_t *run)
 {
-    run->scene = NULL;
     run->line = NULL;
     const char *problem = maplines_decoder_init(&run->decoder, &DBC, NULL);
     check(run, problem == NULL, "the start", problem == NULL ? "" : problem);
@@ -222,7 +228,9 @@ static void feed(run_t *run, const row_t *row)
     frame.can_id = (uint32_t)strtoul(word(row, 2), &end, 16);
     frame.is_extended = *end == 'x';
     frame.length = (uint8_t)bytes_of(word(row, 3), frame.data, sizeof(frame.data));
-    run->scene = NULL;
+#if MAPLINES_SCENES
+    run->scene.has_scene = false;
+#endif
     run->now_us = t_ns / 1000;
     const maplines_fed_t fed = maplines_feed(&run->decoder, &frame, t_ns);
     check_word(run, maplines_reason_name(fed.reason), row, 4, "the answer");
@@ -233,37 +241,67 @@ static void feed(run_t *run, const row_t *row)
     }
 }
 
+#if MAPLINES_SCENE_RECORDS
+/// Whether a line is left out for the reason of this name, such as RANGE.
+static bool is_left_out(maplines_left_out_t left_out, const char *name)
+{
+    const char *got = maplines_left_out_name(left_out);
+    return left_out == MAPLINES_IN_SCENE ? strcmp(name, "NONE") == 0 : strcmp(got, name) == 0;
+}
+#endif
+
 static void view(run_t *run, const row_t *row)
 {
-    maplines_view_t seen;
+    maplines_line_copy_t seen;
     const maplines_owner_t slot = (maplines_owner_t)owner_of(word(row, 2));
-    maplines_latest(&run->decoder, slot, integer(row, 1), &seen);
+    maplines_copy_line(&run->decoder, slot, integer(row, 1), &seen);
     check_word(run, maplines_e2e_state_name(seen.state), row, 3, "the state");
     check_word(run, maplines_e2e_status_name(seen.status), row, 4, "the E2E status");
     check_number(run, (double)seen.age, 0, TOLERANCE, row, 5, "the age");
     check_count(run, seen.is_stale, row, 6, "is_stale");
     check_count(run, seen.two_senders, row, 7, "two_senders");
     check_count(run, seen.is_usable, row, 8, "is_usable");
+#if MAPLINES_SCENE_RECORDS
+    check(run, row->count < 10 || is_left_out(seen.left_out, word(row, 9)), "the reason",
+          word(row, 9));
+#endif
 }
 
 #if MAPLINES_SCENES
 static void scene(run_t *run, const row_t *row)
 {
-    maplines_scene_view_t seen;
-    maplines_latest_scene(&run->decoder, integer(row, 1), &seen);
-    run->scene = seen.scene;
-    check_word(run, maplines_e2e_state_name(seen.state), row, 2, "the state");
-    check_word(run, maplines_e2e_status_name(seen.status), row, 3, "the E2E status");
-    check_number(run, (double)seen.age, 0, TOLERANCE, row, 4, "the age");
-    check_count(run, seen.is_stale, row, 5, "is_stale");
-    check_count(run, seen.two_senders, row, 6, "two_senders");
-    check_count(run, seen.is_usable, row, 7, "is_usable");
-    const size_t count = seen.scene == NULL ? 0 : seen.scene->count;
-    check(run, row->count == 8U + count, "the number of lines", "as stated");
-    for (size_t i = 0; i < count; ++i)
+    const maplines_scene_copy_t *seen = &run->scene;
+    maplines_copy_scene(&run->decoder, integer(row, 1), &run->scene);
+    check_word(run, maplines_e2e_state_name(seen->state), row, 2, "the state");
+    check_word(run, maplines_e2e_status_name(seen->status), row, 3, "the E2E status");
+    check_number(run, (double)seen->age, 0, TOLERANCE, row, 4, "the age");
+    check_count(run, seen->is_stale, row, 5, "is_stale");
+    check_count(run, seen->two_senders, row, 6, "two_senders");
+    check_count(run, seen->is_usable, row, 7, "is_usable");
+    size_t count = 8;
+    for (size_t i = 0; i < seen->scene.count; ++i)
     {
-        check_word(run, maplines_owner_name(seen.scene->lines[i].slot), row, 8 + i, "the slot");
+        check_word(run, maplines_owner_name(seen->scene.lines[i].slot), row, count, "the slot");
+        ++count;
     }
+#if MAPLINES_SCENE_RECORDS
+    for (int slot = 0; slot < MAPLINES_SLOTS; ++slot)
+    {
+        const maplines_left_out_t left_out = seen->scene.left_out[slot];
+        const char *name = maplines_owner_name((maplines_owner_t)slot);
+        const size_t length = strlen(name);
+        if (left_out != MAPLINES_IN_SCENE)
+        {
+            const char *given = word(row, count);
+            check(run,
+                  strncmp(given, name, length) == 0 && given[length] == '=' &&
+                      is_left_out(left_out, given + length + 1),
+                  "a line that is left out", given);
+            ++count;
+        }
+    }
+#endif
+    check(run, row->count == count, "the number of lines", "as stated");
 }
 
 #endif
@@ -328,13 +366,38 @@ static double sigma_of(const maplines_line_t *line, int i)
     return sqrt(variance);
 }
 
+/// Whether the last step was a scene.
+static bool is_of_scene(const run_t *run)
+{
+#if MAPLINES_SCENES
+    return run->scene.has_scene;
+#else
+    (void)run;
+    return false;
+#endif
+}
+
+static const maplines_line_t *scene_line(const run_t *run, maplines_owner_t slot)
+{
+#if MAPLINES_SCENES
+    return maplines_scene_line(&run->scene.scene, slot);
+#else
+    (void)run;
+    (void)slot;
+    return NULL;
+#endif
+}
+
 static void line(run_t *run, const row_t *row)
 {
     const maplines_owner_t slot = (maplines_owner_t)owner_of(word(row, 1));
+#if MAPLINES_LINE_RECORDS
     run->line = maplines_newest(&run->decoder, slot);
-#if MAPLINES_SCENES
-    run->line = run->scene != NULL ? maplines_scene_line(run->scene, slot) : run->line;
+#else
+    maplines_copy_line(&run->decoder, slot, 1000 * run->now_us, &run->newest);
+    run->line = run->newest.has_line ? &run->newest.line : NULL;
 #endif
+    run->line = is_of_scene(run) ? scene_line(run, slot) : run->line;
     check(run, run->line != NULL, "the line", "there");
     if (run->line == NULL)
     {
@@ -361,7 +424,7 @@ static void mean(run_t *run, const row_t *row)
 
 static void covariance(run_t *run, const row_t *row)
 {
-    const bool is_sum = run->scene != NULL || DBC.is_conditional || run->line->components > 1;
+    const bool is_sum = is_of_scene(run) || DBC.is_conditional || run->line->components > 1;
     const double tolerance = is_sum ? SUM_TOLERANCE : TOLERANCE;
     maplines_real_t C[4][4];
     maplines_covariance(&run->line->gaussian, C);
@@ -424,15 +487,15 @@ static void lateral(run_t *run, const row_t *row, bool is_sigma)
 #if MAPLINES_SCENES
 static void joint(run_t *run, const row_t *row)
 {
-    const size_t n = 4U * run->scene->count;
+    const maplines_scene_t *scene = &run->scene.scene;
+    const size_t n = 4U * scene->count;
     maplines_owner_t slots[MAPLINES_SLOTS];
     maplines_real_t C[16 * MAPLINES_SLOTS * MAPLINES_SLOTS];
-    for (size_t i = 0; i < run->scene->count; ++i)
+    for (size_t i = 0; i < scene->count; ++i)
     {
-        slots[i] = run->scene->lines[i].slot;
+        slots[i] = scene->lines[i].slot;
     }
-    check(run, maplines_joint_covariance(run->scene, run->scene->count, slots, C), "the joint",
-          "there");
+    check(run, maplines_joint_covariance(scene, scene->count, slots, C), "the joint", "there");
     size_t place = 1;
     for (size_t i = 0; i < n; ++i)
     {
@@ -475,7 +538,7 @@ static void step(run_t *run, const row_t *row)
     {
         scene(run, row);
     }
-    else if (run->scene != NULL && strcmp(kind, "joint") == 0)
+    else if (run->scene.has_scene && strcmp(kind, "joint") == 0)
     {
         joint(run, row);
     }

@@ -81,6 +81,7 @@ class Case:
                 not_before=key.not_before,
             )
         self._decoder = Codec(layout, authenticator).decoder()
+        self._has_whole_scenes = layout.scene is not None
 
     def frame(
         self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
@@ -125,6 +126,8 @@ class Case:
                 "is_usable": view.usable,
             }
         )
+        if self._has_whole_scenes:
+            self.steps[-1]["left_out"] = "NONE" if view.left_out is None else view.left_out.name
 
     def stats(self, owner: Owner, now_ns: int) -> None:
         """Ask for the counters of the E2E checks of an owner."""
@@ -168,6 +171,11 @@ class Case:
                 "joint": _numbers(_upper(cov)),
             }
         )
+        if self._has_whole_scenes:
+            left_out = {} if view.scene is None else view.scene.left_out
+            self.steps[-1]["left_out"] = {
+                slot.name: left_out[slot].name for slot in sorted(left_out)
+            }
 
     def counts(self) -> None:
         """Ask for the numbers of frames and lines."""
@@ -334,6 +342,13 @@ def _words(step: Mapping[str, Any]) -> Iterator[Any]:
         yield from (step["state"], step["status"], step["age"]["hex"][0])
         yield from (int(step[name]) for name in ("is_stale", "two_senders", "is_usable"))
         yield from step.get("slots", ())
+        if "left_out" in step:
+            left_out = step["left_out"]
+            yield from (
+                [f"{slot}={why}" for slot, why in left_out.items()]
+                if kind == "scene"
+                else [left_out]
+            )
 
 
 def _line_words(line: Mapping[str, Any]) -> Iterator[Any]:
