@@ -221,6 +221,7 @@ class CoreSide:
         elif step.kind == "statistics":
             core.slots(step.t_ns)
             core.pose_error(step.t_ns)
+            core.scenes(step.t_ns)
         return None
 
 
