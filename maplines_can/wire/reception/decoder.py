@@ -13,7 +13,7 @@ from ...core import Lock, ffi, lib
 from ...core.memory import pointer
 from ...values.line import LEFT_OUT, MapLine, Slot
 from ..layout.message_layout import Layout
-from ..layout.pose_layout import POSE, SCENES, Owner, SceneOwner, number_of
+from ..layout.pose_layout import OWNERS, POSE, SCENES, Owner, SceneOwner, number_of
 from ..protection.secoc import DATA_ID_BYTES, FRESHNESS_BYTES, MAX_FRESHNESS, Verifier
 from ..reasons import Reason
 from .check import STATES, STATUSES, Check, SlotStats
@@ -491,10 +491,17 @@ class Decoder:
     def slots(self, now_ns: int) -> dict[Slot, SlotStats]:
         """Return the E2E statistics of each slot on which anything was received.
 
-        There are none of whole scenes, whose messages bring several slots.
+        A slot that has come in a whole scene has those of the message that brought its line.
         """
-        stats = {slot: self._stats(slot, now_ns) for slot in self._slots if slot in self.checks}
+        owners = {slot: self._owner_of(slot) for slot in self._slots}
+        stats = {slot: self._stats(own, now_ns) for slot, own in owners.items() if own is not None}
         return {slot: known for slot, known in stats.items() if known is not None}
+
+    def _owner_of(self, slot: Slot) -> Owner | None:
+        """Return the owner of the records that bring the line of a slot; None: none has."""
+        if slot in self.checks:
+            return slot
+        return OWNERS[self._c.decoder.brought_by[slot]] if slot in self._newest else None
 
     def scenes(self, now_ns: int) -> dict[SceneOwner, SlotStats]:
         """Return the E2E statistics of each message of whole scenes that was received."""
