@@ -14,7 +14,7 @@ PAGES = 4
 class FakeCodec:
     """Page: number, counter, slot, 0, age [ms], y_off [mm]."""
 
-    layout = SimpleNamespace(max_age=60.0, is_conditional=False)
+    layout = SimpleNamespace(max_age=60.0, is_conditional=False, has_classic=True)
 
     def __init__(self) -> None:
         self.counters: Counter[Any] = Counter()

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 from ..values.errors import BusError, EncodeError
 from ..values.line import LeftOut, MapLine, MapLineList, Slot
 from ..values.scene import Scene
-from ..wire import POSE, Frame, LineCodec, PreparedScene
+from ..wire import Frame, LineCodec, PreparedScene
+from ..wire.encoder import classic_error
 from .background import BackgroundThread
 from .link import Link, Sent, link_of
 from .log_writer import message_of
@@ -33,10 +34,11 @@ class TransmitterStats(NamedTuple):
     overruns: int  #: deadlines skipped because the thread was a period late or more
     frames: int  #: frames handed to the interface, those of unfinished transfers included
     retries: int  #: attempts that met a full transmit queue and were repeated
-    expired: int  #: lines sent as too old, because they were not published again in time
-    pose_errors: int  #: pose errors of scenes sent with all their frames
-    #: lines of the map that were left out of what was published, by ``map_lines``, ``map_scene`` or
-    #: since they do not fit the message of scenes, and so retracted, by reason
+    expired: int  #: records sent as too old, because lines were not published again in time
+    pose_errors: int  #: pose errors sent with all their frames; each whole scene has one
+    #: lines of the map that were left out of what was published, and so retracted, by reason: by
+    #: ``map_lines``, ``map_scene``, or since the messages of scenes cannot state them or have no
+    #: place for them
     left_out: Mapping[LeftOut, int]
     lateness: Lateness  #: of the first frame of each transfer, after its deadline
 
@@ -56,6 +58,8 @@ class Transmitter(BackgroundThread):
 
     Deadlines are absolute (see ``Schedule``): they do not drift.  A deadline that is missed
     by a period or more is skipped and counted as an overrun.
+
+    With a DBC of whole scenes, the frames of a scene are sent back to back once each period.
 
     A line that is not published again is sent again, with a growing age.  When its age exceeds
     ``max_age``, the transmitter no longer vouches for it: the line is sent as "too old" (the
@@ -90,6 +94,7 @@ class Transmitter(BackgroundThread):
         TypeError: ``link`` is neither a link nor a bus, or ``codec`` is no codec.
         ValueError: ``period``, ``count`` or ``max_age`` is out of range.
         BusError: ``fd`` on a link without CAN FD.
+        EncodeError: not ``fd``, and the DBC has no message for classic CAN.
     """
 
     def __init__(
@@ -122,6 +127,8 @@ class Transmitter(BackgroundThread):
                 f"{link.name} is opened without CAN FD; open it with fd=True, or send classic "
                 "frames (fd=False)"
             )
+        if not (fd or codec.layout.has_classic):
+            raise classic_error(codec.layout)
         super().__init__("maplines transmit")
         self._link, self._period, self._clock, self._on_sent = link, period, clock, on_sent
         self._codec, self._encoder, self._fd = codec, codec.encoder(), fd
@@ -142,7 +149,8 @@ class Transmitter(BackgroundThread):
 
         A line that is left out is retracted: its slot does not go on with the previous one.
         ``TransmitterStats.left_out`` counts such lines by reason: those that ``map_lines`` or
-        ``map_scene`` left out, and those of a scene that do not fit the message.
+        ``map_scene`` left out, and those of a scene that do not fit the message, or for which it
+        has no place.
 
         A scene is sent instead of all that was published before: in each period the pose error
         first, then the lines that were seen from this pose. This call encodes the scene, in the
@@ -175,7 +183,7 @@ class Transmitter(BackgroundThread):
         if isinstance(line, Scene | PreparedScene):
             line = self._encoder.prepare_scene(line, fd=self._fd)
         prepared = line if isinstance(line, PreparedScene) else None
-        left_out = line.left_out if isinstance(line, MapLineList | PreparedScene) else {}
+        left_out = line.left_out if isinstance(line, MapLineList) else {}
         lines: list[MapLine] = []
         if not isinstance(line, PreparedScene):
             lines = [line] if isinstance(line, MapLine) else list(line)
@@ -191,6 +199,8 @@ class Transmitter(BackgroundThread):
                     "transmitter sends nothing; make a new Transmitter"
                 )
             first = self._tx_queue.first
+            if prepared is not None:
+                left_out = self._tx_queue.left_out(prepared)
             for slot in left_out:
                 self._tx_queue.drop(slot)
             self._left_out.update(left_out.values())
@@ -258,10 +268,11 @@ class Transmitter(BackgroundThread):
             self._lateness.add(lateness)
             counts = self._counts
             if result is Sent.OK:
-                counts["pose_errors" if transfer.owner == POSE else "lines"] += 1
+                counts["pose_errors"] += transfer.pose_errors
+                counts["lines"] += transfer.lines
                 counts["expired"] += transfer.expired
             else:
-                counts["down" if result is Sent.DOWN else "full"] += 1
+                counts["down" if result is Sent.DOWN else "full"] += max(transfer.lines, 1)
             counts["overruns"] += transfer.skipped
             counts["frames"] += sent
             counts["retries"] += retries

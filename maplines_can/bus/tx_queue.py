@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from typing import NamedTuple
 
-from ..values.line import MapLine, Slot, aged
-from ..wire import POSE, Frame, LineCodec, Owner, PreparedScene
+from ..values.line import LeftOut, MapLine, Slot, aged
+from ..wire import POSE, SCENE, Encoder, Frame, LineCodec, Owner, PreparedScene
 from .schedule import Schedule
 
 #: Max lead time of encoding [s]; well below the 1 s freshness window.
@@ -41,11 +43,6 @@ class PublishedScene:
     age: float  #: of the pose at the time of publishing [s]
     at: float  #: time of publishing [s]
 
-    @property
-    def slots(self) -> tuple[Slot, ...]:
-        """Slots of the lines that are sent."""
-        return self.prepared.sent_slots
-
     def age_at(self, now: float, max_age: float) -> float:
         """Return the age at ``now``, infinite if it exceeds ``max_age`` [s]."""
         age = max(0.0, self.age + now - self.at)
@@ -53,7 +50,7 @@ class PublishedScene:
 
 
 class Transfer(NamedTuple):
-    """Encoded frames of a slot or of the pose error with their deadline."""
+    """Encoded frames of a slot, of the pose error or of a whole scene with their deadline."""
 
     owner: Owner
     deadline: float  #: [s]
@@ -63,6 +60,8 @@ class Transfer(NamedTuple):
     records: int  #: by which the counter advances when the transfer is taken
     again: Callable[[float], tuple[Sequence[Frame], bool]]  #: encode for another ``latest``
     skipped: int = 0  #: deadlines of the owner that were missed before this one
+    lines: int = 1
+    pose_errors: int = 0
 
 
 class TxQueue:
@@ -89,6 +88,8 @@ class TxQueue:
     next pose error is not. A line whose pose error was skipped is not sent. All counters
     advance when the pose error is taken: it states those of its lines, so none of them may be used
     again, even if a line is then skipped or dropped.
+
+    A whole scene is encoded when it is due; its frames are one transfer.
 
     No line is encoded more than `AHEAD` before its deadline.  A transmitter with a long period
     thus encodes a few lines at a time, at most ten times a second.
@@ -120,7 +121,7 @@ class TxQueue:
         """
         if self._scene is not None:
             self._scene = None
-            for owner in (POSE, *Slot):
+            for owner in (SCENE, POSE, *Slot):
                 self._remove(owner)
         for line in lines:
             if line.slot not in self._published:
@@ -144,15 +145,20 @@ class TxQueue:
             for owner in self._published:
                 self._remove(owner)
             self._published.clear()
-            # Before the first slot, which has the same phase: the first of two keys comes first.
-            self._schedule.add(POSE, 0.0, now)
-        before = set() if self._scene is None else set(self._scene.slots)
+        before = () if self._scene is None else self._scene.prepared.owners
         self._scene = PublishedScene(prepared, age, now)
-        for slot in before - set(self._scene.slots):
-            self._remove(slot)
-        for slot in self._scene.slots:
-            if slot not in before:
-                self._schedule.add(slot, slot / len(Slot), now)
+        for owner in set(before) - set(prepared.owners):
+            self._remove(owner)
+        # The pose error is before the first slot, which has the same phase: the first of two keys
+        # comes first.
+        for owner in prepared.owners:
+            if owner not in before:
+                phase = owner / len(Slot) if isinstance(owner, Slot) else 0.0
+                self._schedule.add(owner, phase, now)
+
+    def left_out(self, prepared: PreparedScene) -> dict[Slot, LeftOut]:
+        """Return the reasons of the lines of a scene that are not sent if it is the next one."""
+        return self._encoder.left_out(prepared, fd=self._fd)
 
     def drop(self, slot: Slot) -> None:
         """Remove the line of a slot; there may be none."""
@@ -194,6 +200,8 @@ class TxQueue:
             elif due.key == POSE:
                 self._encode_scene(self._scene, due.deadline)
                 transfer = self._ahead.pop(POSE)
+            elif due.key == SCENE:
+                transfer = self._encode_whole(self._scene, due.deadline)
             if transfer is None:
                 continue  # of a scene whose pose error was not sent
             self._counters[due.key] += transfer.records
@@ -256,7 +264,8 @@ class TxQueue:
         """
         counters = dict(self._counters)
         deadlines: dict[Owner, float] = {POSE: deadline}
-        deadlines |= {slot: self._schedule.deadline(slot) for slot in scene.slots}
+        slots = scene.prepared.sent_slots
+        deadlines |= {slot: self._schedule.deadline(slot) for slot in slots}
         ages = {
             owner: scene.age_at(then + ALLOWANCE, self._max_age)
             for owner, then in deadlines.items()
@@ -273,6 +282,8 @@ class TxQueue:
                 ages[owner] == math.inf,
                 0,  # the counters have advanced
                 again,
+                lines=int(owner != POSE),
+                pose_errors=int(owner == POSE),
             )
 
     def _scene_frames(
@@ -285,8 +296,40 @@ class TxQueue:
     ) -> tuple[Sequence[Frame], bool]:
         age = scene.age_at(latest, self._max_age)
         ages: dict[Owner, float] = {POSE: age}
-        ages |= dict.fromkeys(scene.slots, age)
+        ages |= dict.fromkeys(scene.prepared.sent_slots, age)
         return self._scene_frames(scene, counters, ages)[owner], age == math.inf
+
+    def _encode_whole(self, scene: PublishedScene, deadline: float) -> Transfer:
+        """Encode a whole scene that is due now."""
+        latest = deadline + ALLOWANCE
+        before = copy.copy(self._encoder)
+        again = partial(self._whole_again, before, scene)
+        frames, expired = self._whole_frames(self._encoder, scene, latest)
+        without = self._encoder.left_out(scene.prepared, fd=self._fd)
+        return Transfer(
+            SCENE,
+            deadline,
+            latest,
+            frames,
+            expired,
+            0,  # the counters are those of the encoder, which have advanced
+            again,
+            lines=sum(slot not in without for slot in scene.prepared.sent_slots),
+            pose_errors=len(frames),
+        )
+
+    def _whole_again(
+        self, before: Encoder, scene: PublishedScene, latest: float
+    ) -> tuple[Sequence[Frame], bool]:
+        return self._whole_frames(copy.copy(before), scene, latest)
+
+    def _whole_frames(
+        self, encoder: Encoder, scene: PublishedScene, latest: float
+    ) -> tuple[Sequence[Frame], bool]:
+        """Return the frames of a whole scene, and whether it is too old; the encoder advances."""
+        age = scene.age_at(latest, self._max_age)
+        frames = encoder.encode_scene(scene.prepared, age=age, fd=self._fd)
+        return [*chain(*frames.values())], age == math.inf
 
     def _may_be_ahead(self, slot: Owner, deadline: float, now: float) -> bool:
         until = now + self._period / 2

@@ -55,8 +55,9 @@ def add_bus(parser: argparse.ArgumentParser, *, private: bool = False) -> None:
     add(
         "--fd",
         action="store_true",
-        help="CAN FD: one frame for each line and each pose error, instead of 2 to 5 frames of 8 "
-        "bytes of classic CAN",
+        help="CAN FD: one frame for each line and each pose error, or for a whole scene, instead "
+        "of 2 to 5 frames of 8 bytes of classic CAN (implied by a DBC without messages for that, "
+        "such as maplines-scene.dbc)",
     )
 
 
@@ -175,14 +176,17 @@ def keyed_codec(
 ) -> LineCodec:
     """Return the codec of the DBC, with the keys if there are any.
 
-    The freshness of a frame is checked against the clock [ns], within the window [s]; that of a
-    log is not, so its clock is None.
+    A DBC without messages for classic CAN implies ``--fd``. The freshness of a frame is checked
+    against the clock [ns], within the window [s]; that of a log is not, so its clock is None.
     """
     keys = [read(name, key_id) for read, name, key_id in arguments.keys or ()]
-    if not keys:
-        return line_codec_from(arguments.dbc, encoding=arguments.encoding)
-    authenticator = Authenticator(*keys, clock=clock, window_ns=round(1e9 * window))
-    return line_codec_from(arguments.dbc, authenticator, arguments.encoding)
+    authenticator = None
+    if keys:
+        authenticator = Authenticator(*keys, clock=clock, window_ns=round(1e9 * window))
+    codec = line_codec_from(arguments.dbc, authenticator, arguments.encoding)
+    if not codec.layout.has_classic:
+        arguments.fd = True
+    return codec
 
 
 def codec_from(

@@ -23,7 +23,7 @@ from ..simulation.scenario_lines import ScenarioLines
 from ..simulation.scenarios import SCENARIOS, STREETS, Scenario, scenario
 from ..values.line import LeftOut, MapLine, MapLineList, Slot
 from ..values.scene import Scene
-from ..wire import LineCodec
+from ..wire import SCENE, SCENE2, LineCodec
 from .output import left_out_text
 from .parsing import number, option_group, positive
 
@@ -52,7 +52,7 @@ class Sending(NamedTuple):
     def left_out(self, codec: LineCodec) -> Mapping[Slot, LeftOut]:
         """Return why lines are not sent: those of a scene that do not fit the message, too."""
         if isinstance(self.lines, Scene):
-            return codec.encoder().prepare_scene(self.lines, fd=self.bus.fd).left_out
+            return codec.encoder().left_out(self.lines, fd=self.bus.fd)
         return self.lines.left_out
 
 
@@ -99,7 +99,8 @@ def add_line_model(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="send the error of the pose, too, from which the lines of a cycle are seen: receivers "
         "then know their joint covariance (always so with --dbc maplines-pose.dbc, whose lines "
-        "take fewer frames, but are received with the pose error only)",
+        "take fewer frames, but are received with the pose error only, and with --dbc "
+        "maplines-scene.dbc, whose CAN FD frames are whole scenes)",
     )
     message.add_argument(
         "--components",
@@ -155,7 +156,7 @@ def sending_of(codec: LineCodec, arguments: argparse.Namespace) -> Sending:
     elif time is not None:
         raise ValueError(
             "--correlation-time is sent with the pose error only; add --pose-error, or take "
-            "--dbc maplines-pose.dbc"
+            "--dbc maplines-pose.dbc or maplines-scene.dbc"
         )
     components = choose_components(sent, codec, number, arguments.components, limit)
     source = ScenarioLines(
@@ -179,9 +180,9 @@ def _rate(scenario: Scenario, codec: LineCodec, arguments: argparse.Namespace) -
     """Return how often each line is sent: ``--rate``, or the shortest cycle time in the DBC."""
     if arguments.rate is not None:
         return float(arguments.rate)
-    messages = codec.layout.messages
-    slots = [slot for slot in scenario.first_lines(arguments.lines) if slot in messages]
-    cycles = [messages[slot].cycle_ms for slot in slots if messages[slot].cycle_ms]
+    messages = codec.layout.messages_of.items()
+    owners = *scenario.first_lines(arguments.lines), SCENE, SCENE2
+    cycles = [own.cycle_ms for owner, own in messages if owner in owners and own.cycle_ms]
     return 1000 / min(cycles) if cycles else DEFAULT_RATE
 
 

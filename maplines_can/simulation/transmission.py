@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import time
 from collections import Counter
@@ -19,7 +20,7 @@ from ..maps import LaneTracker
 from ..maps.line_source import Cycle, LineSource
 from ..values.line import MapLine, MapLineList, Slot
 from ..values.scene import Scene
-from ..wire import Frame, LineCodec, Owner, PreparedScene
+from ..wire import SCENE, SCENE2, Frame, LineCodec, Owner, PreparedScene
 from .trajectory import CarState
 from .truth import TruthWriter, true_lines
 
@@ -274,6 +275,9 @@ class Transmission:
             numbers: next counters of the owners of records, which advance.
         """
         prepared = self._prepared(scene)
+        if SCENE in prepared.owners:
+            yield from self._whole_transfers(prepared)
+            return
         first, age = Counter(numbers), 0.0
         self.counters.lines += len(prepared.sent_slots)
         for owner in prepared.owners:
@@ -285,10 +289,24 @@ class Transmission:
             age += sum(map(self._duration, frames))
             yield frames
 
+    def _whole_transfers(self, prepared: PreparedScene) -> Iterator[list[Frame]]:
+        """Yield the frames of a whole scene, each with its own age."""
+        before = copy.copy(self._encoder)
+        sent = self._encoder.encode_scene(prepared, fd=self.fd)
+        if SCENE2 in sent:
+            ages: dict[Owner, float] = {SCENE2: 0.0}
+            ages[SCENE] = sum(map(self._duration, sent[SCENE2]))
+            sent = before.encode_scene(prepared, age=ages, fd=self.fd)
+        self.counters.pose_errors += len(sent)
+        without = self._encoder.left_out(prepared, fd=self.fd)
+        self.counters.lines += sum(slot not in without for slot in prepared.sent_slots)
+        yield from sent.values()
+
     def _prepared(self, scene: Scene) -> PreparedScene:
         """Return a scene for sending, and count the lines that do not fit the message."""
         prepared = self._encoder.prepare_scene(scene, fd=self.fd)
-        self.counters.left_out.update(reason.name for reason in prepared.unfit.values())
+        left_out = self._encoder.left_out(prepared, fd=self.fd).items()
+        self.counters.left_out.update(why.name for slot, why in left_out if slot in scene.index)
         return prepared
 
     def _transfer_time(self, lines: MapLineList) -> float:

@@ -174,7 +174,8 @@ def round_trip(
     if isinstance(published, PreparedScene):
         transfers = encoder.encode_scene(published, fd=bus.fd)
         full = len(true_lines) * (1 if bus.fd else codec.layout.pages)
-        result = scene_result(published, transfers, arrivals.scene, full)
+        left_out = encoder.left_out(published, fd=bus.fd)
+        result = scene_result(published, transfers, left_out, arrivals.scene, full)
         cycle = transfers.values()
     else:
         cycle = encoder.encode_lines(published, fd=bus.fd)

@@ -40,7 +40,8 @@ class SceneResult:
     #: messages of whole scenes ("scene2", "scene")
     frames: Mapping[str, int]
     frames_of_full_records: int  #: of a cycle, if each line had a covariance of its own
-    unsent: Mapping[Slot, LeftOut]  #: reasons of the lines that do not fit the message
+    #: reasons of the lines that do not fit the message, or have no place there
+    unsent: Mapping[Slot, LeftOut]
 
     def as_dict(self) -> dict[str, Any]:
         """Return all figures, for JSON."""
@@ -56,6 +57,7 @@ class SceneResult:
 def scene_result(
     sent: PreparedScene,
     transfers: Mapping[Owner, Sequence[Frame]],
+    left_out: Mapping[Slot, LeftOut],
     received: Scene | None,
     frames_of_full_records: int,
 ) -> SceneResult:
@@ -64,6 +66,7 @@ def scene_result(
     Args:
         sent: the scene as sent.
         transfers: frames of each record, by its owner.
+        left_out: why lines are not sent.
         received: the scene as received; None if none was.
         frames_of_full_records: of a cycle, if each line had a covariance of its own.
     """
@@ -75,7 +78,7 @@ def scene_result(
             for owner, frames in transfers.items()
         },
         frames_of_full_records=frames_of_full_records,
-        unsent=sent.unfit,
+        unsent={slot: why for slot, why in left_out.items() if slot in scene.index},
     )
 
 

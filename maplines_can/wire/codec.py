@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -15,8 +14,7 @@ from .batch import BatchCodec
 from .encoder import Encoder, conditional_error
 from .layout.cholesky import CholeskyCode
 from .layout.message_layout import Layout
-from .layout.pose_layout import POSE, Owner, PoseLayout
-from .layout.scene_layout import SceneLayout
+from .layout.pose_layout import Owner
 from .protection.e2e_state import E2EConfig
 from .protection.secoc import Authenticator, Verifier
 from .reception.decoder import Decoder
@@ -184,11 +182,6 @@ class Codec:
         """Return a new encoder, which holds the counters of a sender."""
         return Encoder(self.encoder, self.layout, self._tables, self._frame_writer)
 
-    def _verifier_of(self, layout: Layout | PoseLayout | SceneLayout) -> Verifier | None:
-        if self.authenticator is None or layout.secured is None:
-            return None
-        return Verifier(self.authenticator, layout.secured)
-
     def decoder(
         self,
         *,
@@ -213,12 +206,11 @@ class Codec:
             ValueError: a time is 0 or less, or more than an hour; or ``e2e`` does not fit the
                 DBC's counter.
         """
-        layout, pose = self.layout, self.layout.pose
+        layout, authenticator = self.layout, self.authenticator
         verifiers: dict[Owner, Verifier] = {}
-        if (of_lines := self._verifier_of(layout)) is not None:
-            verifiers |= dict.fromkeys(layout.messages, of_lines)
-        if pose is not None and (of_pose := self._verifier_of(pose)) is not None:
-            owners: Iterable[Owner] = [POSE] if layout.scene is None else layout.scene.messages
-            verifiers |= dict.fromkeys(owners, of_pose)
+        if authenticator is not None:
+            secured = {owner: layout.record_of(owner).secured for owner in layout.messages_of}
+            verifier = {own: Verifier(authenticator, own) for own in secured.values() if own}
+            verifiers = {owner: verifier[own] for owner, own in secured.items() if own}
         settings = decoder_settings(layout, self._tables.dbc, timeout_ms, cycle_ms, e2e)
         return Decoder(layout, self._tables.dbc, verifiers, settings)

@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 
 from ..core import Lock, ffi, lib
 from ..values.errors import EncodeError
-from ..values.line import MapLine, Slot
+from ..values.line import LeftOut, MapLine, Slot
 from ..values.scene import Scene
 from .layout.attributes import RecordAttributes
 from .layout.message_layout import Layout
-from .layout.pose_layout import Owner
+from .layout.pose_layout import Owner, SceneOwner
 from .layout.signals import PAGE_BYTES
 from .layout.validation import checked_gaussians
 from .records.counters import packed
 from .records.frames import Frame, FrameWriter, Records
 from .records.given import GAUSSIAN_BYTES, given_lines
-from .scene_writer import PreparedScene, prepare_scene, write_scene
+from .scene_writer import PreparedScene, SenderState, placed_slots, prepare_scene, write_scene
 from .tables import LineTables
 
 _LINES, _DOUBLES, _INTS, _COUNTERS, _BYTES = map(
@@ -32,10 +32,13 @@ _LINES, _DOUBLES, _INTS, _COUNTERS, _BYTES = map(
 
 
 class Encoder:
-    """Encoder of the lines of a sender; it holds the counter of each slot and of the pose error.
+    """Encoder of the lines of a sender; it holds the counter of each record.
+
+    With messages of whole scenes, it also holds the places that lines had in the last cycle, so
+    that these change as little as possible.
 
     ``Codec.encoder`` makes one, whose counters begin with 0. A copy, or one from a pickle, goes on
-    from the counters of the original: only one of the two may send.
+    from the state of the original: only one of the two may send.
 
     Args:
         again: makes an encoder of the same codec.
@@ -53,11 +56,11 @@ class Encoder:
     ) -> None:
         self._again, self._layout = again, layout
         self._tables, self._frame_writer = tables, frame_writer
-        self._counters = packed({})
-        self._lock = Lock()  # of the counters: threads send different ones
+        self._state = SenderState(packed({}))
+        self._lock = Lock()  # of the state: threads send different lines
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return self._again, (), {"_counters": self._counters}
+        return self._again, (), {"_state": self._state}
 
     def encode(self, line: MapLine, *, fd: bool = False) -> list[Frame]:
         """Encode a line into frames to be sent back to back, and advance the slot's counter.
@@ -98,22 +101,25 @@ class Encoder:
 
     def _written(
         self,
-        write: Callable[[bytes], tuple[Records, bytes]],
+        write: Callable[[SenderState], tuple[Records, SenderState]],
         fd: bool,
         counters: Mapping[Owner, int] | None,
     ) -> tuple[tuple[Owner, ...], list[list[Frame]]]:
-        """Return the owners and the frames of records; without counters, those here advance.
+        """Return the owners and the frames of records; without counters, the state here advances.
 
         Args:
-            write: returns the records from these counters on, and those that follow.
+            write: returns the records from a state on, and the state that follows.
             fd: see ``encode``.
             counters: see ``encode_lines``.
         """
         with self._lock:
-            records, following = write(self._counters if counters is None else packed(counters))
+            state = self._state
+            if counters is not None:
+                state = state._replace(counters=packed(counters))
+            records, following = write(state)
             frames = self._frame_writer.write_all(records, fd)
             if counters is None:
-                self._counters = following
+                self._state = following
         return records.owners, frames
 
     def prepare_scene(self, scene: Scene | PreparedScene, *, fd: bool = False) -> PreparedScene:
@@ -121,13 +127,17 @@ class Encoder:
 
         Args:
             scene: from ``map_scene``; one that is prepared is returned as it is.
-            fd: for CAN FD frames, which always have all entries of line-specific covariances.
+            fd: for CAN FD frames. Those of one line have all entries of its line-specific
+                covariance; messages of whole scenes are CAN FD only.
 
         Raises:
             EncodeError: the DBC has no message of the pose error, or none for a slot; or the pose
-                error does not fit; or the scene was prepared for another DBC.
+                error does not fit; or the scene was prepared for another DBC; or the DBC has whole
+                scenes, and classic frames are requested.
             TypeError: it is no scene.
         """
+        if not (fd or self._layout.has_classic):
+            raise classic_error(self._layout)
         if isinstance(scene, PreparedScene):
             if not scene.layout.is_same_as(self._layout):
                 raise EncodeError(
@@ -141,7 +151,7 @@ class Encoder:
                 "scene must be a Scene, such as from map_scene, or one from prepare_scene, got a "
                 f"{type(scene).__name__}"
             )
-        full = fd and self._layout.is_conditional
+        full = fd and self._layout.is_conditional and self._layout.scene is None
         return prepare_scene(self._layout, self._tables.dbc, scene, full=full)
 
     def encode_scene(
@@ -158,13 +168,15 @@ class Encoder:
             scene: from ``map_scene``, or prepared.
             age: time from the pose to the sending of each record, or one for all [s]; infinite if
                 it is too old.
-            fd: CAN FD frames, or with an authenticator, authenticated ones.
-            counters: next counters of the pose error and of each slot; None: those of the encoder,
-                which advance.
+            fd: CAN FD frames, or with an authenticator, authenticated ones; needed for whole
+                scenes.
+            counters: next counter of each record, by owner; None: those of the encoder, which
+                advance, and with them the places of lines in whole scenes.
 
         Returns:
             The frames of the pose error (``POSE``), then of each slot. With a DBC whose records are
-            conditional on the pose error, lines that do not fit are not among them.
+            conditional on the pose error, lines that do not fit are not among them. With messages
+            of whole scenes, the frame of ``SCENE2``, if it is sent, and then that of ``SCENE``.
 
         Raises:
             EncodeError: as ``prepare_scene``.
@@ -177,18 +189,51 @@ class Encoder:
         >>> codec = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
         >>> {owner: len(frames) for owner, frames in codec.encoder().encode_scene(scene).items()}
         {'pose': 2, <Slot.EGO_LEFT: 0>: 2}
+        >>> codec = Codec.from_dbc(default_dbc_path("maplines-scene.dbc"))
+        >>> sent = codec.encoder().encode_scene(scene, fd=True)
+        >>> {owner: len(frames) for owner, frames in sent.items()}
+        {'scene': 1}
         """
-        write = partial(write_scene, self.prepare_scene(scene, fd=fd), self._tables.dbc, age=age)
+        write = partial(
+            write_scene,
+            self.prepare_scene(scene, fd=fd),
+            self._tables.dbc,
+            age=age,
+            secured=self._frame_writer.is_secured,
+        )
         return dict(zip(*self._written(write, fd, counters), strict=True))
 
-    def frames(self, payload: NDArray[np.uint8], slot: Slot, *, fd: bool = False) -> list[Frame]:
+    def left_out(self, scene: Scene | PreparedScene, *, fd: bool = False) -> dict[Slot, LeftOut]:
+        """Return the reasons of all lines that are not sent if this scene is the next one, by slot.
+
+        Beside those of ``PreparedScene.left_out``, they are those of lines for which messages of
+        whole scenes have no place. After the scene was encoded they are the same.
+
+        Args:
+            scene: from ``map_scene``, or prepared.
+            fd: see ``encode_scene``.
+
+        Raises:
+            EncodeError, TypeError: as ``prepare_scene``.
+        """
+        prepared = self.prepare_scene(scene, fd=fd)
+        if self._layout.scene is None:
+            return prepared.left_out
+        secured = self._frame_writer.is_secured
+        placed = placed_slots(prepared, self._tables.dbc, self._state, secured=secured)
+        without = dict.fromkeys(set(prepared.members) - placed, LeftOut.PLACE)
+        return prepared.left_out | without
+
+    def frames(
+        self, payload: NDArray[np.uint8], slot: Slot | SceneOwner, *, fd: bool = False
+    ) -> list[Frame]:
         """Return the frames of one record; each authenticated frame has its own freshness value.
 
         Raises:
             EncodeError: the DBC has no such message, or its records have another length.
         """
         layout = self._layout
-        lengths = sorted({PAGE_BYTES * layout.short_pages, layout.record_bytes})
+        lengths = sorted({PAGE_BYTES * layout.short_pages, layout.record_bytes} - {0})
         if payload.nbytes not in lengths:
             raise EncodeError(
                 f"payload must be a record of {layout.source}, of {' or '.join(map(str, lengths))} "
@@ -196,13 +241,15 @@ class Encoder:
             )
         return self._frame_writer.write(payload.tobytes(), slot, fd)
 
-    def _write_lines(self, lines: Sequence[MapLine], counters: bytes) -> tuple[Records, bytes]:
-        """Return the records of lines one after the other, and the counters that follow."""
+    def _write_lines(
+        self, lines: Sequence[MapLine], state: SenderState
+    ) -> tuple[Records, SenderState]:
+        """Return the records of lines one after the other, and the state that follows."""
         try:
             slots, given, gaussians, parts, weights = given_lines(lines)
         except struct.error as error:
             raise unfit_lines(self._layout, lines) from error
-        length, following = self._layout.record_bytes, bytearray(counters)
+        length, following = self._layout.record_bytes, bytearray(state.counters)
         records = bytearray(len(gaussians) // GAUSSIAN_BYTES * length)
         if not lib.maplines_write_lines(
             self._tables.dbc,
@@ -220,7 +267,8 @@ class Encoder:
             pairs = zip(slots, parts, strict=True)
             slots = [slot for slot, count in pairs for _ in range(count or 1)]
         lengths = (length,) * len(slots)
-        return Records(bytes(records), tuple(slots), lengths), bytes(following)
+        written = Records(bytes(records), tuple(slots), lengths)
+        return written, state._replace(counters=bytes(following))
 
 
 def _parts(line: MapLine) -> int:
@@ -253,6 +301,15 @@ def unfit_lines(layout: Layout, lines: Sequence[MapLine]) -> EncodeError:
         )
         shared.rows(layout, count)
     return EncodeError(f"{layout.source}: the core takes no lines such as {lines!r}")
+
+
+def classic_error(layout: Layout) -> EncodeError:
+    """Return the error that the messages of a layout are CAN FD only."""
+    what = "scenes" if layout.scene is not None else "records"
+    return EncodeError(
+        f"{layout.source}: its {what} are CAN FD frames of {layout.record_bytes} bytes, and it has "
+        "no message for classic CAN; send with fd=True"
+    )
 
 
 def conditional_error(layout: Layout) -> EncodeError:

@@ -1,4 +1,4 @@
-"""Writer of scenes: the record of the pose error, and the records of the lines seen from there."""
+"""Writer of scenes: the records of the pose error and of the lines seen from there, or of both."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import struct
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from ..values.errors import EncodeError, IllPosedError
 from ..values.line import LEFT_OUT, MAX_AGE, LeftOut, Slot, age_error
 from ..values.scene import PoseError, Scene
 from .layout.message_layout import Layout
-from .layout.pose_layout import OWNERS, POSE, Owner
+from .layout.pose_layout import OWNERS, POSE, SCENE, SCENES, Owner
 from .records.frames import Records
 from .records.given import given_lines
 from .tables import tables_of
@@ -26,9 +26,18 @@ _MAX_RECORD = ffi.sizeof("maplines_template_t") - ffi.offsetof("maplines_templat
 _LINES, _DOUBLES, _COUNTERS, _BYTES = map(
     ffi.typeof, ("maplines_given_line_t[]", "double[]", "int64_t[]", "uint8_t[]")
 )
+_PLACES = ffi.typeof("maplines_chosen_places_t *")
 _AGES = struct.Struct(f"{len(OWNERS)}d")
 #: Errors of values that cannot be given to the core.
 _WRONG = (TypeError, ValueError, AttributeError, OverflowError, struct.error)
+
+
+class SenderState(NamedTuple):
+    """What a sender knows of its last cycle."""
+
+    counters: bytes  #: next counters of all owners; see ``packed``
+    #: Places of lines in messages of whole scenes: ``maplines_chosen_places_t``.
+    places: bytes = bytes(ffi.sizeof("maplines_chosen_places_t"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,14 +51,11 @@ class PreparedScene:
     scene: Scene
     layout: Layout  #: of the DBC that it is prepared for
     full: bool  #: all entries of line-specific covariances are sent, as in CAN FD records
-    #: Slots of the lines that are sent, whether they belong to the pose error or not.
+    #: Slots of the lines that are sent, whether they belong to the pose error or not. In messages
+    #: of whole scenes, those of them for which there is a place.
     sent_slots: tuple[Slot, ...]
     core: Any = field(repr=False)  #: ``maplines_prepared_t``
-
-    @property
-    def owners(self) -> tuple[Owner, ...]:
-        """Owners of the records that are sent, in this order."""
-        return (POSE, *self.sent_slots)
+    retracted: frozenset[Slot] = frozenset()  #: by ``without``
 
     @property
     def members(self) -> tuple[Slot, ...]:
@@ -65,12 +71,30 @@ class PreparedScene:
 
     @property
     def left_out(self) -> dict[Slot, LeftOut]:
-        """Reasons of all lines that are not sent, by slot: also of those not in the scene."""
+        """Reasons of all lines that are not sent, by slot: also of those not in the scene.
+
+        ``Encoder.left_out`` also has those for which messages of whole scenes have no place.
+        """
         return dict(self.scene.left_out) | self.unfit
+
+    @property
+    def owners(self) -> tuple[Owner, ...]:
+        """Owners of the records with times of their own: Scene2 goes with Scene."""
+        return (POSE, *self.sent_slots) if self.layout.scene is None else (SCENE,)
+
+    @property
+    def stated(self) -> int:
+        """Slots of which a whole scene has the line, or says why not: one bit each."""
+        reasons = dict(self._reasons())
+        slots = {
+            slot for slot, why in reasons.items() if why is not None or slot in self.sent_slots
+        }
+        return sum(1 << slot for slot in slots - self.retracted)
 
     def without(self, slot: Slot) -> PreparedScene:
         """Return the scene without the line of a slot; there may be none."""
-        return replace(self, sent_slots=tuple(s for s in self.sent_slots if s != slot))
+        slots = tuple(s for s in self.sent_slots if s != slot)
+        return replace(self, sent_slots=slots, retracted=self.retracted | {slot})
 
     def _reasons(self) -> Iterator[tuple[Slot, LeftOut | None]]:
         """Yield the slot of each line, and why it does not belong to the pose error."""
@@ -84,14 +108,20 @@ class PreparedScene:
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _prepared_again, (self.scene, self.layout, self.full, self.sent_slots)
+        own = self.scene, self.layout, self.full, self.sent_slots, self.retracted
+        return _prepared_again, own
 
 
 def _prepared_again(
-    scene: Scene, layout: Layout, full: bool, slots: tuple[Slot, ...]
+    scene: Scene,
+    layout: Layout,
+    full: bool,
+    slots: tuple[Slot, ...],
+    retracted: frozenset[Slot],
 ) -> PreparedScene:
     prepared = prepare_scene(layout, tables_of(layout), scene, full=full)
-    return replace(prepared, sent_slots=tuple(s for s in prepared.sent_slots if s in slots))
+    slots = tuple(slot for slot in prepared.sent_slots if slot in slots)
+    return replace(prepared, sent_slots=slots, retracted=retracted)
 
 
 def prepare_scene(
@@ -117,8 +147,8 @@ def prepare_scene(
     """
     if layout.pose is None:
         raise EncodeError(
-            f"{layout.source} has no message of the pose error (MapLinePose), so lines "
-            "cannot be sent as a scene; take maplines.dbc or maplines-pose.dbc"
+            f"{layout.source} has no message of the pose error (MapLinePose), so lines cannot be "
+            "sent as a scene; take maplines.dbc, maplines-pose.dbc or maplines-scene.dbc"
         )
     core = ffi.new("maplines_prepared_t *")
     try:
@@ -135,23 +165,31 @@ def prepare_scene(
 
 
 def write_scene(
-    prepared: PreparedScene, tables: Any, counters: bytes, age: float | Mapping[Owner, float]
-) -> tuple[Records, bytes]:
-    """Return the records of the pose error and of each line, and the counters that follow.
+    prepared: PreparedScene,
+    tables: Any,
+    state: SenderState,
+    age: float | Mapping[Owner, float],
+    *,
+    secured: bool = False,
+) -> tuple[Records, SenderState]:
+    """Return the records of the pose error and of each line, or whole scenes, and the next state.
 
     Args:
         prepared: the scene.
         tables: of its DBC.
-        counters: next counter of each slot and of the pose error; see ``packed``.
+        state: of the sender.
         age: time from the pose to the sending of each record, or one for all [s]; infinite if it is
             too old.
+        secured: the records are for authenticated messages.
 
     Raises:
         ValueError: an age is less than 0 or NaN, or that of a record is missing.
     """
+    if prepared.layout.scene is not None:
+        return _write_whole(prepared, tables, state, age, secured=secured)
     slots = [line.slot for line in prepared.scene.lines if line.slot in prepared.sent_slots]
-    ages = _ages(age, () if prepared.layout.is_conditional else slots)
-    following, lengths = bytearray(counters), bytearray(len(OWNERS))
+    ages = _ages(age, (POSE,) if prepared.layout.is_conditional else (POSE, *slots))
+    following, lengths = bytearray(state.counters), bytearray(len(OWNERS))
     records = bytearray(len(OWNERS) * _MAX_RECORD)
     if not lib.maplines_write_scene(
         tables,
@@ -165,14 +203,52 @@ def write_scene(
     ):
         raise EncodeError("the core refuses sent_slots of the scene: one of them has no record")
     own = tuple(lengths[: len(slots) + 1])
-    return Records(bytes(records[: sum(own)]), (POSE, *slots), own), bytes(following)
+    written = Records(bytes(records[: sum(own)]), (POSE, *slots), own)
+    return written, state._replace(counters=bytes(following))
 
 
-def _ages(age: float | Mapping[Owner, float], slots: Iterable[Slot]) -> bytes:
-    """Return the ages of all owners, of which the pose error and these slots need one; or 0."""
+def _write_whole(
+    prepared: PreparedScene,
+    tables: Any,
+    state: SenderState,
+    age: float | Mapping[Owner, float],
+    *,
+    secured: bool,
+) -> tuple[Records, SenderState]:
+    """Return the records of a whole scene, Scene last, and the state that follows."""
+    following, lengths = bytearray(state.counters), bytearray(len(SCENES))
+    places, records = bytearray(state.places), bytearray(len(SCENES) * _MAX_RECORD)
+    count = lib.maplines_write_whole_scene(
+        tables,
+        prepared.core,
+        prepared.stated,
+        secured,
+        ffi.from_buffer(_DOUBLES, _ages(age, prepared.layout.messages_of)),
+        ffi.from_buffer(_COUNTERS, following),
+        ffi.from_buffer(_PLACES, places),
+        ffi.from_buffer(_BYTES, lengths),
+        ffi.from_buffer(_BYTES, records),
+    )
+    own = tuple(lengths[:count])
+    owners = SCENES[count - 1 :: -1]
+    written = Records(bytes(records[: sum(own)]), owners, own)
+    return written, SenderState(bytes(following), bytes(places))
+
+
+def placed_slots(
+    prepared: PreparedScene, tables: Any, state: SenderState, *, secured: bool = False
+) -> frozenset[Slot]:
+    """Return the slots that have a place in messages of whole scenes in the next cycle."""
+    places = ffi.new(_PLACES)
+    ffi.memmove(places, state.places, len(state.places))
+    lib.maplines_place_lines(tables, prepared.core, prepared.stated, secured, places)
+    return frozenset(Slot(one - 1) for message in places.slots for one in message if one)
+
+
+def _ages(age: float | Mapping[Owner, float], aged: Iterable[Owner]) -> bytes:
+    """Return the ages of all owners, of which these need one; or 0."""
     if not isinstance(age, Mapping):
         return _AGES.pack(*[_checked_age(age)] * len(OWNERS))
-    aged: tuple[Owner, ...] = (POSE, *slots)
     if missing := [owner for owner in aged if owner not in age]:
         raise ValueError(
             f"age must be one for all [s], or have that of each record, but {missing[0]!r} has none"
@@ -184,7 +260,7 @@ def _ages(age: float | Mapping[Owner, float], slots: Iterable[Slot]) -> bytes:
 def _fault(layout: Layout, scene: Scene, refusal: int) -> Exception:
     """Return the error of a scene that the core refuses, or that cannot be given to it."""
     for line in scene.lines:
-        if line.slot not in layout.messages:
+        if line.slot not in layout.slots:
             return EncodeError(f"{layout.source} has no message for slot {line.slot!r}")
     try:
         for line in scene.lines:
@@ -196,7 +272,7 @@ def _fault(layout: Layout, scene: Scene, refusal: int) -> Exception:
     if refusal == lib.MAPLINES_BAD_POSE:
         sigma = np.sqrt(scene.pose_error.cov.diagonal())
         return EncodeError(
-            "the pose error does not fit the Pose message: its standard deviations are "
+            "the pose error does not fit the message: its standard deviations are "
             f"{sigma[0]:g} m along, {sigma[1]:g} m across and {sigma[2]:g} rad"
         )
     if refusal == lib.MAPLINES_UNSEEN:

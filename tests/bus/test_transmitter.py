@@ -324,7 +324,9 @@ def test_item_12_lines_left_out_are_retracted_and_counted() -> None:
 class SceneCodec(FakeCodec):
     """Codec of a DBC that takes scenes only; a scene is a frame of each of its lines."""
 
-    layout: Any = SimpleNamespace(max_age=60.0, is_conditional=True, source="pose.dbc")
+    layout: Any = SimpleNamespace(
+        max_age=60.0, is_conditional=True, has_classic=True, scene=None, source="pose.dbc"
+    )
 
     def prepare_scene(self, scene: Scene | PreparedScene, *, fd: bool) -> PreparedScene:
         assert fd is False
@@ -333,6 +335,10 @@ class SceneCodec(FakeCodec):
         members = [SimpleNamespace(left_out=0) for _ in scene.lines]
         core = SimpleNamespace(space=SimpleNamespace(members=members))
         return PreparedScene(scene, self.layout, False, tuple(scene.index), core)
+
+    def left_out(self, prepared: PreparedScene, *, fd: bool) -> dict[Slot, LeftOut]:
+        assert fd is False
+        return prepared.left_out
 
     def encode_scene(self, prepared: PreparedScene, *, age: Any, fd: bool, counters: Any) -> Any:
         assert fd is False

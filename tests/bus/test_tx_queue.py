@@ -149,6 +149,10 @@ class FakeScene:
     ages: tuple[float, ...] = (0.0,)
 
     @property
+    def owners(self) -> tuple[Any, ...]:
+        return (POSE, *self.sent_slots)
+
+    @property
     def scene(self) -> Any:
         return SimpleNamespace(lines=[SimpleNamespace(age=age) for age in self.ages])
 

@@ -63,9 +63,9 @@ def test_a_copy_of_an_encoder_has_counters_of_its_own() -> None:
     encoder = new_codec(COMPLETE).encoder()
     encoder.encode(LINE)
     for again in (copy, deepcopy, pickled):
-        other, before = again(encoder), encoder._counters
+        other, before = again(encoder), encoder._state
         other.encode(LINE)
-        assert encoder._counters == before != other._counters
+        assert encoder._state == before != other._state
 
 
 SEND = """

@@ -235,6 +235,11 @@ class Layout(RecordLayout):
         }
 
     @property
+    def has_classic(self) -> bool:
+        """Whether there is a message for classic CAN; if not, all frames are CAN FD."""
+        return any(messages.can_id is not None for messages in self.messages_of.values())
+
+    @property
     def can_ids(self) -> frozenset[int]:
         """CAN IDs of all lines and of the pose error, for filters."""
         return frozenset(can_id for can_id, _ in self.message_of_id)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from ...values.errors import EncodeError, LayoutError
 from ..layout.message_layout import Layout
-from ..layout.pose_layout import POSE, Owner
+from ..layout.pose_layout import Owner, owner_name
 from ..layout.signals import PAGE_BYTES
 from ..protection.secoc import Authenticator, check_freshness
 
@@ -62,8 +62,13 @@ class FrameWriter:
         #: Of what was written before, by owners, lengths and whether it is CAN FD.
         self._forms: dict[tuple[Any, ...], _Form] = {}
 
+    @property
+    def is_secured(self) -> bool:
+        """Whether all frames are authenticated."""
+        return self._authenticator is not None
+
     def write(self, record: bytes, owner: Owner, fd: bool) -> list[Frame]:
-        """Return the frames of a record of a line, or of the pose error.
+        """Return the frames of a record.
 
         Raises:
             EncodeError: the DBC has no such message, or classic CAN is requested with an
@@ -108,9 +113,8 @@ class FrameWriter:
     ) -> tuple[int, bool, Callable[[bytes], bytes]]:
         """Return ID and format of the frames of a record, and what makes their data of it."""
         messages = self._layout.messages_of.get(owner)
-        layout = self._layout.pose if owner == POSE else self._layout
-        secured = None if layout is None else layout.secured
-        name = "the pose error" if owner == POSE else f"slot {owner!r}"
+        secured = self._layout.record_of(owner).secured
+        name = owner_name(owner)
         authenticator = self._authenticator
         if authenticator is not None:
             if not fd:
