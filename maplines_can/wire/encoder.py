@@ -17,7 +17,7 @@ from ..values.line import LeftOut, MapLine, Slot
 from ..values.scene import Scene
 from .layout.attributes import RecordAttributes
 from .layout.message_layout import Layout
-from .layout.pose_layout import Owner, SceneOwner
+from .layout.pose_layout import Owner
 from .layout.signals import PAGE_BYTES
 from .layout.validation import checked_gaussians
 from .records.counters import packed
@@ -224,22 +224,22 @@ class Encoder:
         without = dict.fromkeys(set(prepared.members) - placed, LeftOut.PLACE)
         return prepared.left_out | without
 
-    def frames(
-        self, payload: NDArray[np.uint8], slot: Slot | SceneOwner, *, fd: bool = False
-    ) -> list[Frame]:
+    def frames(self, payload: NDArray[np.uint8], owner: Owner, *, fd: bool = False) -> list[Frame]:
         """Return the frames of one record; each authenticated frame has its own freshness value.
 
         Raises:
             EncodeError: the DBC has no such message, or its records have another length.
         """
         layout = self._layout
-        lengths = sorted({PAGE_BYTES * layout.short_pages, layout.record_bytes} - {0})
+        lengths = {layout.record_bytes}
+        if layout.scene is None:
+            lengths.add(PAGE_BYTES * layout.short_pages)
         if payload.nbytes not in lengths:
             raise EncodeError(
-                f"payload must be a record of {layout.source}, of {' or '.join(map(str, lengths))} "
-                f"bytes, got {payload.nbytes}"
+                f"payload must be a record of {layout.source}, of "
+                f"{' or '.join(map(str, sorted(lengths)))} bytes, got {payload.nbytes}"
             )
-        return self._frame_writer.write(payload.tobytes(), slot, fd)
+        return self._frame_writer.write(payload.tobytes(), owner, fd)
 
     def _write_lines(
         self, lines: Sequence[MapLine], state: SenderState
