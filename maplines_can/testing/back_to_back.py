@@ -219,9 +219,7 @@ class CoreSide:
         if step.kind == "expire":
             core.expire(step.t_ns)
         elif step.kind == "statistics":
-            core.slots(step.t_ns)
-            core.pose_error(step.t_ns)
-            core.scenes(step.t_ns)
+            core.messages(step.t_ns)
         return None
 
 

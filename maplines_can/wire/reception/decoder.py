@@ -13,7 +13,7 @@ from ...core import Lock, ffi, lib
 from ...core.memory import pointer
 from ...values.line import LEFT_OUT, MapLine, Slot
 from ..layout.message_layout import Layout
-from ..layout.pose_layout import OWNERS, POSE, SCENES, Owner, SceneOwner, number_of
+from ..layout.pose_layout import OWNERS, POSE, Owner, number_of
 from ..protection.secoc import DATA_ID_BYTES, FRESHNESS_BYTES, MAX_FRESHNESS, Verifier
 from ..reasons import Reason
 from .check import STATES, STATUSES, Check, SlotStats
@@ -489,7 +489,9 @@ class Decoder:
         return self._received
 
     def slots(self, now_ns: int) -> dict[Slot, SlotStats]:
-        """Return the E2E statistics of each slot on which anything was received.
+        """Return the E2E statistics of each slot whose records were received."""
+        known = self.messages(now_ns)
+        return {slot: known[slot] for slot in Slot if slot in known}
 
         A slot that has come in a whole scene has those of the message that brought its line.
         """
@@ -503,19 +505,18 @@ class Decoder:
             return slot
         return OWNERS[self._c.decoder.brought_by[slot]] if slot in self._newest else None
 
-    def scenes(self, now_ns: int) -> dict[SceneOwner, SlotStats]:
-        """Return the E2E statistics of each message of whole scenes that was received."""
-        stats = {owner: self._stats(owner, now_ns) for owner in SCENES if owner in self.checks}
+    def messages(self, now_ns: int) -> dict[Owner, SlotStats]:
+        """Return the E2E statistics of each owner of records that were received.
+
+        Owners are slots and the pose error, or the messages of whole scenes: each of these has one
+        counter and one state for all of its lines.
+        """
+        stats = {owner: self._stats(owner, now_ns) for owner in self.checks}
         return {owner: known for owner, known in stats.items() if known is not None}
 
     def pose_error(self, now_ns: int) -> SlotStats | None:
         """Return the E2E statistics of the pose error; None if none was received."""
         return self._stats(POSE, now_ns) if POSE in self.checks else None
-
-    def messages(self, now_ns: int) -> dict[Owner, SlotStats]:
-        """Return the E2E statistics of each owner of records of which anything was received."""
-        stats = {owner: self._stats(owner, now_ns) for owner in self.checks}
-        return {owner: known for owner, known in stats.items() if known is not None}
 
     def _check_slot(self, slot: Slot) -> None:
         if slot not in self._slots:
