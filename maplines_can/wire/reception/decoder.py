@@ -489,9 +489,7 @@ class Decoder:
         return self._received
 
     def slots(self, now_ns: int) -> dict[Slot, SlotStats]:
-        """Return the E2E statistics of each slot whose records were received."""
-        known = self.messages(now_ns)
-        return {slot: known[slot] for slot in Slot if slot in known}
+        """Return the E2E statistics of each slot on which anything was received.
 
         A slot that has come in a whole scene has those of the message that brought its line.
         """
