@@ -14,53 +14,179 @@ covers the computed one with any widths.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
-from ...wire.layout.signals import PARAMETER_SIGNALS
+import numpy as np
+
+from ...values.errors import LayoutError
+from ...values.output_files import whole_file
+from ...wire import Codec
+from ...wire.layout.message_layout import Layout
+from ...wire.layout.signals import OCTAVE, PARAMETER_SIGNALS
 from ..dbc.dbc_writer import DbcWriter, SceneSpec, SignalSpec
 from ..dbc.pose_spec import CONDITIONAL, POSE
 from ..dbc.scene_spec import WHOLE_SCENES
+from ..scenes.map_scenes import DrawnScene
+from ..scenes.sigma_ratios import LANE_AT, LINE_AT, Ratios, excess, measured, merged
+from ..text_table import aligned, markdown
+from .plan import INFLATION
 
-#: Least bits of a field.
-MIN_BITS = 2
+#: Least bits of a field, and the most of the tilt, which has no more values.
+MIN_BITS, MOST_TILT_BITS = 2, 2
 #: Share of its octaves by which an end of a range of levels moves.
-END = 1 / 16
+END = 1 / 12
 #: Least relative improvement; smaller ones are noise of the scenes.
 MIN_GAIN = 2e-3
+#: Changes that are tried together in a round, the best ones.
+TRIED = 12
+#: Lines that a frame may be designed for.
+LINES = (3, 6)
+#: Bytes of a frame of CAN FD, and those of an authenticated one after its record.
+FRAME_BYTES, TRAILER_BYTES = 64, 13
+TILT = "OwnTilt"
 #: Fields, by name.
 Fields = Mapping[str, SignalSpec]
+
+
+@dataclass(frozen=True)
+class WholeSceneDesign:
+    """Fields of records of whole scenes, and what they do."""
+
+    fields: Fields
+    lines: int
+    #: figures of each map, of the search and of scenes that it has not seen, by the fields
+    figures: Mapping[str, Mapping[str, Mapping[str, Ratios]]]
+    losses: Mapping[str, Mapping[str, float]]  #: of the same
+    a_bit_less: Mapping[str, float]  #: loss of a bit less in each field; NaN if it has no fewer
+
+    @property
+    def writer(self) -> DbcWriter:
+        """Writer of the DBC."""
+        return writer_of(self.fields, self.lines)
+
+    def text(self) -> str:
+        """Return the figures and the fields as text."""
+        return "\n".join([self._about(), "", *self._tables(lambda rows: aligned(rows, left=1))])
+
+    def _about(self) -> str:
+        scene = scene_of(self.writer)
+        pose = sum(spec.bits for spec in scene.head) - sum(spec.bits for spec in scene.head[:2])
+        return (
+            f"{FRAME_BYTES} bytes: {self.lines} lines of {8 * scene.stride_bytes} bits, "
+            f"{pose} bits of the pose error; authenticated: {scene.secured_places} lines in "
+            f"{scene.record_bytes(scene.secured_places)} bytes"
+        )
+
+    def _tables(self, table: Callable[[Sequence[Sequence[str]]], str]) -> Iterator[str]:
+        for scenes, by_fields in self.figures.items():
+            rows = [("", "left out", "wider", "loss", *map(_heading, PLACES))]
+            for name, of_maps in by_fields.items():
+                every = Ratios.sum(of_maps.values())
+                rows.append((f"{name}", *_cells(every, self.losses[scenes][name])))
+            for source, ratios in by_fields[FOUND].items():
+                rows.append((f"  {source}", *_cells(ratios, excess(ratios))))
+            yield f"{scenes}: median and 99 % of sigma, decoded over computed"
+            yield table(rows)
+            yield ""
+        before = {TODAY: todays(), SHIPPED: fields_of(WHOLE_SCENES)}
+        head = ("field", "bits", *before, "step", "range", "loss with a bit less")
+        yield table(
+            [
+                head,
+                *(
+                    (
+                        name,
+                        str(spec.bits),
+                        *(str(fields[name].bits) for fields in before.values()),
+                        f"{spec.factor:.6g}",
+                        f"{spec.range[0]:.6g} .. {spec.range[1]:.6g} {spec.unit}".rstrip(),
+                        f"{self.a_bit_less[name]:+.3f}",
+                    )
+                    for name, spec in self.fields.items()
+                ),
+            ]
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all figures and fields, for JSON."""
+        return {
+            "lines": self.lines,
+            "fields": {
+                name: {"bits": spec.bits, "factor": spec.factor, "offset": spec.offset}
+                for name, spec in self.fields.items()
+            },
+            "losses": {scenes: dict(losses) for scenes, losses in self.losses.items()},
+            "figures": {
+                scenes: {
+                    name: {source: ratios.as_dict() for source, ratios in of_maps.items()}
+                    for name, of_maps in by_fields.items()
+                }
+                for scenes, by_fields in self.figures.items()
+            },
+            "a_bit_less": dict(self.a_bit_less),
+        }
+
+    def write(self, path: str | Path, command: str) -> tuple[Path, Path]:
+        """Write the DBC, and its page with the same name and the suffix ``.md``."""
+        dbc = Path(path).with_suffix(".dbc")
+        page = dbc.with_suffix(".md")
+        tables = "\n".join(self._tables(lambda rows: "\n" + markdown(rows, left=1)))
+        text = (
+            f"# {dbc.name}\n\n{self._about()}.\n\nDesigned by\n\n    {command}\n\n{tables}\n"
+            f"## The record\n\n{self.writer.table()}\n"
+        )
+        with whole_file(dbc) as part, whole_file(page) as part_of_page:
+            part.write_text(self.writer.dbc())
+            part_of_page.write_text(text)
+        return dbc, page
+
+
+#: What is compared, and where [m].
+PLACES = (
+    *(("y", x) for x in LINE_AT),
+    *((what, x) for what in ("width", "centre") for x in LANE_AT),
+)
+#: Names of fields: as of maplines-pose.dbc, as of maplines-scene.dbc, and as found.
+TODAY, SHIPPED, FOUND = "maplines-pose.dbc", "maplines-scene.dbc", "found"
+
+
+def _heading(place: tuple[str, float]) -> str:
+    return f"{place[0]} {place[1]:g} m"
+
+
+def _cells(ratios: Ratios, loss: float) -> Iterator[str]:
+    """Yield the cells of figures."""
+    yield f"{100 * ratios.left_out_share:.2g} %"
+    yield f"{100 * ratios.wider_share:.2g} %"
+    yield f"{loss:.2f}"
+    for what, x in PLACES:
+        yield " ".join(f"{ratios.quantile(what, x, share):.4g}" for share in (0.5, 0.99))
+
+
+# ---- fields -------------------------------------------------------------------------------------
+
+
+def scene_of(writer: DbcWriter) -> SceneSpec:
+    """Return the messages of whole scenes of a DBC.
+
+    Raises:
+        ValueError: it has none.
+    """
+    if writer.scene is None:
+        raise ValueError("the DBC has no messages of whole scenes")
+    return writer.scene
 
 
 def fields_of(writer: DbcWriter) -> dict[str, SignalSpec]:
     """Return the fields that are designed: of the pose error, and of a line."""
     scene = scene_of(writer)
+    starts = ("Pivot", "Ratio", "Map", "Own", *PARAMETER_SIGNALS, INFLATION)
     specs = (*scene.head, *scene.line, *scene.tails)
-    return {spec.name: spec for spec in specs if _is_designed(spec.name)}
-
-
-def _is_designed(name: str) -> bool:
-    starts = ("Pivot", "Ratio", "Inflation", "Map", "Own", *PARAMETER_SIGNALS)
-    return name.startswith(starts)
-
-
-def writer_of(fields: Fields) -> DbcWriter:
-    """Return the writer of the DBC with other fields."""
-    scene = scene_of(WHOLE_SCENES)
-
-    def changed(specs: tuple[SignalSpec, ...]) -> tuple[SignalSpec, ...]:
-        designed = (fields.get(spec.name, spec) for spec in specs)
-        return tuple(spec for spec in designed if spec.bits)
-
-    parts = {name: changed(getattr(scene, name)) for name in ("head", "line", "tails")}
-    return replace(WHOLE_SCENES, scene=replace(scene, **parts))
-
-
-def scene_of(writer: DbcWriter) -> SceneSpec:
-    """Return the messages of whole scenes of a DBC."""
-    if writer.scene is None:
-        raise ValueError("the DBC has no messages of whole scenes")
-    return writer.scene
+    return {spec.name: spec for spec in specs if spec.name.startswith(starts)}
 
 
 def todays() -> dict[str, SignalSpec]:
@@ -69,3 +195,207 @@ def todays() -> dict[str, SignalSpec]:
     known = {spec.name: spec for page in pages for spec in page}
     fields = fields_of(WHOLE_SCENES)
     return {name: known.get(name, replace(spec, bits=0)) for name, spec in fields.items()}
+
+
+def writer_of(fields: Fields, lines: int) -> DbcWriter:
+    """Return the writer of the DBC with other fields, and so many lines in a frame."""
+    shipped = scene_of(WHOLE_SCENES)
+
+    def changed(specs: tuple[SignalSpec, ...]) -> tuple[SignalSpec, ...]:
+        designed = (fields.get(spec.name, spec) for spec in specs)
+        return tuple(spec for spec in designed if spec.bits)
+
+    scene = replace(
+        shipped,
+        head=changed(shipped.head),
+        line=changed(shipped.line),
+        tails=changed(shipped.tails),
+        places=lines,
+        secured_places=lines,
+    )
+    room = FRAME_BYTES - TRAILER_BYTES - scene.head_bytes
+    scene = replace(scene, secured_places=min(lines, room // scene.stride_bytes))
+    return replace(WHOLE_SCENES, scene=scene)
+
+
+def resized(spec: SignalSpec, more: int) -> SignalSpec:
+    """Return a field with more or fewer bits over the same range."""
+    if spec.name == TILT:  # its values are names
+        return replace(spec, bits=spec.bits + more)
+    return replace(spec.finer(more), why=_why(spec))
+
+
+def _why(spec: SignalSpec) -> str:
+    return spec.why if spec.why.startswith("found") else f"found by maplines design ({spec.why})"
+
+
+# ---- search -------------------------------------------------------------------------------------
+
+
+def design_whole_scenes(
+    drawn: Sequence[DrawnScene],
+    held_out: Sequence[DrawnScene],
+    *,
+    lines: int = 4,
+    rounds: int = 10,
+    progress: Callable[[float, float], object] = lambda _done, _total: None,
+) -> WholeSceneDesign:
+    """Find the fields of records of whole scenes that fill a frame best.
+
+    Args:
+        drawn: scenes for the search.
+        held_out: scenes for the figures.
+        lines: of a frame.
+        rounds: of the search, at most; 0 to only measure the fields of maplines-scene.dbc.
+        progress: called with the work done and the total.
+
+    Raises:
+        ValueError: the number of lines is out of range.
+    """
+    if not LINES[0] <= lines <= LINES[1]:
+        raise ValueError(f"lines must be {LINES[0]} to {LINES[1]}, as a frame holds, got {lines!r}")
+    search = _Search(drawn, lines, progress)
+    found = search.filled(fields_of(WHOLE_SCENES))
+    for _ in range(rounds):
+        better = search.improved(found)
+        if better is found:
+            break
+        found = better
+    costs = search.costs(found, -1)
+    now = search.loss(found)
+    candidates = {FOUND: found}
+    if search.fits(fields_of(WHOLE_SCENES)):
+        candidates = {TODAY: todays(), SHIPPED: fields_of(WHOLE_SCENES), **candidates}
+    figures, losses = {}, {}
+    for name, scenes in (("scenes of the search", drawn), ("other scenes", held_out)):
+        figures[name] = {key: search.figures(one, scenes) for key, one in candidates.items()}
+        losses[name] = {key: loss_of(of_maps) for key, of_maps in figures[name].items()}
+    progress(1.0, 1.0)
+    less = {name: costs.get(name, math.nan) - now for name in found}
+    return WholeSceneDesign(found, lines, figures, losses, less)
+
+
+def loss_of(figures: Mapping[str, Ratios]) -> float:
+    """Return the loss of figures of maps."""
+    return float(np.mean([excess(ratios) for ratios in figures.values()]))
+
+
+class _Search:
+    """Search for fields on some scenes."""
+
+    def __init__(
+        self,
+        scenes: Sequence[DrawnScene],
+        lines: int,
+        progress: Callable[[float, float], object],
+    ) -> None:
+        self._scenes, self._lines, self._progress = scenes, lines, progress
+        self._left = 1.0
+        self._losses: dict[tuple[SignalSpec, ...], float] = {}
+        scene = scene_of(WHOLE_SCENES)
+        self._of_line = {spec.name for spec in scene.line}
+        ends = max(spec.bits for spec in (*scene.tails, scene.slot))
+        fixed = sum(spec.bits for spec in scene.line) + ends
+        fixed -= sum(spec.bits for spec in fields_of(WHOLE_SCENES).values() if self._is_own(spec))
+        room = 8 * ((FRAME_BYTES - scene.head_bytes) // lines)
+        #: Bits of the designed fields of a line, and of the pose error.
+        self._room = {True: room - fixed, False: self._bits(fields_of(WHOLE_SCENES), of_line=False)}
+
+    def _is_own(self, spec: SignalSpec) -> bool:
+        return spec.name in self._of_line
+
+    def _bits(self, fields: Fields, *, of_line: bool) -> int:
+        return sum(spec.bits for spec in fields.values() if self._is_own(spec) == of_line)
+
+    def fits(self, fields: Fields) -> bool:
+        """Whether the fields fit into the frame."""
+        return all(self._bits(fields, of_line=of) <= room for of, room in self._room.items())
+
+    def figures(self, fields: Fields, scenes: Sequence[DrawnScene]) -> dict[str, Ratios]:
+        """Send scenes with these fields, and return the figures of each map."""
+        codec = Codec(Layout.from_dbc(writer_of(fields, self._lines).database()))
+        return merged(measured(codec, scenes), 0)
+
+    def loss(self, fields: Fields) -> float:
+        """Return the loss of fields; infinite if a DBC may not have them."""
+        key = tuple(fields.values())
+        if key not in self._losses:
+            self._left *= 0.99  # the number of steps is unknown: each is a share of the rest
+            self._progress(1 - self._left, 1.0)
+            try:
+                self._losses[key] = loss_of(self.figures(fields, self._scenes))
+            except LayoutError:
+                self._losses[key] = math.inf
+        return self._losses[key]
+
+    def costs(self, fields: Fields, more: int) -> dict[str, float]:
+        """Return the losses with more or fewer bits in one of the fields, as far as it can."""
+        found = {}
+        for name, spec in fields.items():
+            bits = spec.bits + more
+            is_possible = bits >= (1 if name == TILT else MIN_BITS)
+            if is_possible and not (name == TILT and bits > MOST_TILT_BITS):
+                found[name] = self.loss({**fields, name: resized(spec, more)})
+        return found
+
+    def filled(self, fields: Fields) -> Fields:
+        """Return fields that fill the frame, one bit after the other."""
+        while not self.fits(fields):
+            costs = {k: x for k, x in self.costs(fields, -1).items() if k in self._of_line}
+            if not costs:
+                raise ValueError(f"{self._lines} lines do not fit into {FRAME_BYTES} bytes")
+            name = min(costs, key=lambda name: costs[name])
+            fields = {**fields, name: resized(fields[name], -1)}
+        while self._bits(fields, of_line=True) < self._room[True]:
+            gains = {k: x for k, x in self.costs(fields, 1).items() if k in self._of_line}
+            name = min(gains, key=lambda name: gains[name])
+            if gains[name] >= self.loss(fields):
+                break
+            fields = {**fields, name: resized(fields[name], 1)}
+        return fields
+
+    def improved(self, fields: Fields) -> Fields:
+        """Return fields with the changes of a round; the same ones if none is better."""
+        now = self.loss(fields)
+        changes = [*self._moved(fields), *self._exchanged(fields)]
+        changes.sort(key=lambda change: self.loss({**fields, **change}))
+        best = fields
+        for change in changes[:TRIED]:
+            other = {**best, **change}
+            if self.loss(other) < self.loss(best) - MIN_GAIN * now:
+                best = other
+        return best
+
+    def _exchanged(self, fields: Fields) -> Iterator[Fields]:
+        """Yield changes of a bit from one field to another one, the most promising ones."""
+        now = self.loss(fields)
+        less, more = self.costs(fields, -1), self.costs(fields, 1)
+        pairs = [
+            (less[a] + more[b] - 2 * now, a, b)
+            for a in less
+            for b in more
+            if a != b and (a in self._of_line) == (b in self._of_line)
+        ]
+        for gain, a, b in sorted(pairs)[:TRIED]:
+            if gain < 0:
+                yield {a: resized(fields[a], -1), b: resized(fields[b], 1)}
+
+    def _moved(self, fields: Fields) -> Iterator[Fields]:
+        """Yield changes of the ends of a range, and of steps."""
+        for name, spec in fields.items():
+            if name in (TILT, INFLATION):
+                continue
+            if spec.unit == OCTAVE:
+                for low, high in ((-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, 1)):
+                    yield {name: _moved_ends(spec, low * END, high * END)}
+            else:
+                for factor in (0.5, 2.0):
+                    yield {name: replace(spec, factor=spec.factor * factor, why=_why(spec))}
+
+
+def _moved_ends(spec: SignalSpec, low: float, high: float) -> SignalSpec:
+    """Return levels with other ends, in shares of their octaves; in decimals to be read."""
+    octaves = spec.factor * 2**spec.bits
+    factor = float(f"{spec.factor * (1 + high - low):.3g}")
+    offset = round(spec.offset + low * octaves, 2)
+    return replace(spec, factor=factor, offset=offset, why=_why(spec))

@@ -111,7 +111,8 @@ def on_map(road_map: Map) -> Draw:
 
 def on_road(rng: np.random.Generator) -> tuple[Mapping[Slot, Polyline], Array]:
     """Return the lines of a random road, seen from a pose on it."""
-    spacings = np.exp(rng.uniform(*np.log(SPACING), len(SLOTS)))
+    closest, farthest = map(math.log, SPACING)
+    spacings = np.exp(rng.uniform(closest, farthest, len(SLOTS)))
     return random_road(spacings, rng)
 
 

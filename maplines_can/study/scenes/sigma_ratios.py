@@ -12,6 +12,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +69,26 @@ class Ratios:
         found = self.ratios.get((what, x))
         return float(np.quantile(found, share)) if found else np.nan
 
+    @classmethod
+    def sum(cls, several: Iterable[Ratios]) -> Ratios:
+        """Return the figures of several."""
+        found = cls()
+        for ratios in several:
+            found.add(ratios)
+        return found
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures, for JSON: medians and 99 %."""
+        return {
+            "lines": self.lines,
+            "wider": self.wider_share,
+            "left_out": dict(self.left_out),
+            **{
+                f"{what} at {x:g} m": [self.quantile(what, x, share) for share in (0.5, 0.99)]
+                for what, x in sorted(self.ratios)
+            },
+        }
+
     def add(self, other: Ratios) -> None:
         """Add those of others."""
         self.lines += other.lines
@@ -93,12 +114,12 @@ class Ratios:
         true = scene.subset([line.slot for line in decoded.lines])
         means, ranges = decoded.means, decoded.fit_ranges
         for i, (mean, fit_range) in enumerate(zip(means, ranges, strict=True)):
-            names, x = places_of(*fit_range)
+            names, x = places_of(*fit_range.tolist())
             J, own = lateral_jacobian(mean, x), np.s_[4 * i : 4 * i + 4]
             ratios = sigma_ratios(J, decoded.cov[own, own], true.cov[own, own])
             self.wider += bool((ratios > WIDER).any())
-            for name, ratio in zip(names, ratios.tolist(), strict=True):
-                self.ratios["y", name].append(ratio)
+            for place, ratio in zip(names, ratios.tolist(), strict=True):
+                self.ratios["y", place].append(ratio)
         if tuple(line.slot for line in decoded.lines[:2]) == LANE:
             floor = noise_floor(means[:2], ranges[:2], RESOLUTION)
             cov, computed = decoded.cov[:8, :8], true.cov[:8, :8] + floor
@@ -106,9 +127,10 @@ class Ratios:
             x = np.array([x for x in LANE_AT if low <= x <= high])
             left, right = (lateral_jacobian(mean, x) for mean in means[:2])
             both = {"width": np.hstack([left, -right]), "centre": np.hstack([left, right]) / 2}
-            for name, J in both.items():
-                for place, ratio in zip(x.tolist(), sigma_ratios(J, cov, computed), strict=True):
-                    self.ratios[name, place].append(float(ratio))
+            for what, J in both.items():
+                ratios = sigma_ratios(J, cov, computed)
+                for place, ratio in zip(x.tolist(), ratios.tolist(), strict=True):
+                    self.ratios[what, place].append(ratio)
 
 
 def places_of(low: float, high: float) -> tuple[list[float], Array]:
