@@ -41,9 +41,10 @@ from .slot_messages import RecordMessages, Room, SecuredLayout, check_messages
 if TYPE_CHECKING:
     from ...dbc_files.parser import Database
 
-#: Covariance codes of records whose covariance is conditional on the pose error: lines, and whole
-#: scenes.
-POSE_CONDITIONAL, WHOLE_SCENE = "PoseConditional", "Scene"
+#: Covariance codes of records whose covariance is conditional on the pose error: those of lines,
+#: and of whole scenes.
+POSE_CONDITIONAL = "PoseConditional"
+WHOLE_SCENE = "Scene"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
