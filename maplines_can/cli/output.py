@@ -134,13 +134,14 @@ def scene_text(view: SceneView) -> str:
 def scene_dict(view: SceneView) -> dict[str, Any]:
     """Return a scene with the joint covariance of its lines, for JSON; empty before the first.
 
-    An age or a correlation time that is infinite is None.
+    An age or a correlation time that is infinite is None. "left_out" is there if a line is.
     """
     if view.received is None:
         return {}
     scene, age = view.received.scene, view.received.age
     time, lane = scene.pose_error.correlation_time, _lane(scene)
-    return {
+    left_out = {slot.name: reason.name for slot, reason in scene.left_out.items()}
+    return ({"left_out": left_out} if left_out else {}) | {
         "t": view.received.t_ns / 1e9,
         "scene": [line.slot.name for line in scene.lines],
         "age": age if math.isfinite(age) else None,

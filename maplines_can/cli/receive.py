@@ -34,6 +34,7 @@ from .output import (
     counts_text,
     faults_text,
     is_another_scene,
+    left_out_text,
     line_dict,
     line_text,
     lost_text,
@@ -141,6 +142,8 @@ def _print_lines(
                 now = receiver.latest_scene()
                 if scene is not None and is_another_scene(now, scene):
                     _print_scene(scene, receiver, arguments)
+                if not arguments.json:
+                    _note_left_out(now, scene)
                 scene = now
             row = line_dict(line) | {"e2e": check_dict(check)}
             print(json.dumps(row) if arguments.json else line_text(line), flush=True)
@@ -181,6 +184,15 @@ def _print_scene(scene: SceneView, receiver: Receiver, arguments: argparse.Names
         print(json.dumps(row), flush=True)
     elif text := scene_text(scene):
         print(text, flush=True)
+
+
+def _note_left_out(scene: SceneView, before: SceneView | None) -> None:
+    """Print which lines a scene leaves out, if it is not as in the scene before."""
+    now, then = (
+        {} if one is None or one.scene is None else one.scene.left_out for one in (scene, before)
+    )
+    if now != then:
+        note(left_out_text(now) if now else "no line is left out any more")
 
 
 def _why_nothing(link: ObservedLink, codec: LineCodec, stats: ReceiverStats, *, fd: bool) -> str:
