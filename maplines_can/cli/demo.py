@@ -155,7 +155,7 @@ def _scene(scene: SceneResult) -> list[str]:
 def _of_records(frames: Mapping[str, int]) -> str:
     """Return what the frames of a cycle are for, as text."""
     if POSE not in frames:
-        return ", each with the pose error and lines"
+        return ", with the pose error and the lines"
     of_lines = [n for owner, n in frames.items() if owner != POSE]
     counts = " + ".join(str(n) for n in of_lines)
     if len(of_lines) > 1 and len(set(of_lines)) == 1:
