@@ -20,6 +20,7 @@ strings: the names of those of the product. Read the receiver in this order::
     lines.py         cubics seen from another pose
     levels.py        line-specific covariance of levels
     scenes.py        lines and joint covariance from the pose error and the records of the lines
+    whole_scenes.py  records of whole scenes; which of them are of one scene
     settings.py      time-outs and cycle times
     receiver.py      all of it: class ``Receiver``
 
@@ -30,6 +31,7 @@ the sender, which shares some of them, since it decodes what it has encoded::
     writer.py        a line, or a mixture, as complete records
     joint.py         what two joint covariances lack to cover a third
     level_search.py  which levels of the line-specific covariance tell the least wrong
+    places.py        which place of the records of whole scenes each line has
     scene_sender.py  a scene as records
 
 and the propagation, from map lines and an uncertain pose to lines with covariances::

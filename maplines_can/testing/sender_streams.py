@@ -288,6 +288,8 @@ def _scene_by_core(codec: Codec, given: Any) -> Any:
         frames = encoder.encode_scene(prepared, age=ages, fd=fd, counters=counters)
     except EncodeError:
         return None
+    if codec.layout.scene is None:
+        return _sent(frames), _names(prepared.left_out)
     return _sent(frames), _names(encoder.left_out(prepared, fd=fd))
 
 

@@ -79,7 +79,7 @@ def test_the_streams_of_a_seed_reach_every_rule() -> None:
     for layout, sent in answers("maplines-pose.dbc", "scenes", 150):
         records, left_out = ({}, {}) if sent is None else sent
         met.update(left_out.values())
-        for owner, record in records.items():
+        for owner, record in records:
             if owner != POSE:
                 met["entries" if read(layout["HasCovariance"], record) else "levels"] += 1
     reached = {
