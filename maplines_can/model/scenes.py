@@ -176,7 +176,8 @@ def later(age: float, passed_ns: int) -> float:
 def signals_of_slot(layout: Layout, slot: Slot) -> dict[str, Signal]:
     """Return the signals of levels, quartic and fit range: of the record, or of the pose error."""
     if layout.is_conditional or layout.pose is None:
-        return {name: layout[name] for name in names.SLOT_SIGNALS if name in layout.signals}
+        of_levels = (*names.SLOT_SIGNALS, names.TILT)
+        return {name: layout[name] for name in of_levels if name in layout.signals}
     return {name: layout.pose[of_slot(slot, name)] for name in names.SLOT_SIGNALS}
 
 

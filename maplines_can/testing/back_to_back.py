@@ -438,11 +438,12 @@ def _view(view: LineView | SceneView) -> dict[str, Any]:
         "usable": bool(view.usable),
     }
     if not isinstance(view, SceneView):
-        return found | {"line": _line(view.line), "states": {}}
+        left_out = None if view.left_out is None else view.left_out.name
+        return found | {"line": _line(view.line), "left out": left_out, "states": {}}
     found["states"] = {slot.name: state.name for slot, state in view.slot_states.items()}
     scene = view.scene
     if scene is None or view.received is None:
-        return found | {"line": None}
+        return found | {"line": None, "left out": None}
     error = scene.map_error
     return found | {
         "counter": view.received.counter,
@@ -471,7 +472,7 @@ def _model_view(view: View) -> dict[str, Any]:
     }
     scene = view.content
     if not isinstance(scene, Scene):
-        return found | {"line": _model_line(scene)}
+        return found | {"line": _model_line(scene), "left out": view.left_out}
     pose = scene.pose
     return found | {
         "counter": pose.counter,
