@@ -1,0 +1,408 @@
+"""Whole scenes as they are sent: read by cantools and NumPy alone, and the places of lines."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import re
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from itertools import chain, pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from evidence.exact import covers
+from evidence.roads import SHAPES, random_scene
+from evidence.witness import POSES, Poses
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scene_layouts import layout_of
+from scene_streams import OFFSETS, authenticated_codec, new_codec, road_scene
+from whole_scene_witness import Read, read
+
+from maplines_can import Codec, EncodeError, Gaussian, MapError, Polyline, Scene, Slot
+from maplines_can.model.lines import Curve
+from maplines_can.model.matrices import Vector
+from maplines_can.model.places import Candidate, Places, chosen
+from maplines_can.propagation import map_scene
+from maplines_can.values.line import LeftOut, MapLine
+from maplines_can.values.mixture import GaussianMixture
+from maplines_can.wire import SCENE, SCENE2, Encoder, Frame, Layout, Owner, default_dbc_path
+
+DBC = "maplines-scene.dbc"
+PATH = default_dbc_path(DBC)
+EGO = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
+#: Numbers of reasons in a record.
+ACROSS, RANGE, MEAN, COVARIANCE = 1, 2, 3, 4
+
+
+def straight(offsets: dict[Slot, float]) -> Scene:
+    """Lines along the road at these distances from the car [m]."""
+    x = np.array([-100.0, 200.0])
+    lines = {slot: Polyline(np.column_stack([x, [y, y]])) for slot, y in offsets.items()}
+    return map_scene(lines, Gaussian([0, 0, 0], np.diag([0.1, 0.2, 0.01]) ** 2))
+
+
+def frames_of(sent: dict[Any, list[Frame]]) -> list[Frame]:
+    return [*chain(*sent.values())]
+
+
+def sent(encoder: Encoder, scene: Scene) -> Read:
+    """What a receiver reads of a scene that an encoder sends next."""
+    return read(frames_of(encoder.encode_scene(scene, fd=True)), PATH)
+
+
+def messages_of(encoder: Encoder, scene: Scene, path: Path = PATH) -> dict[str, list[Slot]]:
+    """Slots of the lines that are sent, by message and in the order of places."""
+    found = encoder.encode_scene(scene, fd=True)
+    return {str(owner): read(frames, path).slots for owner, frames in found.items()}
+
+
+def beyond(scene: Scene, slot: Slot) -> Scene:
+    """The same scene with a line that no message can state."""
+    place = scene.index[slot]
+    line = scene.lines[place]
+    mean = [1e3, *line.gaussian.mean[1:]]
+    lines = [*scene.lines]
+    lines[place] = replace(line, gaussian=Gaussian(mean, line.gaussian.cov))
+    return replace(scene, lines=tuple(lines))
+
+
+# ---- what is sent ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_scene_read_from_the_dbc_alone_covers_what_was_sent(shape: str) -> None:
+    """In exact arithmetic, with the errors of all means; a receiver computes the same."""
+    codec, counts = Codec(layout_of(DBC)), Counter[str]()
+    for number in range(12):
+        rng = np.random.default_rng(number)
+        road = random_scene(shape, rng, int(rng.integers(1, 9)))
+        poses = Poses.about(road.pose, POSES[list(POSES)[number % 2]], 0, rng)
+        scene = map_scene(
+            {slot: Polyline(points) for slot, points in road.lines.items()},
+            Gaussian(road.pose, poses.cov),
+            map_error=(None, MapError(0.05, 0.05, 0.001), MapError(0.3))[number % 3],
+        )
+        encoder, decoder = codec.encoder(), codec.decoder()
+        frames = frames_of(encoder.encode_scene(scene, fd=True))
+        found = read(frames, PATH)
+        for frame in frames:
+            decoder.feed(frame.can_id, frame.data, 0)
+        assert {*found.slots} | {*found.left_out} == {*scene.index}
+        if not found.slots:
+            continue
+        true = scene.joint(found.slots)
+        assert covers(found.cov, found.means.ravel(), true.cov, true.mean)
+        received = decoder.scene()
+        assert received is not None
+        own = received.scene.joint(found.slots)
+        scale = np.sqrt(own.cov.diagonal())
+        assert (own.mean == found.means.ravel()).all()
+        assert (
+            np.abs((own.cov - found.cov) / np.outer(scale, scale)).max() < 1e-5
+        )  # of single precision
+        assert covers(own.cov, own.mean, true.cov, true.mean)
+        counts["lines"] += len(found.slots)
+    assert counts["lines"] > 30
+
+
+def test_kinds_and_ranges_are_those_of_the_lines() -> None:
+    scene = road_scene(OFFSETS)
+    kinds = {line.slot: int(line.kind) for line in scene.lines}
+    found = sent(Codec(layout_of(DBC)).encoder(), scene)
+    assert dict(zip(found.slots, found.kinds, strict=True)) == kinds
+
+
+@pytest.mark.parametrize("slot", [Slot.EGO_RIGHT, Slot.ROUTE])
+def test_a_line_that_is_left_out_says_why(slot: Slot) -> None:
+    """Its place has the reason, and its slot, so that it differs from a line that is not there."""
+    scene = beyond(road_scene((*EGO, Slot.ROUTE)), slot)
+    encoder = Codec(layout_of(DBC)).encoder()
+    found = sent(encoder, scene)
+    assert found.left_out == {slot: MEAN}
+    assert encoder.left_out(scene, fd=True) == {slot: LeftOut.MEAN}
+    assert slot not in found.slots
+    ((frame,),) = encoder.encode_scene(scene, fd=True).values()
+    record = np.unpackbits(np.frombuffer(frame.data, np.uint8), bitorder="little")
+    place = 1 if slot == Slot.EGO_RIGHT else 2
+    line = record[8 * (12 + 13 * place) :][: 8 * 13].copy()
+    line[:4] = 0
+    line[101:] = 0  # slot, or the counter of the scene
+    assert not line.any()
+
+
+def test_a_scene_without_lines_is_a_pose_error() -> None:
+    empty = replace(straight({}), left_out={Slot.ROUTE: LeftOut.TOO_SHORT})
+    found = sent(Codec(layout_of(DBC)).encoder(), empty)
+    assert (found.slots, found.left_out) == ([], {})
+    assert found.raw["Scene"]["PivotAlong"] > 0
+
+
+def test_both_records_state_one_pose_error_and_the_counter_of_the_first() -> None:
+    """However their own counters differ."""
+    encoder = Codec(layout_of(DBC)).encoder()
+    for count in range(20):
+        counters: dict[Owner, int] = {SCENE: 250 + count, SCENE2: 7 * count}
+        frames = encoder.encode_scene(road_scene(OFFSETS), fd=True, counters=counters)
+        raw = read(frames_of(frames), PATH).raw
+        first, second = raw["Scene"], raw["Scene2"]
+        assert first["SceneCounter"] == second["SceneCounter"] == counters[SCENE] % 8
+        assert (first["Counter"], second["Counter"]) == (counters[SCENE] % 256, 7 * count % 256)
+        shared = [name for name in first if name.startswith(("Pivot", "Ratio", "Map", "Corr"))]
+        assert len(shared) == 9
+        assert [first[name] for name in (*shared, "Inflation")] == [
+            second[name] for name in (*shared, "Inflation")
+        ]
+
+
+def test_each_record_has_the_age_at_its_own_sending() -> None:
+    encoder, scene = Codec(layout_of(DBC)).encoder(), road_scene(OFFSETS)
+    frames = encoder.encode_scene(scene, fd=True, age={SCENE2: 0.0, SCENE: 0.009})
+    raw = read(frames_of(frames), PATH).raw
+    assert (raw["Scene2"]["Age"], raw["Scene"]["Age"]) == (0, 2)  # of 8 ms, rounded up
+    with pytest.raises(ValueError, match="'scene2' has none"):
+        encoder.encode_scene(scene, fd=True, age={SCENE: 0.0})
+    with pytest.raises(ValueError, match="age"):
+        encoder.encode_scene(scene, fd=True, age=-1.0)
+
+
+# ---- places ----------------------------------------------------------------------------------
+
+
+def test_the_nearest_lines_are_in_the_first_message() -> None:
+    """The centre follows from the ego lines, so it has what is left."""
+    encoder = Codec(layout_of(DBC)).encoder()
+    assert messages_of(encoder, straight(OFFSETS | {Slot.NEXT_RIGHT: -5.5})) == {
+        "scene2": [Slot.EDGE_LEFT, Slot.EDGE_RIGHT, Slot.NEXT_RIGHT, Slot.CENTRE],
+        "scene": [*EGO, Slot.ROUTE, Slot.NEXT_LEFT],
+    }
+
+
+def test_edges_are_in_the_first_message_while_there_is_no_second() -> None:
+    """Once the second is needed it is sent in each cycle, since a cyclic message does not go."""
+    encoder = Codec(layout_of(DBC)).encoder()
+    few = road_scene((*EGO, Slot.EDGE_LEFT, Slot.EDGE_RIGHT))
+    assert [*messages_of(encoder, few)] == ["scene"]
+    many = road_scene((*EGO, Slot.ROUTE, Slot.EDGE_LEFT, Slot.EDGE_RIGHT))
+    expected = {"scene2": [Slot.EDGE_LEFT, Slot.EDGE_RIGHT], "scene": [*EGO, Slot.ROUTE]}
+    assert messages_of(encoder, many) == expected
+    assert messages_of(encoder, few) == {"scene2": expected["scene2"], "scene": [*EGO]}
+    assert messages_of(encoder, straight({})) == {"scene2": [], "scene": []}
+
+
+def test_lines_keep_their_place_until_others_are_a_metre_nearer() -> None:
+    """And those that stay do not move when another one goes."""
+    encoder = Codec(layout_of(DBC)).encoder()
+    seen = []
+    for route, left in ((4.0, 4.5), (4.4, 4.0), (4.4, 3.5), (4.4, 3.3), (4.4, 4.3), (4.0, 4.9)):
+        offsets = dict.fromkeys(EGO, 1.0) | {Slot.ROUTE: route, Slot.NEXT_LEFT: left}
+        offsets |= {Slot.NEXT_RIGHT: 2.0, Slot.EDGE_LEFT: 9.0}
+        found = messages_of(encoder, straight(offsets))
+        assert found["scene"][2] == Slot.NEXT_RIGHT
+        seen.append(found["scene"][3])
+    route, left = Slot.ROUTE, Slot.NEXT_LEFT
+    assert seen == [route, route, route, left, left, left]
+
+
+@given(
+    st.lists(
+        st.dictionaries(
+            st.sampled_from(Slot), st.tuples(st.integers(-40, 40), st.booleans()), max_size=8
+        ),
+        min_size=1,
+        max_size=5,
+    ),
+    st.booleans(),
+)
+@settings(max_examples=40, deadline=None)
+def test_the_places_are_those_of_the_model(
+    cycles: list[dict[Slot, tuple[int, bool]]], secured: bool
+) -> None:
+    """Of any lines, cycle after cycle, also of those that are left out."""
+    codec = authenticated_codec(DBC) if secured else Codec(layout_of(DBC))
+    layout = codec.layout.scene
+    assert layout is not None
+    places = layout.secured_places if secured else layout.places
+    fixed = [layout.fixed[SCENE][:places], layout.fixed[SCENE2][:places]]
+    encoder, last = codec.encoder(), Places()
+    for lines in cycles:
+        scene = straight({slot: 0.5 * y for slot, (y, _) in sorted(lines.items())})
+        for slot, (_, is_left_out) in lines.items():
+            scene = beyond(scene, slot) if is_left_out else scene
+        candidates = [
+            Candidate(
+                line.slot,
+                Curve(Vector(line.gaussian.mean), fit[0], fit[1], 0.0),
+                lines[line.slot][1],
+            )
+            for line, fit in zip(scene.lines, scene.fit_ranges.tolist(), strict=True)
+        ]
+        last = chosen(fixed, candidates, last)
+        found = encoder.encode_scene(scene, fd=True)
+        assert [*found] == [SCENE] if last.scene2 is None else [SCENE2, SCENE]
+        placed = {slot for slots in (last.scene, last.scene2 or ()) for slot in slots}
+        assert encoder.left_out(scene, fd=True) == {
+            slot: LeftOut.MEAN if out else LeftOut.PLACE
+            for slot, (_, out) in lines.items()
+            if out or slot not in placed
+        }
+        for owner, expected in ((SCENE, last.scene), (SCENE2, last.scene2)):
+            if expected is not None:
+                own = read_secured(found[owner], places) if secured else read(found[owner], PATH)
+                assert {*own.slots} | {*own.left_out} == {*expected} - {None}
+                assert own.slots == [s for s in expected if s is not None and not lines[s][1]]
+
+
+def read_secured(frames: Iterable[Frame], places: int) -> Read:
+    """What is read of authenticated frames, with the bits of other places set to "none"."""
+    plain = []
+    for frame in frames:
+        data = bytearray(64)
+        data[: 12 + 13 * places] = frame.data[: 12 + 13 * places]
+        data[12 + 13 * places] = 8
+        plain.append(Frame(frame.can_id - 2, bytes(data)))
+    return read(plain, PATH)
+
+
+def test_a_line_without_a_place_is_left_out() -> None:
+    """With a key, each message has room for three lines."""
+    encoder, scene = authenticated_codec(DBC).encoder(), straight(OFFSETS)
+    expected = dict.fromkeys((Slot.NEXT_RIGHT, Slot.CENTRE), LeftOut.PLACE)
+    assert encoder.left_out(scene, fd=True) == expected
+    prepared = encoder.prepare_scene(scene, fd=True)
+    assert prepared.left_out == {}
+    for _ in range(3):
+        frames = encoder.encode_scene(prepared, fd=True)
+        assert [len(frame.data) for frame in frames_of(frames)] == [64, 64]
+        slots = read_secured(frames_of(frames), 3).slots
+        assert {*slots} == {*Slot} - {*expected}
+        assert encoder.left_out(prepared, fd=True) == expected
+
+
+def test_a_retracted_line_has_no_place() -> None:
+    """Neither has one that is left out: its slot is as if it had no line."""
+    encoder = Codec(layout_of(DBC)).encoder()
+    scene = beyond(road_scene((*EGO, Slot.ROUTE)), Slot.ROUTE)
+    prepared = encoder.prepare_scene(scene, fd=True).without(Slot.EGO_LEFT).without(Slot.ROUTE)
+    for one in (prepared, pickle.loads(pickle.dumps(prepared))):  # noqa: S301
+        found = read(frames_of(encoder.encode_scene(one, fd=True)), PATH)
+        assert (found.slots, found.left_out) == ([Slot.EGO_RIGHT], {})
+
+
+# ---- state of a sender -----------------------------------------------------------------------
+
+
+def test_a_copy_goes_on_with_the_counters_and_places_of_the_original() -> None:
+    """Whoever sends next sends the same; then each has a state of its own."""
+    encoder = Codec(layout_of(DBC)).encoder()
+    base = dict.fromkeys(EGO, 1.0) | {Slot.NEXT_RIGHT: 2.0, Slot.CENTRE: 0.0}
+    first = straight(base | {Slot.ROUTE: 4.0, Slot.NEXT_LEFT: 4.5})
+    second = straight(base | {Slot.ROUTE: 4.5, Slot.NEXT_LEFT: 4.0})
+    encoder.encode_scene(first, fd=True)
+    ways: list[Callable[[Encoder], Encoder]] = [
+        copy.copy,
+        copy.deepcopy,
+        lambda one: pickle.loads(pickle.dumps(one)),  # noqa: S301
+    ]
+    others = [again(encoder) for again in ways]
+    expected = encoder.encode_scene(second, fd=True)
+    for other in others:
+        assert other.encode_scene(second, fd=True) == expected
+    fresh = Codec(layout_of(DBC)).encoder().encode_scene(second, fd=True, counters={SCENE: 1})
+    assert read(fresh[SCENE], PATH).slots != read(expected[SCENE], PATH).slots
+
+
+def test_with_counters_of_the_caller_the_encoder_does_not_change() -> None:
+    """Neither its counters nor its places."""
+    encoder = Codec(layout_of(DBC)).encoder()
+    before = encoder.encode_scene(road_scene(EGO), fd=True, counters={})
+    encoder.encode_scene(road_scene(OFFSETS), fd=True, counters={SCENE: 9})
+    assert encoder.encode_scene(road_scene(EGO), fd=True) == before
+
+
+def test_a_restarted_sender_is_followed() -> None:
+    """Its counters begin anew: a sequence break, after which its scenes are received."""
+    codec = Codec(layout_of(DBC))
+    decoder, t_ns, scene = codec.decoder(), 0, road_scene(OFFSETS)
+    for _ in range(2):
+        encoder = codec.encoder()
+        for _ in range(5):
+            for frame in frames_of(encoder.encode_scene(scene, fd=True)):
+                decoder.feed(frame.can_id, frame.data, t_ns)
+                t_ns += 250_000
+            t_ns += 50_000_000
+        received = decoder.scene()
+        assert received is not None
+        assert {line.slot for line in received.scene.lines} == {*Slot}
+
+
+def test_threads_share_the_counters() -> None:
+    """Each scene has a counter of its own."""
+    encoder, scene = Codec(layout_of(DBC)).encoder(), road_scene(EGO)
+    prepared = encoder.prepare_scene(scene, fd=True)
+    found: list[int] = []
+
+    def send() -> None:
+        for _ in range(25):
+            (frame,) = encoder.encode_scene(prepared, fd=True)[SCENE]
+            found.append(frame.data[2])
+
+    threads = [threading.Thread(target=send) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(found) == list(range(200))
+
+
+# ---- what is refused -------------------------------------------------------------------------
+
+
+def test_what_is_no_scene_in_can_fd_is_refused_in_words() -> None:
+    """Classic CAN, single lines, mixtures, and arrays of lines."""
+    codec = Codec(layout_of(DBC))
+    encoder, scene = codec.encoder(), road_scene(EGO)
+    mixture = GaussianMixture([1.0], [scene.lines[0].gaussian])
+    lines = [scene.lines[0], MapLine.of_mixture(Slot.ROUTE, mixture, x_max=10.0)]
+    classic = r"its scenes are CAN FD frames of 64 bytes.*no message for classic CAN.*fd=True"
+    for refused in (encoder.encode_scene, encoder.prepare_scene, encoder.left_out):
+        with pytest.raises(EncodeError, match=classic):
+            refused(scene)
+    with pytest.raises(EncodeError, match=classic):
+        encoder.encode_scene(encoder.prepare_scene(scene, fd=True))
+    for line in lines:
+        for fd in (False, True):
+            with pytest.raises(EncodeError, match="lines are sent and received as scenes"):
+                encoder.encode(line, fd=fd)
+    with pytest.raises(EncodeError, match="lines are sent and received as scenes"):
+        _ = codec.batch
+
+
+def test_places_may_all_have_a_fixed_slot(tmp_path: Path) -> None:
+    """Lines of other slots are left out, and Scene2 is needed for the edges."""
+    text = PATH.read_text()
+    lines = [line for line in text.splitlines(keepends=True) if not re.search(r"Line[34]", line)]
+    path = tmp_path / "fixed.dbc"
+    path.write_text("".join(lines))
+    layout = Layout.from_dbc(path)
+    assert layout.slots == (*EGO, Slot.EDGE_LEFT, Slot.EDGE_RIGHT)
+    encoder = Codec(layout).encoder()
+    scene = road_scene((*EGO, Slot.ROUTE))
+    expected = {"scene2": [], "scene": [*EGO]}
+    assert messages_of(encoder, scene, path) == expected
+    assert encoder.left_out(scene, fd=True) == {Slot.ROUTE: LeftOut.PLACE}
+    scene = road_scene((*EGO, Slot.EDGE_LEFT))
+    assert messages_of(encoder, scene, path) == expected | {"scene2": [Slot.EDGE_LEFT]}
+
+
+def test_counters_go_on_by_one_in_each_message() -> None:
+    encoder = new_codec(DBC).encoder()
+    found = [encoder.encode_scene(road_scene(OFFSETS), fd=True) for _ in range(4)]
+    for owner in (SCENE, SCENE2):
+        counters = [frames[owner][0].data[2] for frames in found]
+        assert all(b == a + 1 for a, b in pairwise(counters))
