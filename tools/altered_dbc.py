@@ -3,7 +3,7 @@
 
     altered_dbc.py                     all fields and alterations
     altered_dbc.py Line.Age --json     some fields, as JSON with the text of each refusal
-    altered_dbc.py Pose Conditional    all fields of a kind of record
+    altered_dbc.py Pose Scene          all fields of kinds of records
     altered_dbc.py messages            alterations of messages and their attributes
 
 An altered DBC is refused if loading it raises a LayoutError that names the signal or a message. It
@@ -72,8 +72,8 @@ def outcome(database: Database, name: str, named: str, records: int, lines: int 
 def outcomes(field: str, records: int = 300, lines: int = 24) -> Iterator[Outcome]:
     """Yield the results of all alterations of a field, such as ``Pose.Age``, or of messages.
 
-    Scenes need all messages of a record, so the signals of the records of scenes are renamed and
-    removed in a single frame format, too.
+    A record needs its signals in all messages, so they are renamed and removed in one form of the
+    messages, too.
     """
     if field == MESSAGES:
         for name in EDITS:
@@ -86,14 +86,14 @@ def outcomes(field: str, records: int = 300, lines: int = 24) -> Iterator[Outcom
         return
     kind, _, signal = field.partition(".")
     original = ORIGINALS[kind]
-    named = f"{signal}|{SLOTS[0].name}|EgoLeft|Pose"
+    named = f"{signal}|{SLOTS[0].name}|EgoLeft|Pose|Scene"
     for name in ALTERATIONS:
         with altered(original, signal, name):
             yield outcome(original.database, name, named, records, lines)
     for name in ("renamed", "removed"):
-        for format_, end in (("classic", "(?<!Fd)(?<!SecOc)"), ("CAN FD", "Fd")):
+        for form, end in original.forms.items():
             with altered(original, signal, name, end):
-                found = outcome(original.database, f"{name} in {format_}", named, records, lines)
+                found = outcome(original.database, f"{name} in {form}", named, records, lines)
                 yield found
 
 

@@ -6,10 +6,10 @@ The originals have two slots, and a page with room for longer signals.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import Any
 
@@ -19,14 +19,19 @@ from cantools.database.utils import start_bit
 
 from maplines_can.study.dbc.dbc_writer import DbcWriter
 from maplines_can.study.dbc.pose_spec import CONDITIONAL, POSE_WITH_LEVELS
+from maplines_can.study.dbc.record_pages import SignalSpec
 from maplines_can.study.dbc.record_spec import DEFAULT, SECURED
+from maplines_can.study.dbc.scene_spec import SCENES, WHOLE_SCENES
 from maplines_can.values.line import Slot
+from maplines_can.wire.layout.pose_layout import SCENE, SCENE2
 from maplines_can.wire.layout.signals import FINE_SIGNALS, TRAILER, slot_title
 
 #: Slots of the originals.
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
 #: Page with room, and its first free bit at a byte boundary; 41 bits are free from there.
 ROOM_PAGE, ROOM = 4, 16
+#: Name of a signal of others.
+FOREIGN = "Foreign"
 
 # ---- originals -------------------------------------------------------------------------------
 
@@ -38,6 +43,10 @@ class Original:
     writer: DbcWriter
     messages: str  #: those whose signals are altered, as a regular expression
     names: tuple[str, ...] = ()  #: of the signals that are altered; by default all
+    #: Names of forms of the messages, and ends of the names of such messages.
+    forms: Mapping[str, str] = field(
+        default_factory=lambda: {"classic": "(?<!Fd)(?<!SecOc)", "CAN FD": "Fd"}
+    )
 
     @cached_property
     def database(self) -> Database:
@@ -79,6 +88,25 @@ def _conditional() -> DbcWriter:
     return replace(CONDITIONAL, slots=SLOTS[:1], pages=pages, first_secured_can_id=None)
 
 
+def _scene() -> DbcWriter:
+    """Return the writer of whole scenes of a line, whose signals no other line must have, too.
+
+    Its room is that of the others, before which a foreign signal ends.
+    """
+    filler = SignalSpec(name=FOREIGN, bits=56, about="", why="")
+    scene = replace(
+        SCENES, head=(*SCENES.head, *SCENES.tails, filler), tails=(), places=1, secured_places=1,
+        fixed={SCENE: (), SCENE2: ()},
+    )  # fmt: skip
+    return replace(WHOLE_SCENES, scene=scene, first_secured_can_id=None)
+
+
+def _names(writer: DbcWriter) -> tuple[str, ...]:
+    """Return the names of the signals of the first message that are not foreign."""
+    signals = writer.database().messages[0].signals
+    return tuple(signal.name for signal in signals if signal.name != FOREIGN)
+
+
 #: Lines with authenticated messages, of which ``MESSAGES`` has the alterations of messages.
 LINES = replace(SECURED, pages=_line_pages(), slots=SLOTS, pose=None)
 ORIGINALS = {
@@ -86,6 +114,9 @@ ORIGINALS = {
     "Secured": Original(replace(LINES, slots=SLOTS[:1]), r"\w+SecOc", tuple(TRAILER)),
     "Pose": Original(_pose(), "Pose(?:Fd)?"),
     "Conditional": Original(_conditional(), r"Ego\w+"),
+    "Scene": Original(
+        _scene(), "Scene2?", _names(_scene()), {"Scene2": "Scene2", "Scene": "Scene"}
+    ),
 }
 
 
@@ -271,7 +302,7 @@ def _length(can_ids: str, length: int) -> tuple[Edit]:
     return ((rf"^(BO_ {can_ids} \w+): \d+", rf"\1: {length}"),)
 
 
-def _foreign(can_ids: str, place: str, name: str = "Foreign") -> Edit:
+def _foreign(can_ids: str, place: str, name: str = FOREIGN) -> Edit:
     signal = rf'\1\n SG_ {name} {place} (0,0) [9|-9] ""  AdasEcu'
     return rf"^(BO_ {can_ids} .*)$", signal
 

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import cantools
 
 ROOT = Path(__file__).resolve().parents[1]
-DBCS = ("maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc")
+DBCS = ("maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc", "maplines-scene.dbc")
 CANMATRIX = "1.3.3"
 #: Random payloads of each message.
 PAYLOADS = 40

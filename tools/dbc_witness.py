@@ -10,7 +10,8 @@ import numpy as np
 from answers import one
 from cantools.database.can import Database, Message
 
-from maplines_can.model.records import intact, written
+from maplines_can.model.records import AnyLayout, intact, sealed, written
+from maplines_can.model.signals import packed
 from maplines_can.propagation import map_scene
 from maplines_can.values.errors import EncodeError
 from maplines_can.values.gaussian import Gaussian
@@ -19,7 +20,7 @@ from maplines_can.values.mixture import GaussianMixture
 from maplines_can.values.polyline import Polyline
 from maplines_can.values.scene import Scene
 from maplines_can.wire import Authenticator, Codec, Key, Layout
-from maplines_can.wire.layout.pose_layout import PoseLayout
+from maplines_can.wire.layout.scene_layout import SceneLayout
 from maplines_can.wire.layout.signals import PAGE, PAGE_BYTES, PARAMETER_SIGNALS, TRANSFER_ID
 from maplines_can.wire.layout.slot_messages import RecordMessages
 
@@ -82,10 +83,9 @@ def check_codec(codec: Codec, database: Database, records: int = 300, n: int = 2
         WrongResultError: a result is wrong. Any other exception is also a wrong result.
     """
     layout = codec.layout
-    for messages in layout.messages.values():
-        check_signals(layout, messages, database)
+    for owner, messages in layout.messages_of.items():
+        check_signals(layout.record_of(owner), messages, database)
     if layout.pose is not None:
-        check_signals(layout.pose, layout.pose.messages, database)
         check_scenes(codec)
     else:
         check_lines(codec, database, records, n)
@@ -94,9 +94,7 @@ def check_codec(codec: Codec, database: Database, records: int = 300, n: int = 2
 # ---- signals ---------------------------------------------------------------------------------
 
 
-def check_signals(
-    layout: Layout | PoseLayout, messages: RecordMessages, database: Database
-) -> None:
+def check_signals(layout: AnyLayout, messages: RecordMessages, database: Database) -> None:
     """Check that cantools decodes all signals of random records in each frame format.
 
     Raises:
@@ -108,7 +106,7 @@ def check_signals(
             name: int(rng.integers(s.raw_min, s.raw_max, endpoint=True))
             for name, s in layout.signals.items()
         }
-        record = written(layout, raw | {"HasCovariance": 1}, messages.data_id)
+        record = _record(layout, raw | {"HasCovariance": 1}, messages.data_id)
         known = intact(layout, record, messages.data_id)
         if isinstance(known, str):
             raise WrongResultError(f"a record is rejected: {known}")
@@ -116,10 +114,18 @@ def check_signals(
         for key, is_whole in messages.ids.items():
             message = _message(database, *key)
             payloads = [record.ljust(message.length, b"\0")] if is_whole else pages
-            for name, value in _decoded(message, payloads).items():
+            for name, value in _decoded(message, payloads, layout).items():
                 if name in known and name.rstrip("0123456789") not in (PAGE, TRANSFER_ID):
                     _equal(name, layout[name].physical_one(known[name]), value)
                     _equal(name, known[name], (raw | known)[name])
+
+
+def _record(layout: AnyLayout, raw: dict[str, int], data_id: int) -> bytes:
+    """Return the record of raw values, with what protects it."""
+    if not isinstance(layout, SceneLayout):
+        return written(layout, raw, data_id)
+    record = packed(layout.signals.values(), raw, layout.record_bytes)
+    return sealed(layout, record, data_id)
 
 
 # ---- scenes ----------------------------------------------------------------------------------
@@ -134,12 +140,16 @@ def _scene(slots: tuple[Slot, ...]) -> Scene:
 def check_scenes(codec: Codec) -> None:
     """Send a scene with a line in each slot in both frame formats, and check what arrives.
 
+    Of whole scenes, there are as many lines as places, all of which are sent in one cycle.
+
     Raises:
         WrongResultError: the scene is not delivered with all lines that fit into the DBC, or is
             overconfident.
     """
-    sent = _scene(tuple(codec.layout.messages))
-    for fd in (False, True):
+    layout = codec.layout
+    slots = layout.slots if layout.scene is None else _with_places(layout.scene)
+    sent = _scene(slots)
+    for fd in (False, True) if layout.has_classic else (True,):
         try:
             frames_of = codec.encoder().encode_scene(sent, fd=fd, counters={})
         except EncodeError as error:
@@ -155,8 +165,17 @@ def check_scenes(codec: Codec) -> None:
             if line.slot in by_slot:
                 got = by_slot[line.slot].gaussian
                 _check_covered(line.gaussian, got, line.gaussian.cov)
-            elif line.slot in frames_of or _fits(codec.layout, line):
+            elif line.slot in frames_of or _fits(layout, line):
                 raise WrongResultError(f"of {len(frames)} frames the scene is {received}")
+
+
+def _with_places(scene: SceneLayout) -> tuple[Slot, ...]:
+    """Return as many slots as the messages have places, those with a fixed place first."""
+    places = [slot for slots in scene.fixed.values() for slot in slots]
+    fixed = [slot for slot in places if slot is not None]
+    return tuple(
+        sorted([*fixed, *(slot for slot in scene.slots if slot not in fixed)][: len(places)])
+    )
 
 
 def _fits(layout: Layout, line: MapLine) -> bool:
@@ -251,13 +270,22 @@ def _message(database: Database, can_id: int, is_extended: bool) -> Message:
     raise WrongResultError(f"no message has the CAN ID {can_id:#x}")
 
 
-def _decoded(message: Message, payloads: list[bytes]) -> dict[str, Any]:
-    """Return the physical values of a record as cantools decodes them."""
+def _decoded(
+    message: Message, payloads: list[bytes], layout: AnyLayout | None = None
+) -> dict[str, Any]:
+    """Return the physical values of a record as cantools decodes them.
+
+    Signals of Scene2 have the names of those of Scene at the same places.
+    """
     signals: dict[str, Any] = {}
     for payload in payloads:
         if len(payload) != message.length:
             raise WrongResultError(f"{message.name} has {message.length} bytes, got {len(payload)}")
         signals |= message.decode(payload, decode_choices=False)  # type: ignore[arg-type]
+    if isinstance(layout, SceneLayout):
+        names = {signal.start: name for name, signal in layout.signals.items()}
+        starts = {signal.name: signal.start for signal in message.signals}
+        signals = {names.get(starts[name], name): value for name, value in signals.items()}
     return signals
 
 

@@ -20,14 +20,14 @@ MESSAGES: Mapping[SceneOwner, str] = {SCENE2: "Scene2", SCENE: "Scene"}
 class SceneSpec:
     """Messages of whole scenes: the pose error, and lines at equal distances of whole bytes.
 
-    The last bits of each line with a fixed slot hold a signal of the record, those of each other
-    line its slot.
+    The last bits of a line without a fixed slot name its slot; those of the others have room for
+    signals of the record.
 
     Args:
         head: signals before the lines, in the order of their bits.
         line: signals of each line, in the order of their bits.
-        tails: signals of the record in the last bits of the lines with a fixed slot.
-        slot: signal in the last bits of the other lines.
+        tails: signals of the record in the last bits of the first lines, which have a fixed slot.
+        slot: signal in the last bits of lines without a fixed slot.
         fixed: slots of the first lines of each message; without Scene2 there is no such message.
         places: lines of a record.
         secured_places: lines of an authenticated record.
@@ -35,7 +35,7 @@ class SceneSpec:
         first_data_id: E2E data ID of Scene2; that of Scene follows, then their SecOC data IDs.
 
     Raises:
-        ValueError: the lines with fixed slots are not as many as the tails.
+        ValueError: a tail is not in a line with a fixed slot of each record.
     """
 
     head: tuple[SignalSpec, ...]
@@ -50,10 +50,10 @@ class SceneSpec:
 
     def __post_init__(self) -> None:
         for owner, slots in self.fixed.items():
-            if len(slots) != len(self.tails) or len(slots) > self.secured_places:
+            if len(self.tails) > min(len(slots), self.secured_places):
                 raise ValueError(
-                    f"{MESSAGES[owner]} has {len(slots)} fixed slots, but they must be as many as "
-                    f"the tails, {len(self.tails)}, and {self.secured_places} at most"
+                    f"{MESSAGES[owner]} has {len(slots)} fixed slots and {self.secured_places} "
+                    f"places if it is authenticated, but there are {len(self.tails)} tails"
                 )
 
     @property
@@ -71,18 +71,22 @@ class SceneSpec:
         """Bytes of a record of so many lines."""
         return self.head_bytes + self.stride_bytes * places
 
+    def titles(self, owner: SceneOwner, places: int) -> list[str]:
+        """Return the starts of the names of so many lines."""
+        fixed = [*map(slot_title, self.fixed[owner])]
+        return [*fixed, *(f"{LINE}{i + 1}" for i in range(len(fixed), places))][:places]
+
     def signals(self, owner: SceneOwner, places: int) -> list[Signal]:
         """Return the signals of a record of so many lines."""
-        fixed = self.fixed[owner]
         signals = [dbc_signal(spec, start) for spec, start in _in_row(self.head)]
-        for place in range(places):
-            is_fixed = place < len(fixed)
-            title = slot_title(fixed[place]) if is_fixed else f"{LINE}{place + 1}"
+        for place, title in enumerate(self.titles(owner, places)):
             first = 8 * (self.head_bytes + self.stride_bytes * place)
             for spec, start in _in_row(self.line):
                 signals.append(dbc_signal(_of_line(spec, title), first + start))
-            tail = self.tails[place] if is_fixed else _of_line(self.slot, title)
-            signals.append(dbc_signal(tail, first + 8 * self.stride_bytes - tail.bits))
+            names_slot = place >= len(self.fixed[owner])
+            tails = [_of_line(self.slot, title)] if names_slot else self.tails[place : place + 1]
+            end = first + 8 * self.stride_bytes
+            signals += [dbc_signal(tail, end - tail.bits) for tail in tails]
         return signals
 
     def table(self) -> str:
