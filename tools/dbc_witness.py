@@ -21,7 +21,13 @@ from maplines_can.values.polyline import Polyline
 from maplines_can.values.scene import Scene
 from maplines_can.wire import Authenticator, Codec, Key, Layout
 from maplines_can.wire.layout.scene_layout import SceneLayout
-from maplines_can.wire.layout.signals import PAGE, PAGE_BYTES, PARAMETER_SIGNALS, TRANSFER_ID
+from maplines_can.wire.layout.signals import (
+    PAGE,
+    PAGE_BYTES,
+    PARAMETER_SIGNALS,
+    SECURED_SIGNALS,
+    TRANSFER_ID,
+)
 from maplines_can.wire.layout.slot_messages import RecordMessages
 
 SECRET = bytes(range(16))
@@ -113,7 +119,8 @@ def check_signals(layout: AnyLayout, messages: RecordMessages, database: Databas
         pages = [record[i : i + PAGE_BYTES] for i in range(0, len(record), PAGE_BYTES)]
         for key, is_whole in messages.ids.items():
             message = _message(database, *key)
-            payloads = [record.ljust(message.length, b"\0")] if is_whole else pages
+            length = message.length  # of an authenticated message it may be less
+            payloads = [record[:length].ljust(length, b"\0")] if is_whole else pages
             for name, value in _decoded(message, payloads, layout).items():
                 if name in known and name.rstrip("0123456789") not in (PAGE, TRANSFER_ID):
                     _equal(name, layout[name].physical_one(known[name]), value)
@@ -158,7 +165,8 @@ def check_scenes(codec: Codec) -> None:
             raise
         decoder, frames = codec.decoder(), [f for own in frames_of.values() for f in own]
         for j, frame in enumerate(frames):
-            decoder.feed(frame.can_id, frame.data, CYCLE_NS + j * FRAME_NS)
+            t_ns, is_extended = CYCLE_NS + j * FRAME_NS, frame.is_extended
+            decoder.feed(frame.can_id, frame.data, t_ns, is_extended=is_extended)
         received = decoder.scene()
         by_slot = {line.slot: line for line in received.scene.lines} if received else {}
         for line in sent.lines:
@@ -284,8 +292,8 @@ def _decoded(
         signals |= message.decode(payload, decode_choices=False)  # type: ignore[arg-type]
     if isinstance(layout, SceneLayout):
         names = {signal.start: name for name, signal in layout.signals.items()}
-        starts = {signal.name: signal.start for signal in message.signals}
-        signals = {names.get(starts[name], name): value for name, value in signals.items()}
+        own = [signal for signal in message.signals if signal.name not in SECURED_SIGNALS]
+        signals = {names.get(s.start, s.name): signals[s.name] for s in own}
     return signals
 
 

@@ -8,8 +8,9 @@ The base is one of the project's DBCs, in turn. Chosen are the order of the rows
 widths, factors and offsets, the pages and the places of all signals, the byte order of each page,
 where page and transfer numbers stand, CAN IDs of 11 and 29 bits, data IDs, slots and cycle times.
 
-Seeds from 1000 on are at the limits of the C core: 256 transfer IDs, 64 components, and records of
-9 to 16 pages, which are too long for CAN FD.
+Seeds from 500 on are of whole scenes, of 1 to 8 lines in a message. Seeds from 1000 on are at the
+limits of the C core: 256 transfer IDs, 64 components, and records of 9 to 16 pages, which are too
+long for CAN FD.
 """
 
 from __future__ import annotations
@@ -26,14 +27,16 @@ from cantools.database.can import Message
 from reporting import parser_of
 
 from maplines_can.study.dbc.covariance_spec import pivot_signal, ratio_signal
-from maplines_can.study.dbc.dbc_writer import DbcWriter, PoseSpec
+from maplines_can.study.dbc.dbc_writer import DbcWriter, PoseSpec, SceneSpec
 from maplines_can.study.dbc.pose_spec import CONDITIONAL
 from maplines_can.study.dbc.record_pages import SignalSpec
 from maplines_can.study.dbc.record_spec import DEFAULT, SECURED
+from maplines_can.study.dbc.scene_spec import SCENES, WHOLE_SCENES
 from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import Slot
 from maplines_can.wire import Codec
 from maplines_can.wire.layout.message_layout import Layout
+from maplines_can.wire.layout.pose_layout import SCENE, SCENE2, SceneOwner
 from maplines_can.wire.layout.signals import (
     FINE,
     OF_SLOT,
@@ -41,6 +44,7 @@ from maplines_can.wire.layout.signals import (
     PARAMETER_SIGNALS,
     POSE_PREFIX,
     POSE_ROWS,
+    SLOT,
     TRANSFER_ID,
     slot_title,
 )
@@ -53,10 +57,14 @@ PIVOT_ENDS = {
 }  # fmt: skip
 #: Bytes of a page and of the checksum.
 PAGE_BYTES, CRC_BYTES = 8, 2
+#: Bytes of a frame of CAN FD, and least bits of a signal of a line in a whole scene.
+FRAME_BYTES, MIN_BITS = 64, 3
+#: Signals of which a DBC may not choose the bits, or need not.
+FIXED_BITS = ("Crc", "Status", "Kind", "HasCovariance", "OwnTilt")
 #: Bits of the page numbers of the pose error, and of those at the limits.
 POSE_PAGE_BITS, LIMIT_PAGE_BITS = 3, 4
-#: First seed of a DBC at the limits.
-LIMIT_SEED = 1000
+#: First seeds of DBCs of whole scenes, and of DBCs at the limits.
+SCENE_SEED, LIMIT_SEED = 500, 1000
 MAX_TRIES = 200
 
 Specs = list[SignalSpec]
@@ -78,7 +86,8 @@ def random_dbc(seed: int) -> str:
     rng = np.random.default_rng(seed)
     for _ in range(MAX_TRIES):
         try:
-            text = _text(rng, *_base(seed))
+            is_scene = SCENE_SEED <= seed < LIMIT_SEED
+            text = _scene_text(rng) if is_scene else _text(rng, *_base(seed))
             Codec(Layout.from_text(text))
         except (LayoutError, StopIteration, ValueError):
             continue  # such as ratios that are too ill-conditioned together, or too many pages
@@ -151,6 +160,74 @@ def _text(rng: np.random.Generator, base: DbcWriter, at_limits: bool) -> str:
     return _extended(rng, str(database.as_dbc_string(sort_signals=None)), ids[0], len(Slot))
 
 
+# ---- whole scenes ----------------------------------------------------------------------------
+
+
+def _scene_text(rng: np.random.Generator) -> str:
+    """Return the text of a random DBC of whole scenes, which the codec may refuse."""
+    places = int(rng.choice([1, 2, 3, 4, 4, 4, 5, 8]))
+    slots = [Slot(number) for number in rng.permutation(len(Slot))]
+    fixed: dict[SceneOwner, tuple[Slot, ...]] = {
+        owner: tuple(slots.pop() for _ in range(min(places, int(rng.integers(0, 4)))))
+        for owner in ((SCENE2, SCENE) if rng.random() < 0.75 else (SCENE,))
+    }
+    secured_places = int(rng.integers(1, places + 1))
+    inner = min(len(SCENES.tails), secured_places, *map(len, fixed.values()))
+    in_lines = [spec.name for spec in SCENES.tails[: rng.integers(0, inner + 1)]]
+    shared = _with_rows(rng, _all_changed(rng, [*SCENES.head, *SCENES.tails]), POSE_ROWS)
+    head = [spec for spec in shared if spec.name not in in_lines]
+    tails = [spec for spec in shared if spec.name in in_lines]
+    tail_bits = max(spec.bits for spec in (*tails, SCENES.slot))
+    room = (FRAME_BYTES - -(-sum(spec.bits for spec in head) // 8)) // places
+    line = _narrowed(_all_changed(rng, [*SCENES.line]), 8 * room - tail_bits)
+    is_secured, first_id = bool(rng.random() < 0.5), int(rng.integers(0x100, 0x700))
+    scene = SceneSpec(
+        tuple(head), tuple(line), tuple(tails), SCENES.slot, fixed, places, secured_places,
+        first_can_id=first_id, first_data_id=int(rng.integers(0, 0x7000)),
+    )  # fmt: skip
+    writer = replace(
+        WHOLE_SCENES,
+        scene=scene,
+        first_secured_can_id=first_id + len(fixed) if is_secured else None,
+        freshness_bytes=int(rng.integers(3, 8)),
+        mac_bytes=int(rng.integers(4, 9)),
+        cycle_ms=int(rng.choice([10, 20, 50, 100])),
+    )
+    database = writer.database()
+    bits = [(spec.name, spec.bits) for spec in head if spec.name != "Crc"]
+    in_head = _in_row(rng, bits, 8 * CRC_BYTES, 8 * (scene.head_bytes - CRC_BYTES), _order(rng))
+    bits = [*((spec.name, spec.bits) for spec in line), (SLOT, tail_bits)]
+    in_line = _in_row(rng, bits, 0, 8 * scene.stride_bytes, _order(rng))
+    for message in database.messages:
+        owner = SCENE2 if message.name.startswith("Scene2") else SCENE
+        found = in_head | {"Crc": Place(0, "little_endian")}
+        for number, title in enumerate(scene.titles(owner, places)):
+            first = 8 * (scene.head_bytes + scene.stride_bytes * number)
+            own = {name: Place(first + start, order) for name, (start, order) in in_line.items()}
+            found |= {f"{title}{name}": place for name, place in own.items()}
+            found |= {spec.name: own[SLOT] for spec in tails[number : number + 1]}
+        for signal in message.signals:
+            place = found.get(signal.name)  # none of the trailer of an authenticated message
+            signal.start, signal.byte_order = place or (signal.start, signal.byte_order)
+    database.refresh()
+    text = str(database.as_dbc_string(sort_signals=None))
+    return _extended(rng, text, first_id, 2 * len(fixed))
+
+
+def _narrowed(specs: Specs, bits: int) -> Specs:
+    """Return signals whose bits are so many at most: the widest ones have fewer."""
+    specs = [*specs]
+    while sum(spec.bits for spec in specs) > bits:
+        free = [spec for spec in specs if spec.name not in FIXED_BITS]
+        widest = max(free, key=lambda spec: spec.bits)
+        if widest.bits <= MIN_BITS:
+            raise ValueError("the lines have no room")
+        is_exact = widest.name in ("XMin", "XMax")
+        fewer = replace(widest, bits=widest.bits - 1) if is_exact else widest.finer(-1)
+        specs[specs.index(widest)] = fewer
+    return specs
+
+
 def _flat(pages: Sequence[Sequence[SignalSpec]]) -> Specs:
     return [spec for page in pages for spec in page]
 
@@ -173,7 +250,7 @@ def _changed(rng: np.random.Generator, spec: SignalSpec, component_bits: int) ->
         return replace(spec, bits=int(rng.integers(5, 11)))
     if name.endswith("Counter"):
         return replace(spec, bits=int(rng.integers(3, 5)))
-    if name in ("Crc", "Status", "Kind", "HasCovariance"):
+    if name in FIXED_BITS:
         return spec
     if name == "ComponentIndex":
         return replace(spec, bits=component_bits + more)

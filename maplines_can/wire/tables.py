@@ -113,9 +113,10 @@ def _check_sizes(layout: Layout) -> None:
                 f"{layout.source}: a record has {record.pages} pages, but in C it has at most "
                 f"{MAX_LIMITS.pages}; shorten its signals"
             )
-        if record.pages:
-            _check_bits(record, f"{TRANSFER_ID}0", MAX_LIMITS.transfer_ids.bit_length() - 1)
         _check_bits(record, "Counter", MAX_COUNTER_BITS)
+        if not record.pages:
+            continue
+        _check_bits(record, f"{TRANSFER_ID}0", MAX_LIMITS.transfer_ids.bit_length() - 1)
         if len({bit // (8 * PAGE_BYTES) for bit in bits_of(record["Counter"])}) > 1:
             raise record.error(record["Counter"], "to be within a page to have C", "move it")
     if layout.covariance_code == POSE_CONDITIONAL:

@@ -18,7 +18,7 @@ from cantools.database.can.formats.dbc.dbc_specifics import DbcSpecifics
 from ...values.line import Slot
 from ...wire.layout.pose_layout import SCENE2, SCENES
 from ...wire.layout.signals import POSE_PREFIX, SECURED_SIGNALS, slot_title
-from ...wire.layout.slot_messages import FD_LENGTHS, fd_length
+from ...wire.layout.slot_messages import fd_length
 from .record_pages import PAGE_BYTES, RecordPages, SignalSpec, dbc_signal
 from .scene_pages import MESSAGES, SceneSpec
 
@@ -212,7 +212,7 @@ class DbcWriter:
                 "E2EDataId": scene.first_data_id + i,
             }
             signals, size = scene.signals(owner, scene.places), scene.record_bytes(scene.places)
-            length = next(n for n in FD_LENGTHS if n >= size and n % PAGE_BYTES == 0)
+            length = fd_length(size, PAGE_BYTES)
             about = f"{_SCENE}{_BESIDE if owner == SCENE2 else '.'}"
             can_id = scene.first_can_id + i
             yield self._message(name, can_id, length, signals, about, attributes, True)

@@ -102,13 +102,23 @@ class Room(NamedTuple):
 FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
 
-def fd_length(length: int) -> int:
+def fd_length(length: int, multiple: int = 1) -> int:
     """Return the shortest CAN FD payload length of at least ``length`` bytes (ISO 11898-1).
 
-    >>> fd_length(24), fd_length(25)
-    (24, 32)
+    Args:
+        length: [byte].
+        multiple: what it must be a multiple of.
+
+    Raises:
+        ValueError: none is as long.
+
+    >>> fd_length(24), fd_length(25), fd_length(9), fd_length(9, multiple=8)
+    (24, 32, 12, 16)
     """
-    return next(n for n in FD_LENGTHS if n >= length)
+    found = [n for n in FD_LENGTHS if n >= length and n % multiple == 0]
+    if not found:
+        raise ValueError(f"a CAN FD frame has 64 bytes at most, but {length} are needed")
+    return found[0]
 
 
 def check_messages(records: Iterable[Room], source: str) -> None:
