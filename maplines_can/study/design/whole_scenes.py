@@ -26,7 +26,7 @@ from ...values.errors import LayoutError
 from ...values.output_files import whole_file
 from ...wire import Codec
 from ...wire.layout.message_layout import Layout
-from ...wire.layout.signals import OCTAVE, PARAMETER_SIGNALS
+from ...wire.layout.signals import OCTAVE, OWN_SIGNALS, PARAMETER_SIGNALS
 from ..dbc.dbc_writer import DbcWriter, SceneSpec, SignalSpec
 from ..dbc.pose_spec import CONDITIONAL, POSE
 from ..dbc.scene_spec import WHOLE_SCENES
@@ -35,8 +35,8 @@ from ..scenes.sigma_ratios import LANE_AT, LINE_AT, Ratios, excess, measured, me
 from ..text_table import aligned, markdown
 from .plan import INFLATION
 
-#: Least bits of a field, and the most of the tilt, which has no more values.
-MIN_BITS, MOST_TILT_BITS = 2, 2
+#: Least bits of a field.
+MIN_BITS = 2
 #: Share of its octaves by which an end of a range of levels moves.
 END = 1 / 12
 #: Least relative improvement; smaller ones are noise of the scenes.
@@ -47,7 +47,6 @@ TRIED = 12
 LINES = (3, 6)
 #: Bytes of a frame of CAN FD, and those of an authenticated one after its record.
 FRAME_BYTES, TRAILER_BYTES = 64, 13
-TILT = "OwnTilt"
 #: Fields, by name.
 Fields = Mapping[str, SignalSpec]
 
@@ -184,17 +183,17 @@ def scene_of(writer: DbcWriter) -> SceneSpec:
 def fields_of(writer: DbcWriter) -> dict[str, SignalSpec]:
     """Return the fields that are designed: of the pose error, and of a line."""
     scene = scene_of(writer)
-    starts = ("Pivot", "Ratio", "Map", "Own", *PARAMETER_SIGNALS, INFLATION)
+    starts = ("Pivot", "Ratio", "Map", *OWN_SIGNALS, *PARAMETER_SIGNALS, INFLATION)
     specs = (*scene.head, *scene.line, *scene.tails)
     return {spec.name: spec for spec in specs if spec.name.startswith(starts)}
 
 
 def todays() -> dict[str, SignalSpec]:
-    """Return the fields with the widths of maplines-pose.dbc, which has no tilt."""
+    """Return the fields with the widths of maplines-pose.dbc."""
     pages = (*CONDITIONAL.pages[: -CONDITIONAL.optional_pages], *POSE.pages)
     known = {spec.name: spec for page in pages for spec in page}
     fields = fields_of(WHOLE_SCENES)
-    return {name: known.get(name, replace(spec, bits=0)) for name, spec in fields.items()}
+    return {name: known.get(name, spec) for name, spec in fields.items()}
 
 
 def writer_of(fields: Fields, lines: int) -> DbcWriter:
@@ -202,8 +201,7 @@ def writer_of(fields: Fields, lines: int) -> DbcWriter:
     shipped = scene_of(WHOLE_SCENES)
 
     def changed(specs: tuple[SignalSpec, ...]) -> tuple[SignalSpec, ...]:
-        designed = (fields.get(spec.name, spec) for spec in specs)
-        return tuple(spec for spec in designed if spec.bits)
+        return tuple(fields.get(spec.name, spec) for spec in specs)
 
     scene = replace(
         shipped,
@@ -220,8 +218,6 @@ def writer_of(fields: Fields, lines: int) -> DbcWriter:
 
 def resized(spec: SignalSpec, more: int) -> SignalSpec:
     """Return a field with more or fewer bits over the same range."""
-    if spec.name == TILT:  # its values are names
-        return replace(spec, bits=spec.bits + more)
     return replace(spec.finer(more), why=_why(spec))
 
 
@@ -291,7 +287,7 @@ class _Search:
     ) -> None:
         self._scenes, self._lines, self._progress = scenes, lines, progress
         self._left = 1.0
-        self._losses: dict[tuple[SignalSpec, ...], float] = {}
+        self._losses: dict[object, float] = {}
         scene = scene_of(WHOLE_SCENES)
         self._of_line = {spec.name for spec in scene.line}
         ends = max(spec.bits for spec in (*scene.tails, scene.slot))
@@ -318,7 +314,7 @@ class _Search:
 
     def loss(self, fields: Fields) -> float:
         """Return the loss of fields; infinite if a DBC may not have them."""
-        key = tuple(fields.values())
+        key = tuple((spec.bits, spec.factor, spec.offset) for spec in fields.values())
         if key not in self._losses:
             self._left *= 0.99  # the number of steps is unknown: each is a share of the rest
             self._progress(1 - self._left, 1.0)
@@ -332,9 +328,8 @@ class _Search:
         """Return the losses with more or fewer bits in one of the fields, as far as it can."""
         found = {}
         for name, spec in fields.items():
-            bits = spec.bits + more
-            is_possible = bits >= (1 if name == TILT else MIN_BITS)
-            if is_possible and not (name == TILT and bits > MOST_TILT_BITS):
+            # Inflation shares its place with other signals of the record, all of one width.
+            if name != INFLATION and spec.bits + more >= MIN_BITS:
                 found[name] = self.loss({**fields, name: resized(spec, more)})
         return found
 
@@ -383,14 +378,12 @@ class _Search:
     def _moved(self, fields: Fields) -> Iterator[Fields]:
         """Yield changes of the ends of a range, and of steps."""
         for name, spec in fields.items():
-            if name in (TILT, INFLATION):
-                continue
-            if spec.unit == OCTAVE:
+            if name != INFLATION and spec.unit == OCTAVE:
                 for low, high in ((-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, 1)):
                     yield {name: _moved_ends(spec, low * END, high * END)}
             else:
-                for factor in (0.5, 2.0):
-                    yield {name: replace(spec, factor=spec.factor * factor, why=_why(spec))}
+                for share in (0.7, 1.4) if name == INFLATION else (0.5, 2.0):
+                    yield {name: replace(spec, factor=spec.factor * share, why=_why(spec))}
 
 
 def _moved_ends(spec: SignalSpec, low: float, high: float) -> SignalSpec:
