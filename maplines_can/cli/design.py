@@ -11,10 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from ..maps.town import town_path
 from ..study.design.plan import MAX_FRAMES, Targets
 from ..study.design.result import Design
 from ..study.design.scenes import SceneDesign, design_scenes
 from ..study.design.search import SETS, design, sets_of
+from ..study.design.whole_scenes import LINES, WholeSceneDesign, design_whole_scenes
+from ..study.scenes.map_scenes import drawn_scenes, maps_of
 from ..study.sets import Gaussians, line_set
 from ..values.line import PARAMETERS
 from .overwriting import add_force, check_new
@@ -52,6 +55,13 @@ With --scenes: the Pose message and the records that are conditional on it, as i
 for random scenes of 4 lines. --max-kl is then that of a line; without it, the widths are those of
 maplines-pose.dbc, and the figures say what each of their bits is for. The ranges stay as they are.
 
+With --whole-scenes: the records of whole scenes, as in maplines-scene.dbc. All bits of the frame
+are used; the search exchanges them between fields and moves ranges, until the standard deviations
+of lateral positions, width and centre of the lane that a receiver decodes are as little as possible
+above those that were sent. Scenes are drawn on the maps of --map, in turn with an error of the pose
+like that of a production car or a poor one, and with a map that is exact, has errors of its points,
+or drifts, too; and as many on random roads. It takes some minutes.
+
 Figures are given twice: predicted, from the steps and ranges of the fields; measured, through the
 DBC and the codec on lines that the search has not seen.
 """
@@ -62,9 +72,13 @@ examples:
   maplines design --frames 4 --set both --keep-mean --json
   maplines demo --dbc short.dbc
   maplines design --scenes --max-kl 1e-2 --out lean-pose.dbc
+  maplines design --whole-scenes --map a.xodr b.osm --other-map c.xodr --out scene.dbc
+  maplines design --whole-scenes --lines 5 --map my.xodr --rounds 3 --out five.dbc
 """
 #: Scenes for the search, if --n does not say otherwise.
 SCENES_N, LINES_N = 60, 5000
+#: Rounds of the search for whole scenes.
+ROUNDS = 10
 HELD_OUT_SEED = 1_000_003
 
 
@@ -95,7 +109,44 @@ def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentPar
         action="store_true",
         help="design the Pose message and the records that are conditional on it",
     )
+    add(
+        "--whole-scenes",
+        action="store_true",
+        help="design the records of whole scenes, for the maps of --map",
+    )
+    add(
+        "--lines",
+        dest="places",
+        type=number(int, *LINES),
+        metavar="N",
+        help=f"lines of a frame with --whole-scenes, {LINES[0]} to {LINES[1]} (default: 4)",
+    )
     scenario = option_group(parser, "scenario").add_argument
+    scenario(
+        "--map",
+        dest="maps",
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="maps for --whole-scenes, as 'maplines map' reads them (default: the town of this "
+        "package)",
+    )
+    scenario(
+        "--other-map",
+        dest="other_maps",
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="maps for the figures of scenes that the search has not seen (default: other places "
+        "of the same maps)",
+    )
+    scenario(
+        "--rounds",
+        type=number(int, 0, 1000),
+        metavar="N",
+        help="rounds of the search for whole scenes, at most; 0 only measures maplines-scene.dbc "
+        f"(default: {ROUNDS})",
+    )
     scenario(
         "--set",
         dest="lines",
@@ -143,7 +194,7 @@ def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentPar
         metavar="N",
         help="lines of each set for the search, and as many for the figures, 100 or more; few "
         f"lines determine the ends of the ranges poorly (default: {LINES_N}); with --scenes, "
-        f"scenes, 10 or more (default: {SCENES_N})",
+        f"scenes, 10 or more, and with --whole-scenes those of each map (default: {SCENES_N})",
     )
     scenario("--seed", type=number(int, 0, 2**32), default=0, help="seed of the sets (default: 0)")
     option_group(parser, "output").add_argument(
@@ -166,8 +217,15 @@ def _run(arguments: argparse.Namespace, bar: Bar) -> int:
         raise ValueError(f"--out must be in a folder that exists, got {arguments.out!r}")
     check_new(arguments, arguments.out, Path(arguments.out).with_suffix(".md"))
     if arguments.n is None:
-        arguments.n = SCENES_N if arguments.scenes else LINES_N
-    result = (_scenes if arguments.scenes else _lines_alone)(arguments, bar)
+        are_scenes = arguments.scenes or arguments.whole_scenes
+        arguments.n = SCENES_N if are_scenes else LINES_N
+    result: Design | SceneDesign | WholeSceneDesign
+    if arguments.whole_scenes:
+        result = _whole_scenes(arguments, bar)
+    elif arguments.maps or arguments.other_maps or arguments.places or arguments.rounds is not None:
+        raise ValueError("--map, --other-map, --lines and --rounds need --whole-scenes")
+    else:
+        result = (_scenes if arguments.scenes else _lines_alone)(arguments, bar)
     dbc, page = result.write(arguments.out, _command(arguments))
     if arguments.json:
         print(json.dumps(result.as_dict() | {"dbc": str(dbc), "page": str(page)}, indent=2))
@@ -179,7 +237,7 @@ def _run(arguments: argparse.Namespace, bar: Bar) -> int:
 
 def _scenes(arguments: argparse.Namespace, bar: Bar) -> SceneDesign:
     """Return the design of records that are conditional on the pose error."""
-    if arguments.frames or arguments.ranges or arguments.sigmas or arguments.keep_mean:
+    if _has_line_options(arguments):
         raise ValueError(
             "--scenes must not be given with --frames, --range, --sigma or --keep-mean: the ranges "
             "and the frames are those of maplines-pose.dbc"
@@ -188,6 +246,33 @@ def _scenes(arguments: argparse.Namespace, bar: Bar) -> SceneDesign:
         return design_scenes(
             arguments.max_kl, n=arguments.n, seed=arguments.seed, progress=_percent(update)
         )
+
+
+def _whole_scenes(arguments: argparse.Namespace, bar: Bar) -> WholeSceneDesign:
+    """Return the design of records of whole scenes."""
+    if arguments.scenes or arguments.max_kl or _has_line_options(arguments):
+        raise ValueError(
+            "--whole-scenes must not be given with --scenes, --max-kl, --frames, --range, --sigma "
+            "or --keep-mean: the frame is one of 64 bytes, and all of its bits are used"
+        )
+    maps = maps_of(arguments.maps or [town_path()])
+    others = maps_of(arguments.other_maps) or maps
+    drawn = list(drawn_scenes(maps, arguments.n, arguments.seed))
+    held_out = list(drawn_scenes(others, arguments.n, arguments.seed + HELD_OUT_SEED))
+    with bar(" %") as update:
+        return design_whole_scenes(
+            drawn,
+            held_out,
+            lines=arguments.places or 4,
+            rounds=ROUNDS if arguments.rounds is None else arguments.rounds,
+            progress=_percent(update),
+        )
+
+
+def _has_line_options(arguments: argparse.Namespace) -> bool:
+    """Whether options are given that are of records of single lines only."""
+    given = (arguments.frames, arguments.ranges, arguments.sigmas, arguments.keep_mean)
+    return any(map(bool, given))
 
 
 def _lines_alone(arguments: argparse.Namespace, bar: Bar) -> Design:
@@ -228,6 +313,14 @@ def _lines(
 def _command(arguments: argparse.Namespace) -> str:
     """Return the command that repeats the design."""
     words = ["maplines", "design"]
+    if arguments.whole_scenes:
+        words += ["--whole-scenes"]
+        for flag, value in (("--lines", arguments.places), ("--rounds", arguments.rounds)):
+            words += [] if value is None else [flag, str(value)]
+        for flag, files in (("--map", arguments.maps), ("--other-map", arguments.other_maps)):
+            words += [flag, *(Path(file).name for file in files)] if files else []
+        words += ["--n", str(arguments.n), "--seed", str(arguments.seed), "--out"]
+        return shlex.join([*words, Path(arguments.out).name])
     if arguments.scenes:
         words += ["--scenes"] + (["--max-kl", f"{arguments.max_kl:g}"] if arguments.max_kl else [])
         words += ["--n", str(arguments.n), "--seed", str(arguments.seed), "--out"]

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,8 @@ MIN_BITS = 2
 END = 1 / 12
 #: Least relative improvement; smaller ones are noise of the scenes.
 MIN_GAIN = 2e-3
+#: Fields whose bits others may get in a round.
+CHEAPEST = 2
 #: Changes that are tried together in a round, the best ones.
 TRIED = 12
 #: Lines that a frame may be designed for.
@@ -308,8 +311,17 @@ class _Search:
         return all(self._bits(fields, of_line=of) <= room for of, room in self._room.items())
 
     def figures(self, fields: Fields, scenes: Sequence[DrawnScene]) -> dict[str, Ratios]:
-        """Send scenes with these fields, and return the figures of each map."""
-        codec = Codec(Layout.from_dbc(writer_of(fields, self._lines).database()))
+        """Send scenes with these fields, and return the figures of each map.
+
+        Fields that are too many for the lines of a frame are sent with fewer lines in it, and so
+        with more in the second frame: what is decoded is the same.
+        """
+        writer = writer_of(fields, self._lines)
+        for lines in range(self._lines - 1, LINES[0] - 1, -1):
+            scene = scene_of(writer)
+            if scene.record_bytes(scene.places) > FRAME_BYTES:
+                writer = writer_of(fields, lines)
+        codec = Codec(Layout.from_dbc(writer.database()))
         return merged(measured(codec, scenes), 0)
 
     def loss(self, fields: Fields) -> float:
@@ -362,18 +374,13 @@ class _Search:
         return best
 
     def _exchanged(self, fields: Fields) -> Iterator[Fields]:
-        """Yield changes of a bit from one field to another one, the most promising ones."""
-        now = self.loss(fields)
-        less, more = self.costs(fields, -1), self.costs(fields, 1)
-        pairs = [
-            (less[a] + more[b] - 2 * now, a, b)
-            for a in less
-            for b in more
-            if a != b and (a in self._of_line) == (b in self._of_line)
-        ]
-        for gain, a, b in sorted(pairs)[:TRIED]:
-            if gain < 0:
-                yield {a: resized(fields[a], -1), b: resized(fields[b], 1)}
+        """Yield changes of a bit, from the fields that need theirs least, to any other one."""
+        less = self.costs(fields, -1)
+        for of_line in (True, False):
+            own = [name for name in less if (name in self._of_line) == of_line]
+            for a, b in product(sorted(own, key=lambda name: less[name])[:CHEAPEST], own):
+                if a != b:
+                    yield {a: resized(fields[a], -1), b: resized(fields[b], 1)}
 
     def _moved(self, fields: Fields) -> Iterator[Fields]:
         """Yield changes of the ends of a range, and of steps."""
