@@ -1,12 +1,15 @@
 /* Scenes to frames.
  *
- * Input, case by case: CAN FD (u8); the counter of each owner (9 u32); number of lines (u8); of
+ * Input, case by case: whether the frames are CAN FD, and authenticated, and whether the sender is
+ * that of the last case (u8); if not, the counter of each owner (11 u32); number of lines (u8); of
  * each line slot, kind and status (u8), x_min, x_max, age, mean, fit range and quartic (10 f64);
  * whether there are line-specific covariances (u8), and these (16 f64 a line); the joint covariance
  * row by row; covariance (9 f64), age and correlation time of the pose error; offset and heading of
  * the map. Output: number of frames (u16), 0 if the scene is refused; of each CAN ID (u32), whether
- * it is extended and CAN FD (u8), its length (u8) and its bytes.
+ * it is extended and CAN FD (u8), its length (u8) and its bytes; then, if it is not refused, of
+ * each line 0, or why it is not sent (u8).
  */
+#include "aes_cmac.h"
 #include "binary.h"
 #include "harness_dbc.h"
 #include "maplines.h"
@@ -65,6 +68,16 @@ static void read_scene(void)
     scene.heading_sigma = read_f64();
 }
 
+static bool mac_of(void *context, uint8_t key_id, const uint8_t *data, size_t length,
+                   uint8_t mac[16])
+{
+    const uint8_t key[16] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+    (void)context;
+    (void)key_id;
+    aes_cmac(key, data, length, mac);
+    return true;
+}
+
 static void write_frame(const maplines_frame_t *frame)
 {
     write_u32(frame->can_id);
@@ -77,21 +90,30 @@ static void write_frame(const maplines_frame_t *frame)
 int main(void)
 {
     maplines_encoder_t encoder;
-    maplines_encoder_init(&encoder, &harness_dbc, NULL);
+    maplines_signer_t signer;
     while (!at_end())
     {
-        const bool is_fd = read_u8() != 0;
-        for (size_t owner = 0; owner < MAPLINES_OWNERS; ++owner)
+        const uint8_t flags = read_u8();
+        if ((flags & 4U) == 0U)
         {
-            encoder.counter[owner] = read_u32();
+            signer = (maplines_signer_t){mac_of, NULL, 1, 0};
+            maplines_encoder_init(&encoder, &harness_dbc, (flags & 2U) != 0U ? &signer : NULL);
+            for (size_t owner = 0; owner < MAPLINES_OWNERS; ++owner)
+            {
+                encoder.counter[owner] = read_u32();
+            }
         }
         read_scene();
-        const maplines_sent_scene_t sent =
-            maplines_encode_scene(&encoder, &scene, is_fd, 0, &workspace, frames);
+        const maplines_sent_scene_t sent = maplines_encode_scene(
+            &encoder, &scene, (flags & 1U) != 0U, INT64_C(1000000000000000), &workspace, frames);
         write_u16(sent.count);
         for (size_t i = 0; i < sent.count; ++i)
         {
             write_frame(&frames[i]);
+        }
+        for (size_t i = 0; sent.count > 0U && i < scene.count; ++i)
+        {
+            write_u8(sent.is_sent[i] ? 0 : (uint8_t)sent.left_out[i]);
         }
     }
     return 0;

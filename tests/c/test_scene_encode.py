@@ -1,7 +1,7 @@
 """Scenes to frames on an ECU: the bytes of the package, whatever the compiler and processor."""
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import c_core
@@ -14,27 +14,32 @@ from scene_streams import road_scene
 
 from maplines_can import Codec, Gaussian, MapError, Polyline, PoseError, Scene, Slot, map_scene
 from maplines_can.values.errors import EncodeError
-from maplines_can.wire import POSE
+from maplines_can.values.line import LEFT_OUT
+from maplines_can.wire import Authenticator, Encoder, Key, Layout
+from maplines_can.wire.layout.pose_layout import OWNERS
 
-DBCS = pytest.mark.parametrize("dbc", ["maplines-pose.dbc", "maplines.dbc"])
-OWNERS = (*Slot, POSE)
+DBCS = pytest.mark.parametrize("dbc", ["maplines-pose.dbc", "maplines.dbc", "maplines-scene.dbc"])
+KEY = Key(bytes(range(16)), key_id=1)
 ERRORS = (None, MapError(0.05, 0.05), MapError(0.05, 0.05, 0.001), MapError(offset_sigma=0.3))
 
 
 class Case(NamedTuple):
-    """A scene that a sender with these counters sends."""
+    """A scene that a sender with these counters sends; None: with those after the last scene."""
 
     scene: Scene
-    counters: dict[Any, int]
+    counters: dict[Any, int] | None
     age: float
     is_fd: bool
+    has_key: bool = False
 
 
 def input_of(case: Case) -> bytes:
     """A case as c/tests/scene_encode_harness.c reads it."""
     scene, error = case.scene, case.scene.map_error
     n, specific = len(scene.lines), scene.specific_covs
-    parts = [struct.pack("<B9I", case.is_fd, *(case.counters[owner] for owner in OWNERS))]
+    parts = [bytes([case.is_fd + 2 * case.has_key + 4 * (case.counters is None)])]
+    if case.counters is not None:
+        parts.append(struct.pack("<11I", *(case.counters.get(owner, 0) for owner in OWNERS)))
     parts.append(struct.pack("<B", n))
     for line, fit_range, quartic in zip(scene.lines, scene.fit_ranges, scene.quartics, strict=True):
         values = (line.x_min, line.x_max, case.age, *line.gaussian.mean, *fit_range, quartic)
@@ -47,18 +52,20 @@ def input_of(case: Case) -> bytes:
     return b"".join(parts)
 
 
-def frames_of(codec: Codec, case: Case) -> bytes:
+def frames_of(encoder: Encoder, case: Case) -> bytes:
     """The frames of the package, as the harness writes them; none of a scene that is refused."""
     try:
-        sent = codec.encoder().encode_scene(
-            case.scene, age=case.age, fd=case.is_fd, counters=case.counters
+        sent = encoder.encode_scene(
+            case.scene, age=case.age, fd=case.is_fd, counters=case.counters or None
         )
     except EncodeError:
         return struct.pack("<H", 0)
     frames = [frame for own in sent.values() for frame in own]
     heads = [struct.pack("<I3B", f.can_id, f.is_extended, f.is_fd, len(f.data)) for f in frames]
     rows = b"".join(head + frame.data for head, frame in zip(heads, frames, strict=True))
-    return struct.pack("<H", len(frames)) + rows
+    left_out = encoder.left_out(case.scene, fd=case.is_fd)
+    reasons = bytes(LEFT_OUT.index(left_out.get(line.slot)) for line in case.scene.lines)
+    return struct.pack("<H", len(frames)) + rows + reasons
 
 
 def scenes() -> Iterator[Scene]:
@@ -92,9 +99,28 @@ def test_scenes_have_the_frames_of_the_library(dbc: str) -> None:
         )
         for scene in scenes()
     ]
+    check(layout, cases)
+
+
+def check(layout: Layout, cases: Sequence[Case]) -> None:
+    """Check that the frames of cases are those of the package."""
     out = c_core.run(c_core.harness("scene_encode", layout), b"".join(map(input_of, cases)))
+    encoder = None
     for case in cases:
-        expected = frames_of(Codec(layout), case)
+        if case.counters is not None:
+            authenticator = Authenticator(KEY, clock=lambda: 10**18) if case.has_key else None
+            encoder = Codec(layout, authenticator).encoder()
+        assert encoder is not None
+        expected = frames_of(encoder, case)
         assert out[: len(expected)] == expected
         out = out[len(expected) :]
     assert out == b""
+
+
+@pytest.mark.parametrize("has_key", [False, True])
+def test_a_sender_of_whole_scenes_keeps_its_places(has_key: bool) -> None:
+    """Cycle by cycle, as roads change; with a key there are fewer, and lines are left out."""
+    rng, all_scenes = np.random.default_rng(2), [*scenes()]
+    some = [all_scenes[i] for i in rng.integers(len(all_scenes), size=40)]
+    cases = [Case(scene, None, 0.01, True, has_key) for scene in some]
+    check(layout_of("maplines-scene.dbc"), [cases[0]._replace(counters={}), *cases[1:]])
