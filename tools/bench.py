@@ -426,13 +426,18 @@ def cycle_steps(_: Sizes, seed: int) -> Iterator[str | Pair]:
     }  # fmt: skip
     for what, (units, call, peer, peer_call, target) in calls.items():
         yield Pair(what, peer, units, call, peer_call, target)
-    for name in ("maplines.dbc", "maplines-pose.dbc"):
+    for short, name, fd in (
+        ("", "maplines.dbc", False),
+        ("pose: ", "maplines-pose.dbc", False),
+        ("pose FD: ", "maplines-pose.dbc", True),
+        ("whole: ", "maplines-scene.dbc", True),
+    ):
         codec = Codec.from_dbc(default_dbc_path(name))
-        short = "pose: " if "pose" in name else ""
         encoder, decoder = codec.encoder(), codec.decoder()
-        yield Pair(f"{short}scene sent", ENCODE, 1, partial(encoder.encode_scene, ours), encode)
-        prepared = encoder.prepare_scene(ours)
-        cycles = repeated(lambda: chain(*encoder.encode_scene(prepared).values()))  # noqa: B023
+        send = partial(encoder.encode_scene, fd=fd)
+        yield Pair(f"{short}scene sent", ENCODE, 1, partial(send, ours), encode)
+        prepared = encoder.prepare_scene(ours, fd=fd)
+        cycles = repeated(lambda: chain(*send(prepared).values()))  # noqa: B023
         receive = partial(received_scene, decoder, cycles)
         yield Pair(f"{short}scene read", DECODE, 1, receive, decode)
     encoder, decoder = traffic.codec.encoder(), traffic.codec.decoder()

@@ -2,12 +2,18 @@
 
 import contextlib
 import math
+import re
+from collections.abc import Iterable
+from itertools import chain
+from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scene_streams import COMPLETE, CONDITIONAL, codec_of, new_codec, road_scene
 
+from maplines_can import Slot
 from maplines_can.bus import (
     bus_load,
     frame_bits,
@@ -127,3 +133,27 @@ def test_can_fd_has_exactly_the_lengths_of_its_dlcs() -> None:
             frame_bits(length, is_fd=True)
             known.append(length)
     assert known == [0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64]
+
+
+def test_bus_time_of_scenes_as_the_page_says() -> None:
+    """Of lines one by one, with a message of the pose error, and as whole scenes."""
+    page = (Path(__file__).parents[2] / "docs" / "joint.md").read_text()
+    rows = re.findall(r"^\| (\d) \| " + r"([\d.]+) ms \| " * 5 + r"([\d.]+) \|$", page, re.M)
+    assert [row[0] for row in rows] == ["2", "4", "8"]
+    for lines, *texts in rows:
+        scene = road_scene(list(Slot)[: int(lines)])
+        found = [
+            time_of(chain(*codec_of(COMPLETE).encoder().encode_lines(scene.lines, fd=fd)))
+            for fd in (False, True)
+        ]
+        for dbc, fd in ((CONDITIONAL, False), (CONDITIONAL, True), ("maplines-scene.dbc", True)):
+            frames = new_codec(dbc).encoder().encode_scene(scene, fd=fd)
+            found.append(time_of(chain(*frames.values())))
+        found.append(found[-1] / found[-2])
+        assert [f"{value:.2f}" for value in found] == texts
+    assert float(rows[1][-1]) < 0.4
+
+
+def time_of(frames: Iterable[Frame]) -> float:
+    """Return how long frames take on a bus of 500 kbit/s and 2 Mbit/s [ms]."""
+    return 1e3 * sum(frame_time(frame, 500_000, 2_000_000) for frame in frames)
