@@ -15,5 +15,10 @@ LIBRARIES = {
     "two slots": ("maplines-pose.dbc", Features(sender=False, slots=2)),
     "small": ("maplines.dbc", SMALL),
     "small, float": ("maplines.dbc", SMALL._replace(single=True)),
+    "scenes": ("maplines-scene.dbc", ALL),
+    "scenes, receiver": ("maplines-scene.dbc", Features(sender=False)),
+    "scenes, small": ("maplines-scene.dbc", SMALL._replace(scenes=True)),
+    "scenes, float": ("maplines-scene.dbc", Features(sender=False, single=True)),
+    "scenes, sender": ("maplines-scene.dbc", Features(receiver=False)),
     "one slot": ("maplines.dbc", SMALL._replace(slots=1)),
 }  # fmt: skip

@@ -235,13 +235,17 @@ static void feed_whole(maplines_decoder_t *decoder, const maplines_arrival_t *ar
     {
         lines.lines[i].line = &decoder->newest[lines.lines[i].slot];
     }
-    (void)maplines_decode_epoch(decoder->dbc, &lines, scene); // each was checked
+    const uint32_t found = maplines_decode_epoch(decoder->dbc, &lines, scene);
 #else
+    const uint32_t found = UINT32_MAX; // they are decoded when they are asked for
     (void)scene;
 #endif
     for (int i = 0; i < lines.count; ++i)
     {
-        deliver(decoder, arrival->owner, lines.lines[i].slot, fed);
+        if ((found >> (unsigned)lines.lines[i].slot & 1U) != 0)
+        {
+            deliver(decoder, arrival->owner, lines.lines[i].slot, fed);
+        }
     }
 }
 #endif

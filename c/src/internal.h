@@ -924,9 +924,11 @@ MAPLINES_INTERNAL int maplines_owner_of_line(const maplines_decoder_t *decoder, 
 /// Owner of the records that have brought the pose error of lines of an owner: itself if they need
 /// none, or bring it themselves.
 MAPLINES_INTERNAL int maplines_owner_of_pose(const maplines_decoder_t *decoder, int owner);
+#if MAPLINES_SCENES
 /// Owner of the records that have brought the pose error, or a line, of the newest scene.
 MAPLINES_INTERNAL int maplines_owner_of_scene(const maplines_decoder_t *decoder);
 MAPLINES_INTERNAL int maplines_owner_in_scene(const maplines_decoder_t *decoder, int slot);
+#endif
 
 /* decoder.c */
 

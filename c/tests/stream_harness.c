@@ -3,6 +3,7 @@
  *
  *     F t_ns can_id is_extended hex     a frame: its reason, and the lines that it completes
  *     L slot t_ns                       the newest line of a slot, and whether it may be used
+ *     N t_ns                            the newest scene, and whether it may be used
  *     E t_ns                            expire
  *     S t_ns                            the checks of all owners
  *
@@ -25,6 +26,15 @@ static void print_real(maplines_real_t value)
     printf(" %016" PRIx64, bits);
 }
 
+static void print_covariance(size_t count, const maplines_real_t *covariance)
+{
+    printf(" cov %zu", count);
+    for (size_t i = 0; i < count; ++i)
+    {
+        print_real(covariance[i]);
+    }
+}
+
 static void print_line(const maplines_line_t *line)
 {
     maplines_real_t covariance[4][4];
@@ -38,11 +48,7 @@ static void print_line(const maplines_line_t *line)
     {
         print_real(line->gaussian.mean[i]);
     }
-    printf(" cov");
-    for (int i = 0; i < 16; ++i)
-    {
-        print_real(covariance[i / 4][i % 4]);
-    }
+    print_covariance(16, covariance[0]);
 }
 
 static void feed(const char *row)
@@ -65,7 +71,13 @@ static void feed(const char *row)
     printf("%s", fed.reason == MAPLINES_COMPLETE ? "" : maplines_reason_name(fed.reason));
     for (int i = 0; i < fed.count; ++i)
     {
+#if MAPLINES_LINE_RECORDS
         print_line(maplines_newest(&decoder, fed.slots[i]));
+#else
+        maplines_line_copy_t copy;
+        maplines_copy_line(&decoder, fed.slots[i], t_ns, &copy);
+        print_line(&copy.line);
+#endif
     }
 }
 
@@ -73,24 +85,68 @@ static void latest(const char *row)
 {
     int slot;
     int64_t t_ns;
-    maplines_view_t view;
+    maplines_line_copy_t copy;
     if (sscanf(row, "L %d %" SCNd64, &slot, &t_ns) < 2)
     {
         exit(EXIT_FAILURE);
     }
-    maplines_latest(&decoder, (maplines_owner_t)slot, t_ns, &view);
-    printf("view %s %s %d %d %d", maplines_e2e_state_name(view.state),
-           maplines_e2e_status_name(view.status), view.is_stale, view.two_senders, view.is_usable);
-    print_real(view.age);
-    if (view.line != NULL)
+    maplines_copy_line(&decoder, (maplines_owner_t)slot, t_ns, &copy);
+    printf("view %s %s %d %d %d", maplines_e2e_state_name(copy.state),
+           maplines_e2e_status_name(copy.status), copy.is_stale, copy.two_senders, copy.is_usable);
+#if MAPLINES_SCENE_RECORDS
+    printf(" %s", maplines_left_out_name(copy.left_out));
+#endif
+    print_real(copy.age);
+    if (copy.has_line)
     {
-        print_line(view.line);
+        print_line(&copy.line);
     }
 }
 
+#if MAPLINES_SCENES
+static void latest_scene(int64_t t_ns)
+{
+    static maplines_scene_copy_t copy;
+    static maplines_real_t covariance[16 * MAPLINES_SLOTS * MAPLINES_SLOTS];
+    maplines_owner_t slots[MAPLINES_SLOTS];
+    const maplines_scene_t *scene = &copy.scene;
+    maplines_copy_scene(&decoder, t_ns, &copy);
+    printf("scene %s %s %d %d %d", maplines_e2e_state_name(copy.state),
+           maplines_e2e_status_name(copy.status), copy.is_stale, copy.two_senders, copy.is_usable);
+    print_real(copy.age);
+    for (int i = 0; i < scene->count; ++i)
+    {
+        slots[i] = scene->lines[i].slot;
+        printf(" %s", maplines_e2e_state_name(copy.slot_states[i]));
+        print_line(&scene->lines[i]);
+        print_real(scene->fit_range[i][0]);
+        print_real(scene->fit_range[i][1]);
+        print_real(scene->quartic[i]);
+    }
+    if (copy.has_scene)
+    {
+        printf(" %u %" PRId64, (unsigned)scene->counter, scene->t_ns);
+        print_real(scene->correlation_time);
+        print_real(scene->offset_sigma);
+        print_real(scene->heading_sigma);
+        if (!maplines_joint_covariance(scene, scene->count, slots, covariance))
+        {
+            exit(EXIT_FAILURE);
+        }
+        print_covariance((size_t)16 * scene->count * scene->count, covariance);
+#if MAPLINES_SCENE_RECORDS
+        for (int slot = 0; slot < MAPLINES_SLOTS; ++slot)
+        {
+            printf(" %s", maplines_left_out_name(scene->left_out[slot]));
+        }
+#endif
+    }
+}
+#endif
+
 static void checks(int64_t t_ns)
 {
-    for (int owner = 0; owner < MAPLINES_OWNERS; ++owner)
+    for (int owner = MAPLINES_FIRST_OWNER; owner < MAPLINES_FIRST_OWNER + MAPLINES_OWNERS; ++owner)
     {
         maplines_slot_stats_t stats;
         if (maplines_slot_stats(&decoder, (maplines_owner_t)owner, t_ns, &stats))
@@ -135,9 +191,16 @@ int main(void)
         case 'L':
             latest(row);
             break;
+#if MAPLINES_SCENES
+        case 'N':
+            latest_scene(strtoll(row + 2, NULL, 10));
+            break;
+#endif
+#if MAPLINES_LINE_RECORDS
         case 'E':
             maplines_expire(&decoder, strtoll(row + 2, NULL, 10));
             break;
+#endif
         default:
             checks(strtoll(row + 2, NULL, 10));
             break;

@@ -156,7 +156,7 @@ class Receiver:
         self.frames = 0  #: received
         self.lines = self.line_frames = 0  #: delivered
         self.pose_errors = self.pose_frames = 0  #: received
-        self._layout, self._keys = layout, keys
+        self._layout, self._keys, self._sizes = layout, keys, sizes
         of_owners = settings_of(layout) if settings is None else settings
         self._owners = {
             owner: _Owner(layout, owner, own, self.counts, sizes, keys=keys is not None)
@@ -285,6 +285,7 @@ class Receiver:
         own.check.delivered(1)
         self.pose_errors += 1
         self.pose_frames += 1
+        content = content.of_slots(self._sizes.slots)
         self._whole.add(content, is_break=own.check.ahead is None)
         found = [scene_line(self._layout, content.pose, one) for one in content.members.values()]
         lines = [one.line for one in found if one is not None]
@@ -326,8 +327,7 @@ class Receiver:
 
     def latest(self, slot: Slot, now_ns: int, stale_cycles: float = STALE_CYCLES) -> View:
         """Return the newest line of a slot, and whether it may be used now."""
-        of_line: Owner = slot if self._whole is None else SCENE
-        line, of_line = self._newest.get(slot, (None, of_line))
+        line, of_line = self._newest_line(slot)
         now_ns, owners = limited(now_ns), [of_line]
         if self._whole is None and self._layout.is_conditional:
             owners.append(POSE)
@@ -341,6 +341,16 @@ class Receiver:
         may_be_two = any(check.senders.may_be_two(now_ns) for check in checks)
         left_out = None if self._whole is None else self._whole.left_out_of(slot)
         return View(line, age, is_stale, state, checks[0].status, may_be_two, {}, left_out)
+
+    def _newest_line(self, slot: Slot) -> tuple[Line | None, Owner]:
+        """Return the newest line of a slot, and the owner of its record."""
+        if self._whole is None or self._sizes.lines:
+            return self._newest.get(slot, (None, slot if self._whole is None else SCENE))
+        record = self._whole.newest_with(slot)
+        if record is None:
+            return None, SCENE
+        found = scene_line(self._layout, record.pose, record.members[slot])
+        return None if found is None else found.line, record.owner
 
     def latest_scene(self, now_ns: int, stale_cycles: float = STALE_CYCLES) -> View:
         """Return the newest scene that waits for no line, and whether it may be used now."""

@@ -32,6 +32,7 @@ class Sizes(NamedTuple):
     transfers: int = 256  #: of a slot that are remembered; those with more IDs share places
     history: int = 256  #: counters whose records are remembered
     epochs: int = 8  #: that lines may join
+    lines: bool = True  #: newest line of each slot; else only the newest whole scenes
 
     def has(self, owner: Owner) -> bool:
         """Return whether the receiver has an owner of records."""

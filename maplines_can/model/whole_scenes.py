@@ -24,8 +24,9 @@ from ..wire.layout.pose_layout import SCENE, Owner, SceneOwner
 from ..wire.layout.scene_layout import SceneLayout
 from ..wire.layout.signals import POSE_ROWS
 from .covariance import code_of
+from .lines import is_line
 from .records import RawRecord, sealed, signals_of
-from .scenes import Member, Pose, pose_of, scene_line
+from .scenes import Member, Pose, curve_of, pose_of, signals_of_slot
 from .signals import Raw, packed, physical, read
 
 #: Value of ``Kind`` of a place without a line, and the reasons of those that follow it: for these,
@@ -44,6 +45,12 @@ class WholeRecord(NamedTuple):
     members: dict[Slot, Member]  #: its lines, in the order of places
     left_out: dict[Slot, str]  #: why it has no lines of these slots
     size: int = 1  #: such a record has no mixture
+
+    def of_slots(self, count: int) -> WholeRecord:
+        """Return the content without what is of other slots than the first ones."""
+        members = {slot: member for slot, member in self.members.items() if slot < count}
+        left_out = {slot: why for slot, why in self.left_out.items() if slot < count}
+        return self._replace(members=members, left_out=left_out)
 
 
 def whole(
@@ -74,7 +81,8 @@ def whole(
             continue
         x_min, x_max = physical(layout, own, "XMin", "XMax")
         members[slot] = Member(slot, raw["Counter"], RawRecord(raw["Counter"], own), t_ns, 0)
-        if not x_min < x_max or scene_line(layout, pose, members[slot]) is None:
+        curve = curve_of(layout, signals_of_slot(layout, slot), own)
+        if not x_min < x_max or not is_line(curve):
             return "CONTENT"
     return WholeRecord(owner, raw["Counter"], pose, members, left_out)
 
@@ -161,6 +169,11 @@ class WholeScenes:
         ordered = [members[slot] for slot in sorted(members)]
         reasons = {slot: why for slot, why in left_out.items() if slot not in members}
         return SceneContent(self.scene.pose, ordered, owners, reasons)
+
+    def newest_with(self, slot: Slot) -> WholeRecord | None:
+        """Return the newest record that has a line of a slot."""
+        records = reversed(self._newest.values())
+        return next((record for record in records if slot in record.members), None)
 
     def left_out_of(self, slot: Slot) -> str | None:
         """Return why there is no line of a slot; None if the newest record that names it has one.

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import c_core
@@ -15,11 +16,12 @@ from c_libraries import LIBRARIES, SMALL
 from scene_layouts import layout_of
 
 from maplines_can import Slot
-from maplines_can.generation.c_build import Features, build_of
+from maplines_can.generation.c_build import Build, Features, build_of
 from maplines_can.generation.c_files import c_files
 from maplines_can.generation.vector_files import vector_files
-from maplines_can.model.receiver import Receiver
+from maplines_can.model.receiver import Receiver, View
 from maplines_can.model.records import Line
+from maplines_can.model.scenes import Scene
 from maplines_can.model.settings import Sizes
 from maplines_can.testing.hostile_streams import PROFILES, Question, Step, Stream, traffics_of
 from maplines_can.values.errors import LayoutError
@@ -155,7 +157,7 @@ def asked(step: Step) -> str:
         return f"F {step.t_ns} {step.can_id:x} {int(step.is_extended)} {step.data.hex()}"
     if step.kind == "latest":
         return f"L {int(step.slot)} {step.t_ns}"
-    return f"{'E' if step.kind == 'expire' else 'S'} {step.t_ns}"
+    return f"{ {'expire': 'E', 'scene': 'N', 'statistics': 'S'}[step.kind] } {step.t_ns}"
 
 
 def real(value: float) -> str:
@@ -165,7 +167,28 @@ def real(value: float) -> str:
 def of_line(line: Line) -> str:
     head = f"line {int(line.slot)} {int(line.kind)} {int(line.status)} {line.t_ns}"
     numbers = map(real, (line.x_min, line.x_max, line.age, *line.mean))
-    return " ".join([head, *numbers, "cov", *(real(x) for row in line.cov for x in row)])
+    return " ".join([head, *numbers, covariance(line.cov)])
+
+
+def covariance(rows: Sequence[Sequence[float]]) -> str:
+    numbers = [real(x) for row in rows for x in row]
+    return " ".join(["cov", str(len(numbers)), *numbers])
+
+
+def of_scene(view: View, has_reasons: bool) -> str:
+    flags = (view.is_stale, view.may_be_two, view.is_usable)
+    words = ["scene", view.state, view.status or "NONE", *(str(int(flag)) for flag in flags)]
+    words.append(real(view.age))
+    if isinstance(scene := view.content, Scene):
+        shapes = zip(scene.lines, scene.fit_ranges, scene.quartics, strict=True)
+        for line, fit_range, quartic in shapes:
+            words += [view.slot_states[line.slot], of_line(line), *map(real, (*fit_range, quartic))]
+        pose = scene.pose
+        sigmas = pose.correlation_time, pose.offset_sigma, pose.heading_sigma
+        words += [str(pose.counter), str(pose.t_ns), *map(real, sigmas), covariance(scene.cov)]
+        if has_reasons:
+            words += [scene.left_out.get(slot, "IN_SCENE") for slot in Slot]
+    return " ".join(words)
 
 
 def without_covariances(row: str) -> tuple[str, list[np.ndarray]]:
@@ -173,13 +196,15 @@ def without_covariances(row: str) -> tuple[str, list[np.ndarray]]:
     words, covs = row.split(" "), []
     while "cov" in words:
         at = words.index("cov")
-        numbers = [struct.unpack(">d", bytes.fromhex(word))[0] for word in words[at + 1 : at + 17]]
-        covs.append(np.array(numbers).reshape(4, 4))
-        del words[at : at + 17]
+        end = at + 2 + int(words[at + 1])
+        numbers = [struct.unpack(">d", bytes.fromhex(word))[0] for word in words[at + 2 : end]]
+        n = math.isqrt(len(numbers))
+        covs.append(np.array(numbers).reshape(n, n))
+        del words[at:end]
     return " ".join(words), covs
 
 
-def answered(model: Receiver, step: Step) -> str:
+def answered(model: Receiver, step: Step, build: Build) -> str:
     """Return what the harness prints for a step."""
     if not isinstance(step, Question):
         found = model.feed(step.can_id, step.data, step.t_ns, is_extended=step.is_extended)
@@ -188,8 +213,11 @@ def answered(model: Receiver, step: Step) -> str:
         view = model.latest(step.slot, step.t_ns)
         flags = (view.is_stale, view.may_be_two, view.is_usable)
         words = ["view", view.state, view.status or "NONE", *(str(int(flag)) for flag in flags)]
+        words += [view.left_out or "IN_SCENE"] if build.scene_records else []
         line = [of_line(view.content)] if isinstance(view.content, Line) else []
         text = " ".join([*words, real(view.age), *line])
+    elif step.kind == "scene":
+        text = of_scene(model.latest_scene(step.t_ns), bool(build.scene_records))
     elif step.kind == "expire":
         model.expire(step.t_ns)
         text = ""
@@ -221,19 +249,22 @@ def receives_as_the_model(name: str, folder: Path, seed: int, frames: int) -> in
     build = build_of({"harness": layout}, features)
     sizes = Sizes(
         build.slots, bool(build.scenes), build.max_components, build.transfers, build.history,
-        build.epochs,
+        build.epochs, bool(build.line_records),
     )  # fmt: skip
     written(name, folder)
     main = c_core.C / "tests" / "stream_harness.c"
     flags = ["-std=c99", "-O2", "-ffp-contract=off", *c_core.WARNINGS, "-I."]
     sources = [str(main), "maplines.c", "harness_dbc.c", "-lm"]
     subprocess.run(["cc", *flags, *sources, "-o", "program"], check=True, cwd=folder)
-    slots = [slot for slot in Slot if sizes.has(slot) and slot in layout.messages_of]
+    kinds = {"statistics"}
+    kinds |= {"expire"} if build.line_records else set()
+    kinds |= {"scene"} if build.scenes and layout.pose is not None else set()
+    slots = layout.slots[: build.slots]
     steps = [
         step
         for step in steps_of(layout, seed, frames)
         if not isinstance(step, Question)
-        or step.kind in ("expire", "statistics")
+        or step.kind in kinds
         or (step.kind == "latest" and step.slot in slots)
     ]
     done = subprocess.run(
@@ -243,7 +274,7 @@ def receives_as_the_model(name: str, folder: Path, seed: int, frames: int) -> in
     model = Receiver(layout, sizes=sizes)
     rows = done.stdout.splitlines()
     for i, (step, row) in enumerate(zip(steps, rows, strict=True)):
-        expected = answered(model, step)
+        expected = answered(model, step, build)
         if features.single:  # numbers are rounded, what becomes of frames is the same
             row, expected = (text.split("|")[1] for text in (row, expected))
         same, covs = without_covariances(row)
