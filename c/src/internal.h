@@ -225,6 +225,7 @@ MAPLINES_INTERNAL bool maplines_nearest_line(const maplines_signal_t signals[4],
 /// Error of a direction whose effect of first order is that of the slopes [rad].
 MAPLINES_INTERNAL double maplines_slope_error(double beta, double near);
 
+#if MAPLINES_LINE_RECORDS
 /* ---- repair.c: covariances of a caller
  * ------------------------------------------------------------ */
 
@@ -235,6 +236,7 @@ MAPLINES_INTERNAL maplines_refusal_t maplines_check_covariance(const double S[16
 MAPLINES_INTERNAL bool maplines_is_indefinite(const double S[16], double rounding);
 /// Nearest positive semidefinite matrix that covers a symmetric one.
 MAPLINES_INTERNAL void maplines_nearest_covariance(const double S[16], double nearest[16]);
+#endif
 
 #if MAPLINES_MIXTURES
 /* ---- mixture_weights.c
@@ -252,6 +254,7 @@ MAPLINES_INTERNAL void maplines_deficit(int count, const double *weights, double
 /* ---- complete_write.c
  * ----------------------------------------------------------------------------- */
 
+#if MAPLINES_LINE_RECORDS
 /// Content of one record of a line: all of it, or a component of its mixture.
 typedef struct {
     const maplines_input_t *line; ///< all but mean, covariance
@@ -282,6 +285,7 @@ MAPLINES_INTERNAL void maplines_state_line(const maplines_dbc_t *dbc, const doub
 MAPLINES_INTERNAL maplines_status_t maplines_write_complete(const maplines_dbc_t *dbc,
                                                             const maplines_draft_t *draft,
                                                             uint8_t *record);
+#endif
 /// Least raw value whose physical value is not less; not limited to the range.
 MAPLINES_INTERNAL double maplines_raw_above(const maplines_signal_t *signal, double physical);
 

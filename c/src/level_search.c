@@ -24,7 +24,7 @@
 
 static const int64_t tried[TRIED] = {0, 1, 2, 3, 5};
 /// Lower triangle of a (4, 4) matrix, row by row.
-static const int places[10] = {0, 4, 5, 8, 9, 10, 12, 13, 14, 15};
+static const int entries[10] = {0, 4, 5, 8, 9, 10, 12, 13, 14, 15};
 
 /// More than any level squared [m^2].
 static const double beyond = 1e100;
@@ -379,7 +379,7 @@ static void near_noise(const search_t *search, double stretch_squared, int spaci
     const double of_shape = (double)straight[10];
     for (int i = 0; i < 10; ++i)
     {
-        cov[places[i]] = stretch_squared * (double)straight[i];
+        cov[entries[i]] = stretch_squared * (double)straight[i];
     }
     cov[5] = cov[5] + of_shape * search->shapes[1];
     cov[10] = cov[10] + of_shape * search->shapes[2];
@@ -496,7 +496,7 @@ static void choose_spacings(const search_t *search, maplines_sent_line_t *line)
         line->spacings[i] = (uint16_t)best[i].raw;
         for (int k = 0; k < 10; ++k)
         {
-            line->noise[i][k] = noise[places[k]];
+            line->noise[i][k] = noise[entries[k]];
         }
     }
     line->spacing_count = (uint8_t)count;
@@ -585,8 +585,8 @@ static void try_tilt(const search_t *search, const maplines_sent_line_t *line, i
         double noise[16];
         for (int k = 0; k < 10; ++k)
         {
-            noise[4 * (places[k] % 4) + places[k] / 4] = line->noise[i][k];
-            noise[places[k]] = line->noise[i][k];
+            noise[4 * (entries[k] % 4) + entries[k] / 4] = line->noise[i][k];
+            noise[entries[k]] = line->noise[i][k];
         }
         raw[2] = line->spacings[i];
         try_levels(search, &search->points, raw, noise, best);

@@ -12,25 +12,35 @@ MAPLINES_INTERNAL maplines_reason_t maplines_dropped(maplines_decoder_t *decoder
     return reason;
 }
 
+/// Bytes of the longest record of an owner.
+static uint32_t record_bytes(const maplines_dbc_t *dbc, int owner)
+{
+#if MAPLINES_SCENE_RECORDS
+    if (MAPLINES_IS_WHOLE(owner))
+    {
+        return dbc->messages[owner].fd_length;
+    }
+#endif
+    return maplines_layout(dbc, owner)->pages * PAGE_BYTES;
+}
+
 /// Take the record at the beginning of a payload that has room for the longest one. One that is
 /// authenticated may have a whole scene of fewer places, which ends before the key ID.
 static maplines_reason_t feed_record(maplines_decoder_t *decoder, const uint8_t *data,
                                      bool is_secured, int64_t t_ns, maplines_arrival_t *arrival)
 {
     const maplines_dbc_t *dbc = decoder->dbc;
-    const maplines_record_t *layout = maplines_layout(dbc, arrival->owner);
     arrival->t_ns = t_ns;
     arrival->frames = 1;
-    arrival->length = layout->pages * PAGE_BYTES;
+    arrival->length = record_bytes(dbc, arrival->owner);
 #if MAPLINES_SCENE_RECORDS
     if (MAPLINES_IS_WHOLE(arrival->owner))
     {
         arrival->places = dbc->scene.places;
-        arrival->length = dbc->messages[arrival->owner].fd_length;
         if (is_secured)
         {
             arrival->places = dbc->scene.secured_places;
-            arrival->length = layout->fd_authentic - 1U;
+            arrival->length = dbc->pose.fd_authentic - 1U;
         }
         memcpy(arrival->record, data, arrival->length);
         arrival->reason = maplines_read_record(dbc, arrival);
@@ -41,6 +51,7 @@ static maplines_reason_t feed_record(maplines_decoder_t *decoder, const uint8_t 
 #endif
 #if MAPLINES_LINE_RECORDS
 #if MAPLINES_SCENES
+    const maplines_record_t *layout = maplines_layout(dbc, arrival->owner);
     if (layout->short_pages < layout->pages && maplines_get(&dbc->has_covariance, data) == 0)
     {
         arrival->length = layout->short_pages * PAGE_BYTES;
@@ -125,13 +136,13 @@ MAPLINES_INTERNAL maplines_reason_t maplines_route(maplines_decoder_t *decoder,
         return maplines_dropped(decoder, MAPLINES_FOREIGN, 1);
     }
     arrival->owner = owner;
-    const maplines_record_t *layout = maplines_layout(decoder->dbc, owner);
 #if MAPLINES_SECOC
     if (route == ROUTE_SECURED)
     {
         return feed_secured(decoder, frame, t_ns, arrival);
     }
-    if (decoder->settings.authenticator != NULL && layout->fd_authentic > 0)
+    if (decoder->settings.authenticator != NULL &&
+        maplines_layout(decoder->dbc, owner)->fd_authentic > 0)
     {
         return maplines_dropped(decoder, MAPLINES_UNAUTHENTICATED, 1);
     }
@@ -143,10 +154,8 @@ MAPLINES_INTERNAL maplines_reason_t maplines_route(maplines_decoder_t *decoder,
 #endif
     if (route == ROUTE_WHOLE)
     {
-        const uint32_t least = MAPLINES_IS_WHOLE(owner)
-                                   ? decoder->dbc->messages[owner].fd_length
-                                   : layout->pages * PAGE_BYTES;
-        if (frame->length < least || frame->length > sizeof(frame->data))
+        if (frame->length < record_bytes(decoder->dbc, owner) ||
+            frame->length > sizeof(frame->data))
         {
             return maplines_dropped(decoder, MAPLINES_LENGTH, 1);
         }

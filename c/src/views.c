@@ -26,8 +26,15 @@ MAPLINES_INTERNAL int maplines_owner_of_line(const maplines_decoder_t *decoder, 
 
 MAPLINES_INTERNAL int maplines_owner_of_pose(const maplines_decoder_t *decoder, int owner)
 {
-    const bool has_own = MAPLINES_IS_WHOLE(owner) || !decoder->dbc->is_conditional;
-    return has_own ? owner : (int)MAPLINES_POSE;
+#if MAPLINES_SCENES && MAPLINES_LINE_RECORDS
+    if (!MAPLINES_IS_WHOLE(owner) && decoder->dbc->is_conditional)
+    {
+        return (int)MAPLINES_POSE;
+    }
+#else
+    (void)decoder;
+#endif
+    return owner;
 }
 
 #if MAPLINES_SCENES

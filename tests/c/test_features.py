@@ -175,7 +175,7 @@ def covariance(rows: Sequence[Sequence[float]]) -> str:
     return " ".join(["cov", str(len(numbers)), *numbers])
 
 
-def of_scene(view: View, has_reasons: bool) -> str:
+def of_scene(view: View, build: Build) -> str:
     flags = (view.is_stale, view.may_be_two, view.is_usable)
     words = ["scene", view.state, view.status or "NONE", *(str(int(flag)) for flag in flags)]
     words.append(real(view.age))
@@ -186,8 +186,8 @@ def of_scene(view: View, has_reasons: bool) -> str:
         pose = scene.pose
         sigmas = pose.correlation_time, pose.offset_sigma, pose.heading_sigma
         words += [str(pose.counter), str(pose.t_ns), *map(real, sigmas), covariance(scene.cov)]
-        if has_reasons:
-            words += [scene.left_out.get(slot, "IN_SCENE") for slot in Slot]
+        if build.scene_records:
+            words += [scene.left_out.get(slot, "IN_SCENE") for slot in [*Slot][: build.slots]]
     return " ".join(words)
 
 
@@ -217,7 +217,7 @@ def answered(model: Receiver, step: Step, build: Build) -> str:
         line = [of_line(view.content)] if isinstance(view.content, Line) else []
         text = " ".join([*words, real(view.age), *line])
     elif step.kind == "scene":
-        text = of_scene(model.latest_scene(step.t_ns), bool(build.scene_records))
+        text = of_scene(model.latest_scene(step.t_ns), build)
     elif step.kind == "expire":
         model.expire(step.t_ns)
         text = ""
