@@ -15,7 +15,7 @@ if TYPE_CHECKING:  # cantools is loaded if it parses a DBC; these are for the mo
     from cantools.database.can import Message as Message
 
 #: DBCs of this package; their names stand for them where there is no such file.
-SHIPPED = ("maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc")
+SHIPPED = ("maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc", "maplines-scene.dbc")
 
 
 def default_dbc_path(name: str = "maplines.dbc") -> Path:

@@ -130,7 +130,8 @@ class CarStream:
     def _transfer(self, decoder: Decoder, scene: Scene, t: float) -> int:
         """Send a scene; return the time after its last frame [ns]."""
         t_ns = round(1e9 * (t + AGE))
-        for own in self._encoder.encode_scene(scene, age=AGE).values():
+        fd = not self._codec.layout.has_classic
+        for own in self._encoder.encode_scene(scene, age=AGE, fd=fd).values():
             for frame in own:
                 decoder.feed(frame.can_id, frame.data, t_ns)
                 t_ns += round(1e9 * FRAME)
