@@ -22,6 +22,7 @@ from ..wire import (
     LineCodec,
     default_dbc_path,
 )
+from ..wire.protection.secoc import WHOLE_FRESHNESS
 from .parsing import natural, number, option_group
 
 if TYPE_CHECKING:
@@ -177,16 +178,28 @@ def keyed_codec(
     """Return the codec of the DBC, with the keys if there are any.
 
     A DBC without messages for classic CAN implies ``--fd``. The freshness of a frame is checked
-    against the clock [ns], within the window [s]; that of a log is not, so its clock is None.
+    against the clock [ns], within the window [s]; that of a log is not, so its clock is None. If
+    its frames have not all of it, the time stamps of the log complete it.
     """
     keys = [read(name, key_id) for read, name, key_id in arguments.keys or ()]
     authenticator = None
     if keys:
-        authenticator = Authenticator(*keys, clock=clock, window_ns=round(1e9 * window))
+        settings: dict[str, Any] = {"clock": clock, "window_ns": round(1e9 * window)}
+        settings |= {} if clock is not None else _clock_of_log(arguments)
+        authenticator = Authenticator(*keys, **settings)
     codec = line_codec_from(arguments.dbc, authenticator, arguments.encoding)
     if not codec.layout.has_classic:
         arguments.fd = True
     return codec
+
+
+def _clock_of_log(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return clock and window for the DBC of a log: its time stamps if they are needed."""
+    secured = layout_from(arguments.dbc or "maplines-secoc.dbc", arguments.encoding).secured
+    if secured is None or secured.freshness_bytes >= WHOLE_FRESHNESS:
+        return {}
+    span_us = 1 << 8 * secured.freshness_bytes
+    return {"clock": "frames", "window_ns": 1000 * (span_us // 2 - 1)}
 
 
 def codec_from(

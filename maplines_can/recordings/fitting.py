@@ -24,6 +24,7 @@ from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import PoseLayout
 from ..wire.layout.scene_layout import SceneLayout
 from ..wire.layout.slot_messages import RecordMessages, SecuredLayout
+from ..wire.protection.secoc import WHOLE_FRESHNESS
 from ..wire.reasons import Reason
 from .blocks import FrameBlock, read_blocks
 from .line_block import REASONS
@@ -270,8 +271,11 @@ def _trials(first: FirstFrames, codecs: Sequence[LineCodec]) -> Iterator[_Trial]
         if codec.layout.secured is not None:
             fit = _authentic_fit(blocks, codec)
             what = f"--dbc {fit.name} and the key" if codec in others else "the key"
+            short = codec.layout.secured.freshness_bytes < WHOLE_FRESHNESS
+            stamps = ", and a log with absolute time stamps" * short
             yield _Trial(
-                fit, f"of {fit.name} are whole, but authenticated; take {what} of the sender"
+                fit,
+                f"of {fit.name} are whole, but authenticated; take {what} of the sender{stamps}",
             )
     for codec in (*keyless, *others):
         for moves in islice(_shifts(first, codec.layout), most):

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Literal
 
 from ...core import ffi, lib
 from ...values.errors import EncodeError, LayoutError
@@ -47,7 +48,8 @@ class Authenticator:
         keys: the first one signs; all of them verify.
         clock: function that returns the time since 1970 as an int [ns], such as ``time.time_ns``.
             Any clock that increases over restarts will do. It is called once here, as a check. A
-            receiver can do without; see ``Verifier``.
+            receiver can do without; see ``Verifier``. "frames": a receiver takes the times of
+            reception of the frames, such as those of a log with absolute time stamps.
         window_ns: greatest difference between a frame's freshness value and the receiver's clock
             [ns], 1000 or more. It must exceed the difference of the two clocks plus the time that
             a frame may wait, which includes the 0.1 s that a ``Transmitter`` signs ahead.
@@ -79,7 +81,7 @@ class Authenticator:
     def __init__(
         self,
         *keys: Key,
-        clock: Callable[[], int] | None = None,
+        clock: Callable[[], int] | Literal["frames"] | None = None,
         window_ns: int = 1_000_000_000,
         not_before: int = 0,
     ) -> None:
@@ -169,9 +171,19 @@ class Authenticator:
             self._active = next(key for key in self._keys.values() if key.key_id != key_id)
         del self._keys[key_id]
 
-    def now(self) -> int | None:
-        """Return the time as a freshness value [us]; None without a clock."""
-        return None if self._clock is None else self._clock() // 1000
+    @property
+    def has_clock(self) -> bool:
+        """Whether a receiver knows the time."""
+        return self._clock is not None
+
+    def now(self, t_ns: int | None = None) -> int | None:
+        """Return the time as a freshness value [us]; None if it is not known.
+
+        Args:
+            t_ns: time of reception of the frame that is received [ns].
+        """
+        now_ns = self._clock() if callable(self._clock) else t_ns if self._clock else None
+        return None if now_ns is None else now_ns // 1000
 
     def secure(self, record: bytes, data_id: int, layout: SecuredLayout) -> bytes:
         """Return the secured I-PDU of a record with a SecOC data ID and the next freshness value.
@@ -221,6 +233,7 @@ class Verifier:
     The clock also completes a freshness value of less than 7 bytes, after any silence and any
     number of lost frames, since at most one value with these low bytes lies within the window.
     Without a clock the message must have all 7 bytes, because the length of a silence is unknown.
+    A log has the times of its frames, so that they are the clock, if they are absolute.
 
     Raises:
         LayoutError: ``Freshness`` has too few bytes for the window, or for a receiver without a
@@ -238,7 +251,7 @@ class Verifier:
 def _problem(clock: object, window_ns: object, not_before: object) -> str | None:
     """Return what is wrong with the settings of an authenticator, without repeating a secret."""
     now = clock() if callable(clock) else None
-    if clock is not None and not isinstance(now, int):
+    if clock not in (None, "frames") and not isinstance(now, int):
         got = f"one that returns {shown(now)}" if callable(clock) else shown(clock)
         return (
             "clock must be a function that returns nanoseconds as an int, such as "
@@ -265,12 +278,12 @@ def check_freshness(authenticator: Authenticator, layout: SecuredLayout) -> None
     """
     span = 2 ** (8 * layout.freshness_bytes)  # [us]
     has = f"Freshness has {layout.freshness_bytes} bytes"
-    if authenticator.now() is None:
+    if not authenticator.has_clock:
         if layout.freshness_bytes < WHOLE_FRESHNESS:
             raise LayoutError(
                 f"{has}, but without a clock {WHOLE_FRESHNESS} are needed, since no frame could be "
                 f"accepted after a silence of {span / 1e6:.6g} s; give the authenticator a clock, "
-                "such as time.time_ns, or widen Freshness in the DBC"
+                'such as time.time_ns, or "frames" for a log, or widen Freshness in the DBC'
             )
     elif span < 2 * authenticator.window + 2:
         raise LayoutError(

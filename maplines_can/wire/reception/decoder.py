@@ -132,7 +132,7 @@ class Decoder:
         window_us, has_clock = 0, False
         for verifier in verifiers.values():
             window_us = min(verifier.authenticator.window, _MAX_WINDOW_US)
-            has_clock = verifier.authenticator.now() is not None
+            has_clock = verifier.authenticator.has_clock
         problem = lib.maplines_receiver_start(self._c, tables, settings, window_us, has_clock)
         if problem != ffi.NULL:
             raise ValueError(ffi.string(problem).decode())
@@ -251,7 +251,7 @@ class Decoder:
             data = _payload(data)
         if type(t_ns) is not int or not _MIN_NS <= t_ns <= _MAX_NS:
             t_ns = limited_ns(t_ns, "t_ns")
-        now_us = None if secured is None else secured.authenticator.now()
+        now_us = None if secured is None else secured.authenticator.now(t_ns)
         with self._lock:
             if secured is None:
                 found = self._feed(self._c, known, t_ns, data, len(data))
@@ -376,7 +376,7 @@ class Decoder:
             i = block.places[place]
             route = self._secured[block.can_ids[i], bool(block.are_extended[i])]
             data = ffi.buffer(block.data + i * block.width, min(block.lengths[i], block.width))[:]
-            now_us = route.authenticator.now()
+            now_us = route.authenticator.now(block.times_ns[i])
             secoc.rows, secoc.place, secoc.has_scenes = rows, i, has_scenes
             try:
                 answer = self._verified(route, now_us, data, block.times_ns[i])
