@@ -1,72 +1,20 @@
 /* Scenes to frames.
  *
  * Input, case by case: whether the frames are CAN FD, and authenticated, and whether the sender is
- * that of the last case (u8); if not, the counter of each owner (11 u32); number of lines (u8); of
- * each line slot, kind and status (u8), x_min, x_max, age, mean, fit range and quartic (10 f64);
- * whether there are line-specific covariances (u8), and these (16 f64 a line); the joint covariance
- * row by row; covariance (9 f64), age and correlation time of the pose error; offset and heading of
- * the map. Output: number of frames (u16), 0 if the scene is refused; of each CAN ID (u32), whether
- * it is extended and CAN FD (u8), its length (u8) and its bytes; then, if it is not refused, of
- * each line 0, or why it is not sent (u8).
+ * that of the last case (u8); if not, the counter of each owner (11 u32); a scene, see
+ * scene_input.h. Output: number of frames (u16), 0 if the scene is refused; of each CAN ID (u32),
+ * whether it is extended and CAN FD (u8), its length (u8) and its bytes; then, if it is not
+ * refused, of each line 0, or why it is not sent (u8).
  */
 #include "aes_cmac.h"
 #include "binary.h"
 #include "harness_dbc.h"
 #include "maplines.h"
+#include "scene_input.h"
 
 static maplines_scene_input_t scene;
 static maplines_scene_workspace_t workspace;
 static maplines_frame_t frames[MAPLINES_MAX_SCENE_FRAMES];
-
-static void read_f64s(double *values, size_t count)
-{
-    for (size_t i = 0; i < count; ++i)
-    {
-        values[i] = read_f64();
-    }
-}
-
-static void read_scene(void)
-{
-    memset(&scene, 0, sizeof scene);
-    scene.count = read_u8();
-    const size_t lines = scene.count;
-    for (size_t i = 0; i < lines; ++i)
-    {
-        maplines_scene_line_t *line = &scene.lines[i];
-        line->slot = (maplines_owner_t)read_u8();
-        line->kind = (maplines_kind_t)read_u8();
-        line->status = (maplines_status_t)read_u8();
-        line->x_min = read_f64();
-        line->x_max = read_f64();
-        line->age = read_f64();
-        line->has_age = true;
-        read_f64s(line->mean, 4);
-        read_f64s(line->fit_range, 2);
-        line->quartic = read_f64();
-    }
-    scene.has_specific = read_u8() != 0;
-    for (size_t i = 0; scene.has_specific && i < lines; ++i)
-    {
-        for (size_t row = 0; row < 4; ++row)
-        {
-            read_f64s(scene.lines[i].specific[row], 4);
-        }
-    }
-    for (size_t row = 0; row < 4U * lines; ++row)
-    {
-        read_f64s(scene.cov[row], 4U * lines);
-    }
-    for (size_t row = 0; row < 3; ++row)
-    {
-        read_f64s(scene.pose_cov[row], 3);
-    }
-    scene.pose_age = read_f64();
-    scene.has_pose_age = true;
-    scene.correlation_time = read_f64();
-    scene.offset_sigma = read_f64();
-    scene.heading_sigma = read_f64();
-}
 
 static bool mac_of(void *context, uint8_t key_id, const uint8_t *data, size_t length,
                    uint8_t mac[16])
@@ -103,7 +51,7 @@ int main(void)
                 encoder.counter[owner] = read_u32();
             }
         }
-        read_scene();
+        read_scene(&scene);
         const maplines_sent_scene_t sent = maplines_encode_scene(
             &encoder, &scene, (flags & 1U) != 0U, INT64_C(1000000000000000), &workspace, frames);
         write_u16(sent.count);

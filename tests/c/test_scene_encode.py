@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import c_core
 import numpy as np
 import pytest
+from c_scenes import scene_input
 from evidence.roads import SHAPES, random_scene
 from evidence.witness import POSES, Poses
 from scene_layouts import layout_of
@@ -35,21 +36,10 @@ class Case(NamedTuple):
 
 def input_of(case: Case) -> bytes:
     """A case as c/tests/scene_encode_harness.c reads it."""
-    scene, error = case.scene, case.scene.map_error
-    n, specific = len(scene.lines), scene.specific_covs
     parts = [bytes([case.is_fd + 2 * case.has_key + 4 * (case.counters is None)])]
     if case.counters is not None:
         parts.append(struct.pack("<11I", *(case.counters.get(owner, 0) for owner in OWNERS)))
-    parts.append(struct.pack("<B", n))
-    for line, fit_range, quartic in zip(scene.lines, scene.fit_ranges, scene.quartics, strict=True):
-        values = (line.x_min, line.x_max, case.age, *line.gaussian.mean, *fit_range, quartic)
-        parts.append(struct.pack("<3B10d", line.slot, line.kind, line.status, *values))
-    parts.append(struct.pack("<B", specific is not None))
-    arrays = (() if specific is None else specific, scene.cov, scene.pose_error.cov)
-    parts += [np.asarray(array, dtype="<f8").tobytes() for array in arrays]
-    of_map = (error.offset_sigma, error.heading_sigma) if error else (0.0, 0.0)
-    parts.append(struct.pack("<4d", case.age, scene.pose_error.correlation_time, *of_map))
-    return b"".join(parts)
+    return b"".join([*parts, scene_input(case.scene, case.age)])
 
 
 def frames_of(encoder: Encoder, case: Case) -> bytes:

@@ -5,21 +5,30 @@ One thread, -O2. Both are timed inside a program in C, without starts and pipes.
 
 from __future__ import annotations
 
+import struct
 import subprocess
 import sys
 import tempfile
+from importlib import import_module
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from maplines_can import Codec
+from maplines_can import Codec, Scene, Slot
 from maplines_can.study.sets import road
 from maplines_can.wire import default_dbc_path
 
 from .harness import evidence
 
 LINES = 256  #: of c/tests/speed_harness.c
+#: DBCs of scenes, and whether their frames are CAN FD.
+SCENES = {
+    "maplines-pose.dbc, classic": ("maplines-pose.dbc", False),
+    "maplines-pose.dbc, FD": ("maplines-pose.dbc", True),
+    "maplines-scene.dbc": ("maplines-scene.dbc", True),
+}
 #: Times the four pages of a record with random values: cantools packs no faster with others.
 PEER = """
 #include "peer.h"
@@ -65,13 +74,40 @@ def c_speed(rounds: int = 20) -> dict[str, Any]:
             for name, ns in found.items()}  # fmt: skip
 
 
-def _lines(means: Any, covs: Any, rounds: int) -> dict[str, float]:
-    """Return times of one line [ns]."""
+@evidence(rounds=2)
+def c_scene_speed(rounds: int = 20) -> dict[str, Any]:
+    """Time scenes in C: to frames, and back to the joint covariance.
+
+    Lines of a bend on a map with an error of 5 cm, as records of lines and as whole scenes.
+    """
+    found: dict[str, Any] = {}
+    for count, (name, (dbc, fd)) in product((4, 8), SCENES.items()):
+        scene = _of_tests("scene_streams").road_scene([*Slot][:count])
+        encode, decode = _scenes(scene, dbc, fd, rounds)
+        found[f"{count} lines, {name}"] = {"encode [us]": encode / 1e3, "decode [us]": decode / 1e3}
+    return found
+
+
+def _scenes(scene: Scene, dbc: str, fd: bool, rounds: int) -> list[float]:
+    """Return times of encoding and of decoding a scene [ns]."""
+    c_core, c_scenes = _of_tests("c_core"), _of_tests("c_scenes")
+    program = c_core.harness("scene_speed", default_dbc_path(dbc))
+    head = struct.pack("<IB", rounds, fd)
+    out = c_core.run(program, head + c_scenes.scene_input(scene))
+    return list(np.frombuffer(out, "<f8").tolist())
+
+
+def _of_tests(name: str) -> Any:
+    """Return a module of the tests."""
     tests = str(Path(__file__).parents[2] / "tests")
     if tests not in sys.path:
         sys.path.insert(0, tests)
-    import c_core
+    return import_module(name)
 
+
+def _lines(means: Any, covs: Any, rounds: int) -> dict[str, float]:
+    """Return times of one line [ns]."""
+    c_core = _of_tests("c_core")
     head = np.array([rounds], dtype="<u4").tobytes()
     given = np.concatenate([means, covs.reshape(-1, 16)], axis=1).astype("<f8").tobytes()
     program = c_core.harness("speed", Codec.from_dbc().layout)
