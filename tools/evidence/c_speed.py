@@ -75,7 +75,7 @@ def c_speed(rounds: int = 20) -> dict[str, Any]:
 
 
 @evidence(rounds=2)
-def c_scene_speed(rounds: int = 20) -> dict[str, Any]:
+def scenes(rounds: int = 20) -> dict[str, Any]:
     """Time scenes in C: to frames, and back to the joint covariance.
 
     Lines of a bend on a map with an error of 5 cm, as records of lines and as whole scenes.
