@@ -10,7 +10,7 @@ from typing import Any
 
 import c_core
 import pytest
-from random_dbc import random_dbc
+from random_dbc import SCENE_SEED, random_dbc
 from scene_layouts import layout_of
 
 from maplines_can.cli import main
@@ -67,7 +67,7 @@ def test_the_c_core_passes(tmp_path: Path, dbc: str, flags: tuple[str, ...]) -> 
     assert done.returncode == 0
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [*range(3), SCENE_SEED, SCENE_SEED + 1])
 def test_the_c_core_passes_those_of_any_dbc(tmp_path: Path, seed: int) -> None:
     path = tmp_path / "random.dbc"
     path.write_text(random_dbc(seed))

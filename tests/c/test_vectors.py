@@ -13,7 +13,7 @@ from typing import Any
 import c_core
 import numpy as np
 import pytest
-from random_dbc import random_dbc
+from random_dbc import SCENE_SEED, random_dbc
 from scene_layouts import layout_of
 
 from maplines_can import Gaussian, MapLine, Slot, Status
@@ -181,7 +181,7 @@ def test_names_of_cases_are_unique(dbc: str) -> None:
     assert len(names) > 100
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [*range(6), SCENE_SEED, SCENE_SEED + 1])
 def test_any_dbc_has_vectors(tmp_path: Path, seed: int) -> None:
     """Also those without classic messages, or with other widths and places of all signals."""
     path = tmp_path / "random.dbc"

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from random_dbc import random_dbc
+from random_dbc import SCENE_SEED, random_dbc
 
 from maplines_can.dbc_files import kept
 from maplines_can.dbc_files.kept import PACKAGED, key_of, parsed_tables
@@ -71,7 +71,7 @@ def test_the_tables_in_the_package_are_those_of_its_dbcs(name: str, cache: Cache
         assert not cache.folder.exists()
 
 
-@pytest.mark.parametrize("seed", [1, 1002])
+@pytest.mark.parametrize("seed", [1, SCENE_SEED, 1002])
 def test_a_layout_is_the_same_with_and_without_the_cache(
     seed: int, cache: Cache, tmp_path: Path
 ) -> None:
