@@ -47,8 +47,14 @@ static void print_case(unsigned number)
 static maplines_decoder_t decoder;
 static unsigned slots_seen; // a bit for each slot of which the case has a frame
 
-static void see(const maplines_frame_t *frame)
+/// See of which slots a frame is, or which lines it has brought.
+static void see(const maplines_frame_t *frame, const maplines_fed_t *fed)
 {
+    for (int i = 0; i < fed->count; ++i)
+    {
+        slots_seen |= 1U << (unsigned)fed->slots[i];
+    }
+#if MAPLINES_LINE_RECORDS
     for (unsigned slot = 0; slot < MAPLINES_SLOTS; ++slot)
     {
         const maplines_messages_t *message = &maplines_dbc.messages[slot];
@@ -57,6 +63,9 @@ static void see(const maplines_frame_t *frame)
             slots_seen |= 1U << slot;
         }
     }
+#else
+    (void)frame;
+#endif
 }
 
 static void feed(char *row)
@@ -72,15 +81,20 @@ static void feed(char *row)
         frame.data[frame.length] = (uint8_t)strtoul(byte, NULL, 16);
         ++frame.length;
     }
-    see(&frame);
     measure_begin(&measured[FEED]);
     const maplines_fed_t fed = maplines_feed(&decoder, &frame, t_ns);
     measure_end(&measured[FEED]);
+    see(&frame, &fed);
     for (int i = 0; i < fed.count; ++i)
     {
-        maplines_view_t view;
         measure_begin(&measured[LATEST]);
+#if MAPLINES_LINE_RECORDS
+        maplines_view_t view;
         maplines_latest(&decoder, fed.slots[i], t_ns, &view);
+#else
+        static maplines_line_copy_t copy;
+        maplines_copy_line(&decoder, fed.slots[i], t_ns, &copy);
+#endif
         measure_end(&measured[LATEST]);
     }
 }
@@ -89,7 +103,6 @@ static void feed(char *row)
 #if MAPLINES_RECEIVER && MAPLINES_SCENES
 static void ask_scene(char *row)
 {
-    maplines_scene_view_t view;
     int lines = 0;
     for (unsigned slots = slots_seen; slots != 0; slots >>= 1U)
     {
@@ -97,12 +110,18 @@ static void ask_scene(char *row)
     }
     measurement_t *asking = &measured[lines <= 4 ? FEW : MANY];
     measure_begin(asking);
+#if MAPLINES_LINE_RECORDS
+    maplines_scene_view_t view;
     maplines_latest_scene(&decoder, strtoll(row, NULL, 10), &view);
+#else
+    static maplines_scene_copy_t copy;
+    maplines_copy_scene(&decoder, strtoll(row, NULL, 10), &copy);
+#endif
     measure_end(asking);
 }
 #endif
 
-#if MAPLINES_SENDER
+#if MAPLINES_SENDER && MAPLINES_LINE_RECORDS
 static maplines_encoder_t encoder;
 
 static double read_real(char **row)
@@ -144,7 +163,7 @@ static void begin_case(void)
     maplines_decoder_init(&decoder, &maplines_dbc, NULL);
     slots_seen = 0;
 #endif
-#if MAPLINES_SENDER
+#if MAPLINES_SENDER && MAPLINES_LINE_RECORDS
     maplines_encoder_init(&encoder, &maplines_dbc, NULL);
 #endif
 }
@@ -163,7 +182,7 @@ static void take(char *row)
         ask_scene(row + 1);
     }
 #endif
-#if MAPLINES_SENDER
+#if MAPLINES_SENDER && MAPLINES_LINE_RECORDS
     if (row[0] == 'I')
     {
         send(row + 1);

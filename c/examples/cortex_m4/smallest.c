@@ -13,6 +13,7 @@ volatile maplines_real_t steering[4];
 #if MAPLINES_RECEIVER
 static maplines_decoder_t decoder;
 
+#if MAPLINES_LINE_RECORDS
 static void cycle(int64_t now_ns)
 {
     maplines_view_t view;
@@ -34,6 +35,27 @@ static void cycle(int64_t now_ns)
     }
 #endif
 }
+#else
+static void cycle(int64_t now_ns)
+{
+    static maplines_line_copy_t line;
+    static maplines_scene_copy_t lane;
+    maplines_estimate_t width;
+    maplines_copy_line(&decoder, MAPLINES_EGO_LEFT, now_ns, &line);
+    if (line.is_usable)
+    {
+        steering[0] = maplines_y(&line.line, 20);
+        steering[1] = maplines_y_sigma(&line.line, 20);
+    }
+    maplines_copy_scene(&decoder, now_ns, &lane);
+    if (lane.is_usable &&
+        maplines_width(&lane.scene, MAPLINES_EGO_LEFT, MAPLINES_EGO_RIGHT, 20, &width))
+    {
+        steering[2] = width.value;
+        steering[3] = width.sigma;
+    }
+}
+#endif
 
 int main(void)
 {
