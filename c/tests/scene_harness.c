@@ -21,7 +21,8 @@ int main(void)
 {
     while (!at_end())
     {
-        maplines_scene_view_t view;
+        static maplines_scene_copy_t copy;
+        const maplines_scene_t *scene = &copy.scene;
         (void)maplines_decoder_init(&decoder, &harness_dbc, NULL);
         for (uint8_t left = read_u8(); left > 0; --left)
         {
@@ -32,12 +33,10 @@ int main(void)
             read_bytes(frame.data, frame.length);
             (void)maplines_feed(&decoder, &frame, 0);
         }
-        maplines_latest_scene(&decoder, 0, &view);
-        const uint8_t count = view.scene != NULL ? view.scene->count : 0;
-        write_u8(count);
-        for (uint8_t i = 0; i < count; ++i)
+        maplines_copy_scene(&decoder, 0, &copy);
+        write_u8(scene->count);
+        for (uint8_t i = 0; i < scene->count; ++i)
         {
-            const maplines_scene_t *scene = view.scene;
             write_reals(scene->lines[i].gaussian.mean, 4);
             write_reals(scene->spread[(size_t)4 * i], 28);
             write_reals(scene->specific[i][0], 16);

@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 from maplines_can import EncodeError, Slot
 from maplines_can.values.line import lateral_jacobian
 
-COMPLETE = "maplines.dbc"
+COMPLETE, WHOLE = "maplines.dbc", "maplines-scene.dbc"
 LINE = np.dtype(
     [
         ("mean", "<f8", 4),
@@ -34,7 +34,8 @@ def frames_of_scenes(dbc: str, n: int) -> list[bytes]:
         slots = rng.permutation([*Slot])[: rng.integers(1, 9)]
         scene = road_scene(map(Slot, slots), radius=rng.choice([60, 200, 2000]), sigma=sigma)
         try:
-            sent = codec.encoder().encode_scene(scene, fd=bool(rng.integers(2)))
+            fd = bool(rng.integers(2)) or dbc == WHOLE
+            sent = codec.encoder().encode_scene(scene, fd=fd)
         except EncodeError:  # a pose error that the message cannot hold
             continue
         frames = [*chain(*sent.values())]
@@ -54,7 +55,7 @@ def scenes_of(output: bytes) -> list[Any]:
     return scenes
 
 
-@pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
+@pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE, WHOLE])
 def test_single_precision_covers(dbc: str) -> None:
     """The joint covariance, about the rounded means, exceeds that in double precision.
 

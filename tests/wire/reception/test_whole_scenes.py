@@ -1,0 +1,353 @@
+"""Decoder of whole scenes: any bits, views, rows of a block, and authenticated frames.
+
+``tests/model/test_whole_scenes.py`` has what becomes of each record, beside the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import chain
+
+import numpy as np
+import pytest
+from scene_layouts import layout_of
+from scene_streams import new_codec, road_scene
+
+from maplines_can import Authenticator, Codec, Decoder, Key, LeftOut, MapLine, Reason, Slot
+from maplines_can.model.whole_scenes import NONE, write_whole
+from maplines_can.wire import E2EState, Frame
+from maplines_can.wire.layout.pose_layout import SCENE, SCENE2, SceneOwner
+
+DBC = "maplines-scene.dbc"
+LAYOUT = layout_of(DBC)
+SCENES = LAYOUT.scene
+assert SCENES is not None
+CYCLE = 50_000_000
+LEFT, RIGHT, NEXT_LEFT, NEXT_RIGHT, CENTRE, EDGE_LEFT, EDGE_RIGHT, ROUTE = Slot
+#: A straight line, 32 m behind the car to 20 m ahead.
+LINE = {"XMin": 0, "XMax": 20, "OwnLateral": 9}
+#: Places without a line.
+EMPTY = {"Kind": NONE}
+FEW, MANY = (LEFT, RIGHT, NEXT_LEFT, ROUTE), (LEFT, RIGHT, NEXT_LEFT, ROUTE, EDGE_LEFT, EDGE_RIGHT)
+
+
+def record_of(
+    owner: SceneOwner, counter: int, places: Sequence[Mapping[str, int]], **raw: int
+) -> bytes:
+    """Return a record with these raw values of the pose error, and of the line at each place."""
+    shared = {"SceneCounter": counter, **raw, "Counter": counter}
+    data_id = SCENES.messages[owner].data_id
+    return write_whole(SCENES, shared, places, SCENES.record_bytes, data_id)
+
+
+def feed(
+    decoder: Decoder, owner: SceneOwner, record: bytes, t_ns: int
+) -> Sequence[MapLine] | Reason:
+    return decoder.feed(SCENES.messages[owner].fd_can_id, record, t_ns)
+
+
+def checked(decoder: Decoder) -> Decoder:
+    """Return a decoder whose numbers of frames add up."""
+    known = decoder.line_frames + decoder.pose_frames + decoder.counts.total() + decoder.pending
+    assert decoder.frames == known
+    assert (decoder.line_frames, decoder.pending) == (0, 0)
+    return decoder
+
+
+# ---- any bits ---------------------------------------------------------------------------------
+
+
+def any_line(rng: np.random.Generator, slot: int | None) -> dict[str, int]:
+    """Return raw values of a place: all bits of most signals, means of any size."""
+    own = {name: signal.length for name, signal in SCENES.line.items() if name != "Slot"}
+    raw = {name: int(rng.integers(0, 2**length)) for name, length in own.items()}
+    raw["Kind"] = int(rng.integers(0, NONE + 1))
+    for name in ("Beta", "C0", "C1"):
+        bits = SCENES.line[name].length - 1
+        raw[name] = int(2 ** rng.uniform(0, bits)) * int(rng.choice([-1, 1]))
+    raw["XMax"] = max(raw["XMax"], raw["XMin"] - 31)
+    return raw if slot is None else raw | {"Slot": slot}
+
+
+def test_any_bits_are_a_positive_definite_joint() -> None:
+    """Also those that no sender writes: whatever is not rejected has a joint covariance."""
+    rng, decoder, lines = np.random.default_rng(5), new_codec(DBC).decoder(), 0
+    pose = [name for name in SCENES.signals if name.startswith(("Pivot", "Ratio", "Map"))]
+    for counter in range(1000):
+        names = [*pose, "Age", "CorrelationTime", "Inflation"]
+        raw = {name: int(rng.integers(0, 2 ** SCENES[name].length)) for name in names}
+        free = rng.permutation([2, 3, 4, 7]).tolist()
+        for owner in (SCENE2, SCENE):
+            places = [any_line(rng, slot) for slot in (None, None, free.pop(), free.pop())]
+            joint = counter % 8
+            record = record_of(owner, counter % 256, places, **raw | {"SceneCounter": joint})
+            found = feed(decoder, owner, record, counter * CYCLE)
+            for line in found if not isinstance(found, Reason) else ():
+                assert np.linalg.eigvalsh(correlations(line.gaussian.cov))[0] > 0
+        view = decoder.latest_scene(counter * CYCLE)
+        if view.scene is not None and view.received.t_ns == counter * CYCLE and view.scene.lines:
+            assert np.isfinite(view.scene.cov).all()
+            np.linalg.cholesky(correlations(view.scene.cov))
+            lines += len(view.scene.lines)
+
+    assert lines > 1000
+    assert checked(decoder).counts.keys() == {Reason.CONTENT}
+
+
+def correlations(cov: np.ndarray) -> np.ndarray:
+    sigma = np.sqrt(cov.diagonal())
+    return cov / sigma / sigma[:, None]
+
+
+@pytest.mark.parametrize(
+    ("owner", "place", "raw", "shared"),
+    [
+        pytest.param(SCENE, 0, {"Kind": 13}, {}, id="kind-13"),
+        pytest.param(SCENE2, 3, {"Kind": 15}, {}, id="kind-15"),
+        pytest.param(SCENE, 1, {"XMin": 63, "XMax": 31}, {}, id="range-of-no-length"),
+        pytest.param(SCENE, 3, {"C0": 2**16 - 1, "XMax": 127}, {}, id="no-function-of-x"),
+        pytest.param(SCENE, 2, {"Slot": int(RIGHT)}, {}, id="slot-of-a-fixed-place"),
+        pytest.param(SCENE, 2, {"Kind": 9, "Slot": int(LEFT)}, {}, id="left-out-and-there"),
+        pytest.param(SCENE2, 2, {"Slot": int(ROUTE)}, {}, id="slot-twice"),
+        pytest.param(SCENE, 0, {}, {"SceneCounter": 3}, id="low-bits-of-another-counter"),
+    ],
+)
+def test_what_no_sender_sends_is_dropped(
+    owner: SceneOwner, place: int, raw: dict[str, int], shared: dict[str, int]
+) -> None:
+    """The whole frame: none of its lines comes."""
+    decoder = new_codec(DBC).decoder()
+    places = [LINE, LINE, LINE | {"Slot": int(NEXT_LEFT)}, LINE | {"Slot": int(ROUTE)}]
+    good = record_of(owner, 2, places)
+    places[place] = places[place] | raw
+
+    assert feed(decoder, owner, record_of(owner, 2, places, **shared), 0) is Reason.CONTENT
+    assert decoder.latest_scene(0).scene is None
+    assert len(feed(checked(decoder), owner, good, CYCLE)) == 4
+
+
+def test_bits_of_an_empty_place_mean_nothing() -> None:
+    decoder = new_codec(DBC).decoder()
+    own = [
+        signal for name, signal in SCENES.line.items() if name != "Slot"
+    ]  # it has other bits there
+    junk = {signal.name: (1 << signal.length) - 1 for signal in own} | EMPTY
+    places = [LINE, junk, junk | {"Slot": int(LEFT)}, EMPTY]
+
+    assert [line.slot for line in feed(decoder, SCENE, record_of(SCENE, 0, places), 0)] == [LEFT]
+
+
+# ---- views ------------------------------------------------------------------------------------
+
+
+def valid_decoder(cycles: int = 12) -> Decoder:
+    """Return a decoder that has received some cycles of both messages."""
+    decoder = new_codec(DBC).decoder()
+    for counter in range(cycles):
+        for owner in (SCENE2, SCENE):
+            free = [{"Slot": int(slot)} for slot in (NEXT_LEFT, ROUTE)[owner == SCENE2 :]]
+            places = [LINE, LINE, *(LINE | slot for slot in free), *[EMPTY] * (2 - len(free))]
+            feed(decoder, owner, record_of(owner, counter, places), counter * CYCLE)
+    return decoder
+
+
+def test_a_line_has_the_state_of_the_message_that_brought_it() -> None:
+    decoder = valid_decoder()
+    now = 11 * CYCLE
+    assert decoder.latest(LEFT, now).usable
+    assert decoder.latest(EDGE_LEFT, now).usable
+
+    for counter in range(12, 22):  # Scene2 is lost
+        places = [LINE, LINE, EMPTY, EMPTY]
+        feed(decoder, SCENE, record_of(SCENE, counter, places), counter * CYCLE)
+    now = 21 * CYCLE
+    left, edge = decoder.latest(LEFT, now), decoder.latest(EDGE_LEFT, now)
+
+    assert (left.state, left.stale, left.usable) == (E2EState.VALID, False, True)
+    assert (edge.state, edge.stale, edge.usable) == (E2EState.INVALID, True, False)
+    assert edge.line is not None
+    assert {owner: stats.ok for owner, stats in decoder.messages(now).items()} == {
+        SCENE: 22, SCENE2: 12,
+    }  # fmt: skip
+    assert decoder.latest_scene(now).usable  # of what came
+
+
+def test_a_slot_without_a_line_has_the_state_of_scene() -> None:
+    decoder = valid_decoder()
+    view = decoder.latest(CENTRE, 11 * CYCLE)
+
+    assert (view.line, view.state, view.left_out) == (None, E2EState.VALID, None)
+    assert not view.usable
+
+
+def test_a_line_that_is_left_out_says_why_and_the_older_one_becomes_stale() -> None:
+    decoder = valid_decoder()
+    for counter in range(12, 17):
+        places = [LINE | {"Kind": NONE + 2}, LINE, LINE | {"Kind": NONE + 4, "Slot": int(CENTRE)}]
+        feed(decoder, SCENE, record_of(SCENE, counter, [*places, EMPTY]), counter * CYCLE)
+        view = decoder.latest(LEFT, counter * CYCLE)
+        assert view.left_out is LeftOut.RANGE
+        assert view.line.t_ns == 11 * CYCLE
+        assert view.stale is (counter > 14)
+
+    scene = decoder.latest_scene(16 * CYCLE).scene
+    assert scene.left_out == {LEFT: LeftOut.RANGE, CENTRE: LeftOut.COVARIANCE}
+    assert [line.slot for line in scene.lines] == [RIGHT]
+    feed(decoder, SCENE, record_of(SCENE, 17, [LINE, LINE, EMPTY, EMPTY]), 17 * CYCLE)
+    assert decoder.latest(LEFT, 17 * CYCLE).left_out is None
+    assert decoder.latest(CENTRE, 17 * CYCLE).left_out is None
+
+
+def test_a_scene_has_the_states_of_both_messages() -> None:
+    decoder = valid_decoder(12)
+    view = decoder.latest_scene(11 * CYCLE)
+
+    assert [*view.slot_states] == [LEFT, RIGHT, NEXT_LEFT, EDGE_LEFT, EDGE_RIGHT, ROUTE]
+    assert {*view.slot_states.values()} == {E2EState.VALID}
+    assert view.usable
+    assert view.received.counter == 11
+
+
+def test_one_counter_is_of_all_lines_of_a_message() -> None:
+    """Records that are lost are counted once for a message, not once for a line."""
+    decoder = valid_decoder(4)
+    feed(decoder, SCENE, record_of(SCENE, 7, [LINE, LINE, EMPTY, EMPTY]), 7 * CYCLE)
+
+    assert decoder.lost == 3
+    assert (decoder.checks[SCENE].lost, decoder.checks[SCENE2].lost) == (3, 0)
+    assert decoder.lines == 4 * 7 + 2
+    assert decoder.pose_errors == checked(decoder).pose_frames == 9
+
+
+# ---- rows -------------------------------------------------------------------------------------
+
+
+def sent_scenes(codec: Codec, slots: Sequence[Slot], cycles: int) -> list[list[Frame]]:
+    """Return the frames of each cycle."""
+    encoder = codec.encoder()
+    scenes = (road_scene(slots, radius=200 + counter) for counter in range(cycles))
+    return [[*chain(*encoder.encode_scene(scene, fd=True).values())] for scene in scenes]
+
+
+def test_rows_of_a_block_are_what_feed_returns() -> None:
+    """Counter, step and state of a row are those of the message that brought the line."""
+    codec = new_codec(DBC)
+    cycles = sent_scenes(codec, MANY, 12)
+    del cycles[5], cycles[8][0]
+    frames = [(frame, k * CYCLE) for k, cycle in enumerate(cycles) for frame in cycle]
+    one, block = codec.decoder(), codec.decoder()
+    expected = []
+    for i, (frame, t_ns) in enumerate(frames):
+        found = one.feed(frame.can_id, frame.data, t_ns)
+        owner = SCENE if frame.can_id == SCENES.messages[SCENE].fd_can_id else SCENE2
+        check = one.checks[owner]
+        expected += [
+            (i, int(line.slot), check.counter, check.ahead or 0, int(check.state)) for line in found
+        ]
+    n = len(frames)
+    reasons = np.zeros(n, np.uint8)
+    rows, _, scenes = block.feed_arrays(
+        np.array([frame.can_id for frame, _ in frames], np.uint32), np.zeros(n, bool),
+        np.array([t_ns for _, t_ns in frames]), np.full(n, 64, np.uint8),
+        np.array([[*frame.data] for frame, _ in frames], np.uint8), np.arange(n), reasons, 2,
+    )  # fmt: skip
+
+    names = ("frame", "slot", "counter", "ahead", "state")
+    assert [tuple(map(int, row)) for row in zip(*(rows[name] for name in names), strict=True)] == (
+        expected
+    )
+    assert (reasons == 255).all()
+    assert [int(row["counter"]) for row in scenes] == [*range(5), *range(6, 12)]
+    assert [int(row["count"]) for row in scenes] == [len(MANY)] * 8 + [4] + [len(MANY)] * 2
+    assert block.messages(0).keys() == one.messages(0).keys() == {SCENE, SCENE2}
+
+
+# ---- authenticated frames ---------------------------------------------------------------------
+
+START_US = 1_750_000_000_000_000
+
+
+class Secured:
+    """A sender and receivers with a key, whose clocks are set."""
+
+    def __init__(self) -> None:
+        pytest.importorskip("cryptography")
+        self.now_us = START_US
+        self.sender = self.codec().encoder()
+
+    def codec(self) -> Codec:
+        key = Key(bytes(range(16)), key_id=7)
+        return Codec(LAYOUT, Authenticator(key, clock=lambda: 1000 * self.now_us))
+
+    def send(self) -> list[Frame]:
+        sent = self.sender.encode_scene(road_scene(FEW), fd=True)
+        return [*chain(*sent.values())]
+
+
+def slots_of(found: Sequence[MapLine] | Reason) -> list[Slot] | Reason:
+    return found if isinstance(found, Reason) else [line.slot for line in found]
+
+
+def test_an_authenticated_record_has_three_places() -> None:
+    """A message without a MAC is refused, and so is one that was seen."""
+    bench = Secured()
+    decoder, plain = bench.codec().decoder(), new_codec(DBC)
+    frames = bench.send()
+    found = [slots_of(decoder.feed(frame.can_id, frame.data, 0)) for frame in frames]
+
+    assert {len(frame.data) for frame in frames} == {64}
+    assert [slot for slots in found for slot in slots].count(LEFT) == 1
+    assert all(len(slots) <= 3 for slots in found)
+    assert {line.slot for line in decoder.latest_scene(0).scene.lines} == {*FEW}
+    again = decoder.feed(frames[-1].can_id, frames[-1].data, 0)
+    assert again is Reason.REPLAY
+    unsigned = plain.encoder().encode_scene(road_scene(FEW), fd=True)[SCENE][0]
+    assert decoder.feed(unsigned.can_id, unsigned.data, 0) is Reason.UNAUTHENTICATED
+    assert plain.decoder().feed(frames[-1].can_id, frames[-1].data, 0) is Reason.KEY
+    checked(decoder)
+
+
+@pytest.mark.parametrize("byte", [3, 30, 50, 51, 55, 60])
+def test_no_byte_of_an_authenticated_frame_may_change(byte: int) -> None:
+    bench = Secured()
+    decoder, frame = bench.codec().decoder(), bench.send()[-1]
+    data = bytearray(frame.data)
+    data[byte] ^= 1
+
+    reason = decoder.feed(frame.can_id, bytes(data), 0)
+    assert reason is (Reason.KEY if byte == 51 else Reason.MAC)
+    assert not decoder.messages(0)  # it does not reach the checks
+    assert slots_of(decoder.feed(frame.can_id, frame.data, 0)) != Reason.REPLAY
+
+
+@pytest.mark.parametrize("silence_s", [0.05, 3276.8, 4_000.0, 1e6])
+def test_the_clock_completes_the_freshness_value_after_any_silence(silence_s: float) -> None:
+    """After 2^16 lost frames, and after more than the 72 min in which its 4 bytes repeat.
+
+    A receiver that has just started has no last value: its clock alone completes one.
+    """
+    bench = Secured()
+    decoder = bench.codec().decoder()
+    frame = bench.send()[-1]
+    assert len(decoder.feed(frame.can_id, frame.data, 0)) >= 2
+    bench.now_us += round(1e6 * silence_s)
+    new, t_ns = bench.send()[-1], round(1e9 * silence_s)
+
+    assert len(decoder.feed(new.can_id, new.data, t_ns)) >= 2
+    restarted = bench.codec().decoder()
+    assert len(restarted.feed(new.can_id, new.data, t_ns)) >= 2
+    assert isinstance(restarted.feed(frame.can_id, frame.data, t_ns), Reason)
+
+
+def test_a_recording_is_refused_by_a_receiver_that_has_just_started() -> None:
+    bench = Secured()
+    frame = bench.send()[-1]
+    bench.now_us += 10_000_000
+
+    assert bench.codec().decoder().feed(frame.can_id, frame.data, 0) in (Reason.AGE, Reason.REPLAY)
+
+
+def test_without_a_clock_four_bytes_are_too_few() -> None:
+    pytest.importorskip("cryptography")
+    with pytest.raises(ValueError, match="4 bytes, but without a clock 7 are needed"):
+        Codec(LAYOUT, Authenticator(Key(bytes(range(16))))).decoder()
