@@ -220,7 +220,7 @@ def _lines(table: Table, config: Config, folder: Path, encoding: str | None) -> 
     codec = codec_of(table.text("dbc", "maplines.dbc"), folder, encoding)
     period = table.number("period_ms", 1, MAX_MS, "ms", 50) / 1000
     start = table.number("start_ms", 0, MAX_MS, "ms", 0) / 1000
-    fd = table.flag("fd")
+    fd = table.flag("fd") or not codec.layout.has_classic
     lines = lines_of(table, codec, period, config.seed, folder)
     table.end()
     return LinesConfig(codec, lines, period, start, fd)

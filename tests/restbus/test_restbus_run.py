@@ -235,7 +235,7 @@ def test_the_lines_are_those_of_the_scenario() -> None:
     assert slots == set(list(Slot)[:4])
 
 
-@pytest.mark.parametrize("dbc", ["maplines.dbc", "maplines-pose.dbc"])
+@pytest.mark.parametrize("dbc", ["maplines.dbc", "maplines-pose.dbc", "maplines-scene.dbc"])
 def test_scenes_are_sent_and_stopped(dbc: str) -> None:
     values = {
         "lines": {"scenario": "production", "dbc": dbc, "pose_error": True},
@@ -245,7 +245,7 @@ def test_scenes_are_sent_and_stopped(dbc: str) -> None:
     decoder = Codec.from_dbc(Path("dbc") / dbc if Path("dbc").exists() else None).decoder()
     for m in received:
         decoder.feed(m.arbitration_id, bytes(m.data), round(m.timestamp * 1e9))
-    assert decoder.scene is not None
+    assert decoder.scene() is not None
     assert not [m for m in received if 0.5 <= m.timestamp < 0.8]
     assert [m for m in received if m.timestamp >= 0.8]
 
