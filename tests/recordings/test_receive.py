@@ -15,7 +15,7 @@ from maplines_can.recordings.blocks import FrameBlock
 from maplines_can.recordings.line_block import COMPLETE, REASONS, LineBlock
 from maplines_can.recordings.receive import LogReceiver
 from maplines_can.testing.hostile_streams import PROFILES, FrameStep, Stream, traffics_of
-from maplines_can.wire import POSE, Codec, Decoder, E2EState, Reason
+from maplines_can.wire import POSE, Codec, Decoder, E2EState, Owner, Reason
 
 FRAMES = 300
 
@@ -23,8 +23,8 @@ FRAMES = 300
 class Recorder:
     """Frames, and what a decoder says of each."""
 
-    def __init__(self, decoder: Decoder) -> None:
-        self.decoder = decoder
+    def __init__(self, codec: Codec, **settings: Any) -> None:
+        self.decoder, self.layout = codec.decoder(**settings), codec.layout
         self.frames: list[tuple[int, bytes, int, bool]] = []
         self.lines: list[tuple[int, MapLine, Any]] = []
         self.reasons: list[int] = []
@@ -36,20 +36,24 @@ class Recorder:
         number = len(self.frames)
         if not isinstance(found, Reason):
             for line in found:
-                check = decoder.checks[line.slot]
-                about = check.counter, check.ahead or 0, check.status, self._state(line, t_ns)
+                owner = line.slot if self.layout.scene is None else self._message(can_id)
+                check = decoder.checks[owner]
+                about = check.counter, check.ahead or 0, check.status, self._state(owner, t_ns)
                 self.lines.append((number, line, about))
         self.reasons.append(REASONS.index(found) if isinstance(found, Reason) else COMPLETE)
         self.frames.append((can_id, data, t_ns, is_extended))
-        if decoder.can_ids and POSE in decoder.checks and (scene := decoder.scene()) is not None:
+        if self.layout.pose is not None and (scene := decoder.scene()) is not None:
             if self.scenes and self.scenes[-1][1:3] == scene[1:3]:
                 self.scenes[-1] = scene
             else:
                 self.scenes.append(scene)
 
-    def _state(self, line: MapLine, t_ns: int) -> Any:
-        checks = [self.decoder.checks[line.slot]]
-        if self.decoder.is_conditional:
+    def _message(self, can_id: int) -> Owner:
+        return self.layout.message_of_id[can_id, False][0]
+
+    def _state(self, owner: Owner, t_ns: int) -> Any:
+        checks = [self.decoder.checks[owner]]
+        if POSE in self.decoder.checks and self.decoder.is_conditional:
             checks.append(self.decoder.checks[POSE])
         states = [one.state.name for one in checks]
         return states, all(one.has_one_sender(t_ns) for one in checks)
@@ -132,7 +136,7 @@ def numbers_of(decoder: Decoder) -> Any:
     return [getattr(decoder, name) for name in names], decoder.counts, stats
 
 
-@pytest.mark.parametrize("dbc", ["maplines.dbc", "maplines-pose.dbc"])
+@pytest.mark.parametrize("dbc", ["maplines.dbc", "maplines-pose.dbc", "maplines-scene.dbc"])
 def test_streams_are_received_as_frame_by_frame(dbc: str) -> None:
     """Clean traffic, faults, hostile bytes, clock faults, two senders, restarts, duplicates."""
     codec = Codec(layout_of(dbc))
@@ -148,21 +152,22 @@ def test_streams_are_received_as_frame_by_frame(dbc: str) -> None:
 def recorded(codec: Codec, dbc: str, profile: Any, seed: int) -> tuple[Recorder, list[Any]]:
     """Return a stream of a profile, and what frame by frame says of it."""
     settings = {k: v for k, v in profile.settings.items() if k in ("cycle_ms", "timeout_ms")}
-    recorder = Recorder(codec.decoder(**settings))
+    recorder = Recorder(codec, **settings)
     for step in Stream(traffics_of(layout_of(dbc), seed), profile, seed).steps():
         if isinstance(step, FrameStep):
             t_ns = max(-(2**62), min(step.t_ns, 2**62))
             recorder.frame(step.can_id, step.data[:64], t_ns, is_extended=step.is_extended)
-        if len(recorder.frames) == FRAMES:
-            break
+        if len(recorder.frames) == (FRAMES if codec.layout.scene is None else FRAMES // 4):
+            break  # a frame of a whole scene has as much as four
     recorder.decoder.expire(recorder.frames[-1][2] + 10**18)
     return recorder, recorder.frames
 
 
-def test_authenticated_streams_are_received_as_frame_by_frame() -> None:
+@pytest.mark.parametrize("dbc", ["maplines-secoc.dbc", "maplines-scene.dbc"])
+def test_authenticated_streams_are_received_as_frame_by_frame(dbc: str) -> None:
     """Forged and replayed frames, among others and in blocks of any size."""
-    rng, codec = random.Random(4), authenticated_codec("maplines-secoc.dbc")  # noqa: S311
-    encoder, expected = codec.encoder(), Recorder(codec.decoder())
+    rng, codec = random.Random(4), authenticated_codec(dbc)  # noqa: S311
+    encoder, expected = codec.encoder(), Recorder(codec)
     for cycle in range(60):
         for own in encoder.encode_scene(road_scene(), fd=True).values():
             for can_id, data, _, is_extended in own:
