@@ -34,9 +34,9 @@ import numpy as np
 from answers import lines_of
 
 from maplines_can import Codec, Link, MapLine, Receiver, Slot, maps, read_log
+from maplines_can.study.scenes.map_scenes import SLOTS
 
 from .harness import evidence
-from .roads import SLOTS
 from .slots import Witness
 from .witness import seen_from
 

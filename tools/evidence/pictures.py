@@ -20,12 +20,13 @@ from maplines_can.simulation.scenarios import scenario
 from maplines_can.simulation.street_shapes import Street, StreetPiece
 from maplines_can.study.figures.panels import Z99
 from maplines_can.study.figures.picture import COLOURS
+from maplines_can.study.scenes.map_scenes import drivable, random_pose
 from maplines_can.wire import default_dbc_path
 
 from .excess import excess_covs
 from .fusion import upper_bound
 from .harness import evidence
-from .roads import drivable, maps_of, random_pose
+from .roads import maps_of
 from .sums import Given, Sums
 from .ways import given_of
 from .witness import WINDOW, Array, crossings, place_of, seen_from

@@ -15,8 +15,8 @@ from scipy.signal import lfilter
 
 from maplines_can import MapError, Polyline, Slot, maps
 from maplines_can.simulation.street_shapes import Street, StreetPiece
+from maplines_can.study.scenes.map_scenes import drivable, random_pose
 
-from .roads import drivable, random_pose
 from .witness import Array, near_points, place_of, seen_from
 
 #: Lines of a case: those of the lane of the car.

@@ -14,10 +14,11 @@ import numpy as np
 
 from maplines_can import Slot
 from maplines_can import maps as map_model
+from maplines_can.study.scenes.map_scenes import SLOTS, drivable, random_pose
 
 from .figures import Share
 from .harness import evidence, progress
-from .roads import SLOTS, drivable, maps_of, random_pose
+from .roads import maps_of
 from .witness import Array, beside, place_of, seen_from
 
 #: Largest difference of the line of a slot from the boundary of a lane [m], and largest angle
