@@ -185,7 +185,7 @@ static void see_scene(maplines_decoder_t *decoder, int64_t frame, int64_t t_ns,
     {
         return;
     }
-    const maplines_scene_t *scene = maplines_newest_scene(decoder);
+    const maplines_scene_t *scene = maplines_newest_scene(decoder, NULL);
     if (scene == NULL)
     {
         return;
@@ -407,7 +407,7 @@ bool maplines_receiver_scene(maplines_receiver_t *receiver, bool is_known)
     maplines_seen_scene_t *scene = &receiver->seen;
     const bool is_same = is_known && decoder->is_built;
     const maplines_scene_t *newest =
-        is_same || !decoder->dbc->has_pose ? NULL : maplines_newest_scene(decoder);
+        is_same || !decoder->dbc->has_pose ? NULL : maplines_newest_scene(decoder, NULL);
     if (newest == NULL)
     {
         return false;

@@ -112,7 +112,7 @@ MAPLINES_INTERNAL uint16_t maplines_crc(const uint8_t *record, size_t length, ui
 /// Place of the owner Scene; that of Scene2 is the next one.
 #define MAPLINES_WHOLE_SCENE MAPLINES_LINE_OWNERS
 /// The records of an owner are whole scenes.
-#define MAPLINES_IS_WHOLE(owner) ((owner) >= MAPLINES_WHOLE_SCENE)
+#define MAPLINES_IS_WHOLE(owner) (MAPLINES_SCENE_RECORDS && (owner) >= MAPLINES_WHOLE_SCENE)
 /// They are those of the pose error alone.
 #define MAPLINES_IS_POSE(owner) (!MAPLINES_IS_WHOLE(owner) && (owner) == (int)MAPLINES_POSE)
 /// Kind of a place of a whole scene that has no line. That of a line that is left out follows, by
@@ -920,10 +920,11 @@ MAPLINES_INTERNAL bool maplines_decode_newest(const maplines_decoder_t *decoder,
 
 /* views.c */
 
-#if MAPLINES_SCENES && MAPLINES_LINE_RECORDS
-/// The newest scene; NULL before the first.
-MAPLINES_INTERNAL const maplines_scene_t *maplines_newest_scene(maplines_decoder_t *decoder);
-#endif
+#if MAPLINES_SCENES
+/// The newest scene; NULL before the first. Where scenes are decoded when they are asked for, it is
+/// in `room`.
+MAPLINES_INTERNAL const maplines_scene_t *maplines_newest_scene(maplines_decoder_t *decoder,
+                                                                maplines_scene_t *room);
 /// Owner of the records that have brought the newest line of a slot.
 MAPLINES_INTERNAL int maplines_owner_of_line(const maplines_decoder_t *decoder, int slot);
 /// Owner of the records that have brought the pose error of lines of an owner: itself if they need

@@ -239,9 +239,8 @@ void maplines_copy_line(maplines_decoder_t *decoder, maplines_owner_t slot, int6
 }
 
 #if MAPLINES_SCENES
-/// The newest scene; NULL before the first. Where scenes are decoded when they are asked for, it is
-/// in `room`.
-static const maplines_scene_t *scene_of(maplines_decoder_t *decoder, maplines_scene_t *room)
+MAPLINES_INTERNAL const maplines_scene_t *maplines_newest_scene(maplines_decoder_t *decoder,
+                                                                maplines_scene_t *room)
 {
     maplines_epoch_view_t epoch;
 #if MAPLINES_LINE_RECORDS
@@ -273,13 +272,6 @@ static const maplines_scene_t *scene_of(maplines_decoder_t *decoder, maplines_sc
 #endif
 }
 
-#if MAPLINES_LINE_RECORDS
-MAPLINES_INTERNAL const maplines_scene_t *maplines_newest_scene(maplines_decoder_t *decoder)
-{
-    return scene_of(decoder, NULL);
-}
-#endif
-
 /// View of the newest scene.
 static void see_scene(maplines_decoder_t *decoder, int64_t now_ns, maplines_scene_t *room,
                       maplines_scene_view_t *view)
@@ -296,7 +288,7 @@ static void see_scene(maplines_decoder_t *decoder, int64_t now_ns, maplines_scen
         return;
     }
     const int owner = maplines_owner_of_scene(decoder);
-    const maplines_scene_t *scene = scene_of(decoder, room);
+    const maplines_scene_t *scene = maplines_newest_scene(decoder, room);
     if (scene == NULL)
     {
         view->state = maplines_check_elapse(decoder, owner, t_ns);
