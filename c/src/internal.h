@@ -251,7 +251,6 @@ MAPLINES_INTERNAL void maplines_deficit(int count, const double *weights, double
                                         double (*decoded_means)[4], double cover[16]);
 #endif
 
-#if MAPLINES_LINE_RECORDS
 /* ---- complete_write.c
  * ----------------------------------------------------------------------------- */
 
