@@ -88,7 +88,7 @@ class _Owner:
         #: None: each frame is a record.
         self.reassembly: Reassembly | None = None
         if not isinstance(self.layout, SceneLayout):
-            parts = self.layout, self.content, timeout_ns, counts, sizes.transfers
+            parts = self.layout, self._content, timeout_ns, counts, sizes.transfers
             self.reassembly = Reassembly(*parts)
         self.check = SequenceCheck(
             windows,
@@ -112,20 +112,25 @@ class _Owner:
             self.reassembly.expire(t_ns)
         self.mixtures.expire(t_ns)
 
-    def content(self, payload: bytes, t_ns: int) -> Content | str:
+    def _content(self, payload: bytes, t_ns: int) -> Content | str:
         """Return what a record says, or why it is rejected."""
         raw = intact(self.layout, payload, self.messages.data_id)
         if isinstance(raw, str):
             return raw
         if self.owner == POSE:
             return RawRecord(raw["Counter"], raw)
-        if not isinstance(self.owner, Slot):
-            return whole(self._lines, self.owner, payload, raw, t_ns)
         if self._lines.is_conditional:
             return conditional(self._lines, raw)
-        found = complete(self._lines, self.owner, raw, t_ns)
+        found = complete(self._lines, slot_of(self.owner), raw, t_ns)
         is_held = isinstance(found, str) or found.size <= self._components
         return found if is_held else "CONTENT"
+
+    def whole(self, record: bytes, t_ns: int, *, is_secured: bool) -> WholeRecord | str:
+        """Return what a record of a whole scene says, or why it is rejected."""
+        raw = intact(self.layout, record, self.messages.data_id)
+        if isinstance(raw, str):
+            return raw
+        return whole(self._lines, self.owner, record, raw, t_ns, is_secured=is_secured)
 
 
 class Receiver:
@@ -223,8 +228,9 @@ class Receiver:
             return "LENGTH"
         if reassembly is not None:
             return reassembly.complete(reassembly.whole(data), t_ns, 1)
-        record = data[: layout.record_bytes if data_id is None else layout.secured_bytes]
-        return Record(record, t_ns, 1, own.content(record, t_ns))
+        is_secured = data_id is not None
+        record = data[: layout.secured_bytes if is_secured else layout.record_bytes]
+        return Record(record, t_ns, 1, own.whole(record, t_ns, is_secured=is_secured))
 
     def _checked(self, own: _Owner, record: Record) -> list[Line] | str:
         """Return the lines of a record, or why none."""

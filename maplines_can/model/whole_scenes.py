@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from ..values.line import Kind, Slot
 from ..wire.layout.message_layout import Layout
-from ..wire.layout.pose_layout import SCENE, Owner, SceneOwner
+from ..wire.layout.pose_layout import SCENE, SCENE2, Owner, SceneOwner
 from ..wire.layout.scene_layout import SceneLayout
 from ..wire.layout.signals import POSE_ROWS
 from .covariance import code_of
@@ -54,7 +54,7 @@ class WholeRecord(NamedTuple):
 
 
 def whole(
-    layout: Layout, owner: SceneOwner, record: bytes, raw: Raw, t_ns: int
+    layout: Layout, owner: Owner, record: bytes, raw: Raw, t_ns: int, *, is_secured: bool
 ) -> WholeRecord | str:
     """Return the content of an intact record, or CONTENT.
 
@@ -62,7 +62,7 @@ def whole(
     in ``Scene`` other bits of its own counter.
     """
     scene = scene_of_dbc(layout)
-    is_secured = len(record) < scene.record_bytes
+    assert owner == SCENE or owner == SCENE2  # noqa: S101 - others have no such record
     slots = scene.fixed[owner][: scene.secured_places if is_secured else scene.places]
     pose, members = pose_of(scene, RawRecord(raw["Counter"], raw), t_ns), dict[Slot, Member]()
     left_out = dict[Slot, str]()

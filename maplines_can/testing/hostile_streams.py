@@ -444,7 +444,8 @@ class Stream:
         layout, sign = self._traffic.of(owner), self._sign
         if sign is not None and layout.secured and messages.secured_can_id is not None:
             if isinstance(layout, SceneLayout):  # it has fewer lines
-                record = sealed(layout, record[: layout.secured_bytes], messages.data_id)
+                length = layout.secured_bytes
+                record = sealed(layout, record[:length].ljust(length, b"\0"), messages.data_id)
             can_id, is_extended = messages.secured_can_id, messages.secured_is_extended
             self._now_us += 1  # freshness values increase
             if rng.random() >= self._profile.forged:
