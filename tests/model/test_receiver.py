@@ -28,7 +28,9 @@ from maplines_can.model import (
     senders,
     sequence,
     settings,
+    whole_scenes,
 )
+from maplines_can.model.records import layout_of as records_of
 from maplines_can.model.records import written
 from maplines_can.testing.back_to_back import START_US, Pair, compare, profiles_of
 from maplines_can.testing.hostile_streams import (
@@ -40,10 +42,12 @@ from maplines_can.testing.hostile_streams import (
     traffics_of,
 )
 from maplines_can.wire import POSE, SHIPPED, Layout, Owner
+from maplines_can.wire.layout.scene_layout import SceneLayout
 
 MS = 1_000_000
 CYCLE = 50 * MS
 COMPLETE, SECURED, CONDITIONAL = "maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc"
+WHOLE = "maplines-scene.dbc"
 SLOT = Slot.EGO_LEFT
 
 
@@ -58,7 +62,7 @@ def check_streams(layout: Layout, seed: int, frames: int) -> None:
         assert result.frames == frames
 
 
-@pytest.mark.parametrize("dbc", SHIPPED)
+@pytest.mark.parametrize("dbc", sorted({*SHIPPED, WHOLE}))
 def test_core_and_model_are_equal_on_hostile_streams(dbc: str) -> None:
     """Every decoded double, reason, counter and state, after each frame."""
     check_streams(layout_of(dbc), seed=1, frames=200)
@@ -90,6 +94,7 @@ def met_by(pair: Pair, step: Any, states: dict[Any, str]) -> Iterator[str]:
             yield from (f"{step.kind} usable" for _ in range(pair.answer.is_usable))
             yield from (f"{step.kind} two senders" for _ in range(pair.answer.may_be_two))
             yield from (f"{step.kind} stale" for _ in range(pair.answer.is_stale))
+            yield from (f"left out: {why}" for why in (pair.answer.left_out,) if why)
     elif isinstance(pair.answer, str):
         yield pair.answer
     else:
@@ -117,6 +122,7 @@ STREAMS = {
     ],
     CONDITIONAL: ["faults", "any content", "late"],
     SECURED: ["authenticated, faults", "authenticated, without a key", "not authenticated"],
+    WHOLE: ["faults", "any content"],
 }  # fmt: skip
 REACHED = {
     *("FOREIGN", "LENGTH", "PAGE", "DUPLICATE", "REPLACED", "STALE", "INCOMPLETE", "TIMEOUT"),
@@ -140,6 +146,7 @@ REACHED = {
     *("latest INIT", "latest VALID", "latest INVALID", "latest NODATA", "latest usable"),
     *("latest two senders", "latest stale", "scene VALID", "scene usable", "scene stale"),
     *("scene two senders", "two senders are confirmed"),
+    *(f"left out: {why}" for why in whole_scenes.REASONS),
 }
 
 
@@ -191,6 +198,9 @@ FAULTS = [
     pytest.param(levels, "SHAPE_OCTAVES", 10.3, CONDITIONAL, "clean", id="shape"),
     pytest.param(receiver, "CLOCK_JITTER_NS", 2 * MS, COMPLETE, "clock", id="clock-jitter"),
     pytest.param(settings, "GRACE_CYCLES", 1.4, COMPLETE, "many faults", id="time-out"),
+    pytest.param(whole_scenes, "REASONS", whole_scenes.REASONS[:3], WHOLE, "clean", id="kinds"),
+    pytest.param(whole_scenes, "LEVELS", (), WHOLE, "clean", id="pose-errors-of-one-scene"),
+    pytest.param(whole_scenes, "joint_bits", lambda *_: 0, WHOLE, "clean", id="joint-bits"),
     pytest.param(secoc, "MAX_FRESHNESS", 0, SECURED, "authenticated", id="freshness"),
     pytest.param(
         reassembly.Reassembly, "_ahead", lambda *_: 0, COMPLETE, "many faults", id="newer-counter"
@@ -232,8 +242,8 @@ class Sender:
 
     def record(self, counter: int, owner: Owner = SLOT, **raw: int) -> bytes:
         """Return a record with a straight line, or a pose error of small levels."""
-        layout = self.layout.pose if owner == POSE else self.layout
-        assert layout is not None
+        layout = records_of(self.layout, owner)
+        assert not isinstance(layout, SceneLayout)
         values = {name: 0 for name in layout.signals if owner == POSE} | {"XMin": 1, "XMax": 20}
         of_complete = {"Status": 1, "Age": 3, "ComponentWeight": 31}
         values |= {"HasCovariance": 0} if self.layout.is_conditional else of_complete

@@ -10,13 +10,14 @@ import pytest
 
 from maplines_can import Status
 from maplines_can.core import ffi, lib
-from maplines_can.model import covariance, mixtures, nearest_line, scene_sender
+from maplines_can.model import covariance, mixtures, nearest_line, places, scene_sender
 from maplines_can.model.signals import read
 from maplines_can.testing.sender_comparison import STREAMS, compare_senders
 from maplines_can.testing.sender_streams import bits
 from maplines_can.wire import POSE, SHIPPED, Codec, Layout, default_dbc_path
 
 LAYOUT = Layout.from_dbc()
+WHOLE = "maplines-scene.dbc"
 
 
 def after(steps: int) -> Any:
@@ -49,6 +50,7 @@ def test_the_streams_of_an_ecu_reach_every_refusal() -> None:
         ("maplines-secoc.dbc", "lines of an ECU", 500),
         ("maplines-secoc.dbc", "mixtures of an ECU", 300),
         ("maplines-secoc.dbc", "scenes of an ECU", 120),
+        (WHOLE, "scenes of an ECU", 40),
         ("maplines.dbc", "settings", 300),
         ("maplines-secoc.dbc", "settings", 300),
     ):
@@ -58,10 +60,11 @@ def test_the_streams_of_an_ecu_reach_every_refusal() -> None:
             else:
                 met[answer[0] if isinstance(answer[0], str) else "sent"] += 1
                 met["authenticated"] += answer[1] not in (0, None)
+                met.update(answer[2] if name == "scenes of an ECU" and answer[1] != 0 else ())
     refusals = {ffi.string(lib.maplines_refusal_name(i)).decode() for i in range(1, 16)}
     problems = {name for name in met if " must " in name}
     assert refusals - {"NO_COVARIANCE"} <= met.keys()  # a conditional DBC has no such stream
-    assert {"sent", "authenticated", "UNSENT"} <= met.keys()
+    assert {"sent", "authenticated", "UNSENT", "IN_SCENE", "PLACE"} <= met.keys()
     assert len(problems) >= 14
 
 
@@ -82,10 +85,16 @@ def test_the_streams_of_a_seed_reach_every_rule() -> None:
         for owner, record in records:
             if owner != POSE:
                 met["entries" if read(layout["HasCovariance"], record) else "levels"] += 1
+    for _, sent in answers(WHOLE, "sequences", 12):
+        for records, left_out in (one for one in sent if one is not None):
+            met.update(f"{why} of a whole scene" for why in left_out.values())
+            met[f"{len(records)} records of a whole scene"] += 1
     reached = {
         *(status.name for status in Status),
         *("1 components", "2 components", "4 components", "read", "MIXED", "CRC", "CONTENT"),
         *("complete", "refused", "entries", "levels", "ACROSS", "RANGE", "MEAN", "COVARIANCE"),
+        *(f"{why} of a whole scene" for why in ("RANGE", "COVARIANCE")),
+        *(f"{count} records of a whole scene" for count in (1, 2)),
     }
     assert {name for name in reached if not met[name]} == set()
 
