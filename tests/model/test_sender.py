@@ -10,7 +10,7 @@ import pytest
 
 from maplines_can import Status
 from maplines_can.core import ffi, lib
-from maplines_can.model import covariance, mixtures, nearest_line, places, scene_sender
+from maplines_can.model import covariance, mixtures, nearest_line, scene_sender
 from maplines_can.model.signals import read
 from maplines_can.testing.sender_comparison import STREAMS, compare_senders
 from maplines_can.testing.sender_streams import bits

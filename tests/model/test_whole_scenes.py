@@ -142,7 +142,7 @@ def test_records_join_if_they_are_of_one_cycle(
 
     After a break of its own, it waits for the next Scene, which may have come after the same one.
     """
-    second = {"counter": 6, "t_ns": 0, "joint": 5} | change
+    second = {"counter": 6, "t_ns": 0, "joint": 5, **change}
     t_ns = second.pop("t_ns")
     sender.send(SCENE, 4, -CYCLE, {LEFT: LINE})
     sender.send(SCENE2, 5, -30 * CYCLE, {ROUTE: LINE}, joint=4)
