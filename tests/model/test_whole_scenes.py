@@ -36,8 +36,10 @@ def record_of(
     places = list[dict[str, int]]()
     for fixed in layout.fixed[owner]:
         slot = next(free, None) if fixed is None else fixed
-        own = {**lines[slot]} if slot in lines else {"Kind": NONE}
-        places.append(own if fixed is not None or slot is None else own | {"Slot": slot})
+        if slot is None or slot not in lines:
+            places.append({"Kind": NONE})
+        else:
+            places.append({**lines[slot], **({"Slot": slot} if fixed is None else {})})
     shared = {"Counter": counter, "SceneCounter": counter if joint is None else joint}
     data_id = layout.messages[owner].data_id
     return write_whole(layout, {**pose, **shared}, places, layout.record_bytes, data_id)
