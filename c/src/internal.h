@@ -924,6 +924,7 @@ MAPLINES_INTERNAL bool maplines_decode_newest(const maplines_decoder_t *decoder,
 /// in `room`.
 MAPLINES_INTERNAL const maplines_scene_t *maplines_newest_scene(maplines_decoder_t *decoder,
                                                                 maplines_scene_t *room);
+#endif
 /// Owner of the records that have brought the newest line of a slot.
 MAPLINES_INTERNAL int maplines_owner_of_line(const maplines_decoder_t *decoder, int slot);
 /// Owner of the records that have brought the pose error of lines of an owner: itself if they need
