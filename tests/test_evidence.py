@@ -27,12 +27,13 @@ from evidence import (
 )
 from evidence.figures import Rms, Share
 from evidence.harness import Evidence, bounds_of, matching, missed, promises, settings
-from evidence.roads import SLOTS, maps_of, random_map
+from evidence.roads import maps_of, random_map
 
 from maplines_can import Gaussian, map_lines
 from maplines_can.consumers.integrity import multiplier
 from maplines_can.maps import Map, load
 from maplines_can.model import writer
+from maplines_can.study.scenes.map_scenes import SLOTS
 from maplines_can.testing import back_to_back, map_streams
 from maplines_can.wire import Encoder
 

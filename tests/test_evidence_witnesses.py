@@ -20,7 +20,6 @@ from evidence import (
 from evidence import plausibility_errors as drawn
 from evidence import sums as sums_
 from evidence.exact import covers, is_positive_definite
-from evidence.roads import SLOTS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lane_maps import lane, network, pose_on
@@ -30,6 +29,7 @@ from strategies import covariances
 from maplines_can import Gaussian, MapError, MapLine, Motion, Polyline, Slot
 from maplines_can.simulation.scenarios import SCENARIOS
 from maplines_can.study.paper_refit import paper_refit
+from maplines_can.study.scenes.map_scenes import SLOTS
 
 LEFT, RIGHT, NEXT_LEFT, NEXT_RIGHT = SLOTS
 DRAWS = 20_000
