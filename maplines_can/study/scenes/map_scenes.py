@@ -72,7 +72,7 @@ def drawn_scenes(
             pose, error = kinds[number % len(kinds)]
             scene = None
             while scene is None or not scene.lines:  # where no line can be given, there is none
-                scene = _seen(draw, POSES[pose], MAPS[error], rng)
+                scene = seen(*draw(rng), pose, error, rng)
             yield DrawnScene(source, pose, error, scene)
 
 
@@ -133,20 +133,27 @@ def random_pose(lanes: Sequence[Lane], rng: np.random.Generator) -> Array:
     )
 
 
-def _seen(
-    draw: Draw, pose: tuple[float, ...], error: tuple[float, ...], rng: np.random.Generator
+def seen(
+    lines: Mapping[Slot, Polyline], mean: Array, pose: str, error: str, rng: np.random.Generator
 ) -> Scene:
-    """Return a scene with errors of about these sizes."""
-    lines, mean = draw(rng)
+    """Return lines of a map as seen from a pose, with errors of about the sizes of their kinds.
+
+    Args:
+        lines: by slot.
+        mean: (3,) pose x [m], y [m], heading [rad].
+        pose: error of the pose, of ``POSES``.
+        error: error of the map, of ``MAPS``.
+        rng: of the sizes.
+    """
+    *place, turn = POSES[pose]
     root = np.eye(3)
     root[np.tril_indices(3, -1)] = rng.uniform(-RATIO, RATIO, 3)
-    root *= _about([*pose[:2], math.radians(pose[2])], rng)[:, None]
+    root *= _about([*place, math.radians(turn)], rng)[:, None]
     c, d = np.cos(mean[2]), np.sin(mean[2])
     root = np.array([[c, -d, 0], [d, c, 0], [0, 0, 1]]) @ root
-    point, offset, heading = _about([*error[:2], math.radians(error[2])], rng)
-    return map_scene(
-        lines, Gaussian(mean, root @ root.T), map_error=MapError(point, offset, heading)
-    )
+    *sigmas, turn = MAPS[error]
+    map_error = MapError(*_about([*sigmas, math.radians(turn)], rng))
+    return map_scene(lines, Gaussian(mean, root @ root.T), map_error=map_error)
 
 
 def _about(sizes: Sequence[float], rng: np.random.Generator) -> Array:

@@ -97,8 +97,8 @@ class Ratios:
         for key, values in other.ratios.items():
             self.ratios[key] += values
 
-    def add_scene(self, codec: AnyCodec, scene: Scene, *, fd: bool = True) -> None:
-        """Send a scene, and add what is received."""
+    def add_scene(self, codec: AnyCodec, scene: Scene, *, fd: bool = True) -> Scene | None:
+        """Send a scene, add what is received, and return it; None if no line is."""
         encoder, decoder = codec.encoder(), codec.decoder()
         prepared = encoder.prepare_scene(scene, fd=fd)
         self.lines += len(scene.lines)
@@ -107,8 +107,10 @@ class Ratios:
         for frame in chain.from_iterable(frames.values()):
             decoder.feed(frame.can_id, frame.data, 0)
         view = decoder.scene()
-        if view is not None:
-            self._compare(scene, view.scene)
+        if view is None or not view.scene.lines:
+            return None
+        self._compare(scene, view.scene)
+        return view.scene
 
     def _compare(self, scene: Scene, decoded: Scene) -> None:
         true = scene.subset([line.slot for line in decoded.lines])
