@@ -41,7 +41,15 @@ _HEAD = (
     ratio_signal("Heading", "Across", 9, 1 / 64, why="a correlation of 0.97: drift across a lane"),
     AGE, CORRELATION_TIME, *MAP_LEVELS,
 )
-_MEAN_WHY = "half a step is half as much as in a record of a line alone, which can add finer steps"
+#: More bits of each signal of the mean than in a record of a line alone, and why.
+_MEAN = (
+    (1, "half a step is 2 mm; +-32 m holds four lanes to either side"),
+    (1, "half a step is 2.4 mm at 80 m; +-28.6 deg"),
+    (1, "half a step is 6 mm at 80 m, less YOff and Beta; +-0.25 1/m is a radius of 4 m, as the "
+        "inner line of a corner has"),
+    (0, "half a step is 4 cm at 80 m, for most of which the others make up; +-0.0625 1/m^2 turns "
+        "into the tightest corner within 4 m"),
+)
 _LINE = (
     replace(
         KIND, bits=4, choices={one.value: one.name for one in (*Kind, *NoLine)},
@@ -49,16 +57,19 @@ _LINE = (
               "the line of this slot is left out; all other signals of the line then mean nothing, "
               "but for its slot if it is left out.",
         why="thirteen values"),
-    *(spec.finer(bits) for spec, bits in zip(MEAN, (1, 1, 1, 0), strict=True)),
+    *(replace(spec.finer(bits), why=why) for spec, (bits, why) in zip(MEAN, _MEAN, strict=True)),
     *FIT_RANGE,
-    level_signal("OwnLateral", 5, 0.28, -8.8, "2.2 mm to 0.92 m in steps of 21 %"),
+    level_signal("OwnLateral", 5, 0.3, -8.4, "3.6 mm to 1.9 m in steps of 23 %"),
     SignalSpec(
         name="OwnTilt", bits=2,
         about="Tilt t of OwnLateral along the line: its standard deviation is |1 + t w| times that "
               "of OwnLateral, with w from -1 at XMin to 1 at XMax: t = 0, 1, -1, 6 for 0 to 3.",
         why="four values: the same all along, from 0 to twice as much, back, and mainly a turn"),
-    level_signal("OwnPoints", 7, 0.066, -8.4, "3 mm to 1 m in steps of 4.7 %"),
-    OWN[2],
+    level_signal("OwnPoints", 7, 0.07, -8.2, "3.6 mm to 1.6 m in steps of 5 %"),
+    replace(
+        OWN[2], factor=0.0271,
+        why="1/32 to 3.8 half lengths, with a phase and a shape near any; levels of 1 mm to 1.1 m "
+            "in steps of 2.8 %"),
 )
 _TAILS = (
     replace(INFLATION, factor=0.0062, why="steps of 0.4 % of the variance, up to 3 %"),
