@@ -70,7 +70,7 @@ typedef struct {
     maplines_authenticator_t authenticator;
     uint8_t key[16];
     uint8_t key_id;
-    int64_t now_us;
+    int64_t t_ns; ///< of the last frame
 #if MAPLINES_SCENES
     maplines_scene_copy_t scene; ///< of the last step; none if that was a frame
 #endif
@@ -191,7 +191,7 @@ static bool mac_of(void *context, uint8_t key_id, const uint8_t *data, size_t le
 static int64_t now_of(void *context)
 {
     const run_t *run = context;
-    return run->now_us;
+    return run->t_ns / 1000;
 }
 
 static void start(run_t *run)
@@ -221,7 +221,6 @@ static void start_with_key(run_t *run, const row_t *row)
 
 static void feed(run_t *run, const row_t *row)
 {
-    const int64_t t_ns = integer(row, 1);
     char *end = NULL;
     maplines_frame_t frame;
     memset(&frame, 0, sizeof(frame));
@@ -231,8 +230,8 @@ static void feed(run_t *run, const row_t *row)
 #if MAPLINES_SCENES
     run->scene.has_scene = false;
 #endif
-    run->now_us = t_ns / 1000;
-    const maplines_fed_t fed = maplines_feed(&run->decoder, &frame, t_ns);
+    run->t_ns = integer(row, 1);
+    const maplines_fed_t fed = maplines_feed(&run->decoder, &frame, run->t_ns);
     check_word(run, maplines_reason_name(fed.reason), row, 4, "the answer");
     check(run, row->count == 5U + fed.count, "the number of lines", "as stated");
     for (size_t i = 0; i < fed.count; ++i)
@@ -388,16 +387,21 @@ static const maplines_line_t *scene_line(const run_t *run, maplines_owner_t slot
 #endif
 }
 
+/// The line of a slot that the last frame has completed.
+static const maplines_line_t *newest_line(run_t *run, maplines_owner_t slot)
+{
+#if MAPLINES_LINE_RECORDS
+    return maplines_newest(&run->decoder, slot);
+#else
+    maplines_copy_line(&run->decoder, slot, run->t_ns, &run->newest);
+    return run->newest.has_line ? &run->newest.line : NULL;
+#endif
+}
+
 static void line(run_t *run, const row_t *row)
 {
     const maplines_owner_t slot = (maplines_owner_t)owner_of(word(row, 1));
-#if MAPLINES_LINE_RECORDS
-    run->line = maplines_newest(&run->decoder, slot);
-#else
-    maplines_copy_line(&run->decoder, slot, 1000 * run->now_us, &run->newest);
-    run->line = run->newest.has_line ? &run->newest.line : NULL;
-#endif
-    run->line = is_of_scene(run) ? scene_line(run, slot) : run->line;
+    run->line = is_of_scene(run) ? scene_line(run, slot) : newest_line(run, slot);
     check(run, run->line != NULL, "the line", "there");
     if (run->line == NULL)
     {
@@ -525,10 +529,12 @@ static void step(run_t *run, const row_t *row)
     {
         feed(run, row);
     }
+#if MAPLINES_LINE_RECORDS
     else if (strcmp(kind, "expire") == 0)
     {
         maplines_expire(&run->decoder, integer(row, 1));
     }
+#endif
     else if (strcmp(kind, "view") == 0)
     {
         view(run, row);

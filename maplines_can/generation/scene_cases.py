@@ -64,7 +64,8 @@ class SceneCases(Cases):
             if self._has_ends(name):
                 for end, value in zip(("least", "greatest"), signal.all_raw, strict=True):
                     about = f"The {end} value of {name}."
-                    yield self._one(f"{name}-{end}", about, {name: value})
+                    raw = {**self._alone(self.slot)[1], name: value}
+                    yield self._one(f"{name}-{end}", about, raw)
         for kind in (*Kind, *NoLine):
             about = f"The first line has the kind {kind.name}."
             yield self._one(f"kind-{kind.name}", about, self.sender.line_at(0, self.slot, kind))
@@ -160,7 +161,7 @@ class SceneCases(Cases):
         for cycle in range(9):
             for i, owner in enumerate(owners):
                 self._send(case, owner, cycle, cycle, i)
-            case.scene(START_NS + cycle * self.cycle + 10 * MS)
+        case.scene(START_NS + 8 * self.cycle + 10 * MS)
         self._ask(case, 12)
         return case
 
@@ -251,8 +252,14 @@ class SceneCases(Cases):
         i: int,
         raw: Mapping[str, int] | None = None,
     ) -> None:
-        """Send a message of a cycle, i milliseconds after its beginning."""
+        """Send a message of a cycle with its first line, i milliseconds after its beginning."""
+        raw = {**self._alone(self._first(owner))[1], **(raw or {})}
         self.sender.send(case, owner, counter, START_NS + cycle * self.cycle + i * MS, raw)
+
+    def _first(self, owner: SceneOwner) -> Slot:
+        """Return the slot of the first place of a message, or a slot for it."""
+        fixed = self.sender.fixed(owner)[0]
+        return self.slot if fixed is None else fixed
 
     def _ask(self, case: Case, cycle: int) -> None:
         """Ask for what was received, some cycles later."""
