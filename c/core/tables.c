@@ -91,8 +91,8 @@ static bool are_places(const maplines_dbc_t *dbc)
                                       dbc->mean[0],      dbc->mean[1],        dbc->mean[2],
                                       dbc->mean[3],      dbc->levels.lateral, dbc->levels.points,
                                       dbc->levels.shape, dbc->levels.tilt,    dbc->levels.quartic};
-    bool is_good = scene->places <= MAPLINES_MAX_PLACES &&
-                   scene->secured_places <= scene->places && scene->slot.length <= 3;
+    bool is_good = scene->places <= MAPLINES_MAX_PLACES && scene->secured_places <= scene->places &&
+                   scene->slot.length <= 3;
     for (size_t i = 0; i < sizeof line / sizeof line[0]; i++)
     {
         is_good = is_good && line[i].first + line[i].length <= bits;

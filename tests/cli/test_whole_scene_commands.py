@@ -1,0 +1,91 @@
+"""Commands that send whole scenes: CAN FD by the DBC, two frames for eight lines."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from maplines_can.cli import main
+from maplines_can.wire import default_dbc_path
+
+DBC = default_dbc_path("maplines-scene.dbc")
+SEND = ["--dbc", str(DBC)]
+FIRST, SECOND = 0x379, 0x378
+
+
+def result_of(capsys: pytest.CaptureFixture[str], *command: str) -> Any:
+    assert main([*command, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(("lines", "frames"), [(4, 1), (8, 2)])
+def test_send_counts_lines_and_frames(
+    capsys: pytest.CaptureFixture[str], lines: int, frames: int
+) -> None:
+    """Without --fd, which the DBC implies; the note says CAN FD."""
+    command = ["send", *SEND, "--interface", "virtual", "--channel", f"whole{lines}"]
+    command += ["--count", "3", "--lines", str(lines)]
+    stats = result_of(capsys, *command)
+    assert (stats["lines"], stats["frames"], stats["pose_errors"]) == (
+        3 * lines,
+        3 * frames,
+        3 * frames,
+    )
+    assert main(command) == 0
+    assert "CAN FD, 20 Hz" in capsys.readouterr().err
+
+
+def test_demo_receives_the_scene(capsys: pytest.CaptureFixture[str]) -> None:
+    result = result_of(capsys, "demo", *SEND, "--seconds", "0.5", "--lines", "5")
+    assert result["frame_format"] == "CAN FD"
+    assert result["scene"]["frames"] == {"scene2": 1, "scene": 1}
+    assert all(line["mean"] is not None for line in result["lines"])
+    assert result["received"]["counts"] == {}
+
+
+def test_drive_writes_two_frames_a_cycle(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Scene2 goes before Scene, whose age has the time in between."""
+    log = tmp_path / "drive.log"
+    command = ["drive", *SEND, "--lines", "8", "--seconds", "2", "--record", str(log)]
+    result = result_of(capsys, *command, "--as-fast-as-possible")
+    ids = [int(line.split()[2].partition("##")[0], 16) for line in log.read_text().splitlines()]
+    assert ids == [SECOND, FIRST] * result["cycles"]
+    assert (result["frames"], result["pose_errors"]) == (len(ids), len(ids))
+    assert result["lines"] > 5 * result["cycles"]
+
+
+def test_a_key_leaves_lines_without_a_place(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """They are told before, and counted."""
+    key = tmp_path / "key"
+    key.write_text("00112233445566778899aabbccddeeff")
+    key.chmod(0o600)
+    command = ["send", *SEND, "--interface", "virtual", "--channel", "wholekey", "--count", "2"]
+    command += ["--lines", "8", "--key-file", str(key)]
+    assert main(command) == 0
+    streams = capsys.readouterr()
+    assert "the messages have no place for the line" in streams.err
+    assert "times, the messages have no place for the line" in streams.out
+    assert Counter(result_of(capsys, *command)["left_out"])["PLACE"] >= 2
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--components", "2"], "a receiver splits that itself"),
+        (["--max-load", "0.001"], "4 lines and the pose error take up to 0.814 % of the bus"),
+    ],
+)
+def test_what_does_not_go_with_whole_scenes(
+    capsys: pytest.CaptureFixture[str], options: list[str], words: str
+) -> None:
+    command = ["send", *SEND, "--interface", "virtual", "--channel", "x", "--count", "1"]
+    assert main([*command, *options]) == 1
+    assert words in capsys.readouterr().err
