@@ -75,9 +75,17 @@ class SceneLayout(RecordLayout):
         """Lines of a record."""
         return len(self.fixed[SCENE])
 
-    def at(self, place: int) -> dict[str, Signal]:
+    def at(self, place: int) -> Mapping[str, Signal]:
         """Return the signals of the line at a place, from 0, without the start of their names."""
-        return {name: self.moved(signal, place) for name, signal in self.line.items()}
+        return self._at[place]
+
+    @cached_property
+    def _at(self) -> list[dict[str, Signal]]:
+        own = self.line.items()
+        return [
+            {name: self.moved(signal, place) for name, signal in own}
+            for place in range(self.places)
+        ]
 
     def moved(self, signal: Signal, place: int) -> Signal:
         """Return a signal of the first place at another one."""
