@@ -224,6 +224,43 @@ def test_can_fd(pytester: pytest.Pytester) -> None:
     run(pytester, test).assert_outcomes(passed=1)
 
 
+@pytest.mark.parametrize("dbc", ["maplines-pose.dbc", "maplines-scene.dbc"])
+def test_scenes(pytester: pytest.Pytester, dbc: str) -> None:
+    """They are sent as they are, and age; without CAN FD a DBC of whole scenes says so."""
+    test = """
+    from maplines_can import map_scene, simulation
+
+    def scene():
+        own = simulation.scenario("production")
+        lines = {slot: own.lines[slot] for slot in (Slot.EGO_LEFT, Slot.EGO_RIGHT)}
+        return map_scene(lines, own.ego)
+
+    @pytest.mark.maplines(fd=True)
+    def test_fd(maplines_bus, maplines_sender, maplines_receiver):
+        for _ in range(8):
+            maplines_sender.send(scene(), age=0.02)
+            maplines_bus.run_for(0.05)
+        view = maplines_receiver.latest_scene()
+        assert view.usable and len(view.scene.lines) == 2
+        assert 0.07 <= view.age <= 0.08
+        maplines_sender.publish(scene())
+        maplines_bus.run_for(0.49)
+        assert maplines_sender.sent == 2 * (8 + 10)
+        maplines_receiver.assert_received(Slot.EGO_RIGHT, within=0.1)
+        assert maplines_receiver.latest_scene().age == float("inf")
+
+    def test_classic(maplines_sender):
+        maplines_sender.send(scene())
+    """
+    path = default_dbc_path(dbc)
+    result = run(pytester, test, f"--maplines-dbc={path}")
+    if dbc == "maplines-pose.dbc":
+        result.assert_outcomes(passed=2)
+        return
+    result.assert_outcomes(passed=1, failed=1)
+    result.stdout.fnmatch_lines(["*its scenes are CAN FD frames of 64 bytes*send with fd=True*"])
+
+
 DBC = """
 def test_dbc(maplines_codec, maplines_sender, maplines_receiver):
     assert 0x100 in maplines_codec.can_ids
