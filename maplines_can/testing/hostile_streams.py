@@ -269,7 +269,7 @@ class Traffic:
     def _whole_scenes(self) -> Iterator[tuple[Owner, bytes]]:
         """Yield the records of ``Scene2`` and ``Scene``; one of them is silent in some cycles.
 
-        Some are not of one scene, since their pose errors differ.
+        Some are not of one scene, since their pose errors differ in one signal.
         """
         rng, owners = self._random, [*scene_of_dbc(self.layout).messages][::-1]
         if rng.random() < 0.1:
@@ -277,13 +277,16 @@ class Traffic:
         pose, joint = self._whole_pose(rng), self._counters[SCENE]
         for owner in owners:
             if owner != self._silent:
-                own = pose if rng.random() < 0.95 else self._whole_pose(rng)
+                own, other = dict(pose), self._whole_pose(rng)
+                if rng.random() < 0.1:
+                    name = rng.choice([*other])
+                    own[name] = other[name]
                 yield owner, self._whole(rng, owner, own, self._next(owner), joint)
 
     def _whole_pose(self, rng: random.Random) -> dict[str, int]:
         """Return raw values of the pose error of a whole scene."""
         raw, names = self._any_pose(rng), shared(scene_of_dbc(self.layout))
-        return {name: raw[name] for name in names}
+        return {name: raw[name] for name in names if name != "SceneCounter"}
 
     def _whole(
         self,

@@ -199,7 +199,9 @@ FAULTS = [
     pytest.param(receiver, "CLOCK_JITTER_NS", 2 * MS, COMPLETE, "clock", id="clock-jitter"),
     pytest.param(settings, "GRACE_CYCLES", 1.4, COMPLETE, "many faults", id="time-out"),
     pytest.param(whole_scenes, "REASONS", whole_scenes.REASONS[:3], WHOLE, "clean", id="kinds"),
-    pytest.param(whole_scenes, "LEVELS", (), WHOLE, "clean", id="pose-errors-of-one-scene"),
+    pytest.param(
+        whole_scenes, "shared", lambda _: ["SceneCounter"], WHOLE, "clean", id="poses-of-one-scene"
+    ),
     pytest.param(whole_scenes, "joint_bits", lambda *_: 0, WHOLE, "clean", id="joint-bits"),
     pytest.param(secoc, "MAX_FRESHNESS", 0, SECURED, "authenticated", id="freshness"),
     pytest.param(
