@@ -57,7 +57,10 @@ def scene_layout(
         LayoutError: the messages do not describe a whole scene.
     """
     if SCENE not in owned:
-        raise LayoutError(f"{source}: needs a message Scene, with the attribute MapLineScene 1")
+        raise LayoutError(
+            f"{source}: there is no message Scene beside Scene2; add one with the attribute "
+            "MapLineScene 1"
+        )
     if any(own.keys() != owned[SCENE].keys() for own in owned.values()):
         raise LayoutError(
             f"{source}: Scene and Scene2 must have messages in the same frame formats"
@@ -174,10 +177,14 @@ def _line(first: _Record, records: Sequence[_Record], source: str) -> tuple[dict
             for name, signal in own.items():
                 of_first = line.setdefault(name, replace(signal, start=signal.start - shift))
                 needed = replace(of_first, start=of_first.start + shift)
-                if signal != needed or first_bit(of_first) < 0:
+                needs = ""
+                if signal != needed:
+                    needs = f"{needed}, since lines have the same signals at equal distances"
+                elif first_bit(of_first) < 0:  # there would be no such signal of the first line
+                    needs = f"to be {shift // 8} bytes or more from the start of the record"
+                if needs:
                     raise LayoutError(
                         f"{source}: message {record.message}: signal {signal.dbc_name} is "
-                        f"{signal}, but it needs {needed}, since lines have the same signals at "
-                        "equal distances of whole bytes; move or change it"
+                        f"{signal}, but it needs {needs}; move or change it"
                     )
     return line, stride_bytes

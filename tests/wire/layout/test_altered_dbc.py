@@ -23,6 +23,7 @@ from maplines_can.study.dbc.record_spec import DEFAULT, SECURED, dbc_writer_for
 from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import Kind, MapLine, Slot, Status
 from maplines_can.wire import Layout
+from maplines_can.wire.layout.pose_layout import PoseLayout
 
 ROOT = Path(__file__).parents[3]
 #: Records in a row for the fields for which it matters that a number wraps.
@@ -31,6 +32,7 @@ RECORDS = {"Line.Counter": 300, "Line.TransferId1": 40, "Line.Component": 40}
 SAME = re.compile(
     r".*(Right|TransferId[2-9]|Ratio(?!C0C1|AcrossAlong)|Pivot(?!C1|Along))"
     r"|Conditional\.(Crc|Counter|YOff|Beta|C0|Pivot.*|Inflation)|Pose\.Crc"
+    r"|Scene\.(Crc|Counter|Age|Map.*|Inflation|Line1(Beta|C0|OwnPoints))"
 )
 FIELDS = [field for field in altered_dbc.fields() if not SAME.match(field)]
 
@@ -53,9 +55,8 @@ def test_an_altered_dbc_gives_a_right_result_or_a_refusal(field: str) -> None:
 def test_all_fields_are_altered() -> None:
     """With the kind of their record, since some have the names of others."""
     fields = altered_dbc.fields()
-    assert {"Line.Age", "Secured.Mac", "Pose.PivotAlong", "Conditional.XMin", "messages"} <= {
-        *fields
-    }
+    assert {"Line.Age", "Secured.Mac", "Pose.PivotAlong", "Conditional.XMin"} <= {*fields}
+    assert {"Scene.SceneCounter", "Scene.Line1OwnTilt", "messages"} <= {*fields}
     assert len(fields) == len(set(fields)) > 90 > len(FIELDS) > 50
 
 
@@ -107,7 +108,14 @@ def test_the_witness_notices_a_wrong_line(given: MapLine, change: Any, words: st
 
 
 @pytest.mark.parametrize(
-    ("kind", "field"), [("Line", "YOff"), ("Pose", "MapOffset"), ("Conditional", "C1")]
+    ("kind", "field"),
+    [
+        ("Line", "YOff"),
+        ("Pose", "MapOffset"),
+        ("Conditional", "C1"),
+        ("Scene", "Age"),
+        ("Scene", "Line1YOff"),
+    ],
 )
 def test_the_witness_notices_another_factor(kind: str, field: str) -> None:
     """The DBC that cantools reads differs from that of the codec."""
@@ -175,7 +183,7 @@ def test_a_wrong_message_of_the_pose_error_is_refused(old: str, new: str, words:
 def test_records_have_their_own_ids() -> None:
     """A frame of one could otherwise be delivered as one of another; any own IDs are accepted."""
     layout = Layout.from_text(pose_original())
-    assert layout.pose is not None
+    assert isinstance(layout.pose, PoseLayout)
     cases: tuple[tuple[dict[str, Any], str], ...] = (
         ({"can_id": 0x341}, "the same CAN ID, 833"),
         ({"data_id": layout.messages[Slot.EGO_LEFT].data_id}, "the same E2EDataId"),

@@ -32,7 +32,7 @@ def test_conversions_by_cantools() -> None:
     measured = [list(row[1:]) for row in dbc_conversions.rows("cantools")]
 
     assert stated("cantools") == measured
-    assert [row[1] for row in measured] == ["72 of 72"] * 3
+    assert [row[1] for row in measured] == ["76 of 76"] * 3
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -1,6 +1,7 @@
 """Bounds of signals, and what they need together, at their edges."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +16,10 @@ from maplines_can.wire.layout.signals import (
     COMPLETE_RECORD,
     CONDITIONAL_RECORD,
     POSE_RECORD,
+    SCENE_LINE,
+    SCENE_RECORD,
+    SLOT,
+    SLOT_BOUNDS,
     TRAILER,
     Bounds,
     Signal,
@@ -24,12 +29,34 @@ from maplines_can.wire.layout.signals import (
 LINE = layout_of("maplines.dbc").signals
 CONDITIONAL = layout_of("maplines-pose.dbc").signals
 POSE = pose_layout_of("maplines.dbc").signals
-#: Signals and bounds of the records of lines, of conditional ones and of the pose error.
+SCENE = layout_of("maplines-scene.dbc")
+assert SCENE.scene
+#: Names of the signals of lines in a whole scene.
+OF_LINES = re.compile(rf"(EgoLeft|EgoRight|Line[34])({'|'.join((*SCENE_LINE, SLOT))})")
+#: Signals and bounds of the records of lines, of conditional ones, of the pose error, of whole
+#: scenes, and of a line in one.
 RECORDS = {
     "line": (LINE, COMPLETE_RECORD),
     "conditional": (CONDITIONAL, CONDITIONAL_RECORD),
     "pose": (POSE, {**POSE_RECORD, **{k: v for slot in Slot for k, v in of_slot(slot).items()}}),
+    "scene": (SCENE.scene.signals, SCENE_RECORD),
+    "line of a scene": (SCENE.signals, {**SCENE_LINE, SLOT: SLOT_BOUNDS}),
 }
+
+
+class Frame(RecordLayout):
+    """Record without pages."""
+
+    @property
+    def record_bytes(self) -> int:
+        """Length of the frame."""
+        return 64
+
+
+def check(record: str, signals: Mapping[str, Signal]) -> None:
+    """Check the signals of a record."""
+    kind = Frame if record.endswith("scene") else RecordLayout
+    kind(signals=signals, source="my.dbc").check(RECORDS[record][1])
 
 
 def refusal(record: str, name: str, **change: Any) -> str:
@@ -37,13 +64,13 @@ def refusal(record: str, name: str, **change: Any) -> str:
 
     The range is that of all bits.
     """
-    signals, bounds = RECORDS[record]
+    signals, _ = RECORDS[record]
     signal = replace(signals[name], **change)
     if "raw_min" not in change and "raw_max" not in change:
         low, high = all_raw(signal.length, signal.signed)
         signal = replace(signal, raw_min=low, raw_max=high)
     try:
-        RecordLayout(signals={**signals, name: signal}, source="my.dbc").check(bounds)
+        check(record, {**signals, name: signal})
     except LayoutError as error:
         return str(error)
     return ""
@@ -53,13 +80,13 @@ def refusal(record: str, name: str, **change: Any) -> str:
 def test_the_projects_signals_are_within_their_bounds(record: str) -> None:
     """And each signal is needed; those of a slot only with the slot. All have bounds."""
     signals, bounds = RECORDS[record]
-    RecordLayout(signals=signals, source="my.dbc").check(bounds)
-    beside = re.compile(r"(Page|TransferId)\d|(Pivot|Ratio)\w+|Inflation")
+    check(record, signals)
+    beside = re.compile(rf"(Page|TransferId)\d|(Pivot|Ratio)\w+|Inflation|{OF_LINES.pattern}")
     assert not [name for name in signals.keys() - bounds.keys() if not beside.fullmatch(name)]
     for name in signals.keys() & bounds.keys() - {n for slot in Slot for n in of_slot(slot)}:
         others = {other: signal for other, signal in signals.items() if other != name}
         with pytest.raises(LayoutError, match=f"there is no signal '{name}'"):
-            RecordLayout(signals=others, source="my.dbc").check(bounds)
+            check(record, others)
 
 
 @pytest.mark.parametrize(
@@ -132,7 +159,24 @@ def test_the_projects_signals_are_within_their_bounds(record: str) -> None:
         ("line", "ComponentWeight", {"length": 2, "factor": 0.25, "offset": 0.25}, "at least as"),
         ("line", "XMax", {"length": 1, "factor": 4.0, "offset": -24.0}, "no valid range"),
         ("line", "XMax", {"length": 1, "factor": 4.0, "offset": -23.0}, ""),
+        # whole scenes
+        ("scene", "SceneCounter", {"length": 2}, "3 to 53 bits"),
+        ("scene", "SceneCounter", {"signed": True}, "an unsigned type"),
+        ("scene", "SceneCounter", {"length": 9}, "at most as many bits as Counter"),
+        ("scene", "Age", {"unit": "s"}, 'the unit "ms"'),
+        ("scene", "Counter", {"length": 3}, "4 to 53 bits"),
+        ("line of a scene", "Kind", {"length": 3}, "4 to 53 bits; since it has thirteen values"),
+        ("line of a scene", "OwnTilt", {"length": 1}, "2 bits"),
+        ("line of a scene", "OwnTilt", {"offset": 1.0}, "factor 1 and offset 0; write (1,0)"),
+        ("line of a scene", "OwnLateral", {"length": 1}, ""),
+        ("line of a scene", "OwnShape", {"unit": "1"}, 'the unit "octave"'),
+        ("line of a scene", "XMin", {"factor": 0.5}, "factor 1 and a whole offset"),
+        ("line of a scene", "XMax", {"length": 1, "offset": -33.0}, "no valid range"),
+        ("line of a scene", "XMax", {"length": 1, "offset": -32.0}, ""),
+        ("line of a scene", SLOT, {"length": 2}, "3 bits"),
         # places
+        ("scene", "Line4Slot", {"start": 510}, "must lie in the record of 64 bytes"),
+        ("scene", "Line4Slot", {"start": 507}, "overlap"),
         ("line", "Inflation", {"start": 254}, "must lie in"),
         ("line", "Inflation", {"start": 248}, "overlap"),
     ],

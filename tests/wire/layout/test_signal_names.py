@@ -13,6 +13,10 @@ from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.record_spec import dbc_writer_for
 from maplines_can.values.errors import LayoutError
 from maplines_can.wire import SHIPPED, Layout, default_dbc_path
+from maplines_can.wire.layout.pose_layout import PoseLayout
+
+#: DBCs whose records have pages.
+PAGED = [name for name in SHIPPED if name != "maplines-scene.dbc"]
 
 
 @cache
@@ -33,7 +37,7 @@ def test_each_name_has_one_definition(name: str) -> None:
     assert {name: laws for name, laws in found.items() if len(laws) > 1} == {}
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", PAGED)
 def test_names_without_the_prefix_are_read(name: str) -> None:
     """A DBC of before has the same layout."""
     text = texts()[name]
@@ -41,8 +45,8 @@ def test_names_without_the_prefix_are_read(name: str) -> None:
     assert before.count("SG_ Page M") == 9
     one, other = Layout.from_text(text), Layout.from_text(before)
 
-    assert one.pose is not None
-    assert other.pose is not None
+    assert isinstance(one.pose, PoseLayout)
+    assert isinstance(other.pose, PoseLayout)
     assert list(one.signals.items()) == list(other.signals.items())
     assert list(one.pose.signals.items()) == list(other.pose.signals.items())
     assert one.pose.short_pages == other.pose.short_pages
@@ -92,9 +96,9 @@ def test_payloads_are_decoded_as_before(name: str, tmp_path: Path) -> None:
     text = texts()[name]
     dbc: Any = cantools.database.load_string(text, "dbc")
     sym: Any = cantools.database.load_string(dbc.as_sym_string(), "sym")
-    rng, count = random.Random(0), 0  # noqa: S311
+    rng, count, tried = random.Random(0), 0, 400 // len(dbc.messages)  # noqa: S311
     for message in dbc.messages:
-        for _ in range(20):
+        for _ in range(tried):
             data = rng.randbytes(message.length)
             try:
                 values = message.decode(data, decode_choices=False)

@@ -1,0 +1,379 @@
+"""DBCs of whole scenes: read as they are, or refused with the reason."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import cantools
+import pytest
+from cantools.database.can import Database
+from dbc_witness import check_codec
+from scene_layouts import layout_of
+
+from maplines_can.dbc_files.parser import default_dbc_path
+from maplines_can.study.dbc.dbc_writer import SceneSpec
+from maplines_can.study.dbc.pose_spec import CONDITIONAL
+from maplines_can.study.dbc.scene_spec import SCENES, WHOLE_SCENES
+from maplines_can.values.errors import LayoutError
+from maplines_can.values.line import LeftOut, Slot
+from maplines_can.wire import Codec, Layout
+from maplines_can.wire.layout.pose_layout import SCENE, SCENE2, SceneOwner
+from maplines_can.wire.layout.scene_layout import NoLine, SceneLayout
+from maplines_can.wire.layout.signals import SCENE_LINE, SLOT, slot_title
+
+#: CAN IDs of the messages.
+IDS = {"Scene2": 888, "Scene": 889, "Scene2SecOC": 890, "SceneSecOC": 891}
+
+
+@cache
+def text() -> str:
+    """Return the DBC of the package without comments, which take half of the time of a parser."""
+    dbc = default_dbc_path("maplines-scene.dbc").read_text("utf-8")
+    return re.sub(r'^CM_ [^"]*"[^"]*";\n', "", dbc, flags=re.MULTILINE)
+
+
+def scene_of(layout: Layout) -> SceneLayout:
+    assert layout.scene is not None
+    return layout.scene
+
+
+def changed(name: str, signal: str, change: Callable[[Any], None]) -> Database:
+    """Return the database with a change of signals of messages, of names as regular expressions."""
+    database, count = WHOLE_SCENES.database(), 0
+    for message in database.messages:
+        for own in message.signals:
+            if re.fullmatch(name, message.name) and re.fullmatch(signal, own.name):
+                change(own)
+                count += 1
+        message.refresh(strict=False)
+    assert count
+    return database
+
+
+def renamed(name: str, old: str, new: str) -> Database:
+    """Return the database with other starts of the names of signals, in messages of a name."""
+
+    def change(signal: Any) -> None:
+        signal.name = re.sub(f"^{old}", new, signal.name)
+
+    return changed(name, rf"{old}.*", change)
+
+
+def with_values(name: str, signal: str, **values: Any) -> Database:
+    """Return the database with other properties of a signal of a message."""
+    return changed(name, signal, lambda own: vars(own).update(values))
+
+
+def moved(name: str, signal: str, by: int) -> Database:
+    """Return the database with a signal moved by some bits."""
+
+    def change(own: Any) -> None:
+        own.start += by
+
+    return changed(name, signal, change)
+
+
+def edited(pattern: str, replacement: str, dbc: str = "", count: int = 0) -> str:
+    """Return the DBC with a regular expression replaced, which must be found."""
+    result, found = re.subn(pattern, replacement, dbc or text(), count=count, flags=re.MULTILINE)
+    assert found, pattern
+    return result
+
+
+def without(*names: str) -> str:
+    """Return the DBC without messages."""
+    dbc = text()
+    for name in names:
+        dbc = edited(rf"^BO_ \d+ {name}:(?:.*\n)+?\n", "", dbc)
+        dbc = edited(rf"^(?:BA_|VAL_)[^\n]* {IDS[name]} [^;]*;\n", "", dbc)
+    return dbc
+
+
+def layout_from(dbc: str | Database) -> Layout:
+    return Layout.from_text(dbc, "my.dbc") if isinstance(dbc, str) else Layout.from_dbc(dbc)
+
+
+# ---- the DBC of the package ------------------------------------------------------------------
+
+
+def test_the_layout_of_the_package() -> None:
+    """A frame of 64 bytes, of four lines at equal distances; an authenticated one has three."""
+    layout = layout_of("maplines-scene.dbc")
+    scene = scene_of(layout)
+
+    assert layout.pose is scene
+    assert (layout.is_conditional, layout.messages, layout.pages) == (True, {}, 0)
+    assert (scene.record_bytes, scene.places, scene.stride_bytes) == (64, 4, 13)
+    assert (scene.secured_bytes, scene.secured_places) == (51, 3)
+    assert scene.fixed == {
+        SCENE: (Slot.EGO_LEFT, Slot.EGO_RIGHT, None, None),
+        SCENE2: (Slot.EDGE_LEFT, Slot.EDGE_RIGHT, None, None),
+    }
+    assert layout.slots == tuple(Slot)
+    assert layout.message_of_id.keys() == {(number, False) for number in IDS.values()}
+    assert layout.record_of(SCENE2) is scene
+    assert layout.max_age == scene.max_age == 0.24
+
+
+def test_the_places_of_lines_are_those_of_the_dbc() -> None:
+    """In all four messages, by the names that they have there."""
+    scene = scene_of(layout_of("maplines-scene.dbc"))
+    database: Any = cantools.database.load_string(text(), "dbc")
+    for name in IDS:
+        signals = {signal.name: signal for signal in database.get_message_by_name(name).signals}
+        owner = SCENE2 if name.startswith("Scene2") else SCENE
+        for place, slot in enumerate(scene.fixed[owner][: 3 if "Sec" in name else 4]):
+            title = f"Line{place + 1}" if slot is None else slot_title(slot)
+            own = scene.at(place)
+            assert own.keys() == {*SCENE_LINE, SLOT}
+            for one in [*SCENE_LINE, *([SLOT] if slot is None else [])]:
+                assert (signals[title + one].start, signals[title + one].length) == (
+                    own[one].start, own[one].length,
+                )  # fmt: skip
+    assert list(scene.signals) == [s.name for s in database.get_message_by_name("Scene").signals]
+
+
+def test_a_place_without_a_line_says_why() -> None:
+    """The reasons of a sender follow NONE in their order."""
+    reasons = [one.reason for one in NoLine]
+
+    assert reasons == [None, LeftOut.ACROSS, LeftOut.RANGE, LeftOut.MEAN, LeftOut.COVARIANCE]
+    assert [one.name for one in NoLine if one.reason] == [
+        f"LEFT_OUT_{reason.name}" for reason in reasons if reason
+    ]
+
+
+# ---- DBCs that are accepted ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "dbc",
+    [
+        pytest.param(lambda: without("Scene2", "Scene2SecOC"), id="no-scene2"),
+        pytest.param(lambda: without("Scene2SecOC", "SceneSecOC"), id="no-secoc"),
+        pytest.param(lambda: edited(r"^(BO_ \d+) Scene", r"\1 Lanes"), id="other-names"),
+        pytest.param(lambda: edited(' 9 "LEFT_OUT_ACROSS"', ' 9 "QUER"'), id="other-language"),
+        pytest.param(
+            lambda: renamed("Scene2.*", "EdgeLeft", "NextLeft"), id="other-slots"
+        ),
+    ],
+)  # fmt: skip
+def test_a_dbc_may_be_otherwise(dbc: Callable[[], str | Database]) -> None:
+    """It is read, and what is sent arrives."""
+    given = dbc()
+    database: Any = cantools.database.load_string(given, "dbc") if isinstance(given, str) else given
+    check_codec(Codec(layout_from(given)), database)
+
+
+#: Bits of signals of a narrow line; those of others are 6, over the same range.
+NARROW = {"Kind": 4, "OwnTilt": 2, "XMin": 5, "XMax": 6}
+NO_SLOTS: dict[SceneOwner, tuple[Slot, ...]] = {SCENE: (), SCENE2: ()}
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        pytest.param(
+            replace(
+                SCENES, head=(*SCENES.head, *SCENES.tails), tails=(), fixed=NO_SLOTS, places=1,
+                secured_places=1,
+            ),
+            id="one",
+        ),
+        pytest.param(replace(SCENES, places=2, secured_places=2), id="two"),
+        pytest.param(
+            replace(
+                SCENES, places=6, secured_places=4,
+                line=tuple(
+                    replace(one, bits=NARROW[one.name]) if one.name in NARROW
+                    else one.finer(6 - one.bits)
+                    for one in SCENES.line
+                ),
+            ),
+            id="six",
+        ),
+    ],
+)  # fmt: skip
+def test_other_numbers_of_lines(spec: SceneSpec) -> None:
+    """They are read as they are written, and what is sent arrives."""
+    database = replace(WHOLE_SCENES, scene=spec).database()
+    layout = Layout.from_dbc(database)
+
+    assert scene_of(layout).places == spec.places
+    check_codec(Codec(layout), database)
+
+
+def test_only_authenticated_messages() -> None:
+    """The record is then that of them."""
+    layout = Layout.from_text(without("Scene2", "Scene"))
+    scene = scene_of(layout)
+
+    assert (scene.places, scene.secured_places, scene.record_bytes) == (3, 3, 51)
+    assert {own.fd_can_id for own in scene.messages.values()} == {None}
+    assert layout.slots == tuple(Slot)
+
+
+def test_slots_that_no_place_can_have() -> None:
+    """Lines of these slots are not sent."""
+    slots: dict[SceneOwner, tuple[Slot, ...]] = {SCENE: (Slot.ROUTE, Slot.EGO_RIGHT)}
+    spec = replace(SCENES, fixed=slots, places=2, secured_places=2)
+    layout = Layout.from_dbc(replace(WHOLE_SCENES, scene=spec).database())
+
+    assert layout.slots == (Slot.EGO_RIGHT, Slot.ROUTE)
+    assert SLOT not in layout.signals
+
+
+# ---- refusals --------------------------------------------------------------------------------
+
+
+def with_slot() -> str:
+    """Return the DBC with the attribute MapLineSlot of Scene2."""
+    definition = 'BA_DEF_ BO_  "MapLineSlot" INT 0 7;'
+    dbc = edited('^BA_DEF_ BO_  "MapLineSlot" .*\n', "")
+    dbc = edited("^(?=BA_DEF_ )", f"{definition}\n", dbc, count=1)
+    return edited('^(BA_ "MapLineScene" BO_ 888 .*)', '\\1\nBA_ "MapLineSlot" BO_ 888 5;', dbc)
+
+
+@pytest.mark.parametrize(
+    ("dbc", "words"),
+    [
+        # messages and their attributes
+        pytest.param(
+            lambda: without("Scene", "SceneSecOC"), "no message Scene beside Scene2", id="no-scene"
+        ),
+        pytest.param(
+            lambda: without("Scene2SecOC"), "in the same frame formats", id="no-scene2-secoc"
+        ),
+        pytest.param(
+            lambda: edited('"MapLineScene" BO_ 888 2', '"MapLineScene" BO_ 888 1'),
+            "Scene has two messages in one frame format", id="scene-twice",
+        ),
+        pytest.param(
+            lambda: edited('"MapLineScene" BO_ 888 2', '"MapLineScene" BO_ 888 3'),
+            "MapLineScene must be a whole number from 0 to 2, got 3", id="scene-3",
+        ),
+        pytest.param(with_slot, "MapLineSlot and MapLineScene, but it carries", id="also-a-slot"),
+        pytest.param(
+            lambda: edited('"CovarianceCode" "Scene"', '"CovarianceCode" "PoseConditional"'),
+            "code is PoseConditional, but messages with the attribute MapLineScene need Scene",
+            id="code",
+        ),
+        pytest.param(
+            lambda: CONDITIONAL.dbc().replace('"PoseConditional"', '"Scene"'),
+            "code is Scene, but messages .* and others need another one", id="code-of-lines",
+        ),
+        pytest.param(
+            lambda: edited('"E2EDataId" BO_ 8(88|90) .*;', r'"E2EDataId" BO_ 8\1 7;',
+                           edited('"E2EDataId" BO_ 8(89|91) .*;', r'"E2EDataId" BO_ 8\1 7;')),
+            "Scene2? and Scene2? have the same E2EDataId, 7", id="data-id",
+        ),
+        pytest.param(
+            lambda: edited('"E2EDataId" BO_ 891 .*;', '"E2EDataId" BO_ 891 7;'),
+            "Scene: its messages need the same attribute E2EDataId", id="data-id-of-secoc",
+        ),
+        pytest.param(
+            lambda: edited('VFrameFormat" BO_ 889 14', 'VFrameFormat" BO_ 889 0'),
+            "message Scene: a page must have 8 bytes, got 64; .* CAN FD", id="classic",
+        ),
+        pytest.param(
+            lambda: edited(r'10 "LEFT_OUT_RANGE"', '10 "LEFT_OUT_MEAN"'),
+            "value 10 the name LEFT_OUT_MEAN, which belongs to the value 11", id="names-of-kinds",
+        ),
+        # lines
+        pytest.param(
+            lambda: renamed("Scene", "EgoRightKind", "EgoRightArt"),
+            "message Scene: there is no signal 'EgoRightKind'; each line", id="kind-missing",
+        ),
+        pytest.param(
+            lambda: renamed(".*", "Line3Slot", "Line3Number"),
+            "there is no signal 'Line3Slot'; each line", id="slot-missing",
+        ),
+        pytest.param(
+            lambda: renamed(".*", "Line4", "Line5"),
+            "the names of line 4 begin with Line5; write Line4", id="number",
+        ),
+        pytest.param(
+            lambda: renamed("Scene2.*", "EdgeLeft", "EgoRight"),
+            "Scene and Scene2 have a place for EgoRight", id="slot-in-both",
+        ),
+        pytest.param(
+            lambda: renamed("SceneSecOC", "EgoRight", "Route"),
+            "SceneSecOC has the lines EgoLeft, Route, Line3, but it needs the first ones of "
+            "EgoLeft, EgoRight, Line3, Line4", id="other-line-in-secoc",
+        ),
+        pytest.param(
+            lambda: renamed("Scene2", "Line4", "xLine4"),
+            "Scene, Scene2 must have the same length and as many lines", id="fewer-lines",
+        ),
+        pytest.param(
+            lambda: renamed(".*", "(?=[EL](go|dge|ine))", "x"),
+            "needs 1 to 8 lines, with signals such as EgoLeftYOff and Line3YOff, got 0", id="none",
+        ),
+        pytest.param(
+            lambda: with_values("Scene2", "Line4YOff", unit="km"),
+            r"message Scene2: signal Line4YOff is .*km.*, but it needs .* equal distances",
+            id="unit",
+        ),
+        pytest.param(
+            lambda: with_values("Scene", "EgoRightOwnTilt", length=1),
+            "signal EgoRightOwnTilt is .*, but it needs .* equal distances", id="width",
+        ),
+        pytest.param(
+            lambda: with_values(".*", "(?!Line3).*OwnShape", is_signed=True),
+            "signal Line3OwnShape is .*, but it needs .* equal distances", id="sign",
+        ),
+        pytest.param(
+            lambda: moved("Scene", "Line3Kind", 8),
+            "signal Line3Kind is .*, but it needs .* equal distances", id="moved",
+        ),
+        pytest.param(
+            lambda: moved(".*", "Line4Slot", -8 * 3),
+            "signal Line4Slot is .*, but it needs .* equal distances", id="slots-moved",
+        ),
+        pytest.param(
+            lambda: moved(".*", "Line[34]Slot", -400),
+            "signal Line3Slot is .*, but it needs to be 26 bytes or more from the start",
+            id="before-the-record",
+        ),
+        # signals of the record
+        pytest.param(
+            lambda: with_values("Scene2", "Age", length=4),
+            "must hold the same signals at the same places, but Age differ", id="age",
+        ),
+        pytest.param(
+            lambda: renamed(".*", "SceneCounter", "Bits"), "no signal 'SceneCounter'", id="join"
+        ),
+        pytest.param(
+            lambda: moved(".*", "EgoLeftXMin|EdgeLeftXMin|EgoRightXMin|EdgeRightXMin|Line.XMin", 1),
+            "signals EgoLeftXMin and EgoLeftXMax overlap", id="overlap",
+        ),
+    ],
+)  # fmt: skip
+def test_a_wrong_dbc_is_refused_with_the_reason(
+    dbc: Callable[[], str | Database], words: str
+) -> None:
+    """Each refusal names the file, or says that it is a database."""
+    with pytest.raises(LayoutError, match=f"^(my.dbc|the cantools database): .*{words}"):
+        layout_from(dbc())
+
+
+def test_scenes_and_lines_need_dbcs_of_their_own() -> None:
+    """A receiver has one way to know the newest line of a slot."""
+    database = WHOLE_SCENES.database()
+    database.messages.extend(CONDITIONAL.database().messages)
+    database.refresh()
+    with pytest.raises(
+        LayoutError, match=r"\(MapLineScene\), and of slot EGO_LEFT, .* the pose err"
+    ):
+        Layout.from_dbc(database)
+
+
+def test_a_message_has_a_whole_number_of_eight_bytes() -> None:
+    """The C core reads records in words of eight bytes; 12 and 20 are lengths of CAN FD, too."""
+    database = WHOLE_SCENES.database()
+    for message in database.messages[:2]:
+        message._length = 20
+    with pytest.raises(LayoutError, match="of 8, 16, 24, 32, 48 or 64 bytes, got 20"):
+        Layout.from_dbc(database)
