@@ -364,7 +364,8 @@ typedef struct {
 } maplines_scene_member_t;
 
 #define MAPLINES_CHOSEN_SPACINGS 16
-#define MAPLINES_KEPT_LEVELS 64
+#define MAPLINES_KEPT_LATERAL 64
+#define MAPLINES_KEPT_POINTS 128
 #define MAPLINES_KEPT_SHAPES 256
 
 /// Line of a scene as a receiver decodes it.
@@ -385,8 +386,8 @@ typedef struct {
 
 /// Squares of the first levels of a DBC [m^2]; 0 until they are computed.
 typedef struct {
-    double lateral[MAPLINES_KEPT_LEVELS];
-    double points[MAPLINES_KEPT_LEVELS];
+    double lateral[MAPLINES_KEPT_LATERAL];
+    double points[MAPLINES_KEPT_POINTS];
     double shape[MAPLINES_KEPT_SHAPES];
 } maplines_level_squares_t;
 

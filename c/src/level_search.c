@@ -18,6 +18,7 @@
 #define CHOSEN MAPLINES_CHOSEN_SPACINGS
 #define TRIED 5      // levels that are tried, from the least one on
 #define SEARCHED 256 // most spacings
+#define TILTED 11    // each so many of them is tried with all tilts, before the best are chosen
 #define DIRECTIONS 5 // variances of the direction that bound a cost
 #define BUCKETS 32   // of spacings with nearly the same bounds
 #define BUCKETS_PER_NAT 32.0
@@ -42,18 +43,24 @@ typedef struct {
     double offset;
 } squares_t;
 
-/// What levels are to cover, in coefficients of T_0 .. T_3. Only lower triangles are used.
+/// What levels are to cover, in coefficients of T_0 .. T_3, sheared for a tilt. Only lower
+/// triangles are used.
 typedef struct {
-    const maplines_dbc_t *dbc;
-    const maplines_levels_t *levels;
-    maplines_arc_t arc;
-    double target[16];  ///< what the levels are to cover
-    double tilt;        ///< of the lateral level that is tried
-    double lacking[16]; ///< the target as it is sheared for this tilt
+    double tilt;
+    double lacking[16]; ///< what the levels are to cover
     double common[16];  ///< what is added to their covariance
     double true_cov[16];
     double determinant;            ///< of the true covariance without row and column 0
     double directions[DIRECTIONS]; ///< inverse variances of the true covariance
+} wanted_t;
+
+/// Search for the levels of a line.
+typedef struct {
+    const maplines_dbc_t *dbc;
+    const maplines_levels_t *levels;
+    maplines_arc_t arc;
+    int tilts; ///< number of them; the first one is 0
+    wanted_t wanted[MAPLINES_TILTS];
     double shapes[4];
     maplines_reference_t reference;
     squares_t lateral;
@@ -127,28 +134,28 @@ static int64_t raw_of_square(const squares_t *of, double square)
     return raw;
 }
 
-/// Shear a covariance so that the lateral level with a tilt becomes one of T_0 alone: the tilt
-/// times the coefficient of T_0 is taken from that of T_1.
-static void shear(double tilt, const double cov[16], double sheared[16])
+/// Shear a covariance so that a lateral level with a tilt becomes one of T_0 alone: the tilt times
+/// the coefficient of T_0 is taken from that of T_1. Only the lower triangle is set.
+static void shear(double tilt, double cov[16])
 {
-    memcpy(sheared, cov, 16 * sizeof cov[0]);
     if (tilt != 0.0) // so that no infinite entry becomes NaN
     {
-        sheared[4] = cov[4] - tilt * cov[0];
-        sheared[5] = cov[5] - tilt * cov[4] - tilt * sheared[4];
-        sheared[9] = cov[9] - tilt * cov[8];
-        sheared[13] = cov[13] - tilt * cov[12];
+        cov[5] = cov[5] - tilt * cov[4];
+        cov[4] = cov[4] - tilt * cov[0];
+        cov[5] = cov[5] - tilt * cov[4];
+        cov[9] = cov[9] - tilt * cov[8];
+        cov[13] = cov[13] - tilt * cov[12];
     }
 }
 
 /// Least raw level, 1 or more, whose multiple of a covariance covers all variances but that of T_0.
-static int64_t least_by_variances(const search_t *search, const squares_t *of,
+static int64_t least_by_variances(const wanted_t *wanted, const squares_t *of,
                                   const double covariance[16])
 {
     double needed = 0.0;
     for (int i = 5; i < 16; i += 5)
     {
-        const double quotient = search->lacking[i] / (covariance[i] + singular);
+        const double quotient = wanted->lacking[i] / (covariance[i] + singular);
         needed = quotient > needed ? quotient : needed;
     }
     const int64_t raw = raw_of_square(of, needed);
@@ -199,7 +206,7 @@ static double shortfall(const double M[16])
 }
 
 /// Whether a multiple of a covariance covers what levels are to cover, but for T_0.
-static bool covers_rest(const search_t *search, double square, const double covariance[16])
+static bool covers_rest(const wanted_t *wanted, double square, const double covariance[16])
 {
     double M[16];
     for (int i = 1; i < 4; ++i)
@@ -207,7 +214,7 @@ static bool covers_rest(const search_t *search, double square, const double cova
         for (int j = 1; j <= i; ++j)
         {
             const double whole = covariance[4 * i + j] + (i == j ? singular : 0.0);
-            M[4 * i + j] = square * whole - search->lacking[4 * i + j];
+            M[4 * i + j] = square * whole - wanted->lacking[4 * i + j];
         }
     }
     const pivots_t pivots = pivots_of(M);
@@ -217,16 +224,16 @@ static bool covers_rest(const search_t *search, double square, const double cova
 /// Least raw level, 1 or more, whose multiple of a covariance covers what levels are to cover, but
 /// for T_0; one more than the greatest if none does. It is searched from that on which covers the
 /// variances, in steps that double, and then halved.
-static int64_t least_level(const search_t *search, const squares_t *of, const double covariance[16])
+static int64_t least_level(const wanted_t *wanted, const squares_t *of, const double covariance[16])
 {
-    int64_t low = least_by_variances(search, of, covariance) - 1;
+    int64_t low = least_by_variances(wanted, of, covariance) - 1;
     int64_t high = maplines_raw_max(of->signal) + 1;
     int64_t step = 1;
     while (high - low > 1)
     {
         const int64_t half = (high - low) / 2;
         const int64_t middle = low + (step < half ? step : half);
-        if (covers_rest(search, level_squared(of, middle), covariance))
+        if (covers_rest(wanted, level_squared(of, middle), covariance))
         {
             high = middle;
         }
@@ -259,10 +266,10 @@ static void directions_of(const double S[16], double variances[DIRECTIONS])
 }
 
 /// What a multiple of a covariance decodes to, without row and column 0: the lower triangle.
-static void decoded_rest(const search_t *search, double square, const double covariance[16],
+static void decoded_rest(const wanted_t *wanted, double square, const double covariance[16],
                          double decoded[16])
 {
-    const double *common = search->common;
+    const double *common = wanted->common;
     decoded[5] = square * covariance[5] + common[5];
     decoded[9] = square * covariance[9] + common[9];
     decoded[10] = square * covariance[10] + common[10];
@@ -272,14 +279,14 @@ static void decoded_rest(const search_t *search, double square, const double cov
 }
 
 /// Largest ratio of variances of the direction to the true ones, if it is more than 1; else 1.
-static double largest_direction(const search_t *search, const double decoded[16])
+static double largest_direction(const wanted_t *wanted, const double decoded[16])
 {
     double variances[DIRECTIONS];
     double r = 1.0;
     directions_of(decoded, variances);
     for (int i = 0; i < DIRECTIONS; ++i)
     {
-        const double ratio = variances[i] * search->directions[i];
+        const double ratio = variances[i] * wanted->directions[i];
         r = ratio > r ? ratio : r;
     }
     return r;
@@ -290,11 +297,11 @@ static double largest_direction(const search_t *search, const double decoded[16]
 /// Let r be the largest ratio of its variances of the direction to the true ones. If it is more
 /// than 1, the divergence is (1 / r - 1 + ln r) / 2 at least, and ln r is 2 (r - 1) / (r + 1) at
 /// least.
-static double least_cost(const search_t *search, double square, const double covariance[16])
+static double least_cost(const wanted_t *wanted, double square, const double covariance[16])
 {
     double decoded[16];
-    decoded_rest(search, square, covariance, decoded);
-    const double r = largest_direction(search, decoded);
+    decoded_rest(wanted, square, covariance, decoded);
+    const double r = largest_direction(wanted, decoded);
     return (r - 1.0) * (5.0 * r - 1.0) / (2.0 * r * (r + 1.0));
 }
 
@@ -314,37 +321,39 @@ static double cofactors_of(const double M[16], double cofactors[6])
 
 /// Cost of a multiple of a covariance for the direction of the line, whatever its lateral position:
 /// the cost without T_0. It is `bound` at least.
-static double direction_cost(const search_t *search, double square, const double covariance[16],
+static double direction_cost(const wanted_t *wanted, double square, const double covariance[16],
                              double bound)
 {
-    const double *T = search->true_cov;
+    const double *T = wanted->true_cov;
     double decoded[16];
     double C[6];
-    decoded_rest(search, square, covariance, decoded);
+    decoded_rest(wanted, square, covariance, decoded);
     const double determinant = cofactors_of(decoded, C);
     const double two = T[5] * C[0] + T[10] * C[2];
     const double diagonal = two + T[15] * C[5];
     const double other = T[9] * C[1] + T[13] * C[3];
     const double trace = diagonal + 2.0 * (other + T[14] * C[4]);
-    const double r = largest_direction(search, decoded);
-    const double ratio = determinant / search->determinant * r * r;
+    const double r = largest_direction(wanted, decoded);
+    const double ratio = determinant / wanted->determinant * r * r;
     const double by_trace = (trace / determinant - 3.0) / 2.0;
     const double cost = by_trace + natural_log_of_2 * maplines_log2(ratio) / 2.0;
     const double least = bound > cost ? bound : cost;
     return fabs(cost) < (double)INFINITY ? least : (double)INFINITY;
 }
 
-/// Find the lateral level with which a multiple of a covariance covers, and the cost of both, which
-/// is `bound` at least.
-static void assess(const search_t *search, double square, const double covariance[16],
-                   const double sheared[16], double bound, candidate_t *candidate)
+/// Find the lateral level with a tilt with which a multiple of a covariance covers, and the cost of
+/// both, which is `bound` at least.
+static void assess(const search_t *search, const wanted_t *wanted, double square,
+                   const double covariance[16], double bound, candidate_t *candidate)
 {
     double decoded[16];
     double by_trace;
     double ratio;
+    memcpy(decoded, covariance, sizeof decoded);
+    shear(wanted->tilt, decoded);
     for (int i = 0; i < 16; ++i)
     {
-        decoded[i] = square * sheared[i] - search->lacking[i];
+        decoded[i] = square * decoded[i] - wanted->lacking[i];
     }
     candidate->cost = (double)INFINITY;
     candidate->raw[0] = raw_of_square(&search->lateral, shortfall(decoded));
@@ -356,10 +365,10 @@ static void assess(const search_t *search, double square, const double covarianc
     for (int i = 0; i < 16; ++i)
     {
         candidate->cov[i] = square * covariance[i];
-        decoded[i] = search->common[i] + candidate->cov[i];
+        decoded[i] = search->wanted[0].common[i] + candidate->cov[i];
     }
-    maplines_add_lateral(lateral, search->tilt, candidate->cov);
-    maplines_add_lateral(lateral, search->tilt, decoded);
+    maplines_add_lateral(lateral, wanted->tilt, candidate->cov);
+    maplines_add_lateral(lateral, wanted->tilt, decoded);
     if (maplines_compared(&search->reference, decoded, &by_trace, &ratio))
     {
         const double both = ratio * maplines_largest_ratio(&search->reference, decoded);
@@ -420,20 +429,52 @@ static void insert(spacing_t best[CHOSEN], int *count, const spacing_t *spacing)
     }
 }
 
-/// Compute the cost of one level of the points at a spacing, and keep it if it is among the best.
+/// Number of tilts with which a spacing is tried: those of its neighbours suit it, too.
+static int tilts_at(const search_t *search, int spacing)
+{
+    return spacing % TILTED == 0 ? search->tilts : 1;
+}
+
+/// Compute the cost of one level of the points at a spacing, with its best tilt, and keep it if it
+/// is among the best.
 static void try_spacing(const search_t *search, double stretch_squared, int i, double bound,
                         spacing_t best[CHOSEN], int *count)
 {
-    double noise[16];
-    near_noise(search, stretch_squared, i, noise);
-    const int64_t points = least_level(search, &search->points, noise) + tried[1];
     spacing_t spacing = {(double)INFINITY, maplines_raw_min(&search->levels->shape) +
                                                (int64_t)i * search->dbc->spacing_step};
-    if (points <= maplines_raw_max(&search->levels->points))
+    for (int t = 0; t < tilts_at(search, i); ++t)
     {
-        spacing.cost = direction_cost(search, level_squared(&search->points, points), noise, bound);
+        const wanted_t *wanted = &search->wanted[t];
+        double noise[16];
+        near_noise(search, stretch_squared, i, noise);
+        shear(wanted->tilt, noise);
+        const int64_t points = least_level(wanted, &search->points, noise) + tried[1];
+        if (points <= maplines_raw_max(&search->levels->points))
+        {
+            const double square = level_squared(&search->points, points);
+            const double cost = direction_cost(wanted, square, noise, bound);
+            spacing.cost = cost < spacing.cost ? cost : spacing.cost;
+        }
     }
     insert(best, count, &spacing);
+}
+
+/// Lower bound of the cost of a spacing with its best tilt; 0 or NaN if there is none.
+static double bound_of(const search_t *search, double stretch_squared, int i)
+{
+    double least = (double)INFINITY;
+    for (int t = 0; t < tilts_at(search, i); ++t)
+    {
+        const wanted_t *wanted = &search->wanted[t];
+        double noise[16];
+        near_noise(search, stretch_squared, i, noise);
+        shear(wanted->tilt, noise);
+        const int64_t points = least_by_variances(wanted, &search->points, noise) + tried[1];
+        const double square = level_squared(&search->points, points);
+        const double bound = least_cost(wanted, square, noise);
+        least = least != least || bound >= least ? least : bound; // a NaN remains
+    }
+    return least;
 }
 
 /// Order spacings by their bounds, roughly.
@@ -475,10 +516,7 @@ static void choose_spacings(const search_t *search, maplines_sent_line_t *line)
     MAPLINES_ASSERT(spacings <= SEARCHED);
     for (int i = 0; i < spacings; ++i)
     {
-        double noise[16];
-        near_noise(search, stretch_squared, i, noise);
-        const int64_t points = least_by_variances(search, &search->points, noise) + tried[1];
-        bounds[i] = least_cost(search, level_squared(&search->points, points), noise);
+        bounds[i] = bound_of(search, stretch_squared, i);
     }
     order_by_bounds(spacings, bounds, order); // the best first, so that others are ruled out
     for (int i = 0; i < spacings; ++i)
@@ -502,29 +540,51 @@ static void choose_spacings(const search_t *search, maplines_sent_line_t *line)
     line->spacing_count = (uint8_t)count;
 }
 
-/// Try some levels of a covariance for the level 1, from the least one on.
+/// Try some levels of a covariance for the level 1, from the least one on, with a tilt.
 static void try_levels(const search_t *search, const squares_t *of, const int64_t raw[4],
                        const double covariance[16], candidate_t *best)
 {
+    const wanted_t *wanted = &search->wanted[raw[3]];
     const int kind = of == &search->points ? 1 : 2;
     double sheared[16];
-    shear(search->tilt, covariance, sheared);
-    const int64_t least = least_level(search, of, sheared);
+    memcpy(sheared, covariance, sizeof sheared);
+    shear(wanted->tilt, sheared);
+    const int64_t least = least_level(wanted, of, sheared);
     for (int k = 0; k < TRIED; ++k)
     {
         candidate_t candidate;
         const int64_t level = least + tried[k];
         const double square = level_squared(of, level);
-        const double bound = least_cost(search, square, covariance);
+        const double bound = least_cost(&search->wanted[0], square, covariance);
         if (level > maplines_raw_max(of->signal) || bound >= best->cost)
         {
             break; // higher levels cost no less
         }
         memcpy(candidate.raw, raw, sizeof candidate.raw);
         candidate.raw[kind] = level;
-        assess(search, square, covariance, sheared, bound, &candidate);
+        assess(search, wanted, square, covariance, bound, &candidate);
         *best = candidate.cost < best->cost ? candidate : *best;
     }
+}
+
+/// Set what levels with a tilt are to cover.
+static void want(double tilt, const double lacking[16], const double common[16],
+                 const double true_cov[16], wanted_t *wanted)
+{
+    double cofactors[6];
+    wanted->tilt = tilt;
+    memcpy(wanted->lacking, lacking, sizeof wanted->lacking);
+    memcpy(wanted->common, common, sizeof wanted->common);
+    memcpy(wanted->true_cov, true_cov, sizeof wanted->true_cov);
+    shear(tilt, wanted->lacking);
+    shear(tilt, wanted->common);
+    shear(tilt, wanted->true_cov);
+    directions_of(wanted->true_cov, wanted->directions);
+    for (int i = 0; i < DIRECTIONS; ++i)
+    {
+        wanted->directions[i] = 1.0 / wanted->directions[i];
+    }
+    wanted->determinant = cofactors_of(wanted->true_cov, cofactors);
 }
 
 /// Prepare a search. Its target is that of a line.
@@ -532,15 +592,15 @@ static void begin(search_t *search, const maplines_dbc_t *dbc,
                   const maplines_level_target_t *target, maplines_level_squares_t *squares)
 {
     double inverse[16];
-    double matrix[16];
-    double cofactors[6];
+    double lacking[16];
+    double true_cov[16];
     const maplines_levels_t *levels = maplines_levels_of(dbc);
     const maplines_signal_t *a = &levels->lateral;
     const maplines_signal_t *p = &levels->points;
     const squares_t lateral = {
-        levels, a, squares->lateral, MAPLINES_KEPT_LEVELS, a->scale->factor, a->scale->offset};
+        levels, a, squares->lateral, MAPLINES_KEPT_LATERAL, a->scale->factor, a->scale->offset};
     const squares_t points = {
-        levels, p, squares->points, MAPLINES_KEPT_LEVELS, p->scale->factor, p->scale->offset};
+        levels, p, squares->points, MAPLINES_KEPT_POINTS, p->scale->factor, p->scale->offset};
     const squares_t shape = {levels,
                              &levels->shape,
                              squares->shape,
@@ -553,29 +613,26 @@ static void begin(search_t *search, const maplines_dbc_t *dbc,
     search->points = points;
     search->shape = shape;
     maplines_inverse(target->J, inverse);
-    maplines_congruence(inverse, target->target, matrix);
+    maplines_congruence(inverse, target->target, lacking);
     for (int i = 0; i < 4; ++i)
     {
         search->shapes[i] = maplines_shape(i);
     }
     for (int i = 0; i < 16; ++i)
     {
-        search->common[i] = target->common[i];
-        search->target[i] = matrix[i] - target->common[i];
+        lacking[i] = lacking[i] - target->common[i];
     }
-    memcpy(search->lacking, search->target, sizeof matrix); // without a tilt: to choose spacings
-    maplines_congruence(inverse, target->true_cov, matrix);
-    maplines_compare_with(matrix, &search->reference);
-    directions_of(matrix, search->directions);
-    for (int i = 0; i < DIRECTIONS; ++i)
+    maplines_congruence(inverse, target->true_cov, true_cov);
+    maplines_compare_with(true_cov, &search->reference);
+    const int64_t last = levels->tilt.length > 0U ? maplines_raw_max(&levels->tilt) : 0;
+    search->tilts = last < MAPLINES_TILTS ? (int)last + 1 : MAPLINES_TILTS;
+    for (int t = 0; t < search->tilts; ++t)
     {
-        search->directions[i] = 1.0 / search->directions[i];
+        want(maplines_tilt(t), lacking, target->common, true_cov, &search->wanted[t]);
     }
-    memcpy(search->true_cov, matrix, sizeof matrix);
-    search->determinant = cofactors_of(matrix, cofactors);
 }
 
-/// Try the spacings of a line, and the shape alone, with the tilt of a search.
+/// Try the spacings of a line, and the shape alone, with a tilt.
 static void try_tilt(const search_t *search, const maplines_sent_line_t *line, int64_t tilt,
                      candidate_t *best)
 {
@@ -614,13 +671,9 @@ MAPLINES_INTERNAL bool maplines_search_levels(const maplines_dbc_t *dbc,
         maplines_arc_of(target->curve, &search.arc);
         choose_spacings(&search, line);
     }
-    const maplines_signal_t *signal = &search.levels->tilt;
-    const int64_t most = signal->length > 0 ? maplines_raw_max(signal) : 0;
-    for (int64_t tilt = 0; tilt <= most && tilt < MAPLINES_TILTS; ++tilt)
+    for (int t = 0; t < search.tilts; ++t)
     {
-        search.tilt = maplines_tilt(tilt);
-        shear(search.tilt, search.target, search.lacking);
-        try_tilt(&search, line, tilt, &best);
+        try_tilt(&search, line, t, &best);
     }
     memcpy(raw, best.raw, sizeof best.raw);
     memcpy(line->levels, best.cov, sizeof line->levels);

@@ -37,6 +37,9 @@ TRIED = (0, 1, 2, 3, 5)
 #: Spacings for which the second of them is tried, at most, and those of the best of these for which
 #: all are.
 SPACINGS, CHOSEN = 256, 16
+#: Each so many of them is tried with all tilts, before the best are chosen; its neighbours are like
+#: it.
+TILTED = 11
 #: More than any level squared [m^2].
 BEYOND = 1e100
 #: Added to the variances that errors of points cause: those of points far apart may be singular.
@@ -95,15 +98,22 @@ class LevelSearch:
         """
         stretch, squared = [*map(float, arc_of(curve)[0])], self.squares[1]
         mean = min(stretch) * max(stretch)
-        near = {raw: N * mean + amount * SHAPE for raw, (N, amount) in self.straight.items()}
+        of_tilts = [Wanted(*(sheared(S, tilt) for S in wanted)) for tilt in self.tilts]
         costs: dict[int, float] = {}
-        for k, S in near.items():
-            least = least_by_variances(squared, S, wanted.target)
-            bound = least_cost(_at(squared, least + TRIED[1]) * S, wanted)
-            raw = least_raw(squared, S, wanted.target, least) + TRIED[1]
-            cost = direction_cost(_at(squared, raw) * S, wanted)
-            cost = math.inf if raw > self.points.raw_max else cost
-            costs[k] = bound if bound > cost else cost
+        for n, (k, (N, amount)) in enumerate(self.straight.items()):
+            S = N * mean + amount * SHAPE
+            bounds, of_levels = [], []
+            for tilt, of in zip(self.tilts, of_tilts, strict=True):
+                if tilt and n % TILTED:
+                    continue
+                R = sheared(S, tilt)
+                least = least_by_variances(squared, R, of.target)
+                bounds.append(least_cost(_at(squared, least + TRIED[1]) * R, of))
+                raw = least_raw(squared, R, of.target, least) + TRIED[1]
+                cost = direction_cost(_at(squared, raw) * R, of)
+                of_levels.append(math.inf if raw > self.points.raw_max else cost)
+            bound = math.nan if any(map(math.isnan, bounds)) else min(bounds)
+            costs[k] = bound if bound > min(of_levels) else min(of_levels)
         return sorted(costs, key=lambda k: (costs[k], k))[:CHOSEN]
 
     def encode(
