@@ -352,7 +352,7 @@ MAPLINES_INTERNAL maplines_fed_t maplines_feed_with(maplines_decoder_t *decoder,
 #endif
 #if MAPLINES_LINE_RECORDS
 #if MAPLINES_SCENES
-    if (MAPLINES_IS_POSE(owner))
+    if (maplines_is_pose(owner))
     {
         feed_pose(decoder, &arrival, &fed, scene);
     }

@@ -113,13 +113,13 @@ MAPLINES_INTERNAL uint16_t maplines_crc(const uint8_t *record, size_t length, ui
 #define MAPLINES_WHOLE_SCENE MAPLINES_LINE_OWNERS
 /// The records of an owner are whole scenes.
 #define MAPLINES_IS_WHOLE(owner) (MAPLINES_SCENE_RECORDS && (owner) >= MAPLINES_WHOLE_SCENE)
-/// They are those of the pose error alone.
-#define MAPLINES_IS_POSE(owner) (!MAPLINES_IS_WHOLE(owner) && (owner) == (int)MAPLINES_POSE)
 /// Kind of a place of a whole scene that has no line. That of a line that is left out follows, by
 /// its reason.
 #define MAPLINES_NO_LINE 8
 /// The records of a DBC hold whole scenes.
 MAPLINES_INTERNAL bool maplines_has_whole_scenes(const maplines_dbc_t *dbc);
+/// The records of an owner are those of the pose error alone.
+MAPLINES_INTERNAL bool maplines_is_pose(int owner);
 /// Layout of the records of an owner.
 MAPLINES_INTERNAL const maplines_record_t *maplines_layout(const maplines_dbc_t *dbc, int owner);
 /// Bits of the counters of records.

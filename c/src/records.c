@@ -14,6 +14,16 @@ MAPLINES_INTERNAL const maplines_record_t *maplines_layout(const maplines_dbc_t 
 #endif
 }
 
+MAPLINES_INTERNAL bool maplines_is_pose(int owner)
+{
+#if MAPLINES_SCENES && MAPLINES_LINE_RECORDS
+    return owner == (int)MAPLINES_POSE;
+#else
+    (void)owner;
+    return false;
+#endif
+}
+
 MAPLINES_INTERNAL bool maplines_has_whole_scenes(const maplines_dbc_t *dbc)
 {
 #if MAPLINES_SCENE_RECORDS && MAPLINES_LINE_RECORDS
@@ -137,7 +147,7 @@ MAPLINES_INTERNAL maplines_reason_t maplines_read_record(const maplines_dbc_t *d
 #if MAPLINES_LINE_RECORDS
     const maplines_reason_t reason =
         maplines_check_record(dbc, owner, arrival->record, arrival->length);
-    if (reason != MAPLINES_COMPLETE || MAPLINES_IS_POSE(owner))
+    if (reason != MAPLINES_COMPLETE || maplines_is_pose(owner))
     {
         return reason;
     }

@@ -120,29 +120,24 @@ MAPLINES_INTERNAL maplines_reason_t maplines_route(maplines_decoder_t *decoder,
                                                    const maplines_frame_t *frame, int64_t t_ns,
                                                    maplines_arrival_t *arrival)
 {
+    const maplines_dbc_t *dbc = decoder->dbc;
     route_t route = ROUTE_NONE;
-    int owner = 0;
-    while (owner < MAPLINES_OWNERS)
+    for (int owner = 0; owner < MAPLINES_OWNERS && route == ROUTE_NONE; ++owner)
     {
-        route = route_of(&decoder->dbc->messages[owner], frame);
-        if (route != ROUTE_NONE)
-        {
-            break;
-        }
-        ++owner;
+        route = route_of(&dbc->messages[owner], frame);
+        arrival->owner = owner;
     }
     if (route == ROUTE_NONE)
     {
         return maplines_dropped(decoder, MAPLINES_FOREIGN, 1);
     }
-    arrival->owner = owner;
 #if MAPLINES_SECOC
     if (route == ROUTE_SECURED)
     {
         return feed_secured(decoder, frame, t_ns, arrival);
     }
     if (decoder->settings.authenticator != NULL &&
-        maplines_layout(decoder->dbc, owner)->fd_authentic > 0)
+        maplines_layout(dbc, arrival->owner)->fd_authentic > 0)
     {
         return maplines_dropped(decoder, MAPLINES_UNAUTHENTICATED, 1);
     }
@@ -154,7 +149,7 @@ MAPLINES_INTERNAL maplines_reason_t maplines_route(maplines_decoder_t *decoder,
 #endif
     if (route == ROUTE_WHOLE)
     {
-        if (frame->length < record_bytes(decoder->dbc, owner) ||
+        if (frame->length < record_bytes(dbc, arrival->owner) ||
             frame->length > sizeof(frame->data))
         {
             return maplines_dropped(decoder, MAPLINES_LENGTH, 1);

@@ -90,7 +90,7 @@ static void set_all(const maplines_dbc_t *dbc, double timeout_ms, double cycle_m
         settings->timeout_ns[owner] = whole_ns(timeout_ms > 0.0 ? timeout_ms : derived_ms);
         settings->cycle_ns[owner] = whole_ns(chosen_ms);
         settings->e2e[owner] =
-            MAPLINES_IS_POSE(owner) ? within_counters(dbc, owner, &of_lines) : of_lines;
+            maplines_is_pose(owner) ? within_counters(dbc, owner, &of_lines) : of_lines;
     }
 }
 

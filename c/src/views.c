@@ -201,10 +201,11 @@ static void see_line(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t
 void maplines_latest(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t now_ns,
                      maplines_view_t *view)
 {
-    if (MAPLINES_REQUIRE(view != NULL))
+    if (!MAPLINES_REQUIRE(view != NULL))
     {
-        see_line(decoder, slot, now_ns, NULL, view);
+        return;
     }
+    see_line(decoder, slot, now_ns, NULL, view);
 }
 #endif
 
@@ -321,10 +322,11 @@ static void see_scene(maplines_decoder_t *decoder, int64_t now_ns, maplines_scen
 #if MAPLINES_LINE_RECORDS
 void maplines_latest_scene(maplines_decoder_t *decoder, int64_t now_ns, maplines_scene_view_t *view)
 {
-    if (MAPLINES_REQUIRE(view != NULL))
+    if (!MAPLINES_REQUIRE(view != NULL))
     {
-        see_scene(decoder, now_ns, NULL, view);
+        return;
     }
+    see_scene(decoder, now_ns, NULL, view);
 }
 #endif
 
@@ -400,7 +402,7 @@ void maplines_statistics(const maplines_decoder_t *decoder, maplines_statistics_
     statistics->lost = 0;
     for (int owner = 0; owner < MAPLINES_OWNERS; ++owner)
     {
-        statistics->lost += MAPLINES_IS_POSE(owner) ? 0 : decoder->checks[owner].lost;
+        statistics->lost += maplines_is_pose(owner) ? 0 : decoder->checks[owner].lost;
     }
 #if MAPLINES_LINE_RECORDS
     statistics->pending = maplines_pending_transfers(decoder);

@@ -14,14 +14,13 @@ from scene_layouts import layout_of
 from scene_streams import new_codec, road_scene
 
 from maplines_can import Authenticator, Codec, Decoder, Key, LeftOut, MapLine, Reason, Slot
-from maplines_can.model.whole_scenes import NONE, write_whole
-from maplines_can.wire import E2EState, Frame
+from maplines_can.model.whole_scenes import NONE, scene_of_dbc, write_whole
+from maplines_can.wire import E2EState, Frame, ReceivedScene
 from maplines_can.wire.layout.pose_layout import SCENE, SCENE2, SceneOwner
 
 DBC = "maplines-scene.dbc"
 LAYOUT = layout_of(DBC)
-SCENES = LAYOUT.scene
-assert SCENES is not None
+SCENES = scene_of_dbc(LAYOUT)
 CYCLE = 50_000_000
 LEFT, RIGHT, NEXT_LEFT, NEXT_RIGHT, CENTRE, EDGE_LEFT, EDGE_RIGHT, ROUTE = Slot
 #: A straight line, 32 m behind the car to 20 m ahead.
@@ -43,7 +42,24 @@ def record_of(
 def feed(
     decoder: Decoder, owner: SceneOwner, record: bytes, t_ns: int
 ) -> Sequence[MapLine] | Reason:
-    return decoder.feed(SCENES.messages[owner].fd_can_id, record, t_ns)
+    can_id = SCENES.messages[owner].fd_can_id
+    assert can_id is not None
+    return decoder.feed(can_id, record, t_ns)
+
+
+def lines_of(found: Sequence[MapLine] | Reason) -> Sequence[MapLine]:
+    assert not isinstance(found, Reason)
+    return found
+
+
+def slots_of(found: Sequence[MapLine] | Reason) -> list[Slot]:
+    return [line.slot for line in lines_of(found)]
+
+
+def scene_in(decoder: Decoder) -> ReceivedScene:
+    received = decoder.scene()
+    assert received is not None
+    return received
 
 
 def checked(decoder: Decoder) -> Decoder:
@@ -84,11 +100,11 @@ def test_any_bits_are_a_positive_definite_joint() -> None:
             found = feed(decoder, owner, record, counter * CYCLE)
             for line in found if not isinstance(found, Reason) else ():
                 assert np.linalg.eigvalsh(correlations(line.gaussian.cov))[0] > 0
-        view = decoder.latest_scene(counter * CYCLE)
-        if view.scene is not None and view.received.t_ns == counter * CYCLE and view.scene.lines:
-            assert np.isfinite(view.scene.cov).all()
-            np.linalg.cholesky(correlations(view.scene.cov))
-            lines += len(view.scene.lines)
+        received = decoder.scene()
+        if received is not None and received.t_ns == counter * CYCLE and received.scene.lines:
+            assert np.isfinite(received.scene.cov).all()
+            np.linalg.cholesky(correlations(received.scene.cov))
+            lines += len(received.scene.lines)
 
     assert lines > 1000
     assert checked(decoder).counts.keys() == {Reason.CONTENT}
@@ -123,7 +139,7 @@ def test_what_no_sender_sends_is_dropped(
 
     assert feed(decoder, owner, record_of(owner, 2, places, **shared), 0) is Reason.CONTENT
     assert decoder.latest_scene(0).scene is None
-    assert len(feed(checked(decoder), owner, good, CYCLE)) == 4
+    assert len(lines_of(feed(checked(decoder), owner, good, CYCLE))) == 4
 
 
 def test_bits_of_an_empty_place_mean_nothing() -> None:
@@ -134,7 +150,7 @@ def test_bits_of_an_empty_place_mean_nothing() -> None:
     junk = {signal.name: (1 << signal.length) - 1 for signal in own} | EMPTY
     places = [LINE, junk, junk | {"Slot": int(LEFT)}, EMPTY]
 
-    assert [line.slot for line in feed(decoder, SCENE, record_of(SCENE, 0, places), 0)] == [LEFT]
+    assert slots_of(feed(decoder, SCENE, record_of(SCENE, 0, places), 0)) == [LEFT]
 
 
 # ---- views ------------------------------------------------------------------------------------
@@ -187,10 +203,11 @@ def test_a_line_that_is_left_out_says_why_and_the_older_one_becomes_stale() -> N
         feed(decoder, SCENE, record_of(SCENE, counter, [*places, EMPTY]), counter * CYCLE)
         view = decoder.latest(LEFT, counter * CYCLE)
         assert view.left_out is LeftOut.RANGE
+        assert view.line is not None
         assert view.line.t_ns == 11 * CYCLE
         assert view.stale is (counter > 14)
 
-    scene = decoder.latest_scene(16 * CYCLE).scene
+    scene = scene_in(decoder).scene
     assert scene.left_out == {LEFT: LeftOut.RANGE, CENTRE: LeftOut.COVARIANCE}
     assert [line.slot for line in scene.lines] == [RIGHT]
     feed(decoder, SCENE, record_of(SCENE, 17, [LINE, LINE, EMPTY, EMPTY]), 17 * CYCLE)
@@ -205,7 +222,7 @@ def test_a_scene_has_the_states_of_both_messages() -> None:
     assert [*view.slot_states] == [LEFT, RIGHT, NEXT_LEFT, EDGE_LEFT, EDGE_RIGHT, ROUTE]
     assert {*view.slot_states.values()} == {E2EState.VALID}
     assert view.usable
-    assert view.received.counter == 11
+    assert scene_in(decoder).counter == 11
 
 
 def test_one_counter_is_of_all_lines_of_a_message() -> None:
@@ -242,7 +259,8 @@ def test_rows_of_a_block_are_what_feed_returns() -> None:
         owner = SCENE if frame.can_id == SCENES.messages[SCENE].fd_can_id else SCENE2
         check = one.checks[owner]
         expected += [
-            (i, int(line.slot), check.counter, check.ahead or 0, int(check.state)) for line in found
+            (i, int(line.slot), check.counter, check.ahead or 0, int(check.state))
+            for line in lines_of(found)
         ]
     n = len(frames)
     reasons = np.zeros(n, np.uint8)
@@ -284,10 +302,6 @@ class Secured:
         return [*chain(*sent.values())]
 
 
-def slots_of(found: Sequence[MapLine] | Reason) -> list[Slot] | Reason:
-    return found if isinstance(found, Reason) else [line.slot for line in found]
-
-
 def test_an_authenticated_record_has_three_places() -> None:
     """A message without a MAC is refused, and so is one that was seen."""
     bench = Secured()
@@ -298,7 +312,7 @@ def test_an_authenticated_record_has_three_places() -> None:
     assert {len(frame.data) for frame in frames} == {64}
     assert [slot for slots in found for slot in slots].count(LEFT) == 1
     assert all(len(slots) <= 3 for slots in found)
-    assert {line.slot for line in decoder.latest_scene(0).scene.lines} == {*FEW}
+    assert {line.slot for line in scene_in(decoder).scene.lines} == {*FEW}
     again = decoder.feed(frames[-1].can_id, frames[-1].data, 0)
     assert again is Reason.REPLAY
     unsigned = plain.encoder().encode_scene(road_scene(FEW), fd=True)[SCENE][0]
@@ -317,7 +331,7 @@ def test_no_byte_of_an_authenticated_frame_may_change(byte: int) -> None:
     reason = decoder.feed(frame.can_id, bytes(data), 0)
     assert reason is (Reason.KEY if byte == 51 else Reason.MAC)
     assert not decoder.messages(0)  # it does not reach the checks
-    assert slots_of(decoder.feed(frame.can_id, frame.data, 0)) != Reason.REPLAY
+    assert lines_of(decoder.feed(frame.can_id, frame.data, 0))
 
 
 @pytest.mark.parametrize("silence_s", [0.05, 3276.8, 4_000.0, 1e6])
@@ -329,13 +343,13 @@ def test_the_clock_completes_the_freshness_value_after_any_silence(silence_s: fl
     bench = Secured()
     decoder = bench.codec().decoder()
     frame = bench.send()[-1]
-    assert len(decoder.feed(frame.can_id, frame.data, 0)) >= 2
+    assert len(lines_of(decoder.feed(frame.can_id, frame.data, 0))) >= 2
     bench.now_us += round(1e6 * silence_s)
     new, t_ns = bench.send()[-1], round(1e9 * silence_s)
 
-    assert len(decoder.feed(new.can_id, new.data, t_ns)) >= 2
+    assert len(lines_of(decoder.feed(new.can_id, new.data, t_ns))) >= 2
     restarted = bench.codec().decoder()
-    assert len(restarted.feed(new.can_id, new.data, t_ns)) >= 2
+    assert len(lines_of(restarted.feed(new.can_id, new.data, t_ns))) >= 2
     assert isinstance(restarted.feed(frame.can_id, frame.data, t_ns), Reason)
 
 
