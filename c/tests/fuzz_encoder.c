@@ -17,7 +17,14 @@ typedef struct {
                                 : MAPLINES_MAX_SCENE_FRAMES];
 } link_t;
 
-static const maplines_authenticator_t authenticator = {fuzz_mac, NULL, NULL, 1, 0};
+/// Time of the freshness values, which are few.
+static int64_t now_us(void *context)
+{
+    (void)context;
+    return 0;
+}
+
+static const maplines_authenticator_t authenticator = {fuzz_mac, now_us, NULL, 1000000, 0};
 static const double scales[4] = {0.5, 0.02, 1e-3, 1e-5}; // of the parameters of a line
 
 /* ---- what is encoded ---- */
@@ -57,7 +64,7 @@ static unsigned slots_of_dbc(maplines_owner_t slots[MAPLINES_SLOTS])
     unsigned count = 0;
     for (int slot = 0; slot < MAPLINES_SLOTS; ++slot)
     {
-        if (harness_dbc.messages[slot].is_present)
+        if (harness_dbc.messages[slot].is_present || harness_dbc.scene.places > 0)
         {
             slots[count] = (maplines_owner_t)slot;
             ++count;
@@ -391,7 +398,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     input_t input = {data, size, false};
     maplines_settings_t settings;
     maplines_default_settings(&harness_dbc, &settings);
-    const bool is_signed = harness_dbc.line.fd_authentic > 0 && next(&input) < 64;
+    const bool has_secured = harness_dbc.line.fd_authentic > 0 || harness_dbc.pose.fd_authentic > 0;
+    const bool is_signed = has_secured && next(&input) < 64;
     settings.authenticator = is_signed ? &authenticator : NULL;
     link.signer = (maplines_signer_t){fuzz_mac, NULL, 1, 0};
     link.t_ns = 1000000000;

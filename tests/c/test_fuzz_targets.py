@@ -9,7 +9,7 @@ from scene_layouts import layout_of
 
 from maplines_can.wire import Layout
 
-SHIPPED = ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc")
+SHIPPED = ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc", "maplines-scene.dbc")
 
 
 @pytest.mark.parametrize("target", ["frames", "encoder"])
