@@ -85,7 +85,10 @@ static ranked_line_t ranked_line(const maplines_scene_member_t *member, bool had
 {
     ranked_line_t line = {member->slot, 0, member->distance};
 #if MAPLINES_SLOTS > 4
-    line.group = member->slot == (int)MAPLINES_CENTRE ? 1 : 0;
+    if (member->slot == (int)MAPLINES_CENTRE)
+    {
+        line.group = 1;
+    }
 #endif
     if (had_place)
     {
