@@ -36,7 +36,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 import c_core  # noqa: E402
 
 TARGETS = ("frames", "encoder")
-PROJECT = ("maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc")
+PROJECT = ("maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc", "maplines-scene.dbc")
 SANITIZERS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 #: With clang also conversions of numbers out of range, which gcc does not check with the others.
 CLANG = ("-DFUZZER", "-fsanitize=fuzzer,float-cast-overflow")

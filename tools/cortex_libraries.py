@@ -22,7 +22,7 @@ from maplines_can.generation.c_files import c_files
 
 CASES = Path(__file__).resolve().parent / "greatest"
 OPTIONS = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=soft", *FLAGS, "-Os"]
-DBCS = ("maplines.dbc", "maplines-pose.dbc")
+DBCS = ("maplines.dbc", "maplines-pose.dbc", "maplines-scene.dbc")
 SMALL = Features(sender=False, scenes=False, mixtures=False, secoc=False, slots=4)
 #: Libraries that are measured: what they are for, their DBC and their features.
 LIBRARIES = {
@@ -35,6 +35,8 @@ LIBRARIES = {
     "receiver of lines, 4 slots": (DBCS[0], SMALL),
     "the same, float": (DBCS[0], SMALL._replace(single=True)),
     "sender of lines, 4 slots": (DBCS[0], SMALL._replace(sender=True, receiver=False)),
+    "receiver, `maplines-scene.dbc`": (DBCS[2], SMALL._replace(scenes=True, slots=8)),
+    "the same, with SecOC": (DBCS[2], SMALL._replace(scenes=True, slots=8, secoc=True)),
 }
 #: Public function of each kind of call, in the order of the table.
 FUNCTIONS = {
@@ -43,6 +45,11 @@ FUNCTIONS = {
     "latest scene of up to 4 lines": "maplines_latest_scene",
     "latest scene of up to 8 lines": "maplines_latest_scene",
     "encode a line": "maplines_encode_line",
+}
+#: What a library for whole scenes only has in their place.
+COPIES = {
+    "maplines_latest": "maplines_copy_line",
+    "maplines_latest_scene": "maplines_copy_scene",
 }
 
 
@@ -95,11 +102,12 @@ def measured(dbc: str, features: Features) -> Measured:
     with built(dbc, features) as programs:
         graph = CallGraph(programs.source, programs.greatest)
         cases = cases_of(programs.greatest, CASES / f"{Path(dbc).stem}.txt")
-        calls = {}
+        calls, is_whole = {}, layout_from(dbc).scene is not None
         for kind, function in FUNCTIONS.items():
             counts = [case[kind] for case in cases if kind in case]
             if counts:
                 instructions, written = (max(numbers) for numbers in zip(*counts, strict=True))
+                function = COPIES.get(function, function) if is_whole else function
                 calls[kind] = Call(instructions, written, graph.deepest(function).stack)
         return Measured(_sizes_of(programs.smallest), calls)
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Search for what takes the C core the most instructions on a Cortex-M4, in QEMU.
 
-    greatest_found.py                      maplines.dbc and maplines-pose.dbc, 20 minutes
+    greatest_found.py                      all DBCs of the tables, 20 minutes
     greatest_found.py --seconds 60         shorter
     greatest_found.py --dbc maplines.dbc   one of them
 
@@ -34,6 +34,7 @@ from reporting import parser_of
 
 from maplines_can.cli.options import layout_from
 from maplines_can.model.records import intact, written
+from maplines_can.model.whole_scenes import write_whole
 from maplines_can.model.writer import Draft
 from maplines_can.testing.hostile_streams import (
     PROFILES,
@@ -46,6 +47,7 @@ from maplines_can.testing.hostile_streams import (
 from maplines_can.testing.sender_streams import random_draft
 from maplines_can.values.line import Slot
 from maplines_can.wire import POSE, Layout
+from maplines_can.wire.layout.scene_layout import SceneLayout
 from maplines_can.wire.layout.signals import PAGE_BYTES
 
 #: Frames of a part of a stream: enough for a line that is usable.
@@ -59,6 +61,7 @@ STREAMS = 0.4
 SEARCHED = {
     DBCS[0]: ("all", "receiver of lines, 4 slots"),
     DBCS[1]: ("all, `maplines-pose.dbc`",),
+    DBCS[2]: ("receiver, `maplines-scene.dbc`",),
 }
 
 #: What a receiver is given, or a line that a sender is given.
@@ -87,8 +90,9 @@ def parts(layout: Layout, rng: random.Random) -> Iterator[Case]:
     while True:
         seed = rng.randrange(10**6)
         stream = Stream(traffics_of(layout, seed), rng.choice(profiles), seed)
-        slots = rng.sample([*layout.messages], rng.choice([4, len(layout.messages)]))
-        owners = {POSE, *slots}
+        count = len(layout.messages)
+        slots = rng.sample([*layout.messages], min(count, rng.choice([4, count])))
+        owners = {POSE, *slots, *(layout.messages_of.keys() - layout.messages.keys())}
         steps = (
             step
             for step in stream.steps()
@@ -109,7 +113,8 @@ def changed(case: Case, layout: Layout, rng: random.Random) -> Case:
     i = rng.randrange(len(steps))
     if what < 0.5:
         share = rng.choice([0.0, 0.1, 1.0])
-        wanted = rng.choice([*layout.signals, *(layout.pose.signals if layout.pose else ())])
+        of_lines = () if layout.scene else layout.signals
+        wanted = rng.choice([*of_lines, *(layout.pose.signals if layout.pose else ())])
         for k, step in enumerate(steps):
             if isinstance(step, FrameStep) and (k == i or rng.random() < share):
                 steps[k] = _with_other_values(step, layout, wanted, rng)
@@ -136,10 +141,12 @@ def _with_other_values(
     owner, is_whole = layout.message_of_id.get((step.can_id, step.is_extended), (None, False))
     if owner is None or not is_whole:
         return step
-    own = layout if owner != POSE or layout.pose is None else layout.pose
-    data_id = layout.messages_of[owner].data_id
-    for pages in {own.pages, own.short_pages}:
-        raw = intact(own, step.data[: PAGE_BYTES * pages], data_id)
+    own, data_id = layout.record_of(owner), layout.messages_of[owner].data_id
+    lengths = {own.record_bytes}
+    if not isinstance(own, SceneLayout):
+        lengths.add(PAGE_BYTES * own.short_pages)
+    for length in lengths:
+        raw = intact(own, step.data[:length], data_id)
         if isinstance(raw, str):
             continue
         names = {wanted, *rng.sample([*own.signals], rng.choice([0, 0, 1, 4]))}
@@ -147,7 +154,11 @@ def _with_other_values(
             signal = own[name]
             value = rng.randint(signal.raw_min, signal.raw_max)
             raw[name] = rng.choice([signal.raw_min, signal.raw_max, value, value])
-        record = written(own, dict.fromkeys(own.signals, 0) | raw, data_id)
+        record = (
+            write_whole(own, raw, (), length, data_id)
+            if isinstance(own, SceneLayout)
+            else written(own, dict.fromkeys(own.signals, 0) | raw, data_id)
+        )
         return step._replace(data=record.ljust(len(step.data), b"\0"))
     return step
 
@@ -281,7 +292,7 @@ def searched(dbc: str, name: str, seconds: float, seed: int, before: list[Case])
 def main() -> int:
     parser = parser_of(__doc__)
     parser.add_argument("--seconds", type=int, default=1200, help="in all [s] (default: 1200)")
-    parser.add_argument("--dbc", choices=DBCS, action="append", help="DBC (default: both)")
+    parser.add_argument("--dbc", choices=DBCS, action="append", help="DBC (default: all)")
     parser.add_argument("--seed", type=int, default=1, help="of all that is drawn (default: 1)")
     options = parser.parse_args()
     if not is_installed():

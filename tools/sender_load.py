@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Measure the CPU of a sender of joint scenes of eight lines, beside python-can's own cyclic tasks.
 
-    python tools/sender_load.py                     20 Hz, both DBCs, about two minutes
+    python tools/sender_load.py                     20 Hz, three DBCs, about three minutes
     python tools/sender_load.py --period 0.02       50 Hz
     python tools/sender_load.py --quick             a few seconds, as a smoke test
 
@@ -148,7 +148,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help="two short turns")
     options = parser.parse_args(argv)
     turns, seconds = (2, 0.2) if options.quick else (options.turns, options.seconds)
-    for dbc in ("maplines.dbc", "maplines-pose.dbc"):
+    for dbc in ("maplines.dbc", "maplines-pose.dbc", "maplines-scene.dbc"):
         rows = Rows(dbc, options.period)
         calls = {
             "wake-ups alone": rows.wake_ups_alone,

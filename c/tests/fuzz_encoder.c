@@ -58,7 +58,7 @@ static void next_mean(input_t *input, double mean[4])
     }
 }
 
-/// Slots that the DBC has; returns their number.
+/// Slots that the DBC has, in whole scenes all; returns their number.
 static unsigned slots_of_dbc(maplines_owner_t slots[MAPLINES_SLOTS])
 {
     unsigned count = 0;

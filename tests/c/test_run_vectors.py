@@ -20,7 +20,7 @@ from maplines_can.wire.layout.message_layout import Layout
 pytest.importorskip("cryptography")
 
 ROOT = Path(__file__).parents[2]
-SHIPPED = ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc")
+SHIPPED = ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc", "maplines-scene.dbc")
 
 
 @cache
