@@ -346,30 +346,42 @@ class _Search:
         return found
 
     def filled(self, fields: Fields) -> Fields:
-        """Return fields that fill the frame, one bit after the other."""
-        while not self.fits(fields):
-            costs = {k: x for k, x in self.costs(fields, -1).items() if k in self._of_line}
+        """Return fields that fill the frame: bit after bit, where it costs least or gains most.
+
+        A bit costs about as much whatever other fields have: it is measured again when it is next.
+
+        Raises:
+            ValueError: the least bits are too many.
+        """
+        more = 1 if self.fits(fields) else -1
+        now, costs = self.loss(fields), self.costs(fields, more)
+        costs = {name: cost - now for name, cost in costs.items() if name in self._of_line}
+        while costs if more > 0 else not self.fits(fields):
             if not costs:
-                raise ValueError(f"{self._lines} lines do not fit into {FRAME_BYTES} bytes")
+                raise ValueError(
+                    f"lines must be fewer than {self._lines}: even with {MIN_BITS} bits a field "
+                    f"they do not fit into {FRAME_BYTES} bytes"
+                )
             name = min(costs, key=lambda name: costs[name])
-            fields = {**fields, name: resized(fields[name], -1)}
-        while self._bits(fields, of_line=True) < self._room[True]:
-            gains = {k: x for k, x in self.costs(fields, 1).items() if k in self._of_line}
-            name = min(gains, key=lambda name: gains[name])
-            if gains[name] >= self.loss(fields):
-                break
-            fields = {**fields, name: resized(fields[name], 1)}
+            other = {**fields, name: resized(fields[name], more)}
+            if more > 0 and not self.fits(other):
+                return fields
+            cost = self.loss(other) - self.loss(fields)
+            costs[name] = cost
+            if cost <= min(costs.values()):
+                fields = other
+                if fields[name].bits + more < MIN_BITS:
+                    del costs[name]
         return fields
 
     def improved(self, fields: Fields) -> Fields:
         """Return fields with the changes of a round; the same ones if none is better."""
-        now = self.loss(fields)
         changes = [*self._moved(fields), *self._exchanged(fields)]
         changes.sort(key=lambda change: self.loss({**fields, **change}))
         best = fields
         for change in changes[:TRIED]:
             other = {**best, **change}
-            if self.loss(other) < self.loss(best) - MIN_GAIN * now:
+            if self.loss(other) < self.loss(best) * (1 - MIN_GAIN):
                 best = other
         return best
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...values.errors import EncodeError
 from ...values.line import Slot, lateral_jacobian
 from ...values.scene import Scene
 from ..comparison import AnyCodec
@@ -38,6 +39,8 @@ MOST_LEFT_OUT = 0.01
 WIDER = 1.05
 #: Quantiles that are averaged for the end of a tail in ``excess``.
 TAIL = (0.97, 0.98, 0.99, 0.995)
+#: Reason why a line is left out: the pose error does not fit the message.
+POSE = "POSE"
 #: Ego lane.
 LANE = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
 
@@ -100,8 +103,12 @@ class Ratios:
     def add_scene(self, codec: AnyCodec, scene: Scene, *, fd: bool = True) -> Scene | None:
         """Send a scene, add what is received, and return it; None if no line is."""
         encoder, decoder = codec.encoder(), codec.decoder()
-        prepared = encoder.prepare_scene(scene, fd=fd)
         self.lines += len(scene.lines)
+        try:
+            prepared = encoder.prepare_scene(scene, fd=fd)
+        except EncodeError:  # the pose error does not fit, and so none of the lines
+            self.left_out[POSE] += len(scene.lines)
+            return None
         self.left_out.update(reason.name for reason in prepared.unfit.values())
         frames = encoder.encode_scene(prepared, fd=fd)
         for frame in chain.from_iterable(frames.values()):
