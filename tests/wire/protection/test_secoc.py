@@ -208,6 +208,7 @@ def test_a_freshness_value_that_is_too_short_is_refused(n: int) -> None:
     ("n", "clock", "window_ns", "words"),
     [
         pytest.param(3, None, S, "3 bytes, but without a clock 7 are needed", id="3-no-clock"),
+        pytest.param(4, Clock(), 2148 * S, "window_ns of 2147483647000 at most", id="4-window"),
         pytest.param(4, None, S, "silence of 4294.97 s", id="4-no-clock"),
         pytest.param(6, None, S, "give the authenticator a clock", id="6-no-clock"),
         pytest.param(3, Clock(), 8_388_608_000, "window_ns of 8388607000 at most", id="one-more"),
@@ -225,7 +226,9 @@ def test_a_freshness_value_that_could_not_be_completed_is_refused(
         Verifier(keys, SecuredLayout(41 + n, n, 8))
 
 
-@pytest.mark.parametrize(("n", "window_ns"), [(3, S), (3, 8_388_607_000), (7, 600 * S)])
+@pytest.mark.parametrize(
+    ("n", "window_ns"), [(3, S), (3, 8_388_607_000), (4, S), (4, 2_147_483_647_000), (7, 600 * S)]
+)
 @pytest.mark.parametrize("offset", [-1, 0, 1])
 @pytest.mark.parametrize(
     "gaps_s",
@@ -233,6 +236,7 @@ def test_a_freshness_value_that_could_not_be_completed_is_refused(
         pytest.param([0.05] * 198, id="198-in-a-row"),
         pytest.param([0.05, 0.15, 0.05, 1.0, 0.05], id="lost-frames"),
         pytest.param([0.05, 16.8, 0.05, 33.554432, 0.05, 86_400, 0.05], id="silences"),
+        pytest.param([0.05, 4294.967295, 4294.967296, 0.05, 12884.901888], id="4-bytes-again"),
     ],
 )
 def test_what_is_accepted_works(

@@ -1,0 +1,96 @@
+"""Authenticated whole scenes: freshness values of 4 bytes over restarts, losses and silences."""
+
+from typing import Any
+
+import pytest
+from scene_streams import road_scene
+from secoc_streams import MS, NOW, SECRET, US, Clock, S
+
+from maplines_can import Codec, Scene
+from maplines_can.values.errors import LayoutError
+from maplines_can.wire import Authenticator, Key, Reason, default_dbc_path
+
+#: What 4 bytes of microseconds can count [ns]: 71.6 minutes.
+SPAN = 2**32 * US
+CYCLE = 50 * MS
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return road_scene()
+
+
+def codec_of(clock: Any, **rest: Any) -> Codec:
+    keys = Authenticator(Key(SECRET), clock=clock, **rest)
+    return Codec.from_dbc(default_dbc_path("maplines-scene.dbc"), authenticator=keys)
+
+
+def sent(encoder: Any, scene: Scene) -> Any:
+    """The frame of the message Scene."""
+    (frame,) = encoder.encode_scene(scene, fd=True)["scene"]
+    return frame
+
+
+def answer(decoder: Any, frame: Any, clock: Clock) -> str:
+    """The reason why a frame that is received now is dropped, or that its lines come."""
+    found = decoder.feed(frame.can_id, frame.data, clock.now)
+    return found.name if isinstance(found, Reason) else "lines"
+
+
+def test_a_receiver_needs_a_clock() -> None:
+    """Four bytes of a freshness value cannot be completed without one."""
+    with pytest.raises(LayoutError, match=r"4 bytes, but without a clock 7 are needed"):
+        codec_of(None)
+
+
+@pytest.mark.parametrize(
+    "silence",
+    [CYCLE, 17 * CYCLE, SPAN - US, SPAN, SPAN + CYCLE, 3 * SPAN, 86_400 * S],
+)
+def test_any_number_of_frames_may_be_lost(scene: Scene, silence: int) -> None:
+    """Also more than the truncated value counts; and what was recorded before is not accepted."""
+    clock = Clock()
+    encoder, decoder = codec_of(clock).encoder(), codec_of(clock).decoder()
+    before = sent(encoder, scene)
+    assert answer(decoder, before, clock) == "lines"
+    clock.now += silence
+    assert answer(decoder, sent(encoder, scene), clock) == "lines"
+    assert answer(decoder, before, clock) in ("REPLAY", "MAC")
+
+
+@pytest.mark.parametrize(
+    ("late", "expected"),
+    [
+        pytest.param(CYCLE, "lines", id="within-the-window"),
+        pytest.param(S, "lines", id="the-window"),
+        pytest.param(S + US, "AGE", id="older"),
+        pytest.param(SPAN, "AGE", id="same-low-bytes"),
+        pytest.param(2 * SPAN, "MAC", id="twice"),
+    ],
+)
+def test_a_recording_to_a_receiver_that_restarts(scene: Scene, late: int, expected: str) -> None:
+    """Its full freshness value comes from the clock: only a recording within the window passes."""
+    clock = Clock()
+    recorded = sent(codec_of(clock).encoder(), scene)
+    clock.now += late
+    decoder = codec_of(clock).decoder()
+    assert answer(decoder, recorded, clock) == expected
+    clock.now += US
+    assert answer(decoder, sent(codec_of(clock).encoder(), scene), clock) in ("lines", "DUPLICATE")
+    assert answer(decoder, recorded, clock) != "lines"
+
+
+def test_a_sender_that_restarts(scene: Scene) -> None:
+    """It is accepted at once; with a clock that was set back, when that has caught up."""
+    clock, own = Clock(), Clock()
+    decoder = codec_of(clock).decoder()
+    frames = []
+    for own.now in (NOW, NOW + CYCLE, NOW):  # each of a sender that has just started
+        frames.append(sent(codec_of(own).encoder(), scene))
+    assert answer(decoder, frames[0], clock) == "lines"
+    clock.now += CYCLE
+    assert answer(decoder, frames[1], clock) == "DUPLICATE"  # authentic: the counter begins again
+    assert answer(decoder, frames[2], clock) == "REPLAY"
+    own.now = NOW
+    remembers = sent(codec_of(own, not_before=(NOW + CYCLE) // US).encoder(), scene)
+    assert answer(decoder, remembers, clock) == "DUPLICATE"
