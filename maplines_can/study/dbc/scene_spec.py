@@ -39,7 +39,10 @@ _HEAD = (
     ratio_signal("Across", "Along", 8, 1 / 64, why="a correlation of 0.89"),
     ratio_signal("Heading", "Along", 8, 1 / 64, why="a correlation of 0.89"),
     ratio_signal("Heading", "Across", 9, 1 / 64, why="a correlation of 0.97: drift across a lane"),
-    AGE, CORRELATION_TIME, *MAP_LEVELS,
+    AGE, CORRELATION_TIME, MAP_LEVELS[0],
+    replace(
+        MAP_LEVELS[1],
+        why="0.015 to 0.2 deg in steps of 9 %: no level of a line has the shape of a rotation"),
 )
 #: More bits of each signal of the mean than in a record of a line alone, and why.
 _MEAN = (

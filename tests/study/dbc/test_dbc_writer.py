@@ -1,7 +1,10 @@
 """The description of the record, its DBC and its page agree."""
 
+import re
 import subprocess
 import sys
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +16,24 @@ from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.dbc_writer import DbcWriter, SignalSpec
 from maplines_can.study.dbc.pose_spec import CONDITIONAL
 from maplines_can.study.dbc.record_spec import DEFAULT, dbc_name, dbc_writer_for
+from maplines_can.study.dbc.scene_spec import SCENES, WHOLE_SCENES
 from maplines_can.values.line import Kind, Slot, Status
 from maplines_can.wire import Codec, Layout
+from maplines_can.wire.layout.pose_layout import SCENE
+from maplines_can.wire.layout.scene_layout import NoLine
 
 ROOT = Path(__file__).parents[3]
 
 
+@cache
+def load(name: str) -> Any:
+    """Return one of the databases of the package."""
+    return cantools.database.load_file(ROOT / "dbc" / name)
+
+
 @pytest.fixture(scope="module")
 def database() -> Any:
-    return cantools.database.load_file(ROOT / "dbc" / "maplines.dbc")
+    return load("maplines.dbc")
 
 
 def test_the_files_are_up_to_date() -> None:
@@ -46,10 +58,26 @@ def test_every_bit_is_used_once(database: Any) -> None:
             )
 
 
-def test_each_signal_explains_itself(database: Any) -> None:
+def test_every_bit_of_a_whole_scene_is_used_once() -> None:
+    """64 bytes in each of the four messages, of which the authenticated ones have a trailer."""
+    messages = load("maplines-scene.dbc").messages
+
+    assert [message.name for message in messages] == [
+        "Scene2",
+        "Scene2SecOC",
+        "Scene",
+        "SceneSecOC",
+    ]
+    for message in messages:
+        assert (message.length, message.is_fd) == (64, True)
+        assert sum(signal.length for signal in message.signals) == 512
+
+
+@pytest.mark.parametrize("name", ["maplines.dbc", "maplines-scene.dbc"])
+def test_each_signal_explains_itself(name: str) -> None:
     """It has a comment, unit and range; its message has a cycle time and a send type."""
     units = {"YOff": "m", "Beta": "rad", "C0": "1/m", "C1": "1/m^2", "Age": "ms", "XMax": "m"}
-    for message in database.messages:
+    for message in load(name).messages:
         assert message.comment
         assert message.cycle_time == 50
         assert message.send_type == "Cyclic"
@@ -58,8 +86,17 @@ def test_each_signal_explains_itself(database: Any) -> None:
             assert signal.comment, signal.name
             assert signal.minimum is not None
             assert signal.receivers == ["AdasEcu"]
-            if signal.name in units:
-                assert signal.unit == units[signal.name]
+            if plain := re.fullmatch(rf"(?:E\w+t|Line\d)?({'|'.join(units)})", signal.name):
+                assert signal.unit == units[plain[1]]
+
+
+def test_names_of_kinds_in_whole_scenes() -> None:
+    """Those of the places without a line are there, too."""
+    message = load("maplines-scene.dbc").get_message_by_name("Scene2")
+    choices = message.get_signal_by_name("EdgeRightKind").choices
+    assert {int(n): str(text) for n, text in choices.items()} == {
+        one.value: one.name for one in (*Kind, *NoLine)
+    }
 
 
 def test_value_tables_are_the_enumerations(database: Any) -> None:
@@ -78,9 +115,14 @@ def test_the_page_names_the_ids_of_the_dbc() -> None:
     for messages in Layout.from_dbc().messages.values():
         row = f"| 0x{messages.can_id:03X} | 0x{messages.fd_can_id:03X} | 0x{messages.data_id:04X} |"
         assert row in page
+    scene = Layout.from_dbc(ROOT / "dbc" / "maplines-scene.dbc").scene
+    assert scene is not None
+    for own in scene.messages.values():
+        ids = f"| 0x{own.fd_can_id:03X} | 0x{own.data_id:04X} "
+        assert f"{ids}| 0x{own.secured_can_id:03X} | 0x{own.secured_data_id:04X} |" in page
 
 
-@pytest.mark.parametrize("writer", [CONDITIONAL, *map(dbc_writer_for, CODES)])
+@pytest.mark.parametrize("writer", [CONDITIONAL, WHOLE_SCENES, *map(dbc_writer_for, CODES)])
 def test_the_database_has_the_layout_of_the_text(writer: DbcWriter) -> None:
     """The numbers of the text are exact."""
     own, read = Layout.from_dbc(writer.database()), Layout.from_text(writer.dbc())
@@ -88,10 +130,8 @@ def test_the_database_has_the_layout_of_the_text(writer: DbcWriter) -> None:
     assert own.messages == read.messages
     assert own.secured == read.secured
     assert own.covariance_code == read.covariance_code
-    poses = [layout.pose for layout in (own, read)]
-    assert len({pose is None for pose in poses}) == 1
-    parts = [(pose.signals, pose.messages, pose.secured) for pose in poses if pose]
-    assert parts[:1] == parts[1:]
+    assert (own.pose is None) is (read.pose is None)
+    assert own.is_same_as(read)
 
 
 @pytest.mark.parametrize("code", CODES)
@@ -118,6 +158,21 @@ def test_a_page_that_is_too_full_is_refused() -> None:
     wide = SignalSpec(name="Wide", bits=59, about="", why="")
     with pytest.raises(ValueError, match="page 1 has 65 bits, more than 64"):
         DbcWriter(((wide,), (wide,), (wide,), (wide,)))
+
+
+def test_a_whole_scene_that_is_too_large_is_refused() -> None:
+    """With five lines it would have more bytes than a CAN FD frame; so with four and a MAC."""
+    for places, secured_places, needed in ((5, 3, 77), (4, 4, 77)):
+        scene = replace(SCENES, places=places, secured_places=secured_places)
+        with pytest.raises(ValueError, match=f"64 bytes at most, but {needed} are needed"):
+            replace(WHOLE_SCENES, scene=scene).database()
+
+
+def test_signals_of_the_record_in_lines_need_lines_with_a_fixed_slot() -> None:
+    """The last bits of the others have their slots."""
+    for change in ({"fixed": {SCENE: (Slot.EGO_LEFT,)}}, {"secured_places": 1}):
+        with pytest.raises(ValueError, match="but there are 2 tails"):
+            replace(SCENES, **change)
 
 
 def test_another_arrangement_of_pages_works(tmp_path: Path) -> None:
