@@ -84,6 +84,40 @@ def test_the_receiver_prints_what_python_receives(folder: Any, capsys: Any, more
     assert np.abs(np.array(printed) - expected).max() < 0.00051 + 0.00002 * ("FLOAT" in str(more))
 
 
+def test_the_smallest_receiver_prints_what_python_receives(folder: Any, capsys: Any) -> None:
+    """Of whole scenes, with the cycle of the page in place of that of the receiver."""
+    section = PAGE.split("## The smallest receiver\n")[1].split("\n## ")[0]
+    (cycle,) = re.findall(r"(?ms)^```c\n(.*?)^```\n", section)
+    generate, drive = re.findall(r"(?m)^maplines (.*)$", section)
+    source = folder / "receiver.c"
+    text, count = re.subn(r"(?ms)^static void cycle\(.*?^}\n", lambda _: cycle, source.read_text())
+    assert count == 1
+    source.write_text(text)
+    assert main(generate.split()) == 0
+    assert main(drive.split()) == 0
+    capsys.readouterr()
+    build("receiver")
+    with (folder / "drive.log").open() as log:
+        rows = subprocess.run(["./receiver"], stdin=log, stdout=-1, check=True, text=True).stdout
+
+    decoder, next_ns = Codec.from_dbc(default_dbc_path("maplines-scene.dbc")).decoder(), 0
+    expected: list[Any] = []
+    for frame in read_log("drive.log"):
+        decoder.feed(frame.can_id, frame.data, frame.t_ns)
+        if frame.t_ns < next_ns:
+            continue
+        next_ns = frame.t_ns + 50_000_000
+        lane = decoder.latest_scene(frame.t_ns)
+        if lane.usable and lane.scene:
+            (left,) = (one for one in lane.scene.lines if one.slot is Slot.EGO_LEFT)
+            expected.append([40, left.y(40.0), left.y_sigma(40.0)])
+            expected.append([20, *lane.scene.width(20.0)])
+    numbers = re.compile(r"-?\d+\.?\d*")
+    printed = [[float(word) for word in numbers.findall(row)] for row in rows.splitlines()]
+    assert len(expected) > 100
+    assert np.abs(np.array(printed) - expected).max() < 0.00051
+
+
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: Any) -> Path:
     """A folder with the sender and the receiver of the page as programs."""
