@@ -123,6 +123,20 @@ static void show_no_line(double *reals)
     }
 }
 
+/// Show the E2E checks of an owner of records, in the order of their variables.
+static void show_checks(maplines_decoder_t *decoder, int owner, int64_t now_ns, uint64_t *counts)
+{
+    maplines_slot_stats_t stats;
+    memset(&stats, 0, sizeof stats);
+    (void)maplines_slot_stats(decoder, (maplines_owner_t)owner, now_ns, &stats);
+    counts[0] = stats.ok;
+    counts[1] = stats.lost;
+    counts[2] = stats.repeated;
+    counts[3] = stats.wrong_sequence;
+    counts[4] = stats.errors;
+    counts[5] = stats.no_new_data;
+}
+
 /// Show a slot.
 static void show_slot(maplines_instance_t *instance, int slot, int64_t now_ns)
 {
@@ -130,13 +144,9 @@ static void show_slot(maplines_instance_t *instance, int slot, int64_t now_ns)
     maplines_decoder_t *decoder = &instance->state.node.decoder;
     double *reals = &values->reals[REAL_SLOTS + SLOT_REALS * slot];
     int64_t *choices = &values->choices[CHOICE_SLOTS + SLOT_CHOICES * slot];
-    uint64_t *counts = &values->counts[COUNT_SLOTS + SLOT_COUNTS * slot];
     bool *flags = &values->flags[FLAG_SLOTS + SLOT_FLAGS * slot];
     maplines_view_t view;
-    maplines_slot_stats_t stats;
-    memset(&stats, 0, sizeof stats);
     maplines_latest(decoder, (maplines_owner_t)slot, now_ns, &view);
-    (void)maplines_slot_stats(decoder, (maplines_owner_t)slot, now_ns, &stats);
     if (view.line == NULL)
     {
         show_no_line(reals);
@@ -154,12 +164,12 @@ static void show_slot(maplines_instance_t *instance, int slot, int64_t now_ns)
     flags[SLOT_FLAG_RECEIVED] = view.line != NULL;
     flags[SLOT_FLAG_STALE] = view.is_stale;
     flags[SLOT_FLAG_TWO_SENDERS] = view.two_senders;
-    counts[SLOT_COUNT_OK] = stats.ok;
-    counts[SLOT_COUNT_LOST] = stats.lost;
-    counts[SLOT_COUNT_REPEATED] = stats.repeated;
-    counts[SLOT_COUNT_WRONG_SEQUENCE] = stats.wrong_sequence;
-    counts[SLOT_COUNT_ERRORS] = stats.errors;
-    counts[SLOT_COUNT_NO_NEW_DATA] = stats.no_new_data;
+#if MAPLINES_SCENE_RECORDS
+    choices[SLOT_CHOICE_LEFT_OUT] = (int64_t)view.left_out;
+#else
+    show_checks(decoder, slot, now_ns,
+                &values->counts[COUNT_SLOTS + SLOT_COUNTS * slot + SLOT_COUNT_OK]);
+#endif
 }
 
 /// Show the scene, and the lane between two of its lines.
@@ -212,6 +222,16 @@ void maplines_refresh(maplines_instance_t *instance)
 {
     const int64_t now_ns = nanoseconds(instance->state.now);
     maplines_expire(&instance->state.node.decoder, now_ns);
+#if MAPLINES_SCENE_RECORDS
+    for (int slot = 0; slot < MAPLINES_SLOTS; slot++)
+    {
+        show_slot(instance, slot, now_ns);
+    }
+    show_checks(&instance->state.node.decoder, (int)MAPLINES_SCENE, now_ns,
+                &instance->state.values.counts[COUNT_SCENE]);
+    show_checks(&instance->state.node.decoder, (int)MAPLINES_SCENE2, now_ns,
+                &instance->state.values.counts[COUNT_SCENE2]);
+#else
     for (int slot = 0; slot < MAPLINES_SLOTS; slot++)
     {
         if (MAPLINES_DBC.messages[slot].is_present)
@@ -219,6 +239,7 @@ void maplines_refresh(maplines_instance_t *instance)
             show_slot(instance, slot, now_ns);
         }
     }
+#endif
     if (MAPLINES_DBC.has_pose)
     {
         show_scene(instance, now_ns);

@@ -159,7 +159,8 @@ def build_of(layouts: Mapping[str, Layout], features: Features = ALL) -> Build:
 def roomy_build(layout: Layout) -> Build:
     """Return the library for a DBC with all features, which remembers as much as Python does."""
     build = build_of({"": layout})
-    return build._replace(transfers=build.max_transfer_ids, history=256, epochs=8, window=255)
+    sizes = {"transfers": build.max_transfer_ids, "history": 256, "epochs": 8, "window": 255}
+    return build._replace(line_records=1, **sizes)  # with them lines are kept, not only records
 
 
 def _power_of_two(least: int) -> int:

@@ -23,7 +23,16 @@ from . import variables as code
 from .compilers import binaries
 from .description import BUS, build_description, manifest, model_description, terminals
 from .names import names_header
-from .nodes import POSITIONS, controller_rows, line_rows, pose_rows, receiver_rows, sender_rows
+from .nodes import (
+    CHECKS,
+    POSITIONS,
+    LeftOut,
+    controller_rows,
+    line_rows,
+    pose_rows,
+    receiver_rows,
+    sender_rows,
+)
 from .route import SentRoute, route_source
 from .variables import Row, Variable, variables_of
 
@@ -102,15 +111,16 @@ def check(node: str, layout: Layout) -> None:
     Raises:
         LayoutError: they are not.
     """
-    if not any(own.can_id or own.fd_can_id for own in layout.messages.values()):
+    if not any(own.can_id or own.fd_can_id for own in layout.messages_of.values()):
         raise LayoutError(
             f"{layout.source}: all messages are authenticated, and an FMU has no keys; use a DBC "
             "with messages that are not, such as maplines.dbc"
         )
     if node == "sender" and layout.is_conditional:
+        kind = "conditional on the pose error" if layout.scene is None else "whole scenes"
         raise LayoutError(
-            f"{layout.source}: its records are conditional on the pose error, and this sender "
-            "takes lines one by one; use a DBC with complete records, such as maplines.dbc"
+            f"{layout.source}: its records are {kind}, and this sender takes lines one by one; use "
+            "a DBC with complete records, such as maplines.dbc"
         )
 
 
@@ -135,13 +145,21 @@ def rows_of(node: str, layout: Layout, route: SentRoute | None = None) -> list[R
 
 
 def described(variables: Sequence[Variable], layout: Layout) -> list[Variable]:
-    """Return the variables that a DBC gives a meaning: of its slots, and of its scenes."""
-    return [
-        each
-        for each in variables
-        if (each.slot is None or each.slot in layout.messages)
-        and (layout.pose is not None or not each.name.startswith(("scene.", "lane.")))
-    ]
+    """Return the variables that a DBC gives a meaning: of its slots, scenes and messages."""
+    return [each for each in variables if _has_meaning(each, layout)]
+
+
+def _has_meaning(variable: Variable, layout: Layout) -> bool:
+    if variable.slot is not None and variable.slot not in layout.slots:
+        return False
+    start, _, end = variable.name.partition(".")
+    if variable.row.choices is LeftOut or start in ("SCENE", "SCENE2"):
+        return layout.scene is not None and (
+            variable.slot is not None or start.lower() in layout.messages_of
+        )
+    if variable.slot is not None and end in CHECKS:  # of a message that has one line
+        return layout.scene is None
+    return layout.pose is not None or start not in ("scene", "lane")
 
 
 def sources_of(

@@ -19,6 +19,8 @@ REAL, CHOICE, COUNT, FLAG = Store
 FIXED, TUNABLE, INPUT, OUTPUT = Role
 #: Standard deviation of a position that no line has: the start value of a limit is finite [m].
 NO_LIMIT = 1e6
+#: E2E checks of a slot, or of a message of whole scenes.
+CHECKS = ("ok", "lost", "repeated", "wrong_sequence", "errors", "no_new_data")
 THREE, FOUR = range(1, 4), range(1, 5)
 
 
@@ -67,6 +69,16 @@ class Omission(IntEnum):
     UNCERTAIN = 4
     FEW_POINTS = 5
     NO_LINE = 6
+
+
+class LeftOut(IntEnum):
+    """Why a whole scene does not have the line of a slot, as maplines.h numbers it."""
+
+    IN_SCENE = 0
+    ACROSS = 1
+    RANGE = 2
+    MEAN = 3
+    COVARIANCE = 4
 
 
 class CanState(IntEnum):
@@ -148,6 +160,11 @@ def receiver_rows() -> list[Row]:
         Row(COUNT, "WRONG_SEQUENCE", ".wrong_sequence", OUTPUT, "records out of sequence"),
         Row(COUNT, "ERRORS", ".errors", OUTPUT, "records with a wrong checksum or content"),
         Row(COUNT, "NO_NEW_DATA", ".no_new_data", OUTPUT, "cycles without a record"),
+        Row(CHOICE, "LEFT_OUT", ".left_out", OUTPUT,
+            "why the newest whole scene that names the slot has no line of it; then the line is an "
+            "older one", choices=LeftOut),
+        *(Row(COUNT, owner, owner, OUTPUT, f"E2E checks of the message of whole scenes {owner}",
+              indices=CHECKS) for owner in ("SCENE", "SCENE2")),
         Row(COUNT, "FRAMES", "frames", OUTPUT, "frames received"),
         Row(COUNT, "LINES", "lines", OUTPUT, "lines delivered"),
         Row(COUNT, "POSE_ERRORS", "pose_errors", OUTPUT, "pose errors received"),
