@@ -145,7 +145,7 @@ def test_the_wheel_has_every_dbc(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         found = {name: archive.read(name) for name in archive.namelist() if name.endswith(".dbc")}
 
-    assert len(found) == 4
+    assert len(found) == 5
     assert expected == found
 
 
