@@ -24,6 +24,7 @@ from ..wire.layout.validation import CheckedGaussians, checked_gaussians
 from ..wire.reception.settings import decoder_settings
 from ..wire.records.counters import packed, unpacked
 from ..wire.records.frames import FrameWriter, Records
+from ..wire.scene_writer import SenderState
 from ..wire.tables import LineTables, tables_of
 from .codes import CODES, COMPARED
 from .components import deficit, quantized_weights, slope_error
@@ -192,11 +193,13 @@ class ComparisonEncoder(Encoder):
         self._packing = _packing_of(codec.layout)
         self._modulus = 2 ** self._signals["Counter"].length
 
-    def _write_lines(self, lines: Sequence[MapLine], counters: bytes) -> tuple[Records, bytes]:
-        following: Counter[Owner] = Counter(unpacked(counters))
+    def _write_lines(
+        self, lines: Sequence[MapLine], state: SenderState
+    ) -> tuple[Records, SenderState]:
+        following: Counter[Owner] = Counter(unpacked(state.counters))
         each = ((line.slot, raw) for line in lines for raw in self._raw(line))
         records = Records.of([(slot, self._record(raw, slot, following)) for slot, raw in each])
-        return records, packed(following)
+        return records, state._replace(counters=packed(following))
 
     def _record(self, raw: Mapping[str, int], slot: Slot, following: Counter[Owner]) -> bytes:
         """Return a record, and advance the counter of its slot."""
