@@ -37,6 +37,12 @@ typedef char maplines_constants_are_double[sizeof(1.0) == sizeof(double) ? 1 : -
 #ifndef MAPLINES_INTERNAL
 #define MAPLINES_INTERNAL
 #endif
+/* A function that is not inlined, so that its memory is on the stack only while it runs. */
+#ifdef __GNUC__
+#define MAPLINES_APART __attribute__((noinline))
+#else
+#define MAPLINES_APART
+#endif
 
 /* What the caller must see to: it is asserted, and is the value of the macro where the assertion
  * returns or is off. The condition is evaluated twice. What the bus sends is never required.
@@ -451,7 +457,7 @@ typedef struct {
     int slot;
     const uint8_t *record; ///< from which its signals are read
     int64_t t_ns;          ///< of its first frame
-    maplines_line_t *line; ///< set to the line, unless it is NULL
+    maplines_line_t *line; ///< set to the line; NULL: it is only in the scene
 } maplines_epoch_line_t;
 
 /// Pose error and lines of it, wherever their records are.

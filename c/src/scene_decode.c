@@ -65,10 +65,9 @@ typedef struct {
 
 /// A line of a scene, in double precision.
 typedef struct {
-    maplines_curve_t curve;
+    member_t member;
     double A[4][MAPLINES_COLUMNS]; ///< factor due to the pose error
     double F[4][4];                ///< line-specific factor
-    maplines_line_t line;
 } decoded_t;
 
 /// Raw value of a signal; 0 if the DBC has none.
@@ -84,7 +83,8 @@ static double level_of(const maplines_signal_t *signal, const uint8_t *record)
 }
 
 /// Read the pose error, all of whose bits mean something.
-static void read_pose(const maplines_dbc_t *dbc, const uint8_t *record, pose_error_t *pose)
+static MAPLINES_APART void read_pose(const maplines_dbc_t *dbc, const uint8_t *record,
+                                     pose_error_t *pose)
 {
     double factor[4][4];
     maplines_decode_factor(&dbc->pose_covariance, record, factor);
@@ -184,9 +184,9 @@ static double later(double age, int64_t passed_ns)
 }
 
 /// Set the valid range of a line that is conditional on the pose error.
-static void set_valid_range(const pose_error_t *pose, const maplines_curve_t *curve,
-                            const maplines_changes_t *changes, const double specific_cov[16],
-                            maplines_line_t *line)
+static MAPLINES_APART void set_valid_range(const pose_error_t *pose, const maplines_curve_t *curve,
+                                           const maplines_changes_t *changes,
+                                           const double specific_cov[16], maplines_line_t *line)
 {
     double heading_sigma = pose->largest_heading_sigma;
     if (pose->is_heading_limited)
@@ -210,13 +210,21 @@ static void set_valid_range(const pose_error_t *pose, const maplines_curve_t *cu
     line->x_max = (maplines_real_t)(low <= high ? end : middle);
 }
 
-/// Set the Gaussian of a line that has its block of the joint covariance.
-static void set_gaussian(const maplines_dbc_t *dbc, const double mean[4], const double cov[16],
-                         maplines_gaussian_t *gaussian)
+/// Set the Gaussian of a line: that of its block of the joint covariance.
+static MAPLINES_APART void set_gaussian(const maplines_dbc_t *dbc, const decoded_t *decoded,
+                                        const double specific_cov[16],
+                                        maplines_gaussian_t *gaussian)
 {
+    double cov[16];
     double ordered[16];
     double factor[4][4];
     const uint8_t *order = dbc->covariance.order;
+    maplines_gram(4, MAPLINES_COLUMNS, decoded->A[0], cov);
+    for (int i = 0; i < 16; ++i)
+    {
+        cov[i] = cov[i] + specific_cov[i];
+        cov[i] = i % 5 == 0 ? cov[i] * (1.0 + MAPLINES_ROUNDING) : cov[i];
+    }
     for (int i = 0; i < 16; ++i)
     {
         ordered[i] = cov[4 * order[i / 4] + order[i % 4]];
@@ -226,13 +234,13 @@ static void set_gaussian(const maplines_dbc_t *dbc, const double mean[4], const 
     {
         memcpy(factor[order[i]], ordered + 4 * i, sizeof factor[0]);
     }
-    maplines_set_gaussian(mean, factor, order, gaussian);
+    maplines_set_gaussian(decoded->member.curve.mean, factor, order, gaussian);
 }
 
 /// Factor of the line-specific covariance.
-static void find_specific(const maplines_dbc_t *dbc, const pose_error_t *pose,
-                          const uint8_t *record, const member_t *member,
-                          const maplines_changes_t *changes, double F[4][4])
+static MAPLINES_APART void find_specific(const maplines_dbc_t *dbc, const pose_error_t *pose,
+                                         const uint8_t *record, const member_t *member,
+                                         const maplines_changes_t *changes, double F[4][4])
 {
 #if MAPLINES_LINE_RECORDS
     if (member->is_full)
@@ -258,7 +266,7 @@ static bool is_function(const maplines_curve_t *curve)
     return curve->fit_range[0] < curve->fit_range[1] && maplines_is_function(&points);
 }
 
-/// Read the records of a line of an epoch, and what a complete one has of the line itself.
+/// Read the records of a line of an epoch; a complete one has most of the line itself.
 static void read_member(const maplines_dbc_t *dbc, const maplines_epoch_view_t *epoch,
                         const maplines_epoch_line_t *given, member_t *member, maplines_line_t *line)
 {
@@ -274,19 +282,17 @@ static void read_member(const maplines_dbc_t *dbc, const maplines_epoch_view_t *
 #else
     (void)epoch;
 #endif
-    memset(line, 0, sizeof *line);
+    (void)line;
     read_conditional(dbc, given->record, member);
 }
 
 /// Decode a line of an epoch; false if it is no function of x in its range.
 static bool decode_member(const maplines_dbc_t *dbc, const pose_error_t *pose,
                           const maplines_epoch_view_t *epoch, const maplines_epoch_line_t *given,
-                          decoded_t *decoded)
+                          decoded_t *decoded, maplines_line_t *line)
 {
-    member_t member;
-    maplines_line_t *line = &decoded->line;
-    const maplines_curve_t *curve = &member.curve;
-    read_member(dbc, epoch, given, &member, line);
+    const maplines_curve_t *curve = &decoded->member.curve;
+    read_member(dbc, epoch, given, &decoded->member, line);
     if (!is_function(curve))
     {
         return false;
@@ -298,25 +304,19 @@ static bool decode_member(const maplines_dbc_t *dbc, const pose_error_t *pose,
     {
         return false;
     }
-    find_specific(dbc, pose, given->record, &member, &changes, decoded->F);
+    find_specific(dbc, pose, given->record, &decoded->member, &changes, decoded->F);
     double specific_cov[16];
-    double cov[16];
     maplines_gram(4, 4, decoded->F[0], specific_cov);
-    maplines_gram(4, MAPLINES_COLUMNS, decoded->A[0], cov);
-    for (int i = 0; i < 16; ++i)
-    {
-        cov[i] = cov[i] + specific_cov[i];
-        cov[i] = i % 5 == 0 ? cov[i] * (1.0 + MAPLINES_ROUNDING) : cov[i];
-    }
-    decoded->curve = *curve;
-    set_gaussian(dbc, curve->mean, cov, &line->gaussian);
     if (!dbc->is_conditional)
     {
+        set_gaussian(dbc, decoded, specific_cov, &line->gaussian);
         const bool is_partial =
             line->status == MAPLINES_UNKNOWN || line->status == MAPLINES_DIAGONAL;
         line->status = is_partial ? MAPLINES_FULL : line->status;
         return true;
     }
+    memset(line, 0, sizeof *line);
+    set_gaussian(dbc, decoded, specific_cov, &line->gaussian);
     line->slot = (maplines_owner_t)given->slot;
     line->kind = (maplines_kind_t)maplines_get(&dbc->kind, given->record);
     line->status = MAPLINES_FULL;
@@ -367,11 +367,11 @@ static void begin_scene(const maplines_dbc_t *dbc, const maplines_epoch_view_t *
 #endif
 }
 
+/// Add what there is of a line in a scene besides the line itself, which stands behind the others.
 static void add_to_scene(const maplines_dbc_t *dbc, decoded_t *decoded, maplines_scene_t *scene)
 {
     const int place = scene->count;
-    const maplines_curve_t *curve = &decoded->curve;
-    scene->lines[place] = decoded->line;
+    const maplines_curve_t *curve = &decoded->member.curve;
     maplines_set_factors(dbc->covariance.order, place, curve->mean, decoded->A, decoded->F, scene);
     scene->fit_range[place][0] = (maplines_real_t)curve->fit_range[0];
     scene->fit_range[place][1] = (maplines_real_t)curve->fit_range[1];
@@ -393,17 +393,23 @@ MAPLINES_INTERNAL uint32_t maplines_decode_epoch(const maplines_dbc_t *dbc,
     for (int i = 0; i < epoch->count; ++i)
     {
         const maplines_epoch_line_t *given = &epoch->lines[i];
+        maplines_line_t *line = scene != NULL ? &scene->lines[scene->count] : given->line;
         decoded_t decoded;
-        if (decode_member(dbc, &pose, epoch, given, &decoded))
+        if (!decode_member(dbc, &pose, epoch, given, &decoded, line))
         {
-            found |= (uint32_t)1 << (unsigned)given->slot;
-            if (given->line != NULL)
-            {
-                *given->line = decoded.line;
-            }
             if (scene != NULL)
             {
-                add_to_scene(dbc, &decoded, scene);
+                memset(line, 0, sizeof *line);
+            }
+            continue;
+        }
+        found |= (uint32_t)1 << (unsigned)given->slot;
+        if (scene != NULL)
+        {
+            add_to_scene(dbc, &decoded, scene);
+            if (given->line != NULL)
+            {
+                *given->line = *line;
             }
         }
     }

@@ -94,8 +94,8 @@ static void add_moved(const double values[MAPLINES_ROOTS], double by_x, double c
     }
 }
 
-MAPLINES_INTERNAL void maplines_changes_of(const maplines_curve_t *curve,
-                                           maplines_changes_t *changes)
+MAPLINES_INTERNAL MAPLINES_APART void maplines_changes_of(const maplines_curve_t *curve,
+                                                          maplines_changes_t *changes)
 {
     const double centre = (curve->fit_range[0] + curve->fit_range[1]) / 2.0;
     const double half = (curve->fit_range[1] - curve->fit_range[0]) / 2.0;
@@ -200,7 +200,8 @@ static double root_of(double square)
     return square < 0.0 ? 0.0 : sqrt(square);
 }
 
-MAPLINES_INTERNAL void maplines_pose_root(const double P[9], maplines_pose_root_t *root)
+MAPLINES_INTERNAL MAPLINES_APART void maplines_pose_root(const double P[9],
+                                                         maplines_pose_root_t *root)
 {
     double L[3][3] = {{0.0}};
     for (int k = 0; k < 3; ++k)
@@ -247,9 +248,9 @@ MAPLINES_INTERNAL void maplines_pose_root(const double P[9], maplines_pose_root_
     }
 }
 
-MAPLINES_INTERNAL bool maplines_spread(const maplines_changes_t *changes,
-                                       const maplines_pose_root_t *root,
-                                       double A[4][MAPLINES_COLUMNS])
+MAPLINES_INTERNAL MAPLINES_APART bool maplines_spread(const maplines_changes_t *changes,
+                                                      const maplines_pose_root_t *root,
+                                                      double A[4][MAPLINES_COLUMNS])
 {
     double W[7][4];
     bool is_finite = true;
