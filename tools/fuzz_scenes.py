@@ -18,7 +18,7 @@ from fuzz_targets import (
     require,
     valid_record,
 )
-from scene_layouts import raw_record
+from scene_layouts import pose_layout_of, raw_record
 
 from maplines_can.values.line import Slot
 from maplines_can.wire import POSE, Codec, Decoder, Frame, Reason, default_dbc_path
@@ -46,10 +46,8 @@ def parts_of(dbc: str) -> Parts:
     """Return the codec of a DBC, and what makes its records."""
     codec = Codec.from_dbc(default_dbc_path(dbc))
     layout = codec.layout
-    if layout.pose is None:
-        raise ValueError(f"{dbc} has no message of the pose error")
     packing = Packing(list(layout.signals.values()), layout.record_bytes)
-    return Parts(codec, packing, layout.pose, FrameWriter(layout, None))
+    return Parts(codec, packing, pose_layout_of(dbc), FrameWriter(layout, None))
 
 
 def drawn(layout: RecordLayout, content: bytes) -> dict[str, int]:

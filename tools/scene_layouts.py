@@ -24,9 +24,9 @@ def layout_of(dbc: str) -> Layout:
 def pose_layout_of(dbc: str) -> PoseLayout:
     """Return the layout of the Pose message of one of the project's DBCs."""
     pose = layout_of(dbc).pose
-    if pose is None:
-        raise ValueError(f"{dbc} has no Pose message")
-    return pose
+    if isinstance(pose, PoseLayout):
+        return pose
+    raise ValueError(f"{dbc} has no Pose message")
 
 
 def raw_record(
