@@ -139,7 +139,8 @@ def _record(layout: AnyLayout, raw: dict[str, int], data_id: int) -> bytes:
 
 
 @cache
-def _scene(slots: tuple[Slot, ...]) -> Scene:
+def straight_scene(slots: tuple[Slot, ...]) -> Scene:
+    """Return a scene with a straight line in each slot."""
     lines = {slot: Polyline([[-100.0, OFFSETS[slot]], [200.0, OFFSETS[slot]]]) for slot in slots}
     return map_scene(lines, Gaussian([0, 0, 0], np.diag([0.3, 0.2, 0.005]) ** 2))
 
@@ -155,7 +156,7 @@ def check_scenes(codec: Codec) -> None:
     """
     layout = codec.layout
     slots = layout.slots if layout.scene is None else _with_places(layout.scene)
-    sent = _scene(slots)
+    sent = straight_scene(slots)
     for fd in (False, True) if layout.has_classic else (True,):
         try:
             frames_of = codec.encoder().encode_scene(sent, fd=fd, counters={})

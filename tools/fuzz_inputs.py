@@ -10,7 +10,9 @@ from dataclasses import replace
 from fuzz_targets import SUFFIXES
 
 from maplines_can.study.dbc.record_spec import DEFAULT, dbc_writer_for
+from maplines_can.study.dbc.scene_spec import SCENES, WHOLE_SCENES
 from maplines_can.values.line import Slot
+from maplines_can.wire.layout.pose_layout import SCENE
 
 # ---- logs --------------------------------------------------------------------------------
 
@@ -51,6 +53,7 @@ DBC_TOKENS = (
     ),
     *("Counter", "YOff", "Beta", "C0", "C1", "Status", "Kind", "XMin", "XMax", "Age", "Mac"),
     *("ComponentIndex", "ComponentCount", "ComponentWeight", "KeyId", "Freshness", "EgoLeft"),
+    *("MapLineScene", "SceneCounter", "EgoRight", "Line2", "Line3", "Slot", "OwnTilt", '"Scene"'),
     *("MapLineSlot", "E2EDataId", "SecOCDataId", "GenMsgCycleTime", "VFrameFormat"),
     *("CovarianceCode", '"MeanOnly"', '"Sigmas"', '"Cholesky"', '"Float32Triangle"', "INT"),
     *("FLOAT", "STRING", "ENUM", "HEX", "BO_", "SG_", "BA_", "BA_DEF_", "BA_DEF_DEF_", "VAL_"),
@@ -60,13 +63,24 @@ DBC_TOKENS = (
 
 def short_dbc(code: str, secured: bool = False) -> str:
     """Return a DBC of one slot, without comments and value names."""
-    text = replace(
+    writer = replace(
         DEFAULT,
         pages=dbc_writer_for(code).pages,
         covariance_code=code,
         slots=(Slot.EGO_LEFT,),
         first_secured_can_id=0x350 if secured else None,
-    ).dbc()
+    )
+    return shortened(writer.dbc())
+
+
+def scene_dbc() -> str:
+    """Return a DBC of whole scenes of three lines."""
+    scene = replace(SCENES, places=3, fixed={SCENE: SCENES.fixed[SCENE]})
+    return shortened(replace(WHOLE_SCENES, scene=scene).dbc())
+
+
+def shortened(text: str) -> str:
+    """Return a DBC without comments and value names."""
     text = re.sub(r"^(CM_|VAL_) .*?;\n", "", text, flags=re.MULTILINE | re.DOTALL)
     text = re.sub(r"NS_ :.*?BS_:", "BS_:", text, flags=re.DOTALL)
     return re.sub(r"\n\n+", "\n", text).replace("  ", " ")
@@ -80,6 +94,7 @@ def dbc_seeds() -> Iterator[bytes]:
     yield re.sub(r"BO_ 840.*?(?=BO_TX|BA_DEF)", "", only_classic, flags=re.DOTALL).encode()
     yield re.sub(r"@1([+-])", r"@0\1", only_classic).encode()
     yield short_dbc("MeanOnly", secured=True).encode()
+    yield scene_dbc().encode()
 
 
 def mutate_dbc(data: bytes, seed: int) -> bytes:

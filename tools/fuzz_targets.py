@@ -13,10 +13,12 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from enum import Enum
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from dbc_witness import straight_scene
 
 from maplines_can.bus import read_log
 from maplines_can.model.records import written
@@ -202,7 +204,8 @@ def outcome_of(answer: Sequence[MapLine] | Enum) -> str:
 
 def check_counts(state: Decoder, frames: int) -> None:
     """Check that every frame is part of a line, dropped with a reason, or pending."""
-    total = state.line_frames + sum(state.counts.values()) + state.pending
+    taken = state.line_frames + state.pose_frames
+    total = taken + sum(state.counts.values()) + state.pending
     require(state.frames == frames == total, f"{frames} frames fed, {total} accounted for")
     require(Reason.PENDING not in state.counts, "pending frames are counted as dropped")
     require(min(state.counts.values(), default=0) >= 0, "a count is negative")
@@ -312,6 +315,18 @@ def dbc(data: bytes) -> Counter[str]:
             if can_id is not None:
                 state.feed(can_id, junk[:PAGE_BYTES], 0)
                 state.feed(can_id, junk, 0)
+    if layout.scene is not None:
+        for fd in (False, True):
+            try:
+                sent = encoder.encode_scene(straight_scene(layout.slots), fd=fd)
+            except EncodeError:
+                outcomes["EncodeError"] += 1
+                continue
+            for f in chain(*sent.values()):
+                answer = state.feed(f.can_id, f.data, 0, is_extended=f.is_extended)
+                outcomes[outcome_of(answer)] += 1
+        for can_id, is_extended in layout.message_of_id:
+            state.feed(can_id, junk, 0, is_extended=is_extended)
     check_counts(state, state.frames)
     return outcomes
 
