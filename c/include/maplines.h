@@ -741,7 +741,8 @@ typedef struct {
 
 /// Settings of a decoder. Start from maplines_default_settings().
 struct maplines_settings {
-    int64_t timeout_ns[MAPLINES_OWNERS]; ///< longest time between the frames of a transfer
+    int64_t timeout_ns[MAPLINES_OWNERS]; ///< longest time between the frames of a transfer, if a
+                                         ///< record has more than one
     int64_t cycle_ns[MAPLINES_OWNERS];   ///< time between records
     maplines_e2e_config_t e2e[MAPLINES_OWNERS];
     /// Cycles without a newer line after which one is stale: 3, or another number from 0 on.

@@ -81,6 +81,18 @@ static void add_point(noise_t *noise)
     }
 }
 
+/// The first half of the nodes in single precision; the others are the same with another sign.
+static const float half_nodes[MAPLINES_HALF] = {
+    -0x1p+0F,        -0x1.ff5d12p-1F, -0x1.fd74acp-1F, -0x1.fa4808p-1F, -0x1.f5d92cp-1F,
+    -0x1.f02ae6p-1F, -0x1.e940d6p-1F, -0x1.e11f64p-1F, -0x1.d7cbbap-1F, -0x1.cd4bcap-1F,
+    -0x1.c1a642p-1F, -0x1.b4e28ap-1F, -0x1.a708c4p-1F, -0x1.9821cp-1F,  -0x1.8836fap-1F,
+    -0x1.775294p-1F, -0x1.657f4cp-1F, -0x1.52c87cp-1F, -0x1.3f3a0ep-1F, -0x1.2ae074p-1F,
+    -0x1.15c8ap-1F,  -0x1p-1F,        -0x1.d328e2p-2F, -0x1.a52872p-2F, -0x1.761bf6p-2F,
+    -0x1.46215ep-2F, -0x1.155734p-2F, -0x1.c7b90ep-3F, -0x1.63a1a8p-3F, -0x1.fd4fd4p-4F,
+    -0x1.32182ep-4F, -0x1.9876e6p-6F, 0x1.9876e6p-6F,  0x1.32182ep-4F,  0x1.fd4fd4p-4F,
+    0x1.63a1a8p-3F,
+};
+
 MAPLINES_INTERNAL const double *maplines_nodes(void)
 {
     static const double nodes[MAPLINES_NODES] = {
@@ -111,11 +123,11 @@ MAPLINES_INTERNAL void maplines_arc_of(const maplines_curve_t *curve, maplines_a
     const float tangent = (float)maplines_tan(curve->mean[1]);
     const float c0 = (float)curve->mean[2];
     const float half_c1 = (float)(curve->mean[3] / 2.0);
-    const double *nodes = maplines_nodes();
     float x_before = 0.0F;
     for (int k = 0; k < MAPLINES_NODES; ++k)
     {
-        const float offset = half * (float)nodes[k];
+        const float node = k < MAPLINES_HALF ? half_nodes[k] : -half_nodes[MAPLINES_NODES - 1 - k];
+        const float offset = half * node;
         const float x = centre + offset;
         const float linear = x * half_c1;
         const float turn = c0 + linear;

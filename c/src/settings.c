@@ -84,10 +84,14 @@ static void set_all(const maplines_dbc_t *dbc, double timeout_ms, double cycle_m
         const double dbc_ms =
             messages->cycle_ms > 0 ? (double)messages->cycle_ms : DEFAULT_CYCLE_MS;
         const double chosen_ms = cycle_ms > 0.0 ? cycle_ms : dbc_ms;
+#if MAPLINES_LINE_RECORDS
         const double by_cycle_ms = TIMEOUT_CYCLES * chosen_ms;
         const double by_dbc_ms = by_cycle_ms > dbc_ms / 2.0 ? by_cycle_ms : dbc_ms / 2.0;
         const double derived_ms = by_dbc_ms < MAX_MS ? by_dbc_ms : MAX_MS;
         settings->timeout_ns[owner] = whole_ns(timeout_ms > 0.0 ? timeout_ms : derived_ms);
+#else
+        (void)timeout_ms; // a record is a frame
+#endif
         settings->cycle_ns[owner] = whole_ns(chosen_ms);
         settings->e2e[owner] =
             maplines_is_pose(owner) ? within_counters(dbc, owner, &of_lines) : of_lines;
@@ -214,10 +218,12 @@ MAPLINES_INTERNAL const char *maplines_settings_problem(const maplines_dbc_t *db
         {
             continue;
         }
+#if MAPLINES_LINE_RECORDS
         if (settings->timeout_ns[owner] < 1 || settings->timeout_ns[owner] > MAPLINES_MAX_PERIOD_NS)
         {
             return "timeout_ns must be from 1 ns to an hour for each owner of the DBC";
         }
+#endif
         if (settings->cycle_ns[owner] < 1 || settings->cycle_ns[owner] > MAPLINES_MAX_PERIOD_NS)
         {
             return "cycle_ns must be from 1 ns to an hour for each owner of the DBC";
