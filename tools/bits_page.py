@@ -29,7 +29,7 @@ TARGETS = (1e-2, 1e-3, 1e-4)
 #: Of the load of a bus of classic CAN: bit rate [1/s], and rates of the scenes [Hz].
 BITRATE, RATES = 500_000.0, (20, 50)
 #: Codes that docs/bits.md compares on scenes.
-SCENE_CODES = ("Cholesky", "Float32", *WITH_POSE)
+SCENE_CODES = ("Cholesky", "Float32", *(code for code, one in WITH_POSE.items() if not one.fd))
 
 
 #: Columns of the table of scenes, beside the bus loads.

@@ -79,7 +79,13 @@ def _plots(tables: Tables, groups: Mapping[str, Mapping[str, str]]) -> dict[str,
 
     from .cases import fields_plot, worst_plots
     from .drawing import plot_styles
-    from .plots import kl_plot, lateral_error_plot, share_plot, sigma_ratio_plot
+    from .plots import (
+        kl_plot,
+        lateral_error_plot,
+        scenes_plot,
+        share_plot,
+        sigma_ratio_plot,
+    )
 
     sets, look = tables.sets, plot_styles(tables.codes)
     field_codes = [c for c in tables.codes if any(row["code"] == c for row in tables.fields)]
@@ -93,6 +99,10 @@ def _plots(tables: Tables, groups: Mapping[str, Mapping[str, str]]) -> dict[str,
         "fields": [[fields_plot(tables, s, field_codes)] for s in sets if field_codes],
         "saturation": [[share_plot(tables, s, look, SATURATION)] for s in sets],
         "worst": [worst_plots(tables, s, keys) for s in sets if keys],
+        "scenes": [
+            [scenes_plot(tables, lines)]
+            for lines in dict.fromkeys(row["lines"] for row in tables.scenes)
+        ],
     }
     script, plots = components(
         {

@@ -13,6 +13,7 @@ from bokeh.plotting import figure
 from ..metrics import LATERAL_X
 from .drawing import (
     BLUE,
+    INK,
     VERMILLION,
     Look,
     add_hover,
@@ -305,3 +306,69 @@ def share_plot(
         dots = plot.scatter("x", "y", marker=marker, size=10, fill_alpha="fill", **style)
         add_hover(plot, dots, ("code", "@code"), (words, "@text"))
     return plot
+
+
+# ---- scenes --------------------------------------------------------------------------------------
+
+
+def scenes_plot(tables: Tables, lines: int) -> figure:
+    """Plot divergence over bits of codes of scenes, and the fewest bits for this divergence.
+
+    A code of single lines, whose receiver takes them as independent, is a hollow mark.
+    """
+    rows = [row for row in tables.scenes if row["lines"] == lines and _is_drawn(row)]
+    kl = [row["kl_joint_mean"] for row in rows] or [1.0]
+    low, high = math.floor(math.log10(min(kl))), math.ceil(math.log10(max(kl)))
+    most = max([row["joint_bits"] for row in rows], default=1.0)
+    plot = new_plot(
+        f"bits of the joint covariance of {lines} lines",
+        "KL of a scene [nat]",
+        360,
+        y_axis_type="log",
+        x_range=Range1d(0, 1.35 * most),
+        y_range=Range1d(10.0**low, 10.0**high),
+    )
+    set_ticks(plot.yaxis[0], ticks(low, high))
+    points = [
+        {
+            "x": row["joint_bits"],
+            "y": row["kl_joint_mean"],
+            "limit": math.nan if row["limit_bits"] is None else row["limit_bits"],
+            "fill": 1.0 if row["has_joint"] else 0.0,
+            "code": row["code"],
+            "label": f"{row['code']}, {row['frames']:.3g}",
+            "bits": f"{row['joint_bits']:.0f}",
+            "fewest": number(row["limit_bits"]),
+            "kl": number(row["kl_joint_mean"]),
+            "frames": f"{row['frames']:.3g}",
+            "far": f"{number(row['far_p50'], 4)}, {number(row['far_p99'], 4)}",
+            "width": f"{number(row['width_p50'], 4)}, {number(row['width_p99'], 4)}",
+        }
+        for row in rows
+    ]
+    source = ColumnDataSource(columns(points))
+    if points:
+        joint = ColumnDataSource(columns([point for point in points if point["fill"]]))
+        if joint.data:
+            plot.segment("limit", "y", "x", "y", source=joint, color=LIMIT, line_width=2, alpha=0.6)
+            plot.scatter("limit", "y", source=joint, marker="diamond", size=10, color=LIMIT)
+        dots = plot.scatter("x", "y", source=source, size=9, color=VERMILLION, fill_alpha="fill")
+        labels = plot.text("x", "y", "label", source=source, x_offset=9, text_baseline="middle")
+        labels.glyph.update(text_font_size="12px", text_color=INK)
+        labels.tags = ["ink"]
+        add_hover(
+            plot,
+            dots,
+            ("code", "@code, @frames frames"),
+            ("bits", "@bits, the fewest @fewest"),
+            ("KL", "@kl nat"),
+            ("sigma of y at 80 m, 50 and 99 %", "@far"),
+            ("of the width", "@width"),
+        )
+    return plot
+
+
+def _is_drawn(row: Row) -> bool:
+    """Whether a code has a divergence of scenes that can be drawn."""
+    kl = row["kl_joint_mean"]
+    return kl is not None and 0 < kl < math.inf

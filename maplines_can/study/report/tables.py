@@ -51,8 +51,8 @@ COLUMNS: dict[str, list[str]] = {
     "scenes": [
         *("lines", "code", "scenes", "has_joint", "frames", "mean_bits", "joint_bits"),
         *("limit_bits", "over_bits", "not_positive_definite", "overconfident"),
-        *("kl_line_mean", "kl_line_p99", "kl_joint_mean", "all_entries"),
-        *("width_p50", "width_p99", "centre_p50", "centre_p99"),
+        *("kl_line_mean", "kl_line_p99", "kl_joint_mean", "left_out", "all_entries"),
+        *("far_p50", "far_p99", "width_p50", "width_p99", "centre_p50", "centre_p99"),
     ],
 }
 

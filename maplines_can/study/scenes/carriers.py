@@ -2,7 +2,7 @@
 
 A record of a single line says nothing of the others, so its receiver takes lines as independent.
 With the pose error, a receiver has the joint covariance: from complete records with levels in the
-Pose message, or from records that are conditional on the pose error.
+Pose message, from records that are conditional on the pose error, or from a whole scene in a frame.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from itertools import chain
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,26 +21,54 @@ from ...values.line import Status, lateral_jacobian
 from ...values.scene import Scene
 from ...wire.layout.cholesky import CholeskyCode
 from ...wire.layout.message_layout import Layout
-from ...wire.layout.signals import FINE_SIGNALS, OWN_SIGNALS, PARAMETER_SIGNALS, POSE_ROWS
+from ...wire.layout.signals import FINE_SIGNALS, OWN_SIGNALS, PARAMETER_SIGNALS, POSE_ROWS, TILT
 from ..comparison import AnyCodec, codec_for, transmit
+from ..dbc.dbc_writer import DbcWriter
 from ..dbc.pose_spec import CONDITIONAL
 from ..dbc.record_spec import DEFAULT, dbc_writer_for
+from ..dbc.scene_spec import WHOLE_SCENES
 from .source import RESOLUTION, noise_floor
 
 Array = NDArray[np.float64]
 
-#: Records with the pose error, by the name of the code.
-WITH_POSE = {"Cholesky and Pose": DEFAULT, CONDITIONAL.covariance_code: CONDITIONAL}
+
+class Carrier(NamedTuple):
+    """Records with the pose error, and the frames that they are sent in."""
+
+    writer: DbcWriter
+    fd: bool = False
+
+
+#: Records with the pose error, by the name of the code. In CAN FD, conditional records always have
+#: all entries of their covariance.
+WITH_POSE = {
+    "Cholesky and Pose": Carrier(DEFAULT),
+    CONDITIONAL.covariance_code: Carrier(CONDITIONAL),
+    f"{CONDITIONAL.covariance_code}, FD": Carrier(CONDITIONAL, fd=True),
+    f"{WHOLE_SCENES.covariance_code}, FD": Carrier(WHOLE_SCENES, fd=True),
+}
+#: Records of single lines in about as many bits as lines of a whole scene take, with its share of
+#: the pose error: means of 60 bits and covariances of 45.
+AT_SCENE_BITS = "Cholesky, few bits"
+_FEWER_OF_MEAN = {"YOff": -4, "Beta": -4, "C0": -4, "C1": -5}
+_FEWER_OF_COVARIANCE = -6
 #: Where width and centre of the ego lane are compared [m].
 X = 20.0
+#: Where single lines are, or at their ends [m].
+FAR = 80.0
 #: Signals that are no part of the joint covariance.
 _OTHERS = {*PARAMETER_SIGNALS, *FINE_SIGNALS, "XMin", "XMax", "CorrelationTime"}
 
 
 @lru_cache
 def codec_of(code: str) -> AnyCodec:
-    """Return the codec of a code, a name of ``codes.CODES`` or of ``WITH_POSE``."""
-    writer = WITH_POSE[code] if code in WITH_POSE else dbc_writer_for(code)
+    """Return the codec of a code, a name of ``codes.CODES`` or of those above."""
+    if code in WITH_POSE:
+        writer = WITH_POSE[code].writer
+    elif code == AT_SCENE_BITS:
+        writer = dbc_writer_for("Cholesky", _FEWER_OF_COVARIANCE, _FEWER_OF_MEAN)
+    else:
+        writer = dbc_writer_for(code)
     return codec_for(Layout.from_dbc(writer.database()))
 
 
@@ -48,26 +76,29 @@ def evaluations(code: str, scenes: Sequence[Scene]) -> Iterator[dict[str, Any]]:
     """Yield the figures of each scene as sent by a code.
 
     Args:
-        code: a name of ``codes.CODES`` or of ``WITH_POSE``.
+        code: as of ``codec_of``.
         scenes: the scenes, with at least the lines of the ego lane as the first two.
     """
     codec = codec_of(code)
     if code in WITH_POSE:
-        yield from (with_pose(codec, scene) for scene in scenes)
+        fd = WITH_POSE[code].fd
+        yield from (with_pose(codec, scene, fd=fd) for scene in scenes)
     else:
         yield from _independent(codec, scenes)
 
 
-def with_pose(codec: AnyCodec, scene: Scene) -> dict[str, Any]:
+def with_pose(codec: AnyCodec, scene: Scene, *, fd: bool = False) -> dict[str, Any]:
     """Return the figures of a scene as sent by a codec with a message of the pose error."""
     encoder, decoder = codec.encoder(), codec.decoder()
-    prepared = encoder.prepare_scene(scene)
-    frames = encoder.encode_scene(prepared)
+    prepared = encoder.prepare_scene(scene, fd=fd)
+    frames = encoder.encode_scene(prepared, fd=fd)
     for frame in chain.from_iterable(frames.values()):
         decoder.feed(frame.can_id, frame.data, 0)
     lines, members = len(prepared.sent_slots), len(prepared.members)
     full = lines
-    if codec.layout.is_conditional:
+    if codec.layout.scene is not None:
+        full = 0
+    elif codec.layout.is_conditional and not fd:
         full = sum(len(frames[slot]) == codec.layout.pages for slot in prepared.sent_slots)
     row = {
         "frames": sum(map(len, frames.values())),
@@ -76,7 +107,7 @@ def with_pose(codec: AnyCodec, scene: Scene) -> dict[str, Any]:
         "left_out": len(scene.lines) - members,
         "all_entries": full,
     }
-    if codec.layout.is_conditional:
+    if codec.layout.is_conditional and full:
         row["mean_bits"] += full * _bits(codec, FINE_SIGNALS)
     received = decoder.scene()
     if received is None or not members:
@@ -101,12 +132,15 @@ def joint_bits(codec: AnyCodec, lines: int, members: int, full: int) -> int:
         raise ValueError("the DBC has no message of the pose error")
     of_pose = (*CholeskyCode(pose, POSE_ROWS).signals, pose["MapOffset"], pose["MapHeading"])
     bits = sum(signal.length for signal in of_pose)
+    own = (*OWN_SIGNALS, TILT, "Quartic", "HasCovariance")
+    if layout.scene is not None:
+        return bits + members * _bits(codec, [name for name in own if name in layout.signals])
     single = sum(signal.length for signal in CholeskyCode(layout).signals)
     if layout.is_conditional:
-        own = _bits(codec, (*OWN_SIGNALS, "Quartic", "HasCovariance"))
-        return bits + members * own + full * single
-    own = sum(pose[f"EgoLeft{name}"].length for name in (*OWN_SIGNALS, "Quartic"))
-    return bits + members * own + lines * single
+        levels = _bits(codec, [name for name in own if name in layout.signals])
+        return bits + members * levels + full * single
+    of_slot = sum(pose[f"EgoLeft{name}"].length for name in (*OWN_SIGNALS, "Quartic"))
+    return bits + members * of_slot + lines * single
 
 
 def _bits(codec: AnyCodec, names: Sequence[str]) -> int:
@@ -168,13 +202,24 @@ def compare(
         "overconfident": not definite or _largest_ratio(error, cov) > 1,
         "kl_joint": kl,
         "kl_lines": [_divergence(target[block], cov[block])[1] for block in blocks],
+        "far": [
+            sigma_ratio(lateral_jacobian(mean, min(FAR, line.x_max)), cov[block], target[block])
+            for mean, line, block in zip(
+                means, (scene.lines[k] for k in places), blocks, strict=True
+            )
+        ],
     }
     if [*places[:2]] == [0, 1] and all(line.x_min <= X <= line.x_max for line in scene.lines[:2]):
         left, right = lateral_jacobian(means[:2], X)
         for name, J in (("width", [*left, *-right]), ("centre", [*left / 2, *right / 2])):
-            variances = [np.dot(J, S[:8, :8] @ J) for S in (cov, target)]
-            row[name] = math.sqrt(max(0.0, variances[0] / variances[1]))
+            row[name] = sigma_ratio(np.array(J), cov[:8, :8], target[:8, :8])
     return row
+
+
+def sigma_ratio(J: Array, decoded: Array, target: Array) -> float:
+    """Return the ratio of the standard deviations of a quantity with the derivatives J."""
+    variances = [float(J @ S @ J) for S in (decoded, target)]
+    return math.sqrt(max(0.0, variances[0] / variances[1]))
 
 
 def _divergence(true: Array, decoded: Array) -> tuple[bool, float]:

@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 
 from ..text_table import aligned
-from .carriers import WITH_POSE, evaluations
+from .carriers import AT_SCENE_BITS, WITH_POSE, evaluations
 from .source import RESOLUTION, information, joint_limit, random_scene
 
 Row = dict[str, Any]
 
 #: The limit holds at high rates only: at this many bits for each parameter and more.
 MIN_RATE = 1.0
+#: Quantities of the ego lane.
+LANE = ("width", "centre")
 
 
 def chunk(lines: int, index: int, n: int, codes: Sequence[str], seed: int) -> dict[str, Any]:
@@ -24,7 +26,7 @@ def chunk(lines: int, index: int, n: int, codes: Sequence[str], seed: int) -> di
         lines: in each scene.
         index: of the chunk.
         n: number of scenes.
-        codes: names of ``CODES``; those of ``WITH_POSE`` are added.
+        codes: names of ``CODES``; those of ``carriers`` are added.
         seed: of the study.
     """
     rng = np.random.default_rng([seed, lines, index])
@@ -32,7 +34,9 @@ def chunk(lines: int, index: int, n: int, codes: Sequence[str], seed: int) -> di
     scenes = [one.scene for one in drawn]
     return {
         "information": [information(one, RESOLUTION).tolist() for one in drawn],
-        "codes": {code: list(evaluations(code, scenes)) for code in (*codes, *WITH_POSE)},
+        "codes": {
+            code: list(evaluations(code, scenes)) for code in (*codes, AT_SCENE_BITS, *WITH_POSE)
+        },
     }
 
 
@@ -69,8 +73,9 @@ def figures(code: str, lines: int, scenes: Sequence[Row], informations: np.ndarr
     row["kl_line_p99"] = float(np.quantile(kl_lines, 0.99)) if definite else None
     joint = [scene["kl_joint"] for scene in definite]
     row["kl_joint_mean"] = float(np.mean(joint)) if definite else None
-    for name in ("width", "centre"):
-        ratios = [scene[name] for scene in definite if name in scene]
+    by_name = {name: [scene[name] for scene in definite if name in scene] for name in LANE}
+    by_name["far"] = [ratio for scene in definite for ratio in scene["far"]]
+    for name, ratios in by_name.items():
         for percent in (50, 99):
             value = float(np.quantile(ratios, percent / 100)) if ratios else None
             row[f"{name}_p{percent}"] = value
@@ -89,7 +94,8 @@ def figures(code: str, lines: int, scenes: Sequence[Row], informations: np.ndarr
 #: Heads of the columns of ``cells_of``.
 HEAD = (
     *("code", "frames", "mean", "cov", "limit", "over", "indefinite", "overconfident"),
-    *("KL line", "99 %", "KL joint", "width 50 %", "99 %", "centre 50 %", "99 %", "all entries"),
+    *("KL line", "99 %", "KL joint", "y 50 %", "99 %", "width 50 %", "99 %", "centre 50 %", "99 %"),
+    *("left out", "all entries"),
 )
 
 
@@ -105,8 +111,9 @@ def text(table: Sequence[Row]) -> str:
     parts += [
         "limit: the fewest bits that can send the joint covariance with this KL; over: bits of the",
         "covariances above it. Without the pose error, the limit is for the sum of the KL of",
-        "the lines. width, centre: sigma at 20 m over that of the covered target. all entries:",
-        "share of lines whose record has a whole covariance.",
+        "the lines. y, width, centre: sigma of a line at 80 m or its end, of the ego lane at 20 m,",
+        "over that of the covered target. all entries: share of lines whose record has a whole",
+        "covariance. Frames are classic ones, or with FD those of CAN FD.",
     ]
     return "\n".join(parts)
 
@@ -128,7 +135,8 @@ def cells_of(row: Row) -> list[str]:
         *(whole(name) for name in ("mean_bits", "joint_bits", "limit_bits", "over_bits")),
         *(_share(row[name]) for name in ("not_positive_definite", "overconfident")),
         *(number(name, 3) for name in ("kl_line_mean", "kl_line_p99", "kl_joint_mean")),
-        *(number(f"{name}_p{p}", 4) for name in ("width", "centre") for p in (50, 99)),
+        *(number(f"{name}_p{p}", 4) for name in ("far", *LANE) for p in (50, 99)),
+        _share(row["left_out"]),
         _share(row["all_entries"]) if row["has_joint"] else "-",
     ]
 

@@ -240,7 +240,7 @@ SCHEMAS = {
         *("limit_kl", "limit_bits", "limit_se_bits", "limit_dimension", "over_bits"),
         *("not_positive_definite", "overconfident", "left_out", "all_entries"),
         *("kl_line_mean", "kl_line_p99", "kl_joint_mean"),
-        *("width_p50", "width_p99", "centre_p50", "centre_p99"),
+        *("far_p50", "far_p99", "width_p50", "width_p99", "centre_p50", "centre_p99"),
     ),
 }
 TABLES = tuple(SCHEMAS)

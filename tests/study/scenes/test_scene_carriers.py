@@ -69,6 +69,23 @@ def test_a_conditional_record_with_levels_takes_fewer_bits(figures: Any) -> None
         assert row["left_out"] == 0
 
 
+def test_a_whole_scene_is_one_frame_of_levels(figures: Any) -> None:
+    """Its covariance takes the bits of the pose error and of the levels; no entries."""
+    layout = codec_of("Scene, FD").layout
+    assert layout.scene is not None
+    starts = ("Pivot", "Ratio", "Inflation", "Map")
+    pose = sum(signal.length for k, signal in layout.scene.signals.items() if k.startswith(starts))
+    own = sum(layout[f"Own{name}"].length for name in ("Lateral", "Tilt", "Points", "Shape"))
+    mean = sum(layout[name].length for name in ("YOff", "Beta", "C0", "C1"))
+    for lines, row in zip((2, 3, 4), figures["Scene, FD"], strict=True):
+        assert (row["frames"], row["all_entries"], row["left_out"]) == (1, 0, 0)
+        assert (row["mean_bits"], row["joint_bits"]) == (lines * mean, pose + lines * own)
+        assert len(row["far"]) == lines
+        assert all(1 <= ratio < 1.1 for ratio in row["far"])
+    for row in figures["PoseConditional, FD"]:
+        assert row["all_entries"] == len(row["kl_lines"]) == row["frames"] - 1
+
+
 def scene_of(pose_sigma: float, own_sigma: float) -> Scene:
     """Two straight lines that share the error across the road."""
     own = np.diag([own_sigma, 1e-3, 1e-5, 1e-7]) ** 2
@@ -91,6 +108,7 @@ def test_the_same_covariance_has_no_divergence() -> None:
     assert row["kl_joint"] == pytest.approx(0, abs=1e-12)
     assert not row["overconfident"]
     assert (row["width"], row["centre"]) == (pytest.approx(1), pytest.approx(1))
+    assert row["far"] == [pytest.approx(1)] * 2
 
 
 def test_independent_lines_have_the_divergence_of_their_correlation() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from study_helpers import small, tables
 
+from maplines_can.study.scenes.carriers import AT_SCENE_BITS, WITH_POSE
 from maplines_can.study.scenes.source import box
 from maplines_can.study.scenes.table import figures, text
 from maplines_can.study.sweep import plan
@@ -21,7 +22,12 @@ def scene(kl: float = 1e-3, **changes: Any) -> Any:
     """Return the figures of one scene."""
     row = {"frames": 6, "mean_bits": 126, "joint_bits": 101, "left_out": 0, "all_entries": 1}
     row |= {"not_positive_definite": False, "overconfident": False}
-    return row | {"kl_joint": 3 * kl, "kl_lines": [kl, kl], "width": 1.02, "centre": 1.01} | changes
+    return (
+        row
+        | {"kl_joint": 3 * kl, "kl_lines": [kl, kl], "far": [1.01, 1.03]}
+        | {"width": 1.02, "centre": 1.01}
+        | changes
+    )
 
 
 def test_bits_over_the_limit_are_at_the_divergence_of_the_joint() -> None:
@@ -36,6 +42,7 @@ def test_bits_over_the_limit_are_at_the_divergence_of_the_joint() -> None:
     assert apart["limit_bits"] - joint["limit_bits"] == pytest.approx(5 * np.log2(1.5))
     assert (joint["has_joint"], apart["has_joint"]) == (True, False)
     assert (joint["all_entries"], joint["kl_line_mean"]) == (0.5, pytest.approx(2e-3))
+    assert (joint["far_p50"], joint["far_p99"]) == (pytest.approx(1.02), pytest.approx(1.03))
 
 
 @pytest.mark.parametrize(
@@ -63,7 +70,7 @@ def test_a_scene_without_a_line_has_no_figures() -> None:
 
 
 def test_a_study_compares_codes_on_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In chunks, with the two codes that send the pose error."""
+    """In chunks, with those that send the pose error, and single lines in as many bits."""
     pytest.importorskip("pyarrow")
     monkeypatch.setattr(plan, "SCENES_IN_A_CHUNK", 2)
     monkeypatch.setattr(plan, "SCENE_LINES", (2, 3))
@@ -72,7 +79,7 @@ def test_a_study_compares_codes_on_scenes(tmp_path: Path, monkeypatch: pytest.Mo
     result = tables(run_study(study, tmp_path, jobs=1, progress=lambda *at: progress.append(at)))
     rows = {(row["lines"], row["code"]): row for row in result["scenes"]}
 
-    codes = ("Cholesky", "Cholesky and Pose", "PoseConditional")
+    codes = ("Cholesky", AT_SCENE_BITS, *WITH_POSE)
     assert list(rows) == [(lines, code) for lines in (2, 3) for code in codes]
     for row in rows.values():
         assert row["scenes"] == 3
@@ -80,6 +87,10 @@ def test_a_study_compares_codes_on_scenes(tmp_path: Path, monkeypatch: pytest.Mo
     assert rows[2, "Cholesky"]["overconfident"] == 1
     assert rows[2, "PoseConditional"]["overconfident"] == 0
     assert rows[3, "PoseConditional"]["over_bits"] < rows[3, "Cholesky"]["over_bits"]
+    one, five = rows[3, "Scene, FD"], rows[3, "PoseConditional, FD"]
+    assert (one["frames"], five["frames"]) == (1, 4)
+    assert one["kl_joint_mean"] < rows[3, AT_SCENE_BITS]["kl_line_mean"]
+    assert one["overconfident"] == one["all_entries"] == one["left_out"] == 0
     assert progress[-1] == (50 + 3 * 2 + 3 * 3,) * 2
     of_scenes = summary_text(result["summary"], result["terms"], result["scenes"])
     assert "3 scenes of 2 lines" in of_scenes
