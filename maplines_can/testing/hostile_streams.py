@@ -300,7 +300,7 @@ class Traffic:
         layout, lines = scene_of_dbc(self.layout), list[dict[str, int]]()
         others = [slot for slot in Slot if slot not in layout.fixed[owner]]
         slots = iter(rng.sample(others, len(others)) if rng.random() < 0.98 else [Slot.ROUTE] * 8)
-        no_line = (*[NONE] * 4, *range(NONE + 1, NONE + 1 + len(REASONS)))
+        no_line = (NONE, NONE, *range(NONE + 1, NONE + 1 + len(REASONS)))
         for fixed in layout.fixed[owner]:
             raw = self._values(rng)
             if fixed is not None:
