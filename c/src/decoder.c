@@ -290,7 +290,7 @@ MAPLINES_INTERNAL maplines_fed_t maplines_feed_with(maplines_decoder_t *decoder,
         return fed;
     }
     const int64_t now_ns = maplines_limited_time(t_ns);
-    fed.reason = maplines_route(decoder, frame, now_ns, &arrival);
+    fed.reason = maplines_route_frame(decoder, frame, now_ns, &arrival);
     const int owner = arrival.owner;
     if (fed.reason != MAPLINES_COMPLETE)
     {

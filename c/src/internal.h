@@ -735,9 +735,9 @@ MAPLINES_INTERNAL maplines_reason_t maplines_dropped(maplines_decoder_t *decoder
                                                      maplines_reason_t reason, uint32_t frames);
 /// Take a frame: MAPLINES_COMPLETE if it completes a record, else why it does not.
 /// `arrival->owner` is that of the frame unless it is FOREIGN.
-MAPLINES_INTERNAL maplines_reason_t maplines_route(maplines_decoder_t *decoder,
-                                                   const maplines_frame_t *frame, int64_t t_ns,
-                                                   maplines_arrival_t *arrival);
+MAPLINES_INTERNAL maplines_reason_t maplines_route_frame(maplines_decoder_t *decoder,
+                                                         const maplines_frame_t *frame,
+                                                         int64_t t_ns, maplines_arrival_t *arrival);
 
 /* records.c */
 
@@ -748,7 +748,7 @@ MAPLINES_INTERNAL maplines_reason_t maplines_read_record(const maplines_dbc_t *d
 #if MAPLINES_LINE_RECORDS
 /* reassembly.c */
 
-/// Add a page to its transfer: as maplines_route.
+/// Add a page to its transfer: as maplines_route_frame.
 MAPLINES_INTERNAL maplines_reason_t maplines_add_page(maplines_decoder_t *decoder,
                                                       const uint8_t *data, int64_t t_ns,
                                                       maplines_arrival_t *arrival);

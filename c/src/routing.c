@@ -116,9 +116,9 @@ static maplines_reason_t feed_secured(maplines_decoder_t *decoder, const mapline
 }
 #endif
 
-MAPLINES_INTERNAL maplines_reason_t maplines_route(maplines_decoder_t *decoder,
-                                                   const maplines_frame_t *frame, int64_t t_ns,
-                                                   maplines_arrival_t *arrival)
+MAPLINES_INTERNAL maplines_reason_t maplines_route_frame(maplines_decoder_t *decoder,
+                                                         const maplines_frame_t *frame,
+                                                         int64_t t_ns, maplines_arrival_t *arrival)
 {
     const maplines_dbc_t *dbc = decoder->dbc;
     route_t route = ROUTE_NONE;

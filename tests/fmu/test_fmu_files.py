@@ -25,6 +25,7 @@ LS_BUS = Path(__file__).parents[3] / "shared" / "fmi" / "ls-bus"
 NODES = [
     ("receiver", "maplines.dbc"),
     ("receiver", "maplines-pose.dbc"),
+    ("receiver", "maplines-scene.dbc"),
     ("sender", "maplines.dbc"),
     ("map_sender", "maplines.dbc"),
 ]
@@ -202,8 +203,9 @@ def test_without_fmpy_the_extra_is_named(
 
 def test_a_dbc_that_a_node_cannot_have_is_refused() -> None:
     """A sender of lines takes complete records; without keys, a message must have no MAC."""
-    with pytest.raises(LayoutError, match="conditional"):
-        archive.fmu_of("sender", layout_of("maplines-pose.dbc"))
+    for dbc, what in (("maplines-pose.dbc", "conditional"), ("maplines-scene.dbc", "whole scenes")):
+        with pytest.raises(LayoutError, match=what):
+            archive.fmu_of("sender", layout_of(dbc))
     layout = layout_of("maplines-secoc.dbc")
     secured = {
         slot: replace(own, can_id=None, fd_can_id=None) for slot, own in layout.messages.items()

@@ -11,6 +11,7 @@ from random_lines import random_lines
 from scene_streams import new_codec, road_scene
 
 from maplines_can import Codec, Gaussian, Kind, MapLine, Slot
+from maplines_can.values.line import LEFT_OUT
 from maplines_can.wire import Decoder, Reason
 
 pytest.importorskip("fmpy", reason="the headers of FMI and the importer come from fmpy")
@@ -47,9 +48,13 @@ def check_slot(node: Node, decoder: Decoder, slot: Slot, t_ns: int) -> None:
     assert node.get(f"{name}.e2e_status") == (0xFF if view.status is None else view.status)
     assert node.get(f"{name}.age") == view.age
     assert node.get(f"{name}.received") == (view.line is not None)
-    if stats is not None:
+    is_whole = "scene" in decoder.checks
+    if stats is not None and not is_whole:
         for count in ("ok", "lost", "repeated", "wrong_sequence", "errors", "no_new_data"):
             assert node.get(f"{name}.{count}") == getattr(stats, count)
+    if is_whole:
+        left_out = node.get(f"{name}.left_out")
+        assert left_out == (0 if view.left_out is None else LEFT_OUT.index(view.left_out))
     if (line := view.line) is None:
         assert node.get(f"{name}.y_sigma") == [math.inf] * len(X)
         return
@@ -98,7 +103,7 @@ def test_lines_are_those_of_python(node: Node) -> None:
     assert decoder.lines > 250
 
 
-@pytest.mark.parametrize("dbc", ["maplines.dbc", "maplines-pose.dbc"])
+@pytest.mark.parametrize("dbc", ["maplines.dbc", "maplines-pose.dbc", "maplines-scene.dbc"])
 def test_width_and_centre_are_those_of_python(dbc: str, tmp_path: Path) -> None:
     """With their standard deviations; without a scene, and beyond its lines, they are unknown."""
     path = tmp_path / "receiver.fmu"
@@ -107,13 +112,20 @@ def test_width_and_centre_are_those_of_python(dbc: str, tmp_path: Path) -> None:
     assert node.get("lane.width_sigma") == [math.inf] * 4
     codec = new_codec(dbc)
     encoder, decoder = codec.encoder(), codec.decoder()
+    is_whole = codec.layout.scene is not None
     scene = road_scene([Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT])
     for k in range(20):
         node.step(0.05 * (k + 1))
-        frames = [f for own in encoder.encode_scene(scene).values() for f in own]
+        frames = [f for own in encoder.encode_scene(scene, fd=is_whole).values() for f in own]
         node.take(b"".join(transmission(frame).packed() for frame in frames))
         for frame in frames:
             decoder.feed(frame.can_id, frame.data, round(node.t * 1e9))
+        for slot in codec.layout.slots if is_whole else ():
+            check_slot(node, decoder, slot, round(node.t * 1e9))
+    if is_whole:
+        stats = decoder.messages(round(node.t * 1e9))["scene"]
+        assert node.get("SCENE.ok") == stats.ok == 20
+        assert node.get("SCENE.lost") == stats.lost
     view = decoder.latest_scene(round(node.t * 1e9))
     assert view.usable
     assert view.scene is not None
