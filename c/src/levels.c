@@ -89,8 +89,7 @@ static const float half_nodes[MAPLINES_HALF] = {
     -0x1.775294p-1F, -0x1.657f4cp-1F, -0x1.52c87cp-1F, -0x1.3f3a0ep-1F, -0x1.2ae074p-1F,
     -0x1.15c8ap-1F,  -0x1p-1F,        -0x1.d328e2p-2F, -0x1.a52872p-2F, -0x1.761bf6p-2F,
     -0x1.46215ep-2F, -0x1.155734p-2F, -0x1.c7b90ep-3F, -0x1.63a1a8p-3F, -0x1.fd4fd4p-4F,
-    -0x1.32182ep-4F, -0x1.9876e6p-6F, 0x1.9876e6p-6F,  0x1.32182ep-4F,  0x1.fd4fd4p-4F,
-    0x1.63a1a8p-3F,
+    -0x1.32182ep-4F, -0x1.9876e6p-6F,
 };
 
 MAPLINES_INTERNAL const double *maplines_nodes(void)
