@@ -10,6 +10,7 @@ from scene_layouts import layout_of
 
 from maplines_can import Slot
 from maplines_can.wire.layout.message_layout import Layout
+from maplines_can.wire.layout.pose_layout import PoseLayout
 from maplines_can.wire.layout.signals import slot_title
 
 
@@ -17,7 +18,7 @@ def with_messages(layout: Layout, **changes: Any) -> Layout:
     """Return a layout in which the messages of all owners are changed."""
     messages = {slot: replace(own, **changes) for slot, own in layout.messages.items()}
     pose = layout.pose
-    if pose is not None:
+    if isinstance(pose, PoseLayout):
         pose = replace(pose, messages=replace(pose.messages, **changes))
     return replace(layout, messages=messages, pose=pose)
 
@@ -57,7 +58,7 @@ def unusual_layouts() -> dict[str, Layout]:
     complete, conditional, secured = map(
         layout_of, ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc")
     )
-    assert secured.pose is not None
+    assert isinstance(secured.pose, PoseLayout)
     messages = replace(secured.pose.messages, secured_can_id=None)
     plain_pose = replace(secured.pose, messages=messages, secured=None)
     return {

@@ -21,6 +21,7 @@ from maplines_can.generation.vector_files import cases_of, vectors_from
 from maplines_can.generation.vectors import PLACES, SCHEMA, Vectors
 from maplines_can.wire import E2EState, ProfileStatus, Reason
 from maplines_can.wire.layout.message_layout import Layout
+from maplines_can.wire.layout.pose_layout import PoseLayout
 
 pytest.importorskip("cryptography")
 
@@ -199,7 +200,7 @@ def test_a_dbc_without_a_frame_format_has_vectors(dbc: str, gone: tuple[str, ...
     if layout.secured is None and len(gone) == 2:
         pytest.skip("it would have no messages")
     pose = layout.pose
-    if pose is not None:
+    if isinstance(pose, PoseLayout):
         pose = replace(pose, messages=replace(pose.messages, **none))
     messages = {slot: replace(own, **none) for slot, own in layout.messages.items()}
     cases = cases_of(replace(layout, messages=messages, pose=pose))

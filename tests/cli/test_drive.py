@@ -493,7 +493,7 @@ def test_the_pose_of_a_localisation_is_sent(
     assert "odometry" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("dbc", ["maplines.dbc", "maplines-pose.dbc"])
+@pytest.mark.parametrize("dbc", ["maplines.dbc", "maplines-pose.dbc", "maplines-scene.dbc"])
 def test_without_a_pose_no_line_is_sent(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],

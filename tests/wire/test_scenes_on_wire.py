@@ -38,7 +38,7 @@ from maplines_can import (
     Slot,
 )
 from maplines_can.testing import FaultInjector, Faults
-from maplines_can.wire import POSE, Decoder, Reason, default_dbc_path
+from maplines_can.wire import POSE, Decoder, Owner, Reason, default_dbc_path
 from maplines_can.wire.layout.pose_layout import PoseLayout
 
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT)
@@ -48,7 +48,7 @@ X = np.array([0.0, 20.0, 40.0])
 def received(codec: Codec, scene: Scene, *, fd: bool = False) -> Scene:
     """Return a scene as received."""
     decoder = codec.decoder()
-    counters = {POSE: 7} | {slot: 250 + 3 * slot for slot in Slot}
+    counters: dict[Owner, int] = {POSE: 7} | {slot: 250 + 3 * slot for slot in Slot}
     frames = codec.encoder().encode_scene(scene, fd=fd, counters=counters, age=0.02)
     _, t_ns = feed(decoder, frames, 0)
     view = decoder.latest_scene(t_ns)

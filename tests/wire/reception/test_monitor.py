@@ -50,7 +50,7 @@ def test_a_line_becomes_stale() -> None:
     encoder = codec.encoder()
     decoder = codec.decoder()
     before = decoder.latest(SLOT, 0)
-    assert before == (SLOT, None, np.inf, True, NODATA, None, False)
+    assert before == (SLOT, None, np.inf, True, NODATA, None, False, None)
     for k in range(10):
         line = MapLine.mean_only(SLOT, [1.0 + k / 8, 0, 0, 0], age=0.04)
         for frame in encoder.encode(line):

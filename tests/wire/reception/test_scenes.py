@@ -32,6 +32,7 @@ from maplines_can.wire import (
     Reason,
     ReceivedFrame,
 )
+from maplines_can.wire.layout.pose_layout import PoseLayout
 from maplines_can.wire.layout.signals import OWN_SIGNALS, PARAMETER_SIGNALS
 from maplines_can.wire.records.frames import FrameWriter
 
@@ -239,7 +240,7 @@ class Forger:
 
     def __init__(self) -> None:
         codec = codec_of(CONDITIONAL)
-        assert codec.layout.pose is not None
+        assert isinstance(codec.layout.pose, PoseLayout)
         self.pose_layout, self.layout = codec.layout.pose, codec.layout
         self.writer = FrameWriter(self.layout, None)
         prepared = codec.encoder().prepare_scene(road_scene(SLOTS), fd=True)
