@@ -1,4 +1,4 @@
-"""Whole scenes in exact arithmetic: what is received covers what was sent, and any bits are definite.
+"""Whole scenes in exact arithmetic: what is received covers what was sent, any bits are definite.
 
 Joints are of random lines of random roads, with pose errors that may be singular, and with lines
 and covariances that no map has. Payloads are random bits with a right checksum: those of the mean
