@@ -325,8 +325,8 @@ def scenes_plot(tables: Tables, lines: int) -> figure:
         "KL of a scene [nat]",
         360,
         y_axis_type="log",
-        x_range=Range1d(0, 1.35 * most),
-        y_range=Range1d(10.0**low, 10.0**high),
+        x_range=Range1d(start=0, end=1.35 * most),
+        y_range=Range1d(start=10.0**low, end=10.0**high),
     )
     set_ticks(plot.yaxis[0], ticks(low, high))
     points = [

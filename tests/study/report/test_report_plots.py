@@ -1,15 +1,17 @@
 """Data and axes of the report's plots."""
 
 import re
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
 import pytest
-from sweep_tables import USED
+from bokeh.models import Segment
+from sweep_tables import USED, write
 
 from maplines_can.study.report.cases import fields_plot, worst_key, worst_plots
 from maplines_can.study.report.drawing import plot_styles
-from maplines_can.study.report.plots import kl_plot
+from maplines_can.study.report.plots import kl_plot, scenes_plot
 from maplines_can.study.report.tables import read_tables
 from maplines_can.values.line import lateral, lateral_jacobian
 
@@ -83,3 +85,19 @@ def test_item_12_the_median_is_shown_first_without_texts_beside_marks(folder: An
     at = source.data["finer"].index("+0")
     assert source.data["y"][at] == pytest.approx(row_of["kl_p50"])
     assert source.data["high"][at] == pytest.approx(row_of["kl_p99"])
+
+
+def test_scenes_are_drawn_with_their_distance_to_the_limit(folder: Any, rows: Any) -> None:
+    """A mark for each code, hollow for single lines; none without a divergence."""
+    rows = deepcopy(rows)
+    for row in rows["scenes"]:
+        row["kl_joint_mean"] = 0.02 if row["has_joint"] else 9.0
+    tables = read_tables(write(folder.parent / "with-scenes", rows))
+    plot = scenes_plot(tables, 4)
+    (marks,) = (one for one in plot.renderers if getattr(one.glyph, "fill_alpha", "") == "fill")
+    data = marks.data_source.data
+    assert data["code"] == [row["code"] for row in rows["scenes"] if row["lines"] == 4]
+    assert data["fill"] == [float(code != "Cholesky") for code in data["code"]]
+    segments = [one for one in plot.renderers if isinstance(one.glyph, Segment)]
+    assert segments[0].data_source.data["limit"] == [29.5] * (len(data["code"]) - 1)
+    assert not scenes_plot(read_tables(folder), 4).renderers
