@@ -49,6 +49,7 @@ COMMANDS = {
 STUDY_COMMANDS = {
     "run": ("study", "compare codes, bit widths and sets of lines; can be resumed"),
     "report": ("report", "write an HTML report with plots of a run"),
+    "maps": ("study_maps", "compare the records of scenes on your maps"),
     "production": ("production", "compare with the lane messages of production cars"),
 }
 FMU_COMMANDS = {
