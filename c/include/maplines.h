@@ -10,7 +10,7 @@
  * by a pragma, which clang's -ffp-contract=fast overrules.
  *
  *     #include "maplines_dbc.h"
- *     static maplines_decoder_t decoder;  // all memory: 3 to 51 kB, by what the program needs
+ *     static maplines_decoder_t decoder;  // all memory: 1 to 51 kB, by what the program needs
  *
  *     maplines_decoder_init(&decoder, &maplines_dbc, NULL);
  *     ...
