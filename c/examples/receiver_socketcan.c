@@ -4,7 +4,8 @@
  *     receiver_socketcan vcan0          until Ctrl-C
  *     receiver_socketcan vcan0 60       for 60 s
  *
- * The messages are those of maplines_dbc.h, which `maplines generate c` writes from a DBC.
+ * The messages are those of maplines_dbc.h, which `maplines generate c` writes from any DBC: lines
+ * and scenes are copied, as a library for whole scenes has them, too.
  */
 #define _GNU_SOURCE
 
@@ -18,16 +19,17 @@
 
 static void print_line(maplines_decoder_t *decoder, maplines_owner_t slot, int64_t t_ns)
 {
-    maplines_view_t view;
-    maplines_latest(decoder, slot, t_ns, &view);
-    printf("%-10s %-7s ", maplines_owner_name(slot), maplines_e2e_state_name(view.state));
-    if (view.line->status == MAPLINES_OUT_OF_RANGE || !maplines_is_valid_at(view.line, X))
+    maplines_line_copy_t copy;
+    const maplines_line_t *line = &copy.line;
+    maplines_copy_line(decoder, slot, t_ns, &copy);
+    printf("%-10s %-7s ", maplines_owner_name(slot), maplines_e2e_state_name(copy.state));
+    if (line->status == MAPLINES_OUT_OF_RANGE || !maplines_is_valid_at(line, X))
     {
         printf("nothing at %d m\n", X);
         return;
     }
-    printf("y(%d m) %9.6f m, sigma %.6f m, age %.0f ms\n", X, (double)maplines_y(view.line, X),
-           (double)maplines_y_sigma(view.line, X), 1e3 * (double)view.age);
+    printf("y(%d m) %9.6f m, sigma %.6f m, age %.0f ms\n", X, (double)maplines_y(line, X),
+           (double)maplines_y_sigma(line, X), 1e3 * (double)copy.age);
 }
 
 /// Row of the newest scene, printed when the next one comes: until then, lines may join it.
@@ -43,24 +45,25 @@ static void print_scene(void)
 static void write_scene(maplines_decoder_t *decoder, int64_t t_ns, int64_t *last_ns)
 {
     static const maplines_owner_t left = MAPLINES_EGO_LEFT, right = MAPLINES_EGO_RIGHT;
-    maplines_scene_view_t view;
+    static maplines_scene_copy_t copy;
+    const maplines_scene_t *scene = &copy.scene;
     maplines_estimate_t width, centre;
-    maplines_latest_scene(decoder, t_ns, &view);
-    if (view.scene == NULL)
+    maplines_copy_scene(decoder, t_ns, &copy);
+    if (!copy.has_scene)
     {
         return;
     }
-    if (view.scene->t_ns != *last_ns)
+    if (scene->t_ns != *last_ns)
     {
         print_scene();
-        *last_ns = view.scene->t_ns;
+        *last_ns = scene->t_ns;
     }
-    if (maplines_width(view.scene, left, right, X_SCENE, &width) &&
-        maplines_centre(view.scene, left, right, X_SCENE, &centre))
+    if (maplines_width(scene, left, right, X_SCENE, &width) &&
+        maplines_centre(scene, left, right, X_SCENE, &centre))
     {
         snprintf(row, sizeof row,
                  "scene      %-7s width %.6f m, sigma %.6f m; centre %.6f m, sigma %.6f m\n",
-                 maplines_e2e_state_name(view.state), (double)width.value, (double)width.sigma,
+                 maplines_e2e_state_name(copy.state), (double)width.value, (double)width.sigma,
                  (double)centre.value, (double)centre.sigma);
     }
 }
@@ -80,7 +83,7 @@ static void print_counters(maplines_decoder_t *decoder, int64_t t_ns)
                    maplines_reason_name((maplines_reason_t)i));
         }
     }
-    for (int i = 0; i < MAPLINES_OWNERS; ++i)
+    for (int i = MAPLINES_FIRST_OWNER; i < MAPLINES_FIRST_OWNER + MAPLINES_OWNERS; ++i)
     {
         if (maplines_slot_stats(decoder, (maplines_owner_t)i, t_ns, &checks))
         {
