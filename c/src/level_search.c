@@ -8,12 +8,21 @@
  * with the covariances of the line itself, and some levels of the shape alone. Of candidates of
  * equal cost the first one is taken, in the order of maplines_can/model/level_search.py.
  *
+ * All of this is done for each tilt of the lateral level, with covariances that are sheared: there
+ * it is one of T_0 alone.
+ *
  * A cost is no less than a bound by the variances of the direction, by definition. So what the
  * bound rules out need not be tried.
  */
 #include "internal.h"
 
 #if MAPLINES_SENDER && MAPLINES_SCENES
+
+/// Places of raw levels.
+#define LATERAL 0
+#define POINTS 1
+#define SHAPE 2
+#define TILT 3
 
 #define CHOSEN MAPLINES_CHOSEN_SPACINGS
 #define TRIED 5      // levels that are tried, from the least one on
@@ -70,7 +79,7 @@ typedef struct {
 
 /// Raw values of the levels, their cost and their covariance.
 typedef struct {
-    int64_t raw[4]; ///< lateral, points, shape, tilt
+    int64_t raw[4];
     double cost;
     double cov[16];
 } candidate_t;
@@ -356,12 +365,12 @@ static void assess(const search_t *search, const wanted_t *wanted, double square
         decoded[i] = square * decoded[i] - wanted->lacking[i];
     }
     candidate->cost = (double)INFINITY;
-    candidate->raw[0] = raw_of_square(&search->lateral, shortfall(decoded));
-    if (candidate->raw[0] > maplines_raw_max(&search->levels->lateral))
+    candidate->raw[LATERAL] = raw_of_square(&search->lateral, shortfall(decoded));
+    if (candidate->raw[LATERAL] > maplines_raw_max(&search->levels->lateral))
     {
         return;
     }
-    const double lateral = level_squared(&search->lateral, candidate->raw[0]);
+    const double lateral = level_squared(&search->lateral, candidate->raw[LATERAL]);
     for (int i = 0; i < 16; ++i)
     {
         candidate->cov[i] = square * covariance[i];
@@ -540,12 +549,13 @@ static void choose_spacings(const search_t *search, maplines_sent_line_t *line)
     line->spacing_count = (uint8_t)count;
 }
 
-/// Try some levels of a covariance for the level 1, from the least one on, with a tilt.
-static void try_levels(const search_t *search, const squares_t *of, const int64_t raw[4],
+/// Try some levels of a covariance for the level 1, of POINTS or SHAPE, from the least one on. The
+/// other levels are given, but for the lateral one.
+static void try_levels(const search_t *search, int which, const int64_t raw[4],
                        const double covariance[16], candidate_t *best)
 {
-    const wanted_t *wanted = &search->wanted[raw[3]];
-    const int kind = of == &search->points ? 1 : 2;
+    const squares_t *of = which == POINTS ? &search->points : &search->shape;
+    const wanted_t *wanted = &search->wanted[raw[TILT]];
     double sheared[16];
     memcpy(sheared, covariance, sizeof sheared);
     shear(wanted->tilt, sheared);
@@ -561,7 +571,7 @@ static void try_levels(const search_t *search, const squares_t *of, const int64_
             break; // higher levels cost no less
         }
         memcpy(candidate.raw, raw, sizeof candidate.raw);
-        candidate.raw[kind] = level;
+        candidate.raw[which] = level;
         assess(search, wanted, square, covariance, bound, &candidate);
         *best = candidate.cost < best->cost ? candidate : *best;
     }
@@ -645,15 +655,15 @@ static void try_tilt(const search_t *search, const maplines_sent_line_t *line, i
             noise[4 * (entries[k] % 4) + entries[k] / 4] = line->noise[i][k];
             noise[entries[k]] = line->noise[i][k];
         }
-        raw[2] = line->spacings[i];
-        try_levels(search, &search->points, raw, noise, best);
+        raw[SHAPE] = line->spacings[i];
+        try_levels(search, POINTS, raw, noise, best);
     }
     double shape[16] = {0.0};
     for (int i = 0; i < 4; ++i)
     {
         shape[5 * i] = search->shapes[i];
     }
-    try_levels(search, &search->shape, raw, shape, best);
+    try_levels(search, SHAPE, raw, shape, best);
 }
 
 MAPLINES_INTERNAL bool maplines_search_levels(const maplines_dbc_t *dbc,

@@ -2,6 +2,7 @@
 
 The cost of levels is the divergence of what they decode to from the true covariance, plus the
 logarithm of the largest ratio of variances, of the lateral position or the direction of the line.
+With a tilt, covariances are sheared, so that the lateral level is one of T_0 alone.
 """
 
 from __future__ import annotations
@@ -92,9 +93,9 @@ class LevelSearch:
     def spacings(self, wanted: Wanted, curve: Curve) -> list[int]:
         """Return the raw values of the shape that suit the errors of points best.
 
-        Of all that are tried, they have the least cost without T_0, with one level of the points.
-        Straight lines that are stretched as the line is on average choose the same ones, or nearly
-        so.
+        Of all that are tried, they have the least cost without T_0, with one level of the points
+        and their best tilt. Straight lines that are stretched as the line is on average choose the
+        same ones, or nearly so.
         """
         stretch, squared = [*map(float, arc_of(curve)[0])], self.squares[1]
         mean = min(stretch) * max(stretch)
