@@ -161,7 +161,8 @@ class SceneCases(Cases):
         for cycle in range(9):
             for i, owner in enumerate(owners):
                 self._send(case, owner, cycle, cycle, i)
-        case.scene(START_NS + 8 * self.cycle + 10 * MS)
+            if cycle > 6:  # from here on it is usable
+                case.scene(START_NS + cycle * self.cycle + 10 * MS)
         self._ask(case, 12)
         return case
 

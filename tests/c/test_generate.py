@@ -26,7 +26,7 @@ from maplines_can.wire import E2EState, ProfileStatus, Reason
 from maplines_can.wire.tables import MAX_LIMITS
 
 ROOT = Path(__file__).parents[2]
-SHIPPED = ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc")
+SHIPPED = ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc", "maplines-scene.dbc")
 ALL = [f"--dbc={name}" for name in SHIPPED]
 
 

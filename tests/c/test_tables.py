@@ -15,7 +15,7 @@ from maplines_can.values.errors import LayoutError
 from maplines_can.wire.layout.message_layout import Layout
 from maplines_can.wire.tables import CODES, limits_of
 
-SHIPPED = ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc")
+SHIPPED = ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc", "maplines-scene.dbc")
 
 
 def test_the_tables_do_not_name_the_folder(tmp_path: Path) -> None:
