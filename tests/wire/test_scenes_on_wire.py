@@ -48,7 +48,7 @@ X = np.array([0.0, 20.0, 40.0])
 def received(codec: Codec, scene: Scene, *, fd: bool = False) -> Scene:
     """Return a scene as received."""
     decoder = codec.decoder()
-    counters: dict[Owner, int] = {POSE: 7} | {slot: 250 + 3 * slot for slot in Slot}
+    counters: dict[Owner, int] = {POSE: 7, **{slot: 250 + 3 * slot for slot in Slot}}
     frames = codec.encoder().encode_scene(scene, fd=fd, counters=counters, age=0.02)
     _, t_ns = feed(decoder, frames, 0)
     view = decoder.latest_scene(t_ns)
