@@ -50,6 +50,8 @@ drive-json: drive --as-fast-as-possible --seconds 3 --lines 8 --record j.blf --j
 drive-truth: drive town.xodr --as-fast-as-possible --seconds 2 --truth t.parquet
 drive-map-error: drive --as-fast-as-possible --seconds 3 --map-error 0.1 --record m.asc
 drive-pose: drive --as-fast-as-possible --seconds 5 --lines 4 --dbc maplines-pose.dbc --record p.log
+drive-whole: drive --as-fast-as-possible --seconds 5 --lines 8 --dbc maplines-scene.dbc \
+--faults loss=0.1,seed=2 --record w.log
 drive-pose-error: drive --as-fast-as-possible --seconds 3 --pose-error --record e.log --json
 drive-mixtures: drive --as-fast-as-possible --seconds 3 --components 3 --record x.log --json
 drive-auto: drive --as-fast-as-possible --seconds 3 --components auto --sigma 1,1,5 --record a.log
@@ -74,6 +76,7 @@ decode-keys: decode k.log --key-file key
 decode-no-keys: decode k.log
 decode-fd: decode f.log --cycle-ms 20 --transfer-timeout 10
 decode-scenes: decode p.log --dbc maplines-pose.dbc --scenes
+decode-whole: decode w.log --dbc maplines-scene.dbc --scenes
 decode-pose: decode p.log --dbc maplines-pose.dbc --csv
 decode-pose-error: decode e.log --scenes
 decode-faults: decode bad.log --scenes
