@@ -27,7 +27,7 @@ from .covariance import code_of
 from .lines import is_line
 from .records import RawRecord, sealed, signals_of
 from .scenes import Member, Pose, curve_of, pose_of, signals_of_slot
-from .signals import Raw, packed, physical, read
+from .signals import Raw, packed, read
 
 #: Value of ``Kind`` of a place without a line, and the reasons of those that follow it: for these,
 #: the line of the slot is left out.
@@ -79,10 +79,8 @@ def whole(
         if kind > NONE:
             left_out[slot] = REASONS[kind - NONE - 1]
             continue
-        x_min, x_max = physical(layout, own, "XMin", "XMax")
         members[slot] = Member(slot, raw["Counter"], RawRecord(raw["Counter"], own), t_ns, 0)
-        curve = curve_of(layout, signals_of_slot(layout, slot), own)
-        if not x_min < x_max or not is_line(curve):
+        if not is_line(curve_of(layout, signals_of_slot(layout, slot), own)):
             return "CONTENT"
     return WholeRecord(owner, raw["Counter"], pose, members, left_out)
 
