@@ -10,7 +10,7 @@ from typing import ClassVar
 
 from ...values.line import LEFT_OUT, LeftOut, Slot
 from .pose_layout import SCENE, SceneOwner
-from .record_layout import RecordLayout
+from .record_layout import RecordLayout, check_record
 from .signals import SCENE_RECORD, Signal
 from .slot_messages import RecordMessages, SecuredLayout
 
@@ -64,6 +64,16 @@ class SceneLayout(RecordLayout):
 
     def __post_init__(self) -> None:
         self.check(SCENE_RECORD)
+        if self.secured is not None:
+            signals, where = self._secured_signals, f"{self.source}: authenticated"
+            check_record(signals, SCENE_RECORD, where, self.secured_bytes)
+
+    @property
+    def _secured_signals(self) -> Mapping[str, Signal]:
+        """Signals of an authenticated record."""
+        later = range(self.secured_places, self.places)
+        starts = {signal.start for place in later for signal in self.at(place).values()}
+        return {name: own for name, own in self.signals.items() if own.start not in starts}
 
     @property
     def content(self) -> tuple[object, ...]:

@@ -143,15 +143,15 @@ def _check_alike(records: Mapping[SceneOwner, Sequence[_Record]], source: str) -
             )
     owners: dict[str, SceneOwner] = {}
     for owner, own in records.items():
-        longest = max((record.prefixes for record in own), key=len)
+        all_lines = own[0].prefixes  # of the CAN FD message, if there is one
         for record in own:
-            if record.prefixes != longest[: len(record.lines)]:
+            if record.prefixes != all_lines[: len(record.lines)]:
                 raise LayoutError(
                     f"{source}: message {record.message} has the lines "
                     f"{', '.join(record.prefixes)}, but it needs the first ones of "
-                    f"{', '.join(longest)}; rename its signals"
+                    f"{', '.join(all_lines)}; rename or remove its signals"
                 )
-        for prefix in longest:
+        for prefix in all_lines:
             if prefix in _SLOTS and owners.setdefault(prefix, owner) != owner:
                 raise LayoutError(
                     f"{source}: Scene and Scene2 have a place for {prefix}; rename its signals in "

@@ -21,7 +21,7 @@ from maplines_can.values.line import LeftOut, Slot
 from maplines_can.wire import Codec, Layout
 from maplines_can.wire.layout.pose_layout import SCENE, SCENE2, SceneOwner
 from maplines_can.wire.layout.scene_layout import NoLine, SceneLayout
-from maplines_can.wire.layout.signals import SCENE_LINE, SLOT, slot_title
+from maplines_can.wire.layout.signals import SCENE_LINE, SECURED_SIGNALS, SLOT, slot_title
 
 #: CAN IDs of the messages.
 IDS = {"Scene2": 888, "Scene": 889, "Scene2SecOC": 890, "SceneSecOC": 891}
@@ -367,6 +367,31 @@ def test_scenes_and_lines_need_dbcs_of_their_own() -> None:
     with pytest.raises(
         LayoutError, match=r"\(MapLineScene\), and of slot EGO_LEFT, .* the pose err"
     ):
+        Layout.from_dbc(database)
+
+
+def test_an_authenticated_record_ends_before_its_trailer() -> None:
+    """cantools does not check a database, so that a MAC could lie over a line."""
+    longer = replace(SCENES, secured_places=4)
+    signals = longer.signals(SCENE, 4), longer.signals(SCENE2, 4)
+    database = WHOLE_SCENES.database()
+    for own, name in zip(signals, ("SceneSecOC", "Scene2SecOC"), strict=True):
+        message = database.get_message_by_name(name)
+        trailer = [signal for signal in message.signals if signal.name in SECURED_SIGNALS]
+        message.signals[:] = [*own, *trailer]
+        message.refresh(strict=False)
+    with pytest.raises(LayoutError, match="signal Line4Kind must lie in the record of 51 bytes"):
+        Layout.from_dbc(database)
+
+
+def test_an_authenticated_message_has_no_line_of_its_own() -> None:
+    """It is the same message, and shorter."""
+    database = WHOLE_SCENES.database()
+    for name in ("Scene", "Scene2"):
+        message = database.get_message_by_name(name)
+        message.signals[:] = [s for s in message.signals if not s.name.startswith("Line")]
+        message.refresh(strict=False)
+    with pytest.raises(LayoutError, match=r"SecOC has the lines .*, Line3, but it needs the first"):
         Layout.from_dbc(database)
 
 
