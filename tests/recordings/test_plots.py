@@ -26,6 +26,7 @@ POSE = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
 def test_bands_are_those_of_the_table(scene_log: Path) -> None:
     """Positions and the width, with 1, 2 and 3 of their sigmas."""
     recording, damage = recorded(scene_log, POSE, [20.0])
+    assert recording.name == scene_log.name
     table = read_lines(scene_log, dbc=POSE, at=[20.0], scenes=True)
     panels = panels_of([recording], [20.0])
     assert not damage

@@ -87,8 +87,8 @@ def recorded(
             if begin is None and len(table):
                 begin = float(table["t"][0])
             if begin is not None:
-                for name, part in table.parts.items():
-                    kept[name].append(_within(part, begin, time, columns))
+                for kind, part in table.parts.items():
+                    kept[kind].append(_within(part, begin, time, columns))
     except LogError as error:
         damage = str(error)
         if begin is None:
