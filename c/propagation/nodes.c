@@ -1,6 +1,25 @@
 /* Matrices from the means of a line in cells of a range to its cubic: those of the model. */
 #include "nodes.h"
 
+const double maplines_nodes[MAPLINES_NODES] = {
+    -0x1.0000000000000p+0, -0x1.ff5d113293ed5p-1, -0x1.fd74ac7d6a74bp-1, -0x1.fa4808b7d3c19p-1,
+    -0x1.f5d92b177f354p-1, -0x1.f02ae5e74cf6dp-1, -0x1.e940d6bb98cc4p-1, -0x1.e11f642522d1bp-1,
+    -0x1.d7cbbae40cfd1p-1, -0x1.cd4bca9cb5c70p-1, -0x1.c1a6421088999p-1, -0x1.b4e28add2b944p-1,
+    -0x1.a708c4c4bfa72p-1, -0x1.9821c08233adep-1, -0x1.8836fa2cf5038p-1, -0x1.7752932f8fb65p-1,
+    -0x1.657f4bd515e7cp-1, -0x1.52c87c7168e5bp-1, -0x1.3f3a0e28bedd0p-1, -0x1.2ae0735afda07p-1,
+    -0x1.15c89fb7bda81p-1, -0x1.0000000000001p-1, -0x1.d328e2f5ac8a0p-2, -0x1.a5287244d9a81p-2,
+    -0x1.761bf51e29c8dp-2, -0x1.46215d4c2c9ecp-2, -0x1.155734246e1e1p-2, -0x1.c7b90e3024580p-3,
+    -0x1.63a1a7e0b7388p-3, -0x1.fd4fd30eca793p-4, -0x1.32182ebfb0feap-4, -0x1.9876e66ba0a77p-6,
+    0x1.9876e66ba0a9bp-6,  0x1.32182ebfb0ff2p-4,  0x1.fd4fd30eca79bp-4,  0x1.63a1a7e0b738cp-3,
+    0x1.c7b90e3024584p-3,  0x1.155734246e1e3p-2,  0x1.46215d4c2c9eep-2,  0x1.761bf51e29c8fp-2,
+    0x1.a5287244d9a86p-2,  0x1.d328e2f5ac8a9p-2,  0x1.fffffffffffffp-2,  0x1.15c89fb7bda83p-1,
+    0x1.2ae0735afda0ap-1,  0x1.3f3a0e28bedd2p-1,  0x1.52c87c7168e5ep-1,  0x1.657f4bd515e7dp-1,
+    0x1.7752932f8fb65p-1,  0x1.8836fa2cf503ap-1,  0x1.9821c08233adep-1,  0x1.a708c4c4bfa74p-1,
+    0x1.b4e28add2b945p-1,  0x1.c1a6421088998p-1,  0x1.cd4bca9cb5c71p-1,  0x1.d7cbbae40cfd0p-1,
+    0x1.e11f642522d1cp-1,  0x1.e940d6bb98cc6p-1,  0x1.f02ae5e74cf6ep-1,  0x1.f5d92b177f354p-1,
+    0x1.fa4808b7d3c19p-1,  0x1.fd74ac7d6a74bp-1,  0x1.ff5d113293ed5p-1,  0x1.0000000000000p+0,
+};
+
 const double maplines_cell_rows[MAPLINES_CELLS][MAPLINES_TERMS] = {
     {-0x1.27d750cff4130p-4, 0x1.19c6ed28eeb14p-2, 0x1.3882425b460b7p-2, -0x1.294b0146e1c34p-1,
      0x1.16cdb2c9930fbp-3, -0x1.022a0ecd65e58p-3},

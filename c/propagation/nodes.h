@@ -8,7 +8,9 @@
 
 /// Share of the mean in each cell in the coefficient of each term.
 extern const double maplines_cell_rows[MAPLINES_CELLS][MAPLINES_TERMS];
-/// What a cubic leaves of T_4 at maplines_nodes.
+/// Nodes of a range: the extrema of a Chebyshev polynomial, from -1 to 1.
+extern const double maplines_nodes[MAPLINES_NODES];
+/// What a cubic leaves of T_4 at these.
 extern const double maplines_bend[MAPLINES_NODES];
 /// Set the coefficients of the terms of cells, whose number is MAPLINES_CELLS or MAPLINES_COARSE.
 void maplines_set_terms(int count, maplines_cells_t *cells);

@@ -75,7 +75,7 @@ static double mean_of_products(const double a[MAPLINES_NODES], const double b[MA
 /// Moments mean(a^i b^j) of the points, at [i][j] with i + j up to the degree; a are the nodes.
 static void moments_of(const double b[MAPLINES_NODES], double moments[MOMENTS][MOMENTS])
 {
-    const double *nodes = maplines_nodes();
+    const double *nodes = maplines_nodes;
     double of_a[MAPLINES_DEGREE][MAPLINES_NODES];
     double of_b[MAPLINES_NODES];
     for (int k = 0; k < MAPLINES_NODES; ++k)
@@ -472,7 +472,7 @@ static void set_chords_of(maplines_refit_t *refit)
 /// Set the points of the line: those of its cubic, and of T_4.
 static void set_points(maplines_refit_t *refit)
 {
-    const double *nodes = maplines_nodes();
+    const double *nodes = maplines_nodes;
     const maplines_fitted_t *fitted = &refit->fitted;
     const double *q = fitted->q;
     double low = (double)INFINITY;

@@ -400,7 +400,8 @@ MAPLINES_INTERNAL void maplines_valid_range(const maplines_curve_t *curve, const
 /* ---- levels.c: line-specific covariances as levels, of the coefficients of T_0 .. T_3
  * ------------- */
 
-#define MAPLINES_NODES 64 ///< points of a line of the map to which a cubic is fitted
+/// Nodes of a range, to which a cubic is fitted: the extrema of a Chebyshev polynomial.
+#define MAPLINES_NODES 64
 
 /// Length of a line, at the nodes of its range.
 typedef struct {
@@ -408,8 +409,6 @@ typedef struct {
     float place[MAPLINES_NODES];   ///< length up to the node, in halves of the whole length
 } maplines_arc_t;
 
-/// Nodes: the extrema of a Chebyshev polynomial, from -1 to 1.
-MAPLINES_INTERNAL const double *maplines_nodes(void);
 /// Length of a line at the nodes of its range.
 MAPLINES_INTERNAL void maplines_arc_of(const maplines_curve_t *curve, maplines_arc_t *arc);
 /// Covariance for unit errors of points at a raw value of the shape, and by how much the shape adds
