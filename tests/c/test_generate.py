@@ -278,7 +278,7 @@ def test_the_interface_begins_with_what_a_receiver_calls() -> None:
     assert functions[:3] == ["decoder_init", "feed", "latest"]
     before = text[: text.index("maplines_decoder_init(maplines_decoder_t")]
     types = set(re.findall(r"(?m)^} maplines_(\w+)_t;", before))
-    assert types == {"owner", "kind", "status", "frame"}
+    assert types == {"owner", "kind", "status", "left_out", "frame"}
 
 
 def test_reasons_have_the_order_of_python() -> None:
