@@ -93,7 +93,7 @@ def test_scenes_are_drawn_with_their_distance_to_the_limit(folder: Any, rows: An
     for row in rows["scenes"]:
         row["kl_joint_mean"] = 0.02 if row["has_joint"] else 9.0
     tables = read_tables(write(folder.parent / "with-scenes", rows))
-    plot = scenes_plot(tables, 4)
+    plot: Any = scenes_plot(tables, 4)
     (marks,) = (one for one in plot.renderers if getattr(one.glyph, "fill_alpha", "") == "fill")
     data = marks.data_source.data
     assert data["code"] == [row["code"] for row in rows["scenes"] if row["lines"] == 4]
