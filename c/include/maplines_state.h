@@ -297,6 +297,9 @@ struct maplines_decoder {
     uint32_t magic; ///< it is initialised
     const maplines_dbc_t *dbc;
     bool is_ready; ///< the settings are right; otherwise every frame is FOREIGN
+#if MAPLINES_SCENES && MAPLINES_LINE_RECORDS
+    bool is_built; ///< `scene` is the newest one
+#endif
     maplines_settings_t settings;
     maplines_statistics_t statistics; ///< without `lost` and `pending`
     maplines_check_t checks[MAPLINES_OWNERS];
@@ -315,7 +318,6 @@ struct maplines_decoder {
 #if MAPLINES_SCENES
     maplines_epochs_t epochs;
     maplines_scene_t scene;
-    bool is_built; ///< this is the newest one
 #endif
     maplines_line_t newest[MAPLINES_SLOTS];
     uint32_t has_newest; ///< one bit for each slot
