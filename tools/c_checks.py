@@ -125,10 +125,10 @@ def check_compile() -> Findings:
 
 
 def _headers_as_cpp() -> Iterator[str]:
-    """Yield what C++ compilers say of all headers that are generated for two DBCs."""
+    """Yield what C++ compilers say of all headers that are generated for three DBCs."""
     dbcs = {
         name: Layout.from_dbc(ROOT / "dbc" / f"{name}.dbc")
-        for name in ("maplines", "maplines-pose")
+        for name in ("maplines", "maplines-pose", "maplines-scene")
     }
     files = c_files({name.replace("-", "_"): layout for name, layout in dbcs.items()})
     headers = [name for name in files if name.endswith(".h")]
@@ -150,13 +150,16 @@ def check_fmu() -> Findings:
     path = Polyline([[0, 0], [1, 0]])
     lines = RouteLines(path, (0.0,), ({Slot.EGO_LEFT: path},))
     route = SentRoute("any", lines, list(Slot), (-4.0, 80.0), MapError(), 1.0)
-    nodes = (("receiver", None), ("sender", None), ("sender", route))
+    dbcs = Layout.from_dbc(), Layout.from_dbc(ROOT / "dbc" / "maplines-scene.dbc")
+    nodes: list[tuple[str, SentRoute | None, Layout]]
+    nodes = [("receiver", None, dbc) for dbc in dbcs]
+    nodes += [("sender", given, dbcs[0]) for given in (None, route)]
     return [finding for node in nodes for finding in _findings_of_node(*node)]
 
 
-def _findings_of_node(node: str, route: SentRoute | None) -> Iterator[str]:
-    """Yield what compilers and analysers say of a node with the tables of maplines.dbc."""
-    sources, _ = fmu_sources(node, Layout.from_dbc(), route)
+def _findings_of_node(node: str, route: SentRoute | None, layout: Layout) -> Iterator[str]:
+    """Yield what compilers and analysers say of a node with the tables of a DBC."""
+    sources, _ = fmu_sources(node, layout, route)
     with tempfile.TemporaryDirectory() as folder:
         headers = Path(folder) / "fmi"
         headers.mkdir()

@@ -200,17 +200,18 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--rate", type=float, default=50.0, help="cycles a second (default: 50)")
     parser.add_argument("--from", dest="sender", choices=("c", "python"), help="only this sender")
-    parser.add_argument("--dbc", action="append", help="DBC (default: both that need no key)")
+    parser.add_argument("--dbc", action="append", help="DBC (default: those that need no key)")
     parser.add_argument("--fd", action="store_true", help="CAN FD")
     parser.add_argument("--json", action="store_true", help="print JSON")
     options = parser.parse_args()
     result: dict[str, Any] = {}
-    for dbc in options.dbc or ("maplines.dbc", "maplines-pose.dbc"):
+    for dbc in options.dbc or ("maplines.dbc", "maplines-pose.dbc", "maplines-scene.dbc"):
+        fd = options.fd or dbc == "maplines-scene.dbc"  # which has no classic messages
         with tempfile.TemporaryDirectory() as name:
             build(Path(name), dbc)
             for sender in [options.sender] if options.sender else ("c", "python"):
                 for scenes in (False, True) if dbc == "maplines.dbc" else (True,):
-                    ways = {"seconds": options.seconds, "rate": options.rate, "fd": options.fd}
+                    ways = {"seconds": options.seconds, "rate": options.rate, "fd": fd}
                     what = "scenes" if scenes else "lines"
                     result[f"{what} of {dbc}, from {sender}"] = talk(
                         Path(name), sender, dbc, scenes=scenes, **ways

@@ -79,6 +79,7 @@ static void see(double t)
     }
 }
 
+#if MAPLINES_LINE_RECORDS
 /// Encode a line of the scene, with its part of the covariance; the number of frames.
 static int encode_line(const maplines_scene_line_t *line, bool is_fd)
 {
@@ -92,6 +93,7 @@ static int encode_line(const maplines_scene_line_t *line, bool is_fd)
     }
     return maplines_encode_line(&encoder, &input, is_fd, 0, frames).count;
 }
+#endif
 
 /// Send frames; false if the bus fails, or if there are none.
 static bool send_frames(int bus, int count)
@@ -133,11 +135,13 @@ int main(int count, char **arguments)
                 bus, maplines_encode_scene(&encoder, &scene, is_fd, 0, &workspace, frames).count);
             lines += is_sent ? scene.count : 0;
         }
+#if MAPLINES_LINE_RECORDS // else there are whole scenes only
         for (int i = 0; i < scene.count && !is_scene && is_sent; ++i)
         {
             is_sent = send_frames(bus, encode_line(&scene.lines[i], is_fd));
             lines += is_sent;
         }
+#endif
     }
     if (!is_sent && !is_stopped)
     {
