@@ -77,7 +77,8 @@ class Rows:
         self.period, self.codec = period, Codec.from_dbc(default_dbc_path(dbc))
         lines = dict(zip(Slot, highway_lines(), strict=True))
         self.make = partial(map_scene, lines, highway.ego)
-        frames = self.codec.encoder().encode_scene(self.make())
+        self.fd = self.codec.layout.scene is not None  # a whole scene is a CAN FD frame
+        frames = self.codec.encoder().encode_scene(self.make(), fd=self.fd)
         self.transfers = [[message_of(frame) for frame in each] for each in frames.values()]
         self.bus = can.Bus(interface="virtual", channel=f"load of {dbc}")
 
@@ -114,7 +115,7 @@ class Rows:
     @contextmanager
     def transmitter(self) -> Iterator[None]:
         """Publish a scene once."""
-        with Transmitter(self.bus, self.codec, period=self.period) as transmitter:
+        with Transmitter(self.bus, self.codec, period=self.period, fd=self.fd) as transmitter:
             transmitter.publish(self.make())
             yield
 
@@ -122,7 +123,7 @@ class Rows:
     def with_map_scene(self) -> Iterator[None]:
         """Make and publish a scene in each period."""
         with (
-            Transmitter(self.bus, self.codec, period=self.period) as transmitter,
+            Transmitter(self.bus, self.codec, period=self.period, fd=self.fd) as transmitter,
             repeated(self.period, lambda: transmitter.publish(self.make())),
         ):
             yield
