@@ -27,6 +27,7 @@ def test_the_corpus_passes(target: str) -> None:
     good, bad = {
         "decoder": ("line", "CRC"),
         "scenes": ("scene", "CRC"),
+        "whole-scenes": ("scene", "CRC"),
         "logs": ("line", "LogError"),
         "dbc": ("layout", "LayoutError"),
     }[target]

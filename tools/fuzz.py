@@ -3,6 +3,7 @@
 
     fuzz.py decoder --seconds 600   frames into the state of a receiver
     fuzz.py scenes --seconds 600    pose errors and lines that belong to them
+    fuzz.py whole-scenes            whole scenes
     fuzz.py logs --seconds 600      log files of all formats
     fuzz.py dbc --seconds 600       the text of a DBC
     fuzz.py TARGET --seconds 0      only replay the corpus
@@ -41,7 +42,7 @@ from typing import Any
 from reporting import parser_of
 
 CORPUS = Path(__file__).resolve().parents[1] / "tests" / "corpus"
-TARGETS = ("decoder", "scenes", "logs", "dbc")
+TARGETS = ("decoder", "scenes", "whole-scenes", "logs", "dbc")
 #: Modules whose branches guide the fuzzer.
 INSTRUMENTED = (
     "maplines_can",

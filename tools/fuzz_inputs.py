@@ -142,4 +142,4 @@ SEEDS: dict[str, Callable[[], Iterator[bytes]]] = {"dbc": dbc_seeds}
 #: Mutators of the targets for which mutated bytes would hardly pass the first check.
 MUTATORS: dict[str, Callable[[bytes, int], bytes]] = {"dbc": mutate_dbc, "logs": mutate_log}
 #: Maximum length of an input [bytes].
-MOST = {"decoder": 1024, "scenes": 1024, "logs": 6144, "dbc": 24_576}
+MOST = {"decoder": 1024, "scenes": 1024, "whole-scenes": 1024, "logs": 6144, "dbc": 24_576}

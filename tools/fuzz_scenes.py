@@ -1,7 +1,8 @@
-"""Target of the fuzzer for the pose error and the lines that belong to it; see fuzz.py."""
+"""Targets of the fuzzer for the pose error and the lines that belong to it; see fuzz.py."""
 
 from __future__ import annotations
 
+import random
 from collections import Counter
 from collections.abc import Callable
 from functools import cache
@@ -20,12 +21,13 @@ from fuzz_targets import (
 )
 from scene_layouts import pose_layout_of, raw_record
 
+from maplines_can.generation.vector_sender import VectorSender
 from maplines_can.values.line import Slot
 from maplines_can.wire import POSE, Codec, Decoder, Frame, Reason, default_dbc_path
 from maplines_can.wire.layout.packing import Packing
-from maplines_can.wire.layout.pose_layout import PoseLayout
+from maplines_can.wire.layout.pose_layout import SCENE, SCENE2, PoseLayout
 from maplines_can.wire.layout.record_layout import RecordLayout
-from maplines_can.wire.layout.signals import OWN_SIGNALS
+from maplines_can.wire.layout.signals import LINE, OWN_SIGNALS
 from maplines_can.wire.records.frames import FrameWriter
 
 #: DBCs with records that are conditional on the pose error, and with complete records.
@@ -93,9 +95,78 @@ def scenes(data: bytes) -> Counter[str]:
     """
     take = Bytes(data)
     parts = parts_of(DBCS[take.byte() % len(DBCS)])
-    state = parts.codec.decoder(timeout_ms=20.0)
-    t_ns = 0
-    outcomes, counters = Counter[str](), Counter[Any]()
+    counters = Counter[Any]()
+
+    def frames_of(what: int, fd: bool) -> list[Frame]:
+        if what <= 2:  # a cycle: the pose error, and the lines whose counters it states
+            slots = [slot for slot in Slot if take.byte() & 1 or slot == Slot(what)][:3]
+            frames = pose_frames(parts, take.take(32), counters, fd)
+            for slot in slots:
+                frames += line_frames(parts, take.take(32), slot, counters[slot] % 256, fd)
+            counters.update([*slots, POSE])
+            return mixed(take, frames)
+        if what == 3:  # a pose error alone, with any counters
+            wrong = {owner: take.byte() for owner in (POSE, *Slot)}
+            return pose_frames(parts, take.take(32), wrong, fd)
+        slot, counter = Slot(take.byte() % 8), take.byte()  # a line alone, with any counter
+        return line_frames(parts, take.take(32), slot, counter, fd)
+
+    return fed_with(take, parts.codec.decoder(timeout_ms=20.0), frames_of)
+
+
+@cache
+def whole_sender() -> VectorSender:
+    """Return what makes records of whole scenes of any content that is not refused."""
+    return VectorSender(whole_codec().layout, len(Slot))
+
+
+@cache
+def whole_codec() -> Codec:
+    """Return the codec of whole scenes."""
+    return Codec.from_dbc(default_dbc_path("maplines-scene.dbc"))
+
+
+def whole_scenes(data: bytes) -> Counter[str]:
+    """Feed whole scenes of any content to a receiver; the same invariants as of ``scenes``."""
+    take, sender = Bytes(data), whole_sender()
+    counters = Counter[Any]()
+
+    def frame_of(owner: Any, counter: int, raw: dict[str, int] | None = None) -> list[Frame]:
+        drawn = random.Random(take.take(8))  # noqa: S311 - no secret
+        record = sender.record(
+            owner, counter % 256, sender.random_scene(owner, drawn) | (raw or {})
+        )
+        return sender.frames(owner, record, 0)
+
+    def frames_of(what: int, both: bool) -> list[Frame]:
+        if what <= 2:  # a cycle, of one pose error or of two
+            pose = sender.ordinary(SCENE) if what else {}
+            shared = {name: value for name, value in pose.items() if not name.startswith(LINE)}
+            owners = (SCENE2, SCENE) if both else (SCENE,)
+            frames = [one for o in owners for one in frame_of(o, counters[SCENE], shared)]
+            counters.update([SCENE])
+            return mixed(take, frames)
+        return frame_of(SCENE if what == 3 else SCENE2, take.byte())
+
+    return fed_with(take, whole_codec().decoder(), frames_of)
+
+
+def mixed(take: Bytes, frames: list[Frame]) -> list[Frame]:
+    """Return the frames of a cycle of which one may be lost, and some come late."""
+    order = take.byte()
+    lost = order % 16
+    frames = frames[order >> 4 :] + frames[: order >> 4]
+    return [*frames[:lost], *frames[lost + 1 :]]
+
+
+def fed_with(
+    take: Bytes, state: Decoder, frames_of: Callable[[int, bool], list[Frame]]
+) -> Counter[str]:
+    """Feed a receiver with the frames of a cycle (0 to 2), or others (3, 4), until no byte is left.
+
+    Between them are steps in time, and frames that come again or damaged.
+    """
+    t_ns, outcomes = 0, Counter[str]()
     fed: list[tuple[int, bytes]] = []
 
     def feed(can_id: int, payload: bytes) -> None:
@@ -110,24 +181,8 @@ def scenes(data: bytes) -> Counter[str]:
         op = take.byte()
         t_ns += STEPS[op >> 4 & 3]
         what, fd = op & 7, bool(op & 8)
-        if what <= 2:  # a cycle: the pose error, and the lines whose counters it states
-            slots = [slot for slot in Slot if take.byte() & 1 or slot == Slot(what)][:3]
-            frames = pose_frames(parts, take.take(32), counters, fd)
-            for slot in slots:
-                frames += line_frames(parts, take.take(32), slot, counters[slot] % 256, fd)
-            order = take.byte()  # lost, and late
-            lost = order % 16
-            frames = frames[order >> 4 :] + frames[: order >> 4]
-            for frame in [*frames[:lost], *frames[lost + 1 :]]:
-                feed(frame.can_id, frame.data)
-            counters.update([*slots, POSE])
-        elif what == 3:  # a pose error alone, with any counters
-            wrong = {owner: take.byte() for owner in (POSE, *Slot)}
-            for frame in pose_frames(parts, take.take(32), wrong, fd):
-                feed(frame.can_id, frame.data)
-        elif what == 4:  # a line alone, with any counter
-            slot, counter = Slot(take.byte() % 8), take.byte()
-            for frame in line_frames(parts, take.take(32), slot, counter, fd):
+        if what <= 4:
+            for frame in frames_of(what, fd):
                 feed(frame.can_id, frame.data)
         elif what == 5:  # a step in time, forward or backward
             t_ns += int.from_bytes(take.take(2), "little", signed=True) * MS
@@ -173,4 +228,8 @@ def check_scene(state: Decoder, t_ns: int) -> bool:
 
 
 #: All targets of the fuzzer.
-ALL_TARGETS: dict[str, Callable[[bytes], Counter[str]]] = {**TARGETS, "scenes": scenes}
+ALL_TARGETS: dict[str, Callable[[bytes], Counter[str]]] = {
+    **TARGETS,
+    "scenes": scenes,
+    "whole-scenes": whole_scenes,
+}
