@@ -231,7 +231,7 @@ def test_lines_that_are_lost_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_scene_of_two_cycles_is_found() -> None:
     """By its values: its pose error and its lines show the number of the cycle."""
-    chain = epochs.WholeChain(epochs.CARRIERS["conditional"][0], fd=False)
+    chain = epochs.WholeChain("maplines-pose.dbc", epochs.SLOTS, fd=False)
     chain.write(3, epochs.SLOTS, Counter())
     scene, other = epochs.road_scene(3), epochs.road_scene(4)
     assert not +chain.check(scene)

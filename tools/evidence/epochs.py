@@ -25,13 +25,19 @@ from .harness import evidence, progress
 
 PERIOD, FRAME = 0.05, 0.00025  #: [s]
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.ROUTE)
+#: Slots of whole scenes: both messages have lines.
+MANY = (*SLOTS, Slot.NEXT_LEFT, Slot.EDGE_LEFT, Slot.EDGE_RIGHT)
 #: Cycles of one run: with one kind of faults and one receiver.
 RUN = 500
 #: Different scenes. It has no common divisor with the range of a counter, so that records of equal
 #: counters are of different scenes.
 SCENES = 23
-#: DBC by kind of records, and whether it is used with CAN FD.
-CARRIERS = {"conditional": ("maplines-pose.dbc", False), "complete": ("maplines.dbc", True)}
+#: DBC by kind of records, whether it is used with CAN FD, and slots.
+CARRIERS = {
+    "conditional": ("maplines-pose.dbc", False, SLOTS),
+    "complete": ("maplines.dbc", True, SLOTS),
+    "whole": ("maplines-scene.dbc", True, MANY),
+}
 #: Shift of the lines from cycle to cycle [m], ratio of the pose errors, and the least of them [m].
 STEP, RATIO, MIN_SIGMA = 0.02, 1.06, 0.1
 
@@ -68,7 +74,7 @@ LIMITS = tuple(
 )
 
 
-@evidence(n=18 * 20)
+@evidence(n=27 * 20)
 def epochs(n: int = 30_000, beyond: bool = False, seed: int = 0) -> dict[str, Any]:
     """Send n cycles of scenes over a faulty bus, and check each joint that is received.
 
@@ -77,7 +83,7 @@ def epochs(n: int = 30_000, beyond: bool = False, seed: int = 0) -> dict[str, An
         beyond: delay records by more than the receiver is for, 2 to 12 cycles.
         seed: of the faults.
     """
-    chains = {name: WholeChain(dbc, fd=fd) for name, (dbc, fd) in CARRIERS.items()}
+    chains = {name: WholeChain(dbc, slots, fd=fd) for name, (dbc, fd, slots) in CARRIERS.items()}
     kinds = [*product(chains, LIMITS if beyond else DISTURBANCES)]
     run = min(RUN, max(1, n // len(kinds)))
     counts = {f"{name}: {faults.name}": Counter[str]() for name, faults in kinds}
@@ -104,7 +110,7 @@ def over_the_bus(
 
     A scene is checked when it is the newest one, and again when a late line joins it.
     """
-    source = Source(chain.write, np.random.default_rng(seed), faults)
+    source = Source(chain.write, np.random.default_rng(seed), faults, chain.slots)
     decoder, last = chain.decoder(), None
     checked: tuple[int, int] | None = None
     for at, frame in source.arrivals(int(seed[-1]) * 977, cycles):
@@ -130,6 +136,7 @@ class Source:
     write: Callable[[int, Sequence[Slot], Counter[Owner]], dict[Owner, list[Frame]]]
     rng: np.random.Generator
     disturbance: Disturbance
+    slots: Sequence[Slot]
     sent: int = 0
 
     def arrivals(self, first: int, cycles: int) -> Iterator[tuple[float, Frame]]:
@@ -139,11 +146,11 @@ class Source:
         seeded = f"{one.frames},seed={int(rng.integers(2**31))}"
         injector = FaultInjector[Any](Faults.parse(seeded.replace("seed=1,", "")))
         waiting: list[tuple[float, int, Frame]] = []
-        slots, silent_until, order = list(SLOTS), 0, 0
+        slots, silent_until, order = list(self.slots), 0, 0
         for cycle in range(cycles):
             at = cycle * PERIOD
             if rng.random() < 0.05:  # slots come and go
-                slots = [slot for slot in SLOTS if rng.random() < 0.7]
+                slots = [slot for slot in self.slots if rng.random() < 0.7]
             if rng.random() < 0.005:
                 silent_until = cycle + int(rng.integers(1, 30))
             if one.restarts and rng.random() < 0.01:
@@ -168,8 +175,10 @@ class Source:
 class WholeChain:
     """Scenes that differ in pose error and lines, encoded and decoded as on any bus."""
 
-    def __init__(self, dbc: str, *, fd: bool) -> None:
+    def __init__(self, dbc: str, slots: Sequence[Slot], *, fd: bool) -> None:
         self._codec, self._fd = Codec.from_dbc(default_dbc_path(dbc)), fd
+        #: Of the lines that it sends.
+        self.slots = slots
         self._scenes: list[dict[tuple[Slot, ...], tuple[Scene, Any]]] = [{} for _ in range(SCENES)]
 
     def write(
@@ -209,7 +218,11 @@ class WholeChain:
 
 def offset(slot: int) -> float:
     """Return the lateral offset of a slot [m]."""
-    return {Slot.EGO_LEFT: 1.75, Slot.EGO_RIGHT: -1.75, Slot.ROUTE: 0.0}[Slot(slot)]
+    offsets = {
+        Slot.EGO_LEFT: 1.75, Slot.EGO_RIGHT: -1.75, Slot.ROUTE: 0.0,
+        Slot.NEXT_LEFT: 5.25, Slot.EDGE_LEFT: 8.0, Slot.EDGE_RIGHT: -4.0,
+    }  # fmt: skip
+    return offsets[Slot(slot)]
 
 
 def scene_number(sigma_along: float) -> int:
