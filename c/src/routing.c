@@ -15,13 +15,9 @@ MAPLINES_INTERNAL maplines_reason_t maplines_dropped(maplines_decoder_t *decoder
 /// Bytes of the longest record of an owner.
 static uint32_t record_bytes(const maplines_dbc_t *dbc, int owner)
 {
-#if MAPLINES_SCENE_RECORDS
-    if (MAPLINES_IS_WHOLE(owner))
-    {
-        return dbc->messages[owner].fd_length;
-    }
-#endif
-    return maplines_layout(dbc, owner)->pages * PAGE_BYTES;
+    const uint32_t of_pages = maplines_layout(dbc, owner)->pages * PAGE_BYTES;
+    const uint32_t of_frame = dbc->messages[owner].fd_length;
+    return MAPLINES_IS_WHOLE(owner) ? of_frame : of_pages;
 }
 
 /// Take the record at the beginning of a payload that has room for the longest one. One that is
