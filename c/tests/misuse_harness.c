@@ -1001,7 +1001,7 @@ static void name_rows(void)
 #if MAPLINES_SENDER
     ROW(refusal_name, "99", false, name(maplines_refusal_name((maplines_refusal_t)99)))
 #endif
-#if MAPLINES_SENDER && MAPLINES_SCENES
+#if MAPLINES_SCENES
     ROW(left_out_name, "99", false, name(maplines_left_out_name((maplines_left_out_t)99)))
 #endif
 }

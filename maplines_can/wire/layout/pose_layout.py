@@ -54,7 +54,7 @@ def owner_name(owner: Owner) -> str:
     """Return the name of an owner as errors have it."""
     if isinstance(owner, str):
         return {POSE: "the pose error", SCENE: "Scene", SCENE2: "Scene2"}[owner]
-    return f"slot {owner.name}"
+    return f"slot {owner.name if isinstance(owner, Slot) else owner}"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

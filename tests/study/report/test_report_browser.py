@@ -110,7 +110,7 @@ def test_pictures_of_the_plots_are_printed(browser: Any) -> None:
     """Pictures replace the canvases only while the page is printed."""
     pictures = "[...document.querySelectorAll('img.print')].map(p => p.src.length > 3000)"
     browser.run("dispatchEvent(new Event('beforeprint'))")
-    assert browser.run(pictures) == [True] * 8 * len(SETS)
+    assert browser.run(pictures) == [True] * 9 * len(SETS)
     browser.run("dispatchEvent(new Event('afterprint'))")
     assert browser.run(pictures) == []
     assert browser.errors == []
