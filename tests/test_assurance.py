@@ -1,57 +1,67 @@
-"""docs/assurance.md has no gap, and tools/traceability.py finds every kind of gap."""
+"""docs/assurance.toml has no gap, and tools/traceability.py finds every kind of gap."""
 
 import json
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
+from typing import Any
 
 import coverage_table
 import pytest
 import traceability as tool
 
 TRACED = "wire/protection/test_e2e.py::test_published_example_of_a_zero_record"
-#: A page without a gap; each case below breaks one thing in it.
-PAGE = f"""
-| ID | goal |
-|---|---|
-| G-1 | No wrong line. |
+#: Data without a gap; each case below breaks one thing in it.
+TEXT = f"""
+[[goals]]
+id = "G-1"
+goal = "No wrong line."
 
-| ID | of | assumption |
-|---|---|---|
-| A-1 | bus | It is a bus. |
+[[assumptions]]
+id = "A-1"
+of = "bus"
+assumption = "It is a bus."
 
-| ID | fault | assumes | requirements |
-|---|---|---|---|
-| F-1 | corruption | A-1 | R-1 |
+[[faults]]
+id = "F-1"
+fault = "corruption"
+detected_by = "checksum"
+reaction = "dropped"
+detected_after = "at once"
+assumes = ["A-1"]
+requirements = ["R-1"]
 
-| ID | requirement | goals | code | tests |
-|---|---|---|---|---|
-| R-1 | A checksum. | G-1 | `wire.reasons:Reason.CRC` | `{TRACED}` |
-
-| other table | R-1 |
-|---|---|
-| not an ID | A-1 |
+[[requirements]]
+id = "R-1"
+requirement = "A checksum."
+goals = ["G-1"]
+code = ["wire.reasons:Reason.CRC"]
+tests = ["{TRACED}"]
 """
+DATA = tomllib.loads(TEXT)
 
 GAPS = [
-    pytest.param("| R-1 | A", "| R1 | A", "an ID is a letter of G, A, F, R", id="malformed-id"),
-    pytest.param("| R-1 | A", "| X-1 | A", "an ID is a letter of G, A, F, R", id="unknown-kind"),
-    pytest.param("| F-1 |", "| A-1 |", "A-1 is defined 2 times", id="defined-twice"),
-    pytest.param("| A-1 | R-1 |", "| A-1 | R-1, R-2 |", "R-2 is mentioned but", id="undefined"),
-    pytest.param("corruption | A-1", "corruption | A-2", "A-2 is mentioned", id="no-assumption"),
-    pytest.param("not an ID | A-1", "not an ID | G-7", "G-7 is mentioned", id="undefined-in-text"),
-    pytest.param("A-1 | R-1 |", "A-1 | |", "F-1 has nothing in the column 'req", id="fault-alone"),
-    pytest.param("A-1 | R-1 |", "A-1 | - |", "F-1 must name requirements", id="fault-with-dash"),
-    pytest.param("A-1 | R-1 |", "A-1 | A-1 |", "F-1 must name requirements", id="fault-to-other"),
-    pytest.param("| G-1 | `", "| - | `", "R-1 must name goals", id="no-goal"),
-    pytest.param("| G-1 | `", "| F-1 | `", "R-1 must name goals", id="a-fault-as-goal"),
-    pytest.param("line. |", "line. |\n| G-2 | Fast. |", "G-2 is a goal without", id="goal-alone"),
-    pytest.param("bus. |", "bus. |\n| A-2 | x | y |", "A-2 is an assumption that", id="unused"),
-    pytest.param("| A checksum. |", "| |", "R-1 has nothing in the column 'requ", id="no-text"),
-    pytest.param("`wire.reasons:Reason.CRC`", "", "nothing in the column 'code'", id="no-code"),
-    pytest.param(f"`{TRACED}`", "", "nothing in the column 'tests'", id="no-test"),
-    pytest.param("| goals | code |", "| goals | source |", "column 'code'", id="no-column"),
-    pytest.param(f" | `{TRACED}` |", " |", "nothing in the column 'tests'", id="short-row"),
+    pytest.param('id = "R-1"', 'id = "R1"', "an ID is a letter of G, A, F, R", id="malformed-id"),
+    pytest.param('id = "R-1"', 'id = "X-1"', "an ID is a letter of G, A, F, R", id="unknown-kind"),
+    pytest.param('id = "F-1"', 'id = "A-2"', "an ID is a letter of G, A, F, R", id="other-table"),
+    pytest.param("[[faults]]", "[[assumptions]]\nid = 'A-1'\n[[faults]]", "2 times", id="twice"),
+    pytest.param('["R-1"]', '["R-1", "R-2"]', "R-2 is mentioned but", id="undefined"),
+    pytest.param('["A-1"]', '["A-2"]', "A-2 is mentioned", id="no-assumption"),
+    pytest.param('"dropped"', '"as G-7"', "G-7 is mentioned", id="undefined-in-text"),
+    pytest.param('["R-1"]', "[]", "F-1 has nothing in the column 'req", id="fault-alone"),
+    pytest.param('["R-1"]', '["A-1"]', "F-1 must name requirements", id="fault-to-other"),
+    pytest.param('["G-1"]', "[]", "R-1 has nothing in the column 'goals'", id="no-goal"),
+    pytest.param('["G-1"]', '["F-1"]', "R-1 must name goals", id="a-fault-as-goal"),
+    pytest.param(
+        'line."', 'line."\n[[goals]]\nid = "G-2"', "G-2 is a goal without", id="goal-alone"
+    ),
+    pytest.param('["A-1"]', "[]", "A-1 is an assumption that", id="unused"),
+    pytest.param('"A checksum."', '""', "R-1 has nothing in the column 'requ", id="no-text"),
+    pytest.param('"wire.reasons:Reason.CRC"', "", "nothing in the column 'code'", id="no-code"),
+    pytest.param(f'"{TRACED}"', "", "nothing in the column 'tests'", id="no-test"),
+    pytest.param("code = [", "source = [", "no column 'source'", id="no-column"),
+    pytest.param(f'tests = ["{TRACED}"]', "", "nothing in the column 'tests'", id="short-row"),
     pytest.param("wire.reasons:", "wire.reason:", "no module 'wire.reason'", id="no-module"),
     pytest.param("Reason.CRC", "Reason.CRC32", "does not define 'Reason.CRC32'", id="no-member"),
     pytest.param("Reason.CRC", "Enum", "does not define 'Enum'", id="imported-only"),
@@ -60,20 +70,27 @@ GAPS = [
     pytest.param("zero_record", "one_record", "has no test 'test_pub", id="renamed-test"),
     pytest.param("test_published_example_of_a_zero_record", "np", "has no test 'np'", id="no-def"),
     pytest.param(TRACED, "conftest.py::links", "has no test 'links'", id="a-fixture"),
-    pytest.param(f"`{TRACED}`", f"`{TRACED}` and more", "that is no name", id="unreadable"),
-    pytest.param("| ID | goal |", "| Id | goal |", "there are no goals", id="no-table"),
+    pytest.param("[[goals]]", "[[aims]]", "there are no goals", id="no-table"),
 ]
 
 
-def test_the_shipped_page_has_no_gap() -> None:
-    result = tool.summary(tool.PAGE.read_text(encoding="utf-8"))
+def shipped() -> Any:
+    return tomllib.loads(tool.DATA.read_text(encoding="utf-8"))
+
+
+def test_the_shipped_data_have_no_gap() -> None:
+    result = tool.summary(shipped(), tool.PAGE.read_text(encoding="utf-8"))
     assert result["gaps"] == []
     assert result["requirements"] >= 25
     assert min(result["goals"], result["assumptions"], result["faults"]) > 0
 
 
-def test_the_page_of_the_cases_has_no_gap() -> None:
-    assert tool.summary(PAGE) == {
+def test_the_page_has_the_tables_of_the_data() -> None:
+    assert tool.PAGE.read_text(encoding="utf-8") == tool.page_of(shipped())
+
+
+def test_the_data_of_the_cases_have_no_gap() -> None:
+    assert tool.summary(DATA) == {
         "goals": 1,
         "assumptions": 1,
         "faults": 1,
@@ -86,20 +103,24 @@ def test_the_page_of_the_cases_has_no_gap() -> None:
 
 @pytest.mark.parametrize(("before", "after", "gap"), GAPS)
 def test_a_gap_is_found(before: str, after: str, gap: str) -> None:
-    page = PAGE.replace(before, after, 1)
-    assert page != PAGE
-    assert any(gap in found for found in tool.gaps_of(page)), tool.gaps_of(page)
+    text = TEXT.replace(before, after, 1)
+    assert text != TEXT
+    found = tool.gaps_of(tomllib.loads(text))
+    assert any(gap in one for one in found), found
 
 
-def test_no_row_of_the_shipped_page_may_be_missing() -> None:
-    """Without its row, everything that the page refers to elsewhere is missed."""
-    page = tool.PAGE.read_text(encoding="utf-8")
-    lines, complete = page.splitlines(), tool.gaps_of(page)
-    for item in tool.items_of(page):
-        rest = "\n".join([*lines[: item.line - 1], *lines[item.line :]])
-        if item.id in tool.ID.findall(rest):
-            assert f"{item.id} is mentioned but not defined" in tool.gaps_of(rest)
-            assert f"{item.id} is mentioned but not defined" not in complete
+def test_an_id_of_the_page_that_is_not_defined_is_a_gap() -> None:
+    assert tool.gaps_of(DATA, "as A-1 and A-9 say") == ["A-9 is mentioned but not defined"]
+
+
+def test_no_row_of_the_shipped_data_may_be_missing() -> None:
+    """Without its row, everything that is referred to elsewhere is missed."""
+    data = shipped()
+    for table in tool.KINDS.values():
+        for row in data[table]:
+            rest = {**data, table: [one for one in data[table] if one is not row]}
+            if row["id"] in tool.ID.findall(json.dumps(rest)):
+                assert f"{row['id']} is mentioned but not defined" in tool.gaps_of(rest)
 
 
 def test_a_skipped_test_is_a_gap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -164,7 +185,7 @@ def test_run_tells_failed_skipped_and_missing_from_passed(tmp_path: Path) -> Non
 def test_a_test_that_does_not_pass_is_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
     for outcome in ("passed", tool.NEEDS_KERNEL, "skipped", "failed", "not run"):
         monkeypatch.setattr(tool, "outcomes_of", lambda tests, o=outcome: dict.fromkeys(tests, o))
-        result = tool.summary(PAGE, run=True)
+        result = tool.summary(DATA, run=True)
         is_gap = outcome not in ("passed", tool.NEEDS_KERNEL)
         assert result["gaps"] == ([f"{TRACED}: {outcome}"] if is_gap else [])
         assert result["passed"] == (outcome == "passed")
@@ -172,25 +193,25 @@ def test_a_test_that_does_not_pass_is_a_gap(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A summary, the gaps, and the status."""
-    good, bad = tmp_path / "good.md", tmp_path / "bad.md"
-    good.write_text(PAGE)
-    bad.write_text(PAGE.replace("zero_record", "one_record"))
+    good, bad = tmp_path / "good.toml", tmp_path / "bad.toml"
+    good.write_text(TEXT)
+    bad.write_text(TEXT.replace("zero_record", "one_record"))
     assert tool.main([str(good)]) == 0
     assert capsys.readouterr().out == (
-        "good.md: 1 goals, 1 assumptions, 1 faults, 1 requirements, 1 code references, 1 tests, "
+        "good.toml: 1 goals, 1 assumptions, 1 faults, 1 requirements, 1 code references, 1 tests, "
         "0 gaps\n"
     )
     assert tool.main([str(bad)]) == 1
-    assert "bad.md: 1 goals" in (out := capsys.readouterr().out)
+    assert "bad.toml: 1 goals" in (out := capsys.readouterr().out)
     assert "R-1: tests/wire/protection/test_e2e.py has no test" in out
     assert tool.main([str(bad), "--json"]) == 1
     assert len(json.loads(capsys.readouterr().out)["gaps"]) == 1
 
 
 def test_the_command_runs_the_tests(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text(PAGE)
-    command = [sys.executable, "tools/traceability.py", str(page), "--run"]
+    data = tmp_path / "data.toml"
+    data.write_text(TEXT)
+    command = [sys.executable, "tools/traceability.py", str(data), "--run"]
     done = subprocess.run(command, cwd=tool.ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "1 passed, 0 to be run in tools/vcan, 0 gaps" in done.stdout

@@ -1,17 +1,19 @@
 #!/usr/bin/env python3
-"""Check that docs/assurance.md traces each goal, fault and requirement to code and tests.
+"""Check that docs/assurance.toml traces each goal, fault and requirement to code and tests.
 
-    traceability.py          check the page against the source: nothing is imported or run
+    traceability.py          check the data against the source: nothing is imported or run
     traceability.py --run    also run the traced tests; each must pass, except those that need
                              SocketCAN if the kernel has none (tools/vcan runs them)
     traceability.py --json   print the result as JSON
+    traceability.py --write  write the tables of docs/assurance.md
 
-Each row of a table whose first column is called ID is one item. Its ID is a letter and a number:
-G-1 is a safety goal, A-1 an assumption of use, F-1 a fault, R-1 a requirement. There is a gap if
+The ID of an item is the letter of its kind and a number: G-1 is a safety goal, A-1 an assumption of
+use, F-1 a fault, R-1 a requirement. There is a gap if
 
-- an ID is malformed, defined twice, or used but not defined, or a cell is missing or empty;
+- an ID is malformed, defined twice, or used (also on the page) but not defined;
+- a cell is missing;
 - a goal has no requirement, or a fault none;
-- an assumption is mentioned nowhere else on the page;
+- an assumption is mentioned nowhere else in the data;
 - a requirement has no goal, no code or no test;
 - a module, symbol or test does not exist, or a test is skipped.
 
@@ -29,111 +31,90 @@ import ast
 import json
 import re
 import sys
+import tomllib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
-from reporting import parser_of
+from reporting import fill_tables, parser_of
 
 ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT / "docs" / "assurance.toml"
 PAGE = ROOT / "docs" / "assurance.md"
+#: Kinds of items by the letter of their IDs.
 KINDS = {"G": "goals", "A": "assumptions", "F": "faults", "R": "requirements"}
-#: Columns that a table of each kind must have.
+#: Columns of the tables, which are those of the page.
 COLUMNS = {
-    "G": {"goal"},
-    "A": {"assumption"},
-    "F": {"fault", "requirements"},
-    "R": {"requirement", "goals", "code", "tests"},
+    "goals": ("id", "goal"),
+    "assumptions": ("id", "of", "assumption"),
+    "faults": (
+        "id", "fault", "detected_by", "reaction", "detected_after", "assumes", "requirements",
+    ),
+    "requirements": ("id", "requirement", "goals", "code", "tests"),
+    "e2e": ("autosar", "here", "reason"),
+    "secoc": ("autosar", "here", "reason"),
+    "insufficiencies": ("insufficiency", "triggering_condition", "effect", "responsible"),
+}  # fmt: skip
+#: Lists of IDs, and the kinds that these have.
+REFERENCES = {
+    ("faults", "assumes"): "A",
+    ("faults", "requirements"): "R",
+    ("requirements", "goals"): "G",
 }
+MAY_BE_EMPTY = "assumes"
 ID = re.compile(r"\b[A-Z]-\d+\b")
 #: Outcome of a test that is skipped where the kernel has no SocketCAN.
 NEEDS_KERNEL = "to be run in tools/vcan"
+#: The tables of the data by name, each a list of rows.
+Data = Mapping[str, list[dict[str, Any]]]
 
 
-class Item(NamedTuple):
-    """One row of a table of the page."""
-
-    id: str
-    cells: dict[str, str]  #: by column
-    line: int  #: of the page, from 1
-
-    def ids(self, column: str) -> list[str]:
-        """Return the IDs in a column."""
-        return ID.findall(self.cells.get(column, ""))
-
-    def names(self, column: str) -> list[str]:
-        """Return the names in backticks in a column."""
-        return re.findall(r"`([^`]*)`", self.cells.get(column, ""))
-
-
-def items_of(page: str) -> Iterator[Item]:
-    """Yield the items of all tables whose first column is called ID."""
-    columns: list[str] | None = None
-    for number, text in enumerate(page.splitlines(), start=1):
-        if not text.startswith("|"):
-            columns = None
-            continue
-        cells = [cell.strip() for cell in text.strip().strip("|").split("|")]
-        if columns is None:
-            columns = cells if cells[0] == "ID" else []
-        elif columns and set(cells[0]) != {"-"}:
-            yield Item(cells[0], dict(zip(columns, cells, strict=False)), number)
-
-
-def gaps_of(page: str) -> list[str]:
-    """Return the gaps of a page, one sentence each."""
-    items = list(items_of(page))
-    gaps = [gap for item in items for gap in _gaps_of_item(item)]
-    defined = Counter(item.id for item in items)
+def gaps_of(data: Data, page: str = "") -> list[str]:
+    """Return the gaps of the data, one sentence each; the page must mention defined IDs only."""
+    gaps = [gap for table, rows in data.items() for row in rows for gap in _gaps_of_row(table, row)]
+    defined = Counter(row.get("id", "") for table in KINDS.values() for row in data.get(table, ()))
     gaps += [f"{key} is defined {n} times" for key, n in defined.items() if n > 1]
-    mentioned = Counter(ID.findall(page))
-    gaps += [f"{key} is mentioned but not defined" for key in mentioned if key not in defined]
+    mentioned = Counter(ID.findall(json.dumps(data)))
     gaps += [
-        f"{item.id} is an assumption that nothing else on the page mentions"
-        for item in items
-        if item.id[:1] == "A" and mentioned[item.id] == 1
+        f"{key} is mentioned but not defined"
+        for key in dict.fromkeys([*mentioned, *ID.findall(page)])
+        if key not in defined
     ]
-    with_requirement = {goal for item in items if item.id[:1] == "R" for goal in item.ids("goals")}
     gaps += [
-        f"{item.id} is a goal without a requirement"
-        for item in items
-        if item.id[:1] == "G" and item.id not in with_requirement
+        f"{key} is an assumption that nothing else mentions"
+        for key in defined
+        if key[:1] == "A" and mentioned[key] == 1
     ]
-    present = {item.id[:1] for item in items}
-    return gaps + [f"there are no {name}" for kind, name in KINDS.items() if kind not in present]
+    kept = {goal for row in data.get("requirements", ()) for goal in row.get("goals", ())}
+    gaps += [
+        f"{key} is a goal without a requirement"
+        for key in defined
+        if key[:1] == "G" and key not in kept
+    ]
+    return gaps + [f"there are no {name}" for name in KINDS.values() if not data.get(name)]
 
 
-def _gaps_of_item(item: Item) -> Iterator[str]:
-    """Yield the gaps in the row of an item."""
-    kind = item.id[:1]
-    if not ID.fullmatch(item.id) or kind not in KINDS:
-        yield f"line {item.line}: an ID is a letter of {', '.join(KINDS)} and a number: {item.id!r}"
+def _gaps_of_row(table: str, row: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the gaps in a row of a table."""
+    columns = COLUMNS.get(table, ())
+    if unknown := row.keys() - {*columns}:
+        yield f"there is no column {min(unknown)!r} in the table {table!r}"
         return
-    for column in sorted(COLUMNS[kind] | item.cells.keys()):
-        if not item.cells.get(column):
-            yield f"{item.id} has nothing in the column {column!r}"
-    if kind == "F":
-        yield from _gaps_of_ids(item, "requirements", "R")
-    if kind == "R":
-        yield from _gaps_of_ids(item, "goals", "G")
-        for column, problem in (("code", code_problem), ("tests", test_problem)):
-            yield from _gaps_of_names(item, column)
-            yield from (f"{item.id}: {found}" for n in item.names(column) if (found := problem(n)))
-
-
-def _gaps_of_ids(item: Item, column: str, kind: str) -> Iterator[str]:
-    wrong = [key for key in item.ids(column) if key[0] != kind]
-    if wrong or (item.cells.get(column) and not item.ids(column)):
-        yield f"{item.id} must name {KINDS[kind]} in the column {column!r}: {item.cells[column]!r}"
-
-
-def _gaps_of_names(item: Item, column: str) -> Iterator[str]:
-    rest = re.sub(r"`[^`]+`|[,\s]", "", item.cells.get(column, ""))
-    if rest:
-        yield f"{item.id} has text that is no name in backticks in the column {column!r}: {rest!r}"
+    key = row.get("id", table)
+    if table in KINDS.values() and not (ID.fullmatch(key) and KINDS.get(key[0]) == table):
+        yield f"an ID is a letter of {', '.join(KINDS)}, as of its table, and a number: {key!r}"
+        return
+    for column in columns:
+        if not row.get(column) and column != MAY_BE_EMPTY:
+            yield f"{key} has nothing in the column {column!r}"
+        if kind := REFERENCES.get((table, column)):
+            wrong = [one for one in row.get(column, ()) if not one.startswith(f"{kind}-")]
+            yield from (f"{key} must name {KINDS[kind]} as {column}: {one!r}" for one in wrong)
+    for column, problem in (("code", code_problem), ("tests", test_problem)):
+        yield from (f"{key}: {found}" for n in row.get(column, ()) if (found := problem(n)))
 
 
 def code_problem(name: str) -> str | None:
@@ -230,12 +211,36 @@ def outcomes_of(tests: list[str]) -> dict[str, str]:
     return {name: outcomes.worst.get(name, "not run") for name in names}
 
 
-def summary(page: str, *, run: bool = False) -> dict[str, Any]:
+def tables_of(data: Data) -> dict[str, str]:
+    """Return the tables of the page."""
+    tables = {}
+    for name, columns in COLUMNS.items():
+        head = ["ID" if column == "id" else column.replace("_", " ") for column in columns]
+        rows = [[_cell(column, row[column]) for column in columns] for row in data[name]]
+        lines = [head, ["---"] * len(head), *rows]
+        tables[name] = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return tables
+
+
+def _cell(column: str, value: str | list[str]) -> str:
+    if isinstance(value, str):
+        return value
+    mark = "`" if column in ("code", "tests") else ""
+    return ", ".join(f"{mark}{one}{mark}" for one in value) or "-"
+
+
+def page_of(data: Data) -> str:
+    """Return the page with its tables as they should be."""
+    return fill_tables(PAGE.read_text(encoding="utf-8"), Path(__file__).name, tables_of(data))
+
+
+def summary(data: Data, page: str = "", *, run: bool = False) -> dict[str, Any]:
     """Return the number of items of each kind, of references and of tests, and the gaps."""
-    items, gaps = list(items_of(page)), gaps_of(page)
-    code = {name for item in items for name in item.names("code")}
-    tests = sorted({name for item in items for name in item.names("tests")})
-    counts = {name: sum(item.id[:1] == kind for item in items) for kind, name in KINDS.items()}
+    gaps = gaps_of(data, page)
+    requirements = data.get("requirements", ())
+    code = {name for row in requirements for name in row.get("code", ())}
+    tests = sorted({name for row in requirements for name in row.get("tests", ())})
+    counts = {name: len(data.get(name, ())) for name in KINDS.values()}
     counts |= {"code references": len(code), "tests": len(tests)}
     if run and not gaps:
         outcomes = outcomes_of(tests)
@@ -249,17 +254,22 @@ def summary(page: str, *, run: bool = False) -> dict[str, Any]:
 def main(arguments: list[str] | None = None) -> int:
     """Print the summary and the gaps, and return the exit status."""
     parser = parser_of(__doc__)
-    parser.add_argument("page", nargs="?", type=Path, default=PAGE, help="another page")
+    parser.add_argument("data", nargs="?", type=Path, default=DATA, help="another file of data")
     parser.add_argument("--run", action="store_true", help="run the traced tests")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--write", action="store_true", help="write the tables of the page")
     options = parser.parse_args(arguments)
-    result = summary(options.page.read_text(encoding="utf-8"), run=options.run)
+    data = tomllib.loads(options.data.read_text(encoding="utf-8"))
+    if options.write:
+        PAGE.write_text(page_of(data), encoding="utf-8")
+    page = PAGE.read_text(encoding="utf-8") if options.data == DATA else ""
+    result = summary(data, page, run=options.run)
     gaps = result["gaps"]
     if options.json:
         print(json.dumps(result, indent=2))
     else:
         counts = ", ".join(f"{n} {name}" for name, n in result.items() if name != "gaps")
-        print("\n".join([*gaps, f"{options.page.name}: {counts}, {len(gaps)} gaps"]))
+        print("\n".join([*gaps, f"{options.data.name}: {counts}, {len(gaps)} gaps"]))
     return 1 if gaps else 0
 
 
