@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from dbcs import default_codec
 from hypothesis import settings
+from support.dbcs import default_codec
 
 from maplines_can import Link
 

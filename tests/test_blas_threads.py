@@ -21,7 +21,7 @@ def test_no_call_of_a_cycle_wakes_a_thread_of_blas() -> None:
     environment = {key: value for key, value in os.environ.items() if "NUM_THREADS" not in key}
     paths = [str(TESTS), str(TESTS.parent / "tools"), str(TESTS.parent)]
     done = subprocess.run(
-        [sys.executable, str(TESTS / "blas_threads.py")],
+        [sys.executable, str(TESTS / "support" / "blas_threads.py")],
         env=environment | {"PYTHONPATH": os.pathsep.join(paths)},
         capture_output=True,
         text=True,

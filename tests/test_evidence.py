@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from drive_files import town
 from evidence import (
     bus,
     core,
@@ -28,6 +27,7 @@ from evidence import (
 from evidence.figures import Rms, Share
 from evidence.harness import Evidence, bounds_of, matching, missed, promises, settings
 from evidence.roads import maps_of, random_map
+from support.drive_files import town
 
 from maplines_can import Gaussian, map_lines
 from maplines_can.consumers.integrity import multiplier

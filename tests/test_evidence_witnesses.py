@@ -22,9 +22,9 @@ from evidence import sums as sums_
 from evidence.exact import covers, is_positive_definite
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lane_maps import lane, network, pose_on
 from scipy.special import ndtri
-from strategies import covariances
+from support.lane_maps import lane, network, pose_on
+from support.strategies import covariances
 
 from maplines_can import Gaussian, MapError, MapLine, Motion, Polyline, Slot
 from maplines_can.simulation.scenarios import SCENARIOS

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from kernel_can import has_vcan
+from support.kernel_can import has_vcan
 
 TOOLS = Path(__file__).parents[1] / "tools"
 

@@ -33,7 +33,7 @@ from maplines_can.wire.layout.message_layout import Layout
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
-import c_core  # noqa: E402
+from support import c_core  # noqa: E402
 
 TARGETS = ("frames", "encoder")
 PROJECT = ("maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc", "maplines-scene.dbc")

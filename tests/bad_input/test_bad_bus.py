@@ -1,7 +1,7 @@
 """The bus, its logs and fault injection refuse bad input with an error that names it."""
 
 import pytest
-from expressions import WRONG_CLASS, cases, evaluate
+from support.expressions import WRONG_CLASS, cases, evaluate
 
 from maplines_can.values.errors import BusError, LogError
 

@@ -11,7 +11,7 @@ from typing import IO
 
 import numpy as np
 import pytest
-from expressions import cases
+from support.expressions import cases
 
 from maplines_can import Codec, MapLine, Slot
 from maplines_can.cli import main

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from expressions import WRONG_CLASS, cases, evaluate
+from support.expressions import WRONG_CLASS, cases, evaluate
 
 from maplines_can import IllPosedError
 

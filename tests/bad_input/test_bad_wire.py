@@ -1,7 +1,7 @@
 """The codec, DBCs and keys refuse bad input; a receiver never raises."""
 
 import pytest
-from expressions import WRONG_CLASS, cases, evaluate
+from support.expressions import WRONG_CLASS, cases, evaluate
 
 from maplines_can.values.errors import EncodeError, KeyMaterialError, LayoutError
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from bombs import MB, MOST, SIZE, gzipped, read_in_little_memory
+from support.bombs import MB, MOST, SIZE, gzipped, read_in_little_memory
 
 #: A file with this suffix in front of the last one is read by this function.
 READ = """

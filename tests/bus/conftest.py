@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from kernel_can import has_vcan, set_up
+from support.kernel_can import has_vcan, set_up
 
 from maplines_can.bus import Link
 

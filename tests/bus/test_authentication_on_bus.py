@@ -5,10 +5,10 @@ from typing import Any
 
 import can
 import pytest
-from example_lines import scenario_lines
-from fake_bus import Clock as SecondsClock
-from fake_bus import drive, wait_until
-from secoc_streams import MS, NOW, OTHER, SECRET, Clock, S, codec_of, feed, names
+from support.example_lines import scenario_lines
+from support.fake_bus import Clock as SecondsClock
+from support.fake_bus import drive, wait_until
+from support.secoc_streams import MS, NOW, OTHER, SECRET, Clock, S, codec_of, feed, names
 
 from maplines_can import Link, Receiver, Transmitter
 from maplines_can.bus.tx_queue import AHEAD, TxQueue

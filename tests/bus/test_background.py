@@ -9,7 +9,7 @@ from importlib.util import module_from_spec
 from typing import Any
 
 import pytest
-from fake_bus import LONG
+from support.fake_bus import LONG
 
 from maplines_can.bus import background
 from maplines_can.bus.background import BackgroundThread

@@ -4,13 +4,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fake_bus import (
+from support.fake_bus import (
     FRAME,
     GONE,
     Clock,
     FakeOpener,
 )
-from kernel_can import ip
+from support.kernel_can import ip
 
 from maplines_can.bus import (
     Link,

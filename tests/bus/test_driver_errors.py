@@ -5,7 +5,7 @@ from typing import Any
 
 import can
 import pytest
-from fake_bus import (
+from support.fake_bus import (
     FULL,
     GONE,
     NO_NUMBER,

@@ -10,8 +10,8 @@ from typing import Any
 
 import can
 import pytest
-from fake_bus import LONG, FakeBus, FakeOpener, collect, map_line, send_frames, wait_until
-from fake_codec import FakeCodec
+from support.fake_bus import LONG, FakeBus, FakeOpener, collect, map_line, send_frames, wait_until
+from support.fake_codec import FakeCodec
 
 from maplines_can.bus import LineListener, Link, Receiver, Transmitter
 from maplines_can.testing import FaultyBus

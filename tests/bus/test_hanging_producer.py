@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from answers import one
-from dbcs import new_codec
-from fake_bus import FULL, Clock, FakeOpener, map_line
+from support.dbcs import new_codec
+from support.fake_bus import FULL, Clock, FakeOpener, map_line
 
 from maplines_can import Codec, Link, MapLine, Motion, Slot, Transmitter, predict_to
 from maplines_can.bus.tx_queue import ALLOWANCE

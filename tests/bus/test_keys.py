@@ -8,7 +8,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from secoc_streams import AES_256, OTHER, SECRET, check_no_secret, key_file
+from support.secoc_streams import AES_256, OTHER, SECRET, check_no_secret, key_file
 
 from maplines_can.bus import key_from_env, key_from_file
 from maplines_can.values.errors import KeyMaterialError

@@ -11,7 +11,7 @@ from typing import Any
 
 import can
 import pytest
-from fake_bus import (
+from support.fake_bus import (
     FRAME,
     FULL,
     GONE,
@@ -23,8 +23,8 @@ from fake_bus import (
     collect,
     map_line,
 )
-from fake_codec import PAGES, FakeCodec
-from kernel_can import Events, ip, set_up
+from support.fake_codec import PAGES, FakeCodec
+from support.kernel_can import Events, ip, set_up
 
 from maplines_can.bus import (
     Link,

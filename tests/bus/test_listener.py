@@ -8,12 +8,21 @@ from typing import Any
 
 import can
 import pytest
-from dbcs import default_codec, new_codec
-from fake_bus import GONE, LONG, FakeBus, FakeTime, collect, map_line, message_of, wait_until
-from fake_codec import PAGES, FakeCodec
 from hypothesis import given
 from hypothesis import strategies as st
-from scene_streams import CONDITIONAL, codec_of, road_scene
+from support.dbcs import default_codec, new_codec
+from support.fake_bus import (
+    GONE,
+    LONG,
+    FakeBus,
+    FakeTime,
+    collect,
+    map_line,
+    message_of,
+    wait_until,
+)
+from support.fake_codec import PAGES, FakeCodec
+from support.scene_streams import CONDITIONAL, codec_of, road_scene
 
 import maplines_can
 from maplines_can.bus import LineListener

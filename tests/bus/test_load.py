@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scene_streams import COMPLETE, CONDITIONAL, codec_of, new_codec, road_scene
+from support.scene_streams import COMPLETE, CONDITIONAL, codec_of, new_codec, road_scene
 
 from maplines_can import Slot
 from maplines_can.bus import (

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import can
 import pytest
-from bombs import MB, MOST, SIZE, deflated, gzipped, read_in_little_memory
+from support.bombs import MB, MOST, SIZE, deflated, gzipped, read_in_little_memory
 
 from maplines_can.bus import LogFrame, read_log
 from maplines_can.bus.frame_block import MAX_OBJECT

@@ -8,10 +8,10 @@ from typing import Any
 import can
 import numpy as np
 import pytest
-from dbcs import new_codec
-from fake_bus import FakeOpener, wait_until
 from hypothesis import given
 from hypothesis import strategies as st
+from support.dbcs import new_codec
+from support.fake_bus import FakeOpener, wait_until
 
 from maplines_can import Link, MapLine, Slot, Transmitter, read_log
 from maplines_can.bus import LogWriter

@@ -11,8 +11,8 @@ from typing import Any
 import can
 import numpy as np
 import pytest
-from dbcs import default_codec
-from log_frames import frames_of
+from support.dbcs import default_codec
+from support.log_frames import frames_of
 
 from maplines_can import MapLine, Slot
 from maplines_can.bus import LogFrame, read_log

@@ -6,8 +6,8 @@ from typing import Any
 
 import can
 import pytest
-from dbcs import new_codec
-from fake_bus import (
+from support.dbcs import new_codec
+from support.fake_bus import (
     FRAME,
     GONE,
     LONG,
@@ -17,8 +17,8 @@ from fake_bus import (
     collect,
     map_line,
 )
-from fake_codec import FakeCodec
-from kernel_can import Events, ip
+from support.fake_codec import FakeCodec
+from support.kernel_can import Events, ip
 
 from maplines_can.bus import Link, Receiver, Sent, Transmitter
 from maplines_can.values.line import Slot

@@ -9,8 +9,8 @@ from typing import Any
 import can
 import numpy as np
 import pytest
-from dbcs import new_codec
-from fake_bus import (
+from support.dbcs import new_codec
+from support.fake_bus import (
     LONG,
     FakeTime,
     collect,
@@ -19,7 +19,7 @@ from fake_bus import (
     send_frames,
     wait_until,
 )
-from fake_codec import PAGES, FakeCodec
+from support.fake_codec import PAGES, FakeCodec
 
 from maplines_can.bus import (
     Link,

@@ -4,9 +4,9 @@ import threading
 from typing import Any
 
 import pytest
-from dbcs import default_codec, new_codec
-from e2e_streams import MS, SLOT, frames
-from fake_bus import FakeTime, collect, message_of, wait_until
+from support.dbcs import default_codec, new_codec
+from support.e2e_streams import MS, SLOT, frames
+from support.fake_bus import FakeTime, collect, message_of, wait_until
 
 from maplines_can import Link, MapLine, Receiver, Transmitter
 from maplines_can.bus import Sent

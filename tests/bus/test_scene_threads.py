@@ -8,8 +8,8 @@ from itertools import cycle
 from typing import Any
 
 import pytest
-from fake_bus import LONG, FakeTime, wait_until
-from scene_streams import COMPLETE, CONDITIONAL, PERIOD_NS, road_scene
+from support.fake_bus import LONG, FakeTime, wait_until
+from support.scene_streams import COMPLETE, CONDITIONAL, PERIOD_NS, road_scene
 
 from maplines_can import Codec, Link, Receiver, Scene, Slot, Transmitter
 from maplines_can.wire import default_dbc_path

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fake_bus import FULL, GONE, FakeTime, map_line
-from scene_streams import (
+from support.fake_bus import FULL, GONE, FakeTime, map_line
+from support.scene_streams import (
     COMPLETE,
     CONDITIONAL,
     authenticated_codec,
     codec_of,
     road_scene,
 )
-from transmitter_bench import PERIOD, Bench
+from support.transmitter_bench import PERIOD, Bench
 
 from maplines_can import (
     Gaussian,

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import can
 import pytest
-from fake_bus import FRAME, GONE, NO_NUMBER, Clock, FakeBus, FakeOpener
+from support.fake_bus import FRAME, GONE, NO_NUMBER, Clock, FakeBus, FakeOpener
 
 from maplines_can.bus import Link, Sent
 from maplines_can.bus.bus_factory import (

@@ -9,7 +9,7 @@ from typing import Any
 
 import can
 import pytest
-from fake_bus import (
+from support.fake_bus import (
     FULL,
     GONE,
     LONG,
@@ -21,8 +21,8 @@ from fake_bus import (
     map_line,
     send_frames,
 )
-from fake_codec import PAGES, FakeCodec, sent_values
-from scene_streams import road_scene
+from support.fake_codec import PAGES, FakeCodec, sent_values
+from support.scene_streams import road_scene
 
 from maplines_can.bus import (
     Link,

@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dbcs import default_codec
-from fake_bus import (
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.dbcs import default_codec
+from support.fake_bus import (
     Clock,
     FakeOpener,
     drive,
     map_line,
 )
-from fake_codec import FakeCodec, sent_values
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from support.fake_codec import FakeCodec, sent_values
 
 from maplines_can import Codec, Gaussian, Polyline, map_scene
 from maplines_can.bus import (

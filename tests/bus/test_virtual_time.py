@@ -11,9 +11,9 @@ from typing import Any
 
 import can
 import pytest
-from fake_bus import map_line
 from hypothesis import given
 from hypothesis import strategies as st
+from support.fake_bus import map_line
 
 from maplines_can import Codec, Slot
 from maplines_can.bus.clock import RealClock, VirtualClock

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fake_bus import FULL, FakeOpener
-from scene_streams import authenticated_codec, codec_of, road_scene
-from transmitter_bench import PERIOD, Bench
+from support.fake_bus import FULL, FakeOpener
+from support.scene_streams import authenticated_codec, codec_of, road_scene
+from support.transmitter_bench import PERIOD, Bench
 
 from maplines_can import EncodeError, LeftOut, Link, Slot, Transmitter
 from maplines_can.bus.tx_queue import ALLOWANCE

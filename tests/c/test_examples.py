@@ -13,7 +13,7 @@ from typing import Any
 
 import c_nodes
 import pytest
-from kernel_can import has_vcan
+from support.kernel_can import has_vcan
 
 from maplines_can.cli import main
 

@@ -9,11 +9,11 @@ import subprocess
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import c_core
 import numpy as np
 import pytest
-from c_libraries import LIBRARIES, SMALL
 from scene_layouts import layout_of
+from support import c_core
+from support.c_libraries import LIBRARIES, SMALL
 
 from maplines_can import Slot
 from maplines_can.generation.c_build import Build, Features, build_of

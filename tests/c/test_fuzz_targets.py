@@ -2,10 +2,10 @@
 
 import subprocess
 
-import c_core
 import pytest
 from random_dbc import LIMIT_SEED, random_dbc
 from scene_layouts import layout_of
+from support import c_core
 
 from maplines_can.wire import Layout
 

@@ -12,9 +12,9 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
-import c_core
 import pytest
 from scene_layouts import layout_of
+from support import c_core
 
 import maplines_can
 from maplines_can import Kind, Slot, Status

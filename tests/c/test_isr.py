@@ -5,9 +5,9 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-import c_core
 import pytest
 from scene_layouts import layout_of
+from support import c_core
 
 HARNESS = c_core.C / "tests" / "isr_harness.c"
 READER = HARNESS.with_name("isr_reader.c")

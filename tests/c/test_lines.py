@@ -6,12 +6,12 @@ import struct
 from fractions import Fraction
 from typing import Any
 
-import c_core
 import numpy as np
 import pytest
-from c_layouts import with_messages, with_slots
-from random_lines import random_lines
 from scene_layouts import layout_of
+from support import c_core
+from support.c_layouts import with_messages, with_slots
+from support.random_lines import random_lines
 
 from maplines_can import Slot
 from maplines_can.model.records import written

@@ -7,10 +7,10 @@ import re
 import subprocess
 from pathlib import Path
 
-import c_core
 import pytest
-from c_libraries import LIBRARIES
 from scene_layouts import layout_of
+from support import c_core
+from support.c_libraries import LIBRARIES
 
 from maplines_can.generation.c_build import Features
 from maplines_can.generation.c_files import c_files

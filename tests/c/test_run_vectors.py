@@ -8,10 +8,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import c_core
 import pytest
 from random_dbc import SCENE_SEED, random_dbc
 from scene_layouts import layout_of
+from support import c_core
 
 from maplines_can.cli import main
 from maplines_can.generation.vector_files import vectors_from

@@ -4,11 +4,11 @@ import struct
 from itertools import chain
 from typing import Any
 
-import c_core
 import numpy as np
 import pytest
-from scene_streams import CONDITIONAL, new_codec, road_scene
 from scipy.linalg import block_diag
+from support import c_core
+from support.scene_streams import CONDITIONAL, new_codec, road_scene
 
 from maplines_can import EncodeError, Slot
 from maplines_can.values.line import lateral_jacobian

@@ -4,14 +4,14 @@ import struct
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-import c_core
 import numpy as np
 import pytest
-from c_scenes import scene_input
 from evidence.roads import SHAPES, random_scene
 from evidence.witness import POSES, Poses
 from scene_layouts import layout_of
-from scene_streams import road_scene
+from support import c_core
+from support.c_scenes import scene_input
+from support.scene_streams import road_scene
 
 from maplines_can import Codec, Gaussian, MapError, Polyline, PoseError, Scene, Slot, map_scene
 from maplines_can.values.errors import EncodeError

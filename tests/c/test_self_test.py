@@ -8,9 +8,9 @@ import subprocess
 from math import sqrt
 from pathlib import Path
 
-import c_core
 import numpy as np
 import pytest
+from support import c_core
 
 from maplines_can.model.elementary import atan, exp2, log2, sin_cos, tan
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from dbcs import edited
 from scene_layouts import layout_of
+from support.dbcs import edited
 
 from maplines_can.generation.tables import identifier_of, tables_of
 from maplines_can.study.codes import CODES as STUDY_CODES

@@ -5,9 +5,9 @@ import struct
 from dataclasses import replace
 from typing import Any
 
-import c_core
 import numpy as np
 import pytest
+from support import c_core
 
 from maplines_can import (
     Gaussian,

@@ -10,11 +10,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import c_core
 import numpy as np
 import pytest
 from random_dbc import SCENE_SEED, random_dbc
 from scene_layouts import layout_of
+from support import c_core
 
 from maplines_can import Gaussian, MapLine, Slot, Status
 from maplines_can.generation.vector_files import cases_of, vectors_from

@@ -8,7 +8,7 @@ from typing import Any
 import can
 import pytest
 from can.interfaces import virtual
-from fake_bus import LONG, FakeTime, message_of, wait_until
+from support.fake_bus import LONG, FakeTime, message_of, wait_until
 
 from maplines_can import MapLine, Receiver
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from drive_files import run, town
+from support.drive_files import run, town
 
 from maplines_can.cli import main
 from maplines_can.cli.accuracy import truth_of

@@ -9,7 +9,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
-from drive_files import car_signals
+from support.drive_files import car_signals
 
 from maplines_can import Codec, Gaussian, MapLine, Polyline, Slot, map_scene
 from maplines_can.cli import main

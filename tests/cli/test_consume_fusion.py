@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from drive_files import run
+from support.drive_files import run
 
 from maplines_can.cli import main
 from maplines_can.consumers.integrity import multiplier

@@ -12,8 +12,8 @@ import can
 import cantools
 import numpy as np
 import pytest
-from drive_files import CAR_DBC, car_signals
-from fake_bus import FakeTime, message_of, wait_until
+from support.drive_files import CAR_DBC, car_signals
+from support.fake_bus import FakeTime, message_of, wait_until
 
 from maplines_can import (
     Codec,

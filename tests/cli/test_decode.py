@@ -12,8 +12,8 @@ from typing import Any
 
 import can
 import pytest
-from dbcs import edited
-from example_lines import scenario_lines
+from support.dbcs import edited
+from support.example_lines import scenario_lines
 
 from maplines_can import Codec, MapLine, Slot
 from maplines_can.cli import main

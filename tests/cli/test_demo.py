@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dbcs import edited
-from example_lines import lines_timed_out, scenario_lines
-from fake_bus import LONG
+from support.dbcs import edited
+from support.example_lines import lines_timed_out, scenario_lines
+from support.fake_bus import LONG
 
 from maplines_can import Codec, Link, Polyline, Slot, Transmitter
 from maplines_can.cli import main

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from answers import one
 from can.interfaces import virtual
-from drive_files import run, table, town
-from xodr_files import WIDTH, document, geometry, lane, road, section
+from support.drive_files import run, table, town
+from support.xodr_files import WIDTH, document, geometry, lane, road, section
 
 from maplines_can import Codec, Kind, MapLine, Slot, read_log
 from maplines_can.cli import main

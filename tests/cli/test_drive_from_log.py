@@ -10,7 +10,7 @@ import can
 import cantools
 import numpy as np
 import pytest
-from drive_files import run, table, town
+from support.drive_files import run, table, town
 
 from maplines_can import maps
 from maplines_can.cli import main

@@ -6,8 +6,8 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import can
-import fmus
 import pytest
+from support import fmus
 
 from maplines_can.cli import main
 from maplines_can.cli.fmu_run import LOG_START, _recorder

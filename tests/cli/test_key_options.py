@@ -11,8 +11,18 @@ from typing import Any
 
 import can
 import pytest
-from example_lines import scenario_lines
-from secoc_streams import NOW, OTHER, SECRET, Clock, S, check_no_secret, codec_of, key_file, sent
+from support.example_lines import scenario_lines
+from support.secoc_streams import (
+    NOW,
+    OTHER,
+    SECRET,
+    Clock,
+    S,
+    check_no_secret,
+    codec_of,
+    key_file,
+    sent,
+)
 
 from maplines_can import Codec, Link, Transmitter
 from maplines_can.bus import key_from_file

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from xodr_files import WIDTH, cubic, document, lane, linked, road, section
+from support.xodr_files import WIDTH, cubic, document, lane, linked, road, section
 
 from maplines_can.cli import main
 from maplines_can.maps import load, town_path

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 from answers import one
-from dbcs import default_codec
-from e2e_streams import frames
+from support.dbcs import default_codec
+from support.e2e_streams import frames
 
 from maplines_can import MapLine
 from maplines_can.cli import main, stderr

@@ -12,9 +12,9 @@ import can
 import numpy as np
 import pytest
 from answers import lines_of, one
-from dbcs import DBC, edited
-from drive_files import run, town
-from sender_pairs import Sender, merged
+from support.dbcs import DBC, edited
+from support.drive_files import run, town
+from support.sender_pairs import Sender, merged
 
 from maplines_can import Codec, Gaussian, MapError, MapLine, Slot, map_scene, read_log
 from maplines_can.cli import main

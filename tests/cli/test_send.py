@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from answers import one
-from dbcs import edited
-from example_lines import scenario_lines
-from fake_bus import FakeOpener, FakeTime
+from support.dbcs import edited
+from support.example_lines import scenario_lines
+from support.fake_bus import FakeOpener, FakeTime
 
 from maplines_can import Link, MapLine, Transmitter
 from maplines_can.cli import main

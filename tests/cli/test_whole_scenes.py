@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from drive_files import run, town
-from secoc_streams import key_file
+from support.drive_files import run, town
+from support.secoc_streams import key_file
 
 from maplines_can import (
     Codec,

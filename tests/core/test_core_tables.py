@@ -7,7 +7,7 @@ from typing import Any
 import make_declarations
 import numpy as np
 import pytest
-from scene_streams import COMPLETE, CONDITIONAL, new_codec
+from support.scene_streams import COMPLETE, CONDITIONAL, new_codec
 
 from maplines_can.core import lib
 from maplines_can.core.memory import structure

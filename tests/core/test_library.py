@@ -6,8 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-import c_core
 import pytest
+from support import c_core
 
 from maplines_can import __version__
 from maplines_can.core import PATH

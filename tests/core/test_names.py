@@ -3,8 +3,8 @@
 import re
 from functools import partial
 
-import c_core
 import pytest
+from support import c_core
 
 from maplines_can import Kind, Slot, Status
 from maplines_can.core import ffi, lib

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 from scene_layouts import layout_of
-from scene_streams import COMPLETE, CONDITIONAL
+from support.scene_streams import COMPLETE, CONDITIONAL
 
 from maplines_can.core import ffi, lib
 from maplines_can.wire.layout.pose_layout import OWNERS

@@ -3,8 +3,8 @@
 import zipfile
 from pathlib import Path
 
-import fmus
 import pytest
+from support import fmus
 
 from maplines_can.cosimulation import check, read_description
 from maplines_can.values.errors import FmuError

@@ -5,8 +5,8 @@ import re
 import shlex
 from pathlib import Path
 
-import fmus
 import pytest
+from support import fmus
 
 from maplines_can.cli import main
 

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-import fmus
 import pytest
+from support import fmus
 
 from maplines_can.cosimulation import CoSimulation, check, read_description
 from maplines_can.cosimulation.bus_operations import Transmit

@@ -6,8 +6,8 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import fmus
 import pytest
+from support import fmus
 
 from maplines_can.cosimulation import CoSimulation
 from maplines_can.cosimulation.bus_operations import Transmit

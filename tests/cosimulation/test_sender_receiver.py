@@ -4,10 +4,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import fmus
 import numpy as np
 import pytest
-from random_lines import random_lines
+from support import fmus
+from support.random_lines import random_lines
 
 from maplines_can import Codec, Gaussian, Kind, MapLine, Slot, Status
 from maplines_can.bus.tx_queue import TxQueue

@@ -3,9 +3,9 @@
 import runpy
 from pathlib import Path
 
-import fmus
 import numpy as np
 import pytest
+from support import fmus
 
 pytest.importorskip("fmpy")
 pytestmark = fmus.needs_compiler

@@ -5,7 +5,7 @@ import warnings
 from pathlib import Path
 
 import pytest
-from dbcs import DBC
+from support.dbcs import DBC
 
 from maplines_can import Codec, LayoutError
 from maplines_can.bus import SignalDecoder, read_signals

@@ -10,8 +10,8 @@ from importlib import resources
 from pathlib import Path
 
 import pytest
-from fmu_nodes import Node, generate
 from scene_layouts import layout_of
+from support.fmu_nodes import Node, generate
 
 from maplines_can import LayoutError
 from maplines_can.cli import main

@@ -8,10 +8,17 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
-import c_core
 import numpy as np
 import pytest
-from fmu_nodes import Node, Operation, generate, operations_of, sources_of_node, transmission
+from support import c_core
+from support.fmu_nodes import (
+    Node,
+    Operation,
+    generate,
+    operations_of,
+    sources_of_node,
+    transmission,
+)
 
 from maplines_can import Codec, MapLine, Slot
 

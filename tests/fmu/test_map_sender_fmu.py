@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from answers import one
-from fmu_nodes import Node, frames_of, generate, operations_of, straight_route
-from xodr_files import WIDTH, document, geometry, lane, road, section
+from support.fmu_nodes import Node, frames_of, generate, operations_of, straight_route
+from support.xodr_files import WIDTH, document, geometry, lane, road, section
 
 from maplines_can import Codec, Gaussian, Kind, LayoutError, MapError, MapLine, Slot, map_lines
 from maplines_can.bus.tx_queue import TxQueue

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fmu_nodes import Node, transmission
-from random_lines import random_lines
-from scene_streams import new_codec, road_scene
+from support.fmu_nodes import Node, transmission
+from support.random_lines import random_lines
+from support.scene_streams import new_codec, road_scene
 
 from maplines_can import Codec, Gaussian, Kind, MapLine, Slot
 from maplines_can.values.line import LEFT_OUT

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fmu_nodes import (
+from support.fmu_nodes import (
     CHANGED,
     NOT_YET_KNOWN,
     UNCHANGED,
@@ -16,7 +16,7 @@ from fmu_nodes import (
     frames_of,
     operations_of,
 )
-from random_lines import random_lines
+from support.random_lines import random_lines
 
 from maplines_can import Codec, Gaussian, Kind, MapLine, Slot, Status
 from maplines_can.bus.tx_queue import Transfer, TxQueue

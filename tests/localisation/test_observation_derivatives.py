@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lane_maps import lane, network
 from scipy.stats import chi2
+from support.lane_maps import lane, network
 
 from maplines_can import Gaussian
 from maplines_can.localisation import (

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lane_maps import arc, lane, network
 from numpy.typing import NDArray
+from support.lane_maps import arc, lane, network
 
 from maplines_can.localisation import (
     CameraLines,

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lane_maps import lane, network
 from numpy.typing import NDArray
 from scipy.stats import chi2
+from support.lane_maps import lane, network
 
 from maplines_can.localisation import CameraLines, LocalisationLayer, SensorErrors, Verdict
 from maplines_can.localisation.confirmation import IN_A_ROW, PAUSE, confirmed

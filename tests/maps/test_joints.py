@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lane_maps import lane, network
+from support.lane_maps import lane, network
 
 from maplines_can.maps.joints import SNAP, joined_lines
 from maplines_can.maps.lane_graph import DirectedLane, LaneGraph

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
-from xodr_files import geometry, read_map, reasons, road, section
+from support.xodr_files import geometry, read_map, reasons, road, section
 
 from maplines_can.maps import LandmarkKind, load, town_path
 

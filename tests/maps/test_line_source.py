@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lane_maps import lane, network, pose_on
+from support.lane_maps import lane, network, pose_on
 
 from maplines_can import Gaussian, LeftOut, MapError, Slot
 from maplines_can.maps.line_source import LineSource

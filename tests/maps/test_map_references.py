@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lane_maps import WIDTH, carriageway, crossing, end, lane, network, pose_on, roundabout
 from scipy.stats import norm
+from support.lane_maps import WIDTH, carriageway, crossing, end, lane, network, pose_on, roundabout
 
 from maplines_can.maps import LaneTracker, Map, Road
 from maplines_can.maps.joints import joined_lines

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lane_maps import WIDTH, crossing, lane, network, pose_on
+from support.lane_maps import WIDTH, crossing, lane, network, pose_on
 
 from maplines_can.maps import Map
 from maplines_can.maps.lane import LaneType

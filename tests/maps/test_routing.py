@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lane_maps import WIDTH, crossing, lane, network, pose_on, roundabout
+from support.lane_maps import WIDTH, crossing, lane, network, pose_on, roundabout
 
 from maplines_can.maps import Map
 from maplines_can.values.errors import RouteError

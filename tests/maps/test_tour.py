@@ -4,7 +4,7 @@ import math
 from itertools import pairwise
 
 import pytest
-from lane_maps import WIDTH, crossing, lane, network, roundabout
+from support.lane_maps import WIDTH, crossing, lane, network, roundabout
 
 from maplines_can.maps import Map, random_tour
 from maplines_can.values.errors import RouteError

@@ -9,9 +9,9 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from lane_maps import crossing
 from numpy.typing import NDArray
 from scipy.integrate import quad
+from support.lane_maps import crossing
 
 from maplines_can import Slot
 from maplines_can.maps import (

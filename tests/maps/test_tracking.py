@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lane_maps import WIDTH, crossing, lane, network, pose_on, roundabout
 from numpy.typing import ArrayLike
+from support.lane_maps import WIDTH, crossing, lane, network, pose_on, roundabout
 
 from maplines_can.maps import LaneTracker, Map, Route, TrackedLines
 from maplines_can.values.line import Slot

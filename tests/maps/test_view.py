@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from lane_maps import WIDTH, carriageway, crossing, lane, network, pose_on, roundabout
-from xodr_files import cubic, linked, read_map, road, section
-from xodr_files import lane as xodr_lane
+from support.lane_maps import WIDTH, carriageway, crossing, lane, network, pose_on, roundabout
+from support.xodr_files import cubic, linked, read_map, road, section
+from support.xodr_files import lane as xodr_lane
 
 from maplines_can.maps import LaneTracker, Map, link_gaps, view
 from maplines_can.propagation.paths import stretches

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from evidence.exact import covers
 from scene_layouts import layout_of
-from whole_scene_witness import read
+from support.whole_scene_witness import read
 
 from maplines_can import Codec, Gaussian, MapLine, PoseError, Scene, Slot
 from maplines_can.model.level_search import LevelSearch, Wanted

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from c_layouts import unusual_layouts
 from random_dbc import SCENE_SEED, random_dbc
 from scene_layouts import layout_of
+from support.c_layouts import unusual_layouts
 
 from maplines_can import Kind, Slot, Status
 from maplines_can.model import (

@@ -8,7 +8,7 @@ from evidence.roads import SHAPES, random_scene
 from evidence.witness import POSES, Poses
 from hypothesis import example, given
 from hypothesis import strategies as st
-from strategies import covariances
+from support.strategies import covariances
 
 from maplines_can import Gaussian, LeftOut, MapError, MapLine, Polyline, Slot, map_lines, map_scene
 from maplines_can.core import lib

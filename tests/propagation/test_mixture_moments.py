@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from dbcs import default_codec
 from evidence.witness import crossings, place_of, seen_from
+from support.dbcs import default_codec
 
 from maplines_can import MonteCarlo, Refit, SigmaPoints, map_lines
 from maplines_can.propagation import Mixture

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from closed_forms import CLOSED
+from support.closed_forms import CLOSED
 
 from maplines_can.propagation import MapError, MonteCarlo
 from maplines_can.simulation.scenarios import scenario

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from strategies import ENTRIES, mild_lines, motions
+from support.strategies import ENTRIES, mild_lines, motions
 
 from maplines_can.propagation import (
     Linear,

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from closed_forms import CLOSED
 from hypothesis import given
 from hypothesis import strategies as st
+from support.closed_forms import CLOSED
 
 from maplines_can.propagation import MonteCarlo, Quadrature, Refit
 from maplines_can.simulation.scenarios import SCENARIOS

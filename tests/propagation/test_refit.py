@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import mild_lines, motions
+from support.strategies import mild_lines, motions
 
 from maplines_can.propagation import MapError, MonteCarlo, Refit
 from maplines_can.simulation.scenarios import SCENARIOS, scenario

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from closed_forms import square
 from filterpy.kalman import MerweScaledSigmaPoints, unscented_transform
+from support.closed_forms import square
 
 from maplines_can.propagation import SigmaPoints
 from maplines_can.simulation.scenarios import SCENARIOS

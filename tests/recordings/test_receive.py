@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scene_layouts import layout_of
-from scene_streams import PERIOD_NS, authenticated_codec, road_scene
+from support.scene_streams import PERIOD_NS, authenticated_codec, road_scene
 
 from maplines_can import MapLine
 from maplines_can.recordings.blocks import FrameBlock

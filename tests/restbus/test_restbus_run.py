@@ -13,7 +13,7 @@ import pytest
 from e2e import p01, p02, p04, p05, p06, p07, p11
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from xodr_files import document, geometry, lane, road, section
+from support.xodr_files import document, geometry, lane, road, section
 
 from maplines_can import Codec, Slot
 from maplines_can.bus.clock import RealClock, VirtualClock

@@ -4,10 +4,10 @@ from itertools import chain
 from typing import Any
 
 import pytest
-from dbcs import default_codec
-from example_lines import scenario_lines
 from hypothesis import given
 from hypothesis import strategies as st
+from support.dbcs import default_codec
+from support.example_lines import scenario_lines
 
 from maplines_can.bus import bus_load
 from maplines_can.simulation import scenario

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lane_maps import lane, network
+from support.lane_maps import lane, network
 
 from maplines_can.maps import Map, Route
 from maplines_can.maps.line_source import LineSource

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lane_maps import lane, network
 from numpy.typing import NDArray
 from scipy.stats import chi2
+from support.lane_maps import lane, network
 
 from maplines_can import Polyline, Slot, maps
 from maplines_can.localisation import GaussMarkov, GnssFix, Localisation, LocalisationLayer

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lane_maps import lane, network
+from support.lane_maps import lane, network
 
 from maplines_can import Polyline
 from maplines_can.localisation import (

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from study_helpers import small, tables, write_csv, write_map
+from support.study_helpers import small, tables, write_csv, write_map
 
 from maplines_can.study.sweep.run import run_study
 

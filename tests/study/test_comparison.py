@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scene_streams import road_scene
+from support.scene_streams import road_scene
 
 from maplines_can import Gaussian, GaussianMixture, MapLine, Slot, Status
 from maplines_can.cli import main

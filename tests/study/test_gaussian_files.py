@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recorded_drive import record
-from study_helpers import table_of, write_csv
+from support.recorded_drive import record
+from support.study_helpers import table_of, write_csv
 
 from maplines_can import Codec, Gaussian, MapLine, Slot
 from maplines_can.bus import LogWriter

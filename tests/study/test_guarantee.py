@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dbcs import DBC, default_codec, edited
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.dbcs import DBC, default_codec, edited
 
 from maplines_can.study import adversarial, evaluate, paper, road
 from maplines_can.study.sets import survey

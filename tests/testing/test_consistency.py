@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lasting_errors import Array, N, T, gauss_markov
+from support.lasting_errors import Array, N, T, gauss_markov
 
 from maplines_can import Gaussian, MapLine, Slot
 from maplines_can.testing import assert_consistent

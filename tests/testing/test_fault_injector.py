@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 from answers import one
-from dbcs import default_codec
-from fault_streams import MIX, bits_apart, content, number_of, numbered, run
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.dbcs import default_codec
+from support.fault_streams import MIX, bits_apart, content, number_of, numbered, run
 
 from maplines_can.study import road
 from maplines_can.testing import FaultInjector, FaultKind, Faults, ScriptedFault

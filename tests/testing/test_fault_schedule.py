@@ -8,9 +8,9 @@ from typing import Any
 
 import can
 import pytest
-from fake_bus import LONG, Clock
 from hypothesis import given
 from hypothesis import strategies as st
+from support.fake_bus import LONG, Clock
 
 from maplines_can.testing import (
     FaultInjector,

@@ -4,7 +4,7 @@ import json
 import re
 
 import pytest
-from fault_streams import MIX
+from support.fault_streams import MIX
 
 from maplines_can.cli import main
 

@@ -11,9 +11,9 @@ from typing import Any
 import can
 import numpy as np
 import pytest
-from dbcs import default_codec
-from fake_bus import LONG, Clock, FakeTime, wait_until
-from fault_streams import MIX, content, numbered
+from support.dbcs import default_codec
+from support.fake_bus import LONG, Clock, FakeTime, wait_until
+from support.fault_streams import MIX, content, numbered
 
 from maplines_can.bus import Link, Receiver, Sent, Transmitter
 from maplines_can.study import road

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lasting_errors import Array, N, T, gauss_markov
 from scipy.special import ndtri
+from support.lasting_errors import Array, N, T, gauss_markov
 
 from maplines_can.consumers import protection_level
 from maplines_can.consumers.integrity import HOUR

@@ -8,7 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial import distance
-from strategies import covariances, gaussians, symmetric
+from support.strategies import covariances, gaussians, symmetric
 
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.linalg import (

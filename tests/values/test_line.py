@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 from scipy.optimize import brentq
-from strategies import covariances, mild_lines, motions
+from support.strategies import covariances, mild_lines, motions
 
 from maplines_can.core import ffi, lib
 from maplines_can.model.lines import y_beyond

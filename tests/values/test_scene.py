@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import covariances
+from support.strategies import covariances
 
 from maplines_can import Gaussian, GaussianMixture, MapLine, PoseError, Scene, Slot
 from maplines_can.values.line import lateral

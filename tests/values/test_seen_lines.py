@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given
-from strategies import covariances, mild_lines, motions
+from support.strategies import covariances, mild_lines, motions
 
 from maplines_can.model import lines
 from maplines_can.model.matrices import Vector

@@ -7,10 +7,10 @@ import cantools
 import numpy as np
 import pytest
 from answers import one
-from dbcs import DBC, changed_record, default_codec, edited
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from random_lines import random_lines
+from support.dbcs import DBC, changed_record, default_codec, edited
+from support.random_lines import random_lines
 
 from maplines_can.values.errors import EncodeError
 from maplines_can.values.gaussian import Gaussian

@@ -10,7 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scene_streams import ALL, COMPLETE, CONDITIONAL, authenticated_codec, new_codec, road_scene
+from support.scene_streams import (
+    ALL,
+    COMPLETE,
+    CONDITIONAL,
+    authenticated_codec,
+    new_codec,
+    road_scene,
+)
 
 from maplines_can import Codec, MapLine, Slot
 from maplines_can.bus import Link, Transmitter

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dbcs import default_codec, edited
+from support.dbcs import default_codec, edited
 
 from maplines_can.values.line import MapLine, Slot
 from maplines_can.wire import (

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scene_streams import COMPLETE, CONDITIONAL, new_codec, road_scene
+from support.scene_streams import COMPLETE, CONDITIONAL, new_codec, road_scene
 
 from maplines_can import EncodeError, Slot
 from maplines_can.wire import POSE, Frame

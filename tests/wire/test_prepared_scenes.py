@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scene_streams import COMPLETE, CONDITIONAL, OFFSETS, new_codec, road_scene
+from support.scene_streams import COMPLETE, CONDITIONAL, OFFSETS, new_codec, road_scene
 
 from maplines_can import Codec, EncodeError, Gaussian, Scene, Slot
 from maplines_can.bus import Link, Transmitter

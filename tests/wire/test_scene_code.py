@@ -15,8 +15,8 @@ from evidence.witness import POSES, Poses
 from fuzz_scenes import line_frames, parts_of, pose_frames
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
-from scene_streams import COMPLETE, CONDITIONAL, Passed, codec_of, passed
-from strategies import covariances
+from support.scene_streams import COMPLETE, CONDITIONAL, Passed, codec_of, passed
+from support.strategies import covariances
 
 from maplines_can import (
     Codec,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from scene_streams import (
+from support.scene_streams import (
     ALL,
     COMPLETE,
     CONDITIONAL,

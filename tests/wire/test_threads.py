@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scene_streams import COMPLETE, CONDITIONAL, new_codec, road_scene
+from support.scene_streams import COMPLETE, CONDITIONAL, new_codec, road_scene
 
 from maplines_can import Slot
 

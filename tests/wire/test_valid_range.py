@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 from answers import one
-from dbcs import changed_record, edited, new_codec
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from support.dbcs import changed_record, edited, new_codec
 
 from maplines_can import Codec, GaussianMixture, MapLine, Slot
 from maplines_can.values.gaussian import Gaussian

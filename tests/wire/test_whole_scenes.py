@@ -21,8 +21,8 @@ from evidence.witness import POSES, Poses
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scene_layouts import layout_of
-from scene_streams import OFFSETS, authenticated_codec, new_codec, road_scene
-from whole_scene_witness import Read, read
+from support.scene_streams import OFFSETS, authenticated_codec, new_codec, road_scene
+from support.whole_scene_witness import Read, read
 
 from maplines_can import Codec, EncodeError, Gaussian, MapError, Polyline, Scene, Slot
 from maplines_can.model.lines import Curve

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 from answers import one
-from dbcs import default_codec, new_codec
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.dbcs import default_codec, new_codec
 
 from maplines_can import Gaussian, MapLine, Slot, Status
 from maplines_can.propagation.splitting import SPLITS, standard_split

@@ -98,11 +98,11 @@ def _scenes(scene: Scene, dbc: str, fd: bool, rounds: int) -> list[float]:
 
 
 def _of_tests(name: str) -> Any:
-    """Return a module of the tests."""
+    """Return a module of `tests/support`."""
     tests = str(Path(__file__).parents[2] / "tests")
     if tests not in sys.path:
         sys.path.insert(0, tests)
-    return import_module(name)
+    return import_module(f"support.{name}")
 
 
 def _lines(means: Any, covs: Any, rounds: int) -> dict[str, float]:

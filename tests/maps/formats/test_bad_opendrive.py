@@ -8,7 +8,7 @@ import re
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from xodr_files import (
+from support.xodr_files import (
     WIDTH,
     cubic,
     document,

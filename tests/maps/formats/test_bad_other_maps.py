@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lanelet_files import ROAD, Osm
-from xodr_files import document, geometry, road
+from support.lanelet_files import ROAD, Osm
+from support.xodr_files import document, geometry, road
 
 from maplines_can.maps import Map, MapFileError
 from maplines_can.maps.formats import commonroad, osm, points

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from xodr_files import (
+from support.xodr_files import (
     WIDTH,
     boundaries,
     cubic,

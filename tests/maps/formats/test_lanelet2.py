@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from lanelet_files import ROAD, Osm
+from support.lanelet_files import ROAD, Osm
 
 from maplines_can.maps import Map
 from maplines_can.maps.formats.projection import local_cartesian, utm
 
-lanelet2 = pytest.importorskip("lanelet2_library", exc_type=ImportError)
+lanelet2 = pytest.importorskip("support.lanelet2_library", exc_type=ImportError)
 UTM = utm(49.0, 8.4)
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lane_maps import WIDTH, arc, lane
-from lanelet_files import Osm
+from support.lane_maps import WIDTH, arc, lane
+from support.lanelet_files import Osm
 
 from maplines_can.maps.formats.lanelet_tags import Side
 from maplines_can.maps.formats.lanelets import Lanelet, boundary, centre_line, lanelet_map, linked

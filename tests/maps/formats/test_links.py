@@ -1,7 +1,7 @@
 """Links between lanes follow the driving directions."""
 
 import pytest
-from xodr_files import WIDTH, geometry, ids, lane, linked, read_map, reasons, road, section
+from support.xodr_files import WIDTH, geometry, ids, lane, linked, read_map, reasons, road, section
 
 from maplines_can.maps import Map
 

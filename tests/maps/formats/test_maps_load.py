@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from xodr_files import document, road
+from support.xodr_files import document, road
 
 import maplines_can as ml
 from maplines_can.maps.formats.load import FORMATS

@@ -5,7 +5,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from xodr_files import WIDTH, cubic, geometry, lane, linked, read_map, reasons, road, section
+from support.xodr_files import (
+    WIDTH,
+    cubic,
+    geometry,
+    lane,
+    linked,
+    read_map,
+    reasons,
+    road,
+    section,
+)
 
 from maplines_can import Slot
 from maplines_can.maps import LaneType, Map

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from xodr_files import WIDTH, geometry, lane, linked, read_map, reasons, road, section
+from support.xodr_files import WIDTH, geometry, lane, linked, read_map, reasons, road, section
 
 from maplines_can import Kind, Polyline
 from maplines_can.maps import Lane, LaneType

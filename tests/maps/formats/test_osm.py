@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lanelet_files import ROAD, Osm
+from support.lanelet_files import ROAD, Osm
 
 import maplines_can as ml
 from maplines_can.maps import LaneType, MapFileError

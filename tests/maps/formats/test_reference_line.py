@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
-from xodr_files import geometry, record, road
+from support.xodr_files import geometry, record, road
 
 from maplines_can.maps.formats.opendrive.reference_line import (
     MAX_TURN,

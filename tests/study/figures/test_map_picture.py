@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from lane_maps import crossing, lane, network
+from support.lane_maps import crossing, lane, network
 
 from maplines_can import Kind, Polyline
 from maplines_can.maps import LaneType, Map

@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("pyarrow.parquet")
 pytest.importorskip("bokeh")
 
-from sweep_tables import sweep_rows, write
+from support.sweep_tables import sweep_rows, write
 
 from maplines_can.study.report.page import write_report
 

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from browser import CHROMIUM, Browser
-from sweep_tables import SETS
+from support.browser import CHROMIUM, Browser
+from support.sweep_tables import SETS
 
 READY = 'document.documentElement?.dataset.ready === "yes" && Bokeh.documents.every(d => d.is_idle)'
 

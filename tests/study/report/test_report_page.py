@@ -10,7 +10,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
-from sweep_tables import SETS, USED, N, write
+from support.sweep_tables import SETS, USED, N, write
 
 from maplines_can.cli.report import add_report
 from maplines_can.study.report.page import write_report

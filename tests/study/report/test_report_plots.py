@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bokeh.models import Segment
-from sweep_tables import USED, write
+from support.sweep_tables import USED, write
 
 from maplines_can.study.report.cases import fields_plot, worst_key, worst_plots
 from maplines_can.study.report.drawing import plot_styles

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from study_helpers import small, tables
+from support.study_helpers import small, tables
 
 from maplines_can.study.scenes.carriers import AT_SCENE_BITS, WITH_POSE
 from maplines_can.study.scenes.source import box

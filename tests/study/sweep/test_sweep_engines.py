@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from study_helpers import small, tables
+from support.study_helpers import small, tables
 
 from maplines_can.engines import Task, _check_versions, in_processes
 from maplines_can.study.sweep.run import run_study

@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 import pytest
-from study_helpers import small
+from support.study_helpers import small
 
 from maplines_can.study.sets import DrawnSet
 from maplines_can.study.sweep.plan import Plan, codec_of, theory

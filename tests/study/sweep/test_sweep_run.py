@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from study_helpers import small, tables, write_csv
+from support.study_helpers import small, tables, write_csv
 
 from maplines_can.study import road
 from maplines_can.study.sets import DrawnSet, MapView, line_set

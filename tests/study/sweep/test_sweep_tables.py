@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from study_helpers import small, tables
+from support.study_helpers import small, tables
 
 from maplines_can.study import evaluate, road
 from maplines_can.study.comparison import transmit

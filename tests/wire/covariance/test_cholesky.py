@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dbcs import changed_record
 from scipy.optimize import brentq
+from support.dbcs import changed_record
 
 from maplines_can import Status
 from maplines_can.values.errors import LayoutError

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scene_streams import COMPLETE, codec_of
+from support.scene_streams import COMPLETE, codec_of
 
 from maplines_can.values.line import Kind, Slot, Status
 

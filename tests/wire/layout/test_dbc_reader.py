@@ -8,8 +8,8 @@ import cantools
 import pytest
 from answers import one
 from dbc_alterations import original
-from dbcs import edited
-from random_lines import random_lines
+from support.dbcs import edited
+from support.random_lines import random_lines
 
 from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import Kind, MapLine, Slot

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from secoc_streams import LAYOUT
+from support.secoc_streams import LAYOUT
 
 from maplines_can import Codec, Slot
 from maplines_can.values.errors import EncodeError, LayoutError

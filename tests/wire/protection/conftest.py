@@ -3,8 +3,8 @@
 from typing import Any
 
 import pytest
-from example_lines import scenario_lines
-from secoc_streams import Clock
+from support.example_lines import scenario_lines
+from support.secoc_streams import Clock
 
 from maplines_can.simulation import scenario
 

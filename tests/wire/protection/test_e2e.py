@@ -5,9 +5,9 @@ from typing import Any
 import e2e
 import numpy as np
 import pytest
-from dbcs import default_codec
 from hypothesis import given
 from hypothesis import strategies as st
+from support.dbcs import default_codec
 
 from maplines_can import Slot
 from maplines_can.model.e2e import checksum

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from secoc_streams import (
+from support.secoc_streams import (
     AES_256,
     LAYOUT,
     SECRET,

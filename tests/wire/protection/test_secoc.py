@@ -10,11 +10,11 @@ from typing import Any
 import cantools
 import pytest
 from answers import one
-from dbcs import new_codec
-from example_lines import scenario_lines
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from secoc_streams import (
+from support.dbcs import new_codec
+from support.example_lines import scenario_lines
+from support.secoc_streams import (
     DATA_ID,
     LAYOUT,
     MS,

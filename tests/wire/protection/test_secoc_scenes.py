@@ -3,8 +3,8 @@
 from typing import Any
 
 import pytest
-from scene_streams import road_scene
-from secoc_streams import MS, NOW, SECRET, US, Clock, S
+from support.scene_streams import road_scene
+from support.secoc_streams import MS, NOW, SECRET, US, Clock, S
 
 from maplines_can import Codec, Scene
 from maplines_can.values.errors import LayoutError

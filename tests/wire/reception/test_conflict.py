@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from dbcs import default_codec
-from e2e_streams import MS, Received, mixture_frames
+from support.dbcs import default_codec
+from support.e2e_streams import MS, Received, mixture_frames
 
 from maplines_can.values.line import MapLine, Slot
 from maplines_can.wire import E2EState

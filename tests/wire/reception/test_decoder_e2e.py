@@ -6,8 +6,10 @@ import e2e
 import numpy as np
 import pytest
 from answers import one
-from dbcs import default_codec
-from e2e_streams import (
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.dbcs import default_codec
+from support.e2e_streams import (
     CYCLE,
     MS,
     SLOT,
@@ -19,8 +21,6 @@ from e2e_streams import (
     run,
     two_senders,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from maplines_can import MapLine
 from maplines_can.wire import E2EState, ProfileStatus, Reason

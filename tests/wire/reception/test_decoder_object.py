@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scene_streams import COMPLETE, CONDITIONAL, PERIOD_NS, new_codec, road_scene
+from support.scene_streams import COMPLETE, CONDITIONAL, PERIOD_NS, new_codec, road_scene
 
 from maplines_can import MapLine, Slot
 from maplines_can.wire import POSE, Decoder, Reason, ReceivedFrame

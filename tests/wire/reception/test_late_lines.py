@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 from answers import one
-from dbcs import default_codec
-from e2e_streams import CYCLE, MS, SLOT, Received, frames, mixture_frames
+from support.dbcs import default_codec
+from support.e2e_streams import CYCLE, MS, SLOT, Received, frames, mixture_frames
 
 from maplines_can import MapLine
 from maplines_can.model.e2e import Windows

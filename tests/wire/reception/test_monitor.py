@@ -4,14 +4,13 @@ import math
 
 import numpy as np
 import pytest
-import scene_streams
-import sender_pairs
 from answers import one
-from dbcs import default_codec, new_codec
-from e2e_streams import CYCLE, MS, SLOT, frames
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from scene_streams import CONDITIONAL
+from support import scene_streams, sender_pairs
+from support.dbcs import default_codec, new_codec
+from support.e2e_streams import CYCLE, MS, SLOT, frames
+from support.scene_streams import CONDITIONAL
 
 from maplines_can import (
     Decoder,

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 from scene_layouts import layout_of
-from scene_streams import COMPLETE, CONDITIONAL, PERIOD_NS, SECURED, new_codec, road_scene
+from support.scene_streams import COMPLETE, CONDITIONAL, PERIOD_NS, SECURED, new_codec, road_scene
 
 from maplines_can.values.errors import EncodeError
 from maplines_can.values.line import Slot

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from answers import one
-from dbcs import default_codec
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.dbcs import default_codec
 
 from maplines_can.study import road
 from maplines_can.values.errors import LayoutError

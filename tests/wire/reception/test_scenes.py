@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scene_layouts import raw_record
-from scene_streams import (
+from support.scene_streams import (
     COMPLETE,
     CONDITIONAL,
     PERIOD_NS,

@@ -3,9 +3,9 @@
 from typing import Any
 
 import pytest
-from e2e_streams import CYCLE, MS, Received
 from hypothesis import given
 from hypothesis import strategies as st
+from support.e2e_streams import CYCLE, MS, Received
 
 from maplines_can.wire import E2EState, ProfileStatus, Reason
 

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 from answers import one
-from dbcs import default_codec
-from e2e_streams import CYCLE, MS, SLOT, check_accounts, frames
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.dbcs import default_codec
+from support.e2e_streams import CYCLE, MS, SLOT, check_accounts, frames
 
 from maplines_can import MapLine
 from maplines_can.study import road

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from hypothesis import Phase, example, given, settings
 from hypothesis import strategies as st
-from scene_streams import COMPLETE, CONDITIONAL, FRAME_NS, PERIOD_NS, codec_of
-from sender_pairs import (
+from support.scene_streams import COMPLETE, CONDITIONAL, FRAME_NS, PERIOD_NS, codec_of
+from support.sender_pairs import (
     SLOTS,
     Event,
     Sender,

@@ -11,7 +11,7 @@ from itertools import chain
 import numpy as np
 import pytest
 from scene_layouts import layout_of
-from scene_streams import new_codec, road_scene
+from support.scene_streams import new_codec, road_scene
 
 from maplines_can import Authenticator, Codec, Decoder, Key, LeftOut, MapLine, Reason, Slot
 from maplines_can.model.whole_scenes import NONE, scene_of_dbc, write_whole

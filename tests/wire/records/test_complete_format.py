@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dbc_alterations import original
-from dbcs import changed_record
+from support.dbcs import changed_record
 
 from maplines_can.values.line import MapLine, Slot
 from maplines_can.wire import Codec, Layout, Reason

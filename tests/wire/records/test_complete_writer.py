@@ -8,7 +8,7 @@ from evidence.exact import covers
 from hypothesis import example, given
 from hypothesis import strategies as st
 from scene_layouts import layout_of
-from scene_streams import COMPLETE, codec_of, feed, new_codec, road_scene
+from support.scene_streams import COMPLETE, codec_of, feed, new_codec, road_scene
 
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import MapLine, Slot, Status

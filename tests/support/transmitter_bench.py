@@ -7,7 +7,7 @@ from typing import Any
 
 import can
 import numpy as np
-from fake_bus import Clock, FakeOpener
+from support.fake_bus import Clock, FakeOpener
 
 from maplines_can import Codec, Link, Transmitter
 from maplines_can.wire import POSE, SceneView

@@ -20,7 +20,7 @@ from maplines_can.generation.tables import tables_of
 from maplines_can.wire.layout.message_layout import Layout
 from maplines_can.wire.tables import Limits, limits_of
 
-C = Path(__file__).parents[1] / "c"
+C = Path(__file__).parents[2] / "c"
 #: As CONTRIBUTING.md promises of the sources.
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Werror")
 #: A harness takes from the core what it calls, and needs nothing of the rest.

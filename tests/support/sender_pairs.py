@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, NamedTuple
 
-from scene_streams import FRAME_NS, PERIOD_NS, codec_of, road_scene
+from support.scene_streams import FRAME_NS, PERIOD_NS, codec_of, road_scene
 
 from maplines_can import MapLine, Scene, Slot
 from maplines_can.wire import POSE, Frame, PreparedScene

@@ -14,7 +14,7 @@ from maplines_can.model.records import written
 from maplines_can.model.signals import read
 from maplines_can.wire import Authenticator, Codec
 
-DBC = Path(__file__).parents[1] / "dbc" / "maplines.dbc"
+DBC = Path(__file__).parents[2] / "dbc" / "maplines.dbc"
 
 
 @cache

@@ -6,7 +6,7 @@ from typing import Any
 
 from answers import one
 from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
-from dbcs import new_codec
+from support.dbcs import new_codec
 
 from maplines_can import MapLine
 from maplines_can.wire import Authenticator, Key

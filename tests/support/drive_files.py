@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from xodr_files import document, geometry, lane, road, section
+from support.xodr_files import document, geometry, lane, road, section
 
 from maplines_can.cli import main
 

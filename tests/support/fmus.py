@@ -13,7 +13,7 @@ from tempfile import mkdtemp
 
 import pytest
 
-SOURCE = Path(__file__).parent / "cosimulation" / "node.c"
+SOURCE = Path(__file__).parents[1] / "cosimulation" / "node.c"
 #: Environment variable: folder of the official examples (fmi-ls-bus-examples), with the headers of
 #: FMI 3.0 and FMI-LS-BUS beside it.
 OFFICIAL = "MAPLINES_FMI_LS_BUS_EXAMPLES"

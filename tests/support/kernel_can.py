@@ -6,7 +6,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-from fake_bus import LONG
+from support.fake_bus import LONG
 
 
 def has_vcan() -> Any:
