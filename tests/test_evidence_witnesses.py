@@ -28,7 +28,7 @@ from support.strategies import covariances
 
 from maplines_can import Gaussian, MapError, MapLine, Motion, Polyline, Slot
 from maplines_can.simulation.scenarios import SCENARIOS
-from maplines_can.study.paper_refit import paper_refit
+from maplines_can.study.roads import paper_refit
 from maplines_can.study.scenes.map_scenes import SLOTS
 
 LEFT, RIGHT, NEXT_LEFT, NEXT_RIGHT = SLOTS

@@ -18,10 +18,9 @@ import pyarrow.parquet as pq
 from reporting import fill_tables, parser_of
 
 from maplines_can.bus import frame_bits
-from maplines_can.study.design.plan import Targets
+from maplines_can.study.design.planner import Targets
 from maplines_can.study.design.search import design, sets_of
-from maplines_can.study.scenes.carriers import WITH_POSE
-from maplines_can.study.scenes.table import HEAD, cells_of
+from maplines_can.study.scenes.carriers import SCENE_HEAD, WITH_POSE, scene_cells
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "bits.md"
 HELD_OUT_SEED = 1_000_003
@@ -136,7 +135,7 @@ def of_scenes(scenes: Any) -> Any:
     body = []
     for row in scenes:
         if row["code"] in SCENE_CODES:
-            cells = dict(zip(HEAD, cells_of(row), strict=True))
+            cells = dict(zip(SCENE_HEAD, scene_cells(row), strict=True))
             bits = (row["frames"] or 0) * frame_bits(8).nominal
             loads = [f"{100 * bits * rate / BITRATE:.1f} %" for rate in RATES]
             kept = [cells[name] for name in SCENE_COLUMNS]

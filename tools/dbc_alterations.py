@@ -18,10 +18,15 @@ from cantools.database.conversion import BaseConversion
 from cantools.database.utils import start_bit
 
 from maplines_can.study.dbc.dbc_writer import DbcWriter
-from maplines_can.study.dbc.pose_spec import CONDITIONAL, POSE_WITH_LEVELS
 from maplines_can.study.dbc.record_pages import SignalSpec
-from maplines_can.study.dbc.record_spec import DEFAULT, SECURED
-from maplines_can.study.dbc.scene_spec import SCENES, WHOLE_SCENES
+from maplines_can.study.dbc.record_spec import (
+    CONDITIONAL,
+    DEFAULT,
+    POSE_WITH_LEVELS,
+    SCENES,
+    SECURED,
+    WHOLE_SCENES,
+)
 from maplines_can.values.line import Slot
 from maplines_can.wire.layout.pose_layout import SCENE, SCENE2
 from maplines_can.wire.layout.signals import FINE_SIGNALS, TRAILER, slot_title

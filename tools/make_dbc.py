@@ -16,9 +16,15 @@ from maplines_can.dbc_files.kept import PACKAGED, key_of, parsed_tables
 from maplines_can.dbc_files.tables import to_json
 from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.covariance_spec import covariance_signals
-from maplines_can.study.dbc.pose_spec import CONDITIONAL, POSE_WITH_LEVELS
-from maplines_can.study.dbc.record_spec import DEFAULT, SECURED, dbc_name, dbc_writer_for
-from maplines_can.study.dbc.scene_spec import WHOLE_SCENES
+from maplines_can.study.dbc.record_spec import (
+    CONDITIONAL,
+    DEFAULT,
+    POSE_WITH_LEVELS,
+    SECURED,
+    WHOLE_SCENES,
+    dbc_name,
+    dbc_writer_for,
+)
 from maplines_can.wire.layout.record_layout import RELATIONS
 from maplines_can.wire.layout.signals import (
     COMPLETE_RECORD,

@@ -11,10 +11,8 @@ from typing import Any
 from ..bus import LogSummary, read_log
 from ..bus.first_frames import FirstFrames
 from ..simulation.truth import Truth, read_truth, truth_paths
-from ..study.accuracy.consistency import consistency_of
 from ..study.accuracy.evaluation import Accuracy, accuracy_of
-from ..study.accuracy.map_part import map_consistency_of
-from ..study.accuracy.text import as_text
+from ..study.accuracy.verdicts import as_text, consistency_of, map_consistency_of
 from ..values.errors import DriveFileError, LogError
 from ..values.line import MapLine
 from ..wire import Decoder, Reason
@@ -114,7 +112,7 @@ def _print(
 ) -> None:
     """Print the accuracy, and draw it if a picture is asked for."""
     if arguments.plot:
-        from ..study.accuracy.plot import draw_accuracy
+        from ..study.accuracy.error_plot import draw_accuracy
 
         draw_accuracy(accuracy, arguments.plot)
     if arguments.json:

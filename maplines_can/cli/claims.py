@@ -6,8 +6,7 @@ import argparse
 from typing import Any
 
 from ..simulation.scenarios import SCENARIOS, scenario
-from ..study.claims.table import accuracy_table
-from ..study.claims.text import as_csv, as_markdown, as_text
+from ..study.representations import accuracy_table, as_csv, as_markdown, as_text
 from .options import add_dbc, add_draws, codec_from
 from .parsing import add_command, option_group
 from .stderr import progress_bar

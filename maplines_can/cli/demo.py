@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from ..propagation.component_counts import TOLERANCE
-from ..study.figures.picture import draw_round_trip
-from ..study.round_trip import BusSettings, LineResult, RoundTrip, round_trip
-from ..study.scene_result import SceneResult
+from ..study.figures.round_trip_picture import draw_round_trip
+from ..study.round_trip import BusSettings, LineResult, RoundTrip, SceneResult, round_trip
 from ..values.line import Status
 from ..wire import POSE
 from .options import add_bus, add_codec, add_faults, bus_settings, keyed_codec

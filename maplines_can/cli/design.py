@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 
 from ..maps.town import town_path
-from ..study.design.plan import MAX_FRAMES, Targets
-from ..study.design.result import Design
-from ..study.design.scenes import SceneDesign, design_scenes
-from ..study.design.search import SETS, design, sets_of
-from ..study.design.whole_scenes import LINES, WholeSceneDesign, design_whole_scenes
+from ..study.design.conditional import SceneDesign, design_scenes
+from ..study.design.planner import MAX_FRAMES, Targets
+from ..study.design.scene_frames import LINES, WholeSceneDesign, design_whole_scenes
+from ..study.design.search import SETS, Design, design, sets_of
 from ..study.scenes.map_scenes import drawn_scenes, maps_of
 from ..study.sets import Gaussians, line_set
 from ..values.line import PARAMETERS

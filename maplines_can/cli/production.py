@@ -6,8 +6,7 @@ import argparse
 import json
 from typing import Any
 
-from ..study.production.rounding import production_table
-from ..study.production.text import as_csv, as_markdown, as_records, as_text
+from ..study.production_messages import as_csv, as_markdown, as_records, as_text, production_table
 from .parsing import number, option_group
 
 __all__ = ["add_production"]

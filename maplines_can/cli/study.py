@@ -11,10 +11,10 @@ from typing import Any
 
 from ..study.codes import CODES
 from ..study.sets import DRAWN_SETS, MapView, line_set
-from ..study.sweep.estimate import cpu_seconds
 from ..study.sweep.plan import Study
 from ..study.sweep.run import run_study
-from ..study.sweep.tables import read_table, summary_text
+from ..study.sweep.summary import read_table, summary_text
+from ..study.sweep.tasks import cpu_seconds
 from .parsing import add_json, number, option_group
 from .stderr import Bar, note, progress_bar
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..maps.town import town_path
 from ..study.scenes.map_scenes import drawn_scenes, maps_of
-from ..study.scenes.map_table import of_carriers, text
+from ..study.scenes.sigma_ratios import of_carriers, ratios_text
 from .parsing import add_json, number, option_group
 from .stderr import Bar, progress_bar
 
@@ -70,5 +70,5 @@ def _run(arguments: argparse.Namespace, bar: Bar) -> int:
         }
         print(json.dumps(figures, indent=2))
     else:
-        print(text(found))
+        print(ratios_text(found))
     return 0

@@ -22,9 +22,7 @@ from ..values.errors import IllPosedError, StudyError
 from ..values.gaussian import Gaussian
 from ..values.polyline import Polyline
 from .files import GaussianFile, read_map
-from .paper_refit import PAPER, paper_refit
-from .random_scenarios import random_scenarios
-from .roads import lines_of_roads, random_roads
+from .roads import PAPER, lines_of_roads, paper_refit, random_roads, random_scenarios
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from maplines_can.bus import LogWriter, key_from_file, read_log, read_signals
 from maplines_can.bus.signals import read_table
 from maplines_can.simulation.truth import TruthWriter, read_truth
 from maplines_can.study.files import GaussianFile, read_map
-from maplines_can.study.sweep.directory import StudyDirectory
+from maplines_can.study.sweep.plan import StudyDirectory
 from maplines_can.values.errors import (
     DriveFileError,
     KeyMaterialError,

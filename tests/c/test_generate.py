@@ -21,7 +21,7 @@ from maplines_can import Kind, Slot, Status
 from maplines_can.cli import main
 from maplines_can.generation.c_build import build_of
 from maplines_can.generation.c_files import c_files, headers, source
-from maplines_can.study.design.scenes import fields, writer_of
+from maplines_can.study.design.conditional import fields, writer_of
 from maplines_can.wire import E2EState, ProfileStatus, Reason
 from maplines_can.wire.tables import MAX_LIMITS
 

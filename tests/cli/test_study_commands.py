@@ -30,7 +30,7 @@ def test_figures_are_written_to_the_folder(
 
 def test_claims_as_csv(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """There is a row for each representation, before and after the bus."""
-    monkeypatch.setattr("maplines_can.study.claims.evaluation.DRAWS", 2000)
+    monkeypatch.setattr("maplines_can.study.representations.DRAWS", 2000)
     arguments = ["claims", "--scenario", "production", "--samples", "1000", "--format", "csv"]
     assert main(arguments) == 0
     rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))

@@ -8,7 +8,7 @@ from scipy.optimize import linprog
 
 from maplines_can import Polyline, Refit, Slot
 from maplines_can.propagation import points_in_window
-from maplines_can.study.random_scenarios import curve, random_scenarios
+from maplines_can.study.roads import curve, random_scenarios
 from maplines_can.values.line import lateral
 
 ORIGIN = np.zeros(3)

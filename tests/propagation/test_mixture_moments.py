@@ -12,7 +12,7 @@ from support.dbcs import default_codec
 from maplines_can import MonteCarlo, Refit, SigmaPoints, map_lines
 from maplines_can.propagation import Mixture
 from maplines_can.simulation.scenarios import SCENARIOS
-from maplines_can.study.paper_refit import paper_refit
+from maplines_can.study.roads import paper_refit
 from maplines_can.values.line import lateral, lateral_jacobian
 
 DRAWS = 200_000

@@ -8,7 +8,7 @@ from support.closed_forms import CLOSED
 
 from maplines_can.propagation import MapError, MonteCarlo
 from maplines_can.simulation.scenarios import scenario
-from maplines_can.study.paper_refit import paper_refit
+from maplines_can.study.roads import paper_refit
 from maplines_can.values.gaussian import Gaussian
 
 N = 20_000

@@ -6,7 +6,7 @@ import pytest
 from maplines_can import Gaussian, Polyline
 from maplines_can.propagation import Refit, nonlinearity
 from maplines_can.simulation.scenarios import scenario
-from maplines_can.study.paper_refit import paper_refit
+from maplines_can.study.roads import paper_refit
 from maplines_can.values.line import Slot
 
 

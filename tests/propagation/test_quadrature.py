@@ -12,7 +12,7 @@ from support.closed_forms import CLOSED
 
 from maplines_can.propagation import MonteCarlo, Quadrature, Refit
 from maplines_can.simulation.scenarios import SCENARIOS
-from maplines_can.study.paper_refit import PAPER
+from maplines_can.study.roads import PAPER
 from maplines_can.values.errors import IllPosedError
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import Slot

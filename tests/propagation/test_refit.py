@@ -10,7 +10,7 @@ from support.strategies import mild_lines, motions
 
 from maplines_can.propagation import MapError, MonteCarlo, Refit
 from maplines_can.simulation.scenarios import SCENARIOS, scenario
-from maplines_can.study.paper_refit import PAPER
+from maplines_can.study.roads import PAPER
 from maplines_can.values.errors import IllPosedError
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import Slot, lateral, lateral_jacobian

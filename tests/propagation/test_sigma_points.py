@@ -9,7 +9,7 @@ from support.closed_forms import square
 
 from maplines_can.propagation import SigmaPoints
 from maplines_can.simulation.scenarios import SCENARIOS
-from maplines_can.study.paper_refit import paper_refit
+from maplines_can.study.roads import paper_refit
 from maplines_can.values.gaussian import Gaussian
 
 

@@ -15,7 +15,7 @@ from scipy.stats import norm, truncnorm
 from maplines_can.propagation import MonteCarlo, Quadrature, SigmaPoints
 from maplines_can.propagation.splitting import SPLITS, Mixture, standard_split
 from maplines_can.simulation.scenarios import pose, scenario
-from maplines_can.study.paper_refit import paper_refit
+from maplines_can.study.roads import paper_refit
 from maplines_can.values.errors import IllPosedError
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import Slot

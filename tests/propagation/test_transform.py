@@ -14,7 +14,7 @@ from maplines_can.propagation import (
     Transform,
 )
 from maplines_can.simulation.scenarios import scenario
-from maplines_can.study.paper_refit import paper_refit
+from maplines_can.study.roads import paper_refit
 from maplines_can.values.errors import IllPosedError
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import Slot

@@ -7,8 +7,7 @@ import pytest
 
 from maplines_can.propagation import Refit
 from maplines_can.simulation.scenarios import SCENARIOS
-from maplines_can.study.paper_refit import PAPER, paper_refit
-from maplines_can.study.random_scenarios import curve, random_scenarios
+from maplines_can.study.roads import PAPER, curve, paper_refit, random_scenarios
 from maplines_can.values.errors import IllPosedError
 from maplines_can.values.line import Slot, lateral, transform_line, transform_line_or_nan
 from maplines_can.values.polyline import Polyline, to_ego

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from maplines_can.simulation.scenarios import SCENARIOS, parallel, scenario
-from maplines_can.study.paper_refit import paper_refit
-from maplines_can.study.random_scenarios import curve, random_scenarios
+from maplines_can.study.roads import curve, paper_refit, random_scenarios
 from maplines_can.values.line import Slot
 
 ROADS = list(random_scenarios(300, seed=1))

@@ -7,9 +7,12 @@ import pytest
 from maplines_can import MonteCarlo
 from maplines_can.propagation import Mixture, component_counts, nonlinearity
 from maplines_can.simulation import scenario
-from maplines_can.study.claims.approximations import Approximation
-from maplines_can.study.claims.evaluation import evaluate_approximation, true_distribution
-from maplines_can.study.paper_refit import paper_refit
+from maplines_can.study.representations import (
+    Approximation,
+    evaluate_approximation,
+    true_distribution,
+)
+from maplines_can.study.roads import paper_refit
 from maplines_can.values.line import Slot
 
 

@@ -7,8 +7,7 @@ import pytest
 
 from maplines_can.propagation import MapError, Refit, SigmaPoints
 from maplines_can.simulation.scenarios import pose
-from maplines_can.study.paper_refit import PAPER
-from maplines_can.study.roads import lines_of_roads, random_roads
+from maplines_can.study.roads import PAPER, lines_of_roads, random_roads
 from maplines_can.values.polyline import Polyline
 
 

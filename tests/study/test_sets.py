@@ -8,7 +8,7 @@ import pytest
 from maplines_can.propagation import Quadrature, Refit, SigmaPoints
 from maplines_can.simulation.scenarios import SCENARIOS
 from maplines_can.study.files import read_map
-from maplines_can.study.paper_refit import paper_refit
+from maplines_can.study.roads import paper_refit
 from maplines_can.study.sets import DrawnSet, MapView, drawn_chunk, line_set
 from maplines_can.values.errors import StudyError
 from maplines_can.values.gaussian import Gaussian

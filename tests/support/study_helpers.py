@@ -6,7 +6,7 @@ import numpy as np
 
 from maplines_can.study.sets import DrawnSet
 from maplines_can.study.sweep.plan import Study
-from maplines_can.study.sweep.tables import TABLES, read_table
+from maplines_can.study.sweep.summary import TABLES, read_table
 
 
 def small(**changes: Any) -> Any:

@@ -12,7 +12,7 @@ import pytest
 from maplines_can.bus.signals import read_table
 from maplines_can.cli import main
 from maplines_can.restbus.config import Config
-from maplines_can.study.sweep.directory import StudyDirectory
+from maplines_can.study.sweep.plan import StudyDirectory
 from maplines_can.values.errors import DriveFileError, RestbusError, StudyError
 from maplines_can.values.input_files import MAX_NESTING, json_of, toml_of
 

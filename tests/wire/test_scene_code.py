@@ -31,7 +31,7 @@ from maplines_can import (
     Slot,
     map_scene,
 )
-from maplines_can.study.scenes.source import RESOLUTION, noise_floor
+from maplines_can.study.scenes.random_scenes import RESOLUTION, noise_floor
 from maplines_can.values.elementary import exp2
 from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import lateral, lateral_jacobian

@@ -13,7 +13,7 @@ from support.dbcs import default_codec, new_codec
 from maplines_can import Gaussian, MapLine, Slot, Status
 from maplines_can.propagation.splitting import SPLITS, standard_split
 from maplines_can.study import adversarial, evaluate
-from maplines_can.study.components import deficit, quantized_weights
+from maplines_can.study.comparison import deficit, quantized_weights
 from maplines_can.values.mixture import GaussianMixture
 from maplines_can.wire import Codec, Reason
 

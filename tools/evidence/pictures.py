@@ -18,8 +18,8 @@ from maplines_can import Codec, Gaussian, MapError, Polyline, Scene, Slot, map_l
 from maplines_can.simulation.camera import PLACES
 from maplines_can.simulation.scenarios import scenario
 from maplines_can.simulation.street_shapes import Street, StreetPiece
-from maplines_can.study.figures.panels import Z99
-from maplines_can.study.figures.picture import COLOURS
+from maplines_can.study.figures.paper_panels import Z99
+from maplines_can.study.figures.round_trip_picture import COLOURS
 from maplines_can.study.scenes.map_scenes import drivable, random_pose
 from maplines_can.wire import default_dbc_path
 

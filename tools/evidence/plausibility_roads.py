@@ -31,7 +31,7 @@ from maplines_can.consumers.plausibility import (
 )
 from maplines_can.maps.line_source import WINDOW
 from maplines_can.simulation.trajectory import drive_along
-from maplines_can.study.scenes.source import NODES
+from maplines_can.study.scenes.random_scenes import NODES
 
 from .drive_view import turned
 from .harness import evidence, progress

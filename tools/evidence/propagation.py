@@ -10,7 +10,7 @@ from filterpy.kalman import MerweScaledSigmaPoints, unscented_transform
 
 from maplines_can.propagation import Mixture, MonteCarlo, Quadrature, SigmaPoints
 from maplines_can.simulation.scenarios import SCENARIOS
-from maplines_can.study.paper_refit import paper_refit
+from maplines_can.study.roads import paper_refit
 
 from .harness import evidence, progress
 

@@ -34,7 +34,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maplines_can import Codec, Gaussian, MapError, MapLine, Scene, Slot, map_scene
-from maplines_can.study.scenes.source import RESOLUTION, noise_floor
+from maplines_can.study.scenes.random_scenes import RESOLUTION, noise_floor
 from maplines_can.values.linalg import block_diagonal
 from maplines_can.values.line import lateral_jacobian
 from maplines_can.values.seen_lines import bases

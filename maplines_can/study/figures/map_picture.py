@@ -14,7 +14,7 @@ from ...maps import Lane, LaneType, Map
 from ...values.line import Kind
 from ...values.output_files import whole_file
 from ...values.polyline import Polyline
-from .panels import new_figure
+from .paper_panels import new_figure
 
 #: Colours of the surfaces, and the types of lanes that have them. Later ones are drawn above.
 SURFACES: dict[str, tuple[str, frozenset[LaneType]]] = {

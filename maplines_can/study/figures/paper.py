@@ -6,6 +6,7 @@ in the frame of the mean pose; arrows are poses on the map.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,19 +15,114 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...simulation.scenarios import SCENARIOS
+from ...propagation import MonteCarlo, Refit, SigmaPoints
+from ...simulation.scenarios import SCENARIOS, Scenario
 from ...values.errors import missing_extra
 from ...values.gaussian import Gaussian
-from ...values.line import lateral_jacobian
+from ...values.line import Slot, lateral, lateral_jacobian
 from ...values.output_files import whole_file
+from ...values.polyline import to_ego
 from ...wire import Codec
-from ..claims.approximations import Approximation, through_the_wire
 from ..metrics import LATERAL_X
-from . import panels
-from .cases import LINES, SLOT, Case, case_of, close_up, view_of
-from .panels import Layer, LineStyle, PanelView
+from ..representations import Approximation, through_the_wire
+from ..roads import paper_refit
+from .paper_panels import (
+    TRUE,
+    Layer,
+    LineStyle,
+    PanelView,
+    draw_correlation,
+    draw_legend,
+    draw_lines,
+    draw_map,
+    draw_marginals,
+    draw_mean,
+    draw_poses,
+    place_inset,
+)
 
 Array = NDArray[np.float64]
+
+#: The line of all figures: the right boundary of the car's lane, as in the paper's figure 2.
+SLOT = Slot.EGO_RIGHT
+#: Samples drawn as arrows and lines; more would hide each other.
+LINES = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A scenario's line: its true distribution and two Gaussian approximations."""
+
+    scenario: Scenario
+    refit: Refit
+    poses: Array  #: (n, 3) Monte Carlo draws, in the frame of the mean pose
+    lines: Array  #: (n, 4) their lines: the true distribution
+    ill_posed: int  #: draws left out, from which no cubic y(x) follows the points
+    monte_carlo: Gaussian
+    sigma_poses: Array  #: (7, 3) in the frame of the mean pose
+    sigma_lines: Array  #: (7, 4)
+    sigma_points: Gaussian
+
+    @property
+    def shown(self) -> tuple[tuple[Array, Array, str], ...]:
+        """Drawn poses, their lines and their name: sigma points, then samples."""
+        return (
+            (self.sigma_poses, self.sigma_lines, "sigma points"),
+            (self.poses[:LINES], self.lines[:LINES], "Monte Carlo samples"),
+        )
+
+
+def case_of(scenario: Scenario, samples: int, seed: int) -> Case:
+    """Return the distribution of a scenario's line ``SLOT``, by sampling and by sigma points."""
+    ego, refit = scenario.ego, paper_refit(scenario, SLOT)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the figure prints the number of draws left out
+        draws = MonteCarlo(samples, seed).samples(refit, ego)
+    transform = SigmaPoints()
+    sigma_poses = transform.rule(ego).points(ego)
+
+    def in_ego_frame(poses: Array) -> Array:
+        return np.column_stack([to_ego(poses[:, :2], ego.mean), poses[:, 2] - ego.mean[2]])
+
+    return Case(
+        scenario=scenario,
+        refit=refit,
+        poses=in_ego_frame(draws.inputs),
+        lines=draws.values,
+        ill_posed=draws.ill_posed,
+        monte_carlo=Gaussian(draws.values.mean(axis=0), np.cov(draws.values.T, bias=True)),
+        sigma_poses=in_ego_frame(sigma_poses),
+        sigma_lines=refit(sigma_poses),
+        sigma_points=transform(refit, ego),
+    )
+
+
+def view_of(case: Case) -> PanelView:
+    """Return the view of a case's map panels."""
+    low, high = (float(x) for x in case.refit.x_range)
+    points = case.refit.points[0]
+    bottom, top = points[:, 1].min(), points[:, 1].max()
+    # Space for the lines around the points, in a shape that suits a page and any heading.
+    tall = max(0.64 * (high - low), 1.5 * (top - bottom))
+    wide = max(1.06 * (high - low), tall / 0.78)
+    x, y = (low + high) / 2, 0.57 * bottom + 0.43 * top  # false lines run below a left turn
+    true = lateral(case.lines[:20_000, None], np.linspace(low, high, 60))
+    return PanelView(
+        ego=Gaussian(np.zeros(3), case.scenario.ego.cov),
+        line=case.refit(case.scenario.ego.mean),
+        points=points,
+        x_range=(low, high),
+        band=np.quantile(true, [0.005, 0.995], axis=0),
+        limits=(x - wide / 2, x + wide / 2, y - tall / 2, y + tall / 2),
+        arrow=0.04 * (high - low),
+        fan=0.16 * (high - low),
+    )
+
+
+def close_up(view: PanelView) -> PanelView:
+    """Return the view of the vicinity of the car."""
+    return replace(view, band=np.empty((0, 60)), limits=(-2.6, 2.6, -2.6, 2.6), arrow=0.6, fan=2.3)
+
 
 #: Samples drawn as dots; more would hide each other.
 DOTS = 3000
@@ -225,13 +321,13 @@ def draw_case(case: Case, plan: FigurePlan, seed: int = 0, codec: Codec | None =
     maps = [[place(x, HEAD + i * row, PANEL, panel) for x in COLUMNS] for i in range(2)]
     _draw_maps(maps, case, view, layers, seed)
     matrix = place(COLUMNS[0] - 0.1, below, PANEL - 0.1, PANEL - 0.1)
-    panels.draw_correlation(matrix, layers[1], *_compared(case, plan, layers))
+    draw_correlation(matrix, layers[1], *_compared(case, plan, layers))
     cell, step = 0.98, 1.17
     grid = [
         [place(COLUMNS[1] + 0.1 + j * step, below + i * step, cell, cell) for j in range(4)]
         for i in range(4)
     ]
-    limits = panels.draw_marginals(np.array(grid), case.lines, DOTS, layers)
+    limits = draw_marginals(np.array(grid), case.lines, DOTS, layers)
     heading = np.degrees(case.scenario.ego.sigma[2])
     what = ", variances only" if plan.variances_only else ""
     where = ", after the wire" if codec else ""
@@ -250,7 +346,7 @@ def draw_case(case: Case, plan: FigurePlan, seed: int = 0, codec: Codec | None =
         ha="right",
     )
     write(COLUMNS[0], 0.45, reading, fontsize=10, va="top", linespacing=1.35)
-    panels.draw_legend(figure, layers, (COLUMNS[0] / WIDTH, 1 - 0.98 / height))
+    draw_legend(figure, layers, (COLUMNS[0] / WIDTH, 1 - 0.98 / height))
     caption = "marginals, 99 % regions, share of true samples outside"
     write(COLUMNS[1], below - 0.2, caption, fontsize=9.5)
     write(COLUMNS[0], height - 0.16, f"{note}.", fontsize=8, color="0.25")
@@ -269,9 +365,9 @@ def draw_close_up(cases: Sequence[Case]) -> Any:
         for j, (poses, lines, name) in enumerate(case.shown):
             x, y = 0.55 + j * (side + 0.45), head + (i + 1) * (side + 0.5) - 0.5
             ax = figure.add_axes((x / width, 1 - y / height, side / width, side / height))
-            panels.draw_map(ax, view, f"{case.scenario.name}: {len(poses)} {name}")
-            panels.draw_lines(ax, lines, view.x_range, panels.TRUE, 0.8, 0.35 if j else 0.9)
-            panels.draw_poses(ax, poses, *((0.6, 0.6, 0.004) if j else (0.9, 1, 0.006)))
+            draw_map(ax, view, f"{case.scenario.name}: {len(poses)} {name}")
+            draw_lines(ax, lines, view.x_range, TRUE, 0.8, 0.35 if j else 0.9)
+            draw_poses(ax, poses, *((0.6, 0.6, 0.004) if j else (0.9, 1, 0.006)))
             if j == 0:
                 ax.set_ylabel("y, to the left [m]", fontsize=8)
             if case is cases[-1]:
@@ -283,7 +379,7 @@ def draw_close_up(cases: Sequence[Case]) -> Any:
         f"n = {len(cases[0].lines):,} samples, line {SLOT.name}."
     )
     figure.text(x, 1 - 0.62 / height, note, fontsize=10)
-    panels.draw_legend(figure, [], (x, 1 - 0.74 / height))
+    draw_legend(figure, [], (x, 1 - 0.74 / height))
     return figure
 
 
@@ -313,22 +409,22 @@ def _draw_maps(maps: Any, case: Case, view: PanelView, layers: Sequence[Layer], 
     near = close_up(view)
     for (ax, _), (poses, lines, name) in zip(maps, reversed(case.shown), strict=True):
         few = poses is case.sigma_poses
-        panels.draw_map(ax, view, f"{len(poses)} {name}: poses and their lines")
+        draw_map(ax, view, f"{len(poses)} {name}: poses and their lines")
         line_style = (1, 0.9) if few else (0.6, 0.35)
-        panels.draw_lines(ax, lines, view.x_range, panels.TRUE, *line_style)
-        panels.draw_poses(ax, poses, view.arrow, *((1, 0.006) if few else (0.35, 0.003)))
-        inset = panels.place_inset(ax, view)
-        panels.draw_map(inset, near)
-        panels.draw_poses(inset, poses, *((0.9, 1, 0.014) if few else (0.6, 0.5, 0.008)))
+        draw_lines(ax, lines, view.x_range, TRUE, *line_style)
+        draw_poses(ax, poses, view.arrow, *((1, 0.006) if few else (0.35, 0.003)))
+        inset = place_inset(ax, view)
+        draw_map(inset, near)
+        draw_poses(inset, poses, *((0.9, 1, 0.014) if few else (0.6, 0.5, 0.008)))
         inset.spines[:].set(visible=True, color="0.6")
         ax.set_ylabel("y, to the left [m]", fontsize=8)
     for (_, ax), layer in zip(maps, layers, strict=True):
         after = "" if layer.before is None else ", decoded"
-        panels.draw_map(ax, view, f"{LINES} lines drawn from the Gaussian of {layer.name}{after}")
+        draw_map(ax, view, f"{LINES} lines drawn from the Gaussian of {layer.name}{after}")
         # All figures use the same random numbers, so that lines correspond before and after.
         drawn = layer.gaussian.sample(LINES, np.random.default_rng([seed, 2]))
-        panels.draw_lines(ax, drawn, view.x_range, layer.colour, 0.6, 0.35)
-        panels.draw_mean(ax, layer, view.x_range)
+        draw_lines(ax, drawn, view.x_range, layer.colour, 0.6, 0.35)
+        draw_mean(ax, layer, view.x_range)
     for ax in maps[1]:
         ax.set_xlabel("x, ahead [m]", fontsize=8, labelpad=1)
 

@@ -23,7 +23,7 @@ from ...values.gaussian import Gaussian
 from ...values.line import Slot
 from ...values.polyline import Polyline
 from ...values.scene import Scene
-from .source import POSE_FACTOR, PRODUCTION, RATIO, SPACING, random_road
+from .random_scenes import POSE_FACTOR, PRODUCTION, RATIO, SPACING, random_road
 
 Array = NDArray[np.float64]
 

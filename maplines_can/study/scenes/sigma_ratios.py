@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any
@@ -20,9 +20,12 @@ from numpy.typing import NDArray
 from ...values.errors import EncodeError
 from ...values.line import Slot, lateral_jacobian
 from ...values.scene import Scene
-from ..comparison import AnyCodec
+from ...wire.layout.message_layout import Layout
+from ..comparison import AnyCodec, codec_for
+from ..text_table import aligned
+from .carriers import WITH_POSE
 from .map_scenes import DrawnScene
-from .source import RESOLUTION, noise_floor
+from .random_scenes import RESOLUTION, noise_floor
 
 Array = NDArray[np.float64]
 
@@ -196,4 +199,60 @@ def excess(ratios: Ratios) -> float:
         tails.append((float(np.quantile(values, TAIL).mean()) - 1) / (tail - 1))
     return (float(np.mean([*medians, *tails])) if medians else math.inf) + (
         ratios.left_out_share / MOST_LEFT_OUT
+    )
+
+
+#: What is shown, and where [m].
+PLACES = (("y", 0.0), ("y", 20.0), ("y", 80.0), ("width", 20.0), ("centre", 20.0))
+#: Name of all maps together.
+ALL = "all"
+
+
+def of_carriers(
+    drawn: Sequence[DrawnScene], progress: Callable[[int, int], object]
+) -> dict[str, dict[str, Ratios]]:
+    """Send scenes by each of ``WITH_POSE``, and return the figures by its name and map.
+
+    Args:
+        drawn: scenes.
+        progress: called with the number of records that are done, and of all.
+    """
+    found = {}
+    for number, (name, carrier) in enumerate(WITH_POSE.items()):
+        progress(number, len(WITH_POSE))
+        codec = codec_for(Layout.from_dbc(carrier.writer.database()))
+        of_maps = merged(measured(codec, drawn, fd=carrier.fd), 0)
+        found[name] = of_maps | {ALL: Ratios.sum(of_maps.values())}
+    progress(len(WITH_POSE), len(WITH_POSE))
+    return found
+
+
+def ratios_text(found: Mapping[str, Mapping[str, Ratios]]) -> str:
+    """Return the table, map by map."""
+    head = ("", "lines", "wider", "left out", *(f"{what} {x:g} m" for what, x in PLACES))
+    maps = list(next(iter(found.values())))
+    parts = []
+    for name in maps:
+        rows = [(carrier, *_cells(of_maps[name])) for carrier, of_maps in found.items()]
+        parts += [name, *("  " + line for line in aligned([head, *rows], left=1).splitlines()), ""]
+    return "\n".join(
+        [
+            *parts,
+            "wider: lines with a sigma of y more than 5 % above the computed one somewhere. y, and",
+            "width and centre of the ego lane: sigma, decoded over computed, median and 99 %; y at",
+            "80 m or at the end of a line. With FD, frames are those of CAN FD, else classic ones.",
+        ]
+    )
+
+
+def _cells(ratios: Ratios) -> tuple[str, ...]:
+    reasons = ", ".join(f"{count} {reason}" for reason, count in ratios.left_out.most_common())
+    return (
+        str(ratios.lines),
+        f"{100 * ratios.wider_share:.2g} %",
+        f"{100 * ratios.left_out_share:.2g} %" + (f" ({reasons})" if reasons else ""),
+        *(
+            " ".join(f"{ratios.quantile(what, x, share):.4g}" for share in (0.5, 0.99))
+            for what, x in PLACES
+        ),
     )

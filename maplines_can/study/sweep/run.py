@@ -16,9 +16,8 @@ from pathlib import Path
 
 from ...engines import in_processes, in_this_process, on_dask
 from ...simulation.parquet_files import arrow
-from .directory import StudyDirectory
-from .plan import Study
-from .tables import write_tables
+from .plan import Study, StudyDirectory
+from .summary import write_tables
 from .tasks import tasks_of
 
 

@@ -16,7 +16,7 @@ from maplines_can.study.accuracy.evaluation import (
     AccuracyRequirement,
     accuracy_of,
 )
-from maplines_can.study.accuracy.text import as_text
+from maplines_can.study.accuracy.verdicts import as_text
 from maplines_can.values.errors import DriveFileError
 
 START, PERIOD, N = 1.7e9, 0.05, 200

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 
 from maplines_can.simulation.truth import PLACES
-from maplines_can.study.accuracy.consistency import (
+from maplines_can.study.accuracy.evaluation import Accuracy, MapPart
+from maplines_can.study.accuracy.verdicts import (
     WRONG,
     SenderVerdict,
     consistency_of,
     independent_errors,
 )
-from maplines_can.study.accuracy.evaluation import Accuracy, MapPart
 
 Array = NDArray[np.float64]
 PERIOD, SLOTS = 0.05, 4

@@ -17,7 +17,7 @@ from maplines_can.simulation.trajectory import drive_along
 from maplines_can.simulation.transmission import Transmission, TruthRecorder
 from maplines_can.simulation.truth import TruthWriter, read_truth
 from maplines_can.study.accuracy.evaluation import Accuracy, MapPart, accuracy_of
-from maplines_can.study.accuracy.map_part import MapConsistency, MapVerdict, map_consistency_of
+from maplines_can.study.accuracy.verdicts import MapConsistency, MapVerdict, map_consistency_of
 from maplines_can.wire import Reason
 
 Array = NDArray[np.float64]

@@ -13,17 +13,19 @@ from maplines_can import Codec, Slot
 from maplines_can.propagation import MonteCarlo, Quadrature
 from maplines_can.simulation import scenario
 from maplines_can.simulation.scenarios import SCENARIOS
-from maplines_can.study.claims import evaluation
-from maplines_can.study.claims.approximations import (
+from maplines_can.study import representations as evaluation
+from maplines_can.study.representations import (
     Approximation,
+    accuracy_table,
+    as_csv,
+    as_markdown,
+    as_text,
+    evaluate_approximation,
     representations,
     through_the_wire,
+    true_distribution,
 )
-from maplines_can.study.claims.evaluation import evaluate_approximation, true_distribution
-from maplines_can.study.claims.table import accuracy_table
-from maplines_can.study.claims.text import as_csv, as_markdown, as_text
-from maplines_can.study.paper_refit import paper_refit
-from maplines_can.study.random_scenarios import random_scenarios
+from maplines_can.study.roads import paper_refit, random_scenarios
 from maplines_can.values.gaussian import Gaussian
 
 SIGMA = np.array([0.5, 0.02, 1e-4, 1e-6])

@@ -14,9 +14,14 @@ import pytest
 from maplines_can.cli.options import line_codec_from
 from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.dbc_writer import DbcWriter, SignalSpec
-from maplines_can.study.dbc.pose_spec import CONDITIONAL
-from maplines_can.study.dbc.record_spec import DEFAULT, dbc_name, dbc_writer_for
-from maplines_can.study.dbc.scene_spec import SCENES, WHOLE_SCENES
+from maplines_can.study.dbc.record_spec import (
+    CONDITIONAL,
+    DEFAULT,
+    SCENES,
+    WHOLE_SCENES,
+    dbc_name,
+    dbc_writer_for,
+)
 from maplines_can.values.line import Kind, Slot, Status
 from maplines_can.wire import Codec, Layout
 from maplines_can.wire.layout.pose_layout import SCENE

@@ -15,8 +15,7 @@ from maplines_can.bus import Link, Receiver, Transmitter
 from maplines_can.cli.design import add_design
 from maplines_can.study import adversarial, evaluate, paper, road
 from maplines_can.study.codes import CODES
-from maplines_can.study.design.plan import Targets
-from maplines_can.study.design.planner import allocated
+from maplines_can.study.design.planner import Targets, allocated
 from maplines_can.study.design.search import design, figures_of
 from maplines_can.study.design.sensitivity import (
     RatioSpread,

@@ -11,9 +11,9 @@ import pytest
 
 from maplines_can.cli import main
 from maplines_can.maps.town import town_path
-from maplines_can.study.dbc.scene_spec import WHOLE_SCENES
-from maplines_can.study.design import whole_scenes as module
-from maplines_can.study.design.whole_scenes import (
+from maplines_can.study.dbc.record_spec import WHOLE_SCENES
+from maplines_can.study.design import scene_frames as module
+from maplines_can.study.design.scene_frames import (
     FOUND,
     FRAME_BYTES,
     SHIPPED,
@@ -26,7 +26,7 @@ from maplines_can.study.design.whole_scenes import (
     writer_of,
 )
 from maplines_can.study.scenes.map_scenes import DrawnScene
-from maplines_can.study.scenes.source import random_scene
+from maplines_can.study.scenes.random_scenes import random_scene
 from maplines_can.wire import Layout
 
 FIELDS = fields_of(WHOLE_SCENES)

@@ -16,9 +16,9 @@ from matplotlib.image import imread
 from maplines_can import Codec
 from maplines_can.propagation import MonteCarlo, Refit, SigmaPoints
 from maplines_can.simulation import scenario
-from maplines_can.study.figures import cases, panels
 from maplines_can.study.figures import paper as figures
-from maplines_can.study.paper_refit import PAPER
+from maplines_can.study.figures import paper_panels as panels
+from maplines_can.study.roads import PAPER
 from maplines_can.values.errors import MissingExtraError
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import lateral
@@ -40,7 +40,7 @@ def case_of() -> Any:
 
     def case(plan: Any) -> Any:
         if plan.scenario not in known:
-            known[plan.scenario] = cases.case_of(scenario(plan.scenario), SAMPLES, seed=0)
+            known[plan.scenario] = figures.case_of(scenario(plan.scenario), SAMPLES, seed=0)
         return known[plan.scenario]
 
     return case
@@ -135,7 +135,7 @@ def test_files_do_not_depend_on_the_user_s_settings(
 def test_a_case_has_the_results_of_the_transforms(case_of: Any) -> None:
     """A case has the results of MonteCarlo and SigmaPoints for the line EGO_RIGHT."""
     case, example = case_of(PLANS[10]), scenario("street-turn")
-    refit = Refit(example.lines[cases.SLOT], example.ego.mean, example.window, **PAPER)
+    refit = Refit(example.lines[figures.SLOT], example.ego.mean, example.window, **PAPER)
     draws = MonteCarlo(SAMPLES, 0).samples(refit, example.ego)
     np.testing.assert_array_equal(draws.values, case.lines)
     np.testing.assert_allclose(draws.inputs, case.poses, atol=1e-12)

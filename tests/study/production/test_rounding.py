@@ -14,15 +14,19 @@ import pytest
 
 from maplines_can.cli.production import add_production
 from maplines_can.study import Gaussians, road
-from maplines_can.study.production.messages import PRODUCTION, default_message
-from maplines_can.study.production.rounding import (
+from maplines_can.study.production_messages import (
     DISTANCES,
+    PRODUCTION,
+    as_csv,
+    as_markdown,
+    as_records,
+    as_text,
+    default_message,
     measured,
     production_table,
     rms,
     worst,
 )
-from maplines_can.study.production.text import as_csv, as_markdown, as_records, as_text
 from maplines_can.values.line import PARAMETERS, lateral
 from maplines_can.wire import Layout
 

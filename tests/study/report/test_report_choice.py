@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from maplines_can.study.report.choice import choices
-from maplines_can.study.report.tables import Tables
+from maplines_can.study.report.page import choices
+from maplines_can.study.report.results import Tables
 
 
 def row(code: str, frames: int, kl: float, **more: Any) -> dict[str, Any]:

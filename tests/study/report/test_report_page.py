@@ -14,7 +14,7 @@ from support.sweep_tables import SETS, USED, N, write
 
 from maplines_can.cli.report import add_report
 from maplines_can.study.report.page import write_report
-from maplines_can.study.report.tables import COLUMNS, read_tables
+from maplines_can.study.report.results import COLUMNS, read_tables
 from maplines_can.values.errors import MissingExtraError, StudyError
 
 

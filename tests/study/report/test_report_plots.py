@@ -9,10 +9,15 @@ import pytest
 from bokeh.models import Segment
 from support.sweep_tables import USED, write
 
-from maplines_can.study.report.cases import fields_plot, worst_key, worst_plots
 from maplines_can.study.report.drawing import plot_styles
-from maplines_can.study.report.plots import kl_plot, scenes_plot
-from maplines_can.study.report.tables import read_tables
+from maplines_can.study.report.plots import (
+    fields_plot,
+    kl_plot,
+    scenes_plot,
+    worst_key,
+    worst_plots,
+)
+from maplines_can.study.report.results import read_tables
 from maplines_can.values.line import lateral, lateral_jacobian
 
 

@@ -19,7 +19,7 @@ from maplines_can.study.scenes.map_scenes import (
     maps_of,
     random_pose,
 )
-from maplines_can.study.scenes.source import POSE_FACTOR
+from maplines_can.study.scenes.random_scenes import POSE_FACTOR
 from maplines_can.values.errors import StudyError
 
 

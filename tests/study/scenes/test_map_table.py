@@ -8,8 +8,7 @@ import pytest
 from maplines_can.cli import main
 from maplines_can.study.scenes.carriers import WITH_POSE
 from maplines_can.study.scenes.map_scenes import ROADS
-from maplines_can.study.scenes.map_table import ALL, text
-from maplines_can.study.scenes.sigma_ratios import Ratios
+from maplines_can.study.scenes.sigma_ratios import ALL, Ratios, ratios_text
 
 
 def test_each_kind_of_records_is_measured_on_each_map(capsys: pytest.CaptureFixture[str]) -> None:
@@ -30,7 +29,7 @@ def test_the_table_has_the_reasons_of_lines_that_are_left_out() -> None:
     ratios = Ratios(lines=200, wider=3)
     ratios.left_out.update({"RANGE": 3, "MEAN": 1})
     ratios.ratios["y", 0.0] = [1.01, 1.02, 1.03]
-    shown = text({"Scene, FD": {"a.xodr": ratios}})
+    shown = ratios_text({"Scene, FD": {"a.xodr": ratios}})
     assert "2 % (3 RANGE, 1 MEAN)" in shown
     assert "1.5 %" in shown
     assert "1.02 1.03" in shown

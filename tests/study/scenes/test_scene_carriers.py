@@ -8,7 +8,7 @@ import pytest
 
 from maplines_can import Gaussian, MapLine, PoseError, Scene, Slot
 from maplines_can.study.scenes.carriers import WITH_POSE, codec_of, compare, evaluations
-from maplines_can.study.scenes.source import random_scene
+from maplines_can.study.scenes.random_scenes import random_scene
 
 SEPARATE = ("Cholesky", "Sigmas")
 NOTHING = np.zeros((8, 8))

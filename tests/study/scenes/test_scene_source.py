@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from maplines_can import Gaussian, MapError, Polyline, Slot, map_scene
-from maplines_can.study.scenes import source
-from maplines_can.study.scenes.source import (
+from maplines_can.study.scenes import random_scenes as source
+from maplines_can.study.scenes.random_scenes import (
     RESOLUTION,
     box,
     information,

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from support.study_helpers import small, tables
 
-from maplines_can.study.scenes.carriers import AT_SCENE_BITS, WITH_POSE
-from maplines_can.study.scenes.source import box
-from maplines_can.study.scenes.table import figures, text
+from maplines_can.study.scenes.carriers import AT_SCENE_BITS, WITH_POSE, scene_figures, scenes_text
+from maplines_can.study.scenes.random_scenes import box
 from maplines_can.study.sweep import plan
 from maplines_can.study.sweep.run import run_study
-from maplines_can.study.sweep.tables import SCHEMAS, summary_text
+from maplines_can.study.sweep.summary import SCHEMAS, summary_text
 
 #: Information of three scenes of two lines.
 F = np.tile(np.eye(10) * 1e6, (3, 1, 1))
@@ -33,8 +32,8 @@ def scene(kl: float = 1e-3, **changes: Any) -> Any:
 def test_bits_over_the_limit_are_at_the_divergence_of_the_joint() -> None:
     """Of records of single lines, at the sum of those of the lines."""
     rows = [scene(), scene(2e-3), scene(3e-3)]
-    joint = figures("PoseConditional", 2, rows, F)
-    apart = figures("Cholesky", 2, rows, F)
+    joint = scene_figures("PoseConditional", 2, rows, F)
+    apart = scene_figures("Cholesky", 2, rows, F)
 
     assert (joint["limit_kl"], apart["limit_kl"]) == (pytest.approx(6e-3), pytest.approx(4e-3))
     assert joint["limit_dimension"] == len(box(2))
@@ -54,16 +53,16 @@ def test_bits_over_the_limit_are_at_the_divergence_of_the_joint() -> None:
 )
 def test_there_is_no_limit_at_low_rates_or_for_a_part_of_the_scenes(bad: Any) -> None:
     """Its columns are missing, and their cells are empty."""
-    row = figures("Linear", 2, [scene(), bad], F) | {"lines": 2, "code": "Linear"}
+    row = scene_figures("Linear", 2, [scene(), bad], F) | {"lines": 2, "code": "Linear"}
 
     assert "limit_bits" not in row
-    assert "  -  " in text([row])
+    assert "  -  " in scenes_text([row])
 
 
 def test_a_scene_without_a_line_has_no_figures() -> None:
     """None of its lines fits the message."""
     empty = {"frames": 2, "mean_bits": 0, "joint_bits": 63, "left_out": 2, "all_entries": 0}
-    row = figures("PoseConditional", 2, [empty], F)
+    row = scene_figures("PoseConditional", 2, [empty], F)
 
     assert row["kl_line_mean"] is row["overconfident"] is row["width_p99"] is None
     assert row["left_out"] == 1

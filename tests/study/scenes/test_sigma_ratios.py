@@ -8,6 +8,7 @@ import pytest
 
 from maplines_can import Codec, PoseError, Scene
 from maplines_can.study.scenes.map_scenes import DrawnScene
+from maplines_can.study.scenes.random_scenes import random_scene
 from maplines_can.study.scenes.sigma_ratios import (
     LANE_AT,
     TARGETS,
@@ -19,7 +20,6 @@ from maplines_can.study.scenes.sigma_ratios import (
     places_of,
     sigma_ratios,
 )
-from maplines_can.study.scenes.source import random_scene
 from maplines_can.values.line import lateral
 from maplines_can.wire import default_dbc_path
 

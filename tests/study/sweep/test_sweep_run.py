@@ -10,7 +10,7 @@ from support.study_helpers import small, tables, write_csv
 from maplines_can.study import road
 from maplines_can.study.sets import DrawnSet, MapView, line_set
 from maplines_can.study.sweep.run import run_study
-from maplines_can.study.sweep.tables import summary_text
+from maplines_can.study.sweep.summary import summary_text
 from maplines_can.values.errors import StudyError
 
 

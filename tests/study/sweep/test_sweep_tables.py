@@ -12,7 +12,7 @@ from maplines_can.study.comparison import transmit
 from maplines_can.study.sets import drawn_chunk, line_set
 from maplines_can.study.sweep.plan import Plan, codec_of, theory
 from maplines_can.study.sweep.run import run_study
-from maplines_can.study.sweep.tables import SCHEMAS, summary_text
+from maplines_can.study.sweep.summary import SCHEMAS, summary_text
 
 
 def test_the_summary_is_that_of_all_chunks_at_once(undisturbed: Any) -> None:

@@ -18,8 +18,13 @@ from dbc_witness import WrongResultError, check_codec, check_line
 from maplines_can import Codec, Gaussian, GaussianMixture
 from maplines_can.study.codes import CODES
 from maplines_can.study.comparison import codec_for
-from maplines_can.study.dbc.pose_spec import CONDITIONAL, POSE_WITH_LEVELS
-from maplines_can.study.dbc.record_spec import DEFAULT, SECURED, dbc_writer_for
+from maplines_can.study.dbc.record_spec import (
+    CONDITIONAL,
+    DEFAULT,
+    POSE_WITH_LEVELS,
+    SECURED,
+    dbc_writer_for,
+)
 from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import Kind, MapLine, Slot, Status
 from maplines_can.wire import Layout

@@ -14,8 +14,7 @@ from scene_layouts import layout_of
 
 from maplines_can.dbc_files.parser import default_dbc_path
 from maplines_can.study.dbc.dbc_writer import SceneSpec
-from maplines_can.study.dbc.pose_spec import CONDITIONAL
-from maplines_can.study.dbc.scene_spec import SCENES, WHOLE_SCENES
+from maplines_can.study.dbc.record_spec import CONDITIONAL, SCENES, WHOLE_SCENES
 from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import LeftOut, Slot
 from maplines_can.wire import Codec, Layout

@@ -26,9 +26,9 @@ from ...wire import Codec
 from ...wire.layout.message_layout import Layout
 from ...wire.layout.signals import FINE, FINE_SIGNALS, OWN_SIGNALS, PARAMETER_SIGNALS
 from ..dbc.dbc_writer import DbcWriter, SignalSpec
-from ..dbc.pose_spec import CONDITIONAL, POSE
+from ..dbc.record_spec import CONDITIONAL, POSE
 from ..scenes.carriers import with_pose
-from ..scenes.source import random_scene
+from ..scenes.random_scenes import random_scene
 from ..text_table import aligned
 
 #: Lines of a scene.

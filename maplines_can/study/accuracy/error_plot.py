@@ -9,8 +9,8 @@ import numpy as np
 
 from ...simulation.truth import PLACES
 from ...values.output_files import whole_file
-from ..figures.panels import new_figure
-from ..figures.picture import COLOURS
+from ..figures.paper_panels import new_figure
+from ..figures.round_trip_picture import COLOURS
 from .evaluation import QUANTILE, REQUIREMENTS, Accuracy, slots_of
 
 #: Limits of the requirements that are drawn, by quantity.

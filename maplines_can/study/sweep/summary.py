@@ -17,15 +17,15 @@ from ...simulation.parquet_files import arrow
 from ...values.line import Status
 from ..codes import CODES
 from ..metrics import LATERAL_X, Figure, Score
-from ..scenes import table as scene_table
+from ..scenes.carriers import scenes_rows, scenes_text
 from ..sets import LineSet
 from ..text_table import aligned
-from .directory import StudyDirectory
 from .plan import (
     DEFAULT_CODE,
     LIMIT_PARTS,
     Plan,
     Study,
+    StudyDirectory,
     chunk_key,
     codec_of,
     limit_key,
@@ -61,7 +61,7 @@ def write_tables(study: Study, directory: StudyDirectory) -> None:
             rows["limit"] += [{"set": line_set.name, "part": part} | row for row in result["rows"]]
     for lines, sizes in study.scene_sizes.items():
         keys = (scenes_key(lines, index) for index in range(len(sizes)))
-        rows["scenes"] += scene_table.rows(lines, map(directory.result, keys))
+        rows["scenes"] += scenes_rows(lines, map(directory.result, keys))
     for name, of_table in rows.items():
         directory.write(f"{name}.parquet", _as_parquet(of_table, SCHEMAS[name]))
 
@@ -293,7 +293,7 @@ def summary_text(summary: Sequence[Row], terms: Sequence[Row], scenes: Sequence[
         f"{Status.OUT_OF_RANGE.name}.",
     ]
     if scenes:
-        lines += ["", scene_table.text(scenes)]
+        lines += ["", scenes_text(scenes)]
     return "\n".join(lines)
 
 

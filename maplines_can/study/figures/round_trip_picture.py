@@ -12,7 +12,7 @@ from ...values.gaussian import Gaussian
 from ...values.line import MapLine
 from ...values.output_files import whole_file
 from ..round_trip import RoundTrip
-from .panels import Z99, ellipse, new_figure
+from .paper_panels import Z99, ellipse, new_figure
 
 #: Okabe and Ito's colours, which colour-blind readers can distinguish.
 COLOURS = (

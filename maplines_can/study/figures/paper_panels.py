@@ -14,6 +14,7 @@ from ...values.gaussian import Gaussian
 from ...values.line import lateral
 
 Array = NDArray[np.float64]
+
 LineStyle = str | tuple[float, tuple[float, ...]]
 
 #: Okabe and Ito's vermillion for poses, as the paper's red; their green for the map's points.

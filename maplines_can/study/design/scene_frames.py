@@ -29,12 +29,11 @@ from ...wire import Codec
 from ...wire.layout.message_layout import Layout
 from ...wire.layout.signals import OCTAVE, OWN_SIGNALS, PARAMETER_SIGNALS
 from ..dbc.dbc_writer import DbcWriter, SceneSpec, SignalSpec
-from ..dbc.pose_spec import CONDITIONAL, POSE
-from ..dbc.scene_spec import WHOLE_SCENES
+from ..dbc.record_spec import CONDITIONAL, POSE, WHOLE_SCENES
 from ..scenes.map_scenes import DrawnScene
 from ..scenes.sigma_ratios import LANE_AT, LINE_AT, Ratios, excess, measured, merged
 from ..text_table import aligned, markdown
-from .plan import INFLATION
+from .planner import INFLATION
 
 #: Least bits of a field.
 MIN_BITS = 2

@@ -1,1 +1,0 @@
-"""Accuracy of the representations of a line against its true distribution."""
