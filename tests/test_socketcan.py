@@ -13,9 +13,9 @@ from typing import Any
 
 import can
 import pytest
-from support.example_lines import scenario_lines
 from support.fake_bus import collect
 from support.kernel_can import has_vcan
+from support.lines import scenario_lines
 
 from maplines_can import Codec, Link, MapLine, Receiver, Transmitter
 from maplines_can.simulation import scenario

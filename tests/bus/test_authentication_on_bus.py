@@ -5,9 +5,9 @@ from typing import Any
 
 import can
 import pytest
-from support.example_lines import scenario_lines
 from support.fake_bus import Clock as SecondsClock
 from support.fake_bus import drive, wait_until
+from support.lines import scenario_lines
 from support.secoc_streams import MS, NOW, OTHER, SECRET, Clock, S, codec_of, feed, names
 
 from maplines_can import Link, Receiver, Transmitter

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import can
 import pytest
-from support.log_frames import frames_of
+from support.recordings import frames_of
 
 from maplines_can.bus import LogFrame, read_log
 from maplines_can.bus.frame_block import MAX_OBJECT

@@ -12,7 +12,7 @@ import can
 import numpy as np
 import pytest
 from support.dbcs import default_codec
-from support.log_frames import frames_of
+from support.recordings import frames_of
 
 from maplines_can import MapLine, Slot
 from maplines_can.bus import LogFrame, read_log

@@ -144,12 +144,6 @@ def received(built: Path, log: str) -> tuple[list[str], list[str]]:
     return done.stdout.splitlines(), done.stderr.splitlines()
 
 
-def test_the_receiver_prints_from_the_seventh_record_on(built: Any, sent: Any) -> None:
-    """In the cycle after it, at 0.35 s."""
-    rows, _ = received(built, sent)
-    assert len(rows) == 20 - 7
-
-
 def test_the_receiver_says_where_a_line_ends(folder: Path) -> None:
     """As the page says, of a line that ends at 12 m: no value at 40 m."""
     source = folder / "sender.c"
@@ -195,11 +189,6 @@ def test_rows_that_are_no_frames_are_told_and_skipped(
         rows, told = received(built, log if row else log + "\n")
         assert rows == expected
         assert told == ([] if is_frame else [f"no frame: {row}"])
-
-
-def test_an_empty_log_has_no_rows(built: Any) -> None:
-    """And no error."""
-    assert received(built, "") == ([], [])
 
 
 def test_the_sender_tells_what_is_refused(folder: Path) -> None:

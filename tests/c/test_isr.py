@@ -67,8 +67,7 @@ def test_the_thread_sanitizer_finds_a_weaker_order(tmp_path: Path) -> None:
     assert "data race" in done.stderr
 
 
-@pytest.mark.parametrize("standard", ["c++17", "c++20"])
-@pytest.mark.parametrize("cc", ["g++", "clang++"])
+@pytest.mark.parametrize(("cc", "standard"), [("g++", "c++17"), ("clang++", "c++20")])
 def test_the_reader_may_be_in_another_language(cc: str, standard: str, tmp_path: Path) -> None:
     """A reader in C++ gets the lines of a writer in C."""
     if c_core.OWN_FLAGS or c_core.EMULATOR:

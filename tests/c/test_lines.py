@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import struct
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
@@ -11,9 +14,9 @@ import pytest
 from scene_layouts import layout_of
 from support import c_core
 from support.c_layouts import with_messages, with_slots
-from support.random_lines import random_lines
+from support.lines import random_lines
 
-from maplines_can import Slot
+from maplines_can import Gaussian, GaussianMixture, Kind, MapLine, Slot, Status
 from maplines_can.model.records import written
 from maplines_can.study import adversarial
 from maplines_can.wire import Codec
@@ -36,145 +39,88 @@ LINE = 255
 # ---- lines to frames ----------------------------------------------------------------------------
 
 
-class Lines:
-    """Lines to be sent: arrays of n values; mixtures have k components."""
-
-    def __init__(self, means: Any, covs: Any, rng: Any, codec: Codec, *, k: int = 0) -> None:
-        self.n, self.k = len(means), k
-        self.means, self.covs = np.asarray(means, float), np.asarray(covs, float)
-        n, slots = self.n, [int(slot) for slot in codec.layout.messages]
-        low = rng.choice([-20.0, -8.0, 0.0, -131.5, 3.3], n)
-        self.x_min = low + rng.choice([0.0, 0.04, rng.uniform(-1, 1)], n)
-        self.x_max = self.x_min + rng.choice([0.0, 1.5, 30.0, 77.7, 80.0, 500.0], n)
-        self.age = rng.choice([0.0, 0.0421, 0.5, 1e9, np.inf], n)
-        self.slot, self.kind = rng.choice(slots, n), rng.integers(0, 8, n)
-        self.counter = rng.integers(0, 2 ** codec.layout["Counter"].length, n)
-        self.status = rng.choice([1, 1, 1, 1, 1, 2, 3, 4, 0, 5], n)
-        self.weights = np.ones((n, max(k, 1)))
-        if k:
-            self.weights = rng.dirichlet(np.full(k, rng.choice([0.3, 2.0])), n) + 1e-4
-            self.weights /= self.weights.sum(axis=1, keepdims=True)
-
-    def payloads(self, codec: Codec) -> Any:
-        """(n, k or 1, bytes) records of Python."""
-        attributes = {
-            name: getattr(self, name)
-            for name in ("slot", "kind", "x_min", "x_max", "age", "status", "counter")
-        }
-        if self.k:
-            return codec.batch.encode_mixtures(self.weights, self.means, self.covs, **attributes)
-        return codec.batch.encode(self.means, self.covs, **attributes)[:, None]
-
-    def cases(self, *, is_fd: bool) -> bytes:
-        """Input of the harness."""
-        k = max(self.k, 1)
-        component = np.dtype([("weight", "<f8"), ("mean", "<f8", 4), ("cov", "<f8", (4, 4))])
-        case = np.dtype(
-            [("command", "u1"), ("slot", "u1"), ("kind", "u1"), ("status", "u1"), ("fd", "u1"),
-             ("counter", "<u4"), ("x_min", "<f8"), ("x_max", "<f8"), ("age", "<f8"),
-             ("count", "u1"), ("components", component, k)]
-        )  # fmt: skip
-        cases = np.zeros(self.n, case)
-        for name in ("slot", "kind", "status", "counter", "x_min", "x_max", "age"):
-            cases[name] = getattr(self, name)
-        cases["command"], cases["fd"], cases["count"] = 1, is_fd, self.k or LINE
-        cases["components"]["weight"] = self.weights
-        cases["components"]["mean"] = self.means.reshape(self.n, k, 4)
-        cases["components"]["cov"] = self.covs.reshape(self.n, k, 4, 4)
-        return cases.tobytes()
-
-
-def check_encode(
-    codec: Codec, lines: Lines, *prefix: str, is_fd: bool = False, **compiler: Any
-) -> Any:
-    """Compare the frames of lines; return how many there were of each status."""
-    out = c_core.run(
-        c_core.harness("lines", codec.layout, **compiler), lines.cases(is_fd=is_fd), *prefix
-    )
-    payloads = lines.payloads(codec)
-    statuses = codec.batch.decode(
-        payloads.reshape(-1, payloads.shape[-1]), np.repeat(lines.slot, payloads.shape[1])
-    ).status.reshape(payloads.shape[:2])
-    encoder, modulus = codec.encoder(), 2 ** codec.layout["Counter"].length
-    place = 0
-    for i, records in enumerate(payloads):
-        frames = [f for r in records for f in encoder.frames(r, Slot(lines.slot[i]), fd=is_fd)]
-        following = (lines.counter[i] + len(records)) % modulus
-        expected = [struct.pack("<BB", 0, worst(statuses[i])), bytes([len(frames)])]
-        expected.append(struct.pack("<I", following))
-        for can_id, data, fd, is_extended in frames:
-            expected.append(struct.pack("<IBBB", can_id, is_extended, fd, len(data)) + data)
-        wanted = b"".join(expected)
-        got = out[place : place + len(wanted)]
-        assert got == wanted, (i, lines.means[i], lines.covs[i], lines.status[i], got, wanted)
-        place += len(wanted)
-    assert place == len(out)
-    return np.bincount(statuses.ravel(), minlength=6)
-
-
-def worst(statuses: Any) -> int:
-    """The status of a mixture."""
-    return int(max(map(int, statuses), key=[1, 3, 4, 2, 0, 5].index))
-
-
-def awkward_lines(codec: Codec, n: int, seed: int) -> Lines:
-    """Motorways, awkward covariances, means beyond the message, indefinite, tiny and huge ones."""
+def awkward_lines(n: int, k: int, seed: int) -> Iterator[MapLine]:
+    """Lines of k components: covariances of any condition, and means beyond the message, too."""
     rng = np.random.default_rng(seed)
-    means, covs = random_lines(n, seed)
-    strange_means, strange_covs = adversarial(n, seed)
-    kind = rng.integers(0, 8, n)
-    means = np.where((kind >= 2)[:, None], strange_means, means)
-    covs = np.where((kind >= 2)[:, None, None], strange_covs, covs)
-    means[kind == 3] *= rng.choice([0.5, 2.0, 10.0, 1e6, 1e200], ((kind == 3).sum(), 1))
-    half = rng.standard_normal((n, 4, 4)) * np.sqrt(np.einsum("nii->ni", covs))[:, :, None]
-    indefinite = (half + half.mT) / 2
-    indefinite[:, range(4), range(4)] = np.abs(np.einsum("nii->ni", indefinite))
-    covs = np.where((kind == 4)[:, None, None], indefinite, covs)
-    covs[kind == 5] *= rng.choice([0.0, 1e-300, 1e-9, 1e9, 1e250], ((kind == 5).sum(), 1, 1))
-    variance = rng.random((n, 4)) < 0.3
-    covs[kind == 6] *= ~(variance[:, :, None] & variance[:, None, :])[kind == 6]
-    return Lines(means, covs.clip(-1e307, 1e307), rng, codec)
+    means, covs = adversarial(n * k, seed)
+    means *= rng.choice([1.0, 1.0, 2.0, 1e6], (n * k, 1))
+    covs *= rng.choice([1.0, 1.0, 0.0, 1e-9, 1e9], (n * k, 1, 1))
+    for i in range(0, n * k, k):
+        parts = [Gaussian.trusted(means[j].copy(), covs[j].copy()) for j in range(i, i + k)]
+        line = MapLine(Slot.ROUTE, parts[0])
+        if k > 1:
+            weights = rng.dirichlet(np.full(k, 2.0)) + 1e-4
+            line = MapLine.of_mixture(Slot.ROUTE, GaussianMixture(weights / weights.sum(), parts))
+        x_min = rng.choice([-20.0, 0.0, -131.5, 3.3])
+        yield replace(
+            line, slot=Slot(int(rng.integers(8))), kind=Kind(int(rng.integers(8))), x_min=x_min,
+            x_max=x_min + rng.choice([0.0, 1.5, 80.0, 500.0]),
+            age=rng.choice([0.0, 0.0421, np.inf]),
+            status=Status(int(rng.choice([1, 1, 1, 2, 3, 4, 0, 5]))),
+        )  # fmt: skip
 
 
-@pytest.mark.parametrize(("is_fd", "flags"), [(False, ("-O2",)), (True, ("-O0",))])
-def test_lines_have_the_frames_of_the_library(is_fd: bool, flags: tuple[str, ...]) -> None:
-    """Frames, statuses and counters; every status occurs."""
-    codec = Codec(layout_of("maplines.dbc"))
-    lines = awkward_lines(codec, 600, seed=is_fd)
-    statuses = check_encode(codec, lines, is_fd=is_fd, flags=flags)
-    assert (statuses > 10).all(), statuses
+def case_of(line: MapLine, counter: int, *, is_fd: bool) -> bytes:
+    """A line as the harness reads it."""
+    weights, parts = (
+        ([1.0], [line.gaussian])
+        if line.mixture is None
+        else (line.mixture.weights, line.mixture.components)
+    )
+    count = LINE if line.mixture is None else len(parts)
+    head = 1, line.slot, line.kind, line.status, is_fd, counter, line.x_min, line.x_max, line.age
+    components = (
+        struct.pack("<21d", weight, *part.mean, *part.cov.ravel())
+        for weight, part in zip(weights, parts, strict=True)
+    )
+    return struct.pack("<5BI3dB", *head, count) + b"".join(components)
 
 
-@pytest.mark.parametrize("k", [1, 8])
-def test_mixtures_have_the_frames_of_the_library(k: int) -> None:
-    """Weights between the steps; means of the components some sigmas apart, some out of range."""
-    codec = Codec(layout_of("maplines.dbc"))
-    lines = awkward_lines(codec, 200 * k, seed=k)
-    means = lines.means.reshape(200, k, 4)
-    apart = np.array([0.05, 0.5, 1.0, 0.0]).repeat(50)[:, None, None]
-    means = means[:, :1] + (means - means[:, :1]) * apart
-    covs = lines.covs.reshape(200, k, 4, 4)
-    check_encode(codec, Lines(means, covs, np.random.default_rng(k), codec, k=k), is_fd=k == 8)
-
-
-COV = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
+def answer_of(codec: Codec, line: MapLine, counter: int, *, is_fd: bool) -> tuple[bytes, Any]:
+    """What the harness writes of it after the status of the line, and the statuses of records."""
+    (frames,) = codec.encoder().encode_lines([line], fd=is_fd, counters={line.slot: counter})
+    heads = (struct.pack("<I3B", f.can_id, f.is_extended, f.is_fd, len(f.data)) for f in frames)
+    rows = b"".join(head + frame.data for head, frame in zip(heads, frames, strict=True))
+    records = np.frombuffer(b"".join(frame.data for frame in frames), np.uint8).reshape(-1, 32)
+    following = (counter + len(records)) % 256
+    found = codec.batch.decode(records, line.slot).status
+    return struct.pack("<BI", len(frames), following) + rows, found
 
 
 @pytest.mark.parametrize(
-    ("layout", "slot", "is_fd", "refusal"),
+    ("k", "is_fd", "flags"), [(1, False, ("-O2",)), (1, True, ("-O0",)), (8, True, ("-O2",))]
+)
+def test_lines_have_the_frames_of_the_library(k: int, is_fd: bool, flags: tuple[str, ...]) -> None:
+    """Frames, statuses and counters; every status occurs, but FULL if all components need it."""
+    codec, counters = Codec(layout_of("maplines.dbc")), np.random.default_rng(k)
+    lines = [(line, int(counters.integers(256))) for line in awkward_lines(400 // k, k, seed=k)]
+    cases = (case_of(*one, is_fd=is_fd) for one in lines)
+    out = c_core.run(c_core.harness("lines", codec.layout, flags=flags), b"".join(cases))
+    met = Counter[int]()
+    for one in lines:
+        expected, statuses = answer_of(codec, *one, is_fd=is_fd)
+        worst = max(map(int, statuses), key=[1, 3, 4, 2, 0, 5].index)
+        head, found, out = out[:2], out[2 : 2 + len(expected)], out[2 + len(expected) :]
+        assert (head, found) == (bytes([0, worst]), expected), one
+        met.update(map(int, statuses))
+    assert out == b""
+    assert met.keys() >= {*Status} - ({Status.FULL} if k > 1 else set())
+
+
+@pytest.mark.parametrize(
+    ("layout", "is_fd", "refusal"),
     [
-        (with_slots(layout_of("maplines.dbc"), Slot.ROUTE), 0, False, 1),
-        (with_messages(layout_of("maplines.dbc"), can_id=None), 0, False, 1),
-        (with_messages(layout_of("maplines.dbc"), can_id=None), 0, True, 0),
-        (with_messages(layout_of("maplines.dbc"), fd_can_id=None), 0, True, 1),
+        (with_slots(layout_of("maplines.dbc"), Slot.ROUTE), False, 1),
+        (with_messages(layout_of("maplines.dbc"), can_id=None), False, 1),
+        (with_messages(layout_of("maplines.dbc"), can_id=None), True, 0),
+        (with_messages(layout_of("maplines.dbc"), fd_can_id=None), True, 1),
     ],
     ids=["slot", "no-classic", "FD", "no-FD"],
 )
-def test_a_line_without_a_message(layout: Layout, slot: int, is_fd: bool, refusal: int) -> None:
+def test_a_line_without_a_message(layout: Layout, is_fd: bool, refusal: int) -> None:
     """In the frame format that is wanted."""
-    lines = Lines(np.zeros((1, 4)), COV[None], np.random.default_rng(0), Codec(layout))
-    lines.slot, lines.status = np.array([slot]), np.array([1])
-    out = c_core.run(c_core.harness("lines", layout), lines.cases(is_fd=is_fd))
+    line = MapLine.with_sigma(Slot.EGO_LEFT, np.zeros(4), [0.1, 0.01, 1e-4, 1e-6])
+    out = c_core.run(c_core.harness("lines", layout), case_of(line, 0, is_fd=is_fd))
     assert (out[0], out[2] > 0) == (refusal, refusal == 0)
 
 

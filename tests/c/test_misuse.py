@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from scene_layouts import layout_of
 from support import c_core
-from support.c_libraries import LIBRARIES
+from support.c_core import LIBRARIES
 
 from maplines_can.generation.c_build import Features
 from maplines_can.generation.c_files import c_files

@@ -10,7 +10,7 @@ from evidence.roads import SHAPES, random_scene
 from evidence.witness import POSES, Poses
 from scene_layouts import layout_of
 from support import c_core
-from support.c_scenes import scene_input
+from support.c_core import scene_input
 from support.scene_streams import road_scene
 
 from maplines_can import Codec, Gaussian, MapError, Polyline, PoseError, Scene, Slot, map_scene

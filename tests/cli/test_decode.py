@@ -13,7 +13,7 @@ from typing import Any
 import can
 import pytest
 from support.dbcs import edited
-from support.example_lines import scenario_lines
+from support.lines import scenario_lines
 
 from maplines_can import Codec, MapLine, Slot
 from maplines_can.cli import main

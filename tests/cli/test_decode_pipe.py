@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.example_lines import scenario_lines
+from support.lines import scenario_lines
 
 from maplines_can import Codec
 from maplines_can.cli import main

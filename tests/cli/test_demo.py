@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from support.dbcs import edited
-from support.example_lines import lines_timed_out, scenario_lines
 from support.fake_bus import LONG
+from support.lines import lines_timed_out, scenario_lines
 
 from maplines_can import Codec, Link, Polyline, Slot, Transmitter
 from maplines_can.cli import main

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.recorded_drive import record
+from support.recordings import record
 
 from maplines_can.bus import LogWriter
 from maplines_can.cli import main

@@ -11,7 +11,7 @@ from typing import Any
 
 import can
 import pytest
-from support.example_lines import scenario_lines
+from support.lines import scenario_lines
 from support.secoc_streams import (
     NOW,
     OTHER,

@@ -9,7 +9,7 @@ from typing import Any
 
 import can
 import pytest
-from support.example_lines import scenario_lines
+from support.lines import scenario_lines
 
 import maplines_can
 from maplines_can import Codec, map_scene

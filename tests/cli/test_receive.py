@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.example_lines import scenario_lines
+from support.lines import scenario_lines
 
 from maplines_can import Codec, Link, Transmitter
 from maplines_can.cli import main

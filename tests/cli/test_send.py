@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from answers import one
 from support.dbcs import edited
-from support.example_lines import scenario_lines
 from support.fake_bus import FakeOpener, FakeTime
+from support.lines import scenario_lines
 
 from maplines_can import Link, MapLine, Transmitter
 from maplines_can.cli import main

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from support import fmus
-from support.random_lines import random_lines
+from support.lines import random_lines
 
 from maplines_can import Codec, Gaussian, Kind, MapLine, Slot, Status
 from maplines_can.bus.tx_queue import TxQueue

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.fmu_nodes import Node, transmission
-from support.random_lines import random_lines
+from support.lines import random_lines
 from support.scene_streams import new_codec, road_scene
 
 from maplines_can import Codec, Gaussian, Kind, MapLine, Slot

@@ -16,7 +16,7 @@ from support.fmu_nodes import (
     frames_of,
     operations_of,
 )
-from support.random_lines import random_lines
+from support.lines import random_lines
 
 from maplines_can import Codec, Gaussian, Kind, MapLine, Slot, Status
 from maplines_can.bus.tx_queue import Transfer, TxQueue

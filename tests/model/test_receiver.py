@@ -6,7 +6,7 @@ import math
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import pytest
@@ -303,13 +303,45 @@ def test_a_damaged_bit_is_found(sender: Sender, bit: int) -> None:
     assert not sender.pair.model.lines
 
 
-def test_a_newer_counter_replaces_a_transfer_with_its_id(sender: Sender) -> None:
-    """Transfer 5 has lost its last page; 16 records later its ID comes again."""
-    first, second = (sender.pages(sender.record(counter)) for counter in (5, 21))
-    sender.feed(first[:3])
-    *_, (line,) = sender.feed(second)
-    assert line.t_ns == 0
-    assert +sender.pair.model.counts == {"REPLACED": 3}
+#: Pages that come at a time [ms], by the counter of their record; what is answered, with a letter
+#: for each: pending, line, duplicate, CRC; and what is counted in the end.
+ALL = (0, 1, 2, 3)
+STORIES: dict[str, tuple[list[tuple[int, Sequence[int], float]], str, dict[str, int]]] = {
+    "pages in any order": ([(5, (3, 1, 0, 2), 0)], "pppl", {}),
+    "a lost page loses its line only": (
+        [(5, (0, 1, 3), 0), (6, ALL, 50), (7, ALL, 100)], "pppppplpppl", {"TIMEOUT": 3}
+    ),
+    "each page twice": ([(5, (0, 0, 1, 1, 2, 2, 3, 3), 0)], "pdpdpdld", {"DUPLICATE": 4}),
+    "a transfer twice": ([(5, ALL, 0), (5, ALL, 1)], "pppldddd", {"DUPLICATE": 4}),
+    "as late as a page may be": ([(5, (0, 1, 2), 0), (5, (3,), 75)], "pppl", {}),
+    "a page that is later": ([(5, (0, 1, 2), 0), (5, (3,), 75.1)], "pppp", {"TIMEOUT": 3}),
+    "a clock that is set back": ([(5, (0, 1), 1e6), (6, ALL, 0)], "pppppl", {"TIMEOUT": 2}),
+    "16 records later the ID is the same": ([(5, (0, 1), 0), (21, (2, 3), 1)], "pppc", {"CRC": 4}),
+    "a newer counter replaces a transfer": (
+        [(5, (0, 1, 2), 0), (21, ALL, 1)], "ppppppl", {"REPLACED": 3}
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", STORIES)
+def test_what_becomes_of_each_frame(sender: Sender, name: str) -> None:
+    steps, expected, counts = STORIES[name]
+    answers = list[Any]()
+    for counter, numbers, t_ms in steps:
+        pages = sender.pages(sender.record(counter, PivotBeta=counter))
+        answers += sender.feed([pages[i] for i in numbers], round(t_ms * MS))
+    letters = [answer[0].lower() if isinstance(answer, str) else "l" for answer in answers]
+    assert "".join(letters) == expected
+    assert +sender.pair.model.counts == counts
+
+
+def test_a_record_in_one_can_fd_frame(sender: Sender) -> None:
+    """It may be padded, is delivered once, and has all bytes."""
+    own, record = sender.layout.messages[SLOT], sender.record(5)
+    assert own.fd_can_id is not None
+    frames = [(own.fd_can_id, data) for data in (record + bytes(16), record, record[:24])]
+    (line,), *others = sender.feed(frames)
+    assert (line.slot, others) == (SLOT, ["DUPLICATE", "LENGTH"])
 
 
 def test_the_seventh_record_in_a_row_is_usable(sender: Sender) -> None:

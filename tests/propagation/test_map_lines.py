@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.example_lines import scenario_lines
+from support.lines import scenario_lines
 
 from maplines_can import (
     Gaussian,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from support.recorded_drive import record
+from support.recordings import record
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from support.log_frames import frames_of
+from support.recordings import frames_of
 
 from maplines_can.bus import read_log
 from maplines_can.recordings.blocks import read_blocks

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.recorded_drive import record
+from support.recordings import record
 
 from maplines_can.cli import main
 from maplines_can.recordings.data_set import MANIFEST, Tables, logs_of, write_data_set

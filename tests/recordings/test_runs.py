@@ -11,7 +11,7 @@ from typing import Any
 
 import can
 import pytest
-from support.log_frames import frames_of
+from support.recordings import frames_of
 
 from maplines_can.bus import LogFrame, read_log
 from maplines_can.recordings.blocks import read_blocks

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.dbcs import default_codec
-from support.example_lines import scenario_lines
+from support.lines import scenario_lines
 
 from maplines_can.bus import bus_load
 from maplines_can.simulation import scenario

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.recorded_drive import record
+from support.recordings import record
 from support.study_helpers import table_of, write_csv
 
 from maplines_can import Codec, Gaussian, MapLine, Slot

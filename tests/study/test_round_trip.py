@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from answers import one
-from support.example_lines import lines_timed_out, scenario_lines
+from support.lines import lines_timed_out, scenario_lines
 
 from maplines_can import Codec, Slot
 from maplines_can.simulation import scenario

@@ -7,15 +7,19 @@ import os
 import re
 import shlex
 import shutil
+import struct
 import subprocess
 import tempfile
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cantools.database.can import Database
 
+from maplines_can import Scene
+from maplines_can.generation.c_build import ALL, Features
 from maplines_can.generation.tables import tables_of
 from maplines_can.wire.layout.message_layout import Layout
 from maplines_can.wire.tables import Limits, limits_of
@@ -39,6 +43,28 @@ OWN_FLAGS = tuple(shlex.split(os.environ.get("MAPLINES_CFLAGS", "")))
 EMULATOR = tuple(shlex.split(os.environ.get("MAPLINES_EMULATOR", "")))
 #: What a compiler may use here, such as fused multiplications; the emulated processors have them.
 NATIVE = () if EMULATOR else ("-march=native",)
+
+#: Features of a small receiver.
+SMALL = Features(sender=False, scenes=False, mixtures=False, secoc=False, slots=4)
+#: DBC and features of each library.
+LIBRARIES = {
+    "all": ("maplines.dbc", ALL),
+    "conditional": ("maplines-pose.dbc", ALL),
+    "receiver": ("maplines.dbc", Features(sender=False)),
+    "sender": ("maplines.dbc", Features(receiver=False)),
+    "sender of lines": ("maplines.dbc", Features(receiver=False, scenes=False, mixtures=False)),
+    "no secoc": ("maplines-secoc.dbc", Features(secoc=False)),
+    "no mixtures": ("maplines.dbc", Features(sender=False, mixtures=False)),
+    "two slots": ("maplines-pose.dbc", Features(sender=False, slots=2)),
+    "small": ("maplines.dbc", SMALL),
+    "small, float": ("maplines.dbc", SMALL._replace(single=True)),
+    "scenes": ("maplines-scene.dbc", ALL),
+    "scenes, receiver": ("maplines-scene.dbc", Features(sender=False)),
+    "scenes, small": ("maplines-scene.dbc", SMALL._replace(scenes=True)),
+    "scenes, float": ("maplines-scene.dbc", Features(sender=False, single=True)),
+    "scenes, sender": ("maplines-scene.dbc", Features(receiver=False)),
+    "one slot": ("maplines.dbc", SMALL._replace(slots=1)),
+}  # fmt: skip
 
 
 def harness(
@@ -137,6 +163,21 @@ def _emulated(program: Path, target: Path) -> Path:
 def run(program: Path, data: bytes, *prefix: str) -> bytes:
     """Return the output of a program; ``prefix`` is an emulator and its arguments."""
     return subprocess.run([*prefix, str(program)], input=data, stdout=-1, check=True).stdout
+
+
+def scene_input(scene: Scene, age: float = 0.0) -> bytes:
+    """Return a scene as c/tests/scene_input.h reads it, with the age of all records [s]."""
+    error, specific = scene.map_error, scene.specific_covs
+    parts = [struct.pack("<B", len(scene.lines))]
+    for line, fit_range, quartic in zip(scene.lines, scene.fit_ranges, scene.quartics, strict=True):
+        values = (line.x_min, line.x_max, age, *line.gaussian.mean, *fit_range, quartic)
+        parts.append(struct.pack("<3B10d", line.slot, line.kind, line.status, *values))
+    parts.append(struct.pack("<B", specific is not None))
+    arrays = (() if specific is None else specific, scene.cov, scene.pose_error.cov)
+    parts += [np.asarray(array, dtype="<f8").tobytes() for array in arrays]
+    of_map = (error.offset_sigma, error.heading_sigma) if error else (0.0, 0.0)
+    parts.append(struct.pack("<4d", age, scene.pose_error.correlation_time, *of_map))
+    return b"".join(parts)
 
 
 #: What the core takes from the mathematical library: functions that IEEE 754 defines to the last

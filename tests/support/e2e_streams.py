@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from answers import one
 from support.dbcs import default_codec
-from support.random_lines import random_lines
+from support.lines import random_lines
 
 from maplines_can import Slot
 from maplines_can.wire import Reason

@@ -80,12 +80,6 @@ def test_a_value_does_not_depend_on_the_others(name: Any) -> None:
     assert OURS[name](x).tolist() == [float(OURS[name](one)) for one in x]
 
 
-@given(x=st.floats(-1e300, 1e300))
-def test_sine_and_cosine_are_on_the_circle(x: Any) -> None:
-    sine, cosine = elementary.sin_cos(x)
-    assert abs(sine * sine + cosine * cosine - 1) < 1e-15
-
-
 # ---- angles of any size ---------------------------------------------------------------
 
 

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from support.strategies import covariances
 
 from maplines_can import Gaussian, GaussianMixture, MapLine, PoseError, Scene, Slot
-from maplines_can.values.line import lateral
 
 LEFT, RIGHT, NEXT = Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT
 POSE = PoseError(np.diag([0.1, 0.2, 0.003]) ** 2, 2.0)
@@ -32,20 +31,6 @@ def scene(means: Any = MEANS, cov: Any = COV, **rest: Any) -> Scene:
     return Scene(
         tuple(lines(means, cov)), cov, POSE, np.tile([-20.0, 80.0], (len(means), 1)), **rest
     )
-
-
-@pytest.mark.parametrize("x", [0.0, 20.0, 40.0])
-def test_width_and_centre_are_those_of_samples(x: float) -> None:
-    """Of 10^5 draws of the joint Gaussian, within five standard errors."""
-    n = 100_000
-    draws = scene().joint([LEFT, RIGHT]).sample(n, seed=3).reshape(n, 2, 4)
-    y = lateral(draws, x)
-    for estimate, values in (
-        (scene().width(x), y[:, 0] - y[:, 1]),
-        (scene().centre(x), y.mean(axis=1)),
-    ):
-        assert estimate.value == pytest.approx(values.mean(), abs=5 * values.std() / n**0.5)
-        assert estimate.sigma == pytest.approx(values.std(), rel=5 / (2 * n) ** 0.5)
 
 
 def test_the_common_error_is_in_the_centre_and_not_in_the_width() -> None:

@@ -11,7 +11,7 @@ import pytest
 from random_dbc import LIMIT_SEED, random_dbc
 from scene_layouts import layout_of
 from support.c_layouts import with_slots
-from support.random_lines import random_lines
+from support.lines import random_lines
 
 from maplines_can import Codec, EncodeError, Gaussian, GaussianMixture, Kind, MapLine, Slot, Status
 from maplines_can.wire import POSE, Layout

@@ -150,27 +150,6 @@ def test_any_scene_is_covered(
             check_covered(scene, passed(dbc, scene, fd=full))
 
 
-@pytest.mark.parametrize("error", [None, MapError(0.05, 0.08, 1e-3)], ids=["exact", "map error"])
-@pytest.mark.parametrize("pose", POSES)
-@pytest.mark.parametrize("lines", [1, 2, 5, 8])
-def test_scenes_of_roads_are_covered(lines: int, pose: str, error: MapError | None) -> None:
-    scene = road_scene(lines + 10 * (error is None) + 3 * (pose == "poor"), lines, pose, error)
-    assert scene.lines
-    for dbc, fd in ((CONDITIONAL, False), (CONDITIONAL, True), (COMPLETE, False)):
-        check_covered(scene, passed(dbc, scene, fd=fd))
-
-
-@pytest.mark.parametrize("full", [False, True])
-def test_a_received_scene_is_sent_again_and_covered(full: bool) -> None:
-    """Its fit ranges are kept, and all levels of the pose error."""
-    first = passed(CONDITIONAL, road_scene(2, 3, "production", MapError(0.05, 0.08)), fd=full)
-    again = first.scene
-    second = passed(CONDITIONAL, again, fd=full)
-    check_covered(again, second)
-    assert np.array_equal(second.scene.fit_ranges, again.fit_ranges)
-    assert second.scene.map_error == again.map_error
-
-
 # ---- what does not fit -------------------------------------------------------------------------
 
 UNFIT = {
@@ -213,33 +192,6 @@ def test_lines_that_do_not_fit_do_not_affect_the_others(
 def test_a_scene_without_lines_is_a_pose(dbc: str) -> None:
     found = passed(dbc, empty())
     assert ([*found.frames], found.received, found.prepared.unfit) == ([POSE], None, {})
-
-
-PARTS = {
-    "behind": ([5.0, 0, 0, 0], (-40.0, 80.0), (-32.0, 80.0)),
-    "half metres": ([5.0, 0, 0, 0], (-20.5, 79.5), (-20.0, 79.0)),
-    "long": ([5.0, 0, 0, 0], (-20.0, 200.0), (-20.0, 127.0)),
-    "turned": ([2.0, -0.51, 0.008, 8e-4], (-12.0, 2.0), (-12.0, 2.0)),
-    "turned much": ([2.0, -0.55, 0.008, 8e-4], (-12.0, 2.0), (-6.0, 1.0)),
-    "short": ([9.8, 0.41, -0.21, 0.041], (-1.0, 0.0), (-1.0, 0.0)),
-    "bent": ([4.3, 0, -0.05, -0.066], (-2.0, 4.0), (-2.0, 4.0)),
-}
-
-
-@pytest.mark.parametrize("full", [False, True])
-@pytest.mark.parametrize(("mean", "x_range", "part"), PARTS.values(), ids=PARTS)
-def test_the_part_of_a_line_that_the_message_can_state_is_sent(
-    mean: Any, x_range: Any, part: Any, full: bool
-) -> None:
-    """Near the line, covered, and nothing beyond its range; the other line is there, too."""
-    scene = scene_of([mean, [-1.75, 0, 1e-3, 0]], ranges=[x_range, (-20.0, 60.0)])
-    found = passed(CONDITIONAL, scene, fd=full)
-    assert found.prepared.unfit == {}
-    assert found.scene.fit_ranges[0] == pytest.approx(part)
-    x = np.linspace(part[0], part[1], 100)
-    apart = lateral(found.scene.means[0], x) - lateral(np.array(mean), x)
-    assert np.abs(apart).max() <= 0.12
-    check_covered(scene, found)
 
 
 @given(

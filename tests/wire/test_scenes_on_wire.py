@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from itertools import count
 from typing import Any
 
 import numpy as np
@@ -16,12 +14,10 @@ from support.scene_streams import (
     ALL,
     COMPLETE,
     CONDITIONAL,
-    FRAME_NS,
     MAP_ERROR,
     OFFSETS,
     PERIOD_NS,
     SECURED,
-    authenticated_codec,
     codec_of,
     feed,
     new_codec,
@@ -37,8 +33,7 @@ from maplines_can import (
     Scene,
     Slot,
 )
-from maplines_can.testing import FaultInjector, Faults
-from maplines_can.wire import POSE, Decoder, Owner, Reason, default_dbc_path
+from maplines_can.wire import POSE, Owner, Reason, default_dbc_path
 from maplines_can.wire.layout.pose_layout import PoseLayout
 
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT)
@@ -98,21 +93,6 @@ def test_a_scene_is_received_as_it_was_sent(dbc: str, fd: bool) -> None:
         assert ratio.max() < (limit if name == "width" else 1.1)
     if dbc == CONDITIONAL:
         assert (decoded.fit_ranges == scene.fit_ranges).all()
-
-
-@pytest.mark.parametrize("dbc", [CONDITIONAL, SECURED])
-def test_an_authenticated_scene(dbc: str) -> None:
-    """With the key it is received; a receiver with a clock far off rejects all of it."""
-    codec, scene = authenticated_codec(dbc), road_scene(SLOTS)
-    decoded = received(codec, scene, fd=True)
-    assert len(decoded.lines) == 3
-    assert_covers(decoded, scene)
-
-    decoder = codec_of(dbc).decoder()
-    for own in codec.encoder().encode_scene(scene, fd=True).values():
-        decoder.feed(own[0].can_id, own[0].data[:-1] + b"\0", 0)
-    assert decoder.scene() is None
-    assert decoder.lines == 0
 
 
 def beside(scene: Scene) -> Scene:
@@ -180,41 +160,6 @@ def test_an_absent_slot_is_not_in_the_scene(dbc: str) -> None:
         last = cycle if plans[cycle % len(plans)] else last
     assert decoder.lost == 0
     assert not decoder.counts
-
-
-def test_counters_of_plain_lines_and_scenes_go_on() -> None:
-    """They wrap around, too."""
-    codec = new_codec(COMPLETE)
-    encoder = codec.encoder()
-    scene = road_scene(SLOTS[:1])
-    prepared = encoder.prepare_scene(scene)
-    counters = []
-    for cycle in range(260):
-        frames = encoder.encode_scene(prepared)[Slot.EGO_LEFT]
-        counters += [(frames if cycle % 3 else encoder.encode(scene.lines[0]))[0].data[2]]
-        counters += [] if cycle % 3 else [frames[0].data[2]]
-    assert sorted(counters[:256]) == list(range(256))
-    assert counters[-1] == (len(counters) - 1) % 256
-
-
-def test_the_age_is_that_of_the_sending() -> None:
-    """Rounded up; too old beyond the greatest one. A line is older by its distance to the pose."""
-    codec = codec_of(CONDITIONAL)
-    prepared = codec.encoder().prepare_scene(road_scene(SLOTS))
-    for age, stated in (
-        (0.0, 0.0),
-        (0.001, 0.008),
-        (0.24, 0.24),
-        (0.241, np.inf),
-        (np.inf, np.inf),
-    ):
-        decoder = codec.decoder()
-        answers, _ = feed(decoder, codec.encoder().encode_scene(prepared, age=age, counters={}), 0)
-        decoded = decoder.scene()
-        assert decoded is not None
-        assert decoded.age == pytest.approx(stated)
-        first = next(one for one in answers if isinstance(one, MapLine))
-        assert first.age == pytest.approx(stated + 2 * FRAME_NS / 1e9)  # after 2 frames of the pose
 
 
 @settings(max_examples=40)
@@ -285,51 +230,6 @@ def test_the_records_are_those_of_the_lines_alone() -> None:
     assert [together[line.slot] for line in scene.lines] == alone
 
 
-def faulty_stream(codec: Codec, faults: str, cycles: int, fd: bool) -> Iterator[tuple[Any, int]]:
-    """Yield the frames of a sender of scenes, of plain lines at times, over a faulty bus."""
-    encoder = codec.encoder()
-    injector = FaultInjector[Any](Faults.parse(faults))
-    full, small = (encoder.prepare_scene(road_scene(s), fd=fd) for s in (SLOTS, SLOTS[1:]))
-    line = MapLine.with_sigma(Slot.EGO_RIGHT, [-1.75, 0, 0, 0], [0.1, 0.01, 0.001, 0.0001])
-    for cycle in range(cycles):
-        t_ns = cycle * PERIOD_NS
-        if cycle % 11 == 10 and not codec.layout.is_conditional:
-            frames: Mapping[Any, Any] = {0: encoder.encode(line, fd=fd)}
-        else:
-            frames = encoder.encode_scene(small if cycle % 5 == 4 else full, fd=fd)
-        for own in frames.values():
-            for frame in own:
-                for out in injector.apply(frame, t_ns / 1e9):
-                    yield out, t_ns
-                t_ns += FRAME_NS
-
-
-@pytest.mark.parametrize("dbc", ALL)
-@pytest.mark.parametrize(
-    ("faults", "fd"),
-    [
-        ("dup=0.1,reorder=0.1,depth=5,seed=2", False),
-        ("flip=0.1,garbage=0.05,wrong_id=0.05,truncate=0.05,seed=3", True),
-        ("loss=0.1,late=0.2,delay=0.02,jitter=0.1,seed=4", False),
-    ],
-)
-def test_every_frame_is_accounted_for(dbc: str, fd: bool, faults: str) -> None:
-    """At any time; and each scene covers what was sent."""
-    codec = new_codec(dbc)
-    decoder: Decoder = codec.decoder()
-    sent, scenes = road_scene(SLOTS), 0
-    for n, (frame, t_ns) in zip(count(1), faulty_stream(codec, faults, 60, fd), strict=False):
-        decoder.feed(frame.can_id, frame.data, t_ns)
-        counted = sum(decoder.counts.values()) + decoder.pending
-        assert decoder.frames == n == decoder.line_frames + decoder.pose_frames + counted
-        if n % 40 == 0 and (found := decoder.scene()) and found.scene.lines:
-            scenes += 1
-            assert_covers(found.scene, sent)
-    decoder.expire(10**12)
-    assert decoder.pending == 0
-    assert scenes > 3
-
-
 def test_a_dbc_without_a_pose_error_sends_no_scene(tmp_path: Any) -> None:
     path = tmp_path / "before.dbc"
     path.write_text(without_pose(COMPLETE))
@@ -338,15 +238,6 @@ def test_a_dbc_without_a_pose_error_sends_no_scene(tmp_path: Any) -> None:
         codec.encoder().encode_scene(road_scene())
     with pytest.raises(ValueError, match="MapLinePose"):
         codec.decoder().latest_scene(0)
-
-
-@pytest.mark.parametrize("sigma", [(3000.0, 0.2, 0.01), (0.3, 3000.0, 0.01)])
-def test_a_pose_error_that_does_not_fit_is_refused(sigma: Any) -> None:
-    scene = road_scene()
-    pose = type(scene.pose_error)(np.diag(sigma) ** 2)
-    odd = Scene(scene.lines, scene.cov, pose, scene.fit_ranges)
-    with pytest.raises(EncodeError, match="3000 m"):
-        codec_of(CONDITIONAL).encoder().encode_scene(odd)
 
 
 def test_both_dbcs_have_one_layout_of_the_pose_error() -> None:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import copy
 import pickle
 import re
-import threading
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from itertools import chain, pairwise
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from evidence.witness import POSES, Poses
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scene_layouts import layout_of
-from support.scene_streams import OFFSETS, authenticated_codec, new_codec, road_scene
+from support.scene_streams import OFFSETS, authenticated_codec, road_scene
 from support.whole_scene_witness import Read, read
 
 from maplines_can import Codec, EncodeError, Gaussian, MapError, Polyline, Scene, Slot
@@ -111,13 +110,6 @@ def test_a_scene_read_from_the_dbc_alone_covers_what_was_sent(shape: str) -> Non
     assert counts["lines"] > 30
 
 
-def test_kinds_and_ranges_are_those_of_the_lines() -> None:
-    scene = road_scene(OFFSETS)
-    kinds = {line.slot: int(line.kind) for line in scene.lines}
-    found = sent(Codec(layout_of(DBC)).encoder(), scene)
-    assert dict(zip(found.slots, found.kinds, strict=True)) == kinds
-
-
 @pytest.mark.parametrize("slot", [Slot.EGO_RIGHT, Slot.ROUTE])
 def test_a_line_that_is_left_out_says_why(slot: Slot) -> None:
     """Its place has the reason, and its slot, so that it differs from a line that is not there."""
@@ -172,41 +164,6 @@ def test_each_record_has_the_age_at_its_own_sending() -> None:
 
 
 # ---- places ----------------------------------------------------------------------------------
-
-
-def test_the_nearest_lines_are_in_the_first_message() -> None:
-    """The centre follows from the ego lines, so it has what is left."""
-    encoder = Codec(layout_of(DBC)).encoder()
-    assert messages_of(encoder, straight(OFFSETS | {Slot.NEXT_RIGHT: -5.5})) == {
-        "scene2": [Slot.EDGE_LEFT, Slot.EDGE_RIGHT, Slot.NEXT_RIGHT, Slot.CENTRE],
-        "scene": [*EGO, Slot.ROUTE, Slot.NEXT_LEFT],
-    }
-
-
-def test_edges_are_in_the_first_message_while_there_is_no_second() -> None:
-    """Once the second is needed it is sent in each cycle, since a cyclic message does not go."""
-    encoder = Codec(layout_of(DBC)).encoder()
-    few = road_scene((*EGO, Slot.EDGE_LEFT, Slot.EDGE_RIGHT))
-    assert [*messages_of(encoder, few)] == ["scene"]
-    many = road_scene((*EGO, Slot.ROUTE, Slot.EDGE_LEFT, Slot.EDGE_RIGHT))
-    expected = {"scene2": [Slot.EDGE_LEFT, Slot.EDGE_RIGHT], "scene": [*EGO, Slot.ROUTE]}
-    assert messages_of(encoder, many) == expected
-    assert messages_of(encoder, few) == {"scene2": expected["scene2"], "scene": [*EGO]}
-    assert messages_of(encoder, straight({})) == {"scene2": [], "scene": []}
-
-
-def test_lines_keep_their_place_until_others_are_a_metre_nearer() -> None:
-    """And those that stay do not move when another one goes."""
-    encoder = Codec(layout_of(DBC)).encoder()
-    seen = []
-    for route, left in ((4.0, 4.5), (4.4, 4.0), (4.4, 3.5), (4.4, 3.3), (4.4, 4.3), (4.0, 4.9)):
-        offsets = dict.fromkeys(EGO, 1.0) | {Slot.ROUTE: route, Slot.NEXT_LEFT: left}
-        offsets |= {Slot.NEXT_RIGHT: 2.0, Slot.EDGE_LEFT: 9.0}
-        found = messages_of(encoder, straight(offsets))
-        assert found["scene"][2] == Slot.NEXT_RIGHT
-        seen.append(found["scene"][3])
-    route, left = Slot.ROUTE, Slot.NEXT_LEFT
-    assert seen == [route, route, route, left, left, left]
 
 
 @given(
@@ -325,41 +282,6 @@ def test_with_counters_of_the_caller_the_encoder_does_not_change() -> None:
     assert encoder.encode_scene(road_scene(EGO), fd=True) == before
 
 
-def test_a_restarted_sender_is_followed() -> None:
-    """Its counters begin anew: a sequence break, after which its scenes are received."""
-    codec = Codec(layout_of(DBC))
-    decoder, t_ns, scene = codec.decoder(), 0, road_scene(OFFSETS)
-    for _ in range(2):
-        encoder = codec.encoder()
-        for _ in range(5):
-            for frame in frames_of(encoder.encode_scene(scene, fd=True)):
-                decoder.feed(frame.can_id, frame.data, t_ns)
-                t_ns += 250_000
-            t_ns += 50_000_000
-        received = decoder.scene()
-        assert received is not None
-        assert {line.slot for line in received.scene.lines} == {*Slot}
-
-
-def test_threads_share_the_counters() -> None:
-    """Each scene has a counter of its own."""
-    encoder, scene = Codec(layout_of(DBC)).encoder(), road_scene(EGO)
-    prepared = encoder.prepare_scene(scene, fd=True)
-    found: list[int] = []
-
-    def send() -> None:
-        for _ in range(25):
-            (frame,) = encoder.encode_scene(prepared, fd=True)[SCENE]
-            found.append(frame.data[2])
-
-    threads = [threading.Thread(target=send) for _ in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert sorted(found) == list(range(200))
-
-
 # ---- what is refused -------------------------------------------------------------------------
 
 
@@ -398,11 +320,3 @@ def test_places_may_all_have_a_fixed_slot(tmp_path: Path) -> None:
     assert encoder.left_out(scene, fd=True) == {Slot.ROUTE: LeftOut.PLACE}
     scene = road_scene((*EGO, Slot.EDGE_LEFT))
     assert messages_of(encoder, scene, path) == expected | {"scene2": [Slot.EDGE_LEFT]}
-
-
-def test_counters_go_on_by_one_in_each_message() -> None:
-    encoder = new_codec(DBC).encoder()
-    found = [encoder.encode_scene(road_scene(OFFSETS), fd=True) for _ in range(4)]
-    for owner in (SCENE, SCENE2):
-        counters = [frames[owner][0].data[2] for frames in found]
-        assert all(b == a + 1 for a, b in pairwise(counters))

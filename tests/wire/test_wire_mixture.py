@@ -98,25 +98,6 @@ def sent_lines(n: Any, k: Any, seed: int = 3) -> Iterator[Any]:
         yield MapLine.of_mixture(Slot.CENTRE, GaussianMixture(w, components))
 
 
-@pytest.mark.parametrize("fd", [False, True])
-def test_a_mixture_round_trip(fd: bool) -> None:
-    """The line is delivered with its last component, with the decoded mixture and its moments."""
-    codec = new_codec()
-    decoder = codec.decoder()
-    (line,) = sent_lines(1, 5)
-    frames = codec.encoder().encode(line, fd=fd)
-    assert len(frames) == 5 * (1 if fd else 4)
-    answers = [one(decoder.feed(f.can_id, f.data, i * 1000)) for i, f in enumerate(frames)]
-    assert set(answers[:-1]) == {Reason.PENDING}
-    back = answers[-1]
-    assert back.mixture.weights.sum() == 1  # type: ignore[union-attr]
-    assert np.allclose(back.mixture.means, line.mixture.means, atol=0.002)  # type: ignore[union-attr]
-    assert np.array_equal(back.gaussian.cov, back.mixture.overall.cov)  # type: ignore[union-attr]
-    assert decoder.lines == 1
-    assert decoder.line_frames == len(frames)
-    assert decoder.pending == 0
-
-
 @settings(max_examples=20)
 @given(st.integers(0, 2**32), st.sampled_from([2, 3, 8]), st.booleans())
 def test_components_of_different_lines_are_not_combined(seed: int, k: Any, fd: bool) -> None:
@@ -146,35 +127,6 @@ def test_components_of_different_lines_are_not_combined(seed: int, k: Any, fd: b
             got.append(expected[answer.mixture.means.tobytes()])  # type: ignore[union-attr]
     assert got == sorted(set(got))
     assert decoder.frames == (decoder.line_frames + sum(decoder.counts.values()) + decoder.pending)
-
-
-def test_an_incomplete_mixture_times_out() -> None:
-    """Its frames are counted, and the next line is delivered."""
-    codec = new_codec()
-    encoder = codec.encoder()
-    decoder = codec.decoder(timeout_ms=50)
-    first, second = (encoder.encode(line) for line in sent_lines(2, 3))
-    for i, frame in enumerate(first[:8]):
-        decoder.feed(frame.can_id, frame.data, i * 1000)
-    assert decoder.pending == 8
-    decoder.expire(10**9)
-    assert decoder.counts == {Reason.TIMEOUT: 8}
-    answers = [one(decoder.feed(f.can_id, f.data, 2 * 10**9 + i)) for i, f in enumerate(second)]
-    assert isinstance(answers[-1], MapLine)
-
-
-def test_eight_components_on_a_slow_bus_are_one_line() -> None:
-    """4.3 ms a record, as at 125 kbit/s: only the time between components is below the time-out."""
-    weights, means, covs = random_mixtures(1, 8, seed=3)
-    components = tuple(Gaussian(mean, cov) for mean, cov in zip(means[0], covs[0], strict=True))
-    line = MapLine.of_mixture(Slot.EGO_LEFT, GaussianMixture(weights[0], components))
-    codec = new_codec()
-    decoder = codec.decoder(timeout_ms=25)
-    frames = codec.encoder().encode(line)
-    answers = [one(decoder.feed(f.can_id, f.data, i * 1_080_000)) for i, f in enumerate(frames)]
-    assert len(frames) == 32
-    assert isinstance(answers[-1], MapLine)
-    assert len(answers[-1].mixture.weights) == 8  # type: ignore[union-attr]
 
 
 def component(
@@ -207,18 +159,3 @@ def test_weights_that_do_not_add_up_are_rejected(second: float) -> None:
     good = [*component(codec, 2, 0, 2, 0.5), *component(codec, 3, 1, 2, 0.5)]
     answers = [one(decoder.feed(f.can_id, f.data, 10**6 + i * 1000)) for i, f in enumerate(good)]
     assert isinstance(answers[-1], MapLine)
-
-
-@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
-def test_a_mixture_has_the_status_of_its_worst_component(order: tuple[int, int]) -> None:
-    """One that is only a diagonal makes the whole one."""
-    codec = default_codec()
-    decoder = codec.decoder()
-    statuses = [[Status.FULL, Status.DIAGONAL][i] for i in order]
-    answers = [
-        one(decoder.feed(frame.can_id, frame.data, i * 1_000_000))
-        for i, status in enumerate(statuses)
-        for frame in component(codec, i, i, 2, 0.5, status=status)
-    ]
-    assert isinstance(answers[-1], MapLine)
-    assert answers[-1].status is Status.DIAGONAL

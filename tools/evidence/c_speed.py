@@ -90,10 +90,10 @@ def scenes(rounds: int = 20) -> dict[str, Any]:
 
 def _scenes(scene: Scene, dbc: str, fd: bool, rounds: int) -> list[float]:
     """Return times of encoding and of decoding a scene [ns]."""
-    c_core, c_scenes = _of_tests("c_core"), _of_tests("c_scenes")
+    c_core = _of_tests("c_core")
     program = c_core.harness("scene_speed", default_dbc_path(dbc))
     head = struct.pack("<IB", rounds, fd)
-    out = c_core.run(program, head + c_scenes.scene_input(scene))
+    out = c_core.run(program, head + c_core.scene_input(scene))
     return list(np.frombuffer(out, "<f8").tolist())
 
 

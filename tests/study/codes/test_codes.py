@@ -6,7 +6,7 @@ from typing import Any
 import cantools
 import numpy as np
 import pytest
-from support.example_lines import lines_timed_out, scenario_lines
+from support.lines import lines_timed_out, scenario_lines
 
 from maplines_can import Gaussian, MapLine, Slot, Status
 from maplines_can.model.records import written

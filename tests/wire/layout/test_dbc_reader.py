@@ -6,35 +6,12 @@ from typing import Any
 
 import cantools
 import pytest
-from answers import one
 from dbc_alterations import original
 from support.dbcs import edited
-from support.random_lines import random_lines
 
 from maplines_can.values.errors import LayoutError
-from maplines_can.values.line import Kind, MapLine, Slot
+from maplines_can.values.line import Slot
 from maplines_can.wire import Codec, Layout
-
-
-def test_motorola_signals_are_supported(tmp_path: Path) -> None:
-    """Counter and Kind in Motorola order at the same bits give the same bytes, also in cantools."""
-    path = edited(
-        tmp_path,
-        (r"SG_ Counter m0 : 16\|8@1\+", "SG_ Counter m0 : 23|8@0+"),
-        (r"SG_ Counter : 16\|8@1\+", "SG_ Counter : 23|8@0+"),
-        (r"SG_ Kind m0 : 59\|3@1\+", "SG_ Kind m0 : 61|3@0+"),
-        (r"SG_ Kind : 59\|3@1\+", "SG_ Kind : 61|3@0+"),
-    )
-    codec, other = Codec.from_dbc(), Codec.from_dbc(path)
-    message = cantools.database.load_file(path).get_message_by_name("EgoLeftFd")  # type: ignore[union-attr]
-    means, covs = random_lines(20, seed=9)
-    payloads = other.batch.encode(means, covs, kind=Kind.KERB)
-    assert other.batch.decode(payloads).accepted.all()
-    for i, payload in enumerate(payloads):
-        decoded = message.decode(payload.tobytes())
-        assert (decoded["Kind"], decoded["Counter"]) == ("KERB", i)  # type: ignore[call-overload]
-    # Signals of whole bytes, or within one, have the same bits in both byte orders.
-    assert (payloads == codec.batch.encode(means, covs, kind=Kind.KERB)).all()
 
 
 @pytest.mark.parametrize(
@@ -90,19 +67,6 @@ def test_a_data_id_that_is_no_whole_number_is_rejected(
     )
     with pytest.raises(LayoutError, match=r"EgoLeft: E2EDataId must be a whole number from 0 to"):
         Codec.from_dbc(path)
-
-
-def test_each_frame_format_may_have_its_own_id_length(tmp_path: Path) -> None:
-    """Classic CAN with 11 bits and CAN FD with 29 bits: frames and decoder agree."""
-    fd_id = 0x80000000 | 0x18FF0048
-    path = edited(tmp_path, (r"\b840\b", str(fd_id)))
-    codec = Codec.from_dbc(path)
-    encoder = codec.encoder()
-    (frame,) = encoder.encode(MapLine.mean_only(Slot.EGO_LEFT, [1.0, 0, 0, 0]), fd=True)
-    assert (frame.can_id, frame.is_extended) == (0x18FF0048, True)
-    answer = one(codec.decoder().feed(frame.can_id, frame.data, 0, is_extended=True))
-    assert isinstance(answer, MapLine)
-    assert not encoder.encode(MapLine.mean_only(Slot.EGO_LEFT, [1.0, 0, 0, 0]))[0].is_extended
 
 
 @pytest.mark.parametrize("content", [None, b"", b"\xff\x00 not a DBC", b'VERSION "'])

@@ -214,16 +214,6 @@ def test_only_authenticated_messages() -> None:
     assert layout.slots == tuple(Slot)
 
 
-def test_slots_that_no_place_can_have() -> None:
-    """Lines of these slots are not sent."""
-    slots: dict[SceneOwner, tuple[Slot, ...]] = {SCENE: (Slot.ROUTE, Slot.EGO_RIGHT)}
-    spec = replace(SCENES, fixed=slots, places=2, secured_places=2)
-    layout = Layout.from_dbc(replace(WHOLE_SCENES, scene=spec).database())
-
-    assert layout.slots == (Slot.EGO_RIGHT, Slot.ROUTE)
-    assert SLOT not in layout.signals
-
-
 # ---- refusals --------------------------------------------------------------------------------
 
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from support.example_lines import scenario_lines
+from support.lines import scenario_lines
 from support.secoc_streams import Clock
 
 from maplines_can.simulation import scenario

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from support.dbcs import default_codec
-from support.e2e_streams import MS, Received, mixture_frames
+from support.e2e_streams import MS, mixture_frames
 
 from maplines_can.values.line import MapLine, Slot
 from maplines_can.wire import E2EState
@@ -61,16 +61,3 @@ def test_two_senders_in_phase_get_no_usable_mixture(k: int) -> None:
                 reused += bool(j == 1 and came.all())
                 assert not (reused and decoder.latest(SLOT, t_ns).usable)
     assert reused > 50
-
-
-@pytest.mark.parametrize("k", [1, 8])
-@pytest.mark.parametrize("lost", [0, 1, 2, 5])
-@pytest.mark.parametrize("jitter", [0.0, 0.2])
-def test_lost_lines_are_no_second_sender(k: int, lost: int, jitter: float) -> None:
-    """Of one sender whose lines come in their cycles, also after a gap."""
-    slot = Received()
-    for cycle in [*range(20), *range(20 + lost, 40)]:
-        t_ns = round((cycle + jitter * (-1) ** cycle) * CYCLE_NS)
-        for i in range(k):
-            assert slot.received((cycle * k + i) % 256, cycle * k + i, t_ns, k) is None
-            assert slot.has_one_sender(t_ns)

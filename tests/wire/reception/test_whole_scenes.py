@@ -13,7 +13,7 @@ import pytest
 from scene_layouts import layout_of
 from support.scene_streams import new_codec, road_scene
 
-from maplines_can import Authenticator, Codec, Decoder, Key, LeftOut, MapLine, Reason, Slot
+from maplines_can import Authenticator, Codec, Decoder, Key, MapLine, Reason, Slot
 from maplines_can.model.whole_scenes import NONE, scene_of_dbc, write_whole
 from maplines_can.wire import E2EState, Frame, ReceivedScene
 from maplines_can.wire.layout.pose_layout import SCENE, SCENE2, SceneOwner
@@ -115,44 +115,6 @@ def correlations(cov: np.ndarray) -> np.ndarray:
     return cov / sigma / sigma[:, None]
 
 
-@pytest.mark.parametrize(
-    ("owner", "place", "raw", "shared"),
-    [
-        pytest.param(SCENE, 0, {"Kind": 13}, {}, id="kind-13"),
-        pytest.param(SCENE2, 3, {"Kind": 15}, {}, id="kind-15"),
-        pytest.param(SCENE, 1, {"XMin": 63, "XMax": 31}, {}, id="range-of-no-length"),
-        pytest.param(SCENE, 3, {"C0": 2**16 - 1, "XMax": 127}, {}, id="no-function-of-x"),
-        pytest.param(SCENE, 2, {"Slot": int(RIGHT)}, {}, id="slot-of-a-fixed-place"),
-        pytest.param(SCENE, 2, {"Kind": 9, "Slot": int(LEFT)}, {}, id="left-out-and-there"),
-        pytest.param(SCENE2, 2, {"Slot": int(ROUTE)}, {}, id="slot-twice"),
-        pytest.param(SCENE, 0, {}, {"SceneCounter": 3}, id="low-bits-of-another-counter"),
-    ],
-)
-def test_what_no_sender_sends_is_dropped(
-    owner: SceneOwner, place: int, raw: dict[str, int], shared: dict[str, int]
-) -> None:
-    """The whole frame: none of its lines comes."""
-    decoder = new_codec(DBC).decoder()
-    places = [LINE, LINE, LINE | {"Slot": int(NEXT_LEFT)}, LINE | {"Slot": int(ROUTE)}]
-    good = record_of(owner, 2, places)
-    places[place] = places[place] | raw
-
-    assert feed(decoder, owner, record_of(owner, 2, places, **shared), 0) is Reason.CONTENT
-    assert decoder.latest_scene(0).scene is None
-    assert len(lines_of(feed(checked(decoder), owner, good, CYCLE))) == 4
-
-
-def test_bits_of_an_empty_place_mean_nothing() -> None:
-    decoder = new_codec(DBC).decoder()
-    own = [
-        signal for name, signal in SCENES.line.items() if name != "Slot"
-    ]  # it has other bits there
-    junk = {signal.name: (1 << signal.length) - 1 for signal in own} | EMPTY
-    places = [LINE, junk, junk | {"Slot": int(LEFT)}, EMPTY]
-
-    assert slots_of(feed(decoder, SCENE, record_of(SCENE, 0, places), 0)) == [LEFT]
-
-
 # ---- views ------------------------------------------------------------------------------------
 
 
@@ -194,35 +156,6 @@ def test_a_slot_without_a_line_has_the_state_of_scene() -> None:
 
     assert (view.line, view.state, view.left_out) == (None, E2EState.VALID, None)
     assert not view.usable
-
-
-def test_a_line_that_is_left_out_says_why_and_the_older_one_becomes_stale() -> None:
-    decoder = valid_decoder()
-    for counter in range(12, 17):
-        places = [LINE | {"Kind": NONE + 2}, LINE, LINE | {"Kind": NONE + 4, "Slot": int(CENTRE)}]
-        feed(decoder, SCENE, record_of(SCENE, counter, [*places, EMPTY]), counter * CYCLE)
-        view = decoder.latest(LEFT, counter * CYCLE)
-        assert view.left_out is LeftOut.RANGE
-        assert view.line is not None
-        assert view.line.t_ns == 11 * CYCLE
-        assert view.stale is (counter > 14)
-
-    scene = scene_in(decoder).scene
-    assert scene.left_out == {LEFT: LeftOut.RANGE, CENTRE: LeftOut.COVARIANCE}
-    assert [line.slot for line in scene.lines] == [RIGHT]
-    feed(decoder, SCENE, record_of(SCENE, 17, [LINE, LINE, EMPTY, EMPTY]), 17 * CYCLE)
-    assert decoder.latest(LEFT, 17 * CYCLE).left_out is None
-    assert decoder.latest(CENTRE, 17 * CYCLE).left_out is None
-
-
-def test_a_scene_has_the_states_of_both_messages() -> None:
-    decoder = valid_decoder(12)
-    view = decoder.latest_scene(11 * CYCLE)
-
-    assert [*view.slot_states] == [LEFT, RIGHT, NEXT_LEFT, EDGE_LEFT, EDGE_RIGHT, ROUTE]
-    assert {*view.slot_states.values()} == {E2EState.VALID}
-    assert view.usable
-    assert scene_in(decoder).counter == 11
 
 
 def test_one_counter_is_of_all_lines_of_a_message() -> None:
@@ -319,49 +252,3 @@ def test_an_authenticated_record_has_three_places() -> None:
     assert decoder.feed(unsigned.can_id, unsigned.data, 0) is Reason.UNAUTHENTICATED
     assert plain.decoder().feed(frames[-1].can_id, frames[-1].data, 0) is Reason.KEY
     checked(decoder)
-
-
-@pytest.mark.parametrize("byte", [3, 30, 50, 51, 55, 60])
-def test_no_byte_of_an_authenticated_frame_may_change(byte: int) -> None:
-    bench = Secured()
-    decoder, frame = bench.codec().decoder(), bench.send()[-1]
-    data = bytearray(frame.data)
-    data[byte] ^= 1
-
-    reason = decoder.feed(frame.can_id, bytes(data), 0)
-    assert reason is (Reason.KEY if byte == 51 else Reason.MAC)
-    assert not decoder.messages(0)  # it does not reach the checks
-    assert lines_of(decoder.feed(frame.can_id, frame.data, 0))
-
-
-@pytest.mark.parametrize("silence_s", [0.05, 3276.8, 4_000.0, 1e6])
-def test_the_clock_completes_the_freshness_value_after_any_silence(silence_s: float) -> None:
-    """After 2^16 lost frames, and after more than the 72 min in which its 4 bytes repeat.
-
-    A receiver that has just started has no last value: its clock alone completes one.
-    """
-    bench = Secured()
-    decoder = bench.codec().decoder()
-    frame = bench.send()[-1]
-    assert len(lines_of(decoder.feed(frame.can_id, frame.data, 0))) >= 2
-    bench.now_us += round(1e6 * silence_s)
-    new, t_ns = bench.send()[-1], round(1e9 * silence_s)
-
-    assert len(lines_of(decoder.feed(new.can_id, new.data, t_ns))) >= 2
-    restarted = bench.codec().decoder()
-    assert len(lines_of(restarted.feed(new.can_id, new.data, t_ns))) >= 2
-    assert isinstance(restarted.feed(frame.can_id, frame.data, t_ns), Reason)
-
-
-def test_a_recording_is_refused_by_a_receiver_that_has_just_started() -> None:
-    bench = Secured()
-    frame = bench.send()[-1]
-    bench.now_us += 10_000_000
-
-    assert bench.codec().decoder().feed(frame.can_id, frame.data, 0) in (Reason.AGE, Reason.REPLAY)
-
-
-def test_without_a_clock_four_bytes_are_too_few() -> None:
-    pytest.importorskip("cryptography")
-    with pytest.raises(ValueError, match="4 bytes, but without a clock 7 are needed"):
-        Codec(LAYOUT, Authenticator(Key(bytes(range(16))))).decoder()

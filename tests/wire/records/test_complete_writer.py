@@ -8,12 +8,11 @@ from evidence.exact import covers
 from hypothesis import example, given
 from hypothesis import strategies as st
 from scene_layouts import layout_of
-from support.scene_streams import COMPLETE, codec_of, feed, new_codec, road_scene
+from support.scene_streams import COMPLETE, codec_of, feed, new_codec
 
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import MapLine, Slot, Status
 from maplines_can.values.scene import PoseError, Scene
-from maplines_can.wire import POSE
 from maplines_can.wire.layout.signals import PARAMETER_SIGNALS
 
 
@@ -27,18 +26,6 @@ def test_a_clipped_beta_is_covered_by_the_difference_of_the_tangents(sign: int, 
     needed = (np.tan(sign * 0.7) - np.tan(decoded)) * np.cos(decoded) ** 2
     assert batch.status[0] == Status.SATURATED
     assert 1 <= batch.cov[0, 1, 1] / (needed**2 + cov[1, 1]) < 1.2
-
-
-def test_each_record_of_a_scene_has_its_own_age() -> None:
-    """The pose error and each line are sent at their own times."""
-    codec, scene = codec_of(COMPLETE), road_scene()
-    ages: Any = {POSE: 0.016, Slot.EGO_LEFT: 0.024, Slot.EGO_RIGHT: 0.032}
-    decoder = codec.decoder()
-    answers, _ = feed(decoder, codec.encoder().encode_scene(scene, age=ages, counters={}), 0)
-    received = decoder.scene()
-    assert received is not None
-    assert received.age == pytest.approx(0.016)
-    assert [one.age for one in answers if isinstance(one, MapLine)] == [0.024, 0.032]
 
 
 @given(
