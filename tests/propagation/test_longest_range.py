@@ -80,12 +80,12 @@ def test_the_cubic_is_nearly_the_best_one(name: str) -> None:
 def test_item_2_the_range_is_near_the_chebyshev_limit() -> None:
     """Of the longest range from the same start that any cubic could hold: median and least."""
     shares = []
-    for line in (*SHAPES.values(), *(road.lines[Slot.EGO_LEFT] for road in tight_roads(20))):
+    for line in (*SHAPES.values(), *(road.lines[Slot.EGO_LEFT] for road in tight_roads(8))):
         x_min, x_max = Refit(line, ORIGIN, WINDOW).x_range
         end = Refit(line, ORIGIN, WINDOW, max_misfit=1e9).x_range[1]
         shares.append((x_max - x_min) / (limit(line, x_min, end, 0.1) - x_min))
 
-    assert len(shares) == 30
+    assert len(shares) == 18
     assert np.median(shares) >= 0.85
     assert min(shares) >= 0.6
     assert max(shares) <= 1 + 1e-2  # no range holds more than the limit, to its own accuracy

@@ -117,15 +117,6 @@ def test_fit_ranges_are_whole_metres_that_contain_the_valid_ones(shape: str) -> 
         assert len(scene.lines) + len(scene.left_out) == len(set(scene.index) | set(scene.left_out))
 
 
-def test_the_pose_error_moves_the_lines_together() -> None:
-    """The width of a straight lane is nearly exact; the centre is as uncertain as the pose."""
-    scene = map_scene(ROADS, EGO)
-    assert scene.width([0.0, 40.0]).value == pytest.approx([3.5, 3.5], abs=1e-4)
-    assert scene.width(0.0).sigma < 0.025  # two lines, a centimetre in T_0 and in T_2
-    assert scene.centre(0.0).sigma == pytest.approx(0.2, rel=1e-2)
-    assert scene.centre(40.0).sigma == pytest.approx(np.hypot(0.2, 40 * 0.003), rel=1e-2)
-
-
 def test_the_pose_error_is_in_the_frame_of_the_car() -> None:
     """Of a car that heads north, what is along is the variance of y of the map."""
     ego = Gaussian([5.0, 7.0, np.pi / 2], np.diag([0.2, 0.1, 0.003]) ** 2)

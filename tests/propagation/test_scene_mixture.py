@@ -48,8 +48,3 @@ def test_the_mixture_has_the_skewness_of_the_true_distribution() -> None:
     variances = np.array([a @ c.cov @ a for a, c in zip(J, mixture.components, strict=True)])
     d = centres - mixture.weights @ centres
     assert mixture.weights @ (d**3 + 3 * d * variances) == pytest.approx(true, rel=0.4)
-
-
-def test_a_slot_that_is_not_there() -> None:
-    with pytest.raises(ValueError, match="no line of slot EGO_LEFT"):
-        scene_mixture(scene_of(), Slot.EGO_LEFT)

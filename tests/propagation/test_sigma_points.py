@@ -9,18 +9,7 @@ from support.closed_forms import square
 
 from maplines_can.propagation import SigmaPoints
 from maplines_can.simulation.scenarios import SCENARIOS
-from maplines_can.study.roads import paper_refit
-from maplines_can.values.gaussian import Gaussian
-
-
-@pytest.mark.parametrize("alpha", [1.0, 0.3, 1e-2, 1e-3])
-@pytest.mark.parametrize("m", [0.0, 1.0, -3.0])
-def test_sigma_points_are_exact_for_a_square(alpha: float, m: float) -> None:
-    """With beta = 2 and kappa = 0 the fourth moment is exact for any alpha."""
-    result = SigmaPoints(alpha)(np.square, Gaussian([m], [[0.25]]))
-
-    rounding = 1e-14 / alpha**2  # of the values of the function
-    assert np.allclose([result.mean[0], result.cov[0, 0]], square(m, 0.5), rtol=0, atol=rounding)
+from maplines_can.study.paper_refit import paper_refit
 
 
 @pytest.mark.parametrize("name", SCENARIOS)

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can import IllPosedError, LeftOut, Refit
 from maplines_can.propagation.paths import points_in_window
 from maplines_can.values.polyline import INDEXED, Polyline, to_ego
 
@@ -41,23 +40,6 @@ def test_a_window_ends_where_it_says(x_min: float, x_max: float, first: float, l
 
 
 @pytest.mark.parametrize(
-    ("points", "reason"),
-    [
-        pytest.param([[500, 0], [600, 0]], LeftOut.NOT_IN_WINDOW, id="beyond"),
-        pytest.param([[20, -9], [20, 9]], LeftOut.ACROSS, id="across"),
-        pytest.param([[5, 1], [5, 1]], LeftOut.ACROSS, id="one-place"),
-    ],
-)
-def test_a_line_that_is_not_seen_gives_an_empty_window(points: Any, reason: Any) -> None:
-    """No error is raised: the caller decides; the reason is that of ``Refit``."""
-    line = Polyline(points)
-
-    assert points_in_window(line, [0.0, 0.0, 0.0], (-20, 80)).shape == (0, 2)
-    with pytest.raises(IllPosedError, match=reason):
-        Refit(line, [0.0, 0.0, 0.0], (-20, 80))
-
-
-@pytest.mark.parametrize(
     ("pose", "y"), [((20.0, 1.0, 0.0), 0.0), ((20.0, 9.0, np.pi), 10.0)], ids=["out", "back"]
 )
 def test_a_window_contains_the_near_branch_of_a_hairpin(pose: Any, y: float) -> None:
@@ -68,16 +50,6 @@ def test_a_window_contains_the_near_branch_of_a_hairpin(pose: Any, y: float) -> 
         assert np.allclose(seen[to_ego(seen, pose)[:, 0] <= 60.0, 1], y)
         assert np.all(np.diff(to_ego(seen, pose)[:, 0]) > 0)
         assert to_ego(seen, pose)[-1, 0] >= (20.0 if y else 60.0) - 1e-9
-
-
-def test_item_1_a_line_ends_where_it_turns_away() -> None:
-    """A corner of 8 m: it is followed until it is 65 deg from the car's x axis."""
-    angle = np.linspace(0, np.pi / 2, 91)
-    arc = np.column_stack([40 + 8 * np.sin(angle), 8 - 8 * np.cos(angle)])
-    line = Polyline(np.vstack([[-40.0, 0.0], arc, [48.0, 68.0]]))
-    end = points_in_window(line, [0, 0, 0], (-20, 80))[-1]
-
-    assert end == pytest.approx(arc[65], abs=0.15)
 
 
 @pytest.mark.parametrize("spacing", [0.5, 45.0])
