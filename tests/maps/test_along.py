@@ -17,11 +17,12 @@ def town() -> Map:
 
 
 def test_they_are_those_of_a_tracker_but_where_the_lane_changes(town: Map) -> None:
-    """On the whole tour with pose errors: the tracker changes lanes a little later."""
+    """On a third of the tour with pose errors: the tracker changes lanes a little later."""
     tour = town_tour(town)
     along, tracker = town.along(tour), LaneTracker(town, tour)
     drive = drive_along(town, tour)
     times = drive.times(1.0)
+    times = times[: len(times) // 3]
     source, place = PoseSource((0.3, 0.15, 0.005), seed=1), None
     equal = other = 0
     for t, true_pose in zip(times.tolist(), drive.at(times).pose, strict=True):
@@ -36,7 +37,7 @@ def test_they_are_those_of_a_tracker_but_where_the_lane_changes(town: Map) -> No
             is_same = len(both) == 2 and set(map(tuple, both[0])) <= set(map(tuple, both[1]))
             equal += is_same
             other += not is_same
-    assert equal > 4000
+    assert equal > 1300
     assert other < 0.004 * equal
 
 

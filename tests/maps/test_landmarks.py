@@ -36,14 +36,6 @@ def test_the_offset_is_normal_to_a_curve() -> None:
     assert (found.x, found.y) == pytest.approx((104 * np.sin(0.25), 100 - 104 * np.cos(0.25)))
 
 
-def test_a_repeated_object_is_a_row() -> None:
-    """Its offset changes linearly; the last one is at the end of the length."""
-    repeat = '<repeat s="10" length="60" distance="20" tStart="4" tEnd="7"/>'
-    found = with_objects(pole('id="1" s="0" t="0"', repeat)).landmarks
-    assert [(one.x, one.y) for one in found] == [(10, 4), (30, 5), (50, 6), (70, 7)]
-    assert len({one.id for one in found}) == 4
-
-
 def test_a_row_ends_with_the_road() -> None:
     repeat = '<repeat s="10" length="1e9" distance="40" tStart="4" tEnd="4"/>'
     assert [one.x for one in with_objects(pole('id="1"', repeat)).landmarks] == [10, 50, 90]
@@ -136,16 +128,6 @@ def test_a_building_without_a_size_is_skipped() -> None:
     found = with_objects(building('id="1" s="30" t="10"'))
     assert found.buildings == ()
     assert "length is missing" in reasons(found)[0]
-
-
-def test_the_houses_of_the_town_stand_beside_its_streets() -> None:
-    """None reaches a lane."""
-    town = load(town_path())
-    walls = np.vstack([outline.resampled(0.5).points for outline in town.buildings])
-    lanes = [lane for lane in town.lanes.values() if lane.type.is_drivable]
-    centres = np.vstack([lane.centre.resampled(0.5).points for lane in lanes])
-    assert len(town.buildings) == 79
-    assert cKDTree(centres).query(walls)[0].min() > 5
 
 
 @pytest.mark.parametrize(("s", "is_used"), [(-0.9e-6, True), (-1.1e-6, False), (100 + 0.9e-6, True),

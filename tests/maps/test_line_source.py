@@ -70,12 +70,6 @@ def test_lines_that_cannot_be_given_have_a_reason() -> None:
     assert set(cycle.lines.left_out.values()) == {LeftOut.ACROSS}
 
 
-def test_off_the_map_there_are_no_lines() -> None:
-    cycle = LineSource(ROWS, exact).cycle(0.0, np.array([1e4, 0.0, 0.0]))
-    assert not cycle.lines
-    assert cycle.tracked.match is None
-
-
 @pytest.mark.parametrize("time", [None, 3.0])
 def test_without_a_pose_there_are_no_lines(time: float | None) -> None:
     """Nor a pose error; with a pose they are there again."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from maplines_can import Polyline
-from maplines_can.maps import Lane, LaneType, Map, Road, Skipped
+from maplines_can.maps import Lane, Map, Road
 
 
 def line(*points: list[float]) -> Polyline:
@@ -34,13 +34,6 @@ def test_width_of_a_lane_whose_boundary_is_a_point() -> None:
     point = line([0, 0], [0, 0])
     arc = line(*([3 * np.cos(a), 3 * np.sin(a)] for a in np.linspace(0, 1, 50)))
     assert replace(lane(), left=point, right=arc).width == pytest.approx(3, abs=1e-3)
-
-
-def test_a_map_finds_lanes_and_roads_by_id() -> None:
-    found = Map({"a": lane()}, {"1": road("a")}, skipped=(Skipped("line 3", "it is empty"),))
-    assert found.lanes["a"].length == pytest.approx(lane().centre.length)
-    assert found.roads["1"].lanes == ("a",)
-    assert str(found.skipped[0]) == "line 3: it is empty"
 
 
 def test_a_map_cannot_be_changed() -> None:
@@ -73,9 +66,3 @@ def test_ids_that_lead_nowhere_are_an_error(
     """A mistake of a reader; what is wrong in a file is listed as skipped."""
     with pytest.raises(ValueError, match=message):
         Map(lanes, roads)
-
-
-@pytest.mark.parametrize("kind", LaneType)
-def test_types_of_lanes_are_strings(kind: LaneType) -> None:
-    """So that they can be written to JSON."""
-    assert LaneType(str(kind)) is kind

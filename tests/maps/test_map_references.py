@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 from support.lane_maps import WIDTH, carriageway, crossing, end, lane, network, pose_on, roundabout
 
-from maplines_can.maps import LaneTracker, Map, Road
+from maplines_can.maps import LaneTracker, Map
 from maplines_can.maps.joints import joined_lines
 from maplines_can.maps.lane import LaneType
 from maplines_can.maps.lane_graph import DirectedLane, LaneGraph
@@ -132,17 +132,6 @@ def test_the_frame_of_a_covariance_is_that_of_the_map() -> None:
         here = {m.lane: m.probability for m in ROAD.match(pose, P)}
         found = {m.lane: m.probability for m in there.match(move(pose), R @ P @ R.T)}
         assert found == pytest.approx(here)
-
-
-@pytest.mark.parametrize(
-    ("heading", "skew", "is_against"),
-    [(0.0, 0.0, False), (0.5, 0.5, False), (-0.5, 0.5, False), (3.0, math.pi - 3.0, True),
-     (-2.0, math.pi - 2.0, True), (math.pi / 2, math.pi / 2, False)],
-)  # fmt: skip
-def test_the_skew_of_a_match(heading: float, skew: float, is_against: bool) -> None:
-    match = LaneMatch("1", 0.0, 0.0, heading, (1.0, 1.0, 1.0, 1.0))
-    assert match.skew == pytest.approx(skew)
-    assert match.is_against is is_against
 
 
 @pytest.mark.parametrize(
@@ -441,21 +430,6 @@ def test_the_straightest_way_is_that_of_the_next_thirty_metres(turns: Any, first
     assert LaneGraph(found.lanes).straightest(DirectedLane("in")) == DirectedLane(f"{best}0")
 
 
-def test_a_way_that_turns_beyond_thirty_metres_is_straight() -> None:
-    """One that turns at once a little is the less straight one, unless it turns back by then."""
-    at = end((0.0, 0.0, 0.0), 40.0)
-    bend = end((0.0, 0.0, 0.0), 15.0, 0.02)
-    found = network(
-        lane("in", (-50.0, 0.0, 0.0), 50.0),
-        lane("late", length=40.0),
-        lane("corner", at, 20.0, curvature=0.08),
-        lane("s", length=15.0, curvature=0.02),
-        lane("s-back", bend, 20.0, curvature=-0.019),
-        links={"in": "late s", "late": "corner", "s": "s-back"},
-    )
-    assert LaneGraph(found.lanes).straightest(DirectedLane("in")) == DirectedLane("late")
-
-
 @pytest.mark.parametrize(("turns_at", "is_seen"), [(4, True), (5, True), (6, False)])
 def test_a_way_of_short_lanes_is_judged_by_the_first_six(turns_at: int, is_seen: bool) -> None:
     """Of 4 m each: its own first one and five after it; what turns later does not count."""
@@ -645,11 +619,6 @@ def test_the_lanes_around_a_place_of_a_route() -> None:
         first = max(0, low - 1)
         last = max(k for k in range(6) if 50 * k <= 150 + ahead)
         assert (near.start, near.stop) == (first, last + 1)
-
-
-def test_a_road_of_a_map_needs_its_lanes() -> None:
-    with pytest.raises(ValueError, match="not in the map"):
-        Map({}, {"1": Road("1", "", 1.0, ("a",))})
 
 
 @pytest.mark.parametrize("seed", range(6))

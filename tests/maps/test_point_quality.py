@@ -5,7 +5,7 @@ import pytest
 
 from maplines_can import LeftOut, Polyline
 from maplines_can.maps import Lane, Map, Road
-from maplines_can.maps.point_quality import PointQuality, point_quality
+from maplines_can.maps.point_quality import point_quality
 
 
 def arc_map(spacing: float, noise: float = 0.0, length: float = 600.0) -> Map:
@@ -21,13 +21,6 @@ def arc_map(spacing: float, noise: float = 0.0, length: float = 600.0) -> Map:
     return Map({"1": lane}, {"A": Road("A", "", length, ("1",))})
 
 
-def sigma(quality: PointQuality) -> float:
-    """The median 20 m ahead."""
-    found = next(one.median for one in quality.sigmas if one.x == 20)
-    assert found is not None
-    return found
-
-
 def test_spacing_and_noise_are_those_of_the_points() -> None:
     """Runs of 30 points tell the error up to some 20 %, and 20 of them its median to 7 %."""
     quality = point_quality(arc_map(2.0, noise=0.05))
@@ -38,20 +31,6 @@ def test_spacing_and_noise_are_those_of_the_points() -> None:
     assert quality.noise is not None
     assert quality.noise.median == pytest.approx(0.05, rel=0.2)
     assert quality.noise.low < quality.noise.median < quality.noise.high
-
-
-def test_exact_points_show_no_noise() -> None:
-    quality = point_quality(arc_map(2.0))
-
-    assert quality.noise is not None
-    assert quality.noise.high < 1e-4
-    assert quality.spacing.high == pytest.approx(2.0, rel=0.01)
-
-
-def test_lines_are_less_certain_by_noise() -> None:
-    exact, noisy, noisier = (sigma(point_quality(arc_map(2.0, one))) for one in (0, 0.02, 0.1))
-
-    assert exact < noisy < noisier < 0.1
 
 
 def test_points_that_are_too_far_apart_are_told() -> None:

@@ -9,23 +9,12 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from support.lane_maps import WIDTH, carriageway, crossing, lane, network, pose_on, roundabout
-from support.xodr_files import cubic, linked, read_map, road, section
-from support.xodr_files import lane as xodr_lane
 
 from maplines_can.maps import LaneTracker, Map, link_gaps, view
 from maplines_can.propagation.paths import stretches
 from maplines_can.values.line import Kind, Slot
 from maplines_can.values.polyline import Polyline
 
-ORDER = (
-    Slot.EDGE_LEFT,
-    Slot.NEXT_LEFT,
-    Slot.EGO_LEFT,
-    Slot.CENTRE,
-    Slot.EGO_RIGHT,
-    Slot.NEXT_RIGHT,
-    Slot.EDGE_RIGHT,
-)
 CROSSING = crossing()
 RING = roundabout()
 
@@ -92,63 +81,6 @@ def test_slots_are_in_order(
     for slot in lines:
         at = (expected[slot] * WIDTH - t) / math.cos(turn)
         assert y[slot] == pytest.approx(at, abs=0.1 + abs(at) * 0.02)
-
-
-@pytest.mark.parametrize("lane_id", ["1:1", "1:2", "1:-1"])
-def test_lines_continue_across_sections(lane_id: str) -> None:
-    """At least 120 m ahead and 40 m behind, without a gap and without a double point."""
-    found = carriageway(2, 1, sections=4)
-    pose = pose_on(found.lanes[lane_id], 50.0)
-
-    lines = found.lines(pose)
-
-    seen = stretches(list(lines.values()), pose, (-40.0, 120.0))
-    assert len(seen) == len(lines)
-    for stretch in seen:
-        assert stretch.x_range == pytest.approx((-40.0, 120.0))
-    for line in lines.values():
-        assert np.diff(line.distance).min() > 0.01
-
-
-def test_a_one_way_road_with_one_lane() -> None:
-    """The edges are the boundaries of the lane; there is nothing next to it."""
-    found = network(lane("1", kinds=(Kind.SOLID, Kind.KERB)))
-    lines = found.lines([50.0, 0.0, 0.0])
-
-    assert set(lines) == {*ORDER} - {Slot.NEXT_LEFT, Slot.NEXT_RIGHT}
-    assert lines[Slot.EDGE_LEFT] is lines[Slot.EGO_LEFT]
-    assert lines[Slot.EDGE_RIGHT] is lines[Slot.EGO_RIGHT]
-    assert [lines[slot].kind for slot in (Slot.EGO_LEFT, Slot.CENTRE, Slot.EGO_RIGHT)] == [
-        Kind.SOLID,
-        Kind.VIRTUAL,
-        Kind.KERB,
-    ]
-
-
-def test_the_kind_is_that_at_the_car() -> None:
-    """Where the marking changes, the line gets another kind."""
-    found = network(
-        lane("1", length=100.0, kinds=(Kind.DASHED, Kind.SOLID)),
-        lane("2", (100.0, 0.0, 0.0), 100.0, kinds=(Kind.SOLID, Kind.SOLID)),
-        links={"1": "2"},
-    )
-
-    kinds = [found.lines([x, 0.0, 0.0])[Slot.EGO_LEFT].kind for x in (50.0, 150.0)]
-    assert kinds == [Kind.DASHED, Kind.SOLID]
-
-
-@pytest.mark.parametrize("lane_id", ["0:1", "0:-1"])
-def test_a_car_against_the_direction_sees_left_on_its_left(lane_id: str) -> None:
-    """When it overtakes in the oncoming lane."""
-    found = carriageway(1, 1)
-    pose = pose_on(found.lanes[lane_id], 50.0, turn=math.pi)
-
-    y = lateral(found.lines(pose), pose)
-
-    assert y[Slot.EGO_LEFT] == pytest.approx(WIDTH / 2)
-    assert y[Slot.EGO_RIGHT] == pytest.approx(-WIDTH / 2)
-    assert y[Slot.NEXT_RIGHT] == pytest.approx(-1.5 * WIDTH)
-    assert Slot.NEXT_LEFT not in y
 
 
 def lane_that_ends() -> Map:
@@ -225,32 +157,6 @@ def test_a_crossing_is_crossed_along_the_route(to: str) -> None:
     assert Slot.ROUTE not in CROSSING.lines(pose)
 
 
-def test_without_a_route_the_lines_lead_straight_on() -> None:
-    """Through the crossing."""
-    lines = CROSSING.lines(pose_on(CROSSING.lanes["in0"], 75.0))
-
-    assert lines[Slot.EGO_LEFT].points[-1] == pytest.approx([90.0, 0.0])
-
-
-@pytest.mark.parametrize("name", ["0>1", "0>2", "0>3"])
-def test_in_a_crossing_the_route_decides(name: str) -> None:
-    """At its entry, where the lanes overlap and have the same direction."""
-    route = CROSSING.route("in0", f"out{name[-1]}")
-    pose = pose_on(CROSSING.lanes["0>2"], 1.0)
-
-    lines = CROSSING.lines(pose, route)
-
-    boundary = CROSSING.lanes[name].left.points
-    assert np.hypot(*(lines[Slot.EGO_LEFT].points - boundary[-1]).T).min() < 1e-6
-
-
-def test_the_lane_beside_leads_through_the_crossing_too() -> None:
-    """Also where the connecting lanes have no common road: here with the oncoming lane."""
-    lines = CROSSING.lines(pose_on(CROSSING.lanes["in0"], 75.0))
-
-    assert lines[Slot.NEXT_LEFT].points[-1] == pytest.approx([90.0, WIDTH])
-
-
 def test_the_line_of_a_route_crosses_a_lane_change() -> None:
     """The other lines remain with the lane of the car."""
     found = carriageway(2, 0, sections=3)
@@ -261,18 +167,6 @@ def test_the_line_of_a_route_crosses_a_lane_change() -> None:
 
     assert y[Slot.ROUTE] == pytest.approx(-WIDTH, abs=0.02)
     assert y[Slot.EGO_LEFT] == pytest.approx(WIDTH / 2, abs=0.02)
-
-
-def test_a_car_beside_its_route_still_gets_it() -> None:
-    """The lines of its lane lead along the route."""
-    found = carriageway(2, 0, sections=3)
-    route = found.route("0:1", "2:1")
-    pose = pose_on(found.lanes["1:2"], 20.0)
-
-    y = lateral(found.lines(pose, route), pose)
-
-    assert y[Slot.ROUTE] == pytest.approx(WIDTH)
-    assert y[Slot.CENTRE] == pytest.approx(0.0, abs=1e-9)
 
 
 @given(k=st.integers(0, 3), s=st.floats(0.5, 30.9), t=st.floats(-1.5, 1.5))
@@ -383,43 +277,6 @@ def test_lanes_that_are_their_own_neighbours_end() -> None:
     assert Slot.EGO_LEFT in found.lines([50.0, 0.0, 0.0])
 
 
-def test_the_lines_of_a_lane_are_kept() -> None:
-    """The next pose on it gets the same objects, and a dict of its own."""
-    found = carriageway(2, 1)
-    first, second = (found.lines([x, -1.0, 0.3]) for x in (20.0, 21.0))
-
-    assert first[Slot.EGO_LEFT] is second[Slot.EGO_LEFT]
-    first.clear()
-    assert second
-
-
-def test_lines_of_an_opendrive_file() -> None:
-    """Two roads with a lane that opens, linked end to start; kinds from the road marks."""
-    mark = '<roadMark sOffset="0" type="broken"/>'
-    first = road(
-        section(xodr_lane(-1, cubic("width", 3.5, sOffset=0.0) + mark, successor=-1)),
-        link=linked("successor", "2"),
-    )
-    opening = cubic("width", 0.0, 0.0, 3 * 3.5 / 1e4, -2 * 3.5 / 1e6, sOffset=0.0)
-    second = road(
-        section(
-            xodr_lane(-1, cubic("width", 3.5, sOffset=0.0) + mark, predecessor=-1),
-            xodr_lane(-2, opening),
-        ),
-        road_id="2",
-        plan='<geometry s="0" x="100" y="0" hdg="0" length="100"><line/></geometry>',
-        link=linked("predecessor", "1", "end"),
-    )
-    found = read_map(first, second)
-    pose = np.array([20.0, -1.5, 0.0])
-    lines = found.lines(pose)
-
-    assert lines[Slot.EGO_RIGHT].kind == Kind.DASHED
-    assert lines[Slot.EGO_RIGHT].points[-1] == pytest.approx([200.0, -3.5])
-    assert lines[Slot.EDGE_RIGHT].points[-1] == pytest.approx([200.0, -7.0])
-    assert Slot.NEXT_RIGHT in found.lines([150.0, -1.5, 0.0])
-
-
 CHANGING = [(0.0, Kind.DASHED), (80.0, Kind.SOLID), (150.0, Kind.DOUBLE)]
 
 
@@ -428,29 +285,6 @@ def changing(kinds: Any = CHANGING) -> Map:
     right = lane("r", kinds=(Kind.UNKNOWN, Kind.KERB))
     left = replace(lane("l", t=WIDTH), right=Polyline(right.left.points, kinds))
     return network(left, replace(right, left=left.right), rows=["l r"])
-
-
-@pytest.mark.parametrize(
-    ("x", "kind"), [(0, 2), (79.9, 2), (80.1, 1), (149.9, 1), (150.1, 3), (199.9, 3)]
-)
-@pytest.mark.parametrize("turn", [0.0, np.pi])
-def test_the_kind_of_a_line_is_that_beside_the_car(x: float, kind: int, turn: float) -> None:
-    """In each slot of it and in both directions; the line is whole and runs as before."""
-    found, plain = changing(), changing(Kind.DASHED)
-    for y, slots in (
-        (0.0, (Slot.EGO_LEFT, Slot.EGO_RIGHT)),
-        (WIDTH, (Slot.EGO_RIGHT, Slot.EGO_LEFT)),
-    ):
-        pose = [x, y, turn]
-        lines = found.lines(pose)
-        slot = slots[1 if turn else 0]
-        assert lines[slot].kind == kind
-        assert lines[slot].kinds == ()
-        assert lines[Slot.CENTRE].kind is Kind.VIRTUAL
-        for name, line in plain.lines(pose).items():
-            assert lines[name].points.tolist() == line.points.tolist()
-            if name not in {slot}:
-                assert lines[name].kind is line.kind
 
 
 @given(s=st.floats(0.0, 199.9), t=st.floats(-0.7, 0.7), lane_of=st.booleans(), turn=st.booleans())

@@ -10,7 +10,7 @@ import pytest
 from maplines_can import MonteCarlo, Refit
 from maplines_can.propagation import Mixture
 from maplines_can.simulation.scenarios import SCENARIOS
-from maplines_can.study.paper_refit import paper_refit
+from maplines_can.study.roads import paper_refit
 
 DRAWS = 200_000
 COUNTS = (2, 5, 8)

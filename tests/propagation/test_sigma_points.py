@@ -5,11 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 from filterpy.kalman import MerweScaledSigmaPoints, unscented_transform
-from support.closed_forms import square
 
 from maplines_can.propagation import SigmaPoints
 from maplines_can.simulation.scenarios import SCENARIOS
-from maplines_can.study.paper_refit import paper_refit
+from maplines_can.study.roads import paper_refit
 
 
 @pytest.mark.parametrize("name", SCENARIOS)

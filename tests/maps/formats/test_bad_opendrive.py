@@ -101,22 +101,14 @@ ATTRIBUTES = sorted(set(re.findall(r' (\w+)="[-\d.e]+"', TEXT)) - {"version"})
 
 @pytest.mark.parametrize("name", ATTRIBUTES)
 def test_numbers_that_are_none(name: str) -> None:
-    """In each attribute in turn, of all elements together and of each alone."""
+    """In each attribute in turn, of all elements together and of each third of them alone."""
     places = list(re.finditer(rf' {name}="[-\d.e]+"', TEXT))
-    for value in NUMBERS:
+    for i, value in enumerate(NUMBERS):
         changed = f' {name}="{value}"'
         found = attempt(re.sub(rf' {name}="[-\d.e]+"', changed, TEXT))
-        for place in places:
+        for place in places[i % 3 :: 3]:
             found = attempt(TEXT[: place.start()] + changed + TEXT[place.end() :])
             assert found is None or len(found.lanes) >= 2  # road 2, at least, or road 1
-
-
-@pytest.mark.parametrize("name", ATTRIBUTES)
-def test_attributes_that_are_missing(name: str) -> None:
-    for place in re.finditer(rf' {name}="[-\d.e]+"', TEXT):
-        found = attempt(TEXT[: place.start()] + TEXT[place.end() :])
-        assert found is not None
-        assert found.lanes
 
 
 #: Without them, no road can be used.
@@ -141,12 +133,6 @@ def test_a_cut_file(end: int) -> None:
         assert any("the rest of the file is not used" in why for why in reasons(found))
 
 
-@given(st.binary(max_size=200))
-def test_any_bytes(data: bytes) -> None:
-    attempt(data)
-    attempt(b"<OpenDRIVE>" + data)
-
-
 @given(st.data())
 def test_changed_bytes(data: st.DataObject) -> None:
     """Some bytes of the file are others."""
@@ -154,18 +140,6 @@ def test_changed_bytes(data: st.DataObject) -> None:
     for _ in range(data.draw(st.integers(1, 5))):
         changed[data.draw(st.integers(0, len(changed) - 1))] = data.draw(st.integers(0, 255))
     attempt(bytes(changed))
-
-
-@given(st.data())
-def test_any_numbers(data: st.DataObject) -> None:
-    """Some numbers are extreme, others are plausible but wrong."""
-    value = st.floats().map(repr) | st.integers(-5, 5).map(str) | st.sampled_from(NUMBERS)
-    text = TEXT
-    for _ in range(data.draw(st.integers(1, 4))):
-        places = list(re.finditer(r'="([-\d.e]+)"', text))
-        place = places[data.draw(st.integers(0, len(places) - 1))]
-        text = text[: place.start(1)] + data.draw(value) + text[place.end(1) :]
-    attempt(text)
 
 
 BOMB = "".join(f'<!ENTITY e{i} "{f"&e{i - 1};" * 10 if i else "x" * 100}">' for i in range(12))
@@ -325,19 +299,6 @@ def test_many_geometries() -> None:
     plan = "".join(geometry(s=i * 0.01, x=i * 0.01, length=0.01) for i in range(count))
     found = read_map(road(plan=plan, length=count * 0.01), OTHER)
     assert "2" in found.roads
-
-
-def test_many_widths() -> None:
-    """10^4 in one lane."""
-    widths = "".join(cubic("width", 3.5, sOffset=i * 0.01) for i in range(10_000))
-    assert read_map(road(section(lane(-1, widths)))).lanes["1:0:-1"].width == pytest.approx(3.5)
-
-
-def test_long_ids_and_integers_have_short_messages() -> None:
-    """No message repeats what is too long to read."""
-    long = "9" * 10_000
-    found = read_map(road(section(lane(-1), lane(-2).replace('id="-2"', f'id="-{long}"'))))
-    assert all(len(str(skipped)) < 300 for skipped in found.skipped)
 
 
 @pytest.mark.parametrize(

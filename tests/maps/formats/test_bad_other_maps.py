@@ -118,15 +118,6 @@ def test_changed_values(name: str, data: st.DataObject) -> None:
     attempt(read, text.encode())
 
 
-@pytest.mark.parametrize("name", FILES)
-@given(data=st.data())
-def test_missing_lines_and_tags(name: str, data: st.DataObject) -> None:
-    read, text = FILES[name]
-    parts = re.split(r"(?<=>)|(?<=\n)|(?<=,)", text)
-    gone = data.draw(st.sets(st.integers(0, len(parts) - 1), max_size=3))
-    attempt(read, "".join(part for i, part in enumerate(parts) if i not in gone).encode())
-
-
 @pytest.mark.parametrize("kind", ENTITIES)
 @pytest.mark.parametrize("name", ["Lanelet2", "CommonRoad"])
 def test_entities_are_refused(name: str, kind: str) -> None:
@@ -181,18 +172,9 @@ def test_lanelets_of_commonroad_of_no_use_are_listed(good: str, bad: str, why: s
     assert any(why in skipped.why for skipped in found.skipped), found.skipped
 
 
-def test_loops_of_links() -> None:
-    """Lanelets may follow themselves, or each other, without an end."""
-    text = commonroad_text().replace('successor ref="4"', 'successor ref="1"')
-    text = text.replace('predecessor ref="0"', 'adjacentLeft drivingDir="same" ref="1"')
-    found = commonroad.read(io.BytesIO(text.encode()), "map")
-    assert found.lanes["3"].successors == ("1",)
-    assert found.lanes["1"].left_neighbour == "1"
-
-
-def test_a_million_points() -> None:
+def test_many_points() -> None:
     """Of one boundary; the other has two."""
-    count = 10**6
+    count = 10**5
     x = np.linspace(0, 5e4, count)
     rows = "\n".join(f"a,{one:.3f},3,1,left" for one in x)
     found = points.read(
@@ -201,28 +183,6 @@ def test_a_million_points() -> None:
     (lane,) = found.lanes.values()
     assert len(lane.left.points) == count
     assert lane.centre.points[:, 1] == pytest.approx(1.5)
-
-
-def test_many_nodes() -> None:
-    """Of one lanelet."""
-    lon = np.linspace(8, 9, 20_000)
-    nodes = "".join(
-        f'<node id="{2 * i + side}" lat="{49 + 3e-5 * (1 - side)!r}" lon="{one!r}"/>'
-        for side in (0, 1)
-        for i, one in enumerate(lon.tolist())
-    )
-    ways = "".join(
-        f'<way id="{side + 1}">'
-        + "".join(f'<nd ref="{2 * i + side}"/>' for i in range(len(lon)))
-        + "</way>"
-        for side in (0, 1)
-    )
-    text = (
-        f'<osm>{nodes}{ways}<relation id="1"><member type="way" ref="1" role="left"/>'
-        '<member type="way" ref="2" role="right"/><tag k="type" v="lanelet"/></relation></osm>'
-    )
-    (lane,) = osm.read(io.BytesIO(text.encode()), "map").lanes.values()
-    assert lane.length == pytest.approx(73_170, rel=0.01)
 
 
 #: Where the coordinates of each format are, as a group.

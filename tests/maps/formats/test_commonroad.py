@@ -65,11 +65,6 @@ def test_lines_and_links() -> None:
     assert not found.skipped
 
 
-def test_a_link_that_only_one_lanelet_names_counts_for_both() -> None:
-    found = read_map(lanelet(1, 0, 0, '<successor ref="2"/>'), lanelet(2, 10, 0))
-    assert found.lanes["2"].predecessors == ("1",)
-
-
 def test_opposite_lanelets() -> None:
     """On the right in left-hand traffic."""
     back = (
@@ -193,14 +188,6 @@ def test_the_projection() -> None:
     assert read_map(lanelet(1)).projection is None
 
 
-def test_neighbours_that_cars_do_not_drive_on() -> None:
-    found = read_map(
-        lanelet(1, 0, 0, '<adjacentLeft ref="2" drivingDir="same"/>'),
-        lanelet(2, 0, 3, kind="bicycleLane"),
-    )
-    assert found.lanes["1"].left_neighbour is None
-
-
 def test_load(tmp_path: Path) -> None:
     """Other elements of a scenario are not read."""
     path = tmp_path / "scenario.xml"
@@ -228,20 +215,6 @@ def test_types_of_all_users(kind: str, one_way: str, both_ways: str) -> None:
     elif kind == "urban" and both_ways in ("car", "vehicle"):
         expected = LaneType.BIDIRECTIONAL
     assert found.type == expected
-
-
-def test_lanelets_of_both_directions_are_said() -> None:
-    both = "<userBidirectional>vehicle</userBidirectional>"
-    (said,) = read_map(lanelet(1, 0, 0, both), lanelet(2, 0, 9)).skipped
-    assert (said.where, said.why) == (
-        "1 lanelets that are not one-way",
-        "they are used only in the direction of their boundaries",
-    )
-
-
-def test_the_centre_line_is_virtual() -> None:
-    """As of each format: it is no marking."""
-    assert read_map(lanelet(1)).lanes["1"].centre.kind is Kind.VIRTUAL
 
 
 def test_a_lanelet_without_width_is_not_used() -> None:

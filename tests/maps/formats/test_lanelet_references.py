@@ -131,28 +131,6 @@ def lanelet(name: str, left: str, right: str, **rest: Any) -> Lanelet:
     )
 
 
-def test_links_of_lanelets_that_share_points() -> None:
-    """Beside each other, opposite each other and one after the other; each group is a road."""
-    lanes = [
-        lanelet("1", "b0 b1", "a0 a1"),
-        lanelet("2", "c0 c1", "b0 b1"),
-        lanelet("3", "b1 b2", "a1 a2"),
-        lanelet("4", "c1 c0", "d1 d0"),
-    ]
-    found = lanelet_map(linked(lanes), "test")
-    one, two, three, four = (found.lanes[f"{k}"] for k in range(1, 5))
-    assert (one.left_neighbour, one.right_neighbour) == ("2", None)
-    assert (two.left_neighbour, two.right_neighbour) == (None, "1")
-    assert (two.opposite_left, four.opposite_left) == ("4", "2")
-    assert one.opposite_left is None
-    assert (one.successors, three.predecessors) == (("3",), ("1",))
-    assert (two.successors, three.successors) == ((), ())
-    assert one.road == two.road == four.road != three.road
-    assert found.roads[one.road].successors == (three.road,)
-    assert found.roads[three.road].predecessors == (one.road,)
-    assert found.roads[one.road].length == pytest.approx(10.0)
-
-
 @pytest.mark.parametrize("turned", [False, True])
 def test_the_side_of_oncoming_traffic(turned: bool) -> None:
     """Two lanes have their left boundaries in common, or their right ones in left-hand traffic.

@@ -12,25 +12,9 @@ from maplines_can.maps.formats.lanelets import boundary, centre_line, lanelet_ma
 from maplines_can.values.polyline import Polyline
 
 
-def arc(radius: float, angle: float, count: int) -> Polyline:
-    at = np.linspace(0, angle, count)
-    return Polyline(np.column_stack([radius * np.cos(at), radius * np.sin(at)]))
-
-
 def lane(key: str, y: float = 0.0, **links: object) -> Lane:
     lines = [boundary(np.array([[0, y + side], [9, y + side]])) for side in (3.0, 0.0, 1.5)]
     return Lane(key, lines[0], lines[1], centre=lines[2], **links)  # type: ignore[arg-type]
-
-
-@given(st.floats(5, 500), st.floats(0.1, 5.5), st.integers(60, 90), st.integers(60, 90))
-def test_the_centre_of_an_arc_is_the_arc_between(
-    radius: float, angle: float, first: int, second: int
-) -> None:
-    """However the boundaries are sampled."""
-    left, right = arc(radius, angle, first), arc(radius + 3.5, angle, second)
-    chord = (radius + 3.5) * (1 - math.cos(angle / 118))
-    off = np.hypot(*centre_line(left, right).points.T) - (radius + 1.75)
-    assert np.abs(off).max() <= 3 * chord + 1e-9
 
 
 @given(st.floats(0.0, 1.2), st.integers(2, 9), st.integers(2, 9))
@@ -52,11 +36,6 @@ def test_a_corner_sharper_than_the_lane_is_wide() -> None:
         boundary(np.column_stack([r * np.cos(at), r * np.sin(at)])) for r in (-0.5, 3.0)
     )
     assert np.hypot(*centre_line(inner, outer).points.T) == pytest.approx(1.25)
-
-
-def test_points_that_repeat_are_removed() -> None:
-    points = np.array([[0, 0], [0, 0], [1, 0], [1, 1e-9], [2, 0], [2, 0]], float)
-    assert boundary(points).points.tolist() == [[0, 0], [1, 0], [2, 0]]
 
 
 @pytest.mark.parametrize(

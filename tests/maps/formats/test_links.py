@@ -1,7 +1,9 @@
 """Links between lanes follow the driving directions."""
 
+from typing import Any
+
 import pytest
-from support.xodr_files import WIDTH, geometry, ids, lane, linked, read_map, reasons, road, section
+from support.xodr_files import WIDTH, geometry, lane, linked, read_map, reasons, road, section
 
 from maplines_can.maps import Map
 
@@ -29,53 +31,136 @@ def two(s: float = 0.0, *, successor: int | None = None, predecessor: int | None
     )
 
 
-@pytest.mark.parametrize(
-    ("rule", "expected"),
-    [
-        ("", ["1:0:-1 > 1:1:-1", "1:1:1 > 1:0:1"]),
-        ('rule="RHT"', ["1:0:-1 > 1:1:-1", "1:1:1 > 1:0:1"]),
-        ('rule="LHT"', ["1:0:1 > 1:1:1", "1:1:-1 > 1:0:-1"]),
-    ],
+FORK = (
+    '<lane id="-1" type="driving"><link><successor id="-1"/><successor id="-2"/></link>'
+    f"{WIDTH}</lane>"
 )
-def test_sections_of_a_road(rule: str, expected: list[str]) -> None:
-    """With right-hand traffic, lanes with a negative id are driven along s."""
-    assert pairs(read_map(road(two(successor=1), two(50.0), attributes=rule))) == expected
-    assert pairs(read_map(road(two(), two(50.0, predecessor=1), attributes=rule))) == expected
+ONE = section(lane(-1))
+INTO = linked("successor", "9", "", "junction")
+OUT_OF = linked("predecessor", "9", "", "junction")
+INSIDE: dict[str, Any] = {"road_id": "5", "attributes": 'junction="9"'}
 
 
-def test_a_lane_can_have_several_successors() -> None:
-    """Lanes that divide, as since OpenDRIVE 1.6."""
-    fork = '<lane id="-1" type="driving"><link><successor id="-1"/><successor id="-2"/></link>'
-    found = read_map(road(section(f"{fork}{WIDTH}</lane>"), section(lane(-1), lane(-2), s=50.0)))
-    assert pairs(found) == ["1:0:-1 > 1:1:-1", "1:0:-1 > 1:1:-2"]
-
-
-@pytest.mark.parametrize("contact", ["start", ""])
-def test_the_end_of_a_road_at_the_start_of_another(contact: str) -> None:
-    """Without a contact point, the links of the other road tell."""
-    found = read_map(
-        road(two(successor=1), link=linked("successor", "2", contact)),
-        road(two(predecessor=1), road_id="2", link=linked("predecessor", "1", "end")),
+def connection(to: str, lane_id: int = -1, tag: str = "connectingRoad") -> str:
+    """Return a connection from the road 1 to the lane -1 of another one."""
+    return (
+        f'<connection incomingRoad="1" {tag}="{to}" contactPoint="start">'
+        f'<laneLink from="{lane_id}" to="-1"/></connection>'
     )
-    assert pairs(found) == ["1:0:-1 > 2:0:-1", "2:0:1 > 1:0:1"]
-    assert found.roads["1"].successors == found.roads["1"].predecessors == ("2",)
 
 
-def test_the_end_of_a_road_at_the_end_of_another() -> None:
-    """Lanes change the sign of their ids."""
-    found = read_map(
-        road(two(successor=-1), link=linked("successor", "2", "end")),
-        road(two(), two(60.0, successor=-1), road_id="2", link=linked("successor", "1", "end")),
-    )
-    assert pairs(found) == ["1:0:-1 > 2:1:1", "2:1:-1 > 1:0:1"]
+LINKS = {
+    "right-hand-traffic": ([road(two(successor=1), two(50.0))], "1:0:-1 > 1:1:-1, 1:1:1 > 1:0:1"),
+    "left-hand-traffic": (
+        [road(two(), two(50.0, predecessor=1), attributes='rule="LHT"')],
+        "1:0:1 > 1:1:1, 1:1:-1 > 1:0:-1",
+    ),
+    # Lanes that divide, as since OpenDRIVE 1.6.
+    "fork": (
+        [road(section(FORK), section(lane(-1), lane(-2), s=50.0))],
+        "1:0:-1 > 1:1:-1, 1:0:-1 > 1:1:-2",
+    ),
+    "end-at-start": (
+        [
+            road(two(successor=1), link=linked("successor", "2")),
+            road(two(predecessor=1), road_id="2", link=linked("predecessor", "1", "end")),
+        ],
+        "1:0:-1 > 2:0:-1, 2:0:1 > 1:0:1",
+    ),
+    # The links of the other road tell.
+    "no-contact-point": (
+        [
+            road(two(successor=1), link=linked("successor", "2", "")),
+            road(two(predecessor=1), road_id="2", link=linked("predecessor", "1", "end")),
+        ],
+        "1:0:-1 > 2:0:-1, 2:0:1 > 1:0:1",
+    ),
+    # Lanes change the sign of their ids.
+    "end-at-end": (
+        [
+            road(two(successor=-1), link=linked("successor", "2", "end")),
+            road(two(), two(60.0, successor=-1), road_id="2", link=linked("successor", "1", "end")),
+        ],
+        "1:0:-1 > 2:1:1, 2:1:-1 > 1:0:1",
+    ),
+    "start-at-start": (
+        [
+            road(two(predecessor=-1), link=linked("predecessor", "2", "start")),
+            road(two(), road_id="2", link=linked("predecessor", "1", "start")),
+        ],
+        "1:0:1 > 2:0:-1, 2:0:1 > 1:0:-1",
+    ),
+    # The connecting road names neither its lanes' neighbours nor its own.
+    "lane-links-of-a-junction": (
+        [
+            road(two(), link=INTO),
+            road(ONE, plan=geometry(x=100.0), **INSIDE),
+            f'<junction id="9">{connection("5")}</junction>',
+        ],
+        "1:0:-1 > 5:0:-1",
+    ),
+    # The nearer end is taken.
+    "both-ends-at-one-junction": (
+        [
+            road(two(), link=OUT_OF + INTO),
+            road(ONE, plan=geometry(x=100.0), **INSIDE),
+            road(ONE, plan=geometry(heading=3.14159), **INSIDE | {"road_id": "6"}),
+            f'<junction id="9">{connection("5")}{connection("6", 1)}</junction>',
+        ],
+        "1:0:-1 > 5:0:-1, 1:0:1 > 6:0:-1",
+    ),
+    # A linked road takes the place of the connecting road (OpenDRIVE 1.7).
+    "direct-junction": (
+        [
+            road(two(), link=INTO),
+            road(ONE, road_id="2", plan=geometry(x=100.0), link=OUT_OF),
+            f'<junction id="9" type="direct">{connection("2", tag="linkedRoad")}</junction>',
+        ],
+        "1:0:-1 > 2:0:-1",
+    ),
+    # It has no lanes in the map.
+    "section-without-length": (
+        [road(two(successor=1), two(50.0, successor=1), two(50.0, successor=1), two(50.0))],
+        "1:0:-1 > 1:3:-1, 1:3:1 > 1:0:1",
+    ),
+    "ring": (
+        [
+            road(
+                two(successor=1, predecessor=1),
+                link=linked("successor", "1", "start") + linked("predecessor", "1", "end"),
+            )
+        ],
+        "1:0:-1 > 1:0:-1, 1:0:1 > 1:0:1",
+    ),
+    # The other side is continued.
+    "section-of-a-single-side": (
+        [
+            road(
+                section(lane(1), lane(-1, successor=-1)),
+                section(lane(-1), s=50.0, attributes='singleSide="true"'),
+            )
+        ],
+        "1:0:-1 > 1:1:-1, 1:1:1 > 1:0:1",
+    ),
+    # A link without a contact point is to the end that is linked with the road, not with it.
+    "junction-with-the-id-of-a-road": (
+        [
+            road(two(successor=1), link=linked("successor", "2", "")),
+            road(two(), road_id="2", link=linked("successor", "1", "", "junction")),
+        ],
+        "1:0:-1 > 2:0:-1, 2:0:1 > 1:0:1",
+    ),
+}
 
 
-def test_the_start_of_a_road_at_the_start_of_another() -> None:
-    found = read_map(
-        road(two(predecessor=-1), link=linked("predecessor", "2", "start")),
-        road(two(), road_id="2", link=linked("predecessor", "1", "start")),
-    )
-    assert pairs(found) == ["1:0:1 > 2:0:-1", "2:0:1 > 1:0:-1"]
+@pytest.mark.parametrize("name", LINKS)
+def test_links(name: str) -> None:
+    """As pairs of a lane and its successor, both as driven."""
+    elements, expected = LINKS[name]
+    found = read_map(*elements)
+    assert pairs(found) == expected.split(", ")
+    if name == "end-at-start":
+        assert found.roads["1"].successors == found.roads["1"].predecessors == ("2",)
 
 
 def crossing(contact: str = 'contactPoint="start"', junction: str = "") -> Map:
@@ -105,70 +190,6 @@ def test_a_junction(contact: str) -> None:
     assert pairs(found) == ["1:0:-1 > 5:0:-1", "5:0:-1 > 2:0:-1"]
     assert found.lanes["5:0:-1"].junction == found.roads["5"].junction == "9"
     assert found.lanes["1:0:-1"].junction is None
-
-
-def test_lane_links_of_a_junction_alone_are_enough() -> None:
-    """The connecting road names neither its lanes' neighbours nor its own."""
-    found = read_map(
-        road(two(), link=linked("successor", "9", "", "junction")),
-        road(section(lane(-1)), road_id="5", attributes='junction="9"', plan=geometry(x=100.0)),
-        '<junction id="9"><connection id="0" incomingRoad="1" connectingRoad="5" '
-        'contactPoint="start"><laneLink from="-1" to="-1"/></connection></junction>',
-    )
-    assert pairs(found) == ["1:0:-1 > 5:0:-1"]
-
-
-def test_a_road_with_both_ends_at_one_junction() -> None:
-    """The nearer end is taken."""
-    both = linked("predecessor", "9", "", "junction") + linked("successor", "9", "", "junction")
-    found = read_map(
-        road(two(), link=both),
-        road(section(lane(-1)), road_id="5", attributes='junction="9"', plan=geometry(x=100.0)),
-        road(
-            section(lane(-1)),
-            road_id="6",
-            attributes='junction="9"',
-            plan=geometry(heading=3.14159),
-        ),
-        '<junction id="9">'
-        '<connection incomingRoad="1" connectingRoad="5" contactPoint="start">'
-        '<laneLink from="-1" to="-1"/></connection>'
-        '<connection incomingRoad="1" connectingRoad="6" contactPoint="start">'
-        '<laneLink from="1" to="-1"/></connection></junction>',
-    )
-    assert pairs(found) == ["1:0:-1 > 5:0:-1", "1:0:1 > 6:0:-1"]
-
-
-def test_a_direct_junction() -> None:
-    """A linked road takes the place of the connecting road (OpenDRIVE 1.7)."""
-    found = read_map(
-        road(two(), link=linked("successor", "9", "", "junction")),
-        road(
-            section(lane(-1)),
-            road_id="2",
-            plan=geometry(x=100.0),
-            link=linked("predecessor", "9", "", "junction"),
-        ),
-        '<junction id="9" type="direct"><connection id="0" incomingRoad="1" linkedRoad="2" '
-        'contactPoint="start"><laneLink from="-1" to="-1"/></connection></junction>',
-    )
-    assert pairs(found) == ["1:0:-1 > 2:0:-1"]
-
-
-def test_links_pass_through_a_section_without_length() -> None:
-    """It has no lanes in the map."""
-    found = read_map(
-        road(two(successor=1), two(50.0, successor=1), two(50.0, successor=1), two(50.0))
-    )
-    assert pairs(found) == ["1:0:-1 > 1:3:-1", "1:3:1 > 1:0:1"]
-    assert ids(found.lanes) == "1:0:-1 1:0:1 1:3:-1 1:3:1"
-
-
-def test_a_road_that_succeeds_itself() -> None:
-    """A ring."""
-    link = linked("successor", "1", "start") + linked("predecessor", "1", "end")
-    found = read_map(road(two(successor=1, predecessor=1), link=link))
-    assert pairs(found) == ["1:0:-1 > 1:0:-1", "1:0:1 > 1:0:1"]
 
 
 @pytest.mark.parametrize(
@@ -231,23 +252,3 @@ def test_links_that_lead_nowhere_are_listed(elements: list[str], reason: str) ->
     found = read_map(*elements)
     assert reason in reasons(found)
     assert pairs(found) == []
-
-
-def test_a_section_of_a_single_side_continues_the_other_one() -> None:
-    found = read_map(
-        road(
-            section(lane(1), lane(-1, successor=-1)),
-            section(lane(-1), s=50.0, attributes='singleSide="true"'),
-        )
-    )
-    assert pairs(found) == ["1:0:-1 > 1:1:-1", "1:1:1 > 1:0:1"]
-    assert found.lanes["1:1:1"].length == pytest.approx(50)
-
-
-def test_a_junction_may_have_the_id_of_a_road() -> None:
-    """A link without a contact point is to the end that is linked with the road, not with it."""
-    found = read_map(
-        road(two(successor=1), link=linked("successor", "2", "")),
-        road(two(), road_id="2", link=linked("successor", "1", "", "junction")),
-    )
-    assert pairs(found) == ["1:0:-1 > 2:0:-1", "2:0:1 > 1:0:1"]

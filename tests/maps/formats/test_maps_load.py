@@ -9,7 +9,6 @@ import pytest
 from support.xodr_files import document, road
 
 import maplines_can as ml
-from maplines_can.maps.formats.load import FORMATS
 from maplines_can.study.files import read_map
 
 TEXT = document(road())
@@ -67,21 +66,6 @@ def test_what_cannot_be_loaded_is_an_error(path: Path, data: bytes, message: str
     path.write_bytes(data)
     with pytest.raises(ml.maps.MapFileError, match=message):
         ml.maps.load(path)
-
-
-def test_a_cut_gzip_file_gives_what_is_before(path: Path) -> None:
-    """As a file that is not compressed."""
-    roads = "".join(road(road_id=str(i)) for i in range(1000))
-    data = gzip.compress(document(roads).encode())
-    path.write_bytes(data[: len(data) // 2])
-    road_map = ml.maps.load(path)
-    assert 0 < len(road_map.roads) < 1000
-    assert "the rest of the file is not used" in road_map.skipped[-1].why
-
-
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError):
-        ml.maps.load(tmp_path / "nothing.xodr")
 
 
 def test_a_folder_is_an_error(tmp_path: Path) -> None:
@@ -154,11 +138,6 @@ def test_the_list_of_what_is_not_used_ends(path: Path, monkeypatch: pytest.Monke
     assert [str(one) for one in skipped[10:]] == [
         "the rest of the file: only the first 10 things that are not used are listed"
     ]
-
-
-def test_formats_are_modules_with_a_reader() -> None:
-    assert "OpenDRIVE" in [form.name for form in FORMATS]
-    assert len({form.name for form in FORMATS}) == len(FORMATS)
 
 
 def test_the_map_of_the_package_is_found_by_name(

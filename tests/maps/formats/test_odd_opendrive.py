@@ -118,35 +118,6 @@ def test_a_lane_without_width_is_none(content: str) -> None:
     assert reasons(found) == ["it has no width from s = 0 to 200 m, and is no lane there"]
 
 
-def test_a_lane_that_ends_and_opens_again() -> None:
-    """Links to and from lanes without width end silently; others keep the links of the section."""
-    ends = (
-        cubic("width", 3.5, sOffset=0.0)
-        + cubic("width", 0.0, sOffset=100.0)
-        + cubic("width", 3.5, sOffset=300.0)
-    )
-    found = read_map(
-        road(
-            section(lane(-1, successor=-1), lane(-2, ends, successor=-2)),
-            section(lane(-1, predecessor=-1), lane(-2, OPENS, predecessor=-2), s=400.0),
-            plan=geometry(length=800.0),
-            length=800.0,
-        )
-    )
-    follows = {key: each.successors for key, each in found.lanes.items()}
-    assert follows == {
-        "1:0:-1": ("1:0.1:-1",),
-        "1:0:-2": (),
-        "1:0.1:-1": ("1:0.2:-1",),
-        "1:0.2:-1": ("1:1:-1",),
-        "1:0.2:-2": (),
-        "1:1:-1": ("1:1.1:-1",),
-        "1:1.1:-1": (),
-        "1:1.1:-2": (),
-    }
-    assert all("and is no lane there" in why for why in reasons(found))
-
-
 @pytest.mark.parametrize(
     ("content", "kind"),
     [
@@ -163,12 +134,6 @@ def test_lane_sections_that_are_not_divided(content: str, kind: str) -> None:
     found = opening(lane(-1), lane(-2, content, kind))
     assert list(found.lanes) == ["1:0:-1", "1:0:-2"]
     assert not found.skipped
-
-
-def test_lanes_on_both_sides_of_one_without_width_are_neighbours() -> None:
-    found = opening(lane(-1), lane(-2, cubic("width", 0.0, sOffset=0.0)), lane(-3))
-    assert list(found.lanes) == ["1:0:-1", "1:0:-3"]
-    assert found.lanes["1:0:-1"].right_neighbour == "1:0:-3"
 
 
 @pytest.mark.parametrize("at", [pytest.param(50.0, id="same-s"), pytest.param(100.0, id="at-end")])
@@ -191,12 +156,6 @@ def test_a_record_that_never_applies_may_be_unusable(tag: str, at: float) -> Non
     )
     assert found.lanes["1:0:-1"].width == pytest.approx(3.5)
     assert reasons(found) == ["a must be a finite number, got 'nan'; it never applies"]
-
-
-def test_a_width_after_the_end_of_its_section_may_be_unusable() -> None:
-    late = NAN.format(tag="width", start='sOffset="40"')
-    found = read_map(road(section(lane(-1, WIDTH + late)), section(lane(-1), s=40.0)))
-    assert list(found.lanes) == ["1:0:-1", "1:1:-1"]
 
 
 def test_a_geometry_without_length_may_be_unusable() -> None:
@@ -263,13 +222,6 @@ def test_a_jump_between_geometries_is_said() -> None:
         "1 geometries begin up to 2 m from the end of the one before; the lines jump, first at "
         "s = 50 m"
     )
-
-
-def test_access_is_said() -> None:
-    denied = '<access sOffset="0" rule="deny" restriction="truck"/>'
-    walk = lane(-2, WIDTH + denied, kind="sidewalk")
-    (why,) = reasons(read_map(road(section(lane(-1, WIDTH + denied), walk))))
-    assert why.startswith("who has access to it is not read")
 
 
 @pytest.mark.parametrize(

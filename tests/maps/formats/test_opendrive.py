@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from support.xodr_files import WIDTH, geometry, lane, linked, read_map, reasons, road, section
+from support.xodr_files import WIDTH, geometry, lane, read_map, reasons, road, section
 
 from maplines_can import Kind, Polyline
 from maplines_can.maps import Lane, LaneType
@@ -78,15 +78,6 @@ def test_neighbours(
     assert found.opposite_left == opposite
 
 
-def test_neighbours_with_left_hand_traffic() -> None:
-    """The lane across the centre line is on the right."""
-    found = read_map(road(WIDE, attributes='rule="LHT"')).lanes
-    assert found["1:0:1"].left_neighbour == "1:0:2"
-    assert found["1:0:1"].right_neighbour is None
-    assert found["1:0:1"].opposite_left == "1:0:-1"
-    assert found["1:0:-1"].left_neighbour == "1:0:-2"
-
-
 @pytest.mark.parametrize(
     ("mark", "kind"),
     [
@@ -111,13 +102,6 @@ def test_kinds_of_markings(mark: str, kind: Kind) -> None:
     assert found["1:0:-1"].right.kind == found["1:0:-2"].left.kind == kind
 
 
-def test_the_marking_of_lane_0_is_between_the_directions() -> None:
-    found = read_map(
-        road(section(lane(1), lane(-1), centre='<roadMark sOffset="0" type="solid solid"/>'))
-    ).lanes
-    assert found["1:0:-1"].left.kind == found["1:0:1"].left.kind == Kind.DOUBLE
-
-
 def test_an_outermost_boundary_without_marking_is_a_road_edge() -> None:
     found = read_map(road()).lanes
     assert found["1:0:-1"].right.kind == found["1:0:1"].right.kind == Kind.ROAD_EDGE
@@ -136,14 +120,6 @@ def test_roads_in_a_junction_have_no_edges() -> None:
     """They overlap."""
     found = lane_of(road(section(lane(-1)), attributes='junction="9"'))
     assert found.left.kind == found.right.kind == Kind.UNKNOWN
-
-
-@pytest.mark.parametrize(
-    ("first", "expected"), [(30.0, Kind.SOLID), (49.9, Kind.SOLID), (50.1, Kind.DASHED)]
-)
-def test_of_several_markings_the_longest_counts(first: float, expected: Kind) -> None:
-    marks = f'<roadMark sOffset="0" type="broken"/><roadMark sOffset="{first}" type="solid"/>'
-    assert lane_of(road(section(lane(-1, WIDTH + marks)))).right.kind == expected
 
 
 @pytest.mark.parametrize(
@@ -193,14 +169,6 @@ def test_speed_limits(speed: str, limit: float | None) -> None:
     assert lane_of(road(own, before=slow)).speed_limit == expected
 
 
-def test_roads() -> None:
-    found = read_map(road(link=linked("successor", "2")), road(road_id="2", plan=geometry(x=100.0)))
-    assert found.roads["1"].name == "Main Street"
-    assert found.roads["1"].length == 100
-    assert found.roads["1"].lanes == ("1:0:1", "1:0:-1")
-    assert repr(found) == "<Map 'map.xodr': 2 roads, 4 lanes>"
-
-
 @pytest.mark.parametrize(
     ("header", "projection"),
     [
@@ -222,34 +190,10 @@ def test_an_offset_of_the_header_is_listed() -> None:
     assert not read_map(road(), header='<offset x="0.0" y="-0.00" z="3" hdg="0"/>').skipped
 
 
-def test_a_namespace_changes_nothing() -> None:
-    text = road().replace("<road ", '<road xmlns="http://asam.net" xmlns:o="http://o" ')
-    prefixed = text.replace("<planView>", "<o:planView>").replace("</planView>", "</o:planView>")
-    assert len(read_map(prefixed).lanes) == 2
-
-
 def test_the_length_of_the_geometry_counts() -> None:
     found = read_map(road(length=120.0))
     assert reasons(found) == ["length is '120.0'; that of the geometry is used, 100.000 m"]
     assert found.lanes["1:0:-1"].length == pytest.approx(100)
-
-
-def test_a_gap_between_geometries_is_listed() -> None:
-    """The geometry before it continues."""
-    plan = geometry(length=40.0) + geometry(s=50.0, x=50.0, length=50.0)
-    found = read_map(road(plan=plan))
-    assert reasons(found) == [
-        "the geometry at s = 0 m ends at 40 m; it is used up to the next one at 50 m"
-    ]
-    assert np.diff(found.lanes["1:0:-1"].left.points[:, 0]).max() <= 50
-    assert found.lanes["1:0:-1"].length == pytest.approx(100)
-
-
-def test_the_order_of_geometries_and_sections_in_the_file_does_not_matter() -> None:
-    plan = geometry(s=50.0, x=50.0, length=50.0) + geometry(length=50.0)
-    found = read_map(road(section(lane(-1), s=60.0), section(lane(-1, successor=-1)), plan=plan))
-    assert found.lanes["1:0:-1"].length == pytest.approx(60)
-    assert found.lanes["1:0:-1"].successors == ("1:1:-1",)
 
 
 def marks(*pairs: tuple[float, str]) -> str:
@@ -339,14 +283,6 @@ def test_speed_limits_hold_from_s_to_s(
         limits = [None if v is None else pytest.approx(v / 3.6) for _, v in pairs]
         assert [v for _, v in given] == limits
         assert lanes[found].speed_limit == lanes["1:0:-1"].speed_limit
-
-
-def test_a_speed_limit_of_miles_follows_one_of_kilometres() -> None:
-    own = '<speed sOffset="0" max="50" unit="km/h"/><speed sOffset="40" max="30" unit="mph"/>'
-    found = lane_of(road(section(lane(-1, WIDTH + own))))
-    assert [s for s, _ in found.speed_limits] == pytest.approx([0.0, 40.0])
-    assert [v for _, v in found.speed_limits] == pytest.approx([50 / 3.6, 30 * 0.44704])
-    assert found.speed_limit == pytest.approx(30 * 0.44704)
 
 
 def test_a_marking_from_a_rounding_error_on_is_that_from_the_start() -> None:

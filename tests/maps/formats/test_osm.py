@@ -1,7 +1,6 @@
 """Lanelet2 maps by the reader of this package."""
 
 import gzip
-import io
 from itertools import product
 from pathlib import Path
 
@@ -11,7 +10,6 @@ from support.lanelet_files import ROAD, Osm
 
 import maplines_can as ml
 from maplines_can.maps import LaneType, MapFileError
-from maplines_can.maps.formats.osm import read
 from maplines_can.maps.formats.projection import local_cartesian, tangent
 from maplines_can.values.line import Kind
 
@@ -78,17 +76,6 @@ def test_links_follow_from_shared_ways_and_points() -> None:
     assert road.successors == (lanes[ahead].road, lanes[exit_].road)
     assert lanes[first].left is not lanes[second].left
     assert lanes[first].right is lanes[second].left
-
-
-def test_left_hand_traffic() -> None:
-    osm = Osm("local")
-    ways = [osm.way((0.0, y), (40.0, y)) for y in (3.0, 0.0, -3.0)]
-    left, right = osm.lanelet(ways[0], ways[1]), osm.lanelet(ways[2], ways[1])
-    found = osm.map()
-    assert found.left_hand_traffic
-    assert found.lanes[left].opposite_left == right
-    assert found.lanes[left].centre.points[-1, 0] == 40.0
-    assert found.lanes[right].centre.points[-1, 0] == 0.0
 
 
 @pytest.mark.parametrize(
@@ -185,17 +172,6 @@ def test_the_frame_is_utm() -> None:
         osm.map("+proj=merc")
 
 
-def test_a_map_across_the_180th_meridian() -> None:
-    """It is in one zone, of one piece."""
-    osm = Osm(origin=(10.0, 180.0))
-    osm.strip(-50.0, 50.0)
-    text = osm.text().replace('lon="180.', 'lon="-179.').replace('lon="-179.0', 'lon="-179.9')
-    assert 'lon="179.9' in text
-    assert 'lon="-179.9' in text
-    (lane,) = read(io.BytesIO(text.encode()), "map.osm").lanes.values()
-    assert lane.left.length < 25e3
-
-
 def test_local_coordinates_are_used_where_most_lanelets_have_them() -> None:
     """They are exact, and those without are listed."""
     osm = Osm("both")
@@ -233,21 +209,6 @@ def test_other_relations_are_counted() -> None:
     (skipped,) = osm.map().skipped
     assert skipped.where == "3 relations of type regulatory_element"
     assert skipped.why == "only lanelets are used, not: 1 right_of_way, 2 traffic_light"
-
-
-def test_deleted_elements_do_not_count() -> None:
-    osm = Osm()
-    osm.strip(0.0, 9.0)
-    last = osm.strip(20.0, 29.0)
-    osm.elements[-1] = osm.elements[-1].replace("<relation", '<relation action="delete"')
-    assert last not in osm.map().lanes
-
-
-def test_relations_may_come_first() -> None:
-    osm = Osm()
-    osm.strip(0.0, 9.0)
-    osm.elements.reverse()
-    assert len(osm.map().lanes) == 1
 
 
 @pytest.mark.parametrize("suffix", [".osm", ".osm.gz", ".xml"])

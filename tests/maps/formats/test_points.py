@@ -67,16 +67,6 @@ def test_lanes_of_a_csv() -> None:
     assert (found.skipped, found.projection) == ((), None)
 
 
-def test_lines_without_lanes() -> None:
-    found = read_map("x, y ,line\n0,0,a\n1,0,a\n\n0,1,b\n1,1,b\n")
-    assert {key: line.points.tolist() for key, line in found.polylines.items()} == {
-        "a": [[0, 0], [1, 0]],
-        "b": [[0, 1], [1, 1]],
-    }
-    assert not found.lanes
-    assert not found.roads
-
-
 @pytest.mark.parametrize(
     ("text", "where", "why"),
     [
@@ -125,11 +115,6 @@ def test_files_of_no_use(text: str, message: str) -> None:
         read_map(text)
 
 
-def test_text_in_another_encoding() -> None:
-    with pytest.raises(MapFileError, match="cannot be read as text in UTF-8"):
-        read(io.BytesIO(b"line,x,y\n\xff,1,2"), "map.csv")
-
-
 def test_geojson_is_projected_around_its_middle() -> None:
     """The projection keeps the origin, so that others can be projected alike."""
     positions = [(8.40, 49.00), (8.41, 49.00), (8.41, 49.01)]
@@ -151,34 +136,6 @@ def test_geojson_of_another_system_is_kept() -> None:
     crs["properties"] = {"name": "urn:ogc:def:crs:OGC:1.3:CRS84"}
     found = read_map(geojson(feature((8.0, 49.0), (8.1, 49.0)), crs=crs))
     assert "+proj=tmerc" in str(found.projection)
-
-
-def test_geojson_across_the_180th_meridian() -> None:
-    found = read_map(geojson(feature((179.999, 10.0), (-179.999, 10.0))))
-    assert found.polylines["0"].length == pytest.approx(219.3, abs=0.5)
-    assert "+lon_0=180.0 " in str(found.projection) or "+lon_0=-180.0 " in str(found.projection)
-
-
-def test_lanes_of_a_geojson() -> None:
-    found = read_map(
-        geojson(
-            feature((8.40, 49.00003), (8.41, 49.00003), lane=7, side="left"),
-            feature((8.40, 49.00000), (8.41, 49.00000), lane=7, side="right"),
-            feature((8.40, 49.00000), (8.41, 49.00000), lane="8", side="left"),
-            feature((8.40, 48.99997), (8.41, 48.99997), lane="8", side="right"),
-        )
-    )
-    assert found.lanes["7"].right_neighbour == "8"
-    assert found.lanes["7"].width == pytest.approx(3.34, abs=0.01)
-
-
-def test_several_lines_of_a_feature() -> None:
-    one = feature(id="m")
-    one["geometry"] = {
-        "type": "MultiLineString",
-        "coordinates": [[[8, 49], [8.1, 49]], [[8, 49.1], [8.1, 49.1, 30]]],
-    }
-    assert list(read_map(geojson(one)).polylines) == ["m", "m#2"]
 
 
 @pytest.mark.parametrize(
@@ -243,12 +200,6 @@ c,80,0,,,
     assert (lane.left.kind, lane.right.kinds) == (Kind.DASHED, ())
     assert other.kinds == ((0.0, Kind.UNKNOWN), (60.0, Kind.BARRIER))
     assert found.skipped == ()
-
-
-def test_a_kind_that_is_none_within_a_line_is_listed() -> None:
-    found = read_map("line,x,y,kind\na,0,0,solid\na,9,0,zigzag\na,20,0,\nb,0,0,\nb,1,0,\n")
-    assert list(found.polylines) == ["b"]
-    assert "the kind must be one of" in found.skipped[0].why
 
 
 def test_a_side_of_several_lines_has_the_kind_of_each() -> None:

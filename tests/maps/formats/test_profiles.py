@@ -10,21 +10,6 @@ from maplines_can.maps.formats.opendrive.profiles import CubicPiece, Profiles
 S = np.array([-5.0, 0.0, 4.0, 10.0, 15.0, 20.0, 99.0])
 
 
-def test_the_last_piece_that_has_begun_applies() -> None:
-    pieces = [
-        CubicPiece(20.0, 3.0),
-        CubicPiece(0.0, 1.0, 0.1),
-        CubicPiece(10.0, 2.0, 0.0, 1.0, 1.0),
-    ]
-    (found,) = Profiles([pieces])(S, S)
-    assert found == pytest.approx([1, 1, 1.4, 2, 2 + 25 + 125, 3, 3])
-
-
-def test_of_pieces_with_one_start_the_last_one_applies() -> None:
-    (found,) = Profiles([[CubicPiece(0.0, 1.0), CubicPiece(0.0, 2.0)]])(S, S)
-    assert found[1:] == pytest.approx([2] * 6)
-
-
 def test_functions_may_have_different_numbers_of_pieces() -> None:
     found = Profiles([[], [CubicPiece(0.0, 5.0)], [CubicPiece(0.0, 1.0), CubicPiece(10.0, 2.0)]])(
         S, S

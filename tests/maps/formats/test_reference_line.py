@@ -41,12 +41,6 @@ def by_quadrature(s: float, curvature: float, rate: float) -> complex:
     return complex(x, y)
 
 
-def test_line() -> None:
-    position, tangent = at(line_of(geometry(x=10.0, y=-5.0, heading=math.pi / 6)), S)
-    assert position == pytest.approx(10 - 5j + S * np.exp(1j * math.pi / 6), abs=1e-12)
-    assert tangent == pytest.approx(np.full(len(S), np.exp(1j * math.pi / 6)))
-
-
 @pytest.mark.parametrize("curvature", [0.01, -0.2, 1e-9, 0.0, 1.0])
 def test_arc(curvature: float) -> None:
     """Points of a circle; the centre is at distance 1 / curvature on the left."""
@@ -121,12 +115,6 @@ def test_poly3_advances_by_arc_length() -> None:
         assert length == pytest.approx(s, abs=1e-7)
 
 
-def test_poly3_of_a_slanted_line() -> None:
-    """A closed form: v = u / 2 at arc length s."""
-    position, _ = at(line_of(geometry('<poly3 a="0" b="0.5" c="0" d="0"/>')), S)
-    assert position == pytest.approx(S * (1 + 0.5j) / math.hypot(1, 0.5), abs=1e-9)
-
-
 def param_poly3(u: tuple[float, ...], v: tuple[float, ...], p_range: str) -> str:
     names = [
         f'{name}{axis}="{value!r}"'
@@ -147,22 +135,6 @@ def test_param_poly3_with_arc_length_range() -> None:
     assert np.abs(tangent - np.exp(0.7j) * slope / np.abs(slope)).max() < 1e-12
 
 
-@pytest.mark.parametrize("p_range", ['pRange="normalized"', ""])
-def test_param_poly3_with_normalized_range(p_range: str) -> None:
-    """s is in proportion to the arc length, although p is not."""
-    u, v = (0.0, 60.0, 70.0, -40.0), (0.0, 0.0, 30.0, 5.0)
-
-    def speed(p: float) -> float:
-        return abs(sum(k * (u[k] + 1j * v[k]) * p ** (k - 1) for k in range(1, 4)))
-
-    total = quad(speed, 0, 1)[0]
-    line = line_of(geometry(param_poly3(u, v, p_range), length=total), length=total)
-    p = np.linspace(0, 1, 21)
-    s = np.array([quad(speed, 0, end)[0] for end in p])
-    position, _ = at(line, s)
-    assert np.abs(position - sum((u[k] + 1j * v[k]) * p**k for k in range(4))).max() < 1e-7
-
-
 def test_param_poly3_whose_start_tangent_is_not_the_heading() -> None:
     """The cross-section is normal to the curve, not to hdg."""
     shape = param_poly3((0, 0.8, 0, 0), (0, 0.6, 0, 0), 'pRange="arcLength"')
@@ -180,52 +152,6 @@ def test_param_poly3_that_starts_at_rest() -> None:
     assert position == pytest.approx([0, 15 + 20j], abs=1e-6)
 
 
-def test_all_kinds_chained() -> None:
-    """Each geometry begins where quadrature says that the one before ends."""
-    length = 40.0
-    curvatures = [(0.0, 0.0), (0.0, 0.02 / length), (0.02, 0.0), (0.02, -0.03 / length)]
-    shapes = [
-        "<line/>",
-        '<spiral curvStart="0" curvEnd="0.02"/>',
-        '<arc curvature="0.02"/>',
-        '<spiral curvStart="0.02" curvEnd="-0.01"/>',
-    ]
-    position, heading, parts, ends = 7 + 3j, 0.4, [], []
-    for index, ((start, rate), shape) in enumerate(zip(curvatures, shapes, strict=True)):
-        parts.append(
-            geometry(
-                shape,
-                s=index * length,
-                x=position.real,
-                y=position.imag,
-                heading=heading,
-                length=length,
-            )
-        )
-        position += np.exp(1j * heading) * by_quadrature(length, start, rate)
-        heading += length * (start + rate * length / 2)
-        ends.append(position)
-    s = 4 * length
-    for shape in (
-        '<poly3 a="0" b="0" c="0.005" d="0"/>',
-        param_poly3((0, 1, 0, 0), (0, 0, 0.004, 0), 'pRange="arcLength"'),
-    ):
-        part = geometry(shape, s=s, x=position.real, y=position.imag, heading=heading, length=30.0)
-        parts.append(part)
-        position, tangent = (
-            values[0] for values in at(line_of(part, length=s + 30), np.array([s + 30]))
-        )
-        heading = float(np.angle(tangent))
-        ends.append(position)
-        s += 30
-    line = line_of(*parts, length=s)
-    stops = np.array([*(length * k for k in range(1, 5)), s - 30, s])
-    before, _ = line(stops, stops - 1e-6)
-    after, _ = line(stops[:-1], stops[:-1])
-    assert np.abs(before - ends).max() < 1e-8
-    assert np.abs(before[:-1] - after).max() < 1e-8
-
-
 def test_a_jump_between_geometries_has_two_sides() -> None:
     """At its end, a geometry has its own value."""
     line = ReferenceLine([Geometry(0, 0, 0, 0, length=50), Geometry(50, 50, 2, 0, length=50)])
@@ -237,25 +163,6 @@ def test_a_jump_between_geometries_has_two_sides() -> None:
 def test_many_turns_are_an_error_of_the_file() -> None:
     with pytest.raises(ValueError, match=r"it turns by .* rad, more than"):
         line_of(geometry(f'<arc curvature="{MAX_TURN}"/>'))
-
-
-@pytest.mark.parametrize("curvature", [0.0, 1e-6, 3e-3, 0.05, 0.5])
-@pytest.mark.parametrize("rate", [0.0, 1e-12, 1e-9, 1e-7, 1e-5, 1e-3])
-def test_clothoids_are_symmetric(curvature: float, rate: float) -> None:
-    """Mirrored by the signs of both; driven backwards from its end, each is another clothoid."""
-    s = np.array([0.5, 7.0, 60.0])
-    k, r = np.full(3, curvature), np.full(3, rate)
-    for sign in (1, -1):
-        position, tangent = clothoid(s, k, sign * r)
-        mirrored, turned = clothoid(s, -k, -sign * r)
-        assert np.abs(mirrored - position.conj()).max() < 1e-9
-        assert np.abs(turned - tangent.conj()).max() < 1e-12
-        back, ahead = clothoid(s, -(k + sign * r * s), sign * r)
-        assert np.abs(position - tangent * back).max() < 1e-8
-        assert np.abs(ahead - tangent.conj()).max() < 1e-9
-        behind, _ = clothoid(-s, k, sign * r)
-        forward, _ = clothoid(s, -k, sign * r)
-        assert np.abs(behind + forward).max() < 1e-9
 
 
 @given(st.tuples(*[st.floats(-1, 1)] * 4), st.tuples(*[st.floats(-1, 1)] * 4), st.floats(5, 80))

@@ -203,12 +203,6 @@ def test_a_member_crs_that_names_no_system_is_refused(crs: Any, text: str) -> No
         read_points(io.BytesIO(json.dumps(body).encode()), "map.geojson")
 
 
-def test_a_code_of_an_early_draft() -> None:
-    sides = on_ground("EPSG:3857", MUNICH)
-    found = geojson({"type": "EPSG", "properties": {"code": 3857}}, sides)
-    assert found.lanes["1"].width == pytest.approx(WIDTH, abs=1e-4)
-
-
 @pytest.mark.parametrize("read", FORMATS)
 @pytest.mark.parametrize(
     ("name", "at", "text"),
@@ -242,13 +236,6 @@ def test_local_metres_of_a_national_grid_are_metres(
     found = commonroad(name, sides)
     assert found.lanes["1"].width == WIDTH
     assert f"not in the area of {name}; they are taken as metres" in found.skipped[0].why
-
-
-def test_metres_that_are_no_degrees_are_refused() -> None:
-    pytest.importorskip("pyproj")
-    sides = [np.array([[0, WIDTH], [90, WIDTH]]), np.array([[0.0, 0], [90, 0]])]
-    with pytest.raises(MapFileError, match=r"not in the area of the system '.proj=longlat"):
-        commonroad("EPSG:4326", sides)
 
 
 @pytest.mark.parametrize("read", FORMATS)
