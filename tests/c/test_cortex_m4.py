@@ -74,38 +74,6 @@ def test_the_vectors_pass_on_the_board(tmp_path: Any, single: Any) -> None:
     assert " 0 failed" in board
 
 
-PAGE = """\
-| gcc 12.2 -Os, [byte] | library | state |
-|---|---:|---:|
-| all | 53 400 | 51 280 |
-| receiver | 41 836 | - |"""
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "is_near"),
-    [
-        ("53 400", "58 740", True),
-        ("53 400", "58 741", False),
-        ("53 400", "48 060", True),
-        ("53 400", "48 059", False),
-        ("53 400", "-", False),
-        ("- |", "1 |", False),
-        ("| receiver |", "| sender |", False),
-        ("library", "library and tables", False),
-    ],
-)
-def test_a_number_may_differ_by_a_tenth(old: str, new: str, is_near: bool) -> None:
-    """From that on the page, which must have the row and the column."""
-    assert (cortex_m4.changes(PAGE.replace(old, new), PAGE) == []) == is_near
-
-
-def test_a_part_of_a_table_is_compared_with_the_whole() -> None:
-    part = "\n".join(PAGE.splitlines()[:3])
-
-    assert cortex_m4.changes(part, PAGE) == []
-    assert cortex_m4.changes(PAGE, part) == ["receiver, library: 41 836 now, nothing on the page"]
-
-
 SOURCE = """\
 #include <math.h>
 #include <stdbool.h>

@@ -37,12 +37,16 @@ def changed_record(codec: Codec, payload: bytes, slot: Slot = Slot.EGO_LEFT, **r
     return written(layout, values | raw, layout.messages[slot].data_id)
 
 
-def edited(tmp_path: Path, *edits: tuple[str, str]) -> Path:
-    """A copy of maplines.dbc with regular expressions replaced; each must be found."""
-    text = DBC.read_text()
+def edited_text(text: str, *edits: tuple[str, str]) -> str:
+    """A text with regular expressions replaced; each must be found."""
     for pattern, replacement in edits:
         text, found = re.subn(pattern, replacement, text)
         assert found, pattern
+    return text
+
+
+def edited(tmp_path: Path, *edits: tuple[str, str]) -> Path:
+    """A copy of maplines.dbc with regular expressions replaced."""
     path = tmp_path / "edited.dbc"
-    path.write_text(text)
+    path.write_text(edited_text(DBC.read_text(), *edits))
     return path

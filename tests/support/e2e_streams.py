@@ -69,16 +69,6 @@ def mixture_frames(counter: Any, k: Any, fd: Any, seed: int = 0) -> Any:
     return [frame for p in payloads for frame in default_codec().encoder().frames(p, SLOT, fd=fd)]
 
 
-def two_senders(decoder: Any, offset_ms: int, apart: int, *, fd: bool = False) -> Any:
-    """Feed 40 lines of each of two senders, the second one later and with other counters."""
-    for counter in range(40):
-        for sender, (ms, ahead) in enumerate([(0, 0), (offset_ms, apart)]):
-            own = (counter + ahead) % 256
-            transfer = frames(own, fd, which=(own + 100 * sender) % 256)
-            feed(decoder, transfer, counter * CYCLE + ms * MS)
-    return decoder.checks[SLOT]
-
-
 class Received:
     """Records of a slot by counter and content, as a decoder receives them."""
 

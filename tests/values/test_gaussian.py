@@ -268,12 +268,3 @@ def test_numbers_beyond_the_floats_raise(make: Any, words: str) -> None:
     with pytest.raises(ValueError, match=words) as error:
         make()
     assert len(str(error.value)) < 200
-
-
-@pytest.mark.filterwarnings("error")
-def test_distances_beyond_the_floats_are_infinite() -> None:
-    """A distant point is outside any region."""
-    unit = Gaussian([0.0], [[1.0]])
-
-    assert unit.mahalanobis([-1e308]) == np.inf
-    assert unit.coverage([[-1e308], [0.0]]) == 0.5

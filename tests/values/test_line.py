@@ -54,17 +54,6 @@ def test_lateral_is_the_cubic(line: Any) -> None:
     assert np.allclose(lateral(line, X), polynomial(line)(X), rtol=1e-13, atol=1e-13)
 
 
-def test_lateral_broadcasts_over_lines() -> None:
-    """Many lines at many x give a grid; a line of NaN stays NaN."""
-    lines = np.array([[1, 0, 0, 0], [0, 0, 0.02, 0], np.full(4, np.nan)])
-
-    assert np.array_equal(
-        lateral(lines[:, None], [0.0, 10.0]),
-        [[1, 1], [0, 1], [np.nan, np.nan]],  # type: ignore[arg-type]
-        equal_nan=True,
-    )
-
-
 @given(mild_lines(), st.integers(0, 3))
 def test_the_jacobian_is_the_derivative_of_lateral(line: Any, i: int) -> None:
     """l(line + h) - l(line - h) is 2 h J for each parameter."""
@@ -218,19 +207,6 @@ def test_a_transformed_line_follows_the_rotated_curve(line: Any, motion: Any, sh
     assert abs(lateral(new, u) - point(x)[1]) <= 1e-3
 
 
-def test_lines_and_motions_broadcast() -> None:
-    """Lines (..., 4) and motions (..., 3) broadcast; each result is that of a single call."""
-    lines = np.array([[1.0, 0.1, 1e-3, 1e-6], [2.0, -0.1, -1e-3, 0]])
-    motions_ = np.array([[[1.0, 0.5, 0.02]], [[-3.0, 0.2, -0.1]], [[0.0, 0.0, 0.0]]])
-    together = transform_line(lines, motions_, WINDOW)
-
-    assert together.shape == (3, 2, 4)
-    for i, j in np.ndindex(3, 2):
-        assert np.allclose(
-            together[i, j], transform_line(lines[j], motions_[i, 0], WINDOW), rtol=1e-12
-        )
-
-
 @pytest.mark.parametrize("window", [(80.0, 80.0), (80.0, 0.0), (np.nan, 80.0)])
 def test_transform_line_needs_a_window(window: Any) -> None:
     """An empty window contains no points of the line."""
@@ -344,26 +320,3 @@ def test_numbers_beyond_the_floats_raise(make: Any, words: str) -> None:
     with pytest.raises(ValueError, match=words) as error:
         make()
     assert len(str(error.value)) < 200
-
-
-@pytest.mark.filterwarnings("error")
-def test_single_precision_is_accepted() -> None:
-    """The bounds of double precision do not overflow in float32 comparisons."""
-    one = np.float32(1.0)
-    line = MapLine.mean_only(Slot.EGO_LEFT, [one, 0, 0, 0], x_min=one, x_max=2 * one, age=one)  # type: ignore[arg-type]
-
-    assert transform_line(line.gaussian.mean, [0, one, 0], (one, 2 * one))[0] == pytest.approx(0)  # type: ignore[arg-type]
-
-
-@pytest.mark.filterwarnings("error")
-def test_a_line_beyond_the_floats_is_infinite_or_nan() -> None:
-    """No warning is issued."""
-    line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0.01, 1e-3, 1e-6], x_min=-1.5e308, x_max=1.5e308)
-
-    assert not np.isfinite(line.y([np.inf, -np.inf, np.nan, -1e308])).any()
-    assert not np.isfinite(line.y_sigma([np.inf, 1e308])).any()
-    for x in (np.inf, -np.inf, np.nan, -1e308, np.float64(1e308)):
-        assert not np.isfinite(line.y(x))
-        assert not np.isfinite(line.y_sigma(x))
-    assert not np.isfinite(lateral(np.full(4, 1e200), -1e308))
-    assert not np.isfinite(lateral_jacobian(np.zeros(4), 1e308)[3])

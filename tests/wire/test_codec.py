@@ -59,16 +59,6 @@ def test_age_is_rounded_up(codec: Any) -> None:
     assert codec.layout.max_age == 0.24
 
 
-def test_single_precision_is_accepted(codec: Any) -> None:
-    """A product J P J^T in float32 is symmetric and definite to the rounding of float32."""
-    rng = np.random.default_rng(8)
-    root = (rng.standard_normal((300, 4, 3)) * [[0.3], [0.02], [1e-3], [1e-5]]).astype(np.float32)
-    covs = np.einsum("nik,njk->nij", root, root)
-    batch = codec.batch.decode(codec.batch.encode(np.zeros((300, 4), np.float32), covs))
-    assert not (batch.status == Status.REPAIRED).any()
-    assert Gaussian(np.zeros(4, np.float32), covs[0]).dimension == 4
-
-
 def test_unknown_with_a_mean_out_of_range_is_out_of_range(codec: Any) -> None:
     """Without a covariance, nothing covers a clipped mean."""
     batch = codec.batch.decode(codec.batch.encode([[1.75, 0, 0, 0], [40.0, 0, 0, 0]]))

@@ -23,6 +23,7 @@ from maplines_can import Codec, MapLine, Slot
 from maplines_can.bus import Link, Transmitter
 from maplines_can.wire import Encoder
 
+WHOLE = "maplines-scene.dbc"
 LINE = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0.01, 0, 0], x_max=60.0, age=0.02)
 MEANS, COVS = [[1.75, 0, 0, 0]], [np.diag([0.01, 1e-4, 1e-8, 1e-12])]
 
@@ -38,41 +39,33 @@ COPIES = [
 ]
 
 
-def frames_of(encoder: Encoder, dbc: str) -> Any:
-    """Return what an encoder sends next: the scene, and a line if the DBC takes it by itself."""
-    scene = encoder.encode_scene(road_scene(), age=0.03)
-    return scene, None if dbc == CONDITIONAL else encoder.encode(LINE)
+def frames_of(encoder: Encoder, dbc: str, slots: Any = (Slot.EGO_LEFT, Slot.EGO_RIGHT)) -> Any:
+    """Return what an encoder sends next: a scene, and a line if the DBC takes it by itself."""
+    sent = encoder.encode_scene(road_scene(slots), age=0.03, fd=dbc == WHOLE)
+    return sent, None if dbc in (CONDITIONAL, WHOLE) else encoder.encode(LINE)
 
 
-@pytest.mark.parametrize("dbc", ALL)
+@pytest.mark.parametrize("dbc", [*ALL, WHOLE])
 @pytest.mark.parametrize("again", COPIES)
 def test_a_copy_does_the_same(again: Callable[[Any], Any], dbc: str) -> None:
-    """A codec, its batches, an encoder with its counters, and a scene that it has prepared."""
-    codec = new_codec(dbc)
+    """A codec, its batches, an encoder with counters and places of its own, and prepared scenes."""
+    codec, fd = new_codec(dbc), dbc == WHOLE
     other: Codec = again(codec)
     assert (repr(other), other.can_ids) == (repr(codec), codec.can_ids)
     encoder = codec.encoder()
-    frames_of(encoder, dbc)  # the counters advance
-    prepared = again(encoder.prepare_scene(road_scene()))
-    expected, found = again(encoder), again(encoder)
-    assert frames_of(found, dbc) == frames_of(expected, dbc) == frames_of(encoder, dbc)
-    assert found.encode_scene(prepared) == encoder.encode_scene(road_scene())
-    assert other.encoder().encode_scene(road_scene()) == codec.encoder().encode_scene(prepared)
-    if dbc != CONDITIONAL:
+    frames_of(encoder, dbc, Slot)  # the counters advance, and whole scenes have two messages
+    prepared = again(encoder.prepare_scene(road_scene(), fd=fd))
+    copied, found = again(encoder), again(encoder)
+    assert frames_of(found, dbc) == frames_of(copied, dbc) == frames_of(encoder, dbc)
+    assert found.encode_scene(prepared, fd=fd) == encoder.encode_scene(road_scene(), fd=fd)
+    assert other.encoder().encode_scene(road_scene(), fd=fd) == (
+        codec.encoder().encode_scene(prepared, fd=fd)
+    )
+    if dbc not in (CONDITIONAL, WHOLE):
         records = codec.batch.encode(MEANS, COVS)
         assert again(codec.batch).encode(MEANS, COVS).tobytes() == records.tobytes()
         expected, found = (one.batch.decode(records).cov for one in (codec, other))
         assert found.tobytes() == expected.tobytes()
-
-
-def test_a_copy_of_an_encoder_has_counters_of_its_own() -> None:
-    """What one sends does not advance the other."""
-    encoder = new_codec(COMPLETE).encoder()
-    encoder.encode(LINE)
-    for again in (copy, deepcopy, pickled):
-        other, before = again(encoder), encoder._state
-        other.encode(LINE)
-        assert encoder._state == before != other._state
 
 
 SEND = """

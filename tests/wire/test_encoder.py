@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from random_dbc import LIMIT_SEED, random_dbc
 from scene_layouts import layout_of
-from support.c_layouts import with_slots
 from support.lines import random_lines
 
 from maplines_can import Codec, EncodeError, Gaussian, GaussianMixture, Kind, MapLine, Slot, Status
@@ -192,19 +191,6 @@ def test_lines_that_depend_on_the_pose_error_are_sent_as_scenes() -> None:
     encoder = Codec(layout_of("maplines-pose.dbc")).encoder()
     with pytest.raises(EncodeError, match=r"conditional on the pose error.*encode_scene"):
         encoder.encode(ordinary())
-
-
-def test_a_slot_that_the_dbc_lacks() -> None:
-    """The error has the slot."""
-    encoder = Codec(with_slots(DEFAULT, Slot.CENTRE)).encoder()
-    with pytest.raises(EncodeError, match="no message for slot 7"):
-        encoder.encode_lines([ordinary(Slot.CENTRE), ordinary(Slot.ROUTE)])
-
-
-@pytest.mark.parametrize("counters", [{Slot.EGO_LEFT: 1.5}, {Slot.EGO_LEFT: "1"}, {0: None}])
-def test_counters_that_are_no_integers(counters: Any) -> None:
-    with pytest.raises(TypeError, match="integer"):
-        CODEC.encoder().encode_lines([ordinary()], counters=counters)
 
 
 # ---- code of others that runs meanwhile --------------------------------------------------------

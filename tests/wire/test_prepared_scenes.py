@@ -1,15 +1,14 @@
 """Scenes that were prepared: given to another encoder, copied, or with values that no scene has."""
 
-import copy
 import pickle
-import re
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from support.scene_streams import COMPLETE, CONDITIONAL, OFFSETS, new_codec, road_scene
+from support.dbcs import edited_text
+from support.scene_streams import COMPLETE, CONDITIONAL, new_codec, road_scene
 
 from maplines_can import Codec, EncodeError, Gaussian, Scene, Slot
 from maplines_can.bus import Link, Transmitter
@@ -20,12 +19,8 @@ OTHER = {COMPLETE: CONDITIONAL, CONDITIONAL: COMPLETE}
 
 
 def edited(dbc: str, *edits: tuple[str, str]) -> Layout:
-    """Return the layout of a DBC of the package with changes; each must be found."""
-    text = default_dbc_path(dbc).read_text()
-    for pattern, replacement in edits:
-        text, found = re.subn(pattern, replacement, text)
-        assert found, pattern
-    return Layout.from_text(text, "edited.dbc")
+    """Return the layout of a DBC of the package with changes."""
+    return Layout.from_text(edited_text(default_dbc_path(dbc).read_text(), *edits), "edited.dbc")
 
 
 def check_refused(own: Codec, strange: Codec) -> None:
@@ -91,20 +86,6 @@ def test_what_is_no_scene_is_refused(wrong: object) -> None:
     for give in (encoder.encode_scene, encoder.prepare_scene):
         with pytest.raises(TypeError, match="scene must be a Scene.*got a " + type(wrong).__name__):
             give(wrong)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("fd", [False, True])
-@pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
-def test_a_copy_is_the_same_scene(dbc: str, fd: bool) -> None:
-    """One from a pickle is prepared again, without the lines that are not sent."""
-    encoder = new_codec(dbc).encoder()
-    prepared = encoder.prepare_scene(road_scene(OFFSETS), fd=fd).without(Slot.CENTRE)
-    expected = encoder.encode_scene(prepared, fd=fd, counters={})
-    assert [*expected] == [POSE, *(slot for slot in OFFSETS if slot != Slot.CENTRE)]
-    assert copy.copy(prepared) is copy.deepcopy(prepared) is prepared
-    again = pickle.loads(pickle.dumps(prepared))  # noqa: S301
-    assert encoder.encode_scene(again, fd=fd, counters={}) == expected
-    assert (again.sent_slots, again.members) == (prepared.sent_slots, prepared.members)
 
 
 def test_the_order_of_the_slots_is_that_of_the_scene() -> None:

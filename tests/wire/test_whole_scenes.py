@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import copy
 import pickle
-import re
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from itertools import chain
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,7 +27,7 @@ from maplines_can.model.places import Candidate, Places, chosen
 from maplines_can.propagation import map_scene
 from maplines_can.values.line import LeftOut, MapLine
 from maplines_can.values.mixture import GaussianMixture
-from maplines_can.wire import SCENE, SCENE2, Encoder, Frame, Layout, Owner, default_dbc_path
+from maplines_can.wire import SCENE, SCENE2, Encoder, Frame, Owner, default_dbc_path
 
 DBC = "maplines-scene.dbc"
 PATH = default_dbc_path(DBC)
@@ -53,12 +50,6 @@ def frames_of(sent: dict[Any, list[Frame]]) -> list[Frame]:
 def sent(encoder: Encoder, scene: Scene) -> Read:
     """What a receiver reads of a scene that an encoder sends next."""
     return read(frames_of(encoder.encode_scene(scene, fd=True)), PATH)
-
-
-def messages_of(encoder: Encoder, scene: Scene, path: Path = PATH) -> dict[str, list[Slot]]:
-    """Slots of the lines that are sent, by message and in the order of places."""
-    found = encoder.encode_scene(scene, fd=True)
-    return {str(owner): read(frames, path).slots for owner, frames in found.items()}
 
 
 def beyond(scene: Scene, slot: Slot) -> Scene:
@@ -126,13 +117,6 @@ def test_a_line_that_is_left_out_says_why(slot: Slot) -> None:
     line[:4] = 0
     line[101:] = 0  # slot, or the counter of the scene
     assert not line.any()
-
-
-def test_a_scene_without_lines_is_a_pose_error() -> None:
-    empty = replace(straight({}), left_out={Slot.ROUTE: LeftOut.TOO_SHORT})
-    found = sent(Codec(layout_of(DBC)).encoder(), empty)
-    assert (found.slots, found.left_out) == ([], {})
-    assert found.raw["Scene"]["PivotAlong"] > 0
 
 
 def test_both_records_state_one_pose_error_and_the_counter_of_the_first() -> None:
@@ -254,26 +238,6 @@ def test_a_retracted_line_has_no_place() -> None:
 # ---- state of a sender -----------------------------------------------------------------------
 
 
-def test_a_copy_goes_on_with_the_counters_and_places_of_the_original() -> None:
-    """Whoever sends next sends the same; then each has a state of its own."""
-    encoder = Codec(layout_of(DBC)).encoder()
-    base = dict.fromkeys(EGO, 1.0) | {Slot.NEXT_RIGHT: 2.0, Slot.CENTRE: 0.0}
-    first = straight(base | {Slot.ROUTE: 4.0, Slot.NEXT_LEFT: 4.5})
-    second = straight(base | {Slot.ROUTE: 4.5, Slot.NEXT_LEFT: 4.0})
-    encoder.encode_scene(first, fd=True)
-    ways: list[Callable[[Encoder], Encoder]] = [
-        copy.copy,
-        copy.deepcopy,
-        lambda one: pickle.loads(pickle.dumps(one)),  # noqa: S301
-    ]
-    others = [again(encoder) for again in ways]
-    expected = encoder.encode_scene(second, fd=True)
-    for other in others:
-        assert other.encode_scene(second, fd=True) == expected
-    fresh = Codec(layout_of(DBC)).encoder().encode_scene(second, fd=True, counters={SCENE: 1})
-    assert read(fresh[SCENE], PATH).slots != read(expected[SCENE], PATH).slots
-
-
 def test_with_counters_of_the_caller_the_encoder_does_not_change() -> None:
     """Neither its counters nor its places."""
     encoder = Codec(layout_of(DBC)).encoder()
@@ -303,20 +267,3 @@ def test_what_is_no_scene_in_can_fd_is_refused_in_words() -> None:
                 encoder.encode(line, fd=fd)
     with pytest.raises(EncodeError, match="lines are sent and received as scenes"):
         _ = codec.batch
-
-
-def test_places_may_all_have_a_fixed_slot(tmp_path: Path) -> None:
-    """Lines of other slots are left out, and Scene2 is needed for the edges."""
-    text = PATH.read_text()
-    lines = [line for line in text.splitlines(keepends=True) if not re.search(r"Line[34]", line)]
-    path = tmp_path / "fixed.dbc"
-    path.write_text("".join(lines))
-    layout = Layout.from_dbc(path)
-    assert layout.slots == (*EGO, Slot.EDGE_LEFT, Slot.EDGE_RIGHT)
-    encoder = Codec(layout).encoder()
-    scene = road_scene((*EGO, Slot.ROUTE))
-    expected = {"scene2": [], "scene": [*EGO]}
-    assert messages_of(encoder, scene, path) == expected
-    assert encoder.left_out(scene, fd=True) == {Slot.ROUTE: LeftOut.PLACE}
-    scene = road_scene((*EGO, Slot.EDGE_LEFT))
-    assert messages_of(encoder, scene, path) == expected | {"scene2": [Slot.EDGE_LEFT]}

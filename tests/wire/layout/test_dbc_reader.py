@@ -7,7 +7,7 @@ from typing import Any
 import cantools
 import pytest
 from dbc_alterations import original
-from support.dbcs import edited
+from support.dbcs import edited, edited_text
 
 from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import Slot
@@ -113,14 +113,6 @@ def test_a_dbc_with_another_secured_format_is_rejected(
 ORIGINAL = original()
 
 
-def edit(text: str, *edits: tuple[str, str]) -> str:
-    """The text with regular expressions replaced; each must be found."""
-    for pattern, replacement in edits:
-        text, found = re.subn(pattern, replacement, text)
-        assert found, pattern
-    return text
-
-
 def of_message(number: int, pattern: str, replacement: str) -> tuple[str, str]:
     """An edit within the signals of one message only."""
     return rf"(BO_ {number} [^\n]*\n(?: SG_ [^\n]*\n)*?){pattern}", rf"\1{replacement}"
@@ -184,12 +176,12 @@ def test_a_dbc_that_describes_no_record_is_refused(
 ) -> None:
     """With the first reason that is found."""
     with pytest.raises(LayoutError, match=words):
-        Layout.from_text(edit(ORIGINAL, *edits))
+        Layout.from_text(edited_text(ORIGINAL, *edits))
 
 
 def test_a_whole_number_at_the_ends_of_its_range() -> None:
     """Of data IDs and of a cycle time; it may also be written as text."""
-    text = edit(
+    text = edited_text(
         ORIGINAL,
         (r'"E2EDataId" BO_ (832|840|848) \d+', r'"E2EDataId" BO_ \1 0'),
         (r'"SecOCDataId" BO_ 848 \d+', '"SecOCDataId" BO_ 848 0'),
@@ -204,20 +196,6 @@ def test_a_whole_number_at_the_ends_of_its_range() -> None:
     left, right = (layout.messages[slot] for slot in (Slot.EGO_LEFT, Slot.EGO_RIGHT))
     assert (left.data_id, left.secured_data_id, right.secured_data_id) == (0, 0, 65535)
     assert (left.cycle_ms, right.cycle_ms) == (3_600_000, 0)
-
-
-def test_can_fd_alone_with_a_foreign_signal_in_the_padding() -> None:
-    """A DBC without classic messages; the record ends where the padding begins."""
-    text = edit(
-        ORIGINAL,
-        (r'BA_ "(MapLineSlot|E2EDataId)" BO_ 83[23] .*\n', ""),
-        (r"( SG_ Page4 : 317.*\n)", r'\1 SG_ Other : 320|8@1+ (1,0) [0|255] "" AdasEcu\n'),
-    )
-    layout = Layout.from_text(text)
-    assert layout.record_bytes == 40
-    assert "Other" not in layout.signals
-    assert layout.messages[Slot.EGO_LEFT].can_id is None
-    assert layout.messages[Slot.EGO_LEFT].name == "EgoLeftFd"
 
 
 @pytest.mark.parametrize(
@@ -240,18 +218,6 @@ def test_a_signal_is_in_one_page(multiplexers: str, words: str) -> None:
     )
     with pytest.raises(LayoutError, match=words):
         Layout.from_text(text)
-
-
-def test_classic_can_alone() -> None:
-    """A DBC without CAN FD messages; its pages are numbered by the multiplexer."""
-    text = edit(ORIGINAL, (r'BA_ "(MapLineSlot|E2EDataId|SecOCDataId)" BO_ 84[0189] .*\n', ""))
-    layout = Layout.from_text(text)
-    left = layout.messages[Slot.EGO_LEFT]
-    assert (left.can_id, left.name, left.data_id) == (832, "EgoLeft", 19776)
-    assert (left.fd_can_id, left.fd_is_extended, left.fd_length) == (None, False, 0)
-    assert (left.secured_can_id, left.secured_is_extended, layout.secured) == (None, False, None)
-    assert left.ids == {(832, False): False}
-    assert left.secured_ids == {}
 
 
 def test_only_messages_of_map_lines_need_their_own_can_id() -> None:
@@ -283,7 +249,7 @@ def test_the_range_of_a_signal_is_that_of_its_bits(low: float, high: float, is_w
     """[min|max] of YOff in steps of 2^-10 m; a bound may be rounded to decimals."""
     as_it_was = r"( SG_ YOff .*\|)\d+@1- \([^)]*\) \[[^\]]*\]"
     numbers = rf"\g<1>16@1- (0.0009765625,0) [{low!r}|{high!r}]"
-    text = edit(ORIGINAL, (as_it_was, numbers))
+    text = edited_text(ORIGINAL, (as_it_was, numbers))
     if is_whole:
         signal = Layout.from_text(text)["YOff"]
         assert (signal.raw_min, signal.raw_max) == (-32768, 32767)

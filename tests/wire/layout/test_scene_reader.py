@@ -13,13 +13,12 @@ from dbc_witness import check_codec
 from scene_layouts import layout_of
 
 from maplines_can.dbc_files.parser import default_dbc_path
-from maplines_can.study.dbc.dbc_writer import SceneSpec
 from maplines_can.study.dbc.record_spec import CONDITIONAL, SCENES, WHOLE_SCENES
 from maplines_can.values.errors import LayoutError
-from maplines_can.values.line import LeftOut, Slot
+from maplines_can.values.line import Slot
 from maplines_can.wire import Codec, Layout
-from maplines_can.wire.layout.pose_layout import SCENE, SCENE2, SceneOwner
-from maplines_can.wire.layout.scene_layout import NoLine, SceneLayout
+from maplines_can.wire.layout.pose_layout import SCENE, SCENE2
+from maplines_can.wire.layout.scene_layout import SceneLayout
 from maplines_can.wire.layout.signals import SCENE_LINE, SECURED_SIGNALS, SLOT, slot_title
 
 #: CAN IDs of the messages.
@@ -134,16 +133,6 @@ def test_the_places_of_lines_are_those_of_the_dbc() -> None:
     assert list(scene.signals) == [s.name for s in database.get_message_by_name("Scene").signals]
 
 
-def test_a_place_without_a_line_says_why() -> None:
-    """The reasons of a sender follow NONE in their order."""
-    reasons = [one.reason for one in NoLine]
-
-    assert reasons == [None, LeftOut.ACROSS, LeftOut.RANGE, LeftOut.MEAN, LeftOut.COVARIANCE]
-    assert [one.name for one in NoLine if one.reason] == [
-        f"LEFT_OUT_{reason.name}" for reason in reasons if reason
-    ]
-
-
 # ---- DBCs that are accepted ------------------------------------------------------------------
 
 
@@ -164,44 +153,6 @@ def test_a_dbc_may_be_otherwise(dbc: Callable[[], str | Database]) -> None:
     given = dbc()
     database: Any = cantools.database.load_string(given, "dbc") if isinstance(given, str) else given
     check_codec(Codec(layout_from(given)), database)
-
-
-#: Bits of signals of a narrow line; those of others are 6, over the same range.
-NARROW = {"Kind": 4, "OwnTilt": 2, "XMin": 5, "XMax": 6}
-NO_SLOTS: dict[SceneOwner, tuple[Slot, ...]] = {SCENE: (), SCENE2: ()}
-
-
-@pytest.mark.parametrize(
-    "spec",
-    [
-        pytest.param(
-            replace(
-                SCENES, head=(*SCENES.head, *SCENES.tails), tails=(), fixed=NO_SLOTS, places=1,
-                secured_places=1,
-            ),
-            id="one",
-        ),
-        pytest.param(replace(SCENES, places=2, secured_places=2), id="two"),
-        pytest.param(
-            replace(
-                SCENES, places=6, secured_places=4,
-                line=tuple(
-                    replace(one, bits=NARROW[one.name]) if one.name in NARROW
-                    else one.finer(6 - one.bits)
-                    for one in SCENES.line
-                ),
-            ),
-            id="six",
-        ),
-    ],
-)  # fmt: skip
-def test_other_numbers_of_lines(spec: SceneSpec) -> None:
-    """They are read as they are written, and what is sent arrives."""
-    database = replace(WHOLE_SCENES, scene=spec).database()
-    layout = Layout.from_dbc(database)
-
-    assert scene_of(layout).places == spec.places
-    check_codec(Codec(layout), database)
 
 
 def test_only_authenticated_messages() -> None:

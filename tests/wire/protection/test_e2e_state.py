@@ -48,29 +48,10 @@ def check(counter: int, last: int | None, max_delta: int) -> ProfileStatus:
 # ---- the check ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("last", "counter", "status"),
-    [
-        pytest.param(None, 77, OK, id="first"),
-        pytest.param(7, 8, OK, id="next"),
-        pytest.param(255, 0, OK, id="next-after-the-wrap"),
-        pytest.param(7, 7, REPEATED, id="same"),
-        pytest.param(7, 9, OKSOMELOST, id="one-lost"),
-        pytest.param(7, 10, OKSOMELOST, id="at-max-delta"),
-        pytest.param(254, 1, OKSOMELOST, id="at-max-delta-after-the-wrap"),
-        pytest.param(7, 11, WRONGSEQUENCE, id="one-beyond"),
-        pytest.param(7, 6, WRONGSEQUENCE, id="one-back"),
-        pytest.param(0, 255, WRONGSEQUENCE, id="one-back-before-the-wrap"),
-    ],
-)
-def test_the_counter_check(last: int | None, counter: int, status: Any) -> None:
-    """E2E_P05Check with max_delta_counter 3: the step from the last counter counts."""
-    assert check(counter, last, 3) is status
-
-
 @given(st.integers(0, 255), st.integers(0, 255), st.integers(1, 127))
 def test_any_step_of_the_counter(last: int, counter: int, max_delta: int) -> None:
-    """As in the standard: the step is the difference modulo 256."""
+    """As in E2E_P05Check: the step is the difference modulo 256. The first record is OK."""
+    assert check(counter, None, max_delta) is OK
     forward = counter - last if counter >= last else counter + 256 - last
     expected = (
         REPEATED
@@ -93,52 +74,30 @@ def test_any_step_of_the_counter(last: int, counter: int, max_delta: int) -> Non
         # NODATA: the first check that is neither ERROR nor NONEWDATA; it does not count
         pytest.param("n", "D", id="nodata-nonewdata"),
         pytest.param("e", "D", id="nodata-error"),
-        pytest.param("eeeeeennnnnn", "DDDDDDDDDDDD", id="nodata-errors-do-not-add-up"),
         pytest.param("o", "I", id="nodata-ok"),
-        pytest.param("l", "I", id="nodata-oksomelost"),
-        pytest.param("r", "I", id="nodata-repeated"),
-        pytest.param("w", "I", id="nodata-wrongsequence"),
         pytest.param("eeo", "DDI", id="nodata-left-after-errors"),
-        pytest.param("eeoeoo", "DDIIIV", id="errors-before-init-are-forgotten"),
         # INIT: window 3, OKs 2, errors 1
-        pytest.param("oo", "II", id="init-one-ok-less"),
         pytest.param("ooo", "IIV", id="init-oks-at-bound"),
         pytest.param("oll", "IIV", id="oksomelost-is-an-ok"),
-        pytest.param("oeoo", "IIIV", id="init-both-at-bound"),
         pytest.param("oee", "IIX", id="init-one-error-more"),
-        pytest.param("oone", "IIII", id="init-neither"),
-        pytest.param("oono", "IIIV", id="init-ok-at-the-edge-of-the-window"),
         pytest.param("oonno", "IIIII", id="init-ok-just-out-of-the-window"),
         pytest.param("oene", "IIIX", id="init-error-at-the-edge-of-the-window"),
-        pytest.param("oenne", "IIIII", id="init-error-just-out-of-the-window"),
         pytest.param("onrwnrw", "IIIIIII", id="init-others-count-as-neither"),
         # VALID: window 5, OKs 2, errors 2
-        pytest.param("oooee", "IIVVV", id="valid-both-at-bound"),
         pytest.param("oooeee", "IIVVVX", id="valid-one-error-more"),
-        pytest.param("ooonnn", "IIVVVV", id="valid-oks-at-bound"),
         pytest.param("ooonnnn", "IIVVVVX", id="valid-one-ok-less-nonewdata"),
-        pytest.param("ooorrrr", "IIVVVVX", id="valid-one-ok-less-repeated"),
-        pytest.param("ooowwww", "IIVVVVX", id="valid-one-ok-less-wrongsequence"),
         pytest.param("oooelerlw", "IIVVVVVVV", id="valid-all-kinds-within-both-bounds"),
         pytest.param("oooeooee", "IIVVVVVX", id="valid-error-at-the-edge-of-the-window"),
-        pytest.param("oooeoooee", "IIVVVVVVV", id="valid-error-just-out-of-the-window"),
         # The window grows from 3 to 5 between INIT and VALID
         pytest.param("oeooee", "IIIVVX", id="an-error-in-init-is-kept"),
-        pytest.param("oenooee", "IIIIVVV", id="older-checks-do-not-return"),
         # INVALID: window 4, OKs 3, errors 0, from an empty window
-        pytest.param("oeeoo", "IIXXX", id="invalid-one-ok-less"),
         pytest.param("oeeooo", "IIXXXV", id="invalid-oks-at-bound"),
-        pytest.param("oeeoono", "IIXXXXV", id="invalid-ok-at-the-edge-of-the-window"),
         pytest.param("oeeoonno", "IIXXXXXX", id="invalid-ok-just-out-of-the-window"),
-        pytest.param("oeeooeo", "IIXXXXX", id="invalid-one-error-more"),
         pytest.param("oeeeooo", "IIXXXXX", id="invalid-error-at-the-edge-of-the-window"),
-        pytest.param("oeeeoooo", "IIXXXXXV", id="invalid-error-just-out-of-the-window"),
-        pytest.param("oeennnnnnnn", "IIXXXXXXXXX", id="invalid-silence"),
-        pytest.param("oeeooonn", "IIXXXVVV", id="valid-again"),
     ],
 )
 def test_the_table_of_states(statuses: str, states: str) -> None:
-    """Each transition of E2E_SMCheck, at its bounds, one off, and at the edge of its window."""
+    """Transitions of E2E_SMCheck by example; the reference below has all others."""
     machine = StateMachine(SMALL)
     assert [STATES[letter] for letter in states] == [machine.step(LETTERS[s]) for s in statuses]
 
@@ -148,9 +107,6 @@ def test_the_table_of_states(statuses: str, states: str) -> None:
     [
         pytest.param(True, "oooeeeooo", "IIVVVXXXV", id="from-valid-cleared"),
         pytest.param(False, "oooeeeooo", "IIVVVXXXX", id="from-valid-kept"),
-        pytest.param(False, "oooeeeoooo", "IIVVVXXXXV", id="from-valid-kept-until-gone"),
-        pytest.param(True, "oeeooo", "IIXXXV", id="from-init-cleared"),
-        pytest.param(False, "oeeooo", "IIXXXX", id="from-init-kept"),
         pytest.param(False, "oooonnnnooo", "IIVVVVVXXXV", id="old-oks-do-not-suffice"),
     ],
 )

@@ -5,7 +5,6 @@ from typing import Any
 import e2e
 import numpy as np
 import pytest
-from answers import one
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.dbcs import default_codec
@@ -19,7 +18,6 @@ from support.e2e_streams import (
     mixture_frames,
     record,
     run,
-    two_senders,
 )
 
 from maplines_can import MapLine
@@ -88,60 +86,6 @@ def test_a_sender_that_restarts(at: int, silence: int) -> None:
     check_accounts(decoder)
 
 
-def test_repeated_restarts_are_not_two_senders() -> None:
-    """Each time two lines are held back, as with a second sender, but not for long."""
-    decoder, t_ns = default_codec().decoder(), 0
-    for k in range(30):
-        _, t_ns = run(decoder, range(20), t_ns, other=20 * k)
-    assert decoder.lines == 20 + 29 * 18
-    assert not decoder.checks[SLOT].two_senders
-
-
-@pytest.mark.parametrize("fd", [False, True])
-@pytest.mark.parametrize("back", [1, 7, 127])
-@pytest.mark.parametrize("later_ms", [1, 26])
-def test_a_late_line_is_not_delivered(later_ms: int, back: int, fd: bool) -> None:
-    """Whether it was delivered before or not; later lines are."""
-    decoder = default_codec().decoder()
-    counters = [c for c in range(140) if c not in (10, 120, 131, 132)]
-    _, t_ns = run(decoder, counters, fd=fd)
-    before = decoder.lines
-    late = feed(decoder, frames(139 - back, fd), t_ns - CYCLE + later_ms * MS)
-    assert late in (Reason.STALE, Reason.DUPLICATE)
-    answers, _ = run(decoder, range(140, 150), t_ns, fd=fd)
-    assert all(isinstance(answer, MapLine) for answer in answers)
-    assert (decoder.lines - before, decoder.checks[SLOT].state) == (10, VALID)
-    check_accounts(decoder)
-
-
-@pytest.mark.parametrize("fd", [False, True])
-def test_a_queue_of_old_lines_is_not_delivered(fd: bool) -> None:
-    """A gateway empties its queue between two lines: in order, but none follows the newest."""
-    decoder = default_codec().decoder()
-    _, t_ns = run(decoder, range(100), fd=fd)
-    queue = [f for c in range(60, 90) for f in frames(c, fd)]
-    answers = [one(decoder.feed(f.can_id, f.data, t_ns - 20 * MS + i)) for i, f in enumerate(queue)]
-    assert not any(isinstance(answer, MapLine) for answer in answers)
-    (line,), _ = run(decoder, [100], t_ns, fd=fd)
-    assert isinstance(line, MapLine)
-
-
-@pytest.mark.parametrize("fd", [False, True])
-@pytest.mark.parametrize("later_ms", [1, 30, 10**7])
-def test_a_repeated_transfer_is_never_delivered_twice(later_ms: int, fd: bool) -> None:
-    """Within the time-out the reassembly drops it; after that the counter check does."""
-    decoder = default_codec().decoder()
-    run(decoder, range(10), fd=fd)
-    t_ns = 9 * CYCLE + later_ms * MS
-    assert feed(decoder, frames(9, fd), t_ns) is Reason.DUPLICATE
-    assert decoder.counts == {Reason.DUPLICATE: 1 if fd else 4}
-    assert decoder.checks[SLOT].statuses[REPEATED] == 1
-    assert decoder.lines == 10
-    assert isinstance(feed(decoder, frames(10, fd), t_ns + CYCLE), MapLine)
-    assert not decoder.checks[SLOT].two_senders
-    check_accounts(decoder)
-
-
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("lines", [20, 32, 64])
 def test_a_sender_that_is_stuck(lines: int, fd: bool) -> None:
@@ -197,18 +141,6 @@ def test_each_component_of_a_mixture_is_a_check(k: int, fd: bool) -> None:
     next_ = mixture_frames((first + k) % 256, k, fd)
     assert isinstance(feed(decoder, next_, t_ns + 20_000 * MS), MapLine)
     assert slot.statuses[WRONGSEQUENCE] == 0
-    check_accounts(decoder)
-
-
-@pytest.mark.parametrize("fd", [False, True])
-@pytest.mark.parametrize("offset_ms", [5, 30])
-@pytest.mark.parametrize("apart", [0, 1, 8, 100, 255])
-def test_two_senders_on_a_slot(apart: int, offset_ms: int, fd: bool) -> None:
-    """With any difference of counters and times: reported, and not VALID."""
-    decoder = default_codec().decoder()
-    slot = two_senders(decoder, offset_ms, apart, fd=fd)
-    assert slot.two_senders
-    assert slot.state is not VALID
     check_accounts(decoder)
 
 

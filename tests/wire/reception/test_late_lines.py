@@ -13,7 +13,7 @@ from support.e2e_streams import CYCLE, MS, SLOT, Received, frames, mixture_frame
 from maplines_can import MapLine
 from maplines_can.model.e2e import Windows
 from maplines_can.model.sequence import SequenceCheck
-from maplines_can.wire import E2EConfig, E2EState, Reason
+from maplines_can.wire import E2EConfig, E2EState
 
 VALID, INVALID = E2EState.VALID, E2EState.INVALID
 MAX_DELTA = E2EConfig().max_delta_counter
@@ -116,28 +116,6 @@ class Stream:
         return answers
 
 
-@pytest.mark.parametrize("late", range(1, 32))
-def test_a_mixture_that_is_0_8_to_1_55_s_late_is_not_delivered(late: int) -> None:
-    """Except the two cases that look like the next line and the one after it.
-
-    Of 8 components, 30 and 31 lines late: 1.5 and 1.55 s.
-    """
-    stream, last = Stream(8), 39
-    stream.run([line if line != last - late else None for line in range(last + 1)])
-    t_ns = stream.t_ns - CYCLE + 10 * MS
-    assert stream.decoder.latest(SLOT, t_ns).usable
-
-    answer = stream.receive(last - late, t_ns)
-
-    assert isinstance(answer, MapLine) is (late >= 30)
-    if late < 30:
-        assert answer is Reason.STALE
-        assert all(isinstance(new, MapLine) for new in stream.run([last + 1, last + 2]))
-    view = stream.decoder.latest(SLOT, stream.t_ns)
-    assert view.usable
-    assert view.line is not answer or late >= 30
-
-
 SPILLS: dict[str, Any] = {
     "at once": lambda n: [0.1 + 0.01 * i / n for i in range(n)],
     "within a cycle": lambda n: [0.1 + 0.8 * i / n for i in range(n)],
@@ -175,17 +153,6 @@ def test_a_gateway_that_spills_held_back_lines_gets_none_delivered(
     assert late == []
     assert delivered == sorted(delivered)
     assert len(delivered) == (19 if sender == "goes on" else 0)
-
-
-@pytest.mark.parametrize("last", [9, 60, 130, 200])
-def test_a_restart_within_the_window_costs_two_lines(last: int) -> None:
-    """If its first lines are lost, up to 15, it is the same."""
-    for first in (first for first in (0, 3, 15) if first < last):
-        slot = slot_of(last + 1)
-        answers = [slot.received(first + i, -1 - i, (last + 2 + i) * CYCLE) for i in range(4)]
-        assert answers == [Reason.STALE, Reason.STALE, None, None]
-        assert slot.check.state is INVALID
-        assert slot.check.lost == 0
 
 
 @pytest.mark.parametrize("counter", [40, 100, 150, 230])

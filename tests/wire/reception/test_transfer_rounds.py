@@ -9,40 +9,13 @@ from answers import one
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.dbcs import default_codec
-from support.e2e_streams import CYCLE, MS, SLOT, check_accounts, frames
+from support.e2e_streams import MS, SLOT, check_accounts
 
 from maplines_can import MapLine
 from maplines_can.study import road
 from maplines_can.wire import Reason
 
 CAN_ID, PAGES, RECORDS = 0x340, 4, 1024
-
-
-def test_transfers_whose_pages_are_60_ms_apart_are_delivered() -> None:
-    """Every third time the sender is descheduled in the middle of a line, for 60 ms."""
-    decoder, answers, t_ns = default_codec().decoder(), [], 0
-    for line in range(120):
-        t_ns = max(t_ns, line * CYCLE)
-        for page, frame in enumerate(frames(line)):
-            if line % 3 == 0 and page == 1 + line // 3 % 3:
-                t_ns += 60 * MS
-            answers.append(one(decoder.feed(frame.can_id, frame.data, t_ns)))
-            t_ns += MS // 4
-    assert sum(isinstance(answer, MapLine) for answer in answers) == 120
-    assert not decoder.counts
-
-
-@pytest.mark.parametrize(("apart_ms", "reason"), [(75, None), (76, Reason.TIMEOUT)])
-def test_the_time_out_is_one_and_a_half_cycles(apart_ms: int, reason: Any) -> None:
-    """Of the DBC, or as it is given."""
-    for settings_, factor in (({}, 1), ({"timeout_ms": 150}, 2), ({"cycle_ms": 100}, 2)):
-        decoder = default_codec().decoder(**settings_)  # type: ignore[arg-type]
-        *first, last = frames(0)
-        for frame in first:
-            decoder.feed(frame.can_id, frame.data, 0)
-        answer = one(decoder.feed(last.can_id, last.data, factor * apart_ms * MS))
-        assert isinstance(answer, MapLine) is (reason is None)
-        assert decoder.counts == ({reason: 3} if reason else {})
 
 
 # -- two transfers of one ID ------------------------------------------------------------------
