@@ -126,20 +126,8 @@ def check_root(F: np.ndarray, expected: Gaussian, flags: tuple[str, ...], tolera
 def places_of(line: MapLine) -> np.ndarray:
     """Places in and about the range of a line: its ends, those of differences over 10 m, beyond."""
     low, high = line.x_min, line.x_max
-    return np.array(
-        [
-            *X,
-            low,
-            high,
-            low + 5,
-            high - 5,
-            low - 0.0005,
-            high + 0.0005,
-            low - 3,
-            high + 28,
-            math.nan,
-        ]
-    )
+    near = (low, high, low + 5, high - 5, low - 0.0005, high + 0.0005, low - 3, high + 28)
+    return np.array([*X, *near, math.nan])
 
 
 def exact_sigma(mean: np.ndarray, factor: np.ndarray, x: np.ndarray, weights: np.ndarray) -> float:
@@ -434,16 +422,45 @@ def test_a_wrong_motion_is_refused(wrong: Any) -> None:
     assert (out.floats(12) == 0).all()
 
 
-def check_predictions(
-    cases: list[tuple[MapLine, np.ndarray, MapLine | None]],
-    data: bytes,
-    flags: tuple[str, ...],
-    tolerance: float,
-) -> None:
-    """Predictions are those of Python, to a share of sigma."""
+STATUSES = (Status.FULL, Status.DIAGONAL, Status.UNKNOWN, Status.REPAIRED, Status.SATURATED)
+
+
+def displaced(rng: np.random.Generator) -> tuple[bytes, bytes, Gaussian, dict[str, float]]:
+    """A displacement for the harness, and for Python."""
+    mean = single(rng.normal(size=3) * [20.0, 0.5, 0.1])
+    root = np.diag([0.2, 0.02, 0.004]) @ np.linalg.cholesky(np.eye(3) + 0.5)
+    root = single(root * rng.choice([0.0, 0.1, 1.0]))
+    return b"\5", packed(mean, root), Gaussian(mean, root @ root.T), {}
+
+
+def moved(rng: np.random.Generator) -> tuple[bytes, bytes, Motion, dict[str, float]]:
+    """A motion, as in ``displaced``."""
+    (motion, packed_motion), time_sigma = random_motion(rng), rng.choice([0.0, 0.005])
+    return b"\4", packed_motion + packed(time_sigma), motion, {"time_sigma": time_sigma}
+
+
+@pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
+@pytest.mark.parametrize(("by", "tolerance"), [(displaced, 1e-8), (moved, 1e-6)])
+def test_predictions_are_those_of_python(by: Any, tolerance: float, flags: Any) -> None:
+    """To a share of sigma.
+
+    Of a motion, Python forms the covariance of the displacement, which is nearly singular, and so
+    loses half of the digits of its square root.
+    """
+    rng, is_double = np.random.default_rng(6), flags == DOUBLE.values[0]
+    cases, data, predicted = [], b"", 0
+    for k in range(300):
+        line, F = random_line(rng)
+        line = replace(line, status=STATUSES[k % 5])
+        command, given, motion, options = by(rng)
+        t_ns = T_NS + int(rng.integers(-300, 1000)) * 1_000_000
+        data += command + packed_line(line, F) + struct.pack("<q", t_ns) + given
+        try:
+            expected = predict_to(line, t_ns, motion, **options)
+        except IllPosedError:
+            expected = None
+        cases.append((line, F, expected))
     out = ran(data, flags)
-    x_error = 1e-9 if flags == DOUBLE.values[0] else 1e-4
-    predicted = 0
     for line, F, expected in cases:
         assert (out.byte() == 0) == (expected is not None)
         found = out.line()
@@ -451,66 +468,18 @@ def check_predictions(
             continue
         assert found["t_ns"] == expected.t_ns
         assert (found["age"], found["components"]) == (0.0, 1)
-        assert found["x"] == pytest.approx((expected.x_min, expected.x_max), abs=x_error)
+        ends = pytest.approx((expected.x_min, expected.x_max), abs=1e-9 if is_double else 1e-4)
+        assert found["x"] == ends
         if line.status == Status.UNKNOWN:
             assert (found["factor"] == F).all()
             continue
-        root = np.asarray(found["factor"])
-        assert (np.triu(root, 1) == 0).all()
-        check_root(root, expected.gaussian, flags, tolerance)
+        assert (np.triu(found["factor"], 1) == 0).all()
+        check_root(found["factor"], expected.gaussian, flags, tolerance)
         mean_error = np.abs(found["mean"] - expected.gaussian.mean) / expected.gaussian.sigma
-        assert mean_error.max() <= (tolerance if flags == DOUBLE.values[0] else 1e-4)
+        assert mean_error.max() <= (tolerance if is_double else 1e-4)
         predicted += 1
     assert out.ends()
     assert predicted > 0.7 * len(cases)
-
-
-STATUSES = (Status.FULL, Status.DIAGONAL, Status.UNKNOWN, Status.REPAIRED, Status.SATURATED)
-
-
-def predicted_or_none(*args: Any, **options: Any) -> MapLine | None:
-    try:
-        return predict_to(*args, **options)
-    except IllPosedError:
-        return None
-
-
-@pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
-def test_prediction_by_a_displacement(flags: Any) -> None:
-    """Predicted lines are those of ``predict_to``."""
-    rng = np.random.default_rng(6)
-    cases, data = [], b""
-    for k in range(300):
-        line, F = random_line(rng)
-        line = replace(line, status=STATUSES[k % 5])
-        mean = single(rng.normal(size=3) * [20.0, 0.5, 0.1])
-        root = np.diag([0.2, 0.02, 0.004]) @ np.linalg.cholesky(np.eye(3) + 0.5)
-        root = single(root * rng.choice([0.0, 0.1, 1.0]))
-        t_ns = T_NS + int(rng.integers(-300, 1000)) * 1_000_000
-        data += b"\5" + packed_line(line, F) + struct.pack("<q", t_ns) + packed(mean, root)
-        expected = predicted_or_none(line, t_ns, Gaussian(mean, root @ root.T))
-        cases.append((line, F, expected))
-    check_predictions(cases, data, flags, 1e-8)
-
-
-@pytest.mark.parametrize("flags", [DOUBLE, FLOAT])
-def test_prediction_by_a_motion(flags: Any) -> None:
-    """The same; Python forms the covariance of the displacement, which is nearly singular, and so
-    loses half of the digits of its square root.
-    """
-    rng = np.random.default_rng(7)
-    cases, data = [], b""
-    for k in range(300):
-        line, F = random_line(rng)
-        line = replace(line, status=STATUSES[k % 5])
-        motion, packed_motion = random_motion(rng)
-        time_sigma = rng.choice([0.0, 0.005])
-        t_ns = T_NS + int(rng.integers(-300, 1000)) * 1_000_000
-        data += b"\4" + packed_line(line, F) + struct.pack("<q", t_ns)
-        data += packed_motion + packed(time_sigma)
-        expected = predicted_or_none(line, t_ns, motion, time_sigma=time_sigma)
-        cases.append((line, F, expected))
-    check_predictions(cases, data, flags, 1e-6)
 
 
 @pytest.mark.parametrize("flags", [DOUBLE, FLOAT])

@@ -15,7 +15,6 @@ from maplines_can.wire.layout.slot_messages import SecuredLayout
 SECRET = bytes.fromhex("2b7e151628aed2a6abf7158809cf4f3c")  # of RFC 4493
 OTHER = bytes.fromhex("603deb1015ca71be2b73aef0857d7781")
 LAYOUT = SecuredLayout(length=48, freshness_bytes=7, mac_bytes=8)
-DATA_ID = 0x4D50
 US, MS, S = 1_000, 1_000_000, 1_000_000_000
 NOW = 1_750_000_000 * S
 

@@ -41,35 +41,6 @@ def pair(rho: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("mean", "cov", "words"),
-    [
-        pytest.param([0, np.nan], np.eye(2), "mean must be finite .* nan", id="nan-mean"),
-        pytest.param([0, np.inf], np.eye(2), "mean must be finite .* inf", id="inf-mean"),
-        pytest.param([[0, 0]], np.eye(2), r"mean must .* shape \(n,\)", id="mean-2d"),
-        pytest.param([], np.zeros((0, 0)), r"mean must .* shape \(n,\)", id="empty"),
-        pytest.param(0.0, [[1.0]], r"mean must .* shape \(n,\)", id="scalar-mean"),
-        pytest.param([0, 0], np.eye(3), r"cov must be finite with shape \(2, 2\)", id="cov-shape"),
-        pytest.param([0, 0], [1.0, 1.0], r"cov must be finite with shape \(2, 2\)", id="cov-1d"),
-        pytest.param([0, 0], pair(np.nan), r"cov must be finite .* nan", id="nan-cov"),
-        pytest.param([0, 0], np.diag([1, -1e-300]), "variances of 0 or more", id="negative"),
-        pytest.param(
-            [0, 0],
-            [[0, 1e-9], [1e-9, 1]],
-            "must be 0 in the row and column of a zero variance",
-            id="zero-variance",
-        ),
-        pytest.param([0, 0], [[1, 2e-9], [0, 1]], "use .cov \\+ cov.T. / 2", id="asymmetric"),
-        pytest.param([0, 0], pair(1.5), r"is -0\.5; use nearest_covariance", id="indefinite"),
-        pytest.param([0, 0], pair(1 + 1.1e-9), "is -1.1e-09", id="just-indefinite"),
-    ],
-)
-def test_invalid_gaussian_raises(mean: Any, cov: Any, words: str) -> None:
-    """The message names what is wrong with the mean or the covariance."""
-    with pytest.raises(ValueError, match=words):
-        Gaussian(mean, cov)
-
-
-@pytest.mark.parametrize(
     "cov",
     [
         pytest.param(np.zeros((2, 2)), id="zero"),

@@ -207,13 +207,6 @@ def test_a_transformed_line_follows_the_rotated_curve(line: Any, motion: Any, sh
     assert abs(lateral(new, u) - point(x)[1]) <= 1e-3
 
 
-@pytest.mark.parametrize("window", [(80.0, 80.0), (80.0, 0.0), (np.nan, 80.0)])
-def test_transform_line_needs_a_window(window: Any) -> None:
-    """An empty window contains no points of the line."""
-    with pytest.raises(ValueError, match=r"window must have finite x_min < x_max \[m\], got"):
-        transform_line(np.zeros(4), np.zeros(3), window)
-
-
 @pytest.mark.parametrize("degrees", [81, 90, -90, 99])
 def test_a_line_nearly_perpendicular_to_the_x_axis_raises(degrees: int) -> None:
     """No cubic y(x) describes it."""
@@ -229,32 +222,6 @@ def test_an_oblique_or_reversed_line_is_transformed(degrees: int) -> None:
     assert abs(y_off) < 1e-9
     assert np.isclose(np.tan(beta), -np.tan(np.radians(degrees)), atol=1e-9)
     assert max(abs(c0), abs(c1)) < 1e-9
-
-
-@pytest.mark.parametrize(
-    ("rest", "words"),
-    [
-        pytest.param({"x_min": 81.0}, "x_min <= x_max must be finite", id="reversed-range"),
-        pytest.param({"x_max": np.inf}, "x_max=inf", id="infinite-range"),
-        pytest.param({"x_min": np.nan}, "x_min=nan", id="nan-range"),
-        pytest.param({"age": -1e-9}, "age must be 0 s or more", id="negative-age"),
-        pytest.param({"age": np.nan}, "got nan", id="nan-age"),
-        pytest.param({"age": -np.inf}, "got -inf", id="infinite-age"),
-        pytest.param({"age": 2e99}, "got 2e[+]99", id="too-long-age"),
-        pytest.param({"kind": 99}, "99 is not a valid Kind", id="kind"),
-        pytest.param({"status": -1}, "-1 is not a valid Status", id="status"),
-    ],
-)
-def test_invalid_map_line_raises(rest: Any, words: str) -> None:
-    """The message has the name and the value."""
-    with pytest.raises(ValueError, match=words):
-        map_line(**rest)
-
-
-def test_a_map_line_has_four_parameters() -> None:
-    """A pose Gaussian is not accepted."""
-    with pytest.raises(ValueError, match=r"must be over .*'y_off', .*, got 3-D"):
-        MapLine(Slot.ROUTE, Gaussian(np.zeros(3), np.eye(3)))
 
 
 def test_a_map_line_converts_numbers_to_enumeration_members() -> None:

@@ -14,22 +14,6 @@ from maplines_can.values.polyline import Polyline, to_ego, to_map
 STRAIGHT = Polyline([[x, 0.0] for x in range(101)])
 
 
-@pytest.mark.parametrize(
-    ("points", "words"),
-    [
-        pytest.param([[0, 0]], r"\(n, 2\) with n >= 2, got \(1, 2\)", id="one-point"),
-        pytest.param([0, 1], r"got \(2,\)", id="flat"),
-        pytest.param(np.zeros((4, 3)), r"got \(4, 3\)", id="with-heights"),
-        pytest.param([[0, 0], [1, np.nan]], r"finite \[m\], but point 1 is \[ 1. nan\]", id="nan"),
-        pytest.param([[np.inf, 0], [1, 0]], "but point 0 is", id="inf"),
-    ],
-)
-def test_invalid_points_raise(points: Any, words: str) -> None:
-    """The message has the shape or the value."""
-    with pytest.raises(ValueError, match=words):
-        Polyline(points)
-
-
 def test_a_polyline_copies_its_points_and_makes_them_read_only() -> None:
     """Validated points cannot be changed."""
     points = np.zeros((2, 2))
@@ -57,13 +41,6 @@ def test_resampled_points_are_evenly_spaced_on_the_line(points: Any, spacing: fl
         step = line.distance[i + 1] - line.distance[i]
         share = (distance - line.distance[i]) / step if step else 0.0
         assert np.allclose(p, points[i] + share * (points[i + 1] - points[i]), atol=1e-9)
-
-
-@pytest.mark.parametrize("spacing", [0.0, -1.0, np.nan])
-def test_a_spacing_of_zero_raises(spacing: Any) -> None:
-    """A spacing must be positive."""
-    with pytest.raises(ValueError, match="spacing must be more than 0 m"):
-        STRAIGHT.resampled(spacing)
 
 
 def test_the_kind_travels_with_the_line() -> None:

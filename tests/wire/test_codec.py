@@ -6,14 +6,11 @@ from typing import Any
 import cantools
 import numpy as np
 import pytest
-from answers import one
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.dbcs import DBC, changed_record, default_codec, edited
 from support.lines import random_lines
 
-from maplines_can.values.errors import EncodeError
-from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import VAGUE_SIGMA, Kind, MapLine, Slot, Status
 from maplines_can.wire import Codec, Reason
 
@@ -35,20 +32,6 @@ def test_the_three_data_structures_of_the_paper(codec: Any) -> None:
     assert full.status[0] == Status.FULL
     for batch in (bare, alone, full):
         assert batch.mean == pytest.approx(mean, abs=1e-3)
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.floats(0.5, 1.5), st.sampled_from([-1, 1]), st.floats(-20, 20))
-def test_a_clipped_beta_is_covered_at_each_x(codec: Any, beta: float, sign: int, x: float) -> None:
-    """By the first-order sigma of the lateral position, where it is valid."""
-    encoder = codec.encoder()
-    cov = np.diag([1e-2, 1e-6, 1e-10, 1e-14])
-    line = MapLine(0, Gaussian([0.0, sign * beta, 0.0, 0.0], cov), x_min=-20, x_max=20)  # type: ignore[arg-type]
-    decoder = codec.decoder()
-    *_, received = [one(decoder.feed(f.can_id, f.data, 0)) for f in encoder.encode(line)]
-    assert isinstance(received, MapLine)
-    if received.is_usable and received.x_min <= x <= received.x_max:
-        assert abs(line.y(x) - received.y(x)) <= received.y_sigma(x) + 1e-9
 
 
 def test_age_is_rounded_up(codec: Any) -> None:
@@ -147,56 +130,6 @@ def test_both_readers_agree_on_any_bytes(data: bytes, valid: bool, slot: Any) ->
     if valid:
         assert batch.rejects.keys() <= {Reason.CONTENT}
     np.linalg.cholesky(batch.cov)  # whatever the bytes, a definite matrix
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        pytest.param({"means": np.zeros(4)}, "means must have shape", id="one-mean"),
-        pytest.param({"means": np.full((1, 4), np.nan)}, "row 0", id="nan-mean"),
-        pytest.param({"covs": np.zeros((2, 4, 4))}, "covs must have shape", id="two-covs"),
-        pytest.param({"covs": np.full((1, 4, 4), np.inf)}, "finite, but row 0", id="inf-cov"),
-        pytest.param({"covs": -np.eye(4)[None]}, "variances of 0 or more", id="negative"),
-        pytest.param({"covs": np.triu(np.ones((4, 4)))[None]}, "symmetric", id="asymmetric"),
-        pytest.param({"age": np.nan}, "age must be 0 s or more, got nan", id="age"),
-        pytest.param({"x_max": np.inf}, "x_max must be finite", id="x_max"),
-        pytest.param({"slot": 8}, "no message for slot 8", id="slot"),
-        pytest.param({"slot": -1}, "no message for slot -1", id="negative-slot"),
-        pytest.param({"kind": 9}, "Kind: .* whole number from 0 to 7", id="kind"),
-        pytest.param({"status": 6}, "Status: .* whole number from 0 to 5", id="status"),
-        pytest.param({"component_count": 9}, "ComponentCount", id="count"),
-        pytest.param({"component_index": 1}, "below component_count", id="index"),
-        pytest.param({"component_weight": 0.0}, "component_weight must be in", id="weight"),
-        pytest.param({"age": -0.1}, "age must be 0 s or more", id="negative-age"),
-        pytest.param({"x_min": 50.0, "x_max": 10.0}, "x_min must be x_max or less", id="range"),
-        pytest.param({"slot": 0.9}, "no message for slot 0.9", id="half-a-slot"),
-        pytest.param({"counter": 1.5}, "Counter: .* whole number", id="half-a-counter"),
-        pytest.param({"covs": None, "status": 1}, "covs must be given", id="no-covs"),
-    ],
-)
-def test_an_invalid_argument_raises(codec: Any, change: Any, words: str) -> None:
-    """The message names the value, the row or signal, and the allowed values."""
-    good = {"means": np.zeros((1, 4)), "covs": np.zeros((1, 4, 4))}
-    with pytest.raises((ValueError, EncodeError), match=words):
-        codec.batch.encode(**{**good, **change})
-
-
-@pytest.mark.parametrize(
-    "payloads",
-    [np.zeros((1, 31), np.uint8), np.zeros(32, np.uint8), np.zeros((1, 32), np.int64)],
-)
-def test_payloads_of_another_shape_raise(codec: Any, payloads: Any) -> None:
-    """The bytes may be anything, but there must be 32 uint8 in each row."""
-    with pytest.raises(ValueError, match="payloads must"):
-        codec.batch.decode(payloads)
-
-
-def test_no_records(codec: Any) -> None:
-    """No lines give no records, and no records give no lines."""
-    payloads = codec.batch.encode(np.zeros((0, 4)), np.zeros((0, 4, 4)))
-    assert payloads.shape == (0, 32)
-    assert codec.batch.decode(payloads).mean.shape == (0, 4)
-    assert codec.encoder().encode_lines([]) == []
 
 
 LINE, COV = np.zeros((1, 4)), np.eye(4)[None] * 1e-4

@@ -158,13 +158,6 @@ def test_max_delta_counter_must_be_less_than_half_of_the_counters(tmp_path: Path
     assert codec.decoder(e2e=E2EConfig(max_delta_counter=7)).lines == 0
 
 
-@pytest.mark.parametrize("cycle_ms", [0, -5, float("nan"), float("inf"), 3_600_001])
-def test_a_cycle_time_must_be_positive(cycle_ms: Any) -> None:
-    """The message has the name, the value and the unit."""
-    with pytest.raises(ValueError, match="cycle_ms must be more than 0 ms"):
-        default_codec().decoder(cycle_ms=cycle_ms)
-
-
 @pytest.mark.parametrize("cycle_attribute", [True, False])
 @pytest.mark.parametrize("dbc", ["maplines.dbc", "maplines-pose.dbc"])
 def test_the_times_of_lines_and_of_the_pose_error(

@@ -21,17 +21,9 @@ from maplines_can.wire import Codec, Layout
         pytest.param((r' SG_ TransferId1 .*\n', ""), "TransferId", id="transfer-missing"),
         pytest.param((r' SG_ RatioBetaYOff.*\n', ""), "RatioBetaYOff|ratios", id="ratio-missing"),
         pytest.param((r'BA_ "MapLineSlot" .*\n', ""), "MapLineSlot", id="no-slots"),
-        pytest.param((r'BA_ "MapLineSlot" BO_ 832 0', 'BA_ "MapLineSlot" BO_ 832 9'),
-                     "0 to 7", id="slot-9"),
-        pytest.param((r'BA_ "MapLineSlot" BO_ 833 1', 'BA_ "MapLineSlot" BO_ 833 0'),
-                     "two messages", id="slot-twice"),
         pytest.param((r'BA_ "E2EDataId" BO_ 832 \d+', 'BA_ "E2EDataId" BO_ 832 1'),
                      "E2EDataId", id="data-id"),
-        pytest.param((r'BA_ "CovarianceCode" ".*"', 'BA_ "CovarianceCode" "Magic"'),
-                     "Magic", id="code"),
-        pytest.param((r"SG_ Page M", "SG_ Page "), "overlapping", id="no-mux"),
         pytest.param((r"\(0.054,-32\)", "(-0.054,-4)"), "positive factor", id="negative-factor"),
-        pytest.param((r"BO_ 832 EgoLeft: 8", "BO_ 832 EgoLeft: 7"), "EgoLeft", id="seven-bytes"),
         pytest.param((r"(RatioBetaC0[^(]*)\(0.0390625,0\) \[[^]]*\]", r"\1(64,0) [-1e6|1e6]"),
                      "double precision", id="ratio-too-wide"),
         pytest.param((r"Crc m0 : 0\|16@1", "Crc m0 : 0|15@1"), "differ|Crc", id="crc-width"),
@@ -66,16 +58,6 @@ def test_a_data_id_that_is_no_whole_number_is_rejected(
         (r'("E2EDataId" BO_ (?!832|840)\d+) (\d+)', r'\1 "\2"' if kind == "STRING" else r"\1 \2"),
     )
     with pytest.raises(LayoutError, match=r"EgoLeft: E2EDataId must be a whole number from 0 to"):
-        Codec.from_dbc(path)
-
-
-@pytest.mark.parametrize("content", [None, b"", b"\xff\x00 not a DBC", b'VERSION "'])
-def test_a_file_that_is_not_a_dbc_is_rejected(tmp_path: Path, content: bytes | None) -> None:
-    """Missing, empty, binary or truncated: the error names the file."""
-    path = tmp_path / "bad.dbc"
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(LayoutError, match=r"bad\.dbc"):
         Codec.from_dbc(path)
 
 

@@ -235,17 +235,6 @@ def test_a_receiver_without_a_key_rejects_authenticated_frames(clock: Any, lines
     ]
 
 
-def test_classic_can_with_a_key_raises(clock: Any, lines: Any) -> None:
-    """Otherwise a line would be sent without the MAC that the caller expects."""
-    codec = codec_of(clock=clock)
-    with pytest.raises(EncodeError, match="classic CAN is not authenticated; send CAN FD"):
-        codec.encoder().encode(lines[0])
-    with pytest.raises(LayoutError, match=r"maplines\.dbc has no authenticated message .*classic"):
-        Codec.from_dbc(ROOT / "dbc" / "maplines.dbc", Authenticator(Key(SECRET)))
-    with pytest.raises(EncodeError, match=r"needs a clock, such as time\.time_ns"):
-        codec_of().encoder().encode(lines[0], fd=True)
-
-
 # ---- keys -------------------------------------------------------------------------------------
 
 
@@ -316,22 +305,16 @@ def test_the_key_in_use_cannot_be_retired(clock: Any, lines: Any) -> None:
 @pytest.mark.parametrize(
     ("act", "message"),
     [
-        (lambda _: Authenticator(), "needs a key or more"),
-        (lambda _: Authenticator(Key(SECRET, 1), Key(OTHER, 1)), r"key_id 1 is taken by Key\("),
-        (lambda _: Authenticator(Key(SECRET), window_ns=0), "must be at least 1000 ns .* got 0;"),
         (lambda _: Authenticator(Key(SECRET), window_ns=999), "at least 1000 ns .* got 999;"),
         (lambda _: Authenticator(Key(SECRET), window_ns=1), "a second is 1_000_000_000"),
         (lambda _: Authenticator(Key(SECRET), window_ns=float("inf")), "window_ns must .* got inf"),  # type: ignore[arg-type]
         (lambda _: Authenticator(Key(SECRET), window_ns=float("nan")), "window_ns must .* got nan"),  # type: ignore[arg-type]
         (lambda _: Authenticator(Key(SECRET), window_ns="1"), "window_ns must .* got a str"),  # type: ignore[arg-type]
-        (lambda _: Authenticator(Key(SECRET), not_before=-1), r"from 0 to 2\^63 - 1 us, got -1"),
         (lambda _: Authenticator(Key(SECRET), not_before=2**63), "not_before must be a whole"),
         (lambda _: Authenticator(Key(SECRET), not_before=1.5), "a whole number .* us, got 1.5"),  # type: ignore[arg-type]
         (lambda _: Authenticator(Key(SECRET), clock=time.time), r"time_ns, .* \d+\.\d+$"),  # type: ignore[arg-type]
         (lambda _: Authenticator(Key(SECRET), clock=lambda: 1e18), r"int, .* 1e\+18$"),  # type: ignore[arg-type, return-value]
         (lambda _: Authenticator(Key(SECRET), clock=5), "clock must be a function .* got 5$"),  # type: ignore[arg-type]
-        (lambda a: a.use(3), r"key_id must be one of \[1\], got 3; add it"),
-        (lambda a: a.retire(1), r"one of \[\], got 1; the key that is in use, 1, cannot be"),
         (lambda a: a.retire(2), r"one of \[\], got 2"),
     ],
 )
