@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -11,18 +12,15 @@ import numpy as np
 import pytest
 from evidence import (
     bus,
-    core,
     epochs,
     fusion,
     harness,
-    integrity,
     lines,
     localisation,
     plausibility,
     plausibility_roads,
     scenes,
     slots,
-    ways,
 )
 from evidence.figures import Rms, Share
 from evidence.harness import Evidence, bounds_of, matching, missed, promises, settings
@@ -30,33 +28,23 @@ from evidence.roads import maps_of, random_map
 from support.drive_files import town
 
 from maplines_can import Gaussian, map_lines
-from maplines_can.consumers.integrity import multiplier
 from maplines_can.maps import Map, load
-from maplines_can.model import writer
 from maplines_can.study.scenes.map_scenes import SLOTS
-from maplines_can.testing import back_to_back, map_streams
 from maplines_can.wire import Encoder
 
+ROOT = Path(__file__).parents[1]
 for _name in harness.modules():
     importlib.import_module(f"evidence.{_name}")
-QUICK = {name: one for name, one in harness.REGISTRY.items() if not one.in_real_time}
+QUICK = [one for one in harness.REGISTRY.values() if one.quick is not None]
 
 
-@pytest.fixture(scope="module", params=QUICK)
-def result(request: pytest.FixtureRequest) -> tuple[Evidence, Any]:
-    """An evidence, and the figures of its quickest form."""
-    one = QUICK[request.param]
-    return one, one.measure(**one.quick)
-
-
-def test_the_quickest_form_keeps_its_bounds(result: tuple[Evidence, Any]) -> None:
+@pytest.mark.parametrize("one", QUICK, ids=[one.name for one in QUICK])
+def test_the_quickest_form_keeps_its_bounds(one: Evidence) -> None:
     """And there is something to compare, but of data that a checkout does not have."""
-    one, figures = result
-    bounds = bounds_of(one.name, quick=True)
+    figures, bounds = one.measure(**settings(one, {}, quick=True)), bounds_of(one.name, quick=True)
     assert not [*missed(figures, bounds)]
     assert not bounds or not figures or any(matching(figures, one["figure"]) for one in bounds)
     json.dumps(figures, default=lambda number: number.item())
-    assert [*harness.as_text(figures)] or not figures
 
 
 def test_the_page_of_the_promises_is_that_of_the_table() -> None:
@@ -69,14 +57,21 @@ def test_each_promise_names_its_evidence_and_options_that_it_has() -> None:
         assert ("evidence" in promise) != ("command" in promise)
         if "evidence" in promise:
             one = harness.REGISTRY[promise["evidence"]]
-            texts = dict(word.split("=", 1) for word in promise.get("options", "").split())
+            texts = dict(word.split("=", 1) for word in promise.get("full", "").split())
             settings(one, texts, quick=False)
     # What has no promise draws a picture.
     named = {promise.get("evidence") for promise in promises()}
     assert {name for name in harness.REGISTRY if name not in named} == {
         "pictures.joint",
         "pictures.shape",
+        "pictures.stanford",
     }
+
+
+def test_each_test_that_shows_a_promise_is_there() -> None:
+    for promise in promises():
+        for path in re.findall(r"tests/[\w/.]+", promise.get("command", "")):
+            assert (ROOT / path).exists(), path
 
 
 @pytest.mark.parametrize(
@@ -113,23 +108,23 @@ def test_a_figure_that_is_excepted_is_not_compared() -> None:
 def test_the_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """It lists, measures, prints and tells by its status whether a bound is missed."""
     assert harness.main("", []) == 0
-    assert set(QUICK) <= {line.split(" ", 1)[0] for line in capsys.readouterr().out.splitlines()}
-    assert harness.main("", ["wire.guarantee", "wire.frames", "n=1e2", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["wire.guarantee"]["figures"]["covariances"] == 100
-    monkeypatch.setattr(
-        harness, "bounds_of", lambda *_, **__: [{"figure": "covariances", "max": 1}]
-    )
-    assert harness.main("", ["wire.guarantee", "--quick"]) == 1
-    assert "MISSED  covariances is 2000, max 1" in capsys.readouterr().out
+    listed = {line.split(" ", 1)[0] for line in capsys.readouterr().out.splitlines()}
+    assert {one.name for one in QUICK} <= listed
+    assert harness.main("", ["slots", "n=1e1", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["slots"]["figures"]
+    assert [one["poses"] for one in found.values()] == [10]
+    monkeypatch.setattr(harness, "bounds_of", lambda *_, **__: [{"figure": "*/poses", "max": 1}])
+    assert harness.main("", ["slots", "--quick"]) == 1
+    assert "/poses is 20, max 1" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("words", "text"),
     [
         (["nothing"], "there is no evidence 'nothing'"),
-        (["wire.nothing"], "there is no evidence 'wire.nothing'; there are wire.guarantee"),
-        (["wire.frames", "m=3"], "wire.frames has no option 'm'; it has n, seed"),
-        (["wire.frames", "n=few"], "n: could not convert"),
+        (["fusion.nothing"], "there is no evidence 'fusion.nothing'; there are fusion.ways"),
+        (["slots", "m=3"], "slots has no option 'm'; it has maps, n, seed"),
+        (["slots", "n=few"], "n: could not convert"),
         (["lines", "by=hand"], "by: must be one of line, wire"),
     ],
 )
@@ -158,7 +153,7 @@ def test_lines_that_are_too_certain_or_too_short_are_found(monkeypatch: pytest.M
             found[i] = replace(line, gaussian=small, x_max=(line.x_min + line.x_max) / 2)
         return found
 
-    monkeypatch.setattr(ways, "map_lines", halved)
+    monkeypatch.setattr(lines, "map_lines", halved)
     figures = lines.lines(n=20, shapes=("city",), poses=("production",), map_error=(0.0,), ranges=3)
     text = misses("lines", figures)
     for words in ("beyond 3 sigma/y at x_min", "rms/y", "range over limit, same x_min/50 %"):
@@ -166,7 +161,7 @@ def test_lines_that_are_too_certain_or_too_short_are_found(monkeypatch: pytest.M
 
 
 def test_lines_that_are_refused_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ways, "map_lines", lambda *a, **k: map_lines(*a, **k)[:0])
+    monkeypatch.setattr(lines, "map_lines", lambda *a, **k: map_lines(*a, **k)[:0])
     figures = lines.lines(n=10, shapes=("city",), poses=("production",), map_error=(0.0,))
     assert "refused with 15 m ahead is 1" in misses("lines", figures)
 
@@ -210,8 +205,8 @@ def test_wrong_joints_are_found(monkeypatch: pytest.MonkeyPatch, factor: float, 
         scenes, "check", lambda truth, got, *rest, **how: check(truth, wrong(got), *rest, **how)
     )
     options: Any = {"poses": ("production",), "errors": ("5 cm",), "records": ("conditional",)}
-    figures = scenes.scenes(n=4, exact=2, **options)
-    assert words in "\n".join(missed(figures, bounds_of("scenes", quick=False)))
+    figures = scenes.records(n=4, exact=2, **options)
+    assert words in "\n".join(missed(figures, bounds_of("scenes.records", quick=False)))
 
 
 def test_lines_that_are_lost_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -225,8 +220,8 @@ def test_lines_that_are_lost_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
         return replace(prepared, sent_slots=prepared.sent_slots[1:])
 
     monkeypatch.setattr(Encoder, "prepare_scene", without_first)
-    figures = scenes.scenes(14, records=("conditional",), poses=("production",), errors=("5 cm",))
-    assert "lost is" in misses("scenes", figures)
+    figures = scenes.records(14, records=("conditional",), poses=("production",), errors=("5 cm",))
+    assert "lost is" in misses("scenes.records", figures)
 
 
 def test_a_scene_of_two_cycles_is_found() -> None:
@@ -245,7 +240,7 @@ def test_a_scene_of_two_cycles_is_found() -> None:
 def test_lines_that_were_not_sent_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """If what must be received is said to be something else."""
     monkeypatch.setattr(bus.Chunk, "expected", lambda *_: ())
-    assert "lines that were not sent" in misses("bus.lines", bus.lines(500))
+    assert "lines that were not sent" in misses("bus", bus.bus(500))
 
 
 def test_a_fused_lane_that_is_too_certain_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -256,15 +251,6 @@ def test_a_fused_lane_that_is_too_certain_is_found(monkeypatch: pytest.MonkeyPat
     road_map = random_map("s-bend", 0)
     car = fusion.of_car(road_map, road_map.route("1", "1"), None, 5.0, 0)
     assert "scenes/shape/NEES" in misses("fusion.roads", {"all, exact": fusion.figures([car])})
-
-
-def test_a_protection_level_that_is_too_low_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nine tenths of sigma."""
-    monkeypatch.setattr(integrity, "multiplier", lambda *a, **k: 0.9 * multiplier(*a, **k))
-    assert "over risk" in "\n".join(
-        missed(integrity.rare(300, (1.0,)), bounds_of("integrity.rare", quick=False))
-    )
-    assert "sigma 30 % greater/z" in misses("integrity.hours", integrity.hours(100))
 
 
 @pytest.mark.parametrize(("number", "text"), [(100, ""), (134, "z is 3.4"), (66, "z is -3.4")])
@@ -295,7 +281,6 @@ def test_a_localisation_that_does_not_know_its_error_is_found(scale: float) -> N
 
     rng, root = np.random.default_rng(6), np.diag([0.3, 0.1, 0.01])
     covs, used = np.broadcast_to(root @ root, (400, 50, 3, 3)), np.full((50, 1), Verdict.USED)
-    times = np.full((400, 50, 3), 1e9)
 
     def figures(scale: float) -> Any:
         outcomes = [
@@ -304,8 +289,8 @@ def test_a_localisation_that_does_not_know_its_error_is_found(scale: float) -> N
             for source in ("gnss", "line", "landmark")
         ]
         errors = scale * rng.standard_normal((400, 50, 3)) @ root
-        run = localisation.Run(np.arange(400) / 2, errors, covs, np.zeros(400), times, outcomes, {})
-        return {"town, with bias": localisation.of_run(run)}
+        run = localisation.Run(errors, covs, np.zeros(400))
+        return {"town, with bias": localisation.of_run(run, outcomes)}
 
     bounds = bounds_of("localisation.tour", quick=False)
     right, wrong = ("\n".join(missed(figures(one), bounds)) for one in (1.0, scale))
@@ -348,23 +333,3 @@ def test_a_map_is_read_for_its_roads(tmp_path: Path) -> None:
     for wrong, text in (("README.md", "is no map"), ("nowhere", "there is no file")):
         with pytest.raises(ValueError, match=text):
             maps_of([str(tmp_path / wrong)])
-
-
-def test_a_core_that_differs_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A record with another byte and a frame with another reason end the evidence with a line."""
-    written = writer.write
-
-    def other_byte(*arguments: Any) -> bytes:
-        record = written(*arguments)
-        return bytes([record[0] ^ 1]) + record[1:]
-
-    with monkeypatch.context() as patch:
-        patch.setattr(writer, "write", other_byte)
-        with pytest.raises(SystemExit, match=r"is .* by the core, .* by the model"):
-            core.senders(40)
-    monkeypatch.setattr(back_to_back, "_answer", lambda _: "PENDING")
-    with pytest.raises(SystemExit, match="the answer is 'PENDING' by the core"):
-        core.frames(100)
-    monkeypatch.setattr(map_streams, "model_answer", lambda _: None)
-    with pytest.raises(SystemExit, match="by the core, None by the model"):
-        core.maps(10)

@@ -1,7 +1,6 @@
 """The arithmetic of the evidence against closed forms."""
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,15 +8,12 @@ import pytest
 from evidence import (
     canyon,
     drives,
-    integrity,
-    propagation,
-    range_limit,
+    lines,
     scenes,
     slots,
-    ways,
     witness,
 )
-from evidence import plausibility_errors as drawn
+from evidence import plausibility as drawn
 from evidence import sums as sums_
 from evidence.exact import covers, is_positive_definite
 from hypothesis import given, settings
@@ -27,8 +23,7 @@ from support.lane_maps import lane, network, pose_on
 from support.strategies import covariances
 
 from maplines_can import Gaussian, MapError, MapLine, Motion, Polyline, Slot
-from maplines_can.simulation.scenarios import SCENARIOS
-from maplines_can.study.roads import paper_refit
+from maplines_can.propagation.refit import MAX_MISFIT
 from maplines_can.study.scenes.map_scenes import SLOTS
 
 LEFT, RIGHT, NEXT_LEFT, NEXT_RIGHT = SLOTS
@@ -88,7 +83,7 @@ def test_the_misfit_of_a_quartic_is_that_of_chebyshev(
 ) -> None:
     """x^4 on [-1, 1] deviates from its best cubic, x^2 - 1/8, by 1/8."""
     w = np.linspace(-1, 1, 401)
-    misfit = range_limit.chebyshev_misfit(centre + half * w, scale * half**4 * w**4)
+    misfit = lines.chebyshev_misfit(centre + half * w, scale * half**4 * w**4)
     assert misfit == pytest.approx(scale * half**4 / 8, rel=1e-4, abs=1e-6)
 
 
@@ -97,8 +92,8 @@ def test_the_limit_of_a_quartic_is_known() -> None:
     x = np.linspace(-20, 80, 2001)
     a = 1e-5
     y = a * (x - 5) ** 4
-    view = range_limit.View(np.column_stack([x, y]), 400)
-    length = 2 * (8 * range_limit.MAX_MISFIT / a) ** 0.25
+    view = lines.View(np.column_stack([x, y]), 400)
+    length = 2 * (8 * MAX_MISFIT / a) ** 0.25
 
     assert view.is_seen
     assert view.farthest(-15.0, -15.0) == pytest.approx(length - 15, abs=0.15)
@@ -110,10 +105,8 @@ def test_a_view_ends_where_the_line_turns_away() -> None:
     """Both ways along an arc, at the angle of the limit."""
     angle = np.linspace(-1.5, 1.5, 3001)
     arc = 12 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
-    view = range_limit.View(arc, 1500)
-    assert [view.low, view.high] == pytest.approx(
-        12 * np.sin([-range_limit.TURN, range_limit.TURN]), abs=0.05
-    )
+    view = lines.View(arc, 1500)
+    assert [view.low, view.high] == pytest.approx(12 * np.sin([-lines.TURN, lines.TURN]), abs=0.05)
 
 
 def test_points_keep_their_errors_in_other_lines() -> None:
@@ -240,10 +233,10 @@ def test_quantiles_of_a_mixture_do_not_saturate() -> None:
 def test_the_motion_ends_where_the_closed_form_says() -> None:
     """The mean pose of the witness is that of ``Motion``, from any pose, on arcs and straight."""
     for yaw_rate in (0.0, 1e-4, 0.5, -0.3):
-        local = Motion(ways.SPEED, yaw_rate).over(ways.SECONDS).mean
+        local = Motion(lines.SPEED, yaw_rate).over(lines.SECONDS).mean
         c, s = np.cos(0.7), np.sin(0.7)
         expected = [10 + c * local[0] - s * local[1], 5 + s * local[0] + c * local[1]]
-        found = ways.arc(10.0, 5.0, 0.7, ways.SPEED, yaw_rate)
+        found = lines.arc(10.0, 5.0, 0.7, lines.SPEED, yaw_rate)
         assert found == pytest.approx([*expected, 0.7 + local[2]], abs=1e-6)
 
 
@@ -301,33 +294,12 @@ def test_eigenvalues_are_those_of_the_whitened_covariance() -> None:
     assert scenes.whitened(np.linalg.cholesky(A), B) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
-def test_a_refit_of_lines_a_micrometre_aside_is_found(name: str) -> None:
-    scene = SCENARIOS[name]
-    aside = {slot: Polyline(np.add(line.points, [0, 1e-6])) for slot, line in scene.lines.items()}
-    moved, poses = paper_refit(replace(scene, lines=aside)), scene.ego.sample(100, 1)
-    points = paper_refit(scene).points
-    assert propagation.compare_refit(moved, points, poses).max() > 100 * 1e-9
-
-
-def test_the_witness_is_a_fit_by_least_squares() -> None:
-    """On an arc, against numpy, one pose at a time."""
-    angle = np.linspace(-0.5, 1.2, 64)
-    points = 20 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
-    poses = SCENARIOS["street-turn"].ego.sample(20, 1)
-    lines = propagation.qr_refit(points, poses)
-    for local, line in zip(witness.seen_from(points, poses), lines, strict=True):
-        u, v = local.T
-        d, c, b, a = np.polyfit(u, v, 3)
-        assert line == pytest.approx([a, np.arctan(b), 2 * c, 6 * d], rel=1e-9, abs=1e-12)
-
-
 # ---- drawn errors -------------------------------------------------------------------------------
 
 
 def test_the_errors_have_the_covariance_of_the_model() -> None:
     model, x = drawn.model_of_lane()
-    errors = drawn.Errors.of_model(model, 5.0, 40_000, np.random.default_rng(0))
+    errors = drawn.Errors(model, 5.0, 40_000, np.random.default_rng(0))
     z = errors.next()
     scale = np.sqrt(model.marginal.diagonal())
     found = np.cov(z.T) / scale / scale[:, None]
@@ -366,13 +338,6 @@ def test_the_noise_has_the_stated_covariance(noise: drawn.Noise) -> None:
     assert (first * second).mean(axis=0) / variance == pytest.approx([rho] * 4, abs=0.03)
 
 
-def test_hours_of_white_noise_are_those_of_independent_samples() -> None:
-    """The largest of 72000: its median is where each sample is within with 0.5^(1 / 72000)."""
-    row = integrity.Row(((1.0, 0.0),))
-    found = integrity.largest(row, 60, np.random.default_rng(0))
-    assert np.median(found) == pytest.approx(4.42, abs=0.1)
-
-
 def test_reflections_jump_and_the_stated_covariance_is_that_of_the_noise() -> None:
     """Between changes of the satellites, two errors differ by two noises; else, by metres."""
     off, cov = canyon.least_squares(600, 4, 5.0, np.random.default_rng(8))
@@ -393,11 +358,11 @@ def test_the_errors_are_those_that_are_told() -> None:
     row = np.searchsorted(course.t, course.fix_t)
     white = course.cov[0, 0, 0, 0]
     off = (course.fixes - course.pose[row, :, :2]) / course.error[..., :1]
-    share = white / course.canyon[:, 0] ** 2
+    share = white / course.error[0, :, 0] ** 2
     assert (off**2).mean(axis=(0, 2)).mean() == pytest.approx(1 + share.mean(), rel=0.1)
     lag = 10  # 2 s
     rho = (off[lag:] * off[:-lag]).mean(axis=(0, 2)).mean()
-    assert rho == pytest.approx(np.exp(-2.0 / course.canyon[:, 1]).mean(), rel=0.1)
+    assert rho == pytest.approx(np.exp(-2.0 / course.error[0, :, 1]).mean(), rel=0.1)
 
 
 def test_events_are_where_they_belong() -> None:

@@ -6,7 +6,7 @@
     python tools/bench.py scene one        these parts only
     python tools/bench.py --json > a.json  for other programs
 
-What the threads of BLAS cost, the evidence "threads" measures.
+That no call wakes a thread of BLAS, tests/test_blas_threads.py shows.
 
 Method. Both sides do the same work on the same inputs, and must agree on the
 results before anything is timed. They take turns: ours, peer, ours, peer, ...;

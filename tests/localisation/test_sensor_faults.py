@@ -1,6 +1,6 @@
 """Faults of each sensor: a reported pose is never wrong for long, and is found again.
 
-All durations and kinds of cars: tools/evidence sensor_faults.
+All durations and kinds of cars: tools/evidence sensor_faults.faults.
 """
 
 from functools import cache
@@ -44,7 +44,7 @@ def test_a_fault_is_noticed(fault: Any, duration: float) -> None:
     course = drive(cars).run(fault, duration)
     name = f"{fault.sensor}, {fault.name}; {cars}; {duration:g} s"
     figures = {name: tool.figures(course)}
-    assert not [*missed(figures, bounds_of("sensor_faults", quick=False))]
+    assert not [*missed(figures, bounds_of("sensor_faults.faults", quick=False))]
 
 
 def test_a_ramp_across_a_straight_road_is_noticed_by_most() -> None:

@@ -1,4 +1,4 @@
-"""Lines and mixtures on a faulty bus: each that is delivered was sent, and comes once.
+"""Lines on a faulty bus: each that is delivered was sent, and comes once.
 
 The time on the bus is computed, not waited for. On a real bus the controllers drop nearly all
 damaged frames by their checksum; here the damage is done behind the controllers, as by a gateway.
@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import resource
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,10 +19,9 @@ from answers import one
 from maplines_can.study import road
 from maplines_can.testing import FaultInjector, FaultKind, Faults
 from maplines_can.values.line import Kind, MapLine, Slot, Status
-from maplines_can.wire import Codec, Frame
+from maplines_can.wire import Codec
 
 from .harness import evidence, progress
-from .wire import COMPONENTS, random_mixtures
 
 #: A quarter of the damaged frames each has one to three flipped bits, a truncated payload, a wrong
 #: length, or a flipped bit in the CAN ID.
@@ -36,20 +33,11 @@ STEP_NS, PAGE_NS = 50_000_000 // len(Slot), 250_000
 MAX_MEANS, COVS = (30, 0.4, 0.1, 0.02), 512
 #: Chunks before the growth of the process is measured.
 WARM_UP = 8
-MS = 1_000_000
-#: Disturbances of mixtures: share of frames lost, share duplicated, mean delay that reorders [ms],
-#: whether slots fall silent for a while, and the pace: 1 is 20 Hz, 2.5 is 50 Hz on a faster bus,
-#: where the next mixture comes before the time-out of the last one.
-Disturbance = tuple[float, float, float, bool, float]
-DISTURBANCES: list[Disturbance] = list(
-    product([0, 0.01, 0.1, 0.3], [0, 0.01, 0.3], [0, 0.3, 3], [False, True], [1, 2.5])
-)
-#: Mixtures sent under one disturbance, eight in a period; the pause after them ends all time-outs.
-RUN, PERIOD_MS, PAUSE_MS, FRAME_MS = 400, 50, 200, 0.25
+WRONGS = ("lines that were not sent", "lines delivered twice", "lines delivered out of order")
 
 
-@evidence(n=2000)
-def lines(n: int = 10**6, seed: int = 0, faults: str = FAULTS) -> dict[str, Any]:
+@evidence
+def bus(n: int = 10**6, seed: int = 0, faults: str = FAULTS) -> dict[str, Any]:
     """Send lines for hours over a faulty bus: each delivered line was sent, bit for bit, once."""
     parts = {"classic CAN": False, "CAN FD": True}
     wanted = replace(Faults.parse(faults), seed=seed)
@@ -67,11 +55,6 @@ class Page(NamedTuple):
     page: int
     sent_id: int
     sent: bytes
-
-    @property
-    def intact(self) -> bool:
-        """Whether it arrived as it was sent."""
-        return self.data == self.sent and self.can_id == self.sent_id
 
 
 class Chunk:
@@ -129,22 +112,17 @@ class Chunk:
 
 @cache
 def road_covs(seed: int) -> Any:
+    """Return covariances of road lines."""
     return road(COVS, seed)[1]
 
 
 def values_of(line: MapLine) -> tuple[Any, ...]:
-    """Return the values of a received line in the form of ``Chunk.expected``."""
+    """Return what must be equal of a line that is sent and received."""
     return (
         *(line.slot, line.kind, line.status, line.x_min, line.x_max, line.age),
         line.gaussian.mean.tobytes(),
         line.gaussian.cov.tobytes(),
     )
-
-
-def good_copy(faults: Faults) -> float:
-    """Return the probability that a frame arrives undamaged, once or twice."""
-    good = 1 - faults.flip - faults.truncate - faults.wrong_dlc - faults.wrong_id - faults.garbage
-    return (1 - faults.loss) * (1 - (1 - good) * (1 - faults.duplicate * good))
 
 
 def memory_mib() -> float:
@@ -160,7 +138,7 @@ class Stream:
     """Lines through a fault injector into a decoder, and what becomes of them."""
 
     def __init__(self, faults: Faults, n: int, seed: int, *, fd: bool) -> None:
-        self._faults, self._n, self._seed, self._fd = faults, n, seed, fd
+        self._n, self._seed, self._fd = n, seed, fd
         self._codec = Codec.from_dbc()
         self._decoder, self._injector = self._codec.decoder(), FaultInjector[Page](faults)
         self._chunks: list[Chunk] = []
@@ -183,7 +161,7 @@ class Stream:
         for chunk in self._chunks:
             self._outcomes += chunk.outcomes(pages)
         grown = max(memory[WARM_UP:], default=0.0) - max(memory[:WARM_UP])
-        return self._figures(pages) | {"memory grown by [MiB]": max(0.0, grown)}
+        return self._figures() | {"memory grown by [MiB]": max(0.0, grown)}
 
     def _send(self, chunk: Chunk) -> None:
         for i, payload in enumerate(chunk.payloads):
@@ -200,7 +178,8 @@ class Stream:
         result = one(feed(frame.can_id, frame.data, t_ns, is_extended=frame.is_extended))
         chunk = self._chunks[-1] if frame.line >= self._chunks[-1].start else self._chunks[0]
         i = frame.line - chunk.start
-        (chunk.arrived if frame.intact else chunk.damaged)[i] |= 1 << frame.page
+        intact = (frame.can_id, frame.data) == (frame.sent_id, frame.sent)
+        (chunk.arrived if intact else chunk.damaged)[i] |= 1 << frame.page
         if not isinstance(result, MapLine):
             return
         if values_of(result) != chunk.expected(frame.line):
@@ -213,7 +192,7 @@ class Stream:
         self._first.setdefault(slot, frame.line)
         self._last[slot] = max(frame.line, self._last.get(slot, 0))
 
-    def _figures(self, pages: int) -> dict[str, Any]:
+    def _figures(self) -> dict[str, Any]:
         decoder, done, outcomes = self._decoder, self._injector.counts, self._outcomes
         n, first, last = self._n, self._first, self._last
         ends = sum(
@@ -222,16 +201,10 @@ class Stream:
         )
         lost = outcomes.total() - outcomes["delivered"]
         frames = self._injector.frames + done[FaultKind.DUPLICATED] - done[FaultKind.LOST]
-        dropped = sum(decoder.counts.values())
+        used = decoder.line_frames + sum(decoder.counts.values())
         return {
-            "bus time [h]": n * STEP_NS / 3.6e12,
             "lines sent": n,
             **dict(sorted(outcomes.items())),
-            "share delivered": outcomes["delivered"] / n,
-            "share of which a good copy of each frame came, expected": good_copy(self._faults)
-            ** pages,
-            "frames": {"sent": self._injector.frames}
-            | {what.name.lower(): done[what] for what in FaultKind},
             "dropped by the decoder": {r.name.lower(): c for r, c in decoder.counts.items()},
             "wrong": {what: self._wrong[what] for what in WRONGS},
             "slots on which two senders are seen": sum(
@@ -242,115 +215,6 @@ class Stream:
                 "lines delivered, less those of the decoder": outcomes["delivered"] - decoder.lines,
                 "lines lost, less those missing by their counters": lost - decoder.lost - ends,
                 "frames sent and doubled, less lost and received": frames - decoder.frames,
-                "frames received, less those of lines and dropped": decoder.frames
-                - decoder.line_frames
-                - dropped,
+                "frames received, less those of lines and dropped": decoder.frames - used,
             },
         }
-
-
-WRONGS = ("lines that were not sent", "lines delivered twice", "lines delivered out of order")
-
-
-@evidence(n=2 * RUN)
-def mixtures(n: int = 10**5, seed: int = 0) -> dict[str, Any]:
-    """Disturb the frames of mixtures: only what was sent is delivered, once and in order."""
-    codec, rng = Codec.from_dbc(), np.random.default_rng([seed, 9])
-    decoder, counters = codec.decoder(), Counter[int]()
-    made, wrong = Counter[str](), Counter[str]()
-    t_ms = 0.0
-    for run in progress(range(-(-n // RUN)), "runs of mixtures"):
-        disturbance = DISTURBANCES[37 * run % len(DISTURBANCES)]  # all in turn; none at first
-        sent, known = sent_mixtures(codec, rng, counters)
-        order, arrived = disturbed(rng, sent, disturbance)
-        delivered: set[int | None] = set()
-        last: dict[Slot, int] = {}
-        for at, frame in order:
-            answer = one(decoder.feed(frame.can_id, frame.data, round((t_ms + at) * MS)))
-            if isinstance(answer, MapLine):
-                place = known.get(mixture_identity(answer))
-                wrong["delivered, not sent"] += place is None
-                wrong["delivered twice"] += place in delivered
-                wrong["delivered out of order"] += (place or 0) < last.get(answer.slot, 0)
-                delivered.add(place)
-                last[answer.slot] = place or 0
-        complete = {i for i in range(RUN) if arrived[i] == len(sent[i])}
-        missed = len(complete - delivered)
-        made["mixtures sent"] += RUN
-        made["delivered"] += len(delivered)
-        made["not delivered, a frame lost"] += len(set(range(RUN)) - complete - delivered)
-        made["not delivered, frames reordered or duplicated"] += missed
-        made["frames sent"] += sum(map(len, sent))
-        wrong["delivered, though a frame was lost"] += len(delivered - complete)
-        wrong["not delivered on an undisturbed bus"] += 0 if any(disturbance[:-1]) else missed
-        t_ms += RUN / len(Slot) * PERIOD_MS + PAUSE_MS
-    decoder.expire(round((t_ms + PAUSE_MS) * MS))
-    accounted = decoder.line_frames + sum(decoder.counts.values()) + decoder.pending
-    wrong["frames not accounted for"] = decoder.frames - accounted
-    dropped = {reason.name: count for reason, count in decoder.counts.items()}
-    counts = {**made, "frames received": decoder.frames, "dropped": dropped}
-    return {**counts, "wrong": dict(wrong)}
-
-
-def sent_mixtures(
-    codec: Codec, rng: np.random.Generator, counters: Counter[int]
-) -> tuple[list[list[Frame]], dict[Any, int]]:
-    """Return the frames of a run of mixtures, and the index of each by its decoded values."""
-    sizes = rng.choice(COMPONENTS, RUN)
-    frames: list[list[Frame]] = [[]] * RUN
-    known = {}
-    first = np.zeros(RUN, dtype=int)
-    for i, k in enumerate(sizes):
-        first[i] = counters[i % len(Slot)]
-        counters[i % len(Slot)] += int(k)
-    for k in COMPONENTS:
-        (places,) = np.nonzero(sizes == k)
-        slots = places % len(Slot)
-        w, m, S = random_mixtures(len(places), k, rng)
-        payloads = codec.batch.encode_mixtures(w, m, S, slot=slots, counter=first[places])
-        batch = codec.batch.decode(payloads.reshape(-1, 32), slot=np.repeat(slots, k))
-        for j, (place, slot) in enumerate(zip(places.tolist(), slots.tolist(), strict=True)):
-            rows = slice(j * k, (j + 1) * k)
-            values = batch.component_weight[rows], batch.mean[rows], batch.cov[rows]
-            known[Slot(slot), *(value.tobytes() for value in values)] = place
-            records = [codec.encoder().frames(p, Slot(slot), fd=slot % 2 == 0) for p in payloads[j]]
-            frames[place] = [frame for record in records for frame in record]
-    return frames, known
-
-
-def disturbed(
-    rng: np.random.Generator, sent: Sequence[Sequence[Frame]], disturbance: Disturbance
-) -> tuple[list[tuple[float, Frame]], Counter[int]]:
-    """Return the arrivals (time [ms], frame) in order, and the number of frames of each mixture."""
-    loss, duplicated, delay_ms, silences, pace = disturbance
-    arrivals: list[tuple[float, Frame]] = []
-    arrived = Counter[int]()
-    silent_until = dict.fromkeys(range(len(Slot)), -1)
-    for cycle in range(RUN // len(Slot)):
-        queue: list[tuple[float, int, Frame]] = []
-        for slot in range(len(Slot)):
-            i = cycle * len(Slot) + slot
-            if silences and rng.random() < 0.05:
-                silent_until[slot] = cycle + int(rng.integers(1, 30))
-            if cycle >= silent_until[slot]:
-                # Two senders at once; each sends its slots one after the other.
-                times = slot // 2 + np.sort(rng.random(len(sent[i])))
-                queue += [(at, i, frame) for at, frame in zip(times, sent[i], strict=True)]
-        queue.sort(key=lambda entry: entry[:2])
-        for place, (_, i, frame) in enumerate(queue):
-            sent_ms = (cycle * PERIOD_MS + place * FRAME_MS) / pace
-            if rng.random() >= loss:
-                arrived[i] += 1
-                arrivals.append((sent_ms + rng.exponential(delay_ms), frame))
-                if rng.random() < duplicated:
-                    arrivals.append((sent_ms + FRAME_MS + rng.exponential(3 + delay_ms), frame))
-    arrivals.sort(key=lambda entry: entry[0])
-    return arrivals, arrived
-
-
-def mixture_identity(line: MapLine) -> tuple[Any, ...]:
-    """Return a key that is equal for equal mixtures only."""
-    if line.mixture is None:
-        return (line.slot,)
-    values = line.mixture.weights, line.mixture.means, line.mixture.covs
-    return line.slot, *(value.tobytes() for value in values)

@@ -19,32 +19,58 @@ has to skip, since it is late or was retracted, is not sent, but leaves a gap in
 
 from __future__ import annotations
 
+import bisect
 import math
 import multiprocessing
-import os
-import socket
 import time
 from collections import Counter, deque
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import pairwise
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from answers import lines_of
 
-from maplines_can import Codec, Link, Receiver, Transmitter
-from maplines_can.consumers.steering import SteeringState
-from maplines_can.maps import LaneTracker
-from maplines_can.simulation.camera import COLUMNS, LANE, PLACES
+from maplines_can import Codec, Gaussian, Link, Motion, Receiver, Slot, Transmitter, maps
+from maplines_can.consumers import FusedLane, LaneFusion, scene_view
+from maplines_can.consumers.steering import Command, LaneSteering, SteeringState
+from maplines_can.localisation import Localisation, LocalisationLayer
+from maplines_can.maps.line_source import Cycle, LineSource
+from maplines_can.simulation.camera import (
+    COLUMNS,
+    LANE,
+    PLACES,
+    Errors,
+    UnitGaussMarkov,
+    camera_view,
+)
 from maplines_can.simulation.car_stream import AGE, FRAME
+from maplines_can.simulation.sensors import Arrival, SensorSetup, SimulatedSensors
+from maplines_can.simulation.simulated_localisation import START_SIGMA
+from maplines_can.simulation.trajectory import CarState
 from maplines_can.simulation.truth import true_lines
-from maplines_can.wire import POSE, Frame, default_dbc_path
+from maplines_can.wire import POSE, Decoder, Frame
 
-from .chain_parts import CAMERA_OUTAGE, Array, Consumer, Sender, World
-from .closed_loop import BESIDE_CHANGE, MARGIN, PERIOD, STEP
+from .closed_loop import (
+    BESIDE_CHANGE,
+    DEFAULT_SPEED,
+    MARGIN,
+    PERIOD,
+    SLOTS,
+    STEP,
+    Car,
+    RouteProgress,
+    spread,
+)
+from .drives import free_port
 from .figures import flat
 from .harness import bar, evidence
+from .transfer import codec_of
+
+Array = Any
 
 #: Distance from a lane change beyond which the fused lane is compared with the truth [m].
 BESIDE = BESIDE_CHANGE + 40.0
@@ -54,46 +80,46 @@ EACH = 4
 LATENCY = 0.04
 #: Longest time to wait for lines that are on their way, and for the sender to start [s].
 PATIENCE, START = 5.0, 120.0
-
 #: DBC with a message of the pose error.
 DBC = "maplines-pose.dbc"
 FUSED = "NEES of the fused lane"
+#: Part of each minute in which the camera of the fusion fails [s].
+CAMERA_OUTAGE = (50.0, 60.0)
+#: Standard deviations of the measured speed [m/s] and yaw rate [rad/s], and its bias [rad/s].
+ODOMETRY, GYRO_BIAS = (0.05, 0.005), 0.002
+#: Oldest map lines by which the car steers [s].
+OLDEST = 0.5
+#: The driver takes the wheel after the car has stood for this time [s].
+PAUSE = 2.0
+#: Speed of the driver [m/s], the distance ahead at which he aims [m], and the distance from the
+#: middle of the lane at which he lets the car drive again [m].
+DRIVER_SPEED, DRIVER_AHEAD, DRIVER_DONE = 2.0, 8.0, 0.3
 
 
-@evidence(seconds=2.0)
-def simulated(
-    seconds: float = 600.0, seeds: int = 1, dbc: str = DBC, seed: int = 0
-) -> dict[str, Any]:
+@evidence
+def simulated(seconds: float = 600.0, seeds: int = 1, seed: int = 0) -> dict[str, Any]:
     """Drive without waiting and without a bus, with other errors for each seed."""
     drives = {}
     with bar(round(seconds) * seeds, "drive", unit=" s") as shown:
         for number in range(seed, seed + seeds):
-            drives[f"seed {number}"] = drive_of(seconds, number, dbc, shown)
+            drives[f"seed {number}"] = drive_of(seconds, number, shown)
     if seeds == 1:
         return drives[f"seed {seed}"]
-    return drives | {"all": means_of([*drives.values()])}
-
-
-def means_of(drives: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the mean of each number over drives, and its standard error."""
-    tables = [dict(flat(one)) for one in drives]
-    found = {}
+    tables, every = [dict(flat(one)) for one in drives.values()], {}
     for name, value in tables[0].items():
         if isinstance(value, float):
             values = np.array([table.get(name, math.nan) for table in tables])
             values = values[np.isfinite(values)]
             if len(values) > 1:
                 error = values.std(ddof=1) / math.sqrt(len(values))
-                found[name] = {"mean": float(values.mean()), "standard error": float(error)}
-    return found
+                every[name] = {"mean": float(values.mean()), "standard error": float(error)}
+    return drives | {"all": every}
 
 
-def drive_of(seconds: float, seed: int, dbc: str, shown: Any) -> dict[str, Any]:
+def drive_of(seconds: float, seed: int, shown: Any) -> dict[str, Any]:
     """Return the figures of a simulated drive."""
     world = World(seed)
-    sender, codec = Sender(seed, world.row), Codec.from_dbc(default_dbc_path(dbc))
-    encoder = codec.encoder()
-    decoder = codec.decoder()
+    sender, encoder, decoder = Sender(seed, world.row), codec_of(DBC).encoder(), new_decoder()
     consumer = Consumer(world, decoder)
     rows, lines, received, frames = world.row[None], 0, 0, 0
     on_the_way: deque[tuple[int, Frame]] = deque()
@@ -106,14 +132,14 @@ def drive_of(seconds: float, seed: int, dbc: str, shown: Any) -> dict[str, Any]:
             found += len(lines_of(decoder.feed(frame.can_id, frame.data, ns)))
         return found
 
-    while world.t < seconds - STEP / 2 and not is_at_goal(world):
+    while world.t < seconds - STEP / 2 and not world.is_at_goal():
         sender.move(rows)
         scene = sender.cycle(rows[-1]).scene
         if scene is not None and scene.lines:
             encoded = encoder.encode_scene(scene, age=AGE)
             lines += len(encoded.keys() - {POSE})
             frames += sum(map(len, encoded.values()))
-            on_the_way += spread(encoded.values(), world.t + AGE)
+            on_the_way += in_period(encoded.values(), world.t + AGE)
         received += deliver(1e9 * (world.t + LATENCY))
         before = consumer.demands
         consumer.step(0, round(1e9 * (world.t + LATENCY)))
@@ -125,77 +151,52 @@ def drive_of(seconds: float, seed: int, dbc: str, shown: Any) -> dict[str, Any]:
     return figures_of(consumer, sent, arrived)
 
 
-def spread(transfers: Collection[list[Frame]], start: float) -> Iterator[tuple[int, Frame]]:
+def new_decoder() -> Decoder:
+    """Return a decoder of the DBC."""
+    return codec_of(DBC).decoder()
+
+
+def in_period(transfers: Collection[list[Frame]], start: float) -> Iterator[tuple[int, Frame]]:
     """Yield the frames of a cycle with their times [ns], spread over a period as on the bus."""
     for i, frames in enumerate(transfers):
         for k, frame in enumerate(frames):
             yield round(1e9 * (start + PERIOD * i / len(transfers) + FRAME * k)), frame
 
 
-def send(pipe: Connection, bus: Mapping[str, Any], dbc: str, seed: int, start: Array) -> None:
-    """Localise the car, and send the lines, until the pipe brings None; then send the figures."""
-    sender, skipped = Sender(seed, start), 0
-    sender.move(start[None])
-    sender.cycle(start)  # the first one takes longer
-    with Link(**bus) as link:
-        transmitter = Transmitter(link, Codec.from_dbc(default_dbc_path(dbc)), period=PERIOD)
-        pipe.send("ready")
-        start_ns, before = pipe.recv(), time.process_time()
-        with transmitter:
-            while (rows := pipe.recv()) is not None:
-                sender.move(rows)
-                if pipe.poll():
-                    skipped += 1
-                    continue
-                scene = sender.cycle(rows[-1]).scene
-                with sender.cpu.of("lines"):
-                    t_pose_ns = start_ns + round(1e9 * rows[-1, 0])
-                    if scene is None:  # without a pose, there are no lines
-                        transmitter.publish([], t_pose_ns)
-                    else:
-                        transmitter.publish(scene, t_pose_ns)
-            transmitter.wait(PERIOD)
-        stats = transmitter.stats()
-    used = time.process_time() - before
-    sent = {name: getattr(stats, name) for name in ("lines", "frames", "down", "full", "overruns")}
-    sent |= {"cycles skipped": skipped, "lateness, 99 % [ms]": 1000 * stats.lateness.p99}
-    pipe.send(sent | sender.figures() | {"CPU": dict(sender.cpu) | {"all": used}})
+# ---- in real time ------------------------------------------------------------------------------
 
 
-@evidence(in_real_time=True)
+@evidence
 def real_time(
-    seconds: float = 600.0,
-    interface: str = "udp_multicast",
-    channel: str = "",
-    dbc: str = DBC,
-    seed: int = 0,
+    seconds: float = 600.0, interface: str = "udp_multicast", channel: str = "", seed: int = 0
 ) -> dict[str, Any]:
     """Drive in real time on a bus, with the sender in a process of its own.
 
-    The shares of a core are those of the threads that do the work, with the simulation apart. A
-    cycle is skipped if the process is late by a period.
+    A cycle is skipped if the process is late by a period.
 
     Args:
         seconds: of the drive [s].
         interface: of python-can.
         channel: such as vcan0.
-        dbc: of the package.
         seed: of all errors.
     """
     bus: dict[str, Any] = {"interface": interface}
     bus |= {"channel": channel} if channel else {}
     bus |= {"port": free_port()} if interface == "udp_multicast" else {}
-    world = World(seed)
-    process, pipe = started(bus, dbc, seed, world.row)
-    decoder = Codec.from_dbc(default_dbc_path(dbc)).decoder()
+    world, context = World(seed), multiprocessing.get_context("spawn")
+    pipe, other = context.Pipe()
+    process = context.Process(target=send, args=(other, bus, seed, world.row), daemon=True)
+    process.start()
+    if not pipe.poll(START):
+        raise RuntimeError(f"the sender did not start within {START:g} s")
+    pipe.recv()
     with (
         Link(**bus) as link,
-        Receiver(link, decoder, on_line=lambda _: None) as receiver,
+        Receiver(link, new_decoder(), on_line=lambda _: None) as receiver,
         bar(round(seconds), "drive", unit=" s") as shown,
     ):
-        consumer, before = Consumer(world, receiver), time.process_time()
+        consumer = Consumer(world, receiver)
         skipped = drive_in_real_time(consumer, pipe, seconds, shown)
-        used = time.process_time() - before
         pipe.send(None)
         sent = pipe.recv()
         end = time.monotonic() + PATIENCE
@@ -210,26 +211,33 @@ def real_time(
         "frames dropped": sum(stats.counts.values()),
         "cycles skipped": skipped,
     }
-    shares = shares_of(sent.pop("CPU"), dict(consumer.cpu) | {"all": used}, world.t)
-    return figures_of(consumer, sent, arrived) | {
-        "share of a core": shares,
-        "processors of this machine": os.cpu_count(),
-    }
+    return figures_of(consumer, sent, arrived)
 
 
-def started(
-    bus: Mapping[str, Any], dbc: str, seed: int, start: Array
-) -> tuple[multiprocessing.process.BaseProcess, Connection]:
-    """Return the process of the sender when it is ready, and the pipe to it."""
-    context = multiprocessing.get_context("spawn")
-    pipe, other = context.Pipe()
-    process = context.Process(target=send, args=(other, dict(bus), dbc, seed, start), daemon=True)
-    process.start()
-    other.close()
-    if not pipe.poll(START):
-        raise RuntimeError(f"the sender did not start within {START:g} s")
-    pipe.recv()
-    return process, pipe
+def send(pipe: Connection, bus: Mapping[str, Any], seed: int, start: Array) -> None:
+    """Localise the car, and send the lines, until the pipe brings None; then send the figures."""
+    sender, skipped = Sender(seed, start), 0
+    sender.move(start[None])
+    sender.cycle(start)  # the first one takes longer
+    with Link(**bus) as link:
+        transmitter = Transmitter(link, Codec(codec_of(DBC).layout), period=PERIOD)
+        pipe.send("ready")
+        start_ns = pipe.recv()
+        with transmitter:
+            while (rows := pipe.recv()) is not None:
+                sender.move(rows)
+                if pipe.poll():
+                    skipped += 1
+                    continue
+                scene = sender.cycle(rows[-1]).scene
+                t_pose_ns = start_ns + round(1e9 * rows[-1, 0])
+                # Without a pose, there are no lines.
+                transmitter.publish([] if scene is None else scene, t_pose_ns)
+            transmitter.wait(PERIOD)
+        stats = transmitter.stats()
+    sent = {name: getattr(stats, name) for name in ("lines", "frames", "down", "full", "overruns")}
+    sent |= {"cycles skipped": skipped, "lateness, 99 % [ms]": 1000 * stats.lateness.p99}
+    pipe.send(sent | sender.figures())
 
 
 def drive_in_real_time(consumer: Consumer, pipe: Connection, seconds: float, shown: Any) -> int:
@@ -238,7 +246,7 @@ def drive_in_real_time(consumer: Consumer, pipe: Connection, seconds: float, sho
     start, start_ns = time.monotonic(), time.time_ns()
     pipe.send(start_ns)
     rows = world.row[None]
-    while world.t < seconds - STEP / 2 and not is_at_goal(world):
+    while world.t < seconds - STEP / 2 and not world.is_at_goal():
         due = start + world.t
         time.sleep(max(due - time.monotonic(), 0.0))
         pipe.send(rows)
@@ -254,40 +262,225 @@ def drive_in_real_time(consumer: Consumer, pipe: Connection, seconds: float, sho
     return skipped
 
 
-def is_at_goal(world: World) -> bool:
-    """Return whether the car has arrived."""
-    along, _ = world.place.of(world.car.pose)
-    return along > world.route.goal - MARGIN
+# ---- the car, the sender of the lines, and their consumer --------------------------------------
 
 
-def shares_of(
-    sender: dict[str, float], receiver: dict[str, float], seconds: float
-) -> dict[str, Any]:
-    """Return the shares of a core of the parts of both processes."""
-    found: dict[str, Any] = {}
-    for name, rest, cpu in (("sender", "sending", sender), ("receiver", "reception", receiver)):
-        total = cpu.pop("all")
-        simulation = cpu.pop("simulation")
-        cpu[rest] = total - simulation - sum(cpu.values())
-        found[name] = (total - simulation) / seconds
-        found[f"{name}: its parts"] = {part: used / seconds for part, used in cpu.items()}
-        found[f"{name}: simulation"] = simulation / seconds
+@cache
+def town() -> tuple[maps.Map, maps.Route]:
+    """Return the shipped town and the tour through it."""
+    road_map = maps.load(maps.town_path())
+    return road_map, maps.town_tour(road_map)
+
+
+class KnownWay:
+    """True motion of the car as far as it is known: a row for each step."""
+
+    def __init__(self) -> None:
+        self._rows: deque[Array] = deque(maxlen=100)
+
+    def add(self, rows: Array) -> None:
+        """Take rows of time [s], pose (x, y, heading), speed [m/s] and yaw rate [rad/s]."""
+        self._rows.extend(rows)
+
+    def at(self, t: Any) -> CarState:
+        """Return the motion at (k,) times [s]."""
+        table = np.array(self._rows)
+        columns = [np.interp(t, table[:, 0], column) for column in table[:, 1:].T]
+        return CarState(np.asarray(t), np.stack(columns[:3], axis=-1), columns[3], columns[4])
+
+
+class World:
+    """Car on the tour through the town, with odometry and a camera of its own."""
+
+    def __init__(self, seed: int) -> None:
+        self.map, self.route = town()
+        self.place = RouteProgress(self.route.line.points, self.route.line.distance)
+        self.car = Car(self.place.pose(self.route.start), 0.0)
+        self.t = 0.0
+        self._tracker = maps.LaneTracker(self.map, self.route)
+        self._rng, self._errors = np.random.default_rng([seed, 7]), Errors()
+        self._camera_bias = UnitGaussMarkov(self._rng, (3,))
+        self._gyro_bias = GYRO_BIAS * self._rng.standard_normal()
+        self.row = self._row()
+
+    def _row(self) -> Array:
+        car = self.car
+        return np.array([self.t, *car.pose, car.speed, car.speed * car.curvature])
+
+    def is_at_goal(self) -> bool:
+        """Return whether the car has arrived."""
+        return self.place.of(self.car.pose)[0] > self.route.goal - MARGIN
+
+    def drive(self, curvature: float, speed: float, duration: float) -> Array:
+        """Drive with these demands; return a row for each step."""
+        rows = []
+        for _ in range(round(duration / STEP)):
+            self.car.drive(curvature, speed, STEP)
+            self.t += STEP
+            rows.append(self._row())
+        return np.array(rows).reshape(-1, 6)
+
+    def motion(self) -> Motion:
+        """Return the motion as measured."""
+        speed, rate = self.car.speed, self.car.speed * self.car.curvature + self._gyro_bias
+        noise = self._rng.standard_normal(2) * ODOMETRY * (speed > 0)
+        return Motion.with_sigma(speed + noise[0], rate + noise[1], ODOMETRY)
+
+    def camera(self) -> tuple[list[Any], float]:
+        """Return the lines that the camera sees now, and the speed limit of the lane [m/s]."""
+        seen = self._tracker.lines(self.car.pose)
+        limit = None if seen.lane is None else self.map.lanes[seen.lane].speed_limit
+        bias = self._camera_bias.step(PERIOD / self._errors.bias_time) * self._errors.camera_bias
+        lines = {slot: line for slot, line in seen.lines.items() if slot in LANE}
+        is_out = CAMERA_OUTAGE[0] <= self.t % 60 < CAMERA_OUTAGE[1]
+        found = [] if is_out else camera_view(lines, self.car.pose, bias, self._errors, self._rng)
+        return found, limit or DEFAULT_SPEED
+
+
+class Sender:
+    """Localisation with simulated sensors, and the lines around its pose."""
+
+    def __init__(self, seed: int, start: Array) -> None:
+        found, route = town()
+        layer, setup, rng = LocalisationLayer(found), SensorSetup(), np.random.default_rng(seed)
+        sigma = np.array(START_SIGMA)
+        stated = Gaussian(start[1:4] + sigma * rng.standard_normal(3), np.diag(sigma**2))
+        self._way, self._waiting = KnownWay(), list[Arrival]()
+        self._sensors = SimulatedSensors(layer, setup, rng)
+        self._localisation = Localisation(stated, 0.0, setup.errors, layer)
+        self._source = LineSource(
+            found,
+            lambda t, _: self._localisation.ego(max(t, self._localisation.t)),
+            SLOTS,
+            route,
+            correlation_time=lambda: float(self._localisation.correlation_times()[0, 1]),
+        )
+        self._nees, self._across = list[float](), list[float]()
+
+    def move(self, rows: Array) -> None:
+        """Measure the motion of the car, and localise it."""
+        self._way.add(rows)
+        for arrival in self._sensors.measure(self._way, float(rows[-1, 0])):
+            bisect.insort(self._waiting, arrival, key=lambda one: one.t)
+        while self._waiting and self._waiting[0].t <= rows[-1, 0] + 1e-9:
+            self._localisation.add(self._waiting.pop(0).measurement)
+
+    def cycle(self, row: Array) -> Cycle:
+        """Return the lines, as seen from the reported pose."""
+        cycle = self._source.cycle(float(row[0]), row[1:4])
+        if cycle.reported is not None:
+            error = cycle.reported.mean - row[1:4]
+            error[2] = math.remainder(error[2], 2 * math.pi)
+            self._nees.append(float(error @ np.linalg.solve(cycle.reported.cov, error)) / 3)
+            self._across.append(float(np.array([-math.sin(row[3]), math.cos(row[3])]) @ error[:2]))
+        return cycle
+
+    def figures(self) -> dict[str, Any]:
+        """Return how well it knew the pose."""
+        return {
+            "NEES of the pose": float(np.mean(self._nees)),
+            "RMS of the pose across [m]": float(np.sqrt(np.mean(np.square(self._across)))),
+        }
+
+
+class Moment(NamedTuple):
+    """One cycle of the receiver."""
+
+    now: float  #: time of the fused lane [s]
+    along: float  #: [m]
+    error: float  #: [m]
+    state: SteeringState
+    reason: str
+    centre: Array  #: (3, 2) lane centre at ``PLACES`` and its sigma [m], NaN if unknown
+
+
+@dataclass
+class Consumer:
+    """Fusion and lane keeping of the receiver, and what they did."""
+
+    world: World
+    source: Decoder | Receiver
+    demands: tuple[float, float] = (0.0, 0.0)
+    moments: list[Moment] = field(default_factory=list)
+    rows: list[Array] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._fusion, self._steering = LaneFusion(), LaneSteering()
+        self._stopped, self._is_driver = 0.0, False
+        margin = BESIDE_CHANGE
+        self._changes = [(c.start - margin, c.end + margin) for c in self.world.route.changes]
+        self.rows.append(self.world.row[None])
+
+    def step(self, start_ns: int, now_ns: int) -> None:
+        """Fuse what has arrived, and set the demands, at a time [ns]."""
+        world, now = self.world, (now_ns - start_ns) / 1e9
+        along, error = world.place.of(world.car.pose)
+        camera, limit = world.camera()
+        motion = world.motion()
+        camera = [replace(line, age=max(now - world.t, 0.0)) for line in camera]
+        route = Slot.ROUTE if any(a <= along <= b for a, b in self._changes) else None
+        view = self.source.latest_scene(now_ns)
+        lane = self._fusion.step(now_ns, view, motion, camera)
+        if route is None:
+            view = lane.view if lane.map_age <= OLDEST else scene_view(None)
+        self._steering.set_speed, self._steering.route = limit, route
+        command = self._steering.step(now_ns, view, motion)
+        self.demands = command.curvature, command.speed
+        self._take_over(command, along, error)
+        state = command.state, command.reason.name
+        self.moments.append(Moment(now, along, error, *state, centre_of(lane)))
+
+    def _take_over(self, command: Command, along: float, error: float) -> None:
+        """Let the driver bring a car back to its lane that has handed over, and drive again."""
+        stands = command.state is SteeringState.HANDOVER and self.world.car.speed < 0.05
+        self._stopped = self._stopped + PERIOD if stands else 0.0
+        self._is_driver |= self._stopped > PAUSE
+        self._is_driver &= command.state is SteeringState.HANDOVER
+        if self._is_driver and abs(error) < DRIVER_DONE:
+            self._steering.reset()
+            self._stopped, self._is_driver = 0.0, False
+        if self._is_driver:  # pure pursuit
+            self.demands = self._aim(along + DRIVER_AHEAD), DRIVER_SPEED
+
+    def _aim(self, along: float) -> float:
+        """Return the curvature of the circle to a place of the tour [1/m]."""
+        pose, points = self.world.car.pose, self.world.route.line
+        target = [np.interp(along, points.distance, column) for column in points.points.T]
+        dx, dy = np.array(target) - pose[:2]
+        across = math.cos(pose[2]) * dy - math.sin(pose[2]) * dx
+        return float(2 * across / (dx**2 + dy**2))
+
+    def drive(self, before: tuple[float, float], latency: float) -> Array:
+        """Drive a period: with the demands before for the latency [s]; return the rows."""
+        first = self.world.drive(*before, latency)
+        rows = np.vstack([first, self.world.drive(*self.demands, PERIOD - latency)])
+        self.rows.append(rows)
+        return rows
+
+
+def centre_of(lane: FusedLane) -> Array:
+    """Return the (3, 2) lane centre at ``PLACES`` and its sigma [m], NaN where it is unknown."""
+    found = np.full((len(PLACES), 2), np.nan)
+    if lane.scene is not None:
+        low, high = lane.scene.x_range(LANE)
+        inside = (low <= np.array(PLACES)) & (np.array(PLACES) <= high)
+        centre = lane.scene.centre(np.array(PLACES)[inside])
+        found[inside] = np.column_stack([centre.value, centre.sigma])
     return found
 
 
 def figures_of(consumer: Consumer, sent: dict[str, Any], arrived: dict[str, Any]) -> dict[str, Any]:
-    """Return the figures of a drive."""
+    """Return the figures of a drive.
+
+    A car that hands over is the driver's until it drives again.
+    """
     moments, world = consumer.moments, consumer.world
-    # A car that hands over is the driver's until it drives again.
-    automatic = [m for m in moments if m.state is not SteeringState.HANDOVER]
-    error = np.abs([m.error for m in automatic])
+    automatic = [m.error for m in moments if m.state is not SteeringState.HANDOVER]
     handovers = [
         now.reason
         for before, now in pairwise(moments)
         if now.state is SteeringState.HANDOVER and before.state is not SteeringState.HANDOVER
     ]
-    braking = [abs(m.error) for m in moments if m.state is SteeringState.HANDOVER]
-    ages = np.array([m.map_age for m in moments if math.isfinite(m.map_age)])
     return {
         "seconds": round(world.t, 2),
         "km": (moments[-1].along - moments[0].along) / 1000,
@@ -296,19 +489,9 @@ def figures_of(consumer: Consumer, sent: dict[str, Any], arrived: dict[str, Any]
         "receiver": arrived,
         "lines lost": sent["lines"] - arrived["lines"],
         "frames lost": sent["frames"] - arrived["frames"],
-        "error of the car [m]": {
-            "rms": float(np.sqrt((error**2).mean())) if len(error) else math.nan,
-            "95 %": float(np.quantile(error, 0.95)) if len(error) else math.nan,
-            "max": float(error.max()) if len(error) else math.nan,
-        },
+        "error of the car [m]": spread(automatic),
         "share of the time driven by the lines": len(automatic) / len(moments),
-        "handovers": len(handovers),
         "reasons of the handovers": dict(Counter(handovers)),
-        "largest error in a handover [m]": max(braking, default=0.0),
-        "age of the lines [s]": {
-            "median": float(np.median(ages)),
-            "95 %": float(np.quantile(ages, 0.95)),
-        },
         **fused_nees(consumer),
     }
 
@@ -319,7 +502,7 @@ def fused_nees(consumer: Consumer) -> dict[str, dict[str, float]]:
     That while the camera fails is apart from the one over the whole drive.
     """
     rows, world = np.vstack(consumer.rows), consumer.world
-    tracker = LaneTracker(world.map, world.route)
+    tracker = maps.LaneTracker(world.map, world.route)
     changes = [(c.start - BESIDE, c.end + BESIDE) for c in world.route.changes]
     squares, is_out = [], []
     for moment in consumer.moments[::EACH]:
@@ -339,10 +522,3 @@ def fused_nees(consumer: Consumer) -> dict[str, dict[str, float]]:
         }
         for name, rows in ((FUSED, slice(None)), (f"{FUSED}, camera failed", out))
     }
-
-
-def free_port() -> int:
-    """Return a free UDP port, so that no other bus of this machine interferes."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as found:
-        found.bind(("", 0))
-        return int(found.getsockname()[1])

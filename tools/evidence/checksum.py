@@ -22,7 +22,7 @@ from maplines_can.bus import frame_bits
 from maplines_can.model import e2e
 from maplines_can.wire.protection.e2e_state import E2EConfig
 
-from .harness import evidence, table
+from .harness import evidence
 
 #: Bits of the checksum, of the data ID, and of a page; bytes of a record.
 CRC_BITS, ID_BITS, PAGE_BITS, RECORD = 16, 16, 64, 32
@@ -39,7 +39,7 @@ FD_DISTANCE, FD_CRC_BITS = 6, 21
 MAC_BITS = 64
 
 
-@evidence()
+@evidence
 def checksum() -> dict[str, Any]:
     """Compute Hamming distance, undetected patterns and rates of undetected errors."""
     counts, with_id, bits = weights(), undetected_by_weight(syndromes(with_id=True)), syndromes()
@@ -223,7 +223,6 @@ def distance(counts: Iterable[int]) -> int:
     return next(w for w, count in enumerate(counts) if w and count)
 
 
-@table("assurance.md", "residual")
 def rates_table() -> str:
     """Return the rates as a table for docs/assurance.md."""
     names = {

@@ -6,7 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,8 @@ from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import Slot
 from maplines_can.values.polyline import Polyline
 from maplines_can.values.scene import Scene
-from maplines_can.wire import Codec, Decoder, Encoder, default_dbc_path
+
+from .transfer import codec_of, feed
 
 #: Period of the lines and of the control [s].
 PERIOD = 0.05
@@ -256,9 +257,8 @@ class ClosedLoop:
             seconds: longest time [s].
             tick: called with each time step [s].
         """
-        codec = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
-        encoder = codec.encoder()
-        decoder = codec.decoder()
+        codec = codec_of("maplines-pose.dbc")
+        encoder, decoder = codec.encoder(), codec.decoder()
         random = np.random.default_rng(self.seed)
         place = RouteProgress(self.line.points, self.line.distance)
         car = Car(place.pose(self.way[0]), 0.0)
@@ -278,7 +278,7 @@ class ClosedLoop:
             lost = any(begin <= t < end for begin, end in self.line_outages)
             if scene is not None and scene.lines and not lost:
                 sent = scene if route is not None else without(scene, Slot.ROUTE)
-                transmit(encoder, sent, t + AGE, decoder)
+                feed(encoder, decoder, sent, t + AGE + TRANSMISSION / 10, AGE, TRANSMISSION / 10)
             car.drive(*demands, latency)
             now = t + latency
             noise = random.standard_normal(2) * ODOMETRY * (car.speed > 0)
@@ -297,15 +297,6 @@ class ClosedLoop:
             if command.state is SteeringState.HANDOVER and car.speed < 0.05 and t > START:
                 break
         return moments
-
-
-def transmit(encoder: Encoder, scene: Scene, t: float, decoder: Decoder) -> None:
-    """Feed the frames of a scene that is sent at a time [s] to its receiver."""
-    ns = round(t * 1e9)
-    for frames in encoder.encode_scene(scene, age=AGE).values():
-        for frame in frames:
-            ns += round(TRANSMISSION / 10 * 1e9)
-            decoder.feed(frame.can_id, frame.data, ns)
 
 
 def without(scene: Scene, slot: Slot) -> Scene:
@@ -350,3 +341,13 @@ class RouteProgress:
         dx, dy = self.direction
         self._last = float(self._distance[low + i] + share[i] * length[i])
         return self._last, float(dx * arm[i, 1] - dy * arm[i, 0])
+
+
+def spread(values: Any) -> dict[str, float]:
+    """Return RMS, 95 % and the largest of absolute values [m]; NaN without values."""
+    size = np.abs(values if len(values) else [math.nan])
+    return {
+        "rms": float(np.sqrt((size**2).mean())),
+        "95 %": float(np.quantile(size, 0.95)),
+        "max": float(size.max()),
+    }

@@ -15,8 +15,8 @@ from maplines_can.simulation.car_stream import AGE, FRAME
 from maplines_can.simulation.trajectory import CarState, SimulatedDrive
 from maplines_can.simulation.truth import true_lines
 from maplines_can.values.gaussian import Gaussian
-from maplines_can.values.scene import Scene
-from maplines_can.wire import Codec, Decoder, Encoder
+
+from .transfer import codec_of, feed
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,6 @@ def drive_view(
     route: Route,
     drive: SimulatedDrive,
     times: Iterable[float],
-    codec: Codec,
     pose_cov: Array,
     map_error: MapError,
 ) -> DriveView:
@@ -49,37 +48,32 @@ def drive_view(
         route: that the car follows.
         drive: the drive.
         times: [s].
-        codec: that encodes and decodes the lines, with a Pose message.
         pose_cov: (3, 3) of the pose error that the sender states, in the ego frame.
         map_error: that the sender states.
     """
     state = drive.at(np.array([*times]))
     tracker, n = LaneTracker(road_map, route), len(state.t)
-    view = DriveView(
-        state,
-        np.full((n, 2, 4), np.nan),
-        np.full((n, 2, 2), np.nan),
-        np.full((n, 2, len(PLACES)), np.nan),
-        np.zeros((n, len(PLACES)), dtype=bool),
-        np.full((n, 8, 8), np.nan),
-        np.full((n, 2, 4), np.nan),
-    )
+    lines, seen, true = (np.full((n, 2, width), np.nan) for width in (4, 4, len(PLACES)))
+    ranges, own = np.full((n, 2, 2), np.nan), np.full((n, 8, 8), np.nan)
+    valid = np.zeros((n, len(PLACES)), dtype=bool)
+    codec = codec_of("maplines-pose.dbc")
     encoder, decoder = codec.encoder(), codec.decoder()
     for k, pose in enumerate(state.pose):
-        seen = tracker.lines(pose)
-        lines = {slot: seen.lines[slot] for slot in LANE if slot in seen.lines}
-        view.true[k] = true_lines(lines, LANE, pose)[:, COLUMNS]
-        view.seen[k] = camera_lines(lines, pose)
+        tracked = tracker.lines(pose).lines
+        lane = {slot: tracked[slot] for slot in LANE if slot in tracked}
+        true[k], seen[k] = true_lines(lane, LANE, pose)[:, COLUMNS], camera_lines(lane, pose)
         ego = Gaussian(pose, turned(pose_cov, pose[2]))
-        scene = map_scene(lines, ego, map_error=map_error, correlation_time=1.0)
-        received = transferred(encoder, decoder, scene, float(state.t[k]))
-        if received is not None and all(slot in received.index for slot in LANE):
-            view.lines[k] = [received.line(slot).gaussian.mean for slot in LANE]
-            view.fit_ranges[k] = received.fit_ranges
-            low, high = received.x_range(LANE)
-            view.valid[k] = (np.array(PLACES) >= low) & (np.array(PLACES) <= high)
-            view.own[k] = received.conditional().cov
-    return view
+        t, sent = float(state.t[k]), map_scene(lane, ego, map_error=map_error, correlation_time=1.0)
+        feed(encoder, decoder, sent, t + AGE, AGE, FRAME)
+        found = decoder.scene()
+        is_new = found is not None and abs(found.t_ns / 1e9 - AGE - t) < FRAME
+        if found is not None and is_new and all(slot in found.scene.index for slot in LANE):
+            scene = found.scene
+            lines[k] = [scene.line(slot).gaussian.mean for slot in LANE]
+            ranges[k], own[k] = scene.fit_ranges, scene.conditional().cov
+            low, high = scene.x_range(LANE)
+            valid[k] = (np.array(PLACES) >= low) & (np.array(PLACES) <= high)
+    return DriveView(state, lines, ranges, true, valid, own, seen)
 
 
 def turned(cov: Array, heading: float) -> Array:
@@ -87,20 +81,3 @@ def turned(cov: Array, heading: float) -> Array:
     c, s = np.cos(heading), np.sin(heading)
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(R @ cov @ R.T)
-
-
-def transferred(encoder: Encoder, decoder: Decoder, scene: Scene, t: float) -> Scene | None:
-    """Return a scene as received; None if it was not.
-
-    Args:
-        encoder: encodes the scene.
-        decoder: of the receiver.
-        scene: as sent.
-        t: time of its pose [s], later than that of the scene before.
-    """
-    for own in encoder.encode_scene(scene, age=AGE).values():
-        for i, frame in enumerate(own):
-            decoder.feed(frame.can_id, frame.data, round(1e9 * (t + AGE + i * FRAME)))
-    received = decoder.scene()
-    is_new = received is not None and abs(received.t_ns / 1e9 - AGE - t) < FRAME
-    return received.scene if received is not None and is_new else None

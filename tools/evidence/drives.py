@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import shutil
+import socket
 import subprocess
 import sys
 import tempfile
@@ -35,7 +35,9 @@ from answers import lines_of
 
 from maplines_can import Codec, Link, MapLine, Receiver, Slot, maps, read_log
 from maplines_can.study.scenes.map_scenes import SLOTS
+from maplines_can.wire import Decoder
 
+from .bus import values_of
 from .harness import evidence
 from .slots import Witness
 from .witness import seen_from
@@ -52,7 +54,7 @@ PATIENCE = 4
 GRID = np.arange(-4.0, 12.5, 0.5)
 
 
-@evidence(route="3:0:-4..3:0:-3")
+@evidence
 def simulated(
     route: str = "", seconds: float | None = None, fd: bool = False, seed: int = 0
 ) -> dict[str, Any]:
@@ -71,7 +73,7 @@ def simulated(
         return checked_slots(folder, route, json.loads(done.stdout))
 
 
-@evidence(in_real_time=True)
+@evidence
 def real_time(
     interface: str = "udp_multicast",
     channel: str = "",
@@ -83,8 +85,7 @@ def real_time(
 ) -> dict[str, Any]:
     """Send a drive in real time from one process to another, and check each line that arrives.
 
-    The shares of a core are user and system time over the wall-clock time, with the start of the
-    sender apart. On SocketCAN, candump must see each frame as well, if it is installed.
+    On SocketCAN, candump must see each frame as well, if it is installed.
 
     Args:
         interface: of python-can.
@@ -104,10 +105,10 @@ def real_time(
         log, dump = folder / "drive.log", folder / "candump.log"
         with candump(bus, dump) as dumped:
             sent, arrived, figures = transmitted(command, bus, fd=fd)
-        was_sent = of_lines(decoded(log))
+        was_sent, received = ([values_of(x) for x in of] for of in (decoded(log), arrived))
         figures |= {
-            "lines lost": len(was_sent) - len(arrived),
-            "received as they were sent": of_lines(arrived) == was_sent != [],
+            "lines lost": len(was_sent) - len(received),
+            "received as they were sent": received == was_sent != [],
         }
         if dumped is not None:
             seen, own = ([(f.can_id, f.data) for f in read_log(path)] for path in (dumped, log))
@@ -140,60 +141,43 @@ def transmitted(
     command: Sequence[str], bus: dict[str, Any], *, fd: bool
 ) -> tuple[dict[str, Any], list[MapLine], dict[str, Any]]:
     """Let a process send the drive, and receive it; return its sums, the lines and the figures."""
-    decoder = Codec.from_dbc().decoder(timeout_ms=3_600_000)
     arrived: list[MapLine] = []
     with (
         Link(**bus, fd=fd) as link,
-        Receiver(link, decoder, on_line=arrived.append) as receiver,
+        Receiver(link, new_decoder(), on_line=arrived.append) as receiver,
     ):
-        before, start = os.times(), time.monotonic()
         done = subprocess.run(command, capture_output=True, check=False)
-        wall = time.monotonic() - start
         if done.returncode:
             sys.exit(done.stderr.decode())
         sent = json.loads(done.stdout)
         end = time.monotonic() + 30
         while receiver.stats().lines < sent["lines"] and time.monotonic() < end:
             time.sleep(0.1)
-        used, stats = os.times(), receiver.stats()
-    own = used.user + used.system - before.user - before.system
-    child = (
-        used.children_user + used.children_system - before.children_user - before.children_system
-    )
-    return (
-        sent,
-        arrived,
-        {
-            "frames lost": sent["frames"] - stats.frames,
-            "lines missing by their counters": stats.lost,
-            "frames dropped": sum(stats.counts.values()),
-            "not sent": sent["down"] + sent["full"],
-            "wall-clock time of the sender [s]": wall,
-            "share of a core, sender in its cycles": sent["core_share"],
-            "share of a core, sender with its start": child / wall,
-            "share of a core, receiver": own / sent["seconds"],
-            "CPU time for each cycle, sender [ms]": 1000 * sent["cpu"] / sent["cycles"],
-            "CPU time for each cycle, receiver [ms]": 1000 * own / sent["cycles"],
-            "processors of this machine": os.cpu_count(),
-        },
-    )
+        stats = receiver.stats()
+    figures = {
+        "frames lost": sent["frames"] - stats.frames,
+        "lines missing by their counters": stats.lost,
+        "frames dropped": sum(stats.counts.values()),
+        "not sent": sent["down"] + sent["full"],
+    }
+    return sent, arrived, figures
 
 
-def of_lines(lines: Any) -> list[Any]:
-    """Return what must be equal of lines that are sent and received."""
-    return [
-        (line.slot, line.kind, line.status, line.x_min, line.x_max, line.age, *of_gaussian(line))
-        for line in lines
-    ]
+def free_port() -> int:
+    """Return a free UDP port, so that no other bus of this machine interferes."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as found:
+        found.bind(("", 0))
+        return int(found.getsockname()[1])
 
 
-def of_gaussian(line: MapLine) -> tuple[bytes, bytes]:
-    return line.gaussian.mean.tobytes(), line.gaussian.cov.tobytes()
+def new_decoder() -> Decoder:
+    """Return a decoder of a bus that may be silent for long."""
+    return Codec.from_dbc().decoder(timeout_ms=3_600_000)
 
 
 def decoded(path: Path) -> list[MapLine]:
     """Return the lines in a log."""
-    decoder = Codec.from_dbc().decoder(timeout_ms=3_600_000)
+    decoder = new_decoder()
     fed = (decoder.feed(f.can_id, f.data, f.t_ns) for f in read_log(path))
     return [line for answer in fed for line in lines_of(answer)]
 

@@ -74,7 +74,7 @@ LIMITS = tuple(
 )
 
 
-@evidence(n=27 * 20)
+@evidence
 def epochs(n: int = 30_000, beyond: bool = False, seed: int = 0) -> dict[str, Any]:
     """Send n cycles of scenes over a faulty bus, and check each joint that is received.
 

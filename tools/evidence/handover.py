@@ -41,7 +41,7 @@ PERIOD = 0.1
 NEAR, END = 10.0, 60.0
 
 
-@evidence(n=1, seconds=3.0, shapes=("corner", "motorway"))
+@evidence
 def handover(
     maps: tuple[str, ...] = (),
     n: int = 3,

@@ -1,4 +1,4 @@
-"""Command line, progress, tables and bounds of all evidence."""
+"""The runner of all evidence: command line, tables, and the bounds of ``bounds.toml``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from reporting import bar, fill_tables, parser_of, progress
+from reporting import bar, fill_tables, parser_of, print_table, progress
 
 from .figures import Statistic, flat
 
@@ -24,12 +24,8 @@ __all__ = ["Evidence", "bar", "evidence", "progress"]
 
 FOLDER = Path(__file__).parent
 DOCS = FOLDER.parents[1] / "docs"
-#: Modules that help the others.
-HELPERS = {"__init__", "__main__", "harness", "figures"}
-#: More columns than this are printed as several tables.
-MAX_COLUMNS = 16
-#: Rows whose columns have more names than this are printed as lists.
-MAX_DEPTH = 2
+#: Width of the names of printed figures.
+WIDTH = 48
 
 Figures = Mapping[str, Any]
 
@@ -39,8 +35,6 @@ class Evidence(NamedTuple):
 
     name: str
     measure: Callable[..., Figures]
-    quick: Mapping[str, Any]  #: options of its quickest form
-    in_real_time: bool  #: it needs a bus and a quiet machine, so there is no quick form
 
     @property
     def about(self) -> str:
@@ -54,40 +48,38 @@ class Evidence(NamedTuple):
         parameters = inspect.signature(self.measure).parameters
         return {name: (hints[name], one.default) for name, one in parameters.items()}
 
+    @property
+    def quick(self) -> dict[str, Any] | None:
+        """Options of its quickest form; None if it needs a bus, or a quiet machine."""
+        own = (one for one in promises() if one.get("evidence") == self.name)
+        given = next((one["quick"] for one in own if "quick" in one), None)
+        if given is None:
+            return None
+        return {k: tuple(v) if isinstance(v, list) else v for k, v in given.items()}
+
 
 REGISTRY: dict[str, Evidence] = {}
-#: Functions that return a table of a page of docs, by page and name of the table.
-TABLES: dict[tuple[str, str], Callable[[], str]] = {}
 
 
-def evidence(
-    *, in_real_time: bool = False, **quick: Any
-) -> Callable[[Callable[..., Figures]], Callable[..., Figures]]:
-    """Register a function as evidence, with the options of its quickest form."""
-
-    def register(measure: Callable[..., Figures]) -> Callable[..., Figures]:
-        module, own = measure.__module__.rpartition(".")[2], measure.__name__
-        name = module if own == module else f"{module}.{own}"
-        REGISTRY[name] = Evidence(name, measure, quick, in_real_time)
-        return measure
-
-    return register
+def evidence(measure: Callable[..., Figures]) -> Callable[..., Figures]:
+    """Register a function as evidence."""
+    module, own = measure.__module__.rpartition(".")[2], measure.__name__
+    name = module if own == module else f"{module}.{own}"
+    REGISTRY[name] = Evidence(name, measure)
+    return measure
 
 
-def table(page: str, name: str) -> Callable[[Callable[[], str]], Callable[[], str]]:
-    """Register a function that returns a table of a page of docs."""
-
-    def register(write: Callable[[], str]) -> Callable[[], str]:
-        TABLES[page, name] = write
-        return write
-
-    return register
+@cache
+def promises() -> list[dict[str, Any]]:
+    """Return the promises, with their sections and bounds."""
+    sections = tomllib.loads((FOLDER / "bounds.toml").read_text(encoding="utf-8"))
+    return [{"section": name} | one for name, rows in sections.items() for one in rows]
 
 
 def modules() -> list[str]:
     """Return the names of the modules with evidence."""
-    texts = {path.stem: path.read_text(encoding="utf-8") for path in sorted(FOLDER.glob("*.py"))}
-    return [name for name, text in texts.items() if name not in HELPERS and "\n@evidence" in text]
+    named = {one["evidence"].partition(".")[0] for one in promises() if "evidence" in one}
+    return sorted(named | {"pictures"})
 
 
 def chosen(names: Sequence[str]) -> list[Evidence]:
@@ -102,11 +94,11 @@ def chosen(names: Sequence[str]) -> list[Evidence]:
         if module not in modules():
             raise ValueError(f"there is no evidence {name!r}; there are {', '.join(modules())}")
         importlib.import_module(f"evidence.{module}")
-        own = [one for key, one in REGISTRY.items() if name in (key, key.partition(".")[0])]
+        every = [key for key in REGISTRY if key.partition(".")[0] == module]
+        own = [key for key in every if name in (key, module)]
         if not own:
-            every = [key for key in REGISTRY if key.partition(".")[0] == module]
             raise ValueError(f"there is no evidence {name!r}; there are {', '.join(every)}")
-        found += own
+        found += [REGISTRY[key] for key in own]
     return found
 
 
@@ -143,7 +135,7 @@ def settings(one: Evidence, texts: Mapping[str, str], *, quick: bool) -> dict[st
     Raises:
         ValueError: there is no such option, or its value is wrong.
     """
-    found = dict(one.quick) if quick else {}
+    found = dict(one.quick or {}) if quick else {}
     for name, text in texts.items():
         if name not in one.options:
             raise ValueError(f"{one.name} has no option {name!r}; it has {', '.join(one.options)}")
@@ -155,14 +147,6 @@ def settings(one: Evidence, texts: Mapping[str, str], *, quick: bool) -> dict[st
 
 
 # ---- bounds ----------------------------------------------------------------------------------
-
-
-@cache
-def promises() -> list[dict[str, Any]]:
-    """Return the promises, with their bounds."""
-    text = (FOLDER / "bounds.toml").read_text(encoding="utf-8")
-    found: list[dict[str, Any]] = tomllib.loads(text)["promise"]
-    return found
 
 
 def bounds_of(name: str, *, quick: bool) -> list[dict[str, Any]]:
@@ -200,7 +184,13 @@ def is_kept(value: Any, side: str, bound: float) -> bool:
     return bool(value == bound)
 
 
-# ---- results ---------------------------------------------------------------------------------
+def run(one: Evidence, options: Mapping[str, Any], *, quick: bool) -> dict[str, Any]:
+    """Return the figures of an evidence, and the bounds that they miss."""
+    started = time.perf_counter()
+    figures = one.measure(**options)
+    seconds = round(time.perf_counter() - started, 1)
+    misses = list(missed(figures, bounds_of(one.name, quick=quick)))
+    return {"figures": figures, "missed": misses, "seconds": seconds}
 
 
 def shown(value: Any) -> str:
@@ -212,71 +202,6 @@ def shown(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def as_text(figures: Figures, indent: int = 0) -> Iterator[str]:
-    """Yield lines of figures: rows of the same columns as tables, others as a list."""
-    pad = " " * indent
-    if (tables := tables_of(figures)) is not None:
-        for title, columns in tables.items():
-            yield from [f"{pad}{title}:"] * bool(title)
-            yield from (pad + line for line in markdown(figures, columns, title))
-        return
-    for name, value in figures.items():
-        if isinstance(value, Mapping):
-            yield f"{pad}{name}:"
-            yield from as_text(value, indent + 4)
-        else:
-            yield f"{pad}{name:<{max(48 - indent, 1)}} {shown(value)}"
-
-
-def tables_of(figures: Figures) -> dict[str, list[str]] | None:
-    """Return the columns of the tables of rows, by title; None if the figures are no rows."""
-    if len(figures) < 2 or not all(isinstance(row, Mapping) for row in figures.values()):
-        return None
-    if max(map(depth, figures.values())) > MAX_DEPTH:
-        return None
-    every = [name for row in figures.values() for name, _ in flat(row)]
-    columns = list(dict.fromkeys(every))
-    if len(every) < 0.6 * len(columns) * len(figures):  # the rows have few columns in common
-        return None
-    if len(columns) <= MAX_COLUMNS:
-        return {"": columns}
-    grouped: dict[str, list[str]] = {}
-    for name in columns:
-        head, _, own = name.partition("/")
-        grouped.setdefault(head if own else "", []).append(name)
-    return grouped
-
-
-def depth(figures: Any) -> int:
-    """Return how many names lead to a figure."""
-    if not isinstance(figures, Mapping):
-        return 0
-    return 1 + max(map(depth, figures.values()), default=0)
-
-
-def markdown(rows: Figures, columns: Sequence[str], title: str = "") -> list[str]:
-    """Return the lines of a table in Markdown; columns of a title are without it."""
-    cells = [["", *(name.removeprefix(f"{title}/") for name in columns)]]
-    for name, row in rows.items():
-        values = dict(flat(row))
-        cells.append([name, *(shown(values.get(column)) for column in columns)])
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    lines = [
-        "| " + " | ".join(f"{c:<{w}}" for c, w in zip(row, widths, strict=True)) + " |"
-        for row in cells
-    ]
-    return [lines[0], "|" + "|".join("-" * (width + 2) for width in widths) + "|", *lines[1:]]
-
-
-def run(one: Evidence, options: Mapping[str, Any], *, quick: bool) -> dict[str, Any]:
-    """Return the figures of an evidence, and the bounds that they miss."""
-    started = time.perf_counter()
-    figures = one.measure(**options)
-    seconds = round(time.perf_counter() - started, 1)
-    misses = list(missed(figures, bounds_of(one.name, quick=quick)))
-    return {"figures": figures, "missed": misses, "seconds": seconds}
-
-
 # ---- pages -----------------------------------------------------------------------------------
 
 
@@ -285,31 +210,25 @@ def bound_text(bound: Mapping[str, Any]) -> str:
     name = bound.get("name", bound["figure"].replace("*/", "").replace("*", "").strip("/"))
     unit = f" {bound['unit']}" if "unit" in bound else ""
     scale = 100 if bound.get("unit") == "%" else 1
-    texts = {
-        side: f"{scale * bound[side]:.6g}{unit}"
-        for side in ("min", "max", "equal")
-        if side in bound
-    }
-    match texts:
-        case {"min": low, "max": high}:
-            return f"{name} {low.removesuffix(unit)} to {high}"
-        case {"min": low}:
-            return f"{name} ≥ {low}"
-        case {"max": high}:
-            return f"{name} ≤ {high}"
-        case {"equal": value}:
-            return f"{name} = {value}"
-    return str(name)
+    low, high, equal = (
+        f"{scale * bound[side]:.6g}" if side in bound else None for side in ("min", "max", "equal")
+    )
+    if equal is not None:
+        return f"{name} = {equal}{unit}"
+    if low is not None and high is not None:
+        return f"{name} {low} to {high}{unit}"
+    if low is not None:
+        return f"{name} ≥ {low}{unit}"
+    return str(name) if high is None else f"{name} ≤ {high}{unit}"
 
 
 def promises_table() -> str:
     """Return the tables of docs/promises.md."""
     sections: dict[str, list[str]] = {}
     for promise in promises():
-        command = promise.get("command")
-        if command is None:
-            command = f"`tools/evidence {promise['evidence']}{' ' * ('options' in promise)}"
-            command += f"{promise.get('options', '')}`"
+        options = promise.get("full", "").split()
+        measured = " ".join(["tools/evidence", promise.get("evidence", ""), *options])
+        command = f"`{promise.get('command', measured)}`"
         bounds = "; ".join(bound_text(one) for one in promise.get("bounds", ())) or "-"
         cells = promise["promise"], bounds, command, promise["seen"], promise["conditions"]
         row = " | ".join(" ".join(cell.split()) for cell in cells)
@@ -319,19 +238,18 @@ def promises_table() -> str:
     return "\n\n".join(parts)
 
 
-TABLES["promises.md", "promises"] = promises_table
-
-
 def pages() -> dict[Path, str]:
     """Return the pages of docs with their tables as they should be."""
-    for module in modules():
-        if "\n@table" in (FOLDER / f"{module}.py").read_text(encoding="utf-8"):
-            importlib.import_module(f"evidence.{module}")
-    found: dict[Path, str] = {}
-    for (page, name), write in TABLES.items():
+    from .checksum import rates_table
+
+    tables = {
+        "promises.md": ("promises", promises_table),
+        "assurance.md": ("residual", rates_table),
+    }
+    found = {}
+    for page, (name, write) in tables.items():
         path = DOCS / page
-        text = found.get(path, path.read_text(encoding="utf-8"))
-        found[path] = fill_tables(text, "evidence", {name: write()})
+        found[path] = fill_tables(path.read_text(encoding="utf-8"), "evidence", {name: write()})
     return found
 
 
@@ -353,16 +271,16 @@ def main(doc: str | None, argv: Sequence[str] | None = None) -> int:
         return 0
     texts = dict(word.split("=", 1) for word in arguments.names if "=" in word)
     names = [word for word in arguments.names if "=" not in word]
+    quick = arguments.quick
     try:
         every = chosen(names or modules())
         if not names:
             print(*listed(every), sep="\n")
             return 0
-        every = [one for one in every if not (arguments.quick and one.in_real_time)]
-        jobs = [(one, settings(one, texts, quick=arguments.quick)) for one in every]
+        every = [one for one in every if not (quick and one.quick is None)]
+        jobs = [(one, settings(one, texts, quick=quick)) for one in every]
     except ValueError as error:
         parser.error(str(error))
-    quick = arguments.quick
     return report({one.name: run(one, own, quick=quick) for one, own in jobs}, arguments)
 
 
@@ -382,7 +300,8 @@ def report(results: Mapping[str, Any], arguments: argparse.Namespace) -> int:
         print(json.dumps(results, indent=2, default=lambda number: number.item()))
         return int(is_missed)
     for name, result in results.items():
-        print(f"\n{name}, {result['seconds']} s\n", *as_text(result["figures"]), sep="\n")
+        print(f"\n{name}, {result['seconds']} s\n")
+        print_table(result["figures"], WIDTH)
         print("", *(f"MISSED  {text}" for text in result["missed"]), sep="\n")
     print("" if is_missed else "All bounds are met.")
     return int(is_missed)

@@ -10,27 +10,43 @@ stated standard deviation.
 A true line is the points of a random road, or those of a map, seen from a pose that is drawn from
 the stated Gaussian, where they cross x. A line that ends before x counts as beyond 3 sigma.
 
-The limit of a range is the longest one in which any cubic deviates from the line by at most 0.1 m.
+The limit of a range is the longest one in which any cubic deviates from the line by at most 0.1 m,
+by Chebyshev fits (linear programming).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from scipy.optimize import linprog
 
-from maplines_can import Gaussian, MapError, Polyline, Slot
+from maplines_can import (
+    Gaussian,
+    MapError,
+    MapLine,
+    Motion,
+    Polyline,
+    Scene,
+    Slot,
+    map_lines,
+    map_scene,
+    predict_to,
+)
+from maplines_can.propagation import scene_mixture
+from maplines_can.propagation.from_map import MAX_SIGMA, Query
+from maplines_can.propagation.refit import MAX_MISFIT, Refit
+from maplines_can.values.errors import EncodeError, MaplinesError
 from maplines_can.values.line import lateral_jacobian
 
-from .excess import excess_covs
 from .harness import evidence, progress
-from .range_limit import View
 from .roads import SHAPES, Draw, maps_of, on_map, on_roads
-from .sums import SIGMA_AT, Tally
-from .ways import WAYS, Case, Result
+from .sums import SIGMA_AT, Given, Tally
+from .transfer import codec_of, transferred
 from .witness import (
     AHEAD,
     POSES,
@@ -45,28 +61,16 @@ from .witness import (
     seen_from,
 )
 
-
-class Settings(NamedTuple):
-    """What is measured of each case."""
-
-    way: str
-    sigma: tuple[float, float, float]
-    error: MapError | None
-    errors_in: str
-    cases: int
-    draws: int
-    ranges: int  #: cases of which the limit of the range is computed
-    seed: int
+#: Components of mixtures.
+COMPONENTS = 3
+#: The motion of lines that are predicted: time [s], speed [m/s], sigmas [m/s, rad/s], and its
+#: largest yaw rate [rad/s].
+SECONDS, SPEED, MOTION_SIGMA, MAX_YAW_RATE = 1.0, 12.0, (0.3, 0.01), 0.6
+#: A line is a function y(x) while it deviates by less from the car's x axis [rad].
+TURN = np.radians(65.0)
 
 
-@evidence(
-    n=3,
-    draws=5,
-    ranges=1,
-    shapes=("motorway", "rural", "city"),
-    poses=("production",),
-    map_error=(0.05,),
-)
+@evidence
 def lines(
     n: int = 25,
     maps: tuple[str, ...] = (),
@@ -76,9 +80,6 @@ def lines(
     ] = "line",
     poses: tuple[str, ...] = tuple(POSES),
     map_error: tuple[float, ...] = (0.0, 0.05),
-    offset: float = 0.0,
-    turn_deg: float = 0.0,
-    errors_in: Literal["map", "truth", "none"] = "map",
     draws: int = 10,
     ranges: int = 0,
     seed: int = 1,
@@ -94,10 +95,6 @@ def lines(
             (of map_lines, or of a scene), or predicted by 1 s and 12 m.
         poses: errors of the car's pose.
         map_error: independent error of each point [m].
-        offset: error that is common to a line [m].
-        turn_deg: the same, of its direction [deg].
-        errors_in: which of them has a draw of the stated map error: the lines that the product gets
-            (map), the true ones, with another draw for each pose (truth), or none.
         draws: poses drawn for each case.
         ranges: cases of each row of which the limit of the range is computed.
         seed: of the cases and of the draws.
@@ -107,109 +104,293 @@ def lines(
         "all roads": {shape: on_roads([shape], 2) for shape in shapes if shape},
     }
     result: dict[str, Any] = {}
-    for pose, point_sigma in product(poses, map_error):
-        sigmas = point_sigma, offset, np.radians(turn_deg)
-        error = MapError(*sigmas) if any(sigmas) else None
-        settings = Settings(by, POSES[pose], error, errors_in, n, draws, ranges, seed)
-        title = f"{by}, {pose} pose, map error {point_sigma:g} m"
-        result[title] = dict(rows(groups, settings, title))
+    for pose, sigma in product(poses, map_error):
+        title = f"{by}, {pose} pose, map error {sigma:g} m"
+        rows = result[title] = {}
+        for whole, group in groups.items():
+            total = Tally()
+            for place, (name, draw) in enumerate(progress(group.items(), title, len(group))):
+                tally = Tally()
+                for number in range(n):
+                    rng = np.random.default_rng([seed, place, number])
+                    case = Case.drawn(draw(number, rng), POSES[pose], sigma, draws, rng)
+                    case.measure(by, tally, limits=number < ranges)
+                total.add(tally)
+                rows[name] = tally.figures()
+            if group:
+                rows[whole] = total.figures()
     return result
 
 
-def rows(
-    groups: Mapping[str, Mapping[str, Draw]], settings: Settings, title: str
-) -> Iterator[tuple[str, Any]]:
-    """Yield the names and figures of the maps and shapes of road, and of all together."""
-    for whole, group in groups.items():
-        total = Tally()
-        for place, (name, draw) in enumerate(progress(group.items(), title, len(group))):
-            tally = Tally()
-            for number in range(settings.cases):
-                rng = np.random.default_rng([settings.seed, place, number])
-                evaluate(draw, number, settings, rng, tally)
-            total.add(tally)
-            yield name, tally.figures()
-        if group:
-            yield whole, total.figures()
+class Got(NamedTuple):
+    """Lines that a consumer has jointly."""
+
+    slots: list[Slot]
+    given: Given
+    poses: Array  #: (D + 1, 3) true poses and, last, the mean one, from which these are seen
 
 
-def evaluate(draw: Draw, number: int, settings: Settings, rng: Any, tally: Tally) -> None:
-    """Evaluate what a consumer has of true lines around a mean pose."""
-    drawn, pose = draw(number, rng)
-    along = {slot: in_direction(line.points, pose) for slot, line in drawn.items()}
-    if not along:
-        return
-    poses = Poses.about(pose, settings.sigma, settings.draws, rng)
-    error = settings.error if settings.errors_in == "map" else None
-    given = {slot: Polyline(erred(line, pose, error, 1, rng)[0]) for slot, line in along.items()}
-    case = Case(given, Gaussian(pose, poses.cov), poses.draw(), settings.error, rng)
-    result = WAYS[settings.way](case)
-    tally.counts["lost"] += result.lost
-    for slots, joint, seen_at in zip(result.slots, result.given, result.poses, strict=True):
-        tally.counts["lines"] += len(slots)
-        views = [view(along[slot], seen_at, settings, rng) for slot in slots]
-        tally.evaluate(joint, partial(crossing, views))
-    count_refused(along, pose, result, tally)
-    if settings.way == "line":
-        compare_sigma(case, result, tally)
-    if number < settings.ranges and settings.way in ("line", "wire"):
-        compare_range(given, pose, result, tally)
+class Case(NamedTuple):
+    """True lines around a mean pose, and what a map says of them."""
 
+    true: Mapping[Slot, Array]  #: (n, 2) points in the direction of the car
+    lines: Mapping[Slot, Polyline]  #: as the product gets them
+    ego: Gaussian
+    poses: Array  #: (D + 1, 3) true ones, and the mean
+    error: MapError | None  #: that is stated
+    rng: np.random.Generator
 
-def in_direction(points: Array, pose: Array) -> Array:
-    """Return the points of a line in the direction of the car, where it is."""
-    return points[::-1] if is_oncoming(seen_from(points, pose[None])[0]) else points
+    @classmethod
+    def drawn(
+        cls, drawn: tuple[Mapping[Slot, Polyline], Array], sigma: Any, point_sigma: float,
+        draws: int, rng: np.random.Generator,
+    ) -> Case:  # fmt: skip
+        """Return a case with errors of the points [m] and with so many poses."""
+        lines, pose = drawn
+        error = MapError(point_sigma) if point_sigma else None
+        true = {
+            slot: line.points[::-1]
+            if is_oncoming(seen_from(line.points, pose[None])[0])
+            else line.points
+            for slot, line in lines.items()
+        }
+        about = Poses.about(pose, sigma, draws, rng)
+        given = {
+            slot: Polyline(erred(points, pose, error, 1, rng)[0]) for slot, points in true.items()
+        }
+        every = np.vstack([about.draw(), pose]) if true else np.zeros((0, 3))
+        return cls(true, given, Gaussian(pose, about.cov), every, error, rng)
 
+    def measure(self, by: str, tally: Tally, *, limits: bool) -> None:
+        """Add what a consumer has of the lines."""
+        if not self.true:
+            return
+        excess = excess_covs(self.lines, self.ego, self.error) if by == "line" else {}
+        there = set[Slot]()
+        for got in WAYS[by](self):
+            if got is None:
+                tally.counts["lost"] += 1
+                continue
+            there |= {*got.slots}
+            tally.counts["lines"] += len(got.slots)
+            near = [near_points(self.true[slot], got.poses[-1]) for slot in got.slots]
+            views = [(seen_from(points, got.poses[:-1]), s) for points, s in near]
+            tally.evaluate(got.given, lambda i, x: crossings(*views[i], x))  # noqa: B023
+            if by == "line":
+                compare_sigma(got.given, excess[got.slots[0]], tally)
+            if limits and by in ("line", "wire"):
+                self.compare_range(got, tally)
+        for slot, points in self.true.items():
+            local = seen_from(points, self.ego.mean[None])[0]
+            _, s = place_of(local)
+            reach = s[(s >= 0) & (np.hypot(*local.T) <= WINDOW[1])].max(initial=0.0)
+            tally.counts["ahead"] += reach >= AHEAD
+            tally.counts["refused"] += reach >= AHEAD and slot not in there
 
-def view(points: Array, seen_at: Array, settings: Settings, rng: Any) -> tuple[Array, Array]:
-    """Return (D, n, 2) true points near a car, and their (n,) arc lengths from there.
-
-    They are seen from (D + 1, 3) poses, but for the last one, which is the mean.
-    """
-    near, s = near_points(points, seen_at[-1])
-    error = settings.error if settings.errors_in == "truth" else None
-    true = erred(near, seen_at[-1], error, settings.draws, rng)
-    return seen_from(true, seen_at[:-1]), s
-
-
-def crossing(views: list[tuple[Array, Array]], i: int, x: float) -> Array:
-    """Return the (D,) lateral positions at x of true lines of a view."""
-    local, s = views[i]
-    return crossings(local, s, x)
-
-
-def count_refused(lines: Mapping[Slot, Array], pose: Array, result: Result, tally: Tally) -> None:
-    """Count the lines that the map has ahead of the car, and those of them that are not there."""
-    there = {slot for slots in result.slots for slot in slots}
-    for slot, points in lines.items():
-        local = seen_from(points, pose[None])[0]
-        _, s = place_of(local)
-        reach = s[(s >= 0) & (np.hypot(*local.T) <= WINDOW[1])].max(initial=0.0)
-        tally.counts["ahead"] += reach >= AHEAD
-        tally.counts["refused"] += reach >= AHEAD and slot not in there
-
-
-def compare_sigma(case: Case, result: Result, tally: Tally) -> None:
-    """Add the ratios of the sigmas of y to those with the misfit in the variance of y_off alone."""
-    excess = excess_covs(case.lines, case.ego, case.error)
-    for (slot,), given in zip(result.slots, result.given, strict=True):
-        for x in (x for x in SIGMA_AT if given.ranges[0, 0] <= x <= given.ranges[0, 1]):
-            g = lateral_jacobian(given.means[0, 0], x)
-            variance = g @ given.covs[0] @ g
-            rest = max(variance - g @ excess[slot] @ g, 1e-12)
-            tally.put(f"sigma ratio at {x:g} m", float(np.sqrt(variance / rest)))
-
-
-def compare_range(
-    lines: Mapping[Slot, Polyline], pose: Array, result: Result, tally: Tally
-) -> None:
-    """Add the ratios of the ranges to the longest ones in which a cubic follows the line."""
-    for (slot,), given in zip(result.slots, result.given, strict=True):
-        local = seen_from(lines[slot].points, pose[None])[0]
-        seen, (x_min, x_max) = View(local, place_of(local)[0]), given.ranges[0]
+    def compare_range(self, got: Got, tally: Tally) -> None:
+        """Add ratios of the ranges to the longest ones in which a cubic follows the line."""
+        local = seen_from(self.lines[got.slots[0]].points, self.ego.mean[None])[0]
+        seen, (x_min, x_max) = View(local, place_of(local)[0]), got.given.ranges[0]
         length = x_max - x_min
         if seen.is_seen and length > 0:
             begin = max(x_min, seen.low)
             same = max(seen.farthest(begin, begin + 0.5 * length) - begin, length)
             tally.put("range over limit, same x_min", length / same)
             tally.put("range over limit, any x_min", length / max(seen.longest(same), length))
+
+
+def compare_sigma(given: Given, excess: Array, tally: Tally) -> None:
+    """Add ratios of the sigmas of y to those with the misfit in the variance of y_off alone."""
+    (low, high), mean, cov = given.ranges[0], given.means[0, 0], given.covs[0]
+    for x in (x for x in SIGMA_AT if low <= x <= high):
+        g = lateral_jacobian(mean, x)
+        variance = g @ cov @ g
+        rest = max(variance - g @ excess @ g, 1e-12)
+        tally.put(f"sigma ratio at {x:g} m", float(np.sqrt(variance / rest)))
+
+
+def excess_covs(
+    lines: Mapping[Any, Polyline], ego: Gaussian, error: MapError | None
+) -> dict[Any, Array]:
+    """Return what covariances have beyond a misfit in the variance of y_off alone, by slot.
+
+    A refit without a limit of the misfit has the part of the covariance that is due to the map
+    alone.
+    """
+    slots, refit, *_ = Query(lines, ego, WINDOW, error, MAX_MISFIT, MAX_SIGMA).fitted()
+    covs = {}
+    for i, slot in enumerate(slots):
+        window = tuple(refit.x_range[i].tolist())
+        of_map = Refit(lines[slot], ego.mean, window, error, max_misfit=np.inf).noise_cov
+        cov = np.asarray(refit.noise_cov)[i] - (0.0 if of_map is None else of_map)
+        cov[0, 0] -= refit.misfit[i] ** 2
+        covs[slot] = cov
+    return covs
+
+
+# ---- ways by which a consumer gets lines -------------------------------------------------------
+
+#: From a line, the true poses with the mean one, and random numbers to what a consumer has.
+Carry = Callable[[MapLine, Array, np.random.Generator], tuple[MapLine | None, Array]]
+
+
+def given_of(line: MapLine) -> Given:
+    """Return what a consumer has of a single line."""
+    of, ranges = line.gaussian, np.array([[line.x_min, line.x_max]])
+    if line.mixture is None:
+        return Given(np.ones(1), of.mean[None, None], of.cov[None], ranges)
+    return Given(line.mixture.weights, line.mixture.means[:, None], line.mixture.covs, ranges)
+
+
+def lines_by(carry: Carry, components: int, case: Case) -> Iterator[Got | None]:
+    """Yield the lines of ``map_lines`` that ``carry`` brings to a consumer, one by one."""
+    found = map_lines(
+        case.lines, case.ego, window=WINDOW, map_error=case.error, components=components
+    )
+    for line in found:
+        got, poses = carry(line, case.poses, case.rng)
+        yield None if got is None else Got([line.slot], given_of(got), poses)
+
+
+def as_given(line: MapLine, poses: Array, _: Any) -> tuple[MapLine | None, Array]:
+    """Return a line as the sender has it."""
+    return line, poses
+
+
+def sent(line: MapLine, poses: Array, _: Any) -> tuple[MapLine | None, Array]:
+    """Return a line as a receiver gets it; None if it is not usable."""
+    decoder, received = codec_of().decoder(), None
+    for frame in codec_of().encoder().encode(line):
+        received = decoder.feed(frame.can_id, frame.data, t_ns=0)
+    return (received if isinstance(received, MapLine) and received.is_usable else None), poses
+
+
+def predicted(line: MapLine, poses: Array, rng: Any) -> tuple[MapLine | None, Array]:
+    """Return a line that is predicted, and the true poses of that time."""
+    curvature = line.gaussian.mean[2] + line.gaussian.mean[3] * SPEED * SECONDS / 2
+    yaw_rate = float(np.clip(SPEED * curvature, -MAX_YAW_RATE, MAX_YAW_RATE))
+    motion = Motion.with_sigma(SPEED, yaw_rate, MOTION_SIGMA)
+    rates = np.array([SPEED, yaw_rate]) + rng.standard_normal((len(poses), 2)) * MOTION_SIGMA
+    rates[-1] = SPEED, yaw_rate  # of the mean pose
+    try:
+        later = predict_to(replace(line, t_ns=0), round(SECONDS * 1e9), motion)
+    except MaplinesError:
+        return None, poses
+    return later, np.array([arc(*row) for row in np.column_stack([poses, rates])])
+
+
+def arc(x: float, y: float, heading: float, speed: float, yaw_rate: float) -> Array:
+    """Return the pose after a motion along an arc for ``SECONDS``, by closed form."""
+    turn = yaw_rate * SECONDS / 2
+    chord, middle = speed * SECONDS * np.sinc(turn / np.pi), heading + turn
+    return np.array([x + chord * np.cos(middle), y + chord * np.sin(middle), heading + 2 * turn])
+
+
+def scene_of(case: Case) -> Scene:
+    """Return the scene of all lines."""
+    return map_scene(case.lines, case.ego, window=WINDOW, map_error=case.error)
+
+
+def scenes_by(carry: Callable[[Scene], Scene], case: Case) -> Iterator[Got | None]:
+    """Yield the joint distribution of the lines of a scene that ``carry`` brings."""
+    scene = scene_of(case)
+    got = carry(scene)
+    yield from [None] * (len(scene.lines) - len(got.lines))
+    if got.lines:
+        slots = [line.slot for line in got.lines]
+        joint = got.joint(slots)
+        ranges = np.array([[line.x_min, line.x_max] for line in got.lines])
+        means = joint.mean.reshape(1, -1, 4)
+        yield Got(slots, Given(np.ones(1), means, joint.cov[None], ranges), case.poses)
+
+
+def scene_sent(scene: Scene) -> Scene:
+    """Return a scene as a receiver gets it, without the lines that do not fit."""
+    try:
+        received = transferred(codec_of("maplines-pose.dbc"), scene)
+    except EncodeError:
+        received = None
+    return scene.subset([]) if received is None else received
+
+
+def mixtures_of_scene(case: Case) -> Iterator[Got | None]:
+    """Yield the lines of a scene as mixtures that a receiver makes of it."""
+    scene = scene_of(case)
+    for line in scene.lines:
+        found = scene_mixture(scene, line.slot, COMPONENTS)
+        mixed = replace(line, gaussian=found.overall, mixture=found)
+        yield Got([line.slot], given_of(mixed), case.poses)
+
+
+#: What a consumer has of a case, by name.
+WAYS: dict[str, Callable[[Case], Iterator[Got | None]]] = {
+    "line": partial(lines_by, as_given, 1),
+    "wire": partial(lines_by, sent, 1),
+    "scene": partial(scenes_by, lambda scene: scene),
+    "scene-wire": partial(scenes_by, scene_sent),
+    "scene-mixture": mixtures_of_scene,
+    "mixture": partial(lines_by, as_given, COMPONENTS),
+    "predicted": partial(lines_by, predicted, 1),
+}
+
+
+# ---- limits of the range -----------------------------------------------------------------------
+
+
+def chebyshev_misfit(x: Array, y: Array) -> float:
+    """Return the least possible largest deviation of a cubic from (n,) points [m]."""
+    w = (x - x.mean()) / max(np.ptp(x) / 2, 1e-9)
+    A, one = np.vander(w, 4), np.ones((len(x), 1))
+    solution = linprog(
+        [0, 0, 0, 0, 1],
+        A_ub=np.block([[A, -one], [-A, -one]]),
+        b_ub=np.append(y, -y),
+        bounds=[(None, None)] * 4 + [(0, None)],
+        method="highs",
+    )
+    return float(solution.x[4])
+
+
+class View:
+    """Line as a function y(x), as a car sees it from its mean pose."""
+
+    def __init__(self, local: Array, nearest: int) -> None:
+        steps = np.diff(local, axis=0)
+        along = steps[:, 0] >= np.cos(TURN) * np.hypot(*steps.T)
+        self.is_seen = bool(along[nearest])
+        across = np.flatnonzero(~along)
+        first = across[across < nearest].max(initial=-1) + 1
+        last = across[across > nearest].min(initial=len(steps))
+        self.x, self.y = local[first : last + 1].T
+        self.low, self.high = max(WINDOW[0], self.x[0]), min(WINDOW[1], self.x[-1])
+
+    def holds(self, low: float, high: float) -> bool:
+        """Return whether a cubic follows the line from low to high within ``MAX_MISFIT``."""
+        inside = self.x[(self.x > low) & (self.x < high)]
+        if len(inside) > 60:
+            inside = inside[np.linspace(0, len(inside) - 1, 60).astype(int)]
+        x = np.union1d(np.linspace(low, high, 61), inside)
+        y = np.interp(x, self.x, self.y)
+        squares = np.polynomial.Polynomial.fit(x, y, 3)
+        return np.abs(squares(x) - y).max() <= MAX_MISFIT or chebyshev_misfit(x, y) <= MAX_MISFIT
+
+    def farthest(self, low: float, least: float) -> float:
+        """Return how far a cubic follows the line from low, at least to ``least`` [m]."""
+        if self.holds(low, self.high):
+            return self.high
+        inner, outer = least, self.high
+        while outer - inner > 0.1:
+            middle = (inner + outer) / 2
+            inner, outer = (middle, outer) if self.holds(low, middle) else (inner, middle)
+        return inner
+
+    def longest(self, known: float) -> float:
+        """Return the longest range about the car that a cubic follows, at least ``known`` [m]."""
+        car, best = min(max(0.0, self.low), self.high), known
+        for begin in np.linspace(car, self.low, 11 if self.low < car else 1):
+            end = max(begin + best + 0.1, car)
+            if end < self.high and self.holds(begin, end):
+                best = self.farthest(begin, end) - begin
+            elif end >= self.high > begin + best and self.holds(begin, self.high):
+                best = self.high - begin
+        return float(best)

@@ -1,15 +1,19 @@
 """What the localisation knows of its own error.
 
 NEES: normalised error squared of (x, y, heading), 3 if the covariance is right; NIS: that of the
-innovations, 2 for each position, line or landmark.
+innovations, 2 for each position, line or landmark. Scans are simulated: 720 rays, noise of 3 cm,
+5 % of the rays hit something that the map does not have. With an error of the map, each house and
+each pole stands up to some centimetres from where the map has it; the scans are those of the true
+places, and the matchings know how large the error is, but not what it is. They need the extra scan.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from maplines_can import Gaussian
+from maplines_can import Gaussian, Polyline, Slot
 from maplines_can.localisation import (
     BlockOutcome,
     GaussMarkov,
@@ -25,47 +29,42 @@ from maplines_can.localisation import (
     Localisation,
     LocalisationLayer,
     Odometry,
+    PoseFix,
     SensorErrors,
     Verdict,
 )
-from maplines_can.maps import load, town_path, town_tour
+from maplines_can.maps import Lane, Map, Road, load, random_tour, town_path, town_tour
 from maplines_can.simulation.sensors import SensorSetup, simulated_measurements
-from maplines_can.simulation.simulated_localisation import START_SIGMA
+from maplines_can.simulation.simulated_localisation import START_SIGMA, SimulatedLocalisation
 from maplines_can.simulation.trajectory import SimulatedDrive, drive_along
+from maplines_can.values.line import Kind
 
+from .figures import Share
 from .harness import evidence, progress
-from .localised_drives import ROADS, Localised, figures, on_map, on_road
-from .roads import maps_of
+from .roads import maps_of, random_scene
 
 Array = NDArray[np.float64]
 
-#: Part of the tour of each scenario, and when it has neither GNSS nor landmarks [s].
-SCENARIOS: dict[str, tuple[tuple[float, float], tuple[tuple[float, float], ...]]] = {
-    "town": ((0.0, 200.0), ()),
-    "motorway": ((265.0, 425.0), ()),
-    "tunnel": ((265.0, 425.0), ((310.0, 370.0),)),
-}
 #: Time between two evaluations [s].
 STEP = 0.5
-#: Circular error probable of the receiver of the recorded drive, from its data sheet [m]; that of a
-#: Gaussian has 1.177 sigma.
-CEP = 2.5
-#: Time at the begin of a recorded drive from which the noise of GNSS is read [s].
-FIRST = 15.0
-#: Standard deviation of GNSS, if it is taken as white [m].
-WHITE = 0.5
+#: Squared error that 95 % of the poses have at most.
+INSIDE = float(chi2.ppf(0.95, 3))
 
 
 class Run(NamedTuple):
     """Errors of n cars at k times."""
 
-    t: Array  #: (k,) [s]
     errors: Array  #: (k, n, 3) in the map frame
     covs: Array  #: (k, n, 3, 3)
     heading: Array  #: (k,) true [rad]
-    correlation_times: Array  #: (k, n, 3) along, across, heading [s]
-    outcomes: list[BlockOutcome]
-    counts: dict[str, Any]
+
+    @classmethod
+    def of(cls, rows: Iterable[tuple[Array, Gaussian | Any]]) -> Run:
+        """Return the run of true poses and of what the cars state."""
+        given = [(true, poses.mean - true, poses.cov) for true, poses in rows]
+        true, errors, covs = (np.array(column) for column in zip(*given, strict=True))
+        errors[..., 2] = (errors[..., 2] + math.pi) % (2 * math.pi) - math.pi
+        return cls(errors, covs, true[:, 2])
 
     @property
     def nees(self) -> Array:
@@ -74,142 +73,28 @@ class Run(NamedTuple):
         return np.asarray((self.errors * solved).sum(axis=-1))
 
     @property
-    def ego_errors(self) -> Array:
-        """(k, n, 3) along, across, heading."""
+    def rms(self) -> dict[str, float]:
+        """RMS along, across and of the heading."""
         c, s = np.cos(self.heading)[:, None], np.sin(self.heading)[:, None]
         x, y, h = np.moveaxis(self.errors, -1, 0)
-        return np.stack([c * x + s * y, -s * x + c * y, h], axis=-1)
+        along, across, turn = (
+            float(np.sqrt((values**2).mean())) for values in (c * x + s * y, -s * x + c * y, h)
+        )
+        return {
+            "RMS along [m]": along,
+            "RMS across [m]": across,
+            "RMS heading [deg]": math.degrees(turn),
+        }
 
+    @property
+    def sigma(self) -> Array:
+        """(3,) stated standard deviations, of x, y and heading."""
+        return np.asarray(np.sqrt(np.diagonal(self.covs, axis1=-2, axis2=-1).mean(axis=(0, 1))))
 
-@evidence(seeds=3, scenarios=("tunnel",), span=6.0)
-def tour(
-    seeds: int = 50,
-    scenarios: tuple[str, ...] = tuple(SCENARIOS),
-    span: float = math.inf,
-    seed: int = 0,
-) -> dict[str, Any]:
-    """Drive parts of the tour of the town with simulated sensors; the filter knows their errors.
-
-    The tunnel is a part of the motorway without GNSS and without landmarks for 60 s. At each time,
-    the mean over the cars is compared with its 95 % bounds from chi-square; "inside" is the share
-    of times within them. Errors of successive times are correlated, so that share scatters around
-    95 % more than independent times would. The filter without bias takes the GNSS position as white
-    noise of the same total variance, which must be found wrong. Autocorrelation: that of the errors
-    over the correlation time that the filter states, 0.37 if that is right.
-
-    Args:
-        seeds: number of cars.
-        scenarios: parts of the tour.
-        span: longest time of a part [s].
-        seed: of the random numbers.
-    """
-    town = load(town_path())
-    way, layer = drive_along(town, town_tour(town)), LocalisationLayer(town)
-    result: dict[str, Any] = {}
-    for name in scenarios:
-        for kind, with_bias in (("with bias", True), ("without bias", False)):
-            run = driven(way, layer, name, seeds, span, seed, with_bias=with_bias)
-            result[f"{name}, {kind}"] = of_run(run)
-    return result
-
-
-@evidence(n=2, seconds=3.0, shapes=("rural",))
-def drives(
-    maps: tuple[str, ...] = (),
-    n: int = 20,
-    seconds: float = 60.0,
-    shapes: tuple[str, ...] = ROADS,
-    seed: int = 0,
-) -> dict[str, Any]:
-    """Drive on maps as maplines drive MAP --localise does, and on random roads.
-
-    Random roads have three lanes, whose outer lines may have no marking; the car is in the middle
-    one. "inside" is the share of poses within their own 95 % region, "lines used" that of the lines
-    of the camera, and "other lane" that of the times at which the car is on another lane than it
-    believes, by the ids of the map: also one that overlaps with it or follows it.
-
-    Args:
-        maps: folders and files of maps.
-        n: drives on each map and kind of road; their seeds draw routes and errors.
-        seconds: of each drive.
-        shapes: of random roads.
-        seed: of the first drive.
-    """
-    sources: dict[str, Callable[[int, float], Localised]] = {
-        name: partial(on_map, found, LocalisationLayer(found))
-        for name, found in maps_of(maps).items()
-    }
-    sources |= {shape: partial(on_road, shape) for shape in shapes}
-    return {
-        name: figures([drive(number, seconds) for number in range(seed, seed + n)])
-        for name, drive in progress(sources.items(), "drives", len(sources))
-    }
-
-
-def driven(
-    way: SimulatedDrive,
-    layer: LocalisationLayer,
-    name: str,
-    n: int,
-    longest: float,
-    seed: int,
-    *,
-    with_bias: bool,
-) -> Run:
-    """Return the run of n cars through a scenario."""
-    (begin, end), tunnels = SCENARIOS[name]
-    span = begin, min(end, begin + longest)
-    setup = SensorSetup(gnss_outages=tunnels, landmark_outages=tunnels)
-    rng, sigma = np.random.default_rng([seed, sum(name.encode())]), np.array(START_SIGMA)
-    arrivals = simulated_measurements(way, layer, setup, rng, n, span)
-    start = way.at(begin).pose + sigma * rng.standard_normal((n, 3))
-    errors, extra = setup.errors, np.zeros((2, 2))
-    if not with_bias:
-        extra = (errors.gnss or SensorErrors.UNKNOWN_GNSS).sigma ** 2 * np.eye(2)
-        errors = replace(errors, gnss=GaussMarkov(0.0))
-    outcomes: list[BlockOutcome] = []
-    localisation = Localisation(
-        start, span[0], errors, layer, cov=np.diag(sigma**2), on_outcome=outcomes.append
-    )
-    rows, due = [], span[0] + STEP
-    for _, measurement in progress(arrivals, name):
-        if isinstance(measurement, GnssFix):
-            measurement = measurement._replace(cov=measurement.cov + extra)
-        localisation.add(measurement)
-        if isinstance(measurement, Odometry) and measurement.t >= due:
-            due += STEP
-            true = way.at(measurement.t).pose
-            poses = localisation.poses()
-            times = localisation.correlation_times()
-            rows.append((measurement.t, poses.mean - true, poses.cov, true[2], times))
-    return run_of(rows, outcomes, localisation)
-
-
-def run_of(rows: list[Any], outcomes: list[BlockOutcome], localisation: Localisation) -> Run:
-    """Return the run of rows of time, errors, covariances, heading and correlation times."""
-    t, errors, covs, heading, times = (np.array(column) for column in zip(*rows, strict=True))
-    return Run(t, errors, covs, heading, times, outcomes, localisation.counts())
-
-
-def of_run(run: Run) -> dict[str, Any]:
-    """Return the figures of a run."""
-    n, nees = run.errors.shape[1], run.nees
-    mean = float(nees.mean())
-    rms = np.sqrt((run.ego_errors**2).mean(axis=(0, 1)))
-    innovations = {
-        source: nis_figures([one for one in run.outcomes if one.source == source])
-        for source in ("gnss", "line", "landmark")
-    }
-    return {
-        "NEES": mean,
-        "quantile of NEES": float(chi2.cdf(n * mean, 3 * n)),
-        "NEES inside": share_inside(nees, 3),
-        "RMS along [m]": rms[0],
-        "RMS across [m]": rms[1],
-        "RMS heading [deg]": math.degrees(rms[2]),
-        **{f"NIS {source}": found for source, found in innovations.items()},
-        "autocorrelation": autocorrelations(run),
-    }
+    def quantile(self) -> float:
+        """Return that of the mean NEES, if a car has one error that lasts."""
+        n = self.errors.shape[1]
+        return float(chi2.cdf(n * self.nees.mean(), 3 * n))
 
 
 def share_inside(squared: Array, values: int) -> float:
@@ -230,35 +115,210 @@ def nis_figures(outcomes: list[BlockOutcome]) -> dict[str, float]:
     squared = np.array(
         [np.where(one.verdict == Verdict.USED, one.squared, np.nan) for one in outcomes]
     )  # (k, n, B)
+    inside = share_inside(squared.reshape(len(squared), -1), 2)
+    return {"mean": float(np.nanmean(squared)), "inside": inside}
+
+
+def evaluated(
+    localisation: Localisation,
+    measurements: Iterable[Any],
+    begin: float,
+    true: Callable[[float], Array | None],
+) -> Iterator[tuple[Array, Any]]:
+    """Yield true and stated poses every ``STEP``, where the true one is known."""
+    due = begin + STEP
+    for one in measurements:
+        localisation.add(one)
+        if isinstance(one, Odometry) and one.t >= due and (pose := true(one.t)) is not None:
+            due += STEP
+            yield pose, localisation.poses()
+
+
+@cache
+def town() -> tuple[Map, SimulatedDrive]:
+    """Return the town of the package, and the drive on the tour through it."""
+    found = load(town_path())
+    return found, drive_along(found, town_tour(found))
+
+
+# ---- parts of the tour of the town -------------------------------------------------------------
+
+#: Part of the tour of each scenario, and when it has neither GNSS nor landmarks [s].
+SCENARIOS: dict[str, tuple[tuple[float, float], tuple[tuple[float, float], ...]]] = {
+    "town": ((0.0, 200.0), ()),
+    "motorway": ((265.0, 425.0), ()),
+    "tunnel": ((265.0, 425.0), ((310.0, 370.0),)),
+}
+
+
+@evidence
+def tour(
+    seeds: int = 50,
+    scenarios: tuple[str, ...] = tuple(SCENARIOS),
+    span: float = math.inf,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Drive parts of the tour of the town with simulated sensors; the filter knows their errors.
+
+    The tunnel is a part of the motorway without GNSS and without landmarks for 60 s. At each time,
+    the mean over the cars is compared with its 95 % bounds from chi-square; "inside" is the share
+    of times within them. Errors of successive times are correlated, so that share scatters around
+    95 % more than independent times would. The filter without bias takes the GNSS position as white
+    noise of the same total variance, which must be found wrong.
+
+    Args:
+        seeds: number of cars.
+        scenarios: parts of the tour.
+        span: longest time of a part [s].
+        seed: of the random numbers.
+    """
+    found, way = town()
+    layer, result = LocalisationLayer(found), dict[str, Any]()
+    for name in scenarios:
+        (begin, end), tunnels = SCENARIOS[name]
+        part = begin, min(end, begin + span)
+        setup = SensorSetup(gnss_outages=tunnels, landmark_outages=tunnels)
+        gnss = setup.errors.gnss or SensorErrors.UNKNOWN_GNSS
+        white = replace(setup.errors, gnss=GaussMarkov(0.0)), gnss.sigma**2 * np.eye(2)
+        kinds = {"with bias": (setup.errors, np.zeros((2, 2))), "without bias": white}
+        for kind, (errors, extra) in kinds.items():
+            rng, sigma = np.random.default_rng([seed, sum(name.encode())]), np.array(START_SIGMA)
+            arrivals = simulated_measurements(way, layer, setup, rng, seeds, part)
+            start = way.at(begin).pose + sigma * rng.standard_normal((seeds, 3))
+            measurements = (
+                one._replace(cov=one.cov + extra) if isinstance(one, GnssFix) else one
+                for _, one in progress(arrivals, name)
+            )
+            outcomes, cov = list[BlockOutcome](), np.diag(sigma**2)
+            filtered = Localisation(
+                start, begin, errors, layer, cov=cov, on_outcome=outcomes.append
+            )
+            run = Run.of(evaluated(filtered, measurements, begin, lambda t: way.at(t).pose))
+            result[f"{name}, {kind}"] = of_run(run, outcomes)
+    return result
+
+
+def of_run(run: Run, outcomes: list[BlockOutcome]) -> dict[str, Any]:
+    """Return the figures of a run."""
     return {
-        "mean": float(np.nanmean(squared)),
-        "inside": share_inside(squared.reshape(len(squared), -1), 2),
+        "NEES": float(run.nees.mean()),
+        "quantile of NEES": run.quantile(),
+        "NEES inside": share_inside(run.nees, 3),
+        **run.rms,
+        **{
+            f"NIS {source}": nis_figures([one for one in outcomes if one.source == source])
+            for source in ("gnss", "line", "landmark")
+        },
     }
 
 
-def autocorrelations(run: Run) -> dict[str, Any]:
-    """Return the median of the stated correlation times, and the autocorrelation over them."""
-    found = {}
-    for i, name in enumerate(("along", "across", "heading")):
-        stated = run.correlation_times[..., i]
-        products, squares = [], []
-        for k in range(len(run.t)):
-            c, s = math.cos(run.heading[k]), math.sin(run.heading[k])
-            axis = [np.array([c, s, 0]), np.array([-s, c, 0]), np.array([0, 0, 1.0])][i]
-            lag = np.rint(stated[k].clip(max=1e6) / STEP).astype(int)
-            for j in np.flatnonzero((lag > 0) & (lag <= k)):
-                here, past = run.errors[k, j] @ axis, run.errors[k - lag[j], j] @ axis
-                now, then = (axis @ run.covs[m, j] @ axis for m in (k, k - lag[j]))
-                products.append(here * past / math.sqrt(now * then))
-                squares.append((here**2 / now + past**2 / then) / 2)
-        found[name] = {
-            "stated time [s]": float(np.median(stated)),
-            "found": float(np.sum(products) / np.sum(squares)) if products else math.nan,
+# ---- drives on maps ----------------------------------------------------------------------------
+
+#: Length of the route on a map, as that of ``maplines drive`` [m], and rate of the poses [Hz].
+TOUR, RATE = 10_000.0, 10.0
+#: Shapes of the random roads, and the share of their outer boundaries that have no marking.
+ROADS = ("motorway", "exit", "rural", "s-bend", "city", "roundabout-12m", "hairpin")
+UNMARKED = 0.3
+
+
+@evidence
+def drives(
+    maps: tuple[str, ...] = (),
+    n: int = 20,
+    seconds: float = 60.0,
+    shapes: tuple[str, ...] = ROADS,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Drive on maps as maplines drive MAP --localise does, and on random roads.
+
+    Random roads have three lanes, whose outer lines may have no marking; the car is in the middle
+    one. "inside" is the share of poses within their own 95 % region, "lines used" that of the lines
+    of the camera.
+
+    Args:
+        maps: folders and files of maps.
+        n: drives on each map and kind of road; their seeds draw routes and errors.
+        seconds: of each drive.
+        shapes: of random roads.
+        seed: of the first drive.
+    """
+    sources: dict[str, Callable[[int], tuple[LocalisationLayer, SimulatedDrive]]] = {
+        name: partial(on_map, found, LocalisationLayer(found))
+        for name, found in maps_of(maps).items()
+    }
+    sources |= {shape: partial(on_road, shape) for shape in shapes}
+    result: dict[str, Any] = {}
+    for name, drawn in progress(sources.items(), "drives", len(sources)):
+        poses, known, lines = list[tuple[Array, Any]](), list[bool](), Counter[str]()
+        for number in range(seed, seed + n):
+            layer, way = drawn(number)
+            source = SimulatedLocalisation(way, layer, seed=number)
+            for t in (t for t in way.times(RATE) if t < seconds):
+                true, stated = way.at(t).pose, source.pose(float(t))
+                known.append(stated is not None)
+                if stated is not None:
+                    poses.append((true, Gaussian(stated.mean, stated.cov)))
+            lines.update(source.counts().get("line", {}))
+        run = Run.of((true, Stated(one.mean[None], one.cov[None])) for true, one in poses)
+        mean = float(run.nees.mean())
+        result[name] = {
+            "NEES": mean,
+            # Errors of a drive last for a minute, so the drives are hardly more than so many draws.
+            "quantile of NEES": float(chi2.cdf(n * mean, 3 * n)),
+            "inside": Share(float((run.nees <= INSIDE).mean()), n),
+            **run.rms,
+            "known": float(np.mean(known)),
+            "lines used": lines["USED"] / max(lines.total(), 1),
         }
-    return found
+    return result
 
 
-@evidence()
+class Stated(NamedTuple):
+    """Poses that n cars state."""
+
+    mean: Array  #: (n, 3)
+    cov: Array  #: (n, 3, 3)
+
+
+def on_map(
+    found: Map, layer: LocalisationLayer, seed: int
+) -> tuple[LocalisationLayer, SimulatedDrive]:
+    """Return the drive of ``maplines drive MAP --localise --seed SEED``."""
+    return layer, drive_along(found, random_tour(found, TOUR, seed))
+
+
+def on_road(shape: str, seed: int) -> tuple[LocalisationLayer, SimulatedDrive]:
+    """Return a drive in the middle one of three lanes of a random road.
+
+    Its inner lines are dashed, its outer ones solid, or not marked.
+    """
+    rng = np.random.default_rng([seed, sum(shape.encode())])
+    scene = random_scene(shape, rng, 5)
+    slots = (Slot.NEXT_LEFT, Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_RIGHT)
+    outer = [Kind.UNKNOWN if rng.random() < UNMARKED else Kind.SOLID for _ in range(2)]
+    kinds = (outer[0], Kind.DASHED, Kind.DASHED, outer[1])
+    lines = [Polyline(scene.lines[slot], kind) for slot, kind in zip(slots, kinds, strict=True)]
+    middle = Polyline(scene.lines[Slot.CENTRE])
+    lanes = {
+        name: Lane(name, left, right, middle if name == "1" else left, road=shape)
+        for name, left, right in zip("012", lines, lines[1:], strict=False)
+    }
+    road = Road(shape, shape, middle.length, tuple(lanes))
+    return LocalisationLayer(Map(lanes, {shape: road})), SimulatedDrive(middle)
+
+
+# ---- a recorded drive --------------------------------------------------------------------------
+
+#: Circular error probable of the receiver of the recorded drive, from its data sheet [m]; that of a
+#: Gaussian has 1.177 sigma.
+CEP = 2.5
+#: Time at the begin of a recorded drive from which the noise of GNSS is read [s].
+FIRST = 15.0
+#: Standard deviation of GNSS, if it is taken as white [m].
+WHITE = 0.5
+
+
+@evidence
 def recorded(path: Path | None = None) -> dict[str, Any]:
     """Localise a recorded drive: with the bias of GNSS as a state, found out, or as white noise.
 
@@ -284,20 +344,15 @@ def recorded(path: Path | None = None) -> dict[str, Any]:
         ("white, 0.5 m", white, WHITE),
     ):
         run = replayed(data, errors, sigma)
-        rms = np.sqrt((run.ego_errors**2).mean(axis=(0, 1)))
-        sigmas = np.sqrt(np.diagonal(run.covs, axis1=-2, axis2=-1).mean(axis=(0, 1)))
-        mean = float(run.nees.mean())
+        x, y, turn = run.sigma
         result[name] = {
             "GNSS noise [m]": sigma,
-            "NEES": mean,
-            "quantile of NEES": float(chi2.cdf(mean, 3)),
-            "RMS along [m]": rms[0],
-            "RMS across [m]": rms[1],
-            "RMS heading [deg]": math.degrees(rms[2]),
-            "stated sigma x [m]": sigmas[0],
-            "stated sigma y [m]": sigmas[1],
-            "stated sigma heading [deg]": math.degrees(sigmas[2]),
-            "NIS gnss": nis_figures(run.outcomes)["mean"],
+            "NEES": float(run.nees.mean()),
+            "quantile of NEES": run.quantile(),
+            **run.rms,
+            "stated sigma x [m]": x,
+            "stated sigma y [m]": y,
+            "stated sigma heading [deg]": math.degrees(turn),
         }
     return result
 
@@ -309,22 +364,14 @@ def white_noise(data: dict[str, Array]) -> float:
 
 
 def replayed(data: dict[str, Array], errors: SensorErrors, sigma: float) -> Run:
-    """Return the run of the filter on a recorded drive, evaluated every ``STEP``."""
+    """Return the run of the filter on a recorded drive."""
     speed = np.interp(data["imu_t"], data["speed_t"], data["speed"])
     rate = -data["gyro_frd"][:, 2].astype(float)
     fixes, cov = data["gnss_enu"][:, :2], sigma**2 * np.eye(2)
-    bearing = math.radians(data["gnss_bearing_deg"][0])
-    start = np.array([*fixes[0], math.pi / 2 - bearing])
+    bearing, begin = math.radians(data["gnss_bearing_deg"][0]), float(data["gnss_t"][0])
     gnss = errors.gnss or SensorErrors.UNKNOWN_GNSS
-    position = (gnss.sigma**2 + sigma**2) * np.ones(2)
-    begin = float(data["gnss_t"][0])
-    outcomes: list[BlockOutcome] = []
-    localisation = Localisation(
-        Gaussian(start, np.diag([*position, math.radians(1.0) ** 2])),
-        begin,
-        errors,
-        on_outcome=outcomes.append,
-    )
+    variances = [gnss.sigma**2 + sigma**2] * 2 + [math.radians(1.0) ** 2]
+    start = Gaussian([*fixes[0], math.pi / 2 - bearing], np.diag(variances))
     measurements: list[Odometry | GnssFix] = [
         Odometry(t, np.array([v]), np.array([w]))
         for t, v, w in zip(data["imu_t"], speed, rate, strict=True)
@@ -337,18 +384,169 @@ def replayed(data: dict[str, Array], errors: SensorErrors, sigma: float) -> Run:
         GnssFix(t, fix[None], cov, error)
         for t, fix, error in zip(data["gnss_t"][1:], fixes[1:], stated[1:], strict=True)
     ]
-    velocity = data["truth_vel_enu"][:, :2]
+    velocity, times = data["truth_vel_enu"][:, :2], data["truth_t"]
     heading = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
-    true = np.column_stack([data["truth_enu"][:, :2], heading])
-    rows, due = [], begin + STEP
-    for measurement in sorted(measurements, key=lambda one: one.t):
-        localisation.add(measurement)
-        t = measurement.t
-        if isinstance(measurement, Odometry) and due <= t <= data["truth_t"][-1]:
+    columns = *data["truth_enu"][:, :2].T, heading
+
+    def true(t: float) -> Array | None:
+        """Return the true pose, until the truth ends."""
+        return np.array([np.interp(t, times, one) for one in columns]) if t <= times[-1] else None
+
+    in_order = sorted(measurements, key=lambda one: one.t)
+    return Run.of(evaluated(Localisation(start, begin, errors), in_order, begin, true))
+
+
+# ---- scan matching -----------------------------------------------------------------------------
+
+#: Part of the tour of the town for poses, and for the localisation, with 7 s without houses [s].
+SPAN, FED_SPAN = (2.0, 240.0), (40.0, 100.0)
+#: Standard deviations of the pose with which a matching starts: x, y [m], heading [rad].
+START = np.array([0.3, 0.3, math.radians(0.5)])
+#: Error of the map for the localisation [m].
+MAP_ERROR = 0.05
+METHODS = ("NDT", "ICP")
+
+
+def displaced(found: Map, sigma: float, rng: np.random.Generator) -> Map:
+    """Return a map whose houses and poles are displaced at random [m]."""
+
+    def moved(outline: Polyline) -> Polyline:
+        return Polyline(outline.points + sigma * rng.standard_normal(2))
+
+    poles = [
+        replace(
+            one, x=one.x + sigma * rng.standard_normal(), y=one.y + sigma * rng.standard_normal()
+        )
+        for one in found.landmarks
+    ]
+    return replace(found, buildings=tuple(map(moved, found.buildings)), landmarks=tuple(poles))
+
+
+@evidence
+def scans(
+    step: float = 1.0, errors: tuple[float, ...] = (0.0, 0.05), seed: int = 0
+) -> dict[str, Any]:
+    """Match scans each so many seconds through the streets of the town, for map errors [m].
+
+    The rows are those of table 7 of Liu, Wang and Zhang, High Definition Map for Automated Driving
+    (2019). Matches that say themselves that they are not valid are counted, and left out: on roads
+    without houses, a scan has a few poles only.
+    """
+    from maplines_can.localisation import scan_matching
+
+    found, way = town()
+    result: dict[str, Any] = {}
+    for error in errors:
+        rng = np.random.default_rng(seed)
+        reference = scan_matching.ScanReference(found)
+        real = scan_matching.ScanReference(displaced(found, error, rng))
+        truths, matches = list[Array](), {name: list[Any]() for name in METHODS}
+        for t in progress(np.arange(*SPAN, step), f"map error {error:g} m"):
+            true = way.at(float(t)).pose
+            scan = scan_matching.simulated_scan(real, true, rng)
+            start = true + START * rng.standard_normal(3)
+            truths.append(true)
+            for name, own in matches.items():
+                match = getattr(scan_matching, f"match_{name.lower()}")
+                own.append(match(reference, scan, start, map_error=error))
+        poses = {name: np.array([one.pose for one in own]) for name, own in matches.items()}
+        valid = {name: np.array([one.is_valid for one in own]) for name, own in matches.items()}
+        title, both = f"map error {100 * error:g} cm", valid["NDT"] & valid["ICP"]
+        result[f"{title}, NDT and ICP"] = differences(poses["NDT"] - poses["ICP"], both)
+        for name, own in matches.items():
+            off = poses[name] - truths
+            P, e = np.array([one.cov for one in own if one.is_valid]), off[valid[name]]
+            nees = (e * np.linalg.solve(P, e[..., None])[..., 0]).sum(axis=-1).mean()
+            rows = differences(off, valid[name]) | {"NEES": float(nees)}
+            result[f"{title}, {name} and truth"] = rows
+    return result
+
+
+def differences(values: Array, valid: NDArray[np.bool_]) -> dict[str, Any]:
+    """Return the RMS of valid (n, 3) differences of poses, and the share of valid ones."""
+    x, y, heading = np.sqrt((values[valid] ** 2).mean(axis=0))
+    return {
+        "valid": float(valid.mean()),
+        "RMS x [m]": x,
+        "RMS y [m]": y,
+        "RMS heading [deg]": math.degrees(heading),
+    }
+
+
+@evidence
+def by_scans(
+    seeds: int = 50,
+    methods: tuple[str, ...] = METHODS,
+    span: float = FED_SPAN[1] - FED_SPAN[0],
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Localise by odometry and the poses of a scan matching twice a second, with GNSS and without.
+
+    Each car has a map error of 5 cm of its own, and drives through the streets for 60 s without a
+    camera. The error of the map is the same from scan to scan, as long as the houses are. The
+    filter has it as a state; "taken as white", it takes the whole covariance as white noise, which
+    must be found wrong. "NEES over bound" is the mean over its upper 97.5 % bound at one time. A
+    match begins at the estimate without GNSS, and goes to all localisations.
+
+    Args:
+        seeds: number of cars.
+        methods: of scan matching.
+        span: of the drive [s].
+        seed: of the random numbers.
+    """
+    from maplines_can.localisation import scan_matching
+
+    found, way = town()
+    result: dict[str, Any] = {}
+    for method in methods:
+        match = getattr(scan_matching, f"match_{method.lower()}")
+        rng, setup, begin = np.random.default_rng([seed, 1]), SensorSetup(), FED_SPAN[0]
+        reference = scan_matching.ScanReference(found)
+        real = [scan_matching.ScanReference(displaced(found, MAP_ERROR, rng)) for _ in range(seeds)]
+        part = begin, begin + span
+        arrivals = simulated_measurements(way, LocalisationLayer(found), setup, rng, seeds, part)
+        start = way.at(begin).pose + START * rng.standard_normal((seeds, 3))
+        filters = {
+            name: Localisation(start, begin, setup.errors, cov=np.diag(START**2))
+            for name in (method, f"{method} and GNSS", f"{method} and GNSS, taken as white")
+        }
+        rows: dict[str, list[Any]] = {name: [] for name in filters}
+        due = begin + STEP
+        for _, one in progress(arrivals, f"localisation by {method}"):
+            for name, filtered in filters.items():
+                if isinstance(one, Odometry) or (isinstance(one, GnssFix) and name != method):
+                    filtered.add(one)
+            if not isinstance(one, Odometry) or one.t < due:
+                continue
             due += STEP
-            pose = np.array([np.interp(t, data["truth_t"], column) for column in true.T])
-            poses = localisation.poses()
-            error = poses.mean - pose
-            error[:, 2] = (error[:, 2] + math.pi) % (2 * math.pi) - math.pi
-            rows.append((t, error, poses.cov, pose[2], localisation.correlation_times()))
-    return run_of(rows, outcomes, localisation)
+            true, guess = way.at(one.t).pose, filters[method].poses().mean
+            matches = [
+                match(
+                    reference, scan_matching.simulated_scan(seen, true, rng), at,
+                    map_error=MAP_ERROR,
+                )
+                for seen, at in zip(real, guess, strict=True)
+            ]  # fmt: skip
+            for name, filtered in filters.items():
+                filtered.add(pose_fix(one.t, matches, is_white=name.endswith("white")))
+                rows[name].append((true, filtered.poses()))
+        for name, own in rows.items():
+            run = Run.of(own)
+            mean = float(run.nees.mean())
+            result[name] = {
+                "NEES": mean,
+                "NEES over bound": mean * seeds / float(chi2.ppf(0.975, 3 * seeds)),
+                "times inside": share_inside(run.nees, 3),
+                "inside": float((run.nees < INSIDE).mean()),
+                **run.rms,
+            }
+    return result
+
+
+def pose_fix(t: float, matches: list[Any], *, is_white: bool) -> PoseFix:
+    """Return the measurement of n cars; that of a match that is not valid is missing."""
+    valid = np.array([one.is_valid for one in matches])[:, None]
+    of_map = np.array([one.shared for one in matches]) * (not is_white)
+    white = np.array([one.cov for one in matches]) - of_map
+    cov, shared = (np.where(valid[..., None], some, np.eye(3)) for some in (white, of_map))
+    return PoseFix(t, np.where(valid, [one.pose for one in matches], np.nan), cov, shared)

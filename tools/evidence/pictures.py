@@ -1,12 +1,7 @@
-"""Pictures of the docs.
-
-They need the extra plot. Those of the ways to fuse lines, and the Stanford diagram, are drawn by
-the options "plot" of "fusion.ways" and "integrity.received".
-"""
+"""Pictures of the docs; they need the extra plot."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,21 +9,22 @@ import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from maplines_can import Codec, Gaussian, MapError, Polyline, Scene, Slot, map_lines, map_scene
+from maplines_can import Gaussian, MapError, Polyline, Scene, Slot, map_lines, map_scene
+from maplines_can.consumers.integrity import ALERT_LIMITS
 from maplines_can.simulation.camera import PLACES
 from maplines_can.simulation.scenarios import scenario
 from maplines_can.simulation.street_shapes import Street, StreetPiece
 from maplines_can.study.figures.paper_panels import Z99
 from maplines_can.study.figures.round_trip_picture import COLOURS
 from maplines_can.study.scenes.map_scenes import drivable, random_pose
-from maplines_can.wire import default_dbc_path
 
-from .excess import excess_covs
-from .fusion import upper_bound
-from .harness import evidence
+from .fusion import town_views
+from .harness import DOCS, evidence
+from .integrity import levels
+from .lines import excess_covs, given_of
 from .roads import maps_of
 from .sums import Given, Sums
-from .ways import given_of
+from .transfer import codec_of, transferred
 from .witness import WINDOW, Array, crossings, place_of, seen_from
 
 TITLE: dict[str, Any] = {"loc": "left", "fontsize": 10}
@@ -39,83 +35,17 @@ def without_frame(axes: Any) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-# ---- ways to fuse ------------------------------------------------------------------------------
-
-
-def draw_ways(rows: Mapping[str, Any], path: Path) -> None:
-    """Draw RMS and NEES of each way at 20 m, a bar for each correlation time.
-
-    Args:
-        rows: of ``fusion.ways`` on one stretch.
-        path: of the picture; the suffix is the format.
-    """
-    named = [(*name.split(", ", 1)[1].split(", ", 1), row) for name, row in rows.items()]
-    times, ways = (list(dict.fromkeys(one[i] for one in named)) for i in (0, 1))
-    figure = Figure(figsize=(10, 5), layout="constrained")
-    panels = figure.subplots(1, 2, sharey=True)
-    height = 0.8 / len(times)
-    for axes, what, unit in zip(
-        panels, ("rms", "NEES"), ("RMS of the error [m]", "NEES"), strict=True
-    ):
-        for i, T in enumerate(times):
-            values = [row[what]["20 m"] for time, _, row in named if time == T]
-            at = np.arange(len(ways)) + (i - (len(times) - 1) / 2) * height
-            axes.barh(at, values, height, color=COLOURS[i], label=f"correlation time {T}")
-        axes.set_xlabel(f"{unit} of the lane centre at 20 m")
-        without_frame(axes)
-        axes.axhline(sum(way.startswith("right") for way in ways) - 0.5, color="0.6", lw=0.8)
-    panels[1].set_xscale("log")
-    panels[1].axvline(1.0, color="black", lw=1)
-    panels[1].axvline(
-        upper_bound(50), color="black", lw=1, ls=":", label="upper 95 % bound of the runs"
-    )
-    panels[0].set_yticks(np.arange(len(ways)), [way.split(": ")[1] for way in ways])
-    panels[0].invert_yaxis()
-    handles = panels[1].get_legend_handles_labels()
-    figure.legend(*handles, frameon=False, fontsize=8, loc="outside upper center", ncols=4)
-    figure.savefig(path, dpi=110)
-
-
-# ---- the stated error of points ------------------------------------------------------------------
-
-#: Distances of the points of the panels [m].
-SPACINGS = ("2 m", "5 m", "10 m", "15 m")
-
-
-def draw_stated(rows: Mapping[str, Any], stated: Sequence[float], path: Path) -> None:
-    """Draw sigma and error of y at 20 m by the stated error, a panel for each spacing.
-
-    Args:
-        rows: of ``sharpness.monotone``.
-        stated: errors of the points [m].
-        path: of the picture; the suffix is the format.
-    """
-    figure = Figure(figsize=(10, 3.2), layout="constrained")
-    at = 100 * np.array(stated)
-    for axes, spacing in zip(figure.subplots(1, len(SPACINGS), sharey=True), SPACINGS, strict=True):
-        own = {
-            name.split(", ")[1]: row for name, row in rows.items() if name.split(", ")[0] == spacing
-        }
-        for colour, (noise, row) in zip(COLOURS, own.items(), strict=False):
-            for what, style in (("sigma", "-"), ("rms", ":")):
-                values = [np.nan if v is None else v for v in row[f"{what} at 20 m [m]"].values()]
-                label = noise if what == "sigma" else None
-                axes.plot(at, values, style, color=colour, marker=".", ms=4, label=label)
-        axes.set_title(f"a point every {spacing}", **TITLE)
-        axes.set_yscale("log")
-        axes.set_ylim(0.005, 0.5)
-        axes.set_xlabel("stated error of a point [cm]")
-        without_frame(axes)
-    figure.axes[0].set_ylabel("y at 20 m [m]")
-    figure.axes[0].legend(title="noise", frameon=False, fontsize=7, title_fontsize=7, ncols=3)
-    figure.savefig(path, dpi=90)
-
-
 # ---- Stanford diagram --------------------------------------------------------------------------
 
 
-def draw_stanford(pairs: Sequence[tuple[Array, Array]], alert_limit: float, path: Path) -> None:
-    """Draw a diagram for each of ``PLACES``, of (n,) absolute errors and protection levels [m]."""
+@evidence
+def stanford(cars: int = 50, seconds: float = 60.0, seed: int = 1) -> dict[str, Any]:
+    """Draw levels of fused lanes over their errors, on the motorway of the town."""
+    view, alert_limit = (
+        town_views(seconds, 10.0, ["motorway"])["motorway"],
+        ALERT_LIMITS["motorway"],
+    )
+    pairs = levels(view, cars, seed)
     figure = Figure(figsize=(11, 4.2), layout="constrained")
     most = 1.05 * max(float(level.max()) for _, level in pairs)
     edges = np.linspace(0, most, 90)
@@ -137,7 +67,8 @@ def draw_stanford(pairs: Sequence[tuple[Array, Array]], alert_limit: float, path
         axes.set_xlabel("error of the lane centre [m]")
         figure.colorbar(image, ax=axes, label="epochs" if x == PLACES[-1] else None)
     figure.axes[0].set_ylabel("protection level [m]; red: alert limit")
-    figure.savefig(path, dpi=110)
+    figure.savefig(DOCS / "stanford.png", dpi=110)
+    return {"epochs": len(pairs[0][0])}
 
 
 # ---- lane centre and width ---------------------------------------------------------------------
@@ -146,32 +77,18 @@ LEFT, RIGHT = Slot.EGO_LEFT, Slot.EGO_RIGHT
 X = np.linspace(0, 60, 121)
 
 
-@evidence(path=None)
-def joint(path: Path | None = Path("docs/joint.png")) -> dict[str, Any]:
+@evidence
+def joint() -> dict[str, Any]:
     """Draw lane centre and width of a received scene, with the joint and without it."""
-    scene = received_scene()
-    if path:
-        draw_joint(scene, path)
-    return {"lines": len(scene.lines)}
-
-
-def received_scene() -> Scene:
-    """Return the scene of the production car as received."""
     shipped = scenario("production")
     lines = {slot: shipped.lines[slot] for slot in (LEFT, RIGHT)}
-    scene = map_scene(
-        lines, shipped.ego, window=shipped.window, map_error=MapError(0.05, 0.05, 0.001)
-    )
-    codec = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
-    encoder = codec.encoder()
-    decoder = codec.decoder()
-    frames = [frame for own in encoder.encode_scene(scene).values() for frame in own]
-    for i, frame in enumerate(frames):
-        decoder.feed(frame.can_id, frame.data, 250_000 * i)
-    received = decoder.scene()
-    if received is None:
+    error = MapError(0.05, 0.05, 0.001)
+    sent = map_scene(lines, shipped.ego, window=shipped.window, map_error=error)
+    scene = transferred(codec_of("maplines-pose.dbc"), sent)
+    if scene is None:
         raise RuntimeError("the scene was not received")
-    return received.scene
+    draw_joint(scene, DOCS / "joint.png")
+    return {"lines": len(scene.lines)}
 
 
 def sigma_if_independent(scene: Scene, weights: dict[Slot, float]) -> Any:
@@ -232,8 +149,8 @@ H = 5.0
 LINES, LENGTH = 200, 70.0
 
 
-@evidence(path=None)
-def shape(path: Path | None = Path("docs/shape.png"), maps: tuple[str, ...] = ()) -> dict[str, Any]:
+@evidence
+def shape(maps: tuple[str, ...] = ()) -> dict[str, Any]:
     """Draw a line, its slope and its curvature with their bands against the road.
 
     The slope is that over 10 m, and the curvature the mean over 10 m, about each x where both ends
@@ -242,8 +159,7 @@ def shape(path: Path | None = Path("docs/shape.png"), maps: tuple[str, ...] = ()
     hardest of 200 lines of each map.
     """
     examples = [bend(), *(hardest(name, found) for name, found in maps_of(maps).items())]
-    if path:
-        draw_shape(examples, path)
+    draw_shape(examples, DOCS / "shape.png")
     return {one.title: {"range [m]": float(np.ptp(one.given.ranges))} for one in examples}
 
 

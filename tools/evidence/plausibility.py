@@ -23,46 +23,167 @@ that are outside of the stated range are there for comparison.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
+from maplines_can import Gaussian, MapError, Polyline, Slot, map_scene
 from maplines_can.consumers.consistency import ConsistencyTest
-from maplines_can.consumers.plausibility import pose_times
+from maplines_can.consumers.plausibility import CameraBias, pose_times, residuals
 from maplines_can.consumers.residual_filter import (
+    FAST,
     SLOW,
     WHITE_NOISE,
     CameraNoise,
-    ResidualFilter,
     ResidualModel,
-    threshold,
 )
 
 from .harness import evidence, progress
-from .plausibility_errors import (
-    DT,
-    SPEED,
-    WHITE,
-    Array,
-    Errors,
-    Noise,
-    faults,
-    model_of_lane,
-    own_errors,
-)
+
+Array = NDArray[np.float64]
+
+DT = 0.05  #: of the images [s]
+POSE_SIGMA = (0.3, 0.1, math.radians(0.2))
+CAMERA_SIGMA = (0.05, 0.003, 2e-4, 2e-6)
+SPEED = 15.0
+#: Degrees of freedom of the heavy tails.
+TAILS = 4.0
+
+
+def model_of_lane(bend: float = 0.0) -> tuple[ResidualModel, Array]:
+    """Return the model of the residuals of a lane, and their distances ahead [m].
+
+    Args:
+        bend: curvature of the lane [1/m].
+    """
+    s = np.linspace(-50.0, 120.0, 341) if bend else np.array([-50.0, 150.0])
+    # sin(bend s) / bend and (1 - cos(bend s)) / bend
+    x, y = s * np.sinc(bend * s / np.pi), bend * s**2 / 2 * np.sinc(bend * s / 2 / np.pi) ** 2
+    lane = {
+        slot: Polyline(np.column_stack([x - left * np.sin(bend * s), y + left * np.cos(bend * s)]))
+        for slot, left in ((Slot.EGO_LEFT, 1.75), (Slot.EGO_RIGHT, -1.75))
+    }
+    scene = map_scene(
+        lane,
+        Gaussian(np.zeros(3), np.diag(np.square(POSE_SIGMA))),
+        map_error=MapError(point_sigma=0.05, offset_sigma=0.03, heading_sigma=0.0005),
+    )
+    noise = np.diag(np.square(CAMERA_SIGMA))
+    seen = {line.slot: Gaussian(line.gaussian.mean, noise) for line in scene.lines}
+    model = cast(Any, residuals(scene, seen))[2]
+    bias = model.H @ CameraBias().cov @ model.H.T
+    return model._replace(slow_cov=model.slow_cov + bias), -model.H[:, 2]
+
+
+class Noise(NamedTuple):
+    """True noise of a camera."""
+
+    time: float = 0.0  #: correlation time of what lasts [s]
+    share: float = 0.0  #: of the variance that lasts
+    heavy: bool = False  #: what is new in each image has Student's t-distribution
+
+    def drawn(self, cars: int, roots: Array, rng: np.random.Generator) -> Iterator[Array]:
+        """Yield the (cars, n) noise of one image after another, for an (n, n) root."""
+        rho, n = math.exp(-DT / self.time) if self.time else 0.0, len(roots)
+        lasting = rng.standard_normal((cars, n))
+        while True:
+            white = rng.standard_normal((cars, n))
+            if self.heavy:  # the near and the far residual of a line have their outliers together
+                scale = np.sqrt((TAILS - 2) / rng.chisquare(TAILS, (cars, n // 2)))
+                white *= np.repeat(scale, 2, axis=1)
+            if self.share == 1:  # an outlier lasts, too
+                lasting = rho * lasting + math.sqrt(1 - rho**2) * white
+                yield lasting @ roots.T
+                continue
+            if self.share:
+                new = rng.standard_normal((cars, n))
+                lasting = rho * lasting + math.sqrt(1 - rho**2) * new
+            mixed = math.sqrt(self.share) * lasting + math.sqrt(1 - self.share) * white
+            yield mixed @ roots.T
+
+
+WHITE = Noise()
+
+
+class Errors:
+    """Random residuals of many cars without a fault, image by image.
+
+    Args:
+        model: of the residuals.
+        time: correlation time of the pose error [s].
+        cars: number of cars.
+        rng: source of the random numbers.
+        noise: of the camera.
+        own: time for which what map lines have of their own lasts, if it is not that of the model;
+            the bias of the camera lasts for this, or 30 s if that is longer [s].
+    """
+
+    def __init__(
+        self,
+        model: ResidualModel,
+        time: float,
+        cars: int,
+        rng: np.random.Generator,
+        noise: Noise = WHITE,
+        own: float | None = None,
+    ) -> None:
+        pose = model.H @ model.pose_cov @ model.H.T
+        if own is None:
+            covs, times = [pose, model.fast_cov, model.slow_cov], [time, FAST, SLOW]
+        else:
+            camera = model.slow_cov - model.fast_cov
+            covs, times = [pose, model.fast_cov, camera], [time, own, max(own, SLOW)]
+        self._rng = rng
+        self._maps = [np.linalg.cholesky(cov + 1e-12 * np.eye(len(cov))) for cov in covs]
+        self._noise = noise.drawn(cars, np.asarray(np.linalg.cholesky(model.noise_cov)), rng)
+        self._rho = [math.exp(-DT / time) for time in times]
+        self._states = [rng.standard_normal((cars, len(m))) for m in self._maps]
+
+    def next(self) -> Array:
+        """Return the (cars, n) residuals of the next image [m]."""
+        z = next(self._noise).copy()
+        for i, (rho, m) in enumerate(zip(self._rho, self._maps, strict=True)):
+            state = self._states[i]
+            state *= rho
+            state += math.sqrt(1 - rho**2) * self._rng.standard_normal(state.shape)
+            z += state @ m.T
+        return z
+
+
+def faults(x: Array) -> dict[str, Callable[[Array], Array]]:
+    """Return the (..., n) shifts of the residuals at (...,) times after a fault begins [s]."""
+    left = (np.arange(len(x)) < 2).astype(float)
+    bias, degree = math.radians(0.1), math.radians(1.0)
+
+    def begun(t: Array) -> Array:
+        return np.asarray(t >= 0, float)[..., None]
+
+    def since(t: Array) -> Array:
+        return np.maximum(t, 0.0)[..., None]
+
+    return {
+        "shift": lambda t: 0.5 * begun(t) * np.ones(len(x)),
+        "camera": lambda t: degree * begun(t) * x,
+        "drift": lambda t: degree * (since(t) / 60).clip(max=1.0) * x,
+        "lost": lambda t: -bias * (SPEED * since(t) ** 2 / 2 + since(t) * x),
+        "lane": lambda t: 3.5 * begun(t) * left,
+        "start": lambda t: 0.5 * begun(t) * np.ones(len(x)),
+    }
+
+
+# ---- false alarms and detection ----------------------------------------------------------------
 
 TIMES = (1.0, 5.0, 30.0)  #: correlation times [s]
 RATES = (1.0, 0.1)  #: designed false alarms [1/h]
 DETECTION_RATE = 0.01  #: designed false alarms when faults are detected [1/h]
-#: Cars that drive at once.
-CARS = 2000
 #: Time before alarms are counted, of drives that begin with errors at random [s].
 WARM = 15.0
 #: Correlation times for the robustness: of the pose error, and of map lines [s].
 OWN_POSE_TIMES, OWN_TIMES = (1.0, 5.0), (1.0, 5.0, 30.0, 300.0)
-#: Correlation times between the residuals that are tested alone.
+#: Correlation times within which a fault begins.
 APART = 3.0
 
 
@@ -141,23 +262,25 @@ class FalseAlarms(NamedTuple):
         }
 
 
-@evidence(hours=10.0, times=(5.0,))
-def model(hours: float = 300.0, times: tuple[float, ...] = TIMES, seed: int = 0) -> dict[str, Any]:
+@evidence
+def model(
+    hours: float = 300.0, times: tuple[float, ...] = TIMES, cars: int = 2000, seed: int = 0
+) -> dict[str, Any]:
     """Count false alarms if the errors are those of the model, by correlation time [s]."""
     rng, (lane, _) = np.random.default_rng([seed, 0]), model_of_lane()
     result = {}
     for time in progress(times, "model"):
         tests = [(MODELLED, rate) for rate in RATES]
-        errors = Errors.of_model(lane, time, CARS, rng)
-        counted = false_alarms(lane, errors, time, tests, hours)
+        errors = Errors(lane, time, cars, rng)
+        counted = false_alarms(lane, errors, time, tests, hours, cars)
         for rate, one in zip(RATES, counted, strict=True):
             result[f"{time:g} s, {rate:g} per hour, exact"] = one.result(rate)
     return result
 
 
-@evidence(hours=5.0, rows=("white Gaussian noise", "noise of Student's t"))
+@evidence
 def camera(
-    hours: float = 300.0, rows: tuple[str, ...] = tuple(ROWS), seed: int = 0
+    hours: float = 300.0, rows: tuple[str, ...] = tuple(ROWS), cars: int = 2000, seed: int = 0
 ) -> dict[str, Any]:
     """Count false alarms for camera noise and pose errors, by setting and designed rate."""
     rng, (lane, _) = np.random.default_rng([seed, 1]), model_of_lane()
@@ -165,50 +288,45 @@ def camera(
     for name in progress(rows, "camera"):
         row = ROWS[name]
         tests = [(of, rate) for of in row.settings for rate in RATES[: 1 + (of != MODELLED)]]
-        errors = Errors.of_model(lane, row.true, CARS, rng, row.noise)
-        counted = false_alarms(lane, errors, row.stated, tests, hours)
+        errors = Errors(lane, row.true, cars, rng, row.noise)
+        counted = false_alarms(lane, errors, row.stated, tests, hours, cars)
         for (of, rate), one in zip(tests, counted, strict=True):
             kind = "covered" if of in row.covered else "beyond"
             result[f"{name}; {of}, {rate:g} per hour, {kind}"] = one.result(rate)
     return result
 
 
-@evidence(hours=3.0, times=(1.0,), own_times=(30.0,))
+@evidence
 def own(
     hours: float = 300.0,
     times: tuple[float, ...] = OWN_POSE_TIMES,
     own_times: tuple[float, ...] = OWN_TIMES,
+    cars: int = 2000,
     seed: int = 0,
 ) -> dict[str, Any]:
-    """Count false alarms if what map lines have of their own lasts for one time.
-
-    The bias of the camera lasts for this, or 30 s if that is longer.
-    """
+    """Count false alarms if what map lines have of their own lasts for one time."""
     rng, (lane, _) = np.random.default_rng([seed, 2]), model_of_lane()
     tests = [(name, 1.0) for name in (MODELLED, "default")]
     result = {}
     for time, of_line in progress([*product(times, own_times)], "own errors"):
-        errors = own_errors(lane, time, of_line, CARS, rng)
-        counted = false_alarms(lane, errors, time, tests, hours)
+        errors = Errors(lane, time, cars, rng, own=of_line)
+        counted = false_alarms(lane, errors, time, tests, hours, cars)
         for (name, rate), one in zip(tests, counted, strict=True):
             result[f"pose {time:g} s, own {of_line:g} s, {name}"] = one.result(rate)
     return result
 
 
-@evidence(cars=20, times=(1.0,), longest=2.0)
+@evidence
 def detection(
     cars: int = 500,
     times: tuple[float, ...] = TIMES,
     longest: float = 150.0,
     seed: int = 0,
 ) -> dict[str, Any]:
-    """Measure times from a fault to its detection, by way of testing.
+    """Measure times from a fault to its detection, by what is stated of the errors.
 
     A fault begins at a random time of a drive. Times are those to the first alarm, and infinite if
-    there is none in so long. Each way of testing has the same number of false alarms: residuals
-    that are 3 correlation times apart (samples); single innovations; and windows of innovations of
-    all lengths, as the check has them, as modelled, with the white camera, with heavy tails, by
-    default. In the last case, the fault is there from the beginning.
+    there is none in so long, with 0.01 false alarms per hour as designed.
 
         shift      the map is shifted by 0.5 m to the side
         camera     the camera is turned by 1 deg at once
@@ -219,28 +337,38 @@ def detection(
         start      as shift, before the first image
     """
     rng, (lane, x) = np.random.default_rng([seed, 3]), model_of_lane()
-    return {
-        f"{name}, correlation time {time:g} s": found
-        for time in progress(times, "detection")
-        for name, found in detections(lane, x, time, cars, longest, rng)
-    }
+    names, result = (MODELLED, "white camera", "tails", "default"), dict[str, Any]()
+    for time, (name, fault) in progress([*product(times, faults(x).items())], "detection"):
+        errors = Errors(lane, time, cars, rng)
+        start = 3 * time + rng.uniform(0, max(APART * time, 10.0), cars)
+        start *= name != "start"
+        images = int((start.max() + longest) / DT) + 1
+        found = first_alarms(lane, errors, time, fault, start, names, images)
+        result[f"{name}, correlation time {time:g} s"] = {
+            way: {
+                "median [s]": float(np.median(after)),
+                "95 % [s]": float(np.quantile(after, 0.95, method="higher")),
+            }
+            for way, after in found.items()
+        }
+    return result
 
 
-@evidence(cars=20, longest=2.0, hours=1.0, radii=(150.0,), sizes=(1.0,))
+@evidence
 def shifts(
     cars: int = 200,
     longest: float = 150.0,
     hours: float = 100.0,
     radii: tuple[float, ...] = (math.inf, 500.0, 150.0, 50.0),
     sizes: tuple[float, ...] = (0.3, 0.5, 1.0),
+    fleet: int = 2000,
     seed: int = 0,
 ) -> dict[str, Any]:
     """Measure times until a shift of the map to the side is found, on straight roads and in bends.
 
     As modelled and by default, with a pose error of 5 s: the shift is there from the first image on
     (start), or begins after 60 s (later). Times are medians, infinite for more than half of the
-    cars; those of cars with an alarm before do not count. False alarms are those without a shift,
-    at 1 per hour as designed.
+    cars. False alarms are those without a shift, at 1 per hour as designed.
 
     Args:
         cars: number of cars.
@@ -248,35 +376,27 @@ def shifts(
         hours: for the false alarms.
         radii: of the bends [m].
         sizes: of the shifts [m].
+        fleet: cars that drive at once for the false alarms.
         seed: of the random numbers.
     """
-    result: dict[str, Any] = {}
+    names, result = (MODELLED, "default"), dict[str, Any]()
     for radius in progress(radii, "shifts"):
         rng = np.random.default_rng([seed, 4, round(min(radius, 1e6))])
-        lane, _ = model_of_lane(1 / radius)
-        turn = SPEED / radius * DT
-        row: dict[str, Any] = {}
+        (lane, _), turn, row = model_of_lane(1 / radius), SPEED / radius * DT, dict[str, Any]()
         for size, begin in product(sizes, (0.0, 60.0)):
-            errors = Errors.of_model(lane, 5.0, cars, rng)
-            tests = {
-                name: SETTINGS[name].test(DETECTION_RATE, cars) for name in (MODELLED, "default")
-            }
-            found = {name: np.full(cars, np.inf) for name in tests}
-            for k in range(round((begin + longest) / DT)):
-                since = k * DT - begin
-                z = errors.next() + size * (since >= 0)
-                for name, test in tests.items():
-                    alarm = test.step(z, lane, DT, SETTINGS[name].times(5.0), turn).alarm
-                    found[name][alarm & np.isinf(found[name])] = since + DT
-                if all(np.isfinite(times).all() for times in found.values()):
-                    break
-            for name, times in found.items():
+
+            def shifted(since: Array, size: float = size) -> Array:
+                return np.asarray(size * (since >= 0.0)[:, None], dtype=float)
+
+            errors, start = Errors(lane, 5.0, cars, rng), np.full(cars, begin)
+            images = round((begin + longest) / DT)
+            found = first_alarms(lane, errors, 5.0, shifted, start, names, images, turn)
+            for name, after in found.items():
                 of = f"{size:g} m, {'later' if begin else 'start'}, {name} [s]"
-                row[of] = float(np.median(times[times > 0]))
-        errors = Errors.of_model(lane, 5.0, CARS, rng)
-        tested = [(name, 1.0) for name in (MODELLED, "default")]
-        counted = false_alarms(lane, errors, 5.0, tested, hours, turn)
-        for (name, rate), one in zip(tested, counted, strict=True):
+                row[of] = float(np.median(after))
+        tests, errors = [(name, 1.0) for name in names], Errors(lane, 5.0, fleet, rng)
+        counted = false_alarms(lane, errors, 5.0, tests, hours, fleet, turn)
+        for (name, rate), one in zip(tests, counted, strict=True):
             row[f"false alarms, {name} [1/h]"] = one.result(rate)["alarms per hour"]
         result["straight" if math.isinf(radius) else f"bend of {radius:g} m"] = row
     return result
@@ -288,22 +408,24 @@ def false_alarms(
     stated: float,
     tests: Sequence[tuple[str, float]],
     hours: float,
+    cars: int,
     turn: float = 0.0,
 ) -> list[FalseAlarms]:
     """Return the false alarms of cars that drive for some hours in all.
 
     Args:
         model: of the residuals.
-        errors: of ``CARS`` cars.
+        errors: of the cars.
         stated: correlation time of the pose error [s].
         tests: their settings, by name, and designed false alarms [1/h].
         hours: of all cars together.
+        cars: that drive at once.
         turn: of the cars from image to image [rad].
     """
-    ran = [(SETTINGS[name], SETTINGS[name].test(rate, CARS)) for name, rate in tests]
-    counts, calm = np.zeros((len(ran), CARS)), np.zeros(len(ran))
+    ran = [(SETTINGS[name], SETTINGS[name].test(rate, cars)) for name, rate in tests]
+    counts, calm = np.zeros((len(ran), cars)), np.zeros(len(ran))
     first = round(WARM / DT)
-    for k in range(first + round(3600 * hours / CARS / DT)):
+    for k in range(first + round(3600 * hours / cars / DT)):
         z = errors.next()
         for i, (setting, test) in enumerate(ran):
             verdict = test.step(z, model, DT, setting.times(stated), turn)
@@ -312,59 +434,36 @@ def false_alarms(
                 calm[i] += int((~verdict.alarm | verdict.raised).sum())
     found = []
     for count, images in zip(counts, calm * DT / 3600, strict=True):
-        variance = max(1.0, count.sum(), CARS * count.var())
+        variance = max(1.0, count.sum(), cars * count.var())
         found.append(FalseAlarms(float(images), int(count.sum()), math.sqrt(variance)))
     return found
 
 
-def detections(
+def first_alarms(
     model: ResidualModel,
-    x: Array,
-    time: float,
-    cars: int,
-    longest: float,
-    rng: np.random.Generator,
-) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield each fault with the times to its detection, by way of testing."""
-    n = len(x)
-    rate = DETECTION_RATE / 3600
-    sampled = round(APART * time / DT)
-    root = np.linalg.inv(np.linalg.cholesky(model.marginal))
-    for name, fault in faults(x).items():
-        errors = Errors.of_model(model, time, cars, rng)
-        ways = {"windows": MODELLED} | {name: name for name in ("white camera", "tails", "default")}
-        tests = {
-            way: (SETTINGS[setting], SETTINGS[setting].test(DETECTION_RATE, cars))
-            for way, setting in ways.items()
-        }
-        alone = ResidualFilter((cars,))
-        start = 3 * time + rng.uniform(0, max(APART * time, 10.0), cars)
-        start *= name != "start"
-        found = {way: np.full(cars, np.inf) for way in ("samples", "single", *ways)}
-        k = 0
-        while k * DT <= start.max() + longest and any(np.isinf(found[way]).any() for way in ways):
-            since = k * DT - start
-            z = errors.next() + fault(since)
-            alone.predict(model, DT, time)
-            w, _ = alone.update(z, model)
-            hits = {"single": (w**2).sum(axis=1) > threshold(rate * DT, n)}
-            for way, (setting, test) in tests.items():
-                hits[way] = test.step(z, model, DT, setting.times(time)).alarm
-            if k % sampled == 0:
-                hits["samples"] = ((z @ root.T) ** 2).sum(axis=1) > threshold(
-                    rate * APART * time, n
-                )
-            for way, hit in hits.items():
-                new = hit & np.isinf(found[way]) & (since >= 0)
-                found[way][new] = since[new] + DT  # the image in which it begins counts
-            k += 1
-        yield (
-            name,
-            {
-                way: {
-                    "median [s]": float(np.median(times)),
-                    "95 % [s]": float(np.quantile(times, 0.95, method="higher")),
-                }
-                for way, times in found.items()
-            },
-        )
+    errors: Errors,
+    stated: float,
+    fault: Callable[[Array], Array],
+    start: Array,
+    names: Sequence[str],
+    images: int,
+    turn: float = 0.0,
+) -> Mapping[str, Array]:
+    """Return the times of each car from the start of a fault to the first alarm, by setting [s].
+
+    The image in which it begins counts.
+    """
+    tests = {
+        name: (SETTINGS[name], SETTINGS[name].test(DETECTION_RATE, len(start))) for name in names
+    }
+    found = {name: np.full(len(start), np.inf) for name in names}
+    for k in range(images):
+        if all(np.isfinite(after).all() for after in found.values()):
+            break
+        since = k * DT - start
+        z = errors.next() + fault(since)
+        for name, (setting, test) in tests.items():
+            alarm = test.step(z, model, DT, setting.times(stated), turn).alarm
+            new = alarm & np.isinf(found[name]) & (since >= 0)
+            found[name][new] = since[new] + DT
+    return found

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,10 +49,8 @@ POSE_TIME, BIAS_TIME = 5.0, 30.0
 CAMERAS = {"5 cm": (0.05, 0.003, 2e-4, 2e-6), "2 cm": (0.02, 0.001, 1e-4, 1e-6)}
 SIGHT = 50.0
 MAP_ERRORS = {"exact": None, "5 cm": MapError(0.05, 0.05)}
-#: Settings of evidence_plausibility.py, and the most times as many alarms as designed.
+#: Settings of "plausibility" that are tested.
 TESTED = ("as modelled", "default")
-#: Shift of the map that is to be detected [m], and designed false alarms then [1/h].
-SHIFT, DETECTION_RATE = 0.5, 0.01
 #: (4, nodes): coefficients of the cubic that is fitted to values at the nodes.
 _TO_CUBIC = np.linalg.pinv(np.vander(NODES, 4))
 
@@ -201,31 +200,23 @@ def sights(
 
 
 class Counted:
-    """Alarms of one way to test, and the images without one, of each car."""
+    """Alarms of one way to test, and the images without one, of some cars."""
 
-    def __init__(self, name: str, rate: float, cars: int, fault_at: float = math.inf) -> None:
-        self._setting, self.rate = SETTINGS[name], rate
-        self._test = self._setting.test(rate, cars)
-        self.alarms, self.calm = np.zeros(cars), 0
-        self._fault_at, self._t = fault_at, 0.0
-        #: Times from the fault to its detection [s], negative for those with an alarm before.
-        self.detected = np.full(cars, np.inf)
+    def __init__(self, name: str, rate: float, cars: int) -> None:
+        self._setting, self._test = SETTINGS[name], SETTINGS[name].test(rate, cars)
+        self.alarms = self.calm = 0
         self._dt = math.inf
         self._last: Sight | None = None
 
     def add(self, z: Array | None, sight: Sight | None) -> None:
         """Test the residuals of an image; None if there are none."""
         self._dt += DT
-        self._t += DT
         if z is None or sight is None:
             return
         bias = sight.model.H @ CameraBias().cov @ sight.model.H.T
         model = sight.model._replace(slow_cov=sight.model.slow_cov + bias)
         keys = tuple((slot, i) for slot in sight.slots for i in range(2))
         times = self._setting.times(POSE_TIME)
-        since = self._t - self._fault_at
-        if since >= 0:
-            z = z + SHIFT
         last, self._last = self._last, sight
         kept = [
             1.0
@@ -235,13 +226,11 @@ class Counted:
         ]
         verdict = self._test.step(z, model, self._dt, times, sight.turn, keys, np.repeat(kept, 2))
         self._dt = 0.0
-        # The image in which a fault begins counts.
-        self.detected[verdict.alarm & np.isinf(self.detected)] = since + DT if since >= 0 else -1.0
-        self.alarms += verdict.raised
+        self.alarms += int(verdict.raised.sum())
         self.calm += int((~verdict.alarm | verdict.raised).sum())
 
 
-@evidence(n=1, seconds=2.0, cars=40, shapes=())
+@evidence
 def plausibility_roads(
     maps: tuple[str, ...] = (),
     n: int = 3,
@@ -250,12 +239,10 @@ def plausibility_roads(
     shapes: tuple[str, ...] = ROADS,
     seed: int = 0,
 ) -> dict[str, Any]:
-    """Count false alarms on roads, as modelled and by default, and measure detection times.
+    """Count false alarms on roads, as modelled and by default.
 
     "z over twice" is the number of alarms less twice the designed one, in standard deviations of
-    the number that cars with independent errors have. Detection: the map is shifted by 0.5 m after
-    half of the route, with 0.01 false alarms per hour; the times are those of cars without an alarm
-    before.
+    the number that cars with independent errors have.
 
     Args:
         maps: folders and files of maps.
@@ -270,71 +257,46 @@ def plausibility_roads(
     result: dict[str, Any] = {}
     every: list[Counts] = []
     for name, map_of in progress(found.items(), "roads", len(found)):
-        rows = []
-        for number in range(seed, seed + n):
-            road_map = map_of(number)
-            rows.append(of_route(road_map, route_of(road_map, number), seconds, cars, number))
+        rows = [of_route(map_of(number), seconds, cars, number) for number in range(seed, seed + n)]
         result[name] = figures(rows)
         every += rows
     return result | {"all": figures(every)}
 
 
-class Counts(NamedTuple):
-    """Alarms and hours without an alarm of all cars on a route, and times to detections."""
-
-    alarms: dict[str, tuple[float, float, float]]  #: number, hours and designed rate [1/h]
-    times: dict[str, Array]  #: [s]
+#: Alarms, hours without an alarm and designed rate [1/h] of all cars on a route, by name.
+Counts = dict[str, tuple[int, float, float]]
 
 
-def of_route(
-    road_map: map_model.Map, route: map_model.Route, seconds: float, number: int, seed: int
-) -> Counts:
+def of_route(road_map: map_model.Map, seconds: float, number: int, seed: int) -> Counts:
     """Return what a number of cars on a route count."""
     a, b, c = POSES["production"]
     sigma = np.array([a, b, math.radians(c)])
-    variants = [(error, camera) for error in MAP_ERRORS for camera in CAMERAS]
+    variants = [*product(MAP_ERRORS, CAMERAS)]
     cars = {
         v: Cars(number, sigma, MAP_ERRORS[v[0]], np.random.default_rng([seed, i]))
         for i, v in enumerate(variants)
     }
-    tests = {
-        (v, name, rate): Counted(name, rate, number)
-        for v in variants
-        for name in TESTED
-        for rate in RATES
-    }
-    half = min(drive_along(road_map, route).end, seconds) / 2
-    faults = {
-        (v, name): Counted(name, DETECTION_RATE, number, half) for v in variants for name in TESTED
-    }
+    tests = {key: Counted(*key[1:], number) for key in product(variants, TESTED, RATES)}
+    route = route_of(road_map, seed)
     for found, lines in sights(road_map, route, seconds, np.diag(sigma**2)):
-        for v in variants:
-            sight = found.get(v)
-            z = None if sight is None else cars[v].errors(sight, lines)
-            for key, test in [*tests.items(), *faults.items()]:
-                if key[0] == v:
-                    test.add(z, sight)
-    return Counts(
-        {
-            f"{name}, {rate:g} per hour: {error} map, {camera} camera": (
-                float(test.alarms.sum()),
-                test.calm * DT / 3600,
-                rate,
-            )
-            for ((error, camera), name, rate), test in tests.items()
-        },
-        {
-            f"detection, {name}: {error} map, {camera} camera": test.detected[test.detected >= 0]
-            for ((error, camera), name), test in faults.items()
-        },
-    )
+        residual = {v: cars[v].errors(sight, lines) for v, sight in found.items()}
+        for (v, *_), test in tests.items():
+            test.add(residual.get(v), found.get(v))
+    return {
+        f"{name}, {rate:g} per hour: {error} map, {camera} camera": (
+            test.alarms,
+            test.calm * DT / 3600,
+            rate,
+        )
+        for ((error, camera), name, rate), test in tests.items()
+    }
 
 
 def figures(routes: Sequence[Counts]) -> dict[str, Any]:
     """Return the figures of the routes of a map, or of all."""
-    alarms, detections = {}, {}
-    for name, (_, _, rate) in routes[0].alarms.items():
-        number, hours, _ = np.sum([one.alarms[name] for one in routes], axis=0).tolist()
+    alarms = {}
+    for name, (_, _, rate) in routes[0].items():
+        number, hours, _ = np.sum([one[name] for one in routes], axis=0).tolist()
         twice = 2 * rate * hours
         alarms[name] = {
             "hours": hours,
@@ -342,13 +304,4 @@ def figures(routes: Sequence[Counts]) -> dict[str, Any]:
             "per hour": number / hours if hours else math.nan,
             "z over twice": (number - twice) / math.sqrt(twice) if hours else -math.inf,
         }
-    for name in routes[0].times:
-        times = np.concatenate([one.times[name] for one in routes])
-        shares = np.quantile(times, [0.5, 0.95], method="higher") if len(times) else [math.nan] * 2
-        detections[name] = {
-            "cars": len(times),
-            "median [s]": float(shares[0]),
-            "95 % [s]": float(shares[1]),
-            "not found": int(np.isinf(times).sum()),
-        }
-    return {"alarms": alarms, "detections": detections}
+    return {"alarms": alarms}

@@ -7,7 +7,9 @@ apart, with errors; the truth is the line itself.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from functools import partial
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -17,6 +19,7 @@ from maplines_can import MapError, Polyline, Slot, maps
 from maplines_can.simulation.street_shapes import Street, StreetPiece
 from maplines_can.study.scenes.map_scenes import drivable, random_pose
 
+from .roads import maps_of
 from .witness import Array, near_points, place_of, seen_from
 
 #: Lines of a case: those of the lane of the car.
@@ -176,26 +179,16 @@ class Row(NamedTuple):
         return Polyline(line.places(s) + self.noise * errors)
 
 
-def rows(
-    spacings: Sequence[float], noises: Sequence[float], stated: Sequence[str]
+def rows_of(
+    spacings: Sequence[float],
+    noises: Sequence[float],
+    lengths: Sequence[float],
+    stated: Sequence[str],
 ) -> Iterator[Row]:
-    """Yield rows of exact points, of white noise, of lasting noise, and of tolerances."""
-    of_points = [one for one in ("nothing", "points") if one in stated]
-    for spacing in spacings:
-        for noise in noises:
-            yield from (
-                Row(spacing, noise, stated=one) for one in of_points if noise or one == "nothing"
-            )
-
-
-def lasting_rows(
-    spacings: Sequence[float], noises: Sequence[float], stated: Sequence[str]
-) -> Iterator[Row]:
-    """Yield rows of noise that lasts for 5 m and 20 m."""
-    for spacing in spacings:
-        for noise in noises:
-            for length in (5.0, 20.0):
-                yield from (Row(spacing, noise, length, stated=one) for one in stated)
+    """Yield rows of points with noise that lasts for some lengths; exact ones state nothing."""
+    for spacing, noise, length, one in product(spacings, noises, lengths, stated):
+        if noise or one == "nothing":
+            yield Row(spacing, noise, length, stated=one)
 
 
 def thinned(points: Array, tolerance: float) -> Array:
@@ -214,6 +207,20 @@ def thinned(points: Array, tolerance: float) -> Array:
     return points[sorted(kept)]
 
 
-def cases_of(draw: Callable[[np.random.Generator], Any], n: int, seed: Sequence[int]) -> list[Any]:
-    """Return n cases, each of a seed of its own."""
-    return [draw(np.random.default_rng([*seed, number])) for number in range(n)]
+def cases_of(
+    paths: Sequence[str], roads: Sequence[str], n: int, seed: int
+) -> dict[str, list[Case]]:
+    """Return n cases each of roads with closed forms and of maps, by name."""
+    draws: dict[str, Callable[[np.random.Generator], Case]] = {
+        name: partial(on_road, name) for name in roads if name
+    }
+    draws |= {name: partial(on_map, found) for name, found in maps_of(paths).items()}
+    return {
+        name: [draw(np.random.default_rng([seed, place, number])) for number in range(n)]
+        for place, (name, draw) in enumerate(draws.items())
+    }
+
+
+def kind_of(name: str) -> str:
+    """Return the kind of a source: closed forms, or the format of a map."""
+    return "closed forms" if name in ROADS else "Lanelet2" if ".osm" in name else "OpenDRIVE"

@@ -1,12 +1,9 @@
 """Scenes over a bus: what of the lines is delivered, at what cost, and how right their joint is.
 
-Each scene has the lines around a random pose on a map (the first four slots), or 2 to 8 lines of a
-random road. The frames of a scene pass the encoder and a decoder, with two kinds of records: those
-that are conditional on the pose error, of maplines-pose.dbc, and the complete records of
-maplines.dbc with levels in the Pose message.
+Scenes have the lines around a random pose on a map (the first four slots), or those of a random
+road. Their frames pass the encoder and a decoder: as records that are conditional on the pose error
+of maplines-pose.dbc, as complete records of maplines.dbc, or as whole scenes of maplines-scene.dbc.
 
-given       lines of map_scene; of the others, the reason
-sent        with levels, with all entries, or left out by the encoder, with its reason
 lost        share of the given lines with 10 m ahead that are left out
 frames      classic frames of a scene and its pose error over four for each line sent
 overconfident, indefinite
@@ -17,68 +14,62 @@ width, centre, direction
             directions of its lines, at 0, 20 and 40 m: decoded over the true one with the
             resolution of 2 mm
 y           the same of the lateral position of each line at 80 m, or at its end
-KL, KL of lines
-            divergence of a scene, or of a line, from the covered target (the covariance, the
-            squares of the errors of the means and the resolution) to what is decoded
-error       95 % of the errors of decoded usable lines, 20 m ahead within their valid ranges: what
-            poses drawn from the stated error see of the points of the line, less what is decoded
+KL of lines divergence of a line from the covered target (the covariance, the squares of the errors
+            of the means and the resolution) to what is decoded
+left out, wider
+            of whole scenes: shares of the lines that are not sent, and of those with a sigma of y
+            that is 5 % larger than computed somewhere
+own         of whole scenes: ratios of sigma of y by what the line has of its own there, that is,
+            not by the pose error: sigma of it [m]
 """
 
 from __future__ import annotations
 
-import time
 from collections import Counter, defaultdict
+from collections.abc import Iterable
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from maplines_can import Codec, Gaussian, MapError, MapLine, Scene, Slot, map_scene
+from maplines_can import Codec, Gaussian, MapError, Reason, Scene, Slot, map_scene
+from maplines_can import maps as map_model
+from maplines_can.model.whole_scenes import NONE, scene_of_dbc, write_whole
+from maplines_can.study.scenes import map_scenes
 from maplines_can.study.scenes.random_scenes import RESOLUTION, noise_floor
+from maplines_can.study.scenes.sigma_ratios import Ratios, places_of
+from maplines_can.testing.sender_streams import random_scene
 from maplines_can.values.linalg import block_diagonal
 from maplines_can.values.line import lateral_jacobian
 from maplines_can.values.seen_lines import bases
-from maplines_can.wire import POSE, default_dbc_path
+from maplines_can.wire import POSE
+from maplines_can.wire.layout.pose_layout import SCENE
+from maplines_can.wire.layout.scene_layout import SceneLayout
 
 from .exact import covers, is_positive_definite
 from .figures import Share, quantiles
 from .harness import evidence, progress
 from .roads import SHAPES, Draw, maps_of, on_map, on_roads
-from .witness import POSES, Array, Poses, crossings, near_points
+from .transfer import codec_of, transferred
+from .witness import POSES, Array, Poses
 
 RECORDS = {"conditional": "maplines-pose.dbc", "complete": "maplines.dbc"}
+WHOLE = "maplines-scene.dbc"
 #: Standard deviations of the points and of the offset of a map [m]; 0 for an exact one.
 ERRORS = {"exact": 0.0, "5 cm": 0.05}
 #: Lines with this much ahead must be sent [m].
 AHEAD = 10.0
-#: Where lanes are compared, where single lines are, and where their errors are [m].
-LANE_AT, LINE_AT, ERROR_AT = (0.0, 20.0, 40.0), 80.0, 20.0
+#: Where lanes are compared, and where single lines are [m].
+LANE_AT, LINE_AT = (0.0, 20.0, 40.0), 80.0
 #: Error of a coefficient of T_0 .. T_3 beyond which a line exceeds the message [m].
 LARGEST_ROUNDING = 0.02
 #: Slots of the ego lane.
 LANE = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
+Values = defaultdict[str, list[float]]
 
 
-class Figures(NamedTuple):
-    """Counts and values by name."""
-
-    counts: Counter[str]
-    values: defaultdict[str, list[float]]
-
-    def shown(self) -> dict[str, Any]:
-        """Return the figures by name."""
-        counts, values = self
-        given = counts["given with 10 m"]
-        return {
-            **{name: counts[name] for name in ("overconfident", "indefinite", "not received")},
-            **dict(sorted(counts.items())),
-            "lost": Share(counts["lost with 10 m"] / max(given, 1), given),
-            **{name: quantiles(of, 0.5, 0.95, 0.99) for name, of in values.items()},
-        }
-
-
-@evidence(n=14, exact=2, poses=("production",), errors=("5 cm",))
-def scenes(
+@evidence
+def records(
     n: int = 1000,
     maps: tuple[str, ...] = (),
     shapes: tuple[str, ...] = tuple(SHAPES),
@@ -86,7 +77,6 @@ def scenes(
     poses: tuple[str, ...] = tuple(POSES),
     errors: tuple[str, ...] = tuple(ERRORS),
     exact: int = 100,
-    draws: int = 10,
     seed: int = 1,
 ) -> dict[str, Any]:
     """Send n scenes of each map and of random roads, for each kind of records, pose and error.
@@ -94,12 +84,11 @@ def scenes(
     Args:
         n: number of scenes.
         maps: folders and files of maps.
-        shapes: of the random roads.
+        shapes: of the random roads, with 2 to 8 lines.
         records: conditional on the pose error, or complete.
         poses: errors of the car's pose.
         errors: of the map.
         exact: scenes that are checked in exact arithmetic, too.
-        draws: poses drawn for each scene.
         seed: of the scenes.
     """
     sources = {name: on_map(found) for name, found in maps_of(maps).items()}
@@ -107,92 +96,53 @@ def scenes(
     kinds = [*product(records, sources, poses, errors)]
     result = {}
     for record, source, pose, error in progress(kinds, "scenes", len(kinds)):
-        codec = Codec.from_dbc(default_dbc_path(RECORDS[record]))
-        figures = Figures(Counter(), defaultdict(list))
+        counts, values = Counter[str](overconfident=0, indefinite=0), Values(list)
         for number in range(n):
             rng = np.random.default_rng([seed, number])
-            one = Passage(sources[source], number, POSES[pose], ERRORS[error], draws, rng)
-            one.measure(codec, figures, exactly=number < exact)
-        result[f"{record}, {source}, {pose}, {error}"] = figures.shown()
+            lines, mean = sources[source](number, rng)
+            about, sigma = Poses.about(mean, POSES[pose], 0, rng), ERRORS[error]
+            map_error = MapError(sigma, sigma) if sigma else None
+            scene = map_scene(lines, Gaussian(mean, about.cov), map_error=map_error)
+            received = passed(codec_of(RECORDS[record]), scene, counts, values)
+            if received is not None and received.lines:
+                truth = scene.subset([line.slot for line in received.lines])
+                check(truth, received, counts, exactly=number < exact)
+                compare(truth, received, values)
+        given = counts["given with 10 m"]
+        result[f"{record}, {source}, {pose}, {error}"] = {
+            **dict(sorted(counts.items())),
+            "lost": Share(counts["lost with 10 m"] / max(given, 1), given),
+            **{name: quantiles(of, 0.5, 0.95, 0.99) for name, of in values.items()},
+        }
     return result
 
 
-class Passage:
-    """A random scene, and what a receiver gets of it."""
-
-    def __init__(
-        self, draw: Draw, number: int, sigma: Any, error: float, draws: int, rng: Any
-    ) -> None:
-        self.lines, mean = draw(number, rng)
-        self.poses = Poses.about(mean, sigma, draws, rng)
-        map_error = MapError(error, error) if error else None
-        self.scene = map_scene(self.lines, Gaussian(mean, self.poses.cov), map_error=map_error)
-
-    def measure(self, codec: Codec, figures: Figures, *, exactly: bool) -> None:
-        """Send the scene, and add its figures."""
-        figures.counts["scenes"] += 1
-        figures.counts.update(f"not given, {why.name}" for why in self.scene.left_out.values())
-        received = self.passed(codec, figures)
-        if received is None or not received.lines:
-            return
-        truth = self.scene.subset([line.slot for line in received.lines])
-        check(truth, received, figures.counts, exactly=exactly)
-        compare(truth, received, figures.values)
-        for line in received.lines:
-            self.errors(line, figures.values["error"])
-
-    def passed(self, codec: Codec, figures: Figures) -> Scene | None:
-        """Return a scene as received, with the counts of its lines; None if no line is sent."""
-        counts, values, started = figures.counts, figures.values, time.perf_counter()
-        prepared = codec.encoder().prepare_scene(self.scene)
-        values["encode [ms]"].append(1000 * (time.perf_counter() - started))
-        far = [line.slot for line in self.scene.lines if line.x_max >= AHEAD]
-        counts["given"] += len(self.scene.lines)
-        counts["given with 10 m"] += len(far)
-        counts["lost with 10 m"] += sum(slot not in prepared.sent_slots for slot in far)
-        counts.update(f"not sent, {why.name}" for why in prepared.unfit.values())
-        if not prepared.sent_slots:
-            return None
-        frames = codec.encoder().encode_scene(prepared)
-        of_lines = [len(own) for owner, own in frames.items() if owner != POSE]
-        whole = codec.layout.pages
-        counts["all entries"] += codec.layout.is_conditional * of_lines.count(whole)
-        counts["levels"] += len(of_lines) - codec.layout.is_conditional * of_lines.count(whole)
-        sent = sum(map(len, frames.values()))
-        values["frames"].append(sent / (4 * len(of_lines)))
-        decoder, t_ns = codec.decoder(), 0
-        for frame in (frame for own in frames.values() for frame in own):
-            answer = decoder.feed(frame.can_id, frame.data, t_ns)
-            if isinstance(answer, MapLine):
-                counts[f"received, {answer.status.name}"] += 1
-            t_ns += 250_000
-        started = time.perf_counter()
-        received = decoder.scene()
-        values["decode [ms]"].append(1000 * (time.perf_counter() - started))
-        members = len(prepared.members)
-        counts["not received"] += received is None or len(received.scene.lines) < members
-        return None if received is None else received.scene
-
-    def errors(self, line: Any, into: list[float]) -> None:
-        """Add the errors of a line at ``ERROR_AT``, if it is valid there."""
-        if line.is_usable and line.x_min <= ERROR_AT <= line.x_max:
-            near, s = near_points(self.lines[line.slot].points, self.poses.mean)
-            y = crossings(self.poses.see(near), s, ERROR_AT)
-            into += np.abs(y[np.isfinite(y)] - float(line.y(ERROR_AT))).tolist()
+def passed(codec: Codec, scene: Scene, counts: Counter[str], values: Values) -> Scene | None:
+    """Return a scene as received, with the counts of its lines; None if no line is sent."""
+    counts["scenes"] += 1
+    prepared = codec.encoder().prepare_scene(scene)
+    far = [line.slot for line in scene.lines if line.x_max >= AHEAD]
+    counts["given with 10 m"] += len(far)
+    counts["lost with 10 m"] += sum(slot not in prepared.sent_slots for slot in far)
+    if not prepared.sent_slots:
+        return None
+    frames = codec.encoder().encode_scene(prepared)
+    sent = sum(map(len, frames.values()))
+    values["frames"].append(sent / (4 * len(frames.keys() - {POSE})))
+    received = transferred(codec, prepared)
+    counts["not received"] += received is None or len(received.lines) < len(prepared.members)
+    return received
 
 
 def check(truth: Scene, received: Scene, counts: Counter[str], *, exactly: bool) -> None:
     """Count whether a joint covariance is indefinite or overconfident."""
-    K = scale_of(received)
-    d = (truth.means - received.means).ravel()
     counts["checked"] += 1
     if exactly:
-        counts["checked exactly"] += 1
-        definite = is_positive_definite(received.cov.tolist())
-        covered = covers(received.cov, received.means.ravel(), truth.cov, truth.means.ravel())
-        counts["indefinite"] += not definite
-        counts["overconfident"] += not covered
+        means = received.means.ravel(), truth.means.ravel()
+        counts["indefinite"] += not is_positive_definite(received.cov.tolist())
+        counts["overconfident"] += not covers(received.cov, means[0], truth.cov, means[1])
         return
+    K, d = scale_of(received), (truth.means - received.means).ravel()
     try:
         L = np.linalg.cholesky(K @ received.cov @ K.T)
     except np.linalg.LinAlgError:
@@ -202,12 +152,11 @@ def check(truth: Scene, received: Scene, counts: Counter[str], *, exactly: bool)
     counts["overconfident"] += int(whitened(L, error)[-1] > 1)
 
 
-def compare(truth: Scene, received: Scene, values: defaultdict[str, list[float]]) -> None:
-    """Add the divergence of a scene and of its lines, and the ratios of standard deviations."""
+def compare(truth: Scene, received: Scene, values: Values) -> None:
+    """Add the divergence of the lines of a scene, and the ratios of standard deviations."""
     K, d = scale_of(received), (truth.means - received.means).ravel()
     floor = noise_floor(received.means, received.fit_ranges, RESOLUTION)
     true, target = truth.cov + floor, truth.cov + floor + np.outer(d, d)
-    values["KL"].append(divergence(K @ target @ K.T, K @ received.cov @ K.T))
     for i, line in enumerate(truth.lines):
         own = np.s_[4 * i : 4 * i + 4]
         k, T, C = K[own, own], target[own, own], received.cov[own, own]
@@ -252,3 +201,164 @@ def directions(means: Array, x: float) -> dict[str, Array]:
         "centre": np.r_[left, right] / 2,
         "direction": np.r_[slopes[0], -np.array(slopes[1])],
     }
+
+
+# ---- whole scenes ------------------------------------------------------------------------------
+
+#: Ends of classes of the standard deviation of y that a line has of its own [m].
+OWN = (0.02, 0.1, 0.3, np.inf)
+
+
+class Figures:
+    """Ratios, and those of y by what lines have of their own."""
+
+    def __init__(self) -> None:
+        self.ratios = Ratios()
+        self.own: dict[float, list[float]] = {end: [] for end in OWN}
+
+    def add(self, codec: Codec, scene: Scene) -> None:
+        """Send a scene, and add what is received."""
+        decoded = self.ratios.add_scene(codec, scene)
+        if decoded is None:
+            return
+        true = scene.subset([line.slot for line in decoded.lines])
+        if true.specific_covs is None:
+            raise ValueError("the scene must know what its lines have of their own")
+        for i, (mean, fit_range) in enumerate(zip(decoded.means, decoded.fit_ranges, strict=True)):
+            J, block = lateral_jacobian(mean, places_of(*fit_range)[1]), np.s_[4 * i : 4 * i + 4]
+            parts = (decoded.cov[block, block], true.cov[block, block], true.specific_covs[i])
+            variances, computed, own = (np.einsum("ki,ij,kj->k", J, S, J) for S in parts)
+            classes = np.searchsorted(OWN, np.sqrt(own))
+            for k, ratio in zip(classes.tolist(), np.sqrt(variances / computed), strict=True):
+                self.own[OWN[k]].append(float(ratio))
+
+    @classmethod
+    def sum(cls, several: Iterable[Figures]) -> dict[str, Any]:
+        """Return the figures of several by name."""
+        whole = cls()
+        for one in several:
+            whole.ratios.add(one.ratios)
+            for end, ratios in one.own.items():
+                whole.own[end] += ratios
+        found = whole.ratios
+        return {
+            "lines": found.lines,
+            "left out": Share(found.left_out_share, found.lines),
+            "reasons": dict(found.left_out),
+            "wider": Share(found.wider_share, found.lines),
+            **{
+                f"{what} at {x:g} m": quantiles(values, 0.5, 0.99)
+                for (what, x), values in sorted(found.ratios.items())
+            },
+            "own": {
+                f"up to {end:g} m": {"places": len(values), **quantiles(values, 0.5, 0.99)}
+                for end, values in whole.own.items()
+            },
+        }
+
+
+@evidence
+def whole(
+    n: int = 300, maps: tuple[str, ...] = (), shapes: tuple[str, ...] = tuple(SHAPES), seed: int = 1
+) -> dict[str, Any]:
+    """Send n whole scenes of each map and shape of random roads, in turn with each kind of errors.
+
+    Args:
+        n: number of scenes.
+        maps: folders and files of maps; the town of the package without one.
+        shapes: of the random roads, with four lines.
+        seed: of the scenes.
+    """
+    found = maps_of(maps or (str(map_model.town_path()),))
+    sources: dict[str, Draw] = {f"map {name}": on_map(one) for name, one in found.items()}
+    sources |= {f"road {shape}": on_roads((shape,), lines=4) for shape in shapes}
+    kinds = list(product(map_scenes.POSES, map_scenes.MAPS))
+    every = {key: Figures() for key in product(sources, kinds)}
+    for name, draw in progress(sources.items(), "sources", len(sources)):
+        for number in range(n):
+            rng = np.random.default_rng([seed, number])
+            kind = kinds[number % len(kinds)]
+            scene = map_scenes.seen(*draw(number, rng), *kind, rng)
+            every[name, kind].add(codec_of(WHOLE), scene)
+
+    def of(name: str) -> dict[str, Any]:
+        """Return the figures of a source, of all maps or roads, or of an error."""
+        return Figures.sum(
+            one
+            for (source, kind), one in every.items()
+            if name in (source, source.split()[0], *kind)
+        )
+
+    parts = (*sources, *map_scenes.POSES, *map_scenes.MAPS)
+    return {"all maps": of("map"), "all roads": of("road"), "of": {one: of(one) for one in parts}}
+
+
+@evidence
+def bits(n: int = 100_000, payloads: int = 100_000, seed: int = 0) -> dict[str, Any]:
+    """Send random joints as whole scenes, and receive random bits, in exact arithmetic.
+
+    Joints are of random lines of random roads, with pose errors that may be singular, and with
+    lines and covariances that no map has. Payloads have a right checksum; half of them are
+    rejected, for means beyond any line.
+
+    Args:
+        n: number of joints.
+        payloads: number of payloads that are not rejected.
+        seed: of both.
+    """
+    codec, joints = codec_of(WHOLE), Counter[str](indefinite=0, overconfident=0)
+    for number in progress(range(n), "joints", n):
+        try:
+            sent = random_scene(np.random.default_rng([seed, number]), codec.layout)
+            received = transferred(codec, sent, fd=True)
+        except ValueError:  # values that no scene has, or none that can be sent
+            joints["refused"] += 1
+            continue
+        if received is None or not received.lines:
+            joints["without lines"] += 1
+            continue
+        joints["lines"] += len(received.lines)
+        truth = sent.subset([line.slot for line in received.lines])
+        check(truth, received, joints, exactly=True)
+    layout, rng, found = scene_of_dbc(codec.layout), np.random.default_rng(seed), Counter[str]()
+    message = layout.messages[SCENE]
+    while found["checked"] < payloads:
+        decoder, raw = codec.decoder(), random_raw(layout, rng)
+        record = write_whole(layout, *raw, layout.record_bytes, message.data_id)
+        answer = decoder.feed(message.fd_can_id or 0, record, 50_000_000)
+        if isinstance(answer, Reason):
+            found[answer.name] += 1
+            continue
+        scene = decoder.scene()
+        if scene is None or not scene.scene.lines:
+            raise ValueError("lines were delivered, but there is no scene")
+        found["checked"] += 1
+        found["lines"] += len(answer)
+        found["indefinite"] += not is_positive_definite(scene.scene.cov.tolist())
+    return {"joints": dict(joints), "payloads": dict(found)}
+
+
+def random_raw(
+    layout: SceneLayout, rng: np.random.Generator
+) -> tuple[dict[str, int], list[dict[str, int]]]:
+    """Return random raw values of the pose error, and of lines of slots that differ."""
+
+    def drawn(signal: Any) -> int:
+        return int(rng.integers(signal.raw_min, signal.raw_max + 1))
+
+    of_lines = tuple(layout.line)
+    shared = {
+        name: drawn(signal)
+        for name, signal in layout.signals.items()
+        if not name.endswith(of_lines) and name != "Crc"
+    }
+    shared["SceneCounter"] = shared["Counter"] % 2 ** layout["SceneCounter"].length
+    lines = []
+    for slot in [None, None, *rng.permutation(np.arange(2, 8))[: layout.places - 2].tolist()]:
+        raw = {name: drawn(signal) for name, signal in layout.line.items()}
+        raw["Kind"] %= NONE + 1
+        raw["XMax"] = max(raw["XMax"], raw["XMin"] - 31)
+        for name in ("Beta", "C0", "C1"):  # any bits are rarely a function of x
+            raw[name] = int(raw[name] * 2 ** rng.uniform(-layout.line[name].length, 0))
+        lines.append(raw if slot is None else raw | {"Slot": slot})
+    return shared, lines

@@ -16,6 +16,7 @@ import copy
 import math
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,14 +31,15 @@ from maplines_can.localisation import (
     SeenLandmarks,
     SensorErrors,
 )
-from maplines_can.maps import Map, load, town_path, town_tour
+from maplines_can.maps import Map
 from maplines_can.simulation.sensors import Arrival, SensorSetup, simulated_measurements
 from maplines_can.simulation.simulated_localisation import START_SIGMA
-from maplines_can.simulation.trajectory import SimulatedDrive, drive_along
-from maplines_can.testing.sensor_faults import FAULTS, SensorFault, injected
+from maplines_can.simulation.trajectory import SimulatedDrive
+from maplines_can.testing.sensor_faults import FAULTS, FaultedMeasurement, SensorFault, injected
 
 from .figures import longest
 from .harness import evidence, progress
+from .localisation import town
 
 Array = NDArray[np.float64]
 
@@ -82,16 +84,7 @@ class Course(NamedTuple):
 
 
 class Drive:
-    """Cars that drive through the town up to a fault.
-
-    Args:
-        way: true poses.
-        layer: of the map.
-        cars: "map", "no map" or "lidar".
-        seeds: number of cars.
-        errors: that the filters know of the sensors.
-        longest: time after the begin of a fault [s].
-    """
+    """Cars that drive through the town up to a fault."""
 
     def __init__(
         self,
@@ -177,24 +170,22 @@ def drive_of(
     if cars == "straight road":
         way = SimulatedDrive(Polyline([[0.0, 0.0], [4000.0, 0.0]]))
         return Drive(way, LocalisationLayer(Map({}, {})), "no map", seeds, errors, longest)
-    town = load(town_path())
-    way, layer = drive_along(town, town_tour(town)), LocalisationLayer(town)
-    return Drive(way, layer, cars, seeds, errors)
+    found, way = town()
+    return Drive(way, LocalisationLayer(found), cars, seeds, errors)
 
 
-@evidence(seeds=2, sensors=("gnss",), cars=("no map",), seconds=(1.0,), faults=("30 m",))
-def sensor_faults(
+@evidence
+def faults(
     seeds: int = 8,
     sensors: tuple[str, ...] = tuple(CARS),
     faults: tuple[str, ...] = ("",),
     cars: tuple[str, ...] = ("map", "no map", "lidar", "straight road"),
     seconds: tuple[float, ...] = DURATIONS,
-    unknown_gnss: bool = False,
 ) -> dict[str, Any]:
     """Inject faults into each sensor, and measure how long the pose is wrong unnoticed.
 
         beyond     longest time for which a pose is wrong unnoticed [s], of all seeds; its position
-        error      largest error of the position while a pose is stated [m]; the stated sigma then
+        error      largest error of the position while a pose is stated [m]
         said       median time from the begin of the fault until no pose is stated [s]
         without    median time without a pose [s]
 
@@ -204,11 +195,8 @@ def sensor_faults(
         faults: parts of their names.
         cars: what they have.
         seconds: durations of the faults [s]; 0 is a single measurement.
-        unknown_gnss: do not tell the filters the error of GNSS.
     """
-    errors = replace(SETUP.errors, gnss=None) if unknown_gnss else SETUP.errors
-    result: dict[str, Any] = {}
-    drives: dict[str, Drive] = {}
+    drive, result = cache(drive_of), dict[str, Any]()
     chosen = [
         (fault, has, duration)
         for fault in FAULTS
@@ -217,27 +205,21 @@ def sensor_faults(
         if fault.sensor in sensors and has in cars and any(name in fault.name for name in faults)
     ]
     for fault, has, duration in progress(chosen, "faults"):
-        if has not in drives:
-            drives[has] = drive_of(has, seeds, errors)
-        found = figures(drives[has].run(fault, duration))
-        result[f"{fault.sensor}, {fault.name}; {has}; {duration:g} s"] = found
+        name = f"{fault.sensor}, {fault.name}; {has}; {duration:g} s"
+        result[name] = figures(drive(has, seeds).run(fault, duration))
     return result
 
 
 def figures(course: Course) -> dict[str, Any]:
     """Return the figures of a course."""
-    size = np.where(course.known, np.hypot(course.errors[..., 0], course.errors[..., 1]), 0.0)
-    k, car = np.unravel_index(int(size.argmax()), size.shape)
     lost, wrong = ~course.known, course.wrong
     first = np.where(lost.any(axis=0), lost.argmax(axis=0) * STEP, math.nan)
     beyond = STEP * longest(wrong.any(axis=-1))
-    share = np.abs(course.errors) / course.sigmas
+    size = np.hypot(course.errors[..., 0], course.errors[..., 1])
     return {
         "beyond [s]": round(float(beyond.max()), 3),
         "position beyond [s]": round(STEP * float(longest(wrong[..., :2].any(axis=-1)).max()), 3),
-        "error [m]": float(size.max()),
-        "sigma [m]": float(np.hypot(*course.sigmas[k, car, :2]) / math.sqrt(2)),
-        "largest sigmas": float(np.where(course.known[..., None], share, 0.0).max()),
+        "error [m]": float(np.where(course.known, size, 0.0).max()),
         "said after [s]": float(np.nanmedian(first)) if lost.any() else None,
         "cars beyond for 10 s": int((beyond > 10.0).sum()),
         "cars without a pose": int(lost.any(axis=0).sum()),
@@ -245,3 +227,58 @@ def figures(course: Course) -> dict[str, Any]:
         "known at the end": float(course.known[-1].mean()),
         "right at the end": float((~wrong[-1].any(axis=-1) & course.known[-1]).mean()),
     }
+
+
+# ---- drift of GNSS -----------------------------------------------------------------------------
+
+#: Rate that filters are told, which know that GNSS drifts [m/s].
+STATED = 0.04
+
+
+@evidence
+def drifts(
+    seeds: int = 20, rates: tuple[float, ...] = (1.0, 0.3, 0.1), seconds: float = 130.0
+) -> dict[str, Any]:
+    """Let GNSS drift on a straight road without a map, and measure how far off the pose is.
+
+        sigmas      largest error along or across in stated standard deviations, until no pose is
+                    stated; the median and the worst of the cars, and the share within 4
+        error       that of the same pose, median [m]
+        sigma       stated standard deviation in that axis at the end of the drift, median [m]
+
+    Args:
+        seeds: number of cars.
+        rates: of the drift, along and across the road [m/s]; beside them, none.
+        seconds: its duration [s].
+    """
+    result: dict[str, Any] = {}
+    unknown = replace(SETUP.errors, gnss=None)
+    for told, errors in (
+        ("known", SETUP.errors),
+        ("known, and its drift", replace(SETUP.errors, gnss_drift=STATED)),
+        ("found out", unknown),
+        ("found out, and its drift known", replace(unknown, gnss_drift=STATED)),
+    ):
+        drive = drive_of("straight road", seeds, errors, seconds + 1.0)
+        cases = [(0.0, "none"), *((rate, axis) for rate in rates for axis in ("along", "across"))]
+        for rate, axis in progress(cases, "drifts"):
+            step = rate * np.array([axis == "along", axis == "across"])
+            course = drive.run(
+                SensorFault("gnss", "drift", partial(drifted, rate=step)), seconds, 0
+            )
+            share = (np.abs(course.errors) / course.sigmas)[..., :2].max(axis=-1)
+            share = np.where(np.logical_and.accumulate(course.known, axis=0), share, 0.0)
+            worst, size = share.max(axis=0), np.hypot(course.errors[..., 0], course.errors[..., 1])
+            result[f"GNSS error {told}; {rate:g} m/s {axis}"] = {
+                "sigmas, median": float(np.median(worst)),
+                "sigmas, worst": float(worst.max()),
+                "within 4 sigmas": float((worst <= 4.0).mean()),
+                "error [m]": float(np.median(size[share.argmax(axis=0), np.arange(seeds)])),
+                "sigma [m]": float(np.median(course.sigmas[-1, :, int(axis == "across")])),
+            }
+    return result
+
+
+def drifted(at: FaultedMeasurement, rate: Array) -> Any:
+    """Return a fix that drifts at a rate along and across [m/s]."""
+    return at.one._replace(position=at.one.position + at.t * rate)

@@ -26,7 +26,7 @@ from .witness import Array, beside, place_of, seen_from
 TOLERANCE, SKEW = 0.1, np.radians(60.0)
 
 
-@evidence(n=20, maps=())
+@evidence
 def slots(maps: tuple[str, ...] = (), n: int = 500, seed: int = 1) -> dict[str, Any]:
     """Compare the slots of n poses on each map with the lanes of the map; the town without one."""
     found = maps_of(maps or (str(map_model.town_path()),))

@@ -28,7 +28,7 @@ from maplines_can.consumers.steering import SteeringState
 from maplines_can.maps import Map, Route, load, town_path, town_tour
 from maplines_can.simulation import STREETS
 
-from .closed_loop import MARGIN, PERIOD, LoopCycle, ReportedPoses, on_map, on_street
+from .closed_loop import MARGIN, PERIOD, LoopCycle, ReportedPoses, on_map, on_street, spread
 from .harness import bar, evidence, progress
 
 LOCALISATIONS = {
@@ -44,7 +44,7 @@ DURATION = 20.0
 SHAPES = ("corner", "roundabout-12m")
 
 
-@evidence(seconds=3.0, localisations=("production",), shapes=())
+@evidence
 def drives(
     seconds: float = math.inf,
     localisations: tuple[str, ...] = tuple(LOCALISATIONS),
@@ -77,7 +77,7 @@ def drives(
     return result
 
 
-@evidence(n=1, places=("street",), of=("lines",), wait=2.0)
+@evidence
 def outages(
     n: int = 3,
     places: tuple[str, ...] = tuple(OUTAGES),
@@ -118,16 +118,6 @@ def figures(moments: Sequence[LoopCycle]) -> dict[str, Any]:
             reason.name: round(n / len(driven), 3) for reason, n in reasons.most_common()
         },
         "handed over": moments[-1].state is SteeringState.HANDOVER,
-    }
-
-
-def spread(values: Any) -> dict[str, float]:
-    """Return RMS, 95 % and the largest of absolute values [m]."""
-    size = np.abs(values)
-    return {
-        "rms": float(np.sqrt((size**2).mean())),
-        "95 %": float(np.quantile(size, 0.95)),
-        "max": float(size.max()),
     }
 
 

@@ -1,0 +1,247 @@
+"""Times of the core, of authenticated frames, and of logs that become tables.
+
+The core and the packing of cantools' generated C are timed inside a program in C, on one thread and
+with -O2. The readers of a log run in a process of their own each.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import resource
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from importlib import import_module
+from itertools import islice, product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from maplines_can import Codec, Slot
+from maplines_can.bus import read_log
+from maplines_can.recordings.blocks import read_blocks
+from maplines_can.recordings.receive import LogReceiver
+from maplines_can.recordings.table import line_table
+from maplines_can.study.sets import road
+from maplines_can.wire import Authenticator, Frame, Key, default_dbc_path
+
+from .harness import evidence
+from .secoc import SECRET, scenario_lines
+
+LINES = 256  #: of c/tests/speed_harness.c
+#: DBCs of scenes, and whether their frames are CAN FD.
+SCENES = {
+    "maplines-pose.dbc, classic": ("maplines-pose.dbc", False),
+    "maplines-pose.dbc, FD": ("maplines-pose.dbc", True),
+    "maplines-scene.dbc": ("maplines-scene.dbc", True),
+}
+#: Faults of the bus of a drive that is recorded.
+FAULTS = "loss=0.05,dup=0.02,corrupt=0.02,reorder=0.01"
+#: Times the four pages of a record with random values: cantools packs no faster with others.
+PEER = """
+#include "peer.h"
+#include <stdio.h>
+#include <string.h>
+#include <time.h>
+int main(void)
+{
+    struct peer_ego_left_t line;
+    uint8_t data[8];
+    unsigned sum = 0;
+    memset(&line, 0x35, sizeof line);
+    double least = 1e300;
+    for (int round = 0; round < 20; ++round)
+    {
+        clock_t begin = clock();
+        for (int i = 0; i < 100000; ++i)
+        {
+            for (uint8_t page = 0; page < 4; ++page)
+            {
+                line.page = page;
+                line.counter = (uint8_t)i;
+                peer_ego_left_pack(data, &line, sizeof data);
+                sum += data[2];
+            }
+        }
+        double ns = 1e9 * (double)(clock() - begin) / CLOCKS_PER_SEC / 100000;
+        least = ns < least ? ns : least;
+    }
+    printf("%g %u", least, sum);
+    return 0;
+}
+"""
+
+
+def of_tests(name: str) -> Any:
+    """Return a module of the tests."""
+    tests = str(Path(__file__).parents[2] / "tests")
+    if tests not in sys.path:
+        sys.path.insert(0, tests)
+    return import_module(name)
+
+
+@evidence
+def lines(rounds: int = 20) -> dict[str, Any]:
+    """Time the work of a sender and of a receiver of lines in C, and packing by cantools' C."""
+    given, c_core = road(LINES, 0), of_tests("support.c_core")
+    numbers = np.concatenate([given.mean, given.cov.reshape(-1, 16)], axis=1).astype("<f8")
+    head = np.array([rounds], dtype="<u4").tobytes()
+    program = c_core.harness("speed", Codec.from_dbc().layout)
+    found = np.frombuffer(c_core.run(program, head + numbers.tobytes()), "<f8")
+    names = ("encode a line", "check and read a record", "four frames to a line", "sigma of y(x)")
+    packing = packing_by_cantools()
+    return {
+        name: {"C [us]": ns / 1e3, "ratio to packing": ns / packing}
+        for name, ns in zip(names, found.tolist(), strict=True)
+    }
+
+
+def packing_by_cantools() -> float:
+    """Return the time of packing the pages of a line by cantools' generated C [ns]."""
+    with tempfile.TemporaryDirectory() as folder:
+        generate = [sys.executable, "-m", "cantools", "generate_c_source", "--database-name"]
+        command = [*generate, "peer", str(default_dbc_path())]
+        subprocess.run(command, check=True, cwd=folder, capture_output=True)
+        Path(folder, "main.c").write_text(PEER)
+        subprocess.run(["cc", "-O2", "main.c", "peer.c", "-o", "peer"], check=True, cwd=folder)
+        done = subprocess.run([f"{folder}/peer"], check=True, capture_output=True, text=True)
+    return float(done.stdout.split()[0])
+
+
+@evidence
+def scenes(rounds: int = 20) -> dict[str, Any]:
+    """Time scenes of a bend in C: to frames, and back to the joint covariance."""
+    c_core, c_scenes = of_tests("support.c_core"), of_tests("support.c_scenes")
+    found: dict[str, Any] = {}
+    for count, (name, (dbc, fd)) in product((4, 8), SCENES.items()):
+        scene = of_tests("support.scene_streams").road_scene([*Slot][:count])
+        program = c_core.harness("scene_speed", default_dbc_path(dbc))
+        given = struct.pack("<IB", rounds, fd) + c_scenes.scene_input(scene)
+        encode, decode = np.frombuffer(c_core.run(program, given), "<f8").tolist()
+        found[f"{count} lines, {name}"] = {"encode [us]": encode / 1e3, "decode [us]": decode / 1e3}
+    return found
+
+
+@evidence
+def secoc(n: int = 20_000) -> dict[str, Any]:
+    """Measure lines a second on one core, with and without authentication: best of 3 turns."""
+    path = default_dbc_path("maplines-secoc.dbc")
+    authenticator = Authenticator(Key(SECRET), clock=time.time_ns, window_ns=600 * 10**9)
+    codecs = {"plain": Codec.from_dbc(path), "authenticated": Codec.from_dbc(path, authenticator)}
+    given, rates = scenario_lines(), dict.fromkeys(codecs, 0.0)
+    for _, (name, codec) in product(range(3), codecs.items()):
+        encoder, decoder, frames = codec.encoder(), codec.decoder(), list[Frame]()
+        while len(frames) < n:
+            frames += [f for line in encoder.encode_lines(given, fd=True) for f in line]
+        begin = time.perf_counter()
+        for i, frame in enumerate(frames):
+            decoder.feed(frame.can_id, frame.data, 6_250_000 * (i + 1))
+        rates[name] = max(rates[name], decoder.lines / (time.perf_counter() - begin))
+    return {f"lines decoded, {name}, per second": round(rate) for name, rate in rates.items()}
+
+
+# ---- logs ------------------------------------------------------------------------------------
+
+
+@evidence
+def logs(log: str = "", peers: int = 300_000) -> dict[str, Any]:
+    """Time the table of a log of ``maplines.dbc`` beside peers, which read its first frames only.
+
+    Peers are python-can with cantools in a loop, our decoder frame by frame, cantools' command for
+    candump logs, and asammdf, which extracts an MF4 as a whole. By default, the log is that of a
+    simulated drive of an hour on a faulty bus.
+    """
+    if not log:
+        with tempfile.TemporaryDirectory() as folder:
+            path = f"{folder}/drive.log"
+            command = [sys.executable, "-m", "maplines_can.cli", "drive", "--as-fast-as-possible"]
+            command += ["--seconds", "3600", "--record", path, "--faults", FAULTS]
+            subprocess.run(command, check=True, capture_output=True)
+            return dict(logs(path, peers))
+    suffix = Path(log).suffix
+    readers = [blocks, frame_by_frame, loop]
+    readers += [asammdf_extraction] * (suffix == ".mf4") + [cantools_command] * (suffix == ".log")
+    found = {}
+    for reader in readers:
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+            name = reader.__name__.replace("_", " ")
+            found[name] = pool.submit(timed, reader, log, peers).result()
+    ours = found["blocks"]["rate"]
+    return found | {f"times {name}": ours / one["rate"] for name, one in found.items()}
+
+
+def timed(reader: Callable[[str, int], int], log: str, most: int) -> dict[str, float]:
+    """Return frames per second of CPU, and the peak memory [MB]."""
+
+    def used() -> Iterator[float]:
+        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN):
+            usage = resource.getrusage(who)
+            yield usage.ru_utime + usage.ru_stime
+
+    before = sum(used())
+    frames = reader(log, most)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return {"rate": frames / (sum(used()) - before), "memory [MB]": memory}
+
+
+def blocks(log: str, _: int) -> int:
+    """Make a table of the lines of a whole log."""
+    receiver, frames = LogReceiver(Codec.from_dbc()), 0
+    for block in read_blocks(log):
+        line_table(receiver.feed(block), block, (0.0, 20.0, 40.0))
+        frames += len(block)
+    return frames
+
+
+def frame_by_frame(log: str, most: int) -> int:
+    """Feed the frames to a decoder."""
+    decoder, frames = Codec.from_dbc().decoder(), 0
+    for frame in islice(read_log(log), most):
+        decoder.feed(frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended)
+        frames += 1
+    return frames
+
+
+def loop(log: str, most: int) -> int:
+    """Read by python-can, and decode the signals by cantools."""
+    import can
+    import cantools
+
+    database: Any = cantools.database.load_file(default_dbc_path())
+    known, frames = {message.frame_id for message in database.messages}, 0
+    for message in islice(can.LogReader(log), most):
+        frames += 1
+        if message.arbitration_id in known:
+            try:
+                database.decode_message(message.arbitration_id, message.data)
+            except (ValueError, cantools.Error):  # a damaged frame
+                continue
+    return frames
+
+
+def cantools_command(log: str, most: int) -> int:
+    """Run ``cantools decode`` on the rows of a candump log."""
+    command = [sys.executable, "-m", "cantools", "decode", "--single-line"]
+    with Path(log).open() as file:
+        rows = [
+            row.removesuffix(" T\n").removesuffix(" R\n").rstrip() for row in islice(file, most)
+        ]
+    text = "\n".join(rows) + "\n"
+    command.append(str(default_dbc_path()))
+    subprocess.run(command, input=text, stdout=subprocess.DEVNULL, check=True, text=True)
+    return len(rows)
+
+
+def asammdf_extraction(log: str, _: int) -> int:
+    """Extract all signals of an MF4."""
+    import asammdf
+
+    with asammdf.MDF(log) as mdf:
+        frames = sum(group.channel_group.cycles_nr for group in mdf.groups)
+        mdf.extract_bus_logging(database_files={"CAN": [(str(default_dbc_path()), 0)]})
+    return frames
