@@ -69,4 +69,3 @@ def test_the_figures_of_a_course_are_those_of_its_errors() -> None:
     assert found["position beyond [s]"] == 0
     assert found["said after [s]"] == pytest.approx(1.0)
     assert found["cars without a pose"] == 1
-    assert found["largest sigmas"] == 6.0
