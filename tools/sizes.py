@@ -3,7 +3,8 @@
 
     sizes.py [CHECKOUT]    the tables, of this checkout or of another one
     sizes.py --json        the same as JSON
-    sizes.py --check       the exit status is 1 if a function or a name of a class is beyond a limit
+    sizes.py --check       the exit status is 1 if a function, a name of a class or the words of the
+                           pages are beyond a limit
 
 Run it in the environment of the project: python3 tools/run.py python tools/sizes.py
 
@@ -11,6 +12,8 @@ Run it in the environment of the project: python3 tools/run.py python tools/size
     code         lines without blank ones, comments and docstrings
     depth        of the blocks (if, for, while, try, with, match) of a function, one in the other
     parameters   of a function, without self and cls
+    words        of the pages for users and developers that are written by hand: without numbers,
+                 blocks of code, and the tables that a tool writes
 
 A function is listed if it has more than 50 lines of code, a depth of more than 4 or more than 6
 parameters; a class, if another module of the package has one of this name.
@@ -21,6 +24,7 @@ from __future__ import annotations
 import ast
 import io
 import json
+import re
 import sys
 import tokenize
 from collections import defaultdict
@@ -33,6 +37,13 @@ from reporting import parser_of
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "maplines_can"
 MAX_CODE, MAX_DEPTH, MAX_PARAMETERS = 50, 4, 6
+#: Pages whose words are counted, and how many these may be.
+PAGES = ("README.md", "CONTRIBUTING.md", "dbc/README.md", "docs/*.md")
+MAX_WORDS = 35_000
+#: What of a page is not written as words by hand: tables of a tool, and blocks of code.
+NOT_BY_HAND = re.compile(
+    r"(?ms)^<!-- (\w+): written by .*?^<!-- end of \1 -->|^ *```.*?^ *```$|^ {4}\S[^\n]*"
+)
 BLOCKS = (ast.If, ast.For, ast.While, ast.Try, ast.With, ast.Match, ast.AsyncFor, ast.AsyncWith)
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 _LAYOUT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT,
@@ -133,6 +144,20 @@ def folders_of(name: str) -> list[str]:
     return [f"{PACKAGE}, all", f"{PACKAGE}/{below[0]}" if len(below) > 1 else f"{PACKAGE}/*.py"]
 
 
+def words(root: Path) -> dict[str, int]:
+    """Return the words of each page that are written by hand."""
+    paths = sorted(path for pattern in PAGES for path in root.glob(pattern))
+    texts = {path: NOT_BY_HAND.sub("", path.read_text(encoding="utf-8")) for path in paths}
+    return {
+        str(path.relative_to(root)): sum(map(_is_word, text.split()))
+        for path, text in texts.items()
+    }
+
+
+def _is_word(text: str) -> bool:
+    return any(letter.isalpha() for letter in text)
+
+
 def measured(root: Path) -> dict[str, Any]:
     """Return all tables of a checkout."""
     found = {top: list(modules(root, top)) for top in (PACKAGE, "tools", "tests")}
@@ -156,6 +181,7 @@ def measured(root: Path) -> dict[str, Any]:
         "different public names": len({name for own in names.values() for name in own}),
         "large functions": [one._asdict() for one in large],
         "class names with two places": double_names(package),
+        "words": words(root),
     }
 
 
@@ -169,6 +195,7 @@ def main() -> int:
     result = measured(arguments.checkout)
     large, double = result["large functions"], result["class names with two places"]
     of_package = [one for one in large if one["place"].startswith(PACKAGE)]
+    n_words = sum(result["words"].values())
     if arguments.json:
         print(json.dumps(result, indent=2))
     else:
@@ -187,7 +214,11 @@ def main() -> int:
         print(f"\n{len(double)} names of public classes are defined in two modules:")
         for name, places in double.items():
             print(f"  {name:<24}{' '.join(places)}")
-    return 1 if arguments.check and (of_package or double) else 0
+        print("\nwords written by hand:")
+        for page, n in result["words"].items():
+            print(f"{n:>7}  {page}")
+        print(f"{n_words:>7}  all pages, at most {MAX_WORDS}")
+    return 1 if arguments.check and (of_package or double or n_words > MAX_WORDS) else 0
 
 
 if __name__ == "__main__":
