@@ -20,6 +20,7 @@ from reporting import fill_tables, parser_of
 from maplines_can.bus import frame_bits
 from maplines_can.study.design.planner import Targets
 from maplines_can.study.design.search import design, sets_of
+from maplines_can.study.production_messages import as_markdown, production_table
 from maplines_can.study.scenes.carriers import SCENE_HEAD, WITH_POSE, scene_cells
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "bits.md"
@@ -66,6 +67,8 @@ def main() -> int:
         "limit": lambda: over_the_limit(summary, limit),
         "scenes": lambda: of_scenes(scenes),
         "designs": designs,
+        "messages": lambda: production()[0],
+        "steps": lambda: production()[2],
     }
     if only is not None and only not in makers:
         parser.error(f"there is no table {only}; choose from {', '.join(makers)}")
@@ -170,6 +173,11 @@ def designs() -> Any:
         )
     head = ["made for *road*", "bits of the mean", "of the covariance", "road: KL mean", "99 %"]
     return table([*head, "saturated", "error at 80 m", "paper: KL mean", "saturated"], body)
+
+
+def production() -> list[str]:
+    """Return the tables of production messages: their signals, what their steps lose, and others."""
+    return [part.strip() for part in as_markdown(production_table(100)).split("\n\n")]
 
 
 def share(value: Any) -> Any:
