@@ -69,7 +69,7 @@ def beyond(scene: Scene, slot: Slot) -> Scene:
 def test_a_scene_read_from_the_dbc_alone_covers_what_was_sent(shape: str) -> None:
     """In exact arithmetic, with the errors of all means; a receiver computes the same."""
     codec, counts = Codec(layout_of(DBC)), Counter[str]()
-    for number in range(12):
+    for number in range(5):
         rng = np.random.default_rng(number)
         road = random_scene(shape, rng, int(rng.integers(1, 9)))
         poses = Poses.about(road.pose, POSES[list(POSES)[number % 2]], 0, rng)
@@ -98,7 +98,7 @@ def test_a_scene_read_from_the_dbc_alone_covers_what_was_sent(shape: str) -> Non
         )  # of single precision
         assert covers(own.cov, own.mean, true.cov, true.mean)
         counts["lines"] += len(found.slots)
-    assert counts["lines"] > 30
+    assert counts["lines"] > 10
 
 
 @pytest.mark.parametrize("slot", [Slot.EGO_RIGHT, Slot.ROUTE])

@@ -182,7 +182,7 @@ def configs(draw: Any) -> Any:
     return E2EConfig(**values, clear_to_invalid=draw(st.booleans()))
 
 
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(configs(), st.text("oooooolerwn", max_size=80))
 def test_the_state_machine_agrees_with_the_reference(config: Any, statuses: str) -> None:
     """For any configuration and any checks, the states are the same."""

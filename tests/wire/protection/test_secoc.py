@@ -121,7 +121,7 @@ def test_the_window_about_the_current_time(
 @cache
 def with_freshness(n: int) -> Layout:
     """The layout of a DBC with n bytes of freshness value."""
-    return Layout.from_text(replace(SECURED, freshness_bytes=n).dbc())
+    return Layout.from_text(replace(SECURED, freshness_bytes=n, slots=(Slot.EGO_LEFT,)).dbc())
 
 
 @pytest.mark.parametrize("n", [1, 2])
@@ -160,7 +160,7 @@ def test_a_freshness_value_that_could_not_be_completed_is_refused(
 @pytest.mark.parametrize(
     "gaps_s",
     [
-        pytest.param([0.05] * 198, id="198-in-a-row"),
+        pytest.param([0.05] * 50, id="50-in-a-row"),
         pytest.param([0.05, 0.15, 0.05, 1.0, 0.05], id="lost-frames"),
         pytest.param([0.05, 16.8, 0.05, 33.554432, 0.05, 86_400, 0.05], id="silences"),
         pytest.param([0.05, 4294.967295, 4294.967296, 0.05, 12884.901888], id="4-bytes-again"),

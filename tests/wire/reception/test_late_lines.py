@@ -17,7 +17,7 @@ from maplines_can.wire import E2EConfig, E2EState
 
 VALID, INVALID = E2EState.VALID, E2EState.INVALID
 MAX_DELTA = E2EConfig().max_delta_counter
-PHASES = [0.0, 0.5, 0.51, 1.4, 4.0]
+PHASES = [0.5, 0.51, 4.0]
 
 
 def most_ahead(phase: float, components: int) -> int:
