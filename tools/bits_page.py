@@ -176,7 +176,7 @@ def designs() -> Any:
 
 
 def production() -> list[str]:
-    """Return the tables of production messages: their signals, what their steps lose, and others."""
+    """Return the tables of production messages: signals, bits of quality, steps, and others."""
     return [part.strip() for part in as_markdown(production_table(100)).split("\n\n")]
 
 
