@@ -6,14 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from evidence.roads import SHAPES, random_scene
-from evidence.witness import POSES, Poses
 from scene_layouts import layout_of
 from support import c_core
 from support.c_core import scene_input
-from support.scene_streams import road_scene
+from support.scene_streams import random_scenes, road_scene
 
-from maplines_can import Codec, Gaussian, MapError, Polyline, PoseError, Scene, Slot, map_scene
+from maplines_can import Codec, PoseError, Scene, Slot
 from maplines_can.values.errors import EncodeError
 from maplines_can.values.line import LEFT_OUT
 from maplines_can.wire import Authenticator, Encoder, Key, Layout
@@ -21,7 +19,6 @@ from maplines_can.wire.layout.pose_layout import OWNERS
 
 DBCS = pytest.mark.parametrize("dbc", ["maplines-pose.dbc", "maplines.dbc", "maplines-scene.dbc"])
 KEY = Key(bytes(range(16)), key_id=1)
-ERRORS = (None, MapError(0.05, 0.05), MapError(0.05, 0.05, 0.001), MapError(offset_sigma=0.3))
 
 
 class Case(NamedTuple):
@@ -59,18 +56,9 @@ def frames_of(encoder: Encoder, case: Case) -> bytes:
 
 
 def scenes() -> Iterator[Scene]:
-    """Scenes of random roads, from production poses and from poor ones, and some at the limits."""
-    for number in range(40):
-        rng = np.random.default_rng(number)
-        road = random_scene(list(SHAPES)[number % len(SHAPES)], rng, int(rng.integers(1, 9)))
-        poses = Poses.about(road.pose, POSES[list(POSES)[number // len(SHAPES) % 2]], 0, rng)
-        yield map_scene(
-            {slot: Polyline(points) for slot, points in road.lines.items()},
-            Gaussian(road.pose, poses.cov),
-            map_error=ERRORS[rng.integers(len(ERRORS))],
-            correlation_time=float(rng.choice([0.3, 4.0, np.inf])),
-        )
-    for sigma in ((0, 0, 0), (0, 0.2, 0), (5, 8, 0.3), (1e-6, 1e-6, 1e-9)):
+    """Scenes of random bends, and some at the limits."""
+    yield from random_scenes(30, seed=1)
+    for sigma in ((0, 0, 0), (5, 8, 0.3), (1e-6, 1e-6, 1e-9)):
         yield road_scene(Slot, sigma=np.array(sigma), radius=60.0)
         yield road_scene([Slot.ROUTE], sigma=np.array(sigma), radius=1e5, map_error=None)
     yield Scene((), np.zeros((0, 0)), PoseError(1e9 * np.eye(3)), np.zeros((0, 2)))

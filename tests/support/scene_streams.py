@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from itertools import chain
 from typing import Any, NamedTuple
@@ -70,6 +70,22 @@ def road_scene(
     }
     ego = Gaussian([0, 0, 0], np.diag(sigma) ** 2)
     return map_scene(lines, ego, map_error=map_error, **{"correlation_time": 4.0} | settings)
+
+
+def random_scenes(n: int, seed: int) -> Iterator[Scene]:
+    """Yield bends with lines of any slots, seen from poses that are known well or poorly."""
+    rng = np.random.default_rng(seed)
+    for _ in range(n):
+        slots = rng.permutation([*Slot])[: rng.integers(1, 9)]
+        yield road_scene(
+            [Slot(int(slot)) for slot in slots],
+            radius=float(rng.choice([60.0, 200.0, 2000.0])),
+            sigma=np.array([0.3, 0.2, 0.005]) * 10.0 ** rng.uniform(-1.5, 1, 3),
+            map_error=[None, MAP_ERROR, MapError(0.05, 0.05), MapError(offset_sigma=0.3)][
+                rng.integers(4)
+            ],
+            correlation_time=float(rng.choice([0.3, 4.0, np.inf])),
+        )
 
 
 def feed(

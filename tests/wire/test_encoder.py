@@ -196,23 +196,6 @@ def test_lines_that_depend_on_the_pose_error_are_sent_as_scenes() -> None:
 # ---- code of others that runs meanwhile --------------------------------------------------------
 
 
-def test_a_line_that_changes_the_list_of_lines() -> None:
-    """Reading a line may run any code: the lines that are sent are those that were given."""
-
-    class Sly(MapLine):
-        def __getattribute__(self, name: str) -> Any:
-            if name == "mixture":
-                lines.clear()
-            return super().__getattribute__(name)
-
-    sly = object.__new__(Sly)
-    vars(sly).update(vars(ordinary()))
-    lines: list[MapLine] = [sly, ordinary(Slot.ROUTE, x_max=50.0), ordinary(Slot.CENTRE)]
-
-    assert len(CODEC.encoder().encode_lines(lines)) == 3
-    assert lines == []
-
-
 def test_an_interrupt_is_not_lost() -> None:
     """Ctrl-C while a line is read goes on at once, and no counter advances."""
 

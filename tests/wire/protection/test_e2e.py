@@ -44,15 +44,15 @@ def test_records_of_the_core_agree_with_autosar_e2e(slot: Slot) -> None:
         assert protected == record.tobytes()
 
 
-@pytest.mark.parametrize("bit", range(32 * 8))
-def test_every_flipped_bit_is_detected(bit: int) -> None:
+def test_every_flipped_bit_is_detected() -> None:
     """Flipping any bit of a record makes its checksum, its page or its transfer ID wrong."""
     codec = default_codec()
     record = codec.batch.encode([[1.75, 0.01, 0, 0]], [np.diag([0.1, 0.01, 1e-3, 1e-5]) ** 2])
     assert codec.batch.decode(record).accepted.all()
-    record[0, bit // 8] ^= 1 << bit % 8
-    assert set(codec.batch.decode(record).rejects) <= {Reason.CRC, Reason.MIXED}
-    assert not codec.batch.decode(record).accepted.any()
+    flipped = np.packbits(np.unpackbits(record, axis=1) ^ np.eye(256, dtype=np.uint8), axis=1)
+    found = codec.batch.decode(flipped)
+    assert found.rejects.keys() == {Reason.CRC, Reason.MIXED}
+    assert not found.accepted.any()
 
 
 def test_a_record_of_another_slot_is_detected() -> None:

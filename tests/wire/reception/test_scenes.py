@@ -103,33 +103,6 @@ def test_a_scene_waits_for_the_lines_of_the_one_before(plan: Any, expected: Any)
 
 
 @pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
-def test_lines_and_scenes_do_not_depend_on_when_they_were_asked_for(dbc: str) -> None:
-    """Not to the last bit, with records that come in any order or not at all.
-
-    One receiver is asked after each frame, so that it decodes lines as they join, the other one
-    every third cycle, so that it decodes some of them together.
-    """
-    rng = np.random.default_rng(1)
-    often, seldom = codec_of(dbc).decoder(), codec_of(dbc).decoder()
-    sizes = set()
-    for n, frames in enumerate(cycles(dbc, 60)):
-        owners, t_ns = [owner for owner in frames if rng.random() < 0.8], n * PERIOD_NS
-        for i in rng.permutation(len(owners)):
-            answers, _ = feed(seldom, {owners[i]: frames[owners[i]]}, t_ns)
-            others: list[Any] = []
-            for frame in frames[owners[i]]:
-                more, t_ns = feed(often, {owners[i]: [frame]}, t_ns)
-                others += more
-                often.latest_scene(t_ns)
-            assert [*map(bits, answers)] == [*map(bits, others)]
-        if n % 3 == 2:
-            scenes = often.scene(), seldom.scene()
-            assert bits(scenes[0]) == bits(scenes[1])
-            sizes.add(len(scenes[0].scene.lines) if scenes[0] else 0)
-    assert sizes >= {1, 2, 3}
-
-
-@pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
 @pytest.mark.parametrize("seed", range(3))
 def test_frames_that_are_decoded_together_give_the_same(dbc: str, seed: int) -> None:
     """As one by one: frames of many cycles, late, lost, damaged and twice, in any bursts."""
