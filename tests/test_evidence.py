@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from evidence import (
-    bus,
     epochs,
     fusion,
     harness,
@@ -64,7 +63,6 @@ def test_each_promise_names_its_evidence_and_options_that_it_has() -> None:
     assert {name for name in harness.REGISTRY if name not in named} == {
         "pictures.joint",
         "pictures.shape",
-        "pictures.stanford",
     }
 
 
@@ -235,12 +233,6 @@ def test_a_scene_of_two_cycles_is_found() -> None:
     for number in range(epochs.SCENES):
         sigma = epochs.MIN_SIGMA * epochs.RATIO**number
         assert epochs.scene_number(sigma) == epochs.scene_number(1.03 * sigma) == number
-
-
-def test_lines_that_were_not_sent_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """If what must be received is said to be something else."""
-    monkeypatch.setattr(bus.Chunk, "expected", lambda *_: ())
-    assert "lines that were not sent" in misses("bus", bus.bus(500))
 
 
 def test_a_fused_lane_that_is_too_certain_is_found(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from evidence import (
     canyon,
-    drives,
     lines,
     scenes,
     slots,
@@ -22,7 +21,7 @@ from scipy.special import ndtri
 from support.lane_maps import lane, network, pose_on
 from support.strategies import covariances
 
-from maplines_can import Gaussian, MapError, MapLine, Motion, Polyline, Slot
+from maplines_can import MapError, Motion, Polyline, Slot
 from maplines_can.propagation.refit import MAX_MISFIT
 from maplines_can.study.scenes.map_scenes import SLOTS
 
@@ -148,22 +147,6 @@ def test_the_witness_knows_the_lane_and_those_beside_it() -> None:
     assert not witness.is_right({LEFT: 1.5, RIGHT: -2.0}, pose)
     assert not witness.is_right(expected | {NEXT_LEFT: 4.5}, pose)
     assert not witness.is_right({slot: -y for slot, y in expected.items()}, pose)
-
-
-def line(slot: Slot, y: float, age: float = 0.0) -> MapLine:
-    return MapLine(slot, Gaussian([y, 0, 0, 0], 0.01 * np.eye(4)), x_min=-8, x_max=80, age=age)
-
-
-def test_a_line_is_followed_from_cycle_to_cycle() -> None:
-    """The car drives 1 m and 0.2 m to the left: the same line is 0.2 m more to the right."""
-    poses = np.array([[0.0, 0.0, 0.0], [1.0, 0.2, 0.0]])
-    before = {Slot.EGO_LEFT: (line(Slot.EGO_LEFT, 1.75), 0)}
-    for y, expected in ((1.55, 0.0), (5.05, 3.5)):
-        now = {Slot.EGO_LEFT: (line(Slot.EGO_LEFT, y), 1)}
-        jump = drives.jump(before, now, Slot.EGO_LEFT, poses, 1)
-        assert jump == pytest.approx(expected, abs=1e-9)
-    assert np.isnan(drives.jump(before, {}, Slot.EGO_LEFT, poses, 1))
-    assert np.isinf(drives.jump({}, before, Slot.EGO_LEFT, poses, 1))
 
 
 # ---- sums of lateral positions -----------------------------------------------------------------

@@ -22,6 +22,7 @@ from __future__ import annotations
 import bisect
 import math
 import multiprocessing
+import socket
 import time
 from collections import Counter, deque
 from collections.abc import Collection, Iterator, Mapping
@@ -65,7 +66,6 @@ from .closed_loop import (
     RouteProgress,
     spread,
 )
-from .drives import free_port
 from .figures import flat
 from .harness import bar, evidence
 from .transfer import codec_of
@@ -182,7 +182,10 @@ def real_time(
     """
     bus: dict[str, Any] = {"interface": interface}
     bus |= {"channel": channel} if channel else {}
-    bus |= {"port": free_port()} if interface == "udp_multicast" else {}
+    if interface == "udp_multicast":  # a free port, so that no other bus of this machine interferes
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as found:
+            found.bind(("", 0))
+            bus["port"] = int(found.getsockname()[1])
     world, context = World(seed), multiprocessing.get_context("spawn")
     pipe, other = context.Pipe()
     process = context.Process(target=send, args=(other, bus, seed, world.row), daemon=True)

@@ -67,21 +67,15 @@ def integrity(
                 "largest ratio": float(ratio.max()),
             }
     fused: dict[str, Any] = {}
-    for name, one in progress(views.items(), "diagram"):
-        for x, (error, level) in zip(PLACES, levels(one, cars, seed), strict=True):
-            limit = ALERT_LIMITS["street" if name == "streets" else name]
+    for name, one in progress(views.items(), "fused"):
+        errors, sigmas = Simulation(one, TIME, cars, seed).run(Fused(cars, RIGHT[0]))
+        limit = ALERT_LIMITS["street" if name == "streets" else name]
+        for place, x in enumerate(PLACES):
+            known = np.isfinite(errors[..., place])
+            error = np.abs(errors[..., place][known])
+            level = multiplier(RISK, TIME) * sigmas[..., place][known]
             fused[f"{name}, {x:g} m"] = stanford_shares(error, level, limit)
     return {"in a scene": result, "fused": fused}
-
-
-def levels(view: DriveView, cars: int, seed: int) -> list[tuple[Array, Array]]:
-    """Return absolute errors of fused lanes and their levels, at each of ``PLACES`` [m]."""
-    errors, sigmas = Simulation(view, TIME, cars, seed).run(Fused(cars, RIGHT[0]))
-    K, found = multiplier(RISK, TIME), []
-    for error, sigma in zip(np.moveaxis(errors, -1, 0), np.moveaxis(sigmas, -1, 0), strict=True):
-        known = np.isfinite(error)
-        found.append((np.abs(error[known]), K * sigma[known]))
-    return found
 
 
 def nominal(K: float) -> float:

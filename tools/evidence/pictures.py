@@ -6,21 +6,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from maplines_can import Gaussian, MapError, Polyline, Scene, Slot, map_lines, map_scene
-from maplines_can.consumers.integrity import ALERT_LIMITS
-from maplines_can.simulation.camera import PLACES
 from maplines_can.simulation.scenarios import scenario
 from maplines_can.simulation.street_shapes import Street, StreetPiece
 from maplines_can.study.figures.paper_panels import Z99
 from maplines_can.study.figures.round_trip_picture import COLOURS
 from maplines_can.study.scenes.map_scenes import drivable, random_pose
 
-from .fusion import town_views
 from .harness import DOCS, evidence
-from .integrity import levels
 from .lines import excess_covs, given_of
 from .roads import maps_of
 from .sums import Given, Sums
@@ -33,42 +28,6 @@ TITLE: dict[str, Any] = {"loc": "left", "fontsize": 10}
 def without_frame(axes: Any) -> None:
     """Leave out the upper and the right line of a panel."""
     axes.spines[["top", "right"]].set_visible(False)
-
-
-# ---- Stanford diagram --------------------------------------------------------------------------
-
-
-@evidence
-def stanford(cars: int = 50, seconds: float = 60.0, seed: int = 1) -> dict[str, Any]:
-    """Draw levels of fused lanes over their errors, on the motorway of the town."""
-    view, alert_limit = (
-        town_views(seconds, 10.0, ["motorway"])["motorway"],
-        ALERT_LIMITS["motorway"],
-    )
-    pairs = levels(view, cars, seed)
-    figure = Figure(figsize=(11, 4.2), layout="constrained")
-    most = 1.05 * max(float(level.max()) for _, level in pairs)
-    edges = np.linspace(0, most, 90)
-    panels = figure.subplots(1, len(PLACES), sharey=True)
-    for axes, x, (error, level) in zip(panels, PLACES, pairs, strict=True):
-        *_, image = axes.hist2d(error, level, bins=[edges, edges], norm=LogNorm(), cmap="viridis")
-        axes.plot([0, most], [0, most], color="black", lw=1)
-        axes.axhline(alert_limit, color="tab:red", lw=1)
-        axes.axvline(alert_limit, color="tab:red", lw=1, ls=":")
-        available, misleading = float((level <= alert_limit).mean()), float((error > level).mean())
-        axes.set_title(
-            f"{x:g} m ahead: available {100 * available:.1f} %, "
-            f"misleading {100 * misleading:.1f} %",
-            loc="left",
-            fontsize=9,
-        )
-        axes.text(0.97 * most, 0.03 * most, "misleading", ha="right", fontsize=8)
-        axes.text(0.97 * most, 0.92 * most, "unavailable", ha="right", fontsize=8)
-        axes.set_xlabel("error of the lane centre [m]")
-        figure.colorbar(image, ax=axes, label="epochs" if x == PLACES[-1] else None)
-    figure.axes[0].set_ylabel("protection level [m]; red: alert limit")
-    figure.savefig(DOCS / "stanford.png", dpi=110)
-    return {"epochs": len(pairs[0][0])}
 
 
 # ---- lane centre and width ---------------------------------------------------------------------

@@ -233,11 +233,22 @@ def figures(course: Course) -> dict[str, Any]:
 
 #: Rate that filters are told, which know that GNSS drifts [m/s].
 STATED = 0.04
+_KNOWN, _UNKNOWN = SETUP.errors, replace(SETUP.errors, gnss=None)
+#: What the filters know of the error of GNSS.
+TOLD = {
+    "known": _KNOWN,
+    "known, and its drift": replace(_KNOWN, gnss_drift=STATED),
+    "found out": _UNKNOWN,
+    "found out, and its drift known": replace(_UNKNOWN, gnss_drift=STATED),
+}
 
 
 @evidence
 def drifts(
-    seeds: int = 20, rates: tuple[float, ...] = (1.0, 0.3, 0.1), seconds: float = 130.0
+    seeds: int = 20,
+    rates: tuple[float, ...] = (1.0, 0.3, 0.1),
+    seconds: float = 130.0,
+    told: tuple[str, ...] = tuple(TOLD),
 ) -> dict[str, Any]:
     """Let GNSS drift on a straight road without a map, and measure how far off the pose is.
 
@@ -250,15 +261,11 @@ def drifts(
         seeds: number of cars.
         rates: of the drift, along and across the road [m/s]; beside them, none.
         seconds: its duration [s].
+        told: what the filters know of the error of GNSS.
     """
     result: dict[str, Any] = {}
-    unknown = replace(SETUP.errors, gnss=None)
-    for told, errors in (
-        ("known", SETUP.errors),
-        ("known, and its drift", replace(SETUP.errors, gnss_drift=STATED)),
-        ("found out", unknown),
-        ("found out, and its drift known", replace(unknown, gnss_drift=STATED)),
-    ):
+    for name in told:
+        errors = TOLD[name]
         drive = drive_of("straight road", seeds, errors, seconds + 1.0)
         cases = [(0.0, "none"), *((rate, axis) for rate in rates for axis in ("along", "across"))]
         for rate, axis in progress(cases, "drifts"):
@@ -269,7 +276,7 @@ def drifts(
             share = (np.abs(course.errors) / course.sigmas)[..., :2].max(axis=-1)
             share = np.where(np.logical_and.accumulate(course.known, axis=0), share, 0.0)
             worst, size = share.max(axis=0), np.hypot(course.errors[..., 0], course.errors[..., 1])
-            result[f"GNSS error {told}; {rate:g} m/s {axis}"] = {
+            result[f"GNSS error {name}; {rate:g} m/s {axis}"] = {
                 "sigmas, median": float(np.median(worst)),
                 "sigmas, worst": float(worst.max()),
                 "within 4 sigmas": float((worst <= 4.0).mean()),

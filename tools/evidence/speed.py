@@ -1,7 +1,7 @@
 """Times of the core, of authenticated frames, and of logs that become tables.
 
-The core and the packing of cantools' generated C are timed inside a program in C, on one thread and
-with -O2. The readers of a log run in a process of their own each.
+The core is timed inside a program in C, on one thread and with -O2. The readers of a log run in a
+process of their own each.
 """
 
 from __future__ import annotations
@@ -42,84 +42,35 @@ SCENES = {
 }
 #: Faults of the bus of a drive that is recorded.
 FAULTS = "loss=0.05,dup=0.02,corrupt=0.02,reorder=0.01"
-#: Times the four pages of a record with random values: cantools packs no faster with others.
-PEER = """
-#include "peer.h"
-#include <stdio.h>
-#include <string.h>
-#include <time.h>
-int main(void)
-{
-    struct peer_ego_left_t line;
-    uint8_t data[8];
-    unsigned sum = 0;
-    memset(&line, 0x35, sizeof line);
-    double least = 1e300;
-    for (int round = 0; round < 20; ++round)
-    {
-        clock_t begin = clock();
-        for (int i = 0; i < 100000; ++i)
-        {
-            for (uint8_t page = 0; page < 4; ++page)
-            {
-                line.page = page;
-                line.counter = (uint8_t)i;
-                peer_ego_left_pack(data, &line, sizeof data);
-                sum += data[2];
-            }
-        }
-        double ns = 1e9 * (double)(clock() - begin) / CLOCKS_PER_SEC / 100000;
-        least = ns < least ? ns : least;
-    }
-    printf("%g %u", least, sum);
-    return 0;
-}
-"""
 
 
 def of_tests(name: str) -> Any:
-    """Return a module of the tests."""
+    """Return a helper module of the tests."""
     tests = str(Path(__file__).parents[2] / "tests")
     if tests not in sys.path:
         sys.path.insert(0, tests)
-    return import_module(name)
+    return import_module(f"support.{name}")
 
 
 @evidence
 def lines(rounds: int = 20) -> dict[str, Any]:
-    """Time the work of a sender and of a receiver of lines in C, and packing by cantools' C."""
-    given, c_core = road(LINES, 0), of_tests("support.c_core")
+    """Time the work of a sender and of a receiver of lines in C."""
+    given, c_core = road(LINES, 0), of_tests("c_core")
     numbers = np.concatenate([given.mean, given.cov.reshape(-1, 16)], axis=1).astype("<f8")
     head = np.array([rounds], dtype="<u4").tobytes()
     program = c_core.harness("speed", Codec.from_dbc().layout)
-    found = np.frombuffer(c_core.run(program, head + numbers.tobytes()), "<f8")
+    found = np.frombuffer(c_core.run(program, head + numbers.tobytes()), "<f8") / 1e3
     names = ("encode a line", "check and read a record", "four frames to a line", "sigma of y(x)")
-    packing = packing_by_cantools()
-    return {
-        name: {"C [us]": ns / 1e3, "ratio to packing": ns / packing}
-        for name, ns in zip(names, found.tolist(), strict=True)
-    }
-
-
-def packing_by_cantools() -> float:
-    """Return the time of packing the pages of a line by cantools' generated C [ns]."""
-    with tempfile.TemporaryDirectory() as folder:
-        generate = [sys.executable, "-m", "cantools", "generate_c_source", "--database-name"]
-        command = [*generate, "peer", str(default_dbc_path())]
-        subprocess.run(command, check=True, cwd=folder, capture_output=True)
-        Path(folder, "main.c").write_text(PEER)
-        subprocess.run(["cc", "-O2", "main.c", "peer.c", "-o", "peer"], check=True, cwd=folder)
-        done = subprocess.run([f"{folder}/peer"], check=True, capture_output=True, text=True)
-    return float(done.stdout.split()[0])
+    return {f"{name} [us]": us for name, us in zip(names, found.tolist(), strict=True)}
 
 
 @evidence
 def scenes(rounds: int = 20) -> dict[str, Any]:
     """Time scenes of a bend in C: to frames, and back to the joint covariance."""
-    c_core, c_scenes = of_tests("support.c_core"), of_tests("support.c_scenes")
+    c_core, c_scenes = of_tests("c_core"), of_tests("c_scenes")
     found: dict[str, Any] = {}
     for count, (name, (dbc, fd)) in product((4, 8), SCENES.items()):
-        scene = of_tests("support.scene_streams").road_scene([*Slot][:count])
+        scene = of_tests("scene_streams").road_scene([*Slot][:count])
         program = c_core.harness("scene_speed", default_dbc_path(dbc))
         given = struct.pack("<IB", rounds, fd) + c_scenes.scene_input(scene)
         encode, decode = np.frombuffer(c_core.run(program, given), "<f8").tolist()
