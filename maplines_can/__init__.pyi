@@ -37,9 +37,9 @@ from .values.line import MapLine as MapLine
 from .values.line import MapLineList as MapLineList
 from .values.line import Slot as Slot
 from .values.line import Status as Status
-from .values.map_error import MapError as MapError
 from .values.mixture import GaussianMixture as GaussianMixture
 from .values.polyline import Polyline as Polyline
+from .values.scene import MapError as MapError
 from .values.scene import PoseError as PoseError
 from .values.scene import Scene as Scene
 from .wire import Authenticator as Authenticator

@@ -36,7 +36,7 @@ requirements = ["R-1"]
 id = "R-1"
 requirement = "A checksum."
 goals = ["G-1"]
-code = ["wire.reasons:Reason.CRC"]
+code = ["wire.reception.check:Reason.CRC"]
 tests = ["{TRACED}"]
 """
 DATA = tomllib.loads(TEXT)
@@ -58,7 +58,9 @@ GAPS = [
     ),
     pytest.param('["A-1"]', "[]", "A-1 is an assumption that", id="unused"),
     pytest.param('"A checksum."', '""', "R-1 has nothing in the column 'requ", id="no-text"),
-    pytest.param('"wire.reasons:Reason.CRC"', "", "nothing in the column 'code'", id="no-code"),
+    pytest.param(
+        '"wire.reception.check:Reason.CRC"', "", "nothing in the column 'code'", id="no-code"
+    ),
     pytest.param(f'"{TRACED}"', "", "nothing in the column 'tests'", id="no-test"),
     pytest.param("code = [", "source = [", "no column 'source'", id="no-column"),
     pytest.param(f'tests = ["{TRACED}"]', "", "nothing in the column 'tests'", id="short-row"),
@@ -136,7 +138,10 @@ def test_tests_of_a_class_and_attributes_are_known(
     monkeypatch.setattr(tool, "ROOT", tmp_path)
     assert tool.test_problem("test_some.py::TestIt::test_it") is None
     monkeypatch.undo()
-    for name in ("wire.protection.e2e_state:E2EConfig.max_delta_counter", "wire.reasons:Reason"):
+    for name in (
+        "wire.protection.e2e_state:E2EConfig.max_delta_counter",
+        "wire.reception.check:Reason",
+    ):
         assert tool.code_problem(name) is None
 
 

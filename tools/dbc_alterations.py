@@ -29,7 +29,7 @@ from maplines_can.study.dbc.record_spec import (
 )
 from maplines_can.values.line import Slot
 from maplines_can.wire.layout.pose_layout import SCENE, SCENE2
-from maplines_can.wire.layout.signals import FINE_SIGNALS, TRAILER, slot_title
+from maplines_can.wire.layout.record_signals import FINE_SIGNALS, TRAILER, slot_title
 
 #: Slots of the originals.
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT)

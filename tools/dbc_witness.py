@@ -20,14 +20,14 @@ from maplines_can.values.mixture import GaussianMixture
 from maplines_can.values.polyline import Polyline
 from maplines_can.values.scene import Scene
 from maplines_can.wire import Authenticator, Codec, Key, Layout
-from maplines_can.wire.layout.scene_layout import SceneLayout
-from maplines_can.wire.layout.signals import (
+from maplines_can.wire.layout.record_signals import (
     PAGE,
     PAGE_BYTES,
     PARAMETER_SIGNALS,
     SECURED_SIGNALS,
     TRANSFER_ID,
 )
+from maplines_can.wire.layout.scene_layout import SceneLayout
 from maplines_can.wire.layout.slot_messages import RecordMessages
 
 SECRET = bytes(range(16))

@@ -24,11 +24,11 @@ from scene_layouts import pose_layout_of, raw_record
 from maplines_can.generation.vector_sender import VectorSender
 from maplines_can.values.line import Slot
 from maplines_can.wire import POSE, Codec, Decoder, Frame, Reason, default_dbc_path
+from maplines_can.wire.frames import FrameWriter
 from maplines_can.wire.layout.packing import Packing
 from maplines_can.wire.layout.pose_layout import SCENE, SCENE2, PoseLayout
 from maplines_can.wire.layout.record_layout import RecordLayout
-from maplines_can.wire.layout.signals import LINE, OWN_SIGNALS
-from maplines_can.wire.records.frames import FrameWriter
+from maplines_can.wire.layout.record_signals import LINE, OWN_SIGNALS
 
 #: DBCs with records that are conditional on the pose error, and with complete records.
 DBCS = ("maplines-pose.dbc", "maplines.dbc")

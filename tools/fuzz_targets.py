@@ -28,7 +28,7 @@ from maplines_can.values.errors import EncodeError, LayoutError, LogError
 from maplines_can.values.line import MapLine, Slot, Status
 from maplines_can.wire import Authenticator, Codec, Decoder, Key, Layout, Reason
 from maplines_can.wire.layout.packing import Packing
-from maplines_can.wire.layout.signals import PAGE_BYTES, TRANSFER_ID
+from maplines_can.wire.layout.record_signals import PAGE_BYTES, TRANSFER_ID
 
 MS = 1_000_000
 #: DBCs for the decoder: a code that is positive definite by construction, others that are not,

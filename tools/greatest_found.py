@@ -47,8 +47,8 @@ from maplines_can.testing.hostile_streams import (
 from maplines_can.testing.sender_streams import random_draft
 from maplines_can.values.line import Slot
 from maplines_can.wire import POSE, Layout
+from maplines_can.wire.layout.record_signals import PAGE_BYTES
 from maplines_can.wire.layout.scene_layout import SceneLayout
-from maplines_can.wire.layout.signals import PAGE_BYTES
 
 #: Frames of a part of a stream: enough for a line that is usable.
 FRAMES = 150

@@ -12,8 +12,8 @@ from typing import Any
 
 from reporting import fill_tables, parser_of
 
-from maplines_can.dbc_files.kept import PACKAGED, key_of, parsed_tables
-from maplines_can.dbc_files.tables import to_json
+from maplines_can.dbc_files.dbc_cache import PACKAGED, key_of, parsed_tables
+from maplines_can.dbc_files.dbc_tables import to_json
 from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.covariance_spec import covariance_signals
 from maplines_can.study.dbc.record_spec import (
@@ -26,7 +26,7 @@ from maplines_can.study.dbc.record_spec import (
     dbc_writer_for,
 )
 from maplines_can.wire.layout.record_layout import RELATIONS
-from maplines_can.wire.layout.signals import (
+from maplines_can.wire.layout.record_signals import (
     COMPLETE_RECORD,
     CONDITIONAL_RECORD,
     FARTHEST,

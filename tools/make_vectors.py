@@ -10,7 +10,7 @@ from pathlib import Path
 
 from reporting import parser_of
 
-from maplines_can.generation.tables import identifier_of
+from maplines_can.generation.c_tables import identifier_of
 from maplines_can.generation.vector_files import vectors_from
 from maplines_can.wire import Layout
 

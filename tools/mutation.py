@@ -90,12 +90,12 @@ FOLDERS = ("values", "propagation", "maps", "localisation", "simulation", "consu
 #: Areas by name. Tests that run commands are left out: they are slow.
 AREAS = {
     "core": Area(
-        ["maplines_can/wire", "maplines_can/bus"],
+        ["maplines_can/wire", "maplines_can/logs", "maplines_can/bus"],
         [
             *("tests/wire", "tests/bus", "tests/test_fuzz_corpus.py"),
             *(f"tests/bad_input/test_bad_{what}.py" for what in ("bus", "values", "wire")),
             *("tests/study/codes", "tests/study/test_guarantee.py"),
-            *("maplines_can/wire", "maplines_can/bus"),
+            *("maplines_can/wire", "maplines_can/logs", "maplines_can/bus"),
         ],
     ),
     **{name: _folder(name) for name in FOLDERS},

@@ -35,7 +35,7 @@ from maplines_can.values.line import Slot
 from maplines_can.wire import Codec
 from maplines_can.wire.layout.message_layout import Layout
 from maplines_can.wire.layout.pose_layout import SCENE, SCENE2, SceneOwner
-from maplines_can.wire.layout.signals import (
+from maplines_can.wire.layout.record_signals import (
     FINE,
     OF_SLOT,
     PAGE,

@@ -40,7 +40,7 @@ import can
 from cycle_calls import highway_lines
 
 from maplines_can.bus import Transmitter
-from maplines_can.bus.log_writer import message_of
+from maplines_can.logs.log_writer import message_of
 from maplines_can.propagation import map_scene
 from maplines_can.simulation.scenarios import scenario
 from maplines_can.values.line import Slot

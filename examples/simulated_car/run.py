@@ -29,7 +29,7 @@ import numpy as np
 from maplines_can import Gaussian, Slot, maps
 from maplines_can.cli import main as maplines
 from maplines_can.cosimulation import CoSimulation
-from maplines_can.cosimulation.links import SentFrame
+from maplines_can.cosimulation.connections import SentFrame
 from maplines_can.simulation import PoseSource, drive_along
 from maplines_can.testing import FaultInjector, Faults
 

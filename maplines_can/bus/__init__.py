@@ -1,4 +1,4 @@
-"""The CAN bus: send lines, receive lines, read logs. The only door to python-can.
+"""The CAN bus: send lines and receive lines. With the logs, the only door to python-can.
 
 python-can is loaded where a bus is opened or a log is written; with the extra mf4 it loads asammdf
 and pandas, too, which reading other logs does not need.

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
+from ..logs.log_writer import message_of
 from ..values.errors import BusError, EncodeError
 from ..values.line import LeftOut, MapLine, MapLineList, Slot
 from ..values.scene import Scene
@@ -14,7 +15,6 @@ from ..wire import Frame, LineCodec, PreparedScene
 from ..wire.encoder import classic_error
 from .background import BackgroundThread
 from .link import Link, Sent, link_of
-from .log_writer import message_of
 from .schedule import Lateness, LatenessHistogram
 from .tx_queue import Transfer, TxQueue
 

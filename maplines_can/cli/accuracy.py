@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..bus import LogSummary, read_log
-from ..bus.first_frames import FirstFrames
+from ..logs.first_frames import FirstFrames
 from ..simulation.truth import Truth, read_truth, truth_paths
 from ..study.accuracy.evaluation import Accuracy, accuracy_of
 from ..study.accuracy.verdicts import as_text, consistency_of, map_consistency_of

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bus import Link, Receiver, read_log
-from ..bus.log_summary import Times
+from ..logs.log_summary import Times
 from ..propagation import pose_time_ns
 from ..recordings.fitting import check_fit
 from ..values.gaussian import Gaussian

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Any, NamedTuple
 
 from ..bus import LogSummary, Receiver, read_log
-from ..bus.first_frames import FirstFrames
+from ..logs.first_frames import FirstFrames
 from ..values.input_files import lines_of
 from ..wire import LineCodec, SceneView
 from .log_input import add_times, note_log

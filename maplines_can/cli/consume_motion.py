@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..bus import Link, SignalDecoder, read_signals
 from ..propagation import Motion
-from ..simulation.columns import COLUMNS
+from ..simulation.drive_columns import COLUMNS
 from .consume_input import table_rows
 from .log_input import note_log
 from .options import bus_settings

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 from ..bus import LogFrame, read_log
-from ..bus.first_frames import FirstFrames
+from ..logs.first_frames import FirstFrames
 from ..values.errors import LogError
 from ..values.line import MapLine
 from ..wire import Decoder, LineCodec, Reason, SceneView

@@ -85,9 +85,9 @@ def write_files(arguments: argparse.Namespace) -> int:
 
 
 def _write_file(arguments: argparse.Namespace, out: Path) -> int:
+    from ..recordings.block_reception import LogReceiver
     from ..recordings.data_set import write_tables
     from ..recordings.formats import About, beside, open_tables
-    from ..recordings.receive import LogReceiver
 
     codec = keyed_codec(arguments, clock=None)
     check_scenes(codec, arguments)
@@ -187,7 +187,7 @@ def distances(text: str) -> tuple[float, ...]:
     >>> distances("0,20,-5.5")
     (0.0, 20.0, -5.5)
     """
-    from ..recordings.table import checked_at
+    from ..recordings.line_tables import checked_at
 
     try:
         return checked_at([float(part) for part in text.split(",")])

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..maps.town import town_path
+from ..maps.tour import town_path
 from ..study.design.conditional import SceneDesign, design_scenes
 from ..study.design.planner import MAX_FRAMES, Targets
 from ..study.design.scene_frames import LINES, WholeSceneDesign, design_whole_scenes

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from ..bus import LogWriter, frame_time
-from ..bus.log_writer import check_log_path
+from ..logs.log_writer import check_log_path
 from ..maps import LaneTracker, Map, Route, town_path
 from ..maps.line_source import ChooseComponents, LineSource
 from ..propagation.component_counts import component_counts
-from ..simulation.components import (
+from ..simulation.bus_share import (
     MAX_LOAD,
     check_scene_load,
     component_budget,

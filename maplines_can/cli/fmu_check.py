@@ -7,7 +7,7 @@ import json
 from typing import Any
 
 from ..cosimulation.checks import check
-from ..cosimulation.description import read_description
+from ..cosimulation.fmu_description import read_description
 from .parsing import add_command, add_json
 
 DESCRIPTION = """\

@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..bus import LogWriter
-from ..bus.log_writer import check_log_path
 from ..cosimulation.bus_operations import Transmit
 from ..cosimulation.checks import check
-from ..cosimulation.description import read_description
-from ..cosimulation.links import BusLink, Record, SentFrame
+from ..cosimulation.connections import BusLink, Record, SentFrame
+from ..cosimulation.csv_tables import OutputWriter, read_inputs, split_name
+from ..cosimulation.fmu_description import read_description
 from ..cosimulation.node import Value
 from ..cosimulation.runner import CoSimulation, node_names
-from ..cosimulation.tables import OutputWriter, read_inputs, split_name
+from ..logs.log_writer import check_log_path
 from ..wire import Frame
 from .options import add_faults, fault_injector
 from .output import faults_text

@@ -7,7 +7,7 @@ from typing import Any
 
 from ..generation.c_build import build_of
 from ..generation.c_files import c_files
-from ..generation.tables import identifier_of
+from ..generation.c_tables import identifier_of
 from ..wire import SHIPPED
 from .generated_files import add_features, add_out, check_new_files, features_from, write_files
 from .options import add_encoding, layout_from

@@ -7,7 +7,7 @@ import json
 from typing import Any
 
 from ..generation.c_files import check_name
-from ..generation.tables import identifier_of
+from ..generation.c_tables import identifier_of
 from ..generation.vector_files import vector_files
 from ..generation.vectors import SCHEMA
 from ..wire import SHIPPED

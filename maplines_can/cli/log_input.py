@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import get_args
 
 from ..bus import LogSummary
-from ..bus.first_frames import FirstFrames
-from ..bus.log_summary import Times, skipped_text
+from ..logs.first_frames import FirstFrames
+from ..logs.log_summary import Times, skipped_text
 from ..values.errors import LogError
 from ..wire import SHIPPED, LineCodec
 from .parsing import option_group

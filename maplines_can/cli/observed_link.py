@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..bus import Link, LogFrame
-from ..bus.first_frames import FirstFrames
+from ..logs.first_frames import FirstFrames
 from ..wire import Decoder, LineCodec, Reason
 from .output import counts_text
 

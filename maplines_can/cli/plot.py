@@ -71,7 +71,7 @@ def add_plot(commands: Any) -> None:
 
 def _plot(arguments: argparse.Namespace) -> int:
     from ..recordings.plots import panels_of, recorded, write_page, write_picture
-    from ..recordings.plots.panels import above, distinct
+    from ..recordings.plots.log_panels import above, distinct
 
     out = Path(arguments.out)
     if out.suffix not in (*PICTURES, ".html"):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..maps import Map
 from ..simulation.pose_source import PoseSource
-from ..simulation.recorded import RecordedDrive
+from ..simulation.recorded_drive import RecordedDrive
 from ..simulation.trajectory import SimulatedDrive
 from ..values.gaussian import Gaussian
 from .parsing import number, option_group

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..bus import Link, LogWriter
 from ..bus.clock import Clock, RealClock, VirtualClock, to_ns
-from ..bus.log_writer import check_log_path
+from ..logs.log_writer import check_log_path
 from ..restbus import Config, Restbus
 from ..restbus.config import EXAMPLE
 from ..values.errors import LogError

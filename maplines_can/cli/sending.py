@@ -12,7 +12,7 @@ import numpy as np
 
 from ..propagation import MapError
 from ..propagation.from_map import MAX_SIGMA
-from ..simulation.components import (
+from ..simulation.bus_share import (
     MAX_LOAD,
     BusShare,
     LineComponents,

@@ -6,7 +6,7 @@ import argparse
 import json
 from typing import Any
 
-from ..maps.town import town_path
+from ..maps.tour import town_path
 from ..study.scenes.map_scenes import drawn_scenes, maps_of
 from ..study.scenes.sigma_ratios import of_carriers, ratios_text
 from .parsing import add_json, number, option_group

@@ -13,7 +13,7 @@ from ..maps.formats.load import map_path
 from ..maps.line_source import WINDOW
 from ..maps.view import AHEAD, BEHIND
 from ..simulation.map_frame import check_on_map
-from ..simulation.recorded import RecordedDrive
+from ..simulation.recorded_drive import RecordedDrive
 from ..simulation.trajectory import CarState, SimulatedDrive, drive_along
 from ..values.errors import DriveFileError, RouteError
 from ..values.line import Slot

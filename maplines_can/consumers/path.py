@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from ..values.gaussian import Gaussian
 from ..values.line import MapLine, Slot, lateral, lateral_jacobian
-from ..values.map_error import MapError
-from ..values.scene import Scene
+from ..values.scene import MapError, Scene
 from ..values.seen_lines import SeenLines, bases
 
 #: Spacing of the points of a path along x [m].

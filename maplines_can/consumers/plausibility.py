@@ -25,9 +25,9 @@ from ..values.line import (
 )
 from ..values.scene import Scene
 from ..wire import SceneView
-from .consistency import ConsistencyTest
 from .consumer import StepTimes, age_of
 from .residual_filter import SLOW, CameraNoise, ResidualModel, threshold
+from .residual_test import ConsistencyTest
 
 #: Distances ahead at which lines are compared, less where a line is shorter [m].
 STATIONS = (2.0, 20.0)

@@ -10,7 +10,14 @@ import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from .description import BUS_TERMINAL, LAYERED_STANDARD, MANIFEST, Description, Terminal, Variable
+from .fmu_description import (
+    BUS_TERMINAL,
+    LAYERED_STANDARD,
+    MANIFEST,
+    Description,
+    Terminal,
+    Variable,
+)
 
 MIME_TYPE = "application/org.fmi-standard.fmi-ls-bus.can"
 VERSION = "1.0.0"

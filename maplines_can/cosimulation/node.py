@@ -22,7 +22,7 @@ from typing import Any
 from ..values.errors import FmuError, missing_extra
 from .bus_operations import Operation, decode, encode
 from .checks import TIME_BASED, notifications
-from .description import Description, Terminal, Variable
+from .fmu_description import Description, Terminal, Variable
 
 Value = float | int | bool | str
 #: What an FMU reports as fmi3IntervalChanged.

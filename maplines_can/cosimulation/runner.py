@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any, Self
 from ..values.errors import FmuError
 from .bus_operations import Operation, Transmit
 from .checks import check
-from .description import Description, read_description
-from .links import BusLink, Link, Record, SentFrame, SimulatedBusLink
+from .connections import BusLink, Link, Record, SentFrame, SimulatedBusLink
+from .fmu_description import Description, read_description
 from .node import Channel, Node, Value
 
 if TYPE_CHECKING:

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple, cast
 
 from ..values.errors import LayoutError
 from ..values.line import Slot
+from ..wire.core_tables import Members, Value, content_of, limits_of
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import POSE, SCENES, Owner, number_of
 from ..wire.protection.e2e_state import E2EConfig
-from ..wire.tables import Members, Value, content_of, limits_of
 
 #: Epochs that lines may join: those of the 3 cycles by which one may be late, and one more.
 EPOCHS = 4

@@ -10,7 +10,7 @@ from pathlib import Path
 from ..values.errors import LayoutError
 from ..wire.layout.message_layout import Layout
 from .c_build import ALL, Build, Features, build_of
-from .tables import tables_of
+from .c_tables import tables_of
 
 #: The interface, and what it includes.
 HEADERS = ("maplines.h", "maplines_build.h", "maplines_state.h")

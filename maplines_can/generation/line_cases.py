@@ -9,7 +9,7 @@ from ..values.line import Kind, Slot, Status
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import POSE
 from ..wire.layout.record_layout import bits_of
-from ..wire.layout.signals import PAGE, PAGE_BYTES, PARAMETER_SIGNALS, slot_title
+from ..wire.layout.record_signals import PAGE, PAGE_BYTES, PARAMETER_SIGNALS, slot_title
 from .c_build import Features
 from .vector_cases import Cases
 from .vector_sender import MS, START_NS

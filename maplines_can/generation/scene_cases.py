@@ -9,8 +9,8 @@ from itertools import permutations
 from ..values.line import Kind, Slot
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import SCENE, SCENE2, Owner, SceneOwner
+from ..wire.layout.record_signals import LINE, SLOT
 from ..wire.layout.scene_layout import NoLine
-from ..wire.layout.signals import LINE, SLOT
 from .c_build import Features
 from .vector_cases import Cases
 from .vector_sender import JOIN, KEY, MS, START_NS

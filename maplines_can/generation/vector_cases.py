@@ -6,9 +6,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 
 from ..values.line import Kind
+from ..wire.frames import Frame
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import Owner
-from ..wire.records.frames import Frame
 from .c_build import Features
 from .vector_sender import KEY, MS, START_NS, VectorSender
 from .vectors import Case, VectorKey

@@ -13,11 +13,12 @@ from dataclasses import replace
 from ..core import ffi, lib
 from ..values.elementary import log2
 from ..values.line import Kind, MapLine, Slot
+from ..wire.core_tables import tables_of
+from ..wire.frames import Frame, FrameWriter
 from ..wire.layout.message_layout import AnyLayout, Layout
 from ..wire.layout.packing import Packing
 from ..wire.layout.pose_layout import SCENE, SCENE2, Owner, number_of
-from ..wire.layout.scene_layout import NoLine, SceneLayout
-from ..wire.layout.signals import (
+from ..wire.layout.record_signals import (
     LINE,
     PAGE,
     PAGE_BYTES,
@@ -27,11 +28,10 @@ from ..wire.layout.signals import (
     Signal,
     slot_title,
 )
+from ..wire.layout.scene_layout import NoLine, SceneLayout
 from ..wire.protection.key import Key
 from ..wire.protection.secoc import Authenticator
-from ..wire.reasons import Reason
-from ..wire.records.frames import Frame, FrameWriter
-from ..wire.tables import tables_of
+from ..wire.reception.check import Reason
 from .vectors import Case, VectorKey
 
 #: Key of the cases, which is that of RFC 4493.

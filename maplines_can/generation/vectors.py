@@ -22,7 +22,7 @@ from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import Owner, number_of
 from ..wire.protection.key import Key
 from ..wire.protection.secoc import Authenticator
-from ..wire.reasons import Reason
+from ..wire.reception.check import Reason
 
 FORMAT = "maplines-vectors-1"
 #: Where the lateral position of a line is given [m].

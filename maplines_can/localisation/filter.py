@@ -16,8 +16,8 @@ from ..values.gaussian import Gaussian
 from ..values.scene import PoseError
 from .admission import admitted, is_covariance
 from .association import Verdict
-from .consistency import unsuspicious, widening
 from .correlation import ErrorCorrelation
+from .divergence import unsuspicious, widening
 from .drift import growth, possible
 from .gnss_hypotheses import bank
 from .localisation_layer import LocalisationLayer

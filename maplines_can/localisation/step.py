@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from .alignment import MAX_TIME, Alignment, Position, aligned
 from .association import Verdict
 from .confirmation import Sightings, confirmed
-from .consistency import (
+from .divergence import (
     SOURCES,
     Consistency,
     agreeing,

@@ -2,12 +2,10 @@
 
 from ..values.errors import MapFileError
 from .formats.load import load
-from .landmarks import Landmark, LandmarkKind
 from .matching import LaneMatch
-from .model import Lane, LaneType, Map, Road, Skipped
+from .road_map import Landmark, LandmarkKind, Lane, LaneType, Map, Road, Skipped
 from .routing import LaneChange, Route
-from .tour import random_tour
-from .town import town_path, town_tour
+from .tour import random_tour, town_path, town_tour
 from .tracking import LaneTracker, TrackedLines
 from .view import link_gaps
 

@@ -11,8 +11,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from ..values.pieces import Pieces
-from ..values.polyline import Polyline
+from ..values.polyline import Pieces, Polyline
 
 #: Points at which ``Lane.width`` measures.
 WIDTH_SAMPLES = 33

@@ -15,7 +15,7 @@ from ..values.gaussian import Gaussian
 from ..values.line import MapLineList, Slot
 from ..values.polyline import Polyline
 from ..values.scene import Scene
-from .model import Map
+from .road_map import Map
 from .routing import Route
 from .tracking import LaneTracker, TrackedLines
 

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..values.arrays import floats
-from ..values.pieces import Pieces, merged
-from ..values.polyline import Polyline
+from ..values.polyline import Pieces, Polyline, merged
 from .lane import Lane
 
 T = TypeVar("T")

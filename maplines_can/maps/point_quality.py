@@ -13,7 +13,7 @@ from ..propagation import map_lines, point_errors
 from ..values.gaussian import Gaussian
 from ..values.line import LeftOut
 from ..values.polyline import Polyline
-from .model import Lane, Map
+from .road_map import Lane, Map
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from ..values.errors import RouteError
 from ..values.line import Kind
-from ..values.pieces import extents, merged
-from ..values.polyline import Polyline
+from ..values.polyline import Polyline, extents, merged
 from .joints import gap, joined
 from .lane import Lane
 

@@ -14,7 +14,7 @@ from ..values.line import Slot
 from ..values.polyline import Polyline
 from .lane_graph import DirectedLane
 from .matching import LaneMatch
-from .model import Map
+from .road_map import Map
 from .routing import Route
 from .view import Surroundings
 

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from ..propagation.paths import MAX_TURN
 from ..values.line import Kind, Slot
-from ..values.pieces import Pieces, value_at
-from ..values.polyline import INDEXED, Polyline
+from ..values.polyline import INDEXED, Pieces, Polyline, value_at
 from ..values.route_lines import RouteLines
 from .joints import MAX_GAP, SNAP, gap, joined_lines
 from .lane import Lane, Skipped

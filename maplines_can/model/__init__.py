@@ -22,7 +22,7 @@ strings: the names of those of the product. Read the receiver in this order::
     scenes.py        lines and joint covariance from the pose error and the records of the lines
     whole_scenes.py  records of whole scenes; which of them are of one scene
     settings.py      time-outs and cycle times
-    receiver.py      all of it: class ``Receiver``
+    decoder.py       all of it: class ``Receiver``
 
 the sender, which shares some of them, since it decodes what it has encoded::
 

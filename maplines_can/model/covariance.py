@@ -14,7 +14,7 @@ from functools import cache
 from typing import NamedTuple
 
 from ..wire.layout.record_layout import RecordLayout
-from ..wire.layout.signals import PARAMETER_SIGNALS, Signal
+from ..wire.layout.record_signals import PARAMETER_SIGNALS, Signal
 from .elementary import exp2, log2
 from .matrices import Matrix, Vector, diagonal, matrix, total
 from .signals import Raw, limited, nearest, nearest_limited, value, whole

@@ -15,7 +15,7 @@ from functools import cached_property, reduce
 from operator import add
 from typing import NamedTuple
 
-from ..wire.layout.signals import OWN_SIGNALS, TILT, Signal
+from ..wire.layout.record_signals import OWN_SIGNALS, TILT, Signal
 from .elementary import log2
 from .joint import LN_2, compared, largest_ratio
 from .levels import (

@@ -19,7 +19,7 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from ..wire.layout.signals import OCTAVE, Signal
+from ..wire.layout.record_signals import OCTAVE, Signal
 from .elementary import exp2, tan
 from .lines import Curve, extrema
 from .matrices import Matrix, Vector, diagonal, dot_by_halves, matrix

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ..wire.layout.signals import Signal
+from ..wire.layout.record_signals import Signal
 from .elementary import atan, clipped, sin_cos, tan
 from .lines import lateral_row, places
 from .matrices import Matrix, Vector, diagonal, matrix

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from ..values.map_error import MapError
+from ..values.scene import MapError
 from .certain_range import certain_range
 from .cubic_ranges import Limits
 from .elementary import clipped, sin_cos

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from ..wire.layout.signals import PAGE_BYTES
+from ..wire.layout.record_signals import PAGE_BYTES
 from .records import Component, PagedLayout, RawRecord
 from .signals import read
 from .whole_scenes import WholeRecord

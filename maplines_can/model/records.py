@@ -9,8 +9,8 @@ from ..values.line import VAGUE_SIGMA, Kind, Slot, Status
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import Owner, PoseLayout
 from ..wire.layout.record_layout import bits_of
+from ..wire.layout.record_signals import OWN_SIGNALS, PAGE_BYTES, PARAMETER_SIGNALS, Signal
 from ..wire.layout.scene_layout import SceneLayout
-from ..wire.layout.signals import OWN_SIGNALS, PAGE_BYTES, PARAMETER_SIGNALS, Signal
 from .covariance import code_of, decoded
 from .e2e import checksum
 from .matrices import Matrix, Vector, diagonal

@@ -15,7 +15,7 @@ from itertools import accumulate, pairwise, repeat
 from operator import mul
 from typing import NamedTuple
 
-from ..values.map_error import MapError
+from ..values.scene import MapError
 from .cubic_ranges import (
     CELLS,
     ROWS,

@@ -18,11 +18,11 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from ..values.line import MIN_RANGE, Slot
-from ..wire.layout import signals as names
+from ..wire.layout import record_signals as names
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import POSE, SCENE, SCENE2, Owner, PoseLayout
+from ..wire.layout.record_signals import PARAMETER_SIGNALS, Signal
 from ..wire.layout.scene_layout import SceneLayout
-from ..wire.layout.signals import PARAMETER_SIGNALS, Signal
 from .covariance import code_of, encode, least_variances, reachable
 from .elementary import exp2, log2
 from .joint import divergence, factor_or_identity, largest_ratio, uncovered

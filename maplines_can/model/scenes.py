@@ -15,11 +15,11 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from ..values.line import Kind, Slot, Status
-from ..wire.layout import signals as names
+from ..wire.layout import record_signals as names
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import PoseLayout
+from ..wire.layout.record_signals import Signal
 from ..wire.layout.scene_layout import SceneLayout
-from ..wire.layout.signals import Signal
 from .covariance import code_of, decoded
 from .elementary import exp2
 from .levels import level_covariance

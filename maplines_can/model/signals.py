@@ -8,7 +8,7 @@ from typing import Literal
 
 from ..values.line import Slot
 from ..wire.layout.record_layout import RecordLayout
-from ..wire.layout.signals import Signal, slot_title
+from ..wire.layout.record_signals import Signal, slot_title
 from .elementary import exp2
 from .matrices import Vector
 

@@ -21,8 +21,8 @@ from typing import NamedTuple
 from ..values.line import Kind, Slot
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import SCENE, SCENE2, Owner, SceneOwner
+from ..wire.layout.record_signals import POSE_ROWS
 from ..wire.layout.scene_layout import SceneLayout
-from ..wire.layout.signals import POSE_ROWS
 from .covariance import code_of
 from .lines import is_line
 from .records import RawRecord, sealed, signals_of

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from ..values.line import MIN_RANGE, Slot, Status
 from ..wire.layout.message_layout import Layout
-from ..wire.layout.signals import PARAMETER_SIGNALS, Signal
+from ..wire.layout.record_signals import PARAMETER_SIGNALS, Signal
 from .covariance import code_of, encode, is_indefinite, nearest_covariance, reachable, widest
 from .matrices import Matrix, Vector, diagonal, matrix
 from .mixtures import deficit, quantized_weights

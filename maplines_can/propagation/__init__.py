@@ -1,9 +1,8 @@
 """Propagation of a pose Gaussian to the Gaussian of a line, and of a line over time."""
 
-from ..values.map_error import MapError
+from ..values.scene import MapError
 from .component_counts import component_counts, remaining_nonlinearity
 from .from_map import map_lines, map_scene
-from .linear import Linear
 from .monte_carlo import MonteCarlo, Samples
 from .motion import Motion
 from .nonlinearity import Nonlinearity, nonlinearity
@@ -14,7 +13,7 @@ from .refit import Refit
 from .scene_mixture import scene_mixture
 from .sigma_points import SigmaPoints
 from .splitting import Mixture
-from .transform import Moments, Transform
+from .transform import Linear, Moments, Transform
 
 __all__ = [
     "Linear",

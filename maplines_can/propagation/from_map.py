@@ -22,10 +22,9 @@ from ..core.memory import new, pointer
 from ..values.gaussian import Gaussian
 from ..values.linalg import block_diagonal
 from ..values.line import PARAMETERS, LeftOut, MapLine, MapLineList, Slot
-from ..values.map_error import MapError
 from ..values.mixture import GaussianMixture
 from ..values.polyline import Polyline
-from ..values.scene import PoseError, Scene
+from ..values.scene import MapError, PoseError, Scene
 from .paths import REASONS, Paths, check_misfit, checked_window, numbers_of, paths_near
 from .quadrature import Quadrature
 from .refit import MAX_MISFIT, Refit, refits_memory

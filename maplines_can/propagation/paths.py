@@ -14,8 +14,8 @@ from ..core import ffi, lib
 from ..core.memory import new, pointer, pointers
 from ..values.arrays import floats
 from ..values.line import LeftOut
-from ..values.map_error import MapError
 from ..values.polyline import INDEXED, Polyline, to_map
+from ..values.scene import MapError
 
 #: Sets of lines that are kept for the next query.
 KEPT = 16

@@ -11,8 +11,8 @@ from ..core import ffi, lib
 from ..core.memory import pointer
 from ..values.arrays import floats
 from ..values.errors import IllPosedError
-from ..values.map_error import MapError
 from ..values.polyline import Polyline
+from ..values.scene import MapError
 from .paths import (
     MAX_TURN,
     REASONS,

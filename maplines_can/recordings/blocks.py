@@ -9,9 +9,9 @@ from typing import IO
 
 import numpy as np
 
-from ..bus.frame_block import BLOCK_FRAMES, FrameBlock, LogFrame, block_of, joined_blocks
-from ..bus.log_summary import LogReader, Times
-from ..bus.logs import read_runs
+from ..logs.frame_block import BLOCK_FRAMES, FrameBlock, LogFrame, block_of, joined_blocks
+from ..logs.log_reader import read_runs
+from ..logs.log_summary import LogReader, Times
 from ..values.errors import LogError
 
 __all__ = ["BLOCK_FRAMES", "FrameBlock", "read_blocks"]

@@ -12,19 +12,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..bus.log_summary import LogSummary, Times
 from ..engines import Result, Task, in_processes, in_this_process, on_dask
+from ..logs.log_summary import LogSummary, Times
 from ..values.errors import LogError
 from ..values.input_files import json_of
 from ..values.line import Slot
 from ..values.output_files import write_error
 from ..wire import Codec
+from .block_reception import MAX_CHANNELS, LineBlock, LogReceiver
 from .blocks import FrameBlock, read_blocks
 from .fitting import misfit
 from .formats import About, TableWriter, open_tables
-from .line_block import LineBlock
-from .receive import MAX_CHANNELS, LogReceiver
-from .table import checked_at, line_table
+from .line_tables import checked_at, line_table
 
 #: Suffixes of logs in a directory, also compressed (.gz).
 LOG_SUFFIXES = (".log", ".asc", ".blf", ".trc", ".mf4", ".db")

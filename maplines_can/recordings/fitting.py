@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..bus.first_frames import CanId, FirstFrames, ids_text, keys_of
-from ..bus.log_summary import LogSummary, Times, skipped_text
+from ..logs.first_frames import CanId, FirstFrames, ids_text, keys_of
+from ..logs.log_summary import LogSummary, Times, skipped_text
 from ..values.errors import LayoutError, LogError
 from ..wire import SHIPPED, Codec, LineCodec, default_dbc_path
 from ..wire.layout.message_layout import Layout
@@ -25,10 +25,9 @@ from ..wire.layout.pose_layout import PoseLayout
 from ..wire.layout.scene_layout import SceneLayout
 from ..wire.layout.slot_messages import RecordMessages, SecuredLayout
 from ..wire.protection.secoc import WHOLE_FRESHNESS
-from ..wire.reasons import Reason
+from ..wire.reception.check import Reason
+from .block_reception import REASONS, LogReceiver
 from .blocks import FrameBlock, read_blocks
-from .line_block import REASONS
-from .receive import LogReceiver
 
 #: Frames after which no more are read, if a DBC fits; they have some thousand lines.
 MOST_FRAMES = 1 << 18

@@ -9,15 +9,14 @@ from os import PathLike
 from pathlib import Path
 from typing import IO
 
-from ..bus.log_summary import LogReader, Times
+from ..logs.log_summary import LogReader, Times
 from ..values.errors import LogError
 from ..values.line import Slot
 from ..wire import Codec, LineCodec
+from .block_reception import LineBlock, LogReceiver
 from .blocks import BLOCK_FRAMES, FrameBlock, read_blocks
 from .fitting import misfit
-from .line_block import LineBlock
-from .receive import LogReceiver
-from .table import LineTable, checked_at, joined, line_table
+from .line_tables import LineTable, checked_at, joined, line_table
 
 Log = str | PathLike[str] | IO[bytes]
 

@@ -1,6 +1,6 @@
 """Restbus simulation: the positioning ECU and its neighbours in the test of another device."""
 
 from .config import EXAMPLE, Config, Event
-from .restbus import Restbus
+from .simulator import Restbus
 
 __all__ = ["EXAMPLE", "Config", "Event", "Restbus"]

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 
 from ..bus.clock import Clock
-from ..bus.j1939 import BAM, PACKET, TP_CM, TP_DT, pgn_of, source_of
+from ..logs.j1939 import BAM, PACKET, TP_CM, TP_DT, pgn_of, source_of
 from ..wire import Frame
 
 #: Pause between two frames: J1939-21 allows 50 to 200 ms [ns].

@@ -8,15 +8,15 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..bus.j1939 import ANY_SOURCE, j1939_messages, source_of
 from ..dbc_files.parser import parse_database, read_text
+from ..logs.j1939 import ANY_SOURCE, j1939_messages, source_of
 from ..values.errors import LayoutError, RestbusError
 from ..values.input_files import toml_of
 from ..wire import Codec
 from .fields import with_exact_starts
-from .lines import Lines, codec_of, lines_of
+from .line_sources import Lines, codec_of, lines_of
 from .messages import MAX_MS, DbcMessage
-from .tables import Table, listed, nearest
+from .toml_tables import Table, listed, nearest
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message

@@ -11,7 +11,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from ..values.errors import RestbusError
-from .tables import nearest, number
+from .toml_tables import nearest, number
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal

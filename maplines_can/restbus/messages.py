@@ -8,15 +8,15 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..bus.j1939 import MOST, pgn_of
+from ..logs.j1939 import MOST, pgn_of
 from ..values.errors import RestbusError
 from ..wire import Frame
 from ..wire.layout.slot_messages import FD_LENGTHS, fd_length
 from .broadcasts import packets
+from .e2e_protection import Protection
 from .fields import Field, Fields, Raw
-from .protection import Protection
-from .signals import Value, value_of
-from .tables import Table
+from .signal_values import Value, value_of
+from .toml_tables import Table
 
 if TYPE_CHECKING:
     from cantools.database.can import Message

@@ -1,13 +1,13 @@
 from ..values.errors import DriveFileError as DriveFileError
+from .bus_share import BusShare as BusShare
+from .bus_share import LineComponents as LineComponents
+from .bus_share import choose_components as choose_components
 from .camera import Errors as Errors
 from .camera import camera_lines as camera_lines
 from .camera import camera_view as camera_view
 from .car_stream import CarStream as CarStream
-from .components import BusShare as BusShare
-from .components import LineComponents as LineComponents
-from .components import choose_components as choose_components
 from .pose_source import PoseSource as PoseSource
-from .recorded import RecordedDrive as RecordedDrive
+from .recorded_drive import RecordedDrive as RecordedDrive
 from .scenario_lines import ScenarioLines as ScenarioLines
 from .scenario_lines import weaving_ego as weaving_ego
 from .scenarios import SCENARIOS as SCENARIOS

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..maps.formats.systems import to_plane
+from ..maps.formats.coordinate_systems import to_plane
 from ..values.arrays import floats
 from ..values.errors import DriveFileError
 from ..values.polyline import Polyline

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..values.arrays import floats
 from ..values.errors import DriveFileError
 from ..values.linalg import MAX_COV, asymmetric, indefinite
-from .columns import COVARIANCE, chosen
+from .drive_columns import COVARIANCE, chosen
 
 #: Largest value of a record, such as a coordinate [m] or a time [s]; beyond it a double cannot
 #: state a millimetre or a microsecond.

@@ -22,7 +22,7 @@ from ..localisation import (
 )
 from ..localisation.measurements import Measurement
 from ..values.line import Kind
-from .recorded import RecordedDrive
+from .recorded_drive import RecordedDrive
 from .trajectory import CarState, SimulatedDrive, even_times
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ..localisation import Localisation, LocalisationLayer, Odometry
 from ..localisation.scan_matching import ScanReference, match_ndt, simulated_scan
 from ..values.gaussian import Gaussian, variances
-from .recorded import RecordedDrive
+from .recorded_drive import RecordedDrive
 from .sensors import SensorSetup, simulated_measurements
 from .trajectory import SimulatedDrive
 

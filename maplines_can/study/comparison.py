@@ -19,14 +19,14 @@ from ..values.line import VAGUE_SIGMA, MapLine, Slot, Status
 from ..values.mixture import GaussianMixture, moments
 from ..wire import CODES as CORE_CODES
 from ..wire import Batch, Codec, Decoder, E2EConfig, Encoder, Layout, Owner
+from ..wire.codec import decoder_settings
+from ..wire.core_tables import LineTables, tables_of
+from ..wire.frames import FrameWriter, Records
 from ..wire.layout.packing import Packing
-from ..wire.layout.signals import PARAMETER_SIGNALS, TRANSFER_ID
+from ..wire.layout.record_signals import PARAMETER_SIGNALS, TRANSFER_ID
 from ..wire.layout.validation import CheckedGaussians, checked_gaussians
-from ..wire.reception.settings import decoder_settings
-from ..wire.records.counters import packed, unpacked
-from ..wire.records.frames import FrameWriter, Records
 from ..wire.scene_writer import SenderState
-from ..wire.tables import LineTables, tables_of
+from ..wire.sender_values import packed, unpacked
 from .codes import CODES, COMPARED
 from .codes.code import SignalRow, raw_above, raw_below, raw_nearest
 

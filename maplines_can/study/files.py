@@ -38,8 +38,8 @@ from ..maps import load
 from ..maps.formats.load import map_path
 from ..recordings.data_set import LOG_SUFFIXES
 from ..recordings.fitting import best_fit, fits
+from ..recordings.line_tables import UPPER_TRIANGLE
 from ..recordings.read_lines import line_tables
-from ..recordings.table import UPPER_TRIANGLE
 from ..simulation.parquet_files import parquet_batches
 from ..values.errors import MapFileError, StudyError
 from ..values.input_files import checked_path, lines_of

@@ -39,7 +39,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..values.line import PARAMETERS, lateral, lateral_jacobian
 from ..wire import Layout
-from ..wire.layout.signals import PARAMETER_SIGNALS, Signal
+from ..wire.layout.record_signals import PARAMETER_SIGNALS, Signal
 from .dbc.covariance_spec import covariance_signals
 from .metrics import evaluate
 from .sets import Gaussians, paper, road

@@ -13,9 +13,9 @@ from importlib.util import find_spec
 from itertools import count, zip_longest
 from typing import Any, NamedTuple
 
+from ..model.decoder import Receiver as Model
+from ..model.decoder import View
 from ..model.e2e import Windows
-from ..model.receiver import Receiver as Model
-from ..model.receiver import View
 from ..model.records import Component, layout_of
 from ..model.records import Line as ModelLine
 from ..model.scenes import Scene

@@ -26,10 +26,10 @@ from ..model.scene_sender import SceneDraft, SceneSender
 from ..model.signals import read
 from ..values.line import Kind, Slot, Status
 from ..wire import POSE, Layout, Owner
+from ..wire.core_tables import tables_of
 from ..wire.layout.pose_layout import OWNERS, SCENE, SCENE2
-from ..wire.layout.signals import PAGE_BYTES
+from ..wire.layout.record_signals import PAGE_BYTES
 from ..wire.layout.slot_messages import RecordMessages, SecuredLayout
-from ..wire.tables import tables_of
 from .sender_streams import SenderStream, random_draft, random_scene, scene_draft
 
 #: Rows of a matrix, as lists.

@@ -18,8 +18,8 @@ from ..model.whole_scenes import NONE, REASONS, joint_bits, scene_of_dbc, shared
 from ..values.line import Slot
 from ..wire import POSE, E2EConfig, Layout, Owner
 from ..wire.layout.pose_layout import SCENE, SCENE2, SceneOwner
+from ..wire.layout.record_signals import OWN_SIGNALS, PAGE_BYTES, PARAMETER_SIGNALS
 from ..wire.layout.scene_layout import SceneLayout
-from ..wire.layout.signals import OWN_SIGNALS, PAGE_BYTES, PARAMETER_SIGNALS
 
 CYCLES = 256
 #: Time between most cycles, and between two frames of one [ns].

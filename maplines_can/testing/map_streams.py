@@ -25,8 +25,8 @@ from ..propagation.transform import Transform
 from ..values.errors import MaplinesError
 from ..values.gaussian import Gaussian
 from ..values.line import LeftOut, MapLine, Slot
-from ..values.map_error import MapError
 from ..values.polyline import INDEXED, Polyline
+from ..values.scene import MapError
 from .back_to_back import Difference, StreamComparison
 from .sender_streams import bits
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from ..bus import LineListener
 from ..bus.clock import TimerHandle
-from ..bus.log_writer import message_of
+from ..logs.log_writer import message_of
 from ..values.line import MapLine, Slot, aged
 from ..values.scene import Scene
 from ..wire import Codec, Frame, SceneView, SlotView

@@ -23,9 +23,8 @@ from ..propagation import map_scene
 from ..values.errors import EncodeError, MaplinesError
 from ..values.gaussian import Gaussian
 from ..values.line import Kind, LeftOut, Slot
-from ..values.map_error import MapError
 from ..values.polyline import Polyline
-from ..values.scene import Scene
+from ..values.scene import MapError, Scene
 from ..wire import Codec, Frame, Layout, Owner
 
 #: Range of the parameters of a random line.

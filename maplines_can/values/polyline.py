@@ -1,4 +1,4 @@
-"""Map lines as point sequences, with an index of long ones."""
+"""Map lines as point sequences, with an index of long ones, and values that apply along a line."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +17,6 @@ from ..core.memory import pointer
 from .arrays import floats, number_text
 from .elementary import sin_cos
 from .line import Kind
-from .pieces import Pieces, extents, longest, merged, value_at
 
 #: Limit of ``Polyline.resampled``; 10^7 points take 160 MB.
 MAX_POINTS = 10**7
@@ -253,3 +252,49 @@ def _check_precision(points: object) -> None:
             f"points must be float64: {dtype} rounds coordinates of {largest:g} m by up to "
             f"{rounding:.2g} m; subtract a local origin before the conversion, or keep float64"
         )
+
+
+T = TypeVar("T")
+#: Pairs of the position from which a value applies [m], ascending from 0, and the value.
+Pieces = tuple[tuple[float, T], ...]
+
+
+def value_at(pieces: Sequence[tuple[float, T]], s: float) -> T:
+    """Return the value at a position [m]; before the first one, that of the first piece.
+
+    >>> [value_at([(0.0, "a"), (4.0, "b")], s) for s in (3.9, 4.0)]
+    ['a', 'b']
+    """
+    return next((value for start, value in reversed(pieces) if start <= s), pieces[0][1])
+
+
+def extents(pieces: Sequence[tuple[float, T]], end: float) -> list[tuple[tuple[float, float], T]]:
+    """Return from where to where each value applies [m], if the last one does up to ``end``.
+
+    >>> extents([(0.0, "a"), (4.0, "b")], 9.0)
+    [((0.0, 4.0), 'a'), ((4.0, 9.0), 'b')]
+    """
+    stops = [start for start, _ in pieces] + [end]
+    return list(zip(pairwise(stops), (value for _, value in pieces), strict=True))
+
+
+def longest(pieces: Sequence[tuple[float, T]], end: float) -> T:
+    """Return the value that applies to the greatest length up to ``end``; of equals, the first.
+
+    >>> longest([(0.0, "a"), (4.0, "b"), (6.0, "a")], 7.0)
+    'a'
+    """
+    lengths: dict[T, float] = {}
+    for (start, stop), value in extents(pieces, end):
+        lengths[value] = lengths.get(value, 0.0) + stop - start
+    return max(lengths, key=lengths.__getitem__)
+
+
+def merged(pieces: Sequence[tuple[float, T]]) -> Pieces[T]:
+    """Return the pieces without those that continue the value before.
+
+    >>> merged([(0.0, "a"), (4.0, "a"), (6.0, "b")])
+    ((0.0, 'a'), (6.0, 'b'))
+    """
+    kept = [True, *(one != other for (_, one), (_, other) in pairwise(pieces))]
+    return tuple(piece for piece, is_new in zip(pieces, kept, strict=True) if is_new)

@@ -3,19 +3,18 @@
 from ..dbc_files.parser import SHIPPED, default_dbc_path
 from .batch import Batch, BatchCodec
 from .codec import Codec, LineCodec
+from .core_tables import CODES
 from .encoder import Encoder
+from .frames import Frame
 from .layout.message_layout import Layout
 from .layout.pose_layout import POSE, SCENE, SCENE2, Owner, SceneOwner
 from .protection.e2e_state import E2EConfig, E2EState, ProfileStatus
 from .protection.key import Key
 from .protection.secoc import Authenticator, Verifier
-from .reasons import Reason
-from .reception.check import Check, SlotStats
+from .reception.check import Check, Reason, SlotStats
 from .reception.decoder import Decoder, ReceivedFrame
 from .reception.views import ReceivedScene, SceneView, SlotView
-from .records.frames import Frame
 from .scene_writer import PreparedScene
-from .tables import CODES
 
 __all__ = [
     "CODES",

@@ -15,6 +15,7 @@ from ..core.memory import pointer, shaped
 from ..values.errors import EncodeError
 from ..values.gaussian import Gaussian
 from ..values.line import Kind, MapLine, Slot, Status
+from .core_tables import LineTables
 from .layout.attributes import INTEGERS, LINE_ATTRIBUTES, REALS, RecordAttributes, numbers
 from .layout.message_layout import Layout
 from .layout.validation import (
@@ -23,8 +24,7 @@ from .layout.validation import (
     checked_mixtures,
     checked_payloads,
 )
-from .reasons import Reason
-from .tables import LineTables
+from .reception.check import Reason
 
 #: Outcomes of the checks of a record, in the order of their numbers in ``Batch.verdict``.
 VERDICTS = (None, Reason.MIXED, Reason.CRC, Reason.CONTENT)

@@ -15,16 +15,15 @@ from ..core import Lock, ffi, lib
 from ..values.errors import EncodeError
 from ..values.line import LeftOut, MapLine, Slot
 from ..values.scene import Scene
+from .core_tables import LineTables
+from .frames import Frame, FrameWriter, Records
 from .layout.attributes import RecordAttributes
 from .layout.message_layout import Layout
 from .layout.pose_layout import Owner
-from .layout.signals import PAGE_BYTES
+from .layout.record_signals import PAGE_BYTES
 from .layout.validation import checked_gaussians
-from .records.counters import packed
-from .records.frames import Frame, FrameWriter, Records
-from .records.given import GAUSSIAN_BYTES, given_lines
 from .scene_writer import PreparedScene, SenderState, placed_slots, prepare_scene, write_scene
-from .tables import LineTables
+from .sender_values import GAUSSIAN_BYTES, given_lines, packed
 
 _LINES, _DOUBLES, _INTS, _COUNTERS, _BYTES = map(
     ffi.typeof, ("maplines_given_line_t[]", "double[]", "int32_t[]", "int64_t[]", "uint8_t[]")

@@ -16,11 +16,11 @@ from ..values.arrays import floats
 from ..values.errors import EncodeError, IllPosedError
 from ..values.line import LEFT_OUT, MAX_AGE, LeftOut, Slot, age_error
 from ..values.scene import PoseError, Scene
+from .core_tables import tables_of
+from .frames import Records
 from .layout.message_layout import Layout
 from .layout.pose_layout import OWNERS, POSE, SCENE, SCENES, Owner
-from .records.frames import Records
-from .records.given import given_lines
-from .tables import tables_of
+from .sender_values import given_lines
 
 _MAX_RECORD = ffi.sizeof("maplines_template_t") - ffi.offsetof("maplines_template_t", "bytes")
 _LINES, _DOUBLES, _COUNTERS, _BYTES = map(

@@ -9,7 +9,7 @@ import pytest
 import maplines_can as ml
 from maplines_can import maps
 from maplines_can.bus import LogWriter, key_from_file, read_log, read_signals
-from maplines_can.bus.signals import read_table
+from maplines_can.logs.signal_log import read_table
 from maplines_can.simulation.truth import TruthWriter, read_truth
 from maplines_can.study.files import GaussianFile, read_map
 from maplines_can.study.sweep.plan import StudyDirectory

@@ -16,7 +16,7 @@ from pathlib import Path
 from maplines_can import Codec
 from maplines_can.simulation import RecordedDrive
 from maplines_can.bus import key_from_file
-from maplines_can.bus.signals import read_table
+from maplines_can.logs.signal_log import read_table
 from maplines_can.cli.consume_camera import _WANTED, MAX_LINES
 from maplines_can.cli.consume_input import table_rows
 from maplines_can.simulation.truth import read_truth

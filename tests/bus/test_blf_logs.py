@@ -15,8 +15,8 @@ import pytest
 from support.recordings import frames_of
 
 from maplines_can.bus import LogFrame, read_log
-from maplines_can.bus.frame_block import MAX_OBJECT
-from maplines_can.bus.log_summary import Skipped
+from maplines_can.logs.frame_block import MAX_OBJECT
+from maplines_can.logs.log_summary import Skipped
 from maplines_can.recordings.blocks import read_blocks
 from maplines_can.values.errors import LogError
 

@@ -7,9 +7,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from maplines_can.bus import LogFrame, first_frames
-from maplines_can.bus.first_frames import CanId, FirstFrames, ids_text
-from maplines_can.bus.frame_block import block_of
+from maplines_can.bus import LogFrame
+from maplines_can.logs import first_frames
+from maplines_can.logs.first_frames import CanId, FirstFrames, ids_text
+from maplines_can.logs.frame_block import block_of
 
 
 def frame(number: int, t_ns: int = 0, *, is_extended: bool = False) -> LogFrame:

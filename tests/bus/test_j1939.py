@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from maplines_can.bus import SignalDecoder, read_signals
-from maplines_can.bus.j1939 import Reassembler, pgn_of
+from maplines_can.logs.j1939 import Reassembler, pgn_of
 from maplines_can.values.errors import DriveFileError, LogError
 
 #: Functions without types of cantools.

@@ -12,9 +12,9 @@ import pytest
 from support.bombs import MB, MOST, SIZE, deflated, gzipped, read_in_little_memory
 
 from maplines_can.bus import LogFrame, read_log
-from maplines_can.bus.frame_block import MAX_OBJECT
-from maplines_can.bus.mf4_logs import check_mf4_blocks
-from maplines_can.bus.text_lines import MAX_DAMAGE
+from maplines_can.logs.frame_block import MAX_OBJECT
+from maplines_can.logs.mf4_log import check_mf4_blocks
+from maplines_can.logs.text_lines import MAX_DAMAGE
 from maplines_can.values.errors import LogError
 from maplines_can.values.input_files import MAX_LINE
 

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from maplines_can.bus import LogFrame, read_log
-from maplines_can.bus import text_rows as rows_module
-from maplines_can.bus.log_times import kind_of
+from maplines_can.logs import text_rows as rows_module
+from maplines_can.logs.log_times import kind_of
 from maplines_can.values.errors import LogError
 
 

@@ -90,7 +90,7 @@ def test_mf4_without_its_package_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The other formats need none."""
-    monkeypatch.setattr("maplines_can.bus.log_writer.find_spec", lambda _: None)
+    monkeypatch.setattr("maplines_can.logs.log_writer.find_spec", lambda _: None)
     with pytest.raises(MissingExtraError, match=r"writing \.mf4 needs asammdf"):
         LogWriter(tmp_path / "drive.mf4", START)
     write(tmp_path / "drive.log", FRAMES)

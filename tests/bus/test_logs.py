@@ -252,7 +252,7 @@ def test_what_is_no_log_is_refused_at_once(source: Any) -> None:
 def test_mf4_without_its_package_names_the_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("maplines_can.bus.logs.find_spec", lambda _: None)
+    monkeypatch.setattr("maplines_can.logs.log_reader.find_spec", lambda _: None)
     path = tmp_path / "drive.mf4"
     path.touch()
     with pytest.raises(MissingExtraError, match=r'pip install "\.\[mf4\]"'):

@@ -16,8 +16,8 @@ from support.recordings import frames_of
 
 from maplines_can import MapLine, Slot
 from maplines_can.bus import LogFrame, read_log
-from maplines_can.bus.log_summary import LogSummary, Skipped
-from maplines_can.bus.mf4_logs import Mf4Reader
+from maplines_can.logs.log_summary import LogSummary, Skipped
+from maplines_can.logs.mf4_log import Mf4Reader
 from maplines_can.recordings.blocks import read_blocks
 from maplines_can.values.errors import LogError
 from maplines_can.wire import default_dbc_path
@@ -295,7 +295,7 @@ def test_groups_are_merged_by_their_times(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int
 ) -> None:
     """Of other fields, widths and channels, and in blocks that end at different times."""
-    monkeypatch.setattr("maplines_can.bus.mf4_logs.BLOCK_FRAMES", block)
+    monkeypatch.setattr("maplines_can.logs.mf4_log.BLOCK_FRAMES", block)
     times = [np.arange(0, 9, 0.5), np.arange(0.25, 20, 3), np.arange(4, 5, 0.125)]
     groups = [
         signal("CAN_DataFrame", times[0], fields(len(times[0]), BusChannel=None)),
@@ -326,7 +326,7 @@ def test_a_single_group_keeps_its_order(tmp_path: Path) -> None:
 
 def test_groups_whose_times_go_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """No frame is lost or read twice."""
-    monkeypatch.setattr("maplines_can.bus.mf4_logs.BLOCK_FRAMES", 4)
+    monkeypatch.setattr("maplines_can.logs.mf4_log.BLOCK_FRAMES", 4)
     rng = np.random.default_rng(1)
     groups = [
         signal("CAN_DataFrame", rng.permutation(n) * 1.0, fields(n, BusChannel=np.full(n, n)))

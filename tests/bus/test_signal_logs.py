@@ -10,7 +10,7 @@ import pytest
 
 from maplines_can import LayoutError
 from maplines_can.bus import read_signals
-from maplines_can.bus.signals import read_table
+from maplines_can.logs.signal_log import read_table
 from maplines_can.simulation import DriveFileError, RecordedDrive
 from maplines_can.values.errors import LogError
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from maplines_can.bus import LogFrame, read_log
-from maplines_can.bus.log_summary import Skipped
+from maplines_can.logs.log_summary import Skipped
 from maplines_can.values.errors import LogError
 
 NAMES = "ts, arbitration_id, extended, remote, error, dlc, data"

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from maplines_can import Codec, Slot
-from maplines_can.bus.logs import read_log
 from maplines_can.cli import main
+from maplines_can.logs.log_reader import read_log
 from maplines_can.wire import default_dbc_path
 
 PAGE = (Path(__file__).parents[2] / "docs" / "embedding.md").read_text(encoding="utf-8")

@@ -20,7 +20,7 @@ from maplines_can import Slot
 from maplines_can.generation.c_build import Build, Features, build_of
 from maplines_can.generation.c_files import c_files
 from maplines_can.generation.vector_files import vector_files
-from maplines_can.model.receiver import Receiver, View
+from maplines_can.model.decoder import Receiver, View
 from maplines_can.model.records import Line
 from maplines_can.model.scenes import Scene
 from maplines_can.model.settings import Sizes

@@ -19,7 +19,7 @@ import maplines_can
 from maplines_can.cli import main
 from maplines_can.generation.c_build import build_of
 from maplines_can.generation.c_files import headers
-from maplines_can.wire.tables import MAX_LIMITS
+from maplines_can.wire.core_tables import MAX_LIMITS
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc", "maplines-scene.dbc")

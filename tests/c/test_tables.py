@@ -8,12 +8,12 @@ import pytest
 from scene_layouts import layout_of
 from support.dbcs import edited
 
-from maplines_can.generation.tables import identifier_of, tables_of
+from maplines_can.generation.c_tables import identifier_of, tables_of
 from maplines_can.study.codes import CODES as STUDY_CODES
 from maplines_can.study.dbc.record_spec import dbc_writer_for
 from maplines_can.values.errors import LayoutError
+from maplines_can.wire.core_tables import CODES, limits_of
 from maplines_can.wire.layout.message_layout import Layout
-from maplines_can.wire.tables import CODES, limits_of
 
 SHIPPED = ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc", "maplines-scene.dbc")
 

@@ -331,7 +331,7 @@ def test_a_log_in_mf4(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
 def test_mf4_without_the_extra_names_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("maplines_can.bus.log_writer.find_spec", lambda _: None)
+    monkeypatch.setattr("maplines_can.logs.log_writer.find_spec", lambda _: None)
     err = run(capsys, town(tmp_path), "--record", str(tmp_path / "a.mf4"), status=1)
     assert re.search(r"error: .*a\.mf4.* needs asammdf; install the extra .mf4.", err)
 

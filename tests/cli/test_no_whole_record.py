@@ -20,8 +20,8 @@ import pytest
 import maplines_can as ml
 from maplines_can import Authenticator, Codec, Gaussian, Key, MapLine, Polyline, Slot, map_scene
 from maplines_can.bus import Skipped
-from maplines_can.bus.first_frames import FirstFrames
 from maplines_can.cli import main
+from maplines_can.logs.first_frames import FirstFrames
 from maplines_can.recordings.fitting import misfit
 from maplines_can.wire import default_dbc_path
 

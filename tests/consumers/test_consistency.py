@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 from scipy.stats import chi2, kstest
 
-from maplines_can.consumers.consistency import ConsistencyTest, window_lengths
 from maplines_can.consumers.residual_filter import (
     FAST,
     SLOW,
@@ -20,6 +19,7 @@ from maplines_can.consumers.residual_filter import (
     ResidualModel,
     threshold,
 )
+from maplines_can.consumers.residual_test import ConsistencyTest, window_lengths
 
 DT, T = 0.05, 5.0
 X = np.array([2.0, 20.0])

@@ -14,7 +14,7 @@ from maplines_can.core.memory import structure
 from maplines_can.model import elementary
 from maplines_can.values.elementary import exp2
 from maplines_can.values.errors import LayoutError
-from maplines_can.wire import tables
+from maplines_can.wire import core_tables
 from maplines_can.wire.layout.signal import Signal
 
 KIND = Signal("Kind", 0, 3, False, False, 1.0, 0.0, "", 0, 7)
@@ -22,11 +22,11 @@ KIND = Signal("Kind", 0, 3, False, False, 1.0, 0.0, "", 0, 7)
 
 def is_accepted(dbc: str, change: dict[str, Any]) -> bool:
     """Return whether the core takes the tables of a DBC with other members."""
-    content = tables.content_of(new_codec(dbc).layout)
+    content = core_tables.content_of(new_codec(dbc).layout)
     for name, value in change.items():
         before = content[name]
         content[name] = {**before, **value} if isinstance(before, dict) else value
-    made = structure("maplines_dbc_t", tables._plain(content))
+    made = structure("maplines_dbc_t", core_tables._plain(content))
     return bool(lib.maplines_check_tables(made))
 
 
@@ -71,13 +71,13 @@ def test_tables_beyond_a_record_are_refused(change: dict[str, Any]) -> None:
 
 def test_a_layout_whose_tables_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """The error names the DBC: the package made the tables."""
-    given = tables.content_of
+    given = core_tables.content_of
     monkeypatch.setattr(
-        tables, "content_of", lambda layout: {**given(layout), "max_components": 65}
+        core_tables, "content_of", lambda layout: {**given(layout), "max_components": 65}
     )
 
     with pytest.raises(LayoutError, match=r"maplines\.dbc: the core takes its tables"):
-        tables.tables_of(new_codec(COMPLETE).layout)
+        core_tables.tables_of(new_codec(COMPLETE).layout)
 
 
 def test_powers_of_two() -> None:

@@ -12,7 +12,7 @@ from maplines_can.model import writer
 from maplines_can.model.matrices import Vector, matrix
 from maplines_can.testing.ecu_streams import KEY_IDS, signed, write_mac
 from maplines_can.wire import Layout, default_dbc_path
-from maplines_can.wire.tables import tables_of
+from maplines_can.wire.core_tables import tables_of
 
 SECURED = Layout.from_dbc(default_dbc_path("maplines-secoc.dbc"))
 NODATA, NONE = lib.MAPLINES_E2E_NODATA, lib.MAPLINES_E2E_NONE

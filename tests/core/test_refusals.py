@@ -8,8 +8,8 @@ from scene_layouts import layout_of
 from support.scene_streams import COMPLETE, CONDITIONAL
 
 from maplines_can.core import ffi, lib
+from maplines_can.wire.core_tables import tables_of
 from maplines_can.wire.layout.pose_layout import OWNERS
-from maplines_can.wire.tables import tables_of
 
 NAN, INF = float("nan"), float("inf")
 COUNTERS = [255] * len(OWNERS)

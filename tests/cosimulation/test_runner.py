@@ -11,8 +11,8 @@ from support import fmus
 
 from maplines_can.cosimulation import CoSimulation
 from maplines_can.cosimulation.bus_operations import Transmit
-from maplines_can.cosimulation.description import read_description
-from maplines_can.cosimulation.links import SentFrame
+from maplines_can.cosimulation.connections import SentFrame
+from maplines_can.cosimulation.fmu_description import read_description
 from maplines_can.cosimulation.runner import node_names
 from maplines_can.testing import FaultInjector, Faults
 from maplines_can.values.errors import FmuError

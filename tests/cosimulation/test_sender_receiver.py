@@ -13,7 +13,7 @@ from maplines_can import Codec, Gaussian, Kind, MapLine, Slot, Status
 from maplines_can.bus.tx_queue import TxQueue
 from maplines_can.cosimulation import CoSimulation
 from maplines_can.cosimulation.bus_operations import Transmit
-from maplines_can.cosimulation.links import SentFrame
+from maplines_can.cosimulation.connections import SentFrame
 from maplines_can.testing import FaultInjector, Faults
 from maplines_can.wire import Frame
 

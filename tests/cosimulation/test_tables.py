@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from maplines_can.cosimulation.tables import read_inputs
+from maplines_can.cosimulation.csv_tables import read_inputs
 from maplines_can.values.errors import FmuError
 
 ROWS = [(0.0, {("node", "gain"): "1.5"}), (0.5, {("node", "name"): "a"})]

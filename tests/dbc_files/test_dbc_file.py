@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 from random_dbc import SCENE_SEED, random_dbc
 
-from maplines_can.dbc_files import kept
-from maplines_can.dbc_files.kept import PACKAGED, key_of, parsed_tables
+from maplines_can.dbc_files import dbc_cache
+from maplines_can.dbc_files.dbc_cache import PACKAGED, key_of, parsed_tables
+from maplines_can.dbc_files.dbc_tables import _checksum, from_json, to_json
 from maplines_can.dbc_files.parser import parse_database
-from maplines_can.dbc_files.tables import _checksum, from_json, to_json
-from maplines_can.values import cache_files
+from maplines_can.values import output_files
 from maplines_can.values.errors import LayoutError
 from maplines_can.wire import SHIPPED, Layout, default_dbc_path
 
@@ -43,8 +43,8 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Cache:
         found.parsed += 1
         return parse_database(*args)
 
-    monkeypatch.setattr(cache_files, "cache_folder", lambda: found.folder)
-    monkeypatch.setattr(kept, "parse_database", counted)
+    monkeypatch.setattr(output_files, "cache_folder", lambda: found.folder)
+    monkeypatch.setattr(dbc_cache, "parse_database", counted)
     return found
 
 

@@ -16,7 +16,7 @@ from support.fmu_nodes import Node, generate
 from maplines_can import LayoutError
 from maplines_can.cli import main
 from maplines_can.generation.fmu import archive
-from maplines_can.generation.fmu.description import BUS
+from maplines_can.generation.fmu.xml_files import BUS
 from maplines_can.maps import town_path
 
 fmpy = pytest.importorskip("fmpy", reason="the headers of FMI and the importer come from fmpy")

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from maplines_can.localisation.association import GATES, Verdict
-from maplines_can.localisation.consistency import (
+from maplines_can.localisation.divergence import (
     AGREED,
     FALSE_ALARM,
     GNSS_FALSE_ALARM,

@@ -21,7 +21,7 @@ from maplines_can.testing.sender_comparison import STREAMS
 from maplines_can.testing.sender_streams import bits
 from maplines_can.values.seen_lines import bases
 from maplines_can.wire import default_dbc_path
-from maplines_can.wire.layout.signals import TILT, Signal
+from maplines_can.wire.layout.record_signals import TILT, Signal
 
 DBC = "maplines-scene.dbc"
 LAYOUT = layout_of(DBC)

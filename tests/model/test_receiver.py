@@ -16,13 +16,13 @@ from support.c_layouts import unusual_layouts
 
 from maplines_can import Kind, Slot, Status
 from maplines_can.model import (
+    decoder,
     e2e,
     epochs,
     levels,
     lines,
     mixtures,
     reassembly,
-    receiver,
     scenes,
     secoc,
     senders,
@@ -196,7 +196,7 @@ FAULTS = [
     pytest.param(lines, "MARGIN", 2.9, CONDITIONAL, "clean", id="margin"),
     pytest.param(levels, "GOLDEN_RATIO", 1.618, CONDITIONAL, "clean", id="phase"),
     pytest.param(levels, "SHAPE_OCTAVES", 10.3, CONDITIONAL, "clean", id="shape"),
-    pytest.param(receiver, "CLOCK_JITTER_NS", 2 * MS, COMPLETE, "clock", id="clock-jitter"),
+    pytest.param(decoder, "CLOCK_JITTER_NS", 2 * MS, COMPLETE, "clock", id="clock-jitter"),
     pytest.param(settings, "GRACE_CYCLES", 1.4, COMPLETE, "many faults", id="time-out"),
     pytest.param(whole_scenes, "REASONS", whole_scenes.REASONS[:3], WHOLE, "clean", id="kinds"),
     pytest.param(

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from maplines_can import Codec, MapLine, Slot
-from maplines_can.bus import LogFrame, first_frames
-from maplines_can.bus.first_frames import FirstFrames
+from maplines_can.bus import LogFrame
+from maplines_can.logs import first_frames
+from maplines_can.logs.first_frames import FirstFrames
 from maplines_can.recordings import fitting
 from maplines_can.recordings.blocks import read_blocks
 from maplines_can.recordings.fitting import Fit, best_fit, check_fit, fits, misfit

@@ -11,10 +11,10 @@ import pytest
 
 from maplines_can import Codec, Gaussian, MapLine, Slot
 from maplines_can.bus import LogWriter
-from maplines_can.bus.log_summary import LogSummary
 from maplines_can.cli import main
+from maplines_can.logs.log_summary import LogSummary
 from maplines_can.recordings.plots import write_page
-from maplines_can.recordings.plots.panels import Panel, above, panels_of
+from maplines_can.recordings.plots.log_panels import Panel, above, panels_of
 from maplines_can.recordings.plots.recording import Recording, recorded
 from maplines_can.recordings.read_lines import read_lines
 from maplines_can.values.errors import LogError
@@ -56,7 +56,7 @@ def test_many_points_are_joined(scene_log: Path, monkeypatch: pytest.MonkeyPatch
     """No band is narrower than that of any line within, and no median is outside of its band."""
     recording, _ = recorded(scene_log, POSE, [20.0])
     whole = {band.label: band for band in panels_of([recording], [20.0])[0].bands}
-    monkeypatch.setattr("maplines_can.recordings.plots.panels.MOST_POINTS", 20)
+    monkeypatch.setattr("maplines_can.recordings.plots.log_panels.MOST_POINTS", 20)
     panel = panels_of([recording], [20.0])[0]
     assert "each point is the median" in panel.note
     for band in panel.bands:
@@ -169,7 +169,7 @@ def test_a_line_without_a_covariance_has_no_band(
 
     check(panels_of([recording], [20.0])[0])
     check(above([recording], 0.5))
-    monkeypatch.setattr("maplines_can.recordings.plots.panels.MOST_POINTS", 4)
+    monkeypatch.setattr("maplines_can.recordings.plots.log_panels.MOST_POINTS", 4)
     check(panels_of([recording], [20.0])[0])
     for suffix in (".png", ".html"):
         out = tmp_path / f"plot{suffix}"

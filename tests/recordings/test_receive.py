@@ -11,9 +11,8 @@ from scene_layouts import layout_of
 from support.scene_streams import PERIOD_NS, authenticated_codec, road_scene
 
 from maplines_can import MapLine
+from maplines_can.recordings.block_reception import COMPLETE, REASONS, LineBlock, LogReceiver
 from maplines_can.recordings.blocks import FrameBlock
-from maplines_can.recordings.line_block import COMPLETE, REASONS, LineBlock
-from maplines_can.recordings.receive import LogReceiver
 from maplines_can.testing.hostile_streams import PROFILES, FrameStep, Stream, traffics_of
 from maplines_can.wire import POSE, Codec, Decoder, E2EState, Owner, Reason
 

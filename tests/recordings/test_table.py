@@ -13,8 +13,8 @@ import pytest
 from maplines_can import Codec, MapLine, Slot
 from maplines_can.bus import read_log
 from maplines_can.recordings.formats import About, beside, open_tables
+from maplines_can.recordings.line_tables import Table, position
 from maplines_can.recordings.read_lines import line_tables, read_lines
-from maplines_can.recordings.table import Table, position
 from maplines_can.values.errors import LogError
 from maplines_can.wire import Decoder, Reason, default_dbc_path
 

@@ -210,7 +210,7 @@ def test_checksums_of_profiles_whose_header_has_signals(
     module = {"4": p04.e2e_p04_protect, "6": p06.e2e_p06_protect, "7": p07.e2e_p07_protect}[profile]
     first = {"4": 8, "6": 0, "7": 0}[profile]
     size = {"4": 4, "6": 2, "7": 8}[profile]
-    from maplines_can.restbus.e2e import checksum
+    from maplines_can.restbus.e2e_protection import checksum
 
     payloads = protected(tmp_path, crc, counter, {"profile": int(profile), "data_id": 0x12}, length)
     numbers = [int.from_bytes(p[4:5], "big") for p in payloads] if profile == "6" else None

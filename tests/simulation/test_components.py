@@ -11,7 +11,7 @@ from support.lines import scenario_lines
 
 from maplines_can.bus import bus_load
 from maplines_can.simulation import scenario
-from maplines_can.simulation.components import MAX_LOAD, BusShare, choose_components
+from maplines_can.simulation.bus_share import MAX_LOAD, BusShare, choose_components
 
 
 @given(

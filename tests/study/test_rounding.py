@@ -7,7 +7,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from maplines_can.study.codes.code import raw_above, raw_below
-from maplines_can.wire.layout.signals import Signal
+from maplines_can.wire.layout.record_signals import Signal
 
 #: Numbers of all sizes, and those within and hardly beyond the steps of a signal.
 NUMBERS = st.floats(allow_nan=False) | st.builds(

@@ -20,9 +20,9 @@ from cantools.database.can import Database
 
 from maplines_can import Scene
 from maplines_can.generation.c_build import ALL, Features
-from maplines_can.generation.tables import tables_of
+from maplines_can.generation.c_tables import tables_of
+from maplines_can.wire.core_tables import Limits, limits_of
 from maplines_can.wire.layout.message_layout import Layout
-from maplines_can.wire.tables import Limits, limits_of
 
 C = Path(__file__).parents[2] / "c"
 #: As CONTRIBUTING.md promises of the sources.

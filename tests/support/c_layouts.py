@@ -11,7 +11,7 @@ from scene_layouts import layout_of
 from maplines_can import Slot
 from maplines_can.wire.layout.message_layout import Layout
 from maplines_can.wire.layout.pose_layout import PoseLayout
-from maplines_can.wire.layout.signals import slot_title
+from maplines_can.wire.layout.record_signals import slot_title
 
 
 def with_messages(layout: Layout, **changes: Any) -> Layout:

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from maplines_can.values import cache_files
-from maplines_can.values.cache_files import cache_folder, read_cached, write_cached
+from maplines_can.values import output_files
+from maplines_can.values.output_files import cache_folder, read_cached, write_cached
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return the folder of a cache of its own."""
     path = tmp_path / "cache" / "maplines_can"
-    monkeypatch.setattr(cache_files, "cache_folder", lambda: path)
+    monkeypatch.setattr(output_files, "cache_folder", lambda: path)
     return path
 
 
@@ -57,8 +57,8 @@ def test_a_text_is_read_again(folder: Path) -> None:
 
 def test_the_oldest_files_are_removed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """So that the cache is bounded; and a text that is too long is not written."""
-    monkeypatch.setattr(cache_files, "MAX_FILES", 2)
-    monkeypatch.setattr(cache_files, "MAX_BYTES", 10)
+    monkeypatch.setattr(output_files, "MAX_FILES", 2)
+    monkeypatch.setattr(output_files, "MAX_BYTES", 10)
     for t, name in enumerate("abc"):
         write_cached(name, name)
         if t < 2:
@@ -105,7 +105,7 @@ def test_a_file_that_is_not_utf_8_is_no_error(folder: Path) -> None:
 
 def test_without_a_place_there_is_no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is written, such as to a folder named ~."""
-    monkeypatch.setattr(cache_files, "cache_folder", lambda: None)
+    monkeypatch.setattr(output_files, "cache_folder", lambda: None)
     write_cached("a", "a")
 
     assert read_cached("a") == ""

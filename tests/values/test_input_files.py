@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from maplines_can.bus.signals import read_table
 from maplines_can.cli import main
+from maplines_can.logs.signal_log import read_table
 from maplines_can.restbus.config import Config
 from maplines_can.study.sweep.plan import StudyDirectory
 from maplines_can.values.errors import DriveFileError, RestbusError, StudyError

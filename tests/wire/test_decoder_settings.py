@@ -17,9 +17,9 @@ from maplines_can.wire import (
     Reason,
     default_dbc_path,
 )
+from maplines_can.wire.codec import decoder_settings
+from maplines_can.wire.core_tables import tables_of
 from maplines_can.wire.layout.pose_layout import number_of
-from maplines_can.wire.reception.settings import decoder_settings
-from maplines_can.wire.tables import tables_of
 
 
 def times_of(layout: Layout, *given: Any) -> set[tuple[int, int]]:

@@ -9,7 +9,7 @@ import hashlib
 import io
 import re
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import util
 from pathlib import Path, PurePath
 from typing import NamedTuple
@@ -18,12 +18,10 @@ from ...values.errors import LayoutError, missing_extra
 from ...wire.layout.message_layout import Layout
 from ..c_build import roomy_build
 from ..c_files import core_folder, headers, propagation_sources, source
-from ..tables import tables_of
+from ..c_tables import tables_of
 from . import variables as code
 from .compilers import binaries
-from .description import BUS, build_description, manifest, model_description, terminals
-from .names import names_header
-from .nodes import (
+from .node_variables import (
     CHECKS,
     POSITIONS,
     LeftOut,
@@ -35,6 +33,7 @@ from .nodes import (
 )
 from .route import SentRoute, route_source
 from .variables import Row, Variable, variables_of
+from .xml_files import BUS, build_description, manifest, model_description, terminals
 
 #: C files of each node, besides the core and the tables of the DBC.
 COMMON = ("fmu.h", "bus.h", "bus.c", "fmi3.c", "access.c", "unsupported.c", "controller.c")
@@ -227,3 +226,52 @@ def written(fmu: Fmu) -> bytes:
             info.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
             archive.writestr(info, fmu.files[name], compresslevel=6)
     return stream.getvalue()
+
+
+_COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
+_FUNCTION = re.compile(r"\b(maplines_\w+)(?=\()")
+_CONSTANT = re.compile(r"\bextern const [\w ]+?\b(maplines_\w+)(?=[;\[])")
+_MACRO = re.compile(r"^#define (maplines_\w+)", re.MULTILINE)
+
+
+def names_header(identifier: str, headers: Iterable[str]) -> str:
+    """Return ``names.h``, which each source includes first.
+
+    Args:
+        identifier: of the model.
+        headers: all that declare functions and constants; those that they define as macros have a
+            prefix by these, from ``MAPLINES_NAMESPACE``.
+    """
+    text = _COMMENT.sub("", "\n".join(headers))
+    names = {*_FUNCTION.findall(text), *_CONSTANT.findall(text)} - {*_MACRO.findall(text)}
+    defined = "".join(f"#define {name} MAPLINES_PREFIXED({name})\n" for name in sorted(names))
+    return HEADER.format(identifier=identifier, names=defined)
+
+
+HEADER = """\
+/* Global names of this FMU: all begin with a prefix, so that several FMUs can be in one program.
+ *
+ * It is that of the functions of FMI, by the macros of fmi3Functions.h. A shared library is
+ * compiled with FMI3_OVERRIDE_FUNCTION_PREFIX: functions of FMI have no prefix then, and the others
+ * have the model identifier.
+ */
+#ifndef MAPLINES_NAMES_H
+#define MAPLINES_NAMES_H
+
+#ifndef FMI3_FUNCTION_PREFIX
+#define FMI3_FUNCTION_PREFIX {identifier}_
+#endif
+#ifndef FMI3_OVERRIDE_FUNCTION_PREFIX
+#define MAPLINES_NAMESPACE FMI3_FUNCTION_PREFIX
+#elif defined(FMI3_ACTUAL_FUNCTION_PREFIX)
+#define MAPLINES_NAMESPACE FMI3_ACTUAL_FUNCTION_PREFIX
+#else
+#define MAPLINES_NAMESPACE {identifier}_
+#endif
+#define MAPLINES_PREFIXED(name) MAPLINES_PREFIXED_BY(MAPLINES_NAMESPACE, name)
+#define MAPLINES_PREFIXED_BY(prefix, name) MAPLINES_WITH_PREFIX(prefix, name)
+#define MAPLINES_WITH_PREFIX(prefix, name) prefix##name
+
+{names}
+#endif
+"""

@@ -11,9 +11,9 @@ from ...propagation import SigmaPoints
 from ...values.errors import LayoutError
 from ...values.gaussian import Gaussian
 from ...values.line import Slot
-from ...values.map_error import MapError
 from ...values.polyline import Polyline
 from ...values.route_lines import RouteLines
+from ...values.scene import MapError
 
 #: Most points of a route with its lines: some 50 MB of C.
 MAX_POINTS = 1_000_000

@@ -20,10 +20,10 @@ from ...values.errors import MapFileError
 from ...values.line import Kind
 from ...values.polyline import Polyline
 from ..lane import SkippedList
-from ..model import Lane, LaneType, Map, Skipped
+from ..road_map import Lane, LaneType, Map, Skipped
+from .coordinate_systems import is_wgs84, placed
 from .lanelets import boundary, centre_line, lanelet_map
 from .projection import shifted, utm_of
-from .systems import is_wgs84, placed
 from .xml_tree import Document, Element, number_in
 
 #: Elements that say nothing of lanes.

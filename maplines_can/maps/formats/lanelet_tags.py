@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...values.line import Kind
 from ...values.polyline import Polyline
-from ..model import Lane, LaneType, Skipped
+from ..road_map import Lane, LaneType, Skipped
 from .lanelets import Lanelet, boundary, centre_line
 
 Tags = Mapping[str, str]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...values.errors import MapFileError
 from ...values.line import Kind
 from ...values.polyline import Polyline
-from ..model import Lane, LaneType, Map, Road, Skipped
+from ..road_map import Lane, LaneType, Map, Road, Skipped
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from typing import Any, BinaryIO, NamedTuple
 
 from ...values.errors import MapFileError
 from ...values.input_files import checked_path
-from ..model import Map
-from ..town import town_path
+from ..road_map import Map
+from ..tour import town_path
 
 #: Largest map file, after decompression [bytes].
 MAX_BYTES = 1 << 30

@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 
 from ...values.errors import MapFileError
 from ..lane import SkippedList
-from ..model import Map, Skipped
+from ..road_map import Map, Skipped
+from .coordinate_systems import notices_of
 from .lanelet_tags import RawLanelet, Side, Tags, lanelets
 from .lanelets import lanelet_map, linked
 from .projection import UTM_LATITUDES, middle, project, tangent, utm
-from .systems import notices_of
 from .xml_tree import Document, Element, memory_of, number_in
 
 Array = NDArray[np.float64]

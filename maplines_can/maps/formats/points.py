@@ -37,10 +37,10 @@ from ...values.input_files import lines_of
 from ...values.line import Kind
 from ...values.polyline import Polyline
 from ..lane import SkippedList
-from ..model import Lane, Map, Skipped
+from ..road_map import Lane, Map, Skipped
+from .coordinate_systems import is_wgs84, notices_of, placed
 from .lanelets import Lanelet, boundary, centre_line, lanelet_map, linked
 from .projection import around, project
-from .systems import is_wgs84, notices_of, placed
 from .xml_tree import number_in
 
 Array = NDArray[np.float64]

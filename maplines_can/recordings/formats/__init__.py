@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from .file_per_table import CsvWriter, JsonLinesWriter, ParquetWriter
 from .mcap import McapWriter
 from .mf4 import Mf4Writer
-from .parquet import ParquetWriter
-from .text import CsvWriter, JsonLinesWriter
-from .writer import About, PathOf, TableWriter, beside
+from .table_writer import About, PathOf, TableWriter, beside
 
 __all__ = ["SUFFIXES", "About", "PathOf", "TableWriter", "beside", "open_tables", "suffix_of"]
 

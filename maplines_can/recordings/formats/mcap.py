@@ -9,9 +9,9 @@ from typing import Any
 
 from ...values.errors import missing_extra
 from ...values.line import Slot
-from ...wire.layout.signals import slot_title
-from ..table import LineTable, Table
-from .writer import About, FilesWriter, PathOf
+from ...wire.layout.record_signals import slot_title
+from ..line_tables import LineTable, Table
+from .table_writer import About, FilesWriter, PathOf
 
 _TYPES = {"b": "boolean", "i": "integer", "u": "integer", "f": "number"}
 _TITLES = {slot.name: slot_title(slot) for slot in Slot}

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from ...values.errors import missing_extra
 from ...values.line import Slot
-from ...wire.layout.signals import slot_title
-from ..table import LineTable, Table
-from .writer import About, FilesWriter, PathOf
+from ...wire.layout.record_signals import slot_title
+from ..line_tables import LineTable, Table
+from .table_writer import About, FilesWriter, PathOf
 
 _TITLES = {slot.name: slot_title(slot) for slot in Slot}
 #: Columns that are no channels.

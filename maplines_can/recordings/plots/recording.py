@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...bus.log_summary import LogSummary, Times
+from ...logs.log_summary import LogSummary, Times
 from ...values.errors import LogError
 from ...values.line import Slot
 from ...wire import LineCodec
+from ..block_reception import LogReceiver
 from ..blocks import read_blocks
 from ..fitting import misfit
+from ..line_tables import LineTable, Table
 from ..read_lines import name_of, tables_of
-from ..receive import LogReceiver
-from ..table import LineTable, Table
 
 Array = NDArray[Any]
 

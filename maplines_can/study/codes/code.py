@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...values.line import Status
 from ...wire.layout.message_layout import Layout
-from ...wire.layout.signals import OCTAVES, Bounds, Signal
+from ...wire.layout.record_signals import OCTAVES, Bounds, Signal
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...wire.layout.message_layout import Layout
-from ...wire.layout.signals import PARAMETER_SIGNALS
+from ...wire.layout.record_signals import PARAMETER_SIGNALS
 from .code import Array, Coded, CovarianceCode, check_linear, check_octaves
 
 #: States in the order of the factor, and the unit of each.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...values.line import VAGUE_SIGMA, Status
 from ...wire.layout.message_layout import Layout
-from ...wire.layout.signals import PARAMETER_SIGNALS, Signal
+from ...wire.layout.record_signals import PARAMETER_SIGNALS, Signal
 from .code import Array, Coded, CovarianceCode, check_linear, check_octaves, nearest_raw
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ...values.errors import LayoutError
 from ...wire.layout.message_layout import Layout
-from ...wire.layout.signals import PARAMETER_SIGNALS
+from ...wire.layout.record_signals import PARAMETER_SIGNALS
 from .code import Array, Coded, CovarianceCode, check_linear, nearest_raw
 
 #: The upper triangle, row by row, as in the paper.

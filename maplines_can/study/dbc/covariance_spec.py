@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from ...wire.layout.signals import PARAMETER_SIGNALS
+from ...wire.layout.record_signals import PARAMETER_SIGNALS
 from ..codes.integer_cholesky import ORDER, entry_name
 from ..codes.triangle import PAIRS, half_name, triangle_name
 from .dbc_writer import SignalSpec

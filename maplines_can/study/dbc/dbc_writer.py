@@ -17,7 +17,7 @@ from cantools.database.can.formats.dbc.dbc_specifics import DbcSpecifics
 
 from ...values.line import Slot
 from ...wire.layout.pose_layout import SCENE2, SCENES
-from ...wire.layout.signals import PAGE_BYTES, POSE_PREFIX, SECURED_SIGNALS, slot_title
+from ...wire.layout.record_signals import PAGE_BYTES, POSE_PREFIX, SECURED_SIGNALS, slot_title
 from ...wire.layout.slot_messages import fd_length
 from .record_pages import MESSAGES, RecordPages, SceneSpec, SignalSpec, dbc_signal
 

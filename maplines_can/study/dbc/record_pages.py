@@ -13,7 +13,7 @@ from cantools.database.conversion import BaseConversion
 
 from ...values.line import Slot
 from ...wire.layout.pose_layout import SCENE, SCENE2, SceneOwner
-from ...wire.layout.signals import LINE, PAGE, PAGE_BYTES, TRANSFER_ID, slot_title
+from ...wire.layout.record_signals import LINE, PAGE, PAGE_BYTES, TRANSFER_ID, slot_title
 
 #: A slot in the name of a signal, and in a sentence about it.
 _SLOT = re.compile("|".join(rf"\b{slot_title(slot)}(?=[A-Z]|\b)" for slot in Slot))

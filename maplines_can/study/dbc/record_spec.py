@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from ...values.line import Kind, Slot, Status
 from ...wire.layout.pose_layout import SCENE, SCENE2
+from ...wire.layout.record_signals import SLOT, slot_title
 from ...wire.layout.scene_layout import NoLine
-from ...wire.layout.signals import SLOT, slot_title
 from ..codes import CODES
 from .covariance_spec import covariance_signals, pivot_signal, ratio_signal
 from .dbc_writer import DbcWriter, PoseSpec, SceneSpec, SignalSpec, paged

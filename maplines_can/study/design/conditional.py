@@ -24,7 +24,7 @@ from ...values.output_files import whole_file
 from ...values.scene import Scene
 from ...wire import Codec
 from ...wire.layout.message_layout import Layout
-from ...wire.layout.signals import FINE, FINE_SIGNALS, OWN_SIGNALS, PARAMETER_SIGNALS
+from ...wire.layout.record_signals import FINE, FINE_SIGNALS, OWN_SIGNALS, PARAMETER_SIGNALS
 from ..dbc.dbc_writer import DbcWriter, SignalSpec
 from ..dbc.record_spec import CONDITIONAL, POSE
 from ..scenes.carriers import with_pose

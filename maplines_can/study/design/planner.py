@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...values.line import PARAMETERS, lateral_jacobian
-from ...wire.layout.signals import PAGE_BYTES, PARAMETER_SIGNALS
+from ...wire.layout.record_signals import PAGE_BYTES, PARAMETER_SIGNALS
 from ..dbc.covariance_spec import covariance_signals, pivot_signal, ratio_signal
 from ..dbc.dbc_writer import TRANSFER_ID_BITS, DbcWriter, SignalSpec, paged
 from ..dbc.record_spec import SERVICE

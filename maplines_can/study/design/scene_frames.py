@@ -27,7 +27,7 @@ from ...values.errors import LayoutError
 from ...values.output_files import whole_file
 from ...wire import Codec
 from ...wire.layout.message_layout import Layout
-from ...wire.layout.signals import OCTAVE, OWN_SIGNALS, PARAMETER_SIGNALS
+from ...wire.layout.record_signals import OCTAVE, OWN_SIGNALS, PARAMETER_SIGNALS
 from ..dbc.dbc_writer import DbcWriter, SceneSpec, SignalSpec
 from ..dbc.record_spec import CONDITIONAL, POSE, WHOLE_SCENES
 from ..scenes.map_scenes import DrawnScene

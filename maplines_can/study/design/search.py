@@ -21,7 +21,7 @@ from ...values.errors import LayoutError
 from ...values.line import Slot, Status
 from ...values.output_files import whole_file
 from ...wire import Codec, Layout
-from ...wire.layout.signals import PARAMETER_SIGNALS
+from ...wire.layout.record_signals import PARAMETER_SIGNALS
 from ..dbc.dbc_writer import DbcWriter
 from ..metrics import LATERAL_X, evaluate
 from ..sets import Gaussians, paper, road, survey

@@ -21,7 +21,13 @@ from ...values.line import Status, lateral_jacobian
 from ...values.scene import Scene
 from ...wire.layout.cholesky import CholeskyCode
 from ...wire.layout.message_layout import Layout
-from ...wire.layout.signals import FINE_SIGNALS, OWN_SIGNALS, PARAMETER_SIGNALS, POSE_ROWS, TILT
+from ...wire.layout.record_signals import (
+    FINE_SIGNALS,
+    OWN_SIGNALS,
+    PARAMETER_SIGNALS,
+    POSE_ROWS,
+    TILT,
+)
 from ..comparison import AnyCodec, codec_for, transmit
 from ..dbc.dbc_writer import DbcWriter
 from ..dbc.record_spec import CONDITIONAL, DEFAULT, WHOLE_SCENES, dbc_writer_for

@@ -19,7 +19,7 @@ from ...values.errors import StudyError
 from ...values.input_files import json_of
 from ...values.line import Slot
 from ...wire.layout.message_layout import Layout
-from ...wire.layout.signals import PARAMETER_SIGNALS
+from ...wire.layout.record_signals import PARAMETER_SIGNALS
 from ..codes import CODES
 from ..comparison import AnyCodec, codec_for
 from ..dbc.covariance_spec import covariance_signals

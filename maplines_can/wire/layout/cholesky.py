@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...values.elementary import exp2
 from ...values.errors import LayoutError
 from .record_layout import RecordLayout
-from .signals import OCTAVES, PARAMETER_SIGNALS, RATIO, Signal
+from .record_signals import OCTAVES, PARAMETER_SIGNALS, RATIO, Signal
 
 #: Largest condition number of a decoded correlation matrix that double precision holds.
 MAX_CONDITION = 1e13

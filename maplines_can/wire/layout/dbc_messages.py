@@ -8,11 +8,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from enum import Enum
 
-from ...dbc_files.tables import Attribute, DbcMessage, DbcSignal
+from ...dbc_files.dbc_tables import Attribute, DbcMessage, DbcSignal
 from ...values.errors import LayoutError
 from .record_layout import pages_of
+from .record_signals import PAGE, PAGE_BYTES, TRAILER, Signal
 from .signal import all_raw
-from .signals import PAGE, PAGE_BYTES, TRAILER, Signal
 from .slot_messages import FD_LENGTHS, MAX_MS, RecordMessages, SecuredLayout
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, TypeAlias
 
-from ...dbc_files.tables import DbcMessage, DbcSignal, DbcTables
+from ...dbc_files.dbc_tables import DbcMessage, DbcSignal, DbcTables
 from ...values.errors import LayoutError
 from ...values.line import Kind, Slot, Status
 from .dbc_messages import (
@@ -23,8 +23,8 @@ from .dbc_messages import (
 )
 from .pose_layout import POSE, SCENES, Owner, PoseLayout, owner_name
 from .record_layout import bits_of, pages_of
+from .record_signals import PAGE, PAGE_BYTES, POSE_PREFIX, SECURED_SIGNALS, TRANSFER_ID, Signal
 from .scene_reader import scene_layout
-from .signals import PAGE, PAGE_BYTES, POSE_PREFIX, SECURED_SIGNALS, TRANSFER_ID, Signal
 
 #: Covariance code of a DBC without the attribute CovarianceCode.
 DEFAULT_CODE = "Cholesky"

@@ -12,18 +12,17 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...dbc_files.dbc_cache import DbcFile, parsed_tables
+from ...dbc_files.dbc_tables import DbcTables, database_tables
 from ...dbc_files.encoding import say
-from ...dbc_files.kept import DbcFile, parsed_tables
 from ...dbc_files.parser import default_dbc_path
-from ...dbc_files.tables import DbcTables, database_tables
 from ...values.arrays import row_values
 from ...values.errors import EncodeError, LayoutError
 from ...values.line import Slot
 from .dbc_reader import content_of
 from .pose_layout import POSE, Owner, PoseLayout, owner_name
 from .record_layout import RecordLayout, bits_of
-from .scene_layout import SceneLayout
-from .signals import (
+from .record_signals import (
     COMPLETE_RECORD,
     CONDITIONAL_RECORD,
     FINE_SIGNALS,
@@ -36,6 +35,7 @@ from .signals import (
     TRANSFER_ID,
     Bounds,
 )
+from .scene_layout import SceneLayout
 from .slot_messages import RecordMessages, Room, SecuredLayout, check_messages
 
 if TYPE_CHECKING:

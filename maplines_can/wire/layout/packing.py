@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from ...core import ffi, lib
 from ...core.memory import pointer, shaped
+from .record_signals import PAGE_BYTES
 from .signal import Signal, first_bit, place_of
-from .signals import PAGE_BYTES
 
 
 class Packing:

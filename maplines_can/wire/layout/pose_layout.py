@@ -10,7 +10,7 @@ from typing import ClassVar, Literal, TypeAlias
 
 from ...values.line import Slot
 from .record_layout import RecordLayout
-from .signals import POSE_PREFIX, POSE_RECORD, Signal, of_slot, slot_title
+from .record_signals import POSE_PREFIX, POSE_RECORD, Signal, of_slot, slot_title
 from .slot_messages import RecordMessages, SecuredLayout
 
 #: Owner of the records of the pose error, as a slot is that of its lines.

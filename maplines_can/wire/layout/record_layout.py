@@ -11,8 +11,7 @@ from typing import ClassVar
 
 from ...values.errors import LayoutError
 from ...values.line import Slot
-from .signal import first_bit
-from .signals import (
+from .record_signals import (
     EXACT_BITS,
     FINE,
     FINE_SIGNALS,
@@ -24,6 +23,7 @@ from .signals import (
     Signal,
     slot_title,
 )
+from .signal import first_bit
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -11,7 +11,7 @@ from typing import ClassVar
 from ...values.line import LEFT_OUT, LeftOut, Slot
 from .pose_layout import SCENE, SceneOwner
 from .record_layout import RecordLayout, check_record
-from .signals import SCENE_RECORD, Signal
+from .record_signals import SCENE_RECORD, Signal
 from .slot_messages import RecordMessages, SecuredLayout
 
 #: Most lines of a record.

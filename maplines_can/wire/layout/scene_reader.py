@@ -8,7 +8,7 @@ from dataclasses import replace
 from itertools import chain
 from typing import NamedTuple
 
-from ...dbc_files.tables import DbcMessage
+from ...dbc_files.dbc_tables import DbcMessage
 from ...values.errors import LayoutError
 from ...values.line import Kind, Slot
 from .dbc_messages import (
@@ -21,9 +21,9 @@ from .dbc_messages import (
     to_signal,
 )
 from .pose_layout import SCENE, SceneOwner, owner_name
+from .record_signals import LINE, PAGE_BYTES, SCENE_LINE, SECURED_SIGNALS, SLOT, Signal, slot_title
 from .scene_layout import MAX_PLACES, NoLine, SceneLayout
 from .signal import first_bit
-from .signals import LINE, PAGE_BYTES, SCENE_LINE, SECURED_SIGNALS, SLOT, Signal, slot_title
 
 _SLOTS = {slot_title(slot): slot for slot in Slot}
 #: Start of the names of a line, and the name of one of its signals.

@@ -11,7 +11,7 @@ from ...core import lib
 from ...core.memory import pointer
 from ...values.arrays import floats
 from ...values.linalg import MAX_COV, asymmetric, rounding_of
-from .signals import PARAMETER_SIGNALS
+from .record_signals import PARAMETER_SIGNALS
 
 #: Greatest difference of the sum of weights from 1.
 WEIGHT_TOLERANCE = 1e-5

@@ -1,19 +1,47 @@
-"""Checks of the records of a slot or of the pose error, to be read."""
+"""Checks of received frames and records: why one is dropped, and the counters of each slot."""
 
 from __future__ import annotations
 
 from collections import Counter
+from enum import Enum
+from operator import index
 from typing import Any, NamedTuple
 
 from ...core import Lock, lib
 from ..protection.e2e_state import E2EState, ProfileStatus
-from .times import limited_ns
 
 STATES = {int(state): state for state in E2EState}
 STATUSES: dict[int, ProfileStatus | None] = {0xFF: None}
 STATUSES |= {int(status): status for status in ProfileStatus}
 #: Members of ``maplines_check_t`` with the numbers of checks, in the order of `ProfileStatus`.
 _NUMBERS = ("ok", "no_new_data", "errors", "repeated", "some_lost", "wrong_sequence")
+
+
+class Reason(Enum):
+    """Reason why a received frame does not complete a line.
+
+    All but PENDING are counted; none is raised.
+    """
+
+    PENDING = "held until the other pages of its transfer arrive"
+    FOREIGN = "its CAN ID carries no map line"
+    LENGTH = "its payload has the wrong length"
+    PAGE = "its page number is not in the DBC"
+    DUPLICATE = "its page or its line was already received"
+    REPLACED = "another frame with its transfer ID was kept in its place"
+    STALE = "a line of its slot that is as new or newer was already delivered"
+    INCOMPLETE = "a frame of another record or line was received before its own was complete"
+    TIMEOUT = "the rest of its transfer or line was not received in time"
+    MIXED = "the pages of its record belong to different transfers"
+    CRC = "the checksum of its record is wrong"
+    CONTENT = "its record holds a value that no sender may send"
+    POSE = "the pose error that its record belongs to was not received in time"
+    UNAUTHENTICATED = "its message has no MAC, and this receiver requires one"
+    KEY = "its MAC is of a key that this receiver does not have"
+    MAC = "its MAC is wrong"
+    REPLAY = "its MAC is valid, but its freshness value is not newer than the last accepted one"
+    AGE = "its MAC is valid, but its freshness value is outside the window about the current time"
+    SPACING = "records of its slot follow each other far faster than its cycle"
 
 
 class SlotStats(NamedTuple):
@@ -113,3 +141,28 @@ class Check:
         t_ns = limited_ns(t_ns, "t_ns")
         with self._lock:
             return ask(self._c, self._number, t_ns)
+
+
+#: A time beyond this is taken as this one [ns]: 127 years from the zero of the clock.
+MAX_TIME_NS = 4 * 10**18
+
+
+def limited_ns(time: float, name: str) -> int:
+    """Return a time as an integer of at most ``MAX_TIME_NS`` [ns].
+
+    Args:
+        time: an integer of any type, or a float without a fraction [ns].
+        name: of the argument, for messages.
+
+    Raises:
+        ValueError: it is a float with a fraction, or not finite.
+        TypeError: it is no number.
+
+    >>> limited_ns(5.0, "now_ns"), limited_ns(-(10**30), "now_ns")
+    (5, -4000000000000000000)
+    """
+    if isinstance(time, float):
+        if not time.is_integer():
+            raise ValueError(f"{name} must be whole [ns], got {time!r}")
+        time = int(time)
+    return max(-MAX_TIME_NS, min(index(time), MAX_TIME_NS))

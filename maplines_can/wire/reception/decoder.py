@@ -15,8 +15,7 @@ from ...values.line import LEFT_OUT, MapLine, Slot
 from ..layout.message_layout import Layout
 from ..layout.pose_layout import OWNERS, POSE, Owner, number_of
 from ..protection.secoc import DATA_ID_BYTES, FRESHNESS_BYTES, MAX_FRESHNESS, Verifier
-from ..reasons import Reason
-from .check import STATES, STATUSES, Check, SlotStats
+from .check import MAX_TIME_NS, STATES, STATUSES, Check, Reason, SlotStats, limited_ns
 from .rows import (
     COMPONENT_BYTES,
     COMPONENT_ROW,
@@ -26,7 +25,6 @@ from .rows import (
     line_of,
     scene_of,
 )
-from .times import MAX_TIME_NS, limited_ns
 from .views import STALE_CYCLES, ReceivedScene, SceneView, SlotView, check_stale_cycles
 
 #: Message of the error of a question about scenes if there are none.

@@ -19,9 +19,8 @@ from ...core import ffi
 from ...core.memory import dtype_of
 from ...values.gaussian import Gaussian
 from ...values.line import LEFT_OUT, Kind, MapLine, Slot, Status
-from ...values.map_error import MapError
 from ...values.mixture import GaussianMixture
-from ...values.scene import PoseError, Scene
+from ...values.scene import MapError, PoseError, Scene
 from .views import ReceivedScene
 
 T = TypeVar("T")

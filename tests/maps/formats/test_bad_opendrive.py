@@ -23,7 +23,7 @@ from support.xodr_files import (
 
 from maplines_can.maps import LaneTracker, MapFileError
 from maplines_can.maps.formats.opendrive import read
-from maplines_can.maps.model import Map
+from maplines_can.maps.road_map import Map
 from maplines_can.values.errors import RouteError
 
 GOOD = road(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from maplines_can import maps
-from maplines_can.maps.town import town_path
+from maplines_can.maps.tour import town_path
 from maplines_can.study.scenes.map_scenes import (
     MAPS,
     OFFSET,

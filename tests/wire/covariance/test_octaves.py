@@ -3,7 +3,7 @@
 import pytest
 
 from maplines_can.values.errors import LayoutError
-from maplines_can.wire.layout.signals import FARTHEST_OCTAVE, OCTAVES, Signal
+from maplines_can.wire.layout.record_signals import FARTHEST_OCTAVE, OCTAVES, Signal
 
 
 def exponent(length: int, *, signed: bool, factor: float = 1.0, offset: float = 0.0) -> Signal:

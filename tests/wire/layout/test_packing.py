@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from maplines_can.wire.layout.packing import Packing
-from maplines_can.wire.layout.signals import Signal
+from maplines_can.wire.layout.record_signals import Signal
 
 LENGTHS = (8, 16, 24, 32, 48, 64)
 

@@ -11,8 +11,7 @@ from scene_layouts import layout_of, pose_layout_of
 from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import Slot
 from maplines_can.wire.layout.record_layout import RecordLayout
-from maplines_can.wire.layout.signal import all_raw
-from maplines_can.wire.layout.signals import (
+from maplines_can.wire.layout.record_signals import (
     COMPLETE_RECORD,
     CONDITIONAL_RECORD,
     POSE_RECORD,
@@ -25,6 +24,7 @@ from maplines_can.wire.layout.signals import (
     Signal,
     of_slot,
 )
+from maplines_can.wire.layout.signal import all_raw
 
 LINE = layout_of("maplines.dbc").signals
 CONDITIONAL = layout_of("maplines-pose.dbc").signals

@@ -18,8 +18,8 @@ from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import Slot
 from maplines_can.wire import Codec, Layout
 from maplines_can.wire.layout.pose_layout import SCENE, SCENE2
+from maplines_can.wire.layout.record_signals import SCENE_LINE, SECURED_SIGNALS, SLOT, slot_title
 from maplines_can.wire.layout.scene_layout import SceneLayout
-from maplines_can.wire.layout.signals import SCENE_LINE, SECURED_SIGNALS, SLOT, slot_title
 
 #: CAN IDs of the messages.
 IDS = {"Scene2": 888, "Scene": 889, "Scene2SecOC": 890, "SceneSecOC": 891}

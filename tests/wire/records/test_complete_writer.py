@@ -13,7 +13,7 @@ from support.scene_streams import COMPLETE, codec_of, feed, new_codec
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import MapLine, Slot, Status
 from maplines_can.values.scene import PoseError, Scene
-from maplines_can.wire.layout.signals import PARAMETER_SIGNALS
+from maplines_can.wire.layout.record_signals import PARAMETER_SIGNALS
 
 
 @pytest.mark.parametrize("y", [0.0, np.pi / 2])

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....values.polyline import Polyline
-from ...landmarks import Landmark, LandmarkKind
-from ...model import Skipped
+from ...road_map import Landmark, LandmarkKind, Skipped
 from ..xml_tree import Element
-from .attributes import UnusableError, attempt, number
 from .road import RoadRecord
+from .xml_attributes import UnusableError, attempt, number
 
 #: Types of objects that are landmarks; a street lamp is one of OpenDRIVE 1.4.
 POLES = frozenset({"pole", "streetLamp", "tree"})

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from ....values.line import Kind
-from ...model import LaneType, Skipped
+from ...road_map import LaneType, Skipped
 from ..xml_tree import Element
-from .attributes import UnusableError, attempt, cubics, integer, number
 from .profiles import CubicPiece
+from .xml_attributes import UnusableError, attempt, cubics, integer, number
 
 _LANE_TYPES = {kind.value.lower(): kind for kind in LaneType} | {
     "mwyentry": LaneType.ENTRY,

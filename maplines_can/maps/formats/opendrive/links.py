@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from ...model import Skipped
+from ...road_map import Skipped
 from ..xml_tree import Element
-from .attributes import UnusableError, attempt, integer
 from .road import RoadLink, contact_of
+from .xml_attributes import UnusableError, attempt, integer
 
 #: Largest distance of a road from a junction that it does not name [m].
 CONTACT_DISTANCE = 1.0

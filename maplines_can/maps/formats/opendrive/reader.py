@@ -15,16 +15,13 @@ import numpy as np
 
 from ....values.errors import MapFileError
 from ....values.line import Kind
-from ....values.pieces import Pieces, longest, merged
-from ....values.polyline import Polyline
-from ...landmarks import Landmark
+from ....values.polyline import Pieces, Polyline, longest, merged
 from ...lane import SkippedList
 from ...matching import pieces_beside
-from ...model import Lane, LaneType, Map, Road, Skipped
+from ...road_map import Landmark, Lane, LaneType, Map, Road, Skipped
+from ..coordinate_systems import notices_of
 from ..projection import shifted, utm_of
-from ..systems import notices_of
 from ..xml_tree import Document, Element, number_in
-from .attributes import UnusableError
 from .boundaries import SAME, Boundaries, SamplingError, sampled
 from .landmarks import read_buildings, read_landmarks
 from .lane_section import LaneRecord, Speeds
@@ -32,6 +29,7 @@ from .links import Connection, LaneKey, LaneTopology, RoadTopology, lane_links, 
 from .reference_line import Complex
 from .road import RoadRecord, read_road
 from .vanishing import without_vanished
+from .xml_attributes import UnusableError
 
 #: Elements that say nothing of lanes or landmarks.
 _IGNORED = {"elevationProfile", "railroad", "surface"}

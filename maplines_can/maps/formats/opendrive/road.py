@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from ...model import Skipped
+from ...road_map import Skipped
 from ..xml_tree import Element
-from .attributes import UnusableError, attempt, cubic, cubics, number
 from .lane_section import SectionRecord, Speeds, read_sections, speed
 from .profiles import CubicPiece, Profiles
 from .reference_line import MAX_TURN, Geometry, Parameter, ReferenceLine
+from .xml_attributes import UnusableError, attempt, cubic, cubics, number
 
 #: Largest coordinate [m]. UTM has 1e7 m.
 MAX_COORDINATE = 1e8

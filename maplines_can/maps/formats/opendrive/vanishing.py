@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model import Skipped
+from ...road_map import Skipped
 from .boundaries import WIDTH_TOLERANCE, Boundaries
 from .lane_section import LaneRecord, SectionRecord
 from .profiles import Array

@@ -1,4 +1,4 @@
-"""CSV and JSON Lines: a file for each table."""
+"""Parquet, CSV and JSON Lines: a file for each table."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
-from ..table import LineTable, Table
-from .writer import About, FilesWriter, PathOf
+from ...values.errors import missing_extra
+from ..line_tables import LineTable, Table
+from .table_writer import About, FilesWriter, PathOf
 
 
 class CsvWriter(FilesWriter):
@@ -77,3 +78,48 @@ def _rows(table: Table, nothing: Any, truth: Any = None) -> Iterator[tuple[Any, 
             column = [truth(str(one)) for one in column]
         columns.append(column)
     return zip(*columns, strict=True)
+
+
+class ParquetWriter(FilesWriter):
+    """Writer of Parquet, a row group a block of frames.
+
+    A field has the metadata ``unit``, and the schema has those of ``About`` with the prefix
+    ``maplines.``.
+
+    Args:
+        path_of: paths of the files.
+        about: source of the tables.
+
+    Raises:
+        MissingExtraError: pyarrow is not installed.
+    """
+
+    def __init__(self, path_of: PathOf, about: About) -> None:
+        try:
+            import pyarrow.parquet as pq
+        except ImportError as error:
+            raise missing_extra("a Parquet file needs pyarrow", "tables") from error
+        super().__init__(path_of)
+        self._pq, self._about = pq, about
+        self._writers: dict[str, Any] = {}
+
+    def write(self, table: LineTable) -> None:
+        """Write the rows of a block."""
+        for name, part in table.parts.items():
+            rows = part.to_arrow()
+            if name not in self._writers:
+                about = {f"maplines.{key}": text for key, text in self._about.texts.items()}
+                schema = rows.schema.with_metadata(about)
+                path = self._files.temporary(name)
+                self._writers[name] = self._pq.ParquetWriter(path, schema, compression="zstd")
+            if len(part):
+                self._writers[name].write_table(rows.replace_schema_metadata(None))
+
+    def close(self) -> list[Path]:
+        """Complete the files and return their paths."""
+        self._release()
+        return self._files.close()
+
+    def _release(self) -> None:
+        for writer in self._writers.values():
+            writer.close()

@@ -8,7 +8,7 @@ from typing import Any
 
 from ...values.errors import missing_extra
 from ...values.output_files import whole_file
-from .panels import Panel
+from .log_panels import Panel
 
 #: Opacity of each of the three bands, which lie over each other.
 _ALPHA = 0.16

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...values.errors import missing_extra
 from ...values.output_files import whole_file
-from .panels import Band, Panel
+from .log_panels import Band, Panel
 
 
 def write_page(panels: Sequence[Panel], title: str, path: str | Path) -> None:

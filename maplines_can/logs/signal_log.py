@@ -20,8 +20,8 @@ from ..values.errors import DriveFileError, LogError
 from ..values.input_files import checked_path, toml_of
 from .first_frames import FirstFrames, ids_text
 from .j1939 import Reassembler, j1939_messages, nearest, pgn_of, source_of
+from .log_reader import read_log
 from .log_summary import LogSummary, Times
-from .logs import read_log
 
 if TYPE_CHECKING:
     from ..dbc_files.parser import Database, Message

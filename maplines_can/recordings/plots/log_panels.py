@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...values.line import PARAMETERS, Slot, Status, lateral
-from ..table import UPPER_TRIANGLE, position
+from ..line_tables import UPPER_TRIANGLE, position
 from .recording import OLDEST, Recording, recorded
 
 __all__ = [

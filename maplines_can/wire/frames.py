@@ -7,11 +7,11 @@ from itertools import repeat
 from struct import Struct
 from typing import Any, NamedTuple
 
-from ...values.errors import EncodeError, LayoutError
-from ..layout.message_layout import Layout
-from ..layout.pose_layout import Owner, owner_name
-from ..layout.signals import PAGE_BYTES
-from ..protection.secoc import Authenticator, check_freshness
+from ..values.errors import EncodeError, LayoutError
+from .layout.message_layout import Layout
+from .layout.pose_layout import Owner, owner_name
+from .layout.record_signals import PAGE_BYTES
+from .protection.secoc import Authenticator, check_freshness
 
 #: Most combinations of records whose form is remembered.
 MAX_FORMS = 64

@@ -11,7 +11,7 @@ from typing import Protocol
 from ... import __version__
 from ...values.output_files import temporary_path
 from ...wire import LineCodec
-from ..table import LineTable
+from ..line_tables import LineTable
 
 #: Path of the file of a table, by its name: lines, rejects or scenes.
 PathOf = Callable[[str], Path]

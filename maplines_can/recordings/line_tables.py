@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bus.log_summary import LogSummary
+from ..logs.log_summary import LogSummary
 from ..values.errors import MissingExtraError, missing_extra
 from ..values.line import PARAMETERS, Kind, Slot, Status, are_within, lateral, lateral_jacobian
 from ..wire import E2EState
-from ..wire.reasons import Reason
+from ..wire.reception.check import Reason
+from .block_reception import COMPLETE, REASONS, LineBlock
 from .blocks import FrameBlock
-from .line_block import COMPLETE, REASONS, LineBlock
 
 #: Rows and columns of the upper triangle of a covariance.
 UPPER_TRIANGLE = [(i, j) for i in range(4) for j in range(i, 4)]

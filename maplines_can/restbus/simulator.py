@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Any
 
 from ..bus import Lateness, Link, Sent
 from ..bus.clock import Clock, to_ns
-from ..bus.j1939 import source_of
 from ..bus.link import link_of
-from ..bus.log_writer import message_of
 from ..bus.periodic import PeriodicCall, QueueSending
 from ..bus.tx_queue import TxQueue
+from ..logs.j1939 import source_of
+from ..logs.log_writer import message_of
 from ..values.errors import MaplinesError, RestbusError
 from ..values.line import MapLineList, Slot
 from ..values.scene import Scene
 from ..wire import Frame
 from .broadcasts import PAUSE_NS, Broadcasts
 from .config import Config, LinesConfig
-from .faults import FaultySending, parse_faults
+from .frame_faults import FaultySending, parse_faults
 from .messages import DbcMessage
-from .tables import listed, nearest
+from .toml_tables import listed, nearest
 
 if TYPE_CHECKING:
     import can

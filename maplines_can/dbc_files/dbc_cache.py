@@ -14,10 +14,10 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
-from ..values.cache_files import read_cached, write_cached
+from ..values.output_files import read_cached, write_cached
+from .dbc_tables import DbcTables, from_json, tables_of, to_json
 from .encoding import decoded, say
 from .parser import parse_database, read_bytes
-from .tables import DbcTables, from_json, tables_of, to_json
 
 #: Folder with the tables of the DBCs of this package.
 PACKAGED = Path(__file__).with_name("packaged")

@@ -1,9 +1,13 @@
-"""Reception of blocks of frames: the lines of `Decoder.feed`, as arrays."""
+"""Reception of blocks of frames: the lines of `Decoder.feed`, as arrays.
+
+``wire/reception/rows.py`` has the members of the rows.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
@@ -11,19 +15,53 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bus.first_frames import FirstFrames
+from ..logs.first_frames import FirstFrames
 from ..wire import Decoder, LineCodec
-from ..wire.reasons import Reason
+from ..wire.reception.check import Reason
 from ..wire.reception.rows import COMPONENT_ROW, LINE_ROW, SCENE_ROW
 from .blocks import FrameBlock
-from .line_block import REASONS, LineBlock
 
+#: Reason of a frame that has completed lines, among the places in ``Reason``.
+COMPLETE = 255
+#: Reasons by their numbers in ``LineBlock.reasons``.
+REASONS = tuple(Reason)
 #: No log of a car has more channels. Each one needs a decoder, some 16 kB.
 MAX_CHANNELS = 256
 #: Longer than any time-out [ns].
 _LONG_NS = 10**18
 
 _NUMBERS = {reason: number for number, reason in enumerate(REASONS)}
+
+
+@dataclass(frozen=True, eq=False)
+class LineBlock:
+    """What has come of a block of frames.
+
+    Args:
+        lines: (n,) of `LINE_ROW`, in the order of their frames.
+        components: (m,) of `COMPONENT_ROW`, of the lines that are mixtures.
+        scenes: (k,) of `SCENE_ROW`, those that a newer one has followed; empty if not asked for.
+        channel: (n,) uint16 of the lines, place in ``channels``.
+        scene_channel: (k,) uint16 of the scenes.
+        has_time: (n,) bool, whether the log has the time of a line.
+        reasons: (frames,) uint8, why each frame has completed no line: a place in `REASONS`, or
+            `COMPLETE` if it has.
+        first_frame: place in the log of the first frame.
+        channels: names of the channels so far.
+    """
+
+    lines: NDArray[np.void]
+    components: NDArray[np.void]
+    scenes: NDArray[np.void]
+    channel: NDArray[np.uint16]
+    scene_channel: NDArray[np.uint16]
+    has_time: NDArray[np.bool_]
+    reasons: NDArray[np.uint8]
+    first_frame: int
+    channels: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.lines)
 
 
 class _Rows(NamedTuple):

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..wire.core_tables import Members, Value, limits_of
 from ..wire.layout.message_layout import Layout
 from ..wire.layout.pose_layout import OwnerNumber
 from ..wire.layout.signal import Signal, place_of
-from ..wire.tables import Members, Value, limits_of
 from .c_build import Build, build_of
 
 

@@ -1,19 +1,21 @@
-"""Lines of a sender as the core takes them: bytes of their values, one line after the other."""
+"""Lines and counters of a sender as the core takes them: bytes of their values, one by one."""
 
 from __future__ import annotations
 
 import struct
 from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
-from itertools import chain
-from operator import attrgetter
+from itertools import chain, repeat
+from operator import attrgetter, index
+from struct import Struct, error
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...values.line import MapLine, Slot
+from ..values.line import MapLine, Slot
+from .layout.pose_layout import OWNERS, Owner
 
 #: Bytes of a mean and of its covariance.
 GAUSSIAN_BYTES = 160
@@ -76,3 +78,28 @@ def _bytes(arrays: Iterable[NDArray[np.float64]]) -> bytes:
     except (BufferError, ValueError, TypeError):  # one is not in C order
         kept = [*map(np.ascontiguousarray, kept)]
         return b"".join(kept)
+
+
+_FORM = Struct(f"{len(OWNERS)}q")
+
+
+def packed(counters: Mapping[Owner, int]) -> bytes:
+    """Return the counters of all owners; 0 without one. Only their low 32 bits count.
+
+    Raises:
+        TypeError: one is no integer.
+
+    >>> from maplines_can import Slot
+    >>> unpacked(packed({Slot.ROUTE: 3}))[Slot.ROUTE]
+    3
+    """
+    given = [*map(counters.get, OWNERS, repeat(0))]
+    try:
+        return _FORM.pack(*given)
+    except error:  # one has more than 64 bits, or is no integer
+        return _FORM.pack(*(index(one) & 0xFFFFFFFF for one in given))
+
+
+def unpacked(counters: bytes) -> dict[Owner, int]:
+    """Return the counters by owner."""
+    return dict(zip(OWNERS, _FORM.unpack(counters), strict=True))

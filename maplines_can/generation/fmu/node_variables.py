@@ -7,10 +7,10 @@ from enum import IntEnum
 
 from ...propagation.refit import MAX_MISFIT
 from ...values.line import Kind, Slot, Status
-from ...values.map_error import MapError
+from ...values.scene import MapError
 from ...wire.layout.message_layout import Layout
 from ...wire.protection.e2e_state import E2EState
-from ...wire.reasons import Reason
+from ...wire.reception.check import Reason
 from .variables import ENTRIES, Role, Row, Store
 
 #: Where a receiver evaluates lines, unless its parameters say otherwise [m].

@@ -21,9 +21,7 @@ from .layout.cholesky import CholeskyCode
 from .layout.message_layout import POSE_CONDITIONAL, WHOLE_SCENE, Layout
 from .layout.pose_layout import SCENES, PoseLayout, number_of
 from .layout.record_layout import RecordLayout, bits_of
-from .layout.scene_layout import SceneLayout
-from .layout.signal import place_of
-from .layout.signals import (
+from .layout.record_signals import (
     FINE,
     FINE_SIGNALS,
     OCTAVE,
@@ -36,6 +34,8 @@ from .layout.signals import (
     Signal,
     slot_title,
 )
+from .layout.scene_layout import SceneLayout
+from .layout.signal import place_of
 from .layout.slot_messages import RecordMessages
 
 #: Covariance codes of the core, by their names in the DBC's attribute CovarianceCode.

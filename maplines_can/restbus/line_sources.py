@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any, cast, get_args
 
 from ..bus import read_log
-from ..bus.log_summary import Times
+from ..logs.log_summary import Times
 from ..maps import random_tour, town_path, town_tour
 from ..maps.formats.load import load
 from ..maps.line_source import LineSource
 from ..recordings.fitting import check_fit
 from ..simulation.map_frame import check_on_map
 from ..simulation.pose_source import PoseSource
-from ..simulation.recorded import RecordedDrive
+from ..simulation.recorded_drive import RecordedDrive
 from ..simulation.scenario_lines import ScenarioLines, weaving_ego
 from ..simulation.scenarios import SCENARIOS, STREETS, scenario
 from ..simulation.trajectory import SimulatedDrive, drive_along
@@ -23,8 +23,8 @@ from ..values.errors import LogError, RestbusError
 from ..values.line import MapLine, Slot, aged
 from ..values.scene import Scene
 from ..wire import Codec, Reason, default_dbc_path
-from .signals import script
-from .tables import Table
+from .signal_values import script
+from .toml_tables import Table
 
 #: Lines at a time since the start [s]: all that are sent from now on; None at the end.
 Lines = Callable[[float], "list[MapLine] | Scene | None"]

@@ -18,14 +18,14 @@ from typing import IO, Any, NamedTuple, cast, get_args
 from ..values.errors import LogError, missing_extra
 from ..values.input_files import checked_path
 from .asc_log import AscFormat
-from .blf_logs import BLFParseError, BlfReader, BlfRunReader
+from .blf_log import BLFParseError, BlfReader, BlfRunReader
 from .candump_log import CandumpFormat
 from .frame_block import FrameBlock, LogFrame, frames_of
 from .log_summary import LogReader, LogSummary, Times
 from .log_times import LogTimes
-from .mf4_logs import Mf4Reader
-from .sqlite_logs import SqliteReader
-from .table_logs import CsvFormat, TrcFormat
+from .mf4_log import Mf4Reader
+from .sqlite_log import SqliteReader
+from .table_log import CsvFormat, TrcFormat
 from .text_lines import Lines, text_of
 from .text_rows import RowReader
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..values.arrays import floats
 from ..values.errors import DriveFileError
 from ..values.gaussian import Gaussian
-from .columns import POSITION, chosen, quantities, read_csv
+from .drive_columns import POSITION, chosen, quantities, read_csv
 from .map_frame import north, project
 from .recorded_errors import covariances, covered, first_problem, linear, valid_series
 from .trajectory import CarState, even_times

@@ -1,9 +1,10 @@
-"""The map: lanes and roads, and what a car asks of them."""
+"""The map: lanes, roads and landmarks, and what a car asks of them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from functools import cached_property
 from types import MappingProxyType
 from typing import overload
@@ -14,7 +15,6 @@ from ..values.errors import RouteError
 from ..values.line import Slot
 from ..values.polyline import Polyline
 from ..values.route_lines import RouteLines
-from .landmarks import Landmark
 from .lane import Lane, LaneType, Road, Skipped
 from .matching import LaneIndex, LaneMatch
 from .routing import Route, shortest_route
@@ -192,3 +192,26 @@ def _require(ids: Iterable[str], known: Mapping[str, object], where: str) -> Non
     for one in ids:
         if one not in known:
             raise ValueError(f"{where} names {one!r}, which is not in the map")
+
+
+class LandmarkKind(StrEnum):
+    """Kind of a landmark."""
+
+    POLE = "pole"  #: of a street lamp, or a tree trunk
+    SIGN = "sign"  #: traffic sign or traffic light
+
+
+@dataclass(frozen=True)
+class Landmark:
+    """A thin upright object beside the road.
+
+    Args:
+        id: unique in the map.
+        kind: of the object.
+        x, y: position in the map frame [m].
+    """
+
+    id: str
+    kind: LandmarkKind
+    x: float
+    y: float

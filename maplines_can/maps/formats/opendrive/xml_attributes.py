@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 from ....values.arrays import LARGEST
-from ...model import Skipped
+from ...road_map import Skipped
 from ..xml_tree import Element, number_in
 from .profiles import CubicPiece
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..values.errors import RestbusError
 from .fields import Field, Raw
-from .tables import Table, nearest
+from .toml_tables import Table, nearest
 
 #: Raw value of a signal at a time since the start [s], in the transmission of this number.
 Value = Callable[[float, int], Raw]

@@ -1,1 +1,0 @@
-"""Records: lines and pose errors to payloads and back."""
