@@ -64,7 +64,9 @@ GAPS = [
     pytest.param(f'"{TRACED}"', "", "nothing in the column 'tests'", id="no-test"),
     pytest.param("code = [", "source = [", "no column 'source'", id="no-column"),
     pytest.param(f'tests = ["{TRACED}"]', "", "nothing in the column 'tests'", id="short-row"),
-    pytest.param("wire.reasons:", "wire.reason:", "no module 'wire.reason'", id="no-module"),
+    pytest.param(
+        "reception.check:", "reception.checks:", "no module 'wire.reception.checks'", id="no-module"
+    ),
     pytest.param("Reason.CRC", "Reason.CRC32", "does not define 'Reason.CRC32'", id="no-member"),
     pytest.param("Reason.CRC", "Enum", "does not define 'Enum'", id="imported-only"),
     pytest.param(":Reason.CRC", "", "does not define ''", id="module-only"),
