@@ -31,7 +31,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maplines_can import Gaussian, MapError, Polyline, Slot, map_scene
-from maplines_can.consumers.consistency import ConsistencyTest
 from maplines_can.consumers.plausibility import CameraBias, pose_times, residuals
 from maplines_can.consumers.residual_filter import (
     FAST,
@@ -40,6 +39,7 @@ from maplines_can.consumers.residual_filter import (
     CameraNoise,
     ResidualModel,
 )
+from maplines_can.consumers.residual_test import ConsistencyTest
 
 from .harness import evidence, progress
 

@@ -24,9 +24,9 @@ import numpy as np
 
 from maplines_can import Codec, Slot
 from maplines_can.bus import read_log
+from maplines_can.recordings.block_reception import LogReceiver
 from maplines_can.recordings.blocks import read_blocks
-from maplines_can.recordings.receive import LogReceiver
-from maplines_can.recordings.table import line_table
+from maplines_can.recordings.line_tables import line_table
 from maplines_can.study.sets import road
 from maplines_can.wire import Authenticator, Frame, Key, default_dbc_path
 
