@@ -204,17 +204,20 @@ def rates() -> dict[str, float]:
     """Return the rates of undetected errors [1/h] for each error model."""
     counts, share = weights(), 2.0**-CRC_BITS
     worst = max(usable_residual(p, counts) for p in np.geomspace(1e-4, 1e-1, 301).tolist())
-    frames = RECORDS_PER_HOUR * PAGES
+    frames, n = RECORDS_PER_HOUR * PAGES, RECORDS_PER_HOUR
+    on_bus, behind = "damaged on the bus,", "damaged behind the controllers: bit error probability"
     return {
-        "bus, classic CAN": frames * DAMAGED * CAN_UNDETECTED * share,
-        "bus, CAN FD": RECORDS_PER_HOUR * can_fd_undetected(1e-4) * share,
-        "behind, 1e-6": RECORDS_PER_HOUR * residual(1e-6, counts),
-        "behind, 1e-5": RECORDS_PER_HOUR * residual(1e-5, counts),
-        "behind, 1e-4": RECORDS_PER_HOUR * residual(1e-4, counts),
-        "behind, worst": RECORDS_PER_HOUR * worst,
-        "one random page": share,
-        "every record random": RECORDS_PER_HOUR * share,
-        "every record random, MAC": RECORDS_PER_HOUR * 2.0**-MAC_BITS,
+        f"{on_bus} classic CAN: 1 % of the frames, of which the controllers miss 4.7e-11": frames
+        * (DAMAGED * CAN_UNDETECTED * share),
+        f"{on_bus} CAN FD: bit error probability 1e-4, Hamming distance 6 and 21 bits of the "
+        "frame's CRC": n * can_fd_undetected(1e-4) * share,
+        f"{behind} 1e-6": n * residual(1e-6, counts),
+        "the same, 1e-5": n * residual(1e-5, counts),
+        "the same, 1e-4": n * residual(1e-4, counts),
+        "the same, worst bit error probability, slot VALID": n * worst,
+        "one record an hour with a page of random or foreign content": share,
+        "every record random, such as by a faulty sender": n * share,
+        f"the same with SecOC, a MAC of {MAC_BITS} bits": n * 2.0**-MAC_BITS,
     }
 
 
@@ -225,25 +228,12 @@ def distance(counts: Iterable[int]) -> int:
 
 def rates_table() -> str:
     """Return the rates as a table for docs/assurance.md."""
-    names = {
-        "bus, classic CAN": "damaged on the bus, classic CAN: 1 % of the frames, of which the "
-        "controllers miss 4.7e-11",
-        "bus, CAN FD": "damaged on the bus, CAN FD: bit error probability 1e-4, Hamming distance 6 "
-        "and 21 bits of the frame's CRC",
-        "behind, 1e-6": "damaged behind the controllers: bit error probability 1e-6",
-        "behind, 1e-5": "the same, 1e-5",
-        "behind, 1e-4": "the same, 1e-4",
-        "behind, worst": "the same, worst bit error probability, slot VALID",
-        "one random page": "one record an hour with a page of random or foreign content",
-        "every record random": "every record random, such as by a faulty sender",
-        "every record random, MAC": "the same with SecOC, a MAC of 64 bits",
-    }
     lines = [
         "| error model | undetected [1/h] | 1e-9 (ASIL B) | 1e-10 (ASIL D) |",
         "|---|---:|---|---|",
     ]
-    for key, rate in rates().items():
+    for name, rate in rates().items():
         verdict = (("met" if rate <= target else "**not met**") for target in TARGETS.values())
         number = f"{rate:.2g}" if rate >= 0.1 else f"{rate:.1e}"
-        lines.append(f"| {names[key]} | {number} | {' | '.join(verdict)} |")
+        lines.append(f"| {name} | {number} | {' | '.join(verdict)} |")
     return "\n".join(lines)

@@ -10,23 +10,27 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from maplines_can import Codec, Gaussian, MapError, Polyline, Scene, Slot, map_scene
+from maplines_can import Gaussian, MapError, Polyline, Scene, Slot, map_scene
 from maplines_can.testing import FaultInjector, Faults
-from maplines_can.wire import Decoder, Frame, Owner, default_dbc_path
+from maplines_can.wire import Frame, Owner
 
 from .harness import evidence, progress
+from .transfer import codec_of
 
 PERIOD, FRAME = 0.05, 0.00025  #: [s]
-SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.ROUTE)
-#: Slots of whole scenes: both messages have lines.
-MANY = (*SLOTS, Slot.NEXT_LEFT, Slot.EDGE_LEFT, Slot.EDGE_RIGHT)
+#: Slots with their lateral offsets [m]; whole scenes have all, so that both messages have lines.
+OFFSETS = {
+    Slot.EGO_LEFT: 1.75, Slot.EGO_RIGHT: -1.75, Slot.ROUTE: 0.0,
+    Slot.NEXT_LEFT: 5.25, Slot.EDGE_LEFT: 8.0, Slot.EDGE_RIGHT: -4.0,
+}  # fmt: skip
+MANY = tuple(OFFSETS)
+SLOTS = MANY[:3]
 #: Cycles of one run: with one kind of faults and one receiver.
 RUN = 500
 #: Different scenes. It has no common divisor with the range of a counter, so that records of equal
@@ -90,13 +94,8 @@ def epochs(n: int = 30_000, beyond: bool = False, seed: int = 0) -> dict[str, An
     for number in progress(range(-(-n // run)), "runs"):
         name, faults = kinds[number % len(kinds)]
         over_the_bus(chains[name], faults, run, [seed, number], counts[f"{name}: {faults.name}"])
-    total = sum(counts.values(), Counter[str]())
-    return {name: shown(of) for name, of in counts.items()} | {"all": shown(total)}
-
-
-def shown(counts: Counter[str]) -> dict[str, int]:
-    """Return the counts with those that must be 0."""
-    return {**dict.fromkeys(WRONG, 0), **dict(counts)}
+    every = counts | {"all": sum(counts.values(), Counter[str]())}
+    return {name: {**dict.fromkeys(WRONG, 0), **of} for name, of in every.items()}
 
 
 #: Faults of the receiver.
@@ -110,10 +109,9 @@ def over_the_bus(
 
     A scene is checked when it is the newest one, and again when a late line joins it.
     """
-    source = Source(chain.write, np.random.default_rng(seed), faults, chain.slots)
-    decoder, last = chain.decoder(), None
+    decoder, last, rng = chain.codec.decoder(), None, np.random.default_rng(seed)
     checked: tuple[int, int] | None = None
-    for at, frame in source.arrivals(int(seed[-1]) * 977, cycles):
+    for at, frame in arrivals(chain, faults, rng, int(seed[-1]) * 977, cycles, counts):
         decoder.feed(frame.can_id, frame.data, round(at * 1e9), is_extended=frame.is_extended)
         received = decoder.scene()
         key = None if received is None else (received.t_ns, len(received.scene.lines))
@@ -122,61 +120,55 @@ def over_the_bus(
             counts["scenes"] += received.t_ns != last
             counts.update(chain.check(received.scene))
             last, checked = received.t_ns, key
-    counts["cycles sent"] += source.sent
     counts["lines"] += decoder.lines
     known = decoder.line_frames + decoder.pose_frames + sum(decoder.counts.values())
     counts["frames not accounted for"] += decoder.frames - known - decoder.pending
 
 
-@dataclass
-class Source:
-    """Sender of cycles with the number of the cycle in each record."""
-
-    #: Frames of the records of a cycle, by number, slots and counters.
-    write: Callable[[int, Sequence[Slot], Counter[Owner]], dict[Owner, list[Frame]]]
-    rng: np.random.Generator
-    disturbance: Disturbance
-    slots: Sequence[Slot]
-    sent: int = 0
-
-    def arrivals(self, first: int, cycles: int) -> Iterator[tuple[float, Frame]]:
-        """Yield times [s] and frames of so many cycles as they arrive."""
-        counters: Counter[Owner] = Counter()
-        one, rng = self.disturbance, self.rng
-        seeded = f"{one.frames},seed={int(rng.integers(2**31))}"
-        injector = FaultInjector[Any](Faults.parse(seeded.replace("seed=1,", "")))
-        waiting: list[tuple[float, int, Frame]] = []
-        slots, silent_until, order = list(self.slots), 0, 0
-        for cycle in range(cycles):
-            at = cycle * PERIOD
-            if rng.random() < 0.05:  # slots come and go
-                slots = [slot for slot in self.slots if rng.random() < 0.7]
-            if rng.random() < 0.005:
-                silent_until = cycle + int(rng.integers(1, 30))
-            if one.restarts and rng.random() < 0.01:
-                counters.clear()
-                silent_until = cycle + int(rng.choice([0, 0, 2, 25]))
-            if cycle < silent_until:
-                continue
-            self.sent += 1
-            for own in self.write(first + cycle, slots, counters).values():
-                late = rng.uniform(*one.delay) * PERIOD if rng.random() < one.late else 0.0
-                if rng.random() >= one.lost:
-                    for frame in own:
-                        order += 1
-                        heapq.heappush(waiting, (at + late, order, frame))
-                        at += FRAME
-            while waiting and waiting[0][0] < (cycle + 1) * PERIOD:
-                now, _, frame = heapq.heappop(waiting)
-                for out in injector.apply(frame, now):
-                    yield now, out
+def arrivals(
+    chain: WholeChain,
+    faults: Disturbance,
+    rng: np.random.Generator,
+    first: int,
+    cycles: int,
+    counts: Counter[str],
+) -> Iterator[tuple[float, Frame]]:
+    """Yield times [s] and frames of so many cycles as they arrive, with their number in each."""
+    counters: Counter[Owner] = Counter()
+    seeded = f"{faults.frames},seed={int(rng.integers(2**31))}"
+    injector = FaultInjector[Any](Faults.parse(seeded.replace("seed=1,", "")))
+    waiting: list[tuple[float, int, Frame]] = []
+    slots, silent_until, order = list(chain.slots), 0, 0
+    for cycle in range(cycles):
+        at = cycle * PERIOD
+        if rng.random() < 0.05:  # slots come and go
+            slots = [slot for slot in chain.slots if rng.random() < 0.7]
+        if rng.random() < 0.005:
+            silent_until = cycle + int(rng.integers(1, 30))
+        if faults.restarts and rng.random() < 0.01:
+            counters.clear()
+            silent_until = cycle + int(rng.choice([0, 0, 2, 25]))
+        if cycle < silent_until:
+            continue
+        counts["cycles sent"] += 1
+        for own in chain.write(first + cycle, slots, counters).values():
+            late = rng.uniform(*faults.delay) * PERIOD if rng.random() < faults.late else 0.0
+            if rng.random() >= faults.lost:
+                for frame in own:
+                    order += 1
+                    heapq.heappush(waiting, (at + late, order, frame))
+                    at += FRAME
+        while waiting and waiting[0][0] < (cycle + 1) * PERIOD:
+            now, _, frame = heapq.heappop(waiting)
+            for out in injector.apply(frame, now):
+                yield now, out
 
 
 class WholeChain:
     """Scenes that differ in pose error and lines, encoded and decoded as on any bus."""
 
     def __init__(self, dbc: str, slots: Sequence[Slot], *, fd: bool) -> None:
-        self._codec, self._fd = Codec.from_dbc(default_dbc_path(dbc)), fd
+        self.codec, self._fd = codec_of(dbc), fd
         #: Of the lines that it sends.
         self.slots = slots
         self._scenes: list[dict[tuple[Slot, ...], tuple[Scene, Any]]] = [{} for _ in range(SCENES)]
@@ -188,21 +180,17 @@ class WholeChain:
         known, key = self._scenes[number % SCENES], tuple(slots)
         if key not in known:
             scene = road_scene(number % SCENES, key)
-            known[key] = scene, self._codec.encoder().prepare_scene(scene, fd=self._fd)
-        frames = self._codec.encoder().encode_scene(known[key][1], fd=self._fd, counters=counters)
+            known[key] = scene, self.codec.encoder().prepare_scene(scene, fd=self._fd)
+        frames = self.codec.encoder().encode_scene(known[key][1], fd=self._fd, counters=counters)
         for owner in frames:
             counters[owner] += 1
         return frames
-
-    def decoder(self) -> Decoder:
-        """Return a decoder."""
-        return self._codec.decoder()
 
     def check(self, scene: Scene) -> Counter[str]:
         """Return the faults of a scene: the cycle that it comes from is that of its pose error."""
         number = scene_number(float(scene.pose_error.cov[0, 0]) ** 0.5)
         if any(
-            round((line.gaussian.mean[0] - offset(line.slot)) / STEP) != number
+            round((line.gaussian.mean[0] - OFFSETS[Slot(line.slot)]) / STEP) != number
             for line in scene.lines
         ):
             return Counter({"wrong joints": 1})
@@ -216,15 +204,6 @@ class WholeChain:
         return Counter(overconfident=np.linalg.eigvalsh(margin)[0] < -1e-9, indefinite=not definite)
 
 
-def offset(slot: int) -> float:
-    """Return the lateral offset of a slot [m]."""
-    offsets = {
-        Slot.EGO_LEFT: 1.75, Slot.EGO_RIGHT: -1.75, Slot.ROUTE: 0.0,
-        Slot.NEXT_LEFT: 5.25, Slot.EDGE_LEFT: 8.0, Slot.EDGE_RIGHT: -4.0,
-    }  # fmt: skip
-    return offsets[Slot(slot)]
-
-
 def scene_number(sigma_along: float) -> int:
     """Return the number of a scene by its pose error; codes round this up by less than a step."""
     return round(np.log(sigma_along / MIN_SIGMA) / np.log(RATIO) - 0.25)
@@ -235,7 +214,7 @@ def road_scene(number: int, slots: Sequence[Slot] = SLOTS) -> Scene:
     x = np.arange(-100.0, 200.0, 10.0)
     shift = number * STEP
     lines = {
-        slot: Polyline(np.column_stack([x, np.full_like(x, offset(slot) + shift)]))
+        slot: Polyline(np.column_stack([x, np.full_like(x, OFFSETS[slot] + shift)]))
         for slot in slots
     }
     pose = Gaussian([0, 0, 0], np.diag([MIN_SIGMA * RATIO**number, 0.2, 0.004]) ** 2)

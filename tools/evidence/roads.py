@@ -67,24 +67,10 @@ def s_bend(rng: Any) -> list[StreetPiece]:
     return [StreetPiece(rng.uniform(20, 60)), *first, *second, StreetPiece(rng.uniform(20, 60))]
 
 
-def corner(rng: Any) -> list[StreetPiece]:
-    """Return a corner of 90 deg and of radius 8 m."""
-    turn = (np.pi / 2, np.pi / 2)
-    return [
-        StreetPiece(rng.uniform(40, 80)),
-        *bend(rng, (8, 8), turn),
-        StreetPiece(rng.uniform(40, 80)),
-    ]
-
-
-def hairpin(rng: Any) -> list[StreetPiece]:
-    """Return a turn of 180 deg and of radius 7 m to 15 m."""
-    turn = (np.pi, np.pi)
-    return [
-        StreetPiece(rng.uniform(40, 80)),
-        *bend(rng, (7, 15), turn),
-        StreetPiece(rng.uniform(40, 80)),
-    ]
+def turned_off(rng: Any, radius: tuple[float, float], turn: float) -> list[StreetPiece]:
+    """Return a turn between straight pieces, with a random radius [m] and a turn [rad]."""
+    begin = StreetPiece(rng.uniform(40, 80))
+    return [begin, *bend(rng, radius, (turn, turn)), StreetPiece(rng.uniform(40, 80))]
 
 
 def roundabout(rng: Any, radius: float) -> list[StreetPiece]:
@@ -151,13 +137,13 @@ SHAPES: dict[str, tuple[Callable[[Any], list[StreetPiece]], tuple[float, float],
     "rural": (rural, (0.2, 10), boundary),
     "s-bend": (s_bend, (0.2, 2), boundary),
     "city": (city, (0.2, 2), boundary),
-    "corner": (corner, (0.2, 1), boundary),
+    "corner": (lambda rng: turned_off(rng, (8, 8), np.pi / 2), (0.2, 1), boundary),
     "roundabout-12m": (lambda rng: roundabout(rng, 12.0), (0.2, 1), boundary),
     "roundabout-50m": (lambda rng: roundabout(rng, 50.0), (0.2, 2), boundary),
     "lane-ends": (rural, (0.2, 5), ended),
     "lane-widens": (motorway, (0.2, 5), widened),
     "jump": (rural, (0.2, 5), jumped),
-    "hairpin": (hairpin, (0.2, 1), boundary),
+    "hairpin": (lambda rng: turned_off(rng, (7, 15), np.pi), (0.2, 1), boundary),
     "imprecise": (city, (1, 10), imprecise),
 }
 
@@ -185,8 +171,12 @@ def random_scene(shape: str, rng: Any, lines: int) -> SceneCase:
             across = lane * width + across - np.nanmedian(across)
             there = np.isfinite(across)
             found[slot] = street.line(s[there], across[there])
-    pose, R = _random_pose(rng)
-    return SceneCase({slot: points @ R + pose.place for slot, points in found.items()}, pose.mean)
+    turn, place = rng.uniform(-np.pi, np.pi), rng.uniform([3e5, 4e6], [7e5, 7e6])
+    c, d = np.cos(turn), np.sin(turn)
+    R = np.array([[c, d], [-d, c]])  # from the road to the map
+    beside = np.array([0.0, rng.normal(0, ACROSS_SIGMA)])
+    pose = np.append(beside @ R + place, turn + rng.normal(0, HEADING_SIGMA))
+    return SceneCase({slot: points @ R + place for slot, points in found.items()}, pose)
 
 
 #: Shapes of road on which the lanes go on.
@@ -229,13 +219,6 @@ def _lane_map(street: Street, s: Array, width: float = 3.5) -> maps.Map:
     return maps.Map({"1": lane}, {"A": maps.Road("A", "", centre.length, ("1",))})
 
 
-class _Pose(NamedTuple):
-    """Pose of a car beside the middle of a road, and the place of the road's origin."""
-
-    mean: Array  #: (3,)
-    place: Array  #: (2,)
-
-
 def _random_street(shape: str, rng: Any) -> tuple[Street, Callable[[], Array]]:
     """Return a road, and a function that draws arc lengths of the points of a line along it."""
     pieces_of, spacing, _ = SHAPES[shape]
@@ -250,16 +233,6 @@ def _random_street(shape: str, rng: Any) -> tuple[Street, Callable[[], Array]]:
         return np.append(s[s < street.end - least / 2], street.end)
 
     return street, points_at
-
-
-def _random_pose(rng: Any) -> tuple[_Pose, Array]:
-    """Return a pose, and the (2, 2) matrix that turns points (n, 2) of the road to the map."""
-    turn, place = rng.uniform(-np.pi, np.pi), rng.uniform([3e5, 4e6], [7e5, 7e6])
-    c, d = np.cos(turn), np.sin(turn)
-    beside = np.array([0.0, rng.normal(0, ACROSS_SIGMA)])
-    R = np.array([[c, d], [-d, c]])
-    mean = np.append(beside @ R + place, turn + rng.normal(0, HEADING_SIGMA))
-    return _Pose(mean, place), R
 
 
 # ---- maps of others ----------------------------------------------------------------------------
