@@ -126,18 +126,8 @@ STREAMS = {
 }  # fmt: skip
 REACHED = {
     *("FOREIGN", "LENGTH", "PAGE", "DUPLICATE", "REPLACED", "STALE", "INCOMPLETE", "TIMEOUT"),
-    *(
-        "MIXED",
-        "CRC",
-        "CONTENT",
-        "POSE",
-        "UNAUTHENTICATED",
-        "KEY",
-        "MAC",
-        "REPLAY",
-        "AGE",
-        "SPACING",
-    ),
+    *("MIXED", "CRC", "CONTENT", "POSE", "UNAUTHENTICATED", "KEY", "MAC", "REPLAY", "AGE"),
+    "SPACING",
     *e2e.STATUSES,
     *("NODATA to INIT", "INIT to VALID", "INIT to INVALID", "VALID to INVALID"),
     *("INVALID to VALID", "wrapped", "counted", "break", "lost"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from functools import cache
 from itertools import chain
 from typing import Any, NamedTuple
@@ -70,6 +71,15 @@ def road_scene(
     }
     ego = Gaussian([0, 0, 0], np.diag(sigma) ** 2)
     return map_scene(lines, ego, map_error=map_error, **{"correlation_time": 4.0} | settings)
+
+
+def beyond(scene: Scene, slot: Slot) -> Scene:
+    """The same scene with a line that no message can state."""
+    place, lines = scene.index[slot], [*scene.lines]
+    line = lines[place]
+    mean = [1e3, *line.gaussian.mean[1:]]
+    lines[place] = replace(line, gaussian=Gaussian(mean, line.gaussian.cov))
+    return replace(scene, lines=tuple(lines))
 
 
 def random_scenes(n: int, seed: int) -> Iterator[Scene]:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from support.dbcs import edited_text
-from support.scene_streams import COMPLETE, CONDITIONAL, new_codec, road_scene
+from support.scene_streams import COMPLETE, CONDITIONAL, beyond, new_codec, road_scene
 
-from maplines_can import Codec, EncodeError, Gaussian, Scene, Slot
+from maplines_can import Codec, EncodeError, Gaussian, Slot
 from maplines_can.bus import Link, Transmitter
 from maplines_can.bus.tx_queue import TxQueue
 from maplines_can.wire import POSE, Layout, default_dbc_path
@@ -94,17 +94,10 @@ def test_the_order_of_the_slots_is_that_of_the_scene() -> None:
     prepared = encoder.prepare_scene(road_scene([Slot.ROUTE, Slot.EGO_LEFT, Slot.CENTRE]))
     some = replace(prepared, sent_slots=(Slot.CENTRE, Slot.ROUTE, Slot.EDGE_LEFT))
     assert [*encoder.encode_scene(some)] == [POSE, Slot.ROUTE, Slot.CENTRE]
-    unfit = encoder.prepare_scene(changed(road_scene(), "lines", beside(road_scene())))
+    unfit = encoder.prepare_scene(beyond(road_scene(), Slot.EGO_RIGHT))
     assert [*unfit.unfit] == [Slot.EGO_RIGHT]
     with pytest.raises(EncodeError, match=r"sent_slots.*has no record"):
         encoder.encode_scene(replace(unfit, sent_slots=(Slot.EGO_LEFT, Slot.EGO_RIGHT)))
-
-
-def beside(scene: Scene) -> Any:
-    """The lines of a scene, the second of them beyond all messages."""
-    first, second = scene.lines
-    mean = [99.0, *second.gaussian.mean[1:]]
-    return first, replace(second, gaussian=Gaussian(mean, second.gaussian.cov))
 
 
 def changed(given: Any, name: str, value: Any) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scene_layouts import layout_of
 from support.scene_streams import (
     ALL,
     COMPLETE,
@@ -18,6 +18,7 @@ from support.scene_streams import (
     OFFSETS,
     PERIOD_NS,
     SECURED,
+    beyond,
     codec_of,
     feed,
     new_codec,
@@ -27,13 +28,12 @@ from support.scene_streams import (
 from maplines_can import (
     Codec,
     EncodeError,
-    Gaussian,
     MapError,
     MapLine,
     Scene,
     Slot,
 )
-from maplines_can.wire import POSE, Owner, Reason, default_dbc_path
+from maplines_can.wire import POSE, Owner, Reason
 from maplines_can.wire.layout.pose_layout import PoseLayout
 
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT)
@@ -95,20 +95,12 @@ def test_a_scene_is_received_as_it_was_sent(dbc: str, fd: bool) -> None:
         assert (decoded.fit_ranges == scene.fit_ranges).all()
 
 
-def beside(scene: Scene) -> Scene:
-    """Return a scene whose second line is beyond YOff."""
-    first, second, *others = scene.lines
-    mean = [40.0, *second.gaussian.mean[1:]]
-    moved = replace(second, gaussian=Gaussian(mean, second.gaussian.cov))
-    return replace(scene, lines=(first, moved, *others))
-
-
 @pytest.mark.parametrize("dbc", ALL)
 def test_lines_that_do_not_fit(dbc: str) -> None:
     """A conditional line is not sent; a full one is, but does not belong to the pose error."""
     scene = road_scene(SLOTS)
     codec, is_conditional = codec_of(dbc), dbc == CONDITIONAL
-    frames = codec.encoder().encode_scene(beside(scene), counters={})
+    frames = codec.encoder().encode_scene(beyond(scene, Slot.EGO_RIGHT), counters={})
     assert (Slot.EGO_RIGHT in frames) is not is_conditional
 
     decoder = codec.decoder()
@@ -125,7 +117,7 @@ def test_lines_that_do_not_fit(dbc: str) -> None:
 def test_a_line_that_is_no_member_never_joins(dbc: str, first: int) -> None:
     """Whatever the counters are: what no levels cover is sent, and stays out of each scene."""
     codec = codec_of(dbc)
-    prepared = codec.encoder().prepare_scene(beside(road_scene(SLOTS)))
+    prepared = codec.encoder().prepare_scene(beyond(road_scene(SLOTS), Slot.EGO_RIGHT))
     assert (len(prepared.sent_slots), len(prepared.members)) == (3, 2)
     decoder = codec.decoder()
     counters: dict[Any, int] = dict.fromkeys([POSE, *Slot], first)
@@ -180,36 +172,18 @@ def test_a_decoded_range_is_within_the_one_sent(radius: float, sigma: Any, noise
         assert sent.x_min <= line.x_min <= line.x_max <= sent.x_max
 
 
-def without_pose(dbc: str) -> str:
-    """Return the text of a DBC without its messages of the pose error, as it was before them."""
-    text = default_dbc_path(dbc).read_text()
-    blocks = re.split(r"(?m)^(?=BO_ )", text)
-    ids = [block.split()[1] for block in blocks[1:] if "Pose" in block.split()[2]]
-    assert ids
-    kept = [blocks[0]]
-    for block in blocks[1:]:
-        _, gap, rest = block.partition("\n\n")
-        kept.append(gap + rest if block.split()[1] in ids else block)
-    lines = "".join(kept).splitlines()
-    mentions = re.compile(rf"^(CM_|BA_|VAL_|SG_MUL_VAL_|SIG_VALTYPE_)\b.*\b({'|'.join(ids)})\b")
-    text = "\n".join(line for line in lines if not mentions.match(line)) + "\n"
-    return re.sub(r"(?m)^BA_DEF.*MapLinePose.*\n", "", text)
+#: The codec of a DBC without messages of the pose error, as it was before them.
+BEFORE = Codec(replace(layout_of(COMPLETE), pose=None))
 
 
-def test_a_receiver_that_knows_no_pose_error_gets_the_same_lines(tmp_path: Any) -> None:
+def test_a_receiver_that_knows_no_pose_error_gets_the_same_lines() -> None:
     """Bit for bit; the frames of the pose error are foreign to it."""
-    path = tmp_path / "before.dbc"
-    path.write_text(without_pose(COMPLETE))
-    before, now = Codec.from_dbc(path), codec_of(COMPLETE)
-    assert before.layout.pose is None
-    scene = road_scene(OFFSETS)
-    frames = now.encoder().encode_scene(scene, counters={}, age=0.02)
-    old, new = before.decoder(), now.decoder()
-    theirs, _ = feed(old, frames, 0)
-    ours, _ = feed(new, frames, 0)
-    lines = [one for one in theirs if isinstance(one, MapLine)]
-    assert len(lines) == len(OFFSETS)
-    for line, other in zip(lines, [x for x in ours if isinstance(x, MapLine)], strict=True):
+    now, old = codec_of(COMPLETE), BEFORE.decoder()
+    frames = now.encoder().encode_scene(road_scene(OFFSETS), counters={}, age=0.02)
+    both = [feed(decoder, frames, 0)[0] for decoder in (old, now.decoder())]
+    ours, theirs = ([one for one in own if isinstance(one, MapLine)] for own in both)
+    assert len(ours) == len(OFFSETS)
+    for line, other in zip(ours, theirs, strict=True):
         assert line.gaussian.mean.tobytes() == other.gaussian.mean.tobytes()
         assert line.gaussian.cov.tobytes() == other.gaussian.cov.tobytes()
         assert (line.age, line.x_min, line.x_max) == (other.age, other.x_min, other.x_max)
@@ -230,14 +204,11 @@ def test_the_records_are_those_of_the_lines_alone() -> None:
     assert [together[line.slot] for line in scene.lines] == alone
 
 
-def test_a_dbc_without_a_pose_error_sends_no_scene(tmp_path: Any) -> None:
-    path = tmp_path / "before.dbc"
-    path.write_text(without_pose(COMPLETE))
-    codec = Codec.from_dbc(path)
+def test_a_dbc_without_a_pose_error_sends_no_scene() -> None:
     with pytest.raises(EncodeError, match="MapLinePose"):
-        codec.encoder().encode_scene(road_scene())
+        BEFORE.encoder().encode_scene(road_scene())
     with pytest.raises(ValueError, match="MapLinePose"):
-        codec.decoder().latest_scene(0)
+        BEFORE.decoder().latest_scene(0)
 
 
 def test_both_dbcs_have_one_layout_of_the_pose_error() -> None:

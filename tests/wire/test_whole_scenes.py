@@ -5,7 +5,6 @@ from __future__ import annotations
 import pickle
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import replace
 from itertools import chain
 from typing import Any
 
@@ -17,7 +16,7 @@ from evidence.witness import POSES, Poses
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scene_layouts import layout_of
-from support.scene_streams import OFFSETS, authenticated_codec, road_scene
+from support.scene_streams import OFFSETS, authenticated_codec, beyond, road_scene
 from support.whole_scene_witness import Read, read
 
 from maplines_can import Codec, EncodeError, Gaussian, MapError, Polyline, Scene, Slot
@@ -50,16 +49,6 @@ def frames_of(sent: dict[Any, list[Frame]]) -> list[Frame]:
 def sent(encoder: Encoder, scene: Scene) -> Read:
     """What a receiver reads of a scene that an encoder sends next."""
     return read(frames_of(encoder.encode_scene(scene, fd=True)), PATH)
-
-
-def beyond(scene: Scene, slot: Slot) -> Scene:
-    """The same scene with a line that no message can state."""
-    place = scene.index[slot]
-    line = scene.lines[place]
-    mean = [1e3, *line.gaussian.mean[1:]]
-    lines = [*scene.lines]
-    lines[place] = replace(line, gaussian=Gaussian(mean, line.gaussian.cov))
-    return replace(scene, lines=tuple(lines))
 
 
 # ---- what is sent ----------------------------------------------------------------------------
