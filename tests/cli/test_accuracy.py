@@ -67,16 +67,6 @@ def test_a_constant_error_of_the_pose_is_an_error_of_the_lines(
     assert max(result["beyond 3 sigma"].values()) < 0.05
 
 
-def test_the_stated_map_error_is_judged(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """In text and JSON. Without a pose error, nothing hides it, and the map is the true one."""
-    found = accuracy(capsys, folder, "exact.blf")["map"]
-    assert found["verdict"] in ("RIGHT", "TOO_LARGE")
-    assert found["error"] <= found["sigma"]
-    assert found["pose_sigma"] < 1e-3
-    assert main(["accuracy", str(folder / "exact.blf.csv"), str(folder / "exact.blf")]) == 0
-    assert "without the pose error, the lateral errors are" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize("has_pyarrow", [True, False])
 def test_the_truth_is_found_beside_the_log(
     tmp_path: Path,
@@ -121,30 +111,29 @@ def test_a_log_without_truth_beside_it_is_one_line(
 @pytest.mark.parametrize(
     ("log", "words"),
     [
-        pytest.param("exact.blf", r"The sender is right: .* 0\.\d+ times", id="exact"),
-        pytest.param("wrong.log", r"The sender is right, but its sigma is large: ", id="large"),
+        ("exact.blf", r"The sender is right: .* 0\.\d+ times"),
+        ("wrong.log", r"The sender is right, but its sigma is large: "),
     ],
 )
-def test_the_first_line_says_whether_the_sender_is_right(
+def test_the_text_and_the_picture(
     folder: Path, capsys: pytest.CaptureFixture[str], log: str, words: str
 ) -> None:
-    """Not which requirements its lines miss: that depends on the accuracy that it states."""
-    assert main(["accuracy", str(folder / f"{log}.csv"), str(folder / log)]) == 0
+    """First whether the sender is right; what lines miss depends on the accuracy that it states."""
+    pytest.importorskip("matplotlib")
+    picture = folder / f"{log}.png"
+    files = [str(folder / f"{log}.csv"), str(folder / log), "--plot", str(picture)]
+    assert main(["accuracy", *files, "--force"]) == 0
     out = capsys.readouterr().out
     assert re.match(words, out.splitlines()[0])
     assert "FAIL" not in out
-
-
-def test_the_text_and_the_picture(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("matplotlib")
-    files = [str(folder / "wrong.log.csv"), str(folder / "wrong.log")]
-    picture = folder / "accuracy.png"
-    assert main(["accuracy", *files, "--plot", str(picture)]) == 0
-    out = capsys.readouterr().out
+    assert "without the pose error, the lateral errors are" in out
     assert re.search(r"lateral \[cm\] +rms", out)
     assert "table 6, heading, 0.05 deg" in out
     assert f"picture: {picture}" in out
     assert picture.read_bytes().startswith(b"\x89PNG")
+    found = accuracy(capsys, folder, "exact.blf")["map"]
+    assert found["verdict"] in ("RIGHT", "TOO_LARGE")
+    assert found["error"] <= found["sigma"]
 
 
 @pytest.mark.parametrize(
@@ -178,24 +167,3 @@ def test_a_mistake_is_one_line(
     assert main(["accuracy", *words.format(d=folder).split()]) == 1
     errors = [line for line in capsys.readouterr().err.splitlines() if "error:" in line]
     assert re.search(error, errors[-1])
-
-
-def test_a_damaged_log_is_compared_up_to_the_damage(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """And the status says so."""
-    torn = folder / "torn.log"
-    torn.write_text((folder / "wrong.log").read_text() + "(1700000000.0) can0 34\n")
-    assert main(["accuracy", str(folder / "wrong.log.csv"), str(torn), "--json"]) == 1
-    captured = capsys.readouterr()
-    assert json.loads(captured.out)["lines"] == 4 * 200
-    assert "torn.log" in captured.err
-
-
-def test_the_result_of_a_drive_names_its_files(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """They can be given to this command as they are."""
-    short = [*FAST[:-1], "1", "--record", str(tmp_path / "a.blf")]
-    result = run(capsys, town(tmp_path), *short)
-    assert main(["accuracy", result["truth"], result["record"], "--json"]) == 0

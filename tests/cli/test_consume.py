@@ -80,16 +80,6 @@ def test_steer_drives_until_the_lines_stop(drive: Path, capsys: pytest.CaptureFi
     assert found[-1]["speed"] < 10.0
 
 
-def test_steer_prints_each_period_as_text(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["--dbc", DBC, "--every", "0.05", "--seconds", "2"]
-    assert main(["consume", "steer", str(drive), *options]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 40
-    assert "no usable line of the ego lane" in lines[0]
-    assert "DRIVING" in lines[-1]
-    assert "offset" in lines[-1]
-
-
 AS_STATED = ("--noise-time", 0, "--gaussian-noise", "--pose-time", 0)
 
 
@@ -147,19 +137,6 @@ def test_lines_without_a_pose_error_are_an_error(
     assert "--pose-error" in err
 
 
-def test_a_camera_needs_a_log(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["consume", "check", "--camera", str(drive), "--dbc", DBC]) == 1
-    assert "--camera needs LOG" in capsys.readouterr().err
-
-
-def test_the_dbc_of_a_simulated_camera_is_an_error(
-    drive: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    options = ["--simulate", "--camera-dbc", DBC, str(drive)]
-    assert main(["consume", "check", *options]) == 1
-    assert "--camera-dbc is that of --camera" in capsys.readouterr().err
-
-
 @pytest.fixture(scope="module")
 def camera_csv(drive: Path) -> Path:
     """The lines of camera.log, as decode --csv prints them."""
@@ -204,14 +181,6 @@ def test_the_lines_of_a_table_are_those_of_the_log(
             assert one.gaussian.cov == pytest.approx(other.gaussian.cov)
 
 
-def test_check_with_a_table_of_camera_lines(
-    drive: Path, camera_csv: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    status, found, _ = rows(capsys, "check", drive, "--camera", camera_csv, "--seconds", 3.5)
-    assert status == 3
-    assert [row["t"] for row in found if row["raised"]] == [pytest.approx(3.2, abs=0.11)]
-
-
 HEADER = "t,slot,y_off,beta,c0,c1,sigma_y_off,sigma_beta,sigma_c0,sigma_c1\n"
 
 
@@ -244,6 +213,11 @@ def test_a_wrong_table_of_camera_lines_is_one_line(
     ("options", "message"),
     [
         (["fusion", "--camera", "x.csv"], "--camera needs LOG"),
+        (["check", "--camera", "LOG"], "--camera needs LOG"),
+        (["check", "LOG", "--simulate", "--camera-dbc", DBC], "is that of --camera"),
+        (["fusion", "--simulate", "--speed", "10"], "--simulate has a car of its own"),
+        (["fusion", "x.log"], "there is no such file"),
+        (["fusion", "LOG", "--motion", "none.csv"], "none.csv"),
         (["fusion", "LOG", "--camera-channel", "can1"], "--camera-channel is a bus"),
         (["fusion", "--camera-dbc", "maplines.dbc"], "leave it out"),
         (["fusion", "--motion", "x.csv"], "--motion needs LOG"),

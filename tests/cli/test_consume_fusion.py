@@ -50,19 +50,6 @@ def test_a_log_with_the_motion_of_its_truth(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--simulate", "--speed", "10"], "--simulate has a car of its own"),
-        (["x.log", "--dbc", "maplines-pose.dbc"], "there is no such file"),
-        (["x.log", "--motion", "none.csv", "--dbc", "maplines-pose.dbc"], "none.csv"),
-    ],
-)
-def test_wrong_use(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["consume", "fusion", *arguments]) == 1
-    assert message in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("time,speed\n1,2\n", "yaw_rate"),

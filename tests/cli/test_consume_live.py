@@ -198,13 +198,11 @@ def test_fusion_with_the_camera_of_another_channel(
     assert found[-1]["centre"][0]["value"] == pytest.approx(0.0, abs=0.02)
 
 
-@pytest.mark.parametrize("shift", [0.0, 1.0])
 def test_check_with_the_camera_of_another_channel(
     sending: Any,
     codec: Codec,
     scene: Scene,
     channel: str,
-    shift: float,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Its lines jump after 1.2 s, in every second cycle: an alarm after four images of them.
@@ -212,7 +210,7 @@ def test_check_with_the_camera_of_another_channel(
     An image that has been compared is not compared again.
     """
     send_scene, plain = scenes_of(codec, scene), Codec.from_dbc().encoder()
-    before, after = seen(scene), seen(scene, shift)
+    before, after = seen(scene), seen(scene, 1.0)
 
     def send(cycle: int, put: Any) -> None:
         send_scene(cycle, put)
@@ -223,9 +221,9 @@ def test_check_with_the_camera_of_another_channel(
     camera = ["--camera-channel", f"{channel}-camera"]
     status, found, err = rows(capsys, channel, "check", *camera, "--seconds", 2.5)
     raised = [row["t"] for row in found if row["raised"]]
-    assert status == (3 if shift else 0), err
-    assert raised == ([pytest.approx(1.55, abs=0.16)] if shift else [])
-    assert f"{len(raised)} alarms" in err
+    assert status == 3, err
+    assert raised == [pytest.approx(1.55, abs=0.16)]
+    assert "1 alarms" in err
     counts = re.search(r"(\d+) cycles CONSISTENT, (\d+) cycles INCONSISTENT", err)
     assert counts is not None
     assert 15 <= int(counts[1]) + int(counts[2]) <= 25
@@ -323,34 +321,6 @@ def test_signals_that_do_not_arrive_are_reported(
     assert "no speed and no yaw_rate has arrived; check --signals-channel" in err
 
 
-def test_check_does_not_compare_while_the_motion_is_unknown(
-    sending: Any,
-    codec: Codec,
-    scene: Scene,
-    channel: str,
-    signals: list[object],
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """The signals come for a second, and count for half a second."""
-    send_scene, plain = scenes_of(codec, scene), Codec.from_dbc().encoder()
-
-    def send(cycle: int, put: Any) -> None:
-        send_scene(cycle, put)
-        if cycle < 20:
-            put(esp(0.0, 0.0))
-        for line in seen(scene):
-            put(plain.encode(line), f"{channel}-camera")
-
-    sending(send)
-    camera = ["--camera-channel", f"{channel}-camera"]
-    status, found, err = rows(capsys, channel, "check", *camera, *signals, "--seconds", 2.5)
-    assert status == 0, err
-    outcomes = [(round(row["t"], 2), row["outcome"]) for row in found]
-    changes = [(t, now) for (_, last), (t, now) in pairwise(outcomes) if now != last]
-    assert [outcome for _, outcome in changes] == ["CONSISTENT", "UNCHECKED"]
-    assert changes[1][0] == pytest.approx(1.5, abs=0.11)
-
-
 CONSUMERS = [["steer"], ["fusion"], ["check", "--simulate"]]
 
 
@@ -361,37 +331,22 @@ def test_a_consumer_runs_until_ctrl_c(
     scene: Scene,
     channel: str,
     consumer: list[str],
-    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Ctrl-C at the first row with a result: status 0, no traceback."""
-    module = f"maplines_can.cli.consume_{consumer[0]}"
+    """Ctrl-C while it has results: status 0, no traceback."""
+    send_scene = scenes_of(codec, scene)
 
-    def stop_at(is_result: Callable[..., bool], after: int = 0) -> Callable[..., str]:
-        count = 0
+    def send(cycle: int, put: Any) -> None:
+        if cycle == 20:
+            raise KeyboardInterrupt
+        send_scene(cycle, put)
 
-        def stop(*arguments: Any, **_: Any) -> str:
-            nonlocal count
-            count += is_result(*arguments)
-            if count > after:
-                raise KeyboardInterrupt
-            return ""
-
-        return stop
-
-    if consumer[0] == "fusion":
-        monkeypatch.setattr(f"{module}.lane_text", stop_at(lambda row: bool(row["centre"]), 1))
-    elif consumer[0] == "steer":
-        is_driving = stop_at(lambda _, command, __: command.state.name != "HANDOVER")
-        monkeypatch.setattr(f"{module}._print", is_driving)
-    else:
-        is_compared = stop_at(lambda _, found, __: found.outcome.name == "CONSISTENT")
-        monkeypatch.setattr(f"{module}._print", is_compared)
-    sending(scenes_of(codec, scene))
+    sending(send)
     bus = ["--interface", "virtual", "--channel", channel, "--dbc", DBC]
     status = main(["consume", *consumer, *bus, "--every", "0.05"])
-    err = capsys.readouterr().err
+    out, err = capsys.readouterr()
     assert (status, "error" in err) == (0, False), err
+    assert len(out.splitlines()) > 5
 
 
 @pytest.mark.parametrize("consumer", CONSUMERS)
@@ -434,14 +389,3 @@ def test_a_bus_without_scenes_is_one_clear_line(
     assert status == 1
     (error,) = [line for line in err.splitlines() if "error:" in line]
     assert re.search(words, error), error
-
-
-@pytest.mark.parametrize("consumer", CONSUMERS)
-def test_a_bus_that_is_down_is_one_clear_line(
-    consumer: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    bus = ["--interface", "socketcan", "--channel", "nocan7", "--dbc", DBC]
-    assert main(["consume", *consumer, *bus]) == 1
-    (error,) = capsys.readouterr().err.splitlines()
-    assert "error:" in error
-    assert "nocan7" in error

@@ -7,7 +7,6 @@ from functools import partialmethod
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from support.dbcs import edited
 from support.fake_bus import LONG
@@ -17,8 +16,8 @@ from maplines_can import Codec, Link, Polyline, Slot, Transmitter
 from maplines_can.cli import main
 from maplines_can.cli.sending import components_text
 from maplines_can.simulation import scenario
-from maplines_can.simulation.bus_share import BusShare, choose_components
-from maplines_can.simulation.scenarios import SCENARIOS, STREETS
+from maplines_can.simulation.components import BusShare, choose_components
+from maplines_can.simulation.scenarios import SCENARIOS
 from maplines_can.study.round_trip import _Arrivals
 
 
@@ -63,23 +62,11 @@ def test_text_and_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
     for words in ("ego left", "next right", "KL", "at 76 m", "bus load  8.6 % at 500 kbit/s"):
         assert words in text
     assert re.search(r"lost +\d+ lines, 0 frames", text)
+    (row,) = {*re.findall(r"KL [\d.]+ nat from the (.*), [\d.]+ nat from the (.*)", text)}
+    assert row == ("covered target", "sent Gaussian")
+    assert "KL: Kullback-Leibler divergence" in text
+    assert "nonlinearity" not in text  # it says little about a single Gaussian
     assert picture.read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.parametrize("name", SCENARIOS | STREETS)
-def test_each_scenario(capsys: pytest.CaptureFixture[str], name: Any) -> None:
-    """No line of any scene is lost but by the time-out."""
-    assert main(["demo", "--seconds", "0.1", "--scenario", name, "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
-    received = result["received"]
-    assert result["lines_lost"] == lines_timed_out(received["counts"], received["pending"], 4)
-
-
-def test_bus_load(capsys: pytest.CaptureFixture[str]) -> None:
-    """Four lines of four frames of at most 135 bits at 20 Hz and 500 kbit/s: 8.64 %."""
-    main(["demo", "--seconds", "0.1", "--json"])
-    load = json.loads(capsys.readouterr().out)["bus_load"]
-    assert load == pytest.approx(4 * 4 * 135 * 20 / 500_000)
 
 
 def test_a_mixture_is_received_as_one_line(
@@ -171,35 +158,6 @@ def test_item_12_lines_left_out_are_printed_with_their_reasons(
         assert "no line of the scenario 'production' can be sent; left out: centre" in (
             capsys.readouterr().err
         )
-
-
-def test_the_default_scene_is_the_production_car(capsys: pytest.CaptureFixture[str]) -> None:
-    """Its lateral sigma is below a metre as far as the lines reach."""
-    assert main(["demo", "--seconds", "0.1", "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
-    assert result["scenario"] == "production"
-    assert all(line["true_y_sigma"] < 1 for line in result["lines"])
-    assert np.allclose(scenario("production").ego.sigma, [0.3, 0.1, np.radians(0.5)])
-
-
-def test_the_text_explains_itself(capsys: pytest.CaptureFixture[str]) -> None:
-    """Both divergences and the covered target are named and explained."""
-    assert main(["demo", "--seconds", "0.1", "--lines", "1"]) == 0
-    text = capsys.readouterr().out
-    (row,) = re.findall(r"KL [\d.]+ nat from the (.*), [\d.]+ nat from the (.*)", text)
-    assert row == ("covered target", "sent Gaussian")
-    assert "KL: Kullback-Leibler divergence" in text
-    assert "covered target: the sent Gaussian" in text
-
-
-def test_nonlinearity_is_printed_for_mixtures_only(capsys: pytest.CaptureFixture[str]) -> None:
-    """It is explained there, and says little about a single Gaussian."""
-    assert main(["demo", "--seconds", "0.1"]) == 0
-    assert "nonlinearity" not in capsys.readouterr().out
-    assert main(["demo", "--seconds", "0.1", "--components", "2"]) == 0
-    text = capsys.readouterr().out
-    assert "2 components, nonlinearity" in text
-    assert "\nnonlinearity: share" in text
 
 
 def test_item_11_lines_are_compared_within_their_valid_range(

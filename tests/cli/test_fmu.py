@@ -127,14 +127,6 @@ def test_findings_are_noted_if_they_are_ignored(
     assert "odd.fmu: error: manifest: fmi-ls-version" in capsys.readouterr().err
 
 
-def test_a_missing_fmpy_names_the_extra(
-    node: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("maplines_can.cosimulation.node.find_spec", lambda _: None)
-    assert main(["fmu", "run", node]) == 1
-    assert 'running FMUs needs fmpy; install the extra "fmi"' in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf"])
 def test_a_log_has_the_length_that_a_remote_frame_asks_for(tmp_path: Path, suffix: str) -> None:
     """Whether or not the operation had data."""

@@ -61,7 +61,7 @@ def test_a_table_without_room(
     assert out.read_text() == "old"
 
 
-@pytest.mark.parametrize("name", ["plot.png", "plot.svg", "plot.html"])
+@pytest.mark.parametrize("name", ["plot.png", "plot.html"])
 def test_a_plot_without_room(name: str, log: Path, tmp_path: Path, capsys: Any) -> None:
     """So a picture and a page."""
     out = tmp_path / name
@@ -134,7 +134,6 @@ def test_standard_output_without_room(words: str, log: Path) -> None:
 
 def test_a_reader_that_has_ended_is_no_error(log: Path) -> None:
     """So with ``head``, and if standard output was closed before the start."""
-    for redirected in ("| true", ">&-", ">&- 2>&-"):
+    for redirected in ("| true", ">&-"):
         assert run(f"decode {log}", redirected)[0] == 0
-        status, printed = run("scenarios", redirected)
-        assert (status, printed) == (0, "")
+    assert run("scenarios", ">&- 2>&-") == (0, "")

@@ -7,7 +7,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import can
 import pytest
 from support.lines import scenario_lines
 
@@ -57,17 +56,6 @@ STUDY = ("maplines_can.study", "maplines_can.testing", "matplotlib", "scipy.stat
 HEAVY = ("can", "cantools", "scipy", "asammdf", "pandas", "pyarrow")
 
 
-@pytest.fixture
-def log(tmp_path: Path) -> Any:
-    """A log of 4 lines."""
-    path = tmp_path / "drive.log"
-    with can.Logger(path) as writer:
-        for line in scenario_lines(scenario("production")):
-            for frame in Codec.from_dbc().encoder().encode(line):
-                writer(can.Message(1.0, frame.can_id, is_extended_id=False, data=frame.data))
-    return path
-
-
 def test_the_package_imports_names_when_they_are_used() -> None:
     """Before that it has loaded no package but itself."""
     modules = modules_after("import maplines_can")
@@ -101,47 +89,45 @@ def test_help_loads_nothing(words: Any) -> None:
     assert not among(modules, "maplines_can.wire", "maplines_can.bus", "maplines_can.propagation")
 
 
-@pytest.mark.parametrize(
-    "name", ["receive", "decode", "plot", "send", "map", "generate", "consume", "restbus"]
-)
-def test_help_of_a_command_loads_neither_study_nor_bus(name: str) -> None:
+def test_help_of_commands_loads_neither_study_nor_bus() -> None:
     """Nor does it load other commands, or what python-can loads where the extra mf4 is there."""
-    modules = modules_after(MAIN.format([name, "--help"]))
-    assert among(modules, f"maplines_can.cli.{COMMANDS[name][0]}")
+    names = ["receive", "decode", "plot", "send", "map", "generate", "consume", "restbus"]
+    modules = modules_after("\n".join(MAIN.format([name, "--help"]) for name in names))
+    for name in names:
+        assert among(modules, f"maplines_can.cli.{COMMANDS[name][0]}")
     assert not among(modules, *STUDY, "maplines_can.cli.demo", "maplines_can.cli.claims")
     assert not among(modules, *HEAVY)
+    every = "\n".join(MAIN.format([name, "--help"]) for name in COMMANDS)
+    assert not among(modules_after(every), "scipy")
 
 
-def test_help_of_no_command_loads_scipy() -> None:
-    """Commands that compute with it load it when they run."""
-    code = "\n".join(MAIN.format([name, "--help"]) for name in COMMANDS)
-    assert not among(modules_after(code), "scipy")
+OWN = "maplines_can.propagation", "maplines_can.simulation.scenarios"
+WITHOUT_BUS = [
+    ["decode", "LOG.log"],
+    ["decode", "LOG.asc"],
+    ["decode", "LOG.blf"],
+    ["decode", "LOG.log", "--csv", "--at", "0,40"],
+    ["decode", "LOG.log", "-o", "LOG.csv"],
+    ["decode", "LOG.log", "--dbc", "auto"],
+    ["decode", "LOG.log", "--dbc", "OTHER.dbc"],
+]
+#: They compute with lines.
+COMPUTING = [
+    ["consume", "steer", "SCENES.log", "--dbc", "maplines-pose.dbc"],
+    ["generate", "c", "--out", "LOG_c"],
+]
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        pytest.param(["decode", "LOG.log"], id="candump"),
-        pytest.param(["decode", "LOG.asc"], id="asc"),
-        pytest.param(["decode", "LOG.blf"], id="blf"),
-        pytest.param(["decode", "LOG.log", "--csv", "--at", "0,40"], id="csv"),
-        pytest.param(["decode", "LOG.log", "-o", "LOG.csv"], id="table"),
-        pytest.param(["decode", "LOG.log", "--dbc", "auto"], id="dbc-auto"),
-        pytest.param(["decode", "LOG.log", "--dbc", "OTHER.dbc"], id="known-dbc"),
-        pytest.param(["consume", "steer", "SCENES.log", "--dbc", "maplines-pose.dbc"], id="steer"),
-        pytest.param(["generate", "c", "--out", "LOG_c"], id="generate"),
-    ],
-)
-def test_a_command_without_a_bus_loads_no_library_of_buses(
-    command: list[str], logs: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("commands", "more"), [(WITHOUT_BUS, (*STUDY, *OWN)), (COMPUTING, ())])
+def test_commands_without_a_bus_load_no_library_of_buses(
+    commands: list[list[str]], more: tuple[str, ...], logs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Neither python-can, nor cantools for a DBC that is known, nor scipy."""
     monkeypatch.chdir(logs)
     Codec.from_dbc(logs / "OTHER.dbc")  # now it is known
+    code = "\n".join(STATUS.format(command) for command in commands)
 
-    done = modules_after(STATUS.format(command))
-
-    assert not among(done, *HEAVY)
+    assert not among(modules_after(code), *HEAVY, *more)
 
 
 @pytest.fixture(scope="module")
@@ -177,14 +163,6 @@ def test_a_receiver_loads_no_estimation_and_no_study() -> None:
     )
 
 
-def test_decoding_loads_no_estimation_and_no_study(log: Any) -> None:
-    """Decoding a log with lines."""
-    modules = modules_after(MAIN.format(["decode", str(log)]))
-    assert not among(
-        modules, *STUDY, "maplines_can.propagation", "maplines_can.simulation.scenarios"
-    )
-
-
 def test_sending_loads_nothing_of_the_study() -> None:
     """Sending a line."""
     bus = ["--interface", "virtual", "--channel", "nobody", "--count", "1", "--rate", "100"]
@@ -198,14 +176,6 @@ def test_a_map_loads_neither_bus_nor_study() -> None:
     assert not among(modules, *STUDY, "can", "cantools", "maplines_can.wire", "maplines_can.bus")
 
 
-def test_checking_an_fmu_loads_neither_bus_nor_numpy(tmp_path: Path) -> None:
-    """Nor fmpy: it reads XML."""
-    (tmp_path / "node.fmu").write_bytes(b"")
-    modules = modules_after(MAIN.format(["fmu", "check", "--help"]))
-    assert "maplines_can.cosimulation.checks" in modules
-    assert not among(modules, *STUDY, "numpy", "can", "cantools", "fmpy", "maplines_can.bus")
-
-
 def test_only_faults_load_the_fault_injection() -> None:
     """The receiver of the test above loads none."""
     bus = ["--interface", "virtual", "--channel", "silent", "--timeout", "0.05"]
@@ -214,11 +184,12 @@ def test_only_faults_load_the_fault_injection() -> None:
     assert not among(modules, "maplines_can.study")
 
 
-@pytest.mark.parametrize("name", maplines_can.__all__)
-def test_every_exported_name_is_there(name: Any) -> None:
-    """Each is found, and is listed by dir()."""
-    assert getattr(maplines_can, name) is not None
-    assert name in dir(maplines_can)
+def test_every_exported_name_is_there() -> None:
+    """Each is found, and is listed by dir(); so few that a newcomer reads them all."""
+    assert len(maplines_can.__all__) <= 45
+    for name in maplines_can.__all__:
+        assert getattr(maplines_can, name) is not None
+        assert name in dir(maplines_can)
 
 
 @pytest.mark.parametrize("name", ["maps", "localisation", "simulation", "consumers", "testing"])
@@ -230,11 +201,6 @@ def test_what_uses_the_core_has_names_of_its_own(name: str) -> None:
     for own in package.__all__:
         assert getattr(package, own) is not None
         assert own in dir(package)
-
-
-def test_the_top_shows_the_core_only() -> None:
-    """So few names that a newcomer reads them all."""
-    assert len(maplines_can.__all__) <= 45
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:

@@ -95,13 +95,11 @@ def test_what_is_not_used_is_counted_by_reason_with_an_example(
     assert f"first: {skipped[0]['where']}" in text
 
 
-@pytest.mark.parametrize("suffix", ["png", "svg"])
-def test_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str) -> None:
-    """Of the format that the suffix says."""
-    path = tmp_path / f"town.{suffix}"
+def test_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "town.svg"
     assert main(["map", "--plot", str(path)]) == 0
 
-    assert path.read_bytes().startswith({"png": b"\x89PNG", "svg": b"<?xml"}[suffix])
+    assert path.read_bytes().startswith(b"<?xml")
     assert str(path) in capsys.readouterr().out
 
 
@@ -112,7 +110,6 @@ def test_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix:
         pytest.param(["pyproject.toml"], "a map is one of: OpenDRIVE", id="no-format"),
         pytest.param(["."], "Is a directory", id="folder"),
         pytest.param(["--projection", "x"], "leave out --projection", id="projection"),
-        pytest.param(["--plot", "/nowhere/a.png"], "/nowhere/a.png", id="no-folder"),
         pytest.param(["--plot", "a.xyz"], "xyz", id="no-such-picture"),
     ],
 )
@@ -127,7 +124,7 @@ def test_errors_are_one_clear_line(
     assert len(err.splitlines()) == 1
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_damaged_file_is_read_in_part_or_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], seed: int
 ) -> None:
@@ -149,18 +146,6 @@ def test_a_damaged_file_is_read_in_part_or_refused(
     else:
         assert "damaged.xodr" in err
         assert len(err.splitlines()) == 1
-
-
-def test_a_file_without_a_usable_road_is_an_error_with_its_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "empty.xodr"
-    path.write_text(document(road(plan="")))
-
-    assert main(["map", str(path)]) == 1
-    err = capsys.readouterr().err
-    assert "contains no usable road" in err
-    assert "line 4" in err
 
 
 def test_the_speed_limits_are_all_that_apply(

@@ -52,25 +52,6 @@ def test_a_drive_in_degrees_on_a_world_map(
     assert table["ego_right_y_0"] == pytest.approx(-2.25, abs=2e-3)
 
 
-def test_the_map_command_shows_what_is_assumed(
-    files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
-) -> None:
-    pytest.importorskip("pyproj")
-    assert main(["map", str(files[0])]) == 0
-    out = capsys.readouterr().out
-    assert "not used, or assumed: 1" in out
-    assert "they are projected" in out
-
-
-def test_a_sender_on_a_map_notes_what_is_assumed(
-    files: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pytest.importorskip("pyproj")
-    out = ["--out", str(tmp_path / "sender.fmu")]
-    main(["generate", "fmu", "sender", "--map", str(files[0]), "--route", "1..1", *out])
-    assert "positions are x and y of EPSG:3857" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("name", ["EPSG:9999999", "local"])
 def test_a_system_that_is_none_ends_in_one_line(
     files: tuple[Path, Path], name: str, capsys: pytest.CaptureFixture[str]

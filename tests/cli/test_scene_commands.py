@@ -3,7 +3,6 @@
 import json
 import math
 import re
-from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from support.dbcs import DBC, edited
 from support.drive_files import run, town
 from support.sender_pairs import Sender, merged
 
-from maplines_can import Codec, Gaussian, MapError, MapLine, Slot, map_scene, read_log
+from maplines_can import Codec, MapError, MapLine, Slot, map_scene, read_log
 from maplines_can.cli import main
 from maplines_can.cli.options import codec_from
 from maplines_can.cli.output import LANE_X
@@ -149,29 +148,6 @@ def test_demo_compares_lines_and_the_ego_lane(
 
 
 @pytest.mark.usefixtures("patient")
-def test_demo_prints_the_ego_lane_and_the_frames(capsys: pytest.CaptureFixture[str]) -> None:
-    """A row for each quantity and distance, and the sum of the frames; without a scene, none."""
-    assert main(["demo", "--seconds", "0.2", "--map-error", "0.05", *SENDING[CONDITIONAL]]) == 0
-    text = capsys.readouterr().out
-    rows = re.findall(
-        r"(width|centre) +at +(\d+) m +sent +[\d.]+ ± [\d.]+ m +received +[\d.]+ ± [\d.]+ m, sigma "
-        r"\+[\d.]+ % +\(if independent: ± [\d.]+ m\)",
-        text,
-    )
-    assert rows == [(quantity, str(int(x))) for quantity in ("width", "centre") for x in LANE_X]
-    (frames,) = re.findall(r"frames +(\d+) a cycle: (\d+) for the pose error, 4 x (\d+) for", text)
-    assert int(frames[0]) == int(frames[1]) + 4 * int(frames[2])
-    assert "full records without the pose error: 16\n" in text
-    assert re.search(r"sent +\d+ lines and \d+ pose errors, \d+ frames", text)
-    assert re.search(r"received +\d+ lines and \d+ pose errors, \d+ frames", text)
-    assert "\nego lane: width between its lines" in text
-    assert main(["demo", "--seconds", "0.1"]) == 0
-    text = capsys.readouterr().out
-    assert "ego lane" not in text
-    assert "pose error" not in text
-
-
-@pytest.mark.usefixtures("patient")
 def test_demo_shows_the_lane_where_its_lines_are_valid(capsys: pytest.CaptureFixture[str]) -> None:
     """In a turn they end before 20 m; a scene of one line has no lane."""
     demo = ["demo", "--seconds", "0.1", "--json", *SENDING[CONDITIONAL]]
@@ -185,28 +161,6 @@ def test_demo_shows_the_lane_where_its_lines_are_valid(capsys: pytest.CaptureFix
     ]
     assert main([*demo, "--lines", "1"]) == 0
     assert json.loads(capsys.readouterr().out)["scene"]["lane"] == []
-
-
-def test_a_line_that_does_not_belong_to_the_pose_error_is_not_joined() -> None:
-    """As one that the levels of the pose error do not cover: it is sent and received alone."""
-    codec = Codec.from_dbc()
-    encoder = codec.encoder()
-    scene = scene_of()
-    first, *others = scene.lines
-    beside = Gaussian([40.0, *first.gaussian.mean[1:]], first.gaussian.cov)
-    with_it = replace(scene, lines=(replace(first, gaussian=beside), *others))
-    prepared = encoder.prepare_scene(with_it)
-    assert len(prepared.sent_slots) == 4
-    decoder, lines = codec.decoder(), 0
-    for cycle in range(300):
-        for frame in chain.from_iterable(encoder.encode_scene(prepared).values()):
-            answer = one(decoder.feed(frame.can_id, frame.data, cycle * 50_000_000))
-            lines += isinstance(answer, MapLine)
-        received = decoder.scene()
-        members = [] if received is None else [line.slot for line in received.scene.lines]
-        assert members == sorted(prepared.members)
-        assert Slot.EGO_LEFT not in members
-    assert lines == 4 * 300
 
 
 @pytest.mark.usefixtures("patient")
@@ -278,29 +232,6 @@ def test_receive_prints_the_ego_lane_once_a_cycle(
     assert re.search(r"pose error: (INIT|VALID); \d ok", err)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_receive_prints_scenes_as_json_on_request(
-    replay: Any, channel: str, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
-    """Rows of lines stay what they are; the last scene is complete, with the joint covariance."""
-    codec = Codec.from_dbc(default_dbc_path(name))
-    transfers = transfers_of(codec)
-    _, scenes = decoded(codec, transfers)
-    receive = ["receive", "--interface", "virtual", "--channel", channel, "--json"]
-    printed = []
-    for options in ([], ["--scenes"]):
-        replay([(stamp, frames) for stamp, _, frames in transfers])
-        assert main([*receive, *RECEIVING[name], "--count", str(4 * CYCLES), *options]) == 0
-        printed.append(rows_of(capsys.readouterr().out))
-    (lines, none), (lines_again, rows) = printed
-    assert none == []
-    strip = [{key: row[key] for key in row if key != "e2e"} for row in lines]
-    assert strip == [{key: row[key] for key in row if key != "e2e"} for row in lines_again]
-    assert 1 <= len(rows) <= CYCLES
-    assert rows[-1]["e2e"]["ok"] == CYCLES
-    check_row(rows[-1], scenes[-1])
-
-
 def check_row(row: Any, received: Any) -> None:
     """Check a row of a scene against the scene that a decoder returns."""
     scene = received.scene
@@ -363,19 +294,6 @@ def test_decode_says_which_scenes_are_usable(
     found = [(row["usable"], row["two_senders"]) for row in rows]
     assert found[:20] == [(False, False)] * 6 + [(True, False)] * 14
     assert {*found[20:]} == {(False, True)}
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_receive_names_two_senders_of_a_scene(
-    replay: Any, channel: str, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
-    """Beside the ego lane, which may be that of the other car."""
-    events = merged(name, [Sender(0), Sender(1, 3, start=4.2)], 12)
-    replay([(100 + event.t_ns / 1e9, [event.frame]) for event in events])
-    bus = ["--interface", "virtual", "--channel", channel, "--count", "20"]
-    assert main(["receive", *bus, *RECEIVING[name]]) == 0
-    *_, last = [row for row in capsys.readouterr().out.splitlines() if "ego lane" in row]
-    assert last.endswith("m  not usable: two senders")
 
 
 def test_decode_prints_scenes_that_lack_lines(
@@ -479,22 +397,6 @@ def test_drive_records_scenes(
     assert result["bus_load"] < 0.2
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_drive_sends_scenes_in_real_time(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
-    """One CAN FD frame for each line and each pose error; uncorrelated errors are allowed."""
-    route = ["--route", "1:0:-2..1:0:-1", "--seconds", "0.5", "--rate", "10", "--fd"]
-    options = [*route, "--correlation-time", "0", *SENDING[name]]
-    fast = ["--as-fast-as-possible", "--record", str(tmp_path / "fast.log")]
-    result = run(capsys, town(tmp_path), *options)
-    assert result["frames"] == result["lines"] + result["pose_errors"]
-    assert result["cycles"] + result["late_cycles"] == 5  # a busy machine leaves some out
-    assert (result["pose_errors"] > 0) == (result["cycles"] > 0)
-    assert main(["drive", town(tmp_path), *options, *fast]) == 0
-    assert re.search(r"sent +\d+ lines and \d+ pose errors in \d+ frames", capsys.readouterr().out)
-
-
 # ---- options
 
 
@@ -522,7 +424,6 @@ def test_the_name_of_a_dbc_of_this_package_is_enough(
         ("demo --pose-error --dbc {dbc}", "edited.dbc has no message of the pose error"),
         ("decode --scenes --dbc {dbc} none.log", "--scenes: .*edited.dbc has no message of the"),
         ("receive --scenes --interface virtual", "--scenes needs --json"),
-        ("figures --dbc maplines-pose.dbc --out {out}", "use maplines demo, send, receive, decode"),
     ],
 )
 def test_errors_name_the_options(
@@ -547,12 +448,3 @@ def test_wrong_usage(capsys: pytest.CaptureFixture[str], command: str) -> None:
     assert re.search(
         r"(--correlation-time|--scenes).*: (must be|not allowed)", capsys.readouterr().err
     )
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_scene_may_have_no_lines(name: str) -> None:
-    """As off the map: the pose error is sent alone."""
-    scene = map_scene({}, scenario("production").ego)
-    assert (scene.lines, scene.cov.shape) == ((), (0, 0))
-    codec = Codec.from_dbc(default_dbc_path(name))
-    assert list(codec.encoder().encode_scene(scene)) == [POSE]

@@ -39,14 +39,6 @@ def test_send_counts_lines_and_frames(
     assert "CAN FD, 20 Hz" in capsys.readouterr().err
 
 
-def test_demo_receives_the_scene(capsys: pytest.CaptureFixture[str]) -> None:
-    result = result_of(capsys, "demo", *SEND, "--seconds", "0.5", "--lines", "5")
-    assert result["frame_format"] == "CAN FD"
-    assert result["scene"]["frames"] == {"scene2": 1, "scene": 1}
-    assert all(line["mean"] is not None for line in result["lines"])
-    assert result["received"]["counts"] == {}
-
-
 def test_drive_writes_two_frames_a_cycle(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -74,18 +66,3 @@ def test_a_key_leaves_lines_without_a_place(
     assert "the messages have no place for the line" in streams.err
     assert "times, the messages have no place for the line" in streams.out
     assert Counter(result_of(capsys, *command)["left_out"])["PLACE"] >= 2
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--components", "2"], "a receiver splits that itself"),
-        (["--max-load", "0.001"], "4 lines and the pose error take up to 0.814 % of the bus"),
-    ],
-)
-def test_what_does_not_go_with_whole_scenes(
-    capsys: pytest.CaptureFixture[str], options: list[str], words: str
-) -> None:
-    command = ["send", *SEND, "--interface", "virtual", "--channel", "x", "--count", "1"]
-    assert main([*command, *options]) == 1
-    assert words in capsys.readouterr().err
