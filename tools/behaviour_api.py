@@ -134,14 +134,9 @@ _ORIGINAL: dict[str, Any] = {
 }
 
 
-def slots_of(decoder: Any) -> list[Any]:
-    """Return the slots that a decoder knows."""
-    return [owner for owner in decoder.checks if owner != "pose"]
-
-
 def counters(decoder: Any) -> str:
-    """Return the counters of a decoder, and the states of its slots."""
-    checks = {slot: decoder.checks[slot].stats() for slot in slots_of(decoder)}
+    """Return the counters of a decoder, and the states of its senders of lines."""
+    checks = {owner: c.stats() for owner, c in decoder.checks.items() if owner != "pose"}
     values = {name: getattr(decoder, name) for name in COUNTERS}
     return f"{shown(values)} {shown({k: tuple(v) for k, v in checks.items() if v.status})}"
 
@@ -275,7 +270,8 @@ def received(codec: Any, cycles: list[list[Any]], change: Any, rng: Any) -> str:
         for can_id, data, pause_ns in change([(f.can_id, bytes(f.data), MS) for f in frames], rng):
             rows += map(shown, answers(monitor, can_id, data, t_ns))
             t_ns += pause_ns
-        rows += [shown(monitor.latest(slot, t_ns)) for slot in slots_of(decoder)[number % 8 :][:2]]
+        slots = list(codec.layout.slots)[number % 8 :][:2]
+        rows += [shown(monitor.latest(slot, t_ns)) for slot in slots]
         if codec.layout.pose is not None:
             rows += [shown(monitor.latest_scene(t_ns)), shown(monitor.pose_error(t_ns))]
         rows.append(f"cycle {number} at {t_ns - start}: {counters(decoder)}")
