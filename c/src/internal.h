@@ -476,10 +476,11 @@ MAPLINES_INTERNAL void maplines_begin_view(const uint8_t *pose, int64_t t_ns,
 MAPLINES_INTERNAL maplines_epoch_line_t *
 maplines_add_to_view(int slot, const uint8_t *record, int64_t t_ns, maplines_epoch_view_t *view);
 /// Set the factors of the line at a place of a scene: A due to the pose error, F line-specific. In
-/// single precision they are widened so that they cover what the rounding loses.
-MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, const double mean[4],
-                                            double A[4][MAPLINES_COLUMNS], double F[4][4],
-                                            maplines_scene_t *scene);
+/// single precision they are widened so that they cover what the rounding loses of a scene of up to
+/// `count` lines.
+MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, int count,
+                                            const double mean[4], double A[4][MAPLINES_COLUMNS],
+                                            double F[4][4], maplines_scene_t *scene);
 /// Decode lines of a pose error, whose records are intact and checked, and a scene of them unless
 /// it is NULL. A bit for each slot that was decoded: a line that is no function of x in its range,
 /// which no sender sends, is not.

@@ -367,12 +367,15 @@ static void begin_scene(const maplines_dbc_t *dbc, const maplines_epoch_view_t *
 #endif
 }
 
-/// Add what there is of a line in a scene besides the line itself, which stands behind the others.
-static void add_to_scene(const maplines_dbc_t *dbc, decoded_t *decoded, maplines_scene_t *scene)
+/// Add what there is of a line in a scene of up to `count` lines besides the line itself, which
+/// stands behind the others.
+static void add_to_scene(const maplines_dbc_t *dbc, int count, decoded_t *decoded,
+                         maplines_scene_t *scene)
 {
     const int place = scene->count;
     const maplines_curve_t *curve = &decoded->member.curve;
-    maplines_set_factors(dbc->covariance.order, place, curve->mean, decoded->A, decoded->F, scene);
+    maplines_set_factors(dbc->covariance.order, place, count, curve->mean, decoded->A, decoded->F,
+                         scene);
     scene->fit_range[place][0] = (maplines_real_t)curve->fit_range[0];
     scene->fit_range[place][1] = (maplines_real_t)curve->fit_range[1];
     scene->quartic[place] = (maplines_real_t)curve->quartic;
@@ -406,7 +409,7 @@ MAPLINES_INTERNAL uint32_t maplines_decode_epoch(const maplines_dbc_t *dbc,
         found |= (uint32_t)1 << (unsigned)given->slot;
         if (scene != NULL)
         {
-            add_to_scene(dbc, &decoded, scene);
+            add_to_scene(dbc, epoch->count, &decoded, scene);
             if (given->line != NULL)
             {
                 *given->line = *line;
