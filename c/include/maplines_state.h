@@ -129,13 +129,13 @@ struct maplines_dbc {
 #endif
 };
 
+/// Bytes of a record and of its pages. Signals of the last line of a whole scene are read and
+/// written as those of the first one, in words that may end behind the record.
+#define MAPLINES_RECORD_ROOM (MAPLINES_MAX_RECORD + 8 * MAPLINES_SCENE_RECORDS)
+
 #if MAPLINES_RECEIVER
 /* ---- state of a receiver ----------------------------------------------------------------------
  */
-
-/// Bytes of a record and of its pages. Signals of the last line of a whole scene are read as those
-/// of the first one, in words that may end behind the record.
-#define MAPLINES_RECORD_ROOM (MAPLINES_MAX_RECORD + 8 * MAPLINES_SCENE_RECORDS)
 
 /// Frames of one transfer that were received, or the last good record with its transfer ID.
 typedef struct {
