@@ -33,6 +33,7 @@ class LineBlock:
             `COMPLETE` if it has.
         first_frame: place in the log of the first frame.
         channels: names of the channels so far.
+        has_left_out: whether scenes say which lines are left out: they are whole scenes.
     """
 
     lines: NDArray[np.void]
@@ -44,6 +45,7 @@ class LineBlock:
     reasons: NDArray[np.uint8]
     first_frame: int
     channels: tuple[str, ...]
+    has_left_out: bool
 
     def __len__(self) -> int:
         return len(self.lines)

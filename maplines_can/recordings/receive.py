@@ -65,6 +65,7 @@ class LogReceiver:
         )
         self._new_decoder()  # raises for a wrong time
         self._has_scenes = scenes
+        self._has_left_out = codec.layout.scene is not None
         self.decoders: dict[str, Decoder] = {}  #: by channel
         self.first = FirstFrames()  #: those before a line or a pose error
         self.frames = 0  #: of all blocks
@@ -170,8 +171,9 @@ class LogReceiver:
             scenes, of_scenes = scenes[order], of_scenes[order]
         timed = has_time[lines["frame"] - first]
         return LineBlock(
-            lines, components, scenes, channel, of_scenes, timed, reasons, first, channels
-        )
+            lines, components, scenes, channel, of_scenes, timed, reasons, first, channels,
+            self._has_left_out,
+        )  # fmt: skip
 
 
 def _by_channel(block: FrameBlock) -> Iterator[tuple[int, NDArray[np.int64]]]:
