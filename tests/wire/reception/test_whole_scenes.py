@@ -225,6 +225,24 @@ def test_a_scene_has_the_states_of_both_messages() -> None:
     assert scene_in(decoder).counter == 11
 
 
+def test_a_line_that_moves_to_scene2_waits_for_its_state() -> None:
+    """A sender that needs Scene2 from now on moves an edge there; the ego lines stay usable."""
+    decoder, encoder = new_codec(DBC).decoder(), new_codec(DBC).encoder()
+    usable: dict[int, tuple[bool, ...]] = {}
+    for cycle in range(24):
+        scene = road_scene([LEFT, RIGHT, EDGE_LEFT] if cycle < 12 else MANY)
+        for frame in chain(*encoder.encode_scene(scene, fd=True).values()):
+            decoder.feed(frame.can_id, frame.data, cycle * CYCLE)
+        views = [decoder.latest(slot, cycle * CYCLE) for slot in (LEFT, EDGE_LEFT)]
+        seen = decoder.latest_scene(cycle * CYCLE)
+        assert len(scene_in(decoder).scene.lines) == len(scene.lines)
+        usable[cycle] = (*(view.usable for view in views), seen.usable)
+
+    assert usable[11] == (True, True, True)
+    assert usable[12] == (True, False, False)
+    assert usable[23] == (True, True, True)
+
+
 def test_one_counter_is_of_all_lines_of_a_message() -> None:
     """Records that are lost are counted once for a message, not once for a line."""
     decoder = valid_decoder(4)
