@@ -70,6 +70,9 @@ MAPLINES_INTERNAL double maplines_atan(double x);
 
 #define MAPLINES_STATES (4 * MAPLINES_SLOTS) ///< parameters of all lines of a scene
 
+/// Sum of n products of entries that are so many places apart.
+MAPLINES_INTERNAL double maplines_inner(int n, const double *a, int by_a, const double *b,
+                                        int by_b);
 MAPLINES_INTERNAL void maplines_product(int n, int k, int m, const double *A, const double *B,
                                         double *C);
 MAPLINES_INTERNAL void maplines_product_transposed(int n, int k, int m, const double *A,

@@ -60,6 +60,15 @@ static const double roots[3][MAPLINES_ROOTS / 2] = {
     {0x1.a9b66290ea1a2p-1, -0x1.8f8b83c69a608p-3, -0x1.f6297cff75cb0p-1, -0x1.1c73b39ae68cap-1},
 };
 
+/// T_k, for k from 1 to 3, at root i of all, from 1 to -1.
+static double at_root(int k, int i)
+{
+    const int mirrored = MAPLINES_ROOTS - 1 - i;
+    const bool is_mirrored = i > mirrored;
+    const double value = roots[k - 1][is_mirrored ? mirrored : i];
+    return is_mirrored && k % 2 == 1 ? -value : value;
+}
+
 /// Coefficients of T_0 .. T_3 of the cubic that is fitted to values at the roots, from 1 to -1.
 static void project(const double values[MAPLINES_ROOTS], double coefficients[4])
 {
@@ -111,9 +120,8 @@ MAPLINES_INTERNAL MAPLINES_APART void maplines_changes_of(const maplines_curve_t
     double left[MAPLINES_ROOTS]; // by a fit, times y
     for (int i = 0; i < MAPLINES_ROOTS; ++i)
     {
-        const int place = i < MAPLINES_ROOTS / 2 ? i : MAPLINES_ROOTS - 1 - i;
-        const double offset = half * roots[0][place];
-        const double x = i == place ? centre + offset : centre - offset;
+        const double offset = half * at_root(1, i);
+        const double x = centre + offset;
         const double bend = x * mean[3];
         const double k = mean[2] + bend;
         const double to_m = x * (mean[2] + bend / 2.0);
@@ -122,7 +130,7 @@ MAPLINES_INTERNAL MAPLINES_APART void maplines_changes_of(const maplines_curve_t
         const double to_slope = x * (mean[2] / 2.0 + cubic);
         const double to_p = x * (tangent + to_slope);
         const double p = mean[0] + to_p;
-        const double square = roots[1][place] * roots[1][place];
+        const double square = at_root(2, i) * at_root(2, i);
         const double r = curve->quartic * (2.0 * square - 1.0); // T_4 = 2 T_2^2 - 1
         y[i] = p + r;
         const double m_y = m * y[i];
@@ -140,22 +148,19 @@ MAPLINES_INTERNAL MAPLINES_APART void maplines_changes_of(const maplines_curve_t
     project(along, changes->rows[0]);
     project(heading, c);
     add_moved(left, by_x, c);
-    for (int i = 0; i < MAPLINES_ROOTS / 2; ++i)
+    for (int i = 0; i < MAPLINES_ROOTS; ++i)
     {
-        const int mirrored = MAPLINES_ROOTS - 1 - i;
-        const double odd_terms[2] = {c[1] * roots[0][i], c[3] * roots[2][i]};
-        const double even_term = c[2] * roots[1][i];
-        const double odd = odd_terms[0] + odd_terms[1];
-        const double even = c[0] + even_term;
-        const double third = c[3] * (6.0 * roots[1][i] + 3.0);
-        const double slope_odd = 4.0 * c[2] * roots[0][i];
-        const double slope_even = c[1] + third;
-        const double turned = (slope_even + slope_odd) * by_x * y[i];
-        const double turned_mirrored = (slope_even - slope_odd) * by_x * y[mirrored];
+        const double first = c[1] * at_root(1, i);
+        const double second = c[2] * at_root(2, i);
+        const double third = c[3] * at_root(3, i);
+        const double odd = first + third;
+        const double even = c[0] + second;
+        const double slope_second = c[3] * (6.0 * at_root(2, i) + 3.0);
+        const double slope_first = 4.0 * c[2] * at_root(1, i);
+        const double slope_even = c[1] + slope_second;
+        const double turned = (slope_even + slope_first) * by_x * y[i];
         heading_squared[i] = heading_squared[i] - turned;
-        heading_squared[mirrored] = heading_squared[mirrored] - turned_mirrored;
         left[i] = (heading[i] - (even + odd)) * y[i];
-        left[mirrored] = (heading[mirrored] - (even - odd)) * y[mirrored];
     }
     project(heading_squared, changes->rows[3]);
     add_moved(left, by_x, changes->rows[3]);
@@ -176,13 +181,8 @@ MAPLINES_INTERNAL void maplines_line_changes(const maplines_changes_t *changes, 
     {
         for (int i = 0; i < 4; ++i)
         {
-            double sum = changes->J[5 * i] * changes->rows[j][i];
-            for (int k = i + 1; k < 4; ++k) // J is upper triangular
-            {
-                const double term = changes->J[4 * i + k] * changes->rows[j][k];
-                sum = sum + term;
-            }
-            W[j][i] = sum;
+            // J is upper triangular
+            W[j][i] = maplines_inner(4 - i, changes->J + 5 * i, 1, changes->rows[j] + i, 1);
         }
     }
     // The second derivative of atan, by the direction; it does not change with the place across.
@@ -203,17 +203,12 @@ static double root_of(double square)
 MAPLINES_INTERNAL MAPLINES_APART void maplines_pose_root(const double P[9],
                                                          maplines_pose_root_t *root)
 {
-    double L[3][3] = {{0.0}};
-    for (int k = 0; k < 3; ++k)
+    static const uint8_t factors[4][2] = {{2, 2}, {2, 0}, {2, 1}, {0, 0}}; // of the second order
+    double(*L)[3] = root->first;
+    memset(root, 0, sizeof *root);
+    for (int i = 0; i < 3; ++i)
     {
-        double pivot = P[4 * k];
-        for (int j = 0; j < k; ++j)
-        {
-            const double square = L[k][j] * L[k][j];
-            pivot = pivot - square;
-        }
-        L[k][k] = root_of(pivot);
-        for (int i = k + 1; i < 3 && L[k][k] > 0.0; ++i)
+        for (int k = 0; k <= i; ++k)
         {
             double rest = P[3 * i + k];
             for (int j = 0; j < k; ++j)
@@ -221,30 +216,35 @@ MAPLINES_INTERNAL MAPLINES_APART void maplines_pose_root(const double P[9],
                 const double term = L[i][j] * L[k][j];
                 rest = rest - term;
             }
-            L[i][k] = rest / L[k][k];
+            if (k == i)
+            {
+                L[i][i] = root_of(rest);
+            }
+            else if (L[k][k] > 0.0)
+            {
+                L[i][k] = rest / L[k][k];
+            }
+            else
+            {
+                // the error of k has no share in that of i
+            }
         }
     }
-    memcpy(root->first, L, sizeof L);
-    double second[4][3];
     const double share = 1.0 / sqrt(3.0);
-    double sums[4] = {0.0, 0.0, 0.0, 0.0};
-    for (int k = 0; k < 3; ++k)
-    {
-        const double products[4] = {L[2][k] * L[2][k], L[2][k] * L[0][k], L[2][k] * L[1][k],
-                                    L[0][k] * L[0][k]};
-        for (int i = 0; i < 4; ++i)
-        {
-            second[i][k] = products[i];
-            sums[i] = sums[i] + products[i];
-        }
-    }
     for (int i = 0; i < 4; ++i)
     {
+        double *row = root->second[i];
+        double sum = 0.0;
         for (int k = 0; k < 3; ++k)
         {
-            root->second[i][k] = (3.0 * second[i][k] - sums[i]) * share;
+            row[k] = L[factors[i][0]][k] * L[factors[i][1]][k];
+            sum = sum + row[k];
         }
-        root->second[i][3] = sqrt(2.0) * sums[i];
+        for (int k = 0; k < 3; ++k)
+        {
+            row[k] = (3.0 * row[k] - sum) * share;
+        }
+        row[3] = sqrt(2.0) * sum;
     }
 }
 
@@ -259,23 +259,11 @@ MAPLINES_INTERNAL MAPLINES_APART bool maplines_spread(const maplines_changes_t *
     {
         for (int k = 0; k < 3; ++k)
         {
-            double sum = W[k][i] * root->first[k][k];
-            for (int j = k + 1; j < 3; ++j)
-            {
-                const double term = W[j][i] * root->first[j][k];
-                sum = sum + term;
-            }
-            A[i][k] = sum;
+            A[i][k] = maplines_inner(3 - k, &W[k][i], 4, &root->first[k][k], 3);
         }
         for (int k = 0; k < 4; ++k)
         {
-            double sum = W[3][i] * root->second[0][k];
-            for (int j = 1; j < 4; ++j)
-            {
-                const double term = W[3 + j][i] * root->second[j][k];
-                sum = sum + term;
-            }
-            A[i][3 + k] = sum;
+            A[i][3 + k] = maplines_inner(4, &W[3][i], 4, &root->second[0][k], 4);
         }
         for (int k = 0; k < MAPLINES_COLUMNS; ++k)
         {
