@@ -269,6 +269,15 @@ typedef struct maplines_scene_workspace maplines_scene_workspace_t;
 const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_dbc_t *dbc,
                                   const maplines_settings_t *settings);
 
+/// The default settings fit into the history and the window of the build.
+#define MAPLINES_HAS_DEFAULT (MAPLINES_HISTORY >= 32 && MAPLINES_WINDOW >= 10)
+
+#if MAPLINES_HAS_DEFAULT
+/// Start a receiver with the default settings. They need no check, so a linker leaves the checks of
+/// settings and their texts, 1.2 kB, out of a program that does not call maplines_decoder_init.
+void maplines_decoder_init_default(maplines_decoder_t *decoder, const maplines_dbc_t *dbc);
+#endif
+
 /// Reason why a received frame does not complete a line, in the order of the Python package.
 typedef enum {
     MAPLINES_COMPLETE = -1,        ///< none: it completes one line or more

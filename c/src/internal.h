@@ -37,7 +37,9 @@ typedef char maplines_constants_are_double[sizeof(1.0) == sizeof(double) ? 1 : -
 #ifndef MAPLINES_INTERNAL
 #define MAPLINES_INTERNAL
 #endif
-/* A function that is not inlined, so that its memory is on the stack only while it runs. */
+/* A function that is not inlined, so that its memory is on the stack only while it runs, or its code
+ * is there only once.
+ */
 #ifdef __GNUC__
 #define MAPLINES_APART __attribute__((noinline))
 #else

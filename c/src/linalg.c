@@ -186,10 +186,9 @@ MAPLINES_INTERNAL bool maplines_cholesky_factor(int n, const double *S, double *
     for (int i = 0; i < n; ++i)
     {
         double *row = L + i * n;
-        memmove(row, S + i * n, (size_t)n * sizeof(double));
         for (int j = 0; j <= i; ++j)
         {
-            double rest = row[j];
+            double rest = S[i * n + j];
             for (int k = 0; k < j; ++k)
             {
                 const double term = row[k] * L[j * n + k];

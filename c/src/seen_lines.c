@@ -61,7 +61,7 @@ static const double roots[3][MAPLINES_ROOTS / 2] = {
 };
 
 /// T_k, for k from 1 to 3, at root i of all, from 1 to -1.
-static double at_root(int k, int i)
+static MAPLINES_APART double at_root(int k, int i)
 {
     const int mirrored = MAPLINES_ROOTS - 1 - i;
     const bool is_mirrored = i > mirrored;

@@ -63,7 +63,13 @@ static rules_t rules_of(const maplines_decoder_t *decoder, int owner)
 
 static uint8_t most_records(const maplines_pace_t *pace, uint8_t records)
 {
+#if MAPLINES_MIXTURES
     return pace->longest > records ? pace->longest : records;
+#else
+    (void)pace; // a line is one record
+    (void)records;
+    return 1;
+#endif
 }
 
 /// How many lines a sender can have sent in a time: 1.3 is 1 or 2.
@@ -192,7 +198,7 @@ static maplines_reason_t why_not_new(maplines_check_t *check, const rules_t *rul
         maplines_conflict_reused(conflict, cycle_ns, t_ns);
     }
     // too far behind to be merely delayed, and it fills no gap
-    else if (behind > max_delta * check->pace.longest &&
+    else if (behind > max_delta * most_records(&check->pace, 1) &&
              !maplines_history_fills_gap(history, mask, counter, behind))
     {
         maplines_conflict_count(conflict, cycle_ns, t_ns);
