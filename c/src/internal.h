@@ -334,6 +334,9 @@ typedef struct {
     double quartic;      ///< coefficient of T_4 in this range [m]
 } maplines_curve_t;
 
+/// Lines may have a quartic; those of a whole scene that is received have none.
+#define MAPLINES_HAS_QUARTIC (MAPLINES_LINE_RECORDS || MAPLINES_SENDER)
+
 /// Points of a line.
 typedef struct {
     double x[MAPLINES_FIT_POINTS]; ///< [m]
@@ -344,6 +347,8 @@ typedef struct {
 /// half.
 MAPLINES_INTERNAL void maplines_derivatives(const double q[4], double centre, double half,
                                             double values[4]);
+/// Lateral position at x of a cubic with a mean, whose slope at 0 is that of beta.
+MAPLINES_INTERNAL double maplines_lateral(const double mean[4], double slope, double x);
 MAPLINES_INTERNAL void maplines_points_of(const maplines_curve_t *curve, maplines_points_t *points);
 /// Whether a line through points is a function of x, and nowhere nearly perpendicular to it.
 MAPLINES_INTERNAL bool maplines_is_function(const maplines_points_t *points);

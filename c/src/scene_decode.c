@@ -134,7 +134,11 @@ static void read_conditional(const maplines_dbc_t *dbc, const uint8_t *record, m
 #endif
     curve->fit_range[0] = maplines_physical(&dbc->x_min, maplines_get(&dbc->x_min, record));
     curve->fit_range[1] = maplines_physical(&dbc->x_max, maplines_get(&dbc->x_max, record));
+#if MAPLINES_HAS_QUARTIC
     curve->quartic = maplines_physical(&levels->quartic, raw_of(&levels->quartic, record));
+#else
+    curve->quartic = 0.0;
+#endif
     read_levels(levels, record, member->levels);
 }
 

@@ -130,9 +130,13 @@ MAPLINES_INTERNAL MAPLINES_APART void maplines_changes_of(const maplines_curve_t
         const double to_slope = x * (mean[2] / 2.0 + cubic);
         const double to_p = x * (tangent + to_slope);
         const double p = mean[0] + to_p;
+        y[i] = p;
+#if MAPLINES_HAS_QUARTIC
         const double square = at_root(2, i) * at_root(2, i);
         const double r = curve->quartic * (2.0 * square - 1.0); // T_4 = 2 T_2^2 - 1
-        y[i] = p + r;
+        y[i] = y[i] + r;
+        left[i] = r * y[i];
+#endif
         const double m_y = m * y[i];
         const double m_x = m * x;
         const double k_y_y = k * y[i] * y[i];
@@ -140,14 +144,15 @@ MAPLINES_INTERNAL MAPLINES_APART void maplines_changes_of(const maplines_curve_t
         heading[i] = -(x + m_y);
         heading_squared[i] = (m_x - y[i] - k_y_y) / 2.0;
         along_squared[i] = k / 2.0;
-        left[i] = r * y[i];
     }
     set_bases(tangent, curve->fit_range, changes->J);
     changes->tangent = tangent;
     double *c = changes->rows[2];
     project(along, changes->rows[0]);
     project(heading, c);
+#if MAPLINES_HAS_QUARTIC
     add_moved(left, by_x, c);
+#endif
     for (int i = 0; i < MAPLINES_ROOTS; ++i)
     {
         const double first = c[1] * at_root(1, i);
@@ -319,10 +324,7 @@ MAPLINES_INTERNAL void maplines_valid_range(const maplines_curve_t *curve, const
     for (int end = 0; end < 2; ++end)
     {
         const double x = curve->fit_range[end];
-        const double cubic = x * mean[3] / 6.0;
-        const double quadratic = x * (mean[2] / 2.0 + cubic);
-        const double linear = x * (slope + quadratic);
-        const double y = mean[0] + linear;
+        const double y = maplines_lateral(mean, slope, x);
         const double by_both = 2.0 * y * P[2];
         const double by_heading = y * y * heading;
         const double variance = along - by_both + by_heading;

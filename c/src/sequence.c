@@ -281,16 +281,16 @@ static void step_with(maplines_check_t *check, const rules_t *rules, maplines_e2
     maplines_machine_step(&check->machine, rules->e2e, status);
 }
 
-static void step_without_data(maplines_check_t *check, const rules_t *rules, int64_t cycles)
+static MAPLINES_APART void step_without_data(maplines_check_t *check, const rules_t *rules, int64_t cycles)
 {
     if (cycles == 0)
     {
         return;
     }
     check->no_new_data += (uint64_t)cycles;
-    const int64_t window = rules->e2e->window_size_valid;
-    const int64_t steps = cycles < window ? cycles : window;
-    for (int64_t i = 0; i < steps; ++i)
+    const int window = rules->e2e->window_size_valid;
+    const int steps = cycles < window ? (int)cycles : window;
+    for (int i = 0; i < steps; ++i)
     {
         step_with(check, rules, MAPLINES_E2E_NONEWDATA);
     }

@@ -46,8 +46,12 @@ static maplines_real_t lateral_of(const maplines_gaussian_t *gaussian, maplines_
                                   maplines_real_t x)
 {
     const maplines_real_t *mean = gaussian->mean;
+#if MAPLINES_FLOAT
     const maplines_real_t bend = mean[2] / 2 + x * mean[3] / 6;
     return mean[0] + x * (slope + x * bend);
+#else
+    return maplines_lateral(mean, slope, x);
+#endif
 }
 
 static void add_gradient(maplines_real_t slope, maplines_real_t x, maplines_real_t weight,
