@@ -136,6 +136,15 @@ MAPLINES_INTERNAL double maplines_lateral(const double mean[4], double slope, do
     return mean[0] + linear;
 }
 
+MAPLINES_INTERNAL void maplines_lateral_gradient(double slope, double x, double J[4])
+{
+    const double square = x * x;
+    J[0] = 1.0;
+    J[1] = (1.0 + slope * slope) * x;
+    J[2] = square / 2.0;
+    J[3] = square * x / 6.0;
+}
+
 MAPLINES_INTERNAL void maplines_points_of(const maplines_curve_t *curve, maplines_points_t *points)
 {
     const double centre = (curve->fit_range[0] + curve->fit_range[1]) / 2.0;

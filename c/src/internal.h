@@ -349,6 +349,8 @@ MAPLINES_INTERNAL void maplines_derivatives(const double q[4], double centre, do
                                             double values[4]);
 /// Lateral position at x of a cubic with a mean, whose slope at 0 is that of beta.
 MAPLINES_INTERNAL double maplines_lateral(const double mean[4], double slope, double x);
+/// Its gradient with respect to the mean.
+MAPLINES_INTERNAL void maplines_lateral_gradient(double slope, double x, double J[4]);
 MAPLINES_INTERNAL void maplines_points_of(const maplines_curve_t *curve, maplines_points_t *points);
 /// Whether a line through points is a function of x, and nowhere nearly perpendicular to it.
 MAPLINES_INTERNAL bool maplines_is_function(const maplines_points_t *points);

@@ -307,12 +307,11 @@ MAPLINES_INTERNAL void maplines_valid_range(const maplines_curve_t *curve, const
     const double *mean = curve->mean;
     const double slope = maplines_tan(mean[1]);
     const double middle = (curve->fit_range[0] + curve->fit_range[1]) / 2.0;
-    const double square = middle * middle;
-    const double J[4] = {1.0, (1.0 + slope * slope) * middle, square / 2.0, square * middle / 6.0};
+    double J[4];
     double J_cov[4];
-    double shift; // variance of the lateral position in the middle
+    maplines_lateral_gradient(slope, middle, J);
     maplines_product(1, 4, 4, J, specific_cov, J_cov);
-    maplines_product_transposed(1, 4, 1, J_cov, J, &shift);
+    const double shift = maplines_inner(4, J_cov, 1, J, 1); // variance of y in the middle
     const double along = P[0] + shift;
     const double heading = P[8] + heading_sigma * heading_sigma;
     const double turn = MAPLINES_MARGIN * sqrt(heading);

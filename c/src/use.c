@@ -54,15 +54,28 @@ static maplines_real_t lateral_of(const maplines_gaussian_t *gaussian, maplines_
 #endif
 }
 
+static void gradient_of(maplines_real_t slope, maplines_real_t x, maplines_real_t J[4])
+{
+#if MAPLINES_FLOAT
+    J[0] = 1;
+    J[1] = (1 + slope * slope) * x;
+    J[2] = x * x / 2;
+    J[3] = x * x * x / 6;
+#else
+    maplines_lateral_gradient(slope, x, J);
+#endif
+}
+
 static void add_gradient(maplines_real_t slope, maplines_real_t x, maplines_real_t weight,
                          gradient_t *gradient)
 {
-    const maplines_real_t J[4] = {weight, weight * ((1 + slope * slope) * x), weight * (x * x / 2),
-                                  weight * (x * x * x / 6)};
+    maplines_real_t J[4];
+    gradient_of(slope, x, J);
     for (int i = 0; i < 4; ++i)
     {
-        gradient->J[i] += J[i];
-        gradient->size[i] += J[i] < 0 ? -J[i] : J[i];
+        const maplines_real_t entry = weight * J[i];
+        gradient->J[i] += entry;
+        gradient->size[i] += entry < 0 ? -entry : entry;
     }
 }
 
@@ -165,6 +178,20 @@ maplines_real_t maplines_y(const maplines_line_t *line, maplines_real_t x)
     return estimate_of(maplines_cubic_at(&line->gaussian, x), 0).value;
 }
 
+/// Add the lateral position of a line to a value and its gradient; false where it has none.
+static bool add_term(const maplines_line_t *line, const maplines_term_t *term,
+                     maplines_real_t *value, gradient_t *gradient)
+{
+    if (!maplines_is_valid_at(line, term->x))
+    {
+        return false;
+    }
+    const maplines_real_t slope = slope_of(&line->gaussian);
+    *value += term->weight * lateral_of(&line->gaussian, slope, term->x);
+    add_gradient(slope, term->x, term->weight, gradient);
+    return true;
+}
+
 /// Sum of lateral positions of a line; its slot in the terms does not matter.
 static maplines_estimate_t sum_of(const maplines_line_t *line, size_t count,
                                   const maplines_term_t *terms)
@@ -176,18 +203,14 @@ static maplines_estimate_t sum_of(const maplines_line_t *line, size_t count,
     {
         return nothing;
     }
-    const maplines_gaussian_t *gaussian = &line->gaussian;
-    const maplines_real_t slope = slope_of(gaussian);
     for (size_t i = 0; i < count; ++i)
     {
-        if (!maplines_is_valid_at(line, terms[i].x))
+        if (!add_term(line, &terms[i], &value, &gradient))
         {
             return nothing;
         }
-        value += terms[i].weight * lateral_of(gaussian, slope, terms[i].x);
-        add_gradient(slope, terms[i].x, terms[i].weight, &gradient);
     }
-    add_rows(&gaussian->factor[0][0], 4, &gradient, deviation.g, deviation.size);
+    add_rows(&line->gaussian.factor[0][0], 4, &gradient, deviation.g, deviation.size);
     return estimate_of(value, sigma_of(&deviation, count));
 }
 
@@ -413,14 +436,11 @@ bool maplines_sum(const maplines_scene_t *scene, size_t count, const maplines_te
             return false;
         }
         const size_t place = place_in_scene(scene, terms[i].slot);
-        if (place == scene->count || !maplines_is_valid_at(&scene->lines[place], terms[i].x))
+        if (place == scene->count ||
+            !add_term(&scene->lines[place], &terms[i], &value, &gradients[place]))
         {
             return false;
         }
-        const maplines_gaussian_t *gaussian = &scene->lines[place].gaussian;
-        const maplines_real_t slope = slope_of(gaussian);
-        value += terms[i].weight * lateral_of(gaussian, slope, terms[i].x);
-        add_gradient(slope, terms[i].x, terms[i].weight, &gradients[place]);
     }
     deviation_t deviation = {{0}, {0}, 7};
     for (size_t i = 0; i < scene->count; ++i)
