@@ -128,6 +128,16 @@ MAPLINES_INTERNAL void maplines_derivatives(const double q[4], double centre, do
     values[3] = q[3] * (3.0 * r2 * r);
 }
 
+MAPLINES_INTERNAL MAPLINES_APART double maplines_middle(const double range[2])
+{
+    return (range[0] + range[1]) / 2.0;
+}
+
+MAPLINES_INTERNAL MAPLINES_APART double maplines_half(const double range[2])
+{
+    return (range[1] - range[0]) / 2.0;
+}
+
 MAPLINES_INTERNAL double maplines_lateral(const double mean[4], double slope, double x)
 {
     const double cubic = x * mean[3] / 6.0;
@@ -147,8 +157,8 @@ MAPLINES_INTERNAL void maplines_lateral_gradient(double slope, double x, double 
 
 MAPLINES_INTERNAL void maplines_points_of(const maplines_curve_t *curve, maplines_points_t *points)
 {
-    const double centre = (curve->fit_range[0] + curve->fit_range[1]) / 2.0;
-    const double half = (curve->fit_range[1] - curve->fit_range[0]) / 2.0;
+    const double centre = maplines_middle(curve->fit_range);
+    const double half = maplines_half(curve->fit_range);
     const double beta = curve->mean[1];
     const double slope = fabs(beta) < MAPLINES_HALF_PI ? maplines_tan(beta) : (double)NAN;
     for (int i = 0; i < MAPLINES_FIT_POINTS; ++i)

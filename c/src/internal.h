@@ -37,8 +37,8 @@ typedef char maplines_constants_are_double[sizeof(1.0) == sizeof(double) ? 1 : -
 #ifndef MAPLINES_INTERNAL
 #define MAPLINES_INTERNAL
 #endif
-/* A function that is not inlined, so that its memory is on the stack only while it runs, or its code
- * is there only once.
+/* A function that is not inlined, so that its memory is on the stack only while it runs, or its
+ * code is there only once.
  */
 #ifdef __GNUC__
 #define MAPLINES_APART __attribute__((noinline))
@@ -102,6 +102,8 @@ MAPLINES_INTERNAL int64_t maplines_raw_min(const maplines_signal_t *signal);
 MAPLINES_INTERNAL int64_t maplines_raw_max(const maplines_signal_t *signal);
 /// Physical value of a raw value; 0 if the DBC has no such signal.
 MAPLINES_INTERNAL double maplines_physical(const maplines_signal_t *signal, int64_t raw);
+/// Physical value of a signal of a record, which the DBC has.
+MAPLINES_INTERNAL double maplines_value(const maplines_signal_t *signal, const uint8_t *record);
 /// Nearest raw value of a physical value, halves to even; not limited to the range. 0 if the DBC
 /// has no such signal.
 MAPLINES_INTERNAL double maplines_nearest_raw(const maplines_signal_t *signal, double physical);
@@ -347,6 +349,9 @@ typedef struct {
 /// half.
 MAPLINES_INTERNAL void maplines_derivatives(const double q[4], double centre, double half,
                                             double values[4]);
+/// Middle of a range, and half of its length.
+MAPLINES_INTERNAL double maplines_middle(const double range[2]);
+MAPLINES_INTERNAL double maplines_half(const double range[2]);
 /// Lateral position at x of a cubic with a mean, whose slope at 0 is that of beta.
 MAPLINES_INTERNAL double maplines_lateral(const double mean[4], double slope, double x);
 /// Its gradient with respect to the mean.

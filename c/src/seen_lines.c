@@ -11,8 +11,8 @@
 /// As maplines_bases, for a line with this tangent of beta.
 static void set_bases(double tangent, const double fit_range[2], double J[16])
 {
-    const double centre = (fit_range[0] + fit_range[1]) / 2.0;
-    const double half = (fit_range[1] - fit_range[0]) / 2.0;
+    const double centre = maplines_middle(fit_range);
+    const double half = maplines_half(fit_range);
     const double by_x = 1.0 / half;
     const double w = -centre * by_x; // at x = 0
     const double w_w = w * w;
@@ -106,8 +106,8 @@ static void add_moved(const double values[MAPLINES_ROOTS], double by_x, double c
 MAPLINES_INTERNAL MAPLINES_APART void maplines_changes_of(const maplines_curve_t *curve,
                                                           maplines_changes_t *changes)
 {
-    const double centre = (curve->fit_range[0] + curve->fit_range[1]) / 2.0;
-    const double half = (curve->fit_range[1] - curve->fit_range[0]) / 2.0;
+    const double centre = maplines_middle(curve->fit_range);
+    const double half = maplines_half(curve->fit_range);
     const double by_x = 1.0 / half;
     const double *mean = curve->mean;
     const double tangent = maplines_tan(mean[1]);
@@ -306,7 +306,7 @@ MAPLINES_INTERNAL void maplines_valid_range(const maplines_curve_t *curve, const
 {
     const double *mean = curve->mean;
     const double slope = maplines_tan(mean[1]);
-    const double middle = (curve->fit_range[0] + curve->fit_range[1]) / 2.0;
+    const double middle = maplines_middle(curve->fit_range);
     double J[4];
     double J_cov[4];
     maplines_lateral_gradient(slope, middle, J);

@@ -281,7 +281,8 @@ static void step_with(maplines_check_t *check, const rules_t *rules, maplines_e2
     maplines_machine_step(&check->machine, rules->e2e, status);
 }
 
-static MAPLINES_APART void step_without_data(maplines_check_t *check, const rules_t *rules, int64_t cycles)
+static MAPLINES_APART void step_without_data(maplines_check_t *check, const rules_t *rules,
+                                             int64_t cycles)
 {
     if (cycles == 0)
     {

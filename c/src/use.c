@@ -13,9 +13,11 @@
 #if MAPLINES_FLOAT
 #define UNIT_ROUNDOFF 0x1p-24F
 #define ROOT_OF sqrtf
+#define SIZE_OF fabsf
 #else
 #define UNIT_ROUNDOFF 0x1p-53
 #define ROOT_OF sqrt
+#define SIZE_OF fabs
 #endif
 
 #define RANGE_TOLERANCE ((maplines_real_t)0x1p-10) ///< of x, for its rounding [m]
@@ -75,7 +77,7 @@ static void add_gradient(maplines_real_t slope, maplines_real_t x, maplines_real
     {
         const maplines_real_t entry = weight * J[i];
         gradient->J[i] += entry;
-        gradient->size[i] += entry < 0 ? -entry : entry;
+        gradient->size[i] += SIZE_OF(entry);
     }
 }
 
@@ -89,7 +91,7 @@ static void add_rows(const maplines_real_t *rows, size_t columns, const gradient
         {
             const maplines_real_t entry = rows[i * columns + k];
             g[k] += entry * gradient->J[i];
-            size[k] += (entry < 0 ? -entry : entry) * gradient->size[i];
+            size[k] += SIZE_OF(entry) * gradient->size[i];
         }
     }
 }
@@ -100,7 +102,7 @@ static maplines_real_t norm_of(const maplines_real_t *values, size_t n)
     maplines_real_t largest = 0;
     for (size_t i = 0; i < n; ++i)
     {
-        const maplines_real_t size = values[i] < 0 ? -values[i] : values[i];
+        const maplines_real_t size = SIZE_OF(values[i]);
         if (size != size)
         {
             return size;
@@ -256,7 +258,7 @@ static maplines_real_t sigma_along(const maplines_gaussian_t *gaussian, const ma
     for (int i = 0; i < 4; ++i)
     {
         gradient.J[i] = J[i];
-        gradient.size[i] = J[i] < 0 ? -J[i] : J[i];
+        gradient.size[i] = SIZE_OF(J[i]);
     }
     add_rows(&gaussian->factor[0][0], 4, &gradient, deviation.g, deviation.size);
     return sigma_of(&deviation, 1);
@@ -283,7 +285,7 @@ static maplines_estimate_t position_beyond(const maplines_gaussian_t *gaussian, 
     const maplines_real_t slope = tangent + end * (mean[2] + end * mean[3] / 2);
     const maplines_real_t bend = mean[2] + end * mean[3];
     const maplines_real_t step = x - end;
-    const maplines_real_t d = step < 0 ? -step : step;
+    const maplines_real_t d = SIZE_OF(step);
     const maplines_real_t steeper = 1 + slope * slope;
     const maplines_real_t turn = steeper * ROOT_OF(steeper) / (3 * TIGHTEST_RADIUS);
     const maplines_real_t value =
