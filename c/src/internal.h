@@ -152,9 +152,11 @@ MAPLINES_INTERNAL maplines_reason_t maplines_check_conditional(const maplines_db
                                                                const uint8_t *record);
 #endif
 #endif
+#if MAPLINES_SENDER
 /// Write page numbers, transfer IDs, counter and checksum into a record that has all else.
 MAPLINES_INTERNAL void maplines_seal(const maplines_dbc_t *dbc, int owner, uint8_t *record,
                                      size_t length, uint32_t counter);
+#endif
 
 /* ---- cholesky.c: a covariance as pivots, ratios and an inflation --------------------------------
  */

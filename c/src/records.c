@@ -164,6 +164,7 @@ MAPLINES_INTERNAL maplines_reason_t maplines_read_record(const maplines_dbc_t *d
 }
 #endif
 
+#if MAPLINES_SENDER
 MAPLINES_INTERNAL void maplines_seal(const maplines_dbc_t *dbc, int owner, uint8_t *record,
                                      size_t length, uint32_t counter)
 {
@@ -180,3 +181,4 @@ MAPLINES_INTERNAL void maplines_seal(const maplines_dbc_t *dbc, int owner, uint8
     record[layout->crc_byte] = (uint8_t)(crc & 0xFFU);
     record[layout->crc_byte + 1U] = (uint8_t)(crc >> 8U);
 }
+#endif

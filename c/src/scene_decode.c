@@ -177,7 +177,7 @@ static void read_with_levels(const maplines_dbc_t *dbc, const uint8_t *record, i
 #endif
 
 /// Age of a line [s], whose first frame came some time after that of its pose error.
-static double later(double age, int64_t passed_ns)
+static MAPLINES_APART double later(double age, int64_t passed_ns)
 {
     if (!(age < (double)INFINITY))
     {

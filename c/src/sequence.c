@@ -223,9 +223,10 @@ static void accept_record(maplines_check_t *check, const rules_t *rules, uint32_
 }
 
 /// Check the counter of a record; remember a new one.
-static maplines_reason_t check_counter(maplines_check_t *check, const rules_t *rules,
-                                       uint32_t counter, uint32_t content, int64_t t_ns,
-                                       uint8_t records, maplines_e2e_status_t *status)
+static MAPLINES_APART maplines_reason_t check_counter(maplines_check_t *check, const rules_t *rules,
+                                                      uint32_t counter, uint32_t content,
+                                                      int64_t t_ns, uint8_t records,
+                                                      maplines_e2e_status_t *status)
 {
     const uint32_t mask = rules->mask;
     const uint32_t delta = check->has_last ? (counter - check->last) & mask : 1U;
