@@ -38,7 +38,7 @@ MAPLINES_INTERNAL bool maplines_is_slot(const maplines_decoder_t *decoder, int s
 
 /// Set all of a decoder but its settings; false, and a receiver for which every frame is FOREIGN,
 /// without a DBC.
-static bool clear(maplines_decoder_t *decoder, const maplines_dbc_t *dbc)
+static bool clear_decoder(maplines_decoder_t *decoder, const maplines_dbc_t *dbc)
 {
     memset(decoder, 0, sizeof(*decoder));
     if (!MAPLINES_REQUIRE(dbc != NULL))
@@ -51,7 +51,7 @@ static bool clear(maplines_decoder_t *decoder, const maplines_dbc_t *dbc)
 }
 
 /// Receive with the settings of a decoder, which are good.
-static void start(maplines_decoder_t *decoder)
+static void start_receiving(maplines_decoder_t *decoder)
 {
     decoder->is_ready = true;
     for (int owner = 0; owner < MAPLINES_OWNERS; ++owner)
@@ -84,7 +84,7 @@ const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_db
     {
         wanted = *settings; // before the decoder is cleared: they may be its own
     }
-    if (!clear(decoder, dbc))
+    if (!clear_decoder(decoder, dbc))
     {
         return "dbc must not be NULL";
     }
@@ -97,7 +97,7 @@ const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_db
     if (problem == NULL)
     {
         decoder->settings = wanted;
-        start(decoder);
+        start_receiving(decoder);
     }
     return problem;
 }
@@ -105,10 +105,10 @@ const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_db
 #if MAPLINES_HAS_DEFAULT
 void maplines_decoder_init_default(maplines_decoder_t *decoder, const maplines_dbc_t *dbc)
 {
-    if (MAPLINES_REQUIRE(decoder != NULL) && clear(decoder, dbc))
+    if (MAPLINES_REQUIRE(decoder != NULL) && clear_decoder(decoder, dbc))
     {
         maplines_default_settings(dbc, &decoder->settings);
-        start(decoder);
+        start_receiving(decoder);
     }
 }
 #endif
