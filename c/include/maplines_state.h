@@ -41,7 +41,7 @@ typedef struct {
 typedef struct {
     uint8_t rows;
     uint8_t order[4]; ///< state of each row
-} maplines_rows_t;
+} maplines_row_order_t;
 
 /// What all records of a layout share.
 typedef struct {
@@ -109,7 +109,7 @@ struct maplines_dbc {
 #if MAPLINES_LINE_RECORDS || MAPLINES_SENDER
     maplines_cholesky_t covariance; ///< in whole scenes, only the order of its rows
 #else
-    maplines_rows_t covariance;
+    maplines_row_order_t covariance;
 #endif
 #if MAPLINES_LINE_RECORDS
     /* records of lines */
