@@ -6,6 +6,7 @@
     cortex_m4.py --cpu cortex-m7       with an FPU of double precision
     cortex_m4.py --json
     cortex_m4.py --libraries           libraries that lack features: bytes, stack and instructions
+    cortex_m4.py --rate 50             load by whole scenes at 50 Hz [instructions a second]
     cortex_m4.py --write               the tables of docs/embedding.md
     cortex_m4.py --check               which numbers are not those of the tables within 10 %
 
@@ -38,7 +39,7 @@ from arm import (
     on_board,
     run,
 )
-from cortex_libraries import DBCS, FUNCTIONS, LIBRARIES, Measured, measured
+from cortex_libraries import DBCS, FUNCTIONS, LIBRARIES, Measured, built, cases_of, measured
 from reporting import fill_tables, parser_of, print_table
 
 from maplines_can import Codec, MapError, Scene
@@ -239,6 +240,41 @@ def changes(now: str, page: str) -> list[str]:
     ]
 
 
+def loads(rate: float) -> dict[str, dict[str, int]]:
+    """Return what the smallest receiver takes when it copies each scene of a drive.
+
+    Args:
+        rate: of the scenes [Hz].
+
+    Returns:
+        By the number of lines: instructions of the frames of a scene, of its copy, and of all in a
+        second; the greatest ones of 100 scenes.
+    """
+    found = {}
+    road, errors = scenario("production"), MapError(point_sigma=0.05)
+    codec = Codec(layout_from(DBCS[2]))
+    for lines in (2, 4, 8):
+        source = ScenarioLines(road, lines, correlation_time=10.0, map_error=errors)
+        encoder, steps, most = codec.encoder(), [], 0
+        for k in range(100):
+            t_ns = round(k * 1e9 / rate)
+            scene = cast(Scene, source.seen_from(weaving_ego(road, k / rate)))
+            records = encoder.encode_scene(scene, fd=True)
+            frames = [frame for each in records.values() for frame in each]
+            steps += [f"F {t_ns} {f.can_id:x} {int(f.is_extended)} {f.data.hex()}" for f in frames]
+            steps.append(f"S {t_ns}")
+            most = max(most, len(frames))
+        with built(*LIBRARIES["receiver, `maplines-scene.dbc`"]) as programs:
+            case = programs.greatest.with_suffix(".txt")
+            case.write_text("\n".join(steps) + "\n", encoding="utf-8")
+            [counts] = cases_of(programs.greatest, case)
+        feed = most * counts["feed"][0]
+        [copy] = [count for kind, (count, _) in counts.items() if "scene" in kind]
+        all_ = {"frames of a scene": feed, "copy of a scene": copy}
+        found[f"{lines} lines"] = all_ | {"a second": round(rate * (feed + copy))}
+    return found
+
+
 def table_of_page(name: str) -> str:
     """Return a table of docs/embedding.md."""
     text = PAGE.read_text(encoding="utf-8")
@@ -276,6 +312,7 @@ def main() -> int:
     parser.add_argument("--optimize", default="-O2", help="option of the compiler (default: -O2)")
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--libraries", action="store_true", help="libraries without features")
+    parser.add_argument("--rate", type=float, help="load by whole scenes at a rate [Hz]")
     parser.add_argument("--write", action="store_true", help="write the tables of the page")
     parser.add_argument("--check", action="store_true", help="compare the tables of the page")
     options = parser.parse_args()
@@ -283,6 +320,9 @@ def main() -> int:
         sys.exit(f"install {CC} with newlib, and {QEMU}: gcc-arm-none-eabi, qemu-system-arm")
     if options.libraries:
         print("\n\n".join(library_tables(libraries()).values()))
+        return 0
+    if options.rate:
+        print_table(loads(options.rate), 20)
         return 0
     if options.write or options.check:
         found = {name: measure(target) for name, target in TARGETS.items()}

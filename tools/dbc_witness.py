@@ -10,7 +10,7 @@ import numpy as np
 from answers import one
 from cantools.database.can import Database, Message
 
-from maplines_can.model.records import AnyLayout, intact, sealed, written
+from maplines_can.model.records import intact, sealed, written
 from maplines_can.model.signals import packed
 from maplines_can.propagation import map_scene
 from maplines_can.values.errors import EncodeError
@@ -20,6 +20,7 @@ from maplines_can.values.mixture import GaussianMixture
 from maplines_can.values.polyline import Polyline
 from maplines_can.values.scene import Scene
 from maplines_can.wire import Authenticator, Codec, Key, Layout
+from maplines_can.wire.layout.message_layout import AnyLayout
 from maplines_can.wire.layout.record_signals import (
     PAGE,
     PAGE_BYTES,

@@ -115,6 +115,7 @@ typedef struct {
     uint8_t count, state;
     bool two_senders, usable;
     uint8_t slots[MAPLINES_SLOTS];
+    uint8_t left_out[MAPLINES_SLOTS]; ///< by slot: why it has no line, maplines_left_out_t
     double x_min[MAPLINES_SLOTS], x_max[MAPLINES_SLOTS];
     double mean[MAPLINES_SLOTS][4];
     double cov[4 * MAPLINES_SLOTS][4 * MAPLINES_SLOTS];
@@ -182,6 +183,7 @@ typedef struct {
     maplines_line_row_t lines[MAPLINES_SLOTS];
     maplines_component_row_t components[MAPLINES_MAX_COMPONENTS];
     maplines_scene_row_t shown; ///< newest scene of a block: a row when another follows
+    uint64_t left_out;          ///< lines of which a record of a whole scene has said so
     maplines_seen_scene_t seen;
     maplines_authentication_t secoc;
 } maplines_receiver_t;

@@ -126,12 +126,32 @@ static void add_line(const maplines_decoder_t *decoder, int slot, const maplines
     rows->newest[slot] = rows->line_count;
 }
 
+/// Number of lines that the last record of a whole scene leaves out.
+static uint64_t count_left_out(const maplines_decoder_t *decoder)
+{
+    const maplines_whole_t *whole = &decoder->whole;
+    const maplines_scene_record_t *scene = whole->is_second_last ? &whole->second : &whole->first;
+    uint64_t count = 0;
+    for (size_t place = 0; place < scene->places; ++place)
+    {
+        const uint8_t *line = scene->record + place * decoder->dbc->scene.stride;
+        count += maplines_get(&decoder->dbc->kind, line) > MAPLINES_NO_LINE ? 1U : 0U;
+    }
+    return count;
+}
+
 /// Take a frame and add its lines.
-static maplines_reason_t feed(maplines_decoder_t *decoder, const maplines_frame_t *frame,
+static maplines_reason_t feed(maplines_receiver_t *receiver, const maplines_frame_t *frame,
                               int64_t t_ns, int64_t place, maplines_rows_t *rows)
 {
+    maplines_decoder_t *decoder = &receiver->decoder;
     maplines_scene_t scene;
+    const uint64_t pose_errors = decoder->statistics.pose_errors;
     const maplines_fed_t fed = maplines_feed_with(decoder, frame, t_ns, &scene);
+    if (maplines_has_whole_scenes(decoder->dbc) && decoder->statistics.pose_errors != pose_errors)
+    {
+        receiver->left_out += count_left_out(decoder);
+    }
     for (int i = 0; i < fed.count; ++i)
     {
         add_line(decoder, (int)fed.slots[i], &scene, i, place, maplines_limited_time(t_ns), rows);
@@ -155,6 +175,10 @@ static void read_scene_row(const maplines_decoder_t *decoder, const maplines_sce
     row->count = scene->count;
     row->state = (uint8_t)of_pose->machine.state;
     row->two_senders = !maplines_has_one_sender(decoder, owner, t_ns);
+    for (int slot = 0; slot < MAPLINES_SLOTS; ++slot)
+    {
+        row->left_out[slot] = (uint8_t)scene->left_out[slot];
+    }
     joint_covariance(scene, 0, scene->count, cov);
     const int n = 4 * scene->count;
     for (int i = 0; i < n; ++i)
@@ -259,7 +283,7 @@ static int feed_one(maplines_receiver_t *receiver, const maplines_frame_t *frame
     maplines_rows_t *rows = &receiver->rows;
     rows->line_count = 0;
     rows->component_count = 0;
-    const maplines_reason_t reason = feed(&receiver->decoder, frame, t_ns, 0, rows);
+    const maplines_reason_t reason = feed(receiver, frame, t_ns, 0, rows);
     return reason == MAPLINES_COMPLETE ? -(int)rows->line_count : (int)reason;
 }
 
@@ -270,7 +294,7 @@ static maplines_reason_t feed_at(maplines_receiver_t *receiver, const maplines_f
                                  bool has_scenes)
 {
     maplines_decoder_t *decoder = &receiver->decoder;
-    const maplines_reason_t reason = feed(decoder, frame, t_ns, place, rows);
+    const maplines_reason_t reason = feed(receiver, frame, t_ns, place, rows);
     if (has_scenes && decoder->dbc->has_pose)
     {
         see_scene(decoder, place, t_ns, rows, &receiver->shown);

@@ -373,7 +373,6 @@ size_t maplines_write_whole_scene(const maplines_dbc_t *dbc, const maplines_prep
     {
         const int owner = first + message;
         cycle.age = ages[owner];
-        memset(records, 0, MAPLINES_MAX_RECORD);
         lengths[count] = (uint8_t)maplines_write_whole(dbc, &cycle, places, message, records);
         seal(dbc, owner, records, lengths[count], &counters[owner]);
         records += lengths[count];

@@ -36,7 +36,7 @@
  *          all sources, such as -D'MAPLINES_ASSERT(c)=((c) ? (void)0 : on_mistake())'. Where it
  *          returns, or is off by NDEBUG, the function refuses: it returns NULL, false, NaN or a
  *          reason, or does nothing; a result that it can write to says that nothing is usable.
- * Needs    <math.h>: sqrt, sqrtf, fabs, floor, ceil, rint, ldexp, frexp and copysign, all of
+ * Needs    <math.h>: sqrt, sqrtf, fabs, fabsf, floor, ceil, rint, ldexp, frexp and copysign, all of
  *          which are exact: IEEE 754 defines each bit of them. <string.h>: memcpy, memset, memcmp.
  *          <assert.h> unless MAPLINES_ASSERT is defined.
  *
@@ -770,6 +770,15 @@ void maplines_default_settings(const maplines_dbc_t *dbc, maplines_settings_t *s
 /// @return NULL, or what is wrong (then the settings are the default ones).
 const char *maplines_settings_for(const maplines_dbc_t *dbc, double timeout_ms, double cycle_ms,
                                   const maplines_e2e_config_t *e2e, maplines_settings_t *settings);
+
+/// The default settings fit into the history and the window of the build.
+#define MAPLINES_HAS_DEFAULT (MAPLINES_HISTORY >= 32 && MAPLINES_WINDOW >= 10)
+
+#if MAPLINES_HAS_DEFAULT
+/// Start a receiver with the default settings. They need no check, so a linker leaves the checks of
+/// settings and their texts, 1.2 kB, out of a program that does not call maplines_decoder_init.
+void maplines_decoder_init_default(maplines_decoder_t *decoder, const maplines_dbc_t *dbc);
+#endif
 #endif // MAPLINES_RECEIVER
 
 #if MAPLINES_SENDER

@@ -94,6 +94,7 @@
 // clang-format on
 #endif
 #define maplines_decoder_init MAPLINES_NAME(decoder_init)
+#define maplines_decoder_init_default MAPLINES_NAME(decoder_init_default)
 #define maplines_feed MAPLINES_NAME(feed)
 #define maplines_latest MAPLINES_NAME(latest)
 #define maplines_copy_line MAPLINES_NAME(copy_line)

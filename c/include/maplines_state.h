@@ -37,17 +37,25 @@ typedef struct {
 #endif
 } maplines_cholesky_t;
 
+/// Order of the rows of a covariance that is not in the records.
+typedef struct {
+    uint8_t rows;
+    uint8_t order[4]; ///< state of each row
+} maplines_row_order_t;
+
 /// What all records of a layout share.
 typedef struct {
     uint8_t pages;
-    uint8_t short_pages;    ///< of a record without a covariance; fewer only if it is conditional
-    uint16_t crc_byte;      ///< first byte of the checksum
-    uint8_t fd_authentic;   ///< authentic bytes of the authenticated message; 0: there is none
-    uint8_t fd_freshness;   ///< bytes of the truncated freshness value
-    uint8_t fd_mac;         ///< bytes of the truncated MAC
-    maplines_signal_t page; ///< in each page of 8 bytes
+    uint8_t short_pages;  ///< of a record without a covariance; fewer only if it is conditional
+    uint16_t crc_byte;    ///< first byte of the checksum
+    uint8_t fd_authentic; ///< authentic bytes of the authenticated message; 0: there is none
+    uint8_t fd_freshness; ///< bytes of the truncated freshness value
+    uint8_t fd_mac;       ///< bytes of the truncated MAC
+#if MAPLINES_LINE_RECORDS || MAPLINES_SENDER
+    maplines_signal_t page;           ///< in each page of 8 bytes
     maplines_signal_t transfer_id[2]; ///< in page 0, and in each other page of 8 bytes
-    maplines_signal_t counter;        ///< in the record
+#endif
+    maplines_signal_t counter; ///< in the record
 } maplines_record_t;
 
 /// Levels of a line-specific covariance.
@@ -98,7 +106,11 @@ struct maplines_dbc {
     /* lines */
     maplines_signal_t mean[4];
     maplines_signal_t kind, x_min, x_max;
+#if MAPLINES_LINE_RECORDS || MAPLINES_SENDER
     maplines_cholesky_t covariance; ///< in whole scenes, only the order of its rows
+#else
+    maplines_row_order_t covariance;
+#endif
 #if MAPLINES_LINE_RECORDS
     /* records of lines */
     maplines_record_t line;
@@ -129,13 +141,13 @@ struct maplines_dbc {
 #endif
 };
 
+/// Bytes of a record and of its pages. Signals of the last line of a whole scene are read and
+/// written as those of the first one, in words that may end behind the record.
+#define MAPLINES_RECORD_ROOM (MAPLINES_MAX_RECORD + 8 * MAPLINES_SCENE_RECORDS)
+
 #if MAPLINES_RECEIVER
 /* ---- state of a receiver ----------------------------------------------------------------------
  */
-
-/// Bytes of a record and of its pages. Signals of the last line of a whole scene are read as those
-/// of the first one, in words that may end behind the record.
-#define MAPLINES_RECORD_ROOM (MAPLINES_MAX_RECORD + 8 * MAPLINES_SCENE_RECORDS)
 
 /// Frames of one transfer that were received, or the last good record with its transfer ID.
 typedef struct {

@@ -32,8 +32,7 @@ static double power_of(const maplines_signal_t *signal, const double *table, int
 MAPLINES_INTERNAL void maplines_decode_factor(const maplines_cholesky_t *code,
                                               const uint8_t *record, double factor[4][4])
 {
-    const double inflation =
-        maplines_physical(&code->inflation, maplines_get(&code->inflation, record));
+    const double inflation = maplines_value(&code->inflation, record);
     const double scale = maplines_exp2(inflation * 0.5);
     for (int i = 0; i < (int)code->rows; ++i)
     {
@@ -43,7 +42,7 @@ MAPLINES_INTERNAL void maplines_decode_factor(const maplines_cholesky_t *code,
         for (int j = 0; j < i; ++j)
         {
             const maplines_signal_t *ratio = &code->ratio[ratio_index(i, j)];
-            row[j] = maplines_physical(ratio, maplines_get(ratio, record)) * sigma;
+            row[j] = maplines_value(ratio, record) * sigma;
         }
         for (int j = i; j < 4; ++j)
         {

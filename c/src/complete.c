@@ -6,11 +6,6 @@
 /// Standard deviations of a line whose covariance was not sent.
 static const double vague_sigma[4] = {1000.0, 10.0, 10.0, 10.0};
 
-static double number_in(const maplines_signal_t *signal, const uint8_t *record)
-{
-    return maplines_physical(signal, maplines_get(signal, record));
-}
-
 /// Mean and covariance of a record with this status.
 static void read_gaussian(const maplines_dbc_t *dbc, const uint8_t *record, int64_t status,
                           maplines_gaussian_t *gaussian)
@@ -19,7 +14,7 @@ static void read_gaussian(const maplines_dbc_t *dbc, const uint8_t *record, int6
     double factor[4][4];
     for (int i = 0; i < 4; ++i)
     {
-        mean[i] = number_in(&dbc->mean[i], record);
+        mean[i] = maplines_value(&dbc->mean[i], record);
     }
     if (status == (int64_t)MAPLINES_UNKNOWN || status == (int64_t)MAPLINES_OUT_OF_RANGE)
     {
@@ -44,10 +39,10 @@ MAPLINES_INTERNAL maplines_reason_t maplines_read_complete(const maplines_dbc_t 
     const int64_t kind = maplines_get(&dbc->kind, record);
     const int64_t raw_age = maplines_get(&dbc->age, record);
     const int64_t index = maplines_get(&dbc->component_index, record);
-    const double count = number_in(&dbc->component_count, record);
-    const double weight = number_in(&dbc->component_weight, record); // any bits are a share
-    const double x_min = number_in(&dbc->x_min, record);
-    const double x_max = number_in(&dbc->x_max, record);
+    const double count = maplines_value(&dbc->component_count, record);
+    const double weight = maplines_value(&dbc->component_weight, record); // any bits are a share
+    const double x_min = maplines_value(&dbc->x_min, record);
+    const double x_max = maplines_value(&dbc->x_max, record);
     if (status > (int64_t)MAPLINES_OUT_OF_RANGE || kind > (int64_t)MAPLINES_VIRTUAL)
     {
         return MAPLINES_CONTENT;

@@ -24,7 +24,7 @@
 #define SUSPECT_CYCLES 10 ///< a second sender is suspected for so long
 #define FORGET_CYCLES 256 ///< a second sender is forgotten after so long
 
-static bool is_recent(int64_t then_ns, int64_t cycle_ns, int64_t t_ns)
+static MAPLINES_APART bool is_recent(int64_t then_ns, int64_t cycle_ns, int64_t t_ns)
 {
     return then_ns != MAPLINES_NEVER &&
            maplines_distance(t_ns, then_ns) <= SUSPECT_CYCLES * cycle_ns;

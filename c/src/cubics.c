@@ -15,12 +15,14 @@ static const double cubic_nodes[MAPLINES_FIT_POINTS] = {
     -0x1.ac2609b3c5762p-4, -0x1.3c6ef372fe94ep-2, -0x1.ffffffffffffcp-2, -0x1.5698496e20bd5p-1,
     -0x1.9e3779b97f4a7p-1, -0x1.d3bc3aeff7f96p-1, -0x1.f4cfc327a0080p-1, -0x1.0000000000000p+0,
 };
+#if MAPLINES_HAS_QUARTIC
 static const double cubic_quartic[MAPLINES_FIT_POINTS] = {
     0x1.e88cb3c9484e1p-1,  0x1.407eff5342356p-1,  -0x1.1f2f63cdee8cfp-3, -0x1.aadd5272f2913p-1,
     -0x1.fafe849559e76p-1, -0x1.0000000000003p-1, 0x1.46187216c0013p-2,  0x1.db35df2fb6827p-1,
     0x1.db35df2fb6828p-1,  0x1.46187216c0015p-2,  -0x1.ffffffffffff4p-2, -0x1.fafe849559e74p-1,
     -0x1.aadd5272f2917p-1, -0x1.1f2f63cdee8c3p-3, 0x1.407eff5342350p-1,  0x1.e88cb3c9484ddp-1,
 };
+#endif
 
 /// Sum over the points of products of two factors, in the order of maplines_total.
 static double sum_of_products(const double a[MAPLINES_FIT_POINTS],
@@ -126,22 +128,49 @@ MAPLINES_INTERNAL void maplines_derivatives(const double q[4], double centre, do
     values[3] = q[3] * (3.0 * r2 * r);
 }
 
+MAPLINES_INTERNAL MAPLINES_APART double maplines_middle(const double range[2])
+{
+    return (range[0] + range[1]) / 2.0;
+}
+
+MAPLINES_INTERNAL MAPLINES_APART double maplines_half(const double range[2])
+{
+    return (range[1] - range[0]) / 2.0;
+}
+
+MAPLINES_INTERNAL double maplines_lateral(const double mean[4], double slope, double x)
+{
+    const double cubic = x * mean[3] / 6.0;
+    const double square = x * (mean[2] / 2.0 + cubic);
+    const double linear = x * (slope + square);
+    return mean[0] + linear;
+}
+
+MAPLINES_INTERNAL void maplines_lateral_gradient(double slope, double x, double J[4])
+{
+    const double square = x * x;
+    J[0] = 1.0;
+    J[1] = (1.0 + slope * slope) * x;
+    J[2] = square / 2.0;
+    J[3] = square * x / 6.0;
+}
+
 MAPLINES_INTERNAL void maplines_points_of(const maplines_curve_t *curve, maplines_points_t *points)
 {
-    const double centre = (curve->fit_range[0] + curve->fit_range[1]) / 2.0;
-    const double half = (curve->fit_range[1] - curve->fit_range[0]) / 2.0;
+    const double centre = maplines_middle(curve->fit_range);
+    const double half = maplines_half(curve->fit_range);
     const double beta = curve->mean[1];
     const double slope = fabs(beta) < MAPLINES_HALF_PI ? maplines_tan(beta) : (double)NAN;
     for (int i = 0; i < MAPLINES_FIT_POINTS; ++i)
     {
         const double offset = half * cubic_nodes[i];
         const double x = centre + offset;
-        const double cubic = x * curve->mean[3] / 6.0;
-        const double square = x * (curve->mean[2] / 2.0 + cubic);
-        const double linear = x * (slope + square);
-        const double bend = curve->quartic * cubic_quartic[i];
         points->x[i] = x;
-        points->y[i] = curve->mean[0] + linear + bend;
+        points->y[i] = maplines_lateral(curve->mean, slope, x);
+#if MAPLINES_HAS_QUARTIC
+        const double bend = curve->quartic * cubic_quartic[i];
+        points->y[i] = points->y[i] + bend;
+#endif
     }
 }
 

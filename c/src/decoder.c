@@ -36,38 +36,27 @@ MAPLINES_INTERNAL bool maplines_is_slot(const maplines_decoder_t *decoder, int s
 #endif
 }
 
-const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_dbc_t *dbc,
-                                  const maplines_settings_t *settings)
+/// Set all of a decoder but its settings; false, and a receiver for which every frame is FOREIGN,
+/// without a DBC.
+static bool clear_decoder(maplines_decoder_t *decoder, const maplines_dbc_t *dbc)
 {
-    if (!MAPLINES_REQUIRE(decoder != NULL))
-    {
-        return "decoder must not be NULL";
-    }
+    memset(decoder, 0, sizeof(*decoder));
     if (!MAPLINES_REQUIRE(dbc != NULL))
     {
-        memset(decoder, 0, sizeof(*decoder));
-        return "dbc must not be NULL";
+        return false;
     }
-    maplines_settings_t wanted;
-    maplines_default_settings(dbc, &wanted);
-    if (settings != NULL)
-    {
-        wanted = *settings; // before the decoder is cleared: they may be its own
-    }
-    memset(decoder, 0, sizeof(*decoder));
     decoder->magic = MAPLINES_DECODER_MAGIC;
     decoder->dbc = dbc;
-    maplines_default_settings(dbc, &decoder->settings);
-    const char *problem = maplines_settings_problem(dbc, &wanted);
-    if (problem != NULL)
-    {
-        return problem;
-    }
-    decoder->settings = wanted;
+    return true;
+}
+
+/// Receive with the settings of a decoder, which are good.
+static void start_receiving(maplines_decoder_t *decoder)
+{
     decoder->is_ready = true;
     for (int owner = 0; owner < MAPLINES_OWNERS; ++owner)
     {
-        if (!dbc->messages[owner].is_present)
+        if (!decoder->dbc->messages[owner].is_present)
         {
             continue;
         }
@@ -81,8 +70,48 @@ const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_db
 #if MAPLINES_SCENES && MAPLINES_LINE_RECORDS
     maplines_epochs_init(&decoder->epochs);
 #endif
-    return NULL;
 }
+
+const char *maplines_decoder_init(maplines_decoder_t *decoder, const maplines_dbc_t *dbc,
+                                  const maplines_settings_t *settings)
+{
+    if (!MAPLINES_REQUIRE(decoder != NULL))
+    {
+        return "decoder must not be NULL";
+    }
+    maplines_settings_t wanted;
+    if (settings != NULL)
+    {
+        wanted = *settings; // before the decoder is cleared: they may be its own
+    }
+    if (!clear_decoder(decoder, dbc))
+    {
+        return "dbc must not be NULL";
+    }
+    maplines_default_settings(dbc, &decoder->settings);
+    if (settings == NULL)
+    {
+        wanted = decoder->settings;
+    }
+    const char *problem = maplines_settings_problem(dbc, &wanted);
+    if (problem == NULL)
+    {
+        decoder->settings = wanted;
+        start_receiving(decoder);
+    }
+    return problem;
+}
+
+#if MAPLINES_HAS_DEFAULT
+void maplines_decoder_init_default(maplines_decoder_t *decoder, const maplines_dbc_t *dbc)
+{
+    if (MAPLINES_REQUIRE(decoder != NULL) && clear_decoder(decoder, dbc))
+    {
+        maplines_default_settings(dbc, &decoder->settings);
+        start_receiving(decoder);
+    }
+}
+#endif
 
 /* ---- frames ------------------------------------------------------------------------------------
  */

@@ -37,7 +37,9 @@ typedef char maplines_constants_are_double[sizeof(1.0) == sizeof(double) ? 1 : -
 #ifndef MAPLINES_INTERNAL
 #define MAPLINES_INTERNAL
 #endif
-/* A function that is not inlined, so that its memory is on the stack only while it runs. */
+/* A function that is not inlined, so that its memory is on the stack only while it runs, or its
+ * code is there only once.
+ */
 #ifdef __GNUC__
 #define MAPLINES_APART __attribute__((noinline))
 #else
@@ -70,6 +72,9 @@ MAPLINES_INTERNAL double maplines_atan(double x);
 
 #define MAPLINES_STATES (4 * MAPLINES_SLOTS) ///< parameters of all lines of a scene
 
+/// Sum of n products of entries that are so many places apart.
+MAPLINES_INTERNAL double maplines_inner(int n, const double *a, int by_a, const double *b,
+                                        int by_b);
 MAPLINES_INTERNAL void maplines_product(int n, int k, int m, const double *A, const double *B,
                                         double *C);
 MAPLINES_INTERNAL void maplines_product_transposed(int n, int k, int m, const double *A,
@@ -97,6 +102,8 @@ MAPLINES_INTERNAL int64_t maplines_raw_min(const maplines_signal_t *signal);
 MAPLINES_INTERNAL int64_t maplines_raw_max(const maplines_signal_t *signal);
 /// Physical value of a raw value; 0 if the DBC has no such signal.
 MAPLINES_INTERNAL double maplines_physical(const maplines_signal_t *signal, int64_t raw);
+/// Physical value of a signal of a record, which the DBC has.
+MAPLINES_INTERNAL double maplines_value(const maplines_signal_t *signal, const uint8_t *record);
 /// Nearest raw value of a physical value, halves to even; not limited to the range. 0 if the DBC
 /// has no such signal.
 MAPLINES_INTERNAL double maplines_nearest_raw(const maplines_signal_t *signal, double physical);
@@ -145,9 +152,11 @@ MAPLINES_INTERNAL maplines_reason_t maplines_check_conditional(const maplines_db
                                                                const uint8_t *record);
 #endif
 #endif
+#if MAPLINES_SENDER
 /// Write page numbers, transfer IDs, counter and checksum into a record that has all else.
 MAPLINES_INTERNAL void maplines_seal(const maplines_dbc_t *dbc, int owner, uint8_t *record,
                                      size_t length, uint32_t counter);
+#endif
 
 /* ---- cholesky.c: a covariance as pivots, ratios and an inflation --------------------------------
  */
@@ -329,6 +338,9 @@ typedef struct {
     double quartic;      ///< coefficient of T_4 in this range [m]
 } maplines_curve_t;
 
+/// Lines may have a quartic; those of a whole scene that is received have none.
+#define MAPLINES_HAS_QUARTIC (MAPLINES_LINE_RECORDS || MAPLINES_SENDER)
+
 /// Points of a line.
 typedef struct {
     double x[MAPLINES_FIT_POINTS]; ///< [m]
@@ -339,6 +351,13 @@ typedef struct {
 /// half.
 MAPLINES_INTERNAL void maplines_derivatives(const double q[4], double centre, double half,
                                             double values[4]);
+/// Middle of a range, and half of its length.
+MAPLINES_INTERNAL double maplines_middle(const double range[2]);
+MAPLINES_INTERNAL double maplines_half(const double range[2]);
+/// Lateral position at x of a cubic with a mean, whose slope at 0 is that of beta.
+MAPLINES_INTERNAL double maplines_lateral(const double mean[4], double slope, double x);
+/// Its gradient with respect to the mean.
+MAPLINES_INTERNAL void maplines_lateral_gradient(double slope, double x, double J[4]);
 MAPLINES_INTERNAL void maplines_points_of(const maplines_curve_t *curve, maplines_points_t *points);
 /// Whether a line through points is a function of x, and nowhere nearly perpendicular to it.
 MAPLINES_INTERNAL bool maplines_is_function(const maplines_points_t *points);
@@ -476,10 +495,11 @@ MAPLINES_INTERNAL void maplines_begin_view(const uint8_t *pose, int64_t t_ns,
 MAPLINES_INTERNAL maplines_epoch_line_t *
 maplines_add_to_view(int slot, const uint8_t *record, int64_t t_ns, maplines_epoch_view_t *view);
 /// Set the factors of the line at a place of a scene: A due to the pose error, F line-specific. In
-/// single precision they are widened so that they cover what the rounding loses.
-MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, const double mean[4],
-                                            double A[4][MAPLINES_COLUMNS], double F[4][4],
-                                            maplines_scene_t *scene);
+/// single precision they are widened so that they cover what the rounding loses of a scene of up to
+/// `count` lines.
+MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, int count,
+                                            const double mean[4], double A[4][MAPLINES_COLUMNS],
+                                            double F[4][4], maplines_scene_t *scene);
 /// Decode lines of a pose error, whose records are intact and checked, and a scene of them unless
 /// it is NULL. A bit for each slot that was decoded: a line that is no function of x in its range,
 /// which no sender sends, is not.

@@ -94,8 +94,8 @@ static const float half_nodes[MAPLINES_HALF] = {
 
 MAPLINES_INTERNAL void maplines_arc_of(const maplines_curve_t *curve, maplines_arc_t *arc)
 {
-    const float centre = (float)((curve->fit_range[0] + curve->fit_range[1]) / 2.0);
-    const float half = (float)((curve->fit_range[1] - curve->fit_range[0]) / 2.0);
+    const float centre = (float)maplines_middle(curve->fit_range);
+    const float half = (float)maplines_half(curve->fit_range);
     const float tangent = (float)maplines_tan(curve->mean[1]);
     const float c0 = (float)curve->mean[2];
     const float half_c1 = (float)(curve->mean[3] / 2.0);

@@ -4,6 +4,17 @@
  */
 #include "internal.h"
 
+MAPLINES_INTERNAL double maplines_inner(int n, const double *a, int by_a, const double *b, int by_b)
+{
+    double sum = a[0] * b[0];
+    for (int l = 1; l < n; ++l)
+    {
+        const double term = a[l * by_a] * b[l * by_b];
+        sum = sum + term;
+    }
+    return sum;
+}
+
 /// C = A B: (n, k) times (k, m). C is another array than A and B.
 MAPLINES_INTERNAL void maplines_product(int n, int k, int m, const double *A, const double *B,
                                         double *C)
@@ -12,13 +23,7 @@ MAPLINES_INTERNAL void maplines_product(int n, int k, int m, const double *A, co
     {
         for (int j = 0; j < m; ++j)
         {
-            double sum = A[i * k] * B[j];
-            for (int l = 1; l < k; ++l)
-            {
-                const double term = A[i * k + l] * B[l * m + j];
-                sum = sum + term;
-            }
-            C[i * m + j] = sum;
+            C[i * m + j] = maplines_inner(k, A + i * k, 1, B + j, m);
         }
     }
 }
@@ -31,13 +36,7 @@ MAPLINES_INTERNAL void maplines_product_transposed(int n, int k, int m, const do
     {
         for (int j = 0; j < m; ++j)
         {
-            double sum = A[i * k] * B[j * k];
-            for (int l = 1; l < k; ++l)
-            {
-                const double term = A[i * k + l] * B[j * k + l];
-                sum = sum + term;
-            }
-            C[i * m + j] = sum;
+            C[i * m + j] = maplines_inner(k, A + i * k, 1, B + j * k, 1);
         }
     }
 }
@@ -49,14 +48,9 @@ MAPLINES_INTERNAL void maplines_gram(int n, int k, const double *A, double *C)
     {
         for (int j = 0; j <= i; ++j)
         {
-            double sum = A[i * k] * A[j * k];
-            for (int l = 1; l < k; ++l)
-            {
-                const double term = A[i * k + l] * A[j * k + l];
-                sum = sum + term;
-            }
-            C[i * n + j] = sum;
-            C[j * n + i] = sum;
+            const double entry = maplines_inner(k, A + i * k, 1, A + j * k, 1);
+            C[i * n + j] = entry;
+            C[j * n + i] = entry;
         }
     }
 }
@@ -98,6 +92,7 @@ MAPLINES_INTERNAL double maplines_total(int n, double *values)
     return values[0];
 }
 
+#if MAPLINES_SENDER
 /// Lower triangular factor of a (4, 4) matrix, as maplines_cholesky_factor.
 static bool factor_of_four(const double S[16], double L[16])
 {
@@ -182,6 +177,35 @@ MAPLINES_INTERNAL bool maplines_cholesky_factor(int n, const double *S, double *
     }
     return true;
 }
+
+#else
+
+/// As with a sender, which factors many large matrices: the same operations, row by row.
+MAPLINES_INTERNAL bool maplines_cholesky_factor(int n, const double *S, double *L)
+{
+    for (int i = 0; i < n; ++i)
+    {
+        double *row = L + i * n;
+        for (int j = 0; j <= i; ++j)
+        {
+            double rest = S[i * n + j];
+            for (int k = 0; k < j; ++k)
+            {
+                const double term = row[k] * L[j * n + k];
+                rest = rest - term;
+            }
+            if (j == i && !(rest > 0.0))
+            {
+                return false;
+            }
+            row[j] = j == i ? sqrt(rest) : rest / L[j * n + j];
+        }
+        memset(row + i + 1, 0, (size_t)(n - 1 - i) * sizeof(double));
+    }
+    return true;
+}
+
+#endif
 
 /// Solution X of L X = B, in place of the (n, m) matrix B, for a lower triangular (n, n) matrix.
 MAPLINES_INTERNAL void maplines_lower_solution(int n, int m, const double *L, double *B)

@@ -226,13 +226,12 @@ MAPLINES_INTERNAL size_t maplines_write_whole(const maplines_dbc_t *dbc,
 {
     const size_t length =
         cycle->is_secured ? (size_t)dbc->pose.fd_authentic - 1U : 8U * (size_t)dbc->pose.pages;
-    maplines_put_pose(dbc, cycle->space, cycle->age, record);
-    maplines_put(&dbc->scene.join, record, (int64_t)cycle->counter);
+    uint8_t written[MAPLINES_RECORD_ROOM] = {0};
+    maplines_put_pose(dbc, cycle->space, cycle->age, written);
+    maplines_put(&dbc->scene.join, written, (int64_t)cycle->counter);
     for (int place = 0; place < place_count(dbc, cycle); ++place)
     {
-        const size_t offset = (size_t)dbc->scene.stride * (size_t)place;
         const maplines_scene_member_t *member = NULL;
-        uint8_t line[MAPLINES_MAX_RECORD] = {0};
         for (int i = 0; i < cycle->count; ++i)
         {
             if ((int)places->slots[message][place] == cycle->space->members[i].slot + 1)
@@ -240,12 +239,10 @@ MAPLINES_INTERNAL size_t maplines_write_whole(const maplines_dbc_t *dbc,
                 member = &cycle->space->members[i];
             }
         }
-        write_place(dbc, member, dbc->scene.fixed[message][place] == 0U, line);
-        for (size_t i = offset; i < length; ++i)
-        {
-            record[i] = (uint8_t)(record[i] | line[i - offset]);
-        }
+        write_place(dbc, member, dbc->scene.fixed[message][place] == 0U,
+                    written + (size_t)dbc->scene.stride * (size_t)place);
     }
+    memcpy(record, written, length);
     return length;
 }
 

@@ -111,8 +111,8 @@ MAPLINES_INTERNAL maplines_reason_t maplines_check_conditional(const maplines_db
                                                                const uint8_t *record)
 {
     const maplines_levels_t *levels = &dbc->levels;
-    const double x_min = maplines_physical(&dbc->x_min, maplines_get(&dbc->x_min, record));
-    const double x_max = maplines_physical(&dbc->x_max, maplines_get(&dbc->x_max, record));
+    const double x_min = maplines_value(&dbc->x_min, record);
+    const double x_max = maplines_value(&dbc->x_max, record);
     if (maplines_get(&dbc->kind, record) > (int64_t)MAPLINES_VIRTUAL || x_min >= x_max)
     {
         return MAPLINES_CONTENT;
@@ -164,6 +164,7 @@ MAPLINES_INTERNAL maplines_reason_t maplines_read_record(const maplines_dbc_t *d
 }
 #endif
 
+#if MAPLINES_SENDER
 MAPLINES_INTERNAL void maplines_seal(const maplines_dbc_t *dbc, int owner, uint8_t *record,
                                      size_t length, uint32_t counter)
 {
@@ -180,3 +181,4 @@ MAPLINES_INTERNAL void maplines_seal(const maplines_dbc_t *dbc, int owner, uint8
     record[layout->crc_byte] = (uint8_t)(crc & 0xFFU);
     record[layout->crc_byte + 1U] = (uint8_t)(crc >> 8U);
 }
+#endif

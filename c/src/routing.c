@@ -5,8 +5,9 @@
 
 #define PAGE_BYTES 8U
 
-MAPLINES_INTERNAL maplines_reason_t maplines_dropped(maplines_decoder_t *decoder,
-                                                     maplines_reason_t reason, uint32_t frames)
+MAPLINES_INTERNAL MAPLINES_APART maplines_reason_t maplines_dropped(maplines_decoder_t *decoder,
+                                                                    maplines_reason_t reason,
+                                                                    uint32_t frames)
 {
     decoder->statistics.counts[reason] += frames;
     return reason;

@@ -122,7 +122,7 @@ static void read_conditional(const maplines_dbc_t *dbc, const uint8_t *record, m
     maplines_curve_t *curve = &member->curve;
     for (int i = 0; i < 4; ++i)
     {
-        curve->mean[i] = maplines_physical(&dbc->mean[i], maplines_get(&dbc->mean[i], record));
+        curve->mean[i] = maplines_value(&dbc->mean[i], record);
     }
 #if MAPLINES_LINE_RECORDS
     member->is_full = raw_of(&dbc->has_covariance, record) == 1;
@@ -132,9 +132,13 @@ static void read_conditional(const maplines_dbc_t *dbc, const uint8_t *record, m
         curve->mean[i] = curve->mean[i] + maplines_physical(&dbc->fine[i], fine);
     }
 #endif
-    curve->fit_range[0] = maplines_physical(&dbc->x_min, maplines_get(&dbc->x_min, record));
-    curve->fit_range[1] = maplines_physical(&dbc->x_max, maplines_get(&dbc->x_max, record));
+    curve->fit_range[0] = maplines_value(&dbc->x_min, record);
+    curve->fit_range[1] = maplines_value(&dbc->x_max, record);
+#if MAPLINES_HAS_QUARTIC
     curve->quartic = maplines_physical(&levels->quartic, raw_of(&levels->quartic, record));
+#else
+    curve->quartic = 0.0;
+#endif
     read_levels(levels, record, member->levels);
 }
 
@@ -157,10 +161,10 @@ static void read_with_levels(const maplines_dbc_t *dbc, const uint8_t *record, i
     for (int i = 0; i < 4; ++i)
     {
         const maplines_signal_t *signal = &dbc->mean[i];
-        curve->mean[i] = rebuilt(signal, maplines_physical(signal, maplines_get(signal, record)));
+        curve->mean[i] = rebuilt(signal, maplines_value(signal, record));
     }
-    const double x_min = maplines_physical(&dbc->x_min, maplines_get(&dbc->x_min, record));
-    const double x_max = maplines_physical(&dbc->x_max, maplines_get(&dbc->x_max, record));
+    const double x_min = maplines_value(&dbc->x_min, record);
+    const double x_max = maplines_value(&dbc->x_max, record);
     const int64_t raw_behind = maplines_get(&own->fit_behind, pose_record);
     const int64_t raw_ahead = maplines_get(&own->fit_ahead, pose_record);
     const double behind = maplines_physical(&levels->fit_behind, raw_behind);
@@ -173,7 +177,7 @@ static void read_with_levels(const maplines_dbc_t *dbc, const uint8_t *record, i
 #endif
 
 /// Age of a line [s], whose first frame came some time after that of its pose error.
-static double later(double age, int64_t passed_ns)
+static MAPLINES_APART double later(double age, int64_t passed_ns)
 {
     if (!(age < (double)INFINITY))
     {
@@ -204,7 +208,7 @@ static MAPLINES_APART void set_valid_range(const pose_error_t *pose, const mapli
     // The ends are moved inwards, so that the range does not exceed that of the sender.
     const double low = ceil(range[0] * MAPLINES_RANGE_STEPS) / MAPLINES_RANGE_STEPS + 0.0;
     const double high = floor(range[1] * MAPLINES_RANGE_STEPS) / MAPLINES_RANGE_STEPS;
-    const double middle = (range[0] + range[1]) / 2.0;
+    const double middle = maplines_middle(range);
     const double end = high > middle ? high : middle;
     line->x_min = (maplines_real_t)(low < middle ? low : middle);
     line->x_max = (maplines_real_t)(low <= high ? end : middle);
@@ -307,6 +311,7 @@ static bool decode_member(const maplines_dbc_t *dbc, const pose_error_t *pose,
     find_specific(dbc, pose, given->record, &decoded->member, &changes, decoded->F);
     double specific_cov[16];
     maplines_gram(4, 4, decoded->F[0], specific_cov);
+#if MAPLINES_LINE_RECORDS
     if (!dbc->is_conditional)
     {
         set_gaussian(dbc, decoded, specific_cov, &line->gaussian);
@@ -315,6 +320,7 @@ static bool decode_member(const maplines_dbc_t *dbc, const pose_error_t *pose,
         line->status = is_partial ? MAPLINES_FULL : line->status;
         return true;
     }
+#endif
     memset(line, 0, sizeof *line);
     set_gaussian(dbc, decoded, specific_cov, &line->gaussian);
     line->slot = (maplines_owner_t)given->slot;
@@ -367,12 +373,15 @@ static void begin_scene(const maplines_dbc_t *dbc, const maplines_epoch_view_t *
 #endif
 }
 
-/// Add what there is of a line in a scene besides the line itself, which stands behind the others.
-static void add_to_scene(const maplines_dbc_t *dbc, decoded_t *decoded, maplines_scene_t *scene)
+/// Add what there is of a line in a scene of up to `count` lines besides the line itself, which
+/// stands behind the others.
+static void add_to_scene(const maplines_dbc_t *dbc, int count, decoded_t *decoded,
+                         maplines_scene_t *scene)
 {
     const int place = scene->count;
     const maplines_curve_t *curve = &decoded->member.curve;
-    maplines_set_factors(dbc->covariance.order, place, curve->mean, decoded->A, decoded->F, scene);
+    maplines_set_factors(dbc->covariance.order, place, count, curve->mean, decoded->A, decoded->F,
+                         scene);
     scene->fit_range[place][0] = (maplines_real_t)curve->fit_range[0];
     scene->fit_range[place][1] = (maplines_real_t)curve->fit_range[1];
     scene->quartic[place] = (maplines_real_t)curve->quartic;
@@ -406,7 +415,7 @@ MAPLINES_INTERNAL uint32_t maplines_decode_epoch(const maplines_dbc_t *dbc,
         found |= (uint32_t)1 << (unsigned)given->slot;
         if (scene != NULL)
         {
-            add_to_scene(dbc, &decoded, scene);
+            add_to_scene(dbc, epoch->count, &decoded, scene);
             if (given->line != NULL)
             {
                 *given->line = *line;

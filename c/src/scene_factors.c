@@ -23,11 +23,11 @@
 #define ROUNDED_SCALE 1.00049 // s, rounded up
 #define ROUNDED_COLUMNS (4 + MAPLINES_COLUMNS + 1)
 
-MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, const double mean[4],
-                                            double A[4][MAPLINES_COLUMNS], double F[4][4],
-                                            maplines_scene_t *scene)
+MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, int count,
+                                            const double mean[4], double A[4][MAPLINES_COLUMNS],
+                                            double F[4][4], maplines_scene_t *scene)
 {
-    const double n = (double)scene->count;
+    const double n = (double)count;
     const double by_error = sqrt(n / ROUNDED_SHARE);
     maplines_gaussian_t gaussian;
     double columns[4 * ROUNDED_COLUMNS];
@@ -58,11 +58,12 @@ MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, c
 
 #else
 
-MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, const double mean[4],
-                                            double A[4][MAPLINES_COLUMNS], double F[4][4],
-                                            maplines_scene_t *scene)
+MAPLINES_INTERNAL void maplines_set_factors(const uint8_t order[4], int place, int count,
+                                            const double mean[4], double A[4][MAPLINES_COLUMNS],
+                                            double F[4][4], maplines_scene_t *scene)
 {
     (void)order;
+    (void)count;
     (void)mean;
     memcpy(scene->spread[4 * place], A, sizeof scene->spread[0] * 4);
     memcpy(scene->specific[place], F, sizeof scene->specific[0]);

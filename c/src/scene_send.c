@@ -346,7 +346,7 @@ static bool send_whole(maplines_encoder_t *encoder, const maplines_scene_input_t
     for (int message = encoder->places.sends_scene2 ? 1 : 0; is_good && message >= 0; --message)
     {
         const int owner = first + message;
-        uint8_t record[MAPLINES_MAX_RECORD] = {0};
+        uint8_t record[MAPLINES_MAX_RECORD];
         const size_t length = maplines_write_whole(dbc, &cycle, &encoder->places, message, record);
         const uint32_t counter = encoder->counter[owner];
         is_good =

@@ -11,8 +11,8 @@
 /// As maplines_bases, for a line with this tangent of beta.
 static void set_bases(double tangent, const double fit_range[2], double J[16])
 {
-    const double centre = (fit_range[0] + fit_range[1]) / 2.0;
-    const double half = (fit_range[1] - fit_range[0]) / 2.0;
+    const double centre = maplines_middle(fit_range);
+    const double half = maplines_half(fit_range);
     const double by_x = 1.0 / half;
     const double w = -centre * by_x; // at x = 0
     const double w_w = w * w;
@@ -60,6 +60,15 @@ static const double roots[3][MAPLINES_ROOTS / 2] = {
     {0x1.a9b66290ea1a2p-1, -0x1.8f8b83c69a608p-3, -0x1.f6297cff75cb0p-1, -0x1.1c73b39ae68cap-1},
 };
 
+/// T_k, for k from 1 to 3, at root i of all, from 1 to -1.
+static MAPLINES_APART double at_root(int k, int i)
+{
+    const int mirrored = MAPLINES_ROOTS - 1 - i;
+    const bool is_mirrored = i > mirrored;
+    const double value = roots[k - 1][is_mirrored ? mirrored : i];
+    return is_mirrored && k % 2 == 1 ? -value : value;
+}
+
 /// Coefficients of T_0 .. T_3 of the cubic that is fitted to values at the roots, from 1 to -1.
 static void project(const double values[MAPLINES_ROOTS], double coefficients[4])
 {
@@ -97,8 +106,8 @@ static void add_moved(const double values[MAPLINES_ROOTS], double by_x, double c
 MAPLINES_INTERNAL MAPLINES_APART void maplines_changes_of(const maplines_curve_t *curve,
                                                           maplines_changes_t *changes)
 {
-    const double centre = (curve->fit_range[0] + curve->fit_range[1]) / 2.0;
-    const double half = (curve->fit_range[1] - curve->fit_range[0]) / 2.0;
+    const double centre = maplines_middle(curve->fit_range);
+    const double half = maplines_half(curve->fit_range);
     const double by_x = 1.0 / half;
     const double *mean = curve->mean;
     const double tangent = maplines_tan(mean[1]);
@@ -111,9 +120,8 @@ MAPLINES_INTERNAL MAPLINES_APART void maplines_changes_of(const maplines_curve_t
     double left[MAPLINES_ROOTS]; // by a fit, times y
     for (int i = 0; i < MAPLINES_ROOTS; ++i)
     {
-        const int place = i < MAPLINES_ROOTS / 2 ? i : MAPLINES_ROOTS - 1 - i;
-        const double offset = half * roots[0][place];
-        const double x = i == place ? centre + offset : centre - offset;
+        const double offset = half * at_root(1, i);
+        const double x = centre + offset;
         const double bend = x * mean[3];
         const double k = mean[2] + bend;
         const double to_m = x * (mean[2] + bend / 2.0);
@@ -122,9 +130,13 @@ MAPLINES_INTERNAL MAPLINES_APART void maplines_changes_of(const maplines_curve_t
         const double to_slope = x * (mean[2] / 2.0 + cubic);
         const double to_p = x * (tangent + to_slope);
         const double p = mean[0] + to_p;
-        const double square = roots[1][place] * roots[1][place];
+        y[i] = p;
+#if MAPLINES_HAS_QUARTIC
+        const double square = at_root(2, i) * at_root(2, i);
         const double r = curve->quartic * (2.0 * square - 1.0); // T_4 = 2 T_2^2 - 1
-        y[i] = p + r;
+        y[i] = y[i] + r;
+        left[i] = r * y[i];
+#endif
         const double m_y = m * y[i];
         const double m_x = m * x;
         const double k_y_y = k * y[i] * y[i];
@@ -132,30 +144,28 @@ MAPLINES_INTERNAL MAPLINES_APART void maplines_changes_of(const maplines_curve_t
         heading[i] = -(x + m_y);
         heading_squared[i] = (m_x - y[i] - k_y_y) / 2.0;
         along_squared[i] = k / 2.0;
-        left[i] = r * y[i];
     }
     set_bases(tangent, curve->fit_range, changes->J);
     changes->tangent = tangent;
     double *c = changes->rows[2];
     project(along, changes->rows[0]);
     project(heading, c);
+#if MAPLINES_HAS_QUARTIC
     add_moved(left, by_x, c);
-    for (int i = 0; i < MAPLINES_ROOTS / 2; ++i)
+#endif
+    for (int i = 0; i < MAPLINES_ROOTS; ++i)
     {
-        const int mirrored = MAPLINES_ROOTS - 1 - i;
-        const double odd_terms[2] = {c[1] * roots[0][i], c[3] * roots[2][i]};
-        const double even_term = c[2] * roots[1][i];
-        const double odd = odd_terms[0] + odd_terms[1];
-        const double even = c[0] + even_term;
-        const double third = c[3] * (6.0 * roots[1][i] + 3.0);
-        const double slope_odd = 4.0 * c[2] * roots[0][i];
-        const double slope_even = c[1] + third;
-        const double turned = (slope_even + slope_odd) * by_x * y[i];
-        const double turned_mirrored = (slope_even - slope_odd) * by_x * y[mirrored];
+        const double first = c[1] * at_root(1, i);
+        const double second = c[2] * at_root(2, i);
+        const double third = c[3] * at_root(3, i);
+        const double odd = first + third;
+        const double even = c[0] + second;
+        const double slope_second = c[3] * (6.0 * at_root(2, i) + 3.0);
+        const double slope_first = 4.0 * c[2] * at_root(1, i);
+        const double slope_even = c[1] + slope_second;
+        const double turned = (slope_even + slope_first) * by_x * y[i];
         heading_squared[i] = heading_squared[i] - turned;
-        heading_squared[mirrored] = heading_squared[mirrored] - turned_mirrored;
         left[i] = (heading[i] - (even + odd)) * y[i];
-        left[mirrored] = (heading[mirrored] - (even - odd)) * y[mirrored];
     }
     project(heading_squared, changes->rows[3]);
     add_moved(left, by_x, changes->rows[3]);
@@ -176,13 +186,8 @@ MAPLINES_INTERNAL void maplines_line_changes(const maplines_changes_t *changes, 
     {
         for (int i = 0; i < 4; ++i)
         {
-            double sum = changes->J[5 * i] * changes->rows[j][i];
-            for (int k = i + 1; k < 4; ++k) // J is upper triangular
-            {
-                const double term = changes->J[4 * i + k] * changes->rows[j][k];
-                sum = sum + term;
-            }
-            W[j][i] = sum;
+            // J is upper triangular
+            W[j][i] = maplines_inner(4 - i, changes->J + 5 * i, 1, changes->rows[j] + i, 1);
         }
     }
     // The second derivative of atan, by the direction; it does not change with the place across.
@@ -203,17 +208,12 @@ static double root_of(double square)
 MAPLINES_INTERNAL MAPLINES_APART void maplines_pose_root(const double P[9],
                                                          maplines_pose_root_t *root)
 {
-    double L[3][3] = {{0.0}};
-    for (int k = 0; k < 3; ++k)
+    static const uint8_t factors[4][2] = {{2, 2}, {2, 0}, {2, 1}, {0, 0}}; // of the second order
+    double(*L)[3] = root->first;
+    memset(root, 0, sizeof *root);
+    for (int i = 0; i < 3; ++i)
     {
-        double pivot = P[4 * k];
-        for (int j = 0; j < k; ++j)
-        {
-            const double square = L[k][j] * L[k][j];
-            pivot = pivot - square;
-        }
-        L[k][k] = root_of(pivot);
-        for (int i = k + 1; i < 3 && L[k][k] > 0.0; ++i)
+        for (int k = 0; k <= i; ++k)
         {
             double rest = P[3 * i + k];
             for (int j = 0; j < k; ++j)
@@ -221,30 +221,35 @@ MAPLINES_INTERNAL MAPLINES_APART void maplines_pose_root(const double P[9],
                 const double term = L[i][j] * L[k][j];
                 rest = rest - term;
             }
-            L[i][k] = rest / L[k][k];
+            if (k == i)
+            {
+                L[i][i] = root_of(rest);
+            }
+            else if (L[k][k] > 0.0)
+            {
+                L[i][k] = rest / L[k][k];
+            }
+            else
+            {
+                // the error of k has no share in that of i
+            }
         }
     }
-    memcpy(root->first, L, sizeof L);
-    double second[4][3];
     const double share = 1.0 / sqrt(3.0);
-    double sums[4] = {0.0, 0.0, 0.0, 0.0};
-    for (int k = 0; k < 3; ++k)
-    {
-        const double products[4] = {L[2][k] * L[2][k], L[2][k] * L[0][k], L[2][k] * L[1][k],
-                                    L[0][k] * L[0][k]};
-        for (int i = 0; i < 4; ++i)
-        {
-            second[i][k] = products[i];
-            sums[i] = sums[i] + products[i];
-        }
-    }
     for (int i = 0; i < 4; ++i)
     {
+        double *row = root->second[i];
+        double sum = 0.0;
         for (int k = 0; k < 3; ++k)
         {
-            root->second[i][k] = (3.0 * second[i][k] - sums[i]) * share;
+            row[k] = L[factors[i][0]][k] * L[factors[i][1]][k];
+            sum = sum + row[k];
         }
-        root->second[i][3] = sqrt(2.0) * sums[i];
+        for (int k = 0; k < 3; ++k)
+        {
+            row[k] = (3.0 * row[k] - sum) * share;
+        }
+        row[3] = sqrt(2.0) * sum;
     }
 }
 
@@ -259,23 +264,11 @@ MAPLINES_INTERNAL MAPLINES_APART bool maplines_spread(const maplines_changes_t *
     {
         for (int k = 0; k < 3; ++k)
         {
-            double sum = W[k][i] * root->first[k][k];
-            for (int j = k + 1; j < 3; ++j)
-            {
-                const double term = W[j][i] * root->first[j][k];
-                sum = sum + term;
-            }
-            A[i][k] = sum;
+            A[i][k] = maplines_inner(3 - k, &W[k][i], 4, &root->first[k][k], 3);
         }
         for (int k = 0; k < 4; ++k)
         {
-            double sum = W[3][i] * root->second[0][k];
-            for (int j = 1; j < 4; ++j)
-            {
-                const double term = W[3 + j][i] * root->second[j][k];
-                sum = sum + term;
-            }
-            A[i][3 + k] = sum;
+            A[i][3 + k] = maplines_inner(4, &W[3][i], 4, &root->second[0][k], 4);
         }
         for (int k = 0; k < MAPLINES_COLUMNS; ++k)
         {
@@ -313,13 +306,12 @@ MAPLINES_INTERNAL void maplines_valid_range(const maplines_curve_t *curve, const
 {
     const double *mean = curve->mean;
     const double slope = maplines_tan(mean[1]);
-    const double middle = (curve->fit_range[0] + curve->fit_range[1]) / 2.0;
-    const double square = middle * middle;
-    const double J[4] = {1.0, (1.0 + slope * slope) * middle, square / 2.0, square * middle / 6.0};
+    const double middle = maplines_middle(curve->fit_range);
+    double J[4];
     double J_cov[4];
-    double shift; // variance of the lateral position in the middle
+    maplines_lateral_gradient(slope, middle, J);
     maplines_product(1, 4, 4, J, specific_cov, J_cov);
-    maplines_product_transposed(1, 4, 1, J_cov, J, &shift);
+    const double shift = maplines_inner(4, J_cov, 1, J, 1); // variance of y in the middle
     const double along = P[0] + shift;
     const double heading = P[8] + heading_sigma * heading_sigma;
     const double turn = MAPLINES_MARGIN * sqrt(heading);
@@ -331,10 +323,7 @@ MAPLINES_INTERNAL void maplines_valid_range(const maplines_curve_t *curve, const
     for (int end = 0; end < 2; ++end)
     {
         const double x = curve->fit_range[end];
-        const double cubic = x * mean[3] / 6.0;
-        const double quadratic = x * (mean[2] / 2.0 + cubic);
-        const double linear = x * (slope + quadratic);
-        const double y = mean[0] + linear;
+        const double y = maplines_lateral(mean, slope, x);
         const double by_both = 2.0 * y * P[2];
         const double by_heading = y * y * heading;
         const double variance = along - by_both + by_heading;

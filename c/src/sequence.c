@@ -63,7 +63,13 @@ static rules_t rules_of(const maplines_decoder_t *decoder, int owner)
 
 static uint8_t most_records(const maplines_pace_t *pace, uint8_t records)
 {
+#if MAPLINES_MIXTURES
     return pace->longest > records ? pace->longest : records;
+#else
+    (void)pace; // a line is one record
+    (void)records;
+    return 1;
+#endif
 }
 
 /// How many lines a sender can have sent in a time: 1.3 is 1 or 2.
@@ -192,7 +198,7 @@ static maplines_reason_t why_not_new(maplines_check_t *check, const rules_t *rul
         maplines_conflict_reused(conflict, cycle_ns, t_ns);
     }
     // too far behind to be merely delayed, and it fills no gap
-    else if (behind > max_delta * check->pace.longest &&
+    else if (behind > max_delta * most_records(&check->pace, 1) &&
              !maplines_history_fills_gap(history, mask, counter, behind))
     {
         maplines_conflict_count(conflict, cycle_ns, t_ns);
@@ -217,9 +223,10 @@ static void accept_record(maplines_check_t *check, const rules_t *rules, uint32_
 }
 
 /// Check the counter of a record; remember a new one.
-static maplines_reason_t check_counter(maplines_check_t *check, const rules_t *rules,
-                                       uint32_t counter, uint32_t content, int64_t t_ns,
-                                       uint8_t records, maplines_e2e_status_t *status)
+static MAPLINES_APART maplines_reason_t check_counter(maplines_check_t *check, const rules_t *rules,
+                                                      uint32_t counter, uint32_t content,
+                                                      int64_t t_ns, uint8_t records,
+                                                      maplines_e2e_status_t *status)
 {
     const uint32_t mask = rules->mask;
     const uint32_t delta = check->has_last ? (counter - check->last) & mask : 1U;
@@ -275,16 +282,17 @@ static void step_with(maplines_check_t *check, const rules_t *rules, maplines_e2
     maplines_machine_step(&check->machine, rules->e2e, status);
 }
 
-static void step_without_data(maplines_check_t *check, const rules_t *rules, int64_t cycles)
+static MAPLINES_APART void step_without_data(maplines_check_t *check, const rules_t *rules,
+                                             int64_t cycles)
 {
     if (cycles == 0)
     {
         return;
     }
     check->no_new_data += (uint64_t)cycles;
-    const int64_t window = rules->e2e->window_size_valid;
-    const int64_t steps = cycles < window ? cycles : window;
-    for (int64_t i = 0; i < steps; ++i)
+    const int window = rules->e2e->window_size_valid;
+    const int steps = cycles < window ? (int)cycles : window;
+    for (int i = 0; i < steps; ++i)
     {
         step_with(check, rules, MAPLINES_E2E_NONEWDATA);
     }

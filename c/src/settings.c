@@ -12,7 +12,7 @@
 /// Greatest step of a counter of AUTOSAR's profile 5; a larger one may as well be a step back.
 #define MAX_DELTA_COUNTER 127
 
-MAPLINES_INTERNAL int64_t maplines_limited_time(int64_t t_ns)
+MAPLINES_INTERNAL MAPLINES_APART int64_t maplines_limited_time(int64_t t_ns)
 {
     if (t_ns > MAPLINES_MAX_TIME)
     {
@@ -21,7 +21,7 @@ MAPLINES_INTERNAL int64_t maplines_limited_time(int64_t t_ns)
     return t_ns < -MAPLINES_MAX_TIME ? -MAPLINES_MAX_TIME : t_ns;
 }
 
-MAPLINES_INTERNAL int64_t maplines_distance(int64_t a_ns, int64_t b_ns)
+MAPLINES_INTERNAL MAPLINES_APART int64_t maplines_distance(int64_t a_ns, int64_t b_ns)
 {
     return a_ns > b_ns ? a_ns - b_ns : b_ns - a_ns;
 }

@@ -125,6 +125,11 @@ MAPLINES_INTERNAL double maplines_physical(const maplines_signal_t *signal, int6
     return scaled + signal->scale->offset;
 }
 
+MAPLINES_INTERNAL double maplines_value(const maplines_signal_t *signal, const uint8_t *record)
+{
+    return maplines_physical(signal, maplines_get(signal, record));
+}
+
 MAPLINES_INTERNAL double maplines_nearest_raw(const maplines_signal_t *signal, double physical)
 {
     if (signal->length == 0U)

@@ -13,9 +13,11 @@
 #if MAPLINES_FLOAT
 #define UNIT_ROUNDOFF 0x1p-24F
 #define ROOT_OF sqrtf
+#define SIZE_OF fabsf
 #else
 #define UNIT_ROUNDOFF 0x1p-53
 #define ROOT_OF sqrt
+#define SIZE_OF fabs
 #endif
 
 #define RANGE_TOLERANCE ((maplines_real_t)0x1p-10) ///< of x, for its rounding [m]
@@ -46,19 +48,36 @@ static maplines_real_t lateral_of(const maplines_gaussian_t *gaussian, maplines_
                                   maplines_real_t x)
 {
     const maplines_real_t *mean = gaussian->mean;
+#if MAPLINES_FLOAT
     const maplines_real_t bend = mean[2] / 2 + x * mean[3] / 6;
     return mean[0] + x * (slope + x * bend);
+#else
+    return maplines_lateral(mean, slope, x);
+#endif
+}
+
+static void gradient_of(maplines_real_t slope, maplines_real_t x, maplines_real_t J[4])
+{
+#if MAPLINES_FLOAT
+    J[0] = 1;
+    J[1] = (1 + slope * slope) * x;
+    J[2] = x * x / 2;
+    J[3] = x * x * x / 6;
+#else
+    maplines_lateral_gradient(slope, x, J);
+#endif
 }
 
 static void add_gradient(maplines_real_t slope, maplines_real_t x, maplines_real_t weight,
                          gradient_t *gradient)
 {
-    const maplines_real_t J[4] = {weight, weight * ((1 + slope * slope) * x), weight * (x * x / 2),
-                                  weight * (x * x * x / 6)};
+    maplines_real_t J[4];
+    gradient_of(slope, x, J);
     for (int i = 0; i < 4; ++i)
     {
-        gradient->J[i] += J[i];
-        gradient->size[i] += J[i] < 0 ? -J[i] : J[i];
+        const maplines_real_t entry = weight * J[i];
+        gradient->J[i] += entry;
+        gradient->size[i] += SIZE_OF(entry);
     }
 }
 
@@ -72,7 +91,7 @@ static void add_rows(const maplines_real_t *rows, size_t columns, const gradient
         {
             const maplines_real_t entry = rows[i * columns + k];
             g[k] += entry * gradient->J[i];
-            size[k] += (entry < 0 ? -entry : entry) * gradient->size[i];
+            size[k] += SIZE_OF(entry) * gradient->size[i];
         }
     }
 }
@@ -83,7 +102,7 @@ static maplines_real_t norm_of(const maplines_real_t *values, size_t n)
     maplines_real_t largest = 0;
     for (size_t i = 0; i < n; ++i)
     {
-        const maplines_real_t size = values[i] < 0 ? -values[i] : values[i];
+        const maplines_real_t size = SIZE_OF(values[i]);
         if (size != size)
         {
             return size;
@@ -161,6 +180,20 @@ maplines_real_t maplines_y(const maplines_line_t *line, maplines_real_t x)
     return estimate_of(maplines_cubic_at(&line->gaussian, x), 0).value;
 }
 
+/// Add the lateral position of a line to a value and its gradient; false where it has none.
+static bool add_term(const maplines_line_t *line, const maplines_term_t *term,
+                     maplines_real_t *value, gradient_t *gradient)
+{
+    if (!maplines_is_valid_at(line, term->x))
+    {
+        return false;
+    }
+    const maplines_real_t slope = slope_of(&line->gaussian);
+    *value += term->weight * lateral_of(&line->gaussian, slope, term->x);
+    add_gradient(slope, term->x, term->weight, gradient);
+    return true;
+}
+
 /// Sum of lateral positions of a line; its slot in the terms does not matter.
 static maplines_estimate_t sum_of(const maplines_line_t *line, size_t count,
                                   const maplines_term_t *terms)
@@ -172,18 +205,14 @@ static maplines_estimate_t sum_of(const maplines_line_t *line, size_t count,
     {
         return nothing;
     }
-    const maplines_gaussian_t *gaussian = &line->gaussian;
-    const maplines_real_t slope = slope_of(gaussian);
     for (size_t i = 0; i < count; ++i)
     {
-        if (!maplines_is_valid_at(line, terms[i].x))
+        if (!add_term(line, &terms[i], &value, &gradient))
         {
             return nothing;
         }
-        value += terms[i].weight * lateral_of(gaussian, slope, terms[i].x);
-        add_gradient(slope, terms[i].x, terms[i].weight, &gradient);
     }
-    add_rows(&gaussian->factor[0][0], 4, &gradient, deviation.g, deviation.size);
+    add_rows(&line->gaussian.factor[0][0], 4, &gradient, deviation.g, deviation.size);
     return estimate_of(value, sigma_of(&deviation, count));
 }
 
@@ -229,7 +258,7 @@ static maplines_real_t sigma_along(const maplines_gaussian_t *gaussian, const ma
     for (int i = 0; i < 4; ++i)
     {
         gradient.J[i] = J[i];
-        gradient.size[i] = J[i] < 0 ? -J[i] : J[i];
+        gradient.size[i] = SIZE_OF(J[i]);
     }
     add_rows(&gaussian->factor[0][0], 4, &gradient, deviation.g, deviation.size);
     return sigma_of(&deviation, 1);
@@ -256,7 +285,7 @@ static maplines_estimate_t position_beyond(const maplines_gaussian_t *gaussian, 
     const maplines_real_t slope = tangent + end * (mean[2] + end * mean[3] / 2);
     const maplines_real_t bend = mean[2] + end * mean[3];
     const maplines_real_t step = x - end;
-    const maplines_real_t d = step < 0 ? -step : step;
+    const maplines_real_t d = SIZE_OF(step);
     const maplines_real_t steeper = 1 + slope * slope;
     const maplines_real_t turn = steeper * ROOT_OF(steeper) / (3 * TIGHTEST_RADIUS);
     const maplines_real_t value =
@@ -409,14 +438,11 @@ bool maplines_sum(const maplines_scene_t *scene, size_t count, const maplines_te
             return false;
         }
         const size_t place = place_in_scene(scene, terms[i].slot);
-        if (place == scene->count || !maplines_is_valid_at(&scene->lines[place], terms[i].x))
+        if (place == scene->count ||
+            !add_term(&scene->lines[place], &terms[i], &value, &gradients[place]))
         {
             return false;
         }
-        const maplines_gaussian_t *gaussian = &scene->lines[place].gaussian;
-        const maplines_real_t slope = slope_of(gaussian);
-        value += terms[i].weight * lateral_of(gaussian, slope, terms[i].x);
-        add_gradient(slope, terms[i].x, terms[i].weight, &gradients[place]);
     }
     deviation_t deviation = {{0}, {0}, 7};
     for (size_t i = 0; i < scene->count; ++i)

@@ -228,11 +228,13 @@ def note_decoders(decoders: Mapping[str, Decoder], last_ns: int) -> None:
     each: Sequence[Decoder] = [*decoders.values()]
     total = sum((one.counts for one in each), Counter())
     has_scenes = any(SCENE in one.checks for one in each)
+    left_out = sum(one.left_out for one in each)
     note(
         f"{sum(one.lines for one in each)} lines"
         f"{pose_errors_text(sum(one.pose_errors for one in each))} from "
         f"{sum(one.frames for one in each)} frames; "
         f"{lost_text(sum(one.lost for one in each), scenes=has_scenes)}; "
+        f"{f'{left_out} lines left out by the sender; ' * bool(left_out)}"
         f"dropped frames: {counts_text({reason.name: n for reason, n in total.items()})}"
     )
     for channel, decoder in decoders.items():

@@ -33,9 +33,10 @@ files. maplines.h sets the sizes of its structures for the DBC. With several DBC
 give --dbc for each of them in one call, so that the sizes suffice for all.
 
 Leave out what the program does not need: --receiver --no-scenes --no-mixtures --slots 4 is the
-smallest receiver, of a quarter of the code and a twelfth of the memory. A receiver remembers the
-records of two lines of the most components, and twice as many as may be lost in a row. So a
-duplicate that comes later than that is STALE and not DUPLICATE, as Python has it.
+smallest receiver, of a quarter of the code and a twelfth of the memory; one of maplines-scene.dbc
+has the least memory. A receiver remembers the records of two lines of the most components, and
+twice as many as may be lost in a row. So a duplicate that comes later than that is STALE and not
+DUPLICATE, as Python has it.
 """
 EXAMPLES = """\
 examples:

@@ -22,8 +22,9 @@ PICTURES = (".png", ".svg", ".pdf")
 DESCRIPTION = """\
 Draw the lines in logs: the lateral position at each x of --at over time, with its bands of 1, 2 and
 3 standard deviations; the width and the centre of the ego lane, if the sender states the pose
-error; the age of the lines, the end-to-end (E2E) state of each slot, and the frames that were
-dropped. Several logs are drawn over each other, each from its own begin on.
+error; the age of the lines, the end-to-end (E2E) state of each slot, when whole scenes leave out a
+line, and the frames that were dropped. Several logs are drawn over each other, each from its own
+begin on.
 
 With --above T the lines are drawn from above, as they were at this time.
 

@@ -26,7 +26,7 @@ from ..wire.layout.scene_layout import SceneLayout
 from .epochs import Epochs
 from .mixtures import Mixtures
 from .reassembly import Content, Reassembly, Record
-from .records import Component, Line, RawRecord, complete, conditional, intact, layout_of
+from .records import Component, Line, RawRecord, complete, conditional, intact
 from .scenes import Member, Pose, Scene, pose_of, scene_line, scene_of
 from .secoc import Keys, verified
 from .sequence import SHORT_ROW, SequenceCheck
@@ -80,7 +80,7 @@ class _Owner:
     ) -> None:
         timeout_ns, cycle_ns, windows = settings
         self.owner, self._lines, self._components = owner, layout, sizes.components
-        self.layout = layout_of(layout, owner)
+        self.layout = layout.record_of(owner)
         self.messages = layout.messages_of[owner]
         #: Layout of its authenticated message; None if its frames are not authenticated.
         self.secured = self.layout.secured if keys else None

@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 from ..values.line import VAGUE_SIGMA, Kind, Slot, Status
-from ..wire.layout.message_layout import Layout
-from ..wire.layout.pose_layout import Owner, PoseLayout
+from ..wire.layout.message_layout import AnyLayout, Layout
+from ..wire.layout.pose_layout import PoseLayout
 from ..wire.layout.record_layout import bits_of
 from ..wire.layout.record_signals import OWN_SIGNALS, PAGE_BYTES, PARAMETER_SIGNALS, Signal
 from ..wire.layout.scene_layout import SceneLayout
@@ -16,9 +16,8 @@ from .e2e import checksum
 from .matrices import Matrix, Vector, diagonal
 from .signals import Raw, packed, physical, read
 
-#: Layout of the records of lines, or of the pose error; and these or that of whole scenes.
+#: Layout of the records of lines, or of the pose error.
 PagedLayout = Layout | PoseLayout
-AnyLayout = PagedLayout | SceneLayout
 #: Statuses of lines without a covariance: it was not sent, or does not exist.
 WITHOUT = (Status.UNKNOWN, Status.OUT_OF_RANGE)
 
@@ -54,11 +53,6 @@ class RawRecord(NamedTuple):
     counter: int
     raw: Raw
     size: int = 1  #: such a line is no mixture
-
-
-def layout_of(layout: Layout, owner: Owner) -> AnyLayout:
-    """Return the layout of the records of an owner: that of lines is the layout of the DBC."""
-    return layout if isinstance(owner, Slot) or layout.pose is None else layout.pose
 
 
 def signals_of(layout: AnyLayout, length: int) -> list[Signal]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ..values.line import Slot
-from ..wire.layout.message_layout import Layout
+from ..wire.layout.message_layout import AnyLayout, Layout
 from ..wire.layout.pose_layout import POSE, Owner
 from .e2e import Windows
-from .records import AnyLayout, layout_of
 from .sequence import GRACE_CYCLES
 
 #: Cycle time if the DBC has none, and the longest time-out [ms].
@@ -53,7 +52,7 @@ def settings_of(
     of_lines = windows or limited(Windows(), layout.scene or layout)
     found: dict[Owner, Settings] = {}
     for owner, messages in layout.messages_of.items():
-        own = layout_of(layout, owner)
+        own = layout.record_of(owner)
         implied_ms = messages.cycle_ms or DEFAULT_CYCLE_MS
         cycle = cycle_ms or implied_ms
         timeout = min(max(implied_ms / 2, timeout_cycles(own) * cycle), MAX_MS)

@@ -24,7 +24,7 @@ from .blocks import FrameBlock
 #: Reason of a frame that has completed lines, among the places in ``Reason``.
 COMPLETE = 255
 #: Reasons by their numbers in ``LineBlock.reasons``.
-REASONS = tuple(Reason)
+REASONS: tuple[Reason, ...] = tuple(Reason)
 #: No log of a car has more channels. Each one needs a decoder, some 16 kB.
 MAX_CHANNELS = 256
 #: Longer than any time-out [ns].
@@ -48,6 +48,7 @@ class LineBlock:
             `COMPLETE` if it has.
         first_frame: place in the log of the first frame.
         channels: names of the channels so far.
+        has_left_out: whether scenes say which lines are left out: they are whole scenes.
     """
 
     lines: NDArray[np.void]
@@ -59,6 +60,7 @@ class LineBlock:
     reasons: NDArray[np.uint8]
     first_frame: int
     channels: tuple[str, ...]
+    has_left_out: bool
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -103,6 +105,7 @@ class LogReceiver:
         )
         self._new_decoder()  # raises for a wrong time
         self._has_scenes = scenes
+        self._has_left_out = codec.layout.scene is not None
         self.decoders: dict[str, Decoder] = {}  #: by channel
         self.first = FirstFrames()  #: those before a line or a pose error
         self.frames = 0  #: of all blocks
@@ -208,8 +211,9 @@ class LogReceiver:
             scenes, of_scenes = scenes[order], of_scenes[order]
         timed = has_time[lines["frame"] - first]
         return LineBlock(
-            lines, components, scenes, channel, of_scenes, timed, reasons, first, channels
-        )
+            lines, components, scenes, channel, of_scenes, timed, reasons, first, channels,
+            self._has_left_out,
+        )  # fmt: skip
 
 
 def _by_channel(block: FrameBlock) -> Iterator[tuple[int, NDArray[np.int64]]]:

@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 
 from ..logs.log_summary import LogSummary
 from ..values.errors import MissingExtraError, missing_extra
-from ..values.line import PARAMETERS, Kind, Slot, Status, are_within, lateral, lateral_jacobian
+from ..values.line import (
+    LEFT_OUT,
+    PARAMETERS,
+    Kind,
+    Slot,
+    Status,
+    are_within,
+    lateral,
+    lateral_jacobian,
+)
 from ..wire import E2EState
 from ..wire.reception.check import Reason
 from .block_reception import COMPLETE, REASONS, LineBlock
@@ -24,6 +33,8 @@ UPPER_TRIANGLE = [(i, j) for i in range(4) for j in range(i, 4)]
 PARAMETER_UNITS = ("m", "rad", "1/m", "1/m^2")
 #: Lines of the ego lane.
 LANE = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
+#: Reasons for which whole scenes have no line of a slot, by their numbers.
+LEFT_OUT_NAMES = tuple("" if reason is None else reason.name for reason in LEFT_OUT)
 #: Reasons of frames that are not rejected.
 _NOT_REJECTED = (COMPLETE, REASONS.index(Reason.PENDING), REASONS.index(Reason.FOREIGN))
 
@@ -282,13 +293,25 @@ def _scene_table(block: LineBlock, xs: Sequence[float], named: dict[str, tuple[s
     columns |= {name: rows[name] for name in ("usable", "two_senders", "counter")}
     columns |= {"lines": rows["count"], "age": rows["age"]}
     columns["correlation_time"] = rows["correlation_time"]
+    left_out = {left_out_column(slot): slot for slot in Slot if block.has_left_out}
+    columns |= {name: rows["left_out"][:, slot] for name, slot in left_out.items()}
     lane = _lane(rows)
     for x in xs:
         estimates = [_combined(lane, weights, x) for weights in ((1.0, -1.0), (0.5, 0.5))]
         for name, (value, sigma) in zip(("width", "centre"), estimates, strict=True):
             columns[f"{name}{x:g}"], columns[f"sigma_{name}{x:g}"] = value, sigma
     units = _units(columns) | {"correlation_time": "s"}
-    return Table(columns, named | {"state": _CATEGORIES["state"]}, units)
+    categories = {"state": _CATEGORIES["state"]} | dict.fromkeys(left_out, LEFT_OUT_NAMES)
+    return Table(columns, named | categories, units)
+
+
+def left_out_column(slot: Slot) -> str:
+    """Return the name of the column of scenes that says why they have no line of a slot.
+
+    >>> left_out_column(Slot.EGO_LEFT)
+    'left_out_ego_left'
+    """
+    return f"left_out_{slot.name.lower()}"
 
 
 def _lane(rows: Array) -> tuple[Array, Array, Array, Array]:

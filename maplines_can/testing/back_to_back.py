@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from ..model.decoder import Receiver as Model
 from ..model.decoder import View
 from ..model.e2e import Windows
-from ..model.records import Component, layout_of
+from ..model.records import Component
 from ..model.records import Line as ModelLine
 from ..model.scenes import Scene
 from ..model.secoc import Keys
@@ -325,7 +325,7 @@ class Pair:
     def sign(self, owner: Owner, record: bytes, now_us: int) -> bytes:
         """Return the authenticated payload of a record."""
         messages = self._layout.messages_of[owner]
-        layout = layout_of(self._layout, owner)
+        layout = self._layout.record_of(owner)
         assert layout.secured is not None  # noqa: S101 - a stream has records of what the DBC has
         assert self._signing_key is not None  # noqa: S101 - likewise
         authenticator = Authenticator(self._signing_key, clock=lambda: 1000 * now_us)

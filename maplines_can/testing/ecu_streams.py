@@ -21,7 +21,7 @@ from ..model.e2e import Windows
 from ..model.lines import Curve
 from ..model.matrices import Vector, matrix
 from ..model.places import Candidate, Places, chosen
-from ..model.records import WITHOUT, layout_of
+from ..model.records import WITHOUT
 from ..model.scene_sender import SceneDraft, SceneSender
 from ..model.signals import read
 from ..values.line import Kind, Slot, Status
@@ -84,7 +84,7 @@ def _random_way(rng: np.random.Generator, layout: Layout) -> Way:
 def _modulus(layout: Layout, owner: Owner) -> int:
     """Return the number of counters of an owner; 1 if the DBC has no records of it."""
     has = owner in layout.messages_of
-    return 2 ** layout_of(layout, owner)["Counter"].length if has else 1
+    return 2 ** layout.record_of(owner)["Counter"].length if has else 1
 
 
 def _random_places(rng: np.random.Generator, layout: Layout) -> Places:
@@ -111,7 +111,7 @@ def _frames(layout: Layout, way: Way, records: Sequence[tuple[Owner, bytes]]) ->
     """Return the frames of records, and the last freshness value; None if one is not signed."""
     frames, last_us = list[Any](), way.last_us
     for owner, record in records:
-        messages, secured = layout.messages_of[owner], layout_of(layout, owner).secured
+        messages, secured = layout.messages_of[owner], layout.record_of(owner).secured
         if way.key_id is not None and secured is not None:
             if last_us == LAST_US or way.key_id not in KEY_IDS:
                 return None

@@ -12,11 +12,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from ..model.records import AnyLayout, layout_of, sealed, written
+from ..model.records import sealed, written
 from ..model.signals import nearest_limited, of_slot
 from ..model.whole_scenes import NONE, REASONS, joint_bits, scene_of_dbc, shared, write_whole
 from ..values.line import Slot
 from ..wire import POSE, E2EConfig, Layout, Owner
+from ..wire.layout.message_layout import AnyLayout
 from ..wire.layout.pose_layout import SCENE, SCENE2, SceneOwner
 from ..wire.layout.record_signals import OWN_SIGNALS, PAGE_BYTES, PARAMETER_SIGNALS
 from ..wire.layout.scene_layout import SceneLayout
@@ -178,7 +179,7 @@ class Traffic:
 
     def of(self, owner: Owner) -> AnyLayout:
         """Return the layout of the records of an owner."""
-        return layout_of(self.layout, owner)
+        return self.layout.record_of(owner)
 
     def _records(self) -> Iterator[tuple[Owner, bytes]]:
         lines: list[tuple[Owner, dict[str, int]]] = []

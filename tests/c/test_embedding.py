@@ -127,7 +127,7 @@ def test_the_receiver_prints_what_python_receives(
 
 def test_the_smallest_receiver_prints_what_python_receives(folder: Any, capsys: Any) -> None:
     """Of whole scenes, with the cycle of the page in place of that of the receiver."""
-    section = PAGE.split("## The smallest receiver\n")[1].split("\n## ")[0]
+    section = PAGE.split("## The receiver with the least state\n")[1].split("\n## ")[0]
     (cycle,) = re.findall(r"(?ms)^```c\n(.*?)^```\n", section)
     generate, drive = re.findall(r"(?m)^maplines (.*)$", section)
     source = folder / "receiver.c"

@@ -1,6 +1,7 @@
 """Scenes as an ECU in single precision receives them."""
 
 import struct
+from collections.abc import Iterable
 from contextlib import suppress
 from itertools import chain
 from typing import Any
@@ -9,10 +10,11 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 from support import c_core
-from support.scene_streams import CONDITIONAL, new_codec, random_scenes
+from support.scene_streams import CONDITIONAL, OFFSETS, new_codec, random_scenes, road_scene
 
-from maplines_can import EncodeError
+from maplines_can import EncodeError, Slot
 from maplines_can.values.line import lateral_jacobian
+from maplines_can.wire import Frame
 
 COMPLETE, WHOLE = "maplines.dbc", "maplines-scene.dbc"
 LINE = np.dtype(
@@ -32,11 +34,17 @@ def frames_of_scenes(dbc: str, n: int) -> list[bytes]:
     for k, scene in enumerate(random_scenes(n, seed=7)):
         with suppress(EncodeError):  # a pose error that the message cannot hold
             sent = codec.encoder().encode_scene(scene, fd=k % 2 > 0 or dbc == WHOLE)
-            frames = [*chain(*sent.values())]
-            heads = (struct.pack("<IBB", f.can_id, f.is_extended, len(f.data)) for f in frames)
-            whole = (head + f.data for head, f in zip(heads, frames, strict=True))
-            given.append(bytes([len(frames)]) + b"".join(whole))
+            given.append(as_read(chain(*sent.values())))
     return given
+
+
+def as_read(frames: Iterable[Frame]) -> bytes:
+    """The frames of a scene as the harness reads them."""
+    whole = [
+        struct.pack("<IBB", frame.can_id, frame.is_extended, len(frame.data)) + frame.data
+        for frame in frames
+    ]
+    return bytes([len(whole)]) + b"".join(whole)
 
 
 def scenes_of(output: bytes) -> list[Any]:
@@ -82,3 +90,20 @@ def test_single_precision_covers(dbc: str) -> None:
             assert (after / before).max() < 1.001
             assert (own / before).min() >= 1 - 1e-9
             assert (own / before).max() < 1.001
+
+
+def test_the_rounding_of_each_line_is_covered_alike(monkeypatch: Any) -> None:
+    """Two lines of the same course have the same factors in a scene, also the first one."""
+    monkeypatch.setitem(OFFSETS, Slot.NEXT_RIGHT, OFFSETS[Slot.EGO_LEFT])
+    scene = road_scene(
+        (Slot.EGO_LEFT, Slot.NEXT_RIGHT), radius=20_000, sigma=(1, 3, 0.02), map_error=None
+    )
+    codec = new_codec(WHOLE)
+    frames = chain(*codec.encoder().encode_scene(scene, fd=True).values())
+    program = c_core.harness("scene", codec.layout, flags=(*c_core.FLAGS, "-DMAPLINES_FLOAT"))
+    (lines,) = scenes_of(c_core.run(program, as_read(frames)))
+
+    first, second = lines
+    assert np.array_equal(first["mean"], second["mean"])
+    assert np.array_equal(first["spread"], second["spread"])
+    assert np.array_equal(first["specific"], second["specific"])

@@ -24,6 +24,7 @@ from maplines_can import (
 )
 from maplines_can.bus import LogWriter
 from maplines_can.cli import main
+from maplines_can.recordings.plots import panels_of, recorded
 from maplines_can.simulation import scenario
 from maplines_can.values.line import LeftOut
 from maplines_can.wire import SCENE, SCENE2, default_dbc_path
@@ -151,14 +152,31 @@ def test_lines_that_are_left_out_are_named(
     assert "ego lane" in out
     assert "next left" not in out
 
+
+def test_a_log_says_what_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As rows, as a table, in the summary, and in a plot."""
+    codec, scene = Codec.from_dbc(default_dbc_path(NAME)), scene_with_a_far_line()
     path, encoder = tmp_path / "a.log", codec.encoder()
     with LogWriter(path, 1000.0) as log:
         for cycle in range(3):
             for frames in encoder.encode_scene(scene, fd=True).values():
                 log.write(frames[0], 1000.0 + 0.05 * cycle)
     assert main(["decode", str(path), *DBC, "--scenes"]) == 0
-    rows = [json.loads(row) for row in capsys.readouterr().out.splitlines()]
+    out, err = capsys.readouterr()
+    rows = [json.loads(row) for row in out.splitlines()]
     assert [row["left_out"] for row in rows if "scene" in row] == 3 * [{"NEXT_LEFT": "MEAN"}]
+    assert "; 3 lines left out by the sender;" in err
+
+    scenes = read_lines(path, dbc=codec, scenes=True).scenes
+    assert scenes["left_out_next_left"].tolist() == 3 * ["MEAN"]
+    assert scenes["left_out_ego_left"].tolist() == 3 * [""]
+    recording, _ = recorded(str(path), codec, (20.0,))
+    states = panels_of([recording], (20.0,))[-1]
+    row = states.rows.index("next left: left out")
+    assert [strip.label for strip in states.strips if strip.row == row] == ["MEAN"]
+    assert "ego left: left out" not in states.rows
+    recording, _ = recorded(str(path), codec, (20.0,), slots=[Slot.EGO_LEFT])
+    assert panels_of([recording], (20.0,))[-1].rows == ["ego left"]
 
 
 @pytest.mark.parametrize(

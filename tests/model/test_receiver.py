@@ -30,7 +30,6 @@ from maplines_can.model import (
     settings,
     whole_scenes,
 )
-from maplines_can.model.records import layout_of as records_of
 from maplines_can.model.records import written
 from maplines_can.testing.back_to_back import START_US, Pair, compare, profiles_of
 from maplines_can.testing.hostile_streams import (
@@ -234,7 +233,7 @@ class Sender:
 
     def record(self, counter: int, owner: Owner = SLOT, **raw: int) -> bytes:
         """Return a record with a straight line, or a pose error of small levels."""
-        layout = records_of(self.layout, owner)
+        layout = self.layout.record_of(owner)
         assert not isinstance(layout, SceneLayout)
         values = {name: 0 for name in layout.signals if owner == POSE} | {"XMin": 1, "XMax": 20}
         of_complete = {"Status": 1, "Age": 3, "ComponentWeight": 31}

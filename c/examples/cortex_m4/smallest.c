@@ -59,7 +59,7 @@ static void cycle(int64_t now_ns)
 
 int main(void)
 {
-    maplines_decoder_init(&decoder, &maplines_dbc, NULL);
+    maplines_decoder_init_default(&decoder, &maplines_dbc);
     for (;;)
     {
         if (has_frame)

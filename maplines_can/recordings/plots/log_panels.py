@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...values.line import PARAMETERS, Slot, Status, lateral
-from ..line_tables import UPPER_TRIANGLE, position
+from ..line_tables import LEFT_OUT_NAMES, UPPER_TRIANGLE, left_out_column, position
 from .recording import OLDEST, Recording, recorded
 
 __all__ = [
@@ -244,9 +244,21 @@ def _state_panel(recordings: Sequence[Recording]) -> Panel:
         for label, lines in recording.lines.items():
             strips += [*_strips(lines["t"], lines["state"], lines["usable"], len(rows))]
             rows.append(_label(recordings, number, label))
+        for label, reasons in _left_out(recording):
+            runs = _strips(recording.scenes["t"], reasons, np.ones(len(reasons), bool), len(rows))
+            strips += [run for run in runs if run.label]
+            rows.append(_label(recordings, number, f"{label}: left out"))
     title = "E2E state of the slots, and dropped frames"
-    note = "yellow: INIT, red: INVALID, pale: VALID, but not to be used"
+    note = "yellow: INIT, red: INVALID, pale: VALID, but not to be used; or left out by the sender"
     return Panel(title, "time [s]", "", dots=dots, strips=strips, rows=rows, note=note)
+
+
+def _left_out(recording: Recording) -> Iterator[tuple[str, NDArray[np.str_]]]:
+    """Yield the slots of which whole scenes have said that the line is left out, and why, or ""."""
+    for slot in Slot:
+        numbers = recording.scenes.get(left_out_column(slot), np.empty(0, np.uint8))
+        if numbers.any():
+            yield slot.name.replace("_", " ").lower(), np.array(LEFT_OUT_NAMES)[numbers]
 
 
 def _strips(t: Array, state: NDArray[np.str_], usable: NDArray[np.bool_], row: int) -> list[Strip]:
@@ -262,7 +274,7 @@ def _strips(t: Array, state: NDArray[np.str_], usable: NDArray[np.bool_], row: i
         last = t[end] if end < len(t) and not is_gap[end - 1] else t[end - 1]
         name = str(state[begin])
         is_used = name != "VALID" or usable[begin]
-        colour = STATES[name] if is_used else NOT_USED
+        colour = STATES.get(name, NOT_USED) if is_used else NOT_USED
         found.append(Strip(row, float(t[begin]), float(last), colour, name))
     step = len(found) // MOST_POINTS + 1  # a slot that flickers has a strip for each
     return found[::step]

@@ -18,7 +18,7 @@ from ...wire import LineCodec
 from ..block_reception import LogReceiver
 from ..blocks import read_blocks
 from ..fitting import misfit
-from ..line_tables import LineTable, Table
+from ..line_tables import LineTable, Table, left_out_column
 from ..read_lines import name_of, tables_of
 
 Array = NDArray[Any]
@@ -119,6 +119,8 @@ def recorded(
     for columns_of in by_slot.values():
         columns_of["t"] = columns_of["t"] - begin
     scenes = dict(_joined(kept["scenes"]).columns) if kept["scenes"] else {}
+    for slot in {*Slot} - {*(Slot if slots is None else slots)}:
+        scenes.pop(left_out_column(slot), None)
     if "t" in scenes:
         scenes["t"] = scenes["t"] - begin
     drawn = Recording(Path(name).name, begin, by_slot, scenes, of_reason, blocks.summary)

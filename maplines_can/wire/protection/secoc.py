@@ -251,11 +251,12 @@ class Verifier:
 def _problem(clock: object, window_ns: object, not_before: object) -> str | None:
     """Return what is wrong with the settings of an authenticator, without repeating a secret."""
     now = clock() if callable(clock) else None
-    if clock not in (None, "frames") and not isinstance(now, int):
+    is_of_frames = isinstance(clock, str) and clock == "frames"
+    if not (clock is None or is_of_frames or isinstance(now, int)):
         got = f"one that returns {shown(now)}" if callable(clock) else shown(clock)
         return (
-            "clock must be a function that returns nanoseconds as an int, such as "
-            f"time.time_ns, got {got}"
+            "clock must be a function that returns nanoseconds as an int, such as time.time_ns, or "
+            f'"frames", got {got}'
         )
     if not (isinstance(window_ns, int | float) and 1000 <= window_ns < math.inf):
         return (

@@ -198,6 +198,11 @@ class Decoder:
         return int(self._c.decoder.statistics.pose_errors)
 
     @property
+    def left_out(self) -> int:
+        """Lines of which records of whole scenes say why they are left out."""
+        return int(self._c.left_out)
+
+    @property
     def pose_frames(self) -> int:
         """Frames of the pose errors received."""
         return int(self._c.decoder.statistics.pose_frames)

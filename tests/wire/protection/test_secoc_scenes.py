@@ -1,13 +1,17 @@
-"""Authenticated whole scenes: freshness values of 4 bytes over restarts, losses and silences."""
+"""Authenticated whole scenes: freshness values of 4 bytes over restarts, losses and silences.
+
+The receiver has a clock, or takes the times of the frames, as of a log.
+"""
 
 from typing import Any
 
+import numpy as np
 import pytest
 from support.scene_streams import road_scene
 from support.secoc_streams import MS, NOW, SECRET, US, Clock, S
 
 from maplines_can import Codec, Scene
-from maplines_can.values.errors import LayoutError
+from maplines_can.values.errors import EncodeError, LayoutError
 from maplines_can.wire import Authenticator, Key, Reason, default_dbc_path
 
 #: What 4 bytes of microseconds can count [ns]: 71.6 minutes.
@@ -47,14 +51,19 @@ def test_a_receiver_needs_a_clock() -> None:
     "silence",
     [CYCLE, 17 * CYCLE, SPAN - US, SPAN, SPAN + CYCLE, 3 * SPAN, 86_400 * S],
 )
-def test_any_number_of_frames_may_be_lost(scene: Scene, silence: int) -> None:
-    """Also more than the truncated value counts; and what was recorded before is not accepted."""
+@pytest.mark.parametrize("of_log", [False, True])
+def test_any_number_of_frames_may_be_lost(scene: Scene, silence: int, of_log: bool) -> None:
+    """Also more than the truncated value counts; and what was recorded before is not accepted.
+
+    A receiver that has just started has no last value: its clock alone completes one.
+    """
     clock = Clock()
-    encoder, decoder = codec_of(clock).encoder(), codec_of(clock).decoder()
-    before = sent(encoder, scene)
+    encoder, codec = codec_of(clock).encoder(), codec_of("frames" if of_log else clock)
+    decoder, before = codec.decoder(), sent(encoder, scene)
     assert answer(decoder, before, clock) == "lines"
     clock.now += silence
-    assert answer(decoder, sent(encoder, scene), clock) == "lines"
+    now = sent(encoder, scene)
+    assert answer(decoder, now, clock) == answer(codec.decoder(), now, clock) == "lines"
     assert answer(decoder, before, clock) in ("REPLAY", "MAC")
 
 
@@ -68,12 +77,15 @@ def test_any_number_of_frames_may_be_lost(scene: Scene, silence: int) -> None:
         pytest.param(2 * SPAN, "MAC", id="twice"),
     ],
 )
-def test_a_recording_to_a_receiver_that_restarts(scene: Scene, late: int, expected: str) -> None:
+@pytest.mark.parametrize("of_log", [False, True])
+def test_a_recording_to_a_receiver_that_restarts(
+    scene: Scene, late: int, expected: str, of_log: bool
+) -> None:
     """Its full freshness value comes from the clock: only a recording within the window passes."""
     clock = Clock()
     recorded = sent(codec_of(clock).encoder(), scene)
     clock.now += late
-    decoder = codec_of(clock).decoder()
+    decoder = codec_of("frames" if of_log else clock).decoder()
     assert answer(decoder, recorded, clock) == expected
     clock.now += US
     assert answer(decoder, sent(codec_of(clock).encoder(), scene), clock) in ("lines", "DUPLICATE")
@@ -94,3 +106,22 @@ def test_a_sender_that_restarts(scene: Scene) -> None:
     own.now = NOW
     remembers = sent(codec_of(own, not_before=(NOW + CYCLE) // US).encoder(), scene)
     assert answer(decoder, remembers, clock) == "DUPLICATE"
+
+
+@pytest.mark.parametrize("t_ns", [0, -1, -(10**18), 2**62])
+def test_a_log_without_absolute_times_has_no_lines(scene: Scene, t_ns: int) -> None:
+    """Its times do not complete the freshness values."""
+    clock = Clock()
+    frame, decoder = sent(codec_of(clock).encoder(), scene), codec_of("frames").decoder()
+    assert decoder.feed(frame.can_id, frame.data, t_ns) is Reason.MAC
+
+
+def test_a_sender_needs_a_clock_of_its_own(scene: Scene) -> None:
+    with pytest.raises(EncodeError, match="an authenticator that sends needs a clock"):
+        sent(codec_of("frames").encoder(), scene)
+
+
+@pytest.mark.parametrize("clock", ["frame", np.array([1, 2])])
+def test_what_is_no_clock_is_refused(clock: Any) -> None:
+    with pytest.raises(ValueError, match=r'"frames", got an? (str|ndarray)'):
+        codec_of(clock)

@@ -12,7 +12,7 @@ import numpy as np
 from scene_layouts import layout_of
 from support.scene_streams import authenticated_codec, new_codec, road_scene
 
-from maplines_can import Codec, Decoder, MapLine, Reason, Slot
+from maplines_can import Codec, Decoder, LeftOut, MapLine, Reason, Slot
 from maplines_can.model.whole_scenes import NONE, scene_of_dbc, write_whole
 from maplines_can.wire import E2EState, Frame, ReceivedScene
 from maplines_can.wire.layout.pose_layout import SCENE, SCENE2, SceneOwner
@@ -155,6 +155,43 @@ def test_a_slot_without_a_line_has_the_state_of_scene() -> None:
 
     assert (view.line, view.state, view.left_out) == (None, E2EState.VALID, None)
     assert not view.usable
+
+
+def test_a_line_that_is_left_out_says_why_and_the_older_one_becomes_stale() -> None:
+    decoder = valid_decoder()
+    for counter in range(12, 17):
+        places = [LINE | {"Kind": NONE + 2}, LINE, LINE | {"Kind": NONE + 4, "Slot": int(CENTRE)}]
+        feed(decoder, SCENE, record_of(SCENE, counter, [*places, EMPTY]), counter * CYCLE)
+        view = decoder.latest(LEFT, counter * CYCLE)
+        assert view.left_out is LeftOut.RANGE
+        assert view.line is not None
+        assert view.line.t_ns == 11 * CYCLE
+        assert view.stale is (counter > 14)
+
+    scene = scene_in(decoder).scene
+    assert scene.left_out == {LEFT: LeftOut.RANGE, CENTRE: LeftOut.COVARIANCE}
+    assert [line.slot for line in scene.lines] == [RIGHT]
+    feed(decoder, SCENE, record_of(SCENE, 17, [LINE, LINE, EMPTY, EMPTY]), 17 * CYCLE)
+    assert decoder.latest(LEFT, 17 * CYCLE).left_out is None
+    assert decoder.latest(CENTRE, 17 * CYCLE).left_out is None
+
+
+def test_a_line_that_moves_to_scene2_waits_for_its_state() -> None:
+    """A sender that needs Scene2 from now on moves an edge there; the ego lines stay usable."""
+    decoder, encoder = new_codec(DBC).decoder(), new_codec(DBC).encoder()
+    usable: dict[int, tuple[bool, ...]] = {}
+    for cycle in range(24):
+        scene = road_scene([LEFT, RIGHT, EDGE_LEFT] if cycle < 12 else MANY)
+        for frame in chain(*encoder.encode_scene(scene, fd=True).values()):
+            decoder.feed(frame.can_id, frame.data, cycle * CYCLE)
+        views = [decoder.latest(slot, cycle * CYCLE) for slot in (LEFT, EDGE_LEFT)]
+        seen = decoder.latest_scene(cycle * CYCLE)
+        assert len(scene_in(decoder).scene.lines) == len(scene.lines)
+        usable[cycle] = (*(view.usable for view in views), seen.usable)
+
+    assert usable[11] == (True, True, True)
+    assert usable[12] == (True, False, False)
+    assert usable[23] == (True, True, True)
 
 
 def test_one_counter_is_of_all_lines_of_a_message() -> None:
