@@ -48,9 +48,9 @@ COMMANDS = {
 }
 STUDY_COMMANDS = {
     "run": ("study", "compare codes, bit widths and sets of lines; can be resumed"),
-    "report": ("report", "write an HTML report with plots of a run"),
-    "maps": ("study_maps", "compare the records of scenes on your maps"),
-    "production": ("production", "compare with the lane messages of production cars"),
+    "report": ("study", "write an HTML report with plots of a run"),
+    "maps": ("study", "compare the records of scenes on your maps"),
+    "production": ("study", "compare with the lane messages of production cars"),
 }
 FMU_COMMANDS = {
     "run": ("fmu_run", "run FMUs that are nodes of a CAN bus: FMI 3.0, FMI-LS-BUS 1.0.0"),
