@@ -18,7 +18,7 @@ from support import c_core
 
 from maplines_can import Status
 from maplines_can.cli import main
-from maplines_can.generation.tables import identifier_of
+from maplines_can.generation.c_tables import identifier_of
 from maplines_can.generation.vector_files import vectors_from
 from maplines_can.generation.vectors import SCHEMA
 from maplines_can.wire import E2EState, ProfileStatus, Reason
