@@ -68,8 +68,9 @@ def test_each_promise_names_its_evidence_and_options_that_it_has() -> None:
 
 def test_each_test_that_shows_a_promise_is_there() -> None:
     for promise in promises():
-        for path in re.findall(r"tests/[\w/.]+", promise.get("command", "")):
+        for path, name in re.findall(r"(tests/[\w/.]+)(?:::(\w+))?", promise.get("command", "")):
             assert (ROOT / path).exists(), path
+            assert not name or f"def {name}(" in (ROOT / path).read_text(encoding="utf-8"), name
 
 
 @pytest.mark.parametrize(
