@@ -38,12 +38,12 @@ COMMANDS = {
     "drive": ("drive", "drive on a map, and send or record the lines around the car"),
     "restbus": ("restbus", "simulate the nodes around a device: lines and other messages"),
     "consume": ("consume", "use received lines as a car does: fuse, steer, check"),
-    "scenarios": ("scenarios", "list the scenarios that can be sent"),
+    "scenarios": ("paper", "list the scenarios that can be sent"),
     "generate": ("generate", "generate C for an ECU from a DBC, and vectors for its test"),
     "design": ("design", "design a DBC for a number of frames or a limit on the error"),
     "accuracy": ("accuracy", "compare the received lines of a drive with the truth"),
-    "claims": ("claims", "compare each representation of a line with Monte Carlo samples"),
-    "figures": ("figures", "draw the figures of the paper"),
+    "claims": ("paper", "compare each representation of a line with Monte Carlo samples"),
+    "figures": ("paper", "draw the figures of the paper"),
     "selftest": ("selftest", "compare the core with its model on this machine, bit by bit"),
 }
 STUDY_COMMANDS = {
