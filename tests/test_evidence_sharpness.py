@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from evidence.harness import bounds_of, missed
 from evidence.sampled_lines import LANE, ROADS, Row, TrueLine, of_map, on_road, thinned
-from evidence.sharpness import Drive, Errors, add_beyond, falls, jumps_of, path, sampled
+from evidence.sharpness import Errors, add_beyond, falls
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -102,24 +102,6 @@ def test_a_sigma_that_falls_is_found() -> None:
     found: Any = falls(sigma)
     assert found["falls"] == pytest.approx(1 / 57)
     assert found["largest fall"] == pytest.approx(0.1)
-
-
-def test_a_line_that_jumps_is_found() -> None:
-    """By three sigmas once in a drive in which nothing else moves."""
-    case = dict.fromkeys(LANE, STRAIGHT)
-    drive = Drive(sampled(case, Row(1.0), 0), path(case, 0.2), None)
-    assert jumps_of([drive])["jump at 20 m, max"] < 1e-3
-    sigma = float(drive.sigma(np.full((19, 2), 20.0))[6, 0])
-    drive.means[7:, 0, 0] += 3 * sigma
-    assert jumps_of([drive])["jump at 20 m, max"] == pytest.approx(3, rel=1e-2)
-
-
-def test_a_place_is_followed_along_a_bend() -> None:
-    """Its cubic hardly moves in the frame of the map, while the car turns by 15 mrad."""
-    case = on_road("arc of 200 m", np.random.default_rng(0))
-    drive = Drive(sampled(case, Row(1.0), 0), path(case, 3.0), None)
-    assert drive.poses[-1, 2] == pytest.approx(2.99 / 200, rel=1e-3)
-    assert drive.jumps(40.0).max() < 0.01  # and 0.06 without the turn
 
 
 @pytest.mark.parametrize(("radius", "beyond"), [(5.0, False), (4.0, True)])

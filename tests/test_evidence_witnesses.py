@@ -1,6 +1,5 @@
 """The arithmetic of the evidence against closed forms."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -15,14 +14,13 @@ from evidence import (
 from evidence import plausibility as drawn
 from evidence import sums as sums_
 from evidence.exact import covers, is_positive_definite
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import ndtri
 from support.lane_maps import lane, network, pose_on
 from support.strategies import covariances
 
 from maplines_can import MapError, Motion, Polyline, Slot
-from maplines_can.propagation.refit import MAX_MISFIT
 from maplines_can.study.scenes.map_scenes import SLOTS
 
 LEFT, RIGHT, NEXT_LEFT, NEXT_RIGHT = SLOTS
@@ -73,39 +71,6 @@ def test_the_nearest_place_is_between_points() -> None:
     nearest, s = witness.place_of(np.array([[-30.0, 4], [-10, 4], [30, 4]]))
     assert nearest == 1
     assert s.tolist() == [-30, -10, 30]
-
-
-@given(st.floats(0.5, 50), st.floats(-40, 40), st.floats(1e-6, 1e-3))
-@settings(max_examples=20)
-def test_the_misfit_of_a_quartic_is_that_of_chebyshev(
-    half: float, centre: float, scale: float
-) -> None:
-    """x^4 on [-1, 1] deviates from its best cubic, x^2 - 1/8, by 1/8."""
-    w = np.linspace(-1, 1, 401)
-    misfit = lines.chebyshev_misfit(centre + half * w, scale * half**4 * w**4)
-    assert misfit == pytest.approx(scale * half**4 / 8, rel=1e-4, abs=1e-6)
-
-
-def test_the_limit_of_a_quartic_is_known() -> None:
-    """A cubic follows a x^4 over a range of length 2 (8 max_misfit / a)^(1/4), wherever it is."""
-    x = np.linspace(-20, 80, 2001)
-    a = 1e-5
-    y = a * (x - 5) ** 4
-    view = lines.View(np.column_stack([x, y]), 400)
-    length = 2 * (8 * MAX_MISFIT / a) ** 0.25
-
-    assert view.is_seen
-    assert view.farthest(-15.0, -15.0) == pytest.approx(length - 15, abs=0.15)
-    assert view.longest(1.0) == pytest.approx(length, abs=0.3)
-    assert view.longest(length + 1) == length + 1
-
-
-def test_a_view_ends_where_the_line_turns_away() -> None:
-    """Both ways along an arc, at the angle of the limit."""
-    angle = np.linspace(-1.5, 1.5, 3001)
-    arc = 12 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
-    view = lines.View(arc, 1500)
-    assert [view.low, view.high] == pytest.approx(12 * np.sin([-lines.TURN, lines.TURN]), abs=0.05)
 
 
 def test_points_keep_their_errors_in_other_lines() -> None:
@@ -281,44 +246,12 @@ def test_eigenvalues_are_those_of_the_whitened_covariance() -> None:
 
 
 def test_the_errors_have_the_covariance_of_the_model() -> None:
-    model, x = drawn.model_of_lane()
+    model = drawn.model_of_lane()
     errors = drawn.Errors(model, 5.0, 40_000, np.random.default_rng(0))
     z = errors.next()
     scale = np.sqrt(model.marginal.diagonal())
     found = np.cov(z.T) / scale / scale[:, None]
     assert found == pytest.approx(model.marginal / scale / scale[:, None], abs=0.03)
-    assert x == pytest.approx([2.0, 20.0] * 2)
-
-
-def test_the_faults_are_those_of_the_docstring() -> None:
-    _, x = drawn.model_of_lane()
-    t = np.array([-1.0, 0.0, 10.0])
-    faults = {name: fault(t) for name, fault in drawn.faults(x).items()}
-    assert all(not shift[0].any() for shift in faults.values())
-    assert faults["shift"][1:] == pytest.approx(0.5 * np.ones((2, 4)))
-    assert faults["camera"][1] == pytest.approx(math.radians(1) * x)
-    assert faults["drift"][2] == pytest.approx(math.radians(1) / 6 * x)
-    assert faults["lost"][2] == pytest.approx(-math.radians(0.1) * (15 * 50 + 10 * x))
-    assert faults["lane"][1] == pytest.approx([3.5, 3.5, 0, 0])
-
-
-@pytest.mark.parametrize(
-    "noise",
-    [
-        pytest.param(drawn.WHITE, id="white"),
-        pytest.param(drawn.Noise(0.3, 1.0), id="lasts"),
-        pytest.param(drawn.Noise(0.3, 0.5, heavy=True), id="half-lasts-half-heavy"),
-    ],
-)
-def test_the_noise_has_the_stated_covariance(noise: drawn.Noise) -> None:
-    """And the stated correlation between two images."""
-    rng, root = np.random.default_rng(1), np.linalg.cholesky(np.diag([1.0, 2.0, 3.0, 4.0]))
-    images = noise.drawn(200_000, root, rng)
-    first, second = next(images), next(images)
-    variance = (second**2).mean(axis=0)
-    assert variance == pytest.approx([1, 2, 3, 4], rel=0.05)
-    rho = noise.share * math.exp(-drawn.DT / noise.time) if noise.time else 0.0
-    assert (first * second).mean(axis=0) / variance == pytest.approx([rho] * 4, abs=0.03)
 
 
 def test_reflections_jump_and_the_stated_covariance_is_that_of_the_noise() -> None:

@@ -38,19 +38,19 @@ COMMANDS = {
     "drive": ("drive", "drive on a map, and send or record the lines around the car"),
     "restbus": ("restbus", "simulate the nodes around a device: lines and other messages"),
     "consume": ("consume", "use received lines as a car does: fuse, steer, check"),
-    "scenarios": ("scenarios", "list the scenarios that can be sent"),
+    "scenarios": ("paper", "list the scenarios that can be sent"),
     "generate": ("generate", "generate C for an ECU from a DBC, and vectors for its test"),
     "design": ("design", "design a DBC for a number of frames or a limit on the error"),
     "accuracy": ("accuracy", "compare the received lines of a drive with the truth"),
-    "claims": ("claims", "compare each representation of a line with Monte Carlo samples"),
-    "figures": ("figures", "draw the figures of the paper"),
+    "claims": ("paper", "compare each representation of a line with Monte Carlo samples"),
+    "figures": ("paper", "draw the figures of the paper"),
     "selftest": ("selftest", "compare the core with its model on this machine, bit by bit"),
 }
 STUDY_COMMANDS = {
     "run": ("study", "compare codes, bit widths and sets of lines; can be resumed"),
-    "report": ("report", "write an HTML report with plots of a run"),
-    "maps": ("study_maps", "compare the records of scenes on your maps"),
-    "production": ("production", "compare with the lane messages of production cars"),
+    "report": ("study", "write an HTML report with plots of a run"),
+    "maps": ("study", "compare the records of scenes on your maps"),
+    "production": ("study", "compare with the lane messages of production cars"),
 }
 FMU_COMMANDS = {
     "run": ("fmu_run", "run FMUs that are nodes of a CAN bus: FMI 3.0, FMI-LS-BUS 1.0.0"),

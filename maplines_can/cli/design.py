@@ -20,8 +20,8 @@ from ..study.scenes.map_scenes import drawn_scenes, maps_of
 from ..study.sets import Gaussians, line_set
 from ..values.line import PARAMETERS
 from .overwriting import add_force, check_new
-from .parsing import add_json, number, option_group, positive
-from .stderr import Bar, progress_bar
+from .parsing import add_command, add_json, number, option_group, positive
+from .stderr import progress_bar
 
 __all__ = ["add_design"]
 
@@ -81,20 +81,10 @@ ROUNDS = 10
 HELD_OUT_SEED = 1_000_003
 
 
-def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentParser:
-    """Add the command ``design`` to those of ``maplines``.
-
-    Args:
-        subparsers: from ``ArgumentParser.add_subparsers``.
-        bar: progress bar.
-    """
-    parser: argparse.ArgumentParser = subparsers.add_parser(
-        "design",
-        help="Design a message layout for a number of frames or a divergence.",
-        description=ABOUT,
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_design(commands: Any) -> None:
+    """Add the command ``design``."""
+    parser = add_command(commands, "design", _run, ABOUT, "")
+    parser.epilog = EXAMPLES
     add = option_group(parser, "message").add_argument
     add(
         "--frames",
@@ -205,11 +195,9 @@ def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentPar
     )
     add_force(parser)
     add_json(parser, "all figures and fields")
-    parser.set_defaults(run=lambda arguments: _run(arguments, bar))
-    return parser
 
 
-def _run(arguments: argparse.Namespace, bar: Bar) -> int:
+def _run(arguments: argparse.Namespace) -> int:
     if Path(arguments.out).suffix.lower() != ".dbc":
         raise ValueError(f"--out must be a file that ends in .dbc, got {arguments.out!r}")
     if not Path(arguments.out).parent.is_dir():  # the search takes long
@@ -220,11 +208,11 @@ def _run(arguments: argparse.Namespace, bar: Bar) -> int:
         arguments.n = SCENES_N if are_scenes else LINES_N
     result: Design | SceneDesign | WholeSceneDesign
     if arguments.whole_scenes:
-        result = _whole_scenes(arguments, bar)
+        result = _whole_scenes(arguments)
     elif arguments.maps or arguments.other_maps or arguments.places or arguments.rounds is not None:
         raise ValueError("--map, --other-map, --lines and --rounds need --whole-scenes")
     else:
-        result = (_scenes if arguments.scenes else _lines_alone)(arguments, bar)
+        result = (_scenes if arguments.scenes else _lines_alone)(arguments)
     dbc, page = result.write(arguments.out, _command(arguments))
     if arguments.json:
         print(json.dumps(result.as_dict() | {"dbc": str(dbc), "page": str(page)}, indent=2))
@@ -234,20 +222,20 @@ def _run(arguments: argparse.Namespace, bar: Bar) -> int:
     return 0
 
 
-def _scenes(arguments: argparse.Namespace, bar: Bar) -> SceneDesign:
+def _scenes(arguments: argparse.Namespace) -> SceneDesign:
     """Return the design of records that are conditional on the pose error."""
     if _has_line_options(arguments):
         raise ValueError(
             "--scenes must not be given with --frames, --range, --sigma or --keep-mean: the ranges "
             "and the frames are those of maplines-pose.dbc"
         )
-    with bar(" %") as update:
+    with progress_bar(" %") as update:
         return design_scenes(
             arguments.max_kl, n=arguments.n, seed=arguments.seed, progress=_percent(update)
         )
 
 
-def _whole_scenes(arguments: argparse.Namespace, bar: Bar) -> WholeSceneDesign:
+def _whole_scenes(arguments: argparse.Namespace) -> WholeSceneDesign:
     """Return the design of records of whole scenes."""
     if arguments.scenes or arguments.max_kl or _has_line_options(arguments):
         raise ValueError(
@@ -258,7 +246,7 @@ def _whole_scenes(arguments: argparse.Namespace, bar: Bar) -> WholeSceneDesign:
     others = maps_of(arguments.other_maps) or maps
     drawn = list(drawn_scenes(maps, arguments.n, arguments.seed))
     held_out = list(drawn_scenes(others, arguments.n, arguments.seed + HELD_OUT_SEED))
-    with bar(" %") as update:
+    with progress_bar(" %") as update:
         return design_whole_scenes(
             drawn,
             held_out,
@@ -274,7 +262,7 @@ def _has_line_options(arguments: argparse.Namespace) -> bool:
     return any(map(bool, given))
 
 
-def _lines_alone(arguments: argparse.Namespace, bar: Bar) -> Design:
+def _lines_alone(arguments: argparse.Namespace) -> Design:
     """Return the design of records with a covariance of their own."""
     targets = Targets(
         frames=arguments.frames,
@@ -286,7 +274,7 @@ def _lines_alone(arguments: argparse.Namespace, bar: Bar) -> Design:
         max_saturated=arguments.max_saturated,
     )
     sets, held_out = _lines(arguments)
-    with bar(" %") as update:
+    with progress_bar(" %") as update:
         return design(sets, targets, held_out=held_out, progress=_percent(update))
 
 
@@ -311,36 +299,35 @@ def _lines(
 
 def _command(arguments: argparse.Namespace) -> str:
     """Return the command that repeats the design."""
-    words = ["maplines", "design"]
+    of_mean = {
+        "--frames": arguments.frames,
+        "--max-kl": arguments.max_kl,
+        "--set": arguments.lines,
+        "--range": ",".join(f"{k}={v:g}" for k, v in arguments.ranges.items()) or None,
+        "--sigma": ",".join(f"{k}={v:g}" for k, v in arguments.sigmas.items()) or None,
+        "--keep-mean": arguments.keep_mean,
+        "--max-lateral": arguments.max_lateral,
+        "--max-saturated": arguments.max_saturated,
+    }
+    options: dict[str, Any] = of_mean
     if arguments.whole_scenes:
-        words += ["--whole-scenes"]
-        for flag, value in (("--lines", arguments.places), ("--rounds", arguments.rounds)):
-            words += [] if value is None else [flag, str(value)]
-        for flag, files in (("--map", arguments.maps), ("--other-map", arguments.other_maps)):
-            words += [flag, *(Path(file).name for file in files)] if files else []
-        words += ["--n", str(arguments.n), "--seed", str(arguments.seed), "--out"]
-        return shlex.join([*words, Path(arguments.out).name])
-    if arguments.scenes:
-        words += ["--scenes"] + (["--max-kl", f"{arguments.max_kl:g}"] if arguments.max_kl else [])
-        words += ["--n", str(arguments.n), "--seed", str(arguments.seed), "--out"]
-        return shlex.join([*words, Path(arguments.out).name])
-    for flag, value in (
-        ("--frames", arguments.frames),
-        ("--max-kl", arguments.max_kl),
-        ("--set", arguments.lines),
-        ("--range", ",".join(f"{k}={v:g}" for k, v in arguments.ranges.items())),
-        ("--sigma", ",".join(f"{k}={v:g}" for k, v in arguments.sigmas.items())),
-    ):
-        if value not in (None, ""):
-            words += [flag, f"{value:g}" if isinstance(value, float) else str(value)]
-    words += ["--keep-mean"] if arguments.keep_mean else []
-    for flag, most in (
-        ("--max-lateral", arguments.max_lateral),
-        ("--max-saturated", arguments.max_saturated),
-    ):
-        words += [flag, f"{most:g}"]
-    words += ["--n", str(arguments.n), "--seed", str(arguments.seed), "--out"]
-    return shlex.join([*words, Path(arguments.out).name])
+        options = {
+            "--whole-scenes": True,
+            "--lines": arguments.places,
+            "--rounds": arguments.rounds,
+            "--map": [Path(file).name for file in arguments.maps] or None,
+            "--other-map": [Path(file).name for file in arguments.other_maps] or None,
+        }
+    elif arguments.scenes:
+        options = {"--scenes": True, "--max-kl": arguments.max_kl}
+    options |= {"--n": arguments.n, "--seed": arguments.seed, "--out": Path(arguments.out).name}
+    words = ["maplines", "design"]
+    for flag, value in options.items():
+        if value is None or value is False:
+            continue
+        values = [] if value is True else value if isinstance(value, list) else [value]
+        words += [flag, *(f"{x:g}" if isinstance(x, float) else str(x) for x in values)]
+    return shlex.join(words)
 
 
 def _of_states(text: str) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""The command ``maplines study run``."""
+"""The commands of ``maplines study``: run, report, maps, production."""
 
 from __future__ import annotations
 
@@ -9,18 +9,24 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from ..maps.tour import town_path
 from ..study.codes import CODES
+from ..study.production_messages import as_csv, as_markdown, as_records, as_text, production_table
+from ..study.report.page import TITLE, write_report
+from ..study.scenes.map_scenes import drawn_scenes, maps_of
+from ..study.scenes.sigma_ratios import of_carriers, ratios_text
 from ..study.sets import DRAWN_SETS, MapView, line_set
 from ..study.sweep.plan import Study
 from ..study.sweep.run import run_study
 from ..study.sweep.summary import read_table, summary_text
 from ..study.sweep.tasks import cpu_seconds
-from .parsing import add_json, number, option_group
-from .stderr import Bar, note, progress_bar
+from .overwriting import add_force, check_new
+from .parsing import add_command, add_json, number, option_group
+from .stderr import note, progress_bar
 
-__all__ = ["add_run"]
+__all__ = ["add_maps", "add_production", "add_report", "add_run"]
 
-ABOUT = """\
+RUN_ABOUT = """\
 Send sets of Gaussians through all covariance codes at several widths, and evaluate the decoded
 ones: whether they are positive definite, whether they cover the covariance that was sent, their
 Kullback-Leibler divergence (KL) from it, and the error of the lateral position.
@@ -44,7 +50,7 @@ random scenes of 4 and 8 lines: whether the joint covariance is covered, and the
 could do). You can stop the study at any time: the same command
 goes on where it stopped and gives the same tables, whichever workers ran it.
 """
-EXAMPLES = """\
+RUN_EXAMPLES = """\
 examples:
   maplines study run --out sweep --quick
   maplines study run --out sweep --set road --code Cholesky --finer 0 --n 1e7
@@ -61,20 +67,10 @@ DEFAULTS = {"n": 1_000_000, "fields_n": 100_000, "limit_n": 20_000, "scenes_n": 
 QUICK = {"n": 50_000, "fields_n": 20_000, "limit_n": 10_000, "scenes_n": 60}
 
 
-def add_run(commands: Any, bar: Bar = progress_bar) -> argparse.ArgumentParser:
-    """Add the command ``run`` to those of ``maplines study``; returns its parser.
-
-    Args:
-        commands: subparsers, as returned by ``ArgumentParser.add_subparsers``.
-        bar: progress bar.
-    """
-    parser: argparse.ArgumentParser = commands.add_parser(
-        "run",
-        help="Sweep codes x widths x sets into tables; go on where it stopped.",
-        description=ABOUT,
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_run(commands: Any) -> None:
+    """Add the command ``run`` to those of ``maplines study``."""
+    parser = add_command(commands, "run", _run, RUN_ABOUT, "")
+    parser.epilog = RUN_EXAMPLES
     add = parser.add_argument
     scenario = option_group(parser, "scenario").add_argument
     message = option_group(parser, "message").add_argument
@@ -151,8 +147,6 @@ def add_run(commands: Any, bar: Bar = progress_bar) -> argparse.ArgumentParser:
     )
     add("--quick", action="store_true", help="fewer Gaussians, for a first look")
     add_json(parser, "the tables summary and scenes")
-    parser.set_defaults(run=lambda arguments: _run(arguments, bar))
-    return parser
 
 
 def _estimate_text(cpu: float, jobs: int) -> str:
@@ -168,7 +162,7 @@ def _estimate_text(cpu: float, jobs: int) -> str:
     return text if jobs == 1 else f"{text}, {cpu / scale / jobs:.2g} {unit} on {jobs} processes"
 
 
-def _run(arguments: argparse.Namespace, bar: Bar) -> int:
+def _run(arguments: argparse.Namespace) -> int:
     view = None
     if arguments.map is not None:
         view = MapView(Path(arguments.map), tuple(arguments.window), arguments.transform)
@@ -189,7 +183,7 @@ def _run(arguments: argparse.Namespace, bar: Bar) -> int:
     if not Path(arguments.out).exists():
         note(_estimate_text(cpu_seconds(study), arguments.jobs or os.cpu_count() or 1))
     try:
-        with bar(" Gaussians") as progress:
+        with progress_bar(" Gaussians") as progress:
             directory = run_study(
                 study,
                 arguments.out,
@@ -209,4 +203,117 @@ def _run(arguments: argparse.Namespace, bar: Bar) -> int:
     else:
         print(summary_text(summary, read_table(directory, "terms"), scenes))
         print(f"\ntables: {directory.path}")
+    return 0
+
+
+# ---- report -------------------------------------------------------------------------------------
+
+
+def add_report(commands: Any) -> None:
+    """Add the command ``report``."""
+    about = (
+        "Write one HTML file with interactive plots of a sweep's tables. It includes its scripts, "
+        "and opens\nwithout a network."
+    )
+    example = "maplines study report sweep --out report.html"
+    parser = add_command(commands, "report", _report, about, example)
+    parser.add_argument("folder", metavar="DIR", help="the tables of a sweep")
+    output = option_group(parser, "output")
+    output.add_argument("--out", required=True, metavar="FILE", help="the HTML file")
+    output.add_argument("--title", default=TITLE, help="title of the page (default: %(default)s)")
+    add_force(parser)
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    check_new(arguments, arguments.out)
+    path = write_report(arguments.folder, Path(arguments.out), title=arguments.title)
+    print(f"{path}: {path.stat().st_size / 1e6:.1f} MB", file=sys.stderr)
+    return 0
+
+
+# ---- maps ---------------------------------------------------------------------------------------
+
+MAPS_ABOUT = """\
+Send scenes around random poses on maps, and of random roads, by all records with the pose error:
+how many lines do not fit, and why, and how much less certain a receiver is than the sender.
+
+Each scene has the lines of the ego lane and of its neighbours. Poses have errors like that of a
+production car and of a poor one in turn; the map is exact, has errors of its points, or drifts,
+too.
+"""
+
+
+def add_maps(commands: Any) -> None:
+    """Add the command ``maps``."""
+    example = "maplines study maps my.xodr other.osm --n 300"
+    parser = add_command(commands, "maps", _maps, MAPS_ABOUT, example)
+    parser.add_argument(
+        "maps",
+        nargs="*",
+        metavar="FILE",
+        help="maps, as 'maplines map' reads them (default: the town of this package)",
+    )
+    scenario = option_group(parser, "scenario").add_argument
+    scenario(
+        "--n",
+        type=number(int, 1, 10**6),
+        default=120,
+        metavar="N",
+        help="scenes of each map, and of random roads (default: 120)",
+    )
+    scenario("--seed", type=number(int, 0, 2**32), default=0, help="seed (default: 0)")
+    add_json(parser, "all figures")
+
+
+def _maps(arguments: argparse.Namespace) -> int:
+    maps = maps_of(arguments.maps or [town_path()])
+    drawn = list(drawn_scenes(maps, arguments.n, arguments.seed))
+    with progress_bar(" kinds of records") as update:
+        found = of_carriers(drawn, update)
+    if arguments.json:
+        figures = {
+            carrier: {name: ratios.as_dict() for name, ratios in of_maps.items()}
+            for carrier, of_maps in found.items()
+        }
+        print(json.dumps(figures, indent=2))
+    else:
+        print(ratios_text(found))
+    return 0
+
+
+# ---- production ---------------------------------------------------------------------------------
+
+
+def add_production(commands: Any) -> None:
+    """Add the command ``production``."""
+    about = "Print the lateral rounding error of production lane messages and of this project's."
+    example = "maplines study production --markdown"
+    parser = add_command(commands, "production", _production, about, example)
+    add = option_group(parser, "scenario").add_argument
+    add(
+        "--n",
+        type=number(int, 100, 10**6),
+        default=2000,
+        metavar="N",
+        help="number of lines, 100 or more (default: %(default)s)",
+    )
+    add(
+        "--seed",
+        type=number(int, 0, 2**32),
+        default=0,
+        help="seed of the roads and their errors (default: %(default)s)",
+    )
+    form = option_group(parser, "output").add_mutually_exclusive_group()
+    form.add_argument("--markdown", action="store_true", help="print Markdown tables")
+    form.add_argument("--csv", action="store_true", help="print all figures as CSV")
+    form.add_argument("--json", action="store_true", help="print all figures as JSON")
+
+
+def _production(arguments: argparse.Namespace) -> int:
+    rows = production_table(arguments.n, arguments.seed)
+    if arguments.json:
+        print(json.dumps(as_records(rows), indent=2))
+    else:
+        write = as_markdown if arguments.markdown else as_csv if arguments.csv else as_text
+        print(write(rows), end="")
     return 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,8 +18,19 @@ from ..values.gaussian import Gaussian
 from ..values.linalg import nearest_covariance
 from ..values.line import VAGUE_SIGMA, MapLine, Slot, Status
 from ..values.mixture import GaussianMixture, moments
+from ..values.scene import Scene
 from ..wire import CODES as CORE_CODES
-from ..wire import Batch, Codec, Decoder, E2EConfig, Encoder, Layout, Owner
+from ..wire import (
+    Batch,
+    Codec,
+    Decoder,
+    E2EConfig,
+    Encoder,
+    Frame,
+    Layout,
+    Owner,
+    PreparedScene,
+)
 from ..wire.codec import decoder_settings
 from ..wire.core_tables import LineTables, tables_of
 from ..wire.frames import FrameWriter, Records
@@ -144,6 +156,29 @@ def transmit(codec: AnyCodec, means: ArrayLike, covs: ArrayLike) -> Batch | Tran
     if isinstance(codec, ComparisonCodec):
         return codec.transmit(means, covs)
     return codec.batch.decode(codec.batch.encode(means, covs))
+
+
+class SentScene(NamedTuple):
+    """Scene as sent and as received."""
+
+    prepared: PreparedScene
+    frames: Mapping[Owner, Sequence[Frame]]
+    received: Scene | None
+
+
+def sent_scene(codec: AnyCodec, scene: Scene, *, fd: bool) -> SentScene:
+    """Send a scene, and receive it.
+
+    Raises:
+        EncodeError: it does not fit the DBC.
+    """
+    encoder, decoder = codec.encoder(), codec.decoder()
+    prepared = encoder.prepare_scene(scene, fd=fd)
+    frames = encoder.encode_scene(prepared, fd=fd)
+    for frame in chain.from_iterable(frames.values()):
+        decoder.feed(frame.can_id, frame.data, 0)
+    view = decoder.scene()
+    return SentScene(prepared, frames, None if view is None else view.scene)
 
 
 class ComparisonCodec:

@@ -1,4 +1,4 @@
-"""Lateral error and KL divergence of rounding a line to the values of a message.
+"""Rounding a line to a message of a production car, or of this project: lateral error and KL.
 
 For a message with the factors f_i and the derivatives J_i of y(x) with respect to its values:
 
@@ -14,11 +14,8 @@ For a message with the factors f_i and the derivatives J_i of y(x) with respect 
   that parameter does better.
 
 Both formulas are linear, and hold for a line along the car's axis: a heading sent as an angle
-weighs 1 + tan(beta)^2 times more.
-
-Messages that say where a line lies: those of production cars, and this project's own.
-
-Where a source does not say whether it sends coefficients of a polynomial or curvatures,
+weighs 1 + tan(beta)^2 times more. Where a source does not say whether it sends coefficients of a
+polynomial or curvatures,
 
     y = c_0 + c_1 x + c_2 x^2 + c_3 x^3    or    y = c_0 + c_1 x + c_2 x^2/2 + c_3 x^3/6,
 
@@ -176,6 +173,8 @@ PRODUCTION = tuple(
 )
 
 
+# ---- rounding -----------------------------------------------------------------------------------
+
 #: Places of the lateral error [m].
 DISTANCES = (20.0, 50.0, 80.0)
 #: Quantiles of the rounding KL.
@@ -328,6 +327,8 @@ def _reaches(mean: Array, x: Array) -> NDArray[np.bool_]:
     slope = np.tan(beta) + way * (c0 + way * c1 / 2)
     return np.asarray((np.abs(slope) < 1).all(axis=2))
 
+
+# ---- tables -------------------------------------------------------------------------------------
 
 Record = dict[str, str | int | float | None]
 

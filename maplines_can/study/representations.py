@@ -126,6 +126,8 @@ def through_the_wire(
     return Approximation(batch.component_weight, batch.mean, None if covs is None else batch.cov)
 
 
+# ---- evaluation ---------------------------------------------------------------------------------
+
 #: Mass of the regions.
 MASS = 0.99
 #: Cells of the grid along each parameter.
@@ -403,6 +405,8 @@ def _kl(true: TrueDistribution, other: Gaussian) -> tuple[float, float]:
     values = np.array([each.kl(other) for each in true.moments])
     return float(values[0]), float(_jackknife(values))
 
+
+# ---- the table ----------------------------------------------------------------------------------
 
 #: Rows computed at once; numpy releases Python's lock.
 WORKERS = 2

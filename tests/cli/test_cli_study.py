@@ -1,6 +1,5 @@
 """The command ``maplines study run``: output, help, wrong usage."""
 
-import argparse
 import contextlib
 import json
 from collections.abc import Iterator
@@ -9,28 +8,32 @@ from typing import Any
 
 import pytest
 
-from maplines_can.cli.study import add_run
+from maplines_can.cli import main
 
 
-def command(*arguments: Any) -> Any:
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Run the command; return its status and the calls of its progress bar."""
-    parser = argparse.ArgumentParser(prog="maplines")
-    seen = []
+    seen: list[Any] = []
 
     @contextlib.contextmanager
-    def bar(unit: Any) -> Iterator[Any]:
+    def bar(_unit: str) -> Iterator[Any]:
         yield lambda done, total: seen.append((done, total))
 
-    add_run(parser.add_subparsers(), bar)
-    parsed = parser.parse_args(["run", *map(str, arguments)])
-    return parsed.run(parsed), seen
+    monkeypatch.setattr("maplines_can.cli.study.progress_bar", bar)
+
+    def run(*arguments: Any) -> Any:
+        seen.clear()
+        return main(["study", "run", *map(str, arguments)]), seen
+
+    return run
 
 
 SMALL = ("--code", "Cholesky", "--finer", "-1", "0", "--set", "road", "--n", "2e2", "--jobs", 1)
 
 
 def test_the_command_prints_the_summary(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    command: Any, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As text or as JSON; the second run has nothing left to do."""
     pytest.importorskip("pyarrow")
@@ -50,7 +53,7 @@ def test_the_command_prints_the_summary(
     assert [(row["code"], row["finer_bits"]) for row in rows] == [("Cholesky", -1), ("Cholesky", 0)]
 
 
-def test_the_help_explains_sets_files_and_tables(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_help_explains_sets_files_and_tables(command: Any, capsys: Any) -> None:
     """It also says how to resume and how to use a cluster."""
     with pytest.raises(SystemExit):
         command("--help")
@@ -63,9 +66,7 @@ def test_the_help_explains_sets_files_and_tables(capsys: pytest.CaptureFixture[s
 @pytest.mark.parametrize(
     "arguments", [("--n", "0"), ("--n", "1.5"), ("--finer", "99"), ("--code", "Morse")]
 )
-def test_wrong_usage_is_refused(
-    arguments: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_usage_is_refused(command: Any, arguments: Any, tmp_path: Path, capsys: Any) -> None:
     """argparse ends with status 2 and names the option."""
     with pytest.raises(SystemExit, match="2"):
         command("--out", tmp_path / "out", *arguments)

@@ -95,7 +95,7 @@ def test_help_of_commands_loads_neither_study_nor_bus() -> None:
     modules = modules_after("\n".join(MAIN.format([name, "--help"]) for name in names))
     for name in names:
         assert among(modules, f"maplines_can.cli.{COMMANDS[name][0]}")
-    assert not among(modules, *STUDY, "maplines_can.cli.demo", "maplines_can.cli.claims")
+    assert not among(modules, *STUDY, "maplines_can.cli.demo", "maplines_can.cli.paper")
     assert not among(modules, *HEAVY)
     every = "\n".join(MAIN.format([name, "--help"]) for name in COMMANDS)
     assert not among(modules_after(every), "scipy")

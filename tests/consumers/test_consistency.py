@@ -68,14 +68,6 @@ def drawn(
     return z + white @ np.linalg.cholesky(model.noise_cov).T
 
 
-def test_the_first_innovation_has_the_marginal_covariance() -> None:
-    filter_ = ResidualFilter()
-    filter_.predict(MODEL, math.inf, T)
-    z = np.array([0.4, -0.3])
-    w, _ = filter_.update(z, MODEL)
-    assert w @ w == pytest.approx(z @ np.linalg.solve(MODEL.marginal, z))
-
-
 def test_innovations_agree_with_filterpy() -> None:
     n = 2
     S = block_diag(MODEL.pose_cov, MODEL.fast_cov, MODEL.slow_cov)
@@ -105,36 +97,6 @@ def test_innovations_are_white_and_standard_normal() -> None:
     for lag in (1, 2, 20):
         correlation = (w[lag:] * w[:-lag]).mean()
         assert abs(correlation) < 4 / math.sqrt(w[lag:].size)
-
-
-def test_the_marginal_covariance_is_kept_where_it_changes() -> None:
-    """The covariance of the first innovation after a change and of a new filter are the same."""
-    wider = MODEL._replace(pose_cov=4 * MODEL.pose_cov)
-    filter_ = ResidualFilter()
-    for model in (MODEL, wider, MODEL):
-        filter_.predict(model, DT, T)
-    fresh = ResidualFilter()
-    fresh.predict(MODEL, math.inf, T)
-    z = np.array([0.4, -0.3])
-    expected, _ = fresh.update(z, MODEL)
-    assert filter_.update(z, MODEL)[0] == pytest.approx(expected)
-
-
-def test_a_turn_rotates_the_pose_error() -> None:
-    """After a right angle, what was known across is along: the lateral error is unknown again."""
-    isotropic = MODEL._replace(
-        pose_cov=np.diag([0.2, 0.2, 0.001]) ** 2,
-        fast_cov=1e-6 * np.eye(2),
-        slow_cov=1e-6 * np.eye(2),
-    )
-    sizes = []
-    for turn in (0.0, math.pi / 2):
-        filter_ = ResidualFilter()
-        for k in range(50):
-            filter_.predict(isotropic, DT, 1e6, turn if k == 49 else 0.0)
-            w, _ = filter_.update(np.array([0.3, 0.3]), isotropic)
-        sizes.append(float(w @ w))
-    assert sizes[0] < 0.5 < 2 < sizes[1]
 
 
 @given(p=st.floats(1e-9, 0.5), n=st.integers(1, 16))
@@ -171,10 +133,7 @@ def test_false_alarms_are_as_designed() -> None:
 @pytest.mark.parametrize(
     ("errors", "noise", "times"),
     [
-        pytest.param({"noise_time": 0.3}, CameraNoise(1.0, heavy_tails=False), T, id="lasts-0.3s"),
         pytest.param({"noise_time": 1.0}, CameraNoise(1.0, heavy_tails=False), T, id="lasts-1s"),
-        pytest.param({"noise_time": 0.3}, CameraNoise(), T, id="lasts-0.3s-and-tails-stated"),
-        pytest.param({"heavy": True}, CameraNoise(0.0), T, id="student-t4"),
         pytest.param({"heavy": True}, CameraNoise(), T, id="student-t4-and-lasting-stated"),
         pytest.param({"pose_time": 60.0}, WHITE_NOISE, (0.5, 60.0), id="pose-lasts-for-longer"),
     ],
@@ -223,16 +182,6 @@ def test_wrong_noise_raises(options: dict[str, float], message: str) -> None:
         CameraNoise(**options)  # type: ignore[arg-type]
 
 
-def test_a_step_is_found_at_once_and_stays() -> None:
-    """A shift by 5 sigma of the noise-free errors; the alarm does not end while it lasts."""
-    test = ConsistencyTest(0.01, (100,))
-    z = drawn(1200, 100, seed=4)
-    z[100:] += 0.6
-    alarms = np.array([test.step(row, MODEL, DT, T).alarm for row in z])
-    assert not alarms[:100].any()
-    assert alarms[102:].all()
-
-
 def test_an_alarm_ends_after_the_longest_window() -> None:
     test = ConsistencyTest(0.01)
     rows = drawn(2000, 1, seed=5)[:, 0]
@@ -243,15 +192,6 @@ def test_an_alarm_ends_after_the_longest_window() -> None:
     assert not alarm[:10].any()
     # The filter has to forget the outlier, which fails once more in the windows that contain it.
     assert 32.0 <= (last - 10) * DT < 66.0
-
-
-def test_a_lasting_error_is_found_by_the_sums_only() -> None:
-    """Present from the beginning, 3 sigma: no innovation alone shows it, the sums do."""
-    z = drawn(2560, 50, seed=6) + 0.45
-    test = ConsistencyTest(0.01, (50,))
-    alarms = np.array([test.step(row, MODEL, DT, T).alarm for row in z])
-    assert alarms[0].mean() < 0.1
-    assert alarms[-1].mean() > 0.9
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, 10.1, math.nan, math.inf])

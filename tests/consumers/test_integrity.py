@@ -168,28 +168,6 @@ def ndtri_(p: float) -> float:
     return float(ndtri(p))
 
 
-def test_the_bound_covers_simulated_hours_and_is_close() -> None:
-    """At a level that is exceeded in a few per cent of the hours, of 720 samples each."""
-    period, time = 5.0, 20.0
-    rho, n = math.exp(-period / time), samples_of(period)
-    noise = np.random.default_rng(1).standard_normal((5000, n))
-    noise[:, 1:] *= math.sqrt(1 - rho**2)
-    u = lfilter([1.0], [1.0, -rho], noise, axis=1)
-    K = multiplier(0.05, time, period)
-    share = float((np.abs(u).max(axis=1) > K).mean())
-    assert 0.035 < share < 0.05 + 3 * math.sqrt(0.05 / 5000)
-
-
-def test_importance_sampling_agrees_with_simulated_hours() -> None:
-    n, rho, K, rng = 700, 0.97, 3.3, np.random.default_rng(2)
-    noise = rng.standard_normal((10_000, n))
-    noise[:, 1:] *= math.sqrt(1 - rho**2)
-    share = float((np.abs(lfilter([1.0], [1.0, -rho], noise, axis=1)).max(axis=1) > K).mean())
-    sampled = excursion_probability(K, rho, n, 3000, rng)
-    assert sampled.low < share + 0.006
-    assert sampled.high > share - 0.006
-
-
 @pytest.mark.parametrize("risk", [1e-5, 1e-7])
 def test_the_risk_is_at_most_the_stated_one(risk: float) -> None:
     K, rng = multiplier(risk, 5.0), np.random.default_rng(3)

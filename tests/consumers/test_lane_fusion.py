@@ -98,18 +98,6 @@ def test_the_camera_finds_the_pose_error_and_the_lane_keeps_it() -> None:
     assert lane.scene.centre(0.0).sigma < 0.12
 
 
-def test_an_unknown_correlation_time_gives_a_schmidt_filter() -> None:
-    car = Car(across=0.3, time=np.inf)
-    lane = car.run(LaneFusion(), 40, camera())
-    assert lane.pose_error is not None
-    assert not lane.pose_error.mean.any()
-    assert lane.pose_error.sigma[1] == pytest.approx(0.2, rel=0.05)
-    car = Car(across=0.3, time=np.inf)
-    lane = car.run(LaneFusion(handling="state"), 40, camera())
-    assert lane.pose_error is not None
-    assert lane.pose_error.mean[1] > 0.1
-
-
 def test_a_false_camera_line_is_rejected() -> None:
     car = Car()
     fusion = LaneFusion()
@@ -135,50 +123,6 @@ def test_without_scenes_the_lane_becomes_less_certain_and_ends() -> None:
     for k in range(60, 200):
         lane = car.step(fusion, t_ns + k * CYCLE, Motion(10.0, 0))
     assert lane.scene is None
-
-
-def test_a_long_gap_starts_again() -> None:
-    car = Car()
-    fusion = LaneFusion()
-    lane = car.run(fusion, 20)
-    assert car.step(fusion, lane.t_ns + 10**10, Motion(10.0, 0)).scene is None
-
-
-def test_one_line_alone_leaves_the_other_one_unknown() -> None:
-    car = Car()
-    car.slots = LANE[:1]
-    lane = car.run(LaneFusion(), 20)
-    assert lane.scene is not None
-    assert lane.scene.line(LANE[0]).y_sigma(0.0) < 0.25
-    assert lane.scene.line(LANE[1]).y_sigma(0.0) > 10
-
-
-def test_a_scene_is_used_once() -> None:
-    """Steps without a new scene change nothing while the car stands."""
-    car = Car(speed=0.0)
-    fusion = LaneFusion()
-    lane = car.run(fusion, 20)
-    again = car.step(fusion, lane.t_ns, Motion(0, 0))
-    assert lane.scene is not None
-    assert again.scene is not None
-    assert np.array_equal(lane.scene.cov, again.scene.cov)
-
-
-@pytest.mark.parametrize("frame", ["map", "ego"])
-def test_both_error_frames_work_in_a_turn(frame: Any) -> None:
-    car = Car()
-    fusion = LaneFusion(error_frame=frame)
-    car.run(fusion, 20)
-    lane = car.step(fusion, car.send(), Motion(10.0, 0.1))
-    assert lane.scene is not None
-    assert np.isfinite(lane.scene.cov).all()
-
-
-def test_an_old_camera_line_is_not_used() -> None:
-    fusion = LaneFusion()
-    old = [MapLine(Slot.EGO_LEFT, Gaussian([1.75, 0, 0, 0], CAMERA_COV), age=0.6)]
-    lane = fusion.step(0, None, Motion(0, 0), old)
-    assert lane == FusedLane(0, None, None, np.inf, (), ())
 
 
 @pytest.mark.parametrize(

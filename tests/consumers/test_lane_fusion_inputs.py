@@ -107,15 +107,6 @@ def test_the_first_scene_is_the_lane(age: float, slots: Any) -> None:
     assert not lane.pose_error.mean.any()
 
 
-def test_both_lines_share_the_pose_error() -> None:
-    """The width of the lane has nothing of it, its centre has all of it."""
-    lane = LaneFusion().step(0, Source(scene_of()).view, STILL)
-    assert lane.scene is not None
-    both = np.hypot(0.05, 0.05)
-    assert lane.scene.width(0.0).sigma == pytest.approx(both * 2**0.5, rel=0.02)
-    assert lane.scene.centre(0.0).sigma == pytest.approx(np.hypot(0.2, both / 2**0.5), rel=0.02)
-
-
 @pytest.mark.parametrize(
     ("change", "is_used"),
     [
@@ -134,14 +125,6 @@ def test_which_scenes_are_used(change: Any, is_used: bool) -> None:
     lane = LaneFusion().step(0, source.view, STILL)
     assert (lane.scene is not None) is is_used
     assert math.isfinite(lane.map_age) is is_used
-
-
-def test_a_slot_that_is_not_usable_is_left_out() -> None:
-    source = Source(scene_of())
-    source.slots = {Slot.EGO_RIGHT}
-    left, right = lateral_sigmas(LaneFusion().step(0, source.view, STILL))
-    assert left > 25
-    assert right < 0.3
 
 
 def test_a_line_that_comes_later_in_its_scene_is_added() -> None:
@@ -276,13 +259,6 @@ def test_the_first_camera_lines_are_the_lane(age: float) -> None:
     assert lane.pose_error is None
     assert lane.scene.pose_error.correlation_time == math.inf
     assert not lane.scene.pose_error.cov.any()
-
-
-def test_camera_lines_do_not_set_the_ranges_of_a_map() -> None:
-    fusion, source = LaneFusion(), Source(scene_of())
-    lane = fusion.step(0, source.view, STILL, seen_by_camera())
-    assert lane.scene is not None
-    assert lane.scene.fit_ranges == pytest.approx(RANGES)
 
 
 @pytest.mark.parametrize("turn", [0.5, -0.3])

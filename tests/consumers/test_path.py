@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.polynomial import Chebyshev
 
 from maplines_can import Gaussian, MapError, MapLine, Polyline, Scene, Slot, map_scene
-from maplines_can.consumers.path import MIN_SIGMA, Path, lane_path, mean_path, path_beside, width_of
+from maplines_can.consumers.path import Path, lane_path, mean_path, path_beside, width_of
 from maplines_can.simulation import STREETS
 from maplines_can.values.line import lateral
 
@@ -22,40 +22,6 @@ COV = np.diag([0.1, 0.002, 1e-5, 1e-8]) ** 2
 
 def line(mean: Any, slot: Slot = LEFT, **rest: Any) -> MapLine:
     return MapLine(slot, Gaussian(mean, COV), **rest)
-
-
-@given(
-    y=st.floats(-4, 4),
-    angle=st.floats(-0.3, 0.3),
-    distance=st.floats(-2, 2),
-    x=st.floats(0, 20),
-    shift=st.floats(-1, 1),
-    turn=st.floats(-0.3, 0.3),
-)
-def test_a_straight_line_from_any_pose(
-    y: float, angle: float, distance: float, x: float, shift: float, turn: float
-) -> None:
-    """Offset and heading are those of the pose in the frame of the line."""
-    path = path_beside(
-        line([y, angle, 0, 0], x_min=-20, x_max=80),
-        distance,
-        Gaussian([x, shift, turn], np.zeros((3, 3))),
-    )
-    assert path is not None
-    offset = (shift - y) * math.cos(angle) - x * math.sin(angle) - distance
-    assert path.offset == pytest.approx(offset, abs=1e-9)
-    assert path.heading == pytest.approx(turn - angle, abs=1e-9)
-    along = x * math.cos(angle) + (shift - y) * math.sin(angle)
-    assert path.reach == pytest.approx(80 / math.cos(angle) - along, abs=1e-6)
-    assert path.curvature == pytest.approx(np.zeros(len(path.s)), abs=1e-12)
-
-
-@pytest.mark.parametrize("bend", [1 / 50, -1 / 50, 1 / 12])
-def test_the_curvature_beside_a_bend_is_that_of_the_parallel(bend: float) -> None:
-    path = path_beside(line([1.75, 0, bend, 0], x_min=-5, x_max=20), -1.75, STILL)
-    assert path is not None
-    assert 1 / path.curvature[0] == pytest.approx(1 / bend + 1.75, rel=1e-3)
-    assert path.offset == pytest.approx(0, abs=1e-3)
 
 
 @pytest.mark.parametrize("x", [0.0, 7.3, 31.0])
@@ -73,17 +39,6 @@ def test_the_rest_of_a_cubic_is_part_of_the_path(x: float, quartic: float) -> No
     assert path.curvature[0] == pytest.approx(quartic * (96 * u**2 - 16) * du**2, abs=1e-3)
 
 
-def test_the_rest_goes_on_straight_beyond_its_range() -> None:
-    rest = Chebyshev([0, 0, 0, 0, 0.05], domain=[5.0, 25.0])
-    path = path_beside(line([0, 0, 0, 0], x_min=3.0, x_max=25.0), 0.0, STILL, rest)
-    assert path is not None
-    slope = -16 * 0.05 * 2 / 20
-    expected = -(0.05 - 5.0 * slope) * math.cos(math.atan(slope))
-    assert path.offset == pytest.approx(expected, abs=2e-2)
-    assert path.heading == pytest.approx(-math.atan(slope), abs=1e-9)
-    assert path.curvature[path.s < 4.0] == pytest.approx(0.0, abs=1e-9)
-
-
 def test_the_quartics_bring_the_path_closer_to_the_lane() -> None:
     """Along a street with a corner of 8 m, the middle of the lane is where the car is."""
     lines = {slot: STREETS["corner"].lines[slot] for slot in (LEFT, RIGHT)}
@@ -99,36 +54,6 @@ def test_the_quartics_bring_the_path_closer_to_the_lane() -> None:
         errors.append([(path.offset, path.heading) for path in paths if path is not None])
     with_quartics, without = np.sqrt(np.mean(np.square(errors), axis=0))
     assert (with_quartics < 0.85 * without).all()
-
-
-def test_the_standard_deviation_is_across_the_path() -> None:
-    """At the line's begin its own, ahead by its direction, after a turn of the displacement too."""
-    path = path_beside(line([1.75, 0, 0, 0]), 0.0, STILL)
-    assert path is not None
-    expected = np.hypot(0.1, 0.002 * path.s)
-    assert path.sigma[:100] == pytest.approx(expected[:100], rel=1e-3)
-    turned = Gaussian(np.zeros(3), np.diag([0.5, 0.0, 0.01]) ** 2)
-    path = path_beside(line([0, 0, 0, 0]), 0.0, turned)
-    assert path is not None
-    assert path.sigma[80] == pytest.approx(math.hypot(0.1, 20 * 0.002, 20 * 0.01), rel=2e-3)
-
-
-@pytest.mark.parametrize(
-    ("x_min", "x_max", "x"),
-    [
-        pytest.param(0.0, 10.0, 10.1, id="behind-its-end"),
-        pytest.param(4.1, 30.0, 0.0, id="far-before-its-begin"),
-    ],
-)
-def test_no_path_outside_of_the_line(x_min: float, x_max: float, x: float) -> None:
-    displacement = Gaussian([x, 0, 0], np.zeros((3, 3)))
-    assert path_beside(line([1, 0, 0, 0], x_min=x_min, x_max=x_max), 0.0, displacement) is None
-
-
-def test_a_line_that_begins_a_little_ahead_is_used() -> None:
-    path = path_beside(line([1, 0, 0, 0], x_min=3.9, x_max=30.0), -1.0, STILL)
-    assert path is not None
-    assert path.reach == pytest.approx(30.0)
 
 
 def seen(name: str) -> Scene:
@@ -168,28 +93,6 @@ def test_the_line_of_the_route_is_followed_itself() -> None:
     assert path is not None
     assert path.heading == pytest.approx(-0.1)
     assert lane_path(seen("exit"), STILL, 3.5, Slot.ROUTE)[0] is None
-
-
-@pytest.mark.parametrize("half", [0.9, 4.1])
-def test_no_lane_of_an_impossible_width(half: float) -> None:
-    lines = (line([half, 0, 0, 0], LEFT), line([-half, 0, 0, 0], RIGHT))
-    ranges = np.array([[-4.0, 80.0]] * 2)
-    scene = Scene(lines, np.kron(np.eye(2), COV), seen("exit").pose_error, ranges)
-    assert width_of(scene) == pytest.approx(2 * half)
-    assert lane_path(scene, STILL) == (None, None)
-
-
-def test_a_mean_path_continues_where_one_ends() -> None:
-    short = path_beside(line([0.2, 0, 0.02, 0], x_max=10.0), 0.0, STILL)
-    long = path_beside(line([0.0, 0, 0, 0], x_max=40.0), 0.0, STILL)
-    assert short is not None
-    assert long is not None
-    path = mean_path([short, long])
-    assert path is not None
-    assert path.offset == pytest.approx(-0.1)
-    assert path.reach == long.reach
-    assert path.curvature_at(np.array([0.0, 5.0, 30.0])) == pytest.approx([0.01, 0.01, 0], abs=1e-3)
-    assert mean_path([]) is None
 
 
 class Parallel:
@@ -261,13 +164,6 @@ def test_a_line_is_used_up_to_four_metres_behind_its_begin(gap: float) -> None:
     if path is not None:
         assert path.reach == pytest.approx(29.0)
         assert path.offset == 0
-
-
-@pytest.mark.parametrize("x", [-10.0, -3.0, -2.0])
-def test_a_path_begins_three_metres_behind_the_car_at_the_latest(x: float) -> None:
-    """Or where the line begins, if that is farther behind."""
-    path = path_beside(line([0, 0, 0, 0], x_min=x), 0.0, Gaussian([-20.0, 0, 0], np.zeros((3, 3))))
-    assert path is None or path.reach == pytest.approx(80 - min(x, -3.0))
 
 
 @pytest.mark.parametrize("distance", [-40.0, -19.0, 17.0])
@@ -359,19 +255,6 @@ def test_lines_that_are_nowhere_seen_together_have_no_width() -> None:
     assert width == 3.5
     assert path is not None
     assert path.offset == pytest.approx(0.0, abs=1e-9)
-
-
-@pytest.mark.parametrize("name", ["roundabout-12m", "s-bend", "exit"])
-def test_the_band_is_no_wider_than_what_the_cubics_miss(name: str) -> None:
-    """Along all of the path, in addition to the pose error; with an exact pose, next to nothing."""
-    lines = {slot: STREETS[name].lines[slot] for slot in (LEFT, RIGHT)}
-    for misfit in (0.03, 0.1):
-        scene = map_scene(
-            lines, Gaussian(np.zeros(3), 1e-12 * np.eye(3)), window=(-4, 80), max_misfit=misfit
-        )
-        path, _ = lane_path(scene, STILL)
-        assert path is not None
-        assert path.sigma.max() <= 1.001 * math.hypot(misfit, MIN_SIGMA)
 
 
 @pytest.mark.parametrize("heading_sigma", [0.005, 0.02])

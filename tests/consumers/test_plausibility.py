@@ -73,26 +73,6 @@ def test_residuals_follow_the_pose_error() -> None:
     assert z == pytest.approx(model.H @ error, abs=0.015)
 
 
-def test_residuals_take_the_displacement_into_account() -> None:
-    """A camera image 0.5 m further on, with the car turned: the lines are seen from there."""
-    bend = lane_scene(bend=0.01)
-    moved = lane_scene((0.5, 0.1, 0.01), bend=0.01)
-    displacement = Gaussian([0.5, 0.1, 0.01], np.zeros((3, 3)))
-    compared = residuals(bend, camera(moved), displacement)
-    assert compared is not None
-    assert compared[1] == pytest.approx(np.zeros(4), abs=2e-3)
-
-
-def test_the_marginal_covers_that_of_the_scene() -> None:
-    scene = lane_scene()
-    compared = residuals(scene, camera(scene))
-    assert compared is not None
-    _, _, model = compared
-    near, far = (scene.lateral({LEFT: 1.0}, x).sigma ** 2 for x in (2.0, 20.0))
-    found = model.H @ model.pose_cov @ model.H.T + model.fast_cov
-    assert found.diagonal()[:2] == pytest.approx([near + 1e-4, far + 1e-4], rel=0.02)
-
-
 @pytest.mark.parametrize(
     ("shifts", "suspect"),
     [
@@ -124,45 +104,6 @@ def test_faults_are_found_in_a_few_images(
     assert first.suspect is suspect
     assert first.statistic > 1
     assert (found[4].outcome, found[4].raised) == (Outcome.INCONSISTENT, False)
-
-
-@pytest.mark.parametrize(
-    ("time", "heavy"),
-    [
-        pytest.param(0.3, False, id="lasts-0.3s"),
-        pytest.param(1.0, False, id="lasts-1s"),
-        pytest.param(0.0, True, id="student-t4"),
-    ],
-)
-def test_no_alarm_if_the_noise_lasts_or_has_heavy_tails(time: float, heavy: bool) -> None:
-    """For 20 s at 10 per hour; if it is stated to be white and Gaussian, there is an alarm."""
-    scene, rng = lane_scene(), np.random.default_rng(2)
-    rho = math.exp(-0.05 / time) if time else 0.0
-    root = np.sqrt(NOISE.diagonal())
-    checks = [PlausibilityCheck(10.0), PlausibilityCheck(10.0, camera_noise=WHITE_NOISE)]
-    alarms, lasting = [0, 0], rng.standard_normal((2, 4))
-    for k in range(400):
-        new = rng.standard_normal((2, 4))
-        if heavy:
-            new *= np.sqrt(2 / rng.chisquare(4, (2, 1)))
-        lasting = rho * lasting + math.sqrt(1 - rho**2) * new
-        seen = {
-            slot: Gaussian(line.mean + root * noise, NOISE)
-            for (slot, line), noise in zip(camera(scene).items(), lasting, strict=True)
-        }
-        for i, check in enumerate(checks):
-            alarms[i] += step(check, 0.05 * k, scene, seen).raised
-    assert alarms[0] == 0
-    assert alarms[1] > 0
-
-
-def test_agreement_with_noise() -> None:
-    scene = lane_scene(time=math.inf)
-    check, rng = PlausibilityCheck(), np.random.default_rng(0)
-    for k in range(300):
-        noise = rng.multivariate_normal(np.zeros(4), NOISE)
-        seen = {s: Gaussian(g.mean + noise, NOISE) for s, g in camera(scene).items()}
-        assert step(check, 0.05 * k, scene, seen).outcome is Outcome.CONSISTENT
 
 
 @pytest.mark.parametrize(
@@ -208,7 +149,7 @@ def test_another_line_has_errors_of_its_own(known: dict[str, Any]) -> None:
             camera(scene, EGO_LEFT=side * 0.3, EGO_RIGHT=-side * 0.3),
             motion=ahead,
         ).outcome
-        for k, (scene, side) in enumerate([(before, 1)] * 400 + [(after, -1)] * 400)
+        for k, (scene, side) in enumerate([(before, 1)] * 150 + [(after, -1)] * 150)
     ]
     assert {*found} == {Outcome.CONSISTENT}
 
@@ -247,9 +188,3 @@ def test_time_must_increase() -> None:
 def test_wrong_biases_raise(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"{name} must be finite and 0"):
         CameraBias(**{name: value})
-
-
-@pytest.mark.parametrize("time", [-1.0, math.inf, math.nan])
-def test_a_wrong_longest_pose_time_raises(time: float) -> None:
-    with pytest.raises(ValueError, match="longest_pose_time must be finite and 0 s or more"):
-        PlausibilityCheck(longest_pose_time=time)

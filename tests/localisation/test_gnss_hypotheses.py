@@ -73,29 +73,16 @@ def nees(t: float, localisation: Localisation) -> Array:
     return np.asarray((e * np.linalg.solve(P, e[..., None])[..., 0]).sum(axis=-1))
 
 
-@pytest.mark.parametrize("white", [1.0, 10.0], ids=["white noise", "all of it stated as white"])
-def test_a_canyon_is_found_out(white: float) -> None:
+def test_a_canyon_is_found_out() -> None:
     """An error of 15 m for 20 s: 2 is right, the mean of 12 cars and 60 s within a factor of 2."""
     found: list[Array] = []
     localisation = drive(
         errors_of(15.0, 20.0, 60.0, 3),
         lambda t, one: found.append(nees(t, one)) if round(10 * t) % 10 == 0 else None,
-        white**2 * np.eye(2),
+        10.0**2 * np.eye(2),  # all of it stated as white
     )
     assert np.mean(found) < 4
     assert np.median(localisation.gnss_sigma()) >= 10
-
-
-def test_the_open_road_is_left_alone() -> None:
-    """The likeliest error is that of the open road, and the stated one is no larger."""
-    told = drive(
-        errors_of(1.5, 60.0, 30.0, 4), nees, errors=SensorErrors(gnss=GaussMarkov(1.5, 60))
-    )
-    found = drive(errors_of(1.5, 60.0, 30.0, 4), nees)
-    assert np.median(found.gnss_sigma()) == 1.5
-    ratio = np.sqrt(found.poses().cov[:, :2, :2].trace(axis1=1, axis2=2))
-    ratio /= np.sqrt(told.poses().cov[:, :2, :2].trace(axis1=1, axis2=2))
-    assert np.median(ratio) < 1.3
 
 
 def test_the_error_is_raised_and_lowered_in_time() -> None:
@@ -123,8 +110,7 @@ def test_a_jump_leaves_the_pose_alone() -> None:
     assert max(worst) < 25
 
 
-@pytest.mark.parametrize("by_fix", [False, True], ids=["by the caller", "by the fix"])
-def test_an_error_that_is_told_may_change_at_once(by_fix: bool) -> None:
+def test_an_error_that_is_told_may_change_at_once() -> None:
     """A step process of 20 m and 20 s has the autocorrelation that is told, but not its increments.
 
     Five fixes after a step come within a second. 12 cars of 100 s have 60 steps.
@@ -141,47 +127,8 @@ def test_an_error_that_is_told_may_change_at_once(by_fix: bool) -> None:
         if t > 10.0:
             found.append(nees(t, localisation))
 
-    errors = SensorErrors(gnss=SensorErrors.UNKNOWN_GNSS if by_fix else told)
-    drive(off, then, errors=errors, error=np.tile(told, (CARS, 1)) if by_fix else None)
+    drive(off, then, errors=SensorErrors(gnss=told))
     assert 0.7 < np.mean(found) < 4.0
-
-
-def test_a_change_of_the_error_is_none_of_the_pose() -> None:
-    """It moves the estimated error, and the pose by a small part of its sigma."""
-    told = SensorErrors(gnss=GaussMarkov(20.0, 20.0))
-    off = np.zeros((150, CARS, 2))
-    off[100:] = [45.0, 0.0]
-    before, after = list[Any](), list[Any]()
-
-    def then(t: float, localisation: Localisation) -> None:
-        if 19.85 < t < 19.95 or 20.05 < t < 20.15:
-            mean, cov, _ = localisation.poses()
-            one = mean[:, :2] - place(t), np.sqrt(cov[:, 0, 0]), localisation.gnss_bias()
-            (before if t < 20.0 else after).append(one)
-
-    drive(off, then, errors=told)
-    (e0, sigma, bias0), (e1, _, bias1) = before[0], after[0]
-    assert (np.abs(e1 - e0)[:, 0] < 0.25 * sigma).all()
-    assert (bias1 - bias0)[:, 0] == pytest.approx(45.0, abs=8.0)
-
-
-def test_a_jump_beyond_what_is_told_contradicts_the_pose() -> None:
-    off = np.zeros((100, CARS, 2))
-    off[50:] = [30.0, 0.0]
-    drive_told = drive(off, lambda *_: None, errors=SensorErrors(gnss=GaussMarkov(1.5, 60.0)))
-    assert not drive_told.known.any()
-
-
-def test_many_outliers_are_no_evidence() -> None:
-    """A tenth of the fixes is 200 m off: the open road remains the likeliest."""
-    off, rng = errors_of(1.5, 60.0, 40.0, 9), np.random.default_rng(2)
-    angle = rng.uniform(0, 2 * np.pi, off.shape[:2])
-    is_far = rng.random(off.shape[:2]) < 0.1
-    off[is_far] += 200 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)[is_far]
-    worst: list[float] = []
-    localisation = drive(off, lambda t, one: worst.append(nees(t, one).max()))
-    assert max(worst) < 25
-    assert (localisation.gnss_sigma() <= 4).mean() > 0.5
 
 
 def test_wrong_odometry_is_not_taken_for_an_error_of_gnss() -> None:
@@ -214,7 +161,7 @@ def test_what_a_fix_states_overrides_what_the_filter_holds(gnss: GaussMarkov | N
     """The filter is as sure as one that is told so, and those that state nothing are as before."""
     error = np.full((CARS, 2), np.nan)
     error[: CARS // 2] = 15.0, 20.0
-    off = errors_of(15.0, 20.0, 30.0, 3)
+    off = errors_of(15.0, 20.0, 15.0, 3)
     told = drive(off, lambda *_: None, errors=SensorErrors(gnss=GaussMarkov(15.0, 20.0)))
     none = drive(off, lambda *_: None, errors=SensorErrors(gnss=gnss))
     some = drive(off, lambda *_: None, errors=SensorErrors(gnss=gnss), error=error)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from maplines_can import Gaussian
 from maplines_can.localisation import (
-    BlockOutcome,
     GaussMarkov,
     GnssFix,
     Localisation,
@@ -159,12 +158,6 @@ def test_the_correlation_time_is_where_the_autocorrelation_falls_to_1_over_e() -
     assert heading == math.inf  # it has no error
 
 
-def test_without_observations_the_error_remains() -> None:
-    """Its correlation time is unknown."""
-    found = driven([odometry(i * DT) for i in range(1, 100)], errors=SensorErrors())
-    assert found.correlation_times()[0, 1] == math.inf
-
-
 @pytest.mark.parametrize("history", [0.5, 1.0])
 def test_late_measurements_are_as_in_order(history: float) -> None:
     """Whatever the order in which they arrive within the history."""
@@ -183,25 +176,6 @@ def test_late_measurements_are_as_in_order(history: float) -> None:
     other = pose(driven([m for _, m in late], errors=errors, history=history))
     assert other.mean == pytest.approx(one.mean, abs=1e-9)
     assert other.cov == pytest.approx(one.cov, abs=1e-9)
-
-
-def test_observations_at_equal_times_are_all_used() -> None:
-    """Also those at the time of the start and of an odometry, in any order."""
-    outcomes: list[BlockOutcome] = []
-    times = [0.0, 0.1, 0.1, 0.2, 0.2, 0.2]
-    for order in (times, times[::-1]):
-        outcomes.clear()
-        localisation = Localisation(
-            Gaussian(np.zeros(3), EXACT_HEADING), errors=LINEAR, on_outcome=outcomes.append
-        )
-        for i in range(11):
-            localisation.add(odometry(i * DT))
-        for t in order:
-            localisation.add(fix(t, 10 * t, 0.0))
-        for i in range(11, 60):
-            localisation.add(odometry(i * DT))
-        assert [one.t for one in outcomes] == times
-        assert localisation.counts()["gnss"] == {"USED": 6}
 
 
 def test_what_is_not_used_is_counted() -> None:
@@ -236,16 +210,6 @@ def test_the_history_is_bounded() -> None:
     assert len(pickle.dumps(found)) < 1.2 * size
 
 
-def test_a_pose_fix_wraps_its_heading() -> None:
-    """A heading that differs by full turns is the same."""
-    fixed = PoseFix(1.0, np.array([[10.0, 0.2, 2 * math.pi + 0.01]]), 0.01 * np.eye(3))
-    found = driven(
-        [*(odometry(i * DT) for i in range(50)), fixed, odometry(1.0)], errors=SensorErrors()
-    )
-    assert abs(pose(found).mean[2]) < 0.02
-    assert pose(found).sigma[:2] == pytest.approx([0.1, 0.1], rel=0.02)
-
-
 def test_an_error_that_pose_fixes_share_does_not_average_out() -> None:
     """While the car stands, the covariance is that of one common error and of the mean of n."""
     shared = np.array([[0.04, 0.01, 0], [0.01, 0.09, 0], [0, 0, 0.0004]])
@@ -265,57 +229,6 @@ def test_the_pose_between_odometries_is_predicted() -> None:
     assert pose(found, 0.25).mean == pytest.approx([2.5, 0, 0])
     with pytest.raises(ValueError, match=r"t must be finite and 0\.2 s or later"):
         found.ego(0.1)
-
-
-def test_the_pose_error_is_the_covariance_in_the_axes_of_the_car() -> None:
-    """Along, across, and of the heading, with all that they have in common."""
-    errors, turn = SensorErrors(), 0.7
-    c, s = math.cos(turn), math.sin(turn)
-    P = np.array([[0.5, 0.1, 0.02], [0.1, 0.3, -0.01], [0.02, -0.01, 0.04]])
-    found = Localisation(Gaussian([5.0, -3.0, turn], P), errors=errors).pose_error()
-    assert found is not None
-    rotation = np.zeros((3, 3))
-    rotation[:2, :2], rotation[2, 2] = np.array([[c, -s], [s, c]]).T, 1.0
-    assert found.cov == pytest.approx(rotation @ P @ rotation.T, abs=1e-12)
-    assert found.cov[2, 2] == pytest.approx(0.04)
-
-
-def test_a_loss_does_not_depend_on_the_order_of_arrival() -> None:
-    """Of positions that jump: the pose is lost and found again at the same times, with the same
-    values, whether the positions come late or not."""
-    rng = np.random.default_rng(8)
-    driving = [odometry(i * DT, 10.0, 0.1) for i in range(1, 2801)]
-    seen = []
-    for i in range(1, 275):
-        t = 0.2 * i + 0.01
-        x, y = 100 * math.sin(t / 10), 100 - 100 * math.cos(t / 10)
-        jump = 40.0 if t > 8 else 0.0
-        seen.append(fix(t, x + jump + 0.3 * rng.standard_normal(), y, 0.3))
-    start = Gaussian(np.zeros(3), np.diag([0.5, 0.5, 0.01]) ** 2)
-    courses = []
-    for delays in (np.zeros(len(seen)), rng.uniform(0.0, 0.4, len(seen))):
-        arrivals: list[tuple[float, Any]] = [(one.t, one) for one in driving]
-        arrivals += [(one.t + d, one) for one, d in zip(seen, delays, strict=True)]
-        localisation, course = Localisation(start, errors=TOLD), []
-        for t, one in sorted(arrivals, key=lambda arrival: arrival[0]):
-            localisation.add(one)
-            if round(t, 2) % 2 == 0.0 and isinstance(one, Odometry):
-                course.append((t, bool(localisation.known[0])))
-        courses.append((course, localisation.poses(), localisation.correlation_times()))
-    known = [is_known for _, is_known in courses[0][0]]
-    assert known[0]
-    assert not all(known)
-    assert known[-1]
-    assert sum(a != b for a, b in zip(*(course for course, *_ in courses), strict=True)) <= 1
-    in_order, late = courses[0][1], courses[1][1]
-    np.testing.assert_allclose(in_order.mean, late.mean, atol=1e-6)
-    np.testing.assert_allclose(in_order.cov, late.cov, atol=1e-6)
-    np.testing.assert_allclose(courses[0][2], courses[1][2], rtol=1e-3)
-    mean = in_order.mean[0]
-    t = driving[-1].t
-    assert mean[0] == pytest.approx(100 * math.sin(t / 10) + 40, abs=6)
-    # What was before the pose was found again says nothing about its error.
-    assert (courses[0][2] > 0).all()
 
 
 def test_several_cars_are_as_each_alone() -> None:

@@ -31,19 +31,6 @@ def test_the_transition_is_the_derivative(seed: int) -> None:
         assert (moved - mean)[0] == pytest.approx(F[0] @ w, abs=2e-9)
 
 
-def test_a_circle_is_followed() -> None:
-    """At 10 m/s and 0.5 rad/s, a full turn of radius 20 m ends where it began."""
-    errors = SensorErrors(yaw_rate_noise=0.0)
-    mean, cov = initial(np.zeros((1, 3)), np.zeros((3, 3)), errors)
-    steps = 1000
-    dt = 4 * math.pi / steps
-    for i in range(steps):
-        mean, cov, _ = predict(mean, cov, 10 * ONE, 0.5 * ONE, dt, errors)
-        if i == steps // 2 - 1:
-            assert mean[0, :2] == pytest.approx([0.0, 40.0], abs=1e-3)
-    assert mean[0, :3] == pytest.approx([0.0, 0.0, 2 * math.pi], abs=1e-9)
-
-
 def test_the_errors_stay_stationary() -> None:
     """Their variances are those of the processes at any time, and their means decay.
 

@@ -322,11 +322,6 @@ def test_the_past_is_kept_in_few_spans_and_for_ten_minutes() -> None:
     assert counts[1] - counts[0] < 12
 
 
-def test_verdicts_are_of_different_numbers() -> None:
-    """From 0 on: they are kept in arrays, and two of one number would be the same."""
-    assert [int(verdict) for verdict in Verdict.__members__.values()] == [*range(len(Verdict))]
-
-
 def test_the_errors_of_sensors_are_those_of_the_docs() -> None:
     """Standard deviations, and correlation times [s], of a production car."""
     errors, degree = SensorErrors(), math.radians(1.0)

@@ -17,8 +17,8 @@ from maplines_can.localisation import (
     Verdict,
 )
 from maplines_can.localisation.confirmation import confirmed
-from maplines_can.localisation.motion_model import CAMERA, initial
-from maplines_can.localisation.observation_models import innovation, line_jacobian
+from maplines_can.localisation.motion_model import initial
+from maplines_can.localisation.observation_models import innovation
 from maplines_can.maps import Landmark, LandmarkKind
 from maplines_can.values.line import Kind
 from maplines_can.values.polyline import Polyline
@@ -84,42 +84,6 @@ def test_lines_that_cannot_be_seen_are_none() -> None:
     beside = unmarked.lines_beside(poses)
     assert beside.car.tolist() == [0]
     assert beside.offset == pytest.approx([-1.75])
-
-
-@pytest.mark.parametrize("heading", [0.3, 2.0])
-@pytest.mark.parametrize("curvature", [0.0, 0.04])
-def test_the_jacobian_of_a_line(curvature: float, heading: float) -> None:
-    """A small displacement of the car changes what it sees by J times the displacement."""
-    start = (10.0, -5.0, heading)
-    layer = LocalisationLayer(
-        network(lane("1", start=start, curvature=curvature, length=60, kinds=KINDS))
-    )
-    (x, y) = arc(start, 30.0, curvature, np.full(2, 0.3))[-1]
-    pose = np.array([x, y, heading + 30 * curvature + 0.15])
-    at = layer.lines_beside(pose[None])
-    J = line_jacobian(np.column_stack([at.offset, at.heading]), at.curvature, np.full(2, pose[2]))
-    step = 0.05
-    for k in range(3):
-        w = step * np.eye(3)[k]
-        ends = [layer.lines_beside((pose + sign * w)[None]) for sign in (1, -1)]
-        slope = [
-            (getattr(ends[0], name) - getattr(ends[1], name)) / (2 * step)
-            for name in ("offset", "heading")
-        ]
-        assert J[:, :, k] == pytest.approx(np.array(slope).T, abs=0.01)
-    assert (J[:, :, CAMERA] == np.eye(2)).all()
-
-
-def test_the_jacobian_of_a_landmark() -> None:
-    layer = layer_of(pole=(30.0, 5.0))
-    mean, cov = prior([10.0, -1.0, 0.4], [0.1, 0.1, 0.01])
-    seen = landmarks((18.0, -2.0))
-    base = innovation(seen, mean, cov, layer)
-    for k in range(3):
-        w = 1e-6 * np.eye(mean.shape[1])[k]
-        moved = innovation(seen, mean + w, cov, layer)
-        slope = (base.residual - moved.residual)[0, 0] / 1e-6
-        assert base.H[0, 0, :, k] == pytest.approx(slope, abs=1e-4)
 
 
 def test_lines_are_found_by_position_and_kind() -> None:

@@ -142,24 +142,6 @@ def test_odometry_that_stays_refused_is_none() -> None:
         assert (found.ego() is None) == (i * DT > LIMITS.refused)
 
 
-def test_cars_do_not_see_each_other() -> None:
-    """Of three cars, one is refused, another one has a jump."""
-    rng = np.random.default_rng(3)
-    speed, rate = 10 + 0.1 * rng.standard_normal((3, 80)), 0.01 * rng.standard_normal((3, 80))
-    rate[1, 30:35], speed[2, 40:60] = 57.0, 0.0
-    start, cov = np.zeros((3, 3)), np.eye(3) * 1e-4
-    together = Localisation(start, cov=cov)
-    alone = [Localisation(start[:1], cov=cov) for _ in range(3)]
-    for i in range(80):
-        together.add(Odometry(i * DT, speed[:, i], rate[:, i]))
-        for k, one in enumerate(alone):
-            one.add(odometry(i * DT, speed[k, i], rate[k, i]))
-    for k, one in enumerate(alone):
-        for a, b in zip(together.poses(), one.poses(), strict=True):
-            np.testing.assert_allclose(a[k], b[0], atol=1e-12)
-    assert together.known.tolist() == [True, True, True]
-
-
 def test_limits_are_checked() -> None:
     with pytest.raises(ValueError, match="yaw_rate must be more than 0"):
         CarLimits(yaw_rate=0.0)

@@ -21,38 +21,21 @@ def drive(cars: str) -> Any:
     return tool.drive_of(cars, SEEDS)
 
 
-#: Faults that are also injected for 1 s and 30 s.
-LONG = {"km/h as m/s", "off by 30 m", "ramp of 1 m/s to the north", "60 s ahead"}
+#: Every second one; what is no measurement is dropped: see test_admission.py.
 CASES = [
-    (fault, duration)
+    fault
     for fault in FAULTS
-    for duration in (1.0, 5.0, 30.0)
-    # What is no measurement is dropped: see test_admission.py.
     if not any(word in fault.name for word in ("NaN", "infinite", "shape", "covariance"))
-    if duration == 5.0 or fault.name in LONG
-]
+][::2]
 
 
-@pytest.mark.parametrize(
-    ("fault", "duration"),
-    CASES,
-    ids=[f"{fault.sensor}-{fault.name}-{duration:g}s" for fault, duration in CASES],
-)
-def test_a_fault_is_noticed(fault: Any, duration: float) -> None:
+@pytest.mark.parametrize("fault", CASES, ids=lambda fault: f"{fault.sensor}-{fault.name}")
+def test_a_fault_is_noticed(fault: Any) -> None:
     """The error of a reported pose exceeds 5 of its sigmas for no longer than stated."""
     cars = {"odometry": "no map", "gnss": "no map", "pose": "lidar"}.get(fault.sensor, "map")
-    course = drive(cars).run(fault, duration)
-    name = f"{fault.sensor}, {fault.name}; {cars}; {duration:g} s"
-    figures = {name: tool.figures(course)}
+    course = drive(cars).run(fault, 5.0)
+    figures = {f"{fault.sensor}, {fault.name}; {cars}; 5 s": tool.figures(course)}
     assert not [*missed(figures, bounds_of("sensor_faults.faults", quick=False))]
-
-
-def test_a_ramp_across_a_straight_road_is_noticed_by_most() -> None:
-    """The heading follows it, as nothing else measures it: 16 of 20 cars say so, in 3 s or so."""
-    (fault,) = (one for one in FAULTS if one.name == "ramp of 1 m/s to the north")
-    found = tool.figures(tool.drive_of("straight road", 20).run(fault, 30.0))
-    assert found["cars beyond for 10 s"] <= 6, found
-    assert found["right at the end"] == 1, found
 
 
 def test_the_figures_of_a_course_are_those_of_its_errors() -> None:

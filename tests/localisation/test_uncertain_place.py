@@ -138,15 +138,6 @@ def test_a_line_without_another_one_beside_it_is_used_after_some_images(seed: in
     assert images(places, paused, layer)[IN_A_ROW - 1] == Verdict.UNCONFIRMED
 
 
-def test_false_lines_are_not_used_for_their_number() -> None:
-    """Each image has one elsewhere, as in the simulated camera."""
-    rng = np.random.default_rng(5)
-    places = 1.75 + rng.uniform(-3, 3, 2000)
-    found = images(places, 0.1 * np.arange(2000), layer_of(ONE_MARKING))
-    assert Verdict.USED not in found
-    assert found.count(Verdict.UNCONFIRMED) > 1000
-
-
 @pytest.mark.parametrize("spacing", [0.2, 0.35, 0.5])
 @pytest.mark.parametrize("radius", [10.5, 50.0])
 def test_the_curvature_of_a_line_is_that_of_its_road(spacing: float, radius: float) -> None:

@@ -9,9 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.closed_forms import CLOSED
 
-from maplines_can.propagation import Quadrature
+from maplines_can.propagation import MonteCarlo, Quadrature, Refit
+from maplines_can.simulation.scenarios import SCENARIOS
+from maplines_can.study.roads import PAPER
 from maplines_can.values.errors import IllPosedError
 from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import Slot
 
 
 @pytest.mark.parametrize(("function", "closed"), CLOSED)
@@ -56,3 +59,22 @@ def test_points_of_small_weight_without_a_value_are_excluded() -> None:
     assert np.isclose(mean, w[kept] @ z[kept] ** 2 / w[kept].sum(), rtol=1e-12)
     with pytest.raises(IllPosedError, match=r"no value at \[-?3\..* total weight of 0\.00"):
         Quadrature(13)(cut(3.0), gaussian)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")  # a few draws are ill-posed
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_quadrature_agrees_with_draws(name: Any) -> None:
+    """Mean and variance of two lines within 5 standard errors, from the fourth moment."""
+    scene = SCENARIOS[name]
+    lines = [scene.lines[slot] for slot in (Slot.EGO_RIGHT, Slot.NEXT_LEFT)]
+    refit = Refit(lines, scene.ego.mean, scene.window, **PAPER)
+    samples = MonteCarlo(100_000, seed=7).samples(refit, scene.ego)
+    mean, cov = Quadrature().moments(refit, scene.ego)
+    off = samples.values - mean
+    square = off * off
+    n, variance = len(off), square.mean(axis=0)
+    of_variance = np.sqrt(((square * square).mean(axis=0) - variance**2) / n)
+
+    assert samples.ill_posed <= 20  # beyond 4 sigma of the street turn with 10 deg: 8 on average
+    assert (np.abs(off.mean(axis=0)) <= 5 * np.sqrt(variance / n)).all()
+    assert (np.abs(np.diagonal(cov, axis1=1, axis2=2) - variance) <= 5 * of_variance).all()

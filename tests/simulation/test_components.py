@@ -42,17 +42,6 @@ def test_the_bus_load_stays_within_its_limit(
     )
 
 
-def test_one_component_each_may_exceed_the_limit() -> None:
-    """Four transfers of 4 x 135 bits at 20 Hz and 500 kbit/s take 8.64 %."""
-    scene, codec = scenario("highway"), default_codec()
-    with pytest.raises(
-        ValueError, match=r"4 lines with 4 components take 8.64 % .* 8 % are allowed; use fewer"
-    ):
-        choose_components(scene, codec, bus=BusShare(max_load=0.08))
-    chosen = choose_components(scene, codec, bus=BusShare(max_load=0.0864))
-    assert [line.components for line in chosen.values()] == [1] * 4
-
-
 def test_a_fixed_number_has_no_limit_by_default() -> None:
     """A number of components is used as it is unless ``max_load`` is given."""
     scene, codec = scenario("highway"), default_codec()

@@ -18,39 +18,14 @@ def errors(source: PoseSource, t: Any, heading: float = 0.0) -> Any:
     return stated @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
 
 
-@pytest.mark.parametrize("dt", [0.02, 0.5])
-@pytest.mark.parametrize("heading", [0.0, 2.0])
-def test_autocorrelation_is_exponential(dt: float, heading: float) -> None:
-    """It is exp(-lag / tau), for each of the errors with its own tau."""
-    tau, n = np.array([2.0, 0.5, 5.0]), 20_000
-    e = errors(PoseSource(SIGMA, tau, seed=3), np.arange(n) * dt, heading) / SIGMA
-    for lag in (1, 3, 10, 30):
-        expected = np.exp(-lag * dt / tau)
-        found = (e[lag:] * e[:-lag]).mean(axis=0)
-        # Bartlett: the variance of an autocovariance of a Gaussian process with the sum over all
-        # shifts k of rho(k)^2 + rho(k + lag) rho(k - lag), which is at most 2 rho(k)^2.
-        phi = np.exp(-dt / tau)
-        sigma = np.sqrt(2 * (1 + phi**2) / (1 - phi**2) / n)
-        assert (np.abs(found - expected) < 4 * sigma).all(), (lag, found, expected, sigma)
-
-
 def test_discretisation_is_exact_for_uneven_steps() -> None:
     """Of many sources, the covariance of two times is exp(-dt / tau) whatever the steps between."""
     times = np.array([0.0, 0.001, 0.8, 0.9, 3.0])
-    runs = np.array([errors(PoseSource(SIGMA, 1.5, seed=s), times) for s in range(3000)]) / SIGMA
+    runs = np.array([errors(PoseSource(SIGMA, 1.5, seed=s), times) for s in range(1500)]) / SIGMA
     found = np.einsum("rak,rbk->kab", runs, runs) / len(runs)
     expected = np.exp(-np.abs(times[:, None] - times) / 1.5)
     tolerance = 4 * np.sqrt((1 + expected**2) / len(runs))
     assert (np.abs(found - expected) < tolerance).all()
-
-
-def test_covariance_is_that_of_the_errors() -> None:
-    """The squared Mahalanobis distances have the mean of chi squared with 3 degrees of freedom."""
-    true = np.array([5.0, 6.0, 0.7])
-    squared = [
-        PoseSource(SIGMA, seed=seed).pose(1.0, true).mahalanobis(true) ** 2 for seed in range(4000)
-    ]
-    assert np.mean(squared) == pytest.approx(3.0, abs=4 * np.sqrt(6 / 4000))
 
 
 def test_covariance_turns_with_the_car() -> None:

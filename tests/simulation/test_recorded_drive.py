@@ -1,7 +1,6 @@
 """Recorded drives: interpolation, gaps, columns and units."""
 
 import contextlib
-import math
 from pathlib import Path
 from typing import Any
 
@@ -46,28 +45,6 @@ def test_circle_between_the_records(rate: float, error: float) -> None:
     np.testing.assert_allclose(at_records.pose[:, :2], circle(t)[:, :2], atol=1e-12)
 
 
-def test_recorded_motion_is_preferred_and_linear() -> None:
-    """Speed and yaw rate are interpolated if they are recorded."""
-    drive = recorded([0, 1], [[0, 0, 0], [5, 0, 0]], speed=[4, 6], yaw_rate=[0.1, -0.1])
-    state = drive.at(0.25)
-    assert float(state.speed) == 4.5
-    assert float(state.yaw_rate) == pytest.approx(0.05)
-
-
-def test_parabola_of_three_records() -> None:
-    """Constant acceleration is exact, also in the first and the last interval."""
-    t = np.array([0.0, 1.0, 1.5, 2.5])
-    drive = recorded(t, np.column_stack([t**2, 0 * t, 0 * t]))
-    fine = np.linspace(0, 2.5, 30)
-    np.testing.assert_allclose(drive.at(fine).pose[:, 0], fine**2, atol=1e-12)
-    np.testing.assert_allclose(drive.at(fine).speed, 2 * fine, atol=1e-12)
-
-
-def test_speed_in_reverse_is_negative() -> None:
-    drive = recorded([0, 1, 2], [[0, 0, np.pi], [5, 0, np.pi], [10, 0, np.pi]])
-    assert drive.at(0.7).speed == pytest.approx(-5.0)
-
-
 def test_gaps_are_not_bridged() -> None:
     """Times in a gap have no pose, and records beyond it have no influence."""
     t = np.array([0.0, 0.5, 1.0, 4.0, 4.5, 5.0, 9.0])
@@ -86,23 +63,6 @@ def test_gaps_are_not_bridged() -> None:
     assert recorded(t, pose, max_gap=5.0).covers(times).sum() == 10
 
 
-def test_one_record_is_known_at_its_time() -> None:
-    drive = recorded([3.0], [[1, 2, 0.5]], cov=[np.diag([1, 2, 3])])
-    np.testing.assert_array_equal(drive.times(10.0), [3.0])
-    np.testing.assert_array_equal(drive.at(3.0).pose, [1, 2, 0.5])
-    assert drive.reported(3.0).cov.diagonal().tolist() == [1, 2, 3]
-
-
-def test_covariance_is_linear_between_the_records() -> None:
-    cov = [np.diag([1.0, 1.0, 0.0]), np.diag([3.0, 2.0, 0.0])]
-    drive = recorded([0, 1], [[0, 0, 0], [4, 0, 0]], cov=cov)
-    for t, variances in [(0.0, [1, 1, 0]), (0.25, [1.5, 1.25, 0]), (1.0, [3.0, 2.0, 0])]:
-        assert drive.reported(t).cov.diagonal() == pytest.approx(np.array(variances))
-        np.testing.assert_allclose(drive.reported(t).mean, [4 * t, 0, 0])
-    with pytest.raises(ValueError, match="no covariances"):
-        recorded([0, 1], [[0, 0, 0], [4, 0, 0]]).reported(0.0)
-
-
 @given(st.integers(0, 10**6), st.integers(2, 30))
 def test_it_goes_through_all_records(seed: int, n: int) -> None:
     """Whatever the times, the pose at a record is the recorded one, up to turns of 2 pi."""
@@ -112,47 +72,6 @@ def test_it_goes_through_all_records(seed: int, n: int) -> None:
     found = recorded(t, pose).at(t).pose
     np.testing.assert_allclose(found[:, :2], pose[:, :2], atol=1e-9)
     np.testing.assert_allclose(np.cos(found[:, 2] - pose[:, 2]), 1.0, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("columns", "row", "attribute", "expected"),
-    [
-        ("time_ms,x,y,heading", "1500,2,3,0.5", "t", 1.5),
-        ("time_us,x,y,heading", "1500000,2,3,0.5", "t", 1.5),
-        ("time_ns,x,y,heading", "1500000000,2,3,0.5", "t", 1.5),
-        ("time,x,y,heading_deg", "0,2,3,90", "pose", [2, 3, math.pi / 2]),
-        ("heading,y,note,x,time", "0.5,3,home,2,0", "pose", [2, 3, 0.5]),
-        (f"{HEADER},speed", "0,2,3,0,10", "speed", 10),
-        (f"{HEADER},speed_kmh", "0,2,3,0,36", "speed", 10),
-        (f"{HEADER},speed_mph", "0,2,3,0,100", "speed", 44.704),
-        (f"{HEADER},yaw_rate", "0,2,3,0,0.2", "yaw_rate", 0.2),
-        (f"{HEADER},yaw_rate_deg_s", "0,2,3,0,180", "yaw_rate", math.pi),
-        (
-            f"{HEADER},sigma_x,sigma_y,sigma_heading_deg",
-            "0,2,3,1,0.3,0.2,180",
-            "cov",
-            np.diag([0.09, 0.04, math.pi**2]),
-        ),
-        (
-            f"{HEADER},sigma_along,sigma_across,sigma_heading",
-            f"0,2,3,{math.pi / 4},2,1,0.1",
-            "cov",
-            [[2.5, 1.5, 0], [1.5, 2.5, 0], [0, 0, 0.01]],
-        ),
-        (
-            f"{HEADER},cov_xx,cov_xy,cov_yy,cov_xh,cov_yh,cov_hh",
-            "0,2,3,1,9,1,4,0.3,0.2,1",
-            "cov",
-            [[9, 1, 0.3], [1, 4, 0.2], [0.3, 0.2, 1]],
-        ),
-    ],
-)
-def test_columns_and_units(
-    tmp_path: Path, columns: str, row: str, attribute: str, expected: Any
-) -> None:
-    """Each column is read in its unit, in any order."""
-    drive = RecordedDrive.from_csv(written(tmp_path / "drive.csv", f"{columns}\n{row}\n"))
-    np.testing.assert_allclose(getattr(drive, attribute)[0], expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(

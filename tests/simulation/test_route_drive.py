@@ -35,26 +35,12 @@ def test_the_car_keeps_the_limits_of_the_lanes(start: str | tuple[float, float, 
     assert state.speed[~before].max() <= 5.0 + 1e-6
 
 
-def test_limits_of_the_car_are_passed_on() -> None:
-    found = road(10.0, 10.0)
-    drive = drive_along(found, found.route("a", "b"), stops=[(50.0, 3.0)], start_speed=10.0)
-    state = drive.at(drive.times(10.0))
-    assert state.speed[0] == pytest.approx(10.0)
-    assert (state.speed < 1e-6).sum() >= 30
-
-
 def test_a_route_without_length_is_refused() -> None:
     found = road(None, None)
     route = found.route((40.0, 0.0, 0.0), (40.2, 0.0, 0.0))
     assert isinstance(route, Route)
     with pytest.raises(ValueError, match=r"0\.2 m, but a drive needs 1 m or more"):
         drive_along(found, route)
-
-
-def test_a_lane_without_a_limit_has_that_of_a_town() -> None:
-    found = road(None, None)
-    state = drive_along(found, found.route("a", "b"), start_speed=13.0).at(7.0)
-    assert state.speed == pytest.approx(50 / 3.6)
 
 
 def test_the_lines_of_a_drive_are_those_from_4_m_behind_to_80_m_ahead() -> None:

@@ -38,13 +38,6 @@ def test_the_ego_has_the_figures_of_the_table(
     assert [float(r) for r in re.findall(r"correlated by ([\d.]+)", about)] in ([correlation], [])
 
 
-def test_the_table_is_complete() -> None:
-    """There are six scenarios, each with one sentence."""
-    assert list(SCENARIOS) == [example.name for example in SCENARIOS.values()]
-    assert len(SCENARIOS) == 6
-    assert all(example.about and "\n" not in example.about for example in SCENARIOS.values())
-
-
 @pytest.mark.parametrize("example", SCENARIOS.values(), ids=SCENARIOS)
 def test_every_line_of_a_scenario_matches_its_description(example: Any) -> None:
     """All slots are there, the car is in its lane of 3.5 m, and the radius is the stated one."""
@@ -91,16 +84,6 @@ def test_random_roads_stay_within_their_ranges() -> None:
         assert 0.05 <= np.degrees(road.ego.sigma[2]) <= 10
         assert np.abs(road.ego.correlation[0, 1]) <= 0.9
         assert np.isfinite(paper_refit(road)(road.ego.mean)).all()
-
-
-def test_random_roads_use_their_ranges() -> None:
-    """They are from motorway to street turn, to the left and to the right."""
-    refits = [paper_refit(road) for road in ROADS]
-    c0 = np.array([refit(road.ego.mean)[0, 2] for refit, road in zip(refits, ROADS, strict=True)])
-
-    assert c0.min() < -0.02 < 0.02 < c0.max()
-    assert (np.abs(c0) < 1 / 1000).mean() > 0.2
-    assert np.ptp([np.log10(road.ego.sigma[2]) for road in ROADS]) > 2
 
 
 def circle_centre(points: Any) -> Any:

@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import cumulative_trapezoid
 
-from maplines_can import Motion, Polyline
+from maplines_can import Polyline
 from maplines_can.simulation import SimulatedDrive
 
 STRAIGHT = Polyline(np.array([[0, 0], [400, 0]], float))
@@ -46,20 +46,6 @@ def test_straight_road_in_closed_form(
     state = drive.at(drive.duration - np.linspace(0, fall * 0.98, 50))
     left = np.linspace(0, fall * 0.98, 50)
     np.testing.assert_allclose(400 - state.pose[:, 0], deceleration * left**2 / 2, atol=1e-4)
-
-
-def test_short_road_is_driven_without_reaching_the_limit() -> None:
-    """Accelerate for half of the way, brake for the other half.
-
-    Whether a point of the profile is in the middle depends on the last bit of the length. If none
-    is, the car drives the cell there, at most 0.5 m, at one speed.
-    """
-    drive = SimulatedDrive(Polyline(np.array([[0, 0], [20, 0]], float)), 30.0)
-    top, cell = np.sqrt(2 * 2.0 * 10), 0.5
-    slower = np.sqrt(top**2 - 2.0 * cell)
-    longest = 2 * slower / 2.0 + cell / slower
-    assert 2 * top / 2.0 - 1e-6 <= drive.duration <= longest + 1e-6
-    assert slower - 1e-6 <= drive.at(drive.duration / 2).speed <= top + 1e-6
 
 
 def test_circle_in_closed_form() -> None:
@@ -142,59 +128,6 @@ def test_stops() -> None:
     assert drive.duration == pytest.approx(without.duration + 7.0)
 
 
-@pytest.mark.parametrize("gap", [1e-12, 1e-6, 1e-3, 0.01])
-def test_stops_that_are_close_together(gap: float) -> None:
-    """The times of the stops add up, and the car gets from one to the next."""
-    stops = [(300.0, 1.0), (300.0 + gap, 1.0), (400.0 - gap, 1.0), (400.0, 1.0)]
-    drive = SimulatedDrive(STRAIGHT, [(0, 9.0), (300.0 + gap / 2, 8.0)], stops=stops)
-    state = track(drive)
-    assert np.isfinite(state.pose).all()
-    assert (state.speed < 1e-9).sum() / 200 == pytest.approx(4.0, abs=0.1)
-    assert state.pose[-1, 0] == pytest.approx(400.0, abs=1e-3)
-
-
-@given(st.floats(1.0, 300.0), st.floats(0.5, 100.0))
-def test_all_times_of_a_rate_are_in_the_drive(length: float, rate: float) -> None:
-    drive = SimulatedDrive(Polyline(np.array([[0, 0], [length, 0]])))
-    assert len(track(drive, rate).t) == pytest.approx(drive.duration * rate, abs=1.001)
-
-
-def test_speed_limits_apply_from_their_distance() -> None:
-    """The car brakes before a lower limit, and accelerates after its end."""
-    drive = SimulatedDrive(STRAIGHT, [(0, 15.0), (150, 8.0), (250, 15.0)], start_speed=15.0)
-    state = track(drive)
-    x, speed = state.pose[:, 0], state.speed
-    assert speed[x < 100] == pytest.approx(15.0)
-    assert speed[(x >= 150) & (x <= 250)] == pytest.approx(8.0)
-    assert 9 < float(np.interp(260.0, x, speed)) < 15  # sqrt(8^2 + 2 * 2 * 10) = 10.2
-
-
-def test_displacement_agrees_with_the_motion_model() -> None:
-    """Over 50 ms, constant speed and yaw rate predict the next pose within 5 mm."""
-    drive = SimulatedDrive(winding(7), 12.0)
-    t = drive.times(20.0)
-    state = drive.at(t)
-    for i in range(0, len(t) - 1, 37):
-        x, y, turn = Motion(float(state.speed[i]), float(state.yaw_rate[i])).over(0.05).mean
-        c, s = np.cos(state.pose[i, 2]), np.sin(state.pose[i, 2])
-        predicted = state.pose[i] + [c * x - s * y, s * x + c * y, turn]
-        np.testing.assert_allclose(predicted, state.pose[i + 1], atol=5e-3)
-
-
-def test_scalar_and_vector_times_agree() -> None:
-    """Shapes follow t."""
-    drive = SimulatedDrive(STRAIGHT)
-    t = drive.times(2.0)
-    many = drive.at(t)
-    assert many.pose.shape == (len(t), 3)
-    one = drive.at(t[5])
-    assert one.pose.shape == (3,)
-    np.testing.assert_array_equal(one.pose, many.pose[5])
-    assert one.speed == many.speed[5]
-    assert t[0] == drive.start == 0
-    assert drive.end - 0.5 < t[-1] <= drive.end
-
-
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
@@ -248,25 +181,6 @@ def test_a_drive_has_the_limits_of_a_calm_driver(radius: float) -> None:
         Polyline(np.column_stack([radius * np.sin(a), radius * (1 - np.cos(a))])), 50.0
     )
     assert bend.at(bend.duration / 2).speed == pytest.approx(np.sqrt(2.0 * radius), rel=0.01)
-
-
-@pytest.mark.parametrize("between", [0.3, 0.6, 5.0])
-def test_stops_close_to_each_other_are_reached_one_after_the_other(between: float) -> None:
-    """In between, the car drives: it takes the time of half of the way up and half down."""
-    drive = SimulatedDrive(
-        Polyline([[0.0, 0.0], [50.0, 0.0]]), 20.0, stops=[(20.0, 2.0), (20.0 + between, 3.0)]
-    )
-    t = drive.times(100.0)
-    state = drive.at(t)
-    x, standing = state.pose[:, 0], state.speed < 1e-9
-    for at, dwell in ((20.0, 2.0), (20.0 + between, 3.0)):
-        there = standing & (np.abs(x - at) < 1e-3)
-        assert there.sum() / 100 == pytest.approx(dwell, abs=0.03)
-    moving = (x > 20.001) & (x < 20 + between - 0.001)
-    assert moving.sum() / 100 <= 2.2 * np.sqrt(between / 2 * 2 / 2.0) + 0.05
-    assert (
-        state.speed[moving] ** 2 <= 2 * 2.0 * np.minimum(x - 20, 20 + between - x)[moving] + 1e-6
-    ).all()
 
 
 @pytest.mark.parametrize("at", [12.3451, 12.3456, 30.0004, 49.9989, 49.9995])

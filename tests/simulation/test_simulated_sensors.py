@@ -50,16 +50,6 @@ def of(arrivals: list[Any], kind: type) -> list[Any]:
     return [one.measurement for one in arrivals if isinstance(one.measurement, kind)]
 
 
-def test_the_errors_are_gauss_markov() -> None:
-    """Their variance is constant, and their correlation over 2 s with 4 s is exp(-1/2)."""
-    t = np.arange(0.0, 30.0, 0.5)
-    e = ErrorProcess(GaussMarkov(1.5, 4.0), 0.5, (4000,), np.random.default_rng(1)).next(len(t))
-    assert e.std(axis=0) == pytest.approx(np.full(len(t), 1.5), rel=0.06)
-    assert (e[:, 40] * e[:, 44]).mean() / 1.5**2 == pytest.approx(math.exp(-0.5), abs=0.06)
-    constant = ErrorProcess(GaussMarkov(2.0), 0.5, (3,), np.random.default_rng(1)).next(len(t))
-    assert (constant == constant[:, :1]).all()
-
-
 def test_without_errors_the_sensors_tell_the_truth() -> None:
     """Positions, speeds, lines 1.75 m to both sides, and the poles ahead."""
     arrivals = made(EXACT)
@@ -88,28 +78,6 @@ def test_the_order_is_that_of_the_arrivals() -> None:
         assert one.t - one.measurement.t == pytest.approx(late)
 
 
-def test_the_seed_gives_the_errors() -> None:
-    """The same one the same; another one, and another car, others."""
-    one, same, other = (of(made(SETUP, 2, seed), GnssFix) for seed in (1, 1, 2))
-    assert (one[3].position == same[3].position).all()
-    assert (one[3].position != other[3].position).all()
-    assert (one[3].position[0] != one[3].position[1]).all()
-
-
-def test_the_noise_is_as_stated() -> None:
-    """Of positions and of lines, over 400 cars, within four standard errors."""
-    setup = replace(
-        SETUP, false_lines=0.0, line_dropout=(1e9, 1.0), errors=EXACT.errors, camera_rate=2.0
-    )
-    arrivals = made(setup, 400)
-    share = 4 / math.sqrt(2 * 400 * 20)
-    gnss = np.array([x.position - DRIVE.at(x.t).pose[:2] for x in of(arrivals, GnssFix)])
-    assert gnss.std() == pytest.approx(setup.gnss_sigma, rel=share)
-    lines = np.array([(x.offset, x.heading) for x in of(arrivals, CameraLines)])
-    assert (lines[:, 0] - [1.75, -1.75]).std() == pytest.approx(0.05, rel=share)
-    assert lines[:, 1].std() == pytest.approx(setup.line_sigma[1], rel=share)
-
-
 def test_outages_are_kept() -> None:
     """No positions and no landmarks; lines are missing."""
     out = ((5.0, 9.0),)
@@ -124,15 +92,6 @@ def test_outages_are_kept() -> None:
         if 5 <= one.t < 9:
             assert np.isnan(one.offset).all()
     assert any(np.isfinite(one.offset).all() for one in of(arrivals, CameraLines))
-
-
-def test_the_share_of_false_and_missing_lines() -> None:
-    """Over 200 cars; the lines are missing for 5 s in 65 s."""
-    lines = np.array([x.offset for x in of(made(SETUP, 200), CameraLines)])
-    missing = np.isnan(lines).mean()
-    assert 0.02 < missing < 0.12
-    off = np.abs(lines[np.isfinite(lines)].reshape(-1, 1) - [1.75, -1.75]).min(axis=1) > 0.4
-    assert off.mean() == pytest.approx(SETUP.false_lines * (1 - 0.4 / 3), rel=0.25)
 
 
 def test_the_errors_continue_from_call_to_call() -> None:

@@ -78,15 +78,6 @@ def test_arc_length_is_the_integral_of_the_speed() -> None:
     assert step.sum() == pytest.approx(path.length, abs=1e-4)
 
 
-def test_position_does_not_depend_on_the_origin() -> None:
-    """Coordinates as large as those of UTM lose nothing."""
-    points, origin = arc(50.0, 2.0), np.array([477_000.0, 5_529_000.0])
-    here, there = SmoothPath(Polyline(np.array(points))), SmoothPath(Polyline(points + origin))
-    s = np.linspace(0, here.length, 300)
-    np.testing.assert_allclose(there.pose(s)[:, :2] - origin, here.pose(s)[:, :2], atol=1e-6)
-    np.testing.assert_allclose(there.curvature(s), here.curvature(s), atol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("points", "text"),
     [

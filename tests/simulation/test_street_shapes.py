@@ -10,11 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
-from scipy.special import fresnel
 
 from maplines_can import map_lines
 from maplines_can.simulation.scenarios import STREETS, scenario
-from maplines_can.simulation.street_shapes import LANES, Street, StreetPiece, lanes, widening
+from maplines_can.simulation.street_shapes import LANES, Street, StreetPiece, lanes
 from maplines_can.values.line import Slot
 
 PIECES = st.lists(
@@ -37,21 +36,6 @@ def test_constant_curvature_is_a_circle(radius: float, side: int, offset: float)
     expected = [beside * np.sin(angle), side * (radius - beside * np.cos(angle))]
     assert np.allclose(points, np.column_stack(expected), atol=1e-9 * radius)
     assert np.allclose(street.heading(s), side * angle)
-
-
-@given(st.floats(5, 300), st.floats(10, 2000), st.sampled_from([-1, 1]))
-def test_linear_curvature_is_a_clothoid(length: float, radius: float, side: int) -> None:
-    """Fresnel integrals, from curvature 0 to 1 / radius."""
-    turn = length / (2 * radius)
-    if turn > 2 * np.pi:
-        return
-    s = np.linspace(0, length, 7)
-    scale = np.sqrt(np.pi * length * radius)
-    sine, cosine = fresnel(s / scale)
-
-    points = Street([StreetPiece(length, 0, side / radius)]).line(s)
-
-    assert np.allclose(points, scale * np.column_stack([cosine, side * sine]), atol=1e-10 * length)
 
 
 @given(PIECES, st.floats(0, 1))
@@ -82,14 +66,6 @@ def test_any_street_agrees_with_numerical_integration(
     assert (street.begin, street.end) == pytest.approx((joints[0], joints[-1]))
 
 
-def test_points_may_be_in_any_order_and_repeat() -> None:
-    """They do not depend on the other points."""
-    street = Street([StreetPiece(30, 0, 0.05), StreetPiece(30, -0.05, 0.02)], behind=12)
-    s = np.array([40.0, -12, 3, 3, 17])
-
-    assert np.allclose(street.line(s), [street.line([one])[0] for one in s], atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("pieces", "behind", "message"),
     [
@@ -109,17 +85,6 @@ def test_wrong_streets_are_refused(pieces: Any, behind: float, message: str) -> 
 def test_a_place_beyond_the_street_is_refused(s: float) -> None:
     with pytest.raises(ValueError, match="s must be 0 to 10 m"):
         Street([StreetPiece(10)]).line([1.0, s])
-
-
-def test_a_lane_widens_smoothly() -> None:
-    """From 0 to 1 without a kink."""
-    s = np.linspace(-10, 60, 701)
-    share = widening(s, 10.0, 30.0)
-
-    assert (share[s <= 10] == 0).all()
-    assert (share[s >= 40] == 1).all()
-    assert np.abs(np.diff(share, 2)).max() < 1e-3 * 0.1
-    assert (np.diff(share) >= 0).all()
 
 
 def test_a_shifted_line_moves_and_ends() -> None:

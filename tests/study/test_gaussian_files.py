@@ -15,7 +15,7 @@ from maplines_can.recordings.read_lines import read_lines
 from maplines_can.study import road
 from maplines_can.study.files import GaussianFile, read_map
 from maplines_can.study.sets import line_set
-from maplines_can.values.errors import MaplinesError, StudyError
+from maplines_can.values.errors import MaplinesError
 from maplines_can.values.line import PARAMETERS
 
 
@@ -55,113 +55,66 @@ def test_a_file_of_gaussians_comes_in_chunks(name: Any, tmp_path: Path) -> None:
     assert np.array_equal(np.concatenate([chunk.cov for chunk in chunks]), covs)
 
 
-def broken(what: Any) -> Any:
-    """Return Gaussians with one error, in row 3."""
+def edited(change: Any) -> Any:
     means, covs = (array.copy() for array in road(5, seed=8))
-    if what == "nan":
-        means[3, 1] = np.nan
-    elif what == "negative":
-        covs[3, 0, 0] = -1
-    elif what == "asymmetric":
-        covs[3, 0, 1] *= 2
-    elif what == "indefinite":
-        covs[3, 0, 1] = covs[3, 1, 0] = 2 * np.sqrt(covs[3, 0, 0] * covs[3, 1, 1])
-    return means, covs
+    change(means, covs)
+    return {"mean": means, "cov": covs}
 
 
-@pytest.mark.parametrize(
-    ("what", "message"),
-    [
-        ("nan", "row 3 .from 0. has a number that is not finite"),
-        ("negative", "row 3 .* negative variance"),
-        ("asymmetric", "row 3 .* not symmetric"),
-        ("indefinite", "row 3 .* not positive semidefinite"),
-    ],
-)
-def test_a_row_that_is_not_a_gaussian_is_refused(what: str, message: str, tmp_path: Path) -> None:
-    """The message names the row and the error, before the study begins."""
-    means, covs = broken(what)
-    np.savez(tmp_path / "bad.npz", mean=means, cov=covs)
+def indefinite(_means: Any, covs: Any) -> None:
+    covs[3, 0, 1] = covs[3, 1, 0] = 2 * np.sqrt(covs[3, 0, 0] * covs[3, 1, 1])
 
-    with pytest.raises(StudyError, match=message):
-        line_set(str(tmp_path / "bad.npz"))
+
+ARRAYS = [
+    (edited(lambda m, _: m.__setitem__((3, 1), np.nan)), "row 3 .from 0. has a number that is not"),
+    (edited(lambda _, c: c.__setitem__((3, 0, 0), -1)), "row 3 .* negative variance"),
+    (edited(lambda _, c: c.__setitem__((3, 0, 1), 2 * c[3, 0, 1])), "row 3 .* not symmetric"),
+    (edited(indefinite), "row 3 .* not positive semidefinite"),
+    ({"mean": np.zeros((3, 4))}, "there is no cov"),
+    ({"mean": np.zeros((3, 5)), "cov": np.zeros((3, 5, 5))}, "shape"),
+    ({"mean": np.zeros((3, 4)), "cov": np.zeros((2, 4, 4))}, "shape"),
+    ({"mean": np.array([["a"] * 4]), "cov": np.zeros((1, 4, 4))}, "numbers"),
+]
+COLUMNS = ",".join(table_of(*road(1, seed=0)))
+FILES = [
+    ("a.txt", "", "a file is one of .npz, .csv, .parquet"),
+    ("a.npz", "no archive", "cannot be read"),
+    ("a.csv", "mean_0,mean_1\n1,2\n", "there is no mean_2"),
+    ("a.csv", "", "there is no mean_0"),
+    ("a.csv", b"\xff\xfe", "cannot be read"),
+    ("a.parquet", "no table", "cannot be read"),
+    ("a.csv", f"{COLUMNS}\n{'1,' * 13}x", "row 0"),
+    ("a.csv", f"{COLUMNS}\n{'1,' * 12}1", "names 14 columns, but row 0 has 13"),
+    ("a.csv", COLUMNS, "has no rows"),
+]
+MAPS = [
+    ("x,y\n1,2", "there is no line"),
+    ("line,x,y\n", "no usable lane or line"),
+    ("line,x,y\na,1,2\na,b,2", "line 3"),
+    ("line,x,y\na,1,2\na,1", "line 3"),
+    ("line,x,y\na,1,2\nb,1,2", "line 'a'"),
+    ("line,x,y\na,1,2\na,1,3\nb,1,2\nb,3,2\na,4,4", "two places"),
+    ("line,x,y\na,1,2\na,inf,3", "line 'a'"),
+]
 
 
 @pytest.mark.parametrize(
     ("name", "content", "message"),
-    [
-        ("a.txt", b"", "a file is one of .npz, .csv, .parquet"),
-        ("a.npz", b"no archive", "cannot be read"),
-        ("a.csv", b"mean_0,mean_1\n1,2\n", "there is no mean_2"),
-        ("a.csv", b"", "there is no mean_0"),
-        ("a.csv", b"\xff\xfe", "cannot be read"),
-        ("a.parquet", b"no table", "cannot be read"),
-    ],
+    [*(("a.npz", *row) for row in ARRAYS), *FILES, *(("map.csv", *row) for row in MAPS)],
 )
-def test_a_file_that_cannot_be_used_is_refused(
-    name: str, content: bytes, message: str, tmp_path: Path
+def test_what_cannot_be_used_is_refused(
+    name: str, content: Any, message: str, tmp_path: Path
 ) -> None:
-    """The message says what is wrong with the file."""
+    """The message names the row, the column or the line, before the study begins."""
     if name.endswith("parquet"):
         pytest.importorskip("pyarrow")
-    (tmp_path / name).write_bytes(content)
-
+    if isinstance(content, dict):
+        np.savez(tmp_path / name, **content)
+    else:
+        (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    read = read_map if name == "map.csv" else GaussianFile.opened
     with pytest.raises(MaplinesError, match=message):
-        line_set(str(tmp_path / name))
-
-
-@pytest.mark.parametrize(
-    ("rows", "message"),
-    [
-        (["1," * 13 + "x"], "row 0"),
-        (["1," * 12 + "1"], "names 14 columns, but row 0 has 13"),
-        ([], "has no rows"),
-    ],
-)
-def test_a_csv_with_bad_rows_is_refused(rows: Any, message: str, tmp_path: Path) -> None:
-    """A word, a missing number, no rows at all."""
-    columns = list(table_of(*road(1, seed=0)))
-    (tmp_path / "a.csv").write_text("\n".join([",".join(columns), *rows]))
-
-    with pytest.raises(StudyError, match=message):
-        GaussianFile.opened(tmp_path / "a.csv")
-
-
-@pytest.mark.parametrize(
-    ("arrays", "message"),
-    [
-        ({"mean": np.zeros((3, 4))}, "there is no cov"),
-        ({"mean": np.zeros((3, 5)), "cov": np.zeros((3, 5, 5))}, "shape"),
-        ({"mean": np.zeros((3, 4)), "cov": np.zeros((2, 4, 4))}, "shape"),
-        ({"mean": np.array([["a"] * 4]), "cov": np.zeros((1, 4, 4))}, "numbers"),
-    ],
-)
-def test_arrays_of_other_shapes_are_refused(arrays: Any, message: str, tmp_path: Path) -> None:
-    """The message lists the accepted shapes."""
-    np.savez(tmp_path / "a.npz", **arrays)
-
-    with pytest.raises(StudyError, match=message):
-        GaussianFile.opened(tmp_path / "a.npz")
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("x,y\n1,2", "there is no line"),
-        ("line,x,y\n", "no usable lane or line"),
-        ("line,x,y\na,1,2\na,b,2", "line 3"),
-        ("line,x,y\na,1,2\na,1", "line 3"),
-        ("line,x,y\na,1,2\nb,1,2", "line 'a'"),
-        ("line,x,y\na,1,2\na,1,3\nb,1,2\nb,3,2\na,4,4", "two places"),
-        ("line,x,y\na,1,2\na,inf,3", "line 'a'"),
-    ],
-)
-def test_a_map_that_cannot_be_used_is_refused(text: str, message: str, tmp_path: Path) -> None:
-    """The message has the line of the file or the name of the line on the map."""
-    (tmp_path / "map.csv").write_text(text)
-
-    with pytest.raises(StudyError, match=message):
-        read_map(tmp_path / "map.csv")
+        read(tmp_path / name)
 
 
 def test_a_log_is_a_set(tmp_path: Path) -> None:

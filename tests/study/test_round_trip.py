@@ -9,7 +9,7 @@ import pytest
 from answers import one
 from support.lines import lines_timed_out, scenario_lines
 
-from maplines_can import Codec, Slot
+from maplines_can import Codec
 from maplines_can.simulation import scenario
 from maplines_can.study.round_trip import BusSettings, round_trip
 from maplines_can.testing import Faults
@@ -39,14 +39,18 @@ def test_every_line_is_received_as_the_codec_decodes_it() -> None:
 
 
 def test_figures_are_json() -> None:
-    """With the counters of both ends by name."""
-    trip = round_trip(LINES, Codec.from_dbc(), seconds=0.1)
+    """With the counters of both ends by name, and lines in their order; ticks state the time."""
+    ticks: list[Any] = []
+    trip = round_trip(LINES[::-1], Codec.from_dbc(), seconds=0.2, tick=ticks.append)
     figures = json.loads(json.dumps(trip.as_dict()))
     received = figures["received"]
     lost = lines_timed_out(received["counts"], received["pending"], 4)
     assert figures["sent"]["lines"] == received["lines"] + lost
     assert figures["frame_format"] == "classic CAN"
     assert {reason for reason, n in received["counts"].items() if n} <= {"TIMEOUT"}
+    assert [line["slot"] for line in figures["lines"]] == ["EGO_RIGHT", "EGO_LEFT"]
+    assert ticks == sorted(ticks)
+    assert 0 < ticks[0] < 10
 
 
 @pytest.mark.parametrize("direction", ["send", "receive"])
@@ -69,17 +73,3 @@ def test_can_fd_and_its_bus_load() -> None:
         assert trip.sent.frames == trip.sent.lines
         loads.append(trip.bus_load)
     assert loads[0] > loads[1] > 0
-
-
-def test_ticks_state_the_elapsed_time() -> None:
-    """They increase."""
-    ticks: list[Any] = []
-    round_trip(LINES, Codec.from_dbc(), seconds=0.5, tick=ticks.append)
-    assert ticks == sorted(ticks)
-    assert 0 < ticks[0] < 10
-
-
-def test_slots_are_those_of_the_lines() -> None:
-    """In their order."""
-    trip = round_trip(LINES[::-1], Codec.from_dbc(), seconds=0.1)
-    assert [line.slot for line in trip.lines] == [Slot.EGO_RIGHT.name, Slot.EGO_LEFT.name]

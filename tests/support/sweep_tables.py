@@ -12,6 +12,7 @@ from maplines_can.study.codes import CODES
 from maplines_can.study.comparison import codec_for, transmit
 from maplines_can.study.dbc.covariance_spec import covariance_signals
 from maplines_can.study.dbc.record_spec import dbc_writer_for
+from maplines_can.study.sweep.summary import SCHEMAS
 from maplines_can.values.line import Status
 from maplines_can.wire.layout.message_layout import Layout
 
@@ -20,11 +21,6 @@ USED = ["Cholesky", "LinearNearest", "MeanOnly"]
 SETS = ["paper", '</script><img src=x onerror="boom()"> & \'"drive.csv']
 N = 400
 SCENE_CODES = ("Cholesky", "PoseConditional")
-
-
-def share(name: Any, which: Any) -> Any:
-    p = float(np.mean(which))
-    return {name: p, f"{name}_se": math.sqrt(p * (1 - p) / len(which))}
 
 
 def rows_of(set_: Any, code: Any, finer_bits: Any, mean: Any, cov: Any) -> Any:
@@ -38,24 +34,24 @@ def rows_of(set_: Any, code: Any, finer_bits: Any, mean: Any, cov: Any) -> Any:
     row |= {"classic_frames": codec.layout.pages, "seconds": 0.1, "gaussians_per_second": 4e3}
     row["definite_guarantee"] = CODES[code].positive_definite
     row["covering_guarantee"] = CODES[code].covering
-    row |= share("not_positive_definite", ~verdict.positive_definite)
-    row |= share("overconfident", verdict.overconfident)
-    row |= share("saturated", batch.status == Status.SATURATED)
-    row |= share("out_of_range", batch.status == Status.OUT_OF_RANGE)
-    finite = bool(np.isfinite(kl).all())
-    se = float(kl.std() / math.sqrt(len(kl))) if finite else None
+    for name, which in (
+        ("not_positive_definite", ~verdict.positive_definite),
+        ("overconfident", verdict.overconfident),
+        ("saturated", batch.status == Status.SATURATED),
+        ("out_of_range", batch.status == Status.OUT_OF_RANGE),
+    ):
+        row |= {name: float(np.mean(which)), f"{name}_se": float(np.std(which) / math.sqrt(N))}
+    se = float(kl.std() / math.sqrt(N)) if np.isfinite(kl).all() else None
     row |= {"kl_mean": float(kl.mean()), "kl_mean_se": se, "kl_p50": float(np.median(kl))}
     row |= {"kl_p99": float(np.quantile(kl, 0.99, method="nearest")), "kl_max": float(kl.max())}
     row |= {"kl_untouched_mean": float(verdict.kl.mean()), "kl_untouched_mean_se": None}
     row |= {"kl_before_inflation_mean": None, "kl_theory": None}
     for i, x in enumerate(LATERAL_X):
         error, ratio = np.abs(verdict.lateral_error[:, i]), verdict.sigma_ratio[:, i]
-        ratio = ratio[np.isfinite(ratio)]
         row[f"mean_error_rms_{x:g}"] = float(np.sqrt((error**2).mean()))
         row[f"mean_error_max_{x:g}"] = float(error.max())
-        row[f"sigma_ratio_min_{x:g}"] = float(ratio.min())
-        row[f"sigma_ratio_p50_{x:g}"] = float(np.median(ratio))
-        row[f"sigma_ratio_p99_{x:g}"] = float(np.quantile(ratio, 0.99))
+        for name, share in (("min", 0.0), ("p50", 0.5), ("p99", 0.99)):
+            row[f"sigma_ratio_{name}_{x:g}"] = float(np.quantile(ratio[np.isfinite(ratio)], share))
     worst = []
     for rank, i in enumerate(np.argsort(-kl)[:2], 1):
         case = {"set": set_, "code": code, "rank": rank, "kl": float(kl[i])}
@@ -71,13 +67,12 @@ def scenes_row(lines: int, code: str) -> Any:
     """Return a code's row of the table of scenes."""
     row = {"lines": lines, "code": code, "scenes": 40, "has_joint": code != "Cholesky"}
     row |= {"frames": 4.0 * lines, "mean_bits": 77.0 * lines, "joint_bits": 105.0 * lines}
+    row |= {"limit_bits": 29.5, "over_bits": 105.0 * lines - 29.5, "all_entries": 0.25}
     row |= {
-        "limit_bits": 29.5,
-        "over_bits": 105.0 * lines - 29.5,
-        "all_entries": 0.25,
         "left_out": 0.0,
+        "not_positive_definite": 0.0,
+        "overconfident": float(code == "Cholesky"),
     }
-    row |= {"not_positive_definite": 0.0, "overconfident": float(code == "Cholesky")}
     row |= {"kl_line_mean": 0.0019, "kl_line_p99": 0.0038, "kl_joint_mean": math.nan}
     ratios = ("far_p50", "far_p99", "width_p50", "width_p99", "centre_p50", "centre_p99")
     return row | dict.fromkeys(ratios, 1.02)
@@ -115,5 +110,6 @@ def sweep_rows() -> Any:
 def write(folder: Any, rows: Any, **changes: Any) -> Any:
     folder.mkdir(exist_ok=True)
     for name, of_table in (rows | changes).items():
-        pq.write_table(pa.Table.from_pylist(of_table), folder / f"{name}.parquet")
+        whole = [dict.fromkeys(SCHEMAS[name]) | row for row in of_table]
+        pq.write_table(pa.Table.from_pylist(whole), folder / f"{name}.parquet")
     return folder

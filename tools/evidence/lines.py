@@ -9,9 +9,6 @@ stated standard deviation.
 
 A true line is the points of a random road, or those of a map, seen from a pose that is drawn from
 the stated Gaussian, where they cross x. A line that ends before x counts as beyond 3 sigma.
-
-The limit of a range is the longest one in which any cubic deviates from the line by at most 0.1 m,
-by Chebyshev fits (linear programming).
 """
 
 from __future__ import annotations
@@ -23,7 +20,6 @@ from itertools import product
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from scipy.optimize import linprog
 
 from maplines_can import (
     Gaussian,
@@ -66,8 +62,6 @@ COMPONENTS = 3
 #: The motion of lines that are predicted: time [s], speed [m/s], sigmas [m/s, rad/s], and its
 #: largest yaw rate [rad/s].
 SECONDS, SPEED, MOTION_SIGMA, MAX_YAW_RATE = 1.0, 12.0, (0.3, 0.01), 0.6
-#: A line is a function y(x) while it deviates by less from the car's x axis [rad].
-TURN = np.radians(65.0)
 
 
 @evidence
@@ -81,7 +75,6 @@ def lines(
     poses: tuple[str, ...] = tuple(POSES),
     map_error: tuple[float, ...] = (0.0, 0.05),
     draws: int = 10,
-    ranges: int = 0,
     seed: int = 1,
 ) -> dict[str, Any]:
     """Compare the Gaussian of lines with true ones, on random roads and on maps.
@@ -96,7 +89,6 @@ def lines(
         poses: errors of the car's pose.
         map_error: independent error of each point [m].
         draws: poses drawn for each case.
-        ranges: cases of each row of which the limit of the range is computed.
         seed: of the cases and of the draws.
     """
     groups: dict[str, dict[str, Draw]] = {
@@ -114,7 +106,7 @@ def lines(
                 for number in range(n):
                     rng = np.random.default_rng([seed, place, number])
                     case = Case.drawn(draw(number, rng), POSES[pose], sigma, draws, rng)
-                    case.measure(by, tally, limits=number < ranges)
+                    case.measure(by, tally)
                 total.add(tally)
                 rows[name] = tally.figures()
             if group:
@@ -161,7 +153,7 @@ class Case(NamedTuple):
         every = np.vstack([about.draw(), pose]) if true else np.zeros((0, 3))
         return cls(true, given, Gaussian(pose, about.cov), every, error, rng)
 
-    def measure(self, by: str, tally: Tally, *, limits: bool) -> None:
+    def measure(self, by: str, tally: Tally) -> None:
         """Add what a consumer has of the lines."""
         if not self.true:
             return
@@ -178,25 +170,12 @@ class Case(NamedTuple):
             tally.evaluate(got.given, lambda i, x: crossings(*views[i], x))  # noqa: B023
             if by == "line":
                 compare_sigma(got.given, excess[got.slots[0]], tally)
-            if limits and by in ("line", "wire"):
-                self.compare_range(got, tally)
         for slot, points in self.true.items():
             local = seen_from(points, self.ego.mean[None])[0]
             _, s = place_of(local)
             reach = s[(s >= 0) & (np.hypot(*local.T) <= WINDOW[1])].max(initial=0.0)
             tally.counts["ahead"] += reach >= AHEAD
             tally.counts["refused"] += reach >= AHEAD and slot not in there
-
-    def compare_range(self, got: Got, tally: Tally) -> None:
-        """Add ratios of the ranges to the longest ones in which a cubic follows the line."""
-        local = seen_from(self.lines[got.slots[0]].points, self.ego.mean[None])[0]
-        seen, (x_min, x_max) = View(local, place_of(local)[0]), got.given.ranges[0]
-        length = x_max - x_min
-        if seen.is_seen and length > 0:
-            begin = max(x_min, seen.low)
-            same = max(seen.farthest(begin, begin + 0.5 * length) - begin, length)
-            tally.put("range over limit, same x_min", length / same)
-            tally.put("range over limit, any x_min", length / max(seen.longest(same), length))
 
 
 def compare_sigma(given: Given, excess: Array, tally: Tally) -> None:
@@ -332,65 +311,3 @@ WAYS: dict[str, Callable[[Case], Iterator[Got | None]]] = {
     "mixture": partial(lines_by, as_given, COMPONENTS),
     "predicted": partial(lines_by, predicted, 1),
 }
-
-
-# ---- limits of the range -----------------------------------------------------------------------
-
-
-def chebyshev_misfit(x: Array, y: Array) -> float:
-    """Return the least possible largest deviation of a cubic from (n,) points [m]."""
-    w = (x - x.mean()) / max(np.ptp(x) / 2, 1e-9)
-    A, one = np.vander(w, 4), np.ones((len(x), 1))
-    solution = linprog(
-        [0, 0, 0, 0, 1],
-        A_ub=np.block([[A, -one], [-A, -one]]),
-        b_ub=np.append(y, -y),
-        bounds=[(None, None)] * 4 + [(0, None)],
-        method="highs",
-    )
-    return float(solution.x[4])
-
-
-class View:
-    """Line as a function y(x), as a car sees it from its mean pose."""
-
-    def __init__(self, local: Array, nearest: int) -> None:
-        steps = np.diff(local, axis=0)
-        along = steps[:, 0] >= np.cos(TURN) * np.hypot(*steps.T)
-        self.is_seen = bool(along[nearest])
-        across = np.flatnonzero(~along)
-        first = across[across < nearest].max(initial=-1) + 1
-        last = across[across > nearest].min(initial=len(steps))
-        self.x, self.y = local[first : last + 1].T
-        self.low, self.high = max(WINDOW[0], self.x[0]), min(WINDOW[1], self.x[-1])
-
-    def holds(self, low: float, high: float) -> bool:
-        """Return whether a cubic follows the line from low to high within ``MAX_MISFIT``."""
-        inside = self.x[(self.x > low) & (self.x < high)]
-        if len(inside) > 60:
-            inside = inside[np.linspace(0, len(inside) - 1, 60).astype(int)]
-        x = np.union1d(np.linspace(low, high, 61), inside)
-        y = np.interp(x, self.x, self.y)
-        squares = np.polynomial.Polynomial.fit(x, y, 3)
-        return np.abs(squares(x) - y).max() <= MAX_MISFIT or chebyshev_misfit(x, y) <= MAX_MISFIT
-
-    def farthest(self, low: float, least: float) -> float:
-        """Return how far a cubic follows the line from low, at least to ``least`` [m]."""
-        if self.holds(low, self.high):
-            return self.high
-        inner, outer = least, self.high
-        while outer - inner > 0.1:
-            middle = (inner + outer) / 2
-            inner, outer = (middle, outer) if self.holds(low, middle) else (inner, middle)
-        return inner
-
-    def longest(self, known: float) -> float:
-        """Return the longest range about the car that a cubic follows, at least ``known`` [m]."""
-        car, best = min(max(0.0, self.low), self.high), known
-        for begin in np.linspace(car, self.low, 11 if self.low < car else 1):
-            end = max(begin + best + 0.1, car)
-            if end < self.high and self.holds(begin, end):
-                best = self.farthest(begin, end) - begin
-            elif end >= self.high > begin + best and self.holds(begin, self.high):
-                best = self.high - begin
-        return float(best)

@@ -1,10 +1,10 @@
 """What the localisation knows of its own error.
 
-NEES: normalised error squared of (x, y, heading), 3 if the covariance is right; NIS: that of the
-innovations, 2 for each position, line or landmark. Scans are simulated: 720 rays, noise of 3 cm,
-5 % of the rays hit something that the map does not have. With an error of the map, each house and
-each pole stands up to some centimetres from where the map has it; the scans are those of the true
-places, and the matchings know how large the error is, but not what it is. They need the extra scan.
+NEES: normalised error squared of (x, y, heading), 3 if the covariance is right. Scans are drawn:
+720 rays, noise of 3 cm, 5 % of the rays hit something that the map does not have. With an error of
+the map, each house and each pole stands up to some centimetres from where the map has it; the scans
+are those of the true places, and the matchings know how large the error is, but not what it is.
+They need the extra scan.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from scipy.stats import chi2
 
 from maplines_can import Gaussian, Polyline, Slot
 from maplines_can.localisation import (
-    BlockOutcome,
     GaussMarkov,
     GnssFix,
     Localisation,
@@ -31,11 +30,10 @@ from maplines_can.localisation import (
     Odometry,
     PoseFix,
     SensorErrors,
-    Verdict,
 )
 from maplines_can.maps import Lane, Map, Road, load, random_tour, town_path, town_tour
 from maplines_can.simulation.sensors import SensorSetup, simulated_measurements
-from maplines_can.simulation.simulated_localisation import START_SIGMA, SimulatedLocalisation
+from maplines_can.simulation.simulated_localisation import SimulatedLocalisation
 from maplines_can.simulation.trajectory import SimulatedDrive, drive_along
 from maplines_can.values.line import Kind
 
@@ -108,17 +106,6 @@ def share_inside(squared: Array, values: int) -> float:
     return float(((low <= total) & (total <= high)).mean())
 
 
-def nis_figures(outcomes: list[BlockOutcome]) -> dict[str, float]:
-    """Return mean and share inside of the innovations that were used."""
-    if not outcomes:
-        return {"mean": math.nan, "inside": math.nan}
-    squared = np.array(
-        [np.where(one.verdict == Verdict.USED, one.squared, np.nan) for one in outcomes]
-    )  # (k, n, B)
-    inside = share_inside(squared.reshape(len(squared), -1), 2)
-    return {"mean": float(np.nanmean(squared)), "inside": inside}
-
-
 def evaluated(
     localisation: Localisation,
     measurements: Iterable[Any],
@@ -139,77 +126,6 @@ def town() -> tuple[Map, SimulatedDrive]:
     """Return the town of the package, and the drive on the tour through it."""
     found = load(town_path())
     return found, drive_along(found, town_tour(found))
-
-
-# ---- parts of the tour of the town -------------------------------------------------------------
-
-#: Part of the tour of each scenario, and when it has neither GNSS nor landmarks [s].
-SCENARIOS: dict[str, tuple[tuple[float, float], tuple[tuple[float, float], ...]]] = {
-    "town": ((0.0, 200.0), ()),
-    "motorway": ((265.0, 425.0), ()),
-    "tunnel": ((265.0, 425.0), ((310.0, 370.0),)),
-}
-
-
-@evidence
-def tour(
-    seeds: int = 50,
-    scenarios: tuple[str, ...] = tuple(SCENARIOS),
-    span: float = math.inf,
-    seed: int = 0,
-) -> dict[str, Any]:
-    """Drive parts of the tour of the town with simulated sensors; the filter knows their errors.
-
-    The tunnel is a part of the motorway without GNSS and without landmarks for 60 s. At each time,
-    the mean over the cars is compared with its 95 % bounds from chi-square; "inside" is the share
-    of times within them. Errors of successive times are correlated, so that share scatters around
-    95 % more than independent times would. The filter without bias takes the GNSS position as white
-    noise of the same total variance, which must be found wrong.
-
-    Args:
-        seeds: number of cars.
-        scenarios: parts of the tour.
-        span: longest time of a part [s].
-        seed: of the random numbers.
-    """
-    found, way = town()
-    layer, result = LocalisationLayer(found), dict[str, Any]()
-    for name in scenarios:
-        (begin, end), tunnels = SCENARIOS[name]
-        part = begin, min(end, begin + span)
-        setup = SensorSetup(gnss_outages=tunnels, landmark_outages=tunnels)
-        gnss = setup.errors.gnss or SensorErrors.UNKNOWN_GNSS
-        white = replace(setup.errors, gnss=GaussMarkov(0.0)), gnss.sigma**2 * np.eye(2)
-        kinds = {"with bias": (setup.errors, np.zeros((2, 2))), "without bias": white}
-        for kind, (errors, extra) in kinds.items():
-            rng, sigma = np.random.default_rng([seed, sum(name.encode())]), np.array(START_SIGMA)
-            arrivals = simulated_measurements(way, layer, setup, rng, seeds, part)
-            start = way.at(begin).pose + sigma * rng.standard_normal((seeds, 3))
-            measurements = (
-                one._replace(cov=one.cov + extra) if isinstance(one, GnssFix) else one
-                for _, one in progress(arrivals, name)
-            )
-            outcomes, cov = list[BlockOutcome](), np.diag(sigma**2)
-            filtered = Localisation(
-                start, begin, errors, layer, cov=cov, on_outcome=outcomes.append
-            )
-            run = Run.of(evaluated(filtered, measurements, begin, lambda t: way.at(t).pose))
-            result[f"{name}, {kind}"] = of_run(run, outcomes)
-    return result
-
-
-def of_run(run: Run, outcomes: list[BlockOutcome]) -> dict[str, Any]:
-    """Return the figures of a run."""
-    return {
-        "NEES": float(run.nees.mean()),
-        "quantile of NEES": run.quantile(),
-        "NEES inside": share_inside(run.nees, 3),
-        **run.rms,
-        **{
-            f"NIS {source}": nis_figures([one for one in outcomes if one.source == source])
-            for source in ("gnss", "line", "landmark")
-        },
-    }
 
 
 # ---- drives on maps ----------------------------------------------------------------------------
@@ -398,8 +314,8 @@ def replayed(data: dict[str, Array], errors: SensorErrors, sigma: float) -> Run:
 
 # ---- scan matching -----------------------------------------------------------------------------
 
-#: Part of the tour of the town for poses, and for the localisation, with 7 s without houses [s].
-SPAN, FED_SPAN = (2.0, 240.0), (40.0, 100.0)
+#: Part of the tour of the town, with 7 s without houses [s].
+FED_SPAN = (40.0, 100.0)
 #: Standard deviations of the pose with which a matching starts: x, y [m], heading [rad].
 START = np.array([0.3, 0.3, math.radians(0.5)])
 #: Error of the map for the localisation [m].
@@ -420,57 +336,6 @@ def displaced(found: Map, sigma: float, rng: np.random.Generator) -> Map:
         for one in found.landmarks
     ]
     return replace(found, buildings=tuple(map(moved, found.buildings)), landmarks=tuple(poles))
-
-
-@evidence
-def scans(
-    step: float = 1.0, errors: tuple[float, ...] = (0.0, 0.05), seed: int = 0
-) -> dict[str, Any]:
-    """Match scans each so many seconds through the streets of the town, for map errors [m].
-
-    The rows are those of table 7 of Liu, Wang and Zhang, High Definition Map for Automated Driving
-    (2019). Matches that say themselves that they are not valid are counted, and left out: on roads
-    without houses, a scan has a few poles only.
-    """
-    from maplines_can.localisation import scan_matching
-
-    found, way = town()
-    result: dict[str, Any] = {}
-    for error in errors:
-        rng = np.random.default_rng(seed)
-        reference = scan_matching.ScanReference(found)
-        real = scan_matching.ScanReference(displaced(found, error, rng))
-        truths, matches = list[Array](), {name: list[Any]() for name in METHODS}
-        for t in progress(np.arange(*SPAN, step), f"map error {error:g} m"):
-            true = way.at(float(t)).pose
-            scan = scan_matching.simulated_scan(real, true, rng)
-            start = true + START * rng.standard_normal(3)
-            truths.append(true)
-            for name, own in matches.items():
-                match = getattr(scan_matching, f"match_{name.lower()}")
-                own.append(match(reference, scan, start, map_error=error))
-        poses = {name: np.array([one.pose for one in own]) for name, own in matches.items()}
-        valid = {name: np.array([one.is_valid for one in own]) for name, own in matches.items()}
-        title, both = f"map error {100 * error:g} cm", valid["NDT"] & valid["ICP"]
-        result[f"{title}, NDT and ICP"] = differences(poses["NDT"] - poses["ICP"], both)
-        for name, own in matches.items():
-            off = poses[name] - truths
-            P, e = np.array([one.cov for one in own if one.is_valid]), off[valid[name]]
-            nees = (e * np.linalg.solve(P, e[..., None])[..., 0]).sum(axis=-1).mean()
-            rows = differences(off, valid[name]) | {"NEES": float(nees)}
-            result[f"{title}, {name} and truth"] = rows
-    return result
-
-
-def differences(values: Array, valid: NDArray[np.bool_]) -> dict[str, Any]:
-    """Return the RMS of valid (n, 3) differences of poses, and the share of valid ones."""
-    x, y, heading = np.sqrt((values[valid] ** 2).mean(axis=0))
-    return {
-        "valid": float(valid.mean()),
-        "RMS x [m]": x,
-        "RMS y [m]": y,
-        "RMS heading [deg]": math.degrees(heading),
-    }
 
 
 @evidence

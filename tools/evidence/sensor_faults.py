@@ -15,8 +15,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Iterable
-from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,7 +34,7 @@ from maplines_can.maps import Map
 from maplines_can.simulation.sensors import Arrival, SensorSetup, simulated_measurements
 from maplines_can.simulation.simulated_localisation import START_SIGMA
 from maplines_can.simulation.trajectory import SimulatedDrive
-from maplines_can.testing.sensor_faults import FAULTS, FaultedMeasurement, SensorFault, injected
+from maplines_can.testing.sensor_faults import FAULTS, SensorFault, injected
 
 from .figures import longest
 from .harness import evidence, progress
@@ -227,65 +226,3 @@ def figures(course: Course) -> dict[str, Any]:
         "known at the end": float(course.known[-1].mean()),
         "right at the end": float((~wrong[-1].any(axis=-1) & course.known[-1]).mean()),
     }
-
-
-# ---- drift of GNSS -----------------------------------------------------------------------------
-
-#: Rate that filters are told, which know that GNSS drifts [m/s].
-STATED = 0.04
-_KNOWN, _UNKNOWN = SETUP.errors, replace(SETUP.errors, gnss=None)
-#: What the filters know of the error of GNSS.
-TOLD = {
-    "known": _KNOWN,
-    "known, and its drift": replace(_KNOWN, gnss_drift=STATED),
-    "found out": _UNKNOWN,
-    "found out, and its drift known": replace(_UNKNOWN, gnss_drift=STATED),
-}
-
-
-@evidence
-def drifts(
-    seeds: int = 20,
-    rates: tuple[float, ...] = (1.0, 0.3, 0.1),
-    seconds: float = 130.0,
-    told: tuple[str, ...] = tuple(TOLD),
-) -> dict[str, Any]:
-    """Let GNSS drift on a straight road without a map, and measure how far off the pose is.
-
-        sigmas      largest error along or across in stated standard deviations, until no pose is
-                    stated; the median and the worst of the cars, and the share within 4
-        error       that of the same pose, median [m]
-        sigma       stated standard deviation in that axis at the end of the drift, median [m]
-
-    Args:
-        seeds: number of cars.
-        rates: of the drift, along and across the road [m/s]; beside them, none.
-        seconds: its duration [s].
-        told: what the filters know of the error of GNSS.
-    """
-    result: dict[str, Any] = {}
-    for name in told:
-        errors = TOLD[name]
-        drive = drive_of("straight road", seeds, errors, seconds + 1.0)
-        cases = [(0.0, "none"), *((rate, axis) for rate in rates for axis in ("along", "across"))]
-        for rate, axis in progress(cases, "drifts"):
-            step = rate * np.array([axis == "along", axis == "across"])
-            course = drive.run(
-                SensorFault("gnss", "drift", partial(drifted, rate=step)), seconds, 0
-            )
-            share = (np.abs(course.errors) / course.sigmas)[..., :2].max(axis=-1)
-            share = np.where(np.logical_and.accumulate(course.known, axis=0), share, 0.0)
-            worst, size = share.max(axis=0), np.hypot(course.errors[..., 0], course.errors[..., 1])
-            result[f"GNSS error {name}; {rate:g} m/s {axis}"] = {
-                "sigmas, median": float(np.median(worst)),
-                "sigmas, worst": float(worst.max()),
-                "within 4 sigmas": float((worst <= 4.0).mean()),
-                "error [m]": float(np.median(size[share.argmax(axis=0), np.arange(seeds)])),
-                "sigma [m]": float(np.median(course.sigmas[-1, :, int(axis == "across")])),
-            }
-    return result
-
-
-def drifted(at: FaultedMeasurement, rate: Array) -> Any:
-    """Return a fix that drifts at a rate along and across [m/s]."""
-    return at.one._replace(position=at.one.position + at.t * rate)

@@ -19,20 +19,17 @@ falls       share of the steps from a stated error to the next larger one in whi
 frames, left out
             frames of a scene with its pose error over the lines sent, and share of its lines that
             the encoder leaves out, by the error of the pose and the kind of records
-jump        in a drive in steps of 1 cm: how far the cubic moves at a place of the map that was 0,
-            20 or 40 m ahead before the step, in its sigma; 99.9 % and the largest of all steps
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import product
 from typing import Any
 
 import numpy as np
 
 from maplines_can import Gaussian, MapError, MapLine, Polyline, Slot, map_lines, map_scene
-from maplines_can.values.line import lateral, lateral_jacobian
+from maplines_can.values.line import lateral_jacobian
 
 from .figures import Rms, Share
 from .harness import bar, evidence, progress
@@ -350,101 +347,3 @@ def add_beyond(
         pair = np.stack([error, sigma])[:, np.isfinite(error)]
         for name in ["all ends"] + ["cut ends"] * is_cut:
             pairs.setdefault(name, []).append(pair)
-
-
-# ---- smoothness in the pose --------------------------------------------------------------------
-
-#: Step of the car [m], and how far ahead the places are [m].
-STEP, AHEAD = 0.01, (0.0, 20.0, 40.0)
-OF_DRIVES = (
-    Row(1.0),
-    Row(5.0),
-    Row(10.0),
-    Row(15.0),
-    Row(2.0, 0.05),
-    Row(2.0, 0.05, stated="points"),
-    Row(5.0, 0.05),
-    Row(5.0, 0.05, stated="points"),
-    Row(10.0, 0.05, stated="points"),
-    Row(0.0, tolerance=0.05),
-)
-
-
-@evidence
-def smoothness(
-    n: int = 5,
-    length: float = 5.0,
-    maps: tuple[str, ...] = (),
-    roads: tuple[str, ...] = ("arc of 200 m", "straight of 40 m, arc of 150 m", "clothoid"),
-    seed: int = 2,
-) -> dict[str, Any]:
-    """Compare lines of map_lines with those after a step of 1 cm, in n drives of a length [m].
-
-    The other options are those of "lines".
-    """
-    result: dict[str, Any] = {}
-    for name, cases in progress(cases_of(maps, roads, n, seed).items(), "smoothness"):
-        for row in OF_DRIVES:
-            drives = [
-                Drive(sampled(case, row, [seed, number]), path(case, length), row.error)
-                for number, case in enumerate(cases)
-            ]
-            result.setdefault(str(row), {})[name] = jumps_of(drives)
-    return result
-
-
-def path(case: Case, length: float) -> Array:
-    """Return (T, 3) poses in steps of ``STEP`` along a smooth curve in the middle of the lane."""
-    x = np.arange(-2.0, length + 2.0, 0.25)
-    middle = np.polynomial.Polynomial.fit(x, np.mean([case[slot].y(x) for slot in LANE], axis=0), 3)
-    at = np.arange(0.0, length, STEP)
-    return np.column_stack([at, middle(at), np.arctan(middle.deriv()(at))])
-
-
-class Drive:
-    """Lines from poses along a path, and how they change from pose to pose."""
-
-    def __init__(self, points: dict[Slot, Polyline], poses: Array, error: MapError | None) -> None:
-        shape = len(poses), len(LANE)
-        self.poses = poses
-        self.means, self.covs = np.full((*shape, 4), np.nan), np.full((*shape, 4, 4), np.nan)
-        self.ranges = np.full((*shape, 2), np.nan)
-        for t, pose in enumerate(poses):
-            for line in map_lines(points, Gaussian(pose, EGO.cov), map_error=error):
-                i = LANE.index(line.slot)
-                self.means[t, i], self.covs[t, i] = line.gaussian.mean, line.gaussian.cov
-                self.ranges[t, i] = line.x_min, line.x_max
-
-    def jumps(self, x: float) -> Array:
-        """Return the changes of y in sigmas, x ahead of the car before the step."""
-        old = np.stack([np.full(self.means.shape[:2], x), lateral(self.means, x)], axis=-1)[:-1]
-        here, there = self.poses[:-1, None], self.poses[1:, None]
-        world = turned(old, here[..., 2]) + here[..., :2]
-        u, v = np.moveaxis(turned(world - there[..., :2], -there[..., 2]), -1, 0)
-        return np.abs((lateral(self.means[1:], u) - v) / self.sigma(u))
-
-    def sigma(self, x: Array) -> Array:
-        """Return the sigmas of y at (T - 1, L) x after the steps; NaN beyond the range."""
-        J = lateral_jacobian(self.means[1:], x)
-        sigma = np.sqrt(np.einsum("tli,tlij,tlj->tl", J, self.covs[1:], J))
-        low, high = np.moveaxis(self.ranges[1:], -1, 0)
-        return np.where((x >= low) & (x <= high), sigma, np.nan)
-
-
-def turned(points: Array, angle: Array) -> Array:
-    """Return (..., 2) points turned by (...) angles [rad]."""
-    u, v = np.moveaxis(points, -1, 0)
-    c, s = np.cos(angle), np.sin(angle)
-    return np.stack([c * u - s * v, s * u + c * v], axis=-1)
-
-
-def jumps_of(drives: Sequence[Drive]) -> dict[str, float]:
-    """Return the figures of drives by name."""
-    found = {}
-    for x in AHEAD:
-        values = np.concatenate([drive.jumps(x).ravel() for drive in drives])
-        values = values[np.isfinite(values)]
-        if values.size:
-            found[f"jump at {x:g} m, 99.9 %"] = float(np.quantile(values, 0.999))
-            found[f"jump at {x:g} m, max"] = float(values.max())
-    return found

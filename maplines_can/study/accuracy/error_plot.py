@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...simulation.truth import PLACES
-from ...values.output_files import whole_file
-from ..figures.paper_panels import new_figure
+from ..figures.paper_panels import new_figure, save_figure
 from ..figures.round_trip_picture import COLOURS
 from .evaluation import QUANTILE, REQUIREMENTS, Accuracy, slots_of
 
@@ -47,8 +46,7 @@ def draw_accuracy(accuracy: Accuracy, path: str | Path) -> None:
     second.set_xlabel("time [s]")
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
-    with whole_file(path) as part:
-        figure.savefig(part, dpi=130, format=Path(path).suffix[1:])
+    save_figure(figure, path, 130)
 
 
 def _draw_quantity(axes: Any, accuracy: Accuracy, quantity: str) -> None:

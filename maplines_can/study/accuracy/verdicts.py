@@ -1,4 +1,4 @@
-"""Whether the lateral errors of a drive are as large as the sender states.
+"""Whether the errors of a drive are as large as its sender states, and those of its map.
 
 If the stated covariances are right, the squares of the errors in standard deviations have the mean
 1. Their mean over a drive is tested by chi-square (Bar-Shalom, Li and Kirubarajan, Estimation with
@@ -10,17 +10,15 @@ the autocorrelation rho, the mean of N squares has as much variance as that of
 
 independent ones. All lines of a cycle have the same pose error, so they count as one.
 
-Whether the error of the map is as large as the lines of a drive state.
-
 The truth of a drive has the true pose and the reported one with its covariance P. So each lateral
 error e of a line has a part that the pose explains, and a rest, which is that of the map and of the
 cubic; and so has its variance s^2, with the Jacobian J of the lateral position by the pose:
 
     e_map = e - (y(pose that was reported) - y(true pose)),  s_map^2 = s^2 - J P J'
 
-The mean square of e_map / s_map is tested by chi-square, as ``consistency`` does. Its degrees of
-freedom are the independent errors of a line along the road, by the autocorrelation; several lines
-of a cycle count as one, as the drift of a survey is common to them.
+The mean square of e_map / s_map is tested by chi-square, too. Its degrees of freedom are the
+independent errors of a line along the road, by the autocorrelation; several lines of a cycle count
+as one, as the drift of a survey is common to them.
 """
 
 from __future__ import annotations
@@ -145,6 +143,8 @@ def _by_cycle(time: Array, errors: Array) -> Array:
     return np.asarray(np.bincount(cycle, errors) / np.bincount(cycle))
 
 
+# ---- the error of the map -----------------------------------------------------------------------
+
 #: A stated map error is called too large if the errors are surely less than this part of it.
 TOO_LARGE_RATIO = 0.4
 #: The message rounds variances up. Where the pose has a sigma of so many times that of the map, the
@@ -237,6 +237,8 @@ def _independent(slot: NDArray[np.int_], errors: Array) -> float:
     counts = [independent_errors(values) for values in own]
     return float(np.average(counts, weights=[*map(len, own)]))
 
+
+# ---- text ---------------------------------------------------------------------------------------
 
 #: Headings of the errors, with their units, and the factors from the unit of the error.
 _SHOWN = {

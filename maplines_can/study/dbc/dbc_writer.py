@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from cantools.database.can.formats.dbc.dbc_attribute_definition import DbcAttrib
 from cantools.database.can.formats.dbc.dbc_specifics import DbcSpecifics
 
 from ...values.line import Slot
+from ...values.output_files import whole_file
 from ...wire.layout.pose_layout import SCENE2, SCENES
 from ...wire.layout.record_signals import PAGE_BYTES, POSE_PREFIX, SECURED_SIGNALS, slot_title
 from ...wire.layout.slot_messages import fd_length
@@ -114,16 +116,16 @@ class DbcWriter:
     def database(self) -> Database:
         """Return the database of the DBC, from which ``Layout.from_dbc`` reads the same layout."""
         definitions = _attribute_definitions()
-        if self.first_secured_can_id is None:
-            del definitions["SecOCDataId"]
-        if self.pose is None:
-            del definitions["MapLinePose"]
-        if self.scene is None:
-            del definitions["MapLineScene"]
+        for name, part in (
+            ("SecOCDataId", self.first_secured_can_id),
+            ("MapLinePose", self.pose),
+            ("MapLineScene", self.scene),
+        ):
+            if part is None:
+                del definitions[name]
         network = {"BusType": "CAN FD", "CovarianceCode": self.covariance_code}
-        messages = [message for slot in self.slots for message in self._messages(slot)]
         return Database(
-            messages=[*messages, *self._pose_messages(), *self._scene_messages()],
+            messages=list(self._messages()),
             nodes=[
                 Node("PositionEcu", "Knows the pose and the map, and sends the lines."),
                 Node("AdasEcu", "Fuses the lines, steers by them or checks its camera with them."),
@@ -138,33 +140,31 @@ class DbcWriter:
         """Return the fields as a Markdown table, for the page beside the DBC."""
         return self.scene.table() if self.scene else self.record.table()
 
-    def _messages(self, slot: Slot) -> Iterator[Message]:
-        """Yield the classic message of a slot, and the FD and authenticated ones if any."""
+    def _messages(self) -> Iterator[Message]:
+        """Yield the messages of lines, of the pose error and of whole scenes."""
         secured = self.first_secured_can_id
         optional = f"; the last {self.optional_pages} only if HasCovariance is 1"
-        yield from self._formats(
-            self.record,
-            slot_title(slot),
-            f"The {slot.name.replace('_', ' ').lower()} line",
-            (self.first_can_id + slot, self.first_fd_can_id + slot, secured and secured + slot),
-            {"MapLineSlot": int(slot), "E2EDataId": self.first_data_id + slot},
-            self.first_secured_data_id + slot,
-            optional if self.optional_pages else "",
-        )
-
-    def _pose_messages(self) -> Iterator[Message]:
-        """Yield the messages of the pose error, in the frame formats of the lines."""
-        if self.pose is None:
-            return
-        pose, has_secured = self.pose, self.first_secured_can_id is not None
-        yield from self._formats(
-            pose.record,
-            "Pose",
-            "The pose error, which all lines of a cycle share",
-            (pose.can_id, pose.fd_can_id, pose.secured_can_id if has_secured else None),
-            {"MapLinePose": 1, "E2EDataId": pose.data_id},
-            pose.secured_data_id,
-        )
+        for slot in self.slots:
+            yield from self._formats(
+                self.record,
+                slot_title(slot),
+                f"The {slot.name.replace('_', ' ').lower()} line",
+                (self.first_can_id + slot, self.first_fd_can_id + slot, secured and secured + slot),
+                {"MapLineSlot": int(slot), "E2EDataId": self.first_data_id + slot},
+                self.first_secured_data_id + slot,
+                optional if self.optional_pages else "",
+            )
+        if pose := self.pose:
+            yield from self._formats(
+                pose.record,
+                "Pose",
+                "The pose error, which all lines of a cycle share",
+                (pose.can_id, pose.fd_can_id, secured and pose.secured_can_id),
+                {"MapLinePose": 1, "E2EDataId": pose.data_id},
+                pose.secured_data_id,
+            )
+        if self.scene:
+            yield from self._scene_messages(self.scene)
 
     def _formats(
         self,
@@ -176,7 +176,7 @@ class DbcWriter:
         secured_data_id: int,
         optional: str = "",
     ) -> Iterator[Message]:
-        """Yield the classic, FD and authenticated messages of a record."""
+        """Yield the classic message of a record, and the FD and authenticated ones if any."""
         can_id, fd_can_id, secured_can_id = can_ids
         size = record.record_bytes
         about = (
@@ -190,42 +190,31 @@ class DbcWriter:
             yield self._message(f"{name}Fd", fd_can_id, length, signals, about, attributes, True)
         if secured_can_id is not None:
             about = f"{what}, authenticated (AUTOSAR SecOC, AES-CMAC): {name}Fd, then {_TRAILER}"
+            title, signals = f"{name}SecOc", record.end_to_end()
             yield self._secured(
-                f"{name}SecOc",
-                secured_can_id,
-                record.end_to_end(),
-                size,
-                about,
-                attributes,
-                secured_data_id,
+                title, secured_can_id, signals, size, about, attributes, secured_data_id
             )
 
-    def _scene_messages(self) -> Iterator[Message]:
+    def _scene_messages(self, scene: SceneSpec) -> Iterator[Message]:
         """Yield the messages of whole scenes, and the authenticated ones if any."""
-        if (scene := self.scene) is None:
-            return
         for i, owner in enumerate(owner for owner in MESSAGES if owner in scene.fixed):
-            name, first = MESSAGES[owner], self.first_secured_can_id
-            attributes = {
-                "MapLineScene": SCENES.index(owner) + 1,
-                "E2EDataId": scene.first_data_id + i,
-            }
+            name, data_id = MESSAGES[owner], scene.first_data_id + i
+            attributes = {"MapLineScene": SCENES.index(owner) + 1, "E2EDataId": data_id}
             signals, size = scene.signals(owner, scene.places), scene.record_bytes(scene.places)
-            length = fd_length(size, PAGE_BYTES)
             about = f"{_SCENE}{_BESIDE if owner == SCENE2 else '.'}"
-            can_id = scene.first_can_id + i
+            can_id, length = scene.first_can_id + i, fd_length(size, PAGE_BYTES)
             yield self._message(name, can_id, length, signals, about, attributes, True)
-            if first is not None:
+            if self.first_secured_can_id is not None:
                 places = scene.secured_places
                 yield self._secured(
                     f"{name}SecOC",
-                    first + i,
+                    self.first_secured_can_id + i,
                     scene.signals(owner, places),
                     scene.record_bytes(places),
                     f"{name} of {places} lines, authenticated (AUTOSAR SecOC, AES-CMAC): its first "
                     f"bytes, then {_TRAILER}",
                     attributes,
-                    scene.first_data_id + len(MESSAGES) + i,
+                    data_id + len(MESSAGES),
                 )
 
     def _secured(
@@ -317,6 +306,22 @@ def _attribute_definitions() -> OrderedDict[str, Any]:
         DbcAttributeDefinition("VFrameFormat", "StandardCAN", "BO_", "ENUM", choices=formats),
     )
     return OrderedDict((definition.name, definition) for definition in definitions)
+
+
+def write_dbc(writer: DbcWriter, path: str | Path, page: Callable[[str], str]) -> tuple[Path, Path]:
+    """Write a DBC, and its page with the same name and the suffix ``.md``.
+
+    Args:
+        writer: of the DBC.
+        path: of the DBC.
+        page: gives the text of the page for the name of the DBC.
+    """
+    dbc = Path(path).with_suffix(".dbc")
+    beside = dbc.with_suffix(".md")
+    with whole_file(dbc) as part, whole_file(beside) as part_of_page:
+        part.write_text(writer.dbc())
+        part_of_page.write_text(page(dbc.name))
+    return dbc, beside
 
 
 def paged(signals: Sequence[SignalSpec]) -> tuple[tuple[SignalSpec, ...], ...]:

@@ -216,6 +216,8 @@ def dbc_signal(
     )
 
 
+# ---- whole scenes -------------------------------------------------------------------------------
+
 #: Names of the messages, in the order in which they are sent.
 MESSAGES: Mapping[SceneOwner, str] = {SCENE2: "Scene2", SCENE: "Scene"}
 

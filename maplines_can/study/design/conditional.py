@@ -20,12 +20,11 @@ import numpy as np
 
 from ...values.errors import LayoutError
 from ...values.line import Slot
-from ...values.output_files import whole_file
 from ...values.scene import Scene
 from ...wire import Codec
 from ...wire.layout.message_layout import Layout
 from ...wire.layout.record_signals import FINE, FINE_SIGNALS, OWN_SIGNALS, PARAMETER_SIGNALS
-from ..dbc.dbc_writer import DbcWriter, SignalSpec
+from ..dbc.dbc_writer import DbcWriter, SignalSpec, write_dbc
 from ..dbc.record_spec import CONDITIONAL, POSE
 from ..scenes.carriers import with_pose
 from ..scenes.random_scenes import random_scene
@@ -100,18 +99,13 @@ class SceneDesign:
 
     def write(self, path: str | Path, command: str) -> tuple[Path, Path]:
         """Write the DBC, and its page with the same name and the suffix ``.md``."""
-        dbc = Path(path).with_suffix(".dbc")
-        page = dbc.with_suffix(".md")
         figures = indent(self.text(), "    ", lambda _line: True)
         text = (
-            f"# {dbc.name}\n\nDesigned by\n\n    {command}\n\nRecords that are conditional on the "
-            f"pose error, measured on random scenes:\n\n{figures}\n\n## The record of a line\n\n"
+            f"Designed by\n\n    {command}\n\nRecords that are conditional on the pose error, "
+            f"measured on random scenes:\n\n{figures}\n\n## The record of a line\n\n"
             f"{self.writer.table()}\n"
         )
-        with whole_file(dbc) as part, whole_file(page) as part_of_page:
-            part.write_text(self.writer.dbc())
-            part_of_page.write_text(text)
-        return dbc, page
+        return write_dbc(self.writer, path, lambda name: f"# {name}\n\n{text}")
 
 
 def fields() -> dict[str, SignalSpec]:

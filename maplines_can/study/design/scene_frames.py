@@ -24,14 +24,13 @@ from typing import Any
 import numpy as np
 
 from ...values.errors import LayoutError
-from ...values.output_files import whole_file
 from ...wire import Codec
 from ...wire.layout.message_layout import Layout
 from ...wire.layout.record_signals import OCTAVE, OWN_SIGNALS, PARAMETER_SIGNALS
-from ..dbc.dbc_writer import DbcWriter, SceneSpec, SignalSpec
+from ..dbc.dbc_writer import DbcWriter, SceneSpec, SignalSpec, write_dbc
 from ..dbc.record_spec import CONDITIONAL, POSE, WHOLE_SCENES
 from ..scenes.map_scenes import DrawnScene
-from ..scenes.sigma_ratios import LANE_AT, LINE_AT, Ratios, excess, measured, merged
+from ..scenes.sigma_ratios import LANE_AT, LINE_AT, Ratios, excess, headings, measured, merged
 from ..text_table import aligned, markdown
 from .planner import INFLATION
 
@@ -84,7 +83,7 @@ class WholeSceneDesign:
 
     def _tables(self, table: Callable[[Sequence[Sequence[str]]], str]) -> Iterator[str]:
         for scenes, by_fields in self.figures.items():
-            rows = [("", "left out", "wider", "loss", *map(_heading, PLACES))]
+            rows = [("", "left out", "wider", "loss", *headings(PLACES))]
             for name, of_maps in by_fields.items():
                 every = Ratios.sum(of_maps.values())
                 rows.append((f"{name}", *_cells(every, self.losses[scenes][name])))
@@ -133,17 +132,12 @@ class WholeSceneDesign:
 
     def write(self, path: str | Path, command: str) -> tuple[Path, Path]:
         """Write the DBC, and its page with the same name and the suffix ``.md``."""
-        dbc = Path(path).with_suffix(".dbc")
-        page = dbc.with_suffix(".md")
         tables = "\n".join(self._tables(lambda rows: "\n" + markdown(rows, left=1)))
         text = (
-            f"# {dbc.name}\n\n{self._about()}.\n\nDesigned by\n\n    {command}\n\n{tables}\n"
+            f"{self._about()}.\n\nDesigned by\n\n    {command}\n\n{tables}\n"
             f"## The record\n\n{self.writer.table()}\n"
         )
-        with whole_file(dbc) as part, whole_file(page) as part_of_page:
-            part.write_text(self.writer.dbc())
-            part_of_page.write_text(text)
-        return dbc, page
+        return write_dbc(self.writer, path, lambda name: f"# {name}\n\n{text}")
 
 
 #: What is compared, and where [m].
@@ -155,17 +149,10 @@ PLACES = (
 TODAY, SHIPPED, FOUND = "maplines-pose.dbc", "maplines-scene.dbc", "found"
 
 
-def _heading(place: tuple[str, float]) -> str:
-    return f"{place[0]} {place[1]:g} m"
-
-
-def _cells(ratios: Ratios, loss: float) -> Iterator[str]:
-    """Yield the cells of figures."""
-    yield f"{100 * ratios.left_out_share:.2g} %"
-    yield f"{100 * ratios.wider_share:.2g} %"
-    yield f"{loss:.2f}"
-    for what, x in PLACES:
-        yield " ".join(f"{ratios.quantile(what, x, share):.4g}" for share in (0.5, 0.99))
+def _cells(ratios: Ratios, loss: float) -> list[str]:
+    """Return the cells of figures."""
+    shares = (f"{100 * share:.2g} %" for share in (ratios.left_out_share, ratios.wider_share))
+    return [*shares, f"{loss:.2f}", *ratios.cells(PLACES)]
 
 
 # ---- fields -------------------------------------------------------------------------------------

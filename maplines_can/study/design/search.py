@@ -19,10 +19,9 @@ import numpy as np
 
 from ...values.errors import LayoutError
 from ...values.line import Slot, Status
-from ...values.output_files import whole_file
 from ...wire import Codec, Layout
 from ...wire.layout.record_signals import PARAMETER_SIGNALS
-from ..dbc.dbc_writer import DbcWriter
+from ..dbc.dbc_writer import DbcWriter, write_dbc
 from ..metrics import LATERAL_X, evaluate
 from ..sets import Gaussians, paper, road, survey
 from ..text_table import aligned, markdown
@@ -165,12 +164,7 @@ class Design:
 
     def write(self, path: str | Path, command: str = "") -> tuple[Path, Path]:
         """Write the DBC, and its page with the same name and the suffix ``.md``."""
-        dbc = Path(path).with_suffix(".dbc")
-        page = dbc.with_suffix(".md")
-        with whole_file(dbc) as part, whole_file(page) as part_of_page:
-            part.write_text(self.writer.dbc())
-            part_of_page.write_text(self.page(dbc.name, command))
-        return dbc, page
+        return write_dbc(self.writer, path, lambda name: self.page(name, command))
 
 
 def _percent(share: float) -> str:
@@ -180,6 +174,8 @@ def _percent(share: float) -> str:
 def _millimetres(length: float) -> str:
     return f"{1000 * length:.3g}"
 
+
+# ---- the search ---------------------------------------------------------------------------------
 
 #: Sets of lines to design for, by the name of the choice.
 SETS = {"paper": (paper,), "road": (road,), "survey": (survey,), "both": (paper, road)}

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from ...maps import Lane, LaneType, Map
 from ...values.line import Kind
-from ...values.output_files import whole_file
 from ...values.polyline import Polyline
-from .paper_panels import new_figure
+from .paper_panels import new_figure, save_figure
 
 #: Colours of the surfaces, and the types of lanes that have them. Later ones are drawn above.
 SURFACES: dict[str, tuple[str, frozenset[LaneType]]] = {
@@ -127,8 +126,7 @@ def draw_map(road_map: Map, path: str | Path) -> None:
     figure.legend(
         handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=8.5
     )
-    with whole_file(path) as part:
-        figure.savefig(part, dpi=DPI, format=Path(path).suffix[1:])
+    save_figure(figure, path, DPI)
 
 
 def _draw(

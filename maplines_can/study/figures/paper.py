@@ -20,7 +20,6 @@ from ...simulation.scenarios import SCENARIOS, Scenario
 from ...values.errors import missing_extra
 from ...values.gaussian import Gaussian
 from ...values.line import Slot, lateral, lateral_jacobian
-from ...values.output_files import whole_file
 from ...values.polyline import to_ego
 from ...wire import Codec
 from ..metrics import LATERAL_X
@@ -39,6 +38,7 @@ from .paper_panels import (
     draw_mean,
     draw_poses,
     place_inset,
+    save_figure,
 )
 
 Array = NDArray[np.float64]
@@ -123,6 +123,8 @@ def close_up(view: PanelView) -> PanelView:
     """Return the view of the vicinity of the car."""
     return replace(view, band=np.empty((0, 60)), limits=(-2.6, 2.6, -2.6, 2.6), arrow=0.6, fan=2.3)
 
+
+# ---- figures ------------------------------------------------------------------------------------
 
 #: Samples drawn as dots; more would hide each other.
 DOTS = 3000
@@ -271,8 +273,7 @@ def draw_figures(
         for name, figure in _figures(cases, seed, codec):
             for suffix in formats:
                 paths.append(out / f"{name}.{suffix}")
-                with whole_file(paths[-1]) as part:
-                    figure.savefig(part, dpi=DPI, metadata=METADATA[suffix], format=suffix)
+                save_figure(figure, paths[-1], DPI, metadata=METADATA[suffix])
                 if progress is not None:
                     progress(len(paths), len(figure_paths(out, formats)))
     return paths

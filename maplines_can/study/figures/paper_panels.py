@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from ...values.errors import missing_extra
 from ...values.gaussian import Gaussian
 from ...values.line import lateral
+from ...values.output_files import whole_file
 
 Array = NDArray[np.float64]
 
@@ -104,12 +106,18 @@ def new_figure(width: float, height: float) -> Any:
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def save_figure(figure: Any, path: str | Path, dpi: int, **options: Any) -> None:
+    """Write a figure as a whole or not at all; the suffix of the path is the format."""
+    with whole_file(path) as part:
+        figure.savefig(part, dpi=dpi, format=Path(path).suffix[1:], **options)
+
+
 def draw_lines(
     ax: Any, lines: Array, x_range: tuple[float, float], colour: str, width: float, alpha: float
 ) -> None:
     """Draw (N, 4) lines, each as one Bezier segment: it is exact and keeps an SVG small."""
     from matplotlib.collections import PathCollection
-    from matplotlib.path import Path
+    from matplotlib.path import Path as Curve
 
     x = np.linspace(*x_range, 4)
     start, stop = lateral(lines[:, None], x[[0, -1]]).T
@@ -117,10 +125,10 @@ def draw_lines(
     slope_start, slope_stop = (np.tan(beta) + x[[0, -1]] * (c0 + x[[0, -1]] * c1 / 2)).T
     third = x[1] - x[0]
     y = np.column_stack([start, start + third * slope_start, stop - third * slope_stop, stop])
-    codes = [Path.MOVETO, Path.CURVE4, Path.CURVE4, Path.CURVE4]
+    codes = [Curve.MOVETO, Curve.CURVE4, Curve.CURVE4, Curve.CURVE4]
     ax.add_collection(
         PathCollection(
-            [Path(np.column_stack([x, row]), codes) for row in y],
+            [Curve(np.column_stack([x, row]), codes) for row in y],
             facecolors="none",
             edgecolors=colour,
             linewidths=width,

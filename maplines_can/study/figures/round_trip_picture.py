@@ -10,9 +10,8 @@ import numpy as np
 from ...simulation.scenarios import Scenario
 from ...values.gaussian import Gaussian
 from ...values.line import MapLine
-from ...values.output_files import whole_file
 from ..round_trip import RoundTrip
-from .paper_panels import Z99, ellipse, new_figure
+from .paper_panels import Z99, ellipse, new_figure, save_figure
 
 #: Okabe and Ito's colours, which colour-blind readers can distinguish.
 COLOURS = (
@@ -55,8 +54,7 @@ def draw_round_trip(trip: RoundTrip, scenario: Scenario, path: str | Path) -> No
     axes[1].set_xlabel("x, ahead of the car [m]")
     for ax in axes:
         ax.spines[["top", "right"]].set_visible(False)
-    with whole_file(path) as part:
-        figure.savefig(part, dpi=150, format=Path(path).suffix[1:])
+    save_figure(figure, path, 150)
 
 
 def _draw_line(axes: Any, line: MapLine, colour: str, received: MapLine | None) -> None:

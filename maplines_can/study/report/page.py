@@ -12,7 +12,8 @@ from ...values.output_files import whole_file
 from ..codes import CODES
 from ..metrics import LATERAL_X
 from ..scenes.carriers import SCENE_HEAD, scene_cells
-from .results import MAX_KL, SUMMARY, Row, Tables, number, percent, read_tables, share, with_error
+from ..sweep.summary import Row
+from .results import MAX_KL, SUMMARY, Tables, number, percent, read_tables, share, with_error
 
 #: A code with the same widths on every set of the sweep: its rows of the summary.
 Variant = list[Row]
@@ -150,6 +151,8 @@ def bits_more(bits: int) -> str:
 def _words(frames: int) -> str:
     return f"{frames} classic CAN frame" + "s" * (frames != 1)
 
+
+# ---- the page -----------------------------------------------------------------------------------
 
 TITLE = "Covariance codes on the wire"
 #: (share column, label, column that is True if the share is guaranteed to be 0).

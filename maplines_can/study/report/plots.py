@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ...values.line import Status, lateral, lateral_jacobian
 from ..metrics import LATERAL_X
+from ..sweep.summary import Row
 from .drawing import (
     BLUE,
     INK,
@@ -29,7 +30,7 @@ from .drawing import (
     set_ticks,
     ticks,
 )
-from .results import MAX_KL, SUMMARY, Row, Tables, number, percent, share, with_error
+from .results import MAX_KL, SUMMARY, Tables, number, percent, share, with_error
 
 Array = NDArray[np.float64]
 
@@ -379,6 +380,8 @@ def _is_drawn(row: Row) -> bool:
     return kl is not None and 0 < kl < math.inf
 
 
+# ---- of one code at a time ----------------------------------------------------------------------
+
 #: Half the width of a drawn band, in standard deviations.
 BAND = 3.0
 #: True and decoded lines: colour, dash, and opacity of the band.
@@ -464,8 +467,7 @@ def _fields_view(tables: Tables, set_: str, code: str) -> dict[Any, Any]:
 
 def _two_errors(row: Row) -> float:
     """Return twice the standard error of the change, which is paired and therefore small."""
-    name = "kl_change_mean_se" if "kl_change_mean_se" in row else "kl_mean_se"
-    error = 2 * float(row[name])
+    error = 2 * float(row["kl_change_mean_se"])
     return error if math.isfinite(error) and error < row["kl_mean"] else 0.0
 
 

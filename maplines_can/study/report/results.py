@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from ...values.errors import StudyError, missing_extra
 from ..codes import CODES
-from ..metrics import LATERAL_X
-
-Row = dict[str, Any]
+from ..sweep.summary import SCHEMAS, Row
 
 #: Columns of the summary with a KL divergence, and their names in the report. The median comes
 #: first, because the mean is dominated by a few outliers of up to 1e10 times the median.
@@ -26,35 +23,8 @@ SUMMARY = {
 }
 #: The rate-distortion limit is an approximation for high rates, and does not hold for a larger KL.
 MAX_KL = 0.1
-#: The columns that the report reads from each table.
-COLUMNS: dict[str, list[str]] = {
-    "summary": [
-        *("set", "code", "finer_bits", "n", "seed", "covariance_bits", "record_bits"),
-        *("classic_frames", "definite_guarantee", "covering_guarantee"),
-        *("not_positive_definite", "not_positive_definite_se", "overconfident"),
-        *("overconfident_se", "saturated", "saturated_se", "out_of_range", "out_of_range_se"),
-        *(*SUMMARY, "kl_mean_se", "kl_untouched_mean_se"),
-        *(f"mean_error_{kind}_{x:g}" for kind in ("rms", "max") for x in LATERAL_X),
-        *(f"sigma_ratio_{kind}_{x:g}" for kind in ("min", "p50", "p99") for x in LATERAL_X),
-        "gaussians_per_second",
-    ],
-    "fields": [
-        *("set", "code", "field", "delta_bits", "covariance_bits"),
-        *("kl_mean", "kl_mean_se", "saturated", "lateral_rms_80"),
-    ],
-    "worst": [
-        *("set", "code", "rank", "kl", "status"),
-        *(f"{side}mean_{i}" for side in ("", "decoded_") for i in range(4)),
-        *(f"{side}cov_{i}{j}" for side in ("", "decoded_") for i in range(4) for j in range(4)),
-    ],
-    "limit": ["set", "part", "entropy_bits", "se_bits", "bias_bits", "kl", "bits"],
-    "scenes": [
-        *("lines", "code", "scenes", "has_joint", "frames", "mean_bits", "joint_bits"),
-        *("limit_bits", "over_bits", "not_positive_definite", "overconfident"),
-        *("kl_line_mean", "kl_line_p99", "kl_joint_mean", "left_out", "all_entries"),
-        *("far_p50", "far_p99", "width_p50", "width_p99", "centre_p50", "centre_p99"),
-    ],
-}
+#: The columns of the tables that the report reads.
+COLUMNS = {name: [*columns] for name, columns in SCHEMAS.items() if name != "terms"}
 
 
 @dataclass(frozen=True, eq=False)

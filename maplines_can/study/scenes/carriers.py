@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
-from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,7 +27,7 @@ from ...wire.layout.record_signals import (
     POSE_ROWS,
     TILT,
 )
-from ..comparison import AnyCodec, codec_for, transmit
+from ..comparison import AnyCodec, codec_for, sent_scene, transmit
 from ..dbc.dbc_writer import DbcWriter
 from ..dbc.record_spec import CONDITIONAL, DEFAULT, WHOLE_SCENES, dbc_writer_for
 from ..text_table import aligned
@@ -61,8 +60,6 @@ _FEWER_OF_COVARIANCE = -6
 X = 20.0
 #: Where single lines are, or at their ends [m].
 FAR = 80.0
-#: Signals that are no part of the joint covariance.
-_OTHERS = {*PARAMETER_SIGNALS, *FINE_SIGNALS, "XMin", "XMax", "CorrelationTime"}
 
 
 @lru_cache
@@ -94,11 +91,7 @@ def evaluations(code: str, scenes: Sequence[Scene]) -> Iterator[dict[str, Any]]:
 
 def with_pose(codec: AnyCodec, scene: Scene, *, fd: bool = False) -> dict[str, Any]:
     """Return the figures of a scene as sent by a codec with a message of the pose error."""
-    encoder, decoder = codec.encoder(), codec.decoder()
-    prepared = encoder.prepare_scene(scene, fd=fd)
-    frames = encoder.encode_scene(prepared, fd=fd)
-    for frame in chain.from_iterable(frames.values()):
-        decoder.feed(frame.can_id, frame.data, 0)
+    prepared, frames, decoded = sent_scene(codec, scene, fd=fd)
     lines, members = len(prepared.sent_slots), len(prepared.members)
     full = lines
     if codec.layout.scene is not None:
@@ -114,10 +107,8 @@ def with_pose(codec: AnyCodec, scene: Scene, *, fd: bool = False) -> dict[str, A
     }
     if codec.layout.is_conditional and full:
         row["mean_bits"] += full * _bits(codec, FINE_SIGNALS)
-    received = decoder.scene()
-    if received is None or not members:
+    if decoded is None or not members:
         return row
-    decoded = received.scene
     places = np.array([scene.index[line.slot] for line in decoded.lines])
     floor = noise_floor(decoded.means, decoded.fit_ranges, RESOLUTION)
     return row | compare(scene, places, decoded.means, decoded.cov, floor)
@@ -251,6 +242,8 @@ def _largest_ratio(error: Array, decoded: Array) -> float:
 
 Row = dict[str, Any]
 
+# ---- the table of random scenes -----------------------------------------------------------------
+
 #: The limit holds at high rates only: at this many bits for each parameter and more.
 MIN_RATE = 1.0
 #: Quantities of the ego lane.
@@ -361,25 +354,23 @@ def scenes_text(table: Sequence[Row]) -> str:
 def scene_cells(row: Row) -> list[str]:
     """Return the cells of a row of the table ``scenes``, for ``SCENE_HEAD``."""
 
-    def number(name: str, digits: int) -> str:
+    def known(name: str) -> float | None:
         value = row.get(name)
-        return "-" if value is None or value != value else f"{value:.{digits}g}"
+        return None if value is None or value != value else value
 
-    def whole(name: str) -> str:
-        value = row.get(name)
-        return "-" if value is None or value != value else f"{value:.0f}"
+    def cell(name: str, form: str) -> str:
+        return "-" if (value := known(name)) is None else f"{value:{form}}"
+
+    def share(name: str) -> str:
+        return f"{100 * value:.3g} %" if (value := known(name)) else "-" if value is None else "0"
 
     return [
         row["code"],
         f"{row['frames']:.1f}",
-        *(whole(name) for name in ("mean_bits", "joint_bits", "limit_bits", "over_bits")),
-        *(_share(row[name]) for name in ("not_positive_definite", "overconfident")),
-        *(number(name, 3) for name in ("kl_line_mean", "kl_line_p99", "kl_joint_mean")),
-        *(number(f"{name}_p{p}", 4) for name in ("far", *LANE) for p in (50, 99)),
-        _share(row["left_out"]),
-        _share(row["all_entries"]) if row["has_joint"] else "-",
+        *(cell(name, ".0f") for name in ("mean_bits", "joint_bits", "limit_bits", "over_bits")),
+        *(share(name) for name in ("not_positive_definite", "overconfident")),
+        *(cell(name, ".3g") for name in ("kl_line_mean", "kl_line_p99", "kl_joint_mean")),
+        *(cell(f"{name}_p{p}", ".4g") for name in ("far", *LANE) for p in (50, 99)),
+        share("left_out"),
+        share("all_entries") if row["has_joint"] else "-",
     ]
-
-
-def _share(value: float | None) -> str:
-    return "-" if value is None or value != value else f"{100 * value:.3g} %" if value else "0"

@@ -11,7 +11,6 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,8 @@ from ...values.errors import EncodeError
 from ...values.line import Slot, lateral_jacobian
 from ...values.scene import Scene
 from ...wire.layout.message_layout import Layout
-from ..comparison import AnyCodec, codec_for
+from ..comparison import AnyCodec, codec_for, sent_scene
+from ..metrics import LATERAL_X
 from ..text_table import aligned
 from .carriers import WITH_POSE
 from .map_scenes import DrawnScene
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 #: Places where lines are compared; a line that is fitted for less ahead, at its end if that is
 #: farther than the place before [m].
-LINE_AT = (0.0, 20.0, 40.0, 80.0)
+LINE_AT = LATERAL_X
 #: Places where width and centre of the ego lane are compared [m].
 LANE_AT = (0.0, 20.0, 40.0)
 #: Median and 99 % that a layout is to reach, of what is compared.
@@ -75,6 +75,13 @@ class Ratios:
         found = self.ratios.get((what, x))
         return float(np.quantile(found, share)) if found else np.nan
 
+    def cells(self, places: Iterable[tuple[str, float]]) -> list[str]:
+        """Return the medians and 99 % of what is compared at places, for a table."""
+        return [
+            " ".join(f"{self.quantile(what, x, share):.4g}" for share in (0.5, 0.99))
+            for what, x in places
+        ]
+
     @classmethod
     def sum(cls, several: Iterable[Ratios]) -> Ratios:
         """Return the figures of several."""
@@ -105,22 +112,18 @@ class Ratios:
 
     def add_scene(self, codec: AnyCodec, scene: Scene, *, fd: bool = True) -> Scene | None:
         """Send a scene, add what is received, and return it; None if no line is."""
-        encoder, decoder = codec.encoder(), codec.decoder()
         self.lines += len(scene.lines)
         try:
-            prepared = encoder.prepare_scene(scene, fd=fd)
+            sent = sent_scene(codec, scene, fd=fd)
         except EncodeError:  # the pose error does not fit, and so none of the lines
             self.left_out[POSE] += len(scene.lines)
             return None
-        self.left_out.update(reason.name for reason in prepared.unfit.values())
-        frames = encoder.encode_scene(prepared, fd=fd)
-        for frame in chain.from_iterable(frames.values()):
-            decoder.feed(frame.can_id, frame.data, 0)
-        view = decoder.scene()
-        if view is None or not view.scene.lines:
+        self.left_out.update(reason.name for reason in sent.prepared.unfit.values())
+        decoded = sent.received
+        if decoded is None or not decoded.lines:
             return None
-        self._compare(scene, view.scene)
-        return view.scene
+        self._compare(scene, decoded)
+        return decoded
 
     def _compare(self, scene: Scene, decoded: Scene) -> None:
         true = scene.subset([line.slot for line in decoded.lines])
@@ -202,6 +205,8 @@ def excess(ratios: Ratios) -> float:
     )
 
 
+# ---- the table of maps --------------------------------------------------------------------------
+
 #: What is shown, and where [m].
 PLACES = (("y", 0.0), ("y", 20.0), ("y", 80.0), ("width", 20.0), ("centre", 20.0))
 #: Name of all maps together.
@@ -227,9 +232,14 @@ def of_carriers(
     return found
 
 
+def headings(places: Iterable[tuple[str, float]]) -> list[str]:
+    """Return the headings of ``Ratios.cells``."""
+    return [f"{what} {x:g} m" for what, x in places]
+
+
 def ratios_text(found: Mapping[str, Mapping[str, Ratios]]) -> str:
     """Return the table, map by map."""
-    head = ("", "lines", "wider", "left out", *(f"{what} {x:g} m" for what, x in PLACES))
+    head = ("", "lines", "wider", "left out", *headings(PLACES))
     maps = list(next(iter(found.values())))
     parts = []
     for name in maps:
@@ -251,8 +261,5 @@ def _cells(ratios: Ratios) -> tuple[str, ...]:
         str(ratios.lines),
         f"{100 * ratios.wider_share:.2g} %",
         f"{100 * ratios.left_out_share:.2g} %" + (f" ({reasons})" if reasons else ""),
-        *(
-            " ".join(f"{ratios.quantile(what, x, share):.4g}" for share in (0.5, 0.99))
-            for what, x in PLACES
-        ),
+        *ratios.cells(PLACES),
     )

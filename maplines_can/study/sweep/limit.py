@@ -100,7 +100,6 @@ def limit_of(
     *,
     part: Literal["all", "covariance"] = "all",
     resolution: ArrayLike | None = None,
-    k: int = 1,
     seed: int = 0,
 ) -> Limit:
     """Estimate the bound of the source of a sample of Gaussians, by nearest neighbours.
@@ -108,7 +107,7 @@ def limit_of(
     The joint entropy is the sum of the marginal entropies minus the total correlation. The latter
     is the entropy of independent standard normal variables minus the joint entropy of the normal
     scores. This is exact and removes heavy tails. Each entropy is estimated from the distances to
-    the k-th neighbours (Kozachenko and Leonenko 1987; Kraskov, Stoegbauer and Grassberger, Phys.
+    the next neighbours (Kozachenko and Leonenko 1987; Kraskov, Stoegbauer and Grassberger, Phys.
     Rev. E 69, 066138, 2004); that of the scores with Mahalanobis distances of the local covariance
     of the neighbours, which adapts to a curved source (after Lord, Sun and Bollt, Chaos 28, 033114,
     2018). The error of the same procedure on a standard normal sample of the same size is
@@ -138,7 +137,6 @@ def limit_of(
         covs: (N, p, p) positive definite; N is at least 160 n.
         part: "all", n = p + p (p + 1) / 2 parameters, or "covariance", n = p (p + 1) / 2.
         resolution: (p,) variances added to each covariance, as by ``evaluate``; none by default.
-        k: the neighbour used, 1 to 10. More than 1 smooths more and reduces the error little.
         seed: of the split into batches and of the normal samples.
 
     Raises:
@@ -151,8 +149,6 @@ def limit_of(
     >>> print(f"{limit.entropy_bits:.1f}; exactly {0.5 + np.log2(10 * np.log(2)):.1f}")
     3.3; exactly 3.3
     """
-    if not 1 <= k <= NEIGHBOURS:
-        raise ValueError(f"k must be from 1 to {NEIGHBOURS}, got {k!r}")
     theta, log_volume, names = coordinates(means, covs, part, resolution)
     given, n = theta.shape
     _, first = np.unique(theta, axis=0, return_index=True)
@@ -168,8 +164,8 @@ def limit_of(
     if reason := _singular(theta, names):
         return Limit(nan, **sizes, entropy_se_bits=nan, bias_bits=nan, caveat=reason)
 
-    h, batches, filled = _estimates(theta, log_volume, k)
-    error, error_batches, normal_filled = _of_normal(samples, n, k, seed)
+    h, batches, filled = _estimates(theta, log_volume)
+    error, error_batches, normal_filled = _of_normal(samples, n, seed)
     shrinkage = BATCHES ** (-2 / n)
     step = batches.mean() - h - (np.mean(error_batches) - error)
     se = np.sqrt((batches.var(ddof=1) + np.var(error_batches, ddof=1)) / BATCHES)
@@ -245,37 +241,37 @@ def _singular(theta: Array, names: Sequence[str]) -> str:
     return ""
 
 
-def _estimates(theta: Array, log_volume: Array, k: int) -> tuple[float, Array, float]:
+def _estimates(theta: Array, log_volume: Array) -> tuple[float, Array, float]:
     """Return the entropy [nat] of all samples, of each batch, and the dimension they fill.
 
     ``theta`` has (N, n) coordinates in random order, ``log_volume`` the (N,) logarithms of the
     weight of a unit of volume.
     """
-    h, local_dimension = _entropy(theta, k)
+    h, local_dimension = _entropy(theta)
     size = len(theta) // BATCHES
     rows = [slice(i * size, (i + 1) * size) for i in range(BATCHES)]
-    h_batches = np.array([_entropy(theta[r], k)[0] + log_volume[r].mean() for r in rows])
+    h_batches = np.array([_entropy(theta[r])[0] + log_volume[r].mean() for r in rows])
     return h + float(log_volume.mean()), h_batches, local_dimension
 
 
 @lru_cache
-def _of_normal(samples: int, n: int, k: int, seed: int) -> tuple[float, tuple[float, ...], float]:
+def _of_normal(samples: int, n: int, seed: int) -> tuple[float, tuple[float, ...], float]:
     """Return the errors of ``_estimates`` for a standard normal sample."""
     x = np.random.default_rng([seed, samples, n]).standard_normal((samples, n))
     # Relative to the density at the points, so that their scatter does not count as an error.
     log_density = -((x**2).sum(axis=1) + n * np.log(2 * np.pi)) / 2
-    error, error_batches, local_dimension = _estimates(x, log_density, k)
+    error, error_batches, local_dimension = _estimates(x, log_density)
     return error, tuple(error_batches.tolist()), local_dimension
 
 
-def _entropy(theta: Array, k: int) -> tuple[float, float]:
+def _entropy(theta: Array) -> tuple[float, float]:
     """Return the uncorrected entropy [nat] of (N, n) coordinates, and the dimension they fill."""
     # In one dimension a few neighbours are close enough, and near ties do not matter.
     single = sum(_neighbours(x[:, None], NEIGHBOURS // 2, shaped=False)[0] for x in theta.T)
     scores = _normal_scores(theta)
     root = np.asarray(np.linalg.cholesky(np.atleast_2d(np.cov(scores.T))), dtype=float)
     white = np.asarray(np.linalg.solve(root, scores.T).T, dtype=float)
-    joint, local_dimension = _neighbours(white, k, shaped=True)
+    joint, local_dimension = _neighbours(white, 1, shaped=True)
     joint += np.log(root.diagonal()).sum()
     return single + joint - theta.shape[1] / 2 * np.log(2 * np.pi * math.e), local_dimension
 

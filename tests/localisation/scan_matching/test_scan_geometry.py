@@ -1,7 +1,6 @@
 """Parts of the scan matching: surfaces, cells, derivatives and covariances, each one by one."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,13 +10,10 @@ from hypothesis import strategies as st
 from maplines_can import Polyline
 from maplines_can.localisation.scan_matching import (
     ScanReference,
-    match_icp,
-    match_ndt,
     simulated_scan,
 )
 from maplines_can.localisation.scan_matching.match import (
     Minimum,
-    by_object,
     jacobian,
     no_match,
     placed,
@@ -53,14 +49,6 @@ def test_points_are_placed_by_the_pose(seed: int) -> None:
         w = 1e-6 * np.eye(3)[k]
         slope = (placed(scan, pose + w) - placed(scan, pose - w)) / 2e-6
         assert J[:, :, k] == pytest.approx(slope, abs=1e-7)
-
-
-def test_pulls_are_added_by_object() -> None:
-    rng = np.random.default_rng(0)
-    objects, pulls = np.array([7, 2, 7, 7, 5]), rng.standard_normal((5, 3, 2))
-    expected = [pulls[objects == k].sum(axis=0) for k in (2, 5, 7)]
-    assert by_object(objects, pulls) == pytest.approx(np.array(expected))
-    assert by_object(objects[:0], pulls[:0]).shape == (0, 3, 2)
 
 
 @pytest.mark.parametrize("map_error", [0.0, 0.3])
@@ -240,61 +228,3 @@ def test_the_noise_of_a_scan_is_as_stated() -> None:
     assert shares[blocked].min() >= 0.05
     sigma = 0.95 / math.sqrt(12 * blocked.sum())
     assert shares[blocked].mean() == pytest.approx(0.525, abs=4 * sigma)
-
-
-def test_rays_reach_as_far_as_they_are_told() -> None:
-    """To a wall 6.5 m away, whose ends they pass; a surface behind does not count."""
-    pose = np.array([1.0, 0.5, math.pi / 2])
-    for most, seen in ((6.4, False), (6.6, True)):
-        found = REFERENCE.ranges(pose, np.array([0.0]), most)
-        assert np.isfinite(found).tolist() == [seen]
-        assert not seen or found[0] == pytest.approx(6.5)
-    wall = ScanReference(Map({}, {}, buildings=(Polyline([[2.0, -1.0], [2.0, 1.0]]),)))
-    bearings = np.array(
-        [0.0, math.pi, math.atan2(0.99, 2), math.atan2(1.01, 2), math.atan2(-1.01, 2)]
-    )
-    found = wall.ranges(np.zeros(3), bearings, 50.0)
-    assert found == pytest.approx(
-        [2.0, math.nan, math.hypot(2, 0.99), math.nan, math.nan], nan_ok=True
-    )
-
-
-def test_the_match_moves_with_the_map() -> None:
-    """A map, a start and a scan that are shifted and turned give the same match, moved."""
-    rng = np.random.default_rng(7)
-    pose, turn, shift = np.array([1.0, 0.5, 0.3]), 0.5, np.array([4e5, 5e6])
-    scan = simulated_scan(REFERENCE, pose, rng)
-    c, s = math.cos(turn), math.sin(turn)
-    R = np.array([[c, -s], [s, c]])
-    there = ScanReference(
-        Map({}, {}, buildings=(Polyline(BOX.points @ R.T + shift),), landmarks=())
-    )
-    here = ScanReference(Map({}, {}, buildings=(BOX,)))
-    start = pose + np.array([0.1, -0.1, 0.01])
-    one = match_ndt(here, scan, start)
-    two = match_ndt(there, scan, np.append(R @ start[:2] + shift, start[2] + turn))
-    assert one.is_valid
-    assert two.is_valid
-    expected: Any = np.append(R @ one.pose[:2] + shift, one.pose[2] + turn)
-    assert two.pose == pytest.approx(expected, abs=0.03)  # the cells are others
-    assert one.pose == pytest.approx(pose, abs=0.03)
-
-
-@pytest.mark.parametrize("method", ["ndt", "icp"])
-def test_few_points_are_not_matched_at_all(method: str) -> None:
-    """Of 29, whatever they show: the pose is that of the start, and nothing is known of it."""
-    if method == "icp":
-        pytest.importorskip("small_gicp")
-    match = match_ndt if method == "ndt" else match_icp
-    scan = simulated_scan(REFERENCE, np.zeros(3), np.random.default_rng(1), false_share=0.0)
-    start = np.array([0.1, 0.1, 0.01])
-    found = match(REFERENCE, scan[:: len(scan) // 28][:29], start)
-    assert (found.is_valid, found.used) == (False, 0)
-    assert np.array_equal(found.pose, start)
-    assert np.isinf(found.cov.diagonal()).all()
-
-
-def test_a_scan_without_any_curvature_is_no_match() -> None:
-    found = result(minimum(np.zeros((3, 3)), 40, True), 40, (0.0, 0.0, 0.0), 0.0)
-    assert not found.is_valid
-    assert np.isinf(found.cov.diagonal()).all()

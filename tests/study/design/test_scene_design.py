@@ -102,11 +102,3 @@ def test_the_command_explains_the_widths_of_the_shipped_dbc(
     result = json.loads(capsys.readouterr().out)
     assert result["bits"] == {name: SHIPPED[name] for name in FEW}
     assert np.isfinite([cost["kl"] for cost in result["a_bit_less"].values()]).all()
-
-
-@pytest.mark.parametrize("option", [("--frames", "3"), ("--range", "y_off=16"), ("--keep-mean",)])
-def test_options_of_other_records_are_refused(
-    option: tuple[str, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["design", "--scenes", *option]) != 0
-    assert "--scenes must not be given with" in capsys.readouterr().err

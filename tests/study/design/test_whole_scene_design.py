@@ -127,10 +127,12 @@ def test_the_command_says_what_each_bit_is_for(
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        pytest.param(["--whole-scenes", "--frames", "3"], "must not be given with", id="frames"),
-        pytest.param(["--whole-scenes", "--scenes"], "must not be given with", id="scenes"),
-        pytest.param(["--rounds", "1", "--max-kl", "1"], "need --whole-scenes", id="rounds"),
-        pytest.param(["--whole-scenes", "--map", "none.xodr"], "none.xodr", id="no-map"),
+        (["--whole-scenes", "--frames", "3"], "must not be given with"),
+        (["--whole-scenes", "--scenes"], "must not be given with"),
+        (["--rounds", "1", "--max-kl", "1"], "need --whole-scenes"),
+        (["--whole-scenes", "--map", "none.xodr"], "none.xodr"),
+        (["--scenes", "--frames", "3"], "--scenes must not be given with"),
+        (["--scenes", "--keep-mean"], "--scenes must not be given with"),
     ],
 )
 def test_options_of_other_records_are_refused(

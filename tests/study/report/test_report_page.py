@@ -1,6 +1,5 @@
-"""The HTML report: its content, and errors for unusable tables."""
+"""The HTML report: its content, the code that it recommends, and errors for unusable tables."""
 
-import argparse
 import math
 import re
 import sys
@@ -10,11 +9,13 @@ from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
+from support.study_helpers import small
 from support.sweep_tables import SETS, USED, N, write
 
-from maplines_can.cli.report import add_report
-from maplines_can.study.report.page import write_report
-from maplines_can.study.report.results import COLUMNS, read_tables
+from maplines_can.cli import main
+from maplines_can.study.report.page import choices, write_report
+from maplines_can.study.report.results import COLUMNS, Tables, read_tables
+from maplines_can.study.sweep.run import run_study
 from maplines_can.values.errors import MissingExtraError, StudyError
 
 
@@ -53,9 +54,6 @@ def one_set(rows: Any) -> Any:
     }
 
 
-# ---- the file ---------------------------------------------------------------------
-
-
 def test_nothing_is_loaded_from_other_files(page: Any, report: Any) -> None:
     """There is no link and no import, and the content security policy forbids them."""
     assert page.links == []
@@ -79,20 +77,11 @@ def test_every_code_set_and_section_is_there(page: Any) -> None:
     assert len([a for t, a in page.elements if t == "table"]) == 3 + 7 * len(SETS)
 
 
-def test_codes_on_scenes_are_shown_with_their_bits_over_the_joint_limit(
-    page: Any, one_set: Any, tmp_path: Path
-) -> None:
-    """For 4 and 8 lines; without scenes the page says that there are none."""
-    text = page.text()
-
-    assert "40 scenes of 4 lines" in text
-    assert "Cholesky32.0616840308100100 %" in text
-    assert "PoseConditional32.06168403081000" in text
-    none = write(tmp_path / "none", one_set)
-    columns = pq.read_schema(none / "scenes.parquet")
-    pq.write_table(columns.empty_table(), none / "scenes.parquet")
-    text = Page(write_report(none, tmp_path / "none.html").read_text("utf-8")).text()
-    assert "Scenes: lines of one pose The sweep did not compute this." in text
+def test_codes_on_scenes_are_shown_with_their_bits_over_the_joint_limit(page: Any) -> None:
+    """For 4 and 8 lines."""
+    for text in ("40 scenes of 4 lines", "Cholesky32.0616840308100100 %",
+                 "PoseConditional32.06168403081000"):  # fmt: skip
+        assert text in page.text()
 
 
 def test_a_name_is_text_and_never_markup(page: Any, report: Any) -> None:
@@ -143,31 +132,21 @@ def test_the_limit_is_linear_in_log_kl(folder: Any) -> None:
 
 
 def test_missing_sections_are_reported(one_set: Any, tmp_path: Path) -> None:
-    """A sweep without fields, worst cases and limit still gives a report."""
+    """A sweep without fields, worst cases, limit and scenes still gives a report."""
     folder = write(tmp_path / "sweep", one_set)
-    for name in ("fields", "worst", "limit"):
+    for name in ("fields", "worst", "limit", "scenes"):
         schema = pq.read_schema(folder / f"{name}.parquet")
         pq.write_table(schema.empty_table(), folder / f"{name}.parquet")
-
     text = Page(write_report(folder, tmp_path / "a.html").read_text("utf-8")).text()
-
-    assert text.count("The sweep did not compute this.") == 2
+    assert text.count("The sweep did not compute this.") == 3
+    assert "Scenes: lines of one pose The sweep did not compute this." in text
 
 
 def test_the_tables_of_a_sweep_are_read(tmp_path: Path) -> None:
     """Sweep and report use the same names of columns."""
-    from maplines_can.study.sets import line_set
-    from maplines_can.study.sweep.plan import Study
-    from maplines_can.study.sweep.run import run_study
-
-    study = Study(
-        [line_set("paper")], codes=("Cholesky", "Linear"), finer_bits=(0,), n=200, chunk_size=200,
-        fields_n=200, limit_n=0, scenes_n=1,
-    )  # fmt: skip
+    study = small(n=200, chunk_size=200, fields_n=200, scenes_n=1)
     run_study(study, tmp_path / "sweep", jobs=1)
-
     text = Page(write_report(tmp_path / "sweep", tmp_path / "a.html").read_text("utf-8")).text()
-
     assert "Cholesky: 0 not definite and 0 overconfident of 200 Gaussians." in text
 
 
@@ -195,40 +174,25 @@ def test_item_12_the_page_leads_with_the_choice_and_defines_its_terms(
 # ---- errors -----------------------------------------------------------------------
 
 
-def damaged(folder: Any, how: Any) -> Any:
-    path = folder / "summary.parquet"
-    if how == "folder":
-        return folder / "nowhere"
-    if how == "missing":
-        path.unlink()
-    elif how == "corrupt":
-        path.write_bytes(path.read_bytes()[:-100])
-    elif how == "text":
-        path.write_text("set,code\n")
-    elif how == "columns":
-        pq.write_table(pq.read_table(path).drop_columns(["kl_mean", "n"]), path)
-    elif how == "empty":
-        pq.write_table(pq.read_schema(path).empty_table(), path)
-    return folder
-
-
 @pytest.mark.parametrize(
-    ("how", "words"),
+    ("damage", "words"),
     [
-        pytest.param("folder", "there is no such folder", id="folder-missing"),
-        pytest.param("missing", r"summary\.parquet: is missing", id="table-missing"),
-        pytest.param("corrupt", r"summary\.parquet: cannot be read as Parquet", id="cut-short"),
-        pytest.param("text", r"summary\.parquet: cannot be read as Parquet", id="not-parquet"),
-        pytest.param("columns", r"summary\.parquet: lacks the columns n, kl_mean", id="columns"),
-        pytest.param("empty", r"summary\.parquet: has no rows", id="no-rows"),
+        (lambda path: path.unlink(), r"summary\.parquet: is missing"),
+        (lambda path: path.write_bytes(path.read_bytes()[:-100]), "cannot be read as Parquet"),
+        (lambda path: path.write_text("set,code\n"), "cannot be read as Parquet"),
+        (lambda path: pq.write_table(pq.read_table(path).drop_columns(["kl_mean", "n"]), path),
+         "lacks the columns n, kl_mean"),
+        (lambda path: pq.write_table(pq.read_schema(path).empty_table(), path), "has no rows"),
     ],
-)
-def test_unusable_tables_raise(rows: Any, tmp_path: Path, how: str, words: str) -> None:
+    ids=["missing", "cut-short", "not-parquet", "columns", "no-rows"],
+)  # fmt: skip
+def test_unusable_tables_raise(rows: Any, tmp_path: Path, damage: Any, words: str) -> None:
     """The message names the file, and nothing is written."""
-    folder = damaged(write(tmp_path / "sweep", rows), how)
-
+    damage(write(tmp_path / "sweep", rows) / "summary.parquet")
     with pytest.raises(StudyError, match=words):
-        write_report(folder, tmp_path / "out" / "report.html")
+        write_report(tmp_path / "sweep", tmp_path / "out" / "report.html")
+    with pytest.raises(StudyError, match="there is no such folder"):
+        write_report(tmp_path / "nowhere", tmp_path / "out" / "report.html")
     assert not (tmp_path / "out").exists()
 
 
@@ -245,15 +209,91 @@ def test_a_missing_extra_is_named(
 
 
 def test_the_command(one_set: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The command passes its arguments on, and the title is escaped; no column is listed twice."""
-    parser = argparse.ArgumentParser()
-    add_report(parser.add_subparsers())
-    out = tmp_path / "report.html"
-    folder = write(tmp_path / "sweep", one_set)
-    arguments = parser.parse_args(["report", str(folder), "--out", str(out), "--title", "a<b>&"])
-
-    assert arguments.run(arguments) == 0
-    assert "<title>a&lt;b&gt;&amp;</title>" in out.read_text("utf-8")
-    assert "<h1>a&lt;b&gt;&amp;</h1>" in out.read_text("utf-8")
+    """The title is escaped; no column is listed twice."""
+    out, folder = tmp_path / "report.html", write(tmp_path / "sweep", one_set)
+    assert main(["study", "report", str(folder), "--out", str(out), "--title", "a<b>&"]) == 0
+    for tag in ("title", "h1"):
+        assert f"<{tag}>a&lt;b&gt;&amp;</{tag}>" in out.read_text("utf-8")
     assert "report.html: " in capsys.readouterr().err
     assert all(len(set(columns)) == len(columns) for columns in COLUMNS.values())
+
+
+# ---- the choice of a code -----------------------------------------------------------------------
+
+
+def row(code: str, frames: int, kl: float, **more: Any) -> dict[str, Any]:
+    """Return what the choice reads of a row of the summary."""
+    return {
+        "set": "road",
+        "code": code,
+        "finer_bits": 0,
+        "classic_frames": frames,
+        "covariance_bits": 25 * frames,
+        "not_positive_definite": 0.0,
+        "overconfident": 0.0,
+        "definite_guarantee": False,
+        "covering_guarantee": False,
+        "kl_p99": kl,
+    } | more
+
+
+def chosen(*rows: dict[str, Any]) -> list[tuple[str, str]]:
+    tables = Tables(list(rows), [], [], [], [])
+    return [(choice.advice, choice.reason) for choice in choices(tables)]
+
+
+def test_item_12_the_least_kl_of_the_valid_codes_is_chosen() -> None:
+    """A code that is overconfident is not valid, however small its KL; the reason names both."""
+    ((advice, reason),) = chosen(
+        row("Good", 4, 0.01, definite_guarantee=True, covering_guarantee=True),
+        row("Wide", 4, 3.0),
+        row("Narrow", 4, 1e-9, overconfident=0.25),
+        row("Broken", 4, 1e-9, not_positive_definite=0.5),
+        row("Nothing", 4, 40.0, covariance_bits=0),
+    )
+    assert advice == "For 4 classic CAN frames choose Good: 100 bits for the covariance."
+    assert "by construction" in reason
+    assert "a KL up to 0.01 nat, as if all four standard deviations were 5.2 % too large" in reason
+    assert "the least of the valid codes: 3 nat with Wide." in reason
+    assert "Narrow is overconfident for up to 25 % of the Gaussians" in reason
+    assert "Broken is not positive definite for up to 50 % of the Gaussians" in reason
+    assert "Nothing sends no covariance" in reason
+
+
+def test_item_12_the_worst_set_decides() -> None:
+    """A code that is valid on one set only is not chosen, nor one that is better on one set."""
+    ((advice, _),) = chosen(
+        row("Even", 4, 0.02),
+        row("Even", 4, 0.02, set="paper"),
+        row("Uneven", 4, 0.001),
+        row("Uneven", 4, 0.5, set="paper"),
+        row("Invalid", 4, 0.001),
+        row("Invalid", 4, 0.001, set="paper", overconfident=1e-4),
+        row("Missing", 4, 0.0001),
+    )
+    assert advice.startswith("For 4 classic CAN frames choose Even:")
+
+
+def test_item_12_there_is_a_choice_where_it_changes() -> None:
+    """None where no code is valid; more frames only if they improve the KL."""
+    advice = [
+        text
+        for text, _ in chosen(
+            row("Bad", 1, 1.0, overconfident=0.1),
+            row("Good", 4, 0.01),
+            row("Good", 5, 0.001, finer_bits=2),
+            row("Late", 6, 0.1),
+        )
+    ]
+    assert advice == [
+        "For 1 classic CAN frame choose none.",
+        "For 4 classic CAN frames choose Good: 100 bits for the covariance.",
+        "For 5 classic CAN frames choose Good with 2 bits more in each field: 125 bits for the "
+        "covariance.",
+    ]
+
+
+@pytest.mark.parametrize("kl", [math.nan, math.inf])
+def test_a_kl_that_is_not_finite_is_the_worst(kl: float) -> None:
+    ((advice, _),) = chosen(row("Endless", 4, kl), row("Good", 4, 9.0))
+    assert "choose Good" in advice

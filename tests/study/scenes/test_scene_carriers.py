@@ -32,54 +32,42 @@ def test_joints_with_the_pose_error_cover_and_others_do_not(figures: Any) -> Non
         assert all(row["overconfident"] == (code not in WITH_POSE) for row in rows), code
 
 
+def bits_of(signals: Any, *starts: str) -> int:
+    return sum(signal.length for name, signal in signals.items() if name.startswith(starts))
+
+
+OF_POSE = ("Pivot", "Ratio", "Inflation", "Map")
+LEVELS = ("HasCovariance", "OwnLateral", "OwnTilt", "OwnPoints", "OwnShape", "Quartic")
+
+
 def test_bits_and_frames_are_those_of_the_dbcs(figures: Any) -> None:
-    """77 bits of the mean and 105 of the covariance of a line today, and the pose error once."""
-    for lines, row in zip((2, 3, 4), figures["Cholesky"], strict=True):
+    """The mean and the covariance of each line, its levels, and the pose error once."""
+    both, apart, whole = (
+        codec_of(name).layout for name in ("Cholesky and Pose", "PoseConditional", "Scene, FD")
+    )
+    assert both.pose is not None
+    assert apart.pose is not None
+    assert whole.scene is not None
+    one = sum(both.pose[f"EgoLeft{name}"].length for name in LEVELS[1:] if name != "OwnTilt")
+    for k, lines in enumerate((2, 3, 4)):
+        row = figures["Cholesky"][k]
         counts = row["frames"], row["mean_bits"], row["joint_bits"]
         assert counts == (4 * lines, 77 * lines, 105 * lines)
-    for lines, row in zip((2, 3, 4), figures["Cholesky and Pose"], strict=True):
-        pose = codec_of("Cholesky and Pose").layout.pose
-        assert pose is not None
-        names = ("OwnLateral", "OwnPoints", "OwnShape", "Quartic")
-        levels = sum(pose[f"EgoLeft{name}"].length for name in names)
-        own = sum(
-            signal.length
-            for name, signal in pose.signals.items()
-            if name.startswith(("Pivot", "Ratio", "Inflation", "Map"))
-        )
-        assert row["frames"] == 4 * lines + pose.pages
-        assert row["joint_bits"] == own + (105 + levels) * lines
-
-
-def test_a_conditional_record_with_levels_takes_fewer_bits(figures: Any) -> None:
-    """One with all entries takes those of a covariance more."""
-    layout = codec_of("PoseConditional").layout
-    names = ("HasCovariance", "OwnLateral", "OwnPoints", "OwnShape", "Quartic")
-    levels = sum(layout[name].length for name in names)
-    assert layout.pose is not None
-    pose = sum(
-        signal.length
-        for name, signal in layout.pose.signals.items()
-        if name.startswith(("Pivot", "Ratio", "Inflation", "Map"))
-    )
-    for lines, row in zip((2, 3, 4), figures["PoseConditional"], strict=True):
-        full = row["all_entries"]
+        row = figures["Cholesky and Pose"][k]
+        assert row["frames"] == 4 * lines + both.pose.pages
+        assert row["joint_bits"] == bits_of(both.pose.signals, *OF_POSE) + (105 + one) * lines
+        row = figures["PoseConditional"][k]
+        full, levels = row["all_entries"], bits_of(apart.signals, *LEVELS)
+        pose = bits_of(apart.pose.signals, *OF_POSE)
         assert row["joint_bits"] == pose + lines * levels + full * 105
-        assert row["frames"] == 2 + 2 * lines + 2 * full
-        assert row["left_out"] == 0
-
-
-def test_a_whole_scene_is_one_frame_of_levels(figures: Any) -> None:
-    """Its covariance takes the bits of the pose error and of the levels; no entries."""
-    layout = codec_of("Scene, FD").layout
-    assert layout.scene is not None
-    starts = ("Pivot", "Ratio", "Inflation", "Map")
-    pose = sum(signal.length for k, signal in layout.scene.signals.items() if k.startswith(starts))
-    own = sum(layout[f"Own{name}"].length for name in ("Lateral", "Tilt", "Points", "Shape"))
-    mean = sum(layout[name].length for name in ("YOff", "Beta", "C0", "C1"))
-    for lines, row in zip((2, 3, 4), figures["Scene, FD"], strict=True):
+        assert (row["frames"], row["left_out"]) == (2 + 2 * lines + 2 * full, 0)
+        row = figures["Scene, FD"][k]
         assert (row["frames"], row["all_entries"], row["left_out"]) == (1, 0, 0)
-        assert (row["mean_bits"], row["joint_bits"]) == (lines * mean, pose + lines * own)
+        assert row["mean_bits"] == lines * sum(
+            whole[x].length for x in ("YOff", "Beta", "C0", "C1")
+        )
+        pose = bits_of(whole.scene.signals, *OF_POSE)
+        assert row["joint_bits"] == pose + lines * bits_of(whole.signals, *LEVELS)
         assert len(row["far"]) == lines
         assert all(1 <= ratio < 1.1 for ratio in row["far"])
     for row in figures["PoseConditional, FD"]:
@@ -100,48 +88,30 @@ def scene_of(pose_sigma: float, own_sigma: float) -> Scene:
     return Scene(tuple(lines), cov, error, np.array([[0, 60], [0, 60]]))
 
 
-def test_the_same_covariance_has_no_divergence() -> None:
-    """Its sigmas have the ratio 1."""
-    scene = scene_of(0.2, 0.05)
-    row = compare(scene, np.arange(2), scene.means, scene.cov * (1 + 1e-9), NOTHING)
-
-    assert row["kl_joint"] == pytest.approx(0, abs=1e-12)
-    assert not row["overconfident"]
-    assert (row["width"], row["centre"]) == (pytest.approx(1), pytest.approx(1))
-    assert row["far"] == [pytest.approx(1)] * 2
-
-
-def test_independent_lines_have_the_divergence_of_their_correlation() -> None:
-    """-1/2 ln(1 - r^2), as of two Gaussian variables; the width seems too uncertain."""
+def test_divergences_of_joints_are_those_of_closed_forms() -> None:
+    """None of the same; of independent lines that of their correlation; none if indefinite."""
     pose, own = 0.2, 0.05
     scene = scene_of(pose, own)
+
+    def figures(cov: Any, shift: float = 0.0) -> Any:
+        means = scene.means + np.array([shift, 0, 0, 0])
+        return compare(scene, np.arange(2), means, cov, NOTHING)
+
+    same = figures(scene.cov * (1 + 1e-9))
+    assert same["kl_joint"] == pytest.approx(0, abs=1e-12)
+    assert not same["overconfident"]
+    assert [same["width"], same["centre"], *same["far"]] == pytest.approx([1] * 4)
     apart = scene.cov.copy()
     apart[:4, 4:] = apart[4:, :4] = 0
-    row = compare(scene, np.arange(2), scene.means, apart, NOTHING)
-    r = pose**2 / (pose**2 + own**2)
-
-    assert row["kl_joint"] == pytest.approx(-math.log(1 - r**2) / 2)
+    row, r = figures(apart), pose**2 / (pose**2 + own**2)
+    assert row["kl_joint"] == pytest.approx(-math.log(1 - r**2) / 2)  # of two Gaussian variables
     assert row["kl_lines"] == pytest.approx([0, 0], abs=1e-12)
     assert row["overconfident"]
-    assert row["width"] > 2
-    assert row["centre"] < 1
-
-
-def test_errors_of_means_must_be_covered() -> None:
-    """A decoded covariance without them is overconfident."""
-    scene = scene_of(0.2, 0.05)
-    means = scene.means + np.array([0.03, 0, 0, 0])
-
-    assert compare(scene, np.arange(2), means, scene.cov * 1.001, NOTHING)["overconfident"]
-
-
-def test_an_indefinite_covariance_is_none() -> None:
-    """Its divergence is infinite."""
-    scene = scene_of(0.2, 0.05)
-    cov = scene.cov.copy()
-    cov[0, 4] = cov[4, 0] = 2 * cov[0, 0]
-    row = compare(scene, np.arange(2), scene.means, cov, NOTHING)
-
+    assert row["centre"] < 1 < 2 < row["width"]
+    assert figures(scene.cov * 1.001, 0.03)["overconfident"]  # errors of means must be covered
+    bad = scene.cov.copy()
+    bad[0, 4] = bad[4, 0] = 2 * bad[0, 0]
+    row = figures(bad)
     assert row["not_positive_definite"]
     assert row["overconfident"]
     assert math.isinf(row["kl_joint"])

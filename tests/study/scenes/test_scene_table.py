@@ -1,5 +1,6 @@
-"""The table of codes on scenes, alone and in a study."""
+"""The tables of codes on scenes: of a study, and of maps."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -7,8 +8,11 @@ import numpy as np
 import pytest
 from support.study_helpers import small, tables
 
+from maplines_can.cli import main
 from maplines_can.study.scenes.carriers import AT_SCENE_BITS, WITH_POSE, scene_figures, scenes_text
+from maplines_can.study.scenes.map_scenes import ROADS
 from maplines_can.study.scenes.random_scenes import box
+from maplines_can.study.scenes.sigma_ratios import ALL, Ratios, ratios_text
 from maplines_can.study.sweep import plan
 from maplines_can.study.sweep.run import run_study
 from maplines_can.study.sweep.summary import SCHEMAS, summary_text
@@ -93,3 +97,36 @@ def test_a_study_compares_codes_on_scenes(tmp_path: Path, monkeypatch: pytest.Mo
     assert progress[-1] == (50 + 3 * 2 + 3 * 3,) * 2
     of_scenes = summary_text(result["summary"], result["terms"], result["scenes"])
     assert "3 scenes of 2 lines" in of_scenes
+
+
+# ---- maps ---------------------------------------------------------------------------------------
+
+
+def test_each_kind_of_records_is_measured_on_each_map(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """On the town without a map; all entries are closer than levels in one frame."""
+    assert main(["study", "maps", "--n", "6", "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert list(figures) == list(WITH_POSE)
+    assert main(["study", "maps", "--n", "1", "--seed", "1"]) == 0
+    assert {"town.xodr", "  Scene, FD"} <= {
+        line.split("   ")[0] for line in capsys.readouterr().out.splitlines()
+    }
+    for of_maps in figures.values():
+        assert list(of_maps) == ["town.xodr", ROADS, ALL]
+        lines = [of_maps[name]["lines"] for name in of_maps]
+        assert lines[0] + lines[1] == lines[2] > 20
+    whole, apart = (figures[f"{name}, FD"][ALL] for name in ("Scene", "PoseConditional"))
+    assert 1 < apart["width at 20 m"][0] < whole["width at 20 m"][0]
+    assert 1 < whole["y at 0 m"][0] < apart["y at 0 m"][0]
+
+
+def test_the_table_has_the_reasons_of_lines_that_are_left_out() -> None:
+    ratios = Ratios(lines=200, wider=3)
+    ratios.left_out.update({"RANGE": 3, "MEAN": 1})
+    ratios.ratios["y", 0.0] = [1.01, 1.02, 1.03]
+    shown = ratios_text({"Scene, FD": {"a.xodr": ratios}})
+    assert "2 % (3 RANGE, 1 MEAN)" in shown
+    assert "1.5 %" in shown
+    assert "1.02 1.03" in shown

@@ -14,6 +14,8 @@ from maplines_can.study.sweep.limit import Limit, limit_of
 from maplines_can.values.gaussian import Gaussian
 
 LN2 = np.log(2)
+#: Samples; the errors of the procedure on normal ones are kept for the next test of this size.
+N = 2400
 NORMAL_BITS = np.log2(2 * np.pi * math.e) / 2  # entropy of a standard normal number
 SIGMA0 = np.array([[1, 0.9, 0.5, 0.2], [0.9, 1, 0.7, 0.3], [0.5, 0.7, 1, 0.8], [0.2, 0.3, 0.8, 1]])
 TURN = np.array([[0.3, -2.0], [1.1, 0.4]])
@@ -84,15 +86,13 @@ def test_the_fisher_volume_is_that_of_the_divergence() -> None:
 
 @pytest.mark.parametrize("n", [10, 14])
 def test_a_decade_of_divergence_costs_the_same_bits_everywhere(n: int) -> None:
-    bits = Limit(entropy_bits=-3.0, dimension=n).bits([1e-2, 1e-3, 1e-4])
-
-    assert np.diff(bits) == pytest.approx(n / 2 * np.log2(10))
-
-
-def test_kl_is_the_inverse_of_bits() -> None:
-    limit = Limit(entropy_bits=12.5, dimension=14)
-
+    """Back to the divergence, too, which must be positive."""
+    limit = Limit(entropy_bits=-3.0, dimension=n)
+    assert np.diff(limit.bits([1e-2, 1e-3, 1e-4])) == pytest.approx(n / 2 * np.log2(10))
     assert limit.kl(limit.bits([0.01, 1e-7])) == pytest.approx([0.01, 1e-7])
+    for kl in (0.0, -1e-3, np.nan):
+        with pytest.raises(ValueError, match="kl must be positive"):
+            limit.bits([1e-3, kl])
 
 
 def test_a_scalar_quantizer_loses_a_quarter_of_a_bit() -> None:
@@ -115,20 +115,20 @@ def test_a_scalar_quantizer_loses_a_quarter_of_a_bit() -> None:
 
 @pytest.mark.parametrize(("part", "n"), [("all", 14), ("covariance", 10)])
 def test_strongly_correlated_coordinates(part: str, n: int) -> None:
-    theta, h = correlated(4000, n, seed=1)
+    theta, h = correlated(N, n, seed=1)
     theta[:, -10:-6] *= 0.5  # the logarithms of the pivots
     if part == "all":
         h -= theta[:, 4:8].sum(axis=1).mean() / LN2  # E log2 sqrt(det S) of this very sample
     limit = limit_of(*gaussians(theta, 4), part=part)  # type: ignore[arg-type]
 
     assert_within_errors(limit, h - 4 + 2)
-    assert (limit.dimension, limit.samples, limit.duplicates) == (n, 4000, 0)
+    assert (limit.dimension, limit.samples, limit.duplicates) == (n, N, 0)
     assert limit.local_dimension == pytest.approx(n, rel=0.03)
-    assert 0 < limit.entropy_se_bits < 0.25
+    assert 0 < limit.entropy_se_bits < 0.35
     assert abs(limit.bias_bits) < 1
 
 
-@pytest.mark.parametrize(("p", "samples"), [(1, 2000), (2, 4000), (4, 3000)])
+@pytest.mark.parametrize(("p", "samples"), [(1, 2000), (2, N), (4, N)])
 def test_wishart_covariances_and_means_in_proportion(p: int, samples: int) -> None:
     """Compared with scipy's entropy of the Wishart distribution, in other coordinates."""
     means, covs, h_all, h_covariance = wisharts(samples, p, seed=3)
@@ -150,55 +150,38 @@ def test_heavy_tails() -> None:
 
 def test_standard_errors_are_those_of_repetition() -> None:
     results = []
-    for seed in range(30):
+    for seed in range(20):
         theta, h = correlated(1000, 1, seed)
         limit = limit_of(*gaussians(theta, 1), part="covariance", seed=seed)
         results.append((limit.entropy_bits - h - 0.5, limit.entropy_se_bits))
     error, se = np.array(results).T
 
-    # chi^2 of 30 squares: 0.6 to 1.4 are three of its standard deviations.
-    assert 0.6 < np.sqrt(np.mean(error**2) / np.mean(se**2)) < 1.4
-
-
-def test_more_neighbours_give_the_same_entropy() -> None:
-    means, covs, h_all, _ = wisharts(4000, 2, seed=12)
-
-    assert_within_errors(limit_of(means, covs, k=10), h_all)
+    # chi^2 of 20 squares: 0.5 to 1.5 are three of its standard deviations.
+    assert 0.5 < np.sqrt(np.mean(error**2) / np.mean(se**2)) < 1.5
 
 
 # -- invariance ---------------------------------------------------------------------
 
 
-def test_units_do_not_matter() -> None:
-    """x -> A x with a diagonal A shifts logarithms and scales means."""
-    means, covs, _, _ = wisharts(2000, 2, seed=5)
-    units = np.array([1000.0, -3e-6])
-    limit, changed = limit_of(means, covs), limit_of(means * units, covs * np.outer(units, units))
-
-    assert changed.entropy_bits == pytest.approx(limit.entropy_bits, abs=0.05)
-
-
-@pytest.mark.parametrize("A", [TURN, np.eye(2)[::-1]], ids=["turn", "order"])
+@pytest.mark.parametrize(
+    "A", [TURN, np.eye(2)[::-1], np.diag([1000.0, -3e-6])], ids=["turn", "order", "units"]
+)
 def test_linear_changes_of_the_state_do_not_matter(A: Any) -> None:
-    means, covs, h_all, h_covariance = wisharts(4000, 2, seed=6)
+    means, covs, h_all, h_covariance = wisharts(N, 2, seed=6)
     means, covs = means @ A.T, A @ covs @ A.T
-
     assert_within_errors(limit_of(means, covs), h_all)
     assert_within_errors(limit_of(means, covs, part="covariance"), h_covariance)
 
 
-def test_resolution_is_added_to_the_covariances() -> None:
+def test_resolution_seeds_and_duplicates() -> None:
+    """The first is added to the covariances; copies of samples are counted and not used."""
     means, covs, _, _ = wisharts(800, 2, seed=7)
-    added = limit_of(means, covs + np.diag([2.0, 3.0]))
-
+    added, once = limit_of(means, covs + np.diag([2.0, 3.0])), limit_of(means, covs)
     assert limit_of(means, covs, resolution=[2.0, 3.0]) == added
-
-
-def test_the_same_seed_gives_the_same_limit() -> None:
-    means, covs, _, _ = wisharts(800, 2, seed=8)
-
-    assert limit_of(means, covs, seed=1) == limit_of(means, covs, seed=1)
-    assert limit_of(means, covs, seed=1) != limit_of(means, covs, seed=2)
+    assert once != limit_of(means, covs, seed=2)
+    twice = limit_of(np.r_[means, means[:100]], np.r_[covs, covs[:100]])
+    assert (twice.duplicates, twice.samples) == (100, 800)
+    assert twice.entropy_bits == once.entropy_bits
 
 
 # -- sources that have no bound, or nearly none -------------------------------------
@@ -207,7 +190,7 @@ def test_the_same_seed_gives_the_same_limit() -> None:
 def test_a_curved_surface_has_a_caveat() -> None:
     """Four of ten coordinates are functions of the others, and noise of 0.1."""
     rng = np.random.default_rng(9)
-    u, noise = rng.standard_normal((2500, 6)), rng.standard_normal((2500, 4))
+    u, noise = rng.standard_normal((N, 6)), rng.standard_normal((N, 4))
     curved = np.sin(2 * u[:, :4]) + u[:, 1:5] * u[:, 2:6]
     theta = np.column_stack([0.3 * u, curved + 0.1 * noise])
     true_bits = 10 * NORMAL_BITS + 6 * np.log2(0.3) + 4 * np.log2(0.1) + 2
@@ -226,15 +209,6 @@ def test_pose_error_alone_has_a_caveat() -> None:
     assert limit.local_dimension < 8
     assert limit.bias_bits > 2
     assert "true bound is lower" in limit.caveat
-
-
-def test_duplicates_are_counted_and_not_used() -> None:
-    means, covs, _, _ = wisharts(1000, 2, seed=10)
-    twice = limit_of(np.r_[means, means[:100]], np.r_[covs, covs[:100]])
-    once = limit_of(means, covs)
-
-    assert (twice.duplicates, twice.samples) == (100, 1000)
-    assert twice.entropy_bits == once.entropy_bits
 
 
 @pytest.mark.parametrize(
@@ -268,7 +242,6 @@ def test_singular_sources_have_a_reason_instead_of_a_number(change: Any, caveat:
         pytest.param(np.zeros((0, 2)), np.zeros((0, 2, 2)), {}, "shapes", id="empty"),
         pytest.param([[np.nan]], [[[1.0]]], {}, "must be finite", id="nan"),
         pytest.param([[0.0]], [[[0.0]]], {}, "add the resolution of the means", id="singular"),
-        pytest.param([[0.0]], [[[1.0]]], {"k": 0}, "k must be from 1 to 10, got 0", id="k"),
         pytest.param(
             [[0.0]],
             [[[1.0]]],
@@ -289,9 +262,3 @@ def test_singular_sources_have_a_reason_instead_of_a_number(change: Any, caveat:
 def test_invalid_arguments_are_refused(means: Any, covs: Any, options: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         limit_of(means, covs, **options)
-
-
-@pytest.mark.parametrize("kl", [0.0, -1e-3, np.nan])
-def test_a_divergence_must_be_positive(kl: Any) -> None:
-    with pytest.raises(ValueError, match="kl must be positive"):
-        Limit(entropy_bits=10.0, dimension=14).bits([1e-3, kl])

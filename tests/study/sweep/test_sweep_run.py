@@ -29,23 +29,38 @@ def test_a_finished_study_is_not_run_again(undisturbed: Any, tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"seed": 4}, "there seed is 3, and now 4"),
-        ({"n": 401}, "there n is 400"),
-        ({"codes": ("Cholesky",)}, "there codes is"),
-        ({"sets": [DrawnSet("paper")]}, "there sets is"),
+        ({"n": 0}, "n must be 1 or more"),
+        ({"codes": ("Morse",)}, "there is no code 'Morse'"),
+        ({"codes": ("Cholesky", "Cholesky")}, "different"),
+        ({"finer_bits": (-9,)}, "Cholesky with -9 bits"),
+        ({"codes": ("Float32",), "finer_bits": (1,)}, "add 0"),
+        ({"sets": [DrawnSet("road"), DrawnSet("road")]}, "different names"),
+        ({"sets": []}, "one or more"),
     ],
 )
-def test_another_study_in_the_same_directory_is_refused(
-    changes: Any, message: str, tmp_path: Path
-) -> None:
+def test_an_invalid_study_is_refused(changes: Any, message: str) -> None:
+    """The constructor raises."""
+    with pytest.raises(StudyError, match=message):
+        small(**changes)
+
+
+def test_another_study_in_the_same_directory_is_refused(tmp_path: Path) -> None:
     """The message says what differs."""
     pytest.importorskip("pyarrow")
-    run_study(small(n=50), tmp_path / "out", jobs=1)
-    manifest = (tmp_path / "out" / "study.json").read_text()
-    (tmp_path / "out" / "study.json").write_text(manifest.replace('"n": 50', '"n": 400'))
-
-    with pytest.raises(StudyError, match=message):
-        run_study(small(**changes), tmp_path / "out", jobs=1)
+    out = tmp_path / "out"
+    run_study(small(n=50), out, jobs=1)
+    for changes, message in (
+        ({"n": 50, "seed": 4}, "there seed is 3, and now 4"),
+        ({"n": 51}, "there n is 50"),
+        ({"n": 50, "codes": ("Cholesky",)}, "there codes is"),
+        ({"n": 50, "sets": [DrawnSet("paper")]}, "there sets is"),
+    ):
+        with pytest.raises(StudyError, match=message):
+            run_study(small(**changes), out, jobs=1)
+    path = out / "chunks" / "0-000000.json.gz"
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(StudyError, match=r"0-000000.json.gz: cannot be read .* delete it"):
+        run_study(small(n=50), out, jobs=1)
 
 
 def test_a_directory_of_other_files_is_refused(tmp_path: Path) -> None:
@@ -55,17 +70,6 @@ def test_a_directory_of_other_files_is_refused(tmp_path: Path) -> None:
 
     with pytest.raises(StudyError, match="holds other things"):
         run_study(small(), tmp_path, jobs=1)
-
-
-def test_a_damaged_result_is_refused(tmp_path: Path) -> None:
-    """The message names the file and the cure."""
-    pytest.importorskip("pyarrow")
-    run_study(small(n=50), tmp_path / "out", jobs=1)
-    path = tmp_path / "out" / "chunks" / "0-000000.json.gz"
-    path.write_bytes(path.read_bytes()[:100])
-
-    with pytest.raises(StudyError, match=r"0-000000.json.gz: cannot be read .* delete it"):
-        run_study(small(n=50), tmp_path / "out", jobs=1)
 
 
 def test_poses_that_see_nothing_make_an_empty_study(drive: Any) -> None:

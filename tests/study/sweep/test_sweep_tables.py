@@ -1,5 +1,6 @@
 """The tables of a study: what they hold, and how they read."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -53,12 +54,17 @@ def test_the_worst_cases_are_the_worst(undisturbed: Any) -> None:
 
 
 def test_tables_have_the_columns_of_their_schemas(undisturbed: Any) -> None:
-    """Tables may be empty."""
+    """Tables may be empty; theory has D^2 / 24 for a ratio, (D ln 2)^2 / 12 for a pivot."""
     for name, rows in undisturbed.items():
         for row in rows:
             assert row.keys() | {"seconds", "gaussians_per_second"} >= SCHEMAS[name].keys()
     assert undisturbed["limit"] == undisturbed["fields"] == []
     assert "Cholesky" in summary_text(undisturbed["summary"], undisturbed["terms"])
+    terms = theory(codec_of(Plan("Cholesky")))
+    assert len(terms) == 10
+    assert terms["RatioC0C1"] == pytest.approx((1 / 32) ** 2 / 24)
+    assert terms["PivotYOff"] == pytest.approx((0.034 * math.log(2)) ** 2 / 12)
+    assert theory(codec_of(Plan("Sigmas"))) == {}
 
 
 def test_clipped_means_have_figures_of_their_own(tmp_path: Path) -> None:
