@@ -80,7 +80,7 @@ def test_the_same_seed_gives_the_same_frames(
     data = []
     for seed in ("1", "1", "2"):
         log = tmp_path / "drive.log"
-        run(capsys, town(tmp_path), *FAST, "--record", str(log), "--seed", seed)
+        run(capsys, town(tmp_path), *FAST[:-1], "2", "--record", str(log), "--seed", seed)
         data.append([frame.data for frame in read_log(log)])
     assert data[0] == data[1] != data[2]
 

@@ -261,13 +261,6 @@ def test_interrupt_while_a_module_is_imported(monkeypatch: pytest.MonkeyPatch) -
     assert main(["demo"]) == 130
 
 
-def test_item_11_a_codec_describes_itself() -> None:
-    """repr has the DBC, the covariance code and whether frames are authenticated."""
-    assert re.fullmatch(
-        r"<Codec of .*maplines\.dbc: Cholesky>", repr(maplines_can.Codec.from_dbc())
-    )
-
-
 @pytest.mark.parametrize("extra", ["fmi", "secoc", "mf4", "study", "plot"])
 def test_item_11_an_extra_is_one_that_a_checkout_has(extra: str) -> None:
     """The command in the message names an extra of pyproject.toml; nothing is published."""

@@ -3,7 +3,6 @@
 import json
 import math
 import re
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -163,27 +162,6 @@ def test_demo_shows_the_lane_where_its_lines_are_valid(capsys: pytest.CaptureFix
     assert json.loads(capsys.readouterr().out)["scene"]["lane"] == []
 
 
-@pytest.mark.usefixtures("patient")
-def test_demo_with_keys_and_with_faults(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """Authenticated scenes; with all frames lost there is no lane, and the status is 1."""
-    pytest.importorskip("cryptography")
-    key = tmp_path / "car.key"
-    key.write_text("00112233445566778899aabbccddeeff")
-    key.chmod(0o600)
-    for name in NAMES:
-        demo = ["demo", "--seconds", "0.1", "--json", "--key-file", str(key), *SENDING[name]]
-        assert main(demo) == 0
-        result = json.loads(capsys.readouterr().out)
-        assert result["frame_format"] == "CAN FD, authenticated"
-        assert len(result["scene"]["lane"]) == 6
-    faults = ["--faults", "loss=1,seed=1"]
-    assert main(["demo", "--seconds", "0.1", "--json", *SENDING[CONDITIONAL], *faults]) == 1
-    result = json.loads(capsys.readouterr().out)
-    assert result["scene"]["lane"] == []
-    assert result["received"]["pose_errors"] == 0
-    assert all(line["mean"] is None for line in result["lines"])
-
-
 # ---- send
 
 
@@ -310,31 +288,6 @@ def test_decode_prints_scenes_that_lack_lines(
     _, scenes = rows_of(capsys.readouterr().out)
     assert [len(row["scene"]) for row in scenes] == [4, 1, *[4] * (CYCLES - 3), 3]
     assert [row["t"] for row in scenes] == pytest.approx([cycle[0][0] for cycle in cycles])
-
-
-def test_decode_loses_no_line_that_waits_for_its_pose_error(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    """All lines of a cycle come with the last frame of the pose error, if that is late."""
-    codec = Codec.from_dbc(default_dbc_path(CONDITIONAL))
-    transfers = transfers_of(codec)
-    cycles = [transfers[5 * k : 5 * k + 5] for k in range(CYCLES)]
-    late = list(chain.from_iterable(cycle[1:] + cycle[:1] for cycle in cycles))
-    stamps = sorted(stamp for stamp, _, _ in late)
-    late = [(t, owner, frames) for t, (_, owner, frames) in zip(stamps, late, strict=True)]
-    decode = write_log(tmp_path / "late.log", late, "can0")
-    assert main([*decode, "--dbc", CONDITIONAL, "--scenes"]) == 0
-    out, err = capsys.readouterr()
-    lines, scenes = rows_of(out)
-    assert len(lines) == 4 * CYCLES
-    assert [len(row["scene"]) for row in scenes] == [4] * CYCLES
-    assert "dropped frames: none" in err
-    without = [each for each in late if each[1] != POSE]
-    assert main([*write_log(tmp_path / "none.log", without, "can0"), "--dbc", CONDITIONAL]) == 1
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert re.search(r"0 lines from \d+ frames; .* \d+ pose", err)
-    assert "the pose errors that they need are not there" in err
 
 
 @pytest.mark.parametrize("name", NAMES)

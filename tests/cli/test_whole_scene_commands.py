@@ -22,23 +22,6 @@ def result_of(capsys: pytest.CaptureFixture[str], *command: str) -> Any:
     return json.loads(capsys.readouterr().out)
 
 
-@pytest.mark.parametrize(("lines", "frames"), [(4, 1), (8, 2)])
-def test_send_counts_lines_and_frames(
-    capsys: pytest.CaptureFixture[str], lines: int, frames: int
-) -> None:
-    """Without --fd, which the DBC implies; the note says CAN FD."""
-    command = ["send", *SEND, "--interface", "virtual", "--channel", f"whole{lines}"]
-    command += ["--count", "3", "--lines", str(lines)]
-    stats = result_of(capsys, *command)
-    assert (stats["lines"], stats["frames"], stats["pose_errors"]) == (
-        3 * lines,
-        3 * frames,
-        3 * frames,
-    )
-    assert main(command) == 0
-    assert "CAN FD, 20 Hz" in capsys.readouterr().err
-
-
 def test_drive_writes_two_frames_a_cycle(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

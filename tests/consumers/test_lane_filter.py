@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import eigh
-from scipy.stats import chi2
 
 from maplines_can.consumers.lane_filter import (
     CHANGE,
@@ -33,34 +32,6 @@ def loading(sigma: float = 0.2) -> Any:
     A = np.zeros((N, 3))
     A[[0, 4], 1] = -sigma
     return A
-
-
-def test_the_corrections_of_a_localisation_do_not_show_its_error() -> None:
-    """A car stands, and its localisation averages what it measures: the pose jumps as it converges.
-
-    The error of a Kalman filter is uncorrelated with its corrections, so the newest scene has all
-    that the scenes say. The bound is that of the mean NEES of as many cars (97.5 %).
-    """
-    cars, cycles, sigma, dt = 150, 60, 0.5, 0.1
-    rng = np.random.default_rng(1)
-    count = np.arange(1, cycles + 1)
-    errors = np.cumsum(sigma * rng.standard_normal((cars, cycles)), axis=1) / count
-    lane_filter = LaneFilter(bias_sigma=(0, 0, 0, 0), shape=(cars,))
-    own = np.broadcast_to(OWN / 625, (cars, N, N))
-    used = np.ones((cars, N), dtype=bool)
-    for error, n in zip(errors.T, count, strict=True):
-        # The autocorrelation of a mean is sqrt(s / t), which is 1/e at s = t / e^2.
-        time = (1 - np.exp(-2)) * n * dt
-        lane_filter.predict(np.zeros(3), np.zeros((3, 3)), dt, WINDOWS, time)
-        lines = LANE - error[:, None] * np.tile([1.0, 0, 0, 0], 2)
-        root = np.broadcast_to(loading(sigma / np.sqrt(n)), (cars, N, 3))
-        lane_filter.update_map(lines, root, own, None, used)
-    found = (lane_filter.mean - np.pad(LANE, (0, lane_filter.mean.shape[1] - N)))[:, [0, 4]]
-    centre = found.mean(axis=1)
-    variance = lane_filter.cov[:, [0, 4]][:, :, [0, 4]].mean(axis=(1, 2))
-    assert (centre**2 / variance).mean() < chi2.ppf(0.975, cars) / cars
-    assert np.sqrt((centre**2).mean()) < 1.1 * np.sqrt((errors[:, -1] ** 2).mean())
-    assert not lane_filter.mean[:, lane_filter.u].any()
 
 
 def test_a_false_camera_line_is_not_used_and_changes_nothing() -> None:

@@ -73,19 +73,6 @@ def test_the_middle_of_a_roundabout(name: str, radius: float) -> None:
     assert 1 / path.curvature[near].mean() == pytest.approx(radius, rel=0.1)
 
 
-def test_one_boundary_is_enough_if_the_width_is_known() -> None:
-    scene = seen("lane-ends")
-    both, width = lane_path(scene, STILL)
-    assert both is not None
-    one = Scene(scene.lines[:1], scene.cov[:4, :4], scene.pose_error, scene.fit_ranges[:1])
-    assert lane_path(one, STILL) == (None, None)
-    path, kept = lane_path(one, STILL, width)
-    assert path is not None
-    assert kept == width
-    assert path.offset == pytest.approx(both.offset, abs=0.02)
-    assert path.reach > 50
-
-
 def test_the_line_of_the_route_is_followed_itself() -> None:
     route = line([3.5, 0.1, 0, 0], Slot.ROUTE)
     scene = Scene((route,), COV, seen("exit").pose_error, np.array([[-4.0, 80.0]]))

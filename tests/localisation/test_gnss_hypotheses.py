@@ -101,15 +101,6 @@ def test_the_error_is_raised_and_lowered_in_time() -> None:
     assert np.median(at[109.0]) <= 4
 
 
-def test_a_jump_leaves_the_pose_alone() -> None:
-    """Of 100 m for 10 s; nothing is stated to be wrong, and nothing is."""
-    off = errors_of(1.5, 60.0, 40.0, 8)
-    off[100:150] += [60.0, -80.0]
-    worst: list[float] = []
-    drive(off, lambda t, one: worst.append(nees(t, one).max()))
-    assert max(worst) < 25
-
-
 def test_an_error_that_is_told_may_change_at_once() -> None:
     """A step process of 20 m and 20 s has the autocorrelation that is told, but not its increments.
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
-from support.xodr_files import geometry, read_map, reasons, road, section
+from support.xodr_files import geometry, read_map, reasons, road
 
 from maplines_can.maps import LandmarkKind, load, town_path
 
@@ -78,14 +78,6 @@ def test_a_bad_object_is_skipped(attributes: str, content: str, why: str) -> Non
     assert why in reason
 
 
-def test_an_unusable_road_has_no_landmarks() -> None:
-    """Its objects have no place."""
-    one = pole('id="1" s="1" t="1"')
-    objects = f"<objects>{one}</objects></road>"
-    bad = road(section(), road_id="2", plan="").replace("</road>", objects)
-    assert read_map(road(), bad).landmarks == ()
-
-
 def test_the_town_has_landmarks_beside_its_streets() -> None:
     """None stands on a lane; all are near one."""
     town = load(town_path())
@@ -116,12 +108,6 @@ def test_a_building_is_a_rectangle() -> None:
     ).buildings
     corners = sorted(map(tuple, turned.points[:4].round(9)))
     assert corners == [(26, 4), (26, 16), (34, 4), (34, 16)]
-
-
-def test_buildings_are_repeated() -> None:
-    repeat = '<repeat s="10" length="50" distance="25" tStart="9" tEnd="9"/>'
-    found = with_objects(building('id="1" length="4" width="4"', repeat))
-    assert [outline.points[:4, 0].mean() for outline in found.buildings] == [10, 35, 60]
 
 
 def test_a_building_without_a_size_is_skipped() -> None:

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from support.lane_maps import lane, network, pose_on
 
-from maplines_can import Gaussian, LeftOut, MapError, Slot
+from maplines_can import Gaussian, LeftOut, Slot
 from maplines_can.maps.line_source import LineSource
-from maplines_can.simulation import PoseSource
 
 ROWS = network(lane("l", t=3.5), lane("r"), rows=["l r"])
 EXACT = np.diag([1e-8, 1e-8, 1e-10])
@@ -38,29 +37,6 @@ def test_the_lane_is_that_of_the_reported_pose() -> None:
     cycle = LineSource(ROWS, displaced).cycle(0.0, pose_on(ROWS.lanes["r"], 50.0))
     assert cycle.tracked.lane == "l"
     assert cycle.lines[0].gaussian.mean[0] == pytest.approx(1.75)
-
-
-def test_a_lane_change_is_told() -> None:
-    source = LineSource(ROWS, exact)
-    cycles = [source.cycle(s / 10, pose_on(ROWS.lanes["r"], 20 + s, s / 10)) for s in range(36)]
-    (k,) = [i for i, cycle in enumerate(cycles) if cycle.tracked.lane_changed]
-    assert {Slot.EGO_LEFT, Slot.EGO_RIGHT} <= cycles[k].changed
-    assert k == 21  # more than 0.3 m beyond the boundary
-
-
-def test_errors_widen_the_lines() -> None:
-    """Those of the pose, and on top those of the map."""
-    pose = pose_on(ROWS.lanes["r"], 50.0)
-    sigmas = [
-        LineSource(ROWS, stated, map_error=error).cycle(0.0, pose).lines[0].gaussian.sigma[0]
-        for stated, error in (
-            (exact, None),
-            (PoseSource((0.3, 0.1, 0.003)).pose, None),
-            (PoseSource((0.3, 0.1, 0.003)).pose, MapError(0.1, 0.1, 0.0)),
-        )
-    ]
-    assert sigmas[0] < 0.05 < sigmas[1] == pytest.approx(0.1, rel=0.1)
-    assert sigmas[2] > 1.2 * sigmas[1]
 
 
 def test_lines_that_cannot_be_given_have_a_reason() -> None:

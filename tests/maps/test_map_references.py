@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 from support.lane_maps import WIDTH, carriageway, crossing, end, lane, network, pose_on, roundabout
 
-from maplines_can.maps import LaneTracker, Map
+from maplines_can.maps import Map
 from maplines_can.maps.joints import joined_lines
 from maplines_can.maps.lane import LaneType
 from maplines_can.maps.lane_graph import DirectedLane, LaneGraph
-from maplines_can.maps.matching import LaneMatch, locate
+from maplines_can.maps.matching import locate
 from maplines_can.maps.tour import tour_from
 from maplines_can.maps.view import link_gaps
 from maplines_can.values.line import Kind, Slot
@@ -132,17 +132,6 @@ def test_the_frame_of_a_covariance_is_that_of_the_map() -> None:
         here = {m.lane: m.probability for m in ROAD.match(pose, P)}
         found = {m.lane: m.probability for m in there.match(move(pose), R @ P @ R.T)}
         assert found == pytest.approx(here)
-
-
-@pytest.mark.parametrize(
-    ("margins", "outside"),
-    [
-        ((1, 1, 1, 1), 0.0), ((-3, 6, 1, 1), 3.0), ((6, -3, 1, 1), 3.0),
-        ((1, 1, -4, 9), 4.0), ((1, 1, 9, -4), 4.0), ((-3, 6, -4, 9), 5.0), ((0, 3, 0, 9), 0.0),
-    ],
-)  # fmt: skip
-def test_how_far_outside_a_match_is(margins: Any, outside: float) -> None:
-    assert LaneMatch("1", 0.0, 0.0, 0.0, margins).outside == outside
 
 
 @given(
@@ -363,29 +352,6 @@ def test_a_car_that_turns_round_sees_the_same_lines(name: str) -> None:
                     # Within the part that both have, they are the same line.
                     (place,) = locate([one], point)
                     assert abs(place.t) < 1e-6 or abs(place.overshoot) > 0
-
-
-def test_tracked_lines_of_a_moved_map_are_moved() -> None:
-    """Slots, lanes and changes along a drive with a lane change, in any frame."""
-    found = MAPS["one-way"]
-    there, move = moved(found, -2.2, (300.0, 4000.0))
-    here, other = LaneTracker(found), LaneTracker(there)
-    start = found.lanes["0:2"]
-    first = pose_on(start, 0.0)
-    heading = first[2]
-    changes = 0
-    for k in range(80):
-        x, y = 3.0 * k, 3.5 * math.tanh((k - 30) / 10)
-        c, s = math.cos(heading), math.sin(heading)
-        pose = first + np.array([c * x - s * y, s * x + c * y, 0.0])
-        one, two = here.lines(pose), other.lines(move(pose))
-        assert (one.lane, one.lane_changed, one.changed) == (
-            two.lane,
-            two.lane_changed,
-            two.changed,
-        )
-        changes += one.lane_changed
-    assert changes > 0
 
 
 # ---- lanes as driven --------------------------------------------------------------------------

@@ -4,19 +4,10 @@ import math
 from itertools import pairwise
 
 import pytest
-from support.lane_maps import WIDTH, crossing, lane, network, roundabout
+from support.lane_maps import WIDTH, crossing, lane, network
 
 from maplines_can.maps import Map, random_tour
 from maplines_can.values.errors import RouteError
-
-RING = roundabout()
-
-
-def test_a_lane_in_between_may_be_that_of_an_end() -> None:
-    assert RING.route("ring0", "ring0", via=["ring0"]).lanes == ("ring0",)
-    assert RING.route("ring0", "ring0", via=["ring1"]).lanes == (
-        *("ring0", "ring1", "ring2", "ring3", "ring0"),
-    )
 
 
 def test_a_tour_ends_where_the_map_does() -> None:
@@ -102,20 +93,3 @@ def test_a_tour_crosses_no_gap_between_lanes() -> None:
     lanes = [lane("a"), lane("b", (200.9, 0.0, 0.0)), lane("c", (402.4, 0.0, 0.0))]
     tour = random_tour(network(*lanes, links={"a": "b", "b": "c"}), 2000.0)
     assert tour.lanes == ("a", "b")
-
-
-def test_a_tour_changes_lanes_over_30_m_at_least() -> None:
-    """Once in a section that has room for one, and so in two of them to the third lane."""
-    found = beside((35.0, 20.0), exit_of="b2", entry=500.0)
-    (change,) = random_tour(found, 2000.0).changes
-    assert change.end - change.start == pytest.approx(35.0, abs=0.5)
-    rows = [[lane(f"{name}{i}", (x, 0.0, 0.0), 40.0, t=-i * WIDTH) for i in (1, 2, 3)]
-            for name, x in (("a", 0.0), ("b", 40.0))]  # fmt: skip
-    ends = [lane("exit", (80.0, -3 * WIDTH, 0.0), 900.0), lane("in", (-900.0, -WIDTH, 0.0), 900.0)]
-    found = network(
-        *(*rows[0], *rows[1], *ends),
-        links={"in": "a1", "a1": "b1", "a2": "b2", "a3": "b3", "b3": "exit"},
-        rows=["a1 a2 a3", "b1 b2 b3"],
-    )
-    tour = random_tour(found, 3000.0)
-    assert [change.target for change in tour.changes] == ["a2", "b3"]

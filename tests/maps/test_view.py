@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from support.lane_maps import WIDTH, carriageway, crossing, lane, network, pose_on, roundabout
+from support.lane_maps import WIDTH, carriageway, lane, network, pose_on, roundabout
 
 from maplines_can.maps import LaneTracker, Map, link_gaps, view
 from maplines_can.propagation.paths import stretches
 from maplines_can.values.line import Kind, Slot
 from maplines_can.values.polyline import Polyline
 
-CROSSING = crossing()
 RING = roundabout()
 
 
@@ -141,32 +140,6 @@ def test_a_lane_that_opens_between() -> None:
 
     assert lines[Slot.NEXT_LEFT].points[-1] == pytest.approx([200.0, 2 * WIDTH])
     assert lines[Slot.EDGE_LEFT].points[-1] == pytest.approx([200.0, 2 * WIDTH])
-
-
-@pytest.mark.parametrize("to", ["out1", "out2", "out3"])
-def test_a_crossing_is_crossed_along_the_route(to: str) -> None:
-    """The lines of the lane follow the route, and so does the centre line of the route."""
-    route = CROSSING.route("in0", to)
-    pose = pose_on(CROSSING.lanes["in0"], 75.0)
-    lines = CROSSING.lines(pose, route)
-
-    goal = CROSSING.lanes[to]
-    ends = {Slot.EGO_LEFT: goal.left, Slot.EGO_RIGHT: goal.right, Slot.ROUTE: goal.centre}
-    for slot, line in ends.items():
-        assert np.hypot(*(lines[slot].points - line.points[-1]).T).min() < 1e-6
-    assert Slot.ROUTE not in CROSSING.lines(pose)
-
-
-def test_the_line_of_a_route_crosses_a_lane_change() -> None:
-    """The other lines remain with the lane of the car."""
-    found = carriageway(2, 0, sections=3)
-    route = found.route("0:1", "2:2")
-    pose = pose_on(found.lanes["0:1"], 5.0)
-
-    y = lateral(found.lines(pose, route), pose, 100.0)
-
-    assert y[Slot.ROUTE] == pytest.approx(-WIDTH, abs=0.02)
-    assert y[Slot.EGO_LEFT] == pytest.approx(WIDTH / 2, abs=0.02)
 
 
 @given(k=st.integers(0, 3), s=st.floats(0.5, 30.9), t=st.floats(-1.5, 1.5))

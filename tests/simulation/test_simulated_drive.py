@@ -48,23 +48,6 @@ def test_straight_road_in_closed_form(
     np.testing.assert_allclose(400 - state.pose[:, 0], deceleration * left**2 / 2, atol=1e-4)
 
 
-def test_circle_in_closed_form() -> None:
-    """The lateral acceleration limits the speed to sqrt(a R), and the yaw rate is v / R."""
-    radius, lateral = 40.0, 2.5
-    a = np.linspace(0, 3 * np.pi, 1200)
-    circle = Polyline(np.column_stack([radius * np.sin(a), radius * (1 - np.cos(a))]))
-    drive = SimulatedDrive(
-        circle, 50.0, lateral_acceleration=lateral, start_speed=9.0, end_speed=50.0
-    )
-    state = track(drive, 20.0)
-    middle = (state.t > 5) & (state.t < drive.duration - 2)
-    speed = np.sqrt(lateral * radius)
-    np.testing.assert_allclose(state.speed[middle], speed, rtol=2e-3)
-    np.testing.assert_allclose(state.yaw_rate[middle], speed / radius, rtol=2e-3)
-    np.testing.assert_allclose(np.hypot(state.pose[:, 0], state.pose[:, 1] - 40), 40, atol=1e-3)
-    assert state.pose[-1, 2] == pytest.approx(3 * np.pi, abs=1e-2)  # continuous beyond pi
-
-
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_pose_is_the_integral_of_the_motion(seed: int) -> None:
     """Speed and yaw rate, integrated by scipy, give the pose within 0.1 mm."""

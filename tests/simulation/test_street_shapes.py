@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from maplines_can import map_lines
 from maplines_can.simulation.scenarios import STREETS, scenario
 from maplines_can.simulation.street_shapes import LANES, Street, StreetPiece, lanes
 from maplines_can.values.line import Slot
@@ -123,20 +121,6 @@ def test_the_car_is_in_its_lane(name: str) -> None:
             assert near == pytest.approx(abs(LANES[slot][1]), abs=0.6 if "coarse" in name else 0.1)
 
 
-@pytest.mark.parametrize("name", STREETS)
-def test_every_line_of_a_street_is_given(name: str) -> None:
-    """And for as far as the line is there."""
-    example = STREETS[name]
-    lines = map_lines(example.lines, example.ego, window=example.window)
-
-    assert [line.slot for line in lines] == list(Slot)
-    assert lines.left_out == {}
-    assert min(line.x_max - line.x_min for line in lines) > 7
-    right = next(line for line in lines if line.slot == Slot.EGO_RIGHT)
-    if name == "lane-ends":
-        assert right.x_max == pytest.approx(40 - 3 * 0.1, abs=0.01)
-
-
 def centre(name: str) -> Any:
     """Return the points of the centre of the car's lane as complex numbers."""
     return STREETS[name].lines[Slot.CENTRE].points @ [1, 1j]
@@ -168,19 +152,3 @@ def test_the_shapes_are_those_of_their_names() -> None:
     distance = np.abs(np.diff(coarse))
     assert 44.9 < distance.min() < 46
     assert 89 < distance.max() <= 90
-
-
-def test_lanes_end_and_widen_where_they_should() -> None:
-    """The marking ends 40 m ahead, where the lane right of it has no width left."""
-    ends, wide = STREETS["lane-ends"].lines, STREETS["lane-widens"].lines
-    assert ends[Slot.EGO_RIGHT].points[-1].tolist() == [40.0, -1.75]
-    for slots, s, width in (
-        ((Slot.EGO_RIGHT, Slot.NEXT_RIGHT), 40.0, None),
-        ((Slot.EGO_LEFT, Slot.EGO_RIGHT), 15.0, 3.5),
-        ((Slot.EGO_LEFT, Slot.EGO_RIGHT), 45.0, 7.0),
-    ):
-        lines = ends if width is None else wide
-        left, right = (np.interp(s, *lines[slot].points.T) for slot in slots)
-        assert left - right == pytest.approx(width or 0.0, abs=1e-9)
-    at = [np.interp(x, *wide[Slot.CENTRE].points.T) for x in (0.0, 15.0, 45.0, 60.0)]
-    assert [b - a for a, b in pairwise(at)] == pytest.approx([0, -1.75, 0], abs=1e-9)

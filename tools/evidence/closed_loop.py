@@ -15,7 +15,7 @@ from maplines_can.consumers.speed_limit import SteeringReason
 from maplines_can.consumers.steering import LaneSteering, SteeringState
 from maplines_can.maps import Map, Route
 from maplines_can.maps.line_source import WINDOW, LineSource
-from maplines_can.propagation import MapError, Motion, map_scene
+from maplines_can.propagation import Motion, map_scene
 from maplines_can.simulation.pose_source import PoseSource
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import Slot
@@ -45,6 +45,8 @@ SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.ROUTE)
 BESIDE_CHANGE = 15.0
 #: Standard deviations of the measured speed [m/s] and yaw rate [rad/s].
 ODOMETRY = (0.05, 0.003)
+#: Correlation time of the error of the reported pose [s].
+POSE_TIME = 10.0
 #: Standard deviations of dead reckoning in an outage: scale of the speed, yaw rate bias [rad/s].
 DRIFT = (0.01, math.radians(0.05))
 
@@ -99,7 +101,6 @@ class ReportedPoses:
 
     Args:
         sigma: (3,) along [m], across [m], heading [rad].
-        correlation_time: [s].
         outages: begins and ends [s].
         seed: of the random numbers.
     """
@@ -107,11 +108,10 @@ class ReportedPoses:
     def __init__(
         self,
         sigma: Sequence[float],
-        correlation_time: float = 10.0,
         outages: Sequence[tuple[float, float]] = (),
         seed: int = 0,
     ) -> None:
-        self._source = PoseSource(sigma, correlation_time, seed)
+        self._source = PoseSource(sigma, POSE_TIME, seed)
         self._sigma, self._outages = np.array(sigma), outages
         self._random = np.random.default_rng([seed, 1])
         self._last: tuple[float, NDArray[np.float64]] | None = None
@@ -174,26 +174,14 @@ LineSender = Callable[[float, NDArray[np.float64]], Seen]
 Stated = Callable[[float, NDArray[np.float64]], Gaussian | None]
 
 
-def on_map(
-    road_map: Map,
-    route: Route,
-    stated: Stated,
-    correlation_time: float = 10.0,
-    map_error: MapError | None = None,
-) -> ClosedLoop:
+def on_map(road_map: Map, route: Route, stated: Stated) -> ClosedLoop:
     """Return the closed loop along a route of a map.
 
     In lane changes, the car follows the line of the route, which is sent only there.
     """
     changes = [(c.start - BESIDE_CHANGE, c.end + BESIDE_CHANGE) for c in route.changes]
     source = LineSource(
-        road_map,
-        stated,
-        SLOTS,
-        route,
-        map_error=map_error,
-        correlation_time=correlation_time,
-        max_misfit=MISFIT,
+        road_map, stated, SLOTS, route, correlation_time=POSE_TIME, max_misfit=MISFIT
     )
 
     def seen(t: float, pose: NDArray[np.float64]) -> Seen:
@@ -205,9 +193,7 @@ def on_map(
     return ClosedLoop(route.line, seen, (route.start, route.goal), changes)
 
 
-def on_street(
-    lines: Mapping[Slot, Polyline], stated: Stated, correlation_time: float = 10.0
-) -> ClosedLoop:
+def on_street(lines: Mapping[Slot, Polyline], stated: Stated) -> ClosedLoop:
     """Return the closed loop in the ego lane of a street, such as one of ``STREETS``."""
     sent = {slot: lines[slot] for slot in SLOTS[:2]}
 
@@ -216,7 +202,7 @@ def on_street(
         scene = None
         if known is not None:
             scene = map_scene(
-                sent, known, correlation_time=correlation_time, window=WINDOW, max_misfit=MISFIT
+                sent, known, correlation_time=POSE_TIME, window=WINDOW, max_misfit=MISFIT
             )
         return Seen(known, scene, DEFAULT_SPEED)
 

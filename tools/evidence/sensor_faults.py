@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterable
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -28,7 +27,6 @@ from maplines_can.localisation import (
     LocalisationLayer,
     PoseFix,
     SeenLandmarks,
-    SensorErrors,
 )
 from maplines_can.maps import Map
 from maplines_can.simulation.sensors import Arrival, SensorSetup, simulated_measurements
@@ -91,14 +89,11 @@ class Drive:
         layer: LocalisationLayer,
         cars: str,
         seeds: int,
-        errors: SensorErrors = SETUP.errors,
-        longest: float = max(DURATIONS) + AFTER,
     ) -> None:
         self.way, self._layer = way, layer
-        self.begin = START + WARM_UP
-        setup, rng = SETUP, np.random.default_rng([seeds, len(cars)])
-        span = START, self.begin + longest
-        arrivals = simulated_measurements(way, layer, setup, rng, seeds, span)
+        self.begin, rng = START + WARM_UP, np.random.default_rng([seeds, len(cars)])
+        span = START, self.begin + max(DURATIONS) + AFTER
+        arrivals = simulated_measurements(way, layer, SETUP, rng, seeds, span)
         if cars != "map":
             camera = CameraLines | SeenLandmarks
             arrivals = [one for one in arrivals if not isinstance(one.measurement, camera)]
@@ -107,21 +102,18 @@ class Drive:
         self._arrivals = arrivals
         sigma = np.array(START_SIGMA)
         start = way.at(START).pose + sigma * rng.standard_normal((seeds, 3))
-        self._ready = Localisation(
-            start, START, errors, layer if cars == "map" else None, cov=np.diag(sigma**2)
-        )
+        known, cov = layer if cars == "map" else None, np.diag(sigma**2)
+        self._ready = Localisation(start, START, SETUP.errors, known, cov=cov)
         self._first = 0
         while arrivals[self._first].measurement.t < self.begin - 2.0:
             self._ready.add(arrivals[self._first].measurement)
             self._first += 1
 
-    def run(self, fault: SensorFault | None, duration: float, after: float = AFTER) -> Course:
-        """Return the course of a fault; None for none."""
+    def run(self, fault: SensorFault, duration: float) -> Course:
+        """Return the course of a fault of a duration [s]."""
         localisation = copy.deepcopy(self._ready, {id(self._layer): self._layer})
         end = self.begin + duration
-        arrivals: Iterable[Arrival] = self._arrivals[self._first :]
-        if fault is not None:
-            arrivals = injected(arrivals, fault, self.begin, end)
+        arrivals = injected(self._arrivals[self._first :], fault, self.begin, end)
         rows, due, since = [], self.begin, end
         for t, measurement in arrivals:
             while t > due:
@@ -129,7 +121,7 @@ class Drive:
                 if not rows[-1][0].all():
                     since = max(end, due)
                 due += STEP
-            if t > min(end + after, since + SETTLED):
+            if t > min(end + AFTER, since + SETTLED):
                 break
             localisation.add(measurement)
         known, errors, sigmas = (np.array(column) for column in zip(*rows, strict=True))
@@ -159,18 +151,13 @@ def poses_of(
     ]
 
 
-def drive_of(
-    cars: str,
-    seeds: int,
-    errors: SensorErrors = SETUP.errors,
-    longest: float = max(DURATIONS) + AFTER,
-) -> Drive:
+def drive_of(cars: str, seeds: int) -> Drive:
     """Return the drive of cars with what ``CARS`` says, through the town or on a straight road."""
     if cars == "straight road":
         way = SimulatedDrive(Polyline([[0.0, 0.0], [4000.0, 0.0]]))
-        return Drive(way, LocalisationLayer(Map({}, {})), "no map", seeds, errors, longest)
+        return Drive(way, LocalisationLayer(Map({}, {})), "no map", seeds)
     found, way = town()
-    return Drive(way, LocalisationLayer(found), cars, seeds, errors)
+    return Drive(way, LocalisationLayer(found), cars, seeds)
 
 
 @evidence

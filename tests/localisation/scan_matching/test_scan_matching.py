@@ -9,8 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from shapely.geometry import LineString, MultiLineString, Point
 
-from maplines_can import Gaussian, Polyline
-from maplines_can.localisation import Localisation, Odometry
+from maplines_can import Polyline
 from maplines_can.localisation.scan_matching import (
     ScanMatch,
     ScanReference,
@@ -168,21 +167,6 @@ def test_the_error_of_an_object_is_that_of_the_pose(method: Any) -> None:
     assert found.cov - found.shared == pytest.approx(without.cov)
     with pytest.raises(ValueError, match="map_error must be finite and 0 m or more"):
         method(room, scan, POSE, map_error=-0.1)
-
-
-def test_the_filter_takes_the_pose() -> None:
-    """From 0.3 m away, its error is that of the match."""
-    scan, _ = scans(1)[0]
-    start = POSE + np.array([0.3, -0.3, 0.005])
-    localisation = Localisation(Gaussian(start, np.diag([0.5, 0.5, 0.02]) ** 2))
-    for i in range(30):
-        localisation.add(Odometry(0.02 * i, np.zeros(1), np.zeros(1)))
-    found = match_ndt(REFERENCE, scan, localisation.poses().mean[0])
-    localisation.add(found.fix(0.3))
-    ego = localisation.ego()
-    assert ego is not None
-    assert ego.mean[:2] == pytest.approx(POSE[:2], abs=0.05)
-    assert ego.sigma[:2] == pytest.approx(np.sqrt(found.cov.diagonal()[:2]), rel=0.5)
 
 
 def test_without_small_gicp_the_message_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:

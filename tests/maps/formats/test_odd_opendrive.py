@@ -158,12 +158,6 @@ def test_a_record_that_never_applies_may_be_unusable(tag: str, at: float) -> Non
     assert reasons(found) == ["a must be a finite number, got 'nan'; it never applies"]
 
 
-def test_a_geometry_without_length_may_be_unusable() -> None:
-    bad = '<geometry s="50" x="nan" y="nan" hdg="nan" length="0"><line/></geometry>'
-    found = read_map(road(plan=geometry() + bad))
-    assert found.lanes["1:0:-1"].length == pytest.approx(100)
-
-
 @pytest.mark.parametrize(
     ("tag", "before", "after"),
     [

@@ -182,14 +182,6 @@ def test_the_projection_is_kept(header: str, projection: str | None) -> None:
     assert read_map(road(), header=header).projection == projection
 
 
-def test_an_offset_of_the_header_is_listed() -> None:
-    """First, as it concerns the frame: it is not applied, and positions are those of the file."""
-    roads = road() + '<road id="2"/>'
-    found = read_map(roads, header='<offset x="100.5" y="0.0" z="0" hdg="0"/>')
-    assert "the offset is not applied" in reasons(found)[0]
-    assert not read_map(road(), header='<offset x="0.0" y="-0.00" z="3" hdg="0"/>').skipped
-
-
 def test_the_length_of_the_geometry_counts() -> None:
     found = read_map(road(length=120.0))
     assert reasons(found) == ["length is '120.0'; that of the geometry is used, 100.000 m"]
