@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can.propagation.paths import points_in_window
+from maplines_can.model.stretches import Path, shown_error
+from maplines_can.propagation.paths import point_errors, points_in_window
 from maplines_can.values.polyline import INDEXED, Polyline, to_ego
 
 STRAIGHT = Polyline([[x, 0.0] for x in range(101)])
@@ -35,6 +36,7 @@ def test_a_window_ends_where_it_says(x_min: float, x_max: float, first: float, l
     seen = points_in_window(STRAIGHT, [30.0, 2.0, 0.0], (x_min, x_max))
 
     assert seen[[0, -1], 0] == pytest.approx([first, last])
+    assert len(points_in_window(STRAIGHT, [900.0, 2.0, 0.0], (x_min, x_max))) == 0
     assert len(seen) == 1 + np.floor(last) - np.ceil(first) + (first % 1 > 0) + (last % 1 > 0)
     assert np.allclose(seen[:, 1], 0.0)
 
@@ -69,3 +71,18 @@ def test_item_6_an_index_finds_the_same_stretch(spacing: float) -> None:
         expected = points_in_window(part, pose, (-20, 80))
         assert seen[[0, -1]] == pytest.approx(expected[[0, -1]], abs=1e-4)
         assert np.interp(seen[:, 0], *expected.T) == pytest.approx(seen[:, 1], abs=1e-4)
+
+
+@pytest.mark.parametrize("sigma", [0.02, 0.1])
+def test_independent_errors_of_points_are_found(sigma: float) -> None:
+    """4000 squared fourth differences are as uncertain as 1500 independent squares."""
+    angle = np.arange(4000) / 100
+    points = 500 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    line = Polyline(points + np.random.default_rng(5).normal(0, sigma, points.shape))
+    shown = point_errors(line)[2:-2]
+
+    assert np.sqrt(np.mean(shown**2)) == pytest.approx(sigma, rel=4 / np.sqrt(2 * 1500))
+    x, y = line.points.T.tolist()
+    path = Path(x, y, line.distance.tolist())
+    expected = [shown_error(path, i) for i in range(2, 40)]
+    assert shown[:38] ** 2 == pytest.approx(expected, rel=1e-12)
