@@ -42,7 +42,7 @@ from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
 
-from build_core import FOLDERS, LIBRARY, MACROS, OPTIONS, compiler
+from build_core import FOLDERS, LIBRARY, MACROS, OPTIONS, checksum, compiler
 from c_mutants import Mutant, mutants
 from c_mutation_streams import DIFFERS, record, replay
 from mutation import LEFT_OUT, PRELOAD, ROOT, SLOWER, START_UP, Outcome, reasons, run_task, summary
@@ -77,6 +77,7 @@ FLAGS = [
     *(option for option in OPTIONS if option not in ("-O3", "-shared", "-fvisibility=hidden")),
     *("-O1", "-Werror=return-type"),
     *MACROS,
+    f"-DMAPLINES_DECLARATIONS={checksum()}",
     *(f"-I{place.relative_to(ROOT)}" for place in (ROOT / "c" / "include", *FOLDERS)),
 ]
 

@@ -8,7 +8,7 @@ from enum import IntEnum
 from functools import cached_property
 from typing import ClassVar
 
-from ...values.line import LEFT_OUT, LeftOut, Slot
+from ...values.line import Slot
 from .pose_layout import SCENE, SceneOwner
 from .record_layout import RecordLayout, check_record
 from .record_signals import SCENE_RECORD, Signal
@@ -28,11 +28,6 @@ class NoLine(IntEnum):
     LEFT_OUT_RANGE = 10
     LEFT_OUT_MEAN = 11
     LEFT_OUT_COVARIANCE = 12
-
-    @property
-    def reason(self) -> LeftOut | None:
-        """Reason for which the line of the slot is left out; None if there is no line."""
-        return LEFT_OUT[self - NoLine.NONE]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
