@@ -13,6 +13,7 @@ from maplines_can.bus import LogWriter
 from maplines_can.cli import main
 from maplines_can.recordings.read_lines import read_lines
 from maplines_can.study import road
+from maplines_can.study.design.planner import Planner, Targets
 from maplines_can.study.files import GaussianFile, read_map
 from maplines_can.study.sets import line_set
 from maplines_can.values.errors import MaplinesError
@@ -187,5 +188,7 @@ def test_ends_of_the_dbc_are_within_the_ranges_of_a_design(tmp_path: Path) -> No
     assert read_lines(tmp_path / "ends.log")["status"].tolist() == ["SATURATED"] * 300
     ends = -read_lines(tmp_path / "ends.log")["c1"]
     assert ends.max() > 0.03125  # by a few units in the last place
-    words = ["--frames", "4", "--out", str(tmp_path / "x.dbc"), "--set", str(tmp_path / "ends.log")]
-    assert main(["design", *words]) == 0
+    (chunk,) = (chunk() for chunk in line_set(str(tmp_path / "ends.log")).chunks(0, 300, 0))
+    assert Planner({"ends": chunk}, Targets(frames=4)).least_bits > 0
+    with pytest.raises(ValueError, match=r"c1 of 1e\+02 % of the lines is beyond 0\.03"):
+        Planner({"ends": chunk}, Targets(frames=4, ranges={"c1": 0.03}))

@@ -9,12 +9,11 @@ import pyarrow.parquet as pq
 
 from maplines_can.study import LATERAL_X, evaluate, paper
 from maplines_can.study.codes import CODES
-from maplines_can.study.comparison import codec_for, transmit
+from maplines_can.study.comparison import transmit
 from maplines_can.study.dbc.covariance_spec import covariance_signals
-from maplines_can.study.dbc.record_spec import dbc_writer_for
+from maplines_can.study.sweep.plan import Plan, codec_of
 from maplines_can.study.sweep.summary import SCHEMAS
 from maplines_can.values.line import Status
-from maplines_can.wire.layout.message_layout import Layout
 
 USED = ["Cholesky", "LinearNearest", "MeanOnly"]
 #: A set may be a user's file, and a file may be called anything.
@@ -25,7 +24,7 @@ SCENE_CODES = ("Cholesky", "PoseConditional")
 
 def rows_of(set_: Any, code: Any, finer_bits: Any, mean: Any, cov: Any) -> Any:
     """Return a code's row of the summary and its worst cases; infinities are kept."""
-    codec = codec_for(Layout.from_text(dbc_writer_for(code, finer_bits).dbc(), code))
+    codec = codec_of(Plan(code, finer_bits))
     batch = transmit(codec, mean, cov)
     verdict = evaluate(mean, cov, batch.mean, batch.cov, codec.resolution)
     kl, bits = verdict.kl_covered, sum(s.bits for s in covariance_signals(code, finer_bits))

@@ -110,14 +110,18 @@ def test_the_findings_are_those_of_the_tables(page: Any, folder: Any) -> None:
     assert "nan" not in text.lower().replace("finance", "")
 
 
-def test_a_broken_guarantee_is_the_first_finding(one_set: Any, tmp_path: Path) -> None:
+def test_a_broken_guarantee_and_missing_sections_are_reported(one_set: Any, tmp_path: Path) -> None:
+    """A sweep without fields, worst cases, limit and scenes still gives a report."""
     summary = [dict(row) for row in one_set["summary"]]
     summary[0]["overconfident"] = 0.01
     folder = write(tmp_path / "sweep", one_set, summary=summary)
-
+    for name in ("fields", "worst", "limit", "scenes"):
+        schema = pq.read_schema(folder / f"{name}.parquet")
+        pq.write_table(schema.empty_table(), folder / f"{name}.parquet")
     text = Page(write_report(folder, tmp_path / "a.html").read_text("utf-8")).text()
-
     assert "A guarantee is broken. Cholesky on paper: overconfident 1 %." in text
+    assert text.count("The sweep did not compute this.") == 3
+    assert "Scenes: lines of one pose The sweep did not compute this." in text
 
 
 def test_the_limit_is_linear_in_log_kl(folder: Any) -> None:
@@ -131,17 +135,6 @@ def test_the_limit_is_linear_in_log_kl(folder: Any) -> None:
     assert tables.limit_bits("another", 1e-3) is None
 
 
-def test_missing_sections_are_reported(one_set: Any, tmp_path: Path) -> None:
-    """A sweep without fields, worst cases, limit and scenes still gives a report."""
-    folder = write(tmp_path / "sweep", one_set)
-    for name in ("fields", "worst", "limit", "scenes"):
-        schema = pq.read_schema(folder / f"{name}.parquet")
-        pq.write_table(schema.empty_table(), folder / f"{name}.parquet")
-    text = Page(write_report(folder, tmp_path / "a.html").read_text("utf-8")).text()
-    assert text.count("The sweep did not compute this.") == 3
-    assert "Scenes: lines of one pose The sweep did not compute this." in text
-
-
 def test_the_tables_of_a_sweep_are_read(tmp_path: Path) -> None:
     """Sweep and report use the same names of columns."""
     study = small(n=200, chunk_size=200, fields_n=200, scenes_n=1)
@@ -151,15 +144,19 @@ def test_the_tables_of_a_sweep_are_read(tmp_path: Path) -> None:
 
 
 def test_item_12_the_page_leads_with_the_choice_and_defines_its_terms(
-    one_set: Any, tmp_path: Any
+    one_set: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Outliers do not reach the headline; every term has a definition; each plot has a legend."""
+    """Outliers do not reach the headline; each plot has a legend; the title is escaped."""
     summary = [each | ({"kl_mean": 1.9e10} if each["code"] == "Cholesky" else {})
                for each in one_set["summary"]]  # fmt: skip
     folder = write(tmp_path / "sweep", one_set, summary=summary)
-    page = Page(write_report(folder, tmp_path / "a.html").read_text("utf-8"))
+    out = tmp_path / "a.html"
+    assert main(["study", "report", str(folder), "--out", str(out), "--title", "a<b>&"]) == 0
+    assert "a.html: " in capsys.readouterr().err
+    for tag in ("title", "h1"):
+        assert f"<{tag}>a&lt;b&gt;&amp;</{tag}>" in out.read_text("utf-8")
+    page = Page(out.read_text("utf-8"))
     text = page.text()
-
     assert text.index("Which code to choose") < text.index("choose Cholesky") < text.index("Terms")
     head = text[: text.index("The numbers")]
     assert "1.9e+10" not in head
@@ -208,13 +205,7 @@ def test_a_missing_extra_is_named(
         write_report(folder, tmp_path / "report.html")
 
 
-def test_the_command(one_set: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The title is escaped; no column is listed twice."""
-    out, folder = tmp_path / "report.html", write(tmp_path / "sweep", one_set)
-    assert main(["study", "report", str(folder), "--out", str(out), "--title", "a<b>&"]) == 0
-    for tag in ("title", "h1"):
-        assert f"<{tag}>a&lt;b&gt;&amp;</{tag}>" in out.read_text("utf-8")
-    assert "report.html: " in capsys.readouterr().err
+def test_no_column_is_listed_twice() -> None:
     assert all(len(set(columns)) == len(columns) for columns in COLUMNS.values())
 
 
