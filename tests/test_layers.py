@@ -25,8 +25,7 @@ ROOMS = (
 BELOW = {"values.errors": "core", "engines": "values"}
 #: Commands that run the study; the others import it, and fault injection, only inside functions.
 STUDY_COMMANDS = {f"cli.{name}" for name in (
-    "demo", "study", "study_maps", "report", "production", "design", "accuracy", "claims",
-    "figures", "selftest",
+    "demo", "study", "design", "accuracy", "selftest", "paper",
 )}  # fmt: skip
 #: What the model may import of the package: the types of lines, and what a DBC says.
 OF_MODEL = ("values.errors", "values.line", "values.scene", "wire.layout")
