@@ -382,3 +382,9 @@ def test_names_of_systems() -> None:
         "+proj=tmerc +lat_0=0 +lon_0=15 +k=0.9996 +x_0=500000.0 +y_0=9999995.0"
     )
     assert around([48.0, 50.0], [9.0, 10.0]).startswith("+proj=tmerc +lat_0=49.0 +lon_0=9.5 ")
+
+
+def test_a_code_of_an_early_draft() -> None:
+    sides = on_ground("EPSG:3857", MUNICH)
+    found = geojson({"type": "EPSG", "properties": {"code": 3857}}, sides)
+    assert found.lanes["1"].width == pytest.approx(WIDTH, abs=1e-4)
