@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
-from scipy.optimize import brentq
 from support.strategies import covariances, mild_lines, motions
 
 from maplines_can.core import ffi, lib
@@ -191,20 +190,6 @@ def test_points_are_fitted_by_least_squares(line: Any, motion: Any) -> None:
     assert np.allclose(
         lateral(transform_line(line, motion, WINDOW), X), lateral(fitted, X), atol=1e-8
     )
-
-
-@given(mild_lines(), motions(), st.floats(0, 1))
-def test_a_transformed_line_follows_the_rotated_curve(line: Any, motion: Any, share: float) -> None:
-    """Up to 5 m and 10 deg it is within 1 mm of the curve, which is found by root finding."""
-    new = transform_line(line, motion, WINDOW)
-    (first, _), (last, _) = to_ego([[x, lateral(line, x)] for x in WINDOW], motion)  # type: ignore[arg-type]
-    u = first + share * (last - first)
-
-    def point(x: Any) -> Any:
-        return to_ego([x, lateral(line, x)], motion)
-
-    x = brentq(lambda x: point(x)[0] - u, -1.0, 81.0, xtol=1e-12)
-    assert abs(lateral(new, u) - point(x)[1]) <= 1e-3
 
 
 @pytest.mark.parametrize("degrees", [81, 90, -90, 99])

@@ -105,7 +105,7 @@ def lines(
                 tally = Tally()
                 for number in range(n):
                     rng = np.random.default_rng([seed, place, number])
-                    case = Case.drawn(draw(number, rng), POSES[pose], sigma, draws, rng)
+                    case = Case.drawn(*draw(number, rng), POSES[pose], sigma, draws, rng)
                     case.measure(by, tally)
                 total.add(tally)
                 rows[name] = tally.figures()
@@ -134,11 +134,15 @@ class Case(NamedTuple):
 
     @classmethod
     def drawn(
-        cls, drawn: tuple[Mapping[Slot, Polyline], Array], sigma: Any, point_sigma: float,
-        draws: int, rng: np.random.Generator,
-    ) -> Case:  # fmt: skip
+        cls,
+        lines: Mapping[Slot, Polyline],
+        pose: Array,
+        sigma: tuple[float, float, float],
+        point_sigma: float,
+        draws: int,
+        rng: np.random.Generator,
+    ) -> Case:
         """Return a case with errors of the points [m] and with so many poses."""
-        lines, pose = drawn
         error = MapError(point_sigma) if point_sigma else None
         true = {
             slot: line.points[::-1]

@@ -385,13 +385,10 @@ def by_scans(
                 continue
             due += STEP
             true, guess = way.at(one.t).pose, filters[method].poses().mean
-            matches = [
-                match(
-                    reference, scan_matching.simulated_scan(seen, true, rng), at,
-                    map_error=MAP_ERROR,
-                )
-                for seen, at in zip(real, guess, strict=True)
-            ]  # fmt: skip
+            matches = []
+            for seen, at in zip(real, guess, strict=True):
+                scan = scan_matching.simulated_scan(seen, true, rng)
+                matches.append(match(reference, scan, at, map_error=MAP_ERROR))
             for name, filtered in filters.items():
                 filtered.add(pose_fix(one.t, matches, is_white=name.endswith("white")))
                 rows[name].append((true, filtered.poses()))

@@ -326,3 +326,11 @@ def test_loops_of_links(links: list[tuple[str, str]]) -> None:
     for goal in found.lanes:
         with contextlib.suppress(RouteError):
             assert found.route("1:0:-1", goal).lanes[-1] == goal
+
+
+@pytest.mark.parametrize("name", ATTRIBUTES)
+def test_attributes_that_are_missing(name: str) -> None:
+    for place in re.finditer(rf' {name}="[-\d.e]+"', TEXT):
+        found = attempt(TEXT[: place.start()] + TEXT[place.end() :])
+        assert found is not None
+        assert found.lanes

@@ -227,3 +227,12 @@ def test_a_coordinate_that_is_no_number_is_listed(name: str) -> None:
         for bad in NO_JSON_NUMBERS if name == "GeoJSON" else NO_NUMBERS:
             found = attempt(read, (text[:start] + bad + text[stop:]).encode())
             assert found is None or len(found.skipped) > len(before.skipped), (start, bad)
+
+
+@pytest.mark.parametrize("name", FILES)
+@given(data=st.data())
+def test_missing_lines_and_tags(name: str, data: st.DataObject) -> None:
+    read, text = FILES[name]
+    parts = re.split(r"(?<=>)|(?<=\n)|(?<=,)", text)
+    gone = data.draw(st.sets(st.integers(0, len(parts) - 1), max_size=3))
+    attempt(read, "".join(part for i, part in enumerate(parts) if i not in gone).encode())

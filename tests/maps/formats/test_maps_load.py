@@ -154,3 +154,13 @@ def test_the_map_of_the_package_is_found_by_name(
 
     Path("town.xodr").write_text(TEXT)
     assert len(ml.maps.load("town.xodr").lanes) < 10
+
+
+def test_a_cut_gzip_file_gives_what_is_before(path: Path) -> None:
+    """As a file that is not compressed."""
+    roads = "".join(road(road_id=str(i)) for i in range(1000))
+    data = gzip.compress(document(roads).encode())
+    path.write_bytes(data[: len(data) // 2])
+    road_map = ml.maps.load(path)
+    assert 0 < len(road_map.roads) < 1000
+    assert "the rest of the file is not used" in road_map.skipped[-1].why

@@ -248,3 +248,10 @@ def test_a_connection_without_lane_links_is_said() -> None:
     one = road(link=linked("successor", "9", "", "junction"))
     (why,) = reasons(read_map(one, road(road_id="2", plan=geometry(x=100.0)), junction))
     assert why == "it has no laneLink, so it links no lanes"
+
+
+def test_access_is_said() -> None:
+    denied = '<access sOffset="0" rule="deny" restriction="truck"/>'
+    walk = lane(-2, WIDTH + denied, kind="sidewalk")
+    (why,) = reasons(read_map(road(section(lane(-1, WIDTH + denied), walk))))
+    assert why.startswith("who has access to it is not read")

@@ -185,6 +185,7 @@ def test_the_projection_is_kept(header: str, projection: str | None) -> None:
 def test_the_length_of_the_geometry_counts() -> None:
     found = read_map(road(length=120.0))
     assert reasons(found) == ["length is '120.0'; that of the geometry is used, 100.000 m"]
+    assert repr(found) == "<Map 'map.xodr': 1 roads, 2 lanes>"
     assert found.lanes["1:0:-1"].length == pytest.approx(100)
 
 
@@ -283,3 +284,9 @@ def test_a_marking_from_a_rounding_error_on_is_that_from_the_start() -> None:
     lanes = read_map(road(section(lane(-1, near), lane(-2, later), lane(-3)))).lanes
     assert (lanes["1:0:-1"].right.kind, lanes["1:0:-1"].right.kinds) == (Kind.SOLID, ())
     assert [kind for _, kind in lanes["1:0:-2"].right.kinds] == [Kind.UNKNOWN, Kind.SOLID]
+
+
+def test_a_namespace_changes_nothing() -> None:
+    text = road().replace("<road ", '<road xmlns="http://asam.net" xmlns:o="http://o" ')
+    prefixed = text.replace("<planView>", "<o:planView>").replace("</planView>", "</o:planView>")
+    assert len(read_map(prefixed).lanes) == 2

@@ -231,3 +231,12 @@ def test_a_street_map_is_an_error() -> None:
     osm.way((0.0, 0.0), (1.0, 1.0), highway="residential")
     with pytest.raises(MapFileError, match="contains no lanelet"):
         osm.map()
+
+
+def test_deleted_elements_do_not_count() -> None:
+    osm = Osm()
+    osm.strip(0.0, 9.0)
+    last = osm.strip(20.0, 29.0)
+    osm.elements[-1] = osm.elements[-1].replace("<relation", '<relation action="delete"')
+    osm.elements.append('<bounds minlat="49.0"/>')  # nor do others
+    assert last not in osm.map().lanes

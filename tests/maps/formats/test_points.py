@@ -234,3 +234,8 @@ e,90,-3,,,
     left = read_map(geojson(*parts)).lanes["1"].left
     assert [kind for _, kind in left.kinds] == [Kind.DASHED, Kind.SOLID]
     assert left.kinds[1][0] == pytest.approx(left.length / 3, rel=1e-3)
+
+
+def test_text_in_another_encoding() -> None:
+    with pytest.raises(MapFileError, match="cannot be read as text in UTF-8"):
+        read(io.BytesIO(b"line,x,y\n\xff,1,2"), "map.csv")

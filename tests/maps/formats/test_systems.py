@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support.lanelet_files import Osm
+from support.xodr_files import geometry, read_map, road, section
+from support.xodr_files import lane as xodr_lane
 
 from maplines_can.maps import Map, MapFileError
 from maplines_can.maps.formats.commonroad import read as read_commonroad
-from maplines_can.maps.formats.opendrive import read as read_opendrive
-from maplines_can.maps.formats.osm import read as read_osm
 from maplines_can.maps.formats.points import read as read_points
 from maplines_can.maps.formats.projection import around, local_cartesian, shifted, utm_of
 from maplines_can.simulation.map_frame import project
@@ -74,14 +75,9 @@ def commonroad(name: str, sides: list[Array], more: str = "") -> Map:
 
 
 def opendrive(name: str, x: float, y: float, offset: str = "") -> Map:
-    text = (
-        f"<OpenDRIVE><header><geoReference><![CDATA[{name}]]></geoReference>{offset}</header>"
-        f'<road id="1" length="300"><planView><geometry s="0" x="{x!r}" y="{y!r}" hdg="0" '
-        'length="300"><line/></geometry></planView><lanes><laneSection s="0"><center>'
-        '<lane id="0" type="none"/></center><right><lane id="-1" type="driving">'
-        '<width sOffset="0" a="3.5"/></lane></right></laneSection></lanes></road></OpenDRIVE>'
-    )
-    return read_opendrive(io.BytesIO(text.encode()), "map.xodr")
+    header = f"<geoReference><![CDATA[{name}]]></geoReference>{offset}"
+    plan = geometry(x=x, y=y, length=300.0)
+    return read_map(road(section(xodr_lane(-1)), plan=plan, length=300.0), header=header)
 
 
 FORMATS = [pytest.param(geojson, id="geojson"), pytest.param(commonroad, id="commonroad")]
@@ -361,29 +357,18 @@ def test_a_requested_frame_of_a_file_with_a_system(name: str) -> None:
 def test_the_scale_of_a_requested_frame_is_said(projection: str, text: str | None) -> None:
     """Also of Lanelet2, whose positions are in WGS84; a drive in degrees is in the same frame."""
     pytest.importorskip("pyproj")
-    sides = on_ground("EPSG:4326", MUNICH)
-    features = [{"type": "Feature", "properties": {"lane": "1", "side": side},
-                 "geometry": {"type": "LineString", "coordinates": points.tolist()}}
-                for side, points in zip(("left", "right"), sides, strict=True)]  # fmt: skip
-    document = {"type": "FeatureCollection", "features": features}
-    nodes, ways = "", ""
-    for way, points in enumerate(sides):
-        ids = [f"{way}{i}" for i in range(len(points))]
-        nodes += "".join(f'<node id="1{i}" lat="{lat!r}" lon="{lon!r}"/>'
-                         for i, (lon, lat) in zip(ids, points.tolist(), strict=True))  # fmt: skip
-        ways += f'<way id="{way + 1}">{"".join(f"""<nd ref="1{i}"/>""" for i in ids)}</way>'
-    lanelet = (
-        '<relation id="1"><member type="way" role="left" ref="1"/><member type="way" role="right" '
-        'ref="2"/><tag k="type" v="lanelet"/><tag k="subtype" v="road"/></relation>'
-    )
+    osm = Osm(origin=MUNICH[::-1])
+    osm.strip(0.0, 300.0, y=(WIDTH / 2, -WIDTH / 2))
+    crs84 = geojson_text("OGC:CRS84", on_ground("EPSG:4326", MUNICH))
     for found in (
-        read_points(io.BytesIO(json.dumps(document).encode()), "map.geojson", projection),
-        read_osm(io.BytesIO(f"<osm>{nodes}{ways}{lanelet}</osm>".encode()), "map.osm", projection),
+        read_points(io.BytesIO(crs84.encode()), "map.geojson", projection),
+        osm.map(projection),
     ):
         assert len(found.skipped) == (text is not None)
         assert text is None or text in found.skipped[0].why
         start = project([MUNICH[1]], [MUNICH[0]], found.projection)[0]
-        assert found.lanes["1"].centre.points[0] == pytest.approx(start, abs=1e-3, rel=1e-9)
+        lane = next(iter(found.lanes.values()))
+        assert lane.centre.points[0] == pytest.approx(start, abs=1e-3, rel=1e-9)
 
 
 def test_names_of_systems() -> None:
@@ -397,3 +382,9 @@ def test_names_of_systems() -> None:
         "+proj=tmerc +lat_0=0 +lon_0=15 +k=0.9996 +x_0=500000.0 +y_0=9999995.0"
     )
     assert around([48.0, 50.0], [9.0, 10.0]).startswith("+proj=tmerc +lat_0=49.0 +lon_0=9.5 ")
+
+
+def test_a_code_of_an_early_draft() -> None:
+    sides = on_ground("EPSG:3857", MUNICH)
+    found = geojson({"type": "EPSG", "properties": {"code": 3857}}, sides)
+    assert found.lanes["1"].width == pytest.approx(WIDTH, abs=1e-4)
