@@ -6,7 +6,6 @@
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import altered_dbc
 import cantools
@@ -27,7 +26,6 @@ from maplines_can.study.dbc.record_spec import (
 from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import Slot
 from maplines_can.wire import Layout
-from maplines_can.wire.layout.pose_layout import PoseLayout
 
 ROOT = Path(__file__).parents[3]
 #: Records in a row for the fields for which it matters that a number wraps.
@@ -138,28 +136,6 @@ def test_a_wrong_message_of_the_pose_error_is_refused(old: str, new: str, words:
     assert old in pose_original()
     with pytest.raises(LayoutError, match=words):
         Layout.from_text(pose_original().replace(old, new))
-
-
-def test_records_have_their_own_ids() -> None:
-    """A frame of one could otherwise be delivered as one of another; any own IDs are accepted."""
-    layout = Layout.from_text(pose_original())
-    assert isinstance(layout.pose, PoseLayout)
-    cases: tuple[tuple[dict[str, Any], str], ...] = (
-        ({"can_id": 0x341}, "the same CAN ID, 833"),
-        ({"data_id": layout.messages[Slot.EGO_LEFT].data_id}, "the same E2EDataId"),
-    )
-    for change, words in cases:
-        messages = replace(layout.pose.messages, **change)
-        with pytest.raises(LayoutError, match=words):
-            replace(layout, pose=replace(layout.pose, messages=messages))
-    left, right = layout.messages.values()
-    swapped = {
-        Slot.EGO_LEFT: replace(left, data_id=right.data_id),
-        Slot.EGO_RIGHT: replace(right, data_id=left.data_id),
-    }
-    assert replace(layout, messages=swapped).messages == swapped
-    with pytest.raises(LayoutError, match="have the same CAN ID, 833"):
-        replace(layout, messages=swapped | {Slot.EGO_LEFT: replace(left, can_id=0x341)})
 
 
 @pytest.mark.parametrize("name", ["EdgeRightOwnPoints", "EdgeRightCounter", "RouteFitAhead"])
