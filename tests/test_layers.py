@@ -37,7 +37,7 @@ MODEL_USERS = {f"testing.{name}" for name in (
 LAZY = {
     ("cli.options", "testing"), ("cli.options", "study.comparison"),
     ("cli.options", "study.dbc.record_spec"),
-    ("cli.map_info", "study.figures.map_picture"),
+    ("cli.map", "study.figures.map_picture"),
     ("simulation.transmission", "testing"), ("restbus.frame_faults", "testing"),
     ("cosimulation.connections", "testing"), ("cosimulation.runner", "testing"),
 }  # fmt: skip

@@ -21,8 +21,8 @@ from typing import Any
 
 from .. import __version__
 from ..values.errors import CoreError, MaplinesError
-from .parsing import Parser
-from .stderr import note
+from .command_line import Parser, note
+from .file_arguments import missing_file_hint
 
 __all__ = ["main"]
 
@@ -34,7 +34,7 @@ COMMANDS = {
     "receive": ("receive", "print the lines that arrive on a bus until Ctrl-C"),
     "decode": ("decode", "print the lines in a log file, or write tables of many"),
     "plot": ("plot", "draw the lines in log files, with their uncertainty"),
-    "map": ("map_info", "print what is in a map file, and draw it"),
+    "map": ("map", "print what is in a map file, and draw it"),
     "drive": ("drive", "drive on a map, and send or record the lines around the car"),
     "restbus": ("restbus", "simulate the nodes around a device: lines and other messages"),
     "consume": ("consume", "use received lines as a car does: fuse, steer, check"),
@@ -123,7 +123,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (MaplinesError, OSError, ValueError) as error:
         message = _with_options(" ".join(_text(error).split()))
         is_loaded = not isinstance(error, CoreError)  # the hint needs most of the package
-        note(f"error: {message}{_missing_file_hint(message, argv) if is_loaded else ''}")
+        note(f"error: {message}{missing_file_hint(message, argv) if is_loaded else ''}")
         return 1
     finally:
         _drop_output()
@@ -204,12 +204,6 @@ def _text(error: Exception) -> str:
         name = "standard output" if error.filename is None else error.filename
         return f"{name}: cannot be written: {error.strerror}"
     return str(error)
-
-
-def _missing_file_hint(message: str, argv: Sequence[str]) -> str:
-    from .missing_files import missing_file_hint  # imports what --help does not need
-
-    return missing_file_hint(message, argv)
 
 
 def _with_options(message: str) -> str:

@@ -16,11 +16,10 @@ from ..study.accuracy.verdicts import as_text, consistency_of, map_consistency_o
 from ..values.errors import DriveFileError, LogError
 from ..values.line import MapLine
 from ..wire import Decoder, Reason
-from .log_input import add_times, check_received, note_log
+from .command_line import add_command, add_json, note, option_group, with_progress
+from .file_arguments import add_force, check_new
+from .frame_source import add_times, check_received, note_log
 from .options import add_codec, add_cycle, add_transfer_timeout, decoder_of, keyed_codec
-from .overwriting import add_force, check_new
-from .parsing import add_command, add_json, option_group
-from .stderr import note, with_progress
 
 PICTURES = (".png", ".svg", ".pdf")
 

@@ -20,11 +20,10 @@ from ..recordings.fitting import check_fit
 from ..values.gaussian import Gaussian
 from ..values.line import PARAMETERS, MapLine, Slot
 from ..wire import Codec, Reason
+from .command_line import note, option_group
 from .consume_input import table_rows
-from .log_input import note_log
+from .frame_source import note_log
 from .options import bus_settings, codec_from
-from .parsing import option_group
-from .stderr import note
 
 #: Oldest line that is handed on [s].
 OLDEST = 0.5

@@ -15,12 +15,11 @@ from ..study.figures.round_trip_picture import draw_round_trip
 from ..study.round_trip import BusSettings, LineResult, RoundTrip, SceneResult, round_trip
 from ..values.line import Status
 from ..wire import POSE
+from .command_line import add_command, add_json, option_group, progress_bar, seconds
+from .file_arguments import add_force, check_new
 from .options import add_bus, add_codec, add_faults, bus_settings, keyed_codec
 from .output import counts_text, faults_text, left_out_text, pose_errors_text, slot_text
-from .overwriting import add_force, check_new
-from .parsing import add_command, add_json, option_group, seconds
 from .sending import Sending, add_sending, components_dict, components_text, sending_of
-from .stderr import progress_bar
 
 PICTURES = (".png", ".svg", ".pdf")
 

@@ -19,9 +19,8 @@ from ..study.design.search import SETS, Design, design, sets_of
 from ..study.scenes.map_scenes import drawn_scenes, maps_of
 from ..study.sets import Gaussians, line_set
 from ..values.line import PARAMETERS
-from .overwriting import add_force, check_new
-from .parsing import add_command, add_json, number, option_group, positive
-from .stderr import progress_bar
+from .command_line import add_command, add_json, number, option_group, positive, progress_bar
+from .file_arguments import add_force, check_new
 
 __all__ = ["add_design"]
 

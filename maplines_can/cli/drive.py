@@ -33,6 +33,20 @@ from ..values.gaussian import Gaussian
 from ..values.line import LeftOut, Slot
 from ..values.polyline import Polyline
 from ..wire import Frame, LineCodec
+from .command_line import add_command, add_json, note, number, option_group, progress_bar, seconds
+from .drive_options import (
+    TOUR,
+    add_reported_pose,
+    add_view,
+    add_way,
+    check_reported_pose,
+    check_way,
+    map_of,
+    reported_pose_of,
+    states_of,
+    way_of,
+)
+from .file_arguments import add_force, check_new
 from .options import (
     add_bus,
     add_codec,
@@ -44,12 +58,7 @@ from .options import (
     keyed_codec,
 )
 from .output import counts_text, faults_text, pose_errors_text
-from .overwriting import add_force, check_new
-from .parsing import add_command, add_json, number, option_group, seconds
-from .reported_pose import add_reported_pose, check_reported_pose, reported_pose_of
 from .sending import add_line_model, bus_share, map_error_of, sends_scenes
-from .stderr import note, progress_bar
-from .ways import TOUR, add_view, add_way, check_way, map_of, states_of, way_of
 
 #: Name of the map of this package.
 TOWN = town_path().name

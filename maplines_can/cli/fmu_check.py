@@ -8,7 +8,7 @@ from typing import Any
 
 from ..cosimulation.checks import check
 from ..cosimulation.fmu_description import read_description
-from .parsing import add_command, add_json
+from .command_line import add_command, add_json
 
 DESCRIPTION = """\
 Check FMUs against FMI-LS-BUS 1.0.0, low cut, CAN: manifest, bus terminals and their configuration,

@@ -19,11 +19,10 @@ from ..cosimulation.node import Value
 from ..cosimulation.runner import CoSimulation, node_names
 from ..logs.log_writer import check_log_path
 from ..wire import Frame
+from .command_line import add_command, add_json, note, number, option_group, progress_bar
+from .file_arguments import add_force, check_new
 from .options import add_faults, fault_injector
 from .output import faults_text
-from .overwriting import add_force, check_new
-from .parsing import add_command, add_json, number, option_group
-from .stderr import note, progress_bar
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

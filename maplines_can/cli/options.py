@@ -23,7 +23,7 @@ from ..wire import (
     default_dbc_path,
 )
 from ..wire.protection.secoc import WHOLE_FRESHNESS
-from .parsing import natural, number, option_group
+from .command_line import natural, number, option_group
 
 if TYPE_CHECKING:
     from ..testing import FaultInjector, Faults, FaultyOpener

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from ..simulation.scenarios import SCENARIOS, STREETS, scenario
+from .command_line import add_command, add_json, option_group, progress_bar
+from .file_arguments import add_force, check_new
 from .options import add_dbc, add_draws, codec_from
-from .overwriting import add_force, check_new
-from .parsing import add_command, add_json, option_group
-from .stderr import progress_bar
 
 __all__ = ["add_claims", "add_figures", "add_scenarios"]
 

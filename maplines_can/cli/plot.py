@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from ..values.errors import MaplinesError
-from .decode_tables import distances, slots
-from .log_input import add_times, choose_dbc, note_log
+from .command_line import add_command, note, option_group
+from .decode import distances, slots
+from .file_arguments import add_force, check_new
+from .frame_source import add_times, choose_dbc, note_log
 from .options import add_codec, keyed_codec
-from .overwriting import add_force, check_new
-from .parsing import add_command, option_group
-from .stderr import note
 
 PICTURES = (".png", ".svg", ".pdf")
 

@@ -13,7 +13,8 @@ from typing import Any
 from ..bus import Receiver, ReceiverStats
 from ..values.line import MapLine
 from ..wire import E2EState, LineCodec, Owner, SceneView, SlotStats
-from .observed_link import ObservedLink, why_silent
+from .command_line import add_command, add_json, natural, note, option_group, seconds
+from .frame_source import ObservedLink, why_silent
 from .options import (
     add_bus,
     add_codec,
@@ -43,8 +44,6 @@ from .output import (
     scene_dict,
     scene_text,
 )
-from .parsing import add_command, add_json, natural, option_group, seconds
-from .stderr import note
 
 #: Time without a line after which the reason is printed, once [s].
 SILENCE = 2.0

@@ -19,11 +19,10 @@ from ..restbus import Config, Restbus
 from ..restbus.config import EXAMPLE
 from ..values.errors import LogError
 from ..wire import Frame
+from .command_line import add_command, add_json, note, number, option_group, progress_bar, seconds
+from .file_arguments import add_force, check_new
 from .options import add_bus, add_encoding, bus_settings
 from .output import faults_text
-from .overwriting import add_force, check_new
-from .parsing import add_command, add_json, number, option_group, seconds
-from .stderr import note, progress_bar
 
 if TYPE_CHECKING:
     from ..bus.virtual_time import VirtualTimeBus

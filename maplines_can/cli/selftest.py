@@ -14,8 +14,8 @@ from ..testing.map_streams import compare_maps
 from ..testing.sender_comparison import compare_senders
 from ..values.errors import missing_extra
 from ..wire import SHIPPED, default_dbc_path
+from .command_line import add_command, add_json, number, option_group, seconds
 from .options import add_encoding, layout_from
-from .parsing import add_command, add_json, number, option_group, seconds
 
 __all__ = ["add_selftest"]
 

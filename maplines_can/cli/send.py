@@ -11,6 +11,7 @@ from ..bus import Link, Transmitter, TransmitterStats
 from ..bus.schedule import Schedule
 from ..simulation.scenario_lines import AMPLITUDE, SINE_PERIOD, SPEED, weaving_ego
 from ..wire import LineCodec
+from .command_line import add_command, add_json, natural, note, option_group
 from .options import (
     add_bus,
     add_codec,
@@ -21,9 +22,7 @@ from .options import (
     keyed_codec,
 )
 from .output import faults_text, left_out_text, pose_errors_text, slot_text
-from .parsing import add_command, add_json, natural, option_group
 from .sending import Sending, add_sending, components_dict, components_text, sending_of
-from .stderr import note
 
 #: Bounds of the rate at which lines are computed [1/s]. With a lower --rate they would become too
 #: old; with a higher one they are sent several times with a growing age.

@@ -24,8 +24,8 @@ from ..simulation.scenarios import SCENARIOS, STREETS, Scenario, scenario
 from ..values.line import LeftOut, MapLine, MapLineList, Slot
 from ..values.scene import Scene
 from ..wire import SCENE, SCENE2, LineCodec
+from .command_line import number, option_group, positive
 from .output import left_out_text
-from .parsing import number, option_group, positive
 
 #: Rate of each line if neither --rate nor the DBC states it [1/s].
 DEFAULT_RATE = 20.0

@@ -20,9 +20,8 @@ from ..study.sweep.plan import Study
 from ..study.sweep.run import run_study
 from ..study.sweep.summary import read_table, summary_text
 from ..study.sweep.tasks import cpu_seconds
-from .overwriting import add_force, check_new
-from .parsing import add_command, add_json, number, option_group
-from .stderr import note, progress_bar
+from .command_line import add_command, add_json, note, number, option_group, progress_bar
+from .file_arguments import add_force, check_new
 
 __all__ = ["add_maps", "add_production", "add_report", "add_run"]
 

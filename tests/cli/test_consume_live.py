@@ -27,7 +27,7 @@ from maplines_can import (
     map_scene,
 )
 from maplines_can.cli import main
-from maplines_can.cli.consume_motion import motion_of
+from maplines_can.cli.consume_input import motion_of
 from maplines_can.wire import Frame, Reason, default_dbc_path
 
 DBC = "maplines-pose.dbc"

@@ -15,7 +15,7 @@ from support.lines import scenario_lines
 
 from maplines_can import Codec
 from maplines_can.cli import main
-from maplines_can.cli.stderr import with_progress
+from maplines_can.cli.command_line import with_progress
 from maplines_can.simulation import scenario
 
 

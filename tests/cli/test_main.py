@@ -14,7 +14,7 @@ import maplines_can
 from maplines_can import core
 from maplines_can.cli import COMMANDS, main
 from maplines_can.cli import GROUPS as COMMAND_GROUPS
-from maplines_can.cli.parsing import GROUPS
+from maplines_can.cli.command_line import GROUPS
 from maplines_can.values.errors import missing_extra
 
 ROOT = Path(__file__).parents[2]

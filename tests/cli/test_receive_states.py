@@ -11,7 +11,7 @@ from support.dbcs import default_codec
 from support.e2e_streams import frames
 
 from maplines_can import MapLine
-from maplines_can.cli import main, stderr
+from maplines_can.cli import command_line, main
 
 
 def test_receive_prints_the_states_and_two_senders(
@@ -33,7 +33,7 @@ def test_receive_prints_the_states_and_two_senders(
     noted = threading.Event()
 
     def note(text: str) -> None:
-        stderr.note(text)
+        command_line.note(text)
         if "INIT" in text:
             noted.set()
 

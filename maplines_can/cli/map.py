@@ -13,9 +13,8 @@ import numpy as np
 from ..maps import Map, Skipped, link_gaps, load, town_path
 from ..maps.formats.load import SHIPPED
 from ..maps.point_quality import EVERY, MAX_PLACES, PointQuality, point_quality
-from .overwriting import add_force, check_new
-from .parsing import add_command, add_json, number, option_group
-from .stderr import progress_bar
+from .command_line import add_command, add_json, number, option_group, progress_bar
+from .file_arguments import add_force, check_new
 
 __all__ = ["add_map"]
 

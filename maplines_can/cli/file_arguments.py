@@ -1,14 +1,47 @@
-"""What to do about a file that does not exist: take one with a similar name, or make one."""
+"""Files that a command is given: one that exists is replaced only with ``--force``, and what to do
+about one that does not exist.
+"""
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Sequence
 from difflib import get_close_matches
 from itertools import islice
 from pathlib import Path
 
-from ..maps.formats.load import SHIPPED as MAPS
-from ..wire import SHIPPED as DBCS
+from .command_line import option_group
+
+
+def add_force(parser: argparse.ArgumentParser) -> None:
+    """Add ``--force``, for ``check_new``."""
+    option_group(parser, "output").add_argument(
+        "--force",
+        action="store_true",
+        help="replace files that exist (default: end with an error before anything is written)",
+    )
+
+
+def check_new(arguments: argparse.Namespace, *paths: str | Path | None) -> None:
+    """Check that no file to be written exists, unless ``--force`` is given.
+
+    Commands call this before their work, which may take long.
+
+    Args:
+        arguments: with those of ``add_force``.
+        paths: of the files; None for one that is not wanted.
+
+    Raises:
+        ValueError: a file exists.
+    """
+    if arguments.force:
+        return
+    for path in paths:
+        if path is not None and Path(path).exists():
+            raise ValueError(
+                f"{path} exists already; use another name, or --force to replace the file"
+            )
+
 
 #: Files of a folder whose names are compared.
 MAX_FILES = 10_000
@@ -33,6 +66,9 @@ def missing_file_hint(message: str, words: Sequence[str]) -> str:
 
 
 def _hint(path: Path) -> str:
+    from ..maps.formats.load import SHIPPED as MAPS  # what --help does not need
+    from ..wire import SHIPPED as DBCS
+
     is_here = path.parent == Path()
     shipped = [*DBCS, *MAPS] if is_here else []
     try:
