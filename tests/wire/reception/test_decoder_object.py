@@ -17,44 +17,6 @@ from maplines_can import MapLine, Slot
 from maplines_can.wire import POSE, Decoder, Reason, ReceivedFrame
 
 
-def recorded(dbc: str, scenes: int) -> tuple[Any, list[Any]]:
-    """Return a decoder, and the arrays of ``feed_arrays`` of so many scenes."""
-    codec = new_codec(dbc)
-    encoder = codec.encoder()
-    prepared = encoder.prepare_scene(road_scene())
-    frames = [
-        frame
-        for _ in range(scenes)
-        for own in encoder.encode_scene(prepared).values()
-        for frame in own
-    ]
-    n = len(frames)
-    return codec.decoder(), [
-        np.array([frame.can_id for frame in frames], np.uint32),
-        np.zeros(n, bool),
-        np.arange(n) * 10**6,
-        np.full(n, 8, np.uint8),
-        np.array([list(frame.data) for frame in frames], np.uint8),
-        np.arange(n),
-        np.zeros(n, np.uint8),
-        2,
-    ]
-
-
-def test_an_argument_may_use_the_decoder_itself() -> None:
-    """What runs while arguments are read is in the same thread: it is decoded first."""
-    decoder, arrays = recorded(COMPLETE, 1)
-    first = int(arrays[0][0]), arrays[4][0].tobytes()
-
-    class Time:
-        def __index__(self) -> int:
-            decoder.feed_arrays(*arrays)
-            return 0
-
-    decoder.feed(*first, Time())
-    assert decoder.frames == 1 + len(arrays[0])
-
-
 def scene_frames(dbc: str, cycles: int = 6) -> list[ReceivedFrame]:
     """Return the frames of scenes."""
     encoder, scene = new_codec(dbc).encoder(), road_scene(Slot)
@@ -65,6 +27,20 @@ def scene_frames(dbc: str, cycles: int = 6) -> list[ReceivedFrame]:
             frame for own in encoder.encode_scene(scene, age=0.02).values() for frame in own
         )
     ]
+
+
+def test_an_argument_may_use_the_decoder_itself() -> None:
+    """What runs while arguments are read is in the same thread: it is decoded first."""
+    decoder: Any = new_codec(COMPLETE).decoder()
+    frames = scene_frames(COMPLETE, 1)
+
+    class Time:
+        def __index__(self) -> int:
+            decoder.feed_all(frames)
+            return 0
+
+    decoder.feed(*frames[0][:2], Time())
+    assert decoder.frames == 1 + len(frames)
 
 
 @pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
