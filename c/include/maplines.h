@@ -36,7 +36,7 @@
  *          all sources, such as -D'MAPLINES_ASSERT(c)=((c) ? (void)0 : on_mistake())'. Where it
  *          returns, or is off by NDEBUG, the function refuses: it returns NULL, false, NaN or a
  *          reason, or does nothing; a result that it can write to says that nothing is usable.
- * Needs    <math.h>: sqrt, sqrtf, fabs, fabsf, floor, ceil, rint, ldexp, frexp and copysign, all of
+ * Needs    <math.h>: sqrt, sqrtf, fabs, floor, ceil, rint, ldexp, frexp and copysign, all of
  *          which are exact: IEEE 754 defines each bit of them. <string.h>: memcpy, memset, memcmp.
  *          <assert.h> unless MAPLINES_ASSERT is defined.
  *

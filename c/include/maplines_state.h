@@ -37,12 +37,6 @@ typedef struct {
 #endif
 } maplines_cholesky_t;
 
-/// Order of the rows of a covariance that is not in the records.
-typedef struct {
-    uint8_t rows;
-    uint8_t order[4]; ///< state of each row
-} maplines_row_order_t;
-
 /// What all records of a layout share.
 typedef struct {
     uint8_t pages;
@@ -109,7 +103,10 @@ struct maplines_dbc {
 #if MAPLINES_LINE_RECORDS || MAPLINES_SENDER
     maplines_cholesky_t covariance; ///< in whole scenes, only the order of its rows
 #else
-    maplines_row_order_t covariance;
+    struct {
+        uint8_t rows;
+        uint8_t order[4]; ///< state of each row
+    } covariance;
 #endif
 #if MAPLINES_LINE_RECORDS
     /* records of lines */

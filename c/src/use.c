@@ -13,11 +13,11 @@
 #if MAPLINES_FLOAT
 #define UNIT_ROUNDOFF 0x1p-24F
 #define ROOT_OF sqrtf
-#define SIZE_OF fabsf
+#define SIZE_OF(value) ((float)fabs((double)(value)))
 #else
 #define UNIT_ROUNDOFF 0x1p-53
 #define ROOT_OF sqrt
-#define SIZE_OF fabs
+#define SIZE_OF(value) fabs(value)
 #endif
 
 #define RANGE_TOLERANCE ((maplines_real_t)0x1p-10) ///< of x, for its rounding [m]

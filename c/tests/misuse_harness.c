@@ -409,9 +409,6 @@ static void receiver_rows(void)
     ROW(decoder_init, "decoder NULL", true, problem(maplines_decoder_init(NULL, &lines_dbc, NULL)))
     ROW(decoder_init, "dbc NULL", true,
         problem(maplines_decoder_init(copy_of_zeroed(), NULL, NULL)))
-    VOID_ROW(decoder_init_default, "decoder NULL", maplines_decoder_init_default(NULL, &lines_dbc))
-    VOID_ROW(decoder_init_default, "dbc NULL",
-             maplines_decoder_init_default(copy_of_zeroed(), NULL))
     ROW_AFTER(decoder_init, "stale_cycles NaN", false, settings.stale_cycles = NAN,
               problem(maplines_decoder_init(copy_of_zeroed(), &lines_dbc, &settings)))
     maplines_default_settings(&lines_dbc, &settings);
@@ -489,6 +486,9 @@ static void receiver_rows(void)
         problem(maplines_settings_for(&lines_dbc, 0, INFINITY, NULL, &settings)))
     ROW(settings_for, "cycle_ms negative", false,
         problem(maplines_settings_for(&lines_dbc, 0, -50, NULL, &settings)))
+    VOID_ROW(decoder_init_default, "decoder NULL", maplines_decoder_init_default(NULL, &lines_dbc))
+    VOID_ROW(decoder_init_default, "dbc NULL",
+             maplines_decoder_init_default(copy_of_zeroed(), NULL))
 }
 
 /// Lines that nobody receives: of no numbers, or of a range that ends before it starts.
