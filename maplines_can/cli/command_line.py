@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
 from difflib import get_close_matches
 from typing import Any, NoReturn, TypeVar
@@ -87,16 +87,48 @@ def add_command(
 ) -> argparse.ArgumentParser:
     """Add a command to the subparsers of ``maplines`` and return its parser.
 
-    Line breaks of the description are kept. The example, a command line, ends the help.
+    Line breaks of the description are kept. The example, a command line, ends the help; several
+    are given with their title.
     """
     parser: argparse.ArgumentParser = commands.add_parser(
         name,
         description=description,
-        epilog=f"example: {example}",
+        epilog=example if "\n" in example else f"example: {example}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.set_defaults(run=run)
     return parser
+
+
+def add_group(
+    commands: Any,
+    name: str,
+    description: str,
+    title: str,
+    members: Mapping[str, tuple[Callable[[Any], object], str]],
+    example: str,
+) -> None:
+    """Add a command that has commands of its own.
+
+    Args:
+        commands: subparsers of ``maplines``.
+        name: of the command.
+        description: of all of them.
+        title: over their list in the help, and the name of the argument.
+        members: function that adds each, and one line of help.
+        example: a command line.
+    """
+    width = max(map(len, members)) + 2
+    rows = "".join(f"\n  {member:<{width}}{text}" for member, (_, text) in members.items())
+    parser = commands.add_parser(
+        name,
+        description=f"{description}\n\n{title}:{rows}",
+        epilog=f"example: {example}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    group = parser.add_subparsers(required=True, metavar=title.removesuffix("s").upper())
+    for add, _ in members.values():
+        add(group)
 
 
 def number(

@@ -21,7 +21,7 @@ from ..propagation import Motion
 from ..simulation.camera import CameraAtReportedPose
 from ..values.line import MapLine, Slot
 from ..wire import LineCodec, SceneView
-from .command_line import add_command, note, number, option_group
+from .command_line import add_command, add_group, note, number, option_group
 from .consume_camera import COLUMNS, NewLines, add_camera, camera_of, check_camera
 from .consume_input import (
     PERIOD,
@@ -472,13 +472,5 @@ DESCRIPTION = "Use the received lines as a car does: one subcommand for each con
 
 def add_consume(commands: Any) -> None:
     """Add the command ``consume`` with its subcommands."""
-    rows = "".join(f"\n  {name:<8}{text}" for name, (_, text) in CONSUMERS.items())
-    parser = commands.add_parser(
-        "consume",
-        description=f"{DESCRIPTION}\n\nconsumers:{rows}",
-        epilog="example: maplines consume fusion --simulate --seconds 10",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    consumers = parser.add_subparsers(required=True, metavar="CONSUMER")
-    for add_consumer, _ in CONSUMERS.values():
-        add_consumer(consumers)
+    example = "maplines consume fusion --simulate --seconds 10"
+    add_group(commands, "consume", DESCRIPTION, "consumers", CONSUMERS, example)

@@ -19,7 +19,7 @@ from ..propagation import MapError
 from ..values.line import Slot
 from ..values.output_files import whole_file
 from ..wire import SHIPPED
-from .command_line import add_json, number, option_group
+from .command_line import add_command, add_group, add_json, number, option_group
 from .drive_options import add_route, add_view, map_of, route_of
 from .file_arguments import add_force, check_new
 from .options import add_encoding, layout_from
@@ -139,12 +139,7 @@ examples:
 
 def add_c(subparsers: Any) -> argparse.ArgumentParser:
     """Add the subcommand ``c`` to those of ``maplines generate`` and return its parser."""
-    parser: argparse.ArgumentParser = subparsers.add_parser(
-        "c",
-        description=ABOUT_C,
-        epilog=EXAMPLES_C,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = add_command(subparsers, "c", _generate_c, ABOUT_C, EXAMPLES_C)
     add = option_group(parser, "message").add_argument
     add(
         "--dbc",
@@ -165,7 +160,6 @@ def add_c(subparsers: Any) -> argparse.ArgumentParser:
     )
     add_features(parser, sides=True)
     add_out(parser, "the names of the files, the features and the sizes")
-    parser.set_defaults(run=_generate_c)
     return parser
 
 
@@ -359,12 +353,7 @@ examples:
 
 def add_vectors(subparsers: Any) -> argparse.ArgumentParser:
     """Add the subcommand ``vectors`` to those of ``maplines generate`` and return its parser."""
-    parser: argparse.ArgumentParser = subparsers.add_parser(
-        "vectors",
-        description=ABOUT_VECTORS,
-        epilog=EXAMPLES_VECTORS,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = add_command(subparsers, "vectors", _generate_vectors, ABOUT_VECTORS, EXAMPLES_VECTORS)
     add = option_group(parser, "message").add_argument
     add(
         "--dbc",
@@ -381,7 +370,6 @@ def add_vectors(subparsers: Any) -> argparse.ArgumentParser:
     )
     add_features(parser, sides=False)
     add_out(parser, "the names of the files, the number of cases and the hashes")
-    parser.set_defaults(run=_generate_vectors)
     return parser
 
 
@@ -409,13 +397,5 @@ DESCRIPTION = "Generate from a DBC what an ECU needs: one subcommand for each."
 
 def add_generate(commands: Any) -> None:
     """Add the command ``generate`` with its subcommands."""
-    rows = "".join(f"\n  {name:<9}{text}" for name, (_, text) in GENERATORS.items())
-    parser = commands.add_parser(
-        "generate",
-        description=f"{DESCRIPTION}\n\nwhat:{rows}",
-        epilog="example: maplines generate c --dbc maplines.dbc --out ecu",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    what = parser.add_subparsers(required=True, metavar="WHAT")
-    for add_what, _ in GENERATORS.values():
-        add_what(what)
+    example = "maplines generate c --dbc maplines.dbc --out ecu"
+    add_group(commands, "generate", DESCRIPTION, "what", GENERATORS, example)

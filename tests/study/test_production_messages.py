@@ -90,8 +90,8 @@ def test_the_formulas_match_simulated_rounding(message: Any) -> None:
     tolerance = 5 * np.sqrt(2 / (4 * n)) + 2e-4
     assert np.sqrt((error[fits] ** 2).mean(axis=0)) == pytest.approx(rms(message, X), rel=tolerance)
     assert (np.abs(error[fits]).max(axis=0) <= worst(message, X) * (1 + 2e-4)).all()
-    assert message.read(message.sent(lines), lines) == pytest.approx(lines, rel=1e-12)
-    assert message.rounded(once)[0] == pytest.approx(once, rel=1e-9, abs=1e-12)
+    np.testing.assert_allclose(message.read(message.sent(lines), lines), lines, rtol=1e-12)
+    np.testing.assert_allclose(message.rounded(once)[0], once, rtol=1e-9, atol=1e-12)
 
 
 # -- independent decoders ------------------------------------------------------------
