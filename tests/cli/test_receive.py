@@ -16,7 +16,7 @@ from support.e2e_streams import frames
 from support.lines import scenario_lines
 
 from maplines_can import Codec, Link, MapLine, Transmitter
-from maplines_can.cli import main, stderr
+from maplines_can.cli import command_line, main
 from maplines_can.cli.output import check_text, line_dict, line_text
 from maplines_can.simulation import scenario
 from maplines_can.values.line import Status
@@ -200,7 +200,7 @@ def test_receive_prints_the_states_and_two_senders(
     noted = threading.Event()
 
     def note(text: str) -> None:
-        stderr.note(text)
+        command_line.note(text)
         if "INIT" in text:
             noted.set()
 
