@@ -2,6 +2,7 @@
 
 import json
 import re
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -9,10 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from answers import one
+from support.dbcs import default_codec
+from support.e2e_streams import frames
 from support.lines import scenario_lines
 
-from maplines_can import Codec, Link, Transmitter
-from maplines_can.cli import main
+from maplines_can import Codec, Link, MapLine, Transmitter
+from maplines_can.cli import command_line, main
 from maplines_can.cli.output import check_text, line_dict, line_text
 from maplines_can.simulation import scenario
 from maplines_can.values.line import Status
@@ -175,3 +179,41 @@ def test_item_1_a_line_that_is_not_usable_is_printed_without_its_values(
     assert "y_off" not in text
     row = json.loads(json.dumps(line_dict(replace(line, **change)), allow_nan=False))
     assert row["age"] == (None if "age" in change else 0.0)
+
+
+def test_receive_prints_the_states_and_two_senders(
+    replay: Any, channel: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A note of each change, a summary of each slot, and in JSON the checks with each line."""
+    transfers = [
+        (1e9 + 0.06 * cycle + 0.03 * sender, frames(counter, which=counter))
+        for cycle in range(30)
+        for sender, counter in enumerate((cycle, cycle + 77))
+    ]
+    decoder = default_codec().decoder()
+    answers = [
+        one(decoder.feed(frame.can_id, frame.data, round(stamp * 1e9)))
+        for stamp, transfer in transfers
+        for frame in transfer
+    ]
+    delivered = sum(isinstance(answer, MapLine) for answer in answers)
+    noted = threading.Event()
+
+    def note(text: str) -> None:
+        command_line.note(text)
+        if "INIT" in text:
+            noted.set()
+
+    monkeypatch.setattr("maplines_can.cli.receive.note", note)
+    replay(transfers, after_first=noted)
+    bus = ["--interface", "virtual", "--channel", channel]
+    assert main(["receive", *bus, "--count", str(delivered), "--json"]) == 0
+    out, err = capsys.readouterr()
+    last = json.loads(out.splitlines()[-1])["e2e"]
+    assert last["two_senders"]
+    assert last["state"] != "VALID"
+    assert last["wrong_sequence"] > 8
+    notes = [note for note in err.splitlines() if "ego left" in note]
+    assert "ego left: INIT; 1 ok" in notes[0]
+    assert "TWO SENDERS" in notes[-1]
+    assert re.search(r"\d+ ok, \d+ lost, 0 repeated, \d+ wrong sequence, 0 errors", notes[-1])
