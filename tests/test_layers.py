@@ -157,6 +157,13 @@ def test_the_order_is_complete() -> None:
     assert top - {"__pycache__"} == rooms | {"study", "testing", "model"} | single
 
 
+def test_a_file_name_stands_for_one_thing() -> None:
+    """Only a rule and its model share a name, and a command and what it runs."""
+    paths = [path for path in PACKAGE.rglob("*.py") if not path.name.startswith("__")]
+    product = [path.name for path in paths if path.parent.name not in ("model", "cli")]
+    assert [name for name in set(product) if product.count(name) > 1] == []
+
+
 def test_there_is_no_circle() -> None:
     """Neither in the product nor in the study, not even by an import inside a function."""
     graph: dict[str, set[str]] = {}
