@@ -93,7 +93,7 @@ def add_command(
     parser: argparse.ArgumentParser = commands.add_parser(
         name,
         description=description,
-        epilog=example if "\n" in example else f"example: {example}",
+        epilog=example if example.startswith("examples:") else f"example: {example}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.set_defaults(run=run)
