@@ -216,3 +216,13 @@ def test_signals_with_gaps_and_bad_values() -> None:
 def test_bad_signals(signals: Any, text: str) -> None:
     with pytest.raises(DriveFileError, match=text):
         RecordedDrive.from_signals(signals)
+
+
+def test_a_drive_of_one_record_or_without_covariances() -> None:
+    """It is known at its time; what is not recorded cannot be reported."""
+    drive = recorded([3.0], [[1, 2, 0.5]], cov=[np.diag([1, 2, 3])])
+    np.testing.assert_array_equal(drive.times(10.0), [3.0])
+    np.testing.assert_array_equal(drive.at(3.0).pose, [1, 2, 0.5])
+    assert drive.reported(3.0).cov.diagonal().tolist() == [1, 2, 3]
+    with pytest.raises(ValueError, match="no covariances"):
+        recorded([0, 1], [[0, 0, 0], [4, 0, 0]]).reported(0.0)
