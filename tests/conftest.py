@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 from support.dbcs import default_codec
+from support.fmu_nodes import library_once
 
 from maplines_can import Link
 
@@ -29,6 +30,14 @@ for variable in ("XDG_CACHE_HOME", "LOCALAPPDATA"):
 settings.register_profile("fixed", deadline=None, derandomize=True, max_examples=30)
 settings.register_profile("random", deadline=None, max_examples=300)
 settings.load_profile("fixed")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def fmus_compiled_once() -> Iterator[None]:
+    """Nodes of FMUs are compiled once for each content."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("maplines_can.generation.fmu.compilers.library", library_once)
+        yield
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ from types import MappingProxyType
 import build_core
 import pytest
 
+from maplines_can.cli import main
 from maplines_can.core import PATH
 
 ROOT = Path(__file__).parents[1]
@@ -47,14 +48,6 @@ def run(
     return done.stdout.strip()
 
 
-def built(folder: Path, **variables: str) -> Path:
-    """Return a wheel of the checkout."""
-    build = (sys.executable, "-m", "build", "--wheel", "--no-isolation")
-    run(*build, "--outdir", folder, ROOT, variables=variables)
-    (path,) = folder.glob("*.whl")
-    return path
-
-
 def libraries(wheel: Path) -> list[str]:
     """Return the names of the shared libraries in a wheel."""
     with zipfile.ZipFile(wheel) as archive:
@@ -63,12 +56,21 @@ def libraries(wheel: Path) -> list[str]:
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return built(tmp_path_factory.mktemp("wheel"))
+    """A wheel of the checkout, with the core of the checkout instead of compiling it again."""
+    folder = tmp_path_factory.mktemp("wheel")
+    compiler = folder / "compiler.py"
+    compiler.write_text(
+        f"import shutil, sys\nshutil.copy({str(PATH)!r}, sys.argv[sys.argv.index('-o') + 1])\n"
+    )
+    build = (sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, ROOT)
+    run(*build, variables={"CC": f"{sys.executable} {compiler}"})
+    (path,) = folder.glob("*.whl")
+    return path
 
 
 @pytest.fixture
-def empty_python(tmp_path: Path) -> Path:
-    """A fresh environment that sees the dependencies of this one, but not its own packages.
+def empty_python(tmp_path: Path, wheel: Path) -> Path:
+    """A fresh environment with the wheel; it sees the dependencies of this one.
 
     A .pth file may add a folder; the .pth files in that folder, such as the one
     of an editable install, are not read again.
@@ -77,12 +79,8 @@ def empty_python(tmp_path: Path) -> Path:
     venv.create(environment, with_pip=False)
     site = Path(sysconfig.get_path("purelib", "venv", {"base": str(environment)}))
     (site / "dependencies.pth").write_text(sysconfig.get_path("purelib"))
-    return environment / BIN / "python"
-
-
-def install(python: Path, *what: str | Path) -> None:
-    """Install into the environment of a Python, without the network."""
-    pip: list[str | Path] = [
+    python = environment / BIN / "python"
+    install = (
         sys.executable,
         "-m",
         "pip",
@@ -91,38 +89,29 @@ def install(python: Path, *what: str | Path) -> None:
         "install",
         "--no-deps",
         "--no-index",
-    ]
-    run(*pip, "--no-build-isolation", "--disable-pip-version-check", "--force-reinstall", *what)
+    )
+    run(*install, "--disable-pip-version-check", "--force-reinstall", wheel)
+    return python
 
 
-def test_in_a_checkout() -> None:
-    """The source folder works without an install."""
-    found = run(sys.executable, "-c", FIND_DBC, cwd=ROOT)
-    assert Path(found) == ROOT / "dbc" / "maplines.dbc"
+def test_in_a_checkout_and_an_editable_install(tmp_path: Path) -> None:
+    """The source folder works without an install; its editable install, from any folder."""
+    for options, cwd in (("-S", ROOT), ("-P", tmp_path)):
+        path = {"PYTHONPATH": sysconfig.get_path("purelib")} if options == "-S" else {}
+        found = run(sys.executable, options, "-c", FIND_DBC, cwd=cwd, variables=path)
+        assert Path(found) == ROOT / "dbc" / "maplines.dbc"
 
 
-def test_in_an_editable_install(empty_python: Path, tmp_path: Path) -> None:
-    """An editable install finds the file of the checkout, from any folder."""
-    install(empty_python, "--editable", ROOT)
-    found = run(empty_python, "-c", FIND_DBC, cwd=tmp_path)
-    assert Path(found) == ROOT / "dbc" / "maplines.dbc"
-    said = run(empty_python.parent / "maplines", "--version", cwd=tmp_path)
-    assert "core built with" in said
-
-
-def test_from_a_wheel(empty_python: Path, wheel: Path, tmp_path: Path) -> None:
+def test_from_a_wheel(empty_python: Path, tmp_path: Path) -> None:
     """An installed wheel finds its own copy, equal to the last byte, and its command works."""
-    install(empty_python, wheel)
     found = Path(run(empty_python, "-c", FIND_DBC, cwd=tmp_path))
     assert found.is_relative_to(tmp_path / "venv")
     assert found.read_bytes() == (ROOT / "dbc" / "maplines.dbc").read_bytes()
-    assert "highway" in run(empty_python.parent / "maplines", "scenarios", cwd=tmp_path)
     said = run(empty_python.parent / "maplines", "--version", cwd=tmp_path)
     assert "core built with" in said
     for what in ("c", "vectors"):
-        generate = ("generate", what, "--out")
-        run(empty_python.parent / "maplines", *generate, "ecu", cwd=tmp_path)
-        run(sys.executable, "-m", "maplines_can", *generate, tmp_path / "own", cwd=ROOT)
+        run(empty_python.parent / "maplines", "generate", what, "--out", "ecu", cwd=tmp_path)
+        assert main(["generate", what, "--out", str(tmp_path / "own")]) == 0
     written = [{p.name: p.read_bytes() for p in (tmp_path / d).iterdir()} for d in ("ecu", "own")]
     assert written[0] == written[1]
 
@@ -166,13 +155,22 @@ def test_the_tag_of_a_wheel(wheel: Path) -> None:
         pytest.param("false", "'false' fails", id="fails"),
     ],
 )
-def test_a_compiler_that_builds_nothing(compiler: str, reason: str, tmp_path: Path) -> None:
+def test_a_compiler_that_builds_nothing(
+    compiler: str,
+    reason: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """The build ends with its name, and the library of the checkout stays as it is."""
     own = PATH.stat().st_mtime_ns
+    monkeypatch.setenv("CC", compiler)
+    hook = build_core.CoreHook(str(ROOT), {}, None, None, str(tmp_path), "wheel")  # type: ignore[arg-type]
 
-    with pytest.raises(AssertionError, match=f"maplines_can: the compiler {reason}"):
-        built(tmp_path, CC=compiler)
+    with pytest.raises(SystemExit):
+        hook.initialize("editable", {})
 
+    assert f"maplines_can: the compiler {reason}" in capsys.readouterr().err
     assert own == PATH.stat().st_mtime_ns
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import c_core
 from support.fmu_nodes import (
     Node,
     Operation,
@@ -247,14 +246,6 @@ def build(node: str, folder: Path, command: list[str]) -> Path:
     arguments = ["-std=c99", "-ffp-contract=off", *files, "-lm", "-o", "harness.exe"]
     subprocess.run([*command, *arguments], check=True, cwd=folder)
     return folder / "harness.exe"
-
-
-@pytest.mark.parametrize("node", NODES)
-def test_results_do_not_depend_on_the_mathematical_library(node: str, tmp_path: Path) -> None:
-    """A node calls what is exact: without optimisation, each call is seen."""
-    build(node, tmp_path, ["cc", "-O0", "-fno-builtin", "-save-temps=obj"])
-    found = c_core.library_functions(*tmp_path.glob("*.o"))
-    assert {"sqrt", "frexp", "ldexp"} <= found <= c_core.EXACT | {"fmax", "fmin", "trunc"}
 
 
 def any_bytes(seed: int) -> str:

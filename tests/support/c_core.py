@@ -112,9 +112,9 @@ def program(
     ]  # fmt: skip
     core = [_object(command, source) for source in sorted((C / "src").glob("*.c"))]
     digest = _digest(command, [*mains, *core], EMULATOR, files)
-    target = _cache() / digest
+    target = cache_folder() / digest
     if not target.exists():
-        with tempfile.TemporaryDirectory(dir=_cache()) as folder:
+        with tempfile.TemporaryDirectory(dir=cache_folder()) as folder:
             for file, text in files.items():
                 (Path(folder) / file).write_text(text)
             tables_c = [f"{folder}/{name}_dbc.c" for name in names]
@@ -131,7 +131,7 @@ def program(
 
 def _object(command: Sequence[str], source: Path) -> Path:
     """Return the object file of a source, which is compiled once for each content."""
-    folder = _cache() / "objects"
+    folder = cache_folder() / "objects"
     folder.mkdir(exist_ok=True)
     target = folder / f"{_digest(command, [source])}.o"
     if not target.exists():
@@ -203,7 +203,7 @@ def _symbols(*arguments: str | Path) -> set[str]:
 
 
 @cache
-def _cache() -> Path:
+def cache_folder() -> Path:
     """Return the folder of the programs, which is this user's own."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
     folder = Path(tempfile.gettempdir()) / f"maplines-c-{user}"

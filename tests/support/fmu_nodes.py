@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import struct
+import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from support import c_core
 
 from maplines_can import Kind, MapError, Polyline, Slot
-from maplines_can.generation.fmu import SentRoute, fmu_of, written
+from maplines_can.generation.fmu import SentRoute, compilers, fmu_of, written
 from maplines_can.generation.fmu.archive import sources_of
 from maplines_can.values.route_lines import RouteLines
 from maplines_can.wire import Frame
 from maplines_can.wire.layout.message_layout import Layout
 
 RX_DATA, TX_DATA, RX_CLOCK, TX_CLOCK = 1, 2, 3, 4
+#: That of the package, which compiles each time.
+library = compilers.library
 #: Qualifiers of an interval in FMI.
 NOT_YET_KNOWN, UNCHANGED, CHANGED = 0, 1, 2
 GETTERS = {"Float64": "getFloat64", "Enumeration": "getInt64", "UInt64": "getUInt64",
@@ -47,6 +52,19 @@ def generate(node: str, path: Path) -> None:
     route = straight_route() if node == "map_sender" else None
     fmu = fmu_of(node.removeprefix("map_"), Layout.from_dbc(), route)
     path.write_bytes(written(fmu))
+
+
+def library_once(compiler: str, name: str, folder: Path, sources: Iterable[str]) -> bytes:
+    """Do as ``compilers.library``, but once for each content: also in another process."""
+    digest = hashlib.sha256(repr((compiler, name, compilers.OPTIONS, compilers.MORE)).encode())
+    for path in sorted(folder.iterdir()):
+        digest.update(path.name.encode() + b"\n" + path.read_bytes())
+    kept = c_core.cache_folder() / f"{digest.hexdigest()[:32]}.fmu"
+    if not kept.exists():
+        with tempfile.NamedTemporaryFile(dir=kept.parent, delete=False) as file:
+            file.write(library(compiler, name, folder, sources))
+        Path(file.name).replace(kept)  # in one step: another process may compile the same
+    return kept.read_bytes()
 
 
 class Operation(NamedTuple):

@@ -42,7 +42,7 @@ def binaries(
                 continue
             ending = ENDINGS[platform.partition("-")[2]]
             name = f"{platform}/{identifier}{ending}"
-            found[name] = _compiled(compiler, name, folder, compiled)
+            found[name] = library(compiler, name, Path(folder), compiled)
     return found
 
 
@@ -59,15 +59,15 @@ def platform_of(compiler: str) -> str | None:
     return None
 
 
-def _compiled(compiler: str, name: str, folder: str, sources: Iterable[str]) -> bytes:
-    """Return a shared library of this name, by platform and file."""
+def library(compiler: str, name: str, folder: Path, sources: Iterable[str]) -> bytes:
+    """Compile a shared library of this name, by platform and file, in the folder of its sources."""
     platform, _, file = name.partition("/")
     more = MORE[platform.partition("-")[2]]
     _run([compiler, *OPTIONS, *more, *sources, "-lm", "-o", file], folder)
-    return (Path(folder) / file).read_bytes()
+    return (folder / file).read_bytes()
 
 
-def _run(command: list[str], folder: str | None = None) -> str:
+def _run(command: list[str], folder: Path | None = None) -> str:
     """Return what a compiler prints."""
     done = subprocess.run(  # noqa: S603 - a compiler that is installed here, and our own sources
         command,
