@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from mutants import mutants
-from mutation import AREAS
+from mutation import AREAS, main
 
 ROOT = Path(__file__).parents[1]
 
@@ -136,8 +136,12 @@ def test_the_areas_have_all_of_their_packages() -> None:
         assert f"maplines_can/{package}" in sources
 
 
-def test_an_area_that_is_none_is_an_error(tree: Path) -> None:
+def test_an_area_that_is_none_is_an_error(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The message names those that there are."""
-    status, result = run(tree, "wires")
-    assert status == 2
-    assert "there is no area wires; there are core, values, propagation" in result["error"]
+    monkeypatch.setattr(sys, "argv", ["mutation.py", "wires"])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    error = capsys.readouterr().err
+    assert "there is no area wires; there are core, values, propagation" in error

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import struct
+import subprocess
 import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -55,16 +56,26 @@ def generate(node: str, path: Path) -> None:
 
 
 def library_once(compiler: str, name: str, folder: Path, sources: Iterable[str]) -> bytes:
-    """Do as ``compilers.library``, but once for each content: also in another process."""
-    digest = hashlib.sha256(repr((compiler, name, compilers.OPTIONS, compilers.MORE)).encode())
-    for path in sorted(folder.iterdir()):
-        digest.update(path.name.encode() + b"\n" + path.read_bytes())
-    kept = c_core.cache_folder() / f"{digest.hexdigest()[:32]}.fmu"
+    """Do as ``compilers.library``, but compile each source once: also in another process."""
+    platform, _, file = name.partition("/")
+    more = compilers.MORE[platform.partition("-")[2]]
+    command = [compiler, *compilers.OPTIONS, *more]
+    objects = [_object(command, folder, source) for source in sources]
+    subprocess.run([*command, *objects, "-lm", "-o", file], check=True, cwd=folder)
+    return (folder / file).read_bytes()
+
+
+def _object(command: list[str], folder: Path, source: str) -> Path:
+    """Return the object file of a source, which is known by what the preprocessor makes of it."""
+    text = subprocess.check_output([*command, "-E", "-P", source], cwd=folder)
+    digest = hashlib.sha256(repr(command).encode() + text).hexdigest()
+    kept = c_core.cache_folder() / f"{digest[:32]}.fmu.o"
     if not kept.exists():
-        with tempfile.NamedTemporaryFile(dir=kept.parent, delete=False) as file:
-            file.write(library(compiler, name, folder, sources))
-        Path(file.name).replace(kept)  # in one step: another process may compile the same
-    return kept.read_bytes()
+        with tempfile.TemporaryDirectory(dir=kept.parent) as place:
+            out = Path(place) / "object.o"
+            subprocess.run([*command, "-c", source, "-o", out], check=True, cwd=folder)
+            out.replace(kept)  # in one step: another process may compile the same
+    return kept
 
 
 class Operation(NamedTuple):
