@@ -52,7 +52,7 @@ def test_the_test_of_the_page_finds_wrong_controllers(
     assert WRONG[controller][0] in text
     path.write_text(text.replace(*WRONG[controller], 1), encoding="utf-8")
 
-    result = pytester.runpytest_subprocess("-p", "no:cacheprovider")
+    result = pytester.runpytest_inprocess("-p", "no:cacheprovider")
 
     result.assert_outcomes(**{"passed" if controller == "right" else "failed": 1})
     if controller != "right":
