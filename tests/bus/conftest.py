@@ -6,6 +6,8 @@ from typing import Any
 
 import pytest
 from support.kernel_can import has_vcan, set_up
+from support.scene_streams import codec_of
+from support.transmitter_bench import Bench
 
 from maplines_can.bus import Link
 
@@ -38,3 +40,20 @@ def vcan() -> Iterator[str]:
         pytest.skip("there is no vcan0; run this inside tools/vcan")
     yield "vcan0"
     set_up("vcan0")
+
+
+@pytest.fixture
+def make_bench() -> Iterator[Any]:
+    """Return a function that makes a bench for a DBC; their links are closed at the end."""
+    made: list[Bench] = []
+
+    def make(dbc: str, **settings: Any) -> Bench:
+        codec = settings.pop("codec", None) or codec_of(dbc)  # a transmitter counts by itself
+        if codec.layout.scene is not None:
+            settings["settings"] = {"fd": True} | settings.get("settings", {})
+        made.append(Bench(codec, **settings))
+        return made[-1]
+
+    yield make
+    for bench in made:
+        bench.link.close()

@@ -110,22 +110,3 @@ def test_the_table_holds_for_our_writer(suffix: str, tmp_path: Path) -> None:
     row, frames = row_of(path)
     assert row | {"error frames": "counted"} == table()[suffix]
     assert [one.can_id for one in frames] == [0x123, 0x125]
-
-
-@pytest.mark.parametrize("suffix", [".csv", ".db"])
-def test_a_column_with_the_channel_is_read(suffix: str, tmp_path: Path) -> None:
-    """Tables of others may have it."""
-    path = tmp_path / f"a{suffix}"
-    if suffix == ".csv":
-        path.write_text(
-            "timestamp,arbitration_id,extended,remote,error,dlc,data,channel\n"
-            "1.0,0x123,0,0,0,1,AQ==,can3\n"
-        )
-    else:
-        import sqlite3
-
-        with sqlite3.connect(path) as base:
-            names = "ts, arbitration_id, extended, remote, error, dlc, data, channel"
-            base.execute(f"CREATE TABLE messages ({names})")
-            base.execute("INSERT INTO messages VALUES (1.0, 291, 0, 0, 0, 1, x'01', 'can3')")
-    assert [(one.can_id, one.channel) for one in read_log(path)] == [(0x123, "can3")]

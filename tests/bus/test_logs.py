@@ -74,22 +74,6 @@ def test_every_format_is_read_back(tmp_path: Path, suffix: Any) -> None:
     assert times == pytest.approx([m.timestamp - 100.0 for m in wanted], abs=2e-3)
 
 
-def test_candump_logs_keep_their_channels_and_times(tmp_path: Path) -> None:
-    path = tmp_path / "drive.log"
-    path.write_text(
-        "(1700000000.123456) vcan0 100#0011223344556677\n"
-        "(1700000000.123556) can1 124##1DEADBEEF\n"
-        "\n"
-        "(1700000000.2) can1 00000100#\n"
-    )
-    first, second, third = read_log(path)
-
-    assert first == (0x100, bytes.fromhex("0011223344556677"), first.t_ns, False, "vcan0", True)
-    assert first.t_ns == 1_700_000_000_123_456_000
-    assert (second.data.hex(), second.channel) == ("deadbeef", "can1")
-    assert (third.is_extended, third.data) == (True, b"")
-
-
 def read_until_error(path: Any) -> Any:
     frames: list[Any] = []
     with pytest.raises(LogError) as caught:

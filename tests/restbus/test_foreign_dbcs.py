@@ -221,8 +221,12 @@ def test_a_named_value_is_raw_and_a_list_is_sent_in_turn(tmp_path: Path) -> None
 def test_a_sine_between_its_ends(tmp_path: Path) -> None:
     """An eighth and a twelfth of a period beyond the phase."""
     path = dbc(tmp_path, "S : 0|16@1- (0.001,0) [0|0]")
-    for period, expected in ((0.08, [0, 7.071, 10, 7.071]), (0.12, [0, 5, 8.66, 10])):
-        sine = {"sine": [-10, 10], "period_s": period, "phase_deg": 360}
+    for period, phase, expected in (
+        (0.08, 360, [0, 7.071, 10, 7.071]),
+        (0.08, 90, [10, 7.071, 0, -7.071]),
+        (0.12, 360, [0, 5, 8.66, 10]),
+    ):
+        sine = {"sine": [-10, 10], "period_s": period, "phase_deg": phase}
         sent = frames(config(path, signals={"S": sine}), 0.03)
         values = [int.from_bytes(m.data[:2], "little", signed=True) / 1000 for m in sent]
         assert values == pytest.approx(expected, abs=1e-3)

@@ -134,22 +134,6 @@ def test_signals_over_time(tmp_path: Path) -> None:
     assert {v["SteeringState"] for _, v in decoded if "SteeringAngle" in v} == {2}
 
 
-def test_a_sine_and_its_phase() -> None:
-    sine = {"sine": [0, 10], "period_s": 0.08, "phase_deg": 90}
-    values = [CAR.decode_message(257, m.data)["Speed"] for m in run(motion(Speed=sine), 0.08)]
-    assert values == pytest.approx([10, 5, 0, 5, 10], abs=0.0051)
-
-
-def test_multiplexed_pages_in_turns() -> None:
-    signals = {"Page": {"count": [0, 1]}, "Voltage": 12.6, "Odometer": 4711.0}
-    received = run({"message": [message("Diagnosis", signals=signals)]}, 0.35)
-    pages = [CAR.decode_message(768, m.data) for m in received]
-    assert pages == [
-        {"Page": 0, "Voltage": 12.6}, {"Page": 1, "Odometer": 4711.0},
-        {"Page": 0, "Voltage": 12.6}, {"Page": 1, "Odometer": 4711.0},
-    ]  # fmt: skip
-
-
 def protected(folder: Path, crc: str, counter: str, e2e: dict[str, Any], length: int) -> Any:
     """Return the payloads of a protected message."""
     names = 'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_: A\n\n'
