@@ -90,12 +90,6 @@ def test_the_age_counts_from_the_pose(monkeypatch: pytest.MonkeyPatch) -> None:
         assert sent_values(opener)[0][0] == 2000 + 4  # and the lateness that is allowed
 
 
-@pytest.mark.parametrize("t_pose_ns", [0, 2**62])
-def test_a_time_of_another_clock_is_refused(link: Any, t_pose_ns: int) -> None:
-    with pytest.raises(ValueError, match=r"t_pose_ns must be on the clock of time.time_ns\(\)"):
-        Transmitter(link, FakeCodec()).publish(map_line(), t_pose_ns)  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize("lost_at", range(PAGES))
 def test_a_transfer_is_whole_or_dropped(lost_at: Any) -> None:
     """After an error the rest of the transfer is dropped; the next transfer is whole."""
@@ -271,7 +265,7 @@ def test_udp_multicast_carries_lines() -> None:
 
 
 @pytest.mark.parametrize(("ago_s", "allowed"), [
-    (-1.0, True), (-1.5, False), (0.0, True), (3600.0, True), (3600.5, False),
+    (-1.0, True), (-1.5, False), (0.0, True), (3600.0, True), (3600.5, False), (-1e9, False),
 ])  # fmt: skip
 def test_the_allowed_times_of_a_pose(
     monkeypatch: pytest.MonkeyPatch, ago_s: float, allowed: bool
@@ -285,7 +279,7 @@ def test_the_allowed_times_of_a_pose(
         if allowed:
             transmitter.publish(map_line(), t_pose_ns)
         else:
-            with pytest.raises(ValueError, match="at most 1 s ahead and 1 h ago"):
+            with pytest.raises(ValueError, match=r"clock of time.time_ns\(\)"):
                 transmitter.publish(map_line(), t_pose_ns)
 
 

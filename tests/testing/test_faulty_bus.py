@@ -121,7 +121,7 @@ def test_a_flood_needs_no_frame(channel: str, other: Any, direction: str) -> Non
             assert (other if direction == "send" else bus).recv(LONG).arbitration_id == 5
 
 
-@pytest.mark.parametrize("direction", ["send", "receive", "both"])
+@pytest.mark.parametrize("direction", ["send", "both"])
 def test_a_flood_that_is_too_fast_blocks_nothing(direction: str) -> None:
     """Sending, receiving and shutdown still work; frames that are left out are counted."""
     inner = Slow()
