@@ -7,10 +7,10 @@ from ..logs.log_writer import LogWriter as LogWriter
 from ..logs.signal_log import SignalDecoder as SignalDecoder
 from ..logs.signal_log import SignalLog as SignalLog
 from ..logs.signal_log import read_signals as read_signals
-from .bus_load import bus_load as bus_load
-from .bus_load import frame_bits as frame_bits
-from .bus_load import frame_time as frame_time
-from .bus_load import transfers_within as transfers_within
+from .frame_timing import bus_load as bus_load
+from .frame_timing import frame_bits as frame_bits
+from .frame_timing import frame_time as frame_time
+from .frame_timing import transfers_within as transfers_within
 from .keys import key_from_env as key_from_env
 from .keys import key_from_file as key_from_file
 from .link import Link as Link

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import can
 from can.broadcastmanager import CyclicSendTaskABC
 
-from .bus_load import frame_bits
 from .clock import TimerHandle, VirtualClock, to_ns
+from .frame_timing import frame_bits
 
 
 class VirtualNetwork:
