@@ -104,6 +104,7 @@ def test_the_level_holds_in_the_whole_range(
 def test_onsets_are_fewer_with_more_correlation(K: float, r: list[float]) -> None:
     less, more = r
     assert onset(K, more) <= onset(K, less) * (1 + 1e-9)
+    assert onset(K, 1.0) == 0.0
 
 
 @pytest.mark.parametrize("risk", [0.05, 1e-7])

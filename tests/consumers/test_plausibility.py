@@ -188,3 +188,9 @@ def test_time_must_increase() -> None:
 def test_wrong_biases_raise(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"{name} must be finite and 0"):
         CameraBias(**{name: value})
+
+
+@pytest.mark.parametrize("time", [-1.0, math.inf, math.nan])
+def test_a_wrong_longest_pose_time_raises(time: float) -> None:
+    with pytest.raises(ValueError, match="longest_pose_time must be finite and 0 s or more"):
+        PlausibilityCheck(longest_pose_time=time)
