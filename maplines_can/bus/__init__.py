@@ -2,6 +2,8 @@
 
 python-can is loaded where a bus is opened or a log is written; with the extra mf4 it loads asammdf
 and pandas, too, which reading other logs does not need.
+
+It may import ``values``, ``wire`` and ``logs``.
 """
 
 from .. import attach_stub

@@ -2,6 +2,8 @@
 
 Each command has a module of its own, which is imported only if the command is given: a receiver
 loads nothing of the study, and ``maplines --help`` nothing at all.
+
+It may import the product, ``study`` and ``testing``.
 """
 
 from __future__ import annotations

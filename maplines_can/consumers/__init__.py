@@ -1,4 +1,7 @@
-"""Consumers of received scenes, with one interface: fusion, steering, plausibility; integrity."""
+"""Consumers of received scenes, with one interface: fusion, steering, plausibility; integrity.
+
+It may import ``values``, ``propagation`` and ``wire``.
+"""
 
 from .. import attach_stub
 

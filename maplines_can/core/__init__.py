@@ -4,6 +4,8 @@
 but what is done here, once: version, checksum of the declarations, and sizes of structures.
 Arguments of functions are as their callers have checked them. A call lets other threads run: an
 object with a state has a ``Lock``, which it holds around its calls.
+
+It may import ``values.errors`` only.
 """
 
 from __future__ import annotations

@@ -1,1 +1,4 @@
-"""Generated code: a DBC as constant C tables, the C core, and vectors for other receivers."""
+"""Generated code: a DBC as constant C tables, the C core, and vectors for other receivers.
+
+It may import ``core``, ``values``, ``propagation`` and ``wire``.
+"""

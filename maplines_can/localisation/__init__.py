@@ -1,4 +1,7 @@
-"""Localisation: pose of a car from GNSS, odometry, and what it sees of its map."""
+"""Localisation: pose of a car from GNSS, odometry, and what it sees of its map.
+
+It may import ``values`` and ``maps``.
+"""
 
 from .association import Verdict
 from .filter import Localisation, Poses

@@ -1,4 +1,7 @@
-"""Maps: lanes with their boundary lines, from files of several formats."""
+"""Maps: lanes with their boundary lines, from files of several formats.
+
+It may import ``values`` and ``propagation``.
+"""
 
 from ..values.errors import MapFileError
 from .formats.load import load

@@ -3,9 +3,11 @@
 It is for people: to study a record step by step, to port the project to another language, and as
 the witness of the core in C. The product never calls it; ``maplines selftest`` compares both on the
 machine at hand, to the last bit. All numbers are floats and ints, all matrices lists of rows
-(``matrices.py``), and nothing is written for speed. It imports nothing of the package but the types
-of lines (``values``) and what a DBC says (``wire.layout``). Reasons, statuses and states are
-strings: the names of those of the product. Read the receiver in this order::
+(``matrices.py``), and nothing is written for speed. Reasons, statuses and states are strings: the
+names of those of the product.
+
+It may import the types of lines, ``values.errors``, ``values.line`` and ``values.scene``, and what
+a DBC says, ``wire.layout``. Read the receiver in this order::
 
     elementary.py    functions with the same bits on any machine
     signals.py       bits of a signal to a raw value and back; raw values to physical ones

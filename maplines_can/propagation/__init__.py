@@ -1,4 +1,7 @@
-"""Propagation of a pose Gaussian to the Gaussian of a line, and of a line over time."""
+"""Propagation of a pose Gaussian to the Gaussian of a line, and of a line over time.
+
+It may import ``core`` and ``values``.
+"""
 
 from ..values.scene import MapError
 from .component_counts import component_counts, remaining_nonlinearity

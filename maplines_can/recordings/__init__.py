@@ -1,1 +1,4 @@
-"""Recordings of a bus: logs as arrays of frames and of lines, tables, plots."""
+"""Recordings of a bus: logs as arrays of frames and of lines, tables, plots.
+
+It may import ``values``, ``wire``, ``logs`` and ``engines``.
+"""

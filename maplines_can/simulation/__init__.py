@@ -1,4 +1,8 @@
-"""Simulation: scenarios, drives and their truth, the pose that a car knows, and its sensors."""
+"""Simulation: scenarios, drives and their truth, the pose that a car knows, and its sensors.
+
+It may import ``values``, ``propagation``, ``wire``, ``bus``, ``maps``, ``localisation``
+and, for faults, ``testing``.
+"""
 
 from .. import attach_stub
 

@@ -1,4 +1,7 @@
-"""Studies of the wire: sets of Gaussians, figures of merit, sweeps, designs and reports."""
+"""Studies of the wire: sets of Gaussians, figures of merit, sweeps, designs and reports.
+
+It may import the product and ``testing``.
+"""
 
 from .metrics import LATERAL_X, Evaluation, evaluate
 from .sets import Gaussians, adversarial, paper, road

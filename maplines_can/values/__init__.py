@@ -1,1 +1,4 @@
-"""Values that all parts share: Gaussians, lines of a map, scenes, errors."""
+"""Values that all parts share: Gaussians, lines of a map, scenes, errors.
+
+It may import ``core``.
+"""

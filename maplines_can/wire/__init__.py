@@ -1,4 +1,7 @@
-"""Map lines and their Gaussians as messages on a CAN bus, as a DBC describes them."""
+"""Map lines and their Gaussians as messages on a CAN bus, as a DBC describes them.
+
+It may import ``core``, ``values`` and ``dbc_files``.
+"""
 
 from ..dbc_files.parser import SHIPPED, default_dbc_path
 from .batch import Batch, BatchCodec

@@ -25,7 +25,7 @@ from maplines_can.wire.core_tables import Limits, limits_of
 from maplines_can.wire.layout.message_layout import Layout
 
 C = Path(__file__).parents[2] / "c"
-#: As CONTRIBUTING.md promises of the sources.
+#: The sources of the core have none of these warnings.
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Werror")
 #: A harness takes from the core what it calls, and needs nothing of the rest.
 SECTIONS, COLLECT = ("-ffunction-sections",), "-Wl,--gc-sections"

@@ -1,4 +1,7 @@
-"""Scan matching: pose of a car from a lidar scan and the surfaces of its map."""
+"""Scan matching: pose of a car from a lidar scan and the surfaces of its map.
+
+It may import ``values``, ``maps`` and ``localisation``.
+"""
 
 from .icp import match_icp
 from .match import ScanMatch

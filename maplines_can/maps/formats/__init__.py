@@ -1,1 +1,4 @@
-"""Formats of map files."""
+"""Formats of map files.
+
+It may import ``values`` and ``maps``.
+"""

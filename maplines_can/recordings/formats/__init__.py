@@ -1,4 +1,7 @@
-"""Files of tables: Parquet, CSV, JSON Lines, MF4 and MCAP."""
+"""Files of tables: Parquet, CSV, JSON Lines, MF4 and MCAP.
+
+It may import ``values``, ``wire`` and ``recordings``.
+"""
 
 from __future__ import annotations
 

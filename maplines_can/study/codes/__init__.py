@@ -1,4 +1,7 @@
-"""Covariance codes for comparison, and the table of all codes."""
+"""Covariance codes for comparison, and the table of all codes.
+
+It may import the product and ``study``.
+"""
 
 from .code import CovarianceCode
 from .integer_cholesky import IntegerCholesky

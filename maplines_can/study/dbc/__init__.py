@@ -1,1 +1,4 @@
-"""Descriptions of the signals, and the DBC that is written from them."""
+"""Descriptions of the signals, and the DBC that is written from them.
+
+It may import the product and ``study``.
+"""

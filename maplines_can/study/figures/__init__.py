@@ -1,1 +1,4 @@
-"""The figures of the paper, and the picture of a round trip."""
+"""The figures of the paper, and the picture of a round trip.
+
+It may import the product and ``study``.
+"""

@@ -1,1 +1,4 @@
-"""The HTML report on the tables of a sweep."""
+"""The HTML report on the tables of a sweep.
+
+It may import the product and ``study``.
+"""

@@ -1,1 +1,4 @@
-"""Protection of records: AUTOSAR E2E profile 5 and SecOC."""
+"""Protection of records: AUTOSAR E2E profile 5 and SecOC.
+
+It may import ``core``, ``values`` and ``wire.layout``.
+"""

@@ -1,4 +1,7 @@
-"""ASAM OpenDRIVE: reference lines, lane sections and links, evaluated by this package alone."""
+"""ASAM OpenDRIVE: reference lines, lane sections and links, evaluated by this package alone.
+
+It may import ``values`` and ``maps``.
+"""
 
 from .reader import read
 
