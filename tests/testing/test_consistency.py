@@ -40,9 +40,10 @@ def passes(white: Array, factor: float = 1.0) -> bool:
     return True
 
 
-@pytest.mark.parametrize("d", [1, 4])
-@pytest.mark.parametrize("time", [0, 20, 240, 2400])
-@pytest.mark.parametrize("n", [50, N])
+@pytest.mark.parametrize(
+    ("n", "time", "d"),
+    [(N, 0, 4), (N, 20, 1), (N, 240, 4), (N, 2400, 1), (50, 0, 1), (50, 20, 4), (50, 2400, 4)],
+)
 def test_right_estimates_pass(n: int, time: float, d: int) -> None:
     """1 % of false alarms at most: 8 of 200 have the probability 1e-3."""
     rng = np.random.default_rng([n, int(time), d])
@@ -50,7 +51,7 @@ def test_right_estimates_pass(n: int, time: float, d: int) -> None:
     assert sum(fails(gauss_markov(rng, n, d, time * n / N)) for _ in range(200)) < 8
 
 
-@pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
+@pytest.mark.parametrize("share", [0.1, 0.5])
 def test_right_estimates_pass_whose_errors_last_in_part(share: float) -> None:
     rng = np.random.default_rng(7)
 
