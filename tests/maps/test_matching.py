@@ -10,7 +10,8 @@ from support.lane_maps import WIDTH, lane, network
 
 from maplines_can.maps import Map
 from maplines_can.maps.lane import LaneType
-from maplines_can.maps.matching import wrapped
+from maplines_can.maps.matching import locate, wrapped
+from maplines_can.values.polyline import Polyline
 
 ROAD = network(
     lane("left", t=WIDTH / 2),
@@ -98,3 +99,26 @@ def test_wrapped_angles_have_the_same_direction(angle: float) -> None:
 
     assert -math.pi < found <= math.pi
     assert math.cos(found - angle) == pytest.approx(1.0)
+
+
+SPIRAL = (
+    5.0
+    * (0.1 + np.linspace(0, 3, 5001))[:, None]
+    * np.column_stack([np.cos(6 * np.linspace(0, 3, 5001)), np.sin(6 * np.linspace(0, 3, 5001))])
+)
+
+
+@given(x=st.floats(-30.0, 30.0), y=st.floats(-30.0, 30.0), count=st.sampled_from([513, 641, 5001]))
+def test_the_nearest_place_of_a_long_line(x: float, y: float, count: int) -> None:
+    """The search by boxes finds the same point as a search of all steps."""
+    line = Polyline(SPIRAL[:count])
+    a, b = line.points[:-1], line.points[1:]
+    share = (((x, y) - a) * (b - a)).sum(axis=1) / ((b - a) ** 2).sum(axis=1)
+    feet = a + share.clip(0, 1)[:, None] * (b - a)
+    expected = np.hypot(*(feet - (x, y)).T).min()
+
+    (place,) = locate([line], np.array([x, y]))
+
+    assert math.hypot(place.t, place.overshoot) == pytest.approx(expected, abs=1e-9)
+    foot = [np.interp(place.s, line.distance, values) for values in line.points.T]
+    assert math.dist(foot, (x, y)) == pytest.approx(expected, abs=1e-9)

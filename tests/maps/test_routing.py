@@ -153,3 +153,11 @@ def test_the_car_is_on_a_lane_from_half_way_of_a_change() -> None:
     first, second = ((change.start + change.end) / 2 for change in route.changes)
     assert (begins["a1"], begins["a2"], begins["a3"]) == pytest.approx((0.0, first, second))
     assert begins["b3"] == pytest.approx(200.0, abs=0.5)
+
+
+def test_a_route_goes_round_as_often_as_it_is_told() -> None:
+    """The same lane can be passed again."""
+    twice = RING.route("in1", "out0", via=["ring2", "ring1", "ring2"])
+
+    assert " ".join(twice.lanes) == "in1 ring1 ring2 ring3 ring0 ring1 ring2 ring3 ring0 out0"
+    assert twice.length == pytest.approx(sum(RING.lanes[i].length for i in twice.lanes))
