@@ -145,6 +145,8 @@ def test_a_fix_that_states_its_error_is_as_a_filter_that_is_told() -> None:
     other = drive(off, nees, errors=SensorErrors(gnss=told), error=told)
     np.testing.assert_array_equal(one.poses().mean, other.poses().mean)
     np.testing.assert_array_equal(one.poses().cov, other.poses().cov)
+    np.testing.assert_array_equal(one.gnss_bias(), other.gnss_bias())
+    assert np.abs(one.gnss_bias()).max() > 1.0
 
 
 @pytest.mark.parametrize("gnss", [None, GaussMarkov(1.5, 60.0)], ids=["not known", "known"])

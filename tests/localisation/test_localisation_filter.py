@@ -277,3 +277,22 @@ ONE = np.ones(1)
 def test_wrong_arguments_are_refused(settings: dict[str, Any], match: str) -> None:
     with pytest.raises(ValueError, match=match):
         Localisation(**settings)
+
+
+def test_without_observations_the_error_remains() -> None:
+    """Its correlation time is unknown."""
+    found = driven([odometry(i * DT) for i in range(1, 100)], errors=SensorErrors())
+    assert found.correlation_times()[0, 1] == math.inf
+
+
+def test_the_pose_error_is_the_covariance_in_the_axes_of_the_car() -> None:
+    """Along, across, and of the heading, with all that they have in common."""
+    errors, turn = SensorErrors(), 0.7
+    c, s = math.cos(turn), math.sin(turn)
+    P = np.array([[0.5, 0.1, 0.02], [0.1, 0.3, -0.01], [0.02, -0.01, 0.04]])
+    found = Localisation(Gaussian([5.0, -3.0, turn], P), errors=errors).pose_error()
+    assert found is not None
+    rotation = np.zeros((3, 3))
+    rotation[:2, :2], rotation[2, 2] = np.array([[c, -s], [s, c]]).T, 1.0
+    assert found.cov == pytest.approx(rotation @ P @ rotation.T, abs=1e-12)
+    assert found.cov[2, 2] == pytest.approx(0.04)
