@@ -209,8 +209,8 @@ MAPLINES_INTERNAL MAPLINES_APART void maplines_pose_root(const double P[9],
                                                          maplines_pose_root_t *root)
 {
     static const uint8_t factors[4][2] = {{2, 2}, {2, 0}, {2, 1}, {0, 0}}; // of the second order
-    double(*L)[3] = root->first;
     memset(root, 0, sizeof *root);
+    double(*L)[3] = root->first;
     for (int i = 0; i < 3; ++i)
     {
         for (int k = 0; k <= i; ++k)
