@@ -440,7 +440,6 @@ def _reading(message: Message) -> str:
 def _signal_text(signal: Signal | None) -> str:
     """Return width, factor, offset and range.
 
-    >>> from .messages import PRODUCTION
     >>> _signal_text(PRODUCTION[3].signals[0]), _signal_text(PRODUCTION[0].signals[0])
     ('10 b, 0.01 m - 5.12, -5.12 .. 5.11', '16 b signed, 0.00390625 m, -128 .. 128')
     """
