@@ -275,7 +275,8 @@ def check_library() -> Findings:
     with tempfile.TemporaryDirectory() as folder:
         # CPython leaks a little at its end.
         settings = {"CC": "gcc", "LD_PRELOAD": library, "ASAN_OPTIONS": "detect_leaks=0"}
-        tests = [*STREAM_TESTS, *DOOR_TESTS, "-k", "not a_fault_of"]
+        # What streams reach depends on the model, and not on the library.
+        tests = [*STREAM_TESTS, *DOOR_TESTS, "-k", "not a_fault_of and not reach_every"]
         return findings_of_library(flags, tests, Path(folder), **settings)
 
 
