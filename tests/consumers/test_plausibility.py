@@ -73,6 +73,20 @@ def test_residuals_follow_the_pose_error() -> None:
     assert z == pytest.approx(model.H @ error, abs=0.015)
 
 
+def test_residuals_take_the_displacement_into_account() -> None:
+    """A camera image 0.5 m further on, with the car turned, by an uncertain odometry."""
+    bend, moved = lane_scene(bend=0.01), lane_scene((0.5, 0.1, 0.01), bend=0.01)
+    noises = []
+    for sigma in (0.0, 0.1):
+        displacement = Gaussian([0.5, 0.1, 0.01], np.diag([0.0, sigma, 0.0]) ** 2)
+        compared = residuals(bend, camera(moved), displacement)
+        assert compared is not None
+        assert compared[1] == pytest.approx(np.zeros(4), abs=2e-3)
+        noises.append(compared[2].noise_cov)
+    of_a_line = np.kron(np.eye(2), np.ones((2, 2)))  # far and near, but not left and right
+    assert noises[1] - noises[0] == pytest.approx(0.01 * of_a_line, abs=1e-3)
+
+
 @pytest.mark.parametrize(
     ("shifts", "suspect"),
     [
