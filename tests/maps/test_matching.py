@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.lane_maps import WIDTH, lane, network
+from support.lane_maps import WIDTH, crossing, lane, network, pose_on
 
 from maplines_can.maps import Map
 from maplines_can.maps.lane import LaneType
@@ -20,6 +20,7 @@ ROAD = network(
     rows=["left right"],
     opposite=["left other"],
 )
+CROSSING = crossing()
 SHARP = np.diag([1e-6, 1e-6, 1e-8])
 
 
@@ -82,6 +83,26 @@ def test_a_covariance_that_is_none_is_rejected(cov: np.ndarray) -> None:
     """At once, with its value."""
     with pytest.raises(ValueError, match="cov must be a covariance"):
         ROAD.match([0.0, 0.0, 0.0], cov)
+
+
+@pytest.mark.parametrize("name", ["0>1", "0>2", "0>3", "1>0", "3>2"])
+@pytest.mark.parametrize("share", [0.6, 0.9])
+def test_the_direction_decides_where_lanes_overlap(name: str, share: float) -> None:
+    """In a crossing, a car that drives along a lane is matched to it."""
+    one = CROSSING.lanes[name]
+    match = CROSSING.match(pose_on(one, share * one.length))
+
+    assert match is not None
+    assert match.lane == name
+
+
+@pytest.mark.parametrize("turn", [-0.008, 0.0, 0.008])
+def test_the_straight_lane_is_preferred_where_the_direction_is_the_same(turn: float) -> None:
+    """At the entry of the crossing all three lanes have about the direction of the car."""
+    match = CROSSING.match(pose_on(CROSSING.lanes["0>2"], 0.05, turn=turn))
+
+    assert match is not None
+    assert match.lane == "0>2"
 
 
 def test_a_sharp_covariance_leaves_the_match() -> None:

@@ -10,6 +10,8 @@ from typing import Any
 import cantools
 import pytest
 from answers import one
+from hypothesis import given
+from hypothesis import strategies as st
 from support.dbcs import new_codec
 from support.secoc_streams import (
     LAYOUT,
@@ -201,6 +203,25 @@ def test_every_flipped_bit_is_rejected(clock: Any, lines: Any) -> None:
         data[bit // 8] ^= 1 << bit % 8
         assert one(decoder.feed(frame.can_id, bytes(data), NOW)) in {Reason.MAC, Reason.KEY}
     assert names(feed(decoder, [frame])) == ["line"]
+
+
+def test_another_length_is_rejected(clock: Any, lines: Any) -> None:
+    """Each one of CAN FD; a frame of 32 bytes is the record without its MAC."""
+    codec = codec_of(clock=clock)
+    (frame,) = codec.encoder().encode(lines[0], fd=True)
+    decoder = codec.decoder()
+    cut = [frame._replace(data=frame.data.ljust(64, b"\0")[:length]) for length in range(65)]
+    del cut[48]
+    assert names(feed(decoder, [*cut, frame])) == ["LENGTH"] * 64 + ["line"]
+
+
+@given(st.binary(max_size=64), st.sampled_from([0x340, 0x348, 0x350, 0x7FF]), st.booleans())
+def test_any_bytes_are_rejected_with_a_reason(data: bytes, can_id: int, is_extended: bool) -> None:
+    decoder = CODEC.decoder()
+    assert isinstance(one(decoder.feed(can_id, data, NOW, is_extended=is_extended)), Reason)
+
+
+CODEC = codec_of(Key(SECRET, 0), Key(OTHER, 255), clock=Clock())
 
 
 @pytest.mark.parametrize("fd", [False, True])
