@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from support.lane_maps import WIDTH, carriageway, lane, network, pose_on, roundabout
+from support.lane_maps import WIDTH, carriageway, crossing, lane, network, pose_on, roundabout
 
 from maplines_can.maps import LaneTracker, Map, link_gaps, view
 from maplines_can.propagation.paths import stretches
 from maplines_can.values.line import Kind, Slot
 from maplines_can.values.polyline import Polyline
 
-RING = roundabout()
+RING, CROSSING = roundabout(), crossing()
 
 
 def lateral(lines: dict[Slot, Polyline], pose: np.ndarray, x: float = 0.0) -> dict[Slot, float]:
@@ -93,6 +93,30 @@ def lane_that_ends() -> Map:
         links={"a1": "b1", "a2": "b2", "b1": "c1"},
         rows=["a1 a2", "b1 b2"],
     )
+
+
+@pytest.mark.parametrize("name", ["0>1", "0>2", "0>3"])
+def test_in_a_crossing_the_route_decides(name: str) -> None:
+    """At its entry, where the lanes overlap and have the same direction."""
+    route = CROSSING.route("in0", f"out{name[-1]}")
+    pose = pose_on(CROSSING.lanes["0>2"], 1.0)
+
+    lines = CROSSING.lines(pose, route)
+
+    boundary = CROSSING.lanes[name].left.points
+    assert np.hypot(*(lines[Slot.EGO_LEFT].points - boundary[-1]).T).min() < 1e-6
+
+
+def test_a_car_beside_its_route_still_gets_it() -> None:
+    """The lines of its lane lead along the route."""
+    found = carriageway(2, 0, sections=3)
+    route = found.route("0:1", "2:1")
+    pose = pose_on(found.lanes["1:2"], 20.0)
+
+    y = lateral(found.lines(pose, route), pose)
+
+    assert y[Slot.ROUTE] == pytest.approx(WIDTH)
+    assert y[Slot.CENTRE] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_lane_that_ends() -> None:
