@@ -264,3 +264,16 @@ def test_the_driver_is_not_steered_against_before_it_drives() -> None:
     assert [c.curvature for c in commands] == pytest.approx(0.1 / rows[:, 1], rel=0.02)
     assert commands[-1].state is not SteeringState.HANDOVER
     assert commands[-1].speed == pytest.approx(rows[-1, 1], abs=0.2)
+
+
+def test_a_late_update_brakes_for_its_time() -> None:
+    """In a handover, the demanded speed falls by 3.75 m/s^2, however long the cycles are."""
+    steering = LaneSteering()
+    for dt in (0.02, 0.05, 0.2):
+        drive(steering, [Cycle(Lane())] * 5 + [Cycle(None, dt=0.6)], 20.0)
+        speeds = [
+            steering.step(10**9 + round(1e9 * dt) * k, None, Motion(20.0, 0.0)).speed
+            for k in range(5)
+        ]
+        assert np.diff(speeds) == pytest.approx([-BRAKING * dt] * 4)
+        steering.reset()

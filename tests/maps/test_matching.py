@@ -90,10 +90,13 @@ def test_a_covariance_that_is_none_is_rejected(cov: np.ndarray) -> None:
 def test_the_direction_decides_where_lanes_overlap(name: str, share: float) -> None:
     """In a crossing, a car that drives along a lane is matched to it."""
     one = CROSSING.lanes[name]
-    match = CROSSING.match(pose_on(one, share * one.length))
+    pose = pose_on(one, share * one.length)
+    match = CROSSING.match(pose)
 
     assert match is not None
     assert match.lane == name
+    likeliest, *_ = CROSSING.match(pose, np.diag([0.04, 0.04, 1e-4]))
+    assert (likeliest.lane, likeliest.probability > 0.8) == (name, True)
 
 
 @pytest.mark.parametrize("turn", [-0.008, 0.0, 0.008])

@@ -75,3 +75,13 @@ def test_invalid_motion_raises(make: Any, words: str) -> None:
     """The message has the name and the value."""
     with pytest.raises(ValueError, match=words):
         make()
+
+
+def test_uncertainties_of_speed_yaw_rate_and_time_add_up() -> None:
+    """Straight ahead: x by speed and time, heading by yaw rate, y by half the heading times x."""
+    displacement = Motion.with_sigma(20.0, 0.0, (0.5, 0.02)).over(0.1, time_sigma=0.005)
+    x, y, heading = displacement.sigma
+
+    assert x == pytest.approx(np.hypot(0.5 * 0.1, 20.0 * 0.005), rel=1e-3)
+    assert heading == pytest.approx(np.hypot(0.02 * 0.1, 0.02 * 0.005), rel=1e-2)
+    assert y == pytest.approx(2.0 * heading / 2, rel=2e-2)
