@@ -53,6 +53,8 @@ MAX_JSON_BYTES, MAX_JSON = 1 << 24, 3 << 25
 HEAD = 1 << 16
 #: Most lines, and most points of a line.
 MAX_LINES, MAX_POINTS = 100_000, 2_000_000
+#: From a point of a line to the next [deg], 11 km; more is metres that are taken for degrees.
+MAX_STEP_DEG = 0.1
 
 
 class _Line(NamedTuple):
@@ -345,7 +347,9 @@ def _projected(
     """Return the lines around the middle of the map, and their projection."""
     usable = []
     for line in lines:
-        if (np.abs(line.points) <= (360, 90)).all():  # false for NaN
+        steps = (np.diff(line.points, axis=0) + 180) % 360 - 180  # also across the antimeridian
+        in_range = (np.abs(line.points) <= (360, 90)).all()  # false for NaN
+        if in_range and (np.abs(steps) <= MAX_STEP_DEG).all():
             usable.append(line)
         else:
             why = (

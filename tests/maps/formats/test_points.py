@@ -144,6 +144,7 @@ def test_geojson_of_another_system_is_kept() -> None:
         (None, "its geometry is None"),
         (feature((8.0, 49.0)), "two different points"),
         (feature((1000.0, 49.0), (8.0, 49.0)), "no longitude and latitude"),
+        (feature((0.0, 1.75), (10.0, 1.75)), "no longitude and latitude"),  # metres of a short road
         (feature((float("nan"), 49.0), (8.0, 49.0)), "no longitude and latitude"),
         ({"geometry": {"type": "Point", "coordinates": [8, 49]}}, "its geometry is Point"),
         ({"geometry": {"type": "LineString", "coordinates": 3}}, "not lists of two numbers"),
