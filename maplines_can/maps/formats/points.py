@@ -341,15 +341,21 @@ def _coordinate(value: object) -> float:
     return float(value)
 
 
+def _are_degrees(points: Array) -> bool:
+    """Return whether points are longitudes and latitudes of a road."""
+    if not (np.abs(points) <= (360, 90)).all():  # also for NaN
+        return False
+    steps = (np.diff(points, axis=0) + 180) % 360 - 180  # also across the antimeridian
+    return bool((np.abs(steps) <= MAX_STEP_DEG).all())
+
+
 def _projected(
     lines: Iterable[_Line], projection: str | None, skipped: list[Skipped]
 ) -> tuple[list[_Line], str | None]:
     """Return the lines around the middle of the map, and their projection."""
     usable = []
     for line in lines:
-        steps = (np.diff(line.points, axis=0) + 180) % 360 - 180  # also across the antimeridian
-        in_range = (np.abs(line.points) <= (360, 90)).all()  # false for NaN
-        if in_range and (np.abs(steps) <= MAX_STEP_DEG).all():
+        if _are_degrees(line.points):
             usable.append(line)
         else:
             why = (
