@@ -197,7 +197,7 @@ The archive has the sources in C, what builds them, and a binary for each platfo
 is here for: that of this machine, and Windows with MinGW (x86_64-w64-mingw32-gcc). docs/fmu.md
 lists the variables.
 
-The headers of FMI come from fmpy, which is in the extra "fmi": pip install ".[fmi]"
+The headers of FMI come from fmpy, which is in the extra "fmi": pip install -e ".[fmi]"
 """
 EXAMPLES_FMU = """\
 examples:

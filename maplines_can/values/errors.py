@@ -74,9 +74,9 @@ def missing_extra(what: str, extra: str) -> MissingExtraError:
 
     >>> print(missing_extra("authentication needs cryptography", "secoc"))
     authentication needs cryptography; install the extra "secoc": in a checkout of maplines_can,
-    pip install ".[secoc]"
+    pip install -e ".[secoc]"
     """
     return MissingExtraError(
         f'{what}; install the extra "{extra}": in a checkout of maplines_can, '
-        f'pip install ".[{extra}]"'
+        f'pip install -e ".[{extra}]"'
     )

@@ -266,7 +266,7 @@ def test_item_11_an_extra_is_one_that_a_checkout_has(extra: str) -> None:
     """The command in the message names an extra of pyproject.toml; nothing is published."""
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert extra in extras["optional-dependencies"]
-    assert str(missing_extra("this needs that", extra)).endswith(f'pip install ".[{extra}]"')
+    assert str(missing_extra("this needs that", extra)).endswith(f'pip install -e ".[{extra}]"')
 
 
 def test_item_11_no_text_names_a_package_that_is_not_published() -> None:

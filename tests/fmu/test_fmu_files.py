@@ -209,7 +209,7 @@ def test_without_fmpy_the_extra_is_named(
 ) -> None:
     monkeypatch.setattr("maplines_can.generation.fmu.archive.util.find_spec", lambda _: None)
     assert main(["generate", "fmu", "receiver", "--out", str(tmp_path / "r.fmu")]) != 0
-    assert 'pip install ".[fmi]"' in capsys.readouterr().err
+    assert 'pip install -e ".[fmi]"' in capsys.readouterr().err
 
 
 def test_a_dbc_that_a_node_cannot_have_is_refused() -> None:
