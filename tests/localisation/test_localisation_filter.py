@@ -296,3 +296,26 @@ def test_the_pose_error_is_the_covariance_in_the_axes_of_the_car() -> None:
     rotation[:2, :2], rotation[2, 2] = np.array([[c, -s], [s, c]]).T, 1.0
     assert found.cov == pytest.approx(rotation @ P @ rotation.T, abs=1e-12)
     assert found.cov[2, 2] == pytest.approx(0.04)
+
+
+def test_the_correlation_time_is_where_the_autocorrelation_falls_to_1_over_e() -> None:
+    """The pose is known by GNSS alone, since the wheel speed says nothing; so its error is that."""
+    errors = SensorErrors(
+        speed=GaussMarkov(3000.0, 0.01), yaw_rate=GaussMarkov(0.0), wheel_scale=GaussMarkov(0.0),
+        gnss=GaussMarkov(1.5, 4.0), camera_offset=GaussMarkov(0.0),
+        camera_heading=GaussMarkov(0.0), yaw_rate_noise=0.0,
+    )  # fmt: skip
+    found = driven(
+        sorted(
+            [odometry(i * DT) for i in range(1, 1001)]
+            + [fix(i * DT, 10 * i * DT, 0.0, 0.01) for i in range(1, 1001)],
+            key=lambda one: one.t,
+        ),
+        errors=errors,
+    )
+    along, across, heading = found.correlation_times()[0]
+    assert along == pytest.approx(4.0, rel=0.1)
+    error = found.pose_error()
+    assert error is not None
+    assert error.correlation_time == across
+    assert heading == math.inf  # it has no error

@@ -352,3 +352,23 @@ def test_a_record_that_does_not_fit_raises_and_no_freshness_value_is_lost() -> N
             sender.secure(bytes(length), 1, LAYOUT)
     assert sender.last_sent == 0
     assert len(sender.secure(bytes(32), 1, LAYOUT)) == LAYOUT.length
+
+
+def test_a_freshness_value_of_more_than_63_bits_is_never_accepted() -> None:
+    """The next one would not fit 64 bits: a sender that has the key could stop a receiver."""
+    last = 2**63 - 2
+    codec = codec_of(not_before=last - 1)
+    decoder, can_id = codec.decoder(), codec.layout.messages[Slot.EGO_LEFT].secured_can_id
+    assert can_id is not None
+    frames = [secured_with(freshness) for freshness in (last, last + 1, last + 2, last + 3)]
+    answers = [decoder.feed(can_id, frame, 0) for frame in frames]
+    accepted = Reason.MIXED  # the record itself is none
+    assert answers == [accepted, accepted, Reason.AGE, Reason.AGE]
+
+
+def secured_with(freshness: int) -> bytes:
+    """Return a secured I-PDU with any freshness value of 64 bits."""
+    authentic = bytes(LAYOUT.authentic_bytes - 1) + b"\x01"
+    number = freshness.to_bytes(8, "big")
+    mac = reference_cmac(SECRET, b"\x4d\x50" + authentic + number)
+    return authentic + number[-LAYOUT.freshness_bytes :] + mac[: LAYOUT.mac_bytes]
