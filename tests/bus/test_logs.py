@@ -239,7 +239,7 @@ def test_mf4_without_its_package_names_the_extra(
     monkeypatch.setattr("maplines_can.logs.log_reader.find_spec", lambda _: None)
     path = tmp_path / "drive.mf4"
     path.touch()
-    with pytest.raises(MissingExtraError, match=r'pip install "\.\[mf4\]"'):
+    with pytest.raises(MissingExtraError, match=r'pip install -e "\.\[mf4\]"'):
         read_log(path)
 
 

@@ -309,7 +309,7 @@ def test_close_up(case_of: Any) -> None:
     [
         pytest.param({"formats": ("png", "bmp")}, r"png, svg, pdf, got \['bmp'\]", id="format"),
         pytest.param({"samples": 99}, "100 or more, got 99", id="samples"),
-        pytest.param(None, r'pip install "\.\[plot\]"', id="no-matplotlib"),
+        pytest.param(None, r'pip install -e "\.\[plot\]"', id="no-matplotlib"),
     ],
 )
 def test_mistakes_raise_before_anything_is_written(

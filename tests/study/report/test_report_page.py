@@ -201,7 +201,7 @@ def test_a_missing_extra_is_named(
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setitem(sys.modules, package, None)
 
-    with pytest.raises(MissingExtraError, match=r'pip install "\.\[study\]"'):
+    with pytest.raises(MissingExtraError, match=r'pip install -e "\.\[study\]"'):
         write_report(folder, tmp_path / "report.html")
 
 

@@ -121,7 +121,7 @@ def test_no_traceback_without_cryptography_contains_a_key(
     monkeypatch.setenv("CAR_KEY", SECRET.hex())
     path = key_file(tmp_path, SECRET.hex().encode())
     for act in (lambda: key_from_env("CAR_KEY"), lambda: key_from_file(path), lambda: Key(SECRET)):
-        with pytest.raises(MissingExtraError, match=r'pip install "\.\[secoc\]"') as caught:
+        with pytest.raises(MissingExtraError, match=r'pip install -e "\.\[secoc\]"') as caught:
             act()  # type: ignore[no-untyped-call]
         check_traceback(caught.value)
 
