@@ -18,7 +18,7 @@ ROOMS = (
     "core", "values", "propagation", "dbc_files",
     "wire.layout", "wire.protection", "wire.reception", "wire",
     "generation",
-    "logs", "bus", "recordings", "cosimulation",
+    "logs", "bus", "recordings", "desk", "cosimulation",
     "maps", "maps.formats", "localisation", "consumers", "simulation", "restbus", "cli",
 )  # fmt: skip
 #: Modules that stand lower than their folder.
