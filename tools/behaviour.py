@@ -81,6 +81,8 @@ decode-pose: decode p.log --dbc maplines-pose.dbc --csv
 decode-pose-error: decode e.log --scenes
 decode-faults: decode bad.log --scenes
 decode-pipe: decode -
+info: info d.log w.log k.log bad.log
+info-json: info --json p.log f.log
 accuracy: accuracy d.csv d.log
 accuracy-json: accuracy loc.csv loc.log --dbc maplines-pose.dbc --json
 accuracy-plot: accuracy d.csv d.log --plot accuracy.png

@@ -35,6 +35,7 @@ COMMANDS = {
     "send": ("send", "send the lines of a scenario until Ctrl-C"),
     "receive": ("receive", "print the lines that arrive on a bus until Ctrl-C"),
     "decode": ("decode", "print the lines in a log file, or write tables of many"),
+    "info": ("info", "print what is in log files: messages, gaps, lines, what was dropped"),
     "plot": ("plot", "draw the lines in log files, with their uncertainty"),
     "map": ("map", "print what is in a map file, and draw it"),
     "drive": ("drive", "drive on a map, and send or record the lines around the car"),
