@@ -19,13 +19,15 @@ from ..values.errors import LogError, missing_extra
 from ..values.input_files import checked_path
 from .asc_log import AscFormat
 from .blf_log import BLFParseError, BlfReader, BlfRunReader
+from .busmaster_log import BusmasterFormat
 from .candump_log import CandumpFormat
+from .crtd_log import CrtdFormat
 from .frame_block import FrameBlock, LogFrame, frames_of
 from .log_summary import LogReader, LogSummary, Times
 from .log_times import LogTimes
 from .mf4_log import Mf4Reader
 from .sqlite_log import SqliteReader
-from .table_log import CsvFormat, TrcFormat
+from .table_log import CsvFormat, SavvyCanFormat, TrcFormat
 from .text_lines import Lines, text_of
 from .text_rows import RowReader
 
@@ -39,13 +41,16 @@ _DAMAGE = (
     *(BLFParseError, NotImplementedError),
 )
 
-_SUFFIXES = (".asc", ".blf", ".csv", ".db", ".log", ".mf4", ".trc", ".txt")
+_SUFFIXES = (".asc", ".blf", ".crtd", ".csv", ".db", ".log", ".mf4", ".trc", ".txt")
 #: Suffixes without a known format. The first bytes tell it; if none matches, it is candump's.
 _ANY_FORMAT = ("", ".log", ".txt")
 _FIRST_BYTES = {b"LOGG": ".blf", b"MDF ": ".mf4", b"UnFinMF ": ".mf4", b"SQLite format 3": ".db"}
 #: First line of the text formats, in lower case.
 _FIRST_LINES = {
     ".trc": re.compile(r";"),
+    "busmaster": re.compile(r"\*\*\*\s*busmaster"),
+    "savvycan": re.compile(r"time stamp,id,"),
+    ".crtd": re.compile(r"\d+(\.\d*)?\s+\d*(c[a-z]{2}|[rt](11|29))\s"),
     ".csv": re.compile(r"timestamp,|[\d.]+,0x"),
     ".asc": re.compile(
         r"date\s|base\s|//|begin\s+triggerblock|(no\s+)?internal\s+events"
@@ -58,11 +63,14 @@ _GZIP = b"\x1f\x8b"
 _TEXT: dict[str, Any] = {
     "": CandumpFormat,
     ".asc": AscFormat,
+    ".crtd": CrtdFormat,
     ".csv": CsvFormat,
     ".trc": TrcFormat,
+    "busmaster": BusmasterFormat,
+    "savvycan": SavvyCanFormat,
 }
 #: Formats whose time stamps may be of several kinds.
-_ANY_TIMES = ("", ".asc", ".csv")
+_ANY_TIMES = ("", ".asc", ".crtd", ".csv", "busmaster", "savvycan")
 
 
 def read_log(
@@ -70,10 +78,11 @@ def read_log(
 ) -> LogReader[LogFrame]:
     """Return an iterator over the data frames of a log, in the order of the file.
 
-    The suffix determines the format: .asc, .blf, .csv, .db, .mf4 or .trc. The content determines it
-    if the suffix is .log or .txt, or if there is none, as in a stream. It may then also be the
-    output of candump, with or without ``-L``, ``-t``, ``-x`` and ``-a``. The text formats and .blf
-    may be compressed (.gz). Other records, such as error and remote frames, are skipped and
+    The suffix determines the format: .asc, .blf, .crtd, .csv, .db, .mf4 or .trc. The content
+    determines it if the suffix is .log or .txt, or if there is none, as in a stream. It may then
+    also be that of BUSMASTER, or the output of candump, with or without ``-L``, ``-t``, ``-x`` and
+    ``-a``. A .csv is of python-can or of SavvyCAN. The text formats and .blf may be compressed
+    (.gz). Other records, such as error and remote frames, are skipped and
     counted in ``summary.skipped`` of the iterator. The log is not loaded into memory
     at once; a frame of a pipe is returned as soon as its line has arrived.
 
@@ -201,7 +210,7 @@ def _read_any(
                 f"{name}: the text is UTF-16; convert it, as with iconv -f UTF-16 -t UTF-8"
             )
         lines = Lines(file, is_packed=compressed)
-        suffix = suffix or _text_format(lines)
+        suffix = _text_format(lines, suffix)
         _check_times(name, suffix, how)
         yield from _read_text(lines, name, suffix, how)
         return
@@ -221,10 +230,16 @@ def _is_utf_16(head: bytes) -> bool:
     return head.startswith(marks) or is_zero in ([False, True] * 2, [True, False] * 2)
 
 
-def _text_format(lines: Lines) -> str:
-    """Return the suffix of a text format by the first line; empty for candump."""
+def _text_format(lines: Lines, suffix: str) -> str:
+    """Return the text format by the first line, where the suffix leaves it open.
+
+    It is empty for candump. A table has the format of python-can or of SavvyCAN.
+    """
+    if suffix not in ("", ".csv"):
+        return suffix
     first = "".join(lines.ahead(1)).lower()
-    return next((suffix for suffix, line in _FIRST_LINES.items() if line.match(first)), "")
+    wanted = ("savvycan",) if suffix else _FIRST_LINES
+    return next((name for name in wanted if _FIRST_LINES[name].match(first)), suffix)
 
 
 def _read_binary(path: Path, suffix: str, compressed: bool, how: _Reading) -> Records:

@@ -101,6 +101,11 @@ class LogTimes:
         if not self._is_stated_by_user:
             self._take(kind)
 
+    def state_by(self, stamp: int) -> None:
+        """Take the kind by the first stamp of a log that has no differences."""
+        if not self.kind:
+            self.state("absolute" if stamp >= MIN_ABSOLUTE_NS else "zero")
+
     def t_ns(self, stamp: int, line: int) -> int:
         """Return the time of the next row.
 

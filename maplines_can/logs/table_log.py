@@ -1,4 +1,4 @@
-"""Logs whose columns have names: TRC of PEAK's tools, and the CSV of python-can."""
+"""Logs whose columns have names: TRC of PEAK's tools, and the CSV of python-can and of SavvyCAN."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import re
 from base64 import b64decode
 
 from ..wire.layout.slot_messages import FD_LENGTHS
-from .frame_block import LogFrame
+from .frame_block import MAX_DATA, LogFrame
 from .log_summary import LogSummary, Skipped
-from .log_times import MIN_ABSOLUTE_NS, LogTimes
+from .log_times import LogTimes
 from .text_rows import check_frame, nanoseconds, shown
 
 #: Columns of the versions of TRC before 2.0, by their letters in later ones: number, offset, bus,
@@ -39,6 +39,11 @@ _CSV_COLUMNS: tuple[str, ...] = (
 )
 _CSV_ROW = re.compile(r"\s*[-+.0-9]")
 _DECIMAL = re.compile(r"[0-9]+\.?[0-9]*")
+
+#: Columns of SavvyCAN, besides those of the data: "d1", "d2" ... "Dir" came later, and is not kept.
+_SAVVYCAN_COLUMNS = ("time stamp", "id", "extended", "bus", "len")
+_MICROSECONDS = re.compile(r"-?[0-9]+")
+_HEX = re.compile(r"[0-9A-Fa-f]+")
 
 
 class TrcFormat:
@@ -158,8 +163,7 @@ class CsvFormat:
             raise ValueError(f"{len(cells)} cells, but {len(self._columns)} columns")
         row = dict(zip(self._columns, cells, strict=True))
         stamp = _seconds(row["timestamp"])
-        if not self.times.kind:
-            self.times.state("absolute" if stamp >= MIN_ABSOLUTE_NS else "zero")
+        self.times.state_by(stamp)
         t_ns = self.times.t_ns(stamp, number)
         if "1" in (row["error"], row["remote"]):
             kind = Skipped.ERROR if row["error"] == "1" else Skipped.REMOTE
@@ -171,6 +175,65 @@ class CsvFormat:
         check_frame(can_id, data, t_ns)
         channel = row.get("channel", "")
         return LogFrame(can_id, data, t_ns, row["extended"] == "1", channel, has_time=True)
+
+    def stamp(self, line: str) -> int | None:
+        """Return None: the first stamp decides."""
+
+    def end(self) -> None:
+        """Note nothing: the format has no mark of the end."""
+
+
+class SavvyCanFormat:
+    """Rows of the CSV of SavvyCAN, of GVRET and other devices: the native files of framefileio.cpp.
+
+    It has no mark of remote and error frames, and no more than 8 bytes of a frame of CAN FD. The
+    times are microseconds of the device or of the system.
+
+    Args:
+        times: of the rows.
+        summary: of the log.
+    """
+
+    run = None
+
+    def __init__(self, times: LogTimes, summary: LogSummary) -> None:  # noqa: ARG002
+        self.times = times
+        self._columns: tuple[str, ...] = ()
+
+    def row(self, line: str, number: int) -> LogFrame | None:
+        """Return the frame of a row; None if it is no data frame."""
+        cells = [cell.strip() for cell in line.split(",")]
+        if cells == [""]:
+            return None
+        if cells[0].lower() == _SAVVYCAN_COLUMNS[0]:
+            self._columns = tuple(cell.lower() for cell in cells)
+            return None
+        row = dict(zip(self._columns, cells, strict=False))
+        if missing := [name for name in _SAVVYCAN_COLUMNS if name not in row]:
+            raise ValueError(f"the row has no column {missing[0]!r}: {shown(line)}")
+        data = self._data(row, is_whole=line.endswith("\n"))
+        stamp, can_id, is_extended = row["time stamp"], row["id"], row["extended"].lower()
+        if not (_MICROSECONDS.fullmatch(stamp) and _HEX.fullmatch(can_id) and row["bus"].isdigit()):
+            raise ValueError(f"not a row of SavvyCAN: {shown(line)}")
+        if is_extended not in ("true", "false"):
+            raise ValueError(f"{is_extended!r} is neither true nor false")
+        self.times.state_by(1000 * int(stamp))
+        t_ns = self.times.t_ns(1000 * int(stamp), number)
+        check_frame(int(can_id, 16), data, t_ns)
+        is_long = is_extended == "true" or int(can_id, 16) > 0x7FF  # SavvyCAN reads it so, too
+        return LogFrame(int(can_id, 16), data, t_ns, is_long, row["bus"], has_time=True)
+
+    def _data(self, row: dict[str, str], *, is_whole: bool) -> bytes:
+        """Return the data of a row; the last byte of a row that is cut may be half of one."""
+        length = int(row["len"])
+        cells = [row.get(f"d{k}", "") for k in range(1, min(length, MAX_DATA) + 1)]
+        if length != len(cells) or not all(cells):
+            there = sum(map(bool, cells))
+            raise ValueError(f"{there} bytes of data, but a length of {length}")
+        digits = {1, 2} if is_whole else {2}
+        if not all(_HEX.fullmatch(cell) and len(cell) in digits for cell in cells):
+            raise ValueError(f"the data are not bytes: {shown(' '.join(cells))}")
+        return bytes(int(cell, 16) for cell in cells)
 
     def stamp(self, line: str) -> int | None:
         """Return None: the first stamp decides."""

@@ -35,6 +35,7 @@ def table() -> dict[str, dict[str, str]]:
         if row.startswith("|")
     ]
     assert head == ["format", *COLUMNS]
+    rows = [row for row in rows if row[0].startswith(("`", "candump"))]
     suffixes = {row[0]: row[0].partition("`")[2].partition("`")[0] for row in rows}
     return {
         suffixes[row[0]].replace("-L", ".log"): dict(zip(COLUMNS, row[1:], strict=True))

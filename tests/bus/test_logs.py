@@ -212,7 +212,7 @@ def test_a_blf_object_that_is_shorter_than_its_header_ends_the_file(
     [
         ("missing.log", "there is no such file"),
         ("missing.db", "there is no such file"),
-        ("drive.pcap", "the format '.pcap' is unknown; use .asc, .blf, .csv, .db, .log, .mf4, .tr"),
+        ("drive.mp4", "the format '.mp4' is unknown; use .asc, .blf, .crtd, .csv, .db, .log, .m"),
         ("drive", "there is no such file"),
         ("drive.gz", "there is no such file"),
         ("", "is not a file"),
