@@ -83,6 +83,8 @@ decode-faults: decode bad.log --scenes
 decode-pipe: decode -
 info: info d.log w.log k.log bad.log
 info-json: info --json p.log f.log
+diff: diff d.log j.blf --at 0,20
+diff-json: diff p.log p.log --dbc maplines-pose.dbc --json
 accuracy: accuracy d.csv d.log
 accuracy-json: accuracy loc.csv loc.log --dbc maplines-pose.dbc --json
 accuracy-plot: accuracy d.csv d.log --plot accuracy.png

@@ -36,6 +36,7 @@ COMMANDS = {
     "receive": ("receive", "print the lines that arrive on a bus until Ctrl-C"),
     "decode": ("decode", "print the lines in a log file, or write tables of many"),
     "info": ("info", "print what is in log files: messages, gaps, lines, what was dropped"),
+    "diff": ("diff", "compare the lines of two logs: which differ, and by how many sigmas"),
     "plot": ("plot", "draw the lines in log files, with their uncertainty"),
     "map": ("map", "print what is in a map file, and draw it"),
     "drive": ("drive", "drive on a map, and send or record the lines around the car"),
