@@ -38,6 +38,7 @@ COMMANDS = {
     "info": ("info", "print what is in log files: messages, gaps, lines, what was dropped"),
     "diff": ("diff", "compare the lines of two logs: which differ, and by how many sigmas"),
     "plot": ("plot", "draw the lines in log files, with their uncertainty"),
+    "view": ("view", "show a bus or a log, live, in a page of the browser"),
     "map": ("map", "print what is in a map file, and draw it"),
     "drive": ("drive", "drive on a map, and send or record the lines around the car"),
     "restbus": ("restbus", "simulate the nodes around a device: lines and other messages"),

@@ -1,0 +1,175 @@
+"""The command ``maplines view``."""
+
+from __future__ import annotations
+
+import argparse
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from ..bus import read_log
+from ..desk.facts import Facts
+from ..desk.history import History
+from ..desk.live import PERIOD, live_facts
+from ..desk.log_facts import facts_of_log
+from ..desk.server import ViewServer, about
+from ..desk.traffic import Traffic
+from ..values.errors import LogError
+from ..wire import LineCodec
+from .command_line import add_command, note, number, option_group
+from .frame_source import add_times, choose_dbc
+from .options import (
+    add_bus,
+    add_codec,
+    add_cycle,
+    add_faults,
+    add_transfer_timeout,
+    bus_settings,
+    decoder_of,
+    fault_opener,
+    keyed_codec,
+)
+
+#: Port of the page, and how long the past of a bus is kept [s].
+PORT, PAST = 8340, 300.0
+
+DESCRIPTION = """\
+Show the lines of a bus, or of a log, in a page of your browser, until Ctrl-C: from above with
+their bands of 1, 2 and 3 standard deviations, over time, their correlations, the end-to-end (E2E)
+state of each message, what was lost or dropped and why, and the bus load.
+
+The page of a bus goes back five minutes. That of a log has a time line with the faults, and plays
+at 0.1 to 10 times the speed. Its keys are under '?'.
+
+The page is for this machine only, unless --host is given."""
+
+
+def add_view(commands: Any) -> None:
+    """Add the command ``view``."""
+    example = (
+        "maplines view --interface socketcan --channel vcan0\n"
+        "         maplines view drive.blf --dbc auto"
+    )
+    parser = add_command(commands, "view", _view, DESCRIPTION, example)
+    parser.add_argument("log", metavar="LOG", nargs="?", help="log file, as for 'decode'")
+    add_bus(parser)
+    add_codec(parser)
+    add_cycle(parser)
+    add_transfer_timeout(parser)
+    add_times(parser)
+    add_faults(parser)
+    add = option_group(parser, "output").add_argument
+    add(
+        "--port",
+        type=number(int, 0, 65535),
+        default=PORT,
+        metavar="N",
+        help=f"port of the page; 0 for any that is free (default: {PORT})",
+    )
+    add(
+        "--host",
+        default="127.0.0.1",
+        metavar="ADDRESS",
+        help="address of this machine on which others reach the page, such as 0.0.0.0; they then "
+        "see all that it shows, without a password and without encryption (default: 127.0.0.1, "
+        "this machine only)",
+    )
+
+
+def _view(arguments: argparse.Namespace) -> int:
+    with _source(arguments) as (history, what, run):
+        server = ViewServer(history, what, arguments.host, arguments.port)
+        thread = threading.Thread(target=server.serve_forever, name="maplines view", daemon=True)
+        thread.start()
+        try:
+            note(f"the page is {server.url}; stop with Ctrl-C")
+            if not server.is_loopback:
+                note(
+                    f"--host {arguments.host}: whoever reaches this machine on port {server.port} "
+                    "can read all that the page shows"
+                )
+            run(server)
+            while not server.over.wait(1.0):
+                pass  # Ctrl-C does not end a wait without a limit on Windows
+        except KeyboardInterrupt:
+            pass
+        finally:
+            server.close()
+    return 0
+
+
+Source = tuple[History, dict[str, Any], Callable[[ViewServer], None]]
+
+
+@contextmanager
+def _source(arguments: argparse.Namespace) -> Iterator[Source]:
+    """Yield the history, what it is of, and the function that fills it."""
+    if arguments.log is None:
+        yield from _bus(arguments)
+        return
+    for option in ("interface", "faults"):
+        if getattr(arguments, option) is not None:
+            raise ValueError(f"--{option} is of a bus; leave it out, or LOG")
+    yield from _log(arguments)
+
+
+def _traffic(codec: LineCodec, arguments: argparse.Namespace) -> Traffic:
+    return Traffic(codec.layout, **({"bitrate": arguments.bitrate} if arguments.bitrate else {}))
+
+
+def _bus(arguments: argparse.Namespace) -> Iterator[Source]:
+    codec = keyed_codec(arguments)
+    history = History(max_facts=round(PAST / PERIOD))
+    decoder, traffic = decoder_of(codec, arguments), _traffic(codec, arguments)
+    opener, settings = fault_opener(arguments), bus_settings(arguments)
+    with live_facts(codec, decoder, traffic, opener, **settings) as live:
+
+        def run(server: ViewServer) -> None:
+            for facts in live.each(server.over.wait):
+                history.add(facts)
+
+        yield history, about(codec, live.link.name, is_live=True), run
+
+
+def _log(arguments: argparse.Namespace) -> Iterator[Source]:
+    arguments.logs = [arguments.log]
+    choose_dbc(arguments)
+    codec = keyed_codec(arguments, clock=None)
+    frames = read_log(arguments.log, times=arguments.times)
+    history = History()
+    what = about(codec, Path(arguments.log).name, is_live=False)
+
+    def read(server: ViewServer) -> None:
+        facts = facts_of_log(
+            frames,
+            codec,
+            channel=arguments.channel,
+            decoder=decoder_of(codec, arguments),
+            traffic=_traffic(codec, arguments),
+        )
+        if error := _fill(history, facts, server.over):
+            server.about["error"] = error
+            note(f"error: {arguments.log}: {error}")
+        history.end()
+
+    def run(server: ViewServer) -> None:
+        threading.Thread(target=read, args=(server,), name="maplines log", daemon=True).start()
+
+    yield history, what, run
+
+
+def _fill(history: History, facts: Iterable[Facts], over: threading.Event) -> str | None:
+    """Add facts until the server is over; return what the page lacks, and why."""
+    try:
+        for one in facts:
+            if over.is_set():
+                return None
+            if not history.add(one):
+                return "it is too long; the page shows its begin only"
+    except LogError as error:
+        return str(error)
+    if not history.contents()["count"]:
+        return "it has no frame of a message of this DBC; take another --dbc, or --dbc auto"
+    return None

@@ -1,0 +1,107 @@
+"""The command: it serves a log or a bus until Ctrl-C, and says what is wrong with its input."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.request import urlopen
+
+import pytest
+
+from maplines_can.cli import main
+
+
+@contextmanager
+def viewing(*arguments: str) -> Iterator[tuple[Any, str]]:
+    """Run the command on a free port; yield its process and the address that it prints."""
+    command = (sys.executable, "-m", "maplines_can", "view", "--port", "0", *arguments)
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            lines = iter(process.stderr.readline, "")
+            urls = (found[0] for line in lines if (found := re.findall(r"http://\S+/", line)))
+            yield process, next(urls)
+        finally:
+            process.kill()
+
+
+def info(url: str, key: str, value: Any) -> Any:
+    """Return the info of the page once a member has a value."""
+    end = time.monotonic() + 20
+    while (found := json.load(urlopen(f"{url}info")))[key] != value:  # noqa: S310
+        assert time.monotonic() < end, found
+        time.sleep(0.1)
+    return found
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> str:
+    path = tmp_path / "drive.log"
+    assert main(["drive", "--as-fast-as-possible", "--seconds", "4", "--record", str(path)]) == 0
+    return str(path)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C reaches the tests, too")
+def test_a_log_until_ctrl_c(log: str) -> None:
+    with viewing(log, "--dbc", "auto") as (process, url):
+        found = info(url, "is_over", True)
+        assert (found["name"], found["error"], found["count"]) == ("drive.log", None, 80)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10) == 0
+        assert "Traceback" not in process.stderr.read()
+
+
+def test_a_bus_with_faults() -> None:
+    """Facts come, also of a bus on which nothing is."""
+    with viewing("--interface", "virtual", "--channel", "a", "--faults", "loss=0.5") as (_, url):
+        assert url.startswith("http://127.0.0.1:")
+        with urlopen(f"{url}events") as events:  # noqa: S310
+            assert events.readline().startswith(b"id: ")
+            assert json.loads(events.readline()[6:])["link"] == {"name": "virtual a", "up": True}
+        assert info(url, "is_live", True)["slots"][0] == "EGO_LEFT"
+
+
+def test_other_machines_are_let_in_by_host_only() -> None:
+    """What that means is said."""
+    arguments = ("--interface", "virtual", "--channel", "a", "--host", "0.0.0.0")  # noqa: S104
+    with viewing(*arguments) as (process, url):
+        assert url.startswith("http://0.0.0.0:")
+        said = process.stderr.readline()
+        assert "whoever reaches this machine on port" in said
+        assert "can read all" in said
+
+
+def test_a_log_that_shows_nothing(tmp_path: Path) -> None:
+    """The reason is in the page, and printed."""
+    path = tmp_path / "foreign.log"
+    path.write_text("(1.0) can0 123#11\n")
+    with viewing(str(path)) as (process, url):
+        error = info(url, "is_over", True)["error"]
+        assert error.startswith("it has no frame of a message of this DBC; take another --dbc")
+        assert error in process.stderr.readline()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        pytest.param(["no.log"], "no.log: there is no such file", id="no-file"),
+        pytest.param(["{log}", "--interface", "virtual"], "--interface is of a bus", id="both"),
+        pytest.param(["{log}", "--host", "no such host"], "cannot be listened on", id="host"),
+        pytest.param(["{log}", "--dbc", "no.dbc"], "no.dbc", id="dbc"),
+        pytest.param(["--interface", "nonsense"], "nonsense", id="interface"),
+    ],
+)
+def test_mistakes_are_named(arguments: list[str], said: str, log: str, capsys: Any) -> None:
+    """In one line, with status 1."""
+    words = [word.replace("{log}", log) for word in arguments]
+    capsys.readouterr()
+    assert main(["view", "--port", "0", *words]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("maplines: error: ")
+    assert said in error
+    assert error.count("\n") == 1
