@@ -120,7 +120,8 @@ def test_the_wheel_has_the_package_and_nothing_else(wheel: Path) -> None:
     """The wheel has py.typed and the map, and no tests or tools."""
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
-    assert {"maplines_can/py.typed", "maplines_can/maps/town.xodr"} <= set(names)
+    files = ("py.typed", "maps/town.xodr", "desk/page/index.html", "desk/page/view.js")
+    assert {f"maplines_can/{name}" for name in files} <= set(names)
     folders = {name.split("/")[0] for name in names}
     assert {name for name in folders if not name.endswith(".dist-info")} == {"maplines_can"}
 

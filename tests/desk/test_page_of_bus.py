@@ -20,7 +20,7 @@ def test_a_bus(browser: Any, serving: Any) -> None:
     codec, channel = Codec.from_dbc(), "page of view"
     lines = scenario_lines(scenario("highway"))
     history = History(max_facts=6000)
-    settings = {"interface": "virtual", "channel": channel}
+    settings: dict[str, Any] = {"interface": "virtual", "channel": channel}
     with (
         live_facts(codec, **settings) as live,
         Link(**settings) as link,

@@ -109,7 +109,7 @@ def show(page: Any, lines: Any, **slot: Any) -> None:
     slots = {line.slot.name: row | {"line": _line(line)} for line in lines}
     traffic = {"load": 0.1, "frames": 1, "error_frames": 0, "beyond": 0, "messages": {}}
     traffic |= {"others": {"ids": 0, "frames": 0}}
-    rest = {"scene": None, "messages": {}, "counts": {}, "lines": 1, "changes": []}
+    rest: Any = {"scene": None, "messages": {}, "counts": {}, "lines": 1, "changes": []}
     now = {"t": 1e9, "slots": slots, "traffic": traffic} | rest
     page.run(
         f"""(async ({{view}}) => {{

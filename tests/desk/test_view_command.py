@@ -23,8 +23,7 @@ def viewing(*arguments: str) -> Iterator[tuple[Any, str]]:
     command = (sys.executable, "-m", "maplines_can", "view", "--port", "0", *arguments)
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         try:
-            lines = iter(process.stderr.readline, "")
-            urls = (found[0] for line in lines if (found := re.findall(r"http://\S+/", line)))
+            urls = (found[0] for line in process.stderr or () if (found := re.findall(r"http://\S+/", line)))
             yield process, next(urls)
         finally:
             process.kill()
