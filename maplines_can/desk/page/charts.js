@@ -107,7 +107,6 @@ export function birdsEye(target, facts, view, {hidden}) {
   const drawn = names.filter((name) => facts.slots[name].line);
   for (const name of drawn) line(target, map, name, facts.slots[name]);
   labels(target, map, drawn, facts);
-  scale(target, view);
 }
 
 function grid({ctx, width, height, theme}, map) {
@@ -131,14 +130,6 @@ function grid({ctx, width, height, theme}, map) {
   }
   ctx.textAlign = "start";
   ctx.stroke();
-}
-
-function scale({ctx, width, theme}, view) {
-  ctx.fillStyle = theme.muted;
-  ctx.textAlign = "end";
-  const ratio = view.perAhead / view.perLeft;
-  ctx.fillText(`ahead ↑   to the left ←, drawn ${short(ratio)} times as wide`, width - 6, 14);
-  ctx.textAlign = "start";
 }
 
 /** Draw the outline of a car whose rear axle is at the origin. */
@@ -223,11 +214,11 @@ function labels({ctx, theme, width, height}, map, names, facts) {
   ctx.textAlign = "center";
   for (const name of names) {
     const slot = facts.slots[name];
-    const end = Math.min(slot.line.x[1], map.ahead(34));
+    const end = Math.min(slot.line.x[1], map.ahead(18));
     const text = slot.usable ? title(name) : `${title(name)}: not usable`;
     const half = ctx.measureText(text).width / 2 + 4;
     const x = Math.max(half, Math.min(width - half, map.toX(lateral(slot.line.mean, end))));
-    let y = Math.max(30, Math.min(height - 20, map.toY(end) - 4));
+    let y = Math.max(14, Math.min(height - 20, map.toY(end) - 4));
     while (taken.some(([a, b, c]) => Math.abs(a - x) < c + half && Math.abs(b - y) < 14)) y += 14;
     taken.push([x, y, half]);
     ctx.fillStyle = theme.surface;
@@ -270,7 +261,7 @@ function limits(curves, least) {
     }
   if (low > high) return [0, 1];
   const margin = Math.max(least - (high - low), 0) / 2;
-  const {step} = ticks(low - margin, high + margin + 1e-12, 4);
+  const {step} = ticks(low - margin, high + margin + 1e-12, 8);
   return [Math.floor((low - margin) / step) * step, Math.ceil((high + margin) / step) * step];
 }
 
@@ -312,7 +303,8 @@ function runs(points) {
   const found = [];
   let run = [];
   for (const point of points) {
-    if (run.length && (!point || point[3] !== run[0][3])) {
+    const isOther = (k) => (point[k] === null) !== (run[0][k] === null);
+    if (run.length && (!point || point[3] !== run[0][3] || isOther(2))) {
       found.push(run);
       run = [];
     }
@@ -335,7 +327,7 @@ function curveRun(ctx, map, {colour: own}, run) {
 }
 
 function valueAxis({ctx, theme}, map, [low, high]) {
-  const found = ticks(low, high, 4);
+  const found = ticks(low, high, (map.bottom - TOP) / 16);
   ctx.strokeStyle = theme.grid;
   ctx.fillStyle = theme.muted;
   ctx.lineWidth = 1;
@@ -414,6 +406,12 @@ function shade(value, theme) {
   const from = theme.isDark ? [28, 32, 38] : [255, 255, 255];
   const share = Math.min(1, Math.abs(value));
   return `rgb(${to.map((c, k) => Math.round(from[k] + (c - from[k]) * share)).join(" ")})`;
+}
+
+/** Say why there is no picture. */
+export function nothing({ctx, theme}, text) {
+  ctx.fillStyle = theme.muted;
+  ctx.fillText(text, 8, 24);
 }
 
 /** Draw a correlation matrix; groups are names of blocks of 4 rows, texts those of the rows. */

@@ -2,7 +2,7 @@
 
 import {PARAMETERS, at, parameter, width} from "./facts.js";
 import {axes, colour, picture, project, title} from "./charts.js";
-import {HOME, SPANS, SPEEDS} from "./view.js";
+import {SPANS, SPEEDS} from "./view.js";
 
 const $ = (id) => document.getElementById(id);
 const CHARTS = ["chart-y", "chart-width", "chart-parameter", "chart-load", "chart-states"];
@@ -46,7 +46,7 @@ function actionsOf(view) {
     forward: () => view.step(1), next: () => view.fault(1), live: () => view.newest(),
     png: () => savePicture(view), csv: () => saveTable(view), help: toggleHelp,
     "zoom-in": () => zoom(view, 0.8), "zoom-out": () => zoom(view, 1.25),
-    "zoom-reset": () => Object.assign(view, {view: {...HOME}}).draw(),
+    "zoom-reset": () => view.zoomHome(),
   };
   const keys = {
     " ": buttons.play, ArrowLeft: ({shiftKey}) => (shiftKey ? view.skip(-1) : view.step(-1)),

@@ -9,7 +9,6 @@ const $ = (id) => document.getElementById(id);
 
 export const SPANS = [2, 5, 10, 20, 60, 300];
 export const SPEEDS = [0.1, 0.2, 0.5, 1, 2, 5, 10];
-export const HOME = {ahead: 36, left: 0, perAhead: 100 / 560, perLeft: 18 / 420};
 /** Time between updates of tables while facts come [ms]. */
 const TABLES = 250;
 /** A longer time without facts is skipped while a log plays [s]. */
@@ -25,12 +24,19 @@ class View {
     this.span = 20;
     this.speed = 1;
     this.x = 20;
-    this.view = {...HOME};
     this.hidden = new Set();
     this.draws = 0;
     this._tables = 0;
     this._due = false;
+    this.zoomHome();
     this.drawTheme();
+  }
+
+  /** Show 100 m of the road from above, and 9 m to each side. */
+  zoomHome() {
+    const {clientWidth, clientHeight} = $("above");
+    this.view = {ahead: 36, left: 0, perAhead: 100 / clientHeight, perLeft: 18 / clientWidth};
+    this.draw();
   }
 
   get isLive() {
@@ -177,7 +183,8 @@ class View {
       curves: this._curves(sampled, (line) => at(line, this.x)),
     });
     const lane = sampled.map((facts) => facts && this._point(facts, width(facts, this.x), true));
-    const isJoint = lane.some((point) => point && point[2] !== null);
+    const widths = lane.filter(Boolean);
+    const isJoint = !widths.length || widths.some((point) => point[2] !== null);
     draw("chart-width", {
       name: `width of the ego lane at x = ${this.x} m${isJoint ? "" : " (no joint covariance on this bus: no bands)"}`,
       unit: "m", least: 0.3, curves: [{colour: charts.colour("CENTRE", this.theme), points: lane}],
@@ -193,7 +200,10 @@ class View {
       curves: [{colour: this.theme.text, points: load}],
     });
     frame.hasTimes = true;
-    charts.strips(pictureOf("chart-states"), this._states(sampled), frame);
+    const rows = this._states(sampled);
+    const height = `${44 + 20 * Math.max(1, rows.length)}px`;
+    if ($("chart-states").style.height !== height) $("chart-states").style.height = height;
+    charts.strips(pictureOf("chart-states"), rows, frame);
   }
 
   /** Return facts of the time that is drawn, about two pixels apart; null where there is a gap. */
@@ -256,6 +266,7 @@ class View {
     if (of === "scene" && scene)
       charts.matrix(target, scene.joint, 4 * scene.slots.length, {groups: scene.slots});
     else if (line) charts.matrix(target, line.cov, 4, {texts: PARAMETERS});
+    else charts.nothing(target, of === "scene" ? "no scene: no pose error comes" : "no such line");
   }
 
   _showTables() {
@@ -265,6 +276,8 @@ class View {
     if (!this.shown || wait > 0) return;
     this._tables = now;
     const {store, shown} = this;
+    const ratio = charts.short(this.view.perAhead / this.view.perLeft);
+    $("scale").textContent = `ahead is up; drawn ${ratio} times as wide as long`;
     tables.showLines(shown, this.x);
     tables.showMessages(shown, store.get(store.numberAt(shown.t - 2)));
     tables.showChanges(store.changes, this.number, this.zero, (number) => this.go(number));
