@@ -57,11 +57,13 @@ DOOR_TESTS = (
     "tests/wire/reception/test_decoder_object.py", "tests/propagation/test_map_scene.py",
     "tests/wire/layout/test_packing.py",
     "tests/bus/test_candump_logs.py", "tests/bus/test_asc_logs.py", "tests/bus/test_blf_logs.py",
+    "tests/bus/test_pcap_logs.py",
 )  # fmt: skip
 #: All that run the library.
 CORE_TESTS = (
     "tests/core", "tests/values", "tests/wire", "tests/propagation",
     "tests/bus/test_candump_logs.py", "tests/bus/test_asc_logs.py", "tests/bus/test_blf_logs.py",
+    "tests/bus/test_pcap_logs.py",
 )  # fmt: skip
 THREAD_TESTS = ("tests/wire/test_threads.py",)
 #: Variants that are compiled: flags after those of the language.

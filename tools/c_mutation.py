@@ -53,6 +53,7 @@ from reporting import bar, parser_of, report
 TESTS: dict[str, list[str]] = {
     "c/logs/text_logs.c": ["tests/bus/test_candump_logs.py", "tests/bus/test_asc_logs.py"],
     "c/logs/blf_log.c": ["tests/bus/test_blf_logs.py"],
+    "c/logs/pcap_log.c": ["tests/bus/test_pcap_logs.py"],
     "c/core/tables.c": ["tests/core"],
     "c/src/names.c": ["tests/core/test_names.py"],
     "c/src/use.c": ["tests/c/test_use.py"],

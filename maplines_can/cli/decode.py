@@ -60,10 +60,11 @@ same command goes on where it was stopped.
 With --csv, a line that must not be used (usable is false: OUT_OF_RANGE, or too old) has empty cells
 instead of values.
 
-LOG has a format of python-can (.asc .blf .csv .db .mf4 .trc), or is the output of candump, with or
-without -L, -t and -x. Without -L and -t it has no time stamps: "t" is null, no frame times out,
-cycles without data are not counted, and the lines of a sender that restarts are dropped until its
-counter has caught up. So prefer -L."""
+LOG has a format of python-can (.asc .blf .csv .db .mf4 .trc), of SavvyCAN (.csv), OVMS (.crtd) or
+BUSMASTER (.log), is a capture of Wireshark or tcpdump (.pcap .pcapng), or is the output of candump,
+with or without -L, -t and -x. Without -L and -t it has no time stamps: "t" is null, no frame times
+out, cycles without data are not counted, and the lines of a sender that restarts are dropped until
+its counter has caught up. So prefer -L."""
 
 
 def add_decode(commands: Any) -> None:

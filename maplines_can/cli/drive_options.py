@@ -36,7 +36,7 @@ TOUR = 10_000.0
 #: Ways from road to road that are compared, if a route is given by roads.
 MAX_WAYS = 400
 #: Suffixes of bus logs, which have no columns of a drive. A .csv file is a table of the drive.
-LOG_SUFFIXES = (".log", ".asc", ".blf", ".mf4", ".trc", ".db")
+LOG_SUFFIXES = (".log", ".asc", ".blf", ".crtd", ".mf4", ".trc", ".db", ".pcap", ".pcapng")
 
 
 def add_way(parser: argparse.ArgumentParser) -> None:

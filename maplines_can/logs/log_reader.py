@@ -9,7 +9,7 @@ import re
 import sqlite3
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
@@ -26,6 +26,7 @@ from .frame_block import FrameBlock, LogFrame, frames_of
 from .log_summary import LogReader, LogSummary, Times
 from .log_times import LogTimes
 from .mf4_log import Mf4Reader
+from .pcap_log import PcapError, PcapReader, is_capture
 from .sqlite_log import SqliteReader
 from .table_log import CsvFormat, SavvyCanFormat, TrcFormat
 from .text_lines import Lines, text_of
@@ -38,10 +39,12 @@ Records = Iterator[LogFrame | FrameBlock]
 _DAMAGE = (
     *(ValueError, TypeError, KeyError, IndexError, AttributeError, AssertionError),
     *(OSError, EOFError, OverflowError, struct.error, zlib.error, sqlite3.Error),
-    *(BLFParseError, NotImplementedError),
+    *(BLFParseError, PcapError, NotImplementedError),
 )
 
-_SUFFIXES = (".asc", ".blf", ".crtd", ".csv", ".db", ".log", ".mf4", ".trc", ".txt")
+_SUFFIXES = (
+    *(".asc", ".blf", ".crtd", ".csv", ".db", ".log", ".mf4", ".pcap", ".pcapng", ".trc", ".txt"),
+)
 #: Suffixes without a known format. The first bytes tell it; if none matches, it is candump's.
 _ANY_FORMAT = ("", ".log", ".txt")
 _FIRST_BYTES = {b"LOGG": ".blf", b"MDF ": ".mf4", b"UnFinMF ": ".mf4", b"SQLite format 3": ".db"}
@@ -58,6 +61,8 @@ _FIRST_LINES = {
     ),
 }
 _BINARY = (".blf", ".db", ".mf4")
+#: Either one may have both formats; they are read from streams, too.
+_CAPTURES = (".pcap", ".pcapng")
 _GZIP = b"\x1f\x8b"
 
 _TEXT: dict[str, Any] = {
@@ -78,11 +83,11 @@ def read_log(
 ) -> LogReader[LogFrame]:
     """Return an iterator over the data frames of a log, in the order of the file.
 
-    The suffix determines the format: .asc, .blf, .crtd, .csv, .db, .mf4 or .trc. The content
-    determines it if the suffix is .log or .txt, or if there is none, as in a stream. It may then
-    also be that of BUSMASTER, or the output of candump, with or without ``-L``, ``-t``, ``-x`` and
-    ``-a``. A .csv is of python-can or of SavvyCAN. The text formats and .blf may be compressed
-    (.gz). Other records, such as error and remote frames, are skipped and
+    The suffix determines the format: .asc, .blf, .crtd, .csv, .db, .mf4, .pcap, .pcapng or .trc.
+    The content determines it if the suffix is .log or .txt, or if there is none, as in a stream. It
+    may then also be that of BUSMASTER, or the output of candump, with or without ``-L``, ``-t``,
+    ``-x`` and ``-a``. A .csv is of python-can or of SavvyCAN. The text formats, .blf and captures
+    may be compressed (.gz). Other records, such as error and remote frames, are skipped and
     counted in ``summary.skipped`` of the iterator. The log is not loaded into memory
     at once; a frame of a pipe is returned as soon as its line has arrived.
 
@@ -92,9 +97,9 @@ def read_log(
     Where stamps from the start of the log begin again, as in two logs one after the other, so do
     the times. ``candump -t A`` writes local time. What was assumed is in ``summary.notices``.
 
-    A damaged record of a text log is skipped, such as a line of more than ``MAX_LINE`` characters;
-    one of more than ``MAX_DAMAGE`` ends the reading. A damaged binary log is read up to the damage;
-    an object of more than 16 MB is damage, and so is a row of more than 64 kB.
+    A damaged record of a text log or a capture is skipped, such as a line of more than ``MAX_LINE``
+    characters; one of more than ``MAX_DAMAGE`` ends the reading. Another damaged binary log is read
+    up to the damage; an object of more than 16 MB is damage, and so is a row of more than 64 kB.
     In both cases the error is raised once, after the last good frame.
 
     Args:
@@ -204,6 +209,11 @@ def _read_any(
     except _DAMAGE as error:
         raise LogError(f"{name}: not a valid log ({text_of(error)})") from error
     suffix = suffix or next((s for first, s in _FIRST_BYTES.items() if head.startswith(first)), "")
+    if suffix in _CAPTURES or (not suffix and is_capture(head)):
+        _check_times(name, _CAPTURES[0], how)
+        reader = PcapReader(file, how.summary, runs=how.runs, is_packed=compressed)
+        yield from _read_records(lambda _: reader, name, _CAPTURES[0], how)
+        return
     if suffix not in _BINARY:
         if _is_utf_16(head):
             raise LogError(
@@ -243,32 +253,47 @@ def _text_format(lines: Lines, suffix: str) -> str:
 
 
 def _read_binary(path: Path, suffix: str, compressed: bool, how: _Reading) -> Records:
+    def opened(stack: contextlib.ExitStack) -> Any:
+        source: Any = path
+        if suffix == ".blf":
+            source = stack.enter_context((gzip.open if compressed else open)(path, "rb"))
+        readers: Any = _RUN_READERS if how.runs and suffix in _RUN_READERS else _READERS
+        return stack.enter_context(readers[suffix](source, how.summary))
+
+    yield from _read_records(opened, str(path), suffix, how)
+
+
+def _read_records(
+    opened: Callable[[contextlib.ExitStack], Any], name: str, suffix: str, how: _Reading
+) -> Records:
+    """Yield the records of a binary log, whose reader may count damaged ones."""
     how.summary.format = suffix
-    good, missing = 0, 0
+    good, missing, damaged, first = 0, 0, 0, ""
 
     def records() -> int:
         return good + how.summary.skipped.total()
 
     with contextlib.ExitStack() as stack:
         try:
-            source: Any = path
-            if suffix == ".blf":
-                source = stack.enter_context((gzip.open if compressed else open)(path, "rb"))
-            readers: Any = _RUN_READERS if how.runs and suffix in _RUN_READERS else _READERS
-            reader = stack.enter_context(readers[suffix](source, how.summary))
+            reader = opened(stack)
             for record in reader:
                 yield from [record] if how.runs else _frames(record)
                 good += len(record) if isinstance(record, FrameBlock) else 1
             missing = getattr(reader, "missing", 0)
+            damaged, first = getattr(reader, "damage", (0, ""))
         except _DAMAGE as error:
-            what = f"not a valid {suffix} file"
+            what = f"not a valid {how.summary.format} file"
             if records():
                 what = f"damaged after {records()} good records"
-            raise LogError(f"{path}: {what} ({text_of(error)}); the rest is not read") from error
+            raise LogError(f"{name}: {what} ({text_of(error)}); the rest is not read") from error
+    texts = []
+    if damaged:
+        total = records() + damaged
+        texts.append(f"{damaged} of {total} records are damaged (the first: {first})")
     if missing > 0:
-        raise LogError(
-            f"{path}: truncated after {records()} good records, {missing} bytes are missing"
-        )
+        texts.append(f"truncated after {records()} good records, {missing} bytes are missing")
+    if texts:
+        raise LogError(f"{name}: {'; '.join(texts)}")
 
 
 def _frames(record: LogFrame | FrameBlock) -> Iterator[LogFrame]:

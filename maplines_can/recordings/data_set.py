@@ -26,7 +26,7 @@ from .formats import About, TableWriter, open_tables
 from .line_tables import checked_at, line_table
 
 #: Suffixes of logs in a directory, also compressed (.gz).
-LOG_SUFFIXES = (".log", ".asc", ".blf", ".crtd", ".trc", ".mf4", ".db")
+LOG_SUFFIXES = (*(".log", ".asc", ".blf", ".crtd", ".trc", ".mf4", ".db", ".pcap", ".pcapng"),)
 #: Results of the logs, a JSON object a line.
 MANIFEST = "manifest.jsonl"
 
