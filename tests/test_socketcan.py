@@ -12,12 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import can
+import numpy as np
 import pytest
 from support.fake_bus import collect
 from support.kernel_can import has_vcan
 from support.lines import scenario_lines
+from support.recordings import record
 
 from maplines_can import Codec, Link, MapLine, Receiver, Transmitter
+from maplines_can.cli import main
 from maplines_can.simulation import scenario
 
 DBC = Path(__file__).parents[1] / "dbc" / "maplines.dbc"
@@ -75,6 +78,24 @@ def receive(channel: Any, fd: Any, send: Any) -> Any:
         with Receiver(link, decoder, queue_size=10_000) as receiver:
             lines = collect(receiver, send())
         return lines, receiver.stats()
+
+
+@pytest.mark.parametrize("fd", [False, True])
+def test_candump_sees_a_replayed_log(fd: bool, tmp_path: Path) -> None:
+    """Each frame of it with its flag, in the order of the log, and most of them in time."""
+    channel = "vcan1" if fd else "vcan0"
+    log = record(tmp_path / "a.log", *["--fd"] * fd, seconds=4.0)
+    candump = Candump(channel, fd)
+    bus = ["--interface", "socketcan", "--channel", channel, *["--fd"] * fd]
+    assert main(["replay", str(log), *bus, "--speed", "5"]) == 0
+    seen = [line.split() for line in candump.stop()]
+    sent = [line.split() for line in log.read_text().splitlines()]
+    # The digit of the flags has BRS, and since Linux 6.1 the one of CAN FD (0x4).
+    frames = [[re.sub("##.", "##", row[2]).upper() for row in rows] for rows in (seen, sent)]
+    assert frames[0] == frames[1]
+    times = [np.array([float(row[0][1:-1]) for row in rows]) for rows in (seen, sent)]
+    late = (times[0] - times[0][0]) - (times[1] - times[1][0]) / 5
+    assert np.median(late - late.min()) < 0.05
 
 
 @pytest.mark.parametrize(("channel", "fd"), [("vcan0", False), ("vcan1", True), ("vcan2", False)])

@@ -41,6 +41,7 @@ COMMANDS = {
     "view": ("view", "show a bus or a log, live, in a page of the browser"),
     "map": ("map", "print what is in a map file, and draw it"),
     "drive": ("drive", "drive on a map, and send or record the lines around the car"),
+    "replay": ("replay", "send the frames of a log on a bus at the recorded times"),
     "restbus": ("restbus", "simulate the nodes around a device: lines and other messages"),
     "consume": ("consume", "use received lines as a car does: fuse, steer, check"),
     "scenarios": ("paper", "list the scenarios that can be sent"),

@@ -18,7 +18,8 @@ from .options import add_codec, keyed_codec, line_codec_from
 from .output import check_text, counts_text, owner_text, pose_errors_text, slot_text
 
 if TYPE_CHECKING:
-    from ..recordings.log_contents import LogContents, LogMessage, Reception, Spacing
+    from ..logs.spacings import Spacing
+    from ..recordings.log_contents import LogContents, LogMessage, Reception
 
 #: Rows of CAN IDs of no DBC in the text.
 MAX_FOREIGN = 12

@@ -52,7 +52,7 @@ def add_plot(commands: Any) -> None:
     add("--slots", type=slots, metavar="NAME,...", help="these lines only, such as ego-left")
     add(
         "--time",
-        type=_time,
+        type=time_range,
         default=(-math.inf, math.inf),
         metavar="FROM..TO",
         help="draw this time only [s], from the first line on, such as 10..20 or 30..",
@@ -123,10 +123,10 @@ def _with_truth(recording: Any, path: str) -> Any:
     return replace(recording, truth={slot: (t[here], y[here]) for slot, (_, y) in lines.items()})
 
 
-def _time(text: str) -> tuple[float, float]:
+def time_range(text: str) -> tuple[float, float]:
     """Return the time of ``--time``.
 
-    >>> _time("10..20"), _time("30..")
+    >>> time_range("10..20"), time_range("30..")
     ((10.0, 20.0), (30.0, inf))
     """
     begin, dots, end = text.partition("..")

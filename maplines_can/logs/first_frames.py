@@ -31,6 +31,11 @@ class CanId(NamedTuple):
         """A number that differs for each CAN ID."""
         return self.number | self.is_extended << _EXTENDED_BIT
 
+    @classmethod
+    def of_key(cls, key: int) -> CanId:
+        """Return the CAN ID of a key."""
+        return cls(key & (1 << _EXTENDED_BIT) - 1, key >> _EXTENDED_BIT > 0)
+
 
 def keys_of(block: FrameBlock) -> NDArray[np.uint32]:
     """Return the keys of the CAN IDs of frames."""
@@ -77,10 +82,7 @@ class FirstFrames:
     @property
     def counts(self) -> dict[CanId, int]:
         """Frames of each of the first ``MAX_IDS`` CAN IDs."""
-        return {
-            CanId(key & (1 << _EXTENDED_BIT) - 1, key >> _EXTENDED_BIT > 0): n
-            for key, n in sorted(self._counts.items())
-        }
+        return {CanId.of_key(key): n for key, n in sorted(self._counts.items())}
 
     def add(self, frame: LogFrame) -> None:
         """Add a frame."""

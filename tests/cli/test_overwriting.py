@@ -71,11 +71,14 @@ def test_force_replaces_it(
     + [[group, name] for group, (table, _) in GROUPS.items() for name in table],
 )
 def test_each_command_that_writes_has_force(words: list[str]) -> None:
-    """Of those with such an option, only the study has none: its folder is never replaced."""
+    """Of those with such an option, only the study has none: its folder is never replaced.
+
+    ``replay`` has one for what it sends.
+    """
     parser: Any = _parser(words)
     for word in words:
         choices = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
         parser = choices.choices[word]
     options = parser._option_string_actions.keys()
     writes = bool(WRITING & options) and words != ["study", "run"]
-    assert ("--force" in options) is writes
+    assert ("--force" in options) is (writes or words == ["replay"])

@@ -19,8 +19,9 @@ from maplines_can import Codec, Slot
 from maplines_can.bus import LogFrame, read_log
 from maplines_can.cli import main
 from maplines_can.logs.first_frames import CanId
+from maplines_can.logs.spacings import Spacing, Spacings
 from maplines_can.recordings.blocks import read_blocks
-from maplines_can.recordings.log_contents import Spacing, Spacings, contents_of
+from maplines_can.recordings.log_contents import contents_of
 from maplines_can.recordings.read_lines import read_lines
 from maplines_can.wire import SHIPPED, Reason, default_dbc_path
 
