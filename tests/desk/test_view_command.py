@@ -23,8 +23,10 @@ def viewing(*arguments: str) -> Iterator[tuple[Any, str]]:
     command = (sys.executable, "-m", "maplines_can", "view", "--port", "0", *arguments)
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         try:
-            urls = (found[0] for line in process.stderr or () if (found := re.findall(r"http://\S+/", line)))
-            yield process, next(urls)
+            found: list[str] = []
+            while not found:
+                found = re.findall(r"http://\S+/", process.stderr.readline())  # type: ignore[union-attr]
+            yield process, found[0]
         finally:
             process.kill()
 
