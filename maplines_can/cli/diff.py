@@ -33,7 +33,7 @@ counters that have nothing in common, as of different DBCs, are matched by their
 The distance of two means is in sigmas of their difference: by the sum of both covariances, as if
 their errors were independent. With --sigma S, means within S sigmas are equal, standard deviations
 whose ratio is at most 1 + S, and ranges and ages within a step of the DBC. Frames of other messages
-are not compared; of the pose error its number and its E2E counters are, and what lines have of it.
+are not compared; scenes are with S = 0: their joint covariances.
 
 The exit status is 0 if the logs are equal, and 1 if they differ or cannot be read."""
 
@@ -130,6 +130,7 @@ def _rows(found: Difference) -> Iterator[str]:
         yield from (f"  {_part_text(part)}" for part in parts[:MAX_ROWS])
         if (more := len(parts) - MAX_ROWS) > 0:
             yield f"  {more} more parts; --json has them"
+    yield from _scene_rows(found)
     yield from _position_rows(found)
     yield from _state_rows(found)
     within = f" within {found.sigma:g} sigma" * (found.sigma > 0)
@@ -195,6 +196,19 @@ def _value_text(value: float | str | None) -> str:
 def _part_text(part: Part) -> str:
     lines = ", ".join(f"{n} {slot_text(slot.name)}" for slot, n in part.lines.items())
     return f"{part.begin:.3f} to {part.end:.3f} s: {lines}"
+
+
+def _scene_rows(found: Difference) -> Iterator[str]:
+    """Yield how scenes differ, if they are compared."""
+    scenes = found.scenes
+    if scenes is not None:
+        times = ", ".join(f"{t:.3f}" for t in scenes.differing[:MAX_ROWS])
+        more = ", ..." * (len(scenes.differing) > MAX_ROWS)
+        yield (
+            f"scenes    {scenes.matched - len(scenes.differing)} equal, {len(scenes.differing)} "
+            f"differ{f' (at {times}{more} s)' if times else ''}; {scenes.only_a} only in A, "
+            f"{scenes.only_b} only in B"
+        )
 
 
 def _position_rows(found: Difference) -> Iterator[str]:

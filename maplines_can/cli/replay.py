@@ -95,6 +95,13 @@ def add_replay(commands: Any) -> None:
         "begins again (default: once)",
     )
     add("--force", action="store_true", help="send CAN IDs that are alive on the bus, too")
+    _add_choice(parser)
+    add_faults(parser)
+    add_json(parser, "the counters")
+
+
+def _add_choice(parser: argparse.ArgumentParser) -> None:
+    """Add what is sent of the log."""
     chosen = option_group(parser, "message").add_argument
     chosen(
         "--only",
@@ -110,8 +117,6 @@ def add_replay(commands: Any) -> None:
         help="this part only [s], from the first frame on, such as 10..20 or 30..",
     )
     chosen("--log-channel", metavar="NAME", help="the frames of this channel of the log")
-    add_faults(parser)
-    add_json(parser, "the counters")
 
 
 def _replay(arguments: argparse.Namespace) -> int:

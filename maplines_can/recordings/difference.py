@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from hashlib import blake2b
 from itertools import pairwise, zip_longest
 from typing import Any, NamedTuple
 
@@ -23,7 +24,7 @@ from .blocks import read_blocks
 from .fitting import misfit
 from .line_tables import checked_at, position
 from .read_lines import Log, name_of
-from .record_matching import Alignment, Array, Lines, align
+from .record_matching import Alignment, Array, Lines, align, matched
 
 #: Most lines and parts that are named.
 MAX_NAMED = 1000
@@ -35,6 +36,45 @@ RECEIVED = ("state", "two_senders")
 COUNTERS = ("state", "ok", "lost", "repeated", "wrong_sequence", "errors", "no_new_data")
 #: Time between the lines of a cycle, and more, that parts the lines of one log only [cycles].
 _APART = 2.5
+#: Greatest difference of the times of a scene in both logs [cycles]; counters repeat after more.
+_SCENE_REACH = 4.0
+
+
+class Scenes(NamedTuple):
+    """Scenes of a log, of which there are digests only; n scenes.
+
+    Args:
+        channel: (n,) names.
+        counter: (n,) of their pose errors.
+        t_ns: (n,) times of these [ns].
+        digest: (n,) of lines, joint covariance, correlation time, and what is left out.
+    """
+
+    channel: Array
+    counter: Array
+    t_ns: Array
+    digest: Array
+
+    @classmethod
+    def of(cls, block: LineBlock) -> Scenes:
+        """Return the scenes of a block."""
+        rows = block.scenes
+        digests = np.array([_digest(row) for row in rows], np.int64)
+        names = np.array([*block.channels, ""])[block.scene_channel]
+        return cls(names, rows["counter"].astype(np.int64), rows["t_ns"], digests)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Scenes]) -> Scenes:
+        """Return the scenes of all blocks."""
+        return cls(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+
+
+def _digest(row: np.void) -> int:
+    n = int(row["count"])
+    parts = (row["slots"][:n], row["left_out"], row["mean"][:n], row["cov"][: 4 * n, : 4 * n])
+    data = b"".join(np.ascontiguousarray(one).tobytes() for one in parts)
+    data += np.float64(row["correlation_time"]).tobytes()
+    return int.from_bytes(blake2b(data, digest_size=8).digest(), "little", signed=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +91,7 @@ class LoggedLines:
         rejects: frames of lines that were dropped, by reason.
         owners: counters of each owner, by channel.
         pose_errors: number of them.
+        scenes: counters, times and contents of the scenes; none without a message of pose errors.
         summary: of the log.
         damage: why the rest was not read; empty if all was.
     """
@@ -64,6 +105,7 @@ class LoggedLines:
     rejects: Mapping[str, int]
     owners: Mapping[str, Mapping[Owner, SlotStats]]
     pose_errors: int
+    scenes: Scenes
     summary: LogSummary
     damage: str
 
@@ -82,16 +124,21 @@ class LoggedLines:
         Raises:
             LogError: it cannot be opened, or has no line; the message says which DBC fits.
         """
-        receiver = LogReceiver(codec, cycle_ms=cycle_ms, timeout_ms=timeout_ms)
+        has_scenes = codec.layout.pose is not None
+        receiver = LogReceiver(codec, cycle_ms=cycle_ms, timeout_ms=timeout_ms, scenes=has_scenes)
         blocks = read_blocks(log, times=times)
         found, damage = list[LineBlock](), ""
+        scenes = list[Scenes]()
         try:
-            found.extend(receiver.feed(block) for block in blocks)
+            for block in blocks:
+                lines = receiver.feed(block)
+                scenes.append(Scenes.of(lines))
+                found.append(replace(lines, scenes=lines.scenes[:0]))  # they are large
         except LogError as error:
             damage = str(error)
             if not found:
                 raise
-        receiver.finish()
+        scenes.append(Scenes.of(receiver.finish()))
         rows = np.concatenate([np.empty(0, LINE_ROW), *(one.lines for one in found)])
         if not len(rows):
             why = damage or misfit(receiver.first, [codec], blocks.summary).text
@@ -108,7 +155,7 @@ class LoggedLines:
         errors = sum(one.pose_errors for one in receiver.decoders.values())
         return cls(
             name_of(log), codec.layout, rows, numbers[channel], names, receiver.has_time, rejects,
-            owners, errors, blocks.summary, damage,
+            owners, errors, Scenes.joined(scenes), blocks.summary, damage,
         )  # fmt: skip
 
     @cached_property
@@ -170,6 +217,22 @@ class Position(NamedTuple):
     largest: float
     mean_sigma: float
     largest_sigma: float
+
+
+class SceneDifference(NamedTuple):
+    """How the scenes of two logs differ.
+
+    Args:
+        matched: scenes of both.
+        differing: times of those that differ, from the first line of A on [s].
+        only_a: scenes that only A has.
+        only_b: scenes that only B has.
+    """
+
+    matched: int
+    differing: Sequence[float]
+    only_a: int
+    only_b: int
 
 
 class Part(NamedTuple):
@@ -309,9 +372,34 @@ class Difference:
             if owner in known and _compared(one) != _compared(two)
         ]
 
+    @cached_property
+    def scenes(self) -> SceneDifference | None:
+        """How the scenes differ; None if they are not compared: with a tolerance, or two DBCs."""
+        logs = self.a, self.b
+        if self.sigma > 0 or not all(len(log.scenes.t_ns) and log.has_time for log in logs):
+            return None
+        if not self.a.layout.is_same_as(self.b.layout):
+            return None
+        keys, t = [], []
+        for log, names in zip(logs, zip(*_channel_pairs(*_names(logs)), strict=True), strict=True):
+            number = {name: k for k, name in enumerate(names)}
+            channel = np.array([number[name] for name in log.scenes.channel.tolist()])
+            keys.append(channel << 32 | log.scenes.counter)
+            t.append((log.scenes.t_ns - log.rows["t_ns"][0]) / 1e9)
+        found = self.alignment
+        between = int(self.b.rows["t_ns"][0] - self.a.rows["t_ns"][0]) / 1e9
+        moved = t[0] * (1 + found.drift) + found.offset - between
+        reach = max(log.cycle for log in logs) * _SCENE_REACH
+        in_a, in_b = matched(keys[0], moved, keys[1], t[1], reach)
+        differing = in_a[self.a.scenes.digest[in_a] != self.b.scenes.digest[in_b]]
+        only = (len(log.scenes.t_ns) - len(in_a) for log in logs)
+        return SceneDifference(len(in_a), t[0][differing].tolist(), *only)
+
     @property
     def is_equal(self) -> bool:
         """Whether the logs are equal within ``sigma``, also in what was dropped and in states."""
+        if self.scenes is not None and any(self.scenes[1:]):
+            return False
         return not (
             len(self.differing)
             or len(self.only[0])
@@ -388,6 +476,7 @@ class Difference:
             "largest_distance": float(self.distance.max(initial=0.0)),
             "slots": self.slots(),
             "lines": [self.line_dict(k) for k in self.differing[:MAX_NAMED].tolist()],
+            "scenes": None if self.scenes is None else self.scenes._asdict(),
             "positions": {
                 slot: [one._asdict() for one in rows] for slot, rows in self.positions().items()
             },
@@ -446,10 +535,11 @@ def difference(
 ) -> Difference:
     """Return how the lines of two logs differ.
 
-    With ``sigma`` 0, lines are equal if all of their values are. Else their means may differ by so
-    many standard deviations of the difference of two independent errors: by the sum of both
-    covariances. The standard deviations of no direction may then differ by more than the factor
-    1 + ``sigma``, and range and age by no more than a step of the DBC.
+    With ``sigma`` 0, lines are equal if all of their values are, and scenes are compared, too. Else
+    the means of lines may differ by so many standard deviations of the difference of two
+    independent errors: by the sum of both covariances. The standard deviations of no direction may
+    then differ by more than the factor 1 + ``sigma``, and range and age by no more than a step of
+    the DBC.
 
     Args:
         a: lines of one log.
@@ -483,6 +573,11 @@ def _channel_pairs(a: Sequence[str], b: Sequence[str]) -> list[tuple[str | None,
     same: list[tuple[str | None, str | None]] = [(name, name) for name in a if name in b]
     rest_a, rest_b = [name for name in a if name not in b], [name for name in b if name not in a]
     return [*same, *zip_longest(rest_a, rest_b)]
+
+
+def _names(logs: Sequence[LoggedLines]) -> list[list[str]]:
+    """Return the names of the channels with scenes, in the order of their first ones."""
+    return [list(dict.fromkeys(log.scenes.channel.tolist())) for log in logs]
 
 
 def _compared(stats: SlotStats | None) -> dict[str, Any] | None:

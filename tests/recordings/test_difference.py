@@ -230,6 +230,31 @@ def test_ratios_of_sigmas_are_those_of_the_covariances(log: Log) -> None:
     assert not difference(a, b, sigma=0.1).is_equal
 
 
+def test_scenes_that_differ_are_named(tmp_path: Path, capsys: Any) -> None:
+    """And nothing else: here, the correlation time of the pose errors of one half of a log."""
+    paths = [
+        record(tmp_path / f"{time}.log", "--pose-error", "--correlation-time", time, seconds=3.0)
+        for time in ("5", "9")
+    ]
+    rows, other = (path.read_text().splitlines() for path in paths)
+    pose = [row.split()[2] for row in other if " 35C#" in row]
+    places = [k for k, row in enumerate(rows) if " 35C#" in row]
+    assert len(pose) == len(places)
+    for k, data in list(zip(places, pose, strict=True))[len(pose) // 2 :]:
+        rows[k] = " ".join([*rows[k].split()[:2], data])
+    changed = tmp_path / "c.log"
+    changed.write_text("\n".join(rows) + "\n")
+    found = difference(LoggedLines.of(paths[0], CODEC), LoggedLines.of(changed, CODEC))
+    assert not len(found.differing)
+    assert found.scenes is not None
+    assert 20 < len(found.scenes.differing) < 40
+    assert min(found.scenes.differing) > 1.4
+    assert not found.is_equal
+    capsys.readouterr()
+    assert main(["diff", str(paths[0]), str(changed)]) == 1
+    assert " differ (at 1." in capsys.readouterr().out
+
+
 def test_a_sender_that_restarts_is_aligned(log: Log) -> None:
     """Its counters begin again at 0, in both logs; in one of them the begin is missing."""
     both = PLAIN[: 8 * 100] + moved(PLAIN[: 8 * 300], 8_000_000_000, channel="can0")
