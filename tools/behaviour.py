@@ -107,6 +107,8 @@ decode-send-mixtures: decode taps/send-mixtures.log
 send-scenes: send --interface virtual --channel tap --count 4 --standstill --json --lines 6 \
 --dbc maplines-pose.dbc --correlation-time 5 --scenario roundabout-12m
 decode-send-scenes: decode taps/send-scenes.log --dbc maplines-pose.dbc --scenes
+replay: replay d.log --interface virtual --channel tap --as-fast-as-possible --time 0..5 --json
+decode-replay: decode taps/replay.log
 receive: receive --interface virtual --channel feed --timeout 3
 receive-scenes: receive --interface virtual --channel feed --timeout 3 --json --scenes
 production: study production --n 100
@@ -143,8 +145,8 @@ wrong-steer: consume steer d.log
 wrong-loss: consume steer bad.log
 """
 #: Commands whose --help is recorded.
-HELP = """demo send receive decode map drive consume scenarios design accuracy claims figures study
-study:run study:report study:production consume:fusion consume:steer consume:check""".split()  # noqa: SIM905
+HELP = """demo send receive decode info diff replay map drive consume scenarios design accuracy
+claims figures study study:run study:report study:production consume:fusion consume:steer consume:check""".split()  # noqa: SIM905
 #: Standard input and the log on the channel "feed", by command.
 STDIN = {"decode-pipe": "d.log"}
 FED = {"receive": "a.log", "receive-scenes": "e.log"}
@@ -166,6 +168,7 @@ LIVE_MASKS = {
         (r"(?m)^late by.*|\d+ periods skipped", "CLOCK"),
         (r'"(lateness": \{[^}]*\}|overruns": \d+)', "CLOCK"),
     ),
+    "replay": ((r'"seconds": [\d.]+', '"seconds": CLOCK'),),
     "receive": (
         (r', "e2e": \{[^}]*\}', ""),
         (r'(?m)^\{"t": [\d.]+, "scene".*\n', ""),

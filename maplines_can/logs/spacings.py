@@ -82,10 +82,12 @@ class Spacings:
 
     def of(self, key: int) -> Spacing:
         """Return the spacing of a key."""
-        count, first, last, gap, gap_ns = self._table[:, self._keys.tolist().index(key)].tolist()
+        place = int(np.searchsorted(self._keys, key))
+        count, first, last, gap, gap_ns = self._table[:, place].tolist()
         if count < 2:
             return Spacing(count, first, last, np.nan, np.nan, first)
-        return Spacing(count, first, last, (last - first) / 1e9 / (count - 1), gap / 1e9, gap_ns)
+        period = (last - first) / 1e9 / (count - 1)
+        return Spacing(count, first, last, period, gap / 1e9, gap_ns)
 
     def _places(self, keys: NDArray[np.int64]) -> NDArray[np.int64]:
         if not len(self._keys):
@@ -112,7 +114,7 @@ class Spacings:
         is_new = table[2, own] == _NO_TIME
         before[starts] = np.where(is_new, t_ns[starts], table[2, own])
         table[1, own] = np.where(is_new, t_ns[starts], table[1, own])
-        gaps = t_ns - before
+        gaps = (t_ns - before).clip(0)  # of a log whose times begin again
         gaps[starts[is_new]] = -1
         for begin, end in pairwise([*starts.tolist(), len(place)]):
             row = table[:, place[begin]]

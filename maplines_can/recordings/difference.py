@@ -133,7 +133,7 @@ class LoggedLines:
             for block in blocks:
                 lines = receiver.feed(block)
                 scenes.append(Scenes.of(lines))
-                found.append(replace(lines, scenes=lines.scenes[:0]))  # they are large
+                found.append(replace(lines, scenes=lines.scenes[:0].copy()))  # they are large
         except LogError as error:
             damage = str(error)
             if not found:
