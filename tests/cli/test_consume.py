@@ -182,63 +182,6 @@ def test_the_lines_of_a_table_are_those_of_the_log(
             assert one.gaussian.cov == pytest.approx(other.gaussian.cov)
 
 
-HEADER = "t,slot,y_off,beta,c0,c1,sigma_y_off,sigma_beta,sigma_c0,sigma_c1\n"
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("t,slot,y_off,beta,c0\n1,EGO_LEFT,1,0,0\n", "has no column c1"),
-        (HEADER.replace(",sigma_y_off", "") + "1,EGO_LEFT,1,0,0,0,1,1,1\n", "no column cov_y_off"),
-        (HEADER + "1,LEFT,1,0,0,0,1,1,1,1\n", "row 1: slot must be one of EGO_LEFT"),
-        (HEADER + "1,EGO_LEFT,x,0,0,0,1,1,1,1\n", "row 1: could not convert"),
-        (HEADER + "1,EGO_LEFT,1,0,0,0,-1,1,1,1\n", "row 1: "),
-        (HEADER + "1,EGO_LEFT,1,0,0,0\n", "has no line"),
-        (HEADER + "1,EGO_LEFT,,0,0,0,1,1,1,1\n", "1 rows without a finite value are skipped"),
-        (HEADER, "has no line"),
-        (HEADER + "\0" * 5, ""),
-    ],
-)
-def test_a_wrong_table_of_camera_lines_is_one_line(
-    drive: Path, tmp_path: Path, text: str, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "camera.csv"
-    path.write_text(text)
-    status, _, err = rows(capsys, "fusion", drive, "--camera", path)
-    assert status == 1
-    assert message in err
-    assert len([line for line in err.splitlines() if "error:" in line]) == 1
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["fusion", "--camera", "x.csv"], "--camera needs LOG"),
-        (["check", "--camera", "LOG"], "--camera needs LOG"),
-        (["check", "LOG", "--simulate", "--camera-dbc", DBC], "is that of --camera"),
-        (["fusion", "--simulate", "--speed", "10"], "--simulate has a car of its own"),
-        (["fusion", "x.log"], "there is no such file"),
-        (["fusion", "LOG", "--motion", "none.csv"], "none.csv"),
-        (["fusion", "LOG", "--camera-channel", "can1"], "--camera-channel is a bus"),
-        (["fusion", "--camera-dbc", "maplines.dbc"], "leave it out"),
-        (["fusion", "--motion", "x.csv"], "--motion needs LOG"),
-        (["fusion", "--signals-channel", "can1"], "--signals-channel is that of --signals"),
-        (["fusion", "LOG", "--signals", "x.toml"], "go together"),
-        (["fusion", "LOG", "--signals", "x", "--signals-dbc", "y", "--speed", "1"], "leave it out"),
-        (["fusion", "LOG", "--camera", "none.csv"], "none.csv"),
-        (["fusion", "LOG", "--camera", "none.parquet"], "none.parquet"),
-        (["fusion", "--simulate", "--camera-channel", "can1"], "--simulate has a car of its own"),
-    ],
-)
-def test_options_that_do_not_fit(
-    drive: Path, options: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    given = [str(drive) if option == "LOG" else option for option in options]
-    assert main(["consume", *given, "--dbc", DBC]) == 1
-    (error,) = [line for line in capsys.readouterr().err.splitlines() if "error:" in line]
-    assert message in error
-
-
 @pytest.mark.parametrize("consumer", ["fusion", "check"])
 def test_the_motion_of_the_signals_in_the_log(
     drive: Path, tmp_path: Path, consumer: str, capsys: pytest.CaptureFixture[str]
@@ -297,31 +240,3 @@ def test_a_log_with_the_motion_of_its_truth(
     assert found[-1]["centre"][0]["sigma"] < 0.3
     assert main(command) == 0  # the motion is unknown
     assert "level" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("time,speed\n1,2\n", "yaw_rate"),
-        ("time,speed,yaw_rate\n1,x,0\n", "could not convert"),
-        ("time,speed,yaw_rate\n1,1,0\n1,1,0\n", "increasing time"),
-        ("time,speed,yaw_rate\n", "increasing time"),
-    ],
-)
-def test_a_wrong_table_of_the_motion(
-    text: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    table = tmp_path / "motion.csv"
-    table.write_text(text)
-    log = tmp_path / "empty.log"
-    log.write_text("(1.0) can0 123#00\n")
-    arguments = [str(log), "--motion", str(table), "--dbc", "maplines-pose.dbc"]
-    assert main(["consume", "fusion", *arguments]) == 1
-    assert message in capsys.readouterr().err
-
-
-def test_nothing_received(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log = tmp_path / "empty.log"
-    log.write_text("(1.0) can0 123#00\n")
-    assert main(["consume", "fusion", str(log), "--dbc", "maplines-pose.dbc"]) == 1
-    assert "no scene" in capsys.readouterr().err

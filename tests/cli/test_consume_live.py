@@ -155,19 +155,6 @@ def rows(
     return status, [json.loads(line) for line in out.splitlines()], err
 
 
-def test_steer_drives_until_the_lines_stop(
-    sending: Any, codec: Codec, scene: Scene, channel: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    sending(scenes_of(codec, scene, 40))
-    status, found, err = rows(capsys, channel, "steer", "--seconds", 4)
-    assert (status, err) == (0, "")
-    states = [row["state"] for row in found]
-    assert "DRIVING" in states[1:3]
-    assert (found[-1]["state"], found[-1]["reason"]) == ("HANDOVER", "NO_LINES")
-    (end,) = [row["t"] for row in found[2:] if row["state"] == "HANDOVER"][:1]
-    assert end == pytest.approx(2.0 + 0.5, abs=0.25)
-
-
 def test_fusion_with_the_camera_of_another_channel(
     sending: Any, codec: Codec, scene: Scene, channel: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -196,37 +183,6 @@ def test_fusion_with_the_camera_of_another_channel(
     assert not any(row["camera"] for row in found)
     assert with_camera < 0.7 * found[-1]["centre"][0]["sigma"]
     assert found[-1]["centre"][0]["value"] == pytest.approx(0.0, abs=0.02)
-
-
-def test_check_with_the_camera_of_another_channel(
-    sending: Any,
-    codec: Codec,
-    scene: Scene,
-    channel: str,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """Its lines jump after 1.2 s, in every second cycle: an alarm after four images of them.
-
-    An image that has been compared is not compared again.
-    """
-    send_scene, plain = scenes_of(codec, scene), Codec.from_dbc().encoder()
-    before, after = seen(scene), seen(scene, 1.0)
-
-    def send(cycle: int, put: Any) -> None:
-        send_scene(cycle, put)
-        for line in (after if cycle >= 24 else before) if cycle % 2 == 0 else []:
-            put(plain.encode(line), f"{channel}-camera")
-
-    sending(send)
-    camera = ["--camera-channel", f"{channel}-camera"]
-    status, found, err = rows(capsys, channel, "check", *camera, "--seconds", 2.5)
-    raised = [row["t"] for row in found if row["raised"]]
-    assert status == 3, err
-    assert raised == [pytest.approx(1.55, abs=0.16)]
-    assert "1 alarms" in err
-    counts = re.search(r"(\d+) cycles CONSISTENT, (\d+) cycles INCONSISTENT", err)
-    assert counts is not None
-    assert 15 <= int(counts[1]) + int(counts[2]) <= 25
 
 
 @pytest.fixture

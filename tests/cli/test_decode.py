@@ -58,16 +58,6 @@ def test_lines_are_printed_as_json(capsys: pytest.CaptureFixture[str], log: Any)
     assert "2 timeout" in err
 
 
-def test_lines_are_printed_as_csv(capsys: pytest.CaptureFixture[str], log: Any) -> None:
-    """One header, one row for each line, with the upper triangle of the covariance."""
-    assert main(["decode", str(log), "--csv"]) == 0
-    rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))
-    assert len(rows) == 25
-    assert float(rows[0]["y_off"]) == pytest.approx(1.757, abs=2**-9 / 2 + 1e-3)
-    assert float(rows[0]["cov_y_off_y_off"]) > 0.25
-    assert len([name for name in rows[0] if name.startswith("cov_")]) == 10
-
-
 def test_numbers_of_a_csv_are_the_shortest_that_read_back(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -17,7 +17,6 @@ from maplines_can import Codec, Kind, MapLine, Slot, read_log
 from maplines_can.cli import main
 from maplines_can.cli.drive import _text
 from maplines_can.maps.line_source import Cycle, LineSource
-from maplines_can.simulation import RecordedDrive
 from maplines_can.simulation.simulated_localisation import SimulatedLocalisation
 from maplines_can.wire import default_dbc_path
 
@@ -73,18 +72,6 @@ def test_each_line_of_a_cycle_is_sent_or_counted(
     assert result["lines"] + sum(left_out.values()) == 2 * result["cycles"]
 
 
-def test_the_same_seed_gives_the_same_frames(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """And another one other frames."""
-    data = []
-    for seed in ("1", "1", "2"):
-        log = tmp_path / "drive.log"
-        run(capsys, town(tmp_path), *FAST[:-1], "2", "--record", str(log), "--seed", seed)
-        data.append([frame.data for frame in read_log(log)])
-    assert data[0] == data[1] != data[2]
-
-
 def test_a_lane_change_changes_all_slots_at_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -101,23 +88,6 @@ def test_a_lane_change_changes_all_slots_at_once(
     assert {row["stated_lane"] for row in rows[k:]} == {"1:0:-1"}
     other = sum(row["lane"] != row["stated_lane"] for row in rows)
     assert other == result["other_lane"] <= 5
-
-
-def test_the_truth_is_that_of_the_road(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Seen from the true pose on the straight part; the stated one has the errors of the sigmas."""
-    truth = tmp_path / "truth.csv"
-    run(capsys, town(tmp_path), *FAST[:1], "--route", "1:0:-1..1:0:-1", "--truth", str(truth))
-    rows = table(truth)
-    start = rows[20]
-    assert float(start["ego_left_y_0"]) == pytest.approx(1.75, abs=1e-3)
-    assert float(start["ego_right_y_40"]) == pytest.approx(-1.75, abs=1e-3)
-    assert float(start["ego_left_curvature_20"]) == pytest.approx(0.0, abs=1e-6)
-    bend = next(row for row in rows if float(row["x"]) > 240)
-    assert float(bend["ego_left_curvature_20"]) == pytest.approx(1 / 398.25, rel=0.02)
-    errors = np.array([float(row["stated_y"]) - float(row["y"]) for row in rows])
-    assert 0.01 < errors.std() < 0.3
-    drive = RecordedDrive.from_csv(truth)  # the truth is itself a recorded drive
-    assert drive.at(drive.t).pose[:, 0] == pytest.approx([float(row["x"]) for row in rows])
 
 
 def test_it_sends_on_a_bus_and_logs_what_it_sends(
@@ -155,23 +125,6 @@ def test_a_recorded_drive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
         errors.append(max(abs(float(r["stated_y"]) + 1.75) for r in table(truth)))
         assert float(table(truth)[5]["stated_cov_yy"]) == pytest.approx(0.01)
     assert errors[0] < 1e-9 < 0.02 < errors[1]
-
-
-@pytest.mark.parametrize("fd", [False, True])
-def test_lines_are_sent_as_mixtures(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], fd: bool
-) -> None:
-    """Of eight components each, as their number in the log and the bus load tell."""
-    log = tmp_path / "drive.log"
-    options = [*FAST[:3], "--seconds", "1", "--record", str(log), *["--fd"] * fd]
-    one = run(capsys, town(tmp_path), *options)
-    eight = run(capsys, town(tmp_path), *options, "--components", "8")
-    assert eight["lines"] == one["lines"]
-    assert eight["bus_load"] == pytest.approx(8 * one["bus_load"])
-    lines = decoded(log)
-    assert len(lines) == eight["lines"]
-    assert {len(line.mixture.weights) for line in lines if line.mixture} == {8}
-    assert max(line.age for line in lines) > 0.008 or fd  # those before it take longer
 
 
 def test_lines_are_split_where_they_need_it(
@@ -247,84 +200,12 @@ def test_ctrl_c_ends_a_drive(
         assert len(table(truth)) == 10
 
 
-def test_a_log_in_mf4(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """asammdf, which wrote it, and the command decode read the same lines."""
-    asammdf = pytest.importorskip("asammdf")
-    log = tmp_path / "drive.mf4"
-    result = run(capsys, town(tmp_path), *FAST, "--record", str(log))
-    assert len(decoded(log)) == result["lines"]
-    with asammdf.MDF(log) as mdf:
-        ids = mdf.get("CAN_DataFrame.ID").samples
-    assert len(ids) == result["frames"]
-    assert main(["decode", str(log)]) == 0
-    assert len(capsys.readouterr().out.splitlines()) == result["lines"]
-
-
 def test_a_drive_elsewhere_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """In another projection, so that no position is on the map."""
     drive = tmp_path / "car.csv"
     drive.write_text("time,x,y,heading\n0,477000,5529000,0\n1,477010,5529000,0\n")
     err = run(capsys, town(tmp_path), "--drive", str(drive), status=1)
     assert re.search(r"error: .*car.csv: no position is on the map.*another projection", err)
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        pytest.param(["--route", "1..9"], "--route 1..9: .*neither a lane nor a road '9'", id="id"),
-        pytest.param(["--route", "1"], "--route must be A..B", id="one end"),
-        pytest.param(["--route", "1:0:1..1:0:-1"], "--route .*no route", id="no way"),
-        pytest.param(["--drive", "no.csv"], "no.csv", id="no file"),
-        pytest.param(["--record", "a.txt"], r"a.txt.*'.txt'.*\.log, \.asc", id="format"),
-        pytest.param(["--record", "/no/a.log"], r"/no/a\..*No such file", id="folder"),
-        pytest.param(["--truth", "/no/a.csv"], "/no/a.csv.*No such file", id="truth folder"),
-        pytest.param(["--truth", "a.json"], r"a.json.*\.csv or \.parquet", id="truth format"),
-        pytest.param(
-            ["--as-fast-as-possible", "--channel", "x"], "leave out --interface", id="no bus"
-        ),
-        pytest.param(["--interface", "warp"], "warp", id="interface"),
-        pytest.param(
-            ["--window", "80", "-4"], " --window must be MIN < MAX .*, got 80 -4", id="window"
-        ),
-        pytest.param(["--drive", "a.blf"], "a.blf: a bus log needs --signals", id="no signals"),
-        pytest.param(
-            ["--drive", "a.blf", "--signals", "s.toml"], "needs --signals-dbc", id="no DBC"
-        ),
-        pytest.param(
-            ["--drive", "a.csv", "--signals-dbc", "a.dbc"], "needs --signals", id="DBC alone"
-        ),
-        pytest.param(
-            ["--drive", "a.csv", "--truth", "./a.csv"], "a.csv would overwrite", id="overwrite"
-        ),
-        pytest.param(["--signals", "s.toml"], "give its log by --drive", id="no drive"),
-        pytest.param(["--scan"], "--scan is a sensor of --localise", id="scan"),
-        pytest.param(
-            ["--localise", "--sigma", "1,1,1"], "gives the errors of the pose", id="sigma"
-        ),
-        pytest.param(
-            ["--localise", "--correlation-time", "3"], "gives the errors of the pose", id="time"
-        ),
-        pytest.param(
-            ["--components", "8", "--lines", "8", "--max-load", "0.3"],
-            "8 lines with 64 components take .* a higher --max-load",
-            id="load",
-        ),
-        pytest.param(
-            ["--as-fast-as-possible", "--faults", "flood=100000"],
-            "--faults flood=100000 takes 2.7e.03 % of the bus",
-            id="flood",
-        ),
-    ],
-)
-def test_a_mistake_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: Any, words: str
-) -> None:
-    """In terms of the options."""
-    route = [] if {"--route", "--drive"} & {*options} else ["--route", "1:0:-1..1:0:-1"]
-    assert main(["drive", town(tmp_path), *route, "--seconds", "1", *options]) == 1
-    err = capsys.readouterr().err
-    (error,) = [line for line in err.splitlines() if "error:" in line]
-    assert re.search(words, error)
 
 
 @pytest.mark.parametrize(
@@ -343,13 +224,6 @@ def test_the_window_is_that_of_the_lines(
     last = decoded(log)[-1]
     assert 0 <= last.x_min - expected[0] <= 8
     assert 0 <= expected[1] - last.x_max <= 8
-
-
-@pytest.mark.parametrize("sigma", ["1,2", "a,b,c", "-1,0,0", "1,1,inf"])
-def test_a_wrong_sigma_is_refused(capsys: pytest.CaptureFixture[str], sigma: str) -> None:
-    with pytest.raises(SystemExit):
-        main(["drive", f"--sigma={sigma}"])
-    assert "--sigma" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("options", [[], ["town.xodr"]])
@@ -445,24 +319,3 @@ def test_the_kind_on_the_bus_is_that_of_the_marking_beside_the_car(
             assert line.kind is (Kind.SOLID if x > 100.0 else Kind.DASHED)
             sides[x > 100.0] += 1
     assert min(sides) > 100
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        pytest.param([], r"chosen at random on short.xodr .* 0.5 m, but .*; give another --seed, "
-                         r"or --route A\.\.B", id="none-given"),
-        pytest.param(["--route", "1..1"], r"--route 1\.\.1: .* 0.5 m, but .*; choose other lanes",
-                     id="route"),
-    ],
-)  # fmt: skip
-def test_a_route_that_no_car_can_drive(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], words: str
-) -> None:
-    """The error advises to change what was given."""
-    path = tmp_path / "short.xodr"
-    path.write_text(document(road(section(lane(-1)), plan=geometry(length=0.5), length=0.5)))
-    assert main(["drive", str(path), "--seconds", "1", *options]) == 1
-    (error,) = [line for line in capsys.readouterr().err.splitlines() if "error:" in line]
-    assert re.search(words, error)
-    assert ("--route" in error.split(";")[0]) == bool(options)

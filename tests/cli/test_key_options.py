@@ -1,6 +1,5 @@
 """Keys on the command line."""
 
-import argparse
 import json
 import logging
 import re
@@ -26,7 +25,7 @@ from support.secoc_streams import (
 
 from maplines_can import Codec, Link, Transmitter
 from maplines_can.bus import key_from_file
-from maplines_can.cli import _parser, main
+from maplines_can.cli import main
 from maplines_can.simulation import scenario
 from maplines_can.wire import Authenticator
 
@@ -192,15 +191,3 @@ def test_classic_can_with_a_key_is_an_error(
     for job in ("demo", "send", "receive"):
         assert main([job, "--key-file", str(path), "--dbc", dbc, "--interface", "virtual"]) == 1
         assert "plain CAN FD are not authenticated" in capsys.readouterr().err
-
-
-def test_keys_are_in_the_order_of_the_options() -> None:
-    """Files and variables alike; the key ID is before the colon, or 1."""
-    parsed: argparse.Namespace = _parser(["send"]).parse_args(
-        ["send", "--key-env", "2:NEW", "--key-file", "a:b", "--key-file", "255:c"]
-    )
-    assert [(name, number) for _, name, number in parsed.keys] == [
-        ("NEW", 2),
-        ("a:b", 1),
-        ("c", 255),
-    ]

@@ -103,51 +103,6 @@ def test_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert str(path) in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        pytest.param(["nowhere.xodr"], "nowhere.xodr", id="no-file"),
-        pytest.param(["pyproject.toml"], "a map is one of: OpenDRIVE", id="no-format"),
-        pytest.param(["."], "Is a directory", id="folder"),
-        pytest.param(["--projection", "x"], "leave out --projection", id="projection"),
-        pytest.param(["--plot", "a.xyz"], "xyz", id="no-such-picture"),
-    ],
-)
-def test_errors_are_one_clear_line(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
-) -> None:
-    assert main(["map", *arguments]) == 1
-    out, err = capsys.readouterr()
-
-    assert out == ""
-    assert words in err
-    assert len(err.splitlines()) == 1
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_a_damaged_file_is_read_in_part_or_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], seed: int
-) -> None:
-    """Cut, and with numbers that are none: what is lost is listed, or the error is one line."""
-    rng = np.random.default_rng(seed)
-    text = town_path().read_text()
-    if seed % 2:
-        text = text[: rng.integers(len(text))]
-    for number in rng.choice(re.findall(r'"-?[\d.]+"', text), 3) if text.count('"') > 99 else ():
-        text = text.replace(str(number), rng.choice(['"nan"', '"1e400"', '""', '"-"']))
-    path = tmp_path / "damaged.xodr"
-    path.write_text(text)
-
-    status = main(["map", str(path), "--json"])
-    out, err = capsys.readouterr()
-    assert status in (0, 1)
-    if status == 0:
-        assert json.loads(out)["skipped"]
-    else:
-        assert "damaged.xodr" in err
-        assert len(err.splitlines()) == 1
-
-
 def test_the_speed_limits_are_all_that_apply(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

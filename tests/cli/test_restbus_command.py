@@ -67,22 +67,6 @@ def test_seconds_seed_and_existing_files(config: Path, capsys: pytest.CaptureFix
     assert "exists already" in capsys.readouterr().err
 
 
-def test_errors_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for text, expected in (
-        ("[[message]\n", "is not valid TOML"),
-        ('[[message]]\nname = "Motion"\ndbc = "nowhere.dbc"\n', "nowhere.dbc"),
-        (CONFIG + "start = 5\n", "unknown key 'start'; did you mean 'start_ms'?"),
-    ):
-        path = tmp_path / "wrong.toml"
-        path.write_text(text)
-        assert main(["restbus", str(path), "--seconds", "1", "--virtual-time"]) == 1
-        error = capsys.readouterr().err
-        assert expected in error
-        assert error.count("\n") == 1
-    assert main(["restbus"]) == 1
-    assert "CONFIG is missing" in capsys.readouterr().err
-
-
 def test_commands_over_a_pipe_while_it_runs(config: Path) -> None:
     process = subprocess.Popen(
         [*MAPLINES, "restbus", str(config), "--json"],

@@ -10,7 +10,7 @@ import can
 import numpy as np
 import pytest
 from answers import lines_of, one
-from support.dbcs import DBC, edited
+from support.dbcs import DBC
 from support.drive_files import run, town
 from support.sender_pairs import Sender, merged
 
@@ -274,22 +274,6 @@ def test_decode_says_which_scenes_are_usable(
     assert {*found[20:]} == {(False, True)}
 
 
-def test_decode_prints_scenes_that_lack_lines(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    """Lost in the second cycle and in the last one."""
-    codec = Codec.from_dbc(default_dbc_path(CONDITIONAL))
-    transfers = transfers_of(codec)
-    cycles = [transfers[5 * k : 5 * k + 5] for k in range(CYCLES)]
-    cycles[1], cycles[-1] = cycles[1][:2], cycles[-1][:4]
-    lossy = [one for cycle in cycles for one in cycle]
-    decode = write_log(tmp_path / "lossy.log", lossy, "can0")
-    assert main([*decode, "--dbc", CONDITIONAL, "--scenes"]) == 0
-    _, scenes = rows_of(capsys.readouterr().out)
-    assert [len(row["scene"]) for row in scenes] == [4, 1, *[4] * (CYCLES - 3), 3]
-    assert [row["t"] for row in scenes] == pytest.approx([cycle[0][0] for cycle in cycles])
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_decode_without_time_stamps(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str
@@ -362,42 +346,3 @@ def test_the_name_of_a_dbc_of_this_package_is_enough(
     assert codec_from(name).layout.source == str(default_dbc_path(name))
     (tmp_path / name).write_text(DBC.read_text())
     assert codec_from(name).layout.source == name
-
-
-@pytest.mark.parametrize(
-    ("command", "words"),
-    [
-        ("demo --pose-error --components 3", "--components 3 does not go with --pose-error"),
-        ("demo --dbc maplines-pose.dbc --components auto", "receiver splits that itself"),
-        ("send --interface virtual --pose-error --components 2", "leave out --components"),
-        ("drive --dbc maplines-pose.dbc --components 2", "maplines-pose.dbc: lines are sent with"),
-        ("demo --correlation-time 3", "add --pose-error, or take --dbc maplines-pose.dbc"),
-        ("demo --pose-error --max-load 0.05", "4 lines and the pose error take up to 11.9 %"),
-        ("drive --dbc maplines-pose.dbc --max-load 0.05", "take up to 9.72 % of the bus at 20 Hz"),
-        ("demo --pose-error --dbc {dbc}", "edited.dbc has no message of the pose error"),
-        ("decode --scenes --dbc {dbc} none.log", "--scenes: .*edited.dbc has no message of the"),
-        ("receive --scenes --interface virtual", "--scenes needs --json"),
-    ],
-)
-def test_errors_name_the_options(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, words: str
-) -> None:
-    """One line, status 1."""
-    dbc = edited(tmp_path, (r'BA_ "MapLinePose" .*\n', ""))
-    given = [word.format(dbc=dbc, out=tmp_path / "out") for word in command.split()]
-    assert main(given) == 1
-    (error,) = [row for row in capsys.readouterr().err.splitlines() if "error:" in row]
-    assert re.search(words, error)
-
-
-@pytest.mark.parametrize(
-    "command",
-    ["demo --correlation-time 0", "send --correlation-time x", "decode --csv --scenes none.log"],
-)
-def test_wrong_usage(capsys: pytest.CaptureFixture[str], command: str) -> None:
-    """Status 2, with the usage."""
-    with pytest.raises(SystemExit, match="2"):
-        main(command.split())
-    assert re.search(
-        r"(--correlation-time|--scenes).*: (must be|not allowed)", capsys.readouterr().err
-    )

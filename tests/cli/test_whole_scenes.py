@@ -180,42 +180,9 @@ def test_a_log_says_what_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert panels_of([recording], (20.0,))[-1].rows == ["ego left"]
 
 
-@pytest.mark.parametrize(
-    ("command", "words"),
-    [
-        ("demo --components 2", "--components 2 does not go with"),
-        ("send --interface virtual --components auto", "a receiver splits that itself"),
-        ("demo --lines 4 --max-load 0.005", r"4 lines and the pose error take up to 0\.814 %"),
-        ("demo --lines 8 --max-load 0.01", r"8 lines and the pose error take up to 1\.63 %"),
-    ],
-)
-def test_what_it_cannot_do_is_refused(
-    capsys: pytest.CaptureFixture[str], command: str, words: str
-) -> None:
-    """In words that say what to do."""
-    assert main([*command.split(), *DBC]) == 1
-    assert re.search(words, capsys.readouterr().err)
-
-
-FIRST, SECOND = 0x379, 0x378
-
-
 def result_of(capsys: pytest.CaptureFixture[str], *command: str) -> Any:
     assert main([*command, "--json"]) == 0
     return json.loads(capsys.readouterr().out)
-
-
-def test_drive_writes_two_frames_a_cycle(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    """Scene2 goes before Scene, whose age has the time in between."""
-    log = tmp_path / "drive.log"
-    command = ["drive", *DBC, "--lines", "8", "--seconds", "2", "--record", str(log)]
-    result = result_of(capsys, *command, "--as-fast-as-possible")
-    ids = [int(line.split()[2].partition("##")[0], 16) for line in log.read_text().splitlines()]
-    assert ids == [SECOND, FIRST] * result["cycles"]
-    assert (result["frames"], result["pose_errors"]) == (len(ids), len(ids))
-    assert result["lines"] > 5 * result["cycles"]
 
 
 def test_a_key_leaves_lines_without_a_place(
