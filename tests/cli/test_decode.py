@@ -141,16 +141,9 @@ def test_the_number_of_channels_is_limited(
 @pytest.mark.parametrize(
     ("text", "notes", "status"),
     [
-        pytest.param("", ["0 lines from 0 frames", "has no frame, read as .trc"], 1, id="empty"),
-        pytest.param(
-            ";$FILEVERSION=1.1\n;$STARTTIME=1\n;--\n", ["0 lines", "has no frame"], 1, id="head"
-        ),
-        pytest.param(
-            "1) 2\n1) 0.5 0340 1 11\n",
-            ["1 of 2 records", "1 frames", "1 errors", "no record of"],
-            1,
-            id="short",
-        ),
+        ("", ["0 lines from 0 frames", "has no frame, read as .trc"], 1),
+        (";$FILEVERSION=1.1\n;$STARTTIME=1\n;--\n", ["0 lines", "has no frame"], 1),
+        ("1) 2\n1) 0.5 0340 1 11\n", ["1 of 2 records", "1 frames", "1 errors", "no record of"], 1),
     ],
 )
 def test_a_trc_log_is_reported_in_our_words(

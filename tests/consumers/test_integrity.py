@@ -188,22 +188,3 @@ def test_levels_are_multiples_of_sigma() -> None:
     assert levels == pytest.approx(sigma * multiplier(1e-5, 5.0))
     assert availability(levels, 1.0).available.tolist() == [[True, True], [False, False]]
     assert nominal(0.0) == 1.0
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: protection_level(-0.1, 1e-5, 1.0), "sigma must be 0 m or more"),
-        (lambda: protection_level(0.1, 0.0, 1.0), "risk must be more than 0"),
-        (lambda: protection_level(0.1, 1e-5, -1.0), "correlation_time must be 0 s or more"),
-        (lambda: protection_level(0.1, 1e-5, 1.0, 0.0), "period must be more than 0 s"),
-        (lambda: protection_level(0.1, 1e-5, (2.0, 1.0)), "the shortest and the longest one"),
-        (lambda: Tolerance(white_share=1.1), "white_share must be 0 to 1"),
-        (lambda: Tolerance(sigma_ratio=0.9), "sigma_ratio must be finite and 1 or more"),
-        (lambda: Tolerance(sigma_spread=math.nan), "sigma_spread must be 0 to 1"),
-        (lambda: availability(0.1, 0.0), "alert_limit must be more than 0 m"),
-    ],
-)
-def test_wrong_arguments(call: object, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        call()  # type: ignore[operator]

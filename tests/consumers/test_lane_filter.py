@@ -10,8 +10,6 @@ from scipy.linalg import eigh
 
 from maplines_can.consumers.lane_filter import (
     CHANGE,
-    GATE,
-    UNKNOWN,
     Handling,
     LaneFilter,
     N,
@@ -34,21 +32,6 @@ def loading(sigma: float = 0.2) -> Any:
     return A
 
 
-def test_a_false_camera_line_is_not_used_and_changes_nothing() -> None:
-    lane_filter = LaneFilter()
-    lane_filter.update_map(LANE, loading(), OWN, None, ALL)
-    mean, cov = lane_filter.mean.copy(), lane_filter.cov.copy()
-    camera = LANE.reshape(2, 4) + np.array([[2.0], [0.0]])
-    used = lane_filter.update_camera(
-        camera, np.tile(OWN[:4, :4], (2, 1, 1)), np.array([True, False])
-    )
-    assert not used.any()
-    assert np.array_equal(mean, lane_filter.mean)
-    assert lane_filter.cov == pytest.approx(cov)
-    assert pytest.approx(18.467, abs=0.01) == GATE
-    assert pytest.approx(15.507, abs=0.01) == CHANGE
-
-
 def test_many_cars_at_once_are_the_same_as_one_by_one() -> None:
     rng = np.random.default_rng(1)
     offsets = rng.normal(0, 0.1, (3, N)) * np.tile([1, 0.01, 0, 0], 2)
@@ -65,18 +48,6 @@ def test_many_cars_at_once_are_the_same_as_one_by_one() -> None:
             alone.predict(moved[i], np.zeros((3, 3)), 0.05, WINDOWS, 5.0)
         assert together.mean[i] == pytest.approx(alone.mean, abs=1e-9)
         assert together.cov[i] == pytest.approx(alone.cov, rel=1e-6, abs=1e-9)
-
-
-@given(st.floats(-3, 3))
-def test_turned_errors_keep_their_distribution(angle: float) -> None:
-    lane_filter = LaneFilter()
-    lane_filter.update_map(LANE, loading(), OWN, None, ALL)
-    c, s = np.cos(angle), np.sin(angle)
-    Q = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1.0]])
-    before = lane_filter.cov[lane_filter.u, lane_filter.u]
-    lane_filter.turn_errors(Q)
-    after = lane_filter.cov[lane_filter.u, lane_filter.u]
-    assert after == pytest.approx(Q @ before @ Q.T, abs=1e-9)
 
 
 #: Differences of the parameters of a line and of a displacement.
@@ -319,16 +290,6 @@ def test_a_scene_that_does_not_fit_adds_its_innovation(used: LaneFilter, factor:
     K[used.u], K[used.v] = 0, 0
     used.update_map((H @ x) + r, np.zeros((N, 3)), OWN, None, ALL)
     assert used.mean == pytest.approx(x + K @ r, rel=1e-6, abs=1e-9)
-
-
-def test_the_beginning_knows_nothing() -> None:
-    """The lane is unknown, and errors and biases have the standard deviation 1, in their units."""
-    lane_filter = LaneFilter(errors=2, shape=(3,))
-    assert lane_filter.mean.shape == (3, N + 2 + N + 4)
-    expected = np.append(UNKNOWN**2, np.ones(2 + N + 4))
-    assert np.array_equal(lane_filter.cov, np.tile(np.diag(expected), (3, 1, 1)))
-    assert not lane_filter.mean.any()
-    assert UNKNOWN.tolist() == [30.0, 1.0, 0.3, 0.1] * 2
 
 
 def test_roots_cover_with_the_misfit_of_a_cubic() -> None:

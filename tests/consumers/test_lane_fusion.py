@@ -125,20 +125,6 @@ def test_without_scenes_the_lane_becomes_less_certain_and_ends() -> None:
     assert lane.scene is None
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: LaneFusion(error_frame="sky"), "error_frame must be"),  # type: ignore[arg-type]
-        (lambda: LaneFusion(handling="none"), "handling must be"),  # type: ignore[arg-type]
-        (lambda: LaneFusion(bias_sigma=(0, 0, 0, -1)), "bias_sigma must be 4 numbers"),
-        (lambda: LaneFusion(bias_time=0), "bias_time must be more than 0 s"),
-    ],
-)
-def test_wrong_settings(call: Any, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        call()
-
-
 def test_time_does_not_run_backwards_and_slots_are_of_the_lane() -> None:
     fusion = LaneFusion()
     fusion.step(100, None, Motion(0, 0))

@@ -195,16 +195,3 @@ def test_time_must_increase() -> None:
     for t in (1.0, 0.5, math.nan, math.inf):
         with pytest.raises(ValueError, match="now_ns must be finite and later than 1000000000 ns"):
             check.step(1e9 * t, None, STILL)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("name", ["offset", "heading"])
-@pytest.mark.parametrize("value", [-0.1, math.inf, math.nan])
-def test_wrong_biases_raise(name: str, value: float) -> None:
-    with pytest.raises(ValueError, match=f"{name} must be finite and 0"):
-        CameraBias(**{name: value})
-
-
-@pytest.mark.parametrize("time", [-1.0, math.inf, math.nan])
-def test_a_wrong_longest_pose_time_raises(time: float) -> None:
-    with pytest.raises(ValueError, match="longest_pose_time must be finite and 0 s or more"):
-        PlausibilityCheck(longest_pose_time=time)

@@ -265,20 +265,6 @@ def test_a_curve_is_as_by_an_unscented_filter() -> None:
 ONE = np.ones(1)
 
 
-@pytest.mark.parametrize(
-    ("settings", "match"),
-    [
-        ({"start": np.zeros(3)}, r"\(n, 3\)"),
-        ({"start": np.full((2, 3), np.nan), "cov": np.eye(3)}, "finite"),
-        ({"start": np.zeros((2, 3)), "cov": np.eye(2)}, r"\(3, 3\)"),
-        ({"start": np.zeros((1, 3)), "cov": np.eye(3), "history": -1.0}, "history"),
-    ],
-)
-def test_wrong_arguments_are_refused(settings: dict[str, Any], match: str) -> None:
-    with pytest.raises(ValueError, match=match):
-        Localisation(**settings)
-
-
 def test_without_observations_the_error_remains() -> None:
     """Its correlation time is unknown."""
     found = driven([odometry(i * DT) for i in range(1, 100)], errors=SensorErrors())

@@ -64,27 +64,6 @@ def test_any_street_agrees_with_numerical_integration(
     assert (street.begin, street.end) == pytest.approx((joints[0], joints[-1]))
 
 
-@pytest.mark.parametrize(
-    ("pieces", "behind", "message"),
-    [
-        ([], 0, "at least one"),
-        ([StreetPiece(0)], 0, "more than 0 m"),
-        ([StreetPiece(np.nan)], 0, "finite"),
-        ([StreetPiece(10)], 11, "behind must be 0 to 10 m, the length of the street, got 11"),
-        ([StreetPiece(10)], -1, "behind must be 0 to 10 m"),
-    ],
-)
-def test_wrong_streets_are_refused(pieces: Any, behind: float, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Street(pieces, behind)
-
-
-@pytest.mark.parametrize("s", [-1.0, 10.5, np.nan])
-def test_a_place_beyond_the_street_is_refused(s: float) -> None:
-    with pytest.raises(ValueError, match="s must be 0 to 10 m"):
-        Street([StreetPiece(10)]).line([1.0, s])
-
-
 def test_a_shifted_line_moves_and_ends() -> None:
     """The other lines stay as they are in ``LANES``."""
     s = np.arange(0.0, 50.0)

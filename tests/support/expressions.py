@@ -52,7 +52,16 @@ def _objects() -> dict[str, Any]:
     """Return the public names, and an object of each kind."""
     names = {
         name: getattr(module, name)
-        for module in (ml, propagation, wire, bus, testing, ml.simulation)
+        for module in (
+            ml.localisation,
+            ml.consumers,
+            ml,
+            propagation,
+            wire,
+            bus,
+            testing,
+            ml.simulation,
+        )
         for name in module.__all__
     }
     cov = np.diag([0.1, 0.01, 1e-3, 1e-4]) ** 2
@@ -70,6 +79,7 @@ def _objects() -> dict[str, Any]:
         "eye": np.eye,
         "full": np.full,
         "zeros": np.zeros,
+        "ones": lambda n: np.ones((n, n)),
         "Queue": asyncio.Queue,
         "codec": codec,
         "layout": codec.layout,

@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from maplines_can import Polyline
 from maplines_can.localisation.scan_matching import (
@@ -35,20 +33,6 @@ REFERENCE = ScanReference(Map({}, {}, buildings=(BOX,), landmarks=(POLE,)))
 def minimum(hessian: np.ndarray, used: int, converged: bool) -> Minimum:
     """Return a minimum at (1, 1, 1) of one term, without objects."""
     return Minimum(np.ones(3), np.zeros((1, 3)), hessian, np.zeros((0, 3, 2)), used, converged)
-
-
-@given(st.integers(0, 2**32))
-def test_points_are_placed_by_the_pose(seed: int) -> None:
-    """Turned and then shifted; the Jacobian is the derivative."""
-    rng = np.random.default_rng(seed)
-    scan, pose = rng.uniform(-20, 20, (6, 2)), rng.uniform(-3, 3, 3)
-    z = scan @ [1, 1j] * np.exp(1j * pose[2]) + pose[0] + 1j * pose[1]
-    assert placed(scan, pose) @ [1, 1j] == pytest.approx(z)
-    J = jacobian(scan, pose[2])
-    for k in range(3):
-        w = 1e-6 * np.eye(3)[k]
-        slope = (placed(scan, pose + w) - placed(scan, pose - w)) / 2e-6
-        assert J[:, :, k] == pytest.approx(slope, abs=1e-7)
 
 
 @pytest.mark.parametrize("map_error", [0.0, 0.3])

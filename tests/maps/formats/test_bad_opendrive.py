@@ -246,43 +246,29 @@ def test_a_road_that_cannot_be_used_is_listed(bad: str, reason: str) -> None:
 @pytest.mark.parametrize(
     ("lanes", "used", "reason"),
     [
-        pytest.param(
+        (
             [lane(1), lane(-1, cubic("width", float("inf"), sOffset=0.0)), lane(-2)],
             "1:0:1",
             "lane -1, from which its position follows, cannot be used",
-            id="width",
         ),
-        pytest.param([lane(1), lane(-1, "")], "1:0:1", "its width is 0", id="no-width"),
-        pytest.param([lane(1), lane(1)], "1:0:1", "the id is that of the lane in line", id="id"),
-        pytest.param(
-            [lane(1), lane(-1).replace('id="-1"', 'id="-x"')],
-            "1:0:1",
-            "id must be a finite number",
-            id="id-no-number",
-        ),
-        pytest.param(
-            [lane(1), lane(-1).replace('id="-1"', 'id="-1.5"')],
-            "1:0:1",
-            "id must be an integer",
-            id="id-no-integer",
-        ),
-        pytest.param(
+        ([lane(1), lane(-1, "")], "1:0:1", "its width is 0"),
+        ([lane(1), lane(1)], "1:0:1", "the id is that of the lane in line"),
+        ([lane(1), lane(-1).replace('id="-1"', 'id="-x"')], "1:0:1", "id must be a finite number"),
+        ([lane(1), lane(-1).replace('id="-1"', 'id="-1.5"')], "1:0:1", "id must be an integer"),
+        (
             [lane(-1, WIDTH + '<speed sOffset="0" max="50" unit="knots"/>')],
             "1:0:-1",
             "unit must be one of m/s, km/h, mph, got 'knots'",
-            id="unit",
         ),
-        pytest.param(
+        (
             [lane(-1, WIDTH + '<speed sOffset="0" max="fast"/>')],
             "1:0:-1",
             "max must be a finite number",
-            id="speed",
         ),
-        pytest.param(
+        (
             [lane(-1, WIDTH + '<roadMark sOffset="nan" type="solid"/>')],
             "1:0:-1",
             "sOffset must be a finite number",
-            id="marking",
         ),
     ],
 )

@@ -1,10 +1,8 @@
 """Lanelet2 maps by the reader of this package."""
 
 import gzip
-from itertools import product
 from pathlib import Path
 
-import numpy as np
 import pytest
 from support.lanelet_files import ROAD, Osm
 
@@ -12,29 +10,6 @@ import maplines_can as ml
 from maplines_can.maps import LaneType, MapFileError
 from maplines_can.maps.formats.projection import local_cartesian, tangent
 from maplines_can.values.line import Kind
-
-
-@pytest.mark.parametrize(("flip_left", "flip_right"), list(product([False, True], repeat=2)))
-@pytest.mark.parametrize("frame", ["globe", "local"])
-def test_boundaries_run_in_driving_direction(flip_left: bool, flip_right: bool, frame: str) -> None:
-    """Whatever the direction of the ways: the role left decides."""
-    osm = Osm(frame)
-    left = [(0.0, 3.5), (50.0, 3.5), (90.0, 20.0)]
-    right = [(0.0, 0.0), (50.0, 0.0), (70.0, 2.0), (92.0, 16.0)]
-    one, other = (
-        osm.way(*(line[::-1] if flip else line))
-        for line, flip in ((left, flip_left), (right, flip_right))
-    )
-    osm.lanelet(one, other)
-    (lane,) = osm.map().lanes.values()
-    assert lane.left.length == pytest.approx(50 + np.hypot(40, 16.5), rel=0.01)
-    for line in (lane.left, lane.right, lane.centre):
-        assert line.points[-1, 0] - line.points[0, 0] == pytest.approx(91, abs=2.5)
-    assert lane.width == pytest.approx(4.5, abs=1)
-    osm = Osm(frame)  # with the roles exchanged it is driven the other way
-    osm.lanelet(osm.way(*right), osm.way(*left))
-    (lane,) = osm.map().lanes.values()
-    assert lane.left.points[-1, 0] - lane.left.points[0, 0] == pytest.approx(-91, abs=2.5)
 
 
 def test_links_follow_from_shared_ways_and_points() -> None:

@@ -18,7 +18,7 @@ from support.xodr_files import lane as xodr_lane
 from maplines_can.maps import Map, MapFileError
 from maplines_can.maps.formats.commonroad import read as read_commonroad
 from maplines_can.maps.formats.points import read as read_points
-from maplines_can.maps.formats.projection import around, local_cartesian, shifted, utm_of
+from maplines_can.maps.formats.projection import local_cartesian
 from maplines_can.simulation.map_frame import project
 from maplines_can.values.errors import MissingExtraError
 
@@ -369,19 +369,6 @@ def test_the_scale_of_a_requested_frame_is_said(projection: str, text: str | Non
         start = project([MUNICH[1]], [MUNICH[0]], found.projection)[0]
         lane = next(iter(found.lanes.values()))
         assert lane.centre.points[0] == pytest.approx(start, abs=1e-3, rel=1e-9)
-
-
-def test_names_of_systems() -> None:
-    assert utm_of("http://www.opengis.net/def/crs/EPSG/0/32701") == (
-        "+proj=utm +zone=1 +south +datum=WGS84"
-    )
-    assert [utm_of(name) for name in ("EPSG:32661", "EPSG:3", "EPSG:32600", "25832")] == [None] * 4
-    assert shifted("+proj=longlat", 1, 2) is None
-    assert shifted("EPSG:2154", 1, 2) is None
-    assert shifted("+proj=utm +zone=33 +south", 0, 5) == (
-        "+proj=tmerc +lat_0=0 +lon_0=15 +k=0.9996 +x_0=500000.0 +y_0=9999995.0"
-    )
-    assert around([48.0, 50.0], [9.0, 10.0]).startswith("+proj=tmerc +lat_0=49.0 +lon_0=9.5 ")
 
 
 def test_a_code_of_an_early_draft() -> None:
