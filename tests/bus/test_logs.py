@@ -4,8 +4,6 @@ import contextlib
 import gzip
 import io
 import random
-import re
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -27,13 +25,8 @@ LOGGED = [
     can.Message(timestamp=101.0, arbitration_id=0x1ABCDEF0, is_extended_id=True, data=b"\xff\x00"),
 ]
 
-LOGGED_FD = can.Message(
-    timestamp=102.0, arbitration_id=0x124, is_extended_id=False, is_fd=True, data=bytes(range(32))
-)
 
 CSV_HEADER = "timestamp,arbitration_id,extended,remote,error,dlc,data"
-
-FORMATS = ["asc", "blf", "csv", "db", "log", "mf4", "trc", "asc.gz", "blf.gz", "csv.gz", "log.gz"]
 
 
 def written(path: Any, messages: Any) -> Any:
@@ -56,22 +49,15 @@ def written(path: Any, messages: Any) -> Any:
     return path
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
-def test_every_format_is_read_back(tmp_path: Path, suffix: Any) -> None:
-    """Files written by python-can are read; error and remote frames are skipped."""
-    if suffix == "mf4":
-        pytest.importorskip("asammdf")
-    with_fd = suffix[:3] in {"asc", "blf", "log", "mf4"}
-    messages = [*LOGGED, LOGGED_FD] if with_fd else LOGGED
-    frames = list(read_log(written(tmp_path / f"drive.{suffix}", messages)))
-
-    wanted = [m for m in messages if not (m.is_error_frame or m.is_remote_frame)]
-    assert [(f.can_id, f.data, f.is_extended) for f in frames] == [
-        (m.arbitration_id, bytes(m.data), m.is_extended_id) for m in wanted
+@pytest.mark.parametrize("suffix", ["asc", "blf", "csv", "log"])
+def test_a_compressed_log_is_read_as_it_is(tmp_path: Path, suffix: str) -> None:
+    frames = list(read_log(written(tmp_path / f"drive.{suffix}", LOGGED)))
+    assert [(f.can_id, f.data, f.has_time) for f in frames] == [
+        (m.arbitration_id, bytes(m.data), True)
+        for m in LOGGED
+        if not (m.is_error_frame or m.is_remote_frame)
     ]
-    assert all(frame.has_time for frame in frames)
-    times = [(f.t_ns - frames[0].t_ns) * 1e-9 for f in frames]
-    assert times == pytest.approx([m.timestamp - 100.0 for m in wanted], abs=2e-3)
+    assert list(read_log(written(tmp_path / f"drive.{suffix}.gz", LOGGED))) == frames
 
 
 def read_until_error(path: Any) -> Any:
@@ -175,36 +161,6 @@ def test_a_binary_log_with_the_suffix_of_a_text(tmp_path: Path, name: str) -> No
     else:
         path.write_bytes(content)
         assert len(list(read_log(path))) == 3
-
-
-def test_a_single_byte_that_is_missing_is_noticed(tmp_path: Path) -> None:
-    """All frames are there, but not what belongs after them."""
-    path = written(tmp_path / "drive.blf", LOGGED)
-    path.write_bytes(path.read_bytes()[:-1])
-    frames, text = read_until_error(path)
-    assert len(frames) == 3
-    assert text == ": truncated after 5 good records, 1 bytes are missing"
-
-
-@pytest.mark.parametrize("length", [0, 1, 15])
-def test_a_blf_object_that_is_shorter_than_its_header_ends_the_file(
-    tmp_path: Path, length: int
-) -> None:
-    """python-can would never end."""
-    messages = [can.Message(timestamp=100 + i, arbitration_id=i, data=b"abc") for i in range(50)]
-    path = written(tmp_path / "drive.blf", messages)
-    content = path.read_bytes()
-    start = 144 + 32  # of the file's header, and of the only container's
-    objects = bytearray(zlib.decompress(content[start:]))
-    places = [match.start() for match in re.finditer(b"LOBJ", objects)]
-    objects[places[30] + 8 : places[30] + 12] = length.to_bytes(4, "little")
-    packed = zlib.compress(objects)
-    head = content[: 144 + 8] + (32 + len(packed)).to_bytes(4, "little") + content[144 + 12 : start]
-    path.write_bytes(head + packed)
-    frames, text = read_until_error(path)
-
-    assert [frame.can_id for frame in frames] == list(range(30))
-    assert "damaged after 30 good records (BLFParseError: an object is shorter" in text
 
 
 @pytest.mark.parametrize(

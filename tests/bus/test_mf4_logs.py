@@ -126,10 +126,20 @@ def test_numbers_that_a_conversion_names(tmp_path: Path) -> None:
     assert [len(frame.data) for frame in frames] == [8, 3, 3]
 
 
-def test_a_field_that_is_no_number(tmp_path: Path) -> None:
-    group = signal("CAN_DataFrame", [0, 1, 2], fields(IDE=np.array([b"no", b"yes", b"yes"])))
-    with pytest.raises(LogError, match=r"the field CAN_DataFrame\.IDE of a group is no number"):
-        read(written(tmp_path / "a.mf4", group))
+@pytest.mark.parametrize(
+    ("given", "t", "words"),
+    [
+        ({"IDE": np.array([b"no", b"yes", b"yes"])}, [0, 1, 2], r"\.IDE of a group is no number"),
+        ({"ID": None}, [0, 1, 2], r"a group of frames has no field CAN_DataFrame\.ID"),
+        ({"DataBytes": None}, [0, 1, 2], r"has no field CAN_DataFrame\.DataBytes"),
+        ({}, [0, 1, 1e10], "the time stamp is beyond 64 bits of nanoseconds"),
+    ],
+)
+def test_groups_that_are_no_frames(
+    tmp_path: Path, given: dict[str, Any], t: list[float], words: str
+) -> None:
+    with pytest.raises(LogError, match=words):
+        read(written(tmp_path / "a.mf4", signal("CAN_DataFrame", t, fields(**given))))
 
 
 @pytest.mark.parametrize("with_ide", [False, True])
@@ -317,15 +327,11 @@ def test_groups_are_merged_by_their_times(
     assert sorted((f.t_ns, f.channel, len(f.data), f.can_id) for f in frames) == expected
 
 
-def test_a_single_group_keeps_its_order(tmp_path: Path) -> None:
-    """Also where its times go back."""
-    group = signal("CAN_DataFrame", [2, 1, 3], fields())
-    frames, _ = read(written(tmp_path / "a.mf4", group))
-    assert [frame.t_ns - START_NS for frame in frames] == [2 * 10**9, 10**9, 3 * 10**9]
-
-
 def test_groups_whose_times_go_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No frame is lost or read twice."""
+    """A single one keeps its order; of several, no frame is lost or read twice."""
+    single = signal("CAN_DataFrame", [2, 1, 3], fields())
+    frames, _ = read(written(tmp_path / "a.mf4", single))
+    assert [frame.t_ns - START_NS for frame in frames] == [2 * 10**9, 10**9, 3 * 10**9]
     monkeypatch.setattr("maplines_can.logs.mf4_log.BLOCK_FRAMES", 4)
     rng = np.random.default_rng(1)
     groups = [
@@ -363,14 +369,6 @@ def test_signals_are_no_log_of_a_bus(tmp_path: Path) -> None:
         read(path)
 
 
-@pytest.mark.parametrize("name", ["ID", "DataBytes"])
-def test_a_group_without_what_a_frame_needs(tmp_path: Path, name: str) -> None:
-    given = {key: values for key, values in fields().items() if key != name}
-    path = written(tmp_path / "a.mf4", signal("CAN_DataFrame", [0, 1, 2], given))
-    with pytest.raises(LogError, match=f"a group of frames has no field CAN_DataFrame.{name}"):
-        read(path)
-
-
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -404,18 +402,6 @@ def test_a_log_that_was_not_finalised(tmp_path: Path) -> None:
     other = path.with_suffix("")
     path.rename(other)
     assert list(read_log(other)) == frames
-
-
-def test_a_silent_log_has_no_frames(tmp_path: Path) -> None:
-    with can.MF4Writer(tmp_path / "a.mf4"):
-        pass
-    assert read(tmp_path / "a.mf4")[0] == []
-
-
-def test_times_beyond_64_bits_are_damage(tmp_path: Path) -> None:
-    path = written(tmp_path / "a.mf4", signal("CAN_DataFrame", [0, 1, 1e10], fields()))
-    with pytest.raises(LogError, match="the time stamp is beyond 64 bits of nanoseconds"):
-        read(path)
 
 
 def test_the_file_is_closed(tmp_path: Path) -> None:

@@ -1,12 +1,9 @@
 """TRC and CSV logs: their versions, columns, and what is no data frame; cantools is a witness."""
 
-import io
 from collections import Counter
 from pathlib import Path
 
-import can
 import pytest
-from cantools.logreader import Parser
 
 from maplines_can.bus import LogFrame, Skipped, read_log
 from maplines_can.values.errors import LogError
@@ -63,13 +60,6 @@ def test_each_version_of_trc(tmp_path: Path, version: str, suffix: str) -> None:
     assert [f.channel for f in frames] == (["1", "2", "1"] if has_bus else ["1"] * 3)
     assert log.summary.skipped == SKIPPED
     assert log.summary.times == ("zero" if version == "1.0" else "absolute")
-
-
-@pytest.mark.parametrize("version", ["1.1", "1.2", "1.3", "2.1"])
-def test_cantools_reads_the_same_frames_of_trc(version: str) -> None:
-    """It takes errors for frames, too, and does not know the other versions."""
-    witness = {(w.frame_id, bytes(w.data)) for w in Parser(io.StringIO(LOGS[version]))}
-    assert witness >= {frame[:2] for frame in FRAMES}
 
 
 @pytest.mark.parametrize(("column", "value"), [("l", "12"), ("L", "9")])
@@ -179,14 +169,3 @@ def test_csv_of_something_else_names_the_column(tmp_path: Path) -> None:
     path.write_text("t,slot\n1.5,EGO_LEFT\n")
     with pytest.raises(LogError, match=r"none of 1 .* \(line 2: the header has no column timest"):
         list(read_log(path))
-
-
-@pytest.mark.parametrize("kind", ["is_error_frame", "is_remote_frame"])
-def test_error_and_remote_frames_of_csv(tmp_path: Path, kind: str) -> None:
-    """As python-can writes them."""
-    with can.CSVWriter(tmp_path / "a.csv") as writer:
-        writer.on_message_received(can.Message(timestamp=1.5, dlc=4, **{kind: True}))
-    log = read_log(tmp_path / "a.csv")
-    assert [*log] == []
-    expected = Skipped.ERROR if kind == "is_error_frame" else Skipped.REMOTE
-    assert log.summary.skipped == Counter({expected: 1})
