@@ -1,10 +1,8 @@
 """Every published line is sent once a period, whole or not at all."""
 
-import itertools
 import json
 import struct
 import threading
-from types import SimpleNamespace
 from typing import Any
 
 import can
@@ -22,7 +20,6 @@ from support.fake_bus import (
     send_frames,
 )
 from support.fake_codec import PAGES, FakeCodec, sent_values
-from support.scene_streams import road_scene
 
 from maplines_can.bus import (
     Link,
@@ -30,54 +27,14 @@ from maplines_can.bus import (
     Transmitter,
 )
 from maplines_can.bus.transmitter import TransmitterStats
-from maplines_can.values.errors import BusError, EncodeError
+from maplines_can.values.errors import BusError
 from maplines_can.values.line import LeftOut, MapLineList, Slot
-from maplines_can.values.scene import Scene
-from maplines_can.wire import POSE, Frame, PreparedScene
+from maplines_can.wire import Frame
 
 
 def transfer(sent: Any, n: Any = PAGES) -> Any:
     """(page, counter) of the next n frames that were sent on a fake bus."""
     return [tuple(sent.get(timeout=LONG).data[:2]) for _ in range(n)]
-
-
-@pytest.mark.parametrize("fd", [False, True])
-def test_lines_arrive_in_every_period(link: Any, other: Any, fd: bool) -> None:
-    """Eight lines, five periods each, nothing lost but overruns; the counters agree."""
-    codec = FakeCodec()
-    with Receiver(other, codec.decoder()) as receiver:
-        transmitter = Transmitter(link, codec, period=0.05, fd=fd, count=5)  # type: ignore[arg-type]
-        for slot in Slot:
-            transmitter.publish(map_line(slot, y=slot / 10))
-        with transmitter:
-            assert transmitter.wait(LONG)
-        stats = transmitter.stats()
-        lines = collect(receiver, stats.lines)
-
-    assert stats.lines + stats.overruns == 40
-    per_slot = [[x.gaussian.mean[0] for x in lines if x.slot == slot] for slot in Slot]
-    assert per_slot == [
-        [slot / 10] * len(values) for slot, values in zip(Slot, per_slot, strict=True)
-    ]
-    assert all(1 <= len(values) <= 5 for values in per_slot)
-    assert stats.frames == stats.lines * (1 if fd else PAGES)
-    assert 0 < stats.lateness.median <= stats.lateness.p99 <= stats.lateness.max
-    assert receiver.stats().lines == stats.lines
-
-
-def test_the_latest_value_wins(link: Any, other: Any) -> None:
-    """The last published value is sent, once each period."""
-    codec = FakeCodec()
-    with (
-        Receiver(other, codec.decoder()) as receiver,
-        Transmitter(link, codec, period=0.02) as transmitter,  # type: ignore[arg-type]
-    ):
-        for round_ in range(1, 4):
-            for y in (0.5, -3.0, round_):
-                transmitter.publish(map_line(y=y))
-            while receiver.get(LONG).gaussian.mean[0] != round_:  # type: ignore[union-attr]
-                pass  # values sent before the last publish
-            assert collect(receiver, 2)[-1].gaussian.mean[0] == round_
 
 
 def test_the_age_counts_from_the_pose(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -167,10 +124,6 @@ def test_an_error_of_the_codec_reaches_the_caller(link: Any) -> None:
         with pytest.raises(ValueError, match="13 m"):
             transmitter.publish(map_line())
 
-    with pytest.raises(ValueError, match="13 m"), Transmitter(link, FakeCodec()) as transmitter:  # type: ignore[arg-type]  # noqa: PT012
-        transmitter.publish(map_line(x_max=13.0))
-        transmitter._join(LONG)
-
 
 def test_the_error_of_the_body_is_not_hidden(link: Any) -> None:
     with pytest.raises(KeyError), Transmitter(link, FakeCodec()) as transmitter:  # type: ignore[arg-type]  # noqa: PT012
@@ -208,31 +161,6 @@ def test_a_callback_may_stop_the_transmitter() -> None:
         with transmitter:
             assert stopped.wait(LONG)
             assert transmitter.wait(LONG)
-
-
-def test_each_slot_has_its_phase_in_the_period(link: Any, other: Any) -> None:
-    """Slots are spread over the period, in their order, the pages of one line together."""
-    clock = Clock()
-    transmitter = Transmitter(link, FakeCodec(), period=0.4, count=2, clock=clock)  # type: ignore[arg-type]
-    for slot in reversed(Slot):
-        transmitter.publish(map_line(slot))
-    drive(transmitter, clock, clock.now + 1.0)
-    frames = [other.recv(LONG) for _ in range(2 * 8 * PAGES)]
-
-    order = [frame.data[2] for frame in frames]
-    rounds = [order[i : i + PAGES] for i in range(0, len(order), PAGES)]
-    assert all(len(set(pages)) == 1 for pages in rounds)
-    slots = [pages[0] for pages in rounds]
-    assert all((b - a) % 8 == 1 for a, b in itertools.pairwise(slots))
-
-
-@pytest.mark.parametrize("settings", [
-    *({"period": period} for period in (0, float("nan"), 0.0009, 3600.5)),
-    *({"count": 0}, {"max_age": 60.1}),
-])  # fmt: skip
-def test_wrong_settings_raise(link: Any, settings: Any) -> None:
-    with pytest.raises(ValueError, match=rf"{next(iter(settings))} must be"):
-        Transmitter(link, FakeCodec(), **settings)  # type: ignore[arg-type]
 
 
 def test_can_fd_needs_a_link_with_can_fd() -> None:
@@ -313,69 +241,6 @@ def test_item_12_lines_left_out_are_retracted_and_counted() -> None:
     assert counters["lateness"] == {"median": 0.0, "p99": 0.0, "max": 0.0}
     assert list(counters) == list(TransmitterStats._fields)
     assert (counters["lines"], counters["frames"]) == (stats.lines, PAGES * stats.lines)
-
-
-class SceneCodec(FakeCodec):
-    """Codec of a DBC that takes scenes only; a scene is a frame of each of its lines."""
-
-    layout: Any = SimpleNamespace(
-        max_age=60.0, is_conditional=True, has_classic=True, scene=None, source="pose.dbc"
-    )
-
-    def prepare_scene(self, scene: Scene | PreparedScene, *, fd: bool) -> PreparedScene:
-        assert fd is False
-        if isinstance(scene, PreparedScene):
-            return scene
-        members = [SimpleNamespace(left_out=0) for _ in scene.lines]
-        core = SimpleNamespace(space=SimpleNamespace(members=members))
-        return PreparedScene(scene, self.layout, False, tuple(scene.index), core)
-
-    def left_out(self, prepared: PreparedScene, *, fd: bool) -> dict[Slot, LeftOut]:
-        assert fd is False
-        return prepared.left_out
-
-    def encode_scene(self, prepared: PreparedScene, *, age: Any, fd: bool, counters: Any) -> Any:
-        assert fd is False
-        assert counters.keys() <= age.keys() == {POSE, *prepared.sent_slots}
-        return {owner: [Frame(0x100, str(owner).encode()[:8])] for owner in age}
-
-
-@pytest.mark.parametrize("prepared", [False, True])
-def test_a_scene_is_sent_prepared_or_not(prepared: bool) -> None:
-    """The lines that are left out of it are counted, too."""
-    part, opener, clock = road_scene((Slot.EGO_LEFT, Slot.ROUTE)), FakeOpener(), Clock()
-    left_out = {Slot.EGO_RIGHT: LeftOut.TOO_SHORT}
-    scene = Scene(part.lines, part.cov, part.pose_error, part.fit_ranges, left_out=left_out)
-    codec = SceneCodec()
-    with Link(opener) as link:
-        transmitter = Transmitter(link, codec, clock=clock)  # type: ignore[arg-type]
-        transmitter.publish(codec.encoder().prepare_scene(scene, fd=False) if prepared else scene)
-        drive(transmitter, clock, clock.now + 0.049)
-    sent = [bytes(opener.sent.get(timeout=0).data) for _ in range(opener.sent.qsize())]
-    assert sent == [str(owner).encode()[:8] for owner in (POSE, Slot.EGO_LEFT, Slot.ROUTE)]
-    stats = transmitter.stats()
-    assert (stats.left_out, stats.lines, stats.pose_errors) == ({LeftOut.TOO_SHORT: 1}, 2, 1)
-
-
-def test_lines_for_a_dbc_of_scenes_are_refused() -> None:
-    """At the call; no lines at all are none that do not fit."""
-    with Link(FakeOpener()) as link:
-        transmitter = Transmitter(link, SceneCodec())  # type: ignore[arg-type]
-        for lines in (map_line(), [map_line()]):
-            with pytest.raises(EncodeError, match=r"pose\.dbc: .* publish the result of map_scene"):
-                transmitter.publish(lines)
-        transmitter.publish([])
-
-
-def test_a_transmitter_sends_at_20_hz_by_default() -> None:
-    """And states ages up to the greatest one of the DBC, which may also be given."""
-    opener, clock = FakeOpener(), Clock()
-    with Link(opener) as link:
-        settings: dict[str, Any] = {"clock": clock, "max_age": FakeCodec.layout.max_age}
-        transmitter = Transmitter(link, FakeCodec(), **settings)  # type: ignore[arg-type]
-        transmitter.publish(map_line())
-        drive(transmitter, clock, clock.now + 0.99)
-    assert (transmitter.stats().lines, transmitter.stats().expired) == (20, 0)
 
 
 class Steps:
@@ -469,11 +334,3 @@ def test_a_line_that_is_too_old_counts_as_expired_only_if_it_is_sent(
     assert stats.expired == 0
     transmitter, _, _ = sent_late(monkeypatch, late=0.25, max_age=0.1)
     assert (transmitter.stats().lines, transmitter.stats().expired) == (1, 1)
-
-
-def test_what_is_no_codec_is_refused() -> None:
-    with (
-        Link(FakeOpener()) as link,
-        pytest.raises(TypeError, match=r"codec must be a Codec, such as Codec\.from_dbc"),
-    ):
-        Transmitter(link, "maplines.dbc")  # type: ignore[arg-type]
