@@ -93,26 +93,6 @@ def test_the_iteration_ends_with_the_notifier(buses: Any) -> None:
     assert listener.stats().frames == 2 * PAGES
 
 
-def test_a_callback_is_called_by_the_notifier(buses: Any) -> None:
-    out, back = buses
-    codec, called, threads = FakeCodec(), threading.Event(), []
-    encoder = codec.encoder()
-
-    def on_line(line: Any) -> None:
-        threads.append((threading.current_thread().name, line.slot))
-        called.set()
-
-    listener = LineListener(codec.decoder(), on_line=on_line)
-    with can.Notifier(back, [listener], timeout=POLL):
-        send(out, encoder, map_line())
-        assert called.wait(LONG)
-        with pytest.raises(TypeError, match="the lines go to on_line"):
-            listener.get()
-    ((name, slot),) = threads
-    assert name.startswith("Notifier for bus")
-    assert slot is Slot.EGO_LEFT
-
-
 def test_an_event_loop_calls_the_listener(buses: Any) -> None:
     """The lines reach an ``asyncio.Queue``, in the thread of the loop."""
     out, back = buses
@@ -128,23 +108,6 @@ def test_an_event_loop_calls_the_listener(buses: Any) -> None:
             return [await asyncio.wait_for(lines.get(), LONG) for _ in range(2)]
 
     assert [line.gaussian.mean[0] for line in asyncio.run(receive())] == [1, 2]
-
-
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_the_error_of_a_callback_reaches_the_notifier(buses: Any) -> None:
-    """It ends the thread of the notifier, as that of any listener."""
-    out, back = buses
-    codec = FakeCodec()
-    encoder = codec.encoder()
-
-    def on_line(line: Any) -> None:
-        raise ZeroDivisionError
-
-    notifier = can.Notifier(back, [LineListener(codec.decoder(), on_line=on_line)], timeout=POLL)
-    send(out, encoder, map_line())
-    wait_until(lambda: notifier.exception)
-    assert isinstance(notifier.exception, ZeroDivisionError)
-    notifier.stop()
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")

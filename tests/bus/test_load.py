@@ -1,7 +1,6 @@
 """Bits of a frame are the published bounds."""
 
 import contextlib
-import math
 import re
 from collections.abc import Iterable
 from itertools import chain
@@ -18,6 +17,7 @@ from maplines_can.bus import (
     bus_load,
     frame_bits,
     frame_time,
+    transfers_within,
 )
 from maplines_can.wire import Frame
 
@@ -108,23 +108,6 @@ def test_bus_load_of_lines() -> None:
     assert frame_time(fd[0], 500e3) == pytest.approx(392 / 500e3)
 
 
-@pytest.mark.parametrize(
-    ("length", "is_fd"), [(-1, True), (10, True), (65, True), (9, False), (12, False)]
-)
-def test_lengths_that_no_frame_has(length: int, is_fd: bool) -> None:
-    with pytest.raises(ValueError, match="length must be 0 to 8"):
-        frame_bits(length, is_fd=is_fd)
-
-
-def test_wrong_rates_and_periods_are_refused() -> None:
-    for rates in ((0,), (math.inf,), (5e5, 0), (5e5, -1), (5e5, math.inf), (0, 5e5)):
-        with pytest.raises(ValueError, match="bit rates must be positive"):
-            frame_time(Frame(1, b""), *rates)
-    for period in (0, -1, math.inf):
-        with pytest.raises(ValueError, match="period must be positive"):
-            bus_load([], period, 500e3)
-
-
 def test_can_fd_has_exactly_the_lengths_of_its_dlcs() -> None:
     """ISO 11898-1: DLC 9 to 15 are 12, 16, 20, 24, 32, 48 and 64 bytes."""
     known = []
@@ -157,3 +140,27 @@ def test_bus_time_of_scenes_as_the_page_says() -> None:
 def time_of(frames: Iterable[Frame]) -> float:
     """Return how long frames take on a bus of 500 kbit/s and 2 Mbit/s [ms]."""
     return 1e3 * sum(frame_time(frame, 500_000, 2_000_000) for frame in frames)
+
+
+@given(st.floats(1e-4, 1), st.floats(1e-3, 1), st.sampled_from([125e3, 500e3, 1e6]), st.booleans())
+def test_transfers_within_a_share(share: float, period: float, bitrate: Any, fd: bool) -> None:
+    """They fit, and one more does not."""
+    transfer = [Frame(0x100, bytes(32), is_fd=True)] if fd else [Frame(0x100, bytes(8))] * 4
+    n = transfers_within(share, transfer, period, bitrate)
+    assert bus_load(transfer * n, period, bitrate) <= share * (1 + 1e-9)
+    assert bus_load(transfer * (n + 1), period, bitrate) > share
+
+
+@pytest.mark.parametrize("n", [1, 3, 13, 64])
+def test_a_share_filled_to_the_last_bit(n: int) -> None:
+    """Rounding does not remove a transfer."""
+    transfer = [Frame(0x100, bytes(8))] * 4
+    assert transfers_within(bus_load(transfer * n, 0.1, 5e5), transfer, 0.1, 5e5) == n
+
+
+def test_all_of_the_bus_time_may_be_used() -> None:
+    """A classic frame of no data has 55 bits."""
+    assert transfers_within(1.0, [Frame(0x100, b"")], 1.0, 110) == 2
+    assert transfers_within(1.0, [Frame(0x100, b"")], 1.0, 109) == 1
+
+

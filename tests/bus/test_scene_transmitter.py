@@ -104,7 +104,7 @@ def test_a_line_that_is_skipped_does_not_use_its_counter_again(make_bench: Any) 
     assert tuple(scene.index) == SLOTS
 
 
-@BOTH
+@ALL
 def test_a_retracted_line_is_in_no_scene(make_bench: Any, dbc: str) -> None:
     """Until a scene with its slot is published; then it is sent again, without a gap."""
     bench = make_bench(dbc)
@@ -217,18 +217,22 @@ def test_the_age_is_not_too_small(make_bench: Any, dbc: str, lateness: float) ->
     assert checked > 100
 
 
-def test_the_age_of_a_pose_and_of_its_lines_counts(make_bench: Any) -> None:
+def test_the_age_of_a_pose_and_of_its_lines_counts(
+    make_bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """By ``t_pose_ns``, or else the greatest age of the scene's lines."""
+    monkeypatch.setattr("maplines_can.bus.transmitter.time", now := FakeTime())
     scene = scene_of()
     lines = [
         MapLine(line.slot, line.gaussian, x_min=line.x_min, x_max=line.x_max, age=0.03 * i)
         for i, line in enumerate(scene.lines)
     ]
     aged = Scene(tuple(lines), scene.cov, scene.pose_error, scene.fit_ranges)
-    bench = make_bench(CONDITIONAL)
-    bench.transmitter.publish(aged)
-    bench.run(0.95 * PERIOD)
-    assert bench.view().age == pytest.approx(0.064 + ALLOWANCE + bench.time, abs=0.0081)
+    for t_pose_ns, age in ((None, 0.06), (now.ns - 100_000_000, 0.096)):
+        bench = make_bench(CONDITIONAL)
+        bench.transmitter.publish(aged, t_pose_ns)
+        bench.run(0.95 * PERIOD)
+        assert bench.view().age == pytest.approx(age + 2 * ALLOWANCE + bench.time, abs=0.0081)
 
 
 @ALL
@@ -277,7 +281,7 @@ def test_a_late_transfer_keeps_its_counter(make_bench: Any, dbc: str) -> None:
     assert not bench.decoder.counts
 
 
-@BOTH
+@ALL
 def test_a_full_queue_delays_a_transfer(make_bench: Any, dbc: str) -> None:
     """Of the pose error, too; each scene is received."""
     bench = make_bench(dbc, script=[FULL] * 3 + [None] * 7 + [FULL] * 3)
@@ -338,14 +342,3 @@ def test_only_what_is_sent_with_all_its_frames_is_counted(
         bench.transmitter._send(transfer)
     stats = bench.transmitter.stats()
     assert (stats.pose_errors, stats.lines, stats.down) == counts
-
-
-def test_the_age_of_a_scene_counts_from_the_pose(
-    make_bench: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """If its time is given."""
-    monkeypatch.setattr("maplines_can.bus.transmitter.time", now := FakeTime())
-    bench = make_bench(CONDITIONAL)
-    bench.transmitter.publish(scene_of(), t_pose_ns=now.ns - 100_000_000)
-    bench.run(0.95 * PERIOD)
-    assert bench.view().age == pytest.approx(0.1 + 0.004 + bench.time, abs=0.0081)

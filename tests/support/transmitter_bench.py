@@ -67,7 +67,8 @@ class Bench:
         for i in range(self.opener.sent.qsize()):
             message = self.opener.sent.get(timeout=0)
             self.messages.append(message)
-            t_ns = self.now_ns + round(1e9 * self.rng.uniform(0, self.transit)) + 250_000 * i
+            transit = self.rng.uniform(0, self.transit) if self.transit else 0.0
+            t_ns = self.now_ns + round(1e9 * transit) + 250_000 * i
             if not (is_lost and i == 0):
                 found = self.decoder.feed(message.arbitration_id, message.data, t_ns)
                 self.lines += [] if isinstance(found, Reason) else found
