@@ -83,13 +83,6 @@ def test_reordering_at_rate_1() -> None:
     assert injector.counts == {FaultKind.REORDERED: 1000}
 
 
-def test_there_are_no_faults_by_default() -> None:
-    injector = FaultInjector[Any](Faults())
-    frames = numbered(1000)
-    assert run(injector, frames) == frames
-    assert injector.counts == {}
-
-
 def test_a_wrong_length_is_a_length_of_can_fd() -> None:
     """A frame that is cut short or padded can still be sent."""
     for field in ("truncate", "wrong_dlc"):

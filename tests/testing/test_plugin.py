@@ -297,17 +297,6 @@ def test_another_dbc(pytester: pytest.Pytester, way: str) -> None:
     run(pytester, test, *options).assert_outcomes(passed=1)
 
 
-def test_processes_do_not_disturb_each_other(pytester: pytest.Pytester) -> None:
-    """In real time, each test has a channel of its own."""
-    test = "\n".join(
-        PASSING.replace("test_line", f"test_{i}")
-        .replace("within=0.5", "within=60")
-        .replace("during=0.15", "during=0.15, stale_cycles=1000")
-        for i in range(4)
-    )
-    run(pytester, test, "-n", "2", "--maplines-time=real").assert_outcomes(passed=4)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
