@@ -13,6 +13,7 @@ from ..logs.first_frames import FirstFrames
 from ..simulation.truth import Truth, read_truth, truth_paths
 from ..study.accuracy.evaluation import Accuracy, accuracy_of
 from ..study.accuracy.verdicts import as_text, consistency_of, map_consistency_of
+from ..values.arrays import count_text
 from ..values.errors import DriveFileError, LogError
 from ..values.line import MapLine
 from ..wire import Decoder, Reason
@@ -101,7 +102,9 @@ def _accuracy(arguments: argparse.Namespace) -> int:
         pose_errors = sum(decoder.pose_errors for decoder in decoders.values())
         if not pose_errors:
             check_received(arguments.log, first, codec, frames.summary)
-        raise LogError(f"{arguments.log}: has no lines, and {pose_errors} pose errors")
+        raise LogError(
+            f"{arguments.log}: has no lines, and {count_text(pose_errors, 'pose error')}"
+        )
     _print(accuracy, truth, frames.summary, arguments)
     return status
 

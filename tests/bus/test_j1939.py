@@ -235,7 +235,7 @@ def test_incomplete_transfers_give_nothing(
     with pytest.raises(LogError) as found:
         read_signals(log_of(tmp_path, frames), dbc, {"a": "Last"})
 
-    text = "1 times: incomplete transfers of the parameter group 0xfeca"
+    text = "1 time: incomplete transfers of the parameter group 0xfeca"
     assert (text in str(found.value)) == is_counted
 
 

@@ -20,7 +20,7 @@ from maplines_can.cli import command_line, main
 from maplines_can.cli.output import check_text, line_dict, line_text
 from maplines_can.simulation import scenario
 from maplines_can.values.line import Status
-from maplines_can.wire import E2EState, ProfileStatus, SlotStats
+from maplines_can.wire import E2EState, ProfileStatus, SlotStats, SlotView
 
 
 @contextmanager
@@ -51,6 +51,7 @@ def test_lines_are_printed_until_the_count(
     rows = [json.loads(row) for row in out.splitlines()[:8]]
     assert {row["slot"] for row in rows} == {"EGO_LEFT", "EGO_RIGHT", "NEXT_LEFT", "NEXT_RIGHT"}
     assert rows[0]["status"] == "FULL"
+    assert not any(row["usable"] for row in rows)  # INIT
     assert re.match(r"\d+\.\d{3}  (ego|next) (left|right) ", out.splitlines()[8])
     assert "0 lines lost" in err
 
@@ -177,8 +178,19 @@ def test_item_1_a_line_that_is_not_usable_is_printed_without_its_values(
     text = line_text(replace(line, **change))
     assert words in text
     assert "y_off" not in text
-    row = json.loads(json.dumps(line_dict(replace(line, **change)), allow_nan=False))
+    view = SlotView(
+        line.slot,
+        line,
+        0.0,
+        stale=True,
+        state=E2EState.VALID,
+        status=ProfileStatus.OK,
+        two_senders=False,
+    )
+    assert line_dict(line, view)["usable"]  # as it arrived
+    row = json.loads(json.dumps(line_dict(replace(line, **change), view), allow_nan=False))
     assert row["age"] == (None if "age" in change else 0.0)
+    assert not row["usable"]
 
 
 def test_receive_prints_the_states_and_two_senders(
@@ -209,7 +221,9 @@ def test_receive_prints_the_states_and_two_senders(
     bus = ["--interface", "virtual", "--channel", channel]
     assert main(["receive", *bus, "--count", str(delivered), "--json"]) == 0
     out, err = capsys.readouterr()
-    last = json.loads(out.splitlines()[-1])["e2e"]
+    row = json.loads(out.splitlines()[-1])
+    assert (row["usable"], row["two_senders"]) == (False, True)
+    last = row["e2e"]
     assert last["two_senders"]
     assert last["state"] != "VALID"
     assert last["wrong_sequence"] > 8

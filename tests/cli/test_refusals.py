@@ -162,7 +162,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (f"consume fusion scene.log --camera short.csv {POSE}", "has no line"),
         (
             f"consume fusion scene.log --camera empty-cell.csv {POSE}",
-            "1 rows without a finite value",
+            "1 row without a finite value",
         ),
         (f"consume fusion scene.log --camera header.csv {POSE}", "has no line"),
         (f"consume fusion scene.log --camera zeros.csv {POSE}", "zeros.csv"),

@@ -92,7 +92,7 @@ def test_ctrl_c_ends_it_with_its_counters(config: Path) -> None:
     pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     command = [sys.executable, "-c", script, str(config)]
     with subprocess.Popen(command, text=True, **pipes) as process:  # type: ignore[call-overload]
-        assert "1 messages on virtual" in process.stderr.readline()
+        assert "1 message on virtual" in process.stderr.readline()
         process.send_signal(signal.SIGINT)
         out, errors = process.communicate(timeout=30)
     assert (process.returncode, errors) == (0, "")

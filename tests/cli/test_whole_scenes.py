@@ -80,7 +80,7 @@ def test_a_log_is_decoded(log: Any, capsys: pytest.CaptureFixture[str]) -> None:
     out, err = capsys.readouterr()
     rows = [json.loads(row) for row in out.splitlines()]
     lines, scenes = ([row for row in rows if key in row] for key in ("slot", "scene"))
-    assert f"{NAME}: {sent['frames'] - lost} records are intact, which have" in err
+    assert f"{NAME}: {sent['frames'] - lost} intact records, with" in err
     assert f"{lost} scene messages lost by their counters; dropped frames: none" in err
     assert re.findall(r"(scene2?): VALID", err) == [SCENE, SCENE2]
     assert {row["slot"] for row in lines} > {"EGO_LEFT", "EDGE_RIGHT", "ROUTE"}

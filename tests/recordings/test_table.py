@@ -12,6 +12,7 @@ import pytest
 
 from maplines_can import Codec, MapLine, Slot
 from maplines_can.bus import read_log
+from maplines_can.cli import main
 from maplines_can.recordings.formats import About, beside, open_tables
 from maplines_can.recordings.line_tables import Table, position
 from maplines_can.recordings.read_lines import line_tables, read_lines
@@ -173,6 +174,23 @@ def test_csv_and_json_lines(faulty_log: Path, tmp_path: Path) -> None:
             assert len(rows) == len(part) > 0
             check({name: [row[name] for row in rows] for name in part.columns}, part)
     assert not [*tmp_path.glob(".*")]
+
+
+@pytest.mark.parametrize("name", ["faulty_log", "scene_log"])
+def test_lines_are_printed_as_they_are_in_tables(
+    capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest, name: str
+) -> None:
+    """``usable`` has one meaning: it was that of the line alone in what is printed."""
+    log, dbc = request.getfixturevalue(name), POSE_DBC if name == "scene_log" else None
+    table, options = read_lines(log, at=AT, dbc=dbc), ["--dbc", str(dbc)] * (dbc is not None)
+    assert 0 < table["usable"].sum() < len(table)
+    names = ["slot", "kind", "status", "usable", "state", "two_senders", "components", "age"]
+    for form in ([], ["--csv"]):
+        assert main(["decode", str(log), *options, *form]) == 0
+        out = capsys.readouterr().out.splitlines()
+        rows: list[dict[str, Any]] = [*csv.DictReader(out)] if form else [*map(json.loads, out)]
+        kept = Table({name: table.columns[name] for name in names}, table.categories)
+        check({name: [row[name] for row in rows] for name in names}, kept)
 
 
 def test_parquet(faulty_log: Path, tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ class Accuracy:
         time: (n,) time of its pose [s].
         sigmas: (n, 4) lateral error in standard deviations of the line.
         received: lines that were received.
-        not_usable: of these, lines that are too old or out of range.
+        without_values: of these, lines that are too old or out of range.
         unknown: of these, lines of a time or a slot for which the truth has no line.
         other_lane: of these, lines of cycles in which the car was on another lane than it believed.
         saturated: lines compared that are wider than necessary, because a value reached the end of
@@ -99,7 +99,7 @@ class Accuracy:
     time: Array
     sigmas: Array
     received: int
-    not_usable: int
+    without_values: int
     unknown: int
     other_lane: int
     saturated: int
@@ -128,7 +128,7 @@ class Accuracy:
 
     def as_dict(self) -> dict[str, Any]:
         """Return all figures, for JSON."""
-        counts = {name: getattr(self, name) for name in ("received", "not_usable", "unknown")}
+        counts = {name: getattr(self, name) for name in ("received", "without_values", "unknown")}
         counts |= {name: getattr(self, name) for name in ("lines", "other_lane", "saturated")}
         sigmas = [values[np.isfinite(values)] for values in self.sigmas.T]
         return counts | {
@@ -174,13 +174,13 @@ def accuracy_of(truth: Truth, lines: Iterable[MapLine]) -> Accuracy:
     Raises:
         DriveFileError: no line is of the time of the truth.
     """
-    received = not_usable = 0
+    received = without_values = 0
     values: list[tuple[float, ...]] = []
     saturated: list[bool] = []
     for line in lines:
         received += 1
         if not line.is_usable or line.t_ns is None:
-            not_usable += 1
+            without_values += 1
             continue
         t = 1e-9 * line.t_ns - line.age + AGE_ROUNDING
         places = [float(line.y_sigma(x)) for x in PLACES]
@@ -208,7 +208,7 @@ def accuracy_of(truth: Truth, lines: Iterable[MapLine]) -> Accuracy:
         truth.time[rows[known]],
         sigmas,
         received,
-        not_usable,
+        without_values,
         int((~known & (same | ~is_timed)).sum()),
         int((is_timed & ~truth.same_lane[rows]).sum()),
         int(np.array(saturated, dtype=bool)[known].sum()),

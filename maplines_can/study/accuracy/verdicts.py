@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...simulation.truth import PLACES
+from ...values.arrays import count_text
 from ..text_table import aligned
 from .evaluation import MIN_CURVATURE, REQUIREMENTS, Accuracy
 
@@ -279,10 +280,11 @@ def as_text(accuracy: Accuracy) -> str:
         [
             *([] if consistency is None else [consistency.text(accuracy), ""]),
             *([] if of_map is None else [of_map.text(), ""]),
-            f"{accuracy.received} lines received, {accuracy.lines} compared with the truth, "
-            f"{accuracy.saturated} of these saturated; not compared: {accuracy.not_usable} too old "
-            f"or out of range, {accuracy.other_lane} while the car was on another lane than it "
-            f"believed, {accuracy.unknown} without a true line",
+            f"{count_text(accuracy.received, 'line')} received, {accuracy.lines} compared with the "
+            f"truth, {accuracy.saturated} of these saturated; not compared: "
+            f"{accuracy.without_values} too old or out of range, {accuracy.other_lane} "
+            "while the car was on another lane than it believed, "
+            f"{accuracy.unknown} without a true line",
             "",
             aligned(rows, left=2),
             "",

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...maps import Lane, LaneType, Map
+from ...values.arrays import count_text
 from ...values.line import Kind
 from ...values.polyline import Polyline
 from .paper_panels import new_figure, save_figure
@@ -116,7 +117,8 @@ def draw_map(road_map: Map, path: str | Path) -> None:
     _draw(overview, road_map, low, high, OVERVIEW)
     side = "left" if road_map.left_hand_traffic else "right"
     overview.set_title(
-        f"{road_map.name}: {len(road_map.roads)} roads, {len(drivable)} drivable lanes of "
+        f"{road_map.name}: {count_text(len(road_map.roads), 'road')}, "
+        f"{count_text(len(drivable), 'drivable lane')} of "
         f"{sum(lane.length for lane in drivable) / 1000:.1f} km, {side}-hand traffic",
         loc="left",
         fontsize=10,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...simulation.scenarios import Scenario
+from ...values.arrays import count_text
 from ...values.gaussian import Gaussian
 from ...values.line import MapLine
 from ..round_trip import RoundTrip
@@ -43,9 +44,9 @@ def draw_round_trip(trip: RoundTrip, scenario: Scenario, path: str | Path) -> No
     axes[0].legend(shown.values(), shown.keys(), loc="upper left", frameon=False, fontsize=9)
     axes[0].set_ylabel("y, to the left [m]")
     axes[0].set_title(
-        f"{scenario.name}: {len(trip.true_lines)} lines over {trip.frame_format}, "
+        f"{scenario.name}: {count_text(len(trip.true_lines), 'line')} over {trip.frame_format}, "
         f"bus load {100 * trip.bus_load:.1f} % at {trip.bus.bitrate / 1000:g} kbit/s, "
-        f"{trip.lines_lost} lines lost",
+        f"{count_text(trip.lines_lost, 'line')} lost",
         loc="left",
         fontsize=11,
     )

@@ -185,7 +185,7 @@ def test_the_projection_is_kept(header: str, projection: str | None) -> None:
 def test_the_length_of_the_geometry_counts() -> None:
     found = read_map(road(length=120.0))
     assert reasons(found) == ["length is '120.0'; that of the geometry is used, 100.000 m"]
-    assert repr(found) == "<Map 'map.xodr': 1 roads, 2 lanes>"
+    assert repr(found) == "<Map 'map.xodr': 1 road, 2 lanes>"
     assert found.lanes["1:0:-1"].length == pytest.approx(100)
 
 

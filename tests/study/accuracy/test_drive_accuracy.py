@@ -114,7 +114,7 @@ def test_lines_that_are_not_compared_are_counted() -> None:
     lines += [replace(lines[20], status=Status.SATURATED)]
     accuracy = accuracy_of(truth, lines)
     assert accuracy.received == N + 3 + 2 + 1 + 1
-    counts = (accuracy.not_usable, accuracy.other_lane, accuracy.unknown, accuracy.saturated)
+    counts = (accuracy.without_values, accuracy.other_lane, accuracy.unknown, accuracy.saturated)
     assert counts == (3, 5, 3, 1)
     assert accuracy.lines == N - 5 + 1
 
