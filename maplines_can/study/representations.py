@@ -40,10 +40,10 @@ from ..simulation.scenarios import SCENARIOS, Scenario
 from ..values.gaussian import Gaussian
 from ..values.line import PARAMETERS, Slot, Status, lateral, lateral_jacobian
 from ..values.mixture import GaussianMixture
+from ..values.text_table import aligned, csv_text, markdown
 from ..wire import Codec
 from .metrics import LATERAL_X
 from .roads import paper_refit
-from .text_table import aligned, csv_text, markdown
 
 Array = NDArray[np.float64]
 

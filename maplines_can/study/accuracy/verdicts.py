@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from ...simulation.truth import PLACES
 from ...values.arrays import count_text
-from ..text_table import aligned
+from ...values.text_table import aligned
 from .evaluation import MIN_CURVATURE, REQUIREMENTS, Accuracy
 
 Array = NDArray[np.float64]

@@ -21,6 +21,7 @@ import numpy as np
 from ...values.errors import LayoutError
 from ...values.line import Slot
 from ...values.scene import Scene
+from ...values.text_table import aligned
 from ...wire import Codec
 from ...wire.layout.message_layout import Layout
 from ...wire.layout.record_signals import FINE, FINE_SIGNALS, OWN_SIGNALS, PARAMETER_SIGNALS
@@ -28,7 +29,6 @@ from ..dbc.dbc_writer import DbcWriter, SignalSpec, write_dbc
 from ..dbc.record_spec import CONDITIONAL, POSE
 from ..scenes.carriers import with_pose
 from ..scenes.random_scenes import random_scene
-from ..text_table import aligned
 
 #: Lines of a scene.
 LINES = 4

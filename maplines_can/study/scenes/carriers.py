@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ...values.linalg import block_diagonal
 from ...values.line import Status, lateral_jacobian
 from ...values.scene import Scene
+from ...values.text_table import aligned
 from ...wire.layout.cholesky import CholeskyCode
 from ...wire.layout.message_layout import Layout
 from ...wire.layout.record_signals import (
@@ -30,7 +31,6 @@ from ...wire.layout.record_signals import (
 from ..comparison import AnyCodec, codec_for, sent_scene, transmit
 from ..dbc.dbc_writer import DbcWriter
 from ..dbc.record_spec import CONDITIONAL, DEFAULT, WHOLE_SCENES, dbc_writer_for
-from ..text_table import aligned
 from .random_scenes import RESOLUTION, information, joint_limit, noise_floor, random_scene
 
 Array = NDArray[np.float64]

@@ -15,11 +15,11 @@ from typing import Any
 
 from ...simulation.parquet_files import arrow
 from ...values.line import Status
+from ...values.text_table import aligned
 from ..codes import CODES
 from ..metrics import LATERAL_X, Figure, Score
 from ..scenes.carriers import scenes_rows, scenes_text
 from ..sets import LineSet
-from ..text_table import aligned
 from .plan import (
     DEFAULT_CODE,
     LIMIT_PARTS,
