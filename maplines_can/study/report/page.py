@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ...values.coding_loss import LATERAL_X
 from ...values.errors import missing_extra
 from ...values.output_files import whole_file
 from ..codes import CODES
-from ..metrics import LATERAL_X
 from ..scenes.carriers import SCENE_HEAD, scene_cells
 from ..sweep.summary import Row
 from .results import MAX_KL, SUMMARY, Tables, number, percent, read_tables, share, with_error

@@ -12,8 +12,8 @@ from bokeh.models.annotations import BoxAnnotation
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
+from ...values.coding_loss import LATERAL_X
 from ...values.line import Status, lateral, lateral_jacobian
-from ..metrics import LATERAL_X
 from ..sweep.summary import Row
 from .drawing import (
     BLUE,

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...values.coding_loss import LATERAL_X
 from ...values.errors import EncodeError
 from ...values.line import Slot, lateral_jacobian
 from ...values.scene import Scene
 from ...values.text_table import aligned
 from ...wire.layout.message_layout import Layout
 from ..comparison import AnyCodec, codec_for, sent_scene
-from ..metrics import LATERAL_X
 from .carriers import WITH_POSE
 from .map_scenes import DrawnScene
 from .random_scenes import RESOLUTION, noise_floor

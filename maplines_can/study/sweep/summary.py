@@ -14,10 +14,11 @@ from textwrap import indent
 from typing import Any
 
 from ...simulation.parquet_files import arrow
+from ...values.coding_loss import LATERAL_X
 from ...values.line import Status
 from ...values.text_table import aligned
 from ..codes import CODES
-from ..metrics import LATERAL_X, Figure, Score
+from ..metrics import Figure, Score
 from ..scenes.carriers import scenes_rows, scenes_text
 from ..sets import LineSet
 from .plan import (

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...engines import Result, Task
+from ...values.coding_loss import evaluate
 from ...values.line import Status
 from ...wire import Codec
 from ...wire.layout.packing import Packing
 from ..comparison import transmit
-from ..metrics import Figure, Score, evaluate, kl_terms
+from ..metrics import Figure, Score, kl_terms
 from ..scenes.carriers import scenes_chunk
 from ..sets import Chunk, Gaussians, LineSet
 from .limit import limit_of
