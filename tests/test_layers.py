@@ -19,13 +19,13 @@ ROOMS = (
     "wire.layout", "wire.protection", "wire.reception", "wire",
     "generation",
     "logs", "bus", "recordings", "cosimulation",
-    "maps", "maps.formats", "localisation", "consumers", "simulation", "restbus", "cli",
+    "maps", "maps.formats", "localisation", "consumers", "simulation", "pictures", "restbus", "cli",
 )  # fmt: skip
 #: Modules that stand lower than their folder.
 BELOW = {"values.errors": "core", "engines": "values"}
 #: Commands that run the study; the others import it, and fault injection, only inside functions.
 STUDY_COMMANDS = {f"cli.{name}" for name in (
-    "demo", "study", "design", "accuracy", "selftest", "paper",
+    "study", "design", "selftest", "paper",
 )}  # fmt: skip
 #: What the model may import of the package: the types of lines, and what a DBC says.
 OF_MODEL = ("values.errors", "values.line", "values.scene", "wire.layout")
@@ -37,8 +37,8 @@ MODEL_USERS = {f"testing.{name}" for name in (
 LAZY = {
     ("cli.options", "testing"), ("cli.options", "study.comparison"),
     ("cli.options", "study.dbc.record_spec"),
-    ("cli.map", "study.figures.map_picture"),
-    ("simulation.transmission", "testing"), ("restbus.frame_faults", "testing"),
+    ("simulation.round_trip", "testing"), ("simulation.transmission", "testing"),
+    ("restbus.frame_faults", "testing"),
     ("cosimulation.connections", "testing"), ("cosimulation.runner", "testing"),
 }  # fmt: skip
 #: Packages that may import a big dependency.
@@ -47,7 +47,7 @@ DOORS = {
     "cantools": {"dbc_files", "study", "restbus"},
     "cryptography": {"wire"},
     "tqdm": {"cli"},
-    "matplotlib": {"study", "recordings"},
+    "matplotlib": {"pictures", "study", "recordings"},
     "bokeh": {"study", "recordings"},
     "distributed": {"engines"},
     "pyarrow": {"simulation", "study", "recordings"},

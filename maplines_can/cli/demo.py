@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from ..pictures.round_trip_picture import draw_round_trip
 from ..propagation.component_counts import TOLERANCE
-from ..study.figures.round_trip_picture import draw_round_trip
-from ..study.round_trip import BusSettings, LineResult, RoundTrip, SceneResult, round_trip
+from ..simulation.round_trip import BusSettings, LineResult, RoundTrip, SceneResult, round_trip
 from ..values.arrays import count_text
 from ..values.line import Status
 from ..wire import POSE

@@ -71,7 +71,7 @@ def _map(arguments: argparse.Namespace) -> int:
     with progress_bar(" places", leave=False) as progress:
         quality = point_quality(road_map, arguments.seed, progress)
     if arguments.plot:
-        from ..study.figures.map_picture import draw_map
+        from ..pictures.map_picture import draw_map
 
         draw_map(road_map, arguments.plot)
     if arguments.json:

@@ -17,8 +17,8 @@ from maplines_can.cli import main
 from maplines_can.cli.sending import components_text
 from maplines_can.simulation import scenario
 from maplines_can.simulation.bus_share import BusShare, choose_components
+from maplines_can.simulation.round_trip import _Arrivals
 from maplines_can.simulation.scenarios import SCENARIOS
-from maplines_can.study.round_trip import _Arrivals
 
 
 @pytest.fixture(autouse=True)

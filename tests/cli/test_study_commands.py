@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from maplines_can.cli import main
+from maplines_can.pictures.figure import new_figure
 from maplines_can.simulation.scenarios import SCENARIOS, STREETS
 from maplines_can.study.figures import paper as figures
-from maplines_can.study.figures.paper_panels import new_figure
 
 
 def test_figures_are_written_to_the_folder(

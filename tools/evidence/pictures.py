@@ -9,10 +9,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from maplines_can import Gaussian, MapError, Polyline, Scene, Slot, map_lines, map_scene
+from maplines_can.pictures.figure import COLOURS, Z99
 from maplines_can.simulation.scenarios import scenario
 from maplines_can.simulation.street_shapes import Street, StreetPiece
-from maplines_can.study.figures.paper_panels import Z99
-from maplines_can.study.figures.round_trip_picture import COLOURS
 from maplines_can.study.scenes.map_scenes import drivable, random_pose
 
 from .harness import DOCS, evidence

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...pictures.figure import save_figure
 from ...propagation import MonteCarlo, Refit, SigmaPoints
 from ...simulation.scenarios import SCENARIOS, Scenario
 from ...values.coding_loss import LATERAL_X
@@ -38,7 +39,6 @@ from .paper_panels import (
     draw_mean,
     draw_poses,
     place_inset,
-    save_figure,
 )
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ from support.lines import lines_timed_out, scenario_lines
 
 from maplines_can import Codec
 from maplines_can.simulation import scenario
-from maplines_can.study.round_trip import BusSettings, round_trip
+from maplines_can.simulation.round_trip import BusSettings, round_trip
 from maplines_can.testing import Faults
 
 LINES = scenario_lines(scenario("production"), 2)

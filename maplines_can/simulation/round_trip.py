@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..bus import Link, Receiver, ReceiverStats, Transmitter, TransmitterStats, bus_load
+from ..values.coding_loss import evaluate
 from ..values.linalg import block_diagonal
 from ..values.line import LeftOut, MapLine, Slot, Status
 from ..values.scene import Scene
 from ..wire import Decoder, Frame, LineCodec, Owner, PreparedScene
-from .metrics import evaluate
 
 #: Distances at which the ego lane is compared [m].
 LANE_X = (0.0, 20.0, 40.0)
@@ -165,7 +165,7 @@ class LineResult:
     y: float | None = None
     y_sigma: float | None = None
     status: str | None = None
-    kl_covered: float | None = None  #: from the covered target [nat], see ``metrics.Evaluation``
+    kl_covered: float | None = None  #: from the covered target [nat], see ``Evaluation``
     kl: float | None = None  #: from the Gaussian before encoding [nat]
 
 

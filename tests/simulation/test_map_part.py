@@ -12,12 +12,16 @@ from maplines_can import Codec, MapError, MapLine, Polyline, Slot
 from maplines_can.bus import LogWriter, read_log
 from maplines_can.maps import Lane, LaneTracker, Map, Road
 from maplines_can.maps.line_source import LineSource
+from maplines_can.simulation.accuracy import Accuracy, MapPart, accuracy_of
 from maplines_can.simulation.pose_source import PoseSource
+from maplines_can.simulation.sender_consistency import (
+    MapConsistency,
+    MapVerdict,
+    map_consistency_of,
+)
 from maplines_can.simulation.trajectory import drive_along
 from maplines_can.simulation.transmission import Transmission, TruthRecorder
 from maplines_can.simulation.truth import TruthWriter, read_truth
-from maplines_can.study.accuracy.evaluation import Accuracy, MapPart, accuracy_of
-from maplines_can.study.accuracy.verdicts import MapConsistency, MapVerdict, map_consistency_of
 from maplines_can.wire import Reason
 
 Array = NDArray[np.float64]

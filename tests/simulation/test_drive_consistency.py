@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import binom
 
-from maplines_can.simulation.truth import PLACES
-from maplines_can.study.accuracy.evaluation import Accuracy, MapPart
-from maplines_can.study.accuracy.verdicts import (
+from maplines_can.simulation.accuracy import Accuracy, MapPart
+from maplines_can.simulation.sender_consistency import (
     WRONG,
     SenderVerdict,
     consistency_of,
     independent_errors,
 )
+from maplines_can.simulation.truth import PLACES
 
 Array = NDArray[np.float64]
 PERIOD, SLOTS = 0.05, 4

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ...simulation.truth import PLACES
-from ..figures.paper_panels import new_figure, save_figure
-from ..figures.round_trip_picture import COLOURS
-from .evaluation import QUANTILE, REQUIREMENTS, Accuracy, slots_of
+from ..simulation.accuracy import QUANTILE, REQUIREMENTS, Accuracy, slots_of
+from ..simulation.truth import PLACES
+from .figure import COLOURS, new_figure, save_figure
 
 #: Limits of the requirements that are drawn, by quantity.
 _LIMITS = {

@@ -20,9 +20,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...simulation.truth import PLACES, Y_PLACES, Truth
-from ...values.errors import DriveFileError
-from ...values.line import MapLine, Slot, Status
+from ..values.errors import DriveFileError
+from ..values.line import MapLine, Slot, Status
+from .truth import PLACES, Y_PLACES, Truth
 
 Array = NDArray[np.float64]
 

@@ -7,18 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from ...simulation.scenarios import Scenario
-from ...values.arrays import count_text
-from ...values.gaussian import Gaussian
-from ...values.line import MapLine
-from ..round_trip import RoundTrip
-from .paper_panels import Z99, ellipse, new_figure, save_figure
-
-#: Okabe and Ito's colours, which colour-blind readers can distinguish.
-COLOURS = (
-    *("#0072B2", "#D55E00", "#009E73", "#CC79A7"),
-    *("#56B4E9", "#E69F00", "#444444", "#8A7500"),
-)
+from ..simulation.round_trip import RoundTrip
+from ..simulation.scenarios import Scenario
+from ..values.arrays import count_text
+from ..values.gaussian import Gaussian
+from ..values.line import MapLine
+from .figure import COLOURS, Z99, ellipse, new_figure, save_figure
 
 
 def draw_round_trip(trip: RoundTrip, scenario: Scenario, path: str | Path) -> None:

@@ -8,7 +8,7 @@ from support.lane_maps import crossing, lane, network
 
 from maplines_can import Kind, Polyline
 from maplines_can.maps import LaneType, Map
-from maplines_can.study.figures.map_picture import SURFACES, WINDOW, draw_map
+from maplines_can.pictures.map_picture import SURFACES, WINDOW, draw_map
 from maplines_can.values.errors import MissingExtraError
 
 LINE = Polyline([[5e5, 5e6], [5e5 + 900, 5e6 + 40]], Kind.BARRIER)

@@ -29,10 +29,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...simulation.truth import PLACES
-from ...values.arrays import count_text
-from ...values.text_table import aligned
-from .evaluation import MIN_CURVATURE, REQUIREMENTS, Accuracy
+from .accuracy import REQUIREMENTS, Accuracy
+from .truth import PLACES
 
 Array = NDArray[np.float64]
 
@@ -237,61 +235,3 @@ def _independent(slot: NDArray[np.int_], errors: Array) -> float:
     own = [errors[slot == one] for one in np.unique(slot)]
     counts = [independent_errors(values) for values in own]
     return float(np.average(counts, weights=[*map(len, own)]))
-
-
-# ---- text ---------------------------------------------------------------------------------------
-
-#: Headings of the errors, with their units, and the factors from the unit of the error.
-_SHOWN = {
-    "lateral": ("lateral [cm]", 100.0),
-    "heading": ("heading [deg]", 1.0),
-    "curvature": ("curvature [%]", 1.0),
-    "absolute": ("absolute [cm]", 100.0),
-    "relative": ("relative [cm]", 100.0),
-}
-
-
-def as_text(accuracy: Accuracy) -> str:
-    """Return the errors and the requirements of the survey as tables.
-
-    The first sentence says whether the errors are as large as the sender states, and the second
-    one whether those of its map are.
-    """
-    consistency, of_map = consistency_of(accuracy), map_consistency_of(accuracy)
-    blank = [""] * (len(PLACES) + 1)
-    rows = [["error", "", *(f"{x} m" for x in PLACES), "whole line"]]
-    for quantity, (heading, factor) in _SHOWN.items():
-        columns = accuracy.errors[quantity].shape[1]
-        found = [accuracy.figures(quantity, i) for i in range(columns)]
-        for k, name in enumerate(("rms", "95 %", "max")):
-            cells = [f"{one[name] * factor:.3g}" if one["n"] else "-" for one in found]
-            cells = [*cells, ""] if columns > 1 else [*blank[:-1], *cells]
-            rows.append([heading if not k else "", name, *cells])
-    rows.append(["lines", "", *(str(accuracy.figures("lateral", i)["n"]) for i in range(4)), ""])
-    rows[-1][-1] = str(accuracy.figures("absolute", 0)["n"])
-    verdicts = [["requirement of the survey", "", *(f"{x} m" for x in PLACES), "whole line"]]
-    for requirement in REQUIREMENTS:
-        met = [
-            {True: "met", False: "missed", None: "-"}[m] for m in accuracy.met(requirement).values()
-        ]
-        cells = [*met, ""] if len(met) > 1 else [*blank[:-1], *met]
-        verdicts.append([requirement.quantity, requirement.source, *cells])
-    return "\n".join(
-        [
-            *([] if consistency is None else [consistency.text(accuracy), ""]),
-            *([] if of_map is None else [of_map.text(), ""]),
-            f"{count_text(accuracy.received, 'line')} received, {accuracy.lines} compared with the "
-            f"truth, {accuracy.saturated} of these saturated; not compared: "
-            f"{accuracy.without_values} too old or out of range, {accuracy.other_lane} "
-            "while the car was on another lane than it believed, "
-            f"{accuracy.unknown} without a true line",
-            "",
-            aligned(rows, left=2),
-            "",
-            aligned(verdicts, left=2),
-            "",
-            "A requirement is met if 95 % of the errors are within it. Absolute: largest deviation "
-            "of a line\nfrom the true one; relative: after both are aligned (EDMap). Curvature: "
-            f"lines of radii up to {1 / MIN_CURVATURE:g} m.",
-        ]
-    )

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...maps import Lane, LaneType, Map
-from ...values.arrays import count_text
-from ...values.line import Kind
-from ...values.polyline import Polyline
-from .paper_panels import new_figure, save_figure
+from ..maps import Lane, LaneType, Map
+from ..values.arrays import count_text
+from ..values.line import Kind
+from ..values.polyline import Polyline
+from .figure import new_figure, save_figure
 
 #: Colours of the surfaces, and the types of lanes that have them. Later ones are drawn above.
 SURFACES: dict[str, tuple[str, frozenset[LaneType]]] = {

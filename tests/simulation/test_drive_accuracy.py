@@ -9,14 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from maplines_can import MapLine, Polyline, Slot, Status
-from maplines_can.simulation.truth import PLACES, Truth, true_lines
-from maplines_can.study.accuracy.evaluation import (
+from maplines_can.cli.accuracy import as_text
+from maplines_can.simulation.accuracy import (
     REQUIREMENTS,
     Accuracy,
     AccuracyRequirement,
     accuracy_of,
 )
-from maplines_can.study.accuracy.verdicts import as_text
+from maplines_can.simulation.truth import PLACES, Truth, true_lines
 from maplines_can.values.errors import DriveFileError
 
 START, PERIOD, N = 1.7e9, 0.05, 200
