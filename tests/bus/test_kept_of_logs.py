@@ -8,8 +8,7 @@ from typing import Any
 import can
 import pytest
 
-from maplines_can.bus import LogFrame, LogWriter, Skipped, read_log
-from maplines_can.wire import Frame
+from maplines_can.bus import LogFrame, Skipped, read_log
 
 PAGE = Path(__file__).parents[2] / "docs" / "recordings.md"
 FD_DATA = bytes(range(48))
@@ -57,14 +56,6 @@ def write_by_python_can(path: Path) -> None:
             writer(can.Message(**common | kind))
 
 
-def write_by_us(path: Path) -> None:
-    """Write what `LogWriter` can: frames of one channel, remote ones among them."""
-    with LogWriter(path, 1.7e9) as log:
-        log.write(Frame(0x123, b"\1\2", False, False), 1.7e9)
-        log.write(Frame(0x124, b"", False, False), 1.7e9 + 0.5, is_remote_frame=True)
-        log.write(Frame(0x125, FD_DATA, True, False), 1.7e9 + 1.0)
-
-
 def row_of(path: Path) -> tuple[dict[str, str], list[LogFrame]]:
     """Return the row of the table that reading a log gives, and the frames."""
     reader = read_log(path)
@@ -98,15 +89,3 @@ def test_the_table_is_what_is_read(suffix: str, tmp_path: Path) -> None:
     ]  # fmt: skip
     if row["channel"] == "kept":
         assert frames[0].channel == frames[2].channel != frames[1].channel
-
-
-@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".mf4"])
-def test_the_table_holds_for_our_writer(suffix: str, tmp_path: Path) -> None:
-    """But for error frames, which it does not write."""
-    if suffix == ".mf4":
-        pytest.importorskip("asammdf")
-    path = tmp_path / f"a{suffix}"
-    write_by_us(path)
-    row, frames = row_of(path)
-    assert row | {"error frames": "counted"} == table()[suffix]
-    assert [one.can_id for one in frames] == [0x123, 0x125]
