@@ -153,24 +153,6 @@ def test_rows_of_frames(tmp_path: Path, row: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "row",
-    [
-        *("1", "1 34", "1 340", "1 340 R", "1 340 Rx", "1 340 Rx d", "1 340 Rx d 2"),
-        *("1 340 Rx d 2 00", "1 340 Rx d 2 00 1", "1 340 Rx d 9 00", "1 340 Rx x 1 00"),
-        *("CANFD 1", "CANFD 1 Rx", "CANFD 1 Rx 340  1 0 9 12 00", "CANFD 1 Rx 340  1 0 9"),
-        *("1 zz Rx d 1 00", "1 3FFFFFFFx Rx d 1 00", "1 340 Rx d 1 0_0"),
-    ],
-)
-@pytest.mark.parametrize("end", ["", "\n"])
-def test_a_row_that_is_cut_is_damage(tmp_path: Path, row: str, end: str) -> None:
-    """At the end of a file that is cut, or before other rows."""
-    path = tmp_path / "a.asc"
-    path.write_text(f"base hex timestamps absolute\n 0.1 1 340 Rx d 1 00\n 0.2 {row}{end}")
-    with pytest.raises(LogError, match=r"1 of 2 records are damaged \(the first: line 3: "):
-        list(read_log(path))
-
-
-@pytest.mark.parametrize(
     ("row", "is_certain"),
     [("1 832 Rx d 2 1 25", False), ("1 832 Rx d 2 1 255", True), ("1 832 Rx d 2 1 25 ID", True)],
 )

@@ -151,40 +151,6 @@ def test_a_last_row_that_may_be_cut_is_said(tmp_path: Path, row: str, is_certain
 
 
 @pytest.mark.parametrize(
-    "row",
-    [
-        "  can0  340   [8]  11 22 33",
-        "  can0  340   [1]  11 22",
-        "  can0  340   [65] " + " 11" * 65,
-        "  can0  FFFFFFFF   [1]  11",
-        "  can0  34   [1]  11",
-        "  can0  340   [1]  1",
-        "  can0  340   [1]",
-        "(one) can0 340#11",
-        "(1.5) can0 340#111",
-        "(2020-13-40 99:00:00.0)  can0  340   [1]  11",
-        "340   [1]  11",
-        "(1.5) can0 40000000#11",
-        f"(1.5) can0 340##0{'11' * 65}",
-        f"({'9' * 400}) can0 340#00",
-        f"({'9' * 5000}) can0 340#00",
-        "(9223372036.854775808) can0 340#00",  # 64 bits of nanoseconds end before
-        f"(1.5) can0 340{' ' * 60_000}x",
-        f"(1.5) can0 340 [1] 00{' ' * 60_000}x",
-    ],
-)
-def test_a_damaged_row_costs_only_itself(tmp_path: Path, row: str) -> None:
-    path = tmp_path / "drive.log"
-    path.write_text(f"  can0  340   [1]  01\n{row}\n  can0  340   [1]  02\n")
-    frames: list[Any] = []
-    with pytest.raises(LogError, match=r"1 of 3 records are damaged \(the first: line 2: ") as e:
-        frames.extend(read_log(path))
-
-    assert [f.data for f in frames] == [b"\x01", b"\x02"]
-    assert len(str(e.value)) < len(str(path)) + 400
-
-
-@pytest.mark.parametrize(
     ("fraction", "ns"),
     [("", 0), (".", 0), (".5", 500_000_000), (".0000000019", 1), (".854775807", 854_775_807)],
 )

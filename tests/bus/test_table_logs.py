@@ -87,31 +87,6 @@ def test_a_message_of_j1939_is_no_frame(tmp_path: Path) -> None:
     assert log.summary.skipped == Counter({Skipped.OTHER: 1})
 
 
-@pytest.mark.parametrize(
-    ("version", "row"),
-    [
-        ("1.0", "1) 1059"),
-        ("1.0", "1) 1059 0300"),
-        ("1.1", "1) 1059 Rx"),
-        ("1.1", "1) 1059 Rx 0300"),
-        ("1.1", "1) 1059 Rx 0300 2 00"),
-        ("1.1", "1) 1059 Rx 0300 1 00 00"),
-        ("1.1", "1) 1059 Rx 3FFFFFFF 1 00"),
-        ("1.1", "1) 1059 R9 0300 1 00"),
-        ("2.1", "1 1059 FD 1 0300 Rx - 16 " + "00 " * 64),
-        ("2.1", "1 1059 FD 1 0300 Rx - -1 " + "00 " * 64),
-        ("2.1", "1 1059 FD 1 0300 Rx - 9 " + "00 " * 9),
-    ],
-)
-def test_a_row_that_is_damaged_costs_only_itself(tmp_path: Path, version: str, row: str) -> None:
-    path = tmp_path / "a.trc"
-    path.write_text(f"{LOGS[version]}{row}\n{LOGS[version]}")
-    found: list[LogFrame] = []
-    with pytest.raises(LogError, match="1 of 13 records are damaged"):
-        found.extend(read_log(path))
-    assert len(found) == 6
-
-
 @pytest.mark.parametrize("version", LOGS)
 def test_every_cut_of_the_last_row_of_trc_is_said(tmp_path: Path, version: str) -> None:
     """Before the last digit of its data: by an error, as no other frame comes of it."""
@@ -154,14 +129,6 @@ def test_csv_of_two_recordings_and_of_other_columns(tmp_path: Path) -> None:
     )
     last = LogFrame(0x7FF, b"*", 1_700_000_000_123_456_789, False, "can1", True)
     assert [*read_log(path)] == [*CSV_FRAMES, last]
-
-
-@pytest.mark.parametrize("end", range(1, 10))
-def test_a_row_of_csv_that_is_cut_is_damage(tmp_path: Path, end: int) -> None:
-    path, text = tmp_path / "a.csv", CSV + CSV_ROWS
-    path.write_text(text[: -end - 1])
-    with pytest.raises(LogError, match="1 of 2 records are damaged"):
-        list(read_log(path))
 
 
 def test_csv_of_something_else_names_the_column(tmp_path: Path) -> None:
