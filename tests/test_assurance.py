@@ -117,36 +117,6 @@ def test_an_id_of_the_page_that_is_not_defined_is_a_gap() -> None:
     assert tool.gaps_of(DATA, "as A-1 and A-9 say") == ["A-9 is mentioned but not defined"]
 
 
-def test_no_row_of_the_shipped_data_may_be_missing() -> None:
-    """Without its row, everything that is referred to elsewhere is missed."""
-    data = shipped()
-    for table in tool.KINDS.values():
-        for row in data[table]:
-            rest = {**data, table: [one for one in data[table] if one is not row]}
-            if row["id"] in tool.ID.findall(json.dumps(rest)):
-                assert f"{row['id']} is mentioned but not defined" in tool.gaps_of(rest)
-
-
-def test_a_skipped_test_is_a_gap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_tests(tmp_path, "import pytest\n@pytest.mark.skip\ndef test_it(): pass\n")
-    monkeypatch.setattr(tool, "ROOT", tmp_path)
-    assert tool.test_problem("test_some.py::test_it") == "the test test_some.py::test_it is skipped"
-
-
-def test_tests_of_a_class_and_attributes_are_known(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_tests(tmp_path, "class TestIt:\n    def test_it(self): pass\n")
-    monkeypatch.setattr(tool, "ROOT", tmp_path)
-    assert tool.test_problem("test_some.py::TestIt::test_it") is None
-    monkeypatch.undo()
-    for name in (
-        "wire.protection.e2e_state:E2EConfig.max_delta_counter",
-        "wire.reception.check:Reason",
-    ):
-        assert tool.code_problem(name) is None
-
-
 def test_a_function_of_the_core_is_one_that_is_defined() -> None:
     assert tool.code_problem("c/src/mixtures.c:maplines_add_component") is None
     for name in ("c/src/decoder.c:maplines_add_component", "c/src/none.c:maplines_add_component"):
@@ -213,15 +183,6 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "R-1: tests/wire/protection/test_e2e.py has no test" in out
     assert tool.main([str(bad), "--json"]) == 1
     assert len(json.loads(capsys.readouterr().out)["gaps"]) == 1
-
-
-def test_the_command_runs_the_tests(tmp_path: Path) -> None:
-    data = tmp_path / "data.toml"
-    data.write_text(TEXT)
-    command = [sys.executable, "tools/traceability.py", str(data), "--run"]
-    done = subprocess.run(command, cwd=tool.ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "1 passed, 0 to be run in tools/vcan, 0 gaps" in done.stdout
 
 
 def test_the_coverage_of_packages_adds_up() -> None:

@@ -47,18 +47,6 @@ def test_every_part_gives_a_row_for_each_of_its_targets(
         assert (row["met"] is None) == (row["target"] is None)
 
 
-def test_the_columns_of_the_table_are_aligned(
-    bench: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The table has the chosen parts only."""
-    bench.main(["--quick", "signals", "one"])
-
-    lines = capsys.readouterr().out.splitlines()
-    rows = [line for line in lines if "cantools" in line and "[" in line]
-    assert [len(rows[0])] * 6 == [len(row) for row in rows]
-    assert not any(line.startswith("5") for line in lines), "only the parts asked for"
-
-
 @pytest.mark.parametrize(("target", "status"), [(0.0, 0), (1e9, 1)])
 def test_a_missed_target_is_an_error_with_strict_only(
     bench: Any, monkeypatch: pytest.MonkeyPatch, target: float, status: int
@@ -74,25 +62,8 @@ def test_a_missed_target_is_an_error_with_strict_only(
     assert status == bench.main(["one", "--quick", "--strict"])
 
 
-def test_growth_must_stay_below_its_target(bench: Any) -> None:
-    """A pair with growth=True meets its target if the ratio is below it."""
-    pair = bench.Pair("ours", "peer", 1, lambda: bytes(10), lambda: bytes(10), 1e9, growth=True)
-
-    result = bench.measured(pair, bench.QUICK)
-
-    assert (result["target"], result["met"]) == ("< 1e+09x", True)
-
-
 @pytest.mark.parametrize("difference", [1e-3, float("nan")])
 def test_sides_that_differ_are_not_compared(bench: Any, difference: float) -> None:
     """Different results end the benchmark."""
     with pytest.raises(SystemExit, match="lines of the two sides differ by"):
         bench.agree("lines", difference, 1e-6)
-
-
-def test_an_unknown_part_is_named(bench: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    """Wrong usage names the part and lists the parts."""
-    with pytest.raises(SystemExit):
-        bench.main(["moon"])
-
-    assert "no part moon; there are refit, scene" in capsys.readouterr().err

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from evidence.drive_view import DriveView
 from evidence.fusion import RIGHT, WRONG, Fused, Simulation
-from evidence.integrity import nominal, stanford_shares, tail
 
-from maplines_can.simulation.camera import Errors, UnitGaussMarkov
+from maplines_can.simulation.camera import Errors
 from maplines_can.simulation.trajectory import CarState
 
 CARS = 40
@@ -49,29 +48,3 @@ def test_the_right_ways_are_not_overconfident(way: str, time: float) -> None:
 
 def test_independent_cycles_are_overconfident() -> None:
     assert nees(*WRONG, 30.0).max() > 3
-
-
-def test_a_gauss_markov_process_keeps_its_variance_and_forgets() -> None:
-    process = UnitGaussMarkov(np.random.default_rng(1), (20_000,))
-    first = process.step(0.0)
-    later = process.step(1.0)
-    assert later.var() == pytest.approx(1.0, abs=0.04)
-    assert np.mean(first * later) == pytest.approx(np.exp(-1), abs=0.03)
-
-
-def test_the_tail_of_an_exact_scene_is_that_of_a_normal_variable() -> None:
-    """If what lines have of their own is stated exactly; wider covariances lower it."""
-    errors = Errors(map_local=(0.0, 0.0, 0.0, 0.0))
-    view = straight(1)
-    own = np.diag(np.tile(np.square([errors.map_offset, errors.map_heading, 0, 0]), 2))
-    exact = view._replace(own=own[None])
-    for K in (3.0, 6.0):
-        assert tail(exact, 0, 1, K, errors, 20_000, seed=1) == pytest.approx(nominal(K), rel=0.1)
-        wide = exact._replace(own=4 * own[None])
-        assert tail(wide, 0, 1, K, errors, 5000, seed=1) < nominal(K)
-
-
-def test_the_regions_of_a_stanford_diagram() -> None:
-    error, level = np.array([0.1, 0.3, 0.7, 0.3]), np.array([0.2, 0.2, 0.4, 0.9])
-    shares = stanford_shares(error, level, 0.5)
-    assert [*shares.values()] == [0.5, 0.75, 0.5, 0.25]

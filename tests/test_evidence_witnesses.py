@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from evidence import (
     canyon,
-    lines,
-    scenes,
     slots,
     witness,
 )
@@ -16,11 +14,9 @@ from evidence import sums as sums_
 from evidence.exact import covers, is_positive_definite
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.special import ndtri
 from support.lane_maps import lane, network, pose_on
 from support.strategies import covariances
 
-from maplines_can import MapError, Motion, Polyline, Slot
 from maplines_can.study.scenes.map_scenes import SLOTS
 
 LEFT, RIGHT, NEXT_LEFT, NEXT_RIGHT = SLOTS
@@ -42,11 +38,6 @@ def test_a_straight_line_is_crossed_where_it_lies(angle: float, y: float, x: flo
     assert np.allclose(witness.crossings(local, s, x), expected)
 
 
-def test_a_line_that_ends_is_not_crossed() -> None:
-    points = np.array([[0.0, 1], [10, 1], [20, 1]])
-    assert np.isnan(witness.crossings(points[None], np.array([0.0, 10, 20]), 25.0)).all()
-
-
 def test_a_line_that_comes_back_is_crossed_where_it_is_followed() -> None:
     """Of a circle, the side on which the car is; its other side is not a line ahead."""
     angle = np.linspace(-0.7 * np.pi, 1.2 * np.pi, 400)
@@ -57,40 +48,6 @@ def test_a_line_that_comes_back_is_crossed_where_it_is_followed() -> None:
     assert near == pytest.approx(12 - np.sqrt(12**2 - 4**2) - 0.3, abs=1e-3)
     assert far == pytest.approx(near + 40)
     assert np.isnan(witness.crossings(local[None], s, 12.5)).all()
-
-
-def test_an_oncoming_line_is_known_by_its_direction_at_the_car() -> None:
-    """Whatever its direction is farther along."""
-    hairpin = np.array([[-50.0, 2], [50, 2], [50, 30], [-50, 30]])
-    assert not witness.is_oncoming(hairpin)
-    assert witness.is_oncoming(hairpin[::-1])
-    assert witness.is_oncoming(hairpin - [0, 31])
-
-
-def test_the_nearest_place_is_between_points() -> None:
-    nearest, s = witness.place_of(np.array([[-30.0, 4], [-10, 4], [30, 4]]))
-    assert nearest == 1
-    assert s.tolist() == [-30, -10, 30]
-
-
-def test_points_keep_their_errors_in_other_lines() -> None:
-    points = np.column_stack([np.arange(0.0, 40.0, 2.0), np.zeros(20)])
-    of_map = witness.MapOfCar(MapError(0.05, 0.05), np.random.default_rng(0))
-    first = of_map(Slot.EGO_LEFT, Polyline(points))
-    later = of_map(Slot.EGO_LEFT, Polyline(points[5:]))
-    np.testing.assert_array_equal(first.points[5:], later.points)
-    assert 0.02 < np.abs(first.points - points).mean() < 0.15
-
-
-def test_the_true_line_deviates_as_the_map_error_says() -> None:
-    """Standard deviations of the common offset, of the rotation and of each point."""
-    points = np.column_stack([5e5 + np.linspace(0, 50, 26), np.full(26, 5e6 + 2.0)])
-    pose, error = np.array([5e5, 5e6, 0.4]), MapError(0.05, 0.1, np.radians(0.1))
-    true = witness.erred(points, pose, error, DRAWS, np.random.default_rng(1)) - points
-    x = points[:, 0] - pose[0]
-    variance = error.point_sigma**2 + error.offset_sigma**2 + (x * error.heading_sigma) ** 2
-    assert true[..., 1].var(axis=0) == pytest.approx(variance, rel=0.06)
-    assert witness.erred(points, pose, None, 5, np.random.default_rng(1)).shape == (1, 26, 2)
 
 
 def test_the_witness_knows_the_lane_and_those_beside_it() -> None:
@@ -158,50 +115,6 @@ def test_z_is_normal_if_the_parameters_are_as_stated(
     assert np.abs(share - 0.0455).max() < 5 * np.sqrt(0.0455 / DRAWS)
 
 
-def test_the_curvature_about_the_car_is_c0() -> None:
-    """A cubic has no third difference about its middle."""
-    given = two_lines(np.random.default_rng(2))
-    sums = sums_.Sums.of([("", (-5.0, 0.0, 5.0), (0.04, -0.08, 0.04))])
-    mean, variance = given.moments(sums, [0])
-    assert mean == pytest.approx(given.means[0, 0, 2])
-    assert variance == pytest.approx(given.covs[0, 2, 2])
-
-
-def test_quantiles_of_a_mixture_do_not_saturate() -> None:
-    """Far from all components they are those of the widest; near zero, of the average."""
-    shares = np.array([0.5, 0.5])
-    u = np.array([[-40.0, 60.0], [-80.0, 20.0]])
-    z = sums_.normal_quantiles(u[..., None], shares)[:, 0]
-    assert z == pytest.approx([-40.0, 20.0], abs=0.05)
-    middle = sums_.normal_quantiles(np.array([[1.0], [-0.5]]), shares)
-    cdf = (0.841345 + 0.308538) / 2
-    assert middle == pytest.approx(ndtri(cdf), abs=1e-5)
-
-
-def test_the_motion_ends_where_the_closed_form_says() -> None:
-    """The mean pose of the witness is that of ``Motion``, from any pose, on arcs and straight."""
-    for yaw_rate in (0.0, 1e-4, 0.5, -0.3):
-        local = Motion(lines.SPEED, yaw_rate).over(lines.SECONDS).mean
-        c, s = np.cos(0.7), np.sin(0.7)
-        expected = [10 + c * local[0] - s * local[1], 5 + s * local[0] + c * local[1]]
-        found = lines.arc(10.0, 5.0, 0.7, lines.SPEED, yaw_rate)
-        assert found == pytest.approx([*expected, 0.7 + local[2]], abs=1e-6)
-
-
-def test_a_line_that_does_not_cross_counts_as_beyond() -> None:
-    """As in the other evidence, and only in sums that need that place."""
-    given, tally = two_lines(np.random.default_rng(1)), sums_.Tally()
-    mean = given.means[0, 0]
-    tally.evaluate(
-        given._replace(ranges=given.ranges[:1]),
-        lambda _, x: np.full(7, np.nan) if x == 40.0 else np.full(7, cubic(mean, x)),
-    )
-    beyond = tally.figures()["beyond 3 sigma"]
-    assert beyond["y"] == pytest.approx(1 / 3)
-    assert beyond["slope 10 m"] == pytest.approx(1 / 3)
-    assert beyond["curvature"] == 0.0
-
-
 # ---- covariances --------------------------------------------------------------------------------
 
 
@@ -217,29 +130,6 @@ def test_exact_definiteness_agrees_with_the_eigenvalues(cov: np.ndarray[Any, Any
     more = cov + np.diag(scale**2)
     assert covers(more, zero, cov, zero)
     assert not covers(more, zero, cov, 2 * scale * [1, 0, 0, 0])
-
-
-@pytest.mark.parametrize(
-    ("matrix", "definite"),
-    [
-        ([[1.0, 1.0], [1.0, 1.0 + 2**-52]], True),
-        ([[1.0, 1.0], [1.0, 1.0]], False),
-        ([[1e-300, 0.0], [0.0, 1e300]], True),
-        ([[0.0]], False),
-        ([[2, -1, 0], [-1, 2, -1], [0, -1, 2]], True),
-        ([[2, -1, -1], [-1, 2, -1], [-1, -1, 2]], False),
-        ([[1, 2], [2, 1]], False),
-    ],
-)
-def test_exact_definiteness(matrix: Any, definite: bool) -> None:
-    assert is_positive_definite(matrix) is definite
-
-
-def test_eigenvalues_are_those_of_the_whitened_covariance() -> None:
-    rng = np.random.default_rng(1)
-    A, B = (X @ X.T + np.eye(5) for X in rng.normal(size=(2, 5, 5)))
-    expected = np.sort(np.linalg.eigvals(np.linalg.solve(A, B)).real)
-    assert scenes.whitened(np.linalg.cholesky(A), B) == pytest.approx(expected)
 
 
 # ---- drawn errors -------------------------------------------------------------------------------
@@ -265,20 +155,6 @@ def test_reflections_jump_and_the_stated_covariance_is_that_of_the_noise() -> No
     assert np.median(squared[same]) == pytest.approx(2 * np.log(2), abs=8 / np.sqrt(n))
     assert squared[~same].mean() > 20.0
     assert 10.0 < np.sqrt((off**2).mean()) < 30.0
-
-
-def test_the_errors_are_those_that_are_told() -> None:
-    """In a canyon, (fix - pose) / sigma has a variance of 1 and the correlation time."""
-    n = 200
-    course = canyon.made(canyon.Kind("canyon"), n, np.random.default_rng(3))
-    row = np.searchsorted(course.t, course.fix_t)
-    white = course.cov[0, 0, 0, 0]
-    off = (course.fixes - course.pose[row, :, :2]) / course.error[..., :1]
-    share = white / course.error[0, :, 0] ** 2
-    assert (off**2).mean(axis=(0, 2)).mean() == pytest.approx(1 + share.mean(), rel=0.1)
-    lag = 10  # 2 s
-    rho = (off[lag:] * off[:-lag]).mean(axis=(0, 2)).mean()
-    assert rho == pytest.approx(np.exp(-2.0 / course.error[0, :, 1]).mean(), rel=0.1)
 
 
 def test_events_are_where_they_belong() -> None:

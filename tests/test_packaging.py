@@ -185,23 +185,3 @@ def test_a_compiler_is_fetched_where_there_is_none(monkeypatch: pytest.MonkeyPat
     assert hook.dependencies() == []
     with pytest.raises(build_core.BuildError, match=r"ziglang has none for .*apt-get install gcc"):
         build_core.compiler()
-
-
-@pytest.mark.parametrize(
-    ("settings", "expected"),
-    [
-        pytest.param({"CC": "clang -m32"}, ["clang", "-m32"], id="of-CC"),
-        pytest.param({}, ["cc"], id="found"),
-    ],
-)
-@pytest.mark.skipif(sys.platform == "win32", reason="cc is of other systems")
-def test_the_compiler_of_the_machine(
-    settings: dict[str, str], expected: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """CC comes before what is found, and nothing is fetched."""
-    monkeypatch.delenv("CC", raising=False)
-    for name, value in settings.items():
-        monkeypatch.setenv(name, value)
-
-    assert build_core.compiler() == expected
-    assert build_core.CoreHook.__new__(build_core.CoreHook).dependencies() == []
