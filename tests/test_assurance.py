@@ -117,12 +117,6 @@ def test_an_id_of_the_page_that_is_not_defined_is_a_gap() -> None:
     assert tool.gaps_of(DATA, "as A-1 and A-9 say") == ["A-9 is mentioned but not defined"]
 
 
-def test_a_function_of_the_core_is_one_that_is_defined() -> None:
-    assert tool.code_problem("c/src/mixtures.c:maplines_add_component") is None
-    for name in ("c/src/decoder.c:maplines_add_component", "c/src/none.c:maplines_add_component"):
-        assert "does not define 'maplines_add_component'" in str(tool.code_problem(name))
-
-
 def test_run_tells_failed_skipped_and_missing_from_passed(tmp_path: Path) -> None:
     """In another process: a run of pytest within a run shares its state."""
     write_tests(
@@ -159,15 +153,6 @@ def test_run_tells_failed_skipped_and_missing_from_passed(tmp_path: Path) -> Non
     ]
 
 
-def test_a_test_that_does_not_pass_is_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
-    for outcome in ("passed", tool.NEEDS_KERNEL, "skipped", "failed", "not run"):
-        monkeypatch.setattr(tool, "outcomes_of", lambda tests, o=outcome: dict.fromkeys(tests, o))
-        result = tool.summary(DATA, run=True)
-        is_gap = outcome not in ("passed", tool.NEEDS_KERNEL)
-        assert result["gaps"] == ([f"{TRACED}: {outcome}"] if is_gap else [])
-        assert result["passed"] == (outcome == "passed")
-
-
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A summary, the gaps, and the status."""
     good, bad = tmp_path / "good.toml", tmp_path / "bad.toml"
@@ -183,21 +168,6 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "R-1: tests/wire/protection/test_e2e.py has no test" in out
     assert tool.main([str(bad), "--json"]) == 1
     assert len(json.loads(capsys.readouterr().out)["gaps"]) == 1
-
-
-def test_the_coverage_of_packages_adds_up() -> None:
-    """Files of two packages and of the top level."""
-    files = {
-        "maplines_can/__init__.py": summary(10, 9, 4, 3),
-        "maplines_can/wire/codec.py": summary(20, 20, 0, 0),
-        "maplines_can\\wire\\layout\\packing.py": summary(20, 10, 8, 4),
-    }
-    rows = coverage_table.rows_of(files)
-    assert rows == [
-        ("top level", "10", "90 %", "4", "75 %"),
-        ("wire", "40", "75 %", "8", "50 %"),
-        ("total", "50", "78 %", "12", "58 %"),
-    ]
 
 
 def summary(*counts: int) -> dict[str, dict[str, int]]:

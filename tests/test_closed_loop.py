@@ -16,17 +16,6 @@ from maplines_can.simulation import STREETS
 from maplines_can.values.scene import PoseError
 
 
-def test_a_constant_demand_gives_a_circle() -> None:
-    """After the actuator has settled, the car is on a circle of the demanded curvature."""
-    car = Car(np.zeros(3), 5.0)
-    car.drive(0.1, 5.0, 3.0)
-    before = car.pose.copy()
-    car.drive(0.1, 5.0, 2 * math.pi * 10 / 5.0)
-    assert car.curvature == pytest.approx(0.1, rel=1e-6)
-    assert car.pose[:2] == pytest.approx(before[:2], abs=0.05)
-    assert car.pose[2] - before[2] == pytest.approx(2 * math.pi, rel=1e-3)
-
-
 def test_the_car_stays_in_a_roundabout_and_hands_over_without_lines() -> None:
     loop = on_street(STREETS["roundabout-12m"].lines, ReportedPoses((0.05, 0.02, 0.001)).pose)
     loop.line_outages = ((2.5, 99.0),)
@@ -38,15 +27,6 @@ def test_the_car_stays_in_a_roundabout_and_hands_over_without_lines() -> None:
     assert 2.9 < handover.t < 3.1
     assert handover.reason is SteeringReason.NO_LINES
     assert moments[-1].speed < 0.05
-
-
-def test_a_car_that_knows_its_pose_follows_a_corner_within_centimetres() -> None:
-    exact = ReportedPoses((1e-6, 1e-6, 1e-6)).pose
-    loop = on_street(STREETS["corner"].lines, exact)
-    loop.way = (45.0, 84.0)  # the corner is from 60 m to 72 m
-    moments = loop.run()
-    assert moments[-1].along > 73.0
-    assert np.quantile([abs(m.error) for m in moments], 0.95) < 0.04
 
 
 def test_the_car_stops_before_a_corner_that_it_cannot_steer() -> None:

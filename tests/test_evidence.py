@@ -16,18 +16,17 @@ from evidence import (
     harness,
     lines,
     localisation,
-    plausibility,
     plausibility_roads,
     scenes,
     slots,
 )
 from evidence.figures import Rms, Share
 from evidence.harness import Evidence, bounds_of, matching, missed, promises, settings
-from evidence.roads import maps_of, random_map
+from evidence.roads import random_map
 from support.drive_files import town
 
 from maplines_can import Gaussian, map_lines
-from maplines_can.maps import Map, load
+from maplines_can.maps import Map
 from maplines_can.study.scenes.map_scenes import SLOTS
 from maplines_can.wire import Encoder
 
@@ -159,12 +158,6 @@ def test_lines_that_are_too_certain_are_found(monkeypatch: pytest.MonkeyPatch) -
         assert words in text
 
 
-def test_lines_that_are_refused_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lines, "map_lines", lambda *a, **k: map_lines(*a, **k)[:0])
-    figures = lines.lines(n=10, shapes=("city",), poses=("production",), map_error=(0.0,))
-    assert "refused with 15 m ahead is 1" in misses("lines", figures)
-
-
 def test_wrong_slots_are_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Two lines in each other's slots, and the lines of another lane."""
     lines_of, (left, right, *_) = Map.lines, SLOTS
@@ -246,12 +239,6 @@ def test_a_fused_lane_that_is_too_certain_is_found(monkeypatch: pytest.MonkeyPat
     assert "scenes/shape/NEES" in misses("fusion.roads", {"all, exact": fusion.figures([car])})
 
 
-@pytest.mark.parametrize(("number", "is_missed"), [(100, False), (145, True), (60, False)])
-def test_too_many_false_alarms_are_found(number: int, is_missed: bool) -> None:
-    row = plausibility.alarms_of(number, 100.0, 100.0)
-    assert bool(misses("plausibility.own", {"5 s, own 1 s": row})) == is_missed
-
-
 def test_what_cubics_miss_is_found_if_it_is_not_covered(monkeypatch: pytest.MonkeyPatch) -> None:
     """Here all cubics are off by 1 m after 2 s, which nothing states; there are two cameras."""
     seen, offset = plausibility_roads.seen, iter(np.resize(np.repeat([0.0, 1.0], 80), 320))
@@ -289,14 +276,3 @@ def test_a_recorded_drive_shows_the_bias(tmp_path: Path) -> None:
     assert not misses("localisation.recorded", found)
     assert found["bias as a state"]["GNSS noise [m]"] == pytest.approx(0.1, rel=0.2)
     assert found["bias as a state"]["NEES"] < 3 < 30 < found["white, 0.5 m"]["NEES"]
-
-
-def test_a_map_is_read_for_its_roads(tmp_path: Path) -> None:
-    """Other files of a folder are left out; a file that is named must be a map."""
-    (tmp_path / "README.md").write_text("A map.")
-    path = town(tmp_path)
-    assert [*maps_of([str(tmp_path)])] == [Path(path).name]
-    assert len(maps_of([path])[Path(path).name].lanes) == len(load(path).lanes)
-    for wrong, text in (("README.md", "is no map"), ("nowhere", "there is no file")):
-        with pytest.raises(ValueError, match=text):
-            maps_of([str(tmp_path / wrong)])

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from mutants import mutants
-from mutation import AREAS, main
+from mutation import AREAS
 
 ROOT = Path(__file__).parents[1]
 
@@ -101,16 +101,6 @@ def test_the_survivors_are_what_the_tests_leave_open(tree: Path) -> None:
     assert (tree / "tiny" / "limits.py").read_text() == SOURCE
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="mutation.py needs Linux or macOS")
-def test_tests_that_fail_without_a_mutant_are_an_error(tree: Path) -> None:
-    """They would kill every mutant."""
-    pytest.importorskip("coverage")
-    (tree / "tests" / "test_it.py").write_text("def test_it(): assert False\n")
-    status, result = run(tree)
-    assert status == 1
-    assert "test_it" in result["error"]
-
-
 def test_the_areas_have_all_of_their_packages() -> None:
     """Each area has files that exist; packages whose folders are named are in one of them."""
     for name, area in AREAS.items():
@@ -119,14 +109,3 @@ def test_the_areas_have_all_of_their_packages() -> None:
     sources = {path for area in AREAS.values() for path in area.sources}
     for package in ("bus", "consumers", "localisation", "maps", "propagation", "values", "wire"):
         assert f"maplines_can/{package}" in sources
-
-
-def test_an_area_that_is_none_is_an_error(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The message names those that there are."""
-    monkeypatch.setattr(sys, "argv", ["mutation.py", "wires"])
-    with pytest.raises(SystemExit, match="2"):
-        main()
-    error = capsys.readouterr().err
-    assert "there is no area wires; there are core, values, propagation" in error

@@ -2,7 +2,6 @@
 
 import json
 import math
-import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -242,12 +241,3 @@ def test_a_number_that_no_float_has_is_infinite(sign: str) -> None:
     text = TEXT.replace("(0.0009765625,0)", f"(0.0009765625,{sign}1{400 * '0'})")
     with pytest.raises(LayoutError, match=r"signal YOff is .* needs"):
         Layout.from_text(text)
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="permissions of POSIX")
-def test_a_folder_that_cannot_be_written_is_no_error(cache: Cache, dbc: Path) -> None:
-    """Such as in a read-only home: here, the folder would be inside of a file."""
-    cache.folder = dbc / "cache"
-
-    assert Layout.from_dbc(dbc).is_same_as(Layout.from_dbc(dbc))
-    assert cache.parsed == 2

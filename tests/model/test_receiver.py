@@ -280,16 +280,6 @@ def sender() -> Sender:
     return Sender(COMPLETE)
 
 
-def test_a_line_is_all_pages_of_one_transfer(sender: Sender) -> None:
-    """Three pages wait, the fourth completes the line; the same ones again are duplicates."""
-    pages = sender.pages(sender.record(5))
-    *waiting, (line,) = sender.feed(pages)
-    assert waiting == ["PENDING"] * 3
-    assert (line.slot, line.kind, line.status) == (SLOT, Kind.UNKNOWN, Status.FULL)
-    assert (line.x_min, line.x_max, line.age, line.t_ns) == (-16.0, 80.0, 0.024, 0)
-    assert sender.feed(pages) == ["DUPLICATE"] * 4
-
-
 @pytest.mark.parametrize("bit", [0, 20, 63, 70, 127, 200])
 def test_a_damaged_bit_is_found(sender: Sender, bit: int) -> None:
     """By the checksum, the page number or the transfer ID."""
@@ -340,16 +330,6 @@ def test_a_record_in_one_can_fd_frame(sender: Sender) -> None:
     frames = [(own.fd_can_id, data) for data in (record + bytes(16), record, record[:24])]
     (line,), *others = sender.feed(frames)
     assert (line.slot, others) == (SLOT, ["DUPLICATE", "LENGTH"])
-
-
-def test_the_seventh_record_in_a_row_is_usable(sender: Sender) -> None:
-    """The first one does not count; of the next ones, six are enough."""
-    states = []
-    for k in range(8):
-        sender.send(k, k * CYCLE)
-        view = sender.latest(k * CYCLE + MS)
-        states.append((view.state, view.is_usable))
-    assert states == [("INIT", False)] * 6 + [("VALID", True)] * 2
 
 
 def test_lost_late_and_repeated_records(sender: Sender) -> None:

@@ -164,29 +164,3 @@ def test_extreme_numbers_raise_a_short_message(make: Any, words: str) -> None:
     with pytest.raises(ValueError, match=words) as refusal:
         make(default_codec())
     assert len(str(refusal.value)) < 400
-
-
-def test_repaired_is_of_its_own_row_and_not_of_variances(codec: Any) -> None:
-    """DIAGONAL drops the correlations that make a matrix indefinite, so nothing is repaired."""
-    definite = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
-    indefinite = definite.copy()
-    indefinite[0, 1] = indefinite[1, 0] = 2e-3
-    batch = codec.batch.decode(
-        codec.batch.encode(
-            np.zeros((4, 4)),
-            [indefinite, definite, indefinite, definite],
-            status=[Status.DIAGONAL, Status.FULL, Status.FULL, Status.DIAGONAL],
-        )
-    )
-    wanted = [Status.DIAGONAL, Status.FULL, Status.REPAIRED, Status.DIAGONAL]
-    assert batch.status.tolist() == wanted
-    assert (np.linalg.eigvalsh(batch.cov[0] - definite) > -1e-15).all()
-
-
-@pytest.mark.parametrize("status", [Status.UNKNOWN, Status.OUT_OF_RANGE])
-def test_a_mean_alone_may_be_sent_with_a_status_that_claims_no_covariance(
-    codec: Any, status: Status
-) -> None:
-    """UNKNOWN is what it would get anyway; OUT_OF_RANGE is the caller's to say."""
-    payloads = codec.batch.encode([[1.75, 0, 0, 0]], status=status)
-    assert codec.batch.decode(payloads).status[0] == status

@@ -6,18 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 from dbc_alterations import original
-from evidence.exact import covers
-from hypothesis import example, given
-from hypothesis import strategies as st
-from scene_layouts import layout_of
 from support.dbcs import changed_record
-from support.scene_streams import COMPLETE, codec_of, feed, new_codec
+from support.scene_streams import COMPLETE, codec_of
 
-from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import MapLine, Slot, Status
-from maplines_can.values.scene import PoseError, Scene
 from maplines_can.wire import Codec, Layout, Reason
-from maplines_can.wire.layout.record_signals import PARAMETER_SIGNALS
 
 
 @pytest.fixture(scope="module")
@@ -71,34 +64,3 @@ def test_a_clipped_beta_is_covered_by_the_difference_of_the_tangents(sign: int, 
     needed = (np.tan(sign * 0.7) - np.tan(decoded)) * np.cos(decoded) ** 2
     assert batch.status[0] == Status.SATURATED
     assert 1 <= batch.cov[0, 1, 1] / (needed**2 + cov[1, 1]) < 1.2
-
-
-@given(
-    st.integers(0, 3),
-    st.booleans(),
-    st.floats(0.0, 12.0),
-    st.tuples(st.integers(-5, 0), st.integers(2, 20)),
-)
-@example(0, True, 0.5, (-5, 20))
-@example(1, False, 7.9, (-1, 3))
-def test_a_scene_states_the_lines_that_are_sent(
-    parameter: int, is_greatest: bool, steps: float, ends: Any
-) -> None:
-    """Up to the last step of each parameter: the receiver's scene covers them."""
-    layout, codec = layout_of(COMPLETE), new_codec(COMPLETE)
-    signals = [layout[name] for name in PARAMETER_SIGNALS]
-    end = signals[parameter].physical_range[is_greatest]
-    mean = np.zeros(4)
-    mean[parameter] = end - np.sign(end) * steps * abs(signals[parameter].factor)
-    own = np.diag([0.01, 1e-4, 1e-6, 1e-8]) ** 2
-    low, high = 4.0 * ends[0], 4.0 * ends[1]
-    line = MapLine(Slot.EGO_LEFT, Gaussian(mean, own), x_min=low, x_max=high)
-    pose = PoseError(np.diag([0.1, 0.1, 0.002]) ** 2)
-    scene = Scene((line,), own, pose, np.array([[low, high]]))
-    decoder = codec.decoder()
-    feed(decoder, codec.encoder().encode_scene(scene, counters={}), 0)
-    received = decoder.scene()
-    assert received is not None or parameter >= 2  # too bent to be a function of x
-    if received is not None:
-        means = received.scene.means.ravel(), scene.means.ravel()
-        assert covers(received.scene.cov, means[0], scene.cov, means[1])

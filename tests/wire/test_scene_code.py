@@ -13,7 +13,7 @@ from evidence.exact import covers, is_positive_definite
 from evidence.roads import SHAPES, random_scene
 from evidence.witness import POSES, Poses
 from fuzz_scenes import line_frames, parts_of, pose_frames
-from hypothesis import assume, example, given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from support.scene_streams import COMPLETE, CONDITIONAL, Passed, codec_of, passed
 from support.strategies import covariances
@@ -33,9 +33,8 @@ from maplines_can import (
 )
 from maplines_can.study.scenes.random_scenes import RESOLUTION, noise_floor
 from maplines_can.values.elementary import exp2
-from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import lateral, lateral_jacobian
-from maplines_can.wire import POSE, Layout, default_dbc_path
+from maplines_can.wire import Layout, default_dbc_path
 
 #: Covariance of a production pose: 0.1 m, 0.2 m and 0.2 deg.
 PRODUCTION = np.diag([0.1, 0.2, np.radians(0.2)]) ** 2
@@ -188,12 +187,6 @@ def test_lines_that_do_not_fit_do_not_affect_the_others(
     assert Slot(place) not in codec_of(COMPLETE).encoder().prepare_scene(scene).members
 
 
-@BOTH
-def test_a_scene_without_lines_is_a_pose(dbc: str) -> None:
-    found = passed(dbc, empty())
-    assert ([*found.frames], found.received, found.prepared.unfit) == ([POSE], None, {})
-
-
 @given(
     st.tuples(st.floats(-60, 60), st.floats(-1.2, 1.2), st.floats(-0.6, 0.6), st.floats(-0.1, 0.1)),
     st.tuples(st.floats(-20, 30), st.floats(2, 60)),
@@ -279,29 +272,6 @@ def test_joint_quantities_are_as_uncertain_as_at_the_sender(
             assert g @ received.cov[:8, :8] @ g <= most**2 * (g @ true @ g)
 
 
-@pytest.mark.parametrize("error", [None, MapError(0.05, 0.05, 0.001)])
-@pytest.mark.parametrize("radius", [30.0, 1e6])
-@pytest.mark.parametrize("count", [1, 4])
-def test_a_scene_takes_no_more_frames_than_complete_records(
-    count: int, radius: float, error: MapError | None
-) -> None:
-    """Four classic frames a line, with its pose error, also if levels cost all lines much."""
-    s = np.arange(-60.0, 100.0, 7.0) / radius
-    lines = {
-        Slot(i): Polyline(
-            np.column_stack([(radius - y) * np.sin(s), radius - (radius - y) * np.cos(s)])
-        )
-        for i, y in enumerate([1.75, -1.75, 5.25, -5.25][:count])
-    }
-    for seed in range(3):
-        sigma = np.diag([0.3, 0.2, 0.01 * 4.0**-seed]) ** 2
-        scene = map_scene(lines, Gaussian([0.0, 0.1 * seed, 0.0], sigma), map_error=error)
-        found = passed(CONDITIONAL, scene)
-        assert len(found.frames) == 1 + count
-        assert sum(map(len, found.frames.values())) <= 4 * count
-        check_covered(scene, found)
-
-
 # ---- the pose error ----------------------------------------------------------------------------
 
 
@@ -349,12 +319,6 @@ def test_no_decoded_correlation_time_is_too_short(
         assert received <= max(least, time * 2**signal.factor * (1 + 1e-12))
 
 
-def test_a_correlation_time_in_seconds_is_refused() -> None:
-    """Its factor would be taken for one of octaves."""
-    with pytest.raises(LayoutError, match=r'CorrelationTime.*"octave"'):
-        altered('(5,0) [0|75] "s"')
-
-
 @pytest.mark.parametrize(
     ("sigma", "offset", "heading"),
     [
@@ -375,20 +339,6 @@ def test_the_levels_of_the_map_error(
     error = passed(CONDITIONAL, scene).scene.map_error or MapError()
     assert error.offset_sigma == (0.0 if offset is None else level(offset))
     assert error.heading_sigma == (0.0 if heading is None else level(heading))
-
-
-@given(covariances(3))
-def test_the_decoded_pose_error_covers_and_costs_little(cov: Any) -> None:
-    """Of a production pose with any correlations: 7 % of the variance, and the resolution."""
-    scale = np.sqrt(np.where(cov.diagonal() > 0, cov.diagonal(), 1.0))
-    root = np.sqrt(PRODUCTION.diagonal())
-    cov = cov / scale / scale[:, None] * root * root[:, None]
-    scene = scene_of(straight_lanes(1).means, None, cov)
-    decoded = passed(CONDITIONAL, scene).scene.pose_error.cov
-    assert covers(decoded, np.zeros(3), scene.pose_error.cov, np.zeros(3))
-    assume(np.linalg.eigvalsh(cov / root / root[:, None])[0] > 0.1)
-    excess = (decoded.diagonal() + 1e-12) / (cov.diagonal() + 2.0**-24)
-    assert excess.max() <= 1.15
 
 
 @BOTH

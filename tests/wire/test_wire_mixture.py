@@ -11,18 +11,10 @@ from hypothesis import strategies as st
 from support.dbcs import default_codec, new_codec
 
 from maplines_can import Gaussian, MapLine, Slot, Status
-from maplines_can.propagation.splitting import SPLITS, standard_split
 from maplines_can.study import adversarial, evaluate
-from maplines_can.study.comparison import deficit, quantized_weights
+from maplines_can.study.comparison import quantized_weights
 from maplines_can.values.mixture import GaussianMixture
 from maplines_can.wire import Codec, Reason
-
-
-def test_weights_of_a_split_are_multiples_of_the_step() -> None:
-    """The message rounds no weight of a split."""
-    for k in SPLITS:
-        weights = np.array(standard_split(k)[0])
-        assert np.array_equal(quantized_weights(weights[None], 32)[0], weights * 32)
 
 
 @given(st.lists(st.floats(1e-3, 1), min_size=1, max_size=8))
@@ -48,22 +40,6 @@ def moments(weights: Any, means: Any, covs: Any) -> Any:
     mean = np.einsum("nk,nki->ni", weights, means)
     d = means - mean[:, None]
     return mean, np.einsum("nk,nkij->nij", weights, covs + d[..., :, None] * d[..., None, :])
-
-
-def test_a_mixture_is_widened_by_what_it_lacks() -> None:
-    """Two components at -1 m and 1 m, of equal weights.
-
-    Decoded with the same weights it lacks nothing, also if its means are shifted: the covariance of
-    a component covers its own shift. With other weights it lacks spread.
-    """
-    means = np.array([[[-1.0, 0, 0, 0], [1.0, 0, 0, 0]]])
-    covs = np.tile(np.diag([0.01, 1e-4, 1e-8, 1e-12]), (1, 2, 1, 1))
-    even, uneven = np.array([[0.5, 0.5]]), np.array([[0.9, 0.1]])
-    shift = [0.3, 0.02, 1e-4, 1e-6]
-    assert deficit(even, means, covs, even, means + shift) == pytest.approx(0, abs=1e-12)
-    # About the decoded mean, -0.8 m, the true spread is 1 + 0.8^2, and the decoded one 0.36.
-    more = deficit(even, means, covs, uneven, means)
-    assert more[0, 0, 0] == pytest.approx(1 + 0.8**2 - 0.36, rel=1e-5)
 
 
 @pytest.mark.parametrize("k", [2, 3, 5, 8])

@@ -13,14 +13,12 @@ from support.e2e_streams import (
     MS,
     SLOT,
     check_accounts,
-    feed,
     frames,
     mixture_frames,
     record,
     run,
 )
 
-from maplines_can import MapLine
 from maplines_can.wire import E2EState, ProfileStatus, Reason
 
 OK, NONEWDATA, ERROR, REPEATED, OKSOMELOST, WRONGSEQUENCE = ProfileStatus
@@ -47,46 +45,6 @@ def test_errors_agree_with_autosar_e2e(bits: Any, counter: int) -> None:
 
 
 @pytest.mark.parametrize("fd", [False, True])
-@pytest.mark.parametrize("k", [0, 1, 4, 5, 15, 16, 40])
-def test_lost_lines(k: int, fd: bool) -> None:
-    """Up to 15 are OKSOMELOST; each missing cycle is NONEWDATA, and five of them end VALID."""
-    decoder = default_codec().decoder()
-    _, t_ns = run(decoder, range(250, 262), fd=fd)
-    (line,), _ = run(decoder, [262 + k], t_ns + k * CYCLE, fd=fd)
-    slot = decoder.checks[SLOT]
-    assert isinstance(line, MapLine)
-    assert slot.statuses[NONEWDATA] == k
-    assert slot.lost == decoder.lost == k
-    assert slot.status is (OK if k == 0 else OKSOMELOST if k < 16 else WRONGSEQUENCE)
-    assert slot.state is (VALID if k < 5 else INVALID)
-    check_accounts(decoder)
-
-
-@pytest.mark.parametrize("silence", [0, 3, 9, 10, 1000])
-@pytest.mark.parametrize("at", [10, 120, 130, 250])
-def test_a_sender_that_restarts(at: int, silence: int) -> None:
-    """Two lines are held back; for ten cycles, if the counters from 0 on were never received."""
-    decoder = default_codec().decoder()
-    _, t_ns = run(decoder, range(at - 10, at))
-    slot = decoder.checks[SLOT]
-    assert slot.state is VALID
-    kept = max(0, min(2 if at == 10 else 10, 10 - silence)) if at < 240 else 0
-    answers, t_ns = run(decoder, range(kept + 1), t_ns + silence * CYCLE, other=100)
-    assert answers[:kept] == [Reason.STALE] * kept
-    assert isinstance(answers[kept], MapLine)
-    if at < 240:  # from there on 0 looks like the next but some
-        assert (slot.status, slot.state) == (WRONGSEQUENCE, INVALID)
-        answers, t_ns = run(decoder, range(kept + 1, kept + 8), t_ns, other=100)
-        assert slot.state is INVALID
-        answers += run(decoder, [kept + 8], t_ns, other=100)[0]
-        assert all(isinstance(answer, MapLine) for answer in answers)
-        assert slot.lost == 0
-    assert slot.state is VALID or at >= 240
-    assert not slot.two_senders
-    check_accounts(decoder)
-
-
-@pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("lines", [20, 32, 64])
 def test_a_sender_that_is_stuck(lines: int, fd: bool) -> None:
     """The same record forever is one line, INVALID after a while, and not two senders."""
@@ -98,49 +56,6 @@ def test_a_sender_that_is_stuck(lines: int, fd: bool) -> None:
     assert (slot.state, slot.statuses[REPEATED], slot.two_senders) == (INVALID, 30, False)
     run(decoder, range(lines, lines + 40), t_ns, fd=fd)
     assert not slot.two_senders
-    check_accounts(decoder)
-
-
-@pytest.mark.parametrize("fd", [False, True])
-def test_damaged_records_end_valid(fd: bool) -> None:
-    """Two of ten do not, the third does; other lines are still delivered."""
-    decoder = default_codec().decoder()
-    _, t_ns = run(decoder, range(20), fd=fd)
-    slot = decoder.checks[SLOT]
-    for k in range(3):
-        assert slot.state is VALID
-        transfer = frames(20 + 2 * k, fd)
-        broken = transfer[0]._replace(data=bytes([transfer[0].data[0] ^ 1, *transfer[0].data[1:]]))
-        assert feed(decoder, [broken, *transfer[1:]], t_ns) is Reason.CRC
-        (line,), t_ns = run(decoder, [21 + 2 * k], t_ns + CYCLE, fd=fd)
-        assert isinstance(line, MapLine)
-    assert slot.state is INVALID
-    assert (slot.statuses[ERROR], slot.statuses[NONEWDATA], slot.lost) == (3, 0, 3)
-
-
-@pytest.mark.parametrize("fd", [False, True])
-@pytest.mark.parametrize("k", [2, 3, 8])
-def test_each_component_of_a_mixture_is_a_check(k: int, fd: bool) -> None:
-    """A lost line of k components is OKSOMELOST; a repeated line is REPEATED k times."""
-    decoder = default_codec().decoder()
-    slot, t_ns, first = decoder.checks[SLOT], 0, 240
-    for _ in range(6):
-        assert isinstance(feed(decoder, mixture_frames(first % 256, k, fd), t_ns), MapLine)
-        first, t_ns = first + k, t_ns + CYCLE
-    assert slot.statuses[OK] == 6 * k
-    assert slot.state is VALID
-    first, t_ns = first + k, t_ns + CYCLE  # one is lost
-    line = mixture_frames(first % 256, k, fd)
-    assert isinstance(feed(decoder, line, t_ns), MapLine)
-    assert (slot.statuses[OKSOMELOST], slot.lost, slot.state) == (1, k, VALID)
-    for later_ms in (60, 200, 10_000):
-        before = slot.statuses[REPEATED]
-        assert feed(decoder, line, t_ns + later_ms * MS) is Reason.DUPLICATE
-        assert slot.statuses[REPEATED] - before == k
-    assert decoder.lines == 7
-    next_ = mixture_frames((first + k) % 256, k, fd)
-    assert isinstance(feed(decoder, next_, t_ns + 20_000 * MS), MapLine)
-    assert slot.statuses[WRONGSEQUENCE] == 0
     check_accounts(decoder)
 
 

@@ -44,16 +44,6 @@ def test_an_argument_may_use_the_decoder_itself() -> None:
 
 
 @pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
-def test_frames_that_have_arrived_together(dbc: str) -> None:
-    """An iterator of them; what is no frame ends it."""
-    frames, together = scene_frames(dbc), new_codec(dbc).decoder()
-    assert len(together.feed_all(iter(frames))) == len(frames)
-    for wrong in (5, [frames[0][:3]], [5]):
-        with pytest.raises((TypeError, ValueError)):
-            together.feed_all(wrong)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
 def test_lines_and_scenes_are_objects_as_any(dbc: str) -> None:
     """They can be copied, pickled, printed and changed as others; arrays are read-only."""
     decoder = new_codec(dbc).decoder()

@@ -76,32 +76,6 @@ def test_a_scene_is_the_newest_one_when_it_has_the_lines_of_the_one_before() -> 
     assert [line.slot for line in scene.scene.lines] == list(SLOTS)
 
 
-@pytest.mark.parametrize(
-    ("plan", "expected"),
-    [
-        pytest.param([SLOTS, SLOTS[1:], SLOTS], [*[(0, 3)] * 4, *[(1, 2)] * 3, (2, 3)], id="lost"),
-        pytest.param(
-            [SLOTS, *[SLOTS[1:]] * 3], [*[(0, 3)] * 4, *[(1, 2)] * 3, *[(2, 2)] * 2, (3, 2)],
-            id="ends",
-        ),
-        pytest.param([SLOTS[:2], SLOTS], [*[(0, 2)] * 3, (1, 2), (1, 3)], id="new"),
-    ],
-)  # fmt: skip
-def test_a_scene_waits_for_the_lines_of_the_one_before(plan: Any, expected: Any) -> None:
-    """Until the next pose error; a line that is new joins when it comes.
-
-    Cycle and number of lines of the newest scene, after the first cycle and each record.
-    """
-    decoder, seen = codec_of(CONDITIONAL).decoder(), []
-    for n, (frames, slots) in enumerate(zip(cycles(CONDITIONAL, len(plan)), plan, strict=True)):
-        t_ns = n * PERIOD_NS
-        for owner in (POSE, *slots):
-            _, t_ns = feed(decoder, {owner: frames[owner]}, t_ns)
-            scene = decoder.scene()
-            seen += [(scene.t_ns // PERIOD_NS, len(scene.scene.lines))] if scene else []
-    assert seen[len(plan[0]) - 1 :] == expected
-
-
 @pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
 @pytest.mark.parametrize("seed", range(3))
 def test_frames_that_are_decoded_together_give_the_same(dbc: str, seed: int) -> None:
@@ -191,14 +165,3 @@ def test_the_view_of_the_monitor(dbc: str) -> None:
     assert not decoder.latest_scene(last + 3 * PERIOD_NS, stale_cycles=2).usable
     for slot in SLOTS:
         assert decoder.latest(slot, t_ns).usable
-
-
-def test_a_scene_that_is_too_old_is_not_usable() -> None:
-    decoder = codec_of(CONDITIONAL).decoder()
-    t_ns = 0
-    for n, frames in enumerate(cycles(CONDITIONAL, 16, age=np.inf)):
-        _, t_ns = feed(decoder, frames, n * PERIOD_NS)
-    view = decoder.latest_scene(t_ns)
-    assert (view.state, view.stale, view.age, view.usable) == (E2EState.VALID, False, np.inf, False)
-    assert view.scene is not None
-    assert not any(decoder.latest(slot, t_ns).usable for slot in SLOTS)

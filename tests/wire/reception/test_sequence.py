@@ -39,28 +39,6 @@ def test_a_clock_that_is_set_back_does_not_keep_a_slot_valid() -> None:
     assert slot.check.elapse(5 + 7 * CYCLE) is INVALID
 
 
-@pytest.mark.parametrize("asks_every_ms", [None, 10, 50, 200])
-def test_a_backlog_is_not_missed_twice(asks_every_ms: int | None) -> None:
-    """Old frames after a pause of the receiver were counted as missing once already."""
-    slot, now, asked = Received(), 0, 0
-    for k in range(10):
-        slot.received(k, k, k * CYCLE)
-    stopped, now = 9 * CYCLE, 9 * CYCLE + 2000 * MS
-    slot.check.elapse(now)
-    missed = slot.check.statuses[NONEWDATA]
-    assert missed == 39
-    for k in range(10, 40):  # at once, with the times at which they came
-        slot.received(k, k, stopped + (k - 9) * CYCLE)
-        now += MS
-        if asks_every_ms and now - asked > asks_every_ms * MS:
-            slot.check.elapse(now)
-            asked = now
-    assert slot.check.statuses[NONEWDATA] == missed
-    slot.received(50, 50, now)
-    assert slot.check.elapse(now + 74 * MS) is slot.check.state
-    assert slot.check.statuses[NONEWDATA] <= missed + 1
-
-
 def slot_at(last: int, t_ns: int = 10_000 * MS) -> Received:
     """Return a check whose last new record, of this counter, came at ``t_ns``."""
     slot = Received()
@@ -92,19 +70,6 @@ def test_half_a_round_of_the_counter_divides_new_from_late(
     assert slot.check.lost == lost
 
 
-@pytest.mark.parametrize(("lost_in_pause", "two_senders"), [(0, True), (1, False)])
-def test_senders_that_take_turns_are_two(lost_in_pause: int, two_senders: bool) -> None:
-    """Each continues its own sequence after the other; a sender that restarts continues none."""
-    slot, counters = Received(), [0, 120]
-    for turn in range(20):
-        for k in range(3):
-            counter = counters[turn % 2] % 256
-            assert slot.received(counter, turn, (15 * turn + k) * CYCLE) is None
-            counters[turn % 2] += 1
-        counters[turn % 2] += lost_in_pause
-    assert slot.check.two_senders is two_senders
-
-
 def fast_slot(lines: int, pace: int) -> tuple[Received, int]:
     """Return a check of a sender of so many lines, ``pace`` in a cycle, and the last time."""
     slot = Received()
@@ -134,25 +99,3 @@ def test_how_many_lines_a_fast_sender_may_lose(
         slot, t_ns = fast_slot(lines, pace)
         reason = slot.received((lines - 1 + ahead) % 256, -1, t_ns + cycles * CYCLE)
         assert reason is (None if ahead == most else Reason.STALE)
-
-
-@pytest.mark.parametrize(("behind", "two_senders"), [(1, True), (16, True), (17, False)])
-def test_duplicates_of_recent_records_are_those_of_a_second_sender(
-    behind: int, two_senders: bool
-) -> None:
-    """Farther back they may be those of a sender that restarted in a car that stands."""
-    slot = Received()
-    for k in range(120):
-        slot.received(k, k, k * CYCLE)
-        if k >= behind:
-            reason = slot.received(k - behind, k - behind, k * CYCLE + 10 * MS)
-            assert reason is Reason.DUPLICATE
-    assert slot.check.two_senders is two_senders
-
-
-@pytest.mark.parametrize(("first", "is_restart"), [(0, True), (15, True), (16, False)])
-def test_a_restart_begins_with_a_low_counter(first: int, is_restart: bool) -> None:
-    """Up to 15 of its first records may be lost; others are those of a late queue."""
-    slot, t_ns = slot_at(60), 10_000 * MS
-    reasons = [slot.received(first + i, -1 - i, t_ns + (1 + i) * CYCLE) for i in range(3)]
-    assert reasons == [Reason.STALE, Reason.STALE, None if is_restart else Reason.STALE]

@@ -16,8 +16,6 @@ import numpy as np
 import pytest
 from hypothesis import Phase, example, given, settings
 from hypothesis import strategies as st
-from support.dbcs import default_codec
-from support.e2e_streams import MS, mixture_frames
 from support.scene_streams import COMPLETE, CONDITIONAL, FRAME_NS, PERIOD_NS, codec_of
 from support.sender_pairs import (
     SLOTS,
@@ -189,23 +187,3 @@ def test_one_slot_that_is_not_valid_makes_its_scene_unusable() -> None:
     assert not view.usable
     assert decoder.latest(Slot.EGO_LEFT, now_ns).usable
     assert not decoder.latest(Slot.EGO_RIGHT, now_ns).usable
-
-
-@pytest.mark.parametrize("k", [2, 8])
-def test_two_senders_in_phase_get_no_usable_mixture(k: int) -> None:
-    """Equal counters and components, and a third of the frames lost.
-
-    Until a counter has come from both, nothing tells their components apart; then no line is
-    usable.
-    """
-    rng, decoder, reused = np.random.default_rng(k), default_codec().decoder(), 0
-    for cycle in range(480 // k):
-        senders = [mixture_frames(cycle * k % 256, k, True, seed=sender) for sender in (0, 1)]
-        for i, pair in enumerate(zip(*senders, strict=True)):
-            came = rng.random(2) > 1 / 3
-            for j in np.flatnonzero(came).tolist():
-                t_ns = cycle * PERIOD_NS + (2 * i + j) * MS // 4
-                decoder.feed(pair[j].can_id, pair[j].data, t_ns)
-                reused += bool(j == 1 and came.all())
-                assert not (reused and decoder.latest(Slot.EGO_LEFT, t_ns).usable)
-    assert reused > 50
