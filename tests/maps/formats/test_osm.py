@@ -4,12 +4,11 @@ import gzip
 from pathlib import Path
 
 import pytest
-from support.lanelet_files import ROAD, Osm
+from support.lanelet_files import Osm
 
 import maplines_can as ml
-from maplines_can.maps import LaneType, MapFileError
+from maplines_can.maps import MapFileError
 from maplines_can.maps.formats.projection import local_cartesian, tangent
-from maplines_can.values.line import Kind
 
 
 def test_links_follow_from_shared_ways_and_points() -> None:
@@ -51,84 +50,6 @@ def test_links_follow_from_shared_ways_and_points() -> None:
     assert road.successors == (lanes[ahead].road, lanes[exit_].road)
     assert lanes[first].left is not lanes[second].left
     assert lanes[first].right is lanes[second].left
-
-
-@pytest.mark.parametrize(
-    ("tags", "expected"),
-    [
-        ({"subtype": "highway"}, LaneType.DRIVING),
-        ({"subtype": "road", "one_way": "no"}, LaneType.BIDIRECTIONAL),
-        ({"subtype": "road", "one_way": "no", "one_way:vehicle": "yes"}, LaneType.DRIVING),
-        ({"subtype": "bicycle_lane"}, LaneType.BIKING),
-        ({"subtype": "bicycle_lane", "participant:vehicle": "yes"}, LaneType.DRIVING),
-        ({"subtype": "road", "participant:vehicle:car": "yes"}, LaneType.DRIVING),
-        ({"subtype": "road", "participant:bicycle": "yes"}, LaneType.BIKING),
-        ({"subtype": "road", "participant:vehicle": "no"}, LaneType.OTHER),
-        ({"subtype": "walkway"}, LaneType.SIDEWALK),
-        ({"subtype": "crosswalk"}, LaneType.CROSSWALK),
-        ({"subtype": "emergency_lane"}, LaneType.STOP),
-        ({"subtype": "road_shoulder"}, LaneType.SHOULDER),
-        ({"subtype": "rail"}, LaneType.RAIL),
-        ({"subtype": "exit"}, LaneType.OTHER),
-        ({}, LaneType.DRIVING),
-    ],
-)
-def test_types(tags: dict[str, str], expected: LaneType) -> None:
-    osm = Osm()
-    osm.lanelet(
-        osm.way((0.0, 3.0), (9.0, 3.0)), osm.way((0.0, 0.0), (9.0, 0.0)), {"type": "lanelet"} | tags
-    )
-    (lane,) = osm.map().lanes.values()
-    assert lane.type == expected
-
-
-@pytest.mark.parametrize(
-    ("text", "limit"),
-    [
-        ("50", 50 / 3.6),
-        ("50 km/h", 50 / 3.6),
-        ("50kmh", 50 / 3.6),
-        ("13.5 m/s", 13.5),
-        ("30 mph", 13.4112),
-        ("walk", None),
-        ("-3", None),
-        ("nan", None),
-        ("0", None),
-        ("1" * 400, None),
-    ],
-)
-def test_speed_limits(text: str, limit: float | None) -> None:
-    """What is none is listed."""
-    osm = Osm()
-    ways = osm.way((0.0, 3.0), (9.0, 3.0)), osm.way((0.0, 0.0), (9.0, 0.0))
-    osm.lanelet(*ways, ROAD | {"speed_limit": text})
-    found = osm.map()
-    (lane,) = found.lanes.values()
-    assert lane.speed_limit == (limit and pytest.approx(limit))
-    assert bool(found.skipped) == (limit is None)
-
-
-@pytest.mark.parametrize(
-    ("tags", "kind"),
-    [
-        ({"type": "line_thin", "subtype": "solid"}, Kind.SOLID),
-        ({"type": "line_thick", "subtype": "dashed"}, Kind.DASHED),
-        ({"type": "line_thin", "subtype": "dashed_solid"}, Kind.DOUBLE),
-        ({"type": "line_thin", "subtype": "solid_solid"}, Kind.DOUBLE),
-        ({"type": "line_thin"}, Kind.UNKNOWN),
-        ({"type": "virtual"}, Kind.VIRTUAL),
-        ({"type": "curbstone", "subtype": "low"}, Kind.KERB),
-        ({"type": "road_border"}, Kind.ROAD_EDGE),
-        ({"type": "guard_rail"}, Kind.BARRIER),
-        ({"type": "zebra_marking"}, Kind.UNKNOWN),
-        ({}, Kind.UNKNOWN),
-    ],
-)
-def test_markings(tags: dict[str, str], kind: Kind) -> None:
-    osm = Osm()
-    osm.lanelet(osm.way((0.0, 3.0), (9.0, 3.0), **tags), osm.way((0.0, 0.0), (9.0, 0.0)))
-    (lane,) = osm.map().lanes.values()
-    assert (lane.left.kind, lane.right.kind, lane.centre.kind) == (kind, Kind.UNKNOWN, Kind.VIRTUAL)
 
 
 def test_the_frame_is_utm() -> None:
