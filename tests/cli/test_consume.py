@@ -10,6 +10,7 @@ import can
 import numpy as np
 import pytest
 from support.drive_files import car_signals, run
+from support.fixtures import Capture
 
 from maplines_can import Codec, Gaussian, MapLine, Polyline, Slot, map_scene
 from maplines_can.cli import main
@@ -59,14 +60,14 @@ def _message(t: float, frame: Any) -> can.Message:
     )
 
 
-def rows(capsys: pytest.CaptureFixture[str], *options: object) -> tuple[int, list[Any], str]:
+def rows(capsys: Capture, *options: object) -> tuple[int, list[Any], str]:
     """Status, rows of JSON and standard error of ``maplines consume``."""
     status = main(["consume", *map(str, options), "--dbc", DBC, "--json"])
     out, err = capsys.readouterr()
     return status, [json.loads(line) for line in out.splitlines()], err
 
 
-def test_steer_drives_until_the_lines_stop(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_steer_drives_until_the_lines_stop(drive: Path, capsys: Capture) -> None:
     status, found, _ = rows(capsys, "steer", drive, "--set-speed", 10)
     assert status == 0
     states = [row["state"] for row in found]
@@ -93,11 +94,7 @@ AS_STATED = ("--noise-time", 0, "--gaussian-noise", "--pose-time", 0)
     ],
 )
 def test_check_with_a_simulated_camera(
-    drive: Path,
-    capsys: pytest.CaptureFixture[str],
-    shift: float,
-    known: tuple[object, ...],
-    after: float | None,
+    drive: Path, capsys: Capture, shift: float, known: tuple[object, ...], after: float | None
 ) -> None:
     """Noise that may last or have outliers delays the alarm by some images."""
     options = ["--simulate", "--shift", shift, "--shift-at", 3, *known]
@@ -108,7 +105,7 @@ def test_check_with_a_simulated_camera(
     assert ("1 alarm;" if shift else "0 alarms;") in err
 
 
-def test_check_with_the_log_of_a_camera(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_with_the_log_of_a_camera(drive: Path, capsys: Capture) -> None:
     """Its lines jump after 3 s. When the map lines have stopped, nothing is checked."""
     camera = drive.with_name("camera.log")
     status, found, _ = rows(capsys, "check", drive, "--camera", camera)
@@ -128,7 +125,7 @@ def test_check_with_the_log_of_a_camera(drive: Path, capsys: pytest.CaptureFixtu
     ],
 )
 def test_lines_without_a_pose_error_are_an_error(
-    drive: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
+    drive: Path, capsys: Capture, options: list[str], message: str
 ) -> None:
     camera = drive.with_name("camera.log")
     given = [option.replace("PLAIN", "maplines.dbc") for option in options]
@@ -184,7 +181,7 @@ def test_the_lines_of_a_table_are_those_of_the_log(
 
 @pytest.mark.parametrize("consumer", ["fusion", "check"])
 def test_the_motion_of_the_signals_in_the_log(
-    drive: Path, tmp_path: Path, consumer: str, capsys: pytest.CaptureFixture[str]
+    drive: Path, tmp_path: Path, consumer: str, capsys: Capture
 ) -> None:
     """The result is that of the same motion in a table."""
     (tmp_path / "motion.csv").write_text("time,speed,yaw_rate\n99,10,0.0\n110,10,0.0\n")
@@ -208,7 +205,7 @@ def rows_in(text: str) -> list[Any]:
     return [json.loads(row) for row in text.splitlines()]
 
 
-def test_a_simulated_car(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_simulated_car(capsys: Capture) -> None:
     """The errors are within the levels; the camera fails after a third of the drive."""
     arguments = ["--simulate", "--seconds", "4", "--json"]
     assert main(["consume", "fusion", *arguments]) == 0
@@ -225,9 +222,7 @@ def test_a_simulated_car(capsys: pytest.CaptureFixture[str]) -> None:
             assert at["width"] == pytest.approx(3.3, abs=0.3)
 
 
-def test_a_log_with_the_motion_of_its_truth(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_log_with_the_motion_of_its_truth(tmp_path: Path, capsys: Capture) -> None:
     log, truth = tmp_path / "drive.log", tmp_path / "truth.csv"
     options = ["--seconds", "2.5", "--lines", "2", "--truth", str(truth)]
     options += ["--dbc", "maplines-pose.dbc", "--record", str(log)]

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from support.drive_files import CAR_DBC, car_signals
 from support.fake_bus import FakeTime, message_of, wait_until
+from support.fixtures import Capture, Patch
 
 from maplines_can import (
     Codec,
@@ -114,7 +115,7 @@ class Sender:
 
 
 @pytest.fixture
-def sending(channel: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def sending(channel: str, monkeypatch: Patch) -> Iterator[Any]:
     """``Sender.start``."""
     clock, start = FakeTime(), Receiver.start
     sender = Sender(channel, clock)
@@ -144,9 +145,7 @@ def scenes_of(codec: Codec, scene: Scene, cycles: int = 10**6) -> Callable[[int,
     return send
 
 
-def rows(
-    capsys: pytest.CaptureFixture[str], channel: str, *options: object
-) -> tuple[int, list[Any], str]:
+def rows(capsys: Capture, channel: str, *options: object) -> tuple[int, list[Any], str]:
     """Return status, rows and standard error of a consumer on the bus."""
     bus = ["--interface", "virtual", "--channel", channel, "--json"]
     given = [str(option) for option in options]
@@ -156,7 +155,7 @@ def rows(
 
 
 def test_fusion_with_the_camera_of_another_channel(
-    sending: Any, codec: Codec, scene: Scene, channel: str, capsys: pytest.CaptureFixture[str]
+    sending: Any, codec: Codec, scene: Scene, channel: str, capsys: Capture
 ) -> None:
     """Its lines are used from the scenes on, each once; without it, none are."""
     send_scene, plain, lines = scenes_of(codec, scene), Codec.from_dbc().encoder(), seen(scene)
@@ -206,7 +205,7 @@ def test_fusion_with_the_motion_of_signals_on_the_bus(
     channel: str,
     separate: bool,
     signals: list[object],
-    capsys: pytest.CaptureFixture[str],
+    capsys: Capture,
 ) -> None:
     """A car in a bend sees a straight lane turn, also without scenes."""
     bend = esp(10.0, 0.2)
@@ -264,12 +263,7 @@ def test_the_last_signals_count_for_half_a_second(channel: str, signals: list[ob
 
 
 def test_signals_that_do_not_arrive_are_reported(
-    sending: Any,
-    codec: Codec,
-    scene: Scene,
-    channel: str,
-    signals: list[object],
-    capsys: pytest.CaptureFixture[str],
+    sending: Any, codec: Codec, scene: Scene, channel: str, signals: list[object], capsys: Capture
 ) -> None:
     sending(scenes_of(codec, scene))
     status, _, err = rows(capsys, channel, "fusion", *signals, "--seconds", 1.5)
@@ -282,12 +276,7 @@ CONSUMERS = [["steer"], ["fusion"], ["check", "--simulate"]]
 
 @pytest.mark.parametrize("consumer", CONSUMERS)
 def test_a_consumer_runs_until_ctrl_c(
-    sending: Any,
-    codec: Codec,
-    scene: Scene,
-    channel: str,
-    consumer: list[str],
-    capsys: pytest.CaptureFixture[str],
+    sending: Any, codec: Codec, scene: Scene, channel: str, consumer: list[str], capsys: Capture
 ) -> None:
     """Ctrl-C while it has results: status 0, no traceback."""
     send_scene = scenes_of(codec, scene)
@@ -327,7 +316,7 @@ def test_a_bus_without_scenes_is_one_clear_line(
     consumer: list[str],
     sent: str,
     words: str,
-    capsys: pytest.CaptureFixture[str],
+    capsys: Capture,
 ) -> None:
     """Of another DBC, or without the pose error; status 1."""
     encoder = codec.encoder()

@@ -9,6 +9,7 @@ from typing import Any
 
 import can
 import pytest
+from support.fixtures import Capture
 from support.lines import scenario_lines
 
 from maplines_can import Codec, MapLine, Slot
@@ -45,7 +46,7 @@ def message(frame: Any, t: Any, channel: Any) -> Any:
     )
 
 
-def test_lines_are_printed_as_json(capsys: pytest.CaptureFixture[str], log: Any) -> None:
+def test_lines_are_printed_as_json(capsys: Capture, log: Any) -> None:
     """Every line of every channel is printed, then the dropped frames."""
     assert main(["decode", str(log)]) == 0
     out, err = capsys.readouterr()
@@ -58,9 +59,7 @@ def test_lines_are_printed_as_json(capsys: pytest.CaptureFixture[str], log: Any)
     assert "2 timeout" in err
 
 
-def test_numbers_of_a_csv_are_the_shortest_that_read_back(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_numbers_of_a_csv_are_the_shortest_that_read_back(capsys: Capture, tmp_path: Path) -> None:
     """Each cell is the number of the JSON row; ranges and ages of scenes are short decimals."""
     log, dbc = str(tmp_path / "drive.log"), ["--dbc", "maplines-pose.dbc"]
     fast = ["--as-fast-as-possible", "--record", log, "--truth", str(tmp_path / "truth.csv")]
@@ -81,9 +80,7 @@ def test_numbers_of_a_csv_are_the_shortest_that_read_back(
         assert len(row["age"]) <= len("0.123456789")
 
 
-def test_a_line_that_must_not_be_used_has_empty_cells(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_line_that_must_not_be_used_has_empty_cells(capsys: Capture, tmp_path: Path) -> None:
     """Out of range, or too old; 1000 m of sigma are no number to compute with."""
     codec, path = Codec.from_dbc(), tmp_path / "a.log"
     encoder = codec.encoder()
@@ -105,9 +102,7 @@ def test_a_line_that_must_not_be_used_has_empty_cells(
     assert not any(row[name] for row in rows[1:] for name in values)
 
 
-def test_a_damaged_log_is_decoded_as_far_as_possible(
-    capsys: pytest.CaptureFixture[str], log: Any
-) -> None:
+def test_a_damaged_log_is_decoded_as_far_as_possible(capsys: Capture, log: Any) -> None:
     """A truncated record is one error and status 1; the lines before and after it are printed."""
     text = log.read_text().splitlines(keepends=True)
     log.write_text("".join([*text[:40], "(1000.1) can0 34\n", *text[40:]]))
@@ -117,9 +112,7 @@ def test_a_damaged_log_is_decoded_as_far_as_possible(
     assert "damaged" in err
 
 
-def test_the_number_of_channels_is_limited(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_the_number_of_channels_is_limited(capsys: Capture, tmp_path: Path) -> None:
     """A log with arbitrary channel names does not fill the memory; what is skipped is reported."""
     path = tmp_path / "names.log"
     path.write_text("".join(f"({k}.0) v{k % 300} 340#0011223344556677\n" for k in range(600)))
@@ -142,7 +135,7 @@ def test_the_number_of_channels_is_limited(
     ],
 )
 def test_a_trc_log_is_reported_in_our_words(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], text: str, notes: Any, status: int
+    tmp_path: Path, capfd: Capture, text: str, notes: Any, status: int
 ) -> None:
     """Messages that python-can prints about a .trc file do not reach the user."""
     path = tmp_path / "a.trc"
@@ -202,9 +195,7 @@ def test_the_cycle_time_decides_how_many_cycles_are_missing(
     assert without.endswith(f" {19 * 9} cycles without data")
 
 
-def test_the_time_out_of_a_transfer_is_an_option(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_the_time_out_of_a_transfer_is_an_option(capsys: Capture, tmp_path: Path) -> None:
     """60 ms between two frames are not too long; with an option, they are."""
     path = tmp_path / "held-up.log"
     frames = Codec.from_dbc().encoder().encode(MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0]))

@@ -11,6 +11,7 @@ import pytest
 from answers import one
 from can.interfaces import virtual
 from support.drive_files import run, table, town
+from support.fixtures import Capture, Patch
 from support.xodr_files import WIDTH, document, geometry, lane, road, section
 
 from maplines_can import Codec, Kind, MapLine, Slot, read_log
@@ -34,9 +35,7 @@ def decoded(path: Path) -> list[MapLine]:
 
 
 @pytest.mark.parametrize("fd", [False, True])
-def test_the_log_has_every_line_of_every_cycle(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], fd: bool
-) -> None:
+def test_the_log_has_every_line_of_every_cycle(tmp_path: Path, capsys: Capture, fd: bool) -> None:
     """In order, 50 ms from cycle to cycle, with the age that the frames before it take."""
     log = tmp_path / "drive.log"
     result = run(capsys, town(tmp_path), *FAST, "--record", str(log), *["--fd"] * fd)
@@ -53,9 +52,7 @@ def test_the_log_has_every_line_of_every_cycle(
     assert result["late_cycles"] == result["off_map"] == 0
 
 
-def test_each_line_of_a_cycle_is_sent_or_counted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_each_line_of_a_cycle_is_sent_or_counted(tmp_path: Path, capsys: Capture) -> None:
     """Around a corner whose inner line turns within 1 m, which no record of a scene can state."""
     corner = geometry(length=60.0) + geometry(
         '<arc curvature="-0.22"/>', s=60.0, x=60.0, length=7.0
@@ -72,9 +69,7 @@ def test_each_line_of_a_cycle_is_sent_or_counted(
     assert result["lines"] + sum(left_out.values()) == 2 * result["cycles"]
 
 
-def test_a_lane_change_changes_all_slots_at_once(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_lane_change_changes_all_slots_at_once(tmp_path: Path, capsys: Capture) -> None:
     """The route leads to the lane on the left; the truth says in which cycle."""
     truth = tmp_path / "truth.csv"
     result = run(
@@ -91,7 +86,7 @@ def test_a_lane_change_changes_all_slots_at_once(
 
 
 def test_it_sends_on_a_bus_and_logs_what_it_sends(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], channel: str
+    tmp_path: Path, capsys: Capture, channel: str
 ) -> None:
     """A listener on the bus gets the frames of the log; a busy machine may skip some cycles."""
     log = tmp_path / "drive.log"
@@ -111,7 +106,7 @@ def test_it_sends_on_a_bus_and_logs_what_it_sends(
     assert channel not in virtual.channels
 
 
-def test_a_recorded_drive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recorded_drive(tmp_path: Path, capsys: Capture) -> None:
     """With covariances it is sent as it is; with --sigma errors are added."""
     drive = tmp_path / "car.csv"
     rows = [f"{t / 10},{t},-1.75,0,0.2,0.1,0.01" for t in range(100)]
@@ -127,9 +122,7 @@ def test_a_recorded_drive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert errors[0] < 1e-9 < 0.02 < errors[1]
 
 
-def test_lines_are_split_where_they_need_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_lines_are_split_where_they_need_it(tmp_path: Path, capsys: Capture) -> None:
     """On a straight road one Gaussian fits; with 10 deg of heading error before a bend none does.
 
     The limit of the load is kept.
@@ -150,7 +143,7 @@ def test_lines_are_split_where_they_need_it(
 
 @pytest.mark.parametrize("live", [False, True])
 def test_faults_disturb_the_frames_in_the_log(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], channel: str, live: bool
+    tmp_path: Path, capsys: Capture, channel: str, live: bool
 ) -> None:
     """The log has the frames on the bus: without those lost, with those doubled and flooded."""
     log = tmp_path / "drive.log"
@@ -171,9 +164,7 @@ def test_faults_disturb_the_frames_in_the_log(
     assert times == sorted(times)
 
 
-def test_ctrl_c_ends_a_drive(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_ends_a_drive(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     """In the eleventh cycle, without and with a bus: the log is whole, and the counters say it."""
 
     class Interrupted(LineSource):
@@ -200,7 +191,7 @@ def test_ctrl_c_ends_a_drive(
         assert len(table(truth)) == 10
 
 
-def test_a_drive_elsewhere_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_drive_elsewhere_is_told(tmp_path: Path, capsys: Capture) -> None:
     """In another projection, so that no position is on the map."""
     drive = tmp_path / "car.csv"
     drive.write_text("time,x,y,heading\n0,477000,5529000,0\n1,477010,5529000,0\n")
@@ -216,7 +207,7 @@ def test_a_drive_elsewhere_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
     ],
 )
 def test_the_window_is_that_of_the_lines(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], expected: Any
+    tmp_path: Path, capsys: Capture, options: list[str], expected: Any
 ) -> None:
     """On a straight road, up to the steps of the message and the margin for the pose error."""
     log = tmp_path / "a.log"
@@ -228,10 +219,7 @@ def test_the_window_is_that_of_the_lines(
 
 @pytest.mark.parametrize("options", [[], ["town.xodr"]])
 def test_the_town_is_driven_through_as_a_whole(
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    options: list[str],
+    capsys: Capture, monkeypatch: Patch, tmp_path: Path, options: list[str]
 ) -> None:
     """On the tour of the package, with its name or without; where it stays on its lane."""
     monkeypatch.chdir(tmp_path)
@@ -254,9 +242,7 @@ def test_the_text_tells_losses() -> None:
     assert json.dumps("a.blf")[1:-1] in text
 
 
-def test_the_pose_of_a_localisation_is_sent(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_pose_of_a_localisation_is_sent(tmp_path: Path, capsys: Capture) -> None:
     """With its correlation time; the measurements are counted."""
     log = tmp_path / "drive.log"
     options = ["--localise", "--dbc", "maplines-pose.dbc", "--record", str(log)]
@@ -272,10 +258,7 @@ def test_the_pose_of_a_localisation_is_sent(
 
 @pytest.mark.parametrize("dbc", ["maplines.dbc", "maplines-scene.dbc"])
 def test_without_a_pose_no_line_is_sent(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    dbc: str,
+    tmp_path: Path, capsys: Capture, monkeypatch: Patch, dbc: str
 ) -> None:
     """It is counted and said; neither lines nor pose errors are sent, and then they are again."""
     poses = SimulatedLocalisation.pose
@@ -299,7 +282,7 @@ def test_without_a_pose_no_line_is_sent(
 
 
 def test_the_kind_on_the_bus_is_that_of_the_marking_beside_the_car(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: Capture
 ) -> None:
     """Broken for 100 m, solid from there; a cycle in which the pose error decides is left out."""
     marks = '<roadMark sOffset="0" type="broken"/><roadMark sOffset="100" type="solid"/>'

@@ -10,6 +10,7 @@ from typing import Any
 
 import can
 import pytest
+from support.fixtures import Capture, Patch
 from support.lines import scenario_lines
 from support.secoc_streams import (
     NOW,
@@ -55,9 +56,7 @@ HEX = SECRET.hex()
         *(COLONS.replace(":", "-"), COLONS.replace(":", " ")),
     ],
 )
-def test_a_key_on_the_command_line_is_not_printed(
-    capsys: pytest.CaptureFixture[str], option: str, text: Any
-) -> None:
+def test_a_key_on_the_command_line_is_not_printed(capsys: Capture, option: str, text: Any) -> None:
     """The error says that this looks like a key, without printing it."""
     assert main(["demo", option, text]) == 1
     out, err = capsys.readouterr()
@@ -83,7 +82,7 @@ def test_a_key_on_the_command_line_is_not_printed(
     ],
 )
 def test_a_wrong_command_line_is_not_printed_if_it_may_contain_a_key(
-    capsys: pytest.CaptureFixture[str], words: Any
+    capsys: Capture, words: Any
 ) -> None:
     """Options cannot be abbreviated, and errors leave out what may be a key."""
     with pytest.raises(SystemExit, match="2"):
@@ -99,7 +98,7 @@ def check_no_typed_secret(text: Any) -> None:
     check_no_secret(re.sub("[^0-9A-Za-z]", "", text))
 
 
-def test_a_wrong_command_line_without_a_key_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_wrong_command_line_without_a_key_is_printed(capsys: Capture) -> None:
     """What cannot be a key is printed."""
     with pytest.raises(SystemExit, match="2"):
         main(["demo", "--keyfile", "car.key", "--key", "2024-10-11"])
@@ -110,10 +109,7 @@ def test_a_wrong_command_line_without_a_key_is_printed(capsys: pytest.CaptureFix
 
 
 def test_the_demo_with_a_key(
-    capsys: pytest.CaptureFixture[str],
-    caplog: pytest.LogCaptureFixture,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    capsys: Capture, caplog: pytest.LogCaptureFixture, tmp_path: Path, monkeypatch: Patch
 ) -> None:
     """With a key from a file or the environment, as text or JSON, and no key in any output."""
     caplog.set_level(logging.DEBUG)
@@ -130,9 +126,7 @@ def test_the_demo_with_a_key(
 
 
 @pytest.mark.usefixtures("patient_timeout")
-def test_send_and_receive_with_keys(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_send_and_receive_with_keys(capsys: Capture, tmp_path: Path, monkeypatch: Patch) -> None:
     """With the right key there are lines; with the wrong one there are none, and the reason."""
     path = key_file(tmp_path, SECRET.hex().encode())
     monkeypatch.setenv("WRONG", OTHER.hex())
@@ -156,7 +150,7 @@ def test_send_and_receive_with_keys(
 
 
 def test_a_recorded_log_is_decoded_with_its_key(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, clock: Any, lines: Any
+    capsys: Capture, tmp_path: Path, clock: Any, lines: Any
 ) -> None:
     """However old it is: only the order matters."""
     path, codec = tmp_path / "drive.log", codec_of(clock=clock)
@@ -182,9 +176,7 @@ def test_a_recorded_log_is_decoded_with_its_key(
     assert "dropped frames: 1 replay" in err
 
 
-def test_classic_can_with_a_key_is_an_error(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_classic_can_with_a_key_is_an_error(capsys: Capture, tmp_path: Path) -> None:
     """With a DBC without authenticated messages, lines cannot be sent or received with a key."""
     path = key_file(tmp_path, SECRET.hex().encode())
     dbc = str(ROOT / "dbc" / "maplines.dbc")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.fixtures import Patch
 from support.lines import scenario_lines
 
 import maplines_can
@@ -103,7 +104,7 @@ COMPUTING = [
 
 @pytest.mark.parametrize(("commands", "more"), [(WITHOUT_BUS, (*STUDY, *OWN)), (COMPUTING, ())])
 def test_commands_without_a_bus_load_no_library_of_buses(
-    commands: list[list[str]], more: tuple[str, ...], logs: Path, monkeypatch: pytest.MonkeyPatch
+    commands: list[list[str]], more: tuple[str, ...], logs: Path, monkeypatch: Patch
 ) -> None:
     """Neither python-can, nor cantools for a DBC that is known, nor scipy."""
     monkeypatch.chdir(logs)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.fixtures import Capture, Patch
 
 import maplines_can
 from maplines_can import core
@@ -24,13 +25,13 @@ GROUPED = {
 ALL = [*COMMANDS, *(name for names in GROUPED.values() for name in names)]
 
 
-def help_of(capsys: pytest.CaptureFixture[str], *words: Any) -> Any:
+def help_of(capsys: Capture, *words: Any) -> Any:
     with pytest.raises(SystemExit, match="0"):
         main([*words, "--help"])
     return capsys.readouterr().out
 
 
-def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_lists_every_command(capsys: Capture) -> None:
     """Each command has a line of help, and so have those that others consist of."""
     top = help_of(capsys)
     pages = [(top, COMMANDS)]
@@ -45,7 +46,7 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_help_of_a_command(capsys: pytest.CaptureFixture[str], name: Any) -> None:
+def test_help_of_a_command(capsys: Capture, name: Any) -> None:
     """Each describes itself and gives an example; no option says that its default is None."""
     text = help_of(capsys, *name.split())
     assert text.startswith(f"usage: maplines {name} ")
@@ -65,7 +66,7 @@ def test_every_command_is_in_the_readme() -> None:
     assert [name for name in [*COMMANDS, *COMMAND_GROUPS] if f"maplines {name}" not in readme] == []
 
 
-def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+def test_version(capsys: Capture) -> None:
     """It is the version of the package, with the compiler of the core."""
     with pytest.raises(SystemExit, match="0"):
         main(["--version"])
@@ -100,7 +101,7 @@ def test_interrupt_ends_cleanly(channel: str) -> None:
     assert "Traceback" not in err
 
 
-def test_interrupt_while_a_module_is_imported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupt_while_a_module_is_imported(monkeypatch: Patch) -> None:
     """The status of Ctrl-C, no traceback."""
 
     def import_module(*_: Any) -> None:

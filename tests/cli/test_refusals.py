@@ -12,6 +12,7 @@ import pytest
 from support.dbcs import edited
 from support.drive_files import town
 from support.expressions import cases
+from support.fixtures import Capture, Patch
 from support.xodr_files import document, geometry, lane, road, section
 
 from maplines_can import Codec, Slot, map_scene
@@ -175,11 +176,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ),
 )
 def test_it_is_refused(
-    command: str,
-    words: str,
-    folder: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    command: str, words: str, folder: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     """Status 1, in terms of the options and not of Python's arguments, without a traceback."""
     monkeypatch.chdir(folder)
@@ -218,7 +215,7 @@ def test_it_is_refused(
     ],
 )
 def test_item_11_wrong_usage_is_an_error_of_its_command(
-    command: str, words: str, capsys: pytest.CaptureFixture[str]
+    command: str, words: str, capsys: Capture
 ) -> None:
     """Status 2; the one line names the command and the closest option, and no usage follows."""
     with pytest.raises(SystemExit, match="2"):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import cantools
 import pytest
+from support.fixtures import Capture
 
 from maplines_can.bus import read_log
 from maplines_can.cli import main
@@ -34,7 +35,7 @@ def _config(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_example_runs_as_it_stands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_example_runs_as_it_stands(tmp_path: Path, capsys: Capture) -> None:
     assert main(["restbus", "--example"]) == 0
     text = capsys.readouterr().out
     assert text == EXAMPLE.read_text()
@@ -56,7 +57,7 @@ def test_the_example_runs_as_it_stands(tmp_path: Path, capsys: pytest.CaptureFix
     assert horn[:6] == [8000, 8030, 8060, 9000, 9030, 9060]
 
 
-def test_seconds_seed_and_existing_files(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_seconds_seed_and_existing_files(config: Path, capsys: Capture) -> None:
     command = ["restbus", str(config), "--virtual-time"]
     assert main(command) == 1
     assert "--virtual-time needs an end; give --seconds" in capsys.readouterr().err

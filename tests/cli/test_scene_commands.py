@@ -12,6 +12,7 @@ import pytest
 from answers import lines_of, one
 from support.dbcs import DBC
 from support.drive_files import run, town
+from support.fixtures import Capture, Patch
 from support.sender_pairs import Sender, merged
 
 from maplines_can import Codec, MapError, MapLine, Slot, map_scene, read_log
@@ -32,7 +33,7 @@ CYCLES = 5
 
 
 @pytest.fixture
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+def patient(monkeypatch: Patch) -> None:
     """Let nothing time out, in transfers and in scenes: a busy machine is no fault."""
     decoder = Codec.decoder
     hour = 3_600_000
@@ -104,9 +105,7 @@ def rows_of(text: str) -> tuple[list[Any], list[Any]]:
 @pytest.mark.usefixtures("patient")
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("fd", [False, True])
-def test_demo_compares_lines_and_the_ego_lane(
-    capsys: pytest.CaptureFixture[str], name: str, fd: bool
-) -> None:
+def test_demo_compares_lines_and_the_ego_lane(capsys: Capture, name: str, fd: bool) -> None:
     """Lines and lane are covered; taken as independent, the lane would be far off."""
     options = ["--seconds", "0.3", "--map-error", "0.05", "--json", *["--fd"] * fd]
     assert main(["demo", *options, *SENDING[name]]) == 0
@@ -147,7 +146,7 @@ def test_demo_compares_lines_and_the_ego_lane(
 
 
 @pytest.mark.usefixtures("patient")
-def test_demo_shows_the_lane_where_its_lines_are_valid(capsys: pytest.CaptureFixture[str]) -> None:
+def test_demo_shows_the_lane_where_its_lines_are_valid(capsys: Capture) -> None:
     """In a turn they end before 20 m; a scene of one line has no lane."""
     demo = ["demo", "--seconds", "0.1", "--json", *SENDING[CONDITIONAL]]
     assert main([*demo, "--scenario", "street-turn"]) == 0
@@ -166,9 +165,7 @@ def test_demo_shows_the_lane_where_its_lines_are_valid(capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_send_counts_pose_errors(
-    capsys: pytest.CaptureFixture[str], channel: str, name: str
-) -> None:
+def test_send_counts_pose_errors(capsys: Capture, channel: str, name: str) -> None:
     """One CAN FD frame each; the note says what is sent, and so do text and JSON at the end."""
     bus = ["--interface", "virtual", "--channel", channel, "--fd", "--count", "3"]
     send = ["send", *bus, "--map-error", "0.05", "--correlation-time", "3", *SENDING[name]]
@@ -188,7 +185,7 @@ def test_send_counts_pose_errors(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_receive_prints_the_ego_lane_once_a_cycle(
-    replay: Any, channel: str, capsys: pytest.CaptureFixture[str], name: str
+    replay: Any, channel: str, capsys: Capture, name: str
 ) -> None:
     """Between the lines; the E2E state of the pose error is shown like that of a slot."""
     codec = Codec.from_dbc(default_dbc_path(name))
@@ -232,7 +229,7 @@ def check_row(row: Any, received: Any) -> None:
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("fd", [False, True])
 def test_decode_prints_each_scene_on_request(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, fd: bool
+    capsys: Capture, tmp_path: Path, name: str, fd: bool
 ) -> None:
     """One row a scene and channel, after its lines, which are the same with and without."""
     codec = Codec.from_dbc(default_dbc_path(name))
@@ -260,7 +257,7 @@ def test_decode_prints_each_scene_on_request(
 
 @pytest.mark.parametrize(("name", "every"), [(CONDITIONAL, 3), ("maplines.dbc", 10)])
 def test_decode_says_which_scenes_are_usable(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, every: int
+    capsys: Capture, tmp_path: Path, name: str, every: int
 ) -> None:
     """None of two senders; before the second one, all after the state INIT."""
     end = 20 + 3 * every
@@ -275,9 +272,7 @@ def test_decode_says_which_scenes_are_usable(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_decode_without_time_stamps(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str
-) -> None:
+def test_decode_without_time_stamps(capsys: Capture, tmp_path: Path, name: str) -> None:
     """The scenes are told apart by the counter of the pose error, even if they are equal."""
     codec = Codec.from_dbc(default_dbc_path(name))
     path = tmp_path / "plain.log"
@@ -299,9 +294,7 @@ def test_decode_without_time_stamps(
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("fd", [False, True])
-def test_drive_records_scenes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, fd: bool
-) -> None:
+def test_drive_records_scenes(tmp_path: Path, capsys: Capture, name: str, fd: bool) -> None:
     """Every line of every cycle belongs to a scene, with its age and the correlation time."""
     log, seconds = tmp_path / "drive.log", ["--seconds", "2", "--map-error", "0.05"]
     fast = ["--as-fast-as-possible", "--route", "1:0:-2..1:0:-1", *seconds, *["--fd"] * fd]
@@ -339,7 +332,7 @@ def test_drive_records_scenes(
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_the_name_of_a_dbc_of_this_package_is_enough(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+    tmp_path: Path, monkeypatch: Patch, name: str
 ) -> None:
     """In any folder; a file of that name comes first."""
     monkeypatch.chdir(tmp_path)

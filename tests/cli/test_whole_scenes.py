@@ -11,18 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 from support.drive_files import run, town
+from support.fixtures import Capture, Patch
 from support.secoc_streams import key_file
 
-from maplines_can import (
-    Codec,
-    Link,
-    Polyline,
-    Scene,
-    Slot,
-    Transmitter,
-    map_scene,
-    read_lines,
-)
+from maplines_can import Codec, Link, Polyline, Scene, Slot, Transmitter, map_scene, read_lines
 from maplines_can.bus import LogWriter
 from maplines_can.cli import main
 from maplines_can.recordings.plots import panels_of, recorded
@@ -58,7 +50,7 @@ def scene_with_a_far_line() -> Scene:
     return map_scene(lines, scenario("production").ego)
 
 
-def test_demo(capsys: pytest.CaptureFixture[str]) -> None:
+def test_demo(capsys: Capture) -> None:
     """CAN FD is implied; six lines take both messages, each with the pose error."""
     assert main(["demo", "--seconds", "0.3", "--lines", "6", "--json", *DBC]) == 0
     result = json.loads(capsys.readouterr().out)
@@ -71,7 +63,7 @@ def test_demo(capsys: pytest.CaptureFixture[str]) -> None:
     assert re.search(r"frames +1 a cycle, with the pose error", capsys.readouterr().out)
 
 
-def test_a_log_is_decoded(log: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_is_decoded(log: Any, capsys: Capture) -> None:
     """With the DBC that is found; the counters are those of the messages, once for all lines."""
     path, sent = log
     lost = sent["faults"]["lost"]
@@ -94,7 +86,7 @@ def test_a_log_is_decoded(log: Any, capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize("command", ["decode", "consume fusion", "restbus"])
 def test_a_log_of_whole_scenes_is_no_log_of_others(
-    log: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+    log: Any, tmp_path: Path, capsys: Capture, command: str
 ) -> None:
     """Each command names the DBC."""
     path, _ = log
@@ -107,9 +99,7 @@ def test_a_log_of_whole_scenes_is_no_log_of_others(
     assert f"of {NAME} are whole; take --dbc {NAME}" in capsys.readouterr().err
 
 
-def test_other_can_ids_are_named(
-    log: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_other_can_ids_are_named(log: Any, tmp_path: Path, capsys: Capture) -> None:
     path, _ = log
     other = tmp_path / "other.log"
     other.write_text(path.read_text().replace(" 37", " 47"))
@@ -117,9 +107,7 @@ def test_other_can_ids_are_named(
     assert "are whole if 0x478..0x479 stand for its CAN IDs 0x378..0x379" in capsys.readouterr().err
 
 
-def test_authenticated_logs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_authenticated_logs(tmp_path: Path, monkeypatch: Patch, capsys: Capture) -> None:
     """Three lines a frame; the time stamps complete the freshness values, if they are absolute."""
     monkeypatch.chdir(tmp_path)
     keys = ["--key-file", str(key_file(tmp_path, bytes(range(16)).hex().encode()))]
@@ -137,9 +125,7 @@ def test_authenticated_logs(
     assert "a log with absolute time stamps" in capsys.readouterr().err
 
 
-def test_lines_that_are_left_out_are_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_lines_that_are_left_out_are_named(tmp_path: Path, capsys: Capture) -> None:
     """By a receiver: the frame has the slot and the reason."""
     codec, scene = Codec.from_dbc(default_dbc_path(NAME)), scene_with_a_far_line()
     bus: dict[str, Any] = {"interface": "virtual", "channel": str(tmp_path), "fd": True}
@@ -154,7 +140,7 @@ def test_lines_that_are_left_out_are_named(
     assert "next left" not in out
 
 
-def test_a_log_says_what_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_says_what_is_left_out(tmp_path: Path, capsys: Capture) -> None:
     """As rows, as a table, in the summary, and in a plot."""
     codec, scene = Codec.from_dbc(default_dbc_path(NAME)), scene_with_a_far_line()
     path, encoder = tmp_path / "a.log", codec.encoder()
@@ -180,14 +166,12 @@ def test_a_log_says_what_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert panels_of([recording], (20.0,))[-1].rows == ["ego left"]
 
 
-def result_of(capsys: pytest.CaptureFixture[str], *command: str) -> Any:
+def result_of(capsys: Capture, *command: str) -> Any:
     assert main([*command, "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 
 
-def test_a_key_leaves_lines_without_a_place(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_key_leaves_lines_without_a_place(capsys: Capture, tmp_path: Path) -> None:
     """They are told before, and counted."""
     key = tmp_path / "key"
     key.write_text("00112233445566778899aabbccddeeff")

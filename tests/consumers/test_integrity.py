@@ -93,10 +93,7 @@ def test_the_level_holds_in_the_whole_range(
     """For each time, share of white noise and sigma, at the ends and between them."""
     level = float(protection_level(1.0, risk, times, tolerance=tolerance))
     time = times[0] + where[0] * (times[1] - times[0])
-    true = Tolerance(
-        where[1] * tolerance.white_share,
-        1 + where[2] * (tolerance.sigma_ratio - 1),
-    )
+    true = Tolerance(where[1] * tolerance.white_share, 1 + where[2] * (tolerance.sigma_ratio - 1))
     assert risk_bound(level, time, tolerance=true) <= risk * (1 + 1e-6)
 
 

@@ -5,16 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can import (
-    Codec,
-    Gaussian,
-    MapError,
-    MapLine,
-    Motion,
-    Polyline,
-    Slot,
-    map_scene,
-)
+from maplines_can import Codec, Gaussian, MapError, MapLine, Motion, Polyline, Slot, map_scene
 from maplines_can.consumers import FusedLane, LaneFusion
 from maplines_can.wire import default_dbc_path
 

@@ -119,8 +119,7 @@ def test_the_autocorrelation_is_that_of_the_conditional_gaussian() -> None:
     """Between the last and earlier times, of the errors of the estimates of these times."""
     seen = fixes(np.random.default_rng(1), 12)
     found = driven(
-        sorted([odometry(i * DT) for i in range(1, 602)] + seen, key=lambda one: one.t),
-        history=0.0,
+        sorted([odometry(i * DT) for i in range(1, 602)] + seen, key=lambda one: one.t), history=0.0
     )
     closed = Closed([one.t for one in seen])
     lags, rho = found.correlation.autocorrelation(np.zeros(1))

@@ -31,10 +31,7 @@ from maplines_can.values.line import Kind
 KINDS = (Kind.DASHED, Kind.SOLID)
 SCALES = np.array([1, 1, 0.05, 0.1, 0.01, 0.02, 2, 2, 0.1, 0.01, 1, 1, 1])
 LAYER = LocalisationLayer(
-    network(
-        lane("1", kinds=KINDS),
-        landmarks=(Landmark("pole", LandmarkKind.POLE, 60.0, 4.0),),
-    )
+    network(lane("1", kinds=KINDS), landmarks=(Landmark("pole", LandmarkKind.POLE, 60.0, 4.0),))
 )
 
 

@@ -418,9 +418,7 @@ def test_the_side_of_an_opposite_lane(left_hand: bool, shares: str) -> None:
     other = lane("b", t=side * (WIDTH + gap), backward=True)
     if shares == "both":  # both boundaries are the same ones, as of a lane for both directions
         other = replace(
-            other,
-            left=Polyline(one.left.points[::-1]),
-            right=Polyline(one.right.points[::-1]),
+            other, left=Polyline(one.left.points[::-1]), right=Polyline(one.right.points[::-1])
         )
     if shares in ("left", "right") and (shares == "right") is not left_hand:
         other = lane("b", t=side * WIDTH, backward=True)

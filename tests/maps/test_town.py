@@ -10,15 +10,7 @@ from numpy.typing import NDArray
 from support.lane_maps import crossing
 
 from maplines_can import Slot
-from maplines_can.maps import (
-    Lane,
-    LaneTracker,
-    Map,
-    link_gaps,
-    load,
-    town_path,
-    town_tour,
-)
+from maplines_can.maps import Lane, LaneTracker, Map, link_gaps, load, town_path, town_tour
 from maplines_can.maps.joints import gap
 from maplines_can.simulation.trajectory import SimulatedDrive
 from maplines_can.values.errors import RouteError

@@ -5,15 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can import (
-    LeftOut,
-    Polyline,
-    Quadrature,
-    Refit,
-    SigmaPoints,
-    Slot,
-    map_lines,
-)
+from maplines_can import LeftOut, Polyline, Quadrature, Refit, SigmaPoints, Slot, map_lines
 from maplines_can.simulation.scenarios import SCENARIOS, pose
 from maplines_can.values.polyline import to_ego
 

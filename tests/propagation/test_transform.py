@@ -5,13 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can.propagation import (
-    Linear,
-    MapError,
-    MonteCarlo,
-    Quadrature,
-    SigmaPoints,
-)
+from maplines_can.propagation import Linear, MapError, MonteCarlo, Quadrature, SigmaPoints
 from maplines_can.simulation.scenarios import scenario
 from maplines_can.study.roads import paper_refit
 from maplines_can.values.errors import IllPosedError

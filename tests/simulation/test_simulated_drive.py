@@ -28,8 +28,7 @@ def track(drive: SimulatedDrive, rate: float = 200.0) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("acceleration", "deceleration", "limit"),
-    [(2.0, 2.0, 10.0), (1.0, 3.0, 13.9), (4.0, 0.7, 8.0)],
+    ("acceleration", "deceleration", "limit"), [(2.0, 2.0, 10.0), (1.0, 3.0, 13.9), (4.0, 0.7, 8.0)]
 )
 def test_straight_road_in_closed_form(
     acceleration: float, deceleration: float, limit: float

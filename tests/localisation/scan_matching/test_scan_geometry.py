@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 
 from maplines_can import Polyline
-from maplines_can.localisation.scan_matching import (
-    ScanReference,
-    simulated_scan,
-)
+from maplines_can.localisation.scan_matching import ScanReference, simulated_scan
 from maplines_can.localisation.scan_matching.match import (
     Minimum,
     jacobian,

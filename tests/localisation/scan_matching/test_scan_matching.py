@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from shapely.geometry import LineString, MultiLineString, Point
+from support.fixtures import Patch
 
 from maplines_can import Polyline
 from maplines_can.localisation.scan_matching import (
@@ -169,7 +170,7 @@ def test_the_error_of_an_object_is_that_of_the_pose(method: Any) -> None:
         method(room, scan, POSE, map_error=-0.1)
 
 
-def test_without_small_gicp_the_message_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_small_gicp_the_message_names_the_extra(monkeypatch: Patch) -> None:
     monkeypatch.setitem(sys.modules, "small_gicp", None)
     with pytest.raises(MissingExtraError, match='"scan"'):
         match_icp(REFERENCE, *scans(1)[0])

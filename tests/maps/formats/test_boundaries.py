@@ -19,11 +19,7 @@ from support.xodr_files import (
 )
 
 from maplines_can import Polyline
-from maplines_can.maps.formats.opendrive.boundaries import (
-    Boundaries,
-    _pieces,
-    sampled,
-)
+from maplines_can.maps.formats.opendrive.boundaries import Boundaries, _pieces, sampled
 from maplines_can.maps.formats.opendrive.reader import distinct
 from maplines_can.maps.formats.opendrive.reference_line import Complex
 

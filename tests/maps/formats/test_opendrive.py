@@ -11,12 +11,7 @@ from maplines_can.maps import Lane
 
 #: A road with all that a reader tends to mix up: two lanes each way, and shoulders.
 WIDE = section(
-    lane(3, kind="shoulder"),
-    lane(2),
-    lane(1),
-    lane(-1),
-    lane(-2),
-    lane(-3, kind="shoulder"),
+    lane(3, kind="shoulder"), lane(2), lane(1), lane(-1), lane(-2), lane(-3, kind="shoulder")
 )
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support.fixtures import Patch
 from support.lanelet_files import Osm
 from support.xodr_files import geometry, read_map, road, section
 from support.xodr_files import lane as xodr_lane
@@ -139,7 +140,7 @@ def test_metric_systems_are_kept(read: Reader, name: str, at: tuple[float, float
 
 
 @pytest.mark.parametrize("name", ["OGC:CRS84", "EPSG:4326", "EPSG:4979", "WGS 84"])
-def test_wgs84_needs_no_pyproj(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wgs84_needs_no_pyproj(name: str, monkeypatch: Patch) -> None:
     """Longitude stands first, as GeoJSON says, whatever the order of the system's axes."""
     sides = on_ground("EPSG:4326", MUNICH)
     monkeypatch.setitem(sys.modules, "pyproj", None)
@@ -149,7 +150,7 @@ def test_wgs84_needs_no_pyproj(name: str, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize("name", ["EPSG:32632", "EPSG:25832", "+proj=utm +zone=32 +ellps=GRS80"])
-def test_utm_needs_no_pyproj(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_utm_needs_no_pyproj(name: str, monkeypatch: Patch) -> None:
     """The scale of UTM is known."""
     sides = on_ground(name, (8.9, 49.3))
     monkeypatch.setitem(sys.modules, "pyproj", None)
@@ -157,9 +158,7 @@ def test_utm_needs_no_pyproj(name: str, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 @pytest.mark.parametrize("read", FORMATS)
-def test_a_system_that_needs_pyproj_is_refused_without(
-    read: Reader, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_system_that_needs_pyproj_is_refused_without(read: Reader, monkeypatch: Patch) -> None:
     """The message names the system and the extra."""
     monkeypatch.setitem(sys.modules, "pyproj", None)
     with pytest.raises(MissingExtraError, match=r"'EPSG:2154'.*install the extra \"maps\""):
@@ -220,9 +219,7 @@ def test_exchanged_axes_are_refused(
 
 
 @pytest.mark.parametrize("name", ["EPSG:25832", "EPSG:2154"])
-def test_local_metres_of_a_national_grid_are_metres(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_local_metres_of_a_national_grid_are_metres(name: str, monkeypatch: Patch) -> None:
     """Positions around 0 are not in the area that the file names; it is said."""
     if name == "EPSG:25832":
         monkeypatch.setitem(sys.modules, "pyproj", None)
