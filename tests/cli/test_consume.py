@@ -10,6 +10,7 @@ import can
 import numpy as np
 import pytest
 from support.drive_files import car_signals, run
+from support.fake_bus import message_of
 from support.fixtures import Capture
 
 from maplines_can import Codec, Gaussian, MapLine, Polyline, Slot, map_scene
@@ -42,22 +43,16 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
             t = 100.0 + 0.05 * k
             for frames in encoder.encode_scene(prepared, age=0.02).values():
                 for i, frame in enumerate(frames):
-                    log(_message(t + 0.0005 * i, frame))
+                    log(message_of(frame, timestamp=t + 0.0005 * i))
             shift = np.array([1.0 if k >= 60 else 0.0, 0, 0, 0])
             for line in scene.lines:
                 seen = MapLine(
                     line.slot, Gaussian(line.gaussian.mean + shift, noise), x_max=40.0, age=0.02
                 )
                 for i, frame in enumerate(plain_encoder.encode(seen)):
-                    camera(_message(t + 0.0005 * i, frame))
+                    camera(message_of(frame, timestamp=t + 0.0005 * i))
         log(can.Message(timestamp=t + 2.0, arbitration_id=1, is_extended_id=False))
     return folder / "drive.log"
-
-
-def _message(t: float, frame: Any) -> can.Message:
-    return can.Message(
-        timestamp=t, arbitration_id=frame.can_id, is_extended_id=False, data=frame.data
-    )
 
 
 def rows(capsys: Capture, *options: object) -> tuple[int, list[Any], str]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import can
 import pytest
+from support.fake_bus import message_of
 from support.fixtures import Capture
 from support.lines import scenario_lines
 
@@ -29,21 +30,15 @@ def log(tmp_path: Path) -> Any:
             for line in lines:
                 for frame in encoder.encode(line):
                     t += 0.0002
-                    writer(message(frame, t, "can0"))
+                    writer(message_of(frame, timestamp=t, channel="can0"))
             for frame in encoder.encode(lines[0]):
-                writer(message(frame, t, "can1"))
+                writer(message_of(frame, timestamp=t, channel="can1"))
             if k == 2:
                 writer(can.Message(t, 0x7AA, is_extended_id=False, data=b"hello", channel="can0"))
                 for frame in encoder.encode(lines[1])[:2]:
-                    writer(message(frame, t, "can0"))
+                    writer(message_of(frame, timestamp=t, channel="can0"))
             t += 0.05
     return path
-
-
-def message(frame: Any, t: Any, channel: Any) -> Any:
-    return can.Message(
-        t, frame.can_id, is_extended_id=False, is_fd=frame.is_fd, data=frame.data, channel=channel
-    )
 
 
 def test_lines_are_printed_as_json(capsys: Capture, log: Any) -> None:
@@ -92,7 +87,7 @@ def test_a_line_that_must_not_be_used_has_empty_cells(capsys: Capture, tmp_path:
     with can.Logger(path) as writer:
         for t, line in enumerate(lines):
             for frame in encoder.encode(line):
-                writer(message(frame, 1000 + 0.05 * t, "can0"))
+                writer(message_of(frame, timestamp=1000 + 0.05 * t, channel="can0"))
     assert main(["decode", str(path), "--csv"]) == 0
     rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))
     assert [row["status"] for row in rows][1] == "OUT_OF_RANGE"
@@ -154,7 +149,7 @@ def drive(path: Any, *, cycle: Any, channels: Any = ("can0",), cut: Any = (), n:
             for channel, encoder in encoders.items():
                 frames = encoder.encode(line)
                 for frame in frames if (channel, k) not in cut else []:
-                    writer(message(frame, 1000 + k * cycle, channel))
+                    writer(message_of(frame, timestamp=1000 + k * cycle, channel=channel))
     return str(path)
 
 
@@ -201,7 +196,7 @@ def test_the_time_out_of_a_transfer_is_an_option(capsys: Capture, tmp_path: Path
     frames = Codec.from_dbc().encoder().encode(MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0]))
     with can.Logger(path) as writer:
         for t, frame in zip((1.0, 1.0002, 1.0602, 1.0604), frames, strict=True):
-            writer(message(frame, t, "can0"))
+            writer(message_of(frame, timestamp=t, channel="can0"))
     assert main(["decode", str(path)]) == 0
     assert "1 line from 4 frames" in capsys.readouterr().err
     assert main(["decode", str(path), "--transfer-timeout", "25"]) == 0

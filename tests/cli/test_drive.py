@@ -12,9 +12,9 @@ from answers import one
 from can.interfaces import virtual
 from support.drive_files import run, table, town
 from support.fixtures import Capture, Patch
-from support.xodr_files import WIDTH, document, geometry, lane, road, section
+from support.xodr_files import document, geometry, lane, road, section
 
-from maplines_can import Codec, Kind, MapLine, Slot, read_log
+from maplines_can import Codec, MapLine, Slot, read_log
 from maplines_can.cli import main
 from maplines_can.cli.drive import _text
 from maplines_can.maps.line_source import Cycle, LineSource
@@ -279,26 +279,3 @@ def test_without_a_pose_no_line_is_sent(
     rows = (tmp_path / "truth.csv").read_text().splitlines()
     empty = [row for row in rows[1:] if ",,,,,,,,," in row]
     assert len(empty) >= 9
-
-
-def test_the_kind_on_the_bus_is_that_of_the_marking_beside_the_car(
-    tmp_path: Path, capsys: Capture
-) -> None:
-    """Broken for 100 m, solid from there; a cycle in which the pose error decides is left out."""
-    marks = '<roadMark sOffset="0" type="broken"/><roadMark sOffset="100" type="solid"/>'
-    path, log = tmp_path / "marks.xodr", tmp_path / "drive.log"
-    lanes = section(lane(-1, WIDTH + marks), lane(-2))
-    path.write_text(document(road(lanes, plan=geometry(length=200.0), length=200.0)))
-    run(capsys, str(path), *FAST[:1], "--route", "1:0:-1..1:0:-1", "--record", str(log),
-        "--truth", str(tmp_path / "truth.csv"))  # fmt: skip
-    truth = table(tmp_path / "truth.csv")
-    times = [float(row["time"]) for row in truth]
-    right = [line for line in decoded(log) if line.slot is Slot.EGO_RIGHT]
-    start, sides = min(line.t_ns or 0 for line in right), [0, 0]
-    for line in right:
-        i = int(np.searchsorted(times, times[0] + ((line.t_ns or 0) - start) / 1e9 + 1e-3)) - 1
-        x = float(truth[i]["x"])
-        if abs(x - 100.0) > 2.0:
-            assert line.kind is (Kind.SOLID if x > 100.0 else Kind.DASHED)
-            sides[x > 100.0] += 1
-    assert min(sides) > 100

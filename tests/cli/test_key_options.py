@@ -10,6 +10,7 @@ from typing import Any
 
 import can
 import pytest
+from support.fake_bus import message_of
 from support.fixtures import Capture, Patch
 from support.lines import scenario_lines
 from support.secoc_streams import (
@@ -29,8 +30,6 @@ from maplines_can.bus import key_from_file
 from maplines_can.cli import main
 from maplines_can.simulation import scenario
 from maplines_can.wire import Authenticator
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
@@ -157,29 +156,9 @@ def test_a_recorded_log_is_decoded_with_its_key(
     frames = sent(codec.encoder(), clock, lines[0], 4)
     with can.Logger(path) as writer:
         for i, frame in enumerate([*frames, frames[1]]):
-            writer(
-                can.Message(
-                    NOW / S + 0.05 * i,
-                    frame.can_id,
-                    is_extended_id=False,
-                    is_fd=True,
-                    data=frame.data,
-                    channel="can0",
-                )
-            )
-    assert (
-        main(["decode", str(path), "--key-file", str(key_file(tmp_path, SECRET.hex().encode()))])
-        == 0
-    )
+            writer(message_of(frame, timestamp=NOW / S + 0.05 * i, channel="can0"))
+    key = str(key_file(tmp_path, SECRET.hex().encode()))
+    assert main(["decode", str(path), "--key-file", key]) == 0
     out, err = capsys.readouterr()
     assert len(out.splitlines()) == 4
     assert "dropped frames: 1 replay" in err
-
-
-def test_classic_can_with_a_key_is_an_error(capsys: Capture, tmp_path: Path) -> None:
-    """With a DBC without authenticated messages, lines cannot be sent or received with a key."""
-    path = key_file(tmp_path, SECRET.hex().encode())
-    dbc = str(ROOT / "dbc" / "maplines.dbc")
-    for job in ("demo", "send", "receive"):
-        assert main([job, "--key-file", str(path), "--dbc", dbc, "--interface", "virtual"]) == 1
-        assert "plain CAN FD are not authenticated" in capsys.readouterr().err

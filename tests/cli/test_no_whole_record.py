@@ -324,14 +324,3 @@ def test_the_kind_of_times_reaches_the_reader(
     assert (
         "36 records are whole but for their time stamps; check --times" in capsys.readouterr().err
     )
-
-
-def test_differences_are_decoded(tmp_path: Path, capsys: Any) -> None:
-    """The times of the lines are those of the sender, from the first frame on."""
-    stamps = np.diff([t for t, *_ in LINES], prepend=LINES[0][0])
-    rows = [(t, *rest) for t, (_, *rest) in zip(stamps.tolist(), LINES, strict=True)]
-    log = str(written(tmp_path / "a.log", rows))
-    assert main(["decode", log, "--times", "delta", "--csv", "--slots", "ego-left"]) == 0
-    t = [float(row.split(",")[0]) for row in capsys.readouterr().out.splitlines()[1:]]
-    assert np.diff(t) == pytest.approx(0.05, abs=1e-4)
-    assert len(t) == CYCLES

@@ -12,6 +12,7 @@ import pytest
 from answers import lines_of, one
 from support.dbcs import DBC
 from support.drive_files import run, town
+from support.fake_bus import message_of
 from support.fixtures import Capture, Patch
 from support.sender_pairs import Sender, merged
 
@@ -68,16 +69,7 @@ def write_log(path: Path, transfers: list[Any], *channels: str) -> list[str]:
     with can.Logger(path) as writer:
         for stamp, _, frames in transfers:
             for frame, channel in ((f, c) for f in frames for c in channels):
-                writer(
-                    can.Message(
-                        stamp,
-                        frame.can_id,
-                        is_extended_id=False,
-                        is_fd=frame.is_fd,
-                        data=frame.data,
-                        channel=channel,
-                    )
-                )
+                writer(message_of(frame, timestamp=stamp, channel=channel))
     return ["decode", str(path)]
 
 
