@@ -1,12 +1,8 @@
 """CommonRoad XML, 2018b and 2020a."""
 
 import io
-from pathlib import Path
 
-import pytest
-
-import maplines_can as ml
-from maplines_can.maps import Map, MapFileError
+from maplines_can.maps import Map
 from maplines_can.maps.formats.commonroad import read
 
 
@@ -111,21 +107,3 @@ def test_the_projection() -> None:
         assert found.skipped[0].why.startswith("zRotation and scaling are not applied")
         assert found.projection is None
     assert read_map(lanelet(1)).projection is None
-
-
-def test_load(tmp_path: Path) -> None:
-    """Other elements of a scenario are not read."""
-    path = tmp_path / "scenario.xml"
-    obstacle = "<dynamicObstacle id='3'><lanelet id='9'/></dynamicObstacle>"
-    path.write_text(document(lanelet(1), obstacle, version="2018b"))
-    assert list(ml.maps.load(path).lanes) == ["1"]
-    path.write_text(document(obstacle))
-    with pytest.raises(MapFileError, match="contains no usable lane"):
-        ml.maps.load(path)
-
-
-def test_a_lanelet_without_width_is_not_used() -> None:
-    flat = bound("leftBound", (0, 9), (9, 9)) + bound("rightBound", (0, 9), (9, 9))
-    found = read_map(lanelet(1), f'<lanelet id="2">{flat}</lanelet>')
-    assert list(found.lanes) == ["1"]
-    assert "it has no width" in found.skipped[0].why

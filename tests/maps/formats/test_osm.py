@@ -1,12 +1,8 @@
 """Lanelet2 maps by the reader of this package."""
 
-import gzip
-from pathlib import Path
-
 import pytest
 from support.lanelet_files import Osm
 
-import maplines_can as ml
 from maplines_can.maps import MapFileError
 from maplines_can.maps.formats.projection import local_cartesian, tangent
 
@@ -105,21 +101,6 @@ def test_other_relations_are_counted() -> None:
     (skipped,) = osm.map().skipped
     assert skipped.where == "3 relations of type regulatory_element"
     assert skipped.why == "only lanelets are used, not: 1 right_of_way, 2 traffic_light"
-
-
-@pytest.mark.parametrize("suffix", [".osm", ".osm.gz", ".xml"])
-def test_load(tmp_path: Path, suffix: str) -> None:
-    osm = Osm()
-    osm.strip(0.0, 9.0)
-    data = osm.text().encode()
-    path = tmp_path / f"map{suffix}"
-    path.write_bytes(gzip.compress(data) if suffix.endswith("gz") else data)
-    road_map = ml.maps.load(path)
-    assert (len(road_map.lanes), road_map.name) == (1, path.name)
-    (lane,) = road_map.lanes.values()
-    assert lane.road == lane.id
-    (lane,) = ml.maps.load(path, projection=tangent(49.0, 8.4)).lanes.values()
-    assert lane.right.points[0] == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
 def test_a_street_map_is_an_error() -> None:
