@@ -53,3 +53,10 @@ def test_every_flipped_bit_is_detected() -> None:
     found = codec.batch.decode(flipped)
     assert found.rejects.keys() == {Reason.CRC, Reason.MIXED}
     assert not found.accepted.any()
+
+
+def test_a_record_of_another_slot_is_detected() -> None:
+    """The checksum covers the data ID."""
+    codec = default_codec()
+    record = codec.batch.encode([[1.75, 0, 0, 0]], slot=Slot.EGO_LEFT)
+    assert codec.batch.decode(record, slot=[Slot.EGO_RIGHT]).rejects == {Reason.CRC: 1}

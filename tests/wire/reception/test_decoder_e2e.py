@@ -19,6 +19,7 @@ from support.e2e_streams import (
     run,
 )
 
+from maplines_can import MapLine
 from maplines_can.wire import E2EState, ProfileStatus, Reason
 
 OK, NONEWDATA, ERROR, REPEATED, OKSOMELOST, WRONGSEQUENCE = ProfileStatus
@@ -90,4 +91,44 @@ def test_one_sender_is_not_taken_for_two(seed: int, fd: bool, k: Any, bad: Any) 
     for at, _, frame in sorted(arrivals):
         decoder.feed(frame.can_id, frame.data, at)
     assert not decoder.checks[SLOT].two_senders
+    check_accounts(decoder)
+
+
+@pytest.mark.parametrize("fd", [False, True])
+@pytest.mark.parametrize("k", [0, 1, 4, 5, 15, 16, 40])
+def test_lost_lines(k: int, fd: bool) -> None:
+    """Up to 15 are OKSOMELOST; each missing cycle is NONEWDATA, and five of them end VALID."""
+    decoder = default_codec().decoder()
+    _, t_ns = run(decoder, range(250, 262), fd=fd)
+    (line,), _ = run(decoder, [262 + k], t_ns + k * CYCLE, fd=fd)
+    slot = decoder.checks[SLOT]
+    assert isinstance(line, MapLine)
+    assert slot.statuses[NONEWDATA] == k
+    assert slot.lost == decoder.lost == k
+    assert slot.status is (OK if k == 0 else OKSOMELOST if k < 16 else WRONGSEQUENCE)
+    assert slot.state is (VALID if k < 5 else INVALID)
+    check_accounts(decoder)
+
+
+@pytest.mark.parametrize("silence", [0, 3, 9, 10, 1000])
+@pytest.mark.parametrize("at", [10, 120, 130, 250])
+def test_a_sender_that_restarts(at: int, silence: int) -> None:
+    """Two lines are held back; for ten cycles, if the counters from 0 on were never received."""
+    decoder = default_codec().decoder()
+    _, t_ns = run(decoder, range(at - 10, at))
+    slot = decoder.checks[SLOT]
+    assert slot.state is VALID
+    kept = max(0, min(2 if at == 10 else 10, 10 - silence)) if at < 240 else 0
+    answers, t_ns = run(decoder, range(kept + 1), t_ns + silence * CYCLE, other=100)
+    assert answers[:kept] == [Reason.STALE] * kept
+    assert isinstance(answers[kept], MapLine)
+    if at < 240:  # from there on 0 looks like the next but some
+        assert (slot.status, slot.state) == (WRONGSEQUENCE, INVALID)
+        answers, t_ns = run(decoder, range(kept + 1, kept + 8), t_ns, other=100)
+        assert slot.state is INVALID
+        answers += run(decoder, [kept + 8], t_ns, other=100)[0]
+        assert all(isinstance(answer, MapLine) for answer in answers)
+        assert slot.lost == 0
+    assert slot.state is VALID or at >= 240
+    assert not slot.two_senders
     check_accounts(decoder)
