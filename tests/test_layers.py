@@ -34,7 +34,7 @@ MODEL_USERS = {f"testing.{name}" for name in (
 #: Imports inside functions of the product: what and where from. They run when an option asks.
 LAZY = {
     ("cli.options", "testing"), ("cli.options", "study.comparison"),
-    ("cli.options", "study.dbc.record_spec"),
+    ("cli.options", "study.code_dbcs"),
     ("simulation.round_trip", "testing"), ("simulation.transmission", "testing"),
     ("restbus.frame_faults", "testing"),
     ("cosimulation.connections", "testing"), ("cosimulation.runner", "testing"),
@@ -42,7 +42,7 @@ LAZY = {
 #: Packages that may import a big dependency.
 DOORS = {
     "can": {"bus", "logs", "testing", "restbus"},
-    "cantools": {"dbc_files", "study", "restbus"},
+    "cantools": {"dbc_files", "generation", "restbus"},
     "cryptography": {"wire"},
     "tqdm": {"cli"},
     "matplotlib": {"pictures", "study", "recordings"},

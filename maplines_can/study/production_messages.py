@@ -39,7 +39,7 @@ from ..values.line import PARAMETERS, lateral, lateral_jacobian
 from ..values.text_table import aligned, csv_text, markdown
 from ..wire import Layout
 from ..wire.layout.record_signals import PARAMETER_SIGNALS, Signal
-from .dbc.covariance_spec import covariance_signals
+from .code_dbcs import covariance_signals
 from .sets import Gaussians, paper, road
 
 Array = NDArray[np.float64]

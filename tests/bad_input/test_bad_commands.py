@@ -15,7 +15,7 @@ from support.expressions import cases
 
 from maplines_can import Codec, MapLine, Slot
 from maplines_can.cli import main
-from maplines_can.study.dbc.record_spec import DEFAULT
+from maplines_can.generation.dbc.record_spec import DEFAULT
 
 
 @pytest.fixture(scope="module")

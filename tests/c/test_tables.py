@@ -7,8 +7,8 @@ import pytest
 from scene_layouts import layout_of
 
 from maplines_can.generation.c_tables import identifier_of, tables_of
+from maplines_can.study.code_dbcs import dbc_writer_for
 from maplines_can.study.codes import CODES as STUDY_CODES
-from maplines_can.study.dbc.record_spec import dbc_writer_for
 from maplines_can.values.errors import LayoutError
 from maplines_can.wire.core_tables import CODES
 from maplines_can.wire.layout.message_layout import Layout

@@ -12,9 +12,10 @@ from support.scene_streams import road_scene
 
 from maplines_can import Gaussian, GaussianMixture, MapLine, Slot, Status
 from maplines_can.cli import main
+from maplines_can.generation.dbc.record_spec import DEFAULT
 from maplines_can.recordings.read_lines import read_lines
+from maplines_can.study.code_dbcs import dbc_writer_for
 from maplines_can.study.comparison import ComparisonCodec, codec_for
-from maplines_can.study.dbc.record_spec import DEFAULT, dbc_writer_for
 from maplines_can.values.errors import EncodeError, LayoutError
 from maplines_can.values.line import Kind
 from maplines_can.wire import POSE, Codec, Layout, Reason

@@ -14,7 +14,7 @@ import pytest
 
 import maplines_can as ml
 from maplines_can import bus, propagation, testing, wire
-from maplines_can.study.dbc.record_spec import DEFAULT
+from maplines_can.generation.dbc.record_spec import DEFAULT
 from maplines_can.values import line
 
 #: What Python itself raises where an object of another class is passed. A type checker finds it.

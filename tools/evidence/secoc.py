@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from maplines_can import map_lines
+from maplines_can.generation.dbc.record_spec import SECURED
 from maplines_can.simulation.scenarios import scenario
-from maplines_can.study.dbc.record_spec import SECURED
 from maplines_can.values.line import MapLine
 from maplines_can.wire import Authenticator, Codec, Frame, Key, Layout, Reason
 

@@ -18,6 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...generation.dbc.dbc_writer import DbcWriter, SignalSpec, write_dbc
+from ...generation.dbc.record_spec import CONDITIONAL, POSE
 from ...values.errors import LayoutError
 from ...values.line import Slot
 from ...values.scene import Scene
@@ -25,8 +27,6 @@ from ...values.text_table import aligned
 from ...wire import Codec
 from ...wire.layout.message_layout import Layout
 from ...wire.layout.record_signals import FINE, FINE_SIGNALS, OWN_SIGNALS, PARAMETER_SIGNALS
-from ..dbc.dbc_writer import DbcWriter, SignalSpec, write_dbc
-from ..dbc.record_spec import CONDITIONAL, POSE
 from ..scenes.carriers import with_pose
 from ..scenes.random_scenes import random_scene
 

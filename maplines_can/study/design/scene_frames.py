@@ -23,13 +23,13 @@ from typing import Any
 
 import numpy as np
 
+from ...generation.dbc.dbc_writer import DbcWriter, SceneSpec, SignalSpec, write_dbc
+from ...generation.dbc.record_spec import CONDITIONAL, POSE, WHOLE_SCENES
 from ...values.errors import LayoutError
 from ...values.text_table import aligned, markdown
 from ...wire import Codec
 from ...wire.layout.message_layout import Layout
 from ...wire.layout.record_signals import OCTAVE, OWN_SIGNALS, PARAMETER_SIGNALS
-from ..dbc.dbc_writer import DbcWriter, SceneSpec, SignalSpec, write_dbc
-from ..dbc.record_spec import CONDITIONAL, POSE, WHOLE_SCENES
 from ..scenes.map_scenes import DrawnScene
 from ..scenes.sigma_ratios import LANE_AT, LINE_AT, Ratios, excess, headings, measured, merged
 from .planner import INFLATION

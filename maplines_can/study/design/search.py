@@ -17,13 +17,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...generation.dbc.dbc_writer import DbcWriter, write_dbc
 from ...values.coding_loss import LATERAL_X, evaluate
 from ...values.errors import LayoutError
 from ...values.line import Slot, Status
 from ...values.text_table import aligned, markdown
 from ...wire import Codec, Layout
 from ...wire.layout.record_signals import PARAMETER_SIGNALS
-from ..dbc.dbc_writer import DbcWriter, write_dbc
 from ..sets import Gaussians, paper, road, survey
 from .planner import ENDS_AIM, MAX_FRAMES, MIN_GAIN, PRICES, Planner, Prediction, Targets, WidthPlan
 

@@ -15,6 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...generation.dbc.dbc_writer import DbcWriter
+from ...generation.dbc.record_spec import CONDITIONAL, DEFAULT, WHOLE_SCENES
 from ...values.linalg import block_diagonal
 from ...values.line import Status, lateral_jacobian
 from ...values.scene import Scene
@@ -28,9 +30,8 @@ from ...wire.layout.record_signals import (
     POSE_ROWS,
     TILT,
 )
+from ..code_dbcs import dbc_writer_for
 from ..comparison import AnyCodec, codec_for, sent_scene, transmit
-from ..dbc.dbc_writer import DbcWriter
-from ..dbc.record_spec import CONDITIONAL, DEFAULT, WHOLE_SCENES, dbc_writer_for
 from .random_scenes import RESOLUTION, information, joint_limit, noise_floor, random_scene
 
 Array = NDArray[np.float64]

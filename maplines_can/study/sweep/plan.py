@@ -20,10 +20,9 @@ from ...values.input_files import json_of
 from ...values.line import Slot
 from ...wire.layout.message_layout import Layout
 from ...wire.layout.record_signals import PARAMETER_SIGNALS
+from ..code_dbcs import covariance_signals, dbc_writer_for
 from ..codes import CODES
 from ..comparison import AnyCodec, codec_for
-from ..dbc.covariance_spec import covariance_signals
-from ..dbc.record_spec import dbc_writer_for
 from ..sets import LineSet
 
 #: The code of the project's own DBC.

@@ -10,15 +10,15 @@ import pytest
 from support.lines import lines_timed_out, scenario_lines
 
 from maplines_can import Gaussian, MapLine, Slot, Status
+from maplines_can.generation.dbc.record_spec import SERVICE
 from maplines_can.model.records import written
 from maplines_can.simulation.round_trip import round_trip
 from maplines_can.simulation.scenarios import SCENARIOS
 from maplines_can.study import adversarial, evaluate, paper, road
+from maplines_can.study.code_dbcs import covariance_signals, dbc_writer_for
 from maplines_can.study.codes import CODES
 from maplines_can.study.codes.integer_cholesky import ORDER, UNIT
 from maplines_can.study.comparison import codec_for, transmit
-from maplines_can.study.dbc.covariance_spec import covariance_signals
-from maplines_can.study.dbc.record_spec import SERVICE, dbc_writer_for
 from maplines_can.study.sweep import plan
 from maplines_can.values.errors import LayoutError
 from maplines_can.wire import Layout, Reason

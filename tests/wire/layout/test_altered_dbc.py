@@ -13,15 +13,10 @@ from dbc_alterations import ORIGINALS, Original, altered, original, pose_origina
 from dbc_witness import WrongResultError, check_codec
 
 from maplines_can import Codec
+from maplines_can.generation.dbc.record_spec import CONDITIONAL, DEFAULT, POSE_WITH_LEVELS, SECURED
+from maplines_can.study.code_dbcs import dbc_writer_for
 from maplines_can.study.codes import CODES
 from maplines_can.study.comparison import codec_for
-from maplines_can.study.dbc.record_spec import (
-    CONDITIONAL,
-    DEFAULT,
-    POSE_WITH_LEVELS,
-    SECURED,
-    dbc_writer_for,
-)
 from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import Slot
 from maplines_can.wire import Layout

@@ -13,7 +13,7 @@ from dbc_witness import check_codec
 from scene_layouts import layout_of
 
 from maplines_can.dbc_files.parser import default_dbc_path
-from maplines_can.study.dbc.record_spec import CONDITIONAL, SCENES, WHOLE_SCENES
+from maplines_can.generation.dbc.record_spec import CONDITIONAL, SCENES, WHOLE_SCENES
 from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import Slot
 from maplines_can.wire import Codec, Layout

@@ -25,7 +25,7 @@ from support.secoc_streams import (
 )
 
 from maplines_can import Codec, Slot
-from maplines_can.study.dbc.record_spec import SECURED
+from maplines_can.generation.dbc.record_spec import SECURED
 from maplines_can.values.errors import EncodeError, LayoutError
 from maplines_can.wire import Authenticator, E2EState, Key, Layout, Reason, Verifier
 from maplines_can.wire.layout.slot_messages import SecuredLayout

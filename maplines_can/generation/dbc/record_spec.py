@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 
 from ...values.line import Kind, Slot, Status
 from ...wire.layout.pose_layout import SCENE, SCENE2
 from ...wire.layout.record_signals import SLOT, slot_title
 from ...wire.layout.scene_layout import NoLine
-from ..codes import CODES
-from .covariance_spec import covariance_signals, pivot_signal, ratio_signal
-from .dbc_writer import DbcWriter, PoseSpec, SceneSpec, SignalSpec, paged
+from .cholesky_signals import CHOLESKY, pivot_signal, ratio_signal
+from .dbc_writer import DbcWriter, PoseSpec, SceneSpec, SignalSpec
 
 # The numbers of a signal stand on one line, its texts below.
 # fmt: off
@@ -217,7 +216,6 @@ FIT_RANGE = (
         about="End of the range to which the cubic was fitted, exact.",
         why="0 to 127 m; the pose error acts on the line over this range, to 1 m"),
 )
-_COVARIANCE = covariance_signals("Cholesky")
 
 
 def _fine(spec: SignalSpec, bits: int) -> SignalSpec:
@@ -235,8 +233,8 @@ CONDITIONAL = DbcWriter(
     pages=(
         (CRC, _LINE_COUNTER, *MEAN[:2], KIND, _HAS_COVARIANCE, OWN[2]),
         (*MEAN[2:], *FIT_RANGE, *OWN[:2], OWN[3]),
-        (*_COVARIANCE[:5], *_FINE),
-        _COVARIANCE[5:],
+        (*CHOLESKY[:5], *_FINE),
+        CHOLESKY[5:],
     ),
     first_can_id=0x360,
     first_fd_can_id=0x368,
@@ -315,60 +313,13 @@ DEFAULT = DbcWriter(
     pages=(
         (*_PROTECTION, _MEAN[0], _MEAN[1], _STATUS, KIND),
         (_MEAN[2], _MEAN[3], *_EXTENT),
-        (*_COVARIANCE[:5], *_COMPONENT),
-        _COVARIANCE[5:],
+        (*CHOLESKY[:5], *_COMPONENT),
+        CHOLESKY[5:],
     ),
     pose=POSE_WITH_LEVELS,
 )
 #: The writer of ``dbc/maplines-secoc.dbc``: the same, with an authenticated message for each slot.
 SECURED = replace(DEFAULT, first_secured_can_id=0x350)
-
-
-def dbc_name(code: str) -> str:
-    """Return the name of the DBC of a covariance code.
-
-    >>> dbc_name("Cholesky"), dbc_name("Float16")
-    ('maplines.dbc', 'maplines-float16.dbc')
-    """
-    return f"maplines-{code.lower()}.dbc" if code != DEFAULT.covariance_code else "maplines.dbc"
-
-
-def dbc_named(name: str) -> str | None:
-    """Return the text of the DBC with a ``dbc_name``; None if there is no such code."""
-    codes = {dbc_name(code): code for code in CODES}
-    return dbc_writer_for(codes[name]).dbc() if name in codes else None
-
-
-def dbc_writer_for(
-    code: str, finer_bits: int = 0, field_bits: Mapping[str, int] | None = None
-) -> DbcWriter:
-    """Return the writer for a covariance code, with as few pages as its signals fit on.
-
-    Args:
-        code: a name of ``CODES``.
-        finer_bits: more bits for each field of the covariance, for finer steps.
-        field_bits: more bits for single fields of the covariance or the mean, by name, over the
-            same range.
-
-    Raises:
-        ValueError: there is no such code or field, or it does not have such widths.
-
-    >>> [len(dbc_writer_for(code).pages) for code in ("MeanOnly", "Cholesky", "Float32")]
-    [3, 4, 11]
-    """
-    if code not in CODES:
-        raise ValueError(f"code must be one of {', '.join(CODES)}, got {code!r}")
-    if code == DEFAULT.covariance_code and not finer_bits and not field_bits:
-        return DEFAULT
-    covariance = covariance_signals(code, finer_bits)
-    bits = field_bits or {}
-    names = [spec.name for spec in (*_MEAN, *covariance)]
-    if unknown := [name for name in bits if name not in names]:
-        raise ValueError(
-            f"field_bits must be of {', '.join(names)}, got {', '.join(map(repr, unknown))}"
-        )
-    signals = [spec.finer(bits.get(spec.name, 0)) for spec in (*SERVICE, *covariance)]
-    return DbcWriter(paged(signals), covariance_code=code)
 
 
 # The numbers of a signal stand on one line, its texts below.

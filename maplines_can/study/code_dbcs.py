@@ -1,24 +1,19 @@
-"""The signals of each covariance code, for the DBC writer."""
+"""The signals of each covariance code, and its DBC."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
-from ...wire.layout.record_signals import PARAMETER_SIGNALS
-from ..codes.integer_cholesky import ORDER, entry_name
-from ..codes.triangle import PAIRS, half_name, triangle_name
-from .dbc_writer import SignalSpec
+from ..generation.dbc.cholesky_signals import CHOLESKY, INFLATION, PIVOTS_AND_RATIOS, UNITS
+from ..generation.dbc.dbc_writer import DbcWriter, paged
+from ..generation.dbc.record_pages import SignalSpec
+from ..generation.dbc.record_spec import DEFAULT, SERVICE
+from ..wire.layout.record_signals import PARAMETER_SIGNALS
+from .codes import CODES
+from .codes.integer_cholesky import ORDER, entry_name
+from .codes.triangle import PAIRS, half_name, triangle_name
 
-#: Units of the states.
-UNITS = ("m", "rad", "1/m", "1/m^2")
-#: Units of the rows of Cholesky codes.
-_UNIT_OF_ROW = {
-    **dict(zip(PARAMETER_SIGNALS, UNITS, strict=True)),
-    "Along": "m",
-    "Across": "m",
-    "Heading": "rad",
-}
 #: Largest standard deviations of the linear codes: a street turn with 10 deg of heading.
 MAX_SIGMA = (4.0, 0.25, 0.0625, 0.015625)
 #: log2 of the smallest standard deviation [octave], usually half a step of the mean.
@@ -38,9 +33,9 @@ def covariance_signals(code: str, finer_bits: int = 0) -> tuple[SignalSpec, ...]
     signals: Iterable[SignalSpec]
     match code:
         case "Cholesky":
-            signals = (*_PIVOTS_AND_RATIOS, _INFLATION)
+            signals = CHOLESKY
         case "LogCholesky":
-            signals = _PIVOTS_AND_RATIOS
+            signals = PIVOTS_AND_RATIOS
         case "IntegerCholesky":
             signals = (_SCALE_EXPONENT, *_integer_entries())
         case "Linear" | "LinearNearest":
@@ -61,96 +56,60 @@ def covariance_signals(code: str, finer_bits: int = 0) -> tuple[SignalSpec, ...]
 def _finer(spec: SignalSpec, bits: int) -> SignalSpec:
     if spec is _SCALE_EXPONENT:
         return spec
-    if spec is _INFLATION:  # the inflation needed shrinks with the steps: its bits stay
+    if spec is INFLATION:  # the inflation needed shrinks with the steps: its bits stay
         return replace(spec, factor=spec.factor / 2.0**bits)
     return spec.finer(bits)
 
 
+def dbc_name(code: str) -> str:
+    """Return the name of the DBC of a covariance code.
+
+    >>> dbc_name("Cholesky"), dbc_name("Float16")
+    ('maplines.dbc', 'maplines-float16.dbc')
+    """
+    return f"maplines-{code.lower()}.dbc" if code != DEFAULT.covariance_code else "maplines.dbc"
+
+
+def dbc_named(name: str) -> str | None:
+    """Return the text of the DBC with a ``dbc_name``; None if there is no such code."""
+    codes = {dbc_name(code): code for code in CODES}
+    return dbc_writer_for(codes[name]).dbc() if name in codes else None
+
+
+def dbc_writer_for(
+    code: str, finer_bits: int = 0, field_bits: Mapping[str, int] | None = None
+) -> DbcWriter:
+    """Return the writer for a covariance code, with as few pages as its signals fit on.
+
+    Args:
+        code: a name of ``CODES``.
+        finer_bits: more bits for each field of the covariance, for finer steps.
+        field_bits: more bits for single fields of the covariance or the mean, by name, over the
+            same range.
+
+    Raises:
+        ValueError: there is no such code or field, or it does not have such widths.
+
+    >>> [len(dbc_writer_for(code).pages) for code in ("MeanOnly", "Cholesky", "Float32")]
+    [3, 4, 11]
+    """
+    if code not in CODES:
+        raise ValueError(f"code must be one of {', '.join(CODES)}, got {code!r}")
+    if code == DEFAULT.covariance_code and not finer_bits and not field_bits:
+        return DEFAULT
+    covariance = covariance_signals(code, finer_bits)
+    bits = field_bits or {}
+    names = [*PARAMETER_SIGNALS, *(spec.name for spec in covariance)]
+    if unknown := [name for name in bits if name not in names]:
+        raise ValueError(
+            f"field_bits must be of {', '.join(names)}, got {', '.join(map(repr, unknown))}"
+        )
+    signals = [spec.finer(bits.get(spec.name, 0)) for spec in (*SERVICE, *covariance)]
+    return DbcWriter(paged(signals), covariance_code=code)
+
+
 # The numbers of a signal stand on one line, its texts below.
 # fmt: off
-
-# ---- the default code -----------------------------------------------------------------
-
-
-def ratio_signal(
-    row: str, column: str, bits: int, factor: float, zero: float = 0.5, why: str = ""
-) -> SignalSpec:
-    """Return the signal of an entry left of the diagonal.
-
-    Args:
-        row: state of the row.
-        column: state of the column.
-        bits: width.
-        factor: step.
-        zero: position of 0 in the range, from 0 at its low end to 1 at its high end.
-        why: reason for the range.
-    """
-    offset = -(2.0**bits) * zero * factor
-    signed = zero == 0.5
-    ends = offset, offset + 2**bits * factor
-    reach = f"+-{ends[1]:g}" if signed else f"{ends[0]:g} to {ends[1]:g}"
-    return SignalSpec(
-        name=f"Ratio{row}{column}", bits=bits, factor=factor, offset=0 if signed else offset,
-        signed=signed,
-        about=f"Entry ({row}, {column}) of the lower Cholesky factor of the covariance, divided "
-              f"by the pivot of {row}.",
-        why=f"step {_fraction(factor)}: the expected KL of its rounding is step^2/24; range "
-            f"{reach}, {why or 'as far as covariances of pose error alone need'}")
-
-
-def _fraction(factor: float) -> str:
-    numerator, denominator = factor.as_integer_ratio()
-    return f"{numerator}/{denominator}" if 1 < denominator < 10**6 else f"{factor:g}"
-
-
-def pivot_signal(
-    state: str, given: tuple[str, ...], bits: int, factor: float, offset: float, why: str = ""
-) -> SignalSpec:
-    """Return the signal of a diagonal entry.
-
-    Args:
-        state: of the row.
-        given: states of the rows before it.
-        bits: width.
-        factor: step [octave].
-        offset: low end of the range [octave].
-        why: reason for range and steps.
-    """
-    unit = _UNIT_OF_ROW[state]
-    *first, last = given or ("",)
-    of = f" given {', '.join(first)}{' and ' if first else ''}{last}" if given else ""
-    return SignalSpec(
-        name=f"Pivot{state}", bits=bits, factor=factor, offset=offset, unit="octave",
-        about=f"log2 of the standard deviation of {state} [{unit}]{of}.",
-        why=why or f"from the resolution of the mean, 2^{offset:g} {unit}, upwards in steps of "
-                   f"{100 * (2**factor - 1):.2g} %")
-
-
-#: The rows of the default DBC. ``maplines design`` computes them from the targets in
-#: dbc/README.md, which also explains the order, the ranges and the steps.
-_PIVOTS_AND_RATIOS = (
-    pivot_signal("C1", (), 9, 0.054, -32),
-    pivot_signal("C0", ("C1",), 9, 0.0401, -23),
-    ratio_signal("C0", "C1", 12, 1 / 32, zero=5 / 8),
-    pivot_signal("YOff", ("C1", "C0"), 9, 0.034, -12),
-    ratio_signal("YOff", "C0", 8, 3 / 64),
-    ratio_signal(
-        "YOff", "C1", 10, 3 / 64,
-        why="for lines that begin ahead of the car, whose YOff depends on the shape"),
-    pivot_signal("Beta", ("C1", "C0", "YOff"), 9, 0.0341, -18),
-    ratio_signal("Beta", "C1", 14, 3 / 64, zero=1 / 8),
-    ratio_signal("Beta", "C0", 14, 5 / 128),
-    ratio_signal("Beta", "YOff", 8, 1 / 32, zero=3 / 8),
-)
-_INFLATION = SignalSpec(
-    name="Inflation", bits=3, factor=0.0124, unit="octave",
-    about="log2 of the factor on the whole covariance that makes up for rounding: the decoded "
-          "covariance is 2^Inflation L L^T.",
-    why="steps of 0.9 % of the variance; up to 6.2 %, enough for all but two roundings in a "
-        "thousand")
-
-
-# ---- codes for comparison -------------------------------------------------------------
 
 _SCALE_EXPONENT = SignalSpec(
     name="ScaleExponent", bits=3, offset=-5, unit="octave",

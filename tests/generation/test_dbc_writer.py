@@ -12,22 +12,16 @@ import make_dbc
 import pytest
 
 from maplines_can.cli.options import layout_from
+from maplines_can.generation.dbc.dbc_writer import DbcWriter, SignalSpec
+from maplines_can.generation.dbc.record_spec import CONDITIONAL, DEFAULT, SCENES, WHOLE_SCENES
+from maplines_can.study.code_dbcs import dbc_name, dbc_writer_for
 from maplines_can.study.codes import CODES
-from maplines_can.study.dbc.dbc_writer import DbcWriter, SignalSpec
-from maplines_can.study.dbc.record_spec import (
-    CONDITIONAL,
-    DEFAULT,
-    SCENES,
-    WHOLE_SCENES,
-    dbc_name,
-    dbc_writer_for,
-)
 from maplines_can.values.line import Kind, Slot, Status
 from maplines_can.wire import Codec, Layout
 from maplines_can.wire.layout.pose_layout import SCENE
 from maplines_can.wire.layout.scene_layout import NoLine
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 
 
 @cache
