@@ -127,19 +127,6 @@ def test_the_dates_of_an_asc_log_are_those_of_its_start(tmp_path: Path) -> None:
     assert dates == [f"date {words}", f"Begin Triggerblock {words}"]
 
 
-def test_blf_logs_are_read_by_vblf(tmp_path: Path) -> None:
-    """Whose objects have their whole size, also those of CAN FD."""
-    reader = pytest.importorskip("vblf.reader", reason="vblf is no dependency")
-    path = tmp_path / "drive.blf"
-    write(path, FRAMES)
-    with reader.BlfReader(path) as log:
-        objects = list(log)
-    assert [each.frame_id & 0x1FFFFFFF for each in objects] == [f.can_id for f in FRAMES]
-    lengths = [getattr(each, "valid_data_bytes", each.dlc) for each in objects]
-    data = [each.data[:n] for each, n in zip(objects, lengths, strict=True)]
-    assert data == [frame.data for frame in FRAMES]
-
-
 def test_a_frame_before_the_start_of_a_blf_log(tmp_path: Path) -> None:
     """It has the stamp of the start: the format has no earlier ones."""
     path = tmp_path / "drive.blf"

@@ -14,16 +14,13 @@ from support.fake_bus import (
     Clock,
     FakeOpener,
     FakeTime,
-    collect,
     drive,
     map_line,
-    send_frames,
 )
 from support.fake_codec import PAGES, FakeCodec, sent_values
 
 from maplines_can.bus import (
     Link,
-    Receiver,
     Transmitter,
 )
 from maplines_can.bus.transmitter import TransmitterStats
@@ -169,27 +166,6 @@ def test_can_fd_needs_a_link_with_can_fd() -> None:
         pytest.raises(BusError, match="fake is opened without CAN FD; open it with fd=True"),
     ):
         Transmitter(link, FakeCodec(), fd=True)  # type: ignore[arg-type]
-
-
-def test_udp_multicast_carries_lines() -> None:
-    """Classic CAN and CAN FD over the loopback interface, if it routes multicast."""
-    settings = {"interface": "udp_multicast", "channel": "239.74.163.2", "opener": 43117}
-    try:
-        link, other = Link(**settings), Link(**settings)  # type: ignore[arg-type]
-    except BusError as error:
-        pytest.skip(str(error))
-    with link, other:
-        send_frames(link, Frame(0x7FF, b"probe"))
-        if not link.up or other.recv(2.0) is None:
-            pytest.skip("multicast is not routed here")
-        for fd in (False, True):
-            codec = FakeCodec()
-            with (
-                Receiver(other, codec.decoder()) as receiver,
-                Transmitter(link, codec, period=0.02, fd=fd) as transmitter,  # type: ignore[arg-type]
-            ):
-                transmitter.publish(map_line())
-                collect(receiver, 5)
 
 
 @pytest.mark.parametrize(("ago_s", "allowed"), [
