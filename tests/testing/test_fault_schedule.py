@@ -221,22 +221,6 @@ def test_faults_of_a_bus_can_be_set_and_cleared_at_any_time(
         assert bus.faults == Faults()
 
 
-def test_a_bus_counts_its_intervals_from_the_setting_on(inner: Any, other: Any, clock: Any) -> None:
-    with FaultyBus(inner, "loss=1@2.0-2.6", clock=clock) as bus:
-        start = clock.now
-        for begin in (start, start + 7.3):
-            sent, received = [], []
-            for k in range(40):
-                clock.now = begin + 0.1 * k + 0.05
-                bus.send(message(k))
-                other.send(message(k))
-                sent += numbers(other)
-                received += numbers(bus)
-            assert sent == received == [k for k in range(40) if not 20 <= k < 26]
-            clock.now = start + 7.3
-            bus.faults = bus.faults
-
-
 def test_what_is_held_back_comes_after_the_faults_are_cleared(
     inner: Any, other: Any, clock: Any
 ) -> None:
