@@ -193,11 +193,3 @@ def test_utf_16_is_refused_with_the_cure(tmp_path: Path, encoding: str) -> None:
     path.write_bytes((HEADERS["usual"] + ROWS).encode(encoding))
     with pytest.raises(LogError, match="the text is UTF-16; convert it, as with iconv"):
         list(read_log(path))
-
-
-@pytest.mark.parametrize("content", ["", "\n\n", "// version 9\n", "base hex\n"])
-def test_a_log_without_rows_is_no_error(tmp_path: Path, content: str) -> None:
-    """As of a silent bus, or of a recording that ends at once."""
-    path = tmp_path / "a.asc"
-    path.write_text(content)
-    assert in_both(path)[0] == []

@@ -3,7 +3,6 @@
 import asyncio
 import math
 import threading
-from pathlib import Path
 from typing import Any
 
 import can
@@ -119,26 +118,6 @@ def test_the_error_of_a_bus_is_raised_by_get() -> None:
         with pytest.raises(OSError, match="No such device"):
             listener.get()
     notifier.stop()
-
-
-def test_the_messages_of_a_log_become_lines(tmp_path: Path) -> None:
-    """With python-can's readers, and at the pace of the log with its ``MessageSync``."""
-    codec, path = new_codec(), tmp_path / "drive.asc"
-    encoder = codec.encoder()
-    with can.Logger(path) as logger:
-        for k in range(9):
-            for frame in encoder.encode(map_line()):
-                logger(message_of(frame, timestamp=1e9 + k / 20))
-
-    def messages() -> Any:
-        return can.LogReader(path, relative_timestamp=False)  # a time stamp of 0 means none
-
-    for log in (messages(), can.MessageSync(messages(), timestamps=False)):
-        listener = LineListener(codec.decoder())
-        for message in log:
-            listener(message)
-        newest = collect(listener, 9)[-1]
-        assert listener.latest(Slot.EGO_LEFT, now_ns=newest.t_ns).usable
 
 
 @given(

@@ -8,10 +8,8 @@ from typing import Any
 import can
 import numpy as np
 import pytest
-from support.dbcs import new_codec
-from support.fake_bus import FakeOpener, wait_until
 
-from maplines_can import Link, MapLine, Slot, Transmitter, read_log
+from maplines_can import read_log
 from maplines_can.bus import LogWriter
 from maplines_can.values.errors import LogError, MissingExtraError
 from maplines_can.wire import Frame
@@ -177,18 +175,3 @@ def test_close_may_be_called_again(tmp_path: Path) -> None:
     assert [frame.data for frame in read_log(log.path)] == [FRAMES[0].data]
     log.close()
     assert log.path.read_bytes() == content
-
-
-def test_a_transmitter_tells_each_frame_that_was_sent() -> None:
-    """All frames of a line, in order."""
-    opener, sent = FakeOpener(), list[Frame]()
-    codec = new_codec()
-    line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0])
-    with Link(opener) as link:
-        transmitter = Transmitter(link, codec, period=0.01, count=3, on_sent=sent.append)
-        with transmitter:
-            transmitter.publish(line)
-            wait_until(lambda: transmitter.wait(0.01))
-        assert len(sent) == transmitter.stats().frames == 4 * transmitter.stats().lines
-    on_bus = [opener.sent.get(timeout=0) for _ in sent]
-    assert [bytes(message.data) for message in on_bus] == [frame.data for frame in sent]

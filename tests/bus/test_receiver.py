@@ -53,21 +53,6 @@ def test_everything_that_arrives_is_counted(link: Any, other: Any) -> None:
     }
 
 
-def test_iteration_ends_with_stop(link: Any, other: Any) -> None:
-    """Lines in the queue are still returned, then the iteration ends."""
-    codec = FakeCodec()
-    encoder = codec.encoder()
-    with Receiver(other, codec.decoder()) as receiver:
-        send_frames(link, *encoder.encode(map_line(y=1)), *encoder.encode(map_line(y=2)))
-        for received in receiver:
-            receiver.stop()
-            assert received.gaussian.mean[0] == 1
-            break
-    assert [x.gaussian.mean[0] for x in receiver] in ([2.0], [])
-    assert receiver.get() is None
-    receiver.stop()
-
-
 def test_item_10_a_receiver_that_never_started_has_nothing_to_wait_for(other: Any) -> None:
     receiver = Receiver(other, FakeCodec().decoder())
     assert receiver.get() is None

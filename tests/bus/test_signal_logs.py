@@ -123,16 +123,6 @@ def test_frames_that_do_not_fit_are_counted(tmp_path: Path, dbc: Path) -> None:
     }
 
 
-def test_damaged_log(tmp_path: Path, dbc: Path) -> None:
-    """The good part is used, and the damage is reported."""
-    log = log_of(tmp_path / "drive.log", dbc)
-    log.write_text(log.read_text() + "(nonsense\n")
-    signals = read_signals(log, dbc, NAMES)
-    assert len(signals["x"][0]) == 50
-    (reason,) = signals.skipped
-    assert "1 of 101 records are damaged" in reason
-
-
 def test_channel(tmp_path: Path, dbc: Path) -> None:
     """Frames of another interface are ignored."""
     log = log_of(tmp_path / "drive.log", dbc)

@@ -65,16 +65,6 @@ def test_a_transfer_is_whole_or_dropped(lost_at: Any) -> None:
     assert link.outages == 1
 
 
-def test_a_frame_is_retried_while_the_queue_is_full() -> None:
-    """The transfer continues where it was when there is room again."""
-    opener = FakeOpener(None, FULL, FULL, FULL)
-    with Link(opener) as link, Transmitter(link, FakeCodec(), period=3600.0) as transmitter:  # type: ignore[arg-type]
-        transmitter.publish(map_line())
-        assert transfer(opener.sent) == [(0, 1), (1, 1), (2, 1), (3, 1)]
-
-    assert transmitter.stats()[:6] == (1, 0, 0, 0, PAGES, 3)
-
-
 def test_a_queue_that_stays_full_costs_the_line_its_period() -> None:
     """It is given up when the next transfer is due, and counted; it is no outage."""
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import pytest
 from support.fake_bus import FakeOpener
 from support.scene_streams import authenticated_codec, codec_of, road_scene
 from support.transmitter_bench import PERIOD, Bench
 
 from maplines_can import EncodeError, LeftOut, Link, Slot, Transmitter
-from maplines_can.bus.tx_queue import ALLOWANCE
 from maplines_can.wire import SCENE
 
 DBC = "maplines-scene.dbc"
@@ -49,40 +47,6 @@ def test_a_scene_is_one_transfer_in_each_period(make_bench: Make) -> None:
     assert bench.view().usable
     stats = bench.transmitter.stats()
     assert (stats.pose_errors, stats.lines, stats.frames, stats.left_out) == (24, 96, 24, {})
-
-
-def test_few_lines_take_one_frame_until_there_are_more(make_bench: Make) -> None:
-    bench = make_bench(DBC)
-    for cycle, slots in enumerate((EGO, (*EGO, Slot.ROUTE), [*Slot][:5], EGO)):
-        bench.transmitter.publish(road_scene(slots))
-        bench.run((cycle + 0.5) * PERIOD)
-        assert slots_of(bench) == {*slots}
-    assert ids(bench) == [FIRST, FIRST, SECOND, FIRST, SECOND, FIRST]
-
-
-def test_a_late_scene_has_its_counters_and_places_and_a_greater_age(make_bench: Make) -> None:
-    """Whatever the number of attempts, and if deadlines are skipped."""
-    bench, rng = make_bench(DBC), np.random.default_rng(3)
-    scenes = [road_scene(Slot), road_scene((*EGO, Slot.ROUTE, Slot.CENTRE))]
-    bench.transmitter.publish(scenes[0])
-    queue = bench.transmitter._tx_queue
-    for cycle in range(30):
-        bench.transmitter.publish(scenes[cycle % 2])
-        bench.clock.now += (queue.wait(bench.clock.now) or 0.0) + rng.uniform(0, 2.5) * PERIOD
-        transfer = queue.take(bench.clock.now)
-        assert transfer is not None
-        again = transfer
-        for _ in range(int(rng.integers(3))):
-            again = queue.renew(again, again.latest + 0.002)
-        assert [frame.can_id for frame in again.frames] == [SECOND, FIRST]
-        for frame, other in zip(transfer.frames, again.frames, strict=True):
-            assert (frame.data[2], other.data[2]) == (cycle, cycle)
-            assert frame.data[12:] == other.data[12:]  # all lines
-        assert again.latest >= transfer.latest >= transfer.deadline + ALLOWANCE
-        bench.transmitter._send(again)
-        bench.receive()
-    assert bench.decoder.lost == 0
-    assert not bench.decoder.counts
 
 
 def test_lines_without_a_place_are_counted(make_bench: Make) -> None:
