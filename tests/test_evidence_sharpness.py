@@ -1,12 +1,10 @@
 """The evidence of sharp lines: its true lines, its points, and what it finds."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from evidence.harness import bounds_of, missed
 from evidence.sampled_lines import TrueLine
-from evidence.sharpness import Errors, add_beyond, falls
+from evidence.sharpness import Errors, add_beyond
 
 from maplines_can import Gaussian, MapLine, Slot
 
@@ -31,17 +29,6 @@ def test_lines_that_are_too_certain_are_found(scale: float) -> None:
     )
     for words in ("beyond 3 sigma", "2nd"):
         assert (words in text) is (scale < 1)
-
-
-def test_a_sigma_that_falls_is_found() -> None:
-    """One of 10 lines falls by 10 % in one of two steps, at one of three places."""
-    sigma = np.ones((10, 3, 3)) * [[1.0], [1.0], [2.0]]
-    assert falls(sigma)["falls"] == 0
-    sigma[3, 1, 2] = 0.9
-    sigma[4, 0] = np.nan  # without a line
-    found: Any = falls(sigma)
-    assert found["falls"] == pytest.approx(1 / 57)
-    assert found["largest fall"] == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize(("radius", "beyond"), [(5.0, False), (4.0, True)])

@@ -1,6 +1,7 @@
 """Code of scenes through codec and decoder: what is received covers what was sent."""
 
 import math
+import random
 import re
 from contextlib import suppress
 from dataclasses import replace
@@ -12,7 +13,7 @@ import pytest
 from evidence.exact import covers, is_positive_definite
 from evidence.roads import SHAPES, random_scene
 from evidence.witness import POSES, Poses
-from fuzz_scenes import line_frames, parts_of, pose_frames
+from fuzz_scenes import line_frames, parts_of, pose_frames, whole_sender
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from support.scene_streams import COMPLETE, CONDITIONAL, Passed, codec_of, passed
@@ -34,7 +35,7 @@ from maplines_can import (
 from maplines_can.study.scenes.random_scenes import RESOLUTION, noise_floor
 from maplines_can.values.elementary import exp2
 from maplines_can.values.line import lateral, lateral_jacobian
-from maplines_can.wire import Layout, default_dbc_path
+from maplines_can.wire import SCENE, Layout, default_dbc_path
 
 #: Covariance of a production pose: 0.1 m, 0.2 m and 0.2 deg.
 PRODUCTION = np.diag([0.1, 0.2, np.radians(0.2)]) ** 2
@@ -42,6 +43,7 @@ PRODUCTION = np.diag([0.1, 0.2, np.radians(0.2)]) ** 2
 SIGMA = np.array([0.05, 2e-3, 1e-4, 3e-6])
 WINDOW = (-20.0, 80.0)
 SEEDS = st.integers(0, 2**32)
+WHOLE = "maplines-scene.dbc"
 BOTH = pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
 
 
@@ -125,6 +127,19 @@ def test_any_bits_of_a_scene_are_definite(seed: int, lines: int) -> None:
         assert is_positive_definite(found.scene.cov.tolist())
 
 
+@settings(deadline=None, max_examples=60)
+@given(st.randoms(use_true_random=False))
+def test_any_bits_of_a_whole_scene_are_definite(drawn: random.Random) -> None:
+    """In exact arithmetic, with any content that is not refused."""
+    sender, decoder = whole_sender(), codec_of(WHOLE).decoder()
+    record = sender.record(SCENE, 0, sender.random_scene(SCENE, drawn))
+    for frame in sender.frames(SCENE, record, 0):
+        decoder.feed(frame.can_id, frame.data, 0)
+    found = decoder.scene()
+    if found is not None and found.scene.lines:
+        assert is_positive_definite(found.scene.cov.tolist())
+
+
 @settings(deadline=None, max_examples=40)
 @given(SEEDS, st.sampled_from([1, 2, 3, 5]), st.floats(-4, 1), covariances(3), st.booleans())
 def test_any_scene_is_covered(
@@ -144,9 +159,9 @@ def test_any_scene_is_covered(
     if rng.random() < 0.5:  # of another scene
         B = rng.standard_normal((lines, 4, 4)) * 10.0 ** rng.integers(-3, 2) * SIGMA[:, None]
         scene = replace(scene, specific_covs=B @ B.swapaxes(1, 2))
-    for dbc in (CONDITIONAL, COMPLETE):
+    for dbc in (CONDITIONAL, COMPLETE, WHOLE):
         with suppress(*(() if np.sqrt(pose.diagonal()).max() <= 0.5 else (EncodeError,))):
-            check_covered(scene, passed(dbc, scene, fd=full))
+            check_covered(scene, passed(dbc, scene, fd=full or dbc == WHOLE))
 
 
 # ---- what does not fit -------------------------------------------------------------------------

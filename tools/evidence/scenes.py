@@ -32,19 +32,15 @@ from typing import Any
 
 import numpy as np
 
-from maplines_can import Codec, Gaussian, MapError, Reason, Scene, Slot, map_scene
+from maplines_can import Codec, Gaussian, MapError, Scene, Slot, map_scene
 from maplines_can import maps as map_model
-from maplines_can.model.whole_scenes import NONE, scene_of_dbc, write_whole
 from maplines_can.study.scenes import map_scenes
 from maplines_can.study.scenes.random_scenes import RESOLUTION, noise_floor
 from maplines_can.study.scenes.sigma_ratios import Ratios, places_of
-from maplines_can.testing.sender_streams import random_scene
 from maplines_can.values.linalg import block_diagonal
 from maplines_can.values.line import lateral_jacobian
 from maplines_can.values.seen_lines import bases
 from maplines_can.wire import POSE
-from maplines_can.wire.layout.pose_layout import SCENE
-from maplines_can.wire.layout.scene_layout import SceneLayout
 
 from .exact import covers, is_positive_definite
 from .figures import Share, quantiles
@@ -291,74 +287,3 @@ def whole(
 
     parts = (*sources, *map_scenes.POSES, *map_scenes.MAPS)
     return {"all maps": of("map"), "all roads": of("road"), "of": {one: of(one) for one in parts}}
-
-
-@evidence
-def bits(n: int = 100_000, payloads: int = 100_000, seed: int = 0) -> dict[str, Any]:
-    """Send random joints as whole scenes, and receive random bits, in exact arithmetic.
-
-    Joints are of random lines of random roads, with pose errors that may be singular, and with
-    lines and covariances that no map has. Payloads have a right checksum; half of them are
-    rejected, for means beyond any line.
-
-    Args:
-        n: number of joints.
-        payloads: number of payloads that are not rejected.
-        seed: of both.
-    """
-    codec, joints = codec_of(WHOLE), Counter[str](indefinite=0, overconfident=0)
-    for number in progress(range(n), "joints", n):
-        try:
-            sent = random_scene(np.random.default_rng([seed, number]), codec.layout)
-            received = transferred(codec, sent, fd=True)
-        except ValueError:  # values that no scene has, or none that can be sent
-            joints["refused"] += 1
-            continue
-        if received is None or not received.lines:
-            joints["without lines"] += 1
-            continue
-        joints["lines"] += len(received.lines)
-        truth = sent.subset([line.slot for line in received.lines])
-        check(truth, received, joints, exactly=True)
-    layout, rng, found = scene_of_dbc(codec.layout), np.random.default_rng(seed), Counter[str]()
-    message = layout.messages[SCENE]
-    while found["checked"] < payloads:
-        decoder, raw = codec.decoder(), random_raw(layout, rng)
-        record = write_whole(layout, *raw, layout.record_bytes, message.data_id)
-        answer = decoder.feed(message.fd_can_id or 0, record, 50_000_000)
-        if isinstance(answer, Reason):
-            found[answer.name] += 1
-            continue
-        scene = decoder.scene()
-        if scene is None or not scene.scene.lines:
-            raise ValueError("lines were delivered, but there is no scene")
-        found["checked"] += 1
-        found["lines"] += len(answer)
-        found["indefinite"] += not is_positive_definite(scene.scene.cov.tolist())
-    return {"joints": dict(joints), "payloads": dict(found)}
-
-
-def random_raw(
-    layout: SceneLayout, rng: np.random.Generator
-) -> tuple[dict[str, int], list[dict[str, int]]]:
-    """Return random raw values of the pose error, and of lines of slots that differ."""
-
-    def drawn(signal: Any) -> int:
-        return int(rng.integers(signal.raw_min, signal.raw_max + 1))
-
-    of_lines = tuple(layout.line)
-    shared = {
-        name: drawn(signal)
-        for name, signal in layout.signals.items()
-        if not name.endswith(of_lines) and name != "Crc"
-    }
-    shared["SceneCounter"] = shared["Counter"] % 2 ** layout["SceneCounter"].length
-    lines = []
-    for slot in [None, None, *rng.permutation(np.arange(2, 8))[: layout.places - 2].tolist()]:
-        raw = {name: drawn(signal) for name, signal in layout.line.items()}
-        raw["Kind"] %= NONE + 1
-        raw["XMax"] = max(raw["XMax"], raw["XMin"] - 31)
-        for name in ("Beta", "C0", "C1"):  # any bits are rarely a function of x
-            raw[name] = int(raw[name] * 2 ** rng.uniform(-layout.line[name].length, 0))
-        lines.append(raw if slot is None else raw | {"Slot": slot})
-    return shared, lines

@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import numpy as np
 import pytest
 from answers import one
 from support.dbcs import new_codec
@@ -178,6 +179,34 @@ def test_every_flipped_bit_is_rejected(clock: Any, lines: Any) -> None:
         data[bit // 8] ^= 1 << bit % 8
         assert one(decoder.feed(frame.can_id, bytes(data), NOW)) in {Reason.MAC, Reason.KEY}
     assert names(feed(decoder, [frame])) == ["line"]
+
+
+@pytest.mark.parametrize(("mac_bytes", "n"), [(1, 6000), (2, 20_000)])
+def test_as_many_guessed_macs_are_accepted_as_the_bound_says(
+    lines: Any, mac_bytes: int, n: int
+) -> None:
+    """n / 2^bits of n, within four sampling errors.
+
+    The receiver has received genuine traffic. It has no clock, so only the MAC and the last
+    freshness value protect it: the guesses have the next one.
+    """
+    layout, clock = Layout.from_text(replace(SECURED, mac_bytes=mac_bytes).dbc()), Clock()
+    keys, random = (Key(SECRET, 1), Key(OTHER, 2)), np.random.default_rng(0)
+    frames = sent(Codec(layout, Authenticator(*keys, clock=clock)).encoder(), clock, lines[0], 20)
+    decoder = Codec(layout, Authenticator(*keys)).decoder()
+    assert names(feed(decoder, frames)) == ["line"] * 20
+    last, secured = decoder.verifiers[Slot.EGO_LEFT].last_accepted, layout.secured
+    assert secured is not None
+    before, accepted, now = sum(last.values()), 0, clock.now
+    for _ in range(n):
+        now += US
+        fresh = (now // US).to_bytes(8, "big")[-secured.freshness_bytes :]
+        record = random.bytes(secured.authentic_bytes - 1) + bytes([random.integers(1, 3)])
+        decoder.feed(frames[0].can_id, record + fresh + random.bytes(mac_bytes), now)
+        accepted += sum(last.values()) != before
+        before = sum(last.values())
+    p = 2.0 ** (-8 * mac_bytes)
+    assert abs(accepted - n * p) <= 4 * (n * p * (1 - p)) ** 0.5 + 1
 
 
 @pytest.mark.parametrize("fd", [False, True])
