@@ -9,7 +9,6 @@ from evidence import (
     slots,
     witness,
 )
-from evidence import plausibility as drawn
 from evidence import sums as sums_
 from evidence.exact import covers, is_positive_definite
 from hypothesis import given
@@ -133,15 +132,6 @@ def test_exact_definiteness_agrees_with_the_eigenvalues(cov: np.ndarray[Any, Any
 
 
 # ---- drawn errors -------------------------------------------------------------------------------
-
-
-def test_the_errors_have_the_covariance_of_the_model() -> None:
-    model = drawn.model_of_lane()
-    errors = drawn.Errors(model, 5.0, 40_000, np.random.default_rng(0))
-    z = errors.next()
-    scale = np.sqrt(model.marginal.diagonal())
-    found = np.cov(z.T) / scale / scale[:, None]
-    assert found == pytest.approx(model.marginal / scale / scale[:, None], abs=0.03)
 
 
 def test_reflections_jump_and_the_stated_covariance_is_that_of_the_noise() -> None:

@@ -41,17 +41,19 @@ def drawn(
     pose_time: float = T,
     noise_time: float = 0.0,
     heavy: bool = False,
+    own_time: float = 0.0,
 ) -> np.ndarray:
     """(steps, cars, n) residuals, drawn from the definition of the model.
 
-    The noise of the images lasts for a time, or has Student's t-distribution.
+    The noise of the images lasts for a time, or has Student's t-distribution; what lines have of
+    their own lasts for one time.
     """
     rng = np.random.default_rng(seed)
     z = np.zeros((steps, cars, len(model.H)))
     for cov, time, J in (
         (model.pose_cov, pose_time, model.H),
-        (model.fast_cov, FAST, np.eye(2)),
-        (model.slow_cov, SLOW, np.eye(2)),
+        (model.fast_cov, own_time or FAST, np.eye(2)),
+        (model.slow_cov - model.fast_cov * (own_time > 0), max(own_time, SLOW), np.eye(2)),
         *([(model.noise_cov, noise_time, np.eye(2))] if noise_time else []),
     ):
         rho, root = math.exp(-DT / time), np.linalg.cholesky(cov)
@@ -153,6 +155,18 @@ def test_errors_in_the_stated_range_raise_no_more_alarms(
     excess = (numbers - rate * np.array(calm)) / np.sqrt(rate * np.array(calm))
     assert excess[0] < 3.3
     assert excess[1] > 4
+
+
+@pytest.mark.parametrize("own_time", [5.0, 300.0])
+def test_errors_of_lines_that_last_for_one_time_raise_no_more_alarms(own_time: float) -> None:
+    """At 10 per hour, 400 cars for 75 s: the model does not know the time."""
+    cars, rate, number, calm = 400, 10.0, 0, 0.0
+    test = ConsistencyTest(rate, (cars,), WHITE_NOISE)
+    for row in drawn(1500, cars, 12, own_time=own_time):
+        verdict = test.step(row, MODEL, DT, T)
+        number += int(verdict.raised.sum())
+        calm += (~verdict.alarm).sum() * DT / 3600
+    assert number - rate * calm < 3.3 * math.sqrt(rate * calm)
 
 
 def test_an_outlier_is_no_alarm_and_a_jump_is() -> None:

@@ -120,6 +120,22 @@ def test_faults_are_found_in_a_few_images(
     assert (found[4].outcome, found[4].raised) == (Outcome.INCONSISTENT, False)
 
 
+@pytest.mark.parametrize("known", [{"camera_noise": WHITE_NOISE, "longest_pose_time": 0.0}, {}])
+@pytest.mark.parametrize("radius", [math.inf, 500.0, 150.0, 50.0])
+@pytest.mark.parametrize(("size", "since", "within"), [(1.0, 0, 6), (1.0, 100, 6), (0.5, 0, 660)])
+def test_a_shift_is_found_in_bends_and_from_the_start(
+    known: Any, radius: float, size: float, since: int, within: int
+) -> None:
+    """One of 1 m within 0.3 s, one of 0.5 m from the start within 33 s, by their images."""
+    scene, check = lane_scene(bend=1 / radius), PlausibilityCheck(0.01, **known)
+    motion, shifts = Motion(15.0, 15.0 / radius), {"EGO_LEFT": size, "EGO_RIGHT": size}
+    for k in range(since + within):
+        seen = camera(scene, **shifts) if k >= since else camera(scene)
+        if step(check, 0.05 * k, scene, seen, motion).raised:
+            break
+    assert since <= k < since + within - 1
+
+
 @pytest.mark.parametrize(
     ("scene", "seen"),
     [

@@ -22,16 +22,16 @@ from typing import Any
 
 import numpy as np
 
-from maplines_can import Codec, Slot
+from maplines_can import Codec, Slot, map_lines
 from maplines_can.bus import read_log
 from maplines_can.recordings.block_reception import LogReceiver
 from maplines_can.recordings.blocks import read_blocks
 from maplines_can.recordings.line_tables import line_table
+from maplines_can.simulation import scenario
 from maplines_can.study.sets import road
 from maplines_can.wire import Authenticator, Frame, Key, default_dbc_path
 
 from .harness import evidence
-from .secoc import SECRET, scenario_lines
 
 LINES = 256  #: of c/tests/speed_harness.c
 #: DBCs of scenes, and whether their frames are CAN FD.
@@ -82,9 +82,11 @@ def scenes(rounds: int = 20) -> dict[str, Any]:
 def secoc(n: int = 20_000) -> dict[str, Any]:
     """Measure lines a second on one core, with and without authentication: best of 3 turns."""
     path = default_dbc_path("maplines-secoc.dbc")
-    authenticator = Authenticator(Key(SECRET), clock=time.time_ns, window_ns=600 * 10**9)
+    authenticator = Authenticator(Key(bytes(range(16))), clock=time.time_ns, window_ns=600 * 10**9)
     codecs = {"plain": Codec.from_dbc(path), "authenticated": Codec.from_dbc(path, authenticator)}
-    given, rates = scenario_lines(), dict.fromkeys(codecs, 0.0)
+    drawn = scenario("production")
+    given = map_lines(drawn.lines, drawn.ego, window=drawn.window)
+    rates = dict.fromkeys(codecs, 0.0)
     for _, (name, codec) in product(range(3), codecs.items()):
         encoder, decoder, frames = codec.encoder(), codec.decoder(), list[Frame]()
         while len(frames) < n:
