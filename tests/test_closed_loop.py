@@ -101,12 +101,3 @@ def test_a_car_stays_in_its_lane_if_the_lines_jump_to_the_next_one(speed: float)
     )
     assert np.abs(offsets).max() < 0.05
     assert car.speed < 0.05
-
-
-def test_a_short_jump_within_the_lane_moves_the_car_little() -> None:
-    """By 1.1 m for half a second: it follows as far as the limits permit, and comes back."""
-    car = Car(np.zeros(3), 25.0)
-    commands, offsets = drive(LaneSteering(), car, [0.0] * 20 + [1.1] * 10 + [0.0] * 100, 25.0)
-    assert {command.state for command in commands} == {SteeringState.DRIVING}
-    assert 0.05 < np.abs(offsets).max() < 0.45
-    assert np.abs(offsets[-20:]).max() < 0.02

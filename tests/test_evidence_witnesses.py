@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 from evidence import (
-    canyon,
     slots,
     witness,
 )
@@ -129,36 +128,3 @@ def test_exact_definiteness_agrees_with_the_eigenvalues(cov: np.ndarray[Any, Any
     more = cov + np.diag(scale**2)
     assert covers(more, zero, cov, zero)
     assert not covers(more, zero, cov, 2 * scale * [1, 0, 0, 0])
-
-
-# ---- drawn errors -------------------------------------------------------------------------------
-
-
-def test_reflections_jump_and_the_stated_covariance_is_that_of_the_noise() -> None:
-    """Between changes of the satellites, two errors differ by two noises; else, by metres."""
-    off, cov = canyon.least_squares(600, 4, 5.0, np.random.default_rng(8))
-    step = np.diff(off, axis=0)
-    same = (cov[1:] == cov[:-1]).all(axis=(2, 3))
-    squared = np.einsum("kni,knij,knj->kn", step, np.linalg.inv(2 * cov[1:]), step)
-    n = same.sum()  # the median has a standard error of 2 / sqrt(n)
-    # A reflection may change in length while the same satellites are seen.
-    assert np.median(squared[same]) == pytest.approx(2 * np.log(2), abs=8 / np.sqrt(n))
-    assert squared[~same].mean() > 20.0
-    assert 10.0 < np.sqrt((off**2).mean()) < 30.0
-
-
-def test_events_are_where_they_belong() -> None:
-    """A gap has no fixes, a jump is 100 m, outliers are a tenth."""
-    rng = np.random.default_rng(4)
-    gap = canyon.made(canyon.Kind("canyon", "gap"), 2, rng)
-    missing = np.isnan(gap.fixes).all(axis=(1, 2))
-    assert missing.sum() == 150
-    assert (gap.fix_t[missing] >= canyon.GAP[0]).all()
-    jump = canyon.made(canyon.Kind("open", "jump"), 2, rng)
-    row = np.searchsorted(jump.t, jump.fix_t)
-    size = np.linalg.norm(jump.fixes - jump.pose[row, :, :2], axis=-1)
-    assert np.median(size[(jump.fix_t >= 100) & (jump.fix_t < 110)]) == pytest.approx(100, abs=5)
-    outliers = canyon.made(canyon.Kind("open", "outliers"), 20, rng)
-    row = np.searchsorted(outliers.t, outliers.fix_t)
-    size = np.linalg.norm(outliers.fixes - outliers.pose[row, :, :2], axis=-1)
-    assert (size > 150).mean() == pytest.approx(0.1, abs=0.01)

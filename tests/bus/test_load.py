@@ -162,5 +162,3 @@ def test_all_of_the_bus_time_may_be_used() -> None:
     """A classic frame of no data has 55 bits."""
     assert transfers_within(1.0, [Frame(0x100, b"")], 1.0, 110) == 2
     assert transfers_within(1.0, [Frame(0x100, b"")], 1.0, 109) == 1
-
-

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -332,19 +330,6 @@ def test_a_record_in_one_can_fd_frame(sender: Sender) -> None:
     assert (line.slot, others) == (SLOT, ["DUPLICATE", "LENGTH"])
 
 
-def test_lost_late_and_repeated_records(sender: Sender) -> None:
-    """A gap counts as lost records; what is behind the last new one is not delivered."""
-    answers = [sender.send(c, k * CYCLE) for k, c in enumerate((0, 1, 4, 3, 4, 30))]
-    check = sender.pair.model.checks[SLOT]
-    is_line = [not isinstance(answer, str) for answer in answers]
-    assert is_line == [True, True, True, False, False, False]
-    assert answers[3:] == ["STALE", "DUPLICATE", "STALE"]
-    assert check.lost == 2
-    assert check.statuses == {
-        "OK": 2, "OKSOMELOST": 1, "WRONGSEQUENCE": 2, "REPEATED": 1,
-    }  # fmt: skip
-
-
 def test_a_sender_that_restarts_is_told_from_late_records(sender: Sender) -> None:
     """Two of its records are dropped, then it is known: one counter has another content."""
     for k in range(3):
@@ -392,37 +377,3 @@ def test_an_old_line_is_stale_and_a_clock_that_was_set_back_has_no_ages(sender: 
     views = [sender.latest(t_ns) for t_ns in (150 * MS, 150 * MS + 1, -MS, -MS - 1)]
     assert [view.is_stale for view in views] == [False, True, False, True]
     assert [view.age for view in views] == [0.174, pytest.approx(0.174), 0.024, math.inf]
-
-
-def test_what_is_not_authentic_changes_nothing() -> None:
-    """With keys the MAC is checked first, and each freshness value is newer than the last one."""
-    sender = Sender(SECURED, "authenticated")
-    own, now = sender.layout.messages[SLOT], sender.pair.now_us
-    assert own.secured_can_id is not None
-    signed = [sender.pair.sign(SLOT, sender.record(k), now + k) for k in range(2)]
-    forged = signed[1][:-1] + bytes([signed[1][-1] ^ 1])
-    answers = sender.feed([(own.secured_can_id, data) for data in (signed[0], forged, signed[0])])
-    assert answers[1:] == ["MAC", "REPLAY"]
-    assert sender.feed(sender.pages(sender.record(2))) == ["UNAUTHENTICATED"] * 4
-    assert sender.pair.model.checks[SLOT].statuses == {"OK": 1}
-    assert len(sender.feed([(own.secured_can_id, signed[1])])[0]) == 1
-
-
-# ---- the product does without -------------------------------------------------------------------
-
-
-def test_the_product_never_loads_the_model() -> None:
-    """A codec, a sender, a receiver and the command decode and send without it."""
-    code = """
-import sys, maplines_can as ml
-from maplines_can.cli import main
-codec = ml.Codec.from_dbc()
-decoder = codec.decoder()
-line = ml.MapLine.mean_only(ml.Slot.ROUTE, [0, 0, 0, 0])
-for frame in codec.encoder().encode(line):
-    decoder.feed(frame.can_id, frame.data, 0)
-assert decoder.lines == 1
-assert main(["scenarios"]) == 0
-assert not [name for name in sys.modules if name.startswith("maplines_can.model")]
-"""
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)

@@ -173,19 +173,6 @@ def test_what_no_sender_sends_is_dropped_as_a_whole(
     assert sender.ask("latest", 0, LEFT).content is None
 
 
-@pytest.mark.parametrize("kind", [0, NONE + 1])
-@pytest.mark.parametrize("slots", [(ROUTE, ROUTE), (LEFT, ROUTE)])
-def test_a_slot_in_two_places_is_dropped(
-    sender: Sender, kind: int, slots: tuple[Slot, Slot]
-) -> None:
-    """Whether it is a line, or left out; and also that of a fixed place."""
-    layout = LAYOUT.scene
-    assert layout is not None
-    places = [LINE, LINE, *(LINE | {"Slot": slot, "Kind": kind} for slot in slots)]
-    record = write_whole(layout, {}, places, 64, layout.messages[SCENE].data_id)
-    assert sender.feed(SCENE, record, 0) == "CONTENT"
-
-
 def test_a_line_that_is_left_out_keeps_the_older_one(sender: Sender) -> None:
     """Which becomes stale, until a record has it again."""
     sender.send(SCENE, 0, 0, {LEFT: LINE, ROUTE: LINE})

@@ -83,24 +83,6 @@ def test_lines_have_the_records_of_a_batch(seed: int | None) -> None:
     assert {*codec.batch.decode(expected, [line.slot for line in lines]).status} == {*Status}
 
 
-@pytest.mark.parametrize("fd", [False, True])
-def test_mixtures_are_sent_component_by_component(fd: bool) -> None:
-    """Among other lines of the slot, each record has the next counter."""
-    line, alone = MapLine.of_mixture(Slot.NEXT_LEFT, mixture_of(3)), ordinary(Slot.NEXT_LEFT)
-    encoder, other = CODEC.encoder(), CODEC.encoder()
-
-    together = encoder.encode_lines([line, alone, line], fd=fd)
-
-    assert [len(frames) for frames in together] == [n * (1 if fd else 4) for n in (3, 1, 3)]
-    assert together == [other.encode(one, fd=fd) for one in (line, alone, line)]
-    payloads = [b"".join(frame.data for frame in frames) for frames in together]
-    records = np.frombuffer(b"".join(payloads), np.uint8).reshape(7, 32)
-    batch = CODEC.batch.decode(records, Slot.NEXT_LEFT)
-    assert batch.counter.tolist() == [*range(7)]
-    assert batch.component_index.tolist() == [0, 1, 2, 0, 0, 1, 2]
-    assert batch.component_weight[:3].sum() == 1
-
-
 class Derived(MapLine):
     """A line of a subclass."""
 

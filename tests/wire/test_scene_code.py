@@ -33,8 +33,7 @@ from maplines_can import (
     map_scene,
 )
 from maplines_can.study.scenes.random_scenes import RESOLUTION, noise_floor
-from maplines_can.values.elementary import exp2
-from maplines_can.values.line import lateral, lateral_jacobian
+from maplines_can.values.line import lateral_jacobian
 from maplines_can.wire import SCENE, Layout, default_dbc_path
 
 #: Covariance of a production pose: 0.1 m, 0.2 m and 0.2 deg.
@@ -100,11 +99,6 @@ def check_covered(scene: Scene, found: Passed) -> None:
     truth = scene.joint([line.slot for line in received.lines])
     assert is_positive_definite(received.cov.tolist())
     assert covers(received.cov, received.means.ravel(), truth.cov, truth.mean)
-
-
-def level(octave: float) -> float:
-    """Power of 2 as the wire has it."""
-    return float(exp2(octave))
 
 
 # ---- what is covered ---------------------------------------------------------------------------
@@ -202,26 +196,6 @@ def test_lines_that_do_not_fit_do_not_affect_the_others(
     assert Slot(place) not in codec_of(COMPLETE).encoder().prepare_scene(scene).members
 
 
-@given(
-    st.tuples(st.floats(-60, 60), st.floats(-1.2, 1.2), st.floats(-0.6, 0.6), st.floats(-0.1, 0.1)),
-    st.tuples(st.floats(-20, 30), st.floats(2, 60)),
-    st.floats(0.0, 2.0),
-)
-@example((2.0, 0.62, 0.0, 0.0), (-6.0, 7.0), 0.9)
-@example((2.0, 0.56, 0.0, 0.0), (-1.5, 3.0), 0.69)
-def test_a_line_beyond_the_message_is_valid_for_a_metre(line: Any, given: Any, room: float) -> None:
-    """After the rounding to whole metres, and without the room at the ends; or it is left out."""
-    low, high = given[0], given[0] + given[1]
-    room = min(room, (high - low) / 4)
-    scene = scene_of([line], ranges=[(low, high)])
-    first = replace(scene.lines[0], x_min=low + room, x_max=high - room)
-    found = passed(CONDITIONAL, replace(scene, lines=(first,)))
-    assert len(found.prepared.members) + len(found.prepared.unfit) == 1
-    exceeds = (np.abs(line) > [s.physical_range[1] for s in MEAN]).any()
-    if found.received is not None and exceeds:
-        assert np.diff(found.scene.fit_ranges[0])[0] >= 1.0 + 2 * room - 1e-9
-
-
 MEAN = [codec_of(CONDITIONAL).layout[name] for name in ("YOff", "Beta", "C0", "C1")]
 
 
@@ -248,16 +222,6 @@ def test_a_scene_within_the_limits_of_the_message_loses_no_line(seed: int) -> No
 
 
 # ---- what it costs -----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("full", "most"), [(False, 0.01), (True, 0.002)])
-def test_means_are_near_all_over_the_range(full: bool, most: float) -> None:
-    """Though half a step of C1 alone is 2 cm at 80 m: each rounding allows for those before it."""
-    rng, x = np.random.default_rng(2), np.linspace(-20, 80, 101)
-    for _ in range(30):
-        mean = rng.uniform(-1, 1, 4) * [5, 0.2, 2e-3, 1e-5]
-        received = passed(CONDITIONAL, scene_of(mean[None]), fd=full).scene
-        assert np.abs(lateral(received.means[0], x) - lateral(mean, x)).max() <= most
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -332,28 +296,6 @@ def test_no_decoded_correlation_time_is_too_short(
     elif time <= greatest * (1 - 1e-12):
         least = 2.0 ** signal.physical_one(1)
         assert received <= max(least, time * 2**signal.factor * (1 + 1e-12))
-
-
-@pytest.mark.parametrize(
-    ("sigma", "offset", "heading"),
-    [
-        (0.0, None, None),
-        (1e-9, -7.875, -11.875),
-        (2**-11.87, -7.875, -11.75),
-        (2**-9.49, -7.875, -9.375),
-        (2**-7.5, -7.5, -8.125),
-        (2**-3.5, -3.5, -8.125),
-        (1e9, -0.125, -8.125),
-    ],
-)
-def test_the_levels_of_the_map_error(
-    sigma: float, offset: float | None, heading: float | None
-) -> None:
-    """Both are rounded up: no level of a line has the shape of a shift along it or a rotation."""
-    scene = replace(straight_lanes(1), map_error=MapError(0.0, sigma, sigma))
-    error = passed(CONDITIONAL, scene).scene.map_error or MapError()
-    assert error.offset_sigma == (0.0 if offset is None else level(offset))
-    assert error.heading_sigma == (0.0 if heading is None else level(heading))
 
 
 @BOTH

@@ -16,8 +16,6 @@ from support.scene_streams import (
     CONDITIONAL,
     MAP_ERROR,
     PERIOD_NS,
-    SECURED,
-    beyond,
     codec_of,
     feed,
     new_codec,
@@ -28,7 +26,6 @@ from maplines_can import (
     Codec,
     EncodeError,
     MapError,
-    MapLine,
     Scene,
     Slot,
 )
@@ -81,42 +78,6 @@ def test_a_scene_is_received_as_it_was_sent(dbc: str, fd: bool) -> None:
         assert ratio.max() < (limit if name == "width" else 1.1)
     if dbc == CONDITIONAL:
         assert (decoded.fit_ranges == scene.fit_ranges).all()
-
-
-@pytest.mark.parametrize("dbc", ALL)
-def test_lines_that_do_not_fit(dbc: str) -> None:
-    """A conditional line is not sent; a full one is, but does not belong to the pose error."""
-    scene = road_scene(SLOTS)
-    codec, is_conditional = codec_of(dbc), dbc == CONDITIONAL
-    frames = codec.encoder().encode_scene(beyond(scene, Slot.EGO_RIGHT), counters={})
-    assert (Slot.EGO_RIGHT in frames) is not is_conditional
-
-    decoder = codec.decoder()
-    answers, _ = feed(decoder, frames, 0)
-    decoded = decoder.scene()
-    assert decoded is not None
-    assert [line.slot for line in decoded.scene.lines] == [Slot.EGO_LEFT, Slot.NEXT_LEFT]
-    assert sum(isinstance(one, MapLine) for one in answers) == (2 if is_conditional else 3)
-    assert_covers(decoded.scene, scene)
-
-
-@pytest.mark.parametrize("dbc", [COMPLETE, SECURED])
-@pytest.mark.parametrize("first", range(8))
-def test_a_line_that_is_no_member_never_joins(dbc: str, first: int) -> None:
-    """Whatever the counters are: what no levels cover is sent, and stays out of each scene."""
-    codec = codec_of(dbc)
-    prepared = codec.encoder().prepare_scene(beyond(road_scene(SLOTS), Slot.EGO_RIGHT))
-    assert (len(prepared.sent_slots), len(prepared.members)) == (3, 2)
-    decoder = codec.decoder()
-    counters: dict[Any, int] = dict.fromkeys([POSE, *Slot], first)
-    for cycle in range(10):
-        frames = codec.encoder().encode_scene(prepared, counters=counters)
-        answers, _ = feed(decoder, frames, cycle * PERIOD_NS)
-        assert sum(isinstance(one, MapLine) for one in answers) == 3
-        decoded = decoder.scene()
-        assert decoded is not None
-        assert set(decoded.scene.index) == {Slot.EGO_LEFT, Slot.NEXT_LEFT}
-        counters = {owner: n + 1 for owner, n in counters.items()}
 
 
 @pytest.mark.parametrize("dbc", ALL)

@@ -56,26 +56,6 @@ def test_lines_of_another_cycle_do_not_join() -> None:
             assert decoder.scene() is None
 
 
-def test_a_scene_is_the_newest_one_when_it_has_the_lines_of_the_one_before() -> None:
-    """Whenever in the cycle a consumer asks, it gets all lines: they are spread over the cycle."""
-    one, two = cycles(CONDITIONAL, 2)
-    decoder = codec_of(CONDITIONAL).decoder()
-    feed(decoder, {POSE: one[POSE]}, 0)
-    for n, slot in enumerate(SLOTS, 1):  # the first scene, as far as received
-        _, t_ns = feed(decoder, {slot: one[slot]}, 1_000_000 * n)
-        scene = decoder.scene()
-        assert scene is not None
-        assert [line.slot for line in scene.scene.lines] == list(SLOTS[:n])
-    t_ns = PERIOD_NS
-    for owner in (POSE, *SLOTS):
-        assert decoder.scene() is scene  # built once
-        _, t_ns = feed(decoder, {owner: two[owner]}, t_ns)
-    scene = decoder.scene()
-    assert scene is not None
-    assert scene.t_ns == PERIOD_NS
-    assert [line.slot for line in scene.scene.lines] == list(SLOTS)
-
-
 @pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
 @pytest.mark.parametrize("seed", range(3))
 def test_frames_that_are_decoded_together_give_the_same(dbc: str, seed: int) -> None:

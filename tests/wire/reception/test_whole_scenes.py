@@ -14,7 +14,7 @@ from support.scene_streams import new_codec, road_scene
 
 from maplines_can import Codec, Decoder, MapLine, Reason, Slot
 from maplines_can.model.whole_scenes import NONE, scene_of_dbc, write_whole
-from maplines_can.wire import E2EState, Frame
+from maplines_can.wire import Frame
 from maplines_can.wire.layout.pose_layout import SCENE, SCENE2, SceneOwner
 
 DBC = "maplines-scene.dbc"
@@ -22,10 +22,6 @@ LAYOUT = layout_of(DBC)
 SCENES = scene_of_dbc(LAYOUT)
 CYCLE = 50_000_000
 LEFT, RIGHT, NEXT_LEFT, NEXT_RIGHT, CENTRE, EDGE_LEFT, EDGE_RIGHT, ROUTE = Slot
-#: A straight line, 32 m behind the car to 20 m ahead.
-LINE = {"XMin": 0, "XMax": 20, "OwnLateral": 9}
-#: Places without a line.
-EMPTY = {"Kind": NONE}
 FEW, MANY = (LEFT, RIGHT, NEXT_LEFT, ROUTE), (LEFT, RIGHT, NEXT_LEFT, ROUTE, EDGE_LEFT, EDGE_RIGHT)
 
 
@@ -102,41 +98,6 @@ def test_any_bits_are_a_positive_definite_joint() -> None:
 def correlations(cov: np.ndarray) -> np.ndarray:
     sigma = np.sqrt(cov.diagonal())
     return cov / sigma / sigma[:, None]
-
-
-# ---- views ------------------------------------------------------------------------------------
-
-
-def valid_decoder(cycles: int = 12) -> Decoder:
-    """Return a decoder that has received some cycles of both messages."""
-    decoder = new_codec(DBC).decoder()
-    for counter in range(cycles):
-        for owner in (SCENE2, SCENE):
-            free = [{"Slot": int(slot)} for slot in (NEXT_LEFT, ROUTE)[owner == SCENE2 :]]
-            places = [LINE, LINE, *(LINE | slot for slot in free), *[EMPTY] * (2 - len(free))]
-            feed(decoder, owner, record_of(owner, counter, places), counter * CYCLE)
-    return decoder
-
-
-def test_a_line_has_the_state_of_the_message_that_brought_it() -> None:
-    decoder = valid_decoder()
-    now = 11 * CYCLE
-    assert decoder.latest(LEFT, now).usable
-    assert decoder.latest(EDGE_LEFT, now).usable
-
-    for counter in range(12, 22):  # Scene2 is lost
-        places = [LINE, LINE, EMPTY, EMPTY]
-        feed(decoder, SCENE, record_of(SCENE, counter, places), counter * CYCLE)
-    now = 21 * CYCLE
-    left, edge = decoder.latest(LEFT, now), decoder.latest(EDGE_LEFT, now)
-
-    assert (left.state, left.stale, left.usable) == (E2EState.VALID, False, True)
-    assert (edge.state, edge.stale, edge.usable) == (E2EState.INVALID, True, False)
-    assert edge.line is not None
-    assert {owner: stats.ok for owner, stats in decoder.messages(now).items()} == {
-        SCENE: 22, SCENE2: 12,
-    }  # fmt: skip
-    assert decoder.latest_scene(now).usable  # of what came
 
 
 # ---- rows -------------------------------------------------------------------------------------
