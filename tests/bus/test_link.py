@@ -67,7 +67,10 @@ def test_an_outage_and_the_reconnect_are_each_reported_once(
 
 #: What a bus raises; what concerns a frame of the caller is raised by `send`, see below.
 ERRORS = {
-    **{"full": FULL, "late": can.CanTimeoutError(), "unclear": NO_NUMBER, "gone": GONE},
+    "full": FULL,
+    "late": can.CanTimeoutError(),
+    "unclear": NO_NUMBER,
+    "gone": GONE,
     "closed": io.UnsupportedOperation("not writable"),  # a ValueError, too
 }
 OF_A_FRAME = {"refused": can.CanOperationError("Failed", errno.EINVAL), "odd": ValueError("odd")}

@@ -7,9 +7,7 @@ from typing import Any
 
 import can
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from support.dbcs import default_codec, new_codec
+from support.dbcs import new_codec
 from support.fake_bus import (
     GONE,
     LONG,
@@ -118,29 +116,6 @@ def test_the_error_of_a_bus_is_raised_by_get() -> None:
         with pytest.raises(OSError, match="No such device"):
             listener.get()
     notifier.stop()
-
-
-@given(
-    st.lists(
-        st.builds(
-            can.Message,
-            arbitration_id=st.sampled_from([0, 0x100, 0x155, 0x1FFFFFFF])
-            | st.integers(0, 2**29 - 1),
-            data=st.binary(max_size=64),
-            timestamp=st.floats(0, 1e10),
-            is_extended_id=st.booleans(),
-            is_fd=st.booleans(),
-            is_remote_frame=st.booleans(),
-            is_error_frame=st.booleans(),
-        )
-    )
-)
-def test_no_message_raises(messages: list[can.Message]) -> None:
-    listener = LineListener(default_codec().decoder())
-    for message in messages:
-        listener(message)
-    stats = listener.stats()
-    assert stats.frames + stats.error_frames + stats.remote_frames == len(messages)
 
 
 @pytest.mark.parametrize("how", ["error", "stop"])

@@ -46,58 +46,6 @@ def test_bits_of_can_fd_frames(length: int, is_extended: bool, bits: Any) -> Non
     assert frame_bits(length, is_extended=is_extended, is_fd=True) == bits
 
 
-def stuffed(bits: Any) -> Any:
-    """Indices in ``bits`` after which a stuff bit is inserted."""
-    places, run, last = [], 0, None
-    for index, bit in enumerate(bits):
-        run, last = (run + 1 if bit == last else 1), bit
-        if run == 5:
-            places.append(index)
-            run, last = 1, 1 - bit
-    return places
-
-
-def header(is_extended: Any, is_fd: Any, can_id: Any, dlc: Any) -> Any:
-    """Bits of a frame from SOF to DLC, and how many of them have the nominal bit rate."""
-    number = [int(bit) for bit in f"{can_id:029b}"]
-    bits = [0, *number[:11], 1, 1, *number[11:], 0] if is_extended else [0, *number[:11], 0]
-    bits += [0] if not is_extended else []  # IDE
-    bits += [1, 0, 1] if is_fd else [0, 0] if is_extended else [0]  # FDF, res, BRS; or r1, r0
-    slow = len(bits)
-    bits += [0] if is_fd else []  # ESI
-    return bits + [int(bit) for bit in f"{dlc:04b}"], slow
-
-
-@given(
-    st.booleans(),
-    st.booleans(),
-    st.integers(0, 2**29 - 1),
-    st.sampled_from([0, 1, 8, 12, 16, 20, 32, 64]),
-    st.lists(st.sampled_from([b"\x00", b"\xff", b"\x0f", b"\x1e", b"\x78", b"\xf0"]), min_size=64),
-    st.integers(0, 2**15 - 1),
-)
-def test_no_frame_is_longer_than_its_bound(
-    is_extended: bool, is_fd: bool, can_id: int, length: Any, data: Any, crc: int
-) -> None:
-    """Frames are built and stuffed bit by bit, with data that need many stuff bits and any CRC."""
-    length = length if is_fd else min(length, 8)
-    bits, slow = header(is_extended, is_fd, can_id, length if length <= 8 else 15)
-    bits += [int(bit) for byte in data[:length] for bit in f"{byte[0]:08b}"]
-    bound = frame_bits(length, is_extended=is_extended, is_fd=is_fd)
-    if is_fd:
-        places = stuffed(bits)
-        early = sum(place < slow for place in places)
-        crc_field = 27 if length <= 16 else 32
-        nominal, fast = slow + early + 13, len(bits) - slow + len(places) - early + crc_field
-    else:
-        bits += [int(bit) for bit in f"{crc:015b}"]
-        nominal, fast = len(bits) + len(stuffed(bits)) + 13, 0
-
-    assert nominal <= bound.nominal
-    for speed in (1, 2, 8):
-        assert nominal + fast / speed <= bound.nominal + bound.data / speed
-
-
 def test_bus_load_of_lines() -> None:
     """Eight lines every 50 ms at 500 kbit/s: four classic frames or one of CAN FD each."""
     classic = [Frame(0x100, bytes(8))] * 32

@@ -11,16 +11,13 @@ from typing import Any
 import can
 import numpy as np
 import pytest
-from support.dbcs import default_codec
 from support.recordings import frames_of
 
-from maplines_can import MapLine, Slot
 from maplines_can.bus import LogFrame, read_log
 from maplines_can.logs.log_summary import LogSummary, Skipped
 from maplines_can.logs.mf4_log import Mf4Reader
 from maplines_can.recordings.blocks import read_blocks
 from maplines_can.values.errors import LogError
-from maplines_can.wire import default_dbc_path
 
 asammdf = pytest.importorskip("asammdf", reason="asammdf is an optional dependency")
 from asammdf.blocks import v4_constants as v4  # noqa: E402
@@ -140,31 +137,6 @@ def test_groups_that_are_no_frames(
 ) -> None:
     with pytest.raises(LogError, match=words):
         read(written(tmp_path / "a.mf4", signal("CAN_DataFrame", t, fields(**given))))
-
-
-@pytest.mark.parametrize("with_ide", [False, True])
-def test_asammdf_finds_the_same_signals(tmp_path: Path, with_ide: bool) -> None:
-    """Lines of the DBC of the package: as many records of each message as frames."""
-    codec, t = default_codec(), np.arange(20) / 20
-    encoder = codec.encoder()
-    line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0])
-    sent = [frame for _ in range(5) for frame in encoder.encode(line)]
-    ids = np.array(
-        [f.can_id | EXTENDED * (f.is_extended and not with_ide) for f in sent], np.uint32
-    )
-    ide = np.array([f.is_extended for f in sent], np.uint8) if with_ide else None
-    data = np.array([[*frame.data] for frame in sent], np.uint8)
-    group = signal("CAN_DataFrame", t, fields(20, ID=ids, IDE=ide, DataBytes=data))
-    path = written(tmp_path / "a.mf4", group)
-    frames, _ = read(path)
-    assert [(f.can_id, f.is_extended, f.data) for f in frames] == [
-        (f.can_id, f.is_extended, f.data) for f in sent
-    ]
-    with asammdf.MDF(path) as mdf:
-        found = mdf.extract_bus_logging({"CAN": [(str(default_dbc_path()), 0)]})
-        records = [group.channel_group.cycles_nr for group in found.groups]
-    # A group of what all pages of a message have, and one for each of its four pages.
-    assert sorted(records) == [5, 5, 5, 5, 20]
 
 
 @pytest.mark.parametrize(

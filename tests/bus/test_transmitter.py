@@ -5,7 +5,6 @@ import struct
 import threading
 from typing import Any
 
-import can
 import pytest
 from support.fake_bus import (
     FULL,
@@ -87,18 +86,6 @@ def test_a_queue_that_stays_full_costs_the_line_its_period() -> None:
     assert (stats.full, stats.overruns) == (2, 0)
     assert stats.retries > 0
     assert link.outages == 0
-
-
-def test_a_full_receiver_on_the_virtual_bus_does_not_block_the_sender(
-    link: Any, channel: str
-) -> None:
-    """The virtual bus by itself would wait for ever."""
-    with can.Bus(interface="virtual", channel=channel, rx_queue_size=2):
-        transmitter = Transmitter(link, FakeCodec(), period=0.02, count=1)  # type: ignore[arg-type]
-        transmitter.publish(map_line())
-        with transmitter:
-            assert transmitter.wait(LONG)
-        assert transmitter.stats().full == 1
 
 
 def test_an_error_of_the_codec_reaches_the_caller(link: Any) -> None:
