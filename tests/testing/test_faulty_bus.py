@@ -2,6 +2,7 @@
 
 import errno
 import itertools
+import math
 import queue
 import threading
 import time
@@ -32,6 +33,11 @@ def channel(request: pytest.FixtureRequest) -> str:
 def other(channel: str) -> Iterator[Any]:
     with can.Bus(interface="virtual", channel=channel) as bus:
         yield bus
+
+
+@pytest.fixture
+def inner(channel: str) -> Any:
+    return can.Bus(interface="virtual", channel=channel)
 
 
 @pytest.fixture
@@ -335,3 +341,94 @@ def test_random_numbers_and_counters_continue_after_an_outage(clock: Any) -> Non
     for frame in numbered(total["frames"]):
         reference.apply(frame)
     assert total["lost"] == reference.counts[FaultKind.LOST]
+
+
+@pytest.mark.parametrize("direction", ["send", "receive", "both"])
+def test_faults_of_a_bus_can_be_set_and_cleared_at_any_time(
+    inner: Any, other: Any, clock: Any, direction: str
+) -> None:
+    """From the next frame on, also on a bus that began without any."""
+    with FaultyBus(inner, Faults(direction="send"), clock=clock) as bus:
+        sent, received, number = [], [], 0
+        for faults in (f"loss=1,direction={direction}", None, "loss=1", Faults(), "loss=1", None):
+            bus.faults = faults
+            for _ in range(3):
+                bus.send(message(number))
+                other.send(message(number))
+                sent += numbers(other)
+                received += numbers(bus)
+                number += 1
+        lost = {*range(3), *range(6, 9), *range(12, 15)}
+        others = set(range(3))
+        assert set(range(18)) - set(sent) == (lost if direction != "receive" else lost - others)
+        assert set(range(18)) - set(received) == (lost if direction != "send" else lost - others)
+        assert bus.counts[FaultKind.LOST] == 36 - len(sent) - len(received)
+        assert bus.faults == Faults()
+
+
+def test_what_is_held_back_comes_after_the_faults_are_cleared(
+    inner: Any, other: Any, clock: Any
+) -> None:
+    with FaultyBus(inner, "delay=0.5", clock=clock) as bus:
+        bus.send(message(1))
+        other.send(message(2))
+        assert numbers(bus) == []
+        bus.faults = None
+        bus.send(message(3))
+        other.send(message(4))
+        bus.pump()
+        assert (numbers(other), numbers(bus)) == ([3], [4])
+        clock.now += 0.5
+        bus.pump()
+        assert (numbers(other), numbers(bus)) == ([1], [2])
+
+
+def test_a_flood_that_is_set_reaches_who_waits(inner: Any) -> None:
+    """In another thread, which waits for a frame on a silent bus without faults."""
+    with FaultyBus(inner, Faults(direction="send")) as bus:
+        received = queue.SimpleQueue[Any]()
+        thread = threading.Thread(target=lambda: received.put(bus.recv(LONG)))
+        thread.start()
+        bus.faults = "flood=1000,flood_ids=5,direction=receive"
+        assert received.get(timeout=LONG).arbitration_id == 5
+        thread.join()
+
+
+def test_a_flood_that_is_set_is_sent(inner: Any, other: Any) -> None:
+    """Without a frame of the sender; a second one after the first was cleared."""
+    with FaultyBus(inner, Faults()) as bus:
+        for can_id in (5, 6):
+            bus.faults = f"flood=1000,flood_ids={can_id},direction=send"
+            while other.recv(LONG).arbitration_id != can_id:
+                pass
+            bus.faults = None
+            assert bus.sending is not None
+            assert bus.sending.next_due == math.inf
+
+
+def test_an_opener_keeps_faults_and_intervals_over_an_outage(clock: Any) -> None:
+    opener = FaultyOpener("loss=1@2-3,direction=send", clock=clock)
+    settings: dict[str, Any] = {"interface": "virtual", "channel": "opener-schedule"}
+    start = clock.now
+    with can.Bus(**settings) as other:
+        for k in range(5):
+            clock.now = start + k
+            with opener(**settings) as bus:  # the first opening starts the injection
+                bus.send(message(k))
+        assert numbers(other) == [0, 1, 3, 4]
+        opener.faults = "loss=1"
+        with opener(**settings) as bus:
+            bus.send(message(9))
+            opener.faults = None
+            bus.send(message(10))
+        assert numbers(other) == [10]
+        assert opener.faults == Faults()
+        assert opener.as_dict()["lost"] == 2
+
+
+@pytest.mark.parametrize("faults", [3, "loss", "loss=1@3-2"])
+def test_wrong_faults_leave_those_that_there_are(inner: Any, faults: Any) -> None:
+    with FaultyBus(inner, "loss=1") as bus:
+        with pytest.raises((TypeError, ValueError), match="faults"):
+            bus.faults = faults
+        assert bus.faults == Faults(loss=1.0)
