@@ -63,32 +63,6 @@ def camera(y: float = 0.0) -> list[MapLine]:
     return [MapLine(slot, Gaussian(mean, CAMERA_COV), x_max=50.0) for slot, mean in pairs]
 
 
-def test_scenes_with_one_pose_error_do_not_average() -> None:
-    """After 3 s with a correlation time of 10 s, about one error was seen."""
-    car = Car(across=0.3)
-    lane = car.run(LaneFusion(), 60)
-    assert lane.scene is not None
-    centre = lane.scene.centre(0.0)
-    assert centre.value == pytest.approx(-0.3, abs=0.05)
-    assert 0.14 < centre.sigma < 0.21
-    assert lane.scene.width(0.0).value == pytest.approx(3.5, abs=0.02)
-    assert lane.map_age < 0.1
-
-
-def test_the_camera_finds_the_pose_error_and_the_lane_keeps_it() -> None:
-    """Two seconds after the camera has failed, the lane is still near the truth."""
-    car = Car(across=0.3, time=30.0)
-    fusion = LaneFusion()
-    lane = car.run(fusion, 60, camera())
-    assert lane.used == LANE
-    assert lane.pose_error is not None
-    assert lane.pose_error.mean[1] == pytest.approx(0.3, abs=0.1)
-    lane = car.run(fusion, 40)
-    assert lane.scene is not None
-    assert lane.scene.centre(20.0).value == pytest.approx(0.0, abs=0.12)
-    assert lane.scene.centre(0.0).sigma < 0.12
-
-
 def test_a_false_camera_line_is_rejected() -> None:
     car = Car()
     fusion = LaneFusion()

@@ -1,7 +1,5 @@
 """Streets agree with closed forms and with numerical integration; scenarios match their names."""
 
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
@@ -79,12 +77,6 @@ def test_a_shifted_line_moves_and_ends() -> None:
         assert lines[slot].kind == LANES[slot][0]
 
 
-def test_scenes_are_built_without_scipy() -> None:
-    """So the command line starts as fast as before."""
-    code = "import sys, maplines_can.simulation.scenarios; sys.exit('scipy' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
 @pytest.mark.parametrize("name", STREETS)
 def test_the_car_is_in_its_lane(name: str) -> None:
     """All lines are there, at their distances from the car, and the pose is as documented."""
@@ -103,31 +95,3 @@ def test_the_car_is_in_its_lane(name: str) -> None:
 def centre(name: str) -> Any:
     """Return the points of the centre of the car's lane as complex numbers."""
     return STREETS[name].lines[Slot.CENTRE].points @ [1, 1j]
-
-
-def radii(points: Any) -> Any:
-    """Return the (n - 2,) signed radii of the circles through three points in a row."""
-    a, b, c = points[:-2], points[1:-1], points[2:]
-    area = ((b - a).conjugate() * (c - a)).imag
-    with np.errstate(divide="ignore"):
-        return abs(b - a) * abs(c - b) * abs(a - c) / (2 * area)
-
-
-def test_the_shapes_are_those_of_their_names() -> None:
-    """Radius, turn, and the distances at which something changes."""
-    corner = centre("corner")
-    assert np.angle((corner[-1] - corner[-2]) / (corner[1] - corner[0])) == pytest.approx(np.pi / 2)
-    assert np.abs(radii(corner)).min() == pytest.approx(8, rel=0.01)
-    for radius in (12, 50):
-        assert np.allclose(radii(centre(f"roundabout-{radius}m")), radius)
-    ramp = centre("exit")
-    assert radii(ramp)[-1] == pytest.approx(-60)
-    assert np.abs(ramp[ramp.real <= 30].imag).max() < 1e-9
-    bend = radii(centre("s-bend"))
-    assert bend[bend > 0].min() == pytest.approx(40, rel=0.01)
-    assert bend[bend < 0].max() == pytest.approx(-40, rel=0.01)
-    coarse = centre("motorway-coarse")
-    assert np.allclose(radii(coarse), 1500)
-    distance = np.abs(np.diff(coarse))
-    assert 44.9 < distance.min() < 46
-    assert 89 < distance.max() <= 90
