@@ -82,20 +82,8 @@ def test_the_file_is_good() -> None:
     assert found.lanes["1:1:-1"].successors == ("2:0:-1",)
 
 
-NUMBERS = [
-    "nan",
-    "inf",
-    "-inf",
-    "1e400",
-    "",
-    "x",
-    "1,5",
-    "0x10",
-    "1e308",
-    "-1e308",
-    "1e-320",
-    "1" * 5000,
-]
+NUMBERS = ["nan", "inf", "-inf", "1e400", "", "x", "1,5", "0x10", "1e308", "-1e308", "1e-320"]
+NUMBERS += ["1" * 5000]
 ATTRIBUTES = sorted(set(re.findall(r' (\w+)="[-\d.e]+"', TEXT)) - {"version"})
 
 
@@ -142,28 +130,9 @@ def test_changed_bytes(data: st.DataObject) -> None:
     attempt(bytes(changed))
 
 
-BOMB = "".join(f'<!ENTITY e{i} "{f"&e{i - 1};" * 10 if i else "x" * 100}">' for i in range(12))
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        pytest.param(
-            f"<!DOCTYPE OpenDRIVE [{BOMB}]><OpenDRIVE><road id='&e11;'/></OpenDRIVE>",
-            "line 1: a document type .* is not allowed",
-            id="entity-bomb",
-        ),
-        pytest.param(
-            '<!DOCTYPE OpenDRIVE [<!ENTITY f SYSTEM "file:///etc/passwd">]>'
-            "<OpenDRIVE><header>&f;</header></OpenDRIVE>",
-            "a document type .* is not allowed",
-            id="external-entity",
-        ),
-        pytest.param(
-            '<!DOCTYPE OpenDRIVE SYSTEM "http://localhost/a.dtd"><OpenDRIVE/>',
-            "a document type .* is not allowed",
-            id="external-dtd",
-        ),
         pytest.param("<OpenDRIVE>" + "<a>" * 100_000, "nested more than 64 deep", id="nesting"),
         pytest.param(
             f"<OpenDRIVE><header><geoReference>{'x' * 10**6}</geoReference></header></OpenDRIVE>",

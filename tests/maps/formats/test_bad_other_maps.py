@@ -79,6 +79,10 @@ FILES: dict[str, tuple[Read, str]] = {
     "GeoJSON": (points.read, geojson_text()),
     "CSV": (points.read, CSV),
 }
+#: Its cut and changed files are in test_bad_opendrive.py.
+OPENDRIVE: dict[str, tuple[Read, str]] = {
+    "OpenDRIVE": (read_opendrive, document(road(plan=geometry(x=1.0))))
+}
 
 
 def attempt(read: Read, data: bytes) -> Map | None:
@@ -147,9 +151,9 @@ def test_changed_values(name: str, data: st.DataObject) -> None:
 
 
 @pytest.mark.parametrize("kind", ENTITIES)
-@pytest.mark.parametrize("name", ["Lanelet2", "CommonRoad"])
+@pytest.mark.parametrize("name", ["Lanelet2", "CommonRoad", "OpenDRIVE"])
 def test_entities_are_refused(name: str, kind: str) -> None:
-    read, text = FILES[name]
+    read, text = (FILES | OPENDRIVE)[name]
     bad = text.replace("?>", f"?>{ENTITIES[kind]}", 1).replace('id="1"', 'id="&b;"', 1)
     with pytest.raises(MapFileError, match="document type"):
         read(io.BytesIO(bad.encode()), "map")
@@ -223,19 +227,8 @@ COORDINATES = {
     "OpenDRIVE": r' (?:s|x|y|hdg|length)="([^"]*)"',
 }
 #: What is no finite number in any format, and what is one in Python or in another format only.
-NO_NUMBERS = [
-    "true",
-    "false",
-    "NaN",
-    "Infinity",
-    "-inf",
-    "1e400",
-    "9" * 400,
-    "",
-    "1_0",
-    "x",
-    "\uff11",
-]
+NO_NUMBERS = ["true", "false", "NaN", "Infinity", "-inf", "1e400", "1_0", "x", "\uff11", "9" * 400]
+NO_NUMBERS += [""]
 NO_JSON_NUMBERS = ["true", "false", "null", "NaN", "Infinity", "1e400", "9" * 400, '"8.0"', "[8.0]"]
 NO_JSON_NUMBERS += ["{}", '""', '{"0": 8.0}']
 
@@ -243,8 +236,7 @@ NO_JSON_NUMBERS += ["{}", '""', '{"0": 8.0}']
 @pytest.mark.parametrize("name", COORDINATES)
 def test_a_coordinate_that_is_no_number_is_listed(name: str) -> None:
     """Any one of them; the rest of the map is used, or there is none."""
-    files = FILES | {"OpenDRIVE": (read_opendrive, document(road(plan=geometry(x=1.0))))}
-    read, text = files[name]
+    read, text = (FILES | OPENDRIVE)[name]
     places = [
         next(span for span in match.regs[1:] if span[0] >= 0)
         for match in re.finditer(COORDINATES[name], text)
