@@ -84,29 +84,6 @@ def test_a_log_is_decoded(log: Any, capsys: Capture) -> None:
     assert [*table["slot"]] == [row["slot"] for row in lines]
 
 
-@pytest.mark.parametrize("command", ["decode", "consume fusion", "restbus"])
-def test_a_log_of_whole_scenes_is_no_log_of_others(
-    log: Any, tmp_path: Path, capsys: Capture, command: str
-) -> None:
-    """Each command names the DBC."""
-    path, _ = log
-    given = [*command.split(), str(path)]
-    if command == "restbus":
-        configuration = tmp_path / "a.toml"
-        configuration.write_text(f'[bus]\ninterface = "virtual"\n[lines]\nlog = "{path}"\n')
-        given = [command, str(configuration), "--virtual-time"]
-    assert main(given) == 1
-    assert f"of {NAME} are whole; take --dbc {NAME}" in capsys.readouterr().err
-
-
-def test_other_can_ids_are_named(log: Any, tmp_path: Path, capsys: Capture) -> None:
-    path, _ = log
-    other = tmp_path / "other.log"
-    other.write_text(path.read_text().replace(" 37", " 47"))
-    assert main(["decode", str(other), *DBC]) == 1
-    assert "are whole if 0x478..0x479 stand for its CAN IDs 0x378..0x379" in capsys.readouterr().err
-
-
 def test_authenticated_logs(tmp_path: Path, monkeypatch: Patch, capsys: Capture) -> None:
     """Three lines a frame; the time stamps complete the freshness values, if they are absolute."""
     monkeypatch.chdir(tmp_path)
