@@ -77,6 +77,11 @@ from support.expressions import cases, evaluate
         ("RecordedDrive([0], zeros((1, 3)), cov=[eye(2)])", ValueError, "cov must have shape"),
         ("RecordedDrive([0], zeros((1, 3)), cov=[-eye(3)])", ValueError, "0: the sigmas must be 0"),
         ("RecordedDrive([0], zeros((1, 3)), cov=[inf * ones(3)])", ValueError, "sigmas must be 0"),
+        (
+            "RecordedDrive([0], [[0] * 3], cov=[[[0, 1, 0], [1, 1, 0], [0, 0, 1]]])",
+            ValueError,
+            "0: ",
+        ),
         ("RecordedDrive([0], zeros((1, 3)), cov=[asymmetric[:3, :3]])", ValueError, "semidefinite"),
         ("RecordedDrive([0], zeros((1, 3)), cov=[indefinite[:3, :3]])", ValueError, "semidefinite"),
         ("RecordedDrive([0, 1], zeros((2, 3)), max_gap=0)", ValueError, "max_gap must be"),
