@@ -120,7 +120,7 @@ def test_the_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Mon
     ("words", "text"),
     [
         (["nothing"], "there is no evidence 'nothing'"),
-        (["fusion.nothing"], "there is no evidence 'fusion.nothing'; there are fusion.ways"),
+        (["scenes.nothing"], "there is no evidence 'scenes.nothing'; there are scenes.records"),
         (["slots", "m=3"], "slots has no option 'm'; it has maps, n, seed"),
         (["slots", "n=few"], "n: could not convert"),
         (["lines", "by=hand"], "by: must be one of line, wire"),
@@ -236,7 +236,7 @@ def test_a_fused_lane_that_is_too_certain_is_found(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(lane_filter.LaneFilter, "_keep_own", lambda *_: None)
     road_map = random_map("s-bend", 0)
     car = fusion.of_car(road_map, road_map.route("1", "1"), None, 5.0, 0)
-    assert "scenes/shape/NEES" in misses("fusion.roads", {"all, exact": fusion.figures([car])})
+    assert "scenes/shape/NEES" in misses("fusion", {"all, exact": fusion.figures([car])})
 
 
 def test_what_cubics_miss_is_found_if_it_is_not_covered(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -37,10 +37,9 @@ from maplines_can.maps.line_source import WINDOW
 from maplines_can.simulation.trajectory import drive_along
 from maplines_can.study.scenes.random_scenes import NODES
 
-from .drive_view import turned
 from .harness import evidence, progress
 from .roads import ROADS, route_of, sources, spiral_map, straight_map
-from .witness import NEAR, POSES, Array, crossings, place_of, seen_from
+from .witness import NEAR, POSES, Array, crossings, place_of, seen_from, turned
 
 #: Period of the images [s].
 DT = 0.05
