@@ -77,27 +77,67 @@ def read(path: Path) -> tuple[list[LogFrame], LogSummary]:
 
 IDS = np.array([0x340, 0x12345, 0x7FF], np.uint32)
 MARKED = IDS | np.array([0, EXTENDED, EXTENDED], np.uint32)
-ARE_EXTENDED = [False, True, True]
 
 
-@pytest.mark.parametrize(
-    ("ids", "ide", "expected"),
-    [
-        pytest.param(MARKED, None, ARE_EXTENDED, id="bit-31"),
-        pytest.param(IDS, [0, 1, 1], ARE_EXTENDED, id="field"),
-        pytest.param(MARKED, [0, 1, 1], ARE_EXTENDED, id="both"),
-        pytest.param(MARKED, [0, 0, 0], ARE_EXTENDED, id="a-field-that-is-never-set"),
-        pytest.param(IDS, None, [False, True, False], id="neither: those of more than 11 bits"),
-    ],
-)
-def test_extended_ids(tmp_path: Path, ids: Any, ide: Any, expected: list[bool]) -> None:
-    """The field IDE tells it, or bit 31 of the ID, as for asammdf."""
-    values = None if ide is None else np.array(ide, np.uint8)
-    group = signal("CAN_DataFrame", [0, 1, 2], fields(ID=ids, IDE=values))
-    path = written(tmp_path / "a.mf4", group)
-    frames, _ = read(path)
-    assert [frame.can_id for frame in frames] == IDS.tolist()
-    assert [frame.is_extended for frame in frames] == expected
+def numbers(*values: int) -> Any:
+    return np.array(values, np.uint8)
+
+
+#: Fields of a group, and what is read of its three frames.
+FIELDS: list[tuple[dict[str, Any], dict[str, Any]]] = [
+    # The field IDE tells extended IDs, or bit 31 of the ID, as for asammdf.
+    *(
+        ({"ID": ids, "IDE": ide}, {"can_id": IDS.tolist(), "is_extended": expected})
+        for ids, ide, expected in (
+            (MARKED, None, [False, True, True]), (IDS, numbers(0, 1, 1), [False, True, True]),
+            (MARKED, numbers(0, 1, 1), [False, True, True]),
+            (MARKED, numbers(0, 0, 0), [False, True, True]),  # a field that is never set
+            (IDS, None, [False, True, False]),  # neither: those of more than 11 bits
+        )
+    ),
+    # Lengths are those of the field of this name, of the DLC, or of all bytes.
+    ({"DataLength": numbers(0, 3, 8)}, {"length": [0, 3, 8]}),
+    ({"DataLength": numbers(8, 9, 12)}, {"length": [8, 8, 8]}),
+    ({"DataLength": None, "DLC": numbers(0, 3, 8)}, {"length": [0, 3, 8]}),
+    ({"DataLength": None, "DLC": numbers(0, 9, 15)}, {"length": [0, 8, 8]}),
+    ({"DataLength": None, "DLC": None}, {"length": [8, 8, 8]}),
+    ({"DataLength": numbers(8, 12, 64), "width": 64}, {"length": [8, 12, 64]}),
+    ({"DataLength": None, "DLC": numbers(8, 9, 15), "width": 64}, {"length": [8, 12, 64]}),
+    ({"DataLength": None, "DLC": numbers(8, 9, 15), "EDL": numbers(0, 0, 1), "width": 64},
+     {"length": [8, 8, 64]}),
+    ({"BusChannel": None}, {"channel": ["", "", ""]}),
+    ({"BusChannel": numbers(7, 2, 7)}, {"channel": ["7", "2", "7"]}),
+    ({"BusChannel": np.array([b"CAN 2", b"CAN 1", b"CAN 2"])},
+     {"channel": ["CAN 2", "CAN 1", "CAN 2"]}),
+    # What is no frame on the bus is counted.
+    ({"Dir": numbers(0, 1, 0)}, {}),
+    ({"Dir": np.array([b"Rx", b"Tx", b"Rx"])}, {}),
+    ({"Dir": numbers(0, 2, 1)}, {"length": [8, 8], "skipped": {Skipped.REQUEST: 1}}),
+    ({"Dir": np.array([b"TxRq", b"TXRQ", b"Tx"])},
+     {"length": [8], "skipped": {Skipped.REQUEST: 2}}),
+    ({"RTR": numbers(0, 1, 1)}, {"length": [8], "skipped": {Skipped.REMOTE: 2}}),
+    ({"RTR": numbers(0, 1, 1), "Dir": numbers(1, 1, 2)},
+     {"length": [8], "skipped": {Skipped.REMOTE: 1, Skipped.REQUEST: 1}}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("given", "expected"), FIELDS)
+def test_fields_of_a_group(tmp_path: Path, given: dict[str, Any], expected: Any) -> None:
+    all_fields = fields(**given)
+    frames, summary = read(
+        written(tmp_path / "a.mf4", signal("CAN_DataFrame", [0, 1, 2], all_fields))
+    )
+    found: dict[str, Any] = {"length": [len(frame.data) for frame in frames]}
+    for name in ("can_id", "is_extended", "channel"):
+        found[name] = [getattr(frame, name) for frame in frames]
+    found["skipped"] = summary.skipped
+    expected = {"length": [8, 8, 8], "skipped": {}} | expected
+    assert {name: found[name] for name in expected} == expected
+    if len(frames) == 3:
+        rows = all_fields["DataBytes"]
+        assert [f.data for f in frames] == [
+            bytes(row[: len(f.data)]) for f, row in zip(frames, rows, strict=True)
+        ]
 
 
 def test_numbers_that_a_conversion_names(tmp_path: Path) -> None:
@@ -137,77 +177,6 @@ def test_groups_that_are_no_frames(
 ) -> None:
     with pytest.raises(LogError, match=words):
         read(written(tmp_path / "a.mf4", signal("CAN_DataFrame", t, fields(**given))))
-
-
-@pytest.mark.parametrize(
-    ("given", "lengths"),
-    [
-        pytest.param({"DataLength": [0, 3, 8]}, [0, 3, 8], id="length"),
-        pytest.param({"DataLength": None, "DLC": [0, 3, 8]}, [0, 3, 8], id="dlc"),
-        pytest.param({"DataLength": None, "DLC": [0, 9, 15]}, [0, 8, 8], id="classic-dlc-of-15"),
-        pytest.param({"DataLength": None, "DLC": None}, [8, 8, 8], id="neither"),
-        pytest.param(
-            {"DataLength": None, "DLC": [8, 9, 15], "width": 64}, [8, 12, 64], id="fd-dlc"
-        ),
-        pytest.param(
-            {"DataLength": None, "DLC": [8, 9, 15], "EDL": [0, 0, 1], "width": 64}, [8, 8, 64],
-            id="fd-dlc-and-edl",
-        ),
-        pytest.param({"DataLength": [8, 12, 64], "width": 64}, [8, 12, 64], id="fd-length"),
-        pytest.param({"DataLength": [8, 9, 12]}, [8, 8, 8], id="more-than-there-are"),
-    ],
-)  # fmt: skip
-def test_lengths(tmp_path: Path, given: dict[str, Any], lengths: list[int]) -> None:
-    """By the field of its name, by the DLC, or those of all bytes."""
-    numbers: dict[str, Any] = {
-        name: np.array(values, np.uint8) if isinstance(values, list) else values
-        for name, values in given.items()
-    }
-    all_fields = fields(**numbers)
-    frames, _ = read(written(tmp_path / "a.mf4", signal("CAN_DataFrame", [0, 1, 2], all_fields)))
-    rows = all_fields["DataBytes"]
-    assert [f.data for f in frames] == [
-        bytes(row[:length]) for row, length in zip(rows, lengths, strict=True)
-    ]
-
-
-@pytest.mark.parametrize(
-    ("given", "channels"),
-    [
-        (None, ["", "", ""]),
-        (np.array([7, 2, 7], np.uint8), ["7", "2", "7"]),
-        (np.array([b"CAN 2", b"CAN 1", b"CAN 2"]), ["CAN 2", "CAN 1", "CAN 2"]),
-    ],
-    ids=["none", "numbers", "texts"],
-)
-def test_channels(tmp_path: Path, given: Any, channels: list[str]) -> None:
-    group = signal("CAN_DataFrame", [0, 1, 2], fields(BusChannel=given))
-    frames, _ = read(written(tmp_path / "a.mf4", group))
-    assert [frame.channel for frame in frames] == channels
-
-
-@pytest.mark.parametrize(
-    ("given", "frames", "skipped"),
-    [
-        pytest.param({"Dir": np.array([0, 1, 0], np.uint8)}, 3, {}, id="rx-and-tx"),
-        pytest.param({"Dir": np.array([b"Rx", b"Tx", b"Rx"])}, 3, {}, id="texts"),
-        pytest.param({"Dir": np.array([0, 2, 1], np.uint8)}, 2, {Skipped.REQUEST: 1}, id="request"),
-        pytest.param(
-            {"Dir": np.array([b"TxRq", b"TXRQ", b"Tx"])}, 1, {Skipped.REQUEST: 2}, id="request-text"
-        ),
-        pytest.param({"RTR": np.array([0, 1, 1], np.uint8)}, 1, {Skipped.REMOTE: 2}, id="remote"),
-        pytest.param(
-            {"RTR": np.array([0, 1, 1], np.uint8), "Dir": np.array([1, 1, 2], np.uint8)}, 1,
-            {Skipped.REMOTE: 1, Skipped.REQUEST: 1}, id="remote-and-request",
-        ),
-    ],
-)  # fmt: skip
-def test_what_is_no_frame_on_the_bus_is_counted(
-    tmp_path: Path, given: dict[str, Any], frames: int, skipped: dict[Skipped, int]
-) -> None:
-    group = signal("CAN_DataFrame", [0, 1, 2], fields(**given))
-    found, summary = read(written(tmp_path / "a.mf4", group))
-    assert (len(found), summary.skipped) == (frames, skipped)
 
 
 @pytest.mark.parametrize(
