@@ -196,11 +196,11 @@ def _run(arguments: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         raise
-    summary, scenes = (read_table(directory, name) for name in ("summary", "scenes"))
+    summary, scenes = (read_table(directory.path, name) for name in ("summary", "scenes"))
     if arguments.json:
         print(json.dumps({"summary": summary, "scenes": scenes}, indent=2))
     else:
-        print(summary_text(summary, read_table(directory, "terms"), scenes))
+        print(summary_text(summary, read_table(directory.path, "terms"), scenes))
         print(f"\ntables: {directory.path}")
     return 0
 

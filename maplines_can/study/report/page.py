@@ -186,6 +186,7 @@ def write_report(folder: str | Path, out_path: str | Path, *, title: str = TITLE
     try:
         import bokeh.embed  # noqa: F401
         import jinja2  # noqa: F401 - whether it is installed
+        import pyarrow as pa  # noqa: F401
 
         from .plots import worst_groups
     except ImportError as error:

@@ -21,9 +21,8 @@ from ...values.errors import EncodeError
 from ...values.line import Slot, lateral_jacobian
 from ...values.scene import Scene
 from ...values.text_table import aligned
-from ...wire.layout.message_layout import Layout
-from ..comparison import AnyCodec, codec_for, sent_scene
-from .carriers import WITH_POSE
+from ..comparison import AnyCodec, sent_scene
+from .carriers import WITH_POSE, codec_of
 from .map_scenes import DrawnScene
 from .random_scenes import RESOLUTION, noise_floor
 
@@ -225,8 +224,7 @@ def of_carriers(
     found = {}
     for number, (name, carrier) in enumerate(WITH_POSE.items()):
         progress(number, len(WITH_POSE))
-        codec = codec_for(Layout.from_dbc(carrier.writer.database()))
-        of_maps = merged(measured(codec, drawn, fd=carrier.fd), 0)
+        of_maps = merged(measured(codec_of(name), drawn, fd=carrier.fd), 0)
         found[name] = of_maps | {ALL: Ratios.sum(of_maps.values())}
     progress(len(WITH_POSE), len(WITH_POSE))
     return found

@@ -57,8 +57,6 @@ class Limit:
     >>> limit = Limit(entropy_bits=10.0, dimension=14)
     >>> limit.bits([1e-3, 1e-4]).round(2)
     array([70.75, 94.01])
-    >>> limit.kl(limit.bits(1e-3) + 14)  # a bit more for each parameter
-    array(0.00025)
     """
 
     entropy_bits: float  #: h_F [bit]; NaN if the source is singular
@@ -86,12 +84,6 @@ class Limit:
             raise ValueError(f"kl must be positive [nat], got {kl!r}")
         n = self.dimension
         return np.asarray(self.entropy_bits - n / 2 * np.log2(2 * np.pi * math.e * 2 * kl / n))
-
-    def kl(self, bits: ArrayLike) -> Array:
-        """Return the (...,) smallest mean divergence [nat] for mean lengths of a message [bit]."""
-        n = self.dimension
-        excess = (self.entropy_bits - np.asarray(bits, dtype=float)) * 2 / n
-        return np.asarray(n / (4 * np.pi * math.e) * 2**excess)
 
 
 def limit_of(

@@ -10,11 +10,13 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Iterator, Sequence
 from math import isnan
+from pathlib import Path
 from textwrap import indent
 from typing import Any
 
 from ...simulation.parquet_files import arrow
 from ...values.coding_loss import LATERAL_X
+from ...values.errors import StudyError
 from ...values.line import Status
 from ...values.text_table import aligned
 from ..codes import CODES
@@ -67,9 +69,23 @@ def write_tables(study: Study, directory: StudyDirectory) -> None:
         directory.write(f"{name}.parquet", _as_parquet(of_table, SCHEMAS[name]))
 
 
-def read_table(directory: StudyDirectory, name: str) -> list[Row]:
-    """Return the rows of one of ``TABLES``."""
-    rows: list[Row] = arrow().parquet.read_table(directory.path / f"{name}.parquet").to_pylist()
+def read_table(folder: Path, name: str) -> list[Row]:
+    """Return the rows of one of ``TABLES``.
+
+    Raises:
+        MissingExtraError: pyarrow is not installed.
+        StudyError: the table does not exist, is not readable, or lacks columns.
+    """
+    pa, path = arrow(), folder / f"{name}.parquet"
+    if not path.is_file():
+        raise StudyError(f"{path}: is missing; a sweep writes it when it is complete")
+    try:
+        table = pa.parquet.ParquetFile(path).read()
+    except (pa.ArrowException, OSError) as error:
+        raise StudyError(f"{path}: cannot be read as Parquet: {error}") from error
+    if missing := [column for column in SCHEMAS[name] if column not in table.column_names]:
+        raise StudyError(f"{path}: lacks the columns {', '.join(missing)}")
+    rows: list[Row] = table.to_pylist()
     return rows
 
 
