@@ -69,6 +69,14 @@ def test_each_line_of_a_cycle_is_sent_or_counted(tmp_path: Path, capsys: Capture
     assert result["lines"] + sum(left_out.values()) == 2 * result["cycles"]
 
 
+def test_the_seed_decides_the_errors(tmp_path: Path, capsys: Capture) -> None:
+    log, data = tmp_path / "drive.log", []
+    for seed in "112":
+        run(capsys, town(tmp_path), *FAST[:-1], "1", "--record", str(log), "--seed", seed)
+        data.append([frame.data for frame in read_log(log)])
+    assert data[0] == data[1] != data[2]
+
+
 def test_a_lane_change_changes_all_slots_at_once(tmp_path: Path, capsys: Capture) -> None:
     """The route leads to the lane on the left; the truth says in which cycle."""
     truth = tmp_path / "truth.csv"
