@@ -91,6 +91,7 @@ from support.expressions import cases, evaluate
         ("Localisation(full((2, 3), nan), cov=eye(3))", ValueError, "finite"),
         ("Localisation(zeros((2, 3)), cov=eye(2))", ValueError, r"\(3, 3\)"),
         ("Localisation(zeros((1, 3)), cov=eye(3), history=-1)", ValueError, "history"),
+        ("Localisation(zeros((3, 3)), cov=eye(3)).ego()", ValueError, "3 cars"),
         ("Localisation(zeros((1, 3)), cov=-eye(3))", ValueError, "positive semidefinite"),
         ("Localisation(zeros((1, 3)), cov=indefinite[:3, :3])", ValueError, "positive semidefinit"),
         ("SensorErrors(gnss=GaussMarkov(-1, 1))", ValueError, "gnss"),

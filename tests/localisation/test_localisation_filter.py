@@ -207,28 +207,6 @@ def test_the_pose_between_odometries_is_predicted() -> None:
         found.ego(0.1)
 
 
-def test_several_cars_are_as_each_alone() -> None:
-    """The filters of a batch do not see each other."""
-    rng = np.random.default_rng(5)
-    start = rng.standard_normal((3, 3)) * [1, 1, 0.01]
-    speed, rate = 10 + rng.standard_normal((3, 100)), 0.1 * rng.standard_normal((3, 100))
-    cov = np.diag([1, 1, 0.01]) ** 2
-    together = Localisation(start, cov=cov)
-    alone = [Localisation(Gaussian(one, cov)) for one in start]
-    for i in range(100):
-        together.add(Odometry(i * DT, speed[:, i], rate[:, i]))
-        for k, one in enumerate(alone):
-            one.add(odometry(i * DT, speed[k, i], rate[k, i]))
-    position = rng.normal([20, 0], 1.0, (3, 2))
-    together.add(GnssFix(1.5, position, np.eye(2)))
-    for k, one in enumerate(alone):
-        one.add(fix(1.5, position[k, 0], position[k, 1], 1.0))
-        assert together.poses().mean[k] == pytest.approx(pose(one).mean, abs=1e-12)
-        assert together.poses().cov[k] == pytest.approx(pose(one).cov, abs=1e-12)
-    with pytest.raises(ValueError, match="3 cars"):
-        together.ego()
-
-
 def test_a_curve_is_as_by_an_unscented_filter() -> None:
     """Of filterpy, on a circle: the linearisation is harmless, and so is the code."""
     errors = TOLD
