@@ -206,84 +206,56 @@ class Steps:
         self.clock.now += 0.25
 
 
-def sent_late(
+ON_TIME = 1000.0 + 0.004 - 1000.0  #: lateness that the age covers, as rounded [s]
+
+
+@pytest.mark.parametrize(
+    ("script", "late", "settings", "ages", "end", "counts"),
+    [
+        # A line is given up at its next deadline, not one attempt later.
+        ([FULL] * 10, 0.0, {}, [], 0.5, {"full": 1, "retries": 2}),
+        # Lateness counts to the first frame; a queue that is full later does not count.
+        ([None, FULL], 0.0, {}, [4] * 4, None, {"lateness": (0.0,) * 3}),
+        ([None, FULL], 0.125, {}, [250] * 4, None, {"lateness": (0.125,) * 3}),
+        # Frames of one transfer state one age, although the others are sent later: it is encoded
+        # again only before its first frame, for twice its lateness.
+        ([None, FULL, FULL], 0.0, {"period": 1.0}, [4] * 4, 0.5, {}),
+        ([FULL], 0.0, {"period": 1.0}, [500] * 4, None, {}),
+        # There is no need to until the last moment that the age covers.
+        ([], ON_TIME, {}, [4] * 4, None, {}),
+        ([], ON_TIME + 1e-3, {}, [10] * 4, None, {}),
+        # What was not handed over is neither told nor counted.
+        ([FULL, None, None, FULL], 0.0, {"period": 2.0}, [500] * 4, None, {"frames": 4}),
+        ([None, None, GONE], 0.0, {"period": 2.0}, [4] * 2, None, {"frames": 2, "down": 1}),
+        ([GONE], 0.0, {"period": 2.0}, [], None, {"frames": 0, "down": 1}),
+        # A line that is too old counts as expired only if it is sent.
+        ([GONE] * 9, 0.25, {"max_age": 0.1}, [], None, {"down": 1, "full": 0, "expired": 0}),
+        ([FULL] * 9, 0.25, {"max_age": 0.1}, [], None, {"down": 0, "full": 1, "expired": 0}),
+        ([], 0.25, {"max_age": 0.1}, [60_000] * 4, None, {"lines": 1, "expired": 1}),
+    ],
+)
+def test_a_line_is_late(
+    script: list[Any],
+    late: float,
+    settings: dict[str, Any],
+    ages: list[int],
+    end: float | None,
+    counts: dict[str, Any],
     monkeypatch: pytest.MonkeyPatch,
-    *script: Any,
-    late: float = 0.0,
-    period: float = 0.5,
-    **rest: Any,
-) -> tuple[Transmitter, list[bytes], float]:
-    """Send one line over a bus with a script of errors; return its pages and the time it took."""
-    clock, opener = Clock(), FakeOpener(*script)
+) -> None:
+    """It is sent over a bus with a script of errors; ages are in ms, and pauses last for 0.25 s."""
+    clock, opener, told = Clock(), FakeOpener(*script), list[Frame]()
     monkeypatch.setattr("maplines_can.bus.transmitter.time", Steps(clock))
     with Link(opener) as link:
-        transmitter = Transmitter(link, FakeCodec(), period=period, clock=clock, **rest)  # type: ignore[arg-type]
+        transmitter = Transmitter(
+            link, FakeCodec(), clock=clock, on_sent=told.append, **{"period": 0.5} | settings
+        )  # type: ignore[arg-type]
         transmitter.publish(map_line())
         clock.now += late
         transmitter._send(transmitter._next_transfer())  # type: ignore[arg-type]
     pages = [bytes(opener.sent.get(timeout=0).data) for _ in range(opener.sent.qsize())]
-    return transmitter, pages, clock.now - 1000.0
-
-
-def test_a_line_is_given_up_at_its_next_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not one attempt later: two pauses of half a period each."""
-    transmitter, pages, end = sent_late(monkeypatch, *[FULL] * 10)
-    assert (transmitter.stats().full, transmitter.stats().retries, end) == (1, 2, 0.5)
-    assert pages == []
-
-
-@pytest.mark.parametrize("late", [0.0, 0.125])
-def test_lateness_counts_from_the_deadline_to_the_first_frame(
-    monkeypatch: pytest.MonkeyPatch, late: float
-) -> None:
-    """A queue that is full later does not count."""
-    transmitter, _, _ = sent_late(monkeypatch, None, FULL, late=late)
-    assert transmitter.stats().lateness == (late, late, late)
-
-
-def test_a_transfer_is_encoded_again_only_before_its_first_frame(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Frames of one transfer state one age, although the others are sent later."""
-    _, pages, end = sent_late(monkeypatch, None, FULL, FULL, period=1.0)
-    assert [struct.unpack_from("<BBBBH", page)[-1] for page in pages] == [4] * PAGES
-    _, pages, _ = sent_late(monkeypatch, FULL, period=1.0)
-    assert {struct.unpack_from("<BBBBH", page)[-1] for page in pages} == {500}  # twice 0.25 s
-    assert end == 0.5
-
-
-def test_a_transfer_is_on_time_until_the_last_moment_that_its_age_covers(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Then there is no need to encode it again."""
-    late = 1000.0 + 0.004 - 1000.0  # as rounded
-    _, pages, _ = sent_late(monkeypatch, late=late)
-    assert {struct.unpack_from("<BBBBH", page)[-1] for page in pages} == {4}
-    _, pages, _ = sent_late(monkeypatch, late=late + 1e-3)
-    assert {struct.unpack_from("<BBBBH", page)[-1] for page in pages} == {10}
-
-
-@pytest.mark.parametrize(
-    ("script", "sent"), [((FULL, None, None, FULL), 4), ((None, None, GONE), 2), ((GONE,), 0)]
-)
-def test_only_frames_that_were_handed_over_are_told(
-    monkeypatch: pytest.MonkeyPatch, script: tuple[Any, ...], sent: int
-) -> None:
-    """Each of them once."""
-    told = list[Frame]()
-    transmitter, pages, _ = sent_late(monkeypatch, *script, period=2.0, on_sent=told.append)
+    assert [struct.unpack_from("<BBBBH", page)[-1] for page in pages] == ages
     assert [frame.data for frame in told] == pages
-    assert transmitter.stats().frames == len(pages) == sent
-
-
-@pytest.mark.parametrize(("error", "counts"), [(GONE, (0, 1, 0)), (FULL, (0, 0, 1))])
-def test_a_line_that_is_too_old_counts_as_expired_only_if_it_is_sent(
-    monkeypatch: pytest.MonkeyPatch, error: Any, counts: Any
-) -> None:
-    """Otherwise it is counted by what prevented it."""
-    transmitter, _, _ = sent_late(monkeypatch, *[error] * 9, late=0.25, max_age=0.1)
+    assert end in (None, clock.now - 1000.0)
     stats = transmitter.stats()
-    assert (stats.lines, stats.down, stats.full) == counts
-    assert stats.expired == 0
-    transmitter, _, _ = sent_late(monkeypatch, late=0.25, max_age=0.1)
-    assert (transmitter.stats().lines, transmitter.stats().expired) == (1, 1)
+    assert {name: getattr(stats, name) for name in counts} == counts
