@@ -24,19 +24,13 @@ def ids(bench: Bench) -> list[int]:
     return [message.arbitration_id for message in bench.messages]
 
 
-def slots_of(bench: Bench) -> set[Slot]:
-    scene = bench.view().scene
-    assert scene is not None
-    return {*scene.index}
-
-
 def test_a_scene_is_one_transfer_in_each_period(make_bench: Make) -> None:
     """Scene2 goes before Scene, so that the scene is complete when that comes."""
     bench, scene = make_bench(DBC), road_scene(Slot)
     for cycle in range(12):
         bench.transmitter.publish(scene)
         bench.run((cycle + 0.5) * PERIOD)
-        assert slots_of(bench) == {*Slot}
+        assert {*bench.slots} == {*Slot}
     assert ids(bench) == [SECOND, FIRST] * 12
     assert all(message.is_fd for message in bench.messages)
     assert [owner for _, owner in bench.owners] == [SCENE] * 12
@@ -55,7 +49,7 @@ def test_lines_without_a_place_are_counted(make_bench: Make) -> None:
     for cycle in range(3):
         bench.transmitter.publish(road_scene(Slot))
         bench.run((cycle + 0.5) * PERIOD)
-    assert len(slots_of(bench)) == 6
+    assert len(bench.slots) == 6
     assert ids(bench) == [SECOND + 2, FIRST + 2] * 3
     stats = bench.transmitter.stats()
     assert (stats.left_out, stats.lines) == ({LeftOut.PLACE: 6}, 18)

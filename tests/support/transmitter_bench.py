@@ -9,7 +9,7 @@ import can
 import numpy as np
 from support.fake_bus import Clock, FakeOpener
 
-from maplines_can import Codec, Link, MapLine, Transmitter
+from maplines_can import Codec, Link, MapLine, Slot, Transmitter
 from maplines_can.wire import POSE, Reason, SceneView
 
 PERIOD = 0.05
@@ -75,6 +75,12 @@ class Bench:
 
     def view(self) -> SceneView:
         return self.decoder.latest_scene(self.now_ns)
+
+    @property
+    def slots(self) -> tuple[Slot, ...]:
+        """The slots of the newest scene."""
+        scene = self.view().scene
+        return () if scene is None else tuple(scene.index)
 
     @property
     def lost(self) -> int:
