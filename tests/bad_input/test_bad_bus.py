@@ -1,7 +1,7 @@
 """The bus, its logs and fault injection refuse bad input with an error that names it."""
 
 import pytest
-from support.expressions import WRONG_CLASS, cases, evaluate
+from support.expressions import cases, evaluate
 
 from maplines_can.values.errors import BusError, LogError
 
@@ -20,11 +20,9 @@ from maplines_can.values.errors import BusError, LogError
         ("Transmitter(link, codec, period=0.0009)", ValueError, "period.*0.0009"),
         ("Transmitter(link, codec, period=3600.5)", ValueError, "period.*3600.5"),
         ("Transmitter(link, codec, count=0)", ValueError, "count.*0"),
-        ("Transmitter(link, codec).publish(None)", WRONG_CLASS, "."),
         ("Transmitter(link, codec).publish(line, t_pose_ns=0)", ValueError, "t_pose_ns.*0"),
         ("Transmitter(link, codec).publish(line, t_pose_ns=nan)", ValueError, "t_pose_ns.*nan"),
         ("Receiver(link, codec.decoder(), queue_size=0)", ValueError, "queue_size.*0"),
-        ("Receiver(link, codec.decoder(), queue_size=nan)", WRONG_CLASS, "."),
         ("Transmitter(link, codec.decoder())", TypeError, "codec must be a Codec.*Decoder"),
         ("Receiver(link, codec)", TypeError, r"decoder must be a Decoder.*codec\.decoder\(\)"),
         ("Receiver(link, None)", TypeError, "decoder must be a Decoder.*None"),
@@ -50,11 +48,9 @@ from maplines_can.values.errors import BusError, LogError
         ("transfers_within(0.5, [], 1, 500_000)", ValueError, "frame"),
         ('FaultyBus(None, "loss=0.1")', TypeError, "bus.*None"),
         ('FaultyBus("vcan0", "loss=0.1")', TypeError, "bus.*vcan0"),
-        ("FaultInjector(None)", WRONG_CLASS, "."),
         ('read_log("nowhere.log")', LogError, "nowhere.log"),
         ('read_log("/etc/passwd")', LogError, "/etc/passwd"),
         ('read_log("drive.mf4")', LogError, "drive.mf4"),
-        ("read_log(None)", WRONG_CLASS, "."),
     ),
 )
 def test_bad_input_is_refused(expression: str, error: type[Exception], words: str) -> None:

@@ -146,11 +146,8 @@ def error_line(stderr: str) -> str:
         ("demo --key-file {d}/good.key --dbc {d}/good.dbc", 1, "good.dbc"),
         # maplines send
         ("send --count 0", 2, "--count.*'0'"),
-        (
-            "send --interface virtual --fd --dbc {d}/classic-only.dbc --count 1",
-            1,
-            "classic-only.dbc",
-        ),
+        ("send --interface virtual --fd --dbc {d}/classic-only.dbc --count 1",
+         1, "classic-only.dbc"),
         ("send --interface virtual --components auto --max-load 0.001", 1, "0.1 %"),
         ("send --interface virtual --faults flood=-1", 2, "--faults.*flood.*-1"),
         # maplines receive
@@ -196,32 +193,20 @@ def error_line(stderr: str) -> str:
         ("study run --out {d}/s --set {d}/nan.csv", 1, "nan.csv.*row 0"),
         ("study run --out {d}/s --set {d}/words.csv", 1, "words.csv.*row 0.*'wide'"),
         ("study run --out {d}/s --set {d}/columns.csv", 1, "columns.csv.*mean_0"),
-        (
-            "study run --out {d}/s --set {d}/indefinite.csv --n 100 --code Cholesky --jobs 1",
-            1,
-            "indefinite.csv.*row 0",
-        ),
+        ("study run --out {d}/s --set {d}/indefinite.csv --n 100 --code Cholesky --jobs 1",
+         1, "indefinite.csv.*row 0"),
         ("study run --out {d}/s --set {d}/asymmetric.npz", 1, "asymmetric.npz.*row 0.*symmetric"),
         ("study run --out {d}/s --set {d}/shapes.npz", 1, "shapes.npz.*shape"),
         ("study run --out {d}/s --set {d}/poses.csv", 1, "poses.csv.*--map"),
         ("study run --out {d}/s --set {d}/poses.csv --map {d}/nowhere.csv", 1, "nowhere.csv"),
-        (
-            "study run --out {d}/s --set {d}/poses.csv --map {d}/header.csv",
-            1,
-            "header.csv.*line, x",
-        ),
+        ("study run --out {d}/s --set {d}/poses.csv --map {d}/header.csv",
+         1, "header.csv.*line, x"),
         ("study run --out {d}/s --set {d}/poses.csv --map {d}/one-point.csv", 1, "one-point.csv"),
         ("study run --out {d}/s --set {d}/poses.csv --map {d}/empty.csv", 1, "empty.csv is empty"),
-        (
-            "study run --out {d}/s --set {d}/poses.csv --map {d}/map.csv --window 80 -20",
-            1,
-            "window.*80",
-        ),
-        (
-            "study run --out {d}/s --set {d}/poses.csv --map {d}/map.csv --window nan 80",
-            1,
-            "window.*nan",
-        ),
+        ("study run --out {d}/s --set {d}/poses.csv --map {d}/map.csv --window 80 -20",
+         1, "window.*80"),
+        ("study run --out {d}/s --set {d}/poses.csv --map {d}/map.csv --window nan 80",
+         1, "window.*nan"),
         ("study run --out {f}", 1, "a-file"),
         ("study run --out {d} --set road --n 100", 1, "name a new directory"),
         ("study run --out {d}/s --scheduler nowhere --set road --n 100", 1, "nowhere"),
@@ -250,7 +235,7 @@ def error_line(stderr: str) -> str:
         ("design --frames 4 --out design.txt", 1, "design.txt"),
         ("design --frames 4 --n 100 --set road --out {f}/x.dbc", 1, "a-file/x.dbc"),
     ),
-)
+)  # fmt: skip
 def test_a_command_refuses_bad_input(
     command: str,
     status: int,

@@ -17,8 +17,6 @@ from maplines_can import bus, propagation, testing, wire
 from maplines_can.generation.dbc.record_spec import DEFAULT
 from maplines_can.values import line
 
-#: What Python itself raises where an object of another class is passed. A type checker finds it.
-WRONG_CLASS = (TypeError, AttributeError)
 #: Cases that name files, permissions or an interface of Linux.
 LINUX = re.compile(r'/dev/|/proc/|/etc/|"/"|open\.key|socketcan')
 
