@@ -15,7 +15,6 @@ from evidence import (
     fusion,
     harness,
     lines,
-    localisation,
     plausibility_roads,
     scenes,
     slots,
@@ -251,28 +250,3 @@ def test_what_cubics_miss_is_found_if_it_is_not_covered(monkeypatch: pytest.Monk
     monkeypatch.setattr(plausibility_roads, "MAP_ERRORS", {"exact": None})
     figures = plausibility_roads.plausibility_roads(n=1, seconds=4.0, cars=40, shapes=())
     assert "z over twice" in misses("plausibility_roads", figures)
-
-
-def test_a_recorded_drive_shows_the_bias(tmp_path: Path) -> None:
-    """With the bias as a state, the covariance covers it; as white noise, it does not."""
-    rng = np.random.default_rng(6)
-    imu_t, gnss_t, truth_t = (np.arange(0.0, 18.0, dt) for dt in (0.04, 0.1, 0.05))
-    still, noise = np.zeros((len(imu_t), 2)), 0.1 * rng.standard_normal((len(gnss_t), 3))
-    gyro = 0.002 + 0.002 * rng.standard_normal(len(imu_t))
-    np.savez(
-        tmp_path / "drive.npz",
-        imu_t=imu_t,
-        gyro_frd=np.column_stack([still, gyro]),
-        speed_t=imu_t,
-        speed=np.full(len(imu_t), 15.0),
-        gnss_t=gnss_t,
-        gnss_enu=np.outer(gnss_t, [15.0, 0, 0]) + np.array([1.4, 0.4, 0.0]) + noise,
-        gnss_bearing_deg=np.full(len(gnss_t), 90.0),
-        truth_t=truth_t,
-        truth_enu=np.outer(truth_t, [15.0, 0, 0]),
-        truth_vel_enu=np.tile([15.0, 0, 0], (len(truth_t), 1)),
-    )
-    found = localisation.recorded(tmp_path / "drive.npz")
-    assert not misses("localisation.recorded", found)
-    assert found["bias as a state"]["GNSS noise [m]"] == pytest.approx(0.1, rel=0.2)
-    assert found["bias as a state"]["NEES"] < 3 < 30 < found["white, 0.5 m"]["NEES"]

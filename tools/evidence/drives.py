@@ -2,19 +2,16 @@
 
 The sender is the command "maplines drive"; the other process receives. The received lines must be
 those of the log of the sender, bit for bit and in order. That slots change as lanes do,
-tests/cli/test_drive.py and the evidence "slots" show.
+tests/cli/test_drive.py shows; that candump sees the same frames, tests/test_socketcan.py.
 """
 
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -38,8 +35,6 @@ def drives(
 ) -> dict[str, Any]:
     """Send a drive in real time from one process to another, and check each line that arrives.
 
-    On SocketCAN, candump must see each frame as well, if it is installed.
-
     Args:
         interface: of python-can.
         channel: such as vcan0.
@@ -52,7 +47,7 @@ def drives(
     bus: dict[str, Any] = {"interface": interface} | ({"channel": channel} if channel else {})
     arrived: list[MapLine] = []
     with tempfile.TemporaryDirectory() as folder:
-        log, dump = Path(folder, "drive.log"), Path(folder, "candump.log")
+        log = Path(folder, "drive.log")
         command = [sys.executable, "-m", "maplines_can", "drive", "--json", "--lines", "4"]
         command += ["--record", str(log), "--seed", str(seed), "--rate", str(rate)] + ["--fd"] * fd
         command += ["--route", route] if route else []
@@ -60,7 +55,6 @@ def drives(
         for option, value in bus.items():
             command += [f"--{option}", value]
         with (
-            candump(bus, dump) as dumped,
             Link(**bus, fd=fd) as link,
             Receiver(link, new_decoder(), on_line=arrived.append) as receiver,
         ):
@@ -83,9 +77,6 @@ def drives(
             "lines lost": len(was_sent) - len(arrived),
             "received as they were sent": [*map(values_of, arrived)] == was_sent != [],
         }
-        if dumped is not None:
-            seen, own = ([(f.can_id, f.data) for f in read_log(path)] for path in (dumped, log))
-            figures |= {"frames that candump saw": len(seen), "the same frames": seen == own}
     return figures | {"sender": sent}
 
 
@@ -101,20 +92,3 @@ def values_of(line: MapLine) -> tuple[Any, ...]:
         line.gaussian.mean.tobytes(),
         line.gaussian.cov.tobytes(),
     )
-
-
-@contextmanager
-def candump(bus: dict[str, Any], path: Path) -> Iterator[Path | None]:
-    """Run candump on a SocketCAN interface, with its output in a file, if it is installed."""
-    if bus["interface"] != "socketcan" or not shutil.which("candump"):
-        yield None
-        return
-    with path.open("w") as file:
-        process = subprocess.Popen(["candump", "-L", bus["channel"]], stdout=file)
-        try:
-            time.sleep(1.0)
-            yield path
-            time.sleep(1.0)
-        finally:
-            process.terminate()
-            process.wait()
