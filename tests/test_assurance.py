@@ -7,7 +7,6 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-import coverage_table
 import pytest
 import traceability as tool
 
@@ -168,10 +167,6 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "R-1: tests/wire/protection/test_e2e.py has no test" in out
     assert tool.main([str(bad), "--json"]) == 1
     assert len(json.loads(capsys.readouterr().out)["gaps"]) == 1
-
-
-def summary(*counts: int) -> dict[str, dict[str, int]]:
-    return {"summary": dict(zip(coverage_table.COUNTS, counts, strict=True))}
 
 
 def write_tests(folder: Path, text: str) -> None:

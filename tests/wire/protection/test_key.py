@@ -200,3 +200,9 @@ def test_a_freshness_value_at_the_ends_of_its_range(most: int) -> None:
     else:
         assert len(keys.secure(bytes(32), 1, LAYOUT)) == LAYOUT.length
         assert keys.last_sent == 2**63 - 1
+
+
+def test_the_ends_of_key_ids_and_of_windows() -> None:
+    assert [Key(SECRET, key_id).key_id for key_id in (0, 255)] == [0, 255]
+    assert Authenticator(Key(SECRET), window_ns=1000).window == 1
+    assert Authenticator(Key(SECRET), window_ns=1999).window == 1
