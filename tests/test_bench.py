@@ -45,18 +45,3 @@ def test_every_part_gives_a_row_for_each_of_its_targets(
         assert 0 < row["ratio_min"] <= row["ratio"] <= row["ratio_max"]
         assert min(row["ours_s"], row["peer_s"], row["ours_bytes"], row["peer_bytes"]) > 0
         assert (row["met"] is None) == (row["target"] is None)
-
-
-@pytest.mark.parametrize(("target", "status"), [(0.0, 0), (1e9, 1)])
-def test_a_missed_target_is_an_error_with_strict_only(
-    bench: Any, monkeypatch: pytest.MonkeyPatch, target: float, status: int
-) -> None:
-    """Without --strict the exit status is 0."""
-
-    def part(sizes: Any, seed: int) -> Iterator[Any]:
-        yield bench.Pair("ours", "peer", 1, lambda: bytes(10), lambda: bytes(10), target)
-
-    monkeypatch.setitem(bench.PARTS, "one", (part, "one"))
-
-    assert bench.main(["one", "--quick"]) == 0
-    assert status == bench.main(["one", "--quick", "--strict"])

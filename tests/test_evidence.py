@@ -10,15 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from evidence import (
-    epochs,
-    fusion,
-    harness,
-    lines,
-    plausibility_roads,
-    scenes,
-    slots,
-)
+from evidence import epochs, fusion, harness, lines, plausibility_roads, scenes, slots
 from evidence.figures import Rms, Share
 from evidence.harness import Evidence, bounds_of, matching, missed, promises, settings
 from evidence.roads import random_map
@@ -175,13 +167,7 @@ def test_wrong_slots_are_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
         assert "right is" in misses("slots", slots.slots(path, n=40))
 
 
-@pytest.mark.parametrize(
-    ("factor", "words"),
-    [
-        (0.5, "overconfident is"),
-        (2.0, "width/99 %"),
-    ],
-)
+@pytest.mark.parametrize(("factor", "words"), [(0.5, "overconfident is"), (2.0, "width/99 %")])
 def test_wrong_joints_are_found(monkeypatch: pytest.MonkeyPatch, factor: float, words: str) -> None:
     """Too certain, in floating point and exactly; and too wide."""
     compare, check = scenes.compare, scenes.check

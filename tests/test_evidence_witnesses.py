@@ -4,10 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from evidence import (
-    slots,
-    witness,
-)
+from evidence import slots, witness
 from evidence import sums as sums_
 from evidence.exact import covers, is_positive_definite
 from hypothesis import given

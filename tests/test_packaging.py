@@ -9,9 +9,7 @@ import sys
 import sysconfig
 import venv
 import zipfile
-from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 
 import build_core
 import pytest
@@ -24,34 +22,12 @@ FIND_DBC = "import maplines_can.wire as w; w.Codec.from_dbc(); print(w.default_d
 BIN = "Scripts" if sys.platform == "win32" else "bin"
 
 
-def run(
-    *command: str | Path,
-    cwd: Path | None = None,
-    variables: Mapping[str, str] = MappingProxyType({}),
-) -> str:
-    """Run a command, check that it succeeds, and return its output.
-
-    Args:
-        command: program and arguments.
-        cwd: folder of the run.
-        variables: of its environment.
-    """
-    done = subprocess.run(
-        command,
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=cwd,
-        env={**os.environ, **variables},
-    )
+def run(*command: str | Path, cwd: Path | None = None, **variables: str) -> str:
+    """Run a command with more variables, check that it succeeds, and return its output."""
+    env = os.environ | variables
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd, env=env)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout.strip()
-
-
-def libraries(wheel: Path) -> list[str]:
-    """Return the names of the shared libraries in a wheel."""
-    with zipfile.ZipFile(wheel) as archive:
-        return [name for name in archive.namelist() if name.endswith(PATH.suffix)]
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +39,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
         f"import shutil, sys\nshutil.copy({str(PATH)!r}, sys.argv[sys.argv.index('-o') + 1])\n"
     )
     build = (sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, ROOT)
-    run(*build, variables={"CC": f"{sys.executable} {compiler}"})
+    run(*build, CC=f"{sys.executable} {compiler}")
     (path,) = folder.glob("*.whl")
     return path
 
@@ -80,17 +56,8 @@ def empty_python(tmp_path: Path, wheel: Path) -> Path:
     site = Path(sysconfig.get_path("purelib", "venv", {"base": str(environment)}))
     (site / "dependencies.pth").write_text(sysconfig.get_path("purelib"))
     python = environment / BIN / "python"
-    install = (
-        sys.executable,
-        "-m",
-        "pip",
-        "--python",
-        python,
-        "install",
-        "--no-deps",
-        "--no-index",
-    )
-    run(*install, "--disable-pip-version-check", "--force-reinstall", wheel)
+    install = (sys.executable, "-m", "pip", "--python", python, "install", "--no-deps")
+    run(*install, "--no-index", "--disable-pip-version-check", "--force-reinstall", wheel)
     return python
 
 
@@ -98,7 +65,7 @@ def test_in_a_checkout_and_an_editable_install(tmp_path: Path) -> None:
     """The source folder works without an install; its editable install, from any folder."""
     for options, cwd in (("-S", ROOT), ("-P", tmp_path)):
         path = {"PYTHONPATH": sysconfig.get_path("purelib")} if options == "-S" else {}
-        found = run(sys.executable, options, "-c", FIND_DBC, cwd=cwd, variables=path)
+        found = run(sys.executable, options, "-c", FIND_DBC, cwd=cwd, **path)
         assert Path(found) == ROOT / "dbc" / "maplines.dbc"
 
 

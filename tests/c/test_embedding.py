@@ -194,17 +194,6 @@ def test_rows_that_are_no_frames_are_told_and_skipped(
         assert told == ([] if is_frame else [f"no frame: {row}"])
 
 
-def test_the_sender_tells_what_is_refused(folder: Path) -> None:
-    """Here a line that ends before it begins."""
-    source = folder / "sender.c"
-    wrong = source.read_text().replace(".x_max = 80", ".x_max = -80")
-    source.write_text(wrong)
-    assert main(["generate", "c"]) == 0
-    build("sender")
-    done = subprocess.run(["./sender"], capture_output=True, check=False, text=True)
-    assert (done.returncode, done.stdout, done.stderr) == (1, "", "not sent: BAD_RANGE\n")
-
-
 @pytest.mark.parametrize("fd", [False, True])
 def test_the_sender_writes_each_kind_of_frame(folder: Path, capsys: Any, fd: bool) -> None:
     """Extended CAN IDs and CAN FD: as for the DBC of the page, Python reads 20 lines."""

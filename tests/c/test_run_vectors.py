@@ -129,10 +129,7 @@ def runner(layout: Layout, **options: Any) -> Path:
 
 @pytest.mark.parametrize(
     "flags",
-    [
-        pytest.param(("-O2",), id="double"),
-        pytest.param(("-O2", "-DMAPLINES_FLOAT"), id="float"),
-    ],
+    [pytest.param(("-O2",), id="double"), pytest.param(("-O2", "-DMAPLINES_FLOAT"), id="float")],
 )
 @pytest.mark.parametrize("dbc", SHIPPED)
 def test_the_c_core_passes(tmp_path: Path, dbc: str, flags: tuple[str, ...]) -> None:

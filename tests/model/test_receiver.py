@@ -210,12 +210,7 @@ FAULTS = [
 
 @pytest.mark.parametrize(("module", "name", "faulty", "dbc", "profile"), FAULTS)
 def test_a_fault_of_a_rule_is_found(
-    monkeypatch: pytest.MonkeyPatch,
-    module: Any,
-    name: str,
-    faulty: Any,
-    dbc: str,
-    profile: str,
+    monkeypatch: pytest.MonkeyPatch, module: Any, name: str, faulty: Any, dbc: str, profile: str
 ) -> None:
     """One rule of the model is another one: a stream tells it from the core."""
     traffics = traffics_of(layout_of(dbc), 1)

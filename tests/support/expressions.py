@@ -25,11 +25,7 @@ def evaluate(expression: str) -> Any:
     """Return the value of an expression; its names are the public ones and those of `_objects`."""
     codec = _objects()["codec"]
     with ml.Link(interface="virtual", channel="bad-input") as link:
-        names = _objects() | {
-            "link": link,
-            "decoder": codec.decoder(),
-            "monitor": codec.decoder(),
-        }
+        names = _objects() | {"link": link, "decoder": codec.decoder(), "monitor": codec.decoder()}
         value = eval(expression, names)  # noqa: S307 - our own expressions
         return list(value) if isinstance(value, Iterator) else value
 

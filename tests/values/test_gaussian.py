@@ -11,12 +11,7 @@ from scipy.spatial import distance
 from support.strategies import covariances, gaussians, symmetric
 
 from maplines_can.values.gaussian import Gaussian
-from maplines_can.values.linalg import (
-    ROUNDING,
-    indefinite,
-    nearest_covariance,
-    square_root,
-)
+from maplines_can.values.linalg import ROUNDING, indefinite, nearest_covariance, square_root
 
 EPS = np.finfo(float).eps
 #: Its third pivot is rounding error. If used, the last variances would be wrong by 0.6 %.

@@ -8,12 +8,7 @@ import pytest
 from support.dbcs import default_codec, edited
 
 from maplines_can.values.line import MapLine, Slot
-from maplines_can.wire import (
-    Codec,
-    E2EConfig,
-    ProfileStatus,
-    Reason,
-)
+from maplines_can.wire import Codec, E2EConfig, ProfileStatus, Reason
 
 
 @pytest.mark.parametrize(

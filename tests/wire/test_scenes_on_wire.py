@@ -22,13 +22,7 @@ from support.scene_streams import (
     road_scene,
 )
 
-from maplines_can import (
-    Codec,
-    EncodeError,
-    MapError,
-    Scene,
-    Slot,
-)
+from maplines_can import Codec, EncodeError, MapError, Scene, Slot
 from maplines_can.wire import POSE, Owner
 
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT)

@@ -12,8 +12,7 @@ COV = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
 
 
 @pytest.mark.parametrize(
-    ("counter", "counters"),
-    [(None, [0, 1, 2, 3]), (9, [9, 10, 9, 10]), ([5, 255], [5, 6, 255, 0])],
+    ("counter", "counters"), [(None, [0, 1, 2, 3]), (9, [9, 10, 9, 10]), ([5, 255], [5, 6, 255, 0])]
 )
 def test_the_counters_of_components(counter: Any, counters: list[int]) -> None:
     """They go on from that of the line; without one, from the line before."""

@@ -48,8 +48,7 @@ def test_a_receiver_needs_a_clock() -> None:
 
 
 @pytest.mark.parametrize(
-    "silence",
-    [CYCLE, 17 * CYCLE, SPAN - US, SPAN, SPAN + CYCLE, 3 * SPAN, 86_400 * S],
+    "silence", [CYCLE, 17 * CYCLE, SPAN - US, SPAN, SPAN + CYCLE, 3 * SPAN, 86_400 * S]
 )
 @pytest.mark.parametrize("of_log", [False, True])
 def test_any_number_of_frames_may_be_lost(scene: Scene, silence: int, of_log: bool) -> None:

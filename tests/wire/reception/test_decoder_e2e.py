@@ -8,16 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.dbcs import default_codec
-from support.e2e_streams import (
-    CYCLE,
-    MS,
-    SLOT,
-    check_accounts,
-    frames,
-    mixture_frames,
-    record,
-    run,
-)
+from support.e2e_streams import CYCLE, MS, SLOT, check_accounts, frames, mixture_frames, record, run
 
 from maplines_can import MapLine
 from maplines_can.wire import E2EState, ProfileStatus, Reason

@@ -5,9 +5,7 @@ import pytest
 from support.dbcs import new_codec
 from support.e2e_streams import CYCLE, MS, SLOT
 
-from maplines_can import (
-    MapLine,
-)
+from maplines_can import MapLine
 from maplines_can.wire import E2EState
 
 VALID, NODATA, INIT, INVALID = E2EState

@@ -8,24 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.scene_streams import (
-    COMPLETE,
-    CONDITIONAL,
-    PERIOD_NS,
-    codec_of,
-    feed,
-    road_scene,
-)
+from support.scene_streams import COMPLETE, CONDITIONAL, PERIOD_NS, codec_of, feed, road_scene
 
 from maplines_can import MapLine, Slot
-from maplines_can.wire import (
-    POSE,
-    Decoder,
-    E2EState,
-    Frame,
-    Reason,
-    ReceivedFrame,
-)
+from maplines_can.wire import POSE, Decoder, E2EState, Frame, Reason, ReceivedFrame
 
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT)
 

@@ -17,14 +17,7 @@ import pytest
 from hypothesis import Phase, example, given, settings
 from hypothesis import strategies as st
 from support.scene_streams import COMPLETE, CONDITIONAL, FRAME_NS, PERIOD_NS, codec_of
-from support.sender_pairs import (
-    SLOTS,
-    Event,
-    Sender,
-    merged,
-    senders_of,
-    senders_of_line,
-)
+from support.sender_pairs import SLOTS, Event, Sender, merged, senders_of, senders_of_line
 
 from maplines_can import SceneView, Slot, SlotView
 from maplines_can.wire import POSE, E2EConfig, E2EState
