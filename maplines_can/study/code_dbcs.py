@@ -14,6 +14,8 @@ from .codes import CODES
 from .codes.integer_cholesky import ORDER, entry_name
 from .codes.triangle import PAIRS, half_name, triangle_name
 
+#: Codes whose signals have no other widths.
+FIXED_WIDTHS = ("Float16", "Float32", "MeanOnly")
 #: Largest standard deviations of the linear codes: a street turn with 10 deg of heading.
 MAX_SIGMA = (4.0, 0.25, 0.0625, 0.015625)
 #: log2 of the smallest standard deviation [octave], usually half a step of the mean.
@@ -48,7 +50,7 @@ def covariance_signals(code: str, finer_bits: int = 0) -> tuple[SignalSpec, ...]
             signals = _float_triangle(int(code.removeprefix("Float")))
         case _:
             signals = ()
-    if finer_bits and code in ("Float16", "Float32", "MeanOnly"):
+    if finer_bits and code in FIXED_WIDTHS:
         raise ValueError(f"finer_bits must be 0 for {code}, got {finer_bits}")
     return tuple(_finer(spec, finer_bits) for spec in signals)
 

@@ -40,7 +40,7 @@ from ..wire.layout.validation import CheckedGaussians, checked_gaussians
 from ..wire.scene_writer import SenderState
 from ..wire.sender_values import packed, unpacked
 from .codes import CODES, COMPARED
-from .codes.code import SignalRow, raw_above, raw_below, raw_nearest
+from .codes.code import SignalRow, nearest_raw, raw_above, raw_below
 
 Array = NDArray[np.float64]
 
@@ -341,12 +341,12 @@ class ComparisonEncoder(Encoder):
             "XMax": raw_range[1],
             "Kind": int(line.kind),
             "Age": raw_above(self._signals["Age"], 1000 * float(line.age)),
-            "ComponentCount": raw_nearest(self._signals["ComponentCount"], n),
+            "ComponentCount": int(nearest_raw(self._signals["ComponentCount"], n)[0]),
         }
-        weight = self._signals["ComponentWeight"]
+        sent_weights, _ = nearest_raw(self._signals["ComponentWeight"], weights)
         for i in range(n):
             of_component = {name: int(values[i]) for name, values in raw.items()}
-            place = {"ComponentIndex": i, "ComponentWeight": raw_nearest(weight, weights[i])}
+            place = {"ComponentIndex": i, "ComponentWeight": int(sent_weights[i])}
             yield of_line | of_component | place
 
 

@@ -42,6 +42,15 @@ def markdown(rows: Sequence[Sequence[str]], left: int | None = None) -> str:
     return "".join("| " + " | ".join(row) + " |\n" for row in (rows[0], rule, *rows[1:]))
 
 
+def percent(share: float) -> str:
+    """Return a share in percent, to two digits.
+
+    >>> percent(0.0123), percent(0.0)
+    ('1.2 %', '0 %')
+    """
+    return f"{100 * share:.2g} %"
+
+
 def csv_text(rows: Iterable[Iterable[object]]) -> str:
     """Return the rows as CSV, floats to six digits.
 

@@ -18,6 +18,7 @@ from cantools.database.can.formats.dbc.dbc_specifics import DbcSpecifics
 
 from ...values.line import Slot
 from ...values.output_files import whole_file
+from ...wire.layout.message_layout import Layout
 from ...wire.layout.pose_layout import SCENE2, SCENES
 from ...wire.layout.record_signals import PAGE_BYTES, POSE_PREFIX, SECURED_SIGNALS, slot_title
 from ...wire.layout.slot_messages import fd_length
@@ -135,6 +136,11 @@ class DbcWriter:
                 attributes=_attributes(network), attribute_definitions=definitions
             ),
         )
+
+    def layout(self, slots: int = len(Slot)) -> Layout:
+        """Return the layout of the DBC, with the first slots only."""
+        writer = replace(self, slots=self.slots[:slots])
+        return Layout.from_dbc(writer.database())
 
     def table(self) -> str:
         """Return the fields as a Markdown table, for the page beside the DBC."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ...values.line import Status
 from ...wire.layout.message_layout import Layout
@@ -18,11 +18,6 @@ Array = NDArray[np.float64]
 
 #: Tolerance for the floating-point error of the division before directed rounding [steps].
 SLACK = 1e-9
-
-
-def raw_nearest(signal: Signal, physical: float) -> int:
-    """Return the nearest raw value within the range."""
-    return int(signal.limited(signal.raw(physical)))
 
 
 def raw_above(signal: Signal, physical: float) -> int:
@@ -136,7 +131,7 @@ def check(layout: Layout, signals: Iterable[Signal], bounds: Bounds) -> None:
         bounds.check(signal, layout.source)
 
 
-def nearest_raw(signal: Signal, physical: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def nearest_raw(signal: Signal, physical: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Return the (N,) nearest raw values within the range, and which were clipped to it."""
     nearest = signal.raw(physical)
     limited = signal.limited(nearest)

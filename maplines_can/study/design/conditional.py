@@ -21,11 +21,9 @@ import numpy as np
 from ...generation.dbc.dbc_writer import DbcWriter, SignalSpec, write_dbc
 from ...generation.dbc.record_spec import CONDITIONAL, POSE
 from ...values.errors import LayoutError
-from ...values.line import Slot
 from ...values.scene import Scene
 from ...values.text_table import aligned
 from ...wire import Codec
-from ...wire.layout.message_layout import Layout
 from ...wire.layout.record_signals import FINE, FINE_SIGNALS, OWN_SIGNALS, PARAMETER_SIGNALS
 from ..scenes.carriers import with_pose
 from ..scenes.random_scenes import random_scene
@@ -146,8 +144,7 @@ def _why(spec: SignalSpec, more: int) -> str:
 
 def figures_of(bits: Mapping[str, int], scenes: Sequence[Scene]) -> SceneFigures:
     """Send scenes with these widths."""
-    writer = replace(writer_of(bits), slots=tuple(Slot)[:LINES])
-    codec = Codec(Layout.from_dbc(writer.database()))
+    codec = Codec(writer_of(bits).layout(LINES))
     rows = [with_pose(codec, scene) for scene in scenes]
     kl = [value for row in rows for value in row.get("kl_lines", ())]
     whole = not any(row["left_out"] for row in rows)

@@ -21,6 +21,7 @@ from ...generation.dbc.cholesky_signals import pivot_signal, ratio_signal
 from ...generation.dbc.dbc_writer import TRANSFER_ID_BITS, DbcWriter, SignalSpec, paged
 from ...generation.dbc.record_spec import SERVICE
 from ...values.line import PARAMETERS, lateral_jacobian
+from ...values.text_table import percent
 from ...wire.layout.record_signals import PAGE_BYTES, PARAMETER_SIGNALS
 from ..sets import Gaussians
 from .sensitivity import (
@@ -207,7 +208,7 @@ class Planner:
         if share.max() > self.targets.max_saturated:
             i = int(share.argmax())
             raise ValueError(
-                f"{what}: {PARAMETERS[i]} of {100 * share[i]:.2g} % of the lines is beyond "
+                f"{what}: {PARAMETERS[i]} of {percent(share[i])} of the lines is beyond "
                 f"{ends[i]:g}, but at most {100 * self.targets.max_saturated:g} % may be; the "
                 f"greatest is {values[:, i].max():.3g}; choose {PARAMETERS[i]} of {what} above it, "
                 "or a greater max_saturated"

@@ -22,7 +22,6 @@ from ...values.line import Status, lateral_jacobian
 from ...values.scene import Scene
 from ...values.text_table import aligned
 from ...wire.layout.cholesky import CholeskyCode
-from ...wire.layout.message_layout import Layout
 from ...wire.layout.record_signals import (
     FINE_SIGNALS,
     OWN_SIGNALS,
@@ -72,7 +71,7 @@ def codec_of(code: str) -> AnyCodec:
         writer = dbc_writer_for("Cholesky", _FEWER_OF_COVARIANCE, _FEWER_OF_MEAN)
     else:
         writer = dbc_writer_for(code)
-    return codec_for(Layout.from_dbc(writer.database()))
+    return codec_for(writer.layout())
 
 
 def evaluations(code: str, scenes: Sequence[Scene]) -> Iterator[dict[str, Any]]:

@@ -20,7 +20,7 @@ from ...values.coding_loss import LATERAL_X
 from ...values.errors import EncodeError
 from ...values.line import Slot, lateral_jacobian
 from ...values.scene import Scene
-from ...values.text_table import aligned
+from ...values.text_table import aligned, percent
 from ..comparison import AnyCodec, sent_scene
 from .carriers import WITH_POSE, codec_of
 from .map_scenes import DrawnScene
@@ -257,7 +257,7 @@ def _cells(ratios: Ratios) -> tuple[str, ...]:
     reasons = ", ".join(f"{count} {reason}" for reason, count in ratios.left_out.most_common())
     return (
         str(ratios.lines),
-        f"{100 * ratios.wider_share:.2g} %",
-        f"{100 * ratios.left_out_share:.2g} %" + (f" ({reasons})" if reasons else ""),
+        percent(ratios.wider_share),
+        percent(ratios.left_out_share) + (f" ({reasons})" if reasons else ""),
         *ratios.cells(PLACES),
     )
