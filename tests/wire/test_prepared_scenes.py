@@ -1,18 +1,19 @@
 """Scenes that were prepared: given to another encoder, copied, or with values that no scene has."""
 
 import pickle
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from support.dbcs import edited_text
-from support.scene_streams import COMPLETE, CONDITIONAL, new_codec, road_scene
+from support.scene_streams import COMPLETE, CONDITIONAL, beyond, new_codec, road_scene
 
 from maplines_can import Codec, EncodeError, Gaussian, Slot
 from maplines_can.bus import Link, Transmitter
 from maplines_can.bus.tx_queue import TxQueue
-from maplines_can.wire import Layout, default_dbc_path
+from maplines_can.wire import POSE, Layout, default_dbc_path
 
 OTHER = {COMPLETE: CONDITIONAL, CONDITIONAL: COMPLETE}
 
@@ -128,3 +129,15 @@ def test_a_value_that_no_scene_has_is_named(name: str, value: Any, message: str)
     with pytest.raises((ValueError, AttributeError), match=message):
         encoder.encode_scene(changed(SCENE, name, value))
     assert encoder.encode_scene(SCENE) == new_codec(CONDITIONAL).encoder().encode_scene(SCENE)
+
+
+def test_the_order_of_the_slots_is_that_of_the_scene() -> None:
+    """Of whatever slots a caller selects; those that are no lines of it are not sent."""
+    encoder = new_codec(CONDITIONAL).encoder()
+    prepared = encoder.prepare_scene(road_scene([Slot.ROUTE, Slot.EGO_LEFT, Slot.CENTRE]))
+    some = replace(prepared, sent_slots=(Slot.CENTRE, Slot.ROUTE, Slot.EDGE_LEFT))
+    assert [*encoder.encode_scene(some)] == [POSE, Slot.ROUTE, Slot.CENTRE]
+    unfit = encoder.prepare_scene(beyond(road_scene(), Slot.EGO_RIGHT))
+    assert [*unfit.unfit] == [Slot.EGO_RIGHT]
+    with pytest.raises(EncodeError, match=r"sent_slots.*has no record"):
+        encoder.encode_scene(replace(unfit, sent_slots=(Slot.EGO_LEFT, Slot.EGO_RIGHT)))
