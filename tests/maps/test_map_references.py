@@ -462,6 +462,19 @@ def test_a_way_of_short_lanes_is_judged_by_the_first_six(turns_at: int, is_seen:
     )
 
 
+@given(st.floats(0, 220), st.booleans())
+def test_the_points_of_a_line_up_to_a_place(s: float, is_against: bool) -> None:
+    """As driven, and the next one; two at least, and all of them at its end."""
+    places = [0.0, 1.0, 3.0, 30.0, 31.0, 100.0, 180.0, 200.0]
+    left, right, centre = (Polyline([[x, y] for x in places]) for y in (2.0, -2.0, 0.0))
+    one = replace(lane("1"), left=left, right=right, centre=centre)
+    line = LaneGraph(network(one).lanes)[DirectedLane("1", is_against)].left
+    points = line.points_up_to(s)
+    distance = np.append(0.0, np.hypot(*np.diff(line.points, axis=0).T).cumsum())
+    count = int((distance < s).sum()) + 1
+    assert np.array_equal(points, line.points[: max(2, min(count, len(distance)))])
+
+
 @given(st.floats(-1, 200), st.sampled_from(["in0", "ring0", "out3"]))
 def test_the_lanes_that_can_be_reached(distance: float, name: str) -> None:
     """By a search of all ways, whatever their order."""
