@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from itertools import chain
 
 import numpy as np
+from evidence.exact import is_positive_definite
 from scene_layouts import layout_of
 from support.scene_streams import new_codec, road_scene
 
@@ -89,6 +90,7 @@ def test_any_bits_are_a_positive_definite_joint() -> None:
         if received is not None and received.t_ns == counter * CYCLE and received.scene.lines:
             assert np.isfinite(received.scene.cov).all()
             np.linalg.cholesky(correlations(received.scene.cov))
+            assert counter % 10 or is_positive_definite(received.scene.cov.tolist())  # exactly
             lines += len(received.scene.lines)
 
     assert lines > 400
