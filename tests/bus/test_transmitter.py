@@ -37,10 +37,12 @@ def test_the_age_counts_from_the_pose(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maplines_can.bus.transmitter.time", now := FakeTime())
     opener, clock = FakeOpener(), Clock()
     with Link(opener) as link:
-        transmitter = Transmitter(link, FakeCodec(), period=1.0, clock=clock)  # type: ignore[arg-type]
+        transmitter = Transmitter(link, FakeCodec(), clock=clock)  # type: ignore[arg-type]
         transmitter.publish(map_line(age=77.0), t_pose_ns=now.ns - 2_000_000_000)
-        drive(transmitter, clock, 1000.5)
-        assert sent_values(opener)[0][0] == 2000 + 4  # and the lateness that is allowed
+        drive(transmitter, clock, 1000.99)
+    sent = sent_values(opener)
+    assert sent[0][0] == 2000 + 4  # and the lateness that is allowed
+    assert len(sent) == 20  # by default, 20 times a second
 
 
 @pytest.mark.parametrize("lost_at", range(PAGES))
@@ -247,9 +249,8 @@ def test_a_line_is_late(
     clock, opener, told = Clock(), FakeOpener(*script), list[Frame]()
     monkeypatch.setattr("maplines_can.bus.transmitter.time", Steps(clock))
     with Link(opener) as link:
-        transmitter = Transmitter(
-            link, FakeCodec(), clock=clock, on_sent=told.append, **{"period": 0.5} | settings
-        )  # type: ignore[arg-type]
+        options: Any = {"clock": clock, "on_sent": told.append, "period": 0.5} | settings
+        transmitter = Transmitter(link, FakeCodec(), **options)  # type: ignore[arg-type]
         transmitter.publish(map_line())
         clock.now += late
         transmitter._send(transmitter._next_transfer())  # type: ignore[arg-type]

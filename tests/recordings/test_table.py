@@ -14,7 +14,7 @@ from maplines_can import Codec, MapLine, Slot
 from maplines_can.bus import read_log
 from maplines_can.cli import main
 from maplines_can.recordings.formats import About, beside, open_tables
-from maplines_can.recordings.line_tables import Table, position
+from maplines_can.recordings.line_tables import Table
 from maplines_can.recordings.read_lines import line_tables, read_lines
 from maplines_can.values.errors import LogError
 from maplines_can.wire import Decoder, Reason, default_dbc_path
@@ -101,12 +101,6 @@ def test_slots_and_rows_are_chosen(faulty_log: Path) -> None:
     whole = read_lines(faulty_log)
     assert len(table) == (whole["slot"] == "EGO_LEFT").sum()
     assert len(whole.where(whole["usable"])) == whole["usable"].sum()
-
-
-def test_lines_that_must_not_be_used_have_no_values() -> None:
-    """OUT_OF_RANGE, and an infinite age."""
-    mean, cov = np.full((1, 4), np.nan), np.full((1, 4, 4), np.nan)
-    assert np.isnan(position(mean, cov, 3.0)).all()
 
 
 def test_a_log_without_times_has_none(tmp_path: Path) -> None:

@@ -207,18 +207,6 @@ def test_checksums_of_profiles_whose_header_has_signals(
         assert own == bytes(reference[first : first + size])
 
 
-def test_the_lines_are_those_of_the_scenario() -> None:
-    received = run({"lines": {"scenario": "production", "lines": 4, "moves": False}}, 0.5)
-    decoder = Codec.from_dbc().decoder()
-    slots = set()
-    for m in received:
-        answer = decoder.feed(m.arbitration_id, bytes(m.data), round(m.timestamp * 1e9))
-        if not isinstance(answer, Reason):
-            slots |= {line.slot for line in answer}
-            assert all(line.is_usable and line.age < 0.06 for line in answer)
-    assert slots == set(list(Slot)[:4])
-
-
 @pytest.mark.parametrize("dbc", ["maplines.dbc", "maplines-pose.dbc", "maplines-scene.dbc"])
 def test_scenes_are_sent_and_stopped(dbc: str) -> None:
     values = {

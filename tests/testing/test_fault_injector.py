@@ -61,28 +61,6 @@ def test_damage_at_rate_1_changes_every_frame(field: str, kind: Any, holds: Any)
     assert injector.counts == {kind: 500}
 
 
-def test_loss_at_rate_1_leaves_nothing() -> None:
-    injector = FaultInjector[Any](Faults(loss=1.0, duplicate=1.0, reorder=1.0))
-    assert run(injector, numbered(100)) == []
-    assert injector.counts == {FaultKind.LOST: 100}
-
-
-def test_duplicates_at_rate_1() -> None:
-    injector = FaultInjector[Any](Faults(duplicate=1.0))
-    frames = numbered(100)
-    assert run(injector, frames) == [frame for frame in frames for _ in range(2)]
-    assert injector.counts == {FaultKind.DUPLICATED: 100}
-
-
-def test_reordering_at_rate_1() -> None:
-    """All are held back by three frames at most, and none is lost."""
-    injector = FaultInjector[Any](Faults(reorder=1.0, depth=3))
-    out = [number_of(frame) for frame in run(injector, numbered(1000))]
-    assert sorted(out) == list(range(1000))
-    assert out != sorted(out)
-    assert injector.counts == {FaultKind.REORDERED: 1000}
-
-
 def test_a_wrong_length_is_a_length_of_can_fd() -> None:
     """A frame that is cut short or padded can still be sent."""
     for field in ("truncate", "wrong_dlc"):
