@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import pytest
 
-from ..values.arrays import count_text
 
 if TYPE_CHECKING:
     from ..wire import Codec
@@ -167,6 +166,7 @@ def pytest_runtest_makereport(
 
 def _story(fixtures: dict[str, Any]) -> Iterator[str]:
     """Yield what happened at the fixtures that are ours; a project may have its own."""
+    from ..values.arrays import count_text
     from .bench import Bench
     from .nodes import ReceivingNode, SendingNode
 
