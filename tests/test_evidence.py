@@ -114,7 +114,7 @@ def test_the_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Mon
         (["scenes.nothing"], "there is no evidence 'scenes.nothing'; there are scenes.records"),
         (["slots", "m=3"], "slots has no option 'm'; it has maps, n, seed"),
         (["slots", "n=few"], "n: could not convert"),
-        (["lines", "by=hand"], "by: must be one of line, wire"),
+        (["lines", "by=hand"], "by: must be one of line, scene"),
     ],
 )
 def test_wrong_words_are_named(

@@ -157,9 +157,9 @@ class Example(NamedTuple):
         for place, weight in zip(row.places, row.weights, strict=True):
             road += weight * np.array([crossings(self.points[None], s, at + place)[0] for at in x])
         mean, variances = self.given.moments(sums, [0])
-        rest = self.given._replace(covs=self.given.covs - self.excess)
+        rest = self.given._replace(cov=self.given.cov - self.excess)
         _, before = rest.moments(sums, [0])
-        return x, road, mean[0], np.sqrt(variances[0]), np.sqrt(before[0].clip(0))
+        return x, road, mean, np.sqrt(variances), np.sqrt(before.clip(0))
 
 
 def example(title: str, points: Array, pose: Array) -> Example | None:
