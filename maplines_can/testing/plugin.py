@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import pytest
 
-
 if TYPE_CHECKING:
     from ..wire import Codec
     from .bench import Bench
