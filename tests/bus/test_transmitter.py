@@ -226,6 +226,8 @@ ON_TIME = 1000.0 + 0.004 - 1000.0  #: lateness that the age covers, as rounded [
         # There is no need to until the last moment that the age covers.
         ([], ON_TIME, {}, [4] * 4, None, {}),
         ([], ON_TIME + 1e-3, {}, [10] * 4, None, {}),
+        # Of three deadlines that have passed, the newest one is met.
+        ([], 1.25, {}, [1500] * 4, None, {"overruns": 2, "lines": 1}),
         # What was not handed over is neither told nor counted.
         ([FULL, None, None, FULL], 0.0, {"period": 2.0}, [500] * 4, None, {"frames": 4}),
         ([None, None, GONE], 0.0, {"period": 2.0}, [4] * 2, None, {"frames": 2, "down": 1}),
