@@ -462,6 +462,27 @@ def test_a_way_of_short_lanes_is_judged_by_the_first_six(turns_at: int, is_seen:
     )
 
 
+@pytest.mark.parametrize("arm", [1, 2, 3])
+def test_the_line_of_a_route_is_around_the_car(arm: int) -> None:
+    """On each lane of a way round the ring: it passes the car, and ends before it comes again."""
+    route = RING.route("in0", f"out{arm}", via=["ring0", "ring1", "ring2", "ring3", "ring0"])
+    for place, name in enumerate(route.lanes):
+        one = RING.lanes[name]
+        line = RING.view.with_route(RING.view.around(DirectedLane(name), (), ()), route, place)[
+            Slot.ROUTE
+        ]
+        pose = pose_on(one, 0.5 * one.length, 0.4)
+        (at,) = locate([line], pose[:2])
+        assert at.t == pytest.approx(0.4, abs=0.02)
+        assert abs(math.remainder(at.direction - pose[2], math.tau)) < 0.1
+        ahead, behind = line.length - at.s, at.s
+        rest = route.line.length - route.starts[place] - 0.5 * one.length
+        turn = 1.3 * math.pi * 20  # more than a line is seen in a ring
+        assert ahead <= max(turn, 60.0) + 60
+        assert ahead >= min(rest, 20.0) - 0.1
+        assert behind >= min(route.starts[place] + 0.5 * one.length, 20.0) - 0.1
+
+
 @given(st.floats(0, 220), st.booleans())
 def test_the_points_of_a_line_up_to_a_place(s: float, is_against: bool) -> None:
     """As driven, and the next one; two at least, and all of them at its end."""
