@@ -19,7 +19,7 @@ from support.xodr_files import lane as xodr_lane
 from maplines_can.maps import Map, MapFileError
 from maplines_can.maps.formats.commonroad import read as read_commonroad
 from maplines_can.maps.formats.points import read as read_points
-from maplines_can.maps.formats.projection import local_cartesian
+from maplines_can.maps.formats.projection import local_cartesian, shifted, utm_of
 from maplines_can.simulation.map_frame import project
 from maplines_can.values.errors import MissingExtraError
 
@@ -372,3 +372,13 @@ def test_a_code_of_an_early_draft() -> None:
     sides = on_ground("EPSG:3857", MUNICH)
     found = geojson({"type": "EPSG", "properties": {"code": 3857}}, sides)
     assert found.lanes["1"].width == pytest.approx(WIDTH, abs=1e-4)
+
+
+def test_codes_and_origins_of_utm() -> None:
+    """Also of the south, where y begins 10 000 km below the equator."""
+    south = utm_of("http://www.opengis.net/def/crs/EPSG/0/32701")
+    assert south == "+proj=utm +zone=1 +south +datum=WGS84"
+    assert [utm_of(name) for name in ("EPSG:32661", "EPSG:3", "EPSG:32600", "25832")] == [None] * 4
+    moved = shifted("+proj=utm +zone=33 +south", 0, 5)
+    assert moved == "+proj=tmerc +lat_0=0 +lon_0=15 +k=0.9996 +x_0=500000.0 +y_0=9999995.0"
+    assert shifted("+proj=longlat", 1, 2) is None
