@@ -127,7 +127,8 @@ def writer_of(bits: Mapping[str, int]) -> DbcWriter:
             step = 2.0 ** -more.get(spec.name.removesuffix(FINE), 0)
             spec = replace(spec, factor=spec.factor * step)
         if change := more.get(spec.name):
-            return replace(spec.finer(change), why=_why(spec, change))
+            why = f"{-change} bits less than in maplines-pose.dbc over the same range ({spec.why})"
+            return replace(spec.finer(change), why=why)
         return spec
 
     return replace(
@@ -135,11 +136,6 @@ def writer_of(bits: Mapping[str, int]) -> DbcWriter:
         pages=resized(CONDITIONAL.pages),
         pose=replace(POSE, pages=resized(POSE.pages)),
     )
-
-
-def _why(spec: SignalSpec, more: int) -> str:
-    """Return the reason for a width, which is another one than that of the shipped DBC."""
-    return f"{-more} bits less than in maplines-pose.dbc over the same range ({spec.why})"
 
 
 def figures_of(bits: Mapping[str, int], scenes: Sequence[Scene]) -> SceneFigures:

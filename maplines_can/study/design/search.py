@@ -143,7 +143,7 @@ class Design:
     def _figures(self) -> list[list[str]]:
         p = self.predicted
         blurred = "KL with the blur by the mean's grid, median"
-        number, share, mm = "{:.3g}".format, percent, _millimetres
+        number = "{:.3g}".format
         #: Heading, predicted text, name of the measured figure, and its format.
         rows: list[tuple[str, str, str, Callable[[float], str]]] = [
             ("lines", "-", "cases", str),
@@ -151,9 +151,14 @@ class Design:
             ("KL, 99 %", number(p.kl_p99), "kl_p99", number),
             ("KL, worst", "-", "kl_max", number),
             (blurred, number(p.kl_mean + p.blur), "kl_untouched_median", number),
-            ("saturated lines", share(p.saturated), "saturated", share),
-            ("lines out of range", "-", "out_of_range", share),
-            ("worst lateral error at 80 m [mm]", mm(p.lateral_error), "lateral_error", mm),
+            ("saturated lines", percent(p.saturated), "saturated", percent),
+            ("lines out of range", "-", "out_of_range", percent),
+            (
+                "worst lateral error at 80 m [mm]",
+                number(1000 * p.lateral_error),
+                "lateral_error",
+                lambda length: number(1000 * length),
+            ),
             ("not definite", "0", "not_definite", str),
             ("overconfident", "0", "overconfident", str),
         ]
@@ -165,10 +170,6 @@ class Design:
     def write(self, path: str | Path, command: str = "") -> tuple[Path, Path]:
         """Write the DBC, and its page with the same name and the suffix ``.md``."""
         return write_dbc(self.writer, path, lambda name: self.page(name, command))
-
-
-def _millimetres(length: float) -> str:
-    return f"{1000 * length:.3g}"
 
 
 # ---- the search ---------------------------------------------------------------------------------

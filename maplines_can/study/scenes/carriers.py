@@ -34,6 +34,7 @@ from ..comparison import AnyCodec, codec_for, sent_scene, transmit
 from .random_scenes import RESOLUTION, information, joint_limit, noise_floor, random_scene
 
 Array = NDArray[np.float64]
+Row = dict[str, Any]
 
 
 class Carrier(NamedTuple):
@@ -239,8 +240,6 @@ def _largest_ratio(error: Array, decoded: Array) -> float:
     W = np.linalg.solve(L, half.T)
     return float(np.linalg.eigvalsh((W + W.T) / 2)[-1])
 
-
-Row = dict[str, Any]
 
 # ---- the table of random scenes -----------------------------------------------------------------
 

@@ -64,7 +64,6 @@ class Limit:
     entropy_se_bits: float = 0.0  #: standard error of h_F [bit]
     bias_bits: float = 0.0  #: probable excess of h_F, and of R [bit]
     samples: int = 0  #: distinct samples used
-    duplicates: int = 0  #: exact copies of others, not used
     local_dimension: float = nan  #: estimated dimension that the samples fill
     caveat: str = ""  #: why h_F is not reliable; empty if it is
 
@@ -152,7 +151,7 @@ def limit_of(
         )
     theta, log_volume = theta[first], log_volume[first]
     samples = len(theta)
-    sizes = {"dimension": n, "samples": samples, "duplicates": given - samples}
+    sizes = {"dimension": n, "samples": samples}
     if reason := _singular(theta, names):
         return Limit(nan, **sizes, entropy_se_bits=nan, bias_bits=nan, caveat=reason)
 

@@ -170,9 +170,8 @@ class _Sums:
             for rank, case in enumerate(cases, 1):
                 row = self._row(plan) | {"rank": rank, "kl": case["kl"], "status": case["status"]}
                 for prefix in ("", "decoded_"):
-                    names = (*_mean_names(prefix), *_cov_names(prefix))
                     values = (*case[f"{prefix}mean"], *case[f"{prefix}cov"])
-                    row |= dict(zip(names, values, strict=True))
+                    row |= dict(zip(_gaussian_names(prefix), values, strict=True))
                 yield row
 
     def _row(self, plan: Plan) -> Row:
@@ -199,12 +198,9 @@ def _mean(name: str, figure: Figure) -> Row:
 # ---- Parquet --------------------------------------------------------------------------
 
 
-def _mean_names(prefix: str = "") -> list[str]:
-    return [f"{prefix}mean_{i}" for i in range(4)]
-
-
-def _cov_names(prefix: str = "") -> list[str]:
-    return [f"{prefix}cov_{i}{j}" for i in range(4) for j in range(4)]
+def _gaussian_names(prefix: str) -> list[str]:
+    cov = [f"{prefix}cov_{i}{j}" for i in range(4) for j in range(4)]
+    return [*(f"{prefix}mean_{i}" for i in range(4)), *cov]
 
 
 def _with_errors(*names: str) -> list[str]:
@@ -246,7 +242,7 @@ SCHEMAS = {
     ),
     "worst": _schema(
         *("set", "code", "rank", "kl", "status"),
-        *(*_mean_names(), *_cov_names(), *_mean_names("decoded_"), *_cov_names("decoded_")),
+        *(*_gaussian_names(""), *_gaussian_names("decoded_")),
     ),
     "limit": _schema(
         *("set", "part", "entropy_bits", "se_bits", "bias_bits", "kl", "bits"),
