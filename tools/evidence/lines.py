@@ -164,8 +164,8 @@ def compare_sigma(given: Given, excess: Array, tally: Tally) -> None:
     (low, high), mean, cov = given.ranges[0], given.means[0], given.cov
     for x in (x for x in SIGMA_AT if low <= x <= high):
         g = lateral_jacobian(mean, x)
-        variance = g @ cov @ g
-        rest = max(variance - g @ excess @ g, 1e-12)
+        variance = float(g @ cov @ g)
+        rest = max(variance - float(g @ excess @ g), 1e-12)
         tally.put(f"sigma ratio at {x:g} m", float(np.sqrt(variance / rest)))
 
 

@@ -1,4 +1,4 @@
-"""Times of the core, of authenticated frames, and of logs that become tables.
+"""Times of the core, and of logs that become tables.
 
 The core is timed inside a program in C, on one thread and with -O2. The readers of a log run in a
 process of their own each.
@@ -12,7 +12,6 @@ import struct
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from importlib import import_module
@@ -22,13 +21,12 @@ from typing import Any
 
 import numpy as np
 
-from maplines_can import Codec, Slot, map_lines
+from maplines_can import Codec, Slot
 from maplines_can.recordings.block_reception import LogReceiver
 from maplines_can.recordings.blocks import read_blocks
 from maplines_can.recordings.line_tables import line_table
-from maplines_can.simulation import scenario
 from maplines_can.study.sets import road
-from maplines_can.wire import Authenticator, Frame, Key, default_dbc_path
+from maplines_can.wire import default_dbc_path
 
 from .harness import evidence
 
@@ -75,26 +73,6 @@ def scenes(rounds: int = 20) -> dict[str, Any]:
         encode, decode = np.frombuffer(c_core.run(program, given), "<f8").tolist()
         found[f"{count} lines, {name}"] = {"encode [us]": encode / 1e3, "decode [us]": decode / 1e3}
     return found
-
-
-@evidence
-def secoc(n: int = 20_000) -> dict[str, Any]:
-    """Measure lines a second on one core, with and without authentication: best of 3 turns."""
-    path = default_dbc_path("maplines-secoc.dbc")
-    authenticator = Authenticator(Key(bytes(range(16))), clock=time.time_ns, window_ns=600 * 10**9)
-    codecs = {"plain": Codec.from_dbc(path), "authenticated": Codec.from_dbc(path, authenticator)}
-    drawn = scenario("production")
-    given = map_lines(drawn.lines, drawn.ego, window=drawn.window)
-    rates = dict.fromkeys(codecs, 0.0)
-    for _, (name, codec) in product(range(3), codecs.items()):
-        encoder, decoder, frames = codec.encoder(), codec.decoder(), list[Frame]()
-        while len(frames) < n:
-            frames += [f for line in encoder.encode_lines(given, fd=True) for f in line]
-        begin = time.perf_counter()
-        for i, frame in enumerate(frames):
-            decoder.feed(frame.can_id, frame.data, 6_250_000 * (i + 1))
-        rates[name] = max(rates[name], decoder.lines / (time.perf_counter() - begin))
-    return {f"lines decoded, {name}, per second": round(rate) for name, rate in rates.items()}
 
 
 # ---- logs ------------------------------------------------------------------------------------
