@@ -106,3 +106,14 @@ def test_a_resampled_line_keeps_its_kinds_where_they_are() -> None:
 def test_kinds_without_an_order_are_refused(kinds: Any) -> None:
     with pytest.raises(ValueError, match="increasing s from 0 to less than the length of 9 m"):
         Polyline([[0, 0], [9, 0]], kinds)
+
+
+def test_a_polyline_copies_its_points_and_makes_them_read_only() -> None:
+    """Validated points cannot be changed."""
+    points = np.zeros((2, 2))
+    line = Polyline(points)
+    points[0, 0] = np.nan
+
+    assert np.isfinite(line.points).all()
+    with pytest.raises(ValueError, match="read-only"):
+        line.points[0, 0] = 1

@@ -147,3 +147,24 @@ def test_a_subset_has_all_of_its_lines(slots: list[Slot]) -> None:
 def test_wrong_pose_errors_are_refused(cov: Any, time: float, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         PoseError(cov, time)
+
+
+def test_the_joint_is_in_the_order_of_the_slots() -> None:
+    joint = scene().joint([NEXT, LEFT])
+    assert np.array_equal(joint.mean, np.concatenate([MEANS[2], MEANS[0]]))
+    keep = [8, 9, 10, 11, 0, 1, 2, 3]
+    assert np.array_equal(joint.cov, COV[np.ix_(keep, keep)])
+    assert np.array_equal(scene().joint().cov, COV)
+    assert scene().line(NEXT).slot is NEXT
+
+
+def test_a_scene_cannot_be_changed() -> None:
+    cov = COV.copy()
+    made = scene(cov=cov)
+    cov[0, 0] = 7
+    assert made.cov[0, 0] == COV[0, 0]
+    own = scene(specific_covs=np.zeros((len(MEANS), 4, 4))).specific_covs
+    assert own is not None
+    for array in (made.cov, made.fit_ranges, made.pose_error.cov, own):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0, 0] = 1.0

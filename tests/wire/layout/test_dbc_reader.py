@@ -107,6 +107,14 @@ def of_message(number: int, pattern: str, replacement: str) -> tuple[str, str]:
             "Mac must have 1 to 8 bytes, and end in byte 63", id="odd-mac",
         ),
         pytest.param(
+            [of_message(848, r" SG_ KeyId : 391\|8@0", " SG_ KeyId : 391|7@0")],
+            "KeyId must have 1 byte,", id="key-id-of-7-bits",
+        ),
+        pytest.param(
+            [of_message(848, r" SG_ Freshness [^\n]*\n", "")],
+            "must end with KeyId, Freshness, Mac", id="no-freshness",
+        ),
+        pytest.param(
             [of_message(848, r" SG_ Freshness : 399\|56@0", " SG_ Freshness : 392|56@1")],
             "Freshness must have 3 to 7 bytes, and end in byte 55", id="intel-freshness",
         ),
