@@ -111,7 +111,7 @@ def test_the_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Mon
     ("words", "text"),
     [
         (["nothing"], "there is no evidence 'nothing'"),
-        (["scenes.nothing"], "there is no evidence 'scenes.nothing'; there are scenes.records"),
+        (["speed.nothing"], "there is no evidence 'speed.nothing'; there are speed.lines"),
         (["slots", "m=3"], "slots has no option 'm'; it has maps, n, seed"),
         (["slots", "n=few"], "n: could not convert"),
         (["lines", "by=hand"], "by: must be one of line, scene"),
@@ -182,8 +182,8 @@ def test_wrong_joints_are_found(monkeypatch: pytest.MonkeyPatch, factor: float, 
         scenes, "check", lambda truth, got, *rest, **how: check(truth, wrong(got), *rest, **how)
     )
     options: Any = {"poses": ("production",), "errors": ("5 cm",), "records": ("conditional",)}
-    figures = scenes.records(n=4, exact=2, **options)
-    assert words in "\n".join(missed(figures, bounds_of("scenes.records", quick=False)))
+    figures = scenes.scenes(n=4, exact=2, **options)
+    assert words in "\n".join(missed(figures, bounds_of("scenes", quick=False)))
 
 
 def test_lines_that_are_lost_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -197,8 +197,8 @@ def test_lines_that_are_lost_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
         return replace(prepared, sent_slots=prepared.sent_slots[1:])
 
     monkeypatch.setattr(Encoder, "prepare_scene", without_first)
-    figures = scenes.records(14, records=("conditional",), poses=("production",), errors=("5 cm",))
-    assert "lost is" in misses("scenes.records", figures)
+    figures = scenes.scenes(14, records=("conditional",), poses=("production",), errors=("5 cm",))
+    assert "lost is" in misses("scenes", figures)
 
 
 def test_a_scene_of_two_cycles_is_found() -> None:
