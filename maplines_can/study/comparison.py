@@ -297,7 +297,7 @@ class ComparisonEncoder(Encoder):
         tables = LineTables(tables_of(layout), ffi.NULL, ffi.NULL)
         super().__init__(codec.encoder, layout, tables, FrameWriter(layout, None))
         self._codec, self._signals = codec, codec.layout.signals
-        self._packing = _packing_of(codec.layout)
+        self._packing = Packing([*self._signals.values()], layout.record_bytes)
         self._modulus = 2 ** self._signals["Counter"].length
 
     def _write_lines(
@@ -366,7 +366,7 @@ class ComparisonDecoder(Decoder):
         layout, tables = codec.layout, tables_of(codec.layout)
         super().__init__(layout, tables, {}, decoder_settings(layout, tables, *settings))
         self._codec = codec
-        self._packing = _packing_of(layout)
+        self._packing = Packing([*layout.signals.values()], layout.record_bytes)
         self._transfer_ids = 2 ** layout[f"{TRANSFER_ID}0"].length
 
     def feed_arrays(
@@ -437,10 +437,6 @@ class ComparisonDecoder(Decoder):
         cov = nearest_covariance(cov)
         cov += np.diag(np.maximum(self._codec.resolution, REPAIRED * cov.diagonal()))
         return cov, Status.REPAIRED
-
-
-def _packing_of(layout: Layout) -> Packing:
-    return Packing([*layout.signals.values()], layout.record_bytes)
 
 
 def _is_definite(cov: Array) -> bool:

@@ -256,8 +256,6 @@ def _plots(tables: Tables, groups: Mapping[str, Mapping[str, str]]) -> dict[str,
 
 def _texts(tables: Tables) -> dict[str, Any]:
     """Return what the page says of the tables."""
-    # LOCAL
-
     first = [row for s in tables.sets if (row := tables.shipped(s, tables.codes[0]))]
     return {
         "first": first,
@@ -286,7 +284,6 @@ def _template(tables: Tables) -> Any:
     from jinja2 import Environment, PackageLoader
 
     from .plots import BAND
-    # LOCAL
 
     loader = PackageLoader(__package__, ".")
     environment = Environment(loader=loader, autoescape=True, trim_blocks=True)
