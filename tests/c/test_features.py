@@ -164,7 +164,8 @@ def linked(main: Path, folder: Path) -> Path:
     """Return a program with the library of a folder."""
     program = folder / main.stem
     objects = [folder / "maplines.o", folder / "harness_dbc.o"]
-    command = ["cc", *OPTIONS, f"-I{folder}", main, *objects, "-lm", "-o", program]
+    sources = [str(path) for path in (main, *objects)]
+    command = ["cc", *OPTIONS, f"-I{folder}", *sources, "-lm", "-o", str(program)]
     subprocess.run(command, check=True)
     return program
 
