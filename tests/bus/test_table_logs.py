@@ -82,10 +82,10 @@ def test_a_message_of_j1939_is_no_frame(tmp_path: Path) -> None:
     path = tmp_path / "a.trc"
     path.write_text(
         HEADER.format("1.3") + f" 1) 1.0 1 Rx 10062123 - 9 {'D2 ' * 9}\n"
-        f" 2) 2.0 1 Rx 0123 - 9 {'AA ' * 8}\n"
+        f" 2) 2.0 1 Rx 0123 - 9 {'AA ' * 8}\n 3) 3.0 1 Rx 0123 - 8 {'AA ' * 8}\n"
     )
     log = read_log(path)
-    assert [f.data for f in log] == [b"\xaa" * 8]
+    assert [f.data for f in log] == [b"\xaa" * 8] * 2
     assert log.summary.skipped == Counter({Skipped.OTHER: 1})
 
 
