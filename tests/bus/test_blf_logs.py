@@ -139,6 +139,15 @@ def test_objects_are_read_where_they_stand(
     assert (skipped, times) == ({Skipped.OTHER: 1}, "absolute")
 
 
+def test_an_object_that_is_split_around_another(tmp_path: Path) -> None:
+    """It begins in a container and ends in the next; an object stands between these."""
+    whole, beside = thing(CLASSIC, classic(b"split")), thing(CLASSIC, classic(b"beside"))
+    path = tmp_path / "a.blf"
+    path.write_bytes(head_of(container(whole[:21]) + beside + container(whole[21:])))
+    frames, *_, error = read(path)
+    assert ([frame.data for frame in frames], error) == ([b"beside", b"split"], "")
+
+
 @pytest.mark.parametrize(
     ("kind", "body", "what"),
     [
