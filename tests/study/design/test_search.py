@@ -19,6 +19,7 @@ from maplines_can.study.design.sensitivity import (
     blurs,
     conservative,
     inflation_width,
+    rows_of,
 )
 from maplines_can.study.sets import Gaussians
 from maplines_can.values.line import Status
@@ -208,6 +209,17 @@ def test_too_few_lines_raise(roads: Any) -> None:
 
 
 # ---- the sensitivities -------------------------------------------------------------------
+
+
+def test_rows_are_those_of_the_cholesky_factor(roads: Any) -> None:
+    """In any order, compared with numpy."""
+    cov, order = roads["road"].cov[:50], (2, 0, 3, 1)
+    pivots, ratios = rows_of(cov, np.zeros(4), order)
+    scale = np.sqrt(np.einsum("nii->ni", cov))[:, order]
+    ordered = cov[:, order][:, :, order] / scale[:, :, None] / scale[:, None, :]
+    L = np.linalg.cholesky(ordered) * scale[:, :, None]
+    assert pivots == pytest.approx(np.log2(np.einsum("nii->ni", L)), abs=1e-6)
+    assert ratios == pytest.approx(L / np.einsum("nii->ni", L)[:, :, None], rel=1e-4, abs=1e-6)
 
 
 def test_the_loss_of_rounding_is_a_constant_of_the_steps(codec: Any, others: Any) -> None:
