@@ -1,8 +1,8 @@
 /* Complete lines: records that are checked and read.
  *
  * Input, case by case: slot (u8), length (u8), record.
- * Output: reason, kind, status, index, count (u8), counter (u32), mean, factor, x_min, x_max, age and
- * weight (24 f64); zeros after the reason if the record is rejected.
+ * Output: reason, kind, status, index, count (u8), counter (u32), mean, factor, x_min, x_max, age
+ * and weight (24 f64); zeros after the reason if the record is rejected.
  */
 #include "binary.h"
 #include "harness_dbc.h"
