@@ -148,7 +148,7 @@ def test_quantities_of_a_line(flags: Any) -> None:
     Both are NaN if a place of the difference is outside of the range.
     """
     rng = np.random.default_rng(1)
-    lines = [random_line(rng) for _ in range(70)]
+    lines = [random_line(rng) for _ in range(30)]
     data = b"".join(
         b"\0" + packed_line(line, F) + bytes([len(places_of(line))]) + packed(places_of(line))
         for line, F in lines
