@@ -44,6 +44,13 @@ class Task(NamedTuple):
 Results = Generator[tuple[str, Result], None, None]
 
 
+def processors() -> int:
+    """Return the number of processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def in_this_process(tasks: Iterator[Task]) -> Results:
     """Run one task after the other."""
     for task in tasks:

@@ -6,63 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from evidence.closed_loop import DRIFT, Car, ReportedPoses, on_street, without
+from evidence.closed_loop import Car, ReportedPoses, on_street
 
-from maplines_can import Gaussian, MapLine, Motion, Polyline, Scene, Slot, map_scene
+from maplines_can import Gaussian, MapLine, Motion, Polyline, Scene, Slot
 from maplines_can.consumers import scene_view
 from maplines_can.consumers.speed_limit import SteeringReason
 from maplines_can.consumers.steering import LaneSteering, SteeringState
 from maplines_can.simulation import STREETS
 from maplines_can.values.scene import PoseError
-
-SIGMA = (0.3, 0.1, 0.003)
-
-
-def test_a_constant_demand_gives_a_circle() -> None:
-    """After the actuator has settled, the car is on a circle of the demanded curvature."""
-    car = Car(np.zeros(3), 5.0)
-    car.drive(0.1, 5.0, 3.0)
-    before = car.pose.copy()
-    car.drive(0.1, 5.0, 2 * math.pi * 10 / 5.0)
-    assert car.curvature == pytest.approx(0.1, rel=1e-6)
-    assert car.pose[:2] == pytest.approx(before[:2], abs=0.05)
-    assert car.pose[2] - before[2] == pytest.approx(2 * math.pi, rel=1e-3)
-
-
-def test_the_steering_has_a_delay_and_a_rate() -> None:
-    car = Car(np.zeros(3), 5.0)
-    car.drive(0.2, 5.0, 0.1)
-    assert car.angle == 0.0
-    car.drive(0.2, 5.0, 0.2)
-    assert car.angle == pytest.approx(0.2 * Car.most_rate)
-    car.drive(10.0, 5.0, 5.0)
-    assert car.angle == Car.most_angle
-
-
-def test_the_car_brakes_to_a_stop() -> None:
-    car = Car(np.zeros(3), 10.0)
-    car.drive(0.0, 0.0, 20.0)
-    assert 0 <= car.speed < 1e-3
-    assert car.pose[0] > 10**2 / (2 * Car.most_deceleration)
-
-
-def test_dead_reckoning_errors_have_the_stated_covariance() -> None:
-    """400 outages of 10 s on a street with a bend: the normalised error squared is 3."""
-    squares = []
-    for seed in range(400):
-        source = ReportedPoses(SIGMA, outages=((0.0, 99.0),), seed=seed)
-        pose = np.zeros(3)
-        for k in range(21):
-            if k:
-                turn = 0.1 if k < 10 else 0.0
-                way = 5.0
-                heading = pose[2] + turn / 2
-                pose = pose + np.array([way * math.cos(heading), way * math.sin(heading), turn])
-            stated = source.pose(0.5 * k, pose)
-        error = stated.mean - pose
-        squares.append(error @ np.linalg.solve(stated.cov, error))
-    assert np.mean(squares) == pytest.approx(3.0, abs=4 * math.sqrt(6 / 400))
-    assert stated.sigma[2] == pytest.approx(math.hypot(SIGMA[2], 10 * DRIFT[1]))
 
 
 def test_the_car_stays_in_a_roundabout_and_hands_over_without_lines() -> None:
@@ -76,15 +27,6 @@ def test_the_car_stays_in_a_roundabout_and_hands_over_without_lines() -> None:
     assert 2.9 < handover.t < 3.1
     assert handover.reason is SteeringReason.NO_LINES
     assert moments[-1].speed < 0.05
-
-
-def test_a_car_that_knows_its_pose_follows_a_corner_within_centimetres() -> None:
-    exact = ReportedPoses((1e-6, 1e-6, 1e-6)).pose
-    loop = on_street(STREETS["corner"].lines, exact)
-    loop.way = (45.0, 84.0)  # the corner is from 60 m to 72 m
-    moments = loop.run()
-    assert moments[-1].along > 73.0
-    assert np.quantile([abs(m.error) for m in moments], 0.95) < 0.04
 
 
 def test_the_car_stops_before_a_corner_that_it_cannot_steer() -> None:
@@ -108,16 +50,6 @@ def test_the_car_stops_before_a_corner_that_it_cannot_steer() -> None:
     assert last.speed < 0.05
     assert last.along < 31.5
     assert max(abs(m.error) for m in moments) < 0.1
-
-
-def test_a_scene_without_a_line_keeps_what_belongs_to_the_others() -> None:
-    lines = {slot: STREETS["corner"].lines[slot] for slot in (Slot.EGO_LEFT, Slot.EGO_RIGHT)}
-    scene = map_scene(lines, Gaussian([20.0, 0.0, 0.0], np.diag([0.1, 0.1, 0.001]) ** 2))
-    rest = without(scene, Slot.EGO_LEFT)
-    assert [line.slot for line in rest.lines] == [Slot.EGO_RIGHT]
-    assert rest.quartics == pytest.approx(scene.quartics[1:])
-    assert rest.fit_ranges == pytest.approx(scene.fit_ranges[1:])
-    assert rest.cov == pytest.approx(scene.cov[4:, 4:])
 
 
 def lane_around(car: Car, middle: float = 0.0) -> Scene:
@@ -169,12 +101,3 @@ def test_a_car_stays_in_its_lane_if_the_lines_jump_to_the_next_one(speed: float)
     )
     assert np.abs(offsets).max() < 0.05
     assert car.speed < 0.05
-
-
-def test_a_short_jump_within_the_lane_moves_the_car_little() -> None:
-    """By 1.1 m for half a second: it follows as far as the limits permit, and comes back."""
-    car = Car(np.zeros(3), 25.0)
-    commands, offsets = drive(LaneSteering(), car, [0.0] * 20 + [1.1] * 10 + [0.0] * 100, 25.0)
-    assert {command.state for command in commands} == {SteeringState.DRIVING}
-    assert 0.05 < np.abs(offsets).max() < 0.45
-    assert np.abs(offsets[-20:]).max() < 0.02

@@ -4,7 +4,7 @@ import ast
 import re
 
 import pytest
-from test_layers import PACKAGE, ROOMS, imports, name_of
+from test_layers import IMPORTS, PACKAGE, ROOMS, name_of
 
 ROOT = PACKAGE.parent
 PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -42,7 +42,7 @@ def test_a_folder_says_what_it_may_import(folder: str) -> None:
     allowed |= PRODUCT if "the product" in sentence else set()
     found = {
         one.target
-        for one in imports()
+        for one in IMPORTS
         if one.is_own and one.target and is_within(one.importer, folder)
     }
     assert {one for one in found if not any(is_within(one, name) for name in allowed)} == set()

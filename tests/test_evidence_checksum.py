@@ -1,6 +1,5 @@
 """The evidence of the checksum against brute force, on records that are short enough for it."""
 
-from fractions import Fraction
 from itertools import combinations, product
 from math import comb
 from pathlib import Path
@@ -51,24 +50,6 @@ def test_few_flips_agree_with_enumeration() -> None:
         assert counts[4] == sum(comb(int(n), 2) for n in sums) / 3
 
 
-def test_a_flip_of_the_data_id_is_that_of_the_protocol() -> None:
-    """The last 16 syndromes are those of the data ID as the package puts it into the checksum."""
-    zeros = bytes(32)
-    ids = [(0x80 >> bit % 8) << bit // 8 * 8 for bit in range(16)]
-    expected = [checksum(zeros, 0, data_id) ^ checksum(zeros, 0, 0) for data_id in ids]
-    assert list(tool.syndromes(with_id=True)[256:]) == expected
-
-
-def test_the_residual_agrees_with_exact_arithmetic() -> None:
-    """Sum over all undetected patterns of a record of 4 bytes, in fractions."""
-    counts = weights_by_enumeration(4)
-    for p in (Fraction(1, 1000), Fraction(1, 7), Fraction(1, 2)):
-        exact = sum(int(a) * p**w * (1 - p) ** (32 - w) for w, a in enumerate(counts) if w)
-        assert tool.residual(float(p), tool.undetected_by_weight(tool.syndromes(4))) == (
-            pytest.approx(float(exact), rel=1e-12)
-        )
-
-
 @pytest.mark.parametrize("length", [1, 2, 3, 9])
 def test_bursts_agree_with_enumeration(length: int) -> None:
     bits = tool.syndromes(4).astype(int)
@@ -83,13 +64,6 @@ def test_bursts_agree_with_enumeration(length: int) -> None:
         assert undetected == found
 
 
-def test_the_share_of_a_random_page() -> None:
-    """Any 16 bits in a row of the data are independent, so a page has the full rank."""
-    assert tool.random_page(1, tool.syndromes()) == Fraction(2**48 - 1, 2**64 - 1)
-    assert tool.random_page(0, np.zeros(64, np.uint16)) == 1
-    assert tool.random_page(0, np.array([1, 2, 3, *[0] * 61])) == Fraction(2**62 - 1, 2**64 - 1)
-
-
 def test_the_bound_of_a_valid_slot_agrees_with_a_simulation() -> None:
     """The state machine itself, on records that are accepted and wrong at random."""
     rng, accepted_share, wrong_share, n = np.random.default_rng(3), 0.75, 0.05, 40_000
@@ -101,13 +75,6 @@ def test_the_bound_of_a_valid_slot_agrees_with_a_simulation() -> None:
         used += bool(accepted and wrong and machine.state == "VALID")
     bound = wrong_share * tool.at_least(5, 9, accepted_share)
     assert 0 < used / n < bound + 4 * (bound / n) ** 0.5
-
-
-def test_greatest_p_meets_its_target_just_so() -> None:
-    for target in tool.TARGETS.values():
-        p = tool.greatest_p(target, tool.weights())
-        rate = tool.RECORDS_PER_HOUR * tool.residual(p, tool.weights())
-        assert rate == pytest.approx(target, rel=1e-6)
 
 
 def test_the_figures_of_the_page() -> None:

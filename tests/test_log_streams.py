@@ -33,10 +33,6 @@ def test_the_stream_has_frames_and_what_is_left_to_python_of_each_form() -> None
     assert all(met["skipped", kind] for kind in range(5))
 
 
-def test_the_logs_of_a_seed_are_the_same_ones() -> None:
-    assert [*islice(logs(3), 8)] == [*islice(logs(3), 8)] != [*islice(logs(4), 8)]
-
-
 @pytest.mark.parametrize(
     ("name", "other"),
     [

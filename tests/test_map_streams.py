@@ -37,13 +37,6 @@ def test_the_stream_has_all_kinds_of_answers() -> None:
     assert kinds == {(kind, some) for kind in map_streams.QUESTIONS for some in (True, False)}
 
 
-def test_the_queries_of_a_seed_are_the_same_ones() -> None:
-    for first, second in islice(zip(queries(1), queries(1), strict=True), 20):
-        assert str(first) == str(second)
-        for one, other in zip(first.lines, second.lines, strict=True):
-            assert np.array_equal(one.points, other.points)
-
-
 @pytest.mark.parametrize(
     ("module", "name", "value"),
     [

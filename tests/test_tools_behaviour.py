@@ -1,14 +1,11 @@
 """The recording of the behaviour and the count of journeys: what they tell apart."""
 
-from itertools import pairwise
 from pathlib import Path
 
 import behaviour
 import behaviour_api
-import journeys
 import numpy as np
 import pytest
-import sizes
 
 import maplines_can as ml
 
@@ -44,25 +41,3 @@ def test_the_last_bit_of_a_value_is_recorded() -> None:
         behaviour_api.shown(ml.MapLine(ml.Slot.EGO_LEFT, ml.Gaussian(np.zeros(4), cov))) != before
     )
     assert behaviour_api.shown(long) != behaviour_api.shown(np.ones(200))
-
-
-def test_a_journey_is_there_and_back() -> None:
-    """A call into another file and the return are stays; a function of numpy is none."""
-    found = journeys.steps(lambda: (np.mean([1, 2]), ml.Gaussian([0.0], [[1.0]]).marginal([0])))
-    files = [file for file, _ in journeys.stays(found)]
-    assert files[0] == files[-1]
-    assert all(one != other for one, other in pairwise(files))
-    assert len(set(files)) < len(files)
-    assert {Path(file).name for file in files} >= {"gaussian.py", "arrays.py"}
-
-
-def test_sizes_are_those_of_a_reader(tmp_path: Path) -> None:
-    """Docstrings, comments and blank lines are no code; an elif is no deeper than its if."""
-    (tmp_path / "a.py").write_text(
-        'def f(self, a, *, b):\n    """Do.\n\n    More.\n    """\n\n    # why\n    if a:\n'
-        "        for _ in b:\n            pass\n    elif b:\n        pass\n"
-    )
-    (module,) = sizes.modules(tmp_path, ".")
-    (function,) = sizes.functions(module)
-    assert (module.lines, function.code) == (12, 6)
-    assert (function.depth, function.parameters) == (2, 2)

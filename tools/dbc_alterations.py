@@ -17,9 +17,9 @@ from cantools.database.can import Database, Message, Signal
 from cantools.database.conversion import BaseConversion
 from cantools.database.utils import start_bit
 
-from maplines_can.study.dbc.dbc_writer import DbcWriter
-from maplines_can.study.dbc.record_pages import SignalSpec
-from maplines_can.study.dbc.record_spec import (
+from maplines_can.generation.dbc.dbc_writer import DbcWriter
+from maplines_can.generation.dbc.record_pages import SignalSpec
+from maplines_can.generation.dbc.record_spec import (
     CONDITIONAL,
     DEFAULT,
     POSE_WITH_LEVELS,

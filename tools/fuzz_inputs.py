@@ -9,7 +9,8 @@ from dataclasses import replace
 
 from fuzz_targets import SUFFIXES
 
-from maplines_can.study.dbc.record_spec import DEFAULT, SCENES, WHOLE_SCENES, dbc_writer_for
+from maplines_can.generation.dbc.record_spec import DEFAULT, SCENES, WHOLE_SCENES
+from maplines_can.study.code_dbcs import dbc_writer_for
 from maplines_can.values.line import Slot
 from maplines_can.wire.layout.pose_layout import SCENE
 

@@ -22,8 +22,8 @@ from dbc_witness import straight_scene
 
 from maplines_can.bus import read_log
 from maplines_can.model.records import written
+from maplines_can.study.code_dbcs import dbc_writer_for
 from maplines_can.study.comparison import AnyCodec, codec_for
-from maplines_can.study.dbc.record_spec import dbc_writer_for
 from maplines_can.values.errors import EncodeError, LayoutError, LogError
 from maplines_can.values.line import MapLine, Slot, Status
 from maplines_can.wire import Authenticator, Codec, Decoder, Key, Layout, Reason

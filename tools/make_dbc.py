@@ -14,17 +14,15 @@ from reporting import fill_tables, parser_of
 
 from maplines_can.dbc_files.dbc_cache import PACKAGED, key_of, parsed_tables
 from maplines_can.dbc_files.dbc_tables import to_json
-from maplines_can.study.codes import CODES
-from maplines_can.study.dbc.covariance_spec import covariance_signals
-from maplines_can.study.dbc.record_spec import (
+from maplines_can.generation.dbc.record_spec import (
     CONDITIONAL,
     DEFAULT,
     POSE_WITH_LEVELS,
     SECURED,
     WHOLE_SCENES,
-    dbc_name,
-    dbc_writer_for,
 )
+from maplines_can.study.code_dbcs import covariance_signals, dbc_name, dbc_writer_for
+from maplines_can.study.codes import CODES
 from maplines_can.wire.layout.record_layout import RELATIONS
 from maplines_can.wire.layout.record_signals import (
     COMPLETE_RECORD,

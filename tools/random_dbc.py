@@ -26,10 +26,16 @@ import numpy as np
 from cantools.database.can import Message
 from reporting import parser_of
 
-from maplines_can.study.dbc.covariance_spec import pivot_signal, ratio_signal
-from maplines_can.study.dbc.dbc_writer import DbcWriter, PoseSpec, SceneSpec
-from maplines_can.study.dbc.record_pages import SignalSpec
-from maplines_can.study.dbc.record_spec import CONDITIONAL, DEFAULT, SCENES, SECURED, WHOLE_SCENES
+from maplines_can.generation.dbc.cholesky_signals import pivot_signal, ratio_signal
+from maplines_can.generation.dbc.dbc_writer import DbcWriter, PoseSpec, SceneSpec
+from maplines_can.generation.dbc.record_pages import SignalSpec
+from maplines_can.generation.dbc.record_spec import (
+    CONDITIONAL,
+    DEFAULT,
+    SCENES,
+    SECURED,
+    WHOLE_SCENES,
+)
 from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import Slot
 from maplines_can.wire import Codec

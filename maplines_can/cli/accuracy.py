@@ -10,11 +10,13 @@ from typing import Any
 
 from ..bus import LogSummary, read_log
 from ..logs.first_frames import FirstFrames
-from ..simulation.truth import Truth, read_truth, truth_paths
-from ..study.accuracy.evaluation import Accuracy, accuracy_of
-from ..study.accuracy.verdicts import as_text, consistency_of, map_consistency_of
+from ..simulation.accuracy import MIN_CURVATURE, REQUIREMENTS, Accuracy, accuracy_of
+from ..simulation.sender_consistency import consistency_of, map_consistency_of
+from ..simulation.truth import PLACES, Truth, read_truth, truth_paths
+from ..values.arrays import count_text
 from ..values.errors import DriveFileError, LogError
 from ..values.line import MapLine
+from ..values.text_table import aligned
 from ..wire import Decoder, Reason
 from .command_line import add_command, add_json, note, option_group, with_progress
 from .file_arguments import add_force, check_new
@@ -101,7 +103,9 @@ def _accuracy(arguments: argparse.Namespace) -> int:
         pose_errors = sum(decoder.pose_errors for decoder in decoders.values())
         if not pose_errors:
             check_received(arguments.log, first, codec, frames.summary)
-        raise LogError(f"{arguments.log}: has no lines, and {pose_errors} pose errors")
+        raise LogError(
+            f"{arguments.log}: has no lines, and {count_text(pose_errors, 'pose error')}"
+        )
     _print(accuracy, truth, frames.summary, arguments)
     return status
 
@@ -111,7 +115,7 @@ def _print(
 ) -> None:
     """Print the accuracy, and draw it if a picture is asked for."""
     if arguments.plot:
-        from ..study.accuracy.error_plot import draw_accuracy
+        from ..pictures.accuracy_picture import draw_accuracy
 
         draw_accuracy(accuracy, arguments.plot)
     if arguments.json:
@@ -125,6 +129,62 @@ def _print(
         print(as_text(accuracy))
         if arguments.plot:
             print(f"\npicture: {arguments.plot}")
+
+
+#: Headings of the errors, with their units, and the factors from the unit of the error.
+_SHOWN = {
+    "lateral": ("lateral [cm]", 100.0),
+    "heading": ("heading [deg]", 1.0),
+    "curvature": ("curvature [%]", 1.0),
+    "absolute": ("absolute [cm]", 100.0),
+    "relative": ("relative [cm]", 100.0),
+}
+
+
+def as_text(accuracy: Accuracy) -> str:
+    """Return the errors and the requirements of the survey as tables.
+
+    The first sentence says whether the errors are as large as the sender states, and the second
+    one whether those of its map are.
+    """
+    consistency, of_map = consistency_of(accuracy), map_consistency_of(accuracy)
+    blank = [""] * (len(PLACES) + 1)
+    rows = [["error", "", *(f"{x} m" for x in PLACES), "whole line"]]
+    for quantity, (heading, factor) in _SHOWN.items():
+        columns = accuracy.errors[quantity].shape[1]
+        found = [accuracy.figures(quantity, i) for i in range(columns)]
+        for k, name in enumerate(("rms", "95 %", "max")):
+            cells = [f"{one[name] * factor:.3g}" if one["n"] else "-" for one in found]
+            cells = [*cells, ""] if columns > 1 else [*blank[:-1], *cells]
+            rows.append([heading if not k else "", name, *cells])
+    rows.append(["lines", "", *(str(accuracy.figures("lateral", i)["n"]) for i in range(4)), ""])
+    rows[-1][-1] = str(accuracy.figures("absolute", 0)["n"])
+    verdicts = [["requirement of the survey", "", *(f"{x} m" for x in PLACES), "whole line"]]
+    for requirement in REQUIREMENTS:
+        met = [
+            {True: "met", False: "missed", None: "-"}[m] for m in accuracy.met(requirement).values()
+        ]
+        cells = [*met, ""] if len(met) > 1 else [*blank[:-1], *met]
+        verdicts.append([requirement.quantity, requirement.source, *cells])
+    return "\n".join(
+        [
+            *([] if consistency is None else [consistency.text(accuracy), ""]),
+            *([] if of_map is None else [of_map.text(), ""]),
+            f"{count_text(accuracy.received, 'line')} received, {accuracy.lines} compared with the "
+            f"truth, {accuracy.saturated} of these saturated; not compared: "
+            f"{accuracy.without_values} too old or out of range, {accuracy.other_lane} "
+            "while the car was on another lane than it believed, "
+            f"{accuracy.unknown} without a true line",
+            "",
+            aligned(rows, left=2),
+            "",
+            aligned(verdicts, left=2),
+            "",
+            "A requirement is met if 95 % of the errors are within it. Absolute: largest deviation "
+            "of a line\nfrom the true one; relative: after both are aligned (EDMap). Curvature: "
+            f"lines of radii up to {1 / MIN_CURVATURE:g} m.",
+        ]
+    )
 
 
 def truth_of(log: str) -> Path:

@@ -19,6 +19,7 @@ from ..consumers.residual_filter import SLOW, CameraNoise
 from ..consumers.steering import Command, LaneSteering, SteeringState
 from ..propagation import Motion
 from ..simulation.camera import CameraAtReportedPose
+from ..values.arrays import count_text
 from ..values.line import MapLine, Slot
 from ..wire import LineCodec, SceneView
 from .command_line import add_command, add_group, note, number, option_group
@@ -267,7 +268,8 @@ def _print_command(t: float, command: Command, skipped: dict[str, int] | None) -
     if skipped is not None:
         print(json.dumps(row | {"skipped": skipped}), flush=True)
         return
-    radius = math.inf if abs(command.curvature) < 1e-4 else 1 / command.curvature
+    is_straight = abs(command.curvature) < 1e-4
+    bend = "straight on" if is_straight else f"radius {1 / command.curvature:.0f} m"
     where = ""
     if path is not None:
         where = f"  offset {path.offset:+.2f} m, sigma {path.sigma[0]:.2f} m"
@@ -275,7 +277,7 @@ def _print_command(t: float, command: Command, skipped: dict[str, int] | None) -
     why = "" if command.reason.name == "NONE" else f"  {command.reason}"
     print(
         f"{t:8.2f} s  {command.state.name:<9}{command.speed:5.1f} m/s  "
-        f"curvature {command.curvature:+.4f}/m (radius {radius:.0f} m){where}{why}",
+        f"curvature {command.curvature:+.4f}/m ({bend}){where}{why}",
         flush=True,
     )
 
@@ -394,8 +396,8 @@ def _check(arguments: argparse.Namespace) -> int:
                 _print_check(t, result, source.skipped if arguments.json else None)
                 last, due = result.outcome, t + arguments.every
     note(
-        f"{alarms} alarms; "
-        + ", ".join(f"{counts[outcome]} cycles {outcome.name}" for outcome in Outcome)
+        f"{count_text(alarms, 'alarm')}; "
+        + ", ".join(f"{count_text(counts[outcome], 'cycle')} {outcome.name}" for outcome in Outcome)
     )
     if counts[Outcome.UNCHECKED] == counts.total():
         return source.report_nothing(

@@ -17,6 +17,7 @@ from ..bus import Link, Receiver, read_log
 from ..logs.log_summary import Times
 from ..propagation import pose_time_ns
 from ..recordings.fitting import check_fit
+from ..values.arrays import count_text
 from ..values.gaussian import Gaussian
 from ..values.line import PARAMETERS, MapLine, Slot
 from ..wire import Codec, Reason
@@ -189,7 +190,7 @@ def _of_table(path: str) -> Iterator[MapLine]:
         else:
             lines.append(line)
     if skipped:
-        note(f"{path}: {skipped} rows without a finite value are skipped")
+        note(f"{path}: skipped: {count_text(skipped, 'row')} without a finite value")
     if not lines:
         raise ValueError(f"--camera {path} has no line; see --help for the columns")
     return iter(sorted(lines, key=lambda line: line.t_ns or 0))

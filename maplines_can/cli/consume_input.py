@@ -20,6 +20,7 @@ from ..bus import Link, LogSummary, Receiver, SignalDecoder, read_log, read_sign
 from ..logs.first_frames import FirstFrames
 from ..propagation import Motion
 from ..simulation.drive_columns import COLUMNS
+from ..values.arrays import count_text
 from ..values.input_files import lines_of
 from ..wire import LineCodec, SceneView
 from .command_line import add_json, note, number, option_group, seconds, with_progress
@@ -134,7 +135,8 @@ class Input:
             what: that was not there.
         """
         decoder, log = self._decoder, self._arguments.log
-        counts = f"{decoder.lines} lines and {decoder.pose_errors} pose errors"
+        pose_errors = count_text(decoder.pose_errors, "pose error")
+        counts = f"{count_text(decoder.lines, 'line')} and {pose_errors}"
         if not (decoder.lines or decoder.pose_errors):
             why = self._why_silent()
         elif self._is_cut:

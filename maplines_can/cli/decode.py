@@ -15,9 +15,19 @@ from typing import Any
 
 from ..bus import LogFrame, read_log
 from ..logs.first_frames import FirstFrames
+from ..values.arrays import count_text
 from ..values.errors import LogError
 from ..values.line import MapLine, Slot
-from ..wire import SCENE, SHIPPED, Decoder, LineCodec, Reason, SceneView, default_dbc_path
+from ..wire import (
+    SCENE,
+    SHIPPED,
+    Decoder,
+    LineCodec,
+    Reason,
+    SceneView,
+    SlotView,
+    default_dbc_path,
+)
 from .command_line import add_command, note, number, option_group, progress_bar, with_progress
 from .file_arguments import add_force, check_new
 from .frame_source import add_times, check_received, choose_dbc, note_log
@@ -51,14 +61,15 @@ If the sender states the error of the pose from which the lines of a cycle are s
 are a scene. --scenes prints the joint covariance of each scene.
 
 With -o, the lines are written to a table instead, many times as fast: see 'Tables of lines' in
-docs/recordings.md. It has the columns of --csv, and the E2E state, the counter and, for each x of
+docs/recordings.md. It has the columns of --csv, and the counter and, for each x of
 --at, the lateral position and its standard deviation (y40, sigma40). Frames that are dropped are in
 FILE.rejects, and scenes with the width and the centre of the ego lane in FILE.scenes (--scenes);
 MF4 and MCAP have all of them in one file. Many logs are a data set in a folder, a file a log; the
 same command goes on where it was stopped.
 
-With --csv, a line that must not be used (usable is false: OUT_OF_RANGE, or too old) has empty cells
-instead of values.
+"usable" says of a line whether a controller might have used it as it arrived: its state is VALID,
+there is no second sender, it fits the message and is not too old. With --csv, a line that is
+OUT_OF_RANGE or too old has empty cells instead of values.
 
 LOG has a format of python-can (.asc .blf .csv .db .mf4 .trc), of SavvyCAN (.csv), OVMS (.crtd) or
 BUSMASTER (.log), is a capture of Wireshark or tcpdump (.pcap .pcapng), or is the output of candump,
@@ -109,10 +120,9 @@ def _print_lines(arguments: argparse.Namespace) -> int:
             if arguments.csv:
                 write_csv(sys.stdout, rows, arguments.at)
             else:
-                for channel, line in rows:
-                    print(
-                        json.dumps(line_dict(line, arguments.at) | {"channel": channel}), flush=True
-                    )
+                for channel, line, view in rows:
+                    row = line_dict(line, view, arguments.at) | {"channel": channel}
+                    print(json.dumps(row), flush=True)
         except KeyboardInterrupt:  # the counters so far are still useful
             log.status = 130
     if not log.has_time:
@@ -146,8 +156,8 @@ class DecodedLog:
         self._scenes: dict[str, SceneView] = {}  # the newest of each channel, with --scenes
         self._lines = self._printed = self._last_ns = self._beyond = 0
 
-    def lines(self) -> Generator[tuple[str, MapLine], None, None]:
-        """Yield the lines with their channels; print the scenes."""
+    def lines(self) -> Generator[tuple[str, MapLine, SlotView], None, None]:
+        """Yield the lines with their channels and the views of their slots; print the scenes."""
         try:
             for frame in with_progress(self._frames, " frames"):
                 if self._knows(frame):
@@ -179,19 +189,19 @@ class DecodedLog:
         self._decoders[frame.channel] = decoder_of(self._codec, self._arguments)
         return True
 
-    def _feed(self, frame: LogFrame) -> Iterator[tuple[str, MapLine]]:
+    def _feed(self, frame: LogFrame) -> Iterator[tuple[str, MapLine, SlotView]]:
         """Yield the lines that a frame completes."""
         self.has_time, self._last_ns = frame.has_time, frame.t_ns
-        found = self._decoders[frame.channel].feed(
-            frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended
-        )
+        decoder = self._decoders[frame.channel]
+        found = decoder.feed(frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended)
         if not isinstance(found, Reason):
             self._lines += len(found)
             for line in found:
                 if self._arguments.slots is not None and line.slot not in self._arguments.slots:
                     continue
                 self._printed += 1
-                yield frame.channel, line if self.has_time else replace(line, t_ns=None)
+                view = decoder.latest(line.slot, frame.t_ns)
+                yield frame.channel, line if self.has_time else replace(line, t_ns=None), view
         self._see(frame.channel)
 
     def _see(self, channel: str) -> None:
@@ -294,15 +304,17 @@ def _write_file(arguments: argparse.Namespace, out: Path) -> int:
 
     codec = keyed_codec(arguments, clock=None)
     check_scenes(codec, arguments)
-    parts = ["lines", "rejects", *["scenes"] * arguments.scenes]
     path_of = beside(out)
-    check_new(arguments, *map(path_of, parts))
+    others = [] if out.suffix in (".mf4", ".mcap") else [path_of("rejects"), path_of("scenes")]
+    check_new(arguments, out, *others)
     if not out.parent.is_dir():
         raise ValueError(f"-o {out}: there is no folder {out.parent}")
     (log,) = arguments.logs
     receiver = LogReceiver(codec, scenes=arguments.scenes, **_timing(arguments))
     writer = open_tables(path_of, About.of(codec, log, arguments.at), out.suffix)
     tables = _tables(arguments)
+    for path in others:  # of the file that is replaced
+        path.unlink(missing_ok=True)
     done = 0
     with progress_bar(" frames", unit_scale=True) as progress:
 
@@ -354,8 +366,9 @@ def _write_folder(arguments: argparse.Namespace, folder: Path) -> int:
     for result in bad:
         note(f"error: {result['error']}")
     note(
-        f"{sum(result['lines'] for result in results)} lines from "
-        f"{sum(result['frames'] for result in results)} frames; logs: {len(results)}, "
+        f"{count_text(sum(result['lines'] for result in results), 'line')} from "
+        f"{count_text(sum(result['frames'] for result in results), 'frame')}; "
+        f"logs: {len(results)}, "
         f"{len(bad)} of them with an error; dropped frames: {counts_text(dropped_of(results))}"
     )
     note_slots(arguments, *(sum(result[key] for result in results) for key in ("lines", "rows")))
@@ -414,8 +427,8 @@ def slots(text: str) -> tuple[Slot, ...]:
 def beyond_text(log: str, frames: int) -> str:
     """Return the error of frames of too many channels."""
     return (
-        f"error: {log}: {frames} frames are not read, they are of "
-        f"channels beyond the first {MAX_CHANNELS}; split the log by channel"
+        f"error: {log}: not read: {count_text(frames, 'frame')} of channels beyond the first "
+        f"{MAX_CHANNELS}; split the log by channel"
     )
 
 
@@ -423,7 +436,7 @@ def note_slots(arguments: argparse.Namespace, received: int, kept: int) -> None:
     """Say that ``--slots`` leaves out all lines, if it does."""
     if received and not kept:
         names = ",".join(slot.name.lower().replace("_", "-") for slot in arguments.slots or ())
-        note(f"none of the {received} lines is of --slots {names}")
+        note(f"{count_text(received, 'line')}, none of --slots {names}")
 
 
 def note_decoders(decoders: Mapping[str, Decoder], last_ns: int) -> None:
@@ -433,11 +446,11 @@ def note_decoders(decoders: Mapping[str, Decoder], last_ns: int) -> None:
     has_scenes = any(SCENE in one.checks for one in each)
     left_out = sum(one.left_out for one in each)
     note(
-        f"{sum(one.lines for one in each)} lines"
+        f"{count_text(sum(one.lines for one in each), 'line')}"
         f"{pose_errors_text(sum(one.pose_errors for one in each))} from "
-        f"{sum(one.frames for one in each)} frames; "
+        f"{count_text(sum(one.frames for one in each), 'frame')}; "
         f"{lost_text(sum(one.lost for one in each), scenes=has_scenes)}; "
-        f"{f'{left_out} lines left out by the sender; ' * bool(left_out)}"
+        f"{count_text(left_out, 'line') + ' left out by the sender; ' if left_out else ''}"
         f"dropped frames: {counts_text({reason.name: n for reason, n in total.items()})}"
     )
     for channel, decoder in decoders.items():

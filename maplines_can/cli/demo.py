@@ -10,15 +10,23 @@ from typing import Any
 
 import numpy as np
 
+from ..pictures.round_trip_picture import draw_round_trip
 from ..propagation.component_counts import TOLERANCE
-from ..study.figures.round_trip_picture import draw_round_trip
-from ..study.round_trip import BusSettings, LineResult, RoundTrip, SceneResult, round_trip
+from ..simulation.round_trip import BusSettings, LineResult, RoundTrip, SceneResult, round_trip
+from ..values.arrays import count_text
 from ..values.line import Status
 from ..wire import POSE
 from .command_line import add_command, add_json, option_group, progress_bar, seconds
 from .file_arguments import add_force, check_new
 from .options import add_bus, add_codec, add_faults, bus_settings, keyed_codec
-from .output import counts_text, faults_text, left_out_text, pose_errors_text, slot_text
+from .output import (
+    counts_text,
+    faults_text,
+    left_out_text,
+    pose_errors_text,
+    slot_text,
+    unsent_texts,
+)
 from .sending import Sending, add_sending, components_dict, components_text, sending_of
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -115,7 +123,7 @@ def _text(trip: RoundTrip, sending: Sending, *, with_components: bool) -> str:
     texts = [components_text(components[line.slot]) for line in trip.true_lines if components]
     out = [
         f"{scenario.name}: {scenario.about}",
-        f"{len(trip.lines)} lines over {trip.frame_format}, {trip.bus.rate:g} Hz, "
+        f"{count_text(len(trip.lines), 'line')} over {trip.frame_format}, {trip.bus.rate:g} Hz, "
         f"{trip.seconds:.1f} s",
         "",
         *_table(trip.lines, texts),
@@ -215,19 +223,20 @@ def _counters(trip: RoundTrip) -> list[str]:
     """Return the rows of the counters."""
     sent, received, jitter = trip.sent, trip.received, trip.period_jitter
     dropped = {reason.name: n for reason, n in received.counts.items()}
-    unsent = (
-        (sent.overruns, "periods skipped because the sender was late"),
-        (sent.down, "lines given up while the interface was down"),
-        (sent.full, "lines given up with a full queue"),
-    )
     bus, data_bitrate = trip.bus, trip.bus.data_bitrate
     rows = [
-        f"sent      {sent.lines} lines{pose_errors_text(sent.pose_errors)}, {sent.frames} frames",
-        f"received  {received.lines} lines{pose_errors_text(received.pose_errors)}, "
-        f"{received.frames} frames; "
+        f"sent      {count_text(sent.lines, 'line')}{pose_errors_text(sent.pose_errors)}, "
+        f"{count_text(sent.frames, 'frame')}",
+        f"received  {count_text(received.lines, 'line')}{pose_errors_text(received.pose_errors)}, "
+        f"{count_text(received.frames, 'frame')}; "
         f"dropped: {counts_text(dropped)}",
-        f"lost      {trip.lines_lost} lines, {trip.frames_lost} frames"
-        + "".join(f"; {n} {what}" for n, what in unsent if n),
+        "; ".join(
+            [
+                f"lost      {count_text(trip.lines_lost, 'line')}, "
+                f"{count_text(trip.frames_lost, 'frame')}",
+                *unsent_texts(sent.down, sent.full, sent.overruns),
+            ]
+        ),
         f"bus load  {100 * trip.bus_load:.1f} % at {bus.bitrate / 1000:g} kbit/s"
         + (f" and {data_bitrate / 1e6:g} Mbit/s" if data_bitrate else ""),
         f"period    {1e3 / bus.rate:g} ms; deviation {1e3 * jitter['median']:.2f} ms (median), "

@@ -6,7 +6,7 @@ import argparse
 import json
 import time
 import uuid
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
 from importlib.util import find_spec
@@ -29,6 +29,7 @@ from ..simulation.bus_share import (
 from ..simulation.trajectory import CarState
 from ..simulation.transmission import Counters, Transmission, TruthRecorder
 from ..simulation.truth import TruthWriter, truth_paths
+from ..values.arrays import count_text
 from ..values.gaussian import Gaussian
 from ..values.line import LeftOut, Slot
 from ..values.polyline import Polyline
@@ -57,7 +58,7 @@ from .options import (
     fault_opener,
     keyed_codec,
 )
-from .output import counts_text, faults_text, pose_errors_text
+from .output import counts_text, faults_text, pose_errors_text, unsent_texts
 from .sending import add_line_model, bus_share, map_error_of, sends_scenes
 
 #: Name of the map of this package.
@@ -139,7 +140,9 @@ def _drive(arguments: argparse.Namespace) -> int:
     if arguments.record:
         check_log_path(Path(arguments.record))
     truth_path = _truth_path(arguments)
-    check_new(arguments, arguments.record, truth_path)
+    others = _other_truths(arguments, truth_path)
+    _check_overwriting(arguments, others)
+    check_new(arguments, arguments.record, truth_path, *others)
     road_map = map_of(arguments.map)
     slots = tuple(Slot)[: arguments.lines]
     components = _components(codec, slots, arguments)
@@ -164,6 +167,8 @@ def _drive(arguments: argparse.Namespace) -> int:
     )
     with ExitStack() as stack:
         truth = None
+        for path in others:
+            path.unlink(missing_ok=True)
         if truth_path:
             writer = stack.enter_context(TruthWriter(truth_path, slots))
             truth = TruthRecorder(writer, LaneTracker(road_map, route), slots)
@@ -221,7 +226,6 @@ def _check_options(arguments: argparse.Namespace) -> None:
         low, high = arguments.window
         raise ValueError(f"window must be MIN < MAX [m], got {low:g} {high:g}")
     check_reported_pose(arguments)
-    _check_overwriting(arguments)
 
 
 def _note_end(counters: Counters, seconds: float) -> None:
@@ -233,12 +237,13 @@ def _note_end(counters: Counters, seconds: float) -> None:
         note(f"stopped by Ctrl-C after {seconds:.1f} s of the drive")
 
 
-def _check_overwriting(arguments: argparse.Namespace) -> None:
-    """Raise ValueError if an output would overwrite an input."""
+def _check_overwriting(arguments: argparse.Namespace, others: Sequence[Path]) -> None:
+    """Raise ValueError if an output would overwrite an input, or remove it: one of the others."""
     inputs = {Path(name).resolve() for name in (arguments.map, arguments.drive) if name}
-    for option in ("record", "truth"):
-        name = getattr(arguments, option)
-        if name and Path(name).resolve() in inputs:
+    outputs = {"record": [arguments.record, *others], "truth": [arguments.truth]}
+    for option, paths in outputs.items():
+        if any(path and Path(path).resolve() in inputs for path in paths):
+            name = getattr(arguments, option)
             raise ValueError(f"--{option} {name} would overwrite what is read; use another name")
 
 
@@ -308,6 +313,14 @@ def _truth_path(arguments: argparse.Namespace) -> str | None:
     return str(parquet if find_spec("pyarrow") else table)
 
 
+def _other_truths(arguments: argparse.Namespace, truth_path: str | None) -> list[Path]:
+    """Return the files that would be taken for the truth of the log, but are not written."""
+    if not arguments.record:
+        return []
+    written = Path(truth_path or "").resolve()
+    return [path for path in truth_paths(arguments.record) if path.resolve() != written]
+
+
 def _start_text(
     road_map: Map, route: Route | None, states: CarState, arguments: argparse.Namespace
 ) -> str:
@@ -341,31 +354,31 @@ def _result(states: CarState, counters: Counters, arguments: argparse.Namespace)
 def _text(result: dict[str, Any]) -> str:
     """Return the counters as text."""
     rows = [
-        f"drive     {result['km']:.2f} km, {result['seconds']:.1f} s, {result['cycles']} cycles at "
-        f"{result['rate']:g} Hz"
+        f"drive     {result['km']:.2f} km, {result['seconds']:.1f} s, "
+        f"{count_text(result['cycles'], 'cycle')} at {result['rate']:g} Hz"
         + f"; {result['late_cycles']} left out, because this machine was late"
         * bool(result["late_cycles"]),
-        f"sent      {result['lines']} lines{pose_errors_text(result.get('pose_errors', 0))} in "
-        f"{result['frames']} frames; bus load {100 * result['bus_load']:.1f} %",
-        f"slots     {result['lane_changes']} lane changes, {result['slot_changes']} slots with a "
-        f"new line; {result['off_map']} cycles off the map",
+        f"sent      {count_text(result['lines'], 'line')}"
+        f"{pose_errors_text(result.get('pose_errors', 0))} in "
+        f"{count_text(result['frames'], 'frame')}; bus load {100 * result['bus_load']:.1f} %",
+        f"slots     {count_text(result['lane_changes'], 'lane change')}, "
+        f"{count_text(result['slot_changes'], 'slot')} with a new line; "
+        f"{count_text(result['off_map'], 'cycle')} off the map",
     ]
     if result["no_pose"]:
         share = 100 * result["no_pose"] / max(result["cycles"], 1)
         rows.append(
-            f"no pose   in {result['no_pose']} cycles ({share:.1f} %) the car did not know its "
-            "pose, and no line was sent"
+            f"no pose   in {count_text(result['no_pose'], 'cycle')} ({share:.1f} %) the car did "
+            "not know its pose, and no line was sent"
         )
-    unsent = {
-        "down": "lines given up while the interface was down",
-        "full": "lines given up with a full queue",
-        "overruns": "periods skipped because the sender was late",
-    }
-    lost = [f"{result[name]} {what}" for name, what in unsent.items() if result.get(name)]
+    lost = unsent_texts(*(result.get(name, 0) for name in ("down", "full", "overruns")))
     rows += [f"lost      {'; '.join(lost)}"] * bool(lost)
     if "faults" in result:
         rows.append(f"faults    {faults_text(result['faults'])}")
-    reasons = [f"{n} times, {LeftOut[name]}" for name, n in sorted(result["left_out"].items())]
+    reasons = [
+        f"{count_text(n, 'time')}, {LeftOut[name]}"
+        for name, n in sorted(result["left_out"].items())
+    ]
     rows.append(f"left out  {'; '.join(reasons) or 'no line'}")
     rows.append(
         f"CPU       {result['ms_per_cycle']:.2f} ms a cycle, {100 * result['core_share']:.1f} % of "
@@ -374,8 +387,8 @@ def _text(result: dict[str, Any]) -> str:
     if result["truth"]:
         other = result["other_lane"]
         rows.append(
-            f"truth     {result['truth']}; in {other} cycles the car was on another lane than it "
-            "believed"
+            f"truth     {result['truth']}; in {count_text(other, 'cycle')} the car was on another "
+            "lane than it believed"
         )
     for source, counts in result.get("measurements", {}).items():
         rows.append(f"{source:<10}{counts_text(counts)}")

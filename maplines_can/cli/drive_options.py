@@ -21,6 +21,7 @@ from ..simulation.map_frame import check_on_map
 from ..simulation.pose_source import PoseSource
 from ..simulation.recorded_drive import RecordedDrive
 from ..simulation.trajectory import CarState, SimulatedDrive, drive_along
+from ..values.arrays import count_text
 from ..values.errors import DriveFileError, RouteError
 from ..values.gaussian import Gaussian
 from ..values.line import Slot
@@ -201,7 +202,7 @@ def _recorded(road_map: Map, arguments: argparse.Namespace) -> RecordedDrive:
     if share < 1:
         note(f"{name}: {100 * (1 - share):.1f} % of the positions are off the map")
     if recorded.skipped:
-        note(f"{name}: {recorded.skipped} records are skipped")
+        note(f"{name}: skipped: {count_text(recorded.skipped, 'record')}")
     return recorded
 
 

@@ -29,7 +29,9 @@ def check_new(arguments: argparse.Namespace, *paths: str | Path | None) -> None:
 
     Args:
         arguments: with those of ``add_force``.
-        paths: of the files; None for one that is not wanted.
+        paths: of the files; None for one that is not wanted. With those that the command does not
+            write but that would be taken for its own, as they are beside what it writes: with
+            ``--force`` it removes them.
 
     Raises:
         ValueError: a file exists.

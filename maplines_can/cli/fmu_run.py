@@ -18,6 +18,7 @@ from ..cosimulation.fmu_description import read_description
 from ..cosimulation.node import Value
 from ..cosimulation.runner import CoSimulation, node_names
 from ..logs.log_writer import check_log_path
+from ..values.arrays import count_text
 from ..wire import Frame
 from .command_line import add_command, add_json, note, number, option_group, progress_bar
 from .file_arguments import add_force, check_new
@@ -235,17 +236,20 @@ def _text(result: Mapping[str, Any]) -> str:
     load = f", load {100 * result['load']:.1f} %" if "load" in result else ""
     rows = [
         f"{result['seconds']:g} s simulated in {result['elapsed']:.1f} s, "
-        f"{result['points']} communication points",
+        f"{count_text(result['points'], 'communication point')}",
         *(
-            f"{name}: sent {one['sent']} frames, received {one['received']}, "
+            f"{name}: sent {count_text(one['sent'], 'frame')}, received {one['received']}, "
             f"{one['confirmed']} confirmed"
             for name, one in result["nodes"].items()
         ),
-        f"bus: {result['frames']} frames{load}",
+        f"bus: {count_text(result['frames'], 'frame')}{load}",
     ]
     if result["faults"]:
         rows.append(f"faults: {faults_text(result['faults'])}")
-    rows += [f"problem: {what} ({count} times)" for what, count in result["problems"].items()]
+    rows += [
+        f"problem: {what} ({count_text(count, 'time')})"
+        for what, count in result["problems"].items()
+    ]
     for name, one in result["warnings"].items():
-        rows.append(f"{name}: {one['count']} warnings, the last one: {one['last']}")
+        rows.append(f"{name}: {count_text(one['count'], 'warning')}, the last one: {one['last']}")
     return "\n".join(rows)

@@ -10,6 +10,7 @@ from typing import Any, get_args
 from ..bus import Link, LogFrame, LogSummary
 from ..logs.first_frames import FirstFrames
 from ..logs.log_summary import Times, skipped_text
+from ..values.arrays import count_text
 from ..values.errors import LogError
 from ..wire import SHIPPED, Decoder, LineCodec, Reason
 from .command_line import note, option_group
@@ -46,7 +47,11 @@ def choose_dbc(arguments: argparse.Namespace) -> None:
     found = fits(log, dbcs, arguments.encoding, times=arguments.times)
     best = best_fit(found, log, times=arguments.times)
     others = [fit for fit in found if fit is not best and fit.records]
-    also = f"; {', '.join(fit.name for fit in others)}: {others[0].intact} frames" if others else ""
+    also = (
+        f"; {', '.join(fit.name for fit in others)}: {count_text(others[0].intact, 'frame')}"
+        if others
+        else ""
+    )
     note(f"--dbc {wanted}: {best}{also}")
     arguments.dbc = best.codec.layout.source
 

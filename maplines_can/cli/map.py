@@ -13,6 +13,7 @@ import numpy as np
 from ..maps import Map, Skipped, link_gaps, load, town_path
 from ..maps.formats.load import SHIPPED
 from ..maps.point_quality import EVERY, MAX_PLACES, PointQuality, point_quality
+from ..values.arrays import count_text
 from .command_line import add_command, add_json, number, option_group, progress_bar
 from .file_arguments import add_force, check_new
 
@@ -70,7 +71,7 @@ def _map(arguments: argparse.Namespace) -> int:
     with progress_bar(" places", leave=False) as progress:
         quality = point_quality(road_map, arguments.seed, progress)
     if arguments.plot:
-        from ..study.figures.map_picture import draw_map
+        from ..pictures.map_picture import draw_map
 
         draw_map(road_map, arguments.plot)
     if arguments.json:
@@ -155,8 +156,8 @@ def text_lines(summary: dict[str, Any]) -> list[str]:
         ("speed limits", f"{limits[0]:.0f} to {limits[1]:.0f} km/h" if limits else "none"),
         (
             "drivable",
-            f"{drivable['count']} lanes, {drivable['km']:.2f} km; "
-            f"{drivable['without_successor']} of them end without a successor",
+            f"{count_text(drivable['count'], 'lane')}, {drivable['km']:.2f} km; "
+            f"without a successor: {drivable['without_successor']}",
         ),
     ]
     if summary["polylines"]:

@@ -249,7 +249,7 @@ def layout_from(path: str, encoding: str | None = None) -> Layout:
     if path in SHIPPED:
         return Layout.from_dbc(default_dbc_path(path))
     if path.startswith("maplines-"):
-        from ..study.dbc.record_spec import dbc_named
+        from ..study.code_dbcs import dbc_named
 
         if text := dbc_named(path):
             return Layout.from_text(text, path)

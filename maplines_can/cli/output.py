@@ -9,9 +9,10 @@ from typing import Any, TextIO
 
 import numpy as np
 
+from ..values.arrays import count_text
 from ..values.line import PARAMETERS, Estimate, LeftOut, MapLine, Slot, Status
 from ..values.scene import Scene
-from ..wire import POSE, E2EState, Owner, ProfileStatus, SceneView, SlotStats
+from ..wire import POSE, E2EState, Owner, ProfileStatus, SceneView, SlotStats, SlotView
 
 #: Distances at which the ego lane is printed [m], and its lines.
 LANE_X = (0.0, 20.0, 40.0)
@@ -42,10 +43,11 @@ def owner_text(owner: Owner) -> str:
 def lost_text(records: int, *, scenes: bool) -> str:
     """Return how many records are lost, as text.
 
-    >>> lost_text(2, scenes=False), lost_text(2, scenes=True)
-    ('2 lines lost by their counters', '2 scene messages lost by their counters')
+    >>> lost_text(1, scenes=False), lost_text(2, scenes=True)
+    ('1 line lost by its counter', '2 scene messages lost by their counters')
     """
-    return f"{records} {'scene messages' if scenes else 'lines'} lost by their counters"
+    by = "its counter" if records == 1 else "their counters"
+    return f"{count_text(records, 'scene message' if scenes else 'line')} lost by {by}"
 
 
 def left_out_text(left_out: Mapping[Slot, LeftOut]) -> str:
@@ -75,11 +77,14 @@ def line_text(line: MapLine) -> str:
     )
 
 
-def line_dict(line: MapLine, at: Sequence[float] = ()) -> dict[str, Any]:
-    """Return all fields of a line, for JSON; an infinite age is None.
+def line_dict(line: MapLine, view: SlotView, at: Sequence[float] = ()) -> dict[str, Any]:
+    """Return all fields of a line as it arrived, for JSON; an infinite age is None.
 
-    With distances x [m], "at" has the position there and its standard deviation, if the line is
-    usable and x is in its range.
+    Args:
+        line: that was received.
+        view: of its slot then; its state and a second sender decide, too, whether it is "usable".
+        at: distances x [m]; "at" has the position there and its standard deviation, if the line
+            has values and x is in its range.
     """
     here = [x for x in at if line.is_usable and line.x_min <= x <= line.x_max]
     y = [(float(line.y(x)), float(line.y_sigma(x))) for x in here]
@@ -89,7 +94,9 @@ def line_dict(line: MapLine, at: Sequence[float] = ()) -> dict[str, Any]:
         "slot": line.slot.name,
         "kind": line.kind.name,
         "status": line.status.name,
-        "usable": line.is_usable,
+        "usable": view._replace(line=line, stale=False).usable,
+        "state": view.state.name,
+        "two_senders": view.two_senders,
         "x_min": line.x_min,
         "x_max": line.x_max,
         "age": line.age if math.isfinite(line.age) else None,
@@ -112,7 +119,24 @@ def pose_errors_text(count: int) -> str:
     >>> pose_errors_text(3), pose_errors_text(0)
     (' and 3 pose errors', '')
     """
-    return f" and {count} pose errors" if count else ""
+    return f" and {count_text(count, 'pose error')}" if count else ""
+
+
+def unsent_texts(down: int, full: int, overruns: int) -> list[str]:
+    """Return what a transmitter has not sent, as texts; none of a number that is 0.
+
+    >>> unsent_texts(0, 1, 2)
+    ['1 line given up with a full queue', '2 periods skipped because the sender was late']
+    """
+    return [
+        f"{count_text(count, noun)} {why}"
+        for count, noun, why in (
+            (down, "line", "given up while the interface was down"),
+            (full, "line", "given up with a full queue"),
+            (overruns, "period", "skipped because the sender was late"),
+        )
+        if count
+    ]
 
 
 def scene_text(view: SceneView) -> str:
@@ -177,24 +201,26 @@ def _estimate(estimate: Estimate) -> dict[str, float]:
     return {"value": float(estimate.value), "sigma": float(estimate.sigma)}
 
 
-def write_csv(out: TextIO, lines: Iterable[tuple[str, MapLine]], at: Sequence[float] = ()) -> None:
-    """Write pairs of channel and line as a table with a header.
+def write_csv(
+    out: TextIO, lines: Iterable[tuple[str, MapLine, SlotView]], at: Sequence[float] = ()
+) -> None:
+    """Write lines with their channels and the views of their slots as a table with a header.
 
     Each number is the shortest decimal that reads back as the same floating-point number. A mixture
-    is written with the mean and covariance of the whole. A line that must not be used has empty
-    cells instead of its range, mean and covariance.
+    is written with the mean and covariance of the whole. A line that is out of range or too old has
+    empty cells instead of its range, mean and covariance.
     """
     writer = csv.writer(out, lineterminator="\n")
-    columns = ["t", "channel", "slot", "kind", "status", "usable"]
+    columns = ["t", "channel", "slot", "kind", "status", "usable", "state", "two_senders"]
     values = ["x_min", "x_max", "age", "components", *PARAMETERS]
     values += [f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in UPPER_TRIANGLE]
     places = [f"{name}{x:g}" for x in at for name in ("y", "sigma")]
     writer.writerow([*columns, *values, *places])
-    for channel, line in lines:
-        row = line_dict(line, at)
+    for channel, line, view in lines:
+        row = line_dict(line, view, at)
         cells = [row["t"], channel, row["slot"], row["kind"], row["status"]]
-        cells.append(str(row["usable"]).lower())
-        if row["usable"]:
+        cells += [str(row["usable"]).lower(), row["state"], str(row["two_senders"]).lower()]
+        if line.is_usable:
             cells += [row["x_min"], row["x_max"], row["age"], row["components"]]
             cells += [*row["mean"].values(), *(row["cov"][i][j] for i, j in UPPER_TRIANGLE)]
         else:
@@ -214,8 +240,8 @@ def check_text(stats: SlotStats) -> str:
     state = f"no data any more, {stats.state.name}" if is_silent else stats.state.name
     return (
         f"{state}; {stats.ok} ok, {stats.lost} lost, {stats.repeated} repeated, "
-        f"{stats.wrong_sequence} wrong sequence, {stats.errors} errors, "
-        f"{stats.no_new_data} cycles without data"
+        f"{stats.wrong_sequence} wrong sequence, {count_text(stats.errors, 'error')}, "
+        f"{count_text(stats.no_new_data, 'cycle')} without data"
         + ("; TWO SENDERS on this slot, or a path that duplicates frames" * stats.two_senders)
     )
 
@@ -248,6 +274,6 @@ def faults_text(counts: Mapping[str, int]) -> str:
     """Return the counters of injected faults as text."""
     kinds = {name: n for name, n in counts.items() if name not in ("frames", "passed", "held")}
     return (
-        f"of {counts['frames']} frames: {counts_text(kinds)}; {counts['passed']} passed on, "
-        f"{counts['held']} held back"
+        f"of {count_text(counts['frames'], 'frame')}: {counts_text(kinds)}; "
+        f"{counts['passed']} passed on, {counts['held']} held back"
     )

@@ -11,6 +11,7 @@ from functools import partial
 from typing import Any
 
 from ..bus import Receiver, ReceiverStats
+from ..values.arrays import count_text
 from ..values.line import MapLine
 from ..wire import E2EState, LineCodec, Owner, SceneView, SlotStats
 from .command_line import add_command, add_json, natural, note, option_group, seconds
@@ -144,8 +145,11 @@ def _print_lines(
                 if not arguments.json:
                     _note_left_out(now, scene)
                 scene = now
-            row = line_dict(line) | {"e2e": check_dict(check)}
-            print(json.dumps(row) if arguments.json else line_text(line), flush=True)
+            if arguments.json:
+                row = line_dict(line, receiver.latest(line.slot)) | {"e2e": check_dict(check)}
+                print(json.dumps(row), flush=True)
+            else:
+                print(line_text(line), flush=True)
             left = None if left is None else left - 1
             if left == 0:
                 break
@@ -157,16 +161,17 @@ def _print_lines(
 def _note_stats(stats: ReceiverStats, codec: LineCodec) -> None:
     dropped = {reason.name: n for reason, n in stats.counts.items()}
     note(
-        f"{stats.lines} lines{pose_errors_text(stats.pose_errors)} from {stats.frames} frames; "
+        f"{count_text(stats.lines, 'line')}{pose_errors_text(stats.pose_errors)} from "
+        f"{count_text(stats.frames, 'frame')}; "
         f"{lost_text(stats.lost, scenes=codec.layout.scene is not None)}; "
         f"dropped frames: {counts_text(dropped)}; "
         f"{stats.pending} still waiting for other frames of their line"
         + "".join(
-            f"; {n} {what}"
-            for n, what in (
-                (stats.error_frames, "error frames"),
-                (stats.remote_frames, "remote frames"),
-                (stats.overflowed, "lines dropped because they were not fetched"),
+            f"; {count_text(n, noun)}{why}"
+            for n, noun, why in (
+                (stats.error_frames, "error frame", ""),
+                (stats.remote_frames, "remote frame", ""),
+                (stats.overflowed, "line", " dropped before being fetched"),
             )
             if n
         )
@@ -197,7 +202,7 @@ def _note_left_out(scene: SceneView, before: SceneView | None) -> None:
 def _why_nothing(link: ObservedLink, codec: LineCodec, stats: ReceiverStats, *, fd: bool) -> str:
     """Return what to check if no line has arrived."""
     if stats.pose_errors:
-        return f"{stats.pose_errors} pose errors have arrived, but no line"
+        return f"{count_text(stats.pose_errors, 'pose error')} arrived, but no line"
     return why_silent(link, codec, stats.counts, fd=fd)
 
 

@@ -17,6 +17,7 @@ from ..bus.clock import Clock, RealClock, VirtualClock, to_ns
 from ..logs.log_writer import check_log_path
 from ..restbus import Config, Restbus
 from ..restbus.config import EXAMPLE
+from ..values.arrays import count_text
 from ..values.errors import LogError
 from ..wire import Frame
 from .command_line import add_command, add_json, note, number, option_group, progress_bar, seconds
@@ -141,7 +142,7 @@ def _restbus(arguments: argparse.Namespace) -> int:
         with suppress(KeyboardInterrupt):
             if isinstance(bus, Link) and not arguments.json:
                 until = "until Ctrl-C" if duration is None else f"for {duration:g} s"
-                note(f"{len(config.messages)} messages on {bus.name}, {until}")
+                note(f"{count_text(len(config.messages), 'message')} on {bus.name}, {until}")
             _run(restbus, clock, duration)
         restbus.stop()
         result = restbus.as_dict() | {"record": arguments.record}
@@ -203,14 +204,15 @@ def _text(result: dict[str, Any]) -> str:
     """Return the counters as text."""
     unsent = ", ".join(f"{n} not sent ({why})" for why, n in result["unsent"].items())
     rows = [
-        f"sent {result['frames']} frames in {result['seconds']:.3f} s"
+        f"sent {count_text(result['frames'], 'frame')} in {result['seconds']:.3f} s"
         + (f"; {unsent}" if unsent else "")
-        + f"; {result['commands']} commands"
+        + f"; {count_text(result['commands'], 'command')}"
     ]
     for name, counts in result["messages"].items():
         late = ", ".join(f"{1e3 * value:.2f}" for value in counts["lateness"].values())
         rows.append(
-            f"  {name:<24} {counts['frames']:>8} frames, {counts['overruns']} periods skipped, "
+            f"  {name:<24} {counts['frames']:>8} frames, "
+            f"{count_text(counts['overruns'], 'period')} skipped, "
             f"late by {late} ms (median, 99 %, maximum)"
         )
     if result["faults"]:

@@ -10,6 +10,7 @@ from typing import Any
 from ..bus import Link, Transmitter, TransmitterStats
 from ..bus.schedule import Schedule
 from ..simulation.scenario_lines import AMPLITUDE, SINE_PERIOD, SPEED, weaving_ego
+from ..values.arrays import count_text
 from ..wire import LineCodec
 from .command_line import add_command, add_json, natural, note, option_group
 from .options import (
@@ -89,10 +90,10 @@ def _note_start(
     sending: Sending, codec: LineCodec, link: Link, arguments: argparse.Namespace
 ) -> None:
     """Print what is about to be sent."""
-    until = f"{arguments.count} times" if arguments.count else "until Ctrl-C"
+    until = count_text(arguments.count, "time") if arguments.count else "until Ctrl-C"
     authenticated = ", authenticated" if codec.authenticator else ""
     note(
-        f"{len(sending.each_line)} lines of {arguments.scenario}"
+        f"{count_text(len(sending.each_line), 'line')} of {arguments.scenario}"
         f"{' and their pose error' * sending.is_scene} on {link.name}, "
         f"{'CAN FD' if arguments.fd else 'classic CAN'}{authenticated}, "
         f"{sending.bus.rate:g} Hz, {until}"
@@ -108,13 +109,16 @@ def _note_start(
 def _text(stats: TransmitterStats, faults: dict[str, int]) -> str:
     """Return the counters as text."""
     rows = [
-        f"sent {stats.lines} lines{pose_errors_text(stats.pose_errors)} in {stats.frames} frames; "
-        f"{stats.down} lines given up while the interface was down, "
+        f"sent {count_text(stats.lines, 'line')}{pose_errors_text(stats.pose_errors)} in "
+        f"{count_text(stats.frames, 'frame')}; "
+        f"{count_text(stats.down, 'line')} given up while the interface was down, "
         f"{stats.full} with a full queue; "
-        f"{stats.overruns} periods skipped because the sender was late"
+        f"{count_text(stats.overruns, 'period')} skipped because the sender was late"
     ]
     if stats.left_out:
-        reasons = "; ".join(f"{n} times, {reason}" for reason, n in stats.left_out.items())
+        reasons = "; ".join(
+            f"{count_text(n, 'time')}, {reason}" for reason, n in stats.left_out.items()
+        )
         rows.append(f"lines left out of those published: {reasons}")
     if faults:
         rows.append(f"faults: {faults_text(faults)}")

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from pathlib import Path
 from typing import Any
 
+from ..engines import processors
 from ..maps.tour import town_path
 from ..study.codes import CODES
 from ..study.production_messages import as_csv, as_markdown, as_records, as_text, production_table
@@ -180,7 +180,7 @@ def _run(arguments: argparse.Namespace) -> int:
         **sizes,
     )
     if not Path(arguments.out).exists():
-        note(_estimate_text(cpu_seconds(study), arguments.jobs or os.cpu_count() or 1))
+        note(_estimate_text(cpu_seconds(study), arguments.jobs or processors()))
     try:
         with progress_bar(" Gaussians") as progress:
             directory = run_study(
@@ -196,11 +196,11 @@ def _run(arguments: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         raise
-    summary, scenes = (read_table(directory, name) for name in ("summary", "scenes"))
+    summary, scenes = (read_table(directory.path, name) for name in ("summary", "scenes"))
     if arguments.json:
         print(json.dumps({"summary": summary, "scenes": scenes}, indent=2))
     else:
-        print(summary_text(summary, read_table(directory, "terms"), scenes))
+        print(summary_text(summary, read_table(directory.path, "terms"), scenes))
         print(f"\ntables: {directory.path}")
     return 0
 

@@ -1,4 +1,4 @@
-"""Generated code: a DBC as constant C tables, the C core, and vectors for other receivers.
+"""Generated files: the DBCs, a DBC as constant C tables, the C core, vectors for other receivers.
 
 It may import ``core``, ``values``, ``propagation`` and ``wire``.
 """

@@ -15,6 +15,7 @@ from os import PathLike
 from pathlib import Path
 from typing import IO, Any, NamedTuple, cast, get_args
 
+from ..values.arrays import count_text
 from ..values.errors import LogError, missing_extra
 from ..values.input_files import checked_path
 from .asc_log import AscFormat
@@ -319,11 +320,13 @@ def _read_text(lines: Lines, name: str, suffix: str, how: _Reading) -> Records:
     end = ""
     if lines.end:
         what, why = lines.end
-        end = f"{what} after {good} good records ({why})"
+        end = f"{what} after {count_text(good, 'good record')} ({why})"
     if bad and not good:
         hint = "" if suffix else "; the content is no format that is known, such as candump's"
         end = end and f"; {end}"
-        raise LogError(f"{name}: none of {bad} records can be read ({first}){end}{hint}")
+        raise LogError(
+            f"{name}: none of {count_text(bad, 'record')} can be read ({first}){end}{hint}"
+        )
     if bad:
         end = end and f"; {end}"
         raise LogError(

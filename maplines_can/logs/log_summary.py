@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Generic, Literal, TypeVar
 
+from ..values.arrays import count_text
+
 Record = TypeVar("Record")
 
 #: Kind of the time stamps of a log, see ``read_log``.
@@ -75,4 +77,4 @@ def skipped_text(skipped: Mapping[Skipped, int]) -> str:
     >>> skipped_text({Skipped.ERROR: 1, Skipped.REQUEST: 258})
     '1 error frame, 258 transmit requests'
     """
-    return ", ".join(f"{n} {kind}{'s' * (n != 1)}" for kind, n in skipped.items() if n)
+    return ", ".join(count_text(n, str(kind)) for kind, n in skipped.items() if n)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dbc_files.parser import parse_database, read_text
+from ..values.arrays import count_text
 from ..values.errors import DriveFileError, LogError
 from ..values.input_files import checked_path, toml_of
 from .first_frames import FirstFrames, ids_text
@@ -252,7 +253,7 @@ def read_signals(
         decoder.skipped[str(error)] += 1
     for column, name in decoder.names.items():
         if not stamps[column]:
-            why = [f"{count} times: {why}" for why, count in decoder.damage().items()]
+            why = [f"{count_text(count, 'time')}: {why}" for why, count in decoder.damage().items()]
             if first.frames and not why:
                 why.append(f"the CAN IDs of the other frames are {ids_text(first.counts)}")
             elif channels and not first.frames:

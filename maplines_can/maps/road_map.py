@@ -11,6 +11,7 @@ from typing import overload
 
 from numpy.typing import ArrayLike
 
+from ..values.arrays import count_text
 from ..values.errors import RouteError
 from ..values.line import Slot
 from ..values.polyline import Polyline
@@ -185,7 +186,8 @@ class Map:
         return self.view.along(route)
 
     def __repr__(self) -> str:
-        return f"<Map {self.name!r}: {len(self.roads)} roads, {len(self.lanes)} lanes>"
+        roads, lanes = count_text(len(self.roads), "road"), count_text(len(self.lanes), "lane")
+        return f"<Map {self.name!r}: {roads}, {lanes}>"
 
 
 def _require(ids: Iterable[str], known: Mapping[str, object], where: str) -> None:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from ..engines import Result, Task, in_processes, in_this_process, on_dask
 from ..logs.log_summary import LogSummary, Times
+from ..values.arrays import count_text
 from ..values.errors import LogError
 from ..values.input_files import json_of
 from ..values.line import Slot
@@ -225,7 +226,8 @@ def _problems(receiver: LogReceiver, codec: Codec, written: Written, log: str) -
     if written.damage:
         yield written.damage
     if receiver.beyond:
-        yield f"{log}: {receiver.beyond} frames are of channels beyond the first {MAX_CHANNELS}"
+        beyond = count_text(receiver.beyond, "frame")
+        yield f"{log}: {beyond} of channels beyond the first {MAX_CHANNELS}"
     if receiver.is_empty and (receiver.frames or not written.damage):
         yield f"{log}: {misfit(receiver.first, [codec], written.summary).text}"
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from ..logs.first_frames import CanId, FirstFrames, ids_text, keys_of
 from ..logs.log_summary import LogSummary, Times, skipped_text
+from ..values.arrays import count_text
 from ..values.errors import LayoutError, LogError
 from ..wire import SHIPPED, Codec, LineCodec, default_dbc_path
 from ..wire.layout.message_layout import Layout
@@ -92,11 +93,12 @@ class Fit:
         return self.chance <= MAX_CHANCE
 
     def __str__(self) -> str:
+        frames = f"{count_text(self.frames, 'frame')} with its CAN IDs"
         if not self.records:
-            return f"{self.name}: no intact record in {self.frames} frames with its CAN IDs"
+            return f"{self.name}: no intact record in {frames}"
         return (
-            f"{self.name}: {self.records} records are intact, which have {self.intact} of "
-            f"{self.frames} frames with its CAN IDs; by chance with a probability of less than "
+            f"{self.name}: {count_text(self.records, 'intact record')}, with {self.intact} of "
+            f"{frames}; by chance with a probability of less than "
             f"1e{max(math.ceil(self.chance), -99)}"
         )
 
@@ -219,18 +221,16 @@ def misfit(
     which = f"{sum(there.values())} with {its} CAN IDs: {ids_text(there)}"
     if not there:
         which = f"none with {its} CAN IDs, but {ids_text(first.counts)}"
-    text = f"no record of {names} is whole in {_frames(first.frames)} ({which}); "
+    text = f"no record of {names} is whole in {count_text(first.frames, 'frame')} ({which}); "
     sure = [trial for trial in _trials(first, codecs) if trial.fit.is_sure]
     if sure:
         best = max(sure, key=lambda trial: trial.fit.intact)
         least = "at least " * (first.kept < first.frames)
-        return Misfit(f"{text}{least}{best.fit.records} records {best.text}", best.is_left_out)
+        return Misfit(
+            f"{text}{least}{count_text(best.fit.records, 'record')} {best.text}", best.is_left_out
+        )
     damage = ", if the frames are not damaged" if there else ""
     return Misfit(f"{text}no DBC of this package fits; take the --dbc of the sender{damage}")
-
-
-def _frames(n: int) -> str:
-    return f"{n} frame{'s' * (n != 1)}"
 
 
 def _read_as(summary: LogSummary | None) -> str:

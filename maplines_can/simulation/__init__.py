@@ -1,4 +1,4 @@
-"""Simulation: scenarios, drives and their truth, the pose that a car knows, and its sensors.
+"""Simulation: scenarios, drives with their truth and accuracy, the pose and the sensors of a car.
 
 It may import ``values``, ``propagation``, ``wire``, ``bus``, ``maps``, ``localisation``
 and, for faults, ``testing``.

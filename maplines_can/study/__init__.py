@@ -3,7 +3,7 @@
 It may import the product and ``testing``.
 """
 
-from .metrics import LATERAL_X, Evaluation, evaluate
+from ..values.coding_loss import LATERAL_X, Evaluation, evaluate
 from .sets import Gaussians, adversarial, paper, road
 
 __all__ = ["LATERAL_X", "Evaluation", "Gaussians", "adversarial", "evaluate", "paper", "road"]

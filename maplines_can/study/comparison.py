@@ -40,7 +40,7 @@ from ..wire.layout.validation import CheckedGaussians, checked_gaussians
 from ..wire.scene_writer import SenderState
 from ..wire.sender_values import packed, unpacked
 from .codes import CODES, COMPARED
-from .codes.code import SignalRow, raw_above, raw_below, raw_nearest
+from .codes.code import SignalRow, nearest_raw, raw_above, raw_below
 
 Array = NDArray[np.float64]
 
@@ -297,7 +297,7 @@ class ComparisonEncoder(Encoder):
         tables = LineTables(tables_of(layout), ffi.NULL, ffi.NULL)
         super().__init__(codec.encoder, layout, tables, FrameWriter(layout, None))
         self._codec, self._signals = codec, codec.layout.signals
-        self._packing = _packing_of(codec.layout)
+        self._packing = Packing([*self._signals.values()], layout.record_bytes)
         self._modulus = 2 ** self._signals["Counter"].length
 
     def _write_lines(
@@ -341,12 +341,12 @@ class ComparisonEncoder(Encoder):
             "XMax": raw_range[1],
             "Kind": int(line.kind),
             "Age": raw_above(self._signals["Age"], 1000 * float(line.age)),
-            "ComponentCount": raw_nearest(self._signals["ComponentCount"], n),
+            "ComponentCount": int(nearest_raw(self._signals["ComponentCount"], n)[0]),
         }
-        weight = self._signals["ComponentWeight"]
+        sent_weights, _ = nearest_raw(self._signals["ComponentWeight"], weights)
         for i in range(n):
             of_component = {name: int(values[i]) for name, values in raw.items()}
-            place = {"ComponentIndex": i, "ComponentWeight": raw_nearest(weight, weights[i])}
+            place = {"ComponentIndex": i, "ComponentWeight": int(sent_weights[i])}
             yield of_line | of_component | place
 
 
@@ -366,7 +366,7 @@ class ComparisonDecoder(Decoder):
         layout, tables = codec.layout, tables_of(codec.layout)
         super().__init__(layout, tables, {}, decoder_settings(layout, tables, *settings))
         self._codec = codec
-        self._packing = _packing_of(layout)
+        self._packing = Packing([*layout.signals.values()], layout.record_bytes)
         self._transfer_ids = 2 ** layout[f"{TRANSFER_ID}0"].length
 
     def feed_arrays(
@@ -437,10 +437,6 @@ class ComparisonDecoder(Decoder):
         cov = nearest_covariance(cov)
         cov += np.diag(np.maximum(self._codec.resolution, REPAIRED * cov.diagonal()))
         return cov, Status.REPAIRED
-
-
-def _packing_of(layout: Layout) -> Packing:
-    return Packing([*layout.signals.values()], layout.record_bytes)
 
 
 def _is_definite(cov: Array) -> bool:

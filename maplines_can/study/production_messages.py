@@ -34,13 +34,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..values.coding_loss import evaluate
 from ..values.line import PARAMETERS, lateral, lateral_jacobian
+from ..values.text_table import aligned, csv_text, markdown
 from ..wire import Layout
 from ..wire.layout.record_signals import PARAMETER_SIGNALS, Signal
-from .dbc.covariance_spec import covariance_signals
-from .metrics import evaluate
+from .code_dbcs import covariance_signals
 from .sets import Gaussians, paper, road
-from .text_table import aligned, csv_text, markdown
 
 Array = NDArray[np.float64]
 

@@ -37,13 +37,13 @@ from numpy.typing import ArrayLike, NDArray
 from ..propagation import Linear, MonteCarlo, Quadrature, Refit, SigmaPoints, Transform
 from ..propagation.splitting import Mixture
 from ..simulation.scenarios import SCENARIOS, Scenario
+from ..values.coding_loss import LATERAL_X
 from ..values.gaussian import Gaussian
 from ..values.line import PARAMETERS, Slot, Status, lateral, lateral_jacobian
 from ..values.mixture import GaussianMixture
+from ..values.text_table import aligned, csv_text, markdown
 from ..wire import Codec
-from .metrics import LATERAL_X
 from .roads import paper_refit
-from .text_table import aligned, csv_text, markdown
 
 Array = NDArray[np.float64]
 

@@ -165,6 +165,7 @@ def pytest_runtest_makereport(
 
 def _story(fixtures: dict[str, Any]) -> Iterator[str]:
     """Yield what happened at the fixtures that are ours; a project may have its own."""
+    from ..values.arrays import count_text
     from .bench import Bench
     from .nodes import ReceivingNode, SendingNode
 
@@ -174,7 +175,8 @@ def _story(fixtures: dict[str, Any]) -> Iterator[str]:
         yield f"time: {bench.now:.4g} s, {kind}"
     if isinstance(sender, SendingNode):
         counts = ", ".join(f"{n} {kind}" for kind, n in sender.fault_counts.items())
-        yield f"sender: {sender.sent} lines; faults: {counts or 'none'}"
+        yield f"sender: {count_text(sender.sent, 'line')}; faults: {counts or 'none'}"
     if isinstance(receiver := fixtures.get("maplines_receiver"), ReceivingNode):
         stats = receiver.listener.stats()
-        yield f"receiver: {stats.lines} lines of {stats.frames} frames, {stats.lost} lost"
+        received = f"{count_text(stats.lines, 'line')} of {count_text(stats.frames, 'frame')}"
+        yield f"receiver: {received}, {stats.lost} lost"

@@ -67,6 +67,15 @@ def is_plain(value: object) -> TypeGuard[float]:
     return isinstance(value, int) and -LARGEST <= value <= LARGEST
 
 
+def count_text(count: int, noun: str) -> str:
+    """Return a number of things as text, for a reader.
+
+    >>> count_text(1, "pose error"), count_text(0, "line")
+    ('1 pose error', '0 lines')
+    """
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
 def number_text(value: object) -> str:
     """Return the repr of a value, or the magnitude of an integer with too many digits to print.
 

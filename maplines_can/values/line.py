@@ -211,9 +211,10 @@ class MapLine:
 
     @property
     def is_usable(self) -> bool:
-        """Whether the line fitted the message and its age is finite.
+        """Whether the line has values: it fitted the message, and its age is finite.
 
-        Do not use the mean or the covariance of a line that is not usable.
+        Do not use the mean or the covariance of one that has none. `SlotView.usable` says whether
+        a controller may use a line: that depends on the state of its slot, too.
 
         >>> line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0], age=0.04)
         >>> too_old = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0], age=np.inf)

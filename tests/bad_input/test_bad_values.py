@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.expressions import WRONG_CLASS, cases, evaluate
+from support.expressions import cases, evaluate
 
 from maplines_can import IllPosedError
 
@@ -45,7 +45,6 @@ from maplines_can import IllPosedError
         ("GaussianMixture([nan, 0.5], [one, one])", ValueError, "weights.*nan"),
         ("GaussianMixture([-0.5, 1.5], [one, one])", ValueError, "weights.*-0.5"),
         ("GaussianMixture([0.5, 0.5], [one, Gaussian([0.0], [[1.0]])])", ValueError, "components"),
-        ("GaussianMixture([1.0], [None])", WRONG_CLASS, "."),
         # MapLine
         ("MapLine(9, one)", ValueError, "9.*Slot"),
         ("MapLine(None, one)", ValueError, "None.*Slot"),
@@ -65,7 +64,6 @@ from maplines_can import IllPosedError
         ("MapLine.with_sigma(0, [0, 0, 0, 0], [nan, 1, 1, 1])", ValueError, "sigma.*nan"),
         ("MapLine.with_sigma(0, [0, 0, 0, 0], [-1, 1, 1, 1])", ValueError, "sigma.*-1"),
         ("MapLine.with_sigma(0, [0, 0, 0, 0], [1, 1])", ValueError, "cov"),
-        ("MapLine.of_mixture(0, None)", WRONG_CLASS, "."),
         ("MapLine(0, one, t_ns=nan)", ValueError, "t_ns.*nan"),
         ("lateral([0, 0, 0], 1.0)", ValueError, "parameters.*3"),
         ("lateral_jacobian([0, 0, 0], 1.0)", ValueError, "parameters.*3"),
@@ -93,10 +91,8 @@ from maplines_can import IllPosedError
         ("points_in_window(road, [0, 0, nan], (0, 80))", ValueError, "pose.*nan"),
         ('scenario("moon")', ValueError, "'moon'"),
         ("scenario(None)", ValueError, "None"),
-        ("scenario([])", WRONG_CLASS, "."),
         # Refit
         ("Refit([], [0, 0, 0], (-20, 80))", ValueError, "[Pp]olyline"),
-        ("Refit(None, [0, 0, 0], (-20, 80))", WRONG_CLASS, "."),
         ("Refit(road, [0, 0], (-20, 80))", ValueError, "pose"),
         ("Refit(road, [nan, 0, 0], (-20, 80))", ValueError, "pose.*nan"),
         ("Refit(road, [0, 0, 0], (80, -20))", ValueError, "window.*80"),
@@ -112,7 +108,6 @@ from maplines_can import IllPosedError
         ("MapError(point_sigma=-1)", ValueError, "point_sigma.*-1"),
         ("MapError(offset_sigma=nan)", ValueError, "offset_sigma.*nan"),
         ("MapError(heading_sigma=inf)", ValueError, "heading_sigma.*inf"),
-        ('MapError("bad")', WRONG_CLASS, "."),
         # Transforms
         ("Linear(step=0)", ValueError, "step.*0"),
         ("Linear(step=nan)", ValueError, "step.*nan"),
@@ -123,7 +118,6 @@ from maplines_can import IllPosedError
         ("SigmaPoints(kappa=-9)(refit, ego)", ValueError, "kappa.*-9"),
         ("SigmaPoints(kappa=nan)(refit, ego)", ValueError, "kappa.*nan"),
         ("SigmaPoints()(refit, one)", ValueError, "."),
-        ("SigmaPoints()(refit, None)", WRONG_CLASS, "."),
         ("SigmaPoints()(lambda x: x[:1], ego)", ValueError, "1, 3.*7, 3"),
         ("SigmaPoints()(lambda x: x * nan, ego)", IllPosedError, "7 of the 7 points"),
         ("Quadrature(order=0)", ValueError, "order.*0"),
@@ -131,7 +125,6 @@ from maplines_can import IllPosedError
         ("Quadrature(order=2.5)", ValueError, "order.*2.5"),
         ("MonteCarlo(n=1)", ValueError, "n must.*1"),
         ("MonteCarlo(n=nan)", ValueError, "n must.*nan"),
-        ("MonteCarlo(n=10.5)(refit, ego)", WRONG_CLASS, "."),
         ("MonteCarlo(n=100, seed=-1)(refit, ego)", ValueError, "."),
         ("MonteCarlo(n=100)(lambda x: x * nan, ego)", IllPosedError, "100 of 100"),
         ("Mixture(0)", ValueError, "k must.*0"),

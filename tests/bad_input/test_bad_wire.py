@@ -1,7 +1,7 @@
 """The codec, DBCs and keys refuse bad input; a receiver never raises."""
 
 import pytest
-from support.expressions import WRONG_CLASS, cases, evaluate
+from support.expressions import cases, evaluate
 
 from maplines_can.values.errors import EncodeError, KeyMaterialError, LayoutError
 
@@ -13,8 +13,6 @@ from maplines_can.values.errors import EncodeError, KeyMaterialError, LayoutErro
         ('Codec.from_dbc("nowhere.dbc")', LayoutError, "nowhere.dbc"),
         ('Codec.from_dbc("/")', LayoutError, "/.*directory"),
         ('Codec.from_dbc("/dev/zero")', LayoutError, "/dev/zero"),
-        ("Codec.from_dbc(7)", WRONG_CLASS, "."),
-        ("Codec(None)", WRONG_CLASS, "."),
         ('Codec(layout, "key")', TypeError, "authenticator must be an Authenticator.*a str"),
         ("codec.batch.encode([[nan, 0, 0, 0]])", ValueError, "means.*nan"),
         ("codec.batch.encode([[0, 0, 0]])", ValueError, "means.*1, 3"),
@@ -41,51 +39,28 @@ from maplines_can.values.errors import EncodeError, KeyMaterialError, LayoutErro
         ("encode(component_count=9)", EncodeError, "ComponentCount.*9"),
         ("encode(component_weight=0)", EncodeError, "component_weight.*0"),
         ("encode(component_weight=nan)", EncodeError, "component_weight.*nan"),
-        (
-            "codec.batch.encode_mixtures([[0.5, 0.6]], zeros((1, 2, 4)), [[eye(4)] * 2])",
-            ValueError,
-            "weights",
-        ),
-        (
-            "codec.batch.encode_mixtures([0.5, 0.5], zeros((2, 4)), [eye(4)] * 2)",
-            ValueError,
-            "weights",
-        ),
-        (
-            "codec.batch.encode_mixtures([[0.5, 0.5]], zeros((1, 3, 4)), [[eye(4)] * 2])",
-            ValueError,
-            "means.*1, 3, 4",
-        ),
-        (
-            "codec.batch.encode_mixtures([[nan, 0.5]], zeros((1, 2, 4)), [[eye(4)] * 2])",
-            ValueError,
-            "weights",
-        ),
-        (
-            "codec.batch.encode_mixtures([[1 / 40] * 40], zeros((1, 40, 4)), [[eye(4)] * 40])",
-            EncodeError,
-            "Component",
-        ),
-        (
-            "codec.batch.encode_mixtures([[1.0]], zeros((1, 1, 4)), [[eye(4)]], colour=3)",
-            TypeError,
-            "colour",
-        ),
+        ("codec.batch.encode_mixtures([[0.5, 0.6]], zeros((1, 2, 4)), [[eye(4)] * 2])",
+         ValueError, "weights"),
+        ("codec.batch.encode_mixtures([0.5, 0.5], zeros((2, 4)), [eye(4)] * 2)",
+         ValueError, "weights"),
+        ("codec.batch.encode_mixtures([[0.5, 0.5]], zeros((1, 3, 4)), [[eye(4)] * 2])",
+         ValueError, "means.*1, 3, 4"),
+        ("codec.batch.encode_mixtures([[nan, 0.5]], zeros((1, 2, 4)), [[eye(4)] * 2])",
+         ValueError, "weights"),
+        ("codec.batch.encode_mixtures([[1 / 40] * 40], zeros((1, 40, 4)), [[eye(4)] * 40])",
+         EncodeError, "Component"),
+        ("codec.batch.encode_mixtures([[1.0]], zeros((1, 1, 4)), [[eye(4)]], colour=3)",
+         TypeError, "colour"),
         ('codec.batch.decode(zeros((1, 31), dtype="u1"))', ValueError, "payloads.*1, 31"),
         ("codec.batch.decode(zeros((1, 32)))", ValueError, "payloads.*float64"),
         ('codec.batch.decode(b"bytes")', ValueError, "payloads"),
         ('codec.batch.decode(zeros((1, 32), dtype="u1"), slot=9)', EncodeError, "slot 9"),
         ("codec.batch.decode_one(bytes(32), 9)", EncodeError, "slot 9"),
-        ("codec.batch.decode_one(None, 0)", WRONG_CLASS, "."),
-        ("codec.encoder().encode(None)", WRONG_CLASS, "."),
-        ("codec.encoder().encode_lines([None])", WRONG_CLASS, "."),
         ('codec.encoder().frames(zeros(32, dtype="u1"), 9)', EncodeError, "slot 9"),
         ("codec.decoder(timeout_ms=0)", ValueError, "timeout_ms.*0"),
         ("codec.decoder(timeout_ms=nan)", ValueError, "timeout_ms.*nan"),
-        ('codec.decoder(timeout_ms="long")', WRONG_CLASS, "."),
         ("codec.decoder(cycle_ms=0)", ValueError, "cycle_ms.*0"),
         ("codec.decoder(cycle_ms=inf)", ValueError, "cycle_ms.*inf"),
-        ("codec.decoder(e2e=E2EConfig(max_delta_counter=127).max_delta_counter)", WRONG_CLASS, "."),
         ("E2EConfig(window_size_valid=0)", ValueError, "window_size_valid.*0"),
         ("E2EConfig(min_ok_state_valid=11)", ValueError, "min_ok_state_valid.*11"),
         ("E2EConfig(max_delta_counter=200)", ValueError, "max_delta_counter.*200"),
@@ -104,40 +79,22 @@ from maplines_can.values.errors import EncodeError, KeyMaterialError, LayoutErro
         ('edited("Counter m0 : 16|8@1", "Counter m0 : 8|8@1")', LayoutError, "Counter"),
         ('edited("Crc m0 : 0|16@1", "Crc m0 : 7|16@0")', LayoutError, "Crc"),
         ('edited("Crc m0 : 0|16", "Crc m0 : 1|16")', LayoutError, "Crc"),
-        (
-            'edited("YOff m0 : 24|16@1- (0.0009765625,0)", "YOff m0 : 24|16@1- (0,0)")',
-            LayoutError,
-            "YOff",
-        ),
-        (
-            'edited("YOff m0 : 24|16@1- (0.0009765625,0)", "YOff m0 : 24|16@1- (nan,0)")',
-            LayoutError,
-            "YOff",
-        ),
+        ('edited("YOff m0 : 24|16@1- (0.0009765625,0)", "YOff m0 : 24|16@1- (0,0)")',
+         LayoutError, "YOff"),
+        ('edited("YOff m0 : 24|16@1- (0.0009765625,0)", "YOff m0 : 24|16@1- (nan,0)")',
+         LayoutError, "YOff"),
         ('edited("YOff m0 : 24|16", "YOff m0 : 24|17")', LayoutError, "YOff"),
         ('edited("EgoLeft: 8", "EgoLeft: 7")', LayoutError, "Page.*EgoLeft"),
-        (
-            "edited('\"MapLineSlot\" BO_ 832 0', '\"MapLineSlot\" BO_ 832 99')",
-            LayoutError,
-            "MapLineSlot.*99",
-        ),
-        (
-            "edited('\"E2EDataId\" BO_ 832 19776', '\"E2EDataId\" BO_ 832 70000')",
-            LayoutError,
-            "E2EDataId",
-        ),
+        ("edited('\"MapLineSlot\" BO_ 832 0', '\"MapLineSlot\" BO_ 832 99')",
+         LayoutError, "MapLineSlot.*99"),
+        ("edited('\"E2EDataId\" BO_ 832 19776', '\"E2EDataId\" BO_ 832 70000')",
+         LayoutError, "E2EDataId"),
         ('edited(\'"CovarianceCode" "Cholesky"\', \'"CovarianceCode" "Zip"\')', LayoutError, "Zip"),
-        (
-            'edited(\'"CovarianceCode" "Cholesky"\', \'"CovarianceCode" "Float32"\')',
-            LayoutError,
-            "Float32",
-        ),
+        ('edited(\'"CovarianceCode" "Cholesky"\', \'"CovarianceCode" "Float32"\')',
+         LayoutError, "Float32"),
         ('edited("BO_ 833 EgoRight:", "BO_ 832 EgoRight:")', LayoutError, "833"),
-        (
-            "edited('\"MapLineSlot\" BO_ 833 1', '\"MapLineSlot\" BO_ 833 0')",
-            LayoutError,
-            "EGO_LEFT.*two messages",
-        ),
+        ("edited('\"MapLineSlot\" BO_ 833 1', '\"MapLineSlot\" BO_ 833 0')",
+         LayoutError, "EGO_LEFT.*two messages"),
         ('edited("BA_ \\"MapLineSlot\\"", "BA_ \\"Slot\\"")', LayoutError, "'Slot'"),
         ('dbc("\\0\\xff binary")', LayoutError, "not a valid DBC"),
         # Security
@@ -156,21 +113,15 @@ from maplines_can.values.errors import EncodeError, KeyMaterialError, LayoutErro
         ("Authenticator(key).use(9)", ValueError, "key_id.*9"),
         ("Authenticator(key).retire(1)", ValueError, "key_id.*1"),
         ("Codec(layout, Authenticator(key))", LayoutError, "SecOCDataId"),
-        (
-            "Codec.from_dbc(authenticator=Authenticator(key)).encoder().encode(line, fd=True)",
-            EncodeError,
-            "clock",
-        ),
-        (
-            "Codec.from_dbc(None, Authenticator(key, clock=lambda: 1)).encoder().encode(line)",
-            EncodeError,
-            "CAN FD",
-        ),
+        ("Codec.from_dbc(authenticator=Authenticator(key)).encoder().encode(line, fd=True)",
+         EncodeError, "clock"),
+        ("Codec.from_dbc(None, Authenticator(key, clock=lambda: 1)).encoder().encode(line)",
+         EncodeError, "CAN FD"),
         ('key_from_file("nowhere.key")', KeyMaterialError, "nowhere.key"),
         ('key_from_file("/")', KeyMaterialError, "mode 0755|directory"),
         ('key_from_env("NO_SUCH_VARIABLE")', KeyMaterialError, "NO_SUCH_VARIABLE"),
     ),
-)
+)  # fmt: skip
 def test_bad_input_is_refused(expression: str, error: type[Exception], words: str) -> None:
     """The error has the right type and names what is wrong."""
     with pytest.raises(error, match=words):

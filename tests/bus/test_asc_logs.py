@@ -153,24 +153,6 @@ def test_rows_of_frames(tmp_path: Path, row: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "row",
-    [
-        *("1", "1 34", "1 340", "1 340 R", "1 340 Rx", "1 340 Rx d", "1 340 Rx d 2"),
-        *("1 340 Rx d 2 00", "1 340 Rx d 2 00 1", "1 340 Rx d 9 00", "1 340 Rx x 1 00"),
-        *("CANFD 1", "CANFD 1 Rx", "CANFD 1 Rx 340  1 0 9 12 00", "CANFD 1 Rx 340  1 0 9"),
-        *("1 zz Rx d 1 00", "1 3FFFFFFFx Rx d 1 00", "1 340 Rx d 1 0_0"),
-    ],
-)
-@pytest.mark.parametrize("end", ["", "\n"])
-def test_a_row_that_is_cut_is_damage(tmp_path: Path, row: str, end: str) -> None:
-    """At the end of a file that is cut, or before other rows."""
-    path = tmp_path / "a.asc"
-    path.write_text(f"base hex timestamps absolute\n 0.1 1 340 Rx d 1 00\n 0.2 {row}{end}")
-    with pytest.raises(LogError, match=r"1 of 2 records are damaged \(the first: line 3: "):
-        list(read_log(path))
-
-
-@pytest.mark.parametrize(
     ("row", "is_certain"),
     [("1 832 Rx d 2 1 25", False), ("1 832 Rx d 2 1 255", True), ("1 832 Rx d 2 1 25 ID", True)],
 )
@@ -211,11 +193,3 @@ def test_utf_16_is_refused_with_the_cure(tmp_path: Path, encoding: str) -> None:
     path.write_bytes((HEADERS["usual"] + ROWS).encode(encoding))
     with pytest.raises(LogError, match="the text is UTF-16; convert it, as with iconv"):
         list(read_log(path))
-
-
-@pytest.mark.parametrize("content", ["", "\n\n", "// version 9\n", "base hex\n"])
-def test_a_log_without_rows_is_no_error(tmp_path: Path, content: str) -> None:
-    """As of a silent bus, or of a recording that ends at once."""
-    path = tmp_path / "a.asc"
-    path.write_text(content)
-    assert in_both(path)[0] == []

@@ -239,28 +239,6 @@ def test_containers_that_say_they_are_compressed(tmp_path: Path, level: int) -> 
         assert "not a valid .blf file (error: Error -3 while decompressing data" in error
 
 
-@pytest.mark.parametrize("level", [0, 6])
-def test_logs_of_vblf(tmp_path: Path, level: int) -> None:
-    """Its objects of all kinds of frames, with its padding to 8 bytes, in small containers."""
-    objects = pytest.importorskip("vblf.can", reason="vblf is no dependency")
-    texts, writer = pytest.importorskip("vblf.general"), pytest.importorskip("vblf.writer")
-    path, sent = tmp_path / "a.blf", list[bytes]()
-    with writer.BlfWriter(path, level, 500) as log:
-        for k in range(50):
-            data, wide = bytes([k] * (k % 8)), bytes([k] * can.util.dlc2len(k % 16))
-            sent += [data, data, wide, wide]
-            log.write(objects.CanMessage.unpack(thing(CLASSIC, classic(data))))
-            log.write(objects.CanMessage2.unpack(thing(CLASSIC_2, classic(data) + bytes(8))))
-            log.write(objects.CanFdMessage.unpack(thing(FD, fd(wide))))
-            log.write(objects.CanFdMessage64.unpack(thing(FD_64, fd_64(wide))))
-            text = struct.pack("<4L", 0, 0, k % 9 + 1, 0) + b"x" * (k % 9) + b"\0"
-            log.write(texts.AppText.unpack(thing(65, text)))
-    frames, skipped, times, error = read(path)
-    assert error == ""
-    assert [frame.data for frame in frames] == sent
-    assert (skipped, times) == ({Skipped.OTHER: 50}, "absolute")
-
-
 FRAME = thing(CLASSIC, classic(b"frame"))
 
 
@@ -300,6 +278,14 @@ FRAME = thing(CLASSIC, classic(b"frame"))
         pytest.param(
             container(FRAME + FRAME.replace(b"\x20\0\1\0", b"\x20\0\3\0") + FRAME), 1,
             "the version 3 of the header of a frame is unknown", id="version",
+        ),
+        *(
+            pytest.param(
+                container(FRAME * 2 + FRAME[:8] + struct.pack("<L", size) + FRAME[12:]), 2,
+                "damaged after 2 good records (BLFParseError: an object is shorter",
+                id=f"object-of-{size}-bytes",  # for which python-can would never end
+            )
+            for size in (0, 1, 15)
         ),
         pytest.param(container(container(FRAME)), 0, "a container is in another one", id="nested"),
         pytest.param(container(FRAME, 3), 0, "the compression method 3 of a", id="method"),

@@ -1,12 +1,16 @@
-"""Settings name the interface; errors of opening are one clear line."""
+"""Settings name the interface; errors of opening are one clear line, and all have a class."""
 
+import errno
 from pathlib import Path
 from typing import Any
 
+import can
 import pytest
 from support.fake_bus import (
     FRAME,
+    FULL,
     GONE,
+    NO_NUMBER,
     Clock,
     FakeOpener,
 )
@@ -16,6 +20,7 @@ from maplines_can.bus import (
     Link,
     Sent,
 )
+from maplines_can.bus.bus_factory import DriverError, classify_error, error_text
 from maplines_can.values.errors import BusError
 
 
@@ -119,3 +124,52 @@ def test_a_socketcan_interface_that_cannot_be_opened_raises(
     with pytest.raises(BusError) as caught:
         Link(**{"interface": "socketcan", "channel": vcan, **settings})
     assert words in str(caught.value)
+
+
+def caused_by(error: Any, cause: Any) -> Any:
+    error.__cause__ = cause
+    return error
+
+
+def raised_during(error: Any, context: Any) -> Any:
+    error.__context__ = context
+    return error
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"),
+    [
+        pytest.param(FULL, DriverError.FULL, id="queue-full"),
+        pytest.param(can.CanTimeoutError("late"), DriverError.FULL, id="timeout"),
+        pytest.param(
+            caused_by(can.CanOperationError("x"), TimeoutError()), DriverError.FULL, id="usb"
+        ),
+        pytest.param(BlockingIOError(errno.EAGAIN, ""), DriverError.FULL, id="would-block"),
+        pytest.param(GONE, DriverError.LOST, id="no-device"),
+        pytest.param(can.CanOperationError("x", errno.ENETDOWN), DriverError.LOST, id="down"),
+        pytest.param(can.CanOperationError("x", errno.ENXIO), DriverError.LOST, id="deleted"),
+        pytest.param(
+            caused_by(can.CanOperationError("x"), GONE), DriverError.LOST, id="caused-by-gone"
+        ),
+        pytest.param(
+            raised_during(can.CanOperationError("x"), raised_during(KeyError(), GONE)),
+            DriverError.LOST,
+            id="raised-while-gone-is-handled",
+        ),
+        pytest.param(OSError("device disconnected"), DriverError.LOST, id="serial-pulled-out"),
+        pytest.param(can.CanOperationError("x", errno.EINVAL), DriverError.REFUSED, id="fd-frame"),
+        pytest.param(NO_NUMBER, DriverError.UNCLEAR, id="no-number"),
+        pytest.param(can.CanOperationError("x", -13), DriverError.UNCLEAR, id="number-of-a-driver"),
+    ],
+)
+def test_class_of_an_error(error: Any, expected: Any) -> None:
+    """The number of the operating system decides, wherever in the chain of causes it is."""
+    assert classify_error(error) is expected
+
+
+def test_text_of_an_error_is_that_of_the_operating_system() -> None:
+    assert error_text(caused_by(can.CanOperationError("Failed [19]"), GONE)) == "No such device"
+    assert error_text(can.CanOperationError("two\nlines")) == "two lines"
+    assert error_text(can.CanTimeoutError()) == "CanTimeoutError"
+    assert error_text(OSError("device disconnected")) == "device disconnected"
+    assert error_text(raised_during(KeyError("x"), GONE)) == "No such device"

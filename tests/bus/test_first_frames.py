@@ -77,9 +77,3 @@ def test_all_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_ids_are_grouped(numbers: list[int], text: str) -> None:
     """Neighbours are one group, and only some groups are named."""
     assert ids_text([CanId(number, False) for number in numbers]) == text
-
-
-def test_extended_ids_are_groups_of_their_own() -> None:
-    """Also where the greatest number of 11 bits ends."""
-    ids = [CanId(0x7FF, False), CanId(0x800, True), CanId(0x801, True)]
-    assert ids_text(ids) == "0x7ff, extended 0x800..0x801"

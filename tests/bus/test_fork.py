@@ -87,7 +87,8 @@ def test_item_10_stop_wait_and_get_end_at_once_in_a_forked_child(link: Any, othe
 
 def test_a_lock_that_a_thread_held_is_free_in_the_child() -> None:
     """Also if the child leaves the blocks of a link and of its threads."""
-    codec = FakeCodec()
+    codec, lines = FakeCodec(), queue.SimpleQueue[Any]()
+    listener = LineListener(codec.decoder(), on_line=lines.put)
     with (
         Link(FakeOpener()) as link,
         Receiver(link, codec.decoder()) as receiver,
@@ -101,9 +102,12 @@ def test_a_lock_that_a_thread_held_is_free_in_the_child() -> None:
             receiver.stop()
             link.send(can.Message())
             link.close()
-            return receiver.get() is None and receiver.stats().lines == 0
+            for frame in codec.encoder().encode(map_line()):
+                listener(can.Message(arbitration_id=frame.can_id, data=frame.data))
+            ended = receiver.get() is None and receiver.stats().lines == 0
+            return ended and lines.qsize() == listener.stats().lines == 1
 
-        locks = [part._changed for part in (transmitter, receiver)]
+        locks = [part._changed for part in (transmitter, receiver, listener)]
         with held(*locks, link._lock, link._send_lock):
             assert in_child(check) == 0
 
@@ -140,17 +144,3 @@ def test_a_thread_object_is_made_when_it_is_started(monkeypatch: pytest.MonkeyPa
         with thread:
             assert made.pop().is_alive()
             assert not made
-
-
-def test_a_listener_works_in_the_child() -> None:
-    """Its lock is free, whichever thread of the parent held it."""
-    codec, lines = FakeCodec(), queue.SimpleQueue[Any]()
-    listener = LineListener(codec.decoder(), on_line=lines.put)
-
-    def check() -> bool:
-        for frame in codec.encoder().encode(map_line()):
-            listener(can.Message(arbitration_id=frame.can_id, data=frame.data))
-        return lines.qsize() == listener.stats().lines == 1
-
-    with held(listener._changed):
-        assert in_child(check) == 0

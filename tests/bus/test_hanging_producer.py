@@ -4,8 +4,6 @@ The tests run on simulated time. The thread wakes up late, the bus takes its tim
 are lost, all at random.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,6 +11,7 @@ import pytest
 from answers import one
 from support.dbcs import new_codec
 from support.fake_bus import FULL, Clock, FakeOpener, map_line
+from support.transmitter_bench import PERIOD
 
 from maplines_can import Codec, Link, MapLine, Motion, Slot, Transmitter, predict_to
 from maplines_can.bus.tx_queue import ALLOWANCE
@@ -20,8 +19,7 @@ from maplines_can.values.line import Status
 from maplines_can.wire import E2EState
 from maplines_can.wire.reception.views import STALE_CYCLES
 
-SLOT = Slot.EGO_LEFT
-PERIOD = 0.05
+DBC, SLOT = "maplines.dbc", Slot.EGO_LEFT
 SPEED, BETA, Y0 = 20.0, 0.09, -20.0  #: the car changes lanes: y grows by 1.8 m/s
 SIGMA = [0.05, 0.003, 1e-4, 1e-5]
 #: Longest time that a frame spends on the bus in these tests [s].
@@ -33,78 +31,14 @@ def true_line(t: float, age: float = 0.0) -> MapLine:
     return MapLine.with_sigma(SLOT, [Y0 + SPEED * np.tan(BETA) * t, BETA, 0, 0], SIGMA, age=age)
 
 
-@dataclass
-class Bench:
-    """A transmitter and a decoder on one clock, without threads."""
-
-    codec: Codec
-    rng: np.random.Generator
-    script: list[Any] = field(default_factory=list)
-    max_age: float | None = None
-    lateness: float = 0.0
-    loss: float = 0.0
-
-    def __post_init__(self) -> None:
-        self.clock, self.opener = Clock(), FakeOpener(*self.script)
-        self.start = self.clock.now
-        self.link = Link(self.opener)
-        self.transmitter = Transmitter(
-            self.link, self.codec, period=PERIOD, max_age=self.max_age, clock=self.clock
-        )
-        self.decoder = self.codec.decoder()
-        self.lines: list[MapLine] = []
-
-    @property
-    def time(self) -> float:
-        return self.clock.now - self.start
-
-    @property
-    def now_ns(self) -> int:
-        return round(self.time * 1e9)
-
-    def run(self, end: float) -> None:
-        """Send and receive until ``end`` [s], each transfer a little late."""
-        while (step := self.transmitter._tx_queue.wait(self.clock.now)) is not None:
-            if self.time + step > end:
-                break
-            self.clock.now += step + self.rng.uniform(0, self.lateness)
-            transfer = self.transmitter._next_transfer()
-            assert transfer is not None
-            self.transmitter._send(transfer)
-            lost, t_ns = self.rng.random() < self.loss, self.now_ns
-            for i in range(self.opener.sent.qsize()):
-                message = self.opener.sent.get(timeout=0)
-                arrival_ns = t_ns + round(1e9 * self.rng.uniform(0, TRANSIT)) + 250_000 * i
-                if not (lost and i == 0):
-                    answer = one(
-                        self.decoder.feed(message.arbitration_id, message.data, arrival_ns)
-                    )
-                    if isinstance(answer, MapLine):
-                        self.lines.append(answer)
-        self.clock.now = max(self.clock.now, self.start + end)
-
-
-@pytest.fixture
-def make_bench() -> Iterator[Any]:
-    """Return a function that makes a bench; their links are closed at the end."""
-    made: list[Bench] = []
-
-    def make(*arguments: Any, **settings: Any) -> Bench:
-        made.append(Bench(*arguments, **settings))
-        return made[-1]
-
-    yield make
-    for bench in made:
-        bench.link.close()
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_item_1_a_hanging_producer_leaves_no_usable_line(
     make_bench: Any, codec: Codec, seed: int
 ) -> None:
     """At every moment a usable line is as old as it says, and predicts the truth."""
     rng = np.random.default_rng(seed)
-    bench = make_bench(new_codec(), rng, lateness=rng.choice([0, 0.002, 0.02]), loss=0.05)
+    lateness = rng.choice([0, 0.002, 0.02])
+    bench = make_bench(DBC, lateness=lateness, loss=0.05, transit=TRANSIT, seed=seed + 4)
     hang = rng.uniform(1.0, 2.0)
     pose, produced, used, motion = 0.0, 0.0, 0, Motion(SPEED, 0.0)
     bound = codec.layout.max_age + STALE_CYCLES * PERIOD
@@ -137,7 +71,7 @@ def test_item_1_a_hanging_producer_leaves_no_usable_line(
 
 def test_item_1_a_line_published_again_is_usable_again(make_bench: Any) -> None:
     """The next good line is enough: the slot stayed VALID."""
-    bench = make_bench(new_codec(), np.random.default_rng(0))
+    bench = make_bench(DBC)
     bench.transmitter.publish(map_line())
     bench.run(2.0)
     assert not bench.decoder.latest(SLOT, bench.now_ns).usable
@@ -146,12 +80,12 @@ def test_item_1_a_line_published_again_is_usable_again(make_bench: Any) -> None:
     assert bench.decoder.latest(SLOT, bench.now_ns).usable
 
 
-@pytest.mark.parametrize("max_age", [0.06, 0.1, None])
+@pytest.mark.parametrize("max_age", [0.06, 0.1, 0.24, None])
 def test_item_1_max_age_is_the_greatest_age_that_is_sent(
     make_bench: Any, max_age: float | None
 ) -> None:
     """Beyond it the age is "too old"; such lines are counted."""
-    bench = make_bench(new_codec(), np.random.default_rng(1), max_age=max_age)
+    bench = make_bench(DBC, settings={"max_age": max_age})
     bench.transmitter.publish(map_line(age=0.01))
     bench.run(1.0)
     ages = [line.age for line in bench.lines]
@@ -177,7 +111,7 @@ def test_item_1_the_age_covers_the_wait_for_the_transmit_queue(
     make_bench: Any, monkeypatch: pytest.MonkeyPatch, full: int
 ) -> None:
     """A line that waits is encoded again before its first frame, with the same counter."""
-    bench = make_bench(new_codec(), np.random.default_rng(3), script=[None] * 4 + [FULL] * full)
+    bench = make_bench(DBC, script=[None] * 4 + [FULL] * full)
     monkeypatch.setattr("maplines_can.bus.transmitter.time", sleeper := Sleeper(bench.clock))
     bench.transmitter.publish(map_line())
     for _ in range(3):
@@ -228,7 +162,7 @@ def test_item_1_a_mixture_is_as_old_as_its_components(codec: Codec, ages: Any) -
 
 def test_item_1_a_line_out_of_range_is_never_usable(make_bench: Any) -> None:
     """It is sent and received, VALID and new."""
-    bench = make_bench(new_codec(), np.random.default_rng(4))
+    bench = make_bench(DBC)
     for k in range(20):
         bench.transmitter.publish(map_line(y=1000.0))
         bench.run(PERIOD * k)

@@ -75,25 +75,6 @@ def test_parameter_groups_are_those_of_cantools() -> None:
 
 
 @pytest.mark.parametrize(
-    ("group", "destination"),
-    [pytest.param(0xFEF1, 0, id="pdu2"), pytest.param(0, 0x17, id="pdu1-other-destination")],
-)
-@pytest.mark.parametrize(("priority", "source"), [(6, 0xFE), (3, 0x00), (7, 0x27)])
-def test_a_group_is_known_by_its_pgn(
-    dbc: Path, tmp_path: Path, group: int, destination: int, priority: int, source: int
-) -> None:
-    """Whatever its priority, its sender and, in PDU1, its receiver."""
-    pgn = j1939.pgn_unpack(group)
-    can_id = j1939.frame_id_pack(
-        priority, 0, 0, pgn.pdu_format, pgn.pdu_specific or destination, source
-    )
-    log = log_of(tmp_path, [f"{can_id:08X}#{SPEED.hex()}"])
-
-    name, value = ("Speed", 36.0) if group else ("Torque", 130.0)
-    assert read_signals(log, dbc, {"x": name})["x"][1].tolist() == [value]
-
-
-@pytest.mark.parametrize(
     ("old", "new", "is_group"),
     [
         pytest.param('BA_ "ProtocolType" "J1939";', "", False, id="no-protocol"),
@@ -235,7 +216,7 @@ def test_incomplete_transfers_give_nothing(
     with pytest.raises(LogError) as found:
         read_signals(log_of(tmp_path, frames), dbc, {"a": "Last"})
 
-    text = "1 times: incomplete transfers of the parameter group 0xfeca"
+    text = "1 time: incomplete transfers of the parameter group 0xfeca"
     assert (text in str(found.value)) == is_counted
 
 

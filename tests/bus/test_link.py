@@ -11,6 +11,8 @@ from typing import Any
 
 import can
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from support.fake_bus import (
     FRAME,
     FULL,
@@ -63,72 +65,72 @@ def test_an_outage_and_the_reconnect_are_each_reported_once(
     assert [text for _, text in events] == caplog.messages
 
 
-def test_an_interface_that_opens_but_does_not_work_is_not_back() -> None:
-    """Opening is no evidence (SocketCAN opens what is down); the first frame is.
+#: What a bus raises; what concerns a frame of the caller is raised by `send`, see below.
+ERRORS = {
+    "full": FULL,
+    "late": can.CanTimeoutError(),
+    "unclear": NO_NUMBER,
+    "gone": GONE,
+    "closed": io.UnsupportedOperation("not writable"),  # a ValueError, too
+}
+OF_A_FRAME = {"refused": can.CanOperationError("Failed", errno.EINVAL), "odd": ValueError("odd")}
+STEPS = st.lists(
+    st.tuples(
+        st.sampled_from([("send", each) for each in ("ok", *ERRORS)])
+        | st.sampled_from([("recv", each) for each in ("ok", *ERRORS, *OF_A_FRAME)]),
+        st.sampled_from([0.0, 0.125, 0.5, 1.0]),
+        st.booleans(),
+    ),
+    max_size=50,
+)
 
-    The outage lasts from the first failure, and a later one begins no second outage.
+
+@settings(max_examples=300)
+@given(STEPS)
+def test_the_states_of_a_link_are_those_of_its_rules(steps: list[Any]) -> None:
+    """Whatever a driver does: a full queue is no outage, an unclear error is one after a second.
+
+    Opening is no evidence (SocketCAN opens what is down): the first success is. Attempts to open
+    back off, and begin anew after it. An outage lasts from the first failure.
     """
-    opener, clock, events = FakeOpener(GONE, GONE, GONE), Clock(), []
-    with Link(opener, on_event=lambda up, text: events.append((up, text)), clock=clock) as link:
-        for _ in range(3):
-            assert link.send(FRAME) is Sent.DOWN
-            clock.now += 2.0
-        assert [up for up, _ in events] == [False]
-        assert link.send(FRAME) is Sent.OK
-        assert link.outages == 1
-
-    assert [up for up, _ in events] == [False, True]
-    assert events[1][1] == "fake is back after 6.0 s"
-    assert len(opener.opened) == 4
-
-
-def test_attempts_to_reopen_back_off() -> None:
-    """After 0.1, 0.2, 0.4, 0.8 s and then every second."""
-    opener, clock = FakeOpener(GONE), Clock()
-    attempts = []
-    with Link(opener, clock=clock) as link:
-        link.send(FRAME)
-        start = clock.now
-
-        def refuse() -> None:
-            attempts.append(clock.now - start)
-            raise GONE
-
-        link._factory._opener = refuse  # type: ignore[assignment]
-        for step in range(1, 4000):
-            clock.now = start + step * 1e-3
-            link.send(FRAME)
-
-    assert attempts == pytest.approx([0.1, 0.3, 0.7, 1.5, 2.5, 3.5], abs=2e-3)
-
-
-@pytest.mark.parametrize("error", [FULL, can.CanTimeoutError(), NO_NUMBER])
-def test_a_full_queue_is_no_outage(error: Any) -> None:
-    with Link(FakeOpener(error)) as link:
-        assert link.send(FRAME) is Sent.FULL
-        assert link.send(FRAME) is Sent.OK
-        assert link.outages == 0
-
-
-def test_a_driver_that_keeps_failing_is_reopened() -> None:
-    """Errors without a number are an outage if they last for a second."""
-    opener, clock = FakeOpener(*[NO_NUMBER] * 3), Clock()
-    with Link(opener, clock=clock) as link:
-        for step in (0.0, 0.5, 1.0):
-            clock.now = 1000.0 + step
-            link.send(FRAME)
-            assert link.outages == (step == 1.0)
-        clock.now += 1.0
-        assert link.send(FRAME) is Sent.OK
-
-
-def test_an_unclear_error_now_and_then_is_no_outage() -> None:
-    opener, clock = FakeOpener(*[NO_NUMBER, None] * 5), Clock()
-    with Link(opener, clock=clock) as link:
-        for _ in range(10):
-            clock.now += 10.0
-            assert link.recv(0.0) is None
-        assert link.outages == 0
+    opener, clock, events = FakeOpener(), Clock(), list[str]()
+    is_open, up, outages, lost_at, opened = True, True, 0, 0.0, 1
+    retry_at, pause, since, expected = 0.0, 0.125, dict[str, float](), list[str]()
+    with Link(
+        opener, on_event=lambda _, text: events.append(text), clock=clock, backoff=(0.125, 1.0)
+    ) as link:
+        for (way, what), wait, opener.cannot_open in steps:
+            clock.now += wait
+            opener.script[:] = [(ERRORS | OF_A_FRAME).get(what)]
+            answer = link.send(FRAME) if way == "send" else link.recv(0.0)
+            result = Sent.DOWN
+            if not is_open and clock.now >= retry_at:
+                is_open = not opener.cannot_open
+                opened += is_open
+                if not is_open:
+                    retry_at, pause = clock.now + pause, min(2 * pause, 1.0)
+            if is_open and what == "ok":
+                result = Sent.OK
+                since.pop(way, None)
+                if not up:
+                    up, pause = True, 0.125
+                    expected.append(f"fake is back after {clock.now - lost_at:.1f} s")
+            elif is_open:
+                result = Sent.FULL
+                lasts = 0.0
+                if what not in ("full", "late", "gone", "closed"):
+                    lasts = clock.now - since.setdefault(way, clock.now)
+                if what in ("gone", "closed") or lasts >= Link.UNCLEAR_TIMEOUT:
+                    result, is_open = Sent.DOWN, False
+                    retry_at, pause = clock.now + pause, min(2 * pause, 1.0)
+                    since.clear()
+                    if up:
+                        up, outages, lost_at = False, outages + 1, clock.now
+                        expected.append("fake is lost (")
+            assert answer is (result if way == "send" else None)
+            assert (link.up, link.outages, len(opener.opened)) == (up, outages, opened)
+            assert len(events) == len(expected)
+            assert all(map(str.startswith, events, expected))
 
 
 def test_the_error_of_a_bus_that_another_thread_has_closed_is_ignored() -> None:
@@ -143,19 +145,15 @@ def test_the_error_of_a_bus_that_another_thread_has_closed_is_ignored() -> None:
         assert (link.up, link.outages) == (True, 1)
 
 
-def test_a_frame_that_can_never_be_sent_raises() -> None:
-    with (
-        Link(FakeOpener(can.CanOperationError("Failed", errno.EINVAL))) as link,
-        pytest.raises(BusError, match=r"fake refuses the frame: .* opened with fd=True"),
-    ):
-        link.send(FRAME)
-
-
-def test_a_wrong_message_raises() -> None:
-    with (
-        Link(FakeOpener(ValueError("no such frame"))) as link,
-        pytest.raises(ValueError, match="no"),
-    ):
+@pytest.mark.parametrize(
+    ("raised", "error", "words"),
+    [
+        (can.CanOperationError("", errno.EINVAL), BusError, r"fake refuses the frame: .*fd=True"),
+        (ValueError("no such frame"), ValueError, "no such frame"),
+    ],
+)
+def test_a_frame_that_can_never_be_sent_raises(raised: Any, error: Any, words: str) -> None:
+    with Link(FakeOpener(raised)) as link, pytest.raises(error, match=words):
         link.send(FRAME)
 
 
@@ -321,43 +319,6 @@ def test_a_link_survives_random_outages(vcan: str) -> None:
     assert events == [False, True] * link.outages
     # python-can does not close its socket if the interface goes down between our check and bind.
     gc.collect()
-
-
-def test_after_a_reconnect_the_pauses_start_anew() -> None:
-    """Reopening is tried at the end of the first pause, not after it."""
-    opener, clock = FakeOpener(), Clock()
-    with Link(opener, clock=clock, backoff=(0.25, 4.0)) as link:
-        for _ in range(3):
-            opener.script[:] = [GONE] * 4
-            for pause in (0.25, 0.5, 1.0, 2.0):
-                assert link.send(FRAME) is Sent.DOWN
-                clock.now += pause - 2**-10
-                opened = len(opener.opened)
-                assert link.send(FRAME) is Sent.DOWN
-                assert len(opener.opened) == opened
-                clock.now += 2**-10
-            assert link.send(FRAME) is Sent.OK
-        assert link.outages == 3
-
-
-@pytest.mark.parametrize("error", [
-    can.CanOperationError("Failed", errno.EINVAL), NO_NUMBER, ValueError("odd"),
-])  # fmt: skip
-def test_only_an_error_that_lasts_ends_receiving(error: Any) -> None:
-    """An error of `recv` is not about a frame of the caller: nothing is raised."""
-    opener, clock = FakeOpener(*[error] * 3), Clock()
-    with Link(opener, clock=clock) as link:
-        for outages in (0, 0, 1):
-            assert link.recv(0.0) is None
-            assert link.outages == outages
-            clock.now += 0.5
-
-
-def test_a_stream_that_was_closed_is_lost() -> None:
-    """Its error is a ValueError, too, but not about the message."""
-    with Link(FakeOpener(io.UnsupportedOperation("not writable"))) as link:
-        assert link.send(FRAME) is Sent.DOWN
-        assert link.outages == 1
 
 
 @pytest.mark.parametrize("settings", [{}, {"interface": "virtual", "channel": "x"}])

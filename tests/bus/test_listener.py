@@ -3,14 +3,11 @@
 import asyncio
 import math
 import threading
-from pathlib import Path
 from typing import Any
 
 import can
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from support.dbcs import default_codec, new_codec
+from support.dbcs import new_codec
 from support.fake_bus import (
     GONE,
     LONG,
@@ -93,26 +90,6 @@ def test_the_iteration_ends_with_the_notifier(buses: Any) -> None:
     assert listener.stats().frames == 2 * PAGES
 
 
-def test_a_callback_is_called_by_the_notifier(buses: Any) -> None:
-    out, back = buses
-    codec, called, threads = FakeCodec(), threading.Event(), []
-    encoder = codec.encoder()
-
-    def on_line(line: Any) -> None:
-        threads.append((threading.current_thread().name, line.slot))
-        called.set()
-
-    listener = LineListener(codec.decoder(), on_line=on_line)
-    with can.Notifier(back, [listener], timeout=POLL):
-        send(out, encoder, map_line())
-        assert called.wait(LONG)
-        with pytest.raises(TypeError, match="the lines go to on_line"):
-            listener.get()
-    ((name, slot),) = threads
-    assert name.startswith("Notifier for bus")
-    assert slot is Slot.EGO_LEFT
-
-
 def test_an_event_loop_calls_the_listener(buses: Any) -> None:
     """The lines reach an ``asyncio.Queue``, in the thread of the loop."""
     out, back = buses
@@ -131,23 +108,6 @@ def test_an_event_loop_calls_the_listener(buses: Any) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_the_error_of_a_callback_reaches_the_notifier(buses: Any) -> None:
-    """It ends the thread of the notifier, as that of any listener."""
-    out, back = buses
-    codec = FakeCodec()
-    encoder = codec.encoder()
-
-    def on_line(line: Any) -> None:
-        raise ZeroDivisionError
-
-    notifier = can.Notifier(back, [LineListener(codec.decoder(), on_line=on_line)], timeout=POLL)
-    send(out, encoder, map_line())
-    wait_until(lambda: notifier.exception)
-    assert isinstance(notifier.exception, ZeroDivisionError)
-    notifier.stop()
-
-
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_the_error_of_a_bus_is_raised_by_get() -> None:
     """Otherwise the caller would wait for ever for a notifier that has ended."""
     listener = LineListener(FakeCodec().decoder())
@@ -156,49 +116,6 @@ def test_the_error_of_a_bus_is_raised_by_get() -> None:
         with pytest.raises(OSError, match="No such device"):
             listener.get()
     notifier.stop()
-
-
-def test_the_messages_of_a_log_become_lines(tmp_path: Path) -> None:
-    """With python-can's readers, and at the pace of the log with its ``MessageSync``."""
-    codec, path = new_codec(), tmp_path / "drive.asc"
-    encoder = codec.encoder()
-    with can.Logger(path) as logger:
-        for k in range(9):
-            for frame in encoder.encode(map_line()):
-                logger(message_of(frame, timestamp=1e9 + k / 20))
-
-    def messages() -> Any:
-        return can.LogReader(path, relative_timestamp=False)  # a time stamp of 0 means none
-
-    for log in (messages(), can.MessageSync(messages(), timestamps=False)):
-        listener = LineListener(codec.decoder())
-        for message in log:
-            listener(message)
-        newest = collect(listener, 9)[-1]
-        assert listener.latest(Slot.EGO_LEFT, now_ns=newest.t_ns).usable
-
-
-@given(
-    st.lists(
-        st.builds(
-            can.Message,
-            arbitration_id=st.sampled_from([0, 0x100, 0x155, 0x1FFFFFFF])
-            | st.integers(0, 2**29 - 1),
-            data=st.binary(max_size=64),
-            timestamp=st.floats(0, 1e10),
-            is_extended_id=st.booleans(),
-            is_fd=st.booleans(),
-            is_remote_frame=st.booleans(),
-            is_error_frame=st.booleans(),
-        )
-    )
-)
-def test_no_message_raises(messages: list[can.Message]) -> None:
-    listener = LineListener(default_codec().decoder())
-    for message in messages:
-        listener(message)
-    stats = listener.stats()
-    assert stats.frames + stats.error_frames + stats.remote_frames == len(messages)
 
 
 @pytest.mark.parametrize("how", ["error", "stop"])

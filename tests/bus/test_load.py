@@ -1,7 +1,6 @@
 """Bits of a frame are the published bounds."""
 
 import contextlib
-import math
 import re
 from collections.abc import Iterable
 from itertools import chain
@@ -18,6 +17,7 @@ from maplines_can.bus import (
     bus_load,
     frame_bits,
     frame_time,
+    transfers_within,
 )
 from maplines_can.wire import Frame
 
@@ -46,58 +46,6 @@ def test_bits_of_can_fd_frames(length: int, is_extended: bool, bits: Any) -> Non
     assert frame_bits(length, is_extended=is_extended, is_fd=True) == bits
 
 
-def stuffed(bits: Any) -> Any:
-    """Indices in ``bits`` after which a stuff bit is inserted."""
-    places, run, last = [], 0, None
-    for index, bit in enumerate(bits):
-        run, last = (run + 1 if bit == last else 1), bit
-        if run == 5:
-            places.append(index)
-            run, last = 1, 1 - bit
-    return places
-
-
-def header(is_extended: Any, is_fd: Any, can_id: Any, dlc: Any) -> Any:
-    """Bits of a frame from SOF to DLC, and how many of them have the nominal bit rate."""
-    number = [int(bit) for bit in f"{can_id:029b}"]
-    bits = [0, *number[:11], 1, 1, *number[11:], 0] if is_extended else [0, *number[:11], 0]
-    bits += [0] if not is_extended else []  # IDE
-    bits += [1, 0, 1] if is_fd else [0, 0] if is_extended else [0]  # FDF, res, BRS; or r1, r0
-    slow = len(bits)
-    bits += [0] if is_fd else []  # ESI
-    return bits + [int(bit) for bit in f"{dlc:04b}"], slow
-
-
-@given(
-    st.booleans(),
-    st.booleans(),
-    st.integers(0, 2**29 - 1),
-    st.sampled_from([0, 1, 8, 12, 16, 20, 32, 64]),
-    st.lists(st.sampled_from([b"\x00", b"\xff", b"\x0f", b"\x1e", b"\x78", b"\xf0"]), min_size=64),
-    st.integers(0, 2**15 - 1),
-)
-def test_no_frame_is_longer_than_its_bound(
-    is_extended: bool, is_fd: bool, can_id: int, length: Any, data: Any, crc: int
-) -> None:
-    """Frames are built and stuffed bit by bit, with data that need many stuff bits and any CRC."""
-    length = length if is_fd else min(length, 8)
-    bits, slow = header(is_extended, is_fd, can_id, length if length <= 8 else 15)
-    bits += [int(bit) for byte in data[:length] for bit in f"{byte[0]:08b}"]
-    bound = frame_bits(length, is_extended=is_extended, is_fd=is_fd)
-    if is_fd:
-        places = stuffed(bits)
-        early = sum(place < slow for place in places)
-        crc_field = 27 if length <= 16 else 32
-        nominal, fast = slow + early + 13, len(bits) - slow + len(places) - early + crc_field
-    else:
-        bits += [int(bit) for bit in f"{crc:015b}"]
-        nominal, fast = len(bits) + len(stuffed(bits)) + 13, 0
-
-    assert nominal <= bound.nominal
-    for speed in (1, 2, 8):
-        assert nominal + fast / speed <= bound.nominal + bound.data / speed
-
-
 def test_bus_load_of_lines() -> None:
     """Eight lines every 50 ms at 500 kbit/s: four classic frames or one of CAN FD each."""
     classic = [Frame(0x100, bytes(8))] * 32
@@ -106,23 +54,6 @@ def test_bus_load_of_lines() -> None:
     assert bus_load(classic, 0.05, 500e3) == pytest.approx(32 * 135 / 500e3 / 0.05)
     assert bus_load(fd, 0.05, 500e3, 2e6) == pytest.approx(8 * (34 / 500e3 + 358 / 2e6) / 0.05)
     assert frame_time(fd[0], 500e3) == pytest.approx(392 / 500e3)
-
-
-@pytest.mark.parametrize(
-    ("length", "is_fd"), [(-1, True), (10, True), (65, True), (9, False), (12, False)]
-)
-def test_lengths_that_no_frame_has(length: int, is_fd: bool) -> None:
-    with pytest.raises(ValueError, match="length must be 0 to 8"):
-        frame_bits(length, is_fd=is_fd)
-
-
-def test_wrong_rates_and_periods_are_refused() -> None:
-    for rates in ((0,), (math.inf,), (5e5, 0), (5e5, -1), (5e5, math.inf), (0, 5e5)):
-        with pytest.raises(ValueError, match="bit rates must be positive"):
-            frame_time(Frame(1, b""), *rates)
-    for period in (0, -1, math.inf):
-        with pytest.raises(ValueError, match="period must be positive"):
-            bus_load([], period, 500e3)
 
 
 def test_can_fd_has_exactly_the_lengths_of_its_dlcs() -> None:
@@ -157,3 +88,25 @@ def test_bus_time_of_scenes_as_the_page_says() -> None:
 def time_of(frames: Iterable[Frame]) -> float:
     """Return how long frames take on a bus of 500 kbit/s and 2 Mbit/s [ms]."""
     return 1e3 * sum(frame_time(frame, 500_000, 2_000_000) for frame in frames)
+
+
+@given(st.floats(1e-4, 1), st.floats(1e-3, 1), st.sampled_from([125e3, 500e3, 1e6]), st.booleans())
+def test_transfers_within_a_share(share: float, period: float, bitrate: Any, fd: bool) -> None:
+    """They fit, and one more does not."""
+    transfer = [Frame(0x100, bytes(32), is_fd=True)] if fd else [Frame(0x100, bytes(8))] * 4
+    n = transfers_within(share, transfer, period, bitrate)
+    assert bus_load(transfer * n, period, bitrate) <= share * (1 + 1e-9)
+    assert bus_load(transfer * (n + 1), period, bitrate) > share
+
+
+@pytest.mark.parametrize("n", [1, 3, 13, 64])
+def test_a_share_filled_to_the_last_bit(n: int) -> None:
+    """Rounding does not remove a transfer."""
+    transfer = [Frame(0x100, bytes(8))] * 4
+    assert transfers_within(bus_load(transfer * n, 0.1, 5e5), transfer, 0.1, 5e5) == n
+
+
+def test_all_of_the_bus_time_may_be_used() -> None:
+    """A classic frame of no data has 55 bits."""
+    assert transfers_within(1.0, [Frame(0x100, b"")], 1.0, 110) == 2
+    assert transfers_within(1.0, [Frame(0x100, b"")], 1.0, 109) == 1

@@ -192,37 +192,3 @@ def test_a_large_block_of_an_mf4_log_is_refused(tmp_path: Path, place: int, fiel
     path.write_bytes(bytes(place) + block + bytes(64))
     with pytest.raises(ValueError, match=f"a compressed block has {MAX_OBJECT + 1} bytes"):
         check_mf4_blocks(path)
-
-
-@pytest.mark.parametrize(
-    "row",
-    [
-        f"({'9' * 400}) can0 340#00",
-        "(9223372036.9) can0 340#00",
-        f"({'9' * 5000}) can0 340#00",
-        f"(1.5) can0 340##1{'00' * 65}",
-        f"(1.5) can0 340{' ' * 60_000}x",
-        f"(1.5) can0 340 [1] 00{' ' * 60_000}x",
-    ],
-    ids=["e400", "64-bits", "5000-digits", "65-bytes", "spaces", "spaces-after-data"],
-)
-def test_numbers_beyond_their_range_are_damage(tmp_path: Path, row: str) -> None:
-    path = tmp_path / "drive.log"
-    path.write_text(f"{ROWS['log']}{row}\n{ROWS['log']}")
-    frames: list[LogFrame] = []
-    with pytest.raises(LogError, match="1 of 3 records are damaged") as caught:
-        frames.extend(read_log(path))
-    assert len(frames) == 2
-    assert len(str(caught.value)) < len(str(path)) + 400
-
-
-@pytest.mark.parametrize(("last", "is_read"), [(807, True), (808, False)])
-def test_the_last_time_is_that_of_64_bits(tmp_path: Path, last: int, is_read: bool) -> None:
-    """Of nanoseconds."""
-    path = tmp_path / "drive.log"
-    path.write_text(f"(9223372036.854775{last}) can0 340#00\n")
-    if is_read:
-        assert [frame.t_ns for frame in read_log(path)] == [2**63 - 1]
-        return
-    with pytest.raises(LogError, match="beyond 64 bits"):
-        list(read_log(path))

@@ -79,16 +79,6 @@ def test_the_kind_of_stamps(stamps: list[float], kind: str) -> None:
     assert kind == kind_of(ns(stamps))
 
 
-@pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize("count", [20, 100])
-def test_random_gaps_are_differences_and_their_sums_are_times(count: int, seed: int) -> None:
-    """Whatever the gaps are: of 400 streams of 10 rows, 5 are taken wrongly, of 20 rows 1."""
-    rng = random.Random(seed)  # noqa: S311
-    gaps = [0.0, *(rng.expovariate(100.0) for _ in range(count - 1))]
-    assert kind_of(ns(gaps)) == "delta"
-    assert kind_of(ns(accumulate(gaps))) == "zero"
-
-
 def log_of(path: Path, stamps: Any) -> Path:
     path.write_text("".join(f" ({stamp:010.6f})  can0  340   [1]  00\n" for stamp in stamps))
     return path
@@ -139,25 +129,20 @@ def test_a_row_that_is_damaged_or_no_frame_counts_as_a_difference(tmp_path: Path
     assert [f.t_ns for f in found] == [0, 400_000_000]
 
 
-def test_a_date_is_no_difference(tmp_path: Path) -> None:
-    path = tmp_path / "a.txt"
-    path.write_text(" (2023-11-14 22:13:20.123457)  can0  340   [1]  00\n")
-    with pytest.raises(LogError, match="is a date, not a difference"):
-        list(read_log(path, times="delta"))
-
-
-@pytest.mark.parametrize("name", ["a.blf", "a.mf4", "a.db", "a.trc"])
-def test_a_format_with_its_own_kind_refuses_another_at_the_call(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).touch()
-    with pytest.raises(LogError, match=r"times is 'delta', but the format \.\w+ has one kind"):
-        read_log(tmp_path / name, times="delta")
-
-
-def test_so_does_one_that_is_known_by_its_content(tmp_path: Path) -> None:
-    path = tmp_path / "a.txt"
-    path.write_text(";$FILEVERSION=1.1\n")
-    with pytest.raises(LogError, match=r"the format \.trc has one kind of time stamps; use 'auto'"):
-        list(read_log(path, times="zero"))
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        *((f"a.{x}", "", r"times is 'delta', but the format \.\w+ has one kind")
+          for x in ("blf", "mf4", "db", "trc")),
+        ("a.txt", ";$FILEVERSION=1.1\n", r"the format \.trc has one kind of time stamps; use 'au"),
+        ("b.txt", " (2023-11-14 22:13:20.1)  can0  340   [1]  00\n", "is a date, not a difference"),
+    ],
+)  # fmt: skip
+def test_what_has_no_differences(tmp_path: Path, name: str, content: str, words: str) -> None:
+    """A format with its own kind of times, also if its content tells it; and a date."""
+    (tmp_path / name).write_text(content)
+    with pytest.raises(LogError, match=words):
+        list(read_log(tmp_path / name, times="delta"))
 
 
 class Sender:
@@ -230,4 +215,9 @@ def test_no_row_of_a_pipe_waits_for_more_than_100(monkeypatch: pytest.MonkeyPatc
 def test_a_stream_without_a_descriptor_is_read_to_the_decision() -> None:
     """It cannot be asked whether it has data."""
     stream: Any = io.BufferedReader(io.BytesIO(b"(0.0) c 123#00\n" + b"(0.5) c 123#00\n" * 9))
-    assert [f.t_ns for f in read_log(stream)][-1] == ns([4.5])[0]
+    log = read_log(stream)
+    assert [f.t_ns for f in log][-1] == ns([4.5])[0]
+    assert log.summary.notices == [
+        "the time stamps are taken as differences (candump -t d); "
+        "--times absolute|zero|delta states the kind"
+    ]

@@ -1,11 +1,9 @@
-"""Logs of other tools are read up to and beyond the damage."""
+"""Logs of other tools: what is kept, and reading up to and beyond the damage."""
 
 import contextlib
 import gzip
 import io
 import random
-import re
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from maplines_can.bus import (
+    LogFrame,
+    Skipped,
     read_log,
 )
 from maplines_can.values.errors import LogError, MissingExtraError
@@ -27,13 +27,8 @@ LOGGED = [
     can.Message(timestamp=101.0, arbitration_id=0x1ABCDEF0, is_extended_id=True, data=b"\xff\x00"),
 ]
 
-LOGGED_FD = can.Message(
-    timestamp=102.0, arbitration_id=0x124, is_extended_id=False, is_fd=True, data=bytes(range(32))
-)
 
 CSV_HEADER = "timestamp,arbitration_id,extended,remote,error,dlc,data"
-
-FORMATS = ["asc", "blf", "csv", "db", "log", "mf4", "trc", "asc.gz", "blf.gz", "csv.gz", "log.gz"]
 
 
 def written(path: Any, messages: Any) -> Any:
@@ -56,22 +51,15 @@ def written(path: Any, messages: Any) -> Any:
     return path
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
-def test_every_format_is_read_back(tmp_path: Path, suffix: Any) -> None:
-    """Files written by python-can are read; error and remote frames are skipped."""
-    if suffix == "mf4":
-        pytest.importorskip("asammdf")
-    with_fd = suffix[:3] in {"asc", "blf", "log", "mf4"}
-    messages = [*LOGGED, LOGGED_FD] if with_fd else LOGGED
-    frames = list(read_log(written(tmp_path / f"drive.{suffix}", messages)))
-
-    wanted = [m for m in messages if not (m.is_error_frame or m.is_remote_frame)]
-    assert [(f.can_id, f.data, f.is_extended) for f in frames] == [
-        (m.arbitration_id, bytes(m.data), m.is_extended_id) for m in wanted
+@pytest.mark.parametrize("suffix", ["asc", "blf", "csv", "log"])
+def test_a_compressed_log_is_read_as_it_is(tmp_path: Path, suffix: str) -> None:
+    frames = list(read_log(written(tmp_path / f"drive.{suffix}", LOGGED)))
+    assert [(f.can_id, f.data, f.has_time) for f in frames] == [
+        (m.arbitration_id, bytes(m.data), True)
+        for m in LOGGED
+        if not (m.is_error_frame or m.is_remote_frame)
     ]
-    assert all(frame.has_time for frame in frames)
-    times = [(f.t_ns - frames[0].t_ns) * 1e-9 for f in frames]
-    assert times == pytest.approx([m.timestamp - 100.0 for m in wanted], abs=2e-3)
+    assert list(read_log(written(tmp_path / f"drive.{suffix}.gz", LOGGED))) == frames
 
 
 def read_until_error(path: Any) -> Any:
@@ -82,43 +70,83 @@ def read_until_error(path: Any) -> Any:
     return frames, str(caught.value).removeprefix(str(path))
 
 
+TRC = ";$FILEVERSION={}\n;$STARTTIME=40000.0\n"
+#: By name: the suffix, the header and a good row of a text format, and rows that are damaged.
+DAMAGED_ROWS: dict[str, tuple[str, str, str, list[str]]] = {
+    "candump": ("log", "", "(1.5) can0 340#0001", [
+        "  can0  340   [8]  11 22 33",
+        "  can0  340   [1]  11 22",
+        "  can0  340   [65] " + " 11" * 65,
+        "  can0  FFFFFFFF   [1]  11",
+        "  can0  34   [1]  11",
+        "  can0  340   [1]  1",
+        "  can0  340   [1]",
+        "(one) can0 340#11",
+        "(1.5) can0 340#111",
+        "(2020-13-40 99:00:00.0)  can0  340   [1]  11",
+        "340   [1]  11",
+        "(1.5) can0 40000000#11",
+        f"(1.5) can0 340##0{'11' * 65}",
+        f"({'9' * 400}) can0 340#00",
+        f"({'9' * 5000}) can0 340#00",
+        "(9223372036.854775808) can0 340#00",  # 64 bits of nanoseconds end before
+        f"(1.5) can0 340{' ' * 60_000}x",
+        f"(1.5) can0 340 [1] 00{' ' * 60_000}x",
+        "(1.5) can0 1\xff3#0001",
+    ]),
+    "asc": ("asc", "base hex timestamps absolute\n", " 0.1 1 340 Rx d 2 00 01", [
+        f" 0.2 {row}"
+        for row in (
+            *("1", "1 34", "1 340", "1 340 R", "1 340 Rx", "1 340 Rx d", "1 340 Rx d 2"),
+            *("1 340 Rx d 2 00", "1 340 Rx d 2 00 1", "1 340 Rx d 9 00", "1 340 Rx x 1 00"),
+            *("CANFD 1", "CANFD 1 Rx", "CANFD 1 Rx 340  1 0 9 12 00", "CANFD 1 Rx 340  1 0 9"),
+            *("1 zz Rx d 1 00", "1 3FFFFFFFx Rx d 1 00", "1 340 Rx d 1 0_0"),
+            "1 123 Rx d 2 00 \xff",
+        )
+    ]),
+    "csv": ("csv", CSV_HEADER + "\n", "1.5,0x340,0,0,0,2,AAE=", [
+        *("2.5,0x18ebff00,1,0,0,1,Kg==\n"[:n] for n in range(18, 26)), "1.5,\xff,0",
+    ]),
+    "trc-1.0": ("trc", "; no version\n", " 1) 1298.945 0400 2 00 01", [
+        "1) 1059", "1) 1059 0300",
+    ]),
+    "trc-1.1": ("trc", TRC.format("1.1"), "  1)  1500.0  Rx  0340  2  00 01", [
+        "1) 1059 Rx", "1) 1059 Rx 0300", "1) 1059 Rx 0300 2 00", "1) 1059 Rx 0300 1 00 00",
+        "1) 1059 Rx 3FFFFFFF 1 00", "1) 1059 R9 0300 1 00", "1) 1059 Rx 0123  2  00 \xff",
+    ]),
+    "trc-2.1": ("trc", TRC.format("2.1") + ";$COLUMNS=N,O,T,B,I,d,R,L,D \n",
+                " 1 1059.900 DT 1 0300 Rx - 2 00 01", [
+        "1 1059 FD 1 0300 Rx - 16 " + "00 " * 64, "1 1059 FD 1 0300 Rx - -1 " + "00 " * 64,
+        "1 1059 FD 1 0300 Rx - 9 " + "00 " * 9,
+    ]),
+}  # fmt: skip
+
+
 @pytest.mark.parametrize("packed", [False, True])
 @pytest.mark.parametrize(
     ("suffix", "header", "good", "bad"),
     [
-        pytest.param("log", "", "(1.5) can0 {:03X}#0001", "(1.5) can0 1\xff3#0001", id="log"),
-        pytest.param("csv", CSV_HEADER, "1.5,{:#x},0,0,0,2,AAE=", "1.5,\xff,0", id="csv"),
-        pytest.param(
-            "asc",
-            "date Fri Nov 21 2025\nbase hex  timestamps absolute\nno internal events logged",
-            " 1.5 1  {:X}  Rx  d 2 00 01",
-            " 1.5 1  123  Rx  d 2 00 \xff",
-            id="asc",
-        ),
-        pytest.param(
-            "trc",
-            ";$FILEVERSION=1.1\n;$STARTTIME=40000.0",
-            "  1)  1500.0  Rx  {:04X}  2  00 01",
-            "  1)  1500.0  Rx  0123  2  00 \xff",
-            id="trc",
-        ),
+        pytest.param(suffix, header, good, bad, id=f"{name}-{bad[:40]}")
+        for name, (suffix, header, good, rows) in DAMAGED_ROWS.items()
+        for bad in rows
     ],
 )
-def test_a_damaged_line_costs_only_itself(
+def test_a_damaged_row_costs_only_itself(
     tmp_path: Path, suffix: str, header: str, good: str, bad: str, packed: bool
 ) -> None:
-    """All other lines are read, before, between and after the damage; then the error is raised."""
-    lines = header.split("\n") if header else []
-    lines += [bad if i % 10 == 5 else good.format(i) for i in range(1, 31)]
-    content = "\n".join(lines).encode("latin-1") + b"\n"
+    """The rows before, between and after the damage are read, then the error is raised.
+
+    The last row is damaged, too, and cut: it has no end of line.
+    """
+    content = (header + f"{good}\n{bad}\n" * 2 + f"{good}\n{bad}").encode("latin-1")
     path = tmp_path / (f"drive.{suffix}.gz" if packed else f"drive.{suffix}")
     path.write_bytes(gzip.compress(content) if packed else content)
     frames, text = read_until_error(path)
 
-    assert [f.can_id for f in frames] == [i for i in range(1, 31) if i % 10 != 5]
-    assert {f.data for f in frames} == {b"\x00\x01"}
-    first = lines.index(bad) + 1
-    assert text.startswith(f": 3 of 30 records are damaged (the first: line {first}: ")
+    assert [f.data for f in frames] == [b"\x00\x01"] * 3
+    first = header.count("\n") + 2
+    assert text.startswith(f": 3 of 6 records are damaged (the first: line {first}: ")
+    assert len(text) < 400
 
 
 @pytest.mark.parametrize("suffix", ["blf", "log.gz", "blf.gz", "db"])
@@ -175,36 +203,6 @@ def test_a_binary_log_with_the_suffix_of_a_text(tmp_path: Path, name: str) -> No
     else:
         path.write_bytes(content)
         assert len(list(read_log(path))) == 3
-
-
-def test_a_single_byte_that_is_missing_is_noticed(tmp_path: Path) -> None:
-    """All frames are there, but not what belongs after them."""
-    path = written(tmp_path / "drive.blf", LOGGED)
-    path.write_bytes(path.read_bytes()[:-1])
-    frames, text = read_until_error(path)
-    assert len(frames) == 3
-    assert text == ": truncated after 5 good records, 1 bytes are missing"
-
-
-@pytest.mark.parametrize("length", [0, 1, 15])
-def test_a_blf_object_that_is_shorter_than_its_header_ends_the_file(
-    tmp_path: Path, length: int
-) -> None:
-    """python-can would never end."""
-    messages = [can.Message(timestamp=100 + i, arbitration_id=i, data=b"abc") for i in range(50)]
-    path = written(tmp_path / "drive.blf", messages)
-    content = path.read_bytes()
-    start = 144 + 32  # of the file's header, and of the only container's
-    objects = bytearray(zlib.decompress(content[start:]))
-    places = [match.start() for match in re.finditer(b"LOBJ", objects)]
-    objects[places[30] + 8 : places[30] + 12] = length.to_bytes(4, "little")
-    packed = zlib.compress(objects)
-    head = content[: 144 + 8] + (32 + len(packed)).to_bytes(4, "little") + content[144 + 12 : start]
-    path.write_bytes(head + packed)
-    frames, text = read_until_error(path)
-
-    assert [frame.can_id for frame in frames] == list(range(30))
-    assert "damaged after 30 good records (BLFParseError: an object is shorter" in text
 
 
 @pytest.mark.parametrize(
@@ -270,3 +268,85 @@ def test_a_trc_log_of_unknown_columns_is_one_clear_error(tmp_path: Path, version
 
     assert frames == []
     assert f"(line 2: the columns of version '{version}' of TRC are not known)" in text
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "recordings.md"
+FD_DATA = bytes(range(48))
+COLUMNS = ("channel", "CAN FD", "time stamps", "remote frames", "error frames")
+#: A log in PEAK's format 2.1, whose lengths are DLCs: two channels, a remote and an error frame.
+PEAK_LOG = f""";$FILEVERSION=2.1
+;$STARTTIME=45000.5
+;$COLUMNS=N,O,T,B,I,d,R,L,D
+      1         0.000 DT 1      0123 Rx -  2    01 02
+      2       500.000 DT 2  00000123 Rx -  1    03
+      3      1000.000 RR 1      0124 Rx -  4
+      4      1500.000 ER 1         - Rx -  5    04 00 02 00 00
+      5      2000.000 FB 1      0125 Rx - 14    {FD_DATA.hex(" ")}
+"""
+
+
+def table() -> dict[str, dict[str, str]]:
+    """Return the rows of the table by the suffix of the format."""
+    page = PAGE.read_text().partition("## Logs of others")[2].partition("\n## ")[0]
+    head, _, *rows = [
+        [cell.strip() for cell in row.strip("|").split("|")]
+        for row in page.splitlines()
+        if row.startswith("|")
+    ]
+    assert head == ["format", *COLUMNS]
+    rows = [row for row in rows if row[0].startswith(("`", "candump"))]
+    suffixes = {row[0]: row[0].partition("`")[2].partition("`")[0] for row in rows}
+    return {
+        suffixes[row[0]].replace("-L", ".log"): dict(zip(COLUMNS, row[1:], strict=True))
+        for row in rows
+    }
+
+
+def write_by_python_can(path: Path) -> None:
+    """Write data frames of two channels, one of CAN FD, a remote frame and an error frame."""
+    kinds: list[dict[str, Any]] = [
+        {"arbitration_id": 0x123, "data": b"\1\2", "channel": 1},
+        {"arbitration_id": 0x123, "data": b"\3", "channel": 2, "is_extended_id": True},
+        {"arbitration_id": 0x124, "is_remote_frame": True, "dlc": 4, "channel": 1},
+        {"is_error_frame": True, "data": bytes(8), "channel": 1},
+        {"arbitration_id": 0x125, "is_fd": True, "bitrate_switch": True, "data": FD_DATA},
+    ]
+    with can.Logger(path) as writer:
+        for k, kind in enumerate(kinds):
+            common = {"timestamp": 1.7e9 + 0.5 * k, "is_extended_id": False, "channel": 1}
+            writer(can.Message(**common | kind))
+
+
+def row_of(path: Path) -> tuple[dict[str, str], list[LogFrame]]:
+    """Return the row of the table that reading a log gives, and the frames."""
+    reader = read_log(path)
+    frames = [*reader]
+    skipped = reader.summary.skipped
+    channels = {frame.channel for frame in frames}
+    row = {
+        "channel": "of a column `channel`" if channels == {""} else "kept",
+        "CAN FD": "kept" if frames[-1].data == FD_DATA else "lost",
+        "time stamps": reader.summary.times,
+        "remote frames": "counted" if skipped[Skipped.REMOTE] == 1 else "lost",
+        "error frames": "counted" if skipped[Skipped.ERROR] == 1 else "lost",
+    }
+    return row, frames
+
+
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".mf4", ".trc", ".csv", ".db"])
+def test_the_table_is_what_is_read(suffix: str, tmp_path: Path) -> None:
+    """Of the frames of python-can's writers, and of PEAK's format as its page describes it."""
+    if suffix == ".mf4":
+        pytest.importorskip("asammdf")
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".trc":
+        path.write_text(PEAK_LOG)
+    else:
+        write_by_python_can(path)
+    row, frames = row_of(path)
+    assert row == table()[suffix]
+    assert [(one.can_id, one.is_extended, one.data) for one in frames] == [
+        (0x123, False, b"\1\2"), (0x123, True, b"\3"), (0x125, False, FD_DATA),
+    ]  # fmt: skip
+    if row["channel"] == "kept":
+        assert frames[0].channel == frames[2].channel != frames[1].channel

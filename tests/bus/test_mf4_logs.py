@@ -11,16 +11,13 @@ from typing import Any
 import can
 import numpy as np
 import pytest
-from support.dbcs import default_codec
 from support.recordings import frames_of
 
-from maplines_can import MapLine, Slot
 from maplines_can.bus import LogFrame, read_log
 from maplines_can.logs.log_summary import LogSummary, Skipped
 from maplines_can.logs.mf4_log import Mf4Reader
 from maplines_can.recordings.blocks import read_blocks
 from maplines_can.values.errors import LogError
-from maplines_can.wire import default_dbc_path
 
 asammdf = pytest.importorskip("asammdf", reason="asammdf is an optional dependency")
 from asammdf.blocks import v4_constants as v4  # noqa: E402
@@ -80,27 +77,67 @@ def read(path: Path) -> tuple[list[LogFrame], LogSummary]:
 
 IDS = np.array([0x340, 0x12345, 0x7FF], np.uint32)
 MARKED = IDS | np.array([0, EXTENDED, EXTENDED], np.uint32)
-ARE_EXTENDED = [False, True, True]
 
 
-@pytest.mark.parametrize(
-    ("ids", "ide", "expected"),
-    [
-        pytest.param(MARKED, None, ARE_EXTENDED, id="bit-31"),
-        pytest.param(IDS, [0, 1, 1], ARE_EXTENDED, id="field"),
-        pytest.param(MARKED, [0, 1, 1], ARE_EXTENDED, id="both"),
-        pytest.param(MARKED, [0, 0, 0], ARE_EXTENDED, id="a-field-that-is-never-set"),
-        pytest.param(IDS, None, [False, True, False], id="neither: those of more than 11 bits"),
-    ],
-)
-def test_extended_ids(tmp_path: Path, ids: Any, ide: Any, expected: list[bool]) -> None:
-    """The field IDE tells it, or bit 31 of the ID, as for asammdf."""
-    values = None if ide is None else np.array(ide, np.uint8)
-    group = signal("CAN_DataFrame", [0, 1, 2], fields(ID=ids, IDE=values))
-    path = written(tmp_path / "a.mf4", group)
-    frames, _ = read(path)
-    assert [frame.can_id for frame in frames] == IDS.tolist()
-    assert [frame.is_extended for frame in frames] == expected
+def numbers(*values: int) -> Any:
+    return np.array(values, np.uint8)
+
+
+#: Fields of a group, and what is read of its three frames.
+FIELDS: list[tuple[dict[str, Any], dict[str, Any]]] = [
+    # The field IDE tells extended IDs, or bit 31 of the ID, as for asammdf.
+    *(
+        ({"ID": ids, "IDE": ide}, {"can_id": IDS.tolist(), "is_extended": expected})
+        for ids, ide, expected in (
+            (MARKED, None, [False, True, True]), (IDS, numbers(0, 1, 1), [False, True, True]),
+            (MARKED, numbers(0, 1, 1), [False, True, True]),
+            (MARKED, numbers(0, 0, 0), [False, True, True]),  # a field that is never set
+            (IDS, None, [False, True, False]),  # neither: those of more than 11 bits
+        )
+    ),
+    # Lengths are those of the field of this name, of the DLC, or of all bytes.
+    ({"DataLength": numbers(0, 3, 8)}, {"length": [0, 3, 8]}),
+    ({"DataLength": numbers(8, 9, 12)}, {"length": [8, 8, 8]}),
+    ({"DataLength": None, "DLC": numbers(0, 3, 8)}, {"length": [0, 3, 8]}),
+    ({"DataLength": None, "DLC": numbers(0, 9, 15)}, {"length": [0, 8, 8]}),
+    ({"DataLength": None, "DLC": None}, {"length": [8, 8, 8]}),
+    ({"DataLength": numbers(8, 12, 64), "width": 64}, {"length": [8, 12, 64]}),
+    ({"DataLength": None, "DLC": numbers(8, 9, 15), "width": 64}, {"length": [8, 12, 64]}),
+    ({"DataLength": None, "DLC": numbers(8, 9, 15), "EDL": numbers(0, 0, 1), "width": 64},
+     {"length": [8, 8, 64]}),
+    ({"BusChannel": None}, {"channel": ["", "", ""]}),
+    ({"BusChannel": numbers(7, 2, 7)}, {"channel": ["7", "2", "7"]}),
+    ({"BusChannel": np.array([b"CAN 2", b"CAN 1", b"CAN 2"])},
+     {"channel": ["CAN 2", "CAN 1", "CAN 2"]}),
+    # What is no frame on the bus is counted.
+    ({"Dir": numbers(0, 1, 0)}, {}),
+    ({"Dir": np.array([b"Rx", b"Tx", b"Rx"])}, {}),
+    ({"Dir": numbers(0, 2, 1)}, {"length": [8, 8], "skipped": {Skipped.REQUEST: 1}}),
+    ({"Dir": np.array([b"TxRq", b"TXRQ", b"Tx"])},
+     {"length": [8], "skipped": {Skipped.REQUEST: 2}}),
+    ({"RTR": numbers(0, 1, 1)}, {"length": [8], "skipped": {Skipped.REMOTE: 2}}),
+    ({"RTR": numbers(0, 1, 1), "Dir": numbers(1, 1, 2)},
+     {"length": [8], "skipped": {Skipped.REMOTE: 1, Skipped.REQUEST: 1}}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("given", "expected"), FIELDS)
+def test_fields_of_a_group(tmp_path: Path, given: dict[str, Any], expected: Any) -> None:
+    all_fields = fields(**given)
+    frames, summary = read(
+        written(tmp_path / "a.mf4", signal("CAN_DataFrame", [0, 1, 2], all_fields))
+    )
+    found: dict[str, Any] = {"length": [len(frame.data) for frame in frames]}
+    for name in ("can_id", "is_extended", "channel"):
+        found[name] = [getattr(frame, name) for frame in frames]
+    found["skipped"] = summary.skipped
+    expected = {"length": [8, 8, 8], "skipped": {}} | expected
+    assert {name: found[name] for name in expected} == expected
+    if len(frames) == 3:
+        rows = all_fields["DataBytes"]
+        assert [f.data for f in frames] == [
+            bytes(row[: len(f.data)]) for f, row in zip(frames, rows, strict=True)
+        ]
 
 
 def test_numbers_that_a_conversion_names(tmp_path: Path) -> None:
@@ -126,106 +163,20 @@ def test_numbers_that_a_conversion_names(tmp_path: Path) -> None:
     assert [len(frame.data) for frame in frames] == [8, 3, 3]
 
 
-def test_a_field_that_is_no_number(tmp_path: Path) -> None:
-    group = signal("CAN_DataFrame", [0, 1, 2], fields(IDE=np.array([b"no", b"yes", b"yes"])))
-    with pytest.raises(LogError, match=r"the field CAN_DataFrame\.IDE of a group is no number"):
-        read(written(tmp_path / "a.mf4", group))
-
-
-@pytest.mark.parametrize("with_ide", [False, True])
-def test_asammdf_finds_the_same_signals(tmp_path: Path, with_ide: bool) -> None:
-    """Lines of the DBC of the package: as many records of each message as frames."""
-    codec, t = default_codec(), np.arange(20) / 20
-    encoder = codec.encoder()
-    line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0])
-    sent = [frame for _ in range(5) for frame in encoder.encode(line)]
-    ids = np.array(
-        [f.can_id | EXTENDED * (f.is_extended and not with_ide) for f in sent], np.uint32
-    )
-    ide = np.array([f.is_extended for f in sent], np.uint8) if with_ide else None
-    data = np.array([[*frame.data] for frame in sent], np.uint8)
-    group = signal("CAN_DataFrame", t, fields(20, ID=ids, IDE=ide, DataBytes=data))
-    path = written(tmp_path / "a.mf4", group)
-    frames, _ = read(path)
-    assert [(f.can_id, f.is_extended, f.data) for f in frames] == [
-        (f.can_id, f.is_extended, f.data) for f in sent
-    ]
-    with asammdf.MDF(path) as mdf:
-        found = mdf.extract_bus_logging({"CAN": [(str(default_dbc_path()), 0)]})
-        records = [group.channel_group.cycles_nr for group in found.groups]
-    # A group of what all pages of a message have, and one for each of its four pages.
-    assert sorted(records) == [5, 5, 5, 5, 20]
-
-
 @pytest.mark.parametrize(
-    ("given", "lengths"),
+    ("given", "t", "words"),
     [
-        pytest.param({"DataLength": [0, 3, 8]}, [0, 3, 8], id="length"),
-        pytest.param({"DataLength": None, "DLC": [0, 3, 8]}, [0, 3, 8], id="dlc"),
-        pytest.param({"DataLength": None, "DLC": [0, 9, 15]}, [0, 8, 8], id="classic-dlc-of-15"),
-        pytest.param({"DataLength": None, "DLC": None}, [8, 8, 8], id="neither"),
-        pytest.param(
-            {"DataLength": None, "DLC": [8, 9, 15], "width": 64}, [8, 12, 64], id="fd-dlc"
-        ),
-        pytest.param(
-            {"DataLength": None, "DLC": [8, 9, 15], "EDL": [0, 0, 1], "width": 64}, [8, 8, 64],
-            id="fd-dlc-and-edl",
-        ),
-        pytest.param({"DataLength": [8, 12, 64], "width": 64}, [8, 12, 64], id="fd-length"),
-        pytest.param({"DataLength": [8, 9, 12]}, [8, 8, 8], id="more-than-there-are"),
+        ({"IDE": np.array([b"no", b"yes", b"yes"])}, [0, 1, 2], r"\.IDE of a group is no number"),
+        ({"ID": None}, [0, 1, 2], r"a group of frames has no field CAN_DataFrame\.ID"),
+        ({"DataBytes": None}, [0, 1, 2], r"has no field CAN_DataFrame\.DataBytes"),
+        ({}, [0, 1, 1e10], "the time stamp is beyond 64 bits of nanoseconds"),
     ],
-)  # fmt: skip
-def test_lengths(tmp_path: Path, given: dict[str, Any], lengths: list[int]) -> None:
-    """By the field of its name, by the DLC, or those of all bytes."""
-    numbers: dict[str, Any] = {
-        name: np.array(values, np.uint8) if isinstance(values, list) else values
-        for name, values in given.items()
-    }
-    all_fields = fields(**numbers)
-    frames, _ = read(written(tmp_path / "a.mf4", signal("CAN_DataFrame", [0, 1, 2], all_fields)))
-    rows = all_fields["DataBytes"]
-    assert [f.data for f in frames] == [
-        bytes(row[:length]) for row, length in zip(rows, lengths, strict=True)
-    ]
-
-
-@pytest.mark.parametrize(
-    ("given", "channels"),
-    [
-        (None, ["", "", ""]),
-        (np.array([7, 2, 7], np.uint8), ["7", "2", "7"]),
-        (np.array([b"CAN 2", b"CAN 1", b"CAN 2"]), ["CAN 2", "CAN 1", "CAN 2"]),
-    ],
-    ids=["none", "numbers", "texts"],
 )
-def test_channels(tmp_path: Path, given: Any, channels: list[str]) -> None:
-    group = signal("CAN_DataFrame", [0, 1, 2], fields(BusChannel=given))
-    frames, _ = read(written(tmp_path / "a.mf4", group))
-    assert [frame.channel for frame in frames] == channels
-
-
-@pytest.mark.parametrize(
-    ("given", "frames", "skipped"),
-    [
-        pytest.param({"Dir": np.array([0, 1, 0], np.uint8)}, 3, {}, id="rx-and-tx"),
-        pytest.param({"Dir": np.array([b"Rx", b"Tx", b"Rx"])}, 3, {}, id="texts"),
-        pytest.param({"Dir": np.array([0, 2, 1], np.uint8)}, 2, {Skipped.REQUEST: 1}, id="request"),
-        pytest.param(
-            {"Dir": np.array([b"TxRq", b"TXRQ", b"Tx"])}, 1, {Skipped.REQUEST: 2}, id="request-text"
-        ),
-        pytest.param({"RTR": np.array([0, 1, 1], np.uint8)}, 1, {Skipped.REMOTE: 2}, id="remote"),
-        pytest.param(
-            {"RTR": np.array([0, 1, 1], np.uint8), "Dir": np.array([1, 1, 2], np.uint8)}, 1,
-            {Skipped.REMOTE: 1, Skipped.REQUEST: 1}, id="remote-and-request",
-        ),
-    ],
-)  # fmt: skip
-def test_what_is_no_frame_on_the_bus_is_counted(
-    tmp_path: Path, given: dict[str, Any], frames: int, skipped: dict[Skipped, int]
+def test_groups_that_are_no_frames(
+    tmp_path: Path, given: dict[str, Any], t: list[float], words: str
 ) -> None:
-    group = signal("CAN_DataFrame", [0, 1, 2], fields(**given))
-    found, summary = read(written(tmp_path / "a.mf4", group))
-    assert (len(found), summary.skipped) == (frames, skipped)
+    with pytest.raises(LogError, match=words):
+        read(written(tmp_path / "a.mf4", signal("CAN_DataFrame", t, fields(**given))))
 
 
 @pytest.mark.parametrize(
@@ -317,15 +268,11 @@ def test_groups_are_merged_by_their_times(
     assert sorted((f.t_ns, f.channel, len(f.data), f.can_id) for f in frames) == expected
 
 
-def test_a_single_group_keeps_its_order(tmp_path: Path) -> None:
-    """Also where its times go back."""
-    group = signal("CAN_DataFrame", [2, 1, 3], fields())
-    frames, _ = read(written(tmp_path / "a.mf4", group))
-    assert [frame.t_ns - START_NS for frame in frames] == [2 * 10**9, 10**9, 3 * 10**9]
-
-
 def test_groups_whose_times_go_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No frame is lost or read twice."""
+    """A single one keeps its order; of several, no frame is lost or read twice."""
+    single = signal("CAN_DataFrame", [2, 1, 3], fields())
+    frames, _ = read(written(tmp_path / "a.mf4", single))
+    assert [frame.t_ns - START_NS for frame in frames] == [2 * 10**9, 10**9, 3 * 10**9]
     monkeypatch.setattr("maplines_can.logs.mf4_log.BLOCK_FRAMES", 4)
     rng = np.random.default_rng(1)
     groups = [
@@ -363,14 +310,6 @@ def test_signals_are_no_log_of_a_bus(tmp_path: Path) -> None:
         read(path)
 
 
-@pytest.mark.parametrize("name", ["ID", "DataBytes"])
-def test_a_group_without_what_a_frame_needs(tmp_path: Path, name: str) -> None:
-    given = {key: values for key, values in fields().items() if key != name}
-    path = written(tmp_path / "a.mf4", signal("CAN_DataFrame", [0, 1, 2], given))
-    with pytest.raises(LogError, match=f"a group of frames has no field CAN_DataFrame.{name}"):
-        read(path)
-
-
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -404,18 +343,6 @@ def test_a_log_that_was_not_finalised(tmp_path: Path) -> None:
     other = path.with_suffix("")
     path.rename(other)
     assert list(read_log(other)) == frames
-
-
-def test_a_silent_log_has_no_frames(tmp_path: Path) -> None:
-    with can.MF4Writer(tmp_path / "a.mf4"):
-        pass
-    assert read(tmp_path / "a.mf4")[0] == []
-
-
-def test_times_beyond_64_bits_are_damage(tmp_path: Path) -> None:
-    path = written(tmp_path / "a.mf4", signal("CAN_DataFrame", [0, 1, 1e10], fields()))
-    with pytest.raises(LogError, match="the time stamp is beyond 64 bits of nanoseconds"):
-        read(path)
 
 
 def test_the_file_is_closed(tmp_path: Path) -> None:

@@ -52,17 +52,6 @@ def test_item_3_lines_pass_over_buses_that_are_open(channel: str, kind: Any, fd:
     assert all(line.gaussian.mean[0] == line.slot / 8 for line in lines)
 
 
-def test_one_bus_serves_a_transmitter_and_a_receiver(channel: str) -> None:
-    codec = FakeCodec()
-    with (
-        can.Bus(interface="virtual", channel=channel, receive_own_messages=True) as bus,
-        Receiver(bus, codec.decoder()) as receiver,
-        Transmitter(bus, codec, period=0.01) as transmitter,  # type: ignore[arg-type]
-    ):
-        transmitter.publish(map_line(y=3))
-        assert [line.gaussian.mean[0] for line in collect(receiver, 20)] == [3.0] * 20
-
-
 @pytest.mark.parametrize("wrong", [None, "vcan0", can.Bus, FakeOpener(), Codec, 7])
 def test_item_3_anything_else_is_refused_by_name(wrong: Any) -> None:
     codec = FakeCodec()

@@ -1,8 +1,6 @@
 """Frames become lines; everything else is counted."""
 
 import itertools
-import queue
-import threading
 import time
 from typing import Any
 
@@ -55,30 +53,6 @@ def test_everything_that_arrives_is_counted(link: Any, other: Any) -> None:
     }
 
 
-def test_iteration_ends_with_stop(link: Any, other: Any) -> None:
-    """Lines in the queue are still returned, then the iteration ends."""
-    codec = FakeCodec()
-    encoder = codec.encoder()
-    with Receiver(other, codec.decoder()) as receiver:
-        send_frames(link, *encoder.encode(map_line(y=1)), *encoder.encode(map_line(y=2)))
-        for received in receiver:
-            receiver.stop()
-            assert received.gaussian.mean[0] == 1
-            break
-    assert [x.gaussian.mean[0] for x in receiver] in ([2.0], [])
-    assert receiver.get() is None
-    receiver.stop()
-
-
-def test_stop_wakes_waiting_threads(other: Any) -> None:
-    receiver = Receiver(other, FakeCodec().decoder()).start()
-    waiting = threading.Thread(target=receiver.get)
-    waiting.start()
-    receiver.stop()
-    waiting.join(LONG)
-    assert not waiting.is_alive()
-
-
 def test_item_10_a_receiver_that_never_started_has_nothing_to_wait_for(other: Any) -> None:
     receiver = Receiver(other, FakeCodec().decoder())
     assert receiver.get() is None
@@ -97,16 +71,6 @@ def test_the_queue_keeps_the_newest_lines(link: Any, other: Any) -> None:
         wait_until(lambda: receiver.stats().lines == 10)
         assert [x.gaussian.mean[0] for x in collect(receiver, 3)] == [7, 8, 9]
         assert receiver.stats().overflowed == 7
-
-
-def test_a_callback_gets_the_lines(link: Any, other: Any) -> None:
-    codec, lines = FakeCodec(), queue.SimpleQueue[Any]()
-    with Receiver(other, codec.decoder(), on_line=lines.put) as receiver:
-        send_frames(link, *codec.encoder().encode(map_line(y=3)))
-        assert lines.get(timeout=LONG).gaussian.mean[0] == 3
-        with pytest.raises(TypeError, match="go to on_line"):
-            receiver.get()
-    assert receiver.stats().overflowed == 0
 
 
 def test_a_callback_gets_a_line_before_the_next_one_counts(link: Any, other: Any) -> None:
@@ -163,11 +127,6 @@ def test_item_10_only_the_ids_of_the_decoder_pass_by_default(
 def test_wrong_can_ids_raise(other: Any, can_ids: Any) -> None:
     with pytest.raises(ValueError, match="can_ids must be 1 CAN ID or more, 'decoder' for"):
         Receiver(other, FakeCodec().decoder(), can_ids=can_ids)
-
-
-def test_a_queue_size_of_0_raises(other: Any) -> None:
-    with pytest.raises(ValueError, match="queue_size must be 1 line or more, got 0"):
-        Receiver(other, FakeCodec().decoder(), queue_size=0)
 
 
 @pytest.mark.socketcan

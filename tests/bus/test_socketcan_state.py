@@ -11,8 +11,6 @@ from support.fake_bus import FRAME, GONE, NO_NUMBER, Clock, FakeBus, FakeOpener
 
 from maplines_can.bus import Link, Sent
 from maplines_can.bus.bus_factory import (
-    BusFactory,
-    UnsuitableInterfaceError,
     interface_problem,
 )
 from maplines_can.values.errors import BusError
@@ -90,24 +88,6 @@ def test_what_prevents_the_use_of_an_interface(
         assert found is not None
         assert words in found.text
         assert found.is_outage is is_outage
-
-
-@pytest.mark.parametrize(
-    ("interface", "error"),
-    [(None, BusError), (Interface(mtu=CLASSIC), UnsuitableInterfaceError)],
-)
-def test_an_unusable_interface_is_not_opened(
-    kernel: dict[str, Interface], interface: Interface | None, error: type[BusError]
-) -> None:
-    """The error distinguishes what waiting can cure from what it cannot."""
-    if interface is not None:
-        kernel["can0"] = interface
-    opener = FakeOpener()
-    factory = BusFactory(opener, {"interface": "socketcan", "channel": "can0", "fd": True})
-    with pytest.raises(BusError, match="socketcan can0 cannot be opened: ") as caught:
-        factory.open()
-    assert caught.type is error
-    assert opener.opened == []
 
 
 def test_a_deleted_interface_is_noticed_within_a_second(kernel: dict[str, Interface]) -> None:

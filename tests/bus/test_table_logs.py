@@ -1,12 +1,11 @@
-"""TRC and CSV logs: their versions, columns, and what is no data frame; cantools is a witness."""
+"""TRC, CSV and SQLite logs: versions, columns, and what is no data frame."""
 
-import io
+import sqlite3
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
-import can
 import pytest
-from cantools.logreader import Parser
 
 from maplines_can.bus import LogFrame, Skipped, read_log
 from maplines_can.values.errors import LogError
@@ -65,13 +64,6 @@ def test_each_version_of_trc(tmp_path: Path, version: str, suffix: str) -> None:
     assert log.summary.times == ("zero" if version == "1.0" else "absolute")
 
 
-@pytest.mark.parametrize("version", ["1.1", "1.2", "1.3", "2.1"])
-def test_cantools_reads_the_same_frames_of_trc(version: str) -> None:
-    """It takes errors for frames, too, and does not know the other versions."""
-    witness = {(w.frame_id, bytes(w.data)) for w in Parser(io.StringIO(LOGS[version]))}
-    assert witness >= {frame[:2] for frame in FRAMES}
-
-
 @pytest.mark.parametrize(("column", "value"), [("l", "12"), ("L", "9")])
 @pytest.mark.parametrize("kind", ["FD", "FB", "FE", "BI"])
 def test_can_fd_of_trc(tmp_path: Path, column: str, value: str, kind: str) -> None:
@@ -90,36 +82,11 @@ def test_a_message_of_j1939_is_no_frame(tmp_path: Path) -> None:
     path = tmp_path / "a.trc"
     path.write_text(
         HEADER.format("1.3") + f" 1) 1.0 1 Rx 10062123 - 9 {'D2 ' * 9}\n"
-        f" 2) 2.0 1 Rx 0123 - 9 {'AA ' * 8}\n"
+        f" 2) 2.0 1 Rx 0123 - 9 {'AA ' * 8}\n 3) 3.0 1 Rx 0123 - 8 {'AA ' * 8}\n"
     )
     log = read_log(path)
-    assert [f.data for f in log] == [b"\xaa" * 8]
+    assert [f.data for f in log] == [b"\xaa" * 8] * 2
     assert log.summary.skipped == Counter({Skipped.OTHER: 1})
-
-
-@pytest.mark.parametrize(
-    ("version", "row"),
-    [
-        ("1.0", "1) 1059"),
-        ("1.0", "1) 1059 0300"),
-        ("1.1", "1) 1059 Rx"),
-        ("1.1", "1) 1059 Rx 0300"),
-        ("1.1", "1) 1059 Rx 0300 2 00"),
-        ("1.1", "1) 1059 Rx 0300 1 00 00"),
-        ("1.1", "1) 1059 Rx 3FFFFFFF 1 00"),
-        ("1.1", "1) 1059 R9 0300 1 00"),
-        ("2.1", "1 1059 FD 1 0300 Rx - 16 " + "00 " * 64),
-        ("2.1", "1 1059 FD 1 0300 Rx - -1 " + "00 " * 64),
-        ("2.1", "1 1059 FD 1 0300 Rx - 9 " + "00 " * 9),
-    ],
-)
-def test_a_row_that_is_damaged_costs_only_itself(tmp_path: Path, version: str, row: str) -> None:
-    path = tmp_path / "a.trc"
-    path.write_text(f"{LOGS[version]}{row}\n{LOGS[version]}")
-    found: list[LogFrame] = []
-    with pytest.raises(LogError, match="1 of 13 records are damaged"):
-        found.extend(read_log(path))
-    assert len(found) == 6
 
 
 @pytest.mark.parametrize("version", LOGS)
@@ -166,14 +133,6 @@ def test_csv_of_two_recordings_and_of_other_columns(tmp_path: Path) -> None:
     assert [*read_log(path)] == [*CSV_FRAMES, last]
 
 
-@pytest.mark.parametrize("end", range(1, 10))
-def test_a_row_of_csv_that_is_cut_is_damage(tmp_path: Path, end: int) -> None:
-    path, text = tmp_path / "a.csv", CSV + CSV_ROWS
-    path.write_text(text[: -end - 1])
-    with pytest.raises(LogError, match="1 of 2 records are damaged"):
-        list(read_log(path))
-
-
 def test_csv_of_something_else_names_the_column(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("t,slot\n1.5,EGO_LEFT\n")
@@ -181,12 +140,89 @@ def test_csv_of_something_else_names_the_column(tmp_path: Path) -> None:
         list(read_log(path))
 
 
-@pytest.mark.parametrize("kind", ["is_error_frame", "is_remote_frame"])
-def test_error_and_remote_frames_of_csv(tmp_path: Path, kind: str) -> None:
-    """As python-can writes them."""
-    with can.CSVWriter(tmp_path / "a.csv") as writer:
-        writer.on_message_received(can.Message(timestamp=1.5, dlc=4, **{kind: True}))
-    log = read_log(tmp_path / "a.csv")
-    assert [*log] == []
-    expected = Skipped.ERROR if kind == "is_error_frame" else Skipped.REMOTE
-    assert log.summary.skipped == Counter({expected: 1})
+SQL_NAMES = "ts, arbitration_id, extended, remote, error, dlc, data"
+SQL_ROWS: list[tuple[Any, ...]] = [
+    (1_700_000_000.25, 0x340, 0, 0, 0, 2, b"\1\2"),
+    (1_700_000_000.5, 0x12345, 1, 0, 0, 0, None),
+    (1_700_000_000.5, 0x340, 0, 1, 0, 4, None),
+    (1_700_000_000.75, 4, 0, 0, 1, 8, bytes(8)),
+    (1_700_000_001.0, 0x340, 0, 1, 1, 8, bytes(8)),
+]
+SQL_DATA = [(0x340, b"\1\2", False), (0x12345, b"", True)]
+
+
+def written(path: Path, names: str, rows: list[tuple[Any, ...]]) -> Path:
+    with sqlite3.connect(path) as database:
+        database.execute(f"CREATE TABLE messages({names})")
+        places = ", ".join("?" * len(rows[0]))
+        database.executemany(f"INSERT INTO messages VALUES({places})", rows)
+    database.close()
+    return path
+
+
+def read(path: Path) -> tuple[list[LogFrame], Any]:
+    log = read_log(path)
+    return list(log), log.summary
+
+
+def test_rows_without_a_channel(tmp_path: Path) -> None:
+    """As python-can writes them; the summary says what is lost, and counts what is no frame."""
+    frames, summary = read(written(tmp_path / "a.db", SQL_NAMES, SQL_ROWS))
+    assert [(f.can_id, f.data, f.is_extended) for f in frames] == SQL_DATA
+    assert [frame.t_ns for frame in frames] == [
+        1_700_000_000_250_000_000,
+        1_700_000_000_500_000_000,
+    ]
+    assert {frame.channel for frame in frames} == {""}
+    assert summary.skipped == {Skipped.REMOTE: 1, Skipped.ERROR: 2}
+    assert (summary.format, summary.times) == (".db", "absolute")
+    assert [note for note in summary.notices if "no column channel" in note] == summary.notices
+
+
+@pytest.mark.parametrize(
+    ("channel", "name"), [("can1", "can1"), (7, "7"), (None, "")], ids=["text", "number", "none"]
+)
+def test_rows_with_a_channel(tmp_path: Path, channel: object, name: str) -> None:
+    """In any place, and in capital letters."""
+    rows = [(row[0], channel, "other", *row[1:]) for row in SQL_ROWS]
+    names = SQL_NAMES.replace("ts,", "TS, Channel, more,")
+    frames, summary = read(written(tmp_path / "a.db", names, rows))
+    assert [(f.can_id, f.data, f.is_extended) for f in frames] == SQL_DATA
+    assert [frame.channel for frame in frames] == [name, name]
+    assert summary.notices == []
+
+
+@pytest.mark.parametrize(
+    ("first", "times"), [(0.0, "zero"), (631_151_999.0, "zero"), (631_152_000.0, "absolute")]
+)
+def test_kind_of_times(tmp_path: Path, first: float, times: str) -> None:
+    """Dates begin in 1990, as for python-can."""
+    path = written(
+        tmp_path / "a.db", SQL_NAMES, [(first, *SQL_ROWS[0][1:]), (2e9, *SQL_ROWS[0][1:])]
+    )
+    assert read(path)[1].times == times
+
+
+@pytest.mark.parametrize("missing", SQL_NAMES.split(", "))
+def test_a_table_without_a_column_of_a_frame(tmp_path: Path, missing: str) -> None:
+    names = SQL_NAMES.replace(missing, "other")
+    with pytest.raises(LogError, match=r"must have the 7 columns ts, .*, got .*other"):
+        read(written(tmp_path / "a.db", names, SQL_ROWS))
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ((1.5, "340", 0, 0, 0, 2, b"\1\2"), "an integer as CAN ID"),
+        ((1.5, 0x340, 0, 0, 0, 2, "ab"), "a blob as data"),
+        ((1.5, 1 << 29, 1, 0, 0, 2, b"\1\2"), "CAN ID must be in"),
+        ((1e10, 0x340, 0, 0, 0, 2, b"\1\2"), "beyond 64 bits"),
+        ((1.5, 0x340, 0, 0, 0, 65, bytes(65)), "at most 64 bytes"),
+    ],
+)
+def test_a_row_that_is_no_frame_ends_the_reading(
+    tmp_path: Path, row: tuple[Any, ...], words: str
+) -> None:
+    frames = list[LogFrame]()
+    with pytest.raises(LogError, match=f"damaged after 1 good records .*{words}"):
+        frames.extend(read_log(written(tmp_path / "a.db", SQL_NAMES, [SQL_ROWS[0], row])))

@@ -1,13 +1,10 @@
 """Every published line is sent once a period, whole or not at all."""
 
-import itertools
 import json
 import struct
 import threading
-from types import SimpleNamespace
 from typing import Any
 
-import can
 import pytest
 from support.fake_bus import (
     FULL,
@@ -16,24 +13,19 @@ from support.fake_bus import (
     Clock,
     FakeOpener,
     FakeTime,
-    collect,
     drive,
     map_line,
-    send_frames,
 )
 from support.fake_codec import PAGES, FakeCodec, sent_values
-from support.scene_streams import road_scene
 
 from maplines_can.bus import (
     Link,
-    Receiver,
     Transmitter,
 )
 from maplines_can.bus.transmitter import TransmitterStats
-from maplines_can.values.errors import BusError, EncodeError
+from maplines_can.values.errors import BusError
 from maplines_can.values.line import LeftOut, MapLineList, Slot
-from maplines_can.values.scene import Scene
-from maplines_can.wire import POSE, Frame, PreparedScene
+from maplines_can.wire import Frame
 
 
 def transfer(sent: Any, n: Any = PAGES) -> Any:
@@ -41,53 +33,16 @@ def transfer(sent: Any, n: Any = PAGES) -> Any:
     return [tuple(sent.get(timeout=LONG).data[:2]) for _ in range(n)]
 
 
-@pytest.mark.parametrize("fd", [False, True])
-def test_lines_arrive_in_every_period(link: Any, other: Any, fd: bool) -> None:
-    """Eight lines, five periods each, nothing lost but overruns; the counters agree."""
-    codec = FakeCodec()
-    with Receiver(other, codec.decoder()) as receiver:
-        transmitter = Transmitter(link, codec, period=0.05, fd=fd, count=5)  # type: ignore[arg-type]
-        for slot in Slot:
-            transmitter.publish(map_line(slot, y=slot / 10))
-        with transmitter:
-            assert transmitter.wait(LONG)
-        stats = transmitter.stats()
-        lines = collect(receiver, stats.lines)
-
-    assert stats.lines + stats.overruns == 40
-    per_slot = [[x.gaussian.mean[0] for x in lines if x.slot == slot] for slot in Slot]
-    assert per_slot == [
-        [slot / 10] * len(values) for slot, values in zip(Slot, per_slot, strict=True)
-    ]
-    assert all(1 <= len(values) <= 5 for values in per_slot)
-    assert stats.frames == stats.lines * (1 if fd else PAGES)
-    assert 0 < stats.lateness.median <= stats.lateness.p99 <= stats.lateness.max
-    assert receiver.stats().lines == stats.lines
-
-
-def test_the_latest_value_wins(link: Any, other: Any) -> None:
-    """The last published value is sent, once each period."""
-    codec = FakeCodec()
-    with (
-        Receiver(other, codec.decoder()) as receiver,
-        Transmitter(link, codec, period=0.02) as transmitter,  # type: ignore[arg-type]
-    ):
-        for round_ in range(1, 4):
-            for y in (0.5, -3.0, round_):
-                transmitter.publish(map_line(y=y))
-            while receiver.get(LONG).gaussian.mean[0] != round_:  # type: ignore[union-attr]
-                pass  # values sent before the last publish
-            assert collect(receiver, 2)[-1].gaussian.mean[0] == round_
-
-
 def test_the_age_counts_from_the_pose(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maplines_can.bus.transmitter.time", now := FakeTime())
     opener, clock = FakeOpener(), Clock()
     with Link(opener) as link:
-        transmitter = Transmitter(link, FakeCodec(), period=1.0, clock=clock)  # type: ignore[arg-type]
+        transmitter = Transmitter(link, FakeCodec(), clock=clock)  # type: ignore[arg-type]
         transmitter.publish(map_line(age=77.0), t_pose_ns=now.ns - 2_000_000_000)
-        drive(transmitter, clock, 1000.5)
-        assert sent_values(opener)[0][0] == 2000 + 4  # and the lateness that is allowed
+        drive(transmitter, clock, 1000.99)
+    sent = sent_values(opener)
+    assert sent[0][0] == 2000 + 4  # and the lateness that is allowed
+    assert len(sent) == 20  # by default, 20 times a second
 
 
 @pytest.mark.parametrize("lost_at", range(PAGES))
@@ -109,16 +64,6 @@ def test_a_transfer_is_whole_or_dropped(lost_at: Any) -> None:
     assert stats.down >= 1
     assert stats.frames == PAGES * stats.lines + lost_at
     assert link.outages == 1
-
-
-def test_a_frame_is_retried_while_the_queue_is_full() -> None:
-    """The transfer continues where it was when there is room again."""
-    opener = FakeOpener(None, FULL, FULL, FULL)
-    with Link(opener) as link, Transmitter(link, FakeCodec(), period=3600.0) as transmitter:  # type: ignore[arg-type]
-        transmitter.publish(map_line())
-        assert transfer(opener.sent) == [(0, 1), (1, 1), (2, 1), (3, 1)]
-
-    assert transmitter.stats()[:6] == (1, 0, 0, 0, PAGES, 3)
 
 
 def test_a_queue_that_stays_full_costs_the_line_its_period() -> None:
@@ -145,18 +90,6 @@ def test_a_queue_that_stays_full_costs_the_line_its_period() -> None:
     assert link.outages == 0
 
 
-def test_a_full_receiver_on_the_virtual_bus_does_not_block_the_sender(
-    link: Any, channel: str
-) -> None:
-    """The virtual bus by itself would wait for ever."""
-    with can.Bus(interface="virtual", channel=channel, rx_queue_size=2):
-        transmitter = Transmitter(link, FakeCodec(), period=0.02, count=1)  # type: ignore[arg-type]
-        transmitter.publish(map_line())
-        with transmitter:
-            assert transmitter.wait(LONG)
-        assert transmitter.stats().full == 1
-
-
 def test_an_error_of_the_codec_reaches_the_caller(link: Any) -> None:
     """It ends the thread. wait and publish raise it; stop does not raise it again."""
     transmitter = Transmitter(link, FakeCodec(), period=0.001)  # type: ignore[arg-type]
@@ -166,10 +99,6 @@ def test_an_error_of_the_codec_reaches_the_caller(link: Any) -> None:
             transmitter.wait(LONG)
         with pytest.raises(ValueError, match="13 m"):
             transmitter.publish(map_line())
-
-    with pytest.raises(ValueError, match="13 m"), Transmitter(link, FakeCodec()) as transmitter:  # type: ignore[arg-type]  # noqa: PT012
-        transmitter.publish(map_line(x_max=13.0))
-        transmitter._join(LONG)
 
 
 def test_the_error_of_the_body_is_not_hidden(link: Any) -> None:
@@ -210,58 +139,12 @@ def test_a_callback_may_stop_the_transmitter() -> None:
             assert transmitter.wait(LONG)
 
 
-def test_each_slot_has_its_phase_in_the_period(link: Any, other: Any) -> None:
-    """Slots are spread over the period, in their order, the pages of one line together."""
-    clock = Clock()
-    transmitter = Transmitter(link, FakeCodec(), period=0.4, count=2, clock=clock)  # type: ignore[arg-type]
-    for slot in reversed(Slot):
-        transmitter.publish(map_line(slot))
-    drive(transmitter, clock, clock.now + 1.0)
-    frames = [other.recv(LONG) for _ in range(2 * 8 * PAGES)]
-
-    order = [frame.data[2] for frame in frames]
-    rounds = [order[i : i + PAGES] for i in range(0, len(order), PAGES)]
-    assert all(len(set(pages)) == 1 for pages in rounds)
-    slots = [pages[0] for pages in rounds]
-    assert all((b - a) % 8 == 1 for a, b in itertools.pairwise(slots))
-
-
-@pytest.mark.parametrize("settings", [
-    *({"period": period} for period in (0, float("nan"), 0.0009, 3600.5)),
-    *({"count": 0}, {"max_age": 60.1}),
-])  # fmt: skip
-def test_wrong_settings_raise(link: Any, settings: Any) -> None:
-    with pytest.raises(ValueError, match=rf"{next(iter(settings))} must be"):
-        Transmitter(link, FakeCodec(), **settings)  # type: ignore[arg-type]
-
-
 def test_can_fd_needs_a_link_with_can_fd() -> None:
     with (
         Link(FakeOpener()) as link,
         pytest.raises(BusError, match="fake is opened without CAN FD; open it with fd=True"),
     ):
         Transmitter(link, FakeCodec(), fd=True)  # type: ignore[arg-type]
-
-
-def test_udp_multicast_carries_lines() -> None:
-    """Classic CAN and CAN FD over the loopback interface, if it routes multicast."""
-    settings = {"interface": "udp_multicast", "channel": "239.74.163.2", "opener": 43117}
-    try:
-        link, other = Link(**settings), Link(**settings)  # type: ignore[arg-type]
-    except BusError as error:
-        pytest.skip(str(error))
-    with link, other:
-        send_frames(link, Frame(0x7FF, b"probe"))
-        if not link.up or other.recv(2.0) is None:
-            pytest.skip("multicast is not routed here")
-        for fd in (False, True):
-            codec = FakeCodec()
-            with (
-                Receiver(other, codec.decoder()) as receiver,
-                Transmitter(link, codec, period=0.02, fd=fd) as transmitter,  # type: ignore[arg-type]
-            ):
-                transmitter.publish(map_line())
-                collect(receiver, 5)
 
 
 @pytest.mark.parametrize(("ago_s", "allowed"), [
@@ -315,69 +198,6 @@ def test_item_12_lines_left_out_are_retracted_and_counted() -> None:
     assert (counters["lines"], counters["frames"]) == (stats.lines, PAGES * stats.lines)
 
 
-class SceneCodec(FakeCodec):
-    """Codec of a DBC that takes scenes only; a scene is a frame of each of its lines."""
-
-    layout: Any = SimpleNamespace(
-        max_age=60.0, is_conditional=True, has_classic=True, scene=None, source="pose.dbc"
-    )
-
-    def prepare_scene(self, scene: Scene | PreparedScene, *, fd: bool) -> PreparedScene:
-        assert fd is False
-        if isinstance(scene, PreparedScene):
-            return scene
-        members = [SimpleNamespace(left_out=0) for _ in scene.lines]
-        core = SimpleNamespace(space=SimpleNamespace(members=members))
-        return PreparedScene(scene, self.layout, False, tuple(scene.index), core)
-
-    def left_out(self, prepared: PreparedScene, *, fd: bool) -> dict[Slot, LeftOut]:
-        assert fd is False
-        return prepared.left_out
-
-    def encode_scene(self, prepared: PreparedScene, *, age: Any, fd: bool, counters: Any) -> Any:
-        assert fd is False
-        assert counters.keys() <= age.keys() == {POSE, *prepared.sent_slots}
-        return {owner: [Frame(0x100, str(owner).encode()[:8])] for owner in age}
-
-
-@pytest.mark.parametrize("prepared", [False, True])
-def test_a_scene_is_sent_prepared_or_not(prepared: bool) -> None:
-    """The lines that are left out of it are counted, too."""
-    part, opener, clock = road_scene((Slot.EGO_LEFT, Slot.ROUTE)), FakeOpener(), Clock()
-    left_out = {Slot.EGO_RIGHT: LeftOut.TOO_SHORT}
-    scene = Scene(part.lines, part.cov, part.pose_error, part.fit_ranges, left_out=left_out)
-    codec = SceneCodec()
-    with Link(opener) as link:
-        transmitter = Transmitter(link, codec, clock=clock)  # type: ignore[arg-type]
-        transmitter.publish(codec.encoder().prepare_scene(scene, fd=False) if prepared else scene)
-        drive(transmitter, clock, clock.now + 0.049)
-    sent = [bytes(opener.sent.get(timeout=0).data) for _ in range(opener.sent.qsize())]
-    assert sent == [str(owner).encode()[:8] for owner in (POSE, Slot.EGO_LEFT, Slot.ROUTE)]
-    stats = transmitter.stats()
-    assert (stats.left_out, stats.lines, stats.pose_errors) == ({LeftOut.TOO_SHORT: 1}, 2, 1)
-
-
-def test_lines_for_a_dbc_of_scenes_are_refused() -> None:
-    """At the call; no lines at all are none that do not fit."""
-    with Link(FakeOpener()) as link:
-        transmitter = Transmitter(link, SceneCodec())  # type: ignore[arg-type]
-        for lines in (map_line(), [map_line()]):
-            with pytest.raises(EncodeError, match=r"pose\.dbc: .* publish the result of map_scene"):
-                transmitter.publish(lines)
-        transmitter.publish([])
-
-
-def test_a_transmitter_sends_at_20_hz_by_default() -> None:
-    """And states ages up to the greatest one of the DBC, which may also be given."""
-    opener, clock = FakeOpener(), Clock()
-    with Link(opener) as link:
-        settings: dict[str, Any] = {"clock": clock, "max_age": FakeCodec.layout.max_age}
-        transmitter = Transmitter(link, FakeCodec(), **settings)  # type: ignore[arg-type]
-        transmitter.publish(map_line())
-        drive(transmitter, clock, clock.now + 0.99)
-    assert (transmitter.stats().lines, transmitter.stats().expired) == (20, 0)
-
-
 class Steps:
     """Stands in for the module ``time``: each pause advances a clock by a quarter of a second."""
 
@@ -388,92 +208,57 @@ class Steps:
         self.clock.now += 0.25
 
 
-def sent_late(
+ON_TIME = 1000.0 + 0.004 - 1000.0  #: lateness that the age covers, as rounded [s]
+
+
+@pytest.mark.parametrize(
+    ("script", "late", "settings", "ages", "end", "counts"),
+    [
+        # A line is given up at its next deadline, not one attempt later.
+        ([FULL] * 10, 0.0, {}, [], 0.5, {"full": 1, "retries": 2}),
+        # Lateness counts to the first frame; a queue that is full later does not count.
+        ([None, FULL], 0.0, {}, [4] * 4, None, {"lateness": (0.0,) * 3}),
+        ([None, FULL], 0.125, {}, [250] * 4, None, {"lateness": (0.125,) * 3}),
+        # Frames of one transfer state one age, although the others are sent later: it is encoded
+        # again only before its first frame, for twice its lateness.
+        ([None, FULL, FULL], 0.0, {"period": 1.0}, [4] * 4, 0.5, {}),
+        ([FULL], 0.0, {"period": 1.0}, [500] * 4, None, {}),
+        # There is no need to until the last moment that the age covers.
+        ([], ON_TIME, {}, [4] * 4, None, {}),
+        ([], ON_TIME + 1e-3, {}, [10] * 4, None, {}),
+        # Of three deadlines that have passed, the newest one is met.
+        ([], 1.25, {}, [1500] * 4, None, {"overruns": 2, "lines": 1}),
+        # What was not handed over is neither told nor counted.
+        ([FULL, None, None, FULL], 0.0, {"period": 2.0}, [500] * 4, None, {"frames": 4}),
+        ([None, None, GONE], 0.0, {"period": 2.0}, [4] * 2, None, {"frames": 2, "down": 1}),
+        ([GONE], 0.0, {"period": 2.0}, [], None, {"frames": 0, "down": 1}),
+        # A line that is too old counts as expired only if it is sent.
+        ([GONE] * 9, 0.25, {"max_age": 0.1}, [], None, {"down": 1, "full": 0, "expired": 0}),
+        ([FULL] * 9, 0.25, {"max_age": 0.1}, [], None, {"down": 0, "full": 1, "expired": 0}),
+        ([], 0.25, {"max_age": 0.1}, [60_000] * 4, None, {"lines": 1, "expired": 1}),
+    ],
+)
+def test_a_line_is_late(
+    script: list[Any],
+    late: float,
+    settings: dict[str, Any],
+    ages: list[int],
+    end: float | None,
+    counts: dict[str, Any],
     monkeypatch: pytest.MonkeyPatch,
-    *script: Any,
-    late: float = 0.0,
-    period: float = 0.5,
-    **rest: Any,
-) -> tuple[Transmitter, list[bytes], float]:
-    """Send one line over a bus with a script of errors; return its pages and the time it took."""
-    clock, opener = Clock(), FakeOpener(*script)
+) -> None:
+    """It is sent over a bus with a script of errors; ages are in ms, and pauses last for 0.25 s."""
+    clock, opener, told = Clock(), FakeOpener(*script), list[Frame]()
     monkeypatch.setattr("maplines_can.bus.transmitter.time", Steps(clock))
     with Link(opener) as link:
-        transmitter = Transmitter(link, FakeCodec(), period=period, clock=clock, **rest)  # type: ignore[arg-type]
+        options: Any = {"clock": clock, "on_sent": told.append, "period": 0.5} | settings
+        transmitter = Transmitter(link, FakeCodec(), **options)  # type: ignore[arg-type]
         transmitter.publish(map_line())
         clock.now += late
         transmitter._send(transmitter._next_transfer())  # type: ignore[arg-type]
     pages = [bytes(opener.sent.get(timeout=0).data) for _ in range(opener.sent.qsize())]
-    return transmitter, pages, clock.now - 1000.0
-
-
-def test_a_line_is_given_up_at_its_next_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not one attempt later: two pauses of half a period each."""
-    transmitter, pages, end = sent_late(monkeypatch, *[FULL] * 10)
-    assert (transmitter.stats().full, transmitter.stats().retries, end) == (1, 2, 0.5)
-    assert pages == []
-
-
-@pytest.mark.parametrize("late", [0.0, 0.125])
-def test_lateness_counts_from_the_deadline_to_the_first_frame(
-    monkeypatch: pytest.MonkeyPatch, late: float
-) -> None:
-    """A queue that is full later does not count."""
-    transmitter, _, _ = sent_late(monkeypatch, None, FULL, late=late)
-    assert transmitter.stats().lateness == (late, late, late)
-
-
-def test_a_transfer_is_encoded_again_only_before_its_first_frame(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Frames of one transfer state one age, although the others are sent later."""
-    _, pages, end = sent_late(monkeypatch, None, FULL, FULL, period=1.0)
-    assert [struct.unpack_from("<BBBBH", page)[-1] for page in pages] == [4] * PAGES
-    _, pages, _ = sent_late(monkeypatch, FULL, period=1.0)
-    assert {struct.unpack_from("<BBBBH", page)[-1] for page in pages} == {500}  # twice 0.25 s
-    assert end == 0.5
-
-
-def test_a_transfer_is_on_time_until_the_last_moment_that_its_age_covers(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Then there is no need to encode it again."""
-    late = 1000.0 + 0.004 - 1000.0  # as rounded
-    _, pages, _ = sent_late(monkeypatch, late=late)
-    assert {struct.unpack_from("<BBBBH", page)[-1] for page in pages} == {4}
-    _, pages, _ = sent_late(monkeypatch, late=late + 1e-3)
-    assert {struct.unpack_from("<BBBBH", page)[-1] for page in pages} == {10}
-
-
-@pytest.mark.parametrize(
-    ("script", "sent"), [((FULL, None, None, FULL), 4), ((None, None, GONE), 2), ((GONE,), 0)]
-)
-def test_only_frames_that_were_handed_over_are_told(
-    monkeypatch: pytest.MonkeyPatch, script: tuple[Any, ...], sent: int
-) -> None:
-    """Each of them once."""
-    told = list[Frame]()
-    transmitter, pages, _ = sent_late(monkeypatch, *script, period=2.0, on_sent=told.append)
+    assert [struct.unpack_from("<BBBBH", page)[-1] for page in pages] == ages
     assert [frame.data for frame in told] == pages
-    assert transmitter.stats().frames == len(pages) == sent
-
-
-@pytest.mark.parametrize(("error", "counts"), [(GONE, (0, 1, 0)), (FULL, (0, 0, 1))])
-def test_a_line_that_is_too_old_counts_as_expired_only_if_it_is_sent(
-    monkeypatch: pytest.MonkeyPatch, error: Any, counts: Any
-) -> None:
-    """Otherwise it is counted by what prevented it."""
-    transmitter, _, _ = sent_late(monkeypatch, *[error] * 9, late=0.25, max_age=0.1)
+    assert end in (None, clock.now - 1000.0)
     stats = transmitter.stats()
-    assert (stats.lines, stats.down, stats.full) == counts
-    assert stats.expired == 0
-    transmitter, _, _ = sent_late(monkeypatch, late=0.25, max_age=0.1)
-    assert (transmitter.stats().lines, transmitter.stats().expired) == (1, 1)
-
-
-def test_what_is_no_codec_is_refused() -> None:
-    with (
-        Link(FakeOpener()) as link,
-        pytest.raises(TypeError, match=r"codec must be a Codec, such as Codec\.from_dbc"),
-    ):
-        Transmitter(link, "maplines.dbc")  # type: ignore[arg-type]
+    assert {name: getattr(stats, name) for name in counts} == counts

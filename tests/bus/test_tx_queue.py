@@ -13,107 +13,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.dbcs import default_codec
 from support.fake_bus import (
-    Clock,
-    FakeOpener,
-    drive,
     map_line,
 )
-from support.fake_codec import FakeCodec, sent_values
+from support.fake_codec import FakeCodec
 
 from maplines_can import Codec, Gaussian, Polyline, map_scene
-from maplines_can.bus import (
-    Link,
-    Transmitter,
-)
 from maplines_can.bus.tx_queue import AHEAD, ALLOWANCE, Published, PublishedScene, Transfer, TxQueue
 from maplines_can.values.line import Slot
 from maplines_can.values.mixture import GaussianMixture
 from maplines_can.wire import POSE, Frame, default_dbc_path
-
-
-class Recorder(FakeCodec):
-    """Codec that records the lines of each call, for a transmitter that is driven step by step."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.batches: list[Any] = []
-
-    def encode_lines(self, lines: Any, *, fd: bool = False, counters: Any = None) -> Any:
-        self.batches.append([(x.slot, x.gaussian.mean[0], round(x.age, 9)) for x in lines])
-        return super().encode_lines(lines, fd=fd, counters=counters)
-
-
-def test_lines_are_encoded_together_with_the_ages_at_their_deadlines() -> None:
-    """One call a period; each age refers to the line's own deadline and the lateness allowed."""
-    opener, clock, codec = FakeOpener(), Clock(), Recorder()
-    with Link(opener) as link:
-        transmitter = Transmitter(link, codec, period=0.08, clock=clock)  # type: ignore[arg-type]
-        transmitter.publish([map_line(slot, age=0.1) for slot in Slot])
-        drive(transmitter, clock, 1000.075)
-
-        ages = [round(0.1 + slot / 100 + ALLOWANCE, 9) for slot in Slot]
-        assert codec.batches == [[(slot, 1.75, age) for slot, age in zip(Slot, ages, strict=True)]]
-        assert sent_values(opener) == [(round(1000 * age), 1750) for age in ages]
-
-
-@pytest.mark.parametrize("offset", [0.005, 0.035, 0.065])
-def test_a_producer_of_the_same_period_is_never_behind(offset: float) -> None:
-    """Whenever it publishes: one call a period, and no value is older than a period."""
-    opener, clock, codec = FakeOpener(), Clock(), Recorder()
-    with Link(opener) as link:
-        transmitter = Transmitter(link, codec, period=0.08, clock=clock)  # type: ignore[arg-type]
-        for k in range(10):
-            transmitter.publish(map_line(slot, y=k) for slot in Slot)
-            drive(transmitter, clock, 1000.0 + offset + 0.08 * k)
-            if k == 5:
-                sent_values(opener)
-                codec.batches.clear()
-
-        assert [len(batch) for batch in codec.batches] == [8] * 4
-        for batch in codec.batches:
-            assert len({y for _, y, _ in batch}) == 1
-            assert max(age for _, _, age in batch) < 0.08 + ALLOWANCE
-
-
-def test_repetitions_are_encoded_half_a_period_ahead_at_most() -> None:
-    opener, clock, codec = FakeOpener(), Clock(), Recorder()
-    with Link(opener) as link:
-        # A power of two, so that a line may be exactly half a period away: it is not included.
-        transmitter = Transmitter(link, codec, period=2**-4, clock=clock)  # type: ignore[arg-type]
-        transmitter.publish(map_line(slot) for slot in Slot)
-        drive(transmitter, clock, 1000.0 + 2**-4 * 3 - 0.001)
-
-    assert [len(batch) for batch in codec.batches] == [8, 4, 4, 4, 4]
-
-
-@pytest.mark.parametrize("period", [1.0, 3.0, 60.0])
-def test_a_slow_sender_encodes_a_tenth_of_a_second_ahead_at_most(period: float) -> None:
-    """A new value is sent at the next deadline, although the period is long."""
-    opener, clock, codec = FakeOpener(), Clock(), Recorder()
-    with Link(opener) as link:
-        transmitter = Transmitter(link, codec, period=period, clock=clock)  # type: ignore[arg-type]
-        transmitter.publish(map_line(slot, y=1) for slot in Slot)
-        drive(transmitter, clock, 1000.0 + period * 5 / 8 - AHEAD - 0.01)
-        transmitter.publish(map_line(slot, y=2) for slot in Slot)
-        drive(transmitter, clock, 1000.0 + period * 0.99)
-
-    assert [y for _, y in sent_values(opener)] == [1000] * 5 + [2000] * 3
-    assert max(map(len, codec.batches)) <= 1 + AHEAD / (period / 8)
-
-
-def test_a_line_encoded_before_a_retract_is_not_sent_after_it() -> None:
-    opener, clock = FakeOpener(), Clock()
-    with Link(opener) as link:
-        transmitter = Transmitter(link, FakeCodec(), period=0.08, clock=clock)  # type: ignore[arg-type]
-        transmitter.publish(map_line(slot, y=1) for slot in Slot)
-        drive(transmitter, clock, 1000.005)
-        assert len(transmitter._tx_queue._ahead) == 7
-        transmitter.retract(Slot.ROUTE)
-        drive(transmitter, clock, 1000.05)
-        transmitter.publish(map_line(Slot.ROUTE, y=2))
-        drive(transmitter, clock, 1000.075)
-
-        assert [y for _, y in sent_values(opener)] == [1000] * 7 + [2000]
 
 
 @settings(max_examples=30)
@@ -222,6 +130,72 @@ def age_of(transfer: Transfer) -> float:
 
 def counters(transfers: Sequence[Transfer], owner: Any) -> list[int]:
     return [transfer.frames[0].can_id for transfer in transfers if transfer.owner == owner]
+
+
+def test_lines_are_encoded_together_with_the_ages_at_their_deadlines() -> None:
+    """One call a period; each age refers to the line's own deadline and the lateness allowed."""
+    tx_queue = queue_of(codec := SceneCodec(), max_age=1.0)
+    tx_queue.put([map_line(slot, age=0.125) for slot in Slot], T0)
+    transfers = taken(tx_queue, 0, 1)
+
+    assert codec.calls == [{*Slot}]
+    assert [transfer.deadline for transfer in transfers] == [T0 + slot * T / 8 for slot in Slot]
+    assert [age_of(transfer) for transfer in transfers] == pytest.approx(
+        [0.125 + slot * T / 8 + ALLOWANCE for slot in Slot]
+    )
+
+
+@pytest.mark.parametrize("offset", [1 / 16, 7 / 16, 13 / 16])
+def test_a_producer_of_the_same_period_is_never_behind(offset: float) -> None:
+    """Whenever it publishes: one call a period, and no value is older than a period."""
+    tx_queue = queue_of(codec := SceneCodec())
+    put(tx_queue, ("lines", *Slot), 0)
+    taken(tx_queue, 0, offset)
+    for k in range(10):
+        codec.calls.clear()
+        put(tx_queue, ("lines", *Slot), k + offset)
+        transfers = taken(tx_queue, k + offset, k + 1 + offset)
+        assert len(transfers) == 8
+        assert max(map(age_of, transfers)) < T + ALLOWANCE
+        assert k == 0 or codec.calls == [{*Slot}]
+
+
+def test_repetitions_are_encoded_half_a_period_ahead_at_most() -> None:
+    """A line that is exactly half a period away is not included."""
+    tx_queue = queue_of(codec := SceneCodec())
+    put(tx_queue, ("lines", *Slot), 0)
+    taken(tx_queue, 0, 3)
+
+    assert [*map(len, codec.calls)] == [8, 4, 4, 4, 4]
+
+
+@pytest.mark.parametrize("period", [1.0, 3.0, 60.0])
+def test_a_slow_sender_encodes_a_tenth_of_a_second_ahead_at_most(period: float) -> None:
+    """A new value is sent at the next deadline, although the period is long."""
+    tx_queue = queue_of(codec := SceneCodec(), period, max_age=100.0)
+    put(tx_queue, ("lines", *Slot), 0)
+    then = (period * 5 / 8 - AHEAD - 0.01) / T
+    before = taken(tx_queue, 0, then)
+    put(tx_queue, ("lines", *Slot), then)
+    after = taken(tx_queue, then, period * 0.99 / T)
+
+    assert (len(before), len(after)) == (5, 3)
+    for transfers, at in ((before, 0.0), (after, then * T)):
+        ages = [transfer.latest - T0 - at for transfer in transfers]
+        assert [*map(age_of, transfers)] == pytest.approx(ages)
+    assert max(map(len, codec.calls)) <= 1 + AHEAD / (period / 8)
+
+
+def test_a_line_encoded_before_a_retract_is_not_sent_after_it() -> None:
+    tx_queue = queue_of(codec := SceneCodec())
+    put(tx_queue, ("lines", *Slot), 0)
+    assert owners(taken(tx_queue, 0, 1 / 16)) == [LEFT]
+    assert codec.calls == [{*Slot}]
+    tx_queue.drop(ROUTE)
+    assert len(taken(tx_queue, 1 / 16, 0.7)) == 5
+    put(tx_queue, ("lines", ROUTE), 0.7)
+    _, route = taken(tx_queue, 0.7, 1)
+    assert age_of(route) == pytest.approx(route.latest - T0 - 0.7 * T)
 
 
 @pytest.mark.parametrize("kind", ["scene", "lines"])

@@ -6,7 +6,9 @@ import math
 import re
 import struct
 import subprocess
+import tempfile
 from collections.abc import Iterator, Sequence
+from functools import cache
 from itertools import product
 from pathlib import Path
 
@@ -17,7 +19,7 @@ from support import c_core
 from support.c_core import LIBRARIES, SMALL
 
 from maplines_can import Slot
-from maplines_can.generation.c_build import Build, Features, build_of
+from maplines_can.generation.c_build import ALL, Build, Features, build_of
 from maplines_can.generation.c_files import c_files
 from maplines_can.generation.vector_files import vector_files
 from maplines_can.model.decoder import Receiver, View
@@ -29,7 +31,8 @@ from maplines_can.values.errors import LayoutError
 from maplines_can.wire import POSE, Layout, Owner, Reason
 from maplines_can.wire.layout.pose_layout import number_of
 
-RECEIVERS = [name for name, (_, features) in LIBRARIES.items() if features.receiver]
+#: Receivers that lack something: the core of the package, which has all, is in tests/model.
+RECEIVERS = [name for name, (_, own) in LIBRARIES.items() if own.receiver and own != ALL]
 #: Profiles with the default settings, which a library for an ECU has.
 STANDARD = [profile for profile in PROFILES if not profile.settings and profile.stale_cycles == 3]
 #: Libraries that clang compiles, too.
@@ -46,7 +49,10 @@ def written(name: str, folder: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "cc"),
-    [*((name, "gcc") for name in LIBRARIES if name not in RECEIVERS), *product(CLANG, ["clang"])],
+    [
+        *((name, "gcc") for name, (_, own) in LIBRARIES.items() if not own.receiver),
+        *product(CLANG, ["clang"]),
+    ],
 )
 def test_a_library_compiles_without_a_warning(name: str, cc: str, tmp_path: Path) -> None:
     """Those of receivers are compiled below."""
@@ -138,6 +144,30 @@ def test_a_size_that_the_code_does_not_have_is_refused(macro: str, small: Path) 
     is_taken, errors = told(small, *C99, "-fsyntax-only", *sizes, "maplines.h")
     assert f'#error "{"maplines without " if " " in macro else ""}MAPLINES_' in errors
     assert not is_taken
+
+
+BUILT = tempfile.TemporaryDirectory()  # of the libraries that several tests link
+OPTIONS = ("-std=c99", "-O1", "-ffp-contract=off", *c_core.WARNINGS)
+
+
+@cache
+def compiled(name: str) -> Path:
+    """Return a folder with the files of a library and their object files."""
+    folder = Path(BUILT.name) / name
+    folder.mkdir()
+    written(name, folder)
+    subprocess.run(["cc", *OPTIONS, "-c", "maplines.c", "harness_dbc.c"], check=True, cwd=folder)
+    return folder
+
+
+def linked(main: Path, folder: Path) -> Path:
+    """Return a program with the library of a folder."""
+    program = folder / main.stem
+    objects = [folder / "maplines.o", folder / "harness_dbc.o"]
+    sources = [str(path) for path in (main, *objects)]
+    command = ["cc", *OPTIONS, f"-I{folder}", *sources, "-lm", "-o", str(program)]
+    subprocess.run(command, check=True)
+    return program
 
 
 # ---- beside the model -------------------------------------------------------------------------
@@ -246,7 +276,7 @@ def of_check(model: Receiver, owner: Owner) -> str:
     return f" check {number_of(owner).name} {' '.join(map(str, words))}"
 
 
-def receives_as_the_model(name: str, folder: Path, seed: int, frames: int) -> int:
+def receives_as_the_model(name: str, seed: int, frames: int) -> int:
     """Check that a library answers every step as the model with its sizes; return how many."""
     dbc, features = LIBRARIES[name]
     layout = layout_of(dbc)
@@ -255,11 +285,7 @@ def receives_as_the_model(name: str, folder: Path, seed: int, frames: int) -> in
         build.slots, bool(build.scenes), build.max_components, build.transfers, build.history,
         build.epochs, bool(build.line_records),
     )  # fmt: skip
-    written(name, folder)
-    main = c_core.C / "tests" / "stream_harness.c"
-    flags = ["-std=c99", "-O1", "-ffp-contract=off", *c_core.WARNINGS, "-I."]
-    sources = [str(main), "maplines.c", "harness_dbc.c", "-lm"]
-    subprocess.run(["cc", *flags, *sources, "-o", "program"], check=True, cwd=folder)
+    program = linked(c_core.C / "tests" / "stream_harness.c", compiled(name))
     kinds = {"statistics"}
     kinds |= {"expire"} if build.line_records else set()
     kinds |= {"scene"} if build.scenes and layout.pose is not None else set()
@@ -272,7 +298,7 @@ def receives_as_the_model(name: str, folder: Path, seed: int, frames: int) -> in
         or (step.kind == "latest" and step.slot in slots)
     ]
     done = subprocess.run(
-        [folder / "program"], input="\n".join(map(asked, steps)) + "\n", capture_output=True,
+        [program], input="\n".join(map(asked, steps)) + "\n", capture_output=True,
         text=True, check=True,
     )  # fmt: skip
     model = Receiver(layout, sizes=sizes)
@@ -291,9 +317,9 @@ def receives_as_the_model(name: str, folder: Path, seed: int, frames: int) -> in
 
 
 @pytest.mark.parametrize("name", RECEIVERS)
-def test_a_library_receives_as_the_model_with_its_sizes(name: str, tmp_path: Path) -> None:
+def test_a_library_receives_as_the_model_with_its_sizes(name: str) -> None:
     frames = SCENE_FRAMES if name.startswith("scenes") else FRAMES
-    assert receives_as_the_model(name, tmp_path, seed=1, frames=frames) > frames * len(STANDARD)
+    assert receives_as_the_model(name, seed=1, frames=frames) > frames * len(STANDARD)
 
 
 # ---- what cannot be ---------------------------------------------------------------------------
@@ -311,17 +337,14 @@ def test_what_makes_no_library_is_refused() -> None:
 
 
 @pytest.mark.parametrize("name", ["two slots", "no secoc", "small, float"])
-def test_its_vectors_pass(name: str, tmp_path: Path) -> None:
+def test_its_vectors_pass(name: str) -> None:
     """There are no cases for what the library has not."""
-    dbc, features = LIBRARIES[name]
+    (dbc, features), folder = LIBRARIES[name], compiled(name)
     pytest.importorskip("cryptography")
-    written(name, tmp_path)
     for file, text in vector_files(layout_of(dbc), "harness", features).items():
-        (tmp_path / file).write_text(text)
-    flags = ["-std=c99", "-O1", "-ffp-contract=off", *c_core.WARNINGS]
-    sources = ["run_vectors.c", "maplines.c", "harness_dbc.c", "-lm"]
-    subprocess.run(["cc", *flags, *sources, "-o", "program"], check=True, cwd=tmp_path)
+        (folder / file).write_text(text)
+    program = linked(folder / "run_vectors.c", folder)
     done = subprocess.run(
-        ["./program", "harness.txt"], cwd=tmp_path, capture_output=True, text=True, check=True
+        [program, folder / "harness.txt"], capture_output=True, text=True, check=True
     )
     assert " 0 failed" in done.stdout

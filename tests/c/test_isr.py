@@ -12,13 +12,17 @@ from support import c_core
 HARNESS = c_core.C / "tests" / "isr_harness.c"
 READER = HARNESS.with_name("isr_reader.c")
 BUFFER = c_core.C / "examples" / "isr" / "line_buffer.h"
-THREADS = ("-O1", "-std=c11", "-pthread")
-SANITIZER = ("-g", "-fsanitize=thread")
+THREADS = ("-std=c11", "-pthread")
+SANITIZER = ("-O1", "-g", "-fsanitize=thread")
 
 
-def run(main: Path, *flags: str, reader: Path = READER) -> subprocess.CompletedProcess[str]:
-    mains = [main, reader]
-    program = c_core.program(mains, [layout_of("maplines.dbc")], [c_core.NAME], flags=flags)
+def run(
+    main: Path, flags: tuple[str, ...] = c_core.FLAGS, reader: Path = READER
+) -> subprocess.CompletedProcess[str]:
+    layouts = [layout_of("maplines.dbc")]
+    program = c_core.program(
+        [main, reader], layouts, [c_core.NAME], flags=flags, main_flags=THREADS
+    )
     return subprocess.run([str(program)], capture_output=True, text=True, check=False)
 
 
@@ -44,12 +48,12 @@ def check(done: Any) -> None:
 
 def test_no_line_is_torn_and_the_newest_is_seen() -> None:
     """3000 lines, of which each says its number three times."""
-    check(run(HARNESS, *THREADS))
+    check(run(HARNESS))
 
 
 @pytest.mark.usefixtures("has_sanitizer")
 def test_the_thread_sanitizer_finds_no_race() -> None:
-    check(run(HARNESS, *THREADS, *SANITIZER))
+    check(run(HARNESS, SANITIZER))
 
 
 @pytest.mark.usefixtures("has_sanitizer")
@@ -62,7 +66,7 @@ def test_the_thread_sanitizer_finds_a_weaker_order(tmp_path: Path) -> None:
         shutil.copy(path, main.parent)
     buffer.write_text(BUFFER.read_text().replace("memory_order_acq_rel", "memory_order_relaxed"))
     main.write_text(f"{HARNESS.read_text()}/* with a relaxed exchange */\n")
-    done = run(main, *THREADS, *SANITIZER, reader=main.with_name(READER.name))
+    done = run(main, SANITIZER, main.with_name(READER.name))
     assert done.returncode != 0
     assert "data race" in done.stderr
 
@@ -79,7 +83,7 @@ def test_the_reader_may_be_in_another_language(cc: str, standard: str, tmp_path:
     reader = tmp_path / "reader.o"
     command = [cc, "-x", "c++", *flags, f"-I{c_core.C / 'include'}", "-c", str(READER)]
     subprocess.run([*command, "-o", str(reader)], check=True)
-    check(run(HARNESS, *THREADS, reader=reader))
+    check(run(HARNESS, reader=reader))
 
 
 def test_a_compiler_without_atomics_is_told() -> None:

@@ -1,26 +1,17 @@
-"""Sender of lines on an ECU, and its receiver in single precision."""
+"""Lines as an ECU in single precision receives them."""
 
 from __future__ import annotations
 
-import struct
-from collections import Counter
-from collections.abc import Iterator
-from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
-import pytest
 from scene_layouts import layout_of
 from support import c_core
-from support.c_layouts import with_messages, with_slots
 from support.lines import random_lines
 
-from maplines_can import Gaussian, GaussianMixture, Kind, MapLine, Slot, Status
 from maplines_can.model.records import written
-from maplines_can.study import adversarial
 from maplines_can.wire import Codec
-from maplines_can.wire.layout.message_layout import Layout
 
 #: What the harness writes of a record.
 READ = np.dtype(
@@ -33,98 +24,6 @@ READ = np.dtype(
     ]
 )
 ACCEPTED = 255
-#: Number of components for the harness of a line that is no mixture.
-LINE = 255
-
-# ---- lines to frames ----------------------------------------------------------------------------
-
-
-def awkward_lines(n: int, k: int, seed: int) -> Iterator[MapLine]:
-    """Lines of k components: covariances of any condition, and means beyond the message, too."""
-    rng = np.random.default_rng(seed)
-    means, covs = adversarial(n * k, seed)
-    means *= rng.choice([1.0, 1.0, 2.0, 1e6], (n * k, 1))
-    covs *= rng.choice([1.0, 1.0, 0.0, 1e-9, 1e9], (n * k, 1, 1))
-    for i in range(0, n * k, k):
-        parts = [Gaussian.trusted(means[j].copy(), covs[j].copy()) for j in range(i, i + k)]
-        line = MapLine(Slot.ROUTE, parts[0])
-        if k > 1:
-            weights = rng.dirichlet(np.full(k, 2.0)) + 1e-4
-            line = MapLine.of_mixture(Slot.ROUTE, GaussianMixture(weights / weights.sum(), parts))
-        x_min = rng.choice([-20.0, 0.0, -131.5, 3.3])
-        yield replace(
-            line, slot=Slot(int(rng.integers(8))), kind=Kind(int(rng.integers(8))), x_min=x_min,
-            x_max=x_min + rng.choice([0.0, 1.5, 80.0, 500.0]),
-            age=rng.choice([0.0, 0.0421, np.inf]),
-            status=Status(int(rng.choice([1, 1, 1, 2, 3, 4, 0, 5]))),
-        )  # fmt: skip
-
-
-def case_of(line: MapLine, counter: int, *, is_fd: bool) -> bytes:
-    """A line as the harness reads it."""
-    weights, parts = (
-        ([1.0], [line.gaussian])
-        if line.mixture is None
-        else (line.mixture.weights, line.mixture.components)
-    )
-    count = LINE if line.mixture is None else len(parts)
-    head = 1, line.slot, line.kind, line.status, is_fd, counter, line.x_min, line.x_max, line.age
-    components = (
-        struct.pack("<21d", weight, *part.mean, *part.cov.ravel())
-        for weight, part in zip(weights, parts, strict=True)
-    )
-    return struct.pack("<5BI3dB", *head, count) + b"".join(components)
-
-
-def answer_of(codec: Codec, line: MapLine, counter: int, *, is_fd: bool) -> tuple[bytes, Any]:
-    """What the harness writes of it after the status of the line, and the statuses of records."""
-    (frames,) = codec.encoder().encode_lines([line], fd=is_fd, counters={line.slot: counter})
-    heads = (struct.pack("<I3B", f.can_id, f.is_extended, f.is_fd, len(f.data)) for f in frames)
-    rows = b"".join(head + frame.data for head, frame in zip(heads, frames, strict=True))
-    records = np.frombuffer(b"".join(frame.data for frame in frames), np.uint8).reshape(-1, 32)
-    following = (counter + len(records)) % 256
-    found = codec.batch.decode(records, line.slot).status
-    return struct.pack("<BI", len(frames), following) + rows, found
-
-
-@pytest.mark.parametrize(
-    ("k", "is_fd", "flags"), [(1, False, ("-O2",)), (1, True, ("-O0",)), (8, True, ("-O2",))]
-)
-def test_lines_have_the_frames_of_the_library(k: int, is_fd: bool, flags: tuple[str, ...]) -> None:
-    """Frames, statuses and counters; every status occurs, but FULL if all components need it."""
-    codec, counters = Codec(layout_of("maplines.dbc")), np.random.default_rng(k)
-    lines = [(line, int(counters.integers(256))) for line in awkward_lines(400 // k, k, seed=k)]
-    cases = (case_of(*one, is_fd=is_fd) for one in lines)
-    out = c_core.run(c_core.harness("lines", codec.layout, flags=flags), b"".join(cases))
-    met = Counter[int]()
-    for one in lines:
-        expected, statuses = answer_of(codec, *one, is_fd=is_fd)
-        worst = max(map(int, statuses), key=[1, 3, 4, 2, 0, 5].index)
-        head, found, out = out[:2], out[2 : 2 + len(expected)], out[2 + len(expected) :]
-        assert (head, found) == (bytes([0, worst]), expected), one
-        met.update(map(int, statuses))
-    assert out == b""
-    assert met.keys() >= {*Status} - ({Status.FULL} if k > 1 else set())
-
-
-@pytest.mark.parametrize(
-    ("layout", "is_fd", "refusal"),
-    [
-        (with_slots(layout_of("maplines.dbc"), Slot.ROUTE), False, 1),
-        (with_messages(layout_of("maplines.dbc"), can_id=None), False, 1),
-        (with_messages(layout_of("maplines.dbc"), can_id=None), True, 0),
-        (with_messages(layout_of("maplines.dbc"), fd_can_id=None), True, 1),
-    ],
-    ids=["slot", "no-classic", "FD", "no-FD"],
-)
-def test_a_line_without_a_message(layout: Layout, is_fd: bool, refusal: int) -> None:
-    """In the frame format that is wanted."""
-    line = MapLine.with_sigma(Slot.EGO_LEFT, np.zeros(4), [0.1, 0.01, 1e-4, 1e-6])
-    out = c_core.run(c_core.harness("lines", layout), case_of(line, 0, is_fd=is_fd))
-    assert (out[0], out[2] > 0) == (refusal, refusal == 0)
-
-
-# ---- single precision ---------------------------------------------------------------------------
 
 
 def random_records(codec: Codec, n: int, rng: Any) -> tuple[Any, Any]:
@@ -169,7 +68,7 @@ def is_semidefinite(S: Any) -> bool:
 def read_both(codec: Codec, records: Any, slots: Any) -> list[Any]:
     """What the builds in double and in single precision read."""
     n = len(records)
-    head = np.column_stack([np.zeros(n), slots, np.full(n, records.shape[1])]).astype(np.uint8)
+    head = np.column_stack([slots, np.full(n, records.shape[1])]).astype(np.uint8)
     data = np.concatenate([head, records], axis=1).tobytes()
     both = [(), ("-DMAPLINES_FLOAT",)]
     programs = [c_core.harness("lines", codec.layout, flags=("-O2", *flags)) for flags in both]

@@ -1,21 +1,14 @@
 """The self-test of the arithmetic: it passes with IEEE 754, and names what differs."""
 
 import platform
-import re
 import shutil
-import struct
 import subprocess
-from math import sqrt
 from pathlib import Path
 
-import numpy as np
 import pytest
 from support import c_core
 
-from maplines_can.model.elementary import atan, exp2, log2, sin_cos, tan
-
 SOURCE = c_core.C / "src" / "self_test.c"
-MASK = 2**64 - 1
 MAIN = """\
 #include "maplines.h"
 #include <stdio.h>
@@ -26,54 +19,6 @@ int main(void)
     return 0;
 }
 """
-
-
-def fold(folded: dict[str, int], name: str, *values: float) -> None:
-    """Fold the bits of numbers into those of others: FNV-1a by 64 bits."""
-    for value in values:
-        (bits,) = struct.unpack("<Q", struct.pack("<d", value))
-        folded[name] = ((folded.get(name, 0) ^ bits) * 0x100000001B3) & MASK
-
-
-def model() -> dict[str, int]:
-    """Return what the cases give in Python, by their names."""
-    folded: dict[str, int] = {}
-    quotients = [0.0] * 8
-    state = 1
-    for i in range(160):
-        numbers = []
-        for _ in range(3):
-            state = (state * 1664525 + 1013904223) & 0xFFFFFFFF
-            numbers.append(1.0 + state * 2.0**-32)
-        x, y, z = numbers
-        quotients[i % 8] = x / y
-        ratio, other = x / z, y / z
-        third = ratio / 3.0
-        fold(folded, "quotient", ratio, other, 1.0 / z, third)
-        total = 0.0
-        for quotient in quotients:
-            total = total + quotient
-        fold(folded, "sum", total, (x + ratio) - x)
-        fold(folded, "product and sum", ratio * other - third)
-        root = sqrt(other)
-        fold(folded, "square root", root, x / root)
-        fold(folded, "subnormal number", (ratio * 2.0**-1000) * (other * 2.0**-40))
-        fold(folded, "float", *singles(*map(np.float32, numbers)))
-        if i % 8 == 0:
-            fold(folded, "power of 2", exp2(64.0 * x - 96.0))
-            fold(folded, "logarithm", log2(x * x - 0.5))
-            fold(folded, "sine and cosine", *sin_cos(16.0 * y - 24.0))
-            fold(folded, "tangent", tan(y - 1.5))
-            fold(folded, "arc tangent", atan(4.0 * z - 6.0))
-    return folded
-
-
-def singles(x: np.float32, y: np.float32, z: np.float32) -> list[float]:
-    """Return the numbers of a round in single precision."""
-    ratio, other = x / z, y / z
-    third = ratio / np.float32(3)
-    back = (x + ratio) - x
-    return [float(v) for v in (ratio, other, third, back, ratio * other - third, np.sqrt(other))]
 
 
 def said(folder: Path, cc: str, *flags: str, more: str = "") -> str:
@@ -87,11 +32,6 @@ def said(folder: Path, cc: str, *flags: str, more: str = "") -> str:
     subprocess.run(command, check=True, cwd=folder)
     program = folder / "program"
     return subprocess.run([program], check=True, capture_output=True, text=True).stdout.strip()
-
-
-def test_the_expected_bits_are_those_of_python() -> None:
-    table = re.findall(r'\{"([\w ]+)", UINT64_C\(0x(\w+)\)\}', SOURCE.read_text())
-    assert {name: int(bits, 16) for name, bits in table} == model()
 
 
 @pytest.mark.parametrize("flags", [["-O0"], ["-O3"], ["-Os"], ["-O2", "-DMAPLINES_FLOAT=1"]])

@@ -2,30 +2,16 @@
 
 from copy import copy
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from scene_layouts import layout_of
-from support.dbcs import edited
 
 from maplines_can.generation.c_tables import identifier_of, tables_of
+from maplines_can.study.code_dbcs import dbc_writer_for
 from maplines_can.study.codes import CODES as STUDY_CODES
-from maplines_can.study.dbc.record_spec import dbc_writer_for
 from maplines_can.values.errors import LayoutError
-from maplines_can.wire.core_tables import CODES, limits_of
+from maplines_can.wire.core_tables import CODES
 from maplines_can.wire.layout.message_layout import Layout
-
-SHIPPED = ("maplines.dbc", "maplines-pose.dbc", "maplines-secoc.dbc", "maplines-scene.dbc")
-
-
-def test_the_tables_do_not_name_the_folder(tmp_path: Path) -> None:
-    """Two copies of a DBC have the same tables."""
-    texts = []
-    for folder in ("a", "b"):
-        (tmp_path / folder).mkdir()
-        path = edited(tmp_path / folder, ("EgoLeft", "EgoLeft"))
-        texts.append(tables_of(Layout.from_dbc(path)))
-    assert texts[0] == texts[1]
 
 
 def test_the_name_of_a_table_is_an_identifier() -> None:
@@ -34,12 +20,6 @@ def test_the_name_of_a_table_is_an_identifier() -> None:
         assert name.isidentifier()
         assert name.isascii()
         assert name[0] != "_"
-
-
-def test_limits_of_two_dbcs_are_the_larger_ones() -> None:
-    layouts = [layout_of(name) for name in SHIPPED[:2]]
-    first, second = (limits_of([layout]) for layout in layouts)
-    assert limits_of(layouts) == tuple(map(max, first, second))
 
 
 @pytest.mark.parametrize("code", sorted(STUDY_CODES.keys() - set(CODES)))

@@ -148,7 +148,7 @@ def test_quantities_of_a_line(flags: Any) -> None:
     Both are NaN if a place of the difference is outside of the range.
     """
     rng = np.random.default_rng(1)
-    lines = [random_line(rng) for _ in range(300)]
+    lines = [random_line(rng) for _ in range(30)]
     data = b"".join(
         b"\0" + packed_line(line, F) + bytes([len(places_of(line))]) + packed(places_of(line))
         for line, F in lines
@@ -257,7 +257,6 @@ def test_mahalanobis_distance(flags: Any) -> None:
         pytest.param([(10, 0.5, 0.5)], np.zeros((4, 4)), 1.0, id="one"),
         pytest.param([(10, 0.5, 0.5)], np.diag([0.5, 0, 0, 0]), math.sqrt(0.5), id="both"),
         pytest.param([(0, 0.5, 0.5)] * 8, np.zeros((4, 4)), math.sqrt(8), id="eight"),
-        pytest.param([(0, 0.5, 0.5)] * 9, np.zeros((4, 4)), math.inf, id="too-many"),
         pytest.param([(0, math.nan, 0.5)], np.zeros((4, 4)), math.inf, id="no-number"),
         pytest.param([(math.inf, 1, 0.5)], np.eye(4), math.nan, id="infinitely-far"),
         pytest.param([(10, 0, 1), (81, 0, 1)], np.eye(4), math.nan, id="beyond-the-end"),
@@ -270,9 +269,9 @@ def test_mahalanobis_distance(flags: Any) -> None:
 def test_mahalanobis_distance_of_some_positions(
     positions: Any, factor: Any, expected: float
 ) -> None:
-    """From the line y = 0; without assertions, the result for too many is defined."""
+    """From the line y = 0."""
     head = bytes([1, 0, 1, 1]) + struct.pack("<q", 0) + packed(0, 0, 80, np.zeros(4), factor)
-    out = ran(head + bytes([len(positions)]) + packed(positions), ("-O0", "-DNDEBUG"))
+    out = ran(head + bytes([len(positions)]) + packed(positions), ("-O2",))
     assert out.floats(1)[0] == pytest.approx(expected, rel=1e-6, nan_ok=True)
 
 

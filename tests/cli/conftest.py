@@ -9,6 +9,7 @@ import can
 import pytest
 from can.interfaces import virtual
 from support.fake_bus import LONG, FakeTime, message_of, wait_until
+from support.fixtures import Capture, Patch
 
 from maplines_can import MapLine, Receiver
 
@@ -20,7 +21,7 @@ def channel() -> str:
 
 
 @pytest.fixture
-def replay(channel: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+def replay(channel: str, monkeypatch: Patch) -> Iterator[Callable[..., None]]:
     """Return a function that sends transfers to the receiver that this process runs next.
 
     It takes (time stamp [s], frames) of each transfer, and an event to wait for after the first.
@@ -48,7 +49,7 @@ def replay(channel: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[.
 
 
 @pytest.fixture
-def slot_notes(capsys: pytest.CaptureFixture[str]) -> Any:
+def slot_notes(capsys: Capture) -> Any:
     """Return a function for the rows of standard error about slots, after the total."""
 
     def notes() -> Any:
@@ -60,7 +61,7 @@ def slot_notes(capsys: pytest.CaptureFixture[str]) -> Any:
 
 
 @pytest.fixture
-def patient_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
+def patient_timeout(monkeypatch: Patch) -> None:
     """Let no time of ``receive`` pass before a line or a reason comes, and none while lines come.
 
     A machine that is busy sends late, but not never.

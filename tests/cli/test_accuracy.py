@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from support.drive_files import run, town
+from support.fixtures import Capture, Patch
 
 from maplines_can.cli import main
 from maplines_can.cli.accuracy import truth_of
@@ -41,7 +42,7 @@ def accuracy(capsys: Any, folder: Path, name: str, *options: str) -> Any:
 
 @pytest.mark.parametrize("name", ["exact.blf", "exact.asc"])
 def test_without_pose_errors_the_lines_are_accurate(
-    folder: Path, capsys: pytest.CaptureFixture[str], name: str
+    folder: Path, capsys: Capture, name: str
 ) -> None:
     """Within the misfit of a cubic; all lines are compared."""
     result = accuracy(capsys, folder, name)
@@ -56,7 +57,7 @@ def test_without_pose_errors_the_lines_are_accurate(
 
 
 def test_a_constant_error_of_the_pose_is_an_error_of_the_lines(
-    folder: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, capsys: Capture
 ) -> None:
     """It grows with the distance; alignment removes it, and the stated sigmas cover it."""
     result = accuracy(capsys, folder, "wrong.log")
@@ -69,10 +70,7 @@ def test_a_constant_error_of_the_pose_is_an_error_of_the_lines(
 
 @pytest.mark.parametrize("has_pyarrow", [True, False])
 def test_the_truth_is_found_beside_the_log(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    has_pyarrow: bool,
+    tmp_path: Path, capsys: Capture, monkeypatch: Patch, has_pyarrow: bool
 ) -> None:
     """In the format in which the drive wrote it: CSV without pyarrow."""
     if has_pyarrow:
@@ -97,9 +95,7 @@ def test_the_newer_truth_beside_a_log_counts(tmp_path: Path) -> None:
         assert truth_of(f"{log}.gz") == order[0]
 
 
-def test_a_log_without_truth_beside_it_is_one_line(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_log_without_truth_beside_it_is_one_line(folder: Path, capsys: Capture) -> None:
     """It names both files that it looked for."""
     assert main(["accuracy", str(folder / "exact.blf")]) == 1
     (line,) = capsys.readouterr().err.splitlines()
@@ -115,9 +111,7 @@ def test_a_log_without_truth_beside_it_is_one_line(
         ("wrong.log", r"The sender is right, but its sigma is large: "),
     ],
 )
-def test_the_text_and_the_picture(
-    folder: Path, capsys: pytest.CaptureFixture[str], log: str, words: str
-) -> None:
+def test_the_text_and_the_picture(folder: Path, capsys: Capture, log: str, words: str) -> None:
     """First whether the sender is right; what lines miss depends on the accuracy that it states."""
     pytest.importorskip("matplotlib")
     picture = folder / f"{log}.png"
@@ -153,9 +147,7 @@ def test_the_text_and_the_picture(
         pytest.param("{d}/exact.blf.csv {d}/exact.blf --plot a.gif", r"--plot.*\.png", id="plot"),
     ],
 )
-def test_a_mistake_is_one_line(
-    folder: Path, capsys: pytest.CaptureFixture[str], words: str, error: str
-) -> None:
+def test_a_mistake_is_one_line(folder: Path, capsys: Capture, words: str, error: str) -> None:
     (folder / "empty.log").write_text("(1700000000.0) can0 100#00\n")
     rows = [row.split() for row in (folder / "wrong.log").read_text().splitlines()]
     bare = [(data.split("#")[0], data.split("#")[1]) for _, _, data, *_ in rows[:400]]

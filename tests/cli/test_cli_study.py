@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.fixtures import Patch
 
 from maplines_can.cli import main
 
 
 @pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch) -> Any:
+def command(monkeypatch: Patch) -> Any:
     """Run the command; return its status and the calls of its progress bar."""
     seen: list[Any] = []
 
@@ -33,7 +34,7 @@ SMALL = ("--code", "Cholesky", "--finer", "-1", "0", "--set", "road", "--n", "2e
 
 
 def test_the_command_prints_the_summary(
-    command: Any, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+    command: Any, tmp_path: Path, capsys: Any, monkeypatch: Patch
 ) -> None:
     """As text or as JSON; the second run has nothing left to do."""
     pytest.importorskip("pyarrow")

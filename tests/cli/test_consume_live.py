@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from support.drive_files import CAR_DBC, car_signals
 from support.fake_bus import FakeTime, message_of, wait_until
+from support.fixtures import Capture, Patch
 
 from maplines_can import (
     Codec,
@@ -22,7 +23,6 @@ from maplines_can import (
     Motion,
     Polyline,
     Receiver,
-    Scene,
     Slot,
     map_scene,
 )
@@ -35,28 +35,21 @@ STEP_NS = 50_000_000
 NOISE = np.diag([0.05, 0.003, 2e-4, 2e-6]) ** 2
 
 
-@pytest.fixture(scope="module")
-def codec() -> Codec:
-    return Codec.from_dbc(default_dbc_path(DBC))
+CODEC = Codec.from_dbc(default_dbc_path(DBC))
+LANE = {
+    slot: Polyline([[x, y] for x in range(-50, 121, 5)])
+    for slot, y in ((Slot.EGO_LEFT, 1.75), (Slot.EGO_RIGHT, -1.75))
+}
+#: A straight lane of 3.5 m.
+SCENE = map_scene(
+    LANE, Gaussian(np.zeros(3), np.diag([0.1, 0.1, 0.003]) ** 2), correlation_time=5.0
+)
 
 
-@pytest.fixture(scope="module")
-def scene() -> Scene:
-    """A straight lane of 3.5 m."""
-    x = np.linspace(-50, 120, 35)
-    lines = {
-        slot: Polyline(np.column_stack([x, y + 0 * x]))
-        for slot, y in ((Slot.EGO_LEFT, 1.75), (Slot.EGO_RIGHT, -1.75))
-    }
-    ego = Gaussian(np.zeros(3), np.diag([0.1, 0.1, 0.003]) ** 2)
-    return map_scene(lines, ego, correlation_time=5.0)
-
-
-def seen(scene: Scene, shift: float = 0.0) -> list[MapLine]:
+def seen() -> list[MapLine]:
     """Return what a camera sees."""
     return [
-        MapLine(line.slot, Gaussian(line.gaussian.mean + shift * np.eye(4)[0], NOISE), x_max=40.0)
-        for line in scene.lines
+        MapLine(line.slot, Gaussian(line.gaussian.mean, NOISE), x_max=40.0) for line in SCENE.lines
     ]
 
 
@@ -75,19 +68,30 @@ class Sender:
     So what is received depends on no time of this machine.
     """
 
-    def __init__(self, channel: str, clock: FakeTime) -> None:
-        self.channel, self.clock = channel, clock
+    def __init__(self, channel: str, clock: FakeTime, capsys: Capture) -> None:
+        self.channel, self.clock, self.capsys = channel, clock, capsys
         self.send: Callable[[int, Any], None]
         self.receivers: list[Receiver] = []
         self._cycle = 0
         self._buses: dict[str, can.BusABC] = {}
         self._sent: dict[str, list[int]] = {}
 
-    def start(self, send: Callable[[int, Any], None]) -> None:
-        """Let the next consumer receive what a function sends in each cycle."""
+    def run(
+        self, send: Callable[[int, Any], None], *options: object
+    ) -> tuple[int, list[str], list[Any], str]:
+        """Return status, output, its rows and standard error of a consumer.
+
+        It receives what a function sends in each cycle.
+        """
         self.send, self._cycle = send, 0
         self.receivers.clear()
         self._sent.clear()
+        given = [str(option) for option in options]
+        given += [] if "--dbc" in given else ["--dbc", DBC]
+        status = main(["consume", *given, "--interface", "virtual", "--channel", self.channel])
+        out, err = self.capsys.readouterr()
+        rows = [json.loads(line) for line in out.splitlines()] if "--json" in given else []
+        return status, out.splitlines(), rows, err
 
     def put(self, frames: Any, channel: str | None = None) -> None:
         """Send frames, by default on the channel of the map lines."""
@@ -114,10 +118,9 @@ class Sender:
 
 
 @pytest.fixture
-def sending(channel: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    """``Sender.start``."""
+def live(channel: str, monkeypatch: Patch, capsys: Capture) -> Iterator[Sender]:
     clock, start = FakeTime(), Receiver.start
-    sender = Sender(channel, clock)
+    sender = Sender(channel, clock, capsys)
 
     def started(receiver: Receiver) -> Receiver:
         sender.receivers.append(receiver)
@@ -127,14 +130,14 @@ def sending(channel: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.setattr("maplines_can.cli.consume_input.time", clock)
     monkeypatch.setattr(Receiver, "start", started)
     monkeypatch.setattr(Receiver, "wait", sender.wait)
-    yield sender.start
+    yield sender
     sender.close()
 
 
-def scenes_of(codec: Codec, scene: Scene, cycles: int = 10**6) -> Callable[[int, Any], None]:
+def scenes(cycles: int = 10**6) -> Callable[[int, Any], None]:
     """Return a function that sends the scene in each of the first cycles."""
-    encoder = codec.encoder()
-    prepared = encoder.prepare_scene(scene)
+    encoder = CODEC.encoder()
+    prepared = encoder.prepare_scene(SCENE)
 
     def send(cycle: int, put: Any) -> None:
         if cycle < cycles:
@@ -144,89 +147,28 @@ def scenes_of(codec: Codec, scene: Scene, cycles: int = 10**6) -> Callable[[int,
     return send
 
 
-def rows(
-    capsys: pytest.CaptureFixture[str], channel: str, *options: object
-) -> tuple[int, list[Any], str]:
-    """Return status, rows and standard error of a consumer on the bus."""
-    bus = ["--interface", "virtual", "--channel", channel, "--json"]
-    given = [str(option) for option in options]
-    status = main(["consume", *given, *bus, *([] if "--dbc" in given else ["--dbc", DBC])])
-    out, err = capsys.readouterr()
-    return status, [json.loads(line) for line in out.splitlines()], err
-
-
-def test_steer_drives_until_the_lines_stop(
-    sending: Any, codec: Codec, scene: Scene, channel: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    sending(scenes_of(codec, scene, 40))
-    status, found, err = rows(capsys, channel, "steer", "--seconds", 4)
-    assert (status, err) == (0, "")
-    states = [row["state"] for row in found]
-    assert "DRIVING" in states[1:3]
-    assert (found[-1]["state"], found[-1]["reason"]) == ("HANDOVER", "NO_LINES")
-    (end,) = [row["t"] for row in found[2:] if row["state"] == "HANDOVER"][:1]
-    assert end == pytest.approx(2.0 + 0.5, abs=0.25)
-
-
-def test_fusion_with_the_camera_of_another_channel(
-    sending: Any, codec: Codec, scene: Scene, channel: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_fusion_with_the_camera_of_another_channel(live: Sender) -> None:
     """Its lines are used from the scenes on, each once; without it, none are."""
-    send_scene, plain, lines = scenes_of(codec, scene), Codec.from_dbc().encoder(), seen(scene)
-    other = f"{channel}-camera"
+    send_scene, plain, lines = scenes(), Codec.from_dbc().encoder(), seen()
+    camera = f"{live.channel}-camera"
 
     def send(cycle: int, put: Any) -> None:
         send_scene(cycle, put)
         for line in lines if cycle % 2 == 0 else []:
-            put(plain.encode(line), other)
+            put(plain.encode(line), camera)
 
-    sending(send)
-    camera = ["--camera-channel", other]
-    status, found, err = rows(
-        capsys, channel, "fusion", *camera, "--speed", 0, "--seconds", 2, "--every", 0.05
-    )
+    fusion = ["fusion", "--speed", 0, "--seconds", 2, "--json"]
+    status, _, found, err = live.run(send, *fusion, "--camera-channel", camera, "--every", 0.05)
     assert (status, err) == (0, "")
     used = [row["camera"] for row in found]
     assert 15 <= sum(map(bool, used)) <= 20
     assert all(not (one and other) for one, other in pairwise(used))
     with_camera = found[-1]["centre"][0]["sigma"]
-    sending(send_scene)
-    status, found, _ = rows(capsys, channel, "fusion", "--speed", 0, "--seconds", 2)
+    status, _, found, _ = live.run(send_scene, *fusion)
     assert status == 0
     assert not any(row["camera"] for row in found)
     assert with_camera < 0.7 * found[-1]["centre"][0]["sigma"]
     assert found[-1]["centre"][0]["value"] == pytest.approx(0.0, abs=0.02)
-
-
-def test_check_with_the_camera_of_another_channel(
-    sending: Any,
-    codec: Codec,
-    scene: Scene,
-    channel: str,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """Its lines jump after 1.2 s, in every second cycle: an alarm after four images of them.
-
-    An image that has been compared is not compared again.
-    """
-    send_scene, plain = scenes_of(codec, scene), Codec.from_dbc().encoder()
-    before, after = seen(scene), seen(scene, 1.0)
-
-    def send(cycle: int, put: Any) -> None:
-        send_scene(cycle, put)
-        for line in (after if cycle >= 24 else before) if cycle % 2 == 0 else []:
-            put(plain.encode(line), f"{channel}-camera")
-
-    sending(send)
-    camera = ["--camera-channel", f"{channel}-camera"]
-    status, found, err = rows(capsys, channel, "check", *camera, "--seconds", 2.5)
-    raised = [row["t"] for row in found if row["raised"]]
-    assert status == 3, err
-    assert raised == [pytest.approx(1.55, abs=0.16)]
-    assert "1 alarms" in err
-    counts = re.search(r"(\d+) cycles CONSISTENT, (\d+) cycles INCONSISTENT", err)
-    assert counts is not None
-    assert 15 <= int(counts[1]) + int(counts[2]) <= 25
 
 
 @pytest.fixture
@@ -244,30 +186,20 @@ def esp(speed: float, yaw_rate: float) -> list[Frame]:
 
 @pytest.mark.parametrize("separate", [False, True])
 def test_fusion_with_the_motion_of_signals_on_the_bus(
-    sending: Any,
-    codec: Codec,
-    scene: Scene,
-    channel: str,
-    separate: bool,
-    signals: list[object],
-    capsys: pytest.CaptureFixture[str],
+    live: Sender, separate: bool, signals: list[object]
 ) -> None:
     """A car in a bend sees a straight lane turn, also without scenes."""
-    bend = esp(10.0, 0.2)
-    other = f"{channel}-car" if separate else channel
-    send_scene = scenes_of(codec, scene)
+    bend, send_scene = esp(10.0, 0.2), scenes(20)
+    other = f"{live.channel}-car" if separate else live.channel
 
     def send(cycle: int, put: Any) -> None:
-        if cycle < 20:
-            send_scene(cycle, put)
+        send_scene(cycle, put)
         if cycle < 30:
             put([bend[0]._replace(data=b"\x01")] if cycle == 5 else bend, other)
 
-    sending(send)
     where = ["--signals-channel", other] if separate else []
-    status, found, err = rows(
-        capsys, channel, "fusion", *signals, *where, "--seconds", 2.2, "--every", 0.05
-    )
+    fusion = ["fusion", *signals, *where, "--seconds", 2.2, "--every", 0.05, "--json"]
+    status, _, found, err = live.run(send, *fusion)
     assert status == 0
     assert "skipped: the data do not fit the message ESP (1)" in err
     by_t = {round(row["t"] - found[0]["t"], 2): row["centre"] for row in found}
@@ -280,21 +212,16 @@ def test_fusion_with_the_motion_of_signals_on_the_bus(
 def test_the_last_signals_count_for_half_a_second(channel: str, signals: list[object]) -> None:
     """Frames of other messages, and frames without data, change nothing."""
     arguments = argparse.Namespace(
-        encoding=None,
         **dict.fromkeys(("log", "motion", "speed", "signals_channel", "bitrate", "data_bitrate")),
-        interface="virtual",
-        channel=channel,
-        fd=False,
-        signals=signals[1],
-        signals_dbc=signals[3],
-    )
-    others = [Frame(2, bytes(8)), Frame(1, b"")]
+        encoding=None, interface="virtual", channel=channel, fd=False,
+        signals=signals[1], signals_dbc=signals[3],
+    )  # fmt: skip
     with (
         can.Bus(interface="virtual", channel=channel) as bus,
         motion_of(arguments, Motion(15.0, 0.0)) as motion,
     ):
         assert motion(0) is None
-        for frame in (*esp(20.0, 0.3), *esp(10.0, -0.2), *others):
+        for frame in (*esp(20.0, 0.3), *esp(10.0, -0.2), Frame(2, bytes(8)), Frame(1, b"")):
             bus.send(message_of(frame))
         for now_ns in (STEP_NS, STEP_NS + 500_000_000):
             known = motion(now_ns)
@@ -307,16 +234,8 @@ def test_the_last_signals_count_for_half_a_second(channel: str, signals: list[ob
         assert motion(STEP_NS + 3_050_000_000) is not None
 
 
-def test_signals_that_do_not_arrive_are_reported(
-    sending: Any,
-    codec: Codec,
-    scene: Scene,
-    channel: str,
-    signals: list[object],
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    sending(scenes_of(codec, scene))
-    status, _, err = rows(capsys, channel, "fusion", *signals, "--seconds", 1.5)
+def test_signals_that_do_not_arrive_are_reported(live: Sender, signals: list[object]) -> None:
+    status, _, _, err = live.run(scenes(), "fusion", *signals, "--seconds", 1.5)
     assert status == 0
     assert "no speed and no yaw_rate has arrived; check --signals-channel" in err
 
@@ -325,28 +244,18 @@ CONSUMERS = [["steer"], ["fusion"], ["check", "--simulate"]]
 
 
 @pytest.mark.parametrize("consumer", CONSUMERS)
-def test_a_consumer_runs_until_ctrl_c(
-    sending: Any,
-    codec: Codec,
-    scene: Scene,
-    channel: str,
-    consumer: list[str],
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_consumer_runs_until_ctrl_c(live: Sender, consumer: list[str]) -> None:
     """Ctrl-C while it has results: status 0, no traceback."""
-    send_scene = scenes_of(codec, scene)
+    send_scene = scenes()
 
     def send(cycle: int, put: Any) -> None:
         if cycle == 20:
             raise KeyboardInterrupt
         send_scene(cycle, put)
 
-    sending(send)
-    bus = ["--interface", "virtual", "--channel", channel, "--dbc", DBC]
-    status = main(["consume", *consumer, *bus, "--every", "0.05"])
-    out, err = capsys.readouterr()
+    status, out, _, err = live.run(send, *consumer, "--every", "0.05")
     assert (status, "error" in err) == (0, False), err
-    assert len(out.splitlines()) > 5
+    assert len(out) > 5
 
 
 @pytest.mark.parametrize("consumer", CONSUMERS)
@@ -355,37 +264,22 @@ def test_a_consumer_runs_until_ctrl_c(
     [
         ("nothing", "no frame has arrived; check .*--fd"),
         ("others", r"records? of maplines\.dbc are whole; take --dbc maplines\.dbc"),
-        (
-            "damaged",
-            r"frames have arrived, but none completed a line \(dropped: .*\); no record of "
-            r"maplines-pose\.dbc is whole .*; take the --dbc of the sender",
-        ),
+        ("damaged", r"frames have arrived, but none completed a line \(dropped: .*\); no record of "
+         r"maplines-pose\.dbc is whole .*; take the --dbc of the sender"),
         ("lines", "the sender must send the pose error, too"),
     ],
-)
+)  # fmt: skip
 def test_a_bus_without_scenes_is_one_clear_line(
-    sending: Any,
-    codec: Codec,
-    scene: Scene,
-    channel: str,
-    consumer: list[str],
-    sent: str,
-    words: str,
-    capsys: pytest.CaptureFixture[str],
+    live: Sender, consumer: list[str], sent: str, words: str
 ) -> None:
     """Of another DBC, or without the pose error; status 1."""
-    encoder = codec.encoder()
-    plain = [one for line in scene.lines for one in Codec.from_dbc().encoder().encode(line)]
-    own = [one for frames in encoder.encode_scene(scene).values() for one in frames]
-    frames = {
-        "nothing": [],
-        "others": plain,
-        "damaged": [one._replace(data=bytes(len(one.data))) for one in own],
-        "lines": plain,
-    }[sent]
-    sending(lambda _, put: put(frames))
+    plain = [one for line in SCENE.lines for one in Codec.from_dbc().encoder().encode(line)]
+    own = [one for frames in CODEC.encoder().encode_scene(SCENE).values() for one in frames]
+    damaged = [one._replace(data=bytes(len(one.data))) for one in own]
+    frames = {"nothing": [], "others": plain, "damaged": damaged, "lines": plain}[sent]
     dbc = "maplines.dbc" if sent == "lines" else DBC
-    status, _, err = rows(capsys, channel, *consumer, "--seconds", 0.5, "--dbc", dbc)
+    options = [*consumer, "--seconds", 0.5, "--dbc", dbc]
+    status, _, _, err = live.run(lambda _, put: put(frames), *options)
     assert status == 1
     (error,) = [line for line in err.splitlines() if "error:" in line]
     assert re.search(words, error), error

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.fixtures import Capture, Patch
 from support.lines import scenario_lines
 
 from maplines_can import Codec
@@ -77,9 +78,7 @@ def test_item_11_the_end_of_a_pipe_ends_it() -> None:
     assert "3 lines from 12 frames; 0 lines lost" in err
 
 
-def test_item_11_a_log_of_candump_alone_is_decoded(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_item_11_a_log_of_candump_alone_is_decoded(tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / "drive.log"
     path.write_text("".join(rows(3)))
     assert main(["decode", str(path), "--csv"]) == 0
@@ -108,7 +107,7 @@ class Terminal:
 
 @pytest.mark.parametrize("rows_on_terminal", [True, False])
 def test_item_11_no_progress_bar_runs_into_the_rows(
-    monkeypatch: pytest.MonkeyPatch, rows_on_terminal: bool
+    monkeypatch: Patch, rows_on_terminal: bool
 ) -> None:
     """The bar is drawn only if the rows go elsewhere."""
     stderr = Terminal(isatty=True)

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from support.dbcs import edited
 from support.fake_bus import LONG
+from support.fixtures import Capture, Patch
 from support.lines import lines_timed_out, scenario_lines
 
 from maplines_can import Codec, Link, Polyline, Slot, Transmitter
@@ -17,12 +18,12 @@ from maplines_can.cli import main
 from maplines_can.cli.sending import components_text
 from maplines_can.simulation import scenario
 from maplines_can.simulation.bus_share import BusShare, choose_components
+from maplines_can.simulation.round_trip import _Arrivals
 from maplines_can.simulation.scenarios import SCENARIOS
-from maplines_can.study.round_trip import _Arrivals
 
 
 @pytest.fixture(autouse=True)
-def no_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_timeout(monkeypatch: Patch) -> None:
     """Wait for all lines, and let no transfer time out: a machine that is busy is no fault."""
     decoder = partialmethod(Codec.decoder, timeout_ms=3_600_000)
     monkeypatch.setattr(Codec, "decoder", decoder)
@@ -33,7 +34,7 @@ def no_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("fd", [False, True])
-def test_json(capsys: pytest.CaptureFixture[str], fd: bool) -> None:
+def test_json(capsys: Capture, fd: bool) -> None:
     """All lines are received, and each has its figures."""
     arguments = ["demo", "--seconds", "0.3", "--rate", "50", "--json", *(["--fd"] if fd else [])]
     assert main([*arguments, "--scenario", "production", "--lines", "8"]) == 0
@@ -53,7 +54,7 @@ def test_json(capsys: pytest.CaptureFixture[str], fd: bool) -> None:
         assert 1 <= line["y_sigma"] / line["true_y_sigma"] < 1.06
 
 
-def test_text_and_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_text_and_picture(capsys: Capture, tmp_path: Path) -> None:
     """The table names each line, and the picture is drawn."""
     pytest.importorskip("matplotlib")
     picture = tmp_path / "demo.png"
@@ -69,9 +70,7 @@ def test_text_and_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_mixture_is_received_as_one_line(
-    capsys: pytest.CaptureFixture[str], channel: str
-) -> None:
+def test_a_mixture_is_received_as_one_line(capsys: Capture, channel: str) -> None:
     """A mixture of three components is three transfers, and one line at the receiver."""
     assert main(["demo", "--seconds", "0.2", "--components", "3", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
@@ -90,7 +89,7 @@ def test_a_mixture_is_received_as_one_line(
     assert sum(row["mixture"]["weights"]) == 1
 
 
-def test_components_auto(capsys: pytest.CaptureFixture[str]) -> None:
+def test_components_auto(capsys: Capture) -> None:
     """One for an accurate pose; in a turn as many as needed, or as the bus load allows."""
 
     def demo(name: Any, *more: Any) -> Any:
@@ -107,9 +106,7 @@ def test_components_auto(capsys: pytest.CaptureFixture[str]) -> None:
         assert line["remaining_nonlinearity"] <= 0.3 < line["nonlinearity"]
 
 
-def test_the_number_of_components_is_printed(
-    capsys: pytest.CaptureFixture[str], channel: str
-) -> None:
+def test_the_number_of_components_is_printed(capsys: Capture, channel: str) -> None:
     """By demo under each line, by send before it starts, and in the JSON of both."""
     turn = ["--components", "auto", "--scenario", "street-turn-10deg", "--lines", "2", "--fd"]
     assert main(["demo", "--seconds", "0.1", *turn]) == 0
@@ -131,7 +128,7 @@ def test_the_number_of_components_is_printed(
 
 
 def test_item_12_lines_left_out_are_printed_with_their_reasons(
-    capsys: pytest.CaptureFixture[str], channel: str, monkeypatch: pytest.MonkeyPatch
+    capsys: Capture, channel: str, monkeypatch: Patch
 ) -> None:
     """By demo below the table, by send before it starts and in the end, and in the JSON of both."""
     scene = scenario("production")
@@ -160,9 +157,7 @@ def test_item_12_lines_left_out_are_printed_with_their_reasons(
         )
 
 
-def test_item_11_lines_are_compared_within_their_valid_range(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_item_11_lines_are_compared_within_their_valid_range(capsys: Capture) -> None:
     """At the end of the range where it is before 80 m."""
     arguments = ["demo", "--seconds", "0.1", "--scenario", "street-turn"]
     assert main([*arguments, "--json"]) == 0
@@ -181,9 +176,7 @@ def test_item_11_lines_are_compared_within_their_valid_range(
     assert f"± {lines[0]['y_sigma']:.3f} at {lines[0]['x']:g} m" in text
 
 
-def test_item_1_a_line_out_of_range_is_not_printed(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_item_1_a_line_out_of_range_is_not_printed(capsys: Capture, tmp_path: Path) -> None:
     """It has no values that could be compared."""
     dbc = edited(tmp_path, (r"(SG_ XMin\b.*?)\(4,-20\) \[-20\|8\]", r"\1(8,-160) [-160|-104]"))
     assert main(["demo", "--dbc", str(dbc), "--seconds", "0.1", "--lines", "1"]) == 0

@@ -11,6 +11,7 @@ import cantools
 import numpy as np
 import pytest
 from support.drive_files import run, table, town
+from support.fixtures import Capture, Patch
 
 from maplines_can import maps
 from maplines_can.cli import main
@@ -52,7 +53,7 @@ def car_log(folder: Path, name: str, north: float = 0.0) -> list[str]:
     ("log", "table_name"), [("car.blf", "signals.toml"), ("car.csv", "signals.csv")]
 )
 def test_a_recorded_drive_from_a_bus_log(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], log: str, table_name: str
+    tmp_path: Path, capsys: Capture, log: str, table_name: str
 ) -> None:
     """With the DBC of the car and a table of its signals; the suffix .csv may be a log, too."""
     options = car_log(tmp_path, log)
@@ -79,7 +80,7 @@ def test_a_recorded_drive_from_a_bus_log(
     ],
 )
 def test_a_wrong_table_of_signals_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: dict[str, str], words: str
+    tmp_path: Path, capsys: Capture, change: dict[str, str], words: str
 ) -> None:
     options = car_log(tmp_path, "car.log")
     text = TABLES["signals.toml"]
@@ -105,9 +106,7 @@ BO_ 514 ESP: 2 car
 """
 
 
-def test_the_command_of_the_page_runs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_of_the_page_runs(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     """With its table of signals, and a log of a car on the motorway, in latitude and longitude."""
     pyproj = pytest.importorskip("pyproj")
     monkeypatch.chdir(tmp_path)

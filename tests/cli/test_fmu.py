@@ -8,6 +8,7 @@ from pathlib import Path
 import can
 import pytest
 from support import fmus
+from support.fixtures import Capture, Patch
 
 from maplines_can.cli import main
 from maplines_can.cli.fmu_run import LOG_START, _recorder
@@ -19,13 +20,13 @@ pytestmark = fmus.needs_compiler
 
 
 @pytest.fixture
-def node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+def node(tmp_path: Path, monkeypatch: Patch) -> str:
     monkeypatch.chdir(tmp_path)
     fmus.write_node(tmp_path / "node.fmu")
     return "node.fmu"
 
 
-def test_check_lists_findings(node: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_lists_findings(node: str, capsys: Capture) -> None:
     assert main(["fmu", "check", node]) == 0
     assert capsys.readouterr().out == "node.fmu: no findings\n"
     fmus.write_node(Path("bad.fmu"), "countdown", ('hasEventMode="true"', ""), with_binary=False)
@@ -37,9 +38,7 @@ def test_check_lists_findings(node: str, capsys: pytest.CaptureFixture[str]) -> 
 
 
 @pytest.mark.parametrize("log", ["can.blf", "can.log", "can.asc"])
-def test_run_writes_a_log_and_counters(
-    node: str, log: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_run_writes_a_log_and_counters(node: str, log: str, capsys: Capture) -> None:
     command = ["fmu", "run", node, node, "--until", "1", "--log", log, "--bitrate", "500000"]
     assert main([*command, "--set", "node.gain=2.5", "--set", "node_2.can_id=0x200"]) == 0
     out = capsys.readouterr().out
@@ -64,7 +63,7 @@ def test_run_reads_inputs_and_writes_outputs(node: str) -> None:
     assert [int(row["node_2.received"]) for row in rows] == [0, 1, 2, 3]
 
 
-def test_run_injects_faults(node: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_run_injects_faults(node: str, capsys: Capture) -> None:
     command = ["fmu", "run", node, node, "--until", "1", "--faults", "loss=0.5,seed=1", "--json"]
     assert main(command) == 0
     result = json.loads(capsys.readouterr().out)
@@ -75,7 +74,7 @@ def test_run_injects_faults(node: str, capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_ctrl_c_ends_the_run_with_its_counters(
-    node: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    node: str, capsys: Capture, monkeypatch: Patch
 ) -> None:
     advance = CoSimulation.advance
 
@@ -106,9 +105,7 @@ def test_ctrl_c_ends_the_run_with_its_counters(
         (["bad.fmu"], "hasEventMode is not true; networked FMUs shall set it to true"),
     ],
 )
-def test_errors_are_one_line(
-    node: str, options: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_errors_are_one_line(node: str, options: list[str], message: str, capsys: Capture) -> None:
     fmus.write_node(Path("bad.fmu"), "countdown", ('hasEventMode="true"', ""))
     Path("bad.csv").write_text("time,node.gain\n1,2\n0,1\n")
     Path("empty.csv").touch()
@@ -117,9 +114,7 @@ def test_errors_are_one_line(
     assert message in line
 
 
-def test_findings_are_noted_if_they_are_ignored(
-    node: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_findings_are_noted_if_they_are_ignored(node: str, capsys: Capture) -> None:
     fmus.write_node(Path("odd.fmu"), "countdown", ('"1.0.0"', '"1.0.0-beta.1"'))
     assert main(["fmu", "run", "odd.fmu", "--until", "0.1"]) == 1
     assert "--ignore-findings runs it all the same" in capsys.readouterr().err

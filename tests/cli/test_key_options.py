@@ -1,6 +1,5 @@
 """Keys on the command line."""
 
-import argparse
 import json
 import logging
 import re
@@ -11,6 +10,8 @@ from typing import Any
 
 import can
 import pytest
+from support.fake_bus import message_of
+from support.fixtures import Capture, Patch
 from support.lines import scenario_lines
 from support.secoc_streams import (
     NOW,
@@ -26,11 +27,9 @@ from support.secoc_streams import (
 
 from maplines_can import Codec, Link, Transmitter
 from maplines_can.bus import key_from_file
-from maplines_can.cli import _parser, main
+from maplines_can.cli import main
 from maplines_can.simulation import scenario
 from maplines_can.wire import Authenticator
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
@@ -56,9 +55,7 @@ HEX = SECRET.hex()
         *(COLONS.replace(":", "-"), COLONS.replace(":", " ")),
     ],
 )
-def test_a_key_on_the_command_line_is_not_printed(
-    capsys: pytest.CaptureFixture[str], option: str, text: Any
-) -> None:
+def test_a_key_on_the_command_line_is_not_printed(capsys: Capture, option: str, text: Any) -> None:
     """The error says that this looks like a key, without printing it."""
     assert main(["demo", option, text]) == 1
     out, err = capsys.readouterr()
@@ -84,7 +81,7 @@ def test_a_key_on_the_command_line_is_not_printed(
     ],
 )
 def test_a_wrong_command_line_is_not_printed_if_it_may_contain_a_key(
-    capsys: pytest.CaptureFixture[str], words: Any
+    capsys: Capture, words: Any
 ) -> None:
     """Options cannot be abbreviated, and errors leave out what may be a key."""
     with pytest.raises(SystemExit, match="2"):
@@ -100,7 +97,7 @@ def check_no_typed_secret(text: Any) -> None:
     check_no_secret(re.sub("[^0-9A-Za-z]", "", text))
 
 
-def test_a_wrong_command_line_without_a_key_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_wrong_command_line_without_a_key_is_printed(capsys: Capture) -> None:
     """What cannot be a key is printed."""
     with pytest.raises(SystemExit, match="2"):
         main(["demo", "--keyfile", "car.key", "--key", "2024-10-11"])
@@ -111,10 +108,7 @@ def test_a_wrong_command_line_without_a_key_is_printed(capsys: pytest.CaptureFix
 
 
 def test_the_demo_with_a_key(
-    capsys: pytest.CaptureFixture[str],
-    caplog: pytest.LogCaptureFixture,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    capsys: Capture, caplog: pytest.LogCaptureFixture, tmp_path: Path, monkeypatch: Patch
 ) -> None:
     """With a key from a file or the environment, as text or JSON, and no key in any output."""
     caplog.set_level(logging.DEBUG)
@@ -131,9 +125,7 @@ def test_the_demo_with_a_key(
 
 
 @pytest.mark.usefixtures("patient_timeout")
-def test_send_and_receive_with_keys(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_send_and_receive_with_keys(capsys: Capture, tmp_path: Path, monkeypatch: Patch) -> None:
     """With the right key there are lines; with the wrong one there are none, and the reason."""
     path = key_file(tmp_path, SECRET.hex().encode())
     monkeypatch.setenv("WRONG", OTHER.hex())
@@ -157,50 +149,16 @@ def test_send_and_receive_with_keys(
 
 
 def test_a_recorded_log_is_decoded_with_its_key(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, clock: Any, lines: Any
+    capsys: Capture, tmp_path: Path, clock: Any, lines: Any
 ) -> None:
     """However old it is: only the order matters."""
     path, codec = tmp_path / "drive.log", codec_of(clock=clock)
     frames = sent(codec.encoder(), clock, lines[0], 4)
     with can.Logger(path) as writer:
         for i, frame in enumerate([*frames, frames[1]]):
-            writer(
-                can.Message(
-                    NOW / S + 0.05 * i,
-                    frame.can_id,
-                    is_extended_id=False,
-                    is_fd=True,
-                    data=frame.data,
-                    channel="can0",
-                )
-            )
-    assert (
-        main(["decode", str(path), "--key-file", str(key_file(tmp_path, SECRET.hex().encode()))])
-        == 0
-    )
+            writer(message_of(frame, timestamp=NOW / S + 0.05 * i, channel="can0"))
+    key = str(key_file(tmp_path, SECRET.hex().encode()))
+    assert main(["decode", str(path), "--key-file", key]) == 0
     out, err = capsys.readouterr()
     assert len(out.splitlines()) == 4
     assert "dropped frames: 1 replay" in err
-
-
-def test_classic_can_with_a_key_is_an_error(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    """With a DBC without authenticated messages, lines cannot be sent or received with a key."""
-    path = key_file(tmp_path, SECRET.hex().encode())
-    dbc = str(ROOT / "dbc" / "maplines.dbc")
-    for job in ("demo", "send", "receive"):
-        assert main([job, "--key-file", str(path), "--dbc", dbc, "--interface", "virtual"]) == 1
-        assert "plain CAN FD are not authenticated" in capsys.readouterr().err
-
-
-def test_keys_are_in_the_order_of_the_options() -> None:
-    """Files and variables alike; the key ID is before the colon, or 1."""
-    parsed: argparse.Namespace = _parser(["send"]).parse_args(
-        ["send", "--key-env", "2:NEW", "--key-file", "a:b", "--key-file", "255:c"]
-    )
-    assert [(name, number) for _, name, number in parsed.keys] == [
-        ("NEW", 2),
-        ("a:b", 1),
-        ("c", 255),
-    ]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.fixtures import Patch
 from support.lines import scenario_lines
 
 import maplines_can
@@ -42,15 +43,6 @@ def among(modules: Any, *packages: Any) -> Any:
     return [m for m in modules if any(f"{m}.".startswith(f"{package}.") for package in packages)]
 
 
-def on_a_bus(words: list[str]) -> Any:
-    """Return the modules of a command on a bus, but for those that python-can itself loads.
-
-    With the extra mf4, these are asammdf, pandas and what they load.
-    """
-    of_can = modules_after("import can")
-    return [m for m in modules_after(MAIN.format(words)) if m not in of_can]
-
-
 STUDY = ("maplines_can.study", "maplines_can.testing", "matplotlib", "scipy.stats", "pyarrow")
 #: What a command needs for a bus, or for a DBC that is not known; and what python-can loads, too.
 HEAVY = ("can", "cantools", "scipy", "asammdf", "pandas", "pyarrow")
@@ -79,14 +71,6 @@ def test_item_11_all_names_of_the_package_load_nothing_of_the_study(
     assert ("asammdf" in of_can) >= has_mf4
     assert among(modules, "maplines_can.wire", "maplines_can.bus", "maplines_can.propagation")
     assert not among(modules, *STUDY, "tqdm", "cryptography", "asammdf")
-
-
-@pytest.mark.parametrize("words", [["--help"], ["--version"], ["study", "--help"]])
-def test_help_loads_nothing(words: Any) -> None:
-    """Names and one line of help are in a table."""
-    modules = modules_after(MAIN.format(words))
-    assert not among(modules, "numpy", "can", "cantools", *STUDY)
-    assert not among(modules, "maplines_can.wire", "maplines_can.bus", "maplines_can.propagation")
 
 
 def test_help_of_commands_loads_neither_study_nor_bus() -> None:
@@ -120,7 +104,7 @@ COMPUTING = [
 
 @pytest.mark.parametrize(("commands", "more"), [(WITHOUT_BUS, (*STUDY, *OWN)), (COMPUTING, ())])
 def test_commands_without_a_bus_load_no_library_of_buses(
-    commands: list[list[str]], more: tuple[str, ...], logs: Path, monkeypatch: pytest.MonkeyPatch
+    commands: list[list[str]], more: tuple[str, ...], logs: Path, monkeypatch: Patch
 ) -> None:
     """Neither python-can, nor cantools for a DBC that is known, nor scipy."""
     monkeypatch.chdir(logs)
@@ -153,35 +137,29 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_receiver_loads_no_estimation_and_no_study() -> None:
-    """Receiving for a short time, on a silent bus."""
-    bus = ["--interface", "virtual", "--channel", "silent", "--timeout", "0.05"]
-    modules = on_a_bus(["receive", *bus])
-    assert "maplines_can.bus.receiver" in modules
-    assert not among(
-        modules, *STUDY, "maplines_can.propagation", "maplines_can.simulation.scenarios"
-    )
+RECEIVE = ["receive", "--interface", "virtual", "--channel", "silent", "--timeout", "0.05"]
+SEND = ["send", "--interface", "virtual", "--channel", "nobody", "--count", "1", "--rate", "100"]
+PRODUCT = ("maplines_can.wire", "maplines_can.bus", "maplines_can.propagation")
 
 
-def test_sending_loads_nothing_of_the_study() -> None:
-    """Sending a line."""
-    bus = ["--interface", "virtual", "--channel", "nobody", "--count", "1", "--rate", "100"]
-    assert not among(on_a_bus(["send", *bus]), *STUDY)
-
-
-def test_a_map_loads_neither_bus_nor_study() -> None:
-    """Only its picture needs matplotlib."""
-    modules = modules_after(MAIN.format(["map"]))
-    assert "maplines_can.maps.formats.opendrive.reader" in modules
-    assert not among(modules, *STUDY, "can", "cantools", "maplines_can.wire", "maplines_can.bus")
-
-
-def test_only_faults_load_the_fault_injection() -> None:
-    """The receiver of the test above loads none."""
-    bus = ["--interface", "virtual", "--channel", "silent", "--timeout", "0.05"]
-    modules = modules_after(MAIN.format(["receive", *bus, "--faults", "loss=0.5"]))
-    assert "maplines_can.testing" in modules
-    assert not among(modules, "maplines_can.study")
+@pytest.mark.parametrize(
+    ("words", "loads", "none"),
+    [
+        (["--help"], "maplines_can.cli", (*STUDY, *PRODUCT, "numpy", "can", "cantools")),
+        (["--version"], "maplines_can.cli", (*STUDY, *PRODUCT, "numpy", "can", "cantools")),
+        (["study", "--help"], "maplines_can.cli", (*STUDY, *PRODUCT, "numpy", "can", "cantools")),
+        (RECEIVE, "maplines_can.bus.receiver", (*STUDY, *OWN)),
+        (SEND, "maplines_can.bus.transmitter", STUDY),
+        ([*RECEIVE, "--faults", "loss=0.5"], "maplines_can.testing", ("maplines_can.study",)),
+        (["map"], "maplines_can.maps.formats.opendrive.reader", (*STUDY, *PRODUCT[:2], "cantools")),
+    ],
+)
+def test_a_command_loads_what_it_runs(words: list[str], loads: str, none: tuple[str, ...]) -> None:
+    """But for what python-can itself loads: with the extra mf4 asammdf, pandas and more."""
+    of_can = modules_after("import can") if words[0] in ("receive", "send") else []
+    modules = modules_after(MAIN.format(words))
+    assert loads in modules
+    assert not among([m for m in modules if m not in of_can], *none)
 
 
 def test_every_exported_name_is_there() -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.fixtures import Capture
 from support.xodr_files import WIDTH, cubic, document, lane, linked, road, section
 
 from maplines_can.cli import main
@@ -24,7 +25,7 @@ def partly(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_map_of_the_package_is_the_default(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_map_of_the_package_is_the_default(capsys: Capture) -> None:
     assert main(["map"]) == 0
     out = capsys.readouterr().out
 
@@ -36,7 +37,7 @@ def test_the_map_of_the_package_is_the_default(capsys: pytest.CaptureFixture[str
     assert "links with gaps: none" in out
 
 
-def test_json_agrees_with_the_map(capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_agrees_with_the_map(capsys: Capture) -> None:
     """Counts and lengths are sums over the lanes."""
     assert main(["map", "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
@@ -53,7 +54,7 @@ def test_json_agrees_with_the_map(capsys: pytest.CaptureFixture[str]) -> None:
     assert summary["plot"] is None
 
 
-def test_how_good_the_points_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_how_good_the_points_are(tmp_path: Path, capsys: Capture) -> None:
     """Points of 5 cm every 2 m, in text and in JSON."""
     rng = np.random.default_rng(2)
     rows = ["line,lane,side,x,y"]
@@ -78,7 +79,7 @@ def test_how_good_the_points_are(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_what_is_not_used_is_counted_by_reason_with_an_example(
-    partly: Path, capsys: pytest.CaptureFixture[str]
+    partly: Path, capsys: Capture
 ) -> None:
     assert main(["map", str(partly)]) == 0
     text = capsys.readouterr().out
@@ -95,7 +96,7 @@ def test_what_is_not_used_is_counted_by_reason_with_an_example(
     assert f"first: {skipped[0]['where']}" in text
 
 
-def test_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_picture(tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / "town.svg"
     assert main(["map", "--plot", str(path)]) == 0
 
@@ -103,54 +104,7 @@ def test_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert str(path) in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        pytest.param(["nowhere.xodr"], "nowhere.xodr", id="no-file"),
-        pytest.param(["pyproject.toml"], "a map is one of: OpenDRIVE", id="no-format"),
-        pytest.param(["."], "Is a directory", id="folder"),
-        pytest.param(["--projection", "x"], "leave out --projection", id="projection"),
-        pytest.param(["--plot", "a.xyz"], "xyz", id="no-such-picture"),
-    ],
-)
-def test_errors_are_one_clear_line(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
-) -> None:
-    assert main(["map", *arguments]) == 1
-    out, err = capsys.readouterr()
-
-    assert out == ""
-    assert words in err
-    assert len(err.splitlines()) == 1
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_a_damaged_file_is_read_in_part_or_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], seed: int
-) -> None:
-    """Cut, and with numbers that are none: what is lost is listed, or the error is one line."""
-    rng = np.random.default_rng(seed)
-    text = town_path().read_text()
-    if seed % 2:
-        text = text[: rng.integers(len(text))]
-    for number in rng.choice(re.findall(r'"-?[\d.]+"', text), 3) if text.count('"') > 99 else ():
-        text = text.replace(str(number), rng.choice(['"nan"', '"1e400"', '""', '"-"']))
-    path = tmp_path / "damaged.xodr"
-    path.write_text(text)
-
-    status = main(["map", str(path), "--json"])
-    out, err = capsys.readouterr()
-    assert status in (0, 1)
-    if status == 0:
-        assert json.loads(out)["skipped"]
-    else:
-        assert "damaged.xodr" in err
-        assert len(err.splitlines()) == 1
-
-
-def test_the_speed_limits_are_all_that_apply(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_speed_limits_are_all_that_apply(tmp_path: Path, capsys: Capture) -> None:
     """Also those of a short part of a lane."""
     limits = "".join(
         f'<speed sOffset="{s}" max="{v}" unit="km/h"/>' for s, v in ((0, 50), (10, 30), (20, 70))

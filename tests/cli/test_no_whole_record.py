@@ -33,8 +33,8 @@ FOREIGN = [(1000 + 0.01 * k, f"{0x100 + k % 3:03X}", f"{k % 256:02X}001122") for
 @cache
 def rows_of(name: str) -> list[Row]:
     """Return the frames of cycles of the ego lane in the DBC of the package with this name."""
-    fd = "secoc" in name
-    authenticator = Authenticator(Key(SECRET), clock=lambda: 10**15) if fd else None
+    secured, fd = "secoc" in name, name in ("maplines-secoc", "maplines-scene")
+    authenticator = Authenticator(Key(SECRET), clock=lambda: 10**15) if secured else None
     encoder = Codec.from_dbc(default_dbc_path(f"{name}.dbc"), authenticator).encoder()
     x = np.linspace(-50, 120, 35)
     lines = {
@@ -75,6 +75,7 @@ def shifted(can_id: str, data: str) -> tuple[str, str]:
 
 LINES = rows_of("maplines")
 POSE_LINES = rows_of("maplines-pose")
+SCENES = rows_of("maplines-scene")
 #: Rows of a log, options of the command, and what the error says; {0} is the number of records.
 CASES = [
     pytest.param(
@@ -107,6 +108,13 @@ CASES = [
     pytest.param(
         POSE_LINES, [], "records of maplines-pose.dbc are whole; take --dbc maplines-pose.dbc$",
         id="another-dbc",
+    ),
+    pytest.param(
+        SCENES, [], "of maplines-scene.dbc are whole; take --dbc maplines-scene.dbc", id="scenes",
+    ),
+    pytest.param(
+        changed(SCENES, shifted), ["--dbc", "maplines-scene.dbc"],
+        "are whole if 0x389 stand for its CAN IDs 0x379", id="shifted-scenes",
     ),
     pytest.param(
         rows_of("maplines-secoc"), [], "36 records of maplines-secoc.dbc are whole, but "
@@ -198,6 +206,7 @@ COMMANDS = {
     "plot": ["plot", "LOG", "-o", "OUT.png"],
     "accuracy": ["accuracy", "TRUTH", "LOG"],
     "auto": ["decode", "LOG", "--dbc", "auto"],
+    "restbus": ["restbus", "CONFIG", "--virtual-time"],
     "design": ["design", "--frames", "3", "--set", "LOG", "--n", "100", "--out", "OUT.dbc"],
     "camera": ["consume", "fusion", "GOOD", "--camera", "LOG"],
 }
@@ -220,7 +229,10 @@ def test_each_command_says_what_fits(
         "LOG": str(written(tmp_path / "a.log", rows)),
         "GOOD": str(written(tmp_path / "good.log", LINES)),
         "TRUTH": truth,
+        "CONFIG": str(tmp_path / "restbus.toml"),
     }
+    config = f'[bus]\ninterface = "virtual"\n[lines]\nlog = {json.dumps(paths["LOG"])}\n'
+    Path(paths["CONFIG"]).write_text(config)
     words = [
         paths.get(word, word.replace("OUT", str(tmp_path / "out"))) for word in COMMANDS[command]
     ]
@@ -324,14 +336,3 @@ def test_the_kind_of_times_reaches_the_reader(
     assert (
         "36 records are whole but for their time stamps; check --times" in capsys.readouterr().err
     )
-
-
-def test_differences_are_decoded(tmp_path: Path, capsys: Any) -> None:
-    """The times of the lines are those of the sender, from the first frame on."""
-    stamps = np.diff([t for t, *_ in LINES], prepend=LINES[0][0])
-    rows = [(t, *rest) for t, (_, *rest) in zip(stamps.tolist(), LINES, strict=True)]
-    log = str(written(tmp_path / "a.log", rows))
-    assert main(["decode", log, "--times", "delta", "--csv", "--slots", "ego-left"]) == 0
-    t = [float(row.split(",")[0]) for row in capsys.readouterr().out.splitlines()[1:]]
-    assert np.diff(t) == pytest.approx(0.05, abs=1e-4)
-    assert len(t) == CYCLES

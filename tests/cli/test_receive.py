@@ -13,6 +13,7 @@ import pytest
 from answers import one
 from support.dbcs import default_codec
 from support.e2e_streams import frames
+from support.fixtures import Capture, Patch
 from support.lines import scenario_lines
 
 from maplines_can import Codec, Link, MapLine, Transmitter
@@ -20,7 +21,7 @@ from maplines_can.cli import command_line, main
 from maplines_can.cli.output import check_text, line_dict, line_text
 from maplines_can.simulation import scenario
 from maplines_can.values.line import Status
-from maplines_can.wire import E2EState, ProfileStatus, SlotStats
+from maplines_can.wire import E2EState, ProfileStatus, SlotStats, SlotView
 
 
 @contextmanager
@@ -34,9 +35,7 @@ def sending(channel: str) -> Iterator[None]:
         yield
 
 
-def test_lines_are_printed_until_the_count(
-    capsys: pytest.CaptureFixture[str], channel: str
-) -> None:
+def test_lines_are_printed_until_the_count(capsys: Capture, channel: str) -> None:
     """JSON lines on standard output, the counters on standard error."""
     with (
         Link(interface="virtual", channel=channel) as link,
@@ -51,16 +50,14 @@ def test_lines_are_printed_until_the_count(
     rows = [json.loads(row) for row in out.splitlines()[:8]]
     assert {row["slot"] for row in rows} == {"EGO_LEFT", "EGO_RIGHT", "NEXT_LEFT", "NEXT_RIGHT"}
     assert rows[0]["status"] == "FULL"
+    assert not any(row["usable"] for row in rows)  # INIT
     assert re.match(r"\d+\.\d{3}  (ego|next) (left|right) ", out.splitlines()[8])
     assert "0 lines lost" in err
 
 
 @pytest.mark.parametrize("options", [[], ["--json"]])
 def test_a_receiver_without_a_line_says_why_once(
-    capsys: pytest.CaptureFixture[str],
-    channel: str,
-    monkeypatch: pytest.MonkeyPatch,
-    options: list[str],
+    capsys: Capture, channel: str, monkeypatch: Patch, options: list[str]
 ) -> None:
     """Before it ends: it has no --timeout in daily use. A receiver of lines says nothing."""
     monkeypatch.setattr("maplines_can.cli.receive.SILENCE", 0.05)
@@ -76,7 +73,7 @@ def test_a_receiver_without_a_line_says_why_once(
 
 @pytest.mark.usefixtures("patient_timeout")
 def test_a_receiver_of_frames_that_it_cannot_read_says_why(
-    capsys: pytest.CaptureFixture[str], channel: str, monkeypatch: pytest.MonkeyPatch
+    capsys: Capture, channel: str, monkeypatch: Patch
 ) -> None:
     """Frames of its CAN IDs that complete no line, with the reasons for which they are dropped."""
     monkeypatch.setattr("maplines_can.cli.receive.SILENCE", 0.05)
@@ -91,9 +88,7 @@ def test_a_receiver_of_frames_that_it_cannot_read_says_why(
 
 
 @pytest.mark.usefixtures("patient_timeout")
-def test_the_dbc_of_the_frames_on_a_bus_is_named(
-    capsys: pytest.CaptureFixture[str], channel: str
-) -> None:
+def test_the_dbc_of_the_frames_on_a_bus_is_named(capsys: Capture, channel: str) -> None:
     """Frames of all CAN IDs are tried until the first line."""
     with sending(channel):
         bus = ["--interface", "virtual", "--channel", channel, "--dbc", "maplines-pose.dbc"]
@@ -103,7 +98,7 @@ def test_the_dbc_of_the_frames_on_a_bus_is_named(
 
 @pytest.mark.usefixtures("patient_timeout")
 def test_item_11_a_receiver_that_outlives_its_sender_succeeds(
-    capsys: pytest.CaptureFixture[str], channel: str, monkeypatch: pytest.MonkeyPatch
+    capsys: Capture, channel: str, monkeypatch: Patch
 ) -> None:
     """Lines came, so the status is 0 and there is no error. The sender stops at the first row."""
     with (
@@ -177,12 +172,23 @@ def test_item_1_a_line_that_is_not_usable_is_printed_without_its_values(
     text = line_text(replace(line, **change))
     assert words in text
     assert "y_off" not in text
-    row = json.loads(json.dumps(line_dict(replace(line, **change)), allow_nan=False))
+    view = SlotView(
+        line.slot,
+        line,
+        0.0,
+        stale=True,
+        state=E2EState.VALID,
+        status=ProfileStatus.OK,
+        two_senders=False,
+    )
+    assert line_dict(line, view)["usable"]  # as it arrived
+    row = json.loads(json.dumps(line_dict(replace(line, **change), view), allow_nan=False))
     assert row["age"] == (None if "age" in change else 0.0)
+    assert not row["usable"]
 
 
 def test_receive_prints_the_states_and_two_senders(
-    replay: Any, channel: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    replay: Any, channel: str, capsys: Capture, monkeypatch: Patch
 ) -> None:
     """A note of each change, a summary of each slot, and in JSON the checks with each line."""
     transfers = [
@@ -209,7 +215,9 @@ def test_receive_prints_the_states_and_two_senders(
     bus = ["--interface", "virtual", "--channel", channel]
     assert main(["receive", *bus, "--count", str(delivered), "--json"]) == 0
     out, err = capsys.readouterr()
-    last = json.loads(out.splitlines()[-1])["e2e"]
+    row = json.loads(out.splitlines()[-1])
+    assert (row["usable"], row["two_senders"]) == (False, True)
+    last = row["e2e"]
     assert last["two_senders"]
     assert last["state"] != "VALID"
     assert last["wrong_sequence"] > 8

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import cantools
 import pytest
+from support.fixtures import Capture
 
 from maplines_can.bus import read_log
 from maplines_can.cli import main
@@ -34,7 +35,7 @@ def _config(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_example_runs_as_it_stands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_example_runs_as_it_stands(tmp_path: Path, capsys: Capture) -> None:
     assert main(["restbus", "--example"]) == 0
     text = capsys.readouterr().out
     assert text == EXAMPLE.read_text()
@@ -56,7 +57,7 @@ def test_the_example_runs_as_it_stands(tmp_path: Path, capsys: pytest.CaptureFix
     assert horn[:6] == [8000, 8030, 8060, 9000, 9030, 9060]
 
 
-def test_seconds_seed_and_existing_files(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_seconds_seed_and_existing_files(config: Path, capsys: Capture) -> None:
     command = ["restbus", str(config), "--virtual-time"]
     assert main(command) == 1
     assert "--virtual-time needs an end; give --seconds" in capsys.readouterr().err
@@ -65,22 +66,6 @@ def test_seconds_seed_and_existing_files(config: Path, capsys: pytest.CaptureFix
     assert main([*command, "--seconds", "1", "--record", str(config.with_suffix(".log"))]) == 0
     assert main([*command, "--seconds", "1", "--record", str(config.with_suffix(".log"))]) == 1
     assert "exists already" in capsys.readouterr().err
-
-
-def test_errors_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for text, expected in (
-        ("[[message]\n", "is not valid TOML"),
-        ('[[message]]\nname = "Motion"\ndbc = "nowhere.dbc"\n', "nowhere.dbc"),
-        (CONFIG + "start = 5\n", "unknown key 'start'; did you mean 'start_ms'?"),
-    ):
-        path = tmp_path / "wrong.toml"
-        path.write_text(text)
-        assert main(["restbus", str(path), "--seconds", "1", "--virtual-time"]) == 1
-        error = capsys.readouterr().err
-        assert expected in error
-        assert error.count("\n") == 1
-    assert main(["restbus"]) == 1
-    assert "CONFIG is missing" in capsys.readouterr().err
 
 
 def test_commands_over_a_pipe_while_it_runs(config: Path) -> None:
@@ -108,7 +93,7 @@ def test_ctrl_c_ends_it_with_its_counters(config: Path) -> None:
     pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     command = [sys.executable, "-c", script, str(config)]
     with subprocess.Popen(command, text=True, **pipes) as process:  # type: ignore[call-overload]
-        assert "1 messages on virtual" in process.stderr.readline()
+        assert "1 message on virtual" in process.stderr.readline()
         process.send_signal(signal.SIGINT)
         out, errors = process.communicate(timeout=30)
     assert (process.returncode, errors) == (0, "")

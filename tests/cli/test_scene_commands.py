@@ -10,8 +10,10 @@ import can
 import numpy as np
 import pytest
 from answers import lines_of, one
-from support.dbcs import DBC, edited
+from support.dbcs import DBC
 from support.drive_files import run, town
+from support.fake_bus import message_of
+from support.fixtures import Capture, Patch
 from support.sender_pairs import Sender, merged
 
 from maplines_can import Codec, MapError, MapLine, Slot, map_scene, read_log
@@ -32,7 +34,7 @@ CYCLES = 5
 
 
 @pytest.fixture
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+def patient(monkeypatch: Patch) -> None:
     """Let nothing time out, in transfers and in scenes: a busy machine is no fault."""
     decoder = Codec.decoder
     hour = 3_600_000
@@ -67,16 +69,7 @@ def write_log(path: Path, transfers: list[Any], *channels: str) -> list[str]:
     with can.Logger(path) as writer:
         for stamp, _, frames in transfers:
             for frame, channel in ((f, c) for f in frames for c in channels):
-                writer(
-                    can.Message(
-                        stamp,
-                        frame.can_id,
-                        is_extended_id=False,
-                        is_fd=frame.is_fd,
-                        data=frame.data,
-                        channel=channel,
-                    )
-                )
+                writer(message_of(frame, timestamp=stamp, channel=channel))
     return ["decode", str(path)]
 
 
@@ -104,9 +97,7 @@ def rows_of(text: str) -> tuple[list[Any], list[Any]]:
 @pytest.mark.usefixtures("patient")
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("fd", [False, True])
-def test_demo_compares_lines_and_the_ego_lane(
-    capsys: pytest.CaptureFixture[str], name: str, fd: bool
-) -> None:
+def test_demo_compares_lines_and_the_ego_lane(capsys: Capture, name: str, fd: bool) -> None:
     """Lines and lane are covered; taken as independent, the lane would be far off."""
     options = ["--seconds", "0.3", "--map-error", "0.05", "--json", *["--fd"] * fd]
     assert main(["demo", *options, *SENDING[name]]) == 0
@@ -147,7 +138,7 @@ def test_demo_compares_lines_and_the_ego_lane(
 
 
 @pytest.mark.usefixtures("patient")
-def test_demo_shows_the_lane_where_its_lines_are_valid(capsys: pytest.CaptureFixture[str]) -> None:
+def test_demo_shows_the_lane_where_its_lines_are_valid(capsys: Capture) -> None:
     """In a turn they end before 20 m; a scene of one line has no lane."""
     demo = ["demo", "--seconds", "0.1", "--json", *SENDING[CONDITIONAL]]
     assert main([*demo, "--scenario", "street-turn"]) == 0
@@ -166,9 +157,7 @@ def test_demo_shows_the_lane_where_its_lines_are_valid(capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_send_counts_pose_errors(
-    capsys: pytest.CaptureFixture[str], channel: str, name: str
-) -> None:
+def test_send_counts_pose_errors(capsys: Capture, channel: str, name: str) -> None:
     """One CAN FD frame each; the note says what is sent, and so do text and JSON at the end."""
     bus = ["--interface", "virtual", "--channel", channel, "--fd", "--count", "3"]
     send = ["send", *bus, "--map-error", "0.05", "--correlation-time", "3", *SENDING[name]]
@@ -188,7 +177,7 @@ def test_send_counts_pose_errors(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_receive_prints_the_ego_lane_once_a_cycle(
-    replay: Any, channel: str, capsys: pytest.CaptureFixture[str], name: str
+    replay: Any, channel: str, capsys: Capture, name: str
 ) -> None:
     """Between the lines; the E2E state of the pose error is shown like that of a slot."""
     codec = Codec.from_dbc(default_dbc_path(name))
@@ -232,7 +221,7 @@ def check_row(row: Any, received: Any) -> None:
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("fd", [False, True])
 def test_decode_prints_each_scene_on_request(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, fd: bool
+    capsys: Capture, tmp_path: Path, name: str, fd: bool
 ) -> None:
     """One row a scene and channel, after its lines, which are the same with and without."""
     codec = Codec.from_dbc(default_dbc_path(name))
@@ -260,7 +249,7 @@ def test_decode_prints_each_scene_on_request(
 
 @pytest.mark.parametrize(("name", "every"), [(CONDITIONAL, 3), ("maplines.dbc", 10)])
 def test_decode_says_which_scenes_are_usable(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, every: int
+    capsys: Capture, tmp_path: Path, name: str, every: int
 ) -> None:
     """None of two senders; before the second one, all after the state INIT."""
     end = 20 + 3 * every
@@ -274,26 +263,8 @@ def test_decode_says_which_scenes_are_usable(
     assert {*found[20:]} == {(False, True)}
 
 
-def test_decode_prints_scenes_that_lack_lines(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    """Lost in the second cycle and in the last one."""
-    codec = Codec.from_dbc(default_dbc_path(CONDITIONAL))
-    transfers = transfers_of(codec)
-    cycles = [transfers[5 * k : 5 * k + 5] for k in range(CYCLES)]
-    cycles[1], cycles[-1] = cycles[1][:2], cycles[-1][:4]
-    lossy = [one for cycle in cycles for one in cycle]
-    decode = write_log(tmp_path / "lossy.log", lossy, "can0")
-    assert main([*decode, "--dbc", CONDITIONAL, "--scenes"]) == 0
-    _, scenes = rows_of(capsys.readouterr().out)
-    assert [len(row["scene"]) for row in scenes] == [4, 1, *[4] * (CYCLES - 3), 3]
-    assert [row["t"] for row in scenes] == pytest.approx([cycle[0][0] for cycle in cycles])
-
-
 @pytest.mark.parametrize("name", NAMES)
-def test_decode_without_time_stamps(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str
-) -> None:
+def test_decode_without_time_stamps(capsys: Capture, tmp_path: Path, name: str) -> None:
     """The scenes are told apart by the counter of the pose error, even if they are equal."""
     codec = Codec.from_dbc(default_dbc_path(name))
     path = tmp_path / "plain.log"
@@ -315,9 +286,7 @@ def test_decode_without_time_stamps(
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("fd", [False, True])
-def test_drive_records_scenes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, fd: bool
-) -> None:
+def test_drive_records_scenes(tmp_path: Path, capsys: Capture, name: str, fd: bool) -> None:
     """Every line of every cycle belongs to a scene, with its age and the correlation time."""
     log, seconds = tmp_path / "drive.log", ["--seconds", "2", "--map-error", "0.05"]
     fast = ["--as-fast-as-possible", "--route", "1:0:-2..1:0:-1", *seconds, *["--fd"] * fd]
@@ -355,49 +324,10 @@ def test_drive_records_scenes(
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_the_name_of_a_dbc_of_this_package_is_enough(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+    tmp_path: Path, monkeypatch: Patch, name: str
 ) -> None:
     """In any folder; a file of that name comes first."""
     monkeypatch.chdir(tmp_path)
     assert codec_from(name).layout.source == str(default_dbc_path(name))
     (tmp_path / name).write_text(DBC.read_text())
     assert codec_from(name).layout.source == name
-
-
-@pytest.mark.parametrize(
-    ("command", "words"),
-    [
-        ("demo --pose-error --components 3", "--components 3 does not go with --pose-error"),
-        ("demo --dbc maplines-pose.dbc --components auto", "receiver splits that itself"),
-        ("send --interface virtual --pose-error --components 2", "leave out --components"),
-        ("drive --dbc maplines-pose.dbc --components 2", "maplines-pose.dbc: lines are sent with"),
-        ("demo --correlation-time 3", "add --pose-error, or take --dbc maplines-pose.dbc"),
-        ("demo --pose-error --max-load 0.05", "4 lines and the pose error take up to 11.9 %"),
-        ("drive --dbc maplines-pose.dbc --max-load 0.05", "take up to 9.72 % of the bus at 20 Hz"),
-        ("demo --pose-error --dbc {dbc}", "edited.dbc has no message of the pose error"),
-        ("decode --scenes --dbc {dbc} none.log", "--scenes: .*edited.dbc has no message of the"),
-        ("receive --scenes --interface virtual", "--scenes needs --json"),
-    ],
-)
-def test_errors_name_the_options(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, words: str
-) -> None:
-    """One line, status 1."""
-    dbc = edited(tmp_path, (r'BA_ "MapLinePose" .*\n', ""))
-    given = [word.format(dbc=dbc, out=tmp_path / "out") for word in command.split()]
-    assert main(given) == 1
-    (error,) = [row for row in capsys.readouterr().err.splitlines() if "error:" in row]
-    assert re.search(words, error)
-
-
-@pytest.mark.parametrize(
-    "command",
-    ["demo --correlation-time 0", "send --correlation-time x", "decode --csv --scenes none.log"],
-)
-def test_wrong_usage(capsys: pytest.CaptureFixture[str], command: str) -> None:
-    """Status 2, with the usage."""
-    with pytest.raises(SystemExit, match="2"):
-        main(command.split())
-    assert re.search(
-        r"(--correlation-time|--scenes).*: (must be|not allowed)", capsys.readouterr().err
-    )

@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from support.fixtures import Capture, Patch
 
 from maplines_can.cli import main, selftest
 from maplines_can.model import e2e
@@ -18,7 +19,7 @@ SECURED = Layout.from_dbc(default_dbc_path("maplines-secoc.dbc"))
 SHORT = ["selftest", "--seconds", "0.001"]
 
 
-def test_core_and_model_are_equal(capsys: pytest.CaptureFixture[str]) -> None:
+def test_core_and_model_are_equal(capsys: Capture) -> None:
     """One stream at least is compared, however short the time is."""
     assert main(SHORT) == 0
     receivers, senders, maps, logs = capsys.readouterr().out.splitlines()
@@ -30,7 +31,7 @@ def test_core_and_model_are_equal(capsys: pytest.CaptureFixture[str]) -> None:
     assert int(found[1]) > 100
 
 
-def test_other_dbcs_can_be_given(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_other_dbcs_can_be_given(capsys: Capture, tmp_path: Path) -> None:
     """By a path, or by the name of one of the package; a missing one is an error."""
     path = tmp_path / "own.dbc"
     path.write_text(default_dbc_path("maplines-pose.dbc").read_text())
@@ -44,9 +45,7 @@ def test_other_dbcs_can_be_given(capsys: pytest.CaptureFixture[str], tmp_path: P
     assert "none.dbc" in capsys.readouterr().err
 
 
-def test_the_first_difference_ends_it_with_status_1(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_first_difference_ends_it_with_status_1(capsys: Capture, monkeypatch: Patch) -> None:
     """It says where: the stream, the frame and the value by both."""
     monkeypatch.setattr(e2e, "OKS", ())  # the first stream has a line, whose slot is never VALID
     assert main(SHORT) == 1
@@ -56,9 +55,7 @@ def test_the_first_difference_ends_it_with_status_1(
     assert "by the core" in text
 
 
-def test_without_cryptography_the_rest_is_compared(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_cryptography_the_rest_is_compared(capsys: Capture, monkeypatch: Patch) -> None:
     """It says what is not compared, and which extra has it."""
     monkeypatch.setattr(back_to_back, "HAS_MAC", False)
     monkeypatch.setattr(selftest, "HAS_MAC", False)

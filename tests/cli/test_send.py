@@ -10,6 +10,7 @@ import pytest
 from answers import one
 from support.dbcs import edited
 from support.fake_bus import FakeOpener, FakeTime
+from support.fixtures import Capture, Patch
 from support.lines import scenario_lines
 
 from maplines_can import Link, MapLine, Transmitter
@@ -19,7 +20,7 @@ from maplines_can.simulation.scenario_lines import AMPLITUDE, SPEED, weaving_ego
 from maplines_can.values.line import lateral, transform_line
 
 
-def test_it_ends_after_the_count(capsys: pytest.CaptureFixture[str], channel: str) -> None:
+def test_it_ends_after_the_count(capsys: Capture, channel: str) -> None:
     """Each line is sent --count times, then the counters are printed."""
     bus = ["--interface", "virtual", "--channel", channel, "--rate", "200"]
     assert main(["send", *bus, "--count", "5", "--json"]) == 0
@@ -70,7 +71,7 @@ class Simulated(Transmitter):
 
 
 @pytest.fixture
-def simulated(monkeypatch: pytest.MonkeyPatch) -> Any:
+def simulated(monkeypatch: Patch) -> Any:
     """Return a function that runs ``maplines send`` on simulated time, and its transmitter."""
     now = Simulated.now = FakeTime(1_000_000_000_000)
     monkeypatch.setattr("maplines_can.cli.send.time", now)
@@ -98,7 +99,7 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> Any:
     ],
 )
 def test_item_11_the_lines_are_those_of_a_moving_car(
-    simulated: Any, capsys: pytest.CaptureFixture[str], options: Any
+    simulated: Any, capsys: Capture, options: Any
 ) -> None:
     """Each is usable, and is that of the pose at its time, also at a low rate."""
     sender = simulated(*options)
@@ -163,7 +164,7 @@ def cycles(*can_ids: Any, to: str) -> Any:
     ],
 )
 def test_item_11_the_rate_is_that_of_the_dbc(
-    simulated: Any, tmp_path: Any, capsys: pytest.CaptureFixture[str], edits: Any, rate: float
+    simulated: Any, tmp_path: Any, capsys: Capture, edits: Any, rate: float
 ) -> None:
     """Of several lines the shortest cycle time; --rate takes precedence."""
     dbc = ["--dbc", str(edited(tmp_path, *edits)), "--lines", "3"]

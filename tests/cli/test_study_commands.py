@@ -5,15 +5,16 @@ import json
 from pathlib import Path
 
 import pytest
+from support.fixtures import Capture, Patch
 
 from maplines_can.cli import main
+from maplines_can.pictures.figure import new_figure
 from maplines_can.simulation.scenarios import SCENARIOS, STREETS
 from maplines_can.study.figures import paper as figures
-from maplines_can.study.figures.paper_panels import new_figure
 
 
 def test_figures_are_written_to_the_folder(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    capsys: Capture, tmp_path: Path, monkeypatch: Patch
 ) -> None:
     """An empty picture of one figure; tests of the figures check what they show."""
     pytest.importorskip("matplotlib")
@@ -29,7 +30,7 @@ def test_figures_are_written_to_the_folder(
     assert all(Path(path).stat().st_size for path in paths)
 
 
-def test_claims_as_csv(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_claims_as_csv(capsys: Capture, monkeypatch: Patch) -> None:
     """There is a row for each representation, before and after the bus."""
     monkeypatch.setattr("maplines_can.study.representations.DRAWS", 2000)
     arguments = ["claims", "--scenario", "production", "--samples", "1000", "--format", "csv"]
@@ -39,7 +40,7 @@ def test_claims_as_csv(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.M
     assert len(rows) >= 2 * 6
 
 
-def test_scenarios_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_scenarios_are_listed(capsys: Capture) -> None:
     """By name, as text and as JSON."""
     assert main(["scenarios"]) == 0
     text = capsys.readouterr().out

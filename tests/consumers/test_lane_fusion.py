@@ -5,16 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can import (
-    Codec,
-    Gaussian,
-    MapError,
-    MapLine,
-    Motion,
-    Polyline,
-    Slot,
-    map_scene,
-)
+from maplines_can import Codec, Gaussian, MapError, MapLine, Motion, Polyline, Slot, map_scene
 from maplines_can.consumers import FusedLane, LaneFusion
 from maplines_can.wire import default_dbc_path
 
@@ -72,32 +63,6 @@ def camera(y: float = 0.0) -> list[MapLine]:
     return [MapLine(slot, Gaussian(mean, CAMERA_COV), x_max=50.0) for slot, mean in pairs]
 
 
-def test_scenes_with_one_pose_error_do_not_average() -> None:
-    """After 3 s with a correlation time of 10 s, about one error was seen."""
-    car = Car(across=0.3)
-    lane = car.run(LaneFusion(), 60)
-    assert lane.scene is not None
-    centre = lane.scene.centre(0.0)
-    assert centre.value == pytest.approx(-0.3, abs=0.05)
-    assert 0.14 < centre.sigma < 0.21
-    assert lane.scene.width(0.0).value == pytest.approx(3.5, abs=0.02)
-    assert lane.map_age < 0.1
-
-
-def test_the_camera_finds_the_pose_error_and_the_lane_keeps_it() -> None:
-    """Two seconds after the camera has failed, the lane is still near the truth."""
-    car = Car(across=0.3, time=30.0)
-    fusion = LaneFusion()
-    lane = car.run(fusion, 60, camera())
-    assert lane.used == LANE
-    assert lane.pose_error is not None
-    assert lane.pose_error.mean[1] == pytest.approx(0.3, abs=0.1)
-    lane = car.run(fusion, 40)
-    assert lane.scene is not None
-    assert lane.scene.centre(20.0).value == pytest.approx(0.0, abs=0.12)
-    assert lane.scene.centre(0.0).sigma < 0.12
-
-
 def test_a_false_camera_line_is_rejected() -> None:
     car = Car()
     fusion = LaneFusion()
@@ -123,20 +88,6 @@ def test_without_scenes_the_lane_becomes_less_certain_and_ends() -> None:
     for k in range(60, 200):
         lane = car.step(fusion, t_ns + k * CYCLE, Motion(10.0, 0))
     assert lane.scene is None
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: LaneFusion(error_frame="sky"), "error_frame must be"),  # type: ignore[arg-type]
-        (lambda: LaneFusion(handling="none"), "handling must be"),  # type: ignore[arg-type]
-        (lambda: LaneFusion(bias_sigma=(0, 0, 0, -1)), "bias_sigma must be 4 numbers"),
-        (lambda: LaneFusion(bias_time=0), "bias_time must be more than 0 s"),
-    ],
-)
-def test_wrong_settings(call: Any, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        call()
 
 
 def test_time_does_not_run_backwards_and_slots_are_of_the_lane() -> None:

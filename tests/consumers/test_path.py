@@ -62,17 +62,6 @@ def seen(name: str) -> Scene:
     return map_scene(lines, ego, window=(-4, 60))
 
 
-@pytest.mark.parametrize(("name", "radius"), [("roundabout-12m", 12.0), ("roundabout-50m", 50.0)])
-def test_the_middle_of_a_roundabout(name: str, radius: float) -> None:
-    path, width = lane_path(seen(name), STILL)
-    assert path is not None
-    assert width == pytest.approx(3.5, abs=0.05)
-    assert path.offset == pytest.approx(0.0, abs=0.05)
-    assert path.heading == pytest.approx(0.0, abs=0.03)
-    near = path.s < path.reach / 2
-    assert 1 / path.curvature[near].mean() == pytest.approx(radius, rel=0.1)
-
-
 def test_the_line_of_the_route_is_followed_itself() -> None:
     route = line([3.5, 0.1, 0, 0], Slot.ROUTE)
     scene = Scene((route,), COV, seen("exit").pose_error, np.array([[-4.0, 80.0]]))

@@ -295,12 +295,6 @@ def test_more_lateral_acceleration_in_curves_than_at_all_raises() -> None:
     assert SteeringLimits(lateral_acceleration=3.1, max_lateral_acceleration=3.2)
 
 
-@pytest.mark.parametrize("period", [0.0, 0.21, math.nan])
-def test_wrong_periods_raise(period: float) -> None:
-    with pytest.raises(ValueError, match="period must be more than 0"):
-        LaneSteering(period=period)
-
-
 def test_wrong_updates_raise() -> None:
     steering = LaneSteering()
     driven(steering, [straight()], first=1.0)

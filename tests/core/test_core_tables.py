@@ -7,7 +7,7 @@ from typing import Any
 import make_declarations
 import numpy as np
 import pytest
-from support.scene_streams import COMPLETE, CONDITIONAL, new_codec
+from support.scene_streams import COMPLETE, new_codec
 
 from maplines_can.core import lib
 from maplines_can.core.memory import structure
@@ -40,11 +40,6 @@ def test_a_signal_anywhere_in_a_record_is_accepted() -> None:
     """What is changed below is refused for its own sake."""
     assert is_accepted(COMPLETE, {"kind": replace(KIND, length=63)})
     assert is_accepted(COMPLETE, {"kind": {}})  # the DBC has no such signal
-
-
-@pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
-def test_tables_of_a_dbc_are_accepted(dbc: str) -> None:
-    assert is_accepted(dbc, {})
 
 
 @pytest.mark.parametrize(

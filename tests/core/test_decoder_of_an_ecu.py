@@ -10,7 +10,7 @@ from maplines_can import Slot
 from maplines_can.core import ffi, lib
 from maplines_can.model import writer
 from maplines_can.model.matrices import Vector, matrix
-from maplines_can.testing.ecu_streams import KEY_IDS, signed, write_mac
+from maplines_can.testing.ecu_streams import signed, write_mac
 from maplines_can.wire import Layout, default_dbc_path
 from maplines_can.wire.core_tables import tables_of
 
@@ -119,17 +119,6 @@ def test_a_number_that_is_no_slot_has_no_line(slot: int) -> None:
     assert not lib.maplines_component(ecu.decoder, slot, 0, gaussian, weight)
 
 
-def test_a_line_has_its_components_only() -> None:
-    ecu = Ecu().authenticate(10**6)
-    gaussian, weight = ffi.new("maplines_gaussian_t *"), ffi.new("maplines_real_t *")
-    assert ecu.start() is None
-    assert ecu.feed_signed(1) == "COMPLETE"
-    assert lib.maplines_component(ecu.decoder, 0, 0, gaussian, weight)
-    assert weight[0] == 1.0
-    assert not lib.maplines_component(ecu.decoder, 0, 1, gaussian, weight)
-    assert not lib.maplines_component(ecu.decoder, 1, 0, gaussian, weight)
-
-
 @pytest.mark.parametrize(
     ("now_us", "window_us", "time_us", "reason"),
     [
@@ -159,9 +148,3 @@ def test_a_freshness_value_of_more_than_63_bits_is_of_no_age() -> None:
     assert ecu.start() is None
     assert ecu.feed_signed(2**63 + 5) == "AGE"
     assert ecu.feed_signed(2**63 - 1) == "REPLAY"
-
-
-def test_a_key_that_the_receiver_has_not() -> None:
-    ecu = Ecu().authenticate(10**6)
-    assert ecu.start() is None
-    assert ecu.feed_signed(1, key_id=KEY_IDS.stop) == "KEY"

@@ -60,11 +60,6 @@ def test_operation_has_the_bytes_of_the_standard(operation: Operation, text: str
     assert decode(bytes.fromhex(text)) == [operation]
 
 
-def test_operations_follow_each_other() -> None:
-    operations = [operation for operation, _ in EXAMPLES]
-    assert decode(encode(operations)) == operations
-
-
 @pytest.mark.parametrize(
     ("text", "reason"),
     [

@@ -2,7 +2,6 @@
 
 import json
 import math
-import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -196,16 +195,11 @@ SIGNAL, MESSAGE = (0, 0, 0), (1, 0)
     [
         pytest.param(lambda _: "", id="empty"),
         pytest.param(lambda text: text[:-100], id="cut"),
-        pytest.param(lambda _: "[]", id="other-json"),
         pytest.param(lambda text: text.replace("0.0009765625", "0.0019765625"), id="edited"),
         pytest.param(lambda text: text.replace('"key":"', '"key":"0'), id="of-another-dbc"),
-        pytest.param(_set(*SIGNAL, 1, to=10**12), id="start"),
         pytest.param(_set(*SIGNAL, 2, to=10**12), id="length"),
-        pytest.param(_set(*SIGNAL, 2, to="8"), id="type"),
         pytest.param(_set(*SIGNAL, 6, to=math.nan), id="factor"),
         pytest.param(_set(*MESSAGE, -1, to=99), id="index"),
-        pytest.param(_set(*MESSAGE, 6, to=99), id="slot"),
-        pytest.param(_set(*MESSAGE, 1, to=833), id="can-id-twice"),
         pytest.param(_set(2, to=None), id="no-tables"),
     ],
 )
@@ -242,12 +236,3 @@ def test_a_number_that_no_float_has_is_infinite(sign: str) -> None:
     text = TEXT.replace("(0.0009765625,0)", f"(0.0009765625,{sign}1{400 * '0'})")
     with pytest.raises(LayoutError, match=r"signal YOff is .* needs"):
         Layout.from_text(text)
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="permissions of POSIX")
-def test_a_folder_that_cannot_be_written_is_no_error(cache: Cache, dbc: Path) -> None:
-    """Such as in a read-only home: here, the folder would be inside of a file."""
-    cache.folder = dbc / "cache"
-
-    assert Layout.from_dbc(dbc).is_same_as(Layout.from_dbc(dbc))
-    assert cache.parsed == 2

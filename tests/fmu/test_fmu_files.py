@@ -98,6 +98,7 @@ def test_the_same_dbc_gives_the_same_bytes(
     assert again.read_bytes() == fmu.read_bytes()
 
 
+@pytest.mark.parametrize("fmu", NODES[2::2], indirect=True, ids="-".join)
 def test_it_builds_from_its_sources(fmu: Path, tmp_path: Path) -> None:
     """With the files and definitions of its build description, and nothing else.
 

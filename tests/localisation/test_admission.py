@@ -159,9 +159,3 @@ def test_a_wrong_car_does_not_harm_the_others() -> None:
     assert both.counts()["GnssFix"] == {"COVARIANCE": 1}
     np.testing.assert_array_equal(both.poses().mean[0], alone.poses().mean[0])
     assert both.poses().mean[1, 0] == pytest.approx(10.0)
-
-
-@pytest.mark.parametrize("cov", [-np.eye(3), np.array([[1, 2, 0], [2, 1, 0], [0, 0, 1.0]])])
-def test_a_start_without_a_covariance_is_refused(cov: Any) -> None:
-    with pytest.raises(ValueError, match="positive semidefinite"):
-        Localisation(np.zeros((1, 3)), cov=cov)

@@ -85,6 +85,25 @@ def test_a_canyon_is_found_out() -> None:
     assert np.median(localisation.gnss_sigma()) >= 10
 
 
+@pytest.mark.parametrize(
+    ("gnss", "least", "most"),
+    [(GaussMarkov(2.1, 60.0), 0.1, 3.0), (None, 0.1, 4.0), (GaussMarkov(0.0), 20.0, math.inf)],
+)
+def test_a_constant_error_is_covered_unless_it_is_taken_as_white(
+    gnss: GaussMarkov | None, least: float, most: float
+) -> None:
+    """Of 1.4 m and 0.4 m for a minute, as in a recorded drive: a state, found out, white noise."""
+    found: list[Array] = []
+
+    def evaluate(t: float, localisation: Localisation) -> None:
+        if t > 30.0 and round(10 * t) % 10 == 0:
+            found.append(nees(t, localisation))
+
+    off = np.tile([1.4, 0.4], (300, CARS, 1))
+    drive(off, evaluate, errors=SensorErrors(gnss=gnss))
+    assert least < np.mean(found) < most
+
+
 def test_the_error_is_raised_and_lowered_in_time() -> None:
     """At the begin of a canyon within 5 s, and after its end within 60 s, in most cars."""
     off = np.concatenate(

@@ -119,8 +119,7 @@ def test_the_autocorrelation_is_that_of_the_conditional_gaussian() -> None:
     """Between the last and earlier times, of the errors of the estimates of these times."""
     seen = fixes(np.random.default_rng(1), 12)
     found = driven(
-        sorted([odometry(i * DT) for i in range(1, 602)] + seen, key=lambda one: one.t),
-        history=0.0,
+        sorted([odometry(i * DT) for i in range(1, 602)] + seen, key=lambda one: one.t), history=0.0
     )
     closed = Closed([one.t for one in seen])
     lags, rho = found.correlation.autocorrelation(np.zeros(1))
@@ -208,28 +207,6 @@ def test_the_pose_between_odometries_is_predicted() -> None:
         found.ego(0.1)
 
 
-def test_several_cars_are_as_each_alone() -> None:
-    """The filters of a batch do not see each other."""
-    rng = np.random.default_rng(5)
-    start = rng.standard_normal((3, 3)) * [1, 1, 0.01]
-    speed, rate = 10 + rng.standard_normal((3, 100)), 0.1 * rng.standard_normal((3, 100))
-    cov = np.diag([1, 1, 0.01]) ** 2
-    together = Localisation(start, cov=cov)
-    alone = [Localisation(Gaussian(one, cov)) for one in start]
-    for i in range(100):
-        together.add(Odometry(i * DT, speed[:, i], rate[:, i]))
-        for k, one in enumerate(alone):
-            one.add(odometry(i * DT, speed[k, i], rate[k, i]))
-    position = rng.normal([20, 0], 1.0, (3, 2))
-    together.add(GnssFix(1.5, position, np.eye(2)))
-    for k, one in enumerate(alone):
-        one.add(fix(1.5, position[k, 0], position[k, 1], 1.0))
-        assert together.poses().mean[k] == pytest.approx(pose(one).mean, abs=1e-12)
-        assert together.poses().cov[k] == pytest.approx(pose(one).cov, abs=1e-12)
-    with pytest.raises(ValueError, match="3 cars"):
-        together.ego()
-
-
 def test_a_curve_is_as_by_an_unscented_filter() -> None:
     """Of filterpy, on a circle: the linearisation is harmless, and so is the code."""
     errors = TOLD
@@ -263,20 +240,6 @@ def test_a_curve_is_as_by_an_unscented_filter() -> None:
 
 
 ONE = np.ones(1)
-
-
-@pytest.mark.parametrize(
-    ("settings", "match"),
-    [
-        ({"start": np.zeros(3)}, r"\(n, 3\)"),
-        ({"start": np.full((2, 3), np.nan), "cov": np.eye(3)}, "finite"),
-        ({"start": np.zeros((2, 3)), "cov": np.eye(2)}, r"\(3, 3\)"),
-        ({"start": np.zeros((1, 3)), "cov": np.eye(3), "history": -1.0}, "history"),
-    ],
-)
-def test_wrong_arguments_are_refused(settings: dict[str, Any], match: str) -> None:
-    with pytest.raises(ValueError, match=match):
-        Localisation(**settings)
 
 
 def test_without_observations_the_error_remains() -> None:

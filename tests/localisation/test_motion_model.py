@@ -52,13 +52,3 @@ def test_a_constant_error_remains() -> None:
     mean, cov, _ = predict(mean, cov, 10 * ONE, 0 * ONE, 1.0, errors)
     assert mean[0, 0] == pytest.approx(10.1)
     assert speed_of(mean, 10 * ONE) == pytest.approx(10.1)
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"gnss": GaussMarkov(-1.0, 1.0)}, {"speed": GaussMarkov(1.0, 0.0)},
-              {"fix_distance": 0.0}, {"fix_distance": math.nan},
-              {"yaw_rate_noise": math.nan}, {"gnss": GaussMarkov(math.inf, 1.0)}],
-)  # fmt: skip
-def test_wrong_errors_are_refused(wrong: dict[str, GaussMarkov]) -> None:
-    with pytest.raises(ValueError, match=next(iter(wrong))):
-        SensorErrors(**wrong)  # type: ignore[arg-type]

@@ -18,7 +18,6 @@ from maplines_can.localisation import (
     LocalisationLayer,
     PoseFix,
     SeenLandmarks,
-    SensorErrors,
     Verdict,
 )
 from maplines_can.localisation.association import GATES, Candidates, associate
@@ -32,10 +31,7 @@ from maplines_can.values.line import Kind
 KINDS = (Kind.DASHED, Kind.SOLID)
 SCALES = np.array([1, 1, 0.05, 0.1, 0.01, 0.02, 2, 2, 0.1, 0.01, 1, 1, 1])
 LAYER = LocalisationLayer(
-    network(
-        lane("1", kinds=KINDS),
-        landmarks=(Landmark("pole", LandmarkKind.POLE, 60.0, 4.0),),
-    )
+    network(lane("1", kinds=KINDS), landmarks=(Landmark("pole", LandmarkKind.POLE, 60.0, 4.0),))
 )
 
 
@@ -320,17 +316,6 @@ def test_the_past_is_kept_in_few_spans_and_for_ten_minutes() -> None:
     assert lags[-1] <= 600.0
     assert lags[-1] > 600 / 1.3
     assert counts[1] - counts[0] < 12
-
-
-def test_the_errors_of_sensors_are_those_of_the_docs() -> None:
-    """Standard deviations, and correlation times [s], of a production car."""
-    errors, degree = SensorErrors(), math.radians(1.0)
-    assert [tuple(one) for one in errors.processes] == [
-        (0.05, 1.0), (0.2 * degree, 1000.0), (0.01, 3600.0), (1.5, 60.0), (1.5, 60.0),
-        (0.05, 20.0), (0.1 * degree, 100.0),
-    ]  # fmt: skip
-    assert errors.fix_distance == 20.0
-    assert errors.yaw_rate_noise == pytest.approx(0.02 * degree)
 
 
 @pytest.mark.parametrize("t", [-0.1, math.nan, math.inf, -math.inf])

@@ -10,15 +10,7 @@ from numpy.typing import NDArray
 from support.lane_maps import crossing
 
 from maplines_can import Slot
-from maplines_can.maps import (
-    Lane,
-    LaneTracker,
-    Map,
-    link_gaps,
-    load,
-    town_path,
-    town_tour,
-)
+from maplines_can.maps import LaneTracker, Map, link_gaps, load, town_path, town_tour
 from maplines_can.maps.joints import gap
 from maplines_can.simulation.trajectory import SimulatedDrive
 from maplines_can.values.errors import RouteError
@@ -31,11 +23,6 @@ ENDING = {"3:0:-4", "4:2:-4"}
 @pytest.fixture(scope="module")
 def town() -> Map:
     return load(town_path())
-
-
-def width(lane: Lane, end: int) -> float:
-    """Return the distance of the boundaries at the start (0) or the end (-1)."""
-    return float(np.hypot(*(lane.left.points[end] - lane.right.points[end])))
 
 
 def test_the_map_is_up_to_date() -> None:
@@ -63,21 +50,6 @@ def test_lines_are_continuous_to_1_mm(town: Map) -> None:
 
     assert len(gaps) > 400
     assert max(gaps) < 1e-3
-
-
-def test_every_drivable_lane_continues_or_narrows_to_nothing(town: Map) -> None:
-    """Those that end have no width there, and a lane on the left to change to."""
-    drivable = {key: lane for key, lane in town.lanes.items() if lane.type.is_drivable}
-    ending = {key: lane for key, lane in drivable.items() if not lane.successors}
-    opening = {key: lane for key, lane in drivable.items() if not lane.predecessors}
-
-    assert set(ending) == ENDING
-    for lane in ending.values():
-        assert width(lane, -1) < 1e-6 < width(lane, 0)
-        assert lane.left_neighbour is not None
-    assert set(opening) == {"1:1:-4", "4:1:-4"}
-    for lane in opening.values():
-        assert width(lane, 0) < 1e-6 < width(lane, -1)
 
 
 def test_every_drivable_lane_of_the_town_can_be_reached(town: Map) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,19 +12,15 @@ from scene_layouts import layout_of
 from support.whole_scene_witness import read
 
 from maplines_can import Codec, Gaussian, MapLine, PoseError, Scene, Slot
-from maplines_can.model.level_search import LevelSearch, Wanted
-from maplines_can.model.levels import TILTS, level_covariance
-from maplines_can.model.lines import Curve
-from maplines_can.model.matrices import Vector, diagonal, matrix
+from maplines_can.model.levels import TILTS
 from maplines_can.testing.sender_comparison import STREAMS
 from maplines_can.testing.sender_streams import bits
 from maplines_can.values.seen_lines import bases
 from maplines_can.wire import default_dbc_path
-from maplines_can.wire.layout.record_signals import TILT, Signal
+from maplines_can.wire.layout.record_signals import TILT
 
 DBC = "maplines-scene.dbc"
 LAYOUT = layout_of(DBC)
-SIGNALS = {name: LAYOUT[name] for name in ("OwnLateral", "OwnPoints", "OwnShape", TILT)}
 RANGES = [(-20.0, 80.0), (-5.0, 26.0), (0.0, 12.0), (-17.0, 4.0)]
 #: Standard deviations at the end of a line [m].
 SIZES = [0.1, 0.7]
@@ -96,28 +91,3 @@ def test_own_covariances_of_any_form_are_covered_with_all_tilts() -> None:
         covs = [scale @ F @ F.T @ scale + 1e-12 * np.eye(4) for F in factors]
         met.update(tilts_of(scene_of(covs)))
     assert {*met} == {*TILTS}
-
-
-def largest_ratio(cov: Any, signals: Mapping[str, Signal]) -> float:
-    """Largest ratio of standard deviations of the lateral position, decoded over true ones."""
-    resolution = diagonal([2.0**-18] * 4)
-    true = matrix(np.asarray(cov).tolist())
-    wanted = Wanted(true - resolution, resolution, true + resolution)
-    curve, search = Curve(Vector([1.75, 0.01, 1e-4, 0.0]), *RANGES[0], 0.0), LevelSearch(signals)
-    raw, is_covered = search.encode(wanted, curve, search.spacings(wanted, curve))
-    assert is_covered
-    found = np.array(level_covariance(signals, raw, curve) + resolution)
-    w = np.linspace(-1, 1, 21)
-    T = np.stack([w**0, w, 2 * w**2 - 1, 4 * w**3 - 3 * w], axis=1)
-    variances = [((T @ S) * T).sum(axis=1) for S in (found, np.asarray(cov))]
-    return float(np.sqrt(variances[0] / variances[1]).max())
-
-
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("tilt", TILTS[1:])
-def test_lines_whose_uncertainty_grows_are_sharper_with_a_tilt(tilt: float, size: float) -> None:
-    """Standard deviations exceed the true ones by 20 % at most; without a tilt, nine times."""
-    cov = tilted(size, tilt)
-    without = {name: signal for name, signal in SIGNALS.items() if name != TILT}
-    assert largest_ratio(cov, SIGNALS) <= 1.2
-    assert largest_ratio(cov, without) >= 9

@@ -95,19 +95,6 @@ def test_moves_within_the_hysteresis_change_nothing(
     assert chosen(messages, moved, last) == last
 
 
-@given(FORM, CYCLES, scenes())
-def test_a_line_keeps_its_place_in_its_message(
-    messages: tuple[Slots, ...], cycles: list[list[Candidate]], lines: list[Candidate]
-) -> None:
-    last = places_of(messages, *cycles)
-    found = chosen(messages, lines, last)
-    for before, after in ((last.scene, found.scene), (last.scene2 or (), found.scene2 or ())):
-        kept = {*before} & {*after} - {None}
-        assert {slot: before.index(slot) for slot in kept} == {
-            slot: after.index(slot) for slot in kept
-        }
-
-
 def test_the_nearest_lines_are_in_scene() -> None:
     """All eight: Scene2 is needed, and the centre comes last, since it follows from the others."""
     ys = dict(zip(Slot, (1.8, -1.8, 5.3, -5.2, 0.1, 9.0, -9.0, -1.0), strict=True))
@@ -119,31 +106,12 @@ def test_the_nearest_lines_are_in_scene() -> None:
     assert places_of([SCENE], lines) == Places((LEFT, RIGHT, ROUTE, NEXT_RIGHT))
 
 
-def test_edges_have_free_places_until_scene2_is_needed() -> None:
-    """It is sent from then on, also when there is no line for it."""
-    edges = [line(EDGE_LEFT, 3.0), line(EDGE_RIGHT, -6.0)]
-    first = places_of(BOTH, edges)
-    second = places_of(BOTH, edges, [*edges, line(ROUTE, 9.0)])
-    third = places_of(BOTH, edges, [*edges, line(ROUTE, 9.0)], [])
-
-    assert first == Places((None, None, EDGE_LEFT, EDGE_RIGHT))
-    assert second == Places((None, None, ROUTE, None), (EDGE_LEFT, EDGE_RIGHT, None, None))
-    assert third == Places((None,) * 4, (None,) * 4)
-
-
 @pytest.mark.parametrize(("y", "slot"), [(2.9, ROUTE), (2.1, ROUTE), (1.9, NEXT_RIGHT)])
 def test_another_line_has_to_be_nearer_by_more_than_the_hysteresis(y: float, slot: Slot) -> None:
     messages = [SCENE[:3]]
     before, after = ([line(ROUTE, 3.0), line(NEXT_RIGHT, -d)] for d in (4.0, y))
 
     assert places_of(messages, before, after).scene[2] == slot
-
-
-def test_a_line_that_comes_back_has_its_place_again() -> None:
-    """The other one kept its own meanwhile."""
-    route, right = line(ROUTE, 3.0), line(NEXT_RIGHT, -4.0)
-
-    assert places_of(BOTH, [route, right], [right], [right, route]).scene[2:] == (ROUTE, NEXT_RIGHT)
 
 
 def test_a_line_that_is_left_out_yields_to_those_that_go() -> None:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -53,9 +52,10 @@ SLOT = Slot.EGO_LEFT
 # ---- streams ------------------------------------------------------------------------------------
 
 
-def check_streams(layout: Layout, seed: int, frames: int) -> None:
+def check_streams(layout: Layout, seed: int, frames: int, step: int = 1) -> None:
+    """Compare streams of each profile, or of every so-many-th one."""
     traffics = traffics_of(layout, seed)
-    for i, profile in enumerate(profiles_of(layout)):
+    for i, profile in enumerate(profiles_of(layout)[::step]):
         result = compare(traffics, profile, frames, 100 * seed + i)
         assert result.difference is None, str(result.difference)
         assert result.frames == frames
@@ -64,13 +64,13 @@ def check_streams(layout: Layout, seed: int, frames: int) -> None:
 @pytest.mark.parametrize("dbc", sorted({*SHIPPED, WHOLE}))
 def test_core_and_model_are_equal_on_hostile_streams(dbc: str) -> None:
     """Every decoded double, reason, counter and state, after each frame."""
-    check_streams(layout_of(dbc), seed=1, frames=60 if dbc == WHOLE else 200)
+    check_streams(layout_of(dbc), seed=1, frames=40 if dbc == WHOLE else 150)
 
 
 @pytest.mark.parametrize("name", sorted(unusual_layouts()))
 def test_they_are_equal_with_unusual_dbcs(name: str) -> None:
     """Without a pose error, with some messages or slots only, with short counters."""
-    check_streams(unusual_layouts()[name], seed=2, frames=60)
+    check_streams(unusual_layouts()[name], seed=2, frames=60, step=3)
 
 
 @pytest.mark.parametrize(
@@ -78,7 +78,7 @@ def test_they_are_equal_with_unusual_dbcs(name: str) -> None:
 )
 def test_they_are_equal_with_random_dbcs(seed: int, frames: int) -> None:
     """Other places, byte orders, lengths and factors."""
-    check_streams(Layout.from_text(random_dbc(seed)), seed=3, frames=frames)
+    check_streams(Layout.from_text(random_dbc(seed)), seed=3, frames=frames, step=3)
 
 
 def of_name(name: str) -> Any:
@@ -114,15 +114,22 @@ def met_by(pair: Pair, step: Any, states: dict[Any, str]) -> Iterator[str]:
         states["last", owner] = str(last) if last is not None else "0"
 
 
-STREAMS = {
-    COMPLETE: [
-        "faults", "hostile", "any content", "two senders, same counters",
-        "restarts", "narrow windows", "clock of another unit",
-    ],
-    CONDITIONAL: ["faults", "any content", "late"],
-    SECURED: ["authenticated, faults", "authenticated, without a key", "not authenticated"],
-    WHOLE: ["faults", "any content"],
-}  # fmt: skip
+#: Streams with the numbers of their frames, and how often is asked.
+STREAMS = [
+    (COMPLETE, "faults", 1300, 0.05),
+    (COMPLETE, "hostile", 900, 0.05),
+    (COMPLETE, "two senders, same counters", 600, 0.05),
+    (COMPLETE, "restarts", 600, 0.05),
+    (COMPLETE, "narrow windows", 400, 0.05),
+    (COMPLETE, "clock of another unit", 1900, 0.05),
+    (CONDITIONAL, "faults", 600, 0.05),
+    (CONDITIONAL, "any content", 600, 0.05),
+    (SECURED, "authenticated, faults", 600, 0.05),
+    (SECURED, "authenticated, without a key", 60, 0.05),
+    (SECURED, "not authenticated", 60, 0.05),
+    (WHOLE, "faults", 400, 0.5),
+    (WHOLE, "any content", 900, 0.5),
+]
 REACHED = {
     *("FOREIGN", "LENGTH", "PAGE", "DUPLICATE", "REPLACED", "STALE", "INCOMPLETE", "TIMEOUT"),
     *("MIXED", "CRC", "CONTENT", "POSE", "UNAUTHENTICATED", "KEY", "MAC", "REPLAY", "AGE"),
@@ -142,21 +149,20 @@ REACHED = {
 def test_the_streams_of_a_seed_reach_every_rule() -> None:
     """Each reason, status, change of state and kind of answer, more than once."""
     met = Counter[str]()
-    for dbc, names in STREAMS.items():
-        for name in names:
-            pair = Pair(layout_of(dbc), of_name(name))
-            sign = pair.sign if pair.profile.is_signed else None
-            stream = Stream(traffics_of(layout_of(dbc), 1), pair.profile, 7, sign, START_US)
-            states: dict[Any, str] = {}
-            for step in stream.steps():
-                assert not [*pair.differences(step)]
-                met.update(met_by(pair, step, states))
-                if pair.model.frames >= 2500:
-                    break
-            met.update(pair.model.counts)
-            for check in pair.model.checks.values():
-                met.update(check.statuses)
-                met.update({"lost": check.lost, "two senders are confirmed": check.senders.are_two})
+    for dbc, name, frames, ask in STREAMS:
+        pair = Pair(layout_of(dbc), replace(of_name(name), ask=ask))
+        sign = pair.sign if pair.profile.is_signed else None
+        stream = Stream(traffics_of(layout_of(dbc), 1), pair.profile, 7, sign, START_US)
+        states: dict[Any, str] = {}
+        for step in stream.steps():
+            assert not [*pair.differences(step)]
+            met.update(met_by(pair, step, states))
+            if pair.model.frames >= frames:
+                break
+        met.update(pair.model.counts)
+        for check in pair.model.checks.values():
+            met.update(check.statuses)
+            met.update({"lost": check.lost, "two senders are confirmed": check.senders.are_two})
     assert {name: met[name] for name in REACHED if met[name] < 2} == {}
 
 
@@ -204,12 +210,7 @@ FAULTS = [
 
 @pytest.mark.parametrize(("module", "name", "faulty", "dbc", "profile"), FAULTS)
 def test_a_fault_of_a_rule_is_found(
-    monkeypatch: pytest.MonkeyPatch,
-    module: Any,
-    name: str,
-    faulty: Any,
-    dbc: str,
-    profile: str,
+    monkeypatch: pytest.MonkeyPatch, module: Any, name: str, faulty: Any, dbc: str, profile: str
 ) -> None:
     """One rule of the model is another one: a stream tells it from the core."""
     traffics = traffics_of(layout_of(dbc), 1)
@@ -272,16 +273,6 @@ def sender() -> Sender:
     return Sender(COMPLETE)
 
 
-def test_a_line_is_all_pages_of_one_transfer(sender: Sender) -> None:
-    """Three pages wait, the fourth completes the line; the same ones again are duplicates."""
-    pages = sender.pages(sender.record(5))
-    *waiting, (line,) = sender.feed(pages)
-    assert waiting == ["PENDING"] * 3
-    assert (line.slot, line.kind, line.status) == (SLOT, Kind.UNKNOWN, Status.FULL)
-    assert (line.x_min, line.x_max, line.age, line.t_ns) == (-16.0, 80.0, 0.024, 0)
-    assert sender.feed(pages) == ["DUPLICATE"] * 4
-
-
 @pytest.mark.parametrize("bit", [0, 20, 63, 70, 127, 200])
 def test_a_damaged_bit_is_found(sender: Sender, bit: int) -> None:
     """By the checksum, the page number or the transfer ID."""
@@ -334,29 +325,6 @@ def test_a_record_in_one_can_fd_frame(sender: Sender) -> None:
     assert (line.slot, others) == (SLOT, ["DUPLICATE", "LENGTH"])
 
 
-def test_the_seventh_record_in_a_row_is_usable(sender: Sender) -> None:
-    """The first one does not count; of the next ones, six are enough."""
-    states = []
-    for k in range(8):
-        sender.send(k, k * CYCLE)
-        view = sender.latest(k * CYCLE + MS)
-        states.append((view.state, view.is_usable))
-    assert states == [("INIT", False)] * 6 + [("VALID", True)] * 2
-
-
-def test_lost_late_and_repeated_records(sender: Sender) -> None:
-    """A gap counts as lost records; what is behind the last new one is not delivered."""
-    answers = [sender.send(c, k * CYCLE) for k, c in enumerate((0, 1, 4, 3, 4, 30))]
-    check = sender.pair.model.checks[SLOT]
-    is_line = [not isinstance(answer, str) for answer in answers]
-    assert is_line == [True, True, True, False, False, False]
-    assert answers[3:] == ["STALE", "DUPLICATE", "STALE"]
-    assert check.lost == 2
-    assert check.statuses == {
-        "OK": 2, "OKSOMELOST": 1, "WRONGSEQUENCE": 2, "REPEATED": 1,
-    }  # fmt: skip
-
-
 def test_a_sender_that_restarts_is_told_from_late_records(sender: Sender) -> None:
     """Two of its records are dropped, then it is known: one counter has another content."""
     for k in range(3):
@@ -404,37 +372,3 @@ def test_an_old_line_is_stale_and_a_clock_that_was_set_back_has_no_ages(sender: 
     views = [sender.latest(t_ns) for t_ns in (150 * MS, 150 * MS + 1, -MS, -MS - 1)]
     assert [view.is_stale for view in views] == [False, True, False, True]
     assert [view.age for view in views] == [0.174, pytest.approx(0.174), 0.024, math.inf]
-
-
-def test_what_is_not_authentic_changes_nothing() -> None:
-    """With keys the MAC is checked first, and each freshness value is newer than the last one."""
-    sender = Sender(SECURED, "authenticated")
-    own, now = sender.layout.messages[SLOT], sender.pair.now_us
-    assert own.secured_can_id is not None
-    signed = [sender.pair.sign(SLOT, sender.record(k), now + k) for k in range(2)]
-    forged = signed[1][:-1] + bytes([signed[1][-1] ^ 1])
-    answers = sender.feed([(own.secured_can_id, data) for data in (signed[0], forged, signed[0])])
-    assert answers[1:] == ["MAC", "REPLAY"]
-    assert sender.feed(sender.pages(sender.record(2))) == ["UNAUTHENTICATED"] * 4
-    assert sender.pair.model.checks[SLOT].statuses == {"OK": 1}
-    assert len(sender.feed([(own.secured_can_id, signed[1])])[0]) == 1
-
-
-# ---- the product does without -------------------------------------------------------------------
-
-
-def test_the_product_never_loads_the_model() -> None:
-    """A codec, a sender, a receiver and the command decode and send without it."""
-    code = """
-import sys, maplines_can as ml
-from maplines_can.cli import main
-codec = ml.Codec.from_dbc()
-decoder = codec.decoder()
-line = ml.MapLine.mean_only(ml.Slot.ROUTE, [0, 0, 0, 0])
-for frame in codec.encoder().encode(line):
-    decoder.feed(frame.can_id, frame.data, 0)
-assert decoder.lines == 1
-assert main(["scenarios"]) == 0
-assert not [name for name in sys.modules if name.startswith("maplines_can.model")]
-"""
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)

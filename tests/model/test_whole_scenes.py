@@ -96,13 +96,6 @@ def test_all_lines_of_a_record_come_at_once(sender: Sender) -> None:
     assert sender.pair.model.pose_errors == 1
 
 
-def test_a_record_without_lines_is_the_newest_scene(sender: Sender) -> None:
-    assert sender.ask("scene", 0).content is None
-    assert sender.send(SCENE, 0, 0, {LEFT: LINE}) == [LEFT]
-    assert sender.send(SCENE, 1, CYCLE, {}) == "PENDING"
-    assert sender.scene(CYCLE) == []
-
-
 @pytest.mark.parametrize("owners", [(SCENE2, SCENE), (SCENE, SCENE2)])
 def test_both_records_of_a_cycle_are_one_scene(
     sender: Sender, owners: tuple[SceneOwner, SceneOwner]
@@ -163,32 +156,6 @@ def test_records_join_if_they_are_of_one_cycle(
     assert sender.scene(t_ns) == ([LEFT, EDGE_LEFT] if joins else [LEFT])
 
 
-def test_only_one_record_joins_a_scene(sender: Sender) -> None:
-    """The next Scene2 waits for its own Scene, even if it has the same bits."""
-    sender.send(SCENE2, 0, 0, {EDGE_LEFT: LINE}, joint=0)
-    sender.send(SCENE, 0, MS, {LEFT: LINE})
-    sender.send(SCENE2, 1, 2 * MS, {EDGE_RIGHT: LINE}, joint=0)
-    assert sender.scene(2 * MS) == [LEFT, EDGE_LEFT]
-    sender.send(SCENE, 8, 3 * MS, {LEFT: LINE})
-    assert sender.scene(3 * MS) == [LEFT, EDGE_RIGHT]
-
-
-def test_after_a_break_of_scene_no_earlier_record_joins(sender: Sender) -> None:
-    """The sender has restarted since then."""
-    sender.send(SCENE, 0, 0, {LEFT: LINE})
-    sender.send(SCENE2, 0, 30 * CYCLE, {EDGE_LEFT: LINE}, joint=4)
-    sender.send(SCENE, 100, 30 * CYCLE, {LEFT: LINE})
-    assert sender.scene(30 * CYCLE) == [LEFT]
-
-
-def test_of_a_slot_in_both_records_scene_has_it(sender: Sender) -> None:
-    """No sender sends it so."""
-    sender.send(SCENE2, 0, 0, {EDGE_LEFT: LINE | {"Kind": 3}, ROUTE: LINE}, joint=0)
-    sender.send(SCENE, 0, 0, {EDGE_LEFT: LINE | {"Kind": 4}})
-    lines = sender.ask("scene", 0).content.lines
-    assert [(line.slot, line.kind) for line in lines] == [(EDGE_LEFT, 4), (ROUTE, 0)]
-
-
 IMPOSSIBLE: list[Any] = [
     pytest.param({LEFT: LINE, ROUTE: LINE | {"Kind": 13}}, None, id="unknown-kind"),
     pytest.param({LEFT: LINE, ROUTE: LINE | {"Kind": 15}}, None, id="greatest-kind"),
@@ -206,37 +173,6 @@ def test_what_no_sender_sends_is_dropped_as_a_whole(
     assert sender.ask("latest", 0, LEFT).content is None
 
 
-@pytest.mark.parametrize("kind", [0, NONE + 1])
-@pytest.mark.parametrize("slots", [(ROUTE, ROUTE), (LEFT, ROUTE)])
-def test_a_slot_in_two_places_is_dropped(
-    sender: Sender, kind: int, slots: tuple[Slot, Slot]
-) -> None:
-    """Whether it is a line, or left out; and also that of a fixed place."""
-    layout = LAYOUT.scene
-    assert layout is not None
-    places = [LINE, LINE, *(LINE | {"Slot": slot, "Kind": kind} for slot in slots)]
-    record = write_whole(layout, {}, places, 64, layout.messages[SCENE].data_id)
-    assert sender.feed(SCENE, record, 0) == "CONTENT"
-
-
-def test_bits_of_a_place_without_a_line_mean_nothing(sender: Sender) -> None:
-    """Not even a slot that is another one's, or a range that is empty."""
-    layout = LAYOUT.scene
-    assert layout is not None
-    empty = {"Kind": NONE, "Slot": LEFT, "XMin": 60, "C0": 5}
-    record = write_whole(layout, {}, [LINE, LINE, empty, empty], 64, layout.messages[SCENE].data_id)
-    assert sender.feed(SCENE, record, 0) == [LEFT, RIGHT]
-
-
-def test_a_record_is_that_of_its_message_and_has_all_of_its_bytes(sender: Sender) -> None:
-    """The checksum covers the data ID, so that the other message is told apart."""
-    record = record_of(SCENE, 0, {LEFT: LINE}, None, {})
-    assert sender.feed(SCENE2, record, 0) == "CRC"
-    assert sender.feed(SCENE, record[:48], 0) == "LENGTH"
-    assert sender.feed(SCENE, record, 0) == [LEFT]
-    assert sender.feed(SCENE, record, 0) == "DUPLICATE"
-
-
 def test_a_line_that_is_left_out_keeps_the_older_one(sender: Sender) -> None:
     """Which becomes stale, until a record has it again."""
     sender.send(SCENE, 0, 0, {LEFT: LINE, ROUTE: LINE})
@@ -251,23 +187,6 @@ def test_a_line_that_is_left_out_keeps_the_older_one(sender: Sender) -> None:
     assert sender.ask("latest", CYCLE, ROUTE).left_out is None
     sender.send(SCENE, 2, 2 * CYCLE, {LEFT: LINE})
     assert sender.ask("latest", 2 * CYCLE, ROUTE).left_out is None
-
-
-def test_a_line_has_the_checks_of_the_message_that_brought_it(sender: Sender) -> None:
-    """Scene2 begins three cycles later, so its lines are usable three cycles later."""
-    usable = []
-    for k in range(12):
-        if k >= 3:
-            sender.send(SCENE2, k - 3, k * CYCLE, {EDGE_LEFT: LINE}, joint=k % 8)
-        sender.send(SCENE, k, k * CYCLE, {LEFT: LINE})
-        views = [sender.ask("latest", k * CYCLE, slot) for slot in (LEFT, EDGE_LEFT)]
-        usable.append([*(view.is_usable for view in views), sender.ask("scene", k * CYCLE)])
-    first = [next(k for k, row in enumerate(usable) if row[i]) for i in (0, 1)]
-    scenes = [k for k, row in enumerate(usable) if row[2].is_usable]
-
-    assert first == [6, 9]
-    assert scenes == [9, 10, 11]
-    assert usable[8][2].slot_states == {LEFT: "VALID", EDGE_LEFT: "INIT"}
 
 
 FATES = st.lists(

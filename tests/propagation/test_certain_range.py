@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from support.strategies import covariances
 
-from maplines_can import Gaussian, LeftOut, MapError, MapLine, Polyline, Slot, map_lines, map_scene
+from maplines_can import Gaussian, LeftOut, MapError, MapLine, Polyline, map_lines, map_scene
 from maplines_can.core import lib
 from maplines_can.core.memory import pointer
 
@@ -92,12 +92,3 @@ def test_lines_and_scenes_are_certain_in_their_ranges(shape: str, max_sigma: flo
                     assert (line.x_min, line.x_max) == (longest[slot].x_min, longest[slot].x_max)
                 else:
                     assert line.x_max - line.x_min < longest[slot].x_max - longest[slot].x_min
-
-
-@pytest.mark.parametrize("max_sigma", [0.0, -1.0, np.nan])
-def test_a_wrong_limit_is_refused(max_sigma: float) -> None:
-    lines = {Slot.EGO_LEFT: Polyline([[-50, 1.75], [100, 1.75]])}
-    ego = Gaussian([0, 0, 0], np.diag([0.1, 0.1, 0.01]) ** 2)
-    for of in (map_lines, map_scene):
-        with pytest.raises(ValueError, match=r"max_sigma must be more than 0 m.*got"):
-            of(lines, ego, max_sigma=max_sigma)

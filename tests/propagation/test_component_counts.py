@@ -102,23 +102,3 @@ def test_the_distribution_of_a_budget_is_optimal(values: Any, extra: int) -> Non
     others = product(range(1, 9), repeat=len(values))
     best = min(largest_remaining(values, other) for other in others if sum(other) <= budget)
     assert max(largest_remaining(values, counts), 1e-9) == max(best, 1e-9)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (([1.1],), "amounts must have shape .* from 0 to 1"),
-        (([float("nan")],), "amounts must have shape"),
-        (([[0.5]],), "amounts must have shape"),
-        (([0.5], {"tolerance": 0.0}), "tolerance must be more than 0, got 0.0"),
-        (
-            ([0.5, 0.5], {"budget": 1}),
-            "budget must be 2 or more, one component for each line, got 1",
-        ),
-    ],
-)
-def test_invalid_arguments_raise(arguments: Any, words: str) -> None:
-    """The message has the name, the range and the value."""
-    values, *settings = arguments
-    with pytest.raises(ValueError, match=words):
-        component_counts(values, **(settings[0] if settings else {}))

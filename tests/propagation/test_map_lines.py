@@ -5,16 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can import (
-    Gaussian,
-    LeftOut,
-    Polyline,
-    Quadrature,
-    Refit,
-    SigmaPoints,
-    Slot,
-    map_lines,
-)
+from maplines_can import LeftOut, Polyline, Quadrature, Refit, SigmaPoints, Slot, map_lines
 from maplines_can.simulation.scenarios import SCENARIOS, pose
 from maplines_can.values.polyline import to_ego
 
@@ -132,25 +123,3 @@ def test_components_for_each_line() -> None:
     assert len(three.mixture.weights) == 3  # type: ignore[union-attr]
     assert (three.x_min, three.x_max) == pytest.approx((single.x_min, single.x_max))
     assert three.gaussian.sigma[0] == pytest.approx(single.gaussian.sigma[0], rel=0.05)
-
-
-@pytest.mark.parametrize(
-    ("settings", "error", "words"),
-    [
-        pytest.param({"lines": [STRAIGHT]}, TypeError, "a mapping from slots", id="list"),
-        pytest.param(
-            {"lines": {LEFT: [[0, 0], [1, 0]]}}, TypeError, "EGO_LEFT must be", id="points"
-        ),
-        pytest.param({"lines": {9: STRAIGHT}}, ValueError, "9", id="slot"),
-        pytest.param({"ego": Gaussian([0.0], [[1.0]])}, ValueError, "got 1-D", id="ego"),
-        pytest.param({"components": {RIGHT: 1}}, ValueError, "not EGO_LEFT", id="components"),
-        pytest.param({"components": 9}, ValueError, "1 to 8", id="nine"),
-        pytest.param({"max_misfit": 0.0}, ValueError, "more than 0 m", id="misfit"),
-        pytest.param({"window": (80.0, -20.0)}, ValueError, "x_min < x_max", id="window"),
-    ],
-)
-def test_a_mistake_of_the_caller_raises(settings: Any, error: Any, words: str) -> None:
-    """The message names it."""
-    arguments = {"lines": {LEFT: STRAIGHT}, "ego": EGO} | settings
-    with pytest.raises(error, match=words):
-        map_lines(**arguments)

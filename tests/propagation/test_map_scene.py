@@ -145,12 +145,3 @@ def test_lines_that_cannot_be_given_have_reasons_and_do_not_affect_others() -> N
     assert np.array_equal(scene.means, alone.means)
     for lines in ({}, {Slot.ROUTE: Polyline([[500, 0], [600, 0]])}):
         assert map_scene(lines, EGO).lines == ()
-
-
-def test_wrong_arguments_are_refused() -> None:
-    with pytest.raises(TypeError, match="lines must be a mapping"):
-        map_scene([ROADS[LEFT]], EGO)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="ego must be over the pose"):
-        map_scene(ROADS, Gaussian([0.0], [[1.0]]))
-    with pytest.raises(ValueError, match="correlation_time"):
-        map_scene(ROADS, EGO, correlation_time=-1.0)

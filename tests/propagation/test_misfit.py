@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maplines_can import Gaussian, LeftOut, Polyline, Refit, Slot, map_lines
+from maplines_can import Gaussian, LeftOut, MapError, Polyline, Refit, Slot, map_lines
 from maplines_can.model.cubic_ranges import MIN_SIGMA
 from maplines_can.simulation.street_shapes import Street, StreetPiece
 from maplines_can.values.line import lateral, lateral_jacobian
@@ -140,6 +140,26 @@ def test_white_noise_is_covered_and_not_by_far(
 
     assert 0.33 <= np.sqrt(np.mean(squares)) <= 1.1
     assert np.sum(np.array(worst) > 3) <= 3
+
+
+@settings(max_examples=60, deadline=None)
+@given(Curvatures, st.sampled_from([1.0, 2.0, 5.0, 10.0, 15.0, 30.0]), st.floats(0, 0.2),
+       st.integers(0, 99))  # fmt: skip
+def test_a_larger_stated_error_makes_no_line_more_certain(
+    curvatures: list[float], spacing: float, sigma: float, seed: int
+) -> None:
+    """Of the same points, at 0, 20 and 40 m."""
+    ends = zip([0.0, *curvatures], [*curvatures, 0.0], strict=True)
+    street = Street([StreetPiece(30, 0, 0), *(StreetPiece(30, *pair) for pair in ends)], behind=30)
+    z = street.line(np.arange(street.begin, street.end, spacing), 1.75) @ [1, 1j]
+    line = polyline_of(z + sigma * noise(np.random.default_rng(seed), len(z)))
+    ego, x = Gaussian(ORIGIN, np.diag([1e-8, 1e-8, 1e-10])), np.array([0.0, 20.0, 40.0])
+    before = np.zeros(3)
+    for stated in (0.0, 0.02, 0.05, 0.1, 0.2):
+        for found in map_lines({Slot.EGO_LEFT: line}, ego, map_error=MapError(stated)):
+            now = found.y_sigma(x)  # NaN outside of the range
+            assert not (now < before * (1 - 1e-6)).any()
+            before = np.fmax(now, before)
 
 
 @pytest.mark.parametrize("sigma", [0.0, 0.05])

@@ -52,31 +52,6 @@ def test_over_agrees_with_monte_carlo(motion: Any, dt: float, time_sigma: float)
     assert (np.abs(got.sigma / want.sigma - 1) <= 5 / np.sqrt(2 * N) + 0.005).all()
 
 
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: Motion(np.nan, 0.0), "speed must be finite, got nan"),
-        (lambda: Motion(1.0, np.inf), "yaw_rate must be finite, got inf"),
-        (lambda: Motion(1.0, 0.0, np.eye(3)), r"cov must be finite with shape \(2, 2\)"),
-        (lambda: Motion(1.0, 0.0, [[1, 2], [2, 1]]), "cov must be positive semidefinite"),  # type: ignore[arg-type]
-        (lambda: Motion.with_sigma(1.0, 0.0, (np.nan, 1.0)), "sigma must be 0 or more and finite"),
-        (lambda: Motion.with_sigma(1.0, 0.0, (-0.1, 1.0)), "sigma must be 0 or more and finite"),
-        (lambda: Motion.with_sigma(1.0, 0.0, (1e200, 1.0)), "sigma must be 0 or more and finite"),
-        (lambda: Motion(-(10**400), 0.0), "speed must be numbers .* about -1e400"),
-        (lambda: Motion(1.0, 0.0).over(10**400), "dt must be numbers .* about 1e400"),
-        (lambda: Motion(1.0, 0.0).over(0.1, 1e200), "sigma must be 0 or more and finite"),
-        (lambda: Motion(1e300, 0.0).over(1e300), "the function has no value"),
-        (lambda: Motion(1.0, 0.0).over(np.nan), r"dt must be finite \[s\], got nan"),
-        (lambda: Motion(1.0, 0.0).over(0.1, -0.1), "time_sigma must be 0 s or more"),
-        (lambda: Motion(1.0, 0.0).over(0.1, np.nan), "time_sigma must be 0 s or more"),
-    ],
-)
-def test_invalid_motion_raises(make: Any, words: str) -> None:
-    """The message has the name and the value."""
-    with pytest.raises(ValueError, match=words):
-        make()
-
-
 def test_uncertainties_of_speed_yaw_rate_and_time_add_up() -> None:
     """Straight ahead: x by speed and time, heading by yaw rate, y by half the heading times x."""
     displacement = Motion.with_sigma(20.0, 0.0, (0.5, 0.02)).over(0.1, time_sigma=0.005)

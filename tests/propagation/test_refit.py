@@ -16,8 +16,6 @@ from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import Slot, lateral, lateral_jacobian
 from maplines_can.values.polyline import Polyline, to_map
 
-HIGHWAY, TURN = scenario("highway"), scenario("street-turn-10deg")
-
 
 def qr_lines(u: Any, v: Any) -> Any:
     """(N, 4) lines through (N, n) points: Householder QR on Chebyshev polynomials.
@@ -123,23 +121,6 @@ def test_an_ill_posed_line_raises(points: Any, pose: Any, words: str) -> None:
             pose,
             (-10, 40),
         )
-
-
-@pytest.mark.parametrize(
-    ("pose", "window", "words"),
-    [
-        ([0, 0], (0, 80), r"pose must be finite with shape \(3,\)"),
-        ([0, 0, np.nan], (0, 80), "pose must be finite .* nan"),
-        ([0, 0, 0], (80, 80), r"window must have finite x_min < x_max \[m\], got \(80, 80\)"),
-        ([0, 0, 0], (np.nan, 80), "window must have finite x_min < x_max"),
-    ],
-)
-def test_invalid_arguments_raise(pose: Any, window: Any, words: str) -> None:
-    """The constructor checks pose and window, and needs a line."""
-    with pytest.raises(ValueError, match=words):
-        Refit(list(HIGHWAY.lines.values()), pose, window)
-    with pytest.raises(ValueError, match="a Polyline or a sequence of at least one"):
-        Refit([], np.zeros(3), (0, 80))
 
 
 def test_ill_posed_poses_give_nan() -> None:

@@ -5,14 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can.propagation import (
-    Linear,
-    MapError,
-    MonteCarlo,
-    Quadrature,
-    SigmaPoints,
-    Transform,
-)
+from maplines_can.propagation import Linear, MapError, MonteCarlo, Quadrature, SigmaPoints
 from maplines_can.simulation.scenarios import scenario
 from maplines_can.study.roads import paper_refit
 from maplines_can.values.errors import IllPosedError
@@ -100,42 +93,3 @@ def test_a_point_without_a_value_raises(transform: Any) -> None:
 
     with pytest.raises(IllPosedError, match=r"no value at \[-.*; narrow the Gaussian or use Monte"):
         transform(half, Gaussian([0.0, 0.0], np.eye(2)))
-
-
-def test_a_function_must_return_one_row_per_point() -> None:
-    """The message has both shapes."""
-    with pytest.raises(
-        ValueError, match=r"one row per point, got shape \(2,\) for points of shape \(7, 3\)"
-    ):
-        SigmaPoints()(lambda _: np.zeros(2), TURN.ego)
-
-
-@pytest.mark.parametrize("transform", ALL, ids=str)
-def test_transforms_are_values(transform: Any) -> None:
-    """Transforms with the same parameters are equal, and their repr evaluates to them."""
-    assert isinstance(transform, Transform)
-    assert eval(repr(transform)) == transform  # noqa: S307
-    assert hash(transform) == hash(eval(repr(transform)))  # noqa: S307
-
-
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: Linear(step=0.0), "step must be more than 0 standard deviations, got 0.0"),
-        (lambda: Linear(step=np.nan), "step must be more than 0"),
-        (lambda: SigmaPoints(alpha=0.0), "alpha must be more than 0, got 0.0"),
-        (lambda: SigmaPoints(alpha=np.inf), "alpha must be more than 0, got inf"),
-        (
-            lambda: SigmaPoints(kappa=-3.0).rule(TURN.ego),
-            "kappa must be more than -3 for 3",
-        ),
-        (lambda: Quadrature(0), "order must be a whole number from 1 to 64, got 0"),
-        (lambda: Quadrature(65), "order must be a whole number from 1 to 64, got 65"),
-        (lambda: Quadrature(3.0), "order must be a whole number"),  # type: ignore[arg-type]
-        (lambda: MonteCarlo(1), "n must be 2 or more, got 1"),
-    ],
-)
-def test_invalid_parameters_raise(make: Any, words: str) -> None:
-    """The constructor checks its arguments."""
-    with pytest.raises(ValueError, match=words):
-        make()

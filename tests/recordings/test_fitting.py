@@ -71,7 +71,7 @@ def test_a_log_is_read_until_a_line(tmp_path: Path) -> None:
         check_fit(tmp_path / "a.log", POSE)
 
 
-@pytest.mark.parametrize(("most", "text"), [(8, "; 2 records"), (7, "; at least 1 records")])
+@pytest.mark.parametrize(("most", "text"), [(8, "; 2 records"), (7, "; at least 1 record ")])
 def test_records_of_which_frames_are_not_kept(
     most: int, text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -83,7 +83,7 @@ def test_records_of_which_frames_are_not_kept(
     assert text in misfit(first, [POSE]).text
 
 
-@pytest.mark.parametrize(("frames", "text"), [(4, "1 records of maplines.dbc"), (3, "no DBC of")])
+@pytest.mark.parametrize(("frames", "text"), [(4, "1 record of maplines.dbc"), (3, "no DBC of")])
 def test_a_single_record_names_its_dbc(frames: int, text: str) -> None:
     """If it is whole."""
     first = FirstFrames()

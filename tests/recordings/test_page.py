@@ -21,6 +21,8 @@ def test_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) 
     for package in ("pyarrow", "matplotlib", "bokeh"):
         pytest.importorskip(package)
     monkeypatch.chdir(tmp_path)
+    # Bokeh takes half a minute for the picture of all points.
+    monkeypatch.setattr("maplines_can.recordings.plots.log_panels.MOST_POINTS", 50)
     text = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")
     assert len(SHELL.findall(text)) == 4
     for words in commands(text):

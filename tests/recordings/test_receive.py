@@ -16,7 +16,7 @@ from maplines_can.recordings.blocks import FrameBlock
 from maplines_can.testing.hostile_streams import PROFILES, FrameStep, Stream, traffics_of
 from maplines_can.wire import POSE, Codec, Decoder, E2EState, Owner, Reason
 
-FRAMES = 300
+FRAMES = 150
 
 
 class Recorder:

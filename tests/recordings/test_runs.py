@@ -257,3 +257,8 @@ def _blocks(path: Path) -> Iterator[Any]:
         yield from read_blocks(path, block_frames=1)
     except LogError:
         return
+
+
+def test_a_block_has_a_frame_at_least(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="block_frames must be 1 frame or more"):
+        read_blocks(tmp_path / "drive.log", block_frames=0)

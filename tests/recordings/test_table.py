@@ -12,8 +12,9 @@ import pytest
 
 from maplines_can import Codec, MapLine, Slot
 from maplines_can.bus import read_log
+from maplines_can.cli import main
 from maplines_can.recordings.formats import About, beside, open_tables
-from maplines_can.recordings.line_tables import Table, position
+from maplines_can.recordings.line_tables import Table
 from maplines_can.recordings.read_lines import line_tables, read_lines
 from maplines_can.values.errors import LogError
 from maplines_can.wire import Decoder, Reason, default_dbc_path
@@ -102,12 +103,6 @@ def test_slots_and_rows_are_chosen(faulty_log: Path) -> None:
     assert len(whole.where(whole["usable"])) == whole["usable"].sum()
 
 
-def test_lines_that_must_not_be_used_have_no_values() -> None:
-    """OUT_OF_RANGE, and an infinite age."""
-    mean, cov = np.full((1, 4), np.nan), np.full((1, 4, 4), np.nan)
-    assert np.isnan(position(mean, cov, 3.0)).all()
-
-
 def test_a_log_without_times_has_none(tmp_path: Path) -> None:
     codec = Codec.from_dbc()
     line = MapLine.mean_only(Slot.ROUTE, [1.75, 0, 0, 0], age=0.02)
@@ -173,6 +168,23 @@ def test_csv_and_json_lines(faulty_log: Path, tmp_path: Path) -> None:
             assert len(rows) == len(part) > 0
             check({name: [row[name] for row in rows] for name in part.columns}, part)
     assert not [*tmp_path.glob(".*")]
+
+
+@pytest.mark.parametrize("name", ["faulty_log", "scene_log"])
+def test_lines_are_printed_as_they_are_in_tables(
+    capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest, name: str
+) -> None:
+    """``usable`` has one meaning: it was that of the line alone in what is printed."""
+    log, dbc = request.getfixturevalue(name), POSE_DBC if name == "scene_log" else None
+    table, options = read_lines(log, at=AT, dbc=dbc), ["--dbc", str(dbc)] * (dbc is not None)
+    assert 0 < table["usable"].sum() < len(table)
+    names = ["slot", "kind", "status", "usable", "state", "two_senders", "components", "age"]
+    for form in ([], ["--csv"]):
+        assert main(["decode", str(log), *options, *form]) == 0
+        out = capsys.readouterr().out.splitlines()
+        rows: list[dict[str, Any]] = [*csv.DictReader(out)] if form else [*map(json.loads, out)]
+        kept = Table({name: table.columns[name] for name in names}, table.categories)
+        check({name: [row[name] for row in rows] for name in names}, kept)
 
 
 def test_parquet(faulty_log: Path, tmp_path: Path) -> None:

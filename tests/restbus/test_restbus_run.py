@@ -60,7 +60,7 @@ def big_dbc(folder: Path, messages: int) -> None:
     (folder / "big.dbc").write_text("\n".join(rows))
 
 
-@pytest.mark.parametrize("seconds", [20.0])
+@pytest.mark.parametrize("seconds", [5.0])
 def test_30_messages_and_8_lines_are_exact_to_the_microsecond(
     tmp_path: Path, seconds: float
 ) -> None:
@@ -207,18 +207,6 @@ def test_checksums_of_profiles_whose_header_has_signals(
         assert own == bytes(reference[first : first + size])
 
 
-def test_the_lines_are_those_of_the_scenario() -> None:
-    received = run({"lines": {"scenario": "production", "lines": 4, "moves": False}}, 0.5)
-    decoder = Codec.from_dbc().decoder()
-    slots = set()
-    for m in received:
-        answer = decoder.feed(m.arbitration_id, bytes(m.data), round(m.timestamp * 1e9))
-        if not isinstance(answer, Reason):
-            slots |= {line.slot for line in answer}
-            assert all(line.is_usable and line.age < 0.06 for line in answer)
-    assert slots == set(list(Slot)[:4])
-
-
 @pytest.mark.parametrize("dbc", ["maplines.dbc", "maplines-pose.dbc", "maplines-scene.dbc"])
 def test_scenes_are_sent_and_stopped(dbc: str) -> None:
     values = {
@@ -328,13 +316,6 @@ def test_the_same_seed_gives_the_same_frames() -> None:
     first, second, other = run(values, 2.0), run(values, 2.0), run(values | {"seed": 6}, 2.0)
     assert [bytes(m.data) for m in first] == [bytes(m.data) for m in second]
     assert [m.timestamp for m in first] != [m.timestamp for m in other]
-
-
-def test_on_a_bus_with_a_bit_rate_frames_wait_for_each_other() -> None:
-    values = {"message": [message(), message("Steering", cycle_ms=20)]}
-    received = run(values, 0.01, bitrate=500_000)
-    times = [(m.arbitration_id, round(m.timestamp * 1e6)) for m in received]
-    assert times == [(257, 270), (272, 540)]  # 135 bits each
 
 
 def test_commands_of_another_thread_in_real_time() -> None:

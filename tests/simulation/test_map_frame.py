@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.fixtures import Patch
 
 from maplines_can import Polyline
 from maplines_can.simulation import DriveFileError, RecordedDrive
@@ -87,7 +88,7 @@ def test_positions_that_are_not_in_degrees(lat: float, lon: float) -> None:
         project([lat], [lon], UTM)
 
 
-def test_pyproj_is_an_extra(gnss: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pyproj_is_an_extra(gnss: Path, monkeypatch: Patch) -> None:
     """The message names the extra."""
     monkeypatch.setitem(sys.modules, "pyproj", None)
     with pytest.raises(MissingExtraError, match='install the extra "maps"'):

@@ -53,21 +53,6 @@ def test_the_seed_determines_the_errors() -> None:
     assert (first != other).all()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (((0.1, 0.1), 1.0), "sigma must be \\(along, across, heading\\)"),
-        (((0.1, -0.1, 0.1), 1.0), "sigma must be 0 or more"),
-        (((0.1, 0.1, 0.1), -1.0), "correlation_time must be"),
-        (((0.1, 0.1, 0.1), float("nan")), "correlation_time must be"),
-        (((0.1, 0.1, 0.1), (1.0, 2.0)), "correlation_time must be"),
-    ],
-)
-def test_wrong_arguments(arguments: Any, text: str) -> None:
-    with pytest.raises(ValueError, match=text):
-        PoseSource(*arguments)
-
-
 @pytest.mark.parametrize("t", [1.0, 0.5, float("nan"), float("inf")])
 def test_times_must_increase(t: float) -> None:
     """A time that is not later raises, and does not advance the errors."""

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maplines_can.simulation import DriveFileError, RecordedDrive
-from maplines_can.simulation.recorded_errors import covered, first_problem, linear, valid_series
+from maplines_can.simulation import RecordedDrive
+from maplines_can.simulation.recorded_errors import covered, linear
 
 #: SI values of three records, and a column name with its unit in SI, for each quantity.
 RECORDS = {
@@ -110,51 +110,3 @@ def test_what_is_covered_by_records(seed: int, n: int) -> None:
         after = [x for x in times if x >= one]
         expected = bool(before and after) and after[0] - before[-1] <= 1.0
         assert is_covered == expected
-
-
-def test_a_series_keeps_what_is_finite_and_later() -> None:
-    """Values in SI units; times that do not advance are left out."""
-    t = [0.0, 1.0, 1.0, 0.5, math.nan, 2.0, math.inf, 3.0]
-    values = [1.0, 2.0, 3.0, 4.0, 5.0, math.nan, 7.0, 8.0]
-    times, found = valid_series((t, values), "speed_kmh", 0.5)
-    assert times.tolist() == [0.0, 1.0, 3.0]
-    assert found.tolist() == [0.5, 1.0, 4.0]
-    with pytest.raises(DriveFileError, match="speed_kmh has no value"):
-        valid_series(([math.nan], [1.0]), "speed_kmh", 1.0)
-    with pytest.raises(ValueError, match=r"\(n,\) times and values"):
-        valid_series(([0.0, 1.0], [1.0]), "speed_kmh", 1.0)
-
-
-@pytest.mark.parametrize(
-    ("change", "record", "words"),
-    [
-        ({}, None, ""),
-        ({"t": [0.0, 1.0, 1.0]}, 2, "later than that of the record before"),
-        ({"speed": [0.0, 2e10, 0.0]}, 1, "beyond 1e"),
-        ({"yaw_rate": [0.0, 0.0, math.nan]}, 2, "not finite"),
-        ({"x": [-1e10, 0.0, 1e10]}, None, ""),
-        ({"x": [0.0, 0.0, -1.01e10]}, 2, "beyond 1e"),
-        ({"cov": (1, np.diag([1.0, -1e-9, 1.0]))}, 1, "sigmas must be 0 or more"),
-        ({"cov": (2, np.diag([1.0, np.inf, 1.0]))}, 2, "sigmas must be 0 or more"),
-        ({"cov": (0, [[0, 0.1, 0], [0.1, 1, 0], [0, 0, 1]])}, 0, "positive semidefinite"),
-        ({"cov": (1, [[1, 2, 0], [2, 1, 0], [0, 0, 1]])}, 1, "positive semidefinite"),
-        ({"cov": (1, [[1, 0.5, 0], [0.2, 1, 0], [0, 0, 1]])}, 1, "positive semidefinite"),
-        ({"cov": (1, [[1, 1, 0], [1, 1, 0], [0, 0, 0]])}, None, ""),
-    ],
-)
-def test_the_first_record_that_is_wrong(change: Any, record: int | None, words: str) -> None:
-    t, pose, cov = np.arange(3.0), np.zeros((3, 3)), np.tile(np.eye(3), (3, 1, 1))
-    speed, yaw_rate = np.zeros(3), np.zeros(3)
-    if "t" in change:
-        t = np.array(change["t"])
-    if "x" in change:
-        pose[:, 0] = change["x"]
-    if "speed" in change:
-        speed = np.array(change["speed"])
-    if "yaw_rate" in change:
-        yaw_rate = np.array(change["yaw_rate"])
-    if "cov" in change:
-        cov[change["cov"][0]] = change["cov"][1]
-    found = first_problem(t, pose, speed, yaw_rate, cov)
-    assert (found and found[0]) == record
-    assert found is None or words in found[1]

@@ -28,8 +28,7 @@ def track(drive: SimulatedDrive, rate: float = 200.0) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("acceleration", "deceleration", "limit"),
-    [(2.0, 2.0, 10.0), (1.0, 3.0, 13.9), (4.0, 0.7, 8.0)],
+    ("acceleration", "deceleration", "limit"), [(2.0, 2.0, 10.0), (1.0, 3.0, 13.9), (4.0, 0.7, 8.0)]
 )
 def test_straight_road_in_closed_form(
     acceleration: float, deceleration: float, limit: float
@@ -109,43 +108,6 @@ def test_stops() -> None:
     assert standing.sum() / 1000 == pytest.approx(7.0, abs=0.02)
     without = SimulatedDrive(STRAIGHT, 10.0, stops=[(s, 0.0) for s, _ in stops])
     assert drive.duration == pytest.approx(without.duration + 7.0)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        ({"speed_limits": 0.0}, "speed_limits must be more than 0"),
-        ({"speed_limits": [(10.0, 5.0)]}, "must apply from s = 0"),
-        ({"speed_limits": []}, "must apply from s = 0"),
-        ({"speed_limits": [(0, 5.0), (500, 5.0)]}, "from 0 to 400 m"),
-        ({"speed_limits": [(0, 5.0), (0, 6.0)]}, "increasing distances"),
-        ({"speed_limits": float("nan")}, "finite"),
-        ({"stops": [(10.0, -1.0)]}, "0 s or more"),
-        ({"stops": [(10.0,)]}, "pairs"),
-        ({"acceleration": 0.0}, "acceleration must be finite and more than 0 m/s"),
-        ({"deceleration": float("inf")}, "deceleration must be finite"),
-        ({"lateral_acceleration": -1.0}, "lateral_acceleration"),
-        ({"end_speed": -1.0}, "end_speed must be finite and 0 or more"),
-        ({"start_speed": 20.0}, "start_speed must be at most 13.9"),
-        ({"start_speed": 13.0, "stops": [(10.0, 1.0)]}, "start_speed must be at most 6.32"),
-    ],
-)
-def test_wrong_arguments(arguments: dict[str, Any], text: str) -> None:
-    """The message has the name and the allowed range."""
-    with pytest.raises(ValueError, match=text):
-        SimulatedDrive(STRAIGHT, **arguments)
-
-
-@pytest.mark.parametrize("t", [-0.1, 1e9, float("nan"), [0.0, -1.0]])
-def test_times_outside_the_drive(t: Any) -> None:
-    """There is no pose before the start and after the end."""
-    with pytest.raises(ValueError, match="t must be from 0 to"):
-        SimulatedDrive(STRAIGHT).at(t)
-
-
-def test_rate_must_be_positive() -> None:
-    with pytest.raises(ValueError, match="rate must be finite and more than 0 Hz"):
-        SimulatedDrive(STRAIGHT).times(0.0)
 
 
 @pytest.mark.parametrize("radius", [10.0, 30.0])

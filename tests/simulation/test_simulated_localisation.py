@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2
+from support.fixtures import Patch
 from support.lane_maps import lane, network
 
 from maplines_can import Polyline, Slot, maps
@@ -91,7 +92,7 @@ def test_the_reported_pose_drives_a_line_source() -> None:
 
 
 @pytest.mark.parametrize("name", ["60 s ahead", "dropped"])
-def test_wrong_stamps_give_no_pose(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_wrong_stamps_give_no_pose(monkeypatch: Patch, name: str) -> None:
     """They never raise out of the source, and the pose is found again."""
     (fault,) = (one for one in FAULTS if (one.sensor, one.name) == ("odometry", name))
 

@@ -1,7 +1,5 @@
 """Streets agree with closed forms and with numerical integration; scenarios match their names."""
 
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
@@ -64,27 +62,6 @@ def test_any_street_agrees_with_numerical_integration(
     assert (street.begin, street.end) == pytest.approx((joints[0], joints[-1]))
 
 
-@pytest.mark.parametrize(
-    ("pieces", "behind", "message"),
-    [
-        ([], 0, "at least one"),
-        ([StreetPiece(0)], 0, "more than 0 m"),
-        ([StreetPiece(np.nan)], 0, "finite"),
-        ([StreetPiece(10)], 11, "behind must be 0 to 10 m, the length of the street, got 11"),
-        ([StreetPiece(10)], -1, "behind must be 0 to 10 m"),
-    ],
-)
-def test_wrong_streets_are_refused(pieces: Any, behind: float, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Street(pieces, behind)
-
-
-@pytest.mark.parametrize("s", [-1.0, 10.5, np.nan])
-def test_a_place_beyond_the_street_is_refused(s: float) -> None:
-    with pytest.raises(ValueError, match="s must be 0 to 10 m"):
-        Street([StreetPiece(10)]).line([1.0, s])
-
-
 def test_a_shifted_line_moves_and_ends() -> None:
     """The other lines stay as they are in ``LANES``."""
     s = np.arange(0.0, 50.0)
@@ -98,12 +75,6 @@ def test_a_shifted_line_moves_and_ends() -> None:
     for slot in LANES.keys() - shift.keys():
         assert np.allclose(lines[slot].points[:, 1], LANES[slot][1])
         assert lines[slot].kind == LANES[slot][0]
-
-
-def test_scenes_are_built_without_scipy() -> None:
-    """So the command line starts as fast as before."""
-    code = "import sys, maplines_can.simulation.scenarios; sys.exit('scipy' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 @pytest.mark.parametrize("name", STREETS)
@@ -124,31 +95,3 @@ def test_the_car_is_in_its_lane(name: str) -> None:
 def centre(name: str) -> Any:
     """Return the points of the centre of the car's lane as complex numbers."""
     return STREETS[name].lines[Slot.CENTRE].points @ [1, 1j]
-
-
-def radii(points: Any) -> Any:
-    """Return the (n - 2,) signed radii of the circles through three points in a row."""
-    a, b, c = points[:-2], points[1:-1], points[2:]
-    area = ((b - a).conjugate() * (c - a)).imag
-    with np.errstate(divide="ignore"):
-        return abs(b - a) * abs(c - b) * abs(a - c) / (2 * area)
-
-
-def test_the_shapes_are_those_of_their_names() -> None:
-    """Radius, turn, and the distances at which something changes."""
-    corner = centre("corner")
-    assert np.angle((corner[-1] - corner[-2]) / (corner[1] - corner[0])) == pytest.approx(np.pi / 2)
-    assert np.abs(radii(corner)).min() == pytest.approx(8, rel=0.01)
-    for radius in (12, 50):
-        assert np.allclose(radii(centre(f"roundabout-{radius}m")), radius)
-    ramp = centre("exit")
-    assert radii(ramp)[-1] == pytest.approx(-60)
-    assert np.abs(ramp[ramp.real <= 30].imag).max() < 1e-9
-    bend = radii(centre("s-bend"))
-    assert bend[bend > 0].min() == pytest.approx(40, rel=0.01)
-    assert bend[bend < 0].max() == pytest.approx(-40, rel=0.01)
-    coarse = centre("motorway-coarse")
-    assert np.allclose(radii(coarse), 1500)
-    distance = np.abs(np.diff(coarse))
-    assert 44.9 < distance.min() < 46
-    assert 89 < distance.max() <= 90

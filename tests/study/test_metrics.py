@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import beta
 
-from maplines_can.study import evaluate, road
-from maplines_can.study.metrics import KL_BINS, RATIO_BINS, Figure, Score, kl_terms, share_se
+from maplines_can.study import road
+from maplines_can.study.metrics import KL_BINS, RATIO_BINS, Figure, kl_terms, share_se
 from maplines_can.values.gaussian import Gaussian
 
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e150, max_value=1e150)
@@ -110,21 +110,3 @@ def test_terms_of_the_divergence_add_up_to_it(codec: Any) -> None:
         for S, T in zip(covs, decoded, strict=True)
     ]
     assert terms == pytest.approx(expected, rel=1e-6)
-
-
-def test_scores_of_chunks_add_up_to_the_score_of_all(codec: Any) -> None:
-    """Counts and bins are equal; sums are equal up to rounding within a chunk."""
-    means, covs = road(300, seed=5)
-
-    def score(rows: Any) -> Any:
-        batch = codec.batch.decode(codec.batch.encode(means[rows], covs[rows]))
-        evaluation = evaluate(means[rows], covs[rows], batch.mean, batch.cov, codec.resolution)
-        return Score.of(evaluation, batch.status, batch.accepted, np.zeros(len(batch.mean), bool))
-
-    whole, total = score(slice(None)), score(slice(100)) + score(slice(100, None))
-
-    assert total.counts == whole.counts
-    for name, figure in whole.figures.items():
-        assert total.figures[name].mean == pytest.approx(figure.mean, rel=1e-13, nan_ok=True)
-        assert total.figures[name].greatest == figure.greatest
-        assert np.array_equal(total.figures[name].histogram, figure.histogram)

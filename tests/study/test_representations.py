@@ -10,7 +10,6 @@ import pytest
 from scipy import stats
 
 from maplines_can import Codec, Slot
-from maplines_can.propagation import Mixture, MonteCarlo, Quadrature, component_counts, nonlinearity
 from maplines_can.simulation import scenario
 from maplines_can.simulation.scenarios import SCENARIOS
 from maplines_can.study import representations as module
@@ -257,46 +256,6 @@ def test_claim_e_sigma_points_are_like_monte_carlo_in_band_only(rows: Any) -> No
             assert draws.sigma_ratio[-1] == pytest.approx(1, abs=0.03)
 
 
-def test_the_wire_costs_few_false_negatives(rows: Any) -> None:
-    for name in SCENARIOS:
-        for kind in ("SigmaPoints", "Quadrature", "MonteCarlo"):
-            before, after = (rows[name, kind, where] for where in ("before", "after"))
-            assert after.false_negatives - before.false_negatives < 0.002
-            assert after.false_negatives_pairs - before.false_negatives_pairs < 0.002
-            if name != "production":  # for which it depends on the grid of the mean: see below
-                assert after.false_positives - before.false_positives < 0.02
-            assert np.array(after.sigma_ratio) == pytest.approx(before.sigma_ratio, abs=0.05)
-
-
-def test_the_wire_costs_the_production_car_few_false_positives(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """They depend on where c0 and c1 are between two steps of the mean.
-
-    The sigma of c0 is two thirds of a step, and c1 and beta correlate by 0.9995.
-    """
-    monkeypatch.setattr(module, "DRAWS", 50_000)
-    example, codec = scenario("production"), Codec.from_dbc()
-    refit = paper_refit(example, Slot.EGO_RIGHT)
-    true = true_distribution(MonteCarlo(50_000, 0).samples(refit, example.ego).values)
-    mean, cov = Quadrature().moments(refit, example.ego)
-    step = np.array([codec.layout[name].factor for name in ("YOff", "Beta", "C0", "C1")])
-    best = evaluate_approximation(true, Approximation.gaussian(mean, cov), NAMES).false_positives
-
-    def added(share: Any) -> float:
-        """Return the cost of the wire for a line at a share of a step above a multiple of it."""
-        shift = (np.round(mean / step) + share) * step - mean
-        moved = Approximation.gaussian(mean + shift, cov)
-        sent = through_the_wire(moved, codec, Slot.EGO_RIGHT, refit.x_range)
-        received = Approximation(sent.weights, sent.means - shift, sent.covs)
-        return evaluate_approximation(true, received, NAMES).false_positives - best
-
-    middles = (-3 / 8, -1 / 8, 1 / 8, 3 / 8)
-    assert np.mean([added([0, 0, c0, c1]) for c0 in middles for c1 in middles]) < 0.025
-    assert added([0.49] * 4) < 0.065  # the worst place
-    assert added([0.0] * 4) < 0.01  # the best place
-
-
 def test_mixtures_empty_the_street_turn(rows: Any) -> None:
     one, three, five = (
         rows["street-turn-10deg", kind, "after"]
@@ -306,37 +265,3 @@ def test_mixtures_empty_the_street_turn(rows: Any) -> None:
     assert three.false_positives < 0.06
     assert five.false_positives < 0.035
     assert max(three.false_negatives, five.false_negatives) < 0.02
-
-
-@pytest.mark.filterwarnings("ignore:.* draws are ill-posed")
-@pytest.mark.parametrize(
-    ("name", "parts", "before", "after"),
-    [
-        ("production", 1, 0.02, 0.02),
-        ("street-turn", 1, 0.13, 0.13),
-        ("street-turn-10deg", 3, 0.14, 0.05),
-        ("highway", 5, 0.43, 0.10),
-        ("highway-10deg", 5, 0.43, 0.11),
-    ],
-)
-def test_false_positives_of_the_chosen_components(
-    name: str, parts: int, before: float, after: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Where more than one component is chosen, most false positives go.
-
-    In street-turn the nonlinearity, which is of second order, is 0.23. The far end of the line is
-    80 deg from the x axis, where the third order counts, too: of beta and c1 it makes a curved arc.
-    """
-    monkeypatch.setattr(module, "DRAWS", 100_000)
-    example = scenario(name)
-    refit = paper_refit(example, Slot.EGO_RIGHT)
-    truth = true_distribution(MonteCarlo(100_000, 0).samples(refit, example.ego).values)
-
-    def false_positives(k: Any) -> Any:
-        mixture = Approximation(*Mixture(k).moments(refit, example.ego))
-        return evaluate_approximation(truth, mixture, (name, str(k), "before")).false_positives
-
-    (k,) = component_counts([nonlinearity(refit, example.ego).amount])
-    assert k == parts
-    assert false_positives(k) < after
-    assert k == 1 or false_positives(1) > before

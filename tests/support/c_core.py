@@ -41,8 +41,6 @@ CC = os.environ.get("MAPLINES_CC", "cc")
 FLAGS = ("-O2",)
 OWN_FLAGS = tuple(shlex.split(os.environ.get("MAPLINES_CFLAGS", "")))
 EMULATOR = tuple(shlex.split(os.environ.get("MAPLINES_EMULATOR", "")))
-#: What a compiler may use here, such as fused multiplications; the emulated processors have them.
-NATIVE = () if EMULATOR else ("-march=native",)
 
 #: Features of a small receiver.
 SMALL = Features(sender=False, scenes=False, mixtures=False, secoc=False, slots=4)
@@ -97,8 +95,12 @@ def program(
     *,
     cc: str = CC,
     flags: Sequence[str] = FLAGS,
+    main_flags: Sequence[str] = (),
 ) -> Path:
-    """Return the program of some sources, the core, and the tables of DBCs with these names."""
+    """Return the program of some sources, the core, and the tables of DBCs with these names.
+
+    Flags of the sources alone leave the object files of the core as they are for other programs.
+    """
     flags = (*flags, *OWN_FLAGS)
     files: dict[str, str] = {}
     for layout, name in zip(layouts, names, strict=True):
@@ -111,7 +113,7 @@ def program(
         *(f"-I{C / folder}" for folder in FOLDERS),
     ]  # fmt: skip
     core = [_object(command, source) for source in sorted((C / "src").glob("*.c"))]
-    digest = _digest(command, [*mains, *core], EMULATOR, files)
+    digest = _digest([*command, *main_flags], [*mains, *core], EMULATOR, files)
     target = cache_folder() / digest
     if not target.exists():
         with tempfile.TemporaryDirectory(dir=cache_folder()) as folder:
@@ -121,7 +123,8 @@ def program(
             out = Path(folder) / "program"
             everything = [*map(str, mains), *map(str, core), *tables_c]
             subprocess.run(
-                [*command, COLLECT, f"-I{folder}", *everything, "-lm", "-o", str(out)], check=True
+                [*command, *main_flags, COLLECT, f"-I{folder}", *everything, "-lm", "-o", str(out)],
+                check=True,
             )
             if EMULATOR:
                 out = _emulated(out, target.with_suffix(".bin"))

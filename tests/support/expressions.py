@@ -14,11 +14,9 @@ import pytest
 
 import maplines_can as ml
 from maplines_can import bus, propagation, testing, wire
-from maplines_can.study.dbc.record_spec import DEFAULT
+from maplines_can.generation.dbc.record_spec import DEFAULT
 from maplines_can.values import line
 
-#: What Python itself raises where an object of another class is passed. A type checker finds it.
-WRONG_CLASS = (TypeError, AttributeError)
 #: Cases that name files, permissions or an interface of Linux.
 LINUX = re.compile(r'/dev/|/proc/|/etc/|"/"|open\.key|socketcan')
 
@@ -27,11 +25,7 @@ def evaluate(expression: str) -> Any:
     """Return the value of an expression; its names are the public ones and those of `_objects`."""
     codec = _objects()["codec"]
     with ml.Link(interface="virtual", channel="bad-input") as link:
-        names = _objects() | {
-            "link": link,
-            "decoder": codec.decoder(),
-            "monitor": codec.decoder(),
-        }
+        names = _objects() | {"link": link, "decoder": codec.decoder(), "monitor": codec.decoder()}
         value = eval(expression, names)  # noqa: S307 - our own expressions
         return list(value) if isinstance(value, Iterator) else value
 
@@ -52,7 +46,16 @@ def _objects() -> dict[str, Any]:
     """Return the public names, and an object of each kind."""
     names = {
         name: getattr(module, name)
-        for module in (ml, propagation, wire, bus, testing, ml.simulation)
+        for module in (
+            ml.localisation,
+            ml.consumers,
+            ml,
+            propagation,
+            wire,
+            bus,
+            testing,
+            ml.simulation,
+        )
         for name in module.__all__
     }
     cov = np.diag([0.1, 0.01, 1e-3, 1e-4]) ** 2
@@ -70,6 +73,7 @@ def _objects() -> dict[str, Any]:
         "eye": np.eye,
         "full": np.full,
         "zeros": np.zeros,
+        "ones": lambda n: np.ones((n, n)),
         "Queue": asyncio.Queue,
         "codec": codec,
         "layout": codec.layout,

@@ -33,10 +33,7 @@ class Osm:
             self._nodes[x, y] = key = self._next()
             at, tags = "", {}
             if self.frame != "local":
-                lat, lon = (
-                    self._origin[0] + y * METRE[0],
-                    self._origin[1] + x * METRE[1],
-                )
+                lat, lon = (self._origin[0] + y * METRE[0], self._origin[1] + x * METRE[1])
                 at = f'lat="{lat!r}" lon="{lon!r}"'
             if self.frame != "globe":
                 tags = {"local_x": repr(x), "local_y": repr(y)}

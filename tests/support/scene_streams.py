@@ -99,10 +99,7 @@ def random_scenes(n: int, seed: int) -> Iterator[Scene]:
 
 
 def feed(
-    receiver: Decoder,
-    frames: Mapping[Any, list[Frame]],
-    t_ns: int,
-    apart_ns: int = FRAME_NS,
+    receiver: Decoder, frames: Mapping[Any, list[Frame]], t_ns: int, apart_ns: int = FRAME_NS
 ) -> tuple[list[Any], int]:
     """Feed the frames of a cycle; return the lines and reasons, and the time after them."""
     answers: list[Any] = []

@@ -19,7 +19,7 @@ def small(**changes: Any) -> Any:
 
 def tables(directory: Any) -> Any:
     """Return all tables without the measured times."""
-    result = {name: read_table(directory, name) for name in TABLES}
+    result = {name: read_table(directory.path, name) for name in TABLES}
     for row in result["summary"]:
         del row["seconds"], row["gaussians_per_second"]
     return result

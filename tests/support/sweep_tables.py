@@ -8,9 +8,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from maplines_can.study import LATERAL_X, evaluate, paper
+from maplines_can.study.code_dbcs import covariance_signals
 from maplines_can.study.codes import CODES
 from maplines_can.study.comparison import transmit
-from maplines_can.study.dbc.covariance_spec import covariance_signals
 from maplines_can.study.sweep.plan import Plan, codec_of
 from maplines_can.study.sweep.summary import SCHEMAS
 from maplines_can.values.line import Status

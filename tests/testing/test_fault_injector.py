@@ -13,7 +13,7 @@ from support.dbcs import default_codec
 from support.fault_streams import MIX, bits_apart, content, number_of, numbered, run
 
 from maplines_can.study import road
-from maplines_can.testing import FaultInjector, FaultKind, Faults, ScriptedFault
+from maplines_can.testing import FaultInjector, FaultKind, Faults, Interval, ScriptedFault
 from maplines_can.testing.scripted_fault import LENGTHS
 from maplines_can.values.line import MapLine, Slot
 from maplines_can.wire import Frame
@@ -59,35 +59,6 @@ def test_damage_at_rate_1_changes_every_frame(field: str, kind: Any, holds: Any)
     assert len(out) == 500
     assert all(holds(*pair) for pair in zip(frames, out, strict=True))
     assert injector.counts == {kind: 500}
-
-
-def test_loss_at_rate_1_leaves_nothing() -> None:
-    injector = FaultInjector[Any](Faults(loss=1.0, duplicate=1.0, reorder=1.0))
-    assert run(injector, numbered(100)) == []
-    assert injector.counts == {FaultKind.LOST: 100}
-
-
-def test_duplicates_at_rate_1() -> None:
-    injector = FaultInjector[Any](Faults(duplicate=1.0))
-    frames = numbered(100)
-    assert run(injector, frames) == [frame for frame in frames for _ in range(2)]
-    assert injector.counts == {FaultKind.DUPLICATED: 100}
-
-
-def test_reordering_at_rate_1() -> None:
-    """All are held back by three frames at most, and none is lost."""
-    injector = FaultInjector[Any](Faults(reorder=1.0, depth=3))
-    out = [number_of(frame) for frame in run(injector, numbered(1000))]
-    assert sorted(out) == list(range(1000))
-    assert out != sorted(out)
-    assert injector.counts == {FaultKind.REORDERED: 1000}
-
-
-def test_there_are_no_faults_by_default() -> None:
-    injector = FaultInjector[Any](Faults())
-    frames = numbered(1000)
-    assert run(injector, frames) == frames
-    assert injector.counts == {}
 
 
 def test_a_wrong_length_is_a_length_of_can_fd() -> None:
@@ -346,3 +317,84 @@ def test_whatever_the_faults_lines_are_sent_ones_and_delivered_once(faults: Any,
     assert len(delivered) == len(set(delivered)) == decoder.lines
     assert decoder.frames == injector.passed
     assert decoder.frames == decoder.line_frames + sum(decoder.counts.values()) + decoder.pending
+
+
+TIMES = st.floats(0, 20) | st.integers(0, 20).map(float)
+INTERVALS = st.lists(
+    st.tuples(TIMES, TIMES | st.just(math.inf)).filter(lambda t: t[0] < t[1]),
+    min_size=1,
+    max_size=4,
+)
+
+
+@given(intervals=INTERVALS, times=st.lists(TIMES, min_size=1), start=st.floats(-1e3, 1e3))
+def test_a_frame_is_lost_in_an_interval_and_only_there(
+    intervals: list[Any], times: list[float], start: float
+) -> None:
+    """Whatever the intervals, which may overlap, from `start` on."""
+    injector = FaultInjector[Any](Faults(loss=1.0, schedule=[("loss", *i) for i in intervals]))  # type: ignore[arg-type]
+    injector.start(start)
+    for elapsed in sorted(times):
+        now = start + elapsed
+        lost = any(begin <= now - start < end for begin, end in intervals)
+        assert bool(injector.apply(Frame(1, b""), now)) != lost
+
+
+@given(intervals=INTERVALS, calls=st.lists(st.floats(0.01, 0.9), min_size=1, max_size=30))
+def test_a_flood_flows_in_its_intervals_and_only_there(
+    intervals: list[Any], calls: list[float]
+) -> None:
+    """10 frames a second, however often it is called; the time of each is `next_due`."""
+    faults = Faults(flood=10.0, schedule=[("flood", *i) for i in intervals])  # type: ignore[arg-type]
+    injector, now, due = FaultInjector[Any](faults), 0.0, []
+    injector.start(now)
+    for wait in calls:
+        now += wait
+        while injector.next_due <= now:
+            due.append(injector.next_due)
+            assert len(injector.due(injector.next_due)) == 1
+    assert all(any(b < t < e for b, e in intervals) for t in due)
+    expected = sum(
+        math.ceil(10 * (min(end, now) - begin) - 1 - 1e-9)
+        for begin, end in faults.intervals("flood")
+        if begin < now
+    )
+    assert len(due) == pytest.approx(max(expected, 0), abs=len(intervals))
+    assert injector.left_out == 0
+    assert injector.counts[FaultKind.FLOODED] == len(due)
+
+
+def test_a_flood_that_nobody_asked_for_is_left_out_in_its_intervals_only() -> None:
+    """10 frames a second from 1 s to 2 s and from 5 s on, asked for at 7 s."""
+    injector = FaultInjector[Any](Faults.parse("flood=10@1-2+5-"))
+    injector.start(0.0)
+    made = injector.due(7.0)
+    assert len(made) + injector.left_out == pytest.approx(9 + 20, abs=1)
+    assert len(made) == pytest.approx(10, abs=1)
+
+
+def test_the_injection_starts_with_the_first_frame() -> None:
+    injector = FaultInjector[Any](Faults.parse("loss=1@1-2"))
+    passed = [bool(injector.apply(Frame(1, b""), 1e6 + 0.25 * k)) for k in range(12)]
+    assert passed == [not 4 <= k < 8 for k in range(12)]
+
+
+def test_new_faults_begin_anew_and_the_counters_go_on() -> None:
+    """Seed, intervals and the frames of the script; frames that are held back remain so."""
+    script = (ScriptedFault(FaultKind.LOST, 2, 2),)
+    faults = Faults(delay=900.0, schedule=(Interval("delay", 0.0, 1.0),), script=script)
+    injector = FaultInjector[Any](faults)
+    for _ in range(2):
+        begin = injector.frames
+        assert [bool(injector.apply(Frame(k, b""), 10.0 * begin)) for k in range(2)] == [False] * 2
+        assert injector.apply(Frame(9, b""), 10.0 * begin + 1.0)
+        injector.faults = faults
+    assert (injector.frames, injector.held) == (6, 2)
+    assert injector.counts == {FaultKind.LOST: 2, FaultKind.DELAYED: 2}
+    injector.faults = Faults()
+    assert [frame.can_id for frame in injector.apply(Frame(5, b""), 1e3)] == [0, 0, 5]
+    same = [FaultInjector[Any](Faults.parse("loss=0.5,seed=4")) for _ in range(2)]
+    same[1].apply(Frame(1, b""))
+    same[1].faults = same[1].faults
+    answers = [[bool(one.apply(Frame(1, b""))) for _ in range(50)] for one in same]
+    assert answers[0] == answers[1]

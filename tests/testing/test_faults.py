@@ -1,5 +1,6 @@
 """Faults are parsed from text; each error has the key, the value and what is allowed."""
 
+import math
 import os
 import threading
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from maplines_can.testing import FaultKind, Faults, ScriptedFault
+from maplines_can.testing import FaultKind, Faults, Interval, ScriptedFault
 
 
 def test_a_script_from_a_file(tmp_path: Path) -> None:
@@ -69,6 +70,35 @@ def test_the_keys_of_a_text_are_the_fields() -> None:
             "script=/dev/zero", "/dev/zero must have 1,000,000 bytes at most", id="endless"
         ),
         pytest.param("script=/nowhere", "script /nowhere cannot be read: No such", id="script"),
+        # intervals
+        pytest.param("loss=1@", "such as loss=1@2.0-2.6, got '1@'", id="none"),
+        pytest.param("loss=1@2", "must be @FROM-TO or @FROM- [s]", id="one-time"),
+        pytest.param("loss=1@-2", "must be @FROM-TO", id="no-begin"),
+        pytest.param("loss=1@-2--1", "must be @FROM-TO", id="negative"),
+        pytest.param("loss=1@a-b", "got '1@a-b'", id="no-numbers"),
+        pytest.param("loss=1@2-3+", "must be @FROM-TO", id="plus"),
+        pytest.param("loss=1@2-3@4-5", "must be @FROM-TO", id="twice"),
+        pytest.param("loss=1@nan-2", "must be @FROM-TO", id="nan"),
+        pytest.param(
+            "loss=1@2.6-2.0",
+            "interval of loss must have 0 <= begin < end [s], got 2.6 to 2",
+            id="back",
+        ),
+        pytest.param("dup=1@2-2", "interval of duplicate must have 0 <= begin", id="empty"),
+        pytest.param("loss=2@1-2", "loss must be in [0, 1], got 2", id="value"),
+        pytest.param("loss=@1-2", "loss must be a number, got ''", id="no-value"),
+        pytest.param("loss=0@1-2", "loss has an interval but is 0", id="zero"),
+        pytest.param("seed=7@1-2", "seed cannot have an interval; loss, duplicate", id="seed"),
+        pytest.param("direction=send@1-2", "direction cannot have an interval", id="direction"),
+        pytest.param("flood=1,flood_ids=5@1-2", "flood_ids cannot have an interval", id="ids"),
+        pytest.param("lost=1@1-2", "'lost' is unknown; use loss", id="unknown"),
+        pytest.param("schedule=1", "'schedule' is unknown; use loss", id="schedule"),
+        pytest.param("loss=1@1-2,loss=0.1", "loss is given twice", id="two-values"),
+        pytest.param(
+            "flip=0.6@1-3,garbage=0.6@2-4",
+            "garbage must be 1 at most, got 1.2",
+            id="sum-of-overlap",
+        ),
     ],
 )
 def test_a_wrong_text_raises(text: str, words: str) -> None:
@@ -142,3 +172,33 @@ def test_a_script_may_be_a_pipe(tmp_path: Path) -> None:
     os.mkfifo(path)
     threading.Thread(target=path.write_text, args=("loss 3\n",), daemon=True).start()
     assert Faults.parse(f"script={path}").script == (ScriptedFault(FaultKind.LOST, 3, 3),)
+
+
+@pytest.mark.parametrize(
+    ("text", "schedule"),
+    [
+        ("loss=1@2.0-2.6", [("loss", 2.0, 2.6)]),
+        ("dup=0.5@0-.5", [("duplicate", 0.0, 0.5)]),
+        ("loss=1@1e-3-2.", [("loss", 0.001, 2.0)]),
+        ("flood=1000@5-, seed=3", [("flood", 5.0, math.inf)]),
+        ("loss=1@2-3+5-6", [("loss", 2.0, 3.0), ("loss", 5.0, 6.0)]),
+        ("delay=0.02@1-2,jitter=0.01@1-2", [("delay", 1.0, 2.0), ("jitter", 1.0, 2.0)]),
+        (
+            "corrupt=0.4@1-2",
+            [(name, 1.0, 2.0) for name in ("flip", "truncate", "wrong_dlc", "wrong_id")],
+        ),
+    ],
+)
+def test_intervals_from_text(text: str, schedule: list[Any]) -> None:
+    assert Faults.parse(text).schedule == tuple(Interval(*one) for one in schedule)
+
+
+@pytest.mark.parametrize("schedule", [3, [3], [("loss", "a", "b")], [("loss", 1.0)], ["loss"]])
+def test_a_schedule_of_a_wrong_type_raises(schedule: Any) -> None:
+    with pytest.raises(TypeError, match="faults: schedule must"):
+        Faults(loss=1.0, schedule=schedule)
+
+
+def test_damage_of_one_time_after_the_other_may_sum_up_to_more() -> None:
+    faults = Faults.parse("flip=0.6@1-2,garbage=0.6@2-4")
+    assert (faults.at(1.5).garbage, faults.at(2.0).flip) == (0.0, 0.0)

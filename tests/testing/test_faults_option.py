@@ -44,29 +44,3 @@ def test_send_and_receive_report_the_faults(capsys: pytest.CaptureFixture[str]) 
     flood = ["--faults", "flood=1000,flood_ids=0x340"]
     assert main(["receive", *bus, *flood, "--count", "1", "--timeout", "1"]) == 1
     assert "flooded" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("faults", "words"),
-    [
-        ("lost=0.1", "'lost' is unknown; use loss, duplicate (dup)"),
-        ("loss=1@2", "an interval must be @FROM-TO or @FROM- [s], such as loss=1@2.0-2.6"),
-        ("loss=1@2.6-2.0", "the interval of loss must have 0 <= begin < end [s], got 2.6 to 2"),
-        ("seed=1@2-3", "seed cannot have an interval; loss, duplicate"),
-    ],
-)
-@pytest.mark.parametrize("command", ["demo", "send", "receive", "drive"])
-def test_a_wrong_text_is_wrong_usage(
-    capsys: pytest.CaptureFixture[str], command: str, faults: str, words: str
-) -> None:
-    with pytest.raises(SystemExit) as end:
-        main([command, "--faults", faults])
-    assert end.value.code == 2
-    assert words in capsys.readouterr().err
-
-
-def test_demo_loses_all_in_an_interval(capsys: pytest.CaptureFixture[str]) -> None:
-    """It begins with the bus and has no end, so that all is lost however busy the machine is."""
-    assert main(["demo", "--seconds", "0.2", "--faults", "loss=1@0-", "--json"]) == 1
-    done = json.loads(capsys.readouterr().out)["faults"]
-    assert done["frames"] == done["lost"] > 0

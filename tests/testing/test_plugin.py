@@ -44,8 +44,8 @@ def test_a_line_arrives_in_virtual_and_in_real_time(
     run(pytester, test.replace("within=0.5", "within=60"), *options).assert_outcomes(passed=1)
 
 
-def test_a_minute_takes_no_time(pytester: pytest.Pytester) -> None:
-    """Lines come to the microsecond: 20 in a second, of which the first is now."""
+def test_time_delays_bit_rates_and_can_fd(pytester: pytest.Pytester) -> None:
+    """A minute takes no time: lines come to the microsecond; frames take theirs on the wire."""
     test = """
     def test_minute(maplines_bus, maplines_sender, maplines_receiver):
         maplines_sender.publish(LINE, period=0.05)
@@ -56,8 +56,33 @@ def test_a_minute_takes_no_time(pytester: pytest.Pytester) -> None:
         assert maplines_bus.now == pytest.approx(60, abs=1e-6)
         assert all(b - a <= 0.050001 for a, b in zip(times, times[1:]))
         assert maplines_bus.is_virtual
+
+    @pytest.mark.maplines(faults="delay=0.03")
+    def test_delay(maplines_bus, maplines_sender, maplines_receiver):
+        maplines_sender.send(LINE)
+        maplines_bus.run_for(0.02)
+        assert not maplines_receiver.arrivals
+        maplines_receiver.assert_received(Slot.EGO_LEFT, within=0.02)
+        assert maplines_receiver.arrivals[0].t == pytest.approx(0.03, abs=1e-6)
+
+    @pytest.mark.maplines(bitrate=500_000)
+    def test_frames(maplines_bus, maplines_sender):
+        bus = maplines_bus.open()
+        maplines_sender.send(LINE)
+        stamps = [message.timestamp for message in iter(lambda: bus.recv(0.1), None)]
+        assert len(stamps) == 4
+        assert stamps[-1] - stamps[0] == pytest.approx(3 * (stamps[1] - stamps[0]), abs=1e-9)
+        assert 200e-6 < stamps[1] - stamps[0] < 280e-6
+
+    @pytest.mark.maplines(fd=True)
+    def test_fd(maplines_bus, maplines_sender, maplines_receiver):
+        bus = maplines_bus.open()
+        maplines_sender.send(LINE)
+        maplines_receiver.assert_received(Slot.EGO_LEFT, within=0.1)
+        assert bus.recv(0.0).is_fd
+        assert bus.recv(0.0) is None
     """
-    run(pytester, test).assert_outcomes(passed=1)
+    run(pytester, test).assert_outcomes(passed=4)
 
 
 def test_a_line_that_is_published_ages(pytester: pytest.Pytester) -> None:
@@ -171,19 +196,6 @@ def test_a_line_that_came_already_is_received_in_real_time(
     run(pytester, test).assert_outcomes(**{"failed" if wait else "passed": 1})
 
 
-def test_held_back_frames_come_when_they_are_due(pytester: pytest.Pytester) -> None:
-    test = """
-    @pytest.mark.maplines(faults="delay=0.03")
-    def test_delay(maplines_bus, maplines_sender, maplines_receiver):
-        maplines_sender.send(LINE)
-        maplines_bus.run_for(0.02)
-        assert not maplines_receiver.arrivals
-        maplines_receiver.assert_received(Slot.EGO_LEFT, within=0.02)
-        assert maplines_receiver.arrivals[0].t == pytest.approx(0.03, abs=1e-6)
-    """
-    run(pytester, test).assert_outcomes(passed=1)
-
-
 def test_damage_is_counted_in_the_message(pytester: pytest.Pytester) -> None:
     test = """
     @pytest.mark.maplines(faults="flip=1,seed=3")
@@ -194,34 +206,6 @@ def test_damage_is_counted_in_the_message(pytester: pytest.Pytester) -> None:
     result = run(pytester, test)
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*frames: * (*8 CRC)", "sender: 5 lines; faults: 20 flip"])
-
-
-def test_the_controller_has_a_bus_of_its_own(pytester: pytest.Pytester) -> None:
-    """With a bit rate, frames take their time on the wire."""
-    test = """
-    @pytest.mark.maplines(bitrate=500_000)
-    def test_frames(maplines_bus, maplines_sender):
-        bus = maplines_bus.open()
-        maplines_sender.send(LINE)
-        stamps = [message.timestamp for message in iter(lambda: bus.recv(0.1), None)]
-        assert len(stamps) == 4
-        assert stamps[-1] - stamps[0] == pytest.approx(3 * (stamps[1] - stamps[0]), abs=1e-9)
-        assert 200e-6 < stamps[1] - stamps[0] < 280e-6
-    """
-    run(pytester, test).assert_outcomes(passed=1)
-
-
-def test_can_fd(pytester: pytest.Pytester) -> None:
-    test = """
-    @pytest.mark.maplines(fd=True)
-    def test_fd(maplines_bus, maplines_sender, maplines_receiver):
-        bus = maplines_bus.open()
-        maplines_sender.send(LINE)
-        maplines_receiver.assert_received(Slot.EGO_LEFT, within=0.1)
-        assert bus.recv(0.0).is_fd
-        assert bus.recv(0.0) is None
-    """
-    run(pytester, test).assert_outcomes(passed=1)
 
 
 @pytest.mark.parametrize("dbc", ["maplines-pose.dbc", "maplines-scene.dbc"])
@@ -297,17 +281,6 @@ def test_another_dbc(pytester: pytest.Pytester, way: str) -> None:
     run(pytester, test, *options).assert_outcomes(passed=1)
 
 
-def test_processes_do_not_disturb_each_other(pytester: pytest.Pytester) -> None:
-    """In real time, each test has a channel of its own."""
-    test = "\n".join(
-        PASSING.replace("test_line", f"test_{i}")
-        .replace("within=0.5", "within=60")
-        .replace("during=0.15", "during=0.15, stale_cycles=1000")
-        for i in range(4)
-    )
-    run(pytester, test, "-n", "2", "--maplines-time=real").assert_outcomes(passed=4)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -322,20 +295,23 @@ def test_wrong_options(pytester: pytest.Pytester, options: tuple[str, ...], mess
     result.stderr.fnmatch_lines([message])
 
 
-@pytest.mark.parametrize(
-    ("marker", "message"),
-    [
-        ("fault='loss=1'", "*the marker maplines takes time,*by keyword, got ?'fault'?*"),
-        ("'real'", "*the marker maplines takes*got ?'real'?*"),
-        ("time='fast'", "*maplines: time must be virtual or real, got 'fast'*"),
-        ("faults='los=1'", "*los*unknown*"),
-    ],
-)
-def test_wrong_markers(pytester: pytest.Pytester, marker: str, message: str) -> None:
-    result = run(pytester, f"\n@pytest.mark.maplines({marker})" + PASSING)
+def test_wrong_markers(pytester: pytest.Pytester) -> None:
+    markers = ("fault='loss=1'", "'real'", "time='fast'", "faults='los=1'")
+    tests = (
+        f"\n@pytest.mark.maplines({marker})" + PASSING.replace("_line(", f"_{n}(")
+        for n, marker in enumerate(markers)
+    )
+    result = run(pytester, "".join(tests))
 
-    result.assert_outcomes(errors=1)
-    result.stdout.fnmatch_lines([message])
+    result.assert_outcomes(errors=4)
+    result.stdout.fnmatch_lines(
+        [
+            "*the marker maplines takes time,*by keyword, got ?'fault'?*",
+            "*the marker maplines takes*got ?'real'?*",
+            "*maplines: time must be virtual or real, got 'fast'*",
+            "*los*unknown*",
+        ]
+    )
 
 
 @pytest.mark.parametrize("name", ["bus", "sender", "receiver"])

@@ -68,9 +68,9 @@ def test_the_oldest_files_are_removed(folder: Path, monkeypatch: pytest.MonkeyPa
     assert {"b", "c"} == {path.name for path in folder.iterdir()}
 
 
-@pytest.mark.parametrize("what", ["file", "link", "directory"])
+@pytest.mark.parametrize("what", ["file", "link", "directory", "no UTF-8"])
 def test_what_is_no_cache_is_no_error(what: str, tmp_path: Path, folder: Path) -> None:
-    """A file instead of the folder, a link or a folder instead of the file."""
+    """A file instead of the folder; a link, a folder or other bytes instead of the file."""
     (tmp_path / "text").write_text("foreign")
     if what == "file":
         folder.parent.write_text("")
@@ -78,6 +78,8 @@ def test_what_is_no_cache_is_no_error(what: str, tmp_path: Path, folder: Path) -
         folder.mkdir(parents=True)
         if what == "link":
             (folder / "a").symlink_to(tmp_path / "text")
+        elif what == "no UTF-8":
+            (folder / "a").write_bytes(b"\xff")
         else:
             (folder / "a").mkdir()
 
@@ -91,14 +93,6 @@ def test_a_file_of_another_user_is_not_read(folder: Path, monkeypatch: pytest.Mo
     write_cached("a", "a")
     uid = os.getuid() + 1
     monkeypatch.setattr(os, "getuid", lambda: uid)
-
-    assert read_cached("a") == ""
-
-
-def test_a_file_that_is_not_utf_8_is_no_error(folder: Path) -> None:
-    """It is damaged."""
-    folder.mkdir(parents=True)
-    (folder / "a").write_bytes(b"\xff")
 
     assert read_cached("a") == ""
 

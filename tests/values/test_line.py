@@ -168,17 +168,6 @@ def test_the_extrapolated_sigma_of_a_straight_line() -> None:
         assert (value, found) == pytest.approx((1.75, expected))
 
 
-@given(mild_lines(), motions(metres=50, degrees=0))
-def test_a_translation_is_exact(line: Any, motion: Any) -> None:
-    """Without a rotation the result is numpy's shifted polynomial."""
-    dx, dy, _ = motion
-    shifted = polynomial(line)(Polynomial([dx, 1.0])) - dy
-
-    assert np.allclose(
-        lateral(transform_line(line, motion, WINDOW), X), shifted(X), rtol=1e-9, atol=1e-9
-    )
-
-
 @given(mild_lines(), motions())
 def test_points_are_fitted_by_least_squares(line: Any, motion: Any) -> None:
     """numpy's polynomial fit at the extrema of a Chebyshev polynomial is the same line."""
@@ -209,13 +198,6 @@ def test_an_oblique_or_reversed_line_is_transformed(degrees: int) -> None:
     assert max(abs(c0), abs(c1)) < 1e-9
 
 
-def test_a_map_line_converts_numbers_to_enumeration_members() -> None:
-    """A valid range of length 0 is accepted."""
-    line = MapLine(7, Gaussian(np.zeros(4), np.eye(4)), kind=5, status=3, x_min=80.0)  # type: ignore[arg-type]
-
-    assert (line.slot, line.kind, line.status) == (Slot.ROUTE, Kind.KERB, Status.REPAIRED)
-
-
 def test_mean_only_has_vague_sigmas() -> None:
     """Its standard deviations are VAGUE_SIGMA and its status is UNKNOWN."""
     line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0], kind=Kind.DASHED, age=0.05)
@@ -223,15 +205,6 @@ def test_mean_only_has_vague_sigmas() -> None:
     assert (line.status, line.kind, line.age) == (Status.UNKNOWN, Kind.DASHED, 0.05)
     assert np.array_equal(line.gaussian.sigma, VAGUE_SIGMA)
     assert (line.y_sigma([0, 40]) >= 1000).all()
-
-
-def test_a_line_with_sigmas_has_no_correlations() -> None:
-    """Its covariance is diagonal, and its status is DIAGONAL."""
-    line = MapLine.with_sigma(Slot.EGO_LEFT, [1, 0, 0, 0], [0.1, 0.01, 0, 1e-6], x_max=50)
-
-    assert line.status == Status.DIAGONAL
-    assert line.x_max == 50
-    assert np.array_equal(line.gaussian.cov, np.diag(np.square([0.1, 0.01, 0, 1e-6])))
 
 
 HUGE = 10**400

@@ -14,17 +14,6 @@ from maplines_can.values.polyline import Polyline, to_ego, to_map
 STRAIGHT = Polyline([[x, 0.0] for x in range(101)])
 
 
-def test_a_polyline_copies_its_points_and_makes_them_read_only() -> None:
-    """Validated points cannot be changed."""
-    points = np.zeros((2, 2))
-    line = Polyline(points)
-    points[0, 0] = np.nan
-
-    assert np.isfinite(line.points).all()
-    with pytest.raises(ValueError, match="read-only"):
-        line.points[0, 0] = 1
-
-
 @given(arrays(float, (5, 2), elements=st.floats(-100, 100, width=16)), st.floats(0.5, 300))
 def test_resampled_points_are_evenly_spaced_on_the_line(points: Any, spacing: float) -> None:
     """The ends stay, the points are at most the spacing apart, and all of them are on the line."""
@@ -41,17 +30,6 @@ def test_resampled_points_are_evenly_spaced_on_the_line(points: Any, spacing: fl
         step = line.distance[i + 1] - line.distance[i]
         share = (distance - line.distance[i]) / step if step else 0.0
         assert np.allclose(p, points[i] + share * (points[i + 1] - points[i]), atol=1e-9)
-
-
-def test_the_kind_travels_with_the_line() -> None:
-    """It is unknown by default, and a resampled line keeps it."""
-    line = Polyline([[0, 0], [10, 0]], Kind.KERB)
-
-    assert STRAIGHT.kind is Kind.UNKNOWN
-    assert line.resampled(1.0).kind is Kind.KERB
-    assert Polyline([[0, 0], [1, 0]], 2).kind is Kind.DASHED  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="9 is not a valid Kind"):
-        Polyline([[0, 0], [1, 0]], 9)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -71,15 +49,6 @@ def test_item_6_single_precision_is_refused_where_it_loses_a_millimetre(
         ):
             Polyline(points)
     assert Polyline(points.astype(float)).length > 10
-
-
-def test_item_6_single_precision_of_utm_size_is_refused() -> None:
-    """At 5300 km it loses 25 cm; the message has the cure."""
-    utm = np.array([[4e5, 5.3e6], [4e5, 5.3e6 + 9]], dtype=np.float32)
-    with pytest.raises(
-        ValueError, match=r"rounds coordinates of 5.30001e.06 m by up to 0.25 m; subtract"
-    ):
-        Polyline(utm)
 
 
 @given(arrays(float, (6, 2), elements=st.floats(-100, 100)), st.floats(-np.pi, np.pi))
@@ -137,3 +106,14 @@ def test_a_resampled_line_keeps_its_kinds_where_they_are() -> None:
 def test_kinds_without_an_order_are_refused(kinds: Any) -> None:
     with pytest.raises(ValueError, match="increasing s from 0 to less than the length of 9 m"):
         Polyline([[0, 0], [9, 0]], kinds)
+
+
+def test_a_polyline_copies_its_points_and_makes_them_read_only() -> None:
+    """Validated points cannot be changed."""
+    points = np.zeros((2, 2))
+    line = Polyline(points)
+    points[0, 0] = np.nan
+
+    assert np.isfinite(line.points).all()
+    with pytest.raises(ValueError, match="read-only"):
+        line.points[0, 0] = 1

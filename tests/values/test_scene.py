@@ -33,18 +33,6 @@ def scene(means: Any = MEANS, cov: Any = COV, **rest: Any) -> Scene:
     )
 
 
-def test_the_common_error_is_in_the_centre_and_not_in_the_width() -> None:
-    """At x = 0: the width has twice the own variance, the centre the common one and half of it."""
-    assert scene().width(0.0).sigma == pytest.approx(np.sqrt(2) * OWN[0])
-    assert scene().centre(0.0).sigma == pytest.approx(np.sqrt(COMMON[0] ** 2 + OWN[0] ** 2 / 2))
-
-
-def test_width_and_centre_have_the_shape_of_x() -> None:
-    x = np.array([[0.0, 10.0, 20.0], [30.0, 40.0, 50.0]])
-    assert scene().width(x).value.shape == scene().centre(x).sigma.shape == (2, 3)
-    assert scene().width(x, NEXT, LEFT).value[0, 0] == pytest.approx(3.5)
-
-
 def test_a_sum_is_known_where_all_of_its_lines_are() -> None:
     """Where one of them ends, it is NaN; another pair of lines goes on."""
     first, *rest = lines()
@@ -71,15 +59,6 @@ def test_a_line_by_itself_is_as_in_the_joint(cov: Any, x: float) -> None:
     variances = [line.y_sigma(x) ** 2 for line in made.lines]
     both = made.width(x).sigma ** 2 / 2 + 2 * made.centre(x).sigma ** 2
     assert both == pytest.approx(sum(variances), rel=1e-6, abs=1e-9 * float(max(variances)))
-
-
-def test_the_joint_is_in_the_order_of_the_slots() -> None:
-    joint = scene().joint([NEXT, LEFT])
-    assert np.array_equal(joint.mean, np.concatenate([MEANS[2], MEANS[0]]))
-    keep = [8, 9, 10, 11, 0, 1, 2, 3]
-    assert np.array_equal(joint.cov, COV[np.ix_(keep, keep)])
-    assert np.array_equal(scene().joint().cov, COV)
-    assert scene().line(NEXT).slot is NEXT
 
 
 def test_a_missing_line_is_named() -> None:
@@ -156,18 +135,6 @@ def test_a_subset_has_all_of_its_lines(slots: list[Slot]) -> None:
         whole.subset([*slots, Slot.ROUTE])
 
 
-def test_a_scene_cannot_be_changed() -> None:
-    cov = COV.copy()
-    made = scene(cov=cov)
-    cov[0, 0] = 7
-    assert made.cov[0, 0] == COV[0, 0]
-    own = scene(specific_covs=np.zeros((len(MEANS), 4, 4))).specific_covs
-    assert own is not None
-    for array in (made.cov, made.fit_ranges, made.pose_error.cov, own):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0, 0] = 1.0
-
-
 @pytest.mark.parametrize(
     ("cov", "time", "words"),
     [
@@ -182,5 +149,22 @@ def test_wrong_pose_errors_are_refused(cov: Any, time: float, words: str) -> Non
         PoseError(cov, time)
 
 
-def test_a_pose_error_may_be_zero_and_its_time_unknown() -> None:
-    assert PoseError(np.zeros((3, 3))).correlation_time == np.inf
+def test_the_joint_is_in_the_order_of_the_slots() -> None:
+    joint = scene().joint([NEXT, LEFT])
+    assert np.array_equal(joint.mean, np.concatenate([MEANS[2], MEANS[0]]))
+    keep = [8, 9, 10, 11, 0, 1, 2, 3]
+    assert np.array_equal(joint.cov, COV[np.ix_(keep, keep)])
+    assert np.array_equal(scene().joint().cov, COV)
+    assert scene().line(NEXT).slot is NEXT
+
+
+def test_a_scene_cannot_be_changed() -> None:
+    cov = COV.copy()
+    made = scene(cov=cov)
+    cov[0, 0] = 7
+    assert made.cov[0, 0] == COV[0, 0]
+    own = scene(specific_covs=np.zeros((len(MEANS), 4, 4))).specific_covs
+    assert own is not None
+    for array in (made.cov, made.fit_ranges, made.pose_error.cov, own):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0, 0] = 1.0

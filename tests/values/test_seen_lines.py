@@ -17,8 +17,6 @@ from maplines_can.values.seen_lines import SeenLines, bases
 
 RANGES = np.array([[-20.0, 80.0], [-10.0, 60.0]])
 MEANS = np.array([[1.75, 0.02, 1e-3, 1e-6], [-1.75, 0.0, -1e-3, 0.0]])
-#: Variances of a production pose and of a poor one.
-POSES = {"production": (0.1, 0.2, np.radians(0.2)), "poor": (0.5, 1.0, np.radians(2.0))}
 
 
 @given(mild_lines(), mild_lines(), motions())
@@ -146,18 +144,3 @@ def test_the_spread_of_a_huge_pose_error_is_a_covariance(heading: float) -> None
     cov = SeenLines(MEANS, RANGES).spread(P)
     scale = np.sqrt(cov.diagonal())
     assert np.linalg.eigvalsh(cov / scale / scale[:, None])[0] >= -1e-12
-
-
-@pytest.mark.parametrize("sigma", POSES.values(), ids=POSES)
-def test_centred_lines_have_the_means_given(sigma: Any) -> None:
-    """Seen from the sigma points, to 2 % of what the mean differs by, in bends too."""
-    P = np.diag(np.square(sigma))
-    root = np.sqrt(3) * np.diag(sigma)
-    points = np.vstack([root, -root])
-    bends = np.array([[1.75, 0.1, 8e-3, 0.0], [-1.75, -0.2, 0.02, 1e-5]])
-    seen = SeenLines(bends, [[-20, 60], [0, 40]])
-    centred = seen.centred(P)
-    shift, error = (
-        np.abs(lines(points).mean(axis=0) - bends).max(axis=0) for lines in (seen, centred)
-    )
-    assert (error <= 0.02 * shift).all()

@@ -1,6 +1,5 @@
 """The codec: status, frames, and the readers and writers that must agree."""
 
-from pathlib import Path
 from typing import Any
 
 import cantools
@@ -8,11 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.dbcs import DBC, changed_record, default_codec, edited
+from support.dbcs import DBC, changed_record, default_codec
 from support.lines import random_lines
 
-from maplines_can.values.line import VAGUE_SIGMA, Kind, MapLine, Slot, Status
-from maplines_can.wire import Codec, Reason
+from maplines_can.values.line import VAGUE_SIGMA, Kind, Slot, Status
+from maplines_can.wire import Reason
 
 
 def test_the_three_data_structures_of_the_paper(codec: Any) -> None:
@@ -46,30 +45,6 @@ def test_unknown_with_a_mean_out_of_range_is_out_of_range(codec: Any) -> None:
     """Without a covariance, nothing covers a clipped mean."""
     batch = codec.batch.decode(codec.batch.encode([[1.75, 0, 0, 0], [40.0, 0, 0, 0]]))
     assert batch.status.tolist() == [Status.UNKNOWN, Status.OUT_OF_RANGE]
-
-
-def test_an_ill_conditioned_line_of_the_default_code_is_not_repaired(tmp_path: Path) -> None:
-    """The code guarantees a definite covariance, so the reader leaves it and its status alone.
-
-    In a DBC with wider ratios, some bits have a correlation matrix with an eigenvalue of 2e-13.
-    """
-    path = edited(
-        tmp_path, (r"(RatioC0C1 [^(]*)\(0.03125,-80\) \[[^]]*\]", r"\1(0.9375,-2400) [0|0]")
-    )
-    codec = Codec.from_dbc(path)
-    signals, (payload,) = codec.layout.signals, codec.batch.encode([[1.75, 0, 0, 0]])
-    raw: dict[str, Any] = {
-        name: s.raw_min for name, s in signals.items() if name.startswith("Ratio")
-    }
-    raw |= {name: s.raw_max for name, s in signals.items() if name.startswith("RatioBeta")}
-    data = changed_record(codec, payload.tobytes(), Status=Status.FULL, **raw)
-    batch = codec.batch.decode(np.frombuffer(data, dtype=np.uint8)[None])
-    sigma = np.sqrt(batch.cov[0].diagonal())
-    assert 0 < np.linalg.eigvalsh(batch.cov[0] / np.outer(sigma, sigma))[0] < 1e-12
-    line = codec.batch.decode_one(data, Slot.EGO_LEFT)
-    assert isinstance(line, MapLine)
-    assert line.status == Status.FULL
-    assert np.array_equal(line.gaussian.cov, batch.cov[0])
 
 
 def test_cantools_decodes_and_encodes_the_same_frames(codec: Any) -> None:
@@ -164,29 +139,3 @@ def test_extreme_numbers_raise_a_short_message(make: Any, words: str) -> None:
     with pytest.raises(ValueError, match=words) as refusal:
         make(default_codec())
     assert len(str(refusal.value)) < 400
-
-
-def test_repaired_is_of_its_own_row_and_not_of_variances(codec: Any) -> None:
-    """DIAGONAL drops the correlations that make a matrix indefinite, so nothing is repaired."""
-    definite = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
-    indefinite = definite.copy()
-    indefinite[0, 1] = indefinite[1, 0] = 2e-3
-    batch = codec.batch.decode(
-        codec.batch.encode(
-            np.zeros((4, 4)),
-            [indefinite, definite, indefinite, definite],
-            status=[Status.DIAGONAL, Status.FULL, Status.FULL, Status.DIAGONAL],
-        )
-    )
-    wanted = [Status.DIAGONAL, Status.FULL, Status.REPAIRED, Status.DIAGONAL]
-    assert batch.status.tolist() == wanted
-    assert (np.linalg.eigvalsh(batch.cov[0] - definite) > -1e-15).all()
-
-
-@pytest.mark.parametrize("status", [Status.UNKNOWN, Status.OUT_OF_RANGE])
-def test_a_mean_alone_may_be_sent_with_a_status_that_claims_no_covariance(
-    codec: Any, status: Status
-) -> None:
-    """UNKNOWN is what it would get anyway; OUT_OF_RANGE is the caller's to say."""
-    payloads = codec.batch.encode([[1.75, 0, 0, 0]], status=status)
-    assert codec.batch.decode(payloads).status[0] == status

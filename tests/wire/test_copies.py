@@ -1,9 +1,6 @@
 """Codecs, encoders and prepared scenes in other processes: pickled and copied."""
 
-import json
 import pickle
-import subprocess
-import sys
 from collections.abc import Callable
 from copy import copy, deepcopy
 from typing import Any
@@ -66,28 +63,6 @@ def test_a_copy_does_the_same(again: Callable[[Any], Any], dbc: str) -> None:
         assert again(codec.batch).encode(MEANS, COVS).tobytes() == records.tobytes()
         expected, found = (one.batch.decode(records).cov for one in (codec, other))
         assert found.tobytes() == expected.tobytes()
-
-
-SEND = """
-import pickle, sys
-codec, encoder, prepared = pickle.load(sys.stdin.buffer)
-sent = [encoder.encode_scene(prepared), codec.encoder().encode_scene(prepared.scene)]
-print([[frame.data.hex() for frames in each.values() for frame in frames] for each in sent])
-"""
-
-
-@pytest.mark.parametrize("dbc", [COMPLETE, CONDITIONAL])
-def test_another_process_sends_the_same(dbc: str) -> None:
-    """What is pickled holds no memory of this process."""
-    codec = new_codec(dbc)
-    encoder = codec.encoder()
-    encoder.encode_scene(road_scene())
-    given = pickle.dumps((codec, encoder, encoder.prepare_scene(road_scene())))
-    command = [sys.executable, "-c", SEND]
-    done = subprocess.run(command, input=given, capture_output=True, check=True)
-    sent = encoder.encode_scene(road_scene()), codec.encoder().encode_scene(road_scene())
-    expected = [[x.data.hex() for frames in each.values() for x in frames] for each in sent]
-    assert json.loads(done.stdout.replace(b"'", b'"')) == expected
 
 
 @pytest.mark.parametrize("again", [pickled, deepcopy])

@@ -8,25 +8,7 @@ import pytest
 from support.dbcs import default_codec, edited
 
 from maplines_can.values.line import MapLine, Slot
-from maplines_can.wire import (
-    POSE,
-    Codec,
-    E2EConfig,
-    Layout,
-    ProfileStatus,
-    Reason,
-    default_dbc_path,
-)
-from maplines_can.wire.codec import decoder_settings
-from maplines_can.wire.core_tables import tables_of
-from maplines_can.wire.layout.pose_layout import number_of
-
-
-def times_of(layout: Layout, *given: Any) -> set[tuple[int, int]]:
-    """Return the time-outs and cycle times of all owners [ns]."""
-    settings = decoder_settings(layout, tables_of(layout), *given)
-    owners = map(number_of, layout.messages_of)
-    return {(settings.timeout_ns[owner], settings.cycle_ns[owner]) for owner in owners}
+from maplines_can.wire import Codec, E2EConfig, ProfileStatus, Reason
 
 
 @pytest.mark.parametrize(
@@ -133,39 +115,3 @@ def test_max_delta_counter_must_be_less_than_half_of_the_counters(tmp_path: Path
     with pytest.raises(ValueError, match=r"max_delta_counter must be less than 8.*got 8"):
         codec.decoder(e2e=E2EConfig(max_delta_counter=8))
     assert codec.decoder(e2e=E2EConfig(max_delta_counter=7)).lines == 0
-
-
-@pytest.mark.parametrize("cycle_attribute", [True, False])
-@pytest.mark.parametrize("dbc", ["maplines.dbc", "maplines-pose.dbc"])
-def test_the_times_of_lines_and_of_the_pose_error(
-    dbc: str, cycle_attribute: bool, tmp_path: Path
-) -> None:
-    """By the cycle time of the DBC, 100 ms if it has none, or as they are given.
-
-    The time-out is 1.5 cycles, and half a cycle of the DBC at least.
-    """
-    text, path = default_dbc_path(dbc).read_text(), tmp_path / dbc
-    lines = [line for line in text.splitlines() if not line.startswith('BA_ "GenMsgCycleTime"')]
-    path.write_text(text if cycle_attribute else "\n".join(lines) + "\n")
-    layout = Layout.from_dbc(path)
-    assert layout.pose is not None
-    factor = 1 if cycle_attribute else 2
-    for given, timeout_ms, cycle_ms in (
-        ((None, None), 75 * factor, 50 * factor),
-        ((None, 200), 300, 200),
-        ((None, 10), 25 * factor, 10),
-        ((7, None), 7, 50 * factor),
-        ((3_600_000, 3_600_000), 3_600_000, 3_600_000),  # an hour, the longest
-        ((None, 3_600_000), 3_600_000, 3_600_000),
-        ((None, 2_400_000), 3_600_000, 2_400_000),
-    ):
-        times = timeout_ms * 1_000_000, cycle_ms * 1_000_000
-        assert layout.messages_of.keys() == {POSE, *Slot}
-        assert times_of(layout, *given) == {times}
-
-
-def test_a_time_is_a_nanosecond_or_more() -> None:
-    """A cycle time of less would be 0, by which nothing can be divided."""
-    decoder = default_codec().decoder(cycle_ms=1e-9, timeout_ms=1e-9)
-    assert decoder.checks[Slot.EGO_LEFT].cycle_ns == 1
-    assert decoder.latest(Slot.EGO_LEFT, 10**18).line is None

@@ -1,9 +1,8 @@
 """Lines to frames: what an encoder takes, and what it says of the rest."""
 
-from collections import Counter, UserDict
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from scene_layouts import layout_of
 from support.lines import random_lines
 
 from maplines_can import Codec, EncodeError, Gaussian, GaussianMixture, Kind, MapLine, Slot, Status
-from maplines_can.wire import POSE, Layout
+from maplines_can.wire import Layout
 
 MEAN, COV = np.array([1.75, 0.01, 1e-3, 1e-6]), np.diag([0.1, 0.01, 1e-3, 1e-5]) ** 2
 DEFAULT = layout_of("maplines.dbc")
@@ -82,37 +81,6 @@ def test_lines_have_the_records_of_a_batch(seed: int | None) -> None:
     for frames, record in zip(one_by_one, expected, strict=True):
         assert b"".join(frame.data for frame in frames)[: len(record)] == record.tobytes()
     assert {*codec.batch.decode(expected, [line.slot for line in lines]).status} == {*Status}
-
-
-@pytest.mark.parametrize("fd", [False, True])
-def test_mixtures_are_sent_component_by_component(fd: bool) -> None:
-    """Among other lines of the slot, each record has the next counter."""
-    line, alone = MapLine.of_mixture(Slot.NEXT_LEFT, mixture_of(3)), ordinary(Slot.NEXT_LEFT)
-    encoder, other = CODEC.encoder(), CODEC.encoder()
-
-    together = encoder.encode_lines([line, alone, line], fd=fd)
-
-    assert [len(frames) for frames in together] == [n * (1 if fd else 4) for n in (3, 1, 3)]
-    assert together == [other.encode(one, fd=fd) for one in (line, alone, line)]
-    payloads = [b"".join(frame.data for frame in frames) for frames in together]
-    records = np.frombuffer(b"".join(payloads), np.uint8).reshape(7, 32)
-    batch = CODEC.batch.decode(records, Slot.NEXT_LEFT)
-    assert batch.counter.tolist() == [*range(7)]
-    assert batch.component_index.tolist() == [0, 1, 2, 0, 0, 1, 2]
-    assert batch.component_weight[:3].sum() == 1
-
-
-@pytest.mark.parametrize("start", [0, 15, 255, 2**32 - 1, 2**64 + 15, 10**40, -1, -(2**70)])
-def test_counters_wrap(start: int) -> None:
-    """From any number on, of any mapping, which stays as it is."""
-    lines = [ordinary(), ordinary(), ordinary(Slot.ROUTE)]
-    for kind in (dict, Counter, MappingProxyType, UserDict):
-        counters: Any = kind({Slot.EGO_LEFT: start, Slot.ROUTE: 3, POSE: 5})
-        sent = CODEC.encoder().encode_lines(lines, fd=True, counters=counters)
-        records = np.array([[*frame.data] for (frame,) in sent], np.uint8)
-        batch = CODEC.batch.decode(records, [line.slot for line in lines])
-        assert batch.counter.tolist() == [start % 256, (start + 1) % 256, 3]
-        assert dict(counters) == {Slot.EGO_LEFT: start, Slot.ROUTE: 3, POSE: 5}
 
 
 class Derived(MapLine):

@@ -15,26 +15,15 @@ from support.scene_streams import (
     COMPLETE,
     CONDITIONAL,
     MAP_ERROR,
-    OFFSETS,
     PERIOD_NS,
-    SECURED,
-    beyond,
     codec_of,
     feed,
     new_codec,
     road_scene,
 )
 
-from maplines_can import (
-    Codec,
-    EncodeError,
-    MapError,
-    MapLine,
-    Scene,
-    Slot,
-)
-from maplines_can.wire import POSE, Owner, Reason
-from maplines_can.wire.layout.pose_layout import PoseLayout
+from maplines_can import Codec, EncodeError, MapError, Scene, Slot
+from maplines_can.wire import POSE, Owner
 
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT)
 X = np.array([0.0, 20.0, 40.0])
@@ -50,16 +39,6 @@ def received(codec: Codec, scene: Scene, *, fd: bool = False) -> Scene:
     assert view.scene is not None
     assert view.age == pytest.approx(0.024 + t_ns / 1e9)
     return view.scene
-
-
-@pytest.mark.parametrize("name", ALL)
-def test_a_line_of_a_received_scene_has_its_block_of_the_joint_covariance(name: str) -> None:
-    """Also that of a complete record, whose own covariance is smaller. One scene, one truth."""
-    scene = received(codec_of(name), road_scene())
-
-    for i, line in enumerate(scene.lines):
-        block = slice(4 * i, 4 * i + 4)
-        assert np.array_equal(line.gaussian.cov, scene.cov[block, block])
 
 
 def assert_covers(decoded: Scene, sent: Scene) -> None:
@@ -93,42 +72,6 @@ def test_a_scene_is_received_as_it_was_sent(dbc: str, fd: bool) -> None:
         assert ratio.max() < (limit if name == "width" else 1.1)
     if dbc == CONDITIONAL:
         assert (decoded.fit_ranges == scene.fit_ranges).all()
-
-
-@pytest.mark.parametrize("dbc", ALL)
-def test_lines_that_do_not_fit(dbc: str) -> None:
-    """A conditional line is not sent; a full one is, but does not belong to the pose error."""
-    scene = road_scene(SLOTS)
-    codec, is_conditional = codec_of(dbc), dbc == CONDITIONAL
-    frames = codec.encoder().encode_scene(beyond(scene, Slot.EGO_RIGHT), counters={})
-    assert (Slot.EGO_RIGHT in frames) is not is_conditional
-
-    decoder = codec.decoder()
-    answers, _ = feed(decoder, frames, 0)
-    decoded = decoder.scene()
-    assert decoded is not None
-    assert [line.slot for line in decoded.scene.lines] == [Slot.EGO_LEFT, Slot.NEXT_LEFT]
-    assert sum(isinstance(one, MapLine) for one in answers) == (2 if is_conditional else 3)
-    assert_covers(decoded.scene, scene)
-
-
-@pytest.mark.parametrize("dbc", [COMPLETE, SECURED])
-@pytest.mark.parametrize("first", range(8))
-def test_a_line_that_is_no_member_never_joins(dbc: str, first: int) -> None:
-    """Whatever the counters are: what no levels cover is sent, and stays out of each scene."""
-    codec = codec_of(dbc)
-    prepared = codec.encoder().prepare_scene(beyond(road_scene(SLOTS), Slot.EGO_RIGHT))
-    assert (len(prepared.sent_slots), len(prepared.members)) == (3, 2)
-    decoder = codec.decoder()
-    counters: dict[Any, int] = dict.fromkeys([POSE, *Slot], first)
-    for cycle in range(10):
-        frames = codec.encoder().encode_scene(prepared, counters=counters)
-        answers, _ = feed(decoder, frames, cycle * PERIOD_NS)
-        assert sum(isinstance(one, MapLine) for one in answers) == 3
-        decoded = decoder.scene()
-        assert decoded is not None
-        assert set(decoded.scene.index) == {Slot.EGO_LEFT, Slot.NEXT_LEFT}
-        counters = {owner: n + 1 for owner, n in counters.items()}
 
 
 @pytest.mark.parametrize("dbc", ALL)
@@ -176,48 +119,8 @@ def test_a_decoded_range_is_within_the_one_sent(radius: float, sigma: Any, noise
 BEFORE = Codec(replace(layout_of(COMPLETE), pose=None))
 
 
-def test_a_receiver_that_knows_no_pose_error_gets_the_same_lines() -> None:
-    """Bit for bit; the frames of the pose error are foreign to it."""
-    now, old = codec_of(COMPLETE), BEFORE.decoder()
-    frames = now.encoder().encode_scene(road_scene(OFFSETS), counters={}, age=0.02)
-    both = [feed(decoder, frames, 0)[0] for decoder in (old, now.decoder())]
-    ours, theirs = ([one for one in own if isinstance(one, MapLine)] for own in both)
-    assert len(ours) == len(OFFSETS)
-    for line, other in zip(ours, theirs, strict=True):
-        assert line.gaussian.mean.tobytes() == other.gaussian.mean.tobytes()
-        assert line.gaussian.cov.tobytes() == other.gaussian.cov.tobytes()
-        assert (line.age, line.x_min, line.x_max) == (other.age, other.x_min, other.x_max)
-    assert old.counts == {Reason.FOREIGN: len(frames[POSE])}
-    assert old.frames == old.line_frames + sum(old.counts.values()) + old.pending
-    assert (old.pose_errors, old.pose_frames, old.scene()) == (0, 0, None)
-    assert POSE not in old.checks
-    assert old.pose_error(0) is None
-    old.expire(10**12)
-    assert old.pending == 0
-
-
-def test_the_records_are_those_of_the_lines_alone() -> None:
-    """A full record does not change if it is sent with its scene."""
-    codec, scene = codec_of(COMPLETE), road_scene(SLOTS)
-    alone = codec.encoder().encode_lines(scene.lines, counters={})
-    together = codec.encoder().encode_scene(scene, counters={})
-    assert [together[line.slot] for line in scene.lines] == alone
-
-
 def test_a_dbc_without_a_pose_error_sends_no_scene() -> None:
     with pytest.raises(EncodeError, match="MapLinePose"):
         BEFORE.encoder().encode_scene(road_scene())
     with pytest.raises(ValueError, match="MapLinePose"):
         BEFORE.decoder().latest_scene(0)
-
-
-def test_both_dbcs_have_one_layout_of_the_pose_error() -> None:
-    """The first two pages of Pose are the same in all DBCs."""
-    layouts = [codec_of(dbc).layout.pose for dbc in ALL]
-    assert all(isinstance(layout, PoseLayout) for layout in layouts)
-    signals = [layout.signals for layout in layouts if layout is not None]
-    first = signals[ALL.index(CONDITIONAL)]
-    for other in signals:
-        assert {name: other[name] for name in first if name in other} == {
-            name: first[name] for name in first if name in other
-        }

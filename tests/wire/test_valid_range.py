@@ -4,13 +4,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from answers import one
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from support.dbcs import changed_record, edited, new_codec
+from support.dbcs import changed_record, edited
 
-from maplines_can import Codec, GaussianMixture, MapLine, Slot
-from maplines_can.values.gaussian import Gaussian
+from maplines_can import Codec, Slot
 from maplines_can.values.line import Status
 from maplines_can.wire import Reason
 
@@ -76,22 +74,6 @@ def test_item_4_a_range_that_cannot_be_stated_is_out_of_range(
     payload = codec.batch.encode([[0.0] * 4], [COV], x_min=ends[0], x_max=ends[1], status=status)
     assert codec.batch.decode(payload).status[0] == Status.OUT_OF_RANGE
     assert not codec.batch.decode_one(payload[0].tobytes(), Slot.EGO_LEFT).is_usable
-
-
-@pytest.mark.parametrize(("ends", "usable"), [((-20, 80), True), ((50, 80), False)])
-def test_item_4_each_component_of_a_mixture(ends: Any, usable: bool) -> None:
-    """All have the range of their line."""
-    components = tuple(Gaussian(np.array([y, 0, 0, 0]), COV) for y in (-0.1, 0.1))
-    mixture = GaussianMixture(np.array([0.5, 0.5]), components)
-    codec = new_codec()
-    encoder = codec.encoder()
-    line = MapLine.of_mixture(Slot.ROUTE, mixture, x_min=ends[0], x_max=ends[1])
-    decoder = codec.decoder()
-    *_, received = [one(decoder.feed(f.can_id, f.data, 0)) for f in encoder.encode(line)]
-    assert isinstance(received, MapLine)
-    assert received.is_usable == usable
-    if usable:
-        assert ends[0] <= received.x_min <= received.x_max <= ends[1]
 
 
 @pytest.mark.parametrize("status", list(Status))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from collections import Counter
 from collections.abc import Iterable
 from itertools import chain
@@ -26,7 +25,7 @@ from maplines_can.model.places import Candidate, Places, chosen
 from maplines_can.propagation import map_scene
 from maplines_can.values.line import LeftOut, MapLine
 from maplines_can.values.mixture import GaussianMixture
-from maplines_can.wire import SCENE, SCENE2, Encoder, Frame, Owner, default_dbc_path
+from maplines_can.wire import SCENE, SCENE2, Encoder, Frame, default_dbc_path
 
 DBC = "maplines-scene.dbc"
 PATH = default_dbc_path(DBC)
@@ -88,52 +87,6 @@ def test_a_scene_read_from_the_dbc_alone_covers_what_was_sent(shape: str) -> Non
         assert covers(own.cov, own.mean, true.cov, true.mean)
         counts["lines"] += len(found.slots)
     assert counts["lines"] > 10
-
-
-@pytest.mark.parametrize("slot", [Slot.EGO_RIGHT, Slot.ROUTE])
-def test_a_line_that_is_left_out_says_why(slot: Slot) -> None:
-    """Its place has the reason, and its slot, so that it differs from a line that is not there."""
-    scene = beyond(road_scene((*EGO, Slot.ROUTE)), slot)
-    encoder = Codec(layout_of(DBC)).encoder()
-    found = sent(encoder, scene)
-    assert found.left_out == {slot: MEAN}
-    assert encoder.left_out(scene, fd=True) == {slot: LeftOut.MEAN}
-    assert slot not in found.slots
-    ((frame,),) = encoder.encode_scene(scene, fd=True).values()
-    record = np.unpackbits(np.frombuffer(frame.data, np.uint8), bitorder="little")
-    place = 1 if slot == Slot.EGO_RIGHT else 2
-    line = record[8 * (12 + 13 * place) :][: 8 * 13].copy()
-    line[:4] = 0
-    line[101:] = 0  # slot, or the counter of the scene
-    assert not line.any()
-
-
-def test_both_records_state_one_pose_error_and_the_counter_of_the_first() -> None:
-    """However their own counters differ."""
-    encoder = Codec(layout_of(DBC)).encoder()
-    for count in range(20):
-        counters: dict[Owner, int] = {SCENE: 250 + count, SCENE2: 7 * count}
-        frames = encoder.encode_scene(road_scene(OFFSETS), fd=True, counters=counters)
-        raw = read(frames_of(frames), PATH).raw
-        first, second = raw["Scene"], raw["Scene2"]
-        assert first["SceneCounter"] == second["SceneCounter"] == counters[SCENE] % 8
-        assert (first["Counter"], second["Counter"]) == (counters[SCENE] % 256, 7 * count % 256)
-        shared = [name for name in first if name.startswith(("Pivot", "Ratio", "Map", "Corr"))]
-        assert len(shared) == 9
-        assert [first[name] for name in (*shared, "Inflation")] == [
-            second[name] for name in (*shared, "Inflation")
-        ]
-
-
-def test_each_record_has_the_age_at_its_own_sending() -> None:
-    encoder, scene = Codec(layout_of(DBC)).encoder(), road_scene(OFFSETS)
-    frames = encoder.encode_scene(scene, fd=True, age={SCENE2: 0.0, SCENE: 0.009})
-    raw = read(frames_of(frames), PATH).raw
-    assert (raw["Scene2"]["Age"], raw["Scene"]["Age"]) == (0, 2)  # of 8 ms, rounded up
-    with pytest.raises(ValueError, match="'scene2' has none"):
-        encoder.encode_scene(scene, fd=True, age={SCENE: 0.0})
-    with pytest.raises(ValueError, match="age"):
-        encoder.encode_scene(scene, fd=True, age=-1.0)
 
 
 # ---- places ----------------------------------------------------------------------------------
@@ -212,27 +165,6 @@ def test_a_line_without_a_place_is_left_out() -> None:
         slots = read_secured(frames_of(frames), 3).slots
         assert {*slots} == {*Slot} - {*expected}
         assert encoder.left_out(prepared, fd=True) == expected
-
-
-def test_a_retracted_line_has_no_place() -> None:
-    """Neither has one that is left out: its slot is as if it had no line."""
-    encoder = Codec(layout_of(DBC)).encoder()
-    scene = beyond(road_scene((*EGO, Slot.ROUTE)), Slot.ROUTE)
-    prepared = encoder.prepare_scene(scene, fd=True).without(Slot.EGO_LEFT).without(Slot.ROUTE)
-    for one in (prepared, pickle.loads(pickle.dumps(prepared))):  # noqa: S301
-        found = read(frames_of(encoder.encode_scene(one, fd=True)), PATH)
-        assert (found.slots, found.left_out) == ([Slot.EGO_RIGHT], {})
-
-
-# ---- state of a sender -----------------------------------------------------------------------
-
-
-def test_with_counters_of_the_caller_the_encoder_does_not_change() -> None:
-    """Neither its counters nor its places."""
-    encoder = Codec(layout_of(DBC)).encoder()
-    before = encoder.encode_scene(road_scene(EGO), fd=True, counters={})
-    encoder.encode_scene(road_scene(OFFSETS), fd=True, counters={SCENE: 9})
-    assert encoder.encode_scene(road_scene(EGO), fd=True) == before
 
 
 # ---- what is refused -------------------------------------------------------------------------

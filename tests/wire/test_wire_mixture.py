@@ -11,29 +11,8 @@ from hypothesis import strategies as st
 from support.dbcs import default_codec, new_codec
 
 from maplines_can import Gaussian, MapLine, Slot, Status
-from maplines_can.propagation.splitting import SPLITS, standard_split
 from maplines_can.study import adversarial, evaluate
-from maplines_can.study.comparison import deficit, quantized_weights
 from maplines_can.values.mixture import GaussianMixture
-from maplines_can.wire import Codec, Reason
-
-
-def test_weights_of_a_split_are_multiples_of_the_step() -> None:
-    """The message rounds no weight of a split."""
-    for k in SPLITS:
-        weights = np.array(standard_split(k)[0])
-        assert np.array_equal(quantized_weights(weights[None], 32)[0], weights * 32)
-
-
-@given(st.lists(st.floats(1e-3, 1), min_size=1, max_size=8))
-def test_quantized_weights_add_up(weights: Any) -> None:
-    """Positive numbers of steps with sum 32, less than a step off unless one is raised to 1."""
-    w = np.array([weights]) / sum(weights)
-    steps = quantized_weights(w, 32)
-    assert steps.sum() == 32
-    assert steps.min() >= 1
-    if (w * 32 >= 1).all():
-        assert np.abs(steps - w * 32).max() < 1
 
 
 def random_mixtures(n: Any, k: Any, seed: Any) -> Any:
@@ -48,22 +27,6 @@ def moments(weights: Any, means: Any, covs: Any) -> Any:
     mean = np.einsum("nk,nki->ni", weights, means)
     d = means - mean[:, None]
     return mean, np.einsum("nk,nkij->nij", weights, covs + d[..., :, None] * d[..., None, :])
-
-
-def test_a_mixture_is_widened_by_what_it_lacks() -> None:
-    """Two components at -1 m and 1 m, of equal weights.
-
-    Decoded with the same weights it lacks nothing, also if its means are shifted: the covariance of
-    a component covers its own shift. With other weights it lacks spread.
-    """
-    means = np.array([[[-1.0, 0, 0, 0], [1.0, 0, 0, 0]]])
-    covs = np.tile(np.diag([0.01, 1e-4, 1e-8, 1e-12]), (1, 2, 1, 1))
-    even, uneven = np.array([[0.5, 0.5]]), np.array([[0.9, 0.1]])
-    shift = [0.3, 0.02, 1e-4, 1e-6]
-    assert deficit(even, means, covs, even, means + shift) == pytest.approx(0, abs=1e-12)
-    # About the decoded mean, -0.8 m, the true spread is 1 + 0.8^2, and the decoded one 0.36.
-    more = deficit(even, means, covs, uneven, means)
-    assert more[0, 0, 0] == pytest.approx(1 + 0.8**2 - 0.36, rel=1e-5)
 
 
 @pytest.mark.parametrize("k", [2, 3, 5, 8])
@@ -127,35 +90,3 @@ def test_components_of_different_lines_are_not_combined(seed: int, k: Any, fd: b
             got.append(expected[answer.mixture.means.tobytes()])  # type: ignore[union-attr]
     assert got == sorted(set(got))
     assert decoder.frames == (decoder.line_frames + sum(decoder.counts.values()) + decoder.pending)
-
-
-def component(
-    codec: Codec, counter: int, index: int, count: int, weight: float, **attributes: float
-) -> Any:
-    """Return the frames of a component as a sender of any weights and counts sends it."""
-    payloads = codec.batch.encode(
-        [[1.75 + 0.1 * index, 0.0, 0.0, 0.0]],
-        np.diag([1e-2, 1e-4, 1e-8, 1e-12])[None],
-        slot=Slot.CENTRE,
-        counter=counter,
-        component_index=index,
-        component_count=count,
-        component_weight=weight,
-        **attributes,
-    )
-    return codec.encoder().frames(payloads[0], Slot.CENTRE)
-
-
-@pytest.mark.parametrize("second", [0.25, 0.46875, 0.53125, 1.0])
-def test_weights_that_do_not_add_up_are_rejected(second: float) -> None:
-    """Correct checksums and counters, but a sum other than 1: no line, no error, all counted."""
-    codec = default_codec()
-    decoder = codec.decoder()
-    frames = [*component(codec, 0, 0, 2, 0.5), *component(codec, 1, 1, 2, second)]
-    answers = [one(decoder.feed(f.can_id, f.data, i * 1000)) for i, f in enumerate(frames)]
-    assert answers == [Reason.PENDING] * 7 + [Reason.CONTENT]
-    assert decoder.counts == {Reason.CONTENT: 8}
-    assert decoder.pending == decoder.lines == 0
-    good = [*component(codec, 2, 0, 2, 0.5), *component(codec, 3, 1, 2, 0.5)]
-    answers = [one(decoder.feed(f.can_id, f.data, 10**6 + i * 1000)) for i, f in enumerate(good)]
-    assert isinstance(answers[-1], MapLine)

@@ -2,8 +2,8 @@
 
     python tools/evidence                          list all evidence, with its options
     python tools/evidence fusion.ways              measure this at its full size
-    python tools/evidence lines n=150 by=wire      with options
-    python tools/evidence scenes secoc --quick     all of these modules, with few samples
+    python tools/evidence lines n=150 by=scene     with options
+    python tools/evidence scenes slots --quick     all of these modules, with few samples
     python tools/evidence --write                  write docs/promises.md and the residual error
                                                    rates of docs/assurance.md
 

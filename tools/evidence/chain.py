@@ -13,29 +13,24 @@ back to the lane, and lets it drive again.
 
 The error is the lateral distance of the rear axle from the middle of the lane. NEES is the squared
 error in units of the variance, for each degree of freedom. One drive is one draw of errors that
-last, so it scatters about 1. Lost is what was sent, less what was received. A line that the sender
-has to skip, since it is late or was retracted, is not sent, but leaves a gap in the counters.
+last, so it scatters about 1. Lost is what was sent, less what was received.
 """
 
 from __future__ import annotations
 
 import bisect
 import math
-import multiprocessing
-import socket
-import time
 from collections import Counter, deque
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import pairwise
-from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
 
 import numpy as np
 from answers import lines_of
 
-from maplines_can import Codec, Gaussian, Link, Motion, Receiver, Slot, Transmitter, maps
+from maplines_can import Gaussian, Motion, Slot, maps
 from maplines_can.consumers import FusedLane, LaneFusion, scene_view
 from maplines_can.consumers.steering import Command, LaneSteering, SteeringState
 from maplines_can.localisation import Localisation, LocalisationLayer
@@ -78,8 +73,6 @@ BESIDE = BESIDE_CHANGE + 40.0
 EACH = 4
 #: Time from the pose to the demands in a simulated drive [s].
 LATENCY = 0.04
-#: Longest time to wait for lines that are on their way, and for the sender to start [s].
-PATIENCE, START = 5.0, 120.0
 #: DBC with a message of the pose error.
 DBC = "maplines-pose.dbc"
 FUSED = "NEES of the fused lane"
@@ -97,7 +90,7 @@ DRIVER_SPEED, DRIVER_AHEAD, DRIVER_DONE = 2.0, 8.0, 0.3
 
 
 @evidence
-def simulated(seconds: float = 600.0, seeds: int = 1, seed: int = 0) -> dict[str, Any]:
+def chain(seconds: float = 600.0, seeds: int = 1, seed: int = 0) -> dict[str, Any]:
     """Drive without waiting and without a bus, with other errors for each seed."""
     drives = {}
     with bar(round(seconds) * seeds, "drive", unit=" s") as shown:
@@ -121,7 +114,7 @@ def drive_of(seconds: float, seed: int, shown: Any) -> dict[str, Any]:
     world = World(seed)
     sender, encoder, decoder = Sender(seed, world.row), codec_of(DBC).encoder(), new_decoder()
     consumer = Consumer(world, decoder)
-    rows, lines, received, frames = world.row[None], 0, 0, 0
+    rows, lines, received = world.row[None], 0, 0
     on_the_way: deque[tuple[int, Frame]] = deque()
 
     def deliver(now_ns: float) -> int:
@@ -138,17 +131,14 @@ def drive_of(seconds: float, seed: int, shown: Any) -> dict[str, Any]:
         if scene is not None and scene.lines:
             encoded = encoder.encode_scene(scene, age=AGE)
             lines += len(encoded.keys() - {POSE})
-            frames += sum(map(len, encoded.values()))
             on_the_way += in_period(encoded.values(), world.t + AGE)
         received += deliver(1e9 * (world.t + LATENCY))
         before = consumer.demands
-        consumer.step(0, round(1e9 * (world.t + LATENCY)))
-        rows = consumer.drive(before, LATENCY)
+        consumer.step(round(1e9 * (world.t + LATENCY)))
+        rows = consumer.drive(before)
         shown.update(PERIOD)
     received += deliver(math.inf)
-    sent = {"lines": lines, "frames": frames, "cycles skipped": 0} | sender.figures()
-    arrived = {"lines": received, "frames": frames, "frames dropped": 0}
-    return figures_of(consumer, sent, arrived)
+    return figures_of(consumer) | sender.figures() | {"lines lost": lines - received}
 
 
 def new_decoder() -> Decoder:
@@ -161,108 +151,6 @@ def in_period(transfers: Collection[list[Frame]], start: float) -> Iterator[tupl
     for i, frames in enumerate(transfers):
         for k, frame in enumerate(frames):
             yield round(1e9 * (start + PERIOD * i / len(transfers) + FRAME * k)), frame
-
-
-# ---- in real time ------------------------------------------------------------------------------
-
-
-@evidence
-def real_time(
-    seconds: float = 600.0, interface: str = "udp_multicast", channel: str = "", seed: int = 0
-) -> dict[str, Any]:
-    """Drive in real time on a bus, with the sender in a process of its own.
-
-    A cycle is skipped if the process is late by a period.
-
-    Args:
-        seconds: of the drive [s].
-        interface: of python-can.
-        channel: such as vcan0.
-        seed: of all errors.
-    """
-    bus: dict[str, Any] = {"interface": interface}
-    bus |= {"channel": channel} if channel else {}
-    if interface == "udp_multicast":  # a free port, so that no other bus of this machine interferes
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as found:
-            found.bind(("", 0))
-            bus["port"] = int(found.getsockname()[1])
-    world, context = World(seed), multiprocessing.get_context("spawn")
-    pipe, other = context.Pipe()
-    process = context.Process(target=send, args=(other, bus, seed, world.row), daemon=True)
-    process.start()
-    if not pipe.poll(START):
-        raise RuntimeError(f"the sender did not start within {START:g} s")
-    pipe.recv()
-    with (
-        Link(**bus) as link,
-        Receiver(link, new_decoder(), on_line=lambda _: None) as receiver,
-        bar(round(seconds), "drive", unit=" s") as shown,
-    ):
-        consumer = Consumer(world, receiver)
-        skipped = drive_in_real_time(consumer, pipe, seconds, shown)
-        pipe.send(None)
-        sent = pipe.recv()
-        end = time.monotonic() + PATIENCE
-        while receiver.stats().frames < sent["frames"] and time.monotonic() < end:
-            time.sleep(0.05)
-        stats = receiver.stats()
-    process.join(PATIENCE)
-    arrived = {
-        "lines": stats.lines,
-        "frames": stats.frames,
-        "gaps of the counters": stats.lost,
-        "frames dropped": sum(stats.counts.values()),
-        "cycles skipped": skipped,
-    }
-    return figures_of(consumer, sent, arrived)
-
-
-def send(pipe: Connection, bus: Mapping[str, Any], seed: int, start: Array) -> None:
-    """Localise the car, and send the lines, until the pipe brings None; then send the figures."""
-    sender, skipped = Sender(seed, start), 0
-    sender.move(start[None])
-    sender.cycle(start)  # the first one takes longer
-    with Link(**bus) as link:
-        transmitter = Transmitter(link, Codec(codec_of(DBC).layout), period=PERIOD)
-        pipe.send("ready")
-        start_ns = pipe.recv()
-        with transmitter:
-            while (rows := pipe.recv()) is not None:
-                sender.move(rows)
-                if pipe.poll():
-                    skipped += 1
-                    continue
-                scene = sender.cycle(rows[-1]).scene
-                t_pose_ns = start_ns + round(1e9 * rows[-1, 0])
-                # Without a pose, there are no lines.
-                transmitter.publish([] if scene is None else scene, t_pose_ns)
-            transmitter.wait(PERIOD)
-        stats = transmitter.stats()
-    sent = {name: getattr(stats, name) for name in ("lines", "frames", "down", "full", "overruns")}
-    sent |= {"cycles skipped": skipped, "lateness, 99 % [ms]": 1000 * stats.lateness.p99}
-    pipe.send(sent | sender.figures())
-
-
-def drive_in_real_time(consumer: Consumer, pipe: Connection, seconds: float, shown: Any) -> int:
-    """Drive up to a time [s], with the motion to the pipe; return the cycles skipped."""
-    world, skipped = consumer.world, 0
-    start, start_ns = time.monotonic(), time.time_ns()
-    pipe.send(start_ns)
-    rows = world.row[None]
-    while world.t < seconds - STEP / 2 and not world.is_at_goal():
-        due = start + world.t
-        time.sleep(max(due - time.monotonic(), 0.0))
-        pipe.send(rows)
-        shown.update(PERIOD)
-        if time.monotonic() - due >= PERIOD:
-            skipped += 1
-            rows = consumer.drive(consumer.demands, 0.0)
-            continue
-        demands = consumer.demands
-        consumer.step(start_ns, time.time_ns())
-        latency = STEP * math.ceil((time.monotonic() - due) / STEP)
-        rows = consumer.drive(demands, min(latency, PERIOD))
-    return skipped
 
 
 # ---- the car, the sender of the lines, and their consumer --------------------------------------
@@ -402,7 +290,7 @@ class Consumer:
     """Fusion and lane keeping of the receiver, and what they did."""
 
     world: World
-    source: Decoder | Receiver
+    source: Decoder
     demands: tuple[float, float] = (0.0, 0.0)
     moments: list[Moment] = field(default_factory=list)
     rows: list[Array] = field(default_factory=list)
@@ -414,9 +302,9 @@ class Consumer:
         self._changes = [(c.start - margin, c.end + margin) for c in self.world.route.changes]
         self.rows.append(self.world.row[None])
 
-    def step(self, start_ns: int, now_ns: int) -> None:
+    def step(self, now_ns: int) -> None:
         """Fuse what has arrived, and set the demands, at a time [ns]."""
-        world, now = self.world, (now_ns - start_ns) / 1e9
+        world, now = self.world, now_ns / 1e9
         along, error = world.place.of(world.car.pose)
         camera, limit = world.camera()
         motion = world.motion()
@@ -453,10 +341,10 @@ class Consumer:
         across = math.cos(pose[2]) * dy - math.sin(pose[2]) * dx
         return float(2 * across / (dx**2 + dy**2))
 
-    def drive(self, before: tuple[float, float], latency: float) -> Array:
-        """Drive a period: with the demands before for the latency [s]; return the rows."""
-        first = self.world.drive(*before, latency)
-        rows = np.vstack([first, self.world.drive(*self.demands, PERIOD - latency)])
+    def drive(self, before: tuple[float, float]) -> Array:
+        """Drive a period: with the demands before for the latency; return the rows."""
+        first = self.world.drive(*before, LATENCY)
+        rows = np.vstack([first, self.world.drive(*self.demands, PERIOD - LATENCY)])
         self.rows.append(rows)
         return rows
 
@@ -472,7 +360,7 @@ def centre_of(lane: FusedLane) -> Array:
     return found
 
 
-def figures_of(consumer: Consumer, sent: dict[str, Any], arrived: dict[str, Any]) -> dict[str, Any]:
+def figures_of(consumer: Consumer) -> dict[str, Any]:
     """Return the figures of a drive.
 
     A car that hands over is the driver's until it drives again.
@@ -488,10 +376,6 @@ def figures_of(consumer: Consumer, sent: dict[str, Any], arrived: dict[str, Any]
         "seconds": round(world.t, 2),
         "km": (moments[-1].along - moments[0].along) / 1000,
         "cycles": len(moments),
-        "sender": sent,
-        "receiver": arrived,
-        "lines lost": sent["lines"] - arrived["lines"],
-        "frames lost": sent["frames"] - arrived["frames"],
         "error of the car [m]": spread(automatic),
         "share of the time driven by the lines": len(automatic) / len(moments),
         "reasons of the handovers": dict(Counter(handovers)),

@@ -58,14 +58,6 @@ class Rms(Statistic):
         return bound / math.sqrt(2 * max(self.cases, 1))
 
 
-def share(hits: Any, cases: int | None = None) -> Share:
-    """Return the share of true values; ``cases`` of them are independent (default: all)."""
-    values = np.asarray(hits, dtype=bool)
-    return Share(
-        float(values.mean()) if values.size else 0.0, values.size if cases is None else cases
-    )
-
-
 def quantiles(values: Any, *shares: float) -> dict[str, float]:
     """Return the mean, quantiles and the largest of values, by their names; empty without values.
 

@@ -14,8 +14,6 @@ the stated Gaussian, where they cross x. A line that ends before x counts as bey
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
-from functools import partial
 from itertools import product
 from typing import Any, Literal, NamedTuple
 
@@ -25,24 +23,18 @@ from maplines_can import (
     Gaussian,
     MapError,
     MapLine,
-    Motion,
     Polyline,
-    Scene,
     Slot,
     map_lines,
     map_scene,
-    predict_to,
 )
-from maplines_can.propagation import scene_mixture
 from maplines_can.propagation.from_map import MAX_SIGMA, Query
 from maplines_can.propagation.refit import MAX_MISFIT, Refit
-from maplines_can.values.errors import EncodeError, MaplinesError
 from maplines_can.values.line import lateral_jacobian
 
 from .harness import evidence, progress
 from .roads import SHAPES, Draw, maps_of, on_map, on_roads
 from .sums import SIGMA_AT, Given, Tally
-from .transfer import codec_of, transferred
 from .witness import (
     AHEAD,
     POSES,
@@ -57,21 +49,13 @@ from .witness import (
     seen_from,
 )
 
-#: Components of mixtures.
-COMPONENTS = 3
-#: The motion of lines that are predicted: time [s], speed [m/s], sigmas [m/s, rad/s], and its
-#: largest yaw rate [rad/s].
-SECONDS, SPEED, MOTION_SIGMA, MAX_YAW_RATE = 1.0, 12.0, (0.3, 0.01), 0.6
-
 
 @evidence
 def lines(
     n: int = 25,
     maps: tuple[str, ...] = (),
     shapes: tuple[str, ...] = tuple(SHAPES),
-    by: Literal[
-        "line", "wire", "scene", "scene-wire", "scene-mixture", "mixture", "predicted"
-    ] = "line",
+    by: Literal["line", "scene"] = "line",
     poses: tuple[str, ...] = tuple(POSES),
     map_error: tuple[float, ...] = (0.0, 0.05),
     draws: int = 10,
@@ -83,9 +67,7 @@ def lines(
         n: cases of two lines of each shape, or of up to four of each map.
         maps: folders and files of maps.
         shapes: of random roads; an empty text for none.
-        by: how a consumer gets lines: of map_lines ("line"), the same over the wire, map_scene with
-            all lines jointly, over the wire with conditional records, as mixtures of 3 components
-            (of map_lines, or of a scene), or predicted by 1 s and 12 m.
+        by: how a consumer gets lines: one by one of map_lines, or jointly of map_scene.
         poses: errors of the car's pose.
         map_error: independent error of each point [m].
         draws: poses drawn for each case.
@@ -119,7 +101,6 @@ class Got(NamedTuple):
 
     slots: list[Slot]
     given: Given
-    poses: Array  #: (D + 1, 3) true poses and, last, the mean one, from which these are seen
 
 
 class Case(NamedTuple):
@@ -128,9 +109,8 @@ class Case(NamedTuple):
     true: Mapping[Slot, Array]  #: (n, 2) points in the direction of the car
     lines: Mapping[Slot, Polyline]  #: as the product gets them
     ego: Gaussian
-    poses: Array  #: (D + 1, 3) true ones, and the mean
+    poses: Array  #: (D, 3) true ones
     error: MapError | None  #: that is stated
-    rng: np.random.Generator
 
     @classmethod
     def drawn(
@@ -154,8 +134,8 @@ class Case(NamedTuple):
         given = {
             slot: Polyline(erred(points, pose, error, 1, rng)[0]) for slot, points in true.items()
         }
-        every = np.vstack([about.draw(), pose]) if true else np.zeros((0, 3))
-        return cls(true, given, Gaussian(pose, about.cov), every, error, rng)
+        every = about.draw() if true else np.zeros((0, 3))
+        return cls(true, given, Gaussian(pose, about.cov), every, error)
 
     def measure(self, by: str, tally: Tally) -> None:
         """Add what a consumer has of the lines."""
@@ -164,13 +144,10 @@ class Case(NamedTuple):
         excess = excess_covs(self.lines, self.ego, self.error) if by == "line" else {}
         there = set[Slot]()
         for got in WAYS[by](self):
-            if got is None:
-                tally.counts["lost"] += 1
-                continue
             there |= {*got.slots}
             tally.counts["lines"] += len(got.slots)
-            near = [near_points(self.true[slot], got.poses[-1]) for slot in got.slots]
-            views = [(seen_from(points, got.poses[:-1]), s) for points, s in near]
+            near = [near_points(self.true[slot], self.ego.mean) for slot in got.slots]
+            views = [(seen_from(points, self.poses), s) for points, s in near]
             tally.evaluate(got.given, lambda i, x: crossings(*views[i], x))  # noqa: B023
             if by == "line":
                 compare_sigma(got.given, excess[got.slots[0]], tally)
@@ -184,11 +161,11 @@ class Case(NamedTuple):
 
 def compare_sigma(given: Given, excess: Array, tally: Tally) -> None:
     """Add ratios of the sigmas of y to those with the misfit in the variance of y_off alone."""
-    (low, high), mean, cov = given.ranges[0], given.means[0, 0], given.covs[0]
+    (low, high), mean, cov = given.ranges[0], given.means[0], given.cov
     for x in (x for x in SIGMA_AT if low <= x <= high):
         g = lateral_jacobian(mean, x)
-        variance = g @ cov @ g
-        rest = max(variance - g @ excess @ g, 1e-12)
+        variance = float(g @ cov @ g)
+        rest = max(variance - float(g @ excess @ g), 1e-12)
         tally.put(f"sigma ratio at {x:g} m", float(np.sqrt(variance / rest)))
 
 
@@ -213,105 +190,28 @@ def excess_covs(
 
 # ---- ways by which a consumer gets lines -------------------------------------------------------
 
-#: From a line, the true poses with the mean one, and random numbers to what a consumer has.
-Carry = Callable[[MapLine, Array, np.random.Generator], tuple[MapLine | None, Array]]
-
 
 def given_of(line: MapLine) -> Given:
     """Return what a consumer has of a single line."""
-    of, ranges = line.gaussian, np.array([[line.x_min, line.x_max]])
-    if line.mixture is None:
-        return Given(np.ones(1), of.mean[None, None], of.cov[None], ranges)
-    return Given(line.mixture.weights, line.mixture.means[:, None], line.mixture.covs, ranges)
+    ranges = np.array([[line.x_min, line.x_max]])
+    return Given(line.gaussian.mean[None], np.asarray(line.gaussian.cov), ranges)
 
 
-def lines_by(carry: Carry, components: int, case: Case) -> Iterator[Got | None]:
-    """Yield the lines of ``map_lines`` that ``carry`` brings to a consumer, one by one."""
-    found = map_lines(
-        case.lines, case.ego, window=WINDOW, map_error=case.error, components=components
-    )
-    for line in found:
-        got, poses = carry(line, case.poses, case.rng)
-        yield None if got is None else Got([line.slot], given_of(got), poses)
+def single(case: Case) -> Iterator[Got]:
+    """Yield the lines of ``map_lines``, one by one."""
+    for line in map_lines(case.lines, case.ego, window=WINDOW, map_error=case.error):
+        yield Got([line.slot], given_of(line))
 
 
-def as_given(line: MapLine, poses: Array, _: Any) -> tuple[MapLine | None, Array]:
-    """Return a line as the sender has it."""
-    return line, poses
-
-
-def sent(line: MapLine, poses: Array, _: Any) -> tuple[MapLine | None, Array]:
-    """Return a line as a receiver gets it; None if it is not usable."""
-    decoder, received = codec_of().decoder(), None
-    for frame in codec_of().encoder().encode(line):
-        received = decoder.feed(frame.can_id, frame.data, t_ns=0)
-    return (received if isinstance(received, MapLine) and received.is_usable else None), poses
-
-
-def predicted(line: MapLine, poses: Array, rng: Any) -> tuple[MapLine | None, Array]:
-    """Return a line that is predicted, and the true poses of that time."""
-    curvature = line.gaussian.mean[2] + line.gaussian.mean[3] * SPEED * SECONDS / 2
-    yaw_rate = float(np.clip(SPEED * curvature, -MAX_YAW_RATE, MAX_YAW_RATE))
-    motion = Motion.with_sigma(SPEED, yaw_rate, MOTION_SIGMA)
-    rates = np.array([SPEED, yaw_rate]) + rng.standard_normal((len(poses), 2)) * MOTION_SIGMA
-    rates[-1] = SPEED, yaw_rate  # of the mean pose
-    try:
-        later = predict_to(replace(line, t_ns=0), round(SECONDS * 1e9), motion)
-    except MaplinesError:
-        return None, poses
-    return later, np.array([arc(*row) for row in np.column_stack([poses, rates])])
-
-
-def arc(x: float, y: float, heading: float, speed: float, yaw_rate: float) -> Array:
-    """Return the pose after a motion along an arc for ``SECONDS``, by closed form."""
-    turn = yaw_rate * SECONDS / 2
-    chord, middle = speed * SECONDS * np.sinc(turn / np.pi), heading + turn
-    return np.array([x + chord * np.cos(middle), y + chord * np.sin(middle), heading + 2 * turn])
-
-
-def scene_of(case: Case) -> Scene:
-    """Return the scene of all lines."""
-    return map_scene(case.lines, case.ego, window=WINDOW, map_error=case.error)
-
-
-def scenes_by(carry: Callable[[Scene], Scene], case: Case) -> Iterator[Got | None]:
-    """Yield the joint distribution of the lines of a scene that ``carry`` brings."""
-    scene = scene_of(case)
-    got = carry(scene)
-    yield from [None] * (len(scene.lines) - len(got.lines))
-    if got.lines:
-        slots = [line.slot for line in got.lines]
-        joint = got.joint(slots)
-        ranges = np.array([[line.x_min, line.x_max] for line in got.lines])
-        means = joint.mean.reshape(1, -1, 4)
-        yield Got(slots, Given(np.ones(1), means, joint.cov[None], ranges), case.poses)
-
-
-def scene_sent(scene: Scene) -> Scene:
-    """Return a scene as a receiver gets it, without the lines that do not fit."""
-    try:
-        received = transferred(codec_of("maplines-pose.dbc"), scene)
-    except EncodeError:
-        received = None
-    return scene.subset([]) if received is None else received
-
-
-def mixtures_of_scene(case: Case) -> Iterator[Got | None]:
-    """Yield the lines of a scene as mixtures that a receiver makes of it."""
-    scene = scene_of(case)
-    for line in scene.lines:
-        found = scene_mixture(scene, line.slot, COMPONENTS)
-        mixed = replace(line, gaussian=found.overall, mixture=found)
-        yield Got([line.slot], given_of(mixed), case.poses)
+def scene(case: Case) -> Iterator[Got]:
+    """Yield the joint distribution of the lines of ``map_scene``."""
+    found = map_scene(case.lines, case.ego, window=WINDOW, map_error=case.error)
+    if found.lines:
+        slots = [line.slot for line in found.lines]
+        joint = found.joint(slots)
+        ranges = np.array([[line.x_min, line.x_max] for line in found.lines])
+        yield Got(slots, Given(joint.mean.reshape(-1, 4), joint.cov, ranges))
 
 
 #: What a consumer has of a case, by name.
-WAYS: dict[str, Callable[[Case], Iterator[Got | None]]] = {
-    "line": partial(lines_by, as_given, 1),
-    "wire": partial(lines_by, sent, 1),
-    "scene": partial(scenes_by, lambda scene: scene),
-    "scene-wire": partial(scenes_by, scene_sent),
-    "scene-mixture": mixtures_of_scene,
-    "mixture": partial(lines_by, as_given, COMPONENTS),
-    "predicted": partial(lines_by, predicted, 1),
-}
+WAYS: dict[str, Callable[[Case], Iterator[Got]]] = {"line": single, "scene": scene}

@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cache, partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,13 +22,11 @@ from scipy.stats import chi2
 
 from maplines_can import Gaussian, Polyline, Slot
 from maplines_can.localisation import (
-    GaussMarkov,
     GnssFix,
     Localisation,
     LocalisationLayer,
     Odometry,
     PoseFix,
-    SensorErrors,
 )
 from maplines_can.maps import Lane, Map, Road, load, random_tour, town_path, town_tour
 from maplines_can.simulation.sensors import SensorSetup, simulated_measurements
@@ -84,16 +81,6 @@ class Run(NamedTuple):
             "RMS heading [deg]": math.degrees(turn),
         }
 
-    @property
-    def sigma(self) -> Array:
-        """(3,) stated standard deviations, of x, y and heading."""
-        return np.asarray(np.sqrt(np.diagonal(self.covs, axis1=-2, axis2=-1).mean(axis=(0, 1))))
-
-    def quantile(self) -> float:
-        """Return that of the mean NEES, if a car has one error that lasts."""
-        n = self.errors.shape[1]
-        return float(chi2.cdf(n * self.nees.mean(), 3 * n))
-
 
 def share_inside(squared: Array, values: int) -> float:
     """Return the share of (k,) times at which the mean of (k, n) is within its 95 % bounds.
@@ -104,21 +91,6 @@ def share_inside(squared: Array, values: int) -> float:
     total = np.nansum(squared, axis=1)[count > 0]
     low, high = chi2.ppf([[0.025], [0.975]], values * count[count > 0])
     return float(((low <= total) & (total <= high)).mean())
-
-
-def evaluated(
-    localisation: Localisation,
-    measurements: Iterable[Any],
-    begin: float,
-    true: Callable[[float], Array | None],
-) -> Iterator[tuple[Array, Any]]:
-    """Yield true and stated poses every ``STEP``, where the true one is known."""
-    due = begin + STEP
-    for one in measurements:
-        localisation.add(one)
-        if isinstance(one, Odometry) and one.t >= due and (pose := true(one.t)) is not None:
-            due += STEP
-            yield pose, localisation.poses()
 
 
 @cache
@@ -221,95 +193,6 @@ def on_road(shape: str, seed: int) -> tuple[LocalisationLayer, SimulatedDrive]:
     }
     road = Road(shape, shape, middle.length, tuple(lanes))
     return LocalisationLayer(Map(lanes, {shape: road})), SimulatedDrive(middle)
-
-
-# ---- a recorded drive --------------------------------------------------------------------------
-
-#: Circular error probable of the receiver of the recorded drive, from its data sheet [m]; that of a
-#: Gaussian has 1.177 sigma.
-CEP = 2.5
-#: Time at the begin of a recorded drive from which the noise of GNSS is read [s].
-FIRST = 15.0
-#: Standard deviation of GNSS, if it is taken as white [m].
-WHITE = 0.5
-
-
-@evidence
-def recorded(path: Path | None = None) -> dict[str, Any]:
-    """Localise a recorded drive: with the bias of GNSS as a state, found out, or as white noise.
-
-    The parameters come from the data sheet of the GNSS receiver (2.5 m CEP) and from the scatter of
-    its first 15 s, not from the truth. One drive has one bias, so its NEES is one draw.
-
-    Args:
-        path: an .npz of a car without a map: gnss_t, gnss_enu, gnss_bearing_deg, speed_t, speed,
-            imu_t, gyro_frd, and the truth truth_t, truth_enu, truth_vel_enu. gnss_error (m, 2) may
-            have the standard deviation [m] and correlation time [s] of the error of each fix as
-            the receiver states them, which the first filter takes; NaN where it states none.
-    """
-    if path is None:
-        return {}
-    data = dict(np.load(path, allow_pickle=False))
-    noise = white_noise(data)
-    bias = SensorErrors(gnss=GaussMarkov(CEP / math.sqrt(2 * math.log(2)), 60.0))
-    white = replace(bias, gnss=GaussMarkov(0.0))
-    result: dict[str, Any] = {}
-    for name, errors, sigma in (
-        ("bias as a state", bias, noise),
-        ("not told", SensorErrors(), noise),
-        ("white, 0.5 m", white, WHITE),
-    ):
-        run = replayed(data, errors, sigma)
-        x, y, turn = run.sigma
-        result[name] = {
-            "GNSS noise [m]": sigma,
-            "NEES": float(run.nees.mean()),
-            "quantile of NEES": run.quantile(),
-            **run.rms,
-            "stated sigma x [m]": x,
-            "stated sigma y [m]": y,
-            "stated sigma heading [deg]": math.degrees(turn),
-        }
-    return result
-
-
-def white_noise(data: dict[str, Array]) -> float:
-    """Return the standard deviation of the white noise of GNSS, from third differences [m]."""
-    first = data["gnss_t"] < data["gnss_t"][0] + FIRST
-    return float(np.diff(data["gnss_enu"][first, :2], 3, axis=0).std() / math.sqrt(20))
-
-
-def replayed(data: dict[str, Array], errors: SensorErrors, sigma: float) -> Run:
-    """Return the run of the filter on a recorded drive."""
-    speed = np.interp(data["imu_t"], data["speed_t"], data["speed"])
-    rate = -data["gyro_frd"][:, 2].astype(float)
-    fixes, cov = data["gnss_enu"][:, :2], sigma**2 * np.eye(2)
-    bearing, begin = math.radians(data["gnss_bearing_deg"][0]), float(data["gnss_t"][0])
-    gnss = errors.gnss or SensorErrors.UNKNOWN_GNSS
-    variances = [gnss.sigma**2 + sigma**2] * 2 + [math.radians(1.0) ** 2]
-    start = Gaussian([*fixes[0], math.pi / 2 - bearing], np.diag(variances))
-    measurements: list[Odometry | GnssFix] = [
-        Odometry(t, np.array([v]), np.array([w]))
-        for t, v, w in zip(data["imu_t"], speed, rate, strict=True)
-        if t >= begin
-    ]
-    stated = np.full((len(fixes), 2), np.nan)
-    if errors.gnss is not None and errors.gnss.sigma > 0:
-        stated = data.get("gnss_error", stated)
-    measurements += [
-        GnssFix(t, fix[None], cov, error)
-        for t, fix, error in zip(data["gnss_t"][1:], fixes[1:], stated[1:], strict=True)
-    ]
-    velocity, times = data["truth_vel_enu"][:, :2], data["truth_t"]
-    heading = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
-    columns = *data["truth_enu"][:, :2].T, heading
-
-    def true(t: float) -> Array | None:
-        """Return the true pose, until the truth ends."""
-        return np.array([np.interp(t, times, one) for one in columns]) if t <= times[-1] else None
-
-    in_order = sorted(measurements, key=lambda one: one.t)
-    return Run.of(evaluated(Localisation(start, begin, errors), in_order, begin, true))
 
 
 # ---- scan matching -----------------------------------------------------------------------------

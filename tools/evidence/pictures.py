@@ -9,10 +9,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from maplines_can import Gaussian, MapError, Polyline, Scene, Slot, map_lines, map_scene
+from maplines_can.pictures.figure import COLOURS, Z99
 from maplines_can.simulation.scenarios import scenario
 from maplines_can.simulation.street_shapes import Street, StreetPiece
-from maplines_can.study.figures.paper_panels import Z99
-from maplines_can.study.figures.round_trip_picture import COLOURS
 from maplines_can.study.scenes.map_scenes import drivable, random_pose
 
 from .harness import DOCS, evidence
@@ -158,9 +157,9 @@ class Example(NamedTuple):
         for place, weight in zip(row.places, row.weights, strict=True):
             road += weight * np.array([crossings(self.points[None], s, at + place)[0] for at in x])
         mean, variances = self.given.moments(sums, [0])
-        rest = self.given._replace(covs=self.given.covs - self.excess)
+        rest = self.given._replace(cov=self.given.cov - self.excess)
         _, before = rest.moments(sums, [0])
-        return x, road, mean[0], np.sqrt(variances[0]), np.sqrt(before[0].clip(0))
+        return x, road, mean, np.sqrt(variances), np.sqrt(before.clip(0))
 
 
 def example(title: str, points: Array, pose: Array) -> Example | None:

@@ -27,18 +27,19 @@ from maplines_can.consumers.plausibility import (
     Fit,
     fit_correlation,
     fits_of,
+    pose_times,
     residuals,
     stations,
 )
+from maplines_can.consumers.residual_filter import SLOW, WHITE_NOISE, CameraNoise
+from maplines_can.consumers.residual_test import ConsistencyTest
 from maplines_can.maps.line_source import WINDOW
 from maplines_can.simulation.trajectory import drive_along
 from maplines_can.study.scenes.random_scenes import NODES
 
-from .drive_view import turned
 from .harness import evidence, progress
-from .plausibility import RATES, SETTINGS
 from .roads import ROADS, route_of, sources, spiral_map, straight_map
-from .witness import NEAR, POSES, Array, crossings, place_of, seen_from
+from .witness import NEAR, POSES, Array, crossings, place_of, seen_from, turned
 
 #: Period of the images [s].
 DT = 0.05
@@ -49,8 +50,10 @@ POSE_TIME, BIAS_TIME = 5.0, 30.0
 CAMERAS = {"5 cm": (0.05, 0.003, 2e-4, 2e-6), "2 cm": (0.02, 0.001, 1e-4, 1e-6)}
 SIGHT = 50.0
 MAP_ERRORS = {"exact": None, "5 cm": MapError(0.05, 0.05)}
-#: Settings of "plausibility" that are tested.
-TESTED = ("as modelled", "default")
+#: Designed false alarms [1/h].
+RATES = (1.0, 0.1)
+#: What a consumer states: the noise of its camera, and the longest time of a pose error [s].
+SETTINGS = {"as modelled": (WHITE_NOISE, 0.0), "default": (CameraNoise(), SLOW)}
 #: (4, nodes): coefficients of the cubic that is fitted to values at the nodes.
 _TO_CUBIC = np.linalg.pinv(np.vander(NODES, 4))
 
@@ -203,7 +206,8 @@ class Counted:
     """Alarms of one way to test, and the images without one, of some cars."""
 
     def __init__(self, name: str, rate: float, cars: int) -> None:
-        self._setting, self._test = SETTINGS[name], SETTINGS[name].test(rate, cars)
+        noise, self._longest = SETTINGS[name]
+        self._test = ConsistencyTest(rate, (cars,), noise)
         self.alarms = self.calm = 0
         self._dt = math.inf
         self._last: Sight | None = None
@@ -216,7 +220,7 @@ class Counted:
         bias = sight.model.H @ CameraBias().cov @ sight.model.H.T
         model = sight.model._replace(slow_cov=sight.model.slow_cov + bias)
         keys = tuple((slot, i) for slot in sight.slots for i in range(2))
-        times = self._setting.times(POSE_TIME)
+        times = pose_times(POSE_TIME, self._longest)
         last, self._last = self._last, sight
         kept = [
             1.0
@@ -276,7 +280,7 @@ def of_route(road_map: map_model.Map, seconds: float, number: int, seed: int) ->
         v: Cars(number, sigma, MAP_ERRORS[v[0]], np.random.default_rng([seed, i]))
         for i, v in enumerate(variants)
     }
-    tests = {key: Counted(*key[1:], number) for key in product(variants, TESTED, RATES)}
+    tests = {key: Counted(*key[1:], number) for key in product(variants, SETTINGS, RATES)}
     route = route_of(road_map, seed)
     for found, lines in sights(road_map, route, seconds, np.diag(sigma**2)):
         residual = {v: cars[v].errors(sight, lines) for v, sight in found.items()}

@@ -2,7 +2,8 @@
 
 Scenes have the lines around a random pose on a map (the first four slots), or those of a random
 road. Their frames pass the encoder and a decoder: as records that are conditional on the pose error
-of maplines-pose.dbc, as complete records of maplines.dbc, or as whole scenes of maplines-scene.dbc.
+of maplines-pose.dbc, or as complete records of maplines.dbc. Of whole scenes, "maplines study maps"
+shows the same.
 
 lost        share of the given lines with 10 m ahead that are left out
 frames      classic frames of a scene and its pose error over four for each line sent
@@ -16,45 +17,31 @@ width, centre, direction
 y           the same of the lateral position of each line at 80 m, or at its end
 KL of lines divergence of a line from the covered target (the covariance, the squares of the errors
             of the means and the resolution) to what is decoded
-left out, wider
-            of whole scenes: shares of the lines that are not sent, and of those with a sigma of y
-            that is 5 % larger than computed somewhere
-own         of whole scenes: ratios of sigma of y by what the line has of its own there, that is,
-            not by the pose error: sigma of it [m]
 """
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable
 from itertools import product
 from typing import Any
 
 import numpy as np
 
-from maplines_can import Codec, Gaussian, MapError, Reason, Scene, Slot, map_scene
-from maplines_can import maps as map_model
-from maplines_can.model.whole_scenes import NONE, scene_of_dbc, write_whole
-from maplines_can.study.scenes import map_scenes
+from maplines_can import Codec, Gaussian, MapError, Scene, Slot, map_scene
 from maplines_can.study.scenes.random_scenes import RESOLUTION, noise_floor
-from maplines_can.study.scenes.sigma_ratios import Ratios, places_of
-from maplines_can.testing.sender_streams import random_scene
 from maplines_can.values.linalg import block_diagonal
 from maplines_can.values.line import lateral_jacobian
 from maplines_can.values.seen_lines import bases
 from maplines_can.wire import POSE
-from maplines_can.wire.layout.pose_layout import SCENE
-from maplines_can.wire.layout.scene_layout import SceneLayout
 
 from .exact import covers, is_positive_definite
 from .figures import Share, quantiles
 from .harness import evidence, progress
-from .roads import SHAPES, Draw, maps_of, on_map, on_roads
+from .roads import SHAPES, maps_of, on_map, on_roads
 from .transfer import codec_of, transferred
 from .witness import POSES, Array, Poses
 
 RECORDS = {"conditional": "maplines-pose.dbc", "complete": "maplines.dbc"}
-WHOLE = "maplines-scene.dbc"
 #: Standard deviations of the points and of the offset of a map [m]; 0 for an exact one.
 ERRORS = {"exact": 0.0, "5 cm": 0.05}
 #: Lines with this much ahead must be sent [m].
@@ -69,7 +56,7 @@ Values = defaultdict[str, list[float]]
 
 
 @evidence
-def records(
+def scenes(
     n: int = 1000,
     maps: tuple[str, ...] = (),
     shapes: tuple[str, ...] = tuple(SHAPES),
@@ -201,164 +188,3 @@ def directions(means: Array, x: float) -> dict[str, Array]:
         "centre": np.r_[left, right] / 2,
         "direction": np.r_[slopes[0], -np.array(slopes[1])],
     }
-
-
-# ---- whole scenes ------------------------------------------------------------------------------
-
-#: Ends of classes of the standard deviation of y that a line has of its own [m].
-OWN = (0.02, 0.1, 0.3, np.inf)
-
-
-class Figures:
-    """Ratios, and those of y by what lines have of their own."""
-
-    def __init__(self) -> None:
-        self.ratios = Ratios()
-        self.own: dict[float, list[float]] = {end: [] for end in OWN}
-
-    def add(self, codec: Codec, scene: Scene) -> None:
-        """Send a scene, and add what is received."""
-        decoded = self.ratios.add_scene(codec, scene)
-        if decoded is None:
-            return
-        true = scene.subset([line.slot for line in decoded.lines])
-        if true.specific_covs is None:
-            raise ValueError("the scene must know what its lines have of their own")
-        for i, (mean, fit_range) in enumerate(zip(decoded.means, decoded.fit_ranges, strict=True)):
-            J, block = lateral_jacobian(mean, places_of(*fit_range)[1]), np.s_[4 * i : 4 * i + 4]
-            parts = (decoded.cov[block, block], true.cov[block, block], true.specific_covs[i])
-            variances, computed, own = (np.einsum("ki,ij,kj->k", J, S, J) for S in parts)
-            classes = np.searchsorted(OWN, np.sqrt(own))
-            for k, ratio in zip(classes.tolist(), np.sqrt(variances / computed), strict=True):
-                self.own[OWN[k]].append(float(ratio))
-
-    @classmethod
-    def sum(cls, several: Iterable[Figures]) -> dict[str, Any]:
-        """Return the figures of several by name."""
-        whole = cls()
-        for one in several:
-            whole.ratios.add(one.ratios)
-            for end, ratios in one.own.items():
-                whole.own[end] += ratios
-        found = whole.ratios
-        return {
-            "lines": found.lines,
-            "left out": Share(found.left_out_share, found.lines),
-            "reasons": dict(found.left_out),
-            "wider": Share(found.wider_share, found.lines),
-            **{
-                f"{what} at {x:g} m": quantiles(values, 0.5, 0.99)
-                for (what, x), values in sorted(found.ratios.items())
-            },
-            "own": {
-                f"up to {end:g} m": {"places": len(values), **quantiles(values, 0.5, 0.99)}
-                for end, values in whole.own.items()
-            },
-        }
-
-
-@evidence
-def whole(
-    n: int = 300, maps: tuple[str, ...] = (), shapes: tuple[str, ...] = tuple(SHAPES), seed: int = 1
-) -> dict[str, Any]:
-    """Send n whole scenes of each map and shape of random roads, in turn with each kind of errors.
-
-    Args:
-        n: number of scenes.
-        maps: folders and files of maps; the town of the package without one.
-        shapes: of the random roads, with four lines.
-        seed: of the scenes.
-    """
-    found = maps_of(maps or (str(map_model.town_path()),))
-    sources: dict[str, Draw] = {f"map {name}": on_map(one) for name, one in found.items()}
-    sources |= {f"road {shape}": on_roads((shape,), lines=4) for shape in shapes}
-    kinds = list(product(map_scenes.POSES, map_scenes.MAPS))
-    every = {key: Figures() for key in product(sources, kinds)}
-    for name, draw in progress(sources.items(), "sources", len(sources)):
-        for number in range(n):
-            rng = np.random.default_rng([seed, number])
-            kind = kinds[number % len(kinds)]
-            scene = map_scenes.seen(*draw(number, rng), *kind, rng)
-            every[name, kind].add(codec_of(WHOLE), scene)
-
-    def of(name: str) -> dict[str, Any]:
-        """Return the figures of a source, of all maps or roads, or of an error."""
-        return Figures.sum(
-            one
-            for (source, kind), one in every.items()
-            if name in (source, source.split()[0], *kind)
-        )
-
-    parts = (*sources, *map_scenes.POSES, *map_scenes.MAPS)
-    return {"all maps": of("map"), "all roads": of("road"), "of": {one: of(one) for one in parts}}
-
-
-@evidence
-def bits(n: int = 100_000, payloads: int = 100_000, seed: int = 0) -> dict[str, Any]:
-    """Send random joints as whole scenes, and receive random bits, in exact arithmetic.
-
-    Joints are of random lines of random roads, with pose errors that may be singular, and with
-    lines and covariances that no map has. Payloads have a right checksum; half of them are
-    rejected, for means beyond any line.
-
-    Args:
-        n: number of joints.
-        payloads: number of payloads that are not rejected.
-        seed: of both.
-    """
-    codec, joints = codec_of(WHOLE), Counter[str](indefinite=0, overconfident=0)
-    for number in progress(range(n), "joints", n):
-        try:
-            sent = random_scene(np.random.default_rng([seed, number]), codec.layout)
-            received = transferred(codec, sent, fd=True)
-        except ValueError:  # values that no scene has, or none that can be sent
-            joints["refused"] += 1
-            continue
-        if received is None or not received.lines:
-            joints["without lines"] += 1
-            continue
-        joints["lines"] += len(received.lines)
-        truth = sent.subset([line.slot for line in received.lines])
-        check(truth, received, joints, exactly=True)
-    layout, rng, found = scene_of_dbc(codec.layout), np.random.default_rng(seed), Counter[str]()
-    message = layout.messages[SCENE]
-    while found["checked"] < payloads:
-        decoder, raw = codec.decoder(), random_raw(layout, rng)
-        record = write_whole(layout, *raw, layout.record_bytes, message.data_id)
-        answer = decoder.feed(message.fd_can_id or 0, record, 50_000_000)
-        if isinstance(answer, Reason):
-            found[answer.name] += 1
-            continue
-        scene = decoder.scene()
-        if scene is None or not scene.scene.lines:
-            raise ValueError("lines were delivered, but there is no scene")
-        found["checked"] += 1
-        found["lines"] += len(answer)
-        found["indefinite"] += not is_positive_definite(scene.scene.cov.tolist())
-    return {"joints": dict(joints), "payloads": dict(found)}
-
-
-def random_raw(
-    layout: SceneLayout, rng: np.random.Generator
-) -> tuple[dict[str, int], list[dict[str, int]]]:
-    """Return random raw values of the pose error, and of lines of slots that differ."""
-
-    def drawn(signal: Any) -> int:
-        return int(rng.integers(signal.raw_min, signal.raw_max + 1))
-
-    of_lines = tuple(layout.line)
-    shared = {
-        name: drawn(signal)
-        for name, signal in layout.signals.items()
-        if not name.endswith(of_lines) and name != "Crc"
-    }
-    shared["SceneCounter"] = shared["Counter"] % 2 ** layout["SceneCounter"].length
-    lines = []
-    for slot in [None, None, *rng.permutation(np.arange(2, 8))[: layout.places - 2].tolist()]:
-        raw = {name: drawn(signal) for name, signal in layout.line.items()}
-        raw["Kind"] %= NONE + 1
-        raw["XMax"] = max(raw["XMax"], raw["XMin"] - 31)
-        for name in ("Beta", "C0", "C1"):  # any bits are rarely a function of x
-            raw[name] = int(raw[name] * 2 ** rng.uniform(-layout.line[name].length, 0))
-        lines.append(raw if slot is None else raw | {"Slot": slot})
-    return shared, lines

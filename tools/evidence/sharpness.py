@@ -13,12 +13,6 @@ beyond 3 sigma, ratio
 2nd, 3rd    second differences over 10 m and third differences over 5 m: shares beyond 3 sigma
 
 A line that does not cross x counts as beyond 3 sigma.
-
-falls       share of the steps from a stated error to the next larger one in which the sigma of y
-            falls, by more than rounding, at 0, 20 or 40 m, and the largest fall
-frames, left out
-            frames of a scene with its pose error over the lines sent, and share of its lines that
-            the encoder leaves out, by the error of the pose and the kind of records
 """
 
 from __future__ import annotations
@@ -28,15 +22,13 @@ from typing import Any
 
 import numpy as np
 
-from maplines_can import Gaussian, MapError, MapLine, Polyline, Slot, map_lines, map_scene
+from maplines_can import Gaussian, MapLine, Polyline, Slot, map_lines
 from maplines_can.values.line import lateral_jacobian
 
 from .figures import Rms, Share
 from .harness import bar, evidence, progress
-from .sampled_lines import LANE, ROADS, STATED, Case, Row, TrueLine, cases_of, kind_of, rows_of
-from .scenes import RECORDS
-from .transfer import codec_of
-from .witness import POSES, Array
+from .sampled_lines import ROADS, STATED, Case, Row, TrueLine, cases_of, kind_of, rows_of
+from .witness import Array
 
 #: A pose that is known nearly exactly.
 EGO = Gaussian(np.zeros(3), np.diag([1e-8, 1e-8, 1e-10]))
@@ -160,139 +152,6 @@ def lines(
     for kind, total in totals.items():
         result[f"all {kind}"] = {str(row): errors.figures() for row, errors in total.items()}
     return result
-
-
-@evidence
-def monotone(
-    n: int = 40,
-    maps: tuple[str, ...] = (),
-    roads: tuple[str, ...] = tuple(ROADS),
-    spacings: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0, 15.0, 30.0),
-    noises: tuple[float, ...] = (0.0, 0.02, 0.05, 0.1, 0.2),
-    stated: tuple[float, ...] = (0.0, 0.02, 0.05, 0.1, 0.2),
-    seed: int = 2,
-) -> dict[str, Any]:
-    """Compare the sigma of y of the same points with different stated errors of these [m].
-
-    The other options are those of "lines".
-    """
-    groups, result = cases_of(maps, roads, n, seed), dict[str, Any]()
-    x = np.array([0.0, 20.0, 40.0])
-    for spacing, noise in progress([*product(spacings, noises)], "monotone"):
-        row, found = Row(spacing, noise), list[Array]()
-        for cases, (number, _) in ((c, i) for c in groups.values() for i in enumerate(c)):
-            points = sampled(cases[number], row, [seed, number])
-            sigmas = np.full((len(LANE), len(stated), len(x)), np.nan)
-            for k, sigma in enumerate(stated):
-                error = MapError(point_sigma=sigma) if sigma else None
-                for line in map_lines(points, EGO, map_error=error):
-                    inside = (x >= line.x_min) & (x <= line.x_max)
-                    sigmas[LANE.index(line.slot), k, inside] = line.y_sigma(x[inside])
-            found.append(sigmas)
-        result[str(row)] = falls(np.concatenate(found))
-    return result
-
-
-def falls(sigmas: Array) -> dict[str, Any]:
-    """Return how often and how far (lines, stated, 3) sigmas fall."""
-    ratio = sigmas[:, 1:] / sigmas[:, :-1]
-    ratio = ratio[np.isfinite(ratio)]
-    return {
-        "falls": float((ratio < 1 - 1e-6).mean()) if ratio.size else None,
-        "largest fall": float((1 - ratio).max(initial=0.0)),
-    }
-
-
-# ---- scenes ------------------------------------------------------------------------------------
-
-
-#: Rows of which scenes are made.
-OF_SCENES = (
-    Row(1.0),
-    Row(5.0),
-    Row(15.0),
-    Row(2.0, 0.05),
-    Row(2.0, 0.05, stated="points"),
-    Row(5.0, 0.05),
-    Row(5.0, 0.05, stated="points"),
-    Row(5.0, 0.1, stated="points"),
-    Row(10.0, 0.05, stated="points"),
-    Row(5.0, 0.1, 20.0, stated="drift"),
-)
-#: Poses of the scenes that are sent; sigmas are along [m], across [m] and of the heading [deg].
-_ALONG, _ACROSS, _TURN = POSES["production"]
-PRODUCTION = Gaussian(np.zeros(3), np.diag([_ALONG, _ACROSS, np.radians(_TURN)]) ** 2)
-POSES_SENT = {"exact pose": EGO, "production pose": PRODUCTION}
-
-
-@evidence
-def scenes(
-    n: int = 40,
-    maps: tuple[str, ...] = (),
-    roads: tuple[str, ...] = tuple(ROADS),
-    seed: int = 2,
-) -> dict[str, Any]:
-    """Compare width and centre of the lane of map_scene with true ones, and count its frames.
-
-    The options are those of "lines".
-    """
-    groups, result = cases_of(maps, roads, n, seed), dict[str, Any]()
-    kinds = list(dict.fromkeys(map(kind_of, groups)))
-    for row in progress(OF_SCENES, "scenes"):
-        found = {kind: LaneErrors() for kind in kinds}
-        for name, cases in groups.items():
-            for number, case in enumerate(cases):
-                found[kind_of(name)].measure(row, case, [seed, number])
-        for kind, errors in found.items():
-            result.setdefault(f"all {kind}", {})[str(row)] = errors.figures()
-    return result
-
-
-class LaneErrors:
-    """Errors of width and centre of the lane of scenes, and what of these scenes is sent."""
-
-    def __init__(self) -> None:
-        self.scenes = 0
-        self.pairs: dict[str, list[Array]] = {"width": [], "centre": []}
-        self.sent: dict[str, list[tuple[int, int, int]]] = {}
-
-    def measure(self, row: Row, true: Case, seed: Any) -> None:
-        """Add a scene: errors of a pose that is known, and frames with each pose."""
-        points = sampled(true, row, seed)
-        for name, ego in POSES_SENT.items():
-            scene = map_scene(points, ego, map_error=row.error)
-            if not scene.lines:
-                continue
-            for records, dbc in RECORDS.items():
-                encoder = codec_of(dbc).encoder()
-                prepared = encoder.prepare_scene(scene)
-                count = len(prepared.sent_slots)
-                frames = sum(map(len, encoder.encode_scene(prepared).values())) if count else 0
-                counts = frames, count, len(scene.lines)
-                self.sent.setdefault(f"{name}, {records}", []).append(counts)
-            if ego is EGO and len(scene.lines) == len(LANE):
-                self.scenes += 1
-                low, high = scene.x_range(LANE)
-                x = np.arange(low, high, PLACES)
-                left, right = (true[slot].y(x) for slot in LANE)
-                for what, truth in (("width", left - right), ("centre", (left + right) / 2)):
-                    estimate = getattr(scene, what)(x)
-                    self.pairs[what].append(np.stack([estimate.value - truth, estimate.sigma]))
-
-    def figures(self) -> dict[str, Any]:
-        """Return the figures by name."""
-        found: dict[str, Any] = {"scenes": self.scenes}
-        for what, many in self.pairs.items():
-            if many:
-                pairs = np.concatenate(many, axis=1)
-                error, sigma = pairs
-                found[f"{what}, beyond 3 sigma"] = beyond(pairs, self.scenes)
-                found[f"{what}, ratio"] = Rms(rms(error / sigma), self.scenes)
-        for name, counts in self.sent.items():
-            frames, count, given = np.sum(counts, axis=0)
-            found[f"{name}, frames a line"] = float(frames / max(count, 1))
-            found[f"{name}, left out"] = Share(float(1 - count / given), int(given))
-        return found
 
 
 # ---- beyond the range --------------------------------------------------------------------------

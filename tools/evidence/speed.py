@@ -1,4 +1,4 @@
-"""Times of the core, of authenticated frames, and of logs that become tables.
+"""Times of the core, and of logs that become tables.
 
 The core is timed inside a program in C, on one thread and with -O2. The readers of a log run in a
 process of their own each.
@@ -12,7 +12,6 @@ import struct
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from importlib import import_module
@@ -23,15 +22,13 @@ from typing import Any
 import numpy as np
 
 from maplines_can import Codec, Slot
-from maplines_can.bus import read_log
 from maplines_can.recordings.block_reception import LogReceiver
 from maplines_can.recordings.blocks import read_blocks
 from maplines_can.recordings.line_tables import line_table
 from maplines_can.study.sets import road
-from maplines_can.wire import Authenticator, Frame, Key, default_dbc_path
+from maplines_can.wire import default_dbc_path
 
 from .harness import evidence
-from .secoc import SECRET, scenario_lines
 
 LINES = 256  #: of c/tests/speed_harness.c
 #: DBCs of scenes, and whether their frames are CAN FD.
@@ -78,34 +75,14 @@ def scenes(rounds: int = 20) -> dict[str, Any]:
     return found
 
 
-@evidence
-def secoc(n: int = 20_000) -> dict[str, Any]:
-    """Measure lines a second on one core, with and without authentication: best of 3 turns."""
-    path = default_dbc_path("maplines-secoc.dbc")
-    authenticator = Authenticator(Key(SECRET), clock=time.time_ns, window_ns=600 * 10**9)
-    codecs = {"plain": Codec.from_dbc(path), "authenticated": Codec.from_dbc(path, authenticator)}
-    given, rates = scenario_lines(), dict.fromkeys(codecs, 0.0)
-    for _, (name, codec) in product(range(3), codecs.items()):
-        encoder, decoder, frames = codec.encoder(), codec.decoder(), list[Frame]()
-        while len(frames) < n:
-            frames += [f for line in encoder.encode_lines(given, fd=True) for f in line]
-        begin = time.perf_counter()
-        for i, frame in enumerate(frames):
-            decoder.feed(frame.can_id, frame.data, 6_250_000 * (i + 1))
-        rates[name] = max(rates[name], decoder.lines / (time.perf_counter() - begin))
-    return {f"lines decoded, {name}, per second": round(rate) for name, rate in rates.items()}
-
-
 # ---- logs ------------------------------------------------------------------------------------
 
 
 @evidence
 def logs(log: str = "", peers: int = 300_000) -> dict[str, Any]:
-    """Time the table of a log of ``maplines.dbc`` beside peers, which read its first frames only.
+    """Time the table of a log beside python-can with cantools, which read its first frames only.
 
-    Peers are python-can with cantools in a loop, our decoder frame by frame, cantools' command for
-    candump logs, and asammdf, which extracts an MF4 as a whole. By default, the log is that of a
-    simulated drive of an hour on a faulty bus.
+    By default, the log is that of a simulated drive of an hour on a faulty bus.
     """
     if not log:
         with tempfile.TemporaryDirectory() as folder:
@@ -114,16 +91,11 @@ def logs(log: str = "", peers: int = 300_000) -> dict[str, Any]:
             command += ["--seconds", "3600", "--record", path, "--faults", FAULTS]
             subprocess.run(command, check=True, capture_output=True)
             return dict(logs(path, peers))
-    suffix = Path(log).suffix
-    readers = [blocks, frame_by_frame, loop]
-    readers += [asammdf_extraction] * (suffix == ".mf4") + [cantools_command] * (suffix == ".log")
     found = {}
-    for reader in readers:
+    for reader in (blocks, loop):
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-            name = reader.__name__.replace("_", " ")
-            found[name] = pool.submit(timed, reader, log, peers).result()
-    ours = found["blocks"]["rate"]
-    return found | {f"times {name}": ours / one["rate"] for name, one in found.items()}
+            found[reader.__name__] = pool.submit(timed, reader, log, peers).result()
+    return found | {"times loop": found["blocks"]["rate"] / found["loop"]["rate"]}
 
 
 def timed(reader: Callable[[str, int], int], log: str, most: int) -> dict[str, float]:
@@ -149,15 +121,6 @@ def blocks(log: str, _: int) -> int:
     return frames
 
 
-def frame_by_frame(log: str, most: int) -> int:
-    """Feed the frames to a decoder."""
-    decoder, frames = Codec.from_dbc().decoder(), 0
-    for frame in islice(read_log(log), most):
-        decoder.feed(frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended)
-        frames += 1
-    return frames
-
-
 def loop(log: str, most: int) -> int:
     """Read by python-can, and decode the signals by cantools."""
     import can
@@ -172,27 +135,4 @@ def loop(log: str, most: int) -> int:
                 database.decode_message(message.arbitration_id, message.data)
             except (ValueError, cantools.Error):  # a damaged frame
                 continue
-    return frames
-
-
-def cantools_command(log: str, most: int) -> int:
-    """Run ``cantools decode`` on the rows of a candump log."""
-    command = [sys.executable, "-m", "cantools", "decode", "--single-line"]
-    with Path(log).open() as file:
-        rows = [
-            row.removesuffix(" T\n").removesuffix(" R\n").rstrip() for row in islice(file, most)
-        ]
-    text = "\n".join(rows) + "\n"
-    command.append(str(default_dbc_path()))
-    subprocess.run(command, input=text, stdout=subprocess.DEVNULL, check=True, text=True)
-    return len(rows)
-
-
-def asammdf_extraction(log: str, _: int) -> int:
-    """Extract all signals of an MF4."""
-    import asammdf
-
-    with asammdf.MDF(log) as mdf:
-        frames = sum(group.channel_group.cycles_nr for group in mdf.groups)
-        mdf.extract_bus_logging(database_files={"CAN": [(str(default_dbc_path()), 0)]})
     return frames

@@ -1,7 +1,7 @@
 """Weighted sums of lateral positions: what a consumer may compute from the Gaussian over a cubic.
 
 z is such a sum of the true line, less that of the mean, in units of the standard deviation that the
-Gaussian gives the sum. For a mixture it is the normal quantile of the distribution function.
+Gaussian gives the sum.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import log_ndtr, logsumexp, ndtri_exp
 
 from .figures import Rms, Share, quantiles
 from .witness import Array
@@ -62,11 +61,10 @@ OF_WIDTH = Sums.of([(f"width, {name}", x, w) for name, x, w in _sums() if name !
 
 
 class Given(NamedTuple):
-    """Joint distribution of L lines that a consumer has, as a mixture of K components."""
+    """Joint distribution of L lines that a consumer has."""
 
-    shares: Array  #: (K,) of the components
-    means: Array  #: (K, L, 4)
-    covs: Array  #: (K, 4 L, 4 L)
+    means: Array  #: (L, 4)
+    cov: Array  #: (4 L, 4 L)
     ranges: Array  #: (L, 2) in which the lines are valid [m]
 
     def z(self, sums: Sums, lines: Sequence[int], true: Callable[[int, float], Array]) -> Array:
@@ -82,31 +80,21 @@ class Given(NamedTuple):
             weights = np.broadcast_to(sign * sums.weights[:, :, None], places.shape)
             # A place without weight may be one that the line does not cross.
             values = values + np.where(weights == 0, 0.0, weights * places).sum(axis=1)
-        u = (values - means[:, :, None]) / np.sqrt(variances)[:, :, None]  # (K, F, D)
-        return normal_quantiles(u, self.shares)
+        return np.asarray((values - means[:, None]) / np.sqrt(variances)[:, None])
 
     def moments(self, sums: Sums, lines: Sequence[int]) -> tuple[Array, Array]:
-        """Return the (K, F) means and variances of sums of a line or of a difference of two."""
-        mean = np.zeros((len(self.shares), len(sums.names)))
-        J = np.zeros((*mean.shape, self.covs.shape[-1]))
+        """Return the (F,) means and variances of sums of a line or of a difference of two."""
+        mean = np.zeros(len(sums.names))
+        J = np.zeros((len(mean), len(self.cov)))
         for sign, i in zip((1, -1), lines, strict=False):
-            y_off, beta, c0, c1 = np.moveaxis(self.means[:, i], -1, 0)[..., None, None]
+            y_off, beta, c0, c1 = self.means[i]
             x, w = sums.x, sign * sums.weights
-            y = y_off + np.tan(beta) * x + c0 / 2 * x**2 + c1 / 6 * x**3  # (K, F, 3)
+            y = y_off + np.tan(beta) * x + c0 / 2 * x**2 + c1 / 6 * x**3  # (F, 3)
             mean += (w * y).sum(axis=-1)
             slope = (1 + np.tan(beta) ** 2) * x
-            rows = np.broadcast_arrays(np.ones_like(slope), slope, x**2 / 2, x**3 / 6)
-            J[:, :, 4 * i : 4 * i + 4] += np.einsum("ft,pkft->kfp", w, np.array(rows))
-        return mean, np.einsum("kfi,kij,kfj->kf", J, self.covs, J)
-
-
-def normal_quantiles(u: Array, shares: Array) -> Array:
-    """Return the normal quantiles of a mixture's distribution function; (K, ...) u are z."""
-    if len(shares) == 1:
-        return np.asarray(u[0])
-    weights = np.log(shares).reshape(-1, *[1] * (u.ndim - 1))
-    below, above = (logsumexp(log_ndtr(side) + weights, axis=0) for side in (u, -u))
-    return np.where(below < above, ndtri_exp(below), -ndtri_exp(above))
+            rows = np.array([np.ones_like(slope), slope, x**2 / 2, x**3 / 6])
+            J[:, 4 * i : 4 * i + 4] += np.einsum("ft,pft->fp", w, rows)
+        return mean, np.einsum("fi,ij,fj->f", J, self.cov, J)
 
 
 class Tally:
@@ -115,7 +103,7 @@ class Tally:
     def __init__(self) -> None:
         self.z: dict[str, list[Array]] = {}
         self.values: dict[str, list[float]] = {}
-        self.counts: dict[str, int] = dict.fromkeys(("lines", "lost", "ahead", "refused"), 0)
+        self.counts: dict[str, int] = dict.fromkeys(("lines", "ahead", "refused"), 0)
 
     def add(self, other: Tally) -> None:
         """Add what another one has."""

@@ -144,3 +144,10 @@ class MapOfCar:
             self._of_point.setdefault(key, (offset, own))
         errors = offset + np.array([self._of_point[key][1] for key in keys])
         return Polyline(line.points + errors, line.kind)
+
+
+def turned(cov: Array, heading: float) -> Array:
+    """Return a (3, 3) covariance in the ego frame, in the frame of the map."""
+    c, s = np.cos(heading), np.sin(heading)
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(R @ cov @ R.T)

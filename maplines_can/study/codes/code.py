@@ -8,21 +8,16 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ...values.line import Status
 from ...wire.layout.message_layout import Layout
-from ...wire.layout.record_signals import OCTAVES, Bounds, Signal
+from ...wire.layout.record_signals import Bounds, Signal
 
 Array = NDArray[np.float64]
 
 #: Tolerance for the floating-point error of the division before directed rounding [steps].
 SLACK = 1e-9
-
-
-def raw_nearest(signal: Signal, physical: float) -> int:
-    """Return the nearest raw value within the range."""
-    return int(signal.limited(signal.raw(physical)))
 
 
 def raw_above(signal: Signal, physical: float) -> int:
@@ -127,23 +122,16 @@ class CovarianceCode(ABC):
 ENTRY = Bounds(offset=0)
 
 
-def check_linear(layout: Layout, signals: Iterable[Signal]) -> None:
-    """Raise ``LayoutError`` unless the signals are within ``ENTRY``."""
-    for signal in signals:
-        ENTRY.check(signal, layout.source)
+def check(layout: Layout, signals: Iterable[Signal], bounds: Bounds) -> None:
+    """Raise ``LayoutError`` unless the signals are within bounds.
 
-
-def check_octaves(layout: Layout, signals: Iterable[Signal]) -> None:
-    """Check that no bits of these signals, which hold exponents of 2, can overflow a float.
-
-    Raises:
-        LayoutError: a signal is not within ``OCTAVES``.
+    These are ``ENTRY``, or for exponents of 2 ``OCTAVES``, with which no bits overflow a float.
     """
     for signal in signals:
-        OCTAVES.check(signal, layout.source)
+        bounds.check(signal, layout.source)
 
 
-def nearest_raw(signal: Signal, physical: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def nearest_raw(signal: Signal, physical: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Return the (N,) nearest raw values within the range, and which were clipped to it."""
     nearest = signal.raw(physical)
     limited = signal.limited(nearest)

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...wire.layout.message_layout import Layout
-from ...wire.layout.record_signals import PARAMETER_SIGNALS
-from .code import Array, Coded, CovarianceCode, check_linear, check_octaves
+from ...wire.layout.record_signals import OCTAVES, PARAMETER_SIGNALS
+from .code import ENTRY, Array, Coded, CovarianceCode, check
 
 #: States in the order of the factor, and the unit of each.
 ORDER = (2, 1, 0, 3)
@@ -49,8 +49,8 @@ class IntegerCholesky(CovarianceCode):
             (i, j): layout[entry_name(i, j)] for i in range(4) for j in range(i, 4)
         }  # of the upper triangle
         self.signals = (self.exponent, *self.entries.values())
-        check_octaves(layout, [self.exponent])
-        check_linear(layout, self.entries.values())
+        check(layout, [self.exponent], OCTAVES)
+        check(layout, self.entries.values(), ENTRY)
 
     def encode(self, error: Array, resolution: Array) -> Coded:
         n, order = len(error), list(ORDER)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from ...values.line import VAGUE_SIGMA, Status
 from ...wire.layout.message_layout import Layout
-from ...wire.layout.record_signals import PARAMETER_SIGNALS, Signal
-from .code import Array, Coded, CovarianceCode, check_linear, check_octaves, nearest_raw
+from ...wire.layout.record_signals import OCTAVES, PARAMETER_SIGNALS, Signal
+from .code import ENTRY, Array, Coded, CovarianceCode, check, nearest_raw
 
 
 def _rounded_up(
@@ -42,8 +42,8 @@ class LogCorrelation(CovarianceCode):
             for j in range(i + 1, 4)
         }
         self.signals = (*self.sigmas, *self.correlations.values())
-        check_octaves(layout, self.sigmas)
-        check_linear(layout, self.correlations.values())
+        check(layout, self.sigmas, OCTAVES)
+        check(layout, self.correlations.values(), ENTRY)
 
     def encode(self, error: Array, resolution: Array) -> Coded:
         sigma = np.sqrt(np.einsum("nii->ni", error) + resolution)
@@ -87,7 +87,7 @@ class Sigmas(CovarianceCode):
 
     def __init__(self, layout: Layout) -> None:
         self.signals = tuple(layout[f"Sigma{state}"] for state in PARAMETER_SIGNALS)
-        check_octaves(layout, self.signals)
+        check(layout, self.signals, OCTAVES)
 
     def encode(self, error: Array, resolution: Array) -> Coded:
         # A diagonal matrix covers another one if in each row the surplus of its diagonal is at

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...values.errors import LayoutError
 from ...wire.layout.message_layout import Layout
 from ...wire.layout.record_signals import PARAMETER_SIGNALS
-from .code import Array, Coded, CovarianceCode, check_linear, nearest_raw
+from .code import ENTRY, Array, Coded, CovarianceCode, check, nearest_raw
 
 #: The upper triangle, row by row, as in the paper.
 PAIRS = tuple((i, j) for i in range(4) for j in range(i, 4))
@@ -46,7 +46,7 @@ class _LinearTriangle(CovarianceCode):
     def __init__(self, layout: Layout) -> None:
         self.entries = {pair: layout[triangle_name(*pair)] for pair in PAIRS}
         self.signals = tuple(self.entries.values())
-        check_linear(layout, self.signals)
+        check(layout, self.signals, ENTRY)
 
     def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
         cov = np.empty((len(raw[self.signals[0].name]), 4, 4))

@@ -18,17 +18,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...generation.dbc.dbc_writer import DbcWriter, SignalSpec, write_dbc
+from ...generation.dbc.record_spec import CONDITIONAL, POSE
 from ...values.errors import LayoutError
-from ...values.line import Slot
 from ...values.scene import Scene
+from ...values.text_table import aligned
 from ...wire import Codec
-from ...wire.layout.message_layout import Layout
 from ...wire.layout.record_signals import FINE, FINE_SIGNALS, OWN_SIGNALS, PARAMETER_SIGNALS
-from ..dbc.dbc_writer import DbcWriter, SignalSpec, write_dbc
-from ..dbc.record_spec import CONDITIONAL, POSE
 from ..scenes.carriers import with_pose
 from ..scenes.random_scenes import random_scene
-from ..text_table import aligned
 
 #: Lines of a scene.
 LINES = 4
@@ -129,7 +127,8 @@ def writer_of(bits: Mapping[str, int]) -> DbcWriter:
             step = 2.0 ** -more.get(spec.name.removesuffix(FINE), 0)
             spec = replace(spec, factor=spec.factor * step)
         if change := more.get(spec.name):
-            return replace(spec.finer(change), why=_why(spec, change))
+            why = f"{-change} bits less than in maplines-pose.dbc over the same range ({spec.why})"
+            return replace(spec.finer(change), why=why)
         return spec
 
     return replace(
@@ -139,15 +138,9 @@ def writer_of(bits: Mapping[str, int]) -> DbcWriter:
     )
 
 
-def _why(spec: SignalSpec, more: int) -> str:
-    """Return the reason for a width, which is another one than that of the shipped DBC."""
-    return f"{-more} bits less than in maplines-pose.dbc over the same range ({spec.why})"
-
-
 def figures_of(bits: Mapping[str, int], scenes: Sequence[Scene]) -> SceneFigures:
     """Send scenes with these widths."""
-    writer = replace(writer_of(bits), slots=tuple(Slot)[:LINES])
-    codec = Codec(Layout.from_dbc(writer.database()))
+    codec = Codec(writer_of(bits).layout(LINES))
     rows = [with_pose(codec, scene) for scene in scenes]
     kl = [value for row in rows for value in row.get("kl_lines", ())]
     whole = not any(row["left_out"] for row in rows)

@@ -16,11 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...generation.dbc import cholesky_signals
+from ...generation.dbc.cholesky_signals import pivot_signal, ratio_signal
+from ...generation.dbc.dbc_writer import TRANSFER_ID_BITS, DbcWriter, SignalSpec, paged
+from ...generation.dbc.record_spec import SERVICE
 from ...values.line import PARAMETERS, lateral_jacobian
+from ...values.text_table import percent
 from ...wire.layout.record_signals import PAGE_BYTES, PARAMETER_SIGNALS
-from ..dbc.covariance_spec import covariance_signals, pivot_signal, ratio_signal
-from ..dbc.dbc_writer import TRANSFER_ID_BITS, DbcWriter, SignalSpec, paged
-from ..dbc.record_spec import SERVICE
 from ..sets import Gaussians
 from .sensitivity import (
     MIN_BITS,
@@ -206,7 +208,7 @@ class Planner:
         if share.max() > self.targets.max_saturated:
             i = int(share.argmax())
             raise ValueError(
-                f"{what}: {PARAMETERS[i]} of {100 * share[i]:.2g} % of the lines is beyond "
+                f"{what}: {PARAMETERS[i]} of {percent(share[i])} of the lines is beyond "
                 f"{ends[i]:g}, but at most {100 * self.targets.max_saturated:g} % may be; the "
                 f"greatest is {values[:, i].max():.3g}; choose {PARAMETERS[i]} of {what} above it, "
                 "or a greater max_saturated"
@@ -253,9 +255,9 @@ class Planner:
                     why = f"range of all but {100 * width.beyond:.1g} % of the set"
                 yield ratio_signal(names[i], column, width.bits, width.factor, width.zero, why)
         width = plan.fields[INFLATION]
-        (spec,) = (spec for spec in covariance_signals("Cholesky") if spec.name == INFLATION)
         step, most = (100 * (2**octaves - 1) for octaves in (width.factor, width.end))
         why = f"steps of {step:.2g} % of the variance; up to {most:.2g} %, what the rounding needs"
+        spec = cholesky_signals.INFLATION
         yield replace(spec, bits=width.bits, factor=width.factor, why=why)
 
     def steps(self, bits: Sequence[int]) -> Array:

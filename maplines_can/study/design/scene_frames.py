@@ -23,15 +23,14 @@ from typing import Any
 
 import numpy as np
 
+from ...generation.dbc.dbc_writer import DbcWriter, SceneSpec, SignalSpec, write_dbc
+from ...generation.dbc.record_spec import CONDITIONAL, POSE, WHOLE_SCENES
 from ...values.errors import LayoutError
+from ...values.text_table import aligned, markdown, percent
 from ...wire import Codec
-from ...wire.layout.message_layout import Layout
 from ...wire.layout.record_signals import OCTAVE, OWN_SIGNALS, PARAMETER_SIGNALS
-from ..dbc.dbc_writer import DbcWriter, SceneSpec, SignalSpec, write_dbc
-from ..dbc.record_spec import CONDITIONAL, POSE, WHOLE_SCENES
 from ..scenes.map_scenes import DrawnScene
 from ..scenes.sigma_ratios import LANE_AT, LINE_AT, Ratios, excess, headings, measured, merged
-from ..text_table import aligned, markdown
 from .planner import INFLATION
 
 #: Least bits of a field.
@@ -151,8 +150,8 @@ TODAY, SHIPPED, FOUND = "maplines-pose.dbc", "maplines-scene.dbc", "found"
 
 def _cells(ratios: Ratios, loss: float) -> list[str]:
     """Return the cells of figures."""
-    shares = (f"{100 * share:.2g} %" for share in (ratios.left_out_share, ratios.wider_share))
-    return [*shares, f"{loss:.2f}", *ratios.cells(PLACES)]
+    shares = ratios.left_out_share, ratios.wider_share
+    return [*map(percent, shares), f"{loss:.2f}", *ratios.cells(PLACES)]
 
 
 # ---- fields -------------------------------------------------------------------------------------
@@ -307,7 +306,7 @@ class _Search:
             scene = scene_of(writer)
             if scene.record_bytes(scene.places) > FRAME_BYTES:
                 writer = writer_of(fields, lines)
-        codec = Codec(Layout.from_dbc(writer.database()))
+        codec = Codec(writer.layout())
         return merged(measured(codec, scenes), 0)
 
     def loss(self, fields: Fields) -> float:

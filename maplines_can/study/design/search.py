@@ -10,21 +10,21 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...generation.dbc.dbc_writer import DbcWriter, write_dbc
+from ...values.coding_loss import LATERAL_X, evaluate
 from ...values.errors import LayoutError
-from ...values.line import Slot, Status
-from ...wire import Codec, Layout
+from ...values.line import Status
+from ...values.text_table import aligned, markdown, percent
+from ...wire import Codec
 from ...wire.layout.record_signals import PARAMETER_SIGNALS
-from ..dbc.dbc_writer import DbcWriter, write_dbc
-from ..metrics import LATERAL_X, evaluate
 from ..sets import Gaussians, paper, road, survey
-from ..text_table import aligned, markdown
 from .planner import ENDS_AIM, MAX_FRAMES, MIN_GAIN, PRICES, Planner, Prediction, Targets, WidthPlan
 
 
@@ -143,7 +143,7 @@ class Design:
     def _figures(self) -> list[list[str]]:
         p = self.predicted
         blurred = "KL with the blur by the mean's grid, median"
-        number, share, mm = "{:.3g}".format, _percent, _millimetres
+        number = "{:.3g}".format
         #: Heading, predicted text, name of the measured figure, and its format.
         rows: list[tuple[str, str, str, Callable[[float], str]]] = [
             ("lines", "-", "cases", str),
@@ -151,9 +151,14 @@ class Design:
             ("KL, 99 %", number(p.kl_p99), "kl_p99", number),
             ("KL, worst", "-", "kl_max", number),
             (blurred, number(p.kl_mean + p.blur), "kl_untouched_median", number),
-            ("saturated lines", share(p.saturated), "saturated", share),
-            ("lines out of range", "-", "out_of_range", share),
-            ("worst lateral error at 80 m [mm]", mm(p.lateral_error), "lateral_error", mm),
+            ("saturated lines", percent(p.saturated), "saturated", percent),
+            ("lines out of range", "-", "out_of_range", percent),
+            (
+                "worst lateral error at 80 m [mm]",
+                number(1000 * p.lateral_error),
+                "lateral_error",
+                lambda length: number(1000 * length),
+            ),
             ("not definite", "0", "not_definite", str),
             ("overconfident", "0", "overconfident", str),
         ]
@@ -165,14 +170,6 @@ class Design:
     def write(self, path: str | Path, command: str = "") -> tuple[Path, Path]:
         """Write the DBC, and its page with the same name and the suffix ``.md``."""
         return write_dbc(self.writer, path, lambda name: self.page(name, command))
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.2g} %"
-
-
-def _millimetres(length: float) -> str:
-    return f"{1000 * length:.3g}"
 
 
 # ---- the search ---------------------------------------------------------------------------------
@@ -252,7 +249,7 @@ def design(
         plan = search.least(targets.max_kl)
     planner = search.planner
     writer = planner.writer(plan)
-    codec = _codec(writer)
+    codec = Codec(writer.layout(1))  # all slots are alike
     result = Design(
         writer=writer,
         targets=targets,
@@ -291,11 +288,6 @@ def figures_of(codec: Codec, lines: Gaussians) -> LayoutFigures:
         overconfident=int((figures.overconfident & in_range).sum()),
         lateral_error=float(error.max()),
     )
-
-
-def _codec(writer: DbcWriter) -> Codec:
-    """Return the codec of a DBC, with one slot of eight, since all are alike."""
-    return Codec(Layout.from_dbc(replace(writer, slots=(Slot.EGO_LEFT,)).database()))
 
 
 class _Found(NamedTuple):
@@ -403,7 +395,7 @@ class _Search:
         if len(writer.pages) > frames:
             return None
         try:
-            codec = _codec(writer)
+            codec = Codec(writer.layout(1))  # all slots are alike
         except LayoutError:  # the range of its ratios exceeds double precision
             return None
         figures = [figures_of(codec, lines) for lines in self._sets.values()]

@@ -15,14 +15,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...pictures.figure import save_figure
 from ...propagation import MonteCarlo, Refit, SigmaPoints
 from ...simulation.scenarios import SCENARIOS, Scenario
+from ...values.coding_loss import LATERAL_X
 from ...values.errors import missing_extra
 from ...values.gaussian import Gaussian
 from ...values.line import Slot, lateral, lateral_jacobian
 from ...values.polyline import to_ego
 from ...wire import Codec
-from ..metrics import LATERAL_X
 from ..representations import Approximation, through_the_wire
 from ..roads import paper_refit
 from .paper_panels import (
@@ -38,7 +39,6 @@ from .paper_panels import (
     draw_mean,
     draw_poses,
     place_inset,
-    save_figure,
 )
 
 Array = NDArray[np.float64]

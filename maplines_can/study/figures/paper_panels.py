@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...values.errors import missing_extra
+from ...pictures.figure import RADIUS99, Z99, ellipse
 from ...values.gaussian import Gaussian
 from ...values.line import lateral
-from ...values.output_files import whole_file
 
 Array = NDArray[np.float64]
 
@@ -24,11 +22,6 @@ POSE, MAP = "#D55E00", "#009E73"
 #: The true distribution is grey, unlike the two Gaussians.
 TRUE = "0.35"
 DOTTED, LONG_DASHES, FINE_DOTS = (0, (1, 1.2)), (0, (6, 2)), (0, (1, 1.6))
-#: Half the width of an interval that holds 99 % of a Gaussian, in standard deviations.
-Z99 = 2.5758
-#: Radius of the ellipse that holds 99 % of a Gaussian in the plane, in standard deviations.
-RADIUS99 = float(np.sqrt(-2 * np.log(0.01)))
-
 #: Symbols of the states, and the units in which their figures are printed.
 STATE_NAMES = (r"$y_\mathrm{off}$", r"$\beta$", r"$c_0$", r"$c_1$")
 UNIT_NAMES = ("m", "deg", "1/km", "1/km$^2$")
@@ -91,25 +84,6 @@ def place_inset(ax: Any, view: PanelView) -> Any:
     inset.set_xticks([])
     inset.set_yticks([])
     return inset
-
-
-def new_figure(width: float, height: float) -> Any:
-    """Return an empty ``matplotlib.figure.Figure`` of a size [inch].
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-    """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise missing_extra("a picture needs matplotlib", "plot") from error
-    return Figure(figsize=(width, height), layout="constrained")
-
-
-def save_figure(figure: Any, path: str | Path, dpi: int, **options: Any) -> None:
-    """Write a figure as a whole or not at all; the suffix of the path is the format."""
-    with whole_file(path) as part:
-        figure.savefig(part, dpi=dpi, format=Path(path).suffix[1:], **options)
 
 
 def draw_lines(
@@ -292,13 +266,6 @@ def _draw_ellipse(ax: Any, layer: Layer, pair: tuple[int, int]) -> None:
     ax.plot(*marginal.mean * units[:, 0], "+", color=layer.colour, ms=5)
     if layer.before is not None:
         ax.plot(*ellipse(layer.before.marginal(pair)) * units, color="black", ls=FINE_DOTS, lw=0.8)
-
-
-def ellipse(gaussian: Gaussian) -> Array:
-    """Return (2, 120) points of the ellipse that holds 99 % of a Gaussian in the plane."""
-    t = np.linspace(0, 2 * np.pi, 120)
-    circle = RADIUS99 * np.array([np.cos(t), np.sin(t)])
-    return np.asarray(gaussian.mean[:, None] + gaussian.root @ circle)
 
 
 def draw_legend(figure: Any, layers: Sequence[Layer], corner: tuple[float, float]) -> None:

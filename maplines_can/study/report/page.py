@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ...values.coding_loss import LATERAL_X
 from ...values.errors import missing_extra
 from ...values.output_files import whole_file
 from ..codes import CODES
-from ..metrics import LATERAL_X
 from ..scenes.carriers import SCENE_HEAD, scene_cells
 from ..sweep.summary import Row
 from .results import MAX_KL, SUMMARY, Tables, number, percent, read_tables, share, with_error
@@ -186,6 +186,7 @@ def write_report(folder: str | Path, out_path: str | Path, *, title: str = TITLE
     try:
         import bokeh.embed  # noqa: F401
         import jinja2  # noqa: F401 - whether it is installed
+        import pyarrow as pa  # noqa: F401
 
         from .plots import worst_groups
     except ImportError as error:
@@ -255,8 +256,6 @@ def _plots(tables: Tables, groups: Mapping[str, Mapping[str, str]]) -> dict[str,
 
 def _texts(tables: Tables) -> dict[str, Any]:
     """Return what the page says of the tables."""
-    # LOCAL
-
     first = [row for s in tables.sets if (row := tables.shipped(s, tables.codes[0]))]
     return {
         "first": first,
@@ -285,7 +284,6 @@ def _template(tables: Tables) -> Any:
     from jinja2 import Environment, PackageLoader
 
     from .plots import BAND
-    # LOCAL
 
     loader = PackageLoader(__package__, ".")
     environment = Environment(loader=loader, autoescape=True, trim_blocks=True)

@@ -12,8 +12,8 @@ from bokeh.models.annotations import BoxAnnotation
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
+from ...values.coding_loss import LATERAL_X
 from ...values.line import Status, lateral, lateral_jacobian
-from ..metrics import LATERAL_X
 from ..sweep.summary import Row
 from .drawing import (
     BLUE,
@@ -322,7 +322,8 @@ def scenes_plot(tables: Tables, lines: int) -> figure:
 
     A code of single lines, whose receiver takes them as independent, is a hollow mark.
     """
-    rows = [row for row in tables.scenes if row["lines"] == lines and _is_drawn(row)]
+    of_lines = [row for row in tables.scenes if row["lines"] == lines]
+    rows = [row for row in of_lines if 0 < row["kl_joint_mean"] < math.inf]
     kl = [row["kl_joint_mean"] for row in rows] or [1.0]
     low, high = math.floor(math.log10(min(kl))), math.ceil(math.log10(max(kl)))
     most = max([row["joint_bits"] for row in rows], default=1.0)
@@ -339,7 +340,7 @@ def scenes_plot(tables: Tables, lines: int) -> figure:
         {
             "x": row["joint_bits"],
             "y": row["kl_joint_mean"],
-            "limit": math.nan if row["limit_bits"] is None else row["limit_bits"],
+            "limit": row["limit_bits"],
             "fill": 1.0 if row["has_joint"] else 0.0,
             "code": row["code"],
             "label": f"{row['code']}, {row['frames']:.3g}",
@@ -372,12 +373,6 @@ def scenes_plot(tables: Tables, lines: int) -> figure:
             ("of the width", "@width"),
         )
     return plot
-
-
-def _is_drawn(row: Row) -> bool:
-    """Whether a code has a divergence of scenes that can be drawn."""
-    kl = row["kl_joint_mean"]
-    return kl is not None and 0 < kl < math.inf
 
 
 # ---- of one code at a time ----------------------------------------------------------------------

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
-from ...values.errors import StudyError, missing_extra
+from ...values.errors import StudyError
 from ..codes import CODES
-from ..sweep.summary import SCHEMAS, Row
+from ..sweep.summary import TABLES, Row, read_table
 
 #: Columns of the summary with a KL divergence, and their names in the report. The median comes
 #: first, because the mean is dominated by a few outliers of up to 1e10 times the median.
@@ -23,8 +24,6 @@ SUMMARY = {
 }
 #: The rate-distortion limit is an approximation for high rates, and does not hold for a larger KL.
 MAX_KL = 0.1
-#: The columns of the tables that the report reads.
-COLUMNS = {name: [*columns] for name, columns in SCHEMAS.items() if name != "terms"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,32 +114,14 @@ def read_tables(folder: str | Path) -> Tables:
         StudyError: the folder or a table does not exist, is not readable, lacks columns, or the
             summary has no rows.
     """
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError as error:
-        raise missing_extra("the report needs pyarrow and bokeh", "study") from error
     folder = Path(folder)
     if not folder.is_dir():
         raise StudyError(f"{folder}: there is no such folder; a sweep creates one for its tables")
-    tables: dict[str, list[Row]] = {}
-    for name, columns in COLUMNS.items():
-        path = folder / f"{name}.parquet"
-        if not path.is_file():
-            raise StudyError(f"{path}: is missing; a sweep writes it when it is complete")
-        try:
-            table = pq.ParquetFile(path).read()
-        except (pa.ArrowException, OSError) as error:
-            raise StudyError(f"{path}: cannot be read as Parquet: {error}") from error
-        missing = [column for column in columns if column not in table.column_names]
-        if missing:
-            raise StudyError(f"{path}: lacks the columns {', '.join(missing)}")
-        if not table.num_rows and name == "summary":
-            raise StudyError(f"{path}: has no rows; run the sweep to its end")
-        tables[name] = [
-            {key: math.nan if value is None else value for key, value in row.items()}
-            for row in table.to_pylist()
-        ]
+    tables = {name: read_table(folder, name) for name in TABLES if name != "terms"}
+    if not tables["summary"]:
+        raise StudyError(f"{folder / 'summary.parquet'}: has no rows; run the sweep to its end")
+    for row in chain.from_iterable(tables.values()):
+        row |= {key: math.nan for key, value in row.items() if value is None}
     return Tables(**tables)
 
 

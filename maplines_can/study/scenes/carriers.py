@@ -15,11 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...generation.dbc.dbc_writer import DbcWriter
+from ...generation.dbc.record_spec import CONDITIONAL, DEFAULT, WHOLE_SCENES
 from ...values.linalg import block_diagonal
 from ...values.line import Status, lateral_jacobian
 from ...values.scene import Scene
+from ...values.text_table import aligned
 from ...wire.layout.cholesky import CholeskyCode
-from ...wire.layout.message_layout import Layout
 from ...wire.layout.record_signals import (
     FINE_SIGNALS,
     OWN_SIGNALS,
@@ -27,13 +29,12 @@ from ...wire.layout.record_signals import (
     POSE_ROWS,
     TILT,
 )
+from ..code_dbcs import dbc_writer_for
 from ..comparison import AnyCodec, codec_for, sent_scene, transmit
-from ..dbc.dbc_writer import DbcWriter
-from ..dbc.record_spec import CONDITIONAL, DEFAULT, WHOLE_SCENES, dbc_writer_for
-from ..text_table import aligned
 from .random_scenes import RESOLUTION, information, joint_limit, noise_floor, random_scene
 
 Array = NDArray[np.float64]
+Row = dict[str, Any]
 
 
 class Carrier(NamedTuple):
@@ -71,7 +72,7 @@ def codec_of(code: str) -> AnyCodec:
         writer = dbc_writer_for("Cholesky", _FEWER_OF_COVARIANCE, _FEWER_OF_MEAN)
     else:
         writer = dbc_writer_for(code)
-    return codec_for(Layout.from_dbc(writer.database()))
+    return codec_for(writer.layout())
 
 
 def evaluations(code: str, scenes: Sequence[Scene]) -> Iterator[dict[str, Any]]:
@@ -239,8 +240,6 @@ def _largest_ratio(error: Array, decoded: Array) -> float:
     W = np.linalg.solve(L, half.T)
     return float(np.linalg.eigvalsh((W + W.T) / 2)[-1])
 
-
-Row = dict[str, Any]
 
 # ---- the table of random scenes -----------------------------------------------------------------
 

@@ -16,14 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...values.coding_loss import LATERAL_X
 from ...values.errors import EncodeError
 from ...values.line import Slot, lateral_jacobian
 from ...values.scene import Scene
-from ...wire.layout.message_layout import Layout
-from ..comparison import AnyCodec, codec_for, sent_scene
-from ..metrics import LATERAL_X
-from ..text_table import aligned
-from .carriers import WITH_POSE
+from ...values.text_table import aligned, percent
+from ..comparison import AnyCodec, sent_scene
+from .carriers import WITH_POSE, codec_of
 from .map_scenes import DrawnScene
 from .random_scenes import RESOLUTION, noise_floor
 
@@ -225,8 +224,7 @@ def of_carriers(
     found = {}
     for number, (name, carrier) in enumerate(WITH_POSE.items()):
         progress(number, len(WITH_POSE))
-        codec = codec_for(Layout.from_dbc(carrier.writer.database()))
-        of_maps = merged(measured(codec, drawn, fd=carrier.fd), 0)
+        of_maps = merged(measured(codec_of(name), drawn, fd=carrier.fd), 0)
         found[name] = of_maps | {ALL: Ratios.sum(of_maps.values())}
     progress(len(WITH_POSE), len(WITH_POSE))
     return found
@@ -259,7 +257,7 @@ def _cells(ratios: Ratios) -> tuple[str, ...]:
     reasons = ", ".join(f"{count} {reason}" for reason, count in ratios.left_out.most_common())
     return (
         str(ratios.lines),
-        f"{100 * ratios.wider_share:.2g} %",
-        f"{100 * ratios.left_out_share:.2g} %" + (f" ({reasons})" if reasons else ""),
+        percent(ratios.wider_share),
+        percent(ratios.left_out_share) + (f" ({reasons})" if reasons else ""),
         *ratios.cells(PLACES),
     )

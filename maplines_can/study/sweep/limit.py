@@ -57,8 +57,6 @@ class Limit:
     >>> limit = Limit(entropy_bits=10.0, dimension=14)
     >>> limit.bits([1e-3, 1e-4]).round(2)
     array([70.75, 94.01])
-    >>> limit.kl(limit.bits(1e-3) + 14)  # a bit more for each parameter
-    array(0.00025)
     """
 
     entropy_bits: float  #: h_F [bit]; NaN if the source is singular
@@ -66,7 +64,6 @@ class Limit:
     entropy_se_bits: float = 0.0  #: standard error of h_F [bit]
     bias_bits: float = 0.0  #: probable excess of h_F, and of R [bit]
     samples: int = 0  #: distinct samples used
-    duplicates: int = 0  #: exact copies of others, not used
     local_dimension: float = nan  #: estimated dimension that the samples fill
     caveat: str = ""  #: why h_F is not reliable; empty if it is
 
@@ -86,12 +83,6 @@ class Limit:
             raise ValueError(f"kl must be positive [nat], got {kl!r}")
         n = self.dimension
         return np.asarray(self.entropy_bits - n / 2 * np.log2(2 * np.pi * math.e * 2 * kl / n))
-
-    def kl(self, bits: ArrayLike) -> Array:
-        """Return the (...,) smallest mean divergence [nat] for mean lengths of a message [bit]."""
-        n = self.dimension
-        excess = (self.entropy_bits - np.asarray(bits, dtype=float)) * 2 / n
-        return np.asarray(n / (4 * np.pi * math.e) * 2**excess)
 
 
 def limit_of(
@@ -160,7 +151,7 @@ def limit_of(
         )
     theta, log_volume = theta[first], log_volume[first]
     samples = len(theta)
-    sizes = {"dimension": n, "samples": samples, "duplicates": given - samples}
+    sizes = {"dimension": n, "samples": samples}
     if reason := _singular(theta, names):
         return Limit(nan, **sizes, entropy_se_bits=nan, bias_bits=nan, caveat=reason)
 

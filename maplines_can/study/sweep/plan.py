@@ -5,9 +5,8 @@ from __future__ import annotations
 import gzip
 import hashlib
 import json
-import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
@@ -17,13 +16,11 @@ import numpy as np
 
 from ...values.errors import StudyError
 from ...values.input_files import json_of
-from ...values.line import Slot
-from ...wire.layout.message_layout import Layout
+from ...values.output_files import whole_file
 from ...wire.layout.record_signals import PARAMETER_SIGNALS
+from ..code_dbcs import FIXED_WIDTHS, covariance_signals, dbc_writer_for
 from ..codes import CODES
 from ..comparison import AnyCodec, codec_for
-from ..dbc.covariance_spec import covariance_signals
-from ..dbc.record_spec import dbc_writer_for
 from ..sets import LineSet
 
 #: The code of the project's own DBC.
@@ -87,7 +84,7 @@ class Study:
         plans = []
         for code in self.codes:
             for finer_bits in self.finer_bits:
-                if finer_bits and not _has_widths(code):
+                if finer_bits and code in FIXED_WIDTHS:
                     continue
                 try:
                     dbc_writer_for(code, finer_bits)
@@ -129,14 +126,6 @@ class Study:
         return dict.fromkeys(SCENE_LINES if sizes else (), sizes)
 
 
-def _has_widths(code: str) -> bool:
-    try:
-        covariance_signals(code, 1)
-    except ValueError:
-        return False
-    return True
-
-
 def chunk_key(place: int, index: int) -> str:
     """Return the key of a chunk's task, from the index of the set and of the chunk."""
     return f"{place}-{index:06d}"
@@ -158,8 +147,7 @@ def codec_of(plan: Plan) -> AnyCodec:
     writer = dbc_writer_for(
         plan.code, plan.finer_bits, {plan.field: plan.delta_bits} if plan.field else None
     )
-    database = replace(writer, slots=(Slot.EGO_LEFT,)).database()
-    return codec_for(Layout.from_dbc(database))
+    return codec_for(writer.layout(1))
 
 
 def theory(codec: AnyCodec) -> dict[str, float]:
@@ -214,10 +202,8 @@ class StudyDirectory:
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file as a whole or not at all."""
-        path = self.path / name
-        partial = path.with_name(f".{path.name}.{os.getpid()}")
-        partial.write_bytes(content)
-        partial.replace(path)
+        with whole_file(self.path / name) as part:
+            part.write_bytes(content)
 
     def store(self, key: str, result: Mapping[str, Any]) -> None:
         """Store the result of a task."""

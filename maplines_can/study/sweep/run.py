@@ -9,12 +9,11 @@ last bit on processors of one kind, except for the measured times.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
-from ...engines import in_processes, in_this_process, on_dask
+from ...engines import in_processes, in_this_process, on_dask, processors
 from ...simulation.parquet_files import arrow
 from .plan import Study, StudyDirectory
 from .summary import write_tables
@@ -56,7 +55,7 @@ def run_study(
         tasks = tasks_of(study, done)
         if scheduler is not None:
             results = on_dask(tasks, scheduler, f"maplines-{directory.fingerprint}")
-        elif (jobs := jobs or _processors()) > 1:
+        elif (jobs := jobs or processors()) > 1:
             results = in_processes(tasks, jobs)
         else:
             results = in_this_process(tasks)
@@ -67,9 +66,3 @@ def run_study(
                 progress(so_far, total)
     write_tables(study, directory)
     return directory
-
-
-def _processors() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

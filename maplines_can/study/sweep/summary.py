@@ -10,16 +10,19 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Iterator, Sequence
 from math import isnan
+from pathlib import Path
 from textwrap import indent
 from typing import Any
 
 from ...simulation.parquet_files import arrow
+from ...values.coding_loss import LATERAL_X
+from ...values.errors import StudyError
 from ...values.line import Status
+from ...values.text_table import aligned
 from ..codes import CODES
-from ..metrics import LATERAL_X, Figure, Score
+from ..metrics import Figure, Score
 from ..scenes.carriers import scenes_rows, scenes_text
 from ..sets import LineSet
-from ..text_table import aligned
 from .plan import (
     DEFAULT_CODE,
     LIMIT_PARTS,
@@ -66,9 +69,23 @@ def write_tables(study: Study, directory: StudyDirectory) -> None:
         directory.write(f"{name}.parquet", _as_parquet(of_table, SCHEMAS[name]))
 
 
-def read_table(directory: StudyDirectory, name: str) -> list[Row]:
-    """Return the rows of one of ``TABLES``."""
-    rows: list[Row] = arrow().parquet.read_table(directory.path / f"{name}.parquet").to_pylist()
+def read_table(folder: Path, name: str) -> list[Row]:
+    """Return the rows of one of ``TABLES``.
+
+    Raises:
+        MissingExtraError: pyarrow is not installed.
+        StudyError: the table does not exist, is not readable, or lacks columns.
+    """
+    pa, path = arrow(), folder / f"{name}.parquet"
+    if not path.is_file():
+        raise StudyError(f"{path}: is missing; a sweep writes it when it is complete")
+    try:
+        table = pa.parquet.ParquetFile(path).read()
+    except (pa.ArrowException, OSError) as error:
+        raise StudyError(f"{path}: cannot be read as Parquet: {error}") from error
+    if missing := [column for column in SCHEMAS[name] if column not in table.column_names]:
+        raise StudyError(f"{path}: lacks the columns {', '.join(missing)}")
+    rows: list[Row] = table.to_pylist()
     return rows
 
 
@@ -153,9 +170,8 @@ class _Sums:
             for rank, case in enumerate(cases, 1):
                 row = self._row(plan) | {"rank": rank, "kl": case["kl"], "status": case["status"]}
                 for prefix in ("", "decoded_"):
-                    names = (*_mean_names(prefix), *_cov_names(prefix))
                     values = (*case[f"{prefix}mean"], *case[f"{prefix}cov"])
-                    row |= dict(zip(names, values, strict=True))
+                    row |= dict(zip(_gaussian_names(prefix), values, strict=True))
                 yield row
 
     def _row(self, plan: Plan) -> Row:
@@ -182,12 +198,9 @@ def _mean(name: str, figure: Figure) -> Row:
 # ---- Parquet --------------------------------------------------------------------------
 
 
-def _mean_names(prefix: str = "") -> list[str]:
-    return [f"{prefix}mean_{i}" for i in range(4)]
-
-
-def _cov_names(prefix: str = "") -> list[str]:
-    return [f"{prefix}cov_{i}{j}" for i in range(4) for j in range(4)]
+def _gaussian_names(prefix: str) -> list[str]:
+    cov = [f"{prefix}cov_{i}{j}" for i in range(4) for j in range(4)]
+    return [*(f"{prefix}mean_{i}" for i in range(4)), *cov]
 
 
 def _with_errors(*names: str) -> list[str]:
@@ -229,7 +242,7 @@ SCHEMAS = {
     ),
     "worst": _schema(
         *("set", "code", "rank", "kl", "status"),
-        *(*_mean_names(), *_cov_names(), *_mean_names("decoded_"), *_cov_names("decoded_")),
+        *(*_gaussian_names(""), *_gaussian_names("decoded_")),
     ),
     "limit": _schema(
         *("set", "part", "entropy_bits", "se_bits", "bias_bits", "kl", "bits"),

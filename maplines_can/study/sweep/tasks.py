@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...engines import Result, Task
+from ...values.coding_loss import evaluate
 from ...values.line import Status
 from ...wire import Codec
 from ...wire.layout.packing import Packing
 from ..comparison import transmit
-from ..metrics import Figure, Score, evaluate, kl_terms
+from ..metrics import Figure, Score, kl_terms
 from ..scenes.carriers import scenes_chunk
 from ..sets import Chunk, Gaussians, LineSet
 from .limit import limit_of
@@ -203,11 +204,11 @@ def cpu_seconds(study: Study) -> float:
     chunk of each set are timed, a scene of each number of lines, and the limit of some Gaussians.
     It takes some seconds. Of two studies it said 11 and 99 s, and 18 and 82 s were seen.
     """
-    scenes = sum(
-        len(sizes) and sum(sizes) * _seconds(partial(_scene, study, lines))
-        for lines, sizes in study.scene_sizes.items()
-    )
-    return scenes + sum(_of_set(study, line_set) for line_set in study.sets)
+    total = sum(_of_set(study, line_set) for line_set in study.sets)
+    for lines, sizes in study.scene_sizes.items():
+        one = partial(scenes_chunk, lines, 0, 1, study.codes, study.seed)
+        total += sum(sizes) * _seconds(one)
+    return total
 
 
 def _of_set(study: Study, line_set: LineSet) -> float:
@@ -235,16 +236,12 @@ def _of_set(study: Study, line_set: LineSet) -> float:
         most = min(study.limit_n, sum(sizes), FOR_LIMIT, len(given.mean))
         for part in LIMIT_PARTS:
             limit = partial(limit_result, [_head(given, most)], most, part, study.seed)
-            total += _seconds(limit) * min(study.limit_n, sum(sizes)) / most
+            total += _seconds(limit) * min(study.limit_n, sum(sizes)) / max(most, 1)
     return total + making * sum(sizes)
 
 
 def _head(given: Gaussians, n: int) -> Chunk:
     return partial(Gaussians, given.mean[:n], given.cov[:n])
-
-
-def _scene(study: Study, lines: int) -> Any:
-    return scenes_chunk(lines, 0, 1, study.codes, study.seed)
 
 
 def _seconds(work: Callable[[], Any]) -> float:

@@ -4,25 +4,17 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from maplines_can import Polyline
-from maplines_can.localisation.scan_matching import (
-    ScanReference,
-    simulated_scan,
-)
+from maplines_can.localisation.scan_matching import ScanReference, simulated_scan
 from maplines_can.localisation.scan_matching.match import (
     Minimum,
-    jacobian,
     no_match,
-    placed,
     result,
 )
 from maplines_can.localisation.scan_matching.ndt import (
     MIN_IN_CELL,
     WALL_RATIO,
-    LikelihoodScore,
     cells_of,
 )
 from maplines_can.maps import Landmark, LandmarkKind, Map
@@ -35,20 +27,6 @@ REFERENCE = ScanReference(Map({}, {}, buildings=(BOX,), landmarks=(POLE,)))
 def minimum(hessian: np.ndarray, used: int, converged: bool) -> Minimum:
     """Return a minimum at (1, 1, 1) of one term, without objects."""
     return Minimum(np.ones(3), np.zeros((1, 3)), hessian, np.zeros((0, 3, 2)), used, converged)
-
-
-@given(st.integers(0, 2**32))
-def test_points_are_placed_by_the_pose(seed: int) -> None:
-    """Turned and then shifted; the Jacobian is the derivative."""
-    rng = np.random.default_rng(seed)
-    scan, pose = rng.uniform(-20, 20, (6, 2)), rng.uniform(-3, 3, 3)
-    z = scan @ [1, 1j] * np.exp(1j * pose[2]) + pose[0] + 1j * pose[1]
-    assert placed(scan, pose) @ [1, 1j] == pytest.approx(z)
-    J = jacobian(scan, pose[2])
-    for k in range(3):
-        w = 1e-6 * np.eye(3)[k]
-        slope = (placed(scan, pose + w) - placed(scan, pose - w)) / 2e-6
-        assert J[:, :, k] == pytest.approx(slope, abs=1e-7)
 
 
 @pytest.mark.parametrize("map_error", [0.0, 0.3])
@@ -128,53 +106,6 @@ def test_cells_hold_the_moments_of_their_points(size: float) -> None:
         assert cells.information[row] == pytest.approx(information, abs=1e-9)
     assert walls > 0
     assert (rows >= 0).any()
-
-
-def test_the_score_is_that_of_the_cells_of_each_point() -> None:
-    """One by one, in each grid; beside all cells a point adds nothing."""
-    rng = np.random.default_rng(5)
-    points, scan = rng.uniform(-9, 9, (200, 2)), rng.uniform(-14, 14, (60, 2))
-    pose = np.array([0.3, -0.2, 0.4])
-    grids = [cells_of(points, 2.0, np.array(shift), 0.3) for shift in ((0.0, 0.0), (1.0, 0.5))]
-    score = LikelihoodScore(scan, grids)
-    total, best = 0.0, np.zeros(len(scan))
-    for k, point in enumerate(placed(scan, pose)):
-        for cells in grids:
-            row = int(cells.of(point[None])[0])
-            if row < 0:
-                continue
-            q = point - cells.mean[row]
-            e = math.exp(-q @ cells.information[row] @ q / 2)
-            total -= e
-            best[k] = max(best[k], e)
-    assert score.value(pose) == pytest.approx(total)
-    gradients, used = score.terms(pose)
-    assert used == (best > 0.1).sum()
-    assert score.gradient(pose) == pytest.approx(gradients.sum(axis=0))
-
-
-def test_pulls_are_the_derivatives_of_the_gradients() -> None:
-    """With respect to each placed point, where it stays in its cells."""
-    rng = np.random.default_rng(3)
-    points = rng.uniform(-9, 9, (400, 2))
-    scan, pose = rng.uniform(-5, 5, (20, 2)), np.array([0.3, -0.2, 0.4])
-    grids = [cells_of(points, size, np.ones(2), 0.05) for size in (50.0, 60.0)]
-    pulls = LikelihoodScore(scan, grids).pulls(pose)
-    step = 1e-5
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    for k in range(2):
-        moved = step * np.eye(2)[k] @ np.array([[c, -s], [s, c]])  # of a point in the ego frame
-        # The point moves in the map, but not its Jacobian.
-        ends = []
-        for sign in (1, -1):
-            score = LikelihoodScore(scan + sign * moved, grids)
-            J, at = jacobian(scan, pose[2]), placed(scan + sign * moved, pose)
-            g = np.zeros((len(scan), 3))
-            for one in grids:
-                e, weighted, _ = score.likelihood(at, one)
-                g += (e[:, None, None] * weighted[:, None] @ J)[:, 0]
-            ends.append(g)
-        assert pulls[:, :, k] == pytest.approx((ends[0] - ends[1]) / (2 * step), abs=1e-6)
 
 
 def test_surfaces_have_a_point_every_ten_centimetres() -> None:

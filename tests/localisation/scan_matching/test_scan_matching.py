@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from shapely.geometry import LineString, MultiLineString, Point
+from support.fixtures import Patch
 
 from maplines_can import Polyline
 from maplines_can.localisation.scan_matching import (
@@ -17,6 +18,7 @@ from maplines_can.localisation.scan_matching import (
     match_ndt,
     simulated_scan,
 )
+from maplines_can.localisation.scan_matching.match import placed
 from maplines_can.localisation.scan_matching.ndt import LikelihoodScore, cells_of
 from maplines_can.maps import Landmark, LandmarkKind, Map
 from maplines_can.values.errors import MissingExtraError
@@ -77,13 +79,19 @@ def test_rays_end_at_the_nearest_surface() -> None:
 
 
 def test_the_derivatives_of_the_score() -> None:
-    """Gradient and Hessian by central differences, where no point changes its cell."""
+    """Gradient and Hessian by central differences, where no point changes its cell.
+
+    A point counts as one of the map beyond a likelihood of 0.1.
+    """
     rng = np.random.default_rng(3)
     points = rng.uniform(-9, 9, (400, 2))
     scan, pose = rng.uniform(-5, 5, (30, 2)), np.array([0.3, -0.2, 0.4])
-    score = LikelihoodScore(
-        scan, [cells_of(points, size, np.ones(2), 0.05) for size in (50.0, 60.0)]
-    )
+    grids = [cells_of(points, size, np.ones(2), 0.05) for size in (50.0, 60.0)]
+    score = LikelihoodScore(scan, grids)
+    far = placed(2 * scan, pose)
+    best = np.max([score.likelihood(far, one)[0] for one in grids], axis=0)
+    used = LikelihoodScore(2 * scan, grids).terms(pose)[1]
+    assert used == (best > 0.1).sum() != (best > 0.3).sum()
     step = 1e-5
     for k in range(3):
         w = step * np.eye(3)[k]
@@ -169,7 +177,7 @@ def test_the_error_of_an_object_is_that_of_the_pose(method: Any) -> None:
         method(room, scan, POSE, map_error=-0.1)
 
 
-def test_without_small_gicp_the_message_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_small_gicp_the_message_names_the_extra(monkeypatch: Patch) -> None:
     monkeypatch.setitem(sys.modules, "small_gicp", None)
     with pytest.raises(MissingExtraError, match='"scan"'):
         match_icp(REFERENCE, *scans(1)[0])

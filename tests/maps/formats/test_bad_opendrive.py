@@ -82,20 +82,8 @@ def test_the_file_is_good() -> None:
     assert found.lanes["1:1:-1"].successors == ("2:0:-1",)
 
 
-NUMBERS = [
-    "nan",
-    "inf",
-    "-inf",
-    "1e400",
-    "",
-    "x",
-    "1,5",
-    "0x10",
-    "1e308",
-    "-1e308",
-    "1e-320",
-    "1" * 5000,
-]
+NUMBERS = ["nan", "inf", "-inf", "1e400", "", "x", "1,5", "0x10", "1e308", "-1e308", "1e-320"]
+NUMBERS += ["1" * 5000]
 ATTRIBUTES = sorted(set(re.findall(r' (\w+)="[-\d.e]+"', TEXT)) - {"version"})
 
 
@@ -142,28 +130,9 @@ def test_changed_bytes(data: st.DataObject) -> None:
     attempt(bytes(changed))
 
 
-BOMB = "".join(f'<!ENTITY e{i} "{f"&e{i - 1};" * 10 if i else "x" * 100}">' for i in range(12))
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        pytest.param(
-            f"<!DOCTYPE OpenDRIVE [{BOMB}]><OpenDRIVE><road id='&e11;'/></OpenDRIVE>",
-            "line 1: a document type .* is not allowed",
-            id="entity-bomb",
-        ),
-        pytest.param(
-            '<!DOCTYPE OpenDRIVE [<!ENTITY f SYSTEM "file:///etc/passwd">]>'
-            "<OpenDRIVE><header>&f;</header></OpenDRIVE>",
-            "a document type .* is not allowed",
-            id="external-entity",
-        ),
-        pytest.param(
-            '<!DOCTYPE OpenDRIVE SYSTEM "http://localhost/a.dtd"><OpenDRIVE/>',
-            "a document type .* is not allowed",
-            id="external-dtd",
-        ),
         pytest.param("<OpenDRIVE>" + "<a>" * 100_000, "nested more than 64 deep", id="nesting"),
         pytest.param(
             f"<OpenDRIVE><header><geoReference>{'x' * 10**6}</geoReference></header></OpenDRIVE>",
@@ -246,43 +215,29 @@ def test_a_road_that_cannot_be_used_is_listed(bad: str, reason: str) -> None:
 @pytest.mark.parametrize(
     ("lanes", "used", "reason"),
     [
-        pytest.param(
+        (
             [lane(1), lane(-1, cubic("width", float("inf"), sOffset=0.0)), lane(-2)],
             "1:0:1",
             "lane -1, from which its position follows, cannot be used",
-            id="width",
         ),
-        pytest.param([lane(1), lane(-1, "")], "1:0:1", "its width is 0", id="no-width"),
-        pytest.param([lane(1), lane(1)], "1:0:1", "the id is that of the lane in line", id="id"),
-        pytest.param(
-            [lane(1), lane(-1).replace('id="-1"', 'id="-x"')],
-            "1:0:1",
-            "id must be a finite number",
-            id="id-no-number",
-        ),
-        pytest.param(
-            [lane(1), lane(-1).replace('id="-1"', 'id="-1.5"')],
-            "1:0:1",
-            "id must be an integer",
-            id="id-no-integer",
-        ),
-        pytest.param(
+        ([lane(1), lane(-1, "")], "1:0:1", "its width is 0"),
+        ([lane(1), lane(1)], "1:0:1", "the id is that of the lane in line"),
+        ([lane(1), lane(-1).replace('id="-1"', 'id="-x"')], "1:0:1", "id must be a finite number"),
+        ([lane(1), lane(-1).replace('id="-1"', 'id="-1.5"')], "1:0:1", "id must be an integer"),
+        (
             [lane(-1, WIDTH + '<speed sOffset="0" max="50" unit="knots"/>')],
             "1:0:-1",
             "unit must be one of m/s, km/h, mph, got 'knots'",
-            id="unit",
         ),
-        pytest.param(
+        (
             [lane(-1, WIDTH + '<speed sOffset="0" max="fast"/>')],
             "1:0:-1",
             "max must be a finite number",
-            id="speed",
         ),
-        pytest.param(
+        (
             [lane(-1, WIDTH + '<roadMark sOffset="nan" type="solid"/>')],
             "1:0:-1",
             "sOffset must be a finite number",
-            id="marking",
         ),
     ],
 )

@@ -1,9 +1,11 @@
 """Mutilated Lanelet2, CommonRoad, GeoJSON and CSV files: an error or a listed reason, no more."""
 
+import gzip
 import io
 import json
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
@@ -13,9 +15,11 @@ from hypothesis import strategies as st
 from support.lanelet_files import ROAD, Osm
 from support.xodr_files import document, geometry, road
 
+import maplines_can as ml
 from maplines_can.maps import Map, MapFileError
 from maplines_can.maps.formats import commonroad, osm, points
 from maplines_can.maps.formats.opendrive import read as read_opendrive
+from maplines_can.maps.formats.projection import tangent, utm
 
 ENTITIES = {
     "billion-laughs": "<!DOCTYPE lolz [<!ENTITY a 'ha'><!ENTITY b '&a;&a;&a;&a;&a;&a;&a;'>]>",
@@ -51,7 +55,8 @@ def commonroad_text() -> str:
         '<trafficSign id="9"><trafficSignElement><trafficSignID>274</trafficSignID>'
         "<additionalValue>8</additionalValue></trafficSignElement></trafficSign>"
     )
-    return f'<?xml version="1.0"?>\n<commonRoad>{lanelets}{sign}</commonRoad>'
+    other = '<dynamicObstacle id="4"><lanelet id="9"/></dynamicObstacle>'  # is not read
+    return f'<?xml version="1.0"?>\n<commonRoad>{lanelets}{sign}{other}</commonRoad>'
 
 
 def geojson_text() -> str:
@@ -73,6 +78,10 @@ FILES: dict[str, tuple[Read, str]] = {
     "CommonRoad": (commonroad.read, commonroad_text()),
     "GeoJSON": (points.read, geojson_text()),
     "CSV": (points.read, CSV),
+}
+#: Its cut and changed files are in test_bad_opendrive.py.
+OPENDRIVE: dict[str, tuple[Read, str]] = {
+    "OpenDRIVE": (read_opendrive, document(road(plan=geometry(x=1.0))))
 }
 
 
@@ -97,6 +106,29 @@ def test_the_files_are_good(name: str) -> None:
     assert len(found.skipped) == (2 if name == "CommonRoad" else 0)  # the links out of the map
 
 
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [
+        ("Lanelet2", "map.osm"), ("Lanelet2", "map.osm.gz"), ("Lanelet2", "map.xml"),
+        ("CommonRoad", "scenario.xml"), ("GeoJSON", "map.geojson"), ("GeoJSON", "map.json"),
+        ("GeoJSON", "MAP.GEOJSON"), ("CSV", "map.csv"),
+    ],
+)  # fmt: skip
+def test_load(tmp_path: Path, name: str, file: str) -> None:
+    """By content or suffix, compressed and with a byte order mark; in another frame if it can."""
+    read, text = FILES[name]
+    data, path = b"\xef\xbb\xbf" * (name == "GeoJSON") + text.encode(), tmp_path / file
+    path.write_bytes(gzip.compress(data) if file.endswith("gz") else data)
+    road_map = ml.maps.load(path)
+    assert (road_map.lanes.keys(), road_map.name) == (read(io.BytesIO(data), "").lanes.keys(), file)
+    if name == "CSV":
+        with pytest.raises(ValueError, match="is CSV, whose positions are in metres"):
+            ml.maps.load(path, projection=utm(49.0, 8.0))
+    elif name != "CommonRoad":
+        frame = tangent(49.0, 8.4)
+        assert ml.maps.load(path, projection=frame).projection == frame
+
+
 @pytest.mark.parametrize("name", FILES)
 @given(data=st.data())
 def test_cut_files(name: str, data: st.DataObject) -> None:
@@ -119,9 +151,9 @@ def test_changed_values(name: str, data: st.DataObject) -> None:
 
 
 @pytest.mark.parametrize("kind", ENTITIES)
-@pytest.mark.parametrize("name", ["Lanelet2", "CommonRoad"])
+@pytest.mark.parametrize("name", ["Lanelet2", "CommonRoad", "OpenDRIVE"])
 def test_entities_are_refused(name: str, kind: str) -> None:
-    read, text = FILES[name]
+    read, text = (FILES | OPENDRIVE)[name]
     bad = text.replace("?>", f"?>{ENTITIES[kind]}", 1).replace('id="1"', 'id="&b;"', 1)
     with pytest.raises(MapFileError, match="document type"):
         read(io.BytesIO(bad.encode()), "map")
@@ -160,6 +192,7 @@ COMMONROAD = [
     ('id="2"', 'id="1"', "another one has the same id"),
     ("<x>9</x>", "<x>0</x>", "two different points"),
     ("<x>9</x>", "<x>1e300</x>", "at most 1e+08 m"),
+    ("<y>3</y>", "<y>0</y>", "it has no width"),
 ]
 
 
@@ -194,19 +227,8 @@ COORDINATES = {
     "OpenDRIVE": r' (?:s|x|y|hdg|length)="([^"]*)"',
 }
 #: What is no finite number in any format, and what is one in Python or in another format only.
-NO_NUMBERS = [
-    "true",
-    "false",
-    "NaN",
-    "Infinity",
-    "-inf",
-    "1e400",
-    "9" * 400,
-    "",
-    "1_0",
-    "x",
-    "\uff11",
-]
+NO_NUMBERS = ["true", "false", "NaN", "Infinity", "-inf", "1e400", "1_0", "x", "\uff11", "9" * 400]
+NO_NUMBERS += [""]
 NO_JSON_NUMBERS = ["true", "false", "null", "NaN", "Infinity", "1e400", "9" * 400, '"8.0"', "[8.0]"]
 NO_JSON_NUMBERS += ["{}", '""', '{"0": 8.0}']
 
@@ -214,8 +236,7 @@ NO_JSON_NUMBERS += ["{}", '""', '{"0": 8.0}']
 @pytest.mark.parametrize("name", COORDINATES)
 def test_a_coordinate_that_is_no_number_is_listed(name: str) -> None:
     """Any one of them; the rest of the map is used, or there is none."""
-    files = FILES | {"OpenDRIVE": (read_opendrive, document(road(plan=geometry(x=1.0))))}
-    read, text = files[name]
+    read, text = (FILES | OPENDRIVE)[name]
     places = [
         next(span for span in match.regs[1:] if span[0] >= 0)
         for match in re.finditer(COORDINATES[name], text)

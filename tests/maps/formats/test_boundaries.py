@@ -18,14 +18,8 @@ from support.xodr_files import (
     section,
 )
 
-from maplines_can import Kind, Polyline
-from maplines_can.maps.formats.opendrive.boundaries import (
-    Boundaries,
-    _deviation,
-    _divided,
-    _pieces,
-    sampled,
-)
+from maplines_can import Polyline
+from maplines_can.maps.formats.opendrive.boundaries import Boundaries, _pieces, sampled
 from maplines_can.maps.formats.opendrive.reader import distinct
 from maplines_can.maps.formats.opendrive.reference_line import Complex
 
@@ -233,22 +227,6 @@ def test_repeated_points_are_left_out_but_for_the_ends(steps: list[float], angle
     assert found.tolist() == points[keep].tolist()
 
 
-def test_the_deviation_of_points_is_from_their_chord() -> None:
-    """The largest of all rows and inner points; of a closed piece, from its start."""
-    rng = np.random.default_rng(0)
-    points = rng.standard_normal((3, 6, 5)) + 1j * rng.standard_normal((3, 6, 5))
-    points[:, 4, -1] = points[:, 4, 0]
-    found = _deviation(points)
-    for n in range(6):
-        expected = 0.0
-        for row in range(3):
-            a, b = points[row, n, 0], points[row, n, -1]
-            for p in points[row, n, 1:-1]:
-                across = abs(p - a) if a == b else abs(((p - a) / (b - a)).imag) * abs(b - a)
-                expected = max(expected, across)
-        assert found[n] == pytest.approx(expected)
-
-
 def test_pieces_are_as_many_as_the_second_difference_says() -> None:
     """Parabolas across x: an eighth of it is the distance from the chord of a piece."""
     x = np.linspace(0, 1, 5)
@@ -262,25 +240,3 @@ def test_pieces_are_as_many_as_the_second_difference_says() -> None:
         (count,) = _pieces((100 * x + 1j * cubic_)[None, None])
         ends = 2 * 6 * 0.75 * 0.25**2 - 6 * 0.5 * 0.25**2
         assert count == math.ceil(4 * math.sqrt(ends / (8 * 0.43e-3)))
-
-
-@pytest.mark.parametrize("pieces", [[1, 1, 1], [2, 1, 3], [4, 5, 2]])
-def test_intervals_are_divided_evenly(pieces: list[int]) -> None:
-    """The parts of each follow each other, and belong to its lane section."""
-    a, b = np.array([0.0, 3.0, 10.0]), np.array([3.0, 10.0, 11.0])
-    start, end, owner = _divided(a, b, np.array([0, 0, 1]), np.array(pieces))
-    expected = [np.linspace(low, high, n + 1) for low, high, n in zip(a, b, pieces, strict=True)]
-    assert start == pytest.approx(np.concatenate([part[:-1] for part in expected]))
-    assert end == pytest.approx(np.concatenate([part[1:] for part in expected]))
-    assert np.isin(b, end).all()
-    assert owner.tolist() == np.repeat([0, 0, 1], pieces).tolist()
-
-
-@pytest.mark.parametrize("lane_id", [-1, 1])
-def test_lines_have_the_kinds_of_their_marks(lane_id: int) -> None:
-    """The centre of a lane has none, in either direction of driving."""
-    marks = '<roadMark sOffset="0" type="solid"/>'
-    one = section(lane(lane_id, WIDTH + marks), centre='<roadMark sOffset="0" type="broken"/>')
-    (found,) = read_map(road(one)).lanes.values()
-    kinds = (found.left.kind, found.centre.kind, found.right.kind)
-    assert kinds == (Kind.DASHED, Kind.VIRTUAL, Kind.SOLID)

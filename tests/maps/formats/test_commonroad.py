@@ -1,14 +1,9 @@
 """CommonRoad XML, 2018b and 2020a."""
 
 import io
-from pathlib import Path
 
-import pytest
-
-import maplines_can as ml
-from maplines_can.maps import LaneType, Map, MapFileError
+from maplines_can.maps import Map
 from maplines_can.maps.formats.commonroad import read
-from maplines_can.values.line import Kind
 
 
 def bound(tag: str, *points: tuple[float, float], marking: str = "") -> str:
@@ -88,80 +83,6 @@ def test_opposite_lanelets() -> None:
     ).left_hand_traffic
 
 
-@pytest.mark.parametrize(
-    ("marking", "kind"),
-    [
-        ("solid", Kind.SOLID),
-        ("broad_solid", Kind.SOLID),
-        ("dashed", Kind.DASHED),
-        ("broad_dashed", Kind.DASHED),
-        ("solid_dashed", Kind.DOUBLE),
-        ("curb", Kind.KERB),
-        ("no_marking", Kind.VIRTUAL),
-        ("unknown", Kind.UNKNOWN),
-        ("", Kind.UNKNOWN),
-        ("purple", Kind.UNKNOWN),
-    ],
-)
-def test_markings(marking: str, kind: Kind) -> None:
-    (lane,) = read_map(lanelet(1, marking=marking)).lanes.values()
-    assert (lane.left.kind, lane.right.kind) == (kind, Kind.UNKNOWN)
-
-
-@pytest.mark.parametrize(
-    ("kind", "users", "expected"),
-    [
-        ("urban", "", LaneType.DRIVING),
-        ("highway mainCarriageWay", "", LaneType.DRIVING),
-        ("highway accessRamp", "", LaneType.ENTRY),
-        ("highway exitRamp", "", LaneType.EXIT),
-        ("urban busLane", "<userOneWay>bus</userOneWay>", LaneType.BUS),
-        ("crosswalk", "", LaneType.CROSSWALK),
-        ("urban", "<userOneWay>bicycle</userOneWay>", LaneType.BIKING),
-        ("urban", "<userBidirectional>pedestrian</userBidirectional>", LaneType.SIDEWALK),
-        ("urban", "<userBidirectional>vehicle</userBidirectional>", LaneType.BIDIRECTIONAL),
-        ("shoulder", "", LaneType.SHOULDER),
-        ("unknown", "", LaneType.DRIVING),
-    ],
-)
-def test_types(kind: str, users: str, expected: LaneType) -> None:
-    (lane,) = read_map(lanelet(1, content=users, kind=kind)).lanes.values()
-    assert lane.type == expected
-
-
-def sign(key: int, number: str, *values: str) -> str:
-    more = "".join(f"<additionalValue>{value}</additionalValue>" for value in values)
-    return (
-        f'<trafficSign id="{key}"><trafficSignElement><trafficSignID>{number}</trafficSignID>'
-        f"{more}</trafficSignElement></trafficSign>"
-    )
-
-
-@pytest.mark.parametrize(
-    ("content", "limit"),
-    [
-        ("", None),
-        ("<speedLimit>13.9</speedLimit>", 13.9),
-        ("<speedLimit>-1</speedLimit>", None),
-        ("<speedLimit>fast</speedLimit>", None),
-        ("<speedLimit>inf</speedLimit>", None),
-        ('<trafficSignRef ref="7"/>', 8.3),
-        ('<trafficSignRef ref="7"/><trafficSignRef ref="8"/>', 5.0),
-        ('<trafficSignRef ref="9"/><trafficSignRef ref="10"/><trafficSignRef ref="99"/>', None),
-    ],
-)
-def test_speed_limits(content: str, limit: float | None) -> None:
-    """Of 2018b in the lanelet, of 2020a by a sign [m/s]."""
-    signs = (
-        sign(7, "274", "8.3"),
-        sign(8, "R2-1", "5"),
-        sign(9, "206", "3"),
-        sign(10, "274"),
-    )
-    (lane,) = read_map(lanelet(1, content=content), *signs).lanes.values()
-    assert lane.speed_limit == limit
-
-
 def test_lanes_of_an_intersection() -> None:
     found = read_map(
         lanelet(1, 0, 0, '<successor ref="2"/>'),
@@ -186,39 +107,3 @@ def test_the_projection() -> None:
         assert found.skipped[0].why.startswith("zRotation and scaling are not applied")
         assert found.projection is None
     assert read_map(lanelet(1)).projection is None
-
-
-def test_load(tmp_path: Path) -> None:
-    """Other elements of a scenario are not read."""
-    path = tmp_path / "scenario.xml"
-    obstacle = "<dynamicObstacle id='3'><lanelet id='9'/></dynamicObstacle>"
-    path.write_text(document(lanelet(1), obstacle, version="2018b"))
-    assert list(ml.maps.load(path).lanes) == ["1"]
-    path.write_text(document(obstacle))
-    with pytest.raises(MapFileError, match="contains no usable lane"):
-        ml.maps.load(path)
-
-
-@pytest.mark.parametrize("both_ways", ["", "car", "vehicle", "bicycle", "pedestrian", "bus"])
-@pytest.mark.parametrize("one_way", ["", "car", "bicycle", "pedestrian", "bus"])
-@pytest.mark.parametrize("kind", ["urban", "highway exitRamp", "sidewalk"])
-def test_types_of_all_users(kind: str, one_way: str, both_ways: str) -> None:
-    """A lane of which only cyclists or walkers are users is theirs; cars may use it both ways."""
-    tags = (("userOneWay", one_way), ("userBidirectional", both_ways))
-    content = "".join(f"<{tag}>{user}</{tag}>" for tag, user in tags if user)
-    (found,) = read_map(lanelet(1, content=content, kind=kind)).lanes.values()
-    alone = {"urban": LaneType.DRIVING, "highway exitRamp": LaneType.EXIT}
-    expected = alone.get(kind, LaneType.SIDEWALK)
-    users = {one_way, both_ways} - {""}
-    if kind in alone and users and not users - {"bicycle", "pedestrian"}:
-        expected = LaneType.BIKING if "bicycle" in users else LaneType.SIDEWALK
-    elif kind == "urban" and both_ways in ("car", "vehicle"):
-        expected = LaneType.BIDIRECTIONAL
-    assert found.type == expected
-
-
-def test_a_lanelet_without_width_is_not_used() -> None:
-    flat = bound("leftBound", (0, 9), (9, 9)) + bound("rightBound", (0, 9), (9, 9))
-    found = read_map(lanelet(1), f'<lanelet id="2">{flat}</lanelet>')
-    assert list(found.lanes) == ["1"]
-    assert "it has no width" in found.skipped[0].why

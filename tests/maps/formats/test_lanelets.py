@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from maplines_can.maps import Lane, MapFileError
+from maplines_can.maps import Lane
 from maplines_can.maps.formats.lanelets import boundary, centre_line, lanelet_map
 from maplines_can.values.polyline import Polyline
 
@@ -38,21 +38,6 @@ def test_a_corner_sharper_than_the_lane_is_wide() -> None:
     assert np.hypot(*centre_line(inner, outer).points.T) == pytest.approx(1.25)
 
 
-@pytest.mark.parametrize(
-    ("points", "message"),
-    [
-        ([], "two different points"),
-        ([[1, 2]], "two different points"),
-        ([[1, 2], [1, 2]], "two different points"),
-        ([[1, 2], [math.nan, 2]], r"\(nan, 2\)"),
-        ([[1, 2], [1e9, 2]], "at most 1e\\+08 m"),
-    ],
-)
-def test_what_is_no_boundary(points: list[list[float]], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        boundary(np.array(points, float).reshape(-1, 2))
-
-
 def test_links_that_lead_nowhere_are_removed() -> None:
     one = lane("1", successors=("2", "9"), left_neighbour="8", opposite_left="2")
     found = lanelet_map([one, lane("2", 3.0, predecessors=("1", "7"))], "m")
@@ -69,13 +54,3 @@ def test_lanes_in_a_ring_are_one_road() -> None:
     ring = [lane(str(i), left_neighbour=str((i + 1) % 5)) for i in range(5)]
     found = lanelet_map(ring, "m")
     assert [road.lanes for road in found.roads.values()] == [("0", "1", "2", "3", "4")]
-
-
-def test_nothing_is_an_error() -> None:
-    with pytest.raises(MapFileError, match="m contains no usable lane"):
-        lanelet_map([], "m")
-
-
-def test_lines_without_lanes_are_a_map() -> None:
-    found = lanelet_map([], "m", polylines={"a": boundary(np.eye(2))})
-    assert (list(found.polylines), list(found.lanes)) == (["a"], [])

@@ -195,33 +195,24 @@ def test_a_junction(contact: str) -> None:
 @pytest.mark.parametrize(
     ("elements", "reason"),
     [
-        pytest.param(
-            [road(two(successor=7), two(50.0))],
-            "it names lane 1:1:7, which is not in the map",
-            id="no-such-lane",
-        ),
-        pytest.param(
+        ([road(two(successor=7), two(50.0))], "it names lane 1:1:7, which is not in the map"),
+        (
             [road(two(successor=1), link=linked("successor", "8"))],
             "its link to lane 1 leads to no road",
-            id="no-such-road",
         ),
-        pytest.param(
-            [road(two(successor=1))], "its link to lane 1 leads to no road", id="no-road-link"
-        ),
-        pytest.param(
+        ([road(two(successor=1))], "its link to lane 1 leads to no road"),
+        (
             [
                 road(),
                 '<junction id="9"><connection incomingRoad="1" connectingRoad="7"/></junction>',
             ],
             "it names road '7', which is not in the map",
-            id="no-connecting-road",
         ),
-        pytest.param(
+        (
             [road(), '<junction id="9"><connection connectingRoad="7"/></junction>'],
             "it needs the ids of an incoming and a connecting road",
-            id="no-incoming-road",
         ),
-        pytest.param(
+        (
             [
                 road(),
                 road(road_id="2", plan=geometry(x=1000.0)),
@@ -229,22 +220,18 @@ def test_a_junction(contact: str) -> None:
                 'contactPoint="start"/></junction>',
             ],
             "no end of road '1' is at the junction",
-            id="far-away",
         ),
-        pytest.param(
+        (
             [road(section(lane(-1, successor=1)), section(lane(1), s=50.0))],
             "it meets lane 1:1:1, which has the opposite driving direction",
-            id="head-on",
         ),
-        pytest.param(
+        (
             [road(section(lane(1, successor=-1)), section(lane(-1), s=50.0))],
             "it meets lane 1:1:-1, which has the opposite driving direction",
-            id="back-to-back",
         ),
-        pytest.param(
+        (
             [road(link='<predecessor elementType="road" elementId="1" elementS="5"/>')],
             "a connection between the ends of a road (virtual junction) is not used",
-            id="virtual-junction",
         ),
     ],
 )

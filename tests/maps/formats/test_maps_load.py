@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.fixtures import Patch
 from support.xodr_files import document, road
 
 import maplines_can as ml
@@ -73,7 +74,7 @@ def test_a_folder_is_an_error(tmp_path: Path) -> None:
         ml.maps.load(tmp_path)
 
 
-def test_a_gzip_bomb_is_an_error(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_gzip_bomb_is_an_error(path: Path, monkeypatch: Patch) -> None:
     """The size after decompression counts."""
     monkeypatch.setattr(sys.modules["maplines_can.maps.formats.load"], "MAX_BYTES", 1 << 20)
     text = TEXT.replace("</OpenDRIVE>", "<userData>" + " " * (2 << 20) + "</userData></OpenDRIVE>")
@@ -116,12 +117,7 @@ def test_a_gzip_bomb_is_an_error(path: Path, monkeypatch: pytest.MonkeyPatch) ->
     ],
 )
 def test_files_that_would_fill_the_memory_are_refused(
-    path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    limit: str,
-    value: int,
-    text: str,
-    message: str,
+    path: Path, monkeypatch: Patch, limit: str, value: int, text: str, message: str
 ) -> None:
     """They may come as gzip bombs: what is read of them is bounded."""
     monkeypatch.setattr(f"maplines_can.maps.formats.{limit}", value)
@@ -131,7 +127,7 @@ def test_files_that_would_fill_the_memory_are_refused(
         ml.maps.load(path)
 
 
-def test_the_list_of_what_is_not_used_ends(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_list_of_what_is_not_used_ends(path: Path, monkeypatch: Patch) -> None:
     monkeypatch.setattr("maplines_can.maps.lane.MAX_SKIPPED", 10)
     path.write_text(document(road(), '<road id=""/>' * 1000))
     skipped = ml.maps.load(path).skipped
@@ -140,9 +136,7 @@ def test_the_list_of_what_is_not_used_ends(path: Path, monkeypatch: pytest.Monke
     ]
 
 
-def test_the_map_of_the_package_is_found_by_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_map_of_the_package_is_found_by_name(tmp_path: Path, monkeypatch: Patch) -> None:
     """Where a map is loaded, in a folder without such a file; a file of that name comes first."""
     monkeypatch.chdir(tmp_path)
     assert ml.maps.load("town.xodr").lanes.keys() == ml.maps.load(ml.maps.town_path()).lanes.keys()

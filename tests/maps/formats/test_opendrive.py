@@ -7,16 +7,11 @@ import pytest
 from support.xodr_files import WIDTH, geometry, lane, read_map, reasons, road, section
 
 from maplines_can import Kind, Polyline
-from maplines_can.maps import Lane, LaneType
+from maplines_can.maps import Lane
 
 #: A road with all that a reader tends to mix up: two lanes each way, and shoulders.
 WIDE = section(
-    lane(3, kind="shoulder"),
-    lane(2),
-    lane(1),
-    lane(-1),
-    lane(-2),
-    lane(-3, kind="shoulder"),
+    lane(3, kind="shoulder"), lane(2), lane(1), lane(-1), lane(-2), lane(-3, kind="shoulder")
 )
 
 
@@ -78,30 +73,6 @@ def test_neighbours(
     assert found.opposite_left == opposite
 
 
-@pytest.mark.parametrize(
-    ("mark", "kind"),
-    [
-        ("solid", Kind.SOLID),
-        ("broken", Kind.DASHED),
-        ("solid solid", Kind.DOUBLE),
-        ("solid broken", Kind.DOUBLE),
-        ("broken solid", Kind.DOUBLE),
-        ("broken broken", Kind.DOUBLE),
-        ("botts dots", Kind.DASHED),
-        ("curb", Kind.KERB),
-        ("grass", Kind.ROAD_EDGE),
-        ("edge", Kind.ROAD_EDGE),
-        ("none", Kind.VIRTUAL),
-        ("custom", Kind.UNKNOWN),
-        ("", Kind.UNKNOWN),
-    ],
-)
-def test_kinds_of_markings(mark: str, kind: Kind) -> None:
-    marked = WIDTH + f'<roadMark sOffset="0" type="{mark}"/>'
-    found = read_map(road(section(lane(1), lane(-1, marked), lane(-2)))).lanes
-    assert found["1:0:-1"].right.kind == found["1:0:-2"].left.kind == kind
-
-
 def test_an_outermost_boundary_without_marking_is_a_road_edge() -> None:
     found = read_map(road()).lanes
     assert found["1:0:-1"].right.kind == found["1:0:1"].right.kind == Kind.ROAD_EDGE
@@ -123,53 +94,6 @@ def test_roads_in_a_junction_have_no_edges() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "kind", "is_drivable"),
-    [
-        ("driving", LaneType.DRIVING, True),
-        ("entry", LaneType.ENTRY, True),
-        ("mwyExit", LaneType.EXIT, True),
-        ("onRamp", LaneType.ON_RAMP, True),
-        ("offRamp", LaneType.OFF_RAMP, True),
-        ("connectingRamp", LaneType.CONNECTING_RAMP, True),
-        ("bidirectional", LaneType.BIDIRECTIONAL, True),
-        ("bus", LaneType.BUS, False),
-        ("HOV", LaneType.HOV, False),
-        ("stop", LaneType.STOP, False),
-        ("shoulder", LaneType.SHOULDER, False),
-        ("biking", LaneType.BIKING, False),
-        ("walking", LaneType.SIDEWALK, False),
-        ("special1", LaneType.OTHER, False),
-        ("none", LaneType.NONE, False),
-    ],
-)
-def test_types_of_lanes(name: str, kind: LaneType, is_drivable: bool) -> None:
-    found = lane_of(road(section(lane(-1, kind=name))))
-    assert found.type == kind
-    assert found.type.is_drivable == is_drivable
-
-
-@pytest.mark.parametrize(
-    ("speed", "limit"),
-    [
-        ('max="50" unit="km/h"', 50 / 3.6),
-        ('max="55" unit="mph"', 55 * 0.44704),
-        ('max="13.9" unit="m/s"', 13.9),
-        ('max="13.9"', 13.9),
-        ('max="no limit"', None),
-        ('max="undefined"', None),
-    ],
-)
-def test_speed_limits(speed: str, limit: float | None) -> None:
-    """Of the road, and of a lane that has its own."""
-    expected = None if limit is None else pytest.approx(limit)
-    of_road = f'<type s="0" type="town"><speed {speed}/></type>'
-    assert lane_of(road(before=of_road)).speed_limit == expected
-    slow = '<type s="0" type="town"><speed max="1"/></type>'
-    own = section(lane(-1, WIDTH + f'<speed sOffset="0" {speed}/>'))
-    assert lane_of(road(own, before=slow)).speed_limit == expected
-
-
-@pytest.mark.parametrize(
     ("header", "projection"),
     [
         ("<geoReference><![CDATA[ +proj=utm +zone=32 ]]></geoReference>", "+proj=utm +zone=32"),
@@ -185,7 +109,7 @@ def test_the_projection_is_kept(header: str, projection: str | None) -> None:
 def test_the_length_of_the_geometry_counts() -> None:
     found = read_map(road(length=120.0))
     assert reasons(found) == ["length is '120.0'; that of the geometry is used, 100.000 m"]
-    assert repr(found) == "<Map 'map.xodr': 1 roads, 2 lanes>"
+    assert repr(found) == "<Map 'map.xodr': 1 road, 2 lanes>"
     assert found.lanes["1:0:-1"].length == pytest.approx(100)
 
 

@@ -1,40 +1,10 @@
 """Lanelet2 maps by the reader of this package."""
 
-import gzip
-from itertools import product
-from pathlib import Path
-
-import numpy as np
 import pytest
-from support.lanelet_files import ROAD, Osm
+from support.lanelet_files import Osm
 
-import maplines_can as ml
-from maplines_can.maps import LaneType, MapFileError
+from maplines_can.maps import MapFileError
 from maplines_can.maps.formats.projection import local_cartesian, tangent
-from maplines_can.values.line import Kind
-
-
-@pytest.mark.parametrize(("flip_left", "flip_right"), list(product([False, True], repeat=2)))
-@pytest.mark.parametrize("frame", ["globe", "local"])
-def test_boundaries_run_in_driving_direction(flip_left: bool, flip_right: bool, frame: str) -> None:
-    """Whatever the direction of the ways: the role left decides."""
-    osm = Osm(frame)
-    left = [(0.0, 3.5), (50.0, 3.5), (90.0, 20.0)]
-    right = [(0.0, 0.0), (50.0, 0.0), (70.0, 2.0), (92.0, 16.0)]
-    one, other = (
-        osm.way(*(line[::-1] if flip else line))
-        for line, flip in ((left, flip_left), (right, flip_right))
-    )
-    osm.lanelet(one, other)
-    (lane,) = osm.map().lanes.values()
-    assert lane.left.length == pytest.approx(50 + np.hypot(40, 16.5), rel=0.01)
-    for line in (lane.left, lane.right, lane.centre):
-        assert line.points[-1, 0] - line.points[0, 0] == pytest.approx(91, abs=2.5)
-    assert lane.width == pytest.approx(4.5, abs=1)
-    osm = Osm(frame)  # with the roles exchanged it is driven the other way
-    osm.lanelet(osm.way(*right), osm.way(*left))
-    (lane,) = osm.map().lanes.values()
-    assert lane.left.points[-1, 0] - lane.left.points[0, 0] == pytest.approx(-91, abs=2.5)
 
 
 def test_links_follow_from_shared_ways_and_points() -> None:
@@ -76,84 +46,6 @@ def test_links_follow_from_shared_ways_and_points() -> None:
     assert road.successors == (lanes[ahead].road, lanes[exit_].road)
     assert lanes[first].left is not lanes[second].left
     assert lanes[first].right is lanes[second].left
-
-
-@pytest.mark.parametrize(
-    ("tags", "expected"),
-    [
-        ({"subtype": "highway"}, LaneType.DRIVING),
-        ({"subtype": "road", "one_way": "no"}, LaneType.BIDIRECTIONAL),
-        ({"subtype": "road", "one_way": "no", "one_way:vehicle": "yes"}, LaneType.DRIVING),
-        ({"subtype": "bicycle_lane"}, LaneType.BIKING),
-        ({"subtype": "bicycle_lane", "participant:vehicle": "yes"}, LaneType.DRIVING),
-        ({"subtype": "road", "participant:vehicle:car": "yes"}, LaneType.DRIVING),
-        ({"subtype": "road", "participant:bicycle": "yes"}, LaneType.BIKING),
-        ({"subtype": "road", "participant:vehicle": "no"}, LaneType.OTHER),
-        ({"subtype": "walkway"}, LaneType.SIDEWALK),
-        ({"subtype": "crosswalk"}, LaneType.CROSSWALK),
-        ({"subtype": "emergency_lane"}, LaneType.STOP),
-        ({"subtype": "road_shoulder"}, LaneType.SHOULDER),
-        ({"subtype": "rail"}, LaneType.RAIL),
-        ({"subtype": "exit"}, LaneType.OTHER),
-        ({}, LaneType.DRIVING),
-    ],
-)
-def test_types(tags: dict[str, str], expected: LaneType) -> None:
-    osm = Osm()
-    osm.lanelet(
-        osm.way((0.0, 3.0), (9.0, 3.0)), osm.way((0.0, 0.0), (9.0, 0.0)), {"type": "lanelet"} | tags
-    )
-    (lane,) = osm.map().lanes.values()
-    assert lane.type == expected
-
-
-@pytest.mark.parametrize(
-    ("text", "limit"),
-    [
-        ("50", 50 / 3.6),
-        ("50 km/h", 50 / 3.6),
-        ("50kmh", 50 / 3.6),
-        ("13.5 m/s", 13.5),
-        ("30 mph", 13.4112),
-        ("walk", None),
-        ("-3", None),
-        ("nan", None),
-        ("0", None),
-        ("1" * 400, None),
-    ],
-)
-def test_speed_limits(text: str, limit: float | None) -> None:
-    """What is none is listed."""
-    osm = Osm()
-    ways = osm.way((0.0, 3.0), (9.0, 3.0)), osm.way((0.0, 0.0), (9.0, 0.0))
-    osm.lanelet(*ways, ROAD | {"speed_limit": text})
-    found = osm.map()
-    (lane,) = found.lanes.values()
-    assert lane.speed_limit == (limit and pytest.approx(limit))
-    assert bool(found.skipped) == (limit is None)
-
-
-@pytest.mark.parametrize(
-    ("tags", "kind"),
-    [
-        ({"type": "line_thin", "subtype": "solid"}, Kind.SOLID),
-        ({"type": "line_thick", "subtype": "dashed"}, Kind.DASHED),
-        ({"type": "line_thin", "subtype": "dashed_solid"}, Kind.DOUBLE),
-        ({"type": "line_thin", "subtype": "solid_solid"}, Kind.DOUBLE),
-        ({"type": "line_thin"}, Kind.UNKNOWN),
-        ({"type": "virtual"}, Kind.VIRTUAL),
-        ({"type": "curbstone", "subtype": "low"}, Kind.KERB),
-        ({"type": "road_border"}, Kind.ROAD_EDGE),
-        ({"type": "guard_rail"}, Kind.BARRIER),
-        ({"type": "zebra_marking"}, Kind.UNKNOWN),
-        ({}, Kind.UNKNOWN),
-    ],
-)
-def test_markings(tags: dict[str, str], kind: Kind) -> None:
-    osm = Osm()
-    osm.lanelet(osm.way((0.0, 3.0), (9.0, 3.0), **tags), osm.way((0.0, 0.0), (9.0, 0.0)))
-    (lane,) = osm.map().lanes.values()
-    assert (lane.left.kind, lane.right.kind, lane.centre.kind) == (kind, Kind.UNKNOWN, Kind.VIRTUAL)
 
 
 def test_the_frame_is_utm() -> None:
@@ -209,21 +101,6 @@ def test_other_relations_are_counted() -> None:
     (skipped,) = osm.map().skipped
     assert skipped.where == "3 relations of type regulatory_element"
     assert skipped.why == "only lanelets are used, not: 1 right_of_way, 2 traffic_light"
-
-
-@pytest.mark.parametrize("suffix", [".osm", ".osm.gz", ".xml"])
-def test_load(tmp_path: Path, suffix: str) -> None:
-    osm = Osm()
-    osm.strip(0.0, 9.0)
-    data = osm.text().encode()
-    path = tmp_path / f"map{suffix}"
-    path.write_bytes(gzip.compress(data) if suffix.endswith("gz") else data)
-    road_map = ml.maps.load(path)
-    assert (len(road_map.lanes), road_map.name) == (1, path.name)
-    (lane,) = road_map.lanes.values()
-    assert lane.road == lane.id
-    (lane,) = ml.maps.load(path, projection=tangent(49.0, 8.4)).lanes.values()
-    assert lane.right.points[0] == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
 def test_a_street_map_is_an_error() -> None:

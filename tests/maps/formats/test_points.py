@@ -2,16 +2,14 @@
 
 import io
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-import maplines_can as ml
 from maplines_can.maps import Map, MapFileError
 from maplines_can.maps.formats.points import read
-from maplines_can.maps.formats.projection import project, utm
+from maplines_can.maps.formats.projection import project
 from maplines_can.values.line import Kind
 
 TWO_LANES = """line,x,y,lane,side,kind
@@ -165,20 +163,6 @@ def test_features_of_no_use_are_listed(bad: Any, why: str) -> None:
     (skipped,) = found.skipped
     assert skipped.where == "feature 1"
     assert why in skipped.why
-
-
-@pytest.mark.parametrize("name", ["map.geojson", "map.json", "MAP.GEOJSON"])
-def test_load(tmp_path: Path, name: str) -> None:
-    path = tmp_path / name
-    path.write_bytes(b"\xef\xbb\xbf" + geojson(feature((8.0, 49.0), (8.1, 49.0))).encode())
-    assert len(ml.maps.load(path).polylines) == 1
-    road_map = ml.maps.load(path, projection=utm(49.0, 8.0))
-    assert road_map.polylines["0"].points[0] == pytest.approx((426857.99, 5427937.52), abs=0.01)
-    path = tmp_path / "map.csv"
-    path.write_text(TWO_LANES)
-    assert len(ml.maps.load(path).lanes) == 3
-    with pytest.raises(ValueError, match="is CSV, whose positions are in metres"):
-        ml.maps.load(path, projection=utm(49.0, 8.0))
 
 
 def test_the_kind_of_a_csv_holds_from_its_point_on() -> None:

@@ -17,10 +17,6 @@ def test_functions_may_have_different_numbers_of_pieces() -> None:
     assert found == pytest.approx(np.array([[0] * 7, [5] * 7, [1, 1, 1, 2, 2, 2, 2]], dtype=float))
 
 
-def test_no_function_has_no_values() -> None:
-    assert Profiles([])(S, S).shape == (0, 7)
-
-
 @given(
     st.lists(st.tuples(*[st.floats(-10, 10)] * 5), min_size=1, max_size=5, unique_by=lambda p: p[0])
 )

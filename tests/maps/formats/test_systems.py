@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support.fixtures import Patch
 from support.lanelet_files import Osm
 from support.xodr_files import geometry, read_map, road, section
 from support.xodr_files import lane as xodr_lane
@@ -18,7 +19,7 @@ from support.xodr_files import lane as xodr_lane
 from maplines_can.maps import Map, MapFileError
 from maplines_can.maps.formats.commonroad import read as read_commonroad
 from maplines_can.maps.formats.points import read as read_points
-from maplines_can.maps.formats.projection import around, local_cartesian, shifted, utm_of
+from maplines_can.maps.formats.projection import local_cartesian, shifted, utm_of
 from maplines_can.simulation.map_frame import project
 from maplines_can.values.errors import MissingExtraError
 
@@ -139,7 +140,7 @@ def test_metric_systems_are_kept(read: Reader, name: str, at: tuple[float, float
 
 
 @pytest.mark.parametrize("name", ["OGC:CRS84", "EPSG:4326", "EPSG:4979", "WGS 84"])
-def test_wgs84_needs_no_pyproj(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wgs84_needs_no_pyproj(name: str, monkeypatch: Patch) -> None:
     """Longitude stands first, as GeoJSON says, whatever the order of the system's axes."""
     sides = on_ground("EPSG:4326", MUNICH)
     monkeypatch.setitem(sys.modules, "pyproj", None)
@@ -149,7 +150,7 @@ def test_wgs84_needs_no_pyproj(name: str, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize("name", ["EPSG:32632", "EPSG:25832", "+proj=utm +zone=32 +ellps=GRS80"])
-def test_utm_needs_no_pyproj(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_utm_needs_no_pyproj(name: str, monkeypatch: Patch) -> None:
     """The scale of UTM is known."""
     sides = on_ground(name, (8.9, 49.3))
     monkeypatch.setitem(sys.modules, "pyproj", None)
@@ -157,9 +158,7 @@ def test_utm_needs_no_pyproj(name: str, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 @pytest.mark.parametrize("read", FORMATS)
-def test_a_system_that_needs_pyproj_is_refused_without(
-    read: Reader, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_system_that_needs_pyproj_is_refused_without(read: Reader, monkeypatch: Patch) -> None:
     """The message names the system and the extra."""
     monkeypatch.setitem(sys.modules, "pyproj", None)
     with pytest.raises(MissingExtraError, match=r"'EPSG:2154'.*install the extra \"maps\""):
@@ -220,9 +219,7 @@ def test_exchanged_axes_are_refused(
 
 
 @pytest.mark.parametrize("name", ["EPSG:25832", "EPSG:2154"])
-def test_local_metres_of_a_national_grid_are_metres(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_local_metres_of_a_national_grid_are_metres(name: str, monkeypatch: Patch) -> None:
     """Positions around 0 are not in the area that the file names; it is said."""
     if name == "EPSG:25832":
         monkeypatch.setitem(sys.modules, "pyproj", None)
@@ -371,20 +368,17 @@ def test_the_scale_of_a_requested_frame_is_said(projection: str, text: str | Non
         assert lane.centre.points[0] == pytest.approx(start, abs=1e-3, rel=1e-9)
 
 
-def test_names_of_systems() -> None:
-    assert utm_of("http://www.opengis.net/def/crs/EPSG/0/32701") == (
-        "+proj=utm +zone=1 +south +datum=WGS84"
-    )
-    assert [utm_of(name) for name in ("EPSG:32661", "EPSG:3", "EPSG:32600", "25832")] == [None] * 4
-    assert shifted("+proj=longlat", 1, 2) is None
-    assert shifted("EPSG:2154", 1, 2) is None
-    assert shifted("+proj=utm +zone=33 +south", 0, 5) == (
-        "+proj=tmerc +lat_0=0 +lon_0=15 +k=0.9996 +x_0=500000.0 +y_0=9999995.0"
-    )
-    assert around([48.0, 50.0], [9.0, 10.0]).startswith("+proj=tmerc +lat_0=49.0 +lon_0=9.5 ")
-
-
 def test_a_code_of_an_early_draft() -> None:
     sides = on_ground("EPSG:3857", MUNICH)
     found = geojson({"type": "EPSG", "properties": {"code": 3857}}, sides)
     assert found.lanes["1"].width == pytest.approx(WIDTH, abs=1e-4)
+
+
+def test_codes_and_origins_of_utm() -> None:
+    """Also of the south, where y begins 10 000 km below the equator."""
+    south = utm_of("http://www.opengis.net/def/crs/EPSG/0/32701")
+    assert south == "+proj=utm +zone=1 +south +datum=WGS84"
+    assert [utm_of(name) for name in ("EPSG:32661", "EPSG:3", "EPSG:32600", "25832")] == [None] * 4
+    moved = shifted("+proj=utm +zone=33 +south", 0, 5)
+    assert moved == "+proj=tmerc +lat_0=0 +lon_0=15 +k=0.9996 +x_0=500000.0 +y_0=9999995.0"
+    assert shifted("+proj=longlat", 1, 2) is None

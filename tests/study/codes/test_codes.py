@@ -7,18 +7,15 @@ from typing import Any
 import cantools
 import numpy as np
 import pytest
-from support.lines import lines_timed_out, scenario_lines
 
 from maplines_can import Gaussian, MapLine, Slot, Status
+from maplines_can.generation.dbc.record_spec import SERVICE
 from maplines_can.model.records import written
-from maplines_can.simulation.scenarios import SCENARIOS
 from maplines_can.study import adversarial, evaluate, paper, road
+from maplines_can.study.code_dbcs import covariance_signals, dbc_writer_for
 from maplines_can.study.codes import CODES
 from maplines_can.study.codes.integer_cholesky import ORDER, UNIT
 from maplines_can.study.comparison import codec_for, transmit
-from maplines_can.study.dbc.covariance_spec import covariance_signals
-from maplines_can.study.dbc.record_spec import SERVICE, dbc_writer_for
-from maplines_can.study.round_trip import round_trip
 from maplines_can.study.sweep import plan
 from maplines_can.values.errors import LayoutError
 from maplines_can.wire import Layout, Reason
@@ -185,48 +182,6 @@ def covariance_by_hand(name: Any, signals: Any) -> Any:
     return S
 
 
-def test_the_integer_factor_has_the_99_bits_of_sbas() -> None:
-    """DO-229, A.4.4.16: 3 for the exponent, 4 x 9 and 6 x 10."""
-    widths = [spec.bits for spec in covariance_signals("IntegerCholesky")]
-    assert sum(widths) == 99
-    assert sorted(widths) == [3, *[9] * 4, *[10] * 6]
-
-
-def test_half_precision_loses_small_variances() -> None:
-    """The variance of c1 is below 6e-8, too small for float16 but not for float32."""
-    means, covs = lines_of("road")
-    half, single = (received(name, means, covs).cov for name in ("Float16", "Float32"))
-    assert (half[:, 3, 3] == 0).mean() > 0.5
-    assert (single[:, 3, 3] > 0).all()
-    assert np.diagonal(single, axis1=1, axis2=2) == pytest.approx(
-        np.diagonal(covs, axis1=1, axis2=2), rel=0.02, abs=1e-9
-    )
-
-
-def test_feedback_limits_the_error_of_nearly_singular_matrices() -> None:
-    """With the same fields, rounding without feedback is far worse."""
-    means, covs = lines_of("paper")
-    found = {}
-    for name in ("Cholesky", "LogCholesky"):
-        batch = received(name, means, covs)
-        evaluation, usable = check_covered(codec_of(name), means, covs, batch)
-        full = batch.status[usable] == Status.FULL
-        found[name] = np.quantile(evaluation.kl_covered[full], 0.99)
-    assert found["LogCholesky"] > 20 * found["Cholesky"]
-
-
-def test_one_bit_more_in_each_field_divides_the_divergence_by_four() -> None:
-    """The KL of rounding is proportional to the square of the step."""
-    means, covs = lines_of("road")
-    kl = []
-    for finer in (-1, 0, 1):
-        codec = plan.codec_of(plan.Plan("Cholesky", finer))
-        batch = transmit(codec, means, covs)
-        kl.append(evaluate(means, covs, batch.mean, batch.cov, codec.resolution).kl_covered.mean())
-    assert kl[0] / kl[1] == pytest.approx(4, rel=0.15)
-    assert kl[1] / kl[2] == pytest.approx(4, rel=0.15)
-
-
 @pytest.mark.parametrize("name", WITH_WIDTHS)
 def test_codes_work_with_other_widths(name: Any) -> None:
     means, covs = lines_of("road")
@@ -246,18 +201,6 @@ def test_messages_name_the_alternatives() -> None:
     text = dbc_writer_for("Sigmas").dbc().replace('"Sigmas"', '"LinearNearest"')
     with pytest.raises(LayoutError, match="CovYOffYOff"):
         codec_for(Layout.from_text(text))
-
-
-@pytest.mark.parametrize("name", ["Cholesky", "Float16", "MeanOnly"])
-def test_lines_travel_over_a_bus_with_every_dbc(name: Any) -> None:
-    """Lines are sent and received, and every received covariance is definite."""
-    lines = scenario_lines(SCENARIOS["street-turn"])
-    trip = round_trip(lines, codec_of(name), seconds=0.3)
-    assert {line.status for line in trip.lines} - {None}
-    assert all(line.mean is not None for line in trip.lines)
-    counts = {reason.name: n for reason, n in trip.received.counts.items()}
-    frames = trip.sent.frames // trip.sent.lines
-    assert trip.lines_lost == lines_timed_out(counts, trip.received.pending, frames)
 
 
 def singular(n: int) -> Any:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from maplines_can.cli import main
-from maplines_can.study.dbc.record_spec import CONDITIONAL
+from maplines_can.generation.dbc.record_spec import CONDITIONAL
 from maplines_can.study.design import conditional as module
 from maplines_can.study.design.conditional import design_scenes, fields, figures_of, writer_of
 from maplines_can.wire import Layout

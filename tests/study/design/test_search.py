@@ -2,8 +2,6 @@
 
 import contextlib
 import json
-import uuid
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +9,6 @@ import cantools
 import numpy as np
 import pytest
 
-from maplines_can.bus import Link, Receiver, Transmitter
 from maplines_can.cli import main
 from maplines_can.study import adversarial, paper, road
 from maplines_can.study.design.planner import Targets, allocated
@@ -25,8 +22,7 @@ from maplines_can.study.design.sensitivity import (
     rows_of,
 )
 from maplines_can.study.sets import Gaussians
-from maplines_can.values.gaussian import Gaussian
-from maplines_can.values.line import Kind, MapLine, Slot, Status
+from maplines_can.values.line import Status
 from maplines_can.wire import Codec, Layout
 
 N = 1000
@@ -111,42 +107,6 @@ def test_measured_figures_match_the_prediction(designs: Any, frames: Any) -> Non
     assert measured.saturated <= predicted.saturated + 9 / N
     assert 0.5 * predicted.lateral_error <= measured.lateral_error
     assert measured.lateral_error <= 1.15 * predicted.lateral_error  # a slope has a longer lever
-
-
-def test_more_frames_lose_less(designs: Any) -> None:
-    """One frame adds 53 bits: 3.7 for each of 14 numbers, and 4^-3.7 of the divergence."""
-    kl = [designs[n].measured["road"].kl_mean for n in FRAMES]
-    for more, less in pairwise(kl):
-        assert 50 < more / less < 400
-
-
-@pytest.mark.parametrize(("frames", "fd"), [(3, False), (4, True)])
-def test_a_design_is_sent_and_received(folder: Any, others: Any, frames: Any, fd: bool) -> None:
-    """Lines received over python-can's bus are those of the codec."""
-    codec = Codec.from_dbc(folder / f"frames{frames}.dbc")
-    lines = [
-        MapLine(Slot(i), Gaussian(others["road"].mean[i], others["road"].cov[i]), Kind.SOLID)
-        for i in range(8)
-    ]
-    settings = {"interface": "virtual", "channel": f"design-{uuid.uuid4()}"}
-    settings |= {"fd": True} if fd else {}  # type: ignore[dict-item]
-    with (
-        Link(**settings) as out,  # type: ignore[arg-type]
-        Link(**settings) as back,  # type: ignore[arg-type]
-        Receiver(back, codec.decoder(), can_ids=codec.can_ids) as receiver,
-    ):
-        with Transmitter(out, codec, period=0.05, fd=fd, count=1) as transmitter:
-            transmitter.publish(lines)
-            assert transmitter.wait(5)
-        received: dict[Any, Any] = {}
-        while len(received) < len(lines):
-            line = receiver.get(5)
-            assert line is not None
-            received[line.slot] = line
-    wanted = codec.batch.decode(codec.batch.encode(others["road"].mean[:8], others["road"].cov[:8]))
-    for i, line in enumerate(lines):
-        assert np.array_equal(received[line.slot].gaussian.mean, wanted.mean[i])
-        assert np.array_equal(received[line.slot].gaussian.cov, wanted.cov[i])
 
 
 def test_a_signal_of_zero_means_zero(folder: Any) -> None:

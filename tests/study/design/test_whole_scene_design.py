@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from maplines_can.cli import main
+from maplines_can.generation.dbc.record_spec import WHOLE_SCENES
 from maplines_can.maps.tour import town_path
-from maplines_can.study.dbc.record_spec import WHOLE_SCENES
 from maplines_can.study.design import scene_frames as module
 from maplines_can.study.design.scene_frames import (
     FOUND,

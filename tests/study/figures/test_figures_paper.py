@@ -1,6 +1,5 @@
 """The figures of the paper: their data, their text, and reproducible files."""
 
-import re
 import sys
 from itertools import combinations
 from pathlib import Path
@@ -19,7 +18,6 @@ from maplines_can.study.figures import paper as figures
 from maplines_can.study.figures import paper_panels as panels
 from maplines_can.study.roads import PAPER
 from maplines_can.values.errors import MissingExtraError
-from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import lateral
 
 SAMPLES = 1500
@@ -247,61 +245,6 @@ def test_marginals(case_of: Any, drawn: Any) -> None:
     shares = [f"{100 * (1 - g.coverage(case.lines)):.1f} %" for g in gaussians.values()]
     assert texts(grid[0, 0]) == [*shares, "4-D:"]
     assert all(ax.lines[0].get_rasterized() for ax in grid[np.triu_indices(4, 1)])
-
-
-@pytest.mark.parametrize("wire", [False, True])
-def test_the_head_describes_the_figure(drawn: Any, wire: bool) -> None:
-    """Scenario, heading sigma, samples, line and reading; after the wire, the cost."""
-    head = " ".join(text.get_text() for text in drawn(11, wire).texts)
-    assert "Figure 11: street-turn-10deg" in head
-    assert f"heading sigma 10 deg, n = {SAMPLES:,} samples, line EGO_RIGHT" in head
-    assert (PLANS[11].reading in head) == (not wire)
-    assert ("after the wire" in head) == wire
-    costs = [float(cost) for cost in re.findall(r"[+-]\d+\.\d", head)] if wire else [0.0] * 4
-    assert len(costs) == 4
-    assert all(0 <= cost < 10 for cost in costs)  # wider, never narrower
-
-
-def test_the_readings_are_true(case_of: Any) -> None:
-    """The statements above the figures hold on these samples."""
-    beta, c0, c1 = 1, 2, 3
-    highway, correlated, wider, turn, wide_turn = map(case_of, (5, 7, 8, 10, 11))
-    # Chords of 2 m deviate from the curve by up to 0.25 mm (0.075 mm rms about their mean), and
-    # 64 nodes over 100 m determine c0 to 2.8e-4 1/m^2 times that.
-    assert highway.refit(highway.scenario.ego.mean)[c0] == pytest.approx(5e-4, abs=1e-7)
-    assert highway.lines[:, c0].min() > 4.97e-4  # the hard lower limit
-    assert highway.monte_carlo.mean[c0] - 3 * highway.monte_carlo.sigma[c0] < 4.9e-4
-    R = highway.sigma_points.correlation
-    change = abs(correlated.sigma_points.correlation - R)
-    assert change.max() == pytest.approx(change[0, c0])
-    assert change.max() < 0.05
-    assert abs(wider.sigma_points.correlation[c0, c1]) > abs(R[c0, c1])
-    assert 1 - wider.sigma_points.coverage(wider.lines) > 0.5
-    sent = highway.monte_carlo
-    variances = Gaussian(sent.mean, np.diag(sent.cov.diagonal()))
-    areas = [np.linalg.det(gaussian.marginal([beta, c1]).cov) for gaussian in (variances, sent)]
-    assert np.sqrt(areas[0] / areas[1]) > 3
-    assert variances.coverage(highway.lines) < sent.coverage(highway.lines)
-    assert (np.abs(turn.sigma_points.correlation[1:, 1:]) > 0.6).all()
-    assert 1 - turn.monte_carlo.marginal([c0, c1]).coverage(turn.lines[:, [c0, c1]]) < 0.04
-    heading, rate = wide_turn.lines[:, [beta, c1]].T
-    curve = np.polynomial.Polynomial.fit(heading, rate, 8)
-    seen, true = (g.correlation[beta, c1] for g in (wide_turn.sigma_points, wide_turn.monte_carlo))
-    in_ellipse = wide_turn.monte_carlo.sigma[c1] * np.sqrt(1 - true**2)  # of c1, at a given beta
-    assert np.median(np.abs(rate - curve(heading))) < 0.2 * in_ellipse
-    assert seen < true - 0.05
-
-
-def test_close_up(case_of: Any) -> None:
-    """Sigma points left, samples right, the plain car above the correlated one."""
-    figure = figures.draw_close_up([case_of(5), case_of(7)])
-    assert [ax.get_title(loc="left") for ax in figure.axes] == [
-        f"{name}: {drawn}"
-        for name in ("highway", "highway-correlated")
-        for drawn in ("7 sigma points", "200 Monte Carlo samples")
-    ]
-    assert [of_type(ax, "Quiver")[-1].N for ax in figure.axes] == [7, 200, 7, 200]
-    assert all(ax.get_xlim() == (-2.6, 2.6) == ax.get_ylim() for ax in figure.axes)
 
 
 @pytest.mark.parametrize(

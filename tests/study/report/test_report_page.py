@@ -14,7 +14,7 @@ from support.sweep_tables import SETS, USED, N, write
 
 from maplines_can.cli import main
 from maplines_can.study.report.page import choices, write_report
-from maplines_can.study.report.results import COLUMNS, Tables, read_tables
+from maplines_can.study.report.results import Tables, read_tables
 from maplines_can.study.sweep.run import run_study
 from maplines_can.values.errors import MissingExtraError, StudyError
 
@@ -203,10 +203,6 @@ def test_a_missing_extra_is_named(
 
     with pytest.raises(MissingExtraError, match=r'pip install -e "\.\[study\]"'):
         write_report(folder, tmp_path / "report.html")
-
-
-def test_no_column_is_listed_twice() -> None:
-    assert all(len(set(columns)) == len(columns) for columns in COLUMNS.values())
 
 
 # ---- the choice of a code -----------------------------------------------------------------------

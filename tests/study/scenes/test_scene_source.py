@@ -39,21 +39,6 @@ def test_a_scene_has_the_pose_error_of_its_parameters(drawn: Any) -> None:
     assert (drawn.theta <= box(LINES)[:, 1]).all()
 
 
-def test_the_middle_of_the_box_is_the_production_pose() -> None:
-    """Without correlations; 10 cm along, 20 cm across, 0.2 deg."""
-    cov = pose_cov(box(0).mean(axis=1))
-
-    assert np.allclose(cov, np.diag([0.1, 0.2, math.radians(0.2)]) ** 2, rtol=1e-9, atol=0)
-
-
-def test_one_seed_gives_the_same_scenes() -> None:
-    """And another one gives others."""
-    first, again, other = (random_scene(2, np.random.default_rng(seed)) for seed in (1, 1, 2))
-
-    assert np.array_equal(first.scene.cov, again.scene.cov)
-    assert not np.array_equal(first.theta, other.theta)
-
-
 @pytest.mark.parametrize("spacing", [2.0, 7.0, 20.0])
 def test_noise_of_points_is_that_of_a_scene(spacing: float) -> None:
     """On a straight road, without other errors of the map; up to the place of the points."""
@@ -127,13 +112,3 @@ def test_parameters_that_cannot_be_seen_take_no_bits() -> None:
 
     assert (whole.dimension, less.dimension) == (9, 8)
     assert 0 < less.bits(1e-3) < whole.bits(1e-3)
-
-
-def test_a_lower_divergence_takes_more_bits(drawn: Any) -> None:
-    """Half a bit for each parameter that counts and each factor of 2."""
-    F = information(drawn, RESOLUTION)[None]
-    fine, coarse = joint_limit(F, 1e-6), joint_limit(F, 2e-6)
-
-    assert fine.dimension == coarse.dimension
-    more = float(fine.bits(1e-6) - coarse.bits(2e-6))
-    assert more == pytest.approx(fine.dimension / 2)

@@ -5,7 +5,6 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import altered_dbc
 import cantools
@@ -14,20 +13,14 @@ from dbc_alterations import ORIGINALS, Original, altered, original, pose_origina
 from dbc_witness import WrongResultError, check_codec
 
 from maplines_can import Codec
+from maplines_can.generation.dbc.record_spec import CONDITIONAL, DEFAULT, POSE_WITH_LEVELS, SECURED
+from maplines_can.study.code_dbcs import dbc_writer_for
 from maplines_can.study.codes import CODES
 from maplines_can.study.comparison import codec_for
-from maplines_can.study.dbc.record_spec import (
-    CONDITIONAL,
-    DEFAULT,
-    POSE_WITH_LEVELS,
-    SECURED,
-    dbc_writer_for,
-)
 from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import Slot
 from maplines_can.wire import Layout
 
-ROOT = Path(__file__).parents[3]
 #: Records in a row for the fields for which it matters that a number wraps.
 RECORDS = {"Line.Counter": 300, "Line.TransferId1": 40, "Line.Component": 40}
 #: Fields of which each has the same bounds as one before it.
@@ -177,15 +170,6 @@ def test_the_dbc_of_each_code_is_accepted(code: str) -> None:
         layout = Layout.from_dbc(replace(dbc_writer_for(code, finer), pose=None).database())
         assert (layout.pose, layout.short_pages) == (None, layout.pages)
         codec_for(layout)
-
-
-def test_from_dbc_takes_a_loaded_database() -> None:
-    """``Codec.from_dbc(database)`` gives the frames of the file."""
-    path = ROOT / "dbc" / "maplines.dbc"
-    codec = Codec.from_dbc(cantools.database.load_file(path))  # type: ignore[arg-type]
-    assert codec.layout.signals == Layout.from_dbc(path).signals
-    assert codec.layout.messages == Layout.from_dbc(path).messages
-    assert "the cantools database" in repr(codec)
 
 
 def test_a_database_that_cantools_did_not_check_is_checked() -> None:

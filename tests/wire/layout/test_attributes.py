@@ -6,33 +6,13 @@ import numpy as np
 import pytest
 from support.scene_streams import COMPLETE, codec_of
 
-from maplines_can.values.line import Kind, Slot, Status
+from maplines_can.values.line import Slot
 
 COV = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
 
 
-def test_the_defaults() -> None:
-    """Single new lines of an unknown kind, which claim nothing but x = 0."""
-    codec = codec_of(COMPLETE)
-    batch = codec.batch.decode(codec.batch.encode(np.zeros((3, 4)), [COV] * 3), Slot.EGO_LEFT)
-    assert batch.accepted.all()
-    assert batch.counter.tolist() == [0, 1, 2]
-    for values, wanted in (
-        (batch.kind, Kind.UNKNOWN),
-        (batch.status, Status.FULL),
-        (batch.x_min, 0),
-        (batch.x_max, 0),
-        (batch.age, 0),
-        (batch.component_index, 0),
-        (batch.component_count, 1),
-        (batch.component_weight, 1),
-    ):
-        assert values.tolist() == [wanted] * 3
-
-
 @pytest.mark.parametrize(
-    ("counter", "counters"),
-    [(None, [0, 1, 2, 3]), (9, [9, 10, 9, 10]), ([5, 255], [5, 6, 255, 0])],
+    ("counter", "counters"), [(None, [0, 1, 2, 3]), (9, [9, 10, 9, 10]), ([5, 255], [5, 6, 255, 0])]
 )
 def test_the_counters_of_components(counter: Any, counters: list[int]) -> None:
     """They go on from that of the line; without one, from the line before."""

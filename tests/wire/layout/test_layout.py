@@ -7,7 +7,7 @@ import pytest
 from support.secoc_streams import LAYOUT
 
 from maplines_can import Codec, Slot
-from maplines_can.values.errors import EncodeError, LayoutError
+from maplines_can.values.errors import EncodeError
 from maplines_can.wire import Layout
 
 ROOT = Path(__file__).parents[3]
@@ -34,15 +34,6 @@ def test_the_readme_has_the_authenticated_ids_of_the_dbc() -> None:
     page = (ROOT / "dbc" / "README.md").read_text()
     for messages in Layout.from_dbc(ROOT / "dbc" / "maplines-secoc.dbc").messages.values():
         assert f"| 0x{messages.secured_can_id:03X} | 0x{messages.secured_data_id:04X} |" in page
-
-
-def test_a_record_without_one_of_its_pages_is_refused() -> None:
-    """Pages 0, 1 and 3 are not a record: its length is the number of pages."""
-    layout = Layout.from_dbc()
-    later = {"Page2": "Page7", "TransferId2": "TransferId7"}
-    signals = {later.get(name, name): signal for name, signal in layout.signals.items()}
-    with pytest.raises(LayoutError, match=r"numbered 0, 1, ..., got \[0, 1, 3, 7\]"):
-        replace(layout, signals=signals)
 
 
 def test_a_slot_without_messages_is_refused_in_a_batch() -> None:

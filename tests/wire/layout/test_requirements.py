@@ -19,7 +19,6 @@ from maplines_can.wire.layout.record_signals import (
     SCENE_RECORD,
     SLOT,
     SLOT_BOUNDS,
-    TRAILER,
     Bounds,
     Signal,
     of_slot,
@@ -186,17 +185,6 @@ def test_a_signal_at_the_edge(record: str, name: str, change: dict[str, Any], wo
     found = refusal(record, name, **change)
     assert words in found
     assert bool(words) is bool(found)
-
-
-@pytest.mark.parametrize(("bits", "accepted"), [(16, False), (24, True), (56, True), (64, False)])
-def test_a_freshness_value_has_3_to_7_bytes(bits: int, accepted: bool) -> None:
-    """With 2 bytes it repeats after 65 ms."""
-    freshness = Signal("Freshness", 0, bits, True, False, 1.0, 0.0, "us", 0, 2**bits - 1)
-    if accepted:
-        TRAILER["Freshness"].check(freshness, "my.dbc")
-    else:
-        with pytest.raises(LayoutError, match="needs 24 to 56 bits"):
-            TRAILER["Freshness"].check(freshness, "my.dbc")
 
 
 def test_a_refusal_has_name_value_need_and_cure() -> None:

@@ -13,12 +13,12 @@ from dbc_witness import check_codec
 from scene_layouts import layout_of
 
 from maplines_can.dbc_files.parser import default_dbc_path
-from maplines_can.study.dbc.record_spec import CONDITIONAL, SCENES, WHOLE_SCENES
+from maplines_can.generation.dbc.record_spec import CONDITIONAL, SCENES, WHOLE_SCENES
 from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import Slot
 from maplines_can.wire import Codec, Layout
 from maplines_can.wire.layout.pose_layout import SCENE, SCENE2
-from maplines_can.wire.layout.record_signals import SCENE_LINE, SECURED_SIGNALS, SLOT, slot_title
+from maplines_can.wire.layout.record_signals import SECURED_SIGNALS
 from maplines_can.wire.layout.scene_layout import SceneLayout
 
 #: CAN IDs of the messages.
@@ -108,24 +108,6 @@ def test_the_layout_of_the_package() -> None:
     assert layout.message_of_id.keys() == {(number, False) for number in IDS.values()}
     assert layout.record_of(SCENE2) is scene
     assert layout.max_age == scene.max_age == 0.24
-
-
-def test_the_places_of_lines_are_those_of_the_dbc() -> None:
-    """In all four messages, by the names that they have there."""
-    scene = scene_of(layout_of("maplines-scene.dbc"))
-    database: Any = cantools.database.load_string(text(), "dbc")
-    for name in IDS:
-        signals = {signal.name: signal for signal in database.get_message_by_name(name).signals}
-        owner = SCENE2 if name.startswith("Scene2") else SCENE
-        for place, slot in enumerate(scene.fixed[owner][: 3 if "Sec" in name else 4]):
-            title = f"Line{place + 1}" if slot is None else slot_title(slot)
-            own = scene.at(place)
-            assert own.keys() == {*SCENE_LINE, SLOT}
-            for one in [*SCENE_LINE, *([SLOT] if slot is None else [])]:
-                assert (signals[title + one].start, signals[title + one].length) == (
-                    own[one].start, own[one].length,
-                )  # fmt: skip
-    assert list(scene.signals) == [s.name for s in database.get_message_by_name("Scene").signals]
 
 
 # ---- DBCs that are accepted ------------------------------------------------------------------

@@ -7,8 +7,8 @@ from typing import Any
 import cantools
 import pytest
 
+from maplines_can.study.code_dbcs import dbc_writer_for
 from maplines_can.study.codes import CODES
-from maplines_can.study.dbc.record_spec import dbc_writer_for
 from maplines_can.values.errors import LayoutError
 from maplines_can.wire import SHIPPED, Layout, default_dbc_path
 from maplines_can.wire.layout.pose_layout import PoseLayout

@@ -4,29 +4,14 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from can.util import CAN_FD_DLC
 
 from maplines_can.values.errors import LayoutError
 from maplines_can.wire.layout.slot_messages import (
-    FD_LENGTHS,
     RecordMessages,
     Room,
     SecuredLayout,
     check_messages,
-    fd_length,
 )
-
-
-def test_the_payload_lengths_of_can_fd() -> None:
-    """Those of python-can."""
-    assert list(FD_LENGTHS) == CAN_FD_DLC
-
-
-@pytest.mark.parametrize(("length", "padded"), [(0, 0), (8, 8), (9, 12), (48, 48), (49, 64)])
-def test_a_payload_is_padded_to_the_next_length(length: int, padded: int) -> None:
-    """A length of CAN FD itself needs no padding."""
-    assert fd_length(length) == padded
-
 
 MESSAGES = RecordMessages(
     name="A",

@@ -1,6 +1,6 @@
 """AUTOSAR's E2E check and state machine, row by row: of the model, which the core agrees with."""
 
-from dataclasses import asdict, astuple, replace
+from dataclasses import asdict, astuple
 from typing import Any
 
 import pytest
@@ -14,20 +14,6 @@ OK, NONEWDATA, ERROR, REPEATED, OKSOMELOST, WRONGSEQUENCE = ProfileStatus
 VALID, NODATA, INIT, INVALID = E2EState
 
 LETTERS = {"o": OK, "l": OKSOMELOST, "e": ERROR, "r": REPEATED, "w": WRONGSEQUENCE, "n": NONEWDATA}
-STATES = {"D": NODATA, "I": INIT, "V": VALID, "X": INVALID}
-
-#: Window sizes and bounds that differ wherever the standard allows it.
-SMALL = E2EConfig(
-    window_size_init=3,
-    window_size_valid=5,
-    window_size_invalid=4,
-    min_ok_state_init=2,
-    min_ok_state_valid=2,
-    min_ok_state_invalid=3,
-    max_error_state_init=1,
-    max_error_state_valid=2,
-    max_error_state_invalid=0,
-)
 
 
 class StateMachine:
@@ -66,54 +52,6 @@ def test_any_step_of_the_counter(last: int, counter: int, max_delta: int) -> Non
 
 
 # ---- the state machine, row by row -------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("statuses", "states"),
-    [
-        # NODATA: the first check that is neither ERROR nor NONEWDATA; it does not count
-        pytest.param("n", "D", id="nodata-nonewdata"),
-        pytest.param("e", "D", id="nodata-error"),
-        pytest.param("o", "I", id="nodata-ok"),
-        pytest.param("eeo", "DDI", id="nodata-left-after-errors"),
-        # INIT: window 3, OKs 2, errors 1
-        pytest.param("ooo", "IIV", id="init-oks-at-bound"),
-        pytest.param("oll", "IIV", id="oksomelost-is-an-ok"),
-        pytest.param("oee", "IIX", id="init-one-error-more"),
-        pytest.param("oonno", "IIIII", id="init-ok-just-out-of-the-window"),
-        pytest.param("oene", "IIIX", id="init-error-at-the-edge-of-the-window"),
-        pytest.param("onrwnrw", "IIIIIII", id="init-others-count-as-neither"),
-        # VALID: window 5, OKs 2, errors 2
-        pytest.param("oooeee", "IIVVVX", id="valid-one-error-more"),
-        pytest.param("ooonnnn", "IIVVVVX", id="valid-one-ok-less-nonewdata"),
-        pytest.param("oooelerlw", "IIVVVVVVV", id="valid-all-kinds-within-both-bounds"),
-        pytest.param("oooeooee", "IIVVVVVX", id="valid-error-at-the-edge-of-the-window"),
-        # The window grows from 3 to 5 between INIT and VALID
-        pytest.param("oeooee", "IIIVVX", id="an-error-in-init-is-kept"),
-        # INVALID: window 4, OKs 3, errors 0, from an empty window
-        pytest.param("oeeooo", "IIXXXV", id="invalid-oks-at-bound"),
-        pytest.param("oeeoonno", "IIXXXXXX", id="invalid-ok-just-out-of-the-window"),
-        pytest.param("oeeeooo", "IIXXXXX", id="invalid-error-at-the-edge-of-the-window"),
-    ],
-)
-def test_the_table_of_states(statuses: str, states: str) -> None:
-    """Transitions of E2E_SMCheck by example; the reference below has all others."""
-    machine = StateMachine(SMALL)
-    assert [STATES[letter] for letter in states] == [machine.step(LETTERS[s]) for s in statuses]
-
-
-@pytest.mark.parametrize(
-    ("clear", "statuses", "states"),
-    [
-        pytest.param(True, "oooeeeooo", "IIVVVXXXV", id="from-valid-cleared"),
-        pytest.param(False, "oooeeeooo", "IIVVVXXXX", id="from-valid-kept"),
-        pytest.param(False, "oooonnnnooo", "IIVVVVVXXXV", id="old-oks-do-not-suffice"),
-    ],
-)
-def test_the_window_at_the_transition_to_invalid(clear: bool, statuses: str, states: str) -> None:
-    """With clear_to_invalid it is empty, otherwise it holds the last checks."""
-    machine = StateMachine(replace(SMALL, clear_to_invalid=clear))
-    assert [STATES[letter] for letter in states] == [machine.step(LETTERS[s]) for s in statuses]
 
 
 class Reference:

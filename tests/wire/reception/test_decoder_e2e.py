@@ -8,17 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.dbcs import default_codec
-from support.e2e_streams import (
-    CYCLE,
-    MS,
-    SLOT,
-    check_accounts,
-    feed,
-    frames,
-    mixture_frames,
-    record,
-    run,
-)
+from support.e2e_streams import CYCLE, MS, SLOT, check_accounts, frames, mixture_frames, record, run
 
 from maplines_can import MapLine
 from maplines_can.wire import E2EState, ProfileStatus, Reason
@@ -44,6 +34,55 @@ def test_errors_agree_with_autosar_e2e(bits: Any, counter: int) -> None:
     decoder.feed(0x348, bytes(damaged), CYCLE)
     good = e2e.p05.e2e_p05_check(bytes(damaged), data_id)
     assert decoder.checks[SLOT].status is (OK if good else ERROR)
+
+
+@pytest.mark.parametrize("fd", [False, True])
+@pytest.mark.parametrize("lines", [20, 32, 64])
+def test_a_sender_that_is_stuck(lines: int, fd: bool) -> None:
+    """The same record forever is one line, INVALID after a while, and not two senders."""
+    decoder = default_codec().decoder()
+    _, t_ns = run(decoder, range(lines), fd=fd)
+    answers, t_ns = run(decoder, [lines - 1] * 30, t_ns, fd=fd)
+    slot = decoder.checks[SLOT]
+    assert set(answers) == {Reason.DUPLICATE}
+    assert (slot.state, slot.statuses[REPEATED], slot.two_senders) == (INVALID, 30, False)
+    run(decoder, range(lines, lines + 40), t_ns, fd=fd)
+    assert not slot.two_senders
+    check_accounts(decoder)
+
+
+@settings(max_examples=20)
+@given(
+    st.integers(0, 2**32), st.booleans(), st.sampled_from([1, 1, 3]), st.sampled_from([0.05, 0.3])
+)
+def test_one_sender_is_not_taken_for_two(seed: int, fd: bool, k: Any, bad: Any) -> None:
+    """It loses frames, restarts, is silent, and many of its frames are late or duplicated."""
+    rng = np.random.default_rng(seed)
+    decoder, t_ns, counter, restarts, arrivals = default_codec().decoder(), 0, 0, 0, list[Any]()
+    for _ in range(300):
+        chance = rng.random()
+        if chance < 0.005:
+            counter, restarts = 0, restarts + 1
+        elif chance < 0.01:
+            t_ns += int(rng.integers(1, 40)) * CYCLE
+        transfer = (
+            frames(counter, fd, which=(counter + 50 * restarts) % 256)
+            if k == 1
+            else mixture_frames(counter, k, fd, seed=restarts)
+        )
+        for i, frame in enumerate(transfer):
+            at = t_ns + i * MS // 4
+            late = int(rng.integers(1, 300)) * MS
+            chance = rng.random()
+            if chance >= 0.1:
+                arrivals.append((at + late * (chance < 0.1 + bad / 3), len(arrivals), frame))
+            if chance > 1 - bad:
+                arrivals.append((at + late // 10, len(arrivals), frame))
+        counter, t_ns = (counter + k) % 256, t_ns + CYCLE
+    for at, _, frame in sorted(arrivals):
+        decoder.feed(frame.can_id, frame.data, at)
+    assert not decoder.checks[SLOT].two_senders
+    check_accounts(decoder)
 
 
 @pytest.mark.parametrize("fd", [False, True])
@@ -83,96 +122,4 @@ def test_a_sender_that_restarts(at: int, silence: int) -> None:
         assert slot.lost == 0
     assert slot.state is VALID or at >= 240
     assert not slot.two_senders
-    check_accounts(decoder)
-
-
-@pytest.mark.parametrize("fd", [False, True])
-@pytest.mark.parametrize("lines", [20, 32, 64])
-def test_a_sender_that_is_stuck(lines: int, fd: bool) -> None:
-    """The same record forever is one line, INVALID after a while, and not two senders."""
-    decoder = default_codec().decoder()
-    _, t_ns = run(decoder, range(lines), fd=fd)
-    answers, t_ns = run(decoder, [lines - 1] * 30, t_ns, fd=fd)
-    slot = decoder.checks[SLOT]
-    assert set(answers) == {Reason.DUPLICATE}
-    assert (slot.state, slot.statuses[REPEATED], slot.two_senders) == (INVALID, 30, False)
-    run(decoder, range(lines, lines + 40), t_ns, fd=fd)
-    assert not slot.two_senders
-    check_accounts(decoder)
-
-
-@pytest.mark.parametrize("fd", [False, True])
-def test_damaged_records_end_valid(fd: bool) -> None:
-    """Two of ten do not, the third does; other lines are still delivered."""
-    decoder = default_codec().decoder()
-    _, t_ns = run(decoder, range(20), fd=fd)
-    slot = decoder.checks[SLOT]
-    for k in range(3):
-        assert slot.state is VALID
-        transfer = frames(20 + 2 * k, fd)
-        broken = transfer[0]._replace(data=bytes([transfer[0].data[0] ^ 1, *transfer[0].data[1:]]))
-        assert feed(decoder, [broken, *transfer[1:]], t_ns) is Reason.CRC
-        (line,), t_ns = run(decoder, [21 + 2 * k], t_ns + CYCLE, fd=fd)
-        assert isinstance(line, MapLine)
-    assert slot.state is INVALID
-    assert (slot.statuses[ERROR], slot.statuses[NONEWDATA], slot.lost) == (3, 0, 3)
-
-
-@pytest.mark.parametrize("fd", [False, True])
-@pytest.mark.parametrize("k", [2, 3, 8])
-def test_each_component_of_a_mixture_is_a_check(k: int, fd: bool) -> None:
-    """A lost line of k components is OKSOMELOST; a repeated line is REPEATED k times."""
-    decoder = default_codec().decoder()
-    slot, t_ns, first = decoder.checks[SLOT], 0, 240
-    for _ in range(6):
-        assert isinstance(feed(decoder, mixture_frames(first % 256, k, fd), t_ns), MapLine)
-        first, t_ns = first + k, t_ns + CYCLE
-    assert slot.statuses[OK] == 6 * k
-    assert slot.state is VALID
-    first, t_ns = first + k, t_ns + CYCLE  # one is lost
-    line = mixture_frames(first % 256, k, fd)
-    assert isinstance(feed(decoder, line, t_ns), MapLine)
-    assert (slot.statuses[OKSOMELOST], slot.lost, slot.state) == (1, k, VALID)
-    for later_ms in (60, 200, 10_000):
-        before = slot.statuses[REPEATED]
-        assert feed(decoder, line, t_ns + later_ms * MS) is Reason.DUPLICATE
-        assert slot.statuses[REPEATED] - before == k
-    assert decoder.lines == 7
-    next_ = mixture_frames((first + k) % 256, k, fd)
-    assert isinstance(feed(decoder, next_, t_ns + 20_000 * MS), MapLine)
-    assert slot.statuses[WRONGSEQUENCE] == 0
-    check_accounts(decoder)
-
-
-@settings(max_examples=20)
-@given(
-    st.integers(0, 2**32), st.booleans(), st.sampled_from([1, 1, 3]), st.sampled_from([0.05, 0.3])
-)
-def test_one_sender_is_not_taken_for_two(seed: int, fd: bool, k: Any, bad: Any) -> None:
-    """It loses frames, restarts, is silent, and many of its frames are late or duplicated."""
-    rng = np.random.default_rng(seed)
-    decoder, t_ns, counter, restarts, arrivals = default_codec().decoder(), 0, 0, 0, list[Any]()
-    for _ in range(300):
-        chance = rng.random()
-        if chance < 0.005:
-            counter, restarts = 0, restarts + 1
-        elif chance < 0.01:
-            t_ns += int(rng.integers(1, 40)) * CYCLE
-        transfer = (
-            frames(counter, fd, which=(counter + 50 * restarts) % 256)
-            if k == 1
-            else mixture_frames(counter, k, fd, seed=restarts)
-        )
-        for i, frame in enumerate(transfer):
-            at = t_ns + i * MS // 4
-            late = int(rng.integers(1, 300)) * MS
-            chance = rng.random()
-            if chance >= 0.1:
-                arrivals.append((at + late * (chance < 0.1 + bad / 3), len(arrivals), frame))
-            if chance > 1 - bad:
-                arrivals.append((at + late // 10, len(arrivals), frame))
-        counter, t_ns = (counter + k) % 256, t_ns + CYCLE
-    for at, _, frame in sorted(arrivals):
-        decoder.feed(frame.can_id, frame.data, at)
-    assert not decoder.checks[SLOT].two_senders
     check_accounts(decoder)

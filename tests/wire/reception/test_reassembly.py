@@ -11,7 +11,7 @@ from support.e2e_streams import MS, feed, frames
 
 from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import MapLine, Slot
-from maplines_can.wire import Codec, Reason
+from maplines_can.wire import Codec
 
 
 def test_memory_does_not_grow(codec: Any) -> None:
@@ -37,19 +37,6 @@ def test_a_line_that_stands_still_is_no_duplicate_of_itself(codec: Any) -> None:
     for i, transfer in enumerate(standing(60)):
         assert isinstance(feed(decoder, transfer[::-1], t_ns=2 * i * MS), MapLine)
     assert decoder.counts == {}
-
-
-def test_a_page_of_a_recent_transfer_is_a_duplicate(codec: Any) -> None:
-    """All pages of up to half a round of IDs ago; they do not begin a new transfer."""
-    decoder = codec.decoder(timeout_ms=200)
-    half = 2 ** codec.layout["TransferId0"].length // 2
-    for i, transfer in enumerate(standing(60)):
-        feed(decoder, transfer, t_ns=2 * i * MS)
-        for back in range(min(i, half) + 1):
-            page = standing(60)[i - back][2:3]
-            assert feed(decoder, page, t_ns=(2 * i + 1) * MS) is Reason.DUPLICATE, back
-        assert decoder.pending == 0
-    assert decoder.lines == 60
 
 
 def test_a_counter_in_two_pages_is_refused(codec: Any) -> None:

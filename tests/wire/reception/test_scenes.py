@@ -8,24 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.scene_streams import (
-    COMPLETE,
-    CONDITIONAL,
-    PERIOD_NS,
-    codec_of,
-    feed,
-    road_scene,
-)
+from support.scene_streams import COMPLETE, CONDITIONAL, PERIOD_NS, codec_of, feed, road_scene
 
 from maplines_can import MapLine, Slot
-from maplines_can.wire import (
-    POSE,
-    Decoder,
-    E2EState,
-    Frame,
-    Reason,
-    ReceivedFrame,
-)
+from maplines_can.wire import POSE, Decoder, E2EState, Frame, Reason, ReceivedFrame
 
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT)
 
@@ -54,52 +40,6 @@ def test_lines_of_another_cycle_do_not_join() -> None:
             decoder = codec_of(dbc).decoder()
             feed(decoder, mixed, 0)
             assert decoder.scene() is None
-
-
-def test_a_scene_is_the_newest_one_when_it_has_the_lines_of_the_one_before() -> None:
-    """Whenever in the cycle a consumer asks, it gets all lines: they are spread over the cycle."""
-    one, two = cycles(CONDITIONAL, 2)
-    decoder = codec_of(CONDITIONAL).decoder()
-    feed(decoder, {POSE: one[POSE]}, 0)
-    for n, slot in enumerate(SLOTS, 1):  # the first scene, as far as received
-        _, t_ns = feed(decoder, {slot: one[slot]}, 1_000_000 * n)
-        scene = decoder.scene()
-        assert scene is not None
-        assert [line.slot for line in scene.scene.lines] == list(SLOTS[:n])
-    t_ns = PERIOD_NS
-    for owner in (POSE, *SLOTS):
-        assert decoder.scene() is scene  # built once
-        _, t_ns = feed(decoder, {owner: two[owner]}, t_ns)
-    scene = decoder.scene()
-    assert scene is not None
-    assert scene.t_ns == PERIOD_NS
-    assert [line.slot for line in scene.scene.lines] == list(SLOTS)
-
-
-@pytest.mark.parametrize(
-    ("plan", "expected"),
-    [
-        pytest.param([SLOTS, SLOTS[1:], SLOTS], [*[(0, 3)] * 4, *[(1, 2)] * 3, (2, 3)], id="lost"),
-        pytest.param(
-            [SLOTS, *[SLOTS[1:]] * 3], [*[(0, 3)] * 4, *[(1, 2)] * 3, *[(2, 2)] * 2, (3, 2)],
-            id="ends",
-        ),
-        pytest.param([SLOTS[:2], SLOTS], [*[(0, 2)] * 3, (1, 2), (1, 3)], id="new"),
-    ],
-)  # fmt: skip
-def test_a_scene_waits_for_the_lines_of_the_one_before(plan: Any, expected: Any) -> None:
-    """Until the next pose error; a line that is new joins when it comes.
-
-    Cycle and number of lines of the newest scene, after the first cycle and each record.
-    """
-    decoder, seen = codec_of(CONDITIONAL).decoder(), []
-    for n, (frames, slots) in enumerate(zip(cycles(CONDITIONAL, len(plan)), plan, strict=True)):
-        t_ns = n * PERIOD_NS
-        for owner in (POSE, *slots):
-            _, t_ns = feed(decoder, {owner: frames[owner]}, t_ns)
-            scene = decoder.scene()
-            seen += [(scene.t_ns // PERIOD_NS, len(scene.scene.lines))] if scene else []
-    assert seen[len(plan[0]) - 1 :] == expected
 
 
 @pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
@@ -191,14 +131,3 @@ def test_the_view_of_the_monitor(dbc: str) -> None:
     assert not decoder.latest_scene(last + 3 * PERIOD_NS, stale_cycles=2).usable
     for slot in SLOTS:
         assert decoder.latest(slot, t_ns).usable
-
-
-def test_a_scene_that_is_too_old_is_not_usable() -> None:
-    decoder = codec_of(CONDITIONAL).decoder()
-    t_ns = 0
-    for n, frames in enumerate(cycles(CONDITIONAL, 16, age=np.inf)):
-        _, t_ns = feed(decoder, frames, n * PERIOD_NS)
-    view = decoder.latest_scene(t_ns)
-    assert (view.state, view.stale, view.age, view.usable) == (E2EState.VALID, False, np.inf, False)
-    assert view.scene is not None
-    assert not any(decoder.latest(slot, t_ns).usable for slot in SLOTS)

@@ -2,12 +2,11 @@
 
 from typing import Any
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.e2e_streams import CYCLE, MS, Received
 
-from maplines_can.wire import E2EState, ProfileStatus, Reason
+from maplines_can.wire import E2EState, ProfileStatus
 
 VALID, INVALID = E2EState.VALID, E2EState.INVALID
 NONEWDATA = ProfileStatus.NONEWDATA
@@ -37,122 +36,3 @@ def test_a_clock_that_is_set_back_does_not_keep_a_slot_valid() -> None:
         slot.received(k, k, 10**18 + k * CYCLE)
     assert slot.check.elapse(5) is VALID
     assert slot.check.elapse(5 + 7 * CYCLE) is INVALID
-
-
-@pytest.mark.parametrize("asks_every_ms", [None, 10, 50, 200])
-def test_a_backlog_is_not_missed_twice(asks_every_ms: int | None) -> None:
-    """Old frames after a pause of the receiver were counted as missing once already."""
-    slot, now, asked = Received(), 0, 0
-    for k in range(10):
-        slot.received(k, k, k * CYCLE)
-    stopped, now = 9 * CYCLE, 9 * CYCLE + 2000 * MS
-    slot.check.elapse(now)
-    missed = slot.check.statuses[NONEWDATA]
-    assert missed == 39
-    for k in range(10, 40):  # at once, with the times at which they came
-        slot.received(k, k, stopped + (k - 9) * CYCLE)
-        now += MS
-        if asks_every_ms and now - asked > asks_every_ms * MS:
-            slot.check.elapse(now)
-            asked = now
-    assert slot.check.statuses[NONEWDATA] == missed
-    slot.received(50, 50, now)
-    assert slot.check.elapse(now + 74 * MS) is slot.check.state
-    assert slot.check.statuses[NONEWDATA] <= missed + 1
-
-
-def slot_at(last: int, t_ns: int = 10_000 * MS) -> Received:
-    """Return a check whose last new record, of this counter, came at ``t_ns``."""
-    slot = Received()
-    for k in range(last - 59, last + 1):
-        assert slot.received(k % 256, k, t_ns + (k - last) * CYCLE) is None
-    assert (slot.check.state, slot.check.lost) == (VALID, 0)
-    return slot
-
-
-@pytest.mark.parametrize(
-    ("ahead", "cycles", "reason", "lost"),
-    [
-        pytest.param(1, 1, None, 0, id="next"),
-        pytest.param(2, 1, None, 1, id="one-lost"),
-        pytest.param(126, 126, None, 125, id="almost-half-a-round"),
-        pytest.param(127, 127, None, 126, id="just-below-half-a-round"),
-        pytest.param(126, 9, Reason.STALE, 0, id="sooner-than-it-can-be-sent"),
-        pytest.param(128, 9, Reason.STALE, 0, id="half-a-round"),
-        pytest.param(129, 9, Reason.STALE, 0, id="just-above-half-a-round"),
-        pytest.param(255, 1, Reason.STALE, 0, id="one-behind"),
-    ],
-)
-def test_half_a_round_of_the_counter_divides_new_from_late(
-    ahead: int, cycles: int, reason: Reason | None, lost: int
-) -> None:
-    """Less than half a round ahead is new if there was time to send it, all else late."""
-    slot = slot_at(42)
-    assert slot.received((42 + ahead) % 256, -1, 10_000 * MS + cycles * CYCLE) is reason
-    assert slot.check.lost == lost
-
-
-@pytest.mark.parametrize(("lost_in_pause", "two_senders"), [(0, True), (1, False)])
-def test_senders_that_take_turns_are_two(lost_in_pause: int, two_senders: bool) -> None:
-    """Each continues its own sequence after the other; a sender that restarts continues none."""
-    slot, counters = Received(), [0, 120]
-    for turn in range(20):
-        for k in range(3):
-            counter = counters[turn % 2] % 256
-            assert slot.received(counter, turn, (15 * turn + k) * CYCLE) is None
-            counters[turn % 2] += 1
-        counters[turn % 2] += lost_in_pause
-    assert slot.check.two_senders is two_senders
-
-
-def fast_slot(lines: int, pace: int) -> tuple[Received, int]:
-    """Return a check of a sender of so many lines, ``pace`` in a cycle, and the last time."""
-    slot = Received()
-    for k in range(lines):
-        assert slot.received(k % 256, k, k * CYCLE // pace) is None
-    return slot, (lines - 1) * CYCLE // pace
-
-
-@pytest.mark.parametrize(
-    ("lines", "pace", "cycles", "most"),
-    [
-        pytest.param(400, 10, 4, 41, id="ten-times-faster"),
-        pytest.param(400, 20, 4, 41, id="no-more-than-that"),
-        pytest.param(400, 1, 9, 16, id="as-the-dbc-says"),
-        pytest.param(9, 5, 9, 20, id="after-eight-intervals"),
-    ],
-)
-def test_how_many_lines_a_fast_sender_may_lose(
-    lines: int, pace: int, cycles: int, most: int
-) -> None:
-    """As many as it can send in the time, by the mean interval of about eight lines.
-
-    The mean begins with the cycle. After eight intervals of 1/5 of it, 0.34 = (7/8)^8 of that is
-    left: 0.47 cycles, so 9 cycles are ceil(9 / 0.47 + 0.5) = 20 lines.
-    """
-    for ahead in (most, most + 1):
-        slot, t_ns = fast_slot(lines, pace)
-        reason = slot.received((lines - 1 + ahead) % 256, -1, t_ns + cycles * CYCLE)
-        assert reason is (None if ahead == most else Reason.STALE)
-
-
-@pytest.mark.parametrize(("behind", "two_senders"), [(1, True), (16, True), (17, False)])
-def test_duplicates_of_recent_records_are_those_of_a_second_sender(
-    behind: int, two_senders: bool
-) -> None:
-    """Farther back they may be those of a sender that restarted in a car that stands."""
-    slot = Received()
-    for k in range(120):
-        slot.received(k, k, k * CYCLE)
-        if k >= behind:
-            reason = slot.received(k - behind, k - behind, k * CYCLE + 10 * MS)
-            assert reason is Reason.DUPLICATE
-    assert slot.check.two_senders is two_senders
-
-
-@pytest.mark.parametrize(("first", "is_restart"), [(0, True), (15, True), (16, False)])
-def test_a_restart_begins_with_a_low_counter(first: int, is_restart: bool) -> None:
-    """Up to 15 of its first records may be lost; others are those of a late queue."""
-    slot, t_ns = slot_at(60), 10_000 * MS
-    reasons = [slot.received(first + i, -1 - i, t_ns + (1 + i) * CYCLE) for i in range(3)]
-    assert reasons == [Reason.STALE, Reason.STALE, None if is_restart else Reason.STALE]

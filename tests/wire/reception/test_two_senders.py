@@ -9,28 +9,17 @@ record of the first sender, and until this record comes.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import groupby, pairwise, product
+from itertools import groupby, pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import Phase, example, given, settings
 from hypothesis import strategies as st
-from support.dbcs import default_codec
-from support.e2e_streams import MS, mixture_frames
 from support.scene_streams import COMPLETE, CONDITIONAL, FRAME_NS, PERIOD_NS, codec_of
-from support.sender_pairs import (
-    SLOTS,
-    Event,
-    Sender,
-    merged,
-    senders_of,
-    senders_of_line,
-)
+from support.sender_pairs import SLOTS, Event, Sender, merged, senders_of, senders_of_line
 
 from maplines_can import SceneView, Slot, SlotView
-from maplines_can.model.e2e import Windows
-from maplines_can.model.sequence import SequenceCheck
 from maplines_can.wire import POSE, E2EConfig, E2EState
 
 VALID = E2EState.VALID
@@ -114,34 +103,6 @@ def test_two_senders_are_soon_unusable(
     assert all(senders for t, senders in seen if 8 < t < begin)  # it was all usable before
 
 
-@pytest.mark.parametrize("every", [1, 3, 10])
-@pytest.mark.parametrize("start", [0, 300])
-def test_the_time_of_detection(every: int, start: int) -> None:
-    """Of the check of one slot or pose error, for near and some far differences of the counters.
-
-    No record of the second sender is usable for longer than until that of the first.
-    """
-    for ahead, phase in product([*range(-6, 24), *range(24, 250, 15)], [0.2, 0.9]):
-        check = SequenceCheck(Windows(), 256, 2, PERIOD_NS, is_authentic=False)
-        begin, until = start + phase, start + detection(every) + 1
-        records = [(float(n), 0, n) for n in range(int(until) + 1)]
-        times = np.arange(begin, until + 1, every)
-        records += [(float(t), 1, start + ahead + k) for k, t in enumerate(times)]
-        newest, since = 0, 0.0
-        for t, sender, counter in sorted(records):
-            t_ns = round(t * PERIOD_NS)
-            is_valid = check.elapse(t_ns - 1) == "VALID"
-            is_usable = is_valid and not check.senders.may_be_two(t_ns - 1)
-            if is_usable and newest == 1:
-                assert t - since <= 1 + 1e-6, (ahead, phase, t)
-            assert not (is_usable and t > begin + detection(every)), (ahead, phase)
-            if check.received(counter % 256, b"%d %d" % (sender, counter), t_ns, 1) is None:
-                check.delivered(1)
-                since = since if sender and newest else t
-                newest = sender
-        assert check.senders.are_two, (ahead, phase)
-
-
 @pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
 @pytest.mark.parametrize(("every", "stops"), [(1, 0), (1, 1), (3, 1), (10, 1)])
 def test_the_other_sender_is_usable_again(dbc: str, every: int, stops: int) -> None:
@@ -156,19 +117,6 @@ def test_the_other_sender_is_usable_again(dbc: str, every: int, stops: int) -> N
     assert not [t for t, senders in seen if stop < t < stop + 240 and senders]
     after = [senders for t, senders in seen if t > stop + RECOVERY]
     assert all(senders == 3 * [{1 - stops}] for senders in after)
-
-
-@pytest.mark.parametrize("sends_pose", [True, False])
-def test_what_shares_a_pose_error_with_two_senders_is_not_usable(sends_pose: bool) -> None:
-    """A line that is conditional on it, though its own slot has one sender; no other line."""
-    end = 20 + detection(1)
-    for dbc in (CONDITIONAL, COMPLETE):
-        second = Sender(1, start=20.3, slots=SLOTS[1:], counters={POSE: 7}, sends_pose=sends_pose)
-        *_, (t, scene, (left, right)) = views(dbc, merged(dbc, [Sender(0), second], end))
-        assert t > end - 1
-        assert not scene.usable
-        assert scene.two_senders
-        assert (left.usable, right.usable) == (dbc == COMPLETE or not sends_pose, False)
 
 
 def test_one_slot_that_is_not_valid_makes_its_scene_unusable() -> None:
@@ -189,23 +137,3 @@ def test_one_slot_that_is_not_valid_makes_its_scene_unusable() -> None:
     assert not view.usable
     assert decoder.latest(Slot.EGO_LEFT, now_ns).usable
     assert not decoder.latest(Slot.EGO_RIGHT, now_ns).usable
-
-
-@pytest.mark.parametrize("k", [2, 8])
-def test_two_senders_in_phase_get_no_usable_mixture(k: int) -> None:
-    """Equal counters and components, and a third of the frames lost.
-
-    Until a counter has come from both, nothing tells their components apart; then no line is
-    usable.
-    """
-    rng, decoder, reused = np.random.default_rng(k), default_codec().decoder(), 0
-    for cycle in range(480 // k):
-        senders = [mixture_frames(cycle * k % 256, k, True, seed=sender) for sender in (0, 1)]
-        for i, pair in enumerate(zip(*senders, strict=True)):
-            came = rng.random(2) > 1 / 3
-            for j in np.flatnonzero(came).tolist():
-                t_ns = cycle * PERIOD_NS + (2 * i + j) * MS // 4
-                decoder.feed(pair[j].can_id, pair[j].data, t_ns)
-                reused += bool(j == 1 and came.all())
-                assert not (reused and decoder.latest(Slot.EGO_LEFT, t_ns).usable)
-    assert reused > 50

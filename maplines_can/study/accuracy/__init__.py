@@ -1,4 +1,0 @@
-"""Recorded drives on a map: the truth, and how accurate the received lines are.
-
-It may import the product and ``study``.
-"""
