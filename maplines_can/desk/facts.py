@@ -7,6 +7,7 @@ about 1 kB for a cycle. Bands are computed where they are drawn.
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from ..wire import Decoder, Layout, Reason, SceneView, SlotStats, SlotView
 DIGITS = 9
 
 Facts = dict[str, Any]
+_triangle = cache(np.triu_indices)
 
 
 def facts_of(source: Decoder | ReceivedLines, layout: Layout, now_ns: int | None = None) -> Facts:
@@ -125,7 +127,7 @@ def _scene(view: SceneView) -> Facts | None:
 
 
 def _upper(cov: NDArray[np.float64]) -> list[float | None]:
-    return _rounded(cov[np.triu_indices(len(cov))])
+    return _rounded(cov[_triangle(len(cov))])
 
 
 def _rounded(values: NDArray[np.float64]) -> list[float | None]:
