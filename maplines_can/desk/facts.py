@@ -17,6 +17,7 @@ from ..bus.receiver import ReceivedLines
 from ..values.gaussian import Gaussian
 from ..values.line import MapLine
 from ..values.mixture import GaussianMixture
+from ..values.scene import Scene
 from ..wire import Decoder, Layout, Reason, SceneView, SlotStats, SlotView
 
 #: Significant digits of numbers: what tells any two floats of single precision apart.
@@ -83,7 +84,7 @@ def _slot(view: SlotView) -> Facts:
         "usable": view.usable,
         "two_senders": view.two_senders,
         "left_out": None if view.left_out is None else view.left_out.name,
-        "line": None if view.line is None else _line(view.line),
+        "line": None if view.line is None else line_facts(view.line),
     }
 
 
@@ -92,7 +93,8 @@ def _names(view: SlotView | SlotStats) -> Facts:
     return {"state": view.state.name, "status": status}
 
 
-def _line(line: MapLine) -> Facts:
+def line_facts(line: MapLine) -> Facts:
+    """Return the facts of a line, as ``line`` in `facts_of`."""
     return {
         "t": _seconds(line.t_ns),
         "kind": line.kind.name,
@@ -100,6 +102,15 @@ def _line(line: MapLine) -> Facts:
         "x": [_known(line.x_min), _known(line.x_max)],
         **_moments(line.gaussian),
         "mixture": None if line.mixture is None else _components(line.mixture),
+    }
+
+
+def scene_facts(scene: Scene) -> Facts:
+    """Return the lines of a scene by slot, the order of the slots, and the joint covariance."""
+    return {
+        "slots": [line.slot.name for line in scene.lines],
+        "lines": {line.slot.name: line_facts(line) for line in scene.lines},
+        "joint": _upper(scene.cov),
     }
 
 

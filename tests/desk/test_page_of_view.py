@@ -16,7 +16,7 @@ import pytest
 from maplines_can import Codec, GaussianMixture, Kind, MapLine, Slot, Status
 from maplines_can.bus import read_log
 from maplines_can.cli import main
-from maplines_can.desk.facts import facts_of
+from maplines_can.desk.facts import facts_of, line_facts
 from maplines_can.desk.history import History
 from maplines_can.desk.log_facts import facts_of_log
 from maplines_can.desk.server import about
@@ -102,11 +102,9 @@ def test_bands_of_lines(page: Any, log: Path, codec: Any, facts: Any) -> None:
 
 def show(page: Any, lines: Any, **slot: Any) -> None:
     """Show lines, as if each came just now, in the middle of what is drawn."""
-    from maplines_can.desk.facts import _line
-
     row = {"state": "VALID", "status": "OK", "age": 0.01, "stale": False, "usable": True}
     row |= {"two_senders": False, "left_out": None} | slot
-    slots = {line.slot.name: row | {"line": _line(line)} for line in lines}
+    slots = {line.slot.name: row | {"line": line_facts(line)} for line in lines}
     traffic = {"load": 0.1, "frames": 1, "error_frames": 0, "beyond": 0, "messages": {}}
     traffic |= {"others": {"ids": 0, "frames": 0}}
     rest: Any = {"scene": None, "messages": {}, "counts": {}, "lines": 1, "changes": []}

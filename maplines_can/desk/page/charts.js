@@ -106,6 +106,7 @@ export function birdsEye(target, facts, view, {hidden}) {
   const names = facts ? Object.keys(facts.slots).filter((name) => !hidden.has(name)) : [];
   const drawn = names.filter((name) => facts.slots[name].line);
   for (const name of drawn) line(target, map, name, facts.slots[name]);
+  if (facts?.consumer) consumer(target, map, facts.consumer);
   labels(target, map, drawn, facts);
 }
 
@@ -206,6 +207,23 @@ function component(ctx, map, {x}, [weight, mean, cov], height) {
   }
   ctx.setLineDash([]);
   ctx.globalAlpha = 1;
+}
+
+/** Draw what a consumer has: the fused lane with its bands, and the lines of a camera (dots). */
+function consumer({ctx, theme, height}, map, {fused, camera}) {
+  ctx.strokeStyle = ctx.fillStyle = theme.text;
+  for (const own of Object.values(fused?.lines ?? {})) {
+    const points = along(map, own, own.x, height);
+    bands(ctx, points);
+    ctx.lineWidth = 1;
+    path(ctx, points);
+    ctx.stroke();
+  }
+  for (const {line: own, is_rejected: isRejected} of Object.values(camera)) {
+    ctx.fillStyle = isRejected ? theme.muted : SLOTS.NEXT_RIGHT;
+    for (const [x, y] of along(map, own, own.x, height))
+      ctx.fillRect(x - 1.5, y - 1.5, 3, 3);
+  }
 }
 
 /** Name the lines where they end, those that would overlap below each other. */

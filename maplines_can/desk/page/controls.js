@@ -232,7 +232,7 @@ export function table(view) {
       const own = line && PARAMETERS.map((_, k) => parameter(line, k));
       return [facts.t, name, slot.usable, slot.state, slot.age, line?.kind, line?.status, ...(line?.x ?? ["", ""]),
         ...(own ? [...own.map(({value}) => value), ...own.map(({sigma}) => sigma)] : Array(8).fill("")),
-        view.x, place?.value, place?.sigma, lane?.value, lane?.sigma, facts.traffic.load];
+        view.x, place?.value, place?.sigma, lane?.value, lane?.sigma, facts.traffic?.load];
     });
   });
   return [names, ...rows].map((row) => row.map((cell) => cell ?? "").join(",")).join("\n") + "\n";

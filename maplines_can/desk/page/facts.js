@@ -51,20 +51,33 @@ export function parameter(line, k) {
   return {value: line.mean[k], sigma: Math.sqrt(Math.max(0, line.cov[place(k, k, 4)]))};
 }
 
+const LANE = ["EGO_LEFT", "EGO_RIGHT"];
+
 /**
- * Return the lateral distance of two lines at x, from their joint covariance; sigma is null if there
- * is none. Null if a line is missing or not valid there.
+ * Return the width of the ego lane at x, from the joint covariance of its lines; sigma is null if
+ * there is none. Null if a line is missing, not usable or not valid there.
  */
-export function width(facts, x, left = "EGO_LEFT", right = "EGO_RIGHT") {
-  const lines = [left, right].map((name) => facts.slots[name]);
-  if (!lines.every((slot) => slot?.line && slot.usable)) return null;
-  const ends = lines.map(({line}) => at(line, x));
+export function width(facts, x) {
+  const slots = LANE.map((name) => facts.slots[name]);
+  if (!slots.every((slot) => slot?.line && slot.usable)) return null;
+  return distance(slots.map(({line}) => line), facts.scene?.usable ? facts.scene : null, x);
+}
+
+/** Return the width of the lane that a consumer has fused, or null. */
+export function fusedWidth(facts, x) {
+  const fused = facts.consumer?.fused;
+  const lines = LANE.map((name) => fused?.lines[name]);
+  return lines.every(Boolean) ? distance(lines, fused, x) : null;
+}
+
+/** Return the lateral distance of the lines of the ego lane; scene has their joint covariance. */
+function distance(lines, scene, x) {
+  const ends = lines.map((line) => at(line, x));
   if (!ends.every(Boolean)) return null;
   const value = ends[0].value - ends[1].value;
-  const {scene} = facts;
-  const places = [left, right].map((name) => (scene?.usable ? scene.slots.indexOf(name) : -1));
+  const places = LANE.map((name) => scene?.slots.indexOf(name) ?? -1);
   if (places.includes(-1)) return {value, sigma: null};
-  const [plus, minus] = lines.map(({line}) => jacobian(line.mean, x));
+  const [plus, minus] = lines.map(({mean}) => jacobian(mean, x));
   const vectors = [plus, minus.map((d) => -d)];
   const starts = places.map((k) => 4 * k);
   return {value, sigma: spread(scene.joint, 4 * scene.slots.length, vectors, starts)};

@@ -77,14 +77,18 @@ export function showMessages(facts, before) {
     bad(own.no_new_data), own.two_senders ? ["two", "bad"] : "one",
   ]);
   fill($("message-table"), heads, rows);
-  const {traffic} = facts;
-  const load = traffic.load === null ? "–" : `${(100 * traffic.load).toFixed(1)} %`;
-  const {others} = traffic;
-  $("traffic").textContent =
-    `Bus load ${load} · ${traffic.frames} frames, ${others.frames} of them with ${others.ids} ` +
-    `other CAN IDs · ${traffic.error_frames} error frames`;
+  $("traffic").textContent = facts.traffic ? trafficText(facts.traffic) : "";
   const counts = Object.entries(facts.counts).map(([reason, n]) => `${title(reason)} ${n}`);
   $("dropped").textContent = `Frames that gave no line: ${counts.join(", ") || "none"}`;
+}
+
+function trafficText(traffic) {
+  const load = traffic.load === null ? "–" : `${(100 * traffic.load).toFixed(1)} %`;
+  const {others} = traffic;
+  return (
+    `Bus load ${load} · ${traffic.frames} frames, ${others.frames} of them with ${others.ids} ` +
+    `other CAN IDs · ${traffic.error_frames} error frames`
+  );
 }
 
 function cycle(facts, before, name) {

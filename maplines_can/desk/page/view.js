@@ -1,6 +1,6 @@
 // The page: where in time it is, what it draws, and the connection to the server.
 
-import {GAP, PARAMETERS, Store, UNITS, at, isFault, parameter, width} from "./facts.js";
+import {GAP, PARAMETERS, Store, UNITS, at, fusedWidth, isFault, parameter, width} from "./facts.js";
 import * as charts from "./charts.js";
 import * as tables from "./tables.js";
 import {connect} from "./controls.js";
@@ -180,21 +180,31 @@ class View {
     const draw = (id, what) => charts.series(pictureOf(id), what, frame);
     draw("chart-y", {
       name: `lateral position y at x = ${this.x} m`, unit: "m", least: 0.5,
-      curves: this._curves(sampled, (line) => at(line, this.x)),
+      curves: [
+        ...this._curves(sampled, (line) => at(line, this.x)),
+        ...this._fused(sampled, (line) => at(line, this.x)),
+      ],
     });
     const lane = sampled.map((facts) => facts && this._point(facts, width(facts, this.x), true));
     const widths = lane.filter(Boolean);
     const isJoint = !widths.length || widths.some((point) => point[2] !== null);
     draw("chart-width", {
       name: `width of the ego lane at x = ${this.x} m${isJoint ? "" : " (no joint covariance on this bus: no bands)"}`,
-      unit: "m", least: 0.3, curves: [{colour: charts.colour("CENTRE", this.theme), points: lane}],
+      unit: "m", least: 0.3,
+      curves: [
+        {colour: charts.colour("CENTRE", this.theme), points: lane},
+        {colour: this.theme.text, points: sampled.map((facts) => facts && this._point(facts, fusedWidth(facts, this.x), true))},
+      ],
     });
     const unit = UNITS[PARAMETERS[k]];
     draw("chart-parameter", {
       name: PARAMETERS[k], unit, least: [0.2, 0.01, 1e-4, 1e-6][k],
-      curves: this._curves(sampled, (line) => parameter(line, k)),
+      curves: [
+        ...this._curves(sampled, (line) => parameter(line, k)),
+        ...this._fused(sampled, (line) => parameter(line, k)),
+      ],
     });
-    const load = sampled.map((facts) => facts && [facts.t, 100 * (facts.traffic.load ?? 0), null, true]);
+    const load = sampled.map((facts) => facts?.traffic ? [facts.t, 100 * (facts.traffic.load ?? 0), null, true] : null);
     draw("chart-load", {
       name: "bus load", unit: "%", least: 2,
       curves: [{colour: this.theme.text, points: load}],
@@ -236,6 +246,19 @@ class View {
       points: sampled.map((facts) => {
         const slot = facts?.slots[name];
         return slot?.line ? this._point(facts, valueOf(slot.line), slot.usable) : null;
+      }),
+    }));
+  }
+
+  /** Return the curves of the lane that a consumer has fused. */
+  _fused(sampled, valueOf) {
+    const names = new Set(sampled.flatMap((facts) => facts?.consumer?.fused?.slots ?? []));
+    return [...names].map((name) => ({
+      name: `fused ${name}`,
+      colour: this.theme.text,
+      points: sampled.map((facts) => {
+        const line = facts?.consumer?.fused?.lines[name];
+        return line ? this._point(facts, valueOf(line), true) : null;
       }),
     }));
   }
