@@ -8,6 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from ..consumers.integrity import RISKS, multiplier
 from ..consumers.plausibility import Check, Outcome, PlausibilityCheck
 from ..consumers.residual_filter import SLOW, CameraNoise
 from ..consumers.steering import Command, LaneSteering, SteeringState
+from ..desk.facts import Facts, facts_of
 from ..propagation import Motion
 from ..simulation.camera import CameraAtReportedPose
 from ..values.arrays import count_text
@@ -34,6 +36,7 @@ from .consume_input import (
     motion_of,
     scene_codec,
 )
+from .consume_view import Show, add_page, page_of
 from .output import LANE, LANE_X
 
 #: Motion of a car of which none is known: means and standard deviations [m/s, rad/s].
@@ -63,6 +66,7 @@ class FusionInputs(NamedTuple):
     view: SceneView
     motion: Motion
     camera: list[MapLine]
+    facts: Callable[[], Facts]  #: facts of the lines, for the page
     true_centre: Any = None  #: (3,) at ``LANE_X`` [m], if it is known
 
 
@@ -76,6 +80,7 @@ def add_fusion(consumers: Any) -> None:
     add_camera(parser, scenario.add_mutually_exclusive_group())
     add_motion(parser)
     scenario.add_argument("--seed", type=number(int, 0, 2**32), default=0, help="of --simulate")
+    add_page(parser)
 
 
 def _fusion(arguments: argparse.Namespace) -> int:
@@ -88,16 +93,21 @@ def _fusion(arguments: argparse.Namespace) -> int:
     check_camera(arguments)
     if arguments.dbc is None and not arguments.keys:
         arguments.dbc = "maplines-pose.dbc" if arguments.simulate else None
+    codec = scene_codec(arguments)
     if arguments.simulate:
-        _print_rows(_simulated_inputs(arguments, scene_codec(arguments)), arguments)
+        with page_of(arguments, codec, "simulated car") as show:
+            _print_rows(_simulated_inputs(arguments, codec), arguments, show)
         return 0
     source = Input(arguments)
+    rows = 0
     with (
         motion_of(arguments, UNKNOWN_MOTION) as motion,
         camera_of(arguments) as camera,
+        page_of(arguments, codec, source.name) as show,
         source as cycles,
     ):
-        rows = _print_rows(_epochs(cycles, motion, camera), arguments, source)
+        epochs = _epochs(cycles, motion, camera, source)
+        rows = _print_rows(epochs, arguments, show, source)
     if not rows:
         return source.report_nothing("no scene with a line of the ego lane was received")
     return 0
@@ -106,6 +116,7 @@ def _fusion(arguments: argparse.Namespace) -> int:
 def _print_rows(
     epochs: Iterator[tuple[LaneFusion, FusionInputs]],
     arguments: argparse.Namespace,
+    show: Show,
     source: Input | None = None,
 ) -> int:
     """Fuse until the end or Ctrl-C, and print rows; return the number of those with a lane."""
@@ -114,6 +125,7 @@ def _print_rows(
     try:
         for fusion, epoch in epochs:
             lane = fusion.step(epoch.t_ns, epoch.view, epoch.motion, epoch.camera)
+            show(epoch.facts, lane, epoch.camera)
             if last is None or abs(epoch.t_ns - last) >= round(1e9 * arguments.every) - 1:
                 last = epoch.t_ns
                 row = lane_dict(lane, epoch)
@@ -126,7 +138,7 @@ def _print_rows(
 
 
 def _epochs(
-    cycles: Iterable[ConsumerCycle], motion: MotionAt, camera: NewLines
+    cycles: Iterable[ConsumerCycle], motion: MotionAt, camera: NewLines, source: Input
 ) -> Iterator[tuple[LaneFusion, FusionInputs]]:
     """Yield the epochs of a bus or of a log."""
     fusion, last = None, 0
@@ -135,7 +147,8 @@ def _epochs(
             fusion = LaneFusion()
         last = cycle.now_ns
         lines = [line for line in camera(last) if line.slot in LANE]
-        yield fusion, FusionInputs(last, cycle.view, motion(last) or UNKNOWN_MOTION, lines)
+        facts = partial(source.facts, last)
+        yield fusion, FusionInputs(last, cycle.view, motion(last) or UNKNOWN_MOTION, lines, facts)
 
 
 def _simulated_inputs(
@@ -156,7 +169,8 @@ def _simulated_inputs(
     for moment in stream(SIMULATED_START, end, 1 / PERIOD):
         view = moment.decoder.latest_scene(moment.t_ns)
         true = moment.true.mean(axis=0)
-        yield fusion, FusionInputs(moment.t_ns, view, moment.motion, moment.camera, true)
+        facts = partial(facts_of, moment.decoder, codec.layout, moment.t_ns)
+        yield fusion, FusionInputs(moment.t_ns, view, moment.motion, moment.camera, facts, true)
 
 
 def lane_dict(lane: FusedLane, epoch: FusionInputs) -> dict[str, Any]:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bus import Link, LogSummary, Receiver, SignalDecoder, read_log, read_signals
+from ..desk.facts import Facts, facts_of
 from ..logs.first_frames import FirstFrames
 from ..propagation import Motion
 from ..simulation.drive_columns import COLUMNS
@@ -105,6 +106,7 @@ class Input:
         self._codec, self._first, self._is_cut = codec, FirstFrames(), False
         self.summary = LogSummary()  #: of the log
         self._link: ObservedLink | None = None
+        self._receiver: Receiver | None = None
 
     def __enter__(self) -> Generator[ConsumerCycle, None, None]:
         self._cycles = self._counted()
@@ -120,6 +122,19 @@ class Input:
         if self._arguments.log:
             note_log(self._arguments.log, self.summary)
         return kind is KeyboardInterrupt
+
+    @property
+    def name(self) -> str:
+        """Name of the log or of the interface, for the page."""
+        if self._arguments.log:
+            return Path(self._arguments.log).name
+        return " ".join(filter(None, (self._arguments.interface, self._arguments.channel))) or "bus"
+
+    def facts(self, now_ns: int) -> Facts:
+        """Return the facts of the lines now, for the page; ``now_ns`` counts in a log only."""
+        if self._receiver is None:
+            return facts_of(self._decoder, self._codec.layout, now_ns)
+        return facts_of(self._receiver, self._codec.layout)
 
     @property
     def skipped(self) -> dict[str, int]:
@@ -198,7 +213,7 @@ class Input:
             link = ObservedLink(self._decoder, **bus_settings(self._arguments))
             self._link = stack.enter_context(link)
             receiver = Receiver(link, self._decoder, on_line=lambda _: None, can_ids=None)
-            stack.enter_context(receiver)
+            self._receiver = stack.enter_context(receiver)
             if not self._arguments.json:
                 note(f"listening on {link.name}; stop with Ctrl-C")
             due = time.monotonic()

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +33,8 @@ from .options import (
     keyed_codec,
 )
 
-#: Port of the page, and how long the past of a bus is kept [s].
-PORT, PAST = 8340, 300.0
+#: Port of the page, and facts of the past of a bus that are kept.
+PORT, FIVE_MINUTES = 8340, round(300 / PERIOD)
 
 DESCRIPTION = """\
 Show the lines of a bus, or of a log, in a page of your browser, until Ctrl-C: from above with
@@ -79,25 +80,42 @@ def add_view(commands: Any) -> None:
 
 
 def _view(arguments: argparse.Namespace) -> int:
-    with _source(arguments) as (history, what, run):
-        server = ViewServer(history, what, arguments.host, arguments.port)
-        thread = threading.Thread(target=server.serve_forever, name="maplines view", daemon=True)
-        thread.start()
-        try:
-            note(f"the page is {server.url}; stop with Ctrl-C")
-            if not server.is_loopback:
-                note(
-                    f"--host {arguments.host}: whoever reaches this machine on port {server.port} "
-                    "can read all that the page shows"
-                )
-            run(server)
-            while not server.over.wait(1.0):
-                pass  # Ctrl-C does not end a wait without a limit on Windows
-        except KeyboardInterrupt:
-            pass
-        finally:
-            server.close()
+    with (
+        suppress(KeyboardInterrupt),
+        _source(arguments) as (history, what, run),
+        served(history, what, arguments.host, arguments.port) as server,
+    ):
+        run(server)
+        wait_for_ctrl_c()
     return 0
+
+
+@contextmanager
+def served(history: History, what: Facts, host: str, port: int) -> Iterator[ViewServer]:
+    """Serve the page, and print its address.
+
+    Raises:
+        BusError: the address cannot be used.
+    """
+    server = ViewServer(history, what, host, port)
+    thread = threading.Thread(target=server.serve_forever, name="maplines view", daemon=True)
+    thread.start()
+    try:
+        note(f"the page is {server.url}; stop with Ctrl-C")
+        if not server.is_loopback:
+            note(
+                f"--host {host}: whoever reaches this machine on port {server.port} can read all "
+                "that the page shows"
+            )
+        yield server
+    finally:
+        server.close()
+
+
+def wait_for_ctrl_c() -> None:
+    """Wait; Ctrl-C does not end a wait without a limit on Windows."""
+    while True:
+        time.sleep(1.0)
 
 
 Source = tuple[History, dict[str, Any], Callable[[ViewServer], None]]
@@ -121,7 +139,7 @@ def _traffic(codec: LineCodec, arguments: argparse.Namespace) -> Traffic:
 
 def _bus(arguments: argparse.Namespace) -> Iterator[Source]:
     codec = keyed_codec(arguments)
-    history = History(max_facts=round(PAST / PERIOD))
+    history = History(FIVE_MINUTES)
     decoder, traffic = decoder_of(codec, arguments), _traffic(codec, arguments)
     opener, settings = fault_opener(arguments), bus_settings(arguments)
     with live_facts(codec, decoder, traffic, opener, **settings) as live:

@@ -1,0 +1,71 @@
+"""The page of a consumer: ``--view`` of ``maplines consume``."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+
+from ..consumers import FusedLane
+from ..desk.facts import Facts, line_facts, scene_facts
+from ..desk.history import History
+from ..desk.server import about
+from ..values.line import MapLine
+from ..wire import LineCodec
+from .command_line import note, number, option_group
+from .view import FIVE_MINUTES, PORT, served, wait_for_ctrl_c
+
+#: Takes the facts of a cycle, the lane, and the lines of the camera.
+Show = Callable[[Callable[[], Facts], FusedLane, Sequence[MapLine]], None]
+
+
+def add_page(parser: argparse.ArgumentParser) -> None:
+    """Add ``--view``."""
+    option_group(parser, "output").add_argument(
+        "--view",
+        nargs="?",
+        type=number(int, 0, 65535),
+        const=PORT,
+        metavar="PORT",
+        help="show the lines, those of the camera and the fused lane in a page of your browser, as "
+        f"'maplines view', on this port (default: {PORT})",
+    )
+
+
+@contextmanager
+def page_of(arguments: argparse.Namespace, codec: LineCodec, name: str) -> Iterator[Show]:
+    """Yield the function that shows a cycle; without ``--view``, it does nothing.
+
+    The page of a log stays until Ctrl-C.
+
+    Args:
+        arguments: of the command.
+        codec: of the lines.
+        name: of the bus or the log.
+    """
+    if arguments.view is None:
+        yield lambda *_: None
+        return
+    is_live = arguments.log is None and not arguments.simulate
+    history = History(FIVE_MINUTES if is_live else None)
+
+    def show(facts: Callable[[], Facts], lane: FusedLane, camera: Sequence[MapLine]) -> None:
+        consumer = {
+            "fused": None if lane.scene is None else scene_facts(lane.scene),
+            "camera": {
+                line.slot.name: {
+                    "line": line_facts(line),
+                    "is_rejected": line.slot in lane.rejected,
+                }
+                for line in camera
+            },
+        }
+        history.add(facts() | {"consumer": consumer})
+
+    with served(history, about(codec, name, is_live=is_live), "127.0.0.1", arguments.view):
+        yield show
+        history.end()
+        if not is_live:
+            note("all is read; the page stays until Ctrl-C")
+            with suppress(KeyboardInterrupt):
+                wait_for_ctrl_c()
