@@ -8,28 +8,24 @@ from contextlib import contextmanager, suppress
 
 from ..consumers import FusedLane
 from ..desk.facts import Facts, line_facts, scene_facts
-from ..desk.history import History
-from ..desk.server import about
 from ..values.line import MapLine
 from ..wire import LineCodec
-from .command_line import note, number, option_group
-from .view import FIVE_MINUTES, PORT, served, wait_for_ctrl_c
+from .command_line import note, option_group
+from .options import add_port
 
 #: Takes the facts of a cycle, the lane, and the lines of the camera.
 Show = Callable[[Callable[[], Facts], FusedLane, Sequence[MapLine]], None]
 
 
 def add_page(parser: argparse.ArgumentParser) -> None:
-    """Add ``--view``."""
+    """Add ``--view`` and ``--port``."""
     option_group(parser, "output").add_argument(
         "--view",
-        nargs="?",
-        type=number(int, 0, 65535),
-        const=PORT,
-        metavar="PORT",
+        action="store_true",
         help="show the lines, those of the camera and the fused lane in a page of your browser, as "
-        f"'maplines view', on this port (default: {PORT})",
+        "'maplines view'",
     )
+    add_port(parser)
 
 
 @contextmanager
@@ -43,9 +39,13 @@ def page_of(arguments: argparse.Namespace, codec: LineCodec, name: str) -> Itera
         codec: of the lines.
         name: of the bus or the log.
     """
-    if arguments.view is None:
+    if not arguments.view:
         yield lambda *_: None
         return
+    from ..desk.history import History
+    from ..desk.server import about
+    from .view import FIVE_MINUTES, served, wait_for_ctrl_c
+
     is_live = arguments.log is None and not arguments.simulate
     history = History(FIVE_MINUTES if is_live else None)
 
@@ -62,7 +62,7 @@ def page_of(arguments: argparse.Namespace, codec: LineCodec, name: str) -> Itera
         }
         history.add(facts() | {"consumer": consumer})
 
-    with served(history, about(codec, name, is_live=is_live), "127.0.0.1", arguments.view):
+    with served(history, about(codec, name, is_live=is_live), "127.0.0.1", arguments.port):
         yield show
         history.end()
         if not is_live:

@@ -28,6 +28,20 @@ from .command_line import natural, number, option_group
 if TYPE_CHECKING:
     from ..testing import FaultInjector, Faults, FaultyOpener
 
+#: Port of the page of ``view`` and ``consume``.
+PORT = 8340
+
+
+def add_port(parser: argparse.ArgumentParser) -> None:
+    """Add ``--port``."""
+    option_group(parser, "output").add_argument(
+        "--port",
+        type=number(int, 0, 65535),
+        default=PORT,
+        metavar="N",
+        help=f"port of the page; 0 for any that is free (default: {PORT})",
+    )
+
 
 def add_bus(parser: argparse.ArgumentParser, *, private: bool = False) -> None:
     """Add the options of the CAN interface, by default a bus within the process if ``private``."""

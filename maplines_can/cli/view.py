@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from ..bus import read_log
+from ..bus import LogFrame, read_log
 from ..desk.facts import Facts
 from ..desk.history import History
 from ..desk.live import PERIOD, live_facts
@@ -19,13 +19,14 @@ from ..desk.server import ViewServer, about
 from ..desk.traffic import Traffic
 from ..values.errors import LogError
 from ..wire import LineCodec
-from .command_line import add_command, note, number, option_group
+from .command_line import add_command, note, option_group
 from .frame_source import add_times, choose_dbc
 from .options import (
     add_bus,
     add_codec,
     add_cycle,
     add_faults,
+    add_port,
     add_transfer_timeout,
     bus_settings,
     decoder_of,
@@ -33,8 +34,8 @@ from .options import (
     keyed_codec,
 )
 
-#: Port of the page, and facts of the past of a bus that are kept.
-PORT, FIVE_MINUTES = 8340, round(300 / PERIOD)
+#: Facts of the past of a bus that are kept.
+FIVE_MINUTES = round(300 / PERIOD)
 
 DESCRIPTION = """\
 Show the lines of a bus, or of a log, in a page of your browser, until Ctrl-C: from above with
@@ -61,15 +62,8 @@ def add_view(commands: Any) -> None:
     add_transfer_timeout(parser)
     add_times(parser)
     add_faults(parser)
-    add = option_group(parser, "output").add_argument
-    add(
-        "--port",
-        type=number(int, 0, 65535),
-        default=PORT,
-        metavar="N",
-        help=f"port of the page; 0 for any that is free (default: {PORT})",
-    )
-    add(
+    add_port(parser)
+    option_group(parser, "output").add_argument(
         "--host",
         default="127.0.0.1",
         metavar="ADDRESS",
@@ -161,7 +155,7 @@ def _log(arguments: argparse.Namespace) -> Iterator[Source]:
 
     def read(server: ViewServer) -> None:
         facts = facts_of_log(
-            frames,
+            _timed(frames),
             codec,
             channel=arguments.channel,
             decoder=decoder_of(codec, arguments),
@@ -176,6 +170,13 @@ def _log(arguments: argparse.Namespace) -> Iterator[Source]:
         threading.Thread(target=read, args=(server,), name="maplines log", daemon=True).start()
 
     yield history, what, run
+
+
+def _timed(frames: Iterable[LogFrame]) -> Iterator[LogFrame]:
+    for frame in frames:
+        if not frame.has_time:
+            raise LogError("it has no time stamps; record it with candump -L")
+        yield frame
 
 
 def _fill(history: History, facts: Iterable[Facts], over: threading.Event) -> str | None:

@@ -103,6 +103,11 @@ class History:
             self._is_over = True
             self._added.notify_all()
 
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing is added any more."""
+        return self._is_over
+
     def _close_part(self, packed: bytes) -> None:
         self._parts.append(_Part(self._open_start, packed))
         self._bytes += len(packed)

@@ -225,20 +225,22 @@ class _Handler(BaseHTTPRequestHandler):
         return None
 
     def _events(self) -> None:
-        """Send the newest facts as they come, until the client has gone."""
+        """Send the newest facts as they come, until there are no more or the client has gone."""
         if not self.server.event_clients.acquire(blocking=False):
             self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, f"{MAX_CLIENTS} pages are open already")
             return
         try:
             self._start(HTTPStatus.OK, "text/event-stream")
-            number = -1
-            while not self.server.over.is_set():
-                newest = self.server.history.after(number, TIMEOUT / 2)
-                if newest is None:
-                    self.wfile.write(b": nothing new\n\n")  # fails if the client has gone
-                else:
+            number, history = -1, self.server.history
+            while True:
+                newest = history.after(number, TIMEOUT / 2)
+                if newest is not None:
                     number = newest.number
                     self.wfile.write(b"id: %d\ndata: %b\n\n" % newest)
+                elif history.is_over:
+                    return
+                else:
+                    self.wfile.write(b": nothing new\n\n")  # fails if the client has gone
         finally:
             self.server.event_clients.release()
 

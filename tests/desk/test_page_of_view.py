@@ -100,7 +100,7 @@ def test_bands_of_lines(page: Any, log: Path, codec: Any, facts: Any) -> None:
 # ---- what is drawn --------------------------------------------------------------------------
 
 
-def show(page: Any, lines: Any, **slot: Any) -> None:
+def show(page: Any, lines: Any, consumer: Any = None, **slot: Any) -> None:
     """Show lines, as if each came just now, in the middle of what is drawn."""
     row = {"state": "VALID", "status": "OK", "age": 0.01, "stale": False, "usable": True}
     row |= {"two_senders": False, "left_out": None} | slot
@@ -109,6 +109,7 @@ def show(page: Any, lines: Any, **slot: Any) -> None:
     traffic |= {"others": {"ids": 0, "frames": 0}}
     rest: Any = {"scene": None, "messages": {}, "counts": {}, "lines": 1, "changes": []}
     now = {"t": 1e9, "slots": slots, "traffic": traffic} | rest
+    now |= {} if consumer is None else {"consumer": consumer}
     page.run(
         f"""(async ({{view}}) => {{
             view.store._facts.set(view.number, {json.dumps(now)});
@@ -203,6 +204,31 @@ def test_the_components_of_a_mixture(page: Any) -> None:
     assert (np.max(dark, axis=0) > 120).all()
 
 
+def test_what_a_consumer_has(page: Any) -> None:
+    """The fused lane is drawn with its bands, camera lines as dots, rejected ones in grey."""
+    fused = MapLine.with_sigma(Slot.EGO_LEFT, [3.0, 0, 0, 0], [0.3, 0, 0, 0])
+    camera = [MapLine.with_sigma(Slot.EGO_LEFT, [y, 0, 0, 0], [0.1] * 4) for y in (-2.0, -5.0)]
+    consumer = {
+        "fused": {"slots": ["EGO_LEFT"], "lines": {"EGO_LEFT": line_facts(fused)}, "joint": []},
+        "camera": {
+            f"{k}": {"line": line_facts(line), "is_rejected": k == 1}
+            for k, line in enumerate(camera)
+        },
+    }
+    show(page, [LINE], consumer=consumer)
+    rows = [row_at(page, ahead) for ahead in np.arange(22, 26, 0.2)]
+    left, colours = rows[0][0], np.min([colours for _, colours in rows], axis=0)
+    shade = distance(rows[0][1], "#ffffff")
+    inside = np.median(shade[(np.abs(left - 3) > 0.05) & (np.abs(left - 3) < 0.85)])
+
+    assert inside > 20
+    assert np.median(shade[(np.abs(left - 3) > 0.95) & (np.abs(left - 3) < 1.2)]) == 0
+    near = [colours[np.abs(left - y) < 0.05].min(axis=0) for y in (-2.0, -5.0)]
+    assert np.ptp(near[0]) > 100
+    assert np.ptp(near[1]) < 40
+    assert near[1].max() < 160
+
+
 def test_a_line_left_out_is_named(page: Any) -> None:
     show(page, [LINE], usable=False, left_out="COVARIANCE")
     assert page.run("document.getElementById('left-out').textContent") == (
@@ -291,7 +317,7 @@ def test_what_is_saved(page: Any, facts: Any) -> None:
     low, high = page.run("maplines.view.window")
     times = [one["t"] for one in facts if low <= one["t"] <= high]
     by_time = {one["t"]: one for one in facts}
-    page.wait_for(f"maplines.view.sampled(Infinity).filter(Boolean).length === {len(times)}", 5)
+    page.run("maplines.view.whole()")
     text = page.run("import('/controls.js').then(({table}) => table(maplines.view))")
     rows = list(csv.DictReader(io.StringIO(text)))
 

@@ -181,6 +181,20 @@ def test_a_slow_client_gets_fewer_events(server: Any) -> None:
     slow.close()
 
 
+def test_events_end_with_the_facts(server: Any) -> None:
+    """The newest ones have come by then."""
+    client = stream(server)
+    client.recv(1)
+    for _ in range(3):
+        server.history.add(FACTS)
+    server.history.end()
+    received = b""
+    while chunk := client.recv(1 << 16):
+        received += chunk
+    assert ids(received)[-1] == 3
+    client.close()
+
+
 def test_further_clients_are_refused(server: Any) -> None:
     """They hear why, and get in when others have gone; the rest of the page still works."""
     clients = [stream(server) for _ in range(MAX_CLIENTS)]

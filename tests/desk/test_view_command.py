@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,10 +19,13 @@ from maplines_can.cli import main
 
 
 @contextmanager
-def viewing(*arguments: str) -> Iterator[tuple[Any, str]]:
+def viewing(
+    *arguments: str, command: tuple[str, ...] = ("view", "--port", "0")
+) -> Iterator[tuple[Any, str]]:
     """Run the command on a free port; yield its process and the address that it prints."""
-    command = (sys.executable, "-m", "maplines_can", "view", "--port", "0", *arguments)
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+    words = (sys.executable, "-m", "maplines_can", *command, *arguments)
+    pipes: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    with subprocess.Popen(words, text=True, **pipes) as process:
         try:
             found: list[str] = []
             while not found:
@@ -77,14 +81,38 @@ def test_other_machines_are_let_in_by_host_only() -> None:
         assert "can read all" in said
 
 
-def test_a_log_that_shows_nothing(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("(1.0) can0 123#11", "it has no frame of a message of this DBC; take another --dbc"),
+        ("  can0  123   [1]  11", "it has no time stamps; record it with candump -L"),
+    ],
+)
+def test_a_log_that_shows_nothing(tmp_path: Path, text: str, why: str) -> None:
     """The reason is in the page, and printed."""
-    path = tmp_path / "foreign.log"
-    path.write_text("(1.0) can0 123#11\n")
+    path = tmp_path / "nothing.log"
+    path.write_text(f"{text}\n")
     with viewing(str(path)) as (process, url):
         error = info(url, "is_over", True)["error"]
-        assert error.startswith("it has no frame of a message of this DBC; take another --dbc")
+        assert error.startswith(why)
         assert error in process.stderr.readline()
+
+
+def test_what_a_consumer_has(tmp_path: Path) -> None:
+    """The facts of each cycle have the lane that it fused; the page of a log stays."""
+    log, dbc = str(tmp_path / "pose.log"), ("--dbc", "maplines-pose.dbc")
+    words = ["drive", "--as-fast-as-possible", "--seconds", "4", *dbc, "--record", log]
+    assert main(words) == 0
+    with viewing(log, *dbc, command=("consume", "fusion", "--view", "--port", "0")) as (_, url):
+        count = info(url, "is_over", True)["count"]
+        with urlopen(f"{url}parts/0") as answer:  # noqa: S310
+            facts = json.loads(zlib.decompress(answer.read()))
+    assert len(facts) == count >= 80
+    fused = facts[-1]["consumer"]["fused"]
+    assert set(fused["lines"]) == set(fused["slots"]) == {"EGO_LEFT", "EGO_RIGHT"}
+    assert facts[-1]["consumer"]["camera"] == {}
+    line, own = facts[-1]["slots"]["EGO_LEFT"]["line"], fused["lines"]["EGO_LEFT"]
+    assert own["mean"] == pytest.approx(line["mean"], abs=1.0)
 
 
 @pytest.mark.parametrize(

@@ -238,6 +238,7 @@ export function table(view) {
   return [names, ...rows].map((row) => row.map((cell) => cell ?? "").join(",")).join("\n") + "\n";
 }
 
-function saveTable(view) {
+async function saveTable(view) {
+  await view.whole();
   save(fileName(view, "csv"), new Blob([table(view)], {type: "text/csv"}));
 }

@@ -112,7 +112,7 @@ export class Store {
     this._facts = new Map();
     this._whole = new Set();
     this._wanted = [];
-    this._loading = 0;
+    this._loading = new Set();
     this._changed = changed;
     this._latest = -1;
     this._nextChange = 0;
@@ -192,15 +192,15 @@ export class Store {
   }
 
   _ask(part) {
-    if (this._whole.has(part)) return;
+    if (this._whole.has(part) || this._loading.has(part)) return;
     this._wanted = [part, ...this._wanted.filter((other) => other !== part)].slice(0, 100);
     this._load();
   }
 
   async _load() {
-    if (this._loading >= 2 || !this._wanted.length) return;
+    if (this._loading.size >= 2 || !this._wanted.length) return;
     const part = this._wanted.shift();
-    this._loading++;
+    this._loading.add(part);
     try {
       const answer = await fetch(`/parts/${part}`);
       const found = answer.ok ? await answer.json() : [];
@@ -211,7 +211,7 @@ export class Store {
     } catch {
       await new Promise((done) => setTimeout(done, 1000)); // the server has gone
     }
-    this._loading--;
+    this._loading.delete(part);
     this._load();
   }
 

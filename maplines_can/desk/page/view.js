@@ -234,6 +234,17 @@ class View {
     return found;
   }
 
+  /** Wait until all facts of the time that is drawn are here, 30 s at most. */
+  async whole() {
+    const [low, high] = this.window.map((t) => this.store.numberAt(t));
+    for (let tries = 0; tries < 300; tries++) {
+      let missing = 0;
+      for (let n = low; n <= high; n++) missing += this.store.want(n) === undefined;
+      if (!missing) return;
+      await new Promise((done) => setTimeout(done, 100));
+    }
+  }
+
   _point(facts, value, isUsable) {
     return value && [facts.t, value.value, value.sigma, isUsable];
   }
@@ -300,7 +311,8 @@ class View {
     this._tables = now;
     const {store, shown} = this;
     const ratio = charts.short(this.view.perAhead / this.view.perLeft);
-    $("scale").textContent = `ahead is up; drawn ${ratio} times as wide as long`;
+    const consumer = shown.consumer ? "; fused lane: bands as dark as text; camera: dots" : "";
+    $("scale").textContent = `ahead is up; drawn ${ratio} times as wide as long${consumer}`;
     tables.showLines(shown, this.x);
     tables.showMessages(shown, store.get(store.numberAt(shown.t - 2)));
     tables.showChanges(store.changes, this.number, this.zero, (number) => this.go(number));
