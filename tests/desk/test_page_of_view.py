@@ -206,7 +206,7 @@ def test_the_components_of_a_mixture(page: Any) -> None:
 
 def test_what_a_consumer_has(page: Any) -> None:
     """The fused lane is drawn with its bands, camera lines as dots, rejected ones in grey."""
-    fused = MapLine.with_sigma(Slot.EGO_LEFT, [3.0, 0, 0, 0], [0.3, 0, 0, 0])
+    fused = MapLine.with_sigma(Slot.EGO_LEFT, [6.0, 0, 0, 0], [0.3, 0, 0, 0])
     camera = [MapLine.with_sigma(Slot.EGO_LEFT, [y, 0, 0, 0], [0.1] * 4) for y in (-2.0, -5.0)]
     consumer = {
         "fused": {"slots": ["EGO_LEFT"], "lines": {"EGO_LEFT": line_facts(fused)}, "joint": []},
@@ -219,10 +219,10 @@ def test_what_a_consumer_has(page: Any) -> None:
     rows = [row_at(page, ahead) for ahead in np.arange(22, 26, 0.2)]
     left, colours = rows[0][0], np.min([colours for _, colours in rows], axis=0)
     shade = distance(rows[0][1], "#ffffff")
-    inside = np.median(shade[(np.abs(left - 3) > 0.05) & (np.abs(left - 3) < 0.85)])
+    inside = np.median(shade[(np.abs(left - 6) > 0.05) & (np.abs(left - 6) < 0.85)])
 
     assert inside > 20
-    assert np.median(shade[(np.abs(left - 3) > 0.95) & (np.abs(left - 3) < 1.2)]) == 0
+    assert np.median(shade[(np.abs(left - 6) > 0.95) & (np.abs(left - 6) < 1.2)]) == 0
     near = [colours[np.abs(left - y) < 0.05].min(axis=0) for y in (-2.0, -5.0)]
     assert np.ptp(near[0]) > 100
     assert np.ptp(near[1]) < 40
