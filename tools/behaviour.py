@@ -145,8 +145,9 @@ wrong-steer: consume steer d.log
 wrong-loss: consume steer bad.log
 """
 #: Commands whose --help is recorded.
-HELP = """demo send receive decode info diff replay map drive consume scenarios design accuracy
-claims figures study study:run study:report study:production consume:fusion consume:steer consume:check""".split()  # noqa: SIM905
+HELP = """demo send receive decode info diff replay view map drive consume scenarios design accuracy
+claims figures study study:run study:report study:production consume:fusion consume:steer
+consume:check""".split()  # noqa: SIM905
 #: Standard input and the log on the channel "feed", by command.
 STDIN = {"decode-pipe": "d.log"}
 FED = {"receive": "a.log", "receive-scenes": "e.log"}

@@ -42,12 +42,12 @@ def page_of(arguments: argparse.Namespace, codec: LineCodec, name: str) -> Itera
     if not arguments.view:
         yield lambda *_: None
         return
-    from ..desk.history import History
+    from ..desk.history import FactHistory
     from ..desk.server import about
     from .view import FIVE_MINUTES, served, wait_for_ctrl_c
 
     is_live = arguments.log is None and not arguments.simulate
-    history = History(FIVE_MINUTES if is_live else None)
+    history = FactHistory(FIVE_MINUTES if is_live else None)
 
     def show(facts: Callable[[], Facts], lane: FusedLane, camera: Sequence[MapLine]) -> None:
         consumer = {

@@ -12,7 +12,7 @@ from typing import Any
 
 from ..bus import LogFrame, read_log
 from ..desk.facts import Facts
-from ..desk.history import History
+from ..desk.history import FactHistory
 from ..desk.live import PERIOD, live_facts
 from ..desk.log_facts import facts_of_log
 from ..desk.server import ViewServer, about
@@ -85,7 +85,7 @@ def _view(arguments: argparse.Namespace) -> int:
 
 
 @contextmanager
-def served(history: History, what: Facts, host: str, port: int) -> Iterator[ViewServer]:
+def served(history: FactHistory, what: Facts, host: str, port: int) -> Iterator[ViewServer]:
     """Serve the page, and print its address.
 
     Raises:
@@ -112,7 +112,7 @@ def wait_for_ctrl_c() -> None:
         time.sleep(1.0)
 
 
-Source = tuple[History, dict[str, Any], Callable[[ViewServer], None]]
+Source = tuple[FactHistory, dict[str, Any], Callable[[ViewServer], None]]
 
 
 @contextmanager
@@ -133,7 +133,7 @@ def _traffic(codec: LineCodec, arguments: argparse.Namespace) -> Traffic:
 
 def _bus(arguments: argparse.Namespace) -> Iterator[Source]:
     codec = keyed_codec(arguments)
-    history = History(FIVE_MINUTES)
+    history = FactHistory(FIVE_MINUTES)
     decoder, traffic = decoder_of(codec, arguments), _traffic(codec, arguments)
     opener, settings = fault_opener(arguments), bus_settings(arguments)
     with live_facts(codec, decoder, traffic, opener, **settings) as live:
@@ -150,7 +150,7 @@ def _log(arguments: argparse.Namespace) -> Iterator[Source]:
     choose_dbc(arguments)
     codec = keyed_codec(arguments, clock=None)
     frames = read_log(arguments.log, times=arguments.times)
-    history = History()
+    history = FactHistory()
     what = about(codec, Path(arguments.log).name, is_live=False)
 
     def read(server: ViewServer) -> None:
@@ -179,7 +179,7 @@ def _timed(frames: Iterable[LogFrame]) -> Iterator[LogFrame]:
         yield frame
 
 
-def _fill(history: History, facts: Iterable[Facts], over: threading.Event) -> str | None:
+def _fill(history: FactHistory, facts: Iterable[Facts], over: threading.Event) -> str | None:
     """Add facts until the server is over; return what the page lacks, and why."""
     try:
         for one in facts:

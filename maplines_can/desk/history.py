@@ -34,7 +34,7 @@ class _Part(NamedTuple):
     packed: bytes
 
 
-class History:
+class FactHistory:
     """Facts in the order of their time, each with its ``changes`` since the one before.
 
     The facts of a part are a JSON array, compressed by zlib as HTTP's ``deflate`` is. One thread
@@ -45,7 +45,7 @@ class History:
             all.
         max_bytes: nothing is added when this many packed bytes are kept.
 
-    >>> history = History()
+    >>> history = FactHistory()
     >>> for k in range(150):
     ...     _ = history.add({"t": k / 20, "slots": {}, "messages": {}, "counts": {"CRC": k // 120}})
     >>> history.changes(0), len(json.loads(zlib.decompress(history.part(1))))

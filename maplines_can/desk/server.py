@@ -3,11 +3,11 @@
 It answers GET of the paths of `FILES` and of these, all of them JSON:
 
 =================  =================================================================================
-``/info``          what the facts are of, and `History.contents`
+``/info``          what the facts are of, and `FactHistory.contents`
 ``/events``        server-sent events: the newest facts, each with its number as ``id``; a client
                    that is slow gets fewer
 ``/parts/N``       facts 100 N to 100 N + 99
-``/changes/N``     ``next`` and ``changes``: see `History.changes`
+``/changes/N``     ``next`` and ``changes``: see `FactHistory.changes`
 =================  =================================================================================
 
 A page of another site can neither read nor do anything here: there is nothing to do but to read;
@@ -36,7 +36,7 @@ from .. import __version__
 from ..values.errors import BusError
 from ..wire import LineCodec
 from .facts import Facts
-from .history import PART, History
+from .history import PART, FactHistory
 
 #: Files of the page by their paths, and their types.
 FILES = {
@@ -101,7 +101,7 @@ class ViewServer(ThreadingHTTPServer):
     allow_reuse_address = sys.platform != "win32"  # there, it would share the port of another
 
     def __init__(
-        self, history: History, about: Facts, host: str = "127.0.0.1", port: int = 0
+        self, history: FactHistory, about: Facts, host: str = "127.0.0.1", port: int = 0
     ) -> None:
         self.history = history
         self.about = about | {"session": secrets.token_hex(8), "part": PART, "version": __version__}

@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 from support.browser import CHROMIUM, Browser
 
-from maplines_can.desk.history import History
+from maplines_can.desk.history import FactHistory
 from maplines_can.desk.server import ViewServer
 
 
 @contextmanager
-def serving(history: History, what: Any, **settings: Any) -> Iterator[ViewServer]:
+def serving(history: FactHistory, what: Any, **settings: Any) -> Iterator[ViewServer]:
     """Serve facts on a port that is free."""
     server = ViewServer(history, what, **settings)
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})

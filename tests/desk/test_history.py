@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from maplines_can.desk.history import PART, History
+from maplines_can.desk.history import PART, FactHistory
 
 
 def facts(k: Any) -> Any:
@@ -24,7 +24,7 @@ def unpacked(history: Any, part: Any) -> Any:
 @pytest.mark.parametrize("max_facts", [None, 1, 2 * PART])
 def test_what_is_kept(count: int, max_facts: int | None) -> None:
     """Parts are in the order of their numbers, and at least the last facts are there."""
-    history = History(max_facts)
+    history = FactHistory(max_facts)
     assert all(history.add(facts(k)) for k in range(count))
     kept = history.contents()
     first = kept["first"]
@@ -47,7 +47,7 @@ def test_what_is_kept(count: int, max_facts: int | None) -> None:
 
 def test_changes_are_asked_for_once() -> None:
     """The number that comes with changes leads to those after them."""
-    history, got, following = History(), [], 0
+    history, got, following = FactHistory(), [], 0
     for k in range(95):
         history.add(facts(k))
         if k % 7 == 0:
@@ -58,14 +58,14 @@ def test_changes_are_asked_for_once() -> None:
 
 def test_packed_bytes_are_limited() -> None:
     """Nothing is added beyond the limit."""
-    history = History(max_bytes=1)
+    history = FactHistory(max_bytes=1)
     assert [history.add(facts(k)) for k in range(PART + 2)] == [True] * PART + [False] * 2
     assert history.contents()["count"] == PART
 
 
 def test_the_newest_facts_wake_who_waits() -> None:
     """The newest ones come, not each of them; after the end nobody waits."""
-    history = History()
+    history = FactHistory()
     history.add(facts(0))
     history.add(facts(1))
     newest = history.after(-1, 0.0)
@@ -83,7 +83,7 @@ def test_frames_of_others_are_counted_together() -> None:
     """Facts stay small on a bus with hundreds of other messages."""
     messages = {hex(k): {"owner": None if k else "EGO_LEFT", "frames": k} for k in range(300)}
     traffic = {"load": 0.5, "beyond": 7, "messages": messages}
-    history = History()
+    history = FactHistory()
     history.add(facts(0) | {"traffic": traffic})
     (only,) = unpacked(history, 0)
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from maplines_can import Codec
-from maplines_can.desk.history import History
+from maplines_can.desk.history import FactHistory
 from maplines_can.desk.server import about
 
 FACTS = {"t": 1.0, "slots": {}, "messages": {}, "counts": {}}
@@ -51,7 +51,7 @@ class _Other(BaseHTTPRequestHandler):
 @pytest.fixture(scope="module")
 def sites(browser: Any, serving: Any) -> Any:
     """The browser on the page of another site, and our server."""
-    history = History()
+    history = FactHistory()
     history.add(FACTS)
     other = ThreadingHTTPServer(("127.0.0.1", 0), _Other)
     thread = threading.Thread(target=other.serve_forever, kwargs={"poll_interval": 0.02})

@@ -9,7 +9,7 @@ from support.lines import scenario_lines
 
 from maplines_can import Codec
 from maplines_can.bus import Link, Transmitter
-from maplines_can.desk.history import History
+from maplines_can.desk.history import FactHistory
 from maplines_can.desk.live import live_facts
 from maplines_can.desk.server import about
 from maplines_can.simulation import scenario
@@ -19,7 +19,7 @@ def test_a_bus(browser: Any, serving: Any) -> None:
     """It follows 20 facts a second; a pause keeps what is shown, and the past can be seen."""
     codec, channel = Codec.from_dbc(), "page of view"
     lines = scenario_lines(scenario("highway"))
-    history = History(max_facts=6000)
+    history = FactHistory(max_facts=6000)
     settings: dict[str, Any] = {"interface": "virtual", "channel": channel}
     with (
         live_facts(codec, **settings) as live,

@@ -17,7 +17,7 @@ from maplines_can import Codec, GaussianMixture, Kind, MapLine, Slot, Status
 from maplines_can.bus import read_log
 from maplines_can.cli import main
 from maplines_can.desk.facts import facts_of, line_facts
-from maplines_can.desk.history import History
+from maplines_can.desk.history import FactHistory
 from maplines_can.desk.log_facts import facts_of_log
 from maplines_can.desk.server import about
 from maplines_can.recordings.plots.log_panels import COLOURS
@@ -50,7 +50,7 @@ def facts(log: Path, codec: Any) -> list[Any]:
 @pytest.fixture(scope="module")
 def page(browser: Any, serving: Any, facts: Any, codec: Any) -> Iterator[Any]:
     """The page of the log, at its 100th facts."""
-    history = History()
+    history = FactHistory()
     for one in facts:
         history.add(one)
     history.end()

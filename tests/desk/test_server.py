@@ -12,7 +12,7 @@ import pytest
 
 from maplines_can import Codec
 from maplines_can.desk import server as server_module
-from maplines_can.desk.history import History
+from maplines_can.desk.history import FactHistory
 from maplines_can.desk.server import FILES, HEADERS, MAX_CLIENTS, MAX_CONNECTIONS, about
 from maplines_can.values.errors import BusError
 
@@ -22,7 +22,7 @@ ABOUT = about(Codec.from_dbc(), "a bus", is_live=True)
 
 @pytest.fixture
 def server(serving: Any) -> Any:
-    history = History()
+    history = FactHistory()
     history.add(FACTS)
     with serving(history, ABOUT) as started:
         yield started
@@ -133,7 +133,7 @@ def test_whose_requests_are_answered(
 )
 def test_hosts_of_other_machines(serving: Any, host: str, name: str, *, is_known: bool) -> None:
     """With --host, any address is ours, since no name can be bound to it anew."""
-    with serving(History(), ABOUT, host=host) as server:
+    with serving(FactHistory(), ABOUT, host=host) as server:
         assert server.knows(f"{name}:{server.port}") == is_known
         assert server.is_loopback == (host == "127.0.0.1")
 
@@ -143,7 +143,7 @@ def test_an_address_that_cannot_be_used(server: Any, serving: Any) -> None:
     for settings in ({"port": server.port}, {"host": "192.0.2.1"}, {"host": "no such host"}):
         with (
             pytest.raises(BusError, match=r"--host .* --port \d+: cannot be listened on: .*; "),
-            serving(History(), ABOUT, **settings),
+            serving(FactHistory(), ABOUT, **settings),
         ):
             pass
 
