@@ -28,6 +28,7 @@ class View {
     this.draws = 0;
     this._tables = 0;
     this._due = false;
+    this._sought = null; // time that is gone to
     this.zoomHome();
     this.drawTheme();
   }
@@ -60,6 +61,7 @@ class View {
 
   _setMode(mode) {
     this.mode = mode;
+    this._sought = null;
     this._tables = 0; // the tables and the status follow at once
   }
 
@@ -72,8 +74,8 @@ class View {
   }
 
   goToTime(t) {
-    this.time = t;
     this.go(this.store.numberAt(t));
+    this.time = this._sought = t; // the number is exact once the facts around it are here
   }
 
   step(n) {
@@ -150,6 +152,7 @@ class View {
   _draw() {
     if (this.mode === "newest") this.number = this.store.last;
     if (this.mode === "play") this._play();
+    if (this._sought !== null) this.number = this.store.numberAt(this._sought);
     const facts = this.store.want(this.number);
     const isNew = facts && facts !== this.shown;
     if (facts) this.shown = facts;
