@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any
 from ..wire import LineCodec, SlotStats
 from .command_line import add_command, add_json, note, number, option_group
 from .decode import distances
+from .file_arguments import add_force
 from .frame_source import add_times, choose_dbc, note_log
 from .options import add_codec, add_cycle, add_transfer_timeout, keyed_codec
 from .output import check_text, counts_text, owner_text, slot_text
+from .plot import PICTURES, picture_path
 
 if TYPE_CHECKING:
     from ..recordings.difference import Difference, LoggedLines, Part
@@ -69,12 +71,20 @@ def add_diff(commands: Any) -> None:
         metavar="S",
         help="lines within S sigmas are equal (default: 0, those with the same values only)",
     )
+    add(
+        "-o",
+        "--out",
+        metavar="FILE",
+        help=f"draw the differences over time, too: {' '.join(PICTURES)} or .html",
+    )
+    add_force(parser)
     add_json(parser)
 
 
 def _diff(arguments: argparse.Namespace) -> int:
     from ..recordings.difference import difference
 
+    out = None if arguments.out is None else picture_path(arguments)
     if arguments.a == arguments.b == "-":
         raise ValueError("standard input is one log: A and B cannot both be -")
     logs = [
@@ -89,6 +99,13 @@ def _diff(arguments: argparse.Namespace) -> int:
         print(json.dumps(found.as_dict(), indent=2))
     else:
         print("\n".join(_rows(found)))
+    if out is not None:
+        from ..recordings.plots import write_page, write_picture
+        from ..recordings.plots.difference_panels import difference_panels
+
+        write = write_page if out.suffix == ".html" else write_picture
+        write(difference_panels(found), f"{logs[0].name}, {logs[1].name}", out)
+        note(f"written: {out}")
     damaged = [log.damage for log in logs if log.damage]
     for damage in damaged:
         note(f"error: {damage}")

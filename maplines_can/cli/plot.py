@@ -73,10 +73,7 @@ def _plot(arguments: argparse.Namespace) -> int:
     from ..recordings.plots import panels_of, recorded, write_page, write_picture
     from ..recordings.plots.log_panels import above, distinct
 
-    out = Path(arguments.out)
-    if out.suffix not in (*PICTURES, ".html"):
-        raise ValueError(f"-o {out}: a plot has the suffix {', '.join(PICTURES)} or .html")
-    check_new(arguments, out)
+    out = picture_path(arguments)
     choose_dbc(arguments)
     codec = keyed_codec(arguments, clock=None)
     recordings, status = [], 0
@@ -107,6 +104,15 @@ def _plot(arguments: argparse.Namespace) -> int:
     (write_page if out.suffix == ".html" else write_picture)(panels, title, out)
     note(f"written: {out}")
     return status
+
+
+def picture_path(arguments: argparse.Namespace) -> Path:
+    """Return the path of ``-o``, checked: a picture or a page, and new without ``--force``."""
+    out = Path(arguments.out)
+    if out.suffix not in (*PICTURES, ".html"):
+        raise ValueError(f"-o {out}: a plot has the suffix {', '.join(PICTURES)} or .html")
+    check_new(arguments, out)
+    return out
 
 
 def _with_truth(recording: Any, path: str) -> Any:

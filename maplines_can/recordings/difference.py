@@ -387,8 +387,7 @@ class Difference:
             keys.append(channel << 32 | log.scenes.counter)
             t.append((log.scenes.t_ns - log.rows["t_ns"][0]) / 1e9)
         found = self.alignment
-        between = int(self.b.rows["t_ns"][0] - self.a.rows["t_ns"][0]) / 1e9
-        moved = t[0] * (1 + found.drift) + found.offset - between
+        moved = t[0] * (1 + found.drift) + found.offset - self._between
         reach = max(log.cycle for log in logs) * _SCENE_REACH
         in_a, in_b = matched(keys[0], moved, keys[1], t[1], reach)
         differing = in_a[self.a.scenes.digest[in_a] != self.b.scenes.digest[in_b]]
@@ -409,15 +408,33 @@ class Difference:
             or self.a.pose_errors != self.b.pose_errors
         )
 
+    def position(self, x: float) -> tuple[Array, Array, Array]:
+        """Return where both lines of a pair are valid at x [m], and the positions of B minus those
+        of A there, with the sigma of this difference [m].
+        """
+        a, b = self.pairs
+        (y_a, sigma_a), (y_b, sigma_b) = (position(r["mean"], r["cov"], x) for r in (a, b))
+        is_in = are_within(a["x_min"], a["x_max"], x) & are_within(b["x_min"], b["x_max"], x)
+        return is_in & self.are_known, y_b - y_a, np.hypot(sigma_a, sigma_b)
+
+    def time_in_a(self, of: int, t: float) -> float:
+        """Return a time of A (0) or B (1), each from its first line on, in A [s]."""
+        found = self.alignment
+        return t if of == 0 else (t - found.offset + self._between) / (1 + found.drift)
+
+    @property
+    def _between(self) -> float:
+        """Time from the first line of A to that of B by their clocks [s]."""
+        if not self.alignment.has_time:
+            return 0.0
+        return int(self.b.rows["t_ns"][0] - self.a.rows["t_ns"][0]) / 1e9
+
     def positions(self) -> dict[str, list[Position]]:
         """Return the differences of positions, by the name of a slot."""
-        a, b = self.pairs
+        a, _ = self.pairs
         found: dict[str, list[Position]] = {}
         for x in self.at:
-            (y_a, sigma_a), (y_b, sigma_b) = (position(r["mean"], r["cov"], x) for r in (a, b))
-            is_in = are_within(a["x_min"], a["x_max"], x) & are_within(b["x_min"], b["x_max"], x)
-            is_in &= self.are_known
-            away, sigma = y_b - y_a, np.hypot(sigma_a, sigma_b)
+            is_in, away, sigma = self.position(x)
             for slot in np.unique(a["slot"][is_in]):
                 here = np.flatnonzero(is_in & (a["slot"] == slot))
                 each, scaled = away[here], away[here] / np.maximum(sigma[here], 1e-300)

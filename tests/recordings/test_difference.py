@@ -18,6 +18,7 @@ from maplines_can import Codec, Gaussian, Kind, MapLine, Slot
 from maplines_can.bus import LogFrame
 from maplines_can.cli import main
 from maplines_can.recordings.difference import Difference, LoggedLines, difference
+from maplines_can.recordings.plots.difference_panels import difference_panels
 from maplines_can.recordings.record_matching import matched
 from maplines_can.wire import default_dbc_path
 
@@ -296,6 +297,36 @@ def test_logs_with_nothing_in_common_say_so(log: Log) -> None:
     assert found.alignment.method == "nothing"
     assert len(found.only[0]) == 20
     assert not found.is_equal
+
+
+def test_panels_show_the_differences(log: Log) -> None:
+    """Positions with the sigma of the difference, and the parts of both logs on the clock of A."""
+    a = log(PLAIN[: 8 * 400])
+    changed = drive(500, lambda line, k: to_the_left(line, 0.1) if k == 300 else line)
+    b = log(moved(changed[8 * 100 :], 10**12))
+    found = difference(a, b, at=[0.0])
+    positions, parts = difference_panels(found)
+    left, _ = positions.bands
+    assert np.nanmax(left.y) == pytest.approx(0.1, abs=0.01)
+    assert np.nanmedian(left.high[0] - left.y) == pytest.approx(SIGMA[0] * 2**0.5, rel=0.1)
+    assert parts.rows == ["ego left differs", "ego right differs", "only in A", "only in B"]
+    begins = {parts.rows[strip.row]: strip.begin for strip in parts.strips}
+    assert begins == pytest.approx({"only in A": 0.0, "only in B": 20.0}, abs=1e-6)
+    # The first lines of B differ in their states, which begin there.
+    last = {dots.label: dots.x[-1] for dots in parts.dots}
+    assert last == pytest.approx({"ego left differs": 15.0, "ego right differs": 15.001})
+    assert all((dots.x[:-1] < 6).all() for dots in parts.dots)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".html"])
+def test_a_picture_is_written_once(faulty_log: Path, tmp_path: Path, suffix: str) -> None:
+    """Of two logs without a difference, too; a file that exists is kept."""
+    pytest.importorskip("matplotlib" if suffix == ".png" else "bokeh")
+    out = tmp_path / f"diff{suffix}"
+    words = ["diff", str(faulty_log), str(faulty_log), "-o", str(out)]
+    assert main(words) == 0
+    assert out.stat().st_size > 1000
+    assert main(words) == 1
 
 
 @given(

@@ -141,7 +141,7 @@ def panels_of(recordings: Sequence[Recording], at: Sequence[float]) -> list[Pane
             for label, rows in recording.lines.items():
                 is_bare = rows["status"] == Status.UNKNOWN
                 sigma = np.where(is_bare, np.nan, rows[f"sigma{x:g}"])
-                one, bin_width = _thinned(rows["t"], rows[f"y{x:g}"], sigma)
+                one, bin_width = thinned(rows["t"], rows[f"y{x:g}"], sigma)
                 width = max(width, bin_width)
                 name = _label(recordings, number, label)
                 bands.append(Band(name, _colour(label), number > 0, *one))
@@ -213,7 +213,7 @@ def _lane_panels(recordings: Sequence[Recording], at: Sequence[float]) -> Iterat
                 continue
             for x, colour in zip(at, cycle(COLOURS.values()), strict=False):
                 value, sigma = (recording.scenes[f"{n}{x:g}"] for n in (name, f"sigma_{name}"))
-                one, bin_width = _thinned(recording.scenes["t"], value, sigma)
+                one, bin_width = thinned(recording.scenes["t"], value, sigma)
                 width = max(width, bin_width)
                 label = _label(recordings, number, f"at {x:g} m")
                 bands.append(Band(label, colour, number > 0, *one))
@@ -225,7 +225,7 @@ def _age_panel(recordings: Sequence[Recording]) -> Panel:
     bands = []
     for number, recording in enumerate(recordings):
         for label, rows in recording.lines.items():
-            one, _ = _thinned(rows["t"], 1e3 * rows["age"], np.zeros(len(rows["t"])))
+            one, _ = thinned(rows["t"], 1e3 * rows["age"], np.zeros(len(rows["t"])))
             name = _label(recordings, number, label)
             bands.append(Band(name, _colour(label), number > 0, *one))
     return Panel("age of the lines when they were sent", "time [s]", "age [ms]", bands)
@@ -280,7 +280,7 @@ def _strips(t: Array, state: NDArray[np.str_], usable: NDArray[np.bool_], row: i
     return found[::step]
 
 
-def _thinned(t: Array, y: Array, sigma: Array) -> tuple[Points, float]:
+def thinned(t: Array, y: Array, sigma: Array) -> tuple[Points, float]:
     """Return (t, y, low, high) of a band, with gaps, and the time that a point stands for.
 
     A point of many stands for all of a time: the median, and the outermost ends of each band.
