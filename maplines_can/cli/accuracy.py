@@ -8,19 +8,21 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ..bus import LogSummary, read_log
+from ..bus import LogFrame, LogSummary, read_log
 from ..logs.first_frames import FirstFrames
+from ..logs.log_part import Window, of_channel
 from ..simulation.accuracy import MIN_CURVATURE, REQUIREMENTS, Accuracy, accuracy_of
 from ..simulation.sender_consistency import consistency_of, map_consistency_of
 from ..simulation.truth import PLACES, Truth, read_truth, truth_paths
 from ..values.arrays import count_text
 from ..values.errors import DriveFileError, LogError
-from ..values.line import MapLine
+from ..values.line import MapLine, Slot
 from ..values.text_table import aligned
 from ..wire import Decoder, Reason
 from .command_line import add_command, add_json, note, option_group, with_progress
+from .decode import slots
 from .file_arguments import add_force, check_new
-from .frame_source import add_times, check_received, note_log
+from .frame_source import add_part, add_times, check_received, note_log
 from .options import add_codec, add_cycle, add_transfer_timeout, decoder_of, keyed_codec
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -59,6 +61,10 @@ def add_accuracy(commands: Any) -> None:
     add_cycle(parser)
     add_transfer_timeout(parser)
     add_times(parser)
+    add_part(parser)
+    option_group(parser, "message").add_argument(
+        "--slots", type=slots, metavar="NAME,...", help="lines of these slots only: ego-left,..."
+    )
     add_json(parser)
 
 
@@ -68,46 +74,71 @@ def _accuracy(arguments: argparse.Namespace) -> int:
             f"--plot must be a file that ends in {', '.join(PICTURES)}, got {arguments.plot!r}"
         )
     check_new(arguments, arguments.plot)
-    frames = read_log(arguments.log, times=arguments.times)
+    received = _LogLines(arguments)
     truth = read_truth(arguments.truth or truth_of(arguments.log))
-    codec = keyed_codec(arguments, clock=None)
-    decoders: dict[str, Decoder] = {}
-    first = FirstFrames()
-    status, has_time, is_empty = 0, True, True
+    accuracy = accuracy_of(truth, received.lines())
+    note_log(arguments.log, received.summary)
+    received.check(accuracy)
+    _print(accuracy, truth, received.summary, arguments)
+    return received.status
 
-    def lines() -> Iterator[MapLine]:
-        nonlocal status, has_time, is_empty
+
+class _LogLines:
+    """Lines of a part of a log, with a decoder for each channel.
+
+    Raises:
+        LogError: the log cannot be opened.
+    """
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        self._arguments, self._log = arguments, arguments.log
+        log = read_log(self._log, times=arguments.times)
+        self._frames, self.summary = of_channel(log, arguments.channel, self._log), log.summary
+        self._window, self._slots = Window(arguments.time), arguments.slots or tuple(Slot)
+        self._codec = keyed_codec(arguments, clock=None)
+        self._decoders: dict[str, Decoder] = {}
+        self._first = FirstFrames()
+        self.status, self._is_empty = 0, True
+
+    def lines(self) -> Iterator[MapLine]:
+        """Yield the lines of the part; those before damage are compared, too."""
         try:
-            for frame in with_progress(frames, " frames"):
-                if is_empty:
-                    first.add(frame)
-                decoder = decoders.setdefault(frame.channel, decoder_of(codec, arguments))
-                has_time = frame.has_time
-                found = decoder.feed(
-                    frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended
-                )
-                if not isinstance(found, Reason):
-                    is_empty = False
-                    yield from found
+            for frame in with_progress(self._frames, " frames"):
+                if self._window.is_over(frame.t_ns):
+                    self._window.check_frames(len(self._decoders), self._log)
+                    break
+                yield from self._feed(frame)
         except LogError as error:
-            if is_empty:
+            if self._is_empty:
                 raise
-            note(f"error: {error}")  # the lines before the damage are compared
-            status = 1
+            note(f"error: {error}")
+            self.status = 1
 
-    accuracy = accuracy_of(truth, lines())
-    if not has_time:
-        raise LogError(f"{arguments.log}: has no time stamps; record it with candump -L")
-    note_log(arguments.log, frames.summary)
-    if is_empty:
-        pose_errors = sum(decoder.pose_errors for decoder in decoders.values())
-        if not pose_errors:
-            check_received(arguments.log, first, codec, frames.summary)
-        raise LogError(
-            f"{arguments.log}: has no lines, and {count_text(pose_errors, 'pose error')}"
-        )
-    _print(accuracy, truth, frames.summary, arguments)
-    return status
+    def _feed(self, frame: LogFrame) -> Iterator[MapLine]:
+        if self._is_empty:
+            self._first.add(frame)
+        new = self._decoders.get(frame.channel) or decoder_of(self._codec, self._arguments)
+        decoder = self._decoders.setdefault(frame.channel, new)
+        found = decoder.feed(frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended)
+        if isinstance(found, Reason):
+            return
+        if not frame.has_time:
+            raise LogError(f"{self._log}: has no time stamps; record it with candump -L")
+        self._is_empty = False
+        for line in found:
+            t = (line.t_ns or 0) / 1e9
+            if line.slot in self._slots and self._window.takes(t, self._log):
+                yield line
+
+    def check(self, accuracy: Accuracy) -> None:
+        """Raise LogError if there is no line."""
+        if self._is_empty:
+            pose_errors = sum(decoder.pose_errors for decoder in self._decoders.values())
+            if not pose_errors:
+                check_received(self._log, self._first, self._codec, self.summary)
+            raise LogError(f"{self._log}: has no lines, and {count_text(pose_errors, 'pose error')}")
+        if not accuracy.received:
+            raise LogError(f"{self._log}: none of its lines is in the part that was chosen")
 
 
 def _print(

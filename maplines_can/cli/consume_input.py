@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 from ..bus import Link, LogSummary, Receiver, SignalDecoder, read_log, read_signals
 from ..desk.facts import Facts, facts_of
 from ..logs.first_frames import FirstFrames
+from ..logs.log_part import Window, of_channel
 from ..propagation import Motion
 from ..simulation.drive_columns import COLUMNS
 from ..values.arrays import count_text
 from ..values.input_files import lines_of
 from ..wire import LineCodec, SceneView
 from .command_line import add_json, note, number, option_group, seconds, with_progress
-from .frame_source import ObservedLink, add_times, note_log, why_silent
+from .frame_source import ObservedLink, add_part, add_times, note_log, why_silent
 from .options import (
     add_bus,
     add_codec,
@@ -52,13 +53,15 @@ def add_input(parser: argparse.ArgumentParser, what: str) -> None:
         "log",
         nargs="?",
         metavar="LOG",
-        help="log file, as of 'decode' (default: receive from the bus)",
+        help="log file, as of 'decode', of which --channel is a channel (default: receive from the "
+        "bus)",
     )
     add_bus(parser)
     add_codec(parser)
     add_cycle(parser)
     add_transfer_timeout(parser)
     add_times(parser)
+    add_part(parser, channel=False)
     add = option_group(parser, "output").add_argument
     add("--seconds", type=seconds, metavar="S", help="stop after this time [s]")
     add(
@@ -97,11 +100,14 @@ class Input:
     ``with`` returns the iterator over the cycles, and ends at Ctrl-C without an error.
 
     Raises:
-        ValueError: the DBC has no message of the pose error.
+        ValueError: the DBC has no message of the pose error, or ``--time`` is given for a bus.
     """
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         codec = scene_codec(arguments)
+        self._window = Window(arguments.time)
+        if not (arguments.log or self._window.is_all):
+            raise ValueError("--time is a part of LOG; on a bus, --seconds ends the command")
         self._arguments, self._decoder = arguments, decoder_of(codec, arguments)
         self._codec, self._first, self._is_cut = codec, FirstFrames(), False
         self.summary = LogSummary()  #: of the log
@@ -144,7 +150,7 @@ class Input:
     def report_nothing(self, what: str) -> int:
         """Print that there was nothing to use, and what to check; return the exit status.
 
-        It is 0 if --seconds leaves out what there may be. Call it after the cycles.
+        It is 0 if --seconds or --time leaves out what there may be. Call it after the cycles.
 
         Args:
             what: that was not there.
@@ -154,8 +160,8 @@ class Input:
         counts = f"{count_text(decoder.lines, 'line')} and {pose_errors}"
         if not (decoder.lines or decoder.pose_errors):
             why = self._why_silent()
-        elif self._is_cut:
-            note(f"{what} in --seconds {self._arguments.seconds:g}, with {counts}")
+        elif self._is_cut or not self._window.is_all:
+            note(f"{what} in --seconds or --time, with {counts}")
             return 0
         elif not decoder.pose_errors:
             why = SENDER
@@ -181,18 +187,21 @@ class Input:
         found = self._from_log() if self._arguments.log else self._from_bus()
         for mono_ns, now_ns, view in found:
             first = mono_ns if first is None else first
-            if most is not None and mono_ns - first >= most * 1e9:
+            is_over = most is not None and mono_ns - first >= most * 1e9
+            if is_over or self._window.is_over(mono_ns):
                 found.close()
                 self._is_cut = bool(self._arguments.log)
                 return
-            yield ConsumerCycle(mono_ns - first, now_ns, view)
+            if self._window.has(mono_ns / 1e9):
+                yield ConsumerCycle(mono_ns - first, now_ns, view)
 
     def _from_log(self) -> Generator[Found, None, None]:
         path, decoder = self._arguments.log, self._decoder
         step = round(PERIOD * 1e9)
         due: int | None = None
-        frames = read_log(path, times=self._arguments.times)
-        self.summary = frames.summary
+        log = read_log(path, times=self._arguments.times)
+        self.summary = log.summary
+        frames = of_channel(log, self._arguments.channel, path)
         for frame in with_progress(frames, " frames"):
             if not frame.has_time:
                 raise ValueError(f"LOG: {path} has no time stamps; record it with candump -L")
@@ -205,6 +214,8 @@ class Input:
                 yield due, due, decoder.latest_scene(due)
                 due += step
             decoder.feed(frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended)
+            if decoder.lines:
+                self._window.see(frame.t_ns / 1e9, path)
         if due is not None:
             yield due, due, decoder.latest_scene(due)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import sys
 from collections import Counter
@@ -15,6 +16,7 @@ from typing import Any
 
 from ..bus import LogFrame, read_log
 from ..logs.first_frames import FirstFrames
+from ..logs.log_part import ALL, Window, of_channel
 from ..values.arrays import count_text
 from ..values.errors import LogError
 from ..values.line import MapLine, Slot
@@ -30,7 +32,7 @@ from ..wire import (
 )
 from .command_line import add_command, note, number, option_group, progress_bar, with_progress
 from .file_arguments import add_force, check_new
-from .frame_source import add_times, check_received, choose_dbc, note_log
+from .frame_source import add_part, add_times, check_received, choose_dbc, note_log
 from .options import (
     add_codec,
     add_cycle,
@@ -89,6 +91,7 @@ def add_decode(commands: Any) -> None:
     add_cycle(parser)
     add_transfer_timeout(parser)
     add_times(parser)
+    add_part(parser)
     parser.add_argument(
         "logs",
         metavar="LOG",
@@ -150,7 +153,9 @@ class DecodedLog:
         self.status, self.has_time = 0, True
         self._codec, self._arguments = codec, arguments
         source = sys.stdin.buffer if arguments.log == "-" else arguments.log
-        self._frames = read_log(source, times=arguments.times)
+        log = read_log(source, times=arguments.times)
+        self._frames = of_channel(log, arguments.channel, arguments.log)
+        self._window = Window(arguments.time)
         self.summary, self.first = self._frames.summary, FirstFrames()
         self._decoders: dict[str, Decoder] = {}
         self._scenes: dict[str, SceneView] = {}  # the newest of each channel, with --scenes
@@ -160,6 +165,9 @@ class DecodedLog:
         """Yield the lines with their channels and the views of their slots; print the scenes."""
         try:
             for frame in with_progress(self._frames, " frames"):
+                if self._window.is_over(frame.t_ns):
+                    self._window.check_frames(len(self._decoders), self._arguments.log)
+                    break
                 if self._knows(frame):
                     yield from self._feed(frame)
         except LogError as error:  # the intact records have been read by now
@@ -199,6 +207,9 @@ class DecodedLog:
             for line in found:
                 if self._arguments.slots is not None and line.slot not in self._arguments.slots:
                     continue
+                t = (line.t_ns or 0) / 1e9 if self.has_time else math.nan
+                if not self._window.takes(t, self._arguments.log):
+                    continue
                 self._printed += 1
                 view = decoder.latest(line.slot, frame.t_ns)
                 yield frame.channel, line if self.has_time else replace(line, t_ns=None), view
@@ -218,7 +229,8 @@ class DecodedLog:
 
     def _print_scene(self, channel: str, view: SceneView) -> None:
         row = scene_dict(view) | ({} if self.has_time else {"t": None})
-        print(json.dumps(row | {"channel": channel}), flush=True)
+        if self._window.has(math.nan if row["t"] is None else row["t"]):
+            print(json.dumps(row | {"channel": channel}), flush=True)
 
     @property
     def is_empty(self) -> bool:
@@ -389,6 +401,8 @@ def _tables(arguments: argparse.Namespace) -> Any:
         slots=arguments.slots,
         scenes=arguments.scenes,
         times=arguments.times,
+        time=arguments.time,
+        channel=arguments.channel,
         **_timing(arguments),
     )
 
@@ -433,10 +447,11 @@ def beyond_text(log: str, frames: int) -> str:
 
 
 def note_slots(arguments: argparse.Namespace, received: int, kept: int) -> None:
-    """Say that ``--slots`` leaves out all lines, if it does."""
+    """Say that ``--slots`` and ``--time`` leave out all lines, if they do."""
     if received and not kept:
         names = ",".join(slot.name.lower().replace("_", "-") for slot in arguments.slots or ())
-        note(f"{count_text(received, 'line')}, none of --slots {names}")
+        parts = [f"of --slots {names}"] * bool(names) + ["in --time"] * (arguments.time != ALL)
+        note(f"{count_text(received, 'line')}, none {' and '.join(parts)}")
 
 
 def note_decoders(decoders: Mapping[str, Decoder], last_ns: int) -> None:

@@ -1,4 +1,4 @@
-"""Logs and buses as input of a command: ``--times``, their DBC, and why nothing is received."""
+"""Logs and buses as input of a command: their times, DBC and parts, and why nothing is received."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, get_args
 
 from ..bus import Link, LogFrame, LogSummary
 from ..logs.first_frames import FirstFrames
+from ..logs.log_part import ALL, Time, time_of
 from ..logs.log_summary import Times, skipped_text
 from ..values.arrays import count_text
 from ..values.errors import LogError
@@ -26,6 +27,29 @@ def add_times(parser: argparse.ArgumentParser) -> None:
         help="kind of the time stamps of a text log: absolute, zero (from the start of the log) or "
         "delta (from the frame before); by default auto, by the header or the first rows",
     )
+
+
+def add_part(parser: argparse.ArgumentParser, *, channel: bool = True) -> None:
+    """Add ``--time``, and ``--channel`` where no bus has that."""
+    add = option_group(parser, "message").add_argument
+    add(
+        "--time",
+        type=time_range,
+        default=ALL,
+        metavar="FROM..TO",
+        help="lines of this time only [s], from the first line on, such as 10..20 or 30.., or of "
+        "the clock of the log (more than 1e8); what is before is decoded, too",
+    )
+    if channel:
+        add("--channel", metavar="NAME", help="frames of this channel of the log only")
+
+
+def time_range(text: str) -> Time:
+    """Return the time of ``--time``."""
+    try:
+        return time_of(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def choose_dbc(arguments: argparse.Namespace) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from ..values.errors import MaplinesError
 from .command_line import add_command, note, option_group
 from .decode import distances, slots
 from .file_arguments import add_force, check_new
-from .frame_source import add_times, choose_dbc, note_log
+from .frame_source import add_part, add_times, choose_dbc, note_log
 from .options import add_codec, keyed_codec
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -40,6 +39,7 @@ def add_plot(commands: Any) -> None:
     parser = add_command(commands, "plot", _plot, DESCRIPTION, example)
     add_codec(parser)
     add_times(parser)
+    add_part(parser)
     parser.add_argument("logs", metavar="LOG", nargs="+", help="log file, as for 'decode'")
     add = option_group(parser, "output").add_argument
     add(
@@ -50,13 +50,6 @@ def add_plot(commands: Any) -> None:
         help="distances ahead of the car [m] (default: 20)",
     )
     add("--slots", type=slots, metavar="NAME,...", help="these lines only, such as ego-left")
-    add(
-        "--time",
-        type=time_range,
-        default=(-math.inf, math.inf),
-        metavar="FROM..TO",
-        help="draw this time only [s], from the first line on, such as 10..20 or 30..",
-    )
     add("--above", type=float, metavar="T", help="draw the lines at this time from above [s]")
     add("--truth", metavar="FILE", help="true lines of the first log")
     add(
@@ -86,6 +79,7 @@ def _plot(arguments: argparse.Namespace) -> int:
             slots=arguments.slots,
             time=arguments.time,
             times=arguments.times,
+            channel=arguments.channel,
         )
         note_log(log, found.log)
         if damage:
@@ -127,19 +121,3 @@ def _with_truth(recording: Any, path: str) -> Any:
     if not here.any():
         raise MaplinesError(f"{path}: is of another time than {recording.name}")
     return replace(recording, truth={slot: (t[here], y[here]) for slot, (_, y) in lines.items()})
-
-
-def time_range(text: str) -> tuple[float, float]:
-    """Return the time of ``--time``.
-
-    >>> time_range("10..20"), time_range("30..")
-    ((10.0, 20.0), (30.0, inf))
-    """
-    begin, dots, end = text.partition("..")
-    try:
-        low, high = float(begin or "-inf"), float(end or "inf")
-    except ValueError:
-        low, high = 1.0, 0.0
-    if not dots or not low < high:
-        raise argparse.ArgumentTypeError("must be FROM..TO in seconds, such as 10..20 or 30..")
-    return low, high

@@ -22,7 +22,7 @@ from ..values.errors import BusError, LogError
 from ..values.line import Slot
 from ..wire import SHIPPED, Layout
 from .command_line import add_command, add_json, natural, note, number, option_group
-from .frame_source import add_times
+from .frame_source import add_times, time_range
 from .options import (
     add_bus,
     add_dbc,
@@ -33,7 +33,6 @@ from .options import (
     layout_from,
 )
 from .output import faults_text
-from .plot import time_range
 
 if TYPE_CHECKING:
     from ..bus.replay import Plan, ReplayStats

@@ -31,7 +31,8 @@ class LogSummary:
     """Properties of a log, as far as it has been read.
 
     Args:
-        format: of the log, by its suffix, such as ".blf"; "candump" for that tool's output.
+        format: of the log, by its suffix, such as ".blf"; "candump", "savvycan" and "busmaster" for
+            the output of those tools.
         times: kind of its time stamps: "absolute", "zero" or "delta", see ``read_log``; empty if it
             has none, or if none has been read.
         skipped: numbers of records that are no data frames, by kind.

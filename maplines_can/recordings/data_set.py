@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import json
+import math
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..engines import Result, Task, in_processes, in_this_process, on_dask
+from ..logs.log_part import ALL, Time, Window, of_channel
 from ..logs.log_summary import LogSummary, Times
 from ..values.arrays import count_text
 from ..values.errors import LogError
@@ -20,11 +22,12 @@ from ..values.input_files import json_of
 from ..values.line import Slot
 from ..values.output_files import write_error
 from ..wire import Codec
-from .block_reception import MAX_CHANNELS, LineBlock, LogReceiver
-from .blocks import FrameBlock, read_blocks
+from .block_reception import MAX_CHANNELS, LogReceiver
+from .blocks import read_blocks
 from .fitting import misfit
 from .formats import About, TableWriter, open_tables
-from .line_tables import checked_at, line_table
+from .line_tables import checked_at
+from .read_lines import name_of, tables_of
 
 #: Suffixes of logs in a directory, also compressed (.gz).
 LOG_SUFFIXES = (*(".log", ".asc", ".blf", ".crtd", ".trc", ".mf4", ".db", ".pcap", ".pcapng"),)
@@ -43,6 +46,8 @@ class Tables(NamedTuple):
     cycle_ms: float | None = None
     timeout_ms: float | None = None
     times: Times = "auto"
+    time: Time = ALL
+    channel: str | None = None
 
 
 class Written(NamedTuple):
@@ -103,25 +108,23 @@ def write_tables(
         OSError: a file cannot be written.
     """
     checked_at(tables.at)
-    damage, lines = "", 0
-
-    def write(received: LineBlock, frames: FrameBlock | None) -> None:
-        nonlocal lines
-        table = line_table(received, frames, tables.at, tables.slots, scenes=tables.scenes)
-        lines += len(table)
-        writer.write(table)
-
+    damage, lines, frames, name = "", 0, 0, name_of(log)
+    window = Window(tables.time)
     try:
-        blocks = read_blocks(log, times=tables.times)
+        blocks = of_channel(read_blocks(log, times=tables.times), tables.channel, name)
         try:
-            for block in blocks:
-                write(receiver.feed(block), block)
-                progress(len(block))
+            for table in tables_of(
+                receiver, blocks, tables.at, tables.slots,
+                scenes=tables.scenes, window=window, name=name,
+            ):  # fmt: skip
+                lines += len(table)
+                writer.write(table)
+                progress(receiver.frames - frames)
+                frames = receiver.frames
         except LogError as error:
             if not receiver.frames:
                 raise
             damage = str(error)
-        write(receiver.finish(), None)
         return Written(writer.close(), lines, damage, blocks.summary)
     except OSError as error:
         writer.abort()
@@ -167,7 +170,9 @@ def write_data_set(
         OSError: the folder cannot be written.
     """
     names = _names(logs)
-    wanted = {"suffix": suffix, "tables": json.loads(json.dumps(tables._asdict()))}
+    time = [t if math.isfinite(t) else None for t in tables.time]
+    options = tables._asdict() | {"time": time}
+    wanted = {"suffix": suffix, "tables": json.loads(json.dumps(options))}
     results = _known(folder, wanted, dict(zip(map(str, logs), names, strict=True)))
     for left in folder.rglob(".*.part"):  # of workers that were killed
         left.unlink(missing_ok=True)

@@ -9,6 +9,7 @@ from os import PathLike
 from pathlib import Path
 from typing import IO
 
+from ..logs.log_part import AFTER, ALL, ChannelError, Time, Window, of_channel
 from ..logs.log_summary import LogReader, Times
 from ..values.errors import LogError
 from ..values.line import Slot
@@ -32,6 +33,8 @@ def read_lines(
     cycle_ms: float | None = None,
     timeout_ms: float | None = None,
     times: Times = "auto",
+    time: Time = ALL,
+    channel: str | None = None,
 ) -> LineTable:
     """Return the lines of a log as a table, in the order of their last frames.
 
@@ -68,13 +71,16 @@ def read_lines(
         cycle_ms: as in ``Codec.decoder``.
         timeout_ms: as in ``Codec.decoder``.
         times: kind of the time stamps, see `read_log`.
+        time: first and last time [s] of the rows, from the first line on, or of the clock of the
+            log if they are more than 1e8. They are those of the whole log; it is not read further.
+        channel: frames of this one only; by default of all.
 
     Warns:
         UserWarning: the log is damaged; the table has what is intact. Or it has neither a line nor
             a pose error of the DBC; the warning says which DBC fits.
 
     Raises:
-        LogError: the log cannot be opened.
+        LogError: the log cannot be opened, has no frame of the channel, or no times for ``time``.
         ValueError: a distance or a time is out of range, or the DBC has no scenes.
 
     >>> table = read_lines("drive.log", at=[20, 40])  # doctest: +SKIP
@@ -91,11 +97,13 @@ def read_lines(
         cycle_ms=cycle_ms,
         timeout_ms=timeout_ms,
         times=times,
+        time=time,
+        channel=channel,
     )
     try:
         tables.extend(found)
     except LogError as error:
-        if not tables:
+        if not tables or isinstance(error, ChannelError):
             raise
         warnings.warn(str(error), stacklevel=2)
     return joined(tables)
@@ -112,6 +120,8 @@ def line_tables(
     cycle_ms: float | None = None,
     timeout_ms: float | None = None,
     times: Times = "auto",
+    time: Time = ALL,
+    channel: str | None = None,
     block_frames: int = BLOCK_FRAMES,
 ) -> Iterator[LineTable]:
     """Return an iterator over the tables of the blocks of a log.
@@ -128,6 +138,8 @@ def line_tables(
         cycle_ms: as in ``Codec.decoder``.
         timeout_ms: as in ``Codec.decoder``.
         times: kind of the time stamps, see `read_log`.
+        time: of the rows.
+        channel: frames of this one only.
         block_frames: most frames of a block.
 
     Warns:
@@ -139,13 +151,18 @@ def line_tables(
     """
     codec = dbc if isinstance(dbc, LineCodec) else Codec.from_dbc(dbc, encoding=encoding)
     receiver = LogReceiver(codec, cycle_ms=cycle_ms, timeout_ms=timeout_ms, scenes=scenes)
-    blocks = read_blocks(log, block_frames=block_frames, times=times)
+    window = Window(time)
+    blocks = of_channel(
+        read_blocks(log, block_frames=block_frames, times=times), channel, name_of(log)
+    )
     checked_at(at)
 
     def tables() -> Iterator[LineTable]:
         error = None
         try:
-            yield from tables_of(receiver, blocks, at, slots, scenes=scenes)
+            yield from tables_of(
+                receiver, blocks, at, slots, scenes=scenes, window=window, name=name_of(log)
+            )
         except LogError as damage:
             error = damage
         if receiver.is_empty and (receiver.frames or error is None):
@@ -164,25 +181,55 @@ def tables_of(
     slots: Sequence[Slot] | None = None,
     *,
     scenes: bool = False,
+    window: Window | None = None,
+    name: str = "the log",
 ) -> Iterator[LineTable]:
     """Yield the tables of the blocks of a log, as `line_tables`, with a receiver of the caller.
 
     Raises:
-        LogError: after the last table, the log is damaged.
+        LogError: after the last table, the log is damaged; or it has no times for the window.
     """
+    window = window or Window()
 
     def table_of(lines: LineBlock, frames: FrameBlock | None) -> LineTable:
-        return replace(line_table(lines, frames, at, slots, scenes=scenes), log=blocks.summary)
+        table = line_table(lines, frames, at, slots, scenes=scenes)
+        if len(table):
+            window.see(float(table["t"][0]), name)
+        return replace(table if window.is_all else _within(table, window), log=blocks.summary)
 
     error = None
     try:
         for block in blocks:
-            yield table_of(receiver.feed(block), block)
+            part = block.part(0, _end_of(block, window))
+            yield table_of(receiver.feed(part), part)
+            if window.is_over(int(block.t_ns.max())):
+                window.check_frames(receiver.frames, name)
+                break
     except LogError as damage:
         error = damage
+    blocks.close()
     yield table_of(receiver.finish(), None)
     if error is not None:
         raise error
+
+
+def _end_of(block: FrameBlock, window: Window) -> int:
+    """Return the number of frames of a block that are not beyond a window."""
+    if not window.is_over(int(block.t_ns.max())):
+        return len(block)
+    return int((block.t_ns / 1e9 > window.bounds[1] + AFTER).argmax())
+
+
+def _within(table: LineTable, window: Window) -> LineTable:
+    """Return the rows of a window."""
+    lines = table.where(window.are_in(table["t"]))
+    rejects, scenes = table.rejects, table.scenes
+    return replace(
+        table,
+        columns=lines.columns,
+        rejects=rejects.where(window.are_in(rejects["t"])),
+        scenes=scenes.where(window.are_in(scenes["t"])) if scenes.columns else scenes,
+    )
 
 
 def name_of(log: Log) -> str:

@@ -7,8 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast, get_args
 
-from ..bus import read_log
-from ..logs.log_summary import Times
+from ..bus import LogFrame, read_log
+from ..logs.log_part import Window, of_channel, time_of
+from ..logs.log_summary import LogReader, Times
 from ..maps import random_tour, town_path, town_tour
 from ..maps.formats.load import load
 from ..maps.line_source import LineSource
@@ -134,36 +135,73 @@ def _log(table: Table, _period: float, _seed: int, folder: Path, pose_error: boo
         raise RestbusError(f"{table.name}: log: there is no file {path}")
     codec = codec_of(table.text("log_dbc", "maplines.dbc"), folder)
     times = cast(Times, table.choice("log_times", get_args(Times), "auto"))
+    channel = table.text("log_channel") if "log_channel" in table else None
+    try:
+        window = Window(time_of(table.text("log_time", "..")))
+    except ValueError as error:
+        raise RestbusError(f"{table.name}: log_time {error}") from None
     try:
         check_fit(path, codec, times=times)
-        frames = read_log(path, times=times)
-        first = next(frames)
+        frames = of_channel(read_log(path, times=times), channel, path)
+        return _LogLines(frames, codec, window, name)
     except LogError as error:
         raise RestbusError(f"{table.name}: log: {error}") from error
-    decoder = codec.decoder()
-    latest: dict[Slot, MapLine] = {}
-    origin_ns, waiting = first.t_ns, [first]
 
-    def lines(t: float) -> list[MapLine] | None:
-        now_ns = origin_ns + round(t * 1e9)
-        while waiting and waiting[0].t_ns <= now_ns:
-            frame = waiting.pop()
-            answer = decoder.feed(
-                frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended
-            )
-            if not isinstance(answer, Reason):
-                latest.update((line.slot, line) for line in answer)
-            waiting.extend([following] if (following := next(frames, None)) else [])
-        for slot, line in list(latest.items()):
-            if now_ns - (line.t_ns or 0) > MAX_LOG_AGE * 1e9:
-                del latest[slot]
-        if not (waiting or latest):
+
+class _LogLines:
+    """Lines of a part of a log, at the time since its start.
+
+    Args:
+        frames: of the log.
+        codec: of its lines.
+        window: of the part; the frames before are decoded, too.
+        name: of the log.
+
+    Raises:
+        LogError: the log cannot be read, or has no frame in this time.
+    """
+
+    def __init__(
+        self, frames: LogReader[LogFrame], codec: Codec, window: Window, name: str
+    ) -> None:
+        self._frames, self._decoder, self._window, self._name = (
+            frames, codec.decoder(), window, name,
+        )  # fmt: skip
+        self._latest: dict[Slot, MapLine] = {}
+        self._waiting = self._following()
+        while self._waiting and not window.has(self._waiting[0].t_ns / 1e9):
+            self._feed()
+        if not self._waiting:
+            raise LogError(f"{name}: has no frame in this time")
+        self._origin_ns = self._waiting[0].t_ns
+
+    def __call__(self, t: float) -> list[MapLine] | None:
+        """Return the lines at a time since the start [s]; None at the end."""
+        now_ns = self._origin_ns + round(t * 1e9)
+        while self._waiting and self._waiting[0].t_ns <= now_ns:
+            self._feed()
+        ages = {slot: now_ns - (line.t_ns or 0) for slot, line in self._latest.items()}
+        for slot, age_ns in ages.items():
+            if age_ns > MAX_LOG_AGE * 1e9:
+                del self._latest[slot]
+        if not (self._waiting or self._latest):
             return None
-        return [
-            aged(line, line.age + 1e-9 * (now_ns - (line.t_ns or 0))) for line in latest.values()
-        ]
+        return [aged(line, line.age + 1e-9 * ages[slot]) for slot, line in self._latest.items()]
 
-    return lines
+    def _feed(self) -> None:
+        """Decode the frame that waits, and read the next one."""
+        (frame,) = self._waiting
+        answer = self._decoder.feed(
+            frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended
+        )
+        for line in () if isinstance(answer, Reason) else answer:
+            self._window.see((line.t_ns or 0) / 1e9, self._name)
+            self._latest[line.slot] = line
+        self._waiting = self._following()
+
+    def _following(self) -> list[LogFrame]:
+        frame = next(self._frames, None)
+        return [] if frame is None or frame.t_ns / 1e9 > self._window.bounds[1] else [frame]
 
 
 def _script(table: Table, _period: float, _seed: int, folder: Path, _pose_error: bool) -> Lines:

@@ -10,6 +10,7 @@ from pathlib import Path
 import can
 import pytest
 from support.bombs import MB, MOST, SIZE, deflated, gzipped, read_in_little_memory
+from support.captures import Style, interface, pcap, section
 
 from maplines_can.bus import LogFrame, read_log
 from maplines_can.logs.frame_block import MAX_OBJECT
@@ -20,12 +21,14 @@ from maplines_can.values.input_files import MAX_LINE
 
 HEADERS = {
     "log": "",
+    "crtd": "0.000001 CXX OVMS CRTD\n",
     "asc": "date Fri Nov 21 2025\nbase hex  timestamps absolute\nno internal events logged\n",
     "csv": "timestamp,arbitration_id,extended,remote,error,dlc,data\n",
     "trc": ";$FILEVERSION=1.1\n;$STARTTIME=40000.0\n",
 }
 ROWS = {
     "log": "(1.5) can0 340#0001\n",
+    "crtd": "1.5 1R11 340 00 01\n",
     "asc": " 1.5 1  340  Rx  d 2 00 01\n",
     "csv": "1.5,0x340,0,0,0,2,AAE=\n",
     "trc": "  1)  1500.0  Rx  0340  2  00 01\n",
@@ -112,6 +115,16 @@ def write_bombs(folder: Path) -> dict[str, str]:
             "its header has 0 bytes",
         ),
     }
+    ng = Style(is_ng=True)
+    captures = {
+        "packet.pcap.gz": (
+            pcap([], Style()) + struct.pack("<4L", 0, 0, huge, huge),
+            "a record has",
+        ),
+        "block.pcapng.gz": (section() + struct.pack("<2L", 6, huge), f"a record has {huge} bytes"),
+        "interfaces.pcapng.gz": (section() + interface(ng) * 300, "it has more than 256 interfac"),
+    }
+    blfs |= {name: (gzip.compress(data) + long, why) for name, (data, why) in captures.items()}
     for name, (data, reason) in blfs.items():
         (folder / name).write_bytes(data)
         reasons[name] = reason

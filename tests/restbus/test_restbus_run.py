@@ -241,6 +241,34 @@ def test_lines_of_a_script_a_log_and_a_drive(tmp_path: Path) -> None:
     assert decoded_offsets(run({"lines": {"drive": "tour"}, "seed": 3}, 0.3, tmp_path))
 
 
+def test_a_part_of_a_log(tmp_path: Path) -> None:
+    """A channel, and a time; the lines before it are decoded, and the first one is sent at once."""
+    script = (
+        "from maplines_can import MapLine, Slot\n"
+        "def lines(t):\n"
+        "    mean = [{} + t, 0, 0, 0]\n"
+        "    return [MapLine.with_sigma(Slot.EGO_LEFT, mean, [.1, .01, .001, 1e-4])]\n"
+    )
+    rows = []
+    for channel, offset in (("a", 1), ("b", 4)):
+        (tmp_path / "lines.py").write_text(script.format(offset))
+        for m in run({"lines": {"script": "lines.py"}}, 1.0, tmp_path):
+            data = bytes(m.data).hex()
+            rows.append(f"({m.timestamp:.6f}) {channel} {m.arbitration_id:03X}#{data}\n")
+    (tmp_path / "two.log").write_text("".join(sorted(rows)))
+    part = {"log": "two.log", "log_channel": "b", "log_time": "0.4..0.7"}
+    sent = decoded_offsets(run({"lines": part}, 1.0, tmp_path))
+    assert min(sent) == pytest.approx(4.4, abs=0.06)
+    assert max(sent) == pytest.approx(4.7, abs=0.06)
+    for changed, error in [
+        ({"log_channel": "c"}, r"has no frame of channel 'c'; there are 'a', 'b'"),
+        ({"log_time": "50..60"}, "log: two.log: has no frame in this time"),
+        ({"log_time": "5"}, r"log_time must be FROM\.\.TO in seconds"),
+    ]:
+        with pytest.raises(RestbusError, match=error):
+            run({"lines": part | changed}, 0.1, tmp_path)
+
+
 def test_a_drive_that_is_not_on_the_map_is_refused(tmp_path: Path) -> None:
     """Otherwise no line would be sent."""
     (tmp_path / "far.csv").write_text("time,x,y,heading\n0,1e6,0,0\n9,1e6,9,0\n")

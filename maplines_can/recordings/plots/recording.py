@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...logs.log_part import ALL, Time, Window, of_channel
 from ...logs.log_summary import LogSummary, Times
 from ...values.errors import LogError
 from ...values.line import Slot
@@ -23,8 +24,6 @@ from ..read_lines import name_of, tables_of
 
 Array = NDArray[Any]
 
-#: Smaller times are from the begin of the log [s].
-MIN_ABSOLUTE = 1e8
 #: A line is in the view from above if it is not older than this [s].
 OLDEST = 1.0
 
@@ -59,8 +58,9 @@ def recorded(
     at: Sequence[float],
     *,
     slots: Sequence[Slot] | None = None,
-    time: tuple[float, float] = (-math.inf, math.inf),
+    time: Time = ALL,
     times: Times = "auto",
+    channel: str | None = None,
 ) -> tuple[Recording, str]:
     """Return the columns of a log, and why it is damaged, or nothing.
 
@@ -72,27 +72,30 @@ def recorded(
         time: first and last time [s], from the first line on, or of the clock if they are more than
             1e8.
         times: kind of the time stamps, see `read_log`.
+        channel: frames of this one only; None for all.
 
     Raises:
         LogError: the log cannot be opened, has no time stamps, or has no line in this time.
     """
     has_scenes = codec.layout.pose is not None
     kept: dict[str, list[Table]] = {"lines": [], "rejects": [], "scenes": []}
-    damage, begin, name = "", None, name_of(log)
-    receiver, blocks = LogReceiver(codec, scenes=has_scenes), read_blocks(log, times=times)
+    damage, window, name = "", Window(time), name_of(log)
+    receiver = LogReceiver(codec, scenes=has_scenes)
+    blocks = of_channel(read_blocks(log, times=times), channel, name)
     columns = ["t", "channel", "slot", "status", "usable", "state", "age", "x_min", "x_max"]
     columns += ["y_off", "beta", "c0", "c1"]
     try:
-        for table in tables_of(receiver, blocks, at, slots, scenes=has_scenes):
-            if begin is None and len(table):
-                begin = float(table["t"][0])
-            if begin is not None:
+        for table in tables_of(
+            receiver, blocks, at, slots, scenes=has_scenes, window=window, name=name
+        ):
+            if window.begin is not None:
                 for kind, part in table.parts.items():
-                    kept[kind].append(_within(part, begin, time, columns))
+                    kept[kind].append(_drawn(part, columns))
     except LogError as error:
         damage = str(error)
-        if begin is None:
+        if window.begin is None:
             raise
+    begin = window.begin
     if receiver.is_empty:
         raise LogError(f"{name}: {misfit(receiver.first, [codec], blocks.summary).text}")
     if begin is None:
@@ -127,16 +130,12 @@ def recorded(
     return drawn, damage
 
 
-def _within(part: Table, begin: float, time: tuple[float, float], columns: list[str]) -> Table:
-    """Return the rows of a time, with the columns that are drawn."""
-    low, high = (one if one > MIN_ABSOLUTE else one + begin for one in time)
-    found = part.where((part["t"] >= low) & (part["t"] <= high) | np.isnan(part["t"]))
-    if isinstance(part, LineTable):
-        names = [*columns, *(name for name in part.columns if name.startswith(("y", "sigma")))]
-        names += [name for name in part.columns if name.startswith("cov_")]
-        kept = {name: found.columns[name] for name in dict.fromkeys(names)}
-        return Table(kept, found.categories)
-    return found
+def _drawn(part: Table, columns: list[str]) -> Table:
+    """Return the columns that are drawn."""
+    if not isinstance(part, LineTable):
+        return part
+    names = [*columns, *(name for name in part.columns if name.startswith(("y", "sigma", "cov_")))]
+    return Table({name: part.columns[name] for name in dict.fromkeys(names)}, part.categories)
 
 
 def _joined(parts: Sequence[Table]) -> Table:
