@@ -136,7 +136,9 @@ class _LogLines:
             pose_errors = sum(decoder.pose_errors for decoder in self._decoders.values())
             if not pose_errors:
                 check_received(self._log, self._first, self._codec, self.summary)
-            raise LogError(f"{self._log}: has no lines, and {count_text(pose_errors, 'pose error')}")
+            raise LogError(
+                f"{self._log}: has no lines, and {count_text(pose_errors, 'pose error')}"
+            )
         if not accuracy.received:
             raise LogError(f"{self._log}: none of its lines is in the part that was chosen")
 
