@@ -15,7 +15,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from maplines_can import Codec, Slot
+from maplines_can import Codec, MapLine, Slot
 from maplines_can.bus import LogFrame, read_log
 from maplines_can.cli import main
 from maplines_can.logs.first_frames import CanId
@@ -177,6 +177,22 @@ def test_json_has_a_row_for_each_log(faulty_log: Path, tmp_path: Path, capsys: A
     assert found["dbc"] == "maplines.dbc"
     assert found["rejects"][Reason.CRC.name] > 0
     assert found["lost"] > 0
+
+
+def test_two_senders_are_named(tmp_path: Path, capsys: Any) -> None:
+    """Of one slot, each with a counter of its own."""
+    line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0])
+    encoders = [CODECS[0].encoder(), CODECS[0].encoder()]
+    for _ in range(100):
+        encoders[1].encode(line)
+    frames = [f for k in range(400) for f in encoders[k % 2].encode(line)]
+    log = tmp_path / "two.log"
+    rows = enumerate(f"{f.can_id:03X}#{f.data.hex()}" for f in frames)
+    log.write_text("".join(f"({1 + k // 4 * 0.025 + k % 4 / 1e4:.6f}) can0 {row}\n"
+                           for k, row in rows))  # fmt: skip
+    status, out, _ = shown(capsys, str(log))
+    assert status == 0
+    assert "; TWO SENDERS at " in out
 
 
 def test_text_names_states_gaps_and_drops(faulty_log: Path, capsys: Any) -> None:
