@@ -52,6 +52,8 @@ DOORS = {
     "fmpy": {"cosimulation"},
     "small_gicp": {"localisation"},
     "pyproj": {"maps"},
+    "rosbags": {"recordings"},
+    "osi3": {"recordings"},
 }
 
 

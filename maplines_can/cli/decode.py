@@ -66,8 +66,10 @@ With -o, the lines are written to a table instead, many times as fast: see 'Tabl
 docs/recordings.md. It has the columns of --csv, and the counter and, for each x of
 --at, the lateral position and its standard deviation (y40, sigma40). Frames that are dropped are in
 FILE.rejects, and scenes with the width and the centre of the ego lane in FILE.scenes (--scenes);
-MF4 and MCAP have all of them in one file. Many logs are a data set in a folder, a file a log; the
-same command goes on where it was stopped.
+MF4 and MCAP have all of them in one file. MCAP has the lines with their bands as a scene, too, for
+the 3D view of Foxglove. A ROS 2 bag (.rosbag2, a folder) and a trace of ASAM OSI (.osi.mcap) have
+points along each line; what OSI has no place for is said in its metadata. Many logs are a data set
+in a folder, a file a log; the same command goes on where it was stopped.
 
 "usable" says of a line whether a controller might have used it as it arrived: its state is VALID,
 there is no second sender, it fits the message and is not too old. With --csv, a line that is
@@ -264,15 +266,16 @@ def add_tables(parser: argparse.ArgumentParser) -> None:
         "-o",
         "--out",
         metavar="FILE|FOLDER",
-        help="write a table to FILE (.parquet .csv .jsonl .mf4 .mcap), or for many logs a data set "
-        "to FOLDER",
+        help="write a table to FILE (.parquet .csv .jsonl .mf4 .mcap .rosbag2 .osi.mcap), or for "
+        "many logs a data set to FOLDER",
     )
     add(
         "--format",
-        choices=("parquet", "csv", "jsonl", "mf4", "mcap"),
+        choices=("parquet", "csv", "jsonl", "mf4", "mcap", "rosbag2", "osi.mcap"),
         default="parquet",
         help="format of the files in FOLDER (default: parquet)",
     )
+    add("--no-bands", action="store_true", help="leave the scene out of .mcap, which is smaller")
     add_force(parser)
     scenario = option_group(parser, "output").add_argument
     scenario(
@@ -297,33 +300,38 @@ def check_tables(arguments: argparse.Namespace) -> None:
 
 def write_files(arguments: argparse.Namespace) -> int:
     """Write the tables of one log, or of many; return the exit status."""
-    from ..recordings.formats import SUFFIXES
+    from ..recordings.formats import LINES_ONLY, suffix_of
 
     out = Path(arguments.out)
-    if out.suffix in SUFFIXES:
-        if len(arguments.logs) > 1:
-            raise ValueError(f"-o {out}: many logs are a data set; give a folder, without a suffix")
-        return _write_file(arguments, out)
-    if out.suffix:
-        raise ValueError(f"-o {out}: a table has the suffix {', '.join(SUFFIXES)}")
-    return _write_folder(arguments, out)
+    suffix = suffix_of(out) if out.suffix else f".{arguments.format}"
+    if arguments.scenes and suffix in LINES_ONLY:
+        raise ValueError(f"-o {out}: {suffix} has lines only; leave out --scenes")
+    if arguments.no_bands and suffix != ".mcap":
+        raise ValueError(f"-o {out}: --no-bands is for .mcap")
+    if not out.suffix:
+        return _write_folder(arguments, out)
+    if len(arguments.logs) > 1:
+        raise ValueError(f"-o {out}: many logs are a data set; give a folder, without a suffix")
+    return _write_file(arguments, out, suffix)
 
 
-def _write_file(arguments: argparse.Namespace, out: Path) -> int:
+def _write_file(arguments: argparse.Namespace, out: Path, suffix: str) -> int:
     from ..recordings.block_reception import LogReceiver
     from ..recordings.data_set import write_tables
-    from ..recordings.formats import About, beside, open_tables
+    from ..recordings.formats import LINES_ONLY, About, beside, open_tables
 
     codec = keyed_codec(arguments, clock=None)
     check_scenes(codec, arguments)
     path_of = beside(out)
-    others = [] if out.suffix in (".mf4", ".mcap") else [path_of("rejects"), path_of("scenes")]
+    is_one = suffix in (".mf4", ".mcap", *LINES_ONLY)
+    others = [] if is_one else [path_of("rejects"), path_of("scenes")]
     check_new(arguments, out, *others)
     if not out.parent.is_dir():
         raise ValueError(f"-o {out}: there is no folder {out.parent}")
     (log,) = arguments.logs
     receiver = LogReceiver(codec, scenes=arguments.scenes, **_timing(arguments))
-    writer = open_tables(path_of, About.of(codec, log, arguments.at), out.suffix)
+    about = About.of(codec, log, arguments.at, arguments.cycle_ms)
+    writer = open_tables(path_of, about, suffix, bands=not arguments.no_bands)
     tables = _tables(arguments)
     for path in others:  # of the file that is replaced
         path.unlink(missing_ok=True)
@@ -403,6 +411,7 @@ def _tables(arguments: argparse.Namespace) -> Any:
         times=arguments.times,
         time=arguments.time,
         channel=arguments.channel,
+        bands=not arguments.no_bands,
         **_timing(arguments),
     )
 

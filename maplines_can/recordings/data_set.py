@@ -6,6 +6,7 @@ import glob
 import json
 import math
 import os
+import shutil
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
@@ -36,7 +37,7 @@ MANIFEST = "manifest.jsonl"
 
 
 class Tables(NamedTuple):
-    """What the tables of logs have; the members are those of `read_lines`."""
+    """What the tables of logs have; the members but the last are those of `read_lines`."""
 
     at: tuple[float, ...] = ()
     dbc: str | None = None
@@ -48,6 +49,7 @@ class Tables(NamedTuple):
     times: Times = "auto"
     time: Time = ALL
     channel: str | None = None
+    bands: bool = True  #: as in `open_tables`
 
 
 class Written(NamedTuple):
@@ -174,8 +176,11 @@ def write_data_set(
     options = tables._asdict() | {"time": time}
     wanted = {"suffix": suffix, "tables": json.loads(json.dumps(options))}
     results = _known(folder, wanted, dict(zip(map(str, logs), names, strict=True)))
-    for left in folder.rglob(".*.part"):  # of workers that were killed
-        left.unlink(missing_ok=True)
+    for left in [*folder.rglob(".*.part")]:  # of workers that were killed
+        if left.is_dir():
+            shutil.rmtree(left)
+        else:
+            left.unlink(missing_ok=True)
     total = len(logs)
     for done, known in enumerate(results.values(), 1):
         progress(done, total, known)
@@ -209,14 +214,15 @@ def decode_log(log: str, folder: str, name: str, suffix: str, tables: Tables) ->
     receiver = LogReceiver(
         codec, cycle_ms=tables.cycle_ms, timeout_ms=tables.timeout_ms, scenes=tables.scenes
     )
-    about = About.of(codec, log, tables.at)
+    about = About.of(codec, log, tables.at, tables.cycle_ms)
 
     def path_of(part: str) -> Path:
         (place / part).mkdir(parents=True, exist_ok=True)
         return place / part / f"{name}{suffix}"
 
     try:
-        written = write_tables(receiver, log, open_tables(path_of, about, suffix), tables)
+        writer = open_tables(path_of, about, suffix, bands=tables.bands)
+        written = write_tables(receiver, log, writer, tables)
         result["files"] = [str(file.relative_to(place)) for file in written.files]
         result |= written.summary.as_dict() | {"rows": written.lines}
         result["error"] = "; ".join(_problems(receiver, codec, written, log))

@@ -41,8 +41,9 @@ def file_limit(size: int) -> Iterator[None]:
 
 
 def needs(suffix: str) -> None:
-    if suffix == ".mf4" and not find_spec("asammdf"):
-        pytest.skip("needs asammdf")
+    package = {".mf4": "asammdf", ".rosbag2": "rosbags", ".osi.mcap": "osi3"}.get(suffix)
+    if package is not None and not find_spec(package):
+        pytest.skip(f"needs {package}")
 
 
 @pytest.mark.parametrize("size", [0, 5000])

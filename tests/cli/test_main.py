@@ -111,7 +111,7 @@ def test_interrupt_while_a_module_is_imported(monkeypatch: Patch) -> None:
     assert main(["demo"]) == 130
 
 
-@pytest.mark.parametrize("extra", ["fmi", "secoc", "mf4", "study", "plot"])
+@pytest.mark.parametrize("extra", ["fmi", "secoc", "mf4", "study", "plot", "ros", "osi"])
 def test_item_11_an_extra_is_one_that_a_checkout_has(extra: str) -> None:
     """The command in the message names an extra of pyproject.toml; nothing is published."""
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
@@ -37,19 +38,25 @@ class About:
         dbc: name of the DBC.
         dbc_sha256: of its text.
         at: distances ahead of the car [m].
+        cycle_ms: longest cycle time of a line [ms].
     """
 
     log: str
     dbc: str
     dbc_sha256: str
     at: tuple[float, ...] = ()
+    cycle_ms: int = 100
     maplines_can: str = field(default=__version__)
 
     @classmethod
-    def of(cls, codec: LineCodec, log: str, at: tuple[float, ...]) -> About:
-        """Return what a log and its codec say."""
+    def of(
+        cls, codec: LineCodec, log: str, at: tuple[float, ...], cycle_ms: float | None = None
+    ) -> About:
+        """Return what a log, its codec and the stated cycle time, if it is, say."""
         layout = codec.layout
-        return cls(Path(log).name, Path(layout.source).name, layout.sha256, at)
+        cycles = [own.cycle_ms or cls.cycle_ms for own in layout.messages_of.values()]
+        cycle = max(cycles) if cycle_ms is None else math.ceil(cycle_ms)
+        return cls(Path(log).name, Path(layout.source).name, layout.sha256, at, cycle)
 
     @property
     def texts(self) -> dict[str, str]:
