@@ -310,16 +310,42 @@ def test_a_damaged_log_keeps_what_is_intact(
     assert not [*tmp_path.rglob(".*")]
 
 
-def count(path: Path) -> int:
-    """Return the messages in an MCAP file, or that of a bag."""
+def summary_of(path: Path) -> Any:
+    """Return the summary of an MCAP file, or of that of a bag."""
     from mcap.reader import make_reader
 
     file = next(path.glob("*.mcap")) if path.is_dir() else path
     with file.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    assert summary.statistics is not None
-    return summary.statistics.message_count
+        return make_reader(stream).get_summary()
+
+
+def count(path: Path) -> int:
+    """Return the number of messages."""
+    return int(summary_of(path).statistics.message_count)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "topics"),
+    [
+        (".mcap", {"Route", "bands"}),
+        (".rosbag2", {"/Route"}),
+        (".osi.mcap", {"MapLines.SensorData"}),
+    ],
+)
+def test_channels_have_topics_of_their_own(suffix: str, topics: set[str], tmp_path: Path) -> None:
+    pytest.importorskip(NEEDS[suffix])
+    log = log_of(tmp_path, MapLine.with_sigma(Slot.ROUTE, [1.75, 0, 0, 0], [0.1, 0.01, 1e-3, 1e-5]))
+    whole = summary_of(export(log, tmp_path / f"a{suffix}"))
+    log.write_text(log.read_text() + log.read_text().replace("can0", "can1"))
+    both = summary_of(export(log, tmp_path / f"b{suffix}"))
+    assert {channel.topic for channel in whole.channels.values()} == topics
+    join = "." if suffix == ".osi.mcap" else "/"
+    assert {channel.topic for channel in both.channels.values()} == {
+        f"{'/' * topic.startswith('/')}{channel}{join}{topic.strip('/')}"
+        for topic in topics
+        for channel in ("can0", "can1")
+    }
+    assert both.statistics.message_count == 2 * whole.statistics.message_count > 20
 
 
 @pytest.mark.parametrize(
