@@ -184,7 +184,8 @@ def changes(before: Facts, now: Facts) -> list[str]:
         if own["two_senders"] and not old.get("two_senders"):
             found.append(f"{name}: two senders")
         for key, what in _COUNTERS.items():
-            if n := own[key] - old.get(key, 0):
+            n = own[key] - old.get(key, 0)
+            if n and not (key == "no_new_data" and old["state"] == "INVALID"):  # that says so
                 found.append(f"{name}: {n} {what}")
     for slot, own in now["slots"].items():
         old = before["slots"].get(slot, {"left_out": None})

@@ -89,3 +89,21 @@ def test_frames_of_others_are_counted_together() -> None:
 
     assert only["traffic"]["others"] == {"ids": 299, "frames": sum(range(300)) + 7}
     assert list(only["traffic"]["messages"]) == ["0x0"]
+
+
+def test_a_message_that_stays_away_is_told_once() -> None:
+    """Each cycle without it counts, but its state says so; what is lost or wrong is told."""
+    own = {"lost": 0, "repeated": 0, "wrong_sequence": 0, "errors": 0, "two_senders": False}
+    counters = [("VALID", 0, 0), ("VALID", 1, 0), ("INVALID", 2, 0), ("INVALID", 3, 0)]
+    counters += [("INVALID", 4, 1), ("VALID", 5, 1)]
+    history = FactHistory()
+    for k, (state, missing, lost) in enumerate(counters):
+        message = own | {"state": state, "no_new_data": missing, "lost": lost}
+        history.add(facts(0) | {"t": k, "messages": {"EGO_LEFT": message}})
+    assert [texts for _, _, texts in history.changes(0)[1]] == [
+        ["ego left: NODATA -> VALID"],
+        ["ego left: 1 missing in their cycle"],
+        ["ego left: VALID -> INVALID", "ego left: 1 missing in their cycle"],
+        ["ego left: 1 lost"],
+        ["ego left: INVALID -> VALID"],
+    ]
