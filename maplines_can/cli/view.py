@@ -17,10 +17,11 @@ from ..desk.live import PERIOD, live_facts
 from ..desk.log_facts import facts_of_log
 from ..desk.server import ViewServer, about
 from ..desk.traffic import Traffic
+from ..logs.log_part import Window, of_channel
 from ..values.errors import LogError
 from ..wire import LineCodec
 from .command_line import add_command, note, option_group
-from .frame_source import add_times, choose_dbc
+from .frame_source import add_part, add_times, choose_dbc
 from .options import (
     add_bus,
     add_codec,
@@ -55,12 +56,18 @@ def add_view(commands: Any) -> None:
         "         maplines view drive.blf --dbc auto"
     )
     parser = add_command(commands, "view", _view, DESCRIPTION, example)
-    parser.add_argument("log", metavar="LOG", nargs="?", help="log file, as for 'decode'")
+    parser.add_argument(
+        "log",
+        metavar="LOG",
+        nargs="?",
+        help="log file, as for 'decode', of which --channel is a channel (default: the bus)",
+    )
     add_bus(parser)
     add_codec(parser)
     add_cycle(parser)
     add_transfer_timeout(parser)
     add_times(parser)
+    add_part(parser, channel=False)
     add_faults(parser)
     add_port(parser)
     option_group(parser, "output").add_argument(
@@ -119,6 +126,8 @@ Source = tuple[FactHistory, dict[str, Any], Callable[[ViewServer], None]]
 def _source(arguments: argparse.Namespace) -> Iterator[Source]:
     """Yield the history, what it is of, and the function that fills it."""
     if arguments.log is None:
+        if not Window(arguments.time).is_all:
+            raise ValueError("--time is a part of LOG; leave it out on a bus")
         yield from _bus(arguments)
         return
     for option in ("interface", "faults"):
@@ -149,21 +158,22 @@ def _log(arguments: argparse.Namespace) -> Iterator[Source]:
     arguments.logs = [arguments.log]
     choose_dbc(arguments)
     codec = keyed_codec(arguments, clock=None)
-    frames = read_log(arguments.log, times=arguments.times)
+    log = read_log(arguments.log, times=arguments.times)
+    frames = of_channel(log, arguments.channel, arguments.log)
     history = FactHistory()
     what = about(codec, Path(arguments.log).name, is_live=False)
 
     def read(server: ViewServer) -> None:
         facts = facts_of_log(
-            _timed(frames),
+            _timed(frames, arguments.log),
             codec,
             channel=arguments.channel,
             decoder=decoder_of(codec, arguments),
             traffic=_traffic(codec, arguments),
         )
-        if error := _fill(history, facts, server.over):
+        if error := _fill(history, facts, Window(arguments.time), server.over):
             server.about["error"] = error
-            note(f"error: {arguments.log}: {error}")
+            note(f"error: {error}")
         history.end()
 
     def run(server: ViewServer) -> None:
@@ -172,23 +182,29 @@ def _log(arguments: argparse.Namespace) -> Iterator[Source]:
     yield history, what, run
 
 
-def _timed(frames: Iterable[LogFrame]) -> Iterator[LogFrame]:
+def _timed(frames: Iterable[LogFrame], name: str) -> Iterator[LogFrame]:
     for frame in frames:
         if not frame.has_time:
-            raise LogError("it has no time stamps; record it with candump -L")
+            raise LogError(f"{name}: has no time stamps; record it with candump -L")
         yield frame
 
 
-def _fill(history: FactHistory, facts: Iterable[Facts], over: threading.Event) -> str | None:
-    """Add facts until the server is over; return what the page lacks, and why."""
+def _fill(
+    history: FactHistory, facts: Iterable[Facts], window: Window, over: threading.Event
+) -> str | None:
+    """Add the facts in a window until the server is over; return what the page lacks, and why."""
+    is_empty = True
     try:
         for one in facts:
-            if over.is_set():
-                return None
-            if not history.add(one):
-                return "it is too long; the page shows its begin only"
+            is_empty = False
+            if over.is_set() or window.is_over(round(1e9 * one["t"])):
+                break
+            if window.takes(one["t"], "the log") and not history.add(one):
+                return "the log is too long; the page shows its begin only"
     except LogError as error:
         return str(error)
+    if is_empty:
+        return "the log has no frame of a message of this DBC; take another --dbc, or --dbc auto"
     if not history.contents()["count"]:
-        return "it has no frame of a message of this DBC; take another --dbc, or --dbc auto"
+        return "there is nothing in --time"
     return None
