@@ -161,7 +161,10 @@ class Input:
         if not (decoder.lines or decoder.pose_errors):
             why = self._why_silent()
         elif self._is_cut or not self._window.is_all:
-            note(f"{what} in --seconds or --time, with {counts}")
+            most, window = self._arguments.seconds, self._window
+            parts = [] if most is None else [f"--seconds {most:g}"]
+            parts += [] if window.is_all else ["--time"]
+            note(f"{what} in {' and '.join(parts)}, with {counts}")
             return 0
         elif not decoder.pose_errors:
             why = SENDER
