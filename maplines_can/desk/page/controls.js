@@ -32,7 +32,7 @@ export function connect(view) {
     const {begin, end} = view.store;
     view.goToTime(begin + ((offsetX - 8) / (target.clientWidth - 16)) * (end - begin));
   });
-  new ResizeObserver(() => view.draw()).observe(document.body);
+  new ResizeObserver(() => (view.isHome ? view.zoomHome() : view.draw())).observe(document.body);
 }
 
 function options(id, values, text, chosen, use = () => {}) {
@@ -132,6 +132,7 @@ function zoom(view, factor, at = null, toTheSideOnly = false) {
   }
   own.perLeft = limited(own.perLeft * factor, 0.001, 1);
   own.left = left + (own.left - left) * factor;
+  view.isHome = false;
   view.draw();
 }
 
@@ -154,6 +155,7 @@ function pan(canvas, view) {
     const was = down.size === 2 ? apart() : 0;
     down.set(event.pointerId, [event.offsetX, event.offsetY]);
     if (down.size === 2) return zoom(view, was / Math.max(1, apart()), before);
+    view.isHome = false;
     view.view.left += (event.offsetX - before[0]) * view.view.perLeft;
     view.view.ahead += (event.offsetY - before[1]) * view.view.perAhead;
     view.draw();

@@ -36,6 +36,7 @@ class View {
   /** Show 100 m of the road from above, and 9 m to each side. */
   zoomHome() {
     const {clientWidth, clientHeight} = $("above");
+    this.isHome = true;
     this.view = {ahead: 36, left: 0, perAhead: 100 / clientHeight, perLeft: 18 / clientWidth};
     this.draw();
   }
