@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from ..wire import LineCodec, SlotStats
 from .command_line import add_command, add_json, note, number, option_group
-from .decode import distances
+from .decode import distances, slots
 from .file_arguments import add_force
-from .frame_source import add_times, choose_dbc, note_log
+from .frame_source import add_part, add_times, choose_dbc, note_log
 from .options import add_codec, add_cycle, add_transfer_timeout, keyed_codec
 from .output import check_text, counts_text, owner_text, slot_text
 from .plot import PICTURES, picture_path
@@ -37,6 +37,8 @@ their errors were independent. With --sigma S, means within S sigmas are equal, 
 whose ratio is at most 1 + S, and ranges and ages within a step of the DBC. Frames of other messages
 are not compared; scenes are with S = 0: their joint covariances.
 
+With --time, which is that of A, or --slots, only lines and scenes are compared.
+
 The exit status is 0 if the logs are equal, and 1 if they differ or cannot be read."""
 
 
@@ -54,6 +56,10 @@ def add_diff(commands: Any) -> None:
     add_cycle(parser)
     add_transfer_timeout(parser)
     add_times(parser)
+    add_part(parser)
+    option_group(parser, "message").add_argument(
+        "--channel-b", metavar="NAME", help="channel of the log B (default: that of --channel)"
+    )
     parser.add_argument("a", metavar="A", help="log file, as for 'decode'")
     parser.add_argument("b", metavar="B", help="the other one")
     add = option_group(parser, "output").add_argument
@@ -64,6 +70,7 @@ def add_diff(commands: Any) -> None:
         metavar="X,...",
         help="compare positions at these distances ahead of the car [m] (default: 20)",
     )
+    add("--slots", type=slots, metavar="NAME,...", help="these lines only, such as ego-left")
     add(
         "--sigma",
         type=number(float, 0, 1e6),
@@ -88,13 +95,23 @@ def _diff(arguments: argparse.Namespace) -> int:
     if arguments.a == arguments.b == "-":
         raise ValueError("standard input is one log: A and B cannot both be -")
     logs = [
-        _lines(log, dbc, arguments)
-        for log, dbc in (
-            (arguments.a, arguments.dbc),
-            (arguments.b, arguments.dbc if arguments.dbc_b is None else arguments.dbc_b),
+        _lines(log, dbc, channel, arguments)
+        for log, dbc, channel in (
+            (arguments.a, arguments.dbc, arguments.channel),
+            (
+                arguments.b,
+                arguments.dbc_b or arguments.dbc,
+                arguments.channel_b or arguments.channel,
+            ),
         )
     ]
-    found = difference(*logs, sigma=arguments.sigma, at=arguments.at)
+    found = difference(
+        *logs,
+        sigma=arguments.sigma,
+        at=arguments.at,
+        time=arguments.time,
+        slots=arguments.slots,
+    )
     if arguments.json:
         print(json.dumps(found.as_dict(), indent=2))
     else:
@@ -112,7 +129,9 @@ def _diff(arguments: argparse.Namespace) -> int:
     return int(bool(damaged) or not found.is_equal)
 
 
-def _lines(log: str, dbc: str | None, arguments: argparse.Namespace) -> LoggedLines:
+def _lines(
+    log: str, dbc: str | None, channel: str | None, arguments: argparse.Namespace
+) -> LoggedLines:
     from ..recordings.difference import LoggedLines
 
     own = argparse.Namespace(**vars(arguments) | {"dbc": dbc, "logs": [log]})
@@ -124,6 +143,7 @@ def _lines(log: str, dbc: str | None, arguments: argparse.Namespace) -> LoggedLi
         cycle_ms=arguments.cycle_ms,
         timeout_ms=arguments.transfer_timeout,
         times=arguments.times,
+        channel=channel,
     )
     note_log(log, found.summary)
     return found
@@ -149,7 +169,8 @@ def _rows(found: Difference) -> Iterator[str]:
             yield f"  {more} more parts; --json has them"
     yield from _scene_rows(found)
     yield from _position_rows(found)
-    yield from _state_rows(found)
+    if found.part.is_all:
+        yield from _state_rows(found)
     within = f" within {found.sigma:g} sigma" * (found.sigma > 0)
     yield f"the logs {'are equal' if found.is_equal else 'differ'}{within}"
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..logs.log_part import ALL, Time, Window, of_channel
 from ..logs.log_summary import LogSummary, Times
 from ..values.errors import LogError
 from ..values.line import Kind, Slot, Status, are_within
@@ -118,15 +119,17 @@ class LoggedLines:
         cycle_ms: float | None = None,
         timeout_ms: float | None = None,
         times: Times = "auto",
+        channel: str | None = None,
     ) -> LoggedLines:
         """Read a log.
 
         Raises:
-            LogError: it cannot be opened, or has no line; the message says which DBC fits.
+            LogError: it cannot be opened, or has no line; the message says which DBC fits; or it
+                has no such channel.
         """
         has_scenes = codec.layout.pose is not None
         receiver = LogReceiver(codec, cycle_ms=cycle_ms, timeout_ms=timeout_ms, scenes=has_scenes)
-        blocks = read_blocks(log, times=times)
+        blocks = of_channel(read_blocks(log, times=times), channel, name_of(log))
         found, damage = list[LineBlock](), ""
         scenes = list[Scenes]()
         try:
@@ -143,8 +146,8 @@ class LoggedLines:
         if not len(rows):
             why = damage or misfit(receiver.first, [codec], blocks.summary).text
             raise LogError(f"{name_of(log)}: has no line to compare; {why}")
-        channel = np.concatenate([one.channel for one in found])
-        there, first = np.unique(channel, return_index=True)
+        places = np.concatenate([one.channel for one in found])
+        there, first = np.unique(places, return_index=True)
         there = there[np.argsort(first)]
         numbers = np.zeros(int(there.max()) + 1, np.uint16)
         numbers[there] = np.arange(len(there))
@@ -154,7 +157,7 @@ class LoggedLines:
         owners = {name: receiver.decoders[name].messages(receiver.last_ns) for name in names}
         errors = sum(one.pose_errors for one in receiver.decoders.values())
         return cls(
-            name_of(log), codec.layout, rows, numbers[channel], names, receiver.has_time, rejects,
+            name_of(log), codec.layout, rows, numbers[places], names, receiver.has_time, rejects,
             owners, errors, Scenes.joined(scenes), blocks.summary, damage,
         )  # fmt: skip
 
@@ -257,15 +260,19 @@ class Difference:
         a: lines of one log.
         b: of the other.
         alignment: of both.
+        only: places of the lines that only A has, and only B.
         sigma: within which lines count as equal.
         at: distances of positions [m].
+        part: of the lines; but for all, counters and dropped frames are not compared.
     """
 
     a: LoggedLines
     b: LoggedLines
     alignment: Alignment
+    only: tuple[Array, Array]
     sigma: float
     at: tuple[float, ...]
+    part: _Part
 
     @cached_property
     def pairs(self) -> tuple[NDArray[np.void], NDArray[np.void]]:
@@ -345,13 +352,6 @@ class Difference:
         return here[np.lexsort((here, -spread, -self.distance[here]))]
 
     @cached_property
-    def only(self) -> tuple[Array, Array]:
-        """Places of the lines that only A has, and only B."""
-        both = (self.a.rows, self.alignment.a), (self.b.rows, self.alignment.b)
-        first, second = (np.setdiff1d(np.arange(len(rows)), own) for rows, own in both)
-        return first, second
-
-    @cached_property
     def owners(self) -> list[tuple[str, Owner, SlotStats | None, SlotStats | None]]:
         """Counters of each owner in A and in B; the channel is that of A."""
         rows: list[tuple[str, Owner, SlotStats | None, SlotStats | None]] = []
@@ -376,7 +376,9 @@ class Difference:
     def scenes(self) -> SceneDifference | None:
         """How the scenes differ; None if they are not compared: with a tolerance, or two DBCs."""
         logs = self.a, self.b
-        if self.sigma > 0 or not all(len(log.scenes.t_ns) and log.has_time for log in logs):
+        if self.sigma > 0 or self.part.slots is not None:
+            return None
+        if not all(len(log.scenes.t_ns) and log.has_time for log in logs):
             return None
         if not self.a.layout.is_same_as(self.b.layout):
             return None
@@ -387,23 +389,24 @@ class Difference:
             keys.append(channel << 32 | log.scenes.counter)
             t.append((log.scenes.t_ns - log.rows["t_ns"][0]) / 1e9)
         found = self.alignment
-        moved = t[0] * (1 + found.drift) + found.offset - self._between
+        moved = t[0] * (1 + found.drift) + found.offset - _between(*logs, found)
         reach = max(log.cycle for log in logs) * _SCENE_REACH
         in_a, in_b = matched(keys[0], moved, keys[1], t[1], reach)
-        differing = in_a[self.a.scenes.digest[in_a] != self.b.scenes.digest[in_b]]
-        only = (len(log.scenes.t_ns) - len(in_a) for log in logs)
-        return SceneDifference(len(in_a), t[0][differing].tolist(), *only)
+        inside = self.part.are_in(t[0]), self.part.are_in(self.time_in_a(1, t[1]))
+        here = inside[0][in_a]
+        differs = (self.a.scenes.digest[in_a] != self.b.scenes.digest[in_b]) & here
+        only = (int(one.sum()) - int(here.sum()) for one in inside)
+        return SceneDifference(int(here.sum()), t[0][in_a[differs]].tolist(), *only)
 
     @property
     def is_equal(self) -> bool:
         """Whether the logs are equal within ``sigma``, also in what was dropped and in states."""
         if self.scenes is not None and any(self.scenes[1:]):
             return False
-        return not (
-            len(self.differing)
-            or len(self.only[0])
-            or len(self.only[1])
-            or self.differing_owners
+        if len(self.differing) or len(self.only[0]) or len(self.only[1]):
+            return False
+        return not self.part.is_all or not (
+            self.differing_owners
             or self.a.rejects != self.b.rejects
             or self.a.pose_errors != self.b.pose_errors
         )
@@ -417,17 +420,9 @@ class Difference:
         is_in = are_within(a["x_min"], a["x_max"], x) & are_within(b["x_min"], b["x_max"], x)
         return is_in & self.are_known, y_b - y_a, np.hypot(sigma_a, sigma_b)
 
-    def time_in_a(self, of: int, t: float) -> float:
-        """Return a time of A (0) or B (1), each from its first line on, in A [s]."""
-        found = self.alignment
-        return t if of == 0 else (t - found.offset + self._between) / (1 + found.drift)
-
-    @property
-    def _between(self) -> float:
-        """Time from the first line of A to that of B by their clocks [s]."""
-        if not self.alignment.has_time:
-            return 0.0
-        return int(self.b.rows["t_ns"][0] - self.a.rows["t_ns"][0]) / 1e9
+    def time_in_a(self, of: int, t: Any) -> Any:
+        """Return times of A (0) or B (1), each from its first line on, in A [s]."""
+        return t if of == 0 else _time_in_a(self.a, self.b, self.alignment, t)
 
     def positions(self) -> dict[str, list[Position]]:
         """Return the differences of positions, by the name of a slot."""
@@ -548,7 +543,13 @@ class Difference:
 
 
 def difference(
-    a: LoggedLines, b: LoggedLines, *, sigma: float = 0.0, at: Sequence[float] = ()
+    a: LoggedLines,
+    b: LoggedLines,
+    *,
+    sigma: float = 0.0,
+    at: Sequence[float] = (),
+    time: Time = ALL,
+    slots: Sequence[Slot] | None = None,
 ) -> Difference:
     """Return how the lines of two logs differ.
 
@@ -563,9 +564,13 @@ def difference(
         b: of the other.
         sigma: see above.
         at: distances of positions [m].
+        time: first and last time of the lines that are compared [s], from the first line of A on,
+            or of the clock of A if they are more than 1e8.
+        slots: lines of these only.
 
     Raises:
-        ValueError: ``sigma`` is negative, or a distance is out of range.
+        ValueError: ``sigma`` is negative, or a distance or the time is out of range.
+        LogError: A has no times for ``time``.
 
     >>> a = LoggedLines.of("monday.log", Codec.from_dbc())  # doctest: +SKIP
     >>> difference(a, a).is_equal  # doctest: +SKIP
@@ -578,7 +583,51 @@ def difference(
     for log, names in zip((a, b), zip(*pairs, strict=True), strict=True):
         number = np.array([names.index(name) for name in log.channels])
         lines.append(log.to_align(number[log.channel] * len(Slot) + log.rows["slot"]))
-    return Difference(a, b, align(*lines), sigma, checked_at(at))
+    part, found = _Part.of(a, time, slots), align(*lines)
+    only = []
+    for log, own in ((a, found.a), (b, found.b)):
+        t = log.t if log is a else _time_in_a(a, b, found, log.t)
+        chosen = part.has(t, log.rows["slot"])
+        chosen[own] = False
+        only.append(np.flatnonzero(chosen))
+    keep = part.has(a.t[found.a], a.rows["slot"][found.a])
+    found = found._replace(a=found.a[keep], b=found.b[keep])
+    return Difference(a, b, found, (only[0], only[1]), sigma, checked_at(at), part)
+
+
+class _Part(NamedTuple):
+    """Which lines are compared, by their times from the first line of A on, and their slots."""
+
+    window: Window
+    begin: float  # time of the first line of A [s]
+    slots: tuple[Slot, ...] | None
+
+    @classmethod
+    def of(cls, a: LoggedLines, time: Time, slots: Sequence[Slot] | None) -> _Part:
+        begin = int(a.rows["t_ns"][0]) / 1e9 if a.has_time else np.nan
+        window = Window(time)
+        window.see(begin, a.name)
+        return cls(window, begin, None if slots is None else tuple(slots))
+
+    @property
+    def is_all(self) -> bool:
+        return self.window.is_all and self.slots is None
+
+    def are_in(self, t: Array) -> Array:
+        return self.window.are_in(t + self.begin)
+
+    def has(self, t: Array, slot: Array) -> Array:
+        return self.are_in(t) & (self.slots is None or np.isin(slot, self.slots))
+
+
+def _time_in_a(a: LoggedLines, b: LoggedLines, found: Alignment, t: Any) -> Any:
+    """Return times from the first line of B on, from the first line of A on [s]."""
+    return (t - found.offset + _between(a, b, found)) / (1 + found.drift)
+
+
+def _between(a: LoggedLines, b: LoggedLines, found: Alignment) -> float:
+    """Return the time from the first line of A to that of B by their clocks [s]."""
+    return int(b.rows["t_ns"][0] - a.rows["t_ns"][0]) / 1e9 if found.has_time else 0.0
 
 
 def _channel_pairs(a: Sequence[str], b: Sequence[str]) -> list[tuple[str | None, str | None]]:

@@ -299,6 +299,45 @@ def test_logs_with_nothing_in_common_say_so(log: Log) -> None:
     assert not found.is_equal
 
 
+@pytest.mark.parametrize(
+    ("time", "slots", "differing", "missing"),
+    [
+        pytest.param((3.0, 14.9), None, 0, 0, id="equal"),
+        pytest.param((14.0, 16.0), None, 2, 0, id="a-change"),
+        pytest.param((14.0, 16.0), [Slot.EGO_RIGHT], 1, 0, id="of-one-slot"),
+        pytest.param((19.0, 20.49), None, 0, 20, id="a-part-that-is-missing"),
+        pytest.param((19.0, 20.49), [Slot.EGO_LEFT], 0, 10, id="of-one-slot-missing"),
+    ],
+)
+def test_a_part_of_the_logs_is_compared(
+    log: Log, time: Any, slots: Any, differing: int, missing: int
+) -> None:
+    """By the time of A, of lines that only B has, too; both logs are aligned as a whole."""
+    changed = drive(change=lambda line, k: to_the_left(line, 0.1) if k == 300 else line)
+    begin = changed[0].t_ns
+    kept = [f for f in changed if not 20 <= (f.t_ns - begin) / 1e9 < 21]
+    a, b = log(PLAIN), log(moved(kept[8 * 20 :], 7 * 10**9))
+    found = difference(a, b, time=time, slots=slots)
+    assert found.is_equal is (not differing and not missing)
+    assert found.differs["mean"].sum() == differing
+    assert len(found.only[0]) == missing
+    other = difference(b, a, time=(time[0] - 1, time[1] - 1), slots=slots)
+    assert len(other.only[1]) == missing
+    assert other.differs["mean"].sum() == differing
+
+
+def test_channels_are_chosen(tmp_path: Path, capsys: Any) -> None:
+    """Each log may have its own; one that is not there is named with those there are."""
+    a = record(tmp_path / "a.log", seconds=1.0)
+    b = tmp_path / "b.log"
+    b.write_text(a.read_text().replace(" vcan0 ", " can3 "))
+    words = ["diff", str(a), str(b), "--channel", "vcan0"]
+    assert main([*words, "--channel-b", "can3"]) == 0
+    capsys.readouterr()
+    assert main(words) == 1
+    assert "has no frame of channel 'vcan0'; there are 'can3'" in capsys.readouterr().err
+
+
 def test_panels_show_the_differences(log: Log) -> None:
     """Positions with the sigma of the difference, and the parts of both logs on the clock of A."""
     a = log(PLAIN[: 8 * 400])
