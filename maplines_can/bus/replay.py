@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..logs.first_frames import CanId, ids_text, keys_of
 from ..logs.frame_block import FrameBlock, LogFrame, frames_of
+from ..logs.log_part import ALL, MIN_ABSOLUTE, Time
 from ..logs.log_writer import message_of
 from ..logs.spacings import MAX_IDS, Spacings
 from ..values.errors import BusError, LogError
@@ -30,8 +31,6 @@ MAX_LISTEN = 1.0
 #: How long a frame is tried again while the queue of the bus is full: at its recorded time, and as
 #: fast as possible, where the bus sets the pace [s]; and time between two trials [s].
 PATIENCE, LONG_PATIENCE, RETRY = 0.1, 2.0, 0.001
-#: Times of clocks are beyond this, those from the begin of a log before [s].
-MIN_ABSOLUTE = 1e8
 _CLASSIC_BYTES = 8
 _IS_LENGTH = np.isin(np.arange(256), FD_LENGTHS)
 
@@ -48,16 +47,22 @@ class Choice:
     """
 
     channel: str | None = None
-    time: tuple[float, float] = (-math.inf, math.inf)
+    time: Time = ALL
     has_key: Callable[[NDArray[np.uint32]], NDArray[np.bool_]] | None = None
 
     def of(self, blocks: Iterable[FrameBlock]) -> Iterator[FrameBlock]:
-        """Yield the frames that are replayed; memory is that of a block."""
+        """Yield the frames that are replayed; memory is that of a block.
+
+        Raises:
+            LogError: there are no times, of which some are chosen.
+        """
         begin: int | None = None
         for block in blocks:
             if begin is None and len(block):
                 begin = int(block.t_ns[0])
             keep = np.ones(len(block), bool)
+            if self.time != ALL and not block.has_time.all():
+                raise LogError("the log has no time stamps, so that no time can be chosen")
             for bound, sign in zip(self.time, (1, -1), strict=True):
                 if math.isfinite(bound):
                     t_ns = to_ns(bound) + (0 if bound > MIN_ABSOLUTE else begin or 0)

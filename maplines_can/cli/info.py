@@ -10,10 +10,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..logs.log_part import ALL
 from ..logs.log_summary import skipped_text
 from ..wire import SHIPPED, Layout, default_dbc_path
-from .command_line import add_command, add_json, note
-from .frame_source import add_times, choose_dbc
+from .command_line import add_command, add_json, note, option_group
+from .frame_source import add_times, choose_dbc, time_range
 from .options import add_codec, keyed_codec, line_codec_from
 from .output import check_text, counts_text, owner_text, pose_errors_text, slot_text
 
@@ -44,6 +45,15 @@ def add_info(commands: Any) -> None:
     parser = add_command(commands, "info", _info, DESCRIPTION, example)
     add_codec(parser)
     add_times(parser)
+    add = option_group(parser, "message").add_argument
+    add(
+        "--time",
+        type=time_range,
+        default=ALL,
+        metavar="FROM..TO",
+        help="frames of this time only [s], from the first one on, such as 10..20 or 30..",
+    )
+    add("--channel", metavar="NAME", help="frames of this channel of the log only")
     parser.add_argument(
         "logs", metavar="LOG", nargs="+", help="log file, or - for standard input; as for 'decode'"
     )
@@ -62,7 +72,14 @@ def _info(arguments: argparse.Namespace) -> int:
         else:
             codecs, naming = [keyed_codec(arguments, clock=None)], []
         source: Any = sys.stdin.buffer if log == "-" else log
-        found = contents_of(source, codecs, naming=naming, times=arguments.times)
+        found = contents_of(
+            source,
+            codecs,
+            naming=naming,
+            times=arguments.times,
+            time=arguments.time,
+            channel=arguments.channel,
+        )
         if arguments.json:
             print(json.dumps({"bytes": _size(log)} | found.as_dict()), flush=True)
         else:

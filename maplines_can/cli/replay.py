@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..bus import Link
 from ..logs.first_frames import CanId, ids_text
 from ..logs.frame_block import FrameBlock
+from ..logs.log_part import ALL
 from ..logs.log_summary import skipped_text
 from ..values.errors import BusError, LogError
 from ..values.line import Slot
@@ -111,7 +112,7 @@ def _add_choice(parser: argparse.ArgumentParser) -> None:
     chosen(
         "--time",
         type=time_range,
-        default=(-math.inf, math.inf),
+        default=ALL,
         metavar="FROM..TO",
         help="this part only [s], from the first frame on, such as 10..20 or 30..",
     )

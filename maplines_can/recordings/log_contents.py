@@ -10,7 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bus.replay import Choice
 from ..logs.first_frames import CanId, FirstFrames, keys_of
+from ..logs.log_part import ALL, Time, of_channel
 from ..logs.log_summary import LogSummary, Times
 from ..logs.spacings import MAX_IDS, Spacing, Spacings
 from ..values.errors import LogError
@@ -202,7 +204,13 @@ def _message_dict(message: LogMessage, begin_ns: int) -> dict[str, Any]:
 
 
 def contents_of(
-    log: Log, codecs: Sequence[LineCodec], *, naming: Sequence[Layout] = (), times: Times = "auto"
+    log: Log,
+    codecs: Sequence[LineCodec],
+    *,
+    naming: Sequence[Layout] = (),
+    times: Times = "auto",
+    time: Time = ALL,
+    channel: str | None = None,
 ) -> LogContents:
     """Return what is in a log; it is read once, and not kept.
 
@@ -211,20 +219,23 @@ def contents_of(
         codecs: receive the lines; those whose CAN IDs the log has not receive nothing.
         naming: layouts that name further CAN IDs.
         times: kind of the time stamps, see `read_log`.
+        time: first and last time of the frames [s], from the first one on, or of the clock if they
+            are more than 1e8.
+        channel: frames of this one only.
 
     Raises:
-        LogError: the log cannot be opened.
+        LogError: the log cannot be opened, has no such channel, or no times for ``time``.
 
     >>> contents = contents_of("drive.log", [Codec.from_dbc()])  # doctest: +SKIP
     >>> contents.frames, [one.fit.name for one in contents.receptions]  # doctest: +SKIP
     (2400, ['maplines.dbc'])
     """
     names = names_of([*(codec.layout for codec in codecs), *naming])
-    blocks = read_blocks(log, times=times)
+    blocks = of_channel(read_blocks(log, times=times), channel, name_of(log))
     reading = _Reading(codecs)
     damage = ""
     try:
-        for block in blocks:
+        for block in Choice(time=time).of(blocks):
             reading.add(block)
     except LogError as error:
         damage = str(error)

@@ -153,6 +153,26 @@ def test_text_of_odd_logs(
     assert ("error" in err) is bool(status)
 
 
+@pytest.mark.parametrize(
+    ("words", "frames"),
+    [
+        pytest.param([], 4, id="all"),
+        pytest.param(["--channel", "can1"], 2, id="channel"),
+        pytest.param(["--time", "0.5..1.4"], 2, id="time"),
+        pytest.param(["--time", "0.5..", "--channel", "can0"], 1, id="both"),
+        pytest.param(["--time", "9.."], 0, id="none"),
+    ],
+)
+def test_a_part_is_chosen(words: list[str], frames: int, tmp_path: Path, capsys: Any) -> None:
+    """By the channel, and by the time from the first frame on."""
+    log = tmp_path / "a.log"
+    log.write_text("".join(f"({5 + k / 2}) can{k % 2} 123#00\n" for k in range(4)))
+    status, out, _ = shown(capsys, str(log), "--json", *words)
+    assert status == 0
+    assert json.loads(out)["frames"] == frames
+    assert shown(capsys, str(log), "--channel", "can9")[0] == 1
+
+
 def test_an_empty_log_says_so(tmp_path: Path, capsys: Any) -> None:
     """It has neither a time nor a message."""
     log = tmp_path / "empty.log"
