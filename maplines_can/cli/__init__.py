@@ -39,6 +39,7 @@ COMMANDS = {
     "diff": ("diff", "compare the lines of two logs: which differ, and by how many sigmas"),
     "plot": ("plot", "draw the lines in log files, with their uncertainty"),
     "view": ("view", "show a bus or a log, live, in a page of the browser"),
+    "monitor": ("monitor", "show the lines of a bus in this terminal, until q"),
     "map": ("map", "print what is in a map file, and draw it"),
     "drive": ("drive", "drive on a map, and send or record the lines around the car"),
     "replay": ("replay", "send the frames of a log on a bus at the recorded times"),
