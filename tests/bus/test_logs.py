@@ -294,11 +294,11 @@ def table() -> dict[str, dict[str, str]]:
         if row.startswith("|")
     ]
     assert head == ["format", *COLUMNS]
-    rows = [row for row in rows if row[0].startswith(("`", "candump"))]
-    suffixes = {row[0]: row[0].partition("`")[2].partition("`")[0] for row in rows}
     return {
-        suffixes[row[0]].replace("-L", ".log"): dict(zip(COLUMNS, row[1:], strict=True))
+        suffix.replace("-L", ".log"): dict(zip(COLUMNS, row[1:], strict=True))
         for row in rows
+        if row[0].startswith(("`", "candump"))
+        for suffix in re.findall("`(.*?)`", row[0])
     }
 
 
