@@ -4,6 +4,7 @@ import contextlib
 import gzip
 import io
 import random
+import re
 from pathlib import Path
 from typing import Any
 
