@@ -17,6 +17,8 @@ KEYS = "q quit   p pause   r reset   f filter"
 TALL, MANY = 40, 9
 #: Width from which numbers of the pose error have names.
 WIDE = 100
+#: Width of the names of rows.
+LABEL = 11
 #: Style of each state of a message.
 STATES = {"VALID": "good", "INVALID": "bad"}
 
@@ -101,7 +103,7 @@ def screen(shown: Shown, look: Look, width: int, height: int) -> list[Row]:
     if height >= TALL:
         xs = [xs[-1] * k / (MANY - 1) for k in range(MANY)]
     head, lines = _head(shown, look, width), _lines(shown, look, width)
-    road, lane = _road(shown, look, xs, width), _lane(shown, look)
+    road, lane = _road(shown, look, xs, width), _lane(shown, look, width)
     rejects, changes = _rejects(shown), _changes(shown)
     messages = _messages(shown, width)
     # in the order of the screen: rows, and importance with the rows it is for
@@ -167,9 +169,14 @@ def _head(shown: Shown, look: Look, width: int) -> list[Row]:
     ]
     if shown.filter:
         pieces.insert(0, (f"filter {shown.filter}  ", "warn"))
+    return [[(what, "bar"), (f" {clock}", "bar")], _whole(pieces, width)]
+
+
+def _whole(pieces: list[Piece], width: int) -> Row:
+    """Return the first pieces, as many as fit as a whole, but at least one."""
     while len(pieces) > 1 and sum(cells(text) for text, _ in pieces) > width:
         pieces.pop()
-    return [[(what, "bar"), (f" {clock}", "bar")], pieces]
+    return pieces
 
 
 def _clock(t: float | None) -> str:
@@ -349,7 +356,7 @@ def _record(shown: Shown, owner: str, own: Facts, *, is_wide: bool) -> Row:
             (padded(age, 5, right=True), ""),
             (padded(_fit(shown.cycle(owner), 5, 3), 5, right=True), ""),
             (padded(lost, 4, right=True), style_of_lost),
-            (text, ""),
+            *([(text, "")] if text else []),
         )
     )
 
@@ -381,16 +388,16 @@ def _joined(pieces: Iterable[Piece]) -> Row:
     return row
 
 
-def _lane(shown: Shown, look: Look) -> list[Row]:
+def _lane(shown: Shown, look: Look, width: int) -> list[Row]:
     """Return width and centre of the ego lane."""
     found = [(x, lane_at(shown.facts, x)) for x in sorted({0.0, *look.at})]
     rows: list[Row] = []
     for k, name in enumerate(("lane width", "centre")):
-        each = (
-            f"{'-' if both is None else _with_sigma(both[k], look, 11):>11} at {x:g} m"
-            for x, both in found
-        )
-        rows.append([(padded(name, 10), "bold"), (" ".join(each), "")])
+        pieces: list[Piece] = [(padded(name, LABEL), "bold")]
+        for x, both in found:
+            value = "-" if both is None else _with_sigma(both[k], look, 11)
+            pieces.append((f"{value:>11} at {x:g} m  ", ""))
+        rows.append(_whole(pieces, width))
     return rows
 
 
@@ -456,7 +463,7 @@ def _rejects(shown: Shown) -> list[Row]:
     faults, others = (_reject_counts(shown, is_fault=is_fault) for is_fault in (True, False))
     texts = [", ".join(f"{reason} {n}" for reason, n in own.items()) for own in (faults, others)]
     rows: list[Row] = [
-        [(padded("rejects", 10), "bold"), (texts[0] or "none", "bad" if faults else "good")]
+        [(padded("rejects", LABEL), "bold"), (texts[0] or "none", "bad" if faults else "good")]
     ]
     counters = {"lost": 0, "repeated": 0, "wrong_sequence": 0, "errors": 0, "no_new_data": 0}
     for key in counters:
@@ -464,9 +471,9 @@ def _rejects(shown: Shown) -> list[Row]:
             shown.count("messages", owner, key) for owner in shown.facts["messages"]
         )
     text = ", ".join(f"{key.replace('_', ' ')} {n}" for key, n in counters.items())
-    rows.append([(padded("records", 10), "bold"), (text, "")])
+    rows.append([(padded("records", LABEL), "bold"), (text, "")])
     if others:
-        rows.append([(padded("no fault", 10), "bold"), (texts[1], "")])
+        rows.append([(padded("no fault", LABEL), "bold"), (texts[1], "")])
     return rows
 
 
