@@ -12,7 +12,7 @@ from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..bus import LogFrame, read_log
 from ..logs.first_frames import FirstFrames
@@ -53,6 +53,10 @@ from .output import (
     scene_dict,
     write_csv,
 )
+
+if TYPE_CHECKING:
+    from ..logs.log_summary import LogSummary
+    from ..recordings.block_reception import LogReceiver
 
 DESCRIPTION = """\
 Print the lines in a log file, or in a pipe as they arrive, one row of JSON each. At the end,
@@ -119,6 +123,8 @@ def _print_lines(arguments: argparse.Namespace) -> int:
     arguments.log = arguments.logs[0]
     codec = keyed_codec(arguments, clock=None)
     check_scenes(codec, arguments)
+    if arguments.log != "-" and not arguments.scenes:
+        return _print_blocks(arguments, codec)
     log = DecodedLog(codec, arguments)
     with closing(log.lines()) as rows:  # ends the progress bar
         try:
@@ -138,6 +144,34 @@ def _print_lines(arguments: argparse.Namespace) -> int:
     if log.is_empty and log.status != 130:
         check_received(arguments.log, log.first, codec, log.summary, has_failed=bool(log.status))
     return log.status
+
+
+def _print_blocks(arguments: argparse.Namespace, codec: LineCodec) -> int:
+    """Print the lines of a file block by block: the bytes that `DecodedLog` would print."""
+    from ..recordings.block_reception import LogReceiver
+    from ..recordings.blocks import read_blocks
+    from ..recordings.row_texts import LineTexts
+
+    receiver, printed, status = LogReceiver(codec, **_timing(arguments)), 0, 0
+    blocks = read_blocks(arguments.log, times=arguments.times)
+    if arguments.csv:
+        write_csv(sys.stdout, (), arguments.at)
+    try:
+        for block in with_progress(blocks, " blocks"):
+            texts = LineTexts(receiver.feed(block), arguments.slots, arguments.at)
+            sys.stdout.write(texts.csv() if arguments.csv else texts.json())
+            printed += len(texts)
+    except LogError as error:  # the intact records have been read by now
+        if not receiver.frames:
+            raise
+        note(f"error: {error}")
+        status = 1
+    except KeyboardInterrupt:  # the counters so far are still useful
+        status = 130
+    sys.stdout.flush()
+    if status != 130:
+        receiver.finish()
+    return _note_blocks(arguments, receiver, blocks.summary, printed, status)
 
 
 class DecodedLog:
@@ -349,19 +383,33 @@ def _write_file(arguments: argparse.Namespace, out: Path, suffix: str) -> int:
     if written.damage:
         note(f"error: {written.damage}")
         status = 1
+    return _note_blocks(arguments, receiver, written.summary, written.lines, status, written.files)
+
+
+def _note_blocks(
+    arguments: argparse.Namespace,
+    receiver: LogReceiver,
+    summary: LogSummary,
+    kept: int,
+    status: int,
+    files: Sequence[Path] = (),
+) -> int:
+    """Print the counters of a log that was read by blocks, and its files; return the status."""
+    (log,) = arguments.logs
     if receiver.beyond:
         note(beyond_text(log, receiver.beyond))
-        status = 1
+        status = status or 1
     if not receiver.has_time:
         note(
             "the log has no time stamps, so nothing that depends on time is checked; use candump -L"
         )
-    note_log(log, written.summary)
+    note_log(log, summary)
     note_decoders(receiver.decoders, receiver.last_ns)
-    note_slots(arguments, sum(one.lines for one in receiver.decoders.values()), written.lines)
-    note(f"written: {' '.join(map(str, written.files))}")
-    if receiver.is_empty and (receiver.frames or not status):
-        check_received(log, receiver.first, codec, written.summary, has_failed=bool(status))
+    note_slots(arguments, sum(one.lines for one in receiver.decoders.values()), kept)
+    if files:
+        note(f"written: {' '.join(map(str, files))}")
+    if receiver.is_empty and (receiver.frames or not status) and status != 130:
+        check_received(log, receiver.first, receiver.codec, summary, has_failed=bool(status))
     return status
 
 
@@ -416,7 +464,7 @@ def _tables(arguments: argparse.Namespace) -> Any:
     )
 
 
-def _timing(arguments: argparse.Namespace) -> dict[str, float | None]:
+def _timing(arguments: argparse.Namespace) -> dict[str, Any]:
     return {"cycle_ms": arguments.cycle_ms, "timeout_ms": arguments.transfer_timeout}
 
 

@@ -104,6 +104,7 @@ class LogReceiver:
             codec.decoder, cycle_ms=cycle_ms, timeout_ms=timeout_ms
         )
         self._new_decoder()  # raises for a wrong time
+        self.codec = codec  #: of the lines
         self._has_scenes = scenes
         self._has_left_out = codec.layout.scene is not None
         self.decoders: dict[str, Decoder] = {}  #: by channel

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import json
-import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
 from ...values.errors import missing_extra
-from ..line_tables import LineTable, Table
+from ..line_tables import LineTable
+from ..row_texts import csv_cell, csv_rows, json_rows
 from .table_writer import About, FilesWriter, PathOf
 
 
@@ -32,10 +29,9 @@ class CsvWriter(FilesWriter):
             is_new = name not in self._open
             if is_new:
                 self._open[name] = self._files.temporary(name).open("w", newline="")
-            out = csv.writer(self._open[name], lineterminator="\n")
             if is_new:
-                out.writerow(part.columns)
-            out.writerows(_rows(part, "", str.lower))
+                self._open[name].write(",".join(map(csv_cell, part.columns)) + "\n")
+            self._open[name].write(csv_rows(part))
 
     def close(self) -> list[Path]:
         """Complete the files and return their paths."""
@@ -60,24 +56,7 @@ class JsonLinesWriter(CsvWriter):
         for name, part in table.parts.items():
             if name not in self._open:
                 self._open[name] = self._files.temporary(name).open("w")
-            names = [*part.columns]
-            self._open[name].writelines(
-                json.dumps(dict(zip(names, row, strict=True))) + "\n" for row in _rows(part, None)
-            )
-
-
-def _rows(table: Table, nothing: Any, truth: Any = None) -> Iterator[tuple[Any, ...]]:
-    """Return the rows; ``nothing`` stands for what is not finite, ``truth`` converts the bools."""
-    columns = []
-    for name in table.columns:
-        values = table[name]
-        column = values.tolist()
-        if values.dtype.kind == "f":
-            column = [one if math.isfinite(one) else nothing for one in column]
-        elif values.dtype.kind == "b" and truth is not None:
-            column = [truth(str(one)) for one in column]
-        columns.append(column)
-    return zip(*columns, strict=True)
+            self._open[name].write(json_rows(part))
 
 
 class ParquetWriter(FilesWriter):
