@@ -123,7 +123,7 @@ def _print_lines(arguments: argparse.Namespace) -> int:
     arguments.log = arguments.logs[0]
     codec = keyed_codec(arguments, clock=None)
     check_scenes(codec, arguments)
-    if arguments.log != "-" and not arguments.scenes:
+    if arguments.log != "-" and not arguments.scenes and arguments.time == ALL:
         return _print_blocks(arguments, codec)
     log = DecodedLog(codec, arguments)
     with closing(log.lines()) as rows:  # ends the progress bar
@@ -153,7 +153,8 @@ def _print_blocks(arguments: argparse.Namespace, codec: LineCodec) -> int:
     from ..recordings.row_texts import LineTexts
 
     receiver, printed, status = LogReceiver(codec, **_timing(arguments)), 0, 0
-    blocks = read_blocks(arguments.log, times=arguments.times)
+    read = read_blocks(arguments.log, times=arguments.times)
+    blocks = of_channel(read, arguments.channel, arguments.log)
     if arguments.csv:
         write_csv(sys.stdout, (), arguments.at)
     try:

@@ -22,6 +22,7 @@ FRAMES = 120  #: of each profile
 OPTIONS: tuple[list[str], ...] = (
     [],
     ["--at", "0,20.5,40"],
+    ["--channel", "can1"],
     ["--csv", "--at=-4,60,80", "--slots", "ego-left,next-left"],
 )
 
