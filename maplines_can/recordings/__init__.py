@@ -1,4 +1,4 @@
 """Recordings of a bus: logs as arrays of frames and of lines, tables, plots.
 
-It may import ``values``, ``wire``, ``logs``, ``bus`` and ``engines``.
+It may import ``core``, ``values``, ``wire``, ``logs``, ``bus`` and ``engines``.
 """
