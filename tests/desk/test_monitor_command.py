@@ -55,6 +55,7 @@ class Pty:
             environment = {"TERM": "xterm", "LANG": "C.UTF-8"} | environment
             os.environ["PYTHONPATH"] = os.pathsep.join(sys.path)
             os.environ.update(environment)
+            signal.signal(signal.SIGINT, signal.SIG_DFL)  # ignored in the background of a shell
             os.execv(sys.executable, [sys.executable, "-c", code])  # noqa: S606
         self.output = ""
         self.before = self.attributes()

@@ -17,13 +17,21 @@ import pytest
 
 from maplines_can.cli import main
 
+#: Ctrl-C is ignored in the background of a shell.
+START = """
+import signal, sys
+from maplines_can.cli import main
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.exit(main())
+"""
+
 
 @contextmanager
 def viewing(
     *arguments: str, command: tuple[str, ...] = ("view", "--port", "0")
 ) -> Iterator[tuple[Any, str]]:
     """Run the command on a free port; yield its process and the address that it prints."""
-    words = (sys.executable, "-m", "maplines_can", *command, *arguments)
+    words = (sys.executable, "-c", START, *command, *arguments)
     pipes: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
     with subprocess.Popen(words, text=True, **pipes) as process:
         try:
