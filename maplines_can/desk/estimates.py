@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..values.line import PARAMETERS, are_within, lateral, lateral_jacobian
-from .facts import Facts
+from .facts import Facts, triangle
 
 #: Lines of the ego lane.
 LANE = ("EGO_LEFT", "EGO_RIGHT")
@@ -95,14 +94,9 @@ def _spread(upper: Sequence[float | None], row: NDArray[np.float64]) -> float | 
 def _full(upper: Sequence[float | None], n: int) -> NDArray[np.float64]:
     """Return the matrix of an upper triangle, (n, n)."""
     full = np.empty((n, n))
-    rows, columns = _places(n)
+    rows, columns = triangle(n)
     full[rows, columns] = full[columns, rows] = _array(upper)
     return full
-
-
-@cache
-def _places(n: int) -> Any:
-    return np.triu_indices(n)
 
 
 def _array(values: Sequence[float | None]) -> NDArray[np.float64]:

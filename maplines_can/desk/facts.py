@@ -24,7 +24,8 @@ from ..wire import Decoder, Layout, Reason, SceneView, SlotStats, SlotView
 DIGITS = 9
 
 Facts = dict[str, Any]
-_triangle = cache(np.triu_indices)
+#: Rows and columns of the upper triangle of (n, n), in the order of its numbers in facts.
+triangle = cache(np.triu_indices)
 
 
 def facts_of(source: Decoder | ReceivedLines, layout: Layout, now_ns: int | None = None) -> Facts:
@@ -138,7 +139,7 @@ def _scene(view: SceneView) -> Facts | None:
 
 
 def _upper(cov: NDArray[np.float64]) -> list[float | None]:
-    return _rounded(cov[_triangle(len(cov))])
+    return _rounded(cov[triangle(len(cov))])
 
 
 def _rounded(values: NDArray[np.float64]) -> list[float | None]:
